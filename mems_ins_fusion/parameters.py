@@ -1,0 +1,277 @@
+"""Every parameter of the package: name, default, unit, range, meaning. The one place where they stand.
+
+The nodes declare them from here, the tools check their YAML against it, `docs/parameters.md` is written from it.
+A YAML file may hold any of them, whichever tool reads it: one file configures a vehicle.
+"""
+from __future__ import annotations
+
+import difflib
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+
+class ParameterError(ValueError):
+    """A parameter that cannot be used: one line that names it, its value and what was expected."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter. Its type is that of `default`: bool, int, float, str, list of float or of str."""
+
+    name: str
+    default: object
+    unit: str
+    description: str
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    choices: tuple[str, ...] = ()
+    lengths: tuple[int, ...] | None = None  # of a list; None allows any
+    positive: bool = False  # excludes zero
+
+    def check(self, value):
+        """`value` in this parameter's type; ParameterError if it does not fit."""
+        if isinstance(self.default, list):
+            return self._check_list(value)
+        return self._check_scalar(value, type(self.default))
+
+    def _check_list(self, value):
+        if value is None:
+            value = []
+        if isinstance(value, (str, bytes)) or not hasattr(value, '__iter__'):
+            value = [value]
+        kind = self._element_type()
+        checked = [self._check_scalar(v, kind) for v in value]
+        if self.lengths is not None and len(checked) not in self.lengths:
+            expected = ' or '.join(str(n) for n in self.lengths)
+            raise ParameterError(f"parameter '{self.name}' must have {expected} values, got {len(checked)}: {value}")
+        return checked
+
+    def _element_type(self):
+        if self.default:
+            return type(self.default[0])
+        return str if self.unit == 'text' else float
+
+    def _check_scalar(self, value, kind):
+        if kind is bool:
+            if isinstance(value, bool):
+                return value
+        elif kind is str:
+            if isinstance(value, str):
+                return self._check_choice(value)
+        elif not isinstance(value, bool):
+            number = _number(value)
+            if number is not None and (kind is float or number == int(number)):
+                return self._check_range(kind(number))
+        wanted = {bool: 'true or false', str: 'a text', int: 'a whole number', float: 'a number'}[kind]
+        raise ParameterError(f"parameter '{self.name}' must be {wanted}, got {value!r}")
+
+    def _check_choice(self, value):
+        if self.choices and value not in self.choices:
+            raise ParameterError(f"parameter '{self.name}' must be one of {', '.join(self.choices)}; got '{value}'")
+        return value
+
+    def _check_range(self, value):
+        if value < self.minimum or value > self.maximum or (self.positive and value <= 0):
+            low = 'above 0' if self.positive else f'at least {self.minimum:g}'
+            high = f' and at most {self.maximum:g}' if self.maximum < math.inf else ''
+            unit = f' {self.unit}' if self.unit not in ('', '-') else ''
+            raise ParameterError(f"parameter '{self.name}' must be {low}{high}{unit}, got {value:g}")
+        return value
+
+
+def _number(value) -> float | None:
+    """`value` as a finite float, also from a text such as 1e-3 (a text in PyYAML, a double in ROS); else None."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _per_axis(name, default, unit, description, **limits):
+    """A parameter with one value for all three axes or one for each of x, y, z (sensor axes)."""
+    description += ' One value for all axes, or three: sensor axes x, y, z.'
+    return Parameter(name, default, unit, description, lengths=(1, 3), **limits)
+
+
+def _sensor(sensor, unit, noise_density, initial_sigma, random_walk, sigma, driving_noise):
+    """The parameters that accelerometer and gyroscope share; numbers are those of a consumer-grade part."""
+    return (
+        _per_axis(f'{sensor}.noise_density', [noise_density], f'{unit}/sqrt(Hz)',
+                  'White noise: velocity or angle random walk.', minimum=0.0),
+        _per_axis(f'{sensor}.bias', [0.0], unit, 'Constant bias, subtracted from the measurement.'),
+        _per_axis(f'{sensor}.initial_sigma', [initial_sigma], unit,
+                  'Turn-on bias (one sigma) where no standstill before the start showed it.', positive=True),
+        _per_axis(f'{sensor}.random_walk.q', [random_walk], f'{unit}/sqrt(s)',
+                  'Driving noise of the random-walk model.', minimum=0.0),
+        _per_axis(f'{sensor}.gauss_markov.sigma', [sigma], unit,
+                  'Standard deviation of the Gauss-Markov model.', minimum=0.0),
+        _per_axis(f'{sensor}.gauss_markov.tau', [300.0], 's',
+                  'Correlation time of the Gauss-Markov model.', positive=True),
+        Parameter(f'{sensor}.autoregressive.coefficients', [-1.7132, 0.71415], '-',
+                  'a_1..a_p of the autoregressive model, signs as in Eq. 15 of the paper: '
+                  'y(n) = -a_1 y(n-1) - ... + b_0 w(n). p values for all axes, or 3 p: those of x, then y, then z. '
+                  'With 3 p values `autoregressive.order` tells p.'),
+        Parameter(f'{sensor}.autoregressive.order', 0, '-',
+                  'Order p of the autoregressive model; 0 takes the number of coefficients.', minimum=0, maximum=20),
+        _per_axis(f'{sensor}.autoregressive.b0', [driving_noise], unit,
+                  'Driving noise b_0 of the autoregressive model.', minimum=0.0),
+        Parameter(f'{sensor}.autoregressive.interval', 1.0, 's',
+                  'Sampling interval the autoregressive model was fitted at.', positive=True),
+        _per_axis(f'{sensor}.scale', [0.0], '-',
+                  'Scale factor error S of Eq. 9 and 10: measured = (1 + S) true.', minimum=-0.5, maximum=0.5),
+    )
+
+
+MODELS = ('random_walk', 'gauss_markov', 'autoregressive')
+
+#: what the filter needs, whoever runs it
+FILTER = (
+    Parameter('imu_topic', '/imu/data', 'text', 'Topic of sensor_msgs/Imu.'),
+    Parameter('gnss_topic', '/gps/fix', 'text', 'Topic of sensor_msgs/NavSatFix.'),
+    Parameter('temperature_topic', '', 'text', 'Topic of sensor_msgs/Temperature of the IMU; empty: none.'),
+    Parameter('mechanization', 'planar', 'text', 'planar: the paper\'s, f_x, f_y and w_z on a level road. '
+              'strapdown: three-dimensional, all six sensors.', choices=('planar', 'strapdown')),
+    Parameter('sensor_error_model', 'gauss_markov', 'text', 'Model of the sensor errors.', choices=MODELS),
+    Parameter('feedback', 'closed', 'text', 'closed: estimated errors are fed back to mechanization and sensors. '
+              'open: they are only subtracted from the output.', choices=('closed', 'open')),
+    Parameter('imu.mounting_rpy', [0.0, 0.0, 0.0], 'rad', 'Roll, pitch, yaw of the rotation from sensor axes to '
+              'base_link (forward-left-up).', lengths=(3,), minimum=-2 * math.pi, maximum=2 * math.pi),
+    Parameter('imu.max_gap', 0.5, 's', 'A longer gap between samples is bridged with the last sample and '
+              'with a covariance that says so.', positive=True),
+    Parameter('imu.restart_gap', 10.0, 's', 'After a longer gap, or stamps that jump back, the filter aligns anew.',
+              positive=True),
+    Parameter('gnss.lever_arm', [0.0, 0.0, 0.0], 'm', 'From the IMU to the antenna, base_link '
+              '(forward-left-up).', lengths=(3,), minimum=-50.0, maximum=50.0),
+    Parameter('gnss.time_offset', 0.0, 's', 'A fix stamped t describes the vehicle when the IMU\'s clock read '
+              't - time_offset.', minimum=-60.0, maximum=60.0),
+    Parameter('gnss.sigma', 0.0, 'm', 'Horizontal standard deviation of a fix; 0 takes the covariance in the '
+              'message.', minimum=0.0, maximum=1000.0),
+    Parameter('gnss.default_sigma', 3.0, 'm', 'Used where the message\'s covariance is unknown or zero.',
+              positive=True, maximum=1000.0),
+    Parameter('gnss.max_delay', 2.0, 's', 'A fix may arrive this much later than the IMU samples of its time; '
+              'later ones are dropped.', minimum=0.0, maximum=10.0),
+    Parameter('gnss.robust_sigma', 0.0, 'sigma', 'A fix whose normalized innovation is larger is weighted down to '
+              'this value (Huber); 0 trusts every fix.', minimum=0.0),
+    Parameter('gnss.outage_after', 2.5, 's', 'Without a fix for this long the node reports an outage.', positive=True),
+    Parameter('gnss.coloured_noise.sigma', 0.0, 'm', 'Standard deviation of a first-order Gauss-Markov position '
+              'error of the receiver, north and east; 0: none.', minimum=0.0),
+    Parameter('gnss.coloured_noise.tau', 60.0, 's', 'Its correlation time.', positive=True),
+    *_sensor('accelerometer', 'm/s^2', 0.01, 0.2, 1e-3, 0.05, 0.0035),
+    *_sensor('gyroscope', 'rad/s', 3e-4, 0.01, 2e-5, 1e-3, 7e-5),
+    Parameter('alignment.heading', 'course', 'text', 'Where the first heading comes from: course (of the fixes, once '
+              'the vehicle moves), orientation (of the Imu message) or parameter.',
+              choices=('course', 'orientation', 'parameter')),
+    Parameter('alignment.yaw', 0.0, 'rad', 'With alignment.heading parameter: the heading, clockwise from north.',
+              minimum=-2 * math.pi, maximum=2 * math.pi),
+    Parameter('alignment.yaw_sigma', 0.1, 'rad', 'Its standard deviation, and that of Imu.orientation.',
+              positive=True, maximum=3.2),
+    Parameter('alignment.level', True, '-', 'Remove the constant tilt that the accelerometers show at standstill.'),
+    Parameter('vehicle.zero_velocity', False, '-', 'Use standstills: zero velocity and zero turn rate.'),
+    Parameter('vehicle.zero_velocity_sigma', 0.02, 'm/s', 'Standard deviation of the velocity at standstill.',
+              positive=True),
+    Parameter('vehicle.non_holonomic', False, '-', 'A land vehicle does not move sideways (nor, strapdown, up).'),
+    Parameter('vehicle.non_holonomic_sigma', 0.2, 'm/s', 'Standard deviation of that sideways velocity.',
+              positive=True),
+    Parameter('datum', [], 'deg, deg, m', 'Latitude, longitude and height of the local frame\'s origin; empty: the '
+              'first fix used.', lengths=(0, 3)),
+)
+
+#: the live node's own
+FUSION = (
+    Parameter('odometry_topic', '/odometry/fused', 'text', 'Topic of the nav_msgs/Odometry published.'),
+    Parameter('fix_topic', '/fix/fused', 'text', 'Topic of the fused position as sensor_msgs/NavSatFix.'),
+    Parameter('odometry_rate', 0.0, 'Hz', 'Rate of the odometry; 0: one for each IMU sample.',
+              minimum=0.0, maximum=2000.0),
+    Parameter('frame_id', 'odom', 'text', 'Frame of the pose: east-north-up at the datum.'),
+    Parameter('child_frame_id', 'base_link', 'text', 'Frame of the twist: forward-left-up.'),
+    Parameter('publish_tf', False, '-', 'Broadcast frame_id -> child_frame_id on /tf (needs tf2_msgs).'),
+)
+
+#: replay_node's own
+REPLAY = (
+    Parameter('bag', [], 'text', 'Recordings to replay: rosbag2 folders, .mcap, .db3 or ROS 1 .bag files.'),
+    Parameter('output_dir', '', 'text', 'Folder for the results.'),
+    Parameter('overwrite', False, '-', 'Replace an existing result.'),
+    Parameter('models', ['random_walk', 'gauss_markov', 'autoregressive'], 'text', 'Sensor error models to compare.',
+              choices=MODELS),
+    Parameter('update_intervals', [1.0, 3.0, 6.0], 's', 'Fixes are thinned out to these intervals; 0 uses each.',
+              minimum=0.0),
+    Parameter('outage_durations', [10.0, 30.0, 60.0], 's', 'Fixes are withheld for this long.', positive=True),
+    Parameter('outage_spacing', 30.0, 's', 'Between the starts of two outages of one duration.', positive=True),
+    Parameter('start', 0.0, 's', 'Skip this much of the recording.', minimum=0.0),
+    Parameter('stop', 0.0, 's', 'Stop this long after the recording\'s start; 0: at its end.', minimum=0.0),
+    Parameter('fix_noise', 0.0, 'm', 'White noise added to north and east of each fix used, to turn a survey receiver '
+              'into an ordinary one.', minimum=0.0),
+    Parameter('seed', 0, '-', 'Seed of that noise.', minimum=0),
+    Parameter('reference_topic', '', 'text', 'Topic of the reference: NavSatFix, Odometry or PoseStamped; empty: the '
+              'withheld fixes are the truth.'),
+    Parameter('reference_file', '', 'text', 'Reference trajectory as a file: CSV, TUM, NMEA or RTKLIB .pos.'),
+    Parameter('write_bag', False, '-', 'Also write a rosbag2 with one Odometry topic per model.'),
+    Parameter('publish', False, '-', 'Publish the replayed odometry on topics, with /clock.'),
+    Parameter('rate', 1.0, '-', 'Speed of that publishing; 2 is twice as fast as recorded.', positive=True),
+)
+
+ALL = {p.name: p for p in (*FILTER, *FUSION, *REPLAY)}
+
+
+def defaults() -> dict:
+    """Every parameter at its default."""
+    return {name: list(p.default) if isinstance(p.default, list) else p.default for name, p in ALL.items()}
+
+
+def check(values: dict) -> dict:
+    """The defaults with `values` laid over them; ParameterError for an unknown name or a value that does not fit."""
+    checked = defaults()
+    for name, value in values.items():
+        if name not in ALL:
+            raise ParameterError(unknown(name))
+        checked[name] = ALL[name].check(value)
+    return checked
+
+
+def unknown(name: str) -> str:
+    """What to tell a user who wrote `name`."""
+    close = difflib.get_close_matches(name, ALL, n=1)
+    hint = f"; did you mean '{close[0]}'?" if close else ''
+    return f"unknown parameter '{name}'{hint}"
+
+
+def load_yaml(path, node: str = '') -> dict:
+    """The parameters in a ROS 2 params file as a flat dictionary of given names, unchecked.
+
+    Reads the sections `/**` and, over it, `node` (with or without the slash); a file whose sections are all for
+    other nodes raises ParameterError, since ROS would silently ignore it.
+    """
+    path = Path(path)
+    try:
+        document = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise ParameterError(f'params file {path}: {error.strerror}') from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ParameterError(f'params file {path} is not valid YAML: {" ".join(str(error).split())}') from None
+    if not isinstance(document, dict):
+        raise ParameterError(f'params file {path} holds no parameters')
+    known = ['/**'] + ([node, f'/{node}'] if node else sorted(set(document) - {'/**'}))
+    sections = [document[name] for name in known if name in document]
+    if not sections:
+        raise ParameterError(f"params file {path} has no section '/**' or '{node}', only {', '.join(document)}")
+    values: dict = {}
+    for section in sections:
+        if not isinstance(section, dict) or not isinstance(section.get('ros__parameters'), dict):
+            raise ParameterError(f"params file {path}: each node's parameters must stand under 'ros__parameters'")
+        values.update(_flatten(section['ros__parameters']))
+    return values
+
+
+def _flatten(tree: dict, prefix: str = '') -> dict:
+    flat: dict = {}
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            flat.update(_flatten(value, f'{prefix}{key}.'))
+        else:
+            flat[f'{prefix}{key}'] = value
+    return flat

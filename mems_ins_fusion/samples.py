@@ -1,0 +1,92 @@
+"""What the sensors delivered, as arrays: the one form in which every part of the package passes data on.
+
+Stamps are integer nanoseconds since the epoch, as in the message headers; ``received`` is when the
+message arrived (the log time of a bag), which decides the order in which a live filter saw it.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+
+class _Samples:
+    """Length and slicing for dataclasses whose fields are arrays along the same first axis."""
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    def select(self, index):
+        """The samples at `index` (a slice, a boolean mask or integer indices)."""
+        arrays = {f.name: getattr(self, f.name) for f in fields(self)}
+        return replace(self, **{name: a[index] for name, a in arrays.items() if a is not None})
+
+
+@dataclass(frozen=True)
+class ImuSamples(_Samples):
+    """Inertial samples in sensor axes `s`.
+
+    stamp, received: (n,) int64 ns. specific_force: (n, 3) m/s^2. angular_rate: (n, 3) rad/s.
+    orientation: (n, 4) quaternion x, y, z, w as the message carries it, or None where no message had one.
+    """
+
+    stamp: np.ndarray
+    received: np.ndarray
+    specific_force: np.ndarray
+    angular_rate: np.ndarray
+    orientation: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Fixes(_Samples):
+    """GNSS positions of the antenna.
+
+    stamp, received: (n,) int64 ns. latitude, longitude: (n,) rad. height: (n,) m above the ellipsoid.
+    covariance: (n, 3, 3) m^2, east-north-up as in `NavSatFix`. status: (n,) int8, `NavSatStatus.status`.
+    covariance_type: (n,) uint8, `NavSatFix.position_covariance_type`.
+    """
+
+    stamp: np.ndarray
+    received: np.ndarray
+    latitude: np.ndarray
+    longitude: np.ndarray
+    height: np.ndarray
+    covariance: np.ndarray
+    status: np.ndarray
+    covariance_type: np.ndarray
+
+
+@dataclass(frozen=True)
+class Reference(_Samples):
+    """The truth, or the best there is: a trajectory to measure errors against.
+
+    stamp: (n,) int64 ns. latitude, longitude: (n,) rad. height: (n,) m.
+    velocity: (n, 3) m/s north-east-down or None. yaw: (n,) rad clockwise from north or None.
+    """
+
+    stamp: np.ndarray
+    latitude: np.ndarray
+    longitude: np.ndarray
+    height: np.ndarray
+    velocity: np.ndarray | None = None
+    yaw: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Temperatures(_Samples):
+    """Sensor temperature. stamp, received: (n,) int64 ns. celsius: (n,) degrees Celsius."""
+
+    stamp: np.ndarray
+    received: np.ndarray
+    celsius: np.ndarray
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One recording, read once. Absent parts are None."""
+
+    name: str
+    imu: ImuSamples
+    gnss: Fixes | None = None
+    reference: Reference | None = None
+    temperature: Temperatures | None = None
