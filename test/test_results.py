@@ -1,0 +1,41 @@
+"""Result folders appear whole or not at all, and nobody's own files are lost."""
+import pytest
+
+from mems_ins_fusion.evaluation.results import ResultError, result_folder
+
+
+def write(path, text, **options):
+    with result_folder(path, **options) as folder:
+        (folder / 'report.json').write_text(text)
+
+
+def test_result_takes_its_name_only_when_complete(tmp_path):
+    with pytest.raises(RuntimeError), result_folder(tmp_path / 'out') as folder:
+        (folder / 'report.json').write_text('half')
+        assert not (tmp_path / 'out').exists()
+        raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_existing_result_stays_unless_overwriting_is_asked_for(tmp_path):
+    out = tmp_path / 'deep' / 'out'
+    write(out, 'first')
+    with pytest.raises(ResultError, match='exists already'):
+        write(out, 'second')
+    assert (out / 'report.json').read_text() == 'first'
+    write(out, 'second', overwrite=True)
+    assert (out / 'report.json').read_text() == 'second'
+    assert [p.name for p in out.parent.iterdir()] == ['out']
+
+
+def test_folder_that_is_no_result_is_never_replaced(tmp_path):
+    (tmp_path / 'thesis.txt').write_text('years of work')
+    with pytest.raises(ResultError, match='holds other files'):
+        write(tmp_path, 'x', overwrite=True)
+    assert (tmp_path / 'thesis.txt').exists()
+
+
+def test_empty_folder_is_filled(tmp_path):
+    (tmp_path / 'out').mkdir()
+    write(tmp_path / 'out', 'x')
+    assert (tmp_path / 'out' / 'report.json').exists()
