@@ -1,0 +1,224 @@
+"""The exact motion of a simulated land vehicle, and what perfect sensors in it would deliver.
+
+Speed and course are piecewise quintic polynomials of time, so accelerations and angular rates are continuous and known
+exactly. Positions are their integrals along the local level frame `n` (no earth rate, no Coriolis: the planar model of
+the filter), by Gauss-Legendre quadrature to rounding.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import PPoly
+from scipy.spatial.transform import Rotation
+
+from mems_ins_fusion.navigation.earth import gravity, radii
+from mems_ins_fusion.recordings.simulation_manoeuvres import Segment, plan
+
+START_STAMP = 1_700_000_000_000_000_000  # ns: a date, so that stamps look as those of real recordings
+ORIGIN = (0.8378, 0.2007, 480.0)  # latitude, longitude (rad), height (m) of the start
+MARGIN = 60.0  # s of motion beyond the end, for fixes that describe a later time
+_CELL = 0.02  # s: quadrature cells; the segments' ends fall on their edges
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
+
+
+def stream(seed: int, purpose: str) -> np.random.Generator:
+    """Random numbers for one purpose alone: what else is simulated with `seed` does not change them."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(purpose.encode())))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Where the vehicle is and how it moves, at times (n,) s after the start.
+
+    position: (n, 3) m north-east-down along the ground from the start. latitude, longitude: (n,) rad. height: (n,) m.
+    velocity: (n, 3) m/s north-east-down. roll, pitch, yaw: (n,) rad, body (forward-right-down) to north-east-down;
+    yaw clockwise from north, not wrapped.
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    latitude: np.ndarray
+    longitude: np.ndarray
+    height: np.ndarray
+    velocity: np.ndarray
+    roll: np.ndarray
+    pitch: np.ndarray
+    yaw: np.ndarray
+
+    @property
+    def attitude(self) -> Rotation:
+        """Rotation from body to north-east-down."""
+        return Rotation.from_euler('ZYX', np.column_stack([self.yaw, self.pitch, self.roll]))
+
+
+@dataclass(frozen=True)
+class Drive(Motion):
+    """A simulated drive, sampled as an IMU samples it.
+
+    stamp: (n,) int64 ns. specific_force: (n, 3) m/s^2 and angular_rate: (n, 3) rad/s in body axes, each the mean over
+    the interval that ends at `time`: the rotation vector and, in the body axes at mid-interval, the velocity increment,
+    divided by the interval. rate: samples per second. path: the motion at any time.
+    """
+
+    stamp: np.ndarray
+    specific_force: np.ndarray
+    angular_rate: np.ndarray
+    rate: float
+    path: Path
+
+    def at(self, time) -> Motion:
+        """The exact motion at `time`, (m,) s after the start, whether or not a sample falls on it."""
+        return self.path.at(time)
+
+    def altered(self, **changes) -> Drive:
+        """The same drive on a `Path` with `changes`, such as a suspension that pitches."""
+        return _sample(replace(self.path, **changes), self.time[-1], self.rate)
+
+
+@dataclass(frozen=True)
+class Path:
+    """Exact motion along a road, as functions of time.
+
+    segments: the manoeuvres. origin: latitude, longitude (rad) and height (m) of the start. course: of the start, rad.
+    hills: (k, 3) of grade amplitude, wavelength (m) and phase of sines along the road; empty: a level road.
+    pitch_per_acceleration, roll_per_acceleration: rad per m/s^2, positive as in a car: nose up when it speeds up, and
+    leaning outwards in a bend. sideslip_per_acceleration: rad per m/s^2, angle from the body's x axis to the velocity,
+    clockwise, for a lateral acceleration to the right.
+    """
+
+    segments: tuple[Segment, ...]
+    origin: tuple[float, float, float] = ORIGIN
+    course: float = 0.0
+    hills: tuple[tuple[float, float, float], ...] = ()
+    pitch_per_acceleration: float = 0.0
+    roll_per_acceleration: float = 0.0
+    sideslip_per_acceleration: float = 0.0
+
+    def at(self, time) -> Motion:
+        """The motion at `time`, (m,) s; before the start the vehicle stands at the origin.
+
+        ValueError for a time after the last segment.
+        """
+        time = np.atleast_1d(np.asarray(time, float))
+        if time.size and time.max() > self._speed.x[-1]:
+            raise ValueError(f'the simulated drive ends at {self._speed.x[-1]:g} s; asked for {time.max():g} s')
+        t = np.maximum(time, 0.0)
+        start, latitude, longitude, height, *plane = self._cells
+        cell = np.minimum((t / _CELL).astype(int), len(start) - 1)
+        step = self._plane_displacement(start[cell], t - start[cell])
+        climb = self._climb(self._distance(t))
+        meridian, prime_vertical = radii(latitude[cell])
+        lat = latitude[cell] + step[0] / (meridian + height[cell])
+        lon = longitude[cell] + step[1] / ((prime_vertical + height[cell]) * np.cos(latitude[cell]))
+        speed, course = self._speed(t), self._course(t)
+        grade = self._grade(self._distance(t))
+        velocity = np.column_stack([speed * np.cos(course), speed * np.sin(course), -grade * speed])
+        position = np.column_stack([plane[0][cell] + step[0], plane[1][cell] + step[1], -climb])
+        lateral = speed * self._course(t, 1)
+        return Motion(time, position, lat, lon, self.origin[2] + climb, velocity,
+                      roll=-self.roll_per_acceleration * lateral,
+                      pitch=np.arctan(grade) + self.pitch_per_acceleration * self._speed(t, 1),
+                      yaw=course - self.sideslip_per_acceleration * lateral)
+
+    @cached_property
+    def _speed(self) -> PPoly:
+        return _quintic_steps(self.segments, [s.speed_change for s in self.segments], 0.0)
+
+    @cached_property
+    def _course(self) -> PPoly:
+        return _quintic_steps(self.segments, [s.course_change for s in self.segments], self.course)
+
+    @cached_property
+    def _distance(self) -> PPoly:
+        return self._speed.antiderivative()
+
+    def _climb(self, distance):
+        """Height above the start, m, at `distance`, m, along the road."""
+        return sum((grade * length / (2 * np.pi) * (np.sin(2 * np.pi * distance / length + phase) - np.sin(phase))
+                    for grade, length, phase in self.hills), np.zeros_like(distance))
+
+    def _grade(self, distance):
+        return sum((grade * np.cos(2 * np.pi * distance / length + phase) for grade, length, phase in self.hills),
+                   np.zeros_like(distance))
+
+    def _plane_displacement(self, start, duration):
+        """Displacement north and east, (2, m) m, from `start` (m,) over `duration` (m,) s, within a cell."""
+        displacement = np.zeros((2, len(start)))
+        for node, weight in zip(_NODES, _WEIGHTS):
+            t = start + 0.5 * duration * (1 + node)
+            along = 0.5 * duration * weight * self._speed(t)
+            course = self._course(t)
+            displacement += along * np.cos(course), along * np.sin(course)
+        return displacement
+
+    @cached_property
+    def _cells(self):
+        """At the start of each quadrature cell: time, latitude, longitude, height, distance north and east."""
+        n = round(self._speed.x[-1] / _CELL)
+        start = np.arange(n) * _CELL
+        steps = self._plane_displacement(start, np.full(n, _CELL))
+        north, east = np.cumsum(np.column_stack([np.zeros(2), steps]), axis=1)
+        height = self.origin[2] + self._climb(self._distance(np.arange(n + 1) * _CELL))
+        middle_height = 0.5 * (height[1:] + height[:-1])
+        latitude = self.origin[0] + north / radii(self.origin[0])[0]
+        for _ in range(3):  # the radius of curvature depends on the latitude that it leads to: a fixed point
+            middle = 0.5 * (latitude[1:] + latitude[:-1])
+            latitude = self.origin[0] + _cumulated(steps[0] / (radii(middle)[0] + middle_height))
+        longitude = self.origin[1] + _cumulated(steps[1] / ((radii(middle)[1] + middle_height) * np.cos(middle)))
+        return tuple(a[:-1] for a in (np.append(start, 0.0), latitude, longitude, height, north, east))
+
+
+def _cumulated(steps):
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _quintic_steps(segments, changes, start) -> PPoly:
+    """The function that changes by `changes` over the segments, with two continuous derivatives."""
+    duration = np.array([s.duration for s in segments])
+    change = np.asarray(changes, float)
+    level = start + _cumulated(change)[:-1]
+    zero = np.zeros_like(change)
+    coefficients = [6 * change / duration**5, -15 * change / duration**4, 10 * change / duration**3, zero, zero, level]
+    return PPoly(np.array(coefficients), _cumulated(duration))
+
+
+def simulate_drive(duration: float, seed: int = 0, rate: float = 100.0, *, standstill: float = 25.0,
+                   hills: bool = False, origin=ORIGIN, pitch_per_acceleration: float = 0.0,
+                   roll_per_acceleration: float = 0.0, sideslip_per_acceleration: float = 0.0) -> Drive:
+    """A land vehicle's drive: a standstill, then straights, bends, right-angle turns and stops at 2-20 m/s.
+
+    duration: s. seed: the same gives the same drive, and a longer one begins as a shorter one. rate: Hz, IMU samples.
+    standstill: s at the start; `duration` or more for a vehicle at rest. hills: a road with grades of up to 6 %; else a
+    level one. The others as in `Path`. ValueError for a duration or rate that is not positive.
+    """
+    if not (duration > 0 and rate > 0):
+        raise ValueError(f'duration and rate must be positive, got {duration:g} s and {rate:g} Hz')
+    rng = stream(seed, 'drive')
+    course = rng.uniform(-np.pi, np.pi)
+    segments = tuple(plan(duration + MARGIN, standstill if standstill < duration else duration + MARGIN, rng))
+    road = _random_hills(stream(seed, 'hills')) if hills else ()
+    path = Path(segments, tuple(origin), course, road, pitch_per_acceleration, roll_per_acceleration,
+                sideslip_per_acceleration)
+    return _sample(path, duration, rate)
+
+
+def _random_hills(rng):
+    waves = zip((0.025, 0.02, 0.012), (1900.0, 700.0, 260.0))
+    return tuple((grade, length * rng.uniform(0.8, 1.2), rng.uniform(0, 2 * np.pi)) for grade, length in waves)
+
+
+def _sample(path: Path, duration: float, rate: float) -> Drive:
+    """The drive on `path` as an IMU with `rate` sees it; its first sample ends at time 0."""
+    n = int(np.floor(duration * rate + 1e-6)) + 1
+    edges = path.at(np.arange(-1, n) / rate)
+    attitude = edges.attitude
+    turn = (attitude[:-1].inv() * attitude[1:]).as_rotvec()
+    velocity_increment = np.diff(edges.velocity, axis=0)
+    velocity_increment[:, 2] -= gravity(edges.latitude, edges.height)[1:] / rate
+    middle = attitude[:-1] * Rotation.from_rotvec(turn / 2)
+    states = {name: getattr(edges, name)[1:] for name in Motion.__dataclass_fields__}
+    stamp = START_STAMP + np.round(states['time'] * 1e9).astype(np.int64)
+    return Drive(**states, stamp=stamp, specific_force=middle.inv().apply(velocity_increment) * rate,
+                 angular_rate=turn * rate, rate=rate, path=path)

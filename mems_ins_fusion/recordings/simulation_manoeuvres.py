@@ -1,0 +1,111 @@
+"""The route of a simulated land vehicle: manoeuvres within what a driver does and a car bears.
+
+Each segment changes speed and course by the quintic step 10 u^3 - 15 u^4 + 6 u^5, whose first derivative peaks at
+15/8 and whose second at 10/sqrt(3), per unit of change and duration.
+"""
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+MAX_SPEED = 20.0  # m/s
+MAX_ACCELERATION = 2.5  # m/s^2, forward or sideways
+MAX_JERK = 2.5  # m/s^3
+MIN_RADIUS = 9.0  # m, at the tightest point of a turn
+_PEAK_RATE = 15 / 8
+_PEAK_CURVATURE = 10 / math.sqrt(3)
+_TIME_GRID = 0.1  # s: segments end on multiples of it, where the quadrature has an edge
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of `duration` s in which the speed changes by `speed_change` m/s, the course by `course_change` rad."""
+
+    duration: float
+    speed_change: float = 0.0
+    course_change: float = 0.0
+
+
+def plan(duration: float, standstill: float, rng: np.random.Generator) -> Iterator[Segment]:
+    """Segments that fill at least `duration` s, the first `standstill` s at rest.
+
+    The opening after the standstill is straight, so that a filter can align; then manoeuvres, each of which starts and
+    ends in motion, come from shuffled decks: a drive of a few minutes holds all kinds.
+    """
+    speed = elapsed = 0.0
+    kinds = _kinds(rng)
+    first = [Segment(_on_grid(standstill)), _speed_change(0.0, rng.uniform(8, 12), 1.5), Segment(5.0)]
+    while elapsed < duration:
+        for segment in first or next(kinds)(speed, rng):
+            yield segment
+            elapsed += segment.duration
+            speed += segment.speed_change
+        first = None
+
+
+def _kinds(rng):
+    deck = [_turn, _bend, _straight, _turn, _bend, _stop, _turn, _straight, _double_bend, _bend]
+    while True:
+        for i in rng.permutation(len(deck)):
+            yield deck[i]
+
+
+def _straight(speed, rng):
+    target = rng.uniform(6.0, MAX_SPEED)
+    return [_speed_change(speed, target, rng.uniform(0.8, 2.3)), _hold(rng.uniform(3, 15))]
+
+
+def _bend(speed, rng):
+    """A bend of 10 to 70 degrees, in which the driver may also change speed."""
+    target = speed if rng.uniform() < 0.5 else float(np.clip(speed + rng.uniform(-5, 5), 4.0, MAX_SPEED))
+    angle = rng.choice([-1, 1]) * np.radians(rng.uniform(10, 70))
+    return [_curve(speed, target, angle, rng.uniform(0.8, 2.0)), _hold(rng.uniform(1, 6))]
+
+
+def _double_bend(speed, rng):
+    angle = rng.choice([-1, 1]) * np.radians(rng.uniform(15, 40))
+    return [_curve(speed, speed, angle, 1.8), _curve(speed, speed, -angle, 1.8), _hold(2.0)]
+
+
+def _turn(speed, rng):
+    """Slow down, turn a right angle, speed up again."""
+    corner = rng.uniform(3.5, 7.0)
+    angle = rng.choice([-1, 1]) * np.pi / 2
+    acceleration = rng.uniform(1.2, 2.3)
+    return [_speed_change(speed, corner, acceleration), _curve(corner, corner, angle, 2.4), _hold(rng.uniform(0.5, 2)),
+            _speed_change(corner, rng.uniform(7, 15), acceleration), _hold(rng.uniform(2, 8))]
+
+
+def _stop(speed, rng):
+    """Stop, stand for a while, drive on."""
+    return [_speed_change(speed, 0.0, rng.uniform(1.0, 2.3)), _hold(rng.uniform(4, 20)),
+            _speed_change(0.0, rng.uniform(6, 14), rng.uniform(1.0, 2.3)), _hold(rng.uniform(1, 5))]
+
+
+def _hold(duration):
+    return Segment(_on_grid(duration))
+
+
+def _speed_change(speed, target, acceleration):
+    """From `speed` to `target` with a peak of `acceleration`, or less where the jerk would be too large."""
+    change = target - speed
+    duration = max(_PEAK_RATE * abs(change) / acceleration, math.sqrt(_PEAK_CURVATURE * abs(change) / MAX_JERK))
+    return Segment(_on_grid(duration), speed_change=change)
+
+
+def _curve(speed, target, angle, lateral_acceleration):
+    """A curve of `angle` whose lateral acceleration and radius stay within bounds at the faster of both speeds."""
+    fastest, change = max(speed, target), abs(target - speed)
+    lateral = min(lateral_acceleration, fastest**2 / MIN_RADIUS)
+    duration = max(_PEAK_RATE * abs(angle) * fastest / lateral,
+                   math.sqrt(_PEAK_CURVATURE * abs(angle) * fastest / MAX_JERK),
+                   _speed_change(speed, target, 1.0).duration if change else 0.0)
+    return Segment(_on_grid(duration), target - speed, angle)
+
+
+def _on_grid(duration):
+    """`duration` rounded up to the time grid, one step at least."""
+    return max(math.ceil(duration / _TIME_GRID - 1e-9), 1) * _TIME_GRID
