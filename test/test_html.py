@@ -10,7 +10,7 @@ from mems_ins_fusion.evaluation import html
 class Outline(HTMLParser):
     """Collects text and attributes, and checks that every element is closed in turn."""
 
-    VOID = {'meta', 'img', 'br'}
+    VOID = frozenset({'meta', 'img', 'br'})
 
     def __init__(self, document):
         super().__init__()

@@ -1,0 +1,265 @@
+"""White noise and a slow sensor error told apart: exact maximum likelihood on averaged samples.
+
+The samples are averaged over intervals of T seconds. A mean is
+
+    z(k) = level + mean over the interval of the slow error x(t) + v(k),   v ~ N(0, N^2 / T)
+
+with white noise density N, a constant unknown level (one for each part between which the sensor was moved), and x a
+random walk, a first-order Gauss-Markov process or an AR(p) that steps once per interval. A Kalman filter gives the
+likelihood; the level is integrated out (restricted likelihood), so that removing the mean biases nothing.
+Sources: A. C. Harvey, Forecasting, Structural Time Series Models and the Kalman Filter (1989), sections 3.4 and 4.3;
+P. de Jong, The diffuse Kalman filter, Annals of Statistics 19 (1991).
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from .models import Autoregressive, GaussMarkov, Model, RandomWalk
+
+#: relative change of the covariance below which the filter has reached its steady state
+_STEADY = 1e-11
+
+
+@dataclass(frozen=True)
+class Averages:
+    """Interval means of one axis. z: (n,) unit of the sensor, NaN where missing. part: (n,) int, counted from 0:
+    its level is the same within one part. interval: T, s."""
+
+    z: np.ndarray
+    part: np.ndarray
+    interval: float
+
+    def coarser(self, factor: int) -> Averages:
+        """Means over `factor` intervals each."""
+        return average([self.z[self.part == p] for p in np.unique(self.part)], factor, self.interval)
+
+    def slice(self, start: int, stop: int) -> Averages:
+        return Averages(self.z[start:stop], self.part[start:stop], self.interval)
+
+    @property
+    def duration(self) -> float:
+        """Time covered by present intervals, s."""
+        return float(np.isfinite(self.z).sum() * self.interval)
+
+    def centred(self) -> list[np.ndarray]:
+        """The parts, each without its mean."""
+        parts = [self.z[self.part == p] for p in np.unique(self.part)]
+        return [p - np.nanmean(p) for p in parts if np.isfinite(p).any()]
+
+
+def average(parts, factor: int, interval: float) -> Averages:
+    """Means over `factor` samples `interval` s apart; missing where more than half of the samples are."""
+    means, labels = [], []
+    for label, x in enumerate(parts):
+        blocks = x[:len(x) // factor * factor].reshape(-1, factor)
+        present = np.isfinite(blocks)
+        count = present.sum(axis=1)
+        total = np.where(present, blocks, 0.0).sum(axis=1)
+        means.append(np.where(2 * count >= factor, total / np.maximum(count, 1), np.nan))
+        labels.append(np.full(len(blocks), label))
+    return Averages(np.concatenate(means), np.concatenate(labels), factor * interval)
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """x(k+1) = a x(k) + w, w ~ N(0, q); the interval's mean is c x + white noise of variance r; x(0) ~ N(0, p0)."""
+
+    a: np.ndarray
+    q: np.ndarray
+    c: np.ndarray
+    r: float
+    p0: np.ndarray
+
+
+def state_space(model: Model | None, noise_density: float, interval: float) -> StateSpace:
+    """White noise plus `model` (None: nothing else), seen through means over `interval` s."""
+    r = noise_density**2 / interval
+    if model is None:
+        return StateSpace(np.zeros((1, 1)), np.zeros((1, 1)), np.ones(1), r, np.zeros((1, 1)))
+    if isinstance(model, Autoregressive):
+        p = model.order
+        return StateSpace(model.transition(), model.process_noise(), np.eye(p)[0], r, model.initial_covariance())
+    if isinstance(model, RandomWalk):
+        phi, gain, start = 1.0, 1.0, 0.0
+        q = model.q**2 * interval * np.array([[1.0, 1 / 2], [1 / 2, 1 / 3]])
+    else:
+        phi, gain, q = _gauss_markov_mean(model, interval)
+        start = model.sigma**2
+    a = np.array([[phi, 0.0], [gain, 0.0]])
+    return StateSpace(a, q, np.array([0.0, 1.0]), r, start * np.outer(a[:, 0], a[:, 0]) + q)
+
+
+def _gauss_markov_mean(model, interval):
+    """Transition, mean for unit start, and covariance of (end value, mean) of the process over one interval."""
+    u = interval / model.tau
+    decay = math.exp(-u)
+    lost = -math.expm1(-u)
+    if u < 1e-3:  # the closed form below cancels
+        mean = 2 * u / 3 - u**2 / 2
+    else:
+        mean = 2 * (u - 2 * lost - math.expm1(-2 * u) / 2) / u**2
+    q = np.array([[-math.expm1(-2 * u), lost**2 / u], [lost**2 / u, mean]])
+    return decay, lost / u, model.sigma**2 * q
+
+
+@njit(cache=True)
+def _innovations(z, part, a, q, c, r, p0):
+    """Innovations of z and of a constant 1, and their variance, from one Kalman filter; restarts with each part."""
+    n, d = len(z), len(c)
+    error, level, variance = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
+    x, y = np.zeros(d), np.zeros(d)
+    p = p0.copy()
+    gain = np.zeros(d)
+    ap = np.zeros((d, d))
+    new = np.zeros((d, d))
+    nx, ny = np.zeros(d), np.zeros(d)
+    f = 1.0
+    steady = False
+    for k in range(n):
+        if k == 0 or part[k] != part[k - 1]:
+            x[:] = 0.0
+            y[:] = 0.0
+            p[:] = p0
+            steady = False
+        present = not np.isnan(z[k])
+        if not present:
+            steady = False
+        if not steady:
+            f = r
+            for i in range(d):
+                gain[i] = 0.0
+                for j in range(d):
+                    gain[i] += p[i, j] * c[j]
+            for i in range(d):
+                f += c[i] * gain[i]
+            if present:
+                for i in range(d):
+                    for j in range(d):
+                        p[i, j] -= gain[i] * gain[j] / f
+        if present:
+            ez, el = z[k], 1.0
+            for i in range(d):
+                ez -= c[i] * x[i]
+                el -= c[i] * y[i]
+            error[k], level[k], variance[k] = ez, el, f
+            for i in range(d):
+                x[i] += gain[i] * ez / f
+                y[i] += gain[i] * el / f
+        for i in range(d):
+            nx[i] = 0.0
+            ny[i] = 0.0
+            for j in range(d):
+                nx[i] += a[i, j] * x[j]
+                ny[i] += a[i, j] * y[j]
+        x[:] = nx
+        y[:] = ny
+        if not steady:
+            for i in range(d):
+                for j in range(d):
+                    ap[i, j] = 0.0
+                    for m in range(d):
+                        ap[i, j] += a[i, m] * p[m, j]
+            for i in range(d):
+                for j in range(d):
+                    new[i, j] = q[i, j]
+                    for m in range(d):
+                        new[i, j] += ap[i, m] * a[j, m]
+            change, size = 0.0, 0.0
+            predicted = r
+            for i in range(d):
+                before = 0.0
+                for j in range(d):
+                    before += new[i, j] * c[j]
+                change = max(change, abs(before - gain[i]))
+                predicted += c[i] * before
+                size = max(size, abs(before))
+            steady = present and change <= _STEADY * (size + r) and abs(predicted - f) <= _STEADY * f
+            p[:] = new
+    return error, level, variance
+
+
+def innovations(data: Averages, model: Model | None, noise_density: float, levels=None):
+    """Innovations (n,) and their variances (n,), the levels (one per part) estimated or as given."""
+    s = state_space(model, noise_density, data.interval)
+    error, one, variance = _innovations(data.z, data.part, s.a, s.q, s.c, s.r, s.p0)
+    for part in range(int(data.part.max()) + 1):
+        mine = data.part == part
+        weight = one[mine] / variance[mine]
+        value = np.nansum(weight * error[mine]) / np.nansum(weight * one[mine]) if levels is None else levels[part]
+        error[mine] -= value * one[mine]
+    return error, variance
+
+
+def levels(data: Averages, model: Model | None, noise_density: float):
+    """Best estimate of each part's level and its one sigma, (parts,) each; for a random walk, that of its start."""
+    s = state_space(model, noise_density, data.interval)
+    error, one, variance = _innovations(data.z, data.part, s.a, s.q, s.c, s.r, s.p0)
+    information = np.array([np.nansum(one[data.part == p] ** 2 / variance[data.part == p])
+                            for p in range(int(data.part.max()) + 1)])
+    weighted = np.array([np.nansum(one[data.part == p] * error[data.part == p] / variance[data.part == p])
+                         for p in range(len(information))])
+    return weighted / information, 1 / np.sqrt(information)
+
+
+def log_likelihood(data: Averages, model: Model | None, noise_density: float) -> float:
+    """Restricted log likelihood of `data`, nats."""
+    squares, log_variance, log_information, n, parts = _terms(data, state_space(model, noise_density, data.interval))
+    return -0.5 * (squares + log_variance + log_information + (n - parts) * math.log(2 * math.pi))
+
+
+def _terms(data, s):
+    error, one, variance = _innovations(data.z, data.part, s.a, s.q, s.c, s.r, s.p0)
+    return _sums(error, one, variance, data.part)
+
+
+@njit(cache=True)
+def _sums(error, one, variance, part):
+    """Sum of squared normalized innovations with the levels at their best, and the log determinants."""
+    squares, log_variance, log_information = 0.0, 0.0, 0.0
+    n, parts = 0, 0
+    oo, oe = 0.0, 0.0
+    for k in range(len(error)):
+        if k > 0 and part[k] != part[k - 1]:
+            if oo > 0:
+                squares -= oe * oe / oo
+                log_information += math.log(oo)
+                parts += 1
+            oo, oe = 0.0, 0.0
+        if np.isnan(error[k]):
+            continue
+        squares += error[k] * error[k] / variance[k]
+        log_variance += math.log(variance[k])
+        oo += one[k] * one[k] / variance[k]
+        oe += one[k] * error[k] / variance[k]
+        n += 1
+    if oo > 0:
+        squares -= oe * oe / oo
+        log_information += math.log(oo)
+        parts += 1
+    return squares, log_variance, log_information, n, parts
+
+
+def relative_likelihood(data: Averages, model: Model | None) -> tuple[float, float]:
+    """Likelihood where `model` is given for unit noise density and the common scale is at its best: (nats, scale)."""
+    squares, log_variance, log_information, n, parts = _terms(data, state_space(model, 1.0, data.interval))
+    if not squares > 0:
+        return -math.inf, 0.0
+    free = n - parts
+    scale2 = squares / free
+    value = -0.5 * (free * (math.log(2 * math.pi * scale2) + 1) + log_variance + log_information)
+    return value, math.sqrt(scale2)
+
+
+def scaled(model: Model | None, factor: float) -> Model | None:
+    """`model` with its amplitude multiplied."""
+    if model is None:
+        return None
+    if isinstance(model, RandomWalk):
+        return RandomWalk(model.q * factor, model.initial_sigma)
+    if isinstance(model, GaussMarkov):
+        return GaussMarkov(model.sigma * factor, model.tau)
+    return Autoregressive(model.coefficients, model.b0 * factor, model.interval)
