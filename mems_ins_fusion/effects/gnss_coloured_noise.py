@@ -1,0 +1,20 @@
+"""GNSS coloured noise: position errors (satellite orbits, atmosphere, multipath) last longer than one fix."""
+from __future__ import annotations
+
+import numpy as np
+
+from mems_ins_fusion.effects.base import Effect, EffectParameter
+
+
+class GnssColouredNoise(Effect):
+    """A first-order Gauss-Markov position error, north and east independent, of standard deviation sigma."""
+
+    name = 'gnss_coloured_noise'
+    parameters = (EffectParameter('sigma', 'm', 1.0), EffectParameter('tau', 's', 60.0, default=60.0))
+
+    def distort_fixes(self, drive, time, position, values, rng):
+        error = values['sigma'] * rng.standard_normal((len(time), 2))
+        decay = np.exp(-np.diff(time) / values['tau'])
+        for i, phi in enumerate(decay):
+            error[i + 1] = phi * error[i] + np.sqrt(1 - phi**2) * error[i + 1]
+        return position + np.column_stack([error, np.zeros(len(time))])

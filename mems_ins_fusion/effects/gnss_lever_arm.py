@@ -1,0 +1,17 @@
+"""GNSS lever arm: the antenna is not where the IMU is."""
+from __future__ import annotations
+
+import numpy as np
+
+from mems_ins_fusion.effects.base import Effect, EffectParameter
+
+
+class GnssLeverArm(Effect):
+    """The antenna stands at (x, y, z) from the IMU, base_link (forward-left-up)."""
+
+    name = 'gnss_lever_arm'
+    parameters = tuple(EffectParameter(axis, 'm', 1.0) for axis in 'xyz')
+
+    def distort_fixes(self, drive, time, position, values, rng):
+        arm = np.array([values['x'], -values['y'], -values['z']])  # body, forward-right-down
+        return position + drive.at(time).attitude.apply(arm)

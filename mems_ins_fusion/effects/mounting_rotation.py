@@ -1,0 +1,18 @@
+"""Mounting rotation: the IMU is turned in the vehicle by more than its declared mounting says."""
+from __future__ import annotations
+
+from mems_ins_fusion.effects.base import Effect, EffectParameter
+
+
+class MountingRotation(Effect):
+    """With R the rotation of (roll, pitch, yaw), base_link (forward-left-up): true mounting = R declared mounting."""
+
+    name = 'mounting_rotation'
+    parameters = tuple(EffectParameter(angle, 'rad', 0.05) for angle in ('roll', 'pitch', 'yaw'))
+    principal = 'yaw'
+
+    def distort_imu(self, drive, specific_force, angular_rate, values, rng):
+        from scipy.spatial.transform import Rotation
+
+        seen = Rotation.from_euler('ZYX', [-values['yaw'], -values['pitch'], values['roll']]).inv()
+        return seen.apply(specific_force), seen.apply(angular_rate)

@@ -1,0 +1,20 @@
+"""All effects by name: a new one is one new module and one line here."""
+from __future__ import annotations
+
+from mems_ins_fusion.effects.accelerometer_lever_arm import AccelerometerLeverArm
+from mems_ins_fusion.effects.accelerometer_scale import AccelerometerScale
+from mems_ins_fusion.effects.base import Effect
+from mems_ins_fusion.effects.g_sensitivity import GSensitivity
+from mems_ins_fusion.effects.gnss_coloured_noise import GnssColouredNoise
+from mems_ins_fusion.effects.gnss_lever_arm import GnssLeverArm
+from mems_ins_fusion.effects.gnss_time_offset import GnssTimeOffset
+from mems_ins_fusion.effects.gyroscope_scale import GyroscopeScale
+from mems_ins_fusion.effects.mounting_rotation import MountingRotation
+from mems_ins_fusion.effects.sideslip import Sideslip
+from mems_ins_fusion.effects.temperature import Temperature
+from mems_ins_fusion.effects.tilt import Tilt
+
+EFFECTS: dict[str, Effect] = {effect.name: effect for effect in (
+    GnssTimeOffset(), GnssLeverArm(), GnssColouredNoise(), AccelerometerScale(), GyroscopeScale(), MountingRotation(),
+    Tilt(), GSensitivity(), Temperature(), AccelerometerLeverArm(), Sideslip(),
+)}

@@ -1,0 +1,168 @@
+"""Simulated recordings: a drive, seen by sensors with errors and by a GNSS receiver, with effects that nobody declared.
+
+Each purpose has random numbers of its own, so that adding an effect, or an axis' model, does not change the rest.
+"""
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mems_ins_fusion.effects.base import Effect
+from mems_ins_fusion.navigation.earth import radii
+from mems_ins_fusion.recordings.drive import START_STAMP, Drive, simulate_drive, stream
+from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, Reference, Temperatures
+from mems_ins_fusion.sensor_errors.from_parameters import error_models, per_axis
+from mems_ins_fusion.sensor_errors.models import Model
+from mems_ins_fusion.sensor_errors.models import simulate as simulate_errors
+
+__all__ = ['GnssNoise', 'SensorErrors', 'Simulation', 'simulate_drive', 'simulate_recording']
+
+_FLIP = np.array([1.0, -1.0, -1.0])  # between forward-right-down and forward-left-up
+_COVARIANCE_TYPE_DIAGONAL_KNOWN = 2  # sensor_msgs/NavSatFix
+_STATUS_FIX = 0  # sensor_msgs/NavSatStatus
+
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """The errors of an IMU, sensor axes x, y, z.
+
+    accelerometer, gyroscope: the models of the slow errors, None for an axis without. *_noise_density: white noise,
+    m/s^2/sqrt(Hz) and rad/s/sqrt(Hz). *_bias: constant, m/s^2 and rad/s.
+    """
+
+    accelerometer: Sequence[Model | None] = (None, None, None)
+    gyroscope: Sequence[Model | None] = (None, None, None)
+    accelerometer_noise_density: Sequence[float] = (0.0, 0.0, 0.0)
+    gyroscope_noise_density: Sequence[float] = (0.0, 0.0, 0.0)
+    accelerometer_bias: Sequence[float] = (0.0, 0.0, 0.0)
+    gyroscope_bias: Sequence[float] = (0.0, 0.0, 0.0)
+
+    @classmethod
+    def from_parameters(cls, parameters: dict, model: str) -> SensorErrors:
+        """The errors that `parameters` describe with `model` (random_walk, gauss_markov or autoregressive)."""
+        per_sensor = {}
+        for sensor in ('accelerometer', 'gyroscope'):
+            per_sensor[sensor] = error_models(parameters, sensor, model)
+            per_sensor[f'{sensor}_noise_density'] = per_axis(parameters, f'{sensor}.noise_density')
+            per_sensor[f'{sensor}_bias'] = per_axis(parameters, f'{sensor}.bias')
+        return cls(**per_sensor)
+
+
+@dataclass(frozen=True)
+class GnssNoise:
+    """A receiver. sigma: m, white, north and east. rate: Hz. outages: (start, stop) s after the start of the drive,
+    without fixes. latency: s from a fix's stamp to its arrival. vertical_sigma: m, by default 1.5 sigma. phase: s from
+    the start of the drive to the first fix, so that fixes fall between IMU samples.
+    """
+
+    sigma: float = 1.5
+    rate: float = 1.0
+    outages: Sequence[tuple[float, float]] = ()
+    latency: float = 0.0
+    vertical_sigma: float | None = None
+    phase: float = 0.0037
+
+    def times(self, duration: float) -> np.ndarray:
+        """Stamps of the fixes, (m,) s after the start of a drive of `duration` s."""
+        time = self.phase + np.arange(math.floor((duration - self.phase) * self.rate + 1e-9) + 1) / self.rate
+        for start, stop in self.outages:
+            time = time[(time < start) | (time >= stop)]
+        return time
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A recording and what is true of it.
+
+    drive: the true motion, with the effects that move the body. sensor_errors: (n, 6) m/s^2 and rad/s, the slow errors
+    and constant biases in body axes (forward-right-down), without white noise and effects.
+    effects: name -> parameter values.
+    """
+
+    recording: Recording
+    drive: Drive
+    sensor_errors: np.ndarray
+    effects: dict[str, dict[str, float]]
+
+
+def simulate_recording(drive: Drive, sensors: SensorErrors | None = None, gnss: GnssNoise | None = None,
+                       effects: Sequence[tuple[Effect, dict[str, float]]] = (), mounting_rpy=(0.0, 0.0, 0.0),
+                       seed: int = 0, name: str = 'simulation') -> Simulation:
+    """What the sensors of `drive` record.
+
+    sensors, gnss: perfect sensors and the default receiver where None. effects: in the order in which they act, each
+    with its parameters (those left out take their defaults). mounting_rpy: roll, pitch, yaw (rad) of the rotation from
+    sensor axes to base_link (forward-left-up), as declared. The reference is the true position of the IMU, the velocity
+    there and the yaw of the body, at each IMU sample. ValueError for an unknown parameter of an effect.
+    """
+    sensors, gnss = sensors or SensorErrors(), gnss or GnssNoise()
+    effects = [(effect, effect.complete(values)) for effect, values in effects]
+    for effect, values in effects:
+        drive = effect.alter_drive(drive, values)
+    to_sensor = Rotation.from_euler('xyz', mounting_rpy).inv()
+    imu, slow_errors = _imu(drive, sensors, effects, to_sensor, seed)
+    reference = Reference(drive.stamp, drive.latitude, drive.longitude, drive.height, drive.velocity, drive.yaw)
+    recording = Recording(name, imu, _fixes(drive, gnss, effects, seed), reference, _temperatures(drive, effects, seed))
+    return Simulation(recording, drive, slow_errors, {effect.name: values for effect, values in effects})
+
+
+def _imu(drive, sensors, effects, to_sensor, seed):
+    """The samples in sensor axes, and the slow errors in body axes."""
+    force, rate = drive.specific_force, drive.angular_rate
+    for effect, values in effects:
+        force, rate = effect.distort_imu(drive, force, rate, values, stream(seed, effect.name))
+    measured, slow = [], []
+    for sensor, true in (('accelerometer', force), ('gyroscope', rate)):
+        error = np.column_stack([_slow_error(drive, model, stream(seed, f'{sensor}.{axis}'))
+                                 for axis, model in zip('xyz', getattr(sensors, sensor))])
+        error += getattr(sensors, f'{sensor}_bias')
+        white = stream(seed, f'{sensor}.white').standard_normal(true.shape) * math.sqrt(drive.rate)
+        white *= getattr(sensors, f'{sensor}_noise_density')
+        measured.append(to_sensor.apply(true * _FLIP) + error + white)
+        slow.append(to_sensor.inv().apply(error) * _FLIP)
+    return ImuSamples(drive.stamp, drive.stamp.copy(), *measured), np.column_stack(slow)
+
+
+def _slow_error(drive, model, rng):
+    return np.zeros(len(drive.time)) if model is None else simulate_errors(model, len(drive.time), 1 / drive.rate, rng)
+
+
+def _fixes(drive, gnss, effects, seed) -> Fixes:
+    stamped = gnss.times(drive.time[-1])
+    described = stamped
+    for effect, values in effects:
+        described = effect.fix_times(described, values)
+    true = drive.at(described)
+    position = true.position
+    for effect, values in effects:
+        position = effect.distort_fixes(drive, described, position, values, stream(seed, effect.name))
+    vertical = 1.5 * gnss.sigma if gnss.vertical_sigma is None else gnss.vertical_sigma
+    sigma = np.array([gnss.sigma, gnss.sigma, vertical])
+    # one draw per possible fix, so that an outage does not change the noise of the other fixes
+    slot = np.round((stamped - gnss.phase) * gnss.rate).astype(int)
+    noise = stream(seed, 'gnss.white').standard_normal((slot[-1] + 1 if len(slot) else 0, 3))[slot]
+    north, east, down = (position - true.position + sigma * noise).T
+    meridian, prime_vertical = radii(true.latitude)
+    stamp = START_STAMP + np.round(stamped * 1e9).astype(np.int64)
+    return Fixes(stamp, stamp + round(gnss.latency * 1e9),
+                 latitude=true.latitude + north / (meridian + true.height),
+                 longitude=true.longitude + east / ((prime_vertical + true.height) * np.cos(true.latitude)),
+                 height=true.height - down,
+                 covariance=np.tile(np.diag(sigma**2), (len(stamp), 1, 1)),
+                 status=np.full(len(stamp), _STATUS_FIX, np.int8),
+                 covariance_type=np.full(len(stamp), _COVARIANCE_TYPE_DIAGONAL_KNOWN, np.uint8))
+
+
+def _temperatures(drive, effects, seed) -> Temperatures | None:
+    """The sensor's temperature once a second, where an effect makes it matter."""
+    for effect, values in effects:
+        celsius = effect.temperature(drive, values, stream(seed, effect.name))
+        if celsius is not None:
+            every = max(round(drive.rate), 1)
+            stamp = drive.stamp[::every]
+            return Temperatures(stamp, stamp.copy(), celsius[::every])
+    return None
