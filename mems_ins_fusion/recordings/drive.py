@@ -1,8 +1,7 @@
 """The exact motion of a simulated land vehicle, and what perfect sensors in it would deliver.
 
 Speed and course are piecewise quintic polynomials of time, so accelerations and angular rates are continuous and known
-exactly. Positions are their integrals along the local level frame `n` (no earth rate, no Coriolis: the planar model of
-the filter), by Gauss-Legendre quadrature to rounding.
+exactly. Positions are their integrals in the local level frame `n`, by Gauss-Legendre quadrature to rounding.
 """
 from __future__ import annotations
 
@@ -14,6 +13,7 @@ from scipy.interpolate import PPoly
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.navigation.earth import gravity, radii
+from mems_ins_fusion.navigation.strapdown import EARTH_RATE
 from mems_ins_fusion.recordings.simulation_manoeuvres import Segment, plan
 
 START_STAMP = 1_700_000_000_000_000_000  # ns: a date, so that stamps look as those of real recordings
@@ -85,7 +85,8 @@ class Path:
     hills: (k, 3) of grade amplitude, wavelength (m) and phase of sines along the road; empty: a level road.
     pitch_per_acceleration, roll_per_acceleration: rad per m/s^2, positive as in a car: nose up when it speeds up, and
     leaning outwards in a bend. sideslip_per_acceleration: rad per m/s^2, angle from the body's x axis to the velocity,
-    clockwise, for a lateral acceleration to the right.
+    clockwise, for a lateral acceleration to the right. rotating_earth: the sensors feel earth rate, transport rate and
+    Coriolis acceleration; without it `n` is an inertial frame, and the planar mechanization is exact on a level road.
     """
 
     segments: tuple[Segment, ...]
@@ -95,6 +96,7 @@ class Path:
     pitch_per_acceleration: float = 0.0
     roll_per_acceleration: float = 0.0
     sideslip_per_acceleration: float = 0.0
+    rotating_earth: bool = False
 
     def at(self, time) -> Motion:
         """The motion at `time`, (m,) s; before the start the vehicle stands at the origin.
@@ -161,13 +163,25 @@ class Path:
         steps = self._plane_displacement(start, np.full(n, _CELL))
         north, east = np.cumsum(np.column_stack([np.zeros(2), steps]), axis=1)
         height = self.origin[2] + self._climb(self._distance(np.arange(n + 1) * _CELL))
-        middle_height = 0.5 * (height[1:] + height[:-1])
+        middle_height = _middle(height)
         latitude = self.origin[0] + north / radii(self.origin[0])[0]
         for _ in range(3):  # the radius of curvature depends on the latitude that it leads to: a fixed point
-            middle = 0.5 * (latitude[1:] + latitude[:-1])
+            middle = _middle(latitude)
             latitude = self.origin[0] + _cumulated(steps[0] / (radii(middle)[0] + middle_height))
         longitude = self.origin[1] + _cumulated(steps[1] / ((radii(middle)[1] + middle_height) * np.cos(middle)))
         return tuple(a[:-1] for a in (np.append(start, 0.0), latitude, longitude, height, north, east))
+
+
+def _frame_rates(edges: Motion):
+    """Earth rate and transport rate in `n`, (n - 1, 3) rad/s, in the middle between `edges`."""
+    latitude, (v_n, v_e, _) = _middle(edges.latitude), _middle(edges.velocity).T
+    meridian, prime_vertical = (radius + _middle(edges.height) for radius in radii(latitude))
+    earth = EARTH_RATE * np.column_stack([np.cos(latitude), np.zeros_like(latitude), -np.sin(latitude)])
+    return earth, np.column_stack([v_e / prime_vertical, -v_n / meridian, -v_e * np.tan(latitude) / prime_vertical])
+
+
+def _middle(values):
+    return 0.5 * (values[1:] + values[:-1])
 
 
 def _cumulated(steps):
@@ -185,7 +199,7 @@ def _quintic_steps(segments, changes, start) -> PPoly:
 
 
 def simulate_drive(duration: float, seed: int = 0, rate: float = 100.0, *, standstill: float = 25.0,
-                   hills: bool = False, origin=ORIGIN, pitch_per_acceleration: float = 0.0,
+                   hills: bool = False, rotating_earth: bool = False, origin=ORIGIN, pitch_per_acceleration: float = 0.0,
                    roll_per_acceleration: float = 0.0, sideslip_per_acceleration: float = 0.0) -> Drive:
     """A land vehicle's drive: a standstill, then straights, bends, right-angle turns and stops at 2-20 m/s.
 
@@ -200,7 +214,7 @@ def simulate_drive(duration: float, seed: int = 0, rate: float = 100.0, *, stand
     segments = tuple(plan(duration + MARGIN, standstill if standstill < duration else duration + MARGIN, rng))
     road = _random_hills(stream(seed, 'hills')) if hills else ()
     path = Path(segments, tuple(origin), course, road, pitch_per_acceleration, roll_per_acceleration,
-                sideslip_per_acceleration)
+                sideslip_per_acceleration, rotating_earth)
     return _sample(path, duration, rate)
 
 
@@ -213,11 +227,16 @@ def _sample(path: Path, duration: float, rate: float) -> Drive:
     """The drive on `path` as an IMU with `rate` sees it; its first sample ends at time 0."""
     n = int(np.floor(duration * rate + 1e-6)) + 1
     edges = path.at(np.arange(-1, n) / rate)
-    attitude = edges.attitude
-    turn = (attitude[:-1].inv() * attitude[1:]).as_rotvec()
     velocity_increment = np.diff(edges.velocity, axis=0)
     velocity_increment[:, 2] -= gravity(edges.latitude, edges.height)[1:] / rate
-    middle = attitude[:-1] * Rotation.from_rotvec(turn / 2)
+    frame_turn = np.zeros((n, 3))  # of `n` over the interval
+    if path.rotating_earth:
+        earth, transport = _frame_rates(edges)
+        frame_turn = (earth + transport) / rate
+        velocity_increment += np.cross(2 * earth + transport, _middle(edges.velocity)) / rate
+    attitude = edges.attitude
+    turn = (attitude[:-1].inv() * Rotation.from_rotvec(frame_turn) * attitude[1:]).as_rotvec()
+    middle = Rotation.from_rotvec(-frame_turn / 2) * attitude[:-1] * Rotation.from_rotvec(turn / 2)
     states = {name: getattr(edges, name)[1:] for name in Motion.__dataclass_fields__}
     stamp = START_STAMP + np.round(states['time'] * 1e9).astype(np.int64)
     return Drive(**states, stamp=stamp, specific_force=middle.inv().apply(velocity_increment) * rate,

@@ -31,7 +31,7 @@ class SensorErrors:
     """The errors of an IMU, sensor axes x, y, z.
 
     accelerometer, gyroscope: the models of the slow errors, None for an axis without. *_noise_density: white noise,
-    m/s^2/sqrt(Hz) and rad/s/sqrt(Hz). *_bias: constant, m/s^2 and rad/s.
+    m/s^2/sqrt(Hz) and rad/s/sqrt(Hz). *_bias: constant, m/s^2 and rad/s. *_scale: measured = (1 + scale) true + errors.
     """
 
     accelerometer: Sequence[Model | None] = (None, None, None)
@@ -40,6 +40,8 @@ class SensorErrors:
     gyroscope_noise_density: Sequence[float] = (0.0, 0.0, 0.0)
     accelerometer_bias: Sequence[float] = (0.0, 0.0, 0.0)
     gyroscope_bias: Sequence[float] = (0.0, 0.0, 0.0)
+    accelerometer_scale: Sequence[float] = (0.0, 0.0, 0.0)
+    gyroscope_scale: Sequence[float] = (0.0, 0.0, 0.0)
 
     @classmethod
     def from_parameters(cls, parameters: dict, model: str) -> SensorErrors:
@@ -47,8 +49,8 @@ class SensorErrors:
         per_sensor = {}
         for sensor in ('accelerometer', 'gyroscope'):
             per_sensor[sensor] = error_models(parameters, sensor, model)
-            per_sensor[f'{sensor}_noise_density'] = per_axis(parameters, f'{sensor}.noise_density')
-            per_sensor[f'{sensor}_bias'] = per_axis(parameters, f'{sensor}.bias')
+            for name in ('noise_density', 'bias', 'scale'):
+                per_sensor[f'{sensor}_{name}'] = per_axis(parameters, f'{sensor}.{name}')
         return cls(**per_sensor)
 
 
@@ -65,6 +67,14 @@ class GnssNoise:
     latency: float = 0.0
     vertical_sigma: float | None = None
     phase: float = 0.0037
+
+    def __post_init__(self):
+        if self.rate <= 0 or self.sigma < 0:
+            raise ValueError(f'the receiver needs a positive rate and a sigma of 0 or more, '
+                             f'got {self.rate:g} Hz and {self.sigma:g} m')
+        for start, stop in self.outages:
+            if not start < stop:
+                raise ValueError(f'an outage must end after it starts, got {start:g} to {stop:g} s')
 
     def times(self, duration: float) -> np.ndarray:
         """Stamps of the fixes, (m,) s after the start of a drive of `duration` s."""
@@ -122,7 +132,8 @@ def _imu(drive, sensors, effects, to_sensor, seed):
         error += getattr(sensors, f'{sensor}_bias')
         white = stream(seed, f'{sensor}.white').standard_normal(true.shape) * math.sqrt(drive.rate)
         white *= getattr(sensors, f'{sensor}_noise_density')
-        measured.append(to_sensor.apply(true * _FLIP) + error + white)
+        scale = 1 + np.asarray(getattr(sensors, f'{sensor}_scale'))
+        measured.append(scale * to_sensor.apply(true * _FLIP) + error + white)
         slow.append(to_sensor.inv().apply(error) * _FLIP)
     return ImuSamples(drive.stamp, drive.stamp.copy(), *measured), np.column_stack(slow)
 
