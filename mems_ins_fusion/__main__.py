@@ -1,0 +1,48 @@
+"""`python -m mems_ins_fusion NAME ...`: every tool of the package under one command."""
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+
+TOOLS = {
+    'fusion_node': ('nodes', 'fuse IMU and GNSS live on ROS 2 topics'),
+    'replay_node': ('nodes', 'run recordings through the same filter and measure its position error'),
+    'characterize': ('cli', 'sensor error parameters from a recording of the IMU at rest'),
+    'diagnose': ('cli', 'find what the model lacks in a recording, and add it'),
+    'simulate': ('cli', 'write a recording of a simulated drive, with the truth'),
+    'import_csv': ('cli', 'turn CSV files into a recording'),
+}
+
+
+def usage() -> str:
+    """One line per tool."""
+    lines = [f'  {name:<13} {purpose}' for name, (_, purpose) in TOOLS.items()]
+    return '\n'.join(['usage: python -m mems_ins_fusion NAME ...', '', *lines])
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the tool that argv[0] names with the rest of `argv` (default: the command line); its exit status."""
+    argv = sys.argv[1:] if argv is None else argv
+    if argv and argv[0] in ('-h', '--help'):
+        print(usage())
+        return 0
+    if not argv or argv[0] not in TOOLS:
+        print(usage(), file=sys.stderr)
+        if argv:
+            print(f"\nno tool is named '{argv[0]}'", file=sys.stderr)
+        return 2
+    package, _ = TOOLS[argv[0]]
+    # imported only now: a tool must not wait for, or fail with, what only another one needs
+    try:
+        tool = import_module(f'mems_ins_fusion.{package}.{argv[0]}')
+    except ModuleNotFoundError as error:
+        if error.name.startswith('mems_ins_fusion'):
+            raise
+        ros = "; source ROS 2's setup file, or install the package with [ros]" if package == 'nodes' else ''
+        print(f"{argv[0]}: the Python module '{error.name}' is not installed{ros}", file=sys.stderr)
+        return 2
+    return tool.main(argv[1:]) or 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

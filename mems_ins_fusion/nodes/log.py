@@ -1,0 +1,67 @@
+"""What a node tells its user, without flooding."""
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+
+#: numbers, whatever their form: two lines that differ only there say the same
+_NUMBERS = re.compile(r'\b(nan|inf)\b|[-+]?\d[\d.]*(e[-+]?\d+)?', re.IGNORECASE)
+
+
+class Throttle:
+    """Lets a line through once in `period` seconds; the next one let through tells how many were held back.
+
+    Lines that differ only in their numbers count as one and the same.
+    """
+
+    def __init__(self, period: float, clock: Callable[[], float] = time.monotonic):
+        self._period = period
+        self._clock = clock
+        self._last: dict[str, tuple[float, int]] = {}
+
+    def pass_on(self, text: str) -> str | None:
+        """`text`, with the number of those held back before; None where it is held back itself."""
+        key = _NUMBERS.sub('#', text)
+        now = self._clock()
+        last, held_back = self._last.get(key, (-self._period, 0))
+        if now - last < self._period and key in self._last:
+            self._last[key] = (last, held_back + 1)
+            return None
+        self._last[key] = (now, 0)
+        return f'{text} ({held_back} more like this before)' if held_back else text
+
+
+class Watch:
+    """Notices that a topic is silent: `patience` seconds after the last message, then every `period` seconds.
+
+    The subscription's callback adds to `count`, nothing else: it is the hot path.
+    """
+
+    def __init__(self, patience: float, period: float = 30.0, clock: Callable[[], float] = time.monotonic):
+        self.count = 0
+        self._patience = patience
+        self._period = period
+        self._clock = clock
+        self._seen = 0
+        self._silent = False
+        self._restart(clock())
+
+    def check(self) -> tuple[bool, float] | None:
+        """(True, seconds of silence) when that is to be said, (False, seconds) when it ended, else None."""
+        now = self._clock()
+        if self.count != self._seen:
+            silence = now - self._since
+            ended, self._silent = self._silent, False
+            self._seen = self.count
+            self._restart(now)
+            return (False, silence) if ended else None
+        if now < self._due:
+            return None
+        self._silent = True
+        self._due = now + self._period
+        return True, now - self._since
+
+    def _restart(self, now):
+        self._since = now
+        self._due = now + self._patience

@@ -1,0 +1,93 @@
+"""From the command line to a spinning node and to a clean exit: the same for each node of the package."""
+from __future__ import annotations
+
+import re
+import signal
+import sys
+from collections.abc import Callable
+
+import rclpy
+from rclpy._rclpy_pybind11 import InvalidHandle, RCLError, UnknownROSArgsError
+from rclpy.exceptions import NameValidationException, ParameterException
+from rclpy.executors import ExternalShutdownException
+from rclpy.logging import LoggingSeverity, get_logger_level, set_logger_level
+from rclpy.node import Node
+from rclpy.qos_overriding_options import InvalidQosOverridesError
+from rclpy.utilities import remove_ros_args
+
+from ..parameters import ParameterError, load_yaml
+from .ros_parameters import params_files
+
+#: what a user got wrong, as opposed to a defect of the program
+_USER_ERRORS = (ValueError, ParameterException, NameValidationException, InvalidQosOverridesError)
+
+
+def run(name: str, make_node: Callable[[list[str]], Node], argv: list[str],
+        spin: Callable[[Node], int | None] = rclpy.spin) -> int:
+    """Make the node with `make_node(argv)` and `spin` it until SIGINT or SIGTERM; the exit status.
+
+    0 after a signal, that of `spin` (None is 0) where it returns by itself, 2 with one line on stderr where `argv`
+    or the parameters are wrong.
+    """
+    node = None
+    try:
+        try:
+            _initialize(name, argv)
+            node = make_node(argv)
+        except _USER_ERRORS as error:
+            print(f'{name}: {_one_line(error)}', file=sys.stderr)
+            return 2
+        return spin(node) or 0
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except (RCLError, InvalidHandle):
+        # a signal in the middle of a callback takes the context away under it
+        if rclpy.ok():
+            raise
+    finally:
+        _shut_down(node)
+    return 0
+
+
+def _initialize(name, argv):
+    """rclpy.init, with what is wrong in `argv` as a ParameterError."""
+    set_logger_level('rcl', LoggingSeverity.FATAL)  # it would log the same error in its own words
+    try:
+        others = remove_ros_args(argv)
+        if others:
+            raise ParameterError(f"'{others[0]}' is not understood: {name} takes ROS arguments only, "
+                                 'such as --ros-args --params-file FILE -p NAME:=VALUE')
+        rclpy.init(args=argv)
+    except UnknownROSArgsError as error:
+        raise ParameterError(f'unknown ROS arguments {error}') from None
+    except RCLError as error:
+        raise ParameterError(_explain(error, argv)) from None
+    if get_logger_level('rcl') == LoggingSeverity.FATAL:
+        set_logger_level('rcl', LoggingSeverity.UNSET)
+
+
+def _explain(error, argv) -> str:
+    """rcl's reason in a user's words; ParameterError where our own reader of params files can say it better."""
+    for path in params_files(argv):
+        for name, value in load_yaml(path).items():
+            if isinstance(value, list) and len({type(v) for v in value}) > 1:
+                raise ParameterError(f"params file {path}: ROS accepts no list of mixed types, as in '{name}': {value}; "
+                                     'write whole numbers with a decimal point')
+    # rcl: "failed to initialize rcl: REASON, at FILE:LINE, at FILE:LINE"
+    reason = re.sub(r', at \S+:\d+', '', str(error)).removeprefix('failed to initialize rcl: ')
+    if 'Sequence should be of same type' in reason:
+        reason += ' (write whole numbers in a list of decimals with a decimal point)'
+    return reason
+
+
+def _one_line(error) -> str:
+    return ' '.join(str(error).split())
+
+
+def _shut_down(node):
+    # ros2 launch and impatient users send a second signal: it must not interrupt this
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    if node is not None:
+        node.destroy_node()
+    rclpy.try_shutdown()

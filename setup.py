@@ -1,0 +1,30 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'mems_ins_fusion'
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    description='Fusion of a low-cost inertial sensor with GNSS on land vehicles',
+    license='Apache-2.0',
+    packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
+    python_requires='>=3.10',
+    install_requires=['matplotlib', 'numba', 'numpy', 'pyyaml', 'rosbags', 'scipy', 'tqdm'],
+    extras_require={
+        # ROS 2 itself, where it does not come from the system
+        'ros': ['ros-jazzy-rclpy', 'ros-jazzy-common-interfaces', 'ros-jazzy-rmw-fastrtps-cpp'],
+        'test': ['pytest'],
+    },
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml']),
+        (f'share/{PACKAGE}/config', glob('config/*.yaml')),
+        (f'share/{PACKAGE}/launch', glob('launch/*.launch.py')),
+        # where `ros2 run` looks; pip would put console scripts into bin only
+        (f'lib/{PACKAGE}', sorted(glob('scripts/*'))),
+    ],
+    entry_points={'console_scripts': [f'{PACKAGE} = {PACKAGE}.__main__:main']},
+    zip_safe=False,
+)
