@@ -175,6 +175,10 @@ FILTER = (
     Parameter('vehicle.zero_velocity', False, '-', 'Use standstills: zero velocity and zero turn rate.'),
     Parameter('vehicle.zero_velocity_sigma', 0.02, 'm/s', 'Standard deviation of the velocity at standstill.',
               positive=True),
+    Parameter('vehicle.still_acceleration', 0.3, 'm/s^2', 'The accelerometers are at rest when they scatter less than '
+              'this (standard deviation of an axis).', positive=True),
+    Parameter('vehicle.still_rate', 0.05, 'rad/s', 'The same for the gyroscopes; their mean must be smaller, too.',
+              positive=True),
     Parameter('vehicle.non_holonomic', False, '-', 'A land vehicle does not move sideways (nor, strapdown, up).'),
     Parameter('vehicle.non_holonomic_sigma', 0.2, 'm/s', 'Standard deviation of that sideways velocity.',
               positive=True),

@@ -1,0 +1,192 @@
+"""Where everything stands in the filter's memory: named once, used by the kernel and by everybody who reads a state.
+
+One row of floats is one state of the filter: navigation solution, estimated errors x, covariance P.
+
+    nav (NAV) | x (n) | P: navigation block, packed upper triangle | cross block (m, N) | sensor block (m, m)
+
+N navigation error states (5 planar, 9 strapdown) are followed by m states: the sensor error models, one block per
+channel, then the receiver's coloured noise (north, east) where modelled. n = N + m.
+"""
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+from numba import njit
+
+
+class Nav(IntEnum):
+    """Columns of the navigation solution in a row."""
+
+    TIME = 0  # s since the filter's epoch
+    LATITUDE = 1
+    LONGITUDE = 2
+    HEIGHT = 3
+    V_N = 4
+    V_E = 5
+    V_D = 6
+    YAW = 7  # planar
+    Q_W = 7  # strapdown: quaternion from b to n
+    Q_X = 8
+    Q_Y = 9
+    Q_Z = 10
+    RADII_LATITUDE = 11  # where the two scales were computed
+    NORTH_SCALE = 12  # rad of latitude per metre
+    EAST_SCALE = 13  # rad of longitude per metre
+    ACCELEROMETER_PHASE = 14  # s since the autoregressive model's last step
+    GYROSCOPE_PHASE = 15
+    CONSTRAINT_TIME = 16  # s since the last vehicle constraint
+    SIZE = 17
+
+
+NAV = int(Nav.SIZE)
+PLANAR, STRAPDOWN = 0, 1
+NAVIGATION_STATES = {PLANAR: 5, STRAPDOWN: 9}
+CHANNELS = {PLANAR: ('f_x', 'f_y', 'w_z'), STRAPDOWN: ('f_x', 'f_y', 'f_z', 'w_x', 'w_y', 'w_z')}
+STATE_NAMES = {PLANAR: ('r_n', 'r_e', 'v_n', 'v_e', 'yaw'),
+               STRAPDOWN: ('r_n', 'r_e', 'r_d', 'v_n', 'v_e', 'v_d', 'phi_n', 'phi_e', 'phi_d')}
+
+
+@njit(cache=True)
+def packed(i, j, size):
+    """Position of element (i, j), i <= j, in the packed upper triangle of a symmetric matrix."""
+    return i * size - i * (i - 1) // 2 + j - i
+
+
+def row_width(navigation: int, others: int) -> int:
+    """Floats in one row with `navigation` (N) and `others` (m) states."""
+    return (NAV + navigation + others + navigation * (navigation + 1) // 2 + others * (navigation + others))
+
+
+@njit(cache=True)
+def load_covariance(row, navigation, others, full):
+    """The covariance in `row` (width,) as a full symmetric matrix, written into `full` (n, n)."""
+    at = NAV + navigation + others
+    for i in range(navigation):
+        for j in range(i, navigation):
+            full[i, j] = full[j, i] = row[at]
+            at += 1
+    for j in range(navigation, navigation + others):
+        for i in range(navigation):
+            full[i, j] = full[j, i] = row[at]
+            at += 1
+    for i in range(navigation, navigation + others):
+        for j in range(navigation, navigation + others):
+            full[i, j] = row[at]
+            at += 1
+
+
+@njit(cache=True)
+def store_covariance(full, navigation, others, row):
+    """Inverse of `load_covariance`."""
+    at = NAV + navigation + others
+    for i in range(navigation):
+        for j in range(i, navigation):
+            row[at] = full[i, j]
+            at += 1
+    for j in range(navigation, navigation + others):
+        for i in range(navigation):
+            row[at] = full[i, j]
+            at += 1
+    for i in range(navigation, navigation + others):
+        for j in range(navigation, navigation + others):
+            row[at] = full[i, j]
+            at += 1
+
+
+def covariance_index(i: int, j: int, navigation: int, others: int) -> int:
+    """Column of a row in which element (i, j) of the covariance stands."""
+    i, j = min(i, j), max(i, j)
+    at = NAV + navigation + others
+    triangle = navigation * (navigation + 1) // 2
+    if j < navigation:
+        return at + packed(i, j, navigation)
+    if i < navigation:
+        return at + triangle + (j - navigation) * navigation + i
+    return at + triangle + others * navigation + (i - navigation) * others + j - navigation
+
+
+def covariance(row: np.ndarray, navigation: int, others: int) -> np.ndarray:
+    """The covariance (n, n) in `row`."""
+    full = np.empty((navigation + others, navigation + others))
+    load_covariance(row, navigation, others, full)
+    return full
+
+
+class Head(IntEnum):
+    """Sizes and settings at the start of the filter's memory."""
+
+    MECHANIZATION = 0
+    OPEN_LOOP = 1
+    NAVIGATION = 2  # N
+    OTHERS = 3  # m
+    ORDER = 4  # states per sensor channel, p
+    CHANNELS = 5
+    WIDTH = 6  # floats in a row
+    CAPACITY = 7  # rows in the ring
+    FIX_CAPACITY = 8
+    SAMPLES = 9  # IMU samples taken in so far: the newest state is that of row SAMPLES modulo CAPACITY
+    FIXES = 10  # fixes remembered
+    COLOURED = 11  # first of the two states of coloured GNSS noise; -1: none
+    ACCELEROMETER_INTERVAL = 12  # s, of the autoregressive model; 0: another model
+    GYROSCOPE_INTERVAL = 13
+    MAX_GAP = 14
+    MAX_DELAY = 15
+    ROBUST_SIGMA = 16
+    LEVER_X = 17  # lever arm, body axes forward-right-down, m
+    LEVER_Y = 18
+    LEVER_Z = 19
+    ZERO_VELOCITY_SIGMA = 20  # 0: not used
+    NON_HOLONOMIC_SIGMA = 21
+    STILL_ACCELERATION = 22  # scatter below which the sensors are at rest, m/s^2
+    STILL_RATE = 23  # rad/s
+    STILL_VARIANCE_F = 24  # running variance of specific force and angular rate, sum over the axes
+    STILL_VARIANCE_W = 25
+    STILL_MEAN = 26  # their running means, six
+    CONDITIONING = 32  # 6 x 6: body-axis sample = matrix (raw sample) + offset
+    OFFSET = 68  # six
+    SIZE = 74
+
+
+class Sample(IntEnum):
+    """One IMU sample as the kernel takes it: body axes forward-right-down, at rest or not."""
+
+    TIME = 0
+    F_X = 1
+    F_Y = 2
+    F_Z = 3
+    W_X = 4
+    W_Y = 5
+    W_Z = 6
+    STILL = 7  # 1 at rest
+    SIZE = 8
+
+
+class Fix(IntEnum):
+    """One fix as the kernel takes it, and what came of it."""
+
+    TIME = 0  # at which it describes the vehicle
+    LATITUDE = 1
+    LONGITUDE = 2
+    HEIGHT = 3
+    R_NN = 4
+    R_NE = 5
+    R_EE = 6
+    R_DD = 7
+    ID = 8  # counts the fixes given to the kernel
+    Z_N = 9  # innovation, predicted minus measured antenna position, m
+    Z_E = 10
+    Z_D = 11
+    S_NN = 12  # its covariance
+    S_NE = 13
+    S_EE = 14
+    S_DD = 15
+    NIS = 16
+    APPLIED = 17  # 1 when the filter has used it
+    YAW = 18  # of the prediction, to see innovations along and across track
+    V_N = 19
+    V_E = 20
+    SIZE = 21
+
+
+FIX_SIZE, SAMPLE_SIZE, HEAD_SIZE = int(Fix.SIZE), int(Sample.SIZE), int(Head.SIZE)

@@ -1,0 +1,55 @@
+"""The edge between ROS and the inside: east-north-up to north-east-down, forward-left-up to forward-right-down.
+
+REP 103 and 105. Sensor axes `s` reach body axes `b` through the mounting rotation, which a user states in REP terms.
+"""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+#: turns a forward-left-up vector into forward-right-down, and back
+FLU_TO_FRD = np.diag([1.0, -1.0, -1.0])
+
+
+def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    """Rotation matrix R_z(yaw) R_y(pitch) R_x(roll), as in URDF and tf; angles in rad."""
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    return np.array([[cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+                     [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+                     [-sp, cp * sr, cp * cr]])
+
+
+def mounting(rpy) -> np.ndarray:
+    """Rotation from sensor axes `s` to body axes `b` (forward-right-down) of `imu.mounting_rpy`."""
+    rotation = FLU_TO_FRD @ rotation_from_rpy(*rpy)
+    # quarter turns are what people mean, to the last digit
+    return np.where(np.abs(rotation) < 1e-15, 0.0, rotation)
+
+
+def wrap(angle):
+    """`angle` (rad, scalar or array) in [-pi, pi)."""
+    return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+def yaw_from_enu(angle):
+    """Yaw clockwise from north of a yaw counter-clockwise from east, and the other way round; rad."""
+    return wrap(math.pi / 2 - angle)
+
+
+def yaw_of_quaternion(x, y, z, w):
+    """Yaw about the vertical of a quaternion (z-y-x), rad."""
+    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def leveling(specific_force: np.ndarray) -> np.ndarray:
+    """The smallest rotation that makes `specific_force` (3,), seen at rest in body axes, point straight up (-z)."""
+    up = specific_force / np.linalg.norm(specific_force)
+    axis = np.cross(up, [0.0, 0.0, -1.0])
+    sine, cosine = np.linalg.norm(axis), -up[2]
+    if sine < 1e-12:
+        return np.eye(3)
+    x, y, z = axis / sine
+    skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + sine * skew + (1 - cosine) * skew @ skew

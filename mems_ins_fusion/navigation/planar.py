@@ -1,0 +1,41 @@
+"""The paper's planar mechanization: two accelerometers and the vertical gyroscope on a level road.
+
+State: v_n, v_e (m/s), yaw (rad, clockwise from north); position follows from the velocity. Input over one interval of
+length dt: f_x, f_y (m/s^2, forward and right) and w_z (rad/s, about down), sensor errors already removed.
+DESIGN section 3; the paper, section 4.
+"""
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+
+@njit(cache=True)
+def rotate(yaw, dt, f_x, f_y, w_z):
+    """Specific force in `n` with the yaw of mid-interval, and that yaw's cosine and sine: (f_n, f_e, cos, sin)."""
+    middle = yaw + 0.5 * dt * w_z
+    c, s = math.cos(middle), math.sin(middle)
+    return c * f_x - s * f_y, s * f_x + c * f_y, c, s
+
+
+@njit(cache=True)
+def mechanize(v_n, v_e, yaw, f_x, f_y, w_z, dt):
+    """One interval: (north, east displacement in m, v_n, v_e, yaw)."""
+    f_n, f_e, _, _ = rotate(yaw, dt, f_x, f_y, w_z)
+    dv_n, dv_e = dt * f_n, dt * f_e
+    return dt * (v_n + 0.5 * dv_n), dt * (v_e + 0.5 * dv_e), v_n + dv_n, v_e + dv_e, yaw + dt * w_z
+
+
+@njit(cache=True)
+def error_step(dt, f_n, f_e, c, s, r_n, r_e, v_n, v_e, yaw, f_x, f_y, w_z):
+    """The same interval for a small error of the state: one column times the transition matrix (Eq. 18, corrected).
+
+    Arguments r_n to w_z are the errors before the interval (the last three those of the sensors), the result the
+    errors r_n, r_e, v_n, v_e, yaw after it. This is the derivative of `mechanize`: the errata of Eq. 18 are that
+    a yaw error rotates the specific force, so that the two entries of column 5 have opposite signs.
+    """
+    turned = yaw + 0.5 * dt * w_z
+    u_n = dt * (c * f_x - s * f_y - f_e * turned)
+    u_e = dt * (s * f_x + c * f_y + f_n * turned)
+    return (r_n + dt * (v_n + 0.5 * u_n), r_e + dt * (v_e + 0.5 * u_e), v_n + u_n, v_e + u_e, yaw + dt * w_z)
