@@ -1,0 +1,27 @@
+"""Start fusion_node: `ros2 launch mems_ins_fusion fusion.launch.py params_file:=my_vehicle.yaml`."""
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+
+def generate_launch_description():
+    defaults = PathJoinSubstitution([FindPackageShare('mems_ins_fusion'), 'config', 'fusion.yaml'])
+    return LaunchDescription([
+        DeclareLaunchArgument('params_file', default_value=defaults, description='parameters of the vehicle'),
+        DeclareLaunchArgument('namespace', default_value='', description='namespace of the node and of the topics '
+                              'whose names in the parameters do not start with a slash'),
+        DeclareLaunchArgument('use_sim_time', default_value='false', description='take the time from /clock'),
+        Node(
+            package='mems_ins_fusion',
+            executable='fusion_node',
+            namespace=LaunchConfiguration('namespace'),
+            output='screen',
+            parameters=[
+                LaunchConfiguration('params_file'),
+                {'use_sim_time': ParameterValue(LaunchConfiguration('use_sim_time'), value_type=bool)},
+            ],
+        ),
+    ])
