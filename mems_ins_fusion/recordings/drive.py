@@ -205,10 +205,12 @@ def simulate_drive(duration: float, seed: int = 0, rate: float = 100.0, *, stand
 
     duration: s. seed: the same gives the same drive, and a longer one begins as a shorter one. rate: Hz, IMU samples.
     standstill: s at the start; `duration` or more for a vehicle at rest. hills: a road with grades of up to 6 %; else a
-    level one. The others as in `Path`. ValueError for a duration or rate that is not positive.
+    level one. The others as in `Path`. ValueError for a duration or rate that is not positive, a negative standstill.
     """
-    if not (duration > 0 and rate > 0):
+    if not (0 < duration < np.inf and 0 < rate < np.inf):
         raise ValueError(f'duration and rate must be positive, got {duration:g} s and {rate:g} Hz')
+    if not standstill >= 0:
+        raise ValueError(f'the standstill at the start must not be negative, got {standstill:g} s')
     rng = stream(seed, 'drive')
     course = rng.uniform(-np.pi, np.pi)
     segments = tuple(plan(duration + MARGIN, standstill if standstill < duration else duration + MARGIN, rng))

@@ -115,7 +115,8 @@ def simulate_recording(drive: Drive, sensors: SensorErrors | None = None, gnss: 
         drive = effect.alter_drive(drive, values)
     to_sensor = Rotation.from_euler('xyz', mounting_rpy).inv()
     imu, slow_errors = _imu(drive, sensors, effects, to_sensor, seed)
-    reference = Reference(drive.stamp, drive.latitude, drive.longitude, drive.height, drive.velocity, drive.yaw)
+    reference = Reference(drive.stamp, drive.latitude, drive.longitude, drive.height, drive.velocity,
+                          np.arctan2(np.sin(drive.yaw), np.cos(drive.yaw)))
     recording = Recording(name, imu, _fixes(drive, gnss, effects, seed), reference, _temperatures(drive, effects, seed))
     return Simulation(recording, drive, slow_errors, {effect.name: values for effect, values in effects})
 

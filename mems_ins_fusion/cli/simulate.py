@@ -1,0 +1,155 @@
+"""`simulate`: write a recording of a simulated drive, with the truth."""
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+
+import numpy as np
+
+from mems_ins_fusion import parameters
+from mems_ins_fusion.effects.registry import EFFECTS
+
+DESCRIPTION = """\
+Write a rosbag2 of a simulated land vehicle: a standstill, then straights, bends, right-angle turns and stops at
+2-20 m/s. Topics: /imu/data and /gps/fix (or imu_topic and gnss_topic of the params file), and the truth as
+/reference/fix and /reference/odometry: position and velocity of the IMU (base_link, not the antenna), attitude of the
+body. The odometry's origin is the first fix. The effect `temperature` adds /imu/temperature.
+
+The sensors' errors and what the params file declares (imu.mounting_rpy, gnss.lever_arm, gnss.time_offset, scale,
+bias, gnss.coloured_noise) are simulated as it says. Effects given with --effect come on top, declared nowhere."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the tool with `argv` (default: the command line); its exit status."""
+    options = _parser().parse_args(argv)
+    try:
+        print(simulate(options))
+    except ValueError as error:
+        print(f'simulate: {error}', file=sys.stderr)
+        return 2
+    return 0
+
+
+def simulate(options: argparse.Namespace) -> str:
+    """Simulate and write what `options` ask for; a line that says what was written. ValueError for bad options."""
+    from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+
+    effects = parse_effects(options.effect)
+    values = parameters.check(parameters.load_yaml(options.params_file) if options.params_file else {})
+    model = options.model or values['sensor_error_model']
+    sigma = options.gnss_sigma if options.gnss_sigma is not None else values['gnss.sigma'] or 1.5
+    gnss = GnssNoise(sigma, options.gnss_rate, [parse_outage(text) for text in options.outage], options.gnss_latency)
+    drive = simulate_drive(options.duration, options.seed, options.rate, hills=options.hills,
+                           standstill=options.duration if options.static else options.standstill,
+                           rotating_earth=options.rotating_earth)
+    simulation = simulate_recording(drive, SensorErrors.from_parameters(values, model), gnss,
+                                    [*_declared(values), *effects], values['imu.mounting_rpy'], options.seed)
+    _write(simulation, options, values)
+    recording = simulation.recording
+    distance = np.linalg.norm(np.diff(drive.position, axis=0), axis=1).sum()
+    added = '; '.join(f'{effect.name} {" ".join(f"{k}={v:g}" for k, v in given.items())}' for effect, given in effects)
+    return (f'{options.output}: {drive.time[-1]:g} s, {distance / 1000:.2f} km, {len(recording.imu)} IMU samples with '
+            f'{model} errors, {len(recording.gnss)} fixes with sigma {sigma:g} m; effects: {added or "none"}')
+
+
+def _write(simulation, options, values):
+    from mems_ins_fusion.recordings.writing import odometry_from_reference, write_recording
+
+    recording, drive = simulation.recording, simulation.drive
+    if not len(recording.gnss):
+        raise ValueError('the outages leave no fix in the recording')
+    thinned = slice(None, None, max(round(options.rate / _positive('--reference-rate', options.reference_rate)), 1))
+    reference = recording.reference.select(thinned)
+    datum = recording.gnss.latitude[0], recording.gnss.longitude[0], recording.gnss.height[0]
+    odometry = odometry_from_reference(reference, datum, drive.roll[thinned], drive.pitch[thinned])
+    flu = np.array([1.0, -1.0, -1.0])
+    odometry = replace(odometry, angular_rate=drive.angular_rate[thinned] * flu)
+    write_recording(replace(recording, reference=reference), options.output, options.storage,
+                    overwrite=options.overwrite, odometry={'/reference/odometry': odometry},
+                    imu_topic=values['imu_topic'], gnss_topic=values['gnss_topic'],
+                    **({'temperature_topic': values['temperature_topic']} if values['temperature_topic'] else {}))
+
+
+def parse_effects(texts: list[str]) -> list[tuple]:
+    """The effects that NAME=VALUE and NAME.PARAM=VALUE texts ask for, each with all its parameters.
+
+    NAME=VALUE sets the effect's principal parameter. ValueError names what is not known.
+    """
+    values: dict[str, dict[str, float]] = {}
+    for text in texts:
+        key, equals, number = text.partition('=')
+        name, _, parameter = key.partition('.')
+        if not equals:
+            raise ValueError(f"--effect must be NAME=VALUE or NAME.PARAM=VALUE, got '{text}'")
+        if name not in EFFECTS:
+            raise ValueError(f"no effect is named '{name}'; there are {', '.join(EFFECTS)}")
+        values.setdefault(name, {})[parameter or EFFECTS[name].principal] = _number('--effect', text, number)
+    return [(EFFECTS[name], EFFECTS[name].complete(given)) for name, given in values.items()]
+
+
+def parse_outage(text: str) -> tuple[float, float]:
+    """START:STOP as two numbers, s."""
+    start, colon, stop = text.partition(':')
+    if not colon:
+        raise ValueError(f"--outage must be START:STOP in seconds, got '{text}'")
+    return _number('--outage', text, start), _number('--outage', text, stop)
+
+
+def _number(option, text, number):
+    try:
+        value = float(number)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise ValueError(f"{option} {text}: '{number}' is not a number")
+    return value
+
+
+def _positive(option, value):
+    if not value > 0:
+        raise ValueError(f'{option} must be above 0, got {value:g}')
+    return value
+
+
+def _declared(values):
+    """The effects that the parameters declare and a filter with the same parameters corrects."""
+    arm = dict(zip('xyz', values['gnss.lever_arm']))
+    coloured = {name: values[f'gnss.coloured_noise.{name}'] for name in ('sigma', 'tau')}
+    return [(EFFECTS['gnss_time_offset'], {'time_offset': values['gnss.time_offset']}),
+            (EFFECTS['gnss_lever_arm'], arm), (EFFECTS['gnss_coloured_noise'], coloured)]
+
+
+def _parser():
+    parser = argparse.ArgumentParser(prog='simulate', description=DESCRIPTION,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter, epilog=_effects_help())
+    add = parser.add_argument
+    add('--output', required=True, metavar='BAG', help='folder of the rosbag2 to write')
+    add('--overwrite', action='store_true', help='replace an existing one')
+    add('--storage', choices=('mcap', 'sqlite3'), default='mcap')
+    add('--duration', type=float, default=600.0, metavar='S', help='seconds (default %(default)g)')
+    add('--seed', type=int, default=0, help='the same seed gives the same recording (default %(default)s)')
+    add('--rate', type=float, default=100.0, metavar='HZ', help='of the IMU (default %(default)g)')
+    add('--gnss-rate', type=float, default=1.0, metavar='HZ', help='of the fixes (default %(default)g)')
+    add('--gnss-sigma', type=float, metavar='M', help='white noise, north and east (default: gnss.sigma of the params '
+        'file, else 1.5)')
+    add('--gnss-latency', type=float, default=0.0, metavar='S', help='from the stamp of a fix to its arrival')
+    add('--reference-rate', type=float, default=10.0, metavar='HZ', help='of the truth (default %(default)g)')
+    add('--model', choices=parameters.MODELS, help='of the sensor errors (default: sensor_error_model of the params '
+        'file, else gauss_markov)')
+    add('--params-file', metavar='FILE', help='YAML with the parameters of the sensors, as for the nodes')
+    add('--hills', action='store_true', help='a road with grades of up to 6 %% instead of a level one')
+    add('--rotating-earth', action='store_true', help='earth rate and Coriolis acceleration, which planar neglects')
+    add('--standstill', type=float, default=25.0, metavar='S', help='at the start (default %(default)g)')
+    add('--static', action='store_true', help='the vehicle never moves: a recording for characterize')
+    add('--outage', action='append', default=[], metavar='START:STOP', help='seconds without fixes; repeatable')
+    add('--effect', action='append', default=[], metavar='NAME[.PARAM]=VALUE', help='repeatable; SI units')
+    return parser
+
+
+def _effects_help():
+    lines = ['effects and their parameters (* is meant by NAME=VALUE):']
+    for effect in EFFECTS.values():
+        names = [f'{p.name}{"*" if p.name == effect.principal else ""} [{p.unit}]' for p in effect.parameters]
+        lines.append(f'  {effect.name:<23} {", ".join(names)}')
+    return '\n'.join(lines)
