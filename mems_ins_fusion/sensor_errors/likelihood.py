@@ -93,6 +93,28 @@ def state_space(model: Model | None, noise_density: float, interval: float) -> S
     return StateSpace(a, q, np.array([0.0, 1.0]), r, start * np.outer(a[:, 0], a[:, 0]) + q)
 
 
+def autoregressive_space(partial, b0: float, noise_density: float, interval: float) -> StateSpace:
+    """As `state_space` for the AR(p) with reflection coefficients `partial`: exact however near to the unit circle.
+
+    Its stationary covariance follows from the reflection coefficients without solving an equation (Levinson).
+    """
+    order = len(partial)
+    variance = b0**2 / np.prod(1 - np.square(partial))
+    covariances = [variance]
+    a = np.ones(1)
+    for k in partial:
+        covariances.append(-k * variance - a[1:] @ covariances[:0:-1])
+        a = np.concatenate([a, [0.0]])
+        a = a + k * a[::-1]
+        variance *= 1 - k**2
+    companion = np.eye(order, k=-1)
+    companion[0] = -a[1:]
+    lag = np.abs(np.subtract.outer(np.arange(order), np.arange(order)))
+    q = np.zeros((order, order))
+    q[0, 0] = b0**2
+    return StateSpace(companion, q, np.eye(order)[0], noise_density**2 / interval, np.array(covariances)[lag])
+
+
 def _gauss_markov_mean(model, interval):
     """Transition, mean for unit start, and covariance of (end value, mean) of the process over one interval."""
     u = interval / model.tau
@@ -205,9 +227,9 @@ def levels(data: Averages, model: Model | None, noise_density: float):
     return weighted / information, 1 / np.sqrt(information)
 
 
-def log_likelihood(data: Averages, model: Model | None, noise_density: float) -> float:
+def log_likelihood(data: Averages, space: StateSpace) -> float:
     """Restricted log likelihood of `data`, nats."""
-    squares, log_variance, log_information, n, parts = _terms(data, state_space(model, noise_density, data.interval))
+    squares, log_variance, log_information, n, parts = _terms(data, space)
     return -0.5 * (squares + log_variance + log_information + (n - parts) * math.log(2 * math.pi))
 
 
@@ -243,9 +265,9 @@ def _sums(error, one, variance, part):
     return squares, log_variance, log_information, n, parts
 
 
-def relative_likelihood(data: Averages, model: Model | None) -> tuple[float, float]:
-    """Likelihood where `model` is given for unit noise density and the common scale is at its best: (nats, scale)."""
-    squares, log_variance, log_information, n, parts = _terms(data, state_space(model, 1.0, data.interval))
+def relative_likelihood(data: Averages, space: StateSpace) -> tuple[float, float]:
+    """Likelihood where `space` is right but for a common scale, and that scale at its best: (nats, scale)."""
+    squares, log_variance, log_information, n, parts = _terms(data, space)
     if not squares > 0:
         return -math.inf, 0.0
     free = n - parts
