@@ -15,7 +15,7 @@ setup(
     extras_require={
         # ROS 2 itself, where it does not come from the system
         'ros': ['ros-jazzy-rclpy', 'ros-jazzy-common-interfaces', 'ros-jazzy-rmw-fastrtps-cpp'],
-        'test': ['pytest'],
+        'test': ['pytest', 'setuptools>=70.1'],
     },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),

@@ -75,8 +75,9 @@ class FusionNode(Node):
             return self.create_subscription(kind, topic, callback, qos,
                                             qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
-        self._imu = subscribe(Imu, values['imu_topic'], self._on_imu, 200)
+        # where both wait, the executor serves the one created first: a fix before the samples that came after it
         self._fix = subscribe(NavSatFix, values['gnss_topic'], self._on_fix, 10)
+        self._imu = subscribe(Imu, values['imu_topic'], self._on_imu, 200)
         if values['temperature_topic']:
             self._temperature = subscribe(Temperature, values['temperature_topic'], self._on_temperature, 10)
 

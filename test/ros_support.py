@@ -1,0 +1,211 @@
+"""Real ROS 2 for the tests: a domain of their own, the real node as a child process, messages from recordings.
+
+Importing this module prepares the environment, so it comes before any import of rclpy.
+"""
+from __future__ import annotations
+
+import fcntl
+import os
+import queue
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+_LOCKS = []
+
+
+def _reserve_domain() -> int:
+    """A ROS domain that no other test process on this machine uses, for as long as this process lives."""
+    for domain in range(1, 102):
+        lock = open(Path(tempfile.gettempdir()) / f'mems_ins_fusion_ros_domain_{domain}', 'w')
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            lock.close()
+            continue
+        _LOCKS.append(lock)
+        return domain
+    raise RuntimeError('all ROS domains are taken')
+
+
+os.environ.update(ROS_DOMAIN_ID=str(_reserve_domain()), ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST',
+                  ROS_PYTHON_CHECK_FIELDS='1')
+os.environ.setdefault('ROS_LOG_DIR', tempfile.mkdtemp(prefix='mems_ins_fusion_ros_log_'))
+
+import numpy as np  # noqa: E402
+import rclpy  # noqa: E402
+from geometry_msgs.msg import Quaternion, Vector3  # noqa: E402
+from nav_msgs.msg import Odometry  # noqa: E402
+from rclpy.context import Context  # noqa: E402
+from rclpy.duration import Duration  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.qos import QoSProfile  # noqa: E402
+from sensor_msgs.msg import Imu, NavSatFix  # noqa: E402
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+RELIABLE_INPUT = ('-p', 'qos_overrides./imu/data.subscription.reliability:=reliable',
+                  '-p', 'qos_overrides./imu/data.subscription.depth:=20000',
+                  '-p', 'qos_overrides./gps/fix.subscription.reliability:=reliable')
+
+
+class NodeProcess:
+    """`python -m mems_ins_fusion NAME --ros-args ARGUMENTS` as a child with its own process group; a context manager.
+
+    `lines` are those of its output so far.
+    """
+
+    def __init__(self, name: str, *arguments: str):
+        self._process = subprocess.Popen(
+            [sys.executable, '-m', 'mems_ins_fusion', name, '--ros-args', *arguments], cwd=REPOSITORY,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True)
+        self.lines: list[str] = []
+        self._new: queue.Queue[str | None] = queue.Queue()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self):
+        for line in self._process.stdout:
+            self._new.put(line.rstrip())
+        self._new.put(None)
+
+    def wait_for(self, text: str, timeout: float = 60.0) -> str:
+        """The first line with `text` that was not waited past before; AssertionError where none comes."""
+        deadline = time.monotonic() + timeout
+        while True:
+            try:
+                line = self._new.get(timeout=max(0.0, deadline - time.monotonic()))
+            except queue.Empty:
+                line = None
+            if line is None:
+                raise AssertionError('\n'.join([f"no '{text}' in the node's output:", *self.lines]))
+            self.lines.append(line)
+            if text in line:
+                return line
+
+    def send(self, number: signal.Signals) -> None:
+        self._process.send_signal(number)
+
+    def wait(self, timeout: float = 20.0) -> int:
+        """The exit status, with all output in `lines`."""
+        status = self._process.wait(timeout)
+        while (line := self._new.get(timeout=5.0)) is not None:
+            self.lines.append(line)
+        return status
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception):
+        if self._process.poll() is None:
+            self._process.send_signal(signal.SIGTERM)
+            try:
+                self._process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                os.killpg(self._process.pid, signal.SIGKILL)
+
+
+class Peer:
+    """The test's side of the topics: publishes IMU samples and fixes, collects odometry and fused fixes."""
+
+    def __init__(self):
+        self._context = Context()
+        rclpy.init(context=self._context)
+        self.node = rclpy.create_node('peer', context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        qos = QoSProfile(depth=20000)
+        self.imu = self.node.create_publisher(Imu, '/imu/data', qos)
+        self.gnss = self.node.create_publisher(NavSatFix, '/gps/fix', qos)
+        self.odometry: list[Odometry] = []
+        self.fixes: list[NavSatFix] = []
+        self._outputs = [self.node.create_subscription(Odometry, '/odometry/fused', self.odometry.append, qos),
+                         self.node.create_subscription(NavSatFix, '/fix/fused', self.fixes.append, qos)]
+
+    def close(self):
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    def spin_until(self, condition, timeout: float = 20.0) -> None:
+        """Spin until `condition()`; AssertionError after `timeout` seconds."""
+        deadline = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < deadline, 'the node did not answer in time'
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def connect(self, node: NodeProcess) -> None:
+        """Return when the node hears both topics and is heard.
+
+        A matched publisher may still lose its first messages, so messages are sent until the node answers: samples
+        that are not numbers, which it drops and complains about.
+        """
+        self.spin_until(lambda: all(self.node.count_publishers(s.topic_name) for s in self._outputs))
+        silent = np.full(3, np.nan)
+        for publisher, message in ((self.imu, imu_message(0, silent, silent)),
+                                   (self.gnss, fix_message(0, np.nan, np.nan, np.nan, np.zeros((3, 3)), 0, 0))):
+            for _ in range(100):
+                publisher.publish(message)
+                try:
+                    node.wait_for(f'{publisher.topic_name}: ', timeout=0.2)
+                    break
+                except AssertionError:
+                    continue
+            else:
+                raise AssertionError(f'the node does not hear {publisher.topic_name}')
+
+    def play(self, recording) -> None:
+        """Publish `recording` in the order received, as fast as the node takes it, each fix before later samples.
+
+        The node must have been started with RELIABLE_INPUT: only then is there an acknowledgement to wait for.
+        """
+        for kind, index in arrivals(recording):
+            if kind == 'imu':
+                samples = recording.imu
+                self.imu.publish(imu_message(samples.stamp[index], samples.specific_force[index],
+                                             samples.angular_rate[index]))
+                self._executor.spin_once(timeout_sec=0)
+            else:
+                fixes = recording.gnss
+                self.imu.wait_for_all_acked(Duration(seconds=10))
+                self.gnss.publish(fix_message(
+                    fixes.stamp[index], fixes.latitude[index], fixes.longitude[index], fixes.height[index],
+                    fixes.covariance[index], fixes.status[index], fixes.covariance_type[index]))
+                self.gnss.wait_for_all_acked(Duration(seconds=10))
+
+
+def arrivals(recording) -> list[tuple[str, int]]:
+    """('imu' or 'gnss', index) of the messages in the order they were received."""
+    received = np.concatenate([recording.imu.received, recording.gnss.received])
+    kinds = ['imu'] * len(recording.imu) + ['gnss'] * len(recording.gnss)
+    indices = [*range(len(recording.imu)), *range(len(recording.gnss))]
+    return [(kinds[i], indices[i]) for i in np.argsort(received, kind='stable')]
+
+
+def imu_message(stamp, force, rate) -> Imu:
+    """stamp: ns. force, rate: (3,) m/s^2 and rad/s, sensor axes."""
+    message = Imu(angular_velocity=Vector3(**_xyz(rate)), linear_acceleration=Vector3(**_xyz(force)),
+                  orientation=Quaternion(w=0.0))
+    message.orientation_covariance[0] = -1.0
+    return _stamped(message, stamp, 'imu')
+
+
+def fix_message(stamp, latitude, longitude, height, covariance, status, covariance_type) -> NavSatFix:
+    """stamp: ns. latitude, longitude: rad. height: m. covariance: (3, 3) m^2, east-north-up."""
+    message = NavSatFix(latitude=float(np.degrees(latitude)), longitude=float(np.degrees(longitude)),
+                        altitude=float(height), position_covariance=np.asarray(covariance, float).reshape(9),
+                        position_covariance_type=int(covariance_type))
+    message.status.status = int(status)
+    return _stamped(message, stamp, 'gps')
+
+
+def _xyz(vector):
+    return dict(zip('xyz', map(float, vector)))
+
+
+def _stamped(message, stamp, frame_id):
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(stamp), 10**9)
+    message.header.frame_id = frame_id
+    return message

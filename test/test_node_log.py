@@ -1,0 +1,63 @@
+"""The parts of the nodes that need no ROS: what is logged, and when a topic counts as silent."""
+import pytest
+
+from mems_ins_fusion.nodes.log import Throttle, Watch
+
+
+class Clock:
+    def __init__(self):
+        self.now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+def test_the_same_complaint_with_other_numbers_is_held_back_and_counted(clock):
+    # given a NaN in each of 400 messages a second
+    throttle = Throttle(5.0, clock)
+    passed = []
+    for sample in range(2401):
+        clock.now = 100.0 + sample / 400
+        passed.append(throttle.pass_on(f'/imu/data: angular_velocity.x is nan at 17617{sample}.5e-3: sample dropped'))
+    # then two lines in six seconds, and no complaint is forgotten
+    lines = [line for line in passed if line]
+    assert len(lines) == 2
+    assert lines[0].endswith('sample dropped')
+    assert lines[1].endswith('sample dropped (1999 more like this before)')
+
+
+def test_another_complaint_is_not_held_back(clock):
+    throttle = Throttle(5.0, clock)
+    assert throttle.pass_on('/imu/data: angular_velocity.x is nan')
+    assert throttle.pass_on('/imu/data: angular_velocity.y is nan')
+    assert throttle.pass_on('/gps/fix: latitude is nan')
+
+
+def test_a_silent_topic_is_noticed_after_its_patience_then_periodically_then_its_return(clock):
+    watch = Watch(patience=3.0, period=30.0, clock=clock)
+    found = {}
+    for second in range(1, 41):
+        clock.now = 100.0 + second
+        found[second] = watch.check()
+    # when a message arrives
+    watch.count += 1
+    clock.now = 141.0
+    ended = watch.check()
+    # then silence was reported at 3 s and 30 s later, and its end once
+    assert {second: said for second, said in found.items() if said} == {3: (True, 3.0), 33: (True, 33.0)}
+    assert ended == (False, 41.0)
+    clock.now = 142.0
+    assert watch.check() is None
+
+
+def test_a_topic_that_speaks_is_never_silent(clock):
+    watch = Watch(patience=3.0, clock=clock)
+    for second in range(1, 20):
+        clock.now = 100.0 + second
+        watch.count += second % 2
+        assert watch.check() is None
