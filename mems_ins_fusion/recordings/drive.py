@@ -231,14 +231,16 @@ def _sample(path: Path, duration: float, rate: float) -> Drive:
     edges = path.at(np.arange(-1, n) / rate)
     velocity_increment = np.diff(edges.velocity, axis=0)
     velocity_increment[:, 2] -= gravity(edges.latitude, edges.height)[1:] / rate
-    frame_turn = np.zeros((n, 3))  # of `n` over the interval
+    attitude = edges.attitude
+    before = seen_from_middle = seen_from_end = attitude[:-1]  # the attitude at the start, in `n` of then and later
     if path.rotating_earth:
         earth, transport = _frame_rates(edges)
         frame_turn = (earth + transport) / rate
+        seen_from_middle = Rotation.from_rotvec(-frame_turn / 2) * before
+        seen_from_end = Rotation.from_rotvec(-frame_turn) * before
         velocity_increment += np.cross(2 * earth + transport, _middle(edges.velocity)) / rate
-    attitude = edges.attitude
-    turn = (attitude[:-1].inv() * Rotation.from_rotvec(frame_turn) * attitude[1:]).as_rotvec()
-    middle = Rotation.from_rotvec(-frame_turn / 2) * attitude[:-1] * Rotation.from_rotvec(turn / 2)
+    turn = (seen_from_end.inv() * attitude[1:]).as_rotvec()
+    middle = seen_from_middle * Rotation.from_rotvec(turn / 2)
     states = {name: getattr(edges, name)[1:] for name in Motion.__dataclass_fields__}
     stamp = START_STAMP + np.round(states['time'] * 1e9).astype(np.int64)
     return Drive(**states, stamp=stamp, specific_force=middle.inv().apply(velocity_increment) * rate,
