@@ -126,7 +126,7 @@ def test_motion_at_any_time_obeys_finite_differences(options):
     eastward = rate_of['longitude'] * (prime_vertical + here.height) * np.cos(here.latitude)
     assert eastward == pytest.approx(here.velocity[:, 1], abs=2e-5)
     assert -rate_of['height'] == pytest.approx(here.velocity[:, 2], abs=2e-6)
-    # specific force and angular rate of the samples around, from Euler's kinematic equations, in the middle of intervals
+    # specific force, and angular rate by Euler's kinematic equations, in the middle of the samples' intervals
     middle = drive.time[3000:-100:50] - 0.5 / drive.rate
     here, before, after = (drive.at(middle + offset) for offset in (0.0, -step, step))
     acceleration = (after.velocity - before.velocity) / (2 * step)

@@ -53,7 +53,8 @@ def test_perfect_sensors_record_the_truth_in_forward_left_up(drive):
 
 def test_mounting_turns_from_sensor_axes_to_base_link(drive):
     # given sensor axes x back, y right, z up (a half turn about z) and x left, y back, z up (a quarter turn)
-    for yaw, to_sensor in ((np.pi, np.diag([-1.0, -1.0, 1.0])), (np.pi / 2, np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]))):
+    quarter = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+    for yaw, to_sensor in ((np.pi, np.diag([-1.0, -1.0, 1.0])), (np.pi / 2, quarter)):
         imu = simulate_recording(drive, mounting_rpy=(0, 0, yaw)).recording.imu
         assert imu.specific_force == pytest.approx(drive.specific_force * FLU @ to_sensor.T, abs=1e-12)
     # given x forward, y right, z down
@@ -128,7 +129,8 @@ def test_autoregressive_of_the_recording_steps_at_its_interval(rest):
                                           ('autoregressive', Autoregressive)])
 def test_sensor_errors_come_from_the_parameters(model, state):
     values = parameters.check({'accelerometer.noise_density': [1.0, 2.0, 3.0], 'gyroscope.bias': [0.5],
-                               'gyroscope.random_walk.q': [1e-6, 2e-6, 3e-6], 'gyroscope.gauss_markov.tau': [10, 20, 30],
+                               'gyroscope.random_walk.q': [1e-6, 2e-6, 3e-6],
+                               'gyroscope.gauss_markov.tau': [10, 20, 30],
                                'gyroscope.autoregressive.coefficients': [-0.5, -0.6, -0.7],
                                'gyroscope.autoregressive.order': 1})
     sensors = SensorErrors.from_parameters(values, model)
@@ -207,8 +209,8 @@ def test_the_reference_is_the_true_motion_of_the_imu(drive):
 def test_the_tool_writes_what_the_library_simulates(tmp_path, storage, capsys):
     bag = tmp_path / 'bag'
     params = tmp_path / 'params.yaml'
-    params.write_text('/**:\n  ros__parameters:\n    imu.mounting_rpy: [0.0, 0.0, 3.14159]\n    gnss.lever_arm: [0.5, 0, 0]\n'
-                      '    gyroscope.noise_density: [0.001]\n    sensor_error_model: random_walk\n')
+    params.write_text('/**:\n  ros__parameters:\n    imu.mounting_rpy: [0.0, 0.0, 3.14159]\n'
+                      '    gnss.lever_arm: [0.5, 0, 0]\n    gyroscope.noise_density: [0.001]\n    sensor_error_model: random_walk\n')
     # when
     status = simulate.main(['--output', str(bag), '--duration', '60', '--seed', '5', '--storage', storage, '--hills',
                             '--gnss-rate', '5', '--gnss-sigma', '0', '--params-file', str(params),

@@ -199,8 +199,9 @@ def _quintic_steps(segments, changes, start) -> PPoly:
 
 
 def simulate_drive(duration: float, seed: int = 0, rate: float = 100.0, *, standstill: float = 25.0,
-                   hills: bool = False, rotating_earth: bool = False, origin=ORIGIN, pitch_per_acceleration: float = 0.0,
-                   roll_per_acceleration: float = 0.0, sideslip_per_acceleration: float = 0.0) -> Drive:
+                   hills: bool = False, rotating_earth: bool = False, origin=ORIGIN,
+                   pitch_per_acceleration: float = 0.0, roll_per_acceleration: float = 0.0,
+                   sideslip_per_acceleration: float = 0.0) -> Drive:
     """A land vehicle's drive: a standstill, then straights, bends, right-angle turns and stops at 2-20 m/s.
 
     duration: s. seed: the same gives the same drive, and a longer one begins as a shorter one. rate: Hz, IMU samples.
