@@ -253,46 +253,50 @@ def _covariance(cost, best, step=2e-3):
 
 
 def _profiles(cost, best, limits, names, indices=None):
-    indices = range(len(best)) if indices is None else indices
+    """Profile likelihood intervals of parameters whose logarithms are `best`; names: those wanted, with units."""
+    best = np.asarray(best, float)
+    curvature = _covariance(cost, best)
     found = {}
-    for index, (name, unit) in zip(indices, names.items()):
-        low, high = (_profile_end(cost, best, index, limits, side) for side in (-1, 1))
+    for index, (name, unit) in zip(indices or range(len(best)), names.items()):
+        low, high = (_profile_end(cost, best, index, limits, curvature, side) for side in (-1, 1))
         found[name] = Estimate(math.exp(best[index]), 0.0 if low is None else math.exp(low),
                                math.inf if high is None else math.exp(high), unit)
     return found
 
 
-def _profile_end(cost, best, index, limits, side):
+def _profile_end(cost, best, index, limits, curvature, side):
     """Where the profile of parameter `index` has risen by _DROP on one side of the best; None beyond the limits."""
     from scipy.optimize import brentq
 
-    best = np.asarray(best, float)
     others = [i for i in range(len(best)) if i != index]
     bounds = [limits[i] for i in others]
     lowest = cost(best)
-    state = {'at': best[others]}
+    # how the others follow in a parabola: where each search of them begins, corrected by what the last one found
+    follow = np.clip(curvature[others, index] / curvature[index, index], -3, 3)
+    state = {'off': np.zeros(len(others))}
 
     def rise(value):
         def inner(t):
             full = np.empty(len(best))
             full[index], full[others] = value, t
             return cost(full)
-        found, at = _minimize(inner, state['at'], bounds)
-        state['at'] = at
+        ahead = best[others] + follow * (value - best[index])
+        found, at = _minimize(inner, ahead + state['off'], bounds)
+        state['off'] = at - ahead
         return found - lowest - _DROP
 
     limit = limits[index][0 if side < 0 else 1]
-    step = 0.05
-    inner_end = best[index]
+    step = float(np.clip(2 * math.sqrt(curvature[index, index]), 1e-3, 0.5))
+    near = best[index]
     while True:
-        outer = best[index] + side * step
-        if side * (outer - limit) >= 0:
-            outer = limit
-        if rise(outer) > 0:
-            return brentq(rise, *sorted((inner_end, outer)), xtol=2e-3 * max(step, 0.05))
-        if outer == limit:
+        far = best[index] + side * step
+        if side * (far - limit) >= 0:
+            far = limit
+        if rise(far) > 0:
+            return brentq(rise, *sorted((near, far)), xtol=0.01 * step)
+        if far == limit:
             return None
-        inner_end, step = outer, 2 * step
+        near, step = far, 2 * step
 
 
 def _maximize(objective, starts, limits):
