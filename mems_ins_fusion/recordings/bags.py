@@ -1,0 +1,274 @@
+"""Bags of every kind as one: topics, and the serialized messages in blocks.
+
+rosbag2 folders (mcap or sqlite3, split, compressed, with or without metadata.yaml), single .mcap and .db3 files, and
+ROS 1 .bag files, which rosbags reads and whose messages it converts to CDR.
+"""
+from __future__ import annotations
+
+import re
+import shutil
+import sqlite3
+import struct
+import tempfile
+import warnings
+from collections import Counter
+from contextlib import ExitStack
+from pathlib import Path, PurePath
+from urllib.parse import quote
+
+import yaml
+
+from mems_ins_fusion.recordings.compression import ZSTD_MAGIC, zstd
+from mems_ins_fusion.recordings.errors import RecordingError, RecordingWarning, needs_rosbags
+from mems_ins_fusion.recordings.mcap import McapFile
+
+_BLOCK = 20_000  # messages handed on at once
+
+
+class Bag:
+    """A recording of one or several files, to be used in a `with` statement.
+
+    topics: name to message type. Raises RecordingError where `path` is absent or is no recording.
+    """
+
+    def __init__(self, path):
+        self.path = Path(path)
+        self._stack = ExitStack()
+        self._files: list = []
+
+    def __enter__(self) -> Bag:
+        with self._stack:  # closes what is open already if one file fails
+            for path in _storage_files(self.path):
+                self._files.append(self._open(path))
+                self._stack.callback(self._files[-1].close)
+            self._stack = self._stack.pop_all()
+        self.topics = {name: kind for file in self._files for name, kind in file.topics.items()}
+        return self
+
+    def __exit__(self, *exception) -> None:
+        self._stack.close()
+
+    def counts(self) -> Counter:
+        """Number of messages by topic."""
+        return sum((file.counts() for file in self._files), Counter())
+
+    def read(self, topics):
+        """Yield (topic, log times, serialized messages, part of the whole that is read) in blocks, as recorded."""
+        for i, file in enumerate(self._files):
+            for topic, times, messages, part in file.read(topics):
+                if any(message.startswith(ZSTD_MAGIC) for message in messages[:1]):
+                    messages = [self._decompress(message, topic) for message in messages]
+                yield topic, times, messages, (i + part) / len(self._files)
+
+    def damage(self) -> list[str]:
+        """What is wrong with the files, one line each; complete only after `read`."""
+        return [f'{file.path}: {file.damage}' for file in self._files if file.damage]
+
+    def _open(self, path: Path):
+        try:
+            if path.stat().st_size == 0:
+                raise RecordingError(f'{path} is empty (0 bytes)')
+            if path.suffix == '.zstd':
+                path = self._decompress_file(path)
+            return _STORAGES[path.suffix](path)
+        except OSError as error:
+            raise RecordingError(f'cannot read {path}: {error.strerror or error}') from None
+
+    def _decompress_file(self, path: Path) -> Path:
+        folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory()))
+        plain = folder / path.stem
+        module = zstd()
+        try:
+            with module.open(path, 'rb') as source, plain.open('wb') as target:
+                shutil.copyfileobj(source, target)
+        except (module.ZstdError, EOFError) as error:
+            if not plain.stat().st_size:
+                raise RecordingError(f'cannot decompress {path}: {error}') from None
+            warnings.warn(f'{path} is decompressed only in part: {error}', RecordingWarning, stacklevel=2)
+        return plain
+
+    def _decompress(self, message: bytes, topic: str) -> bytes:
+        module = zstd()
+        try:
+            return module.decompress(message)
+        except module.ZstdError as error:
+            raise RecordingError(f"{self.path}: a compressed message on '{topic}' is damaged: {error}") from None
+
+
+class _Sqlite3File:
+    """One .db3 file of rosbag2, whatever version of its schema."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        whole_pages, self.damage = _missing_pages(path)
+        if self.damage:  # in memory, without the last page if that is cut: sqlite would fill it up with zeros
+            self._database = sqlite3.connect(':memory:')
+            self._database.deserialize(path.read_bytes()[:whole_pages])
+        else:
+            # immutable reads where no lock can be taken, but does not see what stands in a write-ahead log
+            mode = 'ro' if path.with_name(f'{path.name}-wal').exists() else 'ro&immutable=1'
+            self._database = sqlite3.connect(f'file:{quote(str(path.absolute()))}?mode={mode}', uri=True)
+        try:
+            # without this a file shorter than it says it is would be refused as a whole
+            self._database.execute('PRAGMA writable_schema = ON')
+            rows = self._database.execute('SELECT id, name, type, serialization_format FROM topics').fetchall()
+        except sqlite3.Error as error:
+            self._database.close()
+            raise RecordingError(f'{path} is not a rosbag2 database, or it is damaged: {error}') from None
+        self._names = {number: name for number, name, _, _ in rows}
+        self._formats = {name: encoding for _, name, _, encoding in rows}
+        self.topics = {name: kind for _, name, kind, _ in rows}
+
+    def close(self) -> None:
+        self._database.close()
+
+    def counts(self) -> Counter:
+        counts: Counter = Counter()
+        try:
+            for number, in self._database.execute('SELECT topic_id FROM messages'):
+                counts[self._names.get(number)] += 1
+        except sqlite3.Error as error:
+            self.damage = self.damage or f'it is damaged ({error})'
+        return counts
+
+    def read(self, topics):
+        wanted = {number: name for number, name in self._names.items() if name in topics}
+        for name in wanted.values():
+            if self._formats[name] != 'cdr':
+                raise RecordingError(f"topic '{name}' in {self.path} is encoded as '{self._formats[name]}', not as cdr")
+        # in the order of writing: unlike the index on time, it reads from front to end, and up to a damage
+        query = (f'SELECT id, topic_id, timestamp, data FROM messages WHERE topic_id IN ({",".join(map(str, wanted))}) '
+                 'ORDER BY id')
+        last = self._last_id()
+        found, size, number = {topic: ([], []) for topic in wanted}, 0, 0
+        try:
+            for number, topic, time, data in self._database.execute(query):
+                times, messages = found[topic]
+                times.append(time)
+                messages.append(data)
+                size += 1
+                if size == _BLOCK:
+                    yield from ((wanted[topic], *block, number / last) for topic, block in found.items())
+                    found, size = {topic: ([], []) for topic in wanted}, 0
+        except sqlite3.Error as error:
+            self.damage = self.damage or f'it is damaged after message {number} ({error})'
+        yield from ((wanted[topic], *block, 1.0) for topic, block in found.items())
+
+    def _last_id(self) -> float:
+        try:
+            return self._database.execute('SELECT MAX(id) FROM messages').fetchone()[0] or 1
+        except sqlite3.Error:
+            return float('inf')
+
+
+def _missing_pages(path: Path) -> tuple[int, str | None]:
+    """Size of the whole pages in a database, bytes, and what to say where it is shorter than its header says.
+
+    Source: sqlite.org/fileformat, section 1.3.
+    """
+    size = path.stat().st_size
+    with path.open('rb') as file:
+        header = file.read(100)
+    if len(header) < 100 or header[24:28] != header[92:96]:  # else the number of pages in the header is not valid
+        return size, None
+    page_size, pages = struct.unpack('>H', header[16:18])[0], struct.unpack('>I', header[28:32])[0]
+    page_size = 65536 if page_size == 1 else page_size
+    if size >= page_size * pages:
+        return size, None
+    return size - size % page_size, f'it breaks off at {size / 1e6:.3g} MB of {page_size * pages / 1e6:.3g} MB'
+
+
+class _Rosbag1File:
+    """One .bag file of ROS 1."""
+
+    damage = None
+
+    def __init__(self, path: Path):
+        with needs_rosbags(f'reading the ROS 1 bag {path}'):
+            from rosbags.highlevel import AnyReader
+            from rosbags.typesys import Stores, get_typestore
+        self.path = path
+        self._to_cdr = get_typestore(Stores.ROS2_JAZZY).ros1_to_cdr
+        self._reader = AnyReader([path])
+        try:
+            self._reader.open()
+        except Exception as error:  # rosbags raises its own errors, struct's and others on damaged files
+            raise RecordingError(f'{path} is not a ROS 1 bag, or it is damaged: {_one_line(error)}') from None
+        self.topics = {connection.topic: connection.msgtype for connection in self._reader.connections}
+
+    def close(self) -> None:
+        self._reader.close()
+
+    def counts(self) -> Counter:
+        counts: Counter = Counter()
+        for connection in self._reader.connections:
+            counts[connection.topic] += connection.msgcount
+        return counts
+
+    def read(self, topics):
+        connections = [connection for connection in self._reader.connections if connection.topic in topics]
+        total = sum(connection.msgcount for connection in connections) or 1
+        found, size, done = {topic: ([], []) for topic in topics}, 0, 0
+        try:
+            for connection, time, data in self._reader.messages(connections) if connections else ():
+                times, messages = found[connection.topic]
+                messages.append(bytes(self._to_cdr(data, connection.msgtype)))
+                times.append(time)
+                size, done = size + 1, done + 1
+                if size == _BLOCK:
+                    yield from ((topic, *block, done / total) for topic, block in found.items())
+                    found, size = {topic: ([], []) for topic in topics}, 0
+        except Exception as error:  # as above
+            self.damage = f'it is damaged after message {done} ({_one_line(error)})'
+        yield from ((topic, *block, 1.0) for topic, block in found.items())
+
+
+_STORAGES = {'.mcap': McapFile, '.db3': _Sqlite3File, '.bag': _Rosbag1File}
+
+
+def _storage_files(path: Path) -> list[Path]:
+    """The files of the recording `path`, in the order of recording."""
+    if not path.exists():
+        raise RecordingError(f'recording {path} does not exist')
+    if path.is_dir():
+        return _files_of_folder(path)
+    if path.name == 'metadata.yaml':
+        return _files_of_folder(path.parent)
+    if not _is_storage(path):
+        raise RecordingError(f'{path} is not a recording: expected a rosbag2 folder, or an .mcap, .db3 or .bag file')
+    return [path]
+
+
+def _files_of_folder(folder: Path) -> list[Path]:
+    there = sorted((path for path in folder.iterdir() if _is_storage(path)), key=_natural)
+    try:
+        information = yaml.safe_load((folder / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
+        listed = [folder / PurePath(name).name for name in information['relative_file_paths']]
+    except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError) as error:
+        if not there:
+            raise RecordingError(f'{folder} is not a recording: it holds no metadata.yaml and no .mcap, .db3 or .bag '
+                                 'file') from None
+        reason = 'has no metadata.yaml' if isinstance(error, FileNotFoundError) else 'has a damaged metadata.yaml'
+        warnings.warn(f'{folder} {reason}; reading {", ".join(path.name for path in there)}', RecordingWarning,
+                      stacklevel=2)
+        return there
+    missing = [path.name for path in listed if not path.exists()]
+    listed = [path for path in listed if path.exists()]
+    if not listed:
+        raise RecordingError(f'{folder} is incomplete: {", ".join(missing) or "every data file"} is missing')
+    if missing:
+        warnings.warn(f'{folder} is incomplete: {", ".join(missing)} is missing', RecordingWarning, stacklevel=2)
+    return listed
+
+
+def _is_storage(path: Path) -> bool:
+    return path.with_suffix('').suffix in _STORAGES if path.suffix == '.zstd' else path.suffix in _STORAGES
+
+
+def _natural(path: Path) -> list:
+    """Sorts bag_10 behind bag_9."""
+    return [(int(part), '') if part.isdigit() else (-1, part) for part in re.split(r'(\d+)', path.name)]
+
+
+def _one_line(error: Exception) -> str:
+    return ' '.join(str(error).split()) or type(error).__name__

@@ -1,0 +1,21 @@
+"""What can be wrong with a recording."""
+from __future__ import annotations
+
+from contextlib import contextmanager
+
+
+class RecordingError(ValueError):
+    """A recording that cannot be used: one line that names the file and what is wrong with it."""
+
+
+class RecordingWarning(UserWarning):
+    """A recording that can be used, but not all of it, or not without an assumption that is stated."""
+
+
+@contextmanager
+def needs_rosbags(what: str):
+    """For imports of rosbags, or of what it brings along: RecordingError where `what` is not possible without."""
+    try:
+        yield
+    except ImportError:
+        raise RecordingError(f'{what} needs rosbags: pip install "rosbags>=0.11"') from None

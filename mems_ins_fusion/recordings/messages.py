@@ -1,0 +1,153 @@
+"""Layout of the messages in a recording: CDR bytes to NumPy structured arrays and back, a whole topic at once.
+
+A message without sequences and with strings of known length has all its fields at fixed offsets, so that many of them,
+joined, are one structured array. CDR: OMG DDSI-RTPS 2.3, section 10 (encapsulation header of four bytes, primitives
+aligned to their size counted from behind it, strings with a 32-bit length that includes the final NUL).
+"""
+from __future__ import annotations
+
+import struct
+from functools import reduce
+
+import numpy as np
+
+from mems_ins_fusion.recordings.errors import needs_rosbags
+
+IMU = 'sensor_msgs/msg/Imu'
+NAV_SAT_FIX = 'sensor_msgs/msg/NavSatFix'
+TEMPERATURE = 'sensor_msgs/msg/Temperature'
+ODOMETRY = 'nav_msgs/msg/Odometry'
+POSE_STAMPED = 'geometry_msgs/msg/PoseStamped'
+
+_STRING = 'string'
+_HEADER = (('header.stamp.sec', '<i4', 1), ('header.stamp.nanosec', '<u4', 1), ('header.frame_id', _STRING, 1))
+
+#: type: (field, NumPy type of an element, number of elements), in the order of the definition
+FIELDS = {
+    IMU: (*_HEADER,
+          ('orientation', '<f8', 4), ('orientation_covariance', '<f8', 9),
+          ('angular_velocity', '<f8', 3), ('angular_velocity_covariance', '<f8', 9),
+          ('linear_acceleration', '<f8', 3), ('linear_acceleration_covariance', '<f8', 9)),
+    NAV_SAT_FIX: (*_HEADER,
+                  ('status.status', 'i1', 1), ('status.service', '<u2', 1),
+                  ('latitude', '<f8', 1), ('longitude', '<f8', 1), ('altitude', '<f8', 1),
+                  ('position_covariance', '<f8', 9), ('position_covariance_type', 'u1', 1)),
+    TEMPERATURE: (*_HEADER, ('temperature', '<f8', 1), ('variance', '<f8', 1)),
+    ODOMETRY: (*_HEADER, ('child_frame_id', _STRING, 1),
+               ('pose.pose.position', '<f8', 3), ('pose.pose.orientation', '<f8', 4), ('pose.covariance', '<f8', 36),
+               ('twist.twist.linear', '<f8', 3), ('twist.twist.angular', '<f8', 3), ('twist.covariance', '<f8', 36)),
+    POSE_STAMPED: (*_HEADER, ('pose.position', '<f8', 3), ('pose.orientation', '<f8', 4)),
+}
+_LITTLE_ENDIAN_CDR = 0x0001
+_MAX_PADDING = 8  # bytes that a middleware may append
+
+
+def decode(raw: list[bytes], msgtype: str) -> np.ndarray:
+    """Serialized messages of `msgtype` (one of FIELDS) as a structured array with the fields named in FIELDS.
+
+    In bulk where all have one layout, else one by one through rosbags. ValueError where a message is not valid.
+    """
+    array = _decode_bulk(raw, msgtype)
+    return _decode_each(raw, msgtype) if array is None else array
+
+
+def encode(msgtype: str, values: dict, strings: dict[str, str]) -> list[memoryview]:
+    """Serialized messages of `msgtype` from arrays over messages, (n,) or (n, elements).
+
+    values: by the names in FIELDS; what is missing is zero. strings: header.frame_id and the like, one for all.
+    """
+    texts = {name: strings[name].encode() for name, kind, _ in FIELDS[msgtype] if kind == _STRING}
+    sizes = iter([len(text) + 1 for text in texts.values()])
+    dtype = _layout(msgtype, lambda offset: next(sizes))
+    array = np.zeros(len(values['header.stamp.sec']), dtype)
+    array['cdr'] = _LITTLE_ENDIAN_CDR
+    for name, text in texts.items():
+        array[name] = text
+        array[f'{name}.size'] = len(text) + 1
+    for name, value in values.items():
+        array[name] = value
+    data, size = memoryview(array.tobytes()), dtype.itemsize
+    return [data[start:start + size] for start in range(0, len(data), size)]
+
+
+def stamps(array: np.ndarray) -> np.ndarray:
+    """Header stamps of decoded messages, (n,) int64 ns."""
+    return array['header.stamp.sec'].astype(np.int64) * 1_000_000_000 + array['header.stamp.nanosec']
+
+
+def stamp_fields(stamp: np.ndarray) -> dict:
+    """The fields of `encode` that carry header stamps, (n,) int64 ns."""
+    return {'header.stamp.sec': stamp // 1_000_000_000, 'header.stamp.nanosec': stamp % 1_000_000_000}
+
+
+def _layout(msgtype, string_size) -> np.dtype:
+    """The structured dtype of one message; `string_size(offset)` tells the length of the string that starts there."""
+    names, formats, offsets = ['cdr'], ['>u2'], [0]
+    position = 4
+
+    def place(name, kind, count):
+        nonlocal position
+        element = np.dtype(kind)
+        alignment = 1 if element.kind == 'S' else element.itemsize
+        position += (4 - position) % alignment
+        names.append(name)
+        formats.append(element if count == 1 else (element, count))
+        offsets.append(position)
+        position += element.itemsize * count
+
+    for name, kind, count in FIELDS[msgtype]:
+        if kind == _STRING:
+            place(f'{name}.size', '<u4', 1)
+            place(name, f'S{string_size(position - 4)}', 1)
+        else:
+            place(name, kind, count)
+    return np.dtype({'names': names, 'formats': formats, 'offsets': offsets, 'itemsize': position})
+
+
+def _decode_bulk(raw, msgtype) -> np.ndarray | None:
+    """All messages as one array, or None where they do not share one layout."""
+    first = raw[0]
+    if len(set(map(len, raw))) > 1:
+        return None
+    try:
+        dtype = _layout(msgtype, lambda offset: _string_size(first, offset))
+    except (struct.error, ValueError):
+        return None
+    if not dtype.itemsize <= len(first) < dtype.itemsize + _MAX_PADDING:
+        return None
+    fields = {name: dtype.fields[name] for name in dtype.names}
+    padded = np.dtype({'names': list(fields), 'formats': [f[0] for f in fields.values()],
+                       'offsets': [f[1] for f in fields.values()], 'itemsize': len(first)})
+    array = np.frombuffer(b''.join(raw), padded)
+    same = (array['cdr'] == _LITTLE_ENDIAN_CDR).all() and all(
+        (array[name] == array[name][0]).all() for name in dtype.names if name.endswith('.size'))
+    return array if same else None
+
+
+def _string_size(message, offset) -> int:
+    size = struct.unpack_from('<I', message, offset)[0]
+    if not 0 < size <= len(message):
+        raise ValueError
+    return size
+
+
+def _decode_each(raw, msgtype) -> np.ndarray:
+    """The messages one by one, through rosbags' own deserialization."""
+    with needs_rosbags('reading messages of varying layout'):
+        from rosbags.typesys import Stores, get_typestore
+    store = get_typestore(Stores.ROS2_JAZZY)
+    fields = [field for field in FIELDS[msgtype] if field[1] != _STRING]
+    array = np.zeros(len(raw), [(name, kind) if count == 1 else (name, kind, count) for name, kind, count in fields])
+    for i, data in enumerate(raw):
+        try:
+            message = store.deserialize_cdr(data, msgtype)
+        except Exception as error:  # whatever rosbags stumbles over, the message is not of this type
+            raise ValueError(f'message {i + 1} is not a valid {msgtype} ({error})') from None
+        for name, _, _ in fields:
+            array[name][i] = _elements(reduce(getattr, name.split('.'), message))
+    return array
+
+
+def _elements(value):
+    """The numbers in a message's field: a vector or quaternion as a list, anything else as it is."""
+    return [getattr(value, axis) for axis in 'xyzw' if hasattr(value, axis)] if hasattr(value, 'x') else value

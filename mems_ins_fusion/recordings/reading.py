@@ -1,0 +1,212 @@
+"""Reading of a recording into arrays, and what to tell the user where that does not work."""
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from mems_ins_fusion.navigation.earth import from_local
+from mems_ins_fusion.recordings import messages
+from mems_ins_fusion.recordings.bags import Bag
+from mems_ins_fusion.recordings.errors import RecordingError, RecordingWarning
+from mems_ins_fusion.recordings.messages import IMU, NAV_SAT_FIX, ODOMETRY, POSE_STAMPED, TEMPERATURE
+from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, Reference, Temperatures
+
+#: what a reference may be
+REFERENCE_TYPES = (NAV_SAT_FIX, ODOMETRY, POSE_STAMPED)
+_NO_FIX = -1  # NavSatStatus.STATUS_NO_FIX
+
+#: the fields worth keeping, by message type
+_KEPT = {
+    IMU: ('orientation', 'orientation_covariance', 'angular_velocity', 'linear_acceleration'),
+    NAV_SAT_FIX: ('status.status', 'latitude', 'longitude', 'altitude', 'position_covariance',
+                  'position_covariance_type'),
+    TEMPERATURE: ('temperature',),
+    ODOMETRY: ('pose.pose.position', 'pose.pose.orientation', 'twist.twist.linear'),
+    POSE_STAMPED: ('pose.position', 'pose.orientation'),
+}
+
+
+def read_recording(path, imu_topic, gnss_topic=None, reference_topic=None, temperature_topic=None, progress=None,
+                   datum=None) -> Recording:
+    """Read a bag, once, into arrays.
+
+    path: rosbag2 folder, .mcap, .db3 or ROS 1 .bag. Topics that are None or empty are not read.
+    reference_topic: NavSatFix, or Odometry or PoseStamped with a pose in a local east-north-up frame, whose origin is
+    `datum`: latitude, longitude (rad), height (m). Without it the first fix of `gnss_topic` is taken, with a warning.
+    progress: called with the part of the recording that is read, 0 to 1.
+
+    The samples are in the order of arrival (log time), all that were recorded, also those with NaN. Of a reference,
+    messages without a fix or with NaN are left out, and it is in the order of its stamps.
+    Raises RecordingError with one line for the user. Warns RecordingWarning where only a part was readable.
+    """
+    wanted = [(topic, types) for topic, types in (
+        (imu_topic, (IMU,)), (gnss_topic, (NAV_SAT_FIX,)), (reference_topic, REFERENCE_TYPES),
+        (temperature_topic, (TEMPERATURE,))) if topic]
+    with Bag(path) as bag:
+        for topic, types in wanted:
+            if bag.topics.get(topic) not in types:
+                raise RecordingError(_topic_problem(bag, topic, types))
+        arrays = _read_arrays(bag, dict.fromkeys(topic for topic, _ in wanted), progress)
+        _report_damage(bag, arrays)
+    gnss = _fixes(arrays[gnss_topic]) if gnss_topic else None
+    return Recording(
+        name=_name(Path(path)),
+        imu=_imu_samples(arrays[imu_topic]),
+        gnss=gnss,
+        reference=_reference(arrays[reference_topic], bag.topics[reference_topic], datum, gnss, reference_topic)
+        if reference_topic else None,
+        temperature=_temperatures(arrays[temperature_topic]) if temperature_topic else None)
+
+
+def _name(path: Path) -> str:
+    """What to call the recording: its file or folder, or what that stands in if it is called just `bag`."""
+    path = path.absolute()
+    return path.parent.name if path.stem in ('bag', 'rosbag2') and path.parent.name else path.stem
+
+
+def _topic_problem(bag: Bag, topic, types) -> str:
+    """What to tell a user who asked for `topic` as one of `types` and cannot have it."""
+    counts = bag.counts()
+    if not counts.total():
+        return f'{bag.path} holds no messages' + ''.join(f'; {line}' for line in bag.damage())
+    wanted = ' or '.join(types)
+    if topic in bag.topics:
+        problem = f"topic '{topic}' in {bag.path} carries {bag.topics[topic]}, not {wanted}"
+    else:
+        problem = f"no topic '{topic}' in {bag.path}"
+    fitting = [f'{name} ({counts[name]} messages)' for name, kind in sorted(bag.topics.items()) if kind in types]
+    if fitting:
+        return f'{problem}; topics of type {wanted}: {", ".join(fitting)}'
+    there = ', '.join(f'{name} ({kind})' for name, kind in sorted(bag.topics.items()))
+    return f'{problem}; the recording has no topic of type {wanted}, only {there}'
+
+
+def _read_arrays(bag: Bag, topics, progress) -> dict:
+    """{topic: {field: array}} in the order of log time, with `received` and `stamp`."""
+    blocks: dict = {topic: [] for topic in topics}
+    for topic, times, raw, part in bag.read(topics):
+        if raw:
+            try:
+                array = messages.decode(raw, bag.topics[topic])
+                received = np.array(times, np.int64)
+            except (ValueError, OverflowError) as error:
+                raise RecordingError(f"topic '{topic}' in {bag.path}: {error}") from None
+            block = {name: array[name].copy() for name in _KEPT[bag.topics[topic]]}
+            blocks[topic].append({**block, 'stamp': messages.stamps(array), 'received': received})
+        if progress is not None:
+            progress(part)
+    return {topic: _join(found) for topic, found in blocks.items()}
+
+
+def _join(blocks: list[dict]) -> dict | None:
+    """The blocks as one, in the order of log time; None where there are none."""
+    if not blocks:
+        return None
+    joined = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+    received = joined['received']
+    if (np.diff(received) < 0).any():
+        order = np.argsort(received, kind='stable')
+        joined = {name: array[order] for name, array in joined.items()}
+    return joined
+
+
+def _report_damage(bag: Bag, arrays: dict) -> None:
+    """RecordingError where a topic has no messages; RecordingWarning where some are lost."""
+    damage = '; '.join(bag.damage())
+    for topic, array in arrays.items():
+        if array is None:
+            if damage:
+                raise RecordingError(f"{damage}; of topic '{topic}' nothing is readable")
+            if not bag.counts().total():
+                raise RecordingError(f'{bag.path} holds no messages')
+            raise RecordingError(f"topic '{topic}' in {bag.path} holds no messages")
+    if damage:
+        readable = ', '.join(f'{len(array["received"])} messages of {topic} '
+                             f'({(array["received"][-1] - array["received"][0]) / 1e9:.1f} s)'
+                             for topic, array in arrays.items())
+        warnings.warn(f'{damage}; readable: {readable}', RecordingWarning, stacklevel=3)
+
+
+def _imu_samples(array) -> ImuSamples:
+    return ImuSamples(stamp=array['stamp'], received=array['received'], specific_force=array['linear_acceleration'],
+                      angular_rate=array['angular_velocity'], orientation=_orientation(array))
+
+
+def _orientation(array) -> np.ndarray | None:
+    """Quaternions, NaN in messages that say they have none; None where none has one.
+
+    A covariance that begins with -1 says so (sensor_msgs/Imu); zeros, and a constant identity, are fields not filled.
+    """
+    orientation = array['orientation'].copy()
+    absent = (array['orientation_covariance'][:, 0] == -1) | ~orientation.any(axis=1)
+    if absent.all() or (orientation[~absent] == (0, 0, 0, 1)).all():
+        return None
+    orientation[absent] = np.nan
+    return orientation
+
+
+def _fixes(array) -> Fixes:
+    return Fixes(stamp=array['stamp'], received=array['received'], latitude=np.radians(array['latitude']),
+                 longitude=np.radians(array['longitude']), height=array['altitude'],
+                 covariance=array['position_covariance'].reshape(-1, 3, 3), status=array['status.status'],
+                 covariance_type=array['position_covariance_type'])
+
+
+def _temperatures(array) -> Temperatures:
+    return Temperatures(stamp=array['stamp'], received=array['received'], celsius=array['temperature'])
+
+
+def _reference(array, msgtype, datum, gnss, topic) -> Reference:
+    if msgtype == NAV_SAT_FIX:
+        fixes = _fixes(array)
+        valid = fixes.status > _NO_FIX
+        reference = Reference(fixes.stamp, fixes.latitude, fixes.longitude, fixes.height).select(valid)
+    else:
+        reference = _local_reference(array, msgtype, datum if datum is not None else _first_fix(gnss, topic))
+    finite = np.isfinite(reference.latitude) & np.isfinite(reference.longitude) & np.isfinite(reference.height)
+    reference = reference.select(finite)
+    if not len(reference):
+        raise RecordingError(f"reference topic '{topic}' holds no valid position")
+    return reference.select(np.argsort(reference.stamp, kind='stable'))
+
+
+def _first_fix(gnss: Fixes | None, topic) -> tuple:
+    """The datum that local poses on `topic` get where none is given."""
+    valid = np.flatnonzero((gnss.status > _NO_FIX) & np.isfinite(gnss.latitude + gnss.longitude + gnss.height)) \
+        if gnss is not None else ()
+    if not len(valid):
+        raise RecordingError(f"reference topic '{topic}' holds local poses: give the datum (latitude, longitude and "
+                             'height of their origin)')
+    first = valid[0]
+    datum = gnss.latitude[first], gnss.longitude[first], gnss.height[first]
+    warnings.warn(f"reference topic '{topic}' holds local poses and no datum is given: their origin is taken to be the "
+                  f'first fix, {math.degrees(datum[0]):.8f} deg, {math.degrees(datum[1]):.8f} deg, {datum[2]:.3f} m',
+                  RecordingWarning, stacklevel=4)
+    return datum
+
+
+def _local_reference(array, msgtype, datum) -> Reference:
+    """A reference from poses (east-north-up at `datum`; body axes forward-left-up)."""
+    prefix = 'pose.pose' if msgtype == ODOMETRY else 'pose'
+    east, north, up = array[f'{prefix}.position'].T
+    rotation = _rotation_matrices(array[f'{prefix}.orientation'])
+    yaw = np.pi / 2 - np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
+    latitude, longitude, height = from_local(north, east, -up, tuple(float(value) for value in datum))
+    velocity = None
+    if msgtype == ODOMETRY:
+        velocity_east, velocity_north, velocity_up = np.einsum('nij,nj->in', rotation, array['twist.twist.linear'])
+        velocity = np.column_stack([velocity_north, velocity_east, -velocity_up])
+    yaw = np.remainder(yaw + np.pi, 2 * np.pi) - np.pi
+    return Reference(array['stamp'], latitude, longitude, height, velocity, yaw)
+
+
+def _rotation_matrices(quaternion) -> np.ndarray:
+    """(n, 3, 3) rotation matrices of quaternions x, y, z, w, (n, 4), normalized first; NaN where they are zero."""
+    with np.errstate(invalid='ignore'):
+        x, y, z, w = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
+    return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                     [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                     [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]]).transpose(2, 0, 1)

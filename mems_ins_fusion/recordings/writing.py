@@ -1,0 +1,141 @@
+"""Writing of recordings as rosbag2."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mems_ins_fusion.evaluation.results import result_folder
+from mems_ins_fusion.navigation.earth import to_local
+from mems_ins_fusion.recordings import messages
+from mems_ins_fusion.recordings.errors import RecordingError, needs_rosbags
+from mems_ins_fusion.recordings.messages import IMU, NAV_SAT_FIX, ODOMETRY, TEMPERATURE
+from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, Reference, Temperatures
+
+STORAGES = ('mcap', 'sqlite3')
+_UNKNOWN = -1.0  # first element of a covariance in sensor_msgs/Imu where the quantity is not there
+
+
+@dataclass(frozen=True)
+class OdometrySamples:
+    """What nav_msgs/Odometry carries, in the axes of REP-103.
+
+    stamp, received: (n,) int64 ns. position: (n, 3) m east-north-up at the datum. orientation: (n, 4) quaternion
+    x, y, z, w from base_link (forward-left-up) to east-north-up. velocity: (n, 3) m/s and angular_rate: (n, 3) rad/s
+    in base_link. pose_covariance, twist_covariance: (n, 6, 6) or (n, 36), or None for zeros.
+    """
+
+    stamp: np.ndarray
+    received: np.ndarray
+    position: np.ndarray
+    orientation: np.ndarray
+    velocity: np.ndarray
+    angular_rate: np.ndarray
+    pose_covariance: np.ndarray | None = None
+    twist_covariance: np.ndarray | None = None
+
+
+def odometry_from_reference(reference: Reference, datum, roll=0.0, pitch=0.0, received=None) -> OdometrySamples:
+    """A reference with velocity and yaw as odometry at `datum` (latitude, longitude in rad, height in m).
+
+    roll, pitch: (n,) rad of the body forward-right-down, zero where not known. received: (n,) int64 ns, the stamps
+    where not given. The angular rate is left at zero.
+    """
+    from scipy.spatial.transform import Rotation
+    north, east, down = to_local(reference.latitude, reference.longitude, reference.height,
+                                 tuple(float(value) for value in datum))
+    angles = np.column_stack(np.broadcast_arrays(reference.yaw, pitch, roll))
+    to_ned = Rotation.from_euler('ZYX', angles)
+    turn_axes = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # north-east-down, and back
+    flip = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))  # forward-right-down to forward-left-up, and back
+    return OdometrySamples(
+        stamp=reference.stamp, received=reference.stamp if received is None else received,
+        position=np.column_stack([east, north, -down]), orientation=(turn_axes * to_ned * flip).as_quat(),
+        velocity=(to_ned * flip).inv().apply(reference.velocity), angular_rate=np.zeros((len(reference), 3)))
+
+
+def write_recording(recording: Recording, path, storage='mcap', *, imu_topic='/imu/data', gnss_topic='/gps/fix',
+                    reference_topic='/reference/fix', temperature_topic='/imu/temperature',
+                    odometry: dict[str, OdometrySamples] | None = None, imu_frame='imu', gnss_frame='gnss',
+                    odometry_frame='odom', base_frame='base_link', overwrite=False) -> None:
+    """Write the parts that `recording` has, and odometry by topic, as the rosbag2 folder `path`.
+
+    storage: mcap or sqlite3. A reference is written as NavSatFix, logged at its stamps; its velocity and yaw only
+    through `odometry` (see `odometry_from_reference`). Messages are logged in the order of `received`.
+    The folder has its name only when it is complete. Raises ValueError (ResultError) where `path` is taken and
+    `overwrite` is false, RecordingError where rosbags is absent or the storage unknown.
+    """
+    topics = [(imu_topic, IMU, recording.imu, _imu_fields, {'header.frame_id': imu_frame})]
+    for topic, samples in ((gnss_topic, recording.gnss), (reference_topic, recording.reference)):
+        if samples is not None:
+            fields = _fix_fields if isinstance(samples, Fixes) else _reference_fields
+            topics.append((topic, NAV_SAT_FIX, samples, fields, {'header.frame_id': gnss_frame}))
+    if recording.temperature is not None:
+        topics.append((temperature_topic, TEMPERATURE, recording.temperature, _temperature_fields,
+                       {'header.frame_id': imu_frame}))
+    for topic, samples in (odometry or {}).items():
+        topics.append((topic, ODOMETRY, samples, _odometry_fields,
+                       {'header.frame_id': odometry_frame, 'child_frame_id': base_frame}))
+    _write(Path(path), storage, [
+        (topic, kind, samples.stamp if isinstance(samples, Reference) else samples.received,
+         messages.encode(kind, {**messages.stamp_fields(samples.stamp), **fields(samples)}, strings))
+        for topic, kind, samples, fields, strings in topics], overwrite)
+
+
+def _imu_fields(imu: ImuSamples) -> dict:
+    fields = {'angular_velocity': imu.angular_rate, 'linear_acceleration': imu.specific_force}
+    if imu.orientation is None:
+        return {**fields, 'orientation': (0.0, 0.0, 0.0, 1.0), 'orientation_covariance': (_UNKNOWN, *[0.0] * 8)}
+    covariance = np.zeros((len(imu), 9))
+    covariance[np.isnan(imu.orientation).any(axis=1), 0] = _UNKNOWN
+    return {**fields, 'orientation': imu.orientation, 'orientation_covariance': covariance}
+
+
+def _fix_fields(fixes: Fixes) -> dict:
+    return {'latitude': np.degrees(fixes.latitude), 'longitude': np.degrees(fixes.longitude),
+            'altitude': fixes.height, 'status.status': fixes.status, 'status.service': 1,  # GPS
+            'position_covariance': fixes.covariance.reshape(-1, 9), 'position_covariance_type': fixes.covariance_type}
+
+
+def _reference_fields(reference: Reference) -> dict:
+    return {'latitude': np.degrees(reference.latitude), 'longitude': np.degrees(reference.longitude),
+            'altitude': reference.height, 'status.service': 1}
+
+
+def _temperature_fields(temperatures: Temperatures) -> dict:
+    return {'temperature': temperatures.celsius}
+
+
+def _odometry_fields(odometry: OdometrySamples) -> dict:
+    fields = {'pose.pose.position': odometry.position, 'pose.pose.orientation': odometry.orientation,
+              'twist.twist.linear': odometry.velocity, 'twist.twist.angular': odometry.angular_rate}
+    for name, covariance in (('pose.covariance', odometry.pose_covariance),
+                             ('twist.covariance', odometry.twist_covariance)):
+        if covariance is not None:
+            fields[name] = covariance.reshape(-1, 36)
+    return fields
+
+
+def _write(path: Path, storage: str, topics: list, overwrite: bool) -> None:
+    """Write (topic, message type, log times, serialized messages) of all `topics`, in the order of log time."""
+    if storage not in STORAGES:
+        raise RecordingError(f"unknown storage '{storage}' for {path}: expected {' or '.join(STORAGES)}")
+    with needs_rosbags(f'writing {path}'):
+        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_typestore
+    store = get_typestore(Stores.ROS2_JAZZY)
+    path = path.absolute()
+    times = np.concatenate([times for _, _, times, _ in topics])
+    order = np.argsort(times, kind='stable')
+    data = [message for _, _, _, serialized in topics for message in serialized]
+    topic_of = np.repeat(np.arange(len(topics)), [len(serialized) for _, _, _, serialized in topics])
+    with result_folder(path, overwrite, marker='metadata.yaml') as folder:
+        inner = folder / path.name  # rosbags makes the folder itself and names the data after it
+        with Writer(inner, version=9, storage_plugin=StoragePlugin[storage.upper()]) as writer:
+            connections = [writer.add_connection(topic, kind, typestore=store) for topic, kind, _, _ in topics]
+            for i, topic, time in zip(order.tolist(), topic_of[order].tolist(), times[order].tolist()):
+                writer.write(connections[topic], time, data[i])
+        for file in inner.iterdir():
+            file.rename(folder / file.name)
+        inner.rmdir()

@@ -1,0 +1,16 @@
+"""What several tests need."""
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+_SHARED = Path(__file__).resolve().parents[2] / 'shared' / 'data'
+
+
+def shared_data(name: str) -> Path:
+    """The folder of a measured recording (see docs); skips the test where it is not there."""
+    path = _SHARED / name
+    if not path.exists():
+        pytest.skip(f'measured recording {name} is not in {_SHARED.parent.name}/{_SHARED.name} beside the repository')
+    return path
