@@ -1,0 +1,316 @@
+"""How the filter starts by itself: position, gyroscope bias, level and heading from what the first minutes show."""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..navigation.frames import leveling, wrap, yaw_from_enu, yaw_of_quaternion
+from ..navigation.earth import gravity, radii
+from .config import FilterConfig
+
+MEMORY = 300.0  # s of samples kept while waiting
+STILL_BLOCK = 1.0  # s; a standstill is made of such blocks
+SHORTEST_STILL = 3.0  # s
+STEADY_ACCELERATION = 0.06  # m/s^2: between the mean of a block and the standstill's
+STEADY_RATE = 0.005  # rad/s
+COURSE_SIGMA = 0.1  # rad: straightness of course that is good enough to start
+SHORTEST_COURSE = 1.0  # m
+LONGEST_COURSE_TIME = 20.0  # s
+SLOWEST_START = 0.5  # m/s
+SIDESLIP_SIGMA = 0.02  # rad: between where a car points and where it goes
+UNKNOWN_TILT_SIGMA = 0.05  # rad
+
+
+@dataclass
+class Start:
+    """The first state: where, how fast, which way, and how well that is known."""
+
+    time: float  # s since the epoch
+    latitude: float
+    longitude: float
+    height: float
+    velocity: np.ndarray  # (2,) north, east, m/s
+    yaw: float
+    covariance: np.ndarray  # (5, 5) of r_n, r_e, v_n, v_e, yaw
+    standstill: Standstill | None
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass
+class Standstill:
+    """What the sensors showed at rest, body axes: means over `duration` seconds that ended at `end`."""
+
+    end: float
+    duration: float
+    specific_force: np.ndarray
+    angular_rate: np.ndarray
+
+
+class Alignment:
+    """Collects samples and fixes until there is enough to start. Times are seconds since the filter's epoch."""
+
+    def __init__(self, config: FilterConfig):
+        self.config = config
+        self.waiting_for = 'IMU samples'
+        self._imu = np.empty((1024, 13))  # time, body-axis f and w, raw f and w
+        self._count = 0
+        self._orientation: np.ndarray | None = None
+        self._fixes: list[tuple] = []
+
+    def add_samples(self, time, specific_force, angular_rate, orientation=None) -> None:
+        """Samples in sensor axes: time (k,), specific force and angular rate (k, 3), orientation (k, 4) or None."""
+        k = len(time)
+        while self._count + k > len(self._imu):
+            self._imu = np.concatenate([self._imu, np.empty_like(self._imu)])
+        rows = self._imu[self._count:self._count + k]
+        rows[:, 0] = time
+        rows[:, 7:10], rows[:, 10:13] = specific_force, angular_rate
+        for i in range(6):  # sums of six terms in one order, so that one sample and many give the same bits
+            total = self.config.offset[i]
+            for j in range(6):
+                total = total + self.config.conditioning[i, j] * rows[:, 7 + j]
+            rows[:, 1 + i] = total
+        if orientation is not None and k and np.any(orientation[-1]):
+            self._orientation = orientation[-1]
+        self._count += k
+
+    def samples_after(self, time: float) -> np.ndarray:
+        """The samples later than `time` as they were given: rows of time, f, w in sensor axes."""
+        imu = self._imu[:self._count]
+        return imu[imu[:, 0] > time][:, [0, *range(7, 13)]]
+
+    def add_fix(self, time, latitude, longitude, height, covariance) -> Start | None:
+        """One good fix of the antenna; covariance: north-east (2, 2) m^2. The start, as soon as there is one."""
+        if not self._count:
+            return None
+        self._forget(time - MEMORY)
+        self._fixes.append((time, latitude, longitude, height, covariance))
+        self._fixes.sort(key=lambda fix: fix[0])
+        if self._fixes[-1][0] > time or not self._imu[0, 0] < time <= self._imu[self._count - 1, 0] + 1.0:
+            return None
+        positions = self._positions()
+        source = self.config.values['alignment.heading']
+        if source == 'course':
+            return self._start_from_course(positions)
+        return self._start_with_heading(source, positions, self._standstill(positions))
+
+    def _forget(self, before: float) -> None:
+        first = int(np.searchsorted(self._imu[:self._count, 0], before))
+        if first > self._count // 2:
+            self._imu[:self._count - first] = self._imu[first:self._count]
+            self._count -= first
+        while self._fixes and self._fixes[0][0] < before:
+            self._fixes.pop(0)
+
+    def _positions(self) -> np.ndarray:
+        """The fixes as (time, north, east, sigma), metres from the first."""
+        _, latitude, longitude, height, _ = self._fixes[0]
+        north, east = radii(latitude)
+        return np.array([(t, (lat - latitude) * (north + height),
+                          (lon - longitude) * (east + height) * math.cos(latitude),
+                          math.sqrt(0.5 * (c[0, 0] + c[1, 1]))) for t, lat, lon, _, c in self._fixes])
+
+    def _standstill(self, positions: np.ndarray) -> Standstill | None:
+        """The latest standstill: at least SHORTEST_STILL in which the sensors are quiet and the fixes stay in place."""
+        imu, values = self._imu[:self._count], self.config.values
+        block = np.floor((imu[:, 0] - imu[0, 0]) / STILL_BLOCK).astype(np.int64)
+        starts = np.flatnonzero(np.diff(block, prepend=-1))
+        length = np.diff(np.append(starts, len(imu)))[:, None]
+        mean = np.add.reduceat(imu[:, 1:7], starts) / length
+        scatter = np.sqrt(np.add.reduceat((imu[:, 1:7] - np.repeat(mean, length[:, 0], axis=0)) ** 2, starts) / length)
+        quiet = ((scatter[:, :3].max(axis=1) < values['vehicle.still_acceleration'])
+                 & (scatter[:, 3:].max(axis=1) < values['vehicle.still_rate']) & (length[:, 0] > 2))
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], quiet.astype(np.int8), [0]])))
+        ends = np.append(starts[1:], len(imu))
+        for first, last in list(zip(edges[::2], edges[1::2]))[::-1]:
+            steady = _longest_steady(mean[first:last])
+            begin, end = starts[first + steady.start], ends[first + steady.stop - 1]
+            duration = imu[end - 1, 0] - imu[begin, 0]
+            if duration >= SHORTEST_STILL and _stays(positions, imu[begin, 0], imu[end - 1, 0]):
+                means = imu[begin:end, 1:7].mean(axis=0)
+                return Standstill(imu[end - 1, 0], duration, means[:3], means[3:])
+        return None
+
+    def _start_with_heading(self, source, positions, standstill) -> Start | None:
+        """Heading given; velocity zero at standstill, else from the fixes."""
+        sigma = self.config.values['alignment.yaw_sigma']
+        if source == 'parameter':
+            yaw = self.config.values['alignment.yaw']
+        elif self._orientation is None:
+            self.waiting_for = f"orientation in the messages on {self.config.values['imu_topic']}"
+            return None
+        else:
+            yaw = self._heading_of_orientation()
+        still = standstill is not None and self._imu[self._count - 1, 0] - standstill.end < 2 * STILL_BLOCK
+        if still:
+            speed, speed_sigma = 0.0, 0.05
+        else:
+            course = self._course(positions, standstill)
+            if course is None:
+                self.waiting_for = f'{SHORTEST_STILL:.0f} s at rest or motion'
+                return None
+            speed, speed_sigma = course[1], course[3]
+        return self._start(yaw, sigma, speed, speed_sigma, standstill, f'heading from {source}')
+
+    def _heading_of_orientation(self) -> float:
+        from scipy.spatial.transform import Rotation
+
+        rotation = Rotation.from_quat(self._orientation) * Rotation.from_euler(
+            'xyz', self.config.values['imu.mounting_rpy']).inv()
+        return float(yaw_from_enu(yaw_of_quaternion(*rotation.as_quat())))
+
+    def _start_from_course(self, positions) -> Start | None:
+        recent = positions[positions[:, 0] > positions[-1, 0] - LONGEST_COURSE_TIME]
+        moved = np.hypot(*(recent[:, 1:3] - recent[-1, 1:3]).T).max()
+        course = None
+        if moved > max(SHORTEST_COURSE, recent[-1, 3] / COURSE_SIGMA):  # else do not look through all samples
+            standstill = self._standstill(positions)
+            course = self._course(positions, standstill)
+        if course is None:
+            self.waiting_for = 'the vehicle to move straight on: the heading comes from the course of the fixes'
+            return None
+        yaw, speed, yaw_sigma, speed_sigma = course
+        return self._start(yaw, yaw_sigma, speed, speed_sigma, standstill, 'heading from the course')
+
+    def _course(self, positions, standstill):
+        """Yaw and speed at the newest fix with their sigmas, from the chord to an earlier fix; None if not yet.
+
+        The inertial sensors tell how the vehicle turned and changed speed on the way: with s the speed at the chord's
+        begin and D the displacement that the specific force adds in the body axes of then, the chord is
+        C(yaw) ([s T, 0] + D), which gives both s and yaw. No sideslip is assumed.
+        """
+        now, north, east, sigma = positions[-1]
+        for time, n, e, s in positions[-2::-1]:
+            chord = np.array([north - n, east - e])
+            distance, interval = float(np.hypot(*chord)), now - time
+            if interval > LONGEST_COURSE_TIME:
+                return None
+            noise = math.hypot(sigma, s)
+            if distance < max(SHORTEST_COURSE, noise / COURSE_SIGMA) or interval <= 0:
+                continue
+            motion = self._inertial_motion(time, now, standstill)
+            if motion is None:
+                return None
+            turn, gained, added, bias_f, bias_w = motion
+            if abs(turn) > 1.0 or abs(added[1]) > 0.5 * distance:
+                return None
+            forward = math.sqrt(distance**2 - added[1] ** 2)
+            speed = (forward - added[0]) / interval
+            if speed + gained[0] < SLOWEST_START:
+                return None
+            yaw = math.atan2(chord[1], chord[0]) - math.atan2(added[1], forward)
+            yaw_sigma = math.sqrt((bias_w * interval / 2) ** 2 + (0.5 * bias_f * interval**2 / distance) ** 2
+                                  + SIDESLIP_SIGMA**2)
+            return yaw + turn, float(np.hypot(speed + gained[0], gained[1])), math.hypot(
+                noise / distance, yaw_sigma), math.hypot(noise / interval, 0.5 * bias_f * interval)
+        return None
+
+    def _inertial_motion(self, begin, end, standstill):
+        """Turn, velocity and displacement gained between two times, in the body axes of the begin, and bias sigmas."""
+        imu = self._imu[:self._count]
+        part = imu[(imu[:, 0] > begin) & (imu[:, 0] <= end)]
+        if len(part) < 3:
+            return None
+        values = self.config.values
+        force, rate = part[:, 1:3].copy(), part[:, 6].copy()
+        bias_f, bias_w = UNKNOWN_TILT_SIGMA * 9.8, max(values['gyroscope.initial_sigma'])
+        if standstill is not None:
+            rate -= standstill.angular_rate[2]
+            force -= standstill.specific_force[:2]
+            bias_f, bias_w = 0.1, 1e-3
+        dt = np.diff(part[:, 0], prepend=begin)
+        yaw = np.cumsum(rate * dt)
+        c, s = np.cos(yaw), np.sin(yaw)
+        velocity = np.cumsum(np.stack([c * force[:, 0] - s * force[:, 1], s * force[:, 0] + c * force[:, 1]]) * dt, axis=1)
+        return float(yaw[-1]), velocity[:, -1], (velocity * dt).sum(axis=1), bias_f, bias_w
+
+    def _start(self, yaw, yaw_sigma, speed, speed_sigma, standstill, source) -> Start:
+        time, latitude, longitude, height, r = self._fixes[-1]
+        course = np.array([math.cos(yaw), math.sin(yaw)])
+        across = np.array([-course[1], course[0]])
+        # the velocity lies along the yaw, so an error of yaw is one of velocity, too
+        jacobian = np.zeros((5, 4))
+        jacobian[:2, :2] = np.linalg.cholesky(r)
+        jacobian[2:4, 2] = course * speed_sigma
+        jacobian[2:4, 3] = across * speed * yaw_sigma
+        jacobian[4, 3] = yaw_sigma
+        covariance = jacobian @ jacobian.T + np.diag([0, 0, *[(0.05 + SIDESLIP_SIGMA * speed) ** 2] * 2, 0])
+        arm = self.config.lever_arm
+        north = -(course[0] * arm[0] + across[0] * arm[1])  # from the antenna back to the IMU
+        east = -(course[1] * arm[0] + across[1] * arm[1])
+        meridian, prime_vertical = radii(latitude)
+        notes = [f'aligned: {source} {math.degrees(yaw) % 360:.1f} deg +- {math.degrees(yaw_sigma):.1f} deg, '
+                 f'speed {speed:.2f} +- {speed_sigma:.2f} m/s']
+        notes.append(self._note_standstill(standstill, latitude, height))
+        return Start(time, latitude + north / (meridian + height),
+                     longitude + east / ((prime_vertical + height) * math.cos(latitude)), height + arm[2],
+                     speed * course, float(wrap(yaw)), covariance, standstill, notes)
+
+    def _note_standstill(self, standstill, latitude, height) -> str:
+        if standstill is None:
+            return 'no standstill seen: gyroscope bias and tilt of the IMU start unknown'
+        tilt = math.degrees(math.acos(min(1.0, max(-1.0, -standstill.specific_force[2]
+                                                   / np.linalg.norm(standstill.specific_force)))))
+        size = float(np.linalg.norm(standstill.specific_force))
+        bias = ', '.join(f'{math.degrees(w):.3f}' for w in standstill.angular_rate)
+        removed = ' (removed)' if self.config.values['alignment.level'] else ''
+        return (f'standstill of {standstill.duration:.1f} s: gyroscope bias {bias} deg/s (forward, right, down), '
+                f'tilt {tilt:.1f} deg{removed}, specific force {size:.3f} m/s^2 '
+                f'(gravity here {gravity(latitude, height):.3f})')
+
+
+def _stays(positions: np.ndarray, begin: float, end: float) -> bool:
+    """No motion between two times as far as the fixes can tell: at least two of them, first and last halves agree."""
+    inside = positions[(positions[:, 0] >= begin - 0.5) & (positions[:, 0] <= end + 0.5)]
+    if len(inside) < 2:
+        return False
+    half = len(inside) // 2
+    moved = np.hypot(*(inside[half:, 1:3].mean(axis=0) - inside[:half, 1:3].mean(axis=0)))
+    sigma = inside[:, 3].mean() * math.sqrt(1 / half + 1 / (len(inside) - half))
+    speed = moved / max(0.5 * (inside[-1, 0] - inside[0, 0]), 1e-3)
+    return moved < 4 * sigma + 0.1 and speed < 2.0
+
+
+def _longest_steady(mean: np.ndarray) -> slice:
+    """The longest run of blocks whose means (k, 6) stay near their median: a gentle start is quiet, too, but not that."""
+    away = np.abs(mean - np.median(mean, axis=0))
+    steady = (away[:, :3].max(axis=1) < STEADY_ACCELERATION) & (away[:, 3:].max(axis=1) < STEADY_RATE)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], steady.astype(np.int8), [0]]))).reshape(-1, 2)
+    if not len(edges):
+        return slice(0, 1)
+    first, last = edges[np.argmax(edges[:, 1] - edges[:, 0])]
+    return slice(int(first), int(last))
+
+
+def leveled(config: FilterConfig, standstill: Standstill):
+    """Conditioning and offset of `config` with the tilt of `standstill` removed: (6, 6), (6,).
+
+    The tilt is the smallest rotation that makes the specific force vertical. Planar: what is then left of f_x, f_y is
+    zero. Strapdown: attitude starts level.
+    """
+    rotation = np.kron(np.eye(2), leveling(standstill.specific_force))
+    return rotation @ config.conditioning, rotation @ config.offset
+
+
+def channel_prior(model, turn_on_sigma: float, white: float, mean: float | None, duration: float):
+    """Estimate (p,), covariance (p, p) and constant part of one channel's error at the start.
+
+    The error is a constant N(0, turn_on_sigma^2) plus the model's process at its stationary (initial) covariance. A
+    standstill shows their sum as `mean` with the variance of white noise averaged over `duration`: linear conditioning.
+    """
+    prior = np.zeros((model.order + 1, model.order + 1))
+    prior[:-1, :-1] = model.initial_covariance()
+    prior[-1, -1] = turn_on_sigma**2
+    if mean is None:
+        covariance = prior[:-1, :-1].copy()
+        covariance[0, 0] += turn_on_sigma**2  # the constant has no state: the first stands for it
+        return np.zeros(model.order), covariance, 0.0
+    c = np.zeros(model.order + 1)
+    c[0] = c[-1] = 1.0
+    variance = c @ prior @ c + white / duration
+    gain = prior @ c / variance
+    estimate = gain * mean
+    covariance = prior - np.outer(gain, gain) * variance
+    return estimate[:-1], covariance[:-1, :-1], estimate[-1]

@@ -1,0 +1,138 @@
+"""From a state of the filter to what ROS wants: pose, twist and their covariances in REP-103 frames."""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from ..navigation import strapdown
+from ..navigation.earth import to_local
+from .kernel import body_to_level, views
+from .layout import NAV, Head, Nav, Sample, load_covariance
+
+#: where each part stands in the vector that `odometry` fills
+POSITION, ORIENTATION, POSE_COVARIANCE, LINEAR, ANGULAR, TWIST_COVARIANCE, SIZE = 0, 3, 7, 43, 46, 49, 85
+#: what the planar mechanization does not estimate: road slope (rad) and vertical velocity (m/s), one sigma
+PLANAR_TILT_SIGMA, PLANAR_VERTICAL_SIGMA = 0.05, 0.5
+
+
+@njit(cache=True)
+def corrected(row, navigation, open_loop):
+    """Latitude, longitude, height, v_n, v_e, v_d and the quaternion from b to n; open loop: with x subtracted."""
+    planar = navigation == 5
+    if planar:
+        q = (math.cos(0.5 * row[Nav.YAW]), 0.0, 0.0, math.sin(0.5 * row[Nav.YAW]))
+    else:
+        q = (row[Nav.Q_W], row[Nav.Q_X], row[Nav.Q_Y], row[Nav.Q_Z])
+    latitude, longitude, height = row[Nav.LATITUDE], row[Nav.LONGITUDE], row[Nav.HEIGHT]
+    v_n, v_e, v_d = row[Nav.V_N], row[Nav.V_E], row[Nav.V_D]
+    if open_loop:
+        latitude -= row[NAV] * row[Nav.NORTH_SCALE]
+        longitude -= row[NAV + 1] * row[Nav.EAST_SCALE]
+        if planar:
+            v_n, v_e = v_n - row[NAV + 2], v_e - row[NAV + 3]
+            q = strapdown.correct_attitude(q, 0.0, 0.0, row[NAV + 4])
+        else:
+            height += row[NAV + 2]
+            v_n, v_e, v_d = v_n - row[NAV + 3], v_e - row[NAV + 4], v_d - row[NAV + 5]
+            q = strapdown.correct_attitude(q, row[NAV + 6], row[NAV + 7], row[NAV + 8])
+    return latitude, longitude, height, v_n, v_e, v_d, q
+
+
+@njit(cache=True)
+def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
+    """The newest state as odometry.
+
+    datum: (3,) latitude, longitude (rad), height. height_sigma: m, for the planar mechanization, which has no height.
+    out (85,): position ENU; orientation x, y, z, w of base_link (FLU) in ENU; pose covariance 6 x 6; linear and angular
+    velocity in base_link; twist covariance 6 x 6. geodetic (3,), geodetic_covariance (9,) ENU.
+    """
+    head, noise, rows, ring, _, full, _, _ = views(memory)
+    navigation, m, p = int(head[Head.NAVIGATION]), int(head[Head.OTHERS]), int(head[Head.ORDER])
+    newest = int(head[Head.SAMPLES]) % int(head[Head.CAPACITY])
+    row, sample = rows[newest], ring[newest]
+    load_covariance(row, navigation, m, full)
+    latitude, longitude, height, v_n, v_e, v_d, q = corrected(row, navigation, head[Head.OPEN_LOOP] != 0.0)
+    geodetic[0], geodetic[1], geodetic[2] = latitude, longitude, height
+    north, east, down = to_local(latitude, longitude, height, datum)
+    out[0], out[1], out[2] = east, north, -down
+    _orientation(q, out)
+    c = np.array(strapdown.matrix(q)).reshape(3, 3)
+    planar = navigation == 5
+
+    # errors of position (n, e, d), velocity (n, e, d) and attitude (n, e, d) as one 9 x 9 covariance
+    nine = np.zeros((9, 9))
+    if planar:
+        where = (0, 1, 3, 4, 8)
+        for i in range(5):
+            for j in range(5):
+                nine[where[i], where[j]] = full[i, j]
+        nine[2, 2], nine[5, 5] = height_sigma**2, PLANAR_VERTICAL_SIGMA**2
+        nine[6, 6] = nine[7, 7] = PLANAR_TILT_SIGMA**2
+    else:
+        nine[:, :] = full[:9, :9]
+    for i in range(6):
+        for j in range(6):
+            a, sign_a = _enu(i)
+            b, sign_b = _enu(j)
+            out[POSE_COVARIANCE + 6 * i + j] = sign_a * sign_b * nine[a, b]
+            if i < 3 and j < 3:
+                geodetic_covariance[3 * i + j] = sign_a * sign_b * nine[a, b]
+
+    # velocity in b: C^T v, its error C^T (dv + [v x] phi)
+    jacobian = np.zeros((3, 9))
+    for k in range(3):
+        x, y, z = c[0, k], c[1, k], c[2, k]
+        sign = 1.0 if k == 0 else -1.0  # forward-right-down to forward-left-up
+        out[LINEAR + k] = sign * (x * v_n + y * v_e + z * v_d)
+        jacobian[k, 3], jacobian[k, 4], jacobian[k, 5] = sign * x, sign * y, sign * z
+        jacobian[k, 6] = sign * (y * v_d - z * v_e)
+        jacobian[k, 7] = sign * (z * v_n - x * v_d)
+        jacobian[k, 8] = sign * (x * v_e - y * v_n)
+    for i in range(3):
+        for j in range(3):
+            total = 0.0
+            for k in range(3, 9):
+                for n in range(3, 9):
+                    total += jacobian[i, k] * nine[k, n] * jacobian[j, n]
+            out[TWIST_COVARIANCE + 6 * i + j] = total
+    interval = sample[Sample.TIME] - ring[(newest - 1) % int(head[Head.CAPACITY]), Sample.TIME]
+    _angular(noise, interval, row, sample, full, navigation, p, out)
+    return row[Nav.TIME]
+
+
+@njit(cache=True)
+def _enu(i):
+    """Where component i of an ENU pose stands among position and attitude errors in NED, and its sign."""
+    component = i % 3
+    sign = -1.0 if component == 2 else 1.0
+    swapped = 1 - component if component < 2 else 2
+    return (swapped if i < 3 else 6 + swapped), sign
+
+
+@njit(cache=True)
+def _orientation(q, out):
+    """Quaternion from b (FRD) to n (NED) as base_link (FLU) to ENU: a half turn on each side."""
+    half = math.sqrt(0.5)
+    r = strapdown.multiply((0.0, half, half, 0.0), strapdown.multiply(q, (0.0, 1.0, 0.0, 0.0)))
+    sign = 1.0 if r[0] >= 0.0 else -1.0
+    out[ORIENTATION], out[ORIENTATION + 1] = sign * r[1], sign * r[2]
+    out[ORIENTATION + 2], out[ORIENTATION + 3] = sign * r[3], sign * r[0]
+
+
+@njit(cache=True)
+def _angular(noise, interval, row, sample, full, navigation, p, out):
+    """Angular velocity of the last sample, sensor errors removed, and its variance with the sample's white noise."""
+    planar = navigation == 5
+    for k in range(3):
+        sign = 1.0 if k == 0 else -1.0
+        at = TWIST_COVARIANCE + 6 * (3 + k) + 3 + k
+        variance = noise[3 + k] / interval
+        if planar and k < 2:  # a planar vehicle neither rolls nor pitches
+            out[ANGULAR + k] = 0.0
+            out[at] = PLANAR_TILT_SIGMA**2
+            continue
+        state = 2 * p if planar else (3 + k) * p
+        out[ANGULAR + k] = sign * (sample[Sample.W_X + k] - row[NAV + navigation + state])
+        out[at] = variance + full[navigation + state, navigation + state]
