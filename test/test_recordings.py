@@ -141,7 +141,7 @@ def test_a_damaged_metadata_file_is_no_obstacle(tmp_path):
 
 
 @pytest.mark.parametrize('plugin', PLUGINS)
-def test_a_split_bag_is_read_in_the_order_of_its_parts(tmp_path, plugin):
+def test_a_split_bag_is_read_as_one(tmp_path, plugin):
     # given eleven parts, so that sorting by text would put part 10 before part 2
     split = tmp_path / 'split'
     split.mkdir()

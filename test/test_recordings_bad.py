@@ -4,8 +4,10 @@ from __future__ import annotations
 import builtins
 import re
 import sqlite3
+import struct
 import sys
 import warnings
+import zlib
 
 import numpy as np
 import pytest
@@ -145,6 +147,22 @@ def test_a_damaged_chunk_costs_no_more_than_itself(tmp_path):
         recording = read_recording(file, '/imu/data', '/gps/fix')
     assert 5000 < len(recording.imu) < 9000
     assert recording.imu.received[-1] == START + 8999 * 10**7 + 3_000_000
+
+
+def test_a_wrong_checksum_is_noticed(tmp_path):
+    # given an mcap of one chunk with a checksum (rosbags writes none)
+    file = storage_file(write_bag(tmp_path / 'bag', drive(20)))
+    content = bytearray(file.read_bytes())
+    chunk = content.index(b'\x06', 8 + 9 + struct.unpack_from('<Q', content, 9)[0]) + 9
+    size = struct.unpack_from('<Q', content, chunk + 16)[0]
+    data = chunk + 28 + 4 + 8  # no compression, so its name is empty
+    struct.pack_into('<I', content, chunk + 24, zlib.crc32(content[data:data + size]))
+    file.write_bytes(content)
+    assert len(read_recording(file, '/imu/data').imu) == 20
+    # when one bit of it changes
+    content[data + size - 100] ^= 1
+    file.write_bytes(content)
+    assert "it is damaged at" in complaint(file)
 
 
 def test_any_byte_may_be_wrong(tmp_path):

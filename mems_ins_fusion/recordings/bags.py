@@ -5,7 +5,6 @@ ROS 1 .bag files, which rosbags reads and whose messages it converts to CDR.
 """
 from __future__ import annotations
 
-import re
 import shutil
 import sqlite3
 import struct
@@ -240,7 +239,7 @@ def _storage_files(path: Path) -> list[Path]:
 
 
 def _files_of_folder(folder: Path) -> list[Path]:
-    there = sorted((path for path in folder.iterdir() if _is_storage(path)), key=_natural)
+    there = sorted(path for path in folder.iterdir() if _is_storage(path))
     try:
         information = yaml.safe_load((folder / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
         listed = [folder / PurePath(name).name for name in information['relative_file_paths']]
@@ -263,11 +262,6 @@ def _files_of_folder(folder: Path) -> list[Path]:
 
 def _is_storage(path: Path) -> bool:
     return path.with_suffix('').suffix in _STORAGES if path.suffix == '.zstd' else path.suffix in _STORAGES
-
-
-def _natural(path: Path) -> list:
-    """Sorts bag_10 behind bag_9."""
-    return [(int(part), '') if part.isdigit() else (-1, part) for part in re.split(r'(\d+)', path.name)]
 
 
 def _one_line(error: Exception) -> str:
