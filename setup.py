@@ -11,7 +11,7 @@ setup(
     license='Apache-2.0',
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     python_requires='>=3.10',
-    install_requires=['matplotlib', 'numba', 'numpy', 'pyyaml', 'rosbags', 'scipy', 'tqdm'],
+    install_requires=['matplotlib', 'numba', 'numpy', 'pyyaml', 'rosbags>=0.11', 'scipy', 'tqdm'],
     extras_require={
         # ROS 2 itself, where it does not come from the system
         'ros': ['ros-jazzy-rclpy', 'ros-jazzy-common-interfaces', 'ros-jazzy-rmw-fastrtps-cpp'],

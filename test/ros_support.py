@@ -71,16 +71,26 @@ class NodeProcess:
             self._new.put(line.rstrip())
         self._new.put(None)
 
-    def wait_for(self, text: str, timeout: float = 60.0) -> str:
-        """The first line with `text` that was not waited past before; AssertionError where none comes."""
+    def wait_for(self, text: str, timeout: float = 240.0) -> str:
+        """The first line with `text` that was not waited past before; AssertionError where none comes.
+
+        By default it waits long: the first start on a machine compiles the filter.
+        """
+        line = self.says(text, timeout)
+        assert line, '\n'.join([f"no '{text}' in the node's output:", *self.lines])
+        return line
+
+    def says(self, text: str, timeout: float) -> str | None:
+        """As `wait_for`, but None where no such line comes in `timeout` seconds."""
         deadline = time.monotonic() + timeout
         while True:
             try:
                 line = self._new.get(timeout=max(0.0, deadline - time.monotonic()))
             except queue.Empty:
-                line = None
+                return None
             if line is None:
-                raise AssertionError('\n'.join([f"no '{text}' in the node's output:", *self.lines]))
+                self._new.put(None)  # the output has ended, for who asks again, too
+                return None
             self.lines.append(line)
             if text in line:
                 return line
@@ -136,43 +146,45 @@ class Peer:
             assert time.monotonic() < deadline, 'the node did not answer in time'
             self._executor.spin_once(timeout_sec=0.05)
 
-    def connect(self, node: NodeProcess) -> None:
-        """Return when the node hears both topics and is heard.
+    def connect(self, node: NodeProcess, recording) -> None:
+        """Return when the node hears both topics and is heard; the first IMU sample of `recording` is played by then.
 
         A matched publisher may still lose its first messages, so messages are sent until the node answers: samples
         that are not numbers, which it drops and complains about.
         """
         self.spin_until(lambda: all(self.node.count_publishers(s.topic_name) for s in self._outputs))
-        silent = np.full(3, np.nan)
-        for publisher, message in ((self.imu, imu_message(0, silent, silent)),
-                                   (self.gnss, fix_message(0, np.nan, np.nan, np.nan, np.zeros((3, 3)), 0, 0))):
-            for _ in range(100):
-                publisher.publish(message)
-                try:
-                    node.wait_for(f'{publisher.topic_name}: ', timeout=0.2)
-                    break
-                except AssertionError:
-                    continue
-            else:
-                raise AssertionError(f'the node does not hear {publisher.topic_name}')
+        nan = np.full(3, np.nan)
+        self._send_until_heard(node, self.imu, imu_message(0, nan, nan))
+        self._send_imu(recording.imu, 0)  # fixes are not looked at before
+        self._send_until_heard(node, self.gnss, fix_message(0, np.nan, np.nan, np.nan, np.zeros((3, 3)), 0, 0))
+
+    def _send_until_heard(self, node, publisher, message):
+        for _ in range(100):
+            publisher.publish(message)
+            if node.says(f'{publisher.topic_name}: ', 0.2):
+                return
+        raise AssertionError(f'the node does not hear {publisher.topic_name}')
+
+    def _send_imu(self, samples, index):
+        self.imu.publish(imu_message(samples.stamp[index], samples.specific_force[index], samples.angular_rate[index]))
+
+    def _send_fix(self, fixes, index):
+        self.gnss.publish(fix_message(
+            fixes.stamp[index], fixes.latitude[index], fixes.longitude[index], fixes.height[index],
+            fixes.covariance[index], fixes.status[index], fixes.covariance_type[index]))
 
     def play(self, recording) -> None:
-        """Publish `recording` in the order received, as fast as the node takes it, each fix before later samples.
+        """Publish the rest of `recording` in the order received, as fast as the node takes it.
 
-        The node must have been started with RELIABLE_INPUT: only then is there an acknowledgement to wait for.
+        A fix is in the node's queue before a later sample is sent, and the node serves fixes first. It must have been
+        started with RELIABLE_INPUT: only then is there an acknowledgement to wait for.
         """
-        for kind, index in arrivals(recording):
+        for kind, index in arrivals(recording)[1:]:
             if kind == 'imu':
-                samples = recording.imu
-                self.imu.publish(imu_message(samples.stamp[index], samples.specific_force[index],
-                                             samples.angular_rate[index]))
+                self._send_imu(recording.imu, index)
                 self._executor.spin_once(timeout_sec=0)
             else:
-                fixes = recording.gnss
-                self.imu.wait_for_all_acked(Duration(seconds=10))
-                self.gnss.publish(fix_message(
-                    fixes.stamp[index], fixes.latitude[index], fixes.longitude[index], fixes.height[index],
-                    fixes.covariance[index], fixes.status[index], fixes.covariance_type[index]))
+                self._send_fix(recording.gnss, index)
                 self.gnss.wait_for_all_acked(Duration(seconds=10))
 
 

@@ -73,7 +73,8 @@ def test_the_version_is_the_same_everywhere():
 def test_everything_imported_is_declared():
     ours = {'mems_ins_fusion', *sys.stdlib_module_names, *BROUGHT_BY_ROSBAGS}
     declared = {tag.text for tag in MANIFEST if tag.tag in ('depend', 'exec_depend')}
-    requirements = ast.literal_eval(re.search(r'install_requires=(\[.+?\])', (REPOSITORY / 'setup.py').read_text())[1])
+    required = re.search(r'install_requires=(\[.+?\])', (REPOSITORY / 'setup.py').read_text()).group(1)
+    requirements = {re.match(r'[\w-]+', requirement).group() for requirement in ast.literal_eval(required)}
     undeclared = []
     for module in set(imported_modules()) - ours:
         rosdep_key, requirement = MODULES.get(module, (module, None))

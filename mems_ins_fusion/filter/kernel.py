@@ -26,8 +26,9 @@ GAP_ACCELERATION = 1.5  # m/s^2
 GAP_TURN_RATE = 0.3  # rad/s
 #: standstill and non-holonomic constraints are applied this often, s: their errors are not white from sample to sample
 CONSTRAINT_INTERVAL = 0.1
-#: what the inertial sensors call a standstill is one only below this speed, m/s, plus three sigma
-STILL_SPEED = 1.0
+#: what the inertial sensors call a standstill is one only below this speed plus two sigma, and when the speed is known
+STILL_SPEED = 0.3  # m/s
+STILL_SIGMA = 0.5  # m/s
 #: time constant of the running means that tell a standstill, s
 STILL_TIME = 0.5
 #: what the answers of `take_fix` mean
@@ -485,8 +486,9 @@ def _constrain(head, noise, rows, r, sample, dt, full, work):
     load_covariance(row, navigation, m, full)
     if still:  # a smooth road at speed must not pass for a standstill
         k = 2 if navigation == 5 else 3
+        variance = full[k, k] + full[k + 1, k + 1]
         speed_squared = row[Nav.V_N] ** 2 + row[Nav.V_E] ** 2
-        still = speed_squared < STILL_SPEED**2 + 9.0 * (full[k, k] + full[k + 1, k + 1])
+        still = speed_squared < STILL_SPEED**2 + 4.0 * variance and variance < STILL_SIGMA**2
     h, gain, column = work[0], work[3], work[4]
     first_velocity, dimensions = (2, 2) if navigation == 5 else (3, 3)
     if still:

@@ -32,6 +32,7 @@ class FusionNode(Node):
         super().__init__(NAME)
         values = declare(self, argv, (*FILTER, *FUSION), changeable=frozenset({'odometry_rate'}))
         self._filter = FusionFilter(FilterConfig.from_parameters(values))
+        self.get_logger().info('loading the filter (the first start on a machine compiles it: up to a minute)')
         self._filter.warm_up()  # before there is a subscription: no message waits for the compiler
         self._use_orientation = values['alignment.heading'] == 'orientation'
         self._set_rate(values['odometry_rate'])

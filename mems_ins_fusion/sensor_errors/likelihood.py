@@ -130,9 +130,11 @@ def _gauss_markov_mean(model, interval):
 
 @njit(cache=True)
 def _innovations(z, part, a, q, c, r, p0):
-    """Innovations of z and of a constant 1, and their variance, from one Kalman filter; restarts with each part."""
+    """Innovations of z and of a constant 1, their variance, and the state for z predicted after each interval, from
+    one Kalman filter; restarts with each part."""
     n, d = len(z), len(c)
     error, level, variance = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
+    predicted_state = np.empty((n, d))
     x, y = np.zeros(d), np.zeros(d)
     p = p0.copy()
     gain = np.zeros(d)
@@ -179,6 +181,7 @@ def _innovations(z, part, a, q, c, r, p0):
                 ny[i] += a[i, j] * y[j]
         x[:] = nx
         y[:] = ny
+        predicted_state[k] = x
         if not steady:
             for i in range(d):
                 for j in range(d):
@@ -201,30 +204,31 @@ def _innovations(z, part, a, q, c, r, p0):
                 size = max(size, abs(before))
             steady = present and change <= _STEADY * (size + r) and abs(predicted - f) <= _STEADY * f
             p[:] = new
-    return error, level, variance
+    return error, level, variance, predicted_state
 
 
-def innovations(data: Averages, model: Model | None, noise_density: float, levels=None):
-    """Innovations (n,) and their variances (n,), the levels (one per part) estimated or as given."""
-    s = state_space(model, noise_density, data.interval)
-    error, one, variance = _innovations(data.z, data.part, s.a, s.q, s.c, s.r, s.p0)
-    for part in range(int(data.part.max()) + 1):
-        mine = data.part == part
-        weight = one[mine] / variance[mine]
-        value = np.nansum(weight * error[mine]) / np.nansum(weight * one[mine]) if levels is None else levels[part]
-        error[mine] -= value * one[mine]
-    return error, variance
+def innovations(data: Averages, space: StateSpace, levels) -> tuple[np.ndarray, np.ndarray]:
+    """Innovations and their variances, (n,) each, with the given level of each part."""
+    error, one, variance, _ = _innovations(data.z, data.part, space.a, space.q, space.c, space.r, space.p0)
+    return error - np.asarray(levels)[data.part] * one, variance
 
 
-def levels(data: Averages, model: Model | None, noise_density: float):
+def estimate_levels(data: Averages, space: StateSpace) -> tuple[np.ndarray, np.ndarray]:
     """Best estimate of each part's level and its one sigma, (parts,) each; for a random walk, that of its start."""
-    s = state_space(model, noise_density, data.interval)
-    error, one, variance = _innovations(data.z, data.part, s.a, s.q, s.c, s.r, s.p0)
-    information = np.array([np.nansum(one[data.part == p] ** 2 / variance[data.part == p])
-                            for p in range(int(data.part.max()) + 1)])
-    weighted = np.array([np.nansum(one[data.part == p] * error[data.part == p] / variance[data.part == p])
-                         for p in range(len(information))])
-    return weighted / information, 1 / np.sqrt(information)
+    error, one, variance, _ = _innovations(data.z, data.part, space.a, space.q, space.c, space.r, space.p0)
+    count = int(data.part.max()) + 1
+    present = np.isfinite(error)
+    weight = np.where(present, one / variance, 0.0)
+    information = np.bincount(data.part, weight * np.where(present, one, 0.0), count)
+    weighted = np.bincount(data.part, weight * np.where(present, error, 0.0), count)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        return weighted / information, 1 / np.sqrt(information)
+
+
+def predicted_states(data: Averages, space: StateSpace, levels) -> np.ndarray:
+    """State (n, d) expected for the interval after each one, from all averages up to it; levels: one per part."""
+    return _innovations(data.z - np.asarray(levels)[data.part], data.part, space.a, space.q, space.c, space.r,
+                        space.p0)[3]
 
 
 def log_likelihood(data: Averages, space: StateSpace) -> float:
@@ -234,7 +238,7 @@ def log_likelihood(data: Averages, space: StateSpace) -> float:
 
 
 def _terms(data, s):
-    error, one, variance = _innovations(data.z, data.part, s.a, s.q, s.c, s.r, s.p0)
+    error, one, variance, _ = _innovations(data.z, data.part, s.a, s.q, s.c, s.r, s.p0)
     return _sums(error, one, variance, data.part)
 
 
