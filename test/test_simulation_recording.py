@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from simulation_support import FLU, close
 
 from mems_ins_fusion import parameters
 from mems_ins_fusion.cli import simulate
@@ -14,8 +15,6 @@ from mems_ins_fusion.recordings.drive import START_STAMP
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 from mems_ins_fusion.sensor_errors.models import Autoregressive, GaussMarkov, RandomWalk
-
-FLU = np.array([1.0, -1.0, -1.0])
 
 
 @pytest.fixture(scope='module')
@@ -46,8 +45,8 @@ def fix_error(recording, drive, time=None):
 
 def test_perfect_sensors_record_the_truth_in_forward_left_up(drive):
     imu = simulate_recording(drive).recording.imu
-    assert imu.specific_force == pytest.approx(drive.specific_force * FLU, abs=1e-12)
-    assert imu.angular_rate == pytest.approx(drive.angular_rate * FLU, abs=1e-12)
+    assert close(imu.specific_force, drive.specific_force * FLU, 1e-12)
+    assert close(imu.angular_rate, drive.angular_rate * FLU, 1e-12)
     assert np.array_equal(imu.stamp, drive.stamp) and np.array_equal(imu.received, drive.stamp)
 
 
@@ -56,10 +55,10 @@ def test_mounting_turns_from_sensor_axes_to_base_link(drive):
     quarter = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
     for yaw, to_sensor in ((np.pi, np.diag([-1.0, -1.0, 1.0])), (np.pi / 2, quarter)):
         imu = simulate_recording(drive, mounting_rpy=(0, 0, yaw)).recording.imu
-        assert imu.specific_force == pytest.approx(drive.specific_force * FLU @ to_sensor.T, abs=1e-12)
+        assert close(imu.specific_force, drive.specific_force * FLU @ to_sensor.T, 1e-12)
     # given x forward, y right, z down
     imu = simulate_recording(drive, mounting_rpy=(np.pi, 0, 0)).recording.imu
-    assert imu.angular_rate == pytest.approx(drive.angular_rate, abs=1e-12)
+    assert close(imu.angular_rate, drive.angular_rate, 1e-12)
 
 
 def test_mounting_applies_roll_then_pitch_then_yaw_about_fixed_axes(drive):
@@ -68,7 +67,7 @@ def test_mounting_applies_roll_then_pitch_then_yaw_about_fixed_axes(drive):
     to_base = (np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]]) @ np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
                @ np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]]))
     imu = simulate_recording(drive, mounting_rpy=rpy).recording.imu
-    assert imu.specific_force @ to_base.T == pytest.approx(drive.specific_force * FLU, abs=1e-12)
+    assert close(imu.specific_force @ to_base.T, drive.specific_force * FLU, 1e-12)
 
 
 def test_white_noise_has_its_density(drive):
@@ -89,9 +88,25 @@ def test_bias_and_scale_are_in_sensor_axes(drive):
     sensors = SensorErrors(accelerometer_bias=(0.1, 0.2, 0.3), gyroscope_scale=(0.0, 0.0, 0.01))
     simulation = simulate_recording(drive, sensors, mounting_rpy=(np.pi, 0, 0))  # forward-right-down
     imu = simulation.recording.imu
-    assert imu.specific_force == pytest.approx(drive.specific_force + [0.1, 0.2, 0.3], abs=1e-12)
-    assert imu.angular_rate == pytest.approx(drive.angular_rate * [1, 1, 1.01], abs=1e-12)
-    assert simulation.sensor_errors[7] == pytest.approx([0.1, 0.2, 0.3, 0, 0, 0], abs=1e-12)
+    assert close(imu.specific_force, drive.specific_force + [0.1, 0.2, 0.3], 1e-12)
+    assert close(imu.angular_rate, drive.angular_rate * [1, 1, 1.01], 1e-12)
+    assert close(simulation.sensor_errors[7], [0.1, 0.2, 0.3, 0, 0, 0], 1e-12)
+
+
+def test_the_errors_of_the_axes_are_independent(rest):
+    model = GaussMarkov(1.0, 10.0)
+    error = simulate_recording(rest, SensorErrors((model,) * 3, (model,) * 3)).sensor_errors
+    # 20000 s hold 20000 / 10 independent products of two such errors
+    assert np.abs(np.corrcoef(error.T) - np.eye(6)).max() < 4.5 / np.sqrt(2000)
+
+
+def test_the_turn_on_bias_is_constant_and_drawn_for_each_seed():
+    short = simulate_drive(0.5, rate=10.0, standstill=0.5)
+    sensors = SensorErrors(gyroscope_turn_on_sigma=(0.01, 0.02, 0.0))
+    bias = np.array([simulate_recording(short, sensors, seed=seed).recording.imu.angular_rate for seed in range(400)])
+    assert close(bias, bias[:, :1], 0.0)
+    assert within(np.mean(bias[:, 0, 0]**2), 0.01**2, 400) and within(np.mean(bias[:, 0, 1]**2), 0.02**2, 400)
+    assert np.all(bias[:, 0, 2] == 0)
 
 
 def test_random_walk_of_the_recording_drives_as_its_model(rest):
@@ -111,7 +126,7 @@ def test_gauss_markov_of_the_recording_has_its_transition(rest):
     assert within(np.mean(driving**2), sigma**2 * (1 - np.exp(-2 / (rest.rate * tau))), len(driving))
     # of the whole: 20000 s hold about 20000 / (2 * 30) independent values of error^2 (integral of rho^2 is tau)
     assert np.mean(error**2) == pytest.approx(sigma**2, rel=4 * np.sqrt(2 * tau * 2 / 20000))
-    assert simulation.sensor_errors[:, 5] == pytest.approx(-error, abs=1e-12)  # body axes point down
+    assert close(simulation.sensor_errors[:, 5], -error, 1e-12)  # body axes point down
 
 
 def test_autoregressive_of_the_recording_steps_at_its_interval(rest):
@@ -129,12 +144,14 @@ def test_autoregressive_of_the_recording_steps_at_its_interval(rest):
                                           ('autoregressive', Autoregressive)])
 def test_sensor_errors_come_from_the_parameters(model, state):
     values = parameters.check({'accelerometer.noise_density': [1.0, 2.0, 3.0], 'gyroscope.bias': [0.5],
+                               'gyroscope.initial_sigma': [0.03],
                                'gyroscope.random_walk.q': [1e-6, 2e-6, 3e-6],
                                'gyroscope.gauss_markov.tau': [10, 20, 30],
                                'gyroscope.autoregressive.coefficients': [-0.5, -0.6, -0.7],
                                'gyroscope.autoregressive.order': 1})
     sensors = SensorErrors.from_parameters(values, model)
     assert sensors.accelerometer_noise_density == [1.0, 2.0, 3.0] and sensors.gyroscope_bias == [0.5] * 3
+    assert sensors.gyroscope_turn_on_sigma[0] == (0.0 if model == 'random_walk' else 0.03)
     assert all(isinstance(m, state) for m in (*sensors.accelerometer, *sensors.gyroscope))
     second = sensors.gyroscope[1]
     assert {'random_walk': lambda: second.q == 2e-6, 'gauss_markov': lambda: second.tau == 20,
@@ -196,7 +213,7 @@ def test_the_seed_decides_the_noise_and_the_models_do_not_change_the_white_part(
     assert not np.array_equal(first.gnss.latitude, other.gnss.latitude)
     with_slow = simulate_recording(drive, slow, seed=3)
     difference = with_slow.recording.imu.specific_force - first.imu.specific_force
-    assert difference == pytest.approx(with_slow.sensor_errors[:, :3] * FLU, abs=1e-12)
+    assert close(difference, with_slow.sensor_errors[:, :3] * FLU, 1e-12)
 
 
 def test_the_reference_is_the_true_motion_of_the_imu(drive):
@@ -210,7 +227,8 @@ def test_the_tool_writes_what_the_library_simulates(tmp_path, storage, capsys):
     bag = tmp_path / 'bag'
     params = tmp_path / 'params.yaml'
     params.write_text('/**:\n  ros__parameters:\n    imu.mounting_rpy: [0.0, 0.0, 3.14159]\n'
-                      '    gnss.lever_arm: [0.5, 0, 0]\n    gyroscope.noise_density: [0.001]\n    sensor_error_model: random_walk\n')
+                      '    gnss.lever_arm: [0.5, 0, 0]\n    gyroscope.noise_density: [0.001]\n'
+                      '    sensor_error_model: random_walk\n')
     # when
     status = simulate.main(['--output', str(bag), '--duration', '60', '--seed', '5', '--storage', storage, '--hills',
                             '--gnss-rate', '5', '--gnss-sigma', '0', '--params-file', str(params),
@@ -225,9 +243,9 @@ def test_the_tool_writes_what_the_library_simulates(tmp_path, storage, capsys):
     bound = noise + 5 * (slow.initial_sigma + slow.q * np.sqrt(60))
     assert np.abs(read.imu.angular_rate[:, 2] + 1.02 * drive.angular_rate[:, 2]).max() < bound
     assert len(read.imu) == 6001 and len(read.gnss) == 250 and len(read.temperature.celsius) == 61
-    assert np.linalg.norm(fix_error(read, drive)[:, :2], axis=1) == pytest.approx(np.hypot(0.5, 0.25), abs=0.01)
-    assert read.reference.latitude == pytest.approx(drive.latitude[::10], abs=1e-12)
-    assert read.reference.height == pytest.approx(drive.height[::10], abs=1e-9)
+    assert close(np.linalg.norm(fix_error(read, drive)[:, :2], axis=1), np.hypot(0.5, 0.25), 0.01)
+    assert close(read.reference.latitude, drive.latitude[::10], 1e-12)
+    assert close(read.reference.height, drive.height[::10], 1e-9)
 
 
 def test_the_odometry_of_the_tool_is_the_same_truth(tmp_path):
@@ -236,9 +254,9 @@ def test_the_odometry_of_the_tool_is_the_same_truth(tmp_path):
     with pytest.warns(UserWarning, match='first fix'):
         read = read_recording(bag, '/imu/data', '/gps/fix', '/reference/odometry')
     drive = simulate_drive(60.0, 5, hills=True)
-    assert read.reference.latitude == pytest.approx(drive.latitude[::10], abs=1e-10)
-    assert read.reference.velocity == pytest.approx(drive.velocity[::10], abs=1e-3)
-    assert np.cos(read.reference.yaw - drive.yaw[::10]) == pytest.approx(1.0, abs=1e-9)
+    assert close(read.reference.latitude, drive.latitude[::10], 1e-10)
+    assert close(read.reference.velocity, drive.velocity[::10], 1e-3)
+    assert close(np.cos(read.reference.yaw - drive.yaw[::10]), 1.0, 1e-9)
 
 
 def test_static_is_a_recording_at_rest(tmp_path):

@@ -54,6 +54,7 @@ def simulate(options: argparse.Namespace) -> str:
 
 
 def _write(simulation, options, values):
+    from mems_ins_fusion.navigation.frames import FLU_TO_FRD
     from mems_ins_fusion.recordings.writing import odometry_from_reference, write_recording
 
     recording, drive = simulation.recording, simulation.drive
@@ -63,8 +64,7 @@ def _write(simulation, options, values):
     reference = recording.reference.select(thinned)
     datum = recording.gnss.latitude[0], recording.gnss.longitude[0], recording.gnss.height[0]
     odometry = odometry_from_reference(reference, datum, drive.roll[thinned], drive.pitch[thinned])
-    flu = np.array([1.0, -1.0, -1.0])
-    odometry = replace(odometry, angular_rate=drive.angular_rate[thinned] * flu)
+    odometry = replace(odometry, angular_rate=drive.angular_rate[thinned] @ FLU_TO_FRD)
     write_recording(replace(recording, reference=reference), options.output, options.storage,
                     overwrite=options.overwrite, odometry={'/reference/odometry': odometry},
                     imu_topic=values['imu_topic'], gnss_topic=values['gnss_topic'],

@@ -164,10 +164,9 @@ class Path:
         north, east = np.cumsum(np.column_stack([np.zeros(2), steps]), axis=1)
         height = self.origin[2] + self._climb(self._distance(np.arange(n + 1) * _CELL))
         middle_height = _middle(height)
-        latitude = self.origin[0] + north / radii(self.origin[0])[0]
-        for _ in range(3):  # the radius of curvature depends on the latitude that it leads to: a fixed point
-            middle = _middle(latitude)
-            latitude = self.origin[0] + _cumulated(steps[0] / (radii(middle)[0] + middle_height))
+        # the radii need the latitude: one from a constant radius is good for them to 1e-12
+        middle = _middle(self.origin[0] + north / (radii(self.origin[0])[0] + self.origin[2]))
+        latitude = self.origin[0] + _cumulated(steps[0] / (radii(middle)[0] + middle_height))
         longitude = self.origin[1] + _cumulated(steps[1] / ((radii(middle)[1] + middle_height) * np.cos(middle)))
         return tuple(a[:-1] for a in (np.append(start, 0.0), latitude, longitude, height, north, east))
 

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.effects.base import Effect
 from mems_ins_fusion.navigation.earth import radii
+from mems_ins_fusion.navigation.frames import FLU_TO_FRD, rotation_from_rpy
 from mems_ins_fusion.recordings.drive import START_STAMP, Drive, simulate_drive, stream
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, Reference, Temperatures
 from mems_ins_fusion.sensor_errors.from_parameters import error_models, per_axis
@@ -21,7 +22,7 @@ from mems_ins_fusion.sensor_errors.models import simulate as simulate_errors
 
 __all__ = ['GnssNoise', 'SensorErrors', 'Simulation', 'simulate_drive', 'simulate_recording']
 
-_FLIP = np.array([1.0, -1.0, -1.0])  # between forward-right-down and forward-left-up
+_FLIP = FLU_TO_FRD.diagonal()  # its own inverse
 _COVARIANCE_TYPE_DIAGONAL_KNOWN = 2  # sensor_msgs/NavSatFix
 _STATUS_FIX = 0  # sensor_msgs/NavSatStatus
 
@@ -31,7 +32,8 @@ class SensorErrors:
     """The errors of an IMU, sensor axes x, y, z.
 
     accelerometer, gyroscope: the models of the slow errors, None for an axis without. *_noise_density: white noise,
-    m/s^2/sqrt(Hz) and rad/s/sqrt(Hz). *_bias: constant, m/s^2 and rad/s. *_scale: measured = (1 + scale) true + errors.
+    m/s^2/sqrt(Hz) and rad/s/sqrt(Hz). *_bias: constant, m/s^2 and rad/s. *_turn_on_sigma: standard deviation of another
+    constant, drawn anew for each seed. *_scale: measured = (1 + scale) true + errors.
     """
 
     accelerometer: Sequence[Model | None] = (None, None, None)
@@ -40,17 +42,25 @@ class SensorErrors:
     gyroscope_noise_density: Sequence[float] = (0.0, 0.0, 0.0)
     accelerometer_bias: Sequence[float] = (0.0, 0.0, 0.0)
     gyroscope_bias: Sequence[float] = (0.0, 0.0, 0.0)
+    accelerometer_turn_on_sigma: Sequence[float] = (0.0, 0.0, 0.0)
+    gyroscope_turn_on_sigma: Sequence[float] = (0.0, 0.0, 0.0)
     accelerometer_scale: Sequence[float] = (0.0, 0.0, 0.0)
     gyroscope_scale: Sequence[float] = (0.0, 0.0, 0.0)
 
     @classmethod
     def from_parameters(cls, parameters: dict, model: str) -> SensorErrors:
-        """The errors that `parameters` describe with `model` (random_walk, gauss_markov or autoregressive)."""
+        """The errors that `parameters` describe with `model` (random_walk, gauss_markov or autoregressive).
+
+        The turn-on bias, `initial_sigma`, is where a random walk starts; it comes on top of the other two models, which
+        vary about zero.
+        """
         per_sensor = {}
         for sensor in ('accelerometer', 'gyroscope'):
             per_sensor[sensor] = error_models(parameters, sensor, model)
             for name in ('noise_density', 'bias', 'scale'):
                 per_sensor[f'{sensor}_{name}'] = per_axis(parameters, f'{sensor}.{name}')
+            if model != 'random_walk':
+                per_sensor[f'{sensor}_turn_on_sigma'] = per_axis(parameters, f'{sensor}.initial_sigma')
         return cls(**per_sensor)
 
 
@@ -113,7 +123,7 @@ def simulate_recording(drive: Drive, sensors: SensorErrors | None = None, gnss: 
     effects = [(effect, effect.complete(values)) for effect, values in effects]
     for effect, values in effects:
         drive = effect.alter_drive(drive, values)
-    to_sensor = Rotation.from_euler('xyz', mounting_rpy).inv()
+    to_sensor = Rotation.from_matrix(rotation_from_rpy(*mounting_rpy)).inv()
     imu, slow_errors = _imu(drive, sensors, effects, to_sensor, seed)
     reference = Reference(drive.stamp, drive.latitude, drive.longitude, drive.height, drive.velocity,
                           np.arctan2(np.sin(drive.yaw), np.cos(drive.yaw)))
@@ -130,7 +140,8 @@ def _imu(drive, sensors, effects, to_sensor, seed):
     for sensor, true in (('accelerometer', force), ('gyroscope', rate)):
         error = np.column_stack([_slow_error(drive, model, stream(seed, f'{sensor}.{axis}'))
                                  for axis, model in zip('xyz', getattr(sensors, sensor))])
-        error += getattr(sensors, f'{sensor}_bias')
+        turn_on = stream(seed, f'{sensor}.turn_on').standard_normal(3)
+        error += getattr(sensors, f'{sensor}_bias') + turn_on * getattr(sensors, f'{sensor}_turn_on_sigma')
         white = stream(seed, f'{sensor}.white').standard_normal(true.shape) * math.sqrt(drive.rate)
         white *= getattr(sensors, f'{sensor}_noise_density')
         scale = 1 + np.asarray(getattr(sensors, f'{sensor}_scale'))
