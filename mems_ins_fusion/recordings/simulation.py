@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.effects.base import Effect
 from mems_ins_fusion.navigation.earth import radii
-from mems_ins_fusion.navigation.frames import FLU_TO_FRD, rotation_from_rpy
+from mems_ins_fusion.navigation.frames import FLU_TO_FRD, rotation_from_rpy, wrap
 from mems_ins_fusion.recordings.drive import START_STAMP, Drive, simulate_drive, stream
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, Reference, Temperatures
 from mems_ins_fusion.sensor_errors.from_parameters import error_models, per_axis
@@ -125,8 +125,7 @@ def simulate_recording(drive: Drive, sensors: SensorErrors | None = None, gnss: 
         drive = effect.alter_drive(drive, values)
     to_sensor = Rotation.from_matrix(rotation_from_rpy(*mounting_rpy)).inv()
     imu, slow_errors = _imu(drive, sensors, effects, to_sensor, seed)
-    reference = Reference(drive.stamp, drive.latitude, drive.longitude, drive.height, drive.velocity,
-                          np.arctan2(np.sin(drive.yaw), np.cos(drive.yaw)))
+    reference = Reference(drive.stamp, drive.latitude, drive.longitude, drive.height, drive.velocity, wrap(drive.yaw))
     recording = Recording(name, imu, _fixes(drive, gnss, effects, seed), reference, _temperatures(drive, effects, seed))
     return Simulation(recording, drive, slow_errors, {effect.name: values for effect, values in effects})
 
