@@ -16,6 +16,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus, Temperature
 
 from ..filter.fusion import FilterConfig, FusionFilter
+from ..filter.odometry import LINEAR, POSE_COVARIANCE, POSITION, SIZE, TWIST_COVARIANCE
 from ..parameters import ALL, FILTER, FUSION, ParameterError
 from .log import Throttle, Watch
 from .ros_parameters import declare, refuse_unused_qos_overrides
@@ -94,6 +95,7 @@ class FusionNode(Node):
             x, y, z, w = orientation.x, orientation.y, orientation.z, orientation.w
         now = stamp.sec * _SECOND + stamp.nanosec
         if not self._filter.add_imu(now, force.x, force.y, force.z, rate.x, rate.y, rate.z, x, y, z, w):
+            self.report()  # why there is no estimate
             return
         if self._period:
             # one message in each slot of a period, however the stamps jitter
@@ -111,21 +113,24 @@ class FusionNode(Node):
         self._filter.add_fix(stamp.sec * _SECOND + stamp.nanosec, math.radians(message.latitude),
                              math.radians(message.longitude), message.altitude, message.position_covariance,
                              message.status.status, message.position_covariance_type)
+        self.report()
 
     def _on_temperature(self, message):
         stamp = message.header.stamp
         self._filter.add_temperature(stamp.sec * _SECOND + stamp.nanosec, message.temperature)
 
     def report(self):
-        """Log what the filter has to say since the last time."""
+        """Log what the filter has to say since the last time; complaints that repeat only for who debugs."""
         for notice in self._filter.notices():
+            logger = self.get_logger()
             if notice.level == 'info':
-                self.get_logger().info(notice.text)
-            elif text := self._throttle.pass_on(notice.text):
-                if notice.level == 'error':
-                    self.get_logger().error(text)
-                else:
-                    self.get_logger().warning(text)
+                logger.info(notice.text)
+            elif (text := self._throttle.pass_on(notice.text)) is None:
+                logger.debug(notice.text)
+            elif notice.level == 'error':
+                logger.error(text)
+            else:
+                logger.warning(text)
 
     def _check_topics(self):
         for watch, subscription, kind in ((self._imu_watch, self._imu, 'sensor_msgs/msg/Imu'),
@@ -179,10 +184,10 @@ class Output:
         self._angular = self.odometry.twist.twist.angular
         # views: the filter's arrays on the one side, the messages' on the other
         state = fusion.odometry
-        self._pose, self._twist = state[:7], state[43:49]
+        self._pose, self._twist = state[POSITION:POSE_COVARIANCE], state[LINEAR:TWIST_COVARIANCE]
         self._geodetic = fusion.geodetic
-        self._covariances = [(self.odometry.pose.covariance, state[7:43]),
-                             (self.odometry.twist.covariance, state[49:85]),
+        self._covariances = [(self.odometry.pose.covariance, state[POSE_COVARIANCE:LINEAR]),
+                             (self.odometry.twist.covariance, state[TWIST_COVARIANCE:SIZE]),
                              (self.fix.position_covariance, fusion.position_covariance_enu)]
 
     def add_transform(self):

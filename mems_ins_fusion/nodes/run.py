@@ -71,8 +71,8 @@ def _explain(error, argv) -> str:
     for path in params_files(argv):
         for name, value in load_yaml(path).items():
             if isinstance(value, list) and len({type(v) for v in value}) > 1:
-                raise ParameterError(f"params file {path}: ROS accepts no list of mixed types, as in '{name}': {value}; "
-                                     'write whole numbers with a decimal point')
+                raise ParameterError(f"params file {path}: ROS accepts no list of mixed types, as in '{name}': "
+                                     f'{value}; write whole numbers with a decimal point')
     # rcl: "failed to initialize rcl: REASON, at FILE:LINE, at FILE:LINE"
     reason = re.sub(r', at \S+:\d+', '', str(error)).removeprefix('failed to initialize rcl: ')
     if 'Sequence should be of same type' in reason:
