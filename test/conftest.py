@@ -1,10 +1,12 @@
 """What several tests need."""
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
+os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'  # read where messages are imported: wrong types are errors, not garbage
 _SHARED = Path(__file__).resolve().parents[2] / 'shared' / 'data'
 
 

@@ -1,6 +1,6 @@
 """Real ROS 2 for the tests: a domain of their own, the real node as a child process, messages from recordings.
 
-Importing this module prepares the environment, so it comes before any import of rclpy.
+Importing this module prepares the environment, for this process and its children.
 """
 from __future__ import annotations
 
@@ -15,7 +15,22 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
+import rclpy
+from geometry_msgs.msg import Quaternion, Vector3
+from nav_msgs.msg import Odometry
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import Imu, NavSatFix
+
+REPOSITORY = Path(__file__).resolve().parents[1]
 _LOCKS = []
+#: for a node that a recording is played to: no message is lost, no complaint held back
+PLAYABLE = ('--log-level', 'fusion_node:=debug',
+            '-p', 'qos_overrides./imu/data.subscription.reliability:=reliable',
+            '-p', 'qos_overrides./imu/data.subscription.depth:=20000',
+            '-p', 'qos_overrides./gps/fix.subscription.reliability:=reliable')
 
 
 def _reserve_domain() -> int:
@@ -32,24 +47,8 @@ def _reserve_domain() -> int:
     raise RuntimeError('all ROS domains are taken')
 
 
-os.environ.update(ROS_DOMAIN_ID=str(_reserve_domain()), ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST',
-                  ROS_PYTHON_CHECK_FIELDS='1')
+os.environ.update(ROS_DOMAIN_ID=str(_reserve_domain()), ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
 os.environ.setdefault('ROS_LOG_DIR', tempfile.mkdtemp(prefix='mems_ins_fusion_ros_log_'))
-
-import numpy as np  # noqa: E402
-import rclpy  # noqa: E402
-from geometry_msgs.msg import Quaternion, Vector3  # noqa: E402
-from nav_msgs.msg import Odometry  # noqa: E402
-from rclpy.context import Context  # noqa: E402
-from rclpy.duration import Duration  # noqa: E402
-from rclpy.executors import SingleThreadedExecutor  # noqa: E402
-from rclpy.qos import QoSProfile  # noqa: E402
-from sensor_msgs.msg import Imu, NavSatFix  # noqa: E402
-
-REPOSITORY = Path(__file__).resolve().parents[1]
-RELIABLE_INPUT = ('-p', 'qos_overrides./imu/data.subscription.reliability:=reliable',
-                  '-p', 'qos_overrides./imu/data.subscription.depth:=20000',
-                  '-p', 'qos_overrides./gps/fix.subscription.reliability:=reliable')
 
 
 class NodeProcess:
@@ -155,7 +154,7 @@ class Peer:
         self.spin_until(lambda: all(self.node.count_publishers(s.topic_name) for s in self._outputs))
         nan = np.full(3, np.nan)
         self._send_until_heard(node, self.imu, imu_message(0, nan, nan))
-        self._send_imu(recording.imu, 0)  # fixes are not looked at before
+        self.send_imu(recording.imu, 0)  # fixes are not looked at before
         self._send_until_heard(node, self.gnss, fix_message(0, np.nan, np.nan, np.nan, np.zeros((3, 3)), 0, 0))
 
     def _send_until_heard(self, node, publisher, message):
@@ -165,27 +164,31 @@ class Peer:
                 return
         raise AssertionError(f'the node does not hear {publisher.topic_name}')
 
-    def _send_imu(self, samples, index):
+    def send_imu(self, samples, index) -> None:
         self.imu.publish(imu_message(samples.stamp[index], samples.specific_force[index], samples.angular_rate[index]))
 
-    def _send_fix(self, fixes, index):
+    def send_fix(self, fixes, index) -> None:
         self.gnss.publish(fix_message(
             fixes.stamp[index], fixes.latitude[index], fixes.longitude[index], fixes.height[index],
             fixes.covariance[index], fixes.status[index], fixes.covariance_type[index]))
 
-    def play(self, recording) -> None:
-        """Publish the rest of `recording` in the order received, as fast as the node takes it.
+    def play(self, node: NodeProcess, recording) -> None:
+        """Publish the rest of `recording` to a node that is PLAYABLE, as fast as the node takes it.
 
-        A fix is in the node's queue before a later sample is sent, and the node serves fixes first. It must have been
-        started with RELIABLE_INPUT: only then is there an acknowledgement to wait for.
+        The node works through the messages in the order received. Each topic has a queue of its own there, so that a
+        fix waits here until the node has seen the samples before it: the last one is sent again, and the node
+        complains. Of messages that wait, the node serves fixes first.
         """
+        imu, last = recording.imu, 0
         for kind, index in arrivals(recording)[1:]:
             if kind == 'imu':
-                self._send_imu(recording.imu, index)
+                self.send_imu(imu, index)
                 self._executor.spin_once(timeout_sec=0)
+                last = index
             else:
-                self._send_fix(recording.gnss, index)
-                self.gnss.wait_for_all_acked(Duration(seconds=10))
+                self.send_imu(imu, last)
+                node.wait_for(f'header.stamp {imu.stamp[last] * 1e-9:.6f} s does not follow', timeout=20.0)
+                self.send_fix(recording.gnss, index)
 
 
 def arrivals(recording) -> list[tuple[str, int]]:
