@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mems_ins_fusion.navigation.earth import from_local
+from mems_ins_fusion.navigation.frames import yaw_from_enu, yaw_of_quaternion
 from mems_ins_fusion.recordings import messages
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.errors import RecordingError, RecordingWarning
@@ -192,21 +193,19 @@ def _local_reference(array, msgtype, datum) -> Reference:
     """A reference from poses (east-north-up at `datum`; body axes forward-left-up)."""
     prefix = 'pose.pose' if msgtype == ODOMETRY else 'pose'
     east, north, up = array[f'{prefix}.position'].T
-    rotation = _rotation_matrices(array[f'{prefix}.orientation'])
-    yaw = np.pi / 2 - np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
+    orientation = array[f'{prefix}.orientation']
+    with np.errstate(invalid='ignore'):
+        orientation = orientation / np.linalg.norm(orientation, axis=1, keepdims=True)
+    yaw = yaw_from_enu(yaw_of_quaternion(*orientation.T))
     latitude, longitude, height = from_local(north, east, -up, tuple(float(value) for value in datum))
     velocity = None
     if msgtype == ODOMETRY:
-        velocity_east, velocity_north, velocity_up = np.einsum('nij,nj->in', rotation, array['twist.twist.linear'])
+        velocity_east, velocity_north, velocity_up = _rotated(orientation, array['twist.twist.linear']).T
         velocity = np.column_stack([velocity_north, velocity_east, -velocity_up])
-    yaw = np.remainder(yaw + np.pi, 2 * np.pi) - np.pi
     return Reference(array['stamp'], latitude, longitude, height, velocity, yaw)
 
 
-def _rotation_matrices(quaternion) -> np.ndarray:
-    """(n, 3, 3) rotation matrices of quaternions x, y, z, w, (n, 4), normalized first; NaN where they are zero."""
-    with np.errstate(invalid='ignore'):
-        x, y, z, w = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
-    return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-                     [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-                     [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]]).transpose(2, 0, 1)
+def _rotated(quaternion, vector) -> np.ndarray:
+    """`vector` (n, 3) rotated by unit quaternions x, y, z, w (n, 4), of which some may be NaN."""
+    axis, w = quaternion[:, :3], quaternion[:, 3:]
+    return vector + 2.0 * np.cross(axis, np.cross(axis, vector) + w * vector)

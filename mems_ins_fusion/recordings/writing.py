@@ -8,6 +8,7 @@ import numpy as np
 
 from mems_ins_fusion.evaluation.results import result_folder
 from mems_ins_fusion.navigation.earth import to_local
+from mems_ins_fusion.navigation.frames import FLU_TO_FRD
 from mems_ins_fusion.recordings import messages
 from mems_ins_fusion.recordings.errors import RecordingError, needs_rosbags
 from mems_ins_fusion.recordings.messages import IMU, NAV_SAT_FIX, ODOMETRY, TEMPERATURE
@@ -48,7 +49,7 @@ def odometry_from_reference(reference: Reference, datum, roll=0.0, pitch=0.0, re
     angles = np.column_stack(np.broadcast_arrays(reference.yaw, pitch, roll))
     to_ned = Rotation.from_euler('ZYX', angles)
     turn_axes = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # north-east-down, and back
-    flip = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))  # forward-right-down to forward-left-up, and back
+    flip = Rotation.from_matrix(FLU_TO_FRD)
     return OdometrySamples(
         stamp=reference.stamp, received=reference.stamp if received is None else received,
         position=np.column_stack([east, north, -down]), orientation=(turn_axes * to_ned * flip).as_quat(),

@@ -1,0 +1,337 @@
+"""What is wrong or remarkable with a recording, before a filter sees it.
+
+`check_recording` looks at each stream by itself (rate, gaps, stamps, values) and then at what IMU and fixes say about
+each other: units and axes of the sensors, and the offset between their clocks.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY, gravity
+from mems_ins_fusion.recordings.motion import (Steering, compare_steering, find_standstill, positions, robust_sigma,
+                                               sigmas, up_axis, valid_fixes)
+from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
+
+INFO, WARNING, ERROR = 'info', 'warning', 'error'
+FASTEST = 70.0  # m/s: of a land vehicle
+HARDEST = 12.0  # m/s^2: its strongest acceleration
+GAP = 2.5  # in intervals
+_AXES = np.array(['x', 'y', 'z'])
+_UNITS = {'g': 1.0 / STANDARD_GRAVITY, 'mg': 1000.0 / STANDARD_GRAVITY}  # per m/s^2
+_STRAIGHT = np.cos(np.radians(20.0))  # an axis within 20 degrees of the vertical is said to point up
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One remark. severity: info, warning or error (the recording gives no sensible result as it is).
+
+    topic: imu, gnss or temperature, or imu/gnss for what concerns both. values: the numbers in the message, SI.
+    """
+
+    severity: str
+    topic: str
+    message: str
+    values: dict = field(default_factory=dict)
+
+
+def check_recording(recording: Recording) -> list[Finding]:
+    """The findings on `recording`: for each stream, then for both together. Nothing is changed."""
+    imu, fixes = recording.imu, recording.gnss
+    findings = [*_check_stamps('imu', imu), *_check_values(imu)]
+    good = None
+    if fixes is not None:
+        findings += _check_stamps('gnss', fixes)
+        findings += _check_fixes_present(fixes)
+        valid = fixes.select(valid_fixes(fixes))
+        good = valid.select(np.argsort(valid.stamp, kind='stable')) if len(valid) > 1 else None
+    if recording.temperature is not None:
+        findings += _check_stamps('temperature', recording.temperature)
+    finite = np.isfinite(imu.specific_force).all(axis=1) & np.isfinite(imu.angular_rate).all(axis=1)
+    imu = imu if finite.all() else imu.select(finite)
+    if len(imu) < 2:
+        return findings
+    if good is not None and (imu.stamp.max() < good.stamp[0] or imu.stamp.min() > good.stamp[-1]):
+        return [*findings, _no_overlap(imu, good)]
+    still = find_standstill(imu, good)
+    findings += _check_gravity(imu, still, good)
+    if good is not None:
+        findings += [*_check_frozen(good, imu, still), *_check_jumps(good), *_check_sigma(good, imu, still)]
+        findings += _check_clocks(imu, good, still)
+    return findings
+
+
+def _count(number: int, thing: str) -> str:
+    return f'{number} {thing}' if number == 1 else f'{number} {thing}s'
+
+
+def _check_stamps(topic, samples):
+    """Rate, gaps, jitter and order of the header stamps, and their distance from the log time."""
+    stamp = samples.stamp
+    if len(stamp) < 2:
+        yield Finding(WARNING, topic, f'only {_count(len(stamp), "message")}', {'count': len(stamp)})
+        return
+    if not stamp.any():
+        yield Finding(ERROR, topic, 'the header stamps are not set (all zero)')
+        return
+    step = np.diff(stamp)
+    if (step < 0).any():
+        back = step[step < 0]
+        largest = float(-back.min() * 1e-9)
+        yield Finding(WARNING, topic, f'stamps go back {_count(len(back), "time")}, by up to {largest:.3f} s',
+                      {'count': len(back), 'largest_s': largest})
+    if (step == 0).any():
+        repeated = int((step == 0).sum())
+        yield Finding(WARNING, topic, f'{_count(repeated, "stamp")} repeated from the message before',
+                      {'count': repeated})
+    intervals = step[step > 0] * 1e-9
+    if not len(intervals):
+        return
+    interval, jitter = float(np.median(intervals)), robust_sigma(intervals)
+    duration = (stamp.max() - stamp.min()) * 1e-9
+    yield Finding(INFO, topic, f'{len(stamp)} messages, {1 / interval:.4g} Hz, {duration:.1f} s; intervals scatter by '
+                  f'{jitter * 1e3:.3g} ms',
+                  {'count': len(stamp), 'rate_hz': 1 / interval, 'jitter_s': jitter})
+    if jitter > 0.3 * interval:
+        yield Finding(WARNING, topic, f'stamps are irregular: intervals scatter by {jitter * 1e3:.3g} ms about '
+                      f'{interval * 1e3:.3g} ms', {'jitter_s': jitter})
+    gaps = np.flatnonzero(step * 1e-9 > GAP * interval)
+    if len(gaps):
+        longest = gaps[np.argmax(step[gaps])]
+        lost = int(np.round(step[gaps] * 1e-9 / interval - 1).sum())
+        seconds, at = float(step[longest] * 1e-9), float((stamp[longest] - stamp[0]) * 1e-9)
+        yield Finding(WARNING, topic, f'{_count(len(gaps), "gap")}, about {_count(lost, "message")} missing; the '
+                      f'longest lasts {seconds:.2f} s, {at:.1f} s after the start',
+                      {'count': len(gaps), 'missing': lost, 'longest_s': seconds, 'at_s': at})
+    yield from _check_latency(topic, samples)
+
+
+def _check_latency(topic, samples):
+    delay = (samples.received - samples.stamp) * 1e-9
+    low, middle, high = (float(value) for value in np.percentile(delay, (1, 50, 99)))
+    values = {'median_s': middle, 'p1_s': low, 'p99_s': high}
+    text = (f'messages arrive {middle * 1e3:.3g} ms after their stamp '
+            f'(1 to 99 %: {low * 1e3:.3g} to {high * 1e3:.3g} ms)')
+    if not delay.any():
+        yield Finding(INFO, topic, 'log times equal the stamps: the recording does not show how late messages arrive',
+                      values)
+        return
+    if abs(middle) > 2.0:
+        yield Finding(WARNING, topic, f'stamps and log times are {middle:.2f} s apart: different clocks', values)
+    elif low < -0.001:
+        yield Finding(WARNING, topic, f'{text}: some arrive before it', values)
+    else:
+        yield Finding(INFO, topic, text, values)
+    if len(delay) > 10 and (samples.received[-1] - samples.received[0]) > 60 * 10**9:
+        third = len(delay) // 3
+        first, last = delay[:third], delay[-third:]
+        drift = float(np.median(last) - np.median(first))
+        if abs(drift) > max(0.01, 5.0 * max(robust_sigma(part - np.linspace(0.0, drift / 2, third))
+                                            for part in (first, last))):
+            yield Finding(WARNING, topic, f'the delay from stamp to log time drifts by {drift * 1e3:.3g} ms: the '
+                          'clocks run at different speeds', {'drift_s': drift})
+
+
+def _check_values(imu: ImuSamples):
+    """Samples that are no numbers, and sensors that stand still in the electrical sense."""
+    both = np.hstack([imu.specific_force, imu.angular_rate])
+    broken = ~np.isfinite(both).all(axis=1)
+    if broken.any():
+        first = (imu.stamp[np.argmax(broken)] - imu.stamp[0]) * 1e-9
+        count = int(broken.sum())
+        yield Finding(ERROR if broken.all() else WARNING, 'imu', f'{_count(count, "sample")} not finite (NaN or '
+                      f'infinite), the first {first:.1f} s after the start', {'count': count, 'first_s': float(first)})
+    if broken.all() or len(imu) < 2:
+        return
+    for columns, name in ((slice(0, 3), 'accelerometer'), (slice(3, 6), 'gyroscope')):
+        constant = np.ptp(both[~broken, columns], axis=0) == 0
+        if constant.any():
+            axes = ', '.join(_AXES[constant])
+            yield Finding(ERROR, 'imu', f'{name} {axes}: the same value in every sample', {'axes': axes})
+    same = (both[1:] == both[:-1]).all(axis=1)
+    if same.mean() > 0.01 and not same.all():
+        count = int(same.sum())
+        yield Finding(WARNING, 'imu', f'{_count(count, "sample")} ({same.mean():.0%}) repeat the one before exactly: '
+                      'the messages come faster than the sensor measures',
+                      {'count': count, 'part': float(same.mean())})
+
+
+def _check_fixes_present(fixes: Fixes):
+    without = fixes.status < 0
+    null = ~without & (fixes.latitude == 0) & (fixes.longitude == 0)
+    broken = ~without & ~null & ~valid_fixes(fixes)
+    for mask, text in ((without, 'without a fix (status -1)'),
+                       (broken, 'with a position that is no number or no place'),
+                       (null, 'at latitude 0, longitude 0, where receivers without a fix are')):
+        if mask.any():
+            count = int(mask.sum())
+            yield Finding(ERROR if mask.all() else WARNING, 'gnss', f'{_count(count, "message")} {text}',
+                          {'count': count})
+    unknown = np.isnan(sigmas(fixes)) & valid_fixes(fixes)
+    if unknown.any():
+        count = int(unknown.sum())
+        yield Finding(WARNING, 'gnss', f'{_count(count, "fix" if count == 1 else "fixe")} with an unknown or zero '
+                      'covariance: gnss.default_sigma will be used', {'count': count})
+
+
+def _no_overlap(imu, fixes):
+    offset = float(fixes.stamp[0] - imu.stamp[0]) * 1e-9
+    return Finding(ERROR, 'imu/gnss', f'IMU and fixes do not overlap in time: the fixes begin {offset:.1f} s after the '
+                   'IMU by their stamps', {'offset_s': offset})
+
+
+def _check_gravity(imu, still, fixes):
+    """Magnitude and direction of the specific force: the accelerometers' unit, and which axis points up."""
+    up, magnitude = up_axis(imu, still)
+    expected = float(gravity(fixes.latitude[0], fixes.height[0])) if fixes is not None else STANDARD_GRAVITY
+    where = 'at rest' if still.any() else 'on average (the recording shows no standstill)'
+    values = {'magnitude': magnitude, 'expected': expected, 'up': up.tolist(), 'standstill_s': float(
+        still.mean() * (imu.stamp.max() - imu.stamp.min()) * 1e-9)}
+    unit = next((name for name, per in _UNITS.items() if abs(magnitude / (per * expected) - 1) < 0.15), None)
+    text = f'the specific force is {magnitude:.4g} m/s^2 {where}, gravity there is {expected:.4g} m/s^2'
+    if unit is not None:
+        yield Finding(ERROR, 'imu', f'{text}: the accelerometers seem to be in {unit} instead of m/s^2', values)
+    elif magnitude < 0.2 * expected:
+        yield Finding(ERROR, 'imu', f'{text}: gravity seems to be removed from it, or the unit is wrong', values)
+    elif abs(magnitude / expected - 1) > 0.15:
+        yield Finding(ERROR, 'imu', f'{text}: unit or scale is wrong', values)
+    else:
+        doubtful = abs(magnitude - expected) > 0.3
+        text += ': a large bias or scale error' if doubtful else ''
+        yield Finding(WARNING if doubtful else INFO, 'imu', text, values)
+    axis = int(np.argmax(np.abs(up)))
+    name = f'{"+" if up[axis] > 0 else "-"}{_AXES[axis]}'
+    tilt = float(np.degrees(np.arccos(min(abs(up[axis]), 1.0))))
+    if abs(up[axis]) > _STRAIGHT:
+        yield Finding(INFO, 'imu', f'sensor axis {name} points up, {tilt:.1f} deg off',
+                      {'axis': name, 'tilt_deg': tilt})
+    else:
+        yield Finding(WARNING, 'imu', f'no sensor axis points up: {name} is nearest, {tilt:.0f} deg off; state '
+                      'imu.mounting_rpy', {'axis': name, 'tilt_deg': tilt})
+    if still.any():
+        bias = imu.angular_rate[still].mean(axis=0)
+        if np.abs(bias).max() > 0.05:
+            yield Finding(WARNING, 'imu', f'the gyroscopes show {np.abs(bias).max():.3g} rad/s at rest: a large bias, '
+                          'or deg/s instead of rad/s', {'bias': bias.tolist()})
+
+
+def _check_frozen(fixes, imu, still):
+    """Fixes that repeat a position to the last digit while the vehicle moves."""
+    same = (np.diff(fixes.latitude) == 0) & (np.diff(fixes.longitude) == 0)
+    moving = ~still[np.clip(np.searchsorted(imu.stamp, fixes.stamp[1:]), 0, len(imu) - 1)]
+    frozen = same & moving
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], frozen.astype(np.int8), [0]])))
+    begins, ends = edges[::2], edges[1::2]
+    step = np.linalg.norm(np.diff(positions(fixes), axis=0), axis=1)
+    pace = np.median(step[step > 0]) if (step > 0).any() else 0.0
+    after = np.append(step, 0.0)[np.minimum(ends, len(step))]  # a leap to where the vehicle went meanwhile
+    run = (ends - begins >= 2) & (after > max(0.5 * pace, 0.05))
+    if run.any():
+        longest = int(np.argmax(np.where(run, ends - begins, 0)))
+        seconds = (fixes.stamp[ends[longest]] - fixes.stamp[begins[longest]]) * 1e-9
+        count = int(run.sum())
+        yield Finding(WARNING, 'gnss', f'the position freezes {_count(count, "time")} while the vehicle moves, for up '
+                      f'to {seconds:.1f} s', {'count': count, 'longest_s': float(seconds)})
+
+
+def _check_jumps(fixes):
+    """Steps that no land vehicle makes, beyond five sigma of the receiver."""
+    stated = sigmas(fixes)
+    stated = np.where(np.isnan(stated), 3.0, stated)
+    time = (fixes.stamp - fixes.stamp[0]) * 1e-9
+    interval = np.diff(time)
+    step = np.diff(positions(fixes), axis=0)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        velocity = step / interval[:, None]
+        change = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
+        span = 0.5 * (interval[1:] + interval[:-1])
+        noise = 5.0 * np.hypot(stated[1:], stated[:-1])
+        fast = np.linalg.norm(step, axis=1) > FASTEST * interval + noise
+        hard = change > HARDEST * span + (noise[1:] + noise[:-1]) / np.minimum(interval[1:], interval[:-1])
+    jump = fast | np.append(hard, False) & np.append(False, hard)
+    if jump.any():
+        # an outlier is two jumps, there and back
+        size = np.linalg.norm(step, axis=1)[jump]
+        count = int(jump.sum())
+        yield Finding(WARNING, 'gnss', f'the position jumps {_count(count, "time")}, by up to {size.max():.3g} m, '
+                      'which neither the vehicle nor the stated sigma explains (see gnss.robust_sigma)',
+                      {'count': count, 'largest_m': float(size.max()), 'first_s': float(time[1:][jump][0])})
+
+
+def _check_sigma(fixes, imu, still):
+    """The stated sigma against the scatter at rest, or against the roughness of the track, which bounds white noise."""
+    stated = sigmas(fixes)
+    if np.isnan(stated).all():
+        return
+    stated = float(np.nanmedian(stated))
+    path = positions(fixes)
+    scatter, basis = _scatter_at_rest(path, fixes, imu, still), 'at rest'
+    if scatter is None:
+        if len(fixes) < 20:
+            return
+        interval = np.median(np.diff(fixes.stamp)) * 1e-9
+        basis = 'from fix to fix'
+        scatter = max(robust_sigma(axis) for axis in np.diff(path, 2, axis=0).T) / np.sqrt(6.0)
+        if scatter > stated and interval > 0.3:
+            return  # that may be the vehicle's own acceleration
+    values = {'stated_m': stated, 'scatter_m': scatter}
+    text = f'stated sigma {stated:.3g} m, scatter {basis} {scatter:.3g} m'
+    if scatter > 3.0 * stated:
+        yield Finding(WARNING, 'gnss', f'{text}: the receiver is too sure of itself; set gnss.sigma', values)
+    elif scatter < 0.05 * stated:
+        yield Finding(WARNING, 'gnss', f'{text}: the receiver is far better than it says, or its fixes are smoothed',
+                      values)
+    else:
+        yield Finding(INFO, 'gnss', text, values)
+
+
+def _scatter_at_rest(path, fixes, imu, still):
+    """Standard deviation per axis of the fixes about their mean in each standstill, m; None with too few."""
+    place = np.clip(np.searchsorted(imu.stamp, fixes.stamp), 0, len(imu) - 1)
+    number = np.cumsum(np.diff(still.astype(np.int8), prepend=0) > 0)[place]
+    rest = still[place]
+    squares, freedom = 0.0, 0
+    for group in np.unique(number[rest]):
+        points = path[rest & (number == group)]
+        if len(points) >= 10:
+            squares += float(((points - points.mean(axis=0)) ** 2).sum())
+            freedom += 2 * (len(points) - 1)
+    return np.sqrt(squares / freedom) if freedom else None
+
+
+def _check_clocks(imu, fixes, still):
+    """Unit and sign of the gyroscopes, and the clock offset, from the turns in the course of the fixes."""
+    up, _ = up_axis(imu, still)
+    steering = compare_steering(imu, fixes, up)
+    if steering is None or steering.explained < 0.3 or abs(steering.scale) < 5.0 * steering.scale_sigma:
+        yield Finding(INFO, 'imu/gnss', 'no turns clear enough to compare the gyroscopes with the course of the fixes')
+        return
+    yield from _check_turns(steering)
+    values = {'lag_s': steering.lag, 'sigma_s': steering.lag_sigma, 'arm_m': steering.arm,
+              'arm_sigma_m': steering.arm_sigma, 'intervals': steering.intervals}
+    when, where = 'late' if steering.lag > 0 else 'early', 'ahead of' if steering.arm > 0 else 'behind'
+    text = (f'by its turns the course of the fixes is {abs(steering.lag):.3f} s {when} '
+            f'(sigma {steering.lag_sigma:.3f} s), the antenna {abs(steering.arm):.2f} m {where} the rear axle '
+            f'(sigma {steering.arm_sigma:.2f} m)')
+    if abs(steering.lag) > max(4.0 * steering.lag_sigma, 0.05):
+        yield Finding(WARNING, 'imu/gnss', f'{text}: a clock offset, see gnss.time_offset', values)
+    elif steering.lag_sigma < 0.3:
+        yield Finding(INFO, 'imu/gnss', f'{text}: no clock offset to be seen', values)
+    else:
+        yield Finding(INFO, 'imu/gnss', 'turns too few, or fixes too noisy, to see an offset of the clocks', values)
+
+
+def _check_turns(steering: Steering):
+    turned = 1.0 / steering.scale
+    values = {'ratio': turned, 'sigma': steering.scale_sigma * turned**2}
+    text = f'the gyroscopes turn through {turned:.3g} times the angle of the course'
+    if abs(abs(steering.scale) * 180 / np.pi - 1) < 0.3:
+        yield Finding(ERROR, 'imu', f'{text}: they seem to be in deg/s instead of rad/s', values)
+    elif steering.scale < 0:
+        yield Finding(ERROR, 'imu', f'{text}: their sign does not fit the accelerometers; the axes are not '
+                      'right-handed, or the specific force has the wrong sign', values)
+    elif abs(turned - 1) > max(0.1, 4 * values['sigma']):
+        yield Finding(WARNING, 'imu', f'{text}: a wrong scale', values)
+    else:
+        yield Finding(INFO, 'imu', text, values)

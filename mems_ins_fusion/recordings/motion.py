@@ -1,0 +1,224 @@
+"""What a whole recording shows of the vehicle's motion without any filter: standstills, the vertical, turns.
+
+Works in the unit the sensors deliver, so that it can tell a wrong one.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mems_ins_fusion.navigation.earth import to_local
+from mems_ins_fusion.navigation.frames import wrap
+from mems_ins_fusion.samples import Fixes, ImuSamples
+
+QUIET = 0.03  # spread of the specific force at rest, as a part of gravity: a running engine stays below
+CREEP = 0.15  # m/s: what counts as rest
+_SHORTEST_COURSE = 5.0  # in sigmas of a fix: below, a displacement has no direction
+_SLIP = 0.01  # rad: scatter of the course about the heading that no receiver is to blame for
+_LARGEST_LAG = 2.0  # s
+_STEPS = 4  # of Gauss-Newton
+_FEWEST_CHANGES = 12
+
+
+def robust_sigma(values: np.ndarray) -> float:
+    """Standard deviation of `values` from the median of their absolute deviations: outliers do not count."""
+    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
+
+
+def valid_fixes(fixes: Fixes) -> np.ndarray:
+    """(n,) which fixes have a position; 0, 0 is what receivers without one send."""
+    finite = np.isfinite(fixes.latitude) & np.isfinite(fixes.longitude) & np.isfinite(fixes.height)
+    place = (np.abs(fixes.latitude) <= np.pi / 2) & ((fixes.latitude != 0) | (fixes.longitude != 0))
+    return finite & place & (fixes.status >= 0)
+
+
+def positions(fixes: Fixes) -> np.ndarray:
+    """(n, 2) north and east, m, from the first of `fixes`, which must all be valid."""
+    datum = float(fixes.latitude[0]), float(fixes.longitude[0]), float(fixes.height[0])
+    return np.column_stack(to_local(fixes.latitude, fixes.longitude, fixes.height, datum)[:2])
+
+
+def sigmas(fixes: Fixes) -> np.ndarray:
+    """(n,) horizontal standard deviation per axis as the receiver states it, m; NaN where it states none."""
+    variance = 0.5 * (fixes.covariance[:, 0, 0] + fixes.covariance[:, 1, 1])
+    known = (fixes.covariance_type > 0) & (variance > 0) & np.isfinite(variance)
+    return np.sqrt(np.where(known, variance, np.nan))
+
+
+def find_standstill(imu: ImuSamples, fixes: Fixes | None = None) -> np.ndarray:
+    """(n,) which samples are taken at rest: quiet accelerometers for two seconds and more, and fixes that stay.
+
+    Judged second by second. Without fixes, quiet accelerometers alone decide.
+    """
+    force = imu.specific_force
+    interval = np.median(np.diff(imu.stamp)) * 1e-9 if len(imu) > 1 else 0.0
+    size = max(round(1.0 / interval), 4) if interval > 0 else len(imu)
+    count = len(imu) // size if size else 0
+    if not count:
+        return np.zeros(len(imu), bool)
+    blocks = force[:count * size].reshape(count, size, 3)
+    with np.errstate(invalid='ignore'):
+        mean = blocks.mean(axis=1)
+        spread = np.sqrt(np.einsum('nij,nij->nj', blocks, blocks) / size - mean**2).max(axis=1)
+    level = np.nanmedian(np.linalg.norm(mean, axis=1))
+    quiet = spread < QUIET * level
+    if fixes is not None and len(fixes) > 1:
+        middle = imu.stamp[size // 2:count * size:size]
+        quiet &= _stays(middle, fixes)
+    quiet &= np.append(quiet[1:], False) | np.append(False, quiet[:-1])
+    still = np.zeros(len(imu), bool)
+    still[:count * size] = np.repeat(quiet, size)
+    return still
+
+
+def _stays(stamp: np.ndarray, fixes: Fixes) -> np.ndarray:
+    """Whether the fixes around each of `stamp` show no motion; false where there are none."""
+    sigma = np.nanmedian(sigmas(fixes)) if np.isfinite(sigmas(fixes)).any() else 3.0
+    window = float(np.clip(5.0 * sigma, 2.0, 10.0))  # s; a poor receiver needs longer to show a creep
+    order = np.argsort(fixes.stamp, kind='stable')
+    time = (fixes.stamp[order] - fixes.stamp[order[0]]) * 1e-9
+    at = (stamp - fixes.stamp[order[0]]) * 1e-9
+    path = positions(fixes)[order]
+    before = np.column_stack([np.interp(at - window / 2, time, path[:, axis]) for axis in (0, 1)])
+    after = np.column_stack([np.interp(at + window / 2, time, path[:, axis]) for axis in (0, 1)])
+    near = np.searchsorted(time, at + window) > np.searchsorted(time, at - window)
+    return near & (np.linalg.norm(after - before, axis=1) < CREEP * window + 3.0 * sigma)
+
+
+def up_axis(imu: ImuSamples, still: np.ndarray) -> tuple[np.ndarray, float]:
+    """Unit vector up in sensor axes, and the mean magnitude of the specific force; at rest if there is a rest."""
+    chosen = still if still.any() else np.isfinite(imu.specific_force).all(axis=1)
+    mean = imu.specific_force[chosen].mean(axis=0)
+    magnitude = float(np.linalg.norm(mean))
+    return mean / magnitude, magnitude
+
+
+@dataclass(frozen=True)
+class Steering:
+    """What the turns of gyroscopes and fixes say about each other, each with its standard deviation.
+
+    lag: s, a fix stamped t fits the gyroscopes at t - lag (as `gnss.time_offset`). arm: m, how far the antenna is ahead
+    of the point of the vehicle that does not slip sideways (of a car: the rear axle). scale: course turned per angle
+    that the gyroscopes turned. explained: part of the course's variance, 0 to 1. intervals: course changes compared.
+    """
+
+    lag: float
+    lag_sigma: float
+    arm: float
+    arm_sigma: float
+    scale: float
+    scale_sigma: float
+    explained: float
+    intervals: int
+
+
+def compare_steering(imu: ImuSamples, fixes: Fixes, up: np.ndarray) -> Steering | None:
+    """Fit the course between fixes with the heading that the gyroscopes turn through; None where nothing moves.
+
+    Changes of the mean heading from one interval to the next are compared, so that a gyroscope's slow drift is a
+    constant. To first order, with heading psi, its rate w, speed v, lag T and arm L, the course of a chord is the mean
+    over its interval of psi(t - T) + L w / v. Weighted least squares; T by a search, then by Gauss-Newton.
+    """
+    course = _course_changes(fixes)
+    if course is None:
+        return None
+    times, pace, change, weight = course
+    heading = _Heading(imu, up)
+    begin, middle, end = ((stamp - imu.stamp[0]) * 1e-9 for stamp in times)
+
+    def design(lag):
+        """Derivatives of the course change by scale, drift, arm times scale, and lag over scale."""
+        rate_before = heading.mean_rate(begin - lag, middle - lag)
+        rate_after = heading.mean_rate(middle - lag, end - lag)
+        return np.column_stack([heading.mean(middle - lag, end - lag) - heading.mean(begin - lag, middle - lag),
+                                (end - begin) / 2, rate_after / pace[1] - rate_before / pace[0],
+                                rate_before - rate_after])
+
+    chosen = np.ones(len(change), bool)
+    for _ in range(2):  # again without what does not fit: reversing, a jump of the receiver
+        lags = np.arange(-_LARGEST_LAG, _LARGEST_LAG + 0.01, 0.2)
+        costs = [_solve(design(lag)[chosen, :3], change[chosen], weight[chosen])[1] for lag in lags]
+        lag = float(lags[np.argmin(costs)])
+        for _ in range(_STEPS):
+            scale, _, _, product = _solve(design(lag)[chosen], change[chosen], weight[chosen])[0]
+            lag += float(np.clip(product / scale if scale else 0.0, -0.2, 0.2))
+        columns = design(lag)
+        solution, cost, covariance = _solve(columns[chosen], change[chosen], weight[chosen])
+        residual = wrap(change - columns @ solution) * np.sqrt(weight)
+        kept, chosen = chosen, np.abs(residual) < 4.0 * max(robust_sigma(residual), 1e-9)
+        if chosen.sum() < _FEWEST_CHANGES:
+            return None
+    scale = float(solution[0])
+    sigma = np.sqrt(np.diag(covariance) * max(cost / max(kept.sum() - 4, 1), 1.0))
+    total = float((weight * change**2)[kept].sum())
+    return Steering(lag, float(sigma[3] / abs(scale)) if scale else np.inf,
+                    float(solution[2] / scale) if scale else 0.0, float(sigma[2] / abs(scale)) if scale else np.inf,
+                    scale, float(sigma[0]), 1.0 - cost / total if total else 0.0, int(kept.sum()))
+
+
+def _solve(design, values, weight):
+    """Weighted least squares of angles: solution, weighted sum of squared residuals, covariance for weights 1/sigma^2.
+
+    Columns are scaled first; what the data do not determine at all stays zero.
+    """
+    size = np.maximum(np.linalg.norm(design, axis=0), 1e-12)
+    scaled = design / size
+    covariance = np.linalg.pinv((scaled * weight[:, None]).T @ scaled, hermitian=True)
+    solution = covariance @ ((scaled * weight[:, None]).T @ values)
+    residual = wrap(values - scaled @ solution)
+    return solution / size, float((weight * residual**2).sum()), covariance / np.outer(size, size)
+
+
+def _course_changes(fixes: Fixes):
+    """Of pairs of successive intervals: stamps (begin, middle, end), speeds, change of course, rad, and its weight."""
+    fixes = fixes.select(np.diff(fixes.stamp, prepend=fixes.stamp[0] - 1) > 0)
+    if len(fixes) < 2:
+        return None
+    stated = sigmas(fixes)
+    sigma = np.where(np.isnan(stated), 3.0, stated)
+    pace = np.linalg.norm(np.diff(positions(fixes), axis=0), axis=1) / np.diff(fixes.stamp) * 1e9
+    # intervals long enough for a course to a few degrees, short enough to resolve a turn
+    length = np.clip(40.0 * np.median(sigma) / max(np.percentile(pace, 75), 0.1), 1.0, 4.0)
+    chosen = slice(None, None, max(round(length * 1e9 / np.median(np.diff(fixes.stamp))), 1))
+    fixes, sigma = fixes.select(chosen), sigma[chosen]
+    if len(fixes) < _FEWEST_CHANGES + 2:
+        return None
+    stamp, interval = fixes.stamp, np.diff(fixes.stamp) * 1e-9
+    step = np.diff(positions(fixes), axis=0)
+    distance = np.linalg.norm(step, axis=1)
+    sigma = np.maximum(sigma[1:], sigma[:-1])
+    good = (distance > np.maximum(_SHORTEST_COURSE * sigma, 0.5)) & (interval < 1.5 * np.median(interval))
+    course = np.arctan2(step[:, 1], step[:, 0])
+    variance = 2.0 * (sigma / np.maximum(distance, 1e-9)) ** 2 + _SLIP**2
+    pair = np.flatnonzero(good[1:] & good[:-1])
+    if len(pair) < _FEWEST_CHANGES:
+        return None
+    speed = distance / interval
+    return ((stamp[pair], stamp[pair + 1], stamp[pair + 2]), (speed[pair], speed[pair + 1]),
+            wrap(course[pair + 1] - course[pair]), 1.0 / (variance[pair + 1] + variance[pair]))
+
+
+class _Heading:
+    """The heading that the gyroscopes turn through, clockwise, as a function of seconds after the first sample."""
+
+    def __init__(self, imu: ImuSamples, up):
+        finite = np.isfinite(imu.angular_rate).all(axis=1)
+        stamp, rate = imu.stamp[finite], -(imu.angular_rate[finite] @ up)
+        advancing = np.flatnonzero(np.diff(np.maximum.accumulate(stamp), prepend=stamp[:1] - 1) > 0)
+        self.time, rate = (stamp[advancing] - imu.stamp[0]) * 1e-9, rate[advancing]
+        self.angle = _integral(self.time, rate)
+        self.area = _integral(self.time, self.angle)
+
+    def mean(self, begin, end):
+        """Mean heading between times, rad."""
+        return (np.interp(end, self.time, self.area) - np.interp(begin, self.time, self.area)) / (end - begin)
+
+    def mean_rate(self, begin, end):
+        """Mean rate of turn between times, rad/s."""
+        return (np.interp(end, self.time, self.angle) - np.interp(begin, self.time, self.angle)) / (end - begin)
+
+
+def _integral(time, values):
+    """Running integral by the trapezoidal rule, zero at the first time."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
