@@ -220,13 +220,13 @@ def _check_frozen(fixes, imu, still):
     """Fixes that repeat a position to the last digit while the vehicle moves."""
     same = (np.diff(fixes.latitude) == 0) & (np.diff(fixes.longitude) == 0)
     moving = ~still[np.clip(np.searchsorted(imu.stamp, fixes.stamp[1:]), 0, len(imu) - 1)]
-    frozen = same & moving
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], frozen.astype(np.int8), [0]])))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
     begins, ends = edges[::2], edges[1::2]
+    moved = np.diff(np.concatenate([[0], np.cumsum(moving)])[np.column_stack([begins, ends])], axis=1)[:, 0]
     step = np.linalg.norm(np.diff(positions(fixes), axis=0), axis=1)
     pace = np.median(step[step > 0]) if (step > 0).any() else 0.0
     after = np.append(step, 0.0)[np.minimum(ends, len(step))]  # a leap to where the vehicle went meanwhile
-    run = (ends - begins >= 2) & (after > max(0.5 * pace, 0.05))
+    run = (ends - begins >= 2) & (moved > 0.5 * (ends - begins)) & (after > max(0.5 * pace, 0.05))
     if run.any():
         longest = int(np.argmax(np.where(run, ends - begins, 0)))
         seconds = (fixes.stamp[ends[longest]] - fixes.stamp[begins[longest]]) * 1e-9
