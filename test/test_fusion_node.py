@@ -217,7 +217,8 @@ def test_silent_topics_are_named_with_what_there_is_instead_even_while_ros_time_
     peer.node.destroy_publisher(raw)
 
 
-@pytest.mark.parametrize('signals', [[signal.SIGINT], [signal.SIGTERM], [signal.SIGINT, signal.SIGINT]])
+@pytest.mark.parametrize('signals', [[signal.SIGINT], [signal.SIGTERM], [signal.SIGINT] * 2,
+                                     [signal.SIGTERM, signal.SIGINT]])
 def test_a_signal_ends_it_cleanly(signals):
     with NodeProcess('fusion_node') as node:
         node.wait_for('ready')

@@ -20,7 +20,7 @@ from ..filter.odometry import LINEAR, POSE_COVARIANCE, POSITION, SIZE, TWIST_COV
 from ..parameters import ALL, FILTER, FUSION, ParameterError
 from .log import Throttle, Watch
 from .ros_parameters import declare, refuse_unused_qos_overrides
-from .run import run
+from .run import Stop, run, spin
 
 NAME = 'fusion_node'
 _SECOND = 10**9  # ns
@@ -51,9 +51,14 @@ class FusionNode(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.2, self.report, clock=steady)
         self.create_timer(1.0, self._check_topics, clock=steady)
-        self.get_logger().info(f"ready: {self._imu.topic_name} and {self._fix.topic_name} -> "
-                               f"{self._odometry_publisher.topic_name} "
-                               f"({values['mechanization']}, {values['sensor_error_model']})")
+        self._ready = (f"ready: {self._imu.topic_name} and {self._fix.topic_name} -> "
+                       f"{self._odometry_publisher.topic_name} "
+                       f"({values['mechanization']}, {values['sensor_error_model']})")
+
+    def serve(self, stop: Stop) -> None:
+        """Work until `stop` is requested."""
+        self.get_logger().info(self._ready)
+        spin(self, stop)
 
     def _publish(self, values):
         qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
@@ -236,4 +241,4 @@ def _check_changes(changed):
 
 def main(argv: list[str]) -> int:
     """Run the node until SIGINT or SIGTERM; the exit status."""
-    return run(NAME, FusionNode, argv)
+    return run(NAME, FusionNode, argv, FusionNode.serve)

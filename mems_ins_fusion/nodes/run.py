@@ -7,12 +7,13 @@ import sys
 from collections.abc import Callable
 
 import rclpy
-from rclpy._rclpy_pybind11 import InvalidHandle, RCLError, UnknownROSArgsError
+from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.exceptions import NameValidationException, ParameterException
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity, get_logger_level, set_logger_level
 from rclpy.node import Node
 from rclpy.qos_overriding_options import InvalidQosOverridesError
+from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from ..parameters import ParameterError, load_yaml
@@ -22,13 +23,42 @@ from .ros_parameters import params_files
 _USER_ERRORS = (ValueError, ParameterException, NameValidationException, InvalidQosOverridesError)
 
 
-def run(name: str, make_node: Callable[[list[str]], Node], argv: list[str],
-        spin: Callable[[Node], int | None] = rclpy.spin) -> int:
-    """Make the node with `make_node(argv)` and `spin` it until SIGINT or SIGTERM; the exit status.
+class Stop:
+    """SIGINT and SIGTERM as a request: `requested` says that one came.
 
-    0 after a signal, that of `spin` (None is 0) where it returns by itself, 2 with one line on stderr where `argv`
+    While `interrupts`, the first one also raises KeyboardInterrupt. Further ones do nothing: ros2 launch and impatient
+    users send several, and an exception in the middle of a shutdown, or of an rclpy call, leaves a traceback.
+    """
+
+    def __init__(self):
+        self.requested = False
+        self.interrupts = True
+        signal.signal(signal.SIGINT, self._handle)
+        signal.signal(signal.SIGTERM, self._handle)
+
+    def _handle(self, number, frame):
+        first, self.requested = not self.requested, True
+        if first and self.interrupts:
+            raise KeyboardInterrupt
+
+
+def spin(node: Node, stop: Stop) -> None:
+    """Serve the callbacks of `node` until `stop` is requested; a steady timer of the node must wake it now and then."""
+    stop.interrupts = False
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    while not stop.requested:
+        executor.spin_once()
+
+
+def run(name: str, make_node: Callable[[list[str]], Node], argv: list[str],
+        work: Callable[[Node, Stop], int | None] = spin) -> int:
+    """Make the node with `make_node(argv)` and let `work(node, stop)` run; the exit status.
+
+    0 after a signal, that of `work` (None is 0) where it returns by itself, 2 with one line on stderr where `argv`
     or the parameters are wrong.
     """
+    stop = Stop()
     node = None
     try:
         try:
@@ -37,16 +67,14 @@ def run(name: str, make_node: Callable[[list[str]], Node], argv: list[str],
         except _USER_ERRORS as error:
             print(f'{name}: {_one_line(error)}', file=sys.stderr)
             return 2
-        return spin(node) or 0
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except (RCLError, InvalidHandle):
-        # a signal in the middle of a callback takes the context away under it
-        if rclpy.ok():
-            raise
+        return work(node, stop) or 0
+    except KeyboardInterrupt:
+        return 0
     finally:
-        _shut_down(node)
-    return 0
+        stop.interrupts = False
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
 
 
 def _initialize(name, argv):
@@ -57,7 +85,7 @@ def _initialize(name, argv):
         if others:
             raise ParameterError(f"'{others[0]}' is not understood: {name} takes ROS arguments only, "
                                  'such as --ros-args --params-file FILE -p NAME:=VALUE')
-        rclpy.init(args=argv)
+        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
     except UnknownROSArgsError as error:
         raise ParameterError(f'unknown ROS arguments {error}') from None
     except RCLError as error:
@@ -82,12 +110,3 @@ def _explain(error, argv) -> str:
 
 def _one_line(error) -> str:
     return ' '.join(str(error).split())
-
-
-def _shut_down(node):
-    # ros2 launch and impatient users send a second signal: it must not interrupt this
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    if node is not None:
-        node.destroy_node()
-    rclpy.try_shutdown()
