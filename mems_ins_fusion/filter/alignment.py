@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..navigation.frames import leveling, wrap, yaw_from_enu, yaw_of_quaternion
 from ..navigation.earth import gravity, radii
+from ..navigation.frames import leveling, wrap, yaw_from_enu, yaw_of_quaternion
 from .config import FilterConfig
 
 MEMORY = 300.0  # s of samples kept while waiting
@@ -21,6 +21,8 @@ LONGEST_COURSE_TIME = 20.0  # s
 SLOWEST_START = 0.5  # m/s
 SIDESLIP_SIGMA = 0.02  # rad: between where a car points and where it goes
 UNKNOWN_TILT_SIGMA = 0.05  # rad
+GRAVITY_TOLERANCE = 0.1  # of gravity: more is no sensor's error at rest
+STILL_STEPS = 1024  # in which a process that is continuous in time is followed through a standstill
 
 
 @dataclass
@@ -35,7 +37,7 @@ class Start:
     yaw: float
     covariance: np.ndarray  # (5, 5) of r_n, r_e, v_n, v_e, yaw
     standstill: Standstill | None
-    notes: list[str] = field(default_factory=list)
+    notes: list[tuple[str, str]] = field(default_factory=list)  # level and text
 
 
 @dataclass
@@ -241,24 +243,31 @@ class Alignment:
         north = -(course[0] * arm[0] + across[0] * arm[1])  # from the antenna back to the IMU
         east = -(course[1] * arm[0] + across[1] * arm[1])
         meridian, prime_vertical = radii(latitude)
-        notes = [f'aligned: {source} {math.degrees(yaw) % 360:.1f} deg +- {math.degrees(yaw_sigma):.1f} deg, '
-                 f'speed {speed:.2f} +- {speed_sigma:.2f} m/s']
-        notes.append(self._note_standstill(standstill, latitude, height))
+        notes = [('info', f'aligned: {source} {math.degrees(yaw) % 360:.1f} deg +- {math.degrees(yaw_sigma):.1f} deg, '
+                          f'speed {speed:.2f} +- {speed_sigma:.2f} m/s')]
+        notes += self._note_standstill(standstill, latitude, height)
         return Start(time, latitude + north / (meridian + height),
                      longitude + east / ((prime_vertical + height) * math.cos(latitude)), height + arm[2],
                      speed * course, float(wrap(yaw)), covariance, standstill, notes)
 
-    def _note_standstill(self, standstill, latitude, height) -> str:
+    def _note_standstill(self, standstill, latitude, height) -> list[tuple[str, str]]:
         if standstill is None:
-            return 'no standstill seen: gyroscope bias and tilt of the IMU start unknown'
+            return [('info', 'no standstill seen: gyroscope bias and tilt of the IMU start unknown')]
         tilt = math.degrees(math.acos(min(1.0, max(-1.0, -standstill.specific_force[2]
                                                    / np.linalg.norm(standstill.specific_force)))))
         size = float(np.linalg.norm(standstill.specific_force))
         bias = ', '.join(f'{math.degrees(w):.3f}' for w in standstill.angular_rate)
         removed = ' (removed)' if self.config.values['alignment.level'] else ''
-        return (f'standstill of {standstill.duration:.1f} s: gyroscope bias {bias} deg/s (forward, right, down), '
+        expected = gravity(latitude, height)
+        text = (f'standstill of {standstill.duration:.1f} s: gyroscope bias {bias} deg/s (forward, right, down), '
                 f'tilt {tilt:.1f} deg{removed}, specific force {size:.3f} m/s^2 '
-                f'(gravity here {gravity(latitude, height):.3f})')
+                f'(gravity here {expected:.3f})')
+        notes = [('info', text)]
+        if abs(size - expected) > GRAVITY_TOLERANCE * expected:
+            unit = 'in g, not in m/s^2' if abs(size - 1.0) < GRAVITY_TOLERANCE else 'a wrong unit or scale'
+            notes.append(('error', f"{self.config.values['imu_topic']}: linear_acceleration is {size:.3f} at rest "
+                                   f'where gravity is {expected:.3f} m/s^2: {unit}'))
+        return notes
 
 
 def _stays(positions: np.ndarray, begin: float, end: float) -> bool:
@@ -294,23 +303,42 @@ def leveled(config: FilterConfig, standstill: Standstill):
     return rotation @ config.conditioning, rotation @ config.offset
 
 
-def channel_prior(model, turn_on_sigma: float, white: float, mean: float | None, duration: float):
+def channel_prior(model, turn_on_sigma: float, white: float, mean: float | None, duration: float, since: float = 0.0):
     """Estimate (p,), covariance (p, p) and constant part of one channel's error at the start.
 
-    The error is a constant N(0, turn_on_sigma^2) plus the model's process at its stationary (initial) covariance. A
-    standstill shows their sum as `mean` with the variance of white noise averaged over `duration`: linear conditioning.
+    The error is a constant N(0, turn_on_sigma^2) plus the model's process from its initial covariance on. A standstill
+    of `duration` s that ended `since` s ago shows the mean of their sum, `mean`, with the variance of white noise
+    averaged over `duration`. What the process does during the standstill and after it counts, too.
     """
-    prior = np.zeros((model.order + 1, model.order + 1))
-    prior[:-1, :-1] = model.initial_covariance()
-    prior[-1, -1] = turn_on_sigma**2
+    p = model.order
     if mean is None:
-        covariance = prior[:-1, :-1].copy()
+        covariance = model.initial_covariance()
         covariance[0, 0] += turn_on_sigma**2  # the constant has no state: the first stands for it
-        return np.zeros(model.order), covariance, 0.0
-    c = np.zeros(model.order + 1)
-    c[0] = c[-1] = 1.0
-    variance = c @ prior @ c + white / duration
-    gain = prior @ c / variance
+        return np.zeros(p), covariance, 0.0
+    interval = model.interval or duration / STILL_STEPS
+    steps = max(1, round(duration / interval))
+    # the process, the constant, and the mean over the standstill as it adds up
+    transition, noise, prior = np.eye(p + 2), np.zeros((p + 2, p + 2)), np.zeros((p + 2, p + 2))
+    transition[:p, :p], noise[:p, :p] = model.transition(interval), model.process_noise(interval)
+    transition[-1, 0] = transition[-1, -2] = 1.0 / steps
+    prior[:p, :p], prior[p, p] = model.initial_covariance(), turn_on_sigma**2
+    f, q = _repeated(transition, noise, steps)
+    transition[-1, :-1] = 0.0
+    after, grown = _repeated(transition, noise, round(since / interval))
+    f, q = after @ f, after @ q @ after.T + grown
+    joint = f @ prior @ f.T + q
+    gain = joint[:, -1] / (joint[-1, -1] + white / duration)
     estimate = gain * mean
-    covariance = prior - np.outer(gain, gain) * variance
-    return estimate[:-1], covariance[:-1, :-1], estimate[-1]
+    covariance = (joint - np.outer(gain, joint[-1]))[:p, :p]
+    return estimate[:p], 0.5 * (covariance + covariance.T), estimate[p]
+
+
+def _repeated(transition, noise, steps: int):
+    """Transition and process noise of `steps` steps, by doubling."""
+    f, q = np.eye(len(transition)), np.zeros_like(noise)
+    while steps:
+        if steps & 1:
+            f, q = transition @ f, transition @ q @ transition.T + noise
+        transition, noise = transition @ transition, transition @ noise @ transition.T + noise
+        steps >>= 1
+    return f, q

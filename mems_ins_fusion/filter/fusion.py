@@ -123,23 +123,27 @@ class _Intake:
     def _say_not_taken(self, answer: int, stamp: int, newest: int) -> None:
         topic = self.config.values['gnss_topic']
         if answer == FIX_TOO_LATE:
-            self._say('warning', f'{topic}: fix stamped {stamp * 1e-9:.3f} s came {(newest - stamp) * 1e-9:.2f} s after '
-                                 f'the IMU samples of its time (gnss.max_delay): dropped')
+            self._say('warning', f'{topic}: fix stamped {stamp * 1e-9:.3f} s came {(newest - stamp) * 1e-9:.2f} s '
+                                 'after the IMU samples of its time: later than gnss.max_delay, or the clocks differ '
+                                 '(gnss.time_offset); dropped')
 
     def _align(self, alignment: Alignment, record, time: float) -> Start | None:
         covariance = np.array([[record[Fix.R_NN], record[Fix.R_NE]], [record[Fix.R_NE], record[Fix.R_EE]]])
         before = alignment.waiting_for
         start = alignment.add_fix(time, record[Fix.LATITUDE], record[Fix.LONGITUDE], record[Fix.HEIGHT], covariance)
         if start is not None:
-            for note in start.notes:
-                self._say('info', note)
+            for level, text in start.notes:
+                self._say(level, text)
         elif alignment.waiting_for != before:
             self._say('info', f'waiting for {alignment.waiting_for}')
         return start
 
-    def _ahead(self, stamp: int, newest: int) -> bool:
-        """True for a fix stamped so far after the newest sample that its clock is another."""
+    def _out_of_time(self, stamp: int, newest: int) -> bool:
+        """True for a fix so far from the newest sample that it comes too late or its clock is another."""
         ahead = (stamp - newest) * 1e-9
+        if -ahead > self.config.values['gnss.max_delay']:
+            self._say_not_taken(FIX_TOO_LATE, stamp, newest)
+            return True
         if ahead > LATEST_FIX:
             self._say('warning', f"{self.config.values['gnss_topic']}: fix stamped {ahead:.1f} s after the newest IMU "
                                  'sample: the clocks differ (gnss.time_offset); dropped')
@@ -162,7 +166,7 @@ class FusionFilter(_Intake):
     def _restart(self) -> None:
         self._alignment = Alignment(self.config)
         self._memory: np.ndarray | None = None
-        self._epoch = 0
+        self._epoch: int | None = None
         self._newest_fix = 0
         self._outage = False
         self._last_fix_stamp = None
@@ -197,7 +201,7 @@ class FusionFilter(_Intake):
                 self._say('warning', f"no fix on {self.config.values['gnss_topic']} for "
                                      f'{(stamp - self._newest_fix) * 1e-9:.1f} s: coasting on prediction')
             return True
-        if self._epoch == 0:
+        if self._epoch is None:
             self._epoch = stamp
             self._alignment.waiting_for = f"a fix on {self.config.values['gnss_topic']}"
             self._say('info', f'waiting for {self._alignment.waiting_for}')
@@ -207,13 +211,13 @@ class FusionFilter(_Intake):
 
     def add_fix(self, stamp: int, latitude, longitude, height, covariance, status=0, covariance_type=2) -> None:
         """One fix of the antenna: rad, m; covariance: nine numbers, east-north-up, as in `NavSatFix`."""
-        if self._epoch == 0:  # nothing to compare it with yet
+        if self._epoch is None:  # nothing to compare it with yet
             return
         record = self._check_fix(stamp, latitude, longitude, height, covariance, status, covariance_type)
         if record is None:
             return
         stamp -= self._offset
-        if self._ahead(stamp, self._last_stamp):
+        if self._out_of_time(stamp, self._last_stamp):
             return
         record[Fix.TIME] = (stamp - self._epoch) * 1e-9
         self._height_sigma = math.sqrt(record[Fix.R_DD])
@@ -403,7 +407,7 @@ class _Replay(_Intake):
             stamp = int(f.stamp[i])
             record = self._check_fix(stamp, float(f.latitude[i]), float(f.longitude[i]), float(f.height[i]),
                                      f.covariance[i].ravel(), f.status[i], f.covariance_type[i])
-            if record is None or self._ahead(stamp - self._offset, int(newest[k])):
+            if record is None or self._out_of_time(stamp - self._offset, int(newest[k])):
                 continue
             record[Fix.TIME] = (stamp - self._offset - epoch) * 1e-9
             used.append(k)

@@ -53,16 +53,17 @@ def _sensor_errors(config: FilterConfig, start: Start, level: bool):
     """Estimate (m,), covariance (m, m) and constant part (channels,) of the states behind the navigation errors."""
     p, m = config.order, config.others
     estimate, covariance, constant = np.zeros(m), np.zeros((m, m)), np.zeros(len(config.models))
+    still = start.standstill
+    span = (still.duration, start.time - still.end) if still else (0.0, 0.0)
     for channel, (model, axis) in enumerate(zip(config.models, config.channel_axes)):
         block = slice(channel * p, (channel + 1) * p)
         mean, sigma = _shown(config, start, axis, level), config.turn_on_sigma[channel]
-        if level and axis < 2:
-            if config.mechanization == PLANAR:
-                sigma = math.hypot(sigma, TILT_SIGMA)
-            else:
-                mean = None  # tilt and bias stay one: see _strapdown_attitude
+        if axis < 2 and config.mechanization != PLANAR:
+            mean = None  # tilt and bias stay one: see _strapdown_attitude
+        elif axis < 2 and level:
+            sigma = math.hypot(sigma, TILT_SIGMA)
         estimate[block], covariance[block, block], constant[channel] = channel_prior(
-            model, sigma, config.white[axis], mean, start.standstill.duration if start.standstill else 0.0)
+            model, sigma, config.white[axis], mean, *span)
     if config.coloured:
         covariance[-2:, -2:] = np.eye(2) * config.coloured.sigma**2
     return estimate, covariance, constant
