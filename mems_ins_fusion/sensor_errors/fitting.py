@@ -155,31 +155,43 @@ def fit_autoregressive(data: Averages, order: int, intervals: bool = True) -> Fi
     likelihood: in the Fisher transform of the reflection coefficients it is near a parabola. Where white noise alone
     explains the data (not significant) there are none: the coefficients of nothing cannot be known.
     """
+    return fit_autoregressive_orders(data, [order], intervals)[0]
+
+
+def fit_autoregressive_orders(data: Averages, orders, intervals: bool = False) -> list[Fit]:
+    """`fit_autoregressive` for several orders at little more than the cost of the highest."""
     _check(data)
-    t, value = _ar_maximum(data, order)
-    density = relative_likelihood(data, _ar_space(data, t, 1.0))[1]
-    found = Autoregressive(coefficients(np.tanh(t[:-1])), density * math.exp(t[-1]), data.interval)
-    p_value = _p_value(data, value, order + 1)
-    estimates = _ar_intervals(data, t, density) if intervals and p_value < SIGNIFICANCE else {}
-    return Fit(found, density, value, estimates, p_value, data.interval, _present(data))
+    fits = []
+    for t, value in _ar_maxima(data, max(orders)):
+        order = len(t) - 1
+        if order not in orders:
+            continue
+        density = relative_likelihood(data, _ar_space(data, t, 1.0))[1]
+        found = Autoregressive(coefficients(np.tanh(t[:-1])), density * math.exp(t[-1]), data.interval)
+        p_value = _p_value(data, value, order + 1)
+        estimates = _ar_intervals(data, t, density) if intervals and p_value < SIGNIFICANCE else {}
+        fits.append(Fit(found, density, value, estimates, p_value, data.interval, _present(data)))
+    return fits
 
 
 def _ar_space(data, t, density):
     return autoregressive_space(np.tanh(t[:-1]), density * math.exp(t[-1]), density, data.interval)
 
 
-def _ar_maximum(data, order):
-    """The best (transformed reflection coefficients, log(b0/N)): each order starts from the one below."""
+def _ar_maxima(data, highest):
+    """The best (transformed reflection coefficients, log(b0/N)) of each order, which starts from the one below."""
     slowest = math.atanh(math.exp(-data.interval / (10 * data.duration)))
     ratio_limits = (math.log(1e-3 * data.interval / data.duration), math.log(1e4))
     starts = [[-math.atanh(math.exp(-data.interval / tau)), 0.5 * math.log(share * 2 / tau)]
               for tau in np.geomspace(3 * data.interval, data.duration / 5, 3) for share in (0.1, 1.0, 10.0)]
-    for p in range(1, order + 1):
+    resonant = []
+    for p in range(1, highest + 1):
         limits = [(-slowest, slowest)] * p + [ratio_limits]
-        best, value = _maximize(lambda t: relative_likelihood(data, _ar_space(data, t, 1.0))[0], starts, limits)
-        starts = [[*best[:-1], k, best[-1] + shift] for k, shift in
-                  ((0.0, 0.0), (0.8, -1.0), (0.4, -0.5), (-0.4, 0.0))] + _two_pole_starts(data, p + 1)
-    return best, value
+        best, value = _maximize(lambda t: relative_likelihood(data, _ar_space(data, t, 1.0))[0], starts, limits, resonant)
+        yield best, value
+        starts = [[*best[:-1], k, best[-1] + shift] for k, shift in ((0.0, 0.0), (0.8, -1.0), (0.4, -0.5))]
+        starts += _two_pole_starts(data, p + 1)
+        resonant = [[*best[:-1], -0.4, best[-1]]]  # a vibration that averaging folds to a fast oscillation
 
 
 def _two_pole_starts(data, order):
@@ -299,22 +311,24 @@ def _profile_end(cost, best, index, limits, curvature, side):
         near, step = far, 2 * step
 
 
-def _maximize(objective, starts, limits):
-    """The best of several starts, the promising ones polished."""
-    ranked = sorted(((objective(_clip(s, limits)), _clip(s, limits)) for s in starts), key=lambda pair: -pair[0])
-    best_value, best = math.inf, None
-    for _, start in ranked[:3]:
-        value, at = _minimize(lambda t: -objective(t), start, limits)
-        if value < best_value:
-            best_value, best = value, at
-    return best, -best_value
+def _maximize(objective, starts, limits, always=()):
+    """The best of several starts: the two most promising and those of `always` searched roughly, the best to the end.
+    """
+    ranked = sorted((_clip(s, limits) for s in starts), key=objective, reverse=True)[:2] + list(always)
+    _, rough = min((_minimize(lambda t: -objective(t), start, limits, 0.05) for start in ranked),
+                   key=lambda pair: pair[0])
+    value, best = _minimize(lambda t: -objective(t), rough, limits)
+    return best, -value
 
 
-def _minimize(cost, start, bounds):
+def _minimize(cost, start, bounds, tolerance=1e-4):
+    """Minimum of a negative log likelihood to within about `tolerance` nats: (value, where)."""
     from scipy.optimize import minimize
 
-    result = minimize(cost, _clip(start, bounds), method='L-BFGS-B', bounds=bounds,
-                      options={'eps': 1e-4, 'ftol': 1e-10, 'gtol': 1e-3, 'maxiter': 200})
+    start = _clip(start, bounds)
+    result = minimize(cost, start, method='L-BFGS-B', bounds=bounds,
+                      options={'eps': 1e-4, 'ftol': tolerance / max(abs(cost(start)), 1.0), 'gtol': 1e-3,
+                               'maxiter': 200})
     return float(result.fun), result.x
 
 

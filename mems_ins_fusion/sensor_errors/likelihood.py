@@ -128,21 +128,22 @@ def _gauss_markov_mean(model, interval):
     return decay, lost / u, model.sigma**2 * q
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _innovations(z, part, a, q, c, r, p0):
     """Innovations of z and of a constant 1, their variance, and the state for z predicted after each interval, from
-    one Kalman filter; restarts with each part."""
+    one Kalman filter; restarts with each part.
+
+    Once the covariance no longer changes it is left alone until the next missing average, and so is the answer to
+    the constant: most of a long recording costs one product with the transition matrix per average.
+    """
     n, d = len(z), len(c)
     error, level, variance = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
-    predicted_state = np.empty((n, d))
-    x, y = np.zeros(d), np.zeros(d)
-    p = p0.copy()
-    gain = np.zeros(d)
-    ap = np.zeros((d, d))
-    new = np.zeros((d, d))
-    nx, ny = np.zeros(d), np.zeros(d)
-    f = 1.0
-    steady = False
+    states = np.empty((n, d))
+    x, y, x_next, y_next = np.zeros(d), np.zeros(d), np.zeros(d), np.zeros(d)
+    p, p_next, ap = p0.copy(), np.zeros((d, d)), np.zeros((d, d))
+    column, gain = np.zeros(d), np.zeros(d)  # p c, and a p c / f
+    f, el = 1.0, 1.0
+    steady, settled = False, False
     for k in range(n):
         if k == 0 or part[k] != part[k - 1]:
             x[:] = 0.0
@@ -153,58 +154,63 @@ def _innovations(z, part, a, q, c, r, p0):
         if not present:
             steady = False
         if not steady:
+            settled = False
             f = r
+            for i in range(d):
+                column[i] = 0.0
+                for j in range(d):
+                    column[i] += p[i, j] * c[j]
+                f += c[i] * column[i]
             for i in range(d):
                 gain[i] = 0.0
                 for j in range(d):
-                    gain[i] += p[i, j] * c[j]
-            for i in range(d):
-                f += c[i] * gain[i]
-            if present:
-                for i in range(d):
-                    for j in range(d):
-                        p[i, j] -= gain[i] * gain[j] / f
+                    gain[i] += a[i, j] * column[j] / f
+        ez = 0.0
         if present:
-            ez, el = z[k], 1.0
+            ez = z[k]
             for i in range(d):
                 ez -= c[i] * x[i]
-                el -= c[i] * y[i]
+            if not settled:
+                el = 1.0
+                for i in range(d):
+                    el -= c[i] * y[i]
             error[k], level[k], variance[k] = ez, el, f
-            for i in range(d):
-                x[i] += gain[i] * ez / f
-                y[i] += gain[i] * el / f
         for i in range(d):
-            nx[i] = 0.0
-            ny[i] = 0.0
+            x_next[i] = gain[i] * ez
             for j in range(d):
-                nx[i] += a[i, j] * x[j]
-                ny[i] += a[i, j] * y[j]
-        x[:] = nx
-        y[:] = ny
-        predicted_state[k] = x
+                x_next[i] += a[i, j] * x[j]
+        x[:] = x_next
+        states[k] = x
+        if not settled:
+            move = 0.0
+            for i in range(d):
+                y_next[i] = gain[i] * el if present else 0.0
+                for j in range(d):
+                    y_next[i] += a[i, j] * y[j]
+                move += abs(y_next[i] - y[i])
+            y[:] = y_next
+            settled = steady and move < _STEADY
         if not steady:
             for i in range(d):
                 for j in range(d):
                     ap[i, j] = 0.0
                     for m in range(d):
-                        ap[i, j] += a[i, m] * p[m, j]
+                        if present:
+                            ap[i, j] += a[i, m] * (p[m, j] - column[m] * column[j] / f)
+                        else:
+                            ap[i, j] += a[i, m] * p[m, j]
+            change, size = 0.0, r
             for i in range(d):
                 for j in range(d):
-                    new[i, j] = q[i, j]
+                    p_next[i, j] = q[i, j]
                     for m in range(d):
-                        new[i, j] += ap[i, m] * a[j, m]
-            change, size = 0.0, 0.0
-            predicted = r
-            for i in range(d):
-                before = 0.0
-                for j in range(d):
-                    before += new[i, j] * c[j]
-                change = max(change, abs(before - gain[i]))
-                predicted += c[i] * before
-                size = max(size, abs(before))
-            steady = present and change <= _STEADY * (size + r) and abs(predicted - f) <= _STEADY * f
-            p[:] = new
-    return error, level, variance, predicted_state
+                        p_next[i, j] += ap[i, m] * a[j, m]
+                    change = max(change, abs(p_next[i, j] - p[i, j]))
+                    size = max(size, abs(p_next[i, j]))
+            steady = present and change <= _STEADY * size
+            if not steady:
+                p[:] = p_next
+    return error, level, variance, states
 
 
 def innovations(data: Averages, space: StateSpace, levels) -> tuple[np.ndarray, np.ndarray]:
@@ -242,7 +248,7 @@ def _terms(data, s):
     return _sums(error, one, variance, data.part)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _sums(error, one, variance, part):
     """Sum of squared normalized innovations with the levels at their best, and the log determinants."""
     squares, log_variance, log_information = 0.0, 0.0, 0.0

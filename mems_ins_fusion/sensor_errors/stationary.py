@@ -1,0 +1,234 @@
+"""Which samples of a recording show a sensor at rest: a uniform time grid, and the parts to keep.
+
+Three things spoil a recording: samples that are missing or stamped irregularly, knocks (the sensor is as before
+afterwards) and movements (it is not: its tilt, and so the level of its accelerometers, has changed).
+Missing samples and knocks leave holes (NaN) in a part; a movement begins a new part, with a level of its own.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+#: a longer gap in the stamps begins a new part, s
+LONGEST_HOLE = 60.0
+#: window in which rest is judged: at least this long, s, and with at least so many samples
+_WINDOW, _WINDOW_SAMPLES = 1.0, 50
+#: limits of a window at rest: spread against the quiet windows, peak in standard deviations, step in deviations
+_SPREAD, _PEAK, _STEP = 2.0, 7.0, 8.0
+#: windows averaged on each side of a disturbance to see whether the level changed
+_SIDE = 5
+
+
+class StationaryError(ValueError):
+    """A recording that cannot be characterized: one line saying why."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Samples on a uniform time grid. values: (n, k), NaN where missing. breaks: indices at which a new stretch
+    begins after a long gap. missing: samples lost in short gaps; rejected: samples whose stamp did not advance;
+    jitter: median absolute deviation of the sample intervals, s."""
+
+    rate: float
+    values: np.ndarray
+    breaks: tuple[int, ...] = ()
+    missing: int = 0
+    rejected: int = 0
+    jitter: float = 0.0
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Time cut out, s from the start, and why."""
+
+    start: float
+    stop: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class Rest:
+    """parts: (start, stop) indices into the grid at rest, in order. holes: (n,) bool, samples in them to leave out.
+    cuts: what was cut out, for the report."""
+
+    parts: tuple[tuple[int, int], ...]
+    holes: np.ndarray
+    cuts: tuple[Cut, ...] = field(default=())
+
+
+def to_grid(stamp: np.ndarray, values: np.ndarray) -> Grid:
+    """Lay stamped samples on a uniform grid.
+
+    stamp: (n,) ns. values: (n, k). A stamp carries the delay of the driver on top of a steady sensor clock: several
+    samples in one burst are late, not missing. What counts is how far behind even the punctual samples are.
+    Raises StationaryError for fewer than 100 samples.
+    """
+    forward = np.concatenate([[True], stamp[1:] > np.maximum.accumulate(stamp)[:-1]])
+    rejected = int(np.count_nonzero(~forward))
+    time = (stamp[forward] - stamp[0]) * 1e-9
+    if len(time) < 100:
+        raise StationaryError(f'{len(time)} samples with advancing stamps are too few to characterize a sensor')
+    interval = _sample_interval(time)
+    steps = _steps(time, interval)
+    long = steps * interval > LONGEST_HOLE
+    missing = int(steps[~long].sum())
+    index = np.arange(len(time)) + np.concatenate([[0], np.cumsum(np.where(long, 0, steps))])
+    breaks = tuple(int(i) for i in index[1:][long])
+    if missing:
+        filled = np.full((index[-1] + 1, values.shape[1]), np.nan)
+        filled[index] = values[forward]
+    else:
+        filled = np.asarray(values[forward], float)
+    filled[~np.isfinite(filled).all(axis=1)] = np.nan
+    intervals = np.diff(time)
+    present = index[-1] + 1 + int(np.sum(long))
+    elapsed = time[-1] - time[0] - np.sum(intervals[long]) + np.sum(long) * interval
+    return Grid((present - 1) / elapsed, filled, breaks, missing, rejected,
+                float(np.median(np.abs(intervals - np.median(intervals)))))
+
+
+def _sample_interval(time):
+    reach = max(1, min(200, len(time) // 4))
+    return float(np.median(time[reach:] - time[:-reach])) / reach
+
+
+def _steps(time, interval):
+    """Samples missing before each sample but the first: permanent steps of the smallest delay ahead."""
+    from scipy.ndimage import minimum_filter1d
+
+    window = max(5, round(1.0 / interval))
+    delay = time - interval * np.arange(len(time))
+    ahead = minimum_filter1d(delay, window, mode='nearest', origin=-(window // 2))
+    return np.maximum(np.round(np.diff(ahead) / interval), 0).astype(np.int64)
+
+
+def find_rest(grid: Grid, shortest: float = 60.0) -> Rest:
+    """The parts at rest of at least `shortest` s.
+
+    Judged in windows of a second or 50 samples, against the quiet windows of the same recording: their spread, peaks,
+    and steps of the level from one window to the next that the slow errors of a sensor do not make.
+    Raises StationaryError where less than `shortest` s in a row is at rest, or an axis delivers a constant.
+    """
+    size = max(round(_WINDOW * grid.rate), _WINDOW_SAMPLES)
+    count = len(grid.values) // size
+    seconds = size / grid.rate
+    if count * seconds < shortest or count < 2 * _SIDE + 2:
+        raise StationaryError(f'{len(grid.values) / grid.rate:.0f} s are too short to characterize a sensor; '
+                              f'{shortest:.0f} s is the least, hours are needed for the slow errors')
+    mean, spread, peak = _window_statistics(grid.values, size, count)
+    quiet = _quiet_spread(spread)
+    present = np.isfinite(mean).all(axis=1)
+    disturbed = present & ((spread > _SPREAD * quiet) | (peak > _PEAK * np.maximum(spread, quiet))
+                           | (peak > _PEAK * 1.2 * quiet)).any(axis=1)
+    bad = ~present | _widened(disturbed)
+    smooth = _side_means(mean, bad)
+    boundaries, steps = _boundaries(mean, bad, smooth, quiet / np.sqrt(size))
+    boundaries |= {int(np.clip(round(b / size), 0, count)) for b in grid.breaks}
+    cuts = _describe(bad & present, steps, boundaries, grid.breaks, seconds, size, count)
+    parts, short = _parts(bad, boundaries, size, count, len(grid.values), shortest / seconds)
+    if not parts:
+        raise StationaryError(f'no {shortest:.0f} s in a row of {len(grid.values) / grid.rate:.0f} s are at rest: '
+                              f'a sensor must lie still to be characterized')
+    cuts += [Cut(a * seconds, b * seconds, f'at rest for less than {shortest:.0f} s') for a, b in short]
+    holes = np.zeros(len(grid.values), bool)
+    holes[:count * size] = np.repeat(bad & present, size)
+    return Rest(tuple(parts), holes, tuple(sorted(cuts, key=lambda cut: cut.start)))
+
+
+def _window_statistics(values, size, count):
+    """Mean, standard deviation and largest deviation from the mean in each window: (count, k) each."""
+    statistics = np.empty((3, count, values.shape[1]))
+    for k in range(values.shape[1]):
+        windows = values[:count * size, k].reshape(count, size)
+        present = np.isfinite(windows)
+        number = present.sum(axis=1)
+        total = np.where(present, windows, 0.0).sum(axis=1)
+        with np.errstate(invalid='ignore', divide='ignore'):
+            mean = np.where(2 * number >= size, total / number, np.nan)
+            deviation = np.where(present, windows - mean[:, None], 0.0)
+            statistics[:, :, k] = mean, np.sqrt(np.square(deviation).sum(axis=1) / number), np.abs(deviation).max(axis=1)
+    return statistics
+
+
+def _quiet_spread(spread):
+    quiet = np.nanquantile(spread, 0.1, axis=0)
+    for k in np.flatnonzero(quiet <= 0):
+        moving = spread[:, k][spread[:, k] > 0]
+        if not len(moving):
+            raise StationaryError(f'the {axis_name(k)} axis delivers a constant value')
+        quiet[k] = np.median(moving)
+    return quiet
+
+
+def axis_name(k: int) -> str:
+    """Of the columns accelerometer x, y, z, gyroscope x, y, z."""
+    return f'{("accelerometer", "gyroscope")[k // 3]} {"xyz"[k % 3]}'
+
+
+def _widened(mask):
+    wide = mask.copy()
+    wide[1:] |= mask[:-1]
+    wide[:-1] |= mask[1:]
+    return wide
+
+
+def _side_means(mean, bad):
+    """Mean of the _SIDE good windows that begin at each window; NaN where one of them is bad."""
+    good = np.where(bad[:, None], np.nan, mean)
+    total = np.cumsum(np.concatenate([np.zeros((1, mean.shape[1])), np.where(np.isnan(good), 0.0, good)]), axis=0)
+    whole = np.cumsum(np.concatenate([[0], ~bad]))
+    full = whole[_SIDE:] - whole[:-_SIDE] == _SIDE
+    return np.where(full[:, None], (total[_SIDE:] - total[:-_SIDE]) / _SIDE, np.nan)
+
+
+def _boundaries(mean, bad, smooth, floor):
+    """Windows at which a new part begins: the level stepped, at once or across a disturbance."""
+    boundaries, steps = set(), []
+    difference = np.abs(np.diff(mean, axis=0))
+    limit = _STEP * np.maximum(_typical(np.diff(np.where(bad[:, None], np.nan, mean), axis=0)), floor)
+    for k in np.flatnonzero(~bad[1:] & ~bad[:-1] & (difference > limit).any(axis=1)):
+        boundaries.add(int(k) + 1)
+        steps.append(int(k) + 1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], bad.astype(int), [0]])))
+    for a, b in zip(edges[::2], edges[1::2]):
+        if a >= _SIDE and b < len(smooth) and _moved(smooth, a, b, floor):
+            boundaries.add(int(b))
+    return boundaries, steps
+
+
+def _moved(smooth, a, b, floor):
+    lag = b - a + _SIDE
+    change = np.abs(smooth[b] - smooth[a - _SIDE])
+    if not np.isfinite(change).all():
+        return False  # another disturbance is near; that one decides
+    usual = _typical(smooth[lag:] - smooth[:-lag]) if lag < len(smooth) else floor
+    return bool((change > _STEP * np.maximum(usual, floor)).any())
+
+
+def _typical(differences):
+    """Robust standard deviation of zero-mean differences, per column."""
+    return 1.4826 * np.nanmedian(np.abs(differences), axis=0)
+
+
+def _describe(disturbed, steps, boundaries, breaks, seconds, size, count):
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], disturbed.astype(int), [0]])))
+    cuts = [Cut(float(a * seconds), float(b * seconds), 'moved' if boundaries & set(range(a, b + 1)) or b - a > 30 / seconds
+                else 'knock or vibration') for a, b in zip(edges[::2], edges[1::2])]
+    cuts += [Cut(float(k * seconds), float(k * seconds), 'level stepped: a new part begins') for k in steps]
+    cuts += [Cut(b / size * seconds, b / size * seconds, 'gap in the stamps: a new part begins') for b in breaks]
+    return cuts
+
+
+def _parts(bad, boundaries, size, count, samples, shortest):
+    """(start, stop) of long enough parts in samples; of those too short in windows."""
+    edges = sorted({0, count} | boundaries)
+    parts, short = [], []
+    for a, b in zip(edges[:-1], edges[1:]):
+        good = np.flatnonzero(~bad[a:b])
+        if len(good) >= shortest:
+            stop = samples if b == count and good[-1] == b - a - 1 else (a + good[-1] + 1) * size
+            parts.append((int(a + good[0]) * size, int(stop)))
+        elif len(good):
+            short.append((a, b))
+    return parts, short
