@@ -1,0 +1,117 @@
+"""`characterize`: sensor error parameters from a recording of the IMU at rest."""
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from mems_ins_fusion import parameters
+
+DESCRIPTION = """\
+Characterize an IMU from a recording at rest (minutes to hours; hours for the slow errors): Allan deviation,
+autocorrelation, and the parameters of the three sensor error models with their uncertainty. Writes into the output
+folder: imu.yaml (for --params-file of the other tools), report.html, report.json and figures."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the tool with `argv` (default: the command line); its exit status."""
+    options = _parser().parse_args(argv)
+    try:
+        print(characterize(options))
+    except ValueError as error:
+        print(f'characterize: {error}', file=sys.stderr)
+        return 2
+    return 0
+
+
+def characterize(options: argparse.Namespace) -> str:
+    """Read, characterize and write the results; lines for the user. ValueError for bad options or input."""
+    from mems_ins_fusion.evaluation.characterize_figures import figures
+    from mems_ins_fusion.evaluation.characterize_report import report, report_html
+    from mems_ins_fusion.evaluation.html import image_bytes
+    from mems_ins_fusion.evaluation.results import result_folder
+    from mems_ins_fusion.sensor_errors import characterize as work
+    from mems_ins_fusion.sensor_errors.parameter_file import parameters_yaml
+
+    if min(options.orders) < 1 or max(options.orders) > 20:
+        raise ValueError(f'--orders must be from 1 to 20, got {" ".join(map(str, options.orders))}')
+    with result_folder(options.output, options.overwrite) as folder:
+        name, grid, temperature = _read(options)
+        with _Bar('characterizing') as bar:
+            result = work.characterize(name, grid, temperature, options.orders, bar.step)
+        (folder / 'imu.yaml').write_text(parameters_yaml(result), encoding='utf-8')
+        (folder / 'report.json').write_text(json.dumps(report(result), indent=1, allow_nan=False), encoding='utf-8')
+        (folder / 'figures').mkdir()
+        images = {}
+        for title, (drawing, caption) in figures(result).items():
+            images[title] = image_bytes(drawing), caption
+            (folder / 'figures' / f'{title}.png').write_bytes(images[title][0])
+        (folder / 'report.html').write_text(report_html(result, images), encoding='utf-8')
+    lines = [f'{axis.name}: {axis.recommendation.text}' for axis in result.axes]
+    return '\n'.join([f'{name}: {result.duration:.0f} s at rest, {len(result.rest.cuts)} disturbances cut out', *lines,
+                      f'recommended for all axes: {result.model}', f'results in {options.output}'])
+
+
+def _read(options):
+    """Name, grid and temperature of the recording. ValueError where it cannot be used."""
+    from mems_ins_fusion.sensor_errors.characterize import read_npz
+    from mems_ins_fusion.sensor_errors.stationary import to_grid
+
+    path = Path(options.bag)
+    if path.suffix == '.npz':
+        if not path.is_file():
+            raise ValueError(f'{path} is not a file')
+        return path.stem, read_npz(path), None
+    from mems_ins_fusion.recordings.reading import read_recording
+
+    values = parameters.check(parameters.load_yaml(options.params_file) if options.params_file else {})
+    with _Bar('reading') as bar:
+        recording = read_recording(path, options.imu_topic or values['imu_topic'], progress=bar.share,
+                                   temperature_topic=options.temperature_topic or values['temperature_topic'] or None)
+    imu, temperature = recording.imu, recording.temperature
+    grid = to_grid(imu.stamp, np.hstack([imu.specific_force, imu.angular_rate]))
+    if temperature is None:
+        return recording.name, grid, None
+    return recording.name, grid, ((temperature.stamp - imu.stamp[0]) * 1e-9, temperature.celsius)
+
+
+class _Bar:
+    """A progress bar on standard error, only where a person watches."""
+
+    def __init__(self, what):
+        from tqdm import tqdm
+
+        self.bar = tqdm(total=1.0, desc=what, bar_format='{desc}: {percentage:3.0f}%|{bar}| {elapsed} {postfix}',
+                        disable=None)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.bar.close()
+
+    def share(self, done: float):
+        self.bar.update(done - self.bar.n)
+
+    def step(self, done: int, total: int, what: str):
+        self.bar.set_postfix_str(what, refresh=False)
+        self.share(done / total)
+
+
+def _parser():
+    parser = argparse.ArgumentParser(prog='characterize', description=DESCRIPTION,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    add = parser.add_argument
+    add('--bag', required=True, metavar='BAG', help='rosbag2 folder, .mcap, .db3 or ROS 1 .bag; or .npz with acc_mps2 '
+        '(n, 3), gyro_radps (n, 3) and rate_hz')
+    add('--output', required=True, metavar='DIR', help='folder for the results')
+    add('--params-file', metavar='FILE', help='YAML with imu_topic and temperature_topic, as for the nodes')
+    add('--imu-topic', metavar='TOPIC', help='sensor_msgs/Imu (default: imu_topic of the params file, else /imu/data)')
+    add('--temperature-topic', metavar='TOPIC', help='sensor_msgs/Temperature (default: that of the params file)')
+    add('--orders', type=int, nargs='+', default=[1, 2, 3], metavar='P', help='orders of the autoregressive model to try '
+        '(default 1 2 3)')
+    add('--overwrite', action='store_true', help='replace an existing result')
+    return parser

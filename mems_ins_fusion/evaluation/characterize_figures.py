@@ -1,0 +1,194 @@
+"""The figures of a characterization, as Matplotlib figures without a window."""
+from __future__ import annotations
+
+import numpy as np
+
+from mems_ins_fusion.sensor_errors.autocorrelation import autocorrelation
+from mems_ins_fusion.sensor_errors.characterize import SENSORS, Characterization
+
+_UNIT = {'accelerometer': 'm/s²', 'gyroscope': 'rad/s'}
+_STYLE = {'random_walk': ('C0', 'random walk'), 'gauss_markov': ('C1', 'Gauss-Markov'),
+          'autoregressive': ('C2', 'autoregressive')}
+
+
+def figures(c: Characterization) -> dict[str, tuple]:
+    """By file name: (figure, caption)."""
+    drawn = {'overview': (_overview(c), 'Means over 10 s, without the mean of the recording. Shaded: cut out.')}
+    for sensor in SENSORS:
+        drawn[f'allan_{sensor}'] = (_allan(c, sensor), f'Overlapping Allan deviation of the {sensor}, with 95 % bounds, '
+                                    'the coefficients read from it, and what the fitted models would show.')
+    drawn |= {
+        'autocorrelation': (_autocorrelation(c), 'Autocorrelation of 1 s means. Lag 0, with the white noise, is left out.'
+                            ' The curves are the Gauss-Markov process fitted to it, and that of maximum likelihood.'),
+        'orders': (_orders(c), 'Prediction error against the order of the AR model on held-out data (Figure 6 of the '
+                   'paper): plain AR by Burg, and white noise + AR. Below: information criteria of the plain AR, '
+                   'less their minimum; FPE as n log(FPE).'),
+        'intervals': (_intervals(c), 'Time constant of the slowest pole of an AR(2) against the averaging interval it is '
+                      'fitted at. Fitted as it is, it follows the interval: it describes the white noise. Fitted '
+                      'together with white noise, it shows the slow error. Vertical: the interval chosen.'),
+        'horizons': (_horizons(c), 'RMS error of the predicted mean over the coming seconds, on held-out data: what an '
+                     'outage of that length costs, in velocity or heading per second of it.'),
+        'residuals': (_residuals(c), 'Autocorrelation of the normalized residual (one-step innovation) of the recommended '
+                      'model on held-out data. Between the lines, white.')}
+    return drawn
+
+
+def _grid(width=11.0, height=5.6, rows=2, columns=3, sharex=True):
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout='constrained')
+    return figure, figure.subplots(rows, columns, sharex=sharex, squeeze=False)
+
+
+def _panels(c, height=5.6):
+    figure, panels = _grid(height=height)
+    for axis, panel in zip(c.axes, panels.flat):
+        panel.set_title(axis.name, fontsize=10)
+        panel.grid(alpha=0.3)
+    return figure, panels
+
+
+def _overview(c):
+    figure, panels = _panels(c)
+    for axis, panel in zip(c.axes, panels.flat):
+        size = max(1, round(10 * c.grid.rate))
+        k = c.axes.index(axis)
+        values = c.grid.values[:len(c.grid.values) // size * size, k].reshape(-1, size)
+        present = np.isfinite(values)
+        mean = np.where(present, values, 0.0).sum(axis=1) / np.maximum(present.sum(axis=1), 1)
+        mean[present.sum(axis=1) < size / 2] = np.nan
+        panel.plot((np.arange(len(mean)) + 0.5) * size / c.grid.rate, mean - axis.mean.value, lw=0.8)
+        for cut in c.rest.cuts:
+            panel.axvspan(cut.start, max(cut.stop, cut.start + c.grid.values.shape[0] / c.grid.rate / 1000),
+                          color='C3', alpha=0.25, lw=0)
+        panel.set_ylabel(_UNIT[axis.name.split()[0]])
+    for panel in panels[-1]:
+        panel.set_xlabel('time in s')
+    return figure
+
+
+def _allan(c, sensor):
+    figure, panels = _grid(height=4.2, rows=1)
+    for axis, panel in zip(c.of(sensor), panels.flat):
+        curve, found = axis.allan, axis.allan_parameters
+        panel.fill_between(curve.tau, curve.lower, curve.upper, color='0.8', label='95 % bounds')
+        panel.loglog(curve.tau, curve.deviation, 'k', lw=1.2, label='Allan deviation')
+        if found.noise_density is not None:
+            panel.loglog(curve.tau, found.noise_density / np.sqrt(curve.tau), 'C3:', lw=1, label='N, slope −1/2')
+        if found.random_walk is not None:
+            panel.loglog(curve.tau, found.random_walk * np.sqrt(curve.tau / 3), 'C4:', lw=1, label='K, slope +1/2')
+        if found.bias_instability is not None:
+            panel.plot(found.bias_instability_tau, found.bias_instability * 0.664, 'C5o', ms=5, label='0.664 B')
+        for name in ('random_walk', 'gauss_markov'):
+            colour, label = _STYLE[name]
+            panel.loglog(curve.tau, model_allan(axis.fits[name], curve.tau), colour, lw=1, ls='--', label=label)
+        panel.set_ylim(0.4 * curve.lower.min(), 2.5 * curve.upper.max())
+        panel.set_title(axis.name, fontsize=10)
+        panel.set_xlabel('averaging time in s')
+        panel.grid(alpha=0.3, which='both', lw=0.4)
+    panels[0, 0].set_ylabel(f'Allan deviation in {_UNIT[sensor]}')
+    panels[0, 0].legend(fontsize=7)
+    return figure
+
+
+def model_allan(fit, tau):
+    """Allan deviation of white noise plus a random walk or Gauss-Markov process (IEEE Std 952-1997, C.1.3 and C.1.7)."""
+    white = fit.noise_density**2 / tau
+    if hasattr(fit.model, 'q'):
+        return np.sqrt(white + fit.model.q**2 * tau / 3)
+    u = tau / fit.model.tau
+    hump = 2 * fit.model.sigma**2 / u * (1 - (3 - 4 * np.exp(-u) + np.exp(-2 * u)) / (2 * u))
+    return np.sqrt(white + np.maximum(hump, 0.0))
+
+
+def _autocorrelation(c):
+    figure, panels = _panels(c)
+    for axis, panel in zip(c.axes, panels.flat):
+        fit, model = axis.autocorrelation, axis.fits['gauss_markov'].model
+        step = max(1, len(fit.lags) // 500)
+        panel.plot(fit.lags[1::step], fit.values[1::step], 'k', lw=0.8, label='measured')
+        panel.plot(fit.lags[1:], fit.fitted[1:], 'C3', lw=1.2, label='fit to the curve')
+        if axis.significant:
+            panel.plot(fit.lags[1:], model.sigma**2 * np.exp(-fit.lags[1:] / model.tau), 'C1--', lw=1.2,
+                       label='maximum likelihood')
+        panel.set_ylabel(f'({_UNIT[axis.name.split()[0]]})²')
+    for panel in panels[-1]:
+        panel.set_xlabel('lag in s')
+    panels[0, 0].legend(fontsize=7)
+    return figure
+
+
+def _orders(c):
+    figure, panels = _grid(height=5.6, rows=2, columns=6)
+    for axis, (top, bottom) in zip(c.axes, panels.T):
+        curve, unit = axis.order_curve, _UNIT[axis.name.split()[0]]
+        scale = 1e3
+        top.plot(curve.orders, scale * curve.rmse, 'k.-', lw=0.8, label='plain AR, Burg')
+        top.plot(list(axis.joint_orders), [scale * p.one_step_rmse for p in axis.joint_orders.values()], 'C2s-', ms=4,
+                 lw=0.8, label='white noise + AR')
+        top.set_title(axis.name, fontsize=9)
+        top.set_ylabel(f'RMSE in 10⁻³ {unit}', fontsize=8)
+        n = len(axis.averages.z)
+        for name, values in (('AIC', curve.aic), ('BIC', curve.bic), ('FPE', n * np.log(curve.fpe))):
+            bottom.plot(curve.orders, values - values.min(), '.-', lw=0.8, label=name)
+        bottom.set_xlabel('order p')
+        bottom.set_ylabel('nats over minimum', fontsize=8)
+        for panel in (top, bottom):
+            panel.grid(alpha=0.3)
+            panel.tick_params(labelsize=7)
+    panels[0, 0].legend(fontsize=6)
+    panels[1, 0].legend(fontsize=6)
+    return figure
+
+
+def _intervals(c):
+    figure, panels = _grid(height=4.2, rows=1, columns=2)
+    for sensor, panel in zip(SENSORS, panels.flat):
+        for i, axis in enumerate(c.of(sensor)):
+            study = axis.intervals
+            panel.loglog(study.interval, study.plain, f'C{i}.--', lw=1, label=f'{axis.name[-1]}, AR(2) alone')
+            panel.loglog(study.interval, study.joint, f'C{i}o-', lw=1, ms=4, label=f'{axis.name[-1]}, white noise + AR(2)')
+        panel.loglog(study.interval, study.interval, color='0.6', lw=0.8, label='the interval itself')
+        panel.axvline(c.interval[sensor], color='k', lw=0.8, ls=':')
+        panel.set_title(sensor, fontsize=10)
+        panel.set_xlabel('averaging interval in s')
+        panel.set_ylabel('time constant in s')
+        panel.grid(alpha=0.3)
+    panels[0, 0].legend(fontsize=7)
+    return figure
+
+
+def _horizons(c):
+    figure, panels = _panels(c)
+    for axis, panel in zip(c.axes, panels.flat):
+        for name, prediction in axis.predictions.items():
+            colour, label = _STYLE[name]
+            line = ':' if name == 'autoregressive' else '-'
+            panel.plot(prediction.horizons, prediction.horizon_rmse, colour + '.', ls=line, lw=1.4, label=label)
+        panel.set_xscale('log')
+        panel.set_ylim(bottom=0)
+        panel.set_ylabel(f'RMS error in {_UNIT[axis.name.split()[0]]}', fontsize=8)
+        panel.ticklabel_format(axis='y', scilimits=(-2, 2))
+    for panel in panels[-1]:
+        panel.set_xlabel('horizon in s')
+    panels[0, 0].legend(fontsize=7)
+    return figure
+
+
+def _residuals(c):
+    figure, panels = _panels(c)
+    for axis, panel in zip(c.axes, panels.flat):
+        prediction = axis.predictions[axis.recommendation.model]
+        residual = prediction.residual - prediction.residual.mean()
+        values = autocorrelation([residual], min(40, len(residual) // 4))
+        bound = 1.96 / np.sqrt(len(residual))
+        lags = np.arange(1, len(values)) * axis.averages.interval
+        panel.vlines(lags, 0, values[1:] / values[0], color=_STYLE[axis.recommendation.model][0], lw=1.5)
+        for level in (-bound, 0, bound):
+            panel.axhline(level, color='k', lw=0.6, ls='-' if level == 0 else '--')
+        panel.set_title(f'{axis.name}: {_STYLE[axis.recommendation.model][1]}, p = {prediction.whiteness_p:.2g}',
+                        fontsize=9)
+        panel.set_ylabel('autocorrelation')
+    for panel in panels[-1]:
+        panel.set_xlabel('lag in s')
+    return figure

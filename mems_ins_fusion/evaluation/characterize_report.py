@@ -1,0 +1,215 @@
+"""A characterization as report.json and report.html."""
+from __future__ import annotations
+
+import math
+
+from mems_ins_fusion.evaluation import html
+from mems_ins_fusion.sensor_errors.autoregressive import METHODS
+from mems_ins_fusion.sensor_errors.characterize import SENSORS, STANDARD_GRAVITY, Characterization
+from mems_ins_fusion.sensor_errors.parameter_file import parameters, parameters_yaml
+
+_WORDS = {'random_walk': 'random walk', 'gauss_markov': 'Gauss-Markov', 'autoregressive': 'autoregressive'}
+
+
+def report(c: Characterization) -> dict:
+    """report.json: plain numbers, texts and lists; null where something is not known or unbounded."""
+    return {
+        'recording': c.name, 'rate_hz': c.grid.rate, 'duration_at_rest_s': c.duration,
+        'missing_samples': c.grid.missing, 'rejected_stamps': c.grid.rejected,
+        'interval_jitter_s': _plain(c.grid.jitter), 'parts_s': [[a / c.grid.rate, b / c.grid.rate]
+                                                                for a, b in c.rest.parts],
+        'cuts': [{'start_s': cut.start, 'stop_s': cut.stop, 'reason': cut.reason} for cut in c.rest.cuts],
+        'gravity_mps2': c.gravity, 'model': c.model, 'interval_s': c.interval, 'order': c.order,
+        'parameters': _plain(parameters(c)), 'axes': [_axis(a) for a in c.axes]}
+
+
+def _axis(a) -> dict:
+    return _plain({
+        'name': a.name, 'unit': a.unit, 'mean': _estimate(a.mean), 'slow_error_significant': a.significant,
+        'temperature_slope': a.temperature and _estimate(a.temperature),
+        'allan': {**vars(a.allan_parameters), 'tau_s': a.allan.tau, 'deviation': a.allan.deviation,
+                  'lower': a.allan.lower, 'upper': a.allan.upper},
+        'autocorrelation': {'sigma': _estimate(a.autocorrelation.sigma), 'tau': _estimate(a.autocorrelation.tau)},
+        'models': {name: _fit(fit) for name, fit in a.fits.items()},
+        'autoregressive_methods': {f.method: {'coefficients': f.coefficients, 'b0': f.b0, 'stable': f.stable,
+                                              'pole_radius': f.radius,
+                                              'time_constant_s': f.time_constant(a.averages.interval)}
+                                   for f in a.estimators},
+        'order_curve': vars(a.order_curve),
+        'joint_orders': {str(o): {'score': p.score, 'one_step_rmse': p.one_step_rmse} for o, p in
+                         a.joint_orders.items()},
+        'intervals': vars(a.intervals),
+        'prediction': {name: {'score': p.score, 'one_step_rmse': p.one_step_rmse, 'horizon_s': p.horizons,
+                              'horizon_rmse': p.horizon_rmse, 'whiteness_p': p.whiteness_p}
+                       for name, p in a.predictions.items()},
+        'recommendation': vars(a.recommendation)})
+
+
+def _fit(fit) -> dict:
+    return {'noise_density': fit.noise_density, 'log_likelihood': fit.log_likelihood, 'bic': fit.bic,
+            'p_value_of_white_noise_alone': fit.p_value, 'interval_s': fit.interval,
+            'estimates': {name: _estimate(e) for name, e in fit.estimates.items()}}
+
+
+def _estimate(e) -> dict:
+    return {'value': e.value, 'lower': e.lower, 'upper': e.upper}
+
+
+def _plain(value):
+    """`value` as JSON knows it: arrays and tuples as lists, what is not finite as null."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if hasattr(value, 'tolist'):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def report_html(c: Characterization, images: dict[str, tuple[bytes, str]]) -> str:
+    """report.html. images: PNG and caption by name, as `characterize_figures.figures` names them."""
+    def show(*names):
+        return [html.figure(*images[n]) for n in names if n in images]
+
+    sections = [
+        html.section('Result', *_result(c)),
+        html.section('The recording', *_recording(c), *show('overview')),
+        html.section('Allan deviation', *_allan(c), *show(*(f'allan_{s}' for s in SENSORS))),
+        html.section('Autocorrelation', *_autocorrelation(c), *show('autocorrelation')),
+        html.section('Fitted models', *_models(c)),
+        html.section('Autoregressive model: interval', *_intervals(c), *show('intervals')),
+        html.section('Autoregressive model: order and method', *_orders(c), *show('orders')),
+        html.section('Which model is right', *_selection(c), *show('horizons', 'residuals')),
+        html.section('Parameters', 'The file imu.yaml, as the filter loads it.',
+                     html.preformatted(parameters_yaml(c)))]
+    return html.page(f'{c.name}: sensor errors at rest', sections,
+                     f'{c.duration:.0f} s at rest at {c.grid.rate:.2f} Hz; intervals are 95 %.')
+
+
+def _result(c):
+    rows = [(a.name, _words(a.recommendation.model), a.recommendation.decided, a.recommendation.text) for a in c.axes]
+    parts = [html.table(('axis', 'model', 'decided by the data', 'why'), rows),
+             html.note(f'Recommended for all axes together: {_words(c.model)}. It is what imu.yaml selects.', 'good')]
+    quiet = [a.name for a in c.axes if not a.significant]
+    if quiet:
+        parts.append(html.note(f'No slow error beside the white noise was seen on {", ".join(quiet)}. There, imu.yaml '
+                               'holds the upper limit of what could be; a longer recording would show more.', 'warning'))
+    short = [a.name for a in c.axes if a.significant and not c.duration > 20 * a.fits['gauss_markov'].model.tau]
+    if short:
+        parts.append(html.note(f'Fewer than 20 correlation times were recorded of {", ".join(short)}: sigma and tau of '
+                               'Gauss-Markov are uncertain, and only their ratio, the driving noise, is well known.',
+                               'warning'))
+    return parts
+
+
+def _recording(c):
+    low, high = 9.76, 9.84  # gravity on the earth's surface
+    force = f'Mean specific force {c.gravity:.4f} m/s² against standard gravity {STANDARD_GRAVITY} m/s².'
+    if not low <= c.gravity <= high:
+        force += (f' No place on earth has that ({low} to {high}): the accelerometers have a bias or scale error of at '
+                  f'least {max(low - c.gravity, c.gravity - high):.3f} m/s², mostly on the vertical axis.')
+    rows = [(a.name, a.mean.value, a.mean.lower, a.mean.upper, a.unit,
+             a.temperature and a.temperature.value, a.temperature and a.temperature.lower,
+             a.temperature and a.temperature.upper) for a in c.axes]
+    grid = (f'{len(c.grid.values)} samples on the grid; {c.grid.missing} missing, {c.grid.rejected} rejected for a stamp '
+            f'that did not advance; typical jitter of the intervals {1e3 * c.grid.jitter:.3g} ms.')
+    cut = sum(x.stop - x.start for x in c.rest.cuts)
+    parts = [grid, f'{len(c.rest.parts)} part(s) at rest; {len(c.rest.cuts)} disturbances, {cut:.0f} s in all, cut out.']
+    if c.rest.cuts:
+        shown = c.rest.cuts[:20]
+        parts.append(html.table(('from, s', 'to, s', 'reason'), [(x.start, x.stop, x.reason) for x in shown],
+                                'The first 20; all are in report.json.' if len(c.rest.cuts) > 20 else '', digits=6))
+    return [*parts, force, 'The mean of an accelerometer holds gravity and tilt, so no bias is given for it; that of a '
+            'gyroscope holds the rotation of the earth (up to 7.3e-5 rad/s). The interval is that of the long-term '
+            'level, slow error included.',
+            html.table(('axis', 'mean', 'lower', 'upper', 'unit', 'per °C', 'lower', 'upper'), rows, digits=5),
+            '' if any(a.temperature for a in c.axes) else 'No temperature topic, or less than 0.5 °C of change: no trend.']
+
+
+def _allan(c):
+    rows = []
+    for a in c.axes:
+        p = a.allan_parameters
+        rows.append((a.name, p.noise_density, p.noise_density_sigma, p.bias_instability, p.bias_instability_tau,
+                     p.random_walk, p.random_walk_sigma, p.correlation_time))
+    return [html.table(('axis', 'white noise N, unit/√Hz', '1σ', 'bias instability B, unit', 'at, s',
+                        'random walk K, unit/√s', '1σ', 'correlation time, s'), rows,
+                       'Units: m/s² for accelerometers, rad/s for gyroscopes. A dash: the curve does not show it.')]
+
+
+def _autocorrelation(c):
+    rows = [(a.name, *_three(a.autocorrelation.sigma), *_three(a.autocorrelation.tau)) for a in c.axes]
+    return [html.table(('axis', 'sigma', 'lower', 'upper', 'tau, s', 'lower', 'upper'), rows),
+            'The classical way, for comparison: maximum likelihood below uses the same data far better.']
+
+
+def _models(c):
+    rows = []
+    for a in c.axes:
+        for name, fit in a.fits.items():
+            for key, e in fit.estimates.items():
+                unit = {'tau': 's'}.get(key, '' if key.startswith('a_') else a.unit + e.unit)
+                rows.append((a.name, _words(name), key, e.value, e.lower, e.upper, unit))
+    return [f'Maximum likelihood of white noise and each model together, at averaging intervals of '
+            f'{" and ".join(f"{c.interval[s]:.4g} s ({s})" for s in SENSORS)}.',
+            html.table(('axis', 'model', 'parameter', 'value', 'lower', 'upper', 'unit'), rows, digits=5)]
+
+
+def _intervals(c):
+    rows = [(a.name, *row) for a in c.axes for row in zip(*(getattr(a.intervals, n) for n in (
+        'interval', 'plain', 'joint', 'noise_density', 'outage_rmse')))]
+    return ['An AR model fitted to raw samples describes the white noise: its time constant is a few samples. At longer '
+            'intervals it grows with the interval and says nothing either. Together with white noise the slow error '
+            'shows. The interval chosen for the models is the shortest whose prediction through the longest horizon on '
+            'held-out data is within 2 % of the best, on the average of the axes.',
+            html.table(('axis', 'interval, s', 'AR(2) alone: time constant, s', 'white noise + AR(2): time constant, s',
+                        'white noise, unit/√Hz', 'outage error, unit'), rows)]
+
+
+def _orders(c):
+    rows = []
+    for a in c.axes:
+        for method, fit in zip(METHODS, a.estimators):
+            rows.append((a.name, method, ', '.join(f'{v:.4f}' for v in fit.coefficients), fit.b0, fit.radius, fit.stable,
+                         fit.time_constant(a.averages.interval)))
+        joint = a.fits['autoregressive'].model
+        rows.append((a.name, 'white noise + AR', ', '.join(f'{v:.4f}' for v in joint.coefficients), joint.b0,
+                     float(abs(joint.poles()).max()), True, _time_constant(joint)))
+    chosen = ', '.join(f'{c.order[s]} for the {s}' for s in SENSORS)
+    criteria = [(a.name, int(a.order_curve.orders[a.order_curve.aic.argmin()]),
+                 int(a.order_curve.orders[a.order_curve.bic.argmin()]),
+                 int(a.order_curve.orders[a.order_curve.fpe.argmin()]), a.order_curve.elbow(),
+                 min(a.joint_orders, key=lambda o: a.joint_orders[o].one_step_rmse)) for a in c.axes]
+    return [f'Order {chosen}: the smallest that no higher one certainly beats in predicting held-out data, on any of the '
+            'three axes (more than two standard errors over blocks of time).',
+            html.table(('axis', 'AIC', 'BIC', 'FPE', 'RMSE within 1 %', 'white noise + AR: least RMSE'), criteria,
+                       'Orders that each criterion would choose; the first four for an AR without white noise, which '
+                       'needs a high order to imitate it.'),
+            html.table(('axis', 'method', 'a_1 … a_p', 'b_0, unit', 'largest pole', 'stable', 'time constant, s'), rows)]
+
+
+def _time_constant(model):
+    from mems_ins_fusion.sensor_errors.autoregressive import time_constant
+
+    return time_constant(model.coefficients, model.interval)
+
+
+def _selection(c):
+    rows = []
+    for a in c.axes:
+        for name, p in a.predictions.items():
+            rows.append((a.name, _words(name), p.score, p.one_step_rmse, p.horizon_rmse[-1] if len(p.horizons) else None,
+                         p.horizons[-1] if len(p.horizons) else None, p.whiteness_p, a.fits[name].bic))
+    return ['Fitted to the first 60 % of the recording, judged on the rest. A model counts as better when its score '
+            'exceeds the other by two standard errors over 20 blocks of time and by more than one nat; else the simplest '
+            'is recommended, and the table of results says that the data do not decide.',
+            html.table(('axis', 'model', 'score, nats per interval', 'one-step RMSE, unit', 'RMSE of the mean ahead, unit',
+                        'over, s', 'Ljung-Box p', 'BIC (all data)'), rows, digits=6)]
+
+
+def _three(e):
+    return e.value, e.lower, e.upper
+
+
+def _words(name):
+    return _WORDS[name]

@@ -1,0 +1,134 @@
+"""A characterization as parameters of the filter: the YAML that every tool loads, each value with its origin."""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .characterize import SENSORS, STANDARD_GRAVITY, Axis, Characterization
+from .fitting import Estimate
+from .models import Autoregressive, GaussMarkov, Model, RandomWalk
+
+
+def axis_models(axis: Axis, duration: float) -> dict[str, Model]:
+    """The three models of one axis as the filter shall use them.
+
+    Where the recording shows no slow error, the random walk at the upper end of its interval, and the two others such
+    that they do the same over the recording: a filter that trusts a bias to be constant for ever cannot recover.
+    """
+    if axis.significant:
+        walk, gauss_markov = axis.fits['random_walk'].model, axis.fits['gauss_markov'].model
+    else:
+        walk = RandomWalk(axis.fits['random_walk'].estimates['q'].upper, 0.0)
+        gauss_markov = GaussMarkov(walk.q * math.sqrt(duration / 2), duration)
+    fit = axis.fits['autoregressive']
+    model = fit.model if axis.significant and fit.significant else _as_autoregressive(gauss_markov, fit.model)
+    return {'random_walk': walk, 'gauss_markov': gauss_markov, 'autoregressive': model}
+
+
+def _as_autoregressive(model: GaussMarkov, like: Autoregressive) -> Autoregressive:
+    decay = math.exp(-like.interval / model.tau)
+    return Autoregressive((-decay, *[0.0] * (like.order - 1)), model.sigma * math.sqrt(1 - decay**2), like.interval)
+
+
+def parameters(c: Characterization) -> dict:
+    """The parameters of both sensors by full name, with the recommended `sensor_error_model`."""
+    values: dict = {'sensor_error_model': c.model}
+    for sensor in SENSORS:
+        axes = c.of(sensor)
+        models = [axis_models(a, c.duration) for a in axes]
+        values[f'{sensor}.noise_density'] = [_white(a, c.model).value for a in axes]
+        if sensor == 'gyroscope':
+            values[f'{sensor}.bias'] = [a.mean.value for a in axes]
+        values[f'{sensor}.initial_sigma'] = [initial_sigma(c, sensor)]
+        values[f'{sensor}.random_walk.q'] = [m['random_walk'].q for m in models]
+        values[f'{sensor}.gauss_markov.sigma'] = [m['gauss_markov'].sigma for m in models]
+        values[f'{sensor}.gauss_markov.tau'] = [m['gauss_markov'].tau for m in models]
+        regressive = [m['autoregressive'] for m in models]
+        values[f'{sensor}.autoregressive.coefficients'] = [a for m in regressive for a in m.coefficients]
+        values[f'{sensor}.autoregressive.order'] = c.order[sensor]
+        values[f'{sensor}.autoregressive.b0'] = [m.b0 for m in regressive]
+        values[f'{sensor}.autoregressive.interval'] = c.interval[sensor]
+    return values
+
+
+def _white(axis, model):
+    """The white noise beside the recommended model; beside a random walk where there is no slow error."""
+    fit = axis.fits[model]
+    return (fit if fit.estimates else axis.fits['random_walk']).estimates['noise_density']
+
+
+def initial_sigma(c: Characterization, sensor: str) -> float:
+    """What one recording shows of the size of the turn-on bias.
+
+    Gyroscope: the RMS of the three mean rates. Accelerometer: the mean specific force against gravity, the one
+    component of the bias that a sensor at rest shows; at least the slow error.
+    """
+    axes = c.of(sensor)
+    slow = max(axis_models(a, c.duration)['gauss_markov'].sigma for a in axes)
+    seen = abs(c.gravity - STANDARD_GRAVITY) if sensor == 'accelerometer' else math.sqrt(
+        np.mean([a.mean.value**2 for a in axes]))
+    return max(seen, slow)
+
+
+def parameters_yaml(c: Characterization) -> str:
+    """The params file, with comments that say where each value comes from and how certain it is."""
+    values = parameters(c)
+    lines = [f'# Sensor errors of {c.name}, from {c.duration:.0f} s at rest, by characterize.',
+             '# Intervals in brackets: 95 %, for axes x, y, z (sensor axes).',
+             '/**:', '  ros__parameters:', '    # predicts held-out data best, or as well as any and simplest',
+             f'    sensor_error_model: {c.model}']
+    for sensor, unit in SENSORS.items():
+        axes = c.of(sensor)
+        if sensor == 'accelerometer':
+            lines.append('    # accelerometer.bias is not here: at rest it cannot be told from tilt. Mean specific force '
+                         f'{c.gravity:.4f} m/s^2, standard gravity {STANDARD_GRAVITY}')
+        for name in (n for n in values if n.startswith(sensor)):
+            lines += [f'    # {line}' for line in _origin(c, sensor, unit, axes, name.removeprefix(f'{sensor}.'))]
+            lines.append(f'    {name}: {_text(values[name])}')
+    return '\n'.join(lines) + '\n'
+
+
+def _origin(c, sensor, unit, axes, name):
+    quiet = [a.name[-1] for a in axes if not a.significant]
+    note = [f'no slow error was seen on {", ".join(quiet)}: there, the upper limit of what could be'] if quiet else []
+    if name == 'noise_density':
+        return [f'{unit}/sqrt(Hz), beside {c.model.replace("_", " ")}: {_ranges([_white(a, c.model) for a in axes])}']
+    if name == 'bias':
+        return [f'{unit}, mean of the recording, rotation of the earth (up to 7.3e-5) included; long-term level: '
+                f'{_ranges([a.mean for a in axes])}']
+    if name == 'initial_sigma':
+        return [f'{unit}, size of the turn-on bias as far as one recording shows it']
+    if name == 'random_walk.q':
+        return [f'{unit}/sqrt(s): {_ranges([a.fits["random_walk"].estimates["q"] for a in axes])}', *note]
+    if name.startswith('gauss_markov'):
+        key = name.rsplit('.', 1)[1]
+        return [f'{"s" if key == "tau" else unit}: {_ranges([a.fits["gauss_markov"].estimates[key] for a in axes])}']
+    if name == 'autoregressive.coefficients':
+        return [f'a_1..a_{c.order[sensor]} of x, then y, then z; white noise is not part of them']
+    if name == 'autoregressive.b0':
+        known = [a.fits['autoregressive'].estimates.get('b0') for a in axes]
+        return [f'{unit}: {_ranges(known)}']
+    if name == 'autoregressive.interval':
+        return ['s, the shortest that predicts outages as well as any']
+    return []
+
+
+def _ranges(estimates: list[Estimate | None]) -> str:
+    return ', '.join('[not known]' if e is None else f'[{e.lower:.3g}, {e.upper:.3g}]' for e in estimates)
+
+
+def _text(value) -> str:
+    if isinstance(value, list):
+        return f'[{", ".join(map(_text, value))}]'
+    return _number(value) if isinstance(value, float) else str(value)
+
+
+def _number(value: float) -> str:
+    """A text that YAML readers take for a floating-point number: with a point, also before an exponent.
+
+    Coefficients near the unit circle need all their digits.
+    """
+    text = f'{float(value):.10g}'
+    mantissa, e, exponent = text.partition('e')
+    return (mantissa if '.' in mantissa else f'{mantissa}.0') + e + exponent
