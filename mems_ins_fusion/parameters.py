@@ -154,7 +154,7 @@ FILTER = (
               'message.', minimum=0.0, maximum=1000.0),
     Parameter('gnss.default_sigma', 3.0, 'm', 'Used where the message\'s covariance is unknown or zero.',
               positive=True, maximum=1000.0),
-    Parameter('gnss.max_delay', 2.0, 's', 'A fix may arrive this much later than the IMU samples of its time; '
+    Parameter('gnss.max_delay', 1.0, 's', 'A fix may arrive this much later than the IMU samples of its time; '
               'later ones are dropped.', minimum=0.0, maximum=10.0),
     Parameter('gnss.robust_sigma', 0.0, 'sigma', 'A fix whose normalized innovation is larger is weighted down to '
               'this value (Huber); 0 trusts every fix.', minimum=0.0),
@@ -215,6 +215,8 @@ REPLAY = (
     Parameter('seed', 0, '-', 'Seed of that noise.', minimum=0),
     Parameter('reference_topic', '', 'text', 'Topic of the reference: NavSatFix, Odometry or PoseStamped; empty: the '
               'withheld fixes are the truth.'),
+    Parameter('reference_lever_arm', [], 'm', 'From the IMU to the point whose position the reference is, base_link '
+              '(forward-left-up); empty: the antenna, gnss.lever_arm.', lengths=(0, 3), minimum=-50.0, maximum=50.0),
     Parameter('reference_file', '', 'text', 'Reference trajectory as a file: CSV, TUM, NMEA or RTKLIB .pos.'),
     Parameter('write_bag', False, '-', 'Also write a rosbag2 with one Odometry topic per model.'),
     Parameter('publish', False, '-', 'Publish the replayed odometry on topics, with /clock.'),

@@ -384,19 +384,27 @@ class _Replay(_Intake):
         samples = kept[skip:]
         records, index = np.ascontiguousarray(records[first:]), mine[first:]
         answers = np.zeros(len(records), dtype=np.int64)
-        states = np.empty((len(samples), len(self.columns)))
-        force, rate = self.imu.specific_force, self.imu.angular_rate
-        if len(samples) != len(force):
-            force, rate = force[samples], rate[samples]
-        began = clock.process_time()
-        run_kernel(memory, time[skip:], force, rate, records, before[first:] - skip, answers, self.columns, states)
-        self.seconds += clock.process_time() - began
+        began = clock.thread_time()
+        samples, states = self._filter(memory, time[skip:], samples, records, before[first:] - skip, answers, epoch)
+        self.seconds += clock.thread_time() - began
         self.memory = memory
         for i in np.flatnonzero(answers != FIX_TAKEN):
             self._say_not_taken(answers[i], epoch + round(records[i, Fix.TIME] * 1e9),
                                 int(self.imu.stamp[kept[before[first + i] - 1]]))
         applied = records[:, Fix.APPLIED] == 1.0
         self.parts.append(_Part(samples, states, epoch, index[applied], records[applied]))
+
+    def _filter(self, memory, time, samples, records, arrival, answers, epoch) -> tuple[np.ndarray, np.ndarray]:
+        """`samples` (indices) through the kernel (arguments as there): those whose states are kept, and the states."""
+        states = np.empty((len(samples), len(self.columns)))
+        run_kernel(memory, time, *self._inputs(samples), records, arrival, answers, self.columns, states)
+        return samples, states
+
+    def _inputs(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Specific force and angular rate of `samples` (indices)."""
+        n = len(samples)
+        part = slice(samples[0], samples[0] + n) if n and samples[-1] - samples[0] == n - 1 else samples  # no copy
+        return self.imu.specific_force[part], self.imu.angular_rate[part]
 
     def _check_fixes(self, mine: np.ndarray, newest: np.ndarray, epoch: int) -> tuple[np.ndarray, np.ndarray]:
         """Which of the fixes can be used (positions in `mine`), and those as the kernel takes them."""
@@ -460,7 +468,8 @@ def _columns(config: FilterConfig) -> np.ndarray:
     """What of each state is kept: navigation solution, x, the covariance's diagonal and its north-east element."""
     n = config.navigation + config.others
     pairs = [(i, i) for i in range(n)] + [(0, 1)]
-    return np.array([*range(NAV + n)] + [covariance_index(i, j, config.navigation, config.others) for i, j in pairs])
+    kept = [*range(NAV + n)] + [covariance_index(i, j, config.navigation, config.others) for i, j in pairs]
+    return np.array(kept, dtype=np.uint64)  # unsigned: the kernel need not look for negative ones
 
 
 @njit(cache=True)

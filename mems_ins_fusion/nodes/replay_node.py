@@ -1,6 +1,6 @@
-"""replay_node: recordings through the same filter as the live node, compared with a reference.
+"""replay_node: recordings through the same filter as live, with each sensor error model, against a reference.
 
-The work is in `evaluation.replay`; as a node it takes its parameters as ROS 2 does, from YAML and the command line.
+The work is in `evaluation.replay`; here are the parameters, the progress bar and the exit status.
 """
 from __future__ import annotations
 
@@ -31,13 +31,51 @@ class ReplayNode(Node):
         from ..evaluation.replay import replay
 
         try:
-            print(replay(self._values))
+            with _Bar(stop) as bar:
+                result = replay(self._values, bar)
+            _tell(result)
         except ValueError as error:
-            print(f'{NAME}: {error}', file=sys.stderr)
+            print(f'{NAME}: {" ".join(str(error).split())}', file=sys.stderr)
             return 2
         except KeyboardInterrupt:
+            print(f'{NAME}: interrupted, nothing was written', file=sys.stderr)
             return _INTERRUPTED
         return 0
+
+
+def _tell(result) -> None:
+    """Print the errors, the verdict and where the results are."""
+    from ..evaluation.report import summary_table
+
+    print(summary_table(result.content))
+    for sentences in result.content['verdict'].values():
+        print(*sentences, sep='\n')
+    print(f'report: {result.folder / "report.html"}')
+    for picture in sorted(result.folder.glob('*track.png')):
+        print(f'track: {picture}')
+
+
+class _Bar:
+    """A progress bar on stderr; a context manager, called with the part done. KeyboardInterrupt after a signal."""
+
+    def __init__(self, stop: Stop):
+        self._stop = stop
+
+    def __enter__(self):
+        from tqdm import tqdm
+
+        self._bar = tqdm(total=100, desc=NAME, bar_format='{desc}: {percentage:3.0f}%|{bar}| {elapsed} {postfix}',
+                         file=sys.stderr)
+        return self
+
+    def __exit__(self, *exception):
+        self._bar.close()
+
+    def __call__(self, part: float, what: str) -> None:
+        if self._stop.requested:  # its KeyboardInterrupt may have been lost in a library's callback
+            raise KeyboardInterrupt
+        self._bar.set_postfix_str(what, refresh=False)
+        self._bar.update(max(round(100 * part) - self._bar.n, 0))
 
 
 def main(argv: list[str]) -> int:

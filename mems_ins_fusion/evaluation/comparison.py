@@ -1,0 +1,307 @@
+"""One recording through the filter with each sensor error model, at each update interval, and in outages."""
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from ..filter.coasting import replay
+from ..filter.config import FilterConfig
+from ..filter.fusion import Run
+from ..navigation.frames import FLU_TO_FRD
+from ..samples import Fixes, ImuSamples, Recording
+from . import metrics
+from .bootstrap import Difference, holm, paired
+from .metrics import Errors, Truth, position_errors, truth_from_fixes, turning_at
+from .outages import Outages, outage_begins, run_outages
+from .outages import summary as outage_summary
+
+#: states are kept at this rate, beside those around the epochs of the truth, Hz
+KEPT_RATE = 10.0
+#: a difference is significant when its adjusted p is smaller
+SIGNIFICANCE = 0.05
+
+
+class ReplayError(ValueError):
+    """A recording that cannot be replayed as asked: one line that says why."""
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """One run: its states at KEPT_RATE and around the truth's epochs, its errors, and the IMU samples gone through."""
+
+    model: str
+    interval: float
+    run: Run
+    errors: Errors
+    samples: int
+
+
+@dataclass(frozen=True)
+class OutageResult:
+    model: str
+    interval: float
+    outages: Outages
+
+
+@dataclass(frozen=True)
+class PairResult:
+    """Two models on the same data: difference of the mean square error (m^2, interval) or, in outages, of the mean largest
+    error (m, duration), first minus second."""
+
+    first: str
+    second: str
+    interval: float
+    duration: float | None
+    difference: Difference
+    p_adjusted: float
+    rms: tuple[float, float]
+
+    @property
+    def significant(self) -> bool:
+        return self.p_adjusted < SIGNIFICANCE
+
+    @property
+    def better(self) -> str:
+        return self.first if self.difference.mean < 0 else self.second
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All runs on one recording."""
+
+    recording: Recording
+    mechanization: str
+    truth: Truth
+    runs: list[RunResult]
+    outages: list[OutageResult]
+    pairs: list[PairResult]
+
+    def run_of(self, model: str, interval: float) -> RunResult:
+        return next(r for r in self.runs if r.model == model and r.interval == interval)
+
+    @property
+    def intervals(self) -> list[float]:
+        return sorted({r.interval for r in self.runs})
+
+    @property
+    def models(self) -> list[str]:
+        return list(dict.fromkeys(r.model for r in self.runs))
+
+    @property
+    def durations(self) -> list[float]:
+        return sorted({r.outages.duration for r in self.outages})
+
+
+def cut(recording: Recording, start: float, stop: float) -> Recording:
+    """The part of `recording` from `start` to `stop` s after its first IMU sample; stop 0: to its end."""
+    origin = int(recording.imu.stamp[0])
+    last = origin + round(stop * 1e9) if stop else np.iinfo(np.int64).max
+
+    def part(samples):
+        return None if samples is None else samples.select(
+            (samples.stamp >= origin + round(start * 1e9)) & (samples.stamp <= last))
+
+    shorter = replace(recording, imu=part(recording.imu), gnss=part(recording.gnss), reference=part(recording.reference),
+                      temperature=part(recording.temperature))
+    for name, samples in (('IMU sample', shorter.imu), ('fix', shorter.gnss)):
+        if not len(samples):
+            raise ReplayError(f'{recording.name}: no {name} between start {start:g} s and stop {stop:g} s')
+    return shorter
+
+
+def add_noise(fixes: Fixes, sigma: float, seed: int) -> Fixes:
+    """`fixes` with white noise of `sigma` m on north and east, and with covariances that say so."""
+    if sigma == 0:
+        return fixes
+    noise = sigma * np.random.default_rng(seed).standard_normal((2, len(fixes)))
+    meridian, prime_vertical = metrics.radii(fixes.latitude)
+    known = fixes.covariance_type > 0
+    covariance = np.where(known[:, None, None], fixes.covariance, 0.0)
+    covariance[:, [0, 1], [0, 1]] += sigma**2
+    covariance[:, 2, 2] += np.where(known, 0.0, 4 * sigma**2)
+    return replace(fixes, latitude=fixes.latitude + noise[0] / (meridian + fixes.height),
+                   longitude=fixes.longitude + noise[1] / ((prime_vertical + fixes.height) * np.cos(fixes.latitude)),
+                   covariance=covariance, covariance_type=np.where(known, fixes.covariance_type, 2).astype(np.uint8))
+
+
+def thin(fixes: Fixes, interval: float) -> np.ndarray:
+    """Which of `fixes` to use, (n,) bool, so that they are `interval` s apart; 0 uses each.
+
+    The first valid one in each slot of `interval`; the slots begin half a fix interval early, against jitter.
+    """
+    valid = (fixes.status >= 0) & np.isfinite(fixes.latitude + fixes.longitude)
+    if interval == 0 or valid.sum() < 2:
+        return valid
+    stamp = fixes.stamp[valid]
+    spacing = np.median(np.diff(np.sort(stamp)))
+    slot = ((stamp - stamp.min() + spacing / 2) // (interval * 1e9)).astype(np.int64)
+    _, first = np.unique(slot, return_index=True)
+    use = np.zeros(len(fixes), dtype=bool)
+    use[np.flatnonzero(valid)[first]] = True
+    return use
+
+
+def truth_of(recording: Recording, values: dict) -> Truth:
+    """The reference of `recording`, or its fixes (those of the receiver, before noise is added) without one."""
+    antenna = values['gnss.lever_arm']
+    if recording.reference is None:
+        return truth_from_fixes(recording.gnss, FLU_TO_FRD @ np.asarray(antenna), values['gnss.time_offset'],
+                                'fixes withheld from the filter')
+    arm = values['reference_lever_arm'] or antenna
+    reference = recording.reference
+    return Truth(reference, FLU_TO_FRD @ np.asarray(arm, dtype=float), np.zeros(len(reference)), 'reference')
+
+
+def compare(recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None) -> Comparison:
+    """Replay `recording` with each of `models`, at each of `update_intervals`, and in the outages.
+
+    values: checked parameters. progress: called from time to time with the part that is done; what it raises ends all.
+    Raises ReplayError where the filter does not start.
+    """
+    work = _Work(recording, values)
+    tasks = [(model, interval) for model in values['models'] for interval in sorted(set(values['update_intervals']))]
+    durations = values['outage_durations']
+    share = 0.6 if durations else 1.0
+    runs = work.in_threads(work.run, tasks, lambda part: progress(share * part))
+    runs = work.measure(runs)
+    begin = work.outage_begins(runs)
+    found = work.in_threads(work.outages, [(model, begin) for model in values['models']] if durations else [],
+                            lambda part: progress(share + (1 - share) * part))
+    outages = [OutageResult(model, work.shortest, o) for model, results in zip(values['models'], _common(found))
+               for o in results]
+    return Comparison(work.recording, values['mechanization'], work.truth, runs, outages, _pairs(runs, outages))
+
+
+class _Work:
+    """What all runs on one recording share."""
+
+    def __init__(self, recording: Recording, values: dict):
+        self.values = values
+        self.recording = recording
+        self.fixes = add_noise(recording.gnss, values['fix_noise'], values['seed'])
+        self.truth = truth_of(recording, values)
+        if not len(self.truth):
+            raise ReplayError(f'{recording.name}: there is no valid position to compare with')
+        self.shortest = min(values['update_intervals'])
+        conditioning = self._config(values['models'][0]).conditioning
+        self.turning = turning_at(recording.imu, conditioning, self.truth.reference.stamp)
+        self.keep = _samples_to_keep(recording.imu, self.truth.reference.stamp)
+
+    def _config(self, model: str) -> FilterConfig:
+        return FilterConfig.from_parameters({**self.values, 'sensor_error_model': model})
+
+    def in_threads(self, function, tasks, progress):
+        """function(*task) for each task on all cores (the kernel holds no lock), in the order of `tasks`."""
+        with ThreadPoolExecutor(len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else None) as pool:
+            futures = [pool.submit(function, *task) for task in tasks]
+            try:
+                pending = set(futures)
+                while pending:
+                    _, pending = wait(pending, timeout=0.1, return_when=FIRST_COMPLETED)
+                    progress(1 - len(pending) / len(futures))
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
+            return [future.result() for future in futures]
+
+    def run(self, model: str, interval: float) -> tuple[str, float, np.ndarray, Run]:
+        use = thin(self.fixes, interval)
+        return model, interval, use, replay(self._config(model), self.recording.imu, self.fixes.select(use), self.keep)
+
+    def measure(self, runs) -> list[RunResult]:
+        """The errors of `runs`, all from the time on at which each of them had started."""
+        for model, interval, _, run in runs:
+            if not len(run.stamp):
+                reason = next((n.text for n in reversed(run.notices) if n.level == 'error'), 'no usable fix')
+                raise ReplayError(f'{self.recording.name}, {model}, update interval {interval:g} s: {reason}')
+        first = max(run.stamp[0] for *_, run in runs)
+        results = []
+        for model, interval, use, run in runs:
+            judged = (self.truth.reference.stamp >= first) & self._withheld(use)
+            errors = position_errors(run, self.truth.select(judged), self.turning[judged],
+                                     self.values['imu.restart_gap'])
+            if not len(errors):
+                raise ReplayError(f'{self.recording.name}: no position of the {self.truth.source} falls into the '
+                                  f'run at update interval {interval:g} s')
+            results.append(RunResult(model, interval, run, errors, len(self.recording.imu) - int(run.index[0])))
+        return results
+
+    def _withheld(self, use: np.ndarray) -> np.ndarray:
+        """Which epochs of the truth are no fixes that the filter was given; all where none would be left."""
+        stamp = self.truth.reference.stamp
+        if self.recording.reference is not None or self.values['fix_noise'] > 0:
+            return np.ones(len(stamp), dtype=bool)
+        used = self.fixes.stamp[use] - round(self.values['gnss.time_offset'] * 1e9)
+        withheld = ~np.isin(stamp, used)
+        return withheld if withheld.any() else ~withheld
+
+    def outage_begins(self, runs: list[RunResult]) -> np.ndarray:
+        if not self.values['outage_durations']:
+            return np.empty(0, dtype=np.int64)
+        first = max(r.run.stamp[0] for r in runs if r.interval == self.shortest)
+        return outage_begins(first, self.fixes.select(thin(self.fixes, self.shortest)), self.values['gnss.time_offset'],
+                             self.values['outage_spacing'], min(self.values['outage_durations']))
+
+    def outages(self, model: str, begin: np.ndarray) -> list[Outages]:
+        return run_outages(self._config(model), self.recording.imu, self.fixes.select(thin(self.fixes, self.shortest)),
+                           self.truth, self.values['outage_durations'], begin, self.keep)
+
+
+def _samples_to_keep(imu: ImuSamples, epochs: np.ndarray) -> np.ndarray:
+    """(n,) bool: the samples on both sides of each epoch, and KEPT_RATE of them a second."""
+    if np.any(np.diff(imu.stamp) <= 0):
+        return np.ones(len(imu), dtype=bool)
+    slot = (imu.stamp - imu.stamp[0]) // round(1e9 / KEPT_RATE)
+    keep = np.concatenate([[True], np.diff(slot) > 0])
+    after = np.searchsorted(imu.stamp, epochs)
+    for index in (after - 1, after):
+        keep[index[(index >= 0) & (index < len(imu))]] = True
+    keep[-1] = True
+    return keep
+
+
+def _common(found: list[list[Outages]]) -> list[list[Outages]]:
+    """The outages that all models have."""
+    if not found:
+        return found
+    common = [set.intersection(*(set(o.begin.tolist()) for o in same)) for same in zip(*found)]
+    return [[o.select(np.isin(o.begin, list(begins))) for o, begins in zip(results, common)] for results in found]
+
+
+def _pairs(runs: list[RunResult], outages: list[OutageResult]) -> list[PairResult]:
+    """Each two models at each interval and in the outages of each duration, judged together (Holm)."""
+    found = []
+    for a, b in combinations(runs, 2):
+        if a.interval == b.interval and a.model != b.model:
+            difference = paired(a.errors.horizontal**2, b.errors.horizontal**2)
+            found.append((a, b, None, difference, (metrics.rms(a.errors.horizontal), metrics.rms(b.errors.horizontal))))
+    for a, b in combinations(outages, 2):
+        if a.outages.duration == b.outages.duration and a.model != b.model and len(a.outages.begin):
+            difference = paired(a.outages.max_error, b.outages.max_error)
+            found.append((a, b, a.outages.duration, difference,
+                          (metrics.rms(a.outages.max_error), metrics.rms(b.outages.max_error))))
+    found = [f for f in found if f[3] is not None]
+    adjusted = holm([f[3].p for f in found])
+    return [PairResult(a.model, b.model, a.interval, duration, difference, p, both)
+            for (a, b, duration, difference, both), p in zip(found, adjusted)]
+
+
+def run_row(result: RunResult, mechanization: str, name: str) -> dict:
+    """One entry of `runs` in `report.json`."""
+    run = result.run
+    return {'recording': name, 'model': result.model, 'mechanization': mechanization,
+            'update_interval_s': result.interval, **metrics.summary(result.errors),
+            'nis_mean': float(run.innovations.nis.mean()) if len(run.innovations.nis) else None,
+            'imu_samples': result.samples, 'fixes_used': len(run.innovations.nis),
+            'filter_seconds': run.filter_seconds}
+
+
+def outage_row(result: OutageResult, mechanization: str, name: str) -> dict:
+    """One entry of `outages` in `report.json`."""
+    return {'recording': name, 'model': result.model, 'mechanization': mechanization,
+            'update_interval_s': result.interval, **outage_summary(result.outages)}

@@ -1,0 +1,205 @@
+"""Position errors of a run against the truth, and the numbers that sum them up. Definitions: docs/metrics.md.
+
+Errors are estimate minus truth, at the epochs of the truth, at the point it describes (an antenna, as a rule): the
+run's position is moved there by the lever arm. Trajectories are never aligned to each other.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from ..filter.fusion import Run
+from ..navigation.earth import radii
+from ..navigation.frames import wrap
+from ..samples import Fixes, ImuSamples, Reference
+from .bootstrap import interval_of_mean
+
+#: a vehicle that turns faster than this is in a manoeuvre, rad/s, and for a while before and after, s
+TURN_RATE, TURN_MARGIN = np.radians(5.0), 2.0
+#: slower than this a course says nothing, m/s
+SLOWEST_COURSE = 1.0
+#: 95 % of a chi-square distribution with 2 degrees of freedom
+NEES_95 = 5.991464547107979
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What errors are measured against.
+
+    reference: positions of the point `lever_arm` (3,) m from the IMU, body axes forward-right-down. variance (m,): of its
+    north and of its east position, m^2 (0: taken as exact). source: in words.
+    """
+
+    reference: Reference
+    lever_arm: np.ndarray
+    variance: np.ndarray
+    source: str
+
+    def __len__(self) -> int:
+        return len(self.reference)
+
+    def select(self, index) -> Truth:
+        return Truth(self.reference.select(index), self.lever_arm, self.variance[index], self.source)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of one run, (m,) each, at the epochs of the truth within the run.
+
+    stamp: ns. north, east: m. along, cross: m, along and to the right of the heading. sigma: m, the filter's own
+    horizontal standard deviation sqrt(P_nn + P_ee). nees: normalized estimation error squared of the horizontal position,
+    2 degrees of freedom. heading: rad and speed: m/s, NaN where the truth has none. turning: bool, in a manoeuvre.
+    """
+
+    stamp: np.ndarray
+    north: np.ndarray
+    east: np.ndarray
+    along: np.ndarray
+    cross: np.ndarray
+    sigma: np.ndarray
+    nees: np.ndarray
+    heading: np.ndarray
+    speed: np.ndarray
+    turning: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    @property
+    def horizontal(self) -> np.ndarray:
+        return np.hypot(self.north, self.east)
+
+    def select(self, index) -> Errors:
+        return Errors(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+
+def position_errors(run: Run, truth: Truth, turning: np.ndarray, longest_gap: float = 10.0) -> Errors:
+    """Errors of `run` at the epochs of `truth` that it covers; turning (m,): of each epoch of `truth`.
+
+    Between its samples the run is interpolated linearly; epochs in a step of more than `longest_gap` s are left out.
+    """
+    inside = _covered(run.stamp, truth.reference.stamp, longest_gap)
+    truth, turning = truth.select(inside), turning[inside]
+    reference = truth.reference
+    at = _Interpolation(run.stamp, reference.stamp)
+    latitude, longitude, height = at(run.latitude), at(run.longitude), at(run.height)
+    yaw = at(np.unwrap(run.yaw))
+    arm_n, arm_e = _lever_arm(truth.lever_arm, at(run.roll), at(run.pitch), yaw)
+    meridian, prime_vertical = radii(reference.latitude)
+    north = (latitude - reference.latitude) * (meridian + reference.height) + arm_n
+    east = (wrap(longitude - reference.longitude) * (prime_vertical + reference.height) * np.cos(reference.latitude)
+            + arm_e)
+    heading = yaw if reference.yaw is None else reference.yaw
+    cos, sin = np.cos(heading), np.sin(heading)
+    p_nn, p_ee, p_ne = at(run.sigma[:, 0])**2, at(run.sigma[:, 1])**2, at(run.covariance_ne)
+    missing = np.full(len(reference), np.nan)
+    return Errors(
+        stamp=reference.stamp, north=north, east=east, along=cos * north + sin * east, cross=cos * east - sin * north,
+        sigma=np.sqrt(p_nn + p_ee), nees=_nees(north, east, p_nn + truth.variance, p_ee + truth.variance, p_ne),
+        heading=missing if reference.yaw is None else wrap(yaw - reference.yaw),
+        speed=missing if reference.velocity is None else
+        np.hypot(at(run.velocity[:, 0]), at(run.velocity[:, 1])) - np.hypot(*reference.velocity.T[:2]),
+        turning=turning)
+
+
+class _Interpolation:
+    """Linear interpolation from one set of stamps (ns, ascending) to another."""
+
+    def __init__(self, stamp, wanted):
+        origin = stamp[0] if len(stamp) else 0
+        x, at = stamp - origin, wanted - origin
+        self.left = np.clip(np.searchsorted(x, at, side='right') - 1, 0, max(len(x) - 2, 0))
+        self.right = np.minimum(self.left + 1, max(len(x) - 1, 0))
+        step = x[self.right] - x[self.left] if len(x) else np.zeros(0)
+        self.part = np.where(step > 0, (at - x[self.left]) / np.maximum(step, 1), 0.0) if len(x) else np.zeros(0)
+
+    def __call__(self, values):
+        left = values[self.left]
+        return left + self.part * (values[self.right] - left)
+
+
+def _covered(stamp, wanted, longest_gap):
+    """Which of the `wanted` stamps lie between samples that are not far apart."""
+    if len(stamp) < 2:
+        return np.zeros(len(wanted), dtype=bool)
+    right = np.clip(np.searchsorted(stamp, wanted), 1, len(stamp) - 1)
+    return ((wanted >= stamp[0]) & (wanted <= stamp[-1])
+            & (stamp[right] - stamp[right - 1] <= longest_gap * 1e9))
+
+
+def _lever_arm(arm, roll, pitch, yaw):
+    """North and east component of a lever arm in body axes (forward-right-down), m."""
+    x, y, z = arm
+    sin_roll, cos_roll = np.sin(roll), np.cos(roll)
+    forward = np.cos(pitch) * x + np.sin(pitch) * (sin_roll * y + cos_roll * z)
+    right = cos_roll * y - sin_roll * z
+    return np.cos(yaw) * forward - np.sin(yaw) * right, np.sin(yaw) * forward + np.cos(yaw) * right
+
+
+def _nees(north, east, p_nn, p_ee, p_ne):
+    """e^T P^-1 e of the two horizontal components."""
+    determinant = p_nn * p_ee - p_ne**2
+    return (p_ee * north**2 - 2 * p_ne * north * east + p_nn * east**2) / determinant
+
+
+def turning_at(imu: ImuSamples, conditioning: np.ndarray, stamp: np.ndarray) -> np.ndarray:
+    """Whether the vehicle is in a manoeuvre at each `stamp` (m,) ns: the mean turn rate over 1 s is above TURN_RATE then,
+    or within TURN_MARGIN of it.
+
+    From the gyroscopes, so that all models are judged by the same manoeuvres. conditioning: (6, 6), `FilterConfig`'s.
+    """
+    if len(imu) < 2:
+        return np.zeros(len(stamp), dtype=bool)
+    finite = np.isfinite(imu.angular_rate).all(axis=1)
+    time = np.maximum.accumulate((imu.stamp[finite] - imu.stamp[0]) * 1e-9)
+    rate = imu.angular_rate[finite] @ conditioning[5, 3:]
+    yaw = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))])
+    grid = np.arange(0.0, time[-1] + 0.1, 0.1)
+    turn = np.abs(np.interp(grid + 0.5, time, yaw) - np.interp(grid - 0.5, time, yaw)) > TURN_RATE
+    count = np.concatenate([[0], np.cumsum(turn)])
+    at = (stamp - imu.stamp[0]) * 1e-9
+    first, last = (np.clip(np.searchsorted(grid, at + offset), 0, len(grid)) for offset in (-TURN_MARGIN, TURN_MARGIN))
+    return count[last] > count[first]
+
+
+def truth_from_fixes(fixes: Fixes, lever_arm, time_offset: float, source: str) -> Truth:
+    """Valid fixes as the truth for the antenna. lever_arm: (3,) m forward-right-down. time_offset: s, as
+    `gnss.time_offset`. Their variance is what the messages say (0 where they say nothing)."""
+    finite = np.isfinite(fixes.latitude) & np.isfinite(fixes.longitude) & np.isfinite(fixes.height)
+    fixes = fixes.select((fixes.status >= 0) & finite)
+    fixes = fixes.select(np.argsort(fixes.stamp, kind='stable'))
+    variance = 0.5 * (fixes.covariance[:, 0, 0] + fixes.covariance[:, 1, 1])
+    known = (fixes.covariance_type > 0) & np.isfinite(variance) & (variance > 0)
+    return Truth(Reference(fixes.stamp - round(time_offset * 1e9), fixes.latitude, fixes.longitude, fixes.height),
+                 np.asarray(lever_arm, dtype=float), np.where(known, variance, 0.0), source)
+
+
+def rms(values) -> float:
+    """Root mean square, NaN of nothing."""
+    values = np.asarray(values)
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float('nan')
+
+
+def summary(errors: Errors) -> dict:
+    """The numbers of one run for `report.json`; None where there is nothing to count."""
+    horizontal = errors.horizontal
+    low, high = interval_of_mean(horizontal**2)
+    quantile = {name: float(np.percentile(horizontal, q)) if len(horizontal) else None
+                for name, q in (('median', 50), ('p95', 95), ('max', 100))}
+    numbers = {
+        'horizontal_rmse_m': rms(horizontal),
+        'horizontal_rmse_interval_m': [float(np.sqrt(low)), float(np.sqrt(high))] if np.isfinite(low) else None,
+        **{f'horizontal_{name}_m': value for name, value in quantile.items()},
+        'cep50_m': quantile['median'], 'cep95_m': quantile['p95'],
+        'along_track_rmse_m': rms(errors.along), 'cross_track_rmse_m': rms(errors.cross),
+        'turning_rmse_m': rms(horizontal[errors.turning]), 'straight_rmse_m': rms(horizontal[~errors.turning]),
+        'turning_share': float(errors.turning.mean()) if len(errors) else None,
+        'heading_rmse_deg': float(np.degrees(rms(errors.heading[np.isfinite(errors.heading)]))),
+        'speed_rmse_mps': rms(errors.speed[np.isfinite(errors.speed)]),
+        'nees_mean': float(errors.nees.mean()) if len(errors) else None,
+        'within_95_percent': float(100 * (errors.nees < NEES_95).mean()) if len(errors) else None,
+        'errors_counted': len(errors),
+    }
+    return {name: None if isinstance(value, float) and not np.isfinite(value) else value
+            for name, value in numbers.items()}

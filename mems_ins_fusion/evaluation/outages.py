@@ -1,0 +1,149 @@
+"""Errors while fixes are withheld: the protocol of docs/metrics.md."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..filter.coasting import Coasting, replay_outages
+from ..filter.config import FilterConfig
+from ..filter.fusion import Run
+from ..samples import Fixes, ImuSamples
+from .metrics import NEES_95, Errors, Truth, position_errors, rms
+
+#: the filter has run for this long before the first outage, s
+SETTLING = 30.0
+
+
+@dataclass(frozen=True)
+class Outages:
+    """The outages of one filter and one duration, (o,) each.
+
+    begin: ns, of the last fix used. max_error: m, the largest horizontal error. distance: m, driven meanwhile.
+    within: whether the error at the end is inside the filter's own 95 % ellipse. time (g,): s after the begin; growth
+    (o, g): horizontal error then, m; sigma (o, g): the filter's horizontal standard deviation, m. errors: of each outage.
+    """
+
+    duration: float
+    begin: np.ndarray
+    max_error: np.ndarray
+    distance: np.ndarray
+    within: np.ndarray
+    time: np.ndarray
+    growth: np.ndarray
+    sigma: np.ndarray
+    errors: list[Errors]
+
+    def select(self, index: np.ndarray) -> Outages:
+        """Some of the outages; index: (o,) bool."""
+        return Outages(self.duration, self.begin[index], self.max_error[index], self.distance[index],
+                       self.within[index], self.time, self.growth[index], self.sigma[index],
+                       [errors for errors, wanted in zip(self.errors, index) if wanted])
+
+
+def outage_begins(first: int, fixes: Fixes, time_offset: float, spacing: float, shortest: float) -> np.ndarray:
+    """Begins of outages, (o,) ns of the IMU's clock: fixes about `spacing` s apart.
+
+    first: ns, of the first estimate; the first outage begins SETTLING later at the earliest. shortest: s, the shortest
+    duration, for which there must be fixes after the last begin.
+    """
+    stamp = np.unique(fixes.stamp[fixes.status >= 0]) - round(time_offset * 1e9)
+    if not len(stamp):
+        return stamp
+    nominal = np.arange(first + SETTLING * 1e9, stamp[-1] - shortest * 1e9 + 1, spacing * 1e9)
+    at = np.searchsorted(stamp, nominal)
+    return np.unique(stamp[at[at < len(stamp)]])
+
+
+def run_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: Truth, durations, begin: np.ndarray,
+                keep: np.ndarray | None = None) -> list[Outages]:
+    """The outages of each duration (s) that begin at `begin`, each the only one in its run.
+
+    keep: which IMU samples' states to look at, (n,) bool; they must surround the epochs of the truth.
+    """
+    durations = sorted(durations)
+    run, coasting = replay_outages(config, imu, fixes, begin, durations[-1], keep)
+    driven = _Distance(run)
+    errors = [_errors(coasting, i, truth, durations[-1], config.values['imu.restart_gap'])
+              for i in range(len(coasting.begin))]
+    last = truth.reference.stamp[-1] if len(truth) else 0
+    results = []
+    for duration in durations:
+        length = round(duration * 1e9)
+        fits = [(b, e) for b, e in zip(coasting.begin.tolist(), errors)
+                if b + length <= min(last, run.stamp[-1]) and (e.stamp <= b + length).any()]
+        results.append(_measure(duration, fits, driven))
+    return results
+
+
+def _errors(coasting: Coasting, i: int, truth: Truth, duration: float, longest_gap: float) -> Errors:
+    rows = slice(coasting.first[i], coasting.first[i + 1])
+    run, begin = coasting.run, coasting.begin[i]
+    part = _Rows(*(getattr(run, name)[rows] for name in _Rows.__annotations__))
+    stamp = truth.reference.stamp
+    within = slice(np.searchsorted(stamp, begin, side='right'),
+                   np.searchsorted(stamp, begin + round(duration * 1e9), side='right'))
+    truth = truth.select(within)
+    return position_errors(part, truth, np.zeros(len(truth), dtype=bool), longest_gap)
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Some rows of a `Run`."""
+
+    stamp: np.ndarray
+    latitude: np.ndarray
+    longitude: np.ndarray
+    height: np.ndarray
+    velocity: np.ndarray
+    roll: np.ndarray
+    pitch: np.ndarray
+    yaw: np.ndarray
+    sigma: np.ndarray
+    covariance_ne: np.ndarray
+
+
+class _Distance:
+    """Distance driven between two stamps, by the run with all fixes: from noisy fixes one would drive while standing."""
+
+    def __init__(self, run: Run):
+        self.stamp = run.stamp
+        speed = np.hypot(*run.velocity[:, :2].T)
+        step = np.minimum(np.diff(run.stamp) * 1e-9, 1.0)
+        self.driven = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * step)])
+
+    def __call__(self, begin, end):
+        origin = self.stamp[0]
+        return float(np.diff(np.interp([begin - origin, end - origin], self.stamp - origin, self.driven))[0])
+
+
+def _measure(duration, fits, driven) -> Outages:
+    length = round(duration * 1e9)
+    time = np.linspace(0.0, duration, max(int(np.ceil(duration)), 2) + 1)[1:]
+    maxima, distance, within, growth, sigma = [], [], [], [], []
+    fits = [(begin, errors.select(errors.stamp <= begin + length)) for begin, errors in fits]
+    for begin, errors in fits:
+        horizontal, after = errors.horizontal, (errors.stamp - begin) * 1e-9
+        maxima.append(horizontal.max())
+        distance.append(driven(begin, begin + length))
+        within.append(errors.nees[-1] < NEES_95)
+        growth.append(np.interp(time, after, horizontal))
+        sigma.append(np.interp(time, after, errors.sigma))
+    shape = (len(fits), len(time))
+    return Outages(duration, np.array([b for b, _ in fits], dtype=np.int64), np.array(maxima), np.array(distance),
+                   np.array(within, dtype=bool), time, np.reshape(growth, shape), np.reshape(sigma, shape),
+                   [errors for _, errors in fits])
+
+
+def summary(outages: Outages) -> dict:
+    """The numbers of the outages of one duration for `report.json`."""
+    error = outages.max_error
+    numbers = {'duration_s': outages.duration, 'count': len(error)}
+    if not len(error):
+        return {**numbers, **dict.fromkeys(('max_error_rms_m', 'max_error_median_m', 'max_error_p95_m',
+                                            'percent_of_distance', 'within_95_percent'))}
+    distance = outages.distance.sum()
+    return {**numbers, 'max_error_rms_m': rms(error), 'max_error_median_m': float(np.median(error)),
+            'max_error_p95_m': float(np.percentile(error, 95)),
+            'percent_of_distance': float(100 * error.sum() / distance) if distance > 1.0 else None,
+            'within_95_percent': float(100 * outages.within.mean())}

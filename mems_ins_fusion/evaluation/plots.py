@@ -1,0 +1,204 @@
+"""Figures of a comparison. Matplotlib is imported only here, and only when a figure is drawn."""
+from __future__ import annotations
+
+import numpy as np
+
+from ..navigation.earth import to_local
+from . import metrics
+from .comparison import Comparison, RunResult
+
+COLOURS = {'random_walk': '#d95f02', 'gauss_markov': '#1b9e77', 'autoregressive': '#7570b3'}
+NAMES = {'random_walk': 'random walk', 'gauss_markov': 'Gauss-Markov'}
+OUTAGE = '#c1121f'
+#: half the width of the window around a manoeuvre, m
+WINDOW = 40.0
+
+
+def model_name(comparison: Comparison, model: str) -> str:
+    """What a person calls `model`: AR with its order."""
+    if model != 'autoregressive':
+        return NAMES[model]
+    return f'AR({comparison.run_of(model, comparison.intervals[0]).run.config.order})'
+
+
+def _figure(width: float, height: float):
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout='constrained')
+
+
+class _Map:
+    """Positions as east and north of the middle of the recording, m."""
+
+    def __init__(self, comparison: Comparison):
+        reference = comparison.truth.reference
+        self.datum = np.array([np.median(reference.latitude), np.median(reference.longitude),
+                               np.median(reference.height)])
+        self.stamp = reference.stamp
+        self.north, self.east = self(reference)
+
+    def __call__(self, track):
+        north, east, _ = to_local(track.latitude, track.longitude, track.height, self.datum)
+        return north, east
+
+    def of(self, errors):
+        """North and east where a run was, by its errors."""
+        at = np.searchsorted(self.stamp, errors.stamp)
+        return self.north[at] + errors.north, self.east[at] + errors.east
+
+
+def track(comparison: Comparison):
+    """The drive from above: the truth, each model at the shortest interval, and some of the outages."""
+    figure = _figure(9, 7)
+    axes = figure.add_subplot()
+    ground = _Map(comparison)
+    axes.plot(ground.east, ground.north, color='0.8', linewidth=5, solid_capstyle='round', zorder=1,
+              label=comparison.truth.source)
+    interval = comparison.intervals[0]
+    for model in comparison.models:
+        north, east = ground.of(comparison.run_of(model, interval).errors)
+        axes.plot(east, north, color=COLOURS[model], linewidth=1.0, zorder=2,
+                  label=f'{model_name(comparison, model)}, fixes each {interval:g} s')
+    _mark_outages(axes, comparison, ground)
+    axes.plot(ground.east[0], ground.north[0], marker='o', color='k', markersize=6, linestyle='', label='start', zorder=5)
+    _as_map(axes)
+    axes.legend(loc='best', fontsize=8)
+    return figure
+
+
+def _mark_outages(axes, comparison, ground):
+    """Where the filter went without fixes: outages of a middle duration that do not overlap."""
+    if not comparison.durations:
+        return
+    duration = comparison.durations[len(comparison.durations) // 2]
+    result = next(r for r in comparison.outages if r.outages.duration == duration)
+    last, label = -np.inf, f'{duration:g} s without fixes, {model_name(comparison, result.model)}'
+    for begin, errors in zip(result.outages.begin, result.outages.errors):
+        if begin < last + 2 * duration * 1e9:
+            continue
+        last = begin
+        north, east = ground.of(errors)
+        axes.plot(east, north, color=OUTAGE, linewidth=1.4, zorder=3, label=label)
+        axes.plot([east[-1], east[-1] - errors.east[-1]], [north[-1], north[-1] - errors.north[-1]], color=OUTAGE,
+                  linewidth=0.8, linestyle=':', zorder=3)
+        axes.plot(east[-1], north[-1], color=OUTAGE, marker='x', markersize=5, zorder=4)
+        label = None
+
+
+def _as_map(axes, adjustable='datalim'):
+    axes.set_aspect('equal', adjustable=adjustable)
+    axes.set_xlabel('east, m')
+    axes.set_ylabel('north, m')
+    axes.grid(color='0.92')
+    axes.set_axisbelow(True)
+
+
+def manoeuvre(comparison: Comparison):
+    """Each update interval in a panel (the paper's Figures 7 to 9), around the turn with the largest error."""
+    intervals = comparison.intervals
+    figure = _figure(4.2 * len(intervals), 4.4)
+    ground = _Map(comparison)
+    middle = _worst_turn([comparison.run_of(m, intervals[-1]) for m in comparison.models])
+    at = np.searchsorted(ground.stamp, middle)
+    panels = figure.subplots(1, len(intervals), sharex=True, sharey=True, squeeze=False)[0]
+    near = np.abs(ground.stamp - middle) < 60e9
+    for axes, interval in zip(panels, intervals):
+        axes.plot(ground.east[near], ground.north[near], color='0.8', linewidth=5, solid_capstyle='round',
+                  label=comparison.truth.source)
+        for model in comparison.models:
+            run = comparison.run_of(model, interval).run
+            part = np.abs(run.stamp - middle) < 60e9
+            north, east = (values[part] for values in ground(run))
+            axes.plot(east, north, color=COLOURS[model], linewidth=1.2, label=model_name(comparison, model))
+        axes.set_title(f'fixes each {interval:g} s', fontsize=10)
+        _as_map(axes, 'box')
+        axes.set_xlim(ground.east[at] - WINDOW, ground.east[at] + WINDOW)
+        axes.set_ylim(ground.north[at] - WINDOW, ground.north[at] + WINDOW)
+        axes.label_outer()
+    panels[0].legend(fontsize=8)
+    return figure
+
+
+def _worst_turn(results: list[RunResult]) -> int:
+    """Stamp of the largest error in a turn over `results`; of the largest at all where nothing turns."""
+    worst = (-1.0, 0)
+    for only_turns in (True, False):
+        for result in results:
+            errors = result.errors.select(result.errors.turning) if only_turns else result.errors
+            if len(errors):
+                at = int(np.argmax(errors.horizontal))
+                worst = max(worst, (float(errors.horizontal[at]), int(errors.stamp[at])))
+        if worst[0] >= 0:
+            break
+    return worst[1]
+
+
+def error_against_time(comparison: Comparison):
+    """Horizontal error of each model, one panel for each interval, with turns shaded and the filter's own 2 sigma."""
+    intervals = comparison.intervals
+    figure = _figure(10, 1.0 + 2.0 * len(intervals))
+    panels = figure.subplots(len(intervals), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, interval in zip(panels, intervals):
+        for model in comparison.models:
+            errors = comparison.run_of(model, interval).errors
+            time = (errors.stamp - comparison.recording.imu.stamp[0]) * 1e-9
+            axes.plot(time, errors.horizontal, color=COLOURS[model], linewidth=0.8, label=model_name(comparison, model))
+        axes.plot(time, 2 * errors.sigma, color='0.35', linewidth=0.8, linestyle='--',
+                  label=f"2 sigma by the filter's own account ({model_name(comparison, model)})")
+        axes.fill_between(time, 0, 1, where=errors.turning, transform=axes.get_xaxis_transform(), color='0.93',
+                          linewidth=0, label='turning')
+        axes.set_ylabel('horizontal error, m')
+        axes.set_title(f'fixes each {interval:g} s', fontsize=10, loc='left')
+        axes.set_ylim(bottom=0)
+        axes.margins(x=0)
+    panels[0].legend(fontsize=8, ncols=3)
+    panels[-1].set_xlabel('time, s')
+    return figure
+
+
+def error_against_interval(comparison: Comparison):
+    """RMS error of each model against the update interval: with its 95 % interval; in turns and on straights."""
+    figure = _figure(10, 3.8)
+    whole, parts = figure.subplots(1, 2, sharey=True)
+    intervals = comparison.intervals
+    for place, model in enumerate(comparison.models):
+        summaries = [metrics.summary(comparison.run_of(model, i).errors) for i in intervals]
+        value = np.array([s['horizontal_rmse_m'] for s in summaries])
+        bounds = np.array([s['horizontal_rmse_interval_m'] or (v, v) for s, v in zip(summaries, value)])
+        x = np.arange(len(intervals)) + 0.12 * (place - (len(comparison.models) - 1) / 2)
+        whole.errorbar(x, value, yerr=np.abs(bounds.T - value), color=COLOURS[model], marker='o', capsize=3,
+                       label=model_name(comparison, model))
+        for key, style, name in (('turning_rmse_m', '-', 'turns'), ('straight_rmse_m', ':', 'straights')):
+            parts.plot(x, [np.nan if s[key] is None else s[key] for s in summaries], color=COLOURS[model], marker='o',
+                       linestyle=style, label=f'{model_name(comparison, model)}, {name}')
+    for axes in (whole, parts):
+        axes.set_xticks(range(len(intervals)), [f'{i:g}' for i in intervals])
+        axes.set_xlabel('update interval, s')
+        axes.grid(axis='y', color='0.92')
+        axes.legend(fontsize=8)
+        axes.set_ylim(bottom=0)
+    whole.set_ylabel('RMS horizontal error, m')
+    return figure
+
+
+def outage_growth(comparison: Comparison):
+    """Error against time since the last fix, RMS over the outages of the longest duration that has any."""
+    results = [r for r in comparison.outages if len(r.outages.begin)]
+    if not results:
+        return None
+    longest = max(r.outages.duration for r in results)
+    figure = _figure(8, 4.4)
+    axes = figure.add_subplot()
+    for result in (r for r in results if r.outages.duration == longest):
+        outages, name = result.outages, model_name(comparison, result.model)
+        axes.plot(outages.time, np.sqrt((outages.growth**2).mean(axis=0)), color=COLOURS[result.model], linewidth=1.8,
+                  label=f'{name}: RMS error')
+        axes.plot(outages.time, 2 * np.sqrt((outages.sigma**2).mean(axis=0)), color=COLOURS[result.model], linewidth=1.0,
+                  linestyle='--', label=f"{name}: 2 sigma by the filter's own account")
+    axes.set_xlabel('time since the last fix, s')
+    axes.set_ylabel('horizontal error, m')
+    axes.set_xlim(0, longest)
+    axes.set_ylim(bottom=0)
+    axes.grid(color='0.92')
+    axes.legend(fontsize=8)
+    return figure

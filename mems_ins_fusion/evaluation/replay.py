@@ -1,0 +1,138 @@
+"""Recordings in, a folder of results out: everything `replay_node` does but ROS."""
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..parameters import ParameterError
+from ..recordings.checker import check_recording
+from ..recordings.reading import read_recording
+from ..samples import Recording
+from . import trajectories
+from .comparison import Comparison, compare, cut
+from .report import _FIGURES, draw_figures, report, report_page, write_report
+from .results import result_folder
+
+#: called with the part of all work that is done, 0 to 1, and what is being done; what it raises ends the work
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What a replay left behind. folder: of the results. content: of report.json. comparisons: by recording."""
+
+    folder: Path
+    content: dict
+    comparisons: dict[str, Comparison]
+
+
+def replay(values: dict, progress: Progress = lambda part, what: None) -> Replay:
+    """Replay the recordings `bag` and write the results to `output_dir`.
+
+    values: checked parameters. Raises a ValueError with one line for the user (ParameterError, RecordingError,
+    ResultError, ReplayError); then, and when `progress` raises, nothing is written.
+    """
+    _check(values)
+    timing: dict[str, float] = {}
+    with result_folder(values['output_dir'], values['overwrite']) as folder:
+        comparisons, findings = {}, {}
+        for i, path in enumerate(values['bag']):
+            part = _Part(progress, i / len(values['bag']), 1 / len(values['bag']))
+            with _timed(timing, 'reading'):
+                recording = _read(path, values, lambda done: part(0.25 * done, 'reading'))
+            name = _free_name(recording.name, comparisons)
+            with _timed(timing, 'checking'):
+                findings[name] = check_recording(recording)
+            with _timed(timing, 'filter and errors'):
+                comparisons[name] = compare(recording, values, lambda done: part(0.25 + 0.3 * done, 'filtering'))
+        content = _write(folder, comparisons, findings, values, timing, progress)
+    return Replay(Path(values['output_dir']), content, comparisons)
+
+
+def _check(values: dict) -> None:
+    for name, why in (('bag', 'no recording to replay'), ('output_dir', 'no folder for the results'),
+                      ('models', 'no model to compare'), ('update_intervals', 'no update interval')):
+        if not values[name]:
+            raise ParameterError(f"parameter '{name}' is empty: {why}")
+        if isinstance(values[name], list):
+            values[name] = list(dict.fromkeys(values[name]))
+    if values['stop'] and values['stop'] <= values['start']:
+        raise ParameterError(f"parameter 'stop' must be after start {values['start']:g} s, got {values['stop']:g}")
+    if values['reference_topic'] and values['reference_file']:
+        raise ParameterError("parameters 'reference_topic' and 'reference_file' are both given: choose one")
+
+
+def _read(path, values: dict, progress) -> Recording:
+    datum = values['datum']
+    recording = read_recording(path, values['imu_topic'], values['gnss_topic'], values['reference_topic'] or None,
+                               progress=progress,
+                               datum=(math.radians(datum[0]), math.radians(datum[1]), datum[2]) if datum else None)
+    return cut(recording, values['start'], values['stop'])
+
+
+class _Part:
+    """Progress of one part of the work as progress of the whole."""
+
+    def __init__(self, progress: Progress, first: float, share: float):
+        self.progress, self.first, self.share = progress, first, share
+
+    def __call__(self, part: float, what: str) -> None:
+        self.progress(self.first + self.share * part, what)
+
+
+@contextmanager
+def _timed(timing: dict, what: str) -> Iterator[None]:
+    """Adds the CPU time of the block, all threads together, to timing[what]."""
+    began = time.process_time()
+    yield
+    timing[what] = timing.get(what, 0.0) + time.process_time() - began
+
+
+def _free_name(name: str, taken) -> str:
+    names = [name, *(f'{name}_{i}' for i in range(2, len(taken) + 2))]
+    return next(n for n in names if n not in taken)
+
+
+def _write(folder: Path, comparisons, findings, values, timing, progress) -> dict:
+    several = len(comparisons) > 1
+    with _timed(timing, 'trajectories'):
+        for name, comparison in comparisons.items():
+            _write_trajectories(folder, f'{name}_' if several else '', comparison)
+            progress(0.6, 'trajectories')
+    figures = {}
+    steps = len(comparisons) * len(_FIGURES)
+    with _timed(timing, 'figures'):
+        for i, (name, comparison) in enumerate(comparisons.items()):
+            figures[name] = draw_figures(f'{name}_' if several else '', comparison, folder,
+                                         lambda: progress(0.65 + 0.3 * i / steps, 'figures'))
+    content = report(comparisons, values, findings, timing)
+    write_report(folder, content, report_page(comparisons, values, content, figures))
+    progress(1.0, 'done')
+    return content
+
+
+def _write_trajectories(folder: Path, prefix: str, comparison: Comparison) -> None:
+    reference = comparison.truth.reference
+    datum = _datum(comparison)
+    trajectories.write_reference(folder / f'{prefix}truth.tum', reference, datum)
+    tracks = {comparison.truth.source: reference}
+    for result in comparison.runs:
+        name = f'{result.model}_{result.interval:g}s'
+        trajectories.write_run(folder / f'{prefix}{name}.tum', result.run, datum)
+        tracks[name] = result.run
+    trajectories.write_geojson(folder / f'{prefix}tracks.geojson', tracks)
+
+
+def _datum(comparison: Comparison) -> np.ndarray:
+    """Origin of the trajectories: the parameter, or the first position of the truth."""
+    datum = comparison.runs[0].run.config.values['datum']
+    if datum:
+        return np.array([math.radians(datum[0]), math.radians(datum[1]), datum[2]])
+    reference = comparison.truth.reference
+    return np.array([reference.latitude[0], reference.longitude[0], reference.height[0]])

@@ -1,0 +1,74 @@
+"""Trajectories of runs as files that other tools read: TUM text (evo), GeoJSON (maps), rosbag2 (RViz, Foxglove)."""
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from ..filter.fusion import Run
+from ..filter.layout import PLANAR
+from ..filter.odometry import PLANAR_TILT_SIGMA
+from ..recordings.writing import OdometrySamples, odometry_from_reference
+from ..samples import Reference
+
+#: points of a line on a map, s apart
+MAP_INTERVAL = 1.0
+
+
+def odometry_of(run: Run, datum) -> OdometrySamples:
+    """The states of `run` as odometry of base_link in the frame east-north-up at `datum` (rad, rad, m)."""
+    reference = Reference(run.stamp, run.latitude, run.longitude, run.height, run.velocity, run.yaw)
+    samples = odometry_from_reference(reference, datum, run.roll, run.pitch)
+    pose, twist = np.zeros((2, len(run.stamp), 6, 6))
+    planar = run.config.mechanization == PLANAR
+    v = 2 if planar else 3  # of the velocity among the navigation errors
+    pose[:, 0, 0], pose[:, 1, 1] = run.sigma[:, 1]**2, run.sigma[:, 0]**2
+    pose[:, 0, 1] = pose[:, 1, 0] = run.covariance_ne
+    pose[:, 2, 2] = run.config.values['gnss.default_sigma']**2 if planar else run.sigma[:, 2]**2
+    pose[:, 3, 3] = pose[:, 4, 4] = PLANAR_TILT_SIGMA**2 if planar else 0.5 * (run.sigma[:, 6]**2 + run.sigma[:, 7]**2)
+    pose[:, 5, 5] = run.sigma[:, 4 if planar else 8]**2
+    # north and east are about equally uncertain: turned into the vehicle's axes they are their mean
+    twist[:, 0, 0] = twist[:, 1, 1] = 0.5 * (run.sigma[:, v]**2 + run.sigma[:, v + 1]**2)
+    return OdometrySamples(samples.stamp, samples.received, samples.position, samples.orientation, samples.velocity,
+                           samples.angular_rate, pose, twist)
+
+
+def write_tum(path: Path, stamp: np.ndarray, position: np.ndarray, orientation: np.ndarray) -> None:
+    """`path` in the format of the TUM RGB-D benchmark: s, x y z (m), quaternion x y z w, one line for each pose.
+
+    stamp (n,) ns, position (n, 3), orientation (n, 4).
+    """
+    seconds, nanoseconds = np.divmod(stamp, 10**9)
+    rows = zip(seconds.tolist(), nanoseconds.tolist(), *position.T.tolist(), *orientation.T.tolist())
+    line = '%d.%09d %.4f %.4f %.4f %.7f %.7f %.7f %.7f\n'
+    with open(path, 'w', encoding='ascii') as file:
+        file.write('# timestamp x y z qx qy qz qw\n')
+        file.writelines(line % row for row in rows)
+
+
+def write_run(path: Path, run: Run, datum) -> None:
+    """`run` as TUM text: base_link in the frame east-north-up at `datum`."""
+    odometry = odometry_of(run, datum)
+    write_tum(path, odometry.stamp, odometry.position, odometry.orientation)
+
+
+def write_reference(path: Path, reference: Reference, datum) -> None:
+    """`reference` as TUM text; without a heading its orientation is that of the frame."""
+    still = np.zeros((len(reference), 3))
+    yaw = np.full(len(reference), np.pi / 2) if reference.yaw is None else reference.yaw
+    full = Reference(reference.stamp, reference.latitude, reference.longitude, reference.height, still, yaw)
+    odometry = odometry_from_reference(full, datum)
+    write_tum(path, odometry.stamp, odometry.position, odometry.orientation)
+
+
+def write_geojson(path: Path, tracks: dict[str, Run | Reference]) -> None:
+    """`tracks` as lines in WGS-84 (RFC 7946), one for each, named; a point every MAP_INTERVAL s."""
+    lines = []
+    for name, track in tracks.items():
+        slot = (track.stamp - track.stamp[0]) // round(MAP_INTERVAL * 1e9)
+        at = np.flatnonzero(np.diff(slot, prepend=-1))
+        points = np.round(np.degrees(np.column_stack([track.longitude[at], track.latitude[at]])), 8)
+        lines.append({'type': 'Feature', 'properties': {'name': name},
+                      'geometry': {'type': 'LineString', 'coordinates': points.tolist()}})
+    path.write_text(json.dumps({'type': 'FeatureCollection', 'features': lines}), encoding='ascii')
