@@ -70,11 +70,12 @@ class NodeProcess:
             self._new.put(line.rstrip())
         self._new.put(None)
 
-    def wait_for(self, text: str, timeout: float = 240.0) -> str:
-        """The first line with `text` that was not waited past before; AssertionError where none comes.
+    def wait_until_ready(self) -> None:
+        """Waits long: the first start on a machine compiles the filter."""
+        self.wait_for('ready', timeout=240.0)
 
-        By default it waits long: the first start on a machine compiles the filter.
-        """
+    def wait_for(self, text: str, timeout: float = 30.0) -> str:
+        """The first line with `text` that was not waited past before; AssertionError where none comes."""
         line = self.says(text, timeout)
         assert line, '\n'.join([f"no '{text}' in the node's output:", *self.lines])
         return line
@@ -187,7 +188,7 @@ class Peer:
                 last = index
             else:
                 self.send_imu(imu, last)
-                node.wait_for(f'header.stamp {imu.stamp[last] * 1e-9:.6f} s does not follow', timeout=20.0)
+                node.wait_for(f'header.stamp {imu.stamp[last] * 1e-9:.6f} s does not follow')
                 self.send_fix(recording.gnss, index)
 
 

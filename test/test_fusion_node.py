@@ -74,7 +74,7 @@ def played(recording, expected):
     peer = Peer()
     stamps, _ = expected
     with NodeProcess('fusion_node', *PLAYABLE) as node:
-        node.wait_for('ready')
+        node.wait_until_ready()
         peer.connect(node, recording)
         peer.play(node, recording)
         peer.spin_until(lambda: len(peer.fixes) == len(peer.odometry) == len(stamps))
@@ -165,7 +165,7 @@ def test_bad_messages_are_named_with_their_field(played):
 
 def test_a_stream_of_nan_does_not_flood_the_log_and_does_not_end_the_node(recording, peer):
     with NodeProcess('fusion_node', *PLAYABLE) as node:
-        node.wait_for('ready')
+        node.wait_until_ready()
         peer.connect(node, recording)
         for index in range(400):
             peer.imu.publish(imu_message(index, [np.nan, 0.0, 9.8], [0.0, 0.0, 0.0]))
@@ -182,7 +182,7 @@ def test_a_lower_rate_by_stamp_changed_while_running(recording, peer):
     stamps, _ = expected_outputs(recording)
     slots = len(set((stamps // 40_000_000).tolist()))
     with NodeProcess('fusion_node', *PLAYABLE, '-p', 'odometry_rate:=25') as node:
-        node.wait_for('ready')
+        node.wait_until_ready()
         peer.connect(node, recording)
         peer.play(node, recording)
         peer.spin_until(lambda: len(peer.odometry) >= slots)
@@ -206,7 +206,7 @@ def test_silent_topics_are_named_with_what_there_is_instead_even_while_ros_time_
     # given an IMU under another name, no receiver at all, and use_sim_time without a /clock
     raw = peer.node.create_publisher(type(imu_message(0, [0] * 3, [0] * 3)), '/imu/raw', 10)
     with NodeProcess('fusion_node', '-p', 'use_sim_time:=true', '-p', 'gnss.outage_after:=1.0') as node:
-        node.wait_for('ready')
+        node.wait_until_ready()
         peer.imu = peer.node.destroy_publisher(peer.imu)
         first = node.wait_for('no message on /gps/fix (sensor_msgs/msg/NavSatFix)')
         second = node.wait_for('no message on /imu/data (sensor_msgs/msg/Imu)')
@@ -221,7 +221,7 @@ def test_silent_topics_are_named_with_what_there_is_instead_even_while_ros_time_
                                      [signal.SIGTERM, signal.SIGINT]])
 def test_a_signal_ends_it_cleanly(signals):
     with NodeProcess('fusion_node') as node:
-        node.wait_for('ready')
+        node.wait_until_ready()
         for number in signals:
             node.send(number)
         assert node.wait() == 0
