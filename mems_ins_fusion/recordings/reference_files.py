@@ -1,0 +1,247 @@
+"""Reference trajectories from files: CSV, TUM, NMEA 0183 and RTKLIB .pos."""
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+from mems_ins_fusion.navigation.earth import from_local
+from mems_ins_fusion.navigation.frames import yaw_from_enu, yaw_of_quaternion
+from mems_ins_fusion.recordings.csv_import import GNSS_COLUMNS
+from mems_ins_fusion.recordings.errors import RecordingError
+from mems_ins_fusion.recordings.tables import Table, read_table, unit_in_name
+from mems_ins_fusion.samples import Reference
+
+_SECOND = 10**9
+_GPS_EPOCH = 315_964_800  # s: 6 January 1980
+_WEEK = 604_800
+#: GPS minus UTC, s, from this date on (IERS Bulletin C)
+_LEAP_SECONDS = ((datetime(1999, 1, 1), 13), (datetime(2006, 1, 1), 14), (datetime(2009, 1, 1), 15),
+                 (datetime(2012, 7, 1), 16), (datetime(2015, 7, 1), 17), (datetime(2017, 1, 1), 18))
+
+_LOCAL = {'east': ('east', 'e', 'x', 'positionx', 'px'), 'north': ('north', 'n', 'y', 'positiony', 'py'),
+          'up': ('up', 'u', 'z', 'positionz', 'pz')}
+_OPTIONAL = {'velocity north': ('vn', 'velocitynorth', 'velnorth', 'vnorth', 'northvelocity'),
+             'velocity east': ('ve', 'velocityeast', 'veleast', 'veast', 'eastvelocity'),
+             'velocity down': ('vd', 'velocitydown', 'veldown', 'vdown', 'downvelocity'),
+             'velocity up': ('vu', 'velocityup', 'velup', 'vup', 'upvelocity'),
+             'yaw': ('yaw', 'heading', 'azimuth')}
+
+
+def read_reference(path, datum=None) -> Reference:
+    """A reference trajectory from a file, in the order of its stamps (UTC since the epoch).
+
+    - CSV: columns as for import_csv (time, latitude, longitude, height; degrees unless the name says rad), or east,
+      north, up at `datum`; if there vn, ve, vd or vu (m/s), and yaw or heading (clockwise from north, as the angles).
+    - TUM: time x y z qx qy qz qw, east-north-up at `datum` (forward-left-up axes), with yaw.
+    - NMEA: GGA with the date of RMC or ZDA; without GGA the positions of RMC, height 0. Heights above the ellipsoid.
+    - RTKLIB .pos: latitude, longitude, height; velocity if there; GPS time is turned into UTC.
+
+    datum: latitude, longitude (rad), height (m) of the local frame's origin, needed by local coordinates only.
+    Raises RecordingError with one line for the user.
+    """
+    path = Path(path)
+    first = _first_line(path)
+    if first.startswith('$'):
+        reference = _read_nmea(path)
+    elif first.startswith('%') or path.suffix == '.pos':
+        reference = _read_rtklib(path)
+    elif path.suffix == '.tum' or _is_tum(first):
+        reference = _read_tum(path, datum)
+    else:
+        reference = _read_csv(path, datum)
+    finite = np.isfinite(reference.latitude) & np.isfinite(reference.longitude) & np.isfinite(reference.height)
+    reference = reference.select(finite)
+    if not len(reference):
+        raise RecordingError(f'{path} holds no valid position')
+    return reference.select(np.argsort(reference.stamp, kind='stable'))
+
+
+def _first_line(path: Path) -> str:
+    """The first line that tells the format: not empty, and no comment of a TUM file."""
+    try:
+        with path.open(encoding='utf-8', errors='replace') as file:
+            lines = [line.strip() for _, line in zip(range(50), file)]
+    except OSError as error:
+        raise RecordingError(f'cannot read {path}: {error.strerror}') from None
+    lines = [line for line in lines if line]
+    if not lines:
+        raise RecordingError(f'{path} is empty')
+    return next((line for line in lines if not line.startswith('#')), lines[0])
+
+
+def _is_tum(line: str) -> bool:
+    cells = line.split()
+    try:
+        return len([float(cell) for cell in cells]) == 8
+    except ValueError:
+        return False
+
+
+def _geodetic(east, north, up, datum, path):
+    if datum is None:
+        raise RecordingError(f'{path} holds local coordinates: give the datum (latitude, longitude and height of their '
+                             'origin)')
+    return from_local(north, east, -up, tuple(float(value) for value in datum))
+
+
+def _read_tum(path, datum) -> Reference:
+    table = read_table(path)
+    if len(table.names) != 8:
+        raise RecordingError(f'{path} is not a TUM trajectory: {len(table.names)} columns instead of 8')
+    # the names in a comment, if there are any, are not binding
+    columns = Table(path, [str(i) for i in range(8)], table.columns, table.lines)
+    stamp, _ = columns.times('0', 's')
+    east, north, up, x, y, z, w = (columns.numbers(str(i)) for i in range(1, 8))
+    latitude, longitude, height = _geodetic(east, north, up, datum, path)
+    size = np.sqrt(x**2 + y**2 + z**2 + w**2)
+    if not (size > 0).all():
+        return Reference(stamp, latitude, longitude, height)
+    return Reference(stamp, latitude, longitude, height, None,
+                     yaw_from_enu(yaw_of_quaternion(x / size, y / size, z / size, w / size)))
+
+
+def _read_csv(path, datum) -> Reference:
+    table = read_table(path)
+    stamp, _ = table.times(table.require('time', GNSS_COLUMNS['time'], {}))
+    names = {wanted: table.find(wanted, GNSS_COLUMNS[wanted], {}) for wanted in ('latitude', 'longitude', 'height')}
+    angle = np.pi / 180
+    if names['latitude'] and names['longitude']:
+        angle = 1.0 if unit_in_name(names['latitude'], ('rad', 'radians')) else angle
+        latitude, longitude = table.numbers(names['latitude']) * angle, table.numbers(names['longitude']) * angle
+        height = table.numbers(names['height']) if names['height'] else np.zeros(len(stamp))
+    else:
+        local = {wanted: table.find(wanted, aliases, {}) for wanted, aliases in _LOCAL.items()}
+        if not local['east'] or not local['north']:
+            raise RecordingError(f'{path} has no columns that look like latitude and longitude, or east and north; '
+                                 f'{table.listing()}')
+        up = table.numbers(local['up']) if local['up'] else np.zeros(len(stamp))
+        latitude, longitude, height = _geodetic(table.numbers(local['east']), table.numbers(local['north']), up, datum,
+                                                path)
+    yaw = table.find('yaw', _OPTIONAL['yaw'], {})
+    if yaw:
+        yaw = table.numbers(yaw) * (1.0 if unit_in_name(yaw, ('rad', 'radians')) else np.pi / 180)
+    return Reference(stamp, latitude, longitude, height, _velocity(table), yaw)
+
+
+def _velocity(table: Table):
+    """(n, 3) north, east, down, or None where the table has no horizontal velocity."""
+    north, east, down, up = (table.find(name, _OPTIONAL[name], {}) for name in
+                             ('velocity north', 'velocity east', 'velocity down', 'velocity up'))
+    if not north or not east:
+        return None
+    vertical = table.numbers(down) if down else -table.numbers(up) if up else np.zeros(len(table.lines))
+    return np.column_stack([table.numbers(north), table.numbers(east), vertical])
+
+
+def _read_rtklib(path) -> Reference:
+    """Solution file of RTKLIB: the manual, appendix B."""
+    lines = path.read_text(encoding='utf-8', errors='replace').splitlines()
+    header = next((line for line in lines if line.startswith('%') and 'latitude' in line.lower()), None)
+    if header is None:
+        raise RecordingError(f'{path} has no RTKLIB header with latitude(deg), longitude(deg) and height(m); write the '
+                             'solution as lat/lon/height in degrees')
+    names = header.lstrip('% ').split()
+    rows = [(i, line.split()) for i, line in enumerate(lines, 1) if line.strip() and not line.startswith('%')]
+    # the time is one column in the header and two in the rows: date and time, or week and seconds
+    names = [names[0], 'time of day', *names[1:]]
+    for line, row in rows:
+        if len(row) != len(names):
+            raise RecordingError(f'{path}, line {line}: {len(row)} cells instead of {len(names)}')
+    if not rows:
+        raise RecordingError(f'{path} holds no positions')
+    table = Table(path, names, list(zip(*(row for _, row in rows))), [line for line, _ in rows])
+    stamp = np.array([_rtklib_stamp(path, line, row) for line, row in rows], np.int64)
+    if names[0].upper() != 'UTC':
+        stamp -= _leap_seconds(int(stamp[0])) * _SECOND
+    latitude, longitude, height = (table.numbers(table.require(wanted, (wanted,), {}))
+                                   for wanted in ('latitude', 'longitude', 'height'))
+    return Reference(stamp, np.radians(latitude), np.radians(longitude), height, _velocity(table))
+
+
+def _rtklib_stamp(path, line, row) -> int:
+    """ns since the epoch, without leap seconds, of `2024/05/01 12:00:00.000` or `2312 302400.000`."""
+    try:
+        if '/' in row[0]:
+            day = datetime.strptime(row[0], '%Y/%m/%d')
+            return _epoch_seconds(day) * _SECOND + _time_of_day(row[1].replace(':', ''))
+        return (_GPS_EPOCH + int(row[0]) * _WEEK) * _SECOND + round(float(row[1]) * 1e6) * 1000
+    except ValueError:
+        raise RecordingError(f"{path}, line {line}: '{row[0]} {row[1]}' is not a time") from None
+
+
+def _leap_seconds(stamp: int) -> int:
+    when = datetime(1970, 1, 1) + timedelta(seconds=stamp // _SECOND)
+    return next((seconds for since, seconds in reversed(_LEAP_SECONDS) if when >= since), 0)
+
+
+def _read_nmea(path) -> Reference:
+    """Positions of GGA sentences (of RMC without any), dated by RMC or ZDA. What has a wrong checksum is left out."""
+    fixes: dict[str, list] = {'GGA': [], 'RMC': []}
+    day = first_day = None
+    for line in path.read_text(encoding='ascii', errors='replace').splitlines():
+        fields = _nmea_fields(line)
+        kind = fields[0][-3:] if fields else ''
+        try:
+            if kind == 'RMC' and len(fields) > 9 and fields[9]:
+                day = datetime.strptime(fields[9], '%d%m%y')
+                if fields[2] == 'A':
+                    fixes['RMC'].append((day, _time_of_day(fields[1]), *_nmea_position(fields[3:7]), 0.0))
+            elif kind == 'ZDA' and len(fields) > 4 and fields[4]:
+                day = datetime(int(fields[4]), int(fields[3]), int(fields[2]))
+            elif kind == 'GGA' and len(fields) > 11 and fields[6] not in ('', '0'):
+                height = float(fields[9] or 0.0) + float(fields[11] or 0.0)
+                fixes['GGA'].append((day, _time_of_day(fields[1]), *_nmea_position(fields[2:6]), height))
+        except ValueError:
+            continue  # a garbled sentence
+        first_day = first_day or day
+    found = fixes['GGA'] or fixes['RMC']
+    if not found:
+        raise RecordingError(f'{path} holds no GGA or RMC sentence with a position')
+    if first_day is None:
+        raise RecordingError(f'{path} holds no date: GGA sentences need RMC or ZDA beside them')
+    stamps = _nmea_stamps([(fix[0] or first_day, fix[1]) for fix in found])
+    latitude, longitude, height = np.array([fix[2:] for fix in found]).T
+    return Reference(stamps, np.radians(latitude), np.radians(longitude), height)
+
+
+def _nmea_fields(line) -> list[str]:
+    """The fields of a sentence; none where its checksum is wrong."""
+    body, star, checksum = line.strip().lstrip('$').partition('*')
+    if star:
+        expected = 0
+        for byte in body.encode():
+            expected ^= byte
+        if checksum[:2].upper() != f'{expected:02X}':
+            return []
+    return body.split(',')
+
+
+def _nmea_position(fields):
+    """Latitude and longitude, degrees, of ddmm.mmm, N or S, dddmm.mmm, E or W."""
+    latitude = int(fields[0][:2]) + float(fields[0][2:]) / 60
+    longitude = int(fields[2][:3]) + float(fields[2][3:]) / 60
+    return -latitude if fields[1] == 'S' else latitude, -longitude if fields[3] == 'W' else longitude
+
+
+def _nmea_stamps(times) -> np.ndarray:
+    """Stamps of (day, time of day). The day is that of an earlier sentence: midnight may lie between."""
+    stamps: list[int] = []
+    for day, time in times:
+        stamp = _epoch_seconds(day) * _SECOND + time
+        while stamps and stamp < stamps[-1] - 12 * 3600 * _SECOND:
+            stamp += 24 * 3600 * _SECOND
+        stamps.append(stamp)
+    return np.array(stamps, np.int64)
+
+
+def _time_of_day(text) -> int:
+    """ns since midnight of hhmmss.sss."""
+    whole, _, fraction = text.partition('.')
+    seconds = int(whole[:2]) * 3600 + int(whole[2:4]) * 60 + int(whole[4:6])
+    return seconds * _SECOND + int((fraction + '0' * 9)[:9])
+
+
+def _epoch_seconds(day: datetime) -> int:
+    return (day - datetime(1970, 1, 1)).days * 86400

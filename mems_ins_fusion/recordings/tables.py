@@ -1,0 +1,173 @@
+"""Text tables: columns by name, whatever separates them, and times to the nanosecond."""
+from __future__ import annotations
+
+import csv
+import re
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+import numpy as np
+
+from mems_ins_fusion.recordings.errors import RecordingError
+
+#: nanoseconds in a unit of time
+TIME_UNITS = {'s': 10**9, 'ms': 10**6, 'us': 10**3, 'ns': 1}
+_UNIT = re.compile(r'[\[(]\s*(.*?)\s*[\])]|_(s|ms|us|ns|m|deg|rad|g|mg|dps|rad_s|deg_s|radps|degps|m_s2|mps2|mps|m_s)$',
+                   re.IGNORECASE)
+_LATEST = 2**31 * 10**9  # ns: ROS stamps end in 2038
+_COMMENT = '#%'
+
+
+@dataclass(frozen=True)
+class Table:
+    """A text table. names: of the columns, as written. columns: the cells, one tuple of texts a column.
+
+    lines: line number of each row in the file.
+    """
+
+    path: Path
+    names: list[str]
+    columns: list[tuple[str, ...]]
+    lines: list[int]
+
+    def numbers(self, name: str) -> np.ndarray:
+        """Column `name` as (n,) float64; empty cells are NaN. RecordingError for a cell that is no number."""
+        cells = self.columns[self.names.index(name)]
+        try:
+            return np.array(cells, dtype='U').astype(np.float64)
+        except ValueError:
+            return np.array([self._number(name, line, cell) for line, cell in zip(self.lines, cells)])
+
+    def _number(self, name, line, cell) -> float:
+        try:
+            return float(cell) if cell else np.nan
+        except ValueError:
+            raise RecordingError(f"{self.path}, line {line}: '{cell}' in column '{name}' is not a number") from None
+
+    def times(self, name: str, unit: str | None = None, longest: float = 20.0) -> tuple[np.ndarray, str]:
+        """Column `name` as (n,) int64 ns, and the unit it was in: a key of TIME_UNITS, or `date` for ISO 8601.
+
+        Without `unit` it is taken from the column's name, else from the intervals, which are at most `longest` seconds.
+        """
+        cells = self.columns[self.names.index(name)]
+        if cells and ':' in cells[0]:
+            try:
+                return np.array([cell.rstrip('Zz') for cell in cells], 'datetime64[ns]').astype(np.int64), 'date'
+            except ValueError as error:
+                raise RecordingError(f"{self.path}: column '{name}' holds no valid dates: {error}") from None
+        unit = unit or unit_in_name(name, TIME_UNITS) or _guess_unit(self.numbers(name), longest)
+        scale = TIME_UNITS[unit]
+        try:
+            stamp = [int(Decimal(cell) * scale) for cell in cells]
+        except (InvalidOperation, ValueError, OverflowError):
+            row = next(i for i, cell in enumerate(cells) if not _is_number(cell) or not np.isfinite(float(cell)))
+            raise RecordingError(f"{self.path}, line {self.lines[row]}: '{cells[row]}' in column '{name}' is not a "
+                                 'time') from None
+        if min(stamp, default=0) < 0 or max(stamp, default=0) >= _LATEST:
+            raise RecordingError(f"{self.path}: times from {cells[0]} to {cells[-1]} in column '{name}', taken for "
+                                 f'{unit}, are not between 1970 and 2038; state their unit')
+        return np.array(stamp, np.int64), unit
+
+    def find(self, wanted: str, aliases, given: dict[str, str]) -> str | None:
+        """Name of the column for `wanted`: the one `given` for it, else the first of `aliases` that is there.
+
+        Names are compared without case, units in brackets, and punctuation. RecordingError where the one given is not
+        there.
+        """
+        if wanted in given:
+            if given[wanted] not in self.names:
+                raise RecordingError(f"{self.path} has no column '{given[wanted]}' for {wanted}; {self.listing()}")
+            return given[wanted]
+        there = {plain(name): name for name in reversed(self.names)}
+        return next((there[alias] for alias in aliases if alias in there), None)
+
+    def require(self, wanted: str, aliases, given: dict[str, str]) -> str:
+        """As `find`; RecordingError where there is none."""
+        name = self.find(wanted, aliases, given)
+        if name is None:
+            raise RecordingError(f'{self.path} has no column that looks like {wanted}; {self.listing()}')
+        return name
+
+    def listing(self) -> str:
+        return f'its columns are {", ".join(self.names)}'
+
+
+def read_table(path) -> Table:
+    """Read a text table.
+
+    The names of the columns stand in the first line, or in the last comment before it; without them the columns are
+    called 1, 2, 3 ... Cells are separated by comma, semicolon (then the decimal sign may be a comma), tab or blanks.
+    Lines that begin with # or % are comments. RecordingError where the file is no such table.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding='utf-8-sig')
+    except OSError as error:
+        raise RecordingError(f'cannot read {path}: {error.strerror}') from None
+    except UnicodeDecodeError:
+        raise RecordingError(f'{path} is not a text file') from None
+    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
+    body = [(i, line) for i, line in lines if line[0] not in _COMMENT]
+    if not lines:
+        raise RecordingError(f'{path} is empty')
+    if not body:
+        raise RecordingError(f'{path} has no rows')
+    delimiter = next((sign for sign in ',;\t' if sign in body[0][1]), None)
+    first = _cells(body[0][1], delimiter)
+    if all(_is_number(cell.replace(',', '.')) for cell in first if cell):
+        above = [line for i, line in lines if i < body[0][0]]
+        names = _cells(above[-1].lstrip(f'{_COMMENT} '), delimiter) if above else []
+        if len(names) != len(first):
+            names = [str(i) for i in range(1, len(first) + 1)]
+    else:
+        names, body = first, body[1:]
+    return Table(path, names, *_rows(path, body, delimiter, len(names)))
+
+
+def _rows(path, body, delimiter, width):
+    """The columns, and the number of the line of each row."""
+    if delimiter is None:
+        rows = [line.split() for _, line in body]
+    else:
+        rows = [[cell.strip() for cell in row] for row in csv.reader((line for _, line in body), delimiter=delimiter)]
+    if delimiter == ';':
+        rows = [[cell.replace(',', '.') for cell in row] for row in rows]
+    for (line, _), row in zip(body, rows):
+        if len(row) != width:
+            raise RecordingError(f'{path}, line {line}: {len(row)} cells instead of {width}')
+    if not rows:
+        raise RecordingError(f'{path} has no rows, only the names of its columns')
+    return list(zip(*rows)), [line for line, _ in body]
+
+
+def plain(name: str) -> str:
+    """A column's name without case, unit and punctuation: `Acc_X [m/s^2]` and `acc_x_m_s2` are accx."""
+    return re.sub('[^a-z0-9]', '', _UNIT.sub('', name).lower())
+
+
+def unit_in_name(name: str, units) -> str | None:
+    """The one of `units` that stands in a column's name, in brackets or behind its last underscore."""
+    found = _UNIT.search(name)
+    text = (found.group(1) or found.group(2) or '').lower() if found else ''
+    return text if text in units else None
+
+
+def _guess_unit(times, longest) -> str:
+    """The coarsest unit in which the median interval of `times` is at most `longest` seconds."""
+    steps = np.abs(np.diff(times))
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    interval = np.median(steps) if len(steps) else 0.0
+    return next((unit for unit, scale in TIME_UNITS.items() if interval <= longest * 1e9 / scale), 'ns')
+
+
+def _cells(line, delimiter):
+    return [cell.strip().strip('"') for cell in line.split(delimiter)]
+
+
+def _is_number(text) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,239 @@
+"""CSV to recordings: columns, units, axes, times; judged by rosbags reading the result."""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+from mems_ins_fusion.cli.import_csv import main
+from mems_ins_fusion.recordings.csv_import import axes_rotation, read_gnss, read_imu
+from mems_ins_fusion.recordings.errors import RecordingError
+from mems_ins_fusion.recordings.reading import read_recording
+
+G = 9.80665
+T0 = 1_700_000_000
+
+
+def write(path, header, rows, sign=','):
+    path.write_text('\n'.join([header] * bool(header) + [sign.join(map(str, row)) for row in rows]) + '\n')
+    return path
+
+
+def imu_rows(count=300, start=T0, rate=100, force=(0.1, 0.2, G), turn=(0.01, 0.02, 0.03)):
+    """Times with all their digits, and a constant with some noise."""
+    generator = np.random.default_rng(0)
+    noise = generator.normal(0, 1e-3, (count, 6))
+    return [(f'{start + i // rate}.{i % rate * (10**9 // rate):09d}', *(noise[i] + [*force, *turn]))
+            for i in range(count)]
+
+
+def gnss_rows(count=3, start=T0):
+    return [(start + i, 48.0 + 1e-7 * i, 11.0, 400.0 + i) for i in range(count)]
+
+
+@pytest.fixture
+def files(tmp_path):
+    return (write(tmp_path / 'imu.csv', 'time,ax,ay,az,wx,wy,wz', imu_rows()),
+            write(tmp_path / 'gnss.csv', 'time,latitude,longitude,height', gnss_rows()), tmp_path / 'bag')
+
+
+def run(files, *options):
+    imu, gnss, bag = files
+    return main(['--imu', str(imu), '--gnss', str(gnss), '--output', str(bag), *options])
+
+
+def test_two_files_become_a_recording(files, capsys):
+    assert run(files) == 0
+    output = capsys.readouterr()
+    assert output.err == '' and 'written, 300 on /imu/data, 3 on /gps/fix' in output.out
+    assert 'time=time, ax=ax' in output.out and 'in s, m/s^2, rad/s' in output.out
+    with AnyReader([files[2]]) as reader:
+        messages = [(c.topic, time, reader.deserialize(raw, c.msgtype)) for c, time, raw in reader.messages()]
+    imu = [message for topic, _, message in messages if topic == '/imu/data']
+    expected = imu_rows()
+    for i in (0, 1, 299):
+        assert (imu[i].header.stamp.sec, imu[i].header.stamp.nanosec) == (T0 + i // 100, i % 100 * 10**7)
+        assert imu[i].linear_acceleration.z == expected[i][3] and imu[i].angular_velocity.x == expected[i][4]
+    assert imu[0].header.frame_id == 'base_link'
+    fix = next(message for topic, _, message in messages if topic == '/gps/fix')
+    assert (fix.latitude, fix.longitude, fix.altitude) == pytest.approx((48.0, 11.0, 400.0), rel=1e-15)
+    assert fix.position_covariance.reshape(3, 3) == pytest.approx(np.diag([6.25, 6.25, 25.0]))
+    assert fix.position_covariance_type == 1 and fix.status.status == 0
+
+
+def test_an_existing_recording_is_only_overwritten_on_request(files, capsys):
+    assert run(files) == 0
+    assert run(files) == 2
+    error = capsys.readouterr().err
+    assert error.startswith('import_csv: ') and 'exists already' in error and error.count('\n') == 1
+    assert run(files, '--overwrite', '--storage', 'sqlite3') == 0
+    assert len(read_recording(files[2], '/imu/data', '/gps/fix').imu) == 300
+
+
+@pytest.mark.parametrize('axes, expected', [
+    ('forward left up', [[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+    ('forward right down', [[1, 0, 0], [0, -1, 0], [0, 0, -1]]),
+    ('back, right, up', [[-1, 0, 0], [0, -1, 0], [0, 0, 1]]),
+    ('UP forward left', [[0, 1, 0], [0, 0, 1], [1, 0, 0]])])
+def test_axes_are_turned_to_forward_left_up(tmp_path, axes, expected):
+    # given sensor axes that point where the words say: `expected` has where they point as its columns
+    assert axes_rotation(axes).tolist() == expected
+    # when the vehicle, at rest on level ground, is measured in them
+    vehicle_force, vehicle_turn = np.array([0.5, -0.25, G]), np.array([0.1, 0.2, -0.3])
+    rotation = np.array(expected, float)
+    rows = imu_rows(force=rotation.T @ vehicle_force, turn=rotation.T @ vehicle_turn)
+    imu, _, _ = read_imu(write(tmp_path / 'imu.csv', 't,ax,ay,az,gx,gy,gz', rows), axes=axes)
+    assert imu.specific_force.mean(axis=0) == pytest.approx(vehicle_force, abs=1e-3)
+    assert imu.angular_rate.mean(axis=0) == pytest.approx(vehicle_turn, abs=1e-3)
+
+
+@pytest.mark.parametrize('axes, expected', [
+    ('forward left down', "'forward left down' are left-handed; with these x and y axes z points up"),
+    ('forward back up', 'two of them lie on one line'), ('forward left', 'must be three of forward, back'),
+    ('forward left sky', "got 'forward left sky'")])
+def test_axes_that_cannot_be(files, capsys, axes, expected):
+    assert run(files, '--imu-axes', axes) == 2
+    assert expected in capsys.readouterr().err
+    assert not files[2].exists()
+
+
+@pytest.mark.parametrize('header', [
+    'timestamp,acc_x,acc_y,acc_z,gyro_x,gyro_y,gyro_z',
+    'Time (s),Accel X (m/s^2),Accel Y (m/s^2),Accel Z (m/s^2),Gyro X (rad/s),Gyro Y (rad/s),Gyro Z (rad/s)',
+    '#t [s],a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2],'
+    'w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1]',
+    'time_s,ax_mps2,ay_mps2,az_mps2,gx_rad_s,gy_rad_s,gz_rad_s',
+    'stamp,linear_acceleration.x,linear_acceleration.y,linear_acceleration.z,'
+    'angular_velocity.x,angular_velocity.y,angular_velocity.z'])
+def test_usual_names_are_understood(tmp_path, header):
+    imu, temperature, _ = read_imu(write(tmp_path / 'imu.csv', header, imu_rows()))
+    assert imu.specific_force[0, 2] == imu_rows()[0][3] and imu.angular_rate[5, 1] == imu_rows()[5][5]
+    assert imu.stamp[123] == T0 * 10**9 + 1_230_000_000
+    assert temperature is None
+
+
+@pytest.mark.parametrize('names, options', [
+    ('time,ax [g],ay [g],az [g],wx [deg/s],wy [deg/s],wz [deg/s]', {}),
+    ('time,ax_g,ay_g,az_g,wx_dps,wy_dps,wz_dps', {}),
+    ('time,ax,ay,az,wx,wy,wz', {'acceleration_unit': 'g', 'gyro_unit': 'deg/s'})])
+def test_units_of_the_sensors(tmp_path, names, options):
+    rows = imu_rows(force=(0.0, 0.5, 1.0), turn=(0.0, 90.0, -180.0))
+    imu, _, text = read_imu(write(tmp_path / 'imu.csv', names, rows), **options)
+    assert 'g, deg/s' in text
+    assert imu.specific_force.mean(axis=0) == pytest.approx([0.0, 0.5 * G, G], abs=2e-3)
+    assert imu.angular_rate.mean(axis=0) == pytest.approx([0.0, math.pi / 2, -math.pi], abs=1e-4)
+
+
+@pytest.mark.parametrize('unit, digits', [('s', 0), ('ms', 3), ('us', 6), ('ns', 9)])
+@pytest.mark.parametrize('epoch', [T0, 0])
+@pytest.mark.parametrize('given', ['guessed', 'option', 'name'])
+def test_units_of_time_keep_every_digit(tmp_path, unit, digits, epoch, given):
+    exact = [(T0 if epoch else 0) * 10**9 + i * 10_000_000 + i % 7 * 1_000_000 for i in range(300)]
+    scale = 10**(9 - digits)
+    times = [f'{stamp // scale}.{stamp % scale:0{9 - digits}d}' if digits < 9 else stamp for stamp in exact]
+    rows = [(time, *row[1:]) for time, row in zip(times, imu_rows())]
+    name = {'guessed': 'time', 'option': 'time', 'name': f'time [{unit}]'}[given]
+    path = write(tmp_path / 'imu.csv', f'{name},ax,ay,az,wx,wy,wz', rows)
+    imu, _, text = read_imu(path, time_unit=unit if given == 'option' else None)
+    assert imu.stamp.tolist() == exact
+    assert f'in {unit},' in text
+
+
+def test_times_as_dates(tmp_path):
+    rows = [('2023-11-14T22:13:20.250Z', 48, 11), ('2023-11-14 22:13:21', 48, 11)]
+    path = write(tmp_path / 'gnss.csv', 'time,lat,lon', rows)
+    fixes, text = read_gnss(path)
+    assert fixes.stamp.tolist() == [T0 * 10**9 + 250_000_000, (T0 + 1) * 10**9]
+    assert 'in date, deg' in text and (fixes.height == 0).all()
+
+
+def test_columns_given_by_name_and_by_number(files, tmp_path):
+    rows = [(row[0], *row[1:4], *row[1:4], 0.5) for row in imu_rows()]
+    strange = write(tmp_path / 'strange.csv', 'clock,fx,q,ax,ay,az,p,r', rows)
+    imu, _, _ = read_imu(strange, {'time': 'clock', 'wx': 'p', 'wy': 'q', 'wz': 'r', 'ax': 'fx'})
+    assert (imu.angular_rate[0] == [imu_rows()[0][3], imu_rows()[0][2], 0.5]).all()
+    bare = write(tmp_path / 'bare.csv', '', imu_rows())
+    assert run((bare, *files[1:]), '--imu-columns', 'time=1,ax=2,ay=3,az=4,wx=5,wy=6,wz=7') == 0
+    assert len(read_recording(files[2], '/imu/data').imu) == 300
+
+
+@pytest.mark.parametrize('sign', [';', '\t', ' ', ','])
+def test_other_separators_and_comments(tmp_path, sign):
+    rows = imu_rows(5)
+    text = write(tmp_path / 'imu.csv', sign.join('t ax ay az wx wy wz'.split()), rows, sign).read_text()
+    lines = text.replace('.', ',' if sign == ';' else '.').splitlines()
+    (tmp_path / 'imu.csv').write_text('\r\n'.join(['# a log', lines[0], '# a comment', *lines[1:], '']))
+    imu, _, _ = read_imu(tmp_path / 'imu.csv')
+    assert (imu.specific_force[:, 2] == [row[3] for row in rows]).all()
+
+
+def test_a_temperature_column_becomes_a_topic(files, tmp_path):
+    warm = write(tmp_path / 'warm.csv', 'time,ax,ay,az,wx,wy,wz,temperature', [(*row, 21.5) for row in imu_rows()])
+    assert run((warm, *files[1:])) == 0
+    recording = read_recording(files[2], '/imu/data', temperature_topic='/imu/temperature')
+    assert (recording.temperature.celsius == 21.5).all() and len(recording.temperature) == 300
+
+
+def test_fixes_with_sigma_gaps_and_radians(tmp_path):
+    rows = [(T0, 0.8, 0.2, 300, 1.5), (T0 + 1, '', '', '', ''), (T0 + 2, 0.8, 0.2, 301, 0)]
+    fixes, _ = read_gnss(write(tmp_path / 'gnss.csv', 'time,lat,lon,alt,hAcc', rows), angle_unit='rad', sigma=4.0)
+    assert fixes.latitude[[0, 2]].tolist() == [0.8, 0.8]
+    assert fixes.status.tolist() == [0, -1, 0]
+    assert np.sqrt(fixes.covariance[:, 0, 0]) == pytest.approx([1.5, 4.0, 4.0])
+
+
+@pytest.mark.parametrize('header, row, expected', [
+    ('time,ax,ay,wx,wy,wz', '1,2,3,4,5,6', 'no column that looks like az; its columns are time, ax, ay, wx, wy, wz'),
+    ('time,ax,ay,az,wx,wy,wz', '1,2,3,4,5,6', 'line 302: 6 cells instead of 7'),
+    ('time,ax,ay,az,wx,wy,wz', '9,2,x3,4,5,6,7', "line 302: 'x3' in column 'ay' is not a number"),
+    ('time,ax,ay,az,wx,wy,wz', 'soon,2,3,4,5,6,7', "line 302: 'soon' in column 'time' is not a number"),
+    ('time,ax,ay,az,wx,wy,wz', 'nan,2,3,4,5,6,7', "line 302: 'nan' in column 'time' is not a time")])
+def test_bad_files_are_told_in_one_line(files, tmp_path, capsys, header, row, expected):
+    count = len(header.split(','))
+    bad = tmp_path / 'bad.csv'
+    bad.write_text('\n'.join([header, *(','.join(map(str, r[:count])) for r in imu_rows()), row]) + '\n')
+    assert run((bad, *files[1:])) == 2
+    error = capsys.readouterr().err
+    assert expected in error and str(bad) in error and error.count('\n') == 1
+    assert not files[2].exists()
+
+
+def test_other_bad_input(files, tmp_path, capsys):
+    def error(*options, imu=files[0], gnss=files[1]):
+        assert run((imu, gnss, files[2]), *options) == 2
+        text = capsys.readouterr().err
+        assert text.count('\n') == 1
+        return text
+
+    assert 'cannot read' in error(imu=tmp_path / 'none.csv')
+    (tmp_path / 'empty.csv').write_text('\n')
+    assert 'empty.csv is empty' in error(imu=tmp_path / 'empty.csv')
+    (tmp_path / 'header.csv').write_text('time,ax\n')
+    assert 'has no rows' in error(imu=tmp_path / 'header.csv')
+    (tmp_path / 'binary.csv').write_bytes(b'\xff\xfe\x00\x01')
+    assert 'is not a text file' in error(imu=tmp_path / 'binary.csv')
+    assert "no column 'clock' for time" in error('--imu-columns', 'time=clock')
+    assert "got 'speed=v'" in error('--gnss-columns', 'speed=v')
+    assert 'sigma of fixes must be above 0' in error('--gnss-sigma', '0')
+    later = write(tmp_path / 'later.csv', 'time,lat,lon,h', gnss_rows(start=T0 + 5000))
+    assert 'do not overlap in time' in error(gnss=later)
+    assert 'beyond 90 and 360 deg' in error('--angle-unit', 'rad')
+    assert 'not between 1970 and 2038' in error(gnss=write(tmp_path / 'w.csv', 'time,lat,lon', [('9e9', 1, 1)]))
+    with pytest.raises(SystemExit) as usage:
+        main(['--imu', 'x'])
+    assert usage.value.code == 2
+
+
+def test_the_checker_speaks_up(files, tmp_path, capsys):
+    in_g = write(tmp_path / 'g.csv', 'time,ax,ay,az,wx,wy,wz', imu_rows(force=(0, 0, 1)))
+    assert run((in_g, *files[1:])) == 0
+    assert 'error: imu: the specific force is 1 m/s^2' in capsys.readouterr().out
+    assert run((in_g, *files[1:]), '--overwrite', '--acceleration-unit', 'g') == 0
+    assert 'instead of m/s^2' not in capsys.readouterr().out
+
+
+def test_errors_are_of_the_package(tmp_path):
+    with pytest.raises(RecordingError):
+        read_gnss(tmp_path / 'none.csv')
