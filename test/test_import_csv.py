@@ -177,7 +177,7 @@ def test_a_temperature_column_becomes_a_topic(files, tmp_path):
 
 
 def test_fixes_with_sigma_gaps_and_radians(tmp_path):
-    rows = [(T0, 0.8, 0.2, 300, 1.5), (T0 + 1, '', '', '', ''), (T0 + 2, 0.8, 0.2, 301, 0)]
+    rows = [(T0, 0.8, ' 0.2 ', 300, 1.5), (T0 + 1, '', ' ', '', ''), (T0 + 2, 0.8, 0.2, 301, 0)]
     fixes, _ = read_gnss(write(tmp_path / 'gnss.csv', 'time,lat,lon,alt,hAcc', rows), angle_unit='rad', sigma=4.0)
     assert fixes.latitude[[0, 2]].tolist() == [0.8, 0.8]
     assert fixes.status.tolist() == [0, -1, 0]
@@ -232,6 +232,13 @@ def test_the_checker_speaks_up(files, tmp_path, capsys):
     assert 'error: imu: the specific force is 1 m/s^2' in capsys.readouterr().out
     assert run((in_g, *files[1:]), '--overwrite', '--acceleration-unit', 'g') == 0
     assert 'instead of m/s^2' not in capsys.readouterr().out
+
+
+def test_a_reference_file_becomes_a_topic(files, tmp_path):
+    truth = write(tmp_path / 'truth.csv', 'time,lat,lon,height', gnss_rows(30))
+    assert run(files, '--reference', str(truth)) == 0
+    reference = read_recording(files[2], '/imu/data', reference_topic='/reference/fix').reference
+    assert len(reference) == 30 and reference.height[29] == 429.0
 
 
 def test_errors_are_of_the_package(tmp_path):

@@ -35,13 +35,13 @@ class Table:
         """Column `name` as (n,) float64; empty cells are NaN. RecordingError for a cell that is no number."""
         cells = self.columns[self.names.index(name)]
         try:
-            return np.array(cells, dtype='U').astype(np.float64)
+            return np.array(list(map(float, cells)))
         except ValueError:
             return np.array([self._number(name, line, cell) for line, cell in zip(self.lines, cells)])
 
     def _number(self, name, line, cell) -> float:
         try:
-            return float(cell) if cell else np.nan
+            return float(cell) if cell.strip() else np.nan
         except ValueError:
             raise RecordingError(f"{self.path}, line {line}: '{cell}' in column '{name}' is not a number") from None
 
@@ -130,7 +130,7 @@ def _rows(path, body, delimiter, width):
     if delimiter is None:
         rows = [line.split() for _, line in body]
     else:
-        rows = [[cell.strip() for cell in row] for row in csv.reader((line for _, line in body), delimiter=delimiter)]
+        rows = list(csv.reader((line for _, line in body), delimiter=delimiter, skipinitialspace=True))
     if delimiter == ';':
         rows = [[cell.replace(',', '.') for cell in row] for row in rows]
     for (line, _), row in zip(body, rows):
