@@ -111,7 +111,7 @@ def _parser():
     add('--params-file', metavar='FILE', help='YAML with imu_topic and temperature_topic, as for the nodes')
     add('--imu-topic', metavar='TOPIC', help='sensor_msgs/Imu (default: imu_topic of the params file, else /imu/data)')
     add('--temperature-topic', metavar='TOPIC', help='sensor_msgs/Temperature (default: that of the params file)')
-    add('--orders', type=int, nargs='+', default=[1, 2, 3], metavar='P', help='orders of the autoregressive model to try '
-        '(default 1 2 3)')
+    add('--orders', type=int, nargs='+', default=[1, 2, 3], metavar='P',
+        help='orders of the autoregressive model to try (default 1 2 3)')
     add('--overwrite', action='store_true', help='replace an existing result')
     return parser

@@ -5,32 +5,40 @@ import numpy as np
 
 from mems_ins_fusion.sensor_errors.autocorrelation import autocorrelation
 from mems_ins_fusion.sensor_errors.characterize import SENSORS, Characterization
+from mems_ins_fusion.sensor_errors.models import Autoregressive, RandomWalk
+from mems_ins_fusion.sensor_errors.selection import TRAINING
 
 _UNIT = {'accelerometer': 'm/s²', 'gyroscope': 'rad/s'}
 _STYLE = {'random_walk': ('C0', 'random walk'), 'gauss_markov': ('C1', 'Gauss-Markov'),
           'autoregressive': ('C2', 'autoregressive')}
 
 
+CAPTIONS = {
+    'overview': 'Means over 10 s, without the mean of the recording. Shaded: cut out.',
+    'allan_accelerometer': 'Overlapping Allan deviation of the accelerometers with 95 % bounds, the coefficients read '
+                           'from it, and what the fitted models would show.',
+    'allan_gyroscope': 'Overlapping Allan deviation of the gyroscopes, likewise.',
+    'autocorrelation': 'Autocorrelation of 1 s means. Lag 0, which holds the white noise, is left out. The curves are '
+                       'the Gauss-Markov process fitted to it, and that of maximum likelihood.',
+    'orders': 'Prediction error against the order of the AR model on held-out data (Figure 6 of the paper): plain AR by '
+              'Burg, and white noise + AR. Below: information criteria of the plain AR, less their minimum; FPE as '
+              'n log(FPE).',
+    'intervals': 'Time constant of the slowest pole of an AR(2) against the averaging interval it is fitted at. Fitted '
+                 'as it is, it follows the interval: it describes the white noise. Fitted together with white noise, '
+                 'it shows the slow error. Vertical line: the interval chosen.',
+    'horizons': 'RMS error of the predicted mean over the coming seconds, on held-out data: what an outage of that '
+                'length costs, in velocity or heading per second of it.',
+    'residuals': 'Autocorrelation of the normalized residual (one-step innovation) of the recommended model on '
+                 'held-out data. Between the dashed lines it is white; p is that of the Ljung-Box test.',
+}
+
+
 def figures(c: Characterization) -> dict[str, tuple]:
     """By file name: (figure, caption)."""
-    drawn = {'overview': (_overview(c), 'Means over 10 s, without the mean of the recording. Shaded: cut out.')}
-    for sensor in SENSORS:
-        drawn[f'allan_{sensor}'] = (_allan(c, sensor), f'Overlapping Allan deviation of the {sensor}, with 95 % bounds, '
-                                    'the coefficients read from it, and what the fitted models would show.')
-    drawn |= {
-        'autocorrelation': (_autocorrelation(c), 'Autocorrelation of 1 s means. Lag 0, with the white noise, is left out.'
-                            ' The curves are the Gauss-Markov process fitted to it, and that of maximum likelihood.'),
-        'orders': (_orders(c), 'Prediction error against the order of the AR model on held-out data (Figure 6 of the '
-                   'paper): plain AR by Burg, and white noise + AR. Below: information criteria of the plain AR, '
-                   'less their minimum; FPE as n log(FPE).'),
-        'intervals': (_intervals(c), 'Time constant of the slowest pole of an AR(2) against the averaging interval it is '
-                      'fitted at. Fitted as it is, it follows the interval: it describes the white noise. Fitted '
-                      'together with white noise, it shows the slow error. Vertical: the interval chosen.'),
-        'horizons': (_horizons(c), 'RMS error of the predicted mean over the coming seconds, on held-out data: what an '
-                     'outage of that length costs, in velocity or heading per second of it.'),
-        'residuals': (_residuals(c), 'Autocorrelation of the normalized residual (one-step innovation) of the recommended '
-                      'model on held-out data. Between the lines, white.')}
-    return drawn
+    drawn = {'overview': _overview(c), **{f'allan_{sensor}': _allan(c, sensor) for sensor in SENSORS},
+             'autocorrelation': _autocorrelation(c), 'orders': _orders(c), 'intervals': _intervals(c),
+             'horizons': _horizons(c), 'residuals': _residuals(c)}
+    return {name: (figure, CAPTIONS[name]) for name, figure in drawn.items()}
 
 
 def _grid(width=11.0, height=5.6, rows=2, columns=3, sharex=True):
@@ -40,8 +48,8 @@ def _grid(width=11.0, height=5.6, rows=2, columns=3, sharex=True):
     return figure, figure.subplots(rows, columns, sharex=sharex, squeeze=False)
 
 
-def _panels(c, height=5.6):
-    figure, panels = _grid(height=height)
+def _panels(c, height=5.6, sharex=True):
+    figure, panels = _grid(height=height, sharex=sharex)
     for axis, panel in zip(c.axes, panels.flat):
         panel.set_title(axis.name, fontsize=10)
         panel.grid(alpha=0.3)
@@ -79,9 +87,10 @@ def _allan(c, sensor):
             panel.loglog(curve.tau, found.random_walk * np.sqrt(curve.tau / 3), 'C4:', lw=1, label='K, slope +1/2')
         if found.bias_instability is not None:
             panel.plot(found.bias_instability_tau, found.bias_instability * 0.664, 'C5o', ms=5, label='0.664 B')
-        for name in ('random_walk', 'gauss_markov'):
+        for name, fit in axis.fits.items():
             colour, label = _STYLE[name]
-            panel.loglog(curve.tau, model_allan(axis.fits[name], curve.tau), colour, lw=1, ls='--', label=label)
+            tau, deviation = model_allan(fit, curve.tau)
+            panel.loglog(tau, deviation, colour, lw=1, ls='--', label=f'fitted: {label}')
         panel.set_ylim(0.4 * curve.lower.min(), 2.5 * curve.upper.max())
         panel.set_title(axis.name, fontsize=10)
         panel.set_xlabel('averaging time in s')
@@ -92,13 +101,35 @@ def _allan(c, sensor):
 
 
 def model_allan(fit, tau):
-    """Allan deviation of white noise plus a random walk or Gauss-Markov process (IEEE Std 952-1997, C.1.3 and C.1.7)."""
-    white = fit.noise_density**2 / tau
-    if hasattr(fit.model, 'q'):
-        return np.sqrt(white + fit.model.q**2 * tau / 3)
-    u = tau / fit.model.tau
-    hump = 2 * fit.model.sigma**2 / u * (1 - (3 - 4 * np.exp(-u) + np.exp(-2 * u)) / (2 * u))
-    return np.sqrt(white + np.maximum(hump, 0.0))
+    """Averaging times (s) and Allan deviation that white noise and the model of `fit` would show.
+
+    Random walk and Gauss-Markov: IEEE Std 952-1997, C.1.3 and C.1.7. AR: from its autocovariances, at multiples of
+    its interval.
+    """
+    if isinstance(fit.model, Autoregressive):
+        sizes = np.unique(np.round(tau[tau >= fit.model.interval] / fit.model.interval)).astype(int)
+        tau, slow = sizes * fit.model.interval, _regressive_allan(fit.model, sizes)
+    elif isinstance(fit.model, RandomWalk):
+        slow = fit.model.q**2 * tau / 3
+    else:
+        u = tau / fit.model.tau
+        slow = 2 * fit.model.sigma**2 / u * (1 - (3 - 4 * np.exp(-u) + np.exp(-2 * u)) / (2 * u))
+    return tau, np.sqrt(fit.noise_density**2 / tau + np.maximum(slow, 0.0))
+
+
+def _regressive_allan(model, sizes):
+    """Allan variance over `sizes` intervals: (2 V(m) - V(2m) / 2) / m^2 with V the variance of the sum of m values."""
+    longest = 2 * int(sizes.max(initial=1))
+    a, state = model.transition(), model.initial_covariance()[:, 0]
+    covariances = np.empty(longest)
+    for lag in range(longest):
+        covariances[lag] = state[0]
+        state = a @ state
+    number = np.arange(1, longest + 1)
+    # V(m) = m r(0) + 2 sum over k < m of (m - k) r(k)
+    total, moment = np.cumsum(covariances), np.cumsum(np.arange(longest) * covariances)
+    variance = number * (2 * total - covariances[0]) - 2 * moment
+    return (2 * variance[sizes - 1] - variance[2 * sizes - 1] / 2) / sizes**2
 
 
 def _autocorrelation(c):
@@ -128,7 +159,7 @@ def _orders(c):
                  lw=0.8, label='white noise + AR')
         top.set_title(axis.name, fontsize=9)
         top.set_ylabel(f'RMSE in 10⁻³ {unit}', fontsize=8)
-        n = len(axis.averages.z)
+        n = TRAINING * len(axis.averages.z)
         for name, values in (('AIC', curve.aic), ('BIC', curve.bic), ('FPE', n * np.log(curve.fpe))):
             bottom.plot(curve.orders, values - values.min(), '.-', lw=0.8, label=name)
         bottom.set_xlabel('order p')
@@ -147,7 +178,8 @@ def _intervals(c):
         for i, axis in enumerate(c.of(sensor)):
             study = axis.intervals
             panel.loglog(study.interval, study.plain, f'C{i}.--', lw=1, label=f'{axis.name[-1]}, AR(2) alone')
-            panel.loglog(study.interval, study.joint, f'C{i}o-', lw=1, ms=4, label=f'{axis.name[-1]}, white noise + AR(2)')
+            panel.loglog(study.interval, study.joint, f'C{i}o-', lw=1, ms=4,
+                         label=f'{axis.name[-1]}, white noise + AR(2)')
         panel.loglog(study.interval, study.interval, color='0.6', lw=0.8, label='the interval itself')
         panel.axvline(c.interval[sensor], color='k', lw=0.8, ls=':')
         panel.set_title(sensor, fontsize=10)
@@ -159,24 +191,24 @@ def _intervals(c):
 
 
 def _horizons(c):
-    figure, panels = _panels(c)
+    figure, panels = _panels(c, sharex='row')
     for axis, panel in zip(c.axes, panels.flat):
         for name, prediction in axis.predictions.items():
             colour, label = _STYLE[name]
             line = ':' if name == 'autoregressive' else '-'
             panel.plot(prediction.horizons, prediction.horizon_rmse, colour + '.', ls=line, lw=1.4, label=label)
         panel.set_xscale('log')
-        panel.set_ylim(bottom=0)
+        panel.set_ylim(0, 1.15 * max(p.horizon_rmse.max(initial=0) for p in axis.predictions.values()))
         panel.set_ylabel(f'RMS error in {_UNIT[axis.name.split()[0]]}', fontsize=8)
         panel.ticklabel_format(axis='y', scilimits=(-2, 2))
     for panel in panels[-1]:
         panel.set_xlabel('horizon in s')
-    panels[0, 0].legend(fontsize=7)
+    panels[0, 0].legend(fontsize=7, loc='lower left')
     return figure
 
 
 def _residuals(c):
-    figure, panels = _panels(c)
+    figure, panels = _panels(c, sharex='row')
     for axis, panel in zip(c.axes, panels.flat):
         prediction = axis.predictions[axis.recommendation.model]
         residual = prediction.residual - prediction.residual.mean()

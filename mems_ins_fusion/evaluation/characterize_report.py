@@ -4,7 +4,7 @@ from __future__ import annotations
 import math
 
 from mems_ins_fusion.evaluation import html
-from mems_ins_fusion.sensor_errors.autoregressive import METHODS
+from mems_ins_fusion.sensor_errors.autoregressive import METHODS, time_constant
 from mems_ins_fusion.sensor_errors.characterize import SENSORS, STANDARD_GRAVITY, Characterization
 from mems_ins_fusion.sensor_errors.parameter_file import parameters, parameters_yaml
 
@@ -19,6 +19,7 @@ def report(c: Characterization) -> dict:
         'interval_jitter_s': _plain(c.grid.jitter), 'parts_s': [[a / c.grid.rate, b / c.grid.rate]
                                                                 for a, b in c.rest.parts],
         'cuts': [{'start_s': cut.start, 'stop_s': cut.stop, 'reason': cut.reason} for cut in c.rest.cuts],
+        'level_shifts': [{'time_s': t, 'axis': c.axes[k].name, 'size': size} for t, k, size in c.rest.shifts],
         'gravity_mps2': c.gravity, 'model': c.model, 'interval_s': c.interval, 'order': c.order,
         'parameters': _plain(parameters(c)), 'axes': [_axis(a) for a in c.axes]}
 
@@ -93,8 +94,9 @@ def _result(c):
     quiet = [a.name for a in c.axes if not a.significant]
     if quiet:
         parts.append(html.note(f'No slow error beside the white noise was seen on {", ".join(quiet)}. There, imu.yaml '
-                               'holds the upper limit of what could be; a longer recording would show more.', 'warning'))
-    short = [a.name for a in c.axes if a.significant and not c.duration > 20 * a.fits['gauss_markov'].model.tau]
+                               'holds the upper limit of what could be; a longer recording would show more.',
+                               'warning'))
+    short = [a.name for a in c.axes if a.significant and c.duration < 20 * a.fits['gauss_markov'].model.tau]
     if short:
         parts.append(html.note(f'Fewer than 20 correlation times were recorded of {", ".join(short)}: sigma and tau of '
                                'Gauss-Markov are uncertain, and only their ratio, the driving noise, is well known.',
@@ -111,19 +113,26 @@ def _recording(c):
     rows = [(a.name, a.mean.value, a.mean.lower, a.mean.upper, a.unit,
              a.temperature and a.temperature.value, a.temperature and a.temperature.lower,
              a.temperature and a.temperature.upper) for a in c.axes]
-    grid = (f'{len(c.grid.values)} samples on the grid; {c.grid.missing} missing, {c.grid.rejected} rejected for a stamp '
-            f'that did not advance; typical jitter of the intervals {1e3 * c.grid.jitter:.3g} ms.')
+    grid = (f'{len(c.grid.values)} samples on the grid; {c.grid.missing} missing, {c.grid.rejected} rejected for a '
+            f'stamp that did not advance; typical jitter of the intervals {1e3 * c.grid.jitter:.3g} ms.')
     cut = sum(x.stop - x.start for x in c.rest.cuts)
-    parts = [grid, f'{len(c.rest.parts)} part(s) at rest; {len(c.rest.cuts)} disturbances, {cut:.0f} s in all, cut out.']
+    parts = [grid, f'{len(c.rest.parts)} part(s) at rest; {len(c.rest.cuts)} disturbances, {cut:.0f} s in all, '
+             'cut out.']
     if c.rest.cuts:
         shown = c.rest.cuts[:20]
         parts.append(html.table(('from, s', 'to, s', 'reason'), [(x.start, x.stop, x.reason) for x in shown],
                                 'The first 20; all are in report.json.' if len(c.rest.cuts) > 20 else '', digits=6))
+    if c.rest.shifts:
+        parts += ['The level shifted here within half a minute by far more than usual, without a disturbance that '
+                  'would tell why. Kept: a little tilt of the table, or a jump of the bias.',
+                  html.table(('at, s', 'axis', 'shift', 'unit'),
+                             [(t, c.axes[k].name, size, c.axes[k].unit) for t, k, size in c.rest.shifts[:20]])]
     return [*parts, force, 'The mean of an accelerometer holds gravity and tilt, so no bias is given for it; that of a '
             'gyroscope holds the rotation of the earth (up to 7.3e-5 rad/s). The interval is that of the long-term '
             'level, slow error included.',
             html.table(('axis', 'mean', 'lower', 'upper', 'unit', 'per °C', 'lower', 'upper'), rows, digits=5),
-            '' if any(a.temperature for a in c.axes) else 'No temperature topic, or less than 0.5 °C of change: no trend.']
+            '' if any(a.temperature for a in c.axes) else
+            'No temperature trend: no temperature topic, or less than 0.5 °C of change, or several parts.']
 
 
 def _allan(c):
@@ -158,8 +167,8 @@ def _models(c):
 def _intervals(c):
     rows = [(a.name, *row) for a in c.axes for row in zip(*(getattr(a.intervals, n) for n in (
         'interval', 'plain', 'joint', 'noise_density', 'outage_rmse')))]
-    return ['An AR model fitted to raw samples describes the white noise: its time constant is a few samples. At longer '
-            'intervals it grows with the interval and says nothing either. Together with white noise the slow error '
+    return ['An AR model fitted to raw samples describes the white noise: its time constant is a few samples. At '
+            'longer intervals it grows with the interval and says nothing either. Together with white noise the slow error '
             'shows. The interval chosen for the models is the shortest whose prediction through the longest horizon on '
             'held-out data is within 2 % of the best, on the average of the axes.',
             html.table(('axis', 'interval, s', 'AR(2) alone: time constant, s', 'white noise + AR(2): time constant, s',
@@ -170,41 +179,40 @@ def _orders(c):
     rows = []
     for a in c.axes:
         for method, fit in zip(METHODS, a.estimators):
-            rows.append((a.name, method, ', '.join(f'{v:.4f}' for v in fit.coefficients), fit.b0, fit.radius, fit.stable,
+            rows.append((a.name, method, _listed(fit.coefficients), fit.b0, fit.radius, fit.stable,
                          fit.time_constant(a.averages.interval)))
         joint = a.fits['autoregressive'].model
-        rows.append((a.name, 'white noise + AR', ', '.join(f'{v:.4f}' for v in joint.coefficients), joint.b0,
-                     float(abs(joint.poles()).max()), True, _time_constant(joint)))
+        rows.append((a.name, 'white noise + AR', _listed(joint.coefficients), joint.b0,
+                     float(abs(joint.poles()).max()), True, time_constant(joint.coefficients, joint.interval)))
     chosen = ', '.join(f'{c.order[s]} for the {s}' for s in SENSORS)
     criteria = [(a.name, int(a.order_curve.orders[a.order_curve.aic.argmin()]),
                  int(a.order_curve.orders[a.order_curve.bic.argmin()]),
                  int(a.order_curve.orders[a.order_curve.fpe.argmin()]), a.order_curve.elbow(),
                  min(a.joint_orders, key=lambda o: a.joint_orders[o].one_step_rmse)) for a in c.axes]
-    return [f'Order {chosen}: the smallest that no higher one certainly beats in predicting held-out data, on any of the '
-            'three axes (more than two standard errors over blocks of time).',
+    return [f'Order {chosen}: the smallest that no higher one certainly beats in predicting held-out data, on any of '
+            'the three axes (more than two standard errors over blocks of time).',
             html.table(('axis', 'AIC', 'BIC', 'FPE', 'RMSE within 1 %', 'white noise + AR: least RMSE'), criteria,
                        'Orders that each criterion would choose; the first four for an AR without white noise, which '
                        'needs a high order to imitate it.'),
-            html.table(('axis', 'method', 'a_1 … a_p', 'b_0, unit', 'largest pole', 'stable', 'time constant, s'), rows)]
+            html.table(('axis', 'method', 'a_1 … a_p', 'b_0, unit', 'largest pole', 'stable', 'time constant, s'),
+                       rows)]
 
 
-def _time_constant(model):
-    from mems_ins_fusion.sensor_errors.autoregressive import time_constant
-
-    return time_constant(model.coefficients, model.interval)
+def _listed(coefficients):
+    return ', '.join(f'{a:.4f}' for a in coefficients)
 
 
 def _selection(c):
     rows = []
     for a in c.axes:
         for name, p in a.predictions.items():
-            rows.append((a.name, _words(name), p.score, p.one_step_rmse, p.horizon_rmse[-1] if len(p.horizons) else None,
-                         p.horizons[-1] if len(p.horizons) else None, p.whiteness_p, a.fits[name].bic))
+            farthest = (p.horizon_rmse[-1], p.horizons[-1]) if len(p.horizons) else (None, None)
+            rows.append((a.name, _words(name), p.score, p.one_step_rmse, *farthest, p.whiteness_p, a.fits[name].bic))
     return ['Fitted to the first 60 % of the recording, judged on the rest. A model counts as better when its score '
-            'exceeds the other by two standard errors over 20 blocks of time and by more than one nat; else the simplest '
-            'is recommended, and the table of results says that the data do not decide.',
-            html.table(('axis', 'model', 'score, nats per interval', 'one-step RMSE, unit', 'RMSE of the mean ahead, unit',
-                        'over, s', 'Ljung-Box p', 'BIC (all data)'), rows, digits=6)]
+            'exceeds the other by two standard errors over 20 blocks of time and by more than one nat; else the '
+            'simplest is recommended, and the table of results says that the data do not decide.',
+            html.table(('axis', 'model', 'score, nats per interval', 'one-step RMSE, unit',
+                        'RMSE of the mean ahead, unit', 'over, s', 'Ljung-Box p', 'BIC (all data)'), rows, digits=6)]
 
 
 def _three(e):

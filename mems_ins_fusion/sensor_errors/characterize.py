@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from threading import Lock
 
 import numpy as np
@@ -37,8 +37,9 @@ _BURG_ORDERS = 10
 @dataclass(frozen=True)
 class IntervalStudy:
     """What an AR(2) says depending on the averaging interval (s): the time constant (s) of its slowest pole, fitted
-    as it is (plain, Burg) and together with white noise (joint, on the training part), and the white noise density of the latter.
-    outage_rmse: error of the joint model's predicted mean over the longest horizon on held-out data. NaN: not done."""
+    as it is (plain, Burg) and together with white noise (joint), and the white noise density of the latter.
+    outage_rmse: error of the joint model's predicted mean over the longest horizon. The joint model is fitted to the
+    training part and judged on the rest. NaN: not done."""
 
     interval: np.ndarray
     plain: np.ndarray
@@ -128,7 +129,7 @@ def characterize(name: str, grid: Grid, temperature=None, orders=(1, 2, 3), prog
         factors = np.repeat([_choose_interval(studies[s:s + 3], prepared[s:s + 3]) for s in (0, 3)], 3)
         averages = [p.slow.coarser(int(f)) for p, f in zip(prepared, factors)]
         tried = list(pool.map(lambda a: _try_orders(a, orders), averages))
-        best = [orders[smallest_unbeaten(list(t.values()))] for t in tried]
+        best = [_best_order(t) for t in tried]
         chosen = np.repeat([max(best[:3]), max(best[3:])], 3)
         axes = each(lambda k, p, study, a, t: _finish(k, p, study, a, t, int(chosen[k]), temperature), 'models',
                     range(6), prepared, studies, averages, tried)
@@ -162,7 +163,8 @@ class _Prepared:
 def _prepare(grid, rest, k):
     parts = [np.where(rest.holes[a:b], np.nan, grid.values[a:b, k]) for a, b in rest.parts]
     slow = average(parts, max(1, round(INTERVALS[0] * grid.rate)), 1 / grid.rate)
-    return _Prepared(grid.rate, [p[:round(600 * grid.rate)] for p in parts[:1]], allan_deviation(parts, grid.rate), slow)
+    first = [parts[0][:round(600 * grid.rate)]]
+    return _Prepared(grid.rate, first, allan_deviation(parts, grid.rate), slow)
 
 
 def _study_intervals(p: _Prepared) -> IntervalStudy:
@@ -208,11 +210,20 @@ def _choose_interval(studies, prepared) -> int:
     return factors[int(np.flatnonzero(errors <= errors.min() + _GAIN)[0])] if np.isfinite(errors).any() else 1
 
 
+def _best_order(tried):
+    return list(tried)[smallest_unbeaten(list(tried.values()))]
+
+
 def _try_orders(averages, orders):
     data, start = split(averages)
-    training = data.slice(0, start)
-    return {order: predict(data, start, f'AR({order})', fit.model, fit.noise_density)
-            for order, fit in zip(orders, fit_autoregressive_orders(training, orders))}
+    fits = fit_autoregressive_orders(data.slice(0, start), orders)
+    if not any(fit.significant for fit in fits):  # higher orders of nothing
+        fits = fits[:1]
+    return {fit.model.order: _judge(fit, data, start) for fit in fits}
+
+
+def _judge(fit, data, start):
+    return predict(data, start, 'autoregressive', fit.model, fit.noise_density)
 
 
 def _finish(k, p, study, averages, tried, order, temperature) -> Axis:
@@ -223,15 +234,18 @@ def _finish(k, p, study, averages, tried, order, temperature) -> Axis:
     for model, fit in (('random_walk', fit_random_walk), ('gauss_markov', fit_gauss_markov)):
         trained = fit(data.slice(0, start), intervals=False)
         predictions[model] = predict(data, start, model, trained.model, trained.noise_density)
-    predictions['autoregressive'] = replace(tried[order], name='autoregressive')
+    predictions['autoregressive'] = tried.get(order) or _judge(
+        fit_autoregressive(data.slice(0, start), order, intervals=False), data, start)
     significant = fits['random_walk'].significant or fits['gauss_markov'].significant
     level = np.nanmean(data.z[:start])
-    return Axis(axis_name(k), SENSORS[axis_name(k).split()[0]], _mean(averages, fits['gauss_markov']), p.curve, allan_parameters(p.curve),
+    name = axis_name(k)
+    return Axis(name, SENSORS[name.split()[0]], _mean(averages, fits['gauss_markov']), p.curve,
+                allan_parameters(p.curve),
                 fit_gauss_markov_autocorrelation(p.slow), study, p.slow, averages,
                 tuple(method(averages.centred(), order) for method in ar.METHODS.values()),
                 ar.order_curve(data.z[:start] - level, data.z[start:] - level, min(_BURG_ORDERS, start // 10)),
                 tried, fits, predictions, recommend(list(predictions.values()), significant),
-                _temperature_slope(averages, fits['gauss_markov'], temperature, p))
+                _temperature_slope(averages, fits['gauss_markov'], temperature))
 
 
 def _mean(averages, fit):
@@ -242,9 +256,9 @@ def _mean(averages, fit):
     return Estimate(value, value - half, value + half, '')
 
 
-def _temperature_slope(averages, fit, temperature, p) -> Estimate | None:
+def _temperature_slope(averages, fit, temperature) -> Estimate | None:
     """Generalized least squares on temperature, with the slow error as coloured noise; None without a spread."""
-    if temperature is None or len(p.samples) != 1 or averages.part.max() > 0:
+    if temperature is None or averages.part.max() > 0:
         return None
     times = (np.arange(len(averages.z)) + 0.5) * averages.interval
     celsius = np.interp(times, *temperature)

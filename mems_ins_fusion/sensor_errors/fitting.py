@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -187,7 +188,8 @@ def _ar_maxima(data, highest):
     resonant = []
     for p in range(1, highest + 1):
         limits = [(-slowest, slowest)] * p + [ratio_limits]
-        best, value = _maximize(lambda t: relative_likelihood(data, _ar_space(data, t, 1.0))[0], starts, limits, resonant)
+        best, value = _maximize(lambda t: relative_likelihood(data, _ar_space(data, t, 1.0))[0], starts, limits,
+                                resonant)
         yield best, value
         starts = [[*best[:-1], k, best[-1] + shift] for k, shift in ((0.0, 0.0), (0.8, -1.0), (0.4, -0.5))]
         starts += _two_pole_starts(data, p + 1)
@@ -287,6 +289,7 @@ def _profile_end(cost, best, index, limits, curvature, side):
     follow = np.clip(curvature[others, index] / curvature[index, index], -3, 3)
     state = {'off': np.zeros(len(others))}
 
+    @cache  # a second search may end elsewhere on a flat ridge, which a root finder cannot live with
     def rise(value):
         def inner(t):
             full = np.empty(len(best))
@@ -299,13 +302,13 @@ def _profile_end(cost, best, index, limits, curvature, side):
 
     limit = limits[index][0 if side < 0 else 1]
     step = float(np.clip(2 * math.sqrt(curvature[index, index]), 1e-3, 0.5))
-    near = best[index]
+    near = float(best[index])
     while True:
-        far = best[index] + side * step
+        far = float(best[index]) + side * step
         if side * (far - limit) >= 0:
             far = limit
         if rise(far) > 0:
-            return brentq(rise, *sorted((near, far)), xtol=0.01 * step)
+            return brentq(rise, *sorted((near, far)), xtol=0.01 * step) if rise(near) < 0 else near
         if far == limit:
             return None
         near, step = far, 2 * step

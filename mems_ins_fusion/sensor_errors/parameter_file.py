@@ -81,8 +81,8 @@ def parameters_yaml(c: Characterization) -> str:
     for sensor, unit in SENSORS.items():
         axes = c.of(sensor)
         if sensor == 'accelerometer':
-            lines.append('    # accelerometer.bias is not here: at rest it cannot be told from tilt. Mean specific force '
-                         f'{c.gravity:.4f} m/s^2, standard gravity {STANDARD_GRAVITY}')
+            lines += ['    # accelerometer.bias is not here: at rest it cannot be told from tilt. What is known:',
+                      f'    # mean specific force {c.gravity:.4f} m/s^2, standard gravity {STANDARD_GRAVITY} m/s^2']
         for name in (n for n in values if n.startswith(sensor)):
             lines += [f'    # {line}' for line in _origin(c, sensor, unit, axes, name.removeprefix(f'{sensor}.'))]
             lines.append(f'    {name}: {_text(values[name])}')
@@ -95,8 +95,8 @@ def _origin(c, sensor, unit, axes, name):
     if name == 'noise_density':
         return [f'{unit}/sqrt(Hz), beside {c.model.replace("_", " ")}: {_ranges([_white(a, c.model) for a in axes])}']
     if name == 'bias':
-        return [f'{unit}, mean of the recording, rotation of the earth (up to 7.3e-5) included; long-term level: '
-                f'{_ranges([a.mean for a in axes])}']
+        return [f'{unit}, mean of the recording, rotation of the earth (up to 7.3e-5) included',
+                f'long-term level: {_ranges([a.mean for a in axes])}']
     if name == 'initial_sigma':
         return [f'{unit}, size of the turn-on bias as far as one recording shows it']
     if name == 'random_walk.q':
@@ -105,13 +105,18 @@ def _origin(c, sensor, unit, axes, name):
         key = name.rsplit('.', 1)[1]
         return [f'{"s" if key == "tau" else unit}: {_ranges([a.fits["gauss_markov"].estimates[key] for a in axes])}']
     if name == 'autoregressive.coefficients':
-        return [f'a_1..a_{c.order[sensor]} of x, then y, then z; white noise is not part of them']
+        return [f'a_1..a_{c.order[sensor]} of x, then y, then z; white noise is not part of them',
+                *(f'{a.name[-1]}: {_ranges(_coefficients(a, c.order[sensor]))}' for a in axes)]
     if name == 'autoregressive.b0':
         known = [a.fits['autoregressive'].estimates.get('b0') for a in axes]
         return [f'{unit}: {_ranges(known)}']
     if name == 'autoregressive.interval':
         return ['s, the shortest that predicts outages as well as any']
     return []
+
+
+def _coefficients(axis, order):
+    return [axis.fits['autoregressive'].estimates.get(f'a_{i + 1}') for i in range(order)]
 
 
 def _ranges(estimates: list[Estimate | None]) -> str:

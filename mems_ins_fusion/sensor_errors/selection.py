@@ -30,7 +30,7 @@ class Prediction:
 
     score: mean log likelihood per interval, nats. one_step_rmse: unit of the sensor. horizons: s; horizon_rmse: RMS
     error of the predicted mean over the coming horizon, unit of the sensor. residual: (n,) normalized innovations.
-    whiteness_p: Ljung-Box p-value of the residual over 20 lags. block_scores: (20,) nats per interval, in blocks of time.
+    whiteness_p: Ljung-Box p-value of the residual over 20 lags. block_scores: (20,) nats per interval, by time.
     """
 
     name: str

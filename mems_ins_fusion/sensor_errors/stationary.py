@@ -6,7 +6,7 @@ Missing samples and knocks leave holes (NaN) in a part; a movement begins a new 
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,6 +18,10 @@ _WINDOW, _WINDOW_SAMPLES = 1.0, 50
 _SPREAD, _PEAK, _STEP = 2.0, 7.0, 8.0
 #: windows averaged on each side of a disturbance to see whether the level changed
 _SIDE = 5
+#: a longer disturbance, s, is called a vibration
+_LONG = 10.0
+#: windows averaged on each side of a shift of the level
+_SHIFT_SIDE = 30
 
 
 class StationaryError(ValueError):
@@ -50,11 +54,13 @@ class Cut:
 @dataclass(frozen=True)
 class Rest:
     """parts: (start, stop) indices into the grid at rest, in order. holes: (n,) bool, samples in them to leave out.
-    cuts: what was cut out, for the report."""
+    cuts: what was cut out, for the report. shifts: (s, column, size) where the level shifted by far more than usual
+    and the samples were kept: the table may have tilted a little, or the sensor's bias jumped; nothing tells."""
 
     parts: tuple[tuple[int, int], ...]
     holes: np.ndarray
-    cuts: tuple[Cut, ...] = field(default=())
+    cuts: tuple[Cut, ...] = ()
+    shifts: tuple[tuple[float, int, float], ...] = ()
 
 
 def to_grid(stamp: np.ndarray, values: np.ndarray) -> Grid:
@@ -133,7 +139,8 @@ def find_rest(grid: Grid, shortest: float = 60.0) -> Rest:
     cuts += [Cut(a * seconds, b * seconds, f'at rest for less than {shortest:.0f} s') for a, b in short]
     holes = np.zeros(len(grid.values), bool)
     holes[:count * size] = np.repeat(bad & present, size)
-    return Rest(tuple(parts), holes, tuple(sorted(cuts, key=lambda cut: cut.start)))
+    shifts = _shifts(np.where(bad[:, None], np.nan, mean), parts, size, seconds)
+    return Rest(tuple(parts), holes, tuple(sorted(cuts, key=lambda cut: cut.start)), shifts)
 
 
 def _window_statistics(values, size, count):
@@ -147,7 +154,8 @@ def _window_statistics(values, size, count):
         with np.errstate(invalid='ignore', divide='ignore'):
             mean = np.where(2 * number >= size, total / number, np.nan)
             deviation = np.where(present, windows - mean[:, None], 0.0)
-            statistics[:, :, k] = mean, np.sqrt(np.square(deviation).sum(axis=1) / number), np.abs(deviation).max(axis=1)
+            spread = np.sqrt(np.square(deviation).sum(axis=1) / number)
+            statistics[:, :, k] = mean, spread, np.abs(deviation).max(axis=1)
     return statistics
 
 
@@ -211,10 +219,34 @@ def _typical(differences):
     return 1.4826 * np.nanmedian(np.abs(differences), axis=0)
 
 
+def _shifts(mean, parts, size, seconds):
+    """(s, column, size): steps within a part of means over _SHIFT_SIDE windows, the largest of each neighbourhood."""
+    found = []
+    for start, stop in parts:
+        levels = mean[start // size:stop // size]
+        if len(levels) < 10 * _SHIFT_SIDE:
+            continue
+        present = np.isfinite(levels)
+        total = np.cumsum(np.concatenate([np.zeros((1, levels.shape[1])), np.where(present, levels, 0.0)]), axis=0)
+        count = np.cumsum(np.concatenate([np.zeros((1, levels.shape[1])), present]), axis=0)
+        number = np.maximum(count[_SHIFT_SIDE:] - count[:-_SHIFT_SIDE], 1)
+        smooth = (total[_SHIFT_SIDE:] - total[:-_SHIFT_SIDE]) / number
+        step = smooth[_SHIFT_SIDE:] - smooth[:-_SHIFT_SIDE]
+        relative = np.abs(step) / np.maximum(_typical(step), np.finfo(float).tiny)
+        while relative.max() > _STEP:
+            i, k = np.unravel_index(np.argmax(relative), relative.shape)
+            found.append((float((start // size + i + _SHIFT_SIDE) * seconds), int(k), float(step[i, k])))
+            relative[max(0, i - 2 * _SHIFT_SIDE):i + 2 * _SHIFT_SIDE, k] = 0.0
+    return tuple(sorted(found))
+
+
 def _describe(disturbed, steps, boundaries, breaks, seconds, size, count):
     edges = np.flatnonzero(np.diff(np.concatenate([[0], disturbed.astype(int), [0]])))
-    cuts = [Cut(float(a * seconds), float(b * seconds), 'moved' if boundaries & set(range(a, b + 1)) or b - a > 30 / seconds
-                else 'knock or vibration') for a, b in zip(edges[::2], edges[1::2])]
+    cuts = []
+    for a, b in zip(edges[::2], edges[1::2]):
+        reason = 'vibration' if (b - a) * seconds > _LONG else 'knock'
+        moved = not boundaries.isdisjoint(range(a, b + 1))
+        cuts.append(Cut(float(a * seconds), float(b * seconds), 'moved: another level after it' if moved else reason))
     cuts += [Cut(float(k * seconds), float(k * seconds), 'level stepped: a new part begins') for k in steps]
     cuts += [Cut(b / size * seconds, b / size * seconds, 'gap in the stamps: a new part begins') for b in breaks]
     return cuts
