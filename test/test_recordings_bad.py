@@ -11,7 +11,9 @@ import zlib
 
 import numpy as np
 import pytest
+from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
+from rosbags.typesys import Stores, get_typestore
 from test_recordings import IMU, NAV_SAT_FIX, PLUGINS, START, drive, fix, imu, write_bag
 
 from mems_ins_fusion.recordings.errors import RecordingError, RecordingWarning
@@ -163,6 +165,20 @@ def test_a_wrong_checksum_is_noticed(tmp_path):
     content[data + size - 100] ^= 1
     file.write_bytes(content)
     assert "it is damaged at" in complaint(file)
+
+
+@pytest.mark.parametrize('part', [0.3, 0.9])
+def test_a_truncated_ros1_bag(tmp_path, part):
+    # rosbags reads these by their index, which stands at the end
+    store = get_typestore(Stores.ROS1_NOETIC)
+    file = tmp_path / 'drive.bag'
+    with Writer1(file) as writer:
+        connection = writer.add_connection('/imu/data', IMU, typestore=store)
+        for i in range(50):
+            writer.write(connection, START + i, store.serialize_ros1(imu(i, store=store), IMU))
+    content = file.read_bytes()
+    file.write_bytes(content[:int(part * len(content))])
+    assert f'{file} is not a ROS 1 bag, or it is damaged' in complaint(file, gnss_topic=None)
 
 
 def test_any_byte_may_be_wrong(tmp_path):
