@@ -12,8 +12,8 @@ import numpy as np
 DRAWS = 2000
 #: blocks are this many correlation times long: the variance is then underestimated by a tenth
 BLOCK = 10
-#: with fewer blocks than this an interval means nothing
-FEWEST_BLOCKS = 5
+#: with fewer blocks than this an interval means nothing; more than that many only cost time
+FEWEST_BLOCKS, MOST_BLOCKS = 5, 400
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,7 @@ def block_means(values: np.ndarray, draws: int = DRAWS, seed: int = 0) -> np.nda
     """Means of `draws` resamples of `values` (n,), in circular blocks; None where there are too few blocks."""
     n = len(values)
     block = int(np.ceil(BLOCK * correlation_length(values))) if n > 2 else n
-    if block * FEWEST_BLOCKS > n:
-        block = n // FEWEST_BLOCKS
+    block = min(max(block, -(-n // MOST_BLOCKS)), n // FEWEST_BLOCKS)
     if block < 1:
         return None
     total = np.concatenate([[0.0], np.cumsum(np.concatenate([values, values[:block]]))])

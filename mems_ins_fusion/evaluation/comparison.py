@@ -32,12 +32,14 @@ class ReplayError(ValueError):
 
 @dataclass(frozen=True)
 class RunResult:
-    """One run: its states at KEPT_RATE and around the truth's epochs, its errors, and the IMU samples gone through."""
+    """One run: its states at KEPT_RATE and around the truth's epochs, its errors and what sums them up, and the number of
+    IMU samples gone through."""
 
     model: str
     interval: float
     run: Run
     errors: Errors
+    summary: dict
     samples: int
 
 
@@ -228,7 +230,8 @@ class _Work:
             if not len(errors):
                 raise ReplayError(f'{self.recording.name}: no position of the {self.truth.source} falls into the '
                                   f'run at update interval {interval:g} s')
-            results.append(RunResult(model, interval, run, errors, len(self.recording.imu) - int(run.index[0])))
+            results.append(RunResult(model, interval, run, errors, metrics.summary(errors),
+                                     len(self.recording.imu) - int(run.index[0])))
         return results
 
     def _withheld(self, use: np.ndarray) -> np.ndarray:
@@ -295,7 +298,7 @@ def run_row(result: RunResult, mechanization: str, name: str) -> dict:
     """One entry of `runs` in `report.json`."""
     run = result.run
     return {'recording': name, 'model': result.model, 'mechanization': mechanization,
-            'update_interval_s': result.interval, **metrics.summary(result.errors),
+            'update_interval_s': result.interval, **result.summary,
             'nis_mean': float(run.innovations.nis.mean()) if len(run.innovations.nis) else None,
             'imu_samples': result.samples, 'fixes_used': len(run.innovations.nis),
             'filter_seconds': run.filter_seconds}

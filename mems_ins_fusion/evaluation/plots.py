@@ -4,12 +4,13 @@ from __future__ import annotations
 import numpy as np
 
 from ..navigation.earth import to_local
-from . import metrics
 from .comparison import Comparison, RunResult
 
 COLOURS = {'random_walk': '#d95f02', 'gauss_markov': '#1b9e77', 'autoregressive': '#7570b3'}
 NAMES = {'random_walk': 'random walk', 'gauss_markov': 'Gauss-Markov'}
 OUTAGE = '#c1121f'
+#: points of a line, at most
+POINTS = 3000
 #: half the width of the window around a manoeuvre, m
 WINDOW = 40.0
 
@@ -62,7 +63,7 @@ def track(comparison: Comparison):
     _mark_outages(axes, comparison, ground)
     axes.plot(ground.east[0], ground.north[0], marker='o', color='k', markersize=6, linestyle='', label='start', zorder=5)
     _as_map(axes)
-    axes.legend(loc='best', fontsize=8)
+    figure.legend(loc='outside lower center', ncols=3, fontsize=8)
     return figure
 
 
@@ -115,7 +116,7 @@ def manoeuvre(comparison: Comparison):
         axes.set_xlim(ground.east[at] - WINDOW, ground.east[at] + WINDOW)
         axes.set_ylim(ground.north[at] - WINDOW, ground.north[at] + WINDOW)
         axes.label_outer()
-    panels[0].legend(fontsize=8)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc='outside lower center', ncols=4, fontsize=8)
     return figure
 
 
@@ -136,24 +137,38 @@ def _worst_turn(results: list[RunResult]) -> int:
 def error_against_time(comparison: Comparison):
     """Horizontal error of each model, one panel for each interval, with turns shaded and the filter's own 2 sigma."""
     intervals = comparison.intervals
-    figure = _figure(10, 1.0 + 2.0 * len(intervals))
+    figure = _figure(10, 1.2 + 2.0 * len(intervals))
     panels = figure.subplots(len(intervals), 1, sharex=True, squeeze=False)[:, 0]
+    origin = comparison.recording.imu.stamp[0]
     for axes, interval in zip(panels, intervals):
         for model in comparison.models:
             errors = comparison.run_of(model, interval).errors
-            time = (errors.stamp - comparison.recording.imu.stamp[0]) * 1e-9
-            axes.plot(time, errors.horizontal, color=COLOURS[model], linewidth=0.8, label=model_name(comparison, model))
-        axes.plot(time, 2 * errors.sigma, color='0.35', linewidth=0.8, linestyle='--',
-                  label=f"2 sigma by the filter's own account ({model_name(comparison, model)})")
-        axes.fill_between(time, 0, 1, where=errors.turning, transform=axes.get_xaxis_transform(), color='0.93',
-                          linewidth=0, label='turning')
+            time = (errors.stamp - origin) * 1e-9
+            axes.plot(*_peaks(time, errors.horizontal), color=COLOURS[model], linewidth=0.8,
+                      label=model_name(comparison, model))
+        name = model_name(comparison, comparison.models[-1])
+        axes.plot(*_peaks(time, 2 * errors.sigma), color='0.6', linewidth=0.8, zorder=1,
+                  label=f"2 sigma by the filter's own account ({name})")
+        edges = np.flatnonzero(np.diff(errors.turning.astype(int), prepend=0, append=0))
+        for first, last in edges.reshape(-1, 2):
+            axes.axvspan(time[first], time[last - 1], color='0.93', linewidth=0, zorder=0,
+                         label='turning' if first == edges[0] else None)
         axes.set_ylabel('horizontal error, m')
         axes.set_title(f'fixes each {interval:g} s', fontsize=10, loc='left')
         axes.set_ylim(bottom=0)
         axes.margins(x=0)
-    panels[0].legend(fontsize=8, ncols=3)
     panels[-1].set_xlabel('time, s')
+    figure.legend(*panels[0].get_legend_handles_labels(), loc='outside lower center', ncols=3, fontsize=8)
     return figure
+
+
+def _peaks(time, values):
+    """At most POINTS of the points, the largest value of each stretch: what an eye sees of a dense line, sooner drawn."""
+    every = -(-len(time) // POINTS)
+    if every == 1:
+        return time, values
+    first = np.arange(0, len(time), every)
+    return time[first], np.maximum.reduceat(values, first)
 
 
 def error_against_interval(comparison: Comparison):
@@ -162,7 +177,7 @@ def error_against_interval(comparison: Comparison):
     whole, parts = figure.subplots(1, 2, sharey=True)
     intervals = comparison.intervals
     for place, model in enumerate(comparison.models):
-        summaries = [metrics.summary(comparison.run_of(model, i).errors) for i in intervals]
+        summaries = [comparison.run_of(model, i).summary for i in intervals]
         value = np.array([s['horizontal_rmse_m'] for s in summaries])
         bounds = np.array([s['horizontal_rmse_interval_m'] or (v, v) for s, v in zip(summaries, value)])
         x = np.arange(len(intervals)) + 0.12 * (place - (len(comparison.models) - 1) / 2)
@@ -175,7 +190,7 @@ def error_against_interval(comparison: Comparison):
         axes.set_xticks(range(len(intervals)), [f'{i:g}' for i in intervals])
         axes.set_xlabel('update interval, s')
         axes.grid(axis='y', color='0.92')
-        axes.legend(fontsize=8)
+        axes.legend(loc='upper left', fontsize=8)
         axes.set_ylim(bottom=0)
     whole.set_ylabel('RMS horizontal error, m')
     return figure
@@ -200,5 +215,5 @@ def outage_growth(comparison: Comparison):
     axes.set_xlim(0, longest)
     axes.set_ylim(bottom=0)
     axes.grid(color='0.92')
-    axes.legend(fontsize=8)
+    axes.legend(loc='upper left', fontsize=8)
     return figure

@@ -120,11 +120,11 @@ def _write(folder: Path, comparisons, findings, values, timing, progress) -> dic
 def _write_trajectories(folder: Path, prefix: str, comparison: Comparison) -> None:
     reference = comparison.truth.reference
     datum = _datum(comparison)
-    trajectories.write_reference(folder / f'{prefix}truth.tum', reference, datum)
+    trajectories.write_track(folder / f'{prefix}truth.tum', reference, datum)
     tracks = {comparison.truth.source: reference}
     for result in comparison.runs:
         name = f'{result.model}_{result.interval:g}s'
-        trajectories.write_run(folder / f'{prefix}{name}.tum', result.run, datum)
+        trajectories.write_track(folder / f'{prefix}{name}.tum', result.run, datum)
         tracks[name] = result.run
     trajectories.write_geojson(folder / f'{prefix}tracks.geojson', tracks)
 

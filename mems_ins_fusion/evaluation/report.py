@@ -15,7 +15,7 @@ from .verdict import verdict
 _FIGURES = (
     ('track', plots.track, 'The drive from above. Grey: the truth. Red: what the filter made of stretches without fixes, '
      'ending at x; the dotted line leads to where the vehicle was.'),
-    ('error_against_time', plots.error_against_time, 'Horizontal error against time. Grey bands: turning. Dashed: two '
+    ('error_against_time', plots.error_against_time, 'Horizontal error against time. Grey bands: turning. Grey line: two '
      'standard deviations by the filter\'s own account; about 95 % of the errors should lie below.'),
     ('error_against_interval', plots.error_against_interval, 'RMS error against the update interval: with 95 % confidence '
      'intervals (left), in turns and on straights (right).'),
@@ -170,12 +170,12 @@ def write_report(folder: Path, content: dict, page: str) -> None:
 
 def summary_table(content: dict) -> str:
     """The position error of each run, and the outages, as text for a terminal."""
-    lines = [f"{'model':<16}{'fixes each':>11}{'RMS':>9}{'95 %':>9}{'max':>9}{'NIS':>7}"]
+    lines = [f"{'model':<16}{'fixes each':>11}{'RMS':>9}{'95 %':>9}{'max':>9}{'NIS':>10}"]
     several = len(content['recordings']) > 1
     for r in content['runs']:
         lines.append(f"{r['model']:<16}{r['update_interval_s']:>9g} s{r['horizontal_rmse_m']:>7.2f} m"
                      f"{r['horizontal_p95_m']:>7.2f} m{r['horizontal_max_m']:>7.2f} m"
-                     f"{number(r['nis_mean'], 3):>7}" + (f"  {r['recording']}" if several else ''))
+                     f"{number(r['nis_mean'], 3):>10}" + (f"  {r['recording']}" if several else ''))
     if any(r['count'] for r in content['outages']):
         lines.append(f"{'model':<16}{'outage':>11}{'RMS':>9}{'median':>9}{'95 %':>9}{'count':>7}")
     for r in (r for r in content['outages'] if r['count']):

@@ -9,11 +9,12 @@ import numpy as np
 from ..filter.fusion import Run
 from ..filter.layout import PLANAR
 from ..filter.odometry import PLANAR_TILT_SIGMA
+from ..navigation.earth import to_local
 from ..recordings.writing import OdometrySamples, odometry_from_reference
 from ..samples import Reference
 
-#: points of a line on a map, s apart
-MAP_INTERVAL = 1.0
+#: points of a line on a map and poses of a TUM file, s apart
+MAP_INTERVAL, POSE_INTERVAL = 1.0, 0.1
 
 
 def odometry_of(run: Run, datum) -> OdometrySamples:
@@ -47,27 +48,35 @@ def write_tum(path: Path, stamp: np.ndarray, position: np.ndarray, orientation: 
         file.writelines(line % row for row in rows)
 
 
-def write_run(path: Path, run: Run, datum) -> None:
-    """`run` as TUM text: base_link in the frame east-north-up at `datum`."""
-    odometry = odometry_of(run, datum)
-    write_tum(path, odometry.stamp, odometry.position, odometry.orientation)
+def write_track(path: Path, track: Run | Reference, datum) -> None:
+    """`track` as TUM text: base_link in the frame east-north-up at `datum`, a pose every POSE_INTERVAL s.
+
+    Where a reference has no heading, the orientation is that of the frame.
+    """
+    at = _every(track.stamp, POSE_INTERVAL)
+    north, east, down = to_local(track.latitude[at], track.longitude[at], track.height[at], datum)
+    yaw = np.full(len(at), np.pi / 2) if track.yaw is None else track.yaw[at]
+    roll, pitch = (track.roll[at], track.pitch[at]) if isinstance(track, Run) else np.zeros((2, len(at)))
+    write_tum(path, track.stamp[at], np.column_stack([east, north, -down]), _orientation(roll, -pitch, np.pi / 2 - yaw))
 
 
-def write_reference(path: Path, reference: Reference, datum) -> None:
-    """`reference` as TUM text; without a heading its orientation is that of the frame."""
-    still = np.zeros((len(reference), 3))
-    yaw = np.full(len(reference), np.pi / 2) if reference.yaw is None else reference.yaw
-    full = Reference(reference.stamp, reference.latitude, reference.longitude, reference.height, still, yaw)
-    odometry = odometry_from_reference(full, datum)
-    write_tum(path, odometry.stamp, odometry.position, odometry.orientation)
+def _orientation(roll, pitch, yaw) -> np.ndarray:
+    """Quaternions x, y, z, w (n, 4) of R_z(yaw) R_y(pitch) R_x(roll)."""
+    (cr, cp, cy), (sr, sp, sy) = (f(0.5 * np.array([roll, pitch, yaw])) for f in (np.cos, np.sin))
+    return np.column_stack([sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy,
+                            cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy])
+
+
+def _every(stamp: np.ndarray, interval: float) -> np.ndarray:
+    """Indices of the first stamp (ns) in each slot of `interval` s."""
+    return np.flatnonzero(np.diff((stamp - stamp[0]) // round(interval * 1e9), prepend=-1))
 
 
 def write_geojson(path: Path, tracks: dict[str, Run | Reference]) -> None:
     """`tracks` as lines in WGS-84 (RFC 7946), one for each, named; a point every MAP_INTERVAL s."""
     lines = []
     for name, track in tracks.items():
-        slot = (track.stamp - track.stamp[0]) // round(MAP_INTERVAL * 1e9)
-        at = np.flatnonzero(np.diff(slot, prepend=-1))
+        at = _every(track.stamp, MAP_INTERVAL)
         points = np.round(np.degrees(np.column_stack([track.longitude[at], track.latitude[at]])), 8)
         lines.append({'type': 'Feature', 'properties': {'name': name},
                       'geometry': {'type': 'LineString', 'coordinates': points.tolist()}})
