@@ -25,7 +25,6 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, NavSatFix
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-_LOCKS = []
 #: for a node that a recording is played to: no message is lost, no complaint held back
 PLAYABLE = ('--log-level', 'fusion_node:=debug',
             '-p', 'qos_overrides./imu/data.subscription.reliability:=reliable',
@@ -33,21 +32,21 @@ PLAYABLE = ('--log-level', 'fusion_node:=debug',
             '-p', 'qos_overrides./gps/fix.subscription.reliability:=reliable')
 
 
-def _reserve_domain() -> int:
-    """A ROS domain that no other test process on this machine uses, for as long as this process lives."""
+def _reserve_domain():
+    """A ROS domain that no other test process on this machine uses, and the open file that reserves it."""
     for domain in range(1, 102):
         lock = open(Path(tempfile.gettempdir()) / f'mems_ins_fusion_ros_domain_{domain}', 'w')
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             lock.close()
-            continue
-        _LOCKS.append(lock)
-        return domain
+        else:
+            return domain, lock
     raise RuntimeError('all ROS domains are taken')
 
 
-os.environ.update(ROS_DOMAIN_ID=str(_reserve_domain()), ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
+_DOMAIN, _LOCK = _reserve_domain()
+os.environ.update(ROS_DOMAIN_ID=str(_DOMAIN), ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
 os.environ.setdefault('ROS_LOG_DIR', tempfile.mkdtemp(prefix='mems_ins_fusion_ros_log_'))
 
 
@@ -60,7 +59,8 @@ class NodeProcess:
     def __init__(self, name: str, *arguments: str):
         self._process = subprocess.Popen(
             [sys.executable, '-m', 'mems_ins_fusion', name, '--ros-args', *arguments], cwd=REPOSITORY,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True)
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
+            pass_fds=[_LOCK.fileno()])  # a child that outlives a killed test keeps its domain to itself
         self.lines: list[str] = []
         self._new: queue.Queue[str | None] = queue.Queue()
         threading.Thread(target=self._read, daemon=True).start()

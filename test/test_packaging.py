@@ -100,9 +100,11 @@ def test_ros2_run_finds_each_tool(prefix, tool):
 
 
 def test_an_installed_executable_runs_its_tool(prefix, tmp_path):
+    # given the environment that ROS's setup file makes, and this Python as python3
     installed = next(prefix.glob('lib/python*/site-packages'))
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ['PATH']])
     answer = subprocess.run([prefix / 'lib/mems_ins_fusion/fusion_node', 'no', 'ros'], capture_output=True, text=True,
-                            cwd=tmp_path, env={**os.environ, 'PYTHONPATH': str(installed)})
+                            cwd=tmp_path, env={**os.environ, 'PYTHONPATH': str(installed), 'PATH': path})
     assert answer.returncode == 2
     assert answer.stderr.startswith("fusion_node: 'no' is not understood")
 
