@@ -225,7 +225,8 @@ class Alignment:
         dt = np.diff(part[:, 0], prepend=begin)
         yaw = np.cumsum(rate * dt)
         c, s = np.cos(yaw), np.sin(yaw)
-        velocity = np.cumsum(np.stack([c * force[:, 0] - s * force[:, 1], s * force[:, 0] + c * force[:, 1]]) * dt, axis=1)
+        level = np.stack([c * force[:, 0] - s * force[:, 1], s * force[:, 0] + c * force[:, 1]])
+        velocity = np.cumsum(level * dt, axis=1)
         return float(yaw[-1]), velocity[:, -1], (velocity * dt).sum(axis=1), bias_f, bias_w
 
     def _start(self, yaw, yaw_sigma, speed, speed_sigma, standstill, source) -> Start:
@@ -283,7 +284,7 @@ def _stays(positions: np.ndarray, begin: float, end: float) -> bool:
 
 
 def _longest_steady(mean: np.ndarray) -> slice:
-    """The longest run of blocks whose means (k, 6) stay near their median: a gentle start is quiet, too, but not that."""
+    """The longest run of blocks whose means (k, 6) stay near their median: a gentle start is quiet, but not that."""
     away = np.abs(mean - np.median(mean, axis=0))
     steady = (away[:, :3].max(axis=1) < STEADY_ACCELERATION) & (away[:, 3:].max(axis=1) < STEADY_RATE)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], steady.astype(np.int8), [0]]))).reshape(-1, 2)

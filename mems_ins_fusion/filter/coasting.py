@@ -14,8 +14,8 @@ from numba import njit
 from ..samples import Fixes, ImuSamples
 from .config import FilterConfig
 from .fusion import Run, _Part, _Replay
-from .kernel import _collect, take_fix, take_sample, views
-from .layout import Fix, Head
+from .kernel import collect, take_fix, take_sample
+from .layout import Fix, Head, state_at
 
 
 @dataclass(frozen=True)
@@ -93,9 +93,6 @@ def _run(memory, time, force, rate, fixes, arrival, answers, columns, kept, stat
     which fixes are withheld. rows (o, 2): of `states` that each outage covers; first: where they stand in `coasted`.
     spare: a second memory.
     """
-    parts = views(memory)
-    head, states_of, remembered = parts[0], parts[2], parts[4]
-    capacity = int(head[Head.CAPACITY])
     next_fix, next_row, next_outage = 0, 0, 0
     for k in range(len(time)):
         while next_outage < len(order) and fork[order[next_outage]] <= k:
@@ -104,18 +101,18 @@ def _run(memory, time, force, rate, fixes, arrival, answers, columns, kept, stat
                    next_row, begin[i], rows[i, 0], coasted[first[i]:first[i + 1]])
             next_outage += 1
         while next_fix < len(fixes) and arrival[next_fix] <= k:
-            if int(head[Head.FIXES]) == len(remembered):
-                _collect(remembered, len(remembered), fixes)
+            if memory[Head.FIXES] == memory[Head.FIX_CAPACITY]:
+                collect(memory, fixes)
             fixes[next_fix, Fix.ID] = next_fix
             answers[next_fix] = take_fix(memory, fixes[next_fix])
             next_fix += 1
         take_sample(memory, time[k], force[k, 0], force[k, 1], force[k, 2], rate[k, 0], rate[k, 1], rate[k, 2])
         if next_row < len(kept) and kept[next_row] == k:
-            row = states_of[int(head[Head.SAMPLES]) % capacity]
+            newest = np.uint64(state_at(memory, int(memory[Head.SAMPLES])))
             for c in range(len(columns)):
-                states[next_row, c] = row[columns[c]]
+                states[next_row, c] = memory[newest + columns[c]]
             next_row += 1
-    _collect(remembered, int(head[Head.FIXES]), fixes)
+    collect(memory, fixes)
     for j in range(next_outage, len(order)):  # no fix came any more
         i = order[j]
         coasted[first[i]:first[i + 1]] = states[rows[i, 0]:rows[i, 1]]
@@ -131,9 +128,6 @@ def _coast(memory, spare, time, force, rate, fixes, arrival, next_fix, columns, 
     if done == len(coasted):
         return
     spare[:] = memory
-    parts = views(spare)
-    head, states_of = parts[0], parts[2]
-    capacity = int(head[Head.CAPACITY])
     last = kept[row + len(coasted) - 1]
     while k <= last:
         while next_fix < len(fixes) and arrival[next_fix] <= k:
@@ -142,8 +136,8 @@ def _coast(memory, spare, time, force, rate, fixes, arrival, next_fix, columns, 
             next_fix += 1
         take_sample(spare, time[k], force[k, 0], force[k, 1], force[k, 2], rate[k, 0], rate[k, 1], rate[k, 2])
         if kept[row + done] == k:
-            state = states_of[int(head[Head.SAMPLES]) % capacity]
+            newest = np.uint64(state_at(spare, int(spare[Head.SAMPLES])))
             for c in range(len(columns)):
-                coasted[done, c] = state[columns[c]]
+                coasted[done, c] = spare[newest + columns[c]]
             done += 1
         k += 1

@@ -1,6 +1,7 @@
 """The filter's settings in the filter's terms: built from the parameters, and laid out in its memory."""
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,11 +9,11 @@ import numpy as np
 from ..navigation.frames import FLU_TO_FRD, mounting
 from ..sensor_errors.from_parameters import error_models, per_axis
 from ..sensor_errors.models import Autoregressive, GaussMarkov, Model, RandomWalk
-from .kernel import noise_size
-from .layout import (CHANNELS, FIX_SIZE, HEAD_SIZE, NAVIGATION_STATES, PLANAR, SAMPLE_SIZE, STRAPDOWN, Head, row_width)
+from .layout import (CHANNELS, FIX_SIZE, HEAD_SIZE, NAVIGATION_STATES, PLANAR, SAMPLE_SIZE, STRAPDOWN, Head, noise_size,
+                     row_width)
 
-#: states and samples remembered for fixes that come late: 2 s at 1000 Hz
-CAPACITY = 2048
+#: the fastest IMU for which all of gnss.max_delay is remembered, Hz
+FASTEST_IMU = 1000
 FIX_CAPACITY = 256
 SENSORS = ('accelerometer', 'gyroscope')
 
@@ -42,12 +43,13 @@ class FilterConfig:
         bias = np.concatenate([per_axis(values, f'{sensor}.bias') for sensor in SENSORS])
         scale = np.concatenate([per_axis(values, f'{sensor}.scale') for sensor in SENSORS])
         axes = [0, 1, 5] if mechanization == PLANAR else range(6)
-        per_sensor_axis = [model for sensor in SENSORS for model in error_models(values, sensor, values['sensor_error_model'])]
-        models = tuple(per_sensor_axis[along[i]] for i in axes)
+        kind = values['sensor_error_model']
+        sensor_models = [model for sensor in SENSORS for model in error_models(values, sensor, kind)]
+        models = tuple(sensor_models[along[i]] for i in axes)
         conditioning = mixing / (1.0 + scale)
         constant = [0.0 if isinstance(model, RandomWalk) else turn_on[along[i]] for i, model in zip(axes, models)]
-        return cls(values=values, mechanization=mechanization, models=_equal_order(models), white=mixing**2 @ density**2,
-                   turn_on_sigma=np.array(constant), conditioning=conditioning, offset=-conditioning @ bias,
+        return cls(values=values, mechanization=mechanization, models=_equal_order(models),
+                   white=mixing**2 @ density**2, turn_on_sigma=np.array(constant), conditioning=conditioning, offset=-conditioning @ bias,
                    lever_arm=FLU_TO_FRD @ np.asarray(values['gnss.lever_arm'], dtype=float))
 
     @property
@@ -80,16 +82,23 @@ class FilterConfig:
         """Number of states that are not navigation errors, m."""
         return len(self.models) * self.order + (2 if self.coloured else 0)
 
+    @property
+    def capacity(self) -> int:
+        """States and samples remembered for fixes that come late: a power of two, small enough for the cache."""
+        return 2 ** math.ceil(math.log2(self.values['gnss.max_delay'] * FASTEST_IMU + 16))
+
     def memory(self) -> np.ndarray:
         """The kernel's memory with these settings in it, before the first state."""
         n, p, channels = self.navigation + self.others, self.order, len(self.models)
         width = row_width(self.navigation, self.others)
-        noise = noise_size(self.others, p, channels)
-        size = (HEAD_SIZE + noise + (CAPACITY + 2) * width + CAPACITY * SAMPLE_SIZE + FIX_CAPACITY * FIX_SIZE
-                + n * n + 81 + 5 * n)
-        memory = np.zeros(size)
+        rows = HEAD_SIZE + noise_size(self.others, p, channels)
+        ring = rows + (self.capacity + 2) * width  # two rows more, for states between samples
+        fixes = ring + self.capacity * SAMPLE_SIZE
+        scratch = fixes + FIX_CAPACITY * FIX_SIZE
+        memory = np.zeros(scratch + n * n + 5 * n)
         self._write_head(memory[:HEAD_SIZE], width)
-        memory[HEAD_SIZE:HEAD_SIZE + noise] = self._noise()
+        memory[[Head.ROWS_AT, Head.RING_AT, Head.FIXES_AT, Head.SCRATCH_AT]] = rows, ring, fixes, scratch
+        memory[HEAD_SIZE:rows] = self._noise()
         return memory
 
     def _write_head(self, head: np.ndarray, width: int) -> None:
@@ -99,7 +108,7 @@ class FilterConfig:
         settings = {
             Head.MECHANIZATION: self.mechanization, Head.OPEN_LOOP: values['feedback'] == 'open',
             Head.NAVIGATION: self.navigation, Head.OTHERS: self.others, Head.ORDER: self.order,
-            Head.CHANNELS: len(self.models), Head.WIDTH: width, Head.CAPACITY: CAPACITY,
+            Head.CHANNELS: len(self.models), Head.WIDTH: width, Head.CAPACITY: self.capacity,
             Head.FIX_CAPACITY: FIX_CAPACITY,
             Head.COLOURED: self.navigation + len(self.models) * self.order if self.coloured else -1,
             Head.ACCELEROMETER_INTERVAL: self.models[0].interval if autoregressive else 0,

@@ -9,8 +9,8 @@ from ..navigation.earth import gravity
 from ..navigation.strapdown import from_euler, matrix
 from .alignment import Start, channel_prior, leveled
 from .config import FilterConfig
-from .kernel import set_radii, views
-from .layout import NAV, PLANAR, Head, Nav, Sample, store_covariance
+from .layout import NAV, PLANAR, Head, Nav, Sample, store_covariance, views
+from .prediction import set_radii
 
 UNKNOWN_TILT_SIGMA = 0.05  # rad, roll and pitch where no standstill showed them
 #: of the tilt that a standstill takes out: on a parking place nobody has surveyed
@@ -19,7 +19,7 @@ TILT_SIGMA = 0.3  # m/s^2, 2 deg times gravity
 
 def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
     """Write the first state into `memory` (of `config.memory()`)."""
-    head, _, rows, ring, *_ = views(memory)
+    head, _, rows, ring, _ = views(memory)
     conditioning, offset = config.conditioning, config.offset
     still = start.standstill
     level = config.values['alignment.level'] and still is not None
@@ -45,7 +45,7 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
         _strapdown_attitude(config, row, full, start, level)
     row[NAV + config.navigation:NAV + n] = estimate
     store_covariance(full, config.navigation, config.others, row)
-    set_radii(rows, 0)
+    set_radii(memory, int(head[Head.ROWS_AT]))
     ring[0, Sample.TIME] = start.time
 
 

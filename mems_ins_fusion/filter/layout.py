@@ -143,9 +143,13 @@ class Head(IntEnum):
     STILL_VARIANCE_F = 24  # running variance of specific force and angular rate, sum over the axes
     STILL_VARIANCE_W = 25
     STILL_MEAN = 26  # their running means, six
-    CONDITIONING = 32  # 6 x 6: body-axis sample = matrix (raw sample) + offset
-    OFFSET = 68  # six
-    SIZE = 74
+    ROWS_AT = 32  # where the parts of the memory begin: states,
+    RING_AT = 33  # samples,
+    FIXES_AT = 34  # fixes,
+    SCRATCH_AT = 35  # and room to work
+    CONDITIONING = 36  # 6 x 6: body-axis sample = matrix (raw sample) + offset
+    OFFSET = 72  # six
+    SIZE = 78
 
 
 class Sample(IntEnum):
@@ -190,3 +194,34 @@ class Fix(IntEnum):
 
 
 FIX_SIZE, SAMPLE_SIZE, HEAD_SIZE = int(Fix.SIZE), int(Sample.SIZE), int(Head.SIZE)
+
+
+def noise_size(m: int, p: int, channels: int) -> int:
+    """Floats of the noise section: white (6) | 1/tau, walk, variance (m each) | AR coefficients | b0 squared."""
+    return 6 + 3 * m + channels * (p + 1)
+
+
+def views(memory: np.ndarray):
+    """The parts of the memory as arrays: head, noise, states (capacity + 2, width), samples, fixes."""
+    head = memory[:HEAD_SIZE]
+    rows, ring, fixes, scratch = (int(head[i]) for i in (Head.ROWS_AT, Head.RING_AT, Head.FIXES_AT, Head.SCRATCH_AT))
+    return (head, memory[HEAD_SIZE:rows], memory[rows:ring].reshape(-1, int(head[Head.WIDTH])),
+            memory[ring:fixes].reshape(-1, SAMPLE_SIZE), memory[fixes:scratch].reshape(-1, FIX_SIZE))
+
+
+@njit(cache=True)
+def state_at(memory, k):
+    """Position of the state after sample k."""
+    return int(memory[Head.ROWS_AT]) + (k & (int(memory[Head.CAPACITY]) - 1)) * int(memory[Head.WIDTH])
+
+
+@njit(cache=True)
+def sample_at(memory, k):
+    """Position of sample k."""
+    return int(memory[Head.RING_AT]) + (k & (int(memory[Head.CAPACITY]) - 1)) * SAMPLE_SIZE
+
+
+@njit(cache=True)
+def fix_at(memory, i):
+    """Position of fix i of those remembered, by time."""
+    return int(memory[Head.FIXES_AT]) + i * FIX_SIZE

@@ -8,8 +8,7 @@ from numba import njit
 
 from ..navigation import strapdown
 from ..navigation.earth import to_local
-from .kernel import body_to_level, views
-from .layout import NAV, Head, Nav, Sample, load_covariance
+from .layout import HEAD_SIZE, NAV, Head, Nav, Sample, load_covariance, sample_at, state_at
 
 #: where each part stands in the vector that `odometry` fills
 POSITION, ORIENTATION, POSE_COVARIANCE, LINEAR, ANGULAR, TWIST_COVARIANCE, SIZE = 0, 3, 7, 43, 46, 49, 85
@@ -48,10 +47,11 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
     out (85,): position ENU; orientation x, y, z, w of base_link (FLU) in ENU; pose covariance 6 x 6; linear and angular
     velocity in base_link; twist covariance 6 x 6. geodetic (3,), geodetic_covariance (9,) ENU.
     """
-    head, noise, rows, ring, _, full, _, _ = views(memory)
+    head, noise = memory[:HEAD_SIZE], memory[HEAD_SIZE:]
     navigation, m, p = int(head[Head.NAVIGATION]), int(head[Head.OTHERS]), int(head[Head.ORDER])
-    newest = int(head[Head.SAMPLES]) % int(head[Head.CAPACITY])
-    row, sample = rows[newest], ring[newest]
+    newest = int(head[Head.SAMPLES])
+    row, sample = memory[state_at(memory, newest):], memory[sample_at(memory, newest):]
+    full = np.empty((navigation + m, navigation + m))
     load_covariance(row, navigation, m, full)
     latitude, longitude, height, v_n, v_e, v_d, q = corrected(row, navigation, head[Head.OPEN_LOOP] != 0.0)
     geodetic[0], geodetic[1], geodetic[2] = latitude, longitude, height
@@ -97,7 +97,7 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
                 for n in range(3, 9):
                     total += jacobian[i, k] * nine[k, n] * jacobian[j, n]
             out[TWIST_COVARIANCE + 6 * i + j] = total
-    interval = sample[Sample.TIME] - ring[(newest - 1) % int(head[Head.CAPACITY]), Sample.TIME]
+    interval = sample[Sample.TIME] - memory[sample_at(memory, newest - 1) + Sample.TIME]
     _angular(noise, interval, row, sample, full, navigation, p, out)
     return row[Nav.TIME]
 
