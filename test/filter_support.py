@@ -1,0 +1,83 @@
+"""What the tests of the filter share: configurations, a filter's memory with a given state, dense matrices."""
+from __future__ import annotations
+
+import numpy as np
+
+from mems_ins_fusion import parameters
+from mems_ins_fusion.filter.alignment import Start
+from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.initial import initialize
+from mems_ins_fusion.filter.layout import FIX_SIZE, NAV, PLANAR, Fix, Head, Nav, covariance, store_covariance, views
+from mems_ins_fusion.navigation.strapdown import from_euler
+
+MODELS = ('random_walk', 'gauss_markov', 'autoregressive')
+#: models with states of their own size, as parameters; AR(1) to AR(3) step at every sample of 0.01 s
+MODEL_VALUES = {
+    'RW': {'sensor_error_model': 'random_walk'},
+    'GM': {'sensor_error_model': 'gauss_markov', 'accelerometer.gauss_markov.tau': [7.0],
+           'gyroscope.gauss_markov.tau': [11.0]},
+    **{f'AR({len(a)})': {'sensor_error_model': 'autoregressive', 'accelerometer.autoregressive.coefficients': a,
+                         'gyroscope.autoregressive.coefficients': [0.9 * a[0], *a[1:]],
+                         'accelerometer.autoregressive.interval': 0.01, 'gyroscope.autoregressive.interval': 0.01}
+       for a in ([-0.9], [-1.2, 0.4], [-1.1, 0.3, -0.05])}}
+LATITUDE, LONGITUDE, HEIGHT = 0.84, 0.2, 480.0
+
+
+def configure(values=(), **more) -> FilterConfig:
+    """The defaults with `values` (full names) laid over them; keywords for names without a dot."""
+    return FilterConfig.from_parameters(parameters.check({**dict(values), **more}))
+
+
+def started(config: FilterConfig, *, velocity=(12.0, -5.0, 0.3), attitude=(0.02, -0.03, 0.7), x=None, p=None,
+            time=0.0) -> np.ndarray:
+    """A memory with that first state: velocity m/s in n, roll, pitch, yaw, errors x (n,), covariance p (n, n)."""
+    memory = config.memory()
+    initialize(memory, config, Start(time, LATITUDE, LONGITUDE, HEIGHT, np.asarray(velocity[:2], float), attitude[2],
+                                     np.eye(5), None))
+    rows = views(memory)[2]
+    row = rows[0]
+    if config.mechanization != PLANAR:
+        row[Nav.V_D] = velocity[2]
+        row[Nav.Q_W:Nav.Q_Z + 1] = from_euler(*attitude)
+    if x is not None:
+        row[NAV:NAV + len(x)] = x
+    if p is not None:
+        store_covariance(p, config.navigation, config.others, row)
+    return memory
+
+
+def newest(memory: np.ndarray) -> np.ndarray:
+    """The newest state, a copy of its row."""
+    head, _, rows, *_ = views(memory)
+    return rows[int(head[Head.SAMPLES]) % int(head[Head.CAPACITY])].copy()
+
+
+def state_and_covariance(config: FilterConfig, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Error state (n,) and covariance (n, n) of the newest state."""
+    row, n = newest(memory), config.navigation + config.others
+    return row[NAV:NAV + n].copy(), covariance(row, config.navigation, config.others)
+
+
+def fix_record(time, latitude=LATITUDE, longitude=LONGITUDE, height=HEIGHT, r=((1.0, 0.0), (0.0, 1.0)), down=4.0):
+    """A fix as the kernel takes it; r: (2, 2) north-east m^2, down: m^2."""
+    record = np.zeros(FIX_SIZE)
+    record[[Fix.TIME, Fix.LATITUDE, Fix.LONGITUDE, Fix.HEIGHT]] = time, latitude, longitude, height
+    record[[Fix.R_NN, Fix.R_NE, Fix.R_EE, Fix.R_DD]] = r[0][0], r[0][1], r[1][1], down
+    return record
+
+
+def random_covariance(n: int, rng: np.random.Generator, scale=None) -> np.ndarray:
+    """A positive definite matrix (n, n) that is far from diagonal."""
+    root = rng.standard_normal((n, n))
+    scale = np.ones(n) if scale is None else np.asarray(scale)
+    return scale[:, None] * (root @ root.T + 0.1 * np.eye(n)) * scale
+
+
+def central_difference(function, size: int, step) -> np.ndarray:
+    """Jacobian of function((size,)) -> (k,) at zero; step: (size,) or one."""
+    columns = []
+    for i, h in enumerate(np.broadcast_to(step, size)):
+        e = np.zeros(size)
+        e[i] = h
+        columns.append((np.asarray(function(e)) - np.asarray(function(-e))) / (2 * h))
+    return np.column_stack(columns)

@@ -1,0 +1,260 @@
+"""Corrections against the dense textbook Kalman filter; the split at the fix; fixes that come late."""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from filter_support import (
+    HEIGHT,
+    LATITUDE,
+    LONGITUDE,
+    MODEL_VALUES,
+    central_difference,
+    configure,
+    fix_record,
+    newest,
+    random_covariance,
+    started,
+    state_and_covariance,
+)
+from scipy.spatial.transform import Rotation
+
+from mems_ins_fusion.filter.kernel import FIX_BEFORE_START, FIX_TAKEN, FIX_TOO_LATE, run, take_fix, take_sample
+from mems_ins_fusion.filter.layout import NAV, PLANAR, Fix, Head, Nav, views
+from mems_ins_fusion.navigation.earth import radii
+from mems_ins_fusion.recordings.drive import simulate_drive
+
+DT = 0.01
+SAMPLE = 0.3, 1.0, 9.7, 0.02, -0.03, 0.2  # sensor axes, forward-left-up
+LEVER = {'gnss.lever_arm': [1.2, -0.7, 1.5]}
+COLOURED = {'gnss.coloured_noise.sigma': 0.8, 'gnss.coloured_noise.tau': 20.0}
+R = np.array([[1.3, -0.6], [-0.6, 0.9]])
+
+
+def made(model, mechanization, feedback, **more):
+    return configure({**MODEL_VALUES[model], **LEVER, 'mechanization': mechanization, 'feedback': feedback, **more})
+
+
+def scale_of(config):
+    navigation = [2, 2, .3, .3, .05] if config.mechanization == PLANAR else [2, 2, 3, .3, .3, .3, .03, .03, .05]
+    channels = [.1 if axis < 3 else .01 for axis in config.channel_axes for _ in range(config.order)]
+    return np.array(navigation + channels + ([.8, .8] if config.coloured else []))
+
+
+def antenna(config, row, error):
+    """North, east, down of the antenna, m from the fix's place, of the state in `row` with `error` taken out."""
+    meridian, prime_vertical = radii(row[Nav.LATITUDE])
+    h = row[Nav.HEIGHT]
+    position = np.array([(row[Nav.LATITUDE] - LATITUDE) * (meridian + h),
+                         (row[Nav.LONGITUDE] - LONGITUDE) * (prime_vertical + h) * math.cos(row[Nav.LATITUDE]),
+                         HEIGHT - h])
+    arm = np.diag([1, -1, -1]) @ config.values['gnss.lever_arm']
+    if config.mechanization == PLANAR:
+        attitude = Rotation.from_euler('z', row[Nav.YAW] - error[4])
+        position[:2] -= error[:2]
+    else:
+        q = Rotation.from_quat(row[[Nav.Q_X, Nav.Q_Y, Nav.Q_Z, Nav.Q_W]])
+        attitude = Rotation.from_rotvec(-error[6:9]) * q
+        position -= error[:3]
+    return position + attitude.apply(arm)
+
+
+def textbook(config, row, x, p, r, down):
+    """x, P, innovation and its covariance after one joint correction with the fix at its place (Eqs. 6 to 8)."""
+    n, navigation = len(x), config.navigation
+    dimensions = 2 if config.mechanization == PLANAR else 3
+    h = np.zeros((dimensions, n))
+    # predicted minus measured position is linear in the error with -d(antenna)/d(error taken out)
+    h[:, :navigation] = -central_difference(lambda e: antenna(config, row, e)[:dimensions], navigation, 1e-6)
+    if config.coloured:  # measured = true + coloured noise + white
+        h[0, n - 2] = h[1, n - 1] = -1
+    noise = np.zeros((dimensions, dimensions))
+    noise[:2, :2] = r
+    if dimensions == 3:
+        noise[2, 2] = down
+    z = antenna(config, row, np.zeros(navigation))[:dimensions] - h @ x
+    s = h @ p @ h.T + noise
+    gain = p @ h.T @ np.linalg.inv(s)
+    return x + gain @ z, p - gain @ s @ gain.T, z, s
+
+
+@pytest.mark.parametrize('feedback', ['closed', 'open'])
+@pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+@pytest.mark.parametrize('model', ['GM', 'AR(2)'])
+def test_a_fix_corrects_as_the_dense_joint_kalman_update(model, mechanization, feedback):
+    # given lever arm, coloured noise, a correlated R and a fix on a sample's stamp
+    config = made(model, mechanization, feedback, **COLOURED)
+    rng = np.random.default_rng(4)
+    scale = scale_of(config)
+    p0, x0 = random_covariance(len(scale), rng, scale), np.zeros(len(scale))
+    if feedback == 'open':
+        x0 = scale * rng.standard_normal(len(scale))
+    else:
+        x0[config.navigation:] = scale[config.navigation:] * rng.standard_normal(config.others)
+    memories = [started(config, x=x0, p=p0) for _ in range(2)]
+    record = fix_record(DT, r=R, down=2.0)
+    assert take_fix(memories[1], record) == FIX_TAKEN
+    for memory in memories:
+        take_sample(memory, DT, *SAMPLE)
+    before, after = newest(memories[0]), newest(memories[1])
+    x, p, z, s = textbook(config, before, *state_and_covariance(config, memories[0]), R, 2.0)
+    # then covariance and estimate are the textbook's
+    estimate, covariance = state_and_covariance(config, memories[1])
+    sigma = np.sqrt(np.diag(p))
+    assert covariance / np.outer(sigma, sigma) == pytest.approx(p / np.outer(sigma, sigma), abs=1e-7)
+    applied = x if feedback == 'open' else np.concatenate([np.zeros(config.navigation), x[config.navigation:]])
+    assert (estimate - applied) / scale == pytest.approx(np.zeros(len(x)), abs=1e-7)
+    taken_out = x[:config.navigation] if feedback == 'closed' else np.zeros(config.navigation)
+    expected = antenna(config, before, taken_out)  # the corrected state, seen at the antenna
+    if config.mechanization == PLANAR:
+        expected[2] = 0  # planar takes its height from the fix
+        assert after[Nav.YAW] == pytest.approx(before[Nav.YAW] - taken_out[4], abs=1e-9)
+        assert after[[Nav.V_N, Nav.V_E]] == pytest.approx(before[[Nav.V_N, Nav.V_E]] - taken_out[2:4], abs=1e-8)
+    else:
+        assert after[Nav.V_N:Nav.V_D + 1] == pytest.approx(before[Nav.V_N:Nav.V_D + 1] - taken_out[3:6], abs=1e-8)
+    assert antenna(config, after, np.zeros(9)) == pytest.approx(expected, abs=1e-6)
+    # and the innovation kept with the fix is that of the joint measurement
+    kept = views(memories[1])[4][0]
+    assert kept[[Fix.Z_N, Fix.Z_E]] == pytest.approx(z[:2], abs=1e-7)
+    assert kept[[Fix.S_NN, Fix.S_NE, Fix.S_EE]] == pytest.approx(s[[0, 0, 1], [0, 1, 1]], rel=1e-7)
+    assert kept[Fix.NIS] == pytest.approx(z[:2] @ np.linalg.solve(s[:2, :2], z[:2]), rel=1e-6)
+    if config.mechanization != PLANAR:
+        assert kept[[Fix.Z_D, Fix.S_DD]] == pytest.approx([z[2], s[2, 2]], rel=1e-6)
+
+
+@pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+def test_robust_weighting_brings_an_outlier_to_its_limit_and_leaves_others_alone(mechanization):
+    values = {**MODEL_VALUES['GM'], 'mechanization': mechanization}
+    for away, outlier in ((0.5, False), (60.0, True)):
+        results = {}
+        for robust in (0.0, 3.0):
+            config = configure({**values, 'gnss.robust_sigma': robust})
+            scale = scale_of(config)
+            memory = started(config, velocity=(0, 0, 0), p=np.diag(scale**2))
+            take_fix(memory, fix_record(DT, latitude=LATITUDE + away / 6.4e6, r=R, down=100.0))
+            before = started(config, velocity=(0, 0, 0), p=np.diag(scale**2))
+            for m in (memory, before):
+                take_sample(m, DT, *SAMPLE)
+            results[robust] = state_and_covariance(config, memory)[1], newest(memory), views(memory)[4][0, Fix.NIS]
+        nis = results[0.0][2]
+        assert (nis > 9) == outlier and results[3.0][2] == nis
+        if not outlier:
+            assert np.array_equal(results[0.0][1], results[3.0][1])
+            continue
+        # then R grows until the normalized innovation is 3: S' = S nis / 9
+        p = state_and_covariance(config, before)[1]
+        s = p[:2, :2] + R
+        inflated = R + (nis / 9 - 1) * s
+        gain = p[:, :2] @ np.linalg.inv(p[:2, :2] + inflated)
+        expected = p - gain @ p[:2]
+        got = results[3.0][0]
+        index = [0, 1, 2, 3, 4] if mechanization == 'planar' else [0, 1, 3, 4, 8]  # not what the height corrects
+        assert np.diag(got)[index] == pytest.approx(np.diag(expected)[index], rel=1e-6)
+        z = views(memory)[4][0, [Fix.Z_N, Fix.Z_E]]
+        assert z @ np.linalg.solve(p[:2, :2] + inflated, z) == pytest.approx(9.0, rel=1e-6)
+
+
+@pytest.mark.parametrize('model', ['RW', 'GM', 'AR(3)'])
+def test_covariance_stays_symmetric_and_positive_for_hours_of_exact_fixes(model):
+    # given two hours at 10 Hz with a fix of 1 mm each second: the worst there is for (I - K H) P
+    config = configure({**MODEL_VALUES[model], 'mechanization': 'strapdown' if model == 'GM' else 'planar',
+                        'accelerometer.autoregressive.interval': 0.1, 'gyroscope.autoregressive.interval': 0.1})
+    n = config.navigation + config.others
+    drive = simulate_drive(120.0, 5, 10.0, standstill=1.0)
+    hours = 60
+    force = np.tile(drive.specific_force[1:] * [1, -1, -1], (hours, 1))
+    rate = np.tile(drive.angular_rate[1:] * [1, -1, -1], (hours, 1))
+    time = 0.1 * np.arange(1, len(force) + 1)
+    memory = started(config, velocity=(0, 0, 0), p=np.diag(scale_of(config) ** 2 * 100))
+    fixes = np.array([fix_record(t, r=1e-6 * np.eye(2), down=1e-6) for t in np.arange(0.55, time[-1], 1.0)])
+    arrival = np.searchsorted(time, fixes[:, Fix.TIME])
+    run(memory, time, force, rate, fixes, arrival, np.zeros(len(fixes), np.int64), np.array([NAV]),
+        np.empty((len(time), 1)))
+    assert views(memory)[0][Head.SAMPLES] == len(time) >= 72000
+    assert np.all(fixes[:, Fix.APPLIED] == 1)
+    _, p = state_and_covariance(config, memory)
+    sigma = np.sqrt(np.diag(p))
+    assert np.all(np.isfinite(sigma)) and np.all(sigma > 0)
+    assert np.abs(p - p.T).max() <= 1e-15 * np.abs(p).max()
+    assert np.linalg.eigvalsh(p / np.outer(sigma, sigma)).min() > 1e-13
+    assert sigma.shape == (n,) and sigma[0] < 0.03
+
+
+# --- where in time a fix acts ---
+
+def driven(config, events):
+    """A memory after events: ('sample', time) or ('fix', time, north offset); samples are a function of their time."""
+    memory, answers = started(config, p=np.diag(scale_of(config) ** 2)), []
+    for kind, time, *rest in events:
+        if kind == 'sample':
+            wave = np.sin(np.arange(6) + 3.0 * rest[0] if rest else np.arange(6) + 3.0 * time)
+            take_sample(memory, time, *(np.array(SAMPLE) + wave * [1, 1, 1, .1, .1, .1]))
+        else:
+            answers.append(take_fix(memory, fix_record(time, latitude=LATITUDE + rest[0] / 6.4e6, r=R)))
+    return memory, answers
+
+
+ALL = [(model, mechanization, feedback) for model in ('RW', 'GM', 'AR(2)') for mechanization in ('planar', 'strapdown')
+       for feedback in ('closed', 'open')]
+
+
+@pytest.mark.parametrize(('model', 'mechanization', 'feedback'), ALL)
+def test_an_interval_is_split_at_the_fix(model, mechanization, feedback):
+    config = made(model, mechanization, feedback)
+    split, _ = driven(config, [('sample', 0.01), ('fix', 0.0137, 2.0), ('sample', 0.02)])
+    # when the interval is fed in two parts by hand, with the same sensor values
+    by_hand, _ = driven(config, [('sample', 0.01), ('fix', 0.0137, 2.0), ('sample', 0.0137, 0.02), ('sample', 0.02)])
+    assert np.array_equal(newest(split), newest(by_hand))
+    # then it differs from the fix taken at either end
+    for time in (0.01, 0.02):
+        elsewhere, _ = driven(config, [('fix', time, 2.0), ('sample', 0.01), ('sample', 0.02)])
+        assert not np.allclose(newest(split)[NAV:], newest(elsewhere)[NAV:], rtol=1e-6, atol=0)
+
+
+@pytest.mark.parametrize(('model', 'mechanization', 'feedback'), ALL)
+def test_late_fixes_give_bit_for_bit_what_fixes_in_time_give(model, mechanization, feedback):
+    config = made(model, mechanization, feedback)
+    times = np.round(0.01 * np.arange(1, 60), 9)
+    samples = [('sample', t) for t in times]
+    first, second, third = ('fix', 0.1533, 1.0), ('fix', 0.31, -2.0), ('fix', 0.3133, 3.0)  # one at a sample's stamp
+    in_order, _ = driven(config, [first, second, third, *samples])
+    for events in ([*samples, first, second, third], [*samples, third, first, second],
+                   [*samples[:32], second, *samples[32:40], third, first, *samples[40:]]):
+        late, answers = driven(config, events)
+        assert answers == [FIX_TAKEN] * 3
+        assert np.array_equal(newest(late), newest(in_order))
+        # and so does each state from the sample after the fix on
+        assert np.array_equal(views(late)[2][15:60], views(in_order)[2][15:60])
+    without, _ = driven(config, samples)
+    assert not np.array_equal(newest(without), newest(in_order))
+
+
+def test_a_fix_at_a_sample_stamp_acts_after_that_sample():
+    config = made('GM', 'planar', 'closed')
+    at, _ = driven(config, [('fix', 0.02, 2.0), ('sample', 0.01), ('sample', 0.02)])
+    just_before, _ = driven(config, [('fix', 0.02 - 1e-9, 2.0), ('sample', 0.01), ('sample', 0.02)])
+    just_after, _ = driven(config, [('fix', 0.02 + 1e-9, 2.0), ('sample', 0.01), ('sample', 0.02)])
+    plain, _ = driven(config, [('sample', 0.01), ('sample', 0.02)])
+    assert newest(at) == pytest.approx(newest(just_before), rel=1e-6, abs=1e-9)
+    assert np.array_equal(newest(just_after), newest(plain))
+    assert not np.array_equal(newest(at), newest(plain))
+    # and one stamped at the state it starts from came before the start
+    assert driven(config, [('fix', 0.0, 2.0), ('sample', 0.01)])[1] == [FIX_BEFORE_START]
+
+
+def test_fixes_older_than_the_delay_or_the_memory_are_refused():
+    config = made('GM', 'planar', 'closed', **{'gnss.max_delay': 0.3})
+    samples = [('sample', t) for t in np.round(0.01 * np.arange(1, 60), 9)]
+    plain, _ = driven(config, samples)
+    for time, answer in ((0.28, FIX_TOO_LATE), (0.295, FIX_TAKEN), (-1.0, FIX_BEFORE_START)):
+        memory, answers = driven(config, [*samples, ('fix', time, 2.0)])
+        assert answers == [answer]
+        assert np.array_equal(newest(memory), newest(plain)) == (answer != FIX_TAKEN)
+    # given more samples than the memory holds, within the delay
+    config = made('GM', 'planar', 'closed', **{'gnss.max_delay': 10.0})
+    count = int(views(config.memory())[0][Head.CAPACITY]) + 100
+    step = 9.0 / count
+    memory, answers = driven(config, [*[('sample', step * k) for k in range(1, count)], ('fix', 50 * step, 2.0),
+                                      ('fix', 150 * step, 2.0)])
+    assert answers == [FIX_TOO_LATE, FIX_TAKEN]
