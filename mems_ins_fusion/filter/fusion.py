@@ -441,7 +441,7 @@ class _Replay(_Intake):
         n, navigation = self.config.navigation + self.config.others, self.config.navigation
         channels, p = len(self.config.models), self.config.order
         states = [part.states for part in self.parts] or [np.empty((0, len(self.columns)))]
-        states = states[0] if len(states) == 1 else np.concatenate(states)  # of one part, large: no copy
+        states = states[0] if len(states) == 1 else np.concatenate(states)
         index = np.concatenate([part.samples for part in self.parts]) if self.parts else np.empty(0, dtype=np.int64)
         solution = _solution(states, navigation, self.config.values['feedback'] == 'open')
         errors = states[:, NAV + navigation:NAV + navigation + channels * p:p]
