@@ -29,7 +29,9 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 PLAYABLE = ('--log-level', 'fusion_node:=debug',
             '-p', 'qos_overrides./imu/data.subscription.reliability:=reliable',
             '-p', 'qos_overrides./imu/data.subscription.depth:=20000',
-            '-p', 'qos_overrides./gps/fix.subscription.reliability:=reliable')
+            '-p', 'qos_overrides./gps/fix.subscription.reliability:=reliable',
+            '-p', 'qos_overrides./odometry/fused.publisher.depth:=20000',
+            '-p', 'qos_overrides./fix/fused.publisher.depth:=20000')
 
 
 def _reserve_domain():
