@@ -395,7 +395,7 @@ class _Replay(_Intake):
         self.parts.append(_Part(samples, states, epoch, index[applied], records[applied]))
 
     def _filter(self, memory, time, samples, records, arrival, answers, epoch) -> tuple[np.ndarray, np.ndarray]:
-        """`samples` (indices) through the kernel (arguments as there): those whose states are kept, and the states."""
+        """`samples` (indices) through the kernel: those whose states are kept, and the states."""
         states = np.empty((len(samples), len(self.columns)))
         run_kernel(memory, time, *self._inputs(samples), records, arrival, answers, self.columns, states)
         return samples, states
