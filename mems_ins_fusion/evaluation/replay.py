@@ -5,7 +5,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +32,7 @@ class Replay:
     comparisons: dict[str, Comparison]
 
 
-def replay(values: dict, progress: Progress = lambda part, what: None) -> Replay:
+def replay_recordings(values: dict, progress: Progress = lambda part, what: None) -> Replay:
     """Replay the recordings `bag` and write the results to `output_dir`.
 
     values: checked parameters. Raises a ValueError with one line for the user (ParameterError, RecordingError,
@@ -69,11 +69,20 @@ def _check(values: dict) -> None:
 
 
 def _read(path, values: dict, progress) -> Recording:
-    datum = values['datum']
+    datum = _datum(values)
     recording = read_recording(path, values['imu_topic'], values['gnss_topic'], values['reference_topic'] or None,
-                               progress=progress,
-                               datum=(math.radians(datum[0]), math.radians(datum[1]), datum[2]) if datum else None)
+                               progress=progress, datum=datum)
+    if values['reference_file']:
+        from ..recordings.reference_files import read_reference
+
+        recording = replace(recording, reference=read_reference(values['reference_file'], datum))
     return cut(recording, values['start'], values['stop'])
+
+
+def _datum(values: dict) -> tuple[float, float, float] | None:
+    """The parameter `datum` in rad, rad, m."""
+    datum = values['datum']
+    return (math.radians(datum[0]), math.radians(datum[1]), datum[2]) if datum else None
 
 
 class _Part:
@@ -103,7 +112,7 @@ def _write(folder: Path, comparisons, findings, values, timing, progress) -> dic
     several = len(comparisons) > 1
     with _timed(timing, 'trajectories'):
         for name, comparison in comparisons.items():
-            _write_trajectories(folder, f'{name}_' if several else '', comparison)
+            _write_trajectories(folder, f'{name}_' if several else '', comparison, values)
             progress(0.6, 'trajectories')
     figures = {}
     steps = len(comparisons) * len(_FIGURES)
@@ -117,9 +126,9 @@ def _write(folder: Path, comparisons, findings, values, timing, progress) -> dic
     return content
 
 
-def _write_trajectories(folder: Path, prefix: str, comparison: Comparison) -> None:
+def _write_trajectories(folder: Path, prefix: str, comparison: Comparison, values: dict) -> None:
     reference = comparison.truth.reference
-    datum = _datum(comparison)
+    datum = origin(comparison, values)
     trajectories.write_track(folder / f'{prefix}truth.tum', reference, datum)
     tracks = {comparison.truth.source: reference}
     for result in comparison.runs:
@@ -127,12 +136,15 @@ def _write_trajectories(folder: Path, prefix: str, comparison: Comparison) -> No
         trajectories.write_track(folder / f'{prefix}{name}.tum', result.run, datum)
         tracks[name] = result.run
     trajectories.write_geojson(folder / f'{prefix}tracks.geojson', tracks)
+    if values['write_bag']:
+        shortest = comparison.intervals[0]
+        trajectories.write_bag(folder / f'{prefix}odometry', comparison.recording,
+                               {m: comparison.run_of(m, shortest).run for m in comparison.models}, datum, values)
 
 
-def _datum(comparison: Comparison) -> np.ndarray:
-    """Origin of the trajectories: the parameter, or the first position of the truth."""
-    datum = comparison.runs[0].run.config.values['datum']
-    if datum:
-        return np.array([math.radians(datum[0]), math.radians(datum[1]), datum[2]])
+def origin(comparison: Comparison, values: dict) -> np.ndarray:
+    """Origin of the trajectories: the parameter `datum`, or the first position of the truth; rad, rad, m."""
     reference = comparison.truth.reference
-    return np.array([reference.latitude[0], reference.longitude[0], reference.height[0]])
+    return np.array(_datum(values) or (reference.latitude[0], reference.longitude[0], reference.height[0]))
+
+

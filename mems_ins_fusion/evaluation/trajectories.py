@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,8 @@ from ..filter.fusion import Run
 from ..filter.layout import PLANAR
 from ..filter.odometry import PLANAR_TILT_SIGMA
 from ..navigation.earth import to_local
-from ..recordings.writing import OdometrySamples, odometry_from_reference
-from ..samples import Reference
+from ..recordings.writing import OdometrySamples, odometry_from_reference, write_recording
+from ..samples import Recording, Reference
 
 #: points of a line on a map and poses of a TUM file, s apart
 MAP_INTERVAL, POSE_INTERVAL = 1.0, 0.1
@@ -70,6 +71,17 @@ def _orientation(roll, pitch, yaw) -> np.ndarray:
 def _every(stamp: np.ndarray, interval: float) -> np.ndarray:
     """Indices of the first stamp (ns) in each slot of `interval` s."""
     return np.flatnonzero(np.diff((stamp - stamp[0]) // round(interval * 1e9), prepend=-1))
+
+
+def write_bag(path: Path, recording: Recording, runs: dict[str, Run], datum, values: dict) -> None:
+    """A rosbag2: the recording's fixes, and one Odometry topic /odometry/NAME for each of `runs`.
+
+    values: parameters, of which gnss_topic, frame_id and child_frame_id name what is written. Without IMU samples: those
+    are in the recording.
+    """
+    write_recording(replace(recording, imu=None), path, gnss_topic=values['gnss_topic'],
+                    odometry={f'/odometry/{name}': odometry_of(run, datum) for name, run in runs.items()},
+                    odometry_frame=values['frame_id'], base_frame=values['child_frame_id'])
 
 
 def write_geojson(path: Path, tracks: dict[str, Run | Reference]) -> None:

@@ -28,11 +28,11 @@ class ReplayNode(Node):
 
     def replay(self, stop: Stop) -> int:
         """Replay and print what came out; the exit status."""
-        from ..evaluation.replay import replay
+        from ..evaluation.replay import replay_recordings
 
         try:
             with _Bar(stop) as bar:
-                result = replay(self._values, bar)
+                result = replay_recordings(self._values, bar)
             _tell(result)
         except ValueError as error:
             print(f'{NAME}: {" ".join(str(error).split())}', file=sys.stderr)
@@ -40,7 +40,23 @@ class ReplayNode(Node):
         except KeyboardInterrupt:
             print(f'{NAME}: interrupted, nothing was written', file=sys.stderr)
             return _INTERRUPTED
+        if self._values['publish']:
+            self._publish(result, stop)
         return 0
+
+    def _publish(self, result, stop: Stop) -> None:
+        """One recording after the other, each model at the shortest update interval, until all is told or a signal."""
+        from ..evaluation.replay import origin
+        from ..evaluation.trajectories import odometry_of
+        from .playback import play
+
+        stop.interrupts = False  # an exception in the middle of an rclpy call leaves a traceback
+        for comparison in result.comparisons.values():
+            datum, interval = origin(comparison, self._values), comparison.intervals[0]
+            tracks = {m: odometry_of(comparison.run_of(m, interval).run, datum) for m in comparison.models}
+            print(f"publishing {', '.join(f'/odometry/{m}' for m in tracks)} and /clock", flush=True)
+            play(self, tracks, self._values['rate'], lambda: stop.requested, self._values['frame_id'],
+                 self._values['child_frame_id'])
 
 
 def _tell(result) -> None:

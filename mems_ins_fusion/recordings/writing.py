@@ -67,7 +67,9 @@ def write_recording(recording: Recording, path, storage='mcap', *, imu_topic='/i
     The folder has its name only when it is complete. Raises ValueError (ResultError) where `path` is taken and
     `overwrite` is false, RecordingError where rosbags is absent or the storage unknown.
     """
-    topics = [(imu_topic, IMU, recording.imu, _imu_fields, {'header.frame_id': imu_frame})]
+    topics = []
+    if recording.imu is not None:
+        topics.append((imu_topic, IMU, recording.imu, _imu_fields, {'header.frame_id': imu_frame}))
     for topic, samples in ((gnss_topic, recording.gnss), (reference_topic, recording.reference)):
         if samples is not None:
             fields = _fix_fields if isinstance(samples, Fixes) else _reference_fields
