@@ -20,8 +20,8 @@ CAPTIONS = {
     'allan_gyroscope': 'Overlapping Allan deviation of the gyroscopes, likewise.',
     'autocorrelation': 'Autocorrelation of 1 s means. Lag 0, which holds the white noise, is left out. The curves are '
                        'the Gauss-Markov process fitted to it, and that of maximum likelihood.',
-    'orders': 'Prediction error against the order of the AR model on held-out data (Figure 6 of the paper): plain AR by '
-              'Burg, and white noise + AR. Below: information criteria of the plain AR, less their minimum; FPE as '
+    'orders': 'Prediction error against the order of the AR model on held-out data (Figure 6 of the paper): plain AR '
+              'by Burg, and white noise + AR. Below: information criteria of the plain AR, less their minimum; FPE as '
               'n log(FPE).',
     'intervals': 'Time constant of the slowest pole of an AR(2) against the averaging interval it is fitted at. Fitted '
                  'as it is, it follows the interval: it describes the white noise. Fitted together with white noise, '

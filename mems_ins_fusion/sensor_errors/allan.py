@@ -153,14 +153,23 @@ def allan_parameters(curve: AllanCurve) -> AllanParameters:
     density = density_sigma = None
     if white is not None:
         density, density_sigma = _coefficient(curve, white, curve.deviation**2 * curve.tau)
-    minimum = int(np.argmin(curve.deviation))
-    instability = None
-    if curve.lower[minimum:].max() > curve.deviation[minimum]:  # it rises again, for certain
-        instability = float(curve.deviation[minimum] / FLICKER_MINIMUM)
+    minimum, peak = _rise(curve)
+    rises = peak > minimum
     walk, walk_sigma = _random_walk(curve, minimum, density)
-    return AllanParameters(density, density_sigma, instability,
-                           float(curve.tau[minimum]) if instability is not None else None,
-                           walk, walk_sigma, _correlation_time(curve, minimum))
+    return AllanParameters(density, density_sigma,
+                           float(curve.deviation[minimum] / FLICKER_MINIMUM) if rises else None,
+                           float(curve.tau[minimum]) if rises else None,
+                           walk, walk_sigma, _correlation_time(curve, peak) if rises else None)
+
+
+def _rise(curve):
+    """Indices of the minimum and the peak after it between which the curve certainly rises, and most; if it does not
+    rise for certain, twice that of the smallest deviation."""
+    ahead = np.maximum.accumulate(curve.lower[::-1])[::-1]
+    minimum = int(np.argmax(ahead / curve.deviation))
+    if ahead[minimum] <= curve.deviation[minimum]:
+        return (int(np.argmin(curve.deviation)),) * 2
+    return minimum, minimum + int(np.argmax(curve.lower[minimum:]))
 
 
 def _region(inside, weight):
@@ -193,10 +202,7 @@ def _random_walk(curve, minimum, density):
     return _coefficient(curve, region, np.maximum(curve.deviation**2 - white / curve.tau, 0.0) * 3 / curve.tau)
 
 
-def _correlation_time(curve, minimum):
+def _correlation_time(curve, peak):
     """From the hump after the minimum, if the curve certainly falls again behind it."""
-    peak = minimum + int(np.argmax(curve.deviation[minimum:]))
-    if peak == minimum or curve.deviation[minimum] >= curve.lower[peak]:
-        return None
     falls = np.any(curve.upper[peak:] < curve.deviation[peak])
     return float(curve.tau[peak] / GAUSS_MARKOV_PEAK) if falls else None

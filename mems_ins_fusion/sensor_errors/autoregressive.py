@@ -55,7 +55,7 @@ def segments(x) -> list[np.ndarray]:
 
 
 def yule_walker(x, order: int) -> ArFit:
-    """From the biased autocorrelation (always stable, biased on short records).
+    """From the biased autocorrelation (always stable where no sample is missing; biased on short records).
 
     x: zero-mean series, or several whose samples are pooled; NaN where missing. Raises ValueError where fewer than
     order + 1 samples follow each other, as do the two other methods.
@@ -64,7 +64,10 @@ def yule_walker(x, order: int) -> ArFit:
 
     runs = _long_enough(x, order)
     total = sum(len(r) for r in runs)
-    covariances = np.array([sum(r[lag:] @ r[:len(r) - lag] for r in runs) for lag in range(order + 1)]) / total
+    lags = np.arange(order + 1)
+    products = np.array([sum(r[lag:] @ r[:len(r) - lag] for r in runs) for lag in lags])
+    pairs = np.array([sum(len(r) - lag for r in runs) for lag in lags])
+    covariances = products / pairs * (1 - lags / total)  # of one run: the biased autocorrelation, products / total
     a = -solve_toeplitz(covariances[:-1], covariances[1:])
     return ArFit(tuple(a), math.sqrt(max(covariances[0] + a @ covariances[1:], 0.0)), 'yule_walker')
 

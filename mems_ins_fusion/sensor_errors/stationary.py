@@ -114,7 +114,7 @@ def find_rest(grid: Grid, shortest: float = 60.0) -> Rest:
 
     Judged in windows of a second or 50 samples, against the quiet windows of the same recording: their spread, peaks,
     and steps of the level from one window to the next that the slow errors of a sensor do not make.
-    Raises StationaryError where less than `shortest` s in a row is at rest, or an axis delivers a constant.
+    Raises StationaryError where less than `shortest` s are at rest between two movements, or an axis delivers a constant.
     """
     size = max(round(_WINDOW * grid.rate), _WINDOW_SAMPLES)
     count = len(grid.values) // size
@@ -134,9 +134,9 @@ def find_rest(grid: Grid, shortest: float = 60.0) -> Rest:
     cuts = _describe(bad & present, steps, boundaries, grid.breaks, seconds, size, count)
     parts, short = _parts(bad, boundaries, size, count, len(grid.values), shortest / seconds)
     if not parts:
-        raise StationaryError(f'no {shortest:.0f} s in a row of {len(grid.values) / grid.rate:.0f} s are at rest: '
-                              f'a sensor must lie still to be characterized')
-    cuts += [Cut(a * seconds, b * seconds, f'at rest for less than {shortest:.0f} s') for a, b in short]
+        raise StationaryError(f'nowhere in {len(grid.values) / grid.rate:.0f} s is the sensor at rest for '
+                              f'{shortest:.0f} s without being moved in between')
+    cuts += [Cut(float(a * seconds), float(b * seconds), f'at rest for less than {shortest:.0f} s') for a, b in short]
     holes = np.zeros(len(grid.values), bool)
     holes[:count * size] = np.repeat(bad & present, size)
     shifts = _shifts(np.where(bad[:, None], np.nan, mean), parts, size, seconds)
