@@ -114,7 +114,7 @@ def find_rest(grid: Grid, shortest: float = 60.0) -> Rest:
 
     Judged in windows of a second or 50 samples, against the quiet windows of the same recording: their spread, peaks,
     and steps of the level from one window to the next that the slow errors of a sensor do not make.
-    Raises StationaryError where less than `shortest` s are at rest between two movements, or an axis delivers a constant.
+    Raises StationaryError where the sensor is nowhere at rest for `shortest` s, or an axis delivers a constant.
     """
     size = max(round(_WINDOW * grid.rate), _WINDOW_SAMPLES)
     count = len(grid.values) // size
@@ -210,7 +210,8 @@ def _moved(smooth, a, b, floor):
     change = np.abs(smooth[b] - smooth[a - _SIDE])
     if not np.isfinite(change).all():
         return False  # another disturbance is near; that one decides
-    usual = _typical(smooth[lag:] - smooth[:-lag]) if lag < len(smooth) else floor
+    # how far the sensor's own slow error gets meanwhile: as a random walk from one stretch of windows to the next
+    usual = _typical(smooth[_SIDE:] - smooth[:-_SIDE]) * np.sqrt(lag / _SIDE)
     return bool((change > _STEP * np.maximum(usual, floor)).any())
 
 
