@@ -1,0 +1,168 @@
+"""The live filter and the replay of a recording are one filter: the same events give the same bits."""
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filter_support import MODELS, configure, newest
+
+from mems_ins_fusion.filter.fusion import FusionFilter, run
+from mems_ins_fusion.filter.layout import NAV, covariance
+from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.samples import Fixes, ImuSamples
+
+RATE = 50.0
+
+
+@pytest.fixture(scope='module')
+def drive():
+    return simulate_drive(140.0, 8, RATE, standstill=12.0)
+
+
+def recorded(drive, model, **gnss):
+    values = configure(sensor_error_model=model).values
+    recording = simulate_recording(drive, SensorErrors.from_parameters(values, model),
+                                   GnssNoise(1.0, 4.0, **gnss), seed=3).recording
+    return recording.imu, recording.gnss
+
+
+def troubled(imu: ImuSamples, fixes: Fixes) -> tuple[ImuSamples, Fixes]:
+    """The same with samples that are not numbers, doubled, backwards and delayed, and a restart of the IMU's clock."""
+    n = len(imu)
+    force, stamp = imu.specific_force.copy(), imu.stamp.copy()
+    force[300, 1], force[1500] = np.nan, np.inf
+    stamp[1700] = stamp[1699]  # twice
+    stamp[1800] = stamp[1790]  # backwards
+    stamp[1900] += 3_600_000_000_000  # one jump
+    keep = np.ones(n, bool)
+    keep[2000:2040] = False  # a gap that is bridged
+    received = imu.received + 3_000_000
+    received[2100:2150] = received[2150]  # they arrive in a burst
+    # after 100 s the clock starts anew, so that the filter must align once more
+    half = int(66 * RATE)
+    stamp[half:] += 50_000_000_000
+    late = fixes.stamp > imu.stamp[half]
+    fix_stamp = np.where(late, fixes.stamp + 50_000_000_000, fixes.stamp)
+    fix_received = fixes.received.copy()
+    fix_received[::7] += 900_000_000  # some are much later than others: they overtake each other
+    order = np.argsort(fix_received, kind='stable')
+    latitude, status = fixes.latitude.copy(), fixes.status.copy()
+    latitude[40], status[41] = np.nan, -1
+    fix_stamp[60] = fix_stamp[59]
+    moved = replace(fixes, stamp=fix_stamp, received=fix_received, latitude=latitude, status=status)
+    return replace(imu, stamp=stamp, received=received, specific_force=force).select(keep), moved.select(order)
+
+
+def live(config, imu, fixes):
+    """Everything a live node would have published, fed event by event."""
+    fusion, published, notices = FusionFilter(config), [], []
+    after = np.searchsorted(imu.received, fixes.received, side='right')
+    next_fix = 0
+    for k in range(len(imu)):
+        while next_fix < len(fixes) and after[next_fix] <= k:
+            i = next_fix
+            fusion.add_fix(int(fixes.stamp[i]), float(fixes.latitude[i]), float(fixes.longitude[i]),
+                           float(fixes.height[i]), fixes.covariance[i].ravel(), int(fixes.status[i]),
+                           int(fixes.covariance_type[i]))
+            next_fix += 1
+        if fusion.add_imu(int(imu.stamp[k]), *map(float, imu.specific_force[k]), *map(float, imu.angular_rate[k])):
+            stamp = fusion.update_odometry()
+            row = newest(fusion._memory)
+            sigma = np.sqrt(np.diag(covariance(row, config.navigation, config.others)))
+            published.append((k, stamp, *fusion.geodetic, *sigma, row))
+        notices += fusion.notices()
+    return published, notices
+
+
+@pytest.mark.parametrize('feedback', ['closed', 'open'])
+@pytest.mark.parametrize('model', MODELS)
+@pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+def test_live_and_replay_give_the_same_bits(drive, mechanization, model, feedback):
+    # given a recording with fixes that come 0.2 to 1.1 s late, and everything that goes wrong
+    config = configure({'gnss.lever_arm': [0.5, 0.2, 1.0], 'gnss.coloured_noise.sigma': 0.3, 'gnss.robust_sigma': 4.0},
+                       mechanization=mechanization, sensor_error_model=model, feedback=feedback)
+    imu, fixes = troubled(*recorded(drive, model, latency=0.2))
+    published, notices = live(config, imu, fixes)
+    replayed = run(config, imu, fixes)
+    # then each state that the live filter published is in the replay, twice aligned
+    index = np.array([p[0] for p in published])
+    at = np.searchsorted(replayed.index, index)
+    assert len(index) > 4000 and np.array_equal(replayed.index[at], index)
+    assert np.count_nonzero(np.diff(index) > 100) == 1
+    assert np.array_equal(replayed.stamp[at], [p[1] for p in published])
+    geodetic = np.array([p[2:5] for p in published])
+    assert np.array_equal(np.column_stack([replayed.latitude, replayed.longitude, replayed.height])[at], geodetic)
+    assert np.array_equal(replayed.sigma[at], np.array([p[5:-1] for p in published]))
+    errors = np.array([p[-1][NAV + config.navigation:NAV + config.navigation + len(config.models) * config.order]
+                       for p in published])
+    assert np.array_equal(replayed.sensor_errors[at], errors[:, ::config.order])
+    assert np.array_equal(newest(replayed.memory), published[-1][-1])
+    # and it is the whole of it, but for the moments before the fix that started the filter had come
+    missing = np.setdiff1d(replayed.index, index)
+    assert len(missing) < 2 * 0.5 * RATE
+    # and both have said the same of the data
+    def texts(items):
+        return sorted(n.text for n in items if 'dropped' in n.text or 'jumped' in n.text or 'status' in n.text)
+    assert texts(notices) == texts(replayed.notices)
+    assert len(texts(notices)) >= 8
+
+
+def test_a_recording_without_trouble_is_the_same_too(drive):
+    config = configure()
+    imu, fixes = recorded(drive, 'gauss_markov')
+    published, _ = live(config, imu, fixes)
+    replayed = run(config, imu, fixes)
+    assert np.array_equal(replayed.index, [p[0] for p in published])
+    assert np.array_equal(replayed.latitude, [p[2] for p in published])
+
+
+def test_stamps_from_zero_are_stamps(drive):
+    # given a simulator's clock that starts at 0
+    config = configure()
+    imu, fixes = recorded(drive, 'gauss_markov')
+    zero = imu.stamp[0]
+    imu = replace(imu, stamp=imu.stamp - zero, received=imu.received - zero)
+    fixes = replace(fixes, stamp=fixes.stamp - zero, received=fixes.received - zero)
+    published, _ = live(config, imu, fixes)
+    assert np.array_equal(run(config, imu, fixes).latitude, [p[2] for p in published])
+
+
+def test_fixes_that_come_late_lead_to_the_same_state(drive):
+    # given the same fixes at once and 0.4 s late, all of them before the end
+    config = configure({'alignment.heading': 'parameter', 'alignment.yaw': 1.0})
+    imu, fixes = recorded(drive, 'gauss_markov')
+    fixes = fixes.select(fixes.stamp < imu.stamp[-1] - 1_000_000_000)
+    late = replace(fixes, received=fixes.received + 400_000_000)
+    first = fixes.received <= fixes.received[16]  # the start in time, so that it is the same one
+    late = replace(late, received=np.where(first, fixes.received, late.received))
+    a, b = run(config, imu, fixes), run(config, imu, late)
+    assert a.start.time == b.start.time
+    assert np.array_equal(newest(a.memory), newest(b.memory))
+    assert not np.array_equal(a.latitude, b.latitude)
+    assert np.array_equal(a.innovations.nis, b.innovations.nis)
+
+
+@pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+def test_open_loop_is_closed_loop_to_first_order(drive, mechanization):
+    # given good sensors, so that the errors that the open loop lets grow stay small
+    values = {'accelerometer.initial_sigma': [0.01], 'gyroscope.initial_sigma': [1e-4],
+              'accelerometer.gauss_markov.sigma': [0.005], 'gyroscope.gauss_markov.sigma': [3e-5],
+              'accelerometer.noise_density': [0.002], 'gyroscope.noise_density': [3e-5],
+              'alignment.heading': 'parameter', 'alignment.yaw': float(np.angle(np.exp(1j * drive.yaw[0]))),
+              'alignment.yaw_sigma': 0.01, 'mechanization': mechanization}
+    config = configure(values)
+    recording = simulate_recording(drive, SensorErrors.from_parameters(config.values, 'gauss_markov'),
+                                   GnssNoise(0.3, 4.0), seed=5).recording
+    closed, opened = (run(configure({**values, 'feedback': feedback}), recording.imu, recording.gnss)
+                      for feedback in ('closed', 'open'))
+    n = slice(len(closed.stamp) // 2, None)
+    north = (closed.latitude - opened.latitude)[n] * 6.37e6
+    east = (closed.longitude - opened.longitude)[n] * 6.39e6 * math.cos(closed.latitude[0])
+    # then both differ by a small part of their sigma, and have the same covariance
+    assert np.abs(north).max() < 0.15 * closed.sigma[n, 0].mean() and np.abs(north).max() > 0
+    assert np.abs(east).max() < 0.15 * closed.sigma[n, 1].mean()
+    yaw = 4 if mechanization == 'planar' else 8
+    assert np.abs(closed.yaw - opened.yaw)[n].max() < 0.15 * closed.sigma[n, yaw].mean()
+    assert np.abs(np.log(opened.sigma[n] / closed.sigma[n])).max() < 0.05
