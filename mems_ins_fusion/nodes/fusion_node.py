@@ -10,6 +10,7 @@ import math
 from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -62,11 +63,11 @@ class FusionNode(Node):
 
     def _publish(self, values):
         qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-        overriding = QoSOverridingOptions.with_default_policies()
-        self._odometry_publisher = self.create_publisher(Odometry, values['odometry_topic'], qos,
-                                                         qos_overriding_options=overriding)
-        self._fix_publisher = self.create_publisher(NavSatFix, values['fix_topic'], qos,
-                                                    qos_overriding_options=overriding)
+        # events: the executor would ask after each of them at each sample; the other side reports them, too
+        options = {'qos_overriding_options': QoSOverridingOptions.with_default_policies(),
+                   'event_callbacks': PublisherEventCallbacks(use_default_callbacks=False)}
+        self._odometry_publisher = self.create_publisher(Odometry, values['odometry_topic'], qos, **options)
+        self._fix_publisher = self.create_publisher(NavSatFix, values['fix_topic'], qos, **options)
         self._send = [(self._odometry_publisher.publish, self._output.odometry),
                       (self._fix_publisher.publish, self._output.fix)]
         if values['publish_tf']:
@@ -79,8 +80,9 @@ class FusionNode(Node):
             # best effort also hears reliable drivers; a reliable subscription would not hear best-effort ones.
             # Depth 200 bridges a stall of half a second at 400 Hz
             qos = QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
-            return self.create_subscription(kind, topic, callback, qos,
-                                            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+            return self.create_subscription(
+                kind, topic, callback, qos, event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+                qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
         # where both wait, the executor serves the one created first: a fix before the samples that came after it
         self._fix = subscribe(NavSatFix, values['gnss_topic'], self._on_fix, 10)
