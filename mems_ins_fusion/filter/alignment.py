@@ -21,6 +21,8 @@ LONGEST_COURSE_TIME = 20.0  # s
 SLOWEST_START = 0.5  # m/s
 SIDESLIP_SIGMA = 0.02  # rad: between where a car points and where it goes
 UNKNOWN_TILT_SIGMA = 0.05  # rad
+LARGEST_YAW_SIGMA = 0.5  # rad: the filter's equations are linear in the heading's error
+MOVED_OFF = 0.2  # m/s: of a vehicle whose standstill has only just ended
 GRAVITY_TOLERANCE = 0.1  # of gravity: more is no sensor's error at rest
 STILL_STEPS = 1024  # in which a process that is continuous in time is followed through a standstill
 
@@ -74,8 +76,10 @@ class Alignment:
             for j in range(6):
                 total = total + self.config.conditioning[i, j] * rows[:, 7 + j]
             rows[:, 1 + i] = total
-        if orientation is not None and k and np.any(orientation[-1]):
-            self._orientation = orientation[-1]
+        if orientation is not None:
+            orientation = np.asarray(orientation)
+            given = orientation[np.isfinite(orientation).all(axis=1) & orientation.any(axis=1)]
+            self._orientation = given[-1] if len(given) else self._orientation
         self._count += k
 
     def samples_after(self, time: float) -> np.ndarray:
@@ -186,9 +190,11 @@ class Alignment:
         now, north, east, sigma = positions[-1]
         for time, n, e, s in positions[-2::-1]:
             chord = np.array([north - n, east - e])
-            distance, interval = float(np.hypot(*chord)), now - time
-            if interval > LONGEST_COURSE_TIME:
+            if now - time > LONGEST_COURSE_TIME:
                 return None
+            if standstill is not None:  # as long as it stood, it was there
+                time = max(time, standstill.end)
+            distance, interval = float(np.hypot(*chord)), now - time
             noise = math.hypot(sigma, s)
             if distance < max(SHORTEST_COURSE, noise / COURSE_SIGMA) or interval <= 0:
                 continue
@@ -198,16 +204,33 @@ class Alignment:
             turn, gained, added, bias_f, bias_w = motion
             if abs(turn) > 1.0 or abs(added[1]) > 0.5 * distance:
                 return None
+            speed_sigma = math.hypot(noise / interval, 0.5 * bias_f * interval)
             forward = math.sqrt(distance**2 - added[1] ** 2)
+            if self._reverses(time, standstill, (forward - added[0]) / interval, (-forward - added[0]) / interval,
+                              speed_sigma):
+                forward = -forward
             speed = (forward - added[0]) / interval
-            if speed + gained[0] < SLOWEST_START:
+            yaw_sigma = math.sqrt((noise / distance) ** 2 + (bias_w * interval / 2) ** 2
+                                  + (0.5 * bias_f * interval**2 / distance) ** 2 + SIDESLIP_SIGMA**2)
+            if abs(speed + gained[0]) < SLOWEST_START or yaw_sigma > LARGEST_YAW_SIGMA:
                 return None
             yaw = math.atan2(chord[1], chord[0]) - math.atan2(added[1], forward)
-            yaw_sigma = math.sqrt((bias_w * interval / 2) ** 2 + (0.5 * bias_f * interval**2 / distance) ** 2
-                                  + SIDESLIP_SIGMA**2)
-            return yaw + turn, float(np.hypot(speed + gained[0], gained[1])), math.hypot(
-                noise / distance, yaw_sigma), math.hypot(noise / interval, 0.5 * bias_f * interval)
+            end_speed = math.copysign(math.hypot(speed + gained[0], gained[1]), speed + gained[0])
+            return yaw + turn, end_speed, yaw_sigma, speed_sigma
         return None
+
+    def _reverses(self, time, standstill, forwards, backwards, sigma) -> bool:
+        """Whether of both speeds at `time` only the one backwards fits what the accelerometers say since it stood."""
+        if standstill is None:
+            return False
+        since = time - standstill.end
+        motion = self._inertial_motion(standstill.end, time, standstill)
+        expected = 0.0
+        if motion is not None:
+            turn, gained, *_ = motion
+            expected = math.cos(turn) * gained[0] + math.sin(turn) * gained[1]
+        variance = sigma**2 + (MOVED_OFF + 0.1 * since) ** 2
+        return (forwards - expected) ** 2 - (backwards - expected) ** 2 > 9 * variance
 
     def _inertial_motion(self, begin, end, standstill):
         """Turn, velocity and displacement gained between two times, in the body axes of the begin, and bias sigmas."""
