@@ -118,7 +118,8 @@ def image_bytes(drawing, image: str = 'png', dpi: int = 120) -> bytes:
     """A Matplotlib figure as PNG or SVG, the same bytes for the same figure."""
     buffer = io.BytesIO()
     metadata = {'png': {'Software': None}, 'svg': {'Date': None}}[image]
-    drawing.savefig(buffer, format=image, dpi=dpi, bbox_inches='tight', metadata=metadata)
+    crop = None if drawing.get_layout_engine() else 'tight'  # which draws twice
+    drawing.savefig(buffer, format=image, dpi=dpi, bbox_inches=crop, metadata=metadata)
     return buffer.getvalue()
 
 

@@ -329,9 +329,15 @@ def _minimize(cost, start, bounds, tolerance=1e-4):
     from scipy.optimize import minimize
 
     start = _clip(start, bounds)
-    result = minimize(cost, start, method='L-BFGS-B', bounds=bounds,
-                      options={'eps': 1e-4, 'ftol': tolerance / max(abs(cost(start)), 1.0), 'gtol': 1e-3,
-                               'maxiter': 200})
+    high = np.array([upper for _, upper in bounds])
+
+    def with_gradient(t, step=1e-4):  # one-sided differences; scipy's own cost more than a likelihood
+        value = cost(t)
+        steps = np.where(t + step > high, -step, step)
+        return value, np.array([(cost(t + h) - value) / h[i] for i, h in enumerate(np.diag(steps))])
+
+    result = minimize(with_gradient, start, method='L-BFGS-B', jac=True, bounds=bounds,
+                      options={'ftol': tolerance / max(abs(cost(start)), 1.0), 'gtol': 1e-3, 'maxiter': 200})
     return float(result.fun), result.x
 
 

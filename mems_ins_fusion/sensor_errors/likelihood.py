@@ -16,7 +16,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+from mems_ins_fusion.compiled import njit
 
 from .models import Autoregressive, GaussMarkov, Model, RandomWalk
 
@@ -128,7 +128,7 @@ def _gauss_markov_mean(model, interval):
     return decay, lost / u, model.sigma**2 * q
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _innovations(z, part, a, q, c, r, p0):
     """Innovations of z and of a constant 1, their variance, and the state for z predicted after each interval, from
     one Kalman filter; restarts with each part.
@@ -248,7 +248,7 @@ def _terms(data, s):
     return _sums(error, one, variance, data.part)
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _sums(error, one, variance, part):
     """Sum of squared normalized innovations with the levels at their best, and the log determinants."""
     squares, log_variance, log_information = 0.0, 0.0, 0.0
