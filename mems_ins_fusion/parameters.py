@@ -223,6 +223,10 @@ REPLAY = (
     Parameter('rate', 1.0, '-', 'Speed of that publishing; 2 is twice as fast as recorded.', positive=True),
 )
 
+from .effects.registry import EFFECTS  # noqa: E402  not earlier: the effects' modules use Parameter
+
+FILTER += tuple(setting for effect in EFFECTS.values() for setting in effect.settings)
+
 ALL = {p.name: p for p in (*FILTER, *FUSION, *REPLAY)}
 
 

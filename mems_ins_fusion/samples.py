@@ -28,6 +28,7 @@ class ImuSamples(_Samples):
 
     stamp, received: (n,) int64 ns. specific_force: (n, 3) m/s^2. angular_rate: (n, 3) rad/s.
     orientation: (n, 4) quaternion x, y, z, w as the message carries it, or None where no message had one.
+    temperature: (n,) degrees Celsius, the last known when each sample arrived, NaN before; None where unknown.
     """
 
     stamp: np.ndarray
@@ -35,6 +36,15 @@ class ImuSamples(_Samples):
     specific_force: np.ndarray
     angular_rate: np.ndarray
     orientation: np.ndarray | None = None
+    temperature: np.ndarray | None = None
+
+    def with_temperature(self, temperatures: Temperatures | None) -> ImuSamples:
+        """The samples with what `temperatures` (by arrival) had said when each arrived."""
+        if temperatures is None:
+            return self
+        last = np.searchsorted(temperatures.received, self.received, side='right') - 1
+        celsius = np.append(temperatures.celsius, np.nan)[last]  # -1, none yet, is the NaN
+        return replace(self, temperature=celsius)
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter
+from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.navigation.frames import mounting
 
 
 class AccelerometerScale(Effect):
     """measured = (1 + S) true, S = x on the forward axis of the body and y on the lateral one."""
 
     name = 'accelerometer_scale'
+    signature = ('along-track innovations after each change of speed, of its sign; across in bends; a body '
+                 'that pitches and rolls with the acceleration looks the same to f_x and f_y')
     parameters = (EffectParameter('x', '-', 0.02), EffectParameter('y', '-', 0.02))
 
     def distort_imu(self, drive, specific_force, angular_rate, values, rng):
         return specific_force * np.array([1 + values['x'], 1 + values['y'], 1.0]), angular_rate
+
+    def adjusted(self, values, theta):
+        along = np.abs(mounting(values['imu.mounting_rpy'])).argmax(axis=1)
+        for body_axis, axis in enumerate('xy'):
+            values = added(values, 'accelerometer.scale', int(along[body_axis]), theta[axis])
+        return values

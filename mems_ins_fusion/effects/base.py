@@ -28,6 +28,15 @@ class Effect:
 
     name: str = ''
     parameters: tuple[EffectParameter, ...] = ()
+    #: what of it stands in the YAML beyond the filter's own parameters: `parameters.Parameter`s
+    settings: tuple = ()
+    #: for a reader of the report: what the residual shows, and what else shows the same
+    signature: str = ''
+
+    @property
+    def traced(self) -> tuple[EffectParameter, ...]:
+        """The parameters that a diagnosis estimates; those of the simulation unless the effect says otherwise."""
+        return self.parameters
 
     @property
     def principal(self) -> str:
@@ -61,3 +70,40 @@ class Effect:
     def temperature(self, drive, values, rng):
         """The sensor's temperature at `drive.time`, (n,) degrees Celsius, or None where it plays no part."""
         return None
+
+    # The correcting half. `values` are the parameters of `parameters.check` from here on, `theta` those of the effect.
+
+    def adjusted(self, values: dict, theta: dict) -> dict:
+        """The parameters with the effect's changed by `theta`: what `corrected.yaml` will hold."""
+        raise NotImplementedError(f'effect {self.name} has no correction')
+
+    def applied(self, values: dict, recording, theta: dict):
+        """Parameters and recording as a filter would have to see them if `theta` were true: for the diagnosis."""
+        return self.adjusted(values, theta), recording
+
+    def hidden(self, values: dict, recording) -> str:
+        """Why this recording, filtered with these parameters, can say nothing about the effect; empty if it can."""
+        return ''
+
+    def conditioning(self, values: dict):
+        """A (6, 6) matrix that takes the effect out of body-axis (f, w), or None where `values` have none of it."""
+        return None
+
+    def corrector(self, values: dict, rotation):
+        """What takes the effect out of samples as they arrive, or None where `values` have none of it.
+
+        rotation: (3, 3) from sensor to body axes. Called as corrector(stamp (n,) int64 ns, f (n, 3), w (n, 3), celsius
+        (n,), NaN where unknown) with samples in sensor axes, one or many, which must give the same bits; returns f and
+        w. It remembers what it needs of earlier samples.
+        """
+        return None
+
+
+def added(values: dict, name: str, index: int | None, change: float) -> dict:
+    """`values` with `change` added to one parameter, or to element `index` of one that has a value for each axis."""
+    value = values[name]
+    if index is None:
+        return {**values, name: value + change}
+    value = list(value) * 3 if len(value) == 1 else list(value)
+    value[index] += change
+    return {**values, name: value}

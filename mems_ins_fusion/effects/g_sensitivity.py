@@ -1,16 +1,36 @@
 """Gyroscope g-sensitivity: specific force shows as angular rate."""
 from __future__ import annotations
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter
+import numpy as np
+
+from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.parameters import Parameter
 
 
 class GSensitivity(Effect):
     """The vertical gyroscope reads x f_x + y f_y too much, body axes."""
 
     name = 'g_sensitivity'
+    signature = ('across-track innovations after changes of speed (x) and in bends (y), where a gyroscope '
+                 'scale looks alike')
     parameters = (EffectParameter('x', '(rad/s)/(m/s^2)', 5e-4), EffectParameter('y', '(rad/s)/(m/s^2)', 5e-4))
+    settings = (Parameter('gyroscope.g_sensitivity', [0.0, 0.0], '(rad/s)/(m/s^2)', 'What f_x and f_y (body axes) add '
+                          'to the vertical angular rate.', lengths=(2,), minimum=-0.1, maximum=0.1),)
 
     def distort_imu(self, drive, specific_force, angular_rate, values, rng):
         angular_rate = angular_rate.copy()
         angular_rate[:, 2] += values['x'] * specific_force[:, 0] + values['y'] * specific_force[:, 1]
         return specific_force, angular_rate
+
+    def adjusted(self, values, theta):
+        for index, axis in enumerate('xy'):
+            values = added(values, 'gyroscope.g_sensitivity', index, theta[axis])
+        return values
+
+    def conditioning(self, values):
+        x, y = values['gyroscope.g_sensitivity']
+        if x == 0 and y == 0:
+            return None
+        matrix = np.eye(6)
+        matrix[5, :2] = -x, -y
+        return matrix

@@ -10,6 +10,8 @@ class GnssColouredNoise(Effect):
     """A first-order Gauss-Markov position error, north and east independent, of standard deviation sigma."""
 
     name = 'gnss_coloured_noise'
+    signature = ('innovations that keep their sign for longer than the filter needs to follow, whatever the '
+                 'vehicle does, standing still, too; small slow sensor errors look alike')
     parameters = (EffectParameter('sigma', 'm', 1.0), EffectParameter('tau', 's', 60.0, default=60.0))
 
     def distort_fixes(self, drive, time, position, values, rng):
@@ -18,3 +20,7 @@ class GnssColouredNoise(Effect):
         for i, phi in enumerate(decay):
             error[i + 1] = phi * error[i] + np.sqrt(1 - phi**2) * error[i + 1]
         return position + np.column_stack([error, np.zeros(len(time))])
+
+    def adjusted(self, values, theta):
+        sigma = np.hypot(values['gnss.coloured_noise.sigma'], theta['sigma'])
+        return {**values, 'gnss.coloured_noise.sigma': float(sigma), 'gnss.coloured_noise.tau': theta['tau']}

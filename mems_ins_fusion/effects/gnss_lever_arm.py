@@ -3,15 +3,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter
+from mems_ins_fusion.effects.base import Effect, EffectParameter, added
 
 
 class GnssLeverArm(Effect):
     """The antenna stands at (x, y, z) from the IMU, base_link (forward-left-up)."""
 
     name = 'gnss_lever_arm'
+    signature = ('innovations that keep their size in the vehicle and turn with it: seen in bends and at '
+                 'changes of heading; the same as accelerometers that stand elsewhere')
     parameters = tuple(EffectParameter(axis, 'm', 1.0) for axis in 'xyz')
 
     def distort_fixes(self, drive, time, position, values, rng):
         arm = np.array([values['x'], -values['y'], -values['z']])  # body, forward-right-down
         return position + drive.at(time).attitude.apply(arm)
+
+    def adjusted(self, values, theta):
+        for index, axis in enumerate('xyz'):
+            values = added(values, 'gnss.lever_arm', index, theta[axis])
+        return values

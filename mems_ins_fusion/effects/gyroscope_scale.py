@@ -3,14 +3,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter
+from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.navigation.frames import mounting
 
 
 class GyroscopeScale(Effect):
     """measured = (1 + S) true, S = z on the vertical axis of the body."""
 
     name = 'gyroscope_scale'
+    signature = ('across-track innovations after each bend, of the sign of the bend')
     parameters = (EffectParameter('z', '-', 0.02),)
 
     def distort_imu(self, drive, specific_force, angular_rate, values, rng):
         return specific_force, angular_rate * np.array([1.0, 1.0, 1 + values['z']])
+
+    def adjusted(self, values, theta):
+        along = np.abs(mounting(values['imu.mounting_rpy'])).argmax(axis=1)
+        return added(values, 'gyroscope.scale', int(along[2]), theta['z'])

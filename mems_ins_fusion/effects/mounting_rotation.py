@@ -8,6 +8,8 @@ class MountingRotation(Effect):
     """With R the rotation of (roll, pitch, yaw), base_link (forward-left-up): true mounting = R declared mounting."""
 
     name = 'mounting_rotation'
+    signature = ('across-track innovations after each change of speed, along-track ones in bends: f_x and f_y '
+                 'are mixed')
     parameters = tuple(EffectParameter(angle, 'rad', 0.05) for angle in ('roll', 'pitch', 'yaw'))
     principal = 'yaw'
 
@@ -16,3 +18,10 @@ class MountingRotation(Effect):
 
         seen = Rotation.from_euler('ZYX', [-values['yaw'], -values['pitch'], values['roll']]).inv()
         return seen.apply(specific_force), seen.apply(angular_rate)
+
+    def adjusted(self, values, theta):
+        from scipy.spatial.transform import Rotation
+
+        extra = Rotation.from_euler('xyz', [theta['roll'], theta['pitch'], theta['yaw']])
+        declared = Rotation.from_euler('xyz', values['imu.mounting_rpy'])
+        return {**values, 'imu.mounting_rpy': [float(a) for a in (extra * declared).as_euler('xyz')]}

@@ -1,15 +1,27 @@
 """Sideslip: in a bend the body does not point along the velocity."""
 from __future__ import annotations
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter
+from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.parameters import Parameter
 
 
 class Sideslip(Effect):
     """Angle from the body's x axis to the velocity, clockwise, per lateral acceleration to the right."""
 
     name = 'sideslip'
+    signature = ('a heading that differs from the course in bends; only the non-holonomic constraint takes the '
+                 'course for it')
     parameters = (EffectParameter('angle_per_acceleration', 'rad/(m/s^2)', 0.01),)
+    settings = (Parameter('vehicle.sideslip_per_acceleration', 0.0, 'rad/(m/s^2)', 'Angle from the forward axis to the '
+                          'velocity, clockwise, per lateral acceleration to the right (non-holonomic constraint).',
+                          minimum=-0.1, maximum=0.1),)
 
     def alter_drive(self, drive, values):
         return drive.altered(sideslip_per_acceleration=drive.path.sideslip_per_acceleration
                              + values['angle_per_acceleration'])
+
+    def adjusted(self, values, theta):
+        return added(values, 'vehicle.sideslip_per_acceleration', None, theta['angle_per_acceleration'])
+
+    def hidden(self, values, recording):
+        return '' if values['vehicle.non_holonomic'] else 'only vehicle.non_holonomic takes the course for the heading'

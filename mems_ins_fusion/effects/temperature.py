@@ -3,7 +3,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter
+from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.parameters import Parameter
 
 REFERENCE = 25.0  # degrees Celsius at which the effect is zero
 
@@ -12,9 +13,18 @@ class Temperature(Effect):
     """Biases of f_x, f_y and w_z, body axes, that grow with the temperature above 25 degrees Celsius."""
 
     name = 'temperature'
+    signature = ('a drift of the estimated sensor errors with the temperature; slow sensor errors of other '
+                 'origin look alike')
     parameters = (EffectParameter('accelerometer_x', 'm/s^2/K', 5e-3),
                   EffectParameter('accelerometer_y', 'm/s^2/K', 5e-3),
                   EffectParameter('gyroscope_z', 'rad/s/K', 1e-4))
+    settings = (
+        Parameter('accelerometer.temperature_coefficient', [0.0, 0.0], 'm/s^2/K', 'Growth of the biases of f_x and f_y '
+                  '(body axes) with temperature.', lengths=(2,), minimum=-1.0, maximum=1.0),
+        Parameter('gyroscope.temperature_coefficient', 0.0, 'rad/s/K', 'Growth of the bias of w_z (body axes) with '
+                  'temperature.', minimum=-0.1, maximum=0.1),
+        Parameter('imu.reference_temperature', REFERENCE, 'degC', 'Temperature at which these are zero.',
+                  minimum=-60.0, maximum=150.0))
 
     def temperature(self, drive, values, rng):
         """Warms up by 20 K within minutes from 20 degrees; then heating and windows, slow and of random phase."""
@@ -29,3 +39,27 @@ class Temperature(Effect):
         specific_force[:, 1] += values['accelerometer_y'] * warmth
         angular_rate[:, 2] += values['gyroscope_z'] * warmth
         return specific_force, angular_rate
+
+    def adjusted(self, values, theta):
+        for index, axis in enumerate('xy'):
+            values = added(values, 'accelerometer.temperature_coefficient', index, theta[f'accelerometer_{axis}'])
+        return added(values, 'gyroscope.temperature_coefficient', None, theta['gyroscope_z'])
+
+    def hidden(self, values, recording):
+        if recording.imu.temperature is None:
+            return 'no temperature in the recording (temperature_topic)'
+        return ''
+
+    def corrector(self, values, rotation):
+        x, y = values['accelerometer.temperature_coefficient']
+        z = values['gyroscope.temperature_coefficient']
+        if x == y == z == 0:
+            return None
+        f_gain, w_gain = rotation.T @ [x, y, 0.0], rotation.T @ [0.0, 0.0, z]
+        reference = values['imu.reference_temperature']
+
+        def correct(stamp, f, w, celsius):
+            warmth = np.where(np.isnan(celsius), 0.0, celsius - reference)[:, None]
+            return f - f_gain * warmth, w - w_gain * warmth
+
+        return correct

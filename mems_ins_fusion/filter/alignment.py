@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -366,3 +366,24 @@ def _repeated(transition, noise, steps: int):
         transition, noise = transition @ transition, transition @ noise @ transition.T + noise
         steps >>= 1
     return f, q
+
+
+def transferred(start: Start, old: FilterConfig, new: FilterConfig) -> Start:
+    """The start that `old` found, for a filter with other parameters: so that two runs differ by these alone.
+
+    The time offset moves its time, the lever arm its position, and the standstill is seen through the new axes.
+    """
+    delay = new.values['gnss.time_offset'] - old.values['gnss.time_offset']
+    arm = new.lever_arm - old.lever_arm
+    c, s = math.cos(start.yaw), math.sin(start.yaw)
+    meridian, prime_vertical = radii(start.latitude)
+    still = start.standstill
+    if still is not None:
+        seen = np.concatenate([still.specific_force, still.angular_rate])
+        seen = new.conditioning @ np.linalg.solve(old.conditioning, seen - old.offset) + new.offset
+        still = replace(still, specific_force=seen[:3], angular_rate=seen[3:])
+    return replace(
+        start, time=start.time - delay, latitude=start.latitude - (c * arm[0] - s * arm[1]) / (meridian + start.height),
+        longitude=start.longitude - (s * arm[0] + c * arm[1]) / (
+            (prime_vertical + start.height) * math.cos(start.latitude)),
+        height=start.height + arm[2], standstill=still)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+from mems_ins_fusion.compiled import njit
 
 from ..samples import Fixes, ImuSamples
 from .config import FilterConfig
@@ -84,7 +84,7 @@ def _first(values, default):
     return values.min() if len(values) else default
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _run(memory, time, force, rate, fixes, arrival, answers, columns, kept, states,
          order, fork, begin, rows, first, coasted, spare):
     """As `kernel.run`, with states only of the samples `kept`, and with outages.
@@ -118,7 +118,7 @@ def _run(memory, time, force, rate, fixes, arrival, answers, columns, kept, stat
         coasted[first[i]:first[i + 1]] = states[rows[i, 0]:rows[i, 1]]
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _coast(memory, spare, time, force, rate, fixes, arrival, next_fix, columns, kept, states, k,
            next_row, begin, row, coasted):
     """One outage from sample k on: rows from `row` on, the first of them from `states`, those from sample k on without

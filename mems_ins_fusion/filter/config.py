@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..effects.registry import EFFECTS
 from ..navigation.frames import FLU_TO_FRD, mounting
 from ..sensor_errors.from_parameters import error_models, per_axis
 from ..sensor_errors.models import Autoregressive, GaussMarkov, Model, RandomWalk
@@ -47,6 +48,10 @@ class FilterConfig:
         sensor_models = [model for sensor in SENSORS for model in error_models(values, sensor, kind)]
         models = tuple(sensor_models[along[i]] for i in axes)
         conditioning = mixing / (1.0 + scale)
+        for effect in EFFECTS.values():
+            correction = effect.conditioning(values)
+            if correction is not None:
+                conditioning = correction @ conditioning
         constant = [0.0 if isinstance(model, RandomWalk) else turn_on[along[i]] for i, model in zip(axes, models)]
         return cls(values=values, mechanization=mechanization, models=_equal_order(models),
                    white=mixing**2 @ density**2, turn_on_sigma=np.array(constant), conditioning=conditioning, offset=-conditioning @ bias,
@@ -87,6 +92,12 @@ class FilterConfig:
         """States and samples remembered for fixes that come late: a power of two, small enough for the cache."""
         return 2 ** math.ceil(math.log2(self.values['gnss.max_delay'] * FASTEST_IMU + 16))
 
+    def correctors(self) -> list:
+        """What takes the effects that the parameters declare out of samples in sensor axes, in order, ready to start."""
+        rotation = mounting(self.values['imu.mounting_rpy'])
+        made = (effect.corrector(self.values, rotation) for effect in EFFECTS.values())
+        return [corrector for corrector in made if corrector is not None]
+
     def memory(self) -> np.ndarray:
         """The kernel's memory with these settings in it, before the first state."""
         n, p, channels = self.navigation + self.others, self.order, len(self.models)
@@ -118,6 +129,7 @@ class FilterConfig:
             Head.LEVER_X: self.lever_arm[0], Head.LEVER_Y: self.lever_arm[1], Head.LEVER_Z: self.lever_arm[2],
             Head.ZERO_VELOCITY_SIGMA: values['vehicle.zero_velocity'] * values['vehicle.zero_velocity_sigma'],
             Head.NON_HOLONOMIC_SIGMA: values['vehicle.non_holonomic'] * values['vehicle.non_holonomic_sigma'],
+            Head.SIDESLIP: values['vehicle.sideslip_per_acceleration'],
             Head.STILL_ACCELERATION: values['vehicle.still_acceleration'],
             Head.STILL_RATE: values['vehicle.still_rate'],
             Head.STILL_VARIANCE_F: 10 * still[0], Head.STILL_VARIANCE_W: 10 * still[1],

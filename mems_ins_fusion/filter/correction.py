@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from mems_ins_fusion.compiled import njit
 
 from ..navigation import strapdown
 from .layout import FIX_SIZE, HEAD_SIZE, NAV, SAMPLE_SIZE, Fix, Head, Nav, Sample, load_covariance, store_covariance
@@ -16,7 +16,7 @@ STILL_SPEED = 0.3  # m/s
 STILL_SIGMA = 0.5  # m/s
 
 
-@njit(cache=True)
+@njit
 def _correct(full, n, row, h, z, variance, gain, column):
     """One scalar measurement z = h x + noise: Eq. 6 to 8 with the covariance in Joseph's form.
 
@@ -50,7 +50,7 @@ def _correct(full, n, row, h, z, variance, gain, column):
             full[i, j] = full[j, i] = value + gain[i] * variance * gain[j]
 
 
-@njit(cache=True)
+@njit
 def _feed_back(head, row, navigation):
     """Closed loop: the estimated navigation errors go into the solution, and x is zero there again."""
     if head[Head.OPEN_LOOP] != 0.0:
@@ -71,7 +71,7 @@ def _feed_back(head, row, navigation):
     row[NAV:NAV + navigation] = 0.0
 
 
-@njit(cache=True)
+@njit
 def body_to_level(row, navigation):
     """Rotation from b to n at `row` as nine numbers, row by row."""
     if navigation == 5:
@@ -80,7 +80,7 @@ def body_to_level(row, navigation):
     return strapdown.matrix((row[Nav.Q_W], row[Nav.Q_X], row[Nav.Q_Y], row[Nav.Q_Z]))
 
 
-@njit(cache=True)
+@njit
 def _state_and_scratch(memory, r, n):
     """The state at r, an (n, n) matrix and five vectors (5, n) to work with."""
     s = int(memory[Head.SCRATCH_AT])
@@ -88,7 +88,7 @@ def _state_and_scratch(memory, r, n):
             memory[s + n * n:s + n * n + 5 * n].reshape(5, n))
 
 
-@njit(cache=True)
+@njit
 def apply_fix(memory, r, at):
     """Correct the state at r with the fix at `at` (Eq. 19: predicted minus measured antenna position, in metres)."""
     head, fix = memory[:HEAD_SIZE], memory[at:at + FIX_SIZE]
@@ -156,7 +156,7 @@ def apply_fix(memory, r, at):
     set_radii(memory, r)
 
 
-@njit(cache=True)
+@njit
 def _quadratic(full, n, left, right):
     total = 0.0
     for i in range(n):
@@ -166,7 +166,7 @@ def _quadratic(full, n, left, right):
     return total
 
 
-@njit(cache=True)
+@njit
 def constrain(memory, r, at, dt):
     """What is known of a land vehicle: at standstill no velocity and no rotation, else no sideways velocity.
 
@@ -211,6 +211,10 @@ def constrain(memory, r, at, dt):
             else:
                 h[5] = z
                 h[6], h[7], h[8] = y * v_d - z * v_e, z * v_n - x * v_d, x * v_e - y * v_n
-            _correct(full, n, row, h, x * v_n + y * v_e + z * v_d, head[Head.NON_HOLONOMIC_SIGMA] ** 2, gain, column)
+            sideways = x * v_n + y * v_e + z * v_d
+            if axis == 1 and head[Head.SIDESLIP] != 0.0:  # what the tyres let it slip in a bend
+                forward = c[0] * v_n + c[3] * v_e + c[6] * v_d
+                sideways -= head[Head.SIDESLIP] * sample[Sample.F_Y] * forward
+            _correct(full, n, row, h, sideways, head[Head.NON_HOLONOMIC_SIGMA] ** 2, gain, column)
     store_covariance(full, navigation, m, row)
     _feed_back(head, row, navigation)

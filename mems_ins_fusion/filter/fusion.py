@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 import time as clock
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
+from mems_ins_fusion.compiled import njit
 
 from ..navigation.strapdown import to_euler
 from ..samples import Fixes, ImuSamples
@@ -161,6 +161,8 @@ class FusionFilter(_Intake):
         self.datum = _datum(config)
         self._height_sigma = config.values['gnss.default_sigma']
         self._outage_after = round(config.values['gnss.outage_after'] * 1e9)
+        self._correctors = config.correctors()
+        self._celsius = math.nan
         self._restart()
 
     def _restart(self) -> None:
@@ -194,6 +196,8 @@ class FusionFilter(_Intake):
                 self._restart()
             else:
                 return False
+        if self._correctors:
+            (f_x, f_y, f_z), (w_x, w_y, w_z) = self._corrected(stamp, (f_x, f_y, f_z), (w_x, w_y, w_z))
         if self._memory is not None:
             take_sample(self._memory, (stamp - self._epoch) * 1e-9, f_x, f_y, f_z, w_x, w_y, w_z)
             if stamp - self._newest_fix > self._outage_after and not self._outage:
@@ -208,6 +212,18 @@ class FusionFilter(_Intake):
         self._alignment.add_samples([(stamp - self._epoch) * 1e-9], [(f_x, f_y, f_z)], [(w_x, w_y, w_z)],
                                     [(q_x, q_y, q_z, q_w)])
         return False
+
+    def _corrected(self, stamp: int, f: tuple, w: tuple) -> tuple:
+        stamps, celsius = np.array([stamp], dtype=np.int64), np.array([self._celsius])
+        force, rate = _correct(self._correctors, stamps, np.array([f]), np.array([w]), celsius)
+        return force[0].tolist(), rate[0].tolist()
+
+    def add_temperature(self, stamp: int, celsius: float) -> None:
+        """The sensors' temperature from now on, degrees Celsius."""
+        if math.isfinite(celsius):
+            self._celsius = celsius
+        else:
+            self._say('warning', f"{self.config.values['temperature_topic']}: temperature {celsius}: dropped")
 
     def add_fix(self, stamp: int, latitude, longitude, height, covariance, status=0, covariance_type=2) -> None:
         """One fix of the antenna: rad, m; covariance: nine numbers, east-north-up, as in `NavSatFix`."""
@@ -263,6 +279,13 @@ class FusionFilter(_Intake):
                  self.position_covariance_enu.copy())
 
 
+def _correct(correctors: list, stamp, force, rate, celsius) -> tuple[np.ndarray, np.ndarray]:
+    """Specific force and angular rate (n, 3), sensor axes, without the effects that are declared."""
+    for corrector in correctors:
+        force, rate = corrector(stamp, force, rate, celsius)
+    return force, rate
+
+
 def _datum(config: FilterConfig) -> np.ndarray | None:
     datum = config.values['datum']
     if not datum:
@@ -275,8 +298,8 @@ class Innovations:
     """What each fix told the filter, in the order of the fixes' times.
 
     index (f,): position in the `Fixes` given. stamp (f,): ns, at which the fix describes the vehicle. z (f, 2):
-    innovation north, east, m, predicted minus measured antenna position. s (f, 3): its covariance nn, ne, ee. nis (f,): normalized
-    innovation squared, 2 degrees of freedom. z_down, s_down (f,): the same for height (strapdown). yaw (f,), velocity
+    innovation north, east, m, predicted minus measured antenna position. s (f, 3): its covariance nn, ne, ee. nis
+    (f,): normalized innovation squared, 2 degrees of freedom. z_down, s_down (f,): the same for height (strapdown). yaw (f,), velocity
     (f, 2): the prediction's, before the fix was applied.
     """
 
@@ -321,17 +344,20 @@ class Run:
     filter_seconds: float
 
 
-def run(config: FilterConfig, imu: ImuSamples, fixes: Fixes) -> Run:
-    """The whole recording in one call: the same events in the order of their arrival, the same numbers as live."""
-    return _Replay(config, imu, fixes).run()
+def run(config: FilterConfig, imu: ImuSamples, fixes: Fixes, start: Start | None = None) -> Run:
+    """The whole recording in one call: the same events in the order of their arrival, the same numbers as live.
+
+    start: begin there instead of aligning, where the recording has no restart.
+    """
+    return _Replay(config, imu, fixes, start).run()
 
 
 class _Replay(_Intake):
     """A recording on its way through the filter: stretches between restarts, aligned and run one by one."""
 
-    def __init__(self, config: FilterConfig, imu: ImuSamples, fixes: Fixes):
+    def __init__(self, config: FilterConfig, imu: ImuSamples, fixes: Fixes, given: Start | None = None):
         super().__init__(config)
-        self.imu, self.fixes = imu, fixes
+        self.imu, self.fixes, self.given = imu, fixes, given
         # a fix that arrived together with a sample comes after it
         self.arrival = np.searchsorted(imu.received, fixes.received, side='right')
         self.columns = _columns(config)
@@ -342,6 +368,7 @@ class _Replay(_Intake):
 
     def run(self) -> Run:
         segments = self._segments()
+        self._correct_samples(segments)
         ends = [kept[0] for kept in segments[1:]] + [np.iinfo(np.int64).max]
         for kept, end in zip(segments, ends):
             self._run_segment(kept, end)
@@ -365,6 +392,17 @@ class _Replay(_Intake):
             if follows is not False:
                 segments[-1].append(i)
         return [np.array(kept, dtype=np.int64) for kept in segments if kept]
+
+    def _correct_samples(self, segments: list[np.ndarray]) -> None:
+        correctors = self.config.correctors()
+        if not correctors or not segments:
+            return
+        kept = np.concatenate(segments)
+        force, rate = self.imu.specific_force.copy(), self.imu.angular_rate.copy()
+        celsius = self.imu.temperature
+        celsius = np.full(len(kept), np.nan) if celsius is None else celsius[kept]
+        force[kept], rate[kept] = _correct(correctors, self.imu.stamp[kept], force[kept], rate[kept], celsius)
+        self.imu = replace(self.imu, specific_force=force, angular_rate=rate)
 
     def _run_segment(self, kept: np.ndarray, end: int) -> None:
         """Align on the samples `kept` and run the rest; `end`: the index of the sample with which the next begins."""
@@ -424,6 +462,8 @@ class _Replay(_Intake):
 
     def _align_segment(self, kept, time, before, records) -> tuple[Start | None, int]:
         """The start, and the number of fixes that went into it."""
+        if self.given is not None and self.start is None:
+            return self.given, int(np.count_nonzero(records[:, Fix.TIME] <= self.given.time + 1e-6))
         alignment, fed = Alignment(self.config), 0
         imu = self.imu
         for k, record in enumerate(records):
@@ -472,7 +512,7 @@ def _columns(config: FilterConfig) -> np.ndarray:
     return np.array(kept, dtype=np.uint64)  # unsigned: the kernel need not look for negative ones
 
 
-@njit(cache=True)
+@njit
 def _solution(states, navigation, open_loop):
     """Latitude, longitude, height, v_n, v_e, v_d, roll, pitch, yaw of each state."""
     out = np.empty((len(states), 9))

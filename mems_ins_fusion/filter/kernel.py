@@ -8,7 +8,7 @@ before it and forward again.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from mems_ins_fusion.compiled import njit
 
 from .correction import CONSTRAINT_INTERVAL, apply_fix, constrain
 from .layout import FIX_SIZE, Fix, Head, Nav, Sample, fix_at, sample_at, state_at
@@ -20,7 +20,7 @@ FIX_TAKEN, FIX_BEFORE_START, FIX_TOO_LATE = 0, 1, 2
 STILL_TIME = 0.5
 
 
-@njit(cache=True)
+@njit
 def _advance(memory, k):
     """State k from state k - 1 and sample k: the interval is split at each fix in it."""
     src, dst, sample = state_at(memory, k - 1), state_at(memory, k), sample_at(memory, k)
@@ -50,7 +50,7 @@ def _advance(memory, k):
         constrain(memory, dst, sample, end - begin)
 
 
-@njit(cache=True)
+@njit
 def take_sample(memory, time, f_x, f_y, f_z, w_x, w_y, w_z):
     """Predict to `time` (s since the epoch) with one IMU sample in sensor axes, applying the fixes before it."""
     k = int(memory[Head.SAMPLES]) + 1
@@ -68,7 +68,7 @@ def take_sample(memory, time, f_x, f_y, f_z, w_x, w_y, w_z):
     memory[Head.SAMPLES] = k
 
 
-@njit(cache=True)
+@njit
 def _is_still(memory, sample, dt):
     """1 when specific force and angular rate have scattered little over the last second, and nothing turns."""
     weight = min(1.0, dt / STILL_TIME)
@@ -89,7 +89,7 @@ def _is_still(memory, sample, dt):
     return 0.0
 
 
-@njit(cache=True)
+@njit
 def take_fix(memory, fix):
     """Take in one fix, a vector as in `Fix`; FIX_TAKEN, or why not."""
     capacity, newest = int(memory[Head.CAPACITY]), int(memory[Head.SAMPLES])
@@ -120,13 +120,13 @@ def take_fix(memory, fix):
     return FIX_TAKEN
 
 
-@njit(cache=True)
+@njit
 def _copy_fix(to, at, source, begin):
     for i in range(FIX_SIZE):
         to[at + i] = source[begin + i]
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def run(memory, time, specific_force, angular_rate, fixes, arrival, answers, columns, states):
     """A whole recording through the same filter.
 
@@ -151,7 +151,7 @@ def run(memory, time, specific_force, angular_rate, fixes, arrival, answers, col
     collect(memory, fixes)
 
 
-@njit(cache=True)
+@njit
 def collect(memory, fixes):
     """Innovations of the fixes remembered, back to where each came from."""
     for i in range(int(memory[Head.FIXES])):

@@ -12,7 +12,7 @@ from __future__ import annotations
 from enum import IntEnum
 
 import numpy as np
-from numba import njit
+from mems_ins_fusion.compiled import njit
 
 
 class Nav(IntEnum):
@@ -47,7 +47,7 @@ STATE_NAMES = {PLANAR: ('r_n', 'r_e', 'v_n', 'v_e', 'yaw'),
                STRAPDOWN: ('r_n', 'r_e', 'r_d', 'v_n', 'v_e', 'v_d', 'phi_n', 'phi_e', 'phi_d')}
 
 
-@njit(cache=True)
+@njit
 def packed(i, j, size):
     """Position of element (i, j), i <= j, in the packed upper triangle of a symmetric matrix."""
     return i * size - i * (i - 1) // 2 + j - i
@@ -58,7 +58,7 @@ def row_width(navigation: int, others: int) -> int:
     return (NAV + navigation + others + navigation * (navigation + 1) // 2 + others * (navigation + others))
 
 
-@njit(cache=True)
+@njit
 def load_covariance(row, navigation, others, full):
     """The covariance in `row` (width,) as a full symmetric matrix, written into `full` (n, n)."""
     at = NAV + navigation + others
@@ -76,7 +76,7 @@ def load_covariance(row, navigation, others, full):
             at += 1
 
 
-@njit(cache=True)
+@njit
 def store_covariance(full, navigation, others, row):
     """Inverse of `load_covariance`."""
     at = NAV + navigation + others
@@ -149,7 +149,8 @@ class Head(IntEnum):
     SCRATCH_AT = 35  # and room to work
     CONDITIONING = 36  # 6 x 6: body-axis sample = matrix (raw sample) + offset
     OFFSET = 72  # six
-    SIZE = 78
+    SIDESLIP = 78  # rad per m/s^2 of lateral acceleration
+    SIZE = 80
 
 
 class Sample(IntEnum):
@@ -209,19 +210,19 @@ def views(memory: np.ndarray):
             memory[ring:fixes].reshape(-1, SAMPLE_SIZE), memory[fixes:scratch].reshape(-1, FIX_SIZE))
 
 
-@njit(cache=True)
+@njit
 def state_at(memory, k):
     """Position of the state after sample k."""
     return int(memory[Head.ROWS_AT]) + (k & (int(memory[Head.CAPACITY]) - 1)) * int(memory[Head.WIDTH])
 
 
-@njit(cache=True)
+@njit
 def sample_at(memory, k):
     """Position of sample k."""
     return int(memory[Head.RING_AT]) + (k & (int(memory[Head.CAPACITY]) - 1)) * SAMPLE_SIZE
 
 
-@njit(cache=True)
+@njit
 def fix_at(memory, i):
     """Position of fix i of those remembered, by time."""
     return int(memory[Head.FIXES_AT]) + i * FIX_SIZE

@@ -4,7 +4,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+from mems_ins_fusion.compiled import njit
 
 from ..navigation import strapdown
 from ..navigation.earth import to_local
@@ -16,7 +16,7 @@ POSITION, ORIENTATION, POSE_COVARIANCE, LINEAR, ANGULAR, TWIST_COVARIANCE, SIZE 
 PLANAR_TILT_SIGMA, PLANAR_VERTICAL_SIGMA = 0.05, 0.5
 
 
-@njit(cache=True)
+@njit
 def corrected(row, navigation, open_loop):
     """Latitude, longitude, height, v_n, v_e, v_d and the quaternion from b to n; open loop: with x subtracted."""
     planar = navigation == 5
@@ -39,7 +39,7 @@ def corrected(row, navigation, open_loop):
     return latitude, longitude, height, v_n, v_e, v_d, q
 
 
-@njit(cache=True)
+@njit
 def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
     """The newest state as odometry.
 
@@ -102,7 +102,7 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
     return row[Nav.TIME]
 
 
-@njit(cache=True)
+@njit
 def _enu(i):
     """Where component i of an ENU pose stands among position and attitude errors in NED, and its sign."""
     component = i % 3
@@ -111,7 +111,7 @@ def _enu(i):
     return (swapped if i < 3 else 6 + swapped), sign
 
 
-@njit(cache=True)
+@njit
 def _orientation(q, out):
     """Quaternion from b (FRD) to n (NED) as base_link (FLU) to ENU: a half turn on each side."""
     half = math.sqrt(0.5)
@@ -121,7 +121,7 @@ def _orientation(q, out):
     out[ORIENTATION + 2], out[ORIENTATION + 3] = sign * r[3], sign * r[0]
 
 
-@njit(cache=True)
+@njit
 def _angular(noise, interval, row, sample, full, navigation, p, out):
     """Angular velocity of the last sample, sensor errors removed, and its variance with the sample's white noise."""
     planar = navigation == 5

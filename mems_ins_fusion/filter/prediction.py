@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
 from ..navigation.earth import gravity, radii
@@ -24,7 +24,7 @@ GAP_TURN_RATE = 0.3  # rad/s
 RADII_STEP = 2e-6
 
 
-@njit(cache=True)
+@njit
 def predict(mem, src, dst, sample, dt):
     """State dst = state src, predicted over dt with one IMU sample; its TIME is left to the caller, who knows it."""
     if src < 0 or dst < 0 or sample < 0:  # never: but it tells the compiler that no index counts from the end
@@ -40,7 +40,7 @@ def predict(mem, src, dst, sample, dt):
         _step_planar(mem, src, dst, sample, dt, m, p)
 
 
-@njit(cache=True)
+@njit
 def set_radii(mem, r):
     """Latitude and longitude per metre at the position of row r."""
     north, east = radii(mem[r + Nav.LATITUDE])
@@ -50,7 +50,7 @@ def set_radii(mem, r):
     mem[r + Nav.EAST_SCALE] = 1.0 / ((east + height) * math.cos(mem[r + Nav.LATITUDE]))
 
 
-@njit(cache=True)
+@njit
 def _move(mem, src, dst, north, east):
     """Position of row dst: that of src moved by a displacement in m."""
     mem[dst + Nav.LATITUDE] = mem[src + Nav.LATITUDE] + north * mem[src + Nav.NORTH_SCALE]
@@ -62,7 +62,7 @@ def _move(mem, src, dst, north, east):
         set_radii(mem, dst)
 
 
-@njit(cache=True, inline='always')
+@njit(inline='always')
 def _step_planar(mem, src, dst, sample, dt, m, p):
     """One interval of the planar mechanization with m states behind the navigation errors, p for each channel."""
     x = NAV + 5
@@ -150,7 +150,7 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
     _sensor_states(mem, src, dst, dt, 5, m, p)
 
 
-@njit(cache=True, inline='always')
+@njit(inline='always')
 def _cross_column(mem, src, dt, f_n, f_e, c, s, j, m, p):
     """Column j of the cross block of Phi P."""
     k = src + NAV + 5 + m + 15
@@ -160,14 +160,14 @@ def _cross_column(mem, src, dt, f_n, f_e, c, s, j, m, p):
                              mem[e], mem[e + m * p], mem[e + 2 * m * p])
 
 
-@njit(cache=True)
+@njit
 def _gap_variance(dt):
     """Variance of position, velocity and heading that a gap of dt adds."""
     velocity = (GAP_ACCELERATION * dt) ** 2
     return 0.25 * velocity * dt * dt, velocity, (GAP_TURN_RATE * dt) ** 2
 
 
-@njit(cache=True)
+@njit
 def _decay(x):
     """exp(-x), x >= 0: by its series, to rounding, where x is small - it always is at IMU rate."""
     if x < 0.01:
@@ -175,7 +175,7 @@ def _decay(x):
     return math.exp(-x)
 
 
-@njit(cache=True, inline='always')
+@njit(inline='always')
 def _sensor_states(mem, src, dst, dt, size, m, p):
     """The m states behind the `size` navigation errors: x, their covariance, and the steps of AR(p)."""
     x = NAV + size
@@ -199,7 +199,7 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
     mem[dst + Nav.CONSTRAINT_TIME] = mem[src + Nav.CONSTRAINT_TIME] + dt
 
 
-@njit(cache=True, inline='always')
+@njit(inline='always')
 def _autoregressive(mem, src, dst, dt, size, m, p):
     """Step the companion blocks of accelerometers and gyroscopes, each once for every T_s that has passed (Eq. 22)."""
     accelerometers, channels = (2, 3) if size == 5 else (3, 6)
@@ -213,7 +213,7 @@ def _autoregressive(mem, src, dst, dt, size, m, p):
                 _step_channel(mem, dst, size, m, p, channel, channels)
 
 
-@njit(cache=True, inline='always')
+@njit(inline='always')
 def _step_channel(mem, dst, size, m, p, channel, channels):
     """One step of one channel's AR(p): companion matrix on x, on both sides of P, and b0^2."""
     x = NAV + size
@@ -230,7 +230,7 @@ def _step_channel(mem, dst, size, m, p, channel, channels):
     mem[dst + e + (m + 1) * start] += mem[HEAD_SIZE + 6 + 3 * m + channels * p + channel]
 
 
-@njit(cache=True, inline='always')
+@njit(inline='always')
 def _companion(mem, at, stride, p, a):
     """y = -a_1 v_1 - ... - a_p v_p in front, the rest moves back: p elements of a row, `stride` apart."""
     y = 0.0
@@ -241,7 +241,7 @@ def _companion(mem, at, stride, p, a):
     mem[at] = y
 
 
-@njit(cache=True)
+@njit
 def _step_strapdown(mem, src, dst, sample, dt, m, p):
     """One interval of the strapdown mechanization."""
     x = NAV + 9
@@ -324,14 +324,14 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
     _sensor_states(mem, src, dst, dt, 9, m, p)
 
 
-@njit(cache=True)
+@njit
 def _store(mem, at, values):
     """Nine values side by side."""
     for i in range(9):
         mem[at + i] = values[i]
 
 
-@njit(cache=True)
+@njit
 def _white(mem, i, dt, c, f):
     """Row i of B diag(density / dt), the white noise of the six sensors: for f, for w."""
     h, n = 0.5 * dt, i % 3

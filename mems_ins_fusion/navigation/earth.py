@@ -6,7 +6,7 @@ Source: NIMA TR8350.2, "Department of Defense World Geodetic System 1984", third
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from mems_ins_fusion.compiled import njit
 
 SEMI_MAJOR_AXIS = 6378137.0  # m
 FLATTENING = 1 / 298.257223563
@@ -17,7 +17,7 @@ GRAVITY_RATIO = 0.00344978650684  # m = omega^2 a^2 b / GM
 STANDARD_GRAVITY = 9.80665  # m/s^2, for conversions of unit only
 
 
-@njit(cache=True)
+@njit
 def radii(latitude):
     """Meridian and prime-vertical radius of curvature, m, at `latitude`, rad."""
     w2 = 1.0 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2
@@ -25,7 +25,7 @@ def radii(latitude):
     return prime_vertical * (1.0 - ECCENTRICITY_SQUARED) / w2, prime_vertical
 
 
-@njit(cache=True)
+@njit
 def gravity(latitude, height):
     """Normal gravity, m/s^2, at `latitude`, rad, and `height`, m: Somigliana with the second-order height term."""
     s2 = np.sin(latitude) ** 2
@@ -34,7 +34,7 @@ def gravity(latitude, height):
     return surface * (1.0 - 2.0 * (1.0 + FLATTENING + GRAVITY_RATIO - 2.0 * FLATTENING * s2) * ratio + 3.0 * ratio**2)
 
 
-@njit(cache=True)
+@njit
 def _to_ecef(latitude, longitude, height):
     _, n = radii(latitude)
     x = (n + height) * np.cos(latitude) * np.cos(longitude)
@@ -43,7 +43,7 @@ def _to_ecef(latitude, longitude, height):
     return x, y, z
 
 
-@njit(cache=True)
+@njit
 def _to_geodetic(x, y, z):
     """Inverse of `_to_ecef` by Bowring's formula (1985), iterated: exact to rounding near the ground."""
     p = np.sqrt(x**2 + y**2)
@@ -60,7 +60,7 @@ def _to_geodetic(x, y, z):
     return latitude, np.arctan2(y, x), height
 
 
-@njit(cache=True)
+@njit
 def to_local(latitude, longitude, height, datum):
     """Position in the local level frame `n` (north, east, down; m) at `datum` (latitude, longitude, height).
 
@@ -78,7 +78,7 @@ def to_local(latitude, longitude, height, datum):
             -cos_lat * outward - sin_lat * dz)
 
 
-@njit(cache=True)
+@njit
 def from_local(north, east, down, datum):
     """Latitude, longitude (rad) and height (m) of a point in the local level frame at `datum`: inverse of `to_local`."""
     x0, y0, z0 = _to_ecef(datum[0], datum[1], datum[2])

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from mems_ins_fusion.compiled import njit
 
 
-@njit(cache=True)
+@njit
 def rotate(yaw, dt, f_x, f_y, w_z):
     """Specific force in `n` with the yaw of mid-interval, and that yaw's cosine and sine: (f_n, f_e, cos, sin)."""
     middle = yaw + 0.5 * dt * w_z
@@ -19,7 +19,7 @@ def rotate(yaw, dt, f_x, f_y, w_z):
     return c * f_x - s * f_y, s * f_x + c * f_y, c, s
 
 
-@njit(cache=True)
+@njit
 def mechanize(v_n, v_e, yaw, f_x, f_y, w_z, dt):
     """One interval: (north, east displacement in m, v_n, v_e, yaw)."""
     f_n, f_e, _, _ = rotate(yaw, dt, f_x, f_y, w_z)
@@ -27,7 +27,7 @@ def mechanize(v_n, v_e, yaw, f_x, f_y, w_z, dt):
     return dt * (v_n + 0.5 * dv_n), dt * (v_e + 0.5 * dv_e), v_n + dv_n, v_e + dv_e, yaw + dt * w_z
 
 
-@njit(cache=True)
+@njit
 def error_step(dt, f_n, f_e, c, s, r_n, r_e, v_n, v_e, yaw, f_x, f_y, w_z):
     """The same interval for a small error of the state: one column times the transition matrix (Eq. 18, corrected).
 

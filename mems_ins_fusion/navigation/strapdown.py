@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from mems_ins_fusion.compiled import njit
 
 EARTH_RATE = 7.292115e-5  # rad/s, WGS-84
 
 
-@njit(cache=True)
+@njit
 def multiply(a, b):
     """Quaternion product a b (w, x, y, z)."""
     return (a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
@@ -23,7 +23,7 @@ def multiply(a, b):
             a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0])
 
 
-@njit(cache=True)
+@njit
 def from_rotation_vector(x, y, z):
     """Quaternion of the rotation by the vector (x, y, z), rad."""
     squared = 0.25 * (x * x + y * y + z * z)
@@ -36,7 +36,7 @@ def from_rotation_vector(x, y, z):
     return math.cos(half), scale * x, scale * y, scale * z
 
 
-@njit(cache=True)
+@njit
 def matrix(q):
     """Rotation matrix of quaternion `q` as nine numbers, row by row."""
     w, x, y, z = q[0], q[1], q[2], q[3]
@@ -45,7 +45,7 @@ def matrix(q):
             2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
 
 
-@njit(cache=True)
+@njit
 def from_euler(roll, pitch, yaw):
     """Quaternion from b to n of roll, pitch, yaw (rad, z-y-x)."""
     cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
@@ -55,14 +55,14 @@ def from_euler(roll, pitch, yaw):
             cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy)
 
 
-@njit(cache=True)
+@njit
 def to_euler(q):
     """Roll, pitch, yaw (rad, z-y-x) of quaternion `q` from b to n."""
     c = matrix(q)
     return math.atan2(c[7], c[8]), -math.asin(min(1.0, max(-1.0, c[6]))), math.atan2(c[3], c[0])
 
 
-@njit(cache=True)
+@njit
 def correct_attitude(q, phi_n, phi_e, phi_d):
     """`q` with the attitude error phi taken out, normalized."""
     r = multiply(from_rotation_vector(-phi_n, -phi_e, -phi_d), q)
@@ -70,14 +70,14 @@ def correct_attitude(q, phi_n, phi_e, phi_d):
     return r[0] * scale, r[1] * scale, r[2] * scale, r[3] * scale
 
 
-@njit(cache=True)
+@njit
 def frame_rates(latitude, v_n, v_e, north_radius, east_radius):
     """Earth rate and transport rate in `n`, rad/s: (e_n, e_d, t_n, t_e, t_d); radii with the height added, m."""
     e_n, e_d = EARTH_RATE * math.cos(latitude), -EARTH_RATE * math.sin(latitude)
     return e_n, e_d, v_e / east_radius, -v_n / north_radius, -v_e * math.tan(latitude) / east_radius
 
 
-@njit(cache=True)
+@njit
 def mechanize(q, v_n, v_e, v_d, f, w, dt, gravity, rates):
     """One interval: (quaternion, C of mid-interval, f in n, displacement in n, velocity).
 
@@ -104,7 +104,7 @@ def mechanize(q, v_n, v_e, v_d, f, w, dt, gravity, rates):
     return end, c, (f_n, f_e, f_d), displacement, (v_n + dv_n, v_e + dv_e, v_d + dv_d)
 
 
-@njit(cache=True)
+@njit
 def error_step(dt, c, f, r, v, phi, df, dw):
     """The same interval for a small error of the state: one column times the transition matrix.
 

@@ -53,13 +53,14 @@ def read_recording(path, imu_topic, gnss_topic=None, reference_topic=None, tempe
         arrays = _read_arrays(bag, dict.fromkeys(topic for topic, _ in wanted), progress)
         _report_damage(bag, arrays)
     gnss = _fixes(arrays[gnss_topic]) if gnss_topic else None
+    temperature = _temperatures(arrays[temperature_topic]) if temperature_topic else None
     return Recording(
         name=_name(Path(path)),
-        imu=_imu_samples(arrays[imu_topic]),
+        imu=_imu_samples(arrays[imu_topic]).with_temperature(temperature),
         gnss=gnss,
         reference=_reference(arrays[reference_topic], bag.topics[reference_topic], datum, gnss, reference_topic)
         if reference_topic else None,
-        temperature=_temperatures(arrays[temperature_topic]) if temperature_topic else None)
+        temperature=temperature)
 
 
 def _name(path: Path) -> str:

@@ -126,7 +126,9 @@ def simulate_recording(drive: Drive, sensors: SensorErrors | None = None, gnss: 
     to_sensor = Rotation.from_matrix(rotation_from_rpy(*mounting_rpy)).inv()
     imu, slow_errors = _imu(drive, sensors, effects, to_sensor, seed)
     reference = Reference(drive.stamp, drive.latitude, drive.longitude, drive.height, drive.velocity, wrap(drive.yaw))
-    recording = Recording(name, imu, _fixes(drive, gnss, effects, seed), reference, _temperatures(drive, effects, seed))
+    temperatures = _temperatures(drive, effects, seed)
+    recording = Recording(name, imu.with_temperature(temperatures), _fixes(drive, gnss, effects, seed), reference,
+                          temperatures)
     return Simulation(recording, drive, slow_errors, {effect.name: values for effect, values in effects})
 
 
