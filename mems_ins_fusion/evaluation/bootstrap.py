@@ -27,8 +27,7 @@ class Difference:
 
 
 def correlation_length(values: np.ndarray) -> float:
-    """Sum of the autocorrelation of `values` (n,) up to its first zero crossing, both sides, in samples: 1 for white noise.
-    """
+    """Sum of the autocorrelation of `values` (n,), both sides, up to its first zero: 1 sample for white noise."""
     n = len(values)
     centred = values - values.mean()
     if n < 3 or not centred.any():

@@ -32,8 +32,8 @@ class ReplayError(ValueError):
 
 @dataclass(frozen=True)
 class RunResult:
-    """One run: its states at KEPT_RATE and around the truth's epochs, its errors and what sums them up, and the number of
-    IMU samples gone through."""
+    """One run: its states at KEPT_RATE and around the truth's epochs, its errors and what sums them up, and the number
+    of IMU samples gone through. independent: the truth holds nothing that the filter was given."""
 
     model: str
     interval: float
@@ -41,6 +41,7 @@ class RunResult:
     errors: Errors
     summary: dict
     samples: int
+    independent: bool
 
 
 @dataclass(frozen=True)
@@ -52,8 +53,8 @@ class OutageResult:
 
 @dataclass(frozen=True)
 class PairResult:
-    """Two models on the same data: difference of the mean square error (m^2, interval) or, in outages, of the mean largest
-    error (m, duration), first minus second."""
+    """Two models on the same data: first minus second of the mean square error, m^2, or in outages (with a duration)
+    of the mean largest error, m. rms: of both, m."""
 
     first: str
     second: str
@@ -108,8 +109,8 @@ def cut(recording: Recording, start: float, stop: float) -> Recording:
         return None if samples is None else samples.select(
             (samples.stamp >= origin + round(start * 1e9)) & (samples.stamp <= last))
 
-    shorter = replace(recording, imu=part(recording.imu), gnss=part(recording.gnss), reference=part(recording.reference),
-                      temperature=part(recording.temperature))
+    shorter = replace(recording, imu=part(recording.imu), gnss=part(recording.gnss),
+                      reference=part(recording.reference), temperature=part(recording.temperature))
     for name, samples in (('IMU sample', shorter.imu), ('fix', shorter.gnss)):
         if not len(samples):
             raise ReplayError(f'{recording.name}: no {name} between start {start:g} s and stop {stop:g} s')
@@ -131,20 +132,24 @@ def add_noise(fixes: Fixes, sigma: float, seed: int) -> Fixes:
                    covariance=covariance, covariance_type=np.where(known, fixes.covariance_type, 2).astype(np.uint8))
 
 
-def thin(fixes: Fixes, interval: float) -> np.ndarray:
-    """Which of `fixes` to use, (n,) bool, so that they are `interval` s apart; 0 uses each.
+def thin(fixes: Fixes, interval: float, start: int = 0) -> np.ndarray:
+    """Which of `fixes` to use, (n,) bool, so that from `start` (ns) on they are `interval` s apart; 0 uses each.
 
-    The first valid one in each slot of `interval`; the slots begin half a fix interval early, against jitter.
+    Before and at `start` each: the filter needs those to start, and the comparison is not about that. After it the
+    first valid one in each slot of `interval`; the slots begin half a fix interval early, against jitter.
     """
-    valid = (fixes.status >= 0) & np.isfinite(fixes.latitude + fixes.longitude)
+    valid = (fixes.status >= 0) & np.isfinite(fixes.latitude + fixes.longitude + fixes.height)
     if interval == 0 or valid.sum() < 2:
         return valid
     stamp = fixes.stamp[valid]
     spacing = np.median(np.diff(np.sort(stamp)))
-    slot = ((stamp - stamp.min() + spacing / 2) // (interval * 1e9)).astype(np.int64)
-    _, first = np.unique(slot, return_index=True)
+    origin = max(start, stamp.min())
+    slot = ((stamp - origin + spacing / 2) // (interval * 1e9)).astype(np.int64)
+    early = stamp < origin - spacing / 2
+    _, first = np.unique(slot[~early], return_index=True)
     use = np.zeros(len(fixes), dtype=bool)
-    use[np.flatnonzero(valid)[first]] = True
+    use[np.flatnonzero(valid)[early]] = True
+    use[np.flatnonzero(valid)[~early][first]] = True
     return use
 
 
@@ -153,7 +158,7 @@ def truth_of(recording: Recording, values: dict) -> Truth:
     antenna = values['gnss.lever_arm']
     if recording.reference is None:
         return truth_from_fixes(recording.gnss, FLU_TO_FRD @ np.asarray(antenna), values['gnss.time_offset'],
-                                'fixes withheld from the filter')
+                                'fixes')
     arm = values['reference_lever_arm'] or antenna
     reference = recording.reference
     return Truth(reference, FLU_TO_FRD @ np.asarray(arm, dtype=float), np.zeros(len(reference)), 'reference')
@@ -193,9 +198,22 @@ class _Work:
         conditioning = self._config(values['models'][0]).conditioning
         self.turning = turning_at(recording.imu, conditioning, self.truth.reference.stamp)
         self.keep = _samples_to_keep(recording.imu, self.truth.reference.stamp)
+        self.start = self._start()
 
     def _config(self, model: str) -> FilterConfig:
         return FilterConfig.from_parameters({**self.values, 'sensor_error_model': model})
+
+    def _start(self) -> int:
+        """When the filter starts with all fixes, as these are stamped, ns."""
+        every = self.fixes.select(thin(self.fixes, 0.0))
+        run = replay(self._config(self.values['models'][0]), self.recording.imu, every, self.keep)
+        if not len(run.stamp):
+            reason = next((n.text for n in reversed(run.notices) if n.level == 'error'), 'no usable fix')
+            raise ReplayError(f'{self.recording.name}: {reason}')
+        return int(run.stamp[0]) + round(self.values['gnss.time_offset'] * 1e9)
+
+    def _use(self, interval: float) -> np.ndarray:
+        return thin(self.fixes, interval, self.start)
 
     def in_threads(self, function, tasks, progress):
         """function(*task) for each task on all cores (the kernel holds no lock), in the order of `tasks`."""
@@ -212,46 +230,43 @@ class _Work:
             return [future.result() for future in futures]
 
     def run(self, model: str, interval: float) -> tuple[str, float, np.ndarray, Run]:
-        use = thin(self.fixes, interval)
+        use = self._use(interval)
         return model, interval, use, replay(self._config(model), self.recording.imu, self.fixes.select(use), self.keep)
 
     def measure(self, runs) -> list[RunResult]:
         """The errors of `runs`, all from the time on at which each of them had started."""
-        for model, interval, _, run in runs:
-            if not len(run.stamp):
-                reason = next((n.text for n in reversed(run.notices) if n.level == 'error'), 'no usable fix')
-                raise ReplayError(f'{self.recording.name}, {model}, update interval {interval:g} s: {reason}')
         first = max(run.stamp[0] for *_, run in runs)
         results = []
         for model, interval, use, run in runs:
-            judged = (self.truth.reference.stamp >= first) & self._withheld(use)
+            withheld = self._withheld(use)
+            independent = bool(withheld.any())
+            judged = (self.truth.reference.stamp >= first) & (withheld if independent else ~withheld)
             errors = position_errors(run, self.truth.select(judged), self.turning[judged],
                                      self.values['imu.restart_gap'])
             if not len(errors):
                 raise ReplayError(f'{self.recording.name}: no position of the {self.truth.source} falls into the '
                                   f'run at update interval {interval:g} s')
             results.append(RunResult(model, interval, run, errors, metrics.summary(errors),
-                                     len(self.recording.imu) - int(run.index[0])))
+                                     len(self.recording.imu) - int(run.index[0]), independent))
         return results
 
     def _withheld(self, use: np.ndarray) -> np.ndarray:
-        """Which epochs of the truth are no fixes that the filter was given; all where none would be left."""
+        """Which epochs of the truth are no fixes that the filter was given."""
         stamp = self.truth.reference.stamp
         if self.recording.reference is not None or self.values['fix_noise'] > 0:
             return np.ones(len(stamp), dtype=bool)
         used = self.fixes.stamp[use] - round(self.values['gnss.time_offset'] * 1e9)
-        withheld = ~np.isin(stamp, used)
-        return withheld if withheld.any() else ~withheld
+        return ~np.isin(stamp, used)
 
     def outage_begins(self, runs: list[RunResult]) -> np.ndarray:
         if not self.values['outage_durations']:
             return np.empty(0, dtype=np.int64)
         first = max(r.run.stamp[0] for r in runs if r.interval == self.shortest)
-        return outage_begins(first, self.fixes.select(thin(self.fixes, self.shortest)), self.values['gnss.time_offset'],
+        return outage_begins(first, self.fixes.select(self._use(self.shortest)), self.values['gnss.time_offset'],
                              self.values['outage_spacing'], min(self.values['outage_durations']))
 
     def outages(self, model: str, begin: np.ndarray) -> list[Outages]:
-        return run_outages(self._config(model), self.recording.imu, self.fixes.select(thin(self.fixes, self.shortest)),
+        return run_outages(self._config(model), self.recording.imu, self.fixes.select(self._use(self.shortest)),
                            self.truth, self.values['outage_durations'], begin, self.keep)
 
 

@@ -27,8 +27,8 @@ NEES_95 = 5.991464547107979
 class Truth:
     """What errors are measured against.
 
-    reference: positions of the point `lever_arm` (3,) m from the IMU, body axes forward-right-down. variance (m,): of its
-    north and of its east position, m^2 (0: taken as exact). source: in words.
+    reference: positions of the point `lever_arm` (3,) m from the IMU, body axes forward-right-down. variance (m,): of
+    its north and of its east position, m^2 (0: taken as exact). source: in words.
     """
 
     reference: Reference
@@ -47,9 +47,7 @@ class Truth:
 class Errors:
     """Errors of one run, (m,) each, at the epochs of the truth within the run.
 
-    stamp: ns. north, east: m. along, cross: m, along and to the right of the heading. sigma: m, the filter's own
-    horizontal standard deviation sqrt(P_nn + P_ee). nees: normalized estimation error squared of the horizontal position,
-    2 degrees of freedom. heading: rad and speed: m/s, NaN where the truth has none. turning: bool, in a manoeuvre.
+X
     """
 
     stamp: np.ndarray
@@ -83,7 +81,7 @@ def position_errors(run: Run, truth: Truth, turning: np.ndarray, longest_gap: fl
     truth, turning = truth.select(inside), turning[inside]
     reference = truth.reference
     at = _Interpolation(run.stamp, reference.stamp)
-    latitude, longitude, height = at(run.latitude), at(run.longitude), at(run.height)
+    latitude, longitude = at(run.latitude), at(run.longitude)
     yaw = at(np.unwrap(run.yaw))
     arm_n, arm_e = _lever_arm(truth.lever_arm, at(run.roll), at(run.pitch), yaw)
     meridian, prime_vertical = radii(reference.latitude)
@@ -123,9 +121,9 @@ def _covered(stamp, wanted, longest_gap):
     """Which of the `wanted` stamps lie between samples that are not far apart."""
     if len(stamp) < 2:
         return np.zeros(len(wanted), dtype=bool)
-    right = np.clip(np.searchsorted(stamp, wanted), 1, len(stamp) - 1)
-    return ((wanted >= stamp[0]) & (wanted <= stamp[-1])
-            & (stamp[right] - stamp[right - 1] <= longest_gap * 1e9))
+    left = np.clip(np.searchsorted(stamp, wanted, side='right') - 1, 0, len(stamp) - 2)
+    near = (stamp[left + 1] - stamp[left] <= longest_gap * 1e9) | (stamp[left] == wanted)
+    return (wanted >= stamp[0]) & (wanted <= stamp[-1]) & near
 
 
 def _lever_arm(arm, roll, pitch, yaw):
@@ -144,8 +142,8 @@ def _nees(north, east, p_nn, p_ee, p_ne):
 
 
 def turning_at(imu: ImuSamples, conditioning: np.ndarray, stamp: np.ndarray) -> np.ndarray:
-    """Whether the vehicle is in a manoeuvre at each `stamp` (m,) ns: the mean turn rate over 1 s is above TURN_RATE then,
-    or within TURN_MARGIN of it.
+    """Whether the vehicle is in a manoeuvre at each `stamp` (m,) ns: a mean turn rate over 1 s above TURN_RATE, then or
+    within TURN_MARGIN.
 
     From the gyroscopes, so that all models are judged by the same manoeuvres. conditioning: (6, 6), `FilterConfig`'s.
     """

@@ -20,8 +20,9 @@ class Outages:
     """The outages of one filter and one duration, (o,) each.
 
     begin: ns, of the last fix used. max_error: m, the largest horizontal error. distance: m, driven meanwhile.
-    within: whether the error at the end is inside the filter's own 95 % ellipse. time (g,): s after the begin; growth
-    (o, g): horizontal error then, m; sigma (o, g): the filter's horizontal standard deviation, m. errors: of each outage.
+    within: whether the error at the end is inside the filter's own 95 % ellipse. time (g,): s after the begin;
+    growth (o, g): horizontal error then, m; sigma (o, g): the filter's horizontal standard deviation,
+    m. errors: of each.
     """
 
     duration: float
@@ -104,7 +105,7 @@ class _Rows:
 
 
 class _Distance:
-    """Distance driven between two stamps, by the run with all fixes: from noisy fixes one would drive while standing."""
+    """Distance driven between two stamps, by the run with all fixes: noisy fixes move at standstill, too."""
 
     def __init__(self, run: Run):
         self.stamp = run.stamp

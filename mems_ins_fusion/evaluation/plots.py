@@ -61,7 +61,8 @@ def track(comparison: Comparison):
         axes.plot(east, north, color=COLOURS[model], linewidth=1.0, zorder=2,
                   label=f'{model_name(comparison, model)}, fixes each {interval:g} s')
     _mark_outages(axes, comparison, ground)
-    axes.plot(ground.east[0], ground.north[0], marker='o', color='k', markersize=6, linestyle='', label='start', zorder=5)
+    axes.plot(ground.east[0], ground.north[0], marker='o', color='k', markersize=6, linestyle='', zorder=5,
+              label='start')
     _as_map(axes)
     figure.legend(loc='outside lower center', ncols=3, fontsize=8)
     return figure
@@ -163,7 +164,7 @@ def error_against_time(comparison: Comparison):
 
 
 def _peaks(time, values):
-    """At most POINTS of the points, the largest value of each stretch: what an eye sees of a dense line, sooner drawn."""
+    """At most POINTS of the points, the largest value of each stretch: what one sees of a dense line."""
     every = -(-len(time) // POINTS)
     if every == 1:
         return time, values
@@ -208,8 +209,8 @@ def outage_growth(comparison: Comparison):
         outages, name = result.outages, model_name(comparison, result.model)
         axes.plot(outages.time, np.sqrt((outages.growth**2).mean(axis=0)), color=COLOURS[result.model], linewidth=1.8,
                   label=f'{name}: RMS error')
-        axes.plot(outages.time, 2 * np.sqrt((outages.sigma**2).mean(axis=0)), color=COLOURS[result.model], linewidth=1.0,
-                  linestyle='--', label=f"{name}: 2 sigma by the filter's own account")
+        axes.plot(outages.time, 2 * np.sqrt((outages.sigma**2).mean(axis=0)), color=COLOURS[result.model],
+                  linewidth=1.0, linestyle='--', label=f"{name}: 2 sigma by the filter's own account")
     axes.set_xlabel('time since the last fix, s')
     axes.set_ylabel('horizontal error, m')
     axes.set_xlim(0, longest)

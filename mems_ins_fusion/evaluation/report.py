@@ -4,6 +4,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
+
 from .. import __version__, parameters
 from . import html, plots
 from .comparison import Comparison, outage_row, run_row
@@ -13,16 +15,16 @@ from .verdict import verdict
 
 #: file name, drawing and caption of each figure
 _FIGURES = (
-    ('track', plots.track, 'The drive from above. Grey: the truth. Red: what the filter made of stretches without fixes, '
-     'ending at x; the dotted line leads to where the vehicle was.'),
-    ('error_against_time', plots.error_against_time, 'Horizontal error against time. Grey bands: turning. Grey line: two '
-     'standard deviations by the filter\'s own account; about 95 % of the errors should lie below.'),
-    ('error_against_interval', plots.error_against_interval, 'RMS error against the update interval: with 95 % confidence '
-     'intervals (left), in turns and on straights (right).'),
+    ('track', plots.track, 'The drive from above. Grey: the truth. Red: what the filter made of stretches without '
+     'fixes, ending at x; the dotted line leads to where the vehicle was.'),
+    ('error_against_time', plots.error_against_time, 'Horizontal error against time. Grey bands: turning. Grey line: '
+     'two standard deviations by the filter\'s own account; about 95 % of the errors should lie below.'),
+    ('error_against_interval', plots.error_against_interval, 'RMS error against the update interval: with 95 % '
+     'confidence intervals (left), in turns and on straights (right).'),
     ('manoeuvre', plots.manoeuvre, 'The turn with the largest error, at each update interval.'),
     ('outage_growth', plots.outage_growth, 'How the error grows without fixes: RMS over the outages (solid), and two '
-     'standard deviations by the filter\'s own account (dashed). A solid line above its dashed one: the filter promises '
-     'too much.'),
+     'standard deviations by the filter\'s own account (dashed). A solid line above its dashed one: the filter '
+     'promises too much.'),
 )
 
 
@@ -45,6 +47,7 @@ def _recording(name: str, comparison: Comparison, findings: list) -> dict:
     imu, gnss = comparison.recording.imu, comparison.recording.gnss
     return {'name': name, 'duration_s': float((imu.stamp[-1] - imu.stamp[0]) * 1e-9), 'imu_samples': len(imu),
             'fixes': len(gnss), 'truth': comparison.truth.source, 'truth_positions': len(comparison.truth),
+            'truth_sigma_m': float(np.sqrt(np.median(comparison.truth.variance))),
             'notices': _notices(comparison),
             'findings': [{'severity': f.severity, 'topic': f.topic, 'message': f.message} for f in findings]}
 
@@ -58,8 +61,9 @@ def _pair(pair, name: str) -> dict:
     difference = pair.difference
     unit = 'mean_square_error_m2' if pair.duration is None else 'mean_largest_error_m'
     return {'recording': name, 'first': pair.first, 'second': pair.second, 'update_interval_s': pair.interval,
-            'outage_duration_s': pair.duration, 'quantity': unit, 'first_rms_m': pair.rms[0], 'second_rms_m': pair.rms[1],
-            'difference': difference.mean, 'interval': [difference.low, difference.high], 'p_value': difference.p,
+            'outage_duration_s': pair.duration, 'quantity': unit, 'first_rms_m': pair.rms[0],
+            'second_rms_m': pair.rms[1], 'difference': difference.mean,
+            'interval': [difference.low, difference.high], 'p_value': difference.p,
             'p_adjusted': pair.p_adjusted, 'significant': pair.significant}
 
 
@@ -135,8 +139,8 @@ def _recordings(content: dict):
             for r in content['recordings']]
     said = [f"{r['name']}: {text}" for r in content['recordings'] for text in r['notices']]
     found = [f"{r['name']}, {f['severity']}: {f['message']}" for r in content['recordings'] for f in r['findings']]
-    return section('Recordings', table(['name', 'duration, s', 'IMU samples', 'fixes', 'truth', 'positions of it'], rows,
-                                       digits=8),
+    columns = ['name', 'duration, s', 'IMU samples', 'fixes', 'truth', 'positions of it']
+    return section('Recordings', table(columns, rows, digits=8),
                    paragraph('Findings of the checker:') if found else '', bullets(found) if found else '',
                    paragraph('What the filter said:') if said else '', bullets(said) if said else '')
 
@@ -154,10 +158,11 @@ def _explanation():
         'fixes. Errors are estimate minus truth at the antenna; trajectories are not aligned to each other.',
         'Fixes that the filter used are no truth for it, unless noise was added to them: without a reference only '
         'withheld fixes count.',
-        'All runs of a recording are judged over the same time, from when the last of them had started.',
+        'Until the filter has started it is given every fix; only then are they thinned out. All runs of a recording are '
+        'judged over the same time.',
         'Turns: the vehicle turns faster than 5 degrees per second, 2 s before and after included.',
-        'NIS, the normalized innovation squared, compares each fix with the filter\'s prediction and its covariance. Its '
-        'mean is 2 for a filter that judges itself rightly.',
+        'NIS, the normalized innovation squared, compares each fix with the filter\'s prediction and its covariance. '
+        'Its mean is 2 for a filter that judges itself rightly.',
         'Outages: each is a run of its own in which fixes are withheld once; the error counts from the last fix used.',
         'A difference between models is called significant when a block bootstrap of the paired differences gives an '
         'adjusted p below 5 % (Holm, over all comparisons on the recording).']))

@@ -76,8 +76,7 @@ def _every(stamp: np.ndarray, interval: float) -> np.ndarray:
 def write_bag(path: Path, recording: Recording, runs: dict[str, Run], datum, values: dict) -> None:
     """A rosbag2: the recording's fixes, and one Odometry topic /odometry/NAME for each of `runs`.
 
-    values: parameters, of which gnss_topic, frame_id and child_frame_id name what is written. Without IMU samples: those
-    are in the recording.
+    values: parameters; gnss_topic, frame_id and child_frame_id name what is written. The IMU samples are left out.
     """
     write_recording(replace(recording, imu=None), path, gnss_topic=values['gnss_topic'],
                     odometry={f'/odometry/{name}': odometry_of(run, datum) for name, run in runs.items()},

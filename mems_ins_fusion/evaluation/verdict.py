@@ -10,14 +10,32 @@ from .plots import model_name
 
 #: differences smaller than this part are of no practical meaning, however significant
 PRACTICAL = 0.02
+#: a truth whose own error is more than this part of the error is mentioned
+NOISY_TRUTH = 0.3
 #: mean NIS of a filter that judges itself rightly is 2; beyond these it is not
 NIS_LOW, NIS_HIGH = 1.4, 3.0
 
 
 def verdict(comparison: Comparison) -> list[str]:
     """Sentences on one recording: models, update intervals, turns, outages, and the filter's opinion of itself."""
-    return [*_models(comparison), *_intervals(comparison), *_turns(comparison), *_outages(comparison),
-            *_consistency(comparison)]
+    parts = (_truth, _models, _intervals, _turns, _outages, _consistency)
+    return [sentence for part in parts for sentence in part(comparison)]
+
+
+def _truth(comparison: Comparison) -> list[str]:
+    """What the truth is not good for."""
+    sentences = []
+    own = [r.interval for r in comparison.runs if not r.independent]
+    if own:
+        intervals = ' and '.join(f'{i:g} s' for i in sorted(set(own)))
+        sentences.append(f'At {intervals} the filter used every fix there is and is measured against the same fixes: '
+                         'that shows agreement, not accuracy. A reference, longer intervals or outages show more.')
+    sigma = float(np.sqrt(np.median(comparison.truth.variance)))
+    error = min(rms(r.errors.horizontal) for r in comparison.runs)
+    if np.sqrt(2) * sigma > NOISY_TRUTH * error:
+        sentences.append(f'The truth is itself uncertain by {number(sigma, 2)} m north and east, which is part of '
+                         'every error below.')
+    return sentences
 
 
 def _models(comparison: Comparison) -> list[str]:
@@ -114,8 +132,8 @@ def _consistency(comparison: Comparison) -> list[str]:
     values = number(low, 2) if len(nis) == 1 or high - low < 0.05 else f'{number(low, 2)} to {number(high, 2)}'
     sentence = f'The mean NIS at fixes each {interval:g} s is {values} (2 is expected): '
     if high > NIS_HIGH:
-        sentence += ('the filter trusts itself, or the fixes, too much. Something in the recording is not in its model, '
-                     'or its noise parameters are too small; `diagnose` looks for it.')
+        sentence += ('the filter trusts itself, or the fixes, too much. Something in the recording is not in its '
+                     'model, or its noise parameters are too small; `diagnose` looks for it.')
     elif low < NIS_LOW:
         sentence += 'the filter is more careful than it need be; the fixes are better than their covariances say.'
     else:

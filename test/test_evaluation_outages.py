@@ -1,0 +1,139 @@
+"""Outages: each is the run that the filter makes without those fixes, and its error is that against the known truth."""
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mems_ins_fusion import parameters
+from mems_ins_fusion.evaluation.metrics import Truth, position_errors, rms
+from mems_ins_fusion.evaluation.outages import outage_begins, run_outages, summary
+from mems_ins_fusion.filter.coasting import replay, replay_outages
+from mems_ins_fusion.filter.fusion import FilterConfig, run
+from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+
+SECOND = 10**9
+MODELS = parameters.MODELS
+
+
+def config(**values):
+    return FilterConfig.from_parameters(parameters.check(values))
+
+
+@pytest.fixture(scope='module', params=[0.0, 0.3], ids=['prompt fixes', 'late fixes'])
+def recording(request):
+    """240 s at 50 Hz with fixes each second."""
+    values = parameters.check({})
+    return simulate_recording(simulate_drive(240.0, 3, 50.0), SensorErrors.from_parameters(values, 'gauss_markov'),
+                              GnssNoise(1.0, latency=request.param), seed=3).recording
+
+
+def truth_of(recording):
+    return Truth(recording.reference, np.zeros(3), np.zeros(len(recording.reference)), 'reference')
+
+
+def same(a, b, rows=slice(None)):
+    """Bit for bit."""
+    return all(np.array_equal(getattr(a, name)[rows], getattr(b, name))
+               for name in ('stamp', 'latitude', 'longitude', 'velocity', 'yaw', 'sigma', 'covariance_ne'))
+
+
+@pytest.mark.parametrize('model', MODELS)
+def test_a_replay_of_some_samples_is_the_run(recording, model):
+    keep = np.zeros(len(recording.imu), dtype=bool)
+    keep[::7] = True
+    whole = run(config(sensor_error_model=model), recording.imu, recording.gnss)
+    part = replay(config(sensor_error_model=model), recording.imu, recording.gnss, keep)
+    assert len(part.stamp) > 500
+    assert same(whole, part, keep[whole.index])
+    assert np.array_equal(whole.innovations.z, part.innovations.z)
+
+
+@pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+def test_an_outage_is_the_run_without_its_fixes(recording, mechanization):
+    # given outages that overlap each other
+    settings = config(mechanization=mechanization, **{'vehicle.zero_velocity': True, 'vehicle.non_holonomic': True})
+    gnss = recording.gnss
+    begin = gnss.stamp[[80, 95, 100, 180]]
+    ordinary, coasting = replay_outages(settings, recording.imu, gnss, begin, 30.0)
+    assert coasting.begin.tolist() == begin.tolist()
+    for i, b in enumerate(begin):
+        # when the whole recording is run without the fixes of one of them
+        withheld = (gnss.stamp > b) & (gnss.stamp <= b + 32 * SECOND)
+        alone = replay(settings, recording.imu, gnss.select(~withheld))
+        # then that is what was branched off, bit for bit, up to the sample after its end
+        rows = slice(coasting.first[i], coasting.first[i + 1])
+        stamp = coasting.run.stamp[rows]
+        assert stamp[0] <= b and stamp[-1] >= b + 30 * SECOND
+        alone_rows = np.searchsorted(alone.stamp, stamp)
+        for name in ('latitude', 'longitude', 'velocity', 'yaw', 'sigma'):
+            assert np.array_equal(getattr(alone, name)[alone_rows], getattr(coasting.run, name)[rows]), name
+    # and the ordinary run has not noticed
+    assert same(run(settings, recording.imu, gnss), ordinary)
+
+
+def test_the_largest_error_is_that_against_the_truth(recording):
+    settings, truth = config(), truth_of(recording)
+    begin = recording.gnss.stamp[[80, 120]]
+    short, long = run_outages(settings, recording.imu, recording.gnss, truth, [20.0, 10.0], begin)
+    assert (short.duration, long.duration) == (10.0, 20.0)
+    for outages in (short, long):
+        for i, b in enumerate(begin):
+            end = b + round(outages.duration * SECOND)
+            withheld = (recording.gnss.stamp > b) & (recording.gnss.stamp <= end + SECOND)
+            alone = run(settings, recording.imu, recording.gnss.select(~withheld))
+            errors = position_errors(alone, truth, np.zeros(len(truth), dtype=bool))
+            inside = (errors.stamp > b) & (errors.stamp <= end)
+            assert outages.max_error[i] == pytest.approx(errors.horizontal[inside].max(), rel=1e-12)
+            # and the distance is that of the truth, within what a filter with fixes gets wrong
+            rows = (truth.reference.stamp >= b) & (truth.reference.stamp <= end)
+            speed = np.hypot(*truth.reference.velocity[rows].T[:2])
+            assert outages.distance[i] == pytest.approx(speed.mean() * outages.duration, abs=0.5 * outages.duration)
+            assert outages.growth[i, -1] == pytest.approx(errors.horizontal[inside][-1], rel=1e-6)
+
+
+def test_more_outages_do_not_change_an_outage(recording):
+    truth, stamps = truth_of(recording), recording.gnss.stamp
+    alone, = run_outages(config(), recording.imu, recording.gnss, truth, [15.0], stamps[[100]])
+    among, = run_outages(config(), recording.imu, recording.gnss, truth, [15.0], stamps[60:140:5])
+    assert among.max_error[among.begin == stamps[100]].tolist() == alone.max_error.tolist()
+
+
+def test_an_outage_that_the_recording_does_not_hold_is_not_counted(recording):
+    truth, stamps = truth_of(recording), recording.gnss.stamp
+    begin = np.array([stamps[2], stamps[100], stamps[-12]])  # before the start, inside, 11 s before the end
+    ten, thirty = run_outages(config(), recording.imu, recording.gnss, truth, [10.0, 30.0], begin)
+    assert ten.begin.tolist() == begin[1:].tolist()
+    assert thirty.begin.tolist() == begin[1:2].tolist()
+
+
+def test_begins_are_fixes_about_the_spacing_apart(recording):
+    first = int(recording.gnss.stamp[40]) - 3
+    begin = outage_begins(first, recording.gnss, 0.25, 20.0, 10.0)
+    assert np.isin(begin + SECOND // 4, recording.gnss.stamp).all()
+    assert begin[0] >= first + 30 * SECOND
+    assert np.diff(begin) / SECOND == pytest.approx(np.full(len(begin) - 1, 20.0), abs=1.0)
+    assert recording.gnss.stamp[-1] - begin[-1] >= 10 * SECOND
+
+
+def test_summary_by_hand(recording):
+    outages, = run_outages(config(), recording.imu, recording.gnss, truth_of(recording), [10.0],
+                           recording.gnss.stamp[60:200:10])
+    numbers = summary(outages)
+    assert numbers['count'] == 14
+    assert numbers['max_error_rms_m'] == pytest.approx(rms(outages.max_error))
+    assert numbers['max_error_median_m'] == np.median(outages.max_error)
+    assert numbers['max_error_p95_m'] == np.percentile(outages.max_error, 95)
+    assert numbers['percent_of_distance'] == pytest.approx(100 * outages.max_error.sum() / outages.distance.sum())
+    none = summary(outages.select(np.zeros(14, dtype=bool)))
+    assert none['count'] == 0 and none['max_error_rms_m'] is None
+
+
+def test_errors_stay_inside_what_the_filter_says():
+    # given a sensor with exactly the errors that the filter models, and 35 outages
+    values = parameters.check({})
+    sensors = SensorErrors.from_parameters(values, 'gauss_markov')
+    simulated = simulate_recording(simulate_drive(900.0, 11, 50.0), sensors, GnssNoise(1.0), seed=11).recording
+    outages, = run_outages(config(), simulated.imu, simulated.gnss, truth_of(simulated), [20.0],
+                           simulated.gnss.stamp[80:860:22])
+    # then most of the errors at their ends lie inside the 95 % ellipses: fewer than 25 of 35 has p = 1e-6
+    assert len(outages.begin) > 30 and outages.within.mean() > 25 / 35
