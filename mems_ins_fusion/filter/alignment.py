@@ -206,9 +206,11 @@ class Alignment:
                 return None
             speed_sigma = math.hypot(noise / interval, 0.5 * bias_f * interval)
             forward = math.sqrt(distance**2 - added[1] ** 2)
-            if self._reverses(time, standstill, (forward - added[0]) / interval, (-forward - added[0]) / interval,
-                              speed_sigma):
-                forward = -forward
+            way = self._way(time, standstill, (forward - added[0]) / interval, (-forward - added[0]) / interval,
+                            speed_sigma)
+            if way == 0:
+                return None
+            forward *= way
             speed = (forward - added[0]) / interval
             yaw_sigma = math.sqrt((noise / distance) ** 2 + (bias_w * interval / 2) ** 2
                                   + (0.5 * bias_f * interval**2 / distance) ** 2 + SIDESLIP_SIGMA**2)
@@ -219,10 +221,10 @@ class Alignment:
             return yaw + turn, end_speed, yaw_sigma, speed_sigma
         return None
 
-    def _reverses(self, time, standstill, forwards, backwards, sigma) -> bool:
-        """Whether of both speeds at `time` only the one backwards fits what the accelerometers say since it stood."""
+    def _way(self, time, standstill, forwards, backwards, sigma) -> int:
+        """1 forwards, -1 backwards, 0 unclear: which speed at `time` fits the accelerometers since it stood."""
         if standstill is None:
-            return False
+            return 1
         since = time - standstill.end
         motion = self._inertial_motion(standstill.end, time, standstill)
         expected = 0.0
