@@ -1,0 +1,249 @@
+"""How the filter starts by itself: heading, gyroscope bias, what it waits for, and how well it knows what it says."""
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filter_support import configure
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
+
+from mems_ins_fusion.filter.alignment import channel_prior
+from mems_ins_fusion.filter.fusion import FusionFilter, run
+from mems_ins_fusion.filter.layout import Head, views
+from mems_ins_fusion.navigation.frames import wrap
+from mems_ins_fusion.recordings.drive import Path
+from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.recordings.simulation_manoeuvres import Segment
+from mems_ins_fusion.sensor_errors.models import Autoregressive, GaussMarkov, RandomWalk
+
+RATE = 50.0
+COURSE = 0.7
+STAND, GO = Segment(10.0), Segment(6.0, 8.0)
+
+
+@pytest.fixture(scope='module')
+def template():
+    return simulate_drive(1.0, 0, RATE)
+
+
+def driven(template, segments, course=COURSE):
+    """A drive by these manoeuvres."""
+    path = Path((*segments, Segment(70.0)), course=course)
+    duration = sum(s.duration for s in segments)
+    return replace(template, path=path, time=np.array([0.0, duration])).altered()
+
+
+def recorded(drive, seed=0, sigma=1.5, rate=1.0, **values):
+    """A configuration and the recording of a drive by the sensors that it describes."""
+    config = configure(values)
+    sensors = SensorErrors.from_parameters(config.values, 'gauss_markov')
+    return config, simulate_recording(drive, sensors, GnssNoise(sigma, rate), seed=seed,
+                                      mounting_rpy=config.values['imu.mounting_rpy']).recording
+
+
+def texts(notices):
+    return [notice.text for notice in notices]
+
+
+def test_standstill_shows_gyroscope_bias_and_tilt(template):
+    # given an IMU mounted with a half turn and a bias far beyond a usual one
+    drive = driven(template, [STAND, GO, Segment(10.0)])
+    config = configure({'imu.mounting_rpy': [0.0, 0.0, math.pi]})
+    bias = np.array([0.02, -0.03, 0.05])
+    sensors = SensorErrors(gyroscope_bias=bias, gyroscope_noise_density=[3e-4] * 3,
+                           accelerometer_noise_density=[0.01] * 3)
+    recording = simulate_recording(drive, sensors, GnssNoise(1.0, 1.0), seed=1, mounting_rpy=[0, 0, math.pi]).recording
+    result = run(config, recording.imu, recording.gnss)
+    still = result.start.standstill
+    # then it is seen in body axes, forward-right-down, to the white noise of ten seconds
+    assert still.duration > 8
+    assert still.angular_rate == pytest.approx([-0.02, -0.03, -0.05], abs=4 * 3e-4 / math.sqrt(still.duration))
+    assert still.specific_force == pytest.approx([0, 0, -9.806], abs=0.02)
+    note = next(text for text in texts(result.notices) if text.startswith('standstill'))
+    assert 'gyroscope bias -1.1' in note and 'forward, right, down' in note and 'gravity here 9.80' in note
+
+
+@pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+def test_constant_tilt_is_removed(template, mechanization):
+    # given a mount that is 8 degrees off level
+    drive = driven(template, [STAND, GO, Segment(60.0)])
+    recording = simulate_recording(drive, SensorErrors(), GnssNoise(1.5, 1.0)).recording
+    tilted = Rotation.from_euler('xyz', [0.1, -0.1, 0.0]).as_matrix().T
+    imu = replace(recording.imu, specific_force=recording.imu.specific_force @ tilted.T,
+                  angular_rate=recording.imu.angular_rate @ tilted.T)
+    leveled = run(configure(mechanization=mechanization), imu, recording.gnss)
+    not_leveled = run(configure({'alignment.level': False}, mechanization=mechanization), imu, recording.gnss)
+    note = next(text for text in texts(leveled.notices) if text.startswith('standstill'))
+    assert 'tilt 8.' in note and '(removed)' in note
+    assert 'removed' not in ''.join(texts(not_leveled.notices))
+    conditioning = views(leveled.memory)[0][Head.CONDITIONING:Head.CONDITIONING + 36].reshape(6, 6)
+    at_rest = conditioning[:3, :3] @ imu.specific_force[:400].mean(axis=0)
+    assert at_rest == pytest.approx([0, 0, -np.linalg.norm(at_rest)], abs=0.02)
+    error = wrap(leveled.yaw[-1] - drive.yaw[-1])
+    assert abs(error) < 4 * leveled.sigma[-1, 4 if mechanization == 'planar' else 8]
+
+
+def start_errors(template, segments, seeds=24, course=COURSE, **values):
+    """(yaw error over sigma, speed error along the heading over its sigma, seconds of the start) over seeds."""
+    found = []
+    for seed in range(seeds):
+        drive = driven(template, segments, course)
+        config, recording = recorded(drive, seed, **values)
+        start = run(config, recording.imu, recording.gnss).start
+        true = drive.at(start.time)
+        along = np.array([math.cos(start.yaw), math.sin(start.yaw)])
+        yaw = wrap(start.yaw - true.yaw[0]) / math.sqrt(start.covariance[4, 4])
+        error = start.velocity - true.velocity[0, :2]
+        found.append((yaw, along @ error / math.sqrt(along @ start.covariance[2:4, 2:4] @ along), start.time))
+    return np.array(found).T
+
+
+ROUTES = {
+    'straight': [STAND, GO, Segment(30.0)],
+    'backwards': [STAND, Segment(3.0, -2.5), Segment(12.0), Segment(4.0, 2.5), Segment(2.0), GO, Segment(20.0)],
+    'backwards and turning': [STAND, Segment(3.0, -2.5), Segment(8.0, 0, 1.5), Segment(4.0, 2.5), GO, Segment(20.0)],
+    'turning sharply': [STAND, Segment(3.0, 3.0, 0.8), Segment(4.0, 0, 1.2), Segment(6.0, 5.0), Segment(20.0)],
+    'roundabout': [STAND, Segment(3.0, 4.0, 1.0), Segment(12.0, 0, 6.0), Segment(6.0, 5.0), Segment(20.0)],
+}
+
+
+@pytest.mark.parametrize('receiver', [(1.5, 1.0), (0.02, 4.0)], ids=['1.5 m', 'RTK'])
+@pytest.mark.parametrize('route', ROUTES)
+def test_heading_from_course_is_honest(template, route, receiver):
+    yaw, speed, _ = start_errors(template, ROUTES[route], 16, sigma=receiver[0], rate=receiver[1])
+    assert np.sqrt(np.mean(yaw**2)) < 1.5 and np.abs(yaw).max() < 4
+    assert np.sqrt(np.mean(speed**2)) < 1.5
+
+
+def test_heading_sigma_is_not_pessimistic_either(template):
+    yaw, _, time = start_errors(template, ROUTES['straight'], 24)
+    assert np.sqrt(np.mean(yaw**2)) > 0.4
+    assert time.max() < 25  # and it does not wait for ever
+
+
+def test_every_heading_is_found(template):
+    for course in np.radians([-179, -91, 0, 89, 135]):
+        yaw, _, _ = start_errors(template, ROUTES['straight'], 2, course=float(course))
+        assert np.abs(yaw).max() < 4
+
+
+def test_a_recording_that_begins_in_motion_starts_without_a_standstill():
+    drive = simulate_drive(120.0, 3, RATE, standstill=5.0)
+    config, recording = recorded(drive, 2)
+    moving = recording.imu.stamp[0] + 40_000_000_000
+    result = run(config, recording.imu.select(recording.imu.stamp > moving),
+                 recording.gnss.select(recording.gnss.stamp > moving))
+    assert result.start.standstill is None
+    assert 'no standstill seen: gyroscope bias and tilt of the IMU start unknown' in texts(result.notices)
+    i = result.index + np.count_nonzero(recording.imu.stamp <= moving)
+    assert abs(wrap(result.yaw[0] - drive.yaw[i[0]])) < 4 * result.sigma[0, 4]
+    assert abs(wrap(result.yaw[-1] - drive.yaw[i[-1]])) < 4 * result.sigma[-1, 4]
+
+
+def test_a_smooth_motion_is_no_standstill(template):
+    # given constant speed from the first sample on, without vibration
+    path = Path((Segment(0.1, 12.0), Segment(200.0)), course=COURSE)
+    drive = replace(template, path=path, time=np.array([0.0, 30.0])).altered()
+    config, recording = recorded(drive)
+    later = recording.imu.stamp[0] + 1_000_000_000
+    result = run(config, recording.imu.select(recording.imu.stamp > later),
+                 recording.gnss.select(recording.gnss.stamp > later))
+    assert result.start.standstill is None
+    assert np.hypot(*result.start.velocity) == pytest.approx(12.0, abs=2.0)
+
+
+@pytest.mark.parametrize('mounting', [[0.0, 0.0, 0.0], [0.0, 0.0, math.pi / 2], [math.pi, 0.0, 0.3]])
+def test_heading_from_orientation(template, mounting):
+    # given an IMU that tells its own orientation in ENU, a vehicle that heads for 0.7 rad from north
+    drive = driven(template, [Segment(20.0)])
+    config, recording = recorded(drive, **{'imu.mounting_rpy': mounting, 'alignment.heading': 'orientation',
+                                           'alignment.yaw_sigma': 0.2})
+    base = Rotation.from_euler('z', math.pi / 2 - COURSE)  # base_link to ENU
+    quaternion = (base * Rotation.from_euler('xyz', mounting)).as_quat()
+    imu = replace(recording.imu, orientation=np.tile(quaternion, (len(recording.imu), 1)))
+    result = run(config, imu, recording.gnss)
+    assert result.start.yaw == pytest.approx(COURSE, abs=1e-12)
+    assert result.start.covariance[4, 4] == pytest.approx(0.04)
+    assert np.array_equal(result.start.velocity, [0, 0])
+    assert result.start.time < 6  # as soon as the standstill is one
+    # and one without orientation waits for it, saying so; NaN is none
+    for missing in (None, np.zeros((len(imu), 4)), np.full((len(imu), 4), np.nan)):
+        waiting = run(config, replace(imu, orientation=missing), recording.gnss)
+        assert waiting.start is None
+        assert texts(waiting.notices)[-1] == (
+            'the filter did not start: waiting for orientation in the messages on /imu/data')
+
+
+def test_heading_from_parameter(template):
+    drive = driven(template, [Segment(20.0)])
+    config, recording = recorded(drive, **{'alignment.heading': 'parameter', 'alignment.yaw': -2.0})
+    result = run(config, recording.imu, recording.gnss)
+    assert result.start.yaw == pytest.approx(-2.0)
+    assert 'heading from parameter 245.4 deg +- 5.7 deg' in ''.join(texts(result.notices))
+
+
+def test_it_says_what_it_waits_for(template):
+    drive = driven(template, [Segment(30.0)])
+    config, recording = recorded(drive)
+    fusion, imu, gnss = FusionFilter(config), recording.imu, recording.gnss
+    assert fusion.status == 'waiting for IMU samples'
+    for k in range(len(imu)):
+        assert not fusion.add_imu(int(imu.stamp[k]), *imu.specific_force[k], *imu.angular_rate[k])
+        if k == 0:
+            assert fusion.status == 'waiting for a fix on /gps/fix'
+        if k % 50 == 10:
+            i = k // 50
+            fusion.add_fix(int(gnss.stamp[i]), gnss.latitude[i], gnss.longitude[i], gnss.height[i],
+                           gnss.covariance[i].ravel())
+    waiting = 'waiting for the vehicle to move straight on: the heading comes from the course of the fixes'
+    assert fusion.status == waiting
+    assert texts(fusion.notices()) == ['waiting for a fix on /gps/fix', waiting]  # each once
+    assert texts(run(config, imu, gnss).notices)[-1] == f'the filter did not start: {waiting}'
+
+
+def test_the_start_is_that_of_the_imu_not_of_the_antenna(template):
+    drive = driven(template, [Segment(20.0)], course=math.pi / 2)  # heads east
+    config, recording = recorded(drive, sigma=1e-3, **{
+        'gnss.lever_arm': [2.0, 0.5, 1.0], 'alignment.heading': 'parameter', 'alignment.yaw': math.pi / 2})
+    start = run(config, recording.imu, recording.gnss).start
+    # the simulated antenna is at the IMU: the filter must take it 2 m further west and 0.5 m south, 1 m down
+    assert (start.longitude - drive.longitude[0]) * 6.39e6 * math.cos(drive.latitude[0]) == pytest.approx(-2, abs=0.02)
+    assert (start.latitude - drive.latitude[0]) * 6.37e6 == pytest.approx(-0.5, abs=0.02)
+    assert start.height - drive.height[0] == pytest.approx(-1, abs=0.02)
+
+
+@pytest.mark.parametrize('model', [RandomWalk(1e-3, 0.2), GaussMarkov(0.05, 60.0),
+                                   Autoregressive((-1.2, 0.4), 0.01, 0.5)])
+def test_bias_at_the_start_is_conditioned_on_the_standstills_mean(model):
+    # given 20 s at rest that ended 5 s ago, written out step by step as one Gaussian vector
+    turn_on, white, duration, since, mean = 0.1, 1e-4, 20.0, 5.0, 0.3
+    dt = model.interval or 0.1
+    a, q = model.transition(dt), model.process_noise(dt)
+    p, n, m = model.order, round(duration / dt), round(since / dt)
+    joint = block_diag(model.initial_covariance(), turn_on**2)
+    maps = [np.eye(p + 1)]  # each x_k and the constant, by the initial values and all driving noises
+    step, noise = block_diag(a, 1.0), np.vstack([np.linalg.cholesky(q + 1e-30 * np.eye(p)), np.zeros((1, p))])
+    for k in range(n + m):
+        grown = np.hstack([step @ maps[-1], noise])
+        maps.append(grown)
+    size = maps[-1].shape[1]
+    maps = [np.pad(row, ((0, 0), (0, size - row.shape[1]))) for row in maps]
+    prior = block_diag(joint, np.eye(size - p - 1))
+    seen = sum(row[0] + row[p] for row in maps[:n]) / n
+    last = maps[-1]
+    variance = seen @ prior @ seen + white / duration
+    cross = last @ prior @ seen
+    estimate, covariance, constant = channel_prior(model, turn_on, white, mean, duration, since)
+    expected = cross / variance * mean
+    assert estimate == pytest.approx(expected[:p], rel=0.01, abs=2e-4)
+    assert constant == pytest.approx(expected[p], rel=0.01)
+    assert covariance == pytest.approx((last @ prior @ last.T - np.outer(cross, cross) / variance)[:p, :p], rel=0.02,
+                                       abs=1e-7)
+
+
+def test_without_a_standstill_the_bias_keeps_its_prior():
+    estimate, covariance, constant = channel_prior(GaussMarkov(0.05, 60.0), 0.1, 1e-4, None, 0.0)
+    assert estimate == [0] and constant == 0 and covariance[0, 0] == pytest.approx(0.05**2 + 0.1**2)
