@@ -1,0 +1,255 @@
+"""What arrives and cannot be used: each with a notice that names topic, field and value, and a filter that goes on."""
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filter_support import configure
+
+from mems_ins_fusion.filter.fusion import FusionFilter, run
+from mems_ins_fusion.filter.layout import Fix, views
+from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
+from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+
+RATE = 50
+FORCE, TURN = (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)
+FIX = (math.radians(48.0), math.radians(11.5), 480.0)
+COVARIANCE = [1.0, 0, 0, 0, 1.0, 0, 0, 0, 4.0]
+SECOND = 1_000_000_000
+BEGIN = 1_700_000_000 * SECOND
+
+
+@pytest.fixture
+def fusion():
+    """A filter that runs: five seconds at rest, heading from a parameter."""
+    made = FusionFilter(configure({'alignment.heading': 'parameter'}))
+    for k in range(5 * RATE):
+        made.add_imu(BEGIN + k * SECOND // RATE, *FORCE, *TURN)
+        if k % RATE == 5:
+            made.add_fix(BEGIN + k * SECOND // RATE, *FIX, COVARIANCE)
+    assert made.status == 'running'
+    made.notices()
+    return made
+
+
+def now(fusion):
+    return fusion._last_stamp
+
+
+def said(fusion):
+    return [(notice.level, notice.text) for notice in fusion.notices()]
+
+
+def kept(fusion):
+    """The fixes that the filter remembers."""
+    fixes = views(fusion._memory)[4]
+    return fixes[fixes[:, Fix.TIME] > 0]
+
+
+@pytest.mark.parametrize('bad', [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize('index', range(6))
+def test_an_imu_sample_that_is_not_a_number_is_dropped(fusion, index, bad):
+    sample = [*FORCE, *TURN]
+    sample[index] = bad
+    before = fusion._memory.copy()
+    assert not fusion.add_imu(now(fusion) + 20_000_000, *sample)
+    (level, text), = said(fusion)
+    assert level == 'warning'
+    assert text.startswith('/imu/data: linear_acceleration (') and text.endswith(': sample dropped')
+    assert str(bad) in text
+    assert np.array_equal(fusion._memory, before)
+    assert fusion.add_imu(now(fusion) + 20_000_000, *FORCE, *TURN)
+
+
+def test_a_fix_without_fix_status_is_dropped(fusion):
+    fusion.add_fix(now(fusion), *FIX, COVARIANCE, status=-1)
+    assert said(fusion) == [('warning', '/gps/fix: status -1: no fix')]
+
+
+@pytest.mark.parametrize('bad', [math.nan, math.inf])
+@pytest.mark.parametrize('index', range(3))
+def test_a_fix_that_is_not_a_number_is_dropped(fusion, index, bad):
+    fix = list(FIX)
+    fix[index] = bad
+    count = len(kept(fusion))
+    fusion.add_fix(now(fusion), *fix, COVARIANCE)
+    (level, text), = said(fusion)
+    assert level == 'warning' and text.startswith('/gps/fix: latitude, longitude, altitude ') and str(bad) in text
+    assert text.endswith(': fix dropped') and len(kept(fusion)) == count
+
+
+@pytest.mark.parametrize(('latitude', 'longitude'), [(91.0, 11.5), (-90.5, 11.5), (48.0, 721.0)])
+def test_a_fix_that_is_not_on_earth_is_dropped(fusion, latitude, longitude):
+    fusion.add_fix(now(fusion), math.radians(latitude), math.radians(longitude), 480.0, COVARIANCE)
+    (level, text), = said(fusion)
+    assert level == 'warning'
+    assert text == (f'/gps/fix: latitude {latitude:.6f}, longitude {longitude:.6f} deg is not on earth: fix dropped')
+
+
+@pytest.mark.parametrize(('covariance', 'kind'), [
+    ([0.0] * 9, 2), (COVARIANCE, 0), ([math.nan] * 9, 2), ([-1.0, 0, 0, 0, 1, 0, 0, 0, 4], 2),
+    ([1.0, 2.0, 0, 2.0, 1.0, 0, 0, 0, 4.0], 3)], ids=['zeros', 'unknown', 'nan', 'negative', 'not positive'])
+def test_a_covariance_that_says_nothing_becomes_the_default(fusion, covariance, kind):
+    fusion.add_fix(now(fusion), *FIX, covariance, covariance_type=kind)
+    (level, text), = said(fusion)
+    assert level == 'warning'
+    assert text.startswith(f'/gps/fix: position_covariance (type {kind}) [{covariance[0]:g}, {covariance[1]:g}, .., ')
+    assert text.endswith('says nothing: gnss.default_sigma 3 m is used')
+    assert kept(fusion)[-1, [Fix.R_NN, Fix.R_NE, Fix.R_EE, Fix.R_DD]] == pytest.approx([9, 0, 9, 36])
+
+
+def test_a_covariance_is_east_north_up_and_never_smaller_than_a_millimetre(fusion):
+    fusion.add_fix(now(fusion), *FIX, [1.0, 0.5, 0, 0.5, 2.0, 0, 0, 0, 3.0])
+    assert kept(fusion)[-1, [Fix.R_NN, Fix.R_NE, Fix.R_EE, Fix.R_DD]] == pytest.approx([2, 0.5, 1, 3])
+    fusion.add_fix(now(fusion) - 1, *FIX, [1e-12, 0, 0, 0, 1e-12, 0, 0, 0, 0.0])
+    assert kept(fusion)[-2, [Fix.R_NN, Fix.R_EE]] == pytest.approx([1e-6, 1e-6])
+    assert kept(fusion)[-2, Fix.R_DD] > 0
+    assert said(fusion) == []
+
+
+def test_a_parameter_replaces_the_covariance_without_complaint():
+    fusion = FusionFilter(configure({'alignment.heading': 'parameter', 'gnss.sigma': 2.5}))
+    for k in range(5 * RATE):
+        fusion.add_imu(BEGIN + k * SECOND // RATE, *FORCE, *TURN)
+        if k % RATE == 5:
+            fusion.add_fix(BEGIN + k * SECOND // RATE, *FIX, [0.0] * 9)
+    assert not any('covariance' in text for _, text in said(fusion))
+    assert kept(fusion)[-1, [Fix.R_NN, Fix.R_NE, Fix.R_EE]] == pytest.approx([6.25, 0, 6.25])
+
+
+def test_stamps_that_come_twice_or_go_back_are_dropped(fusion):
+    last = now(fusion)
+    for stamp in (last, last - 60_000_000):
+        before = fusion._memory.copy()
+        assert not fusion.add_imu(stamp, *FORCE, *TURN)
+        (level, text), = said(fusion)
+        assert level == 'warning' and np.array_equal(fusion._memory, before)
+        assert text == (f'/imu/data: header.stamp {stamp * 1e-9:.6f} s does not follow {last * 1e-9:.6f} s: '
+                        'sample dropped')
+        assert fusion.add_imu(now(fusion) + 20_000_000, *FORCE, *TURN)
+        last = now(fusion)
+
+
+def test_a_single_stamp_from_the_future_does_not_stop_the_filter(fusion):
+    assert not fusion.add_imu(now(fusion) + 3600 * SECOND, *FORCE, *TURN)
+    assert fusion.add_imu(now(fusion) + 20_000_000, *FORCE, *TURN)
+    assert fusion.status == 'running' and len(said(fusion)) == 1
+
+
+@pytest.mark.parametrize('jump', [-3600, 3600, -1, 30])
+def test_a_clock_that_jumps_makes_the_filter_align_anew(fusion, jump):
+    start = now(fusion) + jump * SECOND
+    answers = [fusion.add_imu(start + k * SECOND // RATE, *FORCE, *TURN) for k in range(1, 8)]
+    assert not any(answers)
+    texts = said(fusion)
+    assert f'/imu/data: header.stamp jumped by {jump + 0.1:+.3f} s and stays there: the filter aligns anew' in (
+        text for _, text in texts)
+    assert fusion.status == 'waiting for a fix on /gps/fix'
+    # and it does so
+    for k in range(8, 8 + 5 * RATE):
+        fusion.add_imu(start + k * SECOND // RATE, *FORCE, *TURN)
+        if k % RATE == 5:
+            fusion.add_fix(start + k * SECOND // RATE, *FIX, COVARIANCE)
+    assert fusion.status == 'running'
+
+
+def test_a_gap_is_bridged_and_the_covariance_says_so(fusion):
+    before = fusion.update_odometry()
+    sigma = fusion.position_covariance_enu[0]
+    assert fusion.add_imu(now(fusion) + 2 * SECOND, *FORCE, *TURN)
+    assert fusion.update_odometry() == before + 2 * SECOND
+    assert fusion.position_covariance_enu[0] > sigma + 2.0
+
+
+def test_a_fix_that_comes_twice_is_used_once(fusion):
+    stamp = now(fusion)
+    fusion.add_fix(stamp, *FIX, COVARIANCE)
+    count = len(kept(fusion))
+    fusion.add_fix(stamp, *FIX, COVARIANCE)
+    assert said(fusion) == [('warning', f'/gps/fix: header.stamp {stamp * 1e-9:.6f} s came twice: second fix dropped')]
+    assert len(kept(fusion)) == count
+
+
+def test_a_fix_that_is_too_late_is_dropped():
+    fusion = FusionFilter(configure({'alignment.heading': 'parameter', 'gnss.max_delay': 0.5}))
+    for k in range(5 * RATE):
+        fusion.add_imu(BEGIN + k * SECOND // RATE, *FORCE, *TURN)
+        if k % RATE == 5:
+            fusion.add_fix(BEGIN + k * SECOND // RATE, *FIX, COVARIANCE)
+    fusion.notices()
+    fusion.add_fix(now(fusion) - 400_000_000, *FIX, COVARIANCE)
+    assert said(fusion) == []
+    stamp = now(fusion) - 700_000_000
+    fusion.add_fix(stamp, *FIX, COVARIANCE)
+    (level, text), = said(fusion)
+    assert level == 'warning' and 'gnss.max_delay' in text
+    assert text.startswith(f'/gps/fix: fix stamped {stamp * 1e-9:.3f} s came 0.70 s after the IMU samples of its time')
+
+
+@pytest.mark.parametrize('running', [False, True])
+@pytest.mark.parametrize('offset', [-3600.0, 3600.0])
+def test_clocks_that_differ_by_an_hour_are_said(fusion, running, offset):
+    if not running:
+        fusion = FusionFilter(configure())
+        fusion.add_imu(BEGIN, *FORCE, *TURN)
+        fusion.notices()
+    fusion.add_fix(now(fusion) + round(offset * SECOND), *FIX, COVARIANCE)
+    (level, text), = said(fusion)
+    assert level == 'warning' and text.startswith('/gps/fix: fix stamped ') and '3600.0' in text
+    assert 'the clocks differ (gnss.time_offset)' in text and text.endswith('dropped')
+    # and the parameter repairs it
+    repaired = FusionFilter(configure({'gnss.time_offset': 60.0}))
+    repaired.add_imu(BEGIN, *FORCE, *TURN)
+    repaired.notices()
+    repaired.add_fix(BEGIN + 60 * SECOND, *FIX, COVARIANCE)
+    assert said(repaired) == []
+
+
+def test_an_outage_is_said_once_and_its_end_as_well(fusion):
+    for _ in range(4 * RATE):
+        fusion.add_imu(now(fusion) + SECOND // RATE, *FORCE, *TURN)
+    (level, text), = said(fusion)
+    assert level == 'warning' and text.startswith('no fix on /gps/fix for 2.5')
+    assert fusion.status.startswith('outage for 4.')
+    fusion.add_fix(now(fusion), *FIX, COVARIANCE)
+    assert said(fusion) == [('info', 'fixes on /gps/fix again')] and fusion.status == 'running'
+
+
+@pytest.mark.parametrize(('factor', 'expected'), [
+    (1 / STANDARD_GRAVITY, 'in g, not in m/s^2'), (1000 / STANDARD_GRAVITY, 'a wrong unit or scale'), (1.0, None),
+    (1.05, None)])
+def test_acceleration_in_g_is_seen_at_standstill(factor, expected):
+    drive = simulate_drive(40.0, 2, float(RATE), standstill=10.0)
+    config = configure({'alignment.heading': 'parameter'})
+    recording = simulate_recording(drive, SensorErrors(), GnssNoise(1.0, 1.0)).recording
+    imu = replace(recording.imu, specific_force=recording.imu.specific_force * factor)
+    errors = [notice.text for notice in run(config, imu, recording.gnss).notices if notice.level == 'error']
+    if expected is None:
+        assert errors == []
+    else:
+        text, = errors
+        size = float(text.removeprefix('/imu/data: linear_acceleration is ').split()[0])
+        assert size == pytest.approx(9.807 * factor, rel=1e-3)
+        assert text.endswith(f' at rest where gravity is 9.807 m/s^2: {expected}')
+
+
+def test_a_recording_without_usable_fixes_does_not_start():
+    drive = simulate_drive(20.0, 2, float(RATE), standstill=10.0)
+    recording = simulate_recording(drive).recording
+    none = replace(recording.gnss, status=np.full(len(recording.gnss), -1, np.int8))
+    result = run(configure(), recording.imu, none)
+    assert len(result.stamp) == 0 and result.start is None and result.memory is None
+    assert result.notices[-1].level == 'error'
+    assert result.notices[-1].text.startswith('the filter did not start: waiting for')
+    assert len(result.innovations.nis) == 0
+
+
+def test_empty_recordings_are_empty_results():
+    drive = simulate_drive(20.0, 2, float(RATE), standstill=10.0)
+    recording = simulate_recording(drive).recording
+    for imu, gnss in ((recording.imu.select(slice(0, 0)), recording.gnss),
+                      (recording.imu, recording.gnss.select(slice(0, 0)))):
+        result = run(configure(), imu, gnss)
+        assert len(result.stamp) == 0 and result.start is None
