@@ -191,6 +191,8 @@ def _intervals(c):
 
 
 def _horizons(c):
+    from matplotlib.ticker import FixedLocator, NullLocator
+
     figure, panels = _panels(c, sharex='row')
     for axis, panel in zip(c.axes, panels.flat):
         for name, prediction in axis.predictions.items():
@@ -198,6 +200,9 @@ def _horizons(c):
             line = ':' if name == 'autoregressive' else '-'
             panel.plot(prediction.horizons, prediction.horizon_rmse, colour + '.', ls=line, lw=1.4, label=label)
         panel.set_xscale('log')
+        panel.xaxis.set_major_locator(FixedLocator(prediction.horizons))
+        panel.xaxis.set_major_formatter('{x:.0f}')
+        panel.xaxis.set_minor_locator(NullLocator())
         panel.set_ylim(0, 1.15 * max(p.horizon_rmse.max(initial=0) for p in axis.predictions.values()))
         panel.set_ylabel(f'RMS error in {_UNIT[axis.name.split()[0]]}', fontsize=8)
         panel.ticklabel_format(axis='y', scilimits=(-2, 2))

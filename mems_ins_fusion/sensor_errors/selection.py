@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .autocorrelation import autocorrelation
 from .likelihood import Averages, StateSpace, estimate_levels, innovations, predicted_states, state_space
 from .models import Model
 
@@ -107,9 +108,8 @@ def ljung_box(residual: np.ndarray, lags: int) -> float:
     from scipy.stats import chi2
 
     n = len(residual)
-    centred = residual - residual.mean()
-    variance = centred @ centred
-    correlation = np.array([centred[k:] @ centred[:-k] for k in range(1, lags + 1)]) / variance
+    covariance = autocorrelation([residual - residual.mean()], lags) * (n - np.arange(lags + 1)) / n
+    correlation = covariance[1:] / covariance[0]
     return float(chi2.sf(n * (n + 2) * np.sum(correlation**2 / (n - np.arange(1, lags + 1))), lags))
 
 
