@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ import numpy as np
 
 from ..parameters import ParameterError
 from ..recordings.checker import check_recording
+from ..recordings.errors import RecordingWarning
 from ..recordings.reading import read_recording
 from ..samples import Recording
 from . import trajectories
@@ -41,17 +43,18 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
     _check(values)
     timing: dict[str, float] = {}
     with result_folder(values['output_dir'], values['overwrite']) as folder:
-        comparisons, findings = {}, {}
+        comparisons, findings, said = {}, {}, {}
         for i, path in enumerate(values['bag']):
             part = _Part(progress, i / len(values['bag']), 1 / len(values['bag']))
             with _timed(timing, 'reading'):
-                recording = _read(path, values, lambda done: part(0.25 * done, 'reading'))
+                recording, texts = _read(path, values, lambda done: part(0.25 * done, 'reading'))
             name = _free_name(recording.name, comparisons)
+            said[name] = texts
             with _timed(timing, 'checking'):
                 findings[name] = check_recording(recording)
             with _timed(timing, 'filter and errors'):
                 comparisons[name] = compare(recording, values, lambda done: part(0.25 + 0.3 * done, 'filtering'))
-        content = _write(folder, comparisons, findings, values, timing, progress)
+        content = _write(folder, comparisons, findings, said, values, timing, progress)
     return Replay(Path(values['output_dir']), content, comparisons)
 
 
@@ -68,7 +71,16 @@ def _check(values: dict) -> None:
         raise ParameterError("parameters 'reference_topic' and 'reference_file' are both given: choose one")
 
 
-def _read(path, values: dict, progress) -> Recording:
+def _read(path, values: dict, progress) -> tuple[Recording, list[str]]:
+    """The part of the recording that is wanted, and what reading it warned of."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter('always', RecordingWarning)
+        recording = _read_whole(path, values, progress)
+    said = [str(w.message) for w in caught if issubclass(w.category, RecordingWarning)]
+    return cut(recording, values['start'], values['stop']), said
+
+
+def _read_whole(path, values: dict, progress) -> Recording:
     datum = _datum(values)
     recording = read_recording(path, values['imu_topic'], values['gnss_topic'], values['reference_topic'] or None,
                                progress=progress, datum=datum)
@@ -76,7 +88,7 @@ def _read(path, values: dict, progress) -> Recording:
         from ..recordings.reference_files import read_reference
 
         recording = replace(recording, reference=read_reference(values['reference_file'], datum))
-    return cut(recording, values['start'], values['stop'])
+    return recording
 
 
 def _datum(values: dict) -> tuple[float, float, float] | None:
@@ -108,7 +120,7 @@ def _free_name(name: str, taken) -> str:
     return next(n for n in names if n not in taken)
 
 
-def _write(folder: Path, comparisons, findings, values, timing, progress) -> dict:
+def _write(folder: Path, comparisons, findings, said, values, timing, progress) -> dict:
     several = len(comparisons) > 1
     with _timed(timing, 'trajectories'):
         for name, comparison in comparisons.items():
@@ -120,7 +132,7 @@ def _write(folder: Path, comparisons, findings, values, timing, progress) -> dic
         for i, (name, comparison) in enumerate(comparisons.items()):
             figures[name] = draw_figures(f'{name}_' if several else '', comparison, folder,
                                          lambda: progress(0.65 + 0.3 * i / steps, 'figures'))
-    content = report(comparisons, values, findings, timing)
+    content = report(comparisons, values, findings, said, timing)
     write_report(folder, content, report_page(comparisons, values, content, figures))
     progress(1.0, 'done')
     return content

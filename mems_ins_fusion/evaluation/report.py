@@ -28,12 +28,14 @@ _FIGURES = (
 )
 
 
-def report(comparisons: dict[str, Comparison], values: dict, findings: dict[str, list], timing: dict) -> dict:
-    """The content of `report.json`. comparisons, findings: by name of the recording; timing: name -> s."""
+def report(comparisons: dict[str, Comparison], values: dict, findings: dict[str, list], said: dict[str, list[str]],
+           timing: dict) -> dict:
+    """The content of `report.json`. comparisons, findings of the checker, what reading said: by name of the recording.
+    timing: name -> s."""
     defaults = parameters.defaults()
     return {
         'tool': 'replay_node', 'version': __version__,
-        'recordings': [_recording(name, c, findings.get(name, [])) for name, c in comparisons.items()],
+        'recordings': [_recording(name, c, findings[name], said[name]) for name, c in comparisons.items()],
         'runs': [run_row(r, c.mechanization, name) for name, c in comparisons.items() for r in c.runs],
         'outages': [outage_row(r, c.mechanization, name) for name, c in comparisons.items() for r in c.outages],
         'comparisons': [_pair(p, name) for name, c in comparisons.items() for p in c.pairs],
@@ -43,12 +45,12 @@ def report(comparisons: dict[str, Comparison], values: dict, findings: dict[str,
     }
 
 
-def _recording(name: str, comparison: Comparison, findings: list) -> dict:
+def _recording(name: str, comparison: Comparison, findings: list, said: list[str]) -> dict:
     imu, gnss = comparison.recording.imu, comparison.recording.gnss
     return {'name': name, 'duration_s': float((imu.stamp[-1] - imu.stamp[0]) * 1e-9), 'imu_samples': len(imu),
             'fixes': len(gnss), 'truth': comparison.truth.source, 'truth_positions': len(comparison.truth),
             'truth_sigma_m': float(np.sqrt(np.median(comparison.truth.variance))),
-            'notices': _notices(comparison),
+            'warnings': said, 'notices': _notices(comparison),
             'findings': [{'severity': f.severity, 'topic': f.topic, 'message': f.message} for f in findings]}
 
 
@@ -103,7 +105,8 @@ def _truths(comparisons) -> str:
 
 def _warnings(name, content):
     recording = next(r for r in content['recordings'] if r['name'] == name)
-    return [note(f['message'], 'warning') for f in recording['findings'] if f['severity'] != 'info']
+    return [note(text, 'warning') for text in (
+        *recording['warnings'], *(f['message'] for f in recording['findings'] if f['severity'] != 'info'))]
 
 
 def _run_table(comparison: Comparison, content: dict, name: str):
@@ -158,8 +161,8 @@ def _explanation():
         'fixes. Errors are estimate minus truth at the antenna; trajectories are not aligned to each other.',
         'Fixes that the filter used are no truth for it, unless noise was added to them: without a reference only '
         'withheld fixes count.',
-        'Until the filter has started it is given every fix; only then are they thinned out. All runs of a recording are '
-        'judged over the same time.',
+        'Until the filter has started it is given every fix; only then are they thinned out. All runs of a recording '
+        'are judged over the same time.',
         'Turns: the vehicle turns faster than 5 degrees per second, 2 s before and after included.',
         'NIS, the normalized innovation squared, compares each fix with the filter\'s prediction and its covariance. '
         'Its mean is 2 for a filter that judges itself rightly.',

@@ -69,8 +69,8 @@ def _orientation(roll, pitch, yaw) -> np.ndarray:
 
 
 def _every(stamp: np.ndarray, interval: float) -> np.ndarray:
-    """Indices of the first stamp (ns) in each slot of `interval` s."""
-    return np.flatnonzero(np.diff((stamp - stamp[0]) // round(interval * 1e9), prepend=-1))
+    """Indices of the first stamp (ns) in each slot of `interval` s: the same slots for every track."""
+    return np.flatnonzero(np.diff(stamp // round(interval * 1e9), prepend=-1))
 
 
 def write_bag(path: Path, recording: Recording, runs: dict[str, Run], datum, values: dict) -> None:

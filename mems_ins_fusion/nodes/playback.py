@@ -8,7 +8,6 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
 from ..recordings.writing import OdometrySamples
@@ -21,7 +20,7 @@ _PATIENCE = 0.1
 def play(node: Node, tracks: dict[str, OdometrySamples], rate: float, stopped: Callable[[], bool], frame_id: str,
          child_frame_id: str) -> None:
     """Publish `tracks` on /odometry/NAME, all on one time line, `rate` times as fast as recorded, until `stopped()`."""
-    clock = node.create_publisher(Clock, '/clock', QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT))
+    clock = node.create_publisher(Clock, '/clock', 10)  # reliable: heard by both kinds
     publishers = {name: node.create_publisher(Odometry, f'/odometry/{name}', 10) for name in tracks}
     stamps = np.concatenate([track.stamp for track in tracks.values()])
     owner = np.repeat(np.arange(len(tracks)), [len(track.stamp) for track in tracks.values()])

@@ -63,6 +63,9 @@ def _tell(result) -> None:
     """Print the errors, the verdict and where the results are."""
     from ..evaluation.report import summary_table
 
+    for recording in result.content['recordings']:
+        for warning in recording['warnings']:
+            print(f'{NAME}: {warning}', file=sys.stderr)
     print(summary_table(result.content))
     for sentences in result.content['verdict'].values():
         print(*sentences, sep='\n')
@@ -81,7 +84,7 @@ class _Bar:
         from tqdm import tqdm
 
         self._bar = tqdm(total=100, desc=NAME, bar_format='{desc}: {percentage:3.0f}%|{bar}| {elapsed} {postfix}',
-                         file=sys.stderr)
+                         mininterval=0.02, file=sys.stderr)
         return self
 
     def __exit__(self, *exception):

@@ -1,0 +1,269 @@
+"""replay_node from the command line: results, wrong input, and what an interruption leaves behind."""
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import shared_data
+
+from mems_ins_fusion.__main__ import main as tool
+from mems_ins_fusion.evaluation.results import ResultError
+from mems_ins_fusion.recordings import messages
+from mems_ins_fusion.recordings.bags import Bag
+from mems_ins_fusion.recordings.errors import RecordingWarning
+from mems_ins_fusion.recordings.reading import read_recording
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+RUN_KEYS = {'model', 'mechanization', 'update_interval_s', 'horizontal_rmse_m', 'horizontal_p95_m', 'horizontal_max_m',
+            'nis_mean', 'imu_samples', 'filter_seconds'}
+OUTAGE_KEYS = {'model', 'duration_s', 'count', 'max_error_rms_m', 'max_error_median_m', 'max_error_p95_m',
+               'percent_of_distance'}
+
+
+def command(*parameters: str, **given) -> list[str]:
+    given = [f'{name}:={value}' for name, value in given.items()]
+    return [sys.executable, '-m', 'mems_ins_fusion', 'replay_node', '--ros-args',
+            *(word for p in (*parameters, *given) for word in ('-p', p))]
+
+
+def replay(*parameters: str, **given) -> subprocess.CompletedProcess:
+    return subprocess.run(command(*parameters, **given), cwd=REPOSITORY, capture_output=True, text=True, timeout=300)
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory):
+    """150 s at 50 Hz, with the truth."""
+    path = tmp_path_factory.mktemp('replay') / 'drive'
+    assert tool(['simulate', '--output', str(path), '--duration', '150', '--rate', '50', '--seed', '4']) == 0
+    return path
+
+
+@pytest.fixture(scope='module')
+def result(bag, tmp_path_factory):
+    """Everything at its default but the truth, and a bag of the odometry."""
+    folder = tmp_path_factory.mktemp('replay') / 'result'
+    process = replay(bag=bag, output_dir=folder, reference_topic='/reference/odometry', write_bag='true')
+    assert process.returncode == 0, process.stderr
+    return folder, process
+
+
+def test_report_has_every_run_and_outage(result):
+    report = json.loads((result[0] / 'report.json').read_text())
+    runs = {(r['model'], r['update_interval_s']) for r in report['runs']}
+    assert runs == {(m, i) for m in ('random_walk', 'gauss_markov', 'autoregressive') for i in (1.0, 3.0, 6.0)}
+    assert all(RUN_KEYS <= set(r) for r in report['runs'])
+    assert all(OUTAGE_KEYS <= set(o) for o in report['outages'])
+    assert [o['duration_s'] for o in report['outages']] == 3 * [10.0, 30.0, 60.0]
+    assert all(o['count'] > 0 for o in report['outages'])
+    # and the numbers are those of a working filter with fixes of 1.5 m
+    assert all(0.2 < r['horizontal_rmse_m'] < 6 and r['heading_rmse_deg'] < 10 for r in report['runs'])
+    assert all(r['imu_samples'] > 5000 and r['filter_seconds'] > 0 for r in report['runs'])
+
+
+def test_terminal_shows_the_errors_and_where_the_results_are(result):
+    folder, process = result
+    report = json.loads((folder / 'report.json').read_text())
+    for run in report['runs']:
+        assert any(line.startswith(run['model']) and f"{run['horizontal_rmse_m']:.2f} m" in line
+                   for line in process.stdout.splitlines())
+    for named in ('report: ', 'track: '):
+        path, = (line.removeprefix(named) for line in process.stdout.splitlines() if line.startswith(named))
+        assert Path(path).is_file()
+    assert all(sentence in process.stdout for sentence in report['verdict']['drive'])
+    assert '100%' in process.stderr
+    assert 'replay_node: reference topic' in process.stderr  # its datum is not given: that is said
+    assert 'RecordingWarning' not in process.stderr
+
+
+def test_page_holds_its_figures(result):
+    page = (result[0] / 'report.html').read_text()
+    report = json.loads((result[0] / 'report.json').read_text())
+    assert page.count('data:image/png;base64,') == 5
+    assert 'src="http' not in page and '<script' not in page
+    assert all(sentence.split(' (')[0] in page for sentence in report['verdict']['drive'])
+
+
+def test_trajectories_are_those_of_the_report(result):
+    """evo, without alignment, measures the error that the report states."""
+    core, sync, files = (pytest.importorskip(f'evo.{name}') for name in ('core.metrics', 'core.sync',
+                                                                         'tools.file_interface'))
+    report = json.loads((result[0] / 'report.json').read_text())
+    for run in report['runs']:
+        file = result[0] / f"{run['model']}_{run['update_interval_s']:g}s.tum"
+        pair = sync.associate_trajectories(*(files.read_tum_trajectory_file(str(f))
+                                             for f in (result[0] / 'truth.tum', file)), max_diff=0.001)
+        for trajectory in pair:
+            trajectory.positions_xyz[:, 2] = 0.0
+        ape = core.APE(core.PoseRelation.translation_part)
+        ape.process_data(pair)
+        assert ape.get_statistic(core.StatisticsType.rmse) == pytest.approx(run['horizontal_rmse_m'], rel=0.02)
+
+
+def test_map_and_odometry_bag(result, bag):
+    lines = json.loads((result[0] / 'tracks.geojson').read_text())['features']
+    assert [line['properties']['name'] for line in lines][:2] == ['reference', 'random_walk_1s']
+    fix = read_recording(bag, '/imu/data', '/gps/fix').gnss
+    first = lines[0]['geometry']['coordinates'][0]
+    assert first == pytest.approx([np.degrees(fix.longitude[0]), np.degrees(fix.latitude[0])], abs=1e-4)
+    # when the odometry is read back, then its poses are those of the TUM file
+    tum = np.loadtxt(result[0] / 'gauss_markov_1s.tum')
+    assert len(tum) > 1000 and np.abs(np.diff(tum[1:, 0]) - 0.1).max() < 1e-6
+    with Bag(result[0] / 'odometry') as written:
+        assert {f'/odometry/{m}' for m in ('random_walk', 'gauss_markov', 'autoregressive')} <= set(written.topics)
+        read = [messages.decode(raw, written.topics[topic])
+                for topic, _, raw, _ in written.read(['/odometry/gauss_markov']) if raw]
+    read = np.concatenate(read)
+    at = np.searchsorted(messages.stamps(read), np.round(tum[:, 0] * 1e9).astype(np.int64) - 1000)
+    assert np.abs(read['pose.pose.position'][at] - tum[:, 1:4]).max() < 1e-3
+    assert np.abs(read['pose.pose.orientation'][at] * np.sign(read['pose.pose.orientation'][at, 3:])
+                  - tum[:, 4:] * np.sign(tum[:, 7:])).max() < 1e-5
+
+
+def test_several_recordings_stand_side_by_side(bag, tmp_path):
+    (tmp_path / 'other').mkdir()
+    (tmp_path / 'other' / 'drive').symlink_to(bag)
+    bags = f"bag:=['{bag}', '{tmp_path / 'other' / 'drive'}']"
+    process = replay(bags, 'models:=[gauss_markov]', 'update_intervals:=[3.0]', 'outage_durations:=[10.0]',
+                     output_dir=tmp_path / 'r', reference_topic='/reference/fix')
+    assert process.returncode == 0, process.stderr
+    report = json.loads((tmp_path / 'r' / 'report.json').read_text())
+    one, two = report['runs']
+    assert (one['recording'], two['recording']) == ('drive', 'drive_2')
+    assert one['horizontal_rmse_m'] == two['horizontal_rmse_m']
+    assert {'drive_gauss_markov_3s.tum', 'drive_2_gauss_markov_3s.tum'} <= {f.name for f in (tmp_path / 'r').iterdir()}
+
+
+def test_a_reference_file_is_as_good_as_a_topic(bag, result, tmp_path):
+    # given the truth as a TUM file at the datum of the first result
+    with pytest.warns(RecordingWarning, match='first fix'):
+        truth = read_recording(bag, '/imu/data', '/gps/fix', '/reference/odometry').reference
+    datum = ', '.join(repr(float(v)) for v in (np.degrees(truth.latitude[0]), np.degrees(truth.longitude[0]),
+                                               truth.height[0]))
+    process = replay('models:=[gauss_markov]', 'update_intervals:=[3.0]', 'outage_durations:=[10.0]', bag=bag,
+                     output_dir=tmp_path / 'r', reference_file=result[0] / 'truth.tum', datum=f'[{datum}]')
+    assert process.returncode == 0, process.stderr
+    run, = json.loads((tmp_path / 'r' / 'report.json').read_text())['runs']
+    # then the error is that of the same run against the topic (which began later, with other runs' starts)
+    other, = (r for r in json.loads((result[0] / 'report.json').read_text())['runs']
+              if r['model'] == 'gauss_markov' and r['update_interval_s'] == 3.0)
+    assert run['horizontal_rmse_m'] == pytest.approx(other['horizontal_rmse_m'], rel=0.05)
+
+
+@pytest.mark.parametrize('given, message', [
+    ({'bag': 'nowhere'}, 'nowhere'),
+    ({'imu_topic': '/imu'}, "no topic '/imu' in"),
+    ({'reference_topic': '/truth'}, "no topic '/truth'"),
+    ({'reference_topic': '/imu/data'}, "carries sensor_msgs/msg/Imu"),
+    ({'models': '[kalman]'}, 'random_walk, gauss_markov, autoregressive'),
+    ({'update_intervals': '[-1.0]'}, 'update_intervals'),
+    ({'update_interval': '1.0'}, "did you mean 'update_intervals'?"),
+    ({'start': '100.0', 'stop': '50.0'}, "parameter 'stop' must be after start 100 s"),
+    ({'start': '1000.0'}, 'no IMU sample between start 1000 s'),
+    ({'stop': '20.0'}, 'the filter did not start: waiting for the vehicle to move'),
+    ({'reference_file': 'nowhere.csv'}, 'nowhere.csv'),
+    ({'bag': '[]'}, "parameter 'bag'")])
+def test_wrong_input_gives_one_line_and_leaves_nothing(bag, tmp_path, given, message):
+    process = replay(**{'bag': bag, 'output_dir': tmp_path / 'r', **given})
+    assert process.returncode == 2
+    assert 'Traceback' not in process.stderr
+    last = process.stderr.strip().splitlines()[-1]
+    assert message in last and last.startswith('replay_node: '), process.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_result_is_not_overwritten_unless_asked(bag, result, tmp_path):
+    some = ('models:=[random_walk]', 'update_intervals:=[6.0]', 'outage_durations:=[10.0]')
+    folder = tmp_path / 'r'
+    assert replay(*some, bag=bag, output_dir=folder).returncode == 0
+    before = (folder / 'report.json').read_text()
+    refused = replay(*some, bag=bag, output_dir=folder)
+    assert refused.returncode == 2 and 'exists already' in refused.stderr
+    assert (folder / 'report.json').read_text() == before
+    assert replay(*some, bag=bag, output_dir=folder, overwrite='true', fix_noise='1.0').returncode == 0
+    assert json.loads((folder / 'report.json').read_text())['parameters']['fix_noise'] == 1.0
+    # and a folder of somebody else's is safe even then
+    (tmp_path / 'mine').mkdir()
+    (tmp_path / 'mine' / 'photo.jpg').touch()
+    assert replay(*some, bag=bag, output_dir=tmp_path / 'mine', overwrite='true').returncode == 2
+    assert (tmp_path / 'mine' / 'photo.jpg').exists()
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('stage', ['reading', 'filtering', 'figures'])
+def test_an_interrupted_replay_leaves_nothing(bag, tmp_path, number, stage):
+    environment = {**os.environ, 'PYTHONUNBUFFERED': '1'}
+    process = subprocess.Popen(command(bag=bag, output_dir=tmp_path / 'r'), cwd=REPOSITORY, env=environment,
+                               stderr=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
+    text = b''
+    deadline = time.monotonic() + 240
+    while stage.encode() not in text:
+        assert time.monotonic() < deadline and process.poll() is None, text.decode()
+        text += os.read(process.stderr.fileno(), 4096)
+    process.send_signal(number)
+    _, rest = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert 'interrupted, nothing was written' in rest.decode() and 'Traceback' not in rest.decode()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_published_odometry_comes_with_the_clock(bag, tmp_path):
+    import ros_support
+    from nav_msgs.msg import Odometry
+    from rosgraph_msgs.msg import Clock
+
+    peer = ros_support.Peer()
+    clocks, odometry = [], []
+    subscriptions = [peer.node.create_subscription(Clock, '/clock', clocks.append, 10),
+                     peer.node.create_subscription(Odometry, '/odometry/gauss_markov', odometry.append, 100)]
+    try:
+        arguments = [word for p in ('models:=[gauss_markov]', 'update_intervals:=[3.0]', 'outage_durations:=[10.0]',
+                                    f'bag:={bag}', f'output_dir:={tmp_path / "r"}', 'publish:=true', 'rate:=10.0')
+                     for word in ('-p', p)]
+        with ros_support.NodeProcess('replay_node', *arguments) as node:
+            node.wait_for('publishing /odometry/gauss_markov', timeout=240.0)
+            peer.spin_until(lambda: len(odometry) > 50 and len(clocks) > 50)
+            node.send(signal.SIGINT)
+            assert node.wait() == 0
+    finally:
+        for subscription in subscriptions:
+            peer.node.destroy_subscription(subscription)
+        peer.close()
+    stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in odometry]
+    assert np.all(np.diff(stamps) > 0)
+    # ten times as fast as recorded, and the poses are those of the trajectory
+    tum = np.loadtxt(tmp_path / 'r' / 'gauss_markov_3s.tum')
+    at = np.searchsorted(tum[:, 0], stamps[20] - 1e-6)
+    assert np.hypot(*(tum[at, 1:3] - [odometry[20].pose.pose.position.x, odometry[20].pose.pose.position.y])) < 3.0
+    assert odometry[20].pose.covariance[0] > 0 and odometry[20].header.frame_id == 'odom'
+
+
+def test_incheon_end_to_end(tmp_path):
+    """A real recording: MEMS IMU upside down, RTK at 5 Hz."""
+    recording = shared_data('incheon_square_ros2')
+    process = replay('imu.mounting_rpy:=[3.141592653589793, 0.0, 0.0]', bag=recording / 'bag', gnss_topic='/fix',
+                     output_dir=tmp_path / 'r')
+    assert process.returncode == 0, process.stderr
+    report = json.loads((tmp_path / 'r' / 'report.json').read_text())
+    assert len(report['runs']) == 9 and report['recordings'][0]['truth'] == 'fixes'
+    # fixes of 1.4 cm each second at 1.2 m/s: decimetres between them
+    assert all(r['horizontal_rmse_m'] < 0.5 for r in report['runs'] if r['update_interval_s'] == 1.0)
+
+
+def test_an_existing_result_is_refused_before_any_work(bag, tmp_path):
+    from mems_ins_fusion import parameters
+    from mems_ins_fusion.evaluation.replay import replay_recordings
+
+    (tmp_path / 'r').mkdir()
+    (tmp_path / 'r' / 'report.json').touch()
+    seen = []
+    with pytest.raises(ResultError):
+        replay_recordings(parameters.check({'bag': [str(bag)], 'output_dir': str(tmp_path / 'r')}),
+                          lambda part, what: seen.append(what))
+    assert not seen
