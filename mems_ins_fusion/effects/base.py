@@ -9,13 +9,15 @@ class EffectParameter:
     """One parameter of an effect.
 
     unit: SI, '-' for a ratio. prior_scale: a size that would surprise nobody in the field, in that unit.
-    default: its value in a simulation that names only other parameters of the effect.
+    default: its value in a simulation that names only other parameters of the effect. variance: a standard deviation,
+    which shows in the innovations by its square.
     """
 
     name: str
     unit: str
     prior_scale: float
     default: float = 0.0
+    variance: bool = False
 
 
 class Effect:
@@ -32,6 +34,8 @@ class Effect:
     settings: tuple = ()
     #: for a reader of the report: what the residual shows, and what else shows the same
     signature: str = ''
+    #: sets of parameters that a diagnosis does not estimate but tries at these values; the best set is kept
+    tried: tuple[dict, ...] = ({},)
 
     @property
     def traced(self) -> tuple[EffectParameter, ...]:
@@ -76,6 +80,10 @@ class Effect:
     def adjusted(self, values: dict, theta: dict) -> dict:
         """The parameters with the effect's changed by `theta`: what `corrected.yaml` will hold."""
         raise NotImplementedError(f'effect {self.name} has no correction')
+
+    def replaces_model(self, theta: dict) -> bool:
+        """Whether `theta` is taken out by another mechanization, not by a parameter."""
+        return False
 
     def applied(self, values: dict, recording, theta: dict):
         """Parameters and recording as a filter would have to see them if `theta` were true: for the diagnosis."""

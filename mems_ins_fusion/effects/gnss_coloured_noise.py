@@ -12,7 +12,9 @@ class GnssColouredNoise(Effect):
     name = 'gnss_coloured_noise'
     signature = ('innovations that keep their sign for longer than the filter needs to follow, whatever the '
                  'vehicle does, standing still, too; small slow sensor errors look alike')
-    parameters = (EffectParameter('sigma', 'm', 1.0), EffectParameter('tau', 's', 60.0, default=60.0))
+    parameters = (EffectParameter('sigma', 'm', 1.0, variance=True), EffectParameter('tau', 's', 60.0, default=60.0))
+
+    tried = ({'tau': 10.0}, {'tau': 40.0}, {'tau': 160.0})
 
     def distort_fixes(self, drive, time, position, values, rng):
         error = values['sigma'] * rng.standard_normal((len(time), 2))

@@ -1,7 +1,8 @@
 """Tilt in motion: on hills, and on its suspension, the body pitches and rolls, and gravity leaks into f_x and f_y.
 
-Simulated as suspension (hills are the drive's own); diagnosed by the attitude that the other sensors of the same IMU
-show; corrected by the strapdown mechanization, which needs no parameter.
+Two things are told apart. What the suspension does goes with f_x and f_y themselves, and two parameters take it out.
+What the road does shows only in the other sensors of the same IMU: in the attitude of a strapdown run, which then is the
+correction, and needs no parameter.
 """
 from __future__ import annotations
 
@@ -9,23 +10,31 @@ from dataclasses import replace
 
 import numpy as np
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter
+from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.navigation.frames import mounting
+from mems_ins_fusion.parameters import Parameter
+
+SUSPENSION = ('pitch_per_acceleration', 'roll_per_acceleration')
 
 
 class Tilt(Effect):
     """Nose up by pitch_per_acceleration when speeding up, leaning outwards by roll_per_acceleration in a bend.
 
-    In the diagnosis its one parameter is `compensation`: the part of gravity's leakage, computed from the attitude of a
-    strapdown run, that the planar filter's specific force contains. 1 says that the attitude explains it.
+    In the diagnosis also `compensation`: the part of gravity's leakage, computed from the attitude of a strapdown run,
+    that the planar filter's specific force contains. 1 says that the attitude explains it.
     """
 
     name = 'tilt'
     signature = ('along-track innovations on slopes, across-track ones on banked roads, up to g times the angle; where '
                  'only the suspension tilts, scale factors of the accelerometers look the same')
-    traced = (EffectParameter('compensation', '-', 0.3),)
-    parameters = (EffectParameter('pitch_per_acceleration', 'rad/(m/s^2)', 0.01),
-                  EffectParameter('roll_per_acceleration', 'rad/(m/s^2)', 0.01))
+    parameters = tuple(EffectParameter(name, 'rad/(m/s^2)', 0.01) for name in SUSPENSION)
+    traced = (*parameters, EffectParameter('compensation', '-', 0.3))
+    tried = (dict.fromkeys(SUSPENSION, 0.0), {'compensation': 0.0})
+    settings = tuple(Parameter(f'vehicle.{name}', 0.0, 'rad/(m/s^2)', text, minimum=-0.05, maximum=0.05)
+                     for name, text in zip(SUSPENSION, (
+                         'Nose up by this much for each m/s^2 of forward acceleration (planar mechanization).',
+                         'Leaning outwards by this much for each m/s^2 of lateral acceleration (planar mechanization).')))
 
     def alter_drive(self, drive, values):
         return drive.altered(
@@ -37,18 +46,32 @@ class Tilt(Effect):
             return 'the strapdown mechanization has no such error'
         return ''
 
+    def conditioning(self, values):
+        pitch, roll = (values[f'vehicle.{name}'] for name in SUSPENSION)
+        if values['mechanization'] == 'strapdown' or pitch == roll == 0:
+            return None
+        return np.diag([1 / (1 + STANDARD_GRAVITY * pitch), 1 / (1 + STANDARD_GRAVITY * roll), 1, 1, 1, 1])
+
+    def replaces_model(self, theta):
+        return theta.get('compensation', 0.0) != 0.0
+
     def adjusted(self, values, theta):
-        return {**values, 'mechanization': 'strapdown'} if theta['compensation'] else values
+        if self.replaces_model(theta):
+            return {**values, 'mechanization': 'strapdown'}
+        for name in SUSPENSION:
+            values = added(values, f'vehicle.{name}', None, theta[name])
+        return values
 
     def applied(self, values, recording, theta):
-        """The recording with this part of the leakage taken out, seen by the mechanization as it is."""
+        """With `compensation`: the recording with this part of the leakage taken out, for the mechanization as it is."""
+        if not self.replaces_model(theta):
+            return self.adjusted(values, theta), recording
         force = recording.imu.specific_force - theta['compensation'] * self.leakage(values, recording)
         return values, replace(recording, imu=replace(recording.imu, specific_force=force))
 
     def leakage(self, values, recording) -> np.ndarray:
         """Gravity in f_x and f_y by the attitude of a strapdown run, (n, 3) m/s^2 in sensor axes."""
         from mems_ins_fusion.filter.fusion import FilterConfig, run
-        from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 
         result = run(FilterConfig.from_parameters({**values, 'mechanization': 'strapdown'}), recording.imu,
                      recording.gnss)

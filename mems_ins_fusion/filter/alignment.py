@@ -232,7 +232,10 @@ class Alignment:
             turn, gained, *_ = motion
             expected = math.cos(turn) * gained[0] + math.sin(turn) * gained[1]
         variance = sigma**2 + (MOVED_OFF + 0.1 * since) ** 2
-        return (forwards - expected) ** 2 - (backwards - expected) ** 2 > 9 * variance
+        difference = (forwards - expected) ** 2 - (backwards - expected) ** 2
+        if abs(difference) < 9 * variance:  # long ago it no longer helps: who has not turned round drives forwards
+            return 1 if since > LONGEST_COURSE_TIME else 0
+        return 1 if difference < 0 else -1
 
     def _inertial_motion(self, begin, end, standstill):
         """Turn, velocity and displacement gained between two times, in the body axes of the begin, and bias sigmas."""

@@ -344,23 +344,25 @@ class Run:
     filter_seconds: float
 
 
-def run(config: FilterConfig, imu: ImuSamples, fixes: Fixes, start: Start | None = None) -> Run:
+def run(config: FilterConfig, imu: ImuSamples, fixes: Fixes, start: Start | None = None, states: bool = True) -> Run:
     """The whole recording in one call: the same events in the order of their arrival, the same numbers as live.
 
-    start: begin there instead of aligning, where the recording has no restart.
+    start: begin there instead of aligning, where the recording has no restart. states: false leaves all but the
+    innovations out of the result.
     """
-    return _Replay(config, imu, fixes, start).run()
+    return _Replay(config, imu, fixes, start, states).run()
 
 
 class _Replay(_Intake):
     """A recording on its way through the filter: stretches between restarts, aligned and run one by one."""
 
-    def __init__(self, config: FilterConfig, imu: ImuSamples, fixes: Fixes, given: Start | None = None):
+    def __init__(self, config: FilterConfig, imu: ImuSamples, fixes: Fixes, given: Start | None = None,
+                 states: bool = True):
         super().__init__(config)
         self.imu, self.fixes, self.given = imu, fixes, given
         # a fix that arrived together with a sample comes after it
         self.arrival = np.searchsorted(imu.received, fixes.received, side='right')
-        self.columns = _columns(config)
+        self.columns = _columns(config) if states else np.empty(0, dtype=np.uint64)
         self.parts: list[_Part] = []
         self.start: Start | None = None
         self.memory: np.ndarray | None = None
@@ -447,6 +449,9 @@ class _Replay(_Intake):
     def _check_fixes(self, mine: np.ndarray, newest: np.ndarray, epoch: int) -> tuple[np.ndarray, np.ndarray]:
         """Which of the fixes can be used (positions in `mine`), and those as the kernel takes them."""
         self._last_fix_stamp = None
+        records = self._plain_records(mine, newest, epoch)
+        if records is not None:
+            return np.arange(len(mine)), records
         used, records = [], []
         for k, i in enumerate(mine.tolist()):
             f = self.fixes
@@ -459,6 +464,34 @@ class _Replay(_Intake):
             used.append(k)
             records.append(record)
         return np.array(used, dtype=np.int64), np.array(records).reshape(-1, FIX_SIZE)
+
+    def _plain_records(self, mine: np.ndarray, newest: np.ndarray, epoch: int) -> np.ndarray | None:
+        """The fixes as the kernel takes them, at once, where there is nothing to say of any; else None."""
+        f, values = self.fixes.select(mine), self.config.values
+        stamp = f.stamp - self._offset
+        ahead = (stamp - newest) * 1e-9
+        ee, en, nn, uu = (f.covariance[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1), (2, 2)))
+        with np.errstate(invalid='ignore', over='ignore'):
+            plain = (np.all(f.status >= 0) and np.all(np.abs(f.latitude) <= math.pi / 2)
+                     and np.all(np.abs(f.longitude) <= 2 * math.pi) and np.isfinite(f.height).all()
+                     and np.all(np.diff(f.stamp) != 0) and np.all(ahead <= LATEST_FIX)
+                     and np.all(-ahead <= values['gnss.max_delay']) and np.all(f.covariance_type != 0)
+                     and np.isfinite(ee + en + nn + uu).all() and np.all(np.minimum(ee, nn) > 0)
+                     and np.all(nn * ee > en * en))
+        if not plain:
+            return None
+        smallest = SMALLEST_SIGMA**2
+        r = np.zeros((len(mine), FIX_SIZE))
+        r[:, Fix.TIME] = (stamp - epoch) * 1e-9
+        r[:, Fix.LATITUDE], r[:, Fix.LONGITUDE], r[:, Fix.HEIGHT] = f.latitude, f.longitude, f.height
+        r[:, Fix.R_NN], r[:, Fix.R_NE], r[:, Fix.R_EE] = np.maximum(nn, smallest), en, np.maximum(ee, smallest)
+        r[:, Fix.R_DD] = np.where(uu > 0, np.maximum(uu, smallest), 4 * np.maximum(nn, ee))
+        if values['gnss.sigma'] > 0:
+            variance = values['gnss.sigma'] ** 2
+            r[:, Fix.R_NN] = r[:, Fix.R_EE] = variance
+            r[:, Fix.R_NE] = 0.0
+            r[:, Fix.R_DD] = np.maximum(r[:, Fix.R_DD], variance)
+        return r
 
     def _align_segment(self, kept, time, before, records) -> tuple[Start | None, int]:
         """The start, and the number of fixes that went into it."""
@@ -480,9 +513,10 @@ class _Replay(_Intake):
     def _result(self) -> Run:
         n, navigation = self.config.navigation + self.config.others, self.config.navigation
         channels, p = len(self.config.models), self.config.order
-        states = [part.states for part in self.parts] or [np.empty((0, len(self.columns)))]
+        kept = self.parts if len(self.columns) else []
+        states = [part.states for part in kept] or [np.empty((0, len(_columns(self.config))))]
         states = states[0] if len(states) == 1 else np.concatenate(states)
-        index = np.concatenate([part.samples for part in self.parts]) if self.parts else np.empty(0, dtype=np.int64)
+        index = np.concatenate([part.samples for part in kept]) if kept else np.empty(0, dtype=np.int64)
         solution = _solution(states, navigation, self.config.values['feedback'] == 'open')
         errors = states[:, NAV + navigation:NAV + navigation + channels * p:p]
         return Run(config=self.config, stamp=self.imu.stamp[index], index=index, latitude=solution[:, 0],

@@ -1,0 +1,110 @@
+"""What is wrong with the innovations, before anybody asks why."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .residuals import Residual
+
+LAGS = 10
+SIGNIFICANCE = 0.01
+COMPONENTS = ('north', 'east', 'along track', 'across track')
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Tests of whitened innovations, which should be white, of unit variance and of mean zero.
+
+    nis_mean: mean normalized innovation squared, 2 where the model is right; nis_bounds: its 99 % interval then. mean
+    and mean_p, whiteness_p: by component. ljung_box_p: the smallest of the four, times four. count: innovations.
+    """
+
+    nis_mean: float
+    nis_bounds: tuple[float, float]
+    mean: dict[str, float]
+    mean_p: dict[str, float]
+    whiteness_p: dict[str, float]
+    ljung_box_p: float
+    count: int
+
+    @property
+    def consistent(self) -> bool:
+        """Neither the size nor the order of the innovations speaks against the model."""
+        low, high = self.nis_bounds
+        return low <= self.nis_mean <= high and self.ljung_box_p >= SIGNIFICANCE
+
+    def words(self) -> list[str]:
+        """What is wrong, for a person."""
+        low, high = self.nis_bounds
+        said = []
+        if self.nis_mean > high:
+            said.append(f'The innovations are {np.sqrt(self.nis_mean / 2):.2g} times as large as the filter expects '
+                        f'(NIS {self.nis_mean:.3g}, {low:.2f} to {high:.2f} expected).')
+        elif self.nis_mean < low:
+            said.append(f'The innovations are smaller than the filter expects (NIS {self.nis_mean:.3g}, '
+                        f'{low:.2f} to {high:.2f} expected): its noise is set too high.')
+        coloured = [name for name in COMPONENTS if self.whiteness_p[name] < SIGNIFICANCE / 4]
+        if coloured:
+            said.append(f"They are not white ({', '.join(coloured)}): each tells something of the next, so the filter "
+                        'makes an error that lasts.')
+        shifted = [f'{name} by {self.mean[name]:+.2f} sigma' for name in COMPONENTS
+                   if self.mean_p[name] < SIGNIFICANCE / 4]
+        if shifted:
+            said.append(f"Their mean is not zero: {', '.join(shifted)}.")
+        return said or ['The innovations are white, centred and as large as the filter expects.']
+
+
+def detect(residual: Residual, mask: np.ndarray) -> Detection:
+    """The tests on the innovations in `mask`."""
+    from scipy.stats import chi2, norm
+
+    u, t = residual.whitened()[mask], residual.along_across()[mask]
+    series = dict(zip(COMPONENTS, [*u.T, *t.T]))
+    n = len(u)
+    whiteness = {name: ljung_box(values) for name, values in series.items()}
+    mean = {name: float(values.mean()) for name, values in series.items()}
+    mean_p = {name: float(2 * norm.sf(abs(m) * np.sqrt(n))) for name, m in mean.items()}
+    bounds = tuple(float(b) / n for b in chi2.ppf([0.005, 0.995], 2 * n))
+    return Detection(float((u**2).sum() / n), bounds, mean, mean_p, whiteness,
+                     min(1.0, 4 * min(whiteness.values())), n)
+
+
+def ljung_box(values: np.ndarray, lags: int = LAGS) -> float:
+    """p of the hypothesis that `values` (n,) are white (G. M. Ljung, G. E. P. Box, 1978)."""
+    from scipy.stats import chi2
+
+    n = len(values)
+    centred = values - values.mean()
+    power = (centred**2).sum()
+    lags = min(lags, n // 5)
+    if lags < 1 or power == 0:
+        return 1.0
+    rho = np.array([(centred[k:] * centred[:-k]).sum() / power for k in range(1, lags + 1)])
+    statistic = n * (n + 2) * (rho**2 / (n - np.arange(1, lags + 1))).sum()
+    return float(chi2.sf(statistic, lags))
+
+
+def correlations(residual: Residual, mask: np.ndarray, regressors: dict[str, np.ndarray]) -> list[dict]:
+    """What the innovations along and across the track still go with, strongest first.
+
+    regressors: by name, (f,) at the fixes. Correlations whose p, by the number of innovations that are independent of
+    each other, is above 1 % after counting all of them are left out.
+    """
+    from scipy.stats import t as student
+
+    from ..evaluation.bootstrap import correlation_length
+
+    found = []
+    for component, series in zip(COMPONENTS[2:], residual.along_across()[mask].T):
+        for name, values in regressors.items():
+            values = values[mask]
+            usable = np.isfinite(values)
+            if usable.sum() < 20 or values[usable].std() == 0:
+                continue
+            r = float(np.corrcoef(series[usable], values[usable])[0, 1])
+            independent = max(usable.sum() / max(correlation_length(series[usable] * values[usable]), 1.0), 4.0)
+            p = 2 * student.sf(abs(r) * np.sqrt((independent - 2) / max(1 - r**2, 1e-12)), independent - 2)
+            found.append({'component': component, 'with': name, 'correlation': r, 'p': float(p)})
+    kept = [f for f in found if f['p'] * len(found) < SIGNIFICANCE]
+    return sorted(kept, key=lambda f: -abs(f['correlation']))

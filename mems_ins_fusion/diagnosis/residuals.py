@@ -1,0 +1,296 @@
+"""Innovations as a function of what is assumed, and the likelihood of that: the ground on which a diagnosis stands.
+
+Whatever is assumed - noise levels, effects - the filter is run again and its innovations z_k with covariances S_k are
+the residual; log L = -1/2 sum(log det S_k + z_k^T S_k^-1 z_k). Derivatives are differences between runs; with them the
+score and the Fisher information follow (F. C. Schweppe, "Evaluation of likelihood functions for Gaussian signals",
+1965; R. K. Mehra, "On the identification of variances and adaptive Kalman filtering", 1970).
+"""
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..evaluation.comparison import thin
+from ..filter.alignment import transferred
+from ..filter.fusion import FilterConfig, run
+from ..samples import ImuSamples, Recording
+
+#: innovations of the first seconds after the start belong to the alignment
+SETTLING = 20.0
+#: s between the fixes used; what comes more often is withheld and serves as the truth
+UPDATE_INTERVAL = 1.0
+#: rate of the IMU samples in the many runs of a diagnosis, Hz; errors are measured at the full rate
+FASTEST_RATE = 25.0
+
+
+class DiagnosisError(ValueError):
+    """A recording that cannot be diagnosed: one line that says why, and what recording it takes."""
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Innovations of one run, by the fixes used (f,): z (f, 2) north-east m, s (f, 3) covariance nn, ne, ee, m^2; NaN
+    where a fix was not applied. yaw (f,) rad and velocity (f, 2) m/s of the prediction."""
+
+    z: np.ndarray
+    s: np.ndarray
+    yaw: np.ndarray
+    velocity: np.ndarray
+
+    def log_likelihood(self) -> np.ndarray:
+        """The likelihood of each innovation, (f,), without the constant."""
+        determinant = self.s[:, 0] * self.s[:, 2] - self.s[:, 1] ** 2
+        return -0.5 * (np.log(determinant) + self.nis())
+
+    def nis(self) -> np.ndarray:
+        """Normalized innovation squared, (f,)."""
+        return (self.whitened() ** 2).sum(axis=1)
+
+    def factors(self):
+        """Cholesky factors of the covariances: l_nn, l_en, l_ee, (f,) each."""
+        l_nn = np.sqrt(self.s[:, 0])
+        l_en = self.s[:, 1] / l_nn
+        return l_nn, l_en, np.sqrt(self.s[:, 2] - l_en**2)
+
+    def whitened(self) -> np.ndarray:
+        """S^(-1/2) z, (f, 2): independent and of unit variance where the model is right."""
+        return _whiten(self.factors(), self.z)
+
+    def along_across(self) -> np.ndarray:
+        """Whitened innovations along and across the track, (f, 2)."""
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        turned = np.stack([c * self.z[:, 0] + s * self.z[:, 1], c * self.z[:, 1] - s * self.z[:, 0]], axis=1)
+        nn, ne, ee = self.s.T
+        rotated = np.stack([c * c * nn + 2 * c * s * ne + s * s * ee, (c * c - s * s) * ne + c * s * (ee - nn),
+                            s * s * nn - 2 * c * s * ne + c * c * ee], axis=1)
+        return replace(self, z=turned, s=rotated).whitened()
+
+
+def _whiten(factors, z):
+    l_nn, l_en, l_ee = factors
+    first = z[:, 0] / l_nn
+    return np.stack([first, (z[:, 1] - l_en * first) / l_ee], axis=1)
+
+
+def averaged(imu: ImuSamples, rate: float) -> ImuSamples:
+    """Samples averaged to no more than about `rate` Hz, for speed: each stands for its interval, so do their means.
+
+    No mean reaches over a gap. Specific force is averaged in axes that turn less than a degree meanwhile.
+    """
+    step = np.diff(imu.stamp)
+    count = int(round(1e9 / rate / max(np.median(step), 1))) if len(step) else 1
+    if count < 2:
+        return imu
+    breaks = np.flatnonzero((step <= 0) | (step > 3 * np.median(step))) + 1
+    edges = np.concatenate([[0], breaks, [len(imu)]])
+    starts = np.concatenate([np.arange(a, b, count) for a, b in zip(edges[:-1], edges[1:])])
+    length = np.diff(np.append(starts, len(imu)))
+    last = starts + length - 1
+    return replace(imu.select(last), specific_force=np.add.reduceat(imu.specific_force, starts) / length[:, None],
+                   angular_rate=np.add.reduceat(imu.angular_rate, starts) / length[:, None])
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One number that is assumed and can be varied.
+
+    apply(values, recording, x) gives the parameters and the recording with it at x; `base` is its value as configured
+    and `step` a difference over which the innovations change linearly. prior: standard deviation of what is plausible.
+    """
+
+    name: str
+    apply: Callable
+    base: float
+    step: float
+    prior: float
+    one_sided: bool = False  # forward differences only: at a bound, or where they are good enough
+    variance: bool = False  # stands for the square of what it is named after
+
+
+class Problem:
+    """A recording and the parameters it is filtered with; runs of it that differ by what is assumed alone."""
+
+    def __init__(self, recording: Recording, values: dict, interval: float = UPDATE_INTERVAL):
+        self.values = values
+        self.config = FilterConfig.from_parameters(values)
+        first = run(self.config, recording.imu, recording.gnss)
+        if first.start is None:
+            reason = first.notices[-1].text if first.notices else 'no fixes'
+            raise DiagnosisError(f'{recording.name}: {reason}')
+        began = int(first.stamp[0])
+        self.used = thin(recording.gnss, interval, began)
+        self.full = replace(recording, gnss=recording.gnss.select(self.used))
+        self.recording = replace(self.full, imu=averaged(recording.imu, FASTEST_RATE))
+        self.start = run(self.config, self.recording.imu, self.recording.gnss).start
+        self.stamp = self.recording.gnss.stamp
+        self.base = self.residual(values, self.recording)
+        settled = self.stamp > began + round(SETTLING * 1e9)
+        self.mask = settled & np.isfinite(self.base.z[:, 0])
+
+    def residual(self, values: dict, recording: Recording) -> Residual:
+        """The innovations under other parameters or with another recording (of the same fixes)."""
+        config = FilterConfig.from_parameters(values)
+        result = run(config, recording.imu, recording.gnss, transferred(self.start, self.config, config), states=False)
+        n = len(recording.gnss)
+        z, s, yaw, velocity = np.full((n, 2), np.nan), np.full((n, 3), np.nan), np.zeros(n), np.zeros((n, 2))
+        innovations = result.innovations
+        z[innovations.index], s[innovations.index] = innovations.z, innovations.s
+        yaw[innovations.index], velocity[innovations.index] = innovations.yaw, innovations.velocity
+        return Residual(z, s, yaw, velocity)
+
+    def assume(self, unknowns: Sequence[Unknown], x) -> tuple[dict, Recording]:
+        """Parameters and recording with `unknowns` at `x`."""
+        values, recording = self.values, self.recording
+        for unknown, value in zip(unknowns, x):
+            values, recording = unknown.apply(values, recording, float(value))
+        return values, recording
+
+    def moved(self, unknowns: Sequence[Unknown], x) -> Problem:
+        """The same problem with `unknowns` at `x` as what is assumed."""
+        other = copy.copy(self)
+        other.values, other.recording = self.assume(unknowns, x)
+        return other
+
+    def residuals(self, unknowns: Sequence[Unknown], points) -> list[Residual]:
+        """The innovations at several `points`, on all cores."""
+        def one(x):
+            return self.residual(*self.assume(unknowns, x))
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            return list(pool.map(one, points))
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Derivatives of the log likelihood by some unknowns, zero where a fix does not count.
+
+    score (f, p): each fix's share of the gradient. sensitivity (f, p, 5): whitened derivatives of innovation and
+    covariance, scaled so that their products are the Fisher information.
+    """
+
+    score: np.ndarray
+    sensitivity: np.ndarray
+
+    def gradient(self, mask: np.ndarray) -> np.ndarray:
+        return self.score[mask].sum(axis=0)
+
+    def information(self, mask: np.ndarray, other: Scores | None = None) -> np.ndarray:
+        """Fisher information (p, p), or (p, q) with those of `other`."""
+        other = other or self
+        return np.einsum('fpi,fqi->pq', self.sensitivity[mask], other.sensitivity[mask])
+
+    def joined(self, other: Scores) -> Scores:
+        return Scores(np.concatenate([self.score, other.score], axis=1),
+                      np.concatenate([self.sensitivity, other.sensitivity], axis=1))
+
+
+def scores(problem: Problem, unknowns: Sequence[Unknown], x, at: Residual | None = None) -> tuple[Residual, Scores]:
+    """Residual at `x` and the scores of `unknowns` there, by differences between runs of the filter.
+
+    Central differences, or forward ones, as each unknown asks.
+    """
+    x = np.asarray(x, dtype=float)
+    points = [] if at is not None else [x]
+    for i, unknown in enumerate(unknowns):
+        for sign in (1,) if unknown.one_sided else (1, -1):
+            points.append(x + sign * unknown.step * (np.arange(len(x)) == i))
+    found = problem.residuals(unknowns, points)
+    if at is None:
+        at, *found = found
+    pairs = []
+    for unknown in unknowns:
+        plus = found.pop(0)
+        pairs.append((plus, at, unknown.step) if unknown.one_sided else (plus, found.pop(0), 2 * unknown.step))
+    return at, _scores(at, pairs, problem.mask)
+
+
+def _scores(at: Residual, pairs, mask) -> Scores:
+    """d log L = -tr(S^-1 dS) / 2 + z' S^-1 dS S^-1 z / 2 - dz' S^-1 z, with information tr(S^-1 dS S^-1 dS) / 2 +
+    dz' S^-1 dz; pairs: residuals on both sides and the distance between them."""
+    factors, u = at.factors(), np.nan_to_num(at.whitened())
+    shifts = [np.nan_to_num(_whiten(factors, (plus.z - minus.z) / step)) for plus, minus, step in pairs]
+    shapes = [np.nan_to_num(_whiten_matrix(factors, (plus.s - minus.s) / step)) for plus, minus, step in pairs]
+    d, m = np.stack(shifts, axis=1), np.stack(shapes, axis=1)
+    squares = np.stack([u[:, 0] ** 2 - 1, 2 * u[:, 0] * u[:, 1], u[:, 1] ** 2 - 1], axis=1)
+    score = 0.5 * np.einsum('fpi,fi->fp', m, squares) - np.einsum('fpi,fi->fp', d, u)
+    sensitivity = np.concatenate([d, m * np.sqrt([0.5, 1.0, 0.5])], axis=2)
+    score[~mask], sensitivity[~mask] = 0.0, 0.0
+    return Scores(score, sensitivity)
+
+
+def _whiten_matrix(factors, s):
+    """L^-1 S L^-T of symmetric matrices (f, 3) nn, ne, ee."""
+    l_nn, l_en, l_ee = factors
+    nn = s[:, 0] / l_nn**2
+    ne = (s[:, 1] / l_nn - l_en * nn) / l_ee
+    ee = (s[:, 2] - 2 * l_en * s[:, 1] / l_nn + l_en**2 * nn) / l_ee**2
+    return np.stack([nn, ne, ee], axis=1)
+
+
+def fit(problem: Problem, unknowns: Sequence[Unknown], x, mask: np.ndarray, iterations: int = 8,
+        progress: Callable[[], None] = lambda: None):
+    """Maximum of the likelihood of the fixes in `mask`: x, its covariance (p, p), residual and scores there.
+
+    Fisher's scoring with Levenberg's damping; each unknown has a weak Gaussian prior about its base.
+    """
+    x = np.asarray(x, dtype=float)
+    base, prior = np.array([u.base for u in unknowns]), np.array([u.prior for u in unknowns])
+    at, found = scores(problem, unknowns, x)
+    value, damping = _objective(at, mask, x, base, prior), 1e-3
+    for _ in range(iterations):
+        progress()
+        gradient = found.gradient(mask) - (x - base) / prior**2
+        information = found.information(mask) + np.diag(1 / prior**2)
+        moved = False
+        for _ in range(6):
+            step = np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
+            step = np.clip(step, -prior, prior)
+            [trial] = problem.residuals(unknowns, [x + step])
+            better = _objective(trial, mask, x + step, base, prior)
+            if better > value:
+                moved, gain = True, better - value
+                x, value, damping = x + step, better, max(damping / 10, 1e-6)
+                at, found = scores(problem, unknowns, x, trial)
+                break
+            damping = max(10 * damping, 1e-2)
+        if not moved or gain < 0.05:
+            break
+    return x, np.linalg.inv(found.information(mask) + np.diag(1 / prior**2)), at, found
+
+
+def _objective(residual: Residual, mask, x, base, prior) -> float:
+    likelihood = residual.log_likelihood()[mask]
+    if not np.isfinite(likelihood).all():
+        return -np.inf
+    return float(likelihood.sum() - 0.5 * (((x - base) / prior) ** 2).sum())
+
+
+#: the parameters that say how noisy the sensors are, by model, and how far a fit may take them (natural logarithm)
+_MODEL_NOISE = {'random_walk': 'random_walk.q', 'gauss_markov': 'gauss_markov.sigma',
+                'autoregressive': 'autoregressive.b0'}
+NOISE_PRIOR = 1.5
+
+
+def noise_unknowns(problem: Problem) -> list[Unknown]:
+    """Logarithms of the noise levels: receiver, white noise and slow errors of the sensors, each as a factor."""
+    model = _MODEL_NOISE[problem.values['sensor_error_model']]
+    sigma = problem.values['gnss.sigma'] or float(np.sqrt(np.nanmedian(
+        0.5 * (problem.recording.gnss.covariance[:, 0, 0] + problem.recording.gnss.covariance[:, 1, 1]))))
+    sigma = sigma if sigma > 0 else problem.values['gnss.default_sigma']
+
+    def receiver(values, recording, x):
+        return {**values, 'gnss.sigma': float(np.clip(sigma * np.exp(x), 1e-3, 1e3))}, recording
+
+    def scaled(name):
+        def apply(values, recording, x):
+            return {**values, name: [v * float(np.exp(x)) for v in values[name]]}, recording
+        return apply
+
+    names = [f'{sensor}.{part}' for sensor in ('accelerometer', 'gyroscope') for part in ('noise_density', model)]
+    return [Unknown('gnss.sigma', receiver, 0.0, 0.05, NOISE_PRIOR, True)] + [
+        Unknown(name, scaled(name), 0.0, 0.05, NOISE_PRIOR, True) for name in names]
