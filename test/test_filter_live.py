@@ -116,8 +116,9 @@ def test_a_recording_without_trouble_is_the_same_too(drive):
     fixes = replace(fixes, received=imu.received[np.searchsorted(imu.received, fixes.received).clip(max=len(imu) - 1)])
     published, _ = live(config, imu, fixes)
     replayed = run(config, imu, fixes)
-    assert np.array_equal(replayed.index, [p[0] for p in published])
-    assert np.array_equal(replayed.latitude, [p[2] for p in published])
+    first = len(replayed.index) - len(published)  # what went by before the fix that started it had come
+    assert first <= 1 and np.array_equal(replayed.index[first:], [p[0] for p in published])
+    assert np.array_equal(replayed.latitude[first:], [p[2] for p in published])
 
 
 def test_stamps_from_zero_are_stamps(drive):

@@ -140,7 +140,7 @@ def test_a_name_with_a_slash_is_the_same_node(tmp_path):
 
 
 @pytest.mark.parametrize(('text', 'message'), [
-    ('other_node:\n  ros__parameters: {gnss.sigma: 2.0}\n', "has no section '/\\*\\*' or 'fusion_node', only other_node"),
+    ('other:\n  ros__parameters: {gnss.sigma: 2.0}\n', "has no section '/\\*\\*' or 'fusion_node', only other"),
     ('/**:\n  gnss.sigma: 2.0\n', "each node's parameters must stand under 'ros__parameters'"),
     ('/**:\n  ros__parameters: 5\n', "each node's parameters must stand under 'ros__parameters'"),
     ('/**: 3\n', "each node's parameters must stand under 'ros__parameters'"),
