@@ -1,9 +1,10 @@
-"""`characterize` from end to end: a simulated sensor with known errors, its parameters recovered and used; bad input."""
+"""`characterize` from end to end: a simulated sensor with known errors, recovered and used in a drive; bad input."""
 import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from conftest import shared_data
 
 from mems_ins_fusion import parameters
 from mems_ins_fusion.cli.characterize import main
@@ -16,16 +17,14 @@ from mems_ins_fusion.sensor_errors.characterize import characterize
 from mems_ins_fusion.sensor_errors.models import simulate
 from mems_ins_fusion.sensor_errors.stationary import Grid
 
-from conftest import shared_data
-
 RATE = 20.0
 TRUE = parameters.check({
     'sensor_error_model': 'gauss_markov',
     'accelerometer.noise_density': [4e-3], 'accelerometer.gauss_markov.sigma': [2e-2, 3e-2, 2e-2],
     'accelerometer.gauss_markov.tau': [60.0, 90.0, 120.0], 'accelerometer.initial_sigma': [0.05],
     'gyroscope.noise_density': [3e-4], 'gyroscope.gauss_markov.sigma': [8e-4],
-    'gyroscope.gauss_markov.tau': [60.0], 'gyroscope.initial_sigma': [2e-3]})
-BIAS = np.array([0.02, -0.03, 0.05, 2e-3, -1e-3, 5e-4])
+    'gyroscope.gauss_markov.tau': [60.0], 'gyroscope.initial_sigma': [2e-3], 'gyroscope.bias': [2e-3, -1e-3, 5e-4]})
+BIAS = np.array([0.02, -0.03, 0.05, *TRUE['gyroscope.bias']])
 SLOPE = 1e-3  # m/s^2 per degree, accelerometer x
 
 
@@ -51,7 +50,8 @@ def result(tmp_path_factory):
     stamp = 1_700_000_000 * 10**9 + np.arange(len(values)) * round(1e9 / RATE)
     imu = ImuSamples(stamp, stamp, values[:, :3], values[:, 3:])
     temperature = Temperatures(stamp[::20], stamp[::20], celsius[::20])
-    write_recording(Recording('rest', imu, temperature=temperature), folder / 'bag', temperature_topic='/imu/temperature')
+    write_recording(Recording('rest', imu, temperature=temperature), folder / 'bag',
+                    temperature_topic='/imu/temperature')
     arguments = ['--bag', str(folder / 'bag'), '--output', str(folder / 'out'), '--orders', '1', '2',
                  '--temperature-topic', '/imu/temperature']
     assert main(arguments) == 0
@@ -107,8 +107,8 @@ def test_existing_result_is_kept(result, capsys):
 
 def test_drive_filtered_with_recovered_parameters_is_as_good_as_with_the_true_ones(result):
     # given drives with that sensor, a fix every 10 s, and the filter with the true and with the recovered parameters
-    recovered = {**TRUE, **{k: v for k, v in result.values.items() if '.' in k and not k.endswith('.bias')},
-                 'accelerometer.initial_sigma': [0.05], 'gyroscope.initial_sigma': [2e-3]}
+    recovered = {**result.values, 'sensor_error_model': 'gauss_markov'}
+    assert recovered['gyroscope.gauss_markov.sigma'] != TRUE['gyroscope.gauss_markov.sigma']
     errors = []
     for seed in range(4):
         drive = simulate_drive(300.0, seed, RATE)

@@ -169,8 +169,8 @@ def _intervals(c):
         'interval', 'plain', 'joint', 'noise_density', 'outage_rmse')))]
     return ['An AR model fitted to raw samples describes the white noise: its time constant is a few samples. At '
             'longer intervals it grows with the interval and says nothing either. Together with white noise the slow '
-            'error shows. The interval chosen for the models is the shortest whose prediction through the longest horizon '
-            'on held-out data is within 2 % of the best, on the average of the axes.',
+            'error shows. The interval chosen for the models is the shortest whose prediction through the longest '
+            'horizon on held-out data is within 2 % of the best, on the average of the axes.',
             html.table(('axis', 'interval, s', 'AR(2) alone: time constant, s', 'white noise + AR(2): time constant, s',
                         'white noise, unit/√Hz', 'outage error, unit'), rows)]
 

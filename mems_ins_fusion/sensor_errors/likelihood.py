@@ -16,6 +16,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+
 from mems_ins_fusion.compiled import njit
 
 from .models import Autoregressive, GaussMarkov, Model, RandomWalk
