@@ -1,0 +1,311 @@
+"""How often the diagnosis is right: drives with effects that it is not told of, scored as a confusion matrix.
+
+By hand: `python test/study_diagnosis.py --seeds N [--first SEED] [--scenarios NAME,..] [--minutes M]`. The recordings
+are simulated with seeds, signs and sizes that the diagnosis never sees. What came out is in docs/diagnosis_study.md.
+"""
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from mems_ins_fusion import parameters  # noqa: E402
+from mems_ins_fusion.diagnosis.diagnose import Diagnosis, diagnose  # noqa: E402
+from mems_ins_fusion.diagnosis.proof import Measured, measure  # noqa: E402
+from mems_ins_fusion.diagnosis.residuals import Problem, noise_unknowns, scores  # noqa: E402
+from mems_ins_fusion.diagnosis.tracing import trace  # noqa: E402
+from mems_ins_fusion.effects.base import Effect, EffectParameter  # noqa: E402
+from mems_ins_fusion.effects.registry import EFFECTS  # noqa: E402
+from mems_ins_fusion.recordings.drive import simulate_drive, stream  # noqa: E402
+from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_recording  # noqa: E402
+
+DURATION = 600.0
+RECEIVER = GnssNoise(sigma=0.5)
+DURATIONS, SPACING = (10.0, 30.0), 30.0
+#: a parameter counts as identifiable from here on, in sigmas; sizes are drawn between these
+SMALLEST, LARGEST = 6.0, 15.0
+LIMIT = 1.10  # error after, over that of a filter that knows the effect
+
+
+class Quadratic(Effect):
+    """Not in the library: the accelerometers read k f^2 too much, f_x and f_y."""
+
+    name = 'quadratic accelerometer'
+    parameters = (EffectParameter('k', '1/(m/s^2)', 0.1),)
+
+    def distort_imu(self, drive, specific_force, angular_rate, values, rng):
+        return specific_force + values['k'] * specific_force**2 * [1.0, 1.0, 0.0], angular_rate
+
+
+class SpeedBias(Effect):
+    """Not in the library: the vertical gyroscope reads k v too much, v the speed."""
+
+    name = 'speed-dependent gyroscope bias'
+    parameters = (EffectParameter('k', '(rad/s)/(m/s)', 5e-4),)
+
+    def distort_imu(self, drive, specific_force, angular_rate, values, rng):
+        speed = np.linalg.norm(drive.velocity, axis=1)
+        return specific_force, angular_rate + values['k'] * speed[:, None] * [0.0, 0.0, 1.0]
+
+
+class LowPass(Effect):
+    """Not in the library: the receiver passes its position through a first-order low pass of time constant tau."""
+
+    name = 'low-pass receiver'
+    parameters = (EffectParameter('tau', 's', 0.5),)
+
+    def distort_fixes(self, drive, time, position, values, rng):
+        weight = -np.expm1(-1 / (drive.rate * values['tau']))
+        filtered = np.empty_like(drive.position)
+        state = drive.position[0]
+        for k, true in enumerate(drive.position):
+            state = state + weight * (true - state)
+            filtered[k] = state
+        lag = filtered - drive.position
+        return position + np.column_stack([np.interp(time, drive.time, axis) for axis in lag.T])
+
+
+OUTSIDE = (Quadratic(), SpeedBias(), LowPass())
+#: effects that need more than the defaults: sideslip shows only through the constraint that it violates
+SETTINGS = {'sideslip': {'vehicle.non_holonomic': True}}
+HILLS = 'hills'  # the road's grade tilts the body: the library's tilt, without a value
+SINGLE = (*EFFECTS, HILLS)
+#: pairs of effects that are not each other's group
+PAIRS = (('gnss_time_offset', 'gyroscope_scale'), ('gnss_lever_arm', 'accelerometer_scale'),
+         ('gnss_time_offset', 'mounting_rotation'), ('gyroscope_scale', 'gnss_lever_arm'),
+         ('g_sensitivity', 'gnss_time_offset'))
+
+
+@dataclass
+class Case:
+    """One drive and what came of it. true: effect -> parameter -> value. ratio: error after over the oracle's."""
+
+    scenario: str
+    seed: int
+    true: dict[str, dict[str, float]]
+    found: list[list[str]] = field(default_factory=list)  # groups of the effects added, the winner first
+    errors: dict[str, float] = field(default_factory=dict)  # of the true effects' estimated parameters, in sigmas
+    unexplained: bool = False
+    ratios: list[float] = field(default_factory=list)  # with all fixes, and by duration of the outages
+    improved: list[float] = field(default_factory=list)  # error after over before
+    seconds: float = 0.0
+    failure: str = ''
+
+    @property
+    def first(self) -> list[str]:
+        return self.found[0] if self.found else []
+
+
+def settings(names) -> dict:
+    """Parameters of the filter for a scenario with these effects; the simulated reference is the IMU's position."""
+    values = {'reference_lever_arm': [0.0, 0.0, 0.0]}
+    for name in names:
+        values |= SETTINGS.get(name, {})
+    return parameters.check(values)
+
+
+def sizes(recording, values: dict, effect: Effect, rng) -> dict[str, float]:
+    """Random sizes of the effect's parameters that this drive, clean, determines; empty where it determines none."""
+    problem = Problem(recording, values)
+    noise = noise_unknowns(problem)
+    at, nuisance = scores(problem, noise, np.zeros(len(noise)))
+    if effect.name == 'gnss_coloured_noise':
+        return {'sigma': rng.uniform(1.0, 2.5), 'tau': float(np.exp(rng.uniform(np.log(10), np.log(160))))}
+    [candidate] = trace(problem, nuisance, at, [effect], problem.mask)
+    usual = {p.name: p.prior_scale for p in effect.parameters}
+    return {name: float(rng.choice([-1, 1]) * max(rng.uniform(SMALLEST, LARGEST) * sigma,
+                                                  rng.uniform(0.3, 1.0) * usual[name]))
+            for name, sigma in zip((u.name.split('.')[1] for u in candidate.unknowns), candidate.sigma)
+            if name in usual}
+
+
+def simulated(names, seed: int, truth: dict, hills: bool = False):
+    values = settings(names)
+    sensors = SensorErrors.from_parameters(values, values['sensor_error_model'])
+    effects = {**EFFECTS, **{e.name: e for e in OUTSIDE}}
+    drive = simulate_drive(DURATION, seed, hills=hills)
+    return simulate_recording(drive, sensors, RECEIVER, [(effects[n], theta) for n, theta in truth.items()],
+                              seed=seed).recording
+
+
+def draw(names, seed: int) -> dict:
+    """True effects and sizes for this seed; without those that this drive cannot show."""
+    rng = stream(seed, 'study ' + ' '.join(names))
+    truth = {}
+    for name in names:
+        outside = {e.name: e for e in OUTSIDE}
+        if name in outside:
+            parameter = outside[name].parameters[0]
+            sign = 1.0 if name == LowPass.name else rng.choice([-1, 1])
+            truth[name] = {parameter.name: float(sign * rng.uniform(1, 2) * parameter.prior_scale)}
+        elif name in EFFECTS:
+            clean = simulated(names, seed, {'temperature': {}} if name == 'temperature' else {})
+            chosen = sizes(clean, settings(names), EFFECTS[name], rng)
+            if chosen:
+                truth[name] = chosen
+    return truth
+
+
+def study(scenario: str, names, seed: int) -> Case:
+    """Simulate, diagnose and score one drive."""
+    truth = draw(names, seed)
+    case = Case(scenario, seed, truth)
+    if scenario not in ('none', HILLS) and len(truth) < len(names):
+        case.failure = 'not identifiable'
+        return case
+    values, recording = settings(names), simulated(names, seed, truth, hills=scenario == HILLS)
+    began = time.perf_counter()
+    result = diagnose(recording, values, durations=DURATIONS, spacing=SPACING)
+    case.seconds = time.perf_counter() - began
+    added = [f for f in result.findings if f.added]
+    case.found, case.unexplained = [f.group for f in added], result.unexplained
+    for finding in added:
+        for name, (value, sigma, _) in finding.parameters.items():
+            if finding.name in truth and sigma:
+                # the parameters that were not simulated are truly zero
+                case.errors[f'{finding.name}.{name}'] = (value - truth[finding.name].get(name, 0.0)) / sigma
+    knowing = oracle(truth, values, scenario)
+    if knowing is not None:
+        case.ratios = ratios(result.after, measure(Problem(recording, values), recording, [knowing], DURATIONS, SPACING))
+    case.improved = ratios(result.after, result.before)
+    return case
+
+
+def oracle(truth: dict, values: dict, scenario: str) -> dict | None:
+    """Parameters of a filter that knows the truth; None for what the library cannot correct."""
+    if scenario == HILLS:
+        return {**values, 'mechanization': 'strapdown'}
+    for name, theta in truth.items():
+        if name not in EFFECTS:
+            return None
+        values = EFFECTS[name].adjusted(values, EFFECTS[name].complete(theta))
+    return values
+
+
+def ratios(one: Measured, other: Measured) -> list[float]:
+    """Error of one model over another's: RMS with all fixes, mean largest error for each duration of outages."""
+    found = [np.sqrt(np.mean(one.continuous.horizontal**2) / np.mean(other.continuous.horizontal**2))]
+    return found + [float(np.mean(a.max_error) / np.mean(b.max_error)) for a, b in zip(one.outages, other.outages)]
+
+
+def scenarios() -> dict[str, tuple[str, ...]]:
+    """Names of the scenarios and the effects in each."""
+    return {'none': (), **{name: (name,) for name in EFFECTS}, HILLS: (), **{' + '.join(p): p for p in PAIRS},
+            **{e.name: (e.name,) for e in OUTSIDE}}
+
+
+def right(case: Case, group) -> bool:
+    wanted = {'tilt'} if case.scenario == HILLS else set(case.true)
+    return bool(wanted & set(group))
+
+
+def table(cases: list[Case]) -> str:
+    """Everything measured, as Markdown: the confusion matrix first, then the scores."""
+    done = [c for c in cases if not c.failure]
+    return '\n\n'.join([_confusion(done), _scores(done), _summary(done, cases)]) + '\n'
+
+
+def _confusion(cases) -> str:
+    lines = ['| true | drives | added first (with what it is grouped with) |', '|---|---|---|']
+    for scenario in dict.fromkeys(c.scenario for c in cases):
+        mine = [c for c in cases if c.scenario == scenario]
+        counts = Counter(_called(c.first) for c in mine)
+        lines.append(f'| {scenario} | {len(mine)} | ' + '; '.join(f'{n} x {what}' for what, n in counts.most_common())
+                     + ' |')
+    return '\n'.join(lines)
+
+
+def _called(group) -> str:
+    if not group:
+        return 'nothing'
+    return group[0] + (f" (or {', '.join(group[1:])})" if len(group) > 1 else '')
+
+
+def _scores(cases) -> str:
+    lines = ['| true | drives | right first, or its group | it alone | other effects added as well | within 2 sigma | '
+             'unexplained at the end | error after / knowing filter (all fixes, 10 s, 30 s outages) | after / before |',
+             '|---|---|---|---|---|---|---|---|---|']
+    for scenario in dict.fromkeys(c.scenario for c in cases):
+        mine = [c for c in cases if c.scenario == scenario]
+        n, inside = len(mine), [abs(e) < 2 for c in mine for e in c.errors.values()]
+        wrong = sum(any(not right(c, g) for g in c.found) for c in mine)
+        lines.append(f'| {scenario} | {n} | {sum(right(c, c.first) for c in mine)} | '
+                     f'{sum(right(c, c.first) and len(c.first) == 1 for c in mine)} | {wrong} | '
+                     f'{sum(inside)}/{len(inside)} | {sum(c.unexplained for c in mine)} | '
+                     f"{_medians([c.ratios for c in mine])} | {_medians([c.improved for c in mine])} |")
+    return '\n'.join(lines)
+
+
+def _medians(rows) -> str:
+    rows = [r for r in rows if r]
+    return ', '.join(f'{m:.2f}' for m in np.median(rows, axis=0)) if rows else '-'
+
+
+def _summary(cases, everything) -> str:
+    """The targets of issue 5."""
+    single = [c for c in cases if c.scenario in SINGLE]
+    pairs = [c for c in cases if ' + ' in c.scenario]
+    outside = [c for c in cases if c.scenario in [e.name for e in OUTSIDE]]
+    none = [c for c in cases if c.scenario == 'none']
+    both = sum(all(any(name in g for g in c.found) for name in c.true) for c in pairs)
+    inside = [abs(e) < 2 for c in cases for e in c.errors.values()]
+    honest = sum(not c.found or c.unexplained or len(c.first) > 1 for c in outside)
+    close = [max(c.ratios) <= LIMIT for c in single + pairs if c.ratios]
+    rows = [('right effect first, or its group: one effect', sum(right(c, c.first) for c in single), len(single), '95 %'),
+            ('right effect first, or its group: two effects', sum(right(c, c.first) for c in pairs), len(pairs), '95 %'),
+            ('both effects found, or their groups', both, len(pairs), ''),
+            ('value within 2 sigma', sum(inside), len(inside), '90 %'),
+            ('an effect added where there is none', sum(bool(c.found) for c in none), len(none), '5 % or fewer'),
+            ('an effect added that is neither there nor grouped with one', sum(any(not right(c, g) for g in c.found)
+                                                                            for c in single + pairs),
+             len(single + pairs), ''),
+            ('outside the library: nothing added, unexplained, or grouped', honest, len(outside), '100 %'),
+            ('errors after all within 10 % of the knowing filter', sum(close), len(close), '100 %')]
+    lines = ['| score | count | share | target |', '|---|---|---|---|']
+    lines += [f'| {what} | {k} of {n} | {100 * k / n:.0f} % | {target} |' for what, k, n, target in rows if n]
+    skipped = Counter(c.scenario for c in everything if c.failure)
+    lines += ['', 'Not counted, as the clean drive does not determine the effect, or it failed: '
+              + (', '.join(f'{n} x {name}' for name, n in skipped.items()) or 'none') + '.',
+              f'A diagnosis took {np.mean([c.seconds for c in cases]):.1f} s on average.' if cases else '']
+    return '\n'.join(lines)
+
+
+def _rounded(tree):
+    return {k: _rounded(v) for k, v in tree.items()} if isinstance(tree, dict) else float(f'{tree:.2g}')
+
+
+def main(arguments=None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--seeds', type=int, default=2, help='drives for each scenario')
+    parser.add_argument('--first', type=int, default=1000, help='first seed')
+    parser.add_argument('--scenarios', default='', help='only these, separated by commas')
+    parser.add_argument('--minutes', type=float, default=np.inf, help='begin no drive later than this')
+    options = parser.parse_args(arguments)
+    chosen = {name: effects for name, effects in scenarios().items()
+              if not options.scenarios or name in options.scenarios.split(',')}
+    cases, began = [], time.monotonic()
+    for seed in range(options.first, options.first + options.seeds):
+        for name, effects in chosen.items():
+            if time.monotonic() - began > 60 * options.minutes:
+                break
+            try:
+                case = study(name, effects, seed)
+            except ValueError as error:  # what a user would be told in one line
+                case = Case(name, seed, {}, failure=str(error))
+            cases.append(case)
+            print(f"{seed} {name} {_rounded(case.true)}: {case.failure or case.found} unexplained {case.unexplained} "
+                  f"errors {_rounded(case.errors)} ratios {np.round(case.ratios, 2)} {case.seconds:.1f} s",
+                  file=sys.stderr, flush=True)
+    print(table(cases))
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
