@@ -5,14 +5,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2
 
 from ..effects.base import Effect
 from ..effects.registry import EFFECTS
 from ..samples import Recording
 from .detection import Detection, correlations, detect
-from .proof import HeldOut, Measured, compared, held_out, measure
-from .residuals import DiagnosisError, Problem, Residual, Unknown, fit, noise_unknowns
+from .proof import HeldOut, Measured, compared, folds, gain_of, held_out, measure
+from .residuals import DiagnosisError, Problem, Residual, Scores, Unknown, fit, noise_unknowns
 from .tracing import SIGNIFICANCE, Candidate, group, trace
 
 #: fewer innovations than this decide nothing
@@ -20,6 +19,8 @@ FEWEST_FIXES = 60
 #: a recording has turns, and changes of speed, where these happen: rad/s and m/s^2 (root mean square)
 TURNING, SPEEDING = 0.03, 0.15
 MOST_EFFECTS = 5
+#: candidates of one round that are fitted to see which explains most, and how close in log likelihood equals come
+TRIED, CLOSE = 4, 3.3
 
 Progress = Callable[[float, str], None]
 
@@ -88,155 +89,192 @@ def diagnose(recording: Recording, values: dict, progress: Progress = lambda par
     for _ in range(MOST_EFFECTS):
         if not work.add_best():
             break
+    work.drop_superseded()
     return work.finish(durations, spacing)
+
+
+@dataclass
+class _Model:
+    """What is assumed so far and how well it fits: a problem, its unknowns at their estimates, and their scores."""
+
+    problem: Problem
+    unknowns: list[Unknown]
+    x: np.ndarray
+    covariance: np.ndarray
+    residual: Residual
+    scores: Scores
+
+    @classmethod
+    def fitted(cls, problem: Problem, unknowns: list[Unknown], x, iterations: int = 8) -> _Model:
+        return cls(problem, unknowns, *fit(problem, unknowns, x, problem.mask, iterations))
+
+    def likelihood(self, mask: np.ndarray) -> float:
+        return float(self.residual.log_likelihood()[mask].sum())
 
 
 class _Work:
     """The model as it grows: noise levels first, then one effect after the other."""
 
     def __init__(self, recording, problem: Problem, effects: list[Effect], progress: Progress):
-        self.recording, self.problem, self.progress = recording, problem, progress
-        self.hidden = {e.name: e.hidden(problem.values, problem.recording) for e in effects}
-        self.hidden = {name: why for name, why in self.hidden.items() if why}
-        self.effects = [e for e in effects if e.name not in self.hidden]
+        self.recording, self.origin, self.progress = recording, problem, progress
+        self.effects, self.hidden = effects, {}
+        self._hide(problem)
         self.residuals = {'before': problem.base}
         self.detections = {'before': detect(problem.base, problem.mask)}
-        self.noise: list[Unknown] = []
-        self.unknowns: list[Unknown] = []
-        self.x = np.zeros(0)
         self.findings: list[Finding] = []
         self.rounds: list[list[Candidate]] = []
         self.estimates: list[np.ndarray] = []
-        self.origin = problem
+
+    def _hide(self, problem: Problem) -> None:
+        """Set aside the effects of which this problem can say nothing."""
+        reasons = {e.name: e.hidden(problem.values, problem.recording) for e in self.effects}
+        self.hidden |= {name: why for name, why in reasons.items() if why}
+        self.effects = [e for e in self.effects if not reasons[e.name]]
 
     def fit_noise(self) -> None:
         self.progress(0.05, 'fitting noise levels')
-        self.noise = noise_unknowns(self.problem)
-        self._fit(self.noise, np.zeros(len(self.noise)))
-        self.noise_x = self.x
-        self.residuals['fitted'] = self.at
-        self.detections['fitted'] = detect(self.at, self.problem.mask)
-
-    def _fit(self, unknowns, x) -> None:
-        self.unknowns = list(unknowns)
-        self.x, self.covariance, self.at, self.scores = fit(self.problem, unknowns, x, self.problem.mask)
+        noise = noise_unknowns(self.origin)
+        self.model = self.noise_model = _Model.fitted(self.origin, noise, np.zeros(len(noise)))
+        self.residuals['fitted'] = self.model.residual
+        self.detections['fitted'] = detect(self.model.residual, self.origin.mask)
 
     def add_best(self) -> bool:
         """Trace, and add the best candidate that helps on held-out data; False when none is left."""
         share = 0.1 + 0.7 * len(self.rounds) / MOST_EFFECTS
-        done = [0]
+        tested = [0]
 
-        def tested():
-            done[0] += 1
-            self.progress(share + 0.07 * done[0] / len(self.effects), 'testing effects')
+        def progress():
+            tested[0] += 1
+            self.progress(share + 0.05 * tested[0] / len(self.effects), 'testing effects')
 
         if not self.effects:
             return False
-        candidates = trace(self.problem.moved(self.unknowns, self.x), self.scores, self.at, self.effects,
-                           self.problem.mask, tested)
+        model = self.model
+        candidates = trace(model.problem.moved(model.unknowns, model.x), model.scores, model.residual, self.effects,
+                           model.problem.mask, progress)
         self.rounds.append(candidates)
         significant = [c for c in candidates if c.p_adjusted <= SIGNIFICANCE and c.scores is not None]
         if not significant:
             return False
-        # the blocks' few degrees of freedom make all small p alike: gain, less Akaike's price of a parameter, tells more
-        best = max(significant, key=lambda c: c.gain - 2 * len(c.theta))
-        self.progress(share + 0.08, f'adding {best.name}')
-        names = group(best, candidates, self.problem.mask)
+        self.progress(share + 0.07, f"adding {' or '.join(c.name for c in significant[:TRIED])}")
+        best, trial, alike = self._best(significant)
+        names = [best.name, *alike, *group(best, candidates, model.problem.mask)[1:]]
+        names = list(dict.fromkeys(names))
         self.effects = [e for e in self.effects if e.name not in names]
-        if best.effect.replaces_model(best.values()):
-            self._replace_model(best, names)
-        else:
-            self._add(best, names)
+        self._prove(best, trial, names)
         return True
 
-    def _add(self, best: Candidate, names: list[str]) -> None:
-        before = (self.unknowns, self.x, self.covariance, self.at, self.scores)
-        k = len(self.unknowns)
-        start = [max(t, u.step) if u.variance else np.clip(t, -u.prior / 5, u.prior / 5)
-                 for t, u in zip(best.theta, best.unknowns)]
-        self._fit([*self.unknowns, *best.unknowns], np.concatenate([self.x, start]))
-        proof = held_out(self.problem, self.unknowns, self.x, k)
-        finding = Finding(best.effect, names, {}, best.gain, best.p_adjusted, proof.helps, proof)
-        finding.parameters = self._parameters(best, k)
+    def _best(self, significant: list[Candidate]) -> tuple[Candidate, _Model, list[str]]:
+        """The candidate that explains most once it is in the model and all is fitted again, and those as good as it.
+
+        The score test is linear, and at a model that is far off it ranks poorly; the likelihood does not. Equals are
+        taken in the order of the registry.
+        """
+        by_gain = sorted(significant, key=lambda c: 2 * len(c.theta) - c.gain)[:TRIED]
+        trials = [(c, self._with(c)) for c in by_gain]
+        mask = np.logical_and.reduce([t.problem.mask for _, t in trials])
+        merit = np.array([t.likelihood(mask) - len(c.theta) for c, t in trials])
+        alike = [k for k in range(len(trials)) if merit[k] > merit.max() - CLOSE]
+        order = [e.name for e in self.effects]
+        first = min(alike, key=lambda k: order.index(trials[k][0].name))
+        return *trials[first], [trials[k][0].name for k in alike if k != first]
+
+    def _with(self, candidate: Candidate) -> _Model:
+        """The present model with one candidate added and all unknowns fitted again."""
+        model = self.model
+        if candidate.effect.replaces_model(candidate.values()):
+            problem = Problem(self.recording, candidate.effect.adjusted(model.problem.values, candidate.values()))
+            return _Model.fitted(problem, model.unknowns, model.x)
+        begin = [max(t, u.step) if u.variance else np.clip(t, -u.prior / 5, u.prior / 5)
+                 for t, u in zip(candidate.theta, candidate.unknowns)]
+        return _Model.fitted(model.problem, [*model.unknowns, *candidate.unknowns], np.concatenate([model.x, begin]))
+
+    def _prove(self, best: Candidate, trial: _Model, names: list[str]) -> None:
+        if trial.problem is self.model.problem:
+            proof = held_out(trial.problem, trial.unknowns, trial.x, len(self.model.unknowns))
+            last = slice(len(self.model.unknowns), None)
+            x, sigma = trial.x[last], np.sqrt(np.diag(trial.covariance)[last])
+        else:  # another mechanization has no parameter of its own that could have been fitted to the data
+            proof = gain_of(self.model.problem, self.model.residual, trial.residual)
+            x, sigma = best.theta, best.sigma
+        finding = Finding(best.effect, names, _estimates(best, x, sigma), best.gain, best.p_adjusted, proof.helps,
+                          proof)
         self.findings.append(finding)
-        if proof.helps:
-            self.estimates = proof.estimates
-        else:
+        if not proof.helps:
             finding.reason = f'no gain on data it was not fitted to (log likelihood {proof.gain:+.1f}, p {proof.p:.2g})'
-            self.unknowns, self.x, self.covariance, self.at, self.scores = before
+            return
+        self.model, self.estimates = trial, proof.estimates
+        self._hide(trial.problem)
 
-    def _replace_model(self, best: Candidate, names: list[str]) -> None:
-        """An effect that is taken out by another mechanization: the noise levels are fitted anew, without it as well."""
-        parameters = self._estimates(best, best.theta, best.sigma)
-        old_problem, old = self.problem, (self.unknowns, self.x, self.covariance, self.at, self.scores)
-        likelihood = self.at.log_likelihood()
-        self.problem = Problem(self.recording, best.effect.adjusted(old_problem.values, best.values()))
-        mask = self.problem.mask & old_problem.mask
-        self._fit(self.unknowns, self.x)
-        gain = float((self.at.log_likelihood() - likelihood)[mask].sum())
-        finding = Finding(best.effect, names, parameters, best.gain, best.p_adjusted, gain > chi2.ppf(0.999, 1) / 2,
-                          HeldOut(gain, 0.0, []))
-        self.findings.append(finding)
-        if not finding.added:
-            finding.reason = f'the other mechanization explains the recording no better (log likelihood {gain:+.1f})'
-            self.problem = old_problem
-            self.unknowns, self.x, self.covariance, self.at, self.scores = old
-        else:
-            self.hidden |= {e.name: e.hidden(self.problem.values, self.recording) for e in self.effects
-                            if e.hidden(self.problem.values, self.recording)}
-            self.effects = [e for e in self.effects if e.name not in self.hidden]
-            self.estimates = []
-
-    def _parameters(self, best: Candidate, k: int) -> dict:
-        last = slice(k, k + len(best.unknowns))
-        return self._estimates(best, self.x[last], np.sqrt(np.diag(self.covariance)[last]))
-
-    @staticmethod
-    def _estimates(best: Candidate, x, sigma) -> dict:
-        units = {p.name: p.unit for p in best.effect.traced}
-        found = {name: (value, None, units[name]) for name, value in best.fixed.items() if value}
-        for unknown, value, s in zip(best.unknowns, x, sigma):
-            name = unknown.name.split('.')[1]
-            if unknown.variance:  # back to a standard deviation
-                value = np.sqrt(max(value, 0.0))
-                s = s / (2 * value) if value > 0 else np.inf
-            found[name] = (float(value), float(s), units[name])
-        return found
+    def drop_superseded(self) -> None:
+        """Take out again what an effect that was added later has made superfluous."""
+        for finding in [f for f in self.findings if f.added][:-1]:
+            kept = [i for i, u in enumerate(self.model.unknowns) if u.name.split('.')[0] != finding.name]
+            if len(kept) == len(self.model.unknowns):
+                continue
+            # the unknowns of this effect last: what do they add to all the others?
+            order = kept + [i for i in range(len(self.model.unknowns)) if i not in kept]
+            unknowns = [self.model.unknowns[i] for i in order]
+            proof = held_out(self.model.problem, unknowns, self.model.x[order], len(kept))
+            if proof.helps:
+                continue
+            finding.added, finding.held_out = False, proof
+            finding.reason = 'explained by an effect that was added later'
+            self.model = _Model.fitted(self.model.problem, unknowns[:len(kept)], self.model.x[kept])
+            self.estimates = [fit(self.model.problem, self.model.unknowns, self.model.x, fold, 2)[0]
+                              for fold in folds(self.model.problem)]
 
     def finish(self, durations, spacing: float) -> Diagnosis:
+        model = self.model
+        problem = model.problem
         self._final_estimates()
-        corrected, _ = self.problem.assume(self.unknowns, self.x)
-        noise_only, _ = self.origin.assume(self.noise, self.noise_x)
-        folded = [self.problem.assume(self.unknowns, x)[0] for x in self.estimates] or [corrected]
+        corrected, _ = problem.assume(model.unknowns, model.x)
+        noise_only, _ = self.origin.assume(self.noise_model.unknowns, self.noise_model.x)
+        folded = [problem.assume(model.unknowns, x)[0] for x in self.estimates] or [corrected]
         self.progress(0.85, 'measuring errors')
         durations = [d for d in durations if d < 0.3 * (self.origin.stamp[-1] - self.origin.stamp[0]) * 1e-9]
         before, fitted, after = (measure(self.origin, self.recording, models, durations, spacing)
                                  for models in ([self.origin.values], [noise_only], folded))
-        self.residuals['after'], self.detections['after'] = self.at, detect(self.at, self.problem.mask)
-        regressors = _regressors(self.problem)
+        self.residuals['after'], self.detections['after'] = model.residual, detect(model.residual, problem.mask)
+        regressors = _regressors(problem)
         undetermined = {f'{c.name}.{name}': 'not determined by this recording'
                         for c in (self.rounds[-1] if self.rounds else []) for name in c.undetermined}
         return Diagnosis(
-            recording=self.recording, values=self.origin.values, problem=self.problem, residuals=self.residuals,
-            detections=self.detections, noise={u.name: float(np.exp(v)) for u, v in zip(self.noise, self.x)},
+            recording=self.recording, values=self.origin.values, problem=problem, residuals=self.residuals,
+            detections=self.detections,
+            noise={u.name: float(np.exp(v)) for u, v in zip(self.noise_model.unknowns, model.x)},
             rounds=self.rounds, findings=self.findings, hidden={**self.hidden, **undetermined}, corrected=corrected,
             before=before, fitted=fitted, after=after, comparison=compared(before, after),
-            correlated=correlations(self.at, self.problem.mask, regressors), remarks=_remarks(self.problem, regressors))
+            correlated=correlations(model.residual, problem.mask, regressors), remarks=_remarks(problem, regressors))
 
     def _final_estimates(self) -> None:
-        """All added parameters as the last joint fit left them; a group's name stands for its best member."""
-        names = [u.name for u in self.unknowns]
-        sigma = np.sqrt(np.diag(self.covariance))
+        """All added parameters as the last joint fit left them."""
+        model, sigma = self.model, np.sqrt(np.diag(self.model.covariance))
         for finding in self.findings:
-            for name, (value, s, unit) in list(finding.parameters.items()):
-                key = f'{finding.name}.{name}'
-                if finding.added and key in names:
-                    i = names.index(key)
-                    value, s = float(self.x[i]), float(sigma[i])
-                    if self.unknowns[i].variance:
-                        value = float(np.sqrt(max(value, 0.0)))
-                        s = s / (2 * value) if value > 0 else np.inf
-                    finding.parameters[name] = (value, s, unit)
+            own = [i for i, u in enumerate(model.unknowns) if u.name.split('.')[0] == finding.name]
+            if finding.added and own:
+                for i in own:
+                    name = model.unknowns[i].name.split('.')[1]
+                    unit = finding.parameters[name][2]
+                    finding.parameters[name] = (*_as_reported(model.unknowns[i], model.x[i], sigma[i]), unit)
+
+
+def _estimates(best: Candidate, x, sigma) -> dict:
+    """Parameters of a finding: name -> value, sigma, unit."""
+    units = {p.name: p.unit for p in best.effect.traced}
+    found = {name: (value, None, units[name]) for name, value in best.fixed.items() if value}
+    for unknown, value, s in zip(best.unknowns, x, sigma):
+        name = unknown.name.split('.')[1]
+        found[name] = (*_as_reported(unknown, value, s), units[name])
+    return found
+
+
+def _as_reported(unknown: Unknown, value: float, sigma: float) -> tuple[float, float]:
+    """Value and sigma as the parameter is meant: of a variance, the standard deviation."""
+    if not unknown.variance:
+        return float(value), float(sigma)
+    root = float(np.sqrt(max(value, 0.0)))
+    return root, float(sigma / (2 * root)) if root > 0 else float(np.sqrt(sigma))
 
 
 def _regressors(problem: Problem) -> dict[str, np.ndarray]:
@@ -267,5 +305,6 @@ def _remarks(problem: Problem, regressors: dict) -> list[str]:
                     'and speeding up.')
     gaps = np.diff(problem.stamp) * 1e-9
     if len(gaps) and gaps.max() > 30:
-        said.append(f'There are no fixes for {gaps.max():.0f} s in a part of the recording: it says little of that part.')
+        said.append(f'There are no fixes for {gaps.max():.0f} s in a part of the recording: it says little of that '
+                    'part.')
     return said

@@ -6,7 +6,7 @@ other, and the other way round.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import t as student
@@ -19,7 +19,7 @@ from ..evaluation.outages import Outages, outage_begins, run_outages
 from ..evaluation.outages import summary as outage_summary
 from ..filter.fusion import FilterConfig, run
 from ..samples import Recording
-from .residuals import Problem, Unknown, fit
+from .residuals import Problem, Residual, Unknown, fit
 
 #: blocks of each fold; a block is not shorter than this, s
 BLOCKS, SHORTEST_BLOCK = 4, 30.0
@@ -71,6 +71,12 @@ def held_out(problem: Problem, unknowns: Sequence[Unknown], x: np.ndarray, witho
     return HeldOut(float(gains.sum()), _p_of_no_gain(problem, gains), estimates)
 
 
+def gain_of(problem: Problem, before: Residual, after: Residual) -> HeldOut:
+    """What a model without unknowns of its own gains: nothing of it was fitted, so all data are held out."""
+    gains = np.where(problem.mask, np.nan_to_num(after.log_likelihood() - before.log_likelihood()), 0.0)
+    return HeldOut(float(gains.sum()), _p_of_no_gain(problem, gains), [])
+
+
 def _p_of_no_gain(problem: Problem, gains: np.ndarray) -> float:
     """One-sided t test of the sums over blocks of SHORTEST_BLOCK."""
     block = ((problem.stamp - problem.stamp[0]) // round(SHORTEST_BLOCK * 1e9))[problem.mask]
@@ -100,15 +106,20 @@ def measure(problem: Problem, recording: Recording, models: Sequence[dict], dura
     recording: with all fixes, for the truth. With two sets each error is one of a model fitted elsewhere.
     """
     masks = folds(problem)
+    first = int(problem.stamp[problem.mask][0])
+    # by the fixes' own stamps, so that the same outages are compared whatever a model says of the clocks
+    begins = outage_begins(first, problem.full.gnss, 0.0, spacing, min(durations, default=0.0))
     parts = []
     for k, values in enumerate(models):
         config = FilterConfig.from_parameters(values)
         result = run(config, problem.full.imu, problem.full.gnss)
-        truth = truth_of(recording, values)
+        truth, delay = truth_of(recording, values), round(values['gnss.time_offset'] * 1e9)
         errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
-        first = int(problem.stamp[problem.mask][0])
-        begins = outage_begins(first, problem.full.gnss, values['gnss.time_offset'], spacing, min(durations))
-        outages = run_outages(config, problem.full.imu, problem.full.gnss, truth, durations, begins)
+        if recording.reference is None:
+            errors = replace(errors, stamp=errors.stamp + delay)
+        outages = run_outages(config, problem.full.imu, problem.full.gnss, truth, durations, begins - delay) \
+            if durations else []
+        outages = [replace(o, begin=o.begin + delay) for o in outages]
         if len(models) == 2:  # this set was fitted on fold k: it is judged on the other
             errors = errors.select(_in_mask(errors.stamp, problem, masks[1 - k]))
             outages = [o.select(_in_mask(o.begin, problem, masks[1 - k])) for o in outages]
@@ -152,18 +163,14 @@ def compared(before: Measured, after: Measured) -> list[dict]:
 
 
 def _row(what: str, stamp, new_stamp, old, new) -> dict:
-    """Means before and after over the epochs of both, with the 95 % interval of the difference by block bootstrap.
-
-    Epochs are paired by the nearest: a time offset moves them by less than half their distance.
-    """
-    if not len(stamp) or not len(new_stamp):
-        return {'what': what, 'count': 0}
-    nearest = np.abs(stamp[:, None] - new_stamp[None, :]).argmin(axis=1) if len(stamp) * len(new_stamp) < 10**6 else \
-        np.clip(np.searchsorted(new_stamp, stamp), 0, len(new_stamp) - 1)
-    close = np.abs(new_stamp[nearest] - stamp) < 0.5e9
-    old, new = old[close], new[nearest[close]]
+    """Means before and after over the epochs of both, with the 95 % interval of the difference by block bootstrap."""
+    _, a, b = np.intersect1d(stamp, new_stamp, return_indices=True)
+    row = {'what': what, 'count': len(a)}
+    if not len(a):
+        return row
+    old, new = old[a], new[b]
+    row |= {'before': float(old.mean()), 'after': float(new.mean())}
     difference = paired(new, old)
-    row = {'what': what, 'count': int(close.sum()), 'before': float(old.mean()), 'after': float(new.mean())}
     if difference is not None:
         row |= {'difference': difference.mean, 'low': difference.low, 'high': difference.high, 'p': difference.p}
     return row

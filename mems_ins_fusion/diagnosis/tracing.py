@@ -61,7 +61,9 @@ def effect_unknowns(effect: Effect, fixed: dict[str, float]) -> list[Unknown]:
         def apply(values, recording, x):
             # what is looked for in the innovations is the variance: a standard deviation of zero has no derivative
             change = float(np.sqrt(max(x, 0.0))) if parameter.variance else x
-            return effect.applied(values, recording, {**zero, parameter.name: change}) if change else (values, recording)
+            if change == 0:
+                return values, recording
+            return effect.applied(values, recording, {**zero, parameter.name: change})
         return apply
 
     return [Unknown(f'{effect.name}.{p.name}', varied(p), 0.0, *_scale(p), p.variance, p.variance)

@@ -1,8 +1,8 @@
 """Tilt in motion: on hills, and on its suspension, the body pitches and rolls, and gravity leaks into f_x and f_y.
 
 Two things are told apart. What the suspension does goes with f_x and f_y themselves, and two parameters take it out.
-What the road does shows only in the other sensors of the same IMU: in the attitude of a strapdown run, which then is the
-correction, and needs no parameter.
+What the road does shows only in the other sensors of the same IMU: in the attitude of a strapdown run, which then is
+the correction, and needs no parameter.
 """
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ class Tilt(Effect):
     settings = tuple(Parameter(f'vehicle.{name}', 0.0, 'rad/(m/s^2)', text, minimum=-0.05, maximum=0.05)
                      for name, text in zip(SUSPENSION, (
                          'Nose up by this much for each m/s^2 of forward acceleration (planar mechanization).',
-                         'Leaning outwards by this much for each m/s^2 of lateral acceleration (planar mechanization).')))
+                         'Leaning outwards by this much for each m/s^2 of lateral acceleration (planar '
+                         'mechanization).')))
 
     def alter_drive(self, drive, values):
         return drive.altered(
@@ -63,7 +64,7 @@ class Tilt(Effect):
         return values
 
     def applied(self, values, recording, theta):
-        """With `compensation`: the recording with this part of the leakage taken out, for the mechanization as it is."""
+        """With `compensation`: the recording with this part of the leakage taken out, the mechanization as it is."""
         if not self.replaces_model(theta):
             return self.adjusted(values, theta), recording
         force = recording.imu.specific_force - theta['compensation'] * self.leakage(values, recording)

@@ -54,7 +54,8 @@ class FilterConfig:
                 conditioning = correction @ conditioning
         constant = [0.0 if isinstance(model, RandomWalk) else turn_on[along[i]] for i, model in zip(axes, models)]
         return cls(values=values, mechanization=mechanization, models=_equal_order(models),
-                   white=mixing**2 @ density**2, turn_on_sigma=np.array(constant), conditioning=conditioning, offset=-conditioning @ bias,
+                   white=mixing**2 @ density**2, turn_on_sigma=np.array(constant), conditioning=conditioning,
+                   offset=-conditioning @ bias,
                    lever_arm=FLU_TO_FRD @ np.asarray(values['gnss.lever_arm'], dtype=float))
 
     @property
@@ -93,7 +94,7 @@ class FilterConfig:
         return 2 ** math.ceil(math.log2(self.values['gnss.max_delay'] * FASTEST_IMU + 16))
 
     def correctors(self) -> list:
-        """What takes the effects that the parameters declare out of samples in sensor axes, in order, ready to start."""
+        """What takes the effects that the parameters declare out of samples in sensor axes, in order."""
         rotation = mounting(self.values['imu.mounting_rpy'])
         made = (effect.corrector(self.values, rotation) for effect in EFFECTS.values())
         return [corrector for corrector in made if corrector is not None]

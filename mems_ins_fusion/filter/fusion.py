@@ -299,8 +299,8 @@ class Innovations:
 
     index (f,): position in the `Fixes` given. stamp (f,): ns, at which the fix describes the vehicle. z (f, 2):
     innovation north, east, m, predicted minus measured antenna position. s (f, 3): its covariance nn, ne, ee. nis
-    (f,): normalized innovation squared, 2 degrees of freedom. z_down, s_down (f,): the same for height (strapdown). yaw (f,), velocity
-    (f, 2): the prediction's, before the fix was applied.
+    (f,): normalized innovation squared, 2 degrees of freedom. z_down, s_down (f,): the same for height (strapdown).
+    yaw (f,), velocity (f, 2): the prediction's, before the fix was applied.
     """
 
     index: np.ndarray

@@ -80,7 +80,7 @@ def to_local(latitude, longitude, height, datum):
 
 @njit
 def from_local(north, east, down, datum):
-    """Latitude, longitude (rad) and height (m) of a point in the local level frame at `datum`: inverse of `to_local`."""
+    """Latitude, longitude (rad) and height (m) of a point in the local level frame: inverse of `to_local`."""
     x0, y0, z0 = _to_ecef(datum[0], datum[1], datum[2])
     sin_lat, cos_lat = np.sin(datum[0]), np.cos(datum[0])
     sin_lon, cos_lon = np.sin(datum[1]), np.cos(datum[1])

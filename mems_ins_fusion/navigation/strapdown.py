@@ -1,6 +1,6 @@
 """Three-dimensional strapdown mechanization in the local level frame, all six sensors.
 
-State: latitude, longitude, height, velocity (v_n, v_e, v_d), attitude quaternion from b to n. Attitude error phi in `n`:
+State: latitude, longitude, height, velocity (v_n, v_e, v_d), quaternion from b to n. Attitude error phi in `n`:
 C_ins = (I + [phi x]) C_true, so that its down component is the yaw error of the planar mechanization.
 Sources: P. D. Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems", 2nd ed., ch. 5;
 E.-H. Shin, "Estimation Techniques for Low-Cost Inertial Navigation", 2005.
