@@ -299,7 +299,7 @@ def markdown() -> str:
     for title, table in _TABLES:
         lines += ['', f'## {title}', '', '| name | default | unit | allowed | meaning |', '|---|---|---|---|---|']
         for p in table:
-            cells = (f'`{p.name}`', f'`{_yaml_value(p.default)}`', p.unit, _allowed(p), p.description)
+            cells = (f'`{p.name}`', f'`{yaml_value(p.default)}`', p.unit, _allowed(p), p.description)
             lines.append('| ' + ' | '.join(cell.replace('|', r'\|') for cell in cells) + ' |')
     return '\n'.join(lines) + '\n'
 
@@ -314,7 +314,7 @@ def example() -> str:
         unit = '' if p.unit in ('text', '-') else f'[{p.unit}] '
         lines += ['', *textwrap.wrap(unit + p.description + allowed, 110, initial_indent='    # ',
                                      subsequent_indent='    # '),
-                  f'    {p.name}: {_yaml_value(p.default)}']
+                  f'    {p.name}: {yaml_value(p.default)}']
     return '\n'.join(lines) + '\n'
 
 
@@ -328,12 +328,12 @@ def _allowed(p: Parameter) -> str:
     return ' '.join(bounds)
 
 
-def _yaml_value(value) -> str:
+def yaml_value(value) -> str:
     """`value` as ROS reads it back in the same type: decimals keep their point."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list):
-        return f"[{', '.join(_yaml_value(v) for v in value)}]"
+        return f"[{', '.join(yaml_value(v) for v in value)}]"
     if isinstance(value, str):
         return f"'{value}'"
     text = repr(value)

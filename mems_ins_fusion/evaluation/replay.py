@@ -47,7 +47,7 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
         for i, path in enumerate(values['bag']):
             part = _Part(progress, i / len(values['bag']), 1 / len(values['bag']))
             with _timed(timing, 'reading'):
-                recording, texts = _read(path, values, lambda done: part(0.25 * done, 'reading'))
+                recording, texts = read_part(path, values, lambda done: part(0.25 * done, 'reading'))
             name = _free_name(recording.name, comparisons)
             said[name] = texts
             with _timed(timing, 'checking'):
@@ -65,14 +65,17 @@ def _check(values: dict) -> None:
             raise ParameterError(f"parameter '{name}' is empty: {why}")
         if isinstance(values[name], list):
             values[name] = list(dict.fromkeys(values[name]))
+
+
+def read_part(path, values: dict, progress: Callable[[float], None]) -> tuple[Recording, list[str]]:
+    """The part of the recording `path` that `values` ask for, and what reading it warned of.
+
+    Raises ParameterError, RecordingError or ReplayError.
+    """
     if values['stop'] and values['stop'] <= values['start']:
         raise ParameterError(f"parameter 'stop' must be after start {values['start']:g} s, got {values['stop']:g}")
     if values['reference_topic'] and values['reference_file']:
         raise ParameterError("parameters 'reference_topic' and 'reference_file' are both given: choose one")
-
-
-def _read(path, values: dict, progress) -> tuple[Recording, list[str]]:
-    """The part of the recording that is wanted, and what reading it warned of."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter('always', RecordingWarning)
         recording = _read_whole(path, values, progress)
@@ -83,7 +86,7 @@ def _read(path, values: dict, progress) -> tuple[Recording, list[str]]:
 def _read_whole(path, values: dict, progress) -> Recording:
     datum = _datum(values)
     recording = read_recording(path, values['imu_topic'], values['gnss_topic'], values['reference_topic'] or None,
-                               progress=progress, datum=datum)
+                               values['temperature_topic'] or None, progress, datum)
     if values['reference_file']:
         from ..recordings.reference_files import read_reference
 

@@ -1,0 +1,97 @@
+"""`diagnose`: what the filter cannot explain in a recording, the effect behind it, and the error without it."""
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+
+from mems_ins_fusion import parameters
+
+DESCRIPTION = """\
+Diagnose a drive: run the filter as configured, find what it cannot explain, trace that to a physical effect the model
+lacks (a time offset of the receiver, a lever arm, a scale factor, gravity through a tilted road, ...), add the effect,
+and measure the error before and after on data that the effect was not fitted to. Writes into the output folder:
+report.html, report.json and corrected.yaml, the parameters with the effects added, for --params-file of every tool.
+The method: docs/closing_the_loop.md; the effects: docs/effects.md."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the tool with `argv` (default: the command line); its exit status."""
+    options = _parser().parse_args(argv)
+    try:
+        print(diagnose(options))
+    except ValueError as error:
+        print(f'diagnose: {error}', file=sys.stderr)
+        return 2
+    return 0
+
+
+def diagnose(options: argparse.Namespace) -> str:
+    """Read, diagnose and write the results; the story for the user. ValueError for bad options or input."""
+    from mems_ins_fusion.diagnosis.diagnose import diagnose as work
+    from mems_ins_fusion.diagnosis.report import corrected_yaml, report, report_html, story
+    from mems_ins_fusion.evaluation.replay import read_part
+    from mems_ins_fusion.evaluation.results import result_folder
+
+    given = _parameters(options)
+    with result_folder(options.output, options.overwrite) as folder:
+        with _Bar() as bar:
+            recording, warned = read_part(options.bag, parameters.check(given), lambda part: bar(0.2 * part, 'reading'))
+            if recording.gnss is None:
+                raise ValueError('gnss_topic is empty: a diagnosis needs fixes')
+            result = work(recording, parameters.check(given), lambda part, what: bar(0.2 + 0.75 * part, what))
+            bar(0.95, 'writing')
+            (folder / 'corrected.yaml').write_text(corrected_yaml(result, given), encoding='utf-8')
+            (folder / 'report.json').write_text(json.dumps(report(result, warned), indent=1, allow_nan=False),
+                                                encoding='utf-8')
+            (folder / 'report.html').write_text(report_html(result, given, warned), encoding='utf-8')
+            bar(1.0, 'done')
+    return '\n'.join([*story(result), *warned, f'The whole story: {options.output}/report.html'])
+
+
+def _parameters(options) -> dict:
+    """What the params file and the options give, by full name."""
+    given = parameters.load_yaml(options.params_file) if options.params_file else {}
+    asked = {'reference_topic': options.reference_topic, 'reference_file': options.reference_file,
+             'start': options.start, 'stop': options.stop}
+    if options.reference_topic:
+        given.pop('reference_file', None)
+    if options.reference_file:
+        given.pop('reference_topic', None)
+    if options.reference_topic and options.reference_file:
+        raise ValueError('--reference-topic and --reference-file are both given: choose one')
+    return given | {name: value for name, value in asked.items() if value is not None}
+
+
+class _Bar:
+    """A progress bar on standard error, only where a person watches."""
+
+    def __enter__(self):
+        from tqdm import tqdm
+
+        self.bar = tqdm(total=1.0, desc='diagnosing', bar_format='{desc}: {percentage:3.0f}%|{bar}| {elapsed} {postfix}',
+                        disable=None)
+        return self
+
+    def __exit__(self, *_):
+        self.bar.close()
+
+    def __call__(self, part: float, what: str):
+        self.bar.set_postfix_str(what, refresh=False)
+        self.bar.update(max(part - self.bar.n, 0.0))
+
+
+def _parser():
+    parser = argparse.ArgumentParser(prog='diagnose', description=DESCRIPTION,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    add = parser.add_argument
+    add('--bag', required=True, metavar='BAG', help='rosbag2 folder, .mcap, .db3 or ROS 1 .bag')
+    add('--output', required=True, metavar='DIR', help='folder for the results')
+    add('--params-file', metavar='FILE', help='YAML with the filter as configured, as for the nodes')
+    add('--reference-topic', metavar='TOPIC', help='the truth: NavSatFix, Odometry or PoseStamped (default: '
+        'reference_topic of the params file, else the fixes that are withheld)')
+    add('--reference-file', metavar='FILE', help='the truth as CSV, TUM, NMEA or RTKLIB .pos')
+    add('--start', type=float, metavar='S', help='skip this much of the recording')
+    add('--stop', type=float, metavar='S', help="stop this long after the recording's start")
+    add('--overwrite', action='store_true', help='replace an existing result')
+    return parser
