@@ -7,6 +7,8 @@ from ..navigation.earth import to_local
 from .comparison import Comparison, RunResult
 
 COLOURS = {'random_walk': '#d95f02', 'gauss_markov': '#1b9e77', 'autoregressive': '#7570b3'}
+#: lines that lie on each other all show: the later drawn, the thinner
+WIDTHS = {'random_walk': 2.2, 'gauss_markov': 1.4, 'autoregressive': 0.7}
 NAMES = {'random_walk': 'random walk', 'gauss_markov': 'Gauss-Markov'}
 OUTAGE = '#c1121f'
 #: points of a line, at most
@@ -58,7 +60,7 @@ def track(comparison: Comparison):
     interval = comparison.intervals[0]
     for model in comparison.models:
         north, east = ground.of(comparison.run_of(model, interval).errors)
-        axes.plot(east, north, color=COLOURS[model], linewidth=1.0, zorder=2,
+        axes.plot(east, north, color=COLOURS[model], linewidth=WIDTHS[model], zorder=2,
                   label=f'{model_name(comparison, model)}, fixes each {interval:g} s')
     _mark_outages(axes, comparison, ground)
     axes.plot(ground.east[0], ground.north[0], marker='o', color='k', markersize=6, linestyle='', zorder=5,
@@ -111,7 +113,7 @@ def manoeuvre(comparison: Comparison):
             run = comparison.run_of(model, interval).run
             part = np.abs(run.stamp - middle) < 60e9
             north, east = (values[part] for values in ground(run))
-            axes.plot(east, north, color=COLOURS[model], linewidth=1.2, label=model_name(comparison, model))
+            axes.plot(east, north, color=COLOURS[model], linewidth=WIDTHS[model], label=model_name(comparison, model))
         axes.set_title(f'fixes each {interval:g} s', fontsize=10)
         _as_map(axes, 'box')
         axes.set_xlim(ground.east[at] - WINDOW, ground.east[at] + WINDOW)
@@ -145,7 +147,7 @@ def error_against_time(comparison: Comparison):
         for model in comparison.models:
             errors = comparison.run_of(model, interval).errors
             time = (errors.stamp - origin) * 1e-9
-            axes.plot(*_peaks(time, errors.horizontal), color=COLOURS[model], linewidth=0.8,
+            axes.plot(*_peaks(time, errors.horizontal), color=COLOURS[model], linewidth=0.7 * WIDTHS[model],
                       label=model_name(comparison, model))
         name = model_name(comparison, comparison.models[-1])
         axes.plot(*_peaks(time, 2 * errors.sigma), color='0.6', linewidth=0.8, zorder=1,
@@ -156,7 +158,8 @@ def error_against_time(comparison: Comparison):
                          label='turning' if first == edges[0] else None)
         axes.set_ylabel('horizontal error, m')
         axes.set_title(f'fixes each {interval:g} s', fontsize=10, loc='left')
-        axes.set_ylim(bottom=0)
+        largest = max(comparison.run_of(m, interval).summary['horizontal_max_m'] for m in comparison.models)
+        axes.set_ylim(0, 1.2 * largest)  # not that of the filter's sigma at its start
         axes.margins(x=0)
     panels[-1].set_xlabel('time, s')
     figure.legend(*panels[0].get_legend_handles_labels(), loc='outside lower center', ncols=3, fontsize=8)
