@@ -162,8 +162,8 @@ FILTER = (
     Parameter('gnss.coloured_noise.sigma', 0.0, 'm', 'Standard deviation of a first-order Gauss-Markov position '
               'error of the receiver, north and east; 0: none.', minimum=0.0),
     Parameter('gnss.coloured_noise.tau', 60.0, 's', 'Its correlation time.', positive=True),
-    *_sensor('accelerometer', 'm/s^2', 0.01, 0.2, 1e-3, 0.05, 0.0035),
-    *_sensor('gyroscope', 'rad/s', 3e-4, 0.01, 2e-5, 1e-3, 7e-5),
+    *_sensor('accelerometer', 'm/s^2', 0.01, 0.2, 1e-3, 0.05, 0.001165),
+    *_sensor('gyroscope', 'rad/s', 3e-4, 0.01, 2e-5, 1e-3, 2.33e-5),
     Parameter('alignment.heading', 'course', 'text', 'Where the first heading comes from: course (of the fixes, once '
               'the vehicle moves), orientation (of the Imu message) or parameter.',
               choices=('course', 'orientation', 'parameter')),

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
 from mems_ins_fusion.compiled import njit
 
 from ..samples import Fixes, ImuSamples

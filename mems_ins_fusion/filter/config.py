@@ -10,8 +10,18 @@ from ..effects.registry import EFFECTS
 from ..navigation.frames import FLU_TO_FRD, mounting
 from ..sensor_errors.from_parameters import error_models, per_axis
 from ..sensor_errors.models import Autoregressive, GaussMarkov, Model, RandomWalk
-from .layout import (CHANNELS, FIX_SIZE, HEAD_SIZE, NAVIGATION_STATES, PLANAR, SAMPLE_SIZE, STRAPDOWN, Head, noise_size,
-                     row_width)
+from .layout import (
+    CHANNELS,
+    FIX_SIZE,
+    HEAD_SIZE,
+    NAVIGATION_STATES,
+    PLANAR,
+    SAMPLE_SIZE,
+    STRAPDOWN,
+    Head,
+    noise_size,
+    row_width,
+)
 
 #: the fastest IMU for which all of gnss.max_delay is remembered, Hz
 FASTEST_IMU = 1000

@@ -10,6 +10,7 @@ import time as clock
 from dataclasses import dataclass, replace
 
 import numpy as np
+
 from mems_ins_fusion.compiled import njit
 
 from ..navigation.strapdown import to_euler
@@ -17,7 +18,8 @@ from ..samples import Fixes, ImuSamples
 from .alignment import Alignment, Start
 from .config import FilterConfig
 from .initial import initialize
-from .kernel import FIX_TAKEN, FIX_TOO_LATE, run as run_kernel, take_fix, take_sample
+from .kernel import FIX_TAKEN, FIX_TOO_LATE, take_fix, take_sample
+from .kernel import run as run_kernel
 from .layout import FIX_SIZE, NAV, Fix, Nav, covariance_index
 from .odometry import SIZE, corrected, odometry
 

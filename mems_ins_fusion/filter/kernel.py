@@ -8,6 +8,7 @@ before it and forward again.
 from __future__ import annotations
 
 import numpy as np
+
 from mems_ins_fusion.compiled import njit
 
 from .correction import CONSTRAINT_INTERVAL, apply_fix, constrain

@@ -12,6 +12,7 @@ from __future__ import annotations
 from enum import IntEnum
 
 import numpy as np
+
 from mems_ins_fusion.compiled import njit
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+
 from mems_ins_fusion.compiled import njit
 
 from ..navigation import strapdown

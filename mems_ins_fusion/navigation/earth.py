@@ -6,6 +6,7 @@ Source: NIMA TR8350.2, "Department of Defense World Geodetic System 1984", third
 from __future__ import annotations
 
 import numpy as np
+
 from mems_ins_fusion.compiled import njit
 
 SEMI_MAJOR_AXIS = 6378137.0  # m
