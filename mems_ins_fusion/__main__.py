@@ -41,7 +41,15 @@ def main(argv: list[str] | None = None) -> int:
         ros = "; source ROS 2's setup file, or install the package with [ros]" if package == 'nodes' else ''
         print(f"{argv[0]}: the Python module '{error.name}' is not installed{ros}", file=sys.stderr)
         return 2
+    _say_when_compiling(argv[0])
     return tool.main(argv[1:]) or 0
+
+
+def _say_when_compiling(name: str) -> None:
+    """A first run compiles the filter, which takes long enough for a user to wonder."""
+    compiled = sys.modules.get('mems_ins_fusion.compiled')
+    if compiled is not None and compiled.is_cold() and name != 'simulate':
+        print(f'{name}: the filter is being compiled, this once: about a minute', file=sys.stderr)
 
 
 if __name__ == '__main__':

@@ -38,3 +38,8 @@ def njit(function=None, **options):
         return numba.njit(cache=True, **options)(function)
     finally:
         numba.config.CACHE_DIR = others
+
+
+def is_cold() -> bool:
+    """Whether nothing has been compiled yet from these sources."""
+    return not any(Path(_FOLDER).glob('filter*'))
