@@ -8,6 +8,7 @@ import numpy as np
 
 from ..evaluation import html
 from ..parameters import ALL, yaml_value
+from . import plots
 from .diagnose import Diagnosis, Finding
 from .tracing import Candidate
 
@@ -239,5 +240,126 @@ def _plain(value):
 
 
 def report_html(diagnosis: Diagnosis, given: dict, warned=()) -> str:
-    """The content of `report.html`."""
-    return html.page(f'Diagnosis of {diagnosis.recording.name}', [html.section('Result', html.bullets(story(diagnosis)))])
+    """The content of `report.html`: the story with its pictures; given: as for `corrected_yaml`."""
+    d = diagnosis
+    count = d.detections['before'].count
+    return html.page(f'Diagnosis of {d.recording.name}', [
+        _result(d, warned), _residual_before(d), _noise(d), _candidates(d), _added(d), _residual_after(d), _errors(d),
+        _unexplained(d), html.section('corrected.yaml', 'With --params-file of every tool, the filter runs as here.',
+                                      html.preformatted(corrected_yaml(d, given)))],
+        f'{d.values["mechanization"]} mechanization, {d.values["sensor_error_model"].replace("_", " ")} sensor errors, '
+        f'{count} innovations')
+
+
+def _result(d: Diagnosis, warned) -> html.Html:
+    added = [f for f in d.findings if f.added]
+    said = '; '.join(parameters_text(f) for f in added)
+    head = html.note(f'Added: {said}.', 'good') if added else html.note('No effect was added.')
+    left = html.note(unexplained_text(d), 'warning' if d.unexplained else 'good')
+    return html.section('Result', head, html.bullets(f'Error, {line}' for line in error_lines(d)), left,
+                        *(html.note(w, 'warning') for w in warned))
+
+
+def _residual_before(d: Diagnosis) -> html.Html:
+    return html.section(
+        'What the filter cannot explain', html.bullets(d.detections['before'].words()),
+        html.figure(plots.residual(d, 'before'), 'Innovations (fix minus prediction) of the filter as configured, in '
+                    'units of their predicted standard deviation, along and across the track.'),
+        _tests(d, ('before',)))
+
+
+def _tests(d: Diagnosis, stages) -> html.Html:
+    rows = [(plots.STAGES[stage], name, det.mean[name], _p(det.mean_p[name]), _p(det.whiteness_p[name]))
+            for stage in stages for det in (d.detections[stage],) for name in det.mean]
+    return html.table(('model', 'component', 'mean, sigma', 'p of mean zero', 'p of white (Ljung-Box)'), rows, digits=3)
+
+
+def _p(value: float) -> str:
+    return f'{value:.2g}'
+
+
+def _noise(d: Diagnosis) -> html.Html:
+    factors = [(name, factor) for name, factor in d.noise.items()]
+    return html.section(
+        'Noise levels first', 'So that a badly tuned filter is not taken for a missing effect, the noise levels are fitted '
+        'to the innovations before any effect is tested, and again with each one added.',
+        html.table(('noise level', 'factor at the end'), factors, digits=3), html.bullets(d.detections['fitted'].words()),
+        html.figure(plots.residual(d, 'fitted'), 'The same innovations with fitted noise levels and no effect.'))
+
+
+def _candidates(d: Diagnosis) -> html.Html:
+    if not d.rounds:
+        return html.section('Candidates and their evidence', 'No effect could be tested.')
+    tables = [html.table(('effect', 'gain', 'p', 'p, all tests counted', 'would be', 'not determined'),
+                         [(c.name, c.gain, _p(c.p), _p(c.p_adjusted), _estimates(c), ', '.join(c.undetermined))
+                          for c in candidates],
+                         f'Round {i + 1}', 3) for i, candidates in enumerate(d.rounds)]
+    hidden = html.bullets(f'{name}: {why}' for name, why in not_identifiable(d).items())
+    return html.section(
+        'Candidates and their evidence', 'The score test: how much better each effect would explain the innovations, with '
+        'the share of noise levels and of effects added before taken out. Green: significant after counting all tests.',
+        html.figure(plots.evidence(d), 'Evidence for each candidate, round by round.'), *tables,
+        'What this recording cannot show:', hidden)
+
+
+def _estimates(c: Candidate) -> str:
+    units = {p.name: p.unit for p in c.effect.traced}
+    return ', '.join(_parameter(name, (value, sigma, units[name])) for name, (value, sigma) in _tested(c).items())
+
+
+def _added(d: Diagnosis) -> html.Html:
+    if not d.findings:
+        return html.section('What was found', 'No candidate is significant.')
+    rows = [(f.name, ', '.join(n for n in f.group if n != f.name), _values(f), f.gain,
+             f.held_out.gain if f.held_out else None, _p(f.held_out.p) if f.held_out else '',
+             f.added, f.reason) for f in d.findings]
+    return html.section(
+        'What was found', 'Values of the last joint fit. The held-out gain is that of the log likelihood in blocks of the '
+        'recording that the effect was not fitted to; an effect without one is not added.',
+        html.table(('effect', 'cannot be told from', 'value', 'score gain', 'held-out gain', 'p held out', 'added',
+                    'why not'), rows, digits=3))
+
+
+def _values(f: Finding) -> str:
+    return ', '.join(_parameter(*item) for item in f.parameters.items())
+
+
+def _residual_after(d: Diagnosis) -> html.Html:
+    return html.section(
+        'The residual after', html.bullets(d.detections['after'].words()),
+        html.figure(plots.residual(d, 'after'), 'Innovations with the effects added.'), _tests(d, ('fitted', 'after')))
+
+
+def _errors(d: Diagnosis) -> html.Html:
+    rows = [(c['what'], c.get('count'), c.get('before'), c.get('after'), c.get('difference'), _interval(c),
+             _p(c['p']) if 'p' in c else '') for c in d.comparison]
+    summaries = {plots.STAGES[stage]: measured.summary() for stage, measured in plots.measured_stages(d).items()}
+    columns = ('model', 'RMS with fixes, m', 'outage, s', 'outages', 'median of the largest error, m', 'RMS, m', '95 %, m',
+               '% of distance')
+    table = [(name, s['horizontal_rmse_m'] if i == 0 else None, o['duration_s'], o['count'], o['max_error_median_m'],
+              o['max_error_rms_m'], o['max_error_p95_m'], o['percent_of_distance'])
+             for name, s in summaries.items() for i, o in enumerate(s['outages'])]
+    return html.section(
+        'Error before and after', 'Each error after is one of a model that was fitted to other blocks of the recording, '
+        'unless no effect was added.',
+        html.figure(plots.errors(d), 'Horizontal position error.'), html.table(columns, table, digits=3),
+        html.table(('what', 'count', 'before', 'after', 'difference', '95 % interval', 'p of no difference'), rows,
+                   'Paired differences, after minus before, by block bootstrap.', 3))
+
+
+def _interval(row: dict) -> str:
+    return f'{row["low"]:.3g} to {row["high"]:.3g}' if 'low' in row else ''
+
+
+def _unexplained(d: Diagnosis) -> html.Html:
+    parts = [unexplained_text(d)]
+    if d.correlated:
+        parts.append(html.table(('component', 'goes with', 'correlation', 'p'),
+                                [(c['component'], c['with'], c['correlation'], _p(c['p'])) for c in d.correlated],
+                                digits=2))
+    elif d.unexplained:
+        parts.append('It goes with none of time, speed, acceleration, turn rate, heading and temperature (as far as '
+                     'recorded).')
+    if d.remarks:
+        parts += ['What another recording should have:', html.bullets(d.remarks)]
+    return html.section('What stays unexplained', *parts)

@@ -1,0 +1,121 @@
+"""Figures of a diagnosis. Matplotlib is imported only here, and only when a figure is drawn."""
+from __future__ import annotations
+
+import numpy as np
+
+from .detection import COMPONENTS, LAGS
+from .diagnose import Diagnosis
+from .proof import Measured
+
+BEFORE, FITTED, AFTER = '#c1121f', '#8c959f', '#1b7f4b'
+COLOURS = {'before': BEFORE, 'fitted': FITTED, 'after': AFTER}
+STAGES = {'before': 'as configured', 'fitted': 'noise levels fitted', 'after': 'effects added'}
+#: lags of the autocorrelation shown, and half the width of the histogram in sigma
+SHOWN_LAGS, WIDEST = 3 * LAGS, 5.0
+
+
+def _figure(width: float, height: float):
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout='constrained')
+
+
+def autocorrelation(values: np.ndarray, lags: int) -> np.ndarray:
+    """Autocorrelation of `values` (n,) at lags 1..lags, with the mean taken out."""
+    centred = values - values.mean()
+    return np.array([(centred[k:] * centred[:-k]).sum() for k in range(1, lags + 1)]) / (centred**2).sum()
+
+
+def residual(diagnosis: Diagnosis, stage: str):
+    """Whitened innovations along and across the track at one stage: against time, their autocorrelation, histogram."""
+    problem, detection = diagnosis.problem, diagnosis.detections[stage]
+    series = diagnosis.residuals[stage].along_across()[problem.mask].T
+    minutes = (problem.stamp[problem.mask] - problem.stamp[0]) * 1e-9 / 60
+    figure = _figure(11, 5)
+    axes = figure.subplots(2, 3, width_ratios=(2.4, 1.2, 1), sharex='col')
+    for (time, acf, histogram), name, values in zip(axes, COMPONENTS[2:], series):
+        time.axhspan(-2.58, 2.58, color='0.92', label='99 % of a right model')
+        time.plot(minutes, values, '.', markersize=2.5, color=COLOURS[stage])
+        time.set_ylabel(f'{name}, sigma')
+        _autocorrelation(acf, values, COLOURS[stage])
+        _histogram(histogram, values, COLOURS[stage])
+    axes[0, 0].legend(loc='upper right', fontsize=7)
+    axes[0, 0].set_title('whitened innovations', fontsize=9)
+    axes[0, 1].set_title('autocorrelation, 99 % bounds of white noise', fontsize=9)
+    axes[0, 2].set_title('histogram and N(0, 1)', fontsize=9)
+    for axis, label in zip(axes[1], ('time, min', 'lag, fixes', 'sigma')):
+        axis.set_xlabel(label)
+    low, high = detection.nis_bounds
+    figure.suptitle(f'{STAGES[stage]}: NIS {detection.nis_mean:.3g} ({low:.2f} to {high:.2f} expected), '
+                    f'Ljung-Box p {detection.ljung_box_p:.2g}', fontsize=10)
+    return figure
+
+
+def _autocorrelation(axes, values, colour) -> None:
+    lags = min(SHOWN_LAGS, len(values) // 4)
+    bound = 2.58 / np.sqrt(len(values))
+    axes.axhspan(-bound, bound, color='0.92')
+    axes.vlines(np.arange(1, lags + 1), 0, autocorrelation(values, lags), color=colour)
+    axes.axhline(0, color='k', linewidth=0.6)
+    low, high = axes.get_ylim()
+    axes.set_ylim(min(low, -0.25), max(high, 0.25))
+
+
+def _histogram(axes, values, colour) -> None:
+    grid = np.linspace(-WIDEST, WIDEST, 201)
+    axes.hist(np.clip(values, -WIDEST, WIDEST), np.linspace(-WIDEST, WIDEST, 41), density=True, color=colour, alpha=0.6)
+    axes.plot(grid, np.exp(-0.5 * grid**2) / np.sqrt(2 * np.pi), color='k', linewidth=1)
+    axes.set_yticks([])
+
+
+def evidence(diagnosis: Diagnosis):
+    """The gain of every candidate in every round; None where nothing was tested."""
+    from .tracing import SIGNIFICANCE
+
+    if not diagnosis.rounds:
+        return None
+    count = max(len(r) for r in diagnosis.rounds)
+    figure = _figure(11, 1.0 + 0.24 * count)
+    for axes, (i, candidates) in zip(np.atleast_1d(figure.subplots(1, len(diagnosis.rounds))),
+                                     enumerate(diagnosis.rounds)):
+        ranked = sorted(candidates, key=lambda c: c.gain)
+        axes.barh([c.name for c in ranked], [c.gain for c in ranked],
+                  color=[AFTER if c.p_adjusted <= SIGNIFICANCE else '0.8' for c in ranked])
+        axes.tick_params(labelsize=7)
+        axes.set_title(f'round {i + 1}', fontsize=9)
+        axes.set_xlabel('gain of the score test', fontsize=8)
+    return figure
+
+
+def errors(diagnosis: Diagnosis):
+    """Horizontal error before and after: against time with the fixes used, and since the last fix in outages."""
+    figure = _figure(11, 4)
+    time, outage = figure.subplots(1, 2, width_ratios=(1.6, 1))
+    origin = diagnosis.problem.stamp[0]
+    for stage, measured in measured_stages(diagnosis).items():
+        continuous = measured.continuous
+        time.plot((continuous.stamp - origin) * 1e-9 / 60, continuous.horizontal, '.', markersize=2,
+                  color=COLOURS[stage], label=STAGES[stage])
+        _growth(outage, measured, stage)
+    time.set(xlabel='time, min', ylabel='horizontal error, m', yscale='log')
+    time.set_title('with the fixes used', fontsize=9)
+    outage.set(xlabel='since the last fix, s', ylabel='horizontal error, m', xlim=(0, None), ylim=(0, None))
+    outage.set_title('without fixes: median, and half of the outages', fontsize=9)
+    time.legend(fontsize=8, markerscale=4)
+    return figure
+
+
+def measured_stages(diagnosis: Diagnosis) -> dict[str, Measured]:
+    """The errors measured, by stage; only one stage where nothing was added."""
+    stages = {'before': diagnosis.before, 'fitted': diagnosis.fitted}
+    return stages | ({'after': diagnosis.after} if any(f.added for f in diagnosis.findings) else {})
+
+
+def _growth(axes, measured: Measured, stage: str) -> None:
+    longest = next((o for o in reversed(measured.outages) if len(o.growth)), None)
+    if longest is None:
+        return
+    low, middle, high = (np.concatenate([[0.0], q]) for q in np.percentile(longest.growth, [25, 50, 75], axis=0))
+    time = np.concatenate([[0.0], longest.time])
+    axes.fill_between(time, low, high, color=COLOURS[stage], alpha=0.15, linewidth=0)
+    axes.plot(time, middle, color=COLOURS[stage])
