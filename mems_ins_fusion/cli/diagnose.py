@@ -69,8 +69,8 @@ class _Bar:
     def __enter__(self):
         from tqdm import tqdm
 
-        self.bar = tqdm(total=1.0, desc='diagnosing', bar_format='{desc}: {percentage:3.0f}%|{bar}| {elapsed} {postfix}',
-                        disable=None)
+        self.bar = tqdm(total=1.0, desc='diagnosing', disable=None,
+                        bar_format='{desc}: {percentage:3.0f}%|{bar}| {elapsed} {postfix}')
         return self
 
     def __exit__(self, *_):

@@ -12,8 +12,6 @@ from . import plots
 from .diagnose import Diagnosis, Finding
 from .tracing import Candidate
 
-_STAGES = {'before': 'as configured', 'fitted': 'with fitted noise levels', 'after': 'with the effects added'}
-
 
 def report(diagnosis: Diagnosis, warned=()) -> dict:
     """The content of `report.json`: plain types, None for what is not known. warned: what reading said."""
@@ -187,8 +185,8 @@ def story(diagnosis: Diagnosis) -> list[str]:
              + ' '.join(d.detections['before'].words())]
     lines += [f'Effect: {finding_text(f)}' for f in d.findings] or ['No effect was found.']
     lines += [f'Error, {text}' for text in error_lines(d)]
-    lines.append(f'{_STAGES["after"].capitalize() if any(f.added for f in d.findings) else "With fitted noise levels"}: '
-                 + ' '.join(d.detections['after'].words()))
+    last = 'after' if any(f.added for f in d.findings) else 'fitted'
+    lines.append(f'{plots.STAGES[last].capitalize()}: {" ".join(d.detections["after"].words())}')
     lines += [unexplained_text(d), *d.remarks]
     if hidden := not_identifiable(d):
         lines.append(f'Not identifiable here: {", ".join(hidden)}.')
@@ -197,7 +195,8 @@ def story(diagnosis: Diagnosis) -> list[str]:
 
 def finding_text(f: Finding) -> str:
     others = [name for name in f.group if name != f.name]
-    how = ' by another mechanization' if f.effect.replaces_model({k: v for k, (v, _, _) in f.parameters.items()}) else ''
+    replaced = f.effect.replaces_model({name: value for name, (value, _, _) in f.parameters.items()})
+    how = ' by another mechanization' if replaced else ''
     group = f'; this recording cannot tell it from {" or ".join(others)}' if others else ''
     return f'{parameters_text(f)}{group}; ' + (f'added{how}.' if f.added else f'not added: {f.reason}.')
 
@@ -264,7 +263,8 @@ def _residual_before(d: Diagnosis) -> html.Html:
     return html.section(
         'What the filter cannot explain', html.bullets(d.detections['before'].words()),
         html.figure(plots.residual(d, 'before'), 'Innovations (fix minus prediction) of the filter as configured, in '
-                    'units of their predicted standard deviation, along and across the track.'),
+                    'units of their predicted standard deviation, along and across the track. What is beyond 5 sigma stands '
+                    'at the edges of the histogram.'),
         _tests(d, ('before',)))
 
 
@@ -279,11 +279,11 @@ def _p(value: float) -> str:
 
 
 def _noise(d: Diagnosis) -> html.Html:
-    factors = [(name, factor) for name, factor in d.noise.items()]
     return html.section(
-        'Noise levels first', 'So that a badly tuned filter is not taken for a missing effect, the noise levels are fitted '
-        'to the innovations before any effect is tested, and again with each one added.',
-        html.table(('noise level', 'factor at the end'), factors, digits=3), html.bullets(d.detections['fitted'].words()),
+        'Noise levels first', 'So that a badly tuned filter is not taken for a missing effect, the noise levels are '
+        'fitted to the innovations before any effect is tested, and again with each one added.',
+        html.table(('noise level', 'factor at the end'), list(d.noise.items()), digits=3),
+        html.bullets(d.detections['fitted'].words()),
         html.figure(plots.residual(d, 'fitted'), 'The same innovations with fitted noise levels and no effect.'))
 
 
@@ -296,8 +296,9 @@ def _candidates(d: Diagnosis) -> html.Html:
                          f'Round {i + 1}', 3) for i, candidates in enumerate(d.rounds)]
     hidden = html.bullets(f'{name}: {why}' for name, why in not_identifiable(d).items())
     return html.section(
-        'Candidates and their evidence', 'The score test: how much better each effect would explain the innovations, with '
-        'the share of noise levels and of effects added before taken out. Green: significant after counting all tests.',
+        'Candidates and their evidence', 'The score test: how much better each effect would explain the innovations, '
+        'with the share of noise levels and of effects added before taken out. Green: significant after counting all '
+        'tests; dark green: the one chosen.',
         html.figure(plots.evidence(d), 'Evidence for each candidate, round by round.'), *tables,
         'What this recording cannot show:', hidden)
 
@@ -314,8 +315,8 @@ def _added(d: Diagnosis) -> html.Html:
              f.held_out.gain if f.held_out else None, _p(f.held_out.p) if f.held_out else '',
              f.added, f.reason) for f in d.findings]
     return html.section(
-        'What was found', 'Values of the last joint fit. The held-out gain is that of the log likelihood in blocks of the '
-        'recording that the effect was not fitted to; an effect without one is not added.',
+        'What was found', 'Values of the last joint fit. The held-out gain is that of the log likelihood in blocks of '
+        'the recording that the effect was not fitted to; an effect without one is not added.',
         html.table(('effect', 'cannot be told from', 'value', 'score gain', 'held-out gain', 'p held out', 'added',
                     'why not'), rows, digits=3))
 
@@ -334,14 +335,14 @@ def _errors(d: Diagnosis) -> html.Html:
     rows = [(c['what'], c.get('count'), c.get('before'), c.get('after'), c.get('difference'), _interval(c),
              _p(c['p']) if 'p' in c else '') for c in d.comparison]
     summaries = {plots.STAGES[stage]: measured.summary() for stage, measured in plots.measured_stages(d).items()}
-    columns = ('model', 'RMS with fixes, m', 'outage, s', 'outages', 'median of the largest error, m', 'RMS, m', '95 %, m',
-               '% of distance')
+    columns = ('model', 'RMS with fixes, m', 'outage, s', 'outages', 'median of the largest error, m', 'RMS, m',
+               '95 %, m', '% of distance')
     table = [(name, s['horizontal_rmse_m'] if i == 0 else None, o['duration_s'], o['count'], o['max_error_median_m'],
               o['max_error_rms_m'], o['max_error_p95_m'], o['percent_of_distance'])
              for name, s in summaries.items() for i, o in enumerate(s['outages'])]
     return html.section(
-        'Error before and after', 'Each error after is one of a model that was fitted to other blocks of the recording, '
-        'unless no effect was added.',
+        'Error before and after', 'Each error after is one of a model that was fitted to other blocks of the '
+        'recording, unless no effect was added.',
         html.figure(plots.errors(d), 'Horizontal position error.'), html.table(columns, table, digits=3),
         html.table(('what', 'count', 'before', 'after', 'difference', '95 % interval', 'p of no difference'), rows,
                    'Paired differences, after minus before, by block bootstrap.', 3))
