@@ -17,7 +17,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from mems_ins_fusion import parameters  # noqa: E402
-from mems_ins_fusion.diagnosis.diagnose import Diagnosis, diagnose  # noqa: E402
+from mems_ins_fusion.diagnosis.diagnose import diagnose  # noqa: E402
 from mems_ins_fusion.diagnosis.proof import Measured, measure  # noqa: E402
 from mems_ins_fusion.diagnosis.residuals import Problem, noise_unknowns, scores  # noqa: E402
 from mems_ins_fusion.diagnosis.tracing import trace  # noqa: E402
@@ -73,8 +73,11 @@ class LowPass(Effect):
 
 
 OUTSIDE = (Quadratic(), SpeedBias(), LowPass())
+#: an IMU good enough to show in 10 min what the default one's own slow errors hide
+GOOD_IMU = {'accelerometer.gauss_markov.sigma': [0.01], 'gyroscope.gauss_markov.sigma': [1e-4],
+            'accelerometer.initial_sigma': [0.02], 'gyroscope.initial_sigma': [1e-3]}
 #: effects that need more than the defaults: sideslip shows only through the constraint that it violates
-SETTINGS = {'sideslip': {'vehicle.non_holonomic': True}}
+SETTINGS = {'sideslip': {'vehicle.non_holonomic': True}, 'mounting_rotation': GOOD_IMU, 'g_sensitivity': GOOD_IMU}
 HILLS = 'hills'  # the road's grade tilts the body: the library's tilt, without a value
 SINGLE = (*EFFECTS, HILLS)
 #: pairs of effects that are not each other's group
@@ -173,7 +176,8 @@ def study(scenario: str, names, seed: int) -> Case:
                 case.errors[f'{finding.name}.{name}'] = (value - truth[finding.name].get(name, 0.0)) / sigma
     knowing = oracle(truth, values, scenario)
     if knowing is not None:
-        case.ratios = ratios(result.after, measure(Problem(recording, values), recording, [knowing], DURATIONS, SPACING))
+        known = measure(Problem(recording, values), recording, [knowing], DURATIONS, SPACING)
+        case.ratios = ratios(result.after, known)
     case.improved = ratios(result.after, result.before)
     return case
 
@@ -256,17 +260,22 @@ def _summary(cases, everything) -> str:
     none = [c for c in cases if c.scenario == 'none']
     both = sum(all(any(name in g for g in c.found) for name in c.true) for c in pairs)
     inside = [abs(e) < 2 for c in cases for e in c.errors.values()]
-    honest = sum(not c.found or c.unexplained or len(c.first) > 1 for c in outside)
+    grouped = sum(c.unexplained or len(c.first) > 1 for c in outside)
+    single_wrong = sum(len(c.first) == 1 and not c.unexplained for c in outside)
+    first, mixed = sum(right(c, c.first) for c in single), sum(right(c, c.first) for c in pairs)
     close = [max(c.ratios) <= LIMIT for c in single + pairs if c.ratios]
-    rows = [('right effect first, or its group: one effect', sum(right(c, c.first) for c in single), len(single), '95 %'),
-            ('right effect first, or its group: two effects', sum(right(c, c.first) for c in pairs), len(pairs), '95 %'),
+    rows = [('right effect first, or its group: one effect', first, len(single), '95 %'),
+            ('right effect first, or its group: two effects', mixed, len(pairs), '95 %'),
             ('both effects found, or their groups', both, len(pairs), ''),
             ('value within 2 sigma', sum(inside), len(inside), '90 %'),
             ('an effect added where there is none', sum(bool(c.found) for c in none), len(none), '5 % or fewer'),
             ('an effect added that is neither there nor grouped with one', sum(any(not right(c, g) for g in c.found)
                                                                             for c in single + pairs),
              len(single + pairs), ''),
-            ('outside the library: nothing added, unexplained, or grouped', honest, len(outside), '100 %'),
+            ('outside the library: unexplained, or grouped', grouped, len(outside), '100 %'),
+            ('outside the library: one effect alone is blamed, nothing unexplained', single_wrong, len(outside), '0 %'),
+            ('outside the library: no effect blamed, the noise levels have taken it up',
+             len(outside) - grouped - single_wrong, len(outside), ''),
             ('errors after all within 10 % of the knowing filter', sum(close), len(close), '100 %')]
     lines = ['| score | count | share | target |', '|---|---|---|---|']
     lines += [f'| {what} | {k} of {n} | {100 * k / n:.0f} % | {target} |' for what, k, n, target in rows if n]
