@@ -263,8 +263,8 @@ def _residual_before(d: Diagnosis) -> html.Html:
     return html.section(
         'What the filter cannot explain', html.bullets(d.detections['before'].words()),
         html.figure(plots.residual(d, 'before'), 'Innovations (fix minus prediction) of the filter as configured, in '
-                    'units of their predicted standard deviation, along and across the track. What is beyond 5 sigma stands '
-                    'at the edges of the histogram.'),
+                    'units of their predicted standard deviation, along and across the track. What is beyond 5 sigma '
+                    'stands at the edges of the histogram.'),
         _tests(d, ('before',)))
 
 
