@@ -1,0 +1,168 @@
+"""The whole diagnosis on simulated drives with effects that it is not told of. Truth is what was simulated."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mems_ins_fusion import parameters
+from mems_ins_fusion.diagnosis.diagnose import diagnose
+from mems_ins_fusion.diagnosis.proof import held_out
+from mems_ins_fusion.diagnosis.residuals import DiagnosisError, Problem, fit, noise_unknowns, scores
+from mems_ins_fusion.diagnosis.tracing import effect_unknowns
+from mems_ins_fusion.effects.base import Effect, EffectParameter
+from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+
+DURATION, RATE = 480.0, 25.0
+VALUES = parameters.check({'reference_lever_arm': [0.0, 0.0, 0.0]})  # the simulated reference is the IMU's own position
+OUTAGES = {'durations': (10.0,), 'spacing': 60.0}
+FEW = [EFFECTS[name] for name in ('gnss_time_offset', 'accelerometer_scale', 'gyroscope_scale', 'tilt')]
+
+
+class Placebo(Effect):
+    """Something that has nothing to do with the data: slow waves in the forward specific force."""
+
+    name = 'placebo'
+    parameters = (EffectParameter('size', 'm/s^2', 0.05),)
+
+    def applied(self, values, recording, theta):
+        time = (recording.imu.stamp - recording.imu.stamp[0]) * 1e-9
+        wave = np.sin(2 * np.pi * time / 37.0) + np.sin(2 * np.pi * time / 23.0 + 1.0)
+        force = recording.imu.specific_force - theta['size'] * wave[:, None] * [1.0, 0.0, 0.0]
+        return values, replace(recording, imu=replace(recording.imu, specific_force=force))
+
+
+def recorded(name=None, duration=DURATION, seed=1, **theta):
+    drive = simulate_drive(duration, seed, RATE)
+    sensors = SensorErrors.from_parameters(VALUES, VALUES['sensor_error_model'])
+    effects = [(EFFECTS[name], theta)] if name else []
+    return simulate_recording(drive, sensors, GnssNoise(sigma=0.5), effects, seed=seed).recording
+
+
+@pytest.fixture(scope='module')
+def plain():
+    return recorded()
+
+
+@pytest.fixture(scope='module')
+def problem(plain):
+    return Problem(plain, VALUES)
+
+
+def added(diagnosis):
+    return [f for f in diagnosis.findings if f.added]
+
+
+def rms(measured):
+    return np.sqrt(np.mean(measured.continuous.horizontal**2))
+
+
+def test_scores_of_an_effect_are_the_slope_of_the_likelihood(problem):
+    # given a filter at a wrong scale factor and a wrong noise level, where the likelihood rises steeply
+    unknowns = [*noise_unknowns(problem)[:1], *effect_unknowns(EFFECTS['gyroscope_scale'], {})]
+    x = np.array([0.4, 0.02])
+
+    def likelihood(x):
+        return problem.residual(*problem.assume(unknowns, x)).log_likelihood()[problem.mask].sum()
+    slope = [(likelihood(x + h) - likelihood(x - h)) / (2 * h.sum()) for h in np.diag([1e-4, 1e-5])]
+    _, found = scores(problem, unknowns, x)
+    # then the central difference agrees closely, the noise level's forward one to its step of 5 %
+    gradient = found.gradient(problem.mask)
+    assert gradient[1] == pytest.approx(slope[1], rel=0.02)
+    assert gradient[0] == pytest.approx(slope[0], rel=0.15)
+
+
+def test_what_moves_nothing_leaves_the_innovations_as_they_are(problem):
+    unknowns = [*noise_unknowns(problem), *effect_unknowns(EFFECTS['accelerometer_scale'], {})]
+    same = problem.residual(*problem.assume(unknowns, np.zeros(len(unknowns))))
+    assert np.allclose(same.z, problem.base.z, rtol=0, atol=1e-9, equal_nan=True)
+
+
+def test_a_time_offset_is_found_with_its_value_and_taken_out(plain):
+    # given a receiver whose stamps are 0.2 s late, and all effects as candidates, a placebo among them
+    recording = recorded('gnss_time_offset', time_offset=0.2)
+    result = diagnose(recording, VALUES, effects=[*EFFECTS.values(), Placebo()], **OUTAGES)
+    # then it alone is found, within 3 sigma of the truth
+    [finding] = added(result)
+    assert finding.name == 'gnss_time_offset'
+    value, sigma, unit = finding.parameters['time_offset']
+    assert unit == 's' and 0 < sigma < 0.03 and abs(value - 0.2) < 3 * sigma
+    assert finding.held_out.helps
+    # the error is as small as without the effect, where it was larger, on data that the value was not fitted to
+    clean = rms(diagnose(plain, VALUES, effects=[], **OUTAGES).before)
+    assert rms(result.before) > 2 * clean
+    assert rms(result.after) < 1.15 * clean
+    # the story's begin and end are told, and what cannot be known has no number
+    assert not result.detections['before'].consistent and result.detections['after'].consistent
+    assert not result.unexplained
+    assert 'temperature' in result.hidden and 'sideslip' in result.hidden
+    # and what is written loads again
+    checked = parameters.check(result.corrected)
+    assert checked['gnss.time_offset'] == pytest.approx(value)
+
+
+def test_a_scale_factor_is_found_and_grouped_with_the_suspension_that_looks_the_same():
+    recording = recorded('accelerometer_scale', x=0.06, y=-0.06)
+    [finding] = added(diagnose(recording, VALUES, effects=FEW, **OUTAGES))
+    assert {'accelerometer_scale', 'tilt'} == set(finding.group)
+    if finding.name == 'accelerometer_scale':
+        for name, true in (('x', 0.06), ('y', -0.06)):
+            value, sigma, _ = finding.parameters[name]
+            assert abs(value - true) < 3 * sigma < 0.06
+
+
+def test_nothing_is_found_where_nothing_is(plain):
+    progress = []
+    result = diagnose(plain, VALUES, lambda part, what: progress.append((part, what)),
+                      [*EFFECTS.values(), Placebo()], **OUTAGES)
+    assert not added(result) and not result.unexplained
+    assert result.detections['after'].consistent
+    # only noise levels have moved, the receiver's, which each fix shows, by little: 450 fixes of two components
+    assert abs(np.log(result.noise['gnss.sigma'])) < 4 / np.sqrt(2 * 900)
+    parts = [part for part, _ in progress]
+    assert parts == sorted(parts) and 0 < parts[0] and parts[-1] <= 1 and all(what for _, what in progress)
+
+
+@pytest.mark.parametrize('seed', [1, 2])
+def test_a_placebo_does_not_help_on_data_it_was_not_fitted_to(seed):
+    # given a placebo that was put into the model all the same
+    problem = Problem(recorded(seed=seed), VALUES)
+    unknowns = [*noise_unknowns(problem)[:1], *effect_unknowns(Placebo(), {})]
+    x, *_ = fit(problem, unknowns, np.zeros(2), problem.mask)
+    proof = held_out(problem, unknowns, x, 1)
+    assert not proof.helps
+    # while a real effect does: twice the wave that the placebo would take out
+    _, disturbed = Placebo().applied(VALUES, problem.recording, {'size': -0.3})
+    real = Problem(disturbed, VALUES)
+    x, *_ = fit(real, unknowns, np.zeros(2), real.mask)
+    assert x[1] == pytest.approx(0.3, abs=0.1)
+    assert held_out(real, unknowns, x, 1).helps
+
+
+def test_an_effect_outside_the_library_is_not_blamed_on_one_inside(plain):
+    # given accelerometers with a quadratic error, written into the recording's own numbers
+    force = plain.imu.specific_force + 0.15 * plain.imu.specific_force**2 * [1.0, 1.0, 0.0]
+    recording = replace(plain, imu=replace(plain.imu, specific_force=force))
+    result = diagnose(recording, VALUES, effects=FEW, **OUTAGES)
+    assert not result.detections['before'].consistent
+    # then the report says that something is left, or names several, or none: not a single culprit
+    assert result.unexplained or all(len(f.group) > 1 for f in added(result))
+
+
+def test_the_same_recording_gives_the_same_result():
+    recording = recorded('gyroscope_scale', z=0.08)
+    first, second = (diagnose(recording, VALUES, effects=FEW, **OUTAGES) for _ in range(2))
+    assert [(f.name, f.parameters) for f in first.findings] == [(f.name, f.parameters) for f in second.findings]
+    assert added(first) and first.corrected == second.corrected and first.noise == second.noise
+    assert np.array_equal(first.residuals['after'].z, second.residuals['after'].z, equal_nan=True)
+    assert first.comparison == second.comparison
+
+
+@pytest.mark.parametrize(('duration', 'needed'), [(70.0, 'fixes'), (20.0, '')])
+def test_a_recording_that_is_too_short_says_what_is_needed(duration, needed):
+    with pytest.raises(DiagnosisError) as told:
+        diagnose(recorded(duration=duration), VALUES)
+    text = str(told.value)
+    assert text.startswith('simulation: ') and '\n' not in text and needed in text and len(text) > 20

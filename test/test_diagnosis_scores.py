@@ -1,0 +1,236 @@
+"""The statistics of the diagnosis, each against an independent formula, finite differences, a library or chance."""
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from filter_support import random_covariance
+
+from mems_ins_fusion.diagnosis.detection import correlations, detect, ljung_box
+from mems_ins_fusion.diagnosis.proof import folds
+from mems_ins_fusion.diagnosis.residuals import Residual, Scores, _scores, _whiten_matrix
+from mems_ins_fusion.diagnosis.tracing import Candidate, _test, effect_unknowns, group
+from mems_ins_fusion.effects.base import Effect, EffectParameter
+
+N = 400
+
+
+class Made(Effect):
+    """An effect of two parameters, for tests that bring their own derivatives."""
+
+    name = 'made'
+    parameters = (EffectParameter('a', '-', 1.0), EffectParameter('b', '-', 1.0))
+
+
+def covariances(rng, n=N):
+    return np.array([random_covariance(2, rng) for _ in range(n)])
+
+
+def packed(s):
+    return np.column_stack([s[:, 0, 0], s[:, 0, 1], s[:, 1, 1]])
+
+
+def white(rng, n=N) -> Residual:
+    """Innovations of a filter whose model is right."""
+    s = covariances(rng, n)
+    z = np.einsum('fij,fj->fi', np.linalg.cholesky(s), rng.standard_normal((n, 2)))
+    return Residual(z, packed(s), rng.uniform(-3, 3, n), rng.standard_normal((n, 2)))
+
+
+def test_whitening_is_by_cholesky_factors():
+    rng = np.random.default_rng(1)
+    residual, s, change = white(rng), None, covariances(rng)
+    s = np.array([[[nn, ne], [ne, ee]] for nn, ne, ee in residual.s])
+    inverse = np.linalg.inv(np.linalg.cholesky(s))
+    assert np.allclose(residual.whitened(), np.einsum('fij,fj->fi', inverse, residual.z), rtol=1e-9, atol=1e-9)
+    dense = inverse @ change @ inverse.transpose(0, 2, 1)
+    assert np.allclose(_whiten_matrix(residual.factors(), packed(change)), packed(dense), rtol=1e-8, atol=1e-8)
+    nis = [z @ np.linalg.solve(m, z) for z, m in zip(residual.z, s)]
+    assert np.allclose(residual.nis(), nis, rtol=1e-8)
+    expected = -0.5 * (np.linalg.slogdet(s)[1] + nis)
+    assert np.allclose(residual.log_likelihood(), expected, rtol=1e-8, atol=1e-8)
+
+
+def test_along_and_across_is_the_same_in_turned_axes():
+    residual = white(np.random.default_rng(2))
+    for k, turned in enumerate(residual.along_across()):
+        c, s = np.cos(residual.yaw[k]), np.sin(residual.yaw[k])
+        to_track = np.array([[c, s], [-s, c]])
+        nn, ne, ee = residual.s[k]
+        factor = np.linalg.cholesky(to_track @ [[nn, ne], [ne, ee]] @ to_track.T)
+        assert np.allclose(turned, np.linalg.solve(factor, to_track @ residual.z[k]), rtol=1e-8, atol=1e-8)
+    assert np.allclose((residual.along_across() ** 2).sum(axis=1), residual.nis(), rtol=1e-8)
+
+
+def made_innovations(rng):
+    """z and S as smooth functions of two unknowns; S(x) = S_0 exp(a x) and some off the diagonal."""
+    base, slope, curve = white(rng), rng.standard_normal((N, 2, 2)), rng.standard_normal((N, 2))
+    growth = 0.3 * rng.standard_normal((N, 2))
+
+    def at(x):
+        z = base.z + slope @ x + curve * x[0] * x[1]
+        s = base.s * np.exp(growth @ x)[:, None] + np.array([0.1, 0.05, 0.2]) * (x[0] ** 2 + x[1])
+        return Residual(z, s, base.yaw, base.velocity)
+    return at
+
+
+def test_scores_are_the_derivatives_of_the_likelihood():
+    # given innovations and covariances that depend on two unknowns, at a point that is no maximum
+    at, x, step, mask = made_innovations(np.random.default_rng(3)), np.array([0.1, 0.2]), 1e-5, np.arange(N) >= 50
+    ends = [[at(x + sign * step * axis) for sign in (1, -1)] for axis in np.eye(2)]
+    found = _scores(at(x), [(plus, minus, 2 * step) for plus, minus in ends], mask)
+    # then each fix's score is the difference of its likelihoods, and zero outside the mask
+    expected = np.stack([(plus.log_likelihood() - minus.log_likelihood()) / (2 * step) for plus, minus in ends], axis=1)
+    assert np.allclose(found.score[mask], expected[mask], rtol=1e-5, atol=1e-5)
+    assert not found.score[~mask].any() and not found.sensitivity[~mask].any()
+    assert np.allclose(found.gradient(mask), expected[mask].sum(axis=0), rtol=1e-6)
+
+
+def test_the_information_is_that_of_the_dense_formula():
+    at, x, step = made_innovations(np.random.default_rng(4)), np.array([0.1, 0.2]), 1e-5
+    ends = [[at(x + sign * step * axis) for sign in (1, -1)] for axis in np.eye(2)]
+    mask = np.ones(N, dtype=bool)
+    found = _scores(at(x), [(plus, minus, 2 * step) for plus, minus in ends], mask).information(mask)
+    expected = np.zeros((2, 2))
+    for k in range(N):
+        inverse = np.linalg.inv(unpacked(at(x).s[k]))
+        dz = [(plus.z[k] - minus.z[k]) / (2 * step) for plus, minus in ends]
+        ds = [(unpacked(plus.s[k]) - unpacked(minus.s[k])) / (2 * step) for plus, minus in ends]
+        expected += [[dz[i] @ inverse @ dz[j] + 0.5 * np.trace(inverse @ ds[i] @ inverse @ ds[j]) for j in range(2)]
+                     for i in range(2)]
+    assert np.allclose(found, expected, rtol=1e-5)
+
+
+def unpacked(s):
+    return np.array([[s[0], s[1]], [s[1], s[2]]])
+
+
+@pytest.mark.parametrize('n', [40, 100, 1000])
+def test_ljung_box_is_that_of_statsmodels(n):
+    from statsmodels.stats.diagnostic import acorr_ljungbox
+
+    rng = np.random.default_rng(n)
+    noise = rng.standard_normal(n)
+    for values in (noise, noise + 0.4 * np.roll(noise, 1) + 3.0):
+        expected = acorr_ljungbox(values, lags=[min(10, n // 5)])['lb_pvalue'].iloc[0]
+        assert ljung_box(values) == pytest.approx(expected, rel=1e-6)
+
+
+def test_detection_is_silent_when_the_model_is_right_and_says_what_is_wrong_when_not():
+    # given 100 residuals of right models: each is called inconsistent by chance once in 50, at most
+    mask = np.ones(N, dtype=bool)
+    wrong = sum(not detect(white(np.random.default_rng(100 + k)), mask).consistent for k in range(100))
+    assert wrong <= 2 + 3 * np.sqrt(2)
+    # when they are too large, too small, of one sign, or follow each other
+    good = white(np.random.default_rng(5))
+    s = np.array([unpacked(row) for row in good.s])
+    factor = np.linalg.cholesky(s)
+    lasting = good.whitened() + np.roll(good.whitened(), 1, axis=0)
+
+    def words(z):
+        return ' '.join(detect(Residual(z, good.s, good.yaw, good.velocity), mask).words())
+    assert 'as large as the filter expects (NIS' in words(1.5 * good.z)
+    assert 'smaller than the filter expects' in words(0.7 * good.z)
+    assert 'mean is not zero: north' in words(good.z + factor[:, :, 0] * 0.5)
+    assert 'not white' in words(np.einsum('fij,fj->fi', factor, lasting) / np.sqrt(2))
+    assert words(good.z).startswith('The innovations are white')
+
+
+def test_what_the_rest_goes_with_is_named():
+    rng = np.random.default_rng(6)
+    residual, regressors = white(rng), {name: rng.standard_normal(N) for name in ('speed', 'turn rate', 'time')}
+    mask = np.ones(N, dtype=bool)
+    assert not correlations(residual, mask, regressors)
+    # when half of the along-track variance is due to one of them
+    along = residual.along_across()
+    along[:, 0] += regressors['turn rate']
+    turned = SimpleNamespace(along_across=lambda: along)
+    [found] = correlations(turned, mask, regressors)
+    assert (found['component'], found['with']) == ('along track', 'turn rate')
+    assert found['correlation'] == pytest.approx(np.sqrt(0.5), abs=3 * 0.5 / np.sqrt(N))
+
+
+def problem_of_fixes(n=600):
+    return SimpleNamespace(stamp=1_700_000_000_000_000_000 + np.arange(n) * 10**9, mask=np.arange(n) >= 20)
+
+
+def synthetic(rng, n=N, theta=(0.0, 0.0)):
+    """Residual, scores of two parameters that act on z with slow regressors, and scores of a noise level."""
+    residual = white(rng, n)
+    phase = rng.uniform(0, 2 * np.pi, (2, 2, 1))
+    period = rng.uniform(15, 80, (2, 2, 1))
+    regressors = np.sin(2 * np.pi * np.arange(n) / period + phase).transpose(2, 1, 0)  # (n, component, parameter)
+    # innovations z - d(theta) are what the model expects: the effect's derivative is the regressor
+    residual = Residual(residual.z + regressors @ theta, residual.s, residual.yaw, residual.velocity)
+
+    def moved(z, s=None):
+        return Residual(z, residual.s if s is None else s, residual.yaw, residual.velocity)
+    mask = np.ones(n, dtype=bool)
+    own = _scores(residual, [(moved(residual.z - regressors[:, :, i]), residual, 1.0) for i in range(2)], mask)
+    level = _scores(residual, [(moved(residual.z, 1.01 * residual.s), residual, 0.01)], mask)
+    return residual, own, level, mask
+
+
+def score_test(rng, theta=(0.0, 0.0)) -> Candidate:
+    _, own, level, mask = synthetic(rng, theta=theta)
+    return _test(problem_of_fixes(N), Made(), effect_unknowns(Made(), {}), own, level, mask, {})
+
+
+def test_the_score_test_keeps_its_level():
+    # given 500 drives without the effect
+    p = np.array([score_test(np.random.default_rng(1000 + k)).p for k in range(500)])
+    # then p below 5 % is as rare as it says, not counting 3 sigma of chance; being the larger of two p it may be rarer
+    for level in (0.01, 0.05, 0.2):
+        share, sigma = np.mean(p < level), np.sqrt(level * (1 - level) / len(p))
+        assert share <= level + 3 * sigma
+        assert share >= level / 5 - 3 * sigma / 5
+    assert np.mean(p < 0.2) > 0.05
+
+
+def test_the_score_test_finds_what_is_there_with_its_size():
+    theta = np.array([0.6, -0.4])
+    candidates = [score_test(np.random.default_rng(2000 + k), theta) for k in range(60)]
+    assert np.median([c.p for c in candidates]) < 1e-4
+    errors = np.array([(c.theta - theta) / c.sigma for c in candidates]).ravel()
+    # 120 errors of unit variance: mean within 3 / sqrt(120), mean square within 3 sqrt(2 / 120)
+    assert abs(errors.mean()) < 3 / np.sqrt(120)
+    assert abs(np.mean(errors**2) - 1) < 3 * np.sqrt(2 / 120)
+
+
+def test_what_the_data_do_not_determine_gets_no_number():
+    # given an effect of which only the first parameter touches the innovations
+    _, own, level, mask = synthetic(np.random.default_rng(8))
+    own = Scores(own.score * [1.0, 1e-4], own.sensitivity * np.array([1.0, 1e-4])[:, None])
+    candidate = _test(problem_of_fixes(N), Made(), effect_unknowns(Made(), {}), own, level, mask, {})
+    assert candidate.undetermined == ['b']
+    assert [u.name for u in candidate.unknowns] == ['made.a'] and len(candidate.theta) == 1
+
+
+def candidate_of(name: str, scores: Scores, mask) -> Candidate:
+    effect = type(name, (Made,), {'name': name})()
+    total, information = scores.gradient(mask), scores.information(mask)
+    theta = np.linalg.solve(information, total)
+    return Candidate(effect, [None] * len(theta), theta, np.ones(len(theta)), float(total @ theta), 1e-9, scores, [])
+
+
+def test_effects_that_act_alike_are_one_group_and_others_are_not():
+    _, own, _, mask = synthetic(np.random.default_rng(9), theta=(0.8, 0.6))
+    one = Scores(own.score[:, :1], own.sensitivity[:, :1])
+    parallel = Scores(-3 * one.score, -3 * one.sensitivity)
+    other = Scores(own.score[:, 1:], own.sensitivity[:, 1:])
+    winner = candidate_of('winner', one, mask)
+    alike, different = candidate_of('alike', parallel, mask), candidate_of('different', other, mask)
+    assert group(winner, [different, winner, alike], mask) == ['winner', 'alike']
+    # and what is no finding itself is nobody's group
+    alike.p = 0.5
+    assert group(winner, [different, winner, alike], mask) == ['winner']
+
+
+def test_folds_share_the_fixes_out_in_blocks():
+    problem = problem_of_fixes()
+    one, other = folds(problem)
+    assert np.array_equal(one | other, problem.mask) and not (one & other).any()
+    # 580 s in eight blocks, alternating
+    changes = np.flatnonzero(np.diff(one[problem.mask].astype(int))) + 1
+    assert np.array_equal(changes, np.ceil(np.arange(1, 8) * 579 / 8))
