@@ -161,15 +161,15 @@ def test_a_vehicle_that_never_moves_gives_one_line():
 
 def swinging(period=25.0, tau=40.0, **sigma):
     """Parameters of a sensor whose errors swing with `period` s, as AR(2), and of Gauss-Markov models of the same
-    standard deviation and correlation time, which know nothing of the swing."""
+    standard deviation and correlation time, which know nothing of the swing. There is no constant bias."""
     pole = np.exp(-1 / tau + 2j * np.pi / period)
     coefficients = (-2 * pole.real, abs(pole)**2)
     unit = np.sqrt(Autoregressive(coefficients, 1.0, 1.0).initial_covariance()[0, 0])
-    given = {}
+    given = {'alignment.level': False}
     for sensor, s in sigma.items():
-        given.update({f'{sensor}.autoregressive.coefficients': coefficients, f'{sensor}.autoregressive.interval': 1.0,
-                      f'{sensor}.autoregressive.b0': [s / unit], f'{sensor}.gauss_markov.sigma': [s],
-                      f'{sensor}.gauss_markov.tau': [tau]})
+        given.update({f'{sensor}.initial_sigma': [0.01 * s], f'{sensor}.autoregressive.coefficients': coefficients,
+                      f'{sensor}.autoregressive.interval': 1.0, f'{sensor}.autoregressive.b0': [s / unit],
+                      f'{sensor}.gauss_markov.sigma': [s], f'{sensor}.gauss_markov.tau': [tau]})
     return given
 
 
