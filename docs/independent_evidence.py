@@ -1,0 +1,69 @@
+"""Evidence for the effects of docs/closing_the_loop.md that does not come from the filter's innovations.
+
+    python docs/independent_evidence.py DATA
+
+DATA: folder of the recordings. Prints the lag between course and gyroscopes, and how the pitch of a strapdown run that
+is given no heights goes with the grade that the heights of the truth show.
+"""
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mems_ins_fusion import parameters
+from mems_ins_fusion.filter.fusion import FilterConfig, run
+from mems_ins_fusion.recordings.motion import compare_steering, find_standstill, positions, up_axis
+from mems_ins_fusion.recordings.reading import read_recording
+
+RECORDINGS = (('longmont_rtk_drive', '/gps/fix', None, [0.0, 0.0, np.pi], -0.265),
+              ('karlsruhe_hills', '/gps/fix', '/reference/fix', [0.0, 0.0, 0.0], 0.0),
+              ('incheon_square_ros2', '/fix', None, [np.pi, 0.0, 0.0], 0.0))
+#: the grade is that over this time, at 2 m/s or faster, s
+SPAN = 4.0
+
+
+def pitch_run(recording, mounting_rpy, offset):
+    """A strapdown run whose fixes have no heights: stamps and pitch."""
+    covariance = recording.gnss.covariance.copy()
+    covariance[:, 2, 2], covariance[:, 2, :2], covariance[:, :2, 2] = 1e8, 0.0, 0.0
+    flat = replace(recording.gnss, covariance=covariance, height=np.full(len(recording.gnss), 100.0))
+    values = parameters.check({'mechanization': 'strapdown', 'imu.mounting_rpy': mounting_rpy,
+                               'gnss.time_offset': offset})
+    result = run(FilterConfig.from_parameters(values), recording.imu, flat)
+    return result.stamp, result.pitch
+
+
+def grade_and_pitch(truth, stamp, pitch):
+    """Grade and mean pitch, rad, each second where the vehicle moves."""
+    origin = truth.stamp[0]
+    seconds, time = (truth.stamp - origin) * 1e-9, (stamp - origin) * 1e-9
+    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions(truth)[:, :2], axis=0).T))])
+    turned = np.concatenate([[0.0], np.cumsum(pitch[1:] * np.diff(time))])
+    begin = np.arange(max(seconds[0], time[0]) + 30.0, seconds[-1] - SPAN, 1.0)
+    rise, distance = (np.interp(begin + SPAN, seconds, x) - np.interp(begin, seconds, x)
+                      for x in (truth.height, driven))
+    mean = (np.interp(begin + SPAN, time, turned) - np.interp(begin, time, turned)) / SPAN
+    moving = distance > 2.0 * SPAN
+    return np.arctan2(rise, distance)[moving], mean[moving]
+
+
+def main():
+    for name, topic, reference, mounting_rpy, offset in RECORDINGS:
+        recording = read_recording(Path(sys.argv[1]) / name / 'bag', '/imu/data', topic, reference)
+        up, _ = up_axis(recording.imu, find_standstill(recording.imu, recording.gnss))
+        print(name, compare_steering(recording.imu, recording.gnss, up))
+        truth = recording.reference if reference else recording.gnss
+        grade, pitch = grade_and_pitch(truth, *pitch_run(recording, mounting_rpy, offset))
+        if len(grade) < 20:
+            print('  too slow for a grade')
+            continue
+        slope, constant = np.polyfit(grade, pitch, 1)
+        print(f'  {len(grade)} grades: correlation {np.corrcoef(grade, pitch)[0, 1]:.3f}, pitch = {slope:.2f} grade '
+              f'{np.degrees(constant):+.2f} deg, rest {np.degrees((pitch - slope * grade - constant).std()):.2f} deg')
+
+
+if __name__ == '__main__':
+    main()
