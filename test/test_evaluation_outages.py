@@ -71,6 +71,23 @@ def test_an_outage_is_the_run_without_its_fixes(recording, mechanization):
     assert same(run(settings, recording.imu, gnss), ordinary)
 
 
+def test_a_fix_of_before_the_outage_counts_though_it_comes_after_its_begin(recording):
+    # given a fix that arrives after the next one, which is the first withheld
+    gnss, settings = recording.gnss, config()
+    begin = int(gnss.stamp[100])
+    gnss.received[100] += round(1.3 * SECOND)
+    gnss = gnss.select(np.argsort(gnss.received, kind='stable'))
+    assert gnss.stamp[101] == begin
+    _, coasting = replay_outages(settings, recording.imu, gnss, [begin], 15.0)
+    recording.gnss.received[100] -= round(1.3 * SECOND)
+    # then the outage is the run that has it, without those after it
+    alone = run(settings, recording.imu, gnss.select((gnss.stamp <= begin) | (gnss.stamp > begin + 17 * SECOND)))
+    late = coasting.run.stamp > begin + 5 * SECOND
+    rows = np.searchsorted(alone.stamp, coasting.run.stamp[late])
+    assert late.sum() > 400
+    assert np.array_equal(alone.latitude[rows], coasting.run.latitude[late])
+
+
 def test_the_largest_error_is_that_against_the_truth(recording):
     settings, truth = config(), truth_of(recording)
     begin = recording.gnss.stamp[[80, 120]]
