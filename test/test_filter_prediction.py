@@ -21,6 +21,7 @@ from mems_ins_fusion.filter.kernel import take_sample
 from mems_ins_fusion.filter.layout import PLANAR, Nav
 from mems_ins_fusion.navigation import planar, strapdown
 from mems_ins_fusion.navigation.earth import gravity, radii
+from mems_ins_fusion.parameters import ALL
 
 DT = 0.01
 VELOCITY, ATTITUDE = np.array([12.0, -5.0, 0.3]), (0.02, -0.03, 0.7)
@@ -228,7 +229,7 @@ def test_erratum_eq_22_each_block_shifts_and_there_are_eleven_states():
 def test_erratum_eq_16_the_driving_noise_keeps_the_variance_stationary():
     # given the stationary covariance at the start; without b0 w(n) it would die away
     _, p = stepped('AR(2)', 400)
-    b0, a1, a2 = 0.0035, -1.2, 0.4
+    b0, a1, a2 = ALL['accelerometer.autoregressive.b0'].default[0], -1.2, 0.4
     stationary = b0**2 * (1 + a2) / ((1 - a2) * ((1 + a2) ** 2 - a1**2))  # Box and Jenkins, AR(2)
     initial = stationary + 0.2**2  # of a turn-on bias that no standstill showed
     decayed = np.linalg.matrix_power([[1.2, -0.4], [1, 0]], 400)

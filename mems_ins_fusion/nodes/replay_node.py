@@ -93,7 +93,8 @@ class _Bar:
     def __call__(self, part: float, what: str) -> None:
         if self._stop.requested:  # its KeyboardInterrupt may have been lost in a library's callback
             raise KeyboardInterrupt
-        self._bar.set_postfix_str(what, refresh=False)
+        if what != self._bar.postfix:  # a new stage shows at once, however little time has passed
+            self._bar.set_postfix_str(what)
         self._bar.update(max(round(100 * part) - self._bar.n, 0))
 
 
