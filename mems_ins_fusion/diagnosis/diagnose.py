@@ -5,13 +5,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.stats import chi2
 
 from ..effects.base import Effect
 from ..effects.registry import EFFECTS
 from ..samples import Recording
 from .detection import Detection, correlations, detect
 from .proof import HeldOut, Measured, compared, folds, gain_of, held_out, measure
-from .residuals import DiagnosisError, Problem, Residual, Scores, Unknown, fit, noise_unknowns
+from .residuals import DiagnosisError, Problem, Residual, Scores, Unknown, fit, noise_unknowns, scores
 from .tracing import SIGNIFICANCE, Candidate, group, trace
 
 #: fewer innovations than this decide nothing
@@ -21,6 +22,8 @@ TURNING, SPEEDING = 0.03, 0.15
 MOST_EFFECTS = 5
 #: candidates of one round that are fitted to see which explains most, and how close in log likelihood equals come
 TRIED, CLOSE = 4, 3.3
+#: a fitted noise level this many times the configured one is worth a remark
+NOISE_FACTOR = 3.0
 
 Progress = Callable[[float, str], None]
 
@@ -155,14 +158,40 @@ class _Work:
         self.rounds.append(candidates)
         significant = [c for c in candidates if c.p_adjusted <= SIGNIFICANCE and c.scores is not None]
         if not significant:
+            significant = self._swallowed(progress)
+        if not significant:
             return False
         self.progress(share + 0.07, f"adding {' or '.join(c.name for c in significant[:TRIED])}")
         best, trial, alike = self._best(significant)
         names = [best.name, *alike, *group(best, candidates, model.problem.mask)[1:]]
         names = list(dict.fromkeys(names))
-        self.effects = [e for e in self.effects if e.name not in names]
+        # the others of its group stay: what of them is not the same as the winner may show in the next round
+        self.effects = [e for e in self.effects if e.name != best.name]
         self._prove(best, trial, names)
         return True
+
+    def _swallowed(self, progress: Callable[[], None]) -> list[Candidate]:
+        """Candidates that the fitted noise levels hide: a slow effect passes for noise, and then is undetermined.
+
+        They are traced at the configured noise levels, where a score proves nothing; what counts is how much better
+        effect and noise levels fit together than noise levels alone (likelihood ratio, Bonferroni).
+        """
+        model, count = self.model, len(self.noise_model.unknowns)
+        x = model.x.copy()
+        x[:count] = 0.0
+        at, nuisance = scores(model.problem, model.unknowns, x)
+        candidates = trace(model.problem.moved(model.unknowns, x), nuisance, at, self.effects, model.problem.mask,
+                           progress)
+        found = []
+        for candidate in sorted((c for c in candidates if c.scores is not None), key=lambda c: -c.gain)[:TRIED]:
+            trial = self._with(candidate)
+            mask = trial.problem.mask & model.problem.mask
+            candidate.gain = 2 * (trial.likelihood(mask) - model.likelihood(mask))
+            candidate.p = float(chi2.sf(max(candidate.gain, 0.0), len(candidate.theta)))
+            candidate.p_adjusted = min(1.0, candidate.p * len(candidates))
+            if candidate.p_adjusted <= SIGNIFICANCE:
+                found.append(candidate)
+        return found
 
     def _best(self, significant: list[Candidate]) -> tuple[Candidate, _Model, list[str]]:
         """The candidate that explains most once it is in the model and all is fitted again, and those as good as it.
@@ -187,7 +216,14 @@ class _Work:
             return _Model.fitted(problem, model.unknowns, model.x)
         begin = [max(t, u.step) if u.variance else np.clip(t, -u.prior / 5, u.prior / 5)
                  for t, u in zip(candidate.theta, candidate.unknowns)]
-        return _Model.fitted(model.problem, [*model.unknowns, *candidate.unknowns], np.concatenate([model.x, begin]))
+        unknowns = [*model.unknowns, *candidate.unknowns]
+        trial = _Model.fitted(model.problem, unknowns, np.concatenate([model.x, begin]))
+        # noise levels that have swallowed the effect may not let go of it: once more from those configured
+        x = trial.x.copy()
+        x[:len(self.noise_model.unknowns)], x[len(model.unknowns):] = 0.0, begin
+        other = _Model.fitted(model.problem, unknowns, x)
+        mask = model.problem.mask
+        return max(trial, other, key=lambda m: m.likelihood(mask))
 
     def _prove(self, best: Candidate, trial: _Model, names: list[str]) -> None:
         if trial.problem is self.model.problem:
@@ -245,7 +281,8 @@ class _Work:
             noise={u.name: float(np.exp(v)) for u, v in zip(self.noise_model.unknowns, model.x)},
             rounds=self.rounds, findings=self.findings, hidden={**self.hidden, **undetermined}, corrected=corrected,
             before=before, fitted=fitted, after=after, comparison=compared(before, after),
-            correlated=correlations(model.residual, problem.mask, regressors), remarks=_remarks(problem, regressors))
+            correlated=correlations(model.residual, problem.mask, regressors),
+            remarks=_remarks(problem, regressors) + _noise_remarks(self.noise_model.unknowns, model.x))
 
     def _final_estimates(self) -> None:
         """All added parameters as the last joint fit left them."""
@@ -292,6 +329,14 @@ def _regressors(problem: Problem) -> dict[str, np.ndarray]:
         at = np.clip(np.searchsorted(imu.stamp, stamp), 0, len(imu) - 1)
         found['temperature'] = imu.temperature[at]
     return found
+
+
+def _noise_remarks(unknowns: Sequence[Unknown], x: np.ndarray) -> list[str]:
+    """Noise levels far above those configured: wrong settings, or something that is in no effect of the library."""
+    factors = {u.name: float(np.exp(v)) for u, v in zip(unknowns, x)}
+    return [f'{name} had to be fitted {factor:.1f} times as large as configured: either it was set too small, or the '
+            'noise stands for an effect that is not in the library.'
+            for name, factor in factors.items() if factor > NOISE_FACTOR]
 
 
 def _remarks(problem: Problem, regressors: dict) -> list[str]:
