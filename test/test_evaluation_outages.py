@@ -73,7 +73,7 @@ def test_an_outage_is_the_run_without_its_fixes(recording, mechanization):
 
 def test_a_fix_of_before_the_outage_counts_though_it_comes_after_its_begin(recording):
     # given a fix that arrives after the next one, which is the first withheld
-    gnss, settings = recording.gnss, config()
+    gnss, settings = recording.gnss, config(**{'gnss.max_delay': 2.0})
     begin = int(gnss.stamp[100])
     gnss.received[100] += round(1.3 * SECOND)
     gnss = gnss.select(np.argsort(gnss.received, kind='stable'))
