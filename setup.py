@@ -15,7 +15,8 @@ setup(
     extras_require={
         # ROS 2 itself, where it does not come from the system
         'ros': ['ros-jazzy-rclpy', 'ros-jazzy-common-interfaces', 'ros-jazzy-rmw-fastrtps-cpp'],
-        'test': ['pytest', 'setuptools>=70.1'],
+        # allantools, evo and statsmodels are judges: tests hold our numbers against theirs
+        'test': ['pytest', 'setuptools>=70.1', 'allantools', 'evo', 'statsmodels'],
     },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
