@@ -132,14 +132,16 @@ def test_a_placebo_does_not_help_on_data_it_was_not_fitted_to(seed):
     problem = Problem(recorded(seed=seed), VALUES)
     unknowns = [*noise_unknowns(problem)[:1], *effect_unknowns(Placebo(), {})]
     x, *_ = fit(problem, unknowns, np.zeros(2), problem.mask)
-    proof = held_out(problem, unknowns, x, 1)
+    without, *_ = fit(problem, unknowns[:1], np.zeros(1), problem.mask)
+    proof = held_out(problem, 1, unknowns, x, unknowns[:1], without)
     assert not proof.helps
     # while a real effect does: twice the wave that the placebo would take out
     _, disturbed = Placebo().applied(VALUES, problem.recording, {'size': -0.3})
     real = Problem(disturbed, VALUES)
     x, *_ = fit(real, unknowns, np.zeros(2), real.mask)
     assert x[1] == pytest.approx(0.3, abs=0.1)
-    assert held_out(real, unknowns, x, 1).helps
+    without, *_ = fit(real, unknowns[:1], np.zeros(1), real.mask)
+    assert held_out(real, 1, unknowns, x, unknowns[:1], without).helps
 
 
 def test_an_effect_outside_the_library_is_not_blamed_on_one_inside(plain):

@@ -6,9 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from filter_support import random_covariance
+from scipy.signal import lfilter
+from scipy.stats import chi2
 
-from mems_ins_fusion.diagnosis.detection import correlations, detect, ljung_box
-from mems_ins_fusion.diagnosis.proof import folds
+from mems_ins_fusion.diagnosis.detection import detect, ljung_box
+from mems_ins_fusion.diagnosis.proof import harm, parts
 from mems_ins_fusion.diagnosis.residuals import Residual, Scores, _scores, _whiten_matrix
 from mems_ins_fusion.diagnosis.tracing import Candidate, _test, effect_unknowns, group
 from mems_ins_fusion.effects.base import Effect, EffectParameter
@@ -137,20 +139,6 @@ def test_detection_is_silent_when_the_model_is_right_and_says_what_is_wrong_when
     assert words(good.z).startswith('The innovations are white')
 
 
-def test_what_the_rest_goes_with_is_named():
-    rng = np.random.default_rng(6)
-    residual, regressors = white(rng), {name: rng.standard_normal(N) for name in ('speed', 'turn rate', 'time')}
-    mask = np.ones(N, dtype=bool)
-    assert not correlations(residual, mask, regressors)
-    # when half of the along-track variance is due to one of them
-    along = residual.along_across()
-    along[:, 0] += regressors['turn rate']
-    turned = SimpleNamespace(along_across=lambda: along)
-    [found] = correlations(turned, mask, regressors)
-    assert (found['component'], found['with']) == ('along track', 'turn rate')
-    assert found['correlation'] == pytest.approx(np.sqrt(0.5), abs=3 * 0.5 / np.sqrt(N))
-
-
 def problem_of_fixes(n=600):
     return SimpleNamespace(stamp=1_700_000_000_000_000_000 + np.arange(n) * 10**9, mask=np.arange(n) >= 20)
 
@@ -186,6 +174,40 @@ def test_the_score_test_keeps_its_level():
         assert share <= level + 3 * sigma
         assert share >= level / 5 - 3 * sigma / 5
     assert np.mean(p < 0.2) > 0.05
+
+
+def test_the_score_test_is_careful_where_innovations_follow_each_other():
+    # given 300 drives without the effect, whose innovations follow each other: 0.9 of each is in the next, so at a
+    # period of 60 fixes they have 9.5 times the power of white ones
+    p = []
+    for k in range(300):
+        rng = np.random.default_rng(3000 + k)
+        residual, _, level, mask = synthetic(rng)
+        factor = np.linalg.cholesky([unpacked(row) for row in residual.s])
+        lasting = lfilter([np.sqrt(0.19)], [1.0, -0.9], rng.standard_normal((N, 2)), axis=0)
+        z = np.einsum('fij,fj->fi', factor, lasting)
+        slow = np.sin(2 * np.pi * np.arange(N) / 60.0)[:, None]
+        coloured = Residual(z, residual.s, residual.yaw, residual.velocity)
+        moved = Residual(z - slow, residual.s, residual.yaw, residual.velocity)
+        own = _scores(coloured, [(moved, coloured, 1.0)], mask)
+        p.append(_test(problem_of_fixes(N), Made(), effect_unknowns(Made(), {})[:1], own, level, mask, {}).p)
+        naive = own.gradient(mask)[0] ** 2 / own.information(mask)[0, 0]
+        p[-1] = p[-1], chi2.sf(naive, 1)
+    careful, naive = np.array(p).T
+    # then what would be found for certain in many of them is found in few
+    assert np.mean(naive < 1e-3) > 0.1 and np.mean(careful < 1e-3) < 0.02
+
+
+def test_an_error_that_grows_speaks_against_a_model():
+    better = {'what': 'outages of 10 s', 'before': 4.0, 'after': 2.0, 'low': -3.0, 'high': -1.0, 'p': 0.001}
+    worse = {'what': 'with all fixes', 'before': 1.0, 'after': 1.2, 'low': 0.1, 'high': 0.3, 'p': 0.001}
+    unsure = {**worse, 'low': -0.1, 'p': 0.2}
+    assert harm([better]) == '' and harm([better, unsure]) == ''
+    assert harm([better, worse]) == 'the error grows: with all fixes, 1 before, 1.2 after'
+    # all in all: 1.2 times, and 0.5 * 1.2^4 = 1.04 times
+    assert harm([unsure]) == 'the error does not shrink: all in all it is 1.20 times that before'
+    assert '1.01 times' in harm([better, *4 * [unsure]])
+    assert harm([]) == '' and harm([{'what': 'outages of 60 s', 'count': 0}]) == ''
 
 
 def test_the_score_test_finds_what_is_there_with_its_size():
@@ -227,10 +249,12 @@ def test_effects_that_act_alike_are_one_group_and_others_are_not():
     assert group(winner, [different, winner, alike], mask) == ['winner']
 
 
-def test_folds_share_the_fixes_out_in_blocks():
+def test_the_parts_held_out_share_the_fixes_out_in_blocks():
     problem = problem_of_fixes()
-    one, other = folds(problem)
-    assert np.array_equal(one | other, problem.mask) and not (one & other).any()
-    # 580 s in eight blocks, alternating
-    changes = np.flatnonzero(np.diff(one[problem.mask].astype(int))) + 1
+    masks = np.array(parts(problem))
+    assert len(masks) == 4 and np.array_equal(masks.sum(axis=0), problem.mask)
+    # 580 s in eight blocks, in turns
+    whose = masks[:, problem.mask].argmax(axis=0)
+    changes = np.flatnonzero(np.diff(whose)) + 1
     assert np.array_equal(changes, np.ceil(np.arange(1, 8) * 579 / 8))
+    assert whose[[0, *changes]].tolist() == [0, 1, 2, 3, 0, 1, 2, 3]

@@ -30,9 +30,10 @@ class Detection:
 
     @property
     def consistent(self) -> bool:
-        """Neither the size nor the order of the innovations speaks against the model."""
+        """Neither the size nor the order nor the mean of the innovations speaks against the model."""
         low, high = self.nis_bounds
-        return low <= self.nis_mean <= high and self.ljung_box_p >= SIGNIFICANCE
+        return (low <= self.nis_mean <= high and self.ljung_box_p >= SIGNIFICANCE
+                and 4 * min(self.mean_p.values()) >= SIGNIFICANCE)
 
     def words(self) -> list[str]:
         """What is wrong, for a person."""
@@ -83,28 +84,3 @@ def ljung_box(values: np.ndarray, lags: int = LAGS) -> float:
     rho = np.array([(centred[k:] * centred[:-k]).sum() / power for k in range(1, lags + 1)])
     statistic = n * (n + 2) * (rho**2 / (n - np.arange(1, lags + 1))).sum()
     return float(chi2.sf(statistic, lags))
-
-
-def correlations(residual: Residual, mask: np.ndarray, regressors: dict[str, np.ndarray]) -> list[dict]:
-    """What the innovations along and across the track still go with, strongest first.
-
-    regressors: by name, (f,) at the fixes. Correlations whose p, by the number of innovations that are independent of
-    each other, is above 1 % after counting all of them are left out.
-    """
-    from scipy.stats import t as student
-
-    from ..evaluation.bootstrap import correlation_length
-
-    found = []
-    for component, series in zip(COMPONENTS[2:], residual.along_across()[mask].T):
-        for name, values in regressors.items():
-            values = values[mask]
-            usable = np.isfinite(values)
-            if usable.sum() < 20 or values[usable].std() == 0:
-                continue
-            r = float(np.corrcoef(series[usable], values[usable])[0, 1])
-            independent = max(usable.sum() / max(correlation_length(series[usable] * values[usable]), 1.0), 4.0)
-            p = 2 * student.sf(abs(r) * np.sqrt((independent - 2) / max(1 - r**2, 1e-12)), independent - 2)
-            found.append({'component': component, 'with': name, 'correlation': r, 'p': float(p)})
-    kept = [f for f in found if f['p'] * len(found) < SIGNIFICANCE]
-    return sorted(kept, key=lambda f: -abs(f['correlation']))

@@ -1,27 +1,30 @@
 """Close the loop: find the residual, trace it to an effect the model lacks, add that effect, prove it (DESIGN, 5)."""
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2
 
 from ..effects.base import Effect
 from ..effects.registry import EFFECTS
 from ..samples import Recording
-from .detection import Detection, correlations, detect
-from .proof import HeldOut, Measured, compared, folds, gain_of, held_out, measure
-from .residuals import DiagnosisError, Problem, Residual, Scores, Unknown, fit, noise_unknowns, scores
-from .tracing import SIGNIFICANCE, Candidate, group, trace
+from .detection import Detection, detect
+from .proof import HeldOut, Measured, compared, estimates, gain_of, harm, held_out, measure
+from .residuals import DiagnosisError, Problem, Residual, Scores, Unknown, fit, noise_unknowns
+from .rest import GoesWith, goes_with
+from .tracing import SIGNIFICANCE, Candidate, also_determined, effect_unknowns, group, refined_unknowns, trace
 
 #: fewer innovations than this decide nothing
 FEWEST_FIXES = 60
 #: a recording has turns, and changes of speed, where these happen: rad/s and m/s^2 (root mean square)
 TURNING, SPEEDING = 0.03, 0.15
-MOST_EFFECTS = 5
-#: candidates of one round that are fitted to see which explains most, and how close in log likelihood equals come
-TRIED, CLOSE = 4, 3.3
+MOST_ROUNDS = 8
+#: candidates of one round that are fitted to see which explains most, if their gain is this part of the largest, and
+#: how close in log likelihood equals come
+TRIED, PART, CLOSE = 4, 0.3, 3.3
 #: a fitted noise level this many times the configured one is worth a remark
 NOISE_FACTOR = 3.0
 
@@ -60,6 +63,7 @@ class Diagnosis:
     detections: dict[str, Detection]
     noise: dict[str, float]  # fitted noise levels, as factors
     rounds: list[list[Candidate]]
+    chosen: list[str]  # the candidate that each round tried to add; none in the last one
     findings: list[Finding]
     hidden: dict[str, str]  # effects and parameters that the data cannot show, and why
     corrected: dict
@@ -67,12 +71,12 @@ class Diagnosis:
     fitted: Measured
     after: Measured
     comparison: list[dict]
-    correlated: list[dict]
+    rest: list[GoesWith]
     remarks: list[str] = field(default_factory=list)
 
     @property
     def unexplained(self) -> bool:
-        return not self.detections['after'].consistent
+        return not self.detections['after'].consistent or bool(self.rest)
 
 
 def diagnose(recording: Recording, values: dict, progress: Progress = lambda part, what: None,
@@ -87,13 +91,15 @@ def diagnose(recording: Recording, values: dict, progress: Progress = lambda par
     if problem.mask.sum() < FEWEST_FIXES:
         raise DiagnosisError(f'{recording.name}: {int(problem.mask.sum())} fixes while the filter runs, at least '
                              f'{FEWEST_FIXES} are needed: record some minutes of driving with fixes every second')
-    work = _Work(recording, problem, list(effects if effects is not None else EFFECTS.values()), progress)
+    durations = [d for d in durations if d < 0.3 * (problem.stamp[-1] - problem.stamp[0]) * 1e-9]
+    work = _Work(recording, problem, list(effects if effects is not None else EFFECTS.values()), durations, spacing,
+                 progress)
     work.fit_noise()
-    for _ in range(MOST_EFFECTS):
+    for _ in range(MOST_ROUNDS):
         if not work.add_best():
             break
     work.drop_superseded()
-    return work.finish(durations, spacing)
+    return work.finish()
 
 
 @dataclass
@@ -118,15 +124,18 @@ class _Model:
 class _Work:
     """The model as it grows: noise levels first, then one effect after the other."""
 
-    def __init__(self, recording, problem: Problem, effects: list[Effect], progress: Progress):
+    def __init__(self, recording, problem: Problem, effects: list[Effect], durations, spacing, progress: Progress):
         self.recording, self.origin, self.progress = recording, problem, progress
-        self.effects, self.hidden = effects, {}
+        self.library, self.effects, self.hidden = effects, effects, {}
+        self.durations, self.spacing = durations, spacing
         self._hide(problem)
         self.residuals = {'before': problem.base}
         self.detections = {'before': detect(problem.base, problem.mask)}
         self.findings: list[Finding] = []
         self.rounds: list[list[Candidate]] = []
+        self.chosen: list[str] = []
         self.estimates: list[np.ndarray] = []
+        self.rejected: list[Effect] = []
 
     def _hide(self, problem: Problem) -> None:
         """Set aside the effects of which this problem can say nothing."""
@@ -137,13 +146,15 @@ class _Work:
     def fit_noise(self) -> None:
         self.progress(0.05, 'fitting noise levels')
         noise = noise_unknowns(self.origin)
+        self.noise_count = len(noise)
         self.model = self.noise_model = _Model.fitted(self.origin, noise, np.zeros(len(noise)))
         self.residuals['fitted'] = self.model.residual
         self.detections['fitted'] = detect(self.model.residual, self.origin.mask)
+        self.errors = self._quick_errors(self.model, [])
 
     def add_best(self) -> bool:
         """Trace, and add the best candidate that helps on held-out data; False when none is left."""
-        share = 0.1 + 0.7 * len(self.rounds) / MOST_EFFECTS
+        share = 0.1 + 0.7 * len(self.rounds) / MOST_ROUNDS
         tested = [0]
 
         def progress():
@@ -158,40 +169,23 @@ class _Work:
         self.rounds.append(candidates)
         significant = [c for c in candidates if c.p_adjusted <= SIGNIFICANCE and c.scores is not None]
         if not significant:
-            significant = self._swallowed(progress)
-        if not significant:
             return False
         self.progress(share + 0.07, f"adding {' or '.join(c.name for c in significant[:TRIED])}")
         best, trial, alike = self._best(significant)
+        trial = self._completed(best, trial)
         names = [best.name, *alike, *group(best, candidates, model.problem.mask)[1:]]
         names = list(dict.fromkeys(names))
         # the others of its group stay: what of them is not the same as the winner may show in the next round
         self.effects = [e for e in self.effects if e.name != best.name]
-        self._prove(best, trial, names)
+        self.chosen.append(best.name)
+        finding = self._prove(best, trial, names)
+        self.findings = [f for f in self.findings if f.name != best.name] + [finding]
+        if not finding.added:
+            self.rejected.append(best.effect)
+        elif self.rejected:  # what did not help before may help now
+            again = [*self.effects, *self.rejected]
+            self.effects, self.rejected = [e for e in self.library if e in again], []
         return True
-
-    def _swallowed(self, progress: Callable[[], None]) -> list[Candidate]:
-        """Candidates that the fitted noise levels hide: a slow effect passes for noise, and then is undetermined.
-
-        They are traced at the configured noise levels, where a score proves nothing; what counts is how much better
-        effect and noise levels fit together than noise levels alone (likelihood ratio, Bonferroni).
-        """
-        model, count = self.model, len(self.noise_model.unknowns)
-        x = model.x.copy()
-        x[:count] = 0.0
-        at, nuisance = scores(model.problem, model.unknowns, x)
-        candidates = trace(model.problem.moved(model.unknowns, x), nuisance, at, self.effects, model.problem.mask,
-                           progress)
-        found = []
-        for candidate in sorted((c for c in candidates if c.scores is not None), key=lambda c: -c.gain)[:TRIED]:
-            trial = self._with(candidate)
-            mask = trial.problem.mask & model.problem.mask
-            candidate.gain = 2 * (trial.likelihood(mask) - model.likelihood(mask))
-            candidate.p = float(chi2.sf(max(candidate.gain, 0.0), len(candidate.theta)))
-            candidate.p_adjusted = min(1.0, candidate.p * len(candidates))
-            if candidate.p_adjusted <= SIGNIFICANCE:
-                found.append(candidate)
-        return found
 
     def _best(self, significant: list[Candidate]) -> tuple[Candidate, _Model, list[str]]:
         """The candidate that explains most once it is in the model and all is fitted again, and those as good as it.
@@ -200,7 +194,7 @@ class _Work:
         taken in the order of the registry.
         """
         by_gain = sorted(significant, key=lambda c: 2 * len(c.theta) - c.gain)[:TRIED]
-        trials = [(c, self._with(c)) for c in by_gain]
+        trials = [(c, self._with(c)) for c in by_gain if c.gain >= PART * by_gain[0].gain]
         mask = np.logical_and.reduce([t.problem.mask for _, t in trials])
         merit = np.array([t.likelihood(mask) - len(c.theta) for c, t in trials])
         alike = [k for k in range(len(trials)) if merit[k] > merit.max() - CLOSE]
@@ -220,27 +214,51 @@ class _Work:
         trial = _Model.fitted(model.problem, unknowns, np.concatenate([model.x, begin]))
         # noise levels that have swallowed the effect may not let go of it: once more from those configured
         x = trial.x.copy()
-        x[:len(self.noise_model.unknowns)], x[len(model.unknowns):] = 0.0, begin
+        x[:self.noise_count], x[len(model.unknowns):] = 0.0, begin
         other = _Model.fitted(model.problem, unknowns, x)
         mask = model.problem.mask
         return max(trial, other, key=lambda m: m.likelihood(mask))
 
-    def _prove(self, best: Candidate, trial: _Model, names: list[str]) -> None:
+    def _completed(self, candidate: Candidate, trial: _Model) -> _Model:
+        """`trial` with what else of its effect the data determine now that noise levels need not stand for it."""
+        known = {u.name for u in trial.unknowns}
+        if trial.problem is not self.model.problem:
+            return trial
+        missing = [u for u in effect_unknowns(candidate.effect, candidate.fixed) if u.name not in known]
+        more = also_determined(trial.problem.moved(trial.unknowns, trial.x), missing, trial.scores, trial.residual,
+                               trial.problem.mask)
+        more += refined_unknowns(candidate.effect, candidate.fixed)
+        if not more:
+            return trial
+        return _Model.fitted(trial.problem, [*trial.unknowns, *more], np.append(trial.x, np.zeros(len(more))))
+
+    def _prove(self, best: Candidate, trial: _Model, names: list[str]) -> Finding:
+        """What the best candidate came to; it is in the model from now on if it helps on held-out data."""
         if trial.problem is self.model.problem:
-            proof = held_out(trial.problem, trial.unknowns, trial.x, len(self.model.unknowns))
-            last = slice(len(self.model.unknowns), None)
-            x, sigma = trial.x[last], np.sqrt(np.diag(trial.covariance)[last])
+            proof = held_out(trial.problem, self.noise_count, trial.unknowns, trial.x, self.model.unknowns,
+                             self.model.x)
+            fitted = trial
         else:  # another mechanization has no parameter of its own that could have been fitted to the data
             proof = gain_of(self.model.problem, self.model.residual, trial.residual)
-            x, sigma = best.theta, best.sigma
-        finding = Finding(best.effect, names, _estimates(best, x, sigma), best.gain, best.p_adjusted, proof.helps,
-                          proof)
-        self.findings.append(finding)
+            fitted = _Model.fitted(self.model.problem, [*self.model.unknowns, *best.unknowns],
+                                   np.concatenate([self.model.x, best.theta]))
+        finding = Finding(best.effect, names, _estimates(best, fitted, len(self.model.unknowns)), best.gain,
+                          best.p_adjusted, proof.helps, proof)
         if not proof.helps:
             finding.reason = f'no gain on data it was not fitted to (log likelihood {proof.gain:+.1f}, p {proof.p:.2g})'
-            return
-        self.model, self.estimates = trial, proof.estimates
+            return finding
+        errors = self._quick_errors(trial, proof.estimates)
+        if worse := harm(compared(self.errors, errors)):
+            finding.added, finding.reason = False, worse
+            return finding
+        self.model, self.estimates, self.errors = trial, proof.estimates, errors
         self._hide(trial.problem)
+        return finding
+
+    def _quick_errors(self, model: _Model, estimates: Sequence[np.ndarray]) -> Measured:
+        """Errors of `model`, each by the estimate from other blocks, with the samples of the many runs."""
+        assumed = [model.problem.assume(model.unknowns, x)[0] for x in estimates or [model.x]]
+        return measure(self.origin, self.recording, self.origin.recording.imu, assumed, self.durations, self.spacing)
 
     def drop_superseded(self) -> None:
         """Take out again what an effect that was added later has made superfluous."""
@@ -248,19 +266,18 @@ class _Work:
             kept = [i for i, u in enumerate(self.model.unknowns) if u.name.split('.')[0] != finding.name]
             if len(kept) == len(self.model.unknowns):
                 continue
-            # the unknowns of this effect last: what do they add to all the others?
-            order = kept + [i for i in range(len(self.model.unknowns)) if i not in kept]
-            unknowns = [self.model.unknowns[i] for i in order]
-            proof = held_out(self.model.problem, unknowns, self.model.x[order], len(kept))
+            unknowns = [self.model.unknowns[i] for i in kept]
+            without = _Model.fitted(self.model.problem, unknowns, self.model.x[kept])
+            proof = held_out(self.model.problem, self.noise_count, self.model.unknowns, self.model.x, unknowns,
+                             without.x)
             if proof.helps:
                 continue
             finding.added, finding.held_out = False, proof
             finding.reason = 'explained by an effect that was added later'
-            self.model = _Model.fitted(self.model.problem, unknowns[:len(kept)], self.model.x[kept])
-            self.estimates = [fit(self.model.problem, self.model.unknowns, self.model.x, fold, 2)[0]
-                              for fold in folds(self.model.problem)]
+            self.model = without
+            self.estimates = estimates(without.problem, self.noise_count, unknowns, without.x)
 
-    def finish(self, durations, spacing: float) -> Diagnosis:
+    def finish(self) -> Diagnosis:
         model = self.model
         problem = model.problem
         self._final_estimates()
@@ -268,21 +285,27 @@ class _Work:
         noise_only, _ = self.origin.assume(self.noise_model.unknowns, self.noise_model.x)
         folded = [problem.assume(model.unknowns, x)[0] for x in self.estimates] or [corrected]
         self.progress(0.85, 'measuring errors')
-        durations = [d for d in durations if d < 0.3 * (self.origin.stamp[-1] - self.origin.stamp[0]) * 1e-9]
-        before, fitted, after = (measure(self.origin, self.recording, models, durations, spacing)
-                                 for models in ([self.origin.values], [noise_only], folded))
+        def measured(models):
+            return measure(self.origin, self.recording, self.origin.full.imu, models, self.durations, self.spacing)
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            before, fitted, after = pool.map(measured, ([self.origin.values], [noise_only], folded))
         self.residuals['after'], self.detections['after'] = model.residual, detect(model.residual, problem.mask)
-        regressors = _regressors(problem)
-        undetermined = {f'{c.name}.{name}': 'not determined by this recording'
-                        for c in (self.rounds[-1] if self.rounds else []) for name in c.undetermined}
+        rest = goes_with(problem.moved(model.unknowns, model.x), model.scores, model.residual)
         return Diagnosis(
             recording=self.recording, values=self.origin.values, problem=problem, residuals=self.residuals,
             detections=self.detections,
             noise={u.name: float(np.exp(v)) for u, v in zip(self.noise_model.unknowns, model.x)},
-            rounds=self.rounds, findings=self.findings, hidden={**self.hidden, **undetermined}, corrected=corrected,
-            before=before, fitted=fitted, after=after, comparison=compared(before, after),
-            correlated=correlations(model.residual, problem.mask, regressors),
-            remarks=_remarks(problem, regressors) + _noise_remarks(self.noise_model.unknowns, model.x))
+            rounds=self.rounds, chosen=self.chosen, findings=self.findings,
+            hidden={**self.hidden, **self._undetermined()}, corrected=corrected, before=before, fitted=fitted, after=after, comparison=compared(before, after),
+            rest=rest, remarks=_remarks(problem) + _noise_remarks(self.noise_model.unknowns, model.x))
+
+    def _undetermined(self) -> dict[str, str]:
+        """Parameters that no round could determine."""
+        estimated = {u.name for u in self.model.unknowns}
+        return {f'{c.name}.{name}': 'not determined by this recording'
+                for candidates in self.rounds for c in candidates for name in c.undetermined
+                if f'{c.name}.{name}' not in estimated}
 
     def _final_estimates(self) -> None:
         """All added parameters as the last joint fit left them."""
@@ -293,41 +316,17 @@ class _Work:
                 for i in own:
                     name = model.unknowns[i].name.split('.')[1]
                     unit = finding.parameters[name][2]
-                    finding.parameters[name] = (*_as_reported(model.unknowns[i], model.x[i], sigma[i]), unit)
+                    finding.parameters[name] = (*model.unknowns[i].meant(model.x[i], sigma[i]), unit)
 
 
-def _estimates(best: Candidate, x, sigma) -> dict:
-    """Parameters of a finding: name -> value, sigma, unit."""
+def _estimates(best: Candidate, model: _Model, first: int) -> dict:
+    """Parameters of a finding, the unknowns of `model` from `first` on: name -> value, sigma, unit."""
     units = {p.name: p.unit for p in best.effect.traced}
     found = {name: (value, None, units[name]) for name, value in best.fixed.items() if value}
-    for unknown, value, s in zip(best.unknowns, x, sigma):
+    sigma = np.sqrt(np.diag(model.covariance))
+    for unknown, x, s in zip(model.unknowns[first:], model.x[first:], sigma[first:]):
         name = unknown.name.split('.')[1]
-        found[name] = (*_as_reported(unknown, value, s), units[name])
-    return found
-
-
-def _as_reported(unknown: Unknown, value: float, sigma: float) -> tuple[float, float]:
-    """Value and sigma as the parameter is meant: of a variance, the standard deviation."""
-    if not unknown.variance:
-        return float(value), float(sigma)
-    root = float(np.sqrt(max(value, 0.0)))
-    return root, float(sigma / (2 * root)) if root > 0 else float(np.sqrt(sigma))
-
-
-def _regressors(problem: Problem) -> dict[str, np.ndarray]:
-    """What a residual may go with, at the fixes: time, speed, acceleration, turn rate, heading, temperature."""
-    imu, stamp = problem.recording.imu, problem.stamp
-    velocity = problem.base.velocity
-    speed = np.hypot(*velocity.T)
-    seconds = (stamp - stamp[0]) * 1e-9
-    turn = np.gradient(np.unwrap(problem.base.yaw), seconds)
-    acceleration = np.gradient(speed, seconds)
-    found = {'time': seconds, 'speed': speed, 'acceleration': acceleration, 'turn rate': turn,
-             'lateral acceleration': speed * turn, 'north part of the heading': np.cos(problem.base.yaw),
-             'east part of the heading': np.sin(problem.base.yaw)}
-    if imu.temperature is not None:
-        at = np.clip(np.searchsorted(imu.stamp, stamp), 0, len(imu) - 1)
-        found['temperature'] = imu.temperature[at]
+        found[name] = (*unknown.meant(x, s), units[name])
     return found
 
 
@@ -339,16 +338,18 @@ def _noise_remarks(unknowns: Sequence[Unknown], x: np.ndarray) -> list[str]:
             for name, factor in factors.items() if factor > NOISE_FACTOR]
 
 
-def _remarks(problem: Problem, regressors: dict) -> list[str]:
+def _remarks(problem: Problem) -> list[str]:
     """What the recording lacks, and what recording would show more."""
-    said, mask = [], problem.mask
-    if np.sqrt(np.mean(regressors['turn rate'][mask] ** 2)) < TURNING:
+    said, mask, seconds = [], problem.mask, (problem.stamp - problem.stamp[0]) * 1e-9
+    turn = np.gradient(np.unwrap(problem.base.yaw), seconds)
+    acceleration = np.gradient(np.hypot(*problem.base.velocity.T), seconds)
+    if np.sqrt(np.mean(turn[mask] ** 2)) < TURNING:
         said.append('There are hardly any turns: lever arms, the gyroscope\'s scale and a mounting rotation need some '
                     'bends to both sides.')
-    if np.sqrt(np.mean(regressors['acceleration'][mask] ** 2)) < SPEEDING:
+    if np.sqrt(np.mean(acceleration[mask] ** 2)) < SPEEDING:
         said.append('The speed hardly changes: a time offset, scale factors and a mounting rotation need some braking '
                     'and speeding up.')
-    gaps = np.diff(problem.stamp) * 1e-9
+    gaps = np.diff(seconds)
     if len(gaps) and gaps.max() > 30:
         said.append(f'There are no fixes for {gaps.max():.0f} s in a part of the recording: it says little of that '
                     'part.')

@@ -79,9 +79,9 @@ def evidence(diagnosis: Diagnosis):
     for axes, (i, candidates) in zip(np.atleast_1d(figure.subplots(1, len(diagnosis.rounds))),
                                      enumerate(diagnosis.rounds)):
         ranked = sorted(candidates, key=lambda c: c.gain)
-        chosen = diagnosis.findings[i].name if i < len(diagnosis.findings) else ''
+        chosen = diagnosis.chosen[i:i + 1]
         axes.barh([c.name for c in ranked], [c.gain for c in ranked],
-                  color=[AFTER if c.name == chosen else '#a6d8bd' if c.p_adjusted <= SIGNIFICANCE else '0.85'
+                  color=[AFTER if c.name in chosen else '#a6d8bd' if c.p_adjusted <= SIGNIFICANCE else '0.85'
                          for c in ranked])
         axes.tick_params(labelsize=7)
         axes.set_title(f'round {i + 1}', fontsize=9)

@@ -1,7 +1,7 @@
-"""Does it help where it was not fitted? Blocks of the recording in two folds, and errors of position in both.
+"""Does it help where it was not fitted? Parts of the recording held out in turn, and errors of position in all of them.
 
-The filter always runs through the whole recording; an estimate uses the innovations of one fold and is judged on the
-other, and the other way round.
+The filter always runs through the whole recording; an estimate uses the innovations of all parts but one and is judged
+on that one.
 """
 from __future__ import annotations
 
@@ -18,36 +18,38 @@ from ..evaluation.metrics import Errors, position_errors
 from ..evaluation.outages import Outages, outage_begins, run_outages
 from ..evaluation.outages import summary as outage_summary
 from ..filter.fusion import FilterConfig, run
-from ..samples import Recording
+from ..samples import ImuSamples, Recording
 from .residuals import Problem, Residual, Unknown, fit
 
-#: blocks of each fold; a block is not shorter than this, s
-BLOCKS, SHORTEST_BLOCK = 4, 30.0
-#: a held-out gain counts when chance would give it this rarely
-SIGNIFICANCE = 0.05
+#: parts of the recording, each held out in turn; blocks of each part; a block is not shorter than this, s
+PARTS, BLOCKS, SHORTEST_BLOCK = 4, 2, 30.0
+#: a held-out gain counts when chance would give it this rarely: the tests that led to the effect were far stricter
+SIGNIFICANCE = 0.2
 #: iterations of a fit that starts at the estimate from all data
-REFIT = 2
+REFIT = 3
+#: an error that grows with less chance than this speaks against a model
+HARM = 0.01
 
 
-def folds(problem: Problem) -> list[np.ndarray]:
-    """Two masks of the fixes that count: alternating blocks of time, so that both see all kinds of road."""
+def parts(problem: Problem) -> list[np.ndarray]:
+    """Masks of the fixes that count, by part: blocks of time in turns, so that all parts see all kinds of road."""
     stamp = problem.stamp[problem.mask]
     duration = (stamp[-1] - stamp[0]) * 1e-9
-    length = max(duration / (2 * BLOCKS), min(SHORTEST_BLOCK, duration / 2)) + 1e-6
-    odd = fold_of(problem.stamp, stamp[0], length)
-    return [problem.mask & (odd == 0), problem.mask & (odd == 1)]
+    length = max(duration / (PARTS * BLOCKS), min(SHORTEST_BLOCK, duration / PARTS)) + 1e-6
+    part = part_of(problem.stamp, stamp[0], length)
+    return [problem.mask & (part == k) for k in range(PARTS)]
 
 
-def fold_of(stamp: np.ndarray, origin: int, length: float) -> np.ndarray:
-    """0 or 1 for each stamp (ns), by blocks of `length` s from `origin` on."""
-    return np.floor((stamp - origin) * 1e-9 / length).astype(np.int64) % 2
+def part_of(stamp: np.ndarray, origin: int, length: float) -> np.ndarray:
+    """0 to PARTS - 1 for each stamp (ns), by blocks of `length` s from `origin` on."""
+    return np.floor((stamp - origin) * 1e-9 / length).astype(np.int64) % PARTS
 
 
 @dataclass(frozen=True)
 class HeldOut:
     """Gain of log likelihood on fixes that the estimate did not see: total, and p of no gain by blocks of time.
 
-    estimates: the unknowns by the fold they were fitted on.
+    estimates: the unknowns by the part that was held out.
     """
 
     gain: float
@@ -59,16 +61,36 @@ class HeldOut:
         return self.gain > 0 and self.p < SIGNIFICANCE
 
 
-def held_out(problem: Problem, unknowns: Sequence[Unknown], x: np.ndarray, without: int) -> HeldOut:
-    """What the unknowns behind the first `without` add on held-out data; both models are fitted to the other fold."""
-    masks = folds(problem)
+def held_out(problem: Problem, noise: int, unknowns: Sequence[Unknown], x: np.ndarray, shorter: Sequence[Unknown],
+             x_shorter: np.ndarray) -> HeldOut:
+    """What `unknowns` explain more than `shorter` on data that neither was fitted to.
+
+    x, x_shorter: fitted to all data. Of both, the first `noise` unknowns are noise levels and stay as they are.
+    """
     gains, estimates = np.zeros(len(problem.stamp)), []
-    for fold, other in ((masks[0], masks[1]), (masks[1], masks[0])):
-        longer, _, with_effect, _ = fit(problem, unknowns, x, fold, REFIT)
-        _, _, without_effect, _ = fit(problem, unknowns[:without], x[:without], fold, REFIT + 2)
-        gains[other] = (with_effect.log_likelihood() - without_effect.log_likelihood())[other]
-        estimates.append(longer)
+    for part in parts(problem):
+        residuals = []
+        for chosen, start in ((unknowns, x), (shorter, x_shorter)):
+            fitted, residual = _refitted(problem, noise, chosen, start, problem.mask & ~part)
+            residuals.append(residual.log_likelihood())
+            if chosen is unknowns:
+                estimates.append(fitted)
+        gains[part] = (residuals[0] - residuals[1])[part]
     return HeldOut(float(gains.sum()), _p_of_no_gain(problem, gains), estimates)
+
+
+def estimates(problem: Problem, noise: int, unknowns: Sequence[Unknown], x: np.ndarray) -> list[np.ndarray]:
+    """The unknowns by the part that is held out."""
+    return [_refitted(problem, noise, unknowns, x, problem.mask & ~part)[0] for part in parts(problem)]
+
+
+def _refitted(problem: Problem, noise: int, unknowns, x, mask) -> tuple[np.ndarray, Residual]:
+    """Estimate from the fixes in `mask` with the noise levels as in `x`, and the residual there."""
+    assumed = problem.moved(unknowns[:noise], x[:noise])
+    if len(unknowns) == noise:
+        return x, assumed.residual(assumed.values, assumed.recording)
+    fitted, _, residual, _ = fit(assumed, unknowns[noise:], x[noise:], mask, REFIT)
+    return np.concatenate([x[:noise], fitted]), residual
 
 
 def gain_of(problem: Problem, before: Residual, after: Residual) -> HeldOut:
@@ -100,36 +122,35 @@ class Measured:
                 'outages': [outage_summary(outages) for outages in self.outages]}
 
 
-def measure(problem: Problem, recording: Recording, models: Sequence[dict], durations, spacing: float) -> Measured:
-    """Errors of a model with parameters `models`: one set, or two, of which the second holds where fold 0 is.
+def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Sequence[dict], durations,
+            spacing: float) -> Measured:
+    """Errors of a model with parameters `models`: one set, or one for each of `parts`, fitted to the others.
 
-    recording: with all fixes, for the truth. With two sets each error is one of a model fitted elsewhere.
+    recording: with all fixes, for the truth; imu: the samples that the filter gets.
     """
-    masks = folds(problem)
     first = int(problem.stamp[problem.mask][0])
     # by the fixes' own stamps, so that the same outages are compared whatever a model says of the clocks
     begins = outage_begins(first, problem.full.gnss, 0.0, spacing, min(durations, default=0.0))
-    parts = []
-    for k, values in enumerate(models):
+    judged = parts(problem) if len(models) > 1 else [problem.mask]
+    found = []
+    for values, part in zip(models, judged):
         config = FilterConfig.from_parameters(values)
-        result = run(config, problem.full.imu, problem.full.gnss)
+        result = run(config, imu, problem.full.gnss)
         truth, delay = truth_of(recording, values), round(values['gnss.time_offset'] * 1e9)
         errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
         if recording.reference is None:
             errors = replace(errors, stamp=errors.stamp + delay)
-        outages = run_outages(config, problem.full.imu, problem.full.gnss, truth, durations, begins - delay) \
-            if durations else []
-        outages = [replace(o, begin=o.begin + delay) for o in outages]
-        if len(models) == 2:  # this set was fitted on fold k: it is judged on the other
-            errors = errors.select(_in_mask(errors.stamp, problem, masks[1 - k]))
-            outages = [o.select(_in_mask(o.begin, problem, masks[1 - k])) for o in outages]
-        else:
-            errors = errors.select(errors.stamp >= first)
-        parts.append((errors, outages))
-    if len(parts) == 1:
-        return Measured(*parts[0])
-    return Measured(_joined_errors([errors for errors, _ in parts]),
-                    [_joined_outages(list(pair)) for pair in zip(*(outages for _, outages in parts))])
+        mine = begins
+        if len(models) > 1:
+            mine = begins[_in_mask(begins, problem, part)]
+            errors = errors.select(_in_mask(errors.stamp, problem, part))
+        errors = errors.select(errors.stamp >= first)
+        outages = run_outages(config, imu, problem.full.gnss, truth, durations, mine - delay) if durations else []
+        found.append((errors, [replace(o, begin=o.begin + delay) for o in outages]))
+    if len(found) == 1:
+        return Measured(*found[0])
+    return Measured(_joined_errors([errors for errors, _ in found]),
+                    [_joined_outages(list(same)) for same in zip(*(outages for _, outages in found))])
 
 
 def _in_mask(stamp: np.ndarray, problem: Problem, mask: np.ndarray) -> np.ndarray:
@@ -160,6 +181,19 @@ def compared(before: Measured, after: Measured) -> list[dict]:
         rows.append(_row(f'outages of {old.duration:g} s, mean largest error in m', old.begin, new.begin, old.max_error,
                          new.max_error))
     return rows
+
+
+def harm(comparison: Sequence[dict]) -> str:
+    """What speaks against a model in `comparison` with the one before: an error that grows for certain, or all in all.
+
+    Empty where nothing does. Certain is p < HARM; all in all is the mean of the logarithms of all errors.
+    """
+    rows = [row for row in comparison if row.get('before') and row.get('after')]
+    for row in rows:
+        if row.get('low', 0.0) > 0 and row['p'] < HARM:
+            return f"the error grows: {row['what']}, {row['before']:.3g} before, {row['after']:.3g} after"
+    change = float(np.exp(np.mean([np.log(row['after'] / row['before']) for row in rows]))) if rows else 0.0
+    return f'the error does not shrink: all in all it is {change:.2f} times that before' if change >= 1 else ''
 
 
 def _row(what: str, stamp, new_stamp, old, new) -> dict:

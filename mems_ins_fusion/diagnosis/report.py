@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from dataclasses import asdict
 
 import numpy as np
 
@@ -29,7 +30,7 @@ def report(diagnosis: Diagnosis, warned=()) -> dict:
         'not_identifiable': list(not_identifiable(d)),
         'not_identifiable_reasons': not_identifiable(d),
         'comparison': d.comparison,
-        'correlated': d.correlated,
+        'goes_with': [asdict(rest) for rest in d.rest],
         'noise_factors': d.noise,
         'changed_parameters': changed(d),
         'rounds': [[_candidate(c) for c in candidates] for candidates in d.rounds],
@@ -74,11 +75,7 @@ def _tested(c: Candidate) -> dict[str, tuple[float, float | None]]:
     """One-step estimates of the parameters that a candidate determines; standard deviations, not variances."""
     found = {}
     for unknown, value, sigma in zip(c.unknowns, c.theta, c.sigma):
-        value, sigma = float(value), float(sigma)
-        if unknown.variance:
-            value = math.sqrt(max(value, 0.0))
-            sigma = sigma / (2 * value) if value > 0 else None
-        found[unknown.name.split('.')[1]] = value, sigma
+        found[unknown.name.split('.')[1]] = unknown.meant(float(value), float(sigma))
     return found
 
 
@@ -205,9 +202,9 @@ def unexplained_text(d: Diagnosis) -> str:
     if not d.unexplained:
         return 'Nothing is left unexplained.'
     text = 'A part stays unexplained.'
-    if d.correlated:
-        text += ' It goes with ' + ', '.join(
-            f'{c["with"]} ({c["component"]}, correlation {c["correlation"]:+.2f})' for c in d.correlated[:3]) + '.'
+    if d.rest:
+        text += ' An error would explain some of it that goes with ' + ', or '.join(
+            f'{r.what} ({r.where}, {_to(abs(r.rms), r.sigma)} {r.unit} RMS)' for r in d.rest[:3]) + '.'
     return text
 
 
@@ -354,10 +351,12 @@ def _interval(row: dict) -> str:
 
 def _unexplained(d: Diagnosis) -> html.Html:
     parts = [unexplained_text(d)]
-    if d.correlated:
-        parts.append(html.table(('component', 'goes with', 'correlation', 'p'),
-                                [(c['component'], c['with'], c['correlation'], _p(c['p'])) for c in d.correlated],
-                                digits=2))
+    if d.rest:
+        parts += ['An error of one sensor, or of the position, in proportion to something else would explain the rest '
+                  'better. No effect of the library stands for it, so it is not corrected.',
+                  html.table(('error of', 'goes with', 'RMS', '\N{PLUS-MINUS SIGN}', 'unit', 'gain', 'p, all tests '
+                              'counted'), [(r.where, r.what, r.rms, r.sigma, r.unit, r.gain, _p(r.p)) for r in d.rest],
+                             digits=3)]
     elif d.unexplained:
         parts.append('It goes with none of time, speed, acceleration, turn rate, heading and temperature (as far as '
                      'recorded).')

@@ -25,7 +25,7 @@ SETTLING = 20.0
 #: s between the fixes used; what comes more often is withheld and serves as the truth
 UPDATE_INTERVAL = 1.0
 #: rate of the IMU samples in the many runs of a diagnosis, Hz; errors are measured at the full rate
-FASTEST_RATE = 25.0
+FASTEST_RATE = 12.5
 
 
 class DiagnosisError(ValueError):
@@ -100,7 +100,10 @@ class Unknown:
     """One number that is assumed and can be varied.
 
     apply(values, recording, x) gives the parameters and the recording with it at x; `base` is its value as configured
-    and `step` a difference over which the innovations change linearly. prior: standard deviation of what is plausible.
+    and `step` a difference over which the innovations change linearly. prior: standard deviation of what is plausible;
+    usual: a size that would surprise nobody. one_sided: forward differences only, at a bound or where they are good
+    enough. variance: it stands for the square of what it is named after. factor_on: it is the logarithm of a factor on
+    this, or None.
     """
 
     name: str
@@ -108,8 +111,20 @@ class Unknown:
     base: float
     step: float
     prior: float
-    one_sided: bool = False  # forward differences only: at a bound, or where they are good enough
-    variance: bool = False  # stands for the square of what it is named after
+    usual: float = 1.0
+    one_sided: bool = False
+    variance: bool = False
+    factor_on: float | None = None
+
+    def meant(self, x: float, sigma: float) -> tuple[float, float]:
+        """Value and sigma of what it is named after."""
+        if self.factor_on is not None:
+            value = self.factor_on * float(np.exp(x))
+            return value, value * float(sigma)
+        if not self.variance:
+            return float(x), float(sigma)
+        root = float(np.sqrt(max(x, 0.0)))
+        return root, float(sigma / (2 * root)) if root > 0 else float(np.sqrt(sigma))
 
 
 class Problem:
@@ -292,5 +307,5 @@ def noise_unknowns(problem: Problem) -> list[Unknown]:
         return apply
 
     names = [f'{sensor}.{part}' for sensor in ('accelerometer', 'gyroscope') for part in ('noise_density', model)]
-    return [Unknown('gnss.sigma', receiver, 0.0, 0.05, NOISE_PRIOR, True)] + [
-        Unknown(name, scaled(name), 0.0, 0.05, NOISE_PRIOR, True) for name in names]
+    return [Unknown(name, apply, 0.0, 0.05, NOISE_PRIOR, one_sided=True)
+            for name, apply in [('gnss.sigma', receiver), *((name, scaled(name)) for name in names)]]

@@ -3,7 +3,7 @@
 For a candidate with parameters theta, the derivatives of the innovations by theta (from runs of the filter) give a
 score g and an information I, with the noise levels' share taken out: gain = g' I^-1 g, theta = I^-1 g, sigma from I^-1
 (C. R. Rao, 1948). Where the rest of the model is wrong, too, neighbouring scores go together and the gain is too large;
-so it is also computed with the variance that the scores show over blocks of time, and the smaller gain counts.
+so it is divided by what the scores of blocks of time scatter more than they should.
 """
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2, f
+from scipy.stats import chi2
 
 from ..effects.base import Effect
 from ..evaluation.bootstrap import holm
@@ -19,11 +19,10 @@ from .residuals import Problem, Residual, Scores, Unknown, scores
 
 #: family-wise error of one round of tests
 SIGNIFICANCE = 0.01
-#: an effect is not determined where its sigma is larger than this many times what is usual
-DETERMINED = 1.0
-#: length of a block over which scores may go together, s, and the fewest blocks that say anything
+#: a parameter is determined where its sigma is at most this many times what is usual, or its value so many sigmas
+DETERMINED, DISTINCT = 1.0, 3.5
+#: length of a block over which scores may go together, s
 BLOCK = 20.0
-FEWEST_BLOCKS = 8
 
 
 @dataclass
@@ -66,14 +65,35 @@ def effect_unknowns(effect: Effect, fixed: dict[str, float]) -> list[Unknown]:
             return effect.applied(values, recording, {**zero, parameter.name: change})
         return apply
 
-    return [Unknown(f'{effect.name}.{p.name}', varied(p), 0.0, *_scale(p), p.variance, p.variance)
-            for p in effect.traced if p.name not in fixed]
+    def unknown(p):
+        size = p.prior_scale**2 if p.variance else p.prior_scale
+        return Unknown(f'{effect.name}.{p.name}', varied(p), 0.0, 0.1 * size, 10 * size, size, p.variance, p.variance)
+
+    return [unknown(p) for p in effect.traced if p.name not in fixed]
 
 
-def _scale(parameter) -> tuple[float, float]:
-    """Step and prior of an unknown."""
-    size = parameter.prior_scale**2 if parameter.variance else parameter.prior_scale
-    return 0.1 * size, 10 * size
+def refined_unknowns(effect: Effect, fixed: dict[str, float]) -> list[Unknown]:
+    """Logarithms of factors on the parameters that were tried at `fixed`: once the effect is there, they show, too."""
+    zero = {p.name: 0.0 for p in effect.traced} | fixed
+
+    def varied(name):
+        def apply(values, recording, x):
+            return effect.applied(values, recording, {**zero, name: fixed[name] * float(np.exp(x))})
+        return apply
+
+    return [Unknown(f'{effect.name}.{name}', varied(name), 0.0, 0.1, 1.5, 0.5, factor_on=fixed[name])
+            for name in effect.refined if name in fixed]
+
+
+def also_determined(problem: Problem, unknowns: Sequence[Unknown], nuisance: Scores, at: Residual,
+                    mask: np.ndarray) -> list[Unknown]:
+    """Those of `unknowns`, none of them in the model yet, that the data determine at the present one."""
+    if not unknowns:
+        return []
+    _, own = scores(problem, unknowns, np.zeros(len(unknowns)), at)
+    own = efficient(own, nuisance, mask)
+    keep = _determined(own.information(mask), own.gradient(mask), np.array([u.usual for u in unknowns]))
+    return [u for u, kept in zip(unknowns, keep) if kept]
 
 
 def trace(problem: Problem, nuisance: Scores, at: Residual, effects: Sequence[Effect], mask: np.ndarray,
@@ -96,25 +116,23 @@ def trace(problem: Problem, nuisance: Scores, at: Residual, effects: Sequence[Ef
 
 
 def _test(problem, effect, unknowns, own: Scores, nuisance: Scores, mask, fixed) -> Candidate:
-    own = _efficient(own, nuisance, mask)
-    information = own.information(mask)
-    prior = np.array([u.prior / 10 for u in unknowns])
-    keep = _determined(information, prior)
+    own = efficient(own, nuisance, mask)
+    information, total = own.information(mask), own.gradient(mask)
+    keep = _determined(information, total, np.array([u.usual for u in unknowns]))
     undetermined = [u.name.split('.')[1] for u, kept in zip(unknowns, keep) if not kept]
     unknowns = [u for u, kept in zip(unknowns, keep) if kept]
     own = Scores(own.score[:, keep], own.sensitivity[:, keep])
     if not unknowns:
         return Candidate(effect, [], np.zeros(0), np.zeros(0), 0.0, 1.0, None, undetermined, fixed)
-    covariance = np.linalg.inv(information[np.ix_(keep, keep)])
-    total = own.gradient(mask)
+    covariance, total = np.linalg.inv(information[np.ix_(keep, keep)]), total[keep]
     theta, sigma = covariance @ total, np.sqrt(np.diag(covariance))
-    gain, p = _significance(problem, own.score, total, covariance, mask)
+    gain, p = significance(problem, own, theta, total, mask)
     if unknowns[0].variance:  # only more variance is an effect
         gain, p = (gain, p / 2) if total[0] > 0 else (0.0, 1.0)
     return Candidate(effect, unknowns, theta, sigma, gain, p, own, undetermined, fixed)
 
 
-def _efficient(own: Scores, nuisance: Scores, mask) -> Scores:
+def efficient(own: Scores, nuisance: Scores, mask) -> Scores:
     """The scores of an effect's parameters with the share of the nuisance parameters taken out."""
     information = nuisance.information(mask)
     share = np.linalg.lstsq(information, nuisance.information(mask, own), rcond=1e-10)[0]
@@ -122,36 +140,36 @@ def _efficient(own: Scores, nuisance: Scores, mask) -> Scores:
                   own.sensitivity - np.einsum('fqi,qp->fpi', nuisance.sensitivity, share))
 
 
-def _determined(information: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """Which parameters the data determine: worst ones are left out until the others' sigma is below what is usual."""
-    keep = np.ones(len(prior), dtype=bool)
+def _determined(information: np.ndarray, total: np.ndarray, usual: np.ndarray) -> np.ndarray:
+    """Which parameters the data determine: the worst ones are left out until the others are.
+
+    A large sigma does not speak against a value that is many times larger still.
+    """
+    keep = np.ones(len(usual), dtype=bool)
     while keep.any():
-        part = information[np.ix_(keep, keep)] + np.diag(1e-6 / prior[keep] ** 2)
-        relative = np.sqrt(np.diag(np.linalg.inv(part))) / prior[keep]
-        if relative.max() <= DETERMINED:
+        covariance = np.linalg.inv(information[np.ix_(keep, keep)] + np.diag(1e-6 / usual[keep] ** 2))
+        sigma = np.sqrt(np.diag(covariance))
+        poor = np.where(np.abs(covariance @ total[keep]) > DISTINCT * sigma, 0.0, sigma / usual[keep])
+        if poor.max() <= DETERMINED:
             break
-        keep[np.flatnonzero(keep)[relative.argmax()]] = False
+        keep[np.flatnonzero(keep)[poor.argmax()]] = False
     return keep
 
 
-def _significance(problem: Problem, score, total, covariance, mask) -> tuple[float, float]:
-    """Gain and p: by the information, and by the variance of the scores over blocks; the more careful of the two."""
-    size = len(total)
-    gain = float(total @ covariance @ total)
-    p = float(chi2.sf(gain, size))
+def significance(problem: Problem, own: Scores, theta, total, mask) -> tuple[float, float]:
+    """Gain and p, both with what the scores of blocks of time scatter more than the information says.
+
+    What the effect itself adds to a block is taken out first: a few blocks may hold all that the recording knows.
+    """
+    gain = float(theta @ total)
     block = ((problem.stamp[mask] - problem.stamp[0]) // round(BLOCK * 1e9)).astype(np.int64)
-    _, index = np.unique(block, return_inverse=True)
-    sums = np.zeros((index.max() + 1, size))
-    np.add.at(sums, index, score[mask])
-    count = len(sums)
-    if count < max(FEWEST_BLOCKS, 2 * size):
-        return gain, p
-    spread = sums.T @ sums
-    robust = float(total @ np.linalg.solve(spread + 1e-12 * np.trace(spread) * np.eye(size), total))
-    # the blocks' own sums contain the mean: Hotelling's statistic without it
-    hotelling = robust / max(1 - robust / count, 1e-9)
-    robust_p = float(f.sf(hotelling * (count - size) / (count * size), size, count - size))
-    return min(gain, hotelling) if robust_p > p else gain, max(p, robust_p)
+    _, first = np.unique(block, return_index=True)
+    sensitivity = own.sensitivity[mask]
+    information = np.add.reduceat(np.einsum('fpi,fqi->fpq', sensitivity, sensitivity), first)
+    rest = np.add.reduceat(own.score[mask], first) - information @ theta
+    scatter = np.einsum('bp,bq->pq', rest, rest)
+    excess = max(1.0, float(np.trace(np.linalg.solve(information.sum(axis=0), scatter))) / len(theta))
+    return gain / excess, float(chi2.sf(gain / excess, len(theta)))
 
 
 def group(winner: Candidate, others: Sequence[Candidate], mask: np.ndarray) -> list[str]:

@@ -36,6 +36,8 @@ class Effect:
     signature: str = ''
     #: sets of parameters that a diagnosis does not estimate but tries at these values; the best set is kept
     tried: tuple[dict, ...] = ({},)
+    #: names of tried parameters that are estimated, too, once the effect is in the model
+    refined: tuple[str, ...] = ()
 
     @property
     def traced(self) -> tuple[EffectParameter, ...]:

@@ -15,6 +15,7 @@ class GnssColouredNoise(Effect):
     parameters = (EffectParameter('sigma', 'm', 1.0, variance=True), EffectParameter('tau', 's', 60.0, default=60.0))
 
     tried = ({'tau': 10.0}, {'tau': 40.0}, {'tau': 160.0})
+    refined = ('tau',)
 
     def distort_fixes(self, drive, time, position, values, rng):
         error = values['sigma'] * rng.standard_normal((len(time), 2))

@@ -23,6 +23,7 @@ SIDESLIP_SIGMA = 0.02  # rad: between where a car points and where it goes
 UNKNOWN_TILT_SIGMA = 0.05  # rad
 LARGEST_YAW_SIGMA = 0.5  # rad: the filter's equations are linear in the heading's error
 MOVED_OFF = 0.2  # m/s: of a vehicle whose standstill has only just ended
+RECEIVER_DRIFT = 0.3  # m/s: positions wander this fast at rest; who is as slow and as quiet shows the same biases
 GRAVITY_TOLERANCE = 0.1  # of gravity: more is no sensor's error at rest
 STILL_STEPS = 1024  # in which a process that is continuous in time is followed through a standstill
 
@@ -300,15 +301,18 @@ class Alignment:
 
 
 def _stays(positions: np.ndarray, begin: float, end: float) -> bool:
-    """No motion between two times as far as the fixes can tell: at least two of them, first and last halves agree."""
+    """No motion between two times as far as the fixes can tell: at least two of them, first and last halves agree.
+
+    Receivers wander by more than they say: what goes slowly enough for that does not speak against a standstill.
+    """
     inside = positions[(positions[:, 0] >= begin - 0.5) & (positions[:, 0] <= end + 0.5)]
     if len(inside) < 2:
         return False
     half = len(inside) // 2
     moved = np.hypot(*(inside[half:, 1:3].mean(axis=0) - inside[:half, 1:3].mean(axis=0)))
     sigma = inside[:, 3].mean() * math.sqrt(1 / half + 1 / (len(inside) - half))
-    speed = moved / max(0.5 * (inside[-1, 0] - inside[0, 0]), 1e-3)
-    return moved < 4 * sigma + 0.1 and speed < 2.0
+    interval = max(0.5 * (inside[-1, 0] - inside[0, 0]), 1e-3)
+    return moved < 4 * sigma + max(0.1, RECEIVER_DRIFT * interval) and moved < 2.0 * interval
 
 
 def _longest_steady(mean: np.ndarray) -> slice:
@@ -376,19 +380,25 @@ def _repeated(transition, noise, steps: int):
 def transferred(start: Start, old: FilterConfig, new: FilterConfig) -> Start:
     """The start that `old` found, for a filter with other parameters: so that two runs differ by these alone.
 
-    The time offset moves its time, the lever arm its position, and the standstill is seen through the new axes.
+    The time offset moves its time, the lever arm its position; what the standstill shows is `retaken` by the run.
     """
     delay = new.values['gnss.time_offset'] - old.values['gnss.time_offset']
     arm = new.lever_arm - old.lever_arm
     c, s = math.cos(start.yaw), math.sin(start.yaw)
     meridian, prime_vertical = radii(start.latitude)
-    still = start.standstill
-    if still is not None:
-        seen = np.concatenate([still.specific_force, still.angular_rate])
-        seen = new.conditioning @ np.linalg.solve(old.conditioning, seen - old.offset) + new.offset
-        still = replace(still, specific_force=seen[:3], angular_rate=seen[3:])
     return replace(
         start, time=start.time - delay, latitude=start.latitude - (c * arm[0] - s * arm[1]) / (meridian + start.height),
         longitude=start.longitude - (s * arm[0] + c * arm[1]) / (
             (prime_vertical + start.height) * math.cos(start.latitude)),
-        height=start.height + arm[2], standstill=still)
+        height=start.height + arm[2])
+
+
+def retaken(start: Start, config: FilterConfig, time, specific_force, angular_rate) -> Start:
+    """`start` with what its standstill shows in these samples: time (n,) as in `start`, f and w (n, 3), sensor axes."""
+    still = start.standstill
+    if still is None:
+        return start
+    inside = slice(*np.searchsorted(time, [still.end - still.duration - 1e-6, still.end + 1e-6]))
+    seen = np.concatenate([specific_force[inside].mean(axis=0), angular_rate[inside].mean(axis=0)])
+    seen = config.conditioning @ seen + config.offset
+    return replace(start, standstill=replace(still, specific_force=seen[:3], angular_rate=seen[3:]))

@@ -15,7 +15,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation.strapdown import to_euler
 from ..samples import Fixes, ImuSamples
-from .alignment import Alignment, Start
+from .alignment import Alignment, Start, retaken
 from .config import FilterConfig
 from .initial import initialize
 from .kernel import FIX_TAKEN, FIX_TOO_LATE, take_fix, take_sample
@@ -498,7 +498,8 @@ class _Replay(_Intake):
     def _align_segment(self, kept, time, before, records) -> tuple[Start | None, int]:
         """The start, and the number of fixes that went into it."""
         if self.given is not None and self.start is None:
-            return self.given, int(np.count_nonzero(records[:, Fix.TIME] <= self.given.time + 1e-6))
+            start = retaken(self.given, self.config, time, self.imu.specific_force[kept], self.imu.angular_rate[kept])
+            return start, int(np.count_nonzero(records[:, Fix.TIME] <= start.time + 1e-6))
         alignment, fed = Alignment(self.config), 0
         imu = self.imu
         for k, record in enumerate(records):
