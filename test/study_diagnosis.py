@@ -6,6 +6,7 @@ are simulated with seeds, signs and sizes that the diagnosis never sees. What ca
 from __future__ import annotations
 
 import argparse
+import copy
 import sys
 import time
 from collections import Counter
@@ -125,8 +126,10 @@ def sizes(recording, values: dict, effect: Effect, rng) -> dict[str, float]:
     at, nuisance = scores(problem, noise, np.zeros(len(noise)))
     if effect.name == 'gnss_coloured_noise':
         return {'sigma': rng.uniform(1.0, 2.5), 'tau': float(np.exp(rng.uniform(np.log(10), np.log(160))))}
-    [candidate] = trace(problem, nuisance, at, [effect], problem.mask)
     usual = {p.name: p.prior_scale for p in effect.parameters}
+    effect = copy.copy(effect)
+    effect.tried = tuple(t for t in effect.tried if not set(t) & set(usual))  # what is simulated is looked for
+    [candidate] = trace(problem, nuisance, at, [effect], problem.mask)
     return {name: float(rng.choice([-1, 1]) * max(rng.uniform(SMALLEST, LARGEST) * sigma,
                                                   rng.uniform(0.3, 1.0) * usual[name]))
             for name, sigma in zip((u.name.split('.')[1] for u in candidate.unknowns), candidate.sigma)
@@ -209,8 +212,7 @@ def plain(recording, without: dict | None, knowing: dict | None) -> bool:
 def tuned(problem: Problem) -> np.ndarray:
     """Log likelihood of each fix with fitted noise levels."""
     noise = noise_unknowns(problem)
-    _, _, at, _ = fit(problem, noise, np.zeros(len(noise)), problem.mask)
-    return at.log_likelihood()
+    return fit(problem, noise, np.zeros(len(noise))).residual.log_likelihood()
 
 
 def twice_gain(before: np.ndarray, after: np.ndarray, mask: np.ndarray) -> float:
@@ -349,7 +351,8 @@ def main(arguments=None) -> int:
             for line in case.notes:
                 print('    ' + line, file=sys.stderr)
             print(f"{seed} {name} {_rounded(case.true)}: {case.failure or case.found} unexplained {case.unexplained} "
-                  f"errors {_rounded(case.errors)} ratios {np.round(case.ratios, 2)} left {case.left:.0f} {case.seconds:.1f} s",
+                  f"errors {_rounded(case.errors)} ratios {np.round(case.ratios, 2)} left {case.left:.0f} "
+                  f"{case.seconds:.1f} s",
                   file=sys.stderr, flush=True)
     print(table(cases))
     return 0

@@ -131,17 +131,14 @@ def test_a_placebo_does_not_help_on_data_it_was_not_fitted_to(seed):
     # given a placebo that was put into the model all the same
     problem = Problem(recorded(seed=seed), VALUES)
     unknowns = [*noise_unknowns(problem)[:1], *effect_unknowns(Placebo(), {})]
-    x, *_ = fit(problem, unknowns, np.zeros(2), problem.mask)
-    without, *_ = fit(problem, unknowns[:1], np.zeros(1), problem.mask)
-    proof = held_out(problem, 1, unknowns, x, unknowns[:1], without)
+    proof = held_out(fit(problem, unknowns, np.zeros(2)), fit(problem, unknowns[:1], np.zeros(1)), 1)
     assert not proof.helps
     # while a real effect does: twice the wave that the placebo would take out
     _, disturbed = Placebo().applied(VALUES, problem.recording, {'size': -0.3})
     real = Problem(disturbed, VALUES)
-    x, *_ = fit(real, unknowns, np.zeros(2), real.mask)
-    assert x[1] == pytest.approx(0.3, abs=0.1)
-    without, *_ = fit(real, unknowns[:1], np.zeros(1), real.mask)
-    assert held_out(real, 1, unknowns, x, unknowns[:1], without).helps
+    longer = fit(real, unknowns, np.zeros(2))
+    assert longer.x[1] == pytest.approx(0.3, abs=0.1)
+    assert held_out(longer, fit(real, unknowns[:1], np.zeros(1)), 1).helps
 
 
 def test_an_effect_outside_the_library_is_not_blamed_on_one_inside(plain):

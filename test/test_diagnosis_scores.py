@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from mems_ins_fusion.diagnosis.detection import detect, ljung_box
-from mems_ins_fusion.diagnosis.proof import harm, parts
+from mems_ins_fusion.diagnosis.proof import HeldOut, objection, parts
 from mems_ins_fusion.diagnosis.residuals import Residual, Scores, _scores, _whiten_matrix
 from mems_ins_fusion.diagnosis.tracing import Candidate, _test, effect_unknowns, group
 from mems_ins_fusion.effects.base import Effect, EffectParameter
@@ -198,16 +198,20 @@ def test_the_score_test_is_careful_where_innovations_follow_each_other():
     assert np.mean(naive < 1e-3) > 0.1 and np.mean(careful < 1e-3) < 0.02
 
 
-def test_an_error_that_grows_speaks_against_a_model():
-    better = {'what': 'outages of 10 s', 'before': 4.0, 'after': 2.0, 'low': -3.0, 'high': -1.0, 'p': 0.001}
-    worse = {'what': 'with all fixes', 'before': 1.0, 'after': 1.2, 'low': 0.1, 'high': 0.3, 'p': 0.001}
-    unsure = {**worse, 'low': -0.1, 'p': 0.2}
-    assert harm([better]) == '' and harm([better, unsure]) == ''
-    assert harm([better, worse]) == 'the error grows: with all fixes, 1 before, 1.2 after'
-    # all in all: 1.2 times, and 0.5 * 1.2^4 = 1.04 times
-    assert harm([unsure]) == 'the error does not shrink: all in all it is 1.20 times that before'
-    assert '1.01 times' in harm([better, *4 * [unsure]])
-    assert harm([]) == '' and harm([{'what': 'outages of 60 s', 'count': 0}]) == ''
+def test_what_speaks_against_an_effect():
+    better = {'what': 'outages of 10 s', 'before': 4.0, 'after': 2.0, 'p': 0.001}
+    worse = {'what': 'with all fixes', 'before': 1.0, 'after': 1.2, 'p': 0.001}
+    unsure = {**worse, 'p': 0.2}
+    sure, weak, none = (HeldOut(gain, p, []) for gain, p in ((20.0, 0.001), (5.0, 0.4), (-1.0, 0.6)))
+    assert objection(sure, [better]) == objection(sure, [better, unsure]) == objection(weak, [better]) == ''
+    # nothing measured is no objection either
+    assert objection(sure, []) == objection(sure, [{'what': 'outages of 60 s', 'count': 0}]) == ''
+    assert objection(sure, [better, worse]) == 'the error grows: with all fixes, 1 before, 1.2 after'
+    assert objection(sure, [unsure]) == 'the error does not shrink: all in all it is 1.20 times that before'
+    # 0.5 * 1.2^4 is 1.04, its fifth root 1.01
+    assert '1.01 times' in objection(sure, [better, *4 * [unsure]])
+    assert objection(weak, [unsure]).startswith('no gain on data it was not fitted to (log likelihood +5.0, p 0.4)')
+    assert objection(none, [better]).startswith('no gain')
 
 
 def test_the_score_test_finds_what_is_there_with_its_size():

@@ -12,8 +12,8 @@ from ..effects.base import Effect
 from ..effects.registry import EFFECTS
 from ..samples import Recording
 from .detection import Detection, detect
-from .proof import HeldOut, Measured, compared, estimates, gain_of, harm, held_out, measure
-from .residuals import DiagnosisError, Problem, Residual, Scores, Unknown, fit, noise_unknowns
+from .proof import HeldOut, Measured, compared, estimates, gain_of, held_out, measure, objection
+from .residuals import DiagnosisError, Model, Problem, Residual, Unknown, fit, noise_unknowns
 from .rest import GoesWith, goes_with
 from .tracing import SIGNIFICANCE, Candidate, also_determined, effect_unknowns, group, refined_unknowns, trace
 
@@ -25,6 +25,10 @@ MOST_ROUNDS = 8
 #: candidates of one round that are fitted to see which explains most, if their gain is this part of the largest, and
 #: how close in log likelihood equals come
 TRIED, PART, CLOSE = 4, 0.3, 3.3
+#: a parameter is not determined where values this many times apart fit equally well
+DISTINCT = 1.5
+#: noise levels with a factor above this may stand for an effect
+SWALLOWED = 1.5
 #: a fitted noise level this many times the configured one is worth a remark
 NOISE_FACTOR = 3.0
 
@@ -35,7 +39,7 @@ Progress = Callable[[float, str], None]
 class Finding:
     """One effect that was traced. parameters: name -> (value, sigma or None where it was only tried, unit).
 
-    held_out: None where it was not tried. reason: why it was not added.
+    reason: why it was not added.
     """
 
     effect: Effect
@@ -44,7 +48,7 @@ class Finding:
     gain: float
     p: float
     added: bool
-    held_out: HeldOut | None = None
+    held_out: HeldOut
     reason: str = ''
 
     @property
@@ -102,25 +106,6 @@ def diagnose(recording: Recording, values: dict, progress: Progress = lambda par
     return work.finish()
 
 
-@dataclass
-class _Model:
-    """What is assumed so far and how well it fits: a problem, its unknowns at their estimates, and their scores."""
-
-    problem: Problem
-    unknowns: list[Unknown]
-    x: np.ndarray
-    covariance: np.ndarray
-    residual: Residual
-    scores: Scores
-
-    @classmethod
-    def fitted(cls, problem: Problem, unknowns: list[Unknown], x, iterations: int = 8) -> _Model:
-        return cls(problem, unknowns, *fit(problem, unknowns, x, problem.mask, iterations))
-
-    def likelihood(self, mask: np.ndarray) -> float:
-        return float(self.residual.log_likelihood()[mask].sum())
-
-
 class _Work:
     """The model as it grows: noise levels first, then one effect after the other."""
 
@@ -147,7 +132,7 @@ class _Work:
         self.progress(0.05, 'fitting noise levels')
         noise = noise_unknowns(self.origin)
         self.noise_count = len(noise)
-        self.model = self.noise_model = _Model.fitted(self.origin, noise, np.zeros(len(noise)))
+        self.model = self.noise_model = fit(self.origin, noise, np.zeros(len(noise)))
         self.residuals['fitted'] = self.model.residual
         self.detections['fitted'] = detect(self.model.residual, self.origin.mask)
         self.errors = self._quick_errors(self.model, [])
@@ -164,7 +149,7 @@ class _Work:
         if not self.effects:
             return False
         model = self.model
-        candidates = trace(model.problem.moved(model.unknowns, model.x), model.scores, model.residual, self.effects,
+        candidates = trace(model.moved(), model.scores, model.residual, self.effects,
                            model.problem.mask, progress)
         self.rounds.append(candidates)
         significant = [c for c in candidates if c.p_adjusted <= SIGNIFICANCE and c.scores is not None]
@@ -187,7 +172,7 @@ class _Work:
             self.effects, self.rejected = [e for e in self.library if e in again], []
         return True
 
-    def _best(self, significant: list[Candidate]) -> tuple[Candidate, _Model, list[str]]:
+    def _best(self, significant: list[Candidate]) -> tuple[Candidate, Model, list[str]]:
         """The candidate that explains most once it is in the model and all is fitted again, and those as good as it.
 
         The score test is linear, and at a model that is far off it ranks poorly; the likelihood does not. Equals are
@@ -202,60 +187,74 @@ class _Work:
         first = min(alike, key=lambda k: order.index(trials[k][0].name))
         return *trials[first], [trials[k][0].name for k in alike if k != first]
 
-    def _with(self, candidate: Candidate) -> _Model:
+    def _with(self, candidate: Candidate) -> Model:
         """The present model with one candidate added and all unknowns fitted again."""
         model = self.model
         if candidate.effect.replaces_model(candidate.values()):
             problem = Problem(self.recording, candidate.effect.adjusted(model.problem.values, candidate.values()))
-            return _Model.fitted(problem, model.unknowns, model.x)
+            return fit(problem, model.unknowns, model.x)
         begin = [max(t, u.step) if u.variance else np.clip(t, -u.prior / 5, u.prior / 5)
                  for t, u in zip(candidate.theta, candidate.unknowns)]
         unknowns = [*model.unknowns, *candidate.unknowns]
-        trial = _Model.fitted(model.problem, unknowns, np.concatenate([model.x, begin]))
+        trial = fit(model.problem, unknowns, np.concatenate([model.x, begin]))
+        if trial.x[:self.noise_count].max() < np.log(SWALLOWED):
+            return trial
         # noise levels that have swallowed the effect may not let go of it: once more from those configured
         x = trial.x.copy()
         x[:self.noise_count], x[len(model.unknowns):] = 0.0, begin
-        other = _Model.fitted(model.problem, unknowns, x)
+        other = fit(model.problem, unknowns, x)
         mask = model.problem.mask
         return max(trial, other, key=lambda m: m.likelihood(mask))
 
-    def _completed(self, candidate: Candidate, trial: _Model) -> _Model:
+    def _completed(self, candidate: Candidate, trial: Model) -> Model:
         """`trial` with what else of its effect the data determine now that noise levels need not stand for it."""
         known = {u.name for u in trial.unknowns}
         if trial.problem is not self.model.problem:
             return trial
         missing = [u for u in effect_unknowns(candidate.effect, candidate.fixed) if u.name not in known]
-        more = also_determined(trial.problem.moved(trial.unknowns, trial.x), missing, trial.scores, trial.residual,
-                               trial.problem.mask)
-        more += refined_unknowns(candidate.effect, candidate.fixed)
-        if not more:
-            return trial
-        return _Model.fitted(trial.problem, [*trial.unknowns, *more], np.append(trial.x, np.zeros(len(more))))
+        more = also_determined(trial.moved(), missing, trial.scores, trial.residual, trial.problem.mask)
+        if more:
+            trial = fit(trial.problem, [*trial.unknowns, *more], np.append(trial.x, np.zeros(len(more))))
+        return self._refined(candidate.effect, trial) if candidate.effect.refined else trial
 
-    def _prove(self, best: Candidate, trial: _Model, names: list[str]) -> Finding:
+    def _refined(self, effect: Effect, trial: Model) -> Model:
+        """`trial` with the parameters that were tried estimated, too, from each start: where these end as good ones at
+        other values, the data do not determine the effect's parameters."""
+        first = len(self.model.unknowns)
+        fits = []
+        for fixed in effect.tried:
+            unknowns = [*self.model.unknowns, *effect_unknowns(effect, fixed)]
+            model = fit(trial.problem, unknowns, trial.x)
+            refined = refined_unknowns(effect, fixed)
+            fits.append(fit(trial.problem, [*unknowns, *refined], np.append(model.x, np.zeros(len(refined)))))
+        mask = trial.problem.mask
+        best = max(fits, key=lambda m: m.likelihood(mask))
+        good = [m for m in fits if m.likelihood(mask) > best.likelihood(mask) - CLOSE]
+        for i in range(first, len(best.unknowns)):
+            found = [m.unknowns[i].meant(m.x[i], 0.0)[0] for m in good]
+            if max(found) > DISTINCT * min(found):
+                name = best.unknowns[i].name
+                unit = next(p.unit for p in effect.traced if p.name == name.split('.')[1])
+                self.hidden[name] = f'{min(found):.2g} to {max(found):.2g} {unit} explain the recording equally well'
+        return best
+
+    def _prove(self, best: Candidate, trial: Model, names: list[str]) -> Finding:
         """What the best candidate came to; it is in the model from now on if it helps on held-out data."""
         if trial.problem is self.model.problem:
-            proof = held_out(trial.problem, self.noise_count, trial.unknowns, trial.x, self.model.unknowns,
-                             self.model.x)
-            fitted = trial
+            proof = held_out(trial, self.model, self.noise_count)
+            found = _estimates(best, trial, len(self.model.unknowns))
         else:  # another mechanization has no parameter of its own that could have been fitted to the data
             proof = gain_of(self.model.problem, self.model.residual, trial.residual)
-            fitted = _Model.fitted(self.model.problem, [*self.model.unknowns, *best.unknowns],
-                                   np.concatenate([self.model.x, best.theta]))
-        finding = Finding(best.effect, names, _estimates(best, fitted, len(self.model.unknowns)), best.gain,
-                          best.p_adjusted, proof.helps, proof)
-        if not proof.helps:
-            finding.reason = f'no gain on data it was not fitted to (log likelihood {proof.gain:+.1f}, p {proof.p:.2g})'
-            return finding
+            found = _estimates(best, fit(self.model.problem.moved(trial.unknowns, trial.x), best.unknowns, best.theta),
+                               0)
         errors = self._quick_errors(trial, proof.estimates)
-        if worse := harm(compared(self.errors, errors)):
-            finding.added, finding.reason = False, worse
-            return finding
-        self.model, self.estimates, self.errors = trial, proof.estimates, errors
-        self._hide(trial.problem)
-        return finding
+        against = objection(proof, compared(self.errors, errors))
+        if not against:
+            self.model, self.estimates, self.errors = trial, proof.estimates, errors
+            self._hide(trial.problem)
+        return Finding(best.effect, names, found, best.gain, best.p_adjusted, not against, proof, against)
 
-    def _quick_errors(self, model: _Model, estimates: Sequence[np.ndarray]) -> Measured:
+    def _quick_errors(self, model: Model, estimates: Sequence[np.ndarray]) -> Measured:
         """Errors of `model`, each by the estimate from other blocks, with the samples of the many runs."""
         assumed = [model.problem.assume(model.unknowns, x)[0] for x in estimates or [model.x]]
         return measure(self.origin, self.recording, self.origin.recording.imu, assumed, self.durations, self.spacing)
@@ -266,16 +265,14 @@ class _Work:
             kept = [i for i, u in enumerate(self.model.unknowns) if u.name.split('.')[0] != finding.name]
             if len(kept) == len(self.model.unknowns):
                 continue
-            unknowns = [self.model.unknowns[i] for i in kept]
-            without = _Model.fitted(self.model.problem, unknowns, self.model.x[kept])
-            proof = held_out(self.model.problem, self.noise_count, self.model.unknowns, self.model.x, unknowns,
-                             without.x)
+            without = fit(self.model.problem, [self.model.unknowns[i] for i in kept], self.model.x[kept])
+            proof = held_out(self.model, without, self.noise_count)
             if proof.helps:
                 continue
             finding.added, finding.held_out = False, proof
             finding.reason = 'explained by an effect that was added later'
             self.model = without
-            self.estimates = estimates(without.problem, self.noise_count, unknowns, without.x)
+            self.estimates = estimates(without, self.noise_count)
 
     def finish(self) -> Diagnosis:
         model = self.model
@@ -285,20 +282,22 @@ class _Work:
         noise_only, _ = self.origin.assume(self.noise_model.unknowns, self.noise_model.x)
         folded = [problem.assume(model.unknowns, x)[0] for x in self.estimates] or [corrected]
         self.progress(0.85, 'measuring errors')
+
         def measured(models):
             return measure(self.origin, self.recording, self.origin.full.imu, models, self.durations, self.spacing)
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             before, fitted, after = pool.map(measured, ([self.origin.values], [noise_only], folded))
         self.residuals['after'], self.detections['after'] = model.residual, detect(model.residual, problem.mask)
-        rest = goes_with(problem.moved(model.unknowns, model.x), model.scores, model.residual)
+        rest = goes_with(model.moved(), model.scores, model.residual)
         return Diagnosis(
             recording=self.recording, values=self.origin.values, problem=problem, residuals=self.residuals,
             detections=self.detections,
             noise={u.name: float(np.exp(v)) for u, v in zip(self.noise_model.unknowns, model.x)},
             rounds=self.rounds, chosen=self.chosen, findings=self.findings,
-            hidden={**self.hidden, **self._undetermined()}, corrected=corrected, before=before, fitted=fitted, after=after, comparison=compared(before, after),
-            rest=rest, remarks=_remarks(problem) + _noise_remarks(self.noise_model.unknowns, model.x))
+            hidden={**self.hidden, **self._undetermined()}, corrected=corrected, before=before, fitted=fitted,
+            after=after, comparison=compared(before, after), rest=rest,
+            remarks=_remarks(problem) + _noise_remarks(self.noise_model.unknowns, model.x))
 
     def _undetermined(self) -> dict[str, str]:
         """Parameters that no round could determine."""
@@ -308,7 +307,7 @@ class _Work:
                 if f'{c.name}.{name}' not in estimated}
 
     def _final_estimates(self) -> None:
-        """All added parameters as the last joint fit left them."""
+        """All added parameters as the last joint fit left them; what is not determined has no number."""
         model, sigma = self.model, np.sqrt(np.diag(self.model.covariance))
         for finding in self.findings:
             own = [i for i, u in enumerate(model.unknowns) if u.name.split('.')[0] == finding.name]
@@ -317,9 +316,11 @@ class _Work:
                     name = model.unknowns[i].name.split('.')[1]
                     unit = finding.parameters[name][2]
                     finding.parameters[name] = (*model.unknowns[i].meant(model.x[i], sigma[i]), unit)
+            for name in [n for n in finding.parameters if f'{finding.name}.{n}' in self.hidden]:
+                del finding.parameters[name]
 
 
-def _estimates(best: Candidate, model: _Model, first: int) -> dict:
+def _estimates(best: Candidate, model: Model, first: int) -> dict:
     """Parameters of a finding, the unknowns of `model` from `first` on: name -> value, sigma, unit."""
     units = {p.name: p.unit for p in best.effect.traced}
     found = {name: (value, None, units[name]) for name, value in best.fixed.items() if value}

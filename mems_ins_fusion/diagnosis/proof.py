@@ -19,16 +19,14 @@ from ..evaluation.outages import Outages, outage_begins, run_outages
 from ..evaluation.outages import summary as outage_summary
 from ..filter.fusion import FilterConfig, run
 from ..samples import ImuSamples, Recording
-from .residuals import Problem, Residual, Unknown, fit
+from .residuals import Model, Problem, Residual
 
 #: parts of the recording, each held out in turn; blocks of each part; a block is not shorter than this, s
 PARTS, BLOCKS, SHORTEST_BLOCK = 4, 2, 30.0
 #: a held-out gain counts when chance would give it this rarely: the tests that led to the effect were far stricter
 SIGNIFICANCE = 0.2
-#: iterations of a fit that starts at the estimate from all data
-REFIT = 3
-#: an error that grows with less chance than this speaks against a model
-HARM = 0.01
+#: an error is larger or smaller for certain when chance would give that this rarely
+CERTAIN = 0.01
 
 
 def parts(problem: Problem) -> list[np.ndarray]:
@@ -61,36 +59,23 @@ class HeldOut:
         return self.gain > 0 and self.p < SIGNIFICANCE
 
 
-def held_out(problem: Problem, noise: int, unknowns: Sequence[Unknown], x: np.ndarray, shorter: Sequence[Unknown],
-             x_shorter: np.ndarray) -> HeldOut:
-    """What `unknowns` explain more than `shorter` on data that neither was fitted to.
+def held_out(longer: Model, shorter: Model, noise: int) -> HeldOut:
+    """What `longer` explains more than `shorter` on data that neither was fitted to.
 
-    x, x_shorter: fitted to all data. Of both, the first `noise` unknowns are noise levels and stay as they are.
+    Of both, the first `noise` unknowns are noise levels and stay as they are.
     """
-    gains, estimates = np.zeros(len(problem.stamp)), []
-    for part in parts(problem):
-        residuals = []
-        for chosen, start in ((unknowns, x), (shorter, x_shorter)):
-            fitted, residual = _refitted(problem, noise, chosen, start, problem.mask & ~part)
-            residuals.append(residual.log_likelihood())
-            if chosen is unknowns:
-                estimates.append(fitted)
-        gains[part] = (residuals[0] - residuals[1])[part]
-    return HeldOut(float(gains.sum()), _p_of_no_gain(problem, gains), estimates)
+    problem = longer.problem
+    gains, found = np.zeros(len(problem.stamp)), estimates(longer, noise)
+    one, other = (model.problem.residuals(model.unknowns, points) for model, points in (
+        (longer, found), (shorter, estimates(shorter, noise))))
+    for part, with_it, without in zip(parts(problem), one, other):
+        gains[part] = (with_it.log_likelihood() - without.log_likelihood())[part]
+    return HeldOut(float(gains.sum()), _p_of_no_gain(problem, gains), found)
 
 
-def estimates(problem: Problem, noise: int, unknowns: Sequence[Unknown], x: np.ndarray) -> list[np.ndarray]:
+def estimates(model: Model, noise: int) -> list[np.ndarray]:
     """The unknowns by the part that is held out."""
-    return [_refitted(problem, noise, unknowns, x, problem.mask & ~part)[0] for part in parts(problem)]
-
-
-def _refitted(problem: Problem, noise: int, unknowns, x, mask) -> tuple[np.ndarray, Residual]:
-    """Estimate from the fixes in `mask` with the noise levels as in `x`, and the residual there."""
-    assumed = problem.moved(unknowns[:noise], x[:noise])
-    if len(unknowns) == noise:
-        return x, assumed.residual(assumed.values, assumed.recording)
-    fitted, _, residual, _ = fit(assumed, unknowns[noise:], x[noise:], mask, REFIT)
-    return np.concatenate([x[:noise], fitted]), residual
+    return [model.refitted(model.problem.mask & ~part, noise) for part in parts(model.problem)]
 
 
 def gain_of(problem: Problem, before: Residual, after: Residual) -> HeldOut:
@@ -183,15 +168,20 @@ def compared(before: Measured, after: Measured) -> list[dict]:
     return rows
 
 
-def harm(comparison: Sequence[dict]) -> str:
-    """What speaks against a model in `comparison` with the one before: an error that grows for certain, or all in all.
+def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
+    """What speaks against an effect, empty where nothing does: no gain of likelihood, or errors that do not shrink.
 
-    Empty where nothing does. Certain is p < HARM; all in all is the mean of the logarithms of all errors.
+    comparison: errors with the effect and without, of parts that it was not fitted to. An error is larger or smaller
+    for certain at CERTAIN; all in all counts the mean of their logarithms. A likelihood that gains, but not for
+    certain, is no objection where an error shrinks for certain.
     """
     rows = [row for row in comparison if row.get('before') and row.get('after')]
-    for row in rows:
-        if row.get('low', 0.0) > 0 and row['p'] < HARM:
+    certain = [row for row in rows if row.get('p', 1.0) < CERTAIN]
+    for row in certain:
+        if row['after'] > row['before']:
             return f"the error grows: {row['what']}, {row['before']:.3g} before, {row['after']:.3g} after"
+    if not (proof.helps or (proof.gain > 0 and certain)):
+        return f'no gain on data it was not fitted to (log likelihood {proof.gain:+.1f}, p {proof.p:.2g})'
     change = float(np.exp(np.mean([np.log(row['after'] / row['before']) for row in rows]))) if rows else 0.0
     return f'the error does not shrink: all in all it is {change:.2f} times that before' if change >= 1 else ''
 

@@ -48,8 +48,8 @@ def _effect(finding: Finding, d: Diagnosis) -> dict:
         'log_likelihood_gain': finding.gain,
         'p_value': finding.p,
         'added': finding.added,
-        'held_out_log_likelihood_gain': finding.held_out.gain if finding.held_out else None,
-        'held_out_p_value': finding.held_out.p if finding.held_out else None,
+        'held_out_log_likelihood_gain': finding.held_out.gain,
+        'held_out_p_value': finding.held_out.p,
         'reason': finding.reason,
     }
 
@@ -155,7 +155,8 @@ def _comment(text: str, indent: str) -> list[str]:
 
 def parameters_text(finding: Finding) -> str:
     """An effect with its values, for a person."""
-    return f'{finding.name} ({", ".join(_parameter(*item) for item in finding.parameters.items())})'
+    values = ', '.join(_parameter(*item) for item in finding.parameters.items())
+    return f'{finding.name} ({values or "its parameters are not determined"})'
 
 
 def _parameter(name: str, estimate: tuple[float, float | None, str]) -> str:
@@ -309,8 +310,7 @@ def _added(d: Diagnosis) -> html.Html:
     if not d.findings:
         return html.section('What was found', 'No candidate is significant.')
     rows = [(f.name, ', '.join(n for n in f.group if n != f.name), _values(f), f.gain,
-             f.held_out.gain if f.held_out else None, _p(f.held_out.p) if f.held_out else '',
-             f.added, f.reason) for f in d.findings]
+             f.held_out.gain, _p(f.held_out.p), f.added, f.reason) for f in d.findings]
     return html.section(
         'What was found', 'Values of the last joint fit. The held-out gain is that of the log likelihood in blocks of '
         'the recording that the effect was not fitted to; an effect without one is not added.',

@@ -247,18 +247,49 @@ def _whiten_matrix(factors, s):
     return np.stack([nn, ne, ee], axis=1)
 
 
-def fit(problem: Problem, unknowns: Sequence[Unknown], x, mask: np.ndarray, iterations: int = 8,
-        progress: Callable[[], None] = lambda: None):
-    """Maximum of the likelihood of the fixes in `mask`: x, its covariance (p, p), residual and scores there.
+@dataclass(frozen=True)
+class Model:
+    """What is assumed and how well it fits: unknowns at x with covariance (p, p), and residual and scores there."""
+
+    problem: Problem
+    unknowns: list[Unknown]
+    x: np.ndarray
+    covariance: np.ndarray
+    residual: Residual
+    scores: Scores
+
+    def likelihood(self, mask: np.ndarray) -> float:
+        return float(self.residual.log_likelihood()[mask].sum())
+
+    def moved(self) -> Problem:
+        """The problem with this model as what is assumed."""
+        return self.problem.moved(self.unknowns, self.x)
+
+    def refitted(self, mask: np.ndarray, kept: int) -> np.ndarray:
+        """x from the fixes in `mask` alone, by one step of scoring; the first `kept` unknowns stay as they are."""
+        base, prior = _priors(self.unknowns)
+        gradient = self.scores.gradient(mask) - (self.x - base) / prior**2
+        information = self.scores.information(mask) + np.diag(1 / prior**2)
+        free = slice(kept, None)
+        x = self.x.copy()
+        x[free] += np.clip(np.linalg.solve(information[free, free], gradient[free]), -prior[free], prior[free])
+        return x
+
+
+def _priors(unknowns: Sequence[Unknown]) -> tuple[np.ndarray, np.ndarray]:
+    return np.array([u.base for u in unknowns]), np.array([u.prior for u in unknowns])
+
+
+def fit(problem: Problem, unknowns: Sequence[Unknown], x, iterations: int = 8) -> Model:
+    """The maximum of the likelihood.
 
     Fisher's scoring with Levenberg's damping; each unknown has a weak Gaussian prior about its base.
     """
-    x = np.asarray(x, dtype=float)
-    base, prior = np.array([u.base for u in unknowns]), np.array([u.prior for u in unknowns])
+    x, mask = np.asarray(x, dtype=float), problem.mask
+    base, prior = _priors(unknowns)
     at, found = scores(problem, unknowns, x)
     value, damping = _objective(at, mask, x, base, prior), 1e-3
     for _ in range(iterations):
-        progress()
         gradient = found.gradient(mask) - (x - base) / prior**2
         information = found.information(mask) + np.diag(1 / prior**2)
         moved = False
@@ -275,7 +306,7 @@ def fit(problem: Problem, unknowns: Sequence[Unknown], x, mask: np.ndarray, iter
             damping = max(10 * damping, 1e-2)
         if not moved or gain < 0.05:
             break
-    return x, np.linalg.inv(found.information(mask) + np.diag(1 / prior**2)), at, found
+    return Model(problem, list(unknowns), x, np.linalg.inv(found.information(mask) + np.diag(1 / prior**2)), at, found)
 
 
 def _objective(residual: Residual, mask, x, base, prior) -> float:
