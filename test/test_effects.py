@@ -153,8 +153,23 @@ def test_the_lever_arm_of_the_accelerometers_is_that_of_a_rigid_body():
     # when the sensor axes are forward-left-up, which the body's are not
     rotation = mounting([0.0, 0.0, 0.0])
     left, _ = EFFECTS['accelerometer_lever_arm'].corrector(values, rotation)(stamp, f, w, np.full(len(f), np.nan))
-    # then gravity alone is left, up to half a sample of the angular acceleration, which grows by 1 rad/s^3
-    assert np.abs(left[1:] - [0, 0, 9.8]).max() < 0.0051
+    # then gravity alone is left, up to the angular acceleration of 0.1 s, over which it is averaged, and half a sample:
+    # it grows by 1 rad/s^3
+    assert np.abs(left[1:] - [0, 0, 9.8]).max() < 0.1051
+
+
+def test_the_lever_arm_of_the_accelerometers_does_not_multiply_the_gyroscopes_noise():
+    # given sensors at rest, 100 Hz, with white noise of the angular rate and an arm of 2 m
+    w = 1.5e-3 * np.random.default_rng(1).standard_normal((20000, 3))
+    stamp = np.arange(1, len(w) + 1) * 10_000_000
+    values = parameters.check({'imu.lever_arm': [2.0, 0.0, 0.0]})
+    corrector = EFFECTS['accelerometer_lever_arm'].corrector(values, mounting([0.0, 0.0, 0.0]))
+    force, _ = corrector(stamp, np.zeros_like(w), w, np.full(len(w), np.nan))
+    # then the noise is that of differences averaged with weight 0.1: arm * sigma / 0.1 s * sqrt(2 / (2 - 0.1))
+    expected = 2.0 * 1.5e-3 / 0.1 * np.sqrt(2 / 1.9)
+    assert np.allclose(force[100:].std(axis=0)[1:], expected, rtol=0.05)
+    # single differences would scatter ten times as much: more than the 0.3 m/s^2 that count as rest
+    assert 2.0 * 1.5e-3 * np.sqrt(2) / 0.01 > 0.3 > 5 * expected
 
 
 def test_live_and_replay_give_the_same_bits_with_corrections(drive):

@@ -3,11 +3,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from mems_ins_fusion.compiled import njit
 from mems_ins_fusion.effects.base import Effect, EffectParameter, added
 from mems_ins_fusion.navigation.frames import FLU_TO_FRD
 from mems_ins_fusion.parameters import Parameter
 
 LONGEST_STEP = 0.5  # s between samples over which an angular acceleration means something
+SMOOTH = 0.1  # s: differences of single samples would multiply the gyroscopes' noise, and hide every standstill
 
 
 class AccelerometerLeverArm(Effect):
@@ -35,17 +37,30 @@ class AccelerometerLeverArm(Effect):
         if not any(values['imu.lever_arm']):
             return None
         arm = rotation.T @ (FLU_TO_FRD @ np.array(values['imu.lever_arm']))
-        last_stamp, last_rate = np.zeros(1, dtype=np.int64), np.zeros((1, 3))
+        last_stamp, last_rate, acceleration = np.zeros(1, dtype=np.int64), np.zeros(3), np.zeros(3)
 
         def correct(stamp, f, w, celsius):
-            dt = np.diff(np.concatenate([last_stamp, stamp])) * 1e-9
-            change = np.diff(np.concatenate([last_rate, w]), axis=0)
-            usable = (dt > 0) & (dt < LONGEST_STEP)
-            acceleration = np.where(usable, 1.0, 0.0)[:, None] * change / np.where(usable, dt, 1.0)[:, None]
-            last_stamp[:], last_rate[:] = stamp[-1], w[-1]
-            return f - _cross(w, _cross(w, arm)) - _cross(acceleration, arm), w
+            rising = _angular_acceleration(stamp, w, last_stamp, last_rate, acceleration)
+            return f - _cross(w, _cross(w, arm)) - _cross(rising, arm), w
 
         return correct
+
+
+@njit
+def _angular_acceleration(stamp, w, last_stamp, last_rate, acceleration):
+    """Differences of `w` (n, 3) averaged over SMOOTH; the last three, of the sample before, are kept up to date."""
+    found = np.zeros_like(w)
+    for k in range(len(w)):
+        dt = (stamp[k] - last_stamp[0]) * 1e-9
+        usable = 0.0 < dt < LONGEST_STEP
+        weight = min(1.0, dt / SMOOTH)
+        for i in range(3):
+            change = (w[k, i] - last_rate[i]) / dt if usable else 0.0
+            acceleration[i] = acceleration[i] + weight * (change - acceleration[i]) if usable else 0.0
+            found[k, i] = acceleration[i]
+            last_rate[i] = w[k, i]
+        last_stamp[0] = stamp[k]
+    return found
 
 
 def _cross(a, b):
