@@ -258,3 +258,29 @@ def test_fixes_older_than_the_delay_or_the_memory_are_refused():
     memory, answers = driven(config, [*[('sample', step * k) for k in range(1, count)], ('fix', 50 * step, 2.0),
                                       ('fix', 150 * step, 2.0)])
     assert answers == [FIX_TOO_LATE, FIX_TAKEN]
+
+
+def test_a_standstill_ends_when_the_vehicle_starts_gently():
+    # given a vehicle at rest for 20 s that then gains speed with a jerk of 0.2 m/s^3, as smoothly as can be
+    time = DT * np.arange(1, 2601)
+    still = 20.0
+    acceleration = 0.2 * np.maximum(time - still, 0.0)
+    speed = 0.1 * np.maximum(time - still, 0.0) ** 2
+    noise = np.random.default_rng(3).standard_normal((2, len(time), 3)) * np.array([0.02, 1e-3])[:, None, None]
+    force = noise[0] + np.column_stack([acceleration + 0.05, 0 * time, 0 * time + 9.81])  # with a bias
+    found = {}
+    for used in (True, False):
+        config = made('GM', 'planar', 'closed', **{'vehicle.zero_velocity': used, 'imu.mounting_rpy': [0.0, 0.0, 0.0]})
+        memory = started(config, velocity=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=np.diag(
+            [0.25, 0.25, 0.01, 0.01, 0.01, *[0.05**2] * (config.others - 1), 0.01**2]))
+        found[used] = []
+        for k in range(len(time)):
+            take_sample(memory, time[k], *force[k], *noise[1][k])
+            found[used].append(newest(memory)[Nav.V_N])
+    velocity = np.array(found[True])
+    # then at rest the velocity is held at zero, where it drifts away without
+    assert np.abs(velocity[(time > 10) & (time < still)]).max() < 0.05
+    assert found[False][1900] == pytest.approx(0.05 * 19, rel=0.1)
+    # and soon after the start it is the vehicle's, not zero: what was lost until then is less than 0.15 m/s
+    assert np.abs(velocity - speed)[time > still + 1].max() < 0.15
+    assert speed[-1] > 3.5

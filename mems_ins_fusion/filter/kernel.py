@@ -19,6 +19,8 @@ from .prediction import predict
 FIX_TAKEN, FIX_BEFORE_START, FIX_TOO_LATE = 0, 1, 2
 #: time constant of the running means that tell a standstill, s
 STILL_TIME = 0.5
+#: how long, s, these means must have stayed within so much of the specific force, m/s^2
+STEADY_TIME, STEADY_ACCELERATION = 1.0, 0.05
 
 
 @njit
@@ -71,7 +73,8 @@ def take_sample(memory, time, f_x, f_y, f_z, w_x, w_y, w_z):
 
 @njit
 def _is_still(memory, sample, dt):
-    """1 when specific force and angular rate have scattered little over the last second, and nothing turns."""
+    """1 when specific force and angular rate scatter little, nothing turns, and their means have been steady for a
+    while: who starts or stops gently is quiet, but not that."""
     weight = min(1.0, dt / STILL_TIME)
     turn = 0.0
     for half in range(2):
@@ -83,11 +86,18 @@ def _is_still(memory, sample, dt):
             if half == 1:
                 turn = max(turn, abs(memory[Head.STILL_MEAN + i]))
         memory[Head.STILL_VARIANCE_F + half] += weight * (variance - memory[Head.STILL_VARIANCE_F + half])
-    if (memory[Head.STILL_VARIANCE_F] < 3.0 * memory[Head.STILL_ACCELERATION] ** 2
-            and memory[Head.STILL_VARIANCE_W] < 3.0 * memory[Head.STILL_RATE] ** 2
-            and turn < memory[Head.STILL_RATE]):
-        return 1.0
-    return 0.0
+    steady = (memory[Head.STILL_VARIANCE_F] < 3.0 * memory[Head.STILL_ACCELERATION] ** 2
+              and memory[Head.STILL_VARIANCE_W] < 3.0 * memory[Head.STILL_RATE] ** 2
+              and turn < memory[Head.STILL_RATE])
+    for i in range(3):
+        if abs(memory[Head.STILL_MEAN + i] - memory[Head.STILL_REFERENCE + i]) > STEADY_ACCELERATION:
+            steady = False
+    time = memory[sample + Sample.TIME]
+    if not steady:
+        memory[Head.STILL_SINCE] = time
+        for i in range(6):
+            memory[Head.STILL_REFERENCE + i] = memory[Head.STILL_MEAN + i]
+    return 1.0 if time - memory[Head.STILL_SINCE] >= STEADY_TIME else 0.0
 
 
 @njit

@@ -151,7 +151,9 @@ class Head(IntEnum):
     CONDITIONING = 36  # 6 x 6: body-axis sample = matrix (raw sample) + offset
     OFFSET = 72  # six
     SIDESLIP = 78  # rad per m/s^2 of lateral acceleration
-    SIZE = 80
+    STILL_REFERENCE = 79  # the running means when they became steady, six
+    STILL_SINCE = 85  # and when that was
+    SIZE = 86
 
 
 class Sample(IntEnum):
