@@ -308,7 +308,7 @@ class _Work:
 
     def _final_estimates(self) -> None:
         """All added parameters as the last joint fit left them; what is not determined has no number."""
-        model, sigma = self.model, np.sqrt(np.diag(self.model.covariance))
+        model, sigma = self.model, self.model.sigma()
         for finding in self.findings:
             own = [i for i, u in enumerate(model.unknowns) if u.name.split('.')[0] == finding.name]
             if finding.added and own:
@@ -324,7 +324,7 @@ def _estimates(best: Candidate, model: Model, first: int) -> dict:
     """Parameters of a finding, the unknowns of `model` from `first` on: name -> value, sigma, unit."""
     units = {p.name: p.unit for p in best.effect.traced}
     found = {name: (value, None, units[name]) for name, value in best.fixed.items() if value}
-    sigma = np.sqrt(np.diag(model.covariance))
+    sigma = model.sigma()
     for unknown, x, s in zip(model.unknowns[first:], model.x[first:], sigma[first:]):
         name = unknown.name.split('.')[1]
         found[name] = (*unknown.meant(x, s), units[name])

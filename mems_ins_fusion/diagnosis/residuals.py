@@ -28,6 +28,10 @@ UPDATE_INTERVAL = 1.0
 FASTEST_RATE = 12.5
 
 
+#: length of a block over which scores may go together, s
+BLOCK = 20.0
+
+
 class DiagnosisError(ValueError):
     """A recording that cannot be diagnosed: one line that says why, and what recording it takes."""
 
@@ -180,6 +184,12 @@ class Problem:
             return list(pool.map(one, points))
 
 
+def block_begins(problem: Problem) -> np.ndarray:
+    """Where blocks of BLOCK seconds begin among the fixes that count."""
+    block = (problem.stamp[problem.mask] - problem.stamp[0]) // round(BLOCK * 1e9)
+    return np.unique(block, return_index=True)[1]
+
+
 @dataclass(frozen=True)
 class Scores:
     """Derivatives of the log likelihood by some unknowns, zero where a fix does not count.
@@ -260,6 +270,16 @@ class Model:
 
     def likelihood(self, mask: np.ndarray) -> float:
         return float(self.residual.log_likelihood()[mask].sum())
+
+    def sigma(self) -> np.ndarray:
+        """Standard deviations of x, (p,): by the information, or by how the scores of blocks scatter, what is larger.
+
+        The latter holds where innovations follow each other, too (P. J. Huber, 1967; W. K. Newey, K. D. West, 1987).
+        """
+        mask = self.problem.mask
+        sums = np.add.reduceat(self.scores.score[mask], block_begins(self.problem))
+        spread = self.covariance @ (sums.T @ sums) @ self.covariance
+        return np.sqrt(np.maximum(np.diag(self.covariance), np.diag(spread)))
 
     def moved(self) -> Problem:
         """The problem with this model as what is assumed."""

@@ -51,7 +51,7 @@ def goes_with(problem: Problem, nuisance: Scores, at: Residual) -> list[GoesWith
         if information[0, 0] <= 0:
             continue
         theta = total / information[0, 0]
-        gain, p = significance(problem, own, theta, total, mask)
+        gain, p = significance(problem, own, theta, total)
         results.append(GoesWith(where, what, float(theta[0]), float(information[0, 0] ** -0.5), unit, gain, p))
     adjusted = holm([r.p for r in results])
     return sorted((replace(r, p=float(p)) for r, p in zip(results, adjusted) if p <= SIGNIFICANCE),

@@ -15,14 +15,12 @@ from scipy.stats import chi2
 
 from ..effects.base import Effect
 from ..evaluation.bootstrap import holm
-from .residuals import Problem, Residual, Scores, Unknown, scores
+from .residuals import Problem, Residual, Scores, Unknown, block_begins, scores
 
 #: family-wise error of one round of tests
 SIGNIFICANCE = 0.01
 #: a parameter is determined where its sigma is at most this many times what is usual, or its value so many sigmas
 DETERMINED, DISTINCT = 1.0, 3.5
-#: length of a block over which scores may go together, s
-BLOCK = 20.0
 
 
 @dataclass
@@ -126,7 +124,7 @@ def _test(problem, effect, unknowns, own: Scores, nuisance: Scores, mask, fixed)
         return Candidate(effect, [], np.zeros(0), np.zeros(0), 0.0, 1.0, None, undetermined, fixed)
     covariance, total = np.linalg.inv(information[np.ix_(keep, keep)]), total[keep]
     theta, sigma = covariance @ total, np.sqrt(np.diag(covariance))
-    gain, p = significance(problem, own, theta, total, mask)
+    gain, p = significance(problem, own, theta, total)
     if unknowns[0].variance:  # only more variance is an effect
         gain, p = (gain, p / 2) if total[0] > 0 else (0.0, 1.0)
     return Candidate(effect, unknowns, theta, sigma, gain, p, own, undetermined, fixed)
@@ -156,14 +154,13 @@ def _determined(information: np.ndarray, total: np.ndarray, usual: np.ndarray) -
     return keep
 
 
-def significance(problem: Problem, own: Scores, theta, total, mask) -> tuple[float, float]:
+def significance(problem: Problem, own: Scores, theta, total) -> tuple[float, float]:
     """Gain and p, both with what the scores of blocks of time scatter more than the information says.
 
     What the effect itself adds to a block is taken out first: a few blocks may hold all that the recording knows.
     """
     gain = float(theta @ total)
-    block = ((problem.stamp[mask] - problem.stamp[0]) // round(BLOCK * 1e9)).astype(np.int64)
-    _, first = np.unique(block, return_index=True)
+    first, mask = block_begins(problem), problem.mask
     sensitivity = own.sensitivity[mask]
     information = np.add.reduceat(np.einsum('fpi,fqi->fpq', sensitivity, sensitivity), first)
     rest = np.add.reduceat(own.score[mask], first) - information @ theta
