@@ -197,20 +197,21 @@ def test_coloured_noise_is_found_and_only_what_is_determined_gets_a_number():
             assert low < 1.5 * true and high > true / 1.5
 
 
-def test_an_effect_that_makes_the_error_larger_is_not_added():
+def test_position_errors_decide_between_effects_that_explain_the_same():
     # given accelerometers that stand elsewhere, which fixes cannot tell from an antenna that does, and a reference at
     # the IMU's point that can
     recording = recorded('accelerometer_lever_arm', x=2.0, y=1.0)
     arms = [EFFECTS['gnss_lever_arm'], EFFECTS['accelerometer_lever_arm']]
     result = diagnose(recording, VALUES, effects=arms, **OUTAGES)
     [finding] = added(result)
-    assert finding.name == 'accelerometer_lever_arm'
+    assert finding.name == 'accelerometer_lever_arm' and finding.group == ['accelerometer_lever_arm']
     for name, true in (('x', 2.0), ('y', 1.0)):
         value, sigma, _ = finding.parameters[name]
         assert abs(value - true) < 3 * sigma
-    [wrong] = [f for f in result.findings if not f.added]
-    assert wrong.name == 'gnss_lever_arm' and wrong.reason.startswith('the error grows: with all fixes used')
     assert rms(result.after) < 1.2 * rms(diagnose(recorded(), VALUES, effects=[], **OUTAGES).before)
+    # and without that reference neither is preferred: withheld fixes are of the same antenna
+    without = diagnose(replace(recording, reference=None), VALUES, effects=arms, **OUTAGES)
+    assert {frozenset(f.group) for f in added(without)} == {frozenset(e.name for e in arms)}
 
 
 def test_a_receiver_that_wanders_at_rest_does_not_hide_the_standstill():

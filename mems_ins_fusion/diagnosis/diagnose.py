@@ -12,10 +12,19 @@ from ..effects.base import Effect
 from ..effects.registry import EFFECTS
 from ..samples import Recording
 from .detection import Detection, detect
-from .proof import HeldOut, Measured, compared, estimates, gain_of, held_out, measure, objection
+from .proof import HeldOut, Measured, all_in_all, compared, gain_of, held_out, measure, objection, parts
 from .residuals import DiagnosisError, Model, Problem, Residual, Unknown, fit, noise_unknowns
 from .rest import GoesWith, goes_with
-from .tracing import SIGNIFICANCE, Candidate, also_determined, effect_unknowns, group, refined_unknowns, trace
+from .tracing import (
+    SIGNIFICANCE,
+    Candidate,
+    also_determined,
+    determined,
+    effect_unknowns,
+    group,
+    refined_unknowns,
+    trace,
+)
 
 #: fewer innovations than this decide nothing
 FEWEST_FIXES = 60
@@ -25,6 +34,8 @@ MOST_ROUNDS = 8
 #: candidates of one round that are fitted to see which explains most, if their gain is this part of the largest, and
 #: how close in log likelihood equals come
 TRIED, PART, CLOSE = 4, 0.3, 3.3
+#: position errors all in all that differ by this factor tell effects apart
+DIFFERENT = 1.1
 #: a parameter is not determined where values this many times apart fit equally well
 DISTINCT = 1.5
 #: noise levels with a factor above this may stand for an effect
@@ -103,7 +114,19 @@ def diagnose(recording: Recording, values: dict, progress: Progress = lambda par
         if not work.add_best():
             break
     work.drop_superseded()
+    work.drop_undetermined()
     return work.finish()
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """A candidate, the model with it, its parameters as in a Finding, and what it does on data it was not fitted to."""
+
+    candidate: Candidate
+    model: Model
+    parameters: dict
+    proof: HeldOut
+    errors: Measured
 
 
 class _Work:
@@ -149,43 +172,61 @@ class _Work:
         if not self.effects:
             return False
         model = self.model
-        candidates = trace(model.moved(), model.scores, model.residual, self.effects,
-                           model.problem.mask, progress)
+        candidates = trace(model.moved(), model.scores, model.residual, self.effects, model.problem.mask, progress)
         self.rounds.append(candidates)
         significant = [c for c in candidates if c.p_adjusted <= SIGNIFICANCE and c.scores is not None]
         if not significant:
             return False
         self.progress(share + 0.07, f"adding {' or '.join(c.name for c in significant[:TRIED])}")
-        best, trial, alike = self._best(significant)
-        trial = self._completed(best, trial)
-        names = [best.name, *alike, *group(best, candidates, model.problem.mask)[1:]]
-        names = list(dict.fromkeys(names))
+        finding = self._tried(significant, candidates)
         # the others of its group stay: what of them is not the same as the winner may show in the next round
-        self.effects = [e for e in self.effects if e.name != best.name]
-        self.chosen.append(best.name)
-        finding = self._prove(best, trial, names)
-        self.findings = [f for f in self.findings if f.name != best.name] + [finding]
+        self.effects = [e for e in self.effects if e.name != finding.name]
+        self.chosen.append(finding.name)
+        self.findings = [f for f in self.findings if f.name != finding.name] + [finding]
         if not finding.added:
-            self.rejected.append(best.effect)
+            self.rejected.append(finding.effect)
         elif self.rejected:  # what did not help before may help now
             again = [*self.effects, *self.rejected]
             self.effects, self.rejected = [e for e in self.library if e in again], []
         return True
 
-    def _best(self, significant: list[Candidate]) -> tuple[Candidate, Model, list[str]]:
-        """The candidate that explains most once it is in the model and all is fitted again, and those as good as it.
+    def _tried(self, significant: list[Candidate], candidates: list[Candidate]) -> Finding:
+        """The best candidate, in the model from now on if it helps on held-out data, and what it came to.
+
+        Of those that explain the same, the position errors decide where these differ: a reference may know more.
+        """
+        names, models = self._best(significant, candidates)
+        judged = {c.name: self._judged(c, models[c.name]) for c in significant if c.name in names and c.name in models}
+        best = judged[names[0]]
+        for name in names[1:]:
+            if name in judged and all_in_all(compared(best.errors, judged[name].errors)) < 1 / DIFFERENT:
+                best = judged[name]
+        others = [name for name in names if name not in judged or
+                  all_in_all(compared(best.errors, judged[name].errors)) < DIFFERENT]
+        against = objection(best.proof, compared(self.errors, best.errors))
+        if not against:
+            self.model, self.estimates, self.errors = best.model, best.proof.estimates, best.errors
+            self._hide(best.model.problem)
+        candidate = best.candidate
+        group = [candidate.name, *(name for name in others if name != candidate.name)]
+        return Finding(candidate.effect, group, best.parameters, candidate.gain, candidate.p_adjusted, not against,
+                       best.proof, against)
+
+    def _best(self, significant: list[Candidate], candidates: list[Candidate]) -> tuple[list[str], dict[str, Model]]:
+        """The candidate that explains most once it is in the model and all is fitted again, those that explain as much
+        or the same after it, and the models that were fitted for this.
 
         The score test is linear, and at a model that is far off it ranks poorly; the likelihood does not. Equals are
         taken in the order of the registry.
         """
         by_gain = sorted(significant, key=lambda c: 2 * len(c.theta) - c.gain)[:TRIED]
-        trials = [(c, self._with(c)) for c in by_gain if c.gain >= PART * by_gain[0].gain]
-        mask = np.logical_and.reduce([t.problem.mask for _, t in trials])
-        merit = np.array([t.likelihood(mask) - len(c.theta) for c, t in trials])
-        alike = [k for k in range(len(trials)) if merit[k] > merit.max() - CLOSE]
-        order = [e.name for e in self.effects]
-        first = min(alike, key=lambda k: order.index(trials[k][0].name))
-        return *trials[first], [trials[k][0].name for k in alike if k != first]
+        tried = [c for c in by_gain if c.gain >= PART * by_gain[0].gain]
+        models = {c.name: self._with(c) for c in tried}
+        mask = np.logical_and.reduce([model.problem.mask for model in models.values()])
+        merit = {c.name: models[c.name].likelihood(mask) - len(c.theta) for c in tried}
+        alike = [e.name for e in self.effects if merit.get(e.name, -np.inf) > max(merit.values()) - CLOSE]
+        best = next(c for c in tried if c.name == alike[0])
+        return list(dict.fromkeys([*alike, *group(best, candidates, self.model.problem.mask)])), models
 
     def _with(self, candidate: Candidate) -> Model:
         """The present model with one candidate added and all unknowns fitted again."""
@@ -197,24 +238,35 @@ class _Work:
                  for t, u in zip(candidate.theta, candidate.unknowns)]
         unknowns = [*model.unknowns, *candidate.unknowns]
         trial = fit(model.problem, unknowns, np.concatenate([model.x, begin]))
-        if trial.x[:self.noise_count].max() < np.log(SWALLOWED):
+        if trial.x[:self.noise_count].max() >= np.log(SWALLOWED):
+            # noise levels that have swallowed the effect may not let go of it: once more from those configured
+            x = trial.x.copy()
+            x[:self.noise_count], x[len(model.unknowns):] = 0.0, begin
+            other = fit(model.problem, unknowns, x)
+            trial = max(trial, other, key=lambda m: m.likelihood(model.problem.mask))
+        pruned = self._pruned(trial, len(model.unknowns))
+        return pruned if len(pruned.unknowns) > len(model.unknowns) else trial
+
+    def _pruned(self, trial: Model, first: int) -> Model:
+        """`trial` without those of its unknowns from `first` on that turn out not to be determined.
+
+        What can trade against another one of its effect (`_refined`) stays: together they are determined.
+        """
+        keep = determined(trial.x[first:], trial.sigma()[first:], trial.unknowns[first:])
+        keep |= np.array([u.variance or u.factor_on is not None for u in trial.unknowns[first:]], dtype=bool)
+        if keep.all():
             return trial
-        # noise levels that have swallowed the effect may not let go of it: once more from those configured
-        x = trial.x.copy()
-        x[:self.noise_count], x[len(model.unknowns):] = 0.0, begin
-        other = fit(model.problem, unknowns, x)
-        mask = model.problem.mask
-        return max(trial, other, key=lambda m: m.likelihood(mask))
+        kept = np.append(np.ones(first, dtype=bool), keep)
+        return fit(trial.problem, [u for u, k in zip(trial.unknowns, kept) if k], trial.x[kept])
 
     def _completed(self, candidate: Candidate, trial: Model) -> Model:
         """`trial` with what else of its effect the data determine now that noise levels need not stand for it."""
         known = {u.name for u in trial.unknowns}
-        if trial.problem is not self.model.problem:
-            return trial
         missing = [u for u in effect_unknowns(candidate.effect, candidate.fixed) if u.name not in known]
         more = also_determined(trial.moved(), missing, trial.scores, trial.residual, trial.problem.mask)
         if more:
-            trial = fit(trial.problem, [*trial.unknowns, *more], np.append(trial.x, np.zeros(len(more))))
+            first, start = len(trial.unknowns), np.append(trial.x, np.zeros(len(more)))
+            trial = self._pruned(fit(trial.problem, [*trial.unknowns, *more], start), first)
         return self._refined(candidate.effect, trial) if candidate.effect.refined else trial
 
     def _refined(self, effect: Effect, trial: Model) -> Model:
@@ -238,21 +290,17 @@ class _Work:
                 self.hidden[name] = f'{min(found):.2g} to {max(found):.2g} {unit} explain the recording equally well'
         return best
 
-    def _prove(self, best: Candidate, trial: Model, names: list[str]) -> Finding:
-        """What the best candidate came to; it is in the model from now on if it helps on held-out data."""
-        if trial.problem is self.model.problem:
-            proof = held_out(trial, self.model, self.noise_count)
-            found = _estimates(best, trial, len(self.model.unknowns))
+    def _judged(self, candidate: Candidate, model: Model) -> _Judged:
+        """What `candidate`, fitted as `model`, comes to on data it was not fitted to."""
+        if model.problem is self.model.problem:
+            model = self._completed(candidate, model)
+            proof = held_out(model, self.model, self.noise_count)
+            parameters = _estimates(candidate, model, len(self.model.unknowns))
         else:  # another mechanization has no parameter of its own that could have been fitted to the data
-            proof = gain_of(self.model.problem, self.model.residual, trial.residual)
-            found = _estimates(best, fit(self.model.problem.moved(trial.unknowns, trial.x), best.unknowns, best.theta),
-                               0)
-        errors = self._quick_errors(trial, proof.estimates)
-        against = objection(proof, compared(self.errors, errors))
-        if not against:
-            self.model, self.estimates, self.errors = trial, proof.estimates, errors
-            self._hide(trial.problem)
-        return Finding(best.effect, names, found, best.gain, best.p_adjusted, not against, proof, against)
+            proof = gain_of(self.model.problem, self.model.residual, model.residual)
+            alone = fit(self.model.problem.moved(model.unknowns, model.x), candidate.unknowns, candidate.theta)
+            parameters = _estimates(candidate, alone, 0)
+        return _Judged(candidate, model, parameters, proof, self._quick_errors(model, proof.estimates))
 
     def _quick_errors(self, model: Model, estimates: Sequence[np.ndarray]) -> Measured:
         """Errors of `model`, each by the estimate from other blocks, with the samples of the many runs."""
@@ -271,8 +319,22 @@ class _Work:
                 continue
             finding.added, finding.held_out = False, proof
             finding.reason = 'explained by an effect that was added later'
-            self.model = without
-            self.estimates = estimates(without, self.noise_count)
+            self._replace(without)
+
+    def drop_undetermined(self) -> None:
+        """Take out again the parameters that effects added later have left undetermined."""
+        pruned = self._pruned(self.model, self.noise_count)
+        if pruned is not self.model:
+            left = {u.name for u in pruned.unknowns}
+            self.hidden |= {u.name: 'not determined by this recording' for u in self.model.unknowns
+                            if u.name not in left}
+            self._replace(pruned)
+
+    def _replace(self, model: Model) -> None:
+        """Go on with `model`, which has fewer unknowns."""
+        self.model = model
+        self.estimates = [model.refitted(model.problem.mask & ~part, self.noise_count)[0]
+                          for part in parts(model.problem)]
 
     def finish(self) -> Diagnosis:
         model = self.model

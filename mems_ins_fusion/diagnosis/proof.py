@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 from scipy.stats import t as student
 
 from ..evaluation import metrics
@@ -25,6 +26,8 @@ from .residuals import Model, Problem, Residual
 PARTS, BLOCKS, SHORTEST_BLOCK = 4, 2, 30.0
 #: a held-out gain counts when chance would give it this rarely: the tests that led to the effect were far stricter
 SIGNIFICANCE = 0.2
+#: what is new is supported by a part of the data where it is no chance at this level
+SUPPORT = 0.95
 #: an error is larger or smaller for certain when chance would give that this rarely
 CERTAIN = 0.01
 
@@ -62,20 +65,27 @@ class HeldOut:
 def held_out(longer: Model, shorter: Model, noise: int) -> HeldOut:
     """What `longer` explains more than `shorter` on data that neither was fitted to.
 
-    Of both, the first `noise` unknowns are noise levels and stay as they are.
+    Of both, the first `noise` unknowns are noise levels and stay as they are. What is judged is the whole procedure:
+    where the other parts do not support what is new in `longer`, they would not have led to it, and the estimate is
+    that of `shorter`.
     """
     problem = longer.problem
-    gains, found = np.zeros(len(problem.stamp)), estimates(longer, noise)
-    one, other = (model.problem.residuals(model.unknowns, points) for model, points in (
-        (longer, found), (shorter, estimates(shorter, noise))))
-    for part, with_it, without in zip(parts(problem), one, other):
-        gains[part] = (with_it.log_likelihood() - without.log_likelihood())[part]
+    place = {u.name: i for i, u in enumerate(longer.unknowns)}
+    old = [place[u.name] for u in shorter.unknowns]
+    new = sorted(set(place.values()) - set(old))
+    found, without = [], []
+    for part in parts(problem):
+        mask = problem.mask & ~part
+        x, covariance = longer.refitted(mask, noise)
+        without.append(shorter.refitted(mask, noise)[0])
+        if x[new] @ np.linalg.solve(covariance[np.ix_(new, new)], x[new]) < chi2.ppf(SUPPORT, len(new)):
+            x[old], x[new] = without[-1], 0.0
+        found.append(x)
+    one, other = problem.residuals(longer.unknowns, found), problem.residuals(shorter.unknowns, without)
+    gains = np.zeros(len(problem.stamp))
+    for part, with_it, plain in zip(parts(problem), one, other):
+        gains[part] = (with_it.log_likelihood() - plain.log_likelihood())[part]
     return HeldOut(float(gains.sum()), _p_of_no_gain(problem, gains), found)
-
-
-def estimates(model: Model, noise: int) -> list[np.ndarray]:
-    """The unknowns by the part that is held out."""
-    return [model.refitted(model.problem.mask & ~part, noise) for part in parts(model.problem)]
 
 
 def gain_of(problem: Problem, before: Residual, after: Residual) -> HeldOut:
@@ -182,8 +192,14 @@ def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
             return f"the error grows: {row['what']}, {row['before']:.3g} before, {row['after']:.3g} after"
     if not (proof.helps or (proof.gain > 0 and certain)):
         return f'no gain on data it was not fitted to (log likelihood {proof.gain:+.1f}, p {proof.p:.2g})'
-    change = float(np.exp(np.mean([np.log(row['after'] / row['before']) for row in rows]))) if rows else 0.0
+    change = all_in_all(rows)
     return f'the error does not shrink: all in all it is {change:.2f} times that before' if change >= 1 else ''
+
+
+def all_in_all(comparison: Sequence[dict]) -> float:
+    """Errors after over those before, the geometric mean of all rows; 0 where nothing was measured."""
+    ratios = [row['after'] / row['before'] for row in comparison if row.get('before') and row.get('after')]
+    return float(np.exp(np.mean(np.log(ratios)))) if ratios else 0.0
 
 
 def _row(what: str, stamp, new_stamp, old, new) -> dict:

@@ -285,15 +285,19 @@ class Model:
         """The problem with this model as what is assumed."""
         return self.problem.moved(self.unknowns, self.x)
 
-    def refitted(self, mask: np.ndarray, kept: int) -> np.ndarray:
-        """x from the fixes in `mask` alone, by one step of scoring; the first `kept` unknowns stay as they are."""
+    def refitted(self, mask: np.ndarray, kept: int) -> tuple[np.ndarray, np.ndarray]:
+        """x from the fixes in `mask` alone, by one step of scoring, and its covariance.
+
+        The first `kept` unknowns stay as they are; their rows and columns of the covariance are zero.
+        """
         base, prior = _priors(self.unknowns)
         gradient = self.scores.gradient(mask) - (self.x - base) / prior**2
         information = self.scores.information(mask) + np.diag(1 / prior**2)
         free = slice(kept, None)
-        x = self.x.copy()
-        x[free] += np.clip(np.linalg.solve(information[free, free], gradient[free]), -prior[free], prior[free])
-        return x
+        x, covariance = self.x.copy(), np.zeros_like(information)
+        covariance[free, free] = np.linalg.inv(information[free, free])
+        x[free] += np.clip(covariance[free, free] @ gradient[free], -prior[free], prior[free])
+        return x, covariance
 
 
 def _priors(unknowns: Sequence[Unknown]) -> tuple[np.ndarray, np.ndarray]:

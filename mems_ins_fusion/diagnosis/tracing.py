@@ -19,8 +19,11 @@ from .residuals import Problem, Residual, Scores, Unknown, block_begins, scores
 
 #: family-wise error of one round of tests
 SIGNIFICANCE = 0.01
-#: a parameter is determined where its sigma is at most this many times what is usual, or its value so many sigmas
-DETERMINED, DISTINCT = 1.0, 3.5
+#: part of an effect's signal that another stands for when the two cannot be told apart
+PARALLEL = 0.95
+#: a parameter is determined where its sigma is at most this many times what is usual, or where it is at most so many
+#: times that and the value this many sigmas
+DETERMINED, TOLERATED, DISTINCT = 1.0, 5.0, 3.5
 
 
 @dataclass
@@ -90,7 +93,7 @@ def also_determined(problem: Problem, unknowns: Sequence[Unknown], nuisance: Sco
         return []
     _, own = scores(problem, unknowns, np.zeros(len(unknowns)), at)
     own = efficient(own, nuisance, mask)
-    keep = _determined(own.information(mask), own.gradient(mask), np.array([u.usual for u in unknowns]))
+    keep = _determined(own.information(mask), own.gradient(mask), unknowns)
     return [u for u, kept in zip(unknowns, keep) if kept]
 
 
@@ -116,7 +119,7 @@ def trace(problem: Problem, nuisance: Scores, at: Residual, effects: Sequence[Ef
 def _test(problem, effect, unknowns, own: Scores, nuisance: Scores, mask, fixed) -> Candidate:
     own = efficient(own, nuisance, mask)
     information, total = own.information(mask), own.gradient(mask)
-    keep = _determined(information, total, np.array([u.usual for u in unknowns]))
+    keep = _determined(information, total, unknowns)
     undetermined = [u.name.split('.')[1] for u, kept in zip(unknowns, keep) if not kept]
     unknowns = [u for u, kept in zip(unknowns, keep) if kept]
     own = Scores(own.score[:, keep], own.sensitivity[:, keep])
@@ -138,20 +141,24 @@ def efficient(own: Scores, nuisance: Scores, mask) -> Scores:
                   own.sensitivity - np.einsum('fqi,qp->fpi', nuisance.sensitivity, share))
 
 
-def _determined(information: np.ndarray, total: np.ndarray, usual: np.ndarray) -> np.ndarray:
-    """Which parameters the data determine: the worst ones are left out until the others are.
-
-    A large sigma does not speak against a value that is many times larger still.
-    """
+def _determined(information: np.ndarray, total: np.ndarray, unknowns: Sequence[Unknown]) -> np.ndarray:
+    """Which unknowns the data determine: the worst ones are left out until the others are."""
+    usual = np.array([u.usual for u in unknowns])
     keep = np.ones(len(usual), dtype=bool)
     while keep.any():
         covariance = np.linalg.inv(information[np.ix_(keep, keep)] + np.diag(1e-6 / usual[keep] ** 2))
-        sigma = np.sqrt(np.diag(covariance))
-        poor = np.where(np.abs(covariance @ total[keep]) > DISTINCT * sigma, 0.0, sigma / usual[keep])
-        if poor.max() <= DETERMINED:
+        theta, sigma = covariance @ total[keep], np.sqrt(np.diag(covariance))
+        good = determined(theta, sigma, [u for u, k in zip(unknowns, keep) if k])
+        if good.all():
             break
-        keep[np.flatnonzero(keep)[poor.argmax()]] = False
+        keep[np.flatnonzero(keep)[np.where(good, 0.0, sigma / usual[keep]).argmax()]] = False
     return keep
+
+
+def determined(theta: np.ndarray, sigma: np.ndarray, unknowns: Sequence[Unknown]) -> np.ndarray:
+    """Which of `unknowns` are determined: a rather large sigma does not speak against a value many times larger."""
+    usual = np.array([u.usual for u in unknowns])
+    return (sigma <= DETERMINED * usual) | ((sigma <= TOLERATED * usual) & (np.abs(theta) > DISTINCT * sigma))
 
 
 def significance(problem: Problem, own: Scores, theta, total) -> tuple[float, float]:
@@ -172,7 +179,8 @@ def significance(problem: Problem, own: Scores, theta, total) -> tuple[float, fl
 def group(winner: Candidate, others: Sequence[Candidate], mask: np.ndarray) -> list[str]:
     """Names of the candidates that the data cannot tell from `winner`, which comes first.
 
-    With the other in the model, what the winner adds must be insignificant, or a tenth of what both explain.
+    With the other in the model, what the winner adds must be insignificant, or a tenth of what both explain; or the
+    sensitivities are nearly parallel: the other can stand for PARALLEL of what the winner does to the innovations.
     """
     names = [winner.name]
     for other in others:
@@ -182,7 +190,10 @@ def group(winner: Candidate, others: Sequence[Candidate], mask: np.ndarray) -> l
         information, total = both.information(mask), both.gradient(mask)
         k = len(winner.theta)
         joint, alone = _gain(total, information), _gain(total[k:], information[k:, k:])
-        if joint - alone < chi2.ppf(0.999, k) or joint - alone < 0.1 * joint:
+        cross = information[k:, :k] @ winner.theta
+        represented = cross @ np.linalg.lstsq(information[k:, k:], cross, rcond=1e-8)[0]
+        parallel = represented > PARALLEL * (winner.theta @ information[:k, :k] @ winner.theta)
+        if parallel or joint - alone < chi2.ppf(0.999, k) or joint - alone < 0.1 * joint:
             names.append(other.name)
     return names
 
