@@ -315,11 +315,13 @@ class _Work:
                 continue
             without = fit(self.model.problem, [self.model.unknowns[i] for i in kept], self.model.x[kept])
             proof = held_out(self.model, without, self.noise_count)
-            if proof.helps:
-                continue
-            finding.added, finding.held_out = False, proof
-            finding.reason = 'explained by an effect that was added later'
-            self._replace(without)
+            estimates = self._by_part(without)
+            errors = self._quick_errors(without, estimates)
+            against = objection(proof, compared(errors, self.errors))
+            if against:
+                finding.added, finding.held_out = False, proof
+                finding.reason = f'superseded by an effect that was added later: {against}'
+                self.model, self.estimates, self.errors = without, estimates, errors
 
     def drop_undetermined(self) -> None:
         """Take out again the parameters that effects added later have left undetermined."""
@@ -328,13 +330,11 @@ class _Work:
             left = {u.name for u in pruned.unknowns}
             self.hidden |= {u.name: 'not determined by this recording' for u in self.model.unknowns
                             if u.name not in left}
-            self._replace(pruned)
+            self.model, self.estimates = pruned, self._by_part(pruned)
 
-    def _replace(self, model: Model) -> None:
-        """Go on with `model`, which has fewer unknowns."""
-        self.model = model
-        self.estimates = [model.refitted(model.problem.mask & ~part, self.noise_count)[0]
-                          for part in parts(model.problem)]
+    def _by_part(self, model: Model) -> list[np.ndarray]:
+        """The unknowns of `model` by the part that is held out."""
+        return [model.refitted(model.problem.mask & ~part, self.noise_count)[0] for part in parts(model.problem)]
 
     def finish(self) -> Diagnosis:
         model = self.model
@@ -357,16 +357,18 @@ class _Work:
             detections=self.detections,
             noise={u.name: float(np.exp(v)) for u, v in zip(self.noise_model.unknowns, model.x)},
             rounds=self.rounds, chosen=self.chosen, findings=self.findings,
-            hidden={**self.hidden, **self._undetermined()}, corrected=corrected, before=before, fitted=fitted,
+            hidden=self._not_shown(), corrected=corrected, before=before, fitted=fitted,
             after=after, comparison=compared(before, after), rest=rest,
             remarks=_remarks(problem) + _noise_remarks(self.noise_model.unknowns, model.x))
 
-    def _undetermined(self) -> dict[str, str]:
-        """Parameters that no round could determine."""
+    def _not_shown(self) -> dict[str, str]:
+        """Effects and parameters of which nothing can be said, and why."""
         estimated = {u.name for u in self.model.unknowns}
-        return {f'{c.name}.{name}': 'not determined by this recording'
-                for candidates in self.rounds for c in candidates for name in c.undetermined
-                if f'{c.name}.{name}' not in estimated}
+        undetermined = {f'{c.name}.{name}': 'not determined by this recording'
+                        for candidates in self.rounds for c in candidates for name in c.undetermined
+                        if f'{c.name}.{name}' not in estimated}
+        added = {f.name for f in self.findings if f.added}
+        return {name: why for name, why in {**self.hidden, **undetermined}.items() if name not in added}
 
     def _final_estimates(self) -> None:
         """All added parameters as the last joint fit left them; what is not determined has no number."""
