@@ -8,6 +8,7 @@ not diagnosed again.
 from __future__ import annotations
 
 import json
+import math
 import sys
 from pathlib import Path
 
@@ -34,14 +35,21 @@ def result(data: Path, output: Path, name: str, mechanization: str) -> dict:
 
 
 def effects(content: dict) -> str:
-    found = []
-    for e in content['effects']:
-        values = ', '.join(f'`{name}` {number(p["value"])} \N{PLUS-MINUS SIGN} {number(p["sigma"], 2)} {p["unit"]}'
-                           for name, p in e['parameters'].items())
-        group = f' (or {", ".join(n for n in e["group"] if n != e["name"])})' if len(e['group']) > 1 else ''
-        found.append(f'`{e["name"]}`{group}: {values.removesuffix(" -")}, held-out gain '
-                     f'{number(e["held_out_log_likelihood_gain"], 3)}{"" if e["added"] else "; not added"}')
-    return '; '.join(found) or 'none'
+    """The effects added with their values, and the names of those that were tried and not added."""
+    added = '; '.join(effect(e) for e in content['effects'] if e['added']) or 'none'
+    others = ', '.join(f'`{e["name"]}`' for e in content['effects'] if not e['added'])
+    return added + (f'; tried and not added: {others}' if others else '')
+
+
+def effect(e: dict) -> str:
+    values = []
+    for name, p in e['parameters'].items():
+        digits = max(1 - math.floor(math.log10(p['sigma'])), 0)
+        unit = '' if p['unit'] == '-' else f' {p["unit"]}'
+        values.append(f'`{name}` {p["value"]:.{digits}f} \N{PLUS-MINUS SIGN} {p["sigma"]:.{digits}f}{unit}')
+    group = f' (or {", ".join(n for n in e["group"] if n != e["name"])})' if len(e['group']) > 1 else ''
+    return (f'`{e["name"]}`{group}: {", ".join(values)}, held-out gain '
+            f'{number(e["held_out_log_likelihood_gain"], 3)}')
 
 
 def rows(title: str, content: dict) -> tuple[str, list[str]]:

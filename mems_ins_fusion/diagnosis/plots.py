@@ -85,7 +85,7 @@ def evidence(diagnosis: Diagnosis):
                          for c in ranked])
         axes.tick_params(labelsize=7)
         axes.set_title(f'round {i + 1}', fontsize=9)
-        axes.set_xlabel('gain of the score test', fontsize=8)
+        axes.set_xlabel('gain', fontsize=8)
     return figure
 
 

@@ -332,8 +332,8 @@ def _errors(d: Diagnosis) -> html.Html:
     rows = [(c['what'], c.get('count'), c.get('before'), c.get('after'), c.get('difference'), _interval(c),
              _p(c['p']) if 'p' in c else '') for c in d.comparison]
     summaries = {plots.STAGES[stage]: measured.summary() for stage, measured in plots.measured_stages(d).items()}
-    columns = ('model', 'RMS with fixes, m', 'outage, s', 'outages', 'median of the largest error, m', 'RMS, m',
-               '95 %, m', '% of distance')
+    columns = ('model', 'RMS with fixes, m', 'outage, s', 'outages', 'largest error: median, m', 'RMS, m', '95 %, m',
+               '% of distance')
     table = [(name, s['horizontal_rmse_m'] if i == 0 else None, o['duration_s'], o['count'], o['max_error_median_m'],
               o['max_error_rms_m'], o['max_error_p95_m'], o['percent_of_distance'])
              for name, s in summaries.items() for i, o in enumerate(s['outages'])]
@@ -361,5 +361,5 @@ def _unexplained(d: Diagnosis) -> html.Html:
         parts.append('It goes with none of time, speed, acceleration, turn rate, heading and temperature (as far as '
                      'recorded).')
     if d.remarks:
-        parts += ['What another recording should have:', html.bullets(d.remarks)]
+        parts += ['Worth knowing:', html.bullets(d.remarks)]
     return html.section('What stays unexplained', *parts)
