@@ -4,7 +4,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -31,6 +31,8 @@ FEWEST_FIXES = 60
 #: a recording has turns, and changes of speed, where these happen: rad/s and m/s^2 (root mean square)
 TURNING, SPEEDING = 0.03, 0.15
 MOST_ROUNDS = 8
+#: errors are measured no more often than this, s
+REFERENCE_INTERVAL = 0.1
 #: candidates of one round that are fitted to see which explains most, if their gain is this part of the largest, and
 #: how close in log likelihood equals come
 TRIED, PART, CLOSE = 4, 0.3, 3.3
@@ -38,8 +40,10 @@ TRIED, PART, CLOSE = 4, 0.3, 3.3
 DIFFERENT = 1.1
 #: a parameter is not determined where values this many times apart fit equally well
 DISTINCT = 1.5
-#: noise levels with a factor above this may stand for an effect
-SWALLOWED = 1.5
+#: iterations of a fit that is only compared with others
+COMPARED = 3
+#: noise levels with a factor above this may stand for an effect; a start this much below in log likelihood is none
+SWALLOWED, HOPELESS = 1.5, 50.0
 #: a fitted noise level this many times the configured one is worth a remark
 NOISE_FACTOR = 3.0
 
@@ -102,6 +106,10 @@ def diagnose(recording: Recording, values: dict, progress: Progress = lambda par
     diagnosed at all. `progress` is called with the part of the work done and what is being done.
     """
     progress(0.02, 'filtering')
+    if recording.reference is not None:
+        slot = (recording.reference.stamp - recording.reference.stamp[0]) // round(REFERENCE_INTERVAL * 1e9)
+        kept = np.unique(slot, return_index=True)[1]
+        recording = replace(recording, reference=recording.reference.select(kept))
     problem = Problem(recording, values)
     if problem.mask.sum() < FEWEST_FIXES:
         raise DiagnosisError(f'{recording.name}: {int(problem.mask.sum())} fixes while the filter runs, at least '
@@ -229,23 +237,31 @@ class _Work:
         return list(dict.fromkeys([*alike, *group(best, candidates, self.model.problem.mask)])), models
 
     def _with(self, candidate: Candidate) -> Model:
-        """The present model with one candidate added and all unknowns fitted again."""
+        """The present model with one candidate added and all unknowns fitted again, well enough to compare."""
         model = self.model
         if candidate.effect.replaces_model(candidate.values()):
             problem = Problem(self.recording, candidate.effect.adjusted(model.problem.values, candidate.values()))
-            return fit(problem, model.unknowns, model.x)
+            return fit(problem, model.unknowns, model.x, COMPARED)
         begin = [max(t, u.step) if u.variance else np.clip(t, -u.prior / 5, u.prior / 5)
                  for t, u in zip(candidate.theta, candidate.unknowns)]
-        unknowns = [*model.unknowns, *candidate.unknowns]
-        trial = fit(model.problem, unknowns, np.concatenate([model.x, begin]))
+        return fit(model.problem, [*model.unknowns, *candidate.unknowns], np.concatenate([model.x, begin]), COMPARED)
+
+    def _converged(self, trial: Model) -> Model:
+        """`trial` fitted to the end, without what is not determined then.
+
+        Noise levels that have swallowed the effect may not let go of it: so also from those configured, where these
+        are not hopeless.
+        """
+        first, mask = len(self.model.unknowns), trial.problem.mask
+        best = fit(trial.problem, trial.unknowns, trial.x)
         if trial.x[:self.noise_count].max() >= np.log(SWALLOWED):
-            # noise levels that have swallowed the effect may not let go of it: once more from those configured
-            x = trial.x.copy()
-            x[:self.noise_count], x[len(model.unknowns):] = 0.0, begin
-            other = fit(model.problem, unknowns, x)
-            trial = max(trial, other, key=lambda m: m.likelihood(model.problem.mask))
-        pruned = self._pruned(trial, len(model.unknowns))
-        return pruned if len(pruned.unknowns) > len(model.unknowns) else trial
+            configured = np.concatenate([np.zeros(self.noise_count), trial.x[self.noise_count:]])
+            [there] = trial.problem.residuals(trial.unknowns, [configured])
+            if np.nansum(there.log_likelihood()[mask]) > best.likelihood(mask) - HOPELESS:
+                other = fit(trial.problem, trial.unknowns, configured)
+                best = max(best, other, key=lambda m: m.likelihood(mask))
+        pruned = self._pruned(best, first)
+        return pruned if len(pruned.unknowns) > first else best
 
     def _pruned(self, trial: Model, first: int) -> Model:
         """`trial` without those of its unknowns from `first` on that turn out not to be determined.
@@ -293,10 +309,11 @@ class _Work:
     def _judged(self, candidate: Candidate, model: Model) -> _Judged:
         """What `candidate`, fitted as `model`, comes to on data it was not fitted to."""
         if model.problem is self.model.problem:
-            model = self._completed(candidate, model)
+            model = self._completed(candidate, self._converged(model))
             proof = held_out(model, self.model, self.noise_count)
             parameters = _estimates(candidate, model, len(self.model.unknowns))
         else:  # another mechanization has no parameter of its own that could have been fitted to the data
+            model = fit(model.problem, model.unknowns, model.x)
             proof = gain_of(self.model.problem, self.model.residual, model.residual)
             alone = fit(self.model.problem.moved(model.unknowns, model.x), candidate.unknowns, candidate.theta)
             parameters = _estimates(candidate, alone, 0)
@@ -313,7 +330,7 @@ class _Work:
             kept = [i for i, u in enumerate(self.model.unknowns) if u.name.split('.')[0] != finding.name]
             if len(kept) == len(self.model.unknowns):
                 continue
-            without = fit(self.model.problem, [self.model.unknowns[i] for i in kept], self.model.x[kept])
+            without = fit(self.model.problem, [self.model.unknowns[i] for i in kept], self.model.x[kept], COMPARED)
             proof = held_out(self.model, without, self.noise_count)
             estimates = self._by_part(without)
             errors = self._quick_errors(without, estimates)
