@@ -39,7 +39,7 @@ TRIED, PART, CLOSE = 4, 0.3, 3.3
 #: position errors all in all that differ by this factor tell effects apart
 DIFFERENT = 1.1
 #: a parameter is not determined where values this many times apart fit equally well
-DISTINCT = 1.5
+APART = 1.5
 #: iterations of a fit that is only compared with others
 COMPARED = 3
 #: noise levels with a factor above this may stand for an effect; a start this much below in log likelihood is none
@@ -300,7 +300,7 @@ class _Work:
         good = [m for m in fits if m.likelihood(mask) > best.likelihood(mask) - CLOSE]
         for i in range(first, len(best.unknowns)):
             found = [m.unknowns[i].meant(m.x[i], 0.0)[0] for m in good]
-            if max(found) > DISTINCT * min(found):
+            if max(found) > APART * min(found):
                 name = best.unknowns[i].name
                 unit = next(p.unit for p in effect.traced if p.name == name.split('.')[1])
                 self.hidden[name] = f'{min(found):.2g} to {max(found):.2g} {unit} explain the recording equally well'
@@ -347,6 +347,10 @@ class _Work:
             left = {u.name for u in pruned.unknowns}
             self.hidden |= {u.name: 'not determined by this recording' for u in self.model.unknowns
                             if u.name not in left}
+            for finding in self.findings:
+                own = {u.name for u in self.model.unknowns if u.name.split('.')[0] == finding.name}
+                if finding.added and own and not own & left:
+                    finding.added, finding.reason = False, 'not determined with the effects that were added later'
             self.model, self.estimates = pruned, self._by_part(pruned)
 
     def _by_part(self, model: Model) -> list[np.ndarray]:
@@ -373,10 +377,9 @@ class _Work:
             recording=self.recording, values=self.origin.values, problem=problem, residuals=self.residuals,
             detections=self.detections,
             noise={u.name: float(np.exp(v)) for u, v in zip(self.noise_model.unknowns, model.x)},
-            rounds=self.rounds, chosen=self.chosen, findings=self.findings,
-            hidden=self._not_shown(), corrected=corrected, before=before, fitted=fitted,
-            after=after, comparison=compared(before, after), rest=rest,
-            remarks=_remarks(problem) + _noise_remarks(self.noise_model.unknowns, model.x))
+            rounds=self.rounds, chosen=self.chosen, findings=self.findings, hidden=self._not_shown(),
+            corrected=corrected, before=before, fitted=fitted, after=after, comparison=compared(before, after),
+            rest=rest, remarks=_remarks(problem) + _noise_remarks(self.noise_model.unknowns, model.x))
 
     def _not_shown(self) -> dict[str, str]:
         """Effects and parameters of which nothing can be said, and why."""
