@@ -78,8 +78,9 @@ OUTSIDE = (Quadratic(), SpeedBias(), LowPass())
 #: an IMU good enough to show in 10 min what the default one's own slow errors hide
 GOOD_IMU = {'accelerometer.gauss_markov.sigma': [0.01], 'gyroscope.gauss_markov.sigma': [1e-4],
             'accelerometer.initial_sigma': [0.02], 'gyroscope.initial_sigma': [1e-3]}
-#: effects that need more than the defaults: sideslip shows only through the constraint that it violates
-SETTINGS = {'sideslip': {'vehicle.non_holonomic': True}, 'mounting_rotation': GOOD_IMU, 'g_sensitivity': GOOD_IMU,
+#: effects that need more than the defaults: two show only through the constraint that they violate
+SETTINGS = {'sideslip': {'vehicle.non_holonomic': True}, 'mounting_rotation': {'vehicle.non_holonomic': True},
+            'g_sensitivity': GOOD_IMU,
             'gnss_coloured_noise': GOOD_IMU}
 HILLS = 'hills'  # the road's grade tilts the body: the library's tilt, without a value
 SINGLE = (*EFFECTS, HILLS)

@@ -19,6 +19,11 @@ class MountingRotation(Effect):
         seen = Rotation.from_euler('ZYX', [-values['yaw'], -values['pitch'], values['roll']]).inv()
         return seen.apply(specific_force), seen.apply(angular_rate)
 
+    def hidden(self, values, recording):
+        if values['vehicle.non_holonomic']:
+            return ''
+        return 'only vehicle.non_holonomic says where forward is: without it the heading takes the rotation up'
+
     def adjusted(self, values, theta):
         from scipy.spatial.transform import Rotation
 

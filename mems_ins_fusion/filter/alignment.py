@@ -196,7 +196,7 @@ class Alignment:
             if standstill is not None:  # as long as it stood, it was there
                 time = max(time, standstill.end)
             distance, interval = float(np.hypot(*chord)), now - time
-            noise = math.hypot(sigma, s)
+            noise = math.sqrt(sigma**2 + s**2 + self._wandered(now - time))
             if distance < max(SHORTEST_COURSE, noise / COURSE_SIGMA) or interval <= 0:
                 continue
             motion = self._inertial_motion(time, now, standstill)
@@ -221,6 +221,12 @@ class Alignment:
             end_speed = math.copysign(math.hypot(speed + gained[0], gained[1]), speed + gained[0])
             return yaw + turn, end_speed, yaw_sigma, speed_sigma
         return None
+
+    def _wandered(self, interval: float) -> float:
+        """Variance of how far the receiver's coloured error has gone within `interval` s, m^2, one axis."""
+        if not self.config.coloured:
+            return 0.0
+        return -2.0 * self.config.coloured.sigma**2 * math.expm1(-interval / self.config.coloured.tau)
 
     def _way(self, time, standstill, forwards, backwards, sigma) -> int:
         """1 forwards, -1 backwards, 0 unclear: which speed at `time` fits the accelerometers since it stood."""

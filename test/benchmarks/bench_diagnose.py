@@ -4,21 +4,12 @@
 """
 from __future__ import annotations
 
-import sys
 import time
-from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from mems_ins_fusion import parameters  # noqa: E402
-from mems_ins_fusion.diagnosis.diagnose import diagnose  # noqa: E402
-from mems_ins_fusion.effects.registry import EFFECTS  # noqa: E402
-from mems_ins_fusion.recordings.simulation import (  # noqa: E402
-    GnssNoise,
-    SensorErrors,
-    simulate_drive,
-    simulate_recording,
-)
+from mems_ins_fusion import parameters
+from mems_ins_fusion.diagnosis.diagnose import diagnose
+from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 VALUES = parameters.check({'reference_lever_arm': [0.0, 0.0, 0.0]})
 OFFSET = {'gnss_time_offset': {'time_offset': 0.2}}
