@@ -9,7 +9,9 @@ import pytest
 from filter_support import configure
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
+from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.alignment import channel_prior
 from mems_ins_fusion.filter.fusion import FusionFilter, run
 from mems_ins_fusion.filter.layout import Head, views
@@ -247,3 +249,22 @@ def test_bias_at_the_start_is_conditioned_on_the_standstills_mean(model):
 def test_without_a_standstill_the_bias_keeps_its_prior():
     estimate, covariance, constant = channel_prior(GaussMarkov(0.05, 60.0), 0.1, 1e-4, None, 0.0)
     assert estimate == [0] and constant == 0 and covariance[0, 0] == pytest.approx(0.05**2 + 0.1**2)
+
+
+def test_the_heading_knows_that_the_receiver_wanders(template):
+    # given fixes with 0.3 m of white noise and 1.5 m that change within 8 s, and straight starts
+    coloured = {'gnss.coloured_noise.sigma': 1.5, 'gnss.coloured_noise.tau': 8.0}
+    errors = {True: [], False: []}
+    for seed in range(20):
+        drive = driven(template, (STAND, GO, Segment(12.0)))
+        for declared in errors:
+            config = configure(coloured if declared else {})
+            sensors = SensorErrors.from_parameters(config.values, 'gauss_markov')
+            recording = simulate_recording(drive, sensors, GnssNoise(0.3, 1.0), seed=seed, effects=[
+                (EFFECTS['gnss_coloured_noise'], {'sigma': 1.5, 'tau': 8.0})]).recording
+            start = run(config, recording.imu, recording.gnss).start
+            yaw = np.interp(start.time, drive.time - drive.time[0], np.unwrap(drive.yaw))
+            errors[declared].append(wrap(start.yaw - yaw) / math.sqrt(start.covariance[4, 4]))
+    # then the heading's error is as large as its sigma says (20 headings: below 1.6, one in 10,000), and only then
+    assert np.sqrt(np.mean(np.square(errors[True]))) < math.sqrt(chi2.ppf(1 - 1e-4, 20) / 20)
+    assert np.sqrt(np.mean(np.square(errors[False]))) > 2
