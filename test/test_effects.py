@@ -203,14 +203,15 @@ def test_live_and_replay_give_the_same_bits_with_corrections(drive):
 def test_effects_that_cannot_show_say_why(drive):
     recording, values = recorded(drive), parameters.check({})
     hidden = {name: effect.hidden(values, recording) for name, effect in EFFECTS.items()}
-    assert {name for name, why in hidden.items() if why} == {'temperature', 'sideslip'}
+    assert {name for name, why in hidden.items() if why} == {'temperature', 'sideslip', 'mounting_rotation'}
     assert 'temperature_topic' in hidden['temperature']
-    assert 'vehicle.non_holonomic' in hidden['sideslip']
+    assert 'vehicle.non_holonomic' in hidden['sideslip'] and 'vehicle.non_holonomic' in hidden['mounting_rotation']
     # and where they can, they do not
     warm = recorded(drive, [(EFFECTS['temperature'], {})])
     constrained = {**values, 'vehicle.non_holonomic': True}
     assert not EFFECTS['temperature'].hidden(values, warm)
     assert not EFFECTS['sideslip'].hidden(constrained, recording)
+    assert not EFFECTS['mounting_rotation'].hidden(constrained, recording)
     assert 'strapdown' in EFFECTS['tilt'].hidden({**values, 'mechanization': 'strapdown'}, recording)
 
 
