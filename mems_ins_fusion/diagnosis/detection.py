@@ -8,7 +8,8 @@ import numpy as np
 from .residuals import Residual
 
 LAGS = 10
-SIGNIFICANCE = 0.01
+#: levels of the tests of whiteness and of the mean, all components together; small model errors move the mean first
+COLOURED, SHIFTED = 0.005, 0.001
 COMPONENTS = ('north', 'east', 'along track', 'across track')
 
 
@@ -32,8 +33,8 @@ class Detection:
     def consistent(self) -> bool:
         """Neither the size nor the order nor the mean of the innovations speaks against the model."""
         low, high = self.nis_bounds
-        return (low <= self.nis_mean <= high and self.ljung_box_p >= SIGNIFICANCE
-                and 4 * min(self.mean_p.values()) >= SIGNIFICANCE)
+        return (low <= self.nis_mean <= high and self.ljung_box_p >= COLOURED
+                and 4 * min(self.mean_p.values()) >= SHIFTED)
 
     def words(self) -> list[str]:
         """What is wrong, for a person."""
@@ -45,12 +46,12 @@ class Detection:
         elif self.nis_mean < low:
             said.append(f'The innovations are smaller than the filter expects (NIS {self.nis_mean:.3g}, '
                         f'{low:.2f} to {high:.2f} expected): its noise is set too high.')
-        coloured = [name for name in COMPONENTS if self.whiteness_p[name] < SIGNIFICANCE / 4]
+        coloured = [name for name in COMPONENTS if self.whiteness_p[name] < COLOURED / 4]
         if coloured:
             said.append(f"They are not white ({', '.join(coloured)}): each tells something of the next, so the filter "
                         'makes an error that lasts.')
         shifted = [f'{name} by {self.mean[name]:+.2f} sigma' for name in COMPONENTS
-                   if self.mean_p[name] < SIGNIFICANCE / 4]
+                   if self.mean_p[name] < SHIFTED / 4]
         if shifted:
             said.append(f"Their mean is not zero: {', '.join(shifted)}.")
         return said or ['The innovations are white, centred and as large as the filter expects.']
