@@ -133,7 +133,7 @@ def sizes(recording, values: dict, effect: Effect, rng) -> dict[str, float]:
     [candidate] = trace(problem, nuisance, at, [effect], problem.mask)
     return {name: float(rng.choice([-1, 1]) * max(rng.uniform(SMALLEST, LARGEST) * sigma,
                                                   rng.uniform(0.3, 1.0) * usual[name]))
-            for name, sigma in zip((u.name.split('.')[1] for u in candidate.unknowns), candidate.sigma)
+            for name, sigma in zip((u.parameter for u in candidate.unknowns), candidate.sigma)
             if sigma <= usual.get(name, 0.0)}
 
 

@@ -13,7 +13,7 @@ from ..effects.registry import EFFECTS
 from ..samples import Recording
 from .detection import Detection, detect
 from .proof import HeldOut, Measured, all_in_all, compared, gain_of, held_out, measure, objection, parts
-from .residuals import DiagnosisError, Model, Problem, Residual, Unknown, fit, noise_unknowns
+from .residuals import DiagnosisError, Model, Problem, Residual, fit, noise_unknowns
 from .rest import GoesWith, goes_with
 from .tracing import (
     SIGNIFICANCE,
@@ -301,9 +301,10 @@ class _Work:
         for i in range(first, len(best.unknowns)):
             found = [m.unknowns[i].meant(m.x[i], 0.0)[0] for m in good]
             if max(found) > APART * min(found):
-                name = best.unknowns[i].name
-                unit = next(p.unit for p in effect.traced if p.name == name.split('.')[1])
-                self.hidden[name] = f'{min(found):.2g} to {max(found):.2g} {unit} explain the recording equally well'
+                unknown = best.unknowns[i]
+                unit = next(p.unit for p in effect.traced if p.name == unknown.parameter)
+                self.hidden[unknown.name] = (f'{min(found):.2g} to {max(found):.2g} {unit} explain the recording '
+                                             'equally well')
         return best
 
     def _judged(self, candidate: Candidate, model: Model) -> _Judged:
@@ -327,7 +328,7 @@ class _Work:
     def drop_superseded(self) -> None:
         """Take out again what an effect that was added later has made superfluous."""
         for finding in [f for f in self.findings if f.added][:-1]:
-            kept = [i for i, u in enumerate(self.model.unknowns) if u.name.split('.')[0] != finding.name]
+            kept = [i for i, u in enumerate(self.model.unknowns) if u.effect != finding.name]
             if len(kept) == len(self.model.unknowns):
                 continue
             without = fit(self.model.problem, [self.model.unknowns[i] for i in kept], self.model.x[kept], COMPARED)
@@ -348,7 +349,7 @@ class _Work:
             self.hidden |= {u.name: 'not determined by this recording' for u in self.model.unknowns
                             if u.name not in left}
             for finding in self.findings:
-                own = {u.name for u in self.model.unknowns if u.name.split('.')[0] == finding.name}
+                own = {u.name for u in self.model.unknowns if u.effect == finding.name}
                 if finding.added and own and not own & left:
                     finding.added, finding.reason = False, 'not determined with the effects that were added later'
             self.model, self.estimates = pruned, self._by_part(pruned)
@@ -373,13 +374,13 @@ class _Work:
             before, fitted, after = pool.map(measured, ([self.origin.values], [noise_only], folded))
         self.residuals['after'], self.detections['after'] = model.residual, detect(model.residual, problem.mask)
         rest = goes_with(model.moved(), model.scores, model.residual)
+        noise = {u.name: float(np.exp(v)) for u, v in zip(self.noise_model.unknowns, model.x)}
         return Diagnosis(
             recording=self.recording, values=self.origin.values, problem=problem, residuals=self.residuals,
-            detections=self.detections,
-            noise={u.name: float(np.exp(v)) for u, v in zip(self.noise_model.unknowns, model.x)},
+            detections=self.detections, noise=noise,
             rounds=self.rounds, chosen=self.chosen, findings=self.findings, hidden=self._not_shown(),
             corrected=corrected, before=before, fitted=fitted, after=after, comparison=compared(before, after),
-            rest=rest, remarks=_remarks(problem) + _noise_remarks(self.noise_model.unknowns, model.x))
+            rest=rest, remarks=_remarks(problem) + _noise_remarks(noise))
 
     def _not_shown(self) -> dict[str, str]:
         """Effects and parameters of which nothing can be said, and why."""
@@ -394,10 +395,10 @@ class _Work:
         """All added parameters as the last joint fit left them; what is not determined has no number."""
         model, sigma = self.model, self.model.sigma()
         for finding in self.findings:
-            own = [i for i, u in enumerate(model.unknowns) if u.name.split('.')[0] == finding.name]
+            own = [i for i, u in enumerate(model.unknowns) if u.effect == finding.name]
             if finding.added and own:
                 for i in own:
-                    name = model.unknowns[i].name.split('.')[1]
+                    name = model.unknowns[i].parameter
                     unit = finding.parameters[name][2]
                     finding.parameters[name] = (*model.unknowns[i].meant(model.x[i], sigma[i]), unit)
             for name in [n for n in finding.parameters if f'{finding.name}.{n}' in self.hidden]:
@@ -410,14 +411,13 @@ def _estimates(best: Candidate, model: Model, first: int) -> dict:
     found = {name: (value, None, units[name]) for name, value in best.fixed.items() if value}
     sigma = model.sigma()
     for unknown, x, s in zip(model.unknowns[first:], model.x[first:], sigma[first:]):
-        name = unknown.name.split('.')[1]
+        name = unknown.parameter
         found[name] = (*unknown.meant(x, s), units[name])
     return found
 
 
-def _noise_remarks(unknowns: Sequence[Unknown], x: np.ndarray) -> list[str]:
+def _noise_remarks(factors: dict[str, float]) -> list[str]:
     """Noise levels far above those configured: wrong settings, or something that is in no effect of the library."""
-    factors = {u.name: float(np.exp(v)) for u, v in zip(unknowns, x)}
     return [f'{name} had to be fitted {factor:.1f} times as large as configured: either it was set too small, or the '
             'noise stands for an effect that is not in the library.'
             for name, factor in factors.items() if factor > NOISE_FACTOR]

@@ -75,7 +75,7 @@ def _tested(c: Candidate) -> dict[str, tuple[float, float | None]]:
     """One-step estimates of the parameters that a candidate determines; standard deviations, not variances."""
     found = {}
     for unknown, value, sigma in zip(c.unknowns, c.theta, c.sigma):
-        found[unknown.name.split('.')[1]] = unknown.meant(float(value), float(sigma))
+        found[unknown.parameter] = unknown.meant(float(value), float(sigma))
     return found
 
 

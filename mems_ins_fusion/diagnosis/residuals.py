@@ -17,7 +17,7 @@ import numpy as np
 
 from ..evaluation.comparison import thin
 from ..filter.alignment import transferred
-from ..filter.fusion import FilterConfig, run
+from ..filter.fusion import FilterConfig, Run, run
 from ..samples import ImuSamples, Recording
 
 #: innovations of the first seconds after the start belong to the alignment
@@ -122,6 +122,16 @@ class Unknown:
     variance: bool = False
     factor_on: float | None = None
 
+    @property
+    def effect(self) -> str:
+        """The effect whose parameter it is, the first part of its name."""
+        return self.name.split('.')[0]
+
+    @property
+    def parameter(self) -> str:
+        """The name of that parameter."""
+        return self.name.split('.')[1]
+
     def meant(self, x: float, sigma: float) -> tuple[float, float]:
         """Value and sigma of what it is named after."""
         if self.factor_on is not None:
@@ -155,13 +165,15 @@ class Problem:
         settled = self.stamp > began + round(SETTLING * 1e9)
         self.mask = settled & np.isfinite(self.base.z[:, 0])
 
+    def filtered(self, values: dict, recording: Recording, states: bool = True) -> Run:
+        """A run under other parameters or with another recording, from the same start."""
+        config = FilterConfig.from_parameters(values)
+        return run(config, recording.imu, recording.gnss, transferred(self.start, self.config, config), states)
+
     def residual(self, values: dict, recording: Recording) -> Residual:
         """The innovations under other parameters or with another recording (of the same fixes)."""
-        config = FilterConfig.from_parameters(values)
-        result = run(config, recording.imu, recording.gnss, transferred(self.start, self.config, config), states=False)
-        n = len(recording.gnss)
+        innovations, n = self.filtered(values, recording, states=False).innovations, len(recording.gnss)
         z, s, yaw, velocity = np.full((n, 2), np.nan), np.full((n, 3), np.nan), np.zeros(n), np.zeros((n, 2))
-        innovations = result.innovations
         z[innovations.index], s[innovations.index] = innovations.z, innovations.s
         yaw[innovations.index], velocity[innovations.index] = innovations.yaw, innovations.velocity
         return Residual(z, s, yaw, velocity)

@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..evaluation.bootstrap import holm
-from ..filter.alignment import transferred
-from ..filter.fusion import FilterConfig, run
 from ..navigation.earth import radii
 from ..navigation.frames import mounting
 from ..samples import Recording
@@ -61,8 +59,7 @@ def goes_with(problem: Problem, nuisance: Scores, at: Residual) -> list[GoesWith
 def regressors(problem: Problem) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """What an error may go with, in SI units: at the IMU samples, and at the fixes."""
     imu, gnss, values = problem.recording.imu, problem.recording.gnss, problem.values
-    config = FilterConfig.from_parameters(values)
-    result = run(config, imu, gnss, transferred(problem.start, problem.config, config))
+    result = problem.filtered(values, problem.recording)
     to_body = mounting(values['imu.mounting_rpy']).T
     force, rate = _smooth(imu.stamp, imu.specific_force @ to_body), _smooth(imu.stamp, imu.angular_rate @ to_body)
     speed = np.interp(imu.stamp, result.stamp, np.hypot(*result.velocity.T[:2]))

@@ -50,7 +50,7 @@ class Candidate:
 
     def values(self) -> dict[str, float]:
         """The effect's parameters as estimated, or as they were tried."""
-        return self.fixed | {u.name.split('.')[1]: float(t) for u, t in zip(self.unknowns, self.theta)}
+        return self.fixed | {u.parameter: float(t) for u, t in zip(self.unknowns, self.theta)}
 
 
 def effect_unknowns(effect: Effect, fixed: dict[str, float]) -> list[Unknown]:
@@ -120,7 +120,7 @@ def _test(problem, effect, unknowns, own: Scores, nuisance: Scores, mask, fixed)
     own = efficient(own, nuisance, mask)
     information, total = own.information(mask), own.gradient(mask)
     keep = _determined(information, total, unknowns)
-    undetermined = [u.name.split('.')[1] for u, kept in zip(unknowns, keep) if not kept]
+    undetermined = [u.parameter for u, kept in zip(unknowns, keep) if not kept]
     unknowns = [u for u, kept in zip(unknowns, keep) if kept]
     own = Scores(own.score[:, keep], own.sensitivity[:, keep])
     if not unknowns:
