@@ -95,7 +95,7 @@ def _is_still(memory, sample, dt):
     time = memory[sample + Sample.TIME]
     if not steady:
         memory[Head.STILL_SINCE] = time
-        for i in range(6):
+        for i in range(3):
             memory[Head.STILL_REFERENCE + i] = memory[Head.STILL_MEAN + i]
     return 1.0 if time - memory[Head.STILL_SINCE] >= STEADY_TIME else 0.0
 

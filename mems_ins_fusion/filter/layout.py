@@ -151,9 +151,9 @@ class Head(IntEnum):
     CONDITIONING = 36  # 6 x 6: body-axis sample = matrix (raw sample) + offset
     OFFSET = 72  # six
     SIDESLIP = 78  # rad per m/s^2 of lateral acceleration
-    STILL_REFERENCE = 79  # the running means when they became steady, six
-    STILL_SINCE = 85  # and when that was
-    SIZE = 86
+    STILL_REFERENCE = 79  # the running means of specific force when they became steady, three
+    STILL_SINCE = 82  # and when that was
+    SIZE = 83
 
 
 class Sample(IntEnum):
