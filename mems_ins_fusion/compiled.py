@@ -12,7 +12,7 @@ from pathlib import Path
 import numba
 
 #: packages with compiled functions
-_SOURCES = ('navigation', 'filter', 'sensor_errors')
+_SOURCES = ('navigation', 'filter', 'sensor_errors', 'characterization', 'effects')
 
 
 def _cache_folder() -> str:

@@ -3,12 +3,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from mems_ins_fusion import parameters
 from mems_ins_fusion.filter.alignment import Start
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.initial import initialize
 from mems_ins_fusion.filter.layout import FIX_SIZE, NAV, PLANAR, Fix, Head, Nav, covariance, store_covariance, views
 from mems_ins_fusion.navigation.strapdown import from_euler
+from mems_ins_fusion.parameters import table
 
 MODELS = ('random_walk', 'gauss_markov', 'autoregressive')
 #: models with states of their own size, as parameters; AR(1) to AR(3) step at every sample of 0.01 s
@@ -25,7 +25,7 @@ LATITUDE, LONGITUDE, HEIGHT = 0.84, 0.2, 480.0
 
 def configure(values=(), **more) -> FilterConfig:
     """The defaults with `values` (full names) laid over them; keywords for names without a dot."""
-    return FilterConfig.from_parameters(parameters.check({**dict(values), **more}))
+    return FilterConfig.from_parameters(table.check({**dict(values), **more}))
 
 
 def started(config: FilterConfig, *, velocity=(12.0, -5.0, 0.3), attitude=(0.02, -0.03, 0.7), x=None, p=None,

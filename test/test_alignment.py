@@ -16,10 +16,10 @@ from mems_ins_fusion.filter.alignment import channel_prior
 from mems_ins_fusion.filter.fusion import FusionFilter, run
 from mems_ins_fusion.filter.layout import Head, views
 from mems_ins_fusion.navigation.frames import wrap
-from mems_ins_fusion.recordings.drive import Path
-from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
-from mems_ins_fusion.recordings.simulation_manoeuvres import Segment
 from mems_ins_fusion.sensor_errors.models import Autoregressive, GaussMarkov, RandomWalk
+from mems_ins_fusion.simulation.drive import Path
+from mems_ins_fusion.simulation.manoeuvres import Segment
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 RATE = 50.0
 COURSE = 0.7

@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from mems_ins_fusion.sensor_errors.allan import allan_deviation, allan_parameters, degrees_of_freedom
+from mems_ins_fusion.characterization.allan import allan_deviation, allan_parameters, degrees_of_freedom
 from mems_ins_fusion.sensor_errors.models import GaussMarkov, RandomWalk, simulate
 
 RATE = 10.0

@@ -2,8 +2,8 @@
 import numpy as np
 import pytest
 
-from mems_ins_fusion.sensor_errors.autocorrelation import autocorrelation, fit_gauss_markov_autocorrelation
-from mems_ins_fusion.sensor_errors.likelihood import Averages
+from mems_ins_fusion.characterization.autocorrelation import autocorrelation, fit_gauss_markov_autocorrelation
+from mems_ins_fusion.characterization.likelihood import Averages
 from mems_ins_fusion.sensor_errors.models import GaussMarkov, simulate
 
 

@@ -4,7 +4,7 @@ import warnings
 import numpy as np
 import pytest
 
-from mems_ins_fusion.sensor_errors import autoregressive as ar
+from mems_ins_fusion.characterization import autoregressive as ar
 from mems_ins_fusion.sensor_errors.models import Autoregressive, GaussMarkov, simulate
 
 KNOWN = Autoregressive((-1.5, 0.7), 0.3, 1.0)

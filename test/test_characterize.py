@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 from conftest import shared_data
 
-from mems_ins_fusion import parameters
+from mems_ins_fusion.characterization.characterize import characterize
+from mems_ins_fusion.characterization.stationary import Grid
 from mems_ins_fusion.cli.characterize import main
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.fusion import run
-from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.parameters import params_file, table
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.samples import ImuSamples, Recording, Temperatures
-from mems_ins_fusion.sensor_errors.characterize import characterize
 from mems_ins_fusion.sensor_errors.models import simulate
-from mems_ins_fusion.sensor_errors.stationary import Grid
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 RATE = 20.0
-TRUE = parameters.check({
+TRUE = table.check({
     'sensor_error_model': 'gauss_markov',
     'accelerometer.noise_density': [4e-3], 'accelerometer.gauss_markov.sigma': [2e-2, 3e-2, 2e-2],
     'accelerometer.gauss_markov.tau': [60.0, 90.0, 120.0], 'accelerometer.initial_sigma': [0.05],
@@ -57,7 +57,7 @@ def result(tmp_path_factory):
     assert main(arguments) == 0
     return SimpleNamespace(
         arguments=arguments, out=folder / 'out', report=json.loads((folder / 'out' / 'report.json').read_text()),
-        values=parameters.check(parameters.load_yaml(folder / 'out' / 'imu.yaml', 'fusion_node')))
+        values=table.check(params_file.load_yaml(folder / 'out' / 'imu.yaml', 'fusion_node')))
 
 
 def test_parameters_are_recovered_within_their_intervals(result):
@@ -134,7 +134,7 @@ def test_white_sensor_gets_no_slow_error_and_a_cautious_filter():
     found = characterize('white', Grid(RATE, values), orders=(1, 2))
     assert not any(axis.significant for axis in found.axes)
     assert all(axis.allan_parameters.random_walk is None for axis in found.axes)
-    from mems_ins_fusion.sensor_errors.parameter_file import parameters as as_parameters
+    from mems_ins_fusion.characterization.parameter_file import parameters as as_parameters
     q = as_parameters(found)['gyroscope.random_walk.q']
     assert all(0 < v < 1e-4 for v in q)  # what 900 s cannot exclude: far below the white noise, 2.2e-3
 

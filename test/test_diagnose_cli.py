@@ -6,14 +6,14 @@ import json
 import numpy as np
 import pytest
 
-from mems_ins_fusion import parameters
 from mems_ins_fusion.cli.diagnose import main
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.fusion import FilterConfig, FusionFilter, run
 from mems_ins_fusion.navigation.earth import radii
+from mems_ins_fusion.parameters import params_file, table
 from mems_ins_fusion.recordings.reading import read_recording
-from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 from mems_ins_fusion.recordings.writing import write_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 OFFSET = 0.3  # s
 GIVEN = """
@@ -33,7 +33,7 @@ def _number(text: str):
 def result(tmp_path_factory):
     """A drive whose receiver's clock is off, its bag, and what diagnose made of it."""
     folder = tmp_path_factory.mktemp('diagnose')
-    values = parameters.check({})
+    values = table.check({})
     simulation = simulate_recording(
         simulate_drive(400.0, 1, rate=50.0), SensorErrors.from_parameters(values, 'gauss_markov'), GnssNoise(sigma=0.5),
         [(EFFECTS['gnss_time_offset'], {'time_offset': OFFSET})], seed=1)
@@ -74,8 +74,8 @@ def test_no_number_is_given_for_what_is_not_identifiable(result):
 
 
 def test_corrected_parameters_load_and_keep_what_was_given(result):
-    given = parameters.load_yaml(result / 'out' / 'corrected.yaml')
-    values = parameters.check(given)
+    given = params_file.load_yaml(result / 'out' / 'corrected.yaml')
+    values = table.check(given)
 
     assert values['reference_lever_arm'] == [0.0, 0.0, 0.0]
     assert values['gnss.time_offset'] == pytest.approx(OFFSET, abs=0.1)
@@ -87,7 +87,7 @@ def test_a_filter_with_the_corrected_parameters_makes_a_smaller_error(result):
     recording = read_recording(result / 'bag', '/imu/data', '/gps/fix', '/reference/fix')
 
     def error(name):
-        values = parameters.check(parameters.load_yaml(name))
+        values = table.check(params_file.load_yaml(name))
         track = run(FilterConfig.from_parameters(values), recording.imu, recording.gnss)
         truth, late = recording.reference, track.stamp > track.stamp[0] + 30 * 10**9
         origin = truth.stamp[0]

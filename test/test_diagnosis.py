@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mems_ins_fusion import parameters
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.proof import held_out
 from mems_ins_fusion.diagnosis.residuals import DiagnosisError, Problem, fit, noise_unknowns, scores
@@ -14,10 +13,11 @@ from mems_ins_fusion.diagnosis.tracing import effect_unknowns
 from mems_ins_fusion.effects.base import Effect, EffectParameter
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.navigation.frames import mounting
-from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 DURATION, RATE = 480.0, 25.0
-VALUES = parameters.check({'reference_lever_arm': [0.0, 0.0, 0.0]})  # the simulated reference is the IMU's own position
+VALUES = table.check({'reference_lever_arm': [0.0, 0.0, 0.0]})  # the simulated reference is the IMU's own position
 OUTAGES = {'durations': (10.0,), 'spacing': 60.0}
 FEW = [EFFECTS[name] for name in ('gnss_time_offset', 'accelerometer_scale', 'gyroscope_scale', 'tilt')]
 
@@ -101,7 +101,7 @@ def test_a_time_offset_is_found_with_its_value_and_taken_out(plain):
     assert not result.unexplained
     assert 'temperature' in result.hidden and 'sideslip' in result.hidden
     # and what is written loads again
-    checked = parameters.check(result.corrected)
+    checked = table.check(result.corrected)
     assert checked['gnss.time_offset'] == pytest.approx(value)
 
 
@@ -182,11 +182,11 @@ def test_coloured_noise_is_found_and_only_what_is_determined_gets_a_number():
     # given position errors of 2 m that last 15 s, and an IMU good enough to see them
     good = {'accelerometer.gauss_markov.sigma': [0.01], 'gyroscope.gauss_markov.sigma': [1e-4],
             'accelerometer.initial_sigma': [0.02], 'gyroscope.initial_sigma': [1e-3]}
-    values = parameters.check({'reference_lever_arm': [0.0, 0.0, 0.0], **good})
+    values = table.check({'reference_lever_arm': [0.0, 0.0, 0.0], **good})
     recording = recorded('gnss_coloured_noise', values=values, sigma=2.0, tau=15.0)
     [finding] = added(result := diagnose(recording, values, effects=[*FEW, EFFECTS['gnss_coloured_noise']], **OUTAGES))
     assert finding.name == 'gnss_coloured_noise'
-    assert parameters.check(result.corrected)['gnss.coloured_noise.sigma'] > 0.5
+    assert table.check(result.corrected)['gnss.coloured_noise.sigma'] > 0.5
     # then sigma and tau are within 3 sigma, or they are said to trade against each other and have no number
     for name, true in (('sigma', 2.0), ('tau', 15.0)):
         if name in finding.parameters:

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from filter_support import configure
 
-from mems_ins_fusion import parameters
 from mems_ins_fusion.diagnosis.residuals import averaged
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.alignment import transferred
 from mems_ins_fusion.filter.fusion import FusionFilter, run
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.navigation.frames import mounting
-from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import ImuSamples
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 RECEIVER = GnssNoise(sigma=0.1, rate=0.5)
 #: sizes that nobody would overlook
@@ -34,7 +34,7 @@ def drive():
 
 
 def recorded(drive, effects=(), mounting_rpy=(0.0, 0.0, 0.0), receiver=RECEIVER):
-    sensors = SensorErrors.from_parameters(parameters.defaults(), 'gauss_markov')
+    sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
     return simulate_recording(drive, sensors, receiver, effects, mounting_rpy, seed=3).recording
 
 
@@ -53,7 +53,7 @@ def horizontal_error(config, recording) -> float:
 def test_a_declared_effect_does_no_harm(drive, name, mounting_rpy):
     # given a drive that an effect disturbs, with sensors that stand along the vehicle or across it
     effect, theta = EFFECTS[name], EFFECTS[name].complete(SIZES[name])
-    values = parameters.check({'imu.mounting_rpy': list(mounting_rpy), 'vehicle.non_holonomic': name == 'sideslip'})
+    values = table.check({'imu.mounting_rpy': list(mounting_rpy), 'vehicle.non_holonomic': name == 'sideslip'})
     disturbed = recorded(drive, [(effect, theta)], mounting_rpy)
     # when the filter does not know, knows, and when there is no effect
     ignorant = horizontal_error(configure(values), disturbed)
@@ -66,7 +66,7 @@ def test_a_declared_effect_does_no_harm(drive, name, mounting_rpy):
 
 def test_declared_coloured_noise_makes_the_innovations_what_they_are_said_to_be(drive):
     effect, theta = EFFECTS['gnss_coloured_noise'], {'sigma': 2.0, 'tau': 40.0}
-    values = parameters.check({})
+    values = table.check({})
     disturbed = recorded(drive, [(effect, theta)], receiver=GnssNoise(sigma=0.5))
     nis = {}
     for what, used in (('ignorant', values), ('knowing', effect.adjusted(values, theta))):
@@ -83,10 +83,10 @@ def test_effects_of_both_signs_cancel(name):
     theta = effect.complete(SIZES.get(name, {}))
     if name in ('gnss_coloured_noise', 'mounting_rotation'):  # variances only add, and rotations do not commute
         theta = {'sigma': 0.0, 'tau': 60.0} if 'sigma' in theta else {'roll': 0.0, 'pitch': 0.0, 'yaw': 0.2}
-    values = parameters.check({})
+    values = table.check({})
     there = effect.adjusted(values, theta)
     back = effect.adjusted(there, {name: -value if name != 'tau' else value for name, value in theta.items()})
-    parameters.check(there)  # what corrected.yaml holds loads again
+    table.check(there)  # what corrected.yaml holds loads again
     for key, value in values.items():
         # one number for all axes may have become three
         same = back[key] == value or np.abs(np.subtract(back[key], value)).max() < 1e-12
@@ -100,14 +100,14 @@ def test_the_registry_says_all_that_a_report_needs(name):
     assert len(effect.signature) > 20
     assert effect.parameters and all(p.unit and p.prior_scale > 0 for p in effect.traced)
     assert effect.principal in [p.name for p in effect.parameters]
-    assert all(parameters.ALL[setting.name] is setting for setting in effect.settings)
+    assert all(table.ALL[setting.name] is setting for setting in effect.settings)
     # what is tried at fixed values leaves something to be estimated
     traced = {p.name for p in effect.traced}
     assert all(set(fixed) < traced for fixed in effect.tried)
 
 
 def corrected_values() -> dict:
-    return parameters.check({
+    return table.check({
         'imu.lever_arm': [2.0, -0.7, 0.3], 'accelerometer.temperature_coefficient': [0.02, -0.01],
         'gyroscope.temperature_coefficient': 3e-4, 'imu.mounting_rpy': [0.1, -0.2, 1.3]})
 
@@ -136,7 +136,7 @@ def test_correctors_take_samples_in_any_portions():
 
 
 def test_no_corrector_where_nothing_is_declared():
-    values = parameters.check({})
+    values = table.check({})
     for effect in EFFECTS.values():
         assert effect.corrector(values, np.eye(3)) is None
         assert effect.conditioning(values) is None
@@ -149,7 +149,7 @@ def test_the_lever_arm_of_the_accelerometers_is_that_of_a_rigid_body():
     stamp = np.round(time * 1e9).astype(np.int64)
     w = np.column_stack([0 * time, 0 * time, rate])
     f = np.column_stack([-rate**2, acceleration, 9.8 + 0 * time])  # forward-left-up
-    values = parameters.check({'imu.lever_arm': [1.0, 0.0, 0.0]})
+    values = table.check({'imu.lever_arm': [1.0, 0.0, 0.0]})
     # when the sensor axes are forward-left-up, which the body's are not
     rotation = mounting([0.0, 0.0, 0.0])
     left, _ = EFFECTS['accelerometer_lever_arm'].corrector(values, rotation)(stamp, f, w, np.full(len(f), np.nan))
@@ -162,7 +162,7 @@ def test_the_lever_arm_of_the_accelerometers_does_not_multiply_the_gyroscopes_no
     # given sensors at rest, 100 Hz, with white noise of the angular rate and an arm of 2 m
     w = 1.5e-3 * np.random.default_rng(1).standard_normal((20000, 3))
     stamp = np.arange(1, len(w) + 1) * 10_000_000
-    values = parameters.check({'imu.lever_arm': [2.0, 0.0, 0.0]})
+    values = table.check({'imu.lever_arm': [2.0, 0.0, 0.0]})
     corrector = EFFECTS['accelerometer_lever_arm'].corrector(values, mounting([0.0, 0.0, 0.0]))
     force, _ = corrector(stamp, np.zeros_like(w), w, np.full(len(w), np.nan))
     # then the noise is that of differences averaged with weight 0.1: arm * sigma / 0.1 s * sqrt(2 / (2 - 0.1))
@@ -201,7 +201,7 @@ def test_live_and_replay_give_the_same_bits_with_corrections(drive):
 
 
 def test_effects_that_cannot_show_say_why(drive):
-    recording, values = recorded(drive), parameters.check({})
+    recording, values = recorded(drive), table.check({})
     hidden = {name: effect.hidden(values, recording) for name, effect in EFFECTS.items()}
     assert {name for name, why in hidden.items() if why} == {'temperature', 'sideslip', 'mounting_rotation'}
     assert 'temperature_topic' in hidden['temperature']

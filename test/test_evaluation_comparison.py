@@ -4,19 +4,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mems_ins_fusion import parameters
 from mems_ins_fusion.evaluation import metrics
 from mems_ins_fusion.evaluation.comparison import ReplayError, add_noise, compare, cut, thin
-from mems_ins_fusion.evaluation.verdict import verdict
 from mems_ins_fusion.navigation.earth import to_local
-from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.reports.verdict import verdict
 from mems_ins_fusion.sensor_errors.models import Autoregressive
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 SECOND = 10**9
 
 
 def simulated(duration=200.0, gnss_rate=1.0, sigma=1.5, seed=5, model='gauss_markov', values=None):
-    sensors = SensorErrors.from_parameters(parameters.check(values or {}), model)
+    sensors = SensorErrors.from_parameters(table.check(values or {}), model)
     return simulate_recording(simulate_drive(duration, seed, 50.0), sensors, GnssNoise(sigma, gnss_rate),
                               seed=seed).recording
 
@@ -27,7 +27,7 @@ def recording():
 
 
 def values(**given):
-    return parameters.check({'outage_durations': [], **given})
+    return table.check({'outage_durations': [], **given})
 
 
 @pytest.mark.parametrize('rate, interval, every', [(1.0, 0.0, 1), (1.0, 1.0, 1), (4.0, 1.0, 4), (4.0, 3.0, 12),
@@ -147,8 +147,8 @@ def test_the_truth_of_a_lever_arm():
     recording = simulate_recording(drive, None, GnssNoise(0.02), [(EFFECTS['gnss_lever_arm'], {'x': 3.0})]).recording
     given = {'gnss.lever_arm': [3.0, 0.0, 0.0], 'update_intervals': [1.0], 'models': ['random_walk'],
              'outage_durations': []}
-    right = compare(recording, parameters.check({**given, 'reference_lever_arm': [0.0, 0.0, 0.0]})).runs[0]
-    wrong = compare(recording, parameters.check(given)).runs[0]
+    right = compare(recording, table.check({**given, 'reference_lever_arm': [0.0, 0.0, 0.0]})).runs[0]
+    wrong = compare(recording, table.check(given)).runs[0]
     assert right.summary['horizontal_rmse_m'] < 0.3
     assert wrong.summary['horizontal_rmse_m'] == pytest.approx(3.0, abs=0.3)
 

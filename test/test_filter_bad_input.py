@@ -11,7 +11,7 @@ from filter_support import configure
 from mems_ins_fusion.filter.fusion import FusionFilter, run
 from mems_ins_fusion.filter.layout import Fix, views
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
-from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 RATE = 50
 FORCE, TURN = (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)

@@ -10,8 +10,8 @@ from filter_support import MODELS, configure, newest
 
 from mems_ins_fusion.filter.fusion import FusionFilter, run
 from mems_ins_fusion.filter.layout import NAV, covariance
-from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 from mems_ins_fusion.samples import Fixes, ImuSamples
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 RATE = 50.0
 

@@ -21,7 +21,7 @@ from mems_ins_fusion.filter.kernel import take_sample
 from mems_ins_fusion.filter.layout import PLANAR, Nav
 from mems_ins_fusion.navigation import planar, strapdown
 from mems_ins_fusion.navigation.earth import gravity, radii
-from mems_ins_fusion.parameters import ALL
+from mems_ins_fusion.parameters.table import ALL
 
 DT = 0.01
 VELOCITY, ATTITUDE = np.array([12.0, -5.0, 0.3]), (0.02, -0.03, 0.7)

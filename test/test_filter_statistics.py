@@ -19,7 +19,7 @@ from mems_ins_fusion.filter.kernel import run
 from mems_ins_fusion.filter.layout import NAV, PLANAR, Fix, Head, Nav, covariance, views
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.navigation.frames import wrap
-from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 RATE, DURATION = 20.0, 150.0
 SIGMA = 1.5  # m, of a fix

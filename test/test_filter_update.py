@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from mems_ins_fusion.filter.kernel import FIX_BEFORE_START, FIX_TAKEN, FIX_TOO_LATE, run, take_fix, take_sample
 from mems_ins_fusion.filter.layout import NAV, PLANAR, Fix, Head, Nav, views
 from mems_ins_fusion.navigation.earth import radii
-from mems_ins_fusion.recordings.drive import simulate_drive
+from mems_ins_fusion.simulation.drive import simulate_drive
 
 DT = 0.01
 SAMPLE = 0.3, 1.0, 9.7, 0.02, -0.03, 0.2  # sensor axes, forward-left-up

@@ -9,9 +9,9 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from ros_support import PLAYABLE, NodeProcess, Peer, arrivals, imu_message
 
-from mems_ins_fusion import parameters
 from mems_ins_fusion.filter.fusion import FilterConfig, FusionFilter
-from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 OUTAGE = (30.0, 36.0)
 
@@ -19,7 +19,7 @@ OUTAGE = (30.0, 36.0)
 @pytest.fixture(scope='module')
 def recording():
     """45 s: a standstill, then a drive with an outage of six seconds in it."""
-    sensors = SensorErrors.from_parameters(parameters.defaults(), 'gauss_markov')
+    sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
     gnss = GnssNoise(sigma=1.0, rate=2.0, outages=(OUTAGE,))
     return simulate_recording(simulate_drive(45.0, seed=3, standstill=10.0), sensors, gnss, seed=3).recording
 
@@ -37,7 +37,7 @@ def stamp_of(message) -> int:
 
 def expected_outputs(recording):
     """What a filter in this process makes of the same messages: rows of stamp, odometry (85), geodetic (3)."""
-    fusion = FusionFilter(FilterConfig.from_parameters(parameters.defaults()))
+    fusion = FusionFilter(FilterConfig.from_parameters(table.defaults()))
     stamps, states = [], []
     imu, gnss = recording.imu, recording.gnss
     for kind, i in arrivals(recording):

@@ -11,9 +11,9 @@ import ros_support  # noqa: F401  a ROS domain for the tests
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 
-from mems_ins_fusion import parameters
 from mems_ins_fusion.nodes import fusion_node
 from mems_ins_fusion.nodes.ros_parameters import describe
+from mems_ins_fusion.parameters import table
 
 
 @pytest.fixture
@@ -98,7 +98,7 @@ def test_whole_numbers_other_tools_names_and_sections_by_pattern_are_accepted(re
 
 @pytest.mark.parametrize('name', ['gnss.sigma', 'gnss.max_delay'])
 def test_a_description_holds_unit_and_range(name):
-    parameter = parameters.ALL[name]
+    parameter = table.ALL[name]
     described = describe(parameter, read_only=True)
     assert described.description.startswith(f'[{parameter.unit}] ')
     assert described.read_only
@@ -107,8 +107,8 @@ def test_a_description_holds_unit_and_range(name):
 
 
 def test_a_description_names_choices_and_lengths():
-    assert 'planar, strapdown' in describe(parameters.ALL['mechanization'], True).additional_constraints
-    assert '0 or 3 values' in describe(parameters.ALL['datum'], True).additional_constraints
+    assert 'planar, strapdown' in describe(table.ALL['mechanization'], True).additional_constraints
+    assert '0 or 3 values' in describe(table.ALL['datum'], True).additional_constraints
 
 
 class Estimate:

@@ -4,7 +4,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from mems_ins_fusion.evaluation import html
+from mems_ins_fusion.reports import html
 
 
 class Outline(HTMLParser):

@@ -2,9 +2,9 @@
 import numpy as np
 import pytest
 
-from mems_ins_fusion.sensor_errors.likelihood import Averages
+from mems_ins_fusion.characterization.likelihood import Averages
+from mems_ins_fusion.characterization.selection import ljung_box, overall, predict, recommend
 from mems_ins_fusion.sensor_errors.models import Autoregressive, GaussMarkov, RandomWalk, simulate
-from mems_ins_fusion.sensor_errors.selection import ljung_box, overall, predict, recommend
 
 N = 0.5
 

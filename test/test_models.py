@@ -8,8 +8,8 @@ import pytest
 from scipy.linalg import expm, solve_discrete_lyapunov
 from scipy.stats import chi2
 
-from mems_ins_fusion import parameters
-from mems_ins_fusion.parameters import ParameterError
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.parameters.parameter import ParameterError
 from mems_ins_fusion.sensor_errors.from_parameters import error_models
 from mems_ins_fusion.sensor_errors.models import Autoregressive, GaussMarkov, RandomWalk, simulate
 
@@ -108,7 +108,7 @@ def test_simulated_errors_have_the_models_covariances(model):
 
 
 def test_models_from_parameters_per_axis():
-    values = parameters.check({'accelerometer.gauss_markov.sigma': [1.0, 2.0, 3.0], 'gyroscope.random_walk.q': [0.5],
+    values = table.check({'accelerometer.gauss_markov.sigma': [1.0, 2.0, 3.0], 'gyroscope.random_walk.q': [0.5],
                                'accelerometer.autoregressive.coefficients': [-0.9, -0.8, -0.7],
                                'accelerometer.autoregressive.order': 1,
                                'accelerometer.autoregressive.b0': [1.0, 2.0, 3.0],
@@ -121,15 +121,15 @@ def test_models_from_parameters_per_axis():
 
 
 def test_three_coefficients_without_an_order_are_one_model_of_order_three():
-    values = parameters.check({'gyroscope.autoregressive.coefficients': [-1.1, 0.3, -0.05]})
+    values = table.check({'gyroscope.autoregressive.coefficients': [-1.1, 0.3, -0.05]})
     assert [m.order for m in error_models(values, 'gyroscope', 'autoregressive')] == [3, 3, 3]
 
 
 def test_autoregressive_parameters_that_do_not_fit_are_refused_by_name():
-    values = parameters.check({'gyroscope.autoregressive.coefficients': [-1.1, 0.3, -0.05, 0.1],
+    values = table.check({'gyroscope.autoregressive.coefficients': [-1.1, 0.3, -0.05, 0.1],
                                'gyroscope.autoregressive.order': 2})
     with pytest.raises(ParameterError, match="'gyroscope.autoregressive.coefficients' must have 2 or 6 values"):
         error_models(values, 'gyroscope', 'autoregressive')
-    values = parameters.check({'accelerometer.autoregressive.coefficients': [-1.1]})
+    values = table.check({'accelerometer.autoregressive.coefficients': [-1.1]})
     with pytest.raises(ParameterError, match="'accelerometer.autoregressive.coefficients'.*not stable"):
         error_models(values, 'accelerometer', 'autoregressive')

@@ -12,7 +12,7 @@ from simulation_support import close
 
 from mems_ins_fusion.navigation import planar, strapdown
 from mems_ins_fusion.navigation.earth import gravity, radii
-from mems_ins_fusion.recordings.drive import simulate_drive
+from mems_ins_fusion.simulation.drive import simulate_drive
 
 DT = 0.01
 

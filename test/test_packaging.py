@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 
 import mems_ins_fusion
-from mems_ins_fusion import parameters
 from mems_ins_fusion.__main__ import TOOLS, main
+from mems_ins_fusion.parameters import __main__ as documents
+from mems_ins_fusion.parameters import params_file, table
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 MANIFEST = ElementTree.parse(REPOSITORY / 'package.xml').getroot()
@@ -117,15 +118,15 @@ def test_without_a_known_tool_the_usage_names_each_and_the_status_is_2(arguments
 
 
 def test_the_list_of_parameters_is_current():
-    assert (REPOSITORY / 'docs/parameters.md').read_text() == parameters.markdown(), \
+    assert (REPOSITORY / 'docs/parameters.md').read_text() == documents.markdown(), \
         'run python -m mems_ins_fusion.parameters > docs/parameters.md'
 
 
 def test_the_example_params_file_holds_each_parameter_of_the_node_at_its_default():
-    given = parameters.load_yaml(REPOSITORY / 'config/fusion.yaml', 'fusion_node')
-    defaults = parameters.defaults()
-    assert given == {p.name: defaults[p.name] for p in (*parameters.FILTER, *parameters.FUSION)}
+    given = params_file.load_yaml(REPOSITORY / 'config/fusion.yaml', 'fusion_node')
+    defaults = table.defaults()
+    assert given == {p.name: defaults[p.name] for p in (*table.FILTER, *table.FUSION)}
     # in the types, too, that ROS tells apart
     assert all(type(given[name]) is type(defaults[name]) for name in given)
-    assert (REPOSITORY / 'config/fusion.yaml').read_text() == parameters.example(), \
+    assert (REPOSITORY / 'config/fusion.yaml').read_text() == documents.example(), \
         'run python -m mems_ins_fusion.parameters --yaml > config/fusion.yaml'

@@ -7,9 +7,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from mems_ins_fusion import parameters
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.parameters import ALL, FILTER, FUSION, REPLAY, ParameterError, check, defaults, load_yaml
+from mems_ins_fusion.parameters import __main__ as documents
+from mems_ins_fusion.parameters.parameter import ParameterError
+from mems_ins_fusion.parameters.params_file import load_yaml
+from mems_ins_fusion.parameters.table import ALL, FILTER, FUSION, REPLAY, check, defaults
 
 
 def written(tmp_path, text):
@@ -165,7 +167,7 @@ def test_missing_and_binary_files_are_refused(tmp_path):
 
 
 def test_the_example_is_the_defaults_in_the_types_of_ros(tmp_path):
-    path = written(tmp_path, parameters.example())
+    path = written(tmp_path, documents.example())
     values = load_yaml(path, 'fusion_node')
     assert set(values) == {p.name for p in (*FILTER, *FUSION)}
     assert check(values) == defaults()
@@ -178,12 +180,12 @@ def test_the_example_is_the_defaults_in_the_types_of_ros(tmp_path):
 
 def test_documents_are_written_from_the_table():
     root = Path(__file__).resolve().parents[1]
-    assert (root / 'docs' / 'parameters.md').read_text() == parameters.markdown()
-    assert (root / 'config' / 'fusion.yaml').read_text() == parameters.example()
-    table = parameters.markdown()
+    assert (root / 'docs' / 'parameters.md').read_text() == documents.markdown()
+    assert (root / 'config' / 'fusion.yaml').read_text() == documents.example()
+    table = documents.markdown()
     for name in ALL:
         assert f'| `{name}` |' in table
-    assert yaml.safe_load(parameters.example())
+    assert yaml.safe_load(documents.example())
 
 
 # --- parameters that do not fit together ---

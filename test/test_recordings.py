@@ -15,12 +15,12 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from mems_ins_fusion.evaluation.results import ResultError
 from mems_ins_fusion.navigation.earth import from_local
 from mems_ins_fusion.recordings.errors import RecordingWarning
 from mems_ins_fusion.recordings.messages import IMU, NAV_SAT_FIX, ODOMETRY, POSE_STAMPED, TEMPERATURE, decode
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.writing import odometry_from_reference, write_recording
+from mems_ins_fusion.results import ResultError
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, Reference, Temperatures
 
 STORE = get_typestore(Stores.ROS2_JAZZY)

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import math
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ DATUM = (0.8, 0.2, 300.0)
 
 
 def utc(*when) -> int:
-    return int(datetime(*when, tzinfo=timezone.utc).timestamp()) * 10**9
+    return int(datetime(*when, tzinfo=UTC).timestamp()) * 10**9
 
 
 def sentence(body) -> str:

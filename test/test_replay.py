@@ -14,11 +14,11 @@ import pytest
 from conftest import shared_data
 
 from mems_ins_fusion.__main__ import main as tool
-from mems_ins_fusion.evaluation.results import ResultError
 from mems_ins_fusion.recordings import messages
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.errors import RecordingWarning
 from mems_ins_fusion.recordings.reading import read_recording
+from mems_ins_fusion.results import ResultError
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 RUN_KEYS = {'model', 'mechanization', 'update_interval_s', 'horizontal_rmse_m', 'horizontal_p95_m', 'horizontal_max_m',
@@ -257,13 +257,13 @@ def test_incheon_end_to_end(tmp_path):
 
 
 def test_an_existing_result_is_refused_before_any_work(bag, tmp_path):
-    from mems_ins_fusion import parameters
-    from mems_ins_fusion.evaluation.replay import replay_recordings
+    from mems_ins_fusion.parameters import table
+    from mems_ins_fusion.reports.replay import replay_recordings
 
     (tmp_path / 'r').mkdir()
     (tmp_path / 'r' / 'report.json').touch()
     seen = []
     with pytest.raises(ResultError):
-        replay_recordings(parameters.check({'bag': [str(bag)], 'output_dir': str(tmp_path / 'r')}),
+        replay_recordings(table.check({'bag': [str(bag)], 'output_dir': str(tmp_path / 'r')}),
                           lambda part, what: seen.append(what))
     assert not seen

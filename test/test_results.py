@@ -1,7 +1,7 @@
 """Result folders appear whole or not at all, and nobody's own files are lost."""
 import pytest
 
-from mems_ins_fusion.evaluation.results import ResultError, result_folder
+from mems_ins_fusion.results import ResultError, result_folder
 
 
 def write(path, text, **options):

@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from mems_ins_fusion.sensor_errors.fitting import (
+from mems_ins_fusion.characterization.fitting import (
     coefficients,
     fit_autoregressive,
     fit_gauss_markov,
@@ -10,7 +10,7 @@ from mems_ins_fusion.sensor_errors.fitting import (
     fit_white,
     reflections,
 )
-from mems_ins_fusion.sensor_errors.likelihood import (
+from mems_ins_fusion.characterization.likelihood import (
     Averages,
     autoregressive_space,
     average,

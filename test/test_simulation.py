@@ -6,7 +6,7 @@ import pytest
 from simulation_support import close
 
 from mems_ins_fusion.navigation.earth import gravity, radii
-from mems_ins_fusion.recordings.simulation import simulate_drive
+from mems_ins_fusion.simulation.simulation import simulate_drive
 
 STILL = 25.0
 SUSPENSION = {'pitch_per_acceleration': 0.008, 'roll_per_acceleration': 0.01, 'sideslip_per_acceleration': -0.006}

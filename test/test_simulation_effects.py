@@ -8,9 +8,9 @@ from simulation_support import FLU, close
 from mems_ins_fusion.effects.base import Effect
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.navigation.earth import gravity, radii
-from mems_ins_fusion.recordings.drive import START_STAMP
-from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 from mems_ins_fusion.sensor_errors.models import GaussMarkov
+from mems_ins_fusion.simulation.drive import START_STAMP
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 SENSORS = SensorErrors((GaussMarkov(0.05, 100.0),) * 3, (GaussMarkov(1e-3, 100.0),) * 3, (0.01,) * 3, (1e-4,) * 3)
 DURATION = 240.0

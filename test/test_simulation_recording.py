@@ -8,13 +8,13 @@ import pytest
 from scipy.stats import chi2
 from simulation_support import FLU, close
 
-from mems_ins_fusion import parameters
 from mems_ins_fusion.cli import simulate
 from mems_ins_fusion.navigation.earth import radii
-from mems_ins_fusion.recordings.drive import START_STAMP
+from mems_ins_fusion.parameters import parameter, table
 from mems_ins_fusion.recordings.reading import read_recording
-from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 from mems_ins_fusion.sensor_errors.models import Autoregressive, GaussMarkov, RandomWalk
+from mems_ins_fusion.simulation.drive import START_STAMP
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 
 @pytest.fixture(scope='module')
@@ -143,7 +143,7 @@ def test_autoregressive_of_the_recording_steps_at_its_interval(rest):
 @pytest.mark.parametrize('model, state', [('random_walk', RandomWalk), ('gauss_markov', GaussMarkov),
                                           ('autoregressive', Autoregressive)])
 def test_sensor_errors_come_from_the_parameters(model, state):
-    values = parameters.check({'accelerometer.noise_density': [1.0, 2.0, 3.0], 'gyroscope.bias': [0.5],
+    values = table.check({'accelerometer.noise_density': [1.0, 2.0, 3.0], 'gyroscope.bias': [0.5],
                                'gyroscope.initial_sigma': [0.03],
                                'gyroscope.random_walk.q': [1e-6, 2e-6, 3e-6],
                                'gyroscope.gauss_markov.tau': [10, 20, 30],
@@ -161,9 +161,9 @@ def test_sensor_errors_come_from_the_parameters(model, state):
 @pytest.mark.parametrize('coefficients, order, message', [([-0.5, -0.6, -0.7, 0.1], 3, '3 or 9'),
                                                           ([-2.5, 1.0], 2, 'not stable')])
 def test_autoregressive_parameters_that_cannot_be_are_refused(coefficients, order, message):
-    values = parameters.check({'accelerometer.autoregressive.coefficients': coefficients,
+    values = table.check({'accelerometer.autoregressive.coefficients': coefficients,
                                'accelerometer.autoregressive.order': order})
-    with pytest.raises(parameters.ParameterError, match=message):
+    with pytest.raises(parameter.ParameterError, match=message):
         SensorErrors.from_parameters(values, 'autoregressive')
 
 
@@ -239,7 +239,7 @@ def test_the_tool_writes_what_the_library_simulates(tmp_path, storage, capsys):
     read = read_recording(bag, '/imu/data', '/gps/fix', '/reference/fix', '/imu/temperature')
     drive = simulate_drive(60.0, 5, hills=True)
     noise = 4.5 * 0.001 * np.sqrt(100)
-    slow = SensorErrors.from_parameters(parameters.defaults(), 'random_walk').gyroscope[2]
+    slow = SensorErrors.from_parameters(table.defaults(), 'random_walk').gyroscope[2]
     bound = noise + 5 * (slow.initial_sigma + slow.q * np.sqrt(60))
     assert np.abs(read.imu.angular_rate[:, 2] + 1.02 * drive.angular_rate[:, 2]).max() < bound
     assert len(read.imu) == 6001 and len(read.gnss) == 250 and len(read.temperature.celsius) == 61

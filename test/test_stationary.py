@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from mems_ins_fusion.sensor_errors.stationary import Grid, StationaryError, find_rest, to_grid
+from mems_ins_fusion.characterization.stationary import Grid, StationaryError, find_rest, to_grid
 
 RATE = 100.0
 

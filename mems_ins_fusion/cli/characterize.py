@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mems_ins_fusion import parameters
+from mems_ins_fusion.parameters import params_file, table
 
 DESCRIPTION = """\
 Characterize an IMU from a recording at rest (minutes to hours; hours for the slow errors): Allan deviation,
@@ -29,12 +29,12 @@ def main(argv: list[str] | None = None) -> int:
 
 def characterize(options: argparse.Namespace) -> str:
     """Read, characterize and write the results; lines for the user. ValueError for bad options or input."""
-    from mems_ins_fusion.evaluation.characterize_figures import figures
-    from mems_ins_fusion.evaluation.characterize_report import report, report_html
-    from mems_ins_fusion.evaluation.html import image_bytes
-    from mems_ins_fusion.evaluation.results import result_folder
-    from mems_ins_fusion.sensor_errors import characterize as work
-    from mems_ins_fusion.sensor_errors.parameter_file import parameters_yaml
+    from mems_ins_fusion.characterization import characterize as work
+    from mems_ins_fusion.characterization.parameter_file import parameters_yaml
+    from mems_ins_fusion.reports.characterization import report, report_html
+    from mems_ins_fusion.reports.characterization_figures import figures
+    from mems_ins_fusion.reports.html import image_bytes
+    from mems_ins_fusion.results import result_folder
 
     if min(options.orders) < 1 or max(options.orders) > 20:
         raise ValueError(f'--orders must be from 1 to 20, got {" ".join(map(str, options.orders))}')
@@ -57,8 +57,8 @@ def characterize(options: argparse.Namespace) -> str:
 
 def _read(options):
     """Name, grid and temperature of the recording. ValueError where it cannot be used."""
-    from mems_ins_fusion.sensor_errors.characterize import read_npz
-    from mems_ins_fusion.sensor_errors.stationary import to_grid
+    from mems_ins_fusion.characterization.characterize import read_npz
+    from mems_ins_fusion.characterization.stationary import to_grid
 
     path = Path(options.bag)
     if path.suffix == '.npz':
@@ -67,7 +67,7 @@ def _read(options):
         return path.stem, read_npz(path), None
     from mems_ins_fusion.recordings.reading import read_recording
 
-    values = parameters.check(parameters.load_yaml(options.params_file) if options.params_file else {})
+    values = table.check(params_file.load_yaml(options.params_file) if options.params_file else {})
     with _Bar('reading') as bar:
         recording = read_recording(path, options.imu_topic or values['imu_topic'], progress=bar.share,
                                    temperature_topic=options.temperature_topic or values['temperature_topic'] or None)

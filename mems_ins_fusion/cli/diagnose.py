@@ -5,7 +5,7 @@ import argparse
 import json
 import sys
 
-from mems_ins_fusion import parameters
+from mems_ins_fusion.parameters import params_file, table
 
 DESCRIPTION = """\
 Diagnose a drive: run the filter as configured, find what it cannot explain, trace that to a physical effect the model
@@ -29,17 +29,17 @@ def main(argv: list[str] | None = None) -> int:
 def diagnose(options: argparse.Namespace) -> str:
     """Read, diagnose and write the results; the story for the user. ValueError for bad options or input."""
     from mems_ins_fusion.diagnosis.diagnose import diagnose as work
-    from mems_ins_fusion.diagnosis.report import corrected_yaml, report, report_html, story
-    from mems_ins_fusion.evaluation.replay import read_part
-    from mems_ins_fusion.evaluation.results import result_folder
+    from mems_ins_fusion.reports.diagnosis import corrected_yaml, report, report_html, story
+    from mems_ins_fusion.reports.replay import read_part
+    from mems_ins_fusion.results import result_folder
 
     given = _parameters(options)
     with result_folder(options.output, options.overwrite) as folder:
         with _Bar() as bar:
-            recording, warned = read_part(options.bag, parameters.check(given), lambda part: bar(0.2 * part, 'reading'))
+            recording, warned = read_part(options.bag, table.check(given), lambda part: bar(0.2 * part, 'reading'))
             if recording.gnss is None:
                 raise ValueError('gnss_topic is empty: a diagnosis needs fixes')
-            result = work(recording, parameters.check(given), lambda part, what: bar(0.2 + 0.75 * part, what))
+            result = work(recording, table.check(given), lambda part, what: bar(0.2 + 0.75 * part, what))
             bar(0.95, 'writing')
             (folder / 'corrected.yaml').write_text(corrected_yaml(result, given), encoding='utf-8')
             (folder / 'report.json').write_text(json.dumps(report(result, warned), indent=1, allow_nan=False),
@@ -51,7 +51,7 @@ def diagnose(options: argparse.Namespace) -> str:
 
 def _parameters(options) -> dict:
     """What the params file and the options give, by full name."""
-    given = parameters.load_yaml(options.params_file) if options.params_file else {}
+    given = params_file.load_yaml(options.params_file) if options.params_file else {}
     asked = {'reference_topic': options.reference_topic, 'reference_file': options.reference_file,
              'start': options.start, 'stop': options.stop}
     if options.reference_topic:

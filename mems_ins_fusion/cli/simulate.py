@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mems_ins_fusion import parameters
 from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.parameters import params_file, table
 
 DESCRIPTION = """\
 Write a rosbag2 of a simulated land vehicle: a standstill, then straights, bends, right-angle turns and stops at
@@ -33,10 +33,10 @@ def main(argv: list[str] | None = None) -> int:
 
 def simulate(options: argparse.Namespace) -> str:
     """Simulate and write what `options` ask for; a line that says what was written. ValueError for bad options."""
-    from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+    from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
     effects = parse_effects(options.effect)
-    values = parameters.check(parameters.load_yaml(options.params_file) if options.params_file else {})
+    values = table.check(params_file.load_yaml(options.params_file) if options.params_file else {})
     model = options.model or values['sensor_error_model']
     sigma = options.gnss_sigma if options.gnss_sigma is not None else values['gnss.sigma'] or 1.5
     gnss = GnssNoise(sigma, options.gnss_rate, [parse_outage(text) for text in options.outage], options.gnss_latency)
@@ -135,7 +135,7 @@ def _parser():
         'file, else 1.5)')
     add('--gnss-latency', type=float, default=0.0, metavar='S', help='from the stamp of a fix to its arrival')
     add('--reference-rate', type=float, default=10.0, metavar='HZ', help='of the truth (default %(default)g)')
-    add('--model', choices=parameters.MODELS, help='of the sensor errors (default: sensor_error_model of the params '
+    add('--model', choices=table.MODELS, help='of the sensor errors (default: sensor_error_model of the params '
         'file, else gauss_markov)')
     add('--params-file', metavar='FILE', help='YAML with the parameters of the sensors, as for the nodes')
     add('--hills', action='store_true', help='a road with grades of up to 6 %% instead of a level one')

@@ -6,7 +6,7 @@ import numpy as np
 from mems_ins_fusion.compiled import njit
 from mems_ins_fusion.effects.base import Effect, EffectParameter, added
 from mems_ins_fusion.navigation.frames import FLU_TO_FRD
-from mems_ins_fusion.parameters import Parameter
+from mems_ins_fusion.parameters.parameter import Parameter
 
 LONGEST_STEP = 0.5  # s between samples over which an angular acceleration means something
 SMOOTH = 0.1  # s: differences of single samples would multiply the gyroscopes' noise, and hide every standstill

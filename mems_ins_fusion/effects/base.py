@@ -77,7 +77,8 @@ class Effect:
         """The sensor's temperature at `drive.time`, (n,) degrees Celsius, or None where it plays no part."""
         return None
 
-    # The correcting half. `values` are the parameters of `parameters.check` from here on, `theta` those of the effect.
+    # The correcting half. `values` are the parameters of `parameters.table.check` from here on, `theta` those of the
+    # effect.
 
     def adjusted(self, values: dict, theta: dict) -> dict:
         """The parameters with the effect's changed by `theta`: what `corrected.yaml` will hold."""

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from mems_ins_fusion.effects.base import Effect, EffectParameter, added
-from mems_ins_fusion.parameters import Parameter
+from mems_ins_fusion.parameters.parameter import Parameter
 
 
 class Sideslip(Effect):

@@ -4,7 +4,7 @@ from __future__ import annotations
 import numpy as np
 
 from mems_ins_fusion.effects.base import Effect, EffectParameter, added
-from mems_ins_fusion.parameters import Parameter
+from mems_ins_fusion.parameters.parameter import Parameter
 
 REFERENCE = 25.0  # degrees Celsius at which the effect is zero
 

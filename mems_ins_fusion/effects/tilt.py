@@ -13,7 +13,7 @@ import numpy as np
 from mems_ins_fusion.effects.base import Effect, EffectParameter, added
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.navigation.frames import mounting
-from mems_ins_fusion.parameters import Parameter
+from mems_ins_fusion.parameters.parameter import Parameter
 
 SUSPENSION = ('pitch_per_acceleration', 'roll_per_acceleration')
 

@@ -44,7 +44,7 @@ class FilterConfig:
 
     @classmethod
     def from_parameters(cls, values: dict) -> FilterConfig:
-        """From checked parameters (`parameters.check`). Raises ParameterError where they do not fit together."""
+        """From checked parameters (`parameters.table.check`). Raises ParameterError where they do not fit together."""
         rotation = mounting(values['imu.mounting_rpy'])
         mechanization = STRAPDOWN if values['mechanization'] == 'strapdown' else PLANAR
         mixing = np.kron(np.eye(2), rotation)

@@ -9,38 +9,41 @@ channel, then the receiver's coloured noise (north, east) where modelled. n = N 
 """
 from __future__ import annotations
 
-from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
 
-class Nav(IntEnum):
+class _Nav(NamedTuple):
     """Columns of the navigation solution in a row."""
 
-    TIME = 0  # s since the filter's epoch
-    LATITUDE = 1
-    LONGITUDE = 2
-    HEIGHT = 3
-    V_N = 4
-    V_E = 5
-    V_D = 6
-    YAW = 7  # planar
-    Q_W = 7  # strapdown: quaternion from b to n
-    Q_X = 8
-    Q_Y = 9
-    Q_Z = 10
-    RADII_LATITUDE = 11  # where the two scales were computed
-    NORTH_SCALE = 12  # rad of latitude per metre
-    EAST_SCALE = 13  # rad of longitude per metre
-    ACCELEROMETER_PHASE = 14  # s since the autoregressive model's last step
-    GYROSCOPE_PHASE = 15
-    CONSTRAINT_TIME = 16  # s since the last vehicle constraint
-    SIZE = 17
+    TIME: int = 0  # s since the filter's epoch
+    LATITUDE: int = 1
+    LONGITUDE: int = 2
+    HEIGHT: int = 3
+    V_N: int = 4
+    V_E: int = 5
+    V_D: int = 6
+    YAW: int = 7  # planar
+    Q_W: int = 7  # strapdown: quaternion from b to n
+    Q_X: int = 8
+    Q_Y: int = 9
+    Q_Z: int = 10
+    RADII_LATITUDE: int = 11  # where the two scales were computed
+    NORTH_SCALE: int = 12  # rad of latitude per metre
+    EAST_SCALE: int = 13  # rad of longitude per metre
+    ACCELEROMETER_PHASE: int = 14  # s since the autoregressive model's last step
+    GYROSCOPE_PHASE: int = 15
+    CONSTRAINT_TIME: int = 16  # s since the last vehicle constraint
+    SIZE: int = 17
 
 
-NAV = int(Nav.SIZE)
+Nav = _Nav()
+
+
+NAV = Nav.SIZE
 PLANAR, STRAPDOWN = 0, 1
 NAVIGATION_STATES = {PLANAR: 5, STRAPDOWN: 9}
 CHANNELS = {PLANAR: ('f_x', 'f_y', 'w_z'), STRAPDOWN: ('f_x', 'f_y', 'f_z', 'w_x', 'w_y', 'w_z')}
@@ -114,90 +117,99 @@ def covariance(row: np.ndarray, navigation: int, others: int) -> np.ndarray:
     return full
 
 
-class Head(IntEnum):
+class _Head(NamedTuple):
     """Sizes and settings at the start of the filter's memory."""
 
-    MECHANIZATION = 0
-    OPEN_LOOP = 1
-    NAVIGATION = 2  # N
-    OTHERS = 3  # m
-    ORDER = 4  # states per sensor channel, p
-    CHANNELS = 5
-    WIDTH = 6  # floats in a row
-    CAPACITY = 7  # rows in the ring
-    FIX_CAPACITY = 8
-    SAMPLES = 9  # IMU samples taken in so far: the newest state is that of row SAMPLES modulo CAPACITY
-    FIXES = 10  # fixes remembered
-    COLOURED = 11  # first of the two states of coloured GNSS noise; -1: none
-    ACCELEROMETER_INTERVAL = 12  # s, of the autoregressive model; 0: another model
-    GYROSCOPE_INTERVAL = 13
-    MAX_GAP = 14
-    MAX_DELAY = 15
-    ROBUST_SIGMA = 16
-    LEVER_X = 17  # lever arm, body axes forward-right-down, m
-    LEVER_Y = 18
-    LEVER_Z = 19
-    ZERO_VELOCITY_SIGMA = 20  # 0: not used
-    NON_HOLONOMIC_SIGMA = 21
-    STILL_ACCELERATION = 22  # scatter below which the sensors are at rest, m/s^2
-    STILL_RATE = 23  # rad/s
-    STILL_VARIANCE_F = 24  # running variance of specific force and angular rate, sum over the axes
-    STILL_VARIANCE_W = 25
-    STILL_MEAN = 26  # their running means, six
-    ROWS_AT = 32  # where the parts of the memory begin: states,
-    RING_AT = 33  # samples,
-    FIXES_AT = 34  # fixes,
-    SCRATCH_AT = 35  # and room to work
-    CONDITIONING = 36  # 6 x 6: body-axis sample = matrix (raw sample) + offset
-    OFFSET = 72  # six
-    SIDESLIP = 78  # rad per m/s^2 of lateral acceleration
-    STILL_REFERENCE = 79  # the running means of specific force when they became steady, three
-    STILL_SINCE = 82  # and when that was
-    SIZE = 83
+    MECHANIZATION: int = 0
+    OPEN_LOOP: int = 1
+    NAVIGATION: int = 2  # N
+    OTHERS: int = 3  # m
+    ORDER: int = 4  # states per sensor channel, p
+    CHANNELS: int = 5
+    WIDTH: int = 6  # floats in a row
+    CAPACITY: int = 7  # rows in the ring
+    FIX_CAPACITY: int = 8
+    SAMPLES: int = 9  # IMU samples taken in so far: the newest state is that of row SAMPLES modulo CAPACITY
+    FIXES: int = 10  # fixes remembered
+    COLOURED: int = 11  # first of the two states of coloured GNSS noise; -1: none
+    ACCELEROMETER_INTERVAL: int = 12  # s, of the autoregressive model; 0: another model
+    GYROSCOPE_INTERVAL: int = 13
+    MAX_GAP: int = 14
+    MAX_DELAY: int = 15
+    ROBUST_SIGMA: int = 16
+    LEVER_X: int = 17  # lever arm, body axes forward-right-down, m
+    LEVER_Y: int = 18
+    LEVER_Z: int = 19
+    ZERO_VELOCITY_SIGMA: int = 20  # 0: not used
+    NON_HOLONOMIC_SIGMA: int = 21
+    STILL_ACCELERATION: int = 22  # scatter below which the sensors are at rest, m/s^2
+    STILL_RATE: int = 23  # rad/s
+    STILL_VARIANCE_F: int = 24  # running variance of specific force and angular rate, sum over the axes
+    STILL_VARIANCE_W: int = 25
+    STILL_MEAN: int = 26  # their running means, six
+    ROWS_AT: int = 32  # where the parts of the memory begin: states,
+    RING_AT: int = 33  # samples,
+    FIXES_AT: int = 34  # fixes,
+    SCRATCH_AT: int = 35  # and room to work
+    CONDITIONING: int = 36  # 6 x 6: body-axis sample = matrix (raw sample) + offset
+    OFFSET: int = 72  # six
+    SIDESLIP: int = 78  # rad per m/s^2 of lateral acceleration
+    STILL_REFERENCE: int = 79  # the running means of specific force when they became steady, three
+    STILL_SINCE: int = 82  # and when that was
+    SIZE: int = 83
 
 
-class Sample(IntEnum):
+Head = _Head()
+
+
+class _Sample(NamedTuple):
     """One IMU sample as the kernel takes it: body axes forward-right-down, at rest or not."""
 
-    TIME = 0
-    F_X = 1
-    F_Y = 2
-    F_Z = 3
-    W_X = 4
-    W_Y = 5
-    W_Z = 6
-    STILL = 7  # 1 at rest
-    SIZE = 8
+    TIME: int = 0
+    F_X: int = 1
+    F_Y: int = 2
+    F_Z: int = 3
+    W_X: int = 4
+    W_Y: int = 5
+    W_Z: int = 6
+    STILL: int = 7  # 1 at rest
+    SIZE: int = 8
 
 
-class Fix(IntEnum):
+Sample = _Sample()
+
+
+class _Fix(NamedTuple):
     """One fix as the kernel takes it, and what came of it."""
 
-    TIME = 0  # at which it describes the vehicle
-    LATITUDE = 1
-    LONGITUDE = 2
-    HEIGHT = 3
-    R_NN = 4
-    R_NE = 5
-    R_EE = 6
-    R_DD = 7
-    ID = 8  # counts the fixes given to the kernel
-    Z_N = 9  # innovation, predicted minus measured antenna position, m
-    Z_E = 10
-    Z_D = 11
-    S_NN = 12  # its covariance
-    S_NE = 13
-    S_EE = 14
-    S_DD = 15
-    NIS = 16
-    APPLIED = 17  # 1 when the filter has used it
-    YAW = 18  # of the prediction, to see innovations along and across track
-    V_N = 19
-    V_E = 20
-    SIZE = 21
+    TIME: int = 0  # at which it describes the vehicle
+    LATITUDE: int = 1
+    LONGITUDE: int = 2
+    HEIGHT: int = 3
+    R_NN: int = 4
+    R_NE: int = 5
+    R_EE: int = 6
+    R_DD: int = 7
+    ID: int = 8  # counts the fixes given to the kernel
+    Z_N: int = 9  # innovation, predicted minus measured antenna position, m
+    Z_E: int = 10
+    Z_D: int = 11
+    S_NN: int = 12  # its covariance
+    S_NE: int = 13
+    S_EE: int = 14
+    S_DD: int = 15
+    NIS: int = 16
+    APPLIED: int = 17  # 1 when the filter has used it
+    YAW: int = 18  # of the prediction, to see innovations along and across track
+    V_N: int = 19
+    V_E: int = 20
+    SIZE: int = 21
 
 
-FIX_SIZE, SAMPLE_SIZE, HEAD_SIZE = int(Fix.SIZE), int(Sample.SIZE), int(Head.SIZE)
+Fix = _Fix()
+
+
+FIX_SIZE, SAMPLE_SIZE, HEAD_SIZE = Fix.SIZE, Sample.SIZE, Head.SIZE
 
 
 def noise_size(m: int, p: int, channels: int) -> int:

@@ -18,7 +18,8 @@ from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus, Temperature
 
 from ..filter.fusion import FilterConfig, FusionFilter
 from ..filter.odometry import LINEAR, POSE_COVARIANCE, POSITION, SIZE, TWIST_COVARIANCE
-from ..parameters import ALL, FILTER, FUSION, ParameterError
+from ..parameters.parameter import ParameterError
+from ..parameters.table import ALL, FILTER, FUSION
 from .log import Throttle, Watch
 from .ros_parameters import declare, refuse_unused_qos_overrides
 from .run import Stop, run, spin

@@ -8,7 +8,8 @@ import sys
 
 from rclpy.node import Node
 
-from ..parameters import FILTER, REPLAY, ParameterError
+from ..parameters.parameter import ParameterError
+from ..parameters.table import FILTER, REPLAY
 from .ros_parameters import declare
 from .run import Stop, run
 
@@ -28,7 +29,7 @@ class ReplayNode(Node):
 
     def replay(self, stop: Stop) -> int:
         """Replay and print what came out; the exit status."""
-        from ..evaluation.replay import replay_recordings
+        from ..reports.replay import replay_recordings
 
         try:
             with _Bar(stop) as bar:
@@ -46,8 +47,8 @@ class ReplayNode(Node):
 
     def _publish(self, result, stop: Stop) -> None:
         """One recording after the other, each model at the shortest update interval, until all is told or a signal."""
-        from ..evaluation.replay import origin
-        from ..evaluation.trajectories import odometry_of
+        from ..reports.replay import origin
+        from ..reports.trajectories import odometry_of
         from .playback import play
 
         stop.interrupts = False  # an exception in the middle of an rclpy call leaves a traceback
@@ -61,7 +62,7 @@ class ReplayNode(Node):
 
 def _tell(result) -> None:
     """Print the errors, the verdict and where the results are."""
-    from ..evaluation.report import summary_table
+    from ..reports.report import summary_table
 
     for recording in result.content['recordings']:
         for warning in recording['warnings']:

@@ -11,20 +11,20 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from .. import parameters
-from ..parameters import Parameter, ParameterError
+from ..parameters.parameter import Parameter, ParameterError
+from ..parameters.table import check
 
 
 def declare(node: Node, argv: list[str], table: Iterable[Parameter],
             changeable: frozenset[str] = frozenset()) -> dict:
-    """Declare `table` on `node` and return every parameter of the package, checked, as `parameters.check` does.
+    """Declare `table` on `node` and return every parameter of the package, checked, as `parameters.table.check` does.
 
     Values given on the command line `argv` or in params files are checked here and not by rclpy, which would refuse
     a whole number for a double and silently ignore unknown names. Names of the package's other tools are accepted:
     one file configures a vehicle. All are read-only but `changeable`. Raises ParameterError.
     """
     _refuse_files_for_others(node, argv)
-    values = parameters.check(_given(node))
+    values = check(_given(node))
     for parameter in table:
         _declare_one(node, parameter, values[parameter.name], parameter.name not in changeable)
     return values

@@ -16,7 +16,8 @@ from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from ..parameters import ParameterError, load_yaml
+from ..parameters.parameter import ParameterError
+from ..parameters.params_file import load_yaml
 from .ros_parameters import params_files
 
 #: what a user got wrong, as opposed to a defect of the program

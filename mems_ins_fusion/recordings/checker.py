@@ -10,8 +10,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY, gravity
-from mems_ins_fusion.recordings.motion import (Steering, compare_steering, find_standstill, positions, robust_sigma,
-                                               sigmas, up_axis, valid_fixes)
+from mems_ins_fusion.recordings.motion import (
+    Steering,
+    compare_steering,
+    find_standstill,
+    positions,
+    robust_sigma,
+    sigmas,
+    up_axis,
+    valid_fixes,
+)
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
 INFO, WARNING, ERROR = 'info', 'warning', 'error'

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from mems_ins_fusion.evaluation.results import result_folder
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.navigation.frames import FLU_TO_FRD
 from mems_ins_fusion.recordings import messages
 from mems_ins_fusion.recordings.errors import RecordingError, needs_rosbags
 from mems_ins_fusion.recordings.messages import IMU, NAV_SAT_FIX, ODOMETRY, TEMPERATURE
+from mems_ins_fusion.results import result_folder
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, Reference, Temperatures
 
 STORAGES = ('mcap', 'sqlite3')

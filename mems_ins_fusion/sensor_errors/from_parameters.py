@@ -1,7 +1,7 @@
 """The sensor error models that a set of parameters describes."""
 from __future__ import annotations
 
-from mems_ins_fusion.parameters import ParameterError
+from mems_ins_fusion.parameters.parameter import ParameterError
 from mems_ins_fusion.sensor_errors.models import Autoregressive, GaussMarkov, Model, RandomWalk
 
 

@@ -1,6 +1,6 @@
 """The filter's speed: CPU nanoseconds a sample, beside dense and per-sample filters of the same size in the same run.
 
-    python test/benchmarks/bench_filter.py [--minutes 60] [--repeats 5]
+    python studies/benchmarks/bench_filter.py [--minutes 60] [--repeats 5]
 
 One hour at 100 Hz with a fix each second, covariance at every sample and the states written out. The machine is noisy:
 CPU time, medians of repeats, and ratios between what ran side by side.
@@ -17,12 +17,12 @@ import time
 import numpy as np
 from numba import njit
 
-from mems_ins_fusion import parameters
 from mems_ins_fusion.filter.alignment import Start
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.initial import initialize
 from mems_ins_fusion.filter.kernel import run, take_fix, take_sample
 from mems_ins_fusion.filter.layout import FIX_SIZE, NAV, Fix
+from mems_ins_fusion.parameters import table
 
 RATE = 100
 CASES = {'planar RW': {'sensor_error_model': 'random_walk'}, 'planar GM': {'sensor_error_model': 'gauss_markov'},
@@ -52,7 +52,7 @@ def recording(minutes: float):
 
 def started(values: dict):
     """Configuration and memory at the start of `recording`."""
-    config = FilterConfig.from_parameters(parameters.check(values))
+    config = FilterConfig.from_parameters(table.check(values))
     memory = config.memory()
     initialize(memory, config, Start(0.0, LATITUDE, LONGITUDE, 0.0, np.array([10.0, 0.0]), 0.0,
                                      np.diag([2.0, 2.0, 0.1, 0.1, 0.01]), None))
@@ -152,9 +152,9 @@ def clock_overhead(count: int = 20000) -> float:
 
 def import_seconds(repeats: int) -> tuple[float, float]:
     """CPU seconds of a new process that makes a filter ready for its first message, and of one that imports NumPy."""
-    ready = ('from mems_ins_fusion import parameters; from mems_ins_fusion.filter.config import FilterConfig; '
+    ready = ('from mems_ins_fusion.parameters import table; from mems_ins_fusion.filter.config import FilterConfig; '
              'from mems_ins_fusion.filter.fusion import FusionFilter; '
-             'FusionFilter(FilterConfig.from_parameters(parameters.check({}))).warm_up()')
+             'FusionFilter(FilterConfig.from_parameters(table.check({}))).warm_up()')
     measure = 'import time; {}; print(time.process_time())'
     taken = [[float(subprocess.run([sys.executable, '-c', measure.format(code)], capture_output=True, check=True,
                                    text=True).stdout) for _ in range(repeats)] for code in (ready, 'import numpy')]

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..sensor_errors.models import Model
 from .autocorrelation import autocorrelation
 from .likelihood import Averages, StateSpace, estimate_levels, innovations, predicted_states, state_space
-from .models import Model
 
 #: share of the recording that the models are fitted to
 TRAINING = 0.6

@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from ..parameters import ParameterError
+from ..evaluation.comparison import Comparison, compare, cut
+from ..parameters.parameter import ParameterError
 from ..recordings.checker import check_recording
 from ..recordings.errors import RecordingWarning
 from ..recordings.reading import read_recording
+from ..results import result_folder
 from ..samples import Recording
 from . import trajectories
-from .comparison import Comparison, compare, cut
 from .report import _FIGURES, draw_figures, report, report_page, write_report
-from .results import result_folder
 
 #: called with the part of all work that is done, 0 to 1, and what is being done; what it raises ends the work
 Progress = Callable[[float, str], None]

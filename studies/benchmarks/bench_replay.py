@@ -1,6 +1,6 @@
 """CPU time of a replay: three models at three update intervals on one hour at 100 Hz, and its parts.
 
-    python test/benchmarks/bench_replay.py [REPEATS]
+    python studies/benchmarks/bench_replay.py [REPEATS]
 
 Simulates the hour first, and replays it REPEATS + 1 times; the first, which may compile the filter, does not count.
 Target: 2.5 s for reading and the nine runs, 10 s with outages, report, figures and trajectories.
@@ -13,11 +13,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from mems_ins_fusion import parameters
 from mems_ins_fusion.__main__ import main as tool
 from mems_ins_fusion.evaluation.comparison import compare
-from mems_ins_fusion.evaluation.replay import replay_recordings
+from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.reading import read_recording
+from mems_ins_fusion.reports.replay import replay_recordings
 
 
 def cpu_seconds(function, *arguments):
@@ -29,7 +29,7 @@ def cpu_seconds(function, *arguments):
 
 def measure(bag: Path, folder: Path) -> dict[str, float]:
     """CPU seconds of reading, the nine runs with their errors, the filter in them, and of a whole replay by parts."""
-    values = parameters.check({'bag': [str(bag)], 'output_dir': str(folder), 'overwrite': True,
+    values = table.check({'bag': [str(bag)], 'output_dir': str(folder), 'overwrite': True,
                                'reference_topic': '/reference/fix'})
     recording, reading = cpu_seconds(read_recording, bag, '/imu/data', '/gps/fix', '/reference/fix')
     nine, runs = cpu_seconds(compare, recording, {**values, 'outage_durations': []})

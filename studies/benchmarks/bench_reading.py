@@ -1,6 +1,6 @@
 """Reading, writing and checking of an hour at 100 Hz: CPU time a message, beside rosbags' ordinary way in the same run.
 
-    python test/benchmarks/bench_reading.py [--minutes 60]
+    python studies/benchmarks/bench_reading.py [--minutes 60]
 """
 from __future__ import annotations
 

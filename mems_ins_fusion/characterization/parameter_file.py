@@ -5,9 +5,9 @@ import math
 
 import numpy as np
 
+from ..sensor_errors.models import Autoregressive, GaussMarkov, Model, RandomWalk
 from .characterize import SENSORS, STANDARD_GRAVITY, Axis, Characterization
 from .fitting import Estimate
-from .models import Autoregressive, GaussMarkov, Model, RandomWalk
 
 
 def axis_models(axis: Axis, duration: float) -> dict[str, Model]:

@@ -19,7 +19,7 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-from .models import Autoregressive, GaussMarkov, Model, RandomWalk
+from ..sensor_errors.models import Autoregressive, GaussMarkov, Model, RandomWalk
 
 #: relative change of the covariance below which the filter has reached its steady state
 _STEADY = 1e-11

@@ -3,9 +3,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .detection import COMPONENTS, LAGS
-from .diagnose import Diagnosis
-from .proof import Measured
+from ..diagnosis.detection import COMPONENTS, LAGS
+from ..diagnosis.diagnose import Diagnosis
+from ..diagnosis.proof import Measured
 
 BEFORE, FITTED, AFTER = '#c1121f', '#8c959f', '#1b7f4b'
 COLOURS = {'before': BEFORE, 'fitted': FITTED, 'after': AFTER}
@@ -70,7 +70,7 @@ def _histogram(axes, values, colour) -> None:
 
 def evidence(diagnosis: Diagnosis):
     """The gain of every candidate in every round; None where nothing was tested."""
-    from .tracing import SIGNIFICANCE
+    from ..diagnosis.tracing import SIGNIFICANCE
 
     if not diagnosis.rounds:
         return None

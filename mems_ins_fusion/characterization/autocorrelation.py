@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..sensor_errors.models import GaussMarkov, simulate
 from .fitting import Estimate
 from .likelihood import Averages
-from .models import GaussMarkov, simulate
 
 _REPLICAS = 60
 

@@ -1,6 +1,6 @@
 """How often the diagnosis is right: drives with effects that it is not told of, scored as a confusion matrix.
 
-By hand: `python test/study_diagnosis.py --seeds N [--first SEED] [--scenarios NAME,..] [--minutes M]`. The recordings
+By hand: `python studies/diagnosis.py --seeds N [--first SEED] [--scenarios NAME,..] [--minutes M]`. The recordings
 are simulated with seeds, signs and sizes that the diagnosis never sees. What came out is in docs/diagnosis_study.md.
 """
 from __future__ import annotations
@@ -17,15 +17,15 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from mems_ins_fusion import parameters  # noqa: E402
 from mems_ins_fusion.diagnosis.diagnose import diagnose  # noqa: E402
 from mems_ins_fusion.diagnosis.proof import Measured, measure  # noqa: E402
 from mems_ins_fusion.diagnosis.residuals import Problem, fit, noise_unknowns, scores  # noqa: E402
 from mems_ins_fusion.diagnosis.tracing import trace  # noqa: E402
 from mems_ins_fusion.effects.base import Effect, EffectParameter  # noqa: E402
 from mems_ins_fusion.effects.registry import EFFECTS  # noqa: E402
-from mems_ins_fusion.recordings.drive import simulate_drive, stream  # noqa: E402
-from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_recording  # noqa: E402
+from mems_ins_fusion.parameters import table  # noqa: E402
+from mems_ins_fusion.simulation.drive import simulate_drive, stream  # noqa: E402
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_recording  # noqa: E402
 
 DURATION = 600.0
 RECEIVER = GnssNoise(sigma=0.5)
@@ -117,7 +117,7 @@ def settings(names) -> dict:
     values = {'reference_lever_arm': [0.0, 0.0, 0.0]}
     for name in names:
         values |= SETTINGS.get(name, {})
-    return parameters.check(values)
+    return table.check(values)
 
 
 def sizes(recording, values: dict, effect: Effect, rng) -> dict[str, float]:
@@ -248,7 +248,7 @@ def right(case: Case, group) -> bool:
     return bool(wanted & set(group))
 
 
-def table(cases: list[Case]) -> str:
+def results_table(cases: list[Case]) -> str:
     """Everything measured, as Markdown: the confusion matrix first, then the scores."""
     done = [c for c in cases if not c.failure]
     return '\n\n'.join([_confusion(done), _scores(done), _summary(done, cases)]) + '\n'
@@ -355,7 +355,7 @@ def main(arguments=None) -> int:
                   f"errors {_rounded(case.errors)} ratios {np.round(case.ratios, 2)} left {case.left:.0f} "
                   f"{case.seconds:.1f} s",
                   file=sys.stderr, flush=True)
-    print(table(cases))
+    print(results_table(cases))
     return 0
 
 

@@ -3,8 +3,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..evaluation.comparison import Comparison, RunResult
 from ..navigation.earth import to_local
-from .comparison import Comparison, RunResult
 
 COLOURS = {'random_walk': '#d95f02', 'gauss_markov': '#1b9e77', 'autoregressive': '#7570b3'}
 #: lines that lie on each other all show: the later drawn, the thinner

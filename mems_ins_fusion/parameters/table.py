@@ -7,90 +7,9 @@ from __future__ import annotations
 
 import difflib
 import math
-import sys
-import textwrap
-from dataclasses import dataclass
-from pathlib import Path
 
-import yaml
-
-
-class ParameterError(ValueError):
-    """A parameter that cannot be used: one line that names it, its value and what was expected."""
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One parameter. Its type is that of `default`: bool, int, float, str, list of float or of str."""
-
-    name: str
-    default: object
-    unit: str
-    description: str
-    minimum: float = -math.inf
-    maximum: float = math.inf
-    choices: tuple[str, ...] = ()
-    lengths: tuple[int, ...] | None = None  # of a list; None allows any
-    positive: bool = False  # excludes zero
-
-    def check(self, value):
-        """`value` in this parameter's type; ParameterError if it does not fit."""
-        if isinstance(self.default, list):
-            return self._check_list(value)
-        return self._check_scalar(value, type(self.default))
-
-    def _check_list(self, value):
-        if value is None:
-            value = []
-        if isinstance(value, (str, bytes)) or not hasattr(value, '__iter__'):
-            value = [value]
-        kind = self._element_type()
-        checked = [self._check_scalar(v, kind) for v in value]
-        if self.lengths is not None and len(checked) not in self.lengths:
-            expected = ' or '.join(str(n) for n in self.lengths)
-            raise ParameterError(f"parameter '{self.name}' must have {expected} values, got {len(checked)}: {value}")
-        return checked
-
-    def _element_type(self):
-        if self.default:
-            return type(self.default[0])
-        return str if self.unit == 'text' else float
-
-    def _check_scalar(self, value, kind):
-        if kind is bool:
-            if isinstance(value, bool):
-                return value
-        elif kind is str:
-            if isinstance(value, str):
-                return self._check_choice(value)
-        elif not isinstance(value, bool):
-            number = _number(value)
-            if number is not None and (kind is float or number == int(number)):
-                return self._check_range(kind(number))
-        wanted = {bool: 'true or false', str: 'a text', int: 'a whole number', float: 'a number'}[kind]
-        raise ParameterError(f"parameter '{self.name}' must be {wanted}, got {value!r}")
-
-    def _check_choice(self, value):
-        if self.choices and value not in self.choices:
-            raise ParameterError(f"parameter '{self.name}' must be one of {', '.join(self.choices)}; got '{value}'")
-        return value
-
-    def _check_range(self, value):
-        if value < self.minimum or value > self.maximum or (self.positive and value <= 0):
-            low = 'above 0' if self.positive else f'at least {self.minimum:g}'
-            high = f' and at most {self.maximum:g}' if self.maximum < math.inf else ''
-            unit = f' {self.unit}' if self.unit not in ('', '-') else ''
-            raise ParameterError(f"parameter '{self.name}' must be {low}{high}{unit}, got {value:g}")
-        return value
-
-
-def _number(value) -> float | None:
-    """`value` as a finite float, also from a text such as 1e-3 (a text in PyYAML, a double in ROS); else None."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        return None
-    return number if math.isfinite(number) else None
+from ..effects.registry import EFFECTS
+from .parameter import Parameter, ParameterError
 
 
 def _per_axis(name, default, unit, description, **limits):
@@ -223,8 +142,6 @@ REPLAY = (
     Parameter('rate', 1.0, '-', 'Speed of that publishing; 2 is twice as fast as recorded.', positive=True),
 )
 
-from .effects.registry import EFFECTS  # noqa: E402  not earlier: the effects' modules use Parameter
-
 FILTER += tuple(setting for effect in EFFECTS.values() for setting in effect.settings)
 
 ALL = {p.name: p for p in (*FILTER, *FUSION, *REPLAY)}
@@ -250,96 +167,3 @@ def unknown(name: str) -> str:
     close = difflib.get_close_matches(name, ALL, n=1)
     hint = f"; did you mean '{close[0]}'?" if close else ''
     return f"unknown parameter '{name}'{hint}"
-
-
-def load_yaml(path, node: str = '') -> dict:
-    """The parameters in a ROS 2 params file as a flat dictionary of given names, unchecked.
-
-    Reads the sections `/**` and, over it, `node` (with or without the slash); a file whose sections are all for
-    other nodes raises ParameterError, since ROS would silently ignore it.
-    """
-    path = Path(path)
-    try:
-        document = yaml.safe_load(path.read_text())
-    except OSError as error:
-        raise ParameterError(f'params file {path}: {error.strerror}') from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ParameterError(f'params file {path} is not valid YAML: {" ".join(str(error).split())}') from None
-    if not isinstance(document, dict):
-        raise ParameterError(f'params file {path} holds no parameters')
-    known = ['/**'] + ([node, f'/{node}'] if node else sorted(set(document) - {'/**'}))
-    sections = [document[name] for name in known if name in document]
-    if not sections:
-        raise ParameterError(f"params file {path} has no section '/**' or '{node}', only {', '.join(document)}")
-    values: dict = {}
-    for section in sections:
-        if not isinstance(section, dict) or not isinstance(section.get('ros__parameters'), dict):
-            raise ParameterError(f"params file {path}: each node's parameters must stand under 'ros__parameters'")
-        values.update(_flatten(section['ros__parameters']))
-    return values
-
-
-def _flatten(tree: dict, prefix: str = '') -> dict:
-    flat: dict = {}
-    for key, value in tree.items():
-        if isinstance(value, dict):
-            flat.update(_flatten(value, f'{prefix}{key}.'))
-        else:
-            flat[f'{prefix}{key}'] = value
-    return flat
-
-
-_TABLES = (('Filter', FILTER), ('fusion_node', FUSION), ('replay_node', REPLAY))
-
-
-def markdown() -> str:
-    """The table as `docs/parameters.md`."""
-    lines = ['# Parameters', '', 'Written by `python -m mems_ins_fusion.parameters > docs/parameters.md`.', '',
-             'SI units and radians. One params file may hold the parameters of every tool.']
-    for title, table in _TABLES:
-        lines += ['', f'## {title}', '', '| name | default | unit | allowed | meaning |', '|---|---|---|---|---|']
-        for p in table:
-            cells = (f'`{p.name}`', f'`{yaml_value(p.default)}`', p.unit, _allowed(p), p.description)
-            lines.append('| ' + ' | '.join(cell.replace('|', r'\|') for cell in cells) + ' |')
-    return '\n'.join(lines) + '\n'
-
-
-def example() -> str:
-    """The defaults of filter and node as a commented params file, `config/fusion.yaml`."""
-    lines = ['# Every parameter of fusion_node at its default: delete what you do not change.',
-             '# Written by `python -m mems_ins_fusion.parameters --yaml > config/fusion.yaml`.',
-             '/**:', '  ros__parameters:']
-    for p in (*FILTER, *FUSION):
-        allowed = f' Allowed: {_allowed(p)}.' if _allowed(p) else ''
-        unit = '' if p.unit in ('text', '-') else f'[{p.unit}] '
-        lines += ['', *textwrap.wrap(unit + p.description + allowed, 110, initial_indent='    # ',
-                                     subsequent_indent='    # '),
-                  f'    {p.name}: {yaml_value(p.default)}']
-    return '\n'.join(lines) + '\n'
-
-
-def _allowed(p: Parameter) -> str:
-    """The range of `p` in words; empty where anything goes or the description says it."""
-    if p.choices:
-        return ', '.join(p.choices)
-    bounds = ['above 0'] if p.positive else [f'from {p.minimum:g}'] if p.minimum > -math.inf else []
-    if p.maximum < math.inf:
-        bounds.append(f'to {p.maximum:g}')
-    return ' '.join(bounds)
-
-
-def yaml_value(value) -> str:
-    """`value` as ROS reads it back in the same type: decimals keep their point."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, list):
-        return f"[{', '.join(yaml_value(v) for v in value)}]"
-    if isinstance(value, str):
-        return f"'{value}'"
-    text = repr(value)
-    mantissa, exponent, power = text.partition('e')
-    return text if not exponent or '.' in mantissa else f'{mantissa}.0e{power}'
-
-
-if __name__ == '__main__':
-    sys.stdout.write(example() if '--yaml' in sys.argv else markdown())

@@ -1,6 +1,6 @@
 """Evidence for the effects of docs/closing_the_loop.md that does not come from the filter's innovations.
 
-    python docs/independent_evidence.py DATA
+    python studies/independent_evidence.py DATA
 
 DATA: folder of the recordings. Prints the lag between course and gyroscopes, and how the pitch of a strapdown run that
 is given no heights goes with the grade that the heights of the truth show.
@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mems_ins_fusion import parameters
 from mems_ins_fusion.filter.fusion import FilterConfig, run
+from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.motion import compare_steering, find_standstill, positions, up_axis
 from mems_ins_fusion.recordings.reading import read_recording
 
@@ -30,7 +30,7 @@ def pitch_run(recording, mounting_rpy, offset):
     covariance = recording.gnss.covariance.copy()
     covariance[:, 2, 2], covariance[:, 2, :2], covariance[:, :2, 2] = 1e8, 0.0, 0.0
     flat = replace(recording.gnss, covariance=covariance, height=np.full(len(recording.gnss), 100.0))
-    values = parameters.check({'mechanization': 'strapdown', 'imu.mounting_rpy': mounting_rpy,
+    values = table.check({'mechanization': 'strapdown', 'imu.mounting_rpy': mounting_rpy,
                                'gnss.time_offset': offset})
     result = run(FilterConfig.from_parameters(values), recording.imu, flat)
     return result.stamp, result.pitch

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.navigation.strapdown import EARTH_RATE
-from mems_ins_fusion.recordings.simulation_manoeuvres import Segment, plan
+from mems_ins_fusion.simulation.manoeuvres import Segment, plan
 
 START_STAMP = 1_700_000_000_000_000_000  # ns: a date, so that stamps look as those of real recordings
 ORIGIN = (0.8378, 0.2007, 480.0)  # latitude, longitude (rad), height (m) of the start

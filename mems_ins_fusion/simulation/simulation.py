@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 from mems_ins_fusion.effects.base import Effect
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.navigation.frames import FLU_TO_FRD, rotation_from_rpy, wrap
-from mems_ins_fusion.recordings.drive import START_STAMP, Drive, simulate_drive, stream
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, Reference, Temperatures
 from mems_ins_fusion.sensor_errors.from_parameters import error_models, per_axis
 from mems_ins_fusion.sensor_errors.models import Model
 from mems_ins_fusion.sensor_errors.models import simulate as simulate_errors
+from mems_ins_fusion.simulation.drive import START_STAMP, Drive, simulate_drive, stream
 
 __all__ = ['GnssNoise', 'SensorErrors', 'Simulation', 'simulate_drive', 'simulate_recording']
 

@@ -12,8 +12,8 @@ from functools import cache
 
 import numpy as np
 
+from ..sensor_errors.models import Autoregressive, GaussMarkov, Model, RandomWalk
 from .likelihood import Averages, autoregressive_space, log_likelihood, relative_likelihood, scaled, state_space
-from .models import Autoregressive, GaussMarkov, Model, RandomWalk
 
 #: drop of the log likelihood at the ends of a 95 % interval: half the 0.95 quantile of chi-square, 1 degree
 _DROP = 1.9207

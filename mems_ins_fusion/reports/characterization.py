@@ -3,10 +3,10 @@ from __future__ import annotations
 
 import math
 
-from mems_ins_fusion.evaluation import html
-from mems_ins_fusion.sensor_errors.autoregressive import METHODS, time_constant
-from mems_ins_fusion.sensor_errors.characterize import SENSORS, STANDARD_GRAVITY, Characterization
-from mems_ins_fusion.sensor_errors.parameter_file import parameters, parameters_yaml
+from mems_ins_fusion.characterization.autoregressive import METHODS, time_constant
+from mems_ins_fusion.characterization.characterize import SENSORS, STANDARD_GRAVITY, Characterization
+from mems_ins_fusion.characterization.parameter_file import parameters, parameters_yaml
+from mems_ins_fusion.reports import html
 
 _WORDS = {'random_walk': 'random walk', 'gauss_markov': 'Gauss-Markov', 'autoregressive': 'autoregressive'}
 

@@ -1,17 +1,17 @@
 """How long a diagnosis of one hour at 100 Hz takes after reading, all effects as candidates; by hand.
 
-    python test/benchmarks/bench_diagnose.py
+    python studies/benchmarks/bench_diagnose.py
 """
 from __future__ import annotations
 
 import time
 
-from mems_ins_fusion import parameters
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.effects.registry import EFFECTS
-from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
-VALUES = parameters.check({'reference_lever_arm': [0.0, 0.0, 0.0]})
+VALUES = table.check({'reference_lever_arm': [0.0, 0.0, 0.0]})
 OFFSET = {'gnss_time_offset': {'time_offset': 0.2}}
 #: what is in the recording, and whether the road has hills, which `tilt` takes out by the strapdown mechanization
 CASES = {'no effect': ({}, False), 'one effect': (OFFSET, False),

@@ -1,6 +1,6 @@
 """Diagnose the measured recordings and print the tables of docs/closing_the_loop.md.
 
-    python docs/measured_diagnoses.py DATA OUTPUT
+    python studies/measured_diagnoses.py DATA OUTPUT
 
 DATA: folder of the recordings. OUTPUT: for the params files and results; a recording whose result is there already is
 not diagnosed again.
@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 from mems_ins_fusion.cli.diagnose import main as diagnose
-from mems_ins_fusion.evaluation.html import number
+from mems_ins_fusion.reports.html import number
 
 RECORDINGS = {
     'longmont_rtk_drive': 'imu.mounting_rpy: [0.0, 0.0, 3.141593]',

@@ -3,10 +3,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from mems_ins_fusion.sensor_errors.autocorrelation import autocorrelation
-from mems_ins_fusion.sensor_errors.characterize import SENSORS, Characterization
+from mems_ins_fusion.characterization.autocorrelation import autocorrelation
+from mems_ins_fusion.characterization.characterize import SENSORS, Characterization
+from mems_ins_fusion.characterization.selection import TRAINING
 from mems_ins_fusion.sensor_errors.models import Autoregressive, RandomWalk
-from mems_ins_fusion.sensor_errors.selection import TRAINING
 
 _UNIT = {'accelerometer': 'm/s²', 'gyroscope': 'rad/s'}
 _STYLE = {'random_walk': ('C0', 'random walk'), 'gauss_markov': ('C1', 'Gauss-Markov'),

@@ -3,9 +3,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .comparison import Comparison, PairResult
+from ..evaluation.comparison import Comparison, PairResult
+from ..evaluation.metrics import rms
 from .html import number
-from .metrics import rms
 from .plots import model_name
 
 #: differences smaller than this part are of no practical meaning, however significant

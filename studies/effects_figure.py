@@ -1,6 +1,6 @@
 """Draw docs/figures/effects.png: what each effect does to the innovations of a filter that does not know it.
 
-    python docs/effects_figure.py
+    python studies/effects_figure.py
 
 The same simulated drive with and without the effect (same noise): drawn is the difference, which the white innovations,
 of unit variance, hide more or less.
@@ -11,10 +11,10 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from mems_ins_fusion import parameters
 from mems_ins_fusion.diagnosis.residuals import Problem
 from mems_ins_fusion.effects.registry import EFFECTS
-from mems_ins_fusion.recordings.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 SHOWN = (
     ('gnss_time_offset', {'time_offset': 0.2}),
@@ -35,7 +35,7 @@ SEED, DURATION, WINDOW = 1, 600.0, (60.0, 360.0)
 
 def innovations(constrained, effects=(), hills=False):
     """Seconds, and whitened innovations along and across the track."""
-    values = parameters.check({'vehicle.non_holonomic': constrained})
+    values = table.check({'vehicle.non_holonomic': constrained})
     drive = simulate_drive(DURATION, SEED, rate=50.0, hills=hills)
     errors = SensorErrors.from_parameters(values, 'gauss_markov')
     problem = Problem(simulate_recording(drive, errors, GnssNoise(sigma=0.5), effects, seed=SEED).recording, values)

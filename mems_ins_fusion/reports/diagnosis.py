@@ -7,11 +7,12 @@ from dataclasses import asdict
 
 import numpy as np
 
-from ..evaluation import html
-from ..parameters import ALL, yaml_value
-from . import plots
-from .diagnose import Diagnosis, Finding
-from .tracing import Candidate
+from ..diagnosis.diagnose import Diagnosis, Finding
+from ..diagnosis.tracing import Candidate
+from ..parameters.params_file import yaml_value
+from ..parameters.table import ALL
+from . import diagnosis_figures as plots
+from . import html
 
 
 def report(diagnosis: Diagnosis, warned=()) -> dict:

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import __version__, parameters
+from .. import __version__
+from ..evaluation.comparison import Comparison, outage_row, run_row
+from ..parameters.table import defaults as default_parameters
 from . import html, plots
-from .comparison import Comparison, outage_row, run_row
 from .html import bullets, figure, image_bytes, note, number, paragraph, section, table
 from .plots import model_name
 from .verdict import verdict
@@ -32,7 +33,7 @@ def report(comparisons: dict[str, Comparison], values: dict, findings: dict[str,
            timing: dict) -> dict:
     """The content of `report.json`. comparisons, findings of the checker, what reading said: by name of the recording.
     timing: name -> s."""
-    defaults = parameters.defaults()
+    defaults = default_parameters()
     return {
         'tool': 'replay_node', 'version': __version__,
         'recordings': [_recording(name, c, findings[name], said[name]) for name, c in comparisons.items()],

@@ -1,0 +1,52 @@
+"""The documents that the table of parameters writes: `docs/parameters.md`, and `config/fusion.yaml` with --yaml."""
+from __future__ import annotations
+
+import math
+import sys
+import textwrap
+
+from .parameter import Parameter
+from .params_file import yaml_value
+from .table import FILTER, FUSION, REPLAY
+
+_TABLES = (('Filter', FILTER), ('fusion_node', FUSION), ('replay_node', REPLAY))
+
+
+def markdown() -> str:
+    """The table as `docs/parameters.md`."""
+    lines = ['# Parameters', '', 'Written by `python -m mems_ins_fusion.parameters > docs/parameters.md`.', '',
+             'SI units and radians. One params file may hold the parameters of every tool.']
+    for title, table in _TABLES:
+        lines += ['', f'## {title}', '', '| name | default | unit | allowed | meaning |', '|---|---|---|---|---|']
+        for p in table:
+            cells = (f'`{p.name}`', f'`{yaml_value(p.default)}`', p.unit, _allowed(p), p.description)
+            lines.append('| ' + ' | '.join(cell.replace('|', r'\|') for cell in cells) + ' |')
+    return '\n'.join(lines) + '\n'
+
+
+def example() -> str:
+    """The defaults of filter and node as a commented params file, `config/fusion.yaml`."""
+    lines = ['# Every parameter of fusion_node at its default: delete what you do not change.',
+             '# Written by `python -m mems_ins_fusion.parameters --yaml > config/fusion.yaml`.',
+             '/**:', '  ros__parameters:']
+    for p in (*FILTER, *FUSION):
+        allowed = f' Allowed: {_allowed(p)}.' if _allowed(p) else ''
+        unit = '' if p.unit in ('text', '-') else f'[{p.unit}] '
+        lines += ['', *textwrap.wrap(unit + p.description + allowed, 110, initial_indent='    # ',
+                                     subsequent_indent='    # '),
+                  f'    {p.name}: {yaml_value(p.default)}']
+    return '\n'.join(lines) + '\n'
+
+
+def _allowed(p: Parameter) -> str:
+    """The range of `p` in words; empty where anything goes or the description says it."""
+    if p.choices:
+        return ', '.join(p.choices)
+    bounds = ['above 0'] if p.positive else [f'from {p.minimum:g}'] if p.minimum > -math.inf else []
+    if p.maximum < math.inf:
+        bounds.append(f'to {p.maximum:g}')
+    return ' '.join(bounds)
+
+
+if __name__ == '__main__':
+    sys.stdout.write(example() if '--yaml' in sys.argv else markdown())
