@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.filter.alignment import Start
 from mems_ins_fusion.filter.config import FilterConfig
@@ -81,3 +82,16 @@ def central_difference(function, size: int, step) -> np.ndarray:
         e[i] = h
         columns.append((np.asarray(function(e)) - np.asarray(function(-e))) / (2 * h))
     return np.column_stack(columns)
+
+
+def velocity_of(config: FilterConfig, memory: np.ndarray) -> np.ndarray:
+    """North, east, down velocity (3,) of the newest state, estimated errors not yet taken out."""
+    return newest(memory)[[Nav.V_N, Nav.V_E, Nav.V_D]]
+
+
+def attitude_of(config: FilterConfig, memory: np.ndarray) -> Rotation:
+    """Rotation from b to n of the newest state, estimated errors not yet taken out."""
+    row = newest(memory)
+    if config.mechanization == PLANAR:
+        return Rotation.from_euler('z', row[Nav.YAW])
+    return Rotation.from_quat(row[[Nav.Q_X, Nav.Q_Y, Nav.Q_Z, Nav.Q_W]])

@@ -1,0 +1,186 @@
+"""What is known of a land vehicle, against the dense textbook Kalman update, and on a drive."""
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from filter_support import (
+    MODEL_VALUES,
+    attitude_of,
+    central_difference,
+    configure,
+    random_covariance,
+    started,
+    state_and_covariance,
+    velocity_of,
+)
+from scipy.spatial.transform import Rotation
+
+from mems_ins_fusion.evaluation.metrics import position_errors, rms
+from mems_ins_fusion.filter import fusion
+from mems_ins_fusion.filter.kernel import take_sample
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'studies'))
+from table_of_numbers import Drive, recording, truth_of  # noqa: E402
+
+DT = 0.01
+FLU = np.array([1.0, -1.0, -1.0])
+DENSITY = np.array([1e-5, 2e-5, 3e-5])  # rad/s/sqrt(Hz), gyroscope x, y, z: another for each axis
+VELOCITY_SIGMA, SIDEWAYS_SIGMA = 0.03, 0.4
+NON_HOLONOMIC = {'vehicle.non_holonomic': True, 'vehicle.non_holonomic_sigma': SIDEWAYS_SIGMA}
+STANDSTILL = {'vehicle.zero_velocity': True, 'vehicle.zero_velocity_sigma': VELOCITY_SIGMA}
+
+
+def made(model, mechanization, feedback, constraint=()):
+    return configure({**MODEL_VALUES[model], 'gyroscope.noise_density': DENSITY.tolist(),
+                      'mechanization': mechanization, 'feedback': feedback, **dict(constraint)})
+
+
+def first_velocity(config):
+    """Index of the first velocity error, and how many there are."""
+    return (2, 2) if config.navigation == 5 else (3, 3)
+
+
+def gyroscope_states(config):
+    """Indices of the gyroscopes' error states, axes as in `config.channels`: the newest value of each block."""
+    return [config.navigation + i * config.order for i, name in enumerate(config.channels) if name.startswith('w_')]
+
+
+def true_motion(config, memory, e):
+    """Velocity in n (3,) and attitude of the newest state with the error e (INS minus truth) taken out."""
+    velocity, attitude = velocity_of(config, memory), attitude_of(config, memory)
+    at, k = first_velocity(config)
+    velocity[:k] -= e[at:at + k]
+    if config.navigation == 5:
+        return velocity, Rotation.from_euler('z', -e[4]) * attitude
+    return velocity, Rotation.from_rotvec(-e[6:9]) * attitude  # C_true = (I - [phi x]) C_ins
+
+
+def across_the_road(config, memory, rate):
+    """Sideways (and, strapdown, downward) velocity as a function of the error: zero for a land vehicle. And R."""
+    k = first_velocity(config)[1]
+
+    def measured(e):
+        velocity, attitude = true_motion(config, memory, e)
+        return attitude.inv().apply(velocity)[1:k]
+    return measured, SIDEWAYS_SIGMA**2 * np.eye(k - 1)
+
+
+def at_rest(config, memory, rate):
+    """Velocity and angular rate as a function of the error: zero at standstill. And R."""
+    k = first_velocity(config)[1]
+    gyroscopes, axes = gyroscope_states(config), [i - 3 for i in config.channel_axes if i >= 3]
+
+    def measured(e):
+        return np.concatenate([true_motion(config, memory, e)[0][:k], rate[axes] - e[gyroscopes]])
+    return measured, np.diag([*[VELOCITY_SIGMA**2] * k, *DENSITY[axes] ** 2 / DT])
+
+
+def textbook(measured, r, x, p):
+    """x and P after a correction with measured(error) = 0 + noise; the dense H by finite differences."""
+    h = -central_difference(measured, len(x), 1e-6)
+    s = h @ p @ h.T + r
+    gain = p @ h.T @ np.linalg.inv(s)
+    return x + gain @ (measured(np.zeros(len(x))) - h @ x), p - gain @ s @ gain.T
+
+
+def until_corrected(models, mechanization, feedback, constraint, sample, **start):
+    """Two filters, with and without the constraint, up to the first sample at which they differ."""
+    configs = [made(models, mechanization, feedback, more) for more in ({}, constraint)]
+    memories = [started(config, **start) for config in configs]
+    for k in range(1, 1000):
+        for memory in memories:
+            take_sample(memory, k * DT, *sample)
+        p = [state_and_covariance(config, memory)[1] for config, memory in zip(configs, memories)]
+        if not np.array_equal(*p):
+            return configs[1], *memories
+    raise AssertionError('never corrected')
+
+
+def assert_textbook(config, before, after, measured, r):
+    """The step from `before` to `after` is that of the dense update."""
+    x0, p0 = state_and_covariance(config, before)
+    x, p = textbook(measured, r, x0, p0)
+    estimate, covariance = state_and_covariance(config, after)
+    sigma = np.sqrt(np.diag(p0))
+    assert covariance / np.outer(sigma, sigma) == pytest.approx(p / np.outer(sigma, sigma), abs=1e-7)
+    assert np.abs(p - p0).max() > 1e-3 * np.abs(p0).max()  # something was measured
+    closed = config.values['feedback'] == 'closed'
+    expected = np.concatenate([np.zeros(config.navigation), x[config.navigation:]]) if closed else x
+    assert (estimate - expected) / sigma == pytest.approx(np.zeros(len(x)), abs=1e-6)
+    taken_out = np.where(np.arange(len(x)) < config.navigation, x, 0.0) if closed else np.zeros(len(x))
+    velocity, attitude = true_motion(config, before, taken_out)
+    assert velocity_of(config, after) == pytest.approx(velocity, abs=1e-7)
+    assert (attitude_of(config, after) * attitude.inv()).magnitude() < 1e-7
+
+
+def scale_of(config, velocity=0.3, attitude=0.03, force=0.1, rate=0.01):
+    errors = [2, 2, *[velocity] * 2, attitude] if config.navigation == 5 else [
+        2, 2, 3, *[velocity] * 3, *[attitude] * 3]
+    return np.array(errors + [force if axis < 3 else rate for axis in config.channel_axes
+                              for _ in range(config.order)])
+
+
+def drawn(config, scale, rng, feedback):
+    """Errors and covariance far from diagonal; closed loop has no navigation errors left."""
+    x = scale * rng.standard_normal(len(scale))
+    if feedback == 'closed':
+        x[:config.navigation] = 0.0
+    return {'x': x, 'p': random_covariance(len(scale), rng, scale)}
+
+
+EACH = pytest.mark.parametrize(('model', 'mechanization', 'feedback'), [
+    (model, mechanization, feedback) for model in ('GM', 'AR(2)') for mechanization in ('planar', 'strapdown')
+    for feedback in ('closed', 'open')])
+
+
+@EACH
+def test_no_sideways_velocity_corrects_as_the_dense_kalman_update(model, mechanization, feedback):
+    # given a vehicle that turns, climbs and leans, and moves sideways and down by its estimate
+    config = made(model, mechanization, feedback)
+    start = drawn(config, scale_of(config), np.random.default_rng(5), feedback)
+    sample = 0.3, 1.0, 9.7, 0.02, -0.03, 0.2
+    config, before, after = until_corrected(model, mechanization, feedback, NON_HOLONOMIC, sample,
+                                            attitude=(0.2, -0.3, 0.7), velocity=(12.0, -5.0, 1.3), **start)
+    assert_textbook(config, before, after, *across_the_road(config, before, np.array(sample[3:]) * FLU))
+
+
+@EACH
+def test_a_standstill_corrects_as_the_dense_kalman_update(model, mechanization, feedback):
+    # given a vehicle at rest whose gyroscopes show another rate on each axis
+    config = made(model, mechanization, feedback)
+    scale = scale_of(config, velocity=0.05, attitude=3e-4, force=0.003, rate=1e-4)
+    start = drawn(config, scale, np.random.default_rng(6), feedback)
+    start['x'][:config.navigation] *= 0.1
+    attitude = (0.02, -0.03, 0.7)
+    level = Rotation.from_euler('ZYX', attitude[::-1]) if config.navigation == 9 else Rotation.identity()
+    force = level.inv().apply([0.0, 0.0, -9.81])
+    rate = np.array([1e-3, -2e-3, 3e-3])
+    config, before, after = until_corrected(model, mechanization, feedback, STANDSTILL, (*force * FLU, *rate * FLU),
+                                            attitude=attitude, velocity=(0.02, -0.03, 0.01), **start)
+    assert_textbook(config, before, after, *at_rest(config, before, rate))
+
+
+@pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+def test_what_is_known_of_the_vehicle_bounds_an_outage(mechanization):
+    # given a drive with bends and a standstill, and no fix for its last 45 s
+    drive = Drive()
+    imu, fixes = recording(drive, 3, mechanization == 'strapdown')
+    fixes = fixes.select(fixes.stamp < imu.stamp[-1] - 45 * 10**9)
+    truth = truth_of(drive)
+    outage = truth.select(truth.reference.stamp > fixes.stamp[-1])
+    error, normalized, at_rest_speed = {}, {}, {}
+    for name, constraint in (('none', {}), ('non_holonomic', NON_HOLONOMIC), ('standstill', STANDSTILL),
+                             ('both', {**NON_HOLONOMIC, **STANDSTILL})):
+        config = configure(constraint, mechanization=mechanization)
+        errors = position_errors(fusion.run(config, imu, fixes), outage, np.zeros(len(outage), dtype=bool))
+        error[name], normalized[name] = rms(errors.horizontal), errors.nees.mean()
+        time = (errors.stamp - imu.stamp[0]) * 1e-9
+        at_rest_speed[name] = rms(errors.speed[(time > 99.0) & (time < 102.0)])
+    # then each constraint helps with what it knows, and the covariance says by how much
+    assert error['non_holonomic'] < 0.3 * error['none'], error
+    assert error['standstill'] < error['none'] and error['both'] < min(3.0, 0.2 * error['none']), error
+    assert at_rest_speed['standstill'] < 0.03 < 0.1 < at_rest_speed['none'], at_rest_speed
+    assert max(normalized.values()) < 6.0, normalized  # 2 on average, but errors of one drive are not independent
