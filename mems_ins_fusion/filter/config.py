@@ -1,4 +1,4 @@
-"""The filter's settings in the filter's terms: built from the parameters, and laid out in its memory."""
+"""The filter's settings, typed and in the filter's terms: the only reader of the parameters' values."""
 from __future__ import annotations
 
 import math
@@ -7,161 +7,239 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..effects.registry import EFFECTS
+from ..navigation.earth import STANDARD_GRAVITY
 from ..navigation.frames import FLU_TO_FRD, mounting
 from ..sensor_errors.from_parameters import error_models, per_axis
 from ..sensor_errors.models import Autoregressive, GaussMarkov, Model, RandomWalk
-from .layout import (
-    CHANNELS,
-    FIX_SIZE,
-    HEAD_SIZE,
-    NAVIGATION_STATES,
-    PLANAR,
-    SAMPLE_SIZE,
-    STRAPDOWN,
-    Head,
-    noise_size,
-    row_width,
-)
+from .layout import MECHANIZATIONS, PLANAR, STRAPDOWN, Event, Head, Sample, StateLayout, noise_size, row_width, scratch_size
 
 #: the fastest IMU for which all of gnss.max_delay is remembered, Hz
 FASTEST_IMU = 1000
-FIX_CAPACITY = 256
+EVENT_CAPACITY = 256
 SENSORS = ('accelerometer', 'gyroscope')
+#: an estimated mounting angle may wander by this much of its prior sigma in an hour
+MOUNTING_WANDER = 0.05
+#: the planar filter's tilt goes with the road: correlation time, s
+TILT_TIME = 30.0
+
+
+@dataclass(frozen=True)
+class ImuSettings:
+    """Topic, rotation from sensor to body axes (3, 3) and the parameters it comes from, limits in SI units."""
+
+    topic: str
+    temperature_topic: str
+    mounting_rpy: tuple[float, float, float]
+    max_gap: float
+    restart_gap: float
+    max_specific_force: float
+    max_angular_rate: float
+
+    @property
+    def mounting(self) -> np.ndarray:
+        return mounting(self.mounting_rpy)
+
+
+@dataclass(frozen=True)
+class GnssSettings:
+    """lever_arm: (3,) body axes forward-right-down. gate: normalized innovation beyond which a fix is refused, 0: none.
+    coloured: model of the receiver's coloured noise, or None."""
+
+    topic: str
+    lever_arm: np.ndarray
+    time_offset: float
+    sigma: float
+    default_sigma: float
+    max_delay: float
+    robust_sigma: float
+    gate: float
+    recovery_time: float
+    adapt_sigma: bool
+    outage_after: float
+    coloured: GaussMarkov | None
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """Of a further measurement. sigma: 0 takes what the message says, default_sigma where it says nothing. offset: of a
+    heading, rad, or scale of a speed; subtracted. offset_sigma: estimated with this prior; 0: exact."""
+
+    topic: str
+    sigma: float
+    default_sigma: float
+    offset: float = 0.0
+    offset_sigma: float = 0.0
+
+
+@dataclass(frozen=True)
+class AlignmentSettings:
+    """heading: course, orientation or parameter. level: the planar filter's standstill takes the tilt out."""
+
+    heading: str
+    yaw: float
+    yaw_sigma: float
+    level: bool
+    gyroscope_turn_on: float
+
+
+@dataclass(frozen=True)
+class VehicleSettings:
+    """Sigmas of 0: the constraint is not used. axle: (3,) m from the IMU to the point that does not slip, body axes."""
+
+    zero_velocity_sigma: float
+    lateral_sigma: float
+    vertical_sigma: float
+    angle_sigma: float
+    sideslip: float
+    sideslip_sigma: float
+    axle: np.ndarray
+    still_acceleration: float
+    still_rate: float
+
+
+@dataclass(frozen=True)
+class Extra:
+    """An optional state: its name, how it wanders, and its standard deviation at the start."""
+
+    name: str
+    model: RandomWalk | GaussMarkov
+    initial_sigma: float
 
 
 @dataclass(frozen=True)
 class FilterConfig:
-    """Settings of one filter. Axes are body axes unless a name says otherwise; `values` are the parameters."""
+    """Settings of one filter. Axes are body axes unless a name says otherwise."""
 
-    values: dict
     mechanization: int
-    models: tuple[Model, ...]  # one per channel of CHANNELS[mechanization]
+    open_loop: bool
+    models: tuple[Model, ...]  # one per channel of the mechanization
     white: np.ndarray  # (6,) noise densities squared
     turn_on_sigma: np.ndarray  # (channels,) of the constant bias outside the model
     conditioning: np.ndarray  # (6, 6): body-axis f, w = conditioning (raw f, w) + offset
     offset: np.ndarray  # (6,)
-    lever_arm: np.ndarray  # (3,)
+    extras: tuple[Extra, ...]
+    imu: ImuSettings
+    gnss: GnssSettings
+    speed: SensorSettings
+    velocity: SensorSettings
+    heading: SensorSettings
+    alignment: AlignmentSettings
+    vehicle: VehicleSettings
+    datum: np.ndarray | None  # rad, rad, m
+    parameters: dict  # as given; for the effects' correctors
 
     @classmethod
     def from_parameters(cls, values: dict) -> FilterConfig:
         """From checked parameters (`parameters.table.check`). Raises ParameterError where they do not fit together."""
-        rotation = mounting(values['imu.mounting_rpy'])
         mechanization = STRAPDOWN if values['mechanization'] == 'strapdown' else PLANAR
+        rotation = mounting(values['imu.mounting_rpy'])
         mixing = np.kron(np.eye(2), rotation)
         along = np.abs(mixing).argmax(axis=1)  # the sensor axis that lies along each body axis
-        density = np.concatenate([per_axis(values, f'{sensor}.noise_density') for sensor in SENSORS])
-        turn_on = np.concatenate([per_axis(values, f'{sensor}.initial_sigma') for sensor in SENSORS])
-        bias = np.concatenate([per_axis(values, f'{sensor}.bias') for sensor in SENSORS])
-        scale = np.concatenate([per_axis(values, f'{sensor}.scale') for sensor in SENSORS])
-        axes = [0, 1, 5] if mechanization == PLANAR else range(6)
+
+        def sensors(name):
+            return np.concatenate([per_axis(values, f'{sensor}.{name}') for sensor in SENSORS])
+
+        axes = [MECHANIZATIONS[STRAPDOWN].CHANNELS.index(name) for name in MECHANIZATIONS[mechanization].CHANNELS]
         kind = values['sensor_error_model']
-        sensor_models = [model for sensor in SENSORS for model in error_models(values, sensor, kind)]
-        models = tuple(sensor_models[along[i]] for i in axes)
-        conditioning = mixing / (1.0 + scale)
+        by_sensor_axis = [model for sensor in SENSORS for model in error_models(values, sensor, kind)]
+        models = tuple(by_sensor_axis[along[i]] for i in axes)
+        turn_on = sensors('initial_sigma')
+        constant = [0.0 if isinstance(model, RandomWalk) else turn_on[along[i]] for i, model in zip(axes, models)]
+        conditioning = mixing / (1.0 + sensors('scale'))
         for effect in EFFECTS.values():
             correction = effect.conditioning(values)
             if correction is not None:
                 conditioning = correction @ conditioning
-        constant = [0.0 if isinstance(model, RandomWalk) else turn_on[along[i]] for i, model in zip(axes, models)]
-        return cls(values=values, mechanization=mechanization, models=_equal_order(models),
-                   white=mixing**2 @ density**2, turn_on_sigma=np.array(constant), conditioning=conditioning,
-                   offset=-conditioning @ bias,
-                   lever_arm=FLU_TO_FRD @ np.asarray(values['gnss.lever_arm'], dtype=float))
+        white = mixing**2 @ sensors('noise_density')**2
+        if mechanization == PLANAR:
+            models, white = _with_tilt(models, white, STANDARD_GRAVITY * values['vehicle.tilt_sigma'])
+        datum = values['datum']
+        return cls(
+            mechanization=mechanization, open_loop=values['feedback'] == 'open', models=_equal_order(models),
+            white=white, turn_on_sigma=np.array(constant), conditioning=conditioning,
+            offset=-conditioning @ sensors('bias'), extras=_extras(values, mechanization), imu=_imu(values),
+            gnss=_gnss(values), speed=_sensor(values, 'speed', 'scale'), velocity=_sensor(values, 'velocity'),
+            heading=_sensor(values, 'heading', 'offset'), alignment=_alignment(values), vehicle=_vehicle(values),
+            datum=np.array([math.radians(datum[0]), math.radians(datum[1]), datum[2]]) if datum else None,
+            parameters=values)
 
     @property
-    def channels(self) -> tuple[str, ...]:
-        return CHANNELS[self.mechanization]
+    def layout(self) -> StateLayout:
+        return StateLayout(self.mechanization, self.models[0].order, tuple(extra.name for extra in self.extras))
 
     @property
     def channel_axes(self) -> list[int]:
         """Which of f_x, f_y, f_z, w_x, w_y, w_z each channel is."""
-        return [CHANNELS[STRAPDOWN].index(name) for name in self.channels]
-
-    @property
-    def navigation(self) -> int:
-        """Number of navigation error states, N."""
-        return NAVIGATION_STATES[self.mechanization]
-
-    @property
-    def order(self) -> int:
-        """States per sensor channel, p."""
-        return self.models[0].order
-
-    @property
-    def coloured(self) -> GaussMarkov | None:
-        """Model of the receiver's coloured noise, or None."""
-        sigma = self.values['gnss.coloured_noise.sigma']
-        return GaussMarkov(sigma, self.values['gnss.coloured_noise.tau']) if sigma > 0 else None
-
-    @property
-    def others(self) -> int:
-        """Number of states that are not navigation errors, m."""
-        return len(self.models) * self.order + (2 if self.coloured else 0)
+        return [MECHANIZATIONS[STRAPDOWN].CHANNELS.index(name) for name in self.layout.channels]
 
     @property
     def capacity(self) -> int:
         """States and samples remembered for fixes that come late: a power of two, small enough for the cache."""
-        return 2 ** math.ceil(math.log2(self.values['gnss.max_delay'] * FASTEST_IMU + 16))
+        return 2 ** math.ceil(math.log2(self.gnss.max_delay * FASTEST_IMU + 16))
 
     def correctors(self) -> list:
         """What takes the effects that the parameters declare out of samples in sensor axes, in order."""
-        rotation = mounting(self.values['imu.mounting_rpy'])
-        made = (effect.corrector(self.values, rotation) for effect in EFFECTS.values())
+        made = (effect.corrector(self.parameters, self.imu.mounting) for effect in EFFECTS.values())
         return [corrector for corrector in made if corrector is not None]
 
     def memory(self) -> np.ndarray:
         """The kernel's memory with these settings in it, before the first state."""
-        n, p, channels = self.navigation + self.others, self.order, len(self.models)
-        width = row_width(self.navigation, self.others)
-        rows = HEAD_SIZE + noise_size(self.others, p, channels)
+        layout, width = self.layout, row_width(self.layout)
+        rows = Head.SIZE + noise_size(layout)
         ring = rows + (self.capacity + 2) * width  # two rows more, for states between samples
-        fixes = ring + self.capacity * SAMPLE_SIZE
-        scratch = fixes + FIX_CAPACITY * FIX_SIZE
-        memory = np.zeros(scratch + n * n + 5 * n)
-        self._write_head(memory[:HEAD_SIZE], width)
-        memory[[Head.ROWS_AT, Head.RING_AT, Head.FIXES_AT, Head.SCRATCH_AT]] = rows, ring, fixes, scratch
-        memory[HEAD_SIZE:rows] = self._noise()
+        events = ring + self.capacity * Sample.SIZE
+        scratch = events + EVENT_CAPACITY * Event.SIZE
+        memory = np.zeros(scratch + scratch_size(layout.n))
+        self._write_head(memory, width)
+        for column, at in ((Head.ROWS_AT, rows), (Head.RING_AT, ring), (Head.EVENTS_AT, events),
+                           (Head.SCRATCH_AT, scratch)):
+            memory[column] = at
+        memory[Head.SIZE:rows] = self._noise()
         return memory
 
     def _write_head(self, head: np.ndarray, width: int) -> None:
-        values = self.values
+        layout, gnss, vehicle = self.layout, self.gnss, self.vehicle
         autoregressive = isinstance(self.models[0], Autoregressive)
-        still = 3 * values['vehicle.still_acceleration'] ** 2, 3 * values['vehicle.still_rate'] ** 2
+        still = 3 * vehicle.still_acceleration**2, 3 * vehicle.still_rate**2
         settings = {
-            Head.MECHANIZATION: self.mechanization, Head.OPEN_LOOP: values['feedback'] == 'open',
-            Head.NAVIGATION: self.navigation, Head.OTHERS: self.others, Head.ORDER: self.order,
+            Head.MECHANIZATION: self.mechanization, Head.OPEN_LOOP: self.open_loop,
+            Head.N_NAVIGATION: layout.n_navigation, Head.N_AUGMENTED: layout.n_augmented, Head.ORDER: layout.order,
             Head.CHANNELS: len(self.models), Head.WIDTH: width, Head.CAPACITY: self.capacity,
-            Head.FIX_CAPACITY: FIX_CAPACITY,
-            Head.COLOURED: self.navigation + len(self.models) * self.order if self.coloured else -1,
+            Head.EVENT_CAPACITY: EVENT_CAPACITY,
+            Head.COLOURED: layout.index('coloured_n'), Head.MOUNTING_PITCH: layout.index('mounting_pitch'),
+            Head.MOUNTING_YAW: layout.index('mounting_yaw'), Head.AXLE: layout.index('axle_x'),
+            Head.SPEED_SCALE: layout.index('speed_scale'),
             Head.ACCELEROMETER_INTERVAL: self.models[0].interval if autoregressive else 0,
             Head.GYROSCOPE_INTERVAL: self.models[-1].interval if autoregressive else 0,
-            Head.MAX_GAP: values['imu.max_gap'], Head.MAX_DELAY: values['gnss.max_delay'],
-            Head.ROBUST_SIGMA: values['gnss.robust_sigma'],
-            Head.LEVER_X: self.lever_arm[0], Head.LEVER_Y: self.lever_arm[1], Head.LEVER_Z: self.lever_arm[2],
-            Head.ZERO_VELOCITY_SIGMA: values['vehicle.zero_velocity'] * values['vehicle.zero_velocity_sigma'],
-            Head.NON_HOLONOMIC_SIGMA: values['vehicle.non_holonomic'] * values['vehicle.non_holonomic_sigma'],
-            Head.SIDESLIP: values['vehicle.sideslip_per_acceleration'],
-            Head.STILL_ACCELERATION: values['vehicle.still_acceleration'],
-            Head.STILL_RATE: values['vehicle.still_rate'],
+            Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: gnss.max_delay, Head.ROBUST_SIGMA: gnss.robust_sigma,
+            Head.GATE: gnss.gate, Head.RECOVERY_TIME: gnss.recovery_time, Head.ADAPT: gnss.adapt_sigma,
+            Head.LEVER_X: gnss.lever_arm[0], Head.LEVER_Y: gnss.lever_arm[1], Head.LEVER_Z: gnss.lever_arm[2],
+            Head.AXLE_X: vehicle.axle[0], Head.AXLE_Y: vehicle.axle[1], Head.AXLE_Z: vehicle.axle[2],
+            Head.CONSTRAINTS: vehicle.zero_velocity_sigma > 0 or vehicle.lateral_sigma > 0,
+            Head.ZERO_VELOCITY_SIGMA: vehicle.zero_velocity_sigma, Head.LATERAL_SIGMA: vehicle.lateral_sigma,
+            Head.VERTICAL_SIGMA: vehicle.vertical_sigma, Head.ANGLE_SIGMA: vehicle.angle_sigma,
+            Head.SIDESLIP: vehicle.sideslip, Head.SLIP_SIGMA: vehicle.sideslip_sigma,
+            Head.STILL_ACCELERATION: vehicle.still_acceleration, Head.STILL_RATE: vehicle.still_rate,
             Head.STILL_VARIANCE_F: 10 * still[0], Head.STILL_VARIANCE_W: 10 * still[1],
+            Head.MAX_FORCE: self.imu.max_specific_force, Head.MAX_RATE: self.imu.max_angular_rate,
         }
-        for index, value in settings.items():
-            head[index] = value
+        for column, value in settings.items():
+            head[column] = value
         head[Head.CONDITIONING:Head.CONDITIONING + 36] = self.conditioning.ravel()
         head[Head.OFFSET:Head.OFFSET + 6] = self.offset
 
     def _noise(self) -> np.ndarray:
-        decay, walk, variance = np.zeros((3, self.others))
-        coefficients = np.zeros((len(self.models), self.order))
+        layout = self.layout
+        decay, walk, variance = np.zeros((3, layout.n_augmented))
+        coefficients = np.zeros((len(self.models), layout.order))
         driving = np.zeros(len(self.models))
         for channel, model in enumerate(self.models):
-            _set_noise(model, channel * self.order, decay, walk, variance)
+            _set_noise(model, channel * layout.order, decay, walk, variance)
             if isinstance(model, Autoregressive):
                 coefficients[channel] = model.coefficients
                 driving[channel] = model.b0**2
-        if self.coloured:
-            for state in (self.others - 2, self.others - 1):
-                _set_noise(self.coloured, state, decay, walk, variance)
+        for state, extra in enumerate(self.extras, start=layout.n_sensor):
+            _set_noise(extra.model, state, decay, walk, variance)
         return np.concatenate([self.white, decay, walk, variance, coefficients.ravel(), driving])
 
 
@@ -179,3 +257,95 @@ def _equal_order(models: tuple[Model, ...]) -> tuple[Model, ...]:
     return tuple(model if model.order == order else
                  Autoregressive((*model.coefficients, *[0.0] * (order - model.order)), model.b0, model.interval)
                  for model in models)
+
+
+def _with_tilt(models: tuple[Model, ...], white: np.ndarray, sigma: float) -> tuple[tuple[Model, ...], np.ndarray]:
+    """Models and white noise with what gravity adds on a road that is not level: sigma m/s^2 on f_x and f_y.
+
+    The planar filter has no state for it. A Gauss-Markov channel takes it in; a random walk grows to it in TILT_TIME;
+    beside an autoregressive model it is white noise that moves the velocity as far in ten seconds.
+    """
+    if sigma == 0:
+        return models, white
+
+    def tilted(model):
+        if isinstance(model, GaussMarkov):
+            total = math.hypot(model.sigma, sigma)
+            share = (sigma / total) ** 2  # of the two correlation times, by their part of the variance
+            return GaussMarkov(total, math.exp(share * math.log(TILT_TIME) + (1 - share) * math.log(model.tau)))
+        if isinstance(model, RandomWalk):
+            return RandomWalk(math.hypot(model.q, sigma * math.sqrt(2 / TILT_TIME)),
+                              math.hypot(model.initial_sigma, sigma))
+        return model
+
+    white = white.copy()
+    if isinstance(models[0], Autoregressive):
+        white[:2] += 10.0 * sigma**2
+    return (*(tilted(model) for model in models[:2]), models[2]), white
+
+
+def _extras(values: dict, mechanization: int) -> tuple[Extra, ...]:
+    """The optional states that `values` ask for."""
+    extras = []
+    coloured = _coloured(values)
+    if coloured:
+        extras += [Extra(name, coloured, coloured.sigma) for name in ('coloured_n', 'coloured_e')]
+
+    def slow(name, sigma):
+        if sigma > 0:
+            walk = MOUNTING_WANDER * sigma / math.sqrt(3600.0)
+            extras.append(Extra(name, RandomWalk(walk, sigma), sigma))
+
+    if values['vehicle.non_holonomic']:
+        if mechanization != PLANAR:
+            slow('mounting_pitch', values['imu.mounting_sigma'])
+        slow('mounting_yaw', values['imu.mounting_sigma'])
+        slow('axle_x', values['vehicle.rear_axle_sigma'])
+    if values['speed_topic']:
+        slow('speed_scale', values['speed.scale_sigma'])
+    return tuple(extras)
+
+
+def _coloured(values: dict) -> GaussMarkov | None:
+    sigma = values['gnss.coloured_noise.sigma']
+    return GaussMarkov(sigma, values['gnss.coloured_noise.tau']) if sigma > 0 else None
+
+
+def _imu(values: dict) -> ImuSettings:
+    return ImuSettings(values['imu_topic'], values['temperature_topic'], tuple(values['imu.mounting_rpy']),
+                       values['imu.max_gap'], values['imu.restart_gap'], values['imu.max_specific_force'],
+                       values['imu.max_angular_rate'])
+
+
+def _gnss(values: dict) -> GnssSettings:
+    share = values['gnss.gate_probability']
+    return GnssSettings(
+        topic=values['gnss_topic'], lever_arm=FLU_TO_FRD @ np.asarray(values['gnss.lever_arm'], dtype=float),
+        time_offset=values['gnss.time_offset'], sigma=values['gnss.sigma'], default_sigma=values['gnss.default_sigma'],
+        max_delay=values['gnss.max_delay'], robust_sigma=values['gnss.robust_sigma'],
+        # of a chi-square distribution with two degrees of freedom
+        gate=math.sqrt(-2.0 * math.log1p(-share)) if share < 1.0 else 0.0,
+        recovery_time=values['gnss.recovery_time'], adapt_sigma=values['gnss.adapt_sigma'],
+        outage_after=values['gnss.outage_after'], coloured=_coloured(values))
+
+
+def _sensor(values: dict, name: str, offset: str = '') -> SensorSettings:
+    return SensorSettings(values[f'{name}_topic'], values[f'{name}.sigma'], values[f'{name}.default_sigma'],
+                          values[f'{name}.{offset}'] if offset else 0.0, values.get(f'{name}.{offset}_sigma', 0.0))
+
+
+def _alignment(values: dict) -> AlignmentSettings:
+    return AlignmentSettings(values['alignment.heading'], values['alignment.yaw'], values['alignment.yaw_sigma'],
+                             values['alignment.level'], max(values['gyroscope.initial_sigma']))
+
+
+def _vehicle(values: dict) -> VehicleSettings:
+    constrained = values['vehicle.non_holonomic']
+    return VehicleSettings(
+        zero_velocity_sigma=values['vehicle.zero_velocity'] * values['vehicle.zero_velocity_sigma'],
+        lateral_sigma=constrained * values['vehicle.non_holonomic_sigma'],
+        vertical_sigma=constrained * values['vehicle.non_holonomic_vertical_sigma'],
+        angle_sigma=values['vehicle.non_holonomic_angle_sigma'], sideslip=values['vehicle.sideslip_per_acceleration'],
+        sideslip_sigma=values['vehicle.sideslip_sigma'],
+        axle=FLU_TO_FRD @ np.asarray(values['vehicle.rear_axle'], dtype=float),
+        still_acceleration=values['vehicle.still_acceleration'], still_rate=values['vehicle.still_rate'])

@@ -1,220 +1,300 @@
-"""Correction of a state by what is measured (Eq. 6 to 8, 19): fixes, and what is known of a land vehicle."""
+"""Correction of a state by a measurement (Eq. 6 to 8): one way for fixes, speeds, headings, constraints, standstills.
+
+A measurement fills its record and its rows of H (see `measurements`); `update` forms the innovation, looks at how well
+it fits, and corrects. All work on the flat memory of the filter: `r` is the position of a state, `at` of a record.
+"""
 from __future__ import annotations
 
 import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..navigation import strapdown
-from .layout import FIX_SIZE, HEAD_SIZE, NAV, SAMPLE_SIZE, Fix, Head, Nav, Sample, load_covariance, store_covariance
+from ..navigation import planar, strapdown
+from . import receiver
+from .layout import (
+    NAV,
+    PLANAR,
+    Event,
+    Head,
+    Kind,
+    Nav,
+    Sample,
+    Verdict,
+    load_covariance,
+    store_covariance,
+)
+from .measurements import heading, non_holonomic, position, speed, standstill, velocity
+from .measurements.geometry import body_to_level
 from .prediction import set_radii
 
 #: standstill and non-holonomic constraints are applied this often, s: their errors are not white from sample to sample
 CONSTRAINT_INTERVAL = 0.1
-#: what the inertial sensors call a standstill is one only below this speed plus two sigma, and when the speed is known
+#: what the inertial sensors call a standstill is one only below this speed plus three sigma
 STILL_SPEED = 0.3  # m/s
-STILL_SIGMA = 0.5  # m/s
+#: a constraint that fits worse than this many sigma is weighted down to it
+CONSTRAINT_ROBUST = 3.0
+#: running mean of the constraint's NIS, over so many of them; above OFF it is not used, until it is below ON again
+CONSTRAINT_MEMORY, CONSTRAINT_OFF, CONSTRAINT_ON = 100.0, 6.0, 3.0
+#: speeds and headings are weighted down beyond this, and refused beyond that
+OTHER_ROBUST, OTHER_GATE = 3.0, 6.0
 
 
-@njit
-def _correct(full, n, row, h, z, variance, gain, column):
-    """One scalar measurement z = h x + noise: Eq. 6 to 8 with the covariance in Joseph's form.
+@njit(_nrt=False)
+def _scalar(mem, r, n, h, z, variance, column):
+    """One scalar measurement z = H x + noise: the row H at `h`; P at the begin of the scratch; column: scratch (n,).
 
-    full: P (n, n), updated. row: the state, whose x is updated. h, gain, column: vectors (n,), the last two scratch.
+    P - K H P with the symmetric K H P written once for both halves: symmetric by construction.
     """
+    p, x = int(mem[Head.SCRATCH_AT]), r + NAV
     residual, s = z, variance
     for i in range(n):
         total = 0.0
         for j in range(n):
-            if h[j] != 0.0:
-                total += full[i, j] * h[j]
-        column[i] = total
+            total += mem[p + n * i + j] * mem[h + j]
+        mem[column + i] = total
     for i in range(n):
-        residual -= h[i] * row[NAV + i]
-        s += h[i] * column[i]
+        residual -= mem[h + i] * mem[x + i]
+        s += mem[h + i] * mem[column + i]
     for i in range(n):
-        gain[i] = column[i] / s
-        row[NAV + i] += gain[i] * residual
-    for i in range(n):  # (I - K H) P
-        for j in range(n):
-            full[i, j] -= gain[i] * column[j]
-    for i in range(n):  # times H^T
-        total = 0.0
-        for j in range(n):
-            if h[j] != 0.0:
-                total += full[i, j] * h[j]
-        column[i] = total
-    for i in range(n):  # times (I - K H)^T, plus K R K^T
+        gain = mem[column + i] / s
+        mem[x + i] += gain * residual
         for j in range(i, n):
-            value = 0.5 * (full[i, j] - column[i] * gain[j] + full[j, i] - column[j] * gain[i])
-            full[i, j] = full[j, i] = value + gain[i] * variance * gain[j]
+            value = mem[p + n * i + j] - gain * mem[column + j]
+            mem[p + n * i + j] = mem[p + n * j + i] = value
 
 
-@njit
-def _feed_back(head, row, navigation):
-    """Closed loop: the estimated navigation errors go into the solution, and x is zero there again."""
-    if head[Head.OPEN_LOOP] != 0.0:
-        return
-    row[Nav.LATITUDE] -= row[NAV] * row[Nav.NORTH_SCALE]
-    row[Nav.LONGITUDE] -= row[NAV + 1] * row[Nav.EAST_SCALE]
-    if navigation == 5:
-        row[Nav.V_N] -= row[NAV + 2]
-        row[Nav.V_E] -= row[NAV + 3]
-        row[Nav.YAW] -= row[NAV + 4]
-    else:
-        row[Nav.HEIGHT] += row[NAV + 2]
-        row[Nav.V_N] -= row[NAV + 3]
-        row[Nav.V_E] -= row[NAV + 4]
-        row[Nav.V_D] -= row[NAV + 5]
-        row[Nav.Q_W], row[Nav.Q_X], row[Nav.Q_Y], row[Nav.Q_Z] = strapdown.correct_attitude(
-            (row[Nav.Q_W], row[Nav.Q_X], row[Nav.Q_Y], row[Nav.Q_Z]), row[NAV + 6], row[NAV + 7], row[NAV + 8])
-    row[NAV:NAV + navigation] = 0.0
-
-
-@njit
-def body_to_level(row, navigation):
-    """Rotation from b to n at `row` as nine numbers, row by row."""
-    if navigation == 5:
-        c, s = math.cos(row[Nav.YAW]), math.sin(row[Nav.YAW])
-        return c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0
-    return strapdown.matrix((row[Nav.Q_W], row[Nav.Q_X], row[Nav.Q_Y], row[Nav.Q_Z]))
-
-
-@njit
-def _state_and_scratch(memory, r, n):
-    """The state at r, an (n, n) matrix and five vectors (5, n) to work with."""
-    s = int(memory[Head.SCRATCH_AT])
-    return (memory[r:r + int(memory[Head.WIDTH])], memory[s:s + n * n].reshape(n, n),
-            memory[s + n * n:s + n * n + 5 * n].reshape(5, n))
-
-
-@njit
-def apply_fix(memory, r, at):
-    """Correct the state at r with the fix at `at` (Eq. 19: predicted minus measured antenna position, in metres)."""
-    head, fix = memory[:HEAD_SIZE], memory[at:at + FIX_SIZE]
-    navigation, m = int(head[Head.NAVIGATION]), int(head[Head.OTHERS])
-    n = navigation + m
-    row, full, work = _state_and_scratch(memory, r, n)
-    load_covariance(row, navigation, m, full)
-    c = body_to_level(row, navigation)
-    lx, ly, lz = head[Head.LEVER_X], head[Head.LEVER_Y], head[Head.LEVER_Z]
-    arm_n = c[0] * lx + c[1] * ly + c[2] * lz
-    arm_e = c[3] * lx + c[4] * ly + c[5] * lz
-    arm_d = c[6] * lx + c[7] * ly + c[8] * lz
-    h_n, h_e, h_d = work[0], work[1], work[2]
-    work[:5] = 0.0
-    h_n[0] = h_e[1] = 1.0
-    if navigation == 5:  # an error of yaw swings the antenna
-        h_n[4], h_e[4] = -arm_e, arm_n
-    else:  # phi x arm
-        h_n[7], h_n[8] = arm_d, -arm_e
-        h_e[6], h_e[8] = -arm_d, arm_n
-        h_d[2], h_d[6], h_d[7] = 1.0, arm_e, -arm_n
-    coloured = int(head[Head.COLOURED])
-    if coloured >= 0:
-        h_n[coloured], h_e[coloured + 1] = -1.0, -1.0
-    z_n = (row[Nav.LATITUDE] - fix[Fix.LATITUDE]) / row[Nav.NORTH_SCALE] + arm_n
-    z_e = (row[Nav.LONGITUDE] - fix[Fix.LONGITUDE]) / row[Nav.EAST_SCALE] + arm_e
-    z_d = fix[Fix.HEIGHT] - row[Nav.HEIGHT] + arm_d
-
-    for k in range(3):
-        fix[Fix.Z_N + k] = z_n if k == 0 else (z_e if k == 1 else z_d)
-        for i in range(n):
-            fix[Fix.Z_N + k] -= work[k, i] * row[NAV + i]
-    fix[Fix.S_NN] = fix[Fix.R_NN] + _quadratic(full, n, h_n, h_n)
-    fix[Fix.S_NE] = fix[Fix.R_NE] + _quadratic(full, n, h_n, h_e)
-    fix[Fix.S_EE] = fix[Fix.R_EE] + _quadratic(full, n, h_e, h_e)
-    fix[Fix.S_DD] = fix[Fix.R_DD] + _quadratic(full, n, h_d, h_d)
-    a, b = fix[Fix.Z_N], fix[Fix.Z_E]
-    determinant = fix[Fix.S_NN] * fix[Fix.S_EE] - fix[Fix.S_NE] ** 2
-    fix[Fix.NIS] = (fix[Fix.S_EE] * a * a - 2.0 * fix[Fix.S_NE] * a * b + fix[Fix.S_NN] * b * b) / determinant
-    fix[Fix.APPLIED] = 1.0
-    fix[Fix.YAW] = math.atan2(c[3], c[0])
-    fix[Fix.V_N] = row[Nav.V_N]
-    fix[Fix.V_E] = row[Nav.V_E]
-
-    # north and east made independent by the Cholesky factor of R, then one after the other
-    inflation = 0.0
-    if head[Head.ROBUST_SIGMA] > 0.0:  # so much noise that the innovation is just robust_sigma
-        inflation = max(0.0, fix[Fix.NIS] / head[Head.ROBUST_SIGMA] ** 2 - 1.0)
-    l_nn = math.sqrt(fix[Fix.R_NN] + inflation * fix[Fix.S_NN])
-    l_en = (fix[Fix.R_NE] + inflation * fix[Fix.S_NE]) / l_nn
-    l_ee = math.sqrt(fix[Fix.R_EE] + inflation * fix[Fix.S_EE] - l_en * l_en)
-    for i in range(n):
-        h_n[i] /= l_nn
-        h_e[i] = (h_e[i] - l_en * h_n[i]) / l_ee
-    z_n /= l_nn
-    z_e = (z_e - l_en * z_n) / l_ee
-    _correct(full, n, row, h_n, z_n, 1.0, work[3], work[4])
-    _correct(full, n, row, h_e, z_e, 1.0, work[3], work[4])
-    if navigation == 5:
-        row[Nav.HEIGHT] = fix[Fix.HEIGHT] + arm_d
-    else:
-        _correct(full, n, row, h_d, z_d, fix[Fix.R_DD], work[3], work[4])
-    store_covariance(full, navigation, m, row)
-    _feed_back(head, row, navigation)
-    set_radii(memory, r)
-
-
-@njit
-def _quadratic(full, n, left, right):
+@njit(_nrt=False)
+def _product(mem, p, n, left, right):
+    """H_left P H_right^T."""
     total = 0.0
     for i in range(n):
-        if left[i] != 0.0:
+        if mem[left + i] != 0.0:
             for j in range(n):
-                total += left[i] * full[i, j] * right[j]
+                total += mem[left + i] * mem[p + n * i + j] * mem[right + j]
     return total
 
 
-@njit
-def constrain(memory, r, at, dt):
+@njit(_nrt=False)
+def update(mem, r, at, n, dimensions, factor, robust, gate):
+    """Correct the state at r with the record at `at`, whose rows of H stand behind P in the scratch.
+
+    factor: on the covariance R of the record. robust: normalized innovations above it are weighted down to it. gate:
+    those above it are refused; 0: none of that. The first two components are judged together, the third alone. The
+    verdict.
+    """
+    p = int(mem[Head.SCRATCH_AT])
+    h = p + n * n
+    column = h + 3 * n
+    r_nn, r_ne = factor * mem[at + Event.R_NN], factor * mem[at + Event.R_NE]
+    r_ee, r_dd = factor * mem[at + Event.R_EE], factor * mem[at + Event.R_DD]
+    z_n, z_e, z_d = mem[at + Event.Z_N], mem[at + Event.Z_E], mem[at + Event.Z_D]
+    for k in range(dimensions):
+        for i in range(n):
+            mem[at + Event.Z_N + k] -= mem[h + n * k + i] * mem[r + NAV + i]
+    a, b = mem[at + Event.Z_N], mem[at + Event.Z_E]
+    s_nn, s_ne, s_ee = r_nn + _product(mem, p, n, h, h), 0.0, 0.0
+    if dimensions == 1:
+        nis = a * a / s_nn
+    else:
+        s_ne = r_ne + _product(mem, p, n, h, h + n)
+        s_ee = r_ee + _product(mem, p, n, h + n, h + n)
+        nis = (s_ee * a * a - 2.0 * s_ne * a * b + s_nn * b * b) / (s_nn * s_ee - s_ne * s_ne)
+    mem[at + Event.S_NN], mem[at + Event.S_NE], mem[at + Event.S_EE] = s_nn, s_ne, s_ee
+    mem[at + Event.NIS], mem[at + Event.WEIGHT] = nis, 1.0
+    verdict = Verdict.USED
+    if gate > 0.0 and nis > gate * gate:
+        mem[at + Event.WEIGHT] = 0.0
+        return Verdict.REFUSED
+    if robust > 0.0 and nis > robust * robust:  # so much noise that the innovation is just `robust`
+        inflation = nis / (robust * robust) - 1.0
+        r_nn, r_ne, r_ee = r_nn + inflation * s_nn, r_ne + inflation * s_ne, r_ee + inflation * s_ee
+        verdict = Verdict.WEIGHTED
+        mem[at + Event.WEIGHT] = 1.0 / (1.0 + inflation)
+
+    # the first two made independent by the Cholesky factor of R, then one after the other
+    if dimensions > 2:
+        s_dd = r_dd + _product(mem, p, n, h + 2 * n, h + 2 * n)
+        mem[at + Event.S_DD] = s_dd
+    l_nn = math.sqrt(r_nn)
+    for i in range(n):
+        mem[h + i] /= l_nn
+    z_n /= l_nn
+    _scalar(mem, r, n, h, z_n, 1.0, column)
+    if dimensions > 1:
+        l_en = r_ne / l_nn
+        l_ee = math.sqrt(r_ee - l_en * l_en)
+        for i in range(n):
+            mem[h + n + i] = (mem[h + n + i] - l_en * mem[h + i]) / l_ee
+        z_e = (z_e - l_en * z_n) / l_ee
+        _scalar(mem, r, n, h + n, z_e, 1.0, column)
+    if dimensions > 2:
+        down = mem[at + Event.Z_D] ** 2 / s_dd
+        if gate > 0.0 and down > gate * gate:
+            return verdict
+        if robust > 0.0 and down > robust * robust:
+            r_dd += (down / (robust * robust) - 1.0) * s_dd
+        _scalar(mem, r, n, h + 2 * n, z_d, r_dd, column)
+    return verdict
+
+
+@njit(_nrt=False)
+def _feed_back(mem, r):
+    """Closed loop: the estimated navigation errors go into the solution, and x is zero there again."""
+    if mem[Head.OPEN_LOOP] != 0.0:
+        return
+    x = r + NAV
+    if mem[Head.MECHANIZATION] == PLANAR:
+        s = planar.State
+        mem[r + Nav.LATITUDE] -= mem[x + s.R_N] * mem[r + Nav.NORTH_SCALE]
+        mem[r + Nav.LONGITUDE] -= mem[x + s.R_E] * mem[r + Nav.EAST_SCALE]
+        mem[r + Nav.V_N] -= mem[x + s.V_N]
+        mem[r + Nav.V_E] -= mem[x + s.V_E]
+        mem[r + Nav.YAW] -= mem[x + s.YAW]
+        for i in range(s.SIZE):
+            mem[x + i] = 0.0
+        return
+    t = strapdown.State
+    mem[r + Nav.LATITUDE] -= mem[x + t.R_N] * mem[r + Nav.NORTH_SCALE]
+    mem[r + Nav.LONGITUDE] -= mem[x + t.R_E] * mem[r + Nav.EAST_SCALE]
+    mem[r + Nav.HEIGHT] += mem[x + t.R_D]
+    mem[r + Nav.V_N] -= mem[x + t.V_N]
+    mem[r + Nav.V_E] -= mem[x + t.V_E]
+    mem[r + Nav.V_D] -= mem[x + t.V_D]
+    q = strapdown.correct_attitude((mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z]),
+                                   mem[x + t.PHI_N], mem[x + t.PHI_E], mem[x + t.PHI_D])
+    mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z] = q
+    for i in range(t.SIZE):
+        mem[x + i] = 0.0
+
+
+@njit(_nrt=False)
+def _clear(mem, h, n):
+    for i in range(3 * n):
+        mem[h + i] = 0.0
+
+
+@njit(_nrt=False)
+def apply_event(mem, r, at, sample):
+    """Correct the state at r with the measurement at `at`; sample: position of the IMU sample of that time."""
+    n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
+    n, p, kind = n_navigation + m, int(mem[Head.SCRATCH_AT]), mem[at + Event.KIND]
+    h = p + n * n
+    if kind == Kind.POSITION and receiver.is_frozen(mem, r, at):
+        mem[at + Event.VERDICT], mem[at + Event.WEIGHT] = Verdict.FROZEN, 0.0
+        return
+    load_covariance(mem, r, n_navigation, m, mem, p)
+    recovered = False
+    if kind == Kind.POSITION:
+        recovered = mem[Head.GATE] > 0.0 and receiver.agreed(mem, r, at)
+        if recovered:
+            receiver.start_anew(mem, r, at)
+        else:
+            v_n, v_e = receiver.finds_course(mem, r, at)
+            if v_n != 0.0 or v_e != 0.0:
+                receiver.take_course(mem, r, v_n, v_e)
+    _clear(mem, h, n)
+    c = body_to_level(mem, r)
+    mem[at + Event.YAW] = math.atan2(c[3], c[0])
+    mem[at + Event.V_N], mem[at + Event.V_E] = mem[r + Nav.V_N], mem[r + Nav.V_E]
+    factor, robust, gate = 1.0, OTHER_ROBUST, OTHER_GATE
+    height = 0.0
+    if kind == Kind.POSITION:
+        dimensions = position.observe(mem, r, at, h, n, c)
+        height = mem[at + Event.Z_D] + mem[r + Nav.HEIGHT]  # of the planar filter, which has no state for it
+        factor, robust, gate = receiver.trust(mem, r, at)
+    elif kind == Kind.VELOCITY:
+        dimensions = velocity.observe(mem, r, at, h, n, c, sample)
+    elif kind == Kind.SPEED:
+        dimensions = speed.observe(mem, r, at, h, n, c, sample)
+    else:
+        dimensions = heading.observe(mem, r, at, h, n, c)
+    verdict = update(mem, r, at, n, dimensions, factor, robust, gate)
+    mem[at + Event.VERDICT] = Verdict.RECOVERED if recovered else verdict
+    if verdict != Verdict.REFUSED:
+        store_covariance(mem, p, n_navigation, m, mem, r)
+        _feed_back(mem, r)
+        if kind == Kind.POSITION and mem[Head.MECHANIZATION] == PLANAR:
+            mem[r + Nav.HEIGHT] = height
+        set_radii(mem, r)
+    if kind == Kind.POSITION:
+        left_n, left_e, _ = position.difference(mem, r, at, body_to_level(mem, r))
+        receiver.learn(mem, r, at, left_n, left_e)
+
+
+@njit(_nrt=False)
+def constrain(mem, r, sample, dt):
     """What is known of a land vehicle: at standstill no velocity and no rotation, else no sideways velocity.
 
-    r: position of the state, at: of the sample that led to it, dt: its interval.
+    r: position of the state, sample: of the sample that led to it, dt: its interval, s.
     """
-    head, sample = memory[:HEAD_SIZE], memory[at:at + SAMPLE_SIZE]
-    still = sample[Sample.STILL] != 0.0 and head[Head.ZERO_VELOCITY_SIGMA] > 0.0
-    if not still and head[Head.NON_HOLONOMIC_SIGMA] == 0.0:
+    still = mem[sample + Sample.STILL] != 0.0 and mem[Head.ZERO_VELOCITY_SIGMA] > 0.0
+    if not still and mem[Head.LATERAL_SIGMA] == 0.0:
         return
-    navigation, m, p = int(head[Head.NAVIGATION]), int(head[Head.OTHERS]), int(head[Head.ORDER])
-    n = navigation + m
-    row, full, work = _state_and_scratch(memory, r, n)
-    row[Nav.CONSTRAINT_TIME] = 0.0
-    load_covariance(row, navigation, m, full)
+    n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
+    n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
+    h = p + n * n
+    at = h + 6 * n  # a record for the time being
+    mem[r + Nav.CONSTRAINT_TIME] = 0.0
+    load_covariance(mem, r, n_navigation, m, mem, p)
     if still:  # a smooth road at speed must not pass for a standstill
-        k = 2 if navigation == 5 else 3
-        variance = full[k, k] + full[k + 1, k + 1]
-        speed_squared = row[Nav.V_N] ** 2 + row[Nav.V_E] ** 2
-        still = speed_squared < STILL_SPEED**2 + 4.0 * variance and variance < STILL_SIGMA**2
-    h, gain, column = work[0], work[3], work[4]
-    first_velocity, dimensions = (2, 2) if navigation == 5 else (3, 3)
+        k = planar.State.V_N if mem[Head.MECHANIZATION] == PLANAR else strapdown.State.V_N
+        variance = mem[p + n * k + k] + mem[p + n * (k + 1) + k + 1]
+        squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
+        still = squared < STILL_SPEED**2 + 9.0 * variance
     if still:
-        for k in range(dimensions):
-            h[:] = 0.0
-            h[first_velocity + k] = 1.0
-            _correct(full, n, row, h, row[Nav.V_N + k], head[Head.ZERO_VELOCITY_SIGMA] ** 2, gain, column)
-        for k in range(1 if navigation == 5 else 3):
-            axis = 2 if navigation == 5 else k
-            h[:] = 0.0
-            h[navigation + (2 * p if navigation == 5 else (3 + k) * p)] = 1.0
-            # a sample at rest shows the gyroscope's error and its white noise
-            _correct(full, n, row, h, sample[Sample.W_X + axis], memory[HEAD_SIZE + 3 + axis] / dt, gain, column)
-    elif head[Head.NON_HOLONOMIC_SIGMA] > 0.0:
-        c = body_to_level(row, navigation)
-        v_n, v_e, v_d = row[Nav.V_N], row[Nav.V_E], row[Nav.V_D]
-        for axis in range(1, dimensions):
-            x, y, z = c[axis], c[3 + axis], c[6 + axis]
-            h[:] = 0.0
-            h[first_velocity], h[first_velocity + 1] = x, y
-            if navigation == 5:
-                h[4] = x * v_e - y * v_n
-            else:
-                h[5] = z
-                h[6], h[7], h[8] = y * v_d - z * v_e, z * v_n - x * v_d, x * v_e - y * v_n
-            sideways = x * v_n + y * v_e + z * v_d
-            if axis == 1 and head[Head.SIDESLIP] != 0.0:  # what the tyres let it slip in a bend
-                forward = c[0] * v_n + c[3] * v_e + c[6] * v_d
-                sideways -= head[Head.SIDESLIP] * sample[Sample.F_Y] * forward
-            _correct(full, n, row, h, sideways, head[Head.NON_HOLONOMIC_SIGMA] ** 2, gain, column)
-    store_covariance(full, navigation, m, row)
-    _feed_back(head, row, navigation)
+        _clear(mem, h, n)
+        dimensions = standstill.observe_velocity(mem, r, at, h, n)
+        update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0)
+        _note(mem, sample, at, Kind.ZERO_VELOCITY, dimensions)
+        _clear(mem, h, n)
+        dimensions = standstill.observe_rate(mem, r, at, h, n, sample, dt)
+        update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0)
+    elif mem[Head.LATERAL_SIGMA] > 0.0:
+        _clear(mem, h, n)
+        c = body_to_level(mem, r)
+        dimensions = non_holonomic.observe(mem, r, at, h, n, c, sample)
+        _constrain_motion(mem, r, at, n, h, dimensions)
+        _note(mem, sample, at, Kind.NON_HOLONOMIC, dimensions)
+    else:
+        return
+    store_covariance(mem, p, n_navigation, m, mem, r)
+    _feed_back(mem, r)
+    set_radii(mem, r)
+
+
+@njit(_nrt=False)
+def _constrain_motion(mem, r, at, n, h, dimensions):
+    """The components of the non-holonomic constraint one by one, each unless the vehicle does not keep to it."""
+    p = int(mem[Head.SCRATCH_AT])
+    for k in range(dimensions):
+        z, variance = mem[at + Event.Z_N + k], mem[at + (Event.R_NN if k == 0 else Event.R_EE)]
+        column = h + (3 + k) * n
+        innovation = z
+        for i in range(n):
+            innovation -= mem[h + n * k + i] * mem[r + NAV + i]
+        s = variance + _product(mem, p, n, h + n * k, h + n * k)
+        nis = innovation * innovation / s
+        mem[at + Event.Z_N + k] = innovation
+        mem[at + (Event.S_NN if k == 0 else Event.S_EE)] = s
+        running = Nav.LATERAL_NIS if k == 0 else Nav.VERTICAL_NIS
+        before = mem[r + running]
+        off = before < 0.0  # the sign tells that it is off
+        mean = abs(before) + (min(nis, 25.0) - abs(before)) / CONSTRAINT_MEMORY
+        off = mean > (CONSTRAINT_ON if off else CONSTRAINT_OFF)
+        mem[r + running] = -mean if off else mean
+        if off:
+            continue
+        if nis > CONSTRAINT_ROBUST**2:
+            variance += (nis / CONSTRAINT_ROBUST**2 - 1.0) * s
+        _scalar(mem, r, n, h + n * k, z, variance, column)
+
+
+@njit(_nrt=False)
+def _note(mem, sample, at, kind, dimensions):
+    """What a constraint said, beside the sample it was applied at."""
+    mem[sample + Sample.CONSTRAINT] = kind
+    for k in range(dimensions):
+        mem[sample + Sample.Z + k] = mem[at + Event.Z_N + k]
+    mem[sample + Sample.S] = mem[at + Event.S_NN]
+    mem[sample + Sample.S + 1] = mem[at + Event.S_EE]
+    mem[sample + Sample.S + 2] = mem[at + Event.S_DD]

@@ -2,169 +2,238 @@
 
 All of it lives in one flat array of floats (`FilterConfig.memory` lays it out): a head with sizes and settings, the
 noise of each state, a ring of the latest states (rows, see layout.py), a ring of the IMU samples between them, and the
-fixes of the same time. Because the ring remembers, a fix that comes late is applied at its own time: back to the state
-before it and forward again.
+measurements of the same time. Because the ring remembers, a measurement that comes late is applied at its own time:
+back to the state before it and forward again. A copy of the memory is a second filter (outages are branched off so).
+
+`run` is the one way in: live it is called with one event at a time, offline with a whole recording. It is the same
+compiled code, so both give the same bits.
 """
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-from .correction import CONSTRAINT_INTERVAL, apply_fix, constrain
-from .layout import FIX_SIZE, Fix, Head, Nav, Sample, fix_at, sample_at, state_at
+from ..navigation import planar, strapdown
+from ..navigation.earth import gravity
+from . import imu_faults
+from .correction import CONSTRAINT_INTERVAL, apply_event, constrain
+from .imu_faults import Fault
+from .layout import NAV, PLANAR, Event, Head, Nav, Sample, event_at, packed, sample_at, state_at
+from .measurements.geometry import body_to_level
 from .prediction import predict
+from .standstill import is_still
 
-#: what the answers of `take_fix` mean
-FIX_TAKEN, FIX_BEFORE_START, FIX_TOO_LATE = 0, 1, 2
-#: time constant of the running means that tell a standstill, s
-STILL_TIME = 0.5
-#: how long, s, these means must have stayed within so much of the specific force, m/s^2
-STEADY_TIME, STEADY_ACCELERATION = 1.0, 0.05
+#: what the answers to an event mean
+TAKEN, BEFORE_START, TOO_LATE = 0, 1, 2
+#: so long a sample that is not believed is replaced by what the vehicle did before it, s; after that by no motion
+HELD = 0.3
+#: the vehicle certainly moves above this speed plus two sigma, m/s
+MOVING_SPEED = 1.0
+#: what is added to the sigmas of velocity and attitude where a state was not finite and the one before it is taken
+RESTART_VELOCITY, RESTART_ATTITUDE = 1.0, 0.05  # m/s, rad
 
 
-@njit
+@njit(_nrt=False)
 def _advance(memory, k):
-    """State k from state k - 1 and sample k: the interval is split at each fix in it."""
-    src, dst, sample = state_at(memory, k - 1), state_at(memory, k), sample_at(memory, k)
+    """State k from state k - 1 and sample k: the interval is split at each measurement in it."""
+    first_row, dst, sample = state_at(memory, k - 1), state_at(memory, k), sample_at(memory, k)
+    src = first_row
     begin, end = memory[src + Nav.TIME], memory[sample + Sample.TIME]
-    count = int(memory[Head.FIXES])
+    count = int(memory[Head.EVENTS])
     first = count
-    while first > 0 and memory[fix_at(memory, first - 1) + Fix.TIME] > begin:
+    while first > 0 and memory[event_at(memory, first - 1) + Event.TIME] > begin:
         first -= 1
     width, spare = int(memory[Head.WIDTH]), int(memory[Head.RING_AT]) - int(memory[Head.WIDTH])
+    memory[sample + Sample.CONSTRAINT] = 0.0
     for i in range(first, count):
-        fix = fix_at(memory, i)
-        time = memory[fix + Fix.TIME]
+        event = event_at(memory, i)
+        time = memory[event + Event.TIME]
         if time > end:
             break
         if time > memory[src + Nav.TIME]:
             predict(memory, src, spare, sample, time - memory[src + Nav.TIME])
             memory[spare + Nav.TIME] = time
             src, spare = spare, 2 * int(memory[Head.RING_AT]) - 3 * width - spare  # the other of the last two rows
-        apply_fix(memory, src, fix)
+        apply_event(memory, src, event, sample)
     if end > memory[src + Nav.TIME]:
         predict(memory, src, dst, sample, end - memory[src + Nav.TIME])
     else:
         for i in range(width):
             memory[dst + i] = memory[src + i]
     memory[dst + Nav.TIME] = end
-    if memory[dst + Nav.CONSTRAINT_TIME] > CONSTRAINT_INTERVAL:
+    if memory[Head.CONSTRAINTS] != 0.0 and memory[dst + Nav.CONSTRAINT_TIME] > CONSTRAINT_INTERVAL:
         constrain(memory, dst, sample, end - begin)
+    if not _is_finite(memory, dst):
+        _restore(memory, first_row, dst, end)
 
 
-@njit
-def take_sample(memory, time, f_x, f_y, f_z, w_x, w_y, w_z):
-    """Predict to `time` (s since the epoch) with one IMU sample in sensor axes, applying the fixes before it."""
+@njit(_nrt=False)
+def _is_finite(memory, r):
+    """Whether navigation solution and variances of row r are numbers."""
+    total = 0.0
+    for i in range(Nav.MEMORY):
+        total += memory[r + i]
+    n_navigation = int(memory[Head.N_NAVIGATION])
+    a = r + NAV + n_navigation + int(memory[Head.N_AUGMENTED])
+    for i in range(n_navigation):
+        total += memory[r + NAV + i] + memory[a + packed(i, i, n_navigation)]
+    return math.isfinite(total)
+
+
+@njit(_nrt=False)
+def _restore(memory, good, r, time):
+    """Row r as the row `good` before it, at `time`, and less sure."""
+    for i in range(int(memory[Head.WIDTH])):
+        memory[r + i] = memory[good + i]
+    memory[r + Nav.TIME] = time
+    n_navigation = int(memory[Head.N_NAVIGATION])
+    a = r + NAV + n_navigation + int(memory[Head.N_AUGMENTED])
+    velocity, attitude = (2, 4) if n_navigation == planar.State.SIZE else (3, 6)
+    for i in range(velocity, attitude):
+        memory[a + packed(i, i, n_navigation)] += RESTART_VELOCITY**2
+    for i in range(attitude, n_navigation):
+        memory[a + packed(i, i, n_navigation)] += RESTART_ATTITUDE**2
+    memory[Head.RESTARTS] += 1.0
+
+
+@njit(_nrt=False)
+def _take_sample(memory, time, f_x, f_y, f_z, w_x, w_y, w_z):
+    """Predict to `time` (s since the epoch) with one IMU sample in sensor axes, applying what was measured before it."""
     k = int(memory[Head.SAMPLES]) + 1
     sample = sample_at(memory, k)
+    before = state_at(memory, k - 1)
+    dt = time - memory[sample_at(memory, k - 1) + Sample.TIME]
     memory[sample + Sample.TIME] = time
+    fault = imu_faults.check(memory, time, dt, _moves(memory, before), f_x, f_y, f_z, w_x, w_y, w_z)
+    memory[sample + Sample.FAULT] = fault
+    if fault == Fault.NONE:
+        _condition(memory, sample, f_x, f_y, f_z, w_x, w_y, w_z)
+    elif memory[before + Nav.BRIDGED] < HELD:
+        c = Head.CENTRE
+        _condition(memory, sample, memory[c], memory[c + 1], memory[c + 2], memory[c + 3], memory[c + 4], memory[c + 5])
+    else:
+        _coast(memory, sample, before)
+    memory[sample + Sample.STILL] = 0.0
+    if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
+        memory[sample + Sample.STILL] = is_still(memory, sample, dt)
+    _advance(memory, k)
+    memory[Head.SAMPLES] = k
+
+
+@njit(_nrt=False)
+def _condition(memory, sample, f_x, f_y, f_z, w_x, w_y, w_z):
+    """Sensor axes to body axes, with the corrections of the configuration."""
     for i in range(6):
         c = Head.CONDITIONING + 6 * i
         memory[sample + Sample.F_X + i] = (memory[c] * f_x + memory[c + 1] * f_y + memory[c + 2] * f_z
                                            + memory[c + 3] * w_x + memory[c + 4] * w_y + memory[c + 5] * w_z
                                            + memory[Head.OFFSET + i])
-    if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0:
-        memory[sample + Sample.STILL] = _is_still(memory, sample,
-                                                  time - memory[sample_at(memory, k - 1) + Sample.TIME])
-    _advance(memory, k)
-    memory[Head.SAMPLES] = k
 
 
-@njit
-def _is_still(memory, sample, dt):
-    """1 when specific force and angular rate scatter little, nothing turns, and their means have been steady for a
-    while: who starts or stops gently is quiet, but not that."""
-    weight = min(1.0, dt / STILL_TIME)
-    turn = 0.0
-    for half in range(2):
-        variance = 0.0
-        for i in range(3 * half, 3 * half + 3):
-            deviation = memory[sample + Sample.F_X + i] - memory[Head.STILL_MEAN + i]
-            memory[Head.STILL_MEAN + i] += weight * deviation
-            variance += deviation * deviation
-            if half == 1:
-                turn = max(turn, abs(memory[Head.STILL_MEAN + i]))
-        memory[Head.STILL_VARIANCE_F + half] += weight * (variance - memory[Head.STILL_VARIANCE_F + half])
-    steady = (memory[Head.STILL_VARIANCE_F] < 3.0 * memory[Head.STILL_ACCELERATION] ** 2
-              and memory[Head.STILL_VARIANCE_W] < 3.0 * memory[Head.STILL_RATE] ** 2
-              and turn < memory[Head.STILL_RATE])
+@njit(_nrt=False)
+def _coast(memory, sample, r):
+    """The sample of a vehicle that goes straight on at its speed, from the state at r."""
+    x, p = r + NAV + int(memory[Head.N_NAVIGATION]), int(memory[Head.ORDER])
+    c = body_to_level(memory, r)
+    g = gravity(memory[r + Nav.LATITUDE], memory[r + Nav.HEIGHT])
+    level = memory[Head.MECHANIZATION] == PLANAR
     for i in range(3):
-        if abs(memory[Head.STILL_MEAN + i] - memory[Head.STILL_REFERENCE + i]) > STEADY_ACCELERATION:
-            steady = False
-    time = memory[sample + Sample.TIME]
-    if not steady:
-        memory[Head.STILL_SINCE] = time
-        for i in range(3):
-            memory[Head.STILL_REFERENCE + i] = memory[Head.STILL_MEAN + i]
-    return 1.0 if time - memory[Head.STILL_SINCE] >= STEADY_TIME else 0.0
+        # gravity's reaction and the estimated errors, which the prediction takes out again
+        channel = (i if i < 2 else -1) if level else i
+        error = memory[x + channel * p] if channel >= 0 else 0.0
+        memory[sample + Sample.F_X + i] = error - g * c[6 + i]
+        channel = (2 if i == 2 else -1) if level else 3 + i
+        memory[sample + Sample.W_X + i] = memory[x + channel * p] if channel >= 0 else 0.0
 
 
-@njit
-def take_fix(memory, fix):
-    """Take in one fix, a vector as in `Fix`; FIX_TAKEN, or why not."""
+@njit(_nrt=False)
+def _moves(memory, r):
+    """Whether the vehicle certainly moves in the state at r."""
+    n_navigation = int(memory[Head.N_NAVIGATION])
+    v = planar.State.V_N if n_navigation == planar.State.SIZE else strapdown.State.V_N
+    a = r + NAV + n_navigation + int(memory[Head.N_AUGMENTED])
+    variance = memory[a + packed(v, v, n_navigation)] + memory[a + packed(v + 1, v + 1, n_navigation)]
+    speed = math.hypot(memory[r + Nav.V_N], memory[r + Nav.V_E])
+    return speed > MOVING_SPEED and (speed - MOVING_SPEED) ** 2 > 4.0 * variance
+
+
+@njit(_nrt=False)
+def _take_event(memory, events, i):
+    """Take in measurement i of `events`, rows as in `Event`; TAKEN, or why not."""
     capacity, newest = int(memory[Head.CAPACITY]), int(memory[Head.SAMPLES])
     oldest = max(0, newest - capacity + 1)
-    time, now = fix[Fix.TIME], memory[state_at(memory, newest) + Nav.TIME]
+    time, now = events[i, Event.TIME], memory[state_at(memory, newest) + Nav.TIME]
     if time <= memory[state_at(memory, oldest) + Nav.TIME]:
-        return FIX_BEFORE_START if oldest == 0 else FIX_TOO_LATE
+        return BEFORE_START if oldest == 0 else TOO_LATE
     if now - time > memory[Head.MAX_DELAY]:
-        return FIX_TOO_LATE
-    count = int(memory[Head.FIXES])
-    if count == int(memory[Head.FIX_CAPACITY]):  # forget the older half
+        return TOO_LATE
+    count = int(memory[Head.EVENTS])
+    if count == int(memory[Head.EVENT_CAPACITY]):  # forget the older half
         half = count // 2
-        for i in range(half, count):
-            _copy_fix(memory, fix_at(memory, i - half), memory, fix_at(memory, i))
+        for j in range(half, count):
+            _copy(memory, event_at(memory, j - half), event_at(memory, j))
         count -= half
     place = count
-    while place > 0 and memory[fix_at(memory, place - 1) + Fix.TIME] > time:
-        _copy_fix(memory, fix_at(memory, place), memory, fix_at(memory, place - 1))
+    while place > 0 and memory[event_at(memory, place - 1) + Event.TIME] > time:
+        _copy(memory, event_at(memory, place), event_at(memory, place - 1))
         place -= 1
-    _copy_fix(memory, fix_at(memory, place), fix, 0)
-    memory[Head.FIXES] = count + 1
+    at = event_at(memory, place)
+    for c in range(Event.SIZE):
+        memory[at + c] = events[i, c]
+    memory[Head.EVENTS] = count + 1
     if time <= now:  # late: back to the state before it and forward again
         k = newest
         while memory[state_at(memory, k) + Nav.TIME] >= time:
             k -= 1
-        for i in range(k + 1, newest + 1):
-            _advance(memory, i)
-    return FIX_TAKEN
+        for j in range(k + 1, newest + 1):
+            _advance(memory, j)
+    return TAKEN
 
 
-@njit
-def _copy_fix(to, at, source, begin):
-    for i in range(FIX_SIZE):
-        to[at + i] = source[begin + i]
+@njit(_nrt=False)
+def _copy(memory, to, source):
+    for i in range(Event.SIZE):
+        memory[to + i] = memory[source + i]
 
 
 @njit(nogil=True)
-def run(memory, time, specific_force, angular_rate, fixes, arrival, answers, columns, states):
-    """A whole recording through the same filter.
+def run(memory, samples, events, arrival, answers, columns, kept, states, log):
+    """IMU samples and measurements in the order of their arrival through the filter.
 
-    time (k,) s, specific_force and angular_rate (k, 3): samples in sensor axes. fixes (f, FIX_SIZE) in the order of
-    their arrival, on return with their innovations; arrival (f,): the number of samples that arrived before each;
-    answers (f,): as `take_fix` answers. states (k, len(columns)): those columns of each state as a live filter would
-    have published it.
+    samples (k, 7): time (s since the epoch), specific force and angular rate in sensor axes. events (e, Event.SIZE) in
+    the order of their arrival; arrival (e,): the number of `samples` that arrived before each; answers (e,): TAKEN, or
+    why not. kept (s,): indices of samples, ascending, after which the columns `columns` of the newest state, as a live
+    filter publishes it, go into states (s, len(columns)). log: rows by Event.ID into which measurements go back with
+    what came of them, before they are forgotten; empty: none.
     """
-    next_fix = 0
-    for k in range(len(time)):
-        while next_fix < len(fixes) and arrival[next_fix] <= k:
-            if memory[Head.FIXES] == memory[Head.FIX_CAPACITY]:
-                collect(memory, fixes)
-            fixes[next_fix, Fix.ID] = next_fix
-            answers[next_fix] = take_fix(memory, fixes[next_fix])
-            next_fix += 1
-        take_sample(memory, time[k], specific_force[k, 0], specific_force[k, 1], specific_force[k, 2],
-                    angular_rate[k, 0], angular_rate[k, 1], angular_rate[k, 2])
-        newest = np.uint64(state_at(memory, int(memory[Head.SAMPLES])))
-        for i in range(len(columns)):
-            states[k, i] = memory[newest + columns[i]]
-    collect(memory, fixes)
+    next_event, next_row = 0, 0
+    for k in range(len(samples) + 1):
+        while next_event < len(events) and arrival[next_event] <= k:
+            if memory[Head.EVENTS] == memory[Head.EVENT_CAPACITY] and len(log):
+                collect(memory, log)
+            answers[next_event] = _take_event(memory, events, next_event)
+            next_event += 1
+        if k == len(samples):
+            break
+        _take_sample(memory, samples[k, 0], samples[k, 1], samples[k, 2], samples[k, 3], samples[k, 4], samples[k, 5],
+                     samples[k, 6])
+        if next_row < len(kept) and kept[next_row] == k:
+            newest = np.uint64(state_at(memory, int(memory[Head.SAMPLES])))
+            for c in range(len(columns)):
+                states[next_row, c] = memory[newest + columns[c]]
+            next_row += 1
+    if len(log) and len(samples):
+        collect(memory, log)
 
 
-@njit
-def collect(memory, fixes):
-    """Innovations of the fixes remembered, back to where each came from."""
-    for i in range(int(memory[Head.FIXES])):
-        at = fix_at(memory, i)
-        _copy_fix(fixes[int(memory[at + Fix.ID])], 0, memory, at)
+@njit(_nrt=False)
+def collect(memory, log):
+    """What came of the measurements remembered, to the rows of `log` that their IDs name."""
+    for i in range(int(memory[Head.EVENTS])):
+        at = event_at(memory, i)
+        row = int(memory[at + Event.ID])
+        for c in range(Event.SIZE):
+            log[row, c] = memory[at + c]

@@ -2,18 +2,24 @@
 
 One row of floats is one state of the filter: navigation solution, estimated errors x, covariance P.
 
-    nav (NAV) | x (n) | P: navigation block, packed upper triangle | cross block (m, N) | sensor block (m, m)
+    nav (NAV) | x (n) | P: navigation block, packed upper triangle | cross block (m, N) | augmented block (m, m)
 
-N navigation error states (5 planar, 9 strapdown) are followed by m states: the sensor error models, one block per
-channel, then the receiver's coloured noise (north, east) where modelled. n = N + m.
+The N navigation error states (5 planar, 9 strapdown) are followed by m augmented states: the sensor error models, one
+block of p states for each channel, then the optional states that the configuration asks for. n = N + m.
+`StateLayout` knows which index each state has by its name.
+
+Columns are named tuples and not enumerations: compiled code takes their members as constants in every numba.
 """
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from mems_ins_fusion.compiled import njit
+
+from ..navigation import planar, strapdown
 
 
 class _Nav(NamedTuple):
@@ -37,18 +43,81 @@ class _Nav(NamedTuple):
     ACCELEROMETER_PHASE: int = 14  # s since the autoregressive model's last step
     GYROSCOPE_PHASE: int = 15
     CONSTRAINT_TIME: int = 16  # s since the last vehicle constraint
-    SIZE: int = 17
+    # what the filter has seen of its inputs stands in the row, too: who goes back for a late fix takes it back
+    MEMORY: int = 17  # the first of these columns, which a prediction only copies
+    FIX_TIME: int = 17  # of the last fix, used or refused
+    FIX_LATITUDE: int = 18
+    FIX_LONGITUDE: int = 19
+    RESIDUAL_TIME: int = 20  # of the last fix used, and what it left: updated minus measured position, m
+    RESIDUAL_N: int = 21
+    RESIDUAL_E: int = 22
+    GNSS_RATIO: int = 23  # realised over claimed variance of the fixes
+    GNSS_SEEN: int = 24  # how many pairs of fixes went into that
+    REFUSED: int = 25  # fixes refused one after the other, and sums over them for the line their innovations lie on
+    REFUSED_SINCE: int = 26
+    SUM_T: int = 27
+    SUM_TT: int = 28
+    SUM_N: int = 29
+    SUM_TN: int = 30
+    SUM_E: int = 31
+    SUM_TE: int = 32
+    SUM_SQUARE: int = 33
+    FROZEN: int = 34  # fixes at the very same place one after the other
+    LATERAL_NIS: int = 35  # running mean of what the constraints say against the state
+    VERTICAL_NIS: int = 36
+    BRIDGED: int = 37  # s, within the last minute or so, without a believable IMU sample
+    SIZE: int = 38
 
 
 Nav = _Nav()
-
-
 NAV = Nav.SIZE
 PLANAR, STRAPDOWN = 0, 1
-NAVIGATION_STATES = {PLANAR: 5, STRAPDOWN: 9}
-CHANNELS = {PLANAR: ('f_x', 'f_y', 'w_z'), STRAPDOWN: ('f_x', 'f_y', 'f_z', 'w_x', 'w_y', 'w_z')}
-STATE_NAMES = {PLANAR: ('r_n', 'r_e', 'v_n', 'v_e', 'yaw'),
-               STRAPDOWN: ('r_n', 'r_e', 'r_d', 'v_n', 'v_e', 'v_d', 'phi_n', 'phi_e', 'phi_d')}
+MECHANIZATIONS = {PLANAR: planar, STRAPDOWN: strapdown}
+
+
+@dataclass(frozen=True)
+class StateLayout:
+    """Which state stands where. mechanization: PLANAR or STRAPDOWN. order: states of each sensor channel, p. extras:
+    names of the optional states, in order."""
+
+    mechanization: int
+    order: int
+    extras: tuple[str, ...] = ()
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the sensor channels the mechanization uses."""
+        return MECHANIZATIONS[self.mechanization].CHANNELS
+
+    @property
+    def n_navigation(self) -> int:
+        """Number of navigation error states, N."""
+        return len(MECHANIZATIONS[self.mechanization].STATES)
+
+    @property
+    def n_sensor(self) -> int:
+        """Number of states of the sensor error models."""
+        return len(self.channels) * self.order
+
+    @property
+    def n_augmented(self) -> int:
+        """Number of states behind the navigation errors, m."""
+        return self.n_sensor + len(self.extras)
+
+    @property
+    def n(self) -> int:
+        return self.n_navigation + self.n_augmented
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All states by name, in order: f_x.1, f_x.2 ... where a channel has several."""
+        blocks = [channel if self.order == 1 else f'{channel}.{k + 1}' for channel in self.channels
+                  for k in range(self.order)]
+        return (*MECHANIZATIONS[self.mechanization].STATES, *blocks, *self.extras)
+
+    def index(self, name: str) -> int:
+        """Index of the state `name`, -1 where this filter has none of that name."""
+        return self.names.index(name) if name in self.names else -1
 
 
 @njit
@@ -57,113 +126,150 @@ def packed(i, j, size):
     return i * size - i * (i - 1) // 2 + j - i
 
 
-def row_width(navigation: int, others: int) -> int:
-    """Floats in one row with `navigation` (N) and `others` (m) states."""
-    return (NAV + navigation + others + navigation * (navigation + 1) // 2 + others * (navigation + others))
+def row_width(layout: StateLayout) -> int:
+    """Floats in one row."""
+    n, m = layout.n_navigation, layout.n_augmented
+    return NAV + n + m + n * (n + 1) // 2 + m * (n + m)
 
 
-@njit
-def load_covariance(row, navigation, others, full):
-    """The covariance in `row` (width,) as a full symmetric matrix, written into `full` (n, n)."""
-    at = NAV + navigation + others
-    for i in range(navigation):
-        for j in range(i, navigation):
-            full[i, j] = full[j, i] = row[at]
-            at += 1
-    for j in range(navigation, navigation + others):
-        for i in range(navigation):
-            full[i, j] = full[j, i] = row[at]
-            at += 1
-    for i in range(navigation, navigation + others):
-        for j in range(navigation, navigation + others):
-            full[i, j] = row[at]
-            at += 1
+@njit(_nrt=False)
+def load_covariance(row, r, n_navigation, n_augmented, full, at):
+    """The covariance of the state at `r` in the array `row`, as a full symmetric matrix (n, n) from full[at] on."""
+    n = n_navigation + n_augmented
+    k = r + NAV + n
+    for i in range(n_navigation):
+        for j in range(i, n_navigation):
+            full[at + n * i + j] = full[at + n * j + i] = row[k]
+            k += 1
+    for j in range(n_navigation, n):
+        for i in range(n_navigation):
+            full[at + n * i + j] = full[at + n * j + i] = row[k]
+            k += 1
+    for i in range(n_navigation, n):
+        for j in range(n_navigation, n):
+            full[at + n * i + j] = row[k]
+            k += 1
 
 
-@njit
-def store_covariance(full, navigation, others, row):
+@njit(_nrt=False)
+def store_covariance(full, at, n_navigation, n_augmented, row, r):
     """Inverse of `load_covariance`."""
-    at = NAV + navigation + others
-    for i in range(navigation):
-        for j in range(i, navigation):
-            row[at] = full[i, j]
-            at += 1
-    for j in range(navigation, navigation + others):
-        for i in range(navigation):
-            row[at] = full[i, j]
-            at += 1
-    for i in range(navigation, navigation + others):
-        for j in range(navigation, navigation + others):
-            row[at] = full[i, j]
-            at += 1
+    n = n_navigation + n_augmented
+    k = r + NAV + n
+    for i in range(n_navigation):
+        for j in range(i, n_navigation):
+            row[k] = full[at + n * i + j]
+            k += 1
+    for j in range(n_navigation, n):
+        for i in range(n_navigation):
+            row[k] = full[at + n * i + j]
+            k += 1
+    for i in range(n_navigation, n):
+        for j in range(n_navigation, n):
+            row[k] = full[at + n * i + j]
+            k += 1
 
 
-def covariance_index(i: int, j: int, navigation: int, others: int) -> int:
+def covariance_index(i: int, j: int, layout: StateLayout) -> int:
     """Column of a row in which element (i, j) of the covariance stands."""
     i, j = min(i, j), max(i, j)
-    at = NAV + navigation + others
-    triangle = navigation * (navigation + 1) // 2
-    if j < navigation:
-        return at + packed(i, j, navigation)
-    if i < navigation:
-        return at + triangle + (j - navigation) * navigation + i
-    return at + triangle + others * navigation + (i - navigation) * others + j - navigation
+    n, m = layout.n_navigation, layout.n_augmented
+    at = NAV + n + m
+    triangle = n * (n + 1) // 2
+    if j < n:
+        return at + packed(i, j, n)
+    if i < n:
+        return at + triangle + (j - n) * n + i
+    return at + triangle + m * n + (i - n) * m + j - n
 
 
-def covariance(row: np.ndarray, navigation: int, others: int) -> np.ndarray:
+def covariance(row: np.ndarray, layout: StateLayout) -> np.ndarray:
     """The covariance (n, n) in `row`."""
-    full = np.empty((navigation + others, navigation + others))
-    load_covariance(row, navigation, others, full)
-    return full
+    full = np.empty(layout.n**2)
+    load_covariance(row, 0, layout.n_navigation, layout.n_augmented, full, 0)
+    return full.reshape(layout.n, layout.n)
+
+
+def set_covariance(row: np.ndarray, layout: StateLayout, full: np.ndarray) -> None:
+    """Write the covariance (n, n) into `row`."""
+    store_covariance(np.ascontiguousarray(full).ravel(), 0, layout.n_navigation, layout.n_augmented, row, 0)
 
 
 class _Head(NamedTuple):
-    """Sizes and settings at the start of the filter's memory."""
+    """Sizes, settings and what runs on from sample to sample, at the start of the filter's memory."""
 
     MECHANIZATION: int = 0
     OPEN_LOOP: int = 1
-    NAVIGATION: int = 2  # N
-    OTHERS: int = 3  # m
+    N_NAVIGATION: int = 2  # N
+    N_AUGMENTED: int = 3  # m
     ORDER: int = 4  # states per sensor channel, p
     CHANNELS: int = 5
     WIDTH: int = 6  # floats in a row
     CAPACITY: int = 7  # rows in the ring
-    FIX_CAPACITY: int = 8
+    EVENT_CAPACITY: int = 8
     SAMPLES: int = 9  # IMU samples taken in so far: the newest state is that of row SAMPLES modulo CAPACITY
-    FIXES: int = 10  # fixes remembered
-    COLOURED: int = 11  # first of the two states of coloured GNSS noise; -1: none
-    ACCELEROMETER_INTERVAL: int = 12  # s, of the autoregressive model; 0: another model
-    GYROSCOPE_INTERVAL: int = 13
-    MAX_GAP: int = 14
-    MAX_DELAY: int = 15
-    ROBUST_SIGMA: int = 16
-    LEVER_X: int = 17  # lever arm, body axes forward-right-down, m
-    LEVER_Y: int = 18
-    LEVER_Z: int = 19
-    ZERO_VELOCITY_SIGMA: int = 20  # 0: not used
-    NON_HOLONOMIC_SIGMA: int = 21
-    STILL_ACCELERATION: int = 22  # scatter below which the sensors are at rest, m/s^2
-    STILL_RATE: int = 23  # rad/s
-    STILL_VARIANCE_F: int = 24  # running variance of specific force and angular rate, sum over the axes
-    STILL_VARIANCE_W: int = 25
-    STILL_MEAN: int = 26  # their running means, six
-    ROWS_AT: int = 32  # where the parts of the memory begin: states,
-    RING_AT: int = 33  # samples,
-    FIXES_AT: int = 34  # fixes,
-    SCRATCH_AT: int = 35  # and room to work
-    CONDITIONING: int = 36  # 6 x 6: body-axis sample = matrix (raw sample) + offset
-    OFFSET: int = 72  # six
-    SIDESLIP: int = 78  # rad per m/s^2 of lateral acceleration
-    STILL_REFERENCE: int = 79  # the running means of specific force when they became steady, three
-    STILL_SINCE: int = 82  # and when that was
-    SIZE: int = 83
+    EVENTS: int = 10  # measurements remembered
+    ROWS_AT: int = 11  # where the parts of the memory begin: states,
+    RING_AT: int = 12  # samples,
+    EVENTS_AT: int = 13  # measurements,
+    SCRATCH_AT: int = 14  # and room to work
+    # indices of the optional states among all n; -1: none
+    COLOURED: int = 15  # north, and east behind it
+    MOUNTING_PITCH: int = 16
+    MOUNTING_YAW: int = 17
+    AXLE: int = 18
+    SPEED_SCALE: int = 19
+    ACCELEROMETER_INTERVAL: int = 20  # s, of the autoregressive model; 0: another model
+    GYROSCOPE_INTERVAL: int = 21
+    MAX_GAP: int = 22
+    MAX_DELAY: int = 23
+    LEVER_X: int = 24  # of the antenna, body axes forward-right-down, m
+    LEVER_Y: int = 25
+    LEVER_Z: int = 26
+    AXLE_X: int = 27  # from the IMU to the point that does not slip, body axes, m
+    AXLE_Y: int = 28
+    AXLE_Z: int = 29
+    ROBUST_SIGMA: int = 30
+    GATE: int = 31  # normalized innovation above which a fix is refused; 0: none
+    RECOVERY_TIME: int = 32  # s
+    ADAPT: int = 33  # whether the realised sigma of the fixes is used
+    CONSTRAINTS: int = 34  # whether there is any vehicle knowledge to apply
+    ZERO_VELOCITY_SIGMA: int = 35  # 0: not used
+    LATERAL_SIGMA: int = 36  # 0: not used
+    VERTICAL_SIGMA: int = 37
+    SIDESLIP: int = 38  # rad per m/s^2 of lateral acceleration
+    SLIP_SIGMA: int = 39  # sigma of that, rad per m/s^2
+    ANGLE_SIGMA: int = 40  # rad: sigma of the direction of motion in the vehicle
+    MAX_FORCE: int = 41  # m/s^2
+    MAX_RATE: int = 42  # rad/s
+    CONDITIONING: int = 43  # 6 x 6: body-axis sample = matrix (raw sample) + offset
+    OFFSET: int = 79  # six
+    STILL_ACCELERATION: int = 85  # scatter below which the sensors are at rest, m/s^2
+    STILL_RATE: int = 86  # rad/s
+    STILL_VARIANCE_F: int = 87  # running variance of specific force and angular rate, sum over the axes
+    STILL_VARIANCE_W: int = 88
+    STILL_MEAN: int = 89  # their running means, six
+    STILL_REFERENCE: int = 95  # the running means of specific force when they became steady, three
+    STILL_SINCE: int = 98  # and when that was
+    # what the checks of the IMU remember, see imu_faults.py
+    RAW: int = 99  # the last six numbers as they came
+    SAME: int = 105  # how often each came again one after the other, six
+    CENTRE: int = 111  # running mean of what was believed, six
+    SPREAD: int = 117  # and its running variance, of f and of w
+    VARIED: int = 119  # whether the sensor has ever given another value
+    SPIKE_SINCE: int = 120
+    BELIEVED: int = 121  # samples believed so far
+    FAULTS: int = 122  # samples not believed, by reason: as many as `Fault` has
+    RESTARTS: int = 130  # states that were not finite and were taken back
+    RECOVERIES: int = 131  # resets to fixes that had been refused
+    SIZE: int = 132
 
 
 Head = _Head()
 
 
 class _Sample(NamedTuple):
-    """One IMU sample as the kernel takes it: body axes forward-right-down, at rest or not."""
+    """One IMU sample as the kernel takes it, body axes forward-right-down, and what the constraints said at it."""
 
     TIME: int = 0
     F_X: int = 1
@@ -173,71 +279,112 @@ class _Sample(NamedTuple):
     W_Y: int = 5
     W_Z: int = 6
     STILL: int = 7  # 1 at rest
-    SIZE: int = 8
+    FAULT: int = 8  # why it was not believed (see imu_faults.py); 0: it was
+    CONSTRAINT: int = 9  # kind of the constraint that was applied; 0: none
+    Z: int = 10  # its innovation, three
+    S: int = 13  # and the variances of that, three
+    SIZE: int = 16
 
 
 Sample = _Sample()
 
 
-class _Fix(NamedTuple):
-    """One fix as the kernel takes it, and what came of it."""
+class _Kind(NamedTuple):
+    """What a measurement is of: a file of `measurements` each."""
+
+    POSITION: int = 1
+    SPEED: int = 2
+    VELOCITY: int = 3
+    HEADING: int = 4
+    ZERO_VELOCITY: int = 5
+    ZERO_RATE: int = 6
+    NON_HOLONOMIC: int = 7
+
+
+Kind = _Kind()
+
+
+class _Event(NamedTuple):
+    """One measurement as the kernel takes it, and what came of it.
+
+    Up to three components: the first two may be correlated, the third stands alone.
+    """
 
     TIME: int = 0  # at which it describes the vehicle
-    LATITUDE: int = 1
-    LONGITUDE: int = 2
-    HEIGHT: int = 3
-    R_NN: int = 4
-    R_NE: int = 5
-    R_EE: int = 6
-    R_DD: int = 7
-    ID: int = 8  # counts the fixes given to the kernel
-    Z_N: int = 9  # innovation, predicted minus measured antenna position, m
-    Z_E: int = 10
-    Z_D: int = 11
-    S_NN: int = 12  # its covariance
-    S_NE: int = 13
-    S_EE: int = 14
-    S_DD: int = 15
-    NIS: int = 16
-    APPLIED: int = 17  # 1 when the filter has used it
-    YAW: int = 18  # of the prediction, to see innovations along and across track
-    V_N: int = 19
-    V_E: int = 20
-    SIZE: int = 21
+    KIND: int = 1
+    VALUE: int = 2  # three
+    LATITUDE: int = 2  # of a position
+    LONGITUDE: int = 3
+    HEIGHT: int = 4
+    R_NN: int = 5  # variances of the components, the covariance of the first two in between
+    R_NE: int = 6
+    R_EE: int = 7
+    R_DD: int = 8
+    ID: int = 9  # counts the measurements given to the kernel
+    Z_N: int = 10  # innovation, predicted minus measured
+    Z_E: int = 11
+    Z_D: int = 12
+    S_NN: int = 13  # its covariance
+    S_NE: int = 14
+    S_EE: int = 15
+    S_DD: int = 16
+    NIS: int = 17  # of the first two components
+    VERDICT: int = 18  # what the filter did with it, one of `Verdict`
+    WEIGHT: int = 19  # 1: as it claims; less: its covariance was raised
+    YAW: int = 20  # of the prediction, to see innovations along and across track
+    V_N: int = 21
+    V_E: int = 22
+    SIZE: int = 23
 
 
-Fix = _Fix()
+Event = _Event()
 
 
-FIX_SIZE, SAMPLE_SIZE, HEAD_SIZE = Fix.SIZE, Sample.SIZE, Head.SIZE
+class _Verdict(NamedTuple):
+    """What became of a measurement."""
+
+    PENDING: int = 0
+    USED: int = 1
+    WEIGHTED: int = 2  # used with a larger covariance: it does not fit well
+    REFUSED: int = 3  # its innovation is beyond the gate
+    FROZEN: int = 4  # the receiver repeats a position while the vehicle moves
+    RECOVERED: int = 5  # used for a new start: it agrees with those refused before it
 
 
-def noise_size(m: int, p: int, channels: int) -> int:
+Verdict = _Verdict()
+
+
+def noise_size(layout: StateLayout) -> int:
     """Floats of the noise section: white (6) | 1/tau, walk, variance (m each) | AR coefficients | b0 squared."""
-    return 6 + 3 * m + channels * (p + 1)
+    return 6 + 3 * layout.n_augmented + len(layout.channels) * (layout.order + 1)
+
+
+def scratch_size(n: int) -> int:
+    """Floats the kernel needs to work: P (n, n), six vectors, and one record."""
+    return n * n + 6 * n + Event.SIZE
 
 
 def views(memory: np.ndarray):
-    """The parts of the memory as arrays: head, noise, states (capacity + 2, width), samples, fixes."""
-    head = memory[:HEAD_SIZE]
-    rows, ring, fixes, scratch = (int(head[i]) for i in (Head.ROWS_AT, Head.RING_AT, Head.FIXES_AT, Head.SCRATCH_AT))
-    return (head, memory[HEAD_SIZE:rows], memory[rows:ring].reshape(-1, int(head[Head.WIDTH])),
-            memory[ring:fixes].reshape(-1, SAMPLE_SIZE), memory[fixes:scratch].reshape(-1, FIX_SIZE))
+    """The parts of the memory as arrays: head, noise, states (capacity + 2, width), samples, events."""
+    head = memory[:Head.SIZE]
+    rows, ring, events, scratch = (int(head[i]) for i in (Head.ROWS_AT, Head.RING_AT, Head.EVENTS_AT, Head.SCRATCH_AT))
+    return (head, memory[Head.SIZE:rows], memory[rows:ring].reshape(-1, int(head[Head.WIDTH])),
+            memory[ring:events].reshape(-1, Sample.SIZE), memory[events:scratch].reshape(-1, Event.SIZE))
 
 
-@njit
+@njit(_nrt=False)
 def state_at(memory, k):
     """Position of the state after sample k."""
     return int(memory[Head.ROWS_AT]) + (k & (int(memory[Head.CAPACITY]) - 1)) * int(memory[Head.WIDTH])
 
 
-@njit
+@njit(_nrt=False)
 def sample_at(memory, k):
     """Position of sample k."""
-    return int(memory[Head.RING_AT]) + (k & (int(memory[Head.CAPACITY]) - 1)) * SAMPLE_SIZE
+    return int(memory[Head.RING_AT]) + (k & (int(memory[Head.CAPACITY]) - 1)) * Sample.SIZE
 
 
-@njit
-def fix_at(memory, i):
-    """Position of fix i of those remembered, by time."""
-    return int(memory[Head.FIXES_AT]) + i * FIX_SIZE
+@njit(_nrt=False)
+def event_at(memory, i):
+    """Position of measurement i of those remembered, by time."""
+    return int(memory[Head.EVENTS_AT]) + i * Event.SIZE

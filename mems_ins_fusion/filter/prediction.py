@@ -15,32 +15,45 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
 from ..navigation.earth import gravity, radii
-from .layout import HEAD_SIZE, NAV, PLANAR, Head, Nav, Sample, packed
+from .layout import NAV, PLANAR, Head, Nav, Sample, packed
 
 #: what a land vehicle may do unseen while the IMU is silent (one sigma): the covariance of a bridged gap
 GAP_ACCELERATION = 1.5  # m/s^2
 GAP_TURN_RATE = 0.3  # rad/s
+LONGEST_BRIDGE = 2.0  # s: after that they are others
 #: the radii are computed anew after this much latitude, rad (13 m): the scale is then good to 2e-6
 RADII_STEP = 2e-6
 
 
-@njit
+@njit(_nrt=False, fastmath={'contract'})
 def predict(mem, src, dst, sample, dt):
     """State dst = state src, predicted over dt with one IMU sample; its TIME is left to the caller, who knows it."""
     if src < 0 or dst < 0 or sample < 0:  # never: but it tells the compiler that no index counts from the end
         return
-    m, p = int(mem[Head.OTHERS]), int(mem[Head.ORDER])
+    m, p = int(mem[Head.N_AUGMENTED]), int(mem[Head.ORDER])
+    # with sizes known when compiling, the usual filters are several times as fast
     if mem[Head.MECHANIZATION] != PLANAR:
-        _step_strapdown(mem, src, dst, sample, dt, m, p)
-    elif m == 3:  # with sizes known when compiling, the paper's 8-state filter is several times as fast
+        if m == 6 and p == 1:
+            _step_strapdown(mem, src, dst, sample, dt, 6, 1)
+        elif m == 9 and p == 1:
+            _step_strapdown(mem, src, dst, sample, dt, 9, 1)
+        else:
+            _step_strapdown(mem, src, dst, sample, dt, m, p)
+    elif m == 3:
         _step_planar(mem, src, dst, sample, dt, 3, 1)
-    elif m == 6 and p == 2:  # and its AR(2) filter
+    elif m == 6 and p == 2:
         _step_planar(mem, src, dst, sample, dt, 6, 2)
     else:
         _step_planar(mem, src, dst, sample, dt, m, p)
+    for k in range(Nav.MEMORY, NAV):
+        mem[dst + k] = mem[src + k]
+    if dt > mem[Head.MAX_GAP] or mem[sample + Sample.FAULT] != 0.0:
+        _bridge(mem, dst, dt, m)
+    else:
+        mem[dst + Nav.BRIDGED] = 0.0
 
 
-@njit
+@njit(_nrt=False)
 def set_radii(mem, r):
     """Latitude and longitude per metre at the position of row r."""
     north, east = radii(mem[r + Nav.LATITUDE])
@@ -50,7 +63,7 @@ def set_radii(mem, r):
     mem[r + Nav.EAST_SCALE] = 1.0 / ((east + height) * math.cos(mem[r + Nav.LATITUDE]))
 
 
-@njit
+@njit(_nrt=False)
 def _move(mem, src, dst, north, east):
     """Position of row dst: that of src moved by a displacement in m."""
     mem[dst + Nav.LATITUDE] = mem[src + Nav.LATITUDE] + north * mem[src + Nav.NORTH_SCALE]
@@ -117,7 +130,7 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
 
     # (Phi P) Phi^T, row by row; the sensors' white noise enters like an error that lasts one interval
     h = 0.5 * dt
-    nx, ny, nw = mem[HEAD_SIZE + 0], mem[HEAD_SIZE + 1], mem[HEAD_SIZE + 5]
+    nx, ny, nw = mem[Head.SIZE + 0], mem[Head.SIZE + 1], mem[Head.SIZE + 5]
     a00, a01, a02, a03, a04 = planar.error_step(
         dt, f_n, f_e, c, s, g00, g01, g02, g03, g04, x0 + nx * h * c, y0 - ny * h * s, w0 - nw * h * h * f_e)
     _, a11, a12, a13, a14 = planar.error_step(
@@ -127,9 +140,6 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
     _, _, _, a33, a34 = planar.error_step(
         dt, f_n, f_e, c, s, g30, g31, g32, g33, g34, x3 + nx * s, y3 + ny * c, w3 + nw * h * f_n)
     _, _, _, _, a44 = planar.error_step(dt, f_n, f_e, c, s, g40, g41, g42, g43, g44, x4, y4, w4 + nw)
-    if dt > mem[Head.MAX_GAP]:
-        position, velocity, turn = _gap_variance(dt)
-        a00, a11, a22, a33, a44 = a00 + position, a11 + position, a22 + velocity, a33 + velocity, a44 + turn
     mem[dst + a], mem[dst + a + 1], mem[dst + a + 2], mem[dst + a + 3], mem[dst + a + 4] = a00, a01, a02, a03, a04
     mem[dst + a + 5], mem[dst + a + 6], mem[dst + a + 7], mem[dst + a + 8] = a11, a12, a13, a14
     mem[dst + a + 9], mem[dst + a + 10], mem[dst + a + 11] = a22, a23, a24
@@ -144,7 +154,7 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
             r0, r1, r2, r3, r4 = w0, w1, w2, w3, w4
         else:
             r0, r1, r2, r3, r4 = _cross_column(mem, src, dt, f_n, f_e, c, s, j, m, p)
-        decay = _decay(dt * mem[HEAD_SIZE + 6 + j])
+        decay = _decay(dt * mem[Head.SIZE + 6 + j])
         mem[k], mem[k + 1], mem[k + 2] = decay * r0, decay * r1, decay * r2
         mem[k + 3], mem[k + 4] = decay * r3, decay * r4
     _sensor_states(mem, src, dst, dt, 5, m, p)
@@ -160,11 +170,30 @@ def _cross_column(mem, src, dt, f_n, f_e, c, s, j, m, p):
                              mem[e], mem[e + m * p], mem[e + 2 * m * p])
 
 
-@njit
-def _gap_variance(dt):
-    """Variance of position, velocity and heading that a gap of dt adds."""
-    velocity = (GAP_ACCELERATION * dt) ** 2
-    return 0.25 * velocity * dt * dt, velocity, (GAP_TURN_RATE * dt) ** 2
+@njit(_nrt=False)
+def _bridge(mem, r, dt, m):
+    """Add to the covariance of row r what a vehicle may have done unseen for dt, while no sample could be believed.
+
+    An acceleration and a turn rate that last: what they add in dt depends on how long it has been so.
+    """
+    before = mem[r + Nav.BRIDGED]
+    after = before + dt
+    mem[r + Nav.BRIDGED] = min(after, LONGEST_BRIDGE)
+    squares = after**2 - before**2
+    velocity, turn = GAP_ACCELERATION**2 * squares, GAP_TURN_RATE**2 * squares
+    position = 0.25 * GAP_ACCELERATION**2 * (after**4 - before**4)
+    if mem[Head.MECHANIZATION] == PLANAR:
+        a = r + NAV + 5 + m
+        for i in range(2):
+            mem[a + packed(i, i, 5)] += position
+            mem[a + packed(2 + i, 2 + i, 5)] += velocity
+        mem[a + packed(4, 4, 5)] += turn
+        return
+    a = r + NAV + 9 + m
+    for i in range(3):
+        mem[a + packed(i, i, 9)] += position
+        mem[a + packed(3 + i, 3 + i, 9)] += velocity
+        mem[a + packed(6 + i, 6 + i, 9)] += turn if i == 2 else 0.1 * turn
 
 
 @njit
@@ -182,7 +211,7 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
     b = x + m + size * (size + 1) // 2
     e = b + size * m
     for j in range(m):
-        decay = _decay(dt * mem[HEAD_SIZE + 6 + j])
+        decay = _decay(dt * mem[Head.SIZE + 6 + j])
         mem[dst + x + j] = decay * mem[src + x + j]
         # sensor block: row j is scaled now, column j when each row below it has been
         for i in range(j):
@@ -192,8 +221,8 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
         for i in range(j + 1, m):
             mem[dst + e + m * j + i] = decay * mem[src + e + m * j + i]
         squared = decay * decay
-        mem[dst + e + (m + 1) * j] = (squared * mem[src + e + (m + 1) * j] + mem[HEAD_SIZE + 6 + m + j] * dt
-                                      + mem[HEAD_SIZE + 6 + 2 * m + j] * (1.0 - squared))
+        mem[dst + e + (m + 1) * j] = (squared * mem[src + e + (m + 1) * j] + mem[Head.SIZE + 6 + m + j] * dt
+                                      + mem[Head.SIZE + 6 + 2 * m + j] * (1.0 - squared))
     if mem[Head.ACCELEROMETER_INTERVAL] > 0.0:
         _autoregressive(mem, src, dst, dt, size, m, p)
     mem[dst + Nav.CONSTRAINT_TIME] = mem[src + Nav.CONSTRAINT_TIME] + dt
@@ -227,7 +256,7 @@ def _step_channel(mem, dst, size, m, p, channel, channels):
         _companion(mem, dst + e + m * start + j, m, p, a)
     for i in range(m):
         _companion(mem, dst + e + m * i + start, 1, p, a)
-    mem[dst + e + (m + 1) * start] += mem[HEAD_SIZE + 6 + 3 * m + channels * p + channel]
+    mem[dst + e + (m + 1) * start] += mem[Head.SIZE + 6 + 3 * m + channels * p + channel]
 
 
 @njit(inline='always')
@@ -235,13 +264,13 @@ def _companion(mem, at, stride, p, a):
     """y = -a_1 v_1 - ... - a_p v_p in front, the rest moves back: p elements of a row, `stride` apart."""
     y = 0.0
     for k in range(p - 1, -1, -1):
-        y -= mem[HEAD_SIZE + a + k] * mem[at + k * stride]
+        y -= mem[Head.SIZE + a + k] * mem[at + k * stride]
         if k > 0:
             mem[at + k * stride] = mem[at + (k - 1) * stride]
     mem[at] = y
 
 
-@njit
+@njit(inline='always')
 def _step_strapdown(mem, src, dst, sample, dt, m, p):
     """One interval of the strapdown mechanization."""
     x = NAV + 9
@@ -260,6 +289,7 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
     attitude, c, f_level, moved, velocity = strapdown.mechanize(
         (mem[src + Nav.Q_W], mem[src + Nav.Q_X], mem[src + Nav.Q_Y], mem[src + Nav.Q_Z]), mem[src + Nav.V_N],
         mem[src + Nav.V_E], mem[src + Nav.V_D], f, w, dt, gravity(latitude, height), rates)
+    step = strapdown.transition(dt, c, f_level)
     _move(mem, src, dst, moved[0], moved[1])
     mem[dst + Nav.HEIGHT] = height - moved[2]
     mem[dst + Nav.V_N], mem[dst + Nav.V_E], mem[dst + Nav.V_D] = velocity
@@ -271,7 +301,7 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
     else:
         k = NAV
         _store(mem, dst + k, strapdown.error_step(
-            dt, c, f_level, (mem[src + k], mem[src + k + 1], mem[src + k + 2]),
+            step, (mem[src + k], mem[src + k + 1], mem[src + k + 2]),
             (mem[src + k + 3], mem[src + k + 4], mem[src + k + 5]),
             (mem[src + k + 6], mem[src + k + 7], mem[src + k + 8]),
             (mem[src + x], mem[src + x + p], mem[src + x + 2 * p]),
@@ -281,7 +311,7 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
         turns = (mem[src + e + 3 * m * p + j], mem[src + e + 4 * m * p + j], mem[src + e + 5 * m * p + j])
         k = b + 9 * j
         _store(mem, dst + k, strapdown.error_step(
-            dt, c, f_level, (mem[src + k], mem[src + k + 1], mem[src + k + 2]),
+            step, (mem[src + k], mem[src + k + 1], mem[src + k + 2]),
             (mem[src + k + 3], mem[src + k + 4], mem[src + k + 5]),
             (mem[src + k + 6], mem[src + k + 7], mem[src + k + 8]), errors, turns))
 
@@ -296,7 +326,7 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
     for j in range(9):
         k, q = src + b + j, s + 9 * j
         _store(mem, g + 9 * j, strapdown.error_step(
-            dt, c, f_level, (mem[q], mem[q + 1], mem[q + 2]), (mem[q + 3], mem[q + 4], mem[q + 5]),
+            step, (mem[q], mem[q + 1], mem[q + 2]), (mem[q + 3], mem[q + 4], mem[q + 5]),
             (mem[q + 6], mem[q + 7], mem[q + 8]), (mem[k], mem[k + 9 * p], mem[k + 18 * p]),
             (mem[k + 27 * p], mem[k + 36 * p], mem[k + 45 * p])))
     column = dst + a
@@ -304,46 +334,40 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
         k, q = dst + b + i, g + i
         white_f, white_w = _white(mem, i, dt, c, f_level)
         result = strapdown.error_step(
-            dt, c, f_level, (mem[q], mem[q + 9], mem[q + 18]), (mem[q + 27], mem[q + 36], mem[q + 45]),
+            step, (mem[q], mem[q + 9], mem[q + 18]), (mem[q + 27], mem[q + 36], mem[q + 45]),
             (mem[q + 54], mem[q + 63], mem[q + 72]),
             (mem[k] + white_f[0], mem[k + 9 * p] + white_f[1], mem[k + 18 * p] + white_f[2]),
             (mem[k + 27 * p] + white_w[0], mem[k + 36 * p] + white_w[1], mem[k + 45 * p] + white_w[2]))
         for j in range(i, 9):
             mem[column] = result[j]
             column += 1
-    if dt > mem[Head.MAX_GAP]:
-        position, velocity_variance, turn = _gap_variance(dt)
-        for i in range(3):
-            mem[dst + a + packed(i, i, 9)] += position
-            mem[dst + a + packed(3 + i, 3 + i, 9)] += velocity_variance
-            mem[dst + a + packed(6 + i, 6 + i, 9)] += turn if i == 2 else 0.1 * turn
     for j in range(m):
-        decay = _decay(dt * mem[HEAD_SIZE + 6 + j])
+        decay = _decay(dt * mem[Head.SIZE + 6 + j])
         for i in range(9):
             mem[dst + b + 9 * j + i] *= decay
     _sensor_states(mem, src, dst, dt, 9, m, p)
 
 
-@njit
+@njit(inline='always')
 def _store(mem, at, values):
     """Nine values side by side."""
     for i in range(9):
         mem[at + i] = values[i]
 
 
-@njit
+@njit(inline='always')
 def _white(mem, i, dt, c, f):
     """Row i of B diag(density / dt), the white noise of the six sensors: for f, for w."""
     h, n = 0.5 * dt, i % 3
     x, y, z = c[3 * n], c[3 * n + 1], c[3 * n + 2]
     if i >= 6:
-        return (0.0, 0.0, 0.0), (x * mem[HEAD_SIZE + 3], y * mem[HEAD_SIZE + 4], z * mem[HEAD_SIZE + 5])
+        return (0.0, 0.0, 0.0), (x * mem[Head.SIZE + 3], y * mem[Head.SIZE + 4], z * mem[Head.SIZE + 5])
     lever = h if i < 3 else 1.0
     # the specific force in n turns with the attitude: (C dw) x f, component n
     j, k = (n + 1) % 3, (n + 2) % 3
     turned = (c[3 * j] * f[k] - c[3 * k] * f[j], c[3 * j + 1] * f[k] - c[3 * k + 1] * f[j],
               c[3 * j + 2] * f[k] - c[3 * k + 2] * f[j])
-    white_f = (lever * x * mem[HEAD_SIZE], lever * y * mem[HEAD_SIZE + 1], lever * z * mem[HEAD_SIZE + 2])
+    white_f = (lever * x * mem[Head.SIZE], lever * y * mem[Head.SIZE + 1], lever * z * mem[Head.SIZE + 2])
     lever *= h
-    return white_f, (lever * turned[0] * mem[HEAD_SIZE + 3], lever * turned[1] * mem[HEAD_SIZE + 4],
-                     lever * turned[2] * mem[HEAD_SIZE + 5])
+    return white_f, (lever * turned[0] * mem[Head.SIZE + 3], lever * turned[1] * mem[Head.SIZE + 4],
+                     lever * turned[2] * mem[Head.SIZE + 5])

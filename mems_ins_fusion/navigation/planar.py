@@ -7,8 +7,26 @@ DESIGN section 3; the paper, section 4.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from mems_ins_fusion.compiled import njit
+
+
+class _State(NamedTuple):
+    """The error states, estimate minus truth: position (m), velocity (m/s) and yaw (rad)."""
+
+    R_N: int = 0
+    R_E: int = 1
+    V_N: int = 2
+    V_E: int = 3
+    YAW: int = 4
+    SIZE: int = 5
+
+
+State = _State()
+STATES = tuple(name.lower() for name in State._fields[:-1])
+#: the sensors it uses, body axes
+CHANNELS = ('f_x', 'f_y', 'w_z')
 
 
 @njit

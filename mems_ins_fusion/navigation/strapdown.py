@@ -8,8 +8,30 @@ E.-H. Shin, "Estimation Techniques for Low-Cost Inertial Navigation", 2005.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from mems_ins_fusion.compiled import njit
+
+
+class _State(NamedTuple):
+    """The error states, estimate minus truth, in `n`: position (m), velocity (m/s) and attitude phi (rad)."""
+
+    R_N: int = 0
+    R_E: int = 1
+    R_D: int = 2
+    V_N: int = 3
+    V_E: int = 4
+    V_D: int = 5
+    PHI_N: int = 6
+    PHI_E: int = 7
+    PHI_D: int = 8
+    SIZE: int = 9
+
+
+State = _State()
+STATES = tuple(name.lower() for name in State._fields[:-1])
+#: the sensors it uses, body axes
+CHANNELS = ('f_x', 'f_y', 'f_z', 'w_x', 'w_y', 'w_z')
 
 EARTH_RATE = 7.292115e-5  # rad/s, WGS-84
 
@@ -105,19 +127,27 @@ def mechanize(q, v_n, v_e, v_d, f, w, dt, gravity, rates):
 
 
 @njit
-def error_step(dt, c, f, r, v, phi, df, dw):
+def transition(dt, c, f):
+    """What `error_step` needs of one interval: dt, C and f times dt. c: C of mid-interval, f: specific force in `n`."""
+    return (dt, dt * c[0], dt * c[1], dt * c[2], dt * c[3], dt * c[4], dt * c[5], dt * c[6], dt * c[7], dt * c[8],
+            dt * f[0], dt * f[1], dt * f[2])
+
+
+@njit
+def error_step(step, r, v, phi, df, dw):
     """The same interval for a small error of the state: one column times the transition matrix.
 
-    c: C of mid-interval (nine numbers). f: specific force in `n`. r, v, phi: errors of position (m), velocity and
-    attitude before the interval; df, dw: those of the sensors, in `b`. Result: the nine errors after it. Errors of the
-    frame rates and of gravity (Schuler, 84 minutes) are left out: they are far below a MEMS sensor's.
+    step: of `transition`. r, v, phi: errors of position (m), velocity and attitude before the interval; df, dw: those
+    of the sensors, in `b`. Result: the nine errors after it. Errors of the frame rates and of gravity (Schuler, 84
+    minutes) are left out: they are far below a MEMS sensor's.
     """
-    w_n = dt * (c[0] * dw[0] + c[1] * dw[1] + c[2] * dw[2])
-    w_e = dt * (c[3] * dw[0] + c[4] * dw[1] + c[5] * dw[2])
-    w_d = dt * (c[6] * dw[0] + c[7] * dw[1] + c[8] * dw[2])
+    dt, c0, c1, c2, c3, c4, c5, c6, c7, c8, f_n, f_e, f_d = step
+    w_n = c0 * dw[0] + c1 * dw[1] + c2 * dw[2]
+    w_e = c3 * dw[0] + c4 * dw[1] + c5 * dw[2]
+    w_d = c6 * dw[0] + c7 * dw[1] + c8 * dw[2]
     p_n, p_e, p_d = phi[0] + 0.5 * w_n, phi[1] + 0.5 * w_e, phi[2] + 0.5 * w_d
-    u_n = dt * (c[0] * df[0] + c[1] * df[1] + c[2] * df[2] + p_e * f[2] - p_d * f[1])
-    u_e = dt * (c[3] * df[0] + c[4] * df[1] + c[5] * df[2] + p_d * f[0] - p_n * f[2])
-    u_d = dt * (c[6] * df[0] + c[7] * df[1] + c[8] * df[2] + p_n * f[1] - p_e * f[0])
+    u_n = c0 * df[0] + c1 * df[1] + c2 * df[2] + p_e * f_d - p_d * f_e
+    u_e = c3 * df[0] + c4 * df[1] + c5 * df[2] + p_d * f_n - p_n * f_d
+    u_d = c6 * df[0] + c7 * df[1] + c8 * df[2] + p_n * f_e - p_e * f_n
     return (r[0] + dt * (v[0] + 0.5 * u_n), r[1] + dt * (v[1] + 0.5 * u_e), r[2] + dt * (v[2] + 0.5 * u_d),
             v[0] + u_n, v[1] + u_e, v[2] + u_d, phi[0] + w_n, phi[1] + w_e, phi[2] + w_d)

@@ -1,0 +1,106 @@
+"""Which IMU samples can be believed, by what the sensor itself has shown before.
+
+A sample that is not believed is not lost time: the filter bridges it, first as if the vehicle went on as it did, then as
+if it neither turned nor changed its speed, with a covariance that knows what a vehicle may do meanwhile.
+"""
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from mems_ins_fusion.compiled import njit
+
+from .layout import Head
+
+
+class _Fault(NamedTuple):
+    """Why a sample is not believed."""
+
+    NONE: int = 0
+    RANGE: int = 1  # beyond what imu.max_specific_force or imu.max_angular_rate allow
+    SPIKE: int = 2  # far from its neighbours
+    SATURATED: int = 3  # an axis stays at a large value to the last digit
+    FROZEN: int = 4  # all axes repeat themselves to the last digit while the vehicle moves
+    ZERO: int = 5  # all axes zero: no gravity
+    SIZE: int = 6
+
+
+Fault = _Fault()
+#: in words, by number
+FAULTS = ('', 'out of range', 'spike', 'saturated', 'frozen', 'all zero')
+
+#: time constant of the running mean that neighbours are told by, s
+NEIGHBOURHOOD = 0.2
+#: a sample this far from it, plus so many sigma, is a spike, unless it lasts
+JUMP_FORCE, JUMP_RATE, JUMP_SIGMAS = 30.0, 2.0, 8.0  # m/s^2, rad/s
+LONGEST_SPIKE = 0.25  # s
+#: values that a vehicle reaches, but does not keep to the last digit
+LARGE_FORCE, LARGE_RATE = 15.0, 1.5  # m/s^2, rad/s
+#: so many equal values are no chance where the sensor's noise shows in its last digit
+FEWEST_EQUAL = 2
+FROZEN_TIME = 0.3  # s
+
+
+@njit(_nrt=False)
+def check(mem, time, dt, moving, f_x, f_y, f_z, w_x, w_y, w_z):
+    """What is wrong with a sample in sensor axes, a `Fault`; what it shows is remembered in the head of `mem`.
+
+    time: s. dt: s since the one before. moving: whether the vehicle certainly moves.
+    """
+    raw = (f_x, f_y, f_z, w_x, w_y, w_z)
+    equal, zero, out, saturated = 1e9, True, False, False
+    lively = mem[Head.VARIED] > 0.5 * mem[Head.BELIEVED] and mem[Head.BELIEVED] > 10.0
+    for i in range(6):
+        value = raw[i]
+        mem[Head.SAME + i] = mem[Head.SAME + i] + 1.0 if value == mem[Head.RAW + i] else 0.0
+        mem[Head.RAW + i] = value
+        equal = min(equal, mem[Head.SAME + i])
+        zero = zero and value == 0.0
+        out = out or abs(value) > mem[Head.MAX_FORCE + (i >= 3)]
+        large = abs(value) > (LARGE_FORCE if i < 3 else LARGE_RATE)
+        saturated = saturated or (large and mem[Head.SAME + i] >= FEWEST_EQUAL)
+    fault = Fault.NONE
+    if out:
+        fault = Fault.RANGE
+    elif lively and zero:
+        fault = Fault.ZERO
+    elif lively and saturated:
+        fault = Fault.SATURATED
+    elif lively and moving and equal >= FEWEST_EQUAL and equal * dt > FROZEN_TIME:
+        fault = Fault.FROZEN
+    elif _is_spike(mem, raw, time):
+        fault = Fault.SPIKE
+    if fault != Fault.NONE:
+        mem[Head.FAULTS + fault] += 1.0
+        return fault
+    mem[Head.SPIKE_SINCE] = time
+    mem[Head.BELIEVED] += 1.0
+    if equal == 0.0:
+        mem[Head.VARIED] += 1.0
+    _remember(mem, raw, dt)
+    return fault
+
+
+@njit(_nrt=False)
+def _is_spike(mem, raw, time):
+    if mem[Head.BELIEVED] < 10.0 or time - mem[Head.SPIKE_SINCE] > LONGEST_SPIKE:
+        return False
+    force = JUMP_FORCE + JUMP_SIGMAS * math.sqrt(mem[Head.SPREAD])
+    rate = JUMP_RATE + JUMP_SIGMAS * math.sqrt(mem[Head.SPREAD + 1])
+    for i in range(6):
+        if abs(raw[i] - mem[Head.CENTRE + i]) > (force if i < 3 else rate):
+            return True
+    return False
+
+
+@njit(_nrt=False)
+def _remember(mem, raw, dt):
+    """Running mean and variance of what was believed."""
+    weight = 1.0 if mem[Head.BELIEVED] == 1.0 else min(1.0, dt / NEIGHBOURHOOD)
+    for half in range(2):
+        squared = 0.0
+        for i in range(3 * half, 3 * half + 3):
+            deviation = raw[i] - mem[Head.CENTRE + i]
+            mem[Head.CENTRE + i] += weight * deviation
+            squared = max(squared, deviation * deviation)
+        mem[Head.SPREAD + half] += min(weight, 0.5) * ((squared if weight < 1.0 else 0.0) - mem[Head.SPREAD + half])

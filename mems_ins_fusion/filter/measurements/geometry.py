@@ -1,0 +1,71 @@
+"""What several measurements need of a state: its rotation and its velocity in the body, with their derivatives."""
+from __future__ import annotations
+
+import math
+
+from mems_ins_fusion.compiled import njit
+
+from ...navigation import planar, strapdown
+from ..layout import PLANAR, Head, Nav, Sample
+
+
+@njit(_nrt=False)
+def body_to_level(mem, r):
+    """Rotation from b to n of the state at r, as nine numbers, row by row."""
+    if mem[Head.MECHANIZATION] == PLANAR:
+        c, s = math.cos(mem[r + Nav.YAW]), math.sin(mem[r + Nav.YAW])
+        return c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0
+    return strapdown.matrix((mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z]))
+
+
+@njit(_nrt=False)
+def turned(mem, h, n, u_n, u_e, u_d):
+    """Add to three rows of H (north, east, down) what an error of attitude does to the vector u of the body, in n."""
+    if mem[Head.MECHANIZATION] == PLANAR:
+        mem[h + planar.State.YAW] -= u_e
+        mem[h + n + planar.State.YAW] += u_n
+        return
+    # phi x u
+    mem[h + strapdown.State.PHI_E] += u_d
+    mem[h + strapdown.State.PHI_D] -= u_e
+    mem[h + n + strapdown.State.PHI_N] -= u_d
+    mem[h + n + strapdown.State.PHI_D] += u_n
+    mem[h + 2 * n + strapdown.State.PHI_N] += u_e
+    mem[h + 2 * n + strapdown.State.PHI_E] -= u_n
+
+
+@njit(_nrt=False)
+def body_velocity(mem, r, c, axis):
+    """Velocity along one body axis; c: rotation from b to n."""
+    return c[axis] * mem[r + Nav.V_N] + c[3 + axis] * mem[r + Nav.V_E] + c[6 + axis] * mem[r + Nav.V_D]
+
+
+@njit(_nrt=False)
+def add_body_velocity(mem, r, h, c, axis):
+    """Add to a row of H the derivative of `body_velocity`: an error of attitude turns the body, too.
+
+    C^T v changes by C^T (dv + v x phi).
+    """
+    x, y, z = c[axis], c[3 + axis], c[6 + axis]
+    v_n, v_e, v_d = mem[r + Nav.V_N], mem[r + Nav.V_E], mem[r + Nav.V_D]
+    if mem[Head.MECHANIZATION] == PLANAR:
+        mem[h + planar.State.V_N] += x
+        mem[h + planar.State.V_E] += y
+        mem[h + planar.State.YAW] += x * v_e - y * v_n
+        return
+    mem[h + strapdown.State.V_N] += x
+    mem[h + strapdown.State.V_E] += y
+    mem[h + strapdown.State.V_D] += z
+    mem[h + strapdown.State.PHI_N] += y * v_d - z * v_e
+    mem[h + strapdown.State.PHI_E] += z * v_n - x * v_d
+    mem[h + strapdown.State.PHI_D] += x * v_e - y * v_n
+
+
+@njit(_nrt=False)
+def angular_rate(mem, r, sample):
+    """Angular rate of the sample at `sample` less the gyroscope errors estimated at r, rad/s, body axes."""
+    x, p = r + Nav.SIZE + int(mem[Head.N_NAVIGATION]), int(mem[Head.ORDER])
+    if mem[Head.MECHANIZATION] == PLANAR:
+        return 0.0, 0.0, mem[sample + Sample.W_Z] - mem[x + 2 * p]
+    return (mem[sample + Sample.W_X] - mem[x + 3 * p], mem[sample + Sample.W_Y] - mem[x + 4 * p],
+            mem[sample + Sample.W_Z] - mem[x + 5 * p])

@@ -1,0 +1,229 @@
+"""What the filter makes of its GNSS receiver: how far its fixes are believed, and when those refused have been right.
+
+A receiver repeats itself, jumps, wanders and states a sigma that is not its own. The realised scatter is seen in how
+two fixes that follow each other differ from what the inertial sensors say of the way between them; whether a row of
+refused fixes was right is seen in how well they agree with each other. Both stand in the row of the state (`Nav`).
+"""
+from __future__ import annotations
+
+import math
+
+from mems_ins_fusion.compiled import njit
+
+from ..navigation import planar, strapdown
+from ..navigation.strapdown import from_euler, to_euler
+from .layout import NAV, PLANAR, Event, Head, Nav, Verdict, packed
+
+#: fixes further apart say nothing of the receiver's scatter, s: the inertial sensors drift between them
+LONGEST_PAIR = 3.0
+#: of the logarithm of the realised over the claimed variance: gain at first, then steadily
+FIRST_GAIN, STEADY_GAIN = 4.0, 0.03
+#: the realised variance is believed between these multiples of the claimed one
+LARGEST_RATIO = 1e6
+#: a fix nearer than this is never refused, only weighted down, m
+GATE_FLOOR = 1.0
+#: slower than this a receiver may rightly repeat a position, m/s
+FROZEN_SPEED = 1.0
+#: fixes refused one after the other must be so many before they can win
+FEWEST_REFUSED = 5
+#: a course is a heading above this speed, m/s, with this sigma, rad
+COURSE_SPEED, COURSE_SIGMA = 3.0, 0.2
+#: sigma of a heading that nothing tells, and that beyond which one is sought anew, rad
+UNKNOWN_YAW_SIGMA, LARGEST_YAW_SIGMA = math.pi / math.sqrt(3.0), 0.8
+#: refused fixes agree when they scatter about a line by less than so many sigma and so much, m, and so much of their size
+AGREEMENT, AGREEMENT_FLOOR, AGREEMENT_PART = 2.0, 1.0, 0.3
+#: of a new start, besides what the fixes tell
+NEW_VELOCITY_SIGMA, NEW_TILT_SIGMA = 0.5, 0.05  # m/s, rad
+#: median of a chi-square distribution with 2 degrees of freedom, over its mean
+MEDIAN = math.log(2.0)
+
+
+@njit(_nrt=False)
+def is_frozen(mem, r, at):
+    """Whether the fix at `at` repeats the last one although the vehicle moves."""
+    same = (mem[at + Event.LATITUDE] == mem[r + Nav.FIX_LATITUDE]
+            and mem[at + Event.LONGITUDE] == mem[r + Nav.FIX_LONGITUDE])
+    mem[r + Nav.FROZEN] = mem[r + Nav.FROZEN] + 1.0 if same else 0.0
+    speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
+    k = NAV + int(mem[Head.N_NAVIGATION]) + int(mem[Head.N_AUGMENTED])
+    if mem[Head.MECHANIZATION] == PLANAR:
+        variance = mem[r + k + packed(2, 2, 5)] + mem[r + k + packed(3, 3, 5)]
+    else:
+        variance = mem[r + k + packed(3, 3, 9)] + mem[r + k + packed(4, 4, 9)]
+    return mem[Head.GATE] > 0.0 and same and speed > FROZEN_SPEED + 2.0 * math.sqrt(variance)
+
+
+@njit(_nrt=False)
+def trust(mem, r, at):
+    """Factor on the covariance of the fix at `at`, and where it is weighted down and where refused, in sigmas.
+
+    Called with its innovation before the correction, in which x is still to be taken out.
+    """
+    z_n, z_e = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
+    _scatter(mem, r, at, z_n, z_e)
+    factor = max(1.0, mem[r + Nav.GNSS_RATIO]) if mem[Head.ADAPT] > 0.0 else 1.0
+    # refused only if it is off by something that matters
+    gate = mem[Head.GATE] if math.hypot(z_n, z_e) > GATE_FLOOR else 0.0
+    return factor, mem[Head.ROBUST_SIGMA], gate
+
+
+@njit(_nrt=False)
+def learn(mem, r, at, left_n, left_e):
+    """Remember the fix at `at`, which has been judged; left_n, left_e: predicted minus measured position after that."""
+    time = mem[at + Event.TIME]
+    mem[r + Nav.RESIDUAL_TIME] = time
+    mem[r + Nav.RESIDUAL_N], mem[r + Nav.RESIDUAL_E] = left_n - mem[r + NAV], left_e - mem[r + NAV + 1]
+    mem[r + Nav.FIX_TIME] = time
+    mem[r + Nav.FIX_LATITUDE], mem[r + Nav.FIX_LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
+    if mem[at + Event.VERDICT] != Verdict.REFUSED:
+        for i in range(Nav.REFUSED, Nav.SUM_SQUARE + 1):
+            mem[r + i] = 0.0
+        return
+    if mem[r + Nav.REFUSED] == 0.0:
+        mem[r + Nav.REFUSED_SINCE] = time
+    t, z_n, z_e = time - mem[r + Nav.REFUSED_SINCE], mem[at + Event.Z_N], mem[at + Event.Z_E]
+    mem[r + Nav.REFUSED] += 1.0
+    mem[r + Nav.SUM_T] += t
+    mem[r + Nav.SUM_TT] += t * t
+    mem[r + Nav.SUM_N] += z_n
+    mem[r + Nav.SUM_TN] += t * z_n
+    mem[r + Nav.SUM_E] += z_e
+    mem[r + Nav.SUM_TE] += t * z_e
+    mem[r + Nav.SUM_SQUARE] += z_n * z_n + z_e * z_e
+
+
+@njit(_nrt=False)
+def _velocity_variance(mem, r):
+    """Of the two horizontal components together, m^2/s^2."""
+    k = r + NAV + int(mem[Head.N_NAVIGATION]) + int(mem[Head.N_AUGMENTED])
+    if mem[Head.MECHANIZATION] == PLANAR:
+        return mem[k + packed(2, 2, 5)] + mem[k + packed(3, 3, 5)]
+    return mem[k + packed(3, 3, 9)] + mem[k + packed(4, 4, 9)]
+
+
+@njit(_nrt=False)
+def _scatter(mem, r, at, z_n, z_e):
+    """Realised over claimed variance, from this fix and the one before it.
+
+    The second innovation less what the first fix left is the difference of two errors of the receiver, as far as the
+    inertial sensors are right in between. A running median: it moves by its gain towards each value, however large.
+    """
+    interval = mem[at + Event.TIME] - mem[r + Nav.RESIDUAL_TIME]
+    if not (0.0 < interval < LONGEST_PAIR and mem[r + Nav.FIX_TIME] != 0.0):
+        return
+    drift = interval * interval * _velocity_variance(mem, r)
+    squared = (z_n - mem[r + Nav.RESIDUAL_N]) ** 2 + (z_e - mem[r + Nav.RESIDUAL_E]) ** 2
+    claimed = 2.0 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    gain = max(STEADY_GAIN, FIRST_GAIN / (mem[r + Nav.GNSS_SEEN] + 2.0 * FIRST_GAIN))
+    more = squared > MEDIAN * (mem[r + Nav.GNSS_RATIO] * claimed + drift)
+    ratio = mem[r + Nav.GNSS_RATIO] * math.exp(gain if more else -gain)
+    mem[r + Nav.GNSS_RATIO] = min(max(ratio, 1.0 / LARGEST_RATIO), LARGEST_RATIO)
+    mem[r + Nav.GNSS_SEEN] += 1.0
+
+
+@njit(_nrt=False)
+def agreed(mem, r, at):
+    """Whether the fixes refused until now have been right: they have come for long enough, and their innovations lie on
+    a line as the error of a position and a velocity would."""
+    count = mem[r + Nav.REFUSED]
+    if count < FEWEST_REFUSED or mem[at + Event.TIME] - mem[r + Nav.REFUSED_SINCE] < mem[Head.RECOVERY_TIME]:
+        return False
+    _, _, spread = _line(mem, r)
+    size = math.sqrt(mem[r + Nav.SUM_SQUARE] / count)
+    sigma = math.sqrt(max(1.0, mem[r + Nav.GNSS_RATIO]) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
+    return math.sqrt(spread) < AGREEMENT * (sigma + AGREEMENT_FLOOR) + AGREEMENT_PART * size
+
+
+@njit(_nrt=False)
+def _line(mem, r):
+    """Slope (north, east; m/s) of the refused innovations over time, and their mean square distance from the line."""
+    n = mem[r + Nav.REFUSED]
+    t = mem[r + Nav.SUM_T] / n
+    spread_t = max(mem[r + Nav.SUM_TT] / n - t * t, 1e-6)
+    north, east = mem[r + Nav.SUM_N] / n, mem[r + Nav.SUM_E] / n
+    slope_n = (mem[r + Nav.SUM_TN] / n - t * north) / spread_t
+    slope_e = (mem[r + Nav.SUM_TE] / n - t * east) / spread_t
+    left = mem[r + Nav.SUM_SQUARE] / n - north * north - east * east - spread_t * (slope_n**2 + slope_e**2)
+    return slope_n, slope_e, max(left, 0.0)
+
+
+@njit(_nrt=False)
+def start_anew(mem, r, at):
+    """Take position and velocity from the refused fixes, the heading from the course, with P in the scratch to match.
+
+    The sensor errors stay as estimated, with twice the sigma: what was wrong may have spoiled them, too.
+    """
+    slope_n, slope_e, spread = _line(mem, r)
+    v_n, v_e = mem[r + Nav.V_N] - slope_n, mem[r + Nav.V_E] - slope_e
+    n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
+    n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
+    for i in range(n):
+        for j in range(n):
+            if i >= n_navigation and j >= n_navigation:
+                mem[p + n * i + j] *= 4.0
+            else:
+                mem[p + n * i + j] = 0.0
+    for i in range(n_navigation):
+        mem[r + NAV + i] = 0.0
+    mem[r + Nav.LATITUDE], mem[r + Nav.LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
+    mem[r + Nav.V_N], mem[r + Nav.V_E] = v_n, v_e
+    variance = max(1.0, mem[r + Nav.GNSS_RATIO]) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    arm = mem[Head.LEVER_X] ** 2 + mem[Head.LEVER_Y] ** 2 + mem[Head.LEVER_Z] ** 2
+    t = mem[r + Nav.SUM_TT] / mem[r + Nav.REFUSED] - (mem[r + Nav.SUM_T] / mem[r + Nav.REFUSED]) ** 2
+    drift = NEW_VELOCITY_SIGMA**2 + spread / max(mem[r + Nav.REFUSED] * t, 1e-6)
+    for i in range(2):
+        mem[p + (n + 1) * i] = variance + arm
+    first = planar.State.V_N if mem[Head.MECHANIZATION] == PLANAR else strapdown.State.V_N
+    for i in range(2):
+        mem[p + (n + 1) * (first + i)] = drift
+    if mem[Head.MECHANIZATION] != PLANAR:
+        s = strapdown.State
+        mem[r + Nav.HEIGHT], mem[r + Nav.V_D] = mem[at + Event.HEIGHT], 0.0
+        mem[p + (n + 1) * s.R_D] = 4.0 * variance
+        mem[p + (n + 1) * s.V_D] = 0.25
+        mem[p + (n + 1) * s.PHI_N] = mem[p + (n + 1) * s.PHI_E] = NEW_TILT_SIGMA**2
+    take_course(mem, r, v_n, v_e)
+    mem[Head.RECOVERIES] += 1.0
+
+
+@njit(_nrt=False)
+def take_course(mem, r, v_n, v_e):
+    """Heading from the course of a velocity, with its variance in P of the scratch; unknown if it is too slow."""
+    n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
+    n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
+    k = planar.State.YAW if mem[Head.MECHANIZATION] == PLANAR else strapdown.State.PHI_D
+    for i in range(n):
+        mem[p + n * k + i] = mem[p + n * i + k] = 0.0
+    if math.hypot(v_n, v_e) < COURSE_SPEED:
+        mem[p + (n + 1) * k] = UNKNOWN_YAW_SIGMA**2
+        return
+    yaw, variance = math.atan2(v_e, v_n), COURSE_SIGMA**2
+    mounting = int(mem[Head.MOUNTING_YAW])
+    if mounting >= 0:  # the vehicle goes along its own axis, the body is turned by that
+        yaw -= mem[r + NAV + mounting]
+        variance += mem[p + (n + 1) * mounting]
+    mem[p + (n + 1) * k] = variance
+    if mem[Head.MECHANIZATION] == PLANAR:
+        mem[r + Nav.YAW] = yaw
+        return
+    roll, pitch, _ = to_euler((mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z]))
+    q = from_euler(roll, pitch, yaw)
+    mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z] = q
+
+
+@njit(_nrt=False)
+def finds_course(mem, r, at):
+    """Whether the heading is unknown and the way since the last fix tells it: the velocity then, else zeros."""
+    n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
+    n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
+    k = planar.State.YAW if mem[Head.MECHANIZATION] == PLANAR else strapdown.State.PHI_D
+    interval = mem[at + Event.TIME] - mem[r + Nav.FIX_TIME]
+    if (mem[Head.GATE] == 0.0 or mem[p + (n + 1) * k] < LARGEST_YAW_SIGMA**2 or mem[r + Nav.FIX_TIME] == 0.0
+            or not 0.0 < interval < LONGEST_PAIR):
+        return 0.0, 0.0
+    north = (mem[at + Event.LATITUDE] - mem[r + Nav.FIX_LATITUDE]) / mem[r + Nav.NORTH_SCALE]
+    east = (mem[at + Event.LONGITUDE] - mem[r + Nav.FIX_LONGITUDE]) / mem[r + Nav.EAST_SCALE]
+    sigma = math.sqrt(2.0 * max(1.0, mem[r + Nav.GNSS_RATIO]) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
+    if math.hypot(north, east) < sigma / COURSE_SIGMA:
+        return 0.0, 0.0
+    return north / interval, east / interval
