@@ -39,7 +39,8 @@ def pose(degrees):
 
 
 def read(tmp_path, kind, messages, **topics):
-    bag = write_bag(tmp_path / 'bag', [*drive(), *(('/aiding', kind, START + 5 + i, m) for i, m in enumerate(messages))])
+    aiding = [('/aiding', kind, START + 5 + i, message) for i, message in enumerate(messages)]
+    bag = write_bag(tmp_path / 'bag', [*drive(), *aiding])
     return read_recording(bag, '/imu/data', '/gps/fix', **topics)
 
 
