@@ -92,6 +92,48 @@ class Temperatures(_Samples):
 
 
 @dataclass(frozen=True)
+class Speeds(_Samples):
+    """Speed of the vehicle, from wheels or gearbox.
+
+    stamp, received: (n,) int64 ns. speed: (n,) m/s, forward at the rear axle, negative in reverse.
+    variance: (n,) m^2/s^2, NaN or not above zero where the message does not tell.
+    """
+
+    stamp: np.ndarray
+    received: np.ndarray
+    speed: np.ndarray
+    variance: np.ndarray
+
+
+@dataclass(frozen=True)
+class Velocities(_Samples):
+    """Velocity of the antenna over ground, from the GNSS receiver.
+
+    stamp, received: (n,) int64 ns. velocity: (n, 3) m/s north-east-down. covariance: (n, 3, 3) m^2/s^2, north-east-down
+    too, with NaN or not above zero on the diagonal where the message does not tell.
+    """
+
+    stamp: np.ndarray
+    received: np.ndarray
+    velocity: np.ndarray
+    covariance: np.ndarray
+
+
+@dataclass(frozen=True)
+class Headings(_Samples):
+    """Heading of the vehicle, from two antennas or a compass.
+
+    stamp, received: (n,) int64 ns. yaw: (n,) rad clockwise from north, NaN where the message has none.
+    variance: (n,) rad^2, NaN or not above zero where the message does not tell.
+    """
+
+    stamp: np.ndarray
+    received: np.ndarray
+    yaw: np.ndarray
+    variance: np.ndarray
+
+
+@dataclass(frozen=True)
 class Recording:
     """One recording, read once. Absent parts are None."""
 
@@ -100,3 +142,6 @@ class Recording:
     gnss: Fixes | None = None
     reference: Reference | None = None
     temperature: Temperatures | None = None
+    speed: Speeds | None = None
+    velocity: Velocities | None = None
+    heading: Headings | None = None

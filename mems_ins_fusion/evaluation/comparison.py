@@ -109,8 +109,8 @@ def cut(recording: Recording, start: float, stop: float) -> Recording:
         return None if samples is None else samples.select(
             (samples.stamp >= origin + round(start * 1e9)) & (samples.stamp <= last))
 
-    shorter = replace(recording, imu=part(recording.imu), gnss=part(recording.gnss),
-                      reference=part(recording.reference), temperature=part(recording.temperature))
+    streams = ('imu', 'gnss', 'reference', 'temperature', 'speed', 'velocity', 'heading')
+    shorter = replace(recording, **{name: part(getattr(recording, name)) for name in streams})
     for name, samples in (('IMU sample', shorter.imu), ('fix', shorter.gnss)):
         if not len(samples):
             raise ReplayError(f'{recording.name}: no {name} between start {start:g} s and stop {stop:g} s')

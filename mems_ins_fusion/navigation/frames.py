@@ -28,6 +28,16 @@ def mounting(rpy) -> np.ndarray:
     return np.where(np.abs(rotation) < 1e-15, 0.0, rotation)
 
 
+def ned_from_enu(vector: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3) north-east-down of vectors east-north-up, and the other way round. A NaN stays where it is."""
+    return vector[..., [1, 0, 2]] * (1.0, 1.0, -1.0)
+
+
+def ned_covariance_from_enu(covariance: np.ndarray) -> np.ndarray:
+    """Covariances (..., 3, 3) of vectors north-east-down from those of vectors east-north-up, and back."""
+    return np.swapaxes(ned_from_enu(np.swapaxes(ned_from_enu(covariance), -1, -2)), -1, -2)
+
+
 def wrap(angle):
     """`angle` (rad, scalar or array) in [-pi, pi)."""
     return (angle + math.pi) % (2 * math.pi) - math.pi

@@ -54,6 +54,13 @@ FILTER = (
     Parameter('imu_topic', '/imu/data', 'text', 'Topic of sensor_msgs/Imu.'),
     Parameter('gnss_topic', '/gps/fix', 'text', 'Topic of sensor_msgs/NavSatFix.'),
     Parameter('temperature_topic', '', 'text', 'Topic of sensor_msgs/Temperature of the IMU; empty: none.'),
+    Parameter('speed_topic', '', 'text', 'Topic of the speed at the rear axle, m/s, forward positive: '
+              'geometry_msgs/TwistWithCovarianceStamped or nav_msgs/Odometry, twist.linear.x; empty: none.'),
+    Parameter('velocity_topic', '', 'text', 'Topic of the antenna\'s velocity, m/s east-north-up: '
+              'geometry_msgs/TwistWithCovarianceStamped, twist.linear; empty: none.'),
+    Parameter('heading_topic', '', 'text', 'Topic of the heading of base_link (two antennas or a compass): yaw of '
+              'sensor_msgs/Imu.orientation or geometry_msgs/PoseWithCovarianceStamped, counter-clockwise from east; '
+              'empty: none.'),
     Parameter('mechanization', 'planar', 'text', 'planar: the paper\'s, f_x, f_y and w_z on a level road. '
               'strapdown: three-dimensional, all six sensors.', choices=('planar', 'strapdown')),
     Parameter('sensor_error_model', 'gauss_markov', 'text', 'Model of the sensor errors.', choices=MODELS),

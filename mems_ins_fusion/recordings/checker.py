@@ -1,15 +1,15 @@
 """What is wrong or remarkable with a recording, before a filter sees it.
 
-`check_recording` looks at each stream by itself (rate, gaps, stamps, values) and then at what IMU and fixes say about
-each other: units and axes of the sensors, and the offset between their clocks.
+`check_recording` looks at each stream by itself (rate, gaps, stamps, values) and then at what they say about each
+other: units and axes of the sensors, and the offset between their clocks.
 """
 from __future__ import annotations
-
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY, gravity
+from mems_ins_fusion.recordings.aiding import check_heading, check_speed, check_velocity
+from mems_ins_fusion.recordings.findings import ERROR, INFO, WARNING, Finding, count_of
 from mems_ins_fusion.recordings.motion import (
     Steering,
     compare_steering,
@@ -22,26 +22,13 @@ from mems_ins_fusion.recordings.motion import (
 )
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
-INFO, WARNING, ERROR = 'info', 'warning', 'error'
 FASTEST = 70.0  # m/s: of a land vehicle
 HARDEST = 12.0  # m/s^2: its strongest acceleration
 GAP = 2.5  # in intervals
 _AXES = np.array(['x', 'y', 'z'])
 _UNITS = {'g': 1.0 / STANDARD_GRAVITY, 'mg': 1000.0 / STANDARD_GRAVITY}  # per m/s^2
+_AIDING = {'speed': check_speed, 'velocity': check_velocity, 'heading': check_heading}
 _STRAIGHT = np.cos(np.radians(20.0))  # an axis within 20 degrees of the vertical is said to point up
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One remark. severity: info, warning or error (the recording gives no sensible result as it is).
-
-    topic: imu, gnss or temperature, or imu/gnss for what concerns both. values: the numbers in the message, SI.
-    """
-
-    severity: str
-    topic: str
-    message: str
-    values: dict = field(default_factory=dict)
 
 
 def check_recording(recording: Recording) -> list[Finding]:
@@ -56,6 +43,10 @@ def check_recording(recording: Recording) -> list[Finding]:
         good = valid.select(np.argsort(valid.stamp, kind='stable')) if len(valid) > 1 else None
     if recording.temperature is not None:
         findings += _check_stamps('temperature', recording.temperature)
+    for name, check in _AIDING.items():
+        samples = getattr(recording, name)
+        if samples is not None:
+            findings += [*_check_stamps(name, samples), *check(samples, good)]
     finite = np.isfinite(imu.specific_force).all(axis=1) & np.isfinite(imu.angular_rate).all(axis=1)
     imu = imu if finite.all() else imu.select(finite)
     if len(imu) < 2:
@@ -70,15 +61,11 @@ def check_recording(recording: Recording) -> list[Finding]:
     return findings
 
 
-def _count(number: int, thing: str) -> str:
-    return f'{number} {thing}' if number == 1 else f'{number} {thing}s'
-
-
 def _check_stamps(topic, samples):
     """Rate, gaps, jitter and order of the header stamps, and their distance from the log time."""
     stamp = samples.stamp
     if len(stamp) < 2:
-        yield Finding(WARNING, topic, f'only {_count(len(stamp), "message")}', {'count': len(stamp)})
+        yield Finding(WARNING, topic, f'only {count_of(len(stamp), "message")}', {'count': len(stamp)})
         return
     if not stamp.any():
         yield Finding(ERROR, topic, 'the header stamps are not set (all zero)')
@@ -87,11 +74,11 @@ def _check_stamps(topic, samples):
     if (step < 0).any():
         back = step[step < 0]
         largest = float(-back.min() * 1e-9)
-        yield Finding(WARNING, topic, f'stamps go back {_count(len(back), "time")}, by up to {largest:.3f} s',
+        yield Finding(WARNING, topic, f'stamps go back {count_of(len(back), "time")}, by up to {largest:.3f} s',
                       {'count': len(back), 'largest_s': largest})
     if (step == 0).any():
         repeated = int((step == 0).sum())
-        yield Finding(WARNING, topic, f'{_count(repeated, "stamp")} repeated from the message before',
+        yield Finding(WARNING, topic, f'{count_of(repeated, "stamp")} repeated from the message before',
                       {'count': repeated})
     intervals = step[step > 0] * 1e-9
     if not len(intervals):
@@ -109,7 +96,7 @@ def _check_stamps(topic, samples):
         longest = gaps[np.argmax(step[gaps])]
         lost = int(np.round(step[gaps] * 1e-9 / interval - 1).sum())
         seconds, at = float(step[longest] * 1e-9), float((stamp[longest] - stamp[0]) * 1e-9)
-        yield Finding(WARNING, topic, f'{_count(len(gaps), "gap")}, about {_count(lost, "message")} missing; the '
+        yield Finding(WARNING, topic, f'{count_of(len(gaps), "gap")}, about {count_of(lost, "message")} missing; the '
                       f'longest lasts {seconds:.2f} s, {at:.1f} s after the start',
                       {'count': len(gaps), 'missing': lost, 'longest_s': seconds, 'at_s': at})
     yield from _check_latency(topic, samples)
@@ -148,7 +135,7 @@ def _check_values(imu: ImuSamples):
     if broken.any():
         first = (imu.stamp[np.argmax(broken)] - imu.stamp[0]) * 1e-9
         count = int(broken.sum())
-        yield Finding(ERROR if broken.all() else WARNING, 'imu', f'{_count(count, "sample")} not finite (NaN or '
+        yield Finding(ERROR if broken.all() else WARNING, 'imu', f'{count_of(count, "sample")} not finite (NaN or '
                       f'infinite), the first {first:.1f} s after the start', {'count': count, 'first_s': float(first)})
     if broken.all() or len(imu) < 2:
         return
@@ -160,7 +147,7 @@ def _check_values(imu: ImuSamples):
     same = (both[1:] == both[:-1]).all(axis=1)
     if same.mean() > 0.01 and not same.all():
         count = int(same.sum())
-        yield Finding(WARNING, 'imu', f'{_count(count, "sample")} ({same.mean():.0%}) repeat the one before exactly: '
+        yield Finding(WARNING, 'imu', f'{count_of(count, "sample")} ({same.mean():.0%}) repeat the one before exactly: '
                       'the messages come faster than the sensor measures',
                       {'count': count, 'part': float(same.mean())})
 
@@ -174,12 +161,12 @@ def _check_fixes_present(fixes: Fixes):
                        (null, 'at latitude 0, longitude 0, where receivers without a fix are')):
         if mask.any():
             count = int(mask.sum())
-            yield Finding(ERROR if mask.all() else WARNING, 'gnss', f'{_count(count, "message")} {text}',
+            yield Finding(ERROR if mask.all() else WARNING, 'gnss', f'{count_of(count, "message")} {text}',
                           {'count': count})
     unknown = np.isnan(sigmas(fixes)) & valid_fixes(fixes)
     if unknown.any():
         count = int(unknown.sum())
-        yield Finding(WARNING, 'gnss', f'{_count(count, "fix" if count == 1 else "fixe")} with an unknown or zero '
+        yield Finding(WARNING, 'gnss', f'{count_of(count, "fix" if count == 1 else "fixe")} with an unknown or zero '
                       'covariance: gnss.default_sigma will be used', {'count': count})
 
 
@@ -239,8 +226,8 @@ def _check_frozen(fixes, imu, still):
         longest = int(np.argmax(np.where(run, ends - begins, 0)))
         seconds = (fixes.stamp[ends[longest]] - fixes.stamp[begins[longest]]) * 1e-9
         count = int(run.sum())
-        yield Finding(WARNING, 'gnss', f'the position freezes {_count(count, "time")} while the vehicle moves, for up '
-                      f'to {seconds:.1f} s', {'count': count, 'longest_s': float(seconds)})
+        yield Finding(WARNING, 'gnss', f'the position freezes {count_of(count, "time")} while the vehicle moves, for '
+                      f'up to {seconds:.1f} s', {'count': count, 'longest_s': float(seconds)})
 
 
 def _check_jumps(fixes):
@@ -262,7 +249,7 @@ def _check_jumps(fixes):
         # an outlier is two jumps, there and back
         size = np.linalg.norm(step, axis=1)[jump]
         count = int(jump.sum())
-        yield Finding(WARNING, 'gnss', f'the position jumps {_count(count, "time")}, by up to {size.max():.3g} m, '
+        yield Finding(WARNING, 'gnss', f'the position jumps {count_of(count, "time")}, by up to {size.max():.3g} m, '
                       'which neither the vehicle nor the stated sigma explains (see gnss.robust_sigma)',
                       {'count': count, 'largest_m': float(size.max()), 'first_s': float(time[1:][jump][0])})
 

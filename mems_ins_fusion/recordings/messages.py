@@ -18,9 +18,13 @@ NAV_SAT_FIX = 'sensor_msgs/msg/NavSatFix'
 TEMPERATURE = 'sensor_msgs/msg/Temperature'
 ODOMETRY = 'nav_msgs/msg/Odometry'
 POSE_STAMPED = 'geometry_msgs/msg/PoseStamped'
+POSE_WITH_COVARIANCE_STAMPED = 'geometry_msgs/msg/PoseWithCovarianceStamped'
+TWIST_WITH_COVARIANCE_STAMPED = 'geometry_msgs/msg/TwistWithCovarianceStamped'
 
 _STRING = 'string'
 _HEADER = (('header.stamp.sec', '<i4', 1), ('header.stamp.nanosec', '<u4', 1), ('header.frame_id', _STRING, 1))
+_POSE = (('pose.pose.position', '<f8', 3), ('pose.pose.orientation', '<f8', 4), ('pose.covariance', '<f8', 36))
+_TWIST = (('twist.twist.linear', '<f8', 3), ('twist.twist.angular', '<f8', 3), ('twist.covariance', '<f8', 36))
 
 #: type: (field, NumPy type of an element, number of elements), in the order of the definition
 FIELDS = {
@@ -33,10 +37,10 @@ FIELDS = {
                   ('latitude', '<f8', 1), ('longitude', '<f8', 1), ('altitude', '<f8', 1),
                   ('position_covariance', '<f8', 9), ('position_covariance_type', 'u1', 1)),
     TEMPERATURE: (*_HEADER, ('temperature', '<f8', 1), ('variance', '<f8', 1)),
-    ODOMETRY: (*_HEADER, ('child_frame_id', _STRING, 1),
-               ('pose.pose.position', '<f8', 3), ('pose.pose.orientation', '<f8', 4), ('pose.covariance', '<f8', 36),
-               ('twist.twist.linear', '<f8', 3), ('twist.twist.angular', '<f8', 3), ('twist.covariance', '<f8', 36)),
+    ODOMETRY: (*_HEADER, ('child_frame_id', _STRING, 1), *_POSE, *_TWIST),
     POSE_STAMPED: (*_HEADER, ('pose.position', '<f8', 3), ('pose.orientation', '<f8', 4)),
+    POSE_WITH_COVARIANCE_STAMPED: (*_HEADER, *_POSE),
+    TWIST_WITH_COVARIANCE_STAMPED: (*_HEADER, *_TWIST),
 }
 _LITTLE_ENDIAN_CDR = 0x0001
 _MAX_PADDING = 8  # bytes that a middleware may append

@@ -8,15 +8,36 @@ from pathlib import Path
 import numpy as np
 
 from mems_ins_fusion.navigation.earth import from_local
-from mems_ins_fusion.navigation.frames import yaw_from_enu, yaw_of_quaternion
+from mems_ins_fusion.navigation.frames import ned_covariance_from_enu, ned_from_enu, yaw_from_enu, yaw_of_quaternion
 from mems_ins_fusion.recordings import messages
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.errors import RecordingError, RecordingWarning
-from mems_ins_fusion.recordings.messages import IMU, NAV_SAT_FIX, ODOMETRY, POSE_STAMPED, TEMPERATURE
-from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, Reference, Temperatures
+from mems_ins_fusion.recordings.messages import (
+    IMU,
+    NAV_SAT_FIX,
+    ODOMETRY,
+    POSE_STAMPED,
+    POSE_WITH_COVARIANCE_STAMPED,
+    TEMPERATURE,
+    TWIST_WITH_COVARIANCE_STAMPED,
+)
+from mems_ins_fusion.samples import (
+    Fixes,
+    Headings,
+    ImuSamples,
+    Recording,
+    Reference,
+    Speeds,
+    Temperatures,
+    Velocities,
+)
 
 #: what a reference may be
 REFERENCE_TYPES = (NAV_SAT_FIX, ODOMETRY, POSE_STAMPED)
+#: and what may tell speed, velocity and heading
+SPEED_TYPES = (TWIST_WITH_COVARIANCE_STAMPED, ODOMETRY)
+VELOCITY_TYPES = (TWIST_WITH_COVARIANCE_STAMPED,)
+HEADING_TYPES = (IMU, POSE_WITH_COVARIANCE_STAMPED)
 _NO_FIX = -1  # NavSatStatus.STATUS_NO_FIX
 
 #: the fields worth keeping, by message type
@@ -25,19 +46,25 @@ _KEPT = {
     NAV_SAT_FIX: ('status.status', 'latitude', 'longitude', 'altitude', 'position_covariance',
                   'position_covariance_type'),
     TEMPERATURE: ('temperature',),
-    ODOMETRY: ('pose.pose.position', 'pose.pose.orientation', 'twist.twist.linear'),
+    ODOMETRY: ('pose.pose.position', 'pose.pose.orientation', 'twist.twist.linear', 'twist.covariance'),
     POSE_STAMPED: ('pose.position', 'pose.orientation'),
+    POSE_WITH_COVARIANCE_STAMPED: ('pose.pose.orientation', 'pose.covariance'),
+    TWIST_WITH_COVARIANCE_STAMPED: ('twist.twist.linear', 'twist.covariance'),
 }
+#: of a 6 x 6 covariance: the elements of the velocity, or that of the yaw
+_COLUMNS = {'twist.covariance': [0, 1, 2, 6, 7, 8, 12, 13, 14], 'pose.covariance': [35]}
 
 
 def read_recording(path, imu_topic, gnss_topic=None, reference_topic=None, temperature_topic=None, progress=None,
-                   datum=None) -> Recording:
+                   datum=None, *, speed_topic=None, velocity_topic=None, heading_topic=None) -> Recording:
     """Read a bag, once, into arrays.
 
     path: rosbag2 folder, .mcap, .db3 or ROS 1 .bag. Topics that are None or empty are not read.
     reference_topic: NavSatFix, or Odometry or PoseStamped with a pose in a local east-north-up frame, whose origin is
     `datum`: latitude, longitude (rad), height (m). Without it the first fix of `gnss_topic` is taken, with a warning.
-    progress: called with the part of the recording that is read, 0 to 1.
+    progress: called with the part of the recording that is read, 0 to 1. speed_topic: TwistWithCovarianceStamped or
+    Odometry, twist.linear.x. velocity_topic: TwistWithCovarianceStamped, east-north-up. heading_topic: Imu or
+    PoseWithCovarianceStamped, the orientation of base_link in east-north-up; no mounting is applied.
 
     The samples are in the order of arrival (log time), all that were recorded, also those with NaN. Of a reference,
     messages without a fix or with NaN are left out, and it is in the order of its stamps.
@@ -45,7 +72,8 @@ def read_recording(path, imu_topic, gnss_topic=None, reference_topic=None, tempe
     """
     wanted = [(topic, types) for topic, types in (
         (imu_topic, (IMU,)), (gnss_topic, (NAV_SAT_FIX,)), (reference_topic, REFERENCE_TYPES),
-        (temperature_topic, (TEMPERATURE,))) if topic]
+        (temperature_topic, (TEMPERATURE,)), (speed_topic, SPEED_TYPES), (velocity_topic, VELOCITY_TYPES),
+        (heading_topic, HEADING_TYPES)) if topic]
     with Bag(path) as bag:
         for topic, types in wanted:
             if bag.topics.get(topic) not in types:
@@ -60,7 +88,10 @@ def read_recording(path, imu_topic, gnss_topic=None, reference_topic=None, tempe
         gnss=gnss,
         reference=_reference(arrays[reference_topic], bag.topics[reference_topic], datum, gnss, reference_topic)
         if reference_topic else None,
-        temperature=temperature)
+        temperature=temperature,
+        speed=_speeds(arrays[speed_topic]) if speed_topic else None,
+        velocity=_velocities(arrays[velocity_topic]) if velocity_topic else None,
+        heading=_headings(arrays[heading_topic], bag.topics[heading_topic]) if heading_topic else None)
 
 
 def _name(path: Path) -> str:
@@ -96,7 +127,8 @@ def _read_arrays(bag: Bag, topics, progress) -> dict:
                 received = np.array(times, np.int64)
             except (ValueError, OverflowError) as error:
                 raise RecordingError(f"topic '{topic}' in {bag.path}: {error}") from None
-            block = {name: array[name].copy() for name in _KEPT[bag.topics[topic]]}
+            block = {name: array[name][:, _COLUMNS[name]] if name in _COLUMNS else array[name].copy()
+                     for name in _KEPT[bag.topics[topic]]}
             blocks[topic].append({**block, 'stamp': messages.stamps(array), 'received': received})
         if progress is not None:
             progress(part)
@@ -161,6 +193,37 @@ def _temperatures(array) -> Temperatures:
     return Temperatures(stamp=array['stamp'], received=array['received'], celsius=array['temperature'])
 
 
+def _speeds(array) -> Speeds:
+    return Speeds(stamp=array['stamp'], received=array['received'], speed=array['twist.twist.linear'][:, 0].copy(),
+                  variance=array['twist.covariance'][:, 0].copy())
+
+
+def _velocities(array) -> Velocities:
+    covariance = array['twist.covariance'].reshape(-1, 3, 3)
+    return Velocities(stamp=array['stamp'], received=array['received'],
+                      velocity=ned_from_enu(array['twist.twist.linear']),
+                      covariance=ned_covariance_from_enu(covariance))
+
+
+def _headings(array, msgtype) -> Headings:
+    """Yaws; NaN in messages that say they have no orientation, as in `_orientation`, and for a zero quaternion."""
+    if msgtype == IMU:
+        orientation, variance = array['orientation'], array['orientation_covariance'][:, 8].copy()
+        absent = array['orientation_covariance'][:, 0] == -1
+    else:
+        orientation, variance = array['pose.pose.orientation'], array['pose.covariance'][:, 0]
+        absent = np.zeros(len(orientation), bool)
+    yaw = yaw_from_enu(yaw_of_quaternion(*_unit(orientation).T))
+    yaw[absent] = np.nan
+    return Headings(stamp=array['stamp'], received=array['received'], yaw=yaw, variance=variance)
+
+
+def _unit(quaternion) -> np.ndarray:
+    """Quaternions (n, 4) of length one; NaN where they are zero or NaN."""
+    with np.errstate(invalid='ignore'):
+        return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+
+
 def _reference(array, msgtype, datum, gnss, topic) -> Reference:
     if msgtype == NAV_SAT_FIX:
         fixes = _fixes(array)
@@ -194,15 +257,12 @@ def _local_reference(array, msgtype, datum) -> Reference:
     """A reference from poses (east-north-up at `datum`; body axes forward-left-up)."""
     prefix = 'pose.pose' if msgtype == ODOMETRY else 'pose'
     east, north, up = array[f'{prefix}.position'].T
-    orientation = array[f'{prefix}.orientation']
-    with np.errstate(invalid='ignore'):
-        orientation = orientation / np.linalg.norm(orientation, axis=1, keepdims=True)
+    orientation = _unit(array[f'{prefix}.orientation'])
     yaw = yaw_from_enu(yaw_of_quaternion(*orientation.T))
     latitude, longitude, height = from_local(north, east, -up, tuple(float(value) for value in datum))
     velocity = None
     if msgtype == ODOMETRY:
-        velocity_east, velocity_north, velocity_up = _rotated(orientation, array['twist.twist.linear']).T
-        velocity = np.column_stack([velocity_north, velocity_east, -velocity_up])
+        velocity = ned_from_enu(_rotated(orientation, array['twist.twist.linear']))
     return Reference(array['stamp'], latitude, longitude, height, velocity, yaw)
 
 

@@ -86,7 +86,9 @@ def read_part(path, values: dict, progress: Callable[[float], None]) -> tuple[Re
 def _read_whole(path, values: dict, progress) -> Recording:
     datum = _datum(values)
     recording = read_recording(path, values['imu_topic'], values['gnss_topic'], values['reference_topic'] or None,
-                               values['temperature_topic'] or None, progress, datum)
+                               values['temperature_topic'] or None, progress, datum,
+                               speed_topic=values['speed_topic'], velocity_topic=values['velocity_topic'],
+                               heading_topic=values['heading_topic'])
     if values['reference_file']:
         from ..recordings.reference_files import read_reference
 

@@ -1,0 +1,251 @@
+"""What speed, velocity and heading say against the fixes: units, signs, frames, and the sigma they state.
+
+Each is averaged over chords between fixes that are long enough to have a direction.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from mems_ins_fusion.navigation.frames import wrap
+from mems_ins_fusion.recordings.findings import ERROR, INFO, WARNING, Finding, count_of
+from mems_ins_fusion.recordings.motion import positions, robust_sigma, sigmas
+from mems_ins_fusion.samples import Fixes, Headings, Speeds, Velocities
+
+_UNITS = {'km/h': 3.6, 'mph': 2.23694, 'knots': 1.94384}  # per m/s
+_SAME_UNIT = 0.07
+_LONGEST_CHORD = 10.0  # s
+_SHORTEST_CHORD = 10.0  # in sigmas of a fix
+_SLOWEST = 1.0  # m/s, of a vehicle whose course means something
+_FEWEST = 12  # chords for a verdict
+_OVERSURE = 3.0  # times the stated sigma
+_ALIGNED = 0.9  # cosine
+_CURVE = 0.03  # rad: by which courses of chords differ from headings in bends, whatever the receiver
+#: what a horizontal velocity north-east turns into where the message is not east-north-up
+_MISTAKES = {
+    'north-east-down instead of east-north-up': np.array([[0.0, 1.0], [1.0, 0.0]]),
+    'of the opposite sign': -np.eye(2),
+    'of the opposite sign in east': np.diag([1.0, -1.0]),
+    'of the opposite sign in north': np.diag([-1.0, 1.0]),
+}
+
+
+@dataclass(frozen=True)
+class _Chords:
+    """From fix to later fix: begin, end: (k,) ns. velocity: (k, 2) m/s north-east, the mean. climb: (k,) m/s.
+    sigma: (k,) m/s of a component of the velocity.
+    """
+
+    begin: np.ndarray
+    end: np.ndarray
+    velocity: np.ndarray
+    climb: np.ndarray
+    sigma: np.ndarray
+
+    @property
+    def speed(self) -> np.ndarray:
+        return np.linalg.norm(self.velocity, axis=1)
+
+    @property
+    def course(self) -> np.ndarray:
+        return np.arctan2(self.velocity[:, 1], self.velocity[:, 0])
+
+    def select(self, index) -> _Chords:
+        return _Chords(self.begin[index], self.end[index], self.velocity[index], self.climb[index], self.sigma[index])
+
+
+def check_speed(speeds: Speeds, fixes: Fixes | None) -> Iterator[Finding]:
+    """Unit, sign and scale of the speed. fixes: valid ones in the order of their stamps, or None."""
+    yield from _check_present('speed', speeds, speeds.speed, speeds.variance)
+    compared = _compare('speed', speeds, speeds.speed, fixes)
+    if isinstance(compared, Finding):
+        yield compared
+        return
+    mean, chords = compared
+    ratio = mean / chords.speed
+    yield from _check_ratio('speed', ratio)
+    if np.median(ratio) < 0:
+        yield Finding(ERROR, 'speed', 'the speed is negative while the vehicle drives: forward has to be positive, '
+                      'unless all of it was in reverse', {'negative': float((ratio < 0).mean())})
+    yield from _check_sigma('speed', 'm/s', mean - np.median(ratio) * chords.speed,
+                            abs(np.median(ratio)) * chords.sigma, speeds.variance)
+
+
+def check_velocity(velocities: Velocities, fixes: Fixes | None) -> Iterator[Finding]:
+    """Unit and frame of the velocity. fixes: valid ones in the order of their stamps, or None."""
+    variance = 0.5 * (velocities.covariance[:, 0, 0] + velocities.covariance[:, 1, 1])
+    yield from _check_present('velocity', velocities, velocities.velocity, variance)
+    compared = _compare('velocity', velocities, velocities.velocity, fixes)
+    if isinstance(compared, Finding):
+        yield compared
+        return
+    mean, chords = compared
+    horizontal = mean[:, :2]
+    pace = np.maximum(np.linalg.norm(horizontal, axis=1), 1e-9)
+    yield from _check_ratio('velocity', pace / chords.speed)
+
+    def alignment(matrix):
+        """Median cosine between the velocities and those of the fixes turned by `matrix`."""
+        return float(np.median(np.einsum('ki,ki->k', horizontal, chords.velocity @ matrix.T) / (pace * chords.speed)))
+
+    right = alignment(np.eye(2))
+    if right < _ALIGNED:
+        mistake = max(_MISTAKES, key=lambda name: alignment(_MISTAKES[name]))
+        if alignment(_MISTAKES[mistake]) > _ALIGNED:
+            text = f'it seems to be {mistake}'
+        elif _concentration(np.arctan2(horizontal[:, 1], horizontal[:, 0])) > _ALIGNED:
+            text = 'it seems to be in the axes of the vehicle, not east-north-up'
+        else:
+            text = 'its frame or its stamps are wrong'
+        yield Finding(ERROR, 'velocity', f'the velocity does not point along the track of the fixes: {text}',
+                      {'cosine': right})
+        return
+    rising = np.std(chords.climb)
+    against = np.corrcoef(chords.climb, -mean[:, 2])[0, 1] if rising > 0 and np.std(mean[:, 2]) > 0 else 0.0
+    if against < -0.8:
+        yield Finding(ERROR, 'velocity', 'the vertical velocity runs against the heights of the fixes: up has to be '
+                      'positive in the message', {'correlation': float(against)})
+    yield from _check_sigma('velocity', 'm/s', (horizontal - chords.velocity).ravel(), chords.sigma, variance)
+
+
+def check_heading(headings: Headings, fixes: Fixes | None) -> Iterator[Finding]:
+    """Sense of rotation and zero of the heading. fixes: valid ones in the order of their stamps, or None."""
+    yield from _check_present('heading', headings, headings.yaw, headings.variance)
+    compared = _compare('heading', headings, headings.yaw, fixes, np.unwrap)
+    if isinstance(compared, Finding):
+        yield compared
+        return
+    mean, chords = compared
+    difference, total = mean - chords.course, mean + chords.course
+    if _concentration(total) > max(_ALIGNED, _concentration(difference)) and _concentration(difference) < _ALIGNED:
+        yield Finding(ERROR, 'heading', 'the heading turns the other way round than the course of the fixes: clockwise '
+                      'from north instead of counter-clockwise from east (REP 103)?',
+                      {'concentration': _concentration(total)})
+        return
+    if _concentration(difference) < 0.7:
+        yield Finding(ERROR, 'heading', 'the heading does not follow the course of the fixes',
+                      {'concentration': _concentration(difference)})
+        return
+    middle = _circular_mean(difference)
+    middle = float(wrap(middle + np.median(wrap(difference - middle))))
+    residual = wrap(difference - middle)
+    noise = np.hypot(chords.sigma / chords.speed, _CURVE)
+    sigma = max(1.2533 * robust_sigma(residual), 1e-4) / np.sqrt(len(residual))
+    values = {'offset_rad': middle, 'sigma_rad': float(sigma)}
+    text = f'the heading is {np.degrees(middle):.1f} deg clockwise from the course of the fixes'
+    if abs(middle) > max(np.radians(5.0), 4.0 * sigma):
+        yield Finding(ERROR if abs(middle) > np.radians(45.0) else WARNING, 'heading', f'{text}: antennas or compass '
+                      'are not aligned with the vehicle, or north and east are exchanged', values)
+    else:
+        yield Finding(INFO, 'heading', text, values)
+    yield from _check_sigma('heading', 'rad', residual, noise, headings.variance)
+
+
+def _check_present(topic, samples, value, variance):
+    """Messages that say nothing, or not how well they know it."""
+    broken = ~_finite(value)
+    if broken.any():
+        count = int(broken.sum())
+        yield Finding(ERROR if broken.all() else WARNING, topic, f'{count_of(count, "message")} without a {topic}, or '
+                      'not finite', {'count': count})
+    unknown = ~broken & ~((variance > 0) & np.isfinite(variance))
+    if unknown.any():
+        count = int(unknown.sum())
+        yield Finding(WARNING, topic, f'{count_of(count, "message")} with an unknown or zero covariance',
+                      {'count': count})
+
+
+def _compare(topic, samples, value, fixes, prepare=lambda value: value):
+    """The means of `value` over the chords that they cover, and those chords; a Finding where there are too few.
+
+    prepare: what to do to finite values in the order of their stamps before they are averaged.
+    """
+    chords = _chords(fixes) if fixes is not None else None
+    if chords is None or len(chords.begin) < _FEWEST:
+        return Finding(INFO, topic, f'no fixes in motion to compare the {topic} with')
+    finite = np.flatnonzero(_finite(value))
+    order = finite[np.argsort(samples.stamp[finite], kind='stable')]
+    stamp = samples.stamp[order]
+    order = order[np.diff(stamp, prepend=stamp[:1] - 1) > 0]
+    stamp = samples.stamp[order]
+    count = np.searchsorted(stamp, chords.end) - np.searchsorted(stamp, chords.begin)
+    enough = count > 0
+    if enough.any():
+        enough &= count > 0.5 * np.median(count[enough])
+        enough &= (chords.begin >= stamp[0]) & (chords.end <= stamp[-1])
+    if enough.sum() < _FEWEST:
+        return Finding(WARNING, topic, f'the {topic} hardly overlaps with the fixes of the moving vehicle: nothing to '
+                       'compare it with', {'chords': int(enough.sum())})
+    chords = chords.select(enough)
+    time = (stamp - stamp[0]) * 1e-9
+    prepared = prepare(value[order])
+    area = np.concatenate([np.zeros((1, *prepared.shape[1:])),
+                           np.cumsum(0.5 * (prepared[1:] + prepared[:-1]).T * np.diff(time), axis=-1).T])
+    begin, end = ((edge - stamp[0]) * 1e-9 for edge in (chords.begin, chords.end))
+
+    def mean(column):
+        return (np.interp(end, time, column) - np.interp(begin, time, column)) / (end - begin)
+
+    return (mean(area) if area.ndim == 1 else np.column_stack([mean(column) for column in area.T])), chords
+
+
+def _chords(fixes: Fixes) -> _Chords | None:
+    """Chords of about the length in time that the fixes' noise asks for, along which the vehicle moved."""
+    fixes = fixes.select(np.diff(fixes.stamp, prepend=fixes.stamp[0] - 1) > 0)
+    if len(fixes) < 2:
+        return None
+    stated = sigmas(fixes)
+    sigma = np.where(np.isnan(stated), 3.0, stated)
+    length = float(np.clip(2.0 * np.median(sigma), 1.0, _LONGEST_CHORD))
+    later = np.searchsorted(fixes.stamp, fixes.stamp + round(length * 1e9) - 1)
+    first = np.flatnonzero(later < len(fixes))
+    last = later[first]
+    duration = (fixes.stamp[last] - fixes.stamp[first]) * 1e-9
+    velocity = (positions(fixes)[last] - positions(fixes)[first]) / duration[:, None]
+    climb = (fixes.height[last] - fixes.height[first]) / duration
+    chords = _Chords(fixes.stamp[first], fixes.stamp[last], velocity, climb,
+                     np.hypot(sigma[first], sigma[last]) / duration)
+    return chords.select((chords.speed > np.maximum(_SLOWEST, _SHORTEST_CHORD * chords.sigma / np.sqrt(2)))
+                         & (duration < 2 * length))
+
+
+def _check_ratio(topic, ratio):
+    """Findings on what is measured over what the fixes show, (k,), in size."""
+    middle = float(np.median(np.abs(ratio)))
+    sigma = 1.2533 * robust_sigma(np.abs(ratio)) / np.sqrt(len(ratio))
+    values = {'ratio': middle, 'sigma': float(sigma)}
+    text = f'the {topic} is {middle:.4g} times that of the fixes'
+    unit = next((unit for unit, per in _UNITS.items() if abs(middle / per - 1) < _SAME_UNIT), None)
+    if unit is not None:
+        yield Finding(ERROR, topic, f'{text}: it seems to be in {unit} instead of m/s', values)
+    elif abs(middle - 1) > max(0.1, 4 * sigma):
+        yield Finding(WARNING, topic, f'{text}: a wrong scale or unit', values)
+    else:
+        yield Finding(INFO, topic, text, values)
+
+
+def _check_sigma(topic, unit, residual, noise, variance):
+    """Whether the `residual` against the fixes, whose own sigma is `noise`, fits the stated variance."""
+    known = variance[(variance > 0) & np.isfinite(variance)]
+    if not len(known):
+        return
+    stated, scatter = float(np.sqrt(np.median(known))), robust_sigma(residual)
+    if scatter > _OVERSURE * np.hypot(stated, np.median(noise)):
+        yield Finding(WARNING, topic, f'stated sigma {stated:.3g} {unit}, scatter against the fixes {scatter:.3g} '
+                      f'{unit}: it is too sure of itself, or late', {'stated': stated, 'scatter': scatter})
+
+
+def _finite(value) -> np.ndarray:
+    """(n,) which values are finite; of vectors (n, 3) the horizontal two, as not every receiver has a vertical one."""
+    return np.isfinite(value if value.ndim == 1 else value[:, :2].sum(axis=1))
+
+
+def _circular_mean(angle) -> float:
+    return float(np.arctan2(np.sin(angle).mean(), np.cos(angle).mean()))
+
+
+def _concentration(angle) -> float:
+    """Mean resultant length of angles (k,) rad: 1 where they are all the same, near 0 where they are anything."""
+    return float(np.hypot(np.sin(angle).mean(), np.cos(angle).mean()))

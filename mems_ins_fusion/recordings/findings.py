@@ -1,0 +1,25 @@
+"""A remark on a recording, as the bag checker makes them."""
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+INFO, WARNING, ERROR = 'info', 'warning', 'error'
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One remark. severity: info, warning or error (the recording gives no sensible result as it is).
+
+    topic: imu, gnss, temperature, speed, velocity or heading, or imu/gnss for what concerns both.
+    values: the numbers in the message, SI.
+    """
+
+    severity: str
+    topic: str
+    message: str
+    values: dict = field(default_factory=dict)
+
+
+def count_of(number: int, thing: str) -> str:
+    """`number` of `thing` in words: 1 gap, 2 gaps."""
+    return f'{number} {thing}' if number == 1 else f'{number} {thing}s'

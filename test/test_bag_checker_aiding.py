@@ -1,0 +1,141 @@
+"""The bag checker finds wrong units, signs and frames of speed, velocity and heading, and none in sound ones."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mems_ins_fusion.navigation.frames import wrap
+from mems_ins_fusion.recordings.checker import ERROR, INFO, WARNING, check_recording
+from mems_ins_fusion.samples import Headings, Speeds, Velocities
+from mems_ins_fusion.simulation.simulation import GnssNoise, simulate_drive, simulate_recording
+
+AIDING = ('speed', 'velocity', 'heading')
+
+
+def drive(sigma):
+    """A hilly drive with fixes of `sigma` m, and all three at 5 Hz with known noise."""
+    generator = np.random.default_rng(4)
+    simulation = simulate_recording(simulate_drive(300.0, seed=2, rate=50.0, hills=True), gnss=GnssNoise(sigma, 1.0))
+    truth = simulation.drive
+    at = slice(None, None, 10)
+    stamp, count = truth.stamp[at], len(truth.stamp[at])
+    received = stamp + 20_000_000
+    speed = np.hypot(*truth.velocity[at, :2].T) + generator.normal(0.0, 0.05, count)
+    velocity = truth.velocity[at] + generator.normal(0.0, 0.1, (count, 3))
+    yaw = wrap(truth.yaw[at] + generator.normal(0.0, 0.01, count))
+    return replace(simulation.recording, speed=Speeds(stamp, received, speed, np.full(count, 0.05**2)),
+                   velocity=Velocities(stamp, received, velocity, np.tile(0.1**2 * np.eye(3), (count, 1, 1))),
+                   heading=Headings(stamp, received, yaw, np.full(count, 0.01**2)))
+
+
+@pytest.fixture(scope='module', params=[0.02, 1.5])
+def sound(request):
+    return drive(request.param)
+
+
+def altered(recording, part, **arrays):
+    return replace(recording, **{part: replace(getattr(recording, part), **arrays)})
+
+
+def findings(recording, severity):
+    return [f for f in check_recording(recording) if f.topic in AIDING and f.severity == severity]
+
+
+def the_one(recording, severity):
+    """The one finding above information on the three."""
+    found = findings(recording, WARNING) + findings(recording, ERROR)
+    assert len(found) == 1, [(f.severity, f.topic, f.message) for f in found]
+    assert found[0].severity == severity
+    return found[0]
+
+
+def test_sound_ones_give_nothing_but_information(sound):
+    assert not findings(sound, WARNING) + findings(sound, ERROR)
+    information = findings(sound, INFO)
+    assert [f.values['rate_hz'] for f in information if 'rate_hz' in f.values] == pytest.approx([5.0] * 3)
+    ratios = {f.topic: f.values['ratio'] for f in information if 'ratio' in f.values}
+    assert ratios == pytest.approx({'speed': 1.0, 'velocity': 1.0}, abs=0.03)
+    offset = next(f.values['offset_rad'] for f in information if 'offset_rad' in f.values)
+    assert np.degrees(offset) == pytest.approx(0.0, abs=1.5)
+
+
+@pytest.mark.parametrize('unit, factor', [('km/h', 3.6), ('mph', 1 / 0.44704), ('knots', 3600 / 1852)])
+def test_other_units(sound, unit, factor):
+    assert f'in {unit} instead' in the_one(altered(sound, 'speed', speed=factor * sound.speed.speed), ERROR).message
+    fast = altered(sound, 'velocity', velocity=factor * sound.velocity.velocity)
+    assert any(f'in {unit} instead' in f.message for f in findings(fast, ERROR))
+
+
+def test_a_speed_that_is_wrong(sound):
+    assert 'forward has to be positive' in the_one(altered(sound, 'speed', speed=-sound.speed.speed), ERROR).message
+    slow = the_one(altered(sound, 'speed', speed=0.7 * sound.speed.speed), WARNING)
+    assert 'wrong scale' in slow.message and slow.values['ratio'] == pytest.approx(0.7, rel=0.03)
+
+
+@pytest.mark.parametrize('columns, signs, text', [
+    ([1, 0, 2], [1, 1, -1], 'north-east-down instead of east-north-up'), ([0, 1, 2], [-1, -1, 1], 'opposite sign'),
+    ([0, 1, 2], [1, -1, 1], 'opposite sign in east'), ([0, 1, 2], [-1, 1, 1], 'opposite sign in north')])
+def test_a_velocity_in_another_frame(sound, columns, signs, text):
+    turned = altered(sound, 'velocity', velocity=sound.velocity.velocity[:, columns] * signs)
+    assert text in the_one(turned, ERROR).message
+
+
+def test_a_velocity_in_the_vehicles_axes(sound):
+    forward = np.column_stack([np.zeros((len(sound.speed), 1)), sound.speed.speed, np.zeros(len(sound.speed))])
+    assert 'axes of the vehicle' in the_one(altered(sound, 'velocity', velocity=forward), ERROR).message
+
+
+def test_a_vertical_velocity_with_the_wrong_sign():
+    sound = drive(0.02)
+    upside_down = altered(sound, 'velocity', velocity=sound.velocity.velocity * (1, 1, -1))
+    assert 'up has to be positive' in the_one(upside_down, ERROR).message
+
+
+def test_a_heading_that_turns_the_other_way(sound):
+    clockwise = wrap(np.pi / 2 - sound.heading.yaw)  # north-east-down angles taken for east-north-up ones
+    assert 'REP 103' in the_one(altered(sound, 'heading', yaw=clockwise), ERROR).message
+
+
+@pytest.mark.parametrize('degrees, severity', [(8.0, WARNING), (90.0, ERROR), (180.0, ERROR)])
+def test_a_heading_that_is_turned(sound, degrees, severity):
+    turned = altered(sound, 'heading', yaw=wrap(sound.heading.yaw + np.radians(degrees)))
+    found = the_one(turned, severity)
+    assert np.degrees(abs(found.values['offset_rad'])) == pytest.approx(degrees, abs=1.5)
+
+
+def test_a_heading_that_is_not_one(sound):
+    noise = np.random.default_rng(1).uniform(-np.pi, np.pi, len(sound.heading))
+    assert 'does not follow' in the_one(altered(sound, 'heading', yaw=noise), ERROR).message
+
+
+def test_messages_that_say_nothing(sound):
+    yaw, variance = sound.heading.yaw.copy(), sound.heading.variance.copy()
+    yaw[5:8], variance[20] = np.nan, 0.0
+    counts = {f.message: f.values['count'] for f in findings(altered(sound, 'heading', yaw=yaw, variance=variance),
+                                                             WARNING)}
+    assert counts == {'3 messages without a heading, or not finite': 3,
+                      '1 message with an unknown or zero covariance': 1}
+    nothing = altered(sound, 'speed', speed=np.full(len(sound.speed), np.nan))
+    assert 'without a speed' in findings(nothing, ERROR)[0].message
+
+
+def test_stamps_of_another_clock(sound):
+    found = findings(altered(sound, 'speed', stamp=sound.speed.stamp + 3600 * 10**9), WARNING)
+    assert any('hardly overlaps' in f.message for f in found)
+
+
+def test_a_velocity_far_worse_than_it_says():
+    sound = drive(0.02)
+    late = altered(sound, 'velocity', stamp=sound.velocity.stamp + 1_500_000_000,
+                   received=sound.velocity.received + 1_500_000_000, covariance=1e-4 * sound.velocity.covariance)
+    assert 'too sure of itself, or late' in the_one(late, WARNING).message
+
+
+@pytest.mark.parametrize('count', [0, 1, 2])
+@pytest.mark.parametrize('part', AIDING)
+def test_very_short_ones_are_no_obstacle(sound, part, count):
+    short = replace(sound, **{part: getattr(sound, part).select(slice(0, count))})
+    assert isinstance(check_recording(short), list)
+    assert isinstance(check_recording(replace(short, gnss=None)), list)
