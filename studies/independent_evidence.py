@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mems_ins_fusion.filter.fusion import FilterConfig, run
+from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.replay import run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.motion import compare_steering, find_standstill, positions, up_axis
 from mems_ins_fusion.recordings.reading import read_recording

@@ -18,7 +18,7 @@ import numpy as np
 from mems_ins_fusion.evaluation.metrics import Truth, position_errors, summary
 from mems_ins_fusion.evaluation.outages import outage_begins, run_outages
 from mems_ins_fusion.evaluation.outages import summary as outage_summary
-from mems_ins_fusion.filter import fusion
+from mems_ins_fusion.filter import replay
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.parameters import table
@@ -173,21 +173,20 @@ def numbers_of(name: str) -> dict[str, float]:
     config = FilterConfig.from_parameters(table.check(values))
     imu, fixes = recording(drive, seed, values.get('mechanization') == 'strapdown', **special)
     truth = truth_of(drive)
-    run = fusion.run(config, imu, fixes)
+    run = replay.run(config, imu, fixes)
     errors = summary(position_errors(run, truth, np.zeros(len(truth), dtype=bool)))
     numbers = {key: errors[key] for key in ('horizontal_rmse_m', 'horizontal_p95_m', 'heading_rmse_deg',
                                             'speed_rmse_mps', 'within_95_percent')}
     numbers['fixes_used'] = len(run.innovations.nis)
     numbers['nis_mean'] = run.innovations.nis.mean()
     numbers['yaw_end'] = run.yaw[-1]
-    navigation = ('r_n', 'r_e', 'v_n', 'v_e', 'yaw') if config.navigation == 5 else (
-        'r_n', 'r_e', 'r_d', 'v_n', 'v_e', 'v_d', 'phi_n', 'phi_e', 'phi_d')
-    for i, state in enumerate(navigation):
+    layout = config.layout
+    for i, state in enumerate(layout.names[:layout.n_navigation]):
         numbers[f'sigma_{state}_end'] = run.sigma[-1, i]
-    for i, channel in enumerate(config.channels):
+    for i, channel in enumerate(layout.channels):
         numbers[f'error_{channel}_end'] = run.sensor_errors[-1, i]
-        numbers[f'sigma_{channel}_end'] = run.sigma[-1, config.navigation + i * config.order]
-    begin = outage_begins(int(run.stamp[0]), fixes.select(np.argsort(fixes.stamp)), config.values['gnss.time_offset'],
+        numbers[f'sigma_{channel}_end'] = run.sigma[-1, layout.n_navigation + i * layout.order]
+    begin = outage_begins(int(run.stamp[0]), fixes.select(np.argsort(fixes.stamp)), config.gnss.time_offset,
                           15.0, 10.0)
     for outages in run_outages(config, imu, fixes, truth, [10.0, 30.0], begin):
         row = outage_summary(outages)

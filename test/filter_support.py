@@ -4,10 +4,21 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from mems_ins_fusion.filter import kernel
 from mems_ins_fusion.filter.alignment import Start
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.initial import initialize
-from mems_ins_fusion.filter.layout import FIX_SIZE, NAV, PLANAR, Fix, Head, Nav, covariance, store_covariance, views
+from mems_ins_fusion.filter.layout import (
+    NAV,
+    PLANAR,
+    Event,
+    Head,
+    Kind,
+    Nav,
+    covariance,
+    set_covariance,
+    views,
+)
 from mems_ins_fusion.navigation.strapdown import from_euler
 from mems_ins_fusion.parameters import table
 
@@ -43,7 +54,7 @@ def started(config: FilterConfig, *, velocity=(12.0, -5.0, 0.3), attitude=(0.02,
     if x is not None:
         row[NAV:NAV + len(x)] = x
     if p is not None:
-        store_covariance(p, config.navigation, config.others, row)
+        set_covariance(row, config.layout, p)
     return memory
 
 
@@ -55,15 +66,16 @@ def newest(memory: np.ndarray) -> np.ndarray:
 
 def state_and_covariance(config: FilterConfig, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Error state (n,) and covariance (n, n) of the newest state."""
-    row, n = newest(memory), config.navigation + config.others
-    return row[NAV:NAV + n].copy(), covariance(row, config.navigation, config.others)
+    row = newest(memory)
+    return row[NAV:NAV + config.layout.n].copy(), covariance(row, config.layout)
 
 
 def fix_record(time, latitude=LATITUDE, longitude=LONGITUDE, height=HEIGHT, r=((1.0, 0.0), (0.0, 1.0)), down=4.0):
     """A fix as the kernel takes it; r: (2, 2) north-east m^2, down: m^2."""
-    record = np.zeros(FIX_SIZE)
-    record[[Fix.TIME, Fix.LATITUDE, Fix.LONGITUDE, Fix.HEIGHT]] = time, latitude, longitude, height
-    record[[Fix.R_NN, Fix.R_NE, Fix.R_EE, Fix.R_DD]] = r[0][0], r[0][1], r[1][1], down
+    record = np.zeros(Event.SIZE)
+    record[[Event.TIME, Event.KIND]] = time, Kind.POSITION
+    record[[Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT]] = latitude, longitude, height
+    record[[Event.R_NN, Event.R_NE, Event.R_EE, Event.R_DD]] = r[0][0], r[0][1], r[1][1], down
     return record
 
 
@@ -95,3 +107,20 @@ def attitude_of(config: FilterConfig, memory: np.ndarray) -> Rotation:
     if config.mechanization == PLANAR:
         return Rotation.from_euler('z', row[Nav.YAW])
     return Rotation.from_quat(row[[Nav.Q_X, Nav.Q_Y, Nav.Q_Z, Nav.Q_W]])
+
+
+def take_sample(memory: np.ndarray, time, f_x, f_y, f_z, w_x, w_y, w_z) -> None:
+    """One IMU sample in sensor axes through the kernel."""
+    _run(memory, np.array([[time, f_x, f_y, f_z, w_x, w_y, w_z]], dtype=float), np.zeros((0, Event.SIZE)))
+
+
+def take_event(memory: np.ndarray, record: np.ndarray) -> int:
+    """One measurement through the kernel; its answer."""
+    return _run(memory, np.zeros((0, 7)), record.reshape(1, -1).copy())
+
+
+def _run(memory, samples, events) -> int:
+    none, answers = np.zeros(0, dtype=np.int64), np.zeros(len(events), dtype=np.int64)
+    kernel.run(memory, samples, events, np.zeros(len(events), dtype=np.int64), answers, np.zeros(0, dtype=np.uint64),
+               none, np.zeros((0, 0)), np.zeros((0, Event.SIZE)))
+    return int(answers[0]) if len(answers) else 0

@@ -13,7 +13,8 @@ from scipy.stats import chi2
 
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.alignment import channel_prior
-from mems_ins_fusion.filter.fusion import FusionFilter, run
+from mems_ins_fusion.filter.live import FusionFilter
+from mems_ins_fusion.filter.replay import run
 from mems_ins_fusion.filter.layout import Head, views
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.sensor_errors.models import Autoregressive, GaussMarkov, RandomWalk
@@ -41,9 +42,9 @@ def driven(template, segments, course=COURSE):
 def recorded(drive, seed=0, sigma=1.5, rate=1.0, **values):
     """A configuration and the recording of a drive by the sensors that it describes."""
     config = configure(values)
-    sensors = SensorErrors.from_parameters(config.values, 'gauss_markov')
+    sensors = SensorErrors.from_parameters(config.parameters, 'gauss_markov')
     return config, simulate_recording(drive, sensors, GnssNoise(sigma, rate), seed=seed,
-                                      mounting_rpy=config.values['imu.mounting_rpy']).recording
+                                      mounting_rpy=config.parameters['imu.mounting_rpy']).recording
 
 
 def texts(notices):
@@ -259,7 +260,7 @@ def test_the_heading_knows_that_the_receiver_wanders(template):
         drive = driven(template, (STAND, GO, Segment(12.0)))
         for declared in errors:
             config = configure(coloured if declared else {})
-            sensors = SensorErrors.from_parameters(config.values, 'gauss_markov')
+            sensors = SensorErrors.from_parameters(config.parameters, 'gauss_markov')
             recording = simulate_recording(drive, sensors, GnssNoise(0.3, 1.0), seed=seed, effects=[
                 (EFFECTS['gnss_coloured_noise'], {'sigma': 1.5, 'tau': 8.0})]).recording
             start = run(config, recording.imu, recording.gnss).start

@@ -8,7 +8,9 @@ import pytest
 
 from mems_ins_fusion.cli.diagnose import main
 from mems_ins_fusion.effects.registry import EFFECTS
-from mems_ins_fusion.filter.fusion import FilterConfig, FusionFilter, run
+from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.live import FusionFilter
+from mems_ins_fusion.filter.replay import run
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.parameters import params_file, table
 from mems_ins_fusion.recordings.reading import read_recording

@@ -127,7 +127,8 @@ def test_all_models_are_judged_at_the_same_epochs(recording):
 def test_errors_are_those_of_a_run_with_all_its_samples(recording):
     """That only some states are kept changes nothing."""
     from mems_ins_fusion.evaluation.comparison import truth_of
-    from mems_ins_fusion.filter.fusion import FilterConfig, run
+    from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.replay import run
 
     given = values(update_intervals=[3.0], models=['random_walk'])
     result = compare(recording, given).runs[0]

@@ -6,8 +6,9 @@ import pytest
 
 from mems_ins_fusion.evaluation.metrics import Truth, position_errors, rms
 from mems_ins_fusion.evaluation.outages import outage_begins, run_outages, summary
-from mems_ins_fusion.filter.coasting import replay, replay_outages
-from mems_ins_fusion.filter.fusion import FilterConfig, run
+from mems_ins_fusion.filter.replay import run, run_with_outages
+from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.replay import run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
@@ -54,7 +55,7 @@ def test_an_outage_is_the_run_without_its_fixes(recording, mechanization):
     settings = config(mechanization=mechanization, **{'vehicle.zero_velocity': True, 'vehicle.non_holonomic': True})
     gnss = recording.gnss
     begin = gnss.stamp[[80, 95, 100, 180]]
-    ordinary, coasting = replay_outages(settings, recording.imu, gnss, begin, 30.0)
+    ordinary, coasting = run_with_outages(settings, recording.imu, gnss, begin, 30.0)
     assert coasting.begin.tolist() == begin.tolist()
     for i, b in enumerate(begin):
         # when the whole recording is run without the fixes of one of them
@@ -78,7 +79,7 @@ def test_a_fix_of_before_the_outage_counts_though_it_comes_after_its_begin(recor
     gnss.received[100] += round(1.3 * SECOND)
     gnss = gnss.select(np.argsort(gnss.received, kind='stable'))
     assert gnss.stamp[101] == begin
-    _, coasting = replay_outages(settings, recording.imu, gnss, [begin], 15.0)
+    _, coasting = run_with_outages(settings, recording.imu, gnss, [begin], 15.0)
     recording.gnss.received[100] -= round(1.3 * SECOND)
     # then the outage is the run that has it, without those after it
     alone = run(settings, recording.imu, gnss.select((gnss.stamp <= begin) | (gnss.stamp > begin + 17 * SECOND)))

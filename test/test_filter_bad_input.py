@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from filter_support import configure
 
-from mems_ins_fusion.filter.fusion import FusionFilter, run
+from mems_ins_fusion.filter.live import FusionFilter
+from mems_ins_fusion.filter.replay import run
 from mems_ins_fusion.filter.layout import Fix, views
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -45,7 +46,7 @@ def said(fusion):
 def kept(fusion):
     """The fixes that the filter remembers."""
     fixes = views(fusion._memory)[4]
-    return fixes[fixes[:, Fix.TIME] > 0]
+    return fixes[fixes[:, Event.TIME] > 0]
 
 
 @pytest.mark.parametrize('bad', [math.nan, math.inf, -math.inf])
@@ -97,15 +98,15 @@ def test_a_covariance_that_says_nothing_becomes_the_default(fusion, covariance, 
     assert level == 'warning'
     assert text.startswith(f'/gps/fix: position_covariance (type {kind}) [{covariance[0]:g}, {covariance[1]:g}, .., ')
     assert text.endswith('says nothing: gnss.default_sigma 3 m is used')
-    assert kept(fusion)[-1, [Fix.R_NN, Fix.R_NE, Fix.R_EE, Fix.R_DD]] == pytest.approx([9, 0, 9, 36])
+    assert kept(fusion)[-1, [Event.R_NN, Event.R_NE, Event.R_EE, Event.R_DD]] == pytest.approx([9, 0, 9, 36])
 
 
 def test_a_covariance_is_east_north_up_and_never_smaller_than_a_millimetre(fusion):
     fusion.add_fix(now(fusion), *FIX, [1.0, 0.5, 0, 0.5, 2.0, 0, 0, 0, 3.0])
-    assert kept(fusion)[-1, [Fix.R_NN, Fix.R_NE, Fix.R_EE, Fix.R_DD]] == pytest.approx([2, 0.5, 1, 3])
+    assert kept(fusion)[-1, [Event.R_NN, Event.R_NE, Event.R_EE, Event.R_DD]] == pytest.approx([2, 0.5, 1, 3])
     fusion.add_fix(now(fusion) - 1, *FIX, [1e-12, 0, 0, 0, 1e-12, 0, 0, 0, 0.0])
-    assert kept(fusion)[-2, [Fix.R_NN, Fix.R_EE]] == pytest.approx([1e-6, 1e-6])
-    assert kept(fusion)[-2, Fix.R_DD] > 0
+    assert kept(fusion)[-2, [Event.R_NN, Event.R_EE]] == pytest.approx([1e-6, 1e-6])
+    assert kept(fusion)[-2, Event.R_DD] > 0
     assert said(fusion) == []
 
 
@@ -116,7 +117,7 @@ def test_a_parameter_replaces_the_covariance_without_complaint():
         if k % RATE == 5:
             fusion.add_fix(BEGIN + k * SECOND // RATE, *FIX, [0.0] * 9)
     assert not any('covariance' in text for _, text in said(fusion))
-    assert kept(fusion)[-1, [Fix.R_NN, Fix.R_NE, Fix.R_EE]] == pytest.approx([6.25, 0, 6.25])
+    assert kept(fusion)[-1, [Event.R_NN, Event.R_NE, Event.R_EE]] == pytest.approx([6.25, 0, 6.25])
 
 
 def test_stamps_that_come_twice_or_go_back_are_dropped(fusion):

@@ -19,7 +19,7 @@ from filter_support import (
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.evaluation.metrics import position_errors, rms
-from mems_ins_fusion.filter import fusion
+from mems_ins_fusion.filter import replay
 from mems_ins_fusion.filter.kernel import take_sample
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'studies'))
@@ -40,12 +40,12 @@ def made(model, mechanization, feedback, constraint=()):
 
 def first_velocity(config):
     """Index of the first velocity error, and how many there are."""
-    return (2, 2) if config.navigation == 5 else (3, 3)
+    return (2, 2) if config.layout.n_navigation == 5 else (3, 3)
 
 
 def gyroscope_states(config):
-    """Indices of the gyroscopes' error states, axes as in `config.channels`: the newest value of each block."""
-    return [config.navigation + i * config.order for i, name in enumerate(config.channels) if name.startswith('w_')]
+    """Indices of the gyroscopes' error states, axes as in `config.layout.channels`: the newest value of each block."""
+    return [config.layout.n_navigation + i * config.layout.order for i, name in enumerate(config.layout.channels) if name.startswith('w_')]
 
 
 def true_motion(config, memory, e):
@@ -53,7 +53,7 @@ def true_motion(config, memory, e):
     velocity, attitude = velocity_of(config, memory), attitude_of(config, memory)
     at, k = first_velocity(config)
     velocity[:k] -= e[at:at + k]
-    if config.navigation == 5:
+    if config.layout.n_navigation == 5:
         return velocity, Rotation.from_euler('z', -e[4]) * attitude
     return velocity, Rotation.from_rotvec(-e[6:9]) * attitude  # C_true = (I - [phi x]) C_ins
 
@@ -107,27 +107,27 @@ def assert_textbook(config, before, after, measured, r):
     sigma = np.sqrt(np.diag(p0))
     assert covariance / np.outer(sigma, sigma) == pytest.approx(p / np.outer(sigma, sigma), abs=1e-7)
     assert np.abs(p - p0).max() > 1e-3 * np.abs(p0).max()  # something was measured
-    closed = config.values['feedback'] == 'closed'
-    expected = np.concatenate([np.zeros(config.navigation), x[config.navigation:]]) if closed else x
+    closed = config.parameters['feedback'] == 'closed'
+    expected = np.concatenate([np.zeros(config.layout.n_navigation), x[config.layout.n_navigation:]]) if closed else x
     assert (estimate - expected) / sigma == pytest.approx(np.zeros(len(x)), abs=1e-6)
-    taken_out = np.where(np.arange(len(x)) < config.navigation, x, 0.0) if closed else np.zeros(len(x))
+    taken_out = np.where(np.arange(len(x)) < config.layout.n_navigation, x, 0.0) if closed else np.zeros(len(x))
     velocity, attitude = true_motion(config, before, taken_out)
     assert velocity_of(config, after) == pytest.approx(velocity, abs=1e-7)
     assert (attitude_of(config, after) * attitude.inv()).magnitude() < 1e-7
 
 
 def scale_of(config, velocity=0.3, attitude=0.03, force=0.1, rate=0.01):
-    errors = [2, 2, *[velocity] * 2, attitude] if config.navigation == 5 else [
+    errors = [2, 2, *[velocity] * 2, attitude] if config.layout.n_navigation == 5 else [
         2, 2, 3, *[velocity] * 3, *[attitude] * 3]
     return np.array(errors + [force if axis < 3 else rate for axis in config.channel_axes
-                              for _ in range(config.order)])
+                              for _ in range(config.layout.order)])
 
 
 def drawn(config, scale, rng, feedback):
     """Errors and covariance far from diagonal; closed loop has no navigation errors left."""
     x = scale * rng.standard_normal(len(scale))
     if feedback == 'closed':
-        x[:config.navigation] = 0.0
+        x[:config.layout.n_navigation] = 0.0
     return {'x': x, 'p': random_covariance(len(scale), rng, scale)}
 
 
@@ -153,9 +153,9 @@ def test_a_standstill_corrects_as_the_dense_kalman_update(model, mechanization, 
     config = made(model, mechanization, feedback)
     scale = scale_of(config, velocity=0.05, attitude=3e-4, force=0.003, rate=1e-4)
     start = drawn(config, scale, np.random.default_rng(6), feedback)
-    start['x'][:config.navigation] *= 0.1
+    start['x'][:config.layout.n_navigation] *= 0.1
     attitude = (0.02, -0.03, 0.7)
-    level = Rotation.from_euler('ZYX', attitude[::-1]) if config.navigation == 9 else Rotation.identity()
+    level = Rotation.from_euler('ZYX', attitude[::-1]) if config.layout.n_navigation == 9 else Rotation.identity()
     force = level.inv().apply([0.0, 0.0, -9.81])
     rate = np.array([1e-3, -2e-3, 3e-3])
     config, before, after = until_corrected(model, mechanization, feedback, STANDSTILL, (*force * FLU, *rate * FLU),
@@ -175,7 +175,7 @@ def test_what_is_known_of_the_vehicle_bounds_an_outage(mechanization):
     for name, constraint in (('none', {}), ('non_holonomic', NON_HOLONOMIC), ('standstill', STANDSTILL),
                              ('both', {**NON_HOLONOMIC, **STANDSTILL})):
         config = configure(constraint, mechanization=mechanization)
-        errors = position_errors(fusion.run(config, imu, fixes), outage, np.zeros(len(outage), dtype=bool))
+        errors = position_errors(replay.run(config, imu, fixes), outage, np.zeros(len(outage), dtype=bool))
         error[name], normalized[name] = rms(errors.horizontal), errors.nees.mean()
         time = (errors.stamp - imu.stamp[0]) * 1e-9
         at_rest_speed[name] = rms(errors.speed[(time > 99.0) & (time < 102.0)])

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from filter_support import MODELS, configure, newest
 
-from mems_ins_fusion.filter.fusion import FusionFilter, run
+from mems_ins_fusion.filter.live import FusionFilter
+from mems_ins_fusion.filter.replay import run
 from mems_ins_fusion.filter.layout import NAV, covariance
 from mems_ins_fusion.samples import Fixes, ImuSamples
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -70,7 +71,7 @@ def live(config, imu, fixes):
         if fusion.add_imu(int(imu.stamp[k]), *map(float, imu.specific_force[k]), *map(float, imu.angular_rate[k])):
             stamp = fusion.update_odometry()
             row = newest(fusion._memory)
-            sigma = np.sqrt(np.diag(covariance(row, config.navigation, config.others)))
+            sigma = np.sqrt(np.diag(covariance(row, config.layout)))
             published.append((k, stamp, *fusion.geodetic, *sigma, row))
         notices += fusion.notices()
     return published, notices
@@ -95,9 +96,9 @@ def test_live_and_replay_give_the_same_bits(drive, mechanization, model, feedbac
     geodetic = np.array([p[2:5] for p in published])
     assert np.array_equal(np.column_stack([replayed.latitude, replayed.longitude, replayed.height])[at], geodetic)
     assert np.array_equal(replayed.sigma[at], np.array([p[5:-1] for p in published]))
-    errors = np.array([p[-1][NAV + config.navigation:NAV + config.navigation + len(config.models) * config.order]
+    errors = np.array([p[-1][NAV + config.layout.n_navigation:NAV + config.layout.n_navigation + len(config.models) * config.layout.order]
                        for p in published])
-    assert np.array_equal(replayed.sensor_errors[at], errors[:, ::config.order])
+    assert np.array_equal(replayed.sensor_errors[at], errors[:, ::config.layout.order])
     assert np.array_equal(newest(replayed.memory), published[-1][-1])
     # and it is the whole of it, but for the moments before the fix that started the filter had come
     missing = np.setdiff1d(replayed.index, index)
@@ -156,7 +157,7 @@ def test_open_loop_is_closed_loop_to_first_order(drive, mechanization):
               'alignment.heading': 'parameter', 'alignment.yaw': float(np.angle(np.exp(1j * drive.yaw[0]))),
               'alignment.yaw_sigma': 0.01, 'mechanization': mechanization}
     config = configure(values)
-    recording = simulate_recording(drive, SensorErrors.from_parameters(config.values, 'gauss_markov'),
+    recording = simulate_recording(drive, SensorErrors.from_parameters(config.parameters, 'gauss_markov'),
                                    GnssNoise(0.3, 4.0), seed=5).recording
     closed, opened = (run(configure({**values, 'feedback': feedback}), recording.imu, recording.gnss)
                       for feedback in ('closed', 'open'))

@@ -41,7 +41,7 @@ def settings(model, mechanization, coloured, **more):
 def navigation_jacobian(config, x=()):
     """F (N, N) and B (N, channels) by central differences of the mechanization."""
     f, w = FORCE * FLIP, RATE * FLIP
-    size = config.navigation + len(config.channels)
+    size = config.layout.n_navigation + len(config.layout.channels)
     if config.mechanization == PLANAR:
         def after(e):
             north, east, v_n, v_e, yaw = planar.mechanize(VELOCITY[0] + e[2], VELOCITY[1] + e[3], ATTITUDE[2] + e[4],
@@ -58,12 +58,12 @@ def navigation_jacobian(config, x=()):
             a, b = (Rotation.from_quat([*p[1:], p[0]]) for p in (q, nominal))
             return np.concatenate([e[:3] + moved, v, (a * b.inv()).as_rotvec()])
     jacobian = central_difference(after, size, 1e-4)
-    return jacobian[:, :config.navigation], jacobian[:, config.navigation:]
+    return jacobian[:, :config.layout.n_navigation], jacobian[:, config.layout.n_navigation:]
 
 
 def sensor_matrices(config, name):
     """A and Q (m, m) of the sensor error states and the coloured noise, each from its closed form."""
-    values, blocks, noise = config.values, [], []
+    values, blocks, noise = config.parameters, [], []
     for axis in config.channel_axes:
         sensor = 'accelerometer' if axis < 3 else 'gyroscope'
         if name == 'RW':
@@ -90,10 +90,10 @@ def dense(config, name):
     """Phi and Q (n, n) of the whole filter."""
     f, b = navigation_jacobian(config)
     a, q = sensor_matrices(config, name)
-    output = np.zeros((len(config.channels), config.others))  # c: each channel's error is its first state
-    output[range(len(config.channels)), range(0, config.order * len(config.channels), config.order)] = 1
-    phi = np.block([[f, b @ output], [np.zeros((config.others, config.navigation)), a]])
-    values = config.values
+    output = np.zeros((len(config.layout.channels), config.layout.n_augmented))  # c: each channel's error is its first state
+    output[range(len(config.layout.channels)), range(0, config.layout.order * len(config.layout.channels), config.layout.order)] = 1
+    phi = np.block([[f, b @ output], [np.zeros((config.layout.n_augmented, config.layout.n_navigation)), a]])
+    values = config.parameters
     density = np.concatenate([values['accelerometer.noise_density'], values['gyroscope.noise_density']])
     white = np.diag(density[config.channel_axes] ** 2 / DT)  # a sample is a mean over its interval
     return phi, block_diag(b @ white @ b.T, q)
@@ -102,14 +102,14 @@ def dense(config, name):
 def realistic(config):
     """Scales of the error states: m, m/s, rad, and sensor units."""
     navigation = [2, 2, 0.3, 0.3, 0.05] if config.mechanization == PLANAR else [2, 2, 3, .3, .3, .3, .03, .03, .05]
-    channels = [0.1 if axis < 3 else 0.01 for axis in config.channel_axes for _ in range(config.order)]
+    channels = [0.1 if axis < 3 else 0.01 for axis in config.channel_axes for _ in range(config.layout.order)]
     return np.array(navigation + channels + ([0.8, 0.8] if config.coloured else []))
 
 
 @pytest.mark.parametrize(('name', 'mechanization', 'coloured'), CASES)
 def test_covariance_is_predicted_with_the_dense_phi_and_q(name, mechanization, coloured):
     config = settings(name, mechanization, coloured)
-    assert config.navigation + config.others == {'planar': 5 + 3 * config.order, 'strapdown': 9 + 6 * config.order}[
+    assert config.layout.n == {'planar': 5 + 3 * config.layout.order, 'strapdown': 9 + 6 * config.layout.order}[
         mechanization] + 2 * coloured
     scale = realistic(config)
     p = random_covariance(len(scale), np.random.default_rng(2), scale)
@@ -127,7 +127,7 @@ def test_covariance_is_predicted_with_the_dense_phi_and_q(name, mechanization, c
 def test_process_noise_alone_is_q(mechanization):
     # given perfect knowledge, so that Phi P Phi^T does not hide Q
     config = settings('AR(2)', mechanization, True)
-    n = config.navigation + config.others
+    n = config.layout.n
     memory = started(config, velocity=VELOCITY, attitude=ATTITUDE, p=np.zeros((n, n)))
     take_sample(memory, DT, *FORCE, *RATE)
     _, predicted = state_and_covariance(config, memory)
@@ -142,7 +142,7 @@ def test_process_noise_alone_is_q(mechanization):
 @pytest.mark.parametrize(('name', 'mechanization', 'coloured'), [c for c in CASES if c[2]])
 def test_open_loop_error_state_is_predicted_with_phi(name, mechanization, coloured):
     config = settings(name, mechanization, coloured, feedback='open')
-    x = realistic(config) * np.random.default_rng(3).standard_normal(config.navigation + config.others)
+    x = realistic(config) * np.random.default_rng(3).standard_normal(config.layout.n)
     memory = started(config, velocity=VELOCITY, attitude=ATTITUDE, x=x)
     take_sample(memory, DT, *FORCE, *RATE)
     predicted, _ = state_and_covariance(config, memory)
@@ -155,9 +155,9 @@ def test_open_loop_error_state_is_predicted_with_phi(name, mechanization, colour
 def test_navigation_solution_is_the_mechanization_of_the_corrected_sample(mechanization, feedback):
     # given estimated sensor errors, which only the closed loop takes out
     config = settings('AR(2)', mechanization, False, feedback=feedback)
-    x = np.zeros(config.navigation + config.others)
-    errors = 0.1 * np.arange(1.0, len(config.channels) + 1)
-    x[config.navigation::2] = errors
+    x = np.zeros(config.layout.n)
+    errors = 0.1 * np.arange(1.0, len(config.layout.channels) + 1)
+    x[config.layout.n_navigation::2] = errors
     memory = started(config, velocity=VELOCITY, attitude=ATTITUDE, x=x)
     before = newest(memory)
     take_sample(memory, DT, *FORCE, *RATE)

@@ -14,7 +14,7 @@ from filter_support import MODELS, configure, fix_record, started
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from mems_ins_fusion.filter import fusion
+from mems_ins_fusion.filter import replay
 from mems_ins_fusion.filter.kernel import run
 from mems_ins_fusion.filter.layout import NAV, PLANAR, Fix, Head, Nav, covariance, views
 from mems_ins_fusion.navigation.earth import radii
@@ -46,7 +46,7 @@ def drives():
 
 def filtered(config, drive, seed):
     """Navigation and sensor errors (k, N), (k, channels), states (k, width) and records of the fixes of one run."""
-    sensors = SensorErrors.from_parameters(config.values, config.values['sensor_error_model'])
+    sensors = SensorErrors.from_parameters(config.parameters, config.parameters['sensor_error_model'])
     simulation = simulate_recording(drive, sensors, GnssNoise(SIGMA, 1.0), seed=seed)
     imu, gnss = simulation.recording.imu, simulation.recording.gnss
     memory, initial = start_drawn(config, drive, np.random.default_rng(1000 + seed))
@@ -66,14 +66,14 @@ def start_drawn(config, drive, rng):
     """A memory started at rest with errors drawn from the initial covariance."""
     planar = config.mechanization == PLANAR
     navigation = [2, 2, .1, .1, .03] if planar else [2, 2, 3, .1, .1, .1, .01, .01, .03]
-    p = np.zeros((config.navigation + config.others,) * 2)
-    p[:config.navigation, :config.navigation] = np.diag(np.square(navigation))
+    p = np.zeros((config.layout.n,) * 2)
+    p[:config.layout.n_navigation, :config.layout.n_navigation] = np.diag(np.square(navigation))
     for i, model in enumerate(config.models):
-        at = slice(config.navigation + i * config.order, config.navigation + (i + 1) * config.order)
+        at = slice(config.layout.n_navigation + i * config.layout.order, config.layout.n_navigation + (i + 1) * config.layout.order)
         p[at, at] = model.initial_covariance()
     if config.coloured:
         p[-2:, -2:] = config.coloured.sigma**2 * np.eye(2)
-    e = np.array(navigation) * rng.standard_normal(config.navigation)
+    e = np.array(navigation) * rng.standard_normal(config.layout.n_navigation)
     memory = started(config, velocity=(0, 0, 0), attitude=(0, 0, 0), p=p)
     row = views(memory)[2][0]
     meridian, prime_vertical = radii(drive.latitude[0])
@@ -126,15 +126,15 @@ def navigation_error(config, states, drive):
 
 def sensor_error(config, states, simulation):
     """True minus estimated error of each channel (k, channels): what still drives the navigation errors."""
-    at = NAV + config.navigation
-    estimate = states[:, at:at + len(config.channels) * config.order:config.order]
+    at = NAV + config.layout.n_navigation
+    estimate = states[:, at:at + len(config.layout.channels) * config.layout.order:config.layout.order]
     return simulation.sensor_errors[-len(states):, config.channel_axes] - estimate
 
 
 def known_states(config):
     """The error states whose truth the simulator tells: of an AR(p) block the newest value."""
-    sensors = config.navigation + config.order * np.arange(len(config.channels))
-    return [*range(config.navigation), *sensors]
+    sensors = config.layout.n_navigation + config.layout.order * np.arange(len(config.layout.channels))
+    return [*range(config.layout.n_navigation), *sensors]
 
 
 def statistics(config, drives, strapdown, seeds=SEEDS):
@@ -144,10 +144,10 @@ def statistics(config, drives, strapdown, seeds=SEEDS):
     for seed in range(seeds):
         navigation, sensors, states, fixes = filtered(config, drives(seed, strapdown), seed)
         error = np.column_stack([navigation, sensors])[instants]
-        p = np.array([covariance(states[k], config.navigation, config.others)[np.ix_(index, index)] for k in instants])
+        p = np.array([covariance(states[k], config.layout)[np.ix_(index, index)] for k in instants])
         nees.append(np.einsum('ki,ki->k', error, np.linalg.solve(p, error[..., None])[..., 0]))
         normalized.append(error / np.sqrt(np.einsum('kii->ki', p)))
-        nis.append(fixes[1:, Fix.NIS])
+        nis.append(fixes[1:, Event.NIS])
     return np.array(nees), np.array(normalized), np.array(nis)
 
 
@@ -177,7 +177,7 @@ def test_a_wrong_noise_is_seen(drives):
     # given a filter that believes in fixes and sensors twice as good, or as bad, as they are
     for factor in (0.5, 2.0):
         config = configure(START['gauss_markov'])
-        truth = dict(config.values)
+        truth = dict(config.parameters)
         values = {'accelerometer.noise_density': [factor * 0.01], 'gyroscope.noise_density': [factor * 3e-4],
                   'accelerometer.gauss_markov.sigma': [factor * 0.05], 'gyroscope.gauss_markov.sigma': [factor * 1e-3]}
         mistuned = configure({**START['gauss_markov'], **values})
@@ -195,11 +195,11 @@ def aligned(mechanization, model, heading, level, seeds, rate=25.0, still=20.0):
         drive = simulate_drive(90.0, 100 + seed, rate, standstill=still, rotating_earth=mechanization == 'strapdown')
         config = configure({'alignment.level': level, 'alignment.heading': heading}, mechanization=mechanization,
                            sensor_error_model=model)
-        sensors = SensorErrors.from_parameters(config.values, model)
+        sensors = SensorErrors.from_parameters(config.parameters, model)
         simulation = simulate_recording(drive, sensors, GnssNoise(SIGMA, 1.0), seed=seed)
         draw = np.random.default_rng(seed).standard_normal()
-        config.values['alignment.yaw'] = float(wrap(drive.yaw[0] + draw * config.values['alignment.yaw_sigma']))
-        result = fusion.run(config, simulation.recording.imu, simulation.recording.gnss)
+        config.parameters['alignment.yaw'] = float(wrap(drive.yaw[0] + draw * config.parameters['alignment.yaw_sigma']))
+        result = replay.run(config, simulation.recording.imu, simulation.recording.gnss)
         i = result.index
         east = (result.longitude - drive.longitude[i]) * EARTH * np.cos(drive.latitude[i])
         error = np.column_stack([(result.latitude - drive.latitude[i]) * EARTH, east,
@@ -211,7 +211,7 @@ def aligned(mechanization, model, heading, level, seeds, rate=25.0, still=20.0):
         gyroscopes = [channel for channel, axis in enumerate(config.channel_axes) if axis >= 3]
         axes = np.array(config.channel_axes)[gyroscopes]
         total = result.sensor_errors[0, gyroscopes] - views(result.memory)[0][Head.OFFSET + axes]
-        at = config.navigation + config.order * np.array(gyroscopes)
+        at = config.layout.n_navigation + config.layout.order * np.array(gyroscopes)
         bias.append((simulation.sensor_errors[i[0], axes] - total) / result.sigma[0, at])
     return np.array(errors), np.array(nis), np.array(bias)
 

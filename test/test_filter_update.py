@@ -20,7 +20,7 @@ from filter_support import (
 )
 from scipy.spatial.transform import Rotation
 
-from mems_ins_fusion.filter.kernel import FIX_BEFORE_START, FIX_TAKEN, FIX_TOO_LATE, run, take_fix, take_sample
+from mems_ins_fusion.filter.kernel import BEFORE_START, TAKEN, TOO_LATE, run, take_fix, take_sample
 from mems_ins_fusion.filter.layout import NAV, PLANAR, Fix, Head, Nav, views
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.simulation.drive import simulate_drive
@@ -38,7 +38,7 @@ def made(model, mechanization, feedback, **more):
 
 def scale_of(config):
     navigation = [2, 2, .3, .3, .05] if config.mechanization == PLANAR else [2, 2, 3, .3, .3, .3, .03, .03, .05]
-    channels = [.1 if axis < 3 else .01 for axis in config.channel_axes for _ in range(config.order)]
+    channels = [.1 if axis < 3 else .01 for axis in config.channel_axes for _ in range(config.layout.order)]
     return np.array(navigation + channels + ([.8, .8] if config.coloured else []))
 
 
@@ -49,7 +49,7 @@ def antenna(config, row, error):
     position = np.array([(row[Nav.LATITUDE] - LATITUDE) * (meridian + h),
                          (row[Nav.LONGITUDE] - LONGITUDE) * (prime_vertical + h) * math.cos(row[Nav.LATITUDE]),
                          HEIGHT - h])
-    arm = np.diag([1, -1, -1]) @ config.values['gnss.lever_arm']
+    arm = np.diag([1, -1, -1]) @ config.parameters['gnss.lever_arm']
     if config.mechanization == PLANAR:
         attitude = Rotation.from_euler('z', row[Nav.YAW] - error[4])
         position[:2] -= error[:2]
@@ -62,7 +62,7 @@ def antenna(config, row, error):
 
 def textbook(config, row, x, p, r, down):
     """x, P, innovation and its covariance after one joint correction with the fix at its place (Eqs. 6 to 8)."""
-    n, navigation = len(x), config.navigation
+    n, navigation = len(x), config.layout.n_navigation
     dimensions = 2 if config.mechanization == PLANAR else 3
     h = np.zeros((dimensions, n))
     # predicted minus measured position is linear in the error with -d(antenna)/d(error taken out)
@@ -91,10 +91,10 @@ def test_a_fix_corrects_as_the_dense_joint_kalman_update(model, mechanization, f
     if feedback == 'open':
         x0 = scale * rng.standard_normal(len(scale))
     else:
-        x0[config.navigation:] = scale[config.navigation:] * rng.standard_normal(config.others)
+        x0[config.layout.n_navigation:] = scale[config.layout.n_navigation:] * rng.standard_normal(config.layout.n_augmented)
     memories = [started(config, x=x0, p=p0) for _ in range(2)]
     record = fix_record(DT, r=R, down=2.0)
-    assert take_fix(memories[1], record) == FIX_TAKEN
+    assert take_event(memories[1], record) == TAKEN
     for memory in memories:
         take_sample(memory, DT, *SAMPLE)
     before, after = newest(memories[0]), newest(memories[1])
@@ -103,9 +103,9 @@ def test_a_fix_corrects_as_the_dense_joint_kalman_update(model, mechanization, f
     estimate, covariance = state_and_covariance(config, memories[1])
     sigma = np.sqrt(np.diag(p))
     assert covariance / np.outer(sigma, sigma) == pytest.approx(p / np.outer(sigma, sigma), abs=1e-7)
-    applied = x if feedback == 'open' else np.concatenate([np.zeros(config.navigation), x[config.navigation:]])
+    applied = x if feedback == 'open' else np.concatenate([np.zeros(config.layout.n_navigation), x[config.layout.n_navigation:]])
     assert (estimate - applied) / scale == pytest.approx(np.zeros(len(x)), abs=1e-7)
-    taken_out = x[:config.navigation] if feedback == 'closed' else np.zeros(config.navigation)
+    taken_out = x[:config.layout.n_navigation] if feedback == 'closed' else np.zeros(config.layout.n_navigation)
     expected = antenna(config, before, taken_out)  # the corrected state, seen at the antenna
     if config.mechanization == PLANAR:
         expected[2] = 0  # planar takes its height from the fix
@@ -116,11 +116,11 @@ def test_a_fix_corrects_as_the_dense_joint_kalman_update(model, mechanization, f
     assert antenna(config, after, np.zeros(9)) == pytest.approx(expected, abs=1e-6)
     # and the innovation kept with the fix is that of the joint measurement
     kept = views(memories[1])[4][0]
-    assert kept[[Fix.Z_N, Fix.Z_E]] == pytest.approx(z[:2], abs=1e-7)
-    assert kept[[Fix.S_NN, Fix.S_NE, Fix.S_EE]] == pytest.approx(s[[0, 0, 1], [0, 1, 1]], rel=1e-7)
-    assert kept[Fix.NIS] == pytest.approx(z[:2] @ np.linalg.solve(s[:2, :2], z[:2]), rel=1e-6)
+    assert kept[[Event.Z_N, Event.Z_E]] == pytest.approx(z[:2], abs=1e-7)
+    assert kept[[Event.S_NN, Event.S_NE, Event.S_EE]] == pytest.approx(s[[0, 0, 1], [0, 1, 1]], rel=1e-7)
+    assert kept[Event.NIS] == pytest.approx(z[:2] @ np.linalg.solve(s[:2, :2], z[:2]), rel=1e-6)
     if config.mechanization != PLANAR:
-        assert kept[[Fix.Z_D, Fix.S_DD]] == pytest.approx([z[2], s[2, 2]], rel=1e-6)
+        assert kept[[Event.Z_D, Event.S_DD]] == pytest.approx([z[2], s[2, 2]], rel=1e-6)
 
 
 @pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
@@ -132,11 +132,11 @@ def test_robust_weighting_brings_an_outlier_to_its_limit_and_leaves_others_alone
             config = configure({**values, 'gnss.robust_sigma': robust})
             scale = scale_of(config)
             memory = started(config, velocity=(0, 0, 0), p=np.diag(scale**2))
-            take_fix(memory, fix_record(DT, latitude=LATITUDE + away / 6.4e6, r=R, down=100.0))
+            take_event(memory, fix_record(DT, latitude=LATITUDE + away / 6.4e6, r=R, down=100.0))
             before = started(config, velocity=(0, 0, 0), p=np.diag(scale**2))
             for m in (memory, before):
                 take_sample(m, DT, *SAMPLE)
-            results[robust] = state_and_covariance(config, memory)[1], newest(memory), views(memory)[4][0, Fix.NIS]
+            results[robust] = state_and_covariance(config, memory)[1], newest(memory), views(memory)[4][0, Event.NIS]
         nis = results[0.0][2]
         assert (nis > 9) == outlier and results[3.0][2] == nis
         if not outlier:
@@ -151,7 +151,7 @@ def test_robust_weighting_brings_an_outlier_to_its_limit_and_leaves_others_alone
         got = results[3.0][0]
         index = [0, 1, 2, 3, 4] if mechanization == 'planar' else [0, 1, 3, 4, 8]  # not what the height corrects
         assert np.diag(got)[index] == pytest.approx(np.diag(expected)[index], rel=1e-6)
-        z = views(memory)[4][0, [Fix.Z_N, Fix.Z_E]]
+        z = views(memory)[4][0, [Event.Z_N, Event.Z_E]]
         assert z @ np.linalg.solve(p[:2, :2] + inflated, z) == pytest.approx(9.0, rel=1e-6)
 
 
@@ -160,7 +160,7 @@ def test_covariance_stays_symmetric_and_positive_for_hours_of_exact_fixes(model)
     # given two hours at 10 Hz with a fix of 1 mm each second: the worst there is for (I - K H) P
     config = configure({**MODEL_VALUES[model], 'mechanization': 'strapdown' if model == 'GM' else 'planar',
                         'accelerometer.autoregressive.interval': 0.1, 'gyroscope.autoregressive.interval': 0.1})
-    n = config.navigation + config.others
+    n = config.layout.n
     drive = simulate_drive(120.0, 5, 10.0, standstill=1.0)
     hours = 60
     force = np.tile(drive.specific_force[1:] * [1, -1, -1], (hours, 1))
@@ -168,11 +168,11 @@ def test_covariance_stays_symmetric_and_positive_for_hours_of_exact_fixes(model)
     time = 0.1 * np.arange(1, len(force) + 1)
     memory = started(config, velocity=(0, 0, 0), p=np.diag(scale_of(config) ** 2 * 100))
     fixes = np.array([fix_record(t, r=1e-6 * np.eye(2), down=1e-6) for t in np.arange(0.55, time[-1], 1.0)])
-    arrival = np.searchsorted(time, fixes[:, Fix.TIME])
+    arrival = np.searchsorted(time, fixes[:, Event.TIME])
     run(memory, time, force, rate, fixes, arrival, np.zeros(len(fixes), np.int64), np.array([NAV]),
         np.empty((len(time), 1)))
     assert views(memory)[0][Head.SAMPLES] == len(time) >= 72000
-    assert np.all(fixes[:, Fix.APPLIED] == 1)
+    assert np.all(fixes[:, Event.APPLIED] == 1)
     _, p = state_and_covariance(config, memory)
     sigma = np.sqrt(np.diag(p))
     assert np.all(np.isfinite(sigma)) and np.all(sigma > 0)
@@ -191,7 +191,7 @@ def driven(config, events):
             wave = np.sin(np.arange(6) + 3.0 * rest[0] if rest else np.arange(6) + 3.0 * time)
             take_sample(memory, time, *(np.array(SAMPLE) + wave * [1, 1, 1, .1, .1, .1]))
         else:
-            answers.append(take_fix(memory, fix_record(time, latitude=LATITUDE + rest[0] / 6.4e6, r=R)))
+            answers.append(take_event(memory, fix_record(time, latitude=LATITUDE + rest[0] / 6.4e6, r=R)))
     return memory, answers
 
 
@@ -222,7 +222,7 @@ def test_late_fixes_give_bit_for_bit_what_fixes_in_time_give(model, mechanizatio
     for events in ([*samples, first, second, third], [*samples, third, first, second],
                    [*samples[:32], second, *samples[32:40], third, first, *samples[40:]]):
         late, answers = driven(config, events)
-        assert answers == [FIX_TAKEN] * 3
+        assert answers == [TAKEN] * 3
         assert np.array_equal(newest(late), newest(in_order))
         # and so does each state from the sample after the fix on
         assert np.array_equal(views(late)[2][15:60], views(in_order)[2][15:60])
@@ -240,24 +240,24 @@ def test_a_fix_at_a_sample_stamp_acts_after_that_sample():
     assert np.array_equal(newest(just_after), newest(plain))
     assert not np.array_equal(newest(at), newest(plain))
     # and one stamped at the state it starts from came before the start
-    assert driven(config, [('fix', 0.0, 2.0), ('sample', 0.01)])[1] == [FIX_BEFORE_START]
+    assert driven(config, [('fix', 0.0, 2.0), ('sample', 0.01)])[1] == [BEFORE_START]
 
 
 def test_fixes_older_than_the_delay_or_the_memory_are_refused():
     config = made('GM', 'planar', 'closed', **{'gnss.max_delay': 0.3})
     samples = [('sample', t) for t in np.round(0.01 * np.arange(1, 60), 9)]
     plain, _ = driven(config, samples)
-    for time, answer in ((0.28, FIX_TOO_LATE), (0.295, FIX_TAKEN), (-1.0, FIX_BEFORE_START)):
+    for time, answer in ((0.28, TOO_LATE), (0.295, TAKEN), (-1.0, BEFORE_START)):
         memory, answers = driven(config, [*samples, ('fix', time, 2.0)])
         assert answers == [answer]
-        assert np.array_equal(newest(memory), newest(plain)) == (answer != FIX_TAKEN)
+        assert np.array_equal(newest(memory), newest(plain)) == (answer != TAKEN)
     # given more samples than the memory holds, within the delay
     config = made('GM', 'planar', 'closed', **{'gnss.max_delay': 10.0})
     count = int(views(config.memory())[0][Head.CAPACITY]) + 100
     step = 9.0 / count
     memory, answers = driven(config, [*[('sample', step * k) for k in range(1, count)], ('fix', 50 * step, 2.0),
                                       ('fix', 150 * step, 2.0)])
-    assert answers == [FIX_TOO_LATE, FIX_TAKEN]
+    assert answers == [TOO_LATE, TAKEN]
 
 
 def test_a_standstill_ends_when_the_vehicle_starts_gently():
@@ -272,7 +272,7 @@ def test_a_standstill_ends_when_the_vehicle_starts_gently():
     for used in (True, False):
         config = made('GM', 'planar', 'closed', **{'vehicle.zero_velocity': used, 'imu.mounting_rpy': [0.0, 0.0, 0.0]})
         memory = started(config, velocity=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=np.diag(
-            [0.25, 0.25, 0.01, 0.01, 0.01, *[0.05**2] * (config.others - 1), 0.01**2]))
+            [0.25, 0.25, 0.01, 0.01, 0.01, *[0.05**2] * (config.layout.n_augmented - 1), 0.01**2]))
         found[used] = []
         for k in range(len(time)):
             take_sample(memory, time[k], *force[k], *noise[1][k])

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.evaluation import bootstrap, metrics
 from mems_ins_fusion.evaluation.metrics import Truth, position_errors
-from mems_ins_fusion.filter.fusion import Run
+from mems_ins_fusion.filter.results import Run
 from mems_ins_fusion.navigation.earth import from_local
 from mems_ins_fusion.reports.trajectories import write_track
 from mems_ins_fusion.samples import Fixes, ImuSamples, Reference

@@ -160,9 +160,9 @@ def test_euler_angles_are_scipys():
 def test_odometry_is_in_enu_and_flu(mechanization):
     # given a state with all of it nonzero and a covariance with all correlations
     config = configure(mechanization=mechanization)
-    n = config.navigation
+    n = config.layout.n_navigation
     rng = np.random.default_rng(7)
-    root = rng.standard_normal((n + config.others,) * 2) * 0.1
+    root = rng.standard_normal((n + config.layout.n_augmented,) * 2) * 0.1
     p = root @ root.T
     roll, pitch, yaw = (0.0, 0.0, 2.2) if config.mechanization == PLANAR else (0.1, -0.2, 2.2)
     velocity = (3.0, -4.0, 0.0 if config.mechanization == PLANAR else 0.5)

@@ -18,7 +18,8 @@ from ..evaluation.comparison import truth_of
 from ..evaluation.metrics import Errors, position_errors
 from ..evaluation.outages import Outages, outage_begins, run_outages
 from ..evaluation.outages import summary as outage_summary
-from ..filter.fusion import FilterConfig, run
+from ..filter.config import FilterConfig
+from ..filter.replay import run
 from ..samples import ImuSamples, Recording
 from .residuals import Model, Problem, Residual
 

@@ -17,7 +17,9 @@ import numpy as np
 
 from ..evaluation.comparison import thin
 from ..filter.alignment import transferred
-from ..filter.fusion import FilterConfig, Run, run
+from ..filter.config import FilterConfig
+from ..filter.replay import Aiding, run
+from ..filter.results import Run
 from ..samples import ImuSamples, Recording
 
 #: innovations of the first seconds after the start belong to the alignment

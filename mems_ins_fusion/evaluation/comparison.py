@@ -9,9 +9,10 @@ from itertools import combinations
 
 import numpy as np
 
-from ..filter.coasting import replay
 from ..filter.config import FilterConfig
-from ..filter.fusion import Run
+from ..filter.replay import Aiding
+from ..filter.replay import run as replay
+from ..filter.results import Run
 from ..navigation.frames import FLU_TO_FRD
 from ..samples import Fixes, ImuSamples, Recording
 from . import metrics
@@ -197,6 +198,7 @@ class _Work:
         self.shortest = min(values['update_intervals'])
         conditioning = self._config(values['models'][0]).conditioning
         self.turning = turning_at(recording.imu, conditioning, self.truth.reference.stamp)
+        self.aiding = Aiding(recording.speed, recording.velocity, recording.heading)
         self.keep = _samples_to_keep(recording.imu, self.truth.reference.stamp)
         self.start = self._start()
 
@@ -206,7 +208,7 @@ class _Work:
     def _start(self) -> int:
         """When the filter starts with all fixes, as these are stamped, ns."""
         every = self.fixes.select(thin(self.fixes, 0.0))
-        run = replay(self._config(self.values['models'][0]), self.recording.imu, every, self.keep)
+        run = replay(self._config(self.values['models'][0]), self.recording.imu, every, self.aiding, keep=self.keep)
         if not len(run.stamp):
             reason = next((n.text for n in reversed(run.notices) if n.level == 'error'), 'no usable fix')
             raise ReplayError(f'{self.recording.name}: {reason}')
@@ -231,7 +233,8 @@ class _Work:
 
     def run(self, model: str, interval: float) -> tuple[str, float, np.ndarray, Run]:
         use = self._use(interval)
-        return model, interval, use, replay(self._config(model), self.recording.imu, self.fixes.select(use), self.keep)
+        run = replay(self._config(model), self.recording.imu, self.fixes.select(use), self.aiding, keep=self.keep)
+        return model, interval, use, run
 
     def measure(self, runs) -> list[RunResult]:
         """The errors of `runs`, all from the time on at which each of them had started."""
@@ -267,7 +270,7 @@ class _Work:
 
     def outages(self, model: str, begin: np.ndarray) -> list[Outages]:
         return run_outages(self._config(model), self.recording.imu, self.fixes.select(self._use(self.shortest)),
-                           self.truth, self.values['outage_durations'], begin, self.keep)
+                           self.truth, self.values['outage_durations'], begin, self.aiding, self.keep)
 
 
 def _samples_to_keep(imu: ImuSamples, epochs: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from ..filter.fusion import Run
+from ..filter.results import Run
 from ..navigation.earth import radii
 from ..navigation.frames import wrap
 from ..samples import Fixes, ImuSamples, Reference

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..filter.coasting import Coasting, replay_outages
 from ..filter.config import FilterConfig
-from ..filter.fusion import Run
+from ..filter.replay import Aiding, Coasting, run_with_outages
+from ..filter.results import Run
 from ..samples import Fixes, ImuSamples
 from .metrics import NEES_95, Errors, Truth, position_errors, rms
 
@@ -57,15 +57,15 @@ def outage_begins(first: int, fixes: Fixes, time_offset: float, spacing: float, 
 
 
 def run_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: Truth, durations, begin: np.ndarray,
-                keep: np.ndarray | None = None) -> list[Outages]:
+                aiding: Aiding = Aiding(), keep: np.ndarray | None = None) -> list[Outages]:
     """The outages of each duration (s) that begin at `begin`, each the only one in its run.
 
-    keep: which IMU samples' states to look at, (n,) bool; they must surround the epochs of the truth.
+    aiding: what else is measured. keep: which IMU samples' states to look at, (n,) bool; they must surround the epochs of the truth.
     """
     durations = sorted(durations)
-    run, coasting = replay_outages(config, imu, fixes, begin, durations[-1], keep)
+    run, coasting = run_with_outages(config, imu, fixes, begin, durations[-1], aiding, keep)
     driven = _Distance(run)
-    errors = [_errors(coasting, i, truth, durations[-1], config.values['imu.restart_gap'])
+    errors = [_errors(coasting, i, truth, durations[-1], config.imu.restart_gap)
               for i in range(len(coasting.begin))]
     last = truth.reference.stamp[-1] if len(truth) else 0
     results = []
@@ -80,28 +80,11 @@ def run_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: Trut
 def _errors(coasting: Coasting, i: int, truth: Truth, duration: float, longest_gap: float) -> Errors:
     rows = slice(coasting.first[i], coasting.first[i + 1])
     run, begin = coasting.run, coasting.begin[i]
-    part = _Rows(*(getattr(run, name)[rows] for name in _Rows.__annotations__))
     stamp = truth.reference.stamp
     within = slice(np.searchsorted(stamp, begin, side='right'),
                    np.searchsorted(stamp, begin + round(duration * 1e9), side='right'))
     truth = truth.select(within)
-    return position_errors(part, truth, np.zeros(len(truth), dtype=bool), longest_gap)
-
-
-@dataclass(frozen=True)
-class _Rows:
-    """Some rows of a `Run`."""
-
-    stamp: np.ndarray
-    latitude: np.ndarray
-    longitude: np.ndarray
-    height: np.ndarray
-    velocity: np.ndarray
-    roll: np.ndarray
-    pitch: np.ndarray
-    yaw: np.ndarray
-    sigma: np.ndarray
-    covariance_ne: np.ndarray
+    return position_errors(run.states(rows), truth, np.zeros(len(truth), dtype=bool), longest_gap)
 
 
 class _Distance:

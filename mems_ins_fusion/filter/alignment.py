@@ -9,6 +9,7 @@ import numpy as np
 from ..navigation.earth import gravity, radii
 from ..navigation.frames import leveling, wrap, yaw_from_enu, yaw_of_quaternion
 from .config import FilterConfig
+from .layout import Event
 
 MEMORY = 300.0  # s of samples kept while waiting
 STILL_BLOCK = 1.0  # s; a standstill is made of such blocks
@@ -16,6 +17,7 @@ SHORTEST_STILL = 3.0  # s
 STEADY_ACCELERATION = 0.06  # m/s^2: between the mean of a block and the standstill's
 STEADY_RATE = 0.005  # rad/s
 COURSE_SIGMA = 0.1  # rad: straightness of course that is good enough to start
+LATEST_FIX = 1.0  # s after the newest sample
 SHORTEST_COURSE = 1.0  # m
 LONGEST_COURSE_TIME = 60.0  # s
 SLOWEST_START = 0.5  # m/s
@@ -64,14 +66,13 @@ class Alignment:
         self._orientation: np.ndarray | None = None
         self._fixes: list[tuple] = []
 
-    def add_samples(self, time, specific_force, angular_rate, orientation=None) -> None:
-        """Samples in sensor axes: time (k,), specific force and angular rate (k, 3), orientation (k, 4) or None."""
-        k = len(time)
+    def add_samples(self, samples: np.ndarray, orientation=None) -> None:
+        """Samples (k, 7) in sensor axes: time, specific force, angular rate. orientation: (k, 4) or None."""
+        k = len(samples)
         while self._count + k > len(self._imu):
             self._imu = np.concatenate([self._imu, np.empty_like(self._imu)])
         rows = self._imu[self._count:self._count + k]
-        rows[:, 0] = time
-        rows[:, 7:10], rows[:, 10:13] = specific_force, angular_rate
+        rows[:, 0], rows[:, 7:13] = samples[:, 0], samples[:, 1:]
         for i in range(6):  # sums of six terms in one order, so that one sample and many give the same bits
             total = self.config.offset[i]
             for j in range(6):
@@ -88,6 +89,19 @@ class Alignment:
         imu = self._imu[:self._count]
         return imu[imu[:, 0] > time][:, [0, *range(7, 13)]]
 
+    def add_record(self, record: np.ndarray, say) -> Start | None:
+        """One good fix as the kernel takes it; what there is to tell goes to say(level, text)."""
+        before = self.waiting_for
+        covariance = np.array([[record[Event.R_NN], record[Event.R_NE]], [record[Event.R_NE], record[Event.R_EE]]])
+        start = self.add_fix(record[Event.TIME], record[Event.LATITUDE], record[Event.LONGITUDE],
+                             record[Event.HEIGHT], covariance)
+        if start is not None:
+            for level, text in start.notes:
+                say(level, text)
+        elif self.waiting_for != before:
+            say('info', f'waiting for {self.waiting_for}')
+        return start
+
     def add_fix(self, time, latitude, longitude, height, covariance) -> Start | None:
         """One good fix of the antenna; covariance: north-east (2, 2) m^2. The start, as soon as there is one."""
         if not self._count:
@@ -95,10 +109,14 @@ class Alignment:
         self._forget(time - MEMORY)
         self._fixes.append((time, latitude, longitude, height, covariance))
         self._fixes.sort(key=lambda fix: fix[0])
-        if self._fixes[-1][0] > time or not self._imu[0, 0] < time <= self._imu[self._count - 1, 0] + 1.0:
+        ahead = time - self._imu[self._count - 1, 0]
+        if ahead > LATEST_FIX:
+            self.waiting_for = (f'fixes whose stamps agree with those of {self.config.imu.topic}: they are '
+                                f'{ahead:.1f} s ahead (gnss.time_offset)')
+        if self._fixes[-1][0] > time or not self._imu[0, 0] < time <= self._imu[self._count - 1, 0] + LATEST_FIX:
             return None
         positions = self._positions()
-        source = self.config.values['alignment.heading']
+        source = self.config.alignment.heading
         if source == 'course':
             return self._start_from_course(positions)
         return self._start_with_heading(source, positions, self._standstill(positions))
@@ -121,14 +139,14 @@ class Alignment:
 
     def _standstill(self, positions: np.ndarray) -> Standstill | None:
         """The latest standstill: at least SHORTEST_STILL in which the sensors are quiet and the fixes stay in place."""
-        imu, values = self._imu[:self._count], self.config.values
+        imu, vehicle = self._imu[:self._count], self.config.vehicle
         block = np.floor((imu[:, 0] - imu[0, 0]) / STILL_BLOCK).astype(np.int64)
         starts = np.flatnonzero(np.diff(block, prepend=-1))
         length = np.diff(np.append(starts, len(imu)))[:, None]
         mean = np.add.reduceat(imu[:, 1:7], starts) / length
         scatter = np.sqrt(np.add.reduceat((imu[:, 1:7] - np.repeat(mean, length[:, 0], axis=0)) ** 2, starts) / length)
-        quiet = ((scatter[:, :3].max(axis=1) < values['vehicle.still_acceleration'])
-                 & (scatter[:, 3:].max(axis=1) < values['vehicle.still_rate']) & (length[:, 0] > 2))
+        quiet = ((scatter[:, :3].max(axis=1) < vehicle.still_acceleration)
+                 & (scatter[:, 3:].max(axis=1) < vehicle.still_rate) & (length[:, 0] > 2))
         edges = np.flatnonzero(np.diff(np.concatenate([[0], quiet.astype(np.int8), [0]])))
         ends = np.append(starts[1:], len(imu))
         for first, last in list(zip(edges[::2], edges[1::2]))[::-1]:
@@ -142,11 +160,11 @@ class Alignment:
 
     def _start_with_heading(self, source, positions, standstill) -> Start | None:
         """Heading given; velocity zero at standstill, else from the fixes."""
-        sigma = self.config.values['alignment.yaw_sigma']
+        sigma = self.config.alignment.yaw_sigma
         if source == 'parameter':
-            yaw = self.config.values['alignment.yaw']
+            yaw = self.config.alignment.yaw
         elif self._orientation is None:
-            self.waiting_for = f"orientation in the messages on {self.config.values['imu_topic']}"
+            self.waiting_for = f"orientation in the messages on {self.config.imu.topic}"
             return None
         else:
             yaw = self._heading_of_orientation()
@@ -165,7 +183,7 @@ class Alignment:
         from scipy.spatial.transform import Rotation
 
         rotation = Rotation.from_quat(self._orientation) * Rotation.from_euler(
-            'xyz', self.config.values['imu.mounting_rpy']).inv()
+            'xyz', self.config.imu.mounting_rpy).inv()
         return float(yaw_from_enu(yaw_of_quaternion(*rotation.as_quat())))
 
     def _start_from_course(self, positions) -> Start | None:
@@ -224,9 +242,9 @@ class Alignment:
 
     def _wandered(self, interval: float) -> float:
         """Variance of how far the receiver's coloured error has gone within `interval` s, m^2, one axis."""
-        if not self.config.coloured:
+        if not self.config.gnss.coloured:
             return 0.0
-        return -2.0 * self.config.coloured.sigma**2 * math.expm1(-interval / self.config.coloured.tau)
+        return -2.0 * self.config.gnss.coloured.sigma**2 * math.expm1(-interval / self.config.gnss.coloured.tau)
 
     def _way(self, time, standstill, forwards, backwards, sigma) -> int:
         """1 forwards, -1 backwards, 0 unclear: which speed at `time` fits the accelerometers since it stood."""
@@ -250,9 +268,8 @@ class Alignment:
         part = imu[(imu[:, 0] > begin) & (imu[:, 0] <= end)]
         if len(part) < 3:
             return None
-        values = self.config.values
         force, rate = part[:, 1:3].copy(), part[:, 6].copy()
-        bias_f, bias_w = UNKNOWN_TILT_SIGMA * 9.8, max(values['gyroscope.initial_sigma'])
+        bias_f, bias_w = UNKNOWN_TILT_SIGMA * 9.8, self.config.alignment.gyroscope_turn_on
         if standstill is not None:
             rate -= standstill.angular_rate[2]
             force -= standstill.specific_force[:2]
@@ -275,7 +292,7 @@ class Alignment:
         jacobian[2:4, 3] = across * speed * yaw_sigma
         jacobian[4, 3] = yaw_sigma
         covariance = jacobian @ jacobian.T + np.diag([0, 0, *[(0.05 + SIDESLIP_SIGMA * speed) ** 2] * 2, 0])
-        arm = self.config.lever_arm
+        arm = self.config.gnss.lever_arm
         north = -(course[0] * arm[0] + across[0] * arm[1])  # from the antenna back to the IMU
         east = -(course[1] * arm[0] + across[1] * arm[1])
         meridian, prime_vertical = radii(latitude)
@@ -293,7 +310,7 @@ class Alignment:
                                                    / np.linalg.norm(standstill.specific_force)))))
         size = float(np.linalg.norm(standstill.specific_force))
         bias = ', '.join(f'{math.degrees(w):.3f}' for w in standstill.angular_rate)
-        removed = ' (removed)' if self.config.values['alignment.level'] else ''
+        removed = ' (removed)' if self.config.alignment.level else ''
         expected = gravity(latitude, height)
         text = (f'standstill of {standstill.duration:.1f} s: gyroscope bias {bias} deg/s (forward, right, down), '
                 f'tilt {tilt:.1f} deg{removed}, specific force {size:.3f} m/s^2 '
@@ -301,7 +318,7 @@ class Alignment:
         notes = [('info', text)]
         if abs(size - expected) > GRAVITY_TOLERANCE * expected:
             unit = 'in g, not in m/s^2' if abs(size - 1.0) < GRAVITY_TOLERANCE else 'a wrong unit or scale'
-            notes.append(('error', f"{self.config.values['imu_topic']}: linear_acceleration is {size:.3f} at rest "
+            notes.append(('error', f"{self.config.imu.topic}: linear_acceleration is {size:.3f} at rest "
                                    f'where gravity is {expected:.3f} m/s^2: {unit}'))
         return notes
 
@@ -388,8 +405,8 @@ def transferred(start: Start, old: FilterConfig, new: FilterConfig) -> Start:
 
     The time offset moves its time, the lever arm its position; what the standstill shows is `retaken` by the run.
     """
-    delay = new.values['gnss.time_offset'] - old.values['gnss.time_offset']
-    arm = new.lever_arm - old.lever_arm
+    delay = new.gnss.time_offset - old.gnss.time_offset
+    arm = new.gnss.lever_arm - old.gnss.lever_arm
     c, s = math.cos(start.yaw), math.sin(start.yaw)
     meridian, prime_vertical = radii(start.latitude)
     return replace(
@@ -399,12 +416,12 @@ def transferred(start: Start, old: FilterConfig, new: FilterConfig) -> Start:
         height=start.height + arm[2])
 
 
-def retaken(start: Start, config: FilterConfig, time, specific_force, angular_rate) -> Start:
-    """`start` with what its standstill shows in these samples: time (n,) as in `start`, f and w (n, 3), sensor axes."""
+def retaken(start: Start, config: FilterConfig, samples: np.ndarray) -> Start:
+    """`start` with what its standstill shows in these samples (n, 7): time as in `start`, f and w in sensor axes."""
     still = start.standstill
     if still is None:
         return start
-    inside = slice(*np.searchsorted(time, [still.end - still.duration - 1e-6, still.end + 1e-6]))
-    seen = np.concatenate([specific_force[inside].mean(axis=0), angular_rate[inside].mean(axis=0)])
+    inside = slice(*np.searchsorted(samples[:, 0], [still.end - still.duration - 1e-6, still.end + 1e-6]))
+    seen = samples[inside, 1:].mean(axis=0)
     seen = config.conditioning @ seen + config.offset
     return replace(start, standstill=replace(still, specific_force=seen[:3], angular_rate=seen[3:]))

@@ -179,6 +179,8 @@ def apply_event(mem, r, at, sample):
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     n, p, kind = n_navigation + m, int(mem[Head.SCRATCH_AT]), mem[at + Event.KIND]
     h = p + n * n
+    if mem[at + Event.VERDICT] == Verdict.AHEAD:
+        return
     if kind == Kind.POSITION and receiver.is_frozen(mem, r, at):
         mem[at + Event.VERDICT], mem[at + Event.WEIGHT] = Verdict.FROZEN, 0.0
         return

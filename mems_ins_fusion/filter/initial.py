@@ -9,7 +9,7 @@ from ..navigation.earth import gravity
 from ..navigation.strapdown import from_euler, matrix
 from .alignment import Start, channel_prior, leveled
 from .config import FilterConfig
-from .layout import NAV, PLANAR, Head, Nav, Sample, store_covariance, views
+from .layout import NAV, PLANAR, Head, Nav, Sample, set_covariance, views
 from .prediction import set_radii
 
 UNKNOWN_TILT_SIGMA = 0.05  # rad, roll and pitch where no standstill showed them
@@ -22,7 +22,7 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
     head, _, rows, ring, _ = views(memory)
     conditioning, offset = config.conditioning, config.offset
     still = start.standstill
-    level = config.values['alignment.level'] and still is not None
+    level = config.alignment.level and still is not None
     if level:
         conditioning, offset = leveled(config, still)
     estimate, covariance, constant = _sensor_errors(config, start, level)
@@ -31,27 +31,28 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
     head[Head.CONDITIONING:Head.CONDITIONING + 36] = conditioning.ravel()
     head[Head.OFFSET:Head.OFFSET + 6] = offset
 
-    row, n = rows[0], config.navigation + config.others
+    row, layout = rows[0], config.layout
     row[:] = 0.0
     row[Nav.TIME], row[Nav.LATITUDE], row[Nav.LONGITUDE], row[Nav.HEIGHT] = (
         start.time, start.latitude, start.longitude, start.height)
     row[Nav.V_N], row[Nav.V_E] = start.velocity
-    full = np.zeros((n, n))
-    full[config.navigation:, config.navigation:] = covariance
+    row[Nav.GNSS_RATIO] = 1.0
+    full = np.zeros((layout.n, layout.n))
+    full[layout.n_navigation:, layout.n_navigation:] = covariance
     if config.mechanization == PLANAR:
         row[Nav.YAW] = start.yaw
         full[:5, :5] = start.covariance
     else:
         _strapdown_attitude(config, row, full, start, level)
-    row[NAV + config.navigation:NAV + n] = estimate
-    store_covariance(full, config.navigation, config.others, row)
+    row[NAV + layout.n_navigation:NAV + layout.n] = estimate
+    set_covariance(row, layout, full)
     set_radii(memory, int(head[Head.ROWS_AT]))
     ring[0, Sample.TIME] = start.time
 
 
 def _sensor_errors(config: FilterConfig, start: Start, level: bool):
     """Estimate (m,), covariance (m, m) and constant part (channels,) of the states behind the navigation errors."""
-    p, m = config.order, config.others
+    p, m = config.layout.order, config.layout.n_augmented
     estimate, covariance, constant = np.zeros(m), np.zeros((m, m)), np.zeros(len(config.models))
     still = start.standstill
     span = (still.duration, start.time - still.end) if still else (0.0, 0.0)
@@ -64,8 +65,8 @@ def _sensor_errors(config: FilterConfig, start: Start, level: bool):
             sigma = math.hypot(sigma, TILT_SIGMA)
         estimate[block], covariance[block, block], constant[channel] = channel_prior(
             model, sigma, config.white[axis], mean, *span)
-    if config.coloured:
-        covariance[-2:, -2:] = np.eye(2) * config.coloured.sigma**2
+    for state, extra in enumerate(config.extras, start=config.layout.n_sensor):
+        covariance[state, state] = extra.initial_sigma**2
     return estimate, covariance, constant
 
 
@@ -102,9 +103,9 @@ def _strapdown_attitude(config: FilterConfig, row: np.ndarray, full: np.ndarray,
         return
     g = gravity(start.latitude, start.height)
     c = np.array(matrix(q)).reshape(3, 3)
-    coupling = np.zeros((3, config.others))  # phi = coupling x
+    coupling = np.zeros((3, config.layout.n_augmented))  # phi = coupling x
     for axis in range(2):
-        state = axis * config.order
+        state = axis * config.layout.order
         coupling[0, state], coupling[1, state] = -c[1, axis] / g, c[0, axis] / g
     sensor = full[9:, 9:]
     full[6:9, 6:9] += coupling @ sensor @ coupling.T + np.diag([0.002**2, 0.002**2, 0])

@@ -21,7 +21,7 @@ from ..navigation.earth import gravity
 from . import imu_faults
 from .correction import CONSTRAINT_INTERVAL, apply_event, constrain
 from .imu_faults import Fault
-from .layout import NAV, PLANAR, Event, Head, Nav, Sample, event_at, packed, sample_at, state_at
+from .layout import NAV, PLANAR, Event, Head, Nav, Sample, Verdict, event_at, packed, sample_at, state_at
 from .measurements.geometry import body_to_level
 from .prediction import predict
 from .standstill import is_still
@@ -32,6 +32,8 @@ TAKEN, BEFORE_START, TOO_LATE = 0, 1, 2
 HELD = 0.3
 #: the vehicle certainly moves above this speed plus two sigma, m/s
 MOVING_SPEED = 1.0
+#: a measurement that came before an IMU sample may be this much later than it, s
+LATEST = 0.5
 #: what is added to the sigmas of velocity and attitude where a state was not finite and the one before it is taken
 RESTART_VELOCITY, RESTART_ATTITUDE = 1.0, 0.05  # m/s, rad
 
@@ -119,8 +121,18 @@ def _take_sample(memory, time, f_x, f_y, f_z, w_x, w_y, w_z):
     memory[sample + Sample.STILL] = 0.0
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
         memory[sample + Sample.STILL] = is_still(memory, sample, dt)
+    _refuse_ahead(memory, time)
     _advance(memory, k)
     memory[Head.SAMPLES] = k
+
+
+@njit(_nrt=False)
+def _refuse_ahead(memory, time):
+    """A measurement that came before this sample is not of a time long after it, unless the clocks differ."""
+    i = int(memory[Head.EVENTS]) - 1
+    while i >= 0 and memory[event_at(memory, i) + Event.TIME] > time + LATEST:
+        memory[event_at(memory, i) + Event.VERDICT] = Verdict.AHEAD
+        i -= 1
 
 
 @njit(_nrt=False)

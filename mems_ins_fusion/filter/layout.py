@@ -349,6 +349,7 @@ class _Verdict(NamedTuple):
     REFUSED: int = 3  # its innovation is beyond the gate
     FROZEN: int = 4  # the receiver repeats a position while the vehicle moves
     RECOVERED: int = 5  # used for a new start: it agrees with those refused before it
+    AHEAD: int = 6  # of a time that the IMU's clock has not come to: the clocks differ
 
 
 Verdict = _Verdict()

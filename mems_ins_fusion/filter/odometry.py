@@ -7,9 +7,9 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-from ..navigation import strapdown
+from ..navigation import planar, strapdown
 from ..navigation.earth import to_local
-from .layout import HEAD_SIZE, NAV, Head, Nav, Sample, load_covariance, sample_at, state_at
+from .layout import NAV, PLANAR, Head, Nav, Sample, load_covariance, sample_at, state_at
 
 #: where each part stands in the vector that `odometry` fills
 POSITION, ORIENTATION, POSE_COVARIANCE, LINEAR, ANGULAR, TWIST_COVARIANCE, SIZE = 0, 3, 7, 43, 46, 49, 85
@@ -18,25 +18,28 @@ PLANAR_TILT_SIGMA, PLANAR_VERTICAL_SIGMA = 0.05, 0.5
 
 
 @njit
-def corrected(row, navigation, open_loop):
-    """Latitude, longitude, height, v_n, v_e, v_d and the quaternion from b to n; open loop: with x subtracted."""
-    planar = navigation == 5
-    if planar:
-        q = (math.cos(0.5 * row[Nav.YAW]), 0.0, 0.0, math.sin(0.5 * row[Nav.YAW]))
+def corrected(row, r, is_planar, open_loop):
+    """Latitude, longitude, height, v_n, v_e, v_d and the quaternion from b to n of the state at r; open loop: with x
+    subtracted."""
+    x = r + NAV
+    if is_planar:
+        q = (math.cos(0.5 * row[r + Nav.YAW]), 0.0, 0.0, math.sin(0.5 * row[r + Nav.YAW]))
     else:
-        q = (row[Nav.Q_W], row[Nav.Q_X], row[Nav.Q_Y], row[Nav.Q_Z])
-    latitude, longitude, height = row[Nav.LATITUDE], row[Nav.LONGITUDE], row[Nav.HEIGHT]
-    v_n, v_e, v_d = row[Nav.V_N], row[Nav.V_E], row[Nav.V_D]
+        q = (row[r + Nav.Q_W], row[r + Nav.Q_X], row[r + Nav.Q_Y], row[r + Nav.Q_Z])
+    latitude, longitude, height = row[r + Nav.LATITUDE], row[r + Nav.LONGITUDE], row[r + Nav.HEIGHT]
+    v_n, v_e, v_d = row[r + Nav.V_N], row[r + Nav.V_E], row[r + Nav.V_D]
     if open_loop:
-        latitude -= row[NAV] * row[Nav.NORTH_SCALE]
-        longitude -= row[NAV + 1] * row[Nav.EAST_SCALE]
-        if planar:
-            v_n, v_e = v_n - row[NAV + 2], v_e - row[NAV + 3]
-            q = strapdown.correct_attitude(q, 0.0, 0.0, row[NAV + 4])
+        latitude -= row[x] * row[r + Nav.NORTH_SCALE]
+        longitude -= row[x + 1] * row[r + Nav.EAST_SCALE]
+        if is_planar:
+            s = planar.State
+            v_n, v_e = v_n - row[x + s.V_N], v_e - row[x + s.V_E]
+            q = strapdown.correct_attitude(q, 0.0, 0.0, row[x + s.YAW])
         else:
-            height += row[NAV + 2]
-            v_n, v_e, v_d = v_n - row[NAV + 3], v_e - row[NAV + 4], v_d - row[NAV + 5]
-            q = strapdown.correct_attitude(q, row[NAV + 6], row[NAV + 7], row[NAV + 8])
+            t = strapdown.State
+            height += row[x + t.R_D]
+            v_n, v_e, v_d = v_n - row[x + t.V_N], v_e - row[x + t.V_E], v_d - row[x + t.V_D]
+            q = strapdown.correct_attitude(q, row[x + t.PHI_N], row[x + t.PHI_E], row[x + t.PHI_D])
     return latitude, longitude, height, v_n, v_e, v_d, q
 
 
@@ -48,24 +51,24 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
     out (85,): position ENU; orientation x, y, z, w of base_link (FLU) in ENU; pose covariance 6 x 6; linear and angular
     velocity in base_link; twist covariance 6 x 6. geodetic (3,), geodetic_covariance (9,) ENU.
     """
-    head, noise = memory[:HEAD_SIZE], memory[HEAD_SIZE:]
-    navigation, m, p = int(head[Head.NAVIGATION]), int(head[Head.OTHERS]), int(head[Head.ORDER])
-    newest = int(head[Head.SAMPLES])
-    row, sample = memory[state_at(memory, newest):], memory[sample_at(memory, newest):]
-    full = np.empty((navigation + m, navigation + m))
-    load_covariance(row, navigation, m, full)
-    latitude, longitude, height, v_n, v_e, v_d, q = corrected(row, navigation, head[Head.OPEN_LOOP] != 0.0)
+    n_navigation, m, p = int(memory[Head.N_NAVIGATION]), int(memory[Head.N_AUGMENTED]), int(memory[Head.ORDER])
+    newest = int(memory[Head.SAMPLES])
+    r, sample, n = state_at(memory, newest), sample_at(memory, newest), n_navigation + m
+    is_planar = memory[Head.MECHANIZATION] == PLANAR
+    packed_full = np.empty(n * n)
+    load_covariance(memory, r, n_navigation, m, packed_full, 0)
+    full = packed_full.reshape((n, n))
+    latitude, longitude, height, v_n, v_e, v_d, q = corrected(memory, r, is_planar, memory[Head.OPEN_LOOP] != 0.0)
     geodetic[0], geodetic[1], geodetic[2] = latitude, longitude, height
     north, east, down = to_local(latitude, longitude, height, datum)
     out[0], out[1], out[2] = east, north, -down
     _orientation(q, out)
     c = np.array(strapdown.matrix(q)).reshape(3, 3)
-    planar = navigation == 5
 
     # errors of position (n, e, d), velocity (n, e, d) and attitude (n, e, d) as one 9 x 9 covariance
     nine = np.zeros((9, 9))
-    if planar:
-        where = (0, 1, 3, 4, 8)
+    if is_planar:
+        where = (0, 1, 3, 4, 8)  # of the planar states among the nine
         for i in range(5):
             for j in range(5):
                 nine[where[i], where[j]] = full[i, j]
@@ -95,12 +98,12 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
         for j in range(3):
             total = 0.0
             for k in range(3, 9):
-                for n in range(3, 9):
-                    total += jacobian[i, k] * nine[k, n] * jacobian[j, n]
+                for other in range(3, 9):
+                    total += jacobian[i, k] * nine[k, other] * jacobian[j, other]
             out[TWIST_COVARIANCE + 6 * i + j] = total
-    interval = sample[Sample.TIME] - memory[sample_at(memory, newest - 1) + Sample.TIME]
-    _angular(noise, interval, row, sample, full, navigation, p, out)
-    return row[Nav.TIME]
+    interval = memory[sample + Sample.TIME] - memory[sample_at(memory, newest - 1) + Sample.TIME]
+    _angular(memory, r, sample, interval, full, out)
+    return memory[r + Nav.TIME]
 
 
 @njit
@@ -123,17 +126,18 @@ def _orientation(q, out):
 
 
 @njit
-def _angular(noise, interval, row, sample, full, navigation, p, out):
-    """Angular velocity of the last sample, sensor errors removed, and its variance with the sample's white noise."""
-    planar = navigation == 5
+def _angular(memory, r, sample, interval, full, out):
+    """Angular velocity of the sample, sensor errors removed, and its variance with the sample's white noise."""
+    n_navigation, p = int(memory[Head.N_NAVIGATION]), int(memory[Head.ORDER])
+    is_planar = memory[Head.MECHANIZATION] == PLANAR
     for k in range(3):
         sign = 1.0 if k == 0 else -1.0
         at = TWIST_COVARIANCE + 6 * (3 + k) + 3 + k
-        variance = noise[3 + k] / interval
-        if planar and k < 2:  # a planar vehicle neither rolls nor pitches
+        variance = memory[Head.SIZE + 3 + k] / interval
+        if is_planar and k < 2:  # a planar vehicle neither rolls nor pitches
             out[ANGULAR + k] = 0.0
             out[at] = PLANAR_TILT_SIGMA**2
             continue
-        state = 2 * p if planar else (3 + k) * p
-        out[ANGULAR + k] = sign * (sample[Sample.W_X + k] - row[NAV + navigation + state])
-        out[at] = variance + full[navigation + state, navigation + state]
+        state = n_navigation + (2 * p if is_planar else (3 + k) * p)
+        out[ANGULAR + k] = sign * (memory[sample + Sample.W_X + k] - memory[r + NAV + state])
+        out[at] = variance + full[state, state]

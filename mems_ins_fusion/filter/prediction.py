@@ -33,12 +33,7 @@ def predict(mem, src, dst, sample, dt):
     m, p = int(mem[Head.N_AUGMENTED]), int(mem[Head.ORDER])
     # with sizes known when compiling, the usual filters are several times as fast
     if mem[Head.MECHANIZATION] != PLANAR:
-        if m == 6 and p == 1:
-            _step_strapdown(mem, src, dst, sample, dt, 6, 1)
-        elif m == 9 and p == 1:
-            _step_strapdown(mem, src, dst, sample, dt, 9, 1)
-        else:
-            _step_strapdown(mem, src, dst, sample, dt, m, p)
+        _step_strapdown(mem, src, dst, sample, dt, m, p)
     elif m == 3:
         _step_planar(mem, src, dst, sample, dt, 3, 1)
     elif m == 6 and p == 2:
@@ -270,7 +265,7 @@ def _companion(mem, at, stride, p, a):
     mem[at] = y
 
 
-@njit(inline='always')
+@njit(_nrt=False, fastmath={'contract'})
 def _step_strapdown(mem, src, dst, sample, dt, m, p):
     """One interval of the strapdown mechanization."""
     x = NAV + 9

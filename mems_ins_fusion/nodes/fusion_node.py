@@ -1,7 +1,7 @@
 """fusion_node: IMU and GNSS live in, odometry out.
 
 Subscribes sensor_msgs/Imu and sensor_msgs/NavSatFix, publishes nav_msgs/Odometry and the fused position as
-sensor_msgs/NavSatFix. All computation is in `filter.fusion`; here messages become numbers and numbers messages.
+sensor_msgs/NavSatFix. All computation is in `filter.live`; here messages become numbers and numbers messages.
 """
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus, Temperature
 
-from ..filter.fusion import FilterConfig, FusionFilter
+from ..filter.config import FilterConfig
+from ..filter.live import FusionFilter
 from ..filter.odometry import LINEAR, POSE_COVARIANCE, POSITION, SIZE, TWIST_COVARIANCE
 from ..parameters.parameter import ParameterError
 from ..parameters.table import ALL, FILTER, FUSION

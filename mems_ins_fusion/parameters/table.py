@@ -47,6 +47,16 @@ def _sensor(sensor, unit, noise_density, initial_sigma, random_walk, sigma, driv
     )
 
 
+def _aiding(name, unit, default_sigma):
+    """The parameters that speed, velocity and heading share."""
+    return (
+        Parameter(f'{name}.sigma', 0.0, unit, f'Standard deviation of the {name}; 0 takes what the message says.',
+                  minimum=0.0),
+        Parameter(f'{name}.default_sigma', default_sigma, unit, 'Used where the message does not tell.',
+                  positive=True),
+    )
+
+
 MODELS = ('random_walk', 'gauss_markov', 'autoregressive')
 
 #: what the filter needs, whoever runs it
@@ -68,6 +78,12 @@ FILTER = (
               'open: they are only subtracted from the output.', choices=('closed', 'open')),
     Parameter('imu.mounting_rpy', [0.0, 0.0, 0.0], 'rad', 'Roll, pitch, yaw of the rotation from sensor axes to '
               'base_link (forward-left-up).', lengths=(3,), minimum=-2 * math.pi, maximum=2 * math.pi),
+    Parameter('imu.mounting_sigma', 0.0, 'rad', 'Standard deviation of pitch and yaw of imu.mounting_rpy. With '
+              'vehicle.non_holonomic both are estimated, starting with it; 0: they are exact.', minimum=0.0,
+              maximum=0.5),
+    Parameter('imu.max_specific_force', 100.0, 'm/s^2', 'A sample with a component beyond it is not believed.',
+              positive=True),
+    Parameter('imu.max_angular_rate', 20.0, 'rad/s', 'The same for the gyroscopes.', positive=True),
     Parameter('imu.max_gap', 0.5, 's', 'A longer gap between samples is bridged with the last sample and '
               'with a covariance that says so.', positive=True),
     Parameter('imu.restart_gap', 10.0, 's', 'After a longer gap, or stamps that jump back, the filter aligns anew.',
@@ -84,10 +100,25 @@ FILTER = (
               'later ones are dropped.', minimum=0.0, maximum=10.0),
     Parameter('gnss.robust_sigma', 0.0, 'sigma', 'A fix whose normalized innovation is larger is weighted down to '
               'this value (Huber); 0 trusts every fix.', minimum=0.0),
+    Parameter('gnss.gate_probability', 1.0, '-', 'A fix is refused when its innovation lies outside the region '
+              'that holds this share of honest ones (and is off by more than a metre); 1: none is refused.',
+              positive=True, maximum=1.0),
+    Parameter('gnss.recovery_time', 30.0, 's', 'Fixes refused for this long that agree with each other were right: '
+              'the filter starts anew from them.', positive=True),
+    Parameter('gnss.adapt_sigma', False, '-', 'Raise the sigma of the fixes to what they are seen to scatter.'),
     Parameter('gnss.outage_after', 2.5, 's', 'Without a fix for this long the node reports an outage.', positive=True),
     Parameter('gnss.coloured_noise.sigma', 0.0, 'm', 'Standard deviation of a first-order Gauss-Markov position '
               'error of the receiver, north and east; 0: none.', minimum=0.0),
     Parameter('gnss.coloured_noise.tau', 60.0, 's', 'Its correlation time.', positive=True),
+    *_aiding('speed', 'm/s', 0.1),
+    Parameter('speed.scale', 0.0, '-', 'Scale factor error of the speed: measured = (1 + scale) true.',
+              minimum=-0.5, maximum=0.5),
+    Parameter('speed.scale_sigma', 0.02, '-', 'Its standard deviation, with which it is estimated; 0: it is exact.',
+              minimum=0.0, maximum=0.5),
+    *_aiding('velocity', 'm/s', 0.2),
+    *_aiding('heading', 'rad', 0.05),
+    Parameter('heading.offset', 0.0, 'rad', 'Of the heading measured to that of base_link, clockwise; subtracted.',
+              minimum=-2 * math.pi, maximum=2 * math.pi),
     *_sensor('accelerometer', 'm/s^2', 0.01, 0.2, 1e-3, 0.05, 0.001165),
     *_sensor('gyroscope', 'rad/s', 3e-4, 0.01, 2e-5, 1e-3, 2.33e-5),
     Parameter('alignment.heading', 'course', 'text', 'Where the first heading comes from: course (of the fixes, once '
@@ -108,6 +139,19 @@ FILTER = (
     Parameter('vehicle.non_holonomic', False, '-', 'A land vehicle does not move sideways (nor, strapdown, up).'),
     Parameter('vehicle.non_holonomic_sigma', 0.2, 'm/s', 'Standard deviation of that sideways velocity.',
               positive=True),
+    Parameter('vehicle.non_holonomic_vertical_sigma', 0.2, 'm/s', 'The same for the velocity across the floor '
+              '(strapdown): the suspension works.', positive=True),
+    Parameter('vehicle.non_holonomic_angle_sigma', 0.0, 'rad', 'Standard deviation of the direction of motion in the '
+              'vehicle: grows with the speed.', minimum=0.0, maximum=0.5),
+    Parameter('vehicle.sideslip_sigma', 0.0, 'rad/(m/s^2)', 'Standard deviation of vehicle.sideslip_per_acceleration.',
+              minimum=0.0, maximum=0.1),
+    Parameter('vehicle.rear_axle', [0.0, 0.0, 0.0], 'm', 'From the IMU to the middle of the axle that does not steer, '
+              'base_link (forward-left-up): there the vehicle does not move sideways.', lengths=(3,), minimum=-20.0,
+              maximum=20.0),
+    Parameter('vehicle.rear_axle_sigma', 0.0, 'm', 'Standard deviation of its forward component, with which it is '
+              'estimated (vehicle.non_holonomic); 0: it is exact.', minimum=0.0, maximum=10.0),
+    Parameter('vehicle.tilt_sigma', 0.0, 'rad', 'Slopes and body roll that the planar mechanization does not know, '
+              'one sigma; strapdown does.', minimum=0.0, maximum=0.3),
     Parameter('datum', [], 'deg, deg, m', 'Latitude, longitude and height of the local frame\'s origin; empty: the '
               'first fix used.', lengths=(0, 3)),
 )

@@ -21,7 +21,7 @@ def model_name(comparison: Comparison, model: str) -> str:
     """What a person calls `model`: AR with its order."""
     if model != 'autoregressive':
         return NAMES[model]
-    return f'AR({comparison.run_of(model, comparison.intervals[0]).run.config.order})'
+    return f'AR({comparison.run_of(model, comparison.intervals[0]).run.config.layout.order})'
 
 
 def _figure(width: float, height: float):

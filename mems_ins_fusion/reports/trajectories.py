@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..filter.fusion import Run
+from ..filter.results import Run
 from ..filter.layout import PLANAR
 from ..filter.odometry import PLANAR_TILT_SIGMA
 from ..navigation.earth import to_local
@@ -27,7 +27,7 @@ def odometry_of(run: Run, datum) -> OdometrySamples:
     v = 2 if planar else 3  # of the velocity among the navigation errors
     pose[:, 0, 0], pose[:, 1, 1] = run.sigma[:, 1]**2, run.sigma[:, 0]**2
     pose[:, 0, 1] = pose[:, 1, 0] = run.covariance_ne
-    pose[:, 2, 2] = run.config.values['gnss.default_sigma']**2 if planar else run.sigma[:, 2]**2
+    pose[:, 2, 2] = run.config.gnss.default_sigma**2 if planar else run.sigma[:, 2]**2
     pose[:, 3, 3] = pose[:, 4, 4] = PLANAR_TILT_SIGMA**2 if planar else 0.5 * (run.sigma[:, 6]**2 + run.sigma[:, 7]**2)
     pose[:, 5, 5] = run.sigma[:, 4 if planar else 8]**2
     # north and east are about equally uncertain: turned into the vehicle's axes they are their mean

@@ -3,10 +3,13 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from mems_ins_fusion.compiled import njit
 
 from ...navigation import planar, strapdown
-from ..layout import PLANAR, Event, Head
+from ..layout import PLANAR, Event, Head, Kind
+from .records import empty, refuse, stated_or
 
 
 @njit(_nrt=False)
@@ -25,3 +28,20 @@ def observe(mem, r, at, h, n, c):
     if yaw >= 0:  # the vehicle is turned by that in the body's axes
         mem[h + yaw] = -1.0
     return 1
+
+
+#: not better than this, rad
+SMALLEST_SIGMA = 0.001
+
+
+def records(settings, headings):
+    """Records of `headings` (`samples.Headings`), why each cannot be used ('' where it can), and no warnings.
+
+    settings: `SensorSettings`; its offset, rad clockwise, is subtracted.
+    """
+    n = len(headings)
+    r, reasons = empty(Kind.HEADING, n), np.full(n, '', dtype=object)
+    refuse(reasons, ~(np.abs(headings.yaw) < 100.0), lambda i: f'heading {headings.yaw[i]:g} rad: dropped')
+    r[:, Event.VALUE] = headings.yaw - settings.offset
+    r[:, Event.R_NN] = stated_or(headings.variance, settings, SMALLEST_SIGMA)
+    return r, reasons, np.full(n, '', dtype=object)

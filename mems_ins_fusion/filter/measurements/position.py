@@ -1,11 +1,16 @@
 """A fix: position of the GNSS antenna (Eq. 19), metres north, east and down."""
 from __future__ import annotations
 
+import math
+
+import numpy as np
+
 from mems_ins_fusion.compiled import njit
 
 from ...navigation import strapdown
-from ..layout import PLANAR, Event, Head, Nav
+from ..layout import PLANAR, Event, Head, Kind, Nav
 from .geometry import turned
+from .records import empty, refuse
 
 
 @njit(_nrt=False)
@@ -38,3 +43,54 @@ def observe(mem, r, at, h, n, c):
         return 2
     mem[h + 2 * n + strapdown.State.R_D] = 1.0
     return 3
+
+
+#: a position is not better than this, m
+SMALLEST_SIGMA = 0.001
+#: where land vehicles are, m above the ellipsoid
+LOWEST, HIGHEST = -1000.0, 10000.0
+
+
+def records(settings, fixes):
+    """Records of `fixes` (`samples.Fixes`), and why each cannot be used: '' where it can.
+
+    settings: `GnssSettings`. Also a warning for each whose covariance says nothing, '' else.
+    """
+    n = len(fixes)
+    r, reasons, warnings = empty(Kind.POSITION, n), np.full(n, '', dtype=object), np.full(n, '', dtype=object)
+    latitude, longitude, height = fixes.latitude, fixes.longitude, fixes.height
+
+    def place(i):
+        return f'{math.degrees(latitude[i])}, {math.degrees(longitude[i])}, {height[i]}'
+
+    refuse(reasons, fixes.status < 0, lambda i: f'status {int(fixes.status[i])}: no fix')
+    refuse(reasons, ~(np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(height)),
+           lambda i: f'latitude, longitude, altitude {place(i)}: fix dropped')
+    refuse(reasons, (np.abs(latitude) > math.pi / 2) | (np.abs(longitude) > 2 * math.pi),
+           lambda i: f'latitude {math.degrees(latitude[i]):.6f}, longitude {math.degrees(longitude[i]):.6f} deg is '
+                     'not on earth: fix dropped')
+    refuse(reasons, (height < LOWEST) | (height > HIGHEST),
+           lambda i: f'altitude {height[i]:g} m is no place for a land vehicle: fix dropped')
+    refuse(reasons, (latitude == 0) & (longitude == 0),
+           lambda i: 'latitude 0, longitude 0 is what receivers send without a fix: fix dropped')
+    ee, en, nn, uu = (fixes.covariance[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1), (2, 2)))
+    with np.errstate(invalid='ignore', over='ignore'):
+        stated = (np.isfinite(ee) & np.isfinite(en) & np.isfinite(nn) & np.isfinite(uu) & (np.minimum(ee, nn) > 0)
+                  & (nn * ee > en * en) & (fixes.covariance_type != 0))
+    smallest, default = SMALLEST_SIGMA**2, settings.default_sigma**2
+    if settings.sigma == 0:
+        for i in np.flatnonzero(~stated & (reasons == '')):
+            warnings[i] = (f'position_covariance (type {int(fixes.covariance_type[i])}) [{ee[i]:g}, {en[i]:g}, .., '
+                           f'{nn[i]:g}, .., {uu[i]:g}] says nothing: gnss.default_sigma '
+                           f'{settings.default_sigma:g} m is used')
+    r[:, Event.LATITUDE], r[:, Event.LONGITUDE], r[:, Event.HEIGHT] = latitude, longitude, height
+    r[:, Event.R_NN] = np.where(stated, np.maximum(nn, smallest), default)
+    r[:, Event.R_NE] = np.where(stated, en, 0.0)
+    r[:, Event.R_EE] = np.where(stated, np.maximum(ee, smallest), default)
+    up = np.where(uu > 0, np.maximum(uu, smallest), 4 * np.maximum(nn, ee))
+    r[:, Event.R_DD] = np.where(stated, up, 4 * default)
+    if settings.sigma > 0:
+        r[:, Event.R_NN] = r[:, Event.R_EE] = settings.sigma**2
+        r[:, Event.R_NE] = 0.0
+        r[:, Event.R_DD] = np.maximum(r[:, Event.R_DD], settings.sigma**2)
+    return r, reasons, warnings

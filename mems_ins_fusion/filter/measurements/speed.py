@@ -1,10 +1,13 @@
 """Speed over ground along the vehicle, from its wheels: at the axle whose wheels are counted, with a scale error."""
 from __future__ import annotations
 
+import numpy as np
+
 from mems_ins_fusion.compiled import njit
 
-from ..layout import Event, Head
+from ..layout import Event, Head, Kind
 from .geometry import add_body_velocity, angular_rate, body_velocity
+from .records import empty, refuse, stated_or
 
 
 @njit(_nrt=False)
@@ -18,3 +21,22 @@ def observe(mem, r, at, h, n, c, sample):
     if scale >= 0:
         mem[h + scale] = -forward
     return 1
+
+
+#: faster is no land vehicle, m/s
+FASTEST = 150.0
+#: not better than this, m/s
+SMALLEST_SIGMA = 0.001
+
+
+def records(settings, speeds):
+    """Records of `speeds` (`samples.Speeds`), why each cannot be used ('' where it can), and no warnings.
+
+    settings: `SensorSettings`; its offset is the scale error that is known.
+    """
+    n = len(speeds)
+    r, reasons = empty(Kind.SPEED, n), np.full(n, '', dtype=object)
+    refuse(reasons, ~(np.abs(speeds.speed) < FASTEST), lambda i: f'speed {speeds.speed[i]:g} m/s: dropped')
+    r[:, Event.VALUE] = speeds.speed / (1.0 + settings.offset)
+    r[:, Event.R_NN] = stated_or(speeds.variance, settings, SMALLEST_SIGMA)
+    return r, reasons, np.full(n, '', dtype=object)

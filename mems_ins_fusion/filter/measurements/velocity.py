@@ -1,11 +1,14 @@
 """Velocity of the GNSS antenna over ground, north, east and down, as receivers measure it by Doppler shift."""
 from __future__ import annotations
 
+import numpy as np
+
 from mems_ins_fusion.compiled import njit
 
 from ...navigation import planar, strapdown
-from ..layout import PLANAR, Event, Head, Nav
+from ..layout import PLANAR, Event, Head, Kind, Nav
 from .geometry import angular_rate, turned
+from .records import empty, refuse, stated_or
 
 
 @njit(_nrt=False)
@@ -29,3 +32,25 @@ def observe(mem, r, at, h, n, c, sample):
     mem[h + n + strapdown.State.V_E] += 1.0
     mem[h + 2 * n + strapdown.State.V_D] += 1.0
     return 3
+
+
+#: faster is no land vehicle, m/s
+FASTEST = 150.0
+#: not better than this, m/s
+SMALLEST_SIGMA = 0.001
+
+
+def records(settings, velocities):
+    """Records of `velocities` (`samples.Velocities`), why each cannot be used ('' where it can), and no warnings.
+
+    settings: `SensorSettings`.
+    """
+    n, v = len(velocities), velocities.velocity
+    r, reasons = empty(Kind.VELOCITY, n), np.full(n, '', dtype=object)
+    with np.errstate(over='ignore', invalid='ignore'):
+        refuse(reasons, ~(np.linalg.norm(v, axis=1) < FASTEST),
+               lambda i: f'velocity {v[i, 0]:g}, {v[i, 1]:g}, {v[i, 2]:g} m/s (north, east, down): dropped')
+    r[:, Event.VALUE:Event.VALUE + 3] = v
+    for column, axis in ((Event.R_NN, 0), (Event.R_EE, 1), (Event.R_DD, 2)):
+        r[:, column] = stated_or(velocities.covariance[:, axis, axis], settings, SMALLEST_SIGMA)
+    return r, reasons, np.full(n, '', dtype=object)

@@ -1,0 +1,162 @@
+"""Which events are good, for one live event and for a whole recording alike, and what is said of the others."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mems_ins_fusion.compiled import njit
+
+from ..samples import ImuSamples
+from .config import FilterConfig
+from .kernel import TOO_LATE
+from .layout import Event, Kind
+from .measurements import heading, position, speed, velocity
+
+#: samples in a row whose stamps do not follow, after which the clock is believed to have jumped
+JUMP_COUNT = 5
+#: a measurement stamped this much after the newest IMU sample is not of the same clock, s; the kernel looks closer
+LATEST = 5.0
+#: what `follow` makes of a sample
+GOOD, NOT_FINITE, NOT_FOLLOWING, JUMPED = 0, 1, 2, 3
+
+#: by kind: the file of the measurement, and its settings in `FilterConfig`
+SOURCES = {Kind.POSITION: (position, 'gnss'), Kind.VELOCITY: (velocity, 'velocity'), Kind.SPEED: (speed, 'speed'),
+           Kind.HEADING: (heading, 'heading')}
+NAMES = {Kind.POSITION: 'fix', Kind.VELOCITY: 'velocity', Kind.SPEED: 'speed', Kind.HEADING: 'heading'}
+#: what comes with the receiver's stamps
+OF_RECEIVER = (Kind.POSITION, Kind.VELOCITY)
+
+
+@dataclass(frozen=True)
+class Notice:
+    """Something a user should know. level: info, warning or error."""
+
+    level: str
+    text: str
+
+
+@njit
+def follow(state, stamp, values, restart_gap, codes):
+    """Which IMU samples are numbers and follow each other: codes (n,).
+
+    state (3,) int64: the last good stamp, that of a jump and how many have followed it; kept from call to call, and -1
+    at first. stamp (n,) ns. values (n, 6). restart_gap: ns. JUMPED: good, but all must begin anew.
+    """
+    for i in range(len(stamp)):
+        total = 0.0
+        for j in range(6):
+            total += values[i, j]
+        if not np.isfinite(total):
+            codes[i] = NOT_FINITE
+            continue
+        if state[0] == -1 or 0 < stamp[i] - state[0] <= restart_gap:
+            state[0], state[2] = stamp[i], 0
+            codes[i] = GOOD
+            continue
+        state[2] = state[2] + 1 if state[2] > 0 and stamp[i] > state[1] else 1
+        state[1] = stamp[i]
+        codes[i] = NOT_FOLLOWING
+        if state[2] >= JUMP_COUNT:
+            state[0], state[2] = stamp[i], 0
+            codes[i] = JUMPED
+
+
+class Intake:
+    """What both ways into the filter share."""
+
+    def __init__(self, config: FilterConfig):
+        self.config = config
+        self._follow = np.full(3, -1, dtype=np.int64)
+        self._last = dict.fromkeys(SOURCES, None)  # stamps of the last good measurement, ns
+        self._notices: list[Notice] = []
+        self._restart_gap = round(config.imu.restart_gap * 1e9)
+        self._offset = round(config.gnss.time_offset * 1e9)
+
+    def notices(self) -> list[Notice]:
+        """What has happened since the last call."""
+        notices, self._notices = self._notices, []
+        return notices
+
+    def say(self, level: str, text: str) -> None:
+        self._notices.append(Notice(level, text))
+
+    def topic(self, kind: int) -> str:
+        return getattr(self.config, SOURCES[kind][1]).topic
+
+    def follow(self, stamp: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """`follow` for these samples, stamp (n,) ns and values (n, 6); what is wrong is said."""
+        codes = np.zeros(len(stamp), dtype=np.int64)
+        last = int(self._follow[0])
+        follow(self._follow, stamp, values, self._restart_gap, codes)
+        topic = self.config.imu.topic
+        for i in np.flatnonzero(codes):
+            previous = stamp[:i][(codes[:i] == GOOD) | (codes[:i] == JUMPED)]
+            before = int(previous[-1]) if len(previous) else last
+            now = int(stamp[i])
+            if codes[i] == NOT_FINITE:
+                f, w = values[i, :3].tolist(), values[i, 3:].tolist()
+                self.say('warning', f'{topic}: linear_acceleration ({f[0]}, {f[1]}, {f[2]}), angular_velocity '
+                                    f'({w[0]}, {w[1]}, {w[2]}): sample dropped')
+            elif codes[i] == JUMPED:
+                self.say('warning', f'{topic}: header.stamp jumped by {(now - before) * 1e-9:+.3f} s and stays there: '
+                                    'the filter aligns anew')
+            else:
+                self.say('warning', f'{topic}: header.stamp {now * 1e-9:.6f} s does not follow {before * 1e-9:.6f} s: '
+                                    'sample dropped')
+        return codes
+
+    def measured(self, kind: int, samples, newest: np.ndarray, epoch: int) -> tuple[np.ndarray, np.ndarray]:
+        """Records of the good ones among `samples` of one kind, in the order of their arrival: indices and records.
+
+        newest (n,): ns, the stamp of the IMU sample before each. epoch: ns, of the filter's time.
+        """
+        file, name = SOURCES[kind]
+        settings = getattr(self.config, name)
+        records, reasons, warnings = file.records(settings, samples)
+        stamp = samples.stamp - (self._offset if kind in OF_RECEIVER else 0)
+        self._refuse_twins(kind, samples.stamp, reasons)
+        for i in np.flatnonzero((reasons != '') | (warnings != '')):
+            self.say('warning', f'{settings.topic}: {reasons[i] or warnings[i]}')
+        good = reasons == ''
+        ahead = (stamp - newest) * 1e-9
+        for i in np.flatnonzero(good & ((-ahead > self.config.gnss.max_delay) | (ahead > LATEST))):
+            good[i] = False
+            if ahead[i] > 0:
+                self.say('warning', f'{settings.topic}: {NAMES[kind]} stamped {ahead[i]:.1f} s after the newest IMU '
+                                    'sample: the clocks differ (gnss.time_offset); dropped')
+            else:
+                self.say_not_taken(kind, TOO_LATE, int(stamp[i]), int(newest[i]))
+        records[:, Event.TIME] = (stamp - epoch) * 1e-9
+        return np.flatnonzero(good), records[good]
+
+    def _refuse_twins(self, kind: int, stamp: np.ndarray, reasons: np.ndarray) -> None:
+        """A stamp that comes twice is a message that came twice."""
+        good = np.flatnonzero(reasons == '')
+        if not len(good):
+            return
+        before = np.concatenate([[self._last[kind]], stamp[good[:-1]]])
+        for i in good[stamp[good] == before]:
+            reasons[i] = f'header.stamp {stamp[i] * 1e-9:.6f} s came twice: second {NAMES[kind]} dropped'
+        self._last[kind] = int(stamp[good[-1]])
+
+    def say_not_taken(self, kind: int, answer: int, stamp: int, newest: int) -> None:
+        if answer == TOO_LATE:
+            self.say('warning', f'{self.topic(kind)}: {NAMES[kind]} stamped {stamp * 1e-9:.3f} s came '
+                                f'{(newest - stamp) * 1e-9:.2f} s after the IMU samples of its time: later than '
+                                'gnss.max_delay, or the clocks differ (gnss.time_offset); dropped')
+
+
+def samples_of(imu: ImuSamples, index: np.ndarray) -> np.ndarray:
+    """Specific force and angular rate of the samples `index`, (n, 6)."""
+    return np.column_stack([imu.specific_force[index], imu.angular_rate[index]])
+
+
+def corrected(correctors: list, stamp, values, celsius) -> np.ndarray:
+    """`values` (n, 6), sensor axes, without the effects that are declared. stamp (n,) ns, celsius (n,)."""
+    if not correctors:
+        return values
+    force, rate = values[:, :3], values[:, 3:]
+    for corrector in correctors:
+        force, rate = corrector(stamp, force, rate, celsius)
+    return np.column_stack([force, rate])

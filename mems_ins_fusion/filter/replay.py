@@ -1,0 +1,332 @@
+"""A whole recording through the filter, with the outages it would have coasted through branched off on the way.
+
+The same events in the order of their arrival give the same numbers as live, bit for bit. Until the first measurement
+that is withheld, an outage's run is the ordinary run. So the filter is copied there and the copy goes on without: each
+outage is the only one in its run, however many there are and however close they lie, and costs its own duration.
+"""
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..samples import Fixes, Headings, ImuSamples, Speeds, Velocities
+from . import kernel
+from .alignment import Alignment, Start, retaken
+from .config import FilterConfig
+from .imu_faults import FAULTS
+from .initial import initialize
+from .intake import GOOD, JUMPED, Intake, corrected, samples_of
+from .kernel import TAKEN
+from .layout import Event, Head, Kind, Verdict
+from .results import Measured, Run, columns, result
+
+#: what comes from satellites and is withheld in an outage: a heading may be that of two antennas
+WITHHELD = (Kind.POSITION, Kind.VELOCITY, Kind.HEADING)
+_NOTHING = np.empty((0, Event.SIZE))
+
+
+@dataclass(frozen=True)
+class Aiding:
+    """What may be measured besides the fixes; None where the vehicle has no such sensor."""
+
+    speed: Speeds | None = None
+    velocity: Velocities | None = None
+    heading: Headings | None = None
+
+
+@dataclass(frozen=True)
+class Coasting:
+    """Outages of one filter.
+
+    begin (o,): ns, the IMU's clock: fixes later than this are withheld. first (o + 1,): outage i has the rows first[i]
+    to first[i + 1] of `run`, from the last sample kept at or before its begin.
+    """
+
+    begin: np.ndarray
+    first: np.ndarray
+    run: Run
+
+
+def run(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aiding = Aiding(), start: Start | None = None,
+        keep: np.ndarray | None = None) -> Run:
+    """The whole recording.
+
+    start: begin there instead of aligning, where the recording has no restart. keep: whether to keep the state after
+    each sample of `imu`, (n,) bool; all where None.
+    """
+    return _Replay(config, imu, fixes, aiding, start, keep).run()
+
+
+def run_with_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin: np.ndarray, duration: float,
+                     aiding: Aiding = Aiding(), keep: np.ndarray | None = None) -> tuple[Run, Coasting]:
+    """The ordinary run, and the runs in which what comes from satellites after each `begin` is withheld.
+
+    begin: (o,) ns, ascending. duration: s that each outage is followed for, or to the end of the recording. keep: as
+    for `run`. An outage is left out where the filter was not running at its begin.
+    """
+    work = _Replay(config, imu, fixes, aiding, None, keep, np.asarray(begin, dtype=np.int64), duration)
+    whole = work.run()
+    lengths = [len(branch.samples) for branch in work.branches]
+    first = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+    return whole, Coasting(np.array([branch.begin for branch in work.branches], dtype=np.int64), first,
+                           work.result(work.branches))
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """Between two restarts, or one outage: the samples (indices) whose states are kept, and these."""
+
+    samples: np.ndarray
+    states: np.ndarray
+    begin: int = 0
+
+
+class _Replay(Intake):
+    """A recording on its way through the filter: stretches between restarts, aligned and run one by one."""
+
+    def __init__(self, config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aiding, given: Start | None,
+                 keep: np.ndarray | None, begin: Sequence[int] = (), duration: float = 0.0):
+        super().__init__(config)
+        self.imu, self.given = imu, given
+        self.keep = np.ones(len(imu), dtype=bool) if keep is None else keep
+        self.begin, self.duration = begin, duration
+        self.inputs = {Kind.POSITION: fixes, Kind.VELOCITY: aiding.velocity, Kind.SPEED: aiding.speed,
+                       Kind.HEADING: aiding.heading}
+        # what arrived together with a sample comes after it
+        self.arrival = {kind: np.searchsorted(imu.received, samples.received, side='right')
+                        for kind, samples in self.inputs.items() if samples is not None}
+        self.columns = columns(config.layout)
+        self.stretches: list[_Stretch] = []
+        self.branches: list[_Stretch] = []
+        self.measurements: list[Measured] = []
+        self.start: Start | None = None
+        self.memory: np.ndarray | None = None
+        self.seconds = 0.0
+
+    def run(self) -> Run:
+        segments = self._segments()
+        ends = [kept[0] for kept in segments[1:]] + [np.iinfo(np.int64).max]
+        correctors = self.config.correctors()
+        for kept, end in zip(segments, ends):
+            self._run_segment(kept, end, correctors)
+        self._sum_up()
+        return self.result(self.stretches)
+
+    def _segments(self) -> list[np.ndarray]:
+        """Indices of the good samples, one array for each stretch between restarts."""
+        codes = self.follow(self.imu.stamp, samples_of(self.imu, slice(None)))
+        good = np.flatnonzero((codes == GOOD) | (codes == JUMPED))
+        return [part for part in np.split(good, np.flatnonzero(codes[good] == JUMPED)) if len(part)]
+
+    def _run_segment(self, kept: np.ndarray, end: int, correctors: list) -> None:
+        """Align on the samples `kept` and run the rest; `end`: the index of the sample with which the next begins."""
+        epoch = int(self.imu.stamp[kept[0]])
+        time = (self.imu.stamp[kept] - epoch) * 1e-9
+        celsius = self.imu.temperature
+        celsius = np.full(len(kept), np.nan) if celsius is None else celsius[kept]
+        samples = np.column_stack([time, corrected(correctors, self.imu.stamp[kept], samples_of(self.imu, kept),
+                                                   celsius)])
+        events = self._events(kept, end, epoch)
+        start, first = self._align(kept, samples, events)
+        if start is None:
+            return
+        self.start = self.start or start
+        memory = self.config.memory()
+        initialize(memory, self.config, start)
+        skip = int(np.searchsorted(time, start.time, side='right'))
+        events = events.later(first, skip)
+        began = clock.thread_time()
+        self._filter(memory, samples[skip:], kept[skip:], events, epoch)
+        self.seconds += clock.thread_time() - began
+        self.memory = memory
+        for i in np.flatnonzero(events.answer != TAKEN):
+            last = max(events.arrival[i] + skip - 1, 0)
+            self.say_not_taken(int(events.kind[i]), int(events.answer[i]),
+                               epoch + round(events.record[i, Event.TIME] * 1e9), int(self.imu.stamp[kept[last]]))
+        judged = events.record[:, Event.VERDICT] != Verdict.PENDING
+        stamp = epoch + np.rint(events.record[:, Event.TIME] * 1e9).astype(np.int64)
+        self.measurements.append(Measured(events.kind, events.index, stamp, events.record).select(judged))
+
+    def _events(self, kept: np.ndarray, end: int, epoch: int) -> _Events:
+        """The good measurements that arrived within a stretch, in the order of their arrival."""
+        parts = []
+        for kind in self.arrival:
+            arrival = self.arrival[kind]
+            self._last[kind] = None
+            mine = np.flatnonzero((arrival > kept[0]) & (arrival <= end))
+            before = np.searchsorted(kept, arrival[mine])  # samples of this stretch that came before each
+            used, records = self.measured(kind, self.inputs[kind].select(mine), self.imu.stamp[kept[before - 1]], epoch)
+            parts.append((np.full(len(used), kind), mine[used], before[used], self.inputs[kind].received[mine[used]],
+                          records))
+        kind, index, arrival, received, record = (np.concatenate(column) for column in zip(*parts))
+        order = np.lexsort((received, arrival))
+        record = np.ascontiguousarray(record[order])
+        return _Events(kind[order], index[order], arrival[order].astype(np.int64), record,
+                       np.zeros(len(order), dtype=np.int64))
+
+    def _align(self, kept, samples, events: _Events) -> tuple[Start | None, int]:
+        """The start, and how many events went into it or came before it."""
+        fixes = np.flatnonzero(events.kind == Kind.POSITION)
+        if self.given is not None and self.start is None:
+            start = retaken(self.given, self.config, samples)
+            first = int(np.searchsorted(events.record[fixes, Event.TIME], start.time + 1e-6, side='right'))
+            return start, int(fixes[first]) if first < len(fixes) else len(events.kind)
+        alignment, fed = Alignment(self.config), 0
+        for i in fixes:
+            upto = events.arrival[i]
+            orientation = None if self.imu.orientation is None else self.imu.orientation[kept[fed:upto]]
+            alignment.add_samples(samples[fed:upto], orientation)
+            fed = upto
+            start = alignment.add_record(events.record[i], self.say)
+            if start is not None:
+                return start, i + 1
+        self.say('error', f'the filter did not start: waiting for {alignment.waiting_for}')
+        return None, len(events.kind)
+
+    def _filter(self, memory, samples, index, events: _Events, epoch: int) -> None:
+        """`samples` (k, 7) of the IMU (`index` of each) and events through the kernel, outages branched off."""
+        kept = np.flatnonzero(self.keep[index])
+        states = np.empty((len(kept), len(self.columns)))
+        time = samples[:, 0]
+        begin = [b for b in self.begin if len(kept) and time[kept[0]] <= (b - epoch) * 1e-9 <= time[-1]]
+        withheld = np.isin(events.kind, WITHHELD)
+        forks = []
+        for b in begin:
+            later = withheld & (events.record[:, Event.TIME] > (b - epoch) * 1e-9)
+            forks.append(int(events.arrival[later].min()) if later.any() else len(samples))
+        events.record[:, Event.ID] = np.arange(len(events.kind))
+        work = _Work(samples, events, self.columns, kept, states)
+        branches = {}
+        for i in np.argsort(forks, kind='stable'):
+            work.advance(memory, forks[i])
+            branches[int(i)] = self._branch(memory, work, (begin[i] - epoch) * 1e-9, withheld)
+        work.advance(memory, len(samples))
+        work.finish(memory)
+        for i, b in enumerate(begin):
+            rows, coasted = branches[i]
+            self.branches.append(_Stretch(index[kept[rows]], coasted, b))
+        self.stretches.append(_Stretch(index[kept], states))
+
+    def _branch(self, memory, work: _Work, begin: float, withheld) -> tuple[slice, np.ndarray]:
+        """One outage from where `work` is: which of the kept states it covers, and these.
+
+        One row before the begin and one after the end are there to interpolate between.
+        """
+        time = work.samples[work.kept, 0]
+        first = int(np.searchsorted(time, begin, side='right')) - 1
+        stop = min(int(np.searchsorted(time, begin + self.duration)) + 1, len(time))
+        coasted = np.empty((stop - first, len(self.columns)))
+        done = min(max(work.next_row - first, 0), len(coasted))
+        coasted[:done] = work.states[first:first + done]
+        if done < len(coasted):
+            left = work.events.select(~(withheld & (work.events.record[:, Event.TIME] > begin)))
+            branch = _Work(work.samples, left, self.columns, work.kept, np.empty_like(work.states[:0]), work)
+            branch.into(coasted[done:], first + done)
+            branch.advance(memory.copy(), int(work.kept[stop - 1]) + 1)
+        return slice(first, stop), coasted
+
+    def _sum_up(self) -> None:
+        """Say what the filter did not believe, once for each reason."""
+        measured = self.measured_all
+        for kind in self.arrival:
+            counts = measured.verdicts(kind)
+            total = sum(counts.values())
+            for verdict, why in ((Verdict.REFUSED, 'refused: they do not fit what the filter expects'),
+                                 (Verdict.FROZEN, 'refused: the receiver repeats a position while the vehicle moves'),
+                                 (Verdict.AHEAD, 'refused: stamped ahead of the IMU, the clocks differ '
+                                                 '(gnss.time_offset)'),
+                                 (Verdict.RECOVERED, 'had the filter start anew: those refused before it agree')):
+                if counts.get(verdict):
+                    self.say('warning', f'{self.topic(kind)}: {counts[verdict]} of {total} messages {why}')
+        for text in kernel_says(self.memory, self.config.imu.topic):
+            self.say('warning', text)
+
+    @property
+    def measured_all(self) -> Measured:
+        if not self.measurements:
+            return Measured(*np.empty((3, 0), dtype=np.int64), _NOTHING)
+        names = ('kind', 'index', 'stamp', 'record')
+        return Measured(*(np.concatenate([getattr(m, name) for m in self.measurements]) for name in names))
+
+    def result(self, stretches: list[_Stretch]) -> Run:
+        states = [s.states for s in stretches] or [np.empty((0, len(self.columns)))]
+        states = states[0] if len(states) == 1 else np.concatenate(states)
+        index = np.concatenate([s.samples for s in stretches]) if stretches else np.empty(0, dtype=np.int64)
+        return result(self.config, self.imu.stamp[index], index, states, self.measured_all, start=self.start,
+                      notices=self.notices(), memory=self.memory, filter_seconds=self.seconds)
+
+
+@dataclass(frozen=True)
+class _Events:
+    """Measurements in the order of their arrival: kind, index among those of its kind, how many samples came before,
+    records as the kernel takes them, and its answers."""
+
+    kind: np.ndarray
+    index: np.ndarray
+    arrival: np.ndarray
+    record: np.ndarray
+    answer: np.ndarray
+
+    def select(self, index) -> _Events:
+        return _Events(self.kind[index], self.index[index], self.arrival[index], self.record[index],
+                       self.answer[index])
+
+    def later(self, first: int, skip: int) -> _Events:
+        """Those from `first` on, with `skip` samples less in front."""
+        events = self.select(slice(first, None))
+        return _Events(events.kind, events.index, np.maximum(events.arrival - skip, 0), events.record, events.answer)
+
+
+class _Work:
+    """How far the kernel has come with a recording."""
+
+    def __init__(self, samples, events: _Events, names: np.ndarray, kept, states, after: _Work | None = None):
+        self.samples, self.events, self.columns, self.kept, self.states = samples, events, names, kept, states
+        self.sample = after.sample if after else 0
+        self.next_row = 0
+        self.first_row = 0
+        # a branch leaves the measurements' records to the run it came from
+        self.log = _NOTHING if after else events.record
+        self.next_event = 0
+        if after:
+            done = after.events.record[:after.next_event, Event.ID]
+            self.next_event = int(np.count_nonzero(np.isin(events.record[:, Event.ID], done)))
+
+    def into(self, states, row: int) -> None:
+        """Put the states from kept sample number `row` on into `states`."""
+        self.states, self.first_row, self.next_row = states, row, row
+
+    def advance(self, memory, stop: int) -> None:
+        """Up to the sample `stop`, which is left, and with the events that arrived before it."""
+        kept = self.kept[self.next_row:np.searchsorted(self.kept, stop)]
+        upto = int(np.searchsorted(self.events.arrival, stop))
+        rows = slice(self.next_row - self.first_row, self.next_row - self.first_row + len(kept))
+        part = slice(self.next_event, upto)
+        kernel.run(memory, self.samples[self.sample:stop], self.events.record[part].copy(),
+                   self.events.arrival[part] - self.sample, self.events.answer[part], self.columns,
+                   kept - self.sample, self.states[rows], self.log)
+        self.next_row += len(kept)
+        self.next_event, self.sample = upto, stop
+
+    def finish(self, memory) -> None:
+        """The events that arrived after the last sample."""
+        self.advance(memory, len(self.samples))
+        part = slice(self.next_event, len(self.events.kind))
+        kernel.run(memory, self.samples[:0], self.events.record[part].copy(), self.events.arrival[part] * 0,
+                   self.events.answer[part], self.columns, self.kept[:0], self.states[:0], self.log)
+        kernel.collect(memory, self.log)
+
+
+def kernel_says(memory: np.ndarray | None, topic: str) -> list[str]:
+    """What the kernel counted of samples it did not believe, in words."""
+    if memory is None:
+        return []
+    texts = [f'{topic}: {memory[Head.FAULTS + i]:.0f} samples not believed: {name}'
+             for i, name in enumerate(FAULTS) if i and memory[Head.FAULTS + i]]
+    if memory[Head.RESTARTS]:
+        texts.append(f'{memory[Head.RESTARTS]:.0f} states were not finite: the filter went back to the last good one')
+    return texts
+

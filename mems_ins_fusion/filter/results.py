@@ -1,0 +1,148 @@
+"""What a recording through the filter leaves behind."""
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from mems_ins_fusion.compiled import njit
+
+from ..navigation.strapdown import to_euler
+from .alignment import Start
+from .config import FilterConfig
+from .intake import Notice
+from .layout import NAV, PLANAR, Event, Kind, Nav, StateLayout, Verdict, covariance_index
+from .odometry import corrected
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """What each fix told the filter, in the order of the fixes' times: those that were used.
+
+    index (f,): position in the `Fixes` given. stamp (f,): ns, at which the fix describes the vehicle. z (f, 2):
+    innovation north, east, m, predicted minus measured antenna position. s (f, 3): its covariance nn, ne, ee. nis
+    (f,): normalized innovation squared, 2 degrees of freedom. z_down, s_down (f,): the same for height (strapdown).
+    yaw (f,), velocity (f, 2): the prediction's, before the fix was applied. weight (f,): 1 where it was believed.
+    """
+
+    index: np.ndarray
+    stamp: np.ndarray
+    z: np.ndarray
+    s: np.ndarray
+    nis: np.ndarray
+    z_down: np.ndarray
+    s_down: np.ndarray
+    yaw: np.ndarray
+    velocity: np.ndarray
+    weight: np.ndarray
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What became of every measurement given to the kernel: kind (k,), index (k,) among the samples of its kind, stamp
+    (k,) ns, and its record (k, Event.SIZE)."""
+
+    kind: np.ndarray
+    index: np.ndarray
+    stamp: np.ndarray
+    record: np.ndarray
+
+    def select(self, index) -> Measured:
+        return Measured(*(getattr(self, f.name)[index] for f in fields(self)))
+
+    def verdicts(self, kind: int) -> dict[int, int]:
+        """How many measurements of `kind` had each verdict (of `Verdict`)."""
+        values, counts = np.unique(self.record[self.kind == kind, Event.VERDICT].astype(int), return_counts=True)
+        return dict(zip(values.tolist(), counts.tolist()))
+
+
+@dataclass(frozen=True)
+class Run:
+    """One recording through the filter, at each IMU sample kept from the first estimate on.
+
+    stamp (k,) ns. index (k,): of each in the `ImuSamples` given. latitude, longitude (k,) rad, height (k,) m, velocity
+    (k, 3) m/s in `n`, roll, pitch, yaw (k,) rad. sensor_errors (k, channels): estimates. sigma (k, n): square roots of
+    the covariance's diagonal, in the order of `config.layout.names`. extras (k, e): the optional states. covariance_ne
+    (k,): of north and east position error, m^2. memory: the kernel's memory at the end. filter_seconds: CPU time of the
+    filter alone.
+    """
+
+    config: FilterConfig
+    stamp: np.ndarray
+    index: np.ndarray
+    latitude: np.ndarray
+    longitude: np.ndarray
+    height: np.ndarray
+    velocity: np.ndarray
+    roll: np.ndarray
+    pitch: np.ndarray
+    yaw: np.ndarray
+    sensor_errors: np.ndarray
+    sigma: np.ndarray
+    extras: np.ndarray
+    covariance_ne: np.ndarray
+    innovations: Innovations
+    measured: Measured
+    start: Start | None
+    notices: list[Notice]
+    memory: np.ndarray | None
+    filter_seconds: float
+
+    def states(self, index) -> Run:
+        """The run at some of its samples; index: a slice or positions."""
+        names = ('stamp', 'index', 'latitude', 'longitude', 'height', 'velocity', 'roll', 'pitch', 'yaw',
+                 'sensor_errors', 'sigma', 'extras', 'covariance_ne')
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return Run(**{**values, **{name: values[name][index] for name in names}})
+
+
+def columns(layout: StateLayout) -> np.ndarray:
+    """What of each state is kept: navigation solution, x, the covariance's diagonal and its north-east element."""
+    pairs = [(i, i) for i in range(layout.n)] + [(0, 1)]
+    kept = [*range(Nav.RADII_LATITUDE), Nav.NORTH_SCALE, Nav.EAST_SCALE, *range(NAV, NAV + layout.n)]
+    kept += [covariance_index(i, j, layout) for i, j in pairs]
+    return np.array(kept, dtype=np.uint64)  # unsigned: the kernel need not look for negative ones
+
+
+def result(config: FilterConfig, stamp, index, states, measured: Measured, **more) -> Run:
+    """A `Run` from the columns `states` (k, c) of the states at the samples `index` (k,) with `stamp` (k,)."""
+    layout = config.layout
+    rows = np.zeros((len(states), NAV + layout.n))
+    kept = columns(layout)[:Nav.RADII_LATITUDE + 2 + layout.n].astype(np.int64)
+    rows[:, kept] = states[:, :len(kept)]
+    solution = _solution(rows, config.mechanization == PLANAR, config.open_loop)
+    x = rows[:, NAV:]
+    first, p = layout.n_navigation, layout.order
+    at = len(kept)
+    return Run(config=config, stamp=stamp, index=index, latitude=solution[:, 0], longitude=solution[:, 1],
+               height=solution[:, 2], velocity=solution[:, 3:6], roll=solution[:, 6], pitch=solution[:, 7],
+               yaw=solution[:, 8], sensor_errors=x[:, first:first + layout.n_sensor:p],
+               sigma=np.sqrt(states[:, at:at + layout.n]), extras=x[:, first + layout.n_sensor:],
+               covariance_ne=states[:, at + layout.n], innovations=_innovations(measured), measured=measured, **more)
+
+
+@njit
+def _solution(rows, is_planar, open_loop):
+    """Latitude, longitude, height, v_n, v_e, v_d, roll, pitch, yaw of each state."""
+    out = np.empty((len(rows), 9))
+    for k in range(len(rows)):
+        (out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4], out[k, 5],
+         q) = corrected(rows[k], 0, is_planar, open_loop)
+        if is_planar:
+            out[k, 6] = out[k, 7] = 0.0
+            out[k, 8] = rows[k, Nav.YAW] - (rows[k, NAV + 4] if open_loop else 0.0)
+        else:
+            out[k, 6], out[k, 7], out[k, 8] = to_euler(q)
+    return out
+
+
+def _innovations(measured: Measured) -> Innovations:
+    """The innovations of the fixes that were used, by the time of the fix."""
+    used = np.isin(measured.record[:, Event.VERDICT], (Verdict.USED, Verdict.WEIGHTED, Verdict.RECOVERED))
+    fixes = measured.select((measured.kind == Kind.POSITION) & used)
+    fixes = fixes.select(np.argsort(fixes.stamp, kind='stable'))
+    r = fixes.record
+    return Innovations(index=fixes.index, stamp=fixes.stamp, z=r[:, [Event.Z_N, Event.Z_E]],
+                       s=r[:, [Event.S_NN, Event.S_NE, Event.S_EE]], nis=r[:, Event.NIS], z_down=r[:, Event.Z_D],
+                       s_down=r[:, Event.S_DD], yaw=r[:, Event.YAW], velocity=r[:, [Event.V_N, Event.V_E]],
+                       weight=r[:, Event.WEIGHT])
