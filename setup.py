@@ -11,12 +11,14 @@ setup(
     license='Apache-2.0',
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     python_requires='>=3.10',
-    install_requires=['matplotlib', 'numba', 'numpy', 'pyyaml', 'rosbags>=0.11', 'scipy', 'tqdm'],
+    # the lowest versions are those of Ubuntu 24.04, or of the first numba for its Python: `make test-oldest`
+    install_requires=['matplotlib>=3.6', 'numba>=0.59', 'numpy>=1.26', 'pyyaml>=6.0', 'rosbags>=0.11.1', 'scipy>=1.11',
+                      'tqdm>=4.66'],
     extras_require={
         # ROS 2 itself, where it does not come from the system
         'ros': ['ros-jazzy-rclpy', 'ros-jazzy-common-interfaces', 'ros-jazzy-rmw-fastrtps-cpp'],
         # allantools, evo and statsmodels are judges: tests hold our numbers against theirs
-        'test': ['pytest', 'setuptools>=70.1', 'allantools', 'evo', 'statsmodels'],
+        'test': ['pytest', 'pytest-xdist', 'setuptools>=70.1', 'allantools', 'evo', 'statsmodels'],
     },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),

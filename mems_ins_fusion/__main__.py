@@ -11,7 +11,10 @@ TOOLS = {
     'diagnose': ('cli', 'find what the model lacks in a recording, and add it'),
     'simulate': ('cli', 'write a recording of a simulated drive, with the truth'),
     'import_csv': ('cli', 'turn CSV files into a recording'),
+    'compile': ('cli', 'compile the filter ahead: the first start of a tool waits for it otherwise'),
 }
+#: exit status, as shells have it
+INTERRUPTED = 130
 
 
 def usage() -> str:
@@ -41,15 +44,11 @@ def main(argv: list[str] | None = None) -> int:
         ros = "; source ROS 2's setup file, or install the package with [ros]" if package == 'nodes' else ''
         print(f"{argv[0]}: the Python module '{error.name}' is not installed{ros}", file=sys.stderr)
         return 2
-    _say_when_compiling(argv[0])
-    return tool.main(argv[1:]) or 0
-
-
-def _say_when_compiling(name: str) -> None:
-    """A first run compiles the filter, which takes long enough for a user to wonder."""
-    compiled = sys.modules.get('mems_ins_fusion.compiled')
-    if compiled is not None and compiled.is_cold() and name != 'simulate':
-        print(f'{name}: the filter is being compiled, this once: about a minute', file=sys.stderr)
+    try:
+        return tool.main(argv[1:]) or 0
+    except KeyboardInterrupt:
+        print(f'{argv[0]}: interrupted', file=sys.stderr)
+        return INTERRUPTED
 
 
 if __name__ == '__main__':

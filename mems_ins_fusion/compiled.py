@@ -1,45 +1,229 @@
-"""`njit` of numba, compiled once and cached for as long as no source of compiled code changes.
+"""`njit` of numba, compiled once and kept for as long as no source of compiled code changes.
 
 numba by itself looks only at the file a function stands in: after a change to a function that it calls from another
-file, it would go on with the old one. Here the cache's folder is named after the contents of all of them.
+file, it would go on with the old one. Here the folder of the compiled code is named after the contents of all of them.
+A folder that cannot be read or written costs time and nothing else. While numba compiles, the user is told, and signals
+wait for the end of a step of the compiler: inside of one, an exception can end in a traceback, or be lost.
 """
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import os
+import signal
+import sys
+import threading
+import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import numba
+import numpy as np
+from numba.core import event
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
-#: packages with compiled functions
-_SOURCES = ('navigation', 'filter', 'sensor_errors', 'characterization', 'effects')
+#: packages with compiled functions, and with what these use
+_PACKAGES = ('navigation', 'filter', 'sensor_errors', 'characterization', 'effects')
 
 
-def _cache_folder() -> str:
+def sources() -> list[Path]:
+    """The files whose contents decide what compiled code is still good."""
     package = Path(__file__).parent
-    digest = hashlib.blake2b(numba.__version__.encode(), digest_size=8)
-    for folder in _SOURCES:
-        for source in sorted((package / folder).glob('*.py')):
-            digest.update(source.read_bytes())
-    base = numba.config.CACHE_DIR or os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache'
-    return str(Path(base) / 'mems_ins_fusion' / digest.hexdigest())
+    return [source for folder in _PACKAGES for source in sorted((package / folder).rglob('*.py'))]
 
 
-_FOLDER = _cache_folder()
+def _folder() -> Path:
+    digest = hashlib.blake2b(f'{numba.__version__} {np.__version__}'.encode(), digest_size=8)
+    for source in sources():
+        digest.update(source.read_bytes())
+    try:
+        home = Path.home()
+    except RuntimeError:  # a user without one
+        home = Path('/')
+    base = numba.config.CACHE_DIR or os.environ.get('XDG_CACHE_HOME') or home / '.cache'
+    return Path(base) / 'mems_ins_fusion' / digest.hexdigest()
+
+
+FOLDER = _folder()
 
 
 def njit(function=None, **options):
     """As `numba.njit(cache=True, **options)`, bare or with options."""
     if function is None:
         return lambda function: njit(function, **options)
-    others = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = _FOLDER
+    compiled = numba.njit(**options)(function)
+    compiled._cache = _Cache(function)
+    return compiled
+
+
+def tell(say) -> None:
+    """`say(text)` is how the user hears from now on that, and how long, numba compiles; at first a line on stderr."""
+    _compilation.say = say
+
+
+class _Locator(_CacheLocator):
+    """Where the compiled functions of one module stand: the same wherever the package is installed."""
+
+    def __init__(self, function, file):
+        self._folder = FOLDER / function.__module__
+        self._line = function.__code__.co_firstlineno
+        self._py_file = file
+
+    @classmethod
+    def from_function(cls, function, file):
+        return cls(function, file)
+
+    def get_cache_path(self):
+        return str(self._folder)
+
+    def get_source_stamp(self):
+        return None  # the folder has it in its name
+
+    def get_disambiguator(self):
+        return str(self._line)
+
+    def ensure_cache_path(self):
+        self._folder.mkdir(parents=True, exist_ok=True)
+
+
+class _Files(CompileResultCacheImpl):
+    _locator_classes = (_Locator,)
+
+
+class _Cache(FunctionCache):
+    """numba's cache of one function, without which all works, too, and which several processes may write at once."""
+
+    _impl_class = _Files
+
+    def load_overload(self, sig, target_context):
+        try:
+            found = super().load_overload(sig, target_context)
+        except Exception as error:  # unpickling damaged files raises nearly anything
+            _compilation.say_once(f'the compiled code in {FOLDER} cannot be used ({_reason(error)})')
+            self._forget()
+            return None
+        # of another signature, where a process died between numba's two files
+        return found if found is not None and tuple(found.signature.args) == tuple(sig) else None
+
+    def _forget(self):
+        try:
+            self.flush()
+        except OSError:
+            pass
+
+    def save_overload(self, sig, data):
+        with _compilation.signals:
+            try:
+                with _locked(FOLDER):
+                    super().save_overload(sig, data)
+                    _compilation.keep_seconds()
+            except Exception as error:
+                _compilation.say_once(f'compiled code cannot be kept in {FOLDER} ({_reason(error)}): each start '
+                                      'compiles it again; NUMBA_CACHE_DIR may name another folder')
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, 'strerror', None) or ' '.join(str(error).split()) or type(error).__name__
+
+
+@contextmanager
+def _locked(folder: Path):
+    """One process at a time: numba reads its index, takes the next free number in it and writes two files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with open(folder / 'lock', 'w') as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+class _WaitingSignals:
+    """SIGINT and SIGTERM wait within the block, which may be entered again, or until `deliver`."""
+
+    def __init__(self):
+        self._depth = 0
+        self._handlers = {}
+        self._came = []
+
+    def __enter__(self):
+        self._depth += 1
+        # only the main thread may ask for signals, and only it gets them
+        if self._depth == 1 and threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                if signal.getsignal(number) is not None:  # None: somebody's who is not Python
+                    self._handlers[number] = signal.signal(number, lambda number, frame: self._came.append(number))
+
+    def __exit__(self, *exception):
+        self._depth -= 1
+        if self._depth == 0:
+            self._restore()
+
+    def deliver(self) -> None:
+        """What came goes to those who were there before, now."""
+        if self._came:
+            self._restore()
+
+    def _restore(self):
+        handlers, self._handlers = self._handlers, {}
+        came, self._came = self._came, []
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for number in came:
+            signal.raise_signal(number)
+
+
+class _Compilation(event.Listener):
+    """Follows numba's compiler through the life of this process: says so, measures it, holds signals back."""
+
+    def __init__(self):
+        self.say = lambda text: print(f'mems_ins_fusion: {text}', file=sys.stderr, flush=True)
+        self.signals = _WaitingSignals()
+        self._said: set[str] = set()
+        self._depth = 0
+        self._began = self._seconds = 0.0
+        event.register('numba:compile', self)
+        event.register('numba:run_pass', self)
+
+    def on_start(self, event):
+        if event.kind == 'numba:compile':
+            self._depth += 1
+            self.signals.__enter__()
+            if self._depth == 1:
+                self._began = time.monotonic()
+                if not self._seconds:
+                    last = _last_seconds()
+                    took = 'about a minute' if last is None else f'{last:.0f} s last time'
+                    self.say(f'compiling the filter, once for each version of it ({took})')
+        elif self._depth:
+            self.signals.deliver()
+
+    def on_end(self, event):
+        if event.kind == 'numba:compile':
+            self._depth -= 1
+            if self._depth == 0:
+                self._seconds += time.monotonic() - self._began
+            self.signals.__exit__()
+
+    def say_once(self, text: str) -> None:
+        if text not in self._said:
+            self._said.add(text)
+            self.say(text)
+
+    def keep_seconds(self) -> None:
+        """Write down what this process has compiled so far, where that is not a small rest."""
+        if self._seconds > (_seconds(FOLDER / 'seconds') or 0.0):
+            (FOLDER / 'seconds').write_text(f'{self._seconds:.1f}\n')
+
+
+def _last_seconds() -> float | None:
+    """How long the filter took to compile the last time, in this version or another; None for the first time."""
+    files = sorted(FOLDER.parent.glob('*/seconds'), key=lambda path: path.stat().st_mtime)
+    return _seconds(files[-1]) if files else None
+
+
+def _seconds(path: Path) -> float | None:
     try:
-        return numba.njit(cache=True, **options)(function)
-    finally:
-        numba.config.CACHE_DIR = others
+        return float(path.read_text())
+    except (OSError, ValueError):
+        return None
 
 
-def is_cold() -> bool:
-    """Whether nothing has been compiled yet from these sources."""
-    return not any(Path(_FOLDER).glob('filter*'))
+_compilation = _Compilation()

@@ -11,6 +11,7 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
+import yaml
 
 import mems_ins_fusion
 from mems_ins_fusion.__main__ import TOOLS, main
@@ -20,10 +21,10 @@ from mems_ins_fusion.parameters import params_file, table
 REPOSITORY = Path(__file__).resolve().parents[1]
 MANIFEST = ElementTree.parse(REPOSITORY / 'package.xml').getroot()
 
-#: module -> (rosdep key, name on the Python package index where it is there)
+#: module -> (rosdep key, None where there is none for Ubuntu 24.04; name on the Python package index)
 MODULES = {
-    'matplotlib': ('python3-matplotlib', 'matplotlib'), 'numba': ('python3-numba', 'numba'),
-    'numpy': ('python3-numpy', 'numpy'), 'rosbags': ('python3-rosbags-pip', 'rosbags'),
+    'matplotlib': ('python3-matplotlib', 'matplotlib'), 'numba': (None, 'numba'),
+    'numpy': ('python3-numpy', 'numpy'), 'rosbags': (None, 'rosbags'),
     'scipy': ('python3-scipy', 'scipy'), 'tqdm': ('python3-tqdm', 'tqdm'), 'yaml': ('python3-yaml', 'pyyaml'),
 }
 #: decompression: requirements of rosbags, or (compression) of the standard library of Python 3.14
@@ -74,14 +75,87 @@ def test_the_version_is_the_same_everywhere():
 def test_everything_imported_is_declared():
     ours = {'mems_ins_fusion', *sys.stdlib_module_names, *BROUGHT_BY_ROSBAGS}
     declared = {tag.text for tag in MANIFEST if tag.tag in ('depend', 'exec_depend')}
-    required = re.search(r'install_requires=(\[.+?\])', (REPOSITORY / 'setup.py').read_text()).group(1)
-    requirements = {re.match(r'[\w-]+', requirement).group() for requirement in ast.literal_eval(required)}
+    requirements = {re.match(r'[\w-]+', requirement).group() for requirement in install_requires()}
     undeclared = []
     for module in set(imported_modules()) - ours:
         rosdep_key, requirement = MODULES.get(module, (module, None))
-        if rosdep_key not in declared or (requirement and requirement not in requirements):
+        if (rosdep_key or 'none') not in {*declared, 'none'} or (requirement and requirement not in requirements):
             undeclared.append(module)
     assert not undeclared
+
+
+def install_requires():
+    required = re.search(r'install_requires=(\[.+?\])', (REPOSITORY / 'setup.py').read_text(), re.DOTALL).group(1)
+    return ast.literal_eval(required)
+
+
+def test_the_lowest_versions_are_those_that_make_test_oldest_installs():
+    # for the Pythons that have the versions of Ubuntu 24.04; later ones begin with later versions
+    oldest = re.findall(r"^(\w+)==([\d.]+)(?!.*>= '3.13'|.*== '3.12')", (REPOSITORY / 'test/oldest.txt').read_text(),
+                        re.MULTILINE)
+    tested = {name: version.split('.') for name, version in oldest}
+    lowest = {name: version.split('.') for name, version in (text.split('>=') for text in install_requires())}
+    assert tested.keys() == lowest.keys()
+    assert all(tested[name][:len(version)] == version for name, version in lowest.items())
+
+
+def test_each_key_of_the_manifest_is_in_the_index_for_ubuntu_24_04():
+    index = yaml.safe_load((REPOSITORY / 'test/rosdep.yaml').read_text())
+    keys = {tag.text for tag in MANIFEST if tag.tag.endswith('depend')}
+    released = {name for packages in index['jazzy'].values() for name in packages}
+    for key in keys - released:
+        packages = index['ubuntu'].get(key)
+        if isinstance(packages, dict):
+            packages = packages.get('noble', packages.get('*'))
+        assert packages, f'rosdep has no {key} for Ubuntu 24.04, or nobody has looked'
+
+
+#: elements of a package in their order, from package_format3.xsd and REP 149: how often, attributes, text
+TOKEN = r'[a-z](_?[a-z0-9]+)*'
+VERSION = r'(0|[1-9]\d*)(\.(0|[1-9]\d*)){2}'
+EMAIL = r'[-\w%+]+(\.[-\w%+]+)*@[-a-zA-Z0-9%]+(\.[-a-zA-Z0-9%]+)*\.[a-zA-Z]{2,}'
+DEPENDENCIES = {'build_depend', 'build_export_depend', 'buildtool_depend', 'buildtool_export_depend', 'exec_depend',
+                'depend', 'doc_depend', 'test_depend', 'conflict', 'replace'}
+LIMITS = {f'version_{comparison}' for comparison in ('lt', 'lte', 'eq', 'gte', 'gt')}
+SCHEMA = [({'name'}, (1, 1), set(), TOKEN), ({'version'}, (1, 1), {'compatibility'}, VERSION),
+          ({'description'}, (1, 1), set(), r'.+'), ({'maintainer'}, (1, 99), {'email'}, r'.+'),
+          ({'license'}, (1, 99), {'file'}, r'.+'), ({'url'}, (0, 99), {'type'}, r'\S+'),
+          ({'author'}, (0, 99), {'email'}, r'.+'), (DEPENDENCIES, (0, 99), {*LIMITS, 'condition'}, r'[\w-]+'),
+          ({'group_depend'}, (0, 99), {'condition'}, r'.+'), ({'member_of_group'}, (0, 99), {'condition'}, r'.+'),
+          ({'export'}, (0, 1), set(), r'.*')]
+
+
+def wrong_in(package):
+    """What the schema refuses in a package element, as text; nothing where it is valid."""
+    if package.tag != 'package' or package.attrib != {'format': '3'}:
+        yield f'{package.tag} {package.attrib}'
+    left = list(package)
+    for names, (fewest, most), attributes, text in SCHEMA:
+        count = 0
+        while left and left[0].tag in names:
+            element, count = left.pop(0), count + 1
+            if element.attrib.keys() - attributes or not re.fullmatch(text, (element.text or '').strip(), re.DOTALL):
+                yield f'{element.tag} {element.attrib} {element.text}'
+            if 'email' in attributes and not re.fullmatch(EMAIL, element.get('email', '')):
+                yield f'{element.tag}: email'
+        if not fewest <= count <= most:
+            yield f'{count} times {min(names)}'
+    yield from (f'{element.tag} is unknown or out of place' for element in left)
+
+
+def test_the_manifest_is_valid():
+    assert list(wrong_in(MANIFEST)) == []
+
+
+@pytest.mark.parametrize(['text', 'wrong'], [
+    ('<version>0.1.0</version>', '<version>0.1</version>'), ('email="maintainers@', 'email="maintainers'),
+    ('<license file="LICENSE">Apache-2.0</license>', ''), ('<exec_depend>rclpy', '<run_depend>rclpy'),
+    ('<package format="3">', '<package format="2">')])
+def test_the_check_of_the_manifest_sees_mistakes(text, wrong):
+    manifest = (REPOSITORY / 'package.xml').read_text()
+    assert text in manifest
+    broken = manifest.replace(text, wrong).replace('<run_depend>rclpy</exec_depend>', '<run_depend>rclpy</run_depend>')
+    assert list(wrong_in(ElementTree.fromstring(broken)))
 
 
 def test_pip_installs_what_ros_looks_for(prefix):

@@ -43,6 +43,8 @@ def simulate(options: argparse.Namespace) -> str:
     drive = simulate_drive(options.duration, options.seed, options.rate, hills=options.hills,
                            standstill=options.duration if options.static else options.standstill,
                            rotating_earth=options.rotating_earth)
+    if not len(gnss.times(drive.time[-1])):
+        raise ValueError('the outages leave no fix in the recording')
     simulation = simulate_recording(drive, SensorErrors.from_parameters(values, model), gnss,
                                     [*_declared(values), *effects], values['imu.mounting_rpy'], options.seed)
     _write(simulation, options, values)
@@ -58,8 +60,6 @@ def _write(simulation, options, values):
     from mems_ins_fusion.recordings.writing import odometry_from_reference, write_recording
 
     recording, drive = simulation.recording, simulation.drive
-    if not len(recording.gnss):
-        raise ValueError('the outages leave no fix in the recording')
     thinned = slice(None, None, max(round(options.rate / _positive('--reference-rate', options.reference_rate)), 1))
     reference = recording.reference.select(thinned)
     datum = recording.gnss.latitude[0], recording.gnss.longitude[0], recording.gnss.height[0]

@@ -16,6 +16,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus, Temperature
 
+from ..compiled import tell
 from ..filter.config import FilterConfig
 from ..filter.live import FusionFilter
 from ..filter.odometry import LINEAR, POSE_COVARIANCE, POSITION, SIZE, TWIST_COVARIANCE
@@ -36,7 +37,7 @@ class FusionNode(Node):
         super().__init__(NAME)
         values = declare(self, argv, (*FILTER, *FUSION), changeable=frozenset({'odometry_rate'}))
         self._filter = FusionFilter(FilterConfig.from_parameters(values))
-        self.get_logger().info('loading the filter (the first start on a machine compiles it: up to a minute)')
+        tell(self.get_logger().info)
         self._filter.warm_up()  # before there is a subscription: no message waits for the compiler
         self._use_orientation = values['alignment.heading'] == 'orientation'
         self._set_rate(values['odometry_rate'])

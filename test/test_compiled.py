@@ -1,0 +1,182 @@
+"""Compiled code and where it is kept: current, shared by processes, and not needed."""
+from __future__ import annotations
+
+import ast
+import os
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mems_ins_fusion import compiled
+
+PACKAGE = Path(compiled.__file__).parent
+SAYS_THAT_IT_COMPILES = 'compiling the filter'
+#: two functions, one calling the other, for the type that the first argument names
+PROBE = """
+import sys
+from mems_ins_fusion.compiled import njit
+
+@njit
+def twice(x):
+    return x + x
+
+@njit
+def thrice(x):
+    return twice(x) + x
+
+values = {'int': 2, 'float': 2.5, 'complex': 2j, 'bool': True}
+value = values[sys.argv[1]]
+assert thrice(value) == 3 * value, thrice(value)
+print('right')
+"""
+
+
+@pytest.fixture
+def probe(tmp_path):
+    """Runs the probe in a process of its own with a cache of its own; `start` without waiting for it."""
+    script = tmp_path / 'probe.py'
+    script.write_text(PROBE)
+    cache = tmp_path / 'cache'
+
+    def start(kind='float', folder=cache, **options):
+        environment = {**os.environ, 'NUMBA_CACHE_DIR': str(folder), 'PYTHONPATH': str(PACKAGE.parent)}
+        return subprocess.Popen([sys.executable, script, kind], env=environment, text=True, stdout=subprocess.PIPE,
+                                stderr=subprocess.PIPE, **options)
+
+    def run(*arguments, **options):
+        """What it said on stderr."""
+        process = start(*arguments, **options)
+        out, said = process.communicate()
+        assert (process.returncode, out) == (0, 'right\n'), said
+        return said
+
+    run.start, run.cache = start, cache
+    return run
+
+
+def test_the_user_hears_that_it_compiles_and_how_long_it_took_the_last_time(probe):
+    assert f'{SAYS_THAT_IT_COMPILES}, once for each version of it (about a minute)' in probe()
+    assert probe() == ''
+    # when another type needs compiling
+    assert ' s last time)' in probe('int')
+
+
+@pytest.mark.parametrize(['pattern', 'size'], [('*.nbi', 0), ('*.nbc', 100)])
+def test_a_damaged_cache_is_named_and_made_anew(probe, pattern, size):
+    probe()
+    for path in probe.cache.rglob(pattern):
+        path.write_bytes(path.read_bytes()[:size])
+    said = probe()
+    assert 'cannot be used' in said and str(probe.cache) in said and 'Traceback' not in said
+    assert probe() == ''
+
+
+def test_without_a_folder_for_it_all_works_and_says_so(probe, tmp_path):
+    (tmp_path / 'file').touch()
+    said = probe('float', tmp_path / 'file' / 'cache')
+    assert said.count('cannot be kept in') == 1 and 'NUMBA_CACHE_DIR' in said and 'Traceback' not in said
+
+
+def test_on_a_full_disk_all_works_and_says_so(probe):
+    said = probe(preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100)))
+    assert said.count('cannot be kept in') == 1 and 'Traceback' not in said
+    # and what was written by then harms nobody
+    assert SAYS_THAT_IT_COMPILES in probe()
+
+
+def test_several_processes_compile_at_once_and_nothing_is_lost(probe):
+    kinds = ['int', 'float', 'complex', 'bool']
+    started = [probe.start(kind) for kind in kinds]
+    assert [process.communicate()[0] for process in started] == ['right\n'] * len(kinds)
+    assert [probe(kind) for kind in kinds] == [''] * len(kinds)
+
+
+@pytest.mark.parametrize(['number', 'status'], [(signal.SIGINT, 130), (signal.SIGTERM, -signal.SIGTERM)])
+def test_a_signal_while_it_compiles_ends_without_a_traceback(tmp_path, number, status):
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'mems_ins_fusion', 'compile'], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        cwd=PACKAGE.parent, env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)})
+    assert SAYS_THAT_IT_COMPILES in process.stderr.readline()
+    process.send_signal(number)
+    _, said = process.communicate()
+    assert process.returncode == status
+    assert 'Traceback' not in said and 'Error' not in said
+
+
+def test_compile_leaves_nothing_to_compile():
+    # given all of `compile` (from the cache), then: live, replay, outages, effects and characterization in other ways
+    script = """
+from numba.core import event
+from mems_ins_fusion.cli import compile
+compile.main([])
+with event.install_recorder('numba:compile') as compiled:
+    import numpy as np
+    from mems_ins_fusion.characterization.fitting import fit_gauss_markov
+    from mems_ins_fusion.characterization.likelihood import average
+    from mems_ins_fusion.effects.registry import EFFECTS
+    from mems_ins_fusion.evaluation.comparison import compare
+    from mems_ins_fusion.filter.fusion import FilterConfig, FusionFilter, run
+    from mems_ins_fusion.parameters import table
+    from mems_ins_fusion.simulation.simulation import simulate_drive, simulate_recording
+    fit_gauss_markov(average([np.random.default_rng(1).standard_normal(2000)], 5, 0.02))
+    recording = simulate_recording(simulate_drive(60.0, seed=2, rate=10.0)).recording
+    imu, gnss = recording.imu, recording.gnss
+    compare(recording, table.check({'mechanization': 'strapdown', 'outage_durations': [5.0], 'feedback': 'open'}))
+    for mechanization in ('planar', 'strapdown'):
+        values = table.check({'mechanization': mechanization, 'vehicle.zero_velocity': True,
+                              'vehicle.non_holonomic': True, 'imu.lever_arm': [0.1, 0.0, 0.0]})
+        config = FilterConfig.from_parameters(values)
+        run(config, imu, gnss)
+        live = FusionFilter(config)
+        for i in range(len(imu)):
+            if live.add_imu(int(imu.stamp[i]), *imu.specific_force[i].tolist(), *imu.angular_rate[i].tolist()):
+                live.update_odometry()
+            for k in np.flatnonzero((gnss.stamp > imu.stamp[i - 1]) & (gnss.stamp <= imu.stamp[i])) if i else ():
+                live.add_fix(int(gnss.stamp[k]), float(gnss.latitude[k]), float(gnss.longitude[k]),
+                             float(gnss.height[k]), gnss.covariance[k].reshape(9))
+        assert live.status == 'running'
+print('left:', sorted({str(e.data['dispatcher'].py_func.__name__) for _, e in compiled.buffer}))
+"""
+    environment = {**os.environ, 'PYTHONPATH': str(PACKAGE.parent)}
+    answer = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True, env=environment)
+    assert answer.stdout.endswith('left: []\n'), answer.stdout + answer.stderr
+
+
+def compiled_functions():
+    """(file, its syntax tree, the function) for each function that is compiled."""
+    for path in PACKAGE.rglob('*.py'):
+        tree = ast.parse(path.read_text())
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef) and any('njit' in ast.unparse(d) for d in node.decorator_list):
+                yield path, tree, node
+
+
+def test_what_compiled_code_is_made_of_decides_whether_it_is_still_good():
+    known = {path.resolve() for path in compiled.sources()}
+    functions = list(compiled_functions())
+    assert len(functions) > 40
+    for path, tree, function in functions:
+        assert path in known, f'{path} has compiled functions: its package is missing in compiled.py'
+        used = {node.id for node in ast.walk(function) if isinstance(node, ast.Name)}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and used & {alias.asname or alias.name for alias in node.names}:
+                source = source_of(path, node)
+                assert source is None or source in known or source.stem == 'compiled', \
+                    f'{path}: {function.name} uses names of {source}, whose package is missing in compiled.py'
+
+
+def source_of(path, node):
+    """The file of our package from which `node` in the file `path` imports; None for others."""
+    module = (node.module or '').split('.')
+    if node.level:
+        folder = path.parents[node.level - 1]
+    elif module[0] == PACKAGE.name:
+        folder, module = PACKAGE, module[1:]
+    else:
+        return None
+    target = folder.joinpath(*filter(None, module))
+    return target / '__init__.py' if target.is_dir() else target.with_suffix('.py')
