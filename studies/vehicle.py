@@ -4,9 +4,10 @@
                               [--set NAME=VALUE ...] [--only simulated|measured] [--processes 2] [--output FILE.md]
 
 Each drive goes through the filter with fixes once a second and default noise parameters, and without fixes for 10, 30
-and 60 s every 100 s (30 s in the measured drives, which are short). The table says, for each kind of fixes and each setting over all simulated drives, and for each
-measured drive: RMSE with all fixes and how often the 95 % ellipse held the truth; then for each duration the error at
-the end of the outage and the largest in it (median / 95 %), and how often the ellipse at the end held the truth.
+and 60 s every 100 s (30 s in the measured drives, which are short). The table says, for each kind of fixes and each
+setting over all simulated drives, and for each measured drive: RMSE with all fixes and how often the 95 % ellipse held
+the truth; then for each duration the error at the end of the outage and the largest in it (median / 95 %), and how
+often the ellipse at the end held the truth.
 
 The simulated drives know more than the filter: `mems_ins_fusion/simulation/scene.py`, REALISTIC. Of the measured ones
 the mounting is given to the nearest right angle, nothing else.
@@ -30,7 +31,6 @@ from mems_ins_fusion.evaluation.metrics import NEES_95
 from mems_ins_fusion.parameters import table as parameters
 from mems_ins_fusion.recordings.errors import RecordingWarning
 from mems_ins_fusion.recordings.reading import read_recording
-from mems_ins_fusion.reports.html import number
 from mems_ins_fusion.samples import Recording
 from mems_ins_fusion.simulation.scene import REALISTIC
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_recording
@@ -172,7 +172,7 @@ def row(first: str, fixes: str, setting: str, result: Judged) -> str:
     """A line of the table."""
     if not len(result.error):
         return f'| {first} | {fixes} | {setting} | {result.problem} |' + ' |' * (1 + 4 * len(DURATIONS))
-    cells = [number(np.sqrt(np.mean(result.error**2)), 3), _percent(result.inside)]
+    cells = [_number(np.sqrt(np.mean(result.error**2)), 3), _percent(result.inside)]
     for duration in DURATIONS:
         cells += [str(len(result.end[duration])), *(_median_and_95(values[duration]) for values in (
             result.end, result.largest)), _percent(result.within[duration])]
@@ -187,7 +187,11 @@ def header() -> str:
 
 
 def _median_and_95(values) -> str:
-    return ' / '.join(number(np.percentile(values, q), 2) for q in (50, 95)) if len(values) else '-'
+    return ' / '.join(_number(np.percentile(values, q), 2) for q in (50, 95)) if len(values) else '-'
+
+
+def _number(value, digits) -> str:
+    return f'{float(f"{value:.{digits}g}"):g}'
 
 
 def _percent(inside) -> str:
