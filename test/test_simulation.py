@@ -6,6 +6,7 @@ import pytest
 from simulation_support import close
 
 from mems_ins_fusion.navigation.earth import gravity, radii
+from mems_ins_fusion.simulation.scene import REALISTIC
 from mems_ins_fusion.simulation.simulation import simulate_drive
 
 STILL = 25.0
@@ -101,6 +102,18 @@ def test_given_hills_and_suspension_the_strapdown_mechanization_reproduces_the_t
     assert close(c, rotation(drive.roll[-1], drive.pitch[-1], drive.yaw[-1]), 1e-7)
 
 
+@pytest.mark.parametrize('seed', [4, 6])
+def test_given_a_realistic_drive_the_strapdown_mechanization_reproduces_the_truth(seed):
+    """Road, suspension and the arm from the axle at once: the error is that of integrating at 100 Hz."""
+    drive = REALISTIC.drive(80.0, seed, standstill=2.0)
+    assert abs(drive.yaw[-1] - drive.yaw[0]) > 0.1 and np.ptp(drive.height) > 1
+    lat, lon, h, v, c = mechanize_strapdown(drive)
+    assert horizontal_error(drive, lat, lon) < 2e-3
+    assert close(h, drive.height[-1], 1e-3)
+    assert close(v, drive.velocity[-1], 2e-5)
+    assert close(c, rotation(drive.roll[-1], drive.pitch[-1], drive.yaw[-1]), 1e-6)
+
+
 def test_the_hills_make_the_difference_between_planar_and_truth():
     drive = simulate_drive(120.0, 5, hills=True)
     lat, lon, *_ = mechanize_planar(drive)
@@ -114,7 +127,9 @@ def test_the_rotating_earth_makes_the_difference_between_gyroscopes():
     assert still.angular_rate[5, 2] == pytest.approx(-EARTH_RATE * np.sin(still.latitude[0]), rel=1e-9)
 
 
-@pytest.mark.parametrize('options', [{}, {'hills': True, **SUSPENSION}])
+@pytest.mark.parametrize('options', [
+    {}, {'hills': True, **SUSPENSION}, {'grade': 0.05, 'bank': 0.04, 'axle_to_imu': (1.2, -0.4, -0.6), **SUSPENSION},
+    {'suspension': 1.2, 'axle_to_imu': (2.0, 0.5, -1.0), **SUSPENSION}])
 def test_motion_at_any_time_obeys_finite_differences(options):
     drive = simulate_drive(240.0, 3, **options)
     time, step = np.random.default_rng(0).uniform(STILL, 239, 500), 1e-3

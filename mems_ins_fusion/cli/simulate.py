@@ -10,11 +10,19 @@ import numpy as np
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.parameters import params_file, table
 
+_NAMED_TOPICS = ('temperature_topic', 'speed_topic', 'velocity_topic', 'heading_topic')
+
 DESCRIPTION = """\
 Write a rosbag2 of a simulated land vehicle: a standstill, then straights, bends, right-angle turns and stops at
 2-20 m/s. Topics: /imu/data and /gps/fix (or imu_topic and gnss_topic of the params file), and the truth as
 /reference/fix and /reference/odometry: position and velocity of the IMU (base_link, not the antenna), attitude of the
-body. The odometry's origin is the first fix. The effect `temperature` adds /imu/temperature.
+body. The odometry's origin is the first fix. The effect `temperature` adds /imu/temperature, --aiding /wheel/speed
+(of the rear axle), /gps/velocity and /gps/heading (or speed_topic, velocity_topic, heading_topic).
+
+--drive realistic is a drive for judging filters, with everything that the options below offer: a car on its springs on
+a road with grade and bank, an IMU that shakes and whose mounting is off by up to 5 deg (each seed another), turn-on
+biases, standstills with the engine on and off, long smooth cruises, reversing. Each option changes one thing in it, or
+adds it to the level drive that is the default.
 
 The sensors' errors and what the params file declares (imu.mounting_rpy, gnss.lever_arm, gnss.time_offset, scale,
 bias, gnss.coloured_noise) are simulated as it says. Effects given with --effect come on top, declared nowhere."""
@@ -33,26 +41,50 @@ def main(argv: list[str] | None = None) -> int:
 
 def simulate(options: argparse.Namespace) -> str:
     """Simulate and write what `options` ask for; a line that says what was written. ValueError for bad options."""
-    from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+    from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_recording
 
     effects = parse_effects(options.effect)
-    values = table.check(params_file.load_yaml(options.params_file) if options.params_file else {})
+    scene = _scene(options)
+    values = table.check({**scene.imu, **(params_file.load_yaml(options.params_file) if options.params_file else {})})
     model = options.model or values['sensor_error_model']
-    sigma = options.gnss_sigma if options.gnss_sigma is not None else values['gnss.sigma'] or 1.5
-    gnss = GnssNoise(sigma, options.gnss_rate, [parse_outage(text) for text in options.outage], options.gnss_latency)
-    drive = simulate_drive(options.duration, options.seed, options.rate, hills=options.hills,
-                           standstill=options.duration if options.static else options.standstill,
-                           rotating_earth=options.rotating_earth)
+    sigma = 0.02 if options.rtk else values['gnss.sigma'] or 1.5
+    sigma = sigma if options.gnss_sigma is None else options.gnss_sigma
+    gnss = GnssNoise(sigma, options.gnss_rate, [parse_outage(text) for text in options.outage], options.gnss_latency,
+                     coloured_sigma=options.gnss_coloured, outliers=options.gnss_outliers,
+                     smoothing=options.gnss_smoothing, dropouts=options.gnss_dropouts)
+    drive = scene.drive(options.duration, options.seed, options.rate, hills=options.hills,
+                        standstill=options.duration if options.static else options.standstill)
     if not len(gnss.times(drive.time[-1])):
         raise ValueError('the outages leave no fix in the recording')
+    distortions = scene.distortions(options.seed)
+    effects = [*distortions.pop('effects'), *effects]
     simulation = simulate_recording(drive, SensorErrors.from_parameters(values, model), gnss,
-                                    [*_declared(values), *effects], values['imu.mounting_rpy'], options.seed)
+                                    [*_declared(values), *effects], values['imu.mounting_rpy'], options.seed,
+                                    **distortions)
     _write(simulation, options, values)
     recording = simulation.recording
     distance = np.linalg.norm(np.diff(drive.position, axis=0), axis=1).sum()
     added = '; '.join(f'{effect.name} {" ".join(f"{k}={v:g}" for k, v in given.items())}' for effect, given in effects)
     return (f'{options.output}: {drive.time[-1]:g} s, {distance / 1000:.2f} km, {len(recording.imu)} IMU samples with '
             f'{model} errors, {len(recording.gnss)} fixes with sigma {sigma:g} m; effects: {added or "none"}')
+
+
+def _scene(options):
+    """The scene of --drive with what other options change in it."""
+    from mems_ins_fusion.simulation.scene import SCENES
+    from mems_ins_fusion.simulation.simulation import Aiding
+
+    scene = SCENES[options.drive]
+    given = {name: getattr(options, name) for name in ('grade', 'bank', 'parked_on_slope', 'manoeuvres', 'body',
+                                                       'vibration', 'rotating_earth') if getattr(options, name)}
+    if options.axle_to_imu:
+        given['axle_to_imu'] = tuple(options.axle_to_imu)
+    for name in ('mounting_error', 'unevenness'):
+        if getattr(options, name) is not None:
+            given[name] = np.radians(getattr(options, name))
+    if options.aiding:
+        given['aiding'] = Aiding(speed_rate=10.0, velocity_rate=options.gnss_rate, heading_rate=options.gnss_rate)
+    return replace(scene, **given)
 
 
 def _write(simulation, options, values):
@@ -68,7 +100,7 @@ def _write(simulation, options, values):
     write_recording(replace(recording, reference=reference), options.output, options.storage,
                     overwrite=options.overwrite, odometry={'/reference/odometry': odometry},
                     imu_topic=values['imu_topic'], gnss_topic=values['gnss_topic'],
-                    **({'temperature_topic': values['temperature_topic']} if values['temperature_topic'] else {}))
+                    **{name: values[name] for name in _NAMED_TOPICS if values[name]})
 
 
 def parse_effects(texts: list[str]) -> list[tuple]:
@@ -138,6 +170,23 @@ def _parser():
     add('--model', choices=table.MODELS, help='of the sensor errors (default: sensor_error_model of the params '
         'file, else gauss_markov)')
     add('--params-file', metavar='FILE', help='YAML with the parameters of the sensors, as for the nodes')
+    add('--drive', choices=('flat', 'realistic'), default='flat', help='(default %(default)s)')
+    add('--grade', type=float, metavar='G', help='largest grade of a random road (0.03 is 3 %%)')
+    add('--bank', type=float, metavar='B', help='largest bank of it')
+    add('--parked-on-slope', action='store_true', help='the drive begins where grade and bank are largest')
+    add('--manoeuvres', choices=('city', 'mixed'), help='mixed: also long cruises, red lights, reversing')
+    add('--body', action='store_true', help='pitch and roll on the suspension, and sideslip, as of a car')
+    add('--unevenness', type=float, metavar='DEG', help='with --body: pitch and roll from the road at 10 m/s, RMS')
+    add('--vibration', type=float, metavar='A', help='road, m/s^2 RMS at 10 m/s; the engine shakes half as much')
+    add('--mounting-error', type=float, metavar='DEG', help='roll, pitch and yaw of the mounting off by up to this')
+    add('--axle-to-imu', type=float, nargs=3, metavar=('X', 'Y', 'Z'), help='from the rear axle to the IMU, '
+        'forward-left-up, m')
+    add('--aiding', action='store_true', help='also wheel speed, velocity and heading')
+    add('--rtk', action='store_true', help='fixes of 2 cm')
+    add('--gnss-coloured', type=float, default=0.0, metavar='M', help='error of the fixes that lasts for a minute')
+    add('--gnss-outliers', type=float, default=0.0, metavar='SHARE', help='of fixes tens of metres off')
+    add('--gnss-smoothing', type=float, default=0.0, metavar='S', help='time constant of a receiver that smooths')
+    add('--gnss-dropouts', type=float, default=0.0, metavar='N', help='an hour, of 3 to 40 s')
     add('--hills', action='store_true', help='a road with grades of up to 6 %% instead of a level one')
     add('--rotating-earth', action='store_true', help='earth rate and Coriolis acceleration, which planar neglects')
     add('--standstill', type=float, default=25.0, metavar='S', help='at the start (default %(default)g)')

@@ -5,21 +5,24 @@ exactly. Positions are their integrals in the local level frame `n`, by Gauss-Le
 """
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import PPoly
+from scipy.interpolate import CubicSpline, PPoly
+from scipy.signal import cont2discrete, lfilter
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.navigation.strapdown import EARTH_RATE
-from mems_ins_fusion.simulation.manoeuvres import Segment, plan
+from mems_ins_fusion.simulation.manoeuvres import CITY, Segment, plan
 
 START_STAMP = 1_700_000_000_000_000_000  # ns: a date, so that stamps look as those of real recordings
 ORIGIN = (0.8378, 0.2007, 480.0)  # latitude, longitude (rad), height (m) of the start
 MARGIN = 60.0  # s of motion beyond the end, for fixes that describe a later time
 _CELL = 0.02  # s: quadrature cells; the segments' ends fall on their edges
+_DAMPING = 0.3  # of a car's body on its springs
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
@@ -82,11 +85,16 @@ class Path:
     """Exact motion along a road, as functions of time.
 
     segments: the manoeuvres. origin: latitude, longitude (rad) and height (m) of the start. course: of the start, rad.
-    hills: (k, 3) of grade amplitude, wavelength (m) and phase of sines along the road; empty: a level road.
+    hills, banks: (k, 3) of amplitude, wavelength (m) and phase of cosines along the road: of its grade, and of its
+    bank, positive with the right side down; empty: a level road.
     pitch_per_acceleration, roll_per_acceleration: rad per m/s^2, positive as in a car: nose up when it speeds up, and
-    leaning outwards in a bend. sideslip_per_acceleration: rad per m/s^2, angle from the body's x axis to the velocity,
-    clockwise, for a lateral acceleration to the right. rotating_earth: the sensors feel earth rate, transport rate and
-    Coriolis acceleration; without it `n` is an inertial frame, and the planar mechanization is exact on a level road.
+    leaning outwards in a bend. suspension: natural frequency, Hz, with which the body follows; 0: at once.
+    unevenness: rad, of pitch and of roll on that suspension, from the road, at 10 m/s (RMS, growing with the speed);
+    unevenness_seed: what it is drawn from. sideslip_per_acceleration: rad per m/s^2, angle from the body's x axis to
+    the velocity, clockwise, for a lateral acceleration to the right. axle_to_imu: (3,) m, body axes, from the middle of
+    the rear axle, which is what follows the road, to the IMU, whose motion this is. rotating_earth: the sensors feel
+    earth rate, transport rate and Coriolis acceleration; without it `n` is an inertial frame, and the planar
+    mechanization is exact on a level road.
     """
 
     segments: tuple[Segment, ...]
@@ -97,6 +105,11 @@ class Path:
     roll_per_acceleration: float = 0.0
     sideslip_per_acceleration: float = 0.0
     rotating_earth: bool = False
+    banks: tuple[tuple[float, float, float], ...] = ()
+    suspension: float = 0.0
+    unevenness: float = 0.0
+    unevenness_seed: int = 0
+    axle_to_imu: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def at(self, time) -> Motion:
         """The motion at `time`, (m,) s; before the start the vehicle stands at the origin.
@@ -110,19 +123,73 @@ class Path:
         start, latitude, longitude, height, *plane = self._cells
         cell = np.minimum((t / _CELL).astype(int), len(start) - 1)
         step = self._plane_displacement(start[cell], t - start[cell])
-        climb = self._climb(self._distance(t))
+        climb = _sum_of_integrals(self.hills, self._distance(t))
         meridian, prime_vertical = radii(latitude[cell])
         lat = latitude[cell] + step[0] / (meridian + height[cell])
         lon = longitude[cell] + step[1] / ((prime_vertical + height[cell]) * np.cos(latitude[cell]))
         speed, course = self._speed(t), self._course(t)
-        grade = self._grade(self._distance(t))
+        grade = _sum_of(self.hills, self._distance(t))
         velocity = np.column_stack([speed * np.cos(course), speed * np.sin(course), -grade * speed])
         position = np.column_stack([plane[0][cell] + step[0], plane[1][cell] + step[1], -climb])
-        lateral = speed * self._course(t, 1)
-        return Motion(time, position, lat, lon, self.origin[2] + climb, velocity,
-                      roll=-self.roll_per_acceleration * lateral,
-                      pitch=np.arctan(grade) + self.pitch_per_acceleration * self._speed(t, 1),
-                      yaw=course - self.sideslip_per_acceleration * lateral)
+        roll, pitch, yaw = self._angles(t)
+        axle = Motion(time, position, lat, lon, self.origin[2] + climb, velocity, roll, pitch, yaw)
+        return self._at_imu(axle, t) if any(self.axle_to_imu) else axle
+
+    def wheel_speed(self, time) -> np.ndarray:
+        """Speed of the rear axle along the road, (m,) m/s at `time` (m,) s, negative in reverse."""
+        t = np.maximum(np.asarray(time, float), 0.0)
+        return self._speed(t) * np.hypot(1.0, _sum_of(self.hills, self._distance(t)))
+
+    def _at_imu(self, axle: Motion, t) -> Motion:
+        """The motion of the IMU, of that of the rear axle."""
+        arm = axle.attitude.apply(self.axle_to_imu)
+        rates = _body_rates(axle.roll, axle.pitch, *self._angles(t, 1))
+        turning = axle.attitude.apply(np.cross(rates, self.axle_to_imu))
+        meridian, prime_vertical = radii(axle.latitude)
+        return replace(axle, position=axle.position + arm, height=axle.height - arm[:, 2],
+                       latitude=axle.latitude + arm[:, 0] / (meridian + axle.height),
+                       longitude=axle.longitude + arm[:, 1] / ((prime_vertical + axle.height) * np.cos(axle.latitude)),
+                       velocity=axle.velocity + turning)
+
+    def _angles(self, t, order=0):
+        """Roll, pitch and yaw of the body, rad, at `t` (m,) s, or their derivatives with `order` 1."""
+        (pitch, roll), distance = self._body(t, order), self._distance(t)
+        grade, bank = _sum_of(self.hills, distance), _sum_of(self.banks, distance)
+        slip = self.sideslip_per_acceleration * self._lateral(t, order)
+        if order == 0:
+            return np.arctan(bank) + roll, np.arctan(grade) + pitch, self._course(t) - slip
+        speed = self._speed(t)
+        return (_sum_of_slopes(self.banks, distance) * speed / (1 + bank**2) + roll,
+                _sum_of_slopes(self.hills, distance) * speed / (1 + grade**2) + pitch, self._course(t, 1) - slip)
+
+    def _lateral(self, t, order=0):
+        """Lateral acceleration of the axle to the right, m/s^2, or its derivative."""
+        lateral = self._speed(t) * self._course(t, 1 + order)
+        return lateral + self._speed(t, 1) * self._course(t, 1) if order else lateral
+
+    def _body(self, t, order=0):
+        """Pitch and roll of the body on its wheels, rad, or their derivatives."""
+        if self.suspension > 0:
+            return [spline(t, order) for spline in self._springs]
+        return self.pitch_per_acceleration * self._speed(t, 1 + order), -self.roll_per_acceleration * self._lateral(
+            t, order)
+
+    @cached_property
+    def _springs(self) -> tuple[CubicSpline, CubicSpline]:
+        """Pitch and roll of a body that swings on its suspension: a damped oscillator each, pushed by acceleration and
+        road. Sampled, and smooth in between: any smooth course of the angles is a motion that is possible.
+        """
+        t = np.arange(round(self._speed.x[-1] / _CELL) + 1) * _CELL
+        push = np.vstack([self.pitch_per_acceleration * self._speed(t, 1),
+                          -self.roll_per_acceleration * self._lateral(t)])
+        omega = 2 * math.pi * self.suspension
+        oscillator = [omega**2], [1.0, 2 * _DAMPING * omega, omega**2]
+        numerator, denominator, _ = cont2discrete(oscillator, _CELL, 'bilinear')
+        # white noise of this size makes the oscillator swing with a standard deviation of 1
+        size = math.sqrt(4 * _DAMPING / (omega * _CELL))
+        road = stream(self.unevenness_seed, 'unevenness').standard_normal((len(t), 2)).T
+        push += self.unevenness * size * np.abs(self._speed(t)) / 10.0 * road
+        return tuple(CubicSpline(t, lfilter(numerator[0], denominator, axis)) for axis in push)
 
     @cached_property
     def _speed(self) -> PPoly:
@@ -135,15 +202,6 @@ class Path:
     @cached_property
     def _distance(self) -> PPoly:
         return self._speed.antiderivative()
-
-    def _climb(self, distance):
-        """Height above the start, m, at `distance`, m, along the road."""
-        return sum((grade * length / (2 * np.pi) * (np.sin(2 * np.pi * distance / length + phase) - np.sin(phase))
-                    for grade, length, phase in self.hills), np.zeros_like(distance))
-
-    def _grade(self, distance):
-        return sum((grade * np.cos(2 * np.pi * distance / length + phase) for grade, length, phase in self.hills),
-                   np.zeros_like(distance))
 
     def _plane_displacement(self, start, duration):
         """Displacement north and east, (2, m) m, from `start` (m,) over `duration` (m,) s, within a cell."""
@@ -162,13 +220,38 @@ class Path:
         start = np.arange(n) * _CELL
         steps = self._plane_displacement(start, np.full(n, _CELL))
         north, east = np.cumsum(np.column_stack([np.zeros(2), steps]), axis=1)
-        height = self.origin[2] + self._climb(self._distance(np.arange(n + 1) * _CELL))
+        height = self.origin[2] + _sum_of_integrals(self.hills, self._distance(np.arange(n + 1) * _CELL))
         middle_height = _middle(height)
         # the radii need the latitude: one from a constant radius is good for them to 1e-12
         middle = _middle(self.origin[0] + north / (radii(self.origin[0])[0] + self.origin[2]))
         latitude = self.origin[0] + _cumulated(steps[0] / (radii(middle)[0] + middle_height))
         longitude = self.origin[1] + _cumulated(steps[1] / ((radii(middle)[1] + middle_height) * np.cos(middle)))
         return tuple(a[:-1] for a in (np.append(start, 0.0), latitude, longitude, height, north, east))
+
+
+def _sum_of(waves, distance):
+    """Sum of `waves` (amplitude, wavelength in m, phase) at `distance`, m, along the road."""
+    return sum((size * np.cos(2 * np.pi * distance / length + phase) for size, length, phase in waves),
+               np.zeros_like(distance))
+
+
+def _sum_of_integrals(waves, distance):
+    """Its integral from the start of the road, m."""
+    return sum((size * length / (2 * np.pi) * (np.sin(2 * np.pi * distance / length + phase) - np.sin(phase))
+                for size, length, phase in waves), np.zeros_like(distance))
+
+
+def _sum_of_slopes(waves, distance):
+    """Its derivative, 1/m."""
+    return sum((-size * 2 * np.pi / length * np.sin(2 * np.pi * distance / length + phase)
+                for size, length, phase in waves), np.zeros_like(distance))
+
+
+def _body_rates(roll, pitch, roll_rate, pitch_rate, yaw_rate):
+    """Angular rates in body axes, (m, 3) rad/s, by Euler's kinematic equations."""
+    sin_roll, cos_roll, level = np.sin(roll), np.cos(roll), yaw_rate * np.cos(pitch)
+    return np.column_stack([roll_rate - yaw_rate * np.sin(pitch), pitch_rate * cos_roll + level * sin_roll,
+                            level * cos_roll - pitch_rate * sin_roll])
 
 
 def _frame_rates(edges: Motion):
@@ -200,12 +283,16 @@ def _quintic_steps(segments, changes, start) -> PPoly:
 def simulate_drive(duration: float, seed: int = 0, rate: float = 100.0, *, standstill: float = 25.0,
                    hills: bool = False, rotating_earth: bool = False, origin=ORIGIN,
                    pitch_per_acceleration: float = 0.0, roll_per_acceleration: float = 0.0,
-                   sideslip_per_acceleration: float = 0.0) -> Drive:
+                   sideslip_per_acceleration: float = 0.0, grade: float = 0.0, bank: float = 0.0,
+                   parked_on_slope: bool = False, manoeuvres=CITY, suspension: float = 0.0, unevenness: float = 0.0,
+                   axle_to_imu=(0.0, 0.0, 0.0)) -> Drive:
     """A land vehicle's drive: a standstill, then straights, bends, right-angle turns and stops at 2-20 m/s.
 
     duration: s. seed: the same gives the same drive, and a longer one begins as a shorter one. rate: Hz, IMU samples.
     standstill: s at the start; `duration` or more for a vehicle at rest. hills: a road with grades of up to 6 %; else a
-    level one. The others as in `Path`. ValueError for a duration or rate that is not positive, a negative standstill.
+    level one. grade, bank: of a random road instead, the largest there can be (0.03 is 3 %), which parked_on_slope
+    begins with. manoeuvres: a deck of `manoeuvres.py`. The others as in `Path`. ValueError for a duration or rate that
+    is not positive, a negative standstill.
     """
     if not (0 < duration < np.inf and 0 < rate < np.inf):
         raise ValueError(f'duration and rate must be positive, got {duration:g} s and {rate:g} Hz')
@@ -213,16 +300,30 @@ def simulate_drive(duration: float, seed: int = 0, rate: float = 100.0, *, stand
         raise ValueError(f'the standstill at the start must not be negative, got {standstill:g} s')
     rng = stream(seed, 'drive')
     course = rng.uniform(-np.pi, np.pi)
-    segments = tuple(plan(duration + MARGIN, standstill if standstill < duration else duration + MARGIN, rng))
-    road = _random_hills(stream(seed, 'hills')) if hills else ()
+    segments = tuple(plan(duration + MARGIN, standstill if standstill < duration else duration + MARGIN, rng,
+                          manoeuvres))
+    road = _random_hills(stream(seed, 'hills')) if hills and not grade else _random_waves(
+        grade, (1900.0, 700.0, 260.0), parked_on_slope, stream(seed, 'grade'))
     path = Path(segments, tuple(origin), course, road, pitch_per_acceleration, roll_per_acceleration,
-                sideslip_per_acceleration, rotating_earth)
+                sideslip_per_acceleration, rotating_earth,
+                _random_waves(bank, (1100.0, 370.0, 130.0), parked_on_slope, stream(seed, 'bank')),
+                suspension, unevenness, seed, tuple(axle_to_imu))
     return _sample(path, duration, rate)
 
 
 def _random_hills(rng):
     waves = zip((0.025, 0.02, 0.012), (1900.0, 700.0, 260.0))
     return tuple((grade, length * rng.uniform(0.8, 1.2), rng.uniform(0, 2 * np.pi)) for grade, length in waves)
+
+
+def _random_waves(largest, wavelengths, crest, rng):
+    """Waves that reach `largest` together, at the start if `crest`: either upwards or downwards."""
+    if not largest:
+        return ()
+    start = rng.choice([0.0, np.pi])
+    phases = [start] * 3 if crest else rng.uniform(0, 2 * np.pi, 3)
+    return tuple((share * largest, length * rng.uniform(0.8, 1.2), phase)
+                 for share, length, phase in zip((0.5, 0.3, 0.2), wavelengths, phases))
 
 
 def _sample(path: Path, duration: float, rate: float) -> Drive:

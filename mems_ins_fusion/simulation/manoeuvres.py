@@ -29,14 +29,14 @@ class Segment:
     course_change: float = 0.0
 
 
-def plan(duration: float, standstill: float, rng: np.random.Generator) -> Iterator[Segment]:
+def plan(duration: float, standstill: float, rng: np.random.Generator, deck) -> Iterator[Segment]:
     """Segments that fill at least `duration` s, the first `standstill` s at rest.
 
     The opening after the standstill is straight, so that a filter can align; then manoeuvres, each of which starts and
-    ends in motion, come from shuffled decks: a drive of a few minutes holds all kinds.
+    ends in motion, come from shuffled decks: a drive of a few minutes holds all kinds. deck: CITY or MIXED.
     """
     speed = elapsed = 0.0
-    kinds = _kinds(rng)
+    kinds = _shuffled(deck, rng)
     first = [Segment(_on_grid(standstill)), _speed_change(0.0, rng.uniform(8, 12), 1.5), Segment(5.0)]
     while elapsed < duration:
         for segment in first or next(kinds)(speed, rng):
@@ -46,8 +46,7 @@ def plan(duration: float, standstill: float, rng: np.random.Generator) -> Iterat
         first = None
 
 
-def _kinds(rng):
-    deck = [_turn, _bend, _straight, _turn, _bend, _stop, _turn, _straight, _double_bend, _bend]
+def _shuffled(deck, rng):
     while True:
         for i in rng.permutation(len(deck)):
             yield deck[i]
@@ -85,6 +84,27 @@ def _stop(speed, rng):
             _speed_change(0.0, rng.uniform(6, 14), rng.uniform(1.0, 2.3)), _hold(rng.uniform(1, 5))]
 
 
+def _cruise(speed, rng):
+    """A long straight at one speed: what a detector of standstills takes for one."""
+    return [_speed_change(speed, rng.uniform(10.0, 28.0), rng.uniform(0.8, 1.5)), _hold(rng.uniform(20, 60))]
+
+
+def _red_light(speed, rng):
+    """Stop for longer, creep forward in between, drive on."""
+    creep = rng.uniform(0.5, 1.5)
+    return [_speed_change(speed, 0.0, rng.uniform(1.0, 2.3)), _hold(rng.uniform(5, 30)), _speed_change(0.0, creep, 0.6),
+            _hold(rng.uniform(2, 6)), _speed_change(creep, 0.0, 0.6), _hold(rng.uniform(3, 30)),
+            _speed_change(0.0, rng.uniform(6, 14), rng.uniform(1.0, 2.3)), _hold(rng.uniform(1, 5))]
+
+
+def _reverse(speed, rng):
+    """Stop, reverse round a corner, drive on."""
+    back, angle = rng.uniform(-2.5, -1.2), rng.choice([-1, 1]) * rng.uniform(0.2, 0.5)
+    return [_speed_change(speed, 0.0, rng.uniform(1.0, 2.0)), _hold(rng.uniform(2, 6)), _speed_change(0.0, back, 0.8),
+            Segment(4.0, 0.0, angle), _speed_change(back, 0.0, 0.8), _hold(rng.uniform(1, 5)),
+            _speed_change(0.0, rng.uniform(6, 12), 1.5), _hold(rng.uniform(2, 5))]
+
+
 def _hold(duration):
     return Segment(_on_grid(duration))
 
@@ -109,3 +129,9 @@ def _curve(speed, target, angle, lateral_acceleration):
 def _on_grid(duration):
     """`duration` rounded up to the time grid, one step at least."""
     return max(math.ceil(duration / _TIME_GRID - 1e-9), 1) * _TIME_GRID
+
+
+#: the kinds of manoeuvres of a drive, to be shuffled: a city with short stops, and one with everything
+CITY = (_turn, _bend, _straight, _turn, _bend, _stop, _turn, _straight, _double_bend, _bend)
+MIXED = (_turn, _bend, _straight, _stop, _turn, _cruise, _bend, _red_light, _turn, _straight, _double_bend, _cruise,
+         _bend, _stop, _reverse)

@@ -14,17 +14,30 @@ from scipy.spatial.transform import Rotation
 from mems_ins_fusion.effects.base import Effect
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.navigation.frames import FLU_TO_FRD, rotation_from_rpy, wrap
-from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, Reference, Temperatures
+from mems_ins_fusion.samples import (
+    Fixes,
+    Headings,
+    ImuSamples,
+    Recording,
+    Reference,
+    Speeds,
+    Temperatures,
+    Velocities,
+)
 from mems_ins_fusion.sensor_errors.from_parameters import error_models, per_axis
 from mems_ins_fusion.sensor_errors.models import Model
 from mems_ins_fusion.sensor_errors.models import simulate as simulate_errors
 from mems_ins_fusion.simulation.drive import START_STAMP, Drive, simulate_drive, stream
+from mems_ins_fusion.simulation.receiver import GnssNoise
+from mems_ins_fusion.simulation.vibration import Vibration
 
-__all__ = ['GnssNoise', 'SensorErrors', 'Simulation', 'simulate_drive', 'simulate_recording']
+__all__ = ['Aiding', 'GnssNoise', 'SensorErrors', 'Simulation', 'Vibration', 'simulate_drive',
+           'simulate_recording']
 
 _FLIP = FLU_TO_FRD.diagonal()  # its own inverse
 _COVARIANCE_TYPE_DIAGONAL_KNOWN = 2  # sensor_msgs/NavSatFix
 _STATUS_FIX = 0  # sensor_msgs/NavSatStatus
+_STEP = 1e-3  # s, of the differences that give the antenna's velocity
 
 
 @dataclass(frozen=True)
@@ -65,33 +78,21 @@ class SensorErrors:
 
 
 @dataclass(frozen=True)
-class GnssNoise:
-    """A receiver. sigma: m, white, north and east. rate: Hz. outages: (start, stop) s after the start of the drive,
-    without fixes. latency: s from a fix's stamp to its arrival. vertical_sigma: m, by default 1.5 sigma. phase: s from
-    the start of the drive to the first fix, so that fixes fall between IMU samples.
+class Aiding:
+    """Further sensors; a rate, Hz, of 0 leaves one out.
+
+    speed_sigma: m/s, white, of the rear wheels' speed. speed_scale: standard deviation of its scale factor error, drawn
+    for each seed. velocity_sigma: m/s, white, of the antenna's velocity, north and east; down is 1.5 times that.
+    heading_sigma: rad, white.
     """
 
-    sigma: float = 1.5
-    rate: float = 1.0
-    outages: Sequence[tuple[float, float]] = ()
-    latency: float = 0.0
-    vertical_sigma: float | None = None
-    phase: float = 0.0037
-
-    def __post_init__(self):
-        if self.rate <= 0 or self.sigma < 0:
-            raise ValueError(f'the receiver needs a positive rate and a sigma of 0 or more, '
-                             f'got {self.rate:g} Hz and {self.sigma:g} m')
-        for start, stop in self.outages:
-            if not start < stop:
-                raise ValueError(f'an outage must end after it starts, got {start:g} to {stop:g} s')
-
-    def times(self, duration: float) -> np.ndarray:
-        """Stamps of the fixes, (m,) s after the start of a drive of `duration` s."""
-        time = self.phase + np.arange(math.floor((duration - self.phase) * self.rate + 1e-9) + 1) / self.rate
-        for start, stop in self.outages:
-            time = time[(time < start) | (time >= stop)]
-        return time
+    speed_rate: float = 0.0
+    speed_sigma: float = 0.05
+    speed_scale: float = 0.01
+    velocity_rate: float = 0.0
+    velocity_sigma: float = 0.1
+    heading_rate: float = 0.0
+    heading_sigma: float = 0.02
 
 
 @dataclass(frozen=True)
@@ -111,12 +112,14 @@ class Simulation:
 
 def simulate_recording(drive: Drive, sensors: SensorErrors | None = None, gnss: GnssNoise | None = None,
                        effects: Sequence[tuple[Effect, dict[str, float]]] = (), mounting_rpy=(0.0, 0.0, 0.0),
-                       seed: int = 0, name: str = 'simulation') -> Simulation:
+                       seed: int = 0, name: str = 'simulation', vibration: Vibration | None = None,
+                       aiding: Aiding | None = None) -> Simulation:
     """What the sensors of `drive` record.
 
     sensors, gnss: perfect sensors and the default receiver where None. effects: in the order in which they act, each
     with its parameters (those left out take their defaults). mounting_rpy: roll, pitch, yaw (rad) of the rotation from
-    sensor axes to base_link (forward-left-up), as declared. The reference is the true position of the IMU, the velocity
+    sensor axes to base_link (forward-left-up), as declared. vibration, aiding: none where None.
+    The reference is the true position of the IMU, the velocity
     there and the yaw of the body, at each IMU sample. ValueError for an unknown parameter of an effect.
     """
     sensors, gnss = sensors or SensorErrors(), gnss or GnssNoise()
@@ -124,17 +127,20 @@ def simulate_recording(drive: Drive, sensors: SensorErrors | None = None, gnss: 
     for effect, values in effects:
         drive = effect.alter_drive(drive, values)
     to_sensor = Rotation.from_matrix(rotation_from_rpy(*mounting_rpy)).inv()
-    imu, slow_errors = _imu(drive, sensors, effects, to_sensor, seed)
+    imu, slow_errors = _imu(drive, sensors, effects, to_sensor, seed, vibration)
     reference = Reference(drive.stamp, drive.latitude, drive.longitude, drive.height, drive.velocity, wrap(drive.yaw))
     temperatures = _temperatures(drive, effects, seed)
     recording = Recording(name, imu.with_temperature(temperatures), _fixes(drive, gnss, effects, seed), reference,
-                          temperatures)
+                          temperatures, *(_aided(drive, aiding, effects, seed) if aiding else ()))
     return Simulation(recording, drive, slow_errors, {effect.name: values for effect, values in effects})
 
 
-def _imu(drive, sensors, effects, to_sensor, seed):
+def _imu(drive, sensors, effects, to_sensor, seed, vibration):
     """The samples in sensor axes, and the slow errors in body axes."""
     force, rate = drive.specific_force, drive.angular_rate
+    if vibration is not None:
+        shaking = vibration.shake(drive, stream(seed, 'vibration'))
+        force, rate = force + shaking[0], rate + shaking[1]
     for effect, values in effects:
         force, rate = effect.distort_imu(drive, force, rate, values, stream(seed, effect.name))
     measured, slow = [], []
@@ -156,7 +162,7 @@ def _slow_error(drive, model, rng):
 
 
 def _fixes(drive, gnss, effects, seed) -> Fixes:
-    stamped = gnss.times(drive.time[-1])
+    stamped = gnss.received(gnss.times(drive.time[-1]), stream(seed, 'gnss.dropouts'))
     described = stamped
     for effect, values in effects:
         described = effect.fix_times(described, values)
@@ -169,16 +175,60 @@ def _fixes(drive, gnss, effects, seed) -> Fixes:
     # one draw per possible fix, so that an outage does not change the noise of the other fixes
     slot = np.round((stamped - gnss.phase) * gnss.rate).astype(int)
     noise = stream(seed, 'gnss.white').standard_normal((slot[-1] + 1 if len(slot) else 0, 3))[slot]
-    north, east, down = (position - true.position + sigma * noise).T
+    error = gnss.distort(stamped, true.position, position - true.position + sigma * noise, lambda purpose: stream(
+        seed, f'gnss.{purpose}'))
+    north, east, down = error.T
     meridian, prime_vertical = radii(true.latitude)
     stamp = START_STAMP + np.round(stamped * 1e9).astype(np.int64)
     return Fixes(stamp, stamp + round(gnss.latency * 1e9),
                  latitude=true.latitude + north / (meridian + true.height),
                  longitude=true.longitude + east / ((prime_vertical + true.height) * np.cos(true.latitude)),
                  height=true.height - down,
-                 covariance=np.tile(np.diag(sigma**2), (len(stamp), 1, 1)),
+                 covariance=np.tile(np.diag(sigma**2 + gnss.coloured_sigma**2), (len(stamp), 1, 1)),
                  status=np.full(len(stamp), _STATUS_FIX, np.int8),
                  covariance_type=np.full(len(stamp), _COVARIANCE_TYPE_DIAGONAL_KNOWN, np.uint8))
+
+
+def _aided(drive, aiding, effects, seed):
+    """What wheels, receiver and compass say: speeds, velocities, headings, None for what is not there."""
+    return (_speeds(drive, aiding, stream(seed, 'speed')) if aiding.speed_rate else None,
+            _velocities(drive, aiding, effects, stream(seed, 'velocity')) if aiding.velocity_rate else None,
+            _headings(drive, aiding, stream(seed, 'heading')) if aiding.heading_rate else None)
+
+
+def _speeds(drive, aiding, rng) -> Speeds:
+    time, stamp = _instants(drive, aiding.speed_rate, 0.0021)
+    scale = 1 + aiding.speed_scale * rng.standard_normal()
+    speed = scale * drive.path.wheel_speed(time) + aiding.speed_sigma * rng.standard_normal(len(time))
+    return Speeds(stamp, stamp.copy(), speed, np.full(len(time), aiding.speed_sigma**2))
+
+
+def _velocities(drive, aiding, effects, rng) -> Velocities:
+    """Of the antenna, at the time that the receiver's fixes of the same stamp describe."""
+    time, stamp = _instants(drive, aiding.velocity_rate, GnssNoise.phase)
+    antenna = np.zeros(3)  # body, forward-right-down
+    for effect, values in effects:
+        time = effect.fix_times(time, values)
+        antenna += [values['x'], -values['y'], -values['z']] if effect.name == 'gnss_lever_arm' else 0.0
+    velocity = drive.at(time).velocity
+    if antenna.any():
+        before, after = (drive.at(time + step).attitude.apply(antenna) for step in (-_STEP, _STEP))
+        velocity = velocity + (after - before) / (2 * _STEP)
+    sigma = aiding.velocity_sigma * np.array([1.0, 1.0, 1.5])
+    return Velocities(stamp, stamp.copy(), velocity + sigma * rng.standard_normal((len(time), 3)),
+                      np.tile(np.diag(sigma**2), (len(time), 1, 1)))
+
+
+def _headings(drive, aiding, rng) -> Headings:
+    time, stamp = _instants(drive, aiding.heading_rate, 0.0053)
+    yaw = wrap(drive.at(time).yaw + aiding.heading_sigma * rng.standard_normal(len(time)))
+    return Headings(stamp, stamp.copy(), yaw, np.full(len(time), aiding.heading_sigma**2))
+
+
+def _instants(drive, rate, phase):
+    """Times, s after the start, and stamps of measurements at `rate` Hz."""
+    time = phase + np.arange(math.floor((drive.time[-1] - phase) * rate + 1e-9) + 1) / rate
+    return time, START_STAMP + np.round(time * 1e9).astype(np.int64)
 
 
 def _temperatures(drive, effects, seed) -> Temperatures | None:
