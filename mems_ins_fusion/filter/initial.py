@@ -22,7 +22,8 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
     head, _, rows, ring, _ = views(memory)
     conditioning, offset = config.conditioning, config.offset
     still = start.standstill
-    level = config.alignment.level and still is not None
+    # the planar filter has no attitude: what the standstill shows of it is taken out of the samples
+    level = config.alignment.level and still is not None and config.mechanization == PLANAR
     if level:
         conditioning, offset = leveled(config, still)
     estimate, covariance, constant = _sensor_errors(config, start, level)
@@ -44,10 +45,20 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
         full[:5, :5] = start.covariance
     else:
         _strapdown_attitude(config, row, full, start, level)
+    _turn_into_vehicle(config, full)
     row[NAV + layout.n_navigation:NAV + layout.n] = estimate
     set_covariance(row, layout, full)
     set_radii(memory, int(head[Head.ROWS_AT]))
     ring[0, Sample.TIME] = start.time
+
+
+def _turn_into_vehicle(config: FilterConfig, full: np.ndarray) -> None:
+    """The start's heading is the vehicle's; that of the body is off by the mounting's yaw, if this is not exact."""
+    layout = config.layout
+    mounting, yaw = layout.index('mounting_yaw'), layout.n_navigation - 1
+    if mounting >= 0:
+        full[yaw, yaw] += full[mounting, mounting]
+        full[yaw, mounting] = full[mounting, yaw] = full[mounting, mounting]
 
 
 def _sensor_errors(config: FilterConfig, start: Start, level: bool):

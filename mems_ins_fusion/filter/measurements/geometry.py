@@ -41,12 +41,12 @@ def body_velocity(mem, r, c, axis):
 
 
 @njit(_nrt=False)
-def add_body_velocity(mem, r, h, c, axis):
-    """Add to a row of H the derivative of `body_velocity`: an error of attitude turns the body, too.
+def add_body_velocity(mem, r, h, c, axis, scale):
+    """Add to a row of H the derivative of `body_velocity`, times `scale`: an error of attitude turns the body, too.
 
     C^T v changes by C^T (dv + v x phi).
     """
-    x, y, z = c[axis], c[3 + axis], c[6 + axis]
+    x, y, z = scale * c[axis], scale * c[3 + axis], scale * c[6 + axis]
     v_n, v_e, v_d = mem[r + Nav.V_N], mem[r + Nav.V_E], mem[r + Nav.V_D]
     if mem[Head.MECHANIZATION] == PLANAR:
         mem[h + planar.State.V_N] += x
@@ -59,6 +59,38 @@ def add_body_velocity(mem, r, h, c, axis):
     mem[h + strapdown.State.PHI_N] += y * v_d - z * v_e
     mem[h + strapdown.State.PHI_E] += z * v_n - x * v_d
     mem[h + strapdown.State.PHI_D] += x * v_e - y * v_n
+
+
+@njit(_nrt=False)
+def _along(mem, p, n, k, c, axis):
+    """Variance of the vector whose errors in n are the states from k on, along a body axis; p: position of P (n, n)."""
+    total = 0.0
+    for i in range(3):
+        for j in range(3):
+            total += c[3 * i + axis] * mem[p + n * (k + i) + k + j] * c[3 * j + axis]
+    return total
+
+
+@njit(_nrt=False)
+def second_order(mem, n, c, axis, mounting):
+    """Variance of (error of the forward speed) times (error of an angle), which no H holds: the product of theirs.
+
+    axis: of the body, about which the angle is; mounting: index of the state that adds to it, or -1. P stands in the
+    scratch. A speed that is metres per second off must not pass for an angle (second-order filter; P. S. Maybeck,
+    "Stochastic Models, Estimation, and Control", vol. 2, 1982, ch. 12).
+    """
+    p = int(mem[Head.SCRATCH_AT])
+    if mem[Head.MECHANIZATION] == PLANAR:
+        s, a, b = planar.State, c[0], c[3]
+        v = p + n * s.V_N + s.V_N
+        speed = a * a * mem[v] + 2.0 * a * b * mem[v + 1] + b * b * mem[v + n + 1]
+        angle = mem[p + (n + 1) * s.YAW]
+    else:
+        speed = _along(mem, p, n, strapdown.State.V_N, c, 0)
+        angle = _along(mem, p, n, strapdown.State.PHI_N, c, axis)
+    if mounting >= 0:
+        angle += mem[p + (n + 1) * mounting]
+    return speed * angle
 
 
 @njit(_nrt=False)

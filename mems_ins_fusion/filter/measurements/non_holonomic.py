@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from mems_ins_fusion.compiled import njit
 
-from ..layout import PLANAR, Event, Head, Sample
-from .geometry import add_body_velocity, angular_rate, body_velocity
+from ..layout import NAV, PLANAR, Event, Head, Sample
+from .geometry import add_body_velocity, angular_rate, body_velocity, second_order
 
 
 @njit(_nrt=False)
@@ -21,21 +21,25 @@ def observe(mem, r, at, h, n, c, sample):
     acceleration = mem[sample + Sample.F_Y]
     lateral -= mem[Head.SIDESLIP] * acceleration * forward  # what the tyres let it slip in a bend
     mem[at + Event.Z_N] = lateral
-    add_body_velocity(mem, r, h, c, 1)
+    add_body_velocity(mem, r, h, c, 1, 1.0)
     yaw, axle, pitch = int(mem[Head.MOUNTING_YAW]), int(mem[Head.AXLE]), int(mem[Head.MOUNTING_PITCH])
     if yaw >= 0:
         mem[h + yaw] = forward
+        # across the vehicle's axis, not the body's: else an error of the speed passes for one across
+        add_body_velocity(mem, r, h, c, 0, -mem[r + NAV + yaw])
     if axle >= 0:
         mem[h + axle] = -w_z
     angle = (mem[Head.ANGLE_SIGMA] * forward) ** 2
     mem[at + Event.R_NN] = (mem[Head.LATERAL_SIGMA] ** 2 + angle
-                            + (mem[Head.SLIP_SIGMA] * acceleration * forward) ** 2)
+                            + (mem[Head.SLIP_SIGMA] * acceleration * forward) ** 2
+                            + second_order(mem, n, c, 2, yaw))
     mem[at + Event.R_NE] = 0.0
     if mem[Head.MECHANIZATION] == PLANAR:
         return 1
     mem[at + Event.Z_E] = body_velocity(mem, r, c, 2) + w_x * mem[Head.AXLE_Y] - w_y * mem[Head.AXLE_X]
-    add_body_velocity(mem, r, h + n, c, 2)
+    add_body_velocity(mem, r, h + n, c, 2, 1.0)
     if pitch >= 0:
         mem[h + n + pitch] = -forward
-    mem[at + Event.R_EE] = mem[Head.VERTICAL_SIGMA] ** 2 + angle
+        add_body_velocity(mem, r, h + n, c, 0, mem[r + NAV + pitch])
+    mem[at + Event.R_EE] = mem[Head.VERTICAL_SIGMA] ** 2 + angle + second_order(mem, n, c, 1, pitch)
     return 2

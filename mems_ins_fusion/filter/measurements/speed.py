@@ -15,7 +15,7 @@ def observe(mem, r, at, h, n, c, sample):
     """Predicted minus measured speed, positive forwards; one component. measured = (1 + scale) true."""
     _, w_y, w_z = angular_rate(mem, r, sample)
     forward = body_velocity(mem, r, c, 0) + w_y * mem[Head.AXLE_Z] - w_z * mem[Head.AXLE_Y]
-    add_body_velocity(mem, r, h, c, 0)
+    add_body_velocity(mem, r, h, c, 0, 1.0)
     mem[at + Event.Z_N] = forward - mem[at + Event.VALUE]
     scale = int(mem[Head.SPEED_SCALE])
     if scale >= 0:
