@@ -8,7 +8,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from mems_ins_fusion.cli.import_csv import main
-from mems_ins_fusion.recordings.csv_import import axes_rotation, read_gnss, read_imu
+from mems_ins_fusion.recordings.csv_import import axes_rotation, read_gnss, read_imu, read_speed, read_velocity
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.reading import read_recording
 
@@ -244,3 +244,37 @@ def test_a_reference_file_becomes_a_topic(files, tmp_path):
 def test_errors_are_of_the_package(tmp_path):
     with pytest.raises(RecordingError):
         read_gnss(tmp_path / 'none.csv')
+
+
+def test_velocities_stand_in_the_file_of_the_fixes(tmp_path):
+    rows = [(*row, 3.0 + i, 4.0, -0.5, 0.2) for i, row in enumerate(gnss_rows())]
+    header = 'time,latitude,longitude,height,vN [km/h],vE [km/h],vD [km/h],sAcc [km/h]'
+    velocity, text = read_velocity(write(tmp_path / 'gnss.csv', header, rows))
+    assert velocity.velocity[1] == pytest.approx(np.array([4.0, 4.0, -0.5]) / 3.6)
+    assert velocity.covariance[0] == pytest.approx(np.eye(3) * (0.2 / 3.6)**2)
+    assert 'north=vN' in text and text.endswith('in s, km/h')
+    flat = write(tmp_path / 'flat.csv', 'time,latitude,longitude,vel_n,vel_e',
+                 [(*row[:3], 1, 2) for row in gnss_rows()])
+    velocity, _ = read_velocity(flat)
+    assert velocity.velocity[0, :2].tolist() == [1.0, 2.0] and np.isnan(velocity.velocity[0, 2])
+    assert np.isnan(velocity.covariance[0, 0, 0])
+    assert read_velocity(write(tmp_path / 'none.csv', 'time,latitude,longitude,height', gnss_rows())) is None
+
+
+@pytest.mark.parametrize('name, factor', [('speed', 1.0), ('wheel_speed (km/h)', 1 / 3.6), ('v [mph]', 0.44704),
+                                          ('Vehicle Speed [kn]', 1852 / 3600), ('speed_mps', 1.0)])
+def test_speeds_have_their_unit(tmp_path, name, factor):
+    speeds, _ = read_speed(write(tmp_path / 'speed.csv', f'time,{name}', [(T0, -2.0), (T0 + 1, 36.0)]))
+    assert speeds.speed == pytest.approx(factor * np.array([-2.0, 36.0])) and np.isnan(speeds.variance).all()
+
+
+def test_speed_and_velocity_reach_the_recording(files, tmp_path):
+    imu, _, bag = files
+    gnss = write(tmp_path / 'gnss.csv', 'time,latitude,longitude,height,vn,ve,vd',
+                 [(*row, 1.0, 2.0, 3.0) for row in gnss_rows()])
+    speed = write(tmp_path / 'speed.csv', 'time,odo', [(T0 + 0.1 * i, 5.0) for i in range(20)])
+    assert run((imu, gnss, bag), '--speed', str(speed), '--speed-columns', 'speed=odo') == 0
+    recording = read_recording(bag, '/imu/data', '/gps/fix', speed_topic='/wheel/speed',
+                               velocity_topic='/gps/velocity')
+    assert recording.speed.speed.tolist() == [5.0] * 20
+    assert recording.velocity.velocity[0].tolist() == [1.0, 2.0, 3.0]

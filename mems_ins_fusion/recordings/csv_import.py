@@ -138,8 +138,8 @@ def read_gnss(path, columns: dict[str, str] | None = None, time_unit=None, angle
 def read_velocity(path, columns: dict[str, str] | None = None, time_unit=None) -> tuple[Velocities, str] | None:
     """The receiver's velocities in the file of the fixes, and what was taken for what; None without such columns.
 
-    columns: as for `read_gnss`. In the unit in brackets, else m/s. Without a column `down` the vertical velocity is NaN;
-    without one for the standard deviation the covariance is NaN. Raises RecordingError.
+    columns: as for `read_gnss`. In the unit in brackets, else m/s. Without a column `down` the vertical velocity is
+    NaN; without one for the standard deviation the covariance is NaN. Raises RecordingError.
     """
     table, columns = read_table(path), columns or {}
     names = {wanted: table.find(wanted, GNSS_COLUMNS[wanted], columns)
