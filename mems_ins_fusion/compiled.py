@@ -19,7 +19,7 @@ def _cache_folder() -> str:
     package = Path(__file__).parent
     digest = hashlib.blake2b(numba.__version__.encode(), digest_size=8)
     for folder in _SOURCES:
-        for source in sorted((package / folder).glob('*.py')):
+        for source in sorted((package / folder).rglob('*.py')):
             digest.update(source.read_bytes())
     base = numba.config.CACHE_DIR or os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache'
     return str(Path(base) / 'mems_ins_fusion' / digest.hexdigest())

@@ -14,13 +14,13 @@ from filter_support import (
     random_covariance,
     started,
     state_and_covariance,
+    take_sample,
     velocity_of,
 )
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.evaluation.metrics import position_errors, rms
 from mems_ins_fusion.filter import replay
-from mems_ins_fusion.filter.kernel import take_sample
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'studies'))
 from table_of_numbers import Drive, recording, truth_of  # noqa: E402
@@ -45,7 +45,8 @@ def first_velocity(config):
 
 def gyroscope_states(config):
     """Indices of the gyroscopes' error states, axes as in `config.layout.channels`: the newest value of each block."""
-    return [config.layout.n_navigation + i * config.layout.order for i, name in enumerate(config.layout.channels) if name.startswith('w_')]
+    layout = config.layout
+    return [layout.n_navigation + i * layout.order for i, name in enumerate(layout.channels) if name.startswith('w_')]
 
 
 def true_motion(config, memory, e):
@@ -108,9 +109,10 @@ def assert_textbook(config, before, after, measured, r):
     assert covariance / np.outer(sigma, sigma) == pytest.approx(p / np.outer(sigma, sigma), abs=1e-7)
     assert np.abs(p - p0).max() > 1e-3 * np.abs(p0).max()  # something was measured
     closed = config.parameters['feedback'] == 'closed'
-    expected = np.concatenate([np.zeros(config.layout.n_navigation), x[config.layout.n_navigation:]]) if closed else x
+    navigation = config.layout.n_navigation
+    expected = np.concatenate([np.zeros(navigation), x[navigation:]]) if closed else x
     assert (estimate - expected) / sigma == pytest.approx(np.zeros(len(x)), abs=1e-6)
-    taken_out = np.where(np.arange(len(x)) < config.layout.n_navigation, x, 0.0) if closed else np.zeros(len(x))
+    taken_out = np.where(np.arange(len(x)) < navigation, x, 0.0) if closed else np.zeros(len(x))
     velocity, attitude = true_motion(config, before, taken_out)
     assert velocity_of(config, after) == pytest.approx(velocity, abs=1e-7)
     assert (attitude_of(config, after) * attitude.inv()).magnitude() < 1e-7

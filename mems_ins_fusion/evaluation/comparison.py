@@ -133,6 +133,11 @@ def add_noise(fixes: Fixes, sigma: float, seed: int) -> Fixes:
                    covariance=covariance, covariance_type=np.where(known, fixes.covariance_type, 2).astype(np.uint8))
 
 
+def aiding_of(recording: Recording) -> Aiding:
+    """What the filter may use of `recording` besides its fixes."""
+    return Aiding(recording.speed, recording.velocity, recording.heading)
+
+
 def thin(fixes: Fixes, interval: float, start: int = 0) -> np.ndarray:
     """Which of `fixes` to use, (n,) bool, so that from `start` (ns) on they are `interval` s apart; 0 uses each.
 
@@ -198,7 +203,7 @@ class _Work:
         self.shortest = min(values['update_intervals'])
         conditioning = self._config(values['models'][0]).conditioning
         self.turning = turning_at(recording.imu, conditioning, self.truth.reference.stamp)
-        self.aiding = Aiding(recording.speed, recording.velocity, recording.heading)
+        self.aiding = aiding_of(recording)
         self.keep = _samples_to_keep(recording.imu, self.truth.reference.stamp)
         self.start = self._start()
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..filter.results import Run
 from ..filter.layout import PLANAR
 from ..filter.odometry import PLANAR_TILT_SIGMA
+from ..filter.results import Run
 from ..navigation.earth import to_local
 from ..recordings.writing import OdometrySamples, odometry_from_reference, write_recording
 from ..samples import Recording, Reference
