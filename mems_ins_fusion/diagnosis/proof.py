@@ -14,7 +14,7 @@ from scipy.stats import t as student
 
 from ..evaluation import metrics
 from ..evaluation.bootstrap import paired
-from ..evaluation.comparison import truth_of
+from ..evaluation.comparison import aiding_of, truth_of
 from ..evaluation.metrics import Errors, position_errors
 from ..evaluation.outages import Outages, outage_begins, run_outages
 from ..evaluation.outages import summary as outage_summary
