@@ -33,11 +33,13 @@ class ReplayError(ValueError):
 
 @dataclass(frozen=True)
 class RunResult:
-    """One run: its states at KEPT_RATE and around the truth's epochs, its errors and what sums them up, and the number
-    of IMU samples gone through. independent: the truth holds nothing that the filter was given."""
+    """One run: the fixes used, its states at KEPT_RATE and around the truth's epochs, its errors and what sums them
+    up, and the number of IMU samples gone through. independent: the truth holds nothing of these fixes.
+    """
 
     model: str
     interval: float
+    fixes: Fixes
     run: Run
     errors: Errors
     summary: dict
@@ -254,7 +256,7 @@ class _Work:
             if not len(errors):
                 raise ReplayError(f'{self.recording.name}: no position of the {self.truth.source} falls into the '
                                   f'run at update interval {interval:g} s')
-            results.append(RunResult(model, interval, run, errors, metrics.summary(errors),
+            results.append(RunResult(model, interval, self.fixes.select(use), run, errors, metrics.summary(errors),
                                      len(self.recording.imu) - int(run.index[0]), independent))
         return results
 
