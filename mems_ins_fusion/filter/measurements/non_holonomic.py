@@ -37,5 +37,7 @@ def observe(mem, r, at, h, n, c, sample):
     add_body_velocity(mem, r, h + n, c, 2)
     if pitch >= 0:
         mem[h + n + pitch] = -forward
+    if axle >= 0:
+        mem[h + n + axle] = w_y
     mem[at + Event.R_EE] = mem[Head.VERTICAL_SIGMA] ** 2 + angle
     return 2
