@@ -119,6 +119,20 @@ def take_event(memory: np.ndarray, record: np.ndarray) -> int:
     return _run(memory, np.zeros((0, 7)), record.reshape(1, -1).copy())
 
 
+def take_all(memory: np.ndarray, samples: np.ndarray, records: np.ndarray, columns) -> tuple[np.ndarray, np.ndarray]:
+    """Samples (k, 7) and measurements (e, Event.SIZE) by time through the kernel, each in time for the sample after it.
+
+    The columns of the state after each sample (k, c), and the records (e, Event.SIZE) with what came of them.
+    """
+    records, states = records.copy(), np.empty((len(samples), len(columns)))
+    records[:, Event.ID] = np.arange(len(records))
+    log, answers = records.copy(), np.zeros(len(records), dtype=np.int64)
+    kernel.run(memory, samples, records, np.searchsorted(samples[:, 0], records[:, Event.TIME]), answers,
+               np.asarray(columns, dtype=np.uint64), np.arange(len(samples)), states, log)
+    assert np.all(answers == kernel.TAKEN)
+    return states, log
+
+
 def _run(memory, samples, events) -> int:
     none, answers = np.zeros(0, dtype=np.int64), np.zeros(len(events), dtype=np.int64)
     kernel.run(memory, samples, events, np.zeros(len(events), dtype=np.int64), answers, np.zeros(0, dtype=np.uint64),

@@ -13,9 +13,9 @@ from scipy.stats import chi2
 
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.alignment import channel_prior
+from mems_ins_fusion.filter.layout import Head, views
 from mems_ins_fusion.filter.live import FusionFilter
 from mems_ins_fusion.filter.replay import run
-from mems_ins_fusion.filter.layout import Head, views
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.sensor_errors.models import Autoregressive, GaussMarkov, RandomWalk
 from mems_ins_fusion.simulation.drive import Path

@@ -28,7 +28,7 @@ class Placebo(Effect):
     name = 'placebo'
     parameters = (EffectParameter('size', 'm/s^2', 0.05),)
 
-    def applied(self, values, recording, theta):
+    def applied(self, values, recording, theta, attitude=None):
         time = (recording.imu.stamp - recording.imu.stamp[0]) * 1e-9
         wave = np.sin(2 * np.pi * time / 37.0) + np.sin(2 * np.pi * time / 23.0 + 1.0)
         force = recording.imu.specific_force - theta['size'] * wave[:, None] * [1.0, 0.0, 0.0]

@@ -128,7 +128,7 @@ def test_errors_are_those_of_a_run_with_all_its_samples(recording):
     """That only some states are kept changes nothing."""
     from mems_ins_fusion.evaluation.comparison import truth_of
     from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.replay import run
+    from mems_ins_fusion.filter.replay import run
 
     given = values(update_intervals=[3.0], models=['random_walk'])
     result = compare(recording, given).runs[0]

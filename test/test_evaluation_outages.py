@@ -6,9 +6,8 @@ import pytest
 
 from mems_ins_fusion.evaluation.metrics import Truth, position_errors, rms
 from mems_ins_fusion.evaluation.outages import outage_begins, run_outages, summary
-from mems_ins_fusion.filter.replay import run, run_with_outages
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.replay import run
+from mems_ins_fusion.filter.replay import run, run_with_outages
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
@@ -43,7 +42,7 @@ def test_a_replay_of_some_samples_is_the_run(recording, model):
     keep = np.zeros(len(recording.imu), dtype=bool)
     keep[::7] = True
     whole = run(config(sensor_error_model=model), recording.imu, recording.gnss)
-    part = replay(config(sensor_error_model=model), recording.imu, recording.gnss, keep)
+    part = run(config(sensor_error_model=model), recording.imu, recording.gnss, keep=keep)
     assert len(part.stamp) > 500
     assert same(whole, part, keep[whole.index])
     assert np.array_equal(whole.innovations.z, part.innovations.z)
@@ -60,7 +59,7 @@ def test_an_outage_is_the_run_without_its_fixes(recording, mechanization):
     for i, b in enumerate(begin):
         # when the whole recording is run without the fixes of one of them
         withheld = (gnss.stamp > b) & (gnss.stamp <= b + 32 * SECOND)
-        alone = replay(settings, recording.imu, gnss.select(~withheld))
+        alone = run(settings, recording.imu, gnss.select(~withheld))
         # then that is what was branched off, bit for bit, up to the sample after its end
         rows = slice(coasting.first[i], coasting.first[i + 1])
         stamp = coasting.run.stamp[rows]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from filter_support import configure
 
+from mems_ins_fusion.filter.layout import Event, views
 from mems_ins_fusion.filter.live import FusionFilter
 from mems_ins_fusion.filter.replay import run
-from mems_ins_fusion.filter.layout import Fix, views
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
@@ -36,7 +36,7 @@ def fusion():
 
 
 def now(fusion):
-    return fusion._last_stamp
+    return fusion._now
 
 
 def said(fusion):
@@ -212,7 +212,7 @@ def test_an_outage_is_said_once_and_its_end_as_well(fusion):
     for _ in range(4 * RATE):
         fusion.add_imu(now(fusion) + SECOND // RATE, *FORCE, *TURN)
     (level, text), = said(fusion)
-    assert level == 'warning' and text.startswith('no fix on /gps/fix for 2.5')
+    assert level == 'warning' and text.startswith('no fix used from /gps/fix for 2.5')
     assert fusion.status.startswith('outage for 4.')
     fusion.add_fix(now(fusion), *FIX, COVARIANCE)
     assert said(fusion) == [('info', 'fixes on /gps/fix again')] and fusion.status == 'running'

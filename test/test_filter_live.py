@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from filter_support import MODELS, configure, newest
 
+from mems_ins_fusion.filter.layout import NAV, covariance
 from mems_ins_fusion.filter.live import FusionFilter
 from mems_ins_fusion.filter.replay import run
-from mems_ins_fusion.filter.layout import NAV, covariance
 from mems_ins_fusion.samples import Fixes, ImuSamples
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
@@ -23,7 +23,7 @@ def drive():
 
 
 def recorded(drive, model, **gnss):
-    values = configure(sensor_error_model=model).values
+    values = configure(sensor_error_model=model).parameters
     recording = simulate_recording(drive, SensorErrors.from_parameters(values, model),
                                    GnssNoise(1.0, 4.0, **gnss), seed=3).recording
     return recording.imu, recording.gnss
@@ -96,9 +96,9 @@ def test_live_and_replay_give_the_same_bits(drive, mechanization, model, feedbac
     geodetic = np.array([p[2:5] for p in published])
     assert np.array_equal(np.column_stack([replayed.latitude, replayed.longitude, replayed.height])[at], geodetic)
     assert np.array_equal(replayed.sigma[at], np.array([p[5:-1] for p in published]))
-    errors = np.array([p[-1][NAV + config.layout.n_navigation:NAV + config.layout.n_navigation + len(config.models) * config.layout.order]
-                       for p in published])
-    assert np.array_equal(replayed.sensor_errors[at], errors[:, ::config.layout.order])
+    first = NAV + config.layout.n_navigation
+    errors = np.array([p[-1][first:first + config.layout.n_sensor:config.layout.order] for p in published])
+    assert np.array_equal(replayed.sensor_errors[at], errors)
     assert np.array_equal(newest(replayed.memory), published[-1][-1])
     # and it is the whole of it, but for the moments before the fix that started the filter had come
     missing = np.setdiff1d(replayed.index, index)

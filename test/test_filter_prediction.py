@@ -13,11 +13,11 @@ from filter_support import (
     random_covariance,
     started,
     state_and_covariance,
+    take_sample,
 )
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from mems_ins_fusion.filter.kernel import take_sample
 from mems_ins_fusion.filter.layout import PLANAR, Nav
 from mems_ins_fusion.navigation import planar, strapdown
 from mems_ins_fusion.navigation.earth import gravity, radii
@@ -79,7 +79,7 @@ def sensor_matrices(config, name):
             q[0, 0] = values[f'{sensor}.autoregressive.b0'][0] ** 2
         blocks.append(np.asarray(a))
         noise.append(np.asarray(q))
-    if config.coloured:
+    if config.gnss.coloured:
         decay = math.exp(-DT / 3.0)
         blocks.append(decay * np.eye(2))
         noise.append(0.8**2 * (1 - decay**2) * np.eye(2))
@@ -90,9 +90,10 @@ def dense(config, name):
     """Phi and Q (n, n) of the whole filter."""
     f, b = navigation_jacobian(config)
     a, q = sensor_matrices(config, name)
-    output = np.zeros((len(config.layout.channels), config.layout.n_augmented))  # c: each channel's error is its first state
-    output[range(len(config.layout.channels)), range(0, config.layout.order * len(config.layout.channels), config.layout.order)] = 1
-    phi = np.block([[f, b @ output], [np.zeros((config.layout.n_augmented, config.layout.n_navigation)), a]])
+    layout = config.layout
+    output = np.zeros((len(layout.channels), layout.n_augmented))  # c: each channel's error is its first state
+    output[range(len(layout.channels)), range(0, layout.n_sensor, layout.order)] = 1
+    phi = np.block([[f, b @ output], [np.zeros((layout.n_augmented, layout.n_navigation)), a]])
     values = config.parameters
     density = np.concatenate([values['accelerometer.noise_density'], values['gyroscope.noise_density']])
     white = np.diag(density[config.channel_axes] ** 2 / DT)  # a sample is a mean over its interval
@@ -103,7 +104,7 @@ def realistic(config):
     """Scales of the error states: m, m/s, rad, and sensor units."""
     navigation = [2, 2, 0.3, 0.3, 0.05] if config.mechanization == PLANAR else [2, 2, 3, .3, .3, .3, .03, .03, .05]
     channels = [0.1 if axis < 3 else 0.01 for axis in config.channel_axes for _ in range(config.layout.order)]
-    return np.array(navigation + channels + ([0.8, 0.8] if config.coloured else []))
+    return np.array(navigation + channels + ([0.8, 0.8] if config.gnss.coloured else []))
 
 
 @pytest.mark.parametrize(('name', 'mechanization', 'coloured'), CASES)

@@ -10,13 +10,12 @@ import math
 
 import numpy as np
 import pytest
-from filter_support import MODELS, configure, fix_record, started
+from filter_support import MODELS, configure, fix_record, started, take_all
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from mems_ins_fusion.filter import replay
-from mems_ins_fusion.filter.kernel import run
-from mems_ins_fusion.filter.layout import NAV, PLANAR, Fix, Head, Nav, covariance, views
+from mems_ins_fusion.filter.layout import NAV, PLANAR, Event, Head, Nav, covariance, views
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -56,9 +55,8 @@ def filtered(config, drive, seed):
     longitude = gnss.longitude + east / (EARTH * np.cos(gnss.latitude))
     fixes = np.array([fix_record(*fix, SIGMA**2 * np.eye(2), (1.5 * SIGMA) ** 2) for fix in zip(
         (gnss.stamp - imu.stamp[0]) * 1e-9, latitude, longitude, gnss.height)])
-    states = np.empty((len(time) - 1, views(memory)[2].shape[1]))
-    run(memory, time[1:], imu.specific_force[1:], imu.angular_rate[1:], fixes, np.searchsorted(time[1:], fixes[:, 0]),
-        np.zeros(len(fixes), np.int64), np.arange(states.shape[1]), states)
+    samples = np.column_stack([time, imu.specific_force, imu.angular_rate])[1:]
+    states, fixes = take_all(memory, samples, fixes, np.arange(views(memory)[2].shape[1]))
     return navigation_error(config, states, drive), sensor_error(config, states, simulation), states, fixes
 
 
@@ -67,12 +65,13 @@ def start_drawn(config, drive, rng):
     planar = config.mechanization == PLANAR
     navigation = [2, 2, .1, .1, .03] if planar else [2, 2, 3, .1, .1, .1, .01, .01, .03]
     p = np.zeros((config.layout.n,) * 2)
-    p[:config.layout.n_navigation, :config.layout.n_navigation] = np.diag(np.square(navigation))
+    first, order = config.layout.n_navigation, config.layout.order
+    p[:first, :first] = np.diag(np.square(navigation))
     for i, model in enumerate(config.models):
-        at = slice(config.layout.n_navigation + i * config.layout.order, config.layout.n_navigation + (i + 1) * config.layout.order)
+        at = slice(first + i * order, first + (i + 1) * order)
         p[at, at] = model.initial_covariance()
-    if config.coloured:
-        p[-2:, -2:] = config.coloured.sigma**2 * np.eye(2)
+    if config.gnss.coloured:
+        p[-2:, -2:] = config.gnss.coloured.sigma**2 * np.eye(2)
     e = np.array(navigation) * rng.standard_normal(config.layout.n_navigation)
     memory = started(config, velocity=(0, 0, 0), attitude=(0, 0, 0), p=p)
     row = views(memory)[2][0]
@@ -97,13 +96,13 @@ def start_drawn(config, drive, rng):
 
 def coloured_noise(config, rng, n):
     """North and east of the receiver's slow error at fixes one second apart."""
-    if not config.coloured:
+    if not config.gnss.coloured:
         return np.zeros((2, n))
-    decay = math.exp(-1 / config.coloured.tau)
-    noise, value = np.empty((2, n)), config.coloured.sigma * rng.standard_normal(2)
+    decay = math.exp(-1 / config.gnss.coloured.tau)
+    noise, value = np.empty((2, n)), config.gnss.coloured.sigma * rng.standard_normal(2)
     for k in range(n):
         noise[:, k] = value
-        value = decay * value + config.coloured.sigma * math.sqrt(1 - decay**2) * rng.standard_normal(2)
+        value = decay * value + config.gnss.coloured.sigma * math.sqrt(1 - decay**2) * rng.standard_normal(2)
     return noise
 
 
@@ -181,7 +180,7 @@ def test_a_wrong_noise_is_seen(drives):
         values = {'accelerometer.noise_density': [factor * 0.01], 'gyroscope.noise_density': [factor * 3e-4],
                   'accelerometer.gauss_markov.sigma': [factor * 0.05], 'gyroscope.gauss_markov.sigma': [factor * 1e-3]}
         mistuned = configure({**START['gauss_markov'], **values})
-        mistuned.values.update({name: truth[name] for name in values})  # what simulates the sensors
+        mistuned.parameters.update({name: truth[name] for name in values})  # what simulates the sensors
         with pytest.raises(AssertionError):
             assert_consistent(*statistics(mistuned, drives, False, 8), len(known_states(config)))
 

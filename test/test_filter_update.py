@@ -17,11 +17,14 @@ from filter_support import (
     random_covariance,
     started,
     state_and_covariance,
+    take_all,
+    take_event,
+    take_sample,
 )
 from scipy.spatial.transform import Rotation
 
-from mems_ins_fusion.filter.kernel import BEFORE_START, TAKEN, TOO_LATE, run, take_fix, take_sample
-from mems_ins_fusion.filter.layout import NAV, PLANAR, Fix, Head, Nav, views
+from mems_ins_fusion.filter.kernel import BEFORE_START, TAKEN, TOO_LATE
+from mems_ins_fusion.filter.layout import NAV, PLANAR, Event, Head, Nav, Verdict, views
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.simulation.drive import simulate_drive
 
@@ -39,7 +42,7 @@ def made(model, mechanization, feedback, **more):
 def scale_of(config):
     navigation = [2, 2, .3, .3, .05] if config.mechanization == PLANAR else [2, 2, 3, .3, .3, .3, .03, .03, .05]
     channels = [.1 if axis < 3 else .01 for axis in config.channel_axes for _ in range(config.layout.order)]
-    return np.array(navigation + channels + ([.8, .8] if config.coloured else []))
+    return np.array(navigation + channels + ([.8, .8] if config.gnss.coloured else []))
 
 
 def antenna(config, row, error):
@@ -67,7 +70,7 @@ def textbook(config, row, x, p, r, down):
     h = np.zeros((dimensions, n))
     # predicted minus measured position is linear in the error with -d(antenna)/d(error taken out)
     h[:, :navigation] = -central_difference(lambda e: antenna(config, row, e)[:dimensions], navigation, 1e-6)
-    if config.coloured:  # measured = true + coloured noise + white
+    if config.gnss.coloured:  # measured = true + coloured noise + white
         h[0, n - 2] = h[1, n - 1] = -1
     noise = np.zeros((dimensions, dimensions))
     noise[:2, :2] = r
@@ -85,13 +88,13 @@ def textbook(config, row, x, p, r, down):
 def test_a_fix_corrects_as_the_dense_joint_kalman_update(model, mechanization, feedback):
     # given lever arm, coloured noise, a correlated R and a fix on a sample's stamp
     config = made(model, mechanization, feedback, **COLOURED)
-    rng = np.random.default_rng(4)
+    rng, navigation = np.random.default_rng(4), config.layout.n_navigation
     scale = scale_of(config)
     p0, x0 = random_covariance(len(scale), rng, scale), np.zeros(len(scale))
     if feedback == 'open':
         x0 = scale * rng.standard_normal(len(scale))
     else:
-        x0[config.layout.n_navigation:] = scale[config.layout.n_navigation:] * rng.standard_normal(config.layout.n_augmented)
+        x0[navigation:] = scale[navigation:] * rng.standard_normal(config.layout.n_augmented)
     memories = [started(config, x=x0, p=p0) for _ in range(2)]
     record = fix_record(DT, r=R, down=2.0)
     assert take_event(memories[1], record) == TAKEN
@@ -103,9 +106,9 @@ def test_a_fix_corrects_as_the_dense_joint_kalman_update(model, mechanization, f
     estimate, covariance = state_and_covariance(config, memories[1])
     sigma = np.sqrt(np.diag(p))
     assert covariance / np.outer(sigma, sigma) == pytest.approx(p / np.outer(sigma, sigma), abs=1e-7)
-    applied = x if feedback == 'open' else np.concatenate([np.zeros(config.layout.n_navigation), x[config.layout.n_navigation:]])
+    applied = x if feedback == 'open' else np.concatenate([np.zeros(navigation), x[navigation:]])
     assert (estimate - applied) / scale == pytest.approx(np.zeros(len(x)), abs=1e-7)
-    taken_out = x[:config.layout.n_navigation] if feedback == 'closed' else np.zeros(config.layout.n_navigation)
+    taken_out = x[:navigation] if feedback == 'closed' else np.zeros(navigation)
     expected = antenna(config, before, taken_out)  # the corrected state, seen at the antenna
     if config.mechanization == PLANAR:
         expected[2] = 0  # planar takes its height from the fix
@@ -168,11 +171,9 @@ def test_covariance_stays_symmetric_and_positive_for_hours_of_exact_fixes(model)
     time = 0.1 * np.arange(1, len(force) + 1)
     memory = started(config, velocity=(0, 0, 0), p=np.diag(scale_of(config) ** 2 * 100))
     fixes = np.array([fix_record(t, r=1e-6 * np.eye(2), down=1e-6) for t in np.arange(0.55, time[-1], 1.0)])
-    arrival = np.searchsorted(time, fixes[:, Event.TIME])
-    run(memory, time, force, rate, fixes, arrival, np.zeros(len(fixes), np.int64), np.array([NAV]),
-        np.empty((len(time), 1)))
+    _, fixes = take_all(memory, np.column_stack([time, force, rate]), fixes, [NAV])
     assert views(memory)[0][Head.SAMPLES] == len(time) >= 72000
-    assert np.all(fixes[:, Event.APPLIED] == 1)
+    assert np.all(fixes[:, Event.VERDICT] == Verdict.USED)
     _, p = state_and_covariance(config, memory)
     sigma = np.sqrt(np.diag(p))
     assert np.all(np.isfinite(sigma)) and np.all(sigma > 0)

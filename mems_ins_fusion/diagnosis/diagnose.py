@@ -278,7 +278,8 @@ class _Work:
     def _completed(self, candidate: Candidate, trial: Model) -> Model:
         """`trial` with what else of its effect the data determine now that noise levels need not stand for it."""
         known = {u.name for u in trial.unknowns}
-        missing = [u for u in effect_unknowns(candidate.effect, candidate.fixed) if u.name not in known]
+        missing = [u for u in effect_unknowns(candidate.effect, candidate.fixed, trial.problem.attitude)
+                   if u.name not in known]
         more = also_determined(trial.moved(), missing, trial.scores, trial.residual, trial.problem.mask)
         if more:
             first, start = len(trial.unknowns), np.append(trial.x, np.zeros(len(more)))
@@ -291,7 +292,7 @@ class _Work:
         first = len(self.model.unknowns)
         fits = []
         for fixed in effect.tried:
-            unknowns = [*self.model.unknowns, *effect_unknowns(effect, fixed)]
+            unknowns = [*self.model.unknowns, *effect_unknowns(effect, fixed, self.model.problem.attitude)]
             model = fit(trial.problem, unknowns, trial.x)
             refined = refined_unknowns(effect, fixed)
             fits.append(fit(trial.problem, [*unknowns, *refined], np.append(model.x, np.zeros(len(refined)))))

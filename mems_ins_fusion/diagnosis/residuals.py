@@ -12,13 +12,14 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
-from ..evaluation.comparison import thin
+from ..evaluation.comparison import aiding_of, thin
 from ..filter.alignment import transferred
 from ..filter.config import FilterConfig
-from ..filter.replay import Aiding, run
+from ..filter.replay import run
 from ..filter.results import Run
 from ..samples import ImuSamples, Recording
 
@@ -151,7 +152,7 @@ class Problem:
     def __init__(self, recording: Recording, values: dict, interval: float = UPDATE_INTERVAL):
         self.values = values
         self.config = FilterConfig.from_parameters(values)
-        first = run(self.config, recording.imu, recording.gnss)
+        first = run(self.config, recording.imu, recording.gnss, aiding_of(recording))
         if first.start is None:
             reason = first.notices[-1].text if first.notices else 'no fixes'
             raise DiagnosisError(f'{recording.name}: {reason}')
@@ -161,24 +162,38 @@ class Problem:
         seconds = max((recording.imu.stamp[-1] - recording.imu.stamp[0]) * 1e-9, 1.0)
         rate = float(np.clip(MANY_SAMPLES / seconds, SLOWEST_RATE, FASTEST_RATE))
         self.recording = replace(self.full, imu=averaged(recording.imu, rate))
-        self.start = run(self.config, self.recording.imu, self.recording.gnss).start
+        self.start = run(self.config, self.recording.imu, self.recording.gnss, aiding_of(recording)).start
+        self.attitude = cache(self._attitude)
         self.stamp = self.recording.gnss.stamp
         self.base = self.residual(values, self.recording)
         settled = self.stamp > began + round(SETTLING * 1e9)
         self.mask = settled & np.isfinite(self.base.z[:, 0])
 
-    def filtered(self, values: dict, recording: Recording, states: bool = True) -> Run:
-        """A run under other parameters or with another recording, from the same start."""
+    def filtered(self, values: dict, recording: Recording, keep: np.ndarray | None = None) -> Run:
+        """A run under other parameters or with another recording, from the same start.
+
+        keep: the samples whose states are kept, (n,) bool; all where None.
+        """
         config = FilterConfig.from_parameters(values)
-        return run(config, recording.imu, recording.gnss, transferred(self.start, self.config, config), states)
+        return run(config, recording.imu, recording.gnss, aiding_of(recording),
+                   transferred(self.start, self.config, config), keep)
 
     def residual(self, values: dict, recording: Recording) -> Residual:
         """The innovations under other parameters or with another recording (of the same fixes)."""
-        innovations, n = self.filtered(values, recording, states=False).innovations, len(recording.gnss)
+        nothing, n = np.zeros(len(recording.imu), dtype=bool), len(recording.gnss)
+        innovations = self.filtered(values, recording, nothing).innovations
         z, s, yaw, velocity = np.full((n, 2), np.nan), np.full((n, 3), np.nan), np.zeros(n), np.zeros((n, 2))
         z[innovations.index], s[innovations.index] = innovations.z, innovations.s
         yaw[innovations.index], velocity[innovations.index] = innovations.yaw, innovations.velocity
         return Residual(z, s, yaw, velocity)
+
+    def _attitude(self) -> tuple[np.ndarray, np.ndarray]:
+        """Roll and pitch, rad, at each IMU sample by a strapdown run of what was configured; 0 before its start."""
+        imu, config = self.recording.imu, FilterConfig.from_parameters({**self.values, 'mechanization': 'strapdown'})
+        result = run(config, imu, self.recording.gnss, aiding_of(self.recording))
+        roll, pitch = np.zeros((2, len(imu)))
+        roll[result.index], pitch[result.index] = result.roll, result.pitch
+        return roll, pitch
 
     def assume(self, unknowns: Sequence[Unknown], x) -> tuple[dict, Recording]:
         """Parameters and recording with `unknowns` at `x`."""

@@ -53,8 +53,11 @@ class Candidate:
         return self.fixed | {u.parameter: float(t) for u, t in zip(self.unknowns, self.theta)}
 
 
-def effect_unknowns(effect: Effect, fixed: dict[str, float]) -> list[Unknown]:
-    """One unknown for each parameter of `effect` that a diagnosis can vary, the `fixed` ones left where they are."""
+def effect_unknowns(effect: Effect, fixed: dict[str, float], attitude: Callable | None = None) -> list[Unknown]:
+    """One unknown for each parameter of `effect` that a diagnosis can vary, the `fixed` ones left where they are.
+
+    attitude: `Problem.attitude`, for the effects that need it.
+    """
     zero = {p.name: 0.0 for p in effect.traced} | fixed
 
     def varied(parameter):
@@ -63,7 +66,7 @@ def effect_unknowns(effect: Effect, fixed: dict[str, float]) -> list[Unknown]:
             change = float(np.sqrt(max(x, 0.0))) if parameter.variance else x
             if change == 0:
                 return values, recording
-            return effect.applied(values, recording, {**zero, parameter.name: change})
+            return effect.applied(values, recording, {**zero, parameter.name: change}, attitude)
         return apply
 
     def unknown(p):
@@ -104,7 +107,7 @@ def trace(problem: Problem, nuisance: Scores, at: Residual, effects: Sequence[Ef
     for effect in effects:
         tried = []
         for fixed in effect.tried:
-            unknowns = effect_unknowns(effect, fixed)
+            unknowns = effect_unknowns(effect, fixed, problem.attitude)
             _, own = scores(problem, unknowns, np.zeros(len(unknowns)), at)
             tried.append(_test(problem, effect, unknowns, own, nuisance, mask, fixed))
         best = max(tried, key=lambda c: c.gain)

@@ -88,8 +88,12 @@ class Effect:
         """Whether `theta` is taken out by another mechanization, not by a parameter."""
         return False
 
-    def applied(self, values: dict, recording, theta: dict):
-        """Parameters and recording as a filter would have to see them if `theta` were true: for the diagnosis."""
+    def applied(self, values: dict, recording, theta: dict, attitude=None):
+        """Parameters and recording as a filter would have to see them if `theta` were true: for the diagnosis.
+
+        attitude: called without arguments, it gives roll and pitch of the body, rad, at each IMU sample, 0 where not
+        known; for effects that need it.
+        """
         return self.adjusted(values, theta), recording
 
     def hidden(self, values: dict, recording) -> str:

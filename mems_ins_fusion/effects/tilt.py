@@ -21,8 +21,8 @@ SUSPENSION = ('pitch_per_acceleration', 'roll_per_acceleration')
 class Tilt(Effect):
     """Nose up by pitch_per_acceleration when speeding up, leaning outwards by roll_per_acceleration in a bend.
 
-    In the diagnosis also `compensation`: the part of gravity's leakage, computed from the attitude of a strapdown run,
-    that the planar filter's specific force contains. 1 says that the attitude explains it.
+    In the diagnosis also `compensation`: the part of gravity's leakage, computed from the attitude of a strapdown run
+    that the diagnosis hands in, that the planar filter's specific force contains. 1 says that the attitude explains it.
     """
 
     name = 'tilt'
@@ -63,20 +63,15 @@ class Tilt(Effect):
             values = added(values, f'vehicle.{name}', None, theta[name])
         return values
 
-    def applied(self, values, recording, theta):
+    def applied(self, values, recording, theta, attitude=None):
         """With `compensation`: the recording with this part of the leakage taken out, the mechanization as it is."""
         if not self.replaces_model(theta):
             return self.adjusted(values, theta), recording
-        force = recording.imu.specific_force - theta['compensation'] * self.leakage(values, recording)
+        leaked = leakage(*attitude()) @ mounting(values['imu.mounting_rpy'])
+        force = recording.imu.specific_force - theta['compensation'] * leaked
         return values, replace(recording, imu=replace(recording.imu, specific_force=force))
 
-    def leakage(self, values, recording) -> np.ndarray:
-        """Gravity in f_x and f_y by the attitude of a strapdown run, (n, 3) m/s^2 in sensor axes."""
-        from mems_ins_fusion.filter.fusion import FilterConfig, run
 
-        result = run(FilterConfig.from_parameters({**values, 'mechanization': 'strapdown'}), recording.imu,
-                     recording.gnss)
-        body = np.zeros((len(recording.imu), 3))
-        body[result.index, 0] = STANDARD_GRAVITY * np.sin(result.pitch)
-        body[result.index, 1] = -STANDARD_GRAVITY * np.sin(result.roll) * np.cos(result.pitch)
-        return body @ mounting(values['imu.mounting_rpy'])
+def leakage(roll: np.ndarray, pitch: np.ndarray) -> np.ndarray:
+    """Gravity in f_x and f_y of a body at rest with roll and pitch (n,), rad: (n, 3) m/s^2 in body axes."""
+    return STANDARD_GRAVITY * np.column_stack([np.sin(pitch), -np.sin(roll) * np.cos(pitch), np.zeros(len(roll))])

@@ -33,11 +33,13 @@ class ReplayError(ValueError):
 
 @dataclass(frozen=True)
 class RunResult:
-    """One run: its states at KEPT_RATE and around the truth's epochs, its errors and what sums them up, and the number
-    of IMU samples gone through. independent: the truth holds nothing that the filter was given."""
+    """One run: the fixes used, its states at KEPT_RATE and around the truth's epochs, its errors and what sums them
+    up, and the number of IMU samples gone through. independent: the truth holds nothing of these fixes.
+    """
 
     model: str
     interval: float
+    fixes: Fixes
     run: Run
     errors: Errors
     summary: dict
@@ -133,6 +135,11 @@ def add_noise(fixes: Fixes, sigma: float, seed: int) -> Fixes:
                    covariance=covariance, covariance_type=np.where(known, fixes.covariance_type, 2).astype(np.uint8))
 
 
+def aiding_of(recording: Recording) -> Aiding:
+    """What the filter may use of `recording` besides its fixes."""
+    return Aiding(recording.speed, recording.velocity, recording.heading)
+
+
 def thin(fixes: Fixes, interval: float, start: int = 0) -> np.ndarray:
     """Which of `fixes` to use, (n,) bool, so that from `start` (ns) on they are `interval` s apart; 0 uses each.
 
@@ -198,7 +205,7 @@ class _Work:
         self.shortest = min(values['update_intervals'])
         conditioning = self._config(values['models'][0]).conditioning
         self.turning = turning_at(recording.imu, conditioning, self.truth.reference.stamp)
-        self.aiding = Aiding(recording.speed, recording.velocity, recording.heading)
+        self.aiding = aiding_of(recording)
         self.keep = _samples_to_keep(recording.imu, self.truth.reference.stamp)
         self.start = self._start()
 
@@ -249,7 +256,7 @@ class _Work:
             if not len(errors):
                 raise ReplayError(f'{self.recording.name}: no position of the {self.truth.source} falls into the '
                                   f'run at update interval {interval:g} s')
-            results.append(RunResult(model, interval, run, errors, metrics.summary(errors),
+            results.append(RunResult(model, interval, self.fixes.select(use), run, errors, metrics.summary(errors),
                                      len(self.recording.imu) - int(run.index[0]), independent))
         return results
 

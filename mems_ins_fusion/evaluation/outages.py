@@ -60,7 +60,8 @@ def run_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: Trut
                 aiding: Aiding = Aiding(), keep: np.ndarray | None = None) -> list[Outages]:
     """The outages of each duration (s) that begin at `begin`, each the only one in its run.
 
-    aiding: what else is measured. keep: which IMU samples' states to look at, (n,) bool; they must surround the epochs of the truth.
+    aiding: what else is measured. keep: which IMU samples' states to look at, (n,) bool; they must surround the epochs
+    of the truth.
     """
     durations = sorted(durations)
     run, coasting = run_with_outages(config, imu, fixes, begin, durations[-1], aiding, keep)

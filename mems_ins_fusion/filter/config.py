@@ -200,7 +200,6 @@ class FilterConfig:
     def _write_head(self, head: np.ndarray, width: int) -> None:
         layout, gnss, vehicle = self.layout, self.gnss, self.vehicle
         autoregressive = isinstance(self.models[0], Autoregressive)
-        still = 3 * vehicle.still_acceleration**2, 3 * vehicle.still_rate**2
         settings = {
             Head.MECHANIZATION: self.mechanization, Head.OPEN_LOOP: self.open_loop,
             Head.N_NAVIGATION: layout.n_navigation, Head.N_AUGMENTED: layout.n_augmented, Head.ORDER: layout.order,
@@ -219,8 +218,6 @@ class FilterConfig:
             Head.ZERO_VELOCITY_SIGMA: vehicle.zero_velocity_sigma, Head.LATERAL_SIGMA: vehicle.lateral_sigma,
             Head.VERTICAL_SIGMA: vehicle.vertical_sigma, Head.ANGLE_SIGMA: vehicle.angle_sigma,
             Head.SIDESLIP: vehicle.sideslip, Head.SLIP_SIGMA: vehicle.sideslip_sigma,
-            Head.STILL_ACCELERATION: vehicle.still_acceleration, Head.STILL_RATE: vehicle.still_rate,
-            Head.STILL_VARIANCE_F: 10 * still[0], Head.STILL_VARIANCE_W: 10 * still[1],
             Head.MAX_FORCE: self.imu.max_specific_force, Head.MAX_RATE: self.imu.max_angular_rate,
         }
         for column, value in settings.items():

@@ -109,7 +109,8 @@ def _take_sample(memory, time, f_x, f_y, f_z, w_x, w_y, w_z):
     before = state_at(memory, k - 1)
     dt = time - memory[sample_at(memory, k - 1) + Sample.TIME]
     memory[sample + Sample.TIME] = time
-    fault = imu_faults.check(memory, time, dt, _moves(memory, before), f_x, f_y, f_z, w_x, w_y, w_z)
+    moving = _moves(memory, before)
+    fault = imu_faults.check(memory, time, dt, moving, f_x, f_y, f_z, w_x, w_y, w_z)
     memory[sample + Sample.FAULT] = fault
     if fault == Fault.NONE:
         _condition(memory, sample, f_x, f_y, f_z, w_x, w_y, w_z)
@@ -120,7 +121,7 @@ def _take_sample(memory, time, f_x, f_y, f_z, w_x, w_y, w_z):
         _coast(memory, sample, before)
     memory[sample + Sample.STILL] = 0.0
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
-        memory[sample + Sample.STILL] = is_still(memory, sample, dt)
+        memory[sample + Sample.STILL] = is_still(memory, sample, dt, moving)
     _refuse_ahead(memory, time)
     _advance(memory, k)
     memory[Head.SAMPLES] = k

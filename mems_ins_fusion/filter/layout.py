@@ -244,13 +244,14 @@ class _Head(NamedTuple):
     MAX_RATE: int = 42  # rad/s
     CONDITIONING: int = 43  # 6 x 6: body-axis sample = matrix (raw sample) + offset
     OFFSET: int = 79  # six
-    STILL_ACCELERATION: int = 85  # scatter below which the sensors are at rest, m/s^2
-    STILL_RATE: int = 86  # rad/s
-    STILL_VARIANCE_F: int = 87  # running variance of specific force and angular rate, sum over the axes
-    STILL_VARIANCE_W: int = 88
-    STILL_MEAN: int = 89  # their running means, six
-    STILL_REFERENCE: int = 95  # the running means of specific force when they became steady, three
-    STILL_SINCE: int = 98  # and when that was
+    # what the detector of standstills remembers, see standstill.py
+    STILL_FIRST: int = 85  # specific force low-passed once, three
+    STILL_SECOND: int = 88  # and twice, three
+    STILL_MEAN: int = 91  # running mean of that, three
+    STILL_ENERGY: int = 94  # running mean square of what is left
+    STILL_MOTION: int = 95  # logarithm of the least of it in motion
+    STILL_REST: int = 96  # and of what is usual at rest
+    STILL_SINCE: int = 97  # s for which it has been quiet
     # what the checks of the IMU remember, see imu_faults.py
     RAW: int = 99  # the last six numbers as they came
     SAME: int = 105  # how often each came again one after the other, six

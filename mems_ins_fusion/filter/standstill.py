@@ -1,40 +1,60 @@
-"""Whether the vehicle stands, as the inertial sensors show it: the one detector of the filter."""
+"""Whether the vehicle stands, as the accelerometers show it: the filter's one detector, which learns from the vehicle.
+
+The scatter of samples does not separate an idling engine from a smooth road. What does is what is left of the specific
+force below a hertz or so: no road is so even and no driver so steady that pitch, grade, bank and speed keep still, and
+an engine shakes faster. How much there is in motion and at rest is learned, as every vehicle and every mount has its
+own: the quietest motion while the filter is certain that the vehicle moves, and the level at rest well below it.
+studies/standstill.py compares this with fixed thresholds and counts false and missed seconds.
+"""
 from __future__ import annotations
+
+import math
 
 from mems_ins_fusion.compiled import njit
 
 from .layout import Head, Sample
 
-#: time constant of the running means that tell a standstill, s
-STILL_TIME = 0.5
-#: how long, s, these means must have stayed within so much of the specific force, m/s^2
-STEADY_TIME, STEADY_ACCELERATION = 1.0, 0.05
+#: low pass, running mean, running energy, and how long it must have been quiet, s
+LOW_PASS, MEAN_TIME, ENERGY_TIME, DURATION = 0.2, 0.5, 0.7, 1.0
+#: a standstill is quieter than the quietest motion by this factor, and may be louder than other standstills by the same
+SEPARATION = 2.0
+#: the quietest motion is forgotten with this time constant, the level at rest is a mean over that, s
+FORGET, REST = 600.0, 5.0
+#: what is expected of a vehicle of which nothing is known yet, m/s^2: it is learned within a minute
+EXPECTED_MOTION, EXPECTED_REST = 0.05, 0.01
+#: so far above the threshold a single sample ends a standstill
+JUMP = 4.0
 
 
 @njit(_nrt=False)
-def is_still(memory, sample, dt):
-    """1 when specific force and angular rate scatter little, nothing turns, and their means have been steady for a
-    while: who starts or stops gently is quiet, but not that."""
-    weight = min(1.0, dt / STILL_TIME)
-    turn = 0.0
-    for half in range(2):
-        variance = 0.0
-        for i in range(3 * half, 3 * half + 3):
-            deviation = memory[sample + Sample.F_X + i] - memory[Head.STILL_MEAN + i]
-            memory[Head.STILL_MEAN + i] += weight * deviation
-            variance += deviation * deviation
-            if half == 1:
-                turn = max(turn, abs(memory[Head.STILL_MEAN + i]))
-        memory[Head.STILL_VARIANCE_F + half] += weight * (variance - memory[Head.STILL_VARIANCE_F + half])
-    steady = (memory[Head.STILL_VARIANCE_F] < 3.0 * memory[Head.STILL_ACCELERATION] ** 2
-              and memory[Head.STILL_VARIANCE_W] < 3.0 * memory[Head.STILL_RATE] ** 2
-              and turn < memory[Head.STILL_RATE])
+def is_still(mem, sample, dt, moving):
+    """1 when the sample at `sample`, dt s after the one before, is one of a standstill; its state is in the head.
+
+    moving: whether the filter is certain that the vehicle moves.
+    """
+    low, slow, energy = min(1.0, dt / LOW_PASS), min(1.0, dt / MEAN_TIME), 0.0
+    first = mem[Head.STILL_ENERGY] == 0.0
     for i in range(3):
-        if abs(memory[Head.STILL_MEAN + i] - memory[Head.STILL_REFERENCE + i]) > STEADY_ACCELERATION:
-            steady = False
-    time = memory[sample + Sample.TIME]
-    if not steady:
-        memory[Head.STILL_SINCE] = time
-        for i in range(3):
-            memory[Head.STILL_REFERENCE + i] = memory[Head.STILL_MEAN + i]
-    return 1.0 if time - memory[Head.STILL_SINCE] >= STEADY_TIME else 0.0
+        f = mem[sample + Sample.F_X + i]
+        if first:
+            mem[Head.STILL_FIRST + i] = mem[Head.STILL_SECOND + i] = mem[Head.STILL_MEAN + i] = f
+        mem[Head.STILL_FIRST + i] += low * (f - mem[Head.STILL_FIRST + i])
+        mem[Head.STILL_SECOND + i] += low * (mem[Head.STILL_FIRST + i] - mem[Head.STILL_SECOND + i])
+        deviation = mem[Head.STILL_SECOND + i] - mem[Head.STILL_MEAN + i]
+        mem[Head.STILL_MEAN + i] += slow * deviation
+        energy += deviation * deviation
+    if first:
+        mem[Head.STILL_ENERGY] = EXPECTED_MOTION**2
+        mem[Head.STILL_MOTION], mem[Head.STILL_REST] = math.log(EXPECTED_MOTION), math.log(EXPECTED_REST)
+    mem[Head.STILL_ENERGY] += min(1.0, dt / ENERGY_TIME) * (energy - mem[Head.STILL_ENERGY])
+    level, separation = 0.5 * math.log(max(mem[Head.STILL_ENERGY], 1e-12)), math.log(SEPARATION)
+    motion, rest = mem[Head.STILL_MOTION], mem[Head.STILL_REST]
+    if moving:  # the least there is: down at once, though not by one sample alone, and up slowly
+        motion = min(motion + dt / FORGET, max(level, motion - 2.0 * dt))
+    elif level < motion - separation:
+        rest += min(1.0, dt / REST) * (level - rest)
+    mem[Head.STILL_MOTION], mem[Head.STILL_REST] = motion, rest
+    threshold = min(max(0.5 * (motion + rest), rest + separation), motion - separation)
+    quiet = level < threshold and energy < JUMP**2 * math.exp(2.0 * threshold) and not moving
+    mem[Head.STILL_SINCE] = mem[Head.STILL_SINCE] + dt if quiet else 0.0
+    return 1.0 if mem[Head.STILL_SINCE] >= DURATION else 0.0

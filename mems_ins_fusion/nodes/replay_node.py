@@ -54,7 +54,8 @@ class ReplayNode(Node):
         stop.interrupts = False  # an exception in the middle of an rclpy call leaves a traceback
         for comparison in result.comparisons.values():
             datum, interval = origin(comparison, self._values), comparison.intervals[0]
-            tracks = {m: odometry_of(comparison.run_of(m, interval).run, datum) for m in comparison.models}
+            tracks = {m: odometry_of(comparison.recording, comparison.run_of(m, interval), datum)
+                      for m in comparison.models}
             print(f"publishing {', '.join(f'/odometry/{m}' for m in tracks)} and /clock", flush=True)
             play(self, tracks, self._values['rate'], lambda: stop.requested, self._values['frame_id'],
                  self._values['child_frame_id'])

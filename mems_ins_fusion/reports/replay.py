@@ -156,7 +156,7 @@ def _write_trajectories(folder: Path, prefix: str, comparison: Comparison, value
     if values['write_bag']:
         shortest = comparison.intervals[0]
         trajectories.write_bag(folder / f'{prefix}odometry', comparison.recording,
-                               {m: comparison.run_of(m, shortest).run for m in comparison.models}, datum, values)
+                               {m: comparison.run_of(m, shortest) for m in comparison.models}, datum, values)
 
 
 def origin(comparison: Comparison, values: dict) -> np.ndarray:

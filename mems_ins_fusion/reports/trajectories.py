@@ -7,33 +7,29 @@ from pathlib import Path
 
 import numpy as np
 
+from ..evaluation.comparison import RunResult, aiding_of
+from ..filter.odometry import ANGULAR, LINEAR, ORIENTATION, POSE_COVARIANCE, TWIST_COVARIANCE
+from ..filter.publish import published
 from ..filter.results import Run
-from ..filter.layout import PLANAR
-from ..filter.odometry import PLANAR_TILT_SIGMA
 from ..navigation.earth import to_local
-from ..recordings.writing import OdometrySamples, odometry_from_reference, write_recording
+from ..recordings.writing import OdometrySamples, write_recording
 from ..samples import Recording, Reference
 
 #: points of a line on a map and poses of a TUM file, s apart
 MAP_INTERVAL, POSE_INTERVAL = 1.0, 0.1
 
 
-def odometry_of(run: Run, datum) -> OdometrySamples:
-    """The states of `run` as odometry of base_link in the frame east-north-up at `datum` (rad, rad, m)."""
-    reference = Reference(run.stamp, run.latitude, run.longitude, run.height, run.velocity, run.yaw)
-    samples = odometry_from_reference(reference, datum, run.roll, run.pitch)
-    pose, twist = np.zeros((2, len(run.stamp), 6, 6))
-    planar = run.config.mechanization == PLANAR
-    v = 2 if planar else 3  # of the velocity among the navigation errors
-    pose[:, 0, 0], pose[:, 1, 1] = run.sigma[:, 1]**2, run.sigma[:, 0]**2
-    pose[:, 0, 1] = pose[:, 1, 0] = run.covariance_ne
-    pose[:, 2, 2] = run.config.gnss.default_sigma**2 if planar else run.sigma[:, 2]**2
-    pose[:, 3, 3] = pose[:, 4, 4] = PLANAR_TILT_SIGMA**2 if planar else 0.5 * (run.sigma[:, 6]**2 + run.sigma[:, 7]**2)
-    pose[:, 5, 5] = run.sigma[:, 4 if planar else 8]**2
-    # north and east are about equally uncertain: turned into the vehicle's axes they are their mean
-    twist[:, 0, 0] = twist[:, 1, 1] = 0.5 * (run.sigma[:, v]**2 + run.sigma[:, v + 1]**2)
-    return OdometrySamples(samples.stamp, samples.received, samples.position, samples.orientation, samples.velocity,
-                           samples.angular_rate, pose, twist)
+def odometry_of(recording: Recording, result: RunResult, datum) -> OdometrySamples:
+    """What a live filter would have published of `recording` where `result` has states: base_link at `datum`.
+
+    datum: origin of the frame east-north-up, rad, rad, m.
+    """
+    keep = np.zeros(len(recording.imu), dtype=bool)
+    keep[result.run.index] = True
+    stamp, rows = published(result.run.config, recording.imu, result.fixes, aiding_of(recording), datum, keep)
+    return OdometrySamples(stamp, stamp, rows[:, :ORIENTATION], rows[:, ORIENTATION:POSE_COVARIANCE],
+                           rows[:, LINEAR:ANGULAR], rows[:, ANGULAR:TWIST_COVARIANCE],
+                           rows[:, POSE_COVARIANCE:LINEAR], rows[:, TWIST_COVARIANCE:])
 
 
 def write_tum(path: Path, stamp: np.ndarray, position: np.ndarray, orientation: np.ndarray) -> None:
@@ -73,13 +69,13 @@ def _every(stamp: np.ndarray, interval: float) -> np.ndarray:
     return np.flatnonzero(np.diff(stamp // round(interval * 1e9), prepend=-1))
 
 
-def write_bag(path: Path, recording: Recording, runs: dict[str, Run], datum, values: dict) -> None:
+def write_bag(path: Path, recording: Recording, runs: dict[str, RunResult], datum, values: dict) -> None:
     """A rosbag2: the recording's fixes, and one Odometry topic /odometry/NAME for each of `runs`.
 
     values: parameters; gnss_topic, frame_id and child_frame_id name what is written. The IMU samples are left out.
     """
     write_recording(replace(recording, imu=None), path, gnss_topic=values['gnss_topic'],
-                    odometry={f'/odometry/{name}': odometry_of(run, datum) for name, run in runs.items()},
+                    odometry={f'/odometry/{name}': odometry_of(recording, run, datum) for name, run in runs.items()},
                     odometry_frame=values['frame_id'], base_frame=values['child_frame_id'])
 
 

@@ -41,5 +41,7 @@ def observe(mem, r, at, h, n, c, sample):
     if pitch >= 0:
         mem[h + n + pitch] = -forward
         add_body_velocity(mem, r, h + n, c, 0, mem[r + NAV + pitch])
+    if axle >= 0:
+        mem[h + n + axle] = w_y
     mem[at + Event.R_EE] = mem[Head.VERTICAL_SIGMA] ** 2 + angle + second_order(mem, n, c, 1, pitch)
     return 2

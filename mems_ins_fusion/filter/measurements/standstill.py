@@ -41,4 +41,4 @@ def observe_rate(mem, r, at, h, n, sample, dt):
 @njit(_nrt=False)
 def _variance(mem, axis, dt):
     """White noise of one sample of a gyroscope; an engine that runs may shake it by more."""
-    return max(mem[Head.SIZE + 3 + axis] / dt, mem[Head.STILL_VARIANCE_W] / 3.0)
+    return max(mem[Head.SIZE + 3 + axis] / dt, mem[Head.SPREAD + 1])

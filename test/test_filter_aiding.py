@@ -1,0 +1,203 @@
+"""Speed, velocity, heading and the constraint with optional states, against the dense textbook Kalman update."""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from filter_support import (
+    attitude_of,
+    central_difference,
+    configure,
+    newest,
+    random_covariance,
+    started,
+    state_and_covariance,
+    take_event,
+    take_sample,
+    velocity_of,
+)
+from scipy.spatial.transform import Rotation
+
+from mems_ins_fusion.filter.kernel import TAKEN
+from mems_ins_fusion.filter.layout import NAV, PLANAR, Event, Head, Kind, Verdict, views
+
+DT = 0.01
+FLU = np.array([1.0, -1.0, -1.0])
+SAMPLE = 0.3, 1.0, 9.7, 0.02, -0.03, 0.2  # sensor axes, forward-left-up
+#: all optional states there are
+STATES = {'imu.mounting_sigma': 0.03, 'vehicle.rear_axle_sigma': 0.4, 'speed.scale_sigma': 0.02,
+          'speed_topic': '/speed', 'vehicle.non_holonomic': True, 'vehicle.non_holonomic_angle_sigma': 0.01,
+          'gnss.coloured_noise.sigma': 0.8, 'gnss.lever_arm': [1.2, -0.7, 1.5], 'vehicle.rear_axle': [-1.1, 0.3, -0.6]}
+OPTIONAL = {'coloured_n': 0.8, 'coloured_e': 0.8, 'mounting_pitch': 0.03, 'mounting_yaw': 0.03, 'axle_x': 0.4,
+            'speed_scale': 0.02}
+ARM, AXLE = FLU * STATES['gnss.lever_arm'], FLU * STATES['vehicle.rear_axle']
+ATTITUDE = (0.05, -0.08, 0.7)
+
+
+class Model:
+    """What each sensor would measure, as a function of the filter's errors e (n,), written with vectors and rotations.
+
+    The gyroscopes' error is in the rate at the lever arms only by its estimate, as in the filter.
+    """
+
+    def __init__(self, config, memory):
+        self.config, self.layout = config, config.layout
+        self.velocity, self.attitude = velocity_of(config, memory), attitude_of(config, memory)
+        x, _ = state_and_covariance(config, memory)
+        self.rate = FLU * SAMPLE[3:]
+        gyroscopes = [self.layout.n_navigation + i * self.layout.order
+                      for i, axis in enumerate(config.channel_axes) if axis >= 3]
+        if config.mechanization == PLANAR:
+            self.rate = np.array([0.0, 0.0, self.rate[2] - x[gyroscopes[0]]])
+        else:
+            self.rate = self.rate - x[gyroscopes]
+
+    def of(self, e, name):
+        return e[self.layout.index(name)] if self.layout.index(name) >= 0 else 0.0
+
+    def true(self, e):
+        """Velocity in n and attitude with the error taken out."""
+        velocity = self.velocity.copy()
+        if self.config.mechanization == PLANAR:
+            velocity[:2] -= e[2:4]
+            return velocity, Rotation.from_euler('z', -e[4]) * self.attitude
+        return velocity - e[3:6], Rotation.from_rotvec(-e[6:9]) * self.attitude
+
+    def speed(self, e):
+        velocity, attitude = self.true(e)
+        at_axle = attitude.inv().apply(velocity) + np.cross(self.rate, AXLE)
+        return (1 + self.of(e, 'speed_scale')) * at_axle[:1]
+
+    def antenna_velocity(self, e):
+        velocity, attitude = self.true(e)
+        return (velocity + attitude.apply(np.cross(self.rate, ARM)))[:2 if self.config.mechanization == PLANAR else 3]
+
+    def heading(self, e):
+        _, attitude = self.true(e)
+        return np.array([attitude.as_euler('ZYX')[0] + self.of(e, 'mounting_yaw')])
+
+    def across(self, e):
+        """Velocity to the right and down at the axle that does not steer, in the vehicle's own axes: zero."""
+        velocity, attitude = self.true(e)
+        vehicle = Rotation.from_euler('ZYX', [self.of(e, 'mounting_yaw'), self.of(e, 'mounting_pitch'), 0.0])
+        # the lever arm is short: how its part turns with the mounting is of second order
+        axle = AXLE + np.array([self.of(e, 'axle_x'), 0.0, 0.0])
+        seen = vehicle.inv().apply(attitude.inv().apply(velocity)) + np.cross(self.rate, axle)
+        return seen[1:2 if self.config.mechanization == PLANAR else 3]
+
+
+def start_of(config, rng, feedback, velocity):
+    layout = config.layout
+    navigation = [2, 2, .3, .3, .03] if config.mechanization == PLANAR else [2, 2, 3, .3, .3, .3, .03, .03, .03]
+    sensors = [.1 if axis < 3 else .01 for axis in config.channel_axes for _ in range(layout.order)]
+    scale = np.array(navigation + sensors + [OPTIONAL[name] for name in layout.names[-len(config.extras):]])
+    x = 0.3 * scale * rng.standard_normal(layout.n)
+    if feedback == 'closed':
+        x[:layout.n_navigation] = 0.0
+    attitude = (0.0, 0.0, ATTITUDE[2]) if config.mechanization == PLANAR else ATTITUDE
+    velocity = Rotation.from_euler('ZYX', attitude[::-1]).apply(velocity)
+    return {'x': x, 'p': random_covariance(layout.n, rng, scale), 'attitude': attitude, 'velocity': velocity}
+
+
+def assert_corrected(config, before, after, x, p):
+    """`after` is `before` with estimate x and covariance p: the navigation errors fed back in a closed loop."""
+    n = config.layout.n_navigation
+    closed = not config.open_loop
+    estimate, covariance = state_and_covariance(config, after)
+    sigma = np.sqrt(np.diag(p))
+    assert covariance / np.outer(sigma, sigma) == pytest.approx(p / np.outer(sigma, sigma), abs=1e-6)
+    expected = np.concatenate([np.zeros(n), x[n:]]) if closed else x
+    assert (estimate - expected) / sigma == pytest.approx(np.zeros(len(x)), abs=1e-6)
+    taken_out = np.concatenate([x[:n] if closed else np.zeros(n), np.zeros(len(x) - n)])
+    velocity, attitude = Model(config, before).true(taken_out)
+    assert velocity_of(config, after) == pytest.approx(velocity, abs=1e-6)
+    assert (attitude_of(config, after) * attitude.inv()).magnitude() < 1e-6
+
+
+EACH = pytest.mark.parametrize(('mechanization', 'feedback', 'model'), [
+    (mechanization, feedback, model) for mechanization in ('planar', 'strapdown')
+    for feedback, model in (('closed', 'gauss_markov'), ('open', 'autoregressive'))])
+SENSORS = {Kind.SPEED: ('speed', [0.04]), Kind.VELOCITY: ('antenna_velocity', [0.09, 0.04, 0.25]),
+           Kind.HEADING: ('heading', [0.02**2])}
+
+
+@EACH
+@pytest.mark.parametrize(('sigmas', 'verdict'), [(0.8, Verdict.USED), (4.5, Verdict.WEIGHTED), (7.0, Verdict.REFUSED)])
+@pytest.mark.parametrize('kind', SENSORS, ids=['speed', 'velocity', 'heading'])
+def test_a_measurement_corrects_as_the_dense_kalman_update(kind, sigmas, verdict, mechanization, feedback, model):
+    config = configure(STATES, mechanization=mechanization, feedback=feedback, sensor_error_model=model)
+    assert set(config.layout.names[-len(config.extras):]) == set(OPTIONAL) - (
+        {'mounting_pitch'} if mechanization == 'planar' else set())
+    start = start_of(config, np.random.default_rng(8), feedback, (11.0, 0.8, -0.4))
+    before, after = started(config, **start), started(config, **start)
+    take_sample(before, DT, *SAMPLE)
+    # given a value that is so many sigmas of the innovation away from what is expected
+    x0, p0 = state_and_covariance(config, before)
+    name, variances = SENSORS[kind]
+    measured = getattr(Model(config, before), name)
+    h = -central_difference(measured, len(x0), 1e-5)
+    k = len(h)
+    r = np.diag(variances[:k])
+    s = h @ p0 @ h.T + r
+    judged = min(k, 2)
+    away = np.zeros(k)
+    away[:judged] = np.linalg.cholesky(s[:judged, :judged])[:, 0] * sigmas
+    if k > 2:
+        away[2] = 0.5 * math.sqrt(s[2, 2])
+    record = np.zeros(Event.SIZE)
+    record[[Event.TIME, Event.KIND]] = DT, kind
+    record[Event.VALUE:Event.VALUE + k] = measured(np.zeros(len(x0))) - h @ x0 - away
+    record[[Event.R_NN, Event.R_EE, Event.R_DD][:k]] = variances[:k]
+    if kind == Kind.HEADING:
+        record[Event.VALUE] += 2 * math.pi  # another name of the same
+    assert take_event(after, record) == TAKEN
+    take_sample(after, DT, *SAMPLE)
+    # then innovation and verdict are these
+    kept = views(after)[4][0]
+    assert kept[Event.VERDICT] == verdict
+    assert kept[Event.Z_N:Event.Z_N + k] == pytest.approx(away, abs=1e-6)
+    assert kept[Event.NIS] == pytest.approx(sigmas**2, rel=1e-6)
+    if verdict == Verdict.REFUSED:
+        assert np.array_equal(newest(before)[NAV:], newest(after)[NAV:]) and kept[Event.WEIGHT] == 0.0
+        return
+    # and so is the correction; one that fits badly has just so much noise that it is three sigmas away
+    if verdict == Verdict.WEIGHTED:
+        r[:judged, :judged] += (sigmas**2 / 9 - 1) * s[:judged, :judged]
+        s = h @ p0 @ h.T + r
+        assert away[:judged] @ np.linalg.solve(s[:judged, :judged], away[:judged]) == pytest.approx(9.0)
+        assert kept[Event.WEIGHT] == pytest.approx(9 / sigmas**2)
+    gain = p0 @ h.T @ np.linalg.inv(s)
+    assert_corrected(config, before, after, x0 + gain @ away, p0 - gain @ s @ gain.T)
+
+
+@pytest.mark.parametrize(('mechanization', 'feedback', 'model', 'sideways'), [
+    ('planar', 'closed', 'gauss_markov', 1.5), ('planar', 'open', 'autoregressive', 1.5),
+    ('strapdown', 'closed', 'gauss_markov', 1.5), ('strapdown', 'open', 'autoregressive', 1.5),
+    ('planar', 'closed', 'gauss_markov', 15.0)])
+def test_the_constraint_with_its_states_corrects_as_the_dense_kalman_update(mechanization, feedback, model, sideways):
+    # given a vehicle that moves by its estimate sideways and down
+    config = configure(STATES, mechanization=mechanization, feedback=feedback, sensor_error_model=model)
+    start = start_of(config, np.random.default_rng(9), feedback, (11.0, sideways, -1.9))
+    before, after = started(config, **start), started(config, **start)
+    views(before)[0][Head.LATERAL_SIGMA] = 0.0  # never corrected
+    for k in range(1, 50):
+        for memory in (before, after):
+            take_sample(memory, k * DT, *SAMPLE)
+        if not np.array_equal(newest(before)[NAV:], newest(after)[NAV:]):
+            break
+    x0, p0 = state_and_covariance(config, before)
+    model_of = Model(config, before)
+    measured = model_of.across
+    h = -central_difference(measured, len(x0), 1e-5)
+    forward = model_of.attitude.inv().apply(model_of.velocity)[0]
+    r = (0.2**2 + (0.01 * forward) ** 2) * np.eye(len(h))
+    s = h @ p0 @ h.T + r
+    z = measured(np.zeros(len(x0))) - h @ x0
+    nis = z**2 / np.diag(s)
+    assert np.all(nis > 0.05) and np.all((nis < 9) == (sideways < 10))
+    if nis[0] > 9:  # then it is weighted down to three sigmas
+        r += (nis[0] / 9 - 1) * s
+        s = h @ p0 @ h.T + r
+    gain = p0 @ h.T @ np.linalg.inv(s)
+    assert_corrected(config, before, after, x0 + gain @ z, p0 - gain @ s @ gain.T)
