@@ -207,7 +207,7 @@ class FilterConfig:
             Head.EVENT_CAPACITY: EVENT_CAPACITY,
             Head.COLOURED: layout.index('coloured_n'), Head.MOUNTING_PITCH: layout.index('mounting_pitch'),
             Head.MOUNTING_YAW: layout.index('mounting_yaw'), Head.AXLE: layout.index('axle_x'),
-            Head.SPEED_SCALE: layout.index('speed_scale'),
+            Head.SPEED_SCALE: layout.index('speed_scale'), Head.TIME_OFFSET: layout.index('time_offset'),
             Head.ACCELEROMETER_INTERVAL: self.models[0].interval if autoregressive else 0,
             Head.GYROSCOPE_INTERVAL: self.models[-1].interval if autoregressive else 0,
             Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: gnss.max_delay, Head.ROBUST_SIGMA: gnss.robust_sigma,
@@ -298,6 +298,7 @@ def _extras(values: dict, mechanization: int) -> tuple[Extra, ...]:
             slow('mounting_pitch', values['imu.mounting_sigma'])
         slow('mounting_yaw', values['imu.mounting_sigma'])
         slow('axle_x', values['vehicle.rear_axle_sigma'])
+    slow('time_offset', values['gnss.time_offset_sigma'])
     if values['speed_topic']:
         slow('speed_scale', values['speed.scale_sigma'])
     return tuple(extras)

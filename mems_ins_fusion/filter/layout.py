@@ -219,6 +219,7 @@ class _Head(NamedTuple):
     MOUNTING_YAW: int = 17
     AXLE: int = 18
     SPEED_SCALE: int = 19
+    TIME_OFFSET: int = 132  # of the receiver's stamps, beyond gnss.time_offset
     ACCELEROMETER_INTERVAL: int = 20  # s, of the autoregressive model; 0: another model
     GYROSCOPE_INTERVAL: int = 21
     MAX_GAP: int = 22
@@ -263,7 +264,7 @@ class _Head(NamedTuple):
     FAULTS: int = 122  # samples not believed, by reason: as many as `Fault` has
     RESTARTS: int = 130  # states that were not finite and were taken back
     RECOVERIES: int = 131  # resets to fixes that had been refused
-    SIZE: int = 132
+    SIZE: int = 133
 
 
 Head = _Head()

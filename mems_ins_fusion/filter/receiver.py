@@ -21,7 +21,7 @@ FIRST_GAIN, STEADY_GAIN = 4.0, 0.03
 #: the realised variance is believed between these multiples of the claimed one
 LARGEST_RATIO = 1e6
 #: a fix nearer than this is never refused, only weighted down, m
-GATE_FLOOR = 1.0
+GATE_FLOOR = 5.0
 #: slower than this a receiver may rightly repeat a position, m/s
 FROZEN_SPEED = 1.0
 #: fixes refused one after the other must be so many before they can win

@@ -71,14 +71,14 @@ FILTER = (
     Parameter('heading_topic', '', 'text', 'Topic of the heading of base_link (two antennas or a compass): yaw of '
               'sensor_msgs/Imu.orientation or geometry_msgs/PoseWithCovarianceStamped, counter-clockwise from east; '
               'empty: none.'),
-    Parameter('mechanization', 'planar', 'text', 'planar: the paper\'s, f_x, f_y and w_z on a level road. '
+    Parameter('mechanization', 'strapdown', 'text', 'planar: the paper\'s, f_x, f_y and w_z on a level road. '
               'strapdown: three-dimensional, all six sensors.', choices=('planar', 'strapdown')),
     Parameter('sensor_error_model', 'gauss_markov', 'text', 'Model of the sensor errors.', choices=MODELS),
     Parameter('feedback', 'closed', 'text', 'closed: estimated errors are fed back to mechanization and sensors. '
               'open: they are only subtracted from the output.', choices=('closed', 'open')),
     Parameter('imu.mounting_rpy', [0.0, 0.0, 0.0], 'rad', 'Roll, pitch, yaw of the rotation from sensor axes to '
               'base_link (forward-left-up).', lengths=(3,), minimum=-2 * math.pi, maximum=2 * math.pi),
-    Parameter('imu.mounting_sigma', 0.0, 'rad', 'Standard deviation of pitch and yaw of imu.mounting_rpy. With '
+    Parameter('imu.mounting_sigma', 0.1, 'rad', 'Standard deviation of pitch and yaw of imu.mounting_rpy. With '
               'vehicle.non_holonomic both are estimated, starting with it; 0: they are exact.', minimum=0.0,
               maximum=0.5),
     Parameter('imu.max_specific_force', 100.0, 'm/s^2', 'A sample with a component beyond it is not believed.',
@@ -92,20 +92,22 @@ FILTER = (
               '(forward-left-up).', lengths=(3,), minimum=-50.0, maximum=50.0),
     Parameter('gnss.time_offset', 0.0, 's', 'A fix stamped t describes the vehicle when the IMU\'s clock read '
               't - time_offset.', minimum=-60.0, maximum=60.0),
+    Parameter('gnss.time_offset_sigma', 0.0, 's', 'Standard deviation of gnss.time_offset, with which what is left '
+              'of it is estimated; 0: it is exact.', minimum=0.0, maximum=2.0),
     Parameter('gnss.sigma', 0.0, 'm', 'Horizontal standard deviation of a fix; 0 takes the covariance in the '
               'message.', minimum=0.0, maximum=1000.0),
     Parameter('gnss.default_sigma', 3.0, 'm', 'Used where the message\'s covariance is unknown or zero.',
               positive=True, maximum=1000.0),
     Parameter('gnss.max_delay', 1.0, 's', 'A fix may arrive this much later than the IMU samples of its time; '
               'later ones are dropped.', minimum=0.0, maximum=10.0),
-    Parameter('gnss.robust_sigma', 0.0, 'sigma', 'A fix whose normalized innovation is larger is weighted down to '
+    Parameter('gnss.robust_sigma', 3.0, 'sigma', 'A fix whose normalized innovation is larger is weighted down to '
               'this value (Huber); 0 trusts every fix.', minimum=0.0),
-    Parameter('gnss.gate_probability', 1.0, '-', 'A fix is refused when its innovation lies outside the region '
-              'that holds this share of honest ones (and is off by more than a metre); 1: none is refused.',
+    Parameter('gnss.gate_probability', 0.999999, '-', 'A fix is refused when its innovation lies outside the region '
+              'that holds this share of honest ones (and is off by more than 5 m); 1: none is refused.',
               positive=True, maximum=1.0),
     Parameter('gnss.recovery_time', 30.0, 's', 'Fixes refused for this long that agree with each other were right: '
               'the filter starts anew from them.', positive=True),
-    Parameter('gnss.adapt_sigma', False, '-', 'Raise the sigma of the fixes to what they are seen to scatter.'),
+    Parameter('gnss.adapt_sigma', True, '-', 'Raise the sigma of the fixes to what they are seen to scatter.'),
     Parameter('gnss.outage_after', 2.5, 's', 'Without a fix for this long the node reports an outage.', positive=True),
     Parameter('gnss.coloured_noise.sigma', 0.0, 'm', 'Standard deviation of a first-order Gauss-Markov position '
               'error of the receiver, north and east; 0: none.', minimum=0.0),
@@ -129,17 +131,17 @@ FILTER = (
     Parameter('alignment.yaw_sigma', 0.1, 'rad', 'Its standard deviation, and that of Imu.orientation.',
               positive=True, maximum=3.2),
     Parameter('alignment.level', True, '-', 'Remove the constant tilt that the accelerometers show at standstill.'),
-    Parameter('vehicle.zero_velocity', False, '-', 'Use standstills: zero velocity and zero turn rate.'),
+    Parameter('vehicle.zero_velocity', True, '-', 'Use standstills: zero velocity and zero turn rate.'),
     Parameter('vehicle.zero_velocity_sigma', 0.02, 'm/s', 'Standard deviation of the velocity at standstill.',
               positive=True),
     Parameter('vehicle.still_acceleration', 0.3, 'm/s^2', 'The accelerometers are at rest when they scatter less than '
               'this (standard deviation of an axis).', positive=True),
     Parameter('vehicle.still_rate', 0.05, 'rad/s', 'The same for the gyroscopes; their mean must be smaller, too.',
               positive=True),
-    Parameter('vehicle.non_holonomic', False, '-', 'A land vehicle does not move sideways (nor, strapdown, up).'),
-    Parameter('vehicle.non_holonomic_sigma', 0.2, 'm/s', 'Standard deviation of that sideways velocity.',
+    Parameter('vehicle.non_holonomic', True, '-', 'A land vehicle does not move sideways (nor, strapdown, up).'),
+    Parameter('vehicle.non_holonomic_sigma', 0.3, 'm/s', 'Standard deviation of that sideways velocity.',
               positive=True),
-    Parameter('vehicle.non_holonomic_vertical_sigma', 0.2, 'm/s', 'The same for the velocity across the floor '
+    Parameter('vehicle.non_holonomic_vertical_sigma', 2.0, 'm/s', 'The same for the velocity across the floor '
               '(strapdown): the suspension works.', positive=True),
     Parameter('vehicle.non_holonomic_angle_sigma', 0.0, 'rad', 'Standard deviation of the direction of motion in the '
               'vehicle: grows with the speed.', minimum=0.0, maximum=0.5),
@@ -148,9 +150,9 @@ FILTER = (
     Parameter('vehicle.rear_axle', [0.0, 0.0, 0.0], 'm', 'From the IMU to the middle of the axle that does not steer, '
               'base_link (forward-left-up): there the vehicle does not move sideways.', lengths=(3,), minimum=-20.0,
               maximum=20.0),
-    Parameter('vehicle.rear_axle_sigma', 0.0, 'm', 'Standard deviation of its forward component, with which it is '
+    Parameter('vehicle.rear_axle_sigma', 1.0, 'm', 'Standard deviation of its forward component, with which it is '
               'estimated (vehicle.non_holonomic); 0: it is exact.', minimum=0.0, maximum=10.0),
-    Parameter('vehicle.tilt_sigma', 0.0, 'rad', 'Slopes and body roll that the planar mechanization does not know, '
+    Parameter('vehicle.tilt_sigma', 0.015, 'rad', 'Slopes and body roll that the planar mechanization does not know, '
               'one sigma; strapdown does.', minimum=0.0, maximum=0.3),
     Parameter('datum', [], 'deg, deg, m', 'Latitude, longitude and height of the local frame\'s origin; empty: the '
               'first fix used.', lengths=(0, 3)),

@@ -39,6 +39,10 @@ def observe(mem, r, at, h, n, c):
     coloured = int(mem[Head.COLOURED])
     if coloured >= 0:
         mem[h + coloured] = mem[h + n + coloured + 1] = -1.0
+    offset = int(mem[Head.TIME_OFFSET])
+    if offset >= 0:  # the fix is of so much earlier than its stamp says
+        mem[h + offset], mem[h + n + offset] = mem[r + Nav.V_N], mem[r + Nav.V_E]
+        mem[h + 2 * n + offset] = mem[r + Nav.V_D]
     if mem[Head.MECHANIZATION] == PLANAR:
         return 2
     mem[h + 2 * n + strapdown.State.R_D] = 1.0
