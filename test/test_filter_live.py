@@ -8,13 +8,17 @@ import numpy as np
 import pytest
 from filter_support import MODELS, configure, newest
 
-from mems_ins_fusion.filter.layout import NAV, covariance
+from mems_ins_fusion.filter.layout import NAV, Kind, Verdict, covariance
 from mems_ins_fusion.filter.live import FusionFilter
-from mems_ins_fusion.filter.replay import run
-from mems_ins_fusion.samples import Fixes, ImuSamples
+from mems_ins_fusion.filter.publish import published as would_publish
+from mems_ins_fusion.filter.replay import Aiding, run
+from mems_ins_fusion.navigation.frames import wrap
+from mems_ins_fusion.samples import Fixes, Headings, ImuSamples, Speeds, Velocities
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 RATE = 50.0
+#: what is to become the default
+TRUST = {'gnss.gate_probability': 0.999999, 'gnss.adapt_sigma': True, 'gnss.robust_sigma': 3.0}
 
 
 @pytest.fixture(scope='module')
@@ -56,18 +60,60 @@ def troubled(imu: ImuSamples, fixes: Fixes) -> tuple[ImuSamples, Fixes]:
     return replace(imu, stamp=stamp, received=received, specific_force=force).select(keep), moved.select(order)
 
 
-def live(config, imu, fixes):
+def aided(drive, seed=4, latency=0.3) -> Aiding:
+    """Speed at the axle 1.1 m behind with 2 % too much, velocity of the antenna and heading, each late by up to
+    `latency`, at rates that do not fit the IMU's, so that each overtakes others."""
+    rng = np.random.default_rng(seed)
+
+    def at(rate, phase):
+        time = np.arange(phase, drive.time[-1] - 1.0, 1 / rate)
+        stamp = drive.stamp[0] + np.round(time * 1e9).astype(np.int64)
+        return time, stamp, stamp + np.round(latency * rng.random(len(time)) * 1e9).astype(np.int64)
+
+    def of(values, time):
+        return np.column_stack([np.interp(time, drive.time, column) for column in values.T])
+
+    def by_arrival(samples):
+        return samples.select(np.argsort(samples.received, kind='stable'))
+
+    time, stamp, received = at(7.0, 0.31)
+    forward = np.einsum('ki,ki->k', drive.attitude.as_matrix()[:, :, 0], drive.velocity)
+    speed = 1.02 * np.interp(time, drive.time, forward) + 0.1 * rng.standard_normal(len(time))
+    speeds = Speeds(stamp, received, speed, np.full(len(time), 0.1**2))
+    time, stamp, received = at(3.0, 0.17)
+    velocities = Velocities(stamp, received, of(drive.velocity, time) + 0.2 * rng.standard_normal((len(time), 3)),
+                            np.tile(0.2**2 * np.eye(3), (len(time), 1, 1)))
+    time, stamp, received = at(1.3, 0.23)
+    yaw = np.interp(time, drive.time, np.unwrap(drive.yaw)) + 0.03 * rng.standard_normal(len(time))
+    headings = Headings(stamp, received, wrap(yaw), np.full(len(time), 0.03**2))
+    return Aiding(by_arrival(speeds), by_arrival(velocities), by_arrival(headings))
+
+
+def in_order(imu, fixes, aiding):
+    """(how many IMU samples came before, method of the filter, its arguments) of each measurement, as they arrive."""
+    events = []
+    for order, (name, samples, arguments) in enumerate((
+            ('add_fix', fixes, lambda s, i: (float(s.latitude[i]), float(s.longitude[i]), float(s.height[i]),
+                                             s.covariance[i].ravel(), int(s.status[i]), int(s.covariance_type[i]))),
+            ('add_velocity', aiding.velocity, lambda s, i: (s.velocity[i], s.covariance[i])),
+            ('add_speed', aiding.speed, lambda s, i: (float(s.speed[i]), float(s.variance[i]))),
+            ('add_heading', aiding.heading, lambda s, i: (float(s.yaw[i]), float(s.variance[i]))))):
+        if samples is not None:
+            after = np.searchsorted(imu.received, samples.received, side='right')
+            events += [((after[i], samples.received[i], order, i), name, int(samples.stamp[i]), arguments(samples, i))
+                       for i in range(len(samples))]
+    return [(place[0], name, (stamp, *arguments))
+            for place, name, stamp, arguments in sorted(events, key=lambda event: event[0])]
+
+
+def live(config, imu, fixes, aiding=Aiding()):
     """Everything a live node would have published, fed event by event."""
     fusion, published, notices = FusionFilter(config), [], []
-    after = np.searchsorted(imu.received, fixes.received, side='right')
-    next_fix = 0
+    events = in_order(imu, fixes, aiding)
     for k in range(len(imu)):
-        while next_fix < len(fixes) and after[next_fix] <= k:
-            i = next_fix
-            fusion.add_fix(int(fixes.stamp[i]), float(fixes.latitude[i]), float(fixes.longitude[i]),
-                           float(fixes.height[i]), fixes.covariance[i].ravel(), int(fixes.status[i]),
-                           int(fixes.covariance_type[i]))
-            next_fix += 1
+        while events and events[0][0] <= k:
+            _, name, arguments = events.pop(0)
+            getattr(fusion, name)(*arguments)
         if fusion.add_imu(int(imu.stamp[k]), *map(float, imu.specific_force[k]), *map(float, imu.angular_rate[k])):
             stamp = fusion.update_odometry()
             row = newest(fusion._memory)
@@ -108,6 +154,56 @@ def test_live_and_replay_give_the_same_bits(drive, mechanization, model, feedbac
         return sorted(n.text for n in items if 'dropped' in n.text or 'jumped' in n.text or 'status' in n.text)
     assert texts(notices) == texts(replayed.notices)
     assert len(texts(notices)) >= 8
+
+
+@pytest.mark.parametrize(('mechanization', 'feedback'), [('planar', 'closed'), ('strapdown', 'open'),
+                                                         ('strapdown', 'closed')])
+def test_live_and_replay_give_the_same_bits_with_all_that_can_be_measured(drive, mechanization, feedback):
+    # given speed, velocity and heading, too, which come late and overtake each other, and all optional states
+    config = configure({'speed_topic': '/speed', 'velocity_topic': '/velocity', 'heading_topic': '/heading',
+                        'vehicle.non_holonomic': True, 'vehicle.zero_velocity': True, 'imu.mounting_sigma': 0.03,
+                        'vehicle.rear_axle_sigma': 0.5, 'gnss.coloured_noise.sigma': 0.3, **TRUST},
+                       mechanization=mechanization, feedback=feedback)
+    imu, fixes = troubled(*recorded(drive, 'gauss_markov', latency=0.2))
+    aiding = aided(drive)
+    published, notices = live(config, imu, fixes, aiding)
+    replayed = run(config, imu, fixes, aiding)
+    index = np.array([p[0] for p in published])
+    at = np.searchsorted(replayed.index, index)
+    assert len(index) > 4000 and np.array_equal(replayed.index[at], index)
+    assert np.array_equal(np.column_stack([replayed.latitude, replayed.longitude, replayed.height])[at],
+                          np.array([p[2:5] for p in published]))
+    assert np.array_equal(replayed.sigma[at], np.array([p[5:-1] for p in published]))
+    first = NAV + config.layout.n_navigation + config.layout.n_sensor
+    extras = np.array([p[-1][first:first + len(config.extras)] for p in published])
+    assert len(config.extras) == (5 if mechanization == 'planar' else 6)
+    assert np.array_equal(replayed.extras[at], extras)
+    assert np.array_equal(newest(replayed.memory), published[-1][-1])
+    # and each of them has been used
+    for kind in (Kind.POSITION, Kind.SPEED, Kind.VELOCITY, Kind.HEADING):
+        assert replayed.measured.verdicts(kind)[Verdict.USED] > 20
+
+
+@pytest.mark.parametrize(('mechanization', 'feedback'), [('planar', 'closed'), ('planar', 'open'),
+                                                         ('strapdown', 'closed')])
+def test_what_a_replay_publishes_is_what_a_live_filter_publishes(drive, mechanization, feedback):
+    # given fixes whose stated height varies, and a restart
+    config = configure({'datum': [48.0, 11.5, 400.0]}, mechanization=mechanization, feedback=feedback)
+    imu, fixes = troubled(*recorded(drive, 'gauss_markov', latency=0.2))
+    fixes.covariance[:, 2, 2] = 4.0 + np.arange(len(fixes)) % 5
+    fusion, odometry = FusionFilter(config), {}
+    events = in_order(imu, fixes, Aiding())
+    for k in range(len(imu)):
+        while events and events[0][0] <= k:
+            _, name, arguments = events.pop(0)
+            getattr(fusion, name)(*arguments)
+        if fusion.add_imu(int(imu.stamp[k]), *map(float, imu.specific_force[k]), *map(float, imu.angular_rate[k])):
+            odometry[fusion.update_odometry()] = fusion.odometry.copy()
+    keep = np.arange(len(imu)) % 3 == 0
+    stamp, rows = would_publish(config, imu, fixes, Aiding(), config.datum, keep)
+    common = np.isin(stamp, list(odometry))
+    assert common.sum() > 1500 and common.mean() > 0.95
+    assert np.array_equal(rows[common], [odometry[s] for s in stamp[common].tolist()])
 
 
 def test_a_recording_without_trouble_is_the_same_too(drive):

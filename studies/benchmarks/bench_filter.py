@@ -20,8 +20,8 @@ from numba import njit
 from mems_ins_fusion.filter.alignment import Start
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.initial import initialize
-from mems_ins_fusion.filter.kernel import run, take_fix, take_sample
-from mems_ins_fusion.filter.layout import FIX_SIZE, NAV, Fix
+from mems_ins_fusion.filter.kernel import run
+from mems_ins_fusion.filter.layout import NAV, PLANAR, Event, Kind
 from mems_ins_fusion.parameters import table
 
 RATE = 100
@@ -32,22 +32,25 @@ CASES = {'planar RW': {'sensor_error_model': 'random_walk'}, 'planar GM': {'sens
 #: million samples a second to reach (issue 2)
 GOALS = {'planar RW': 10.0, 'planar GM': 10.0, 'planar AR(2)': 7.5}
 LATITUDE, LONGITUDE = 0.84, 0.2
+NO_EVENTS = np.zeros((0, Event.SIZE))
 
 
 def recording(minutes: float):
-    """time (k,), specific force and angular rate (k, 3) in sensor axes, fixes of a vehicle in a large slow circle."""
+    """Samples (k, 7): time, specific force and angular rate in sensor axes; fixes of a vehicle in a large slow circle,
+    and how many samples came before each."""
     rng = np.random.default_rng(1)
     n = round(minutes * 60 * RATE)
     stamp = np.arange(1, n + 1) / RATE
     force = np.array([0.0, 0.5, 9.81]) + rng.normal(0, 0.1, (n, 3))
     rate = np.array([0.0, 0.0, 0.05]) + rng.normal(0, 3e-3, (n, 3))
-    fixes = np.zeros((int(n / RATE) - 1, FIX_SIZE))
-    fixes[:, Fix.TIME] = np.arange(1, len(fixes) + 1) + 0.0037
-    angle = 0.05 * fixes[:, Fix.TIME]
-    fixes[:, Fix.LATITUDE] = LATITUDE + 200 * np.sin(angle) / 6.37e6
-    fixes[:, Fix.LONGITUDE] = LONGITUDE + 200 * (1 - np.cos(angle)) / 6.37e6 / math.cos(LATITUDE)
-    fixes[:, [Fix.R_NN, Fix.R_EE, Fix.R_DD]] = 2.25, 2.25, 5.0
-    return stamp, force, rate, fixes, np.searchsorted(stamp, fixes[:, Fix.TIME])
+    fixes = np.zeros((int(n / RATE) - 1, Event.SIZE))
+    fixes[:, Event.TIME] = np.arange(1, len(fixes) + 1) + 0.0037
+    angle = 0.05 * fixes[:, Event.TIME]
+    fixes[:, Event.LATITUDE] = LATITUDE + 200 * np.sin(angle) / 6.37e6
+    fixes[:, Event.LONGITUDE] = LONGITUDE + 200 * (1 - np.cos(angle)) / 6.37e6 / math.cos(LATITUDE)
+    fixes[:, [Event.R_NN, Event.R_EE, Event.R_DD]] = 2.25, 2.25, 5.0
+    fixes[:, Event.KIND] = Kind.POSITION
+    return np.column_stack([stamp, force, rate]), fixes, np.searchsorted(stamp, fixes[:, Event.TIME])
 
 
 def started(values: dict):
@@ -61,15 +64,14 @@ def started(values: dict):
 
 def kernel_seconds(values: dict, data) -> float:
     """CPU seconds of one call for all samples, every state written out."""
-    stamp, force, rate, fixes, arrival = data
+    samples, fixes, arrival = data
     config, memory = started(values)
-    n = config.navigation + config.others
-    columns = np.arange(NAV + n)
-    states = np.empty((len(stamp), len(columns)))
+    columns, kept = np.arange(NAV + config.layout.n, dtype=np.uint64), np.arange(len(samples))
+    states = np.empty((len(samples), len(columns)))
     states.fill(0.0)  # touch the pages, which is not the filter's time
     fixes, answers = fixes.copy(), np.zeros(len(fixes), np.int64)
     begin = time.thread_time()
-    run(memory, stamp, force, rate, fixes, arrival, answers, columns, states)
+    run(memory, samples, fixes, arrival, answers, columns, kept, states, NO_EVENTS)
     elapsed = time.thread_time() - begin
     assert np.all(answers == 0) and np.all(np.isfinite(states[-1]))
     return elapsed
@@ -126,20 +128,25 @@ def median_cpu(function, repeats: int) -> float:
 
 
 def single_calls(values: dict, count: int = 20000) -> tuple[np.ndarray, np.ndarray]:
-    """Wall nanoseconds of each `take_sample` and of each `take_fix` with the sample that applies it, from Python."""
+    """Wall nanoseconds of each sample, and of each fix that is a little late, as one call from Python."""
     _, memory = started(values)
-    record = np.zeros(FIX_SIZE)
-    record[[Fix.LATITUDE, Fix.LONGITUDE, Fix.R_NN, Fix.R_EE, Fix.R_DD]] = LATITUDE, LONGITUDE, 2.25, 2.25, 5.0
+    record = np.zeros((1, Event.SIZE))
+    record[0, [Event.KIND, Event.LATITUDE, Event.LONGITUDE, Event.R_NN, Event.R_EE, Event.R_DD]] = (
+        Kind.POSITION, LATITUDE, LONGITUDE, 2.25, 2.25, 5.0)
+    sample, before, answer = np.array([[0.0, 0.0, 0.5, 9.81, 0.0, 0.0, 0.05]]), np.zeros(1, np.int64), np.zeros(
+        1, np.int64)
+    columns, none, states = np.zeros(0, np.uint64), np.zeros(0, np.int64), np.zeros((0, 0))
     clock, steps, fixes = time.perf_counter_ns, np.empty(count), []
     for k in range(count):
         now = (k + 1) / RATE
         begin = clock()
-        take_sample(memory, now, 0.0, 0.5, 9.81, 0.0, 0.0, 0.05)
+        sample[0, 0] = now
+        run(memory, sample, NO_EVENTS, none, none, columns, none, states, NO_EVENTS)
         steps[k] = clock() - begin
         if k % RATE == 50:
-            record[Fix.TIME] = now - 0.0013  # a little late: the last interval is done again, split
+            record[0, Event.TIME] = now - 0.0013  # a little late: the last interval is done again, split
             begin = clock()
-            take_fix(memory, record)
+            run(memory, sample[:0], record, before, answer, columns, none, states, NO_EVENTS)
             fixes.append(clock() - begin)
     return steps[100:], np.array(fixes[2:])
 
@@ -167,21 +174,22 @@ def main() -> None:
     parser.add_argument('--repeats', type=int, default=5)
     options = parser.parse_args()
     data = recording(options.minutes)
-    stamp, force, rate, *_ = data
+    samples, fixes, _ = data
+    force, rate = samples[:, 1:4], samples[:, 4:]
     short = slice(0, 20000)
     for values in CASES.values():  # compile
-        kernel_seconds(values, tuple(part[:300] for part in data[:3]) + (data[3][:1], data[4][:1]))
+        kernel_seconds(values, (samples[:300], fixes[:1], data[2][:1]))
     dense_filter(8, 1, force[:10], rate[:10], np.empty((10, 8)))
-    print(f'{len(stamp)} samples at {RATE} Hz, {len(data[3])} fixes; CPU ns a sample, median of {options.repeats}')
+    print(f'{len(samples)} samples at {RATE} Hz, {len(fixes)} fixes; CPU ns a sample, median of {options.repeats}')
     print(f'{"":13} {"kernel":>7} {"M/s":>6} {"goal":>5} {"dense":>7} {"ratio":>6} {"NumPy":>8} {"ratio":>6}')
     for name, values in CASES.items():
-        kernel = statistics.median(kernel_seconds(values, data) for _ in range(options.repeats)) / len(stamp)
+        kernel = statistics.median(kernel_seconds(values, data) for _ in range(options.repeats)) / len(samples)
         config, _ = started(values)
-        n = config.navigation + config.others
+        n = config.layout.n
         line = f'{name:13} {kernel * 1e9:7.1f} {1e-6 / kernel:6.1f} {GOALS.get(name, math.nan):5.1f}'
-        if config.navigation == 5:
+        if config.mechanization == PLANAR:
             out = np.empty((len(force[short]), n))
-            dense = median_cpu(lambda n=n, p=config.order, out=out: dense_filter(
+            dense = median_cpu(lambda n=n, p=config.layout.order, out=out: dense_filter(
                 n, p, force[short], rate[short], out), options.repeats) / len(out)
             slow = median_cpu(lambda n=n: numpy_filter(n, force[:2000], rate[:2000]), 3) / 2000
             line += f' {dense * 1e9:7.0f} {dense / kernel:6.1f} {slow * 1e9:8.0f} {slow / kernel:6.0f}'

@@ -1,0 +1,120 @@
+"""IMU samples that cannot be believed: seen, bridged, with a covariance that covers what happened meanwhile."""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from filter_support import HEIGHT, LATITUDE, configure, newest, started, take_all
+
+from mems_ins_fusion.filter.imu_faults import Fault
+from mems_ins_fusion.filter.layout import Event, Head, Nav, Sample, covariance, views
+from mems_ins_fusion.navigation.earth import gravity
+
+RATE, SPEED = 50.0, 12.0
+BOTH = pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+
+
+def driven(mechanization, change, count=400, speed=SPEED, acceleration=0.0):
+    """A filter after `count` samples of a vehicle that goes north, each given to change(samples) first."""
+    samples = np.zeros((count, 7))
+    samples[:, 0] = np.arange(1, count + 1) / RATE
+    samples[:, 3] = gravity(LATITUDE, HEIGHT)
+    samples[:, 1:] += np.random.default_rng(2).standard_normal((count, 6)) * np.repeat([0.05, 1e-3], 3)
+    samples[200:250, 1] += acceleration
+    change(samples)
+    config = configure({'mechanization': mechanization})
+    n = config.layout.n_navigation
+    p = 1e-6 * np.eye(config.layout.n)
+    p[:n, :n] = np.diag(np.square([1, 1, .1, .1, .01] if n == 5 else [1, 1, 1, .1, .1, .1, .003, .003, .01]))
+    memory = started(config, velocity=(speed, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=p)
+    states, _ = take_all(memory, samples, np.zeros((0, Event.SIZE)), [Nav.V_N, Nav.V_E])
+    return config, memory, states
+
+
+def spike(samples):
+    samples[210, 1] = 60.0
+
+
+def out_of_range(samples):
+    samples[210, 6] = 400.0
+
+
+def saturated(samples):
+    samples[200:225, 2] = 19.62
+
+
+def frozen(samples):
+    samples[200:250, 1:] = samples[199, 1:]
+
+
+def zero(samples):
+    samples[200:225, 1:] = 0.0
+
+
+FAULTS = pytest.mark.parametrize(('change', 'fault', 'least', 'most'), [
+    (spike, Fault.SPIKE, 1, 1), (out_of_range, Fault.RANGE, 1, 1), (saturated, Fault.SATURATED, 20, 25),
+    (frozen, Fault.FROZEN, 25, 50), (zero, Fault.ZERO, 25, 25)], ids=lambda v: getattr(v, '__name__', ''))
+
+
+@BOTH
+@FAULTS
+def test_a_fault_is_seen_for_what_it_is_and_bridged(mechanization, change, fault, least, most):
+    config, memory, velocity = driven(mechanization, change)
+    head = views(memory)[0]
+    counts = head[Head.FAULTS:Head.FAULTS + Fault.SIZE]
+    assert least <= counts[fault] <= most and counts.sum() == counts[fault]
+    # then it goes on as it did, and the covariance knows more of the bridge than the error
+    error = np.hypot(velocity[-1, 0] - SPEED, velocity[-1, 1])
+    p = covariance(newest(memory), config.layout)
+    first = 2 if mechanization == 'planar' else 3
+    sigma = math.sqrt(p[first, first])
+    assert error < 3 * sigma + 0.1 and error < 2.5
+    assert sigma > math.sqrt(0.1**2 + (1.5 * (counts[fault] - 1) / RATE) ** 2)
+
+
+@BOTH
+def test_honest_samples_are_believed(mechanization):
+    _, memory, velocity = driven(mechanization, lambda samples: None)
+    assert not views(memory)[0][Head.FAULTS:Head.FAULTS + Fault.SIZE].any()
+    assert np.hypot(velocity[-1, 0] - SPEED, velocity[-1, 1]) < 0.3
+
+
+@BOTH
+def test_the_covariance_covers_what_the_vehicle_did_unseen(mechanization):
+    # given a vehicle that brakes with 3 m/s^2 for a second, while its IMU gives zeros
+    def nothing(samples):
+        samples[200:250, 1:] = 0.0
+
+    config, memory, velocity = driven(mechanization, nothing)
+    _, _, seen = driven(mechanization, lambda samples: None, acceleration=-3.0)
+    assert seen[-1, 0] == pytest.approx(SPEED - 3.0, abs=0.3)
+    sigma = math.sqrt(covariance(newest(memory), config.layout)[(2, 2) if mechanization == 'planar' else (3, 3)])
+    assert abs(velocity[-1, 0] - seen[-1, 0]) < 2.5 * sigma
+
+
+def test_a_sensor_that_always_repeats_itself_at_rest_is_believed():
+    def constant(samples):
+        samples[100:, 1:] = samples[99, 1:]
+
+    _, memory, _ = driven('planar', constant, speed=0.0)
+    assert not views(memory)[0][Head.FAULTS:Head.FAULTS + Fault.SIZE].any()
+
+
+@BOTH
+def test_a_state_that_is_not_finite_is_taken_back(mechanization):
+    config, memory, _ = driven(mechanization, lambda samples: None)
+    before = newest(memory)
+    # given an error estimate that has become nothing
+    head, _, rows, *_ = views(memory)
+    row = rows[int(head[Head.SAMPLES]) % int(head[Head.CAPACITY])]
+    head[Head.CONDITIONING] = np.nan
+    time = row[Nav.TIME] + 1 / RATE
+    sample = np.array([[time, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0]])
+    states, _ = take_all(memory, sample, np.zeros((0, Event.SIZE)), [Nav.V_N])
+    after = newest(memory)
+    assert np.isfinite(after[:Sample.SIZE]).all() and head[Head.RESTARTS] == 1
+    assert after[Nav.TIME] == pytest.approx(time) and after[Nav.V_N] == before[Nav.V_N]
+    first = 2 if mechanization == 'planar' else 3
+    change = covariance(after, config.layout) - covariance(before, config.layout)
+    assert change[first, first] == pytest.approx(1.0) and change[-1, -1] == 0.0

@@ -1,0 +1,184 @@
+"""What the filter makes of a receiver that repeats itself, jumps, wanders or states another sigma than its own.
+
+A vehicle goes straight on at a constant speed: what is true is known by construction.
+"""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from filter_support import HEIGHT, LATITUDE, LONGITUDE, configure, fix_record, newest, started, take_all
+
+from mems_ins_fusion.filter.layout import Event, Head, Nav, Verdict, covariance, views
+from mems_ins_fusion.navigation.earth import gravity, radii
+
+RATE, SPEED, COURSE, SIGMA = 20.0, 12.0, 0.6, 1.0
+TRUST = {'gnss.gate_probability': 0.999999, 'gnss.adapt_sigma': True, 'gnss.robust_sigma': 3.0,
+         'gnss.recovery_time': 20.0}
+SCALE = np.array([radii(LATITUDE)[0] + HEIGHT, (radii(LATITUDE)[1] + HEIGHT) * math.cos(LATITUDE)])  # m a rad
+
+
+def true_position(time):
+    """North and east, m."""
+    return SPEED * np.outer(time, [math.cos(COURSE), math.sin(COURSE)])
+
+
+class Receiver:
+    """A drive of `duration` s with a fix each second, at its true place plus white noise of `scatter` m."""
+
+    def __init__(self, duration=100.0, scatter=SIGMA, seed=1):
+        self.rng = np.random.default_rng(seed)
+        self.samples = np.zeros((round(duration * RATE), 7))
+        self.samples[:, 0] = np.arange(1, len(self.samples) + 1) / RATE
+        self.samples[:, 3] = gravity(LATITUDE, HEIGHT)
+        self.samples[:, 1:] += self.rng.standard_normal((len(self.samples), 6)) * np.repeat([0.05, 1e-3], 3)
+        self.time = np.arange(0.51, duration - 1.0, 1.0)
+        self.position = true_position(self.time) + scatter * self.rng.standard_normal((len(self.time), 2))
+
+    def through(self, sigma=SIGMA, mechanization='planar', offset=(0.0, 0.0), yaw=COURSE, **values):
+        """Memory, error of the position (k, 2) at each sample, m, and records of the fixes; sigma: as stated."""
+        config = configure({**TRUST, **values}, mechanization=mechanization)
+        n = config.layout.n
+        p = np.zeros((n, n))
+        first = config.layout.n_navigation
+        p[:first, :first] = np.diag(np.square([1, 1, .1, .1, .02] if first == 5 else
+                                              [1, 1, 1, .1, .1, .1, .005, .005, .02]))
+        p[first:, first:] = np.diag([1e-4 if axis < 3 else 1e-7 for axis in config.channel_axes])
+        memory = started(config, velocity=(SPEED * math.cos(COURSE), SPEED * math.sin(COURSE), 0.0),
+                         attitude=(0.0, 0.0, yaw), p=p)
+        views(memory)[2][0, [Nav.LATITUDE, Nav.LONGITUDE]] += np.array(offset) / SCALE
+        records = np.array([fix_record(t, LATITUDE + north / SCALE[0], LONGITUDE + east / SCALE[1],
+                                       r=sigma**2 * np.eye(2)) for t, (north, east) in zip(self.time, self.position)])
+        states, records = take_all(memory, self.samples, records, [Nav.LATITUDE, Nav.LONGITUDE])
+        error = (states - [LATITUDE, LONGITUDE]) * SCALE - true_position(self.samples[:, 0])
+        return config, memory, error, records
+
+
+def verdicts(records):
+    return records[:, Event.VERDICT].astype(int)
+
+
+BOTH = pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+
+
+@BOTH
+def test_honest_fixes_are_used(mechanization):
+    _, memory, error, records = Receiver().through(mechanization=mechanization)
+    assert np.isin(verdicts(records), [Verdict.USED, Verdict.WEIGHTED]).all()
+    assert np.mean(verdicts(records) == Verdict.USED) > 0.95
+    assert np.hypot(*error.T).max() < 3.5 * SIGMA
+    assert newest(memory)[Nav.REFUSED] == 0 == views(memory)[0][Head.RECOVERIES]
+
+
+@BOTH
+def test_a_position_that_repeats_itself_while_the_vehicle_moves_is_refused(mechanization):
+    # given a receiver that for 8 s repeats the position that it had
+    receiver = Receiver()
+    receiver.position[40:48] = receiver.position[39]
+    _, _, error, records = receiver.through(mechanization=mechanization)
+    assert (verdicts(records)[40:48] == Verdict.FROZEN).all() and not records[40:48, Event.WEIGHT].any()
+    assert not (verdicts(records)[:40] == Verdict.FROZEN).any() and verdicts(records)[48] != Verdict.FROZEN
+    # then the vehicle is where it is, not 12 m a second behind
+    assert np.hypot(*error.T).max() < 5.0
+    # and who trusts every fix is pulled behind
+    _, _, trusting, used = receiver.through(mechanization=mechanization, **{
+        'gnss.gate_probability': 1.0, 'gnss.adapt_sigma': False, 'gnss.robust_sigma': 0.0})
+    assert (verdicts(used) == Verdict.USED).all() and np.hypot(*trusting.T).max() > 30.0
+
+
+def test_a_position_that_repeats_itself_at_rest_is_used():
+    # given a receiver that holds its position while the vehicle stands
+    config = configure(TRUST)
+    memory = started(config, velocity=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=np.diag([1, 1, .01, .01, 1e-3,
+                                                                                        1e-4, 1e-4, 1e-7]))
+    samples = Receiver(30.0).samples
+    records = np.array([fix_record(t) for t in np.arange(0.5, 29.0)])
+    _, records = take_all(memory, samples, records, [Nav.LATITUDE])
+    assert (verdicts(records) == Verdict.USED).all()
+
+
+def last_fix_off(sigmas, mechanization):
+    """The record of a last fix that is so many sigmas of its innovation north of what is predicted, and the memory."""
+    receiver, values = Receiver(20.0), {'gnss.adapt_sigma': False, 'mechanization': mechanization}
+    receiver.position[-1] = true_position(receiver.time[-1:])
+    r = receiver.through(**values)[3][-1]
+    s = np.array([[r[Event.S_NN], r[Event.S_NE]], [r[Event.S_NE], r[Event.S_EE]]])
+    receiver.position[-1] += r[[Event.Z_N, Event.Z_E]] - np.linalg.cholesky(s)[:, 0] * sigmas
+    _, memory, _, records = receiver.through(**values)
+    return records[-1], memory
+
+
+@BOTH
+def test_the_gate_is_where_the_share_of_honest_fixes_says(mechanization):
+    limit = math.sqrt(-2 * math.log(1e-6))
+    for factor, verdict in ((0.97, Verdict.WEIGHTED), (1.03, Verdict.REFUSED)):
+        record, memory = last_fix_off(factor * limit, mechanization)
+        assert record[Event.VERDICT] == verdict
+        assert record[Event.NIS] == pytest.approx((factor * limit) ** 2, rel=1e-3)
+        assert newest(memory)[Nav.REFUSED] == (verdict == Verdict.REFUSED)
+
+
+@BOTH
+def test_a_fix_beyond_three_sigma_counts_as_if_it_were_three(mechanization):
+    for sigmas, verdict, weight in ((2.9, Verdict.USED, 1.0), (4.0, Verdict.WEIGHTED, 9 / 16)):
+        record, _ = last_fix_off(sigmas, mechanization)
+        assert record[Event.VERDICT] == verdict and record[Event.WEIGHT] == pytest.approx(weight, rel=1e-3)
+
+
+def test_a_fix_within_a_metre_is_not_refused():
+    # given a filter that is sure to the centimetre, and a fix of a centimetre that is 0.8 m off: 50 sigma
+    receiver = Receiver(20.0, scatter=0.01)
+    receiver.position[10] += [0.8, 0.0]
+    _, _, _, records = receiver.through(sigma=0.01, **{'gnss.adapt_sigma': False})
+    assert records[10, Event.NIS] > 400 and verdicts(records)[10] == Verdict.WEIGHTED
+    receiver.position[10] += [0.8, 0.0]
+    _, _, _, records = receiver.through(sigma=0.01, **{'gnss.adapt_sigma': False})
+    assert verdicts(records)[10] == Verdict.REFUSED
+
+
+@BOTH
+@pytest.mark.parametrize(('jump', 'recovery'), [(100.0, 20.0), (400.0, 10.0)])
+def test_fixes_that_agree_are_believed_after_the_stated_time(mechanization, jump, recovery):
+    # given a filter that is far off and sure of it, and a receiver that is right
+    receiver = Receiver()
+    config, memory, error, records = receiver.through(mechanization=mechanization, offset=(0.6 * jump, -0.8 * jump),
+                                                      yaw=COURSE, **{'gnss.recovery_time': recovery})
+    got = verdicts(records)
+    first = int(np.flatnonzero(got == Verdict.RECOVERED)[0])
+    # then it starts anew from the first fix after that time, not before, and once
+    assert (got[:first] == Verdict.REFUSED).all() and views(memory)[0][Head.RECOVERIES] == 1
+    assert receiver.time[first] - receiver.time[0] == pytest.approx(recovery, abs=1.0)
+    assert receiver.time[first] - receiver.time[0] >= recovery
+    # and is right from then on, to what it says
+    after = receiver.samples[:, 0] > receiver.time[first] + 5.0
+    assert np.hypot(*error[after].T).max() < 5.0
+    assert np.isin(got[first + 1:], [Verdict.USED, Verdict.WEIGHTED]).all()
+    p = covariance(newest(memory), config.layout)
+    assert error[-1] @ np.linalg.solve(p[:2, :2], error[-1]) < 14.0
+
+
+def test_refused_fixes_that_do_not_agree_do_not_win():
+    # given a receiver that for the rest of the drive is somewhere within 200 m
+    receiver = Receiver()
+    receiver.position[40:] += 200.0 * receiver.rng.standard_normal(receiver.position[40:].shape)
+    _, memory, _, records = receiver.through(**{'gnss.adapt_sigma': False})
+    assert views(memory)[0][Head.RECOVERIES] == 0
+    far = np.hypot(*(receiver.position[40:] - true_position(receiver.time[40:])).T) > 60
+    assert (verdicts(records)[40:][far] == Verdict.REFUSED).all()
+
+
+@BOTH
+@pytest.mark.parametrize('factor', [1.0, 3.0, 8.0])
+def test_the_realised_sigma_of_the_receiver_is_learned(mechanization, factor):
+    # given a receiver that states a sigma of 1 m and scatters by `factor` as much
+    config, memory, error, records = Receiver(200.0, scatter=factor * SIGMA).through(mechanization=mechanization)
+    ratio = math.sqrt(newest(memory)[Nav.GNSS_RATIO])
+    assert ratio == pytest.approx(factor, rel=0.35)
+    # then the filter's sigma and its NIS are those of the real one
+    late = records[60:]
+    assert np.median(late[:, Event.NIS]) == pytest.approx(2 * math.log(2), rel=0.5)
+    if factor > 1:
+        _, _, without, _ = Receiver(200.0, scatter=factor * SIGMA).through(mechanization=mechanization, **{
+            'gnss.adapt_sigma': False, 'gnss.gate_probability': 1.0})
+        assert np.sqrt(np.mean(error[1200:]**2)) < np.sqrt(np.mean(without[1200:]**2))
