@@ -12,6 +12,7 @@ from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 
 from mems_ins_fusion.nodes import fusion_node
+from mems_ins_fusion.nodes.output import Output
 from mems_ins_fusion.nodes.ros_parameters import describe
 from mems_ins_fusion.parameters import table
 
@@ -123,7 +124,7 @@ class Estimate:
 def test_a_filled_message_survives_serialization_with_every_field_in_its_place():
     # given a message filled twice, as the node refills it
     estimate = Estimate()
-    output = fusion_node.Output(estimate, 'map', 'car')
+    output = Output(estimate, 'map', 'car')
     output.fill(1)
     estimate.odometry += 1000.0
     output.fill(1_700_000_000_123_456_789)
@@ -147,7 +148,7 @@ def test_the_transform_is_the_pose(monkeypatch):
     monkeypatch.setitem(sys.modules, 'tf2_msgs', types.ModuleType('tf2_msgs'))
     monkeypatch.setitem(sys.modules, 'tf2_msgs.msg', message)
     estimate = Estimate()
-    output = fusion_node.Output(estimate, 'map', 'car')
+    output = Output(estimate, 'map', 'car')
     transform, = output.add_transform()
     output.fill(5 * 10**9)
     assert (transform.header.frame_id, transform.child_frame_id, transform.header.stamp.sec) == ('map', 'car', 5)

@@ -101,4 +101,4 @@ class _Bar:
 
 def main(argv: list[str]) -> int:
     """Replay what the parameters in `argv` ask for; the exit status."""
-    return run(NAME, ReplayNode, argv, ReplayNode.replay)
+    return run(NAME, ReplayNode, argv, ReplayNode.replay, (FILTER, REPLAY))

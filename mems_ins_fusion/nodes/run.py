@@ -4,6 +4,7 @@ from __future__ import annotations
 import re
 import signal
 import sys
+import textwrap
 from collections.abc import Callable
 
 import rclpy
@@ -16,8 +17,8 @@ from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from ..parameters.parameter import ParameterError
-from ..parameters.params_file import load_yaml
+from ..parameters.parameter import Parameter, ParameterError
+from ..parameters.params_file import load_yaml, yaml_value
 from .ros_parameters import params_files
 
 #: what a user got wrong, as opposed to a defect of the program
@@ -53,12 +54,15 @@ def spin(node: Node, stop: Stop) -> None:
 
 
 def run(name: str, make_node: Callable[[list[str]], Node], argv: list[str],
-        work: Callable[[Node, Stop], int | None] = spin) -> int:
+        work: Callable[[Node, Stop], int | None], tables: tuple[tuple[Parameter, ...], ...]) -> int:
     """Make the node with `make_node(argv)` and let `work(node, stop)` run; the exit status.
 
-    0 after a signal, that of `work` (None is 0) where it returns by itself, 2 with one line on stderr where `argv`
-    or the parameters are wrong.
+    tables: the node's parameters, for --help. 0 after a signal, that of `work` (None is 0) where it returns by itself,
+    2 with one line on stderr where `argv` or the parameters are wrong.
     """
+    if {'-h', '--help'} & set(argv):
+        print(usage(name, tables))
+        return 0
     stop = Stop()
     node = None
     try:
@@ -76,6 +80,19 @@ def run(name: str, make_node: Callable[[list[str]], Node], argv: list[str],
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+
+
+def usage(name: str, tables: tuple[tuple[Parameter, ...], ...]) -> str:
+    """How the node `name` is started, and its parameters with unit, default and meaning."""
+    lines = [f'usage: ros2 run mems_ins_fusion {name} [--ros-args [--params-file FILE] [-p NAME:=VALUE] ...]', '',
+             'parameters:']
+    for parameter in (p for table in tables for p in table):
+        unit = '' if parameter.unit in ('text', '-') else f' {parameter.unit}'
+        lines.append(f'  {parameter.name} = {yaml_value(parameter.default)}{unit}')
+        choices = f" ({', '.join(parameter.choices)})" if parameter.choices else ''
+        lines += textwrap.wrap(parameter.description + choices, 110, initial_indent=' ' * 6,
+                               subsequent_indent=' ' * 6)
+    return '\n'.join(lines)
 
 
 def _initialize(name, argv):
