@@ -1,6 +1,8 @@
 """`python -m mems_ins_fusion NAME ...`: every tool of the package under one command."""
 from __future__ import annotations
 
+import os
+import signal
 import sys
 from importlib import import_module
 
@@ -32,6 +34,8 @@ def main(argv: list[str] | None = None) -> int:
             print(f"\nno tool is named '{argv[0]}'", file=sys.stderr)
         return 2
     package, _ = TOOLS[argv[0]]
+    if package == 'nodes':
+        _end_quietly_on_signals()
     # imported only now: a tool must not wait for, or fail with, what only another one needs
     try:
         tool = import_module(f'mems_ins_fusion.{package}.{argv[0]}')
@@ -43,6 +47,12 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     _say_when_compiling(argv[0])
     return tool.main(argv[1:]) or 0
+
+
+def _end_quietly_on_signals() -> None:
+    """Until a node takes over SIGINT and SIGTERM there is nothing to clean up, and nothing to say."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: os._exit(0))
 
 
 def _say_when_compiling(name: str) -> None:
