@@ -102,7 +102,7 @@ def test_transforms_without_tf2_msgs_are_refused(refusal, monkeypatch):
 def test_parameters_that_contradict_each_other_are_refused_before_anything_takes_time(refusal, monkeypatch, arguments,
                                                                                       said):
     monkeypatch.setitem(sys.modules, 'tf2_ros', None)
-    monkeypatch.setattr(fusion_node.LiveFilter, 'warm_up', lambda self: pytest.fail('compiled'))
+    monkeypatch.setattr(fusion_node, 'load', lambda *_: pytest.fail('compiled'))
     assert refusal('--ros-args', *(part for argument in arguments for part in ('-p', argument))).startswith(said)
 
 

@@ -26,6 +26,7 @@ from ..parameters.table import ALL, FILTER, FUSION
 from .checks import check_together
 from .inputs import aiding_inputs, subscribe
 from .live_filter import LiveFilter
+from .loading import load
 from .log import StateLog, Throttle, Watch
 from .mounting import mounting_from_tf
 from .output import MapOutput, Output, Prediction, SmoothFrame, tf_message
@@ -46,7 +47,7 @@ _SAVE_PERIOD = 10.0
 class FusionNode(Node):
     """The live filter as a node; `argv` names its params files. Raises ParameterError for wrong parameters."""
 
-    def __init__(self, argv: list[str]):
+    def __init__(self, argv: list[str], stop: Stop):
         super().__init__(NAME)
         self._values = values = declare(self, argv, (*FILTER, *FUSION), changeable=frozenset({'odometry_rate'}))
         check_together(values, self.resolve_topic_name)
@@ -54,10 +55,11 @@ class FusionNode(Node):
             tf_message()  # what is missing is said before anything takes time
         self._state_file = self._open_state_file(values)
         if values['mounting_from_tf']:
-            values['imu.mounting_rpy'] = mounting_from_tf(self, values['imu_topic'], values['child_frame_id'])
+            values['imu.mounting_rpy'] = mounting_from_tf(self, values['imu_topic'], values['child_frame_id'],
+                                                            stop)
         self._filter = LiveFilter(FilterConfig.from_parameters(values))
         self.get_logger().info('loading the filter (the first start on a machine compiles it: up to a minute)')
-        self._filter.warm_up()  # before there is a subscription: no message waits for the compiler
+        load(self._filter, stop)  # before there is a subscription: no message waits for the compiler
         self._use_orientation = values['alignment.heading'] == 'orientation'
         self._start = start_from_parameters(values) if values['start_pose'] else None
         self._datum = None

@@ -11,15 +11,17 @@ from sensor_msgs.msg import Imu
 
 from ..navigation.strapdown import to_euler
 from ..parameters.parameter import ParameterError
+from .run import Stop
 
 #: what is waited for is said again after so many seconds
 _SAY_AGAIN = 10.0
 
 
-def mounting_from_tf(node: Node, imu_topic: str, base_frame: str) -> list[float]:
+def mounting_from_tf(node: Node, imu_topic: str, base_frame: str, stop: Stop) -> list[float]:
     """Roll, pitch, yaw (rad) of the rotation from the IMU's frame, that of its messages, to `base_frame`.
 
-    Waits for the first message and for the transform. ParameterError where tf2_ros is not installed.
+    Waits for the first message and for the transform; KeyboardInterrupt when `stop` is requested meanwhile.
+    ParameterError where tf2_ros is not installed.
     """
     try:
         from tf2_ros import Buffer, TransformException, TransformListener
@@ -45,6 +47,8 @@ def mounting_from_tf(node: Node, imu_topic: str, base_frame: str) -> list[float]
             said = time.monotonic()
             node.get_logger().info(f'mounting_from_tf: waiting for {missing}')
         rclpy.spin_once(node, timeout_sec=0.1)
+        if stop.requested:
+            raise KeyboardInterrupt
     node.destroy_subscription(subscription)
     del listener
     rpy = list(to_euler((rotation.w, rotation.x, rotation.y, rotation.z)))

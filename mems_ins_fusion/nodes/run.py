@@ -28,13 +28,14 @@ _USER_ERRORS = (ValueError, ParameterException, NameValidationException, Invalid
 class Stop:
     """SIGINT and SIGTERM as a request: `requested` says that one came.
 
-    While `interrupts`, the first one also raises KeyboardInterrupt. Further ones do nothing: ros2 launch and impatient
-    users send several, and an exception in the middle of a shutdown, or of an rclpy call, leaves a traceback.
+    While `interrupts`, the first one also raises KeyboardInterrupt: only in plain Python, since an exception in the
+    middle of an rclpy call, of the compiler or of a shutdown leaves a traceback or worse. Further ones do nothing:
+    ros2 launch and impatient users send several.
     """
 
     def __init__(self):
         self.requested = False
-        self.interrupts = True
+        self.interrupts = False
         signal.signal(signal.SIGINT, self._handle)
         signal.signal(signal.SIGTERM, self._handle)
 
@@ -46,16 +47,15 @@ class Stop:
 
 def spin(node: Node, stop: Stop) -> None:
     """Serve the callbacks of `node` until `stop` is requested; a steady timer of the node must wake it now and then."""
-    stop.interrupts = False
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     while not stop.requested:
         executor.spin_once()
 
 
-def run(name: str, make_node: Callable[[list[str]], Node], argv: list[str],
+def run(name: str, make_node: Callable[[list[str], Stop], Node], argv: list[str],
         work: Callable[[Node, Stop], int | None], tables: tuple[tuple[Parameter, ...], ...]) -> int:
-    """Make the node with `make_node(argv)` and let `work(node, stop)` run; the exit status.
+    """Make the node with `make_node(argv, stop)` and let `work(node, stop)` run; the exit status.
 
     tables: the node's parameters, for --help. 0 after a signal, that of `work` (None is 0) where it returns by itself,
     2 with one line on stderr where `argv` or the parameters are wrong.
@@ -68,11 +68,11 @@ def run(name: str, make_node: Callable[[list[str]], Node], argv: list[str],
     try:
         try:
             _initialize(name, argv)
-            node = make_node(argv)
+            node = make_node(argv, stop)
         except _USER_ERRORS as error:
             print(f'{name}: {_one_line(error)}', file=sys.stderr)
             return 2
-        return work(node, stop) or 0
+        return 0 if stop.requested else work(node, stop) or 0
     except KeyboardInterrupt:
         return 0
     finally:
