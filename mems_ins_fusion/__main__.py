@@ -22,6 +22,12 @@ def usage() -> str:
     return '\n'.join(['usage: python -m mems_ins_fusion NAME ...', '', *lines])
 
 
+def _end_quietly_on_signals() -> None:
+    """Until a node takes over SIGINT and SIGTERM there is nothing to clean up, and nothing to say."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: os._exit(0))
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run the tool that argv[0] names with the rest of `argv` (default: the command line); its exit status."""
     argv = sys.argv[1:] if argv is None else argv
@@ -47,12 +53,6 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     _say_when_compiling(argv[0])
     return tool.main(argv[1:]) or 0
-
-
-def _end_quietly_on_signals() -> None:
-    """Until a node takes over SIGINT and SIGTERM there is nothing to clean up, and nothing to say."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: os._exit(0))
 
 
 def _say_when_compiling(name: str) -> None:

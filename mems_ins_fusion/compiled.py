@@ -40,11 +40,6 @@ def njit(function=None, **options):
         numba.config.CACHE_DIR = others
 
 
-def cache_folder() -> Path:
-    """Where the functions of these sources are cached."""
-    return Path(_FOLDER)
-
-
 def is_cold() -> bool:
     """Whether nothing has been compiled yet from these sources."""
     return not any(Path(_FOLDER).glob('filter*'))

@@ -76,11 +76,11 @@ def test_a_state_that_lasts_is_said_again_but_for_the_good_one(clock):
     for second in range(200):
         clock.now = 100.0 + second
         state = 'waiting' if second < 70 else 'fusing'
-        lasted, line = log.look(state, 'a fix on /gps/fix' if state == 'waiting' else '')
+        lasted, line = log.look(state, 'waiting for a fix on /gps/fix' if state == 'waiting' else 'running')
         if line:
             said[second] = line
     assert lasted == 129.0
-    assert said == {0: 'state: waiting: waiting for a fix on /gps/fix',
-                    30: 'state: still waiting, for 30 s: waiting for a fix on /gps/fix',
-                    60: 'state: still waiting, for 60 s: waiting for a fix on /gps/fix',
-                    70: 'state: fusing after waiting for 70 s'}
+    assert said == {0: 'state: waiting (waiting for a fix on /gps/fix)',
+                    30: 'state: still waiting, for 30 s (waiting for a fix on /gps/fix)',
+                    60: 'state: still waiting, for 60 s (waiting for a fix on /gps/fix)',
+                    70: 'state: fusing after waiting for 70 s (running)'}

@@ -300,8 +300,8 @@ class FusionNode(Node):
                 self._log('info', notice.text)
             else:
                 self._warn(notice.text, notice.level)
-        for told in self._filter.verdicts():
-            self._verdicts.publish(verdict(self.get_name(), told))
+        for judged in self._filter.verdicts():
+            self._verdicts.publish(verdict(self.get_name(), judged))
 
     def _warn(self, line, level='warning'):
         text = self._throttle.pass_on(line)
@@ -325,11 +325,11 @@ class FusionNode(Node):
         self._check_topics()
         self._tell_datum()
         state, health = self._filter.state, self._filter.health()
-        since, said = self._state_log.look(state, health.get('waiting_for', ''))
+        since, said = self._state_log.look(state, self._filter.status)
         if said:
             self._log('info' if state in GOOD_STATES else 'warning', said)
         for watch, topic, _ in self._watched:
-            health[f'rate_hz.{topic}'] = watch.rate()
+            health[f'messages on {topic}, Hz'] = watch.rate()
         now = self.get_clock().now().nanoseconds
         self._diagnostics.publish(diagnostics(now, self.get_name(), state, since, health))
 

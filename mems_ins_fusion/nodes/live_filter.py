@@ -6,6 +6,7 @@ fix, and a start, a stop and a memory from outside.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,15 +15,28 @@ from ..filter.fusion import FusionFilter
 from ..filter.layout import NAV, Fix, Nav, covariance, views
 
 
+@dataclass(frozen=True)
+class Judged:
+    """What the filter did with one measurement. stamp: ns. kind: fix, speed, velocity or heading. weight: of its
+    inverse covariance, 0 to 1. reason: in words. innovation: predicted minus measured, m, m/s or rad."""
+
+    stamp: int
+    kind: str
+    used: bool
+    weight: float
+    reason: str
+    innovation: tuple[float, ...]
+    nis: float
+
+
 class LiveFilter(FusionFilter):
     """A `FusionFilter` that tells how it is."""
 
     def __init__(self, config):
         super().__init__(config)
-        self._state, self._state_since = 'waiting', 0
         self._fixes_wanted = True
         self._told = -math.inf
-        self._verdicts: list[dict] = []
+        self._judged: list[Judged] = []
         self._counts = {'used': 0, 'refused': 0}
         self._nis: list[float] = []
         self._delay = math.nan
@@ -31,25 +45,14 @@ class LiveFilter(FusionFilter):
     def state(self) -> str:
         """waiting, aligning, fusing, coasting, degraded or recovering."""
         if self._memory is None:
-            state = 'waiting' if self._epoch is None else 'aligning'
-        else:
-            state = 'coasting' if self._outage else 'fusing'
-        if state != self._state:
-            self._state, self._state_since = state, self._last_stamp or 0
-        return self._state
-
-    @property
-    def state_since(self) -> int:
-        """ns, stamp of the sample at which `state` began; 0 before the first."""
-        self.state  # noqa: B018  a change is noticed when it is asked for
-        return self._state_since
+            return 'waiting' if self._last_fix_stamp is None else 'aligning'
+        return 'coasting' if self._outage else 'fusing'
 
     def health(self) -> dict:
         """What a user should see of the filter: numbers (SI units unless the name says otherwise) and words."""
         self._look_at_fixes()
-        values = {'waiting_for': '' if self._memory is not None else self._alignment.waiting_for,
-                  'fixes_used': self._counts['used'], 'fixes_refused': self._counts['refused'],
-                  'fix_delay_s': self._delay}
+        values: dict = {'state': self.state, 'status': self.status, 'fix used': self._counts['used'],
+                        'fix refused': self._counts['refused'], 'delay of the fixes, s': self._delay}
         if self.datum is not None:
             values['datum'] = ' '.join(f'{v:.8f}' for v in (*np.degrees(self.datum[:2]), self.datum[2]))
         if self._memory is None:
@@ -57,13 +60,13 @@ class LiveFilter(FusionFilter):
         row = self._newest_row()
         n = self.config.navigation
         sigma = np.sqrt(np.diag(covariance(row, n, self.config.others)))
-        values.update(fix_age_s=(self._last_stamp - self._newest_fix) * 1e-9,
-                      nis_mean=float(np.mean(self._nis)) if self._nis else math.nan,
-                      position_sigma_m=float(np.hypot(*sigma[:2])),
-                      heading_sigma_deg=math.degrees(sigma[4 if n == 5 else 8]))
+        values |= {'age of the last fix used, s': (self._last_stamp - self._newest_fix) * 1e-9,
+                   'mean NIS': float(np.mean(self._nis)) if self._nis else math.nan,
+                   'position sigma, m': float(np.hypot(*sigma[:2])),
+                   'heading sigma, deg': math.degrees(sigma[4 if n == 5 else 8])}
         for i, channel in enumerate(self.config.channels):
-            values[f'error_{channel}'] = float(row[NAV + n + i * self.config.order])
-            values[f'sigma_{channel}'] = float(sigma[n + i * self.config.order])
+            values[f'error {channel}'] = float(row[NAV + n + i * self.config.order])
+            values[f'error {channel} sigma'] = float(sigma[n + i * self.config.order])
         return values
 
     def add_fix(self, stamp, latitude, longitude, height, covariance, status=0, covariance_type=2) -> None:
@@ -75,18 +78,13 @@ class LiveFilter(FusionFilter):
             refusals = [n.text for n in self._notices[said:] if 'dropped' in n.text or 'no fix' in n.text]
             if refusals:
                 self._counts['refused'] += 1
-                self._verdicts.append({'stamp': stamp, 'kind': 'fix', 'used': False, 'weight': 0.0,
-                                       'reason': refusals[-1], 'innovation': (math.nan, math.nan), 'nis': math.nan})
+                self._judged.append(Judged(stamp, 'fix', False, 0.0, refusals[-1], (math.nan, math.nan), math.nan))
 
-    def verdicts(self) -> list[dict]:
-        """What became of each measurement since the last call.
-
-        Of each: stamp (ns), kind (fix, speed, velocity, heading), used, weight (0 to 1), reason (of a refusal, or
-        empty), innovation (of a fix: north, east, m), nis.
-        """
+    def verdicts(self) -> list[Judged]:
+        """What was done with each measurement since the last call."""
         self._look_at_fixes()
-        verdicts, self._verdicts = self._verdicts, []
-        return verdicts
+        judged, self._judged = self._judged, []
+        return judged
 
     def _look_at_fixes(self) -> None:
         if self._memory is None:
@@ -97,9 +95,8 @@ class LiveFilter(FusionFilter):
                 self._told = fix[Fix.TIME]
                 self._counts['used'] += 1
                 self._nis = [*self._nis[-99:], float(fix[Fix.NIS])]
-                self._verdicts.append({'stamp': self._epoch + self._offset + round(fix[Fix.TIME] * 1e9), 'kind': 'fix',
-                                       'used': True, 'weight': 1.0, 'reason': '', 'nis': float(fix[Fix.NIS]),
-                                       'innovation': (float(fix[Fix.Z_N]), float(fix[Fix.Z_E]))})
+                self._judged.append(Judged(self._epoch + self._offset + round(fix[Fix.TIME] * 1e9), 'fix', True, 1.0,
+                                           'used', (float(fix[Fix.Z_N]), float(fix[Fix.Z_E])), float(fix[Fix.NIS])))
 
     def reset(self) -> None:
         """Forget everything but the datum and begin anew."""
@@ -135,8 +132,8 @@ class LiveFilter(FusionFilter):
         x, y, z, w = self.odometry[3:7].tolist()
         east = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         return {'stamp': self._last_stamp, 'latitude': latitude, 'longitude': longitude, 'height': height,
-                'yaw': math.pi / 2 - east, 'yaw_sigma': math.radians(health['heading_sigma_deg']),
-                'position_sigma': health['position_sigma_m'], 'moving': float(np.hypot(row[Nav.V_N], row[Nav.V_E]))}
+                'yaw': math.pi / 2 - east, 'yaw_sigma': math.radians(health['heading sigma, deg']),
+                'position_sigma': health['position sigma, m'], 'moving': float(np.hypot(row[Nav.V_N], row[Nav.V_E]))}
 
     def restore(self, snapshot: dict) -> None:
         """Begin with a `snapshot` of an earlier run; ValueError where it is not one."""

@@ -5,11 +5,13 @@ can be ended at any moment, and what it has compiled is found in the cache.
 """
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 
-from ..compiled import cache_folder
+from .. import compiled
 from ..filter.config import FilterConfig
 from ..filter.odometry import ORIENTATION, POSE_COVARIANCE
 from ..parameters import table
@@ -23,11 +25,22 @@ _MARK = 'fusion_node.compiled'
 
 def load(fusion: LiveFilter, stop: Stop) -> None:
     """Load what `fusion` and the node's outputs need compiled. KeyboardInterrupt when `stop` is requested meanwhile."""
-    mark = cache_folder() / _MARK
-    if not mark.exists():
+    mark = Path(compiled._FOLDER) / _MARK
+    kept = _is_writable(mark.parent)
+    if kept and not mark.exists():
         _compile_in_child(stop)
     _warm_up(fusion)
-    mark.touch()
+    if kept:
+        mark.touch()
+
+
+def _is_writable(folder):
+    """Whether what a child compiles can be found again."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK)
 
 
 def _compile_in_child(stop):

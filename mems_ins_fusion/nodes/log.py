@@ -82,16 +82,15 @@ class StateLog:
         self._state: str | None = None
         self._since = self._said = clock()
 
-    def look(self, state: str, waiting_for: str = '') -> tuple[float, str | None]:
-        """Seconds that `state` has lasted, and the line to log, or None."""
+    def look(self, state: str, status: str) -> tuple[float, str | None]:
+        """Seconds that `state` has lasted, and the line to log, with more words on it (`status`), or None."""
         now = self._clock()
-        why = f': waiting for {waiting_for}' if waiting_for else ''
         if state != self._state:
             before = f' after {self._state} for {now - self._since:.0f} s' if self._state else ''
             self._state, self._since, self._said = state, now, now
-            return 0.0, f'state: {state}{before}{why}'
+            return 0.0, f'state: {state}{before} ({status})'
         lasted = now - self._since
         if state in self._quiet or now - self._said < self._period:
             return lasted, None
         self._said = now
-        return lasted, f'state: still {state}, for {lasted:.0f} s{why}'
+        return lasted, f'state: still {state}, for {lasted:.0f} s ({status})'

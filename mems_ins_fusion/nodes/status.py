@@ -8,6 +8,7 @@ _SECOND = 10**9  # ns
 GOOD_STATES = ('aligning', 'fusing')
 #: those without an estimate
 BEFORE_START = ('waiting', 'aligning')
+_COMPONENTS = dict.fromkeys(('fix', 'velocity'), ('innovation_north', 'innovation_east'))
 
 
 def level_of(state: str) -> bytes:
@@ -19,29 +20,26 @@ def level_of(state: str) -> bytes:
 
 def diagnostics(stamp: int, name: str, state: str, since: float, health: dict) -> DiagnosticArray:
     """The filter's state for /diagnostics. stamp: ns. since: s that `state` has lasted. health: of the filter."""
-    waiting = health.get('waiting_for', '')
-    message = f'{state} for {since:.0f} s' + (f': waiting for {waiting}' if waiting else '')
-    status = DiagnosticStatus(level=level_of(state), name=f'{name}: filter', message=message, hardware_id=name,
-                              values=_key_values({'state': state, 'state_for_s': since, **health}))
+    why = f": {health['status']}" if state in BEFORE_START else ''
+    status = DiagnosticStatus(level=level_of(state), name=f'{name}: filter', message=f'{state} for {since:.0f} s{why}',
+                              hardware_id=name, values=_key_values({**health, 'state for, s': since}))
     return _array(stamp, [status])
 
 
-def verdict(name: str, told: dict) -> DiagnosticArray:
+def verdict(name: str, judged) -> DiagnosticArray:
     """What became of one measurement, stamped with its own time; numbers that plot tools draw over time.
 
     A DiagnosticArray carries a stamp, numbers and a reason in one standard message: used (0, 1), weight, nis and the
     innovation's components.
     """
-    innovation = told['innovation']
-    parts = {'innovation_north': innovation[0], 'innovation_east': innovation[1]} if len(innovation) == 2 else {
-        f'innovation_{i}': value for i, value in enumerate(innovation)}
-    refused = not told['used']
-    level = DiagnosticStatus.WARN if refused or told['weight'] < 1.0 else DiagnosticStatus.OK
-    message = f"refused: {told['reason']}" if refused else told['reason'] or 'used'
-    numbers = {'used': int(told['used']), 'weight': told['weight'], 'nis': told['nis'], **parts}
-    status = DiagnosticStatus(level=level, name=f"{name}: {told['kind']}", message=message, hardware_id=name,
+    names = _COMPONENTS.get(judged.kind, ('innovation',))
+    numbers = {'used': int(judged.used), 'weight': judged.weight, 'nis': judged.nis,
+               **dict(zip(names, judged.innovation))}
+    level = DiagnosticStatus.OK if judged.used and judged.weight == 1.0 else DiagnosticStatus.WARN
+    message = judged.reason if judged.used else f'refused: {judged.reason}'
+    status = DiagnosticStatus(level=level, name=f'{name}: {judged.kind}', message=message, hardware_id=name,
                               values=_key_values(numbers))
-    return _array(told['stamp'], [status])
+    return _array(judged.stamp, [status])
 
 
 def _array(stamp, statuses):
@@ -50,12 +48,6 @@ def _array(stamp, statuses):
     return array
 
 
-def _key_values(values, prefix=''):
-    pairs = []
-    for key, value in values.items():
-        if isinstance(value, dict):
-            pairs += _key_values(value, f'{prefix}{key}.')
-        else:
-            text = f'{value:.9g}' if isinstance(value, float) else str(value)
-            pairs.append(KeyValue(key=f'{prefix}{key}', value=text))
-    return pairs
+def _key_values(values):
+    return [KeyValue(key=key, value=f'{value:.9g}' if isinstance(value, float) else str(value))
+            for key, value in values.items()]
