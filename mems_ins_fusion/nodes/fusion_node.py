@@ -6,6 +6,7 @@ sensor_msgs/NavSatFix. All computation is in the filter; here messages become nu
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -42,6 +43,8 @@ _TF_QOS = QoSProfile(depth=100)
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: a state file is written this often, s
 _SAVE_PERIOD = 10.0
+#: fixes of which /diagnostics gives the mean NIS
+_NIS_COUNT = 100
 
 
 class FusionNode(Node):
@@ -67,6 +70,7 @@ class FusionNode(Node):
         self._last_slot = None
         self._throttle = Throttle(5.0)
         self._state_log = StateLog()
+        self._nis: deque[float] = deque(maxlen=_NIS_COUNT)
         self._publish(values)
         self._subscribe(values)
         self._serve()
@@ -302,6 +306,8 @@ class FusionNode(Node):
                 self._warn(notice.text, notice.level)
         for judged in self._filter.verdicts():
             self._verdicts.publish(verdict(self.get_name(), judged))
+            if judged.used and judged.kind == 'fix':
+                self._nis.append(judged.nis)
 
     def _warn(self, line, level='warning'):
         text = self._throttle.pass_on(line)
@@ -330,6 +336,8 @@ class FusionNode(Node):
             self._log('info' if state in GOOD_STATES else 'warning', said)
         for watch, topic, _ in self._watched:
             health[f'messages on {topic}, Hz'] = watch.rate()
+        if self._nis:
+            health['mean NIS'] = sum(self._nis) / len(self._nis)
         now = self.get_clock().now().nanoseconds
         self._diagnostics.publish(diagnostics(now, self.get_name(), state, since, health))
 

@@ -38,7 +38,6 @@ class LiveFilter(FusionFilter):
         self._told = -math.inf
         self._judged: list[Judged] = []
         self._counts = {'used': 0, 'refused': 0}
-        self._nis: list[float] = []
         self._delay = math.nan
 
     @property
@@ -61,7 +60,6 @@ class LiveFilter(FusionFilter):
         n = self.config.navigation
         sigma = np.sqrt(np.diag(covariance(row, n, self.config.others)))
         values |= {'age of the last fix used, s': (self._last_stamp - self._newest_fix) * 1e-9,
-                   'mean NIS': float(np.mean(self._nis)) if self._nis else math.nan,
                    'position sigma, m': float(np.hypot(*sigma[:2])),
                    'heading sigma, deg': math.degrees(sigma[4 if n == 5 else 8])}
         for i, channel in enumerate(self.config.channels):
@@ -94,7 +92,6 @@ class LiveFilter(FusionFilter):
             if fix[Fix.TIME] > self._told:
                 self._told = fix[Fix.TIME]
                 self._counts['used'] += 1
-                self._nis = [*self._nis[-99:], float(fix[Fix.NIS])]
                 self._judged.append(Judged(self._epoch + self._offset + round(fix[Fix.TIME] * 1e9), 'fix', True, 1.0,
                                            'used', (float(fix[Fix.Z_N]), float(fix[Fix.Z_E])), float(fix[Fix.NIS])))
 
