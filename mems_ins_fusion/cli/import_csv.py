@@ -40,33 +40,21 @@ def import_csv(options: argparse.Namespace):
         options.imu, csv_import.parse_columns(options.imu_columns, csv_import.IMU_COLUMNS), options.imu_axes,
         options.imu_time_unit, options.acceleration_unit, options.gyro_unit)
     yield text
-    fixes = velocity = speed = None
+    fixes = None
     if options.gnss:
         fixes, text = csv_import.read_gnss(
             options.gnss, csv_import.parse_columns(options.gnss_columns, csv_import.GNSS_COLUMNS),
             options.gnss_time_unit, options.angle_unit, options.gnss_sigma)
         yield text
-        velocity = csv_import.read_velocity(
-            options.gnss, csv_import.parse_columns(options.gnss_columns, csv_import.GNSS_COLUMNS),
-            options.gnss_time_unit)
-        if velocity is not None:
-            velocity, text = velocity
-            yield text
-    if options.speed:
-        speed, text = csv_import.read_speed(
-            options.speed, csv_import.parse_columns(options.speed_columns, csv_import.SPEED_COLUMNS),
-            options.speed_time_unit)
-        yield text
     reference = read_reference(options.reference) if options.reference else None
-    recording = Recording('imported', imu, fixes, reference, temperature, speed, velocity)
+    recording = Recording('imported', imu, fixes, reference, temperature)
     findings = [finding for finding in check_recording(recording) if finding.severity != INFO]
     if any('do not overlap' in finding.message for finding in findings):
         raise ValueError(f'{options.imu} and {options.gnss}: {findings[-1].message}')
     write_recording(recording, options.output, options.storage, imu_topic=options.imu_topic,
                     gnss_topic=options.gnss_topic, imu_frame='base_link', overwrite=options.overwrite)
     yield f'{options.output}: written, ' + ', '.join(
-        f'{len(samples)} on {topic}' for topic, samples in (
-            (options.imu_topic, imu), (options.gnss_topic, fixes), ('/wheel/speed', speed), ('/gps/velocity', velocity))
+        f'{len(samples)} on {topic}' for topic, samples in ((options.imu_topic, imu), (options.gnss_topic, fixes))
         if samples is not None)
     for finding in findings:
         yield f'{finding.severity}: {finding.topic}: {finding.message}'
@@ -78,7 +66,6 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add('--imu', required=True, metavar='FILE', help='CSV with time, specific force and angular rate')
     add('--gnss', metavar='FILE', help='CSV with time, latitude, longitude and, if there, height and sigma')
-    add('--speed', metavar='FILE', help='CSV with time and speed of the rear axle, to /wheel/speed')
     add('--reference', metavar='FILE', help='reference trajectory: CSV, NMEA or RTKLIB .pos, to /reference/fix')
     add('--output', required=True, metavar='BAG', help='folder of the rosbag2 to write')
     add('--overwrite', action='store_true', help='replace an existing one')
@@ -89,12 +76,9 @@ def _parser() -> argparse.ArgumentParser:
     add('--imu-columns', default='', metavar='NAME=COLUMN,...',
         help='names: time, ax, ay, az, wx, wy, wz, temperature')
     add('--gnss-columns', default='', metavar='NAME=COLUMN,...',
-        help='names: time, latitude, longitude, height, sigma; north, east, down (velocity, to /gps/velocity), '
-        'velocity_sigma')
-    add('--speed-columns', default='', metavar='NAME=COLUMN,...', help='names: time, speed, sigma')
+        help='names: time, latitude, longitude, height, sigma')
     add('--imu-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
     add('--gnss-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
-    add('--speed-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
     add('--acceleration-unit', choices=('m/s^2', 'g', 'mg'), help='default: by name, else m/s^2')
     add('--gyro-unit', choices=('rad/s', 'deg/s'), help='default: by name, else rad/s')
     add('--angle-unit', choices=('deg', 'rad'), help='of latitude and longitude (default: by name, else deg)')

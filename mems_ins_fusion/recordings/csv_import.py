@@ -6,18 +6,15 @@ import numpy as np
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.tables import Table, read_table, unit_in_name
-from mems_ins_fusion.samples import Fixes, ImuSamples, Speeds, Temperatures, Velocities
+from mems_ins_fusion.samples import Fixes, ImuSamples, Temperatures
 
 ACCELERATION_UNITS = {'m/s^2': 1.0, 'g': STANDARD_GRAVITY, 'mg': STANDARD_GRAVITY / 1000.0}
 GYRO_UNITS = {'rad/s': 1.0, 'deg/s': np.pi / 180.0}
-SPEED_UNITS = {'m/s': 1.0, 'km/h': 1 / 3.6, 'mph': 0.44704, 'knots': 1852 / 3600}
 ANGLE_UNITS = {'deg': np.pi / 180.0, 'rad': 1.0}
 #: how people write the units in the names of columns
 _SPELLINGS = {**dict.fromkeys(('m/s2', 'm s^-2', 'm/s²', 'm/s/s', 'mps2', 'm_s2'), 'm/s^2'),
               **dict.fromkeys(('rad s^-1', 'rad_s', 'radps'), 'rad/s'),
               **dict.fromkeys(('deg s^-1', 'deg_s', 'degps', 'dps', '°/s'), 'deg/s'),
-              **dict.fromkeys(('m s^-1', 'm_s', 'mps'), 'm/s'), **dict.fromkeys(('kmh', 'kph', 'km h^-1'), 'km/h'),
-              **dict.fromkeys(('kn', 'kt', 'kts', 'knot'), 'knots'),
               **dict.fromkeys(('°', 'degree', 'degrees'), 'deg'), **dict.fromkeys(('radian', 'radians'), 'rad')}
 _LONGEST_IMU_INTERVAL = 0.2  # s
 
@@ -42,12 +39,7 @@ IMU_COLUMNS = {'time': TIME,
 GNSS_COLUMNS = {'time': TIME, 'latitude': ('latitude', 'lat', 'latdeg', 'phi'),
                 'longitude': ('longitude', 'lon', 'lng', 'long', 'londeg', 'lambda'),
                 'height': ('height', 'altitude', 'alt', 'h', 'hgt', 'ellipsoidalheight'),
-                'sigma': ('sigma', 'hacc', 'horizontalaccuracy', 'accuracy', 'std'),
-                **{wanted: (f'v{wanted[0]}', f'vel{wanted[0]}', f'{wanted[0]}vel', f'vel{wanted}', f'{wanted}vel',
-                            f'velocity{wanted}', f'{wanted}velocity') for wanted in ('north', 'east', 'down')},
-                'velocity_sigma': ('velocitysigma', 'sacc', 'speedaccuracy', 'velocityaccuracy')}
-SPEED_COLUMNS = {'time': TIME, 'speed': ('speed', 'v', 'velocity', 'wheelspeed', 'vehiclespeed', 'odometerspeed'),
-                 'sigma': ('sigma', 'std', 'speedsigma', 'accuracy')}
+                'sigma': ('sigma', 'hacc', 'horizontalaccuracy', 'accuracy', 'std')}
 
 
 def parse_columns(text: str, known) -> dict[str, str]:
@@ -133,44 +125,6 @@ def read_gnss(path, columns: dict[str, str] | None = None, time_unit=None, angle
     fixes = Fixes(stamp, np.maximum.accumulate(stamp), latitude, longitude, height, covariance,
                   np.where(present, 0, -1).astype(np.int8), np.full(len(stamp), 1, np.uint8))  # 1: approximated
     return fixes, _summary(table, names, len(stamp), (time_unit, angle_unit))
-
-
-def read_velocity(path, columns: dict[str, str] | None = None, time_unit=None) -> tuple[Velocities, str] | None:
-    """The receiver's velocities in the file of the fixes, and what was taken for what; None without such columns.
-
-    columns: as for `read_gnss`. In the unit in brackets, else m/s. Without a column `down` the vertical velocity is NaN;
-    without one for the standard deviation the covariance is NaN. Raises RecordingError.
-    """
-    table, columns = read_table(path), columns or {}
-    names = {wanted: table.find(wanted, GNSS_COLUMNS[wanted], columns)
-             for wanted in ('time', 'north', 'east', 'down', 'velocity_sigma')}
-    if names['north'] is None or names['east'] is None:
-        return None
-    stamp, time_unit = table.times(names['time'], time_unit)
-    unit, nothing = _unit(names['north'], SPEED_UNITS), np.full(len(stamp), np.nan)
-    north, east, down, sigma = (nothing if names[wanted] is None else SPEED_UNITS[unit] * table.numbers(names[wanted])
-                                for wanted in ('north', 'east', 'down', 'velocity_sigma'))
-    covariance = np.square(sigma)[:, None, None] * np.eye(3)
-    found = {wanted: name for wanted, name in names.items() if name}
-    return (Velocities(stamp, np.maximum.accumulate(stamp), np.column_stack([north, east, down]), covariance),
-            _summary(table, found, len(stamp), (time_unit, unit)))
-
-
-def read_speed(path, columns: dict[str, str] | None = None, time_unit=None) -> tuple[Speeds, str]:
-    """Speeds of the rear axle, forward positive, and what was taken for what.
-
-    columns: those whose names are not usual, by the keys of SPEED_COLUMNS. In the unit in brackets, else m/s; without a
-    column `sigma` the variance is NaN. Raises RecordingError.
-    """
-    table, columns = read_table(path), columns or {}
-    names = {wanted: table.require(wanted, SPEED_COLUMNS[wanted], columns) for wanted in ('time', 'speed')}
-    stated = table.find('sigma', SPEED_COLUMNS['sigma'], columns)
-    stamp, time_unit = table.times(names['time'], time_unit)
-    unit = _unit(names['speed'], SPEED_UNITS)
-    scale = SPEED_UNITS[unit]
-    variance = np.square(scale * table.numbers(stated)) if stated else np.full(len(stamp), np.nan)
-    speeds = Speeds(stamp, np.maximum.accumulate(stamp), scale * table.numbers(names['speed']), variance)
-    return speeds, _summary(table, {**names, **({'sigma': stated} if stated else {})}, len(stamp), (time_unit, unit))
 
 
 def _unit(name, units) -> str:
