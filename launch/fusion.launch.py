@@ -1,10 +1,19 @@
 """Start fusion_node: `ros2 launch mems_ins_fusion fusion.launch.py params_file:=my_vehicle.yaml`."""
+from pathlib import Path
+
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
+
+
+def check_params_file(context):
+    """Refuse a file that is not there: launch would start the node with its defaults."""
+    path = LaunchConfiguration('params_file').perform(context)
+    if not Path(path).is_file():
+        raise RuntimeError(f"params_file '{path}' does not exist")
 
 
 def generate_launch_description():
@@ -14,6 +23,7 @@ def generate_launch_description():
         DeclareLaunchArgument('namespace', default_value='', description='namespace of the node and of the topics '
                               'whose names in the parameters do not start with a slash'),
         DeclareLaunchArgument('use_sim_time', default_value='false', description='take the time from /clock'),
+        OpaqueFunction(function=check_params_file),
         Node(
             package='mems_ins_fusion',
             executable='fusion_node',

@@ -1,6 +1,8 @@
 """`python -m mems_ins_fusion NAME ...`: every tool of the package under one command."""
 from __future__ import annotations
 
+import os
+import signal
 import sys
 from importlib import import_module
 
@@ -23,6 +25,12 @@ def usage() -> str:
     return '\n'.join(['usage: python -m mems_ins_fusion NAME ...', '', *lines])
 
 
+def _end_quietly_on_signals() -> None:
+    """Until a node takes over SIGINT and SIGTERM there is nothing to clean up, and nothing to say."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: os._exit(0))
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run the tool that argv[0] names with the rest of `argv` (default: the command line); its exit status."""
     argv = sys.argv[1:] if argv is None else argv
@@ -35,6 +43,8 @@ def main(argv: list[str] | None = None) -> int:
             print(f"\nno tool is named '{argv[0]}'", file=sys.stderr)
         return 2
     package, _ = TOOLS[argv[0]]
+    if package == 'nodes':
+        _end_quietly_on_signals()
     # imported only now: a tool must not wait for, or fail with, what only another one needs
     try:
         tool = import_module(f'mems_ins_fusion.{package}.{argv[0]}')

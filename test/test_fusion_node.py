@@ -230,6 +230,18 @@ def test_a_signal_ends_it_cleanly(signals):
     assert not any('Traceback' in line or 'Error' in line for line in node.lines)
 
 
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_the_filter_is_compiled_ends_it_cleanly(number, tmp_path, monkeypatch):
+    # given a machine on which nothing has been compiled yet
+    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))
+    with NodeProcess('fusion_node') as node:
+        node.wait_for('compiling the filter')
+        node.says('ready', 1.5)  # in the middle of it
+        node.send(number)
+        assert node.wait() == 0
+    assert not any(word in line for line in node.lines for word in ('Traceback', 'Error', 'ignored', 'ready'))
+
+
 def test_a_refused_parameter_is_one_line_and_status_2():
     with NodeProcess('fusion_node', '-p', 'sensor_error_modell:=random_walk') as node:
         assert node.wait() == 2

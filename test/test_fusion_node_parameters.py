@@ -11,7 +11,8 @@ import ros_support  # noqa: F401  a ROS domain for the tests
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 
-from mems_ins_fusion.nodes import fusion_node
+from mems_ins_fusion.nodes import fusion_node, replay_node
+from mems_ins_fusion.nodes.output import Output
 from mems_ins_fusion.nodes.ros_parameters import describe
 from mems_ins_fusion.parameters import table
 
@@ -84,6 +85,36 @@ def test_transforms_without_tf2_msgs_are_refused(refusal, monkeypatch):
     assert said == "parameter 'publish_tf' needs the ROS package tf2_msgs, which is not installed"
 
 
+@pytest.mark.parametrize('arguments, said', [
+    (['gnss_topic:=/imu/data'], "parameters 'imu_topic' and 'gnss_topic' are the same topic, /imu/data"),
+    (['fix_topic:=imu/data'], "parameters 'imu_topic' and 'fix_topic' are the same topic, /imu/data"),
+    (['odometry_topic:=""'], "parameter 'odometry_topic' must name a topic, got ''"),
+    (['frame_id:=base_link'], "parameters 'frame_id' and 'child_frame_id' are the same frame, 'base_link'"),
+    (['frames:=map_odom', 'map_frame_id:=odom'],
+     "parameters 'frame_id' and 'map_frame_id' are the same frame, 'odom'"),
+    (['child_frame_id:=/car'], "parameter 'child_frame_id' must be a frame without a slash in front, got '/car'"),
+    (['datum:=[95.0, 11.0, 0.0]'], "parameter 'datum' must be a place on earth"),
+    (['start_pose:=[48.0, 200.0, 0.0, 0.0]'], "parameter 'start_pose' must be a place on earth"),
+    (['predict_to_now:=true'], "parameter 'predict_to_now' needs an 'odometry_rate' above 0"),
+    (['state_file:=/absent/state.json'], "parameter 'state_file': there is no folder /absent"),
+    (['mounting_from_tf:=true'], "parameter 'mounting_from_tf' needs the ROS package tf2_ros"),
+])
+def test_parameters_that_contradict_each_other_are_refused_before_anything_takes_time(refusal, monkeypatch, arguments,
+                                                                                      said):
+    monkeypatch.setitem(sys.modules, 'tf2_ros', None)
+    monkeypatch.setattr(fusion_node, 'load', lambda *_: pytest.fail('compiled'))
+    assert refusal('--ros-args', *(part for argument in arguments for part in ('-p', argument))).startswith(said)
+
+
+@pytest.mark.parametrize('node', [fusion_node, replay_node])
+def test_help_names_every_parameter_with_default_and_unit(node, capsys):
+    assert node.main(['--help']) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith(f'usage: ros2 run mems_ins_fusion {node.NAME}')
+    assert '  gnss.max_delay = 1.0 s' in lines
+    assert ('  odometry_rate = 0.0 Hz' in lines) == (node is fusion_node)
+
+
 def test_whole_numbers_other_tools_names_and_sections_by_pattern_are_accepted(refusal, tmp_path, monkeypatch):
     # given all that is fine, and one thing that is found missing only after the parameters were taken
     monkeypatch.setitem(sys.modules, 'tf2_msgs', None)
@@ -123,7 +154,7 @@ class Estimate:
 def test_a_filled_message_survives_serialization_with_every_field_in_its_place():
     # given a message filled twice, as the node refills it
     estimate = Estimate()
-    output = fusion_node.Output(estimate, 'map', 'car')
+    output = Output(estimate, 'map', 'car')
     output.fill(1)
     estimate.odometry += 1000.0
     output.fill(1_700_000_000_123_456_789)
@@ -147,7 +178,7 @@ def test_the_transform_is_the_pose(monkeypatch):
     monkeypatch.setitem(sys.modules, 'tf2_msgs', types.ModuleType('tf2_msgs'))
     monkeypatch.setitem(sys.modules, 'tf2_msgs.msg', message)
     estimate = Estimate()
-    output = fusion_node.Output(estimate, 'map', 'car')
+    output = Output(estimate, 'map', 'car')
     transform, = output.add_transform()
     output.fill(5 * 10**9)
     assert (transform.header.frame_id, transform.child_frame_id, transform.header.stamp.sec) == ('map', 'car', 5)

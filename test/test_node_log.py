@@ -1,7 +1,7 @@
 """The parts of the nodes that need no ROS: what is logged, and when a topic counts as silent."""
 import pytest
 
-from mems_ins_fusion.nodes.log import Throttle, Watch
+from mems_ins_fusion.nodes.log import StateLog, Throttle, Watch
 
 
 class Clock:
@@ -61,3 +61,26 @@ def test_a_topic_that_speaks_is_never_silent(clock):
         clock.now = 100.0 + second
         watch.count += second % 2
         assert watch.check() is None
+
+
+def test_a_watch_tells_the_rate_since_it_was_asked_last(clock):
+    watch = Watch(patience=3.0, clock=clock)
+    watch.count, clock.now = 250, 102.5
+    assert watch.rate() == 100.0
+    clock.now = 103.5
+    assert watch.rate() == 0.0
+
+
+def test_a_state_that_lasts_is_said_again_but_for_the_good_one(clock):
+    log, said = StateLog(period=30.0, clock=clock), {}
+    for second in range(200):
+        clock.now = 100.0 + second
+        state = 'waiting' if second < 70 else 'fusing'
+        lasted, line = log.look(state, 'waiting for a fix on /gps/fix' if state == 'waiting' else 'running')
+        if line:
+            said[second] = line
+    assert lasted == 129.0
+    assert said == {0: 'state: waiting (waiting for a fix on /gps/fix)',
+                    30: 'state: still waiting, for 30 s (waiting for a fix on /gps/fix)',
+                    60: 'state: still waiting, for 60 s (waiting for a fix on /gps/fix)',
+                    70: 'state: fusing after waiting for 70 s (running)'}

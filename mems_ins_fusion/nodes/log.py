@@ -46,6 +46,12 @@ class Watch:
         self._seen = 0
         self._silent = False
         self._restart(clock())
+        self._measured = clock(), 0
+
+    def rate(self) -> float:
+        """Messages per second since the last call."""
+        (then, count), self._measured = self._measured, (self._clock(), self.count)
+        return (self.count - count) / max(self._measured[0] - then, 1e-9)
 
     def check(self) -> tuple[bool, float] | None:
         """(True, seconds of silence) when that is to be said, (False, seconds) when it ended, else None."""
@@ -65,3 +71,26 @@ class Watch:
     def _restart(self, now):
         self._since = now
         self._due = now + self._patience
+
+
+class StateLog:
+    """Says that a state began, and says it again every `period` seconds while it lasts, but for `quiet` states."""
+
+    def __init__(self, period: float = 30.0, quiet: tuple[str, ...] = ('fusing',),
+                 clock: Callable[[], float] = time.monotonic):
+        self._period, self._quiet, self._clock = period, quiet, clock
+        self._state: str | None = None
+        self._since = self._said = clock()
+
+    def look(self, state: str, status: str) -> tuple[float, str | None]:
+        """Seconds that `state` has lasted, and the line to log, with more words on it (`status`), or None."""
+        now = self._clock()
+        if state != self._state:
+            before = f' after {self._state} for {now - self._since:.0f} s' if self._state else ''
+            self._state, self._since, self._said = state, now, now
+            return 0.0, f'state: {state}{before} ({status})'
+        lasted = now - self._since
+        if state in self._quiet or now - self._said < self._period:
+            return lasted, None
+        self._said = now
+        return lasted, f'state: still {state}, for {lasted:.0f} s ({status})'

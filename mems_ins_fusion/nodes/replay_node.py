@@ -20,7 +20,7 @@ _INTERRUPTED = 130  # exit status, as shells have it
 class ReplayNode(Node):
     """The parameters of one replay; `argv` names its params files. Raises ParameterError for wrong parameters."""
 
-    def __init__(self, argv: list[str]):
+    def __init__(self, argv: list[str], stop: Stop):
         super().__init__(NAME)
         self._values = declare(self, argv, (*FILTER, *REPLAY))
         for name in ('bag', 'output_dir'):
@@ -31,6 +31,7 @@ class ReplayNode(Node):
         """Replay and print what came out; the exit status."""
         from ..reports.replay import replay_recordings
 
+        stop.interrupts = True
         try:
             with _Bar(stop) as bar:
                 result = replay_recordings(self._values, bar)
@@ -41,6 +42,7 @@ class ReplayNode(Node):
         except KeyboardInterrupt:
             print(f'{NAME}: interrupted, nothing was written', file=sys.stderr)
             return _INTERRUPTED
+        stop.interrupts = False
         if self._values['publish']:
             self._publish(result, stop)
         return 0
@@ -51,7 +53,6 @@ class ReplayNode(Node):
         from ..reports.trajectories import odometry_of
         from .playback import play
 
-        stop.interrupts = False  # an exception in the middle of an rclpy call leaves a traceback
         for comparison in result.comparisons.values():
             datum, interval = origin(comparison, self._values), comparison.intervals[0]
             tracks = {m: odometry_of(comparison.recording, comparison.run_of(m, interval), datum)
@@ -102,4 +103,4 @@ class _Bar:
 
 def main(argv: list[str]) -> int:
     """Replay what the parameters in `argv` ask for; the exit status."""
-    return run(NAME, ReplayNode, argv, ReplayNode.replay)
+    return run(NAME, ReplayNode, argv, ReplayNode.replay, (FILTER, REPLAY))

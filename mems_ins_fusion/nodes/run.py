@@ -4,6 +4,7 @@ from __future__ import annotations
 import re
 import signal
 import sys
+import textwrap
 from collections.abc import Callable
 
 import rclpy
@@ -16,8 +17,8 @@ from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from ..parameters.parameter import ParameterError
-from ..parameters.params_file import load_yaml
+from ..parameters.parameter import Parameter, ParameterError
+from ..parameters.params_file import load_yaml, yaml_value
 from .ros_parameters import params_files
 
 #: what a user got wrong, as opposed to a defect of the program
@@ -27,13 +28,14 @@ _USER_ERRORS = (ValueError, ParameterException, NameValidationException, Invalid
 class Stop:
     """SIGINT and SIGTERM as a request: `requested` says that one came.
 
-    While `interrupts`, the first one also raises KeyboardInterrupt. Further ones do nothing: ros2 launch and impatient
-    users send several, and an exception in the middle of a shutdown, or of an rclpy call, leaves a traceback.
+    While `interrupts`, the first one also raises KeyboardInterrupt: only in plain Python, since an exception in the
+    middle of an rclpy call, of the compiler or of a shutdown leaves a traceback or worse. Further ones do nothing:
+    ros2 launch and impatient users send several.
     """
 
     def __init__(self):
         self.requested = False
-        self.interrupts = True
+        self.interrupts = False
         signal.signal(signal.SIGINT, self._handle)
         signal.signal(signal.SIGTERM, self._handle)
 
@@ -45,30 +47,32 @@ class Stop:
 
 def spin(node: Node, stop: Stop) -> None:
     """Serve the callbacks of `node` until `stop` is requested; a steady timer of the node must wake it now and then."""
-    stop.interrupts = False
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     while not stop.requested:
         executor.spin_once()
 
 
-def run(name: str, make_node: Callable[[list[str]], Node], argv: list[str],
-        work: Callable[[Node, Stop], int | None] = spin) -> int:
-    """Make the node with `make_node(argv)` and let `work(node, stop)` run; the exit status.
+def run(name: str, make_node: Callable[[list[str], Stop], Node], argv: list[str],
+        work: Callable[[Node, Stop], int | None], tables: tuple[tuple[Parameter, ...], ...]) -> int:
+    """Make the node with `make_node(argv, stop)` and let `work(node, stop)` run; the exit status.
 
-    0 after a signal, that of `work` (None is 0) where it returns by itself, 2 with one line on stderr where `argv`
-    or the parameters are wrong.
+    tables: the node's parameters, for --help. 0 after a signal, that of `work` (None is 0) where it returns by itself,
+    2 with one line on stderr where `argv` or the parameters are wrong.
     """
+    if {'-h', '--help'} & set(argv):
+        print(usage(name, tables))
+        return 0
     stop = Stop()
     node = None
     try:
         try:
             _initialize(name, argv)
-            node = make_node(argv)
+            node = make_node(argv, stop)
         except _USER_ERRORS as error:
             print(f'{name}: {_one_line(error)}', file=sys.stderr)
             return 2
-        return work(node, stop) or 0
+        return 0 if stop.requested else work(node, stop) or 0
     except KeyboardInterrupt:
         return 0
     finally:
@@ -76,6 +80,19 @@ def run(name: str, make_node: Callable[[list[str]], Node], argv: list[str],
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+
+
+def usage(name: str, tables: tuple[tuple[Parameter, ...], ...]) -> str:
+    """How the node `name` is started, and its parameters with unit, default and meaning."""
+    lines = [f'usage: ros2 run mems_ins_fusion {name} [--ros-args [--params-file FILE] [-p NAME:=VALUE] ...]', '',
+             'parameters:']
+    for parameter in (p for table in tables for p in table):
+        unit = '' if parameter.unit in ('text', '-') else f' {parameter.unit}'
+        lines.append(f'  {parameter.name} = {yaml_value(parameter.default)}{unit}')
+        choices = f" ({', '.join(parameter.choices)})" if parameter.choices else ''
+        lines += textwrap.wrap(parameter.description + choices, 110, initial_indent=' ' * 6,
+                               subsequent_indent=' ' * 6)
+    return '\n'.join(lines)
 
 
 def _initialize(name, argv):

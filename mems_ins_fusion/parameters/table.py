@@ -164,9 +164,32 @@ FUSION = (
     Parameter('fix_topic', '/fix/fused', 'text', 'Topic of the fused position as sensor_msgs/NavSatFix.'),
     Parameter('odometry_rate', 0.0, 'Hz', 'Rate of the odometry; 0: one for each IMU sample.',
               minimum=0.0, maximum=2000.0),
-    Parameter('frame_id', 'odom', 'text', 'Frame of the pose: east-north-up at the datum.'),
+    Parameter('predict_to_now', False, '-', 'Publish at odometry_rate by the clock, whenever samples come, predicted '
+              'to that moment; false: when a sample comes, with its stamp.'),
+    Parameter('frames', 'single', 'text', 'single: the odometry is the best estimate, in frame_id, and jumps a little '
+              'with each fix. map_odom (REP 105): the odometry in frame_id never jumps, and map_frame_id -> frame_id '
+              'takes up what fixes correct; the best estimate is on pose_topic.', choices=('single', 'map_odom')),
+    Parameter('frame_id', 'odom', 'text', 'Frame of the odometry\'s pose: east-north-up at the datum.'),
     Parameter('child_frame_id', 'base_link', 'text', 'Frame of the twist: forward-left-up.'),
-    Parameter('publish_tf', False, '-', 'Broadcast frame_id -> child_frame_id on /tf (needs tf2_msgs).'),
+    Parameter('map_frame_id', 'map', 'text', 'With frames map_odom: frame of the best estimate, east-north-up at the '
+              'datum.'),
+    Parameter('pose_topic', '/pose/fused', 'text', 'With frames map_odom: topic of the best estimate in map_frame_id, '
+              'geometry_msgs/PoseWithCovarianceStamped.'),
+    Parameter('publish_tf', False, '-', 'Broadcast frame_id -> child_frame_id on /tf, and with frames map_odom '
+              'map_frame_id -> frame_id (needs tf2_msgs).'),
+    Parameter('mounting_from_tf', False, '-', 'Take imu.mounting_rpy from tf: the rotation from the frame of the Imu '
+              'messages to child_frame_id (needs tf2_ros).'),
+    Parameter('initial_pose_topic', '/initialpose', 'text', 'Topic of a start pose, '
+              'geometry_msgs/PoseWithCovarianceStamped as RViz sends it; empty: none.'),
+    Parameter('start_pose', [], 'deg, deg, m, rad', 'Latitude, longitude, height and heading (clockwise from north) of '
+              'the vehicle at rest when the node starts; empty: what the fixes show.', lengths=(0, 4)),
+    Parameter('start_pose_sigma', [5.0, 0.1], 'm, rad', 'Standard deviation of the start pose: position, heading.',
+              lengths=(2,), positive=True),
+    Parameter('state_file', '', 'text', 'File in which position, heading and sensor errors are kept for the next '
+              'start; empty: none.'),
+    Parameter('state_file_max_age', 86400.0, 's', 'An older state file is not used.', positive=True),
+    Parameter('state_file_max_distance', 20.0, 'm', 'Nor is one whose position is further from the first fix.',
+              positive=True),
 )
 
 #: replay_node's own

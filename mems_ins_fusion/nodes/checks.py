@@ -1,0 +1,59 @@
+"""What must fit together in a node's parameters, each with one line that says what does not."""
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.validate_topic_name import validate_topic_name
+
+from ..parameters.parameter import ParameterError
+
+#: parameters that name a topic the node listens to, and those it speaks on
+INPUTS = ('imu_topic', 'gnss_topic', 'temperature_topic', 'speed_topic', 'velocity_topic', 'heading_topic',
+          'initial_pose_topic')
+OUTPUTS = ('odometry_topic', 'fix_topic', 'pose_topic')
+
+
+def check_together(values: dict, resolve: Callable[[str], str]) -> None:
+    """ParameterError where `values` contradict each other. resolve: a topic's full name, with remappings."""
+    _check_topics(values, resolve)
+    _check_frames(values)
+    _check_datum('datum', values['datum'])
+    _check_datum('start_pose', values['start_pose'])
+    if values['predict_to_now'] and not values['odometry_rate']:
+        raise ParameterError("parameter 'predict_to_now' needs an 'odometry_rate' above 0, at which to publish")
+
+
+def _check_topics(values, resolve):
+    purposes: dict[str, str] = {}
+    for name in (*INPUTS, *OUTPUTS):
+        if not values.get(name):
+            if name in ('imu_topic', 'gnss_topic', 'odometry_topic', 'fix_topic', 'pose_topic'):
+                raise ParameterError(f"parameter '{name}' must name a topic, got ''")
+            continue
+        try:
+            validate_topic_name(values[name])
+        except InvalidTopicNameException as error:
+            raise ParameterError(f"parameter '{name}': {' '.join(str(error).split())}") from None
+        topic = resolve(values[name])
+        if topic in purposes:
+            raise ParameterError(f"parameters '{purposes[topic]}' and '{name}' are the same topic, {topic}")
+        purposes[topic] = name
+
+
+def _check_frames(values):
+    names = ['frame_id', 'child_frame_id', *(['map_frame_id'] if values['frames'] == 'map_odom' else [])]
+    frames: dict[str, str] = {}
+    for name in names:
+        frame = values[name]
+        if not frame or frame.startswith('/'):
+            raise ParameterError(f"parameter '{name}' must be a frame without a slash in front, got '{frame}'")
+        if frame in frames:
+            raise ParameterError(f"parameters '{frames[frame]}' and '{name}' are the same frame, '{frame}'")
+        frames[frame] = name
+
+
+def _check_datum(name, place):
+    if place and not (abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0 and abs(place[2]) < 1e5):
+        raise ParameterError(f"parameter '{name}' must be a place on earth: latitude -90 to 90 deg, longitude -180 to "
+                             f'180 deg, height in m; got {place}')

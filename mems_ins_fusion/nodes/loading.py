@@ -1,0 +1,68 @@
+"""The filter's compiled functions, loaded before the first message; compiled in a child process where they are not yet.
+
+A signal that interrupts the compiler in this process may be swallowed, end in a traceback or crash it. A child process
+can be ended at any moment, and what it has compiled is found in the cache.
+"""
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+
+from ..compiled import FOLDER
+from ..filter.config import FilterConfig
+from ..filter.odometry import ORIENTATION, POSE_COVARIANCE
+from ..parameters import table
+from .live_filter import LiveFilter
+from .output import Prediction, SmoothFrame
+from .run import Stop
+
+#: in the cache's folder: everything has been compiled
+_MARK = 'fusion_node.compiled'
+
+
+def load(fusion: LiveFilter, stop: Stop) -> None:
+    """Load what `fusion` and the node's outputs need compiled. KeyboardInterrupt when `stop` is requested meanwhile."""
+    mark = FOLDER / _MARK
+    kept = _is_writable(mark.parent)
+    if kept and not mark.exists():
+        _compile_in_child(stop)
+    _warm_up(fusion)
+    if kept:
+        mark.touch()
+
+
+def _is_writable(folder):
+    """Whether what a child compiles can be found again."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK)
+
+
+def _compile_in_child(stop):
+    child = subprocess.Popen([sys.executable, '-m', __name__], start_new_session=True)
+    try:
+        while child.poll() is None:
+            if stop.requested:
+                raise KeyboardInterrupt
+            time.sleep(0.05)
+    finally:
+        child.kill()
+        child.wait()
+
+
+def _warm_up(fusion):
+    fusion.warm_up()
+    estimate = LiveFilter(fusion.config)
+    estimate.odometry[ORIENTATION:POSE_COVARIANCE] = 0.0, 0.0, 0.0, 1.0
+    smooth = SmoothFrame(estimate)
+    smooth.advance(0)
+    smooth.advance(10_000_000)
+    Prediction(estimate).advance(0.01)
+
+
+if __name__ == '__main__':
+    _warm_up(LiveFilter(FilterConfig.from_parameters(table.defaults())))

@@ -1,0 +1,216 @@
+"""From the filter's newest estimate to messages: which frame it is in, to which time it is predicted, how it is sent.
+
+An estimate is anything with the arrays `odometry` (85,), `geodetic` (3,) and `position_covariance_enu` (9,) as
+`FusionFilter.update_odometry` fills them. Estimates stand in a row, each made from the one before it: the filter, its
+smooth frame where wanted, its prediction to now where wanted, the messages.
+"""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import NavSatFix, NavSatStatus
+
+from ..filter.odometry import (
+    ANGULAR,
+    LINEAR,
+    ORIENTATION,
+    POSE_COVARIANCE,
+    POSITION,
+    SIZE,
+    TWIST_COVARIANCE,
+)
+from ..navigation.frames import rotation_from_rpy, yaw_of_quaternion
+from ..navigation.strapdown import from_rotation_vector, matrix, multiply
+from ..parameters.parameter import ParameterError
+
+_SECOND = 10**9  # ns
+#: the smooth frame's roll and pitch follow the filter's with this time constant, s
+LEVEL_TIME = 2.0
+#: a longer step between two estimates is not integrated, s
+LONGEST_STEP = 1.0
+_EARTH = 6.37e6  # m, good enough for the way of a few milliseconds
+
+
+def tf_message():
+    """The class tf2_msgs/TFMessage; ParameterError where tf2_msgs is not installed."""
+    try:
+        from tf2_msgs.msg import TFMessage
+    except ImportError:
+        raise ParameterError("parameter 'publish_tf' needs the ROS package tf2_msgs, which is not installed") from None
+    return TFMessage
+
+
+class SmoothFrame:
+    """The pose in a frame in which it never jumps (REP-105's odom): velocity and angular rate of `source`, integrated.
+
+    What fixes correct appears in `frame`, the pose (x, y, z, q_x, q_y, q_z, q_w) of this frame in that of `source`. At
+    the first estimate both are the same. Roll and pitch follow those of `source` slowly, so that the frame stays level.
+    The covariance is that of `source` and the square of how far this frame has drifted from it.
+    """
+
+    def __init__(self, source):
+        self._source = source
+        self.odometry = np.zeros(SIZE)
+        self.geodetic, self.position_covariance_enu = source.geodetic, source.position_covariance_enu
+        self.frame = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+        self._stamp = None
+        self._position, self._q = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+
+    def advance(self, stamp: int) -> None:
+        """Take over the newest estimate of `source`, of time `stamp` (ns)."""
+        east, north, up, q_x, q_y, q_z, q_w = self._source.odometry[POSITION:POSE_COVARIANCE].tolist()
+        position, q = (east, north, up), (q_w, q_x, q_y, q_z)
+        if self._stamp is None:
+            self._position, self._q = position, q
+        else:
+            dt = (stamp - self._stamp) * 1e-9
+            self._move(q, dt if 0.0 < dt <= LONGEST_STEP else 0.0)
+        self._stamp = stamp
+        turned = multiply(q, _inverse(self._q))
+        moved = _rotate(matrix(turned), self._position)
+        self.frame = (*(a - b for a, b in zip(position, moved)), *turned[1:], turned[0])
+        out = self.odometry
+        out[:] = self._source.odometry
+        out[POSITION:ORIENTATION] = self._position
+        out[ORIENTATION:POSE_COVARIANCE] = (*self._q[1:], self._q[0])
+        self._covariance(turned, position)
+
+    def _move(self, level, dt):
+        v, w = self._source.odometry[LINEAR:ANGULAR].tolist(), self._source.odometry[ANGULAR:TWIST_COVARIANCE].tolist()
+        half = multiply(self._q, from_rotation_vector(*(0.5 * dt * rate for rate in w)))
+        step = _rotate(matrix(half), v)
+        self._position = tuple(p + dt * s for p, s in zip(self._position, step))
+        q = multiply(self._q, from_rotation_vector(*(dt * rate for rate in w)))
+        up, wanted = matrix(q)[6:], matrix(level)[6:]  # what is up, in base_link
+        gain = min(1.0, dt / LEVEL_TIME)
+        tilt = (gain * (wanted[1] * up[2] - wanted[2] * up[1]), gain * (wanted[2] * up[0] - wanted[0] * up[2]),
+                gain * (wanted[0] * up[1] - wanted[1] * up[0]))
+        q = multiply(q, from_rotation_vector(*tilt))
+        norm = math.sqrt(sum(part * part for part in q))
+        self._q = tuple(part / norm for part in q)
+
+    def _covariance(self, turned, position):
+        yaw = yaw_of_quaternion(*turned[1:], turned[0])
+        back = np.kron(np.eye(2), rotation_from_rpy(0.0, 0.0, -yaw))
+        drift = np.array([*(a - b for a, b in zip(self._position, position)), 0.0, 0.0, yaw])
+        p = self._source.odometry[POSE_COVARIANCE:LINEAR].reshape(6, 6)
+        self.odometry[POSE_COVARIANCE:LINEAR] = (back @ p @ back.T + np.outer(drift, drift)).ravel()
+
+
+class Prediction:
+    """`source` moved on by its velocity and angular rate, as they are, with the covariance that this adds."""
+
+    def __init__(self, source):
+        self._source = source
+        self.odometry, self.geodetic, self.position_covariance_enu = np.zeros(SIZE), np.zeros(3), np.zeros(9)
+
+    def advance(self, dt: float) -> None:
+        """Take over the newest estimate of `source`, `dt` s later."""
+        out, source = self.odometry, self._source
+        out[:] = source.odometry
+        x, y, z, w = out[ORIENTATION:POSE_COVARIANCE].tolist()
+        rate = out[ANGULAR:TWIST_COVARIANCE].tolist()
+        c = np.array(matrix((w, x, y, z))).reshape(3, 3)
+        step = dt * c @ out[LINEAR:ANGULAR]
+        out[POSITION:ORIENTATION] += step
+        q = multiply((w, x, y, z), from_rotation_vector(*(dt * r for r in rate)))
+        out[ORIENTATION:POSE_COVARIANCE] = (*q[1:], q[0])
+        jacobian = dt * np.kron(np.eye(2), c)
+        added = jacobian @ out[TWIST_COVARIANCE:SIZE].reshape(6, 6) @ jacobian.T
+        out[POSE_COVARIANCE:LINEAR] += added.ravel()
+        self.position_covariance_enu[:] = source.position_covariance_enu + added[:3, :3].ravel()
+        latitude, longitude, height = source.geodetic.tolist()
+        self.geodetic[:] = (latitude + step[1] / _EARTH, longitude + step[0] / (_EARTH * math.cos(latitude)),
+                            height + step[2])
+
+
+def _inverse(q):
+    return q[0], -q[1], -q[2], -q[3]
+
+
+def _rotate(c, v):
+    return (c[0] * v[0] + c[1] * v[1] + c[2] * v[2], c[3] * v[0] + c[4] * v[1] + c[5] * v[2],
+            c[6] * v[0] + c[7] * v[1] + c[8] * v[2])
+
+
+class Output:
+    """The messages a node publishes, each made once and refilled: a fresh one costs ten times as much."""
+
+    def __init__(self, estimate, frame_id: str, child_frame_id: str):
+        self.odometry = Odometry(child_frame_id=child_frame_id)
+        self.odometry.header.frame_id = frame_id
+        self.fix = NavSatFix(position_covariance_type=NavSatFix.COVARIANCE_TYPE_KNOWN)
+        self.fix.header.frame_id = child_frame_id
+        self.fix.status.status = NavSatStatus.STATUS_FIX
+        self.fix.status.service = NavSatStatus.SERVICE_GPS
+        self._stamps = [self.odometry.header.stamp, self.fix.header.stamp]
+        self._positions = [self.odometry.pose.pose.position]
+        self._orientations = [self.odometry.pose.pose.orientation]
+        self._linear = self.odometry.twist.twist.linear
+        self._angular = self.odometry.twist.twist.angular
+        # views: the estimate's arrays on the one side, the messages' on the other
+        state = estimate.odometry
+        self._pose, self._twist = state[POSITION:POSE_COVARIANCE], state[LINEAR:TWIST_COVARIANCE]
+        self._geodetic = estimate.geodetic
+        self._covariances = [(self.odometry.pose.covariance, state[POSE_COVARIANCE:LINEAR]),
+                             (self.odometry.twist.covariance, state[TWIST_COVARIANCE:SIZE]),
+                             (self.fix.position_covariance, estimate.position_covariance_enu)]
+
+    def add_transform(self):
+        """A tf2_msgs/TFMessage that is filled from now on, too; ParameterError where tf2_msgs is not installed."""
+        transform = TransformStamped(child_frame_id=self.odometry.child_frame_id)
+        transform.header.frame_id = self.odometry.header.frame_id
+        self._stamps.append(transform.header.stamp)
+        self._positions.append(transform.transform.translation)
+        self._orientations.append(transform.transform.rotation)
+        return tf_message()(transforms=[transform])
+
+    def fill(self, stamp: int) -> None:
+        """Take over the newest estimate, of time `stamp` (ns)."""
+        seconds, nanoseconds = divmod(stamp, _SECOND)
+        for target in self._stamps:
+            target.sec, target.nanosec = seconds, nanoseconds
+        east, north, up, x, y, z, w = self._pose.tolist()
+        for target in self._positions:
+            target.x, target.y, target.z = east, north, up
+        for target in self._orientations:
+            target.x, target.y, target.z, target.w = x, y, z, w
+        linear, angular = self._linear, self._angular
+        linear.x, linear.y, linear.z, angular.x, angular.y, angular.z = self._twist.tolist()
+        latitude, longitude, self.fix.altitude = self._geodetic.tolist()
+        self.fix.latitude, self.fix.longitude = math.degrees(latitude), math.degrees(longitude)
+        for target, source in self._covariances:
+            target[:] = source
+
+
+class MapOutput:
+    """What the smooth frame leaves over: its own pose in the map, and the vehicle's, each message made once."""
+
+    def __init__(self, estimate, smooth: SmoothFrame, map_frame_id: str, frame_id: str):
+        self._smooth = smooth
+        self.pose = PoseWithCovarianceStamped()
+        self.pose.header.frame_id = map_frame_id
+        self._state = estimate.odometry
+        self._transform = TransformStamped(child_frame_id=frame_id)
+        self._transform.header.frame_id = map_frame_id
+        self._stamps = [self.pose.header.stamp, self._transform.header.stamp]
+
+    def transform(self):
+        """The tf2_msgs/TFMessage that is filled from now on."""
+        return tf_message()(transforms=[self._transform])
+
+    def fill(self, stamp: int) -> None:
+        """Take over the newest estimate, of time `stamp` (ns)."""
+        seconds, nanoseconds = divmod(stamp, _SECOND)
+        for target in self._stamps:
+            target.sec, target.nanosec = seconds, nanoseconds
+        pose, transform = self.pose.pose.pose, self._transform.transform
+        for (x, y, z, *q), position, orientation in (
+                (self._state[POSITION:POSE_COVARIANCE].tolist(), pose.position, pose.orientation),
+                (self._smooth.frame, transform.translation, transform.rotation)):
+            position.x, position.y, position.z = x, y, z
+            orientation.x, orientation.y, orientation.z, orientation.w = q
+        self.pose.pose.covariance[:] = self._state[POSE_COVARIANCE:LINEAR]

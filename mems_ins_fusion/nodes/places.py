@@ -1,0 +1,91 @@
+"""Places from outside and to outside: start pose, datum, and latitude and longitude in the local frame."""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from rclpy.node import Node
+
+from ..navigation.earth import from_local, to_local
+from ..navigation.frames import yaw_from_enu, yaw_of_quaternion
+
+
+def start_from_parameters(values: dict) -> tuple:
+    """Arguments of the filter's `set_start` of the parameters start_pose and start_pose_sigma."""
+    latitude, longitude, height, yaw = values['start_pose']
+    position, heading = values['start_pose_sigma']
+    return (math.radians(latitude), math.radians(longitude), height, yaw,
+            np.diag([position**2, position**2, position**2, heading**2]))
+
+
+def start_from_pose(message, datum, frame_id: str) -> tuple:
+    """Arguments of `set_start` of a PoseWithCovarianceStamped in the frame east-north-up at `datum` (rad, rad, m).
+
+    Raises ValueError with what is wrong with it.
+    """
+    frame = message.header.frame_id
+    if frame != frame_id:
+        raise ValueError(f"header.frame_id '{frame}' is not '{frame_id}'")
+    if datum is None:
+        raise ValueError("there is no datum yet: set the parameter 'datum', or wait for the first fix")
+    position, q = message.pose.pose.position, message.pose.pose.orientation
+    covariance = np.reshape(message.pose.covariance, (6, 6))[np.ix_([1, 0, 2, 5], [1, 0, 2, 5])]
+    sign = np.diag([1.0, 1.0, -1.0, -1.0])
+    numbers = np.array([position.x, position.y, position.z, q.x, q.y, q.z, q.w, *covariance.ravel()])
+    if not np.isfinite(numbers).all() or not any((q.x, q.y, q.z, q.w)):
+        raise ValueError('pose or covariance is not finite, or its orientation is all zeros')
+    if min(covariance[0, 0], covariance[1, 1], covariance[3, 3]) <= 0.0:
+        raise ValueError(f'covariance of x, y, yaw must be above 0, got {covariance[1, 1]:g}, {covariance[0, 0]:g}, '
+                         f'{covariance[3, 3]:g}')
+    # a two-dimensional tool says nothing of the height
+    height_variance = covariance[2, 2] if covariance[2, 2] > 0.0 else 100.0
+    covariance[2, 2] = height_variance
+    place = from_local(position.y, position.x, -position.z, datum)
+    yaw = float(yaw_from_enu(yaw_of_quaternion(q.x, q.y, q.z, q.w)))
+    return (*place, yaw, sign @ covariance @ sign)
+
+
+class GeographicServices:
+    """fromLL, toLL and datum as robot_localization's navsat_transform_node has them, for Nav2 and mapviz."""
+
+    def __init__(self, node: Node, fusion, set_datum):
+        from robot_localization.srv import FromLL, SetDatum, ToLL
+
+        self._fusion, self._set_datum = fusion, set_datum
+        node.create_service(FromLL, 'fromLL', self.from_ll)
+        node.create_service(ToLL, 'toLL', self.to_ll)
+        node.create_service(SetDatum, 'datum', self.datum)
+
+    def from_ll(self, request, response):
+        """Latitude, longitude (deg) and altitude to a point in the local frame; NaN while there is no datum."""
+        point, place = response.map_point, request.ll_point
+        point.x = point.y = point.z = math.nan
+        if self._fusion.datum is not None:
+            north, east, down = to_local(math.radians(place.latitude), math.radians(place.longitude), place.altitude,
+                                         self._fusion.datum)
+            point.x, point.y, point.z = float(east), float(north), float(-down)
+        return response
+
+    def to_ll(self, request, response):
+        """A point in the local frame to latitude, longitude (deg) and altitude; NaN while there is no datum."""
+        point, place = request.map_point, response.ll_point
+        place.latitude = place.longitude = place.altitude = math.nan
+        if self._fusion.datum is not None:
+            latitude, longitude, height = from_local(point.y, point.x, -point.z, self._fusion.datum)
+            place.latitude, place.longitude = math.degrees(latitude), math.degrees(longitude)
+            place.altitude = float(height)
+        return response
+
+    def datum(self, request, response):
+        """The local frame's origin from now on."""
+        place = request.geo_pose.position
+        self._set_datum(math.radians(place.latitude), math.radians(place.longitude), place.altitude)
+        return response
+
+
+def geographic_services(node: Node, fusion, set_datum) -> GeographicServices | None:
+    """The services where robot_localization and geographic_msgs are installed; None elsewhere."""
+    try:
+        return GeographicServices(node, fusion, set_datum)
+    except ImportError:
+        return None
