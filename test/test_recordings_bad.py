@@ -96,9 +96,17 @@ def test_a_topic_without_messages(tmp_path, plugin):
 
 
 @pytest.mark.parametrize('data', [b'\x00\x01\x00\x00', b'', b'\x00\x01\x00\x00' + b'\xff' * 400])
-def test_messages_that_cannot_be_decoded(tmp_path, data):
-    bag = write_bag(tmp_path / 'bag', [('/imu/data', IMU, START, imu(0)), ('/imu/data', IMU, START, data)])
-    assert f"topic '/imu/data' in {bag}: message 2 is not a valid {IMU}" in complaint(bag, gnss_topic=None)
+def test_a_message_that_cannot_be_decoded_loses_itself_and_no_more(tmp_path, data):
+    bag = write_bag(tmp_path / 'bag', [('/imu/data', IMU, START, imu(0)), ('/imu/data', IMU, START + 1, data),
+                                       ('/imu/data', IMU, START + 2, imu(2))])
+    with pytest.warns(RecordingWarning) as caught:
+        recording = read_recording(bag, '/imu/data')
+    assert recording.imu.specific_force[:, 0].tolist() == [1.0, 3.0]
+    assert recording.imu.received.tolist() == [START, START + 2]
+    assert f"{bag}: 1 messages on '/imu/data' are no valid {IMU}; readable: 2 messages" in str(caught[-1].message)
+    # when none can be decoded, then the recording is refused
+    bag = write_bag(tmp_path / 'none', [('/imu/data', IMU, START, data)])
+    assert f"1 messages on '/imu/data' are no valid {IMU}; of topic '/imu/data' nothing" in complaint(bag, gnss_topic=None)
 
 
 def long_drive(tmp_path, plugin):

@@ -3,11 +3,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 
+from mems_ins_fusion.guard import refuse
 from mems_ins_fusion.parameters import params_file, table
 
 DESCRIPTION = """\
@@ -22,8 +22,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         print(characterize(options))
     except ValueError as error:
-        print(f'characterize: {error}', file=sys.stderr)
-        return 2
+        return refuse('characterize', error)
     return 0
 
 

@@ -2,12 +2,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import replace
 
 import numpy as np
 
 from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.guard import refuse
 from mems_ins_fusion.parameters import params_file, table
 
 DESCRIPTION = """\
@@ -26,8 +26,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         print(simulate(options))
     except ValueError as error:
-        print(f'simulate: {error}', file=sys.stderr)
-        return 2
+        return refuse('simulate', error)
     return 0
 
 
