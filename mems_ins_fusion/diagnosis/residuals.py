@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..evaluation.comparison import thin
+from ..evaluation.comparison import samples_to_keep, thin
 from ..filter.alignment import transferred
+from ..filter.coasting import replay
 from ..filter.fusion import FilterConfig, Run, run
 from ..samples import ImuSamples, Recording
 
@@ -27,6 +28,8 @@ UPDATE_INTERVAL = 1.0
 #: the many runs of a diagnosis take IMU samples at no more than this rate, Hz, in a long recording at a lower one, but
 #: not below the other; errors are measured at the full rate
 FASTEST_RATE, SLOWEST_RATE, MANY_SAMPLES = 12.5, 5.0, 20_000
+#: samples among which the start is looked for to the sample, later only to a tenth of a second
+_ALIGNING = 100_000
 
 
 #: length of a block over which scores may go together, s
@@ -149,7 +152,8 @@ class Problem:
     def __init__(self, recording: Recording, values: dict, interval: float = UPDATE_INTERVAL):
         self.values = values
         self.config = FilterConfig.from_parameters(values)
-        first = run(self.config, recording.imu, recording.gnss)
+        keep = samples_to_keep(recording.imu, recording.imu.stamp[:_ALIGNING])
+        first = replay(self.config, recording.imu, recording.gnss, keep)
         if first.start is None:
             reason = first.notices[-1].text if first.notices else 'no fixes'
             raise DiagnosisError(f'{recording.name}: {reason}')
@@ -159,7 +163,7 @@ class Problem:
         seconds = max((recording.imu.stamp[-1] - recording.imu.stamp[0]) * 1e-9, 1.0)
         rate = float(np.clip(MANY_SAMPLES / seconds, SLOWEST_RATE, FASTEST_RATE))
         self.recording = replace(self.full, imu=averaged(recording.imu, rate))
-        self.start = run(self.config, self.recording.imu, self.recording.gnss).start
+        self.start = run(self.config, self.recording.imu, self.recording.gnss, states=False).start
         self.stamp = self.recording.gnss.stamp
         self.base = self.residual(values, self.recording)
         settled = self.stamp > began + round(SETTLING * 1e9)

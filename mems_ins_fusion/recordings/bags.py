@@ -1,7 +1,7 @@
 """Bags of every kind as one: topics, and the serialized messages in blocks.
 
 rosbag2 folders (mcap or sqlite3, split, compressed, with or without metadata.yaml), single .mcap and .db3 files, and
-ROS 1 .bag files, which rosbags reads and whose messages it converts to CDR.
+ROS 1 .bag files, whose messages rosbags converts to CDR.
 """
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from urllib.parse import quote
 
 from mems_ins_fusion.parameters.params_file import read_yaml
 from mems_ins_fusion.recordings.compression import ZSTD_MAGIC, decompress, decompress_file, zstd
-from mems_ins_fusion.recordings.errors import RecordingError, RecordingWarning, needs_rosbags
+from mems_ins_fusion.recordings.errors import RecordingError, RecordingWarning
 from mems_ins_fusion.recordings.mcap import McapFile
+from mems_ins_fusion.recordings.rosbag1 import Rosbag1File
 
 _BLOCK = 20_000  # messages handed on at once
 _LARGEST_CELL = 2**24  # bytes, of a database
@@ -220,52 +221,7 @@ def _missing_pages(path: Path) -> tuple[int, str | None]:
     return size - size % page_size, f'it breaks off at {size / 1e6:.3g} MB of {page_size * pages / 1e6:.3g} MB'
 
 
-class _Rosbag1File:
-    """One .bag file of ROS 1."""
-
-    damage = None
-
-    def __init__(self, path: Path):
-        with needs_rosbags(f'reading the ROS 1 bag {path}'):
-            from rosbags.highlevel import AnyReader
-            from rosbags.typesys import Stores, get_typestore
-        self.path = path
-        self._to_cdr = get_typestore(Stores.ROS2_JAZZY).ros1_to_cdr
-        self._reader = AnyReader([path])
-        try:
-            self._reader.open()
-        except Exception as error:  # rosbags raises its own errors, struct's and others on damaged files
-            raise RecordingError(f'{path} is not a ROS 1 bag, or it is damaged: {_one_line(error)}') from None
-        self.topics = {connection.topic: connection.msgtype for connection in self._reader.connections}
-
-    def close(self) -> None:
-        self._reader.close()
-
-    def counts(self) -> Counter:
-        counts: Counter = Counter()
-        for connection in self._reader.connections:
-            counts[connection.topic] += connection.msgcount
-        return counts
-
-    def read(self, topics):
-        connections = [connection for connection in self._reader.connections if connection.topic in topics]
-        total = sum(connection.msgcount for connection in connections) or 1
-        found, size, done = {topic: ([], []) for topic in topics}, 0, 0
-        try:
-            for connection, time, data in self._reader.messages(connections) if connections else ():
-                times, messages = found[connection.topic]
-                messages.append(bytes(self._to_cdr(data, connection.msgtype)))
-                times.append(time)
-                size, done = size + 1, done + 1
-                if size == _BLOCK:
-                    yield from ((topic, *block, done / total) for topic, block in found.items())
-                    found, size = {topic: ([], []) for topic in topics}, 0
-        except Exception as error:  # as above
-            self.damage = f'it is damaged after message {done} ({_one_line(error)})'
-        yield from ((topic, *block, 1.0) for topic, block in found.items())
-
-
-_STORAGES = {'.mcap': McapFile, '.db3': _Sqlite3File, '.bag': _Rosbag1File}
+_STORAGES = {'.mcap': McapFile, '.db3': _Sqlite3File, '.bag': Rosbag1File}
 
 
 def _storage_files(path: Path) -> list[Path]:

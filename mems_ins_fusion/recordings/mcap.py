@@ -135,6 +135,7 @@ class McapFile:
                     self._read_records(data, ((opcode, begin, stop),), counts, found)
                     pending += opcode == _MESSAGE
                 if pending >= _BLOCK:
+                    release(data, stop)
                     yield found, stop
                     found, pending = {channel: ([], []) for channel in wanted}, 0
             else:
@@ -201,6 +202,12 @@ class McapFile:
                     self._note(opcode, data[begin:stop])
             except _MALFORMED:
                 self.damage = self.damage or f'a record of it is damaged (kind {opcode}, {stop - begin} bytes)'
+
+
+def release(data: mmap.mmap, position: int) -> None:
+    """Let go of the memory that holds what was read before `position`: a mapped file counts as the process's own."""
+    if hasattr(mmap, 'MADV_DONTNEED'):
+        data.madvise(mmap.MADV_DONTNEED, 0, position - position % mmap.PAGESIZE or mmap.PAGESIZE)
 
 
 def _records(data, position, end):
