@@ -23,6 +23,7 @@ _AGAIN = 0.05  # s until a lost interruption is repeated
 def guarded(tool: str, argv: list[str], work: Callable[[], int | None]) -> int:
     """The exit status of `work`, or that of what stopped it, which is then said in one line on standard error."""
     interruption = _Interruption()
+    warnings.simplefilter('ignore', RuntimeWarning)  # NumPy on values that no sensor delivers
     warnings.formatwarning = lambda message, *_, **__: f'{tool}: {one_line(message)}\n'
     try:
         with interruption:

@@ -10,6 +10,13 @@ from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.guard import refuse
 from mems_ins_fusion.parameters import params_file, table
 
+#: what options may be: lowest, highest, unit
+_RANGES = {'duration': (0.1, 1e7, ' s'), 'rate': (1.0, 1e4, ' Hz'), 'gnss_rate': (1e-4, 1e3, ' Hz'),
+           'gnss_sigma': (0.0, 1e3, ' m'), 'gnss_latency': (0.0, 60.0, ' s'), 'reference_rate': (1e-3, 1e4, ' Hz'),
+           'standstill': (0.0, 1e7, ' s'), 'seed': (0, 2**63 - 1, '')}
+#: GB at the start, bytes for each sample
+_MEMORY = 0.3, 450.0
+
 DESCRIPTION = """\
 Write a rosbag2 of a simulated land vehicle: a standstill, then straights, bends, right-angle turns and stops at
 2-20 m/s. Topics: /imu/data and /gps/fix (or imu_topic and gnss_topic of the params file), and the truth as
@@ -32,13 +39,22 @@ def main(argv: list[str] | None = None) -> int:
 
 def simulate(options: argparse.Namespace) -> str:
     """Simulate and write what `options` ask for; a line that says what was written. ValueError for bad options."""
+    from mems_ins_fusion.recordings.reading import Memory
+    from mems_ins_fusion.results import check_free
     from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
+    for name, (low, high, unit) in _RANGES.items():
+        value = getattr(options, name)
+        if value is not None and not low <= value <= high:
+            raise ValueError(f"--{name.replace('_', '-')} must be from {low:g} to {high:g}{unit}, got {value!s:.20}")
     effects = parse_effects(options.effect)
     values = table.check(params_file.load_yaml(options.params_file) if options.params_file else {})
     model = options.model or values['sensor_error_model']
     sigma = options.gnss_sigma if options.gnss_sigma is not None else values['gnss.sigma'] or 1.5
     gnss = GnssNoise(sigma, options.gnss_rate, [parse_outage(text) for text in options.outage], options.gnss_latency)
+    Memory(values['memory_limit'], *_MEMORY).check(f'--duration {options.duration:g} at --rate {options.rate:g}',
+                                                   round(options.duration * max(options.rate, options.gnss_rate)))
+    check_free(options.output, options.overwrite, 'metadata.yaml')
     drive = simulate_drive(options.duration, options.seed, options.rate, hills=options.hills,
                            standstill=options.duration if options.static else options.standstill,
                            rotating_earth=options.rotating_earth)
@@ -59,7 +75,7 @@ def _write(simulation, options, values):
     recording, drive = simulation.recording, simulation.drive
     if not len(recording.gnss):
         raise ValueError('the outages leave no fix in the recording')
-    thinned = slice(None, None, max(round(options.rate / _positive('--reference-rate', options.reference_rate)), 1))
+    thinned = slice(None, None, max(round(options.rate / options.reference_rate), 1))
     reference = recording.reference.select(thinned)
     datum = recording.gnss.latitude[0], recording.gnss.longitude[0], recording.gnss.height[0]
     odometry = odometry_from_reference(reference, datum, drive.roll[thinned], drive.pitch[thinned])
@@ -102,12 +118,6 @@ def _number(option, text, number):
         value = np.nan
     if not np.isfinite(value):
         raise ValueError(f"{option} {text}: '{number}' is not a number")
-    return value
-
-
-def _positive(option, value):
-    if not value > 0:
-        raise ValueError(f'{option} must be above 0, got {value:g}')
     return value
 
 
