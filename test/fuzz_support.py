@@ -310,14 +310,14 @@ def _use_parameters(values: dict) -> None:
 
 _OPTIONS = {
     'simulate': ('--duration', '--rate', '--seed', '--gnss-rate', '--gnss-sigma', '--gnss-latency', '--reference-rate',
-                 '--standstill', '--outage', '--effect', '--model', '--storage', '--params-file', '--static', '--hills'),
+                 '--standstill', '--outage', '--effect', '--model', '--storage', '--params-file', '--static'),
     'import_csv': ('--imu', '--gnss', '--reference', '--imu-axes', '--imu-columns', '--gnss-columns', '--gnss-sigma',
                    '--imu-time-unit', '--acceleration-unit', '--imu-topic', '--storage'),
     'characterize': ('--bag', '--orders', '--imu-topic', '--params-file'),
     'diagnose': ('--bag', '--params-file', '--reference-topic', '--reference-file', '--start', '--stop')}
 _ARGUMENTS = ('0', '-1', '5', '1e9', '1e300', 'nan', 'inf', '', 'x', '/', '/dev/null', '/dev/zero', '.', 'a=b', '1:2',
-              '2:1', 'tilt=1', 'tilt.x=1e300', 'gnss_time_offset=1e9', 'nowhere', 'x' * 300, 'forward left up', 'time=1',
-              'temperature=1e308', 'mcap', 'sqlite3', 'random_walk', '9' * 400, 'accelerometer_scale=1e300')
+              '2:1', 'tilt=1', 'tilt.x=1e300', 'gnss_time_offset=1e9', 'nowhere', 'x' * 300, 'forward left up',
+              'time=1', 'temperature=1e308', 'mcap', 'sqlite3', 'random_walk', '9' * 400, 'accelerometer_scale=1e300')
 
 
 def _command_line(folder: Path, rng) -> Callable[[], object]:

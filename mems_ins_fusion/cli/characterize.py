@@ -34,9 +34,9 @@ def characterize(options: argparse.Namespace) -> str:
     """Read, characterize and write the results; lines for the user. ValueError for bad options or input."""
     from mems_ins_fusion.characterization import characterize as work
     from mems_ins_fusion.characterization.parameter_file import parameters_yaml
+    from mems_ins_fusion.recordings.errors import RecordingWarning
     from mems_ins_fusion.reports.characterization import report, report_html
     from mems_ins_fusion.reports.characterization_figures import figures
-    from mems_ins_fusion.recordings.errors import RecordingWarning
     from mems_ins_fusion.reports.html import image_bytes
     from mems_ins_fusion.results import result_folder
 
@@ -59,8 +59,8 @@ def characterize(options: argparse.Namespace) -> str:
             (folder / 'figures' / f'{title}.png').write_bytes(images[title][0])
         (folder / 'report.html').write_text(report_html(result, images), encoding='utf-8')
     lines = [f'{axis.name}: {axis.recommendation.text}' for axis in result.axes]
-    return '\n'.join([*said, f'{name}: {result.duration:.0f} s at rest, {len(result.rest.cuts)} disturbances cut out', *lines,
-                      f'recommended for all axes: {result.model}', f'results in {options.output}'])
+    return '\n'.join([*said, f'{name}: {result.duration:.0f} s at rest, {len(result.rest.cuts)} disturbances cut out',
+                      *lines, f'recommended for all axes: {result.model}', f'results in {options.output}'])
 
 
 def _read(options):

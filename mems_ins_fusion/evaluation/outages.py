@@ -55,7 +55,7 @@ def outage_begins(first: int, fixes: Fixes, time_offset: float, spacing: float, 
         return stamp
     earliest, latest = first + SETTLING * 1e9, stamp[-1] - shortest * 1e9
     # the first fix at or after each multiple of the spacing; where a clock jumps by years there are few
-    slot = np.ceil((stamp - earliest) / (spacing * 1e9))
+    slot = np.floor((stamp - earliest) / (spacing * 1e9))
     begins = np.unique(slot[slot >= 0])
     begins = begins[earliest + begins * spacing * 1e9 <= latest]
     begins = begins[::max(-(-len(begins) // MOST_OUTAGES), 1)]
