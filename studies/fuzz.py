@@ -36,7 +36,8 @@ def main() -> int:
             if time.monotonic() - began > 60 * options.minutes:
                 break
     print(f'{sum(counts.values())} inputs in {(time.monotonic() - began) / 60:.0f} minutes from seed {options.seed}, '
-          f'{failed} failed\n\n| input | read | refused in one line | longest, s | most memory, MB |\n|---|---|---|---|---|')
+          f'{failed} failed\n\n'
+          '| input | read | refused in one line | longest, s | most memory, MB |\n|---|---|---|---|---|')
     for kind, (seconds, memory) in sorted(worst.items()):
         print(f'| {kind} | {counts[kind, "read"]} | {counts[kind, "refused"]} | {seconds:.1f} | {1e3 * memory:.0f} |')
     return 1 if failed else 0

@@ -309,8 +309,9 @@ def test_npz_with_a_huge_shape(tmp_path):
 
 # -- command line ------------------------------------------------------------------------------------------------------
 
-@pytest.mark.parametrize('options', ['--rate 1e9', '--duration 1e12', '--duration 1e6', '--seed -1',
-                                     '--seed ' + '9' * 400, '--rate nan', '--gnss-rate 1e9', '--gnss-sigma inf', '--standstill 1e300'])
+@pytest.mark.parametrize('options', [
+    '--rate 1e9', '--duration 1e12', '--duration 1e6', '--seed -1', '--seed ' + '9' * 400, '--rate nan',
+    '--gnss-rate 1e9', '--gnss-sigma inf', '--standstill 1e300'])
 def test_simulate_refuses_what_has_no_end(tmp_path, options):
     refused(lambda: simulate.main(['--output', str(tmp_path / 'bag'), *options.split()]))
 
