@@ -12,7 +12,6 @@ import signal
 import struct
 import sys
 import tempfile
-import time
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -25,8 +24,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from mems_ins_fusion.guard import guarded, refuse
 
-#: what small input may take: GB on top of the process as it is, and s on a loaded machine
-MOST_MEMORY, LONGEST = 1.0, 60
+#: what small input may take: GB on top of the process as it is, and s of processor time
+MOST_MEMORY, LONGEST = 1.0, 30
 START = 1_700_000_000_000_000_000
 IMU, FIX = 'sensor_msgs/msg/Imu', 'sensor_msgs/msg/NavSatFix'
 
@@ -59,7 +58,6 @@ def outcome(work: Callable[[], object]) -> Outcome:
     with tempfile.TemporaryFile() as said:
         sys.stdout.flush()
         sys.stderr.flush()
-        began = time.monotonic()
         child = os.fork()
         if child == 0:
             os._exit(_child(work, said.fileno()))
@@ -67,7 +65,7 @@ def outcome(work: Callable[[], object]) -> Outcome:
         said.seek(0)
         text = said.read().decode(errors='replace')
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return Outcome(os.waitstatus_to_exitcode(status), text, time.monotonic() - began,
+    return Outcome(os.waitstatus_to_exitcode(status), text, usage.ru_utime + usage.ru_stime,
                    max(usage.ru_maxrss - before, 0) * 1024 / 1e9)
 
 
@@ -76,7 +74,8 @@ def _child(work, said) -> int:
         os.dup2(said, 1)
         os.dup2(said, 2)
         sys.stdout, sys.stderr = os.fdopen(1, 'w', closefd=False), os.fdopen(2, 'w', closefd=False)
-        signal.alarm(2 * LONGEST)  # its default action ends the process
+        resource.setrlimit(resource.RLIMIT_CPU, (2 * LONGEST, resource.RLIM_INFINITY))
+        signal.alarm(20 * LONGEST)  # its default action ends the process: nothing waits for ever
         room = 4 * 2**30  # the machine survives what is not refused
         used = int(Path('/proc/self/statm').read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (used + room, resource.RLIM_INFINITY))

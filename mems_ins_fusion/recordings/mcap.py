@@ -142,7 +142,8 @@ class McapFile:
                 raise _Truncated(None, len(data))
         except _Truncated as end:
             whole = data[len(data) - len(MAGIC):] == MAGIC
-            self.damage = self._damage_at(end.begin) if whole else f'it breaks off at {_megabytes(len(data))}'
+            if self.damage is None or not whole:
+                self.damage = self._damage_at(end.begin) if whole else f'it breaks off at {_megabytes(len(data))}'
             if end.opcode == _CHUNK:
                 self._read_chunk(data[end.begin:], end.begin, counts, found)
         yield found, len(data)
