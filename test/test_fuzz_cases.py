@@ -399,7 +399,7 @@ def test_errors_of_libraries_are_not_told_as_the_users(capsys):
 def test_an_interrupted_tool_cleans_up_and_says_so(tmp_path, number):
     environment = {**os.environ, 'PYTHONPATH': str(REPOSITORY)}
     tool = subprocess.Popen([sys.executable, '-m', 'mems_ins_fusion', 'simulate', '--output', str(tmp_path / 'out'),
-                             '--duration', '9000'], stderr=subprocess.PIPE, text=True, env=environment)
+                             '--duration', '1500'], stderr=subprocess.PIPE, text=True, env=environment)
     deadline = time.monotonic() + 120
     while not list(tmp_path.iterdir()) and time.monotonic() < deadline:
         time.sleep(0.01)
