@@ -6,6 +6,8 @@ import signal
 import sys
 from importlib import import_module
 
+from mems_ins_fusion.guard import guarded
+
 TOOLS = {
     'fusion_node': ('nodes', 'fuse IMU and GNSS live on ROS 2 topics'),
     'replay_node': ('nodes', 'run recordings through the same filter and measure its position error'),
@@ -42,6 +44,10 @@ def main(argv: list[str] | None = None) -> int:
         if argv:
             print(f"\nno tool is named '{argv[0]}'", file=sys.stderr)
         return 2
+    return guarded(argv[0], argv[1:], lambda: _run(argv))
+
+
+def _run(argv: list[str]) -> int:
     package, _ = TOOLS[argv[0]]
     if package == 'nodes':
         _end_quietly_on_signals()

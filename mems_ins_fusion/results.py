@@ -1,10 +1,19 @@
-"""Result folders that are either complete or not there."""
+"""Result folders that are either complete or not there, however many write at once and however they end."""
 from __future__ import annotations
 
+import errno
+import fcntl
+import os
+import re
 import shutil
 import tempfile
 from contextlib import contextmanager
 from pathlib import Path
+
+#: ends of the names of unfinished results, and of one that is being replaced
+_UNFINISHED, _FORMER = '.unfinished', '.former'
+#: what a write fails with where there is no room for it, as opposed to a read
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 
 class ResultError(ValueError):
@@ -15,36 +24,111 @@ class ResultError(ValueError):
 def result_folder(path, overwrite: bool = False, marker: str = 'report.json'):
     """A folder to write a result into; it takes the name `path` when the block ends without an exception.
 
-    Until then its files stand under a temporary name beside `path`, and they are removed if the block fails.
+    Until then its files stand under a temporary name beside `path`, and they are removed if the block fails. Of two
+    runs that write the same result at once the second is refused; what a killed run left behind is removed.
     marker: the file that tells a result of ours; a folder without it is somebody's own and is never replaced.
     Raises ResultError where `path` is taken and `overwrite` is false, or where it cannot be written.
     """
-    path = Path(path).absolute()
-    _check_free(path, overwrite, marker)
-    try:
+    path = Path(path)
+    with _said(path):
+        path = _real(path)
+        check_free(path, overwrite, marker)
         path.parent.mkdir(parents=True, exist_ok=True)
-        work = Path(tempfile.mkdtemp(prefix=f'.{path.name}.', dir=path.parent))
-    except OSError as error:
-        raise ResultError(f'cannot write {path}: {error.strerror}') from None
+        work, lock = _claim(path)
     try:
-        work.chmod(0o755)
-        yield work
-        _replace(path, work)
+        with _said(path, work):
+            yield work
+            check_free(path, overwrite, marker)
+            _replace(path, work)
     finally:
         shutil.rmtree(work, ignore_errors=True)
+        os.close(lock)
 
 
-def _check_free(path: Path, overwrite: bool, marker: str) -> None:
-    if not path.exists():
+def check_free(path, overwrite: bool = False, marker: str = 'report.json') -> None:
+    """ResultError where a result cannot take the name `path`; for what takes long before it writes."""
+    path = Path(path)
+    with _said(path):
+        if path.is_symlink() and not path.exists():
+            raise ResultError(f'{path} is a symbolic link to nothing')
+        if not os.path.lexists(path):
+            return
+        if not path.is_dir():
+            raise ResultError(f'{path} is a file, not a folder of results')
+        if not any(path.iterdir()):
+            return
+        if not (path / marker).is_file():
+            raise ResultError(f'{path} holds other files than results (no {marker}); choose another output')
+        if not overwrite:
+            raise ResultError(f'{path} exists already; choose another output or ask for it to be overwritten')
+
+
+@contextmanager
+def _said(path: Path, work: Path | None = None):
+    """Failures of the file system as a ResultError; with `work` only those of writing, there or for want of room."""
+    try:
+        yield
+    except OSError as error:
+        inside = work is None or error.errno in _NO_ROOM or str(work) in str(error.filename)
+        if not inside or not error.strerror:
+            raise
+        raise ResultError(f'cannot write {path}: {error.strerror}') from None
+    except ValueError as error:
+        if 'null byte' not in str(error):
+            raise
+        raise ResultError(f'cannot write {str(path)!r}: the name holds a null byte') from None
+
+
+def _real(path: Path) -> Path:
+    """The absolute path, so that two spellings of one are the same; a link to a folder is that folder."""
+    if path.is_symlink() and path.exists():
+        return path.resolve()
+    path = path.absolute()
+    return path.parent.resolve() / path.name if path.name != '..' else path.resolve()
+
+
+def _claim(path: Path) -> tuple[Path, int]:
+    """A new folder for the result `path`, locked by this process, and the lock.
+
+    A lock ends with the process that holds it, however that ends: what nobody has locked is left over.
+    """
+    parent = os.open(path.parent, os.O_RDONLY)
+    try:
+        fcntl.flock(parent, fcntl.LOCK_EX)  # between the making of a folder and its locking nobody may look
+        for folder in _left_over(path, _UNFINISHED):
+            _remove_left_over(folder, path)
+        for folder in _left_over(path, _FORMER):
+            if not path.exists() and (folder / path.name).exists():
+                (folder / path.name).rename(path)
+            shutil.rmtree(folder, ignore_errors=True)
+        work = Path(tempfile.mkdtemp(prefix=f'.{path.name}.', suffix=_UNFINISHED, dir=path.parent))
+        lock = os.open(work, os.O_RDONLY)
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        work.chmod(0o755)
+        return work, lock
+    finally:
+        os.close(parent)
+
+
+def _left_over(path: Path, suffix: str) -> list[Path]:
+    pattern = re.compile(re.escape(f'.{path.name}.') + '[a-z0-9_]{8}' + re.escape(suffix))
+    return [p for p in path.parent.iterdir() if pattern.fullmatch(p.name) and not p.is_symlink()]
+
+
+def _remove_left_over(folder: Path, path: Path) -> None:
+    try:
+        lock = os.open(folder, os.O_RDONLY)
+    except FileNotFoundError:  # it was finished meanwhile
         return
-    if not path.is_dir():
-        raise ResultError(f'{path} is a file, not a folder of results')
-    if not any(path.iterdir()):
-        return
-    if not (path / marker).is_file():
-        raise ResultError(f'{path} holds other files than results (no {marker}); choose another output')
-    if not overwrite:
-        raise ResultError(f'{path} exists already; choose another output or ask for it to be overwritten')
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise ResultError(f'another run is writing {path} at this moment; wait for it or choose another output') \
+            from None
+    else:
+        shutil.rmtree(folder, ignore_errors=True)
+    finally:
+        os.close(lock)
 
 
 def _replace(path: Path, new: Path) -> None:
@@ -52,7 +136,7 @@ def _replace(path: Path, new: Path) -> None:
     if not path.exists() or not any(path.iterdir()):
         new.rename(path)
         return
-    old = Path(tempfile.mkdtemp(prefix=f'.{path.name}.old.', dir=path.parent))
+    old = Path(tempfile.mkdtemp(prefix=f'.{path.name}.', suffix=_FORMER, dir=path.parent))
     path.rename(old / path.name)
     new.rename(path)
-    shutil.rmtree(old)
+    shutil.rmtree(old, ignore_errors=True)

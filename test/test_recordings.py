@@ -201,7 +201,7 @@ def test_bulk_decoding_agrees_with_rosbags_for_any_frame(frame, kind, make, monk
     raw = [bytes(STORE.serialize_cdr(message, kind)) for message in made]
     # what a middleware may append changes nothing
     monkeypatch.setattr('mems_ins_fusion.recordings.messages._decode_each', None)
-    for array in (decode(raw, kind), decode([data + bytes(3) for data in raw], kind)):
+    for array, _ in (decode(raw, kind), decode([data + bytes(3) for data in raw], kind)):
         for got, message in zip(array, made):
             assert got['header.stamp.sec'] == message.header.stamp.sec
             assert got['header.stamp.nanosec'] == message.header.stamp.nanosec

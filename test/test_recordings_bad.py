@@ -96,9 +96,18 @@ def test_a_topic_without_messages(tmp_path, plugin):
 
 
 @pytest.mark.parametrize('data', [b'\x00\x01\x00\x00', b'', b'\x00\x01\x00\x00' + b'\xff' * 400])
-def test_messages_that_cannot_be_decoded(tmp_path, data):
-    bag = write_bag(tmp_path / 'bag', [('/imu/data', IMU, START, imu(0)), ('/imu/data', IMU, START, data)])
-    assert f"topic '/imu/data' in {bag}: message 2 is not a valid {IMU}" in complaint(bag, gnss_topic=None)
+def test_a_message_that_cannot_be_decoded_loses_itself_and_no_more(tmp_path, data):
+    bag = write_bag(tmp_path / 'bag', [('/imu/data', IMU, START, imu(0)), ('/imu/data', IMU, START + 1, data),
+                                       ('/imu/data', IMU, START + 2, imu(2))])
+    with pytest.warns(RecordingWarning) as caught:
+        recording = read_recording(bag, '/imu/data')
+    assert recording.imu.specific_force[:, 0].tolist() == [1.0, 3.0]
+    assert recording.imu.received.tolist() == [START, START + 2]
+    assert f"{bag}: 1 messages on '/imu/data' are no valid {IMU}; readable: 2 messages" in str(caught[-1].message)
+    # when none can be decoded, then the recording is refused
+    bag = write_bag(tmp_path / 'none', [('/imu/data', IMU, START, data)])
+    text = complaint(bag, gnss_topic=None)
+    assert f"1 messages on '/imu/data' are no valid {IMU}; of topic '/imu/data' nothing" in text
 
 
 def long_drive(tmp_path, plugin):
@@ -167,18 +176,26 @@ def test_a_wrong_checksum_is_noticed(tmp_path):
     assert "it is damaged at" in complaint(file)
 
 
-@pytest.mark.parametrize('part', [0.3, 0.9])
-def test_a_truncated_ros1_bag(tmp_path, part):
-    # rosbags reads these by their index, which stands at the end
+@pytest.mark.parametrize('part', [0.5, 0.9])
+@pytest.mark.parametrize('compression', [None, Writer1.CompressionFormat.BZ2, Writer1.CompressionFormat.LZ4])
+def test_a_truncated_ros1_bag_is_read_up_to_its_end(tmp_path, part, compression):
     store = get_typestore(Stores.ROS1_NOETIC)
     file = tmp_path / 'drive.bag'
-    with Writer1(file) as writer:
+    writer = Writer1(file)
+    if compression is not None:
+        writer.set_compression(compression)
+    with writer:
         connection = writer.add_connection('/imu/data', IMU, typestore=store)
-        for i in range(50):
+        for i in range(9000):
             writer.write(connection, START + i, store.serialize_ros1(imu(i, store=store), IMU))
+    assert len(read_recording(file, '/imu/data').imu) == 9000
     content = file.read_bytes()
     file.write_bytes(content[:int(part * len(content))])
-    assert f'{file} is not a ROS 1 bag, or it is damaged' in complaint(file, gnss_topic=None)
+    with pytest.warns(RecordingWarning, match='it is damaged or breaks off at'):
+        recording = read_recording(file, '/imu/data')
+    count = len(recording.imu)
+    assert 0.3 * part * 9000 < count <= 9000
+    assert (recording.imu.specific_force[:, 0] == 1.0 + np.arange(count)).all()
 
 
 def test_any_byte_may_be_wrong(tmp_path):
@@ -202,9 +219,7 @@ def test_any_byte_may_be_wrong(tmp_path):
 
 def test_rosbags_absent(tmp_path, monkeypatch):
     # given messages that need rosbags' own deserialization, and a ROS 1 bag, but no rosbags
-    messages = drive(4)
-    messages[0][3].header.frame_id = 'other_frame'
-    bag = write_bag(tmp_path / 'bag', messages)
+    bag = write_bag(tmp_path / 'bag', [*drive(4), ('/imu/data', IMU, START, b'not laid out as the others')])
     (tmp_path / 'drive.bag').write_bytes(b'#ROSBAG V2.0\n')
     real = builtins.__import__
 

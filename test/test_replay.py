@@ -117,7 +117,7 @@ def test_map_and_odometry_bag(result, bag):
     assert len(tum) > 1000 and np.abs(np.diff(tum[1:, 0]) - 0.1).max() < 1e-6
     with Bag(result[0] / 'odometry') as written:
         assert {f'/odometry/{m}' for m in ('random_walk', 'gauss_markov', 'autoregressive')} <= set(written.topics)
-        read = [messages.decode(raw, written.topics[topic])
+        read = [messages.decode(raw, written.topics[topic])[0]
                 for topic, _, raw, _ in written.read(['/odometry/gauss_markov']) if raw]
     read = np.concatenate(read)
     at = np.searchsorted(messages.stamps(read), np.round(tum[:, 0] * 1e9).astype(np.int64) - 1000)

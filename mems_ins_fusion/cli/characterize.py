@@ -3,12 +3,16 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
 
+from mems_ins_fusion.guard import refuse
 from mems_ins_fusion.parameters import params_file, table
+
+#: GB at the start, bytes for each sample
+_MEMORY = 0.3, 500.0
 
 DESCRIPTION = """\
 Characterize an IMU from a recording at rest (minutes to hours; hours for the slow errors): Allan deviation,
@@ -22,8 +26,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         print(characterize(options))
     except ValueError as error:
-        print(f'characterize: {error}', file=sys.stderr)
-        return 2
+        return refuse('characterize', error)
     return 0
 
 
@@ -31,6 +34,7 @@ def characterize(options: argparse.Namespace) -> str:
     """Read, characterize and write the results; lines for the user. ValueError for bad options or input."""
     from mems_ins_fusion.characterization import characterize as work
     from mems_ins_fusion.characterization.parameter_file import parameters_yaml
+    from mems_ins_fusion.recordings.errors import RecordingWarning
     from mems_ins_fusion.reports.characterization import report, report_html
     from mems_ins_fusion.reports.characterization_figures import figures
     from mems_ins_fusion.reports.html import image_bytes
@@ -39,11 +43,15 @@ def characterize(options: argparse.Namespace) -> str:
     if min(options.orders) < 1 or max(options.orders) > 20:
         raise ValueError(f'--orders must be from 1 to 20, got {" ".join(map(str, options.orders))}')
     with result_folder(options.output, options.overwrite) as folder:
-        name, grid, temperature = _read(options)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter('always', RecordingWarning)
+            name, grid, temperature = _read(options)
+        said = [str(w.message) for w in caught if issubclass(w.category, RecordingWarning)]
         with _Bar('characterizing') as bar:
             result = work.characterize(name, grid, temperature, options.orders, bar.step)
         (folder / 'imu.yaml').write_text(parameters_yaml(result), encoding='utf-8')
-        (folder / 'report.json').write_text(json.dumps(report(result), indent=1, allow_nan=False), encoding='utf-8')
+        (folder / 'report.json').write_text(json.dumps({**report(result), 'warnings': said}, indent=1, allow_nan=False),
+                                            encoding='utf-8')
         (folder / 'figures').mkdir()
         images = {}
         for title, (drawing, caption) in figures(result).items():
@@ -51,8 +59,8 @@ def characterize(options: argparse.Namespace) -> str:
             (folder / 'figures' / f'{title}.png').write_bytes(images[title][0])
         (folder / 'report.html').write_text(report_html(result, images), encoding='utf-8')
     lines = [f'{axis.name}: {axis.recommendation.text}' for axis in result.axes]
-    return '\n'.join([f'{name}: {result.duration:.0f} s at rest, {len(result.rest.cuts)} disturbances cut out', *lines,
-                      f'recommended for all axes: {result.model}', f'results in {options.output}'])
+    return '\n'.join([*said, f'{name}: {result.duration:.0f} s at rest, {len(result.rest.cuts)} disturbances cut out',
+                      *lines, f'recommended for all axes: {result.model}', f'results in {options.output}'])
 
 
 def _read(options):
@@ -65,12 +73,13 @@ def _read(options):
         if not path.is_file():
             raise ValueError(f'{path} is not a file')
         return path.stem, read_npz(path), None
-    from mems_ins_fusion.recordings.reading import read_recording
+    from mems_ins_fusion.recordings.reading import Memory, read_recording
 
     values = table.check(params_file.load_yaml(options.params_file) if options.params_file else {})
     with _Bar('reading') as bar:
         recording = read_recording(path, options.imu_topic or values['imu_topic'], progress=bar.share,
-                                   temperature_topic=options.temperature_topic or values['temperature_topic'] or None)
+                                   temperature_topic=options.temperature_topic or values['temperature_topic'] or None,
+                                   memory=Memory(values['memory_limit'], *_MEMORY))
     imu, temperature = recording.imu, recording.temperature
     grid = to_grid(imu.stamp, np.hstack([imu.specific_force, imu.angular_rate]))
     if temperature is None:

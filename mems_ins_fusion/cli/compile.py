@@ -28,7 +28,8 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _live():
-    from mems_ins_fusion.filter.fusion import FilterConfig, FusionFilter
+    from mems_ins_fusion.filter.config import FilterConfig
+    from mems_ins_fusion.filter.live import FusionFilter
     from mems_ins_fusion.parameters import table
 
     FusionFilter(FilterConfig.from_parameters(table.defaults())).warm_up()
@@ -45,7 +46,8 @@ def _replay():
 
 
 def _effects():
-    from mems_ins_fusion.filter.fusion import FilterConfig, run
+    from mems_ins_fusion.filter.config import FilterConfig
+    from mems_ins_fusion.filter.replay import run
     from mems_ins_fusion.parameters import table
 
     recording = _drive()

@@ -3,8 +3,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 
+from mems_ins_fusion.guard import refuse
 from mems_ins_fusion.parameters import params_file, table
 
 DESCRIPTION = """\
@@ -21,8 +21,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         print(diagnose(options))
     except ValueError as error:
-        print(f'diagnose: {error}', file=sys.stderr)
-        return 2
+        return refuse('diagnose', error)
     return 0
 
 

@@ -2,8 +2,8 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
+from mems_ins_fusion.guard import refuse
 from mems_ins_fusion.recordings.tables import TIME_UNITS
 
 DESCRIPTION = """\
@@ -23,8 +23,7 @@ def main(argv: list[str] | None = None) -> int:
         for line in import_csv(options):
             print(line)
     except ValueError as error:
-        print(f'import_csv: {error}', file=sys.stderr)
-        return 2
+        return refuse('import_csv', error)
     return 0
 
 

@@ -2,15 +2,21 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import replace
 
 import numpy as np
 
 from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.guard import refuse
 from mems_ins_fusion.parameters import params_file, table
 
 _NAMED_TOPICS = ('temperature_topic', 'speed_topic', 'velocity_topic', 'heading_topic')
+#: what options may be: lowest, highest, unit
+_RANGES = {'duration': (0.1, 1e7, ' s'), 'rate': (1.0, 1e4, ' Hz'), 'gnss_rate': (1e-4, 1e3, ' Hz'),
+           'gnss_sigma': (0.0, 1e3, ' m'), 'gnss_latency': (0.0, 60.0, ' s'), 'reference_rate': (1e-3, 1e4, ' Hz'),
+           'standstill': (0.0, 1e7, ' s'), 'seed': (0, 2**63 - 1, '')}
+#: GB at the start, bytes for each sample
+_MEMORY = 0.3, 450.0
 
 DESCRIPTION = """\
 Write a rosbag2 of a simulated land vehicle: a standstill, then straights, bends, right-angle turns and stops at
@@ -34,15 +40,20 @@ def main(argv: list[str] | None = None) -> int:
     try:
         print(simulate(options))
     except ValueError as error:
-        print(f'simulate: {error}', file=sys.stderr)
-        return 2
+        return refuse('simulate', error)
     return 0
 
 
 def simulate(options: argparse.Namespace) -> str:
     """Simulate and write what `options` ask for; a line that says what was written. ValueError for bad options."""
+    from mems_ins_fusion.recordings.reading import Memory
+    from mems_ins_fusion.results import check_free
     from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_recording
 
+    for name, (low, high, unit) in _RANGES.items():
+        value = getattr(options, name)
+        if value is not None and not low <= value <= high:
+            raise ValueError(f"--{name.replace('_', '-')} must be from {low:g} to {high:g}{unit}, got {value!s:.20}")
     effects = parse_effects(options.effect)
     scene = _scene(options)
     values = table.check({**scene.imu, **(params_file.load_yaml(options.params_file) if options.params_file else {})})
@@ -52,6 +63,9 @@ def simulate(options: argparse.Namespace) -> str:
     gnss = GnssNoise(sigma, options.gnss_rate, [parse_outage(text) for text in options.outage], options.gnss_latency,
                      coloured_sigma=options.gnss_coloured, outliers=options.gnss_outliers,
                      smoothing=options.gnss_smoothing, dropouts=options.gnss_dropouts)
+    Memory(values['memory_limit'], *_MEMORY).check(f'--duration {options.duration:g} at --rate {options.rate:g}',
+                                                   round(options.duration * max(options.rate, options.gnss_rate)))
+    check_free(options.output, options.overwrite, 'metadata.yaml')
     drive = scene.drive(options.duration, options.seed, options.rate, hills=options.hills,
                         standstill=options.duration if options.static else options.standstill)
     if not len(gnss.times(drive.time[-1])):
@@ -92,7 +106,9 @@ def _write(simulation, options, values):
     from mems_ins_fusion.recordings.writing import odometry_from_reference, write_recording
 
     recording, drive = simulation.recording, simulation.drive
-    thinned = slice(None, None, max(round(options.rate / _positive('--reference-rate', options.reference_rate)), 1))
+    if not len(recording.gnss):
+        raise ValueError('the outages leave no fix in the recording')
+    thinned = slice(None, None, max(round(options.rate / options.reference_rate), 1))
     reference = recording.reference.select(thinned)
     datum = recording.gnss.latitude[0], recording.gnss.longitude[0], recording.gnss.height[0]
     odometry = odometry_from_reference(reference, datum, drive.roll[thinned], drive.pitch[thinned])
@@ -135,12 +151,6 @@ def _number(option, text, number):
         value = np.nan
     if not np.isfinite(value):
         raise ValueError(f"{option} {text}: '{number}' is not a number")
-    return value
-
-
-def _positive(option, value):
-    if not value > 0:
-        raise ValueError(f'{option} must be above 0, got {value:g}')
     return value
 
 

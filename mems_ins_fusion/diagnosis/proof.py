@@ -14,7 +14,7 @@ from scipy.stats import t as student
 
 from ..evaluation import metrics
 from ..evaluation.bootstrap import paired
-from ..evaluation.comparison import aiding_of, truth_of
+from ..evaluation.comparison import aiding_of, samples_to_keep, truth_of
 from ..evaluation.metrics import Errors, position_errors
 from ..evaluation.outages import Outages, outage_begins, run_outages
 from ..evaluation.outages import summary as outage_summary
@@ -131,8 +131,9 @@ def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Seq
     found = []
     for values, part in zip(models, judged):
         config = FilterConfig.from_parameters(values)
-        result = run(config, imu, problem.full.gnss, aiding_of(recording))
         truth, delay = truth_of(recording, values), round(values['gnss.time_offset'] * 1e9)
+        keep = samples_to_keep(imu, truth.reference.stamp)
+        result = run(config, imu, problem.full.gnss, aiding_of(recording), keep=keep)
         errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
         if recording.reference is None:
             errors = replace(errors, stamp=errors.stamp + delay)
@@ -142,7 +143,7 @@ def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Seq
             errors = errors.select(_in_mask(errors.stamp, problem, part))
         errors = errors.select(errors.stamp >= first)
         outages = run_outages(config, imu, problem.full.gnss, truth, durations, mine - delay,
-                              aiding_of(recording)) if durations else []
+                              aiding_of(recording), keep) if durations else []
         found.append((errors, [replace(o, begin=o.begin + delay) for o in outages]))
     if len(found) == 1:
         return Measured(*found[0])

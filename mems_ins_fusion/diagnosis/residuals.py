@@ -16,7 +16,7 @@ from functools import cache
 
 import numpy as np
 
-from ..evaluation.comparison import aiding_of, thin
+from ..evaluation.comparison import aiding_of, samples_to_keep, thin
 from ..filter.alignment import transferred
 from ..filter.config import FilterConfig
 from ..filter.replay import run
@@ -30,6 +30,8 @@ UPDATE_INTERVAL = 1.0
 #: the many runs of a diagnosis take IMU samples at no more than this rate, Hz, in a long recording at a lower one, but
 #: not below the other; errors are measured at the full rate
 FASTEST_RATE, SLOWEST_RATE, MANY_SAMPLES = 12.5, 5.0, 20_000
+#: samples among which the start is looked for to the sample, later only to a tenth of a second
+_ALIGNING = 100_000
 
 
 #: length of a block over which scores may go together, s
@@ -152,7 +154,8 @@ class Problem:
     def __init__(self, recording: Recording, values: dict, interval: float = UPDATE_INTERVAL):
         self.values = values
         self.config = FilterConfig.from_parameters(values)
-        first = run(self.config, recording.imu, recording.gnss, aiding_of(recording))
+        keep = samples_to_keep(recording.imu, recording.imu.stamp[:_ALIGNING])
+        first = run(self.config, recording.imu, recording.gnss, aiding_of(recording), keep=keep)
         if first.start is None:
             reason = first.notices[-1].text if first.notices else 'no fixes'
             raise DiagnosisError(f'{recording.name}: {reason}')
@@ -162,7 +165,9 @@ class Problem:
         seconds = max((recording.imu.stamp[-1] - recording.imu.stamp[0]) * 1e-9, 1.0)
         rate = float(np.clip(MANY_SAMPLES / seconds, SLOWEST_RATE, FASTEST_RATE))
         self.recording = replace(self.full, imu=averaged(recording.imu, rate))
-        self.start = run(self.config, self.recording.imu, self.recording.gnss, aiding_of(recording)).start
+        nothing = np.zeros(len(self.recording.imu), dtype=bool)
+        self.start = run(self.config, self.recording.imu, self.recording.gnss, aiding_of(recording),
+                         keep=nothing).start
         self.attitude = cache(self._attitude)
         self.stamp = self.recording.gnss.stamp
         self.base = self.residual(values, self.recording)

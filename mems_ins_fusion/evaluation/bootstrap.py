@@ -41,8 +41,14 @@ def correlation_length(values: np.ndarray) -> float:
 
 
 def block_means(values: np.ndarray, draws: int = DRAWS, seed: int = 0) -> np.ndarray | None:
-    """Means of `draws` resamples of `values` (n,), in circular blocks; None where there are too few blocks."""
+    """Means of `draws` resamples of `values` (n,), in circular blocks; None where there are too few blocks or
+    values that are no numbers."""
     n = len(values)
+    if not np.isfinite(values).all():
+        return None
+    with np.errstate(over='ignore', invalid='ignore'):
+        if not np.isfinite(values @ values):  # too large for their variance to be a number
+            return None
     block = int(np.ceil(BLOCK * correlation_length(values))) if n > 2 else n
     block = min(max(block, -(-n // MOST_BLOCKS)), n // FEWEST_BLOCKS)
     if block < 1:

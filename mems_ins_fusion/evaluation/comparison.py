@@ -4,7 +4,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import combinations
 
 import numpy as np
@@ -14,6 +14,7 @@ from ..filter.replay import Aiding
 from ..filter.replay import run as replay
 from ..filter.results import Run
 from ..navigation.frames import FLU_TO_FRD
+from ..recordings.motion import plausible
 from ..samples import Fixes, ImuSamples, Recording
 from . import metrics
 from .bootstrap import Difference, holm, paired
@@ -23,6 +24,10 @@ from .outages import summary as outage_summary
 
 #: states are kept at this rate, beside those around the epochs of the truth, Hz
 KEPT_RATE = 10.0
+#: epochs of the truth that errors are measured at, and states kept of a run: a recording with more is thinned
+MOST_EPOCHS = 100_000
+#: stamps that go back further begin a stretch of their own, s; with more of those each sample is kept
+_BACK, _MOST_BREAKS = 1, 100
 #: a difference is significant when its adjusted p is smaller
 SIGNIFICANCE = 0.05
 
@@ -146,7 +151,7 @@ def thin(fixes: Fixes, interval: float, start: int = 0) -> np.ndarray:
     Before and at `start` each: the filter needs those to start, and the comparison is not about that. After it the
     first valid one in each slot of `interval`; the slots begin half a fix interval early, against jitter.
     """
-    valid = (fixes.status >= 0) & np.isfinite(fixes.latitude + fixes.longitude + fixes.height)
+    valid = (fixes.status >= 0) & plausible(fixes.latitude, fixes.longitude, fixes.height)
     if interval == 0 or valid.sum() < 2:
         return valid
     stamp = fixes.stamp[valid]
@@ -162,14 +167,18 @@ def thin(fixes: Fixes, interval: float, start: int = 0) -> np.ndarray:
 
 
 def truth_of(recording: Recording, values: dict) -> Truth:
-    """The reference of `recording`, or its fixes (those of the receiver, before noise is added) without one."""
+    """The reference of `recording`, or its fixes (those of the receiver, before noise is added) without one.
+
+    Of more than MOST_EPOCHS positions every second, third ... is taken.
+    """
     antenna = values['gnss.lever_arm']
     if recording.reference is None:
-        return truth_from_fixes(recording.gnss, FLU_TO_FRD @ np.asarray(antenna), values['gnss.time_offset'],
-                                'fixes')
-    arm = values['reference_lever_arm'] or antenna
-    reference = recording.reference
-    return Truth(reference, FLU_TO_FRD @ np.asarray(arm, dtype=float), np.zeros(len(reference)), 'reference')
+        truth = truth_from_fixes(recording.gnss, FLU_TO_FRD @ np.asarray(antenna), values['gnss.time_offset'], 'fixes')
+    else:
+        arm = values['reference_lever_arm'] or antenna
+        truth = Truth(recording.reference, FLU_TO_FRD @ np.asarray(arm, dtype=float),
+                      np.zeros(len(recording.reference)), 'reference')
+    return truth.select(slice(None, None, -(-len(truth) // MOST_EPOCHS))) if len(truth) > MOST_EPOCHS else truth
 
 
 def compare(recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None) -> Comparison:
@@ -206,7 +215,7 @@ class _Work:
         conditioning = self._config(values['models'][0]).conditioning
         self.turning = turning_at(recording.imu, conditioning, self.truth.reference.stamp)
         self.aiding = aiding_of(recording)
-        self.keep = _samples_to_keep(recording.imu, self.truth.reference.stamp)
+        self.keep = samples_to_keep(recording.imu, self.truth.reference.stamp)
         self.start = self._start()
 
     def _config(self, model: str) -> FilterConfig:
@@ -241,7 +250,7 @@ class _Work:
     def run(self, model: str, interval: float) -> tuple[str, float, np.ndarray, Run]:
         use = self._use(interval)
         run = replay(self._config(model), self.recording.imu, self.fixes.select(use), self.aiding, keep=self.keep)
-        return model, interval, use, run
+        return model, interval, use, _without_views(run)
 
     def measure(self, runs) -> list[RunResult]:
         """The errors of `runs`, all from the time on at which each of them had started."""
@@ -280,17 +289,35 @@ class _Work:
                            self.truth, self.values['outage_durations'], begin, self.aiding, self.keep)
 
 
-def _samples_to_keep(imu: ImuSamples, epochs: np.ndarray) -> np.ndarray:
-    """(n,) bool: the samples on both sides of each epoch, and KEPT_RATE of them a second."""
-    if np.any(np.diff(imu.stamp) <= 0):
-        return np.ones(len(imu), dtype=bool)
-    slot = (imu.stamp - imu.stamp[0]) // round(1e9 / KEPT_RATE)
-    keep = np.concatenate([[True], np.diff(slot) > 0])
-    after = np.searchsorted(imu.stamp, epochs)
-    for index in (after - 1, after):
-        keep[index[(index >= 0) & (index < len(imu))]] = True
-    keep[-1] = True
+def samples_to_keep(imu: ImuSamples, epochs: np.ndarray) -> np.ndarray:
+    """(n,) bool: the samples on both sides of each epoch (m,) ns, and KEPT_RATE of them a second, in long recordings
+    fewer."""
+    keep = np.zeros(len(imu), dtype=bool)
+    steps = np.diff(imu.stamp)
+    seconds = len(imu) * float(np.median(steps)) * 1e-9 if len(steps) else 0.0
+    interval = round(max(1 / KEPT_RATE, seconds / MOST_EPOCHS) * 1e9)
+    breaks = np.flatnonzero(steps < -_BACK * 10**9) + 1
+    if len(breaks) > _MOST_BREAKS:
+        return ~keep
+    edges = [0, *breaks.tolist(), len(imu)]
+    for first, last in zip(edges[:-1], edges[1:]):
+        top = np.maximum.accumulate(imu.stamp[first:last])
+        advancing = first + np.concatenate([[0], np.flatnonzero(np.diff(top) > 0) + 1])
+        stamp = imu.stamp[advancing]
+        slot = (stamp - stamp[0]) // interval
+        keep[advancing[np.concatenate([[True], np.diff(slot) > 0])]] = True
+        after = np.searchsorted(stamp, epochs)
+        for index in (after - 1, after):
+            keep[advancing[index[(index >= 0) & (index < len(stamp))]]] = True
+        keep[advancing[-1]] = True
     return keep
+
+
+def _without_views(run: Run) -> Run:
+    """`run` without the larger arrays that its own ones are parts of."""
+    arrays = {f.name: getattr(run, f.name) for f in fields(run)}
+    return replace(run, **{name: array.copy() for name, array in arrays.items()
+                           if isinstance(array, np.ndarray) and array.base is not None})
 
 
 def _common(found: list[list[Outages]]) -> list[list[Outages]]:

@@ -12,6 +12,7 @@ import numpy as np
 from ..filter.results import Run
 from ..navigation.earth import radii
 from ..navigation.frames import wrap
+from ..recordings.motion import plausible
 from ..samples import Fixes, ImuSamples, Reference
 from .bootstrap import interval_of_mean
 
@@ -147,13 +148,14 @@ def turning_at(imu: ImuSamples, conditioning: np.ndarray, stamp: np.ndarray) -> 
 
     From the gyroscopes, so that all models are judged by the same manoeuvres. conditioning: (6, 6), `FilterConfig`'s.
     """
-    if len(imu) < 2:
-        return np.zeros(len(stamp), dtype=bool)
     finite = np.isfinite(imu.angular_rate).all(axis=1)
+    if finite.sum() < 2:
+        return np.zeros(len(stamp), dtype=bool)
     time = np.maximum.accumulate((imu.stamp[finite] - imu.stamp[0]) * 1e-9)
     rate = imu.angular_rate[finite] @ conditioning[5, 3:]
     yaw = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))])
-    grid = np.arange(0.0, time[-1] + 0.1, 0.1)
+    # only where there are samples: a clock that is set meanwhile makes the recording decades long
+    grid = np.unique(np.floor(10.0 * time)) / 10.0
     turn = np.abs(np.interp(grid + 0.5, time, yaw) - np.interp(grid - 0.5, time, yaw)) > TURN_RATE
     count = np.concatenate([[0], np.cumsum(turn)])
     at = (stamp - imu.stamp[0]) * 1e-9
@@ -164,8 +166,7 @@ def turning_at(imu: ImuSamples, conditioning: np.ndarray, stamp: np.ndarray) -> 
 def truth_from_fixes(fixes: Fixes, lever_arm, time_offset: float, source: str) -> Truth:
     """Valid fixes as the truth for the antenna. lever_arm: (3,) m forward-right-down. time_offset: s, as
     `gnss.time_offset`. Their variance is what the messages say (0 where they say nothing)."""
-    finite = np.isfinite(fixes.latitude) & np.isfinite(fixes.longitude) & np.isfinite(fixes.height)
-    fixes = fixes.select((fixes.status >= 0) & finite)
+    fixes = fixes.select((fixes.status >= 0) & plausible(fixes.latitude, fixes.longitude, fixes.height))
     fixes = fixes.select(np.argsort(fixes.stamp, kind='stable'))
     variance = 0.5 * (fixes.covariance[:, 0, 0] + fixes.covariance[:, 1, 1])
     known = (fixes.covariance_type > 0) & np.isfinite(variance) & (variance > 0)

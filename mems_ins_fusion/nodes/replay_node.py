@@ -8,13 +8,13 @@ import sys
 
 from rclpy.node import Node
 
+from ..guard import INTERRUPTED, refuse
 from ..parameters.parameter import ParameterError
 from ..parameters.table import FILTER, REPLAY
 from .ros_parameters import declare
 from .run import Stop, run
 
 NAME = 'replay_node'
-_INTERRUPTED = 130  # exit status, as shells have it
 
 
 class ReplayNode(Node):
@@ -37,11 +37,10 @@ class ReplayNode(Node):
                 result = replay_recordings(self._values, bar)
             _tell(result)
         except ValueError as error:
-            print(f'{NAME}: {" ".join(str(error).split())}', file=sys.stderr)
-            return 2
+            return refuse(NAME, error)
         except KeyboardInterrupt:
             print(f'{NAME}: interrupted, nothing was written', file=sys.stderr)
-            return _INTERRUPTED
+            return INTERRUPTED
         stop.interrupts = False
         if self._values['publish']:
             self._publish(result, stop)

@@ -6,12 +6,12 @@ import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-import yaml
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from ..parameters.parameter import Parameter, ParameterError
+from ..parameters.params_file import read_yaml
 from ..parameters.table import check
 
 
@@ -72,7 +72,7 @@ def _constraints(parameter):
     if parameter.positive:
         constraints.append('above 0')
     if parameter.lengths is not None:
-        constraints.append(' or '.join(str(n) for n in parameter.lengths) + ' values')
+        constraints.append(f'{parameter.length_text} values')
     return '; '.join(constraints)
 
 
@@ -93,7 +93,7 @@ def _refuse_files_for_others(node: Node, argv: list[str]) -> None:
     """ParameterError for a params file without a section for `node`: ROS ignores such a file silently."""
     name = node.get_fully_qualified_name()
     for path in params_files(argv):
-        sections = list(_sections(yaml.safe_load(path.read_text()) or {}))
+        sections = list(_sections(read_yaml(path) or {}))
         if not any(_matches(section, name) for section in sections):
             raise ParameterError(f"params file {path} holds nothing for the node '{name}', "
                                  f"only for {', '.join(sections) or 'none'}")

@@ -2,6 +2,8 @@
 from __future__ import annotations
 
 import math
+import reprlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 
@@ -20,8 +22,15 @@ class Parameter:
     minimum: float = -math.inf
     maximum: float = math.inf
     choices: tuple[str, ...] = ()
-    lengths: tuple[int, ...] | None = None  # of a list; None allows any
-    positive: bool = False  # excludes zero
+    lengths: Sequence[int] | None = None  # of a list, a tuple or a range; None allows any
+    positive: bool = False  # excludes zero, and the empty text
+
+    @property
+    def length_text(self) -> str:
+        """`lengths` in words."""
+        if isinstance(self.lengths, range):
+            return f'{self.lengths[0]} to {self.lengths[-1]}'
+        return ' or '.join(str(n) for n in self.lengths)
 
     def check(self, value):
         """`value` in this parameter's type; ParameterError if it does not fit."""
@@ -35,11 +44,11 @@ class Parameter:
         if isinstance(value, (str, bytes)) or not hasattr(value, '__iter__'):
             value = [value]
         kind = self._element_type()
-        checked = [self._check_scalar(v, kind) for v in value]
-        if self.lengths is not None and len(checked) not in self.lengths:
-            expected = ' or '.join(str(n) for n in self.lengths)
-            raise ParameterError(f"parameter '{self.name}' must have {expected} values, got {len(checked)}: {value}")
-        return checked
+        value = list(value)
+        if self.lengths is not None and len(value) not in self.lengths:
+            raise ParameterError(f"parameter '{self.name}' must have {self.length_text} values, got {len(value)}: "
+                                 f'{reprlib.repr(value)}')
+        return [self._check_scalar(v, kind) for v in value]
 
     def _element_type(self):
         if self.default:
@@ -58,9 +67,13 @@ class Parameter:
             if number is not None and (kind is float or number == int(number)):
                 return self._check_range(kind(number))
         wanted = {bool: 'true or false', str: 'a text', int: 'a whole number', float: 'a number'}[kind]
-        raise ParameterError(f"parameter '{self.name}' must be {wanted}, got {value!r}")
+        raise ParameterError(f"parameter '{self.name}' must be {wanted}, got {reprlib.repr(value)}")
 
     def _check_choice(self, value):
+        if self.positive and not value:
+            raise ParameterError(f"parameter '{self.name}' must not be empty")
+        if '\0' in value:
+            raise ParameterError(f"parameter '{self.name}' holds a null byte: {reprlib.repr(value)}")
         if self.choices and value not in self.choices:
             raise ParameterError(f"parameter '{self.name}' must be one of {', '.join(self.choices)}; got '{value}'")
         return value
@@ -78,6 +91,6 @@ def _number(value) -> float | None:
     """`value` as a finite float, also from a text such as 1e-3 (a text in PyYAML, a double in ROS); else None."""
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return None
     return number if math.isfinite(number) else None

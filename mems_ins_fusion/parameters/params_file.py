@@ -1,11 +1,56 @@
 """ROS 2 params files: read without ROS, and values written as ROS reads them back."""
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import yaml
 
 from .parameter import ParameterError
+
+#: files that people and recorders write are far smaller and flatter
+_LARGEST, _DEEPEST = 1_000_000, 20  # bytes, levels
+
+
+class YamlError(ValueError):
+    """Text that is no YAML, or none that is read here: one line that says why."""
+
+
+class _Loader(yaml.SafeLoader):
+    """As rcl reads YAML: no aliases (a few lines of them unfold to gigabytes), dates are texts, no deep nesting."""
+
+    yaml_implicit_resolvers = {first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith(':timestamp')]
+                               for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()}
+    depth = 0
+
+    def compose_node(self, parent, index):
+        if self.check_event(yaml.AliasEvent):
+            raise YamlError(f'line {self.peek_event().start_mark.line + 1}: aliases (*) are not read')
+        if self.depth == _DEEPEST:
+            raise YamlError(f'line {self.peek_event().start_mark.line + 1}: nested more than {_DEEPEST} levels deep')
+        self.depth += 1
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+
+def read_yaml(path):
+    """The one document in the YAML file `path`. OSError where it cannot be read, YamlError where it is not usable."""
+    with Path(path).open('rb') as file:
+        data = file.read(_LARGEST + 1)
+    if len(data) > _LARGEST:
+        raise YamlError(f'it is larger than {_LARGEST / 1e6:g} MB')
+    try:
+        loader = _Loader(data.decode())
+        try:
+            return loader.get_single_data()
+        finally:
+            loader.dispose()
+    except YamlError:
+        raise
+    # PyYAML passes on what Python says of values such as !!int with no digits
+    except (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, OverflowError) as error:
+        raise YamlError(' '.join(str(error).split())) from None
 
 
 def load_yaml(path, node: str = '') -> dict:
@@ -16,30 +61,33 @@ def load_yaml(path, node: str = '') -> dict:
     """
     path = Path(path)
     try:
-        document = yaml.safe_load(path.read_text())
+        document = read_yaml(path)
     except OSError as error:
         raise ParameterError(f'params file {path}: {error.strerror}') from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ParameterError(f'params file {path} is not valid YAML: {" ".join(str(error).split())}') from None
+    except YamlError as error:
+        raise ParameterError(f'params file {path} is not valid YAML: {error}') from None
     if not isinstance(document, dict):
         raise ParameterError(f'params file {path} holds no parameters')
-    known = ['/**'] + ([node, f'/{node}'] if node else sorted(set(document) - {'/**'}))
+    known = ['/**'] + ([node, f'/{node}'] if node else sorted(map(str, set(document) - {'/**'})))
     sections = [document[name] for name in known if name in document]
     if not sections:
-        raise ParameterError(f"params file {path} has no section '/**' or '{node}', only {', '.join(document)}")
+        raise ParameterError(f"params file {path} has no section '/**' or '{node}', "
+                             f"only {', '.join(map(str, document))}")
     values: dict = {}
     for section in sections:
         if not isinstance(section, dict) or not isinstance(section.get('ros__parameters'), dict):
             raise ParameterError(f"params file {path}: each node's parameters must stand under 'ros__parameters'")
-        values.update(_flatten(section['ros__parameters']))
+        values.update(_flatten(section['ros__parameters'], path))
     return values
 
 
-def _flatten(tree: dict, prefix: str = '') -> dict:
+def _flatten(tree: dict, path: Path, prefix: str = '') -> dict:
     flat: dict = {}
     for key, value in tree.items():
+        if not isinstance(key, str):
+            raise ParameterError(f"params file {path}: '{prefix}{key}' is not the name of a parameter")
         if isinstance(value, dict):
-            flat.update(_flatten(value, f'{prefix}{key}.'))
+            flat.update(_flatten(value, path, f'{prefix}{key}.'))
         else:
             flat[f'{prefix}{key}'] = value
     return flat
@@ -52,7 +100,7 @@ def yaml_value(value) -> str:
     if isinstance(value, list):
         return f"[{', '.join(yaml_value(v) for v in value)}]"
     if isinstance(value, str):
-        return f"'{value}'"
+        return f"""'{value.replace("'", "''")}'""" if value.isprintable() else json.dumps(value)
     text = repr(value)
     mantissa, exponent, power = text.partition('e')
     return text if not exponent or '.' in mantissa else f'{mantissa}.0e{power}'

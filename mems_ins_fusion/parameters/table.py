@@ -22,26 +22,28 @@ def _sensor(sensor, unit, noise_density, initial_sigma, random_walk, sigma, driv
     """The parameters that accelerometer and gyroscope share; numbers are those of a consumer-grade part."""
     return (
         _per_axis(f'{sensor}.noise_density', [noise_density], f'{unit}/sqrt(Hz)',
-                  'White noise: velocity or angle random walk.', minimum=0.0),
-        _per_axis(f'{sensor}.bias', [0.0], unit, 'Constant bias, subtracted from the measurement.'),
+                  'White noise: velocity or angle random walk.', minimum=0.0, maximum=1e3),
+        _per_axis(f'{sensor}.bias', [0.0], unit, 'Constant bias, subtracted from the measurement.',
+                  minimum=-1e3, maximum=1e3),
         _per_axis(f'{sensor}.initial_sigma', [initial_sigma], unit,
-                  'Turn-on bias (one sigma) where no standstill before the start showed it.', positive=True),
+                  'Turn-on bias (one sigma) where no standstill before the start showed it.', positive=True,
+                  maximum=1e3),
         _per_axis(f'{sensor}.random_walk.q', [random_walk], f'{unit}/sqrt(s)',
-                  'Driving noise of the random-walk model.', minimum=0.0),
+                  'Driving noise of the random-walk model.', minimum=0.0, maximum=1e3),
         _per_axis(f'{sensor}.gauss_markov.sigma', [sigma], unit,
-                  'Standard deviation of the Gauss-Markov model.', minimum=0.0),
+                  'Standard deviation of the Gauss-Markov model.', minimum=0.0, maximum=1e3),
         _per_axis(f'{sensor}.gauss_markov.tau', [300.0], 's',
-                  'Correlation time of the Gauss-Markov model.', positive=True),
+                  'Correlation time of the Gauss-Markov model.', positive=True, maximum=1e9),
         Parameter(f'{sensor}.autoregressive.coefficients', [-1.7132, 0.71415], '-',
                   'a_1..a_p of the autoregressive model, signs as in Eq. 15 of the paper: '
                   'y(n) = -a_1 y(n-1) - ... + b_0 w(n). p values for all axes, or 3 p: those of x, then y, then z. '
-                  'With 3 p values `autoregressive.order` tells p.'),
+                  'With 3 p values `autoregressive.order` tells p.', minimum=-1e6, maximum=1e6, lengths=range(1, 61)),
         Parameter(f'{sensor}.autoregressive.order', 0, '-',
                   'Order p of the autoregressive model; 0 takes the number of coefficients.', minimum=0, maximum=20),
         _per_axis(f'{sensor}.autoregressive.b0', [driving_noise], unit,
-                  'Driving noise b_0 of the autoregressive model.', minimum=0.0),
+                  'Driving noise b_0 of the autoregressive model.', minimum=0.0, maximum=1e3),
         Parameter(f'{sensor}.autoregressive.interval', 1.0, 's',
-                  'Sampling interval the autoregressive model was fitted at.', positive=True),
+                  'Sampling interval the autoregressive model was fitted at.', minimum=1e-4, maximum=1e5),
         _per_axis(f'{sensor}.scale', [0.0], '-',
                   'Scale factor error S of Eq. 9 and 10: measured = (1 + S) true.', minimum=-0.5, maximum=0.5),
     )
@@ -51,9 +53,9 @@ def _aiding(name, unit, default_sigma):
     """The parameters that speed, velocity and heading share."""
     return (
         Parameter(f'{name}.sigma', 0.0, unit, f'Standard deviation of the {name}; 0 takes what the message says.',
-                  minimum=0.0),
+                  minimum=0.0, maximum=1000.0),
         Parameter(f'{name}.default_sigma', default_sigma, unit, 'Used where the message does not tell.',
-                  positive=True),
+                  positive=True, maximum=1000.0),
     )
 
 
@@ -61,7 +63,7 @@ MODELS = ('random_walk', 'gauss_markov', 'autoregressive')
 
 #: what the filter needs, whoever runs it
 FILTER = (
-    Parameter('imu_topic', '/imu/data', 'text', 'Topic of sensor_msgs/Imu.'),
+    Parameter('imu_topic', '/imu/data', 'text', 'Topic of sensor_msgs/Imu.', positive=True),
     Parameter('gnss_topic', '/gps/fix', 'text', 'Topic of sensor_msgs/NavSatFix.'),
     Parameter('temperature_topic', '', 'text', 'Topic of sensor_msgs/Temperature of the IMU; empty: none.'),
     Parameter('speed_topic', '', 'text', 'Topic of the speed at the rear axle, m/s, forward positive: '
@@ -82,12 +84,12 @@ FILTER = (
               'vehicle.non_holonomic both are estimated, starting with it; 0: they are exact.', minimum=0.0,
               maximum=0.5),
     Parameter('imu.max_specific_force', 100.0, 'm/s^2', 'A sample with a component beyond it is not believed.',
-              positive=True),
-    Parameter('imu.max_angular_rate', 20.0, 'rad/s', 'The same for the gyroscopes.', positive=True),
+              positive=True, maximum=1e5),
+    Parameter('imu.max_angular_rate', 20.0, 'rad/s', 'The same for the gyroscopes.', positive=True, maximum=1e4),
     Parameter('imu.max_gap', 0.5, 's', 'A longer gap between samples is bridged with the last sample and '
-              'with a covariance that says so.', positive=True),
+              'with a covariance that says so.', positive=True, maximum=60.0),
     Parameter('imu.restart_gap', 10.0, 's', 'After a longer gap, or stamps that jump back, the filter aligns anew.',
-              positive=True),
+              positive=True, maximum=86400.0),
     Parameter('gnss.lever_arm', [0.0, 0.0, 0.0], 'm', 'From the IMU to the antenna, base_link '
               '(forward-left-up).', lengths=(3,), minimum=-50.0, maximum=50.0),
     Parameter('gnss.time_offset', 0.0, 's', 'A fix stamped t describes the vehicle when the IMU\'s clock read '
@@ -101,17 +103,17 @@ FILTER = (
     Parameter('gnss.max_delay', 1.0, 's', 'A fix may arrive this much later than the IMU samples of its time; '
               'later ones are dropped.', minimum=0.0, maximum=10.0),
     Parameter('gnss.robust_sigma', 3.0, 'sigma', 'A fix whose normalized innovation is larger is weighted down to '
-              'this value (Huber); 0 trusts every fix.', minimum=0.0),
+              'this value (Huber); 0 trusts every fix.', minimum=0.0, maximum=1e6),
     Parameter('gnss.gate_probability', 0.999999, '-', 'A fix is refused when its innovation lies outside the region '
               'that holds this share of honest ones (and is off by more than 5 m); 1: none is refused.',
               positive=True, maximum=1.0),
     Parameter('gnss.recovery_time', 30.0, 's', 'Fixes refused for this long that agree with each other were right: '
-              'the filter starts anew from them.', positive=True),
+              'the filter starts anew from them.', positive=True, maximum=86400.0),
     Parameter('gnss.adapt_sigma', True, '-', 'Raise the sigma of the fixes to what they are seen to scatter.'),
-    Parameter('gnss.outage_after', 2.5, 's', 'Without a fix for this long the node reports an outage.', positive=True),
+    Parameter('gnss.outage_after', 2.5, 's', 'Without a fix for this long the node reports an outage.', positive=True, maximum=86400.0),
     Parameter('gnss.coloured_noise.sigma', 0.0, 'm', 'Standard deviation of a first-order Gauss-Markov position '
-              'error of the receiver, north and east; 0: none.', minimum=0.0),
-    Parameter('gnss.coloured_noise.tau', 60.0, 's', 'Its correlation time.', positive=True),
+              'error of the receiver, north and east; 0: none.', minimum=0.0, maximum=1000.0),
+    Parameter('gnss.coloured_noise.tau', 60.0, 's', 'Its correlation time.', positive=True, maximum=1e9),
     *_aiding('speed', 'm/s', 0.1),
     Parameter('speed.scale', 0.0, '-', 'Scale factor error of the speed: measured = (1 + scale) true.',
               minimum=-0.5, maximum=0.5),
@@ -133,16 +135,16 @@ FILTER = (
     Parameter('alignment.level', True, '-', 'Remove the constant tilt that the accelerometers show at standstill.'),
     Parameter('vehicle.zero_velocity', True, '-', 'Use standstills: zero velocity and zero turn rate.'),
     Parameter('vehicle.zero_velocity_sigma', 0.02, 'm/s', 'Standard deviation of the velocity at standstill.',
-              positive=True),
+              positive=True, maximum=100.0),
     Parameter('vehicle.still_acceleration', 0.3, 'm/s^2', 'The accelerometers are at rest when they scatter less than '
-              'this (standard deviation of an axis).', positive=True),
+              'this (standard deviation of an axis).', positive=True, maximum=100.0),
     Parameter('vehicle.still_rate', 0.05, 'rad/s', 'The same for the gyroscopes; their mean must be smaller, too.',
-              positive=True),
+              positive=True, maximum=100.0),
     Parameter('vehicle.non_holonomic', True, '-', 'A land vehicle does not move sideways (nor, strapdown, up).'),
     Parameter('vehicle.non_holonomic_sigma', 0.3, 'm/s', 'Standard deviation of that sideways velocity.',
-              positive=True),
+              positive=True, maximum=100.0),
     Parameter('vehicle.non_holonomic_vertical_sigma', 2.0, 'm/s', 'The same for the velocity across the floor '
-              '(strapdown): the suspension works.', positive=True),
+              '(strapdown): the suspension works.', positive=True, maximum=100.0),
     Parameter('vehicle.non_holonomic_angle_sigma', 0.0, 'rad', 'Standard deviation of the direction of motion in the '
               'vehicle: grows with the speed.', minimum=0.0, maximum=0.5),
     Parameter('vehicle.sideslip_sigma', 0.0, 'rad/(m/s^2)', 'Standard deviation of vehicle.sideslip_per_acceleration.',
@@ -200,22 +202,27 @@ REPLAY = (
     Parameter('models', ['random_walk', 'gauss_markov', 'autoregressive'], 'text', 'Sensor error models to compare.',
               choices=MODELS),
     Parameter('update_intervals', [1.0, 3.0, 6.0], 's', 'Fixes are thinned out to these intervals; 0 uses each.',
-              minimum=0.0),
-    Parameter('outage_durations', [10.0, 30.0, 60.0], 's', 'Fixes are withheld for this long.', positive=True),
-    Parameter('outage_spacing', 30.0, 's', 'Between the starts of two outages of one duration.', positive=True),
-    Parameter('start', 0.0, 's', 'Skip this much of the recording.', minimum=0.0),
-    Parameter('stop', 0.0, 's', 'Stop this long after the recording\'s start; 0: at its end.', minimum=0.0),
+              minimum=0.0, maximum=86400.0, lengths=range(0, 51)),
+    Parameter('outage_durations', [10.0, 30.0, 60.0], 's', 'Fixes are withheld for this long.', minimum=0.1,
+              maximum=86400.0, lengths=range(0, 51)),
+    Parameter('outage_spacing', 30.0, 's', 'Between the starts of two outages of one duration.', minimum=0.1,
+              maximum=1e6),
+    Parameter('start', 0.0, 's', 'Skip this much of the recording.', minimum=0.0, maximum=1e9),
+    Parameter('stop', 0.0, 's', 'Stop this long after the recording\'s start; 0: at its end.', minimum=0.0,
+              maximum=1e9),
     Parameter('fix_noise', 0.0, 'm', 'White noise added to north and east of each fix used, to turn a survey receiver '
-              'into an ordinary one.', minimum=0.0),
-    Parameter('seed', 0, '-', 'Seed of that noise.', minimum=0),
+              'into an ordinary one.', minimum=0.0, maximum=1e4),
+    Parameter('seed', 0, '-', 'Seed of that noise.', minimum=0, maximum=2**53),
     Parameter('reference_topic', '', 'text', 'Topic of the reference: NavSatFix, Odometry or PoseStamped; empty: the '
               'withheld fixes are the truth.'),
     Parameter('reference_lever_arm', [], 'm', 'From the IMU to the point whose position the reference is, base_link '
               '(forward-left-up); empty: the antenna, gnss.lever_arm.', lengths=(0, 3), minimum=-50.0, maximum=50.0),
     Parameter('reference_file', '', 'text', 'Reference trajectory as a file: CSV, TUM, NMEA or RTKLIB .pos.'),
+    Parameter('memory_limit', 2.0, 'GB', 'A tool refuses a recording that would take more memory than this; about '
+              '0.8 GB are enough for three hours at 100 Hz.', minimum=0.5, maximum=1e6),
     Parameter('write_bag', False, '-', 'Also write a rosbag2 with one Odometry topic per model.'),
     Parameter('publish', False, '-', 'Publish the replayed odometry on topics, with /clock.'),
-    Parameter('rate', 1.0, '-', 'Speed of that publishing; 2 is twice as fast as recorded.', positive=True),
+    Parameter('rate', 1.0, '-', 'Speed of that publishing; 2 is twice as fast as recorded.', minimum=1e-3, maximum=1e6),
 )
 
 FILTER += tuple(setting for effect in EFFECTS.values() for setting in effect.settings)
@@ -235,7 +242,15 @@ def check(values: dict) -> dict:
         if name not in ALL:
             raise ParameterError(unknown(name))
         checked[name] = ALL[name].check(value)
+    _check_datum(checked['datum'])
     return checked
+
+
+def _check_datum(datum: list[float]) -> None:
+    """Its three elements have ranges of their own."""
+    for value, limit, what in zip(datum, (90.0, 360.0, 1e5), ('latitude', 'longitude', 'height')):
+        if abs(value) > limit:
+            raise ParameterError(f"parameter 'datum' must have a {what} from -{limit:g} to {limit:g}, got {value:g}")
 
 
 def unknown(name: str) -> str:

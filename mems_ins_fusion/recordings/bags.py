@@ -1,7 +1,7 @@
 """Bags of every kind as one: topics, and the serialized messages in blocks.
 
 rosbag2 folders (mcap or sqlite3, split, compressed, with or without metadata.yaml), single .mcap and .db3 files, and
-ROS 1 .bag files, which rosbags reads and whose messages it converts to CDR.
+ROS 1 .bag files, whose messages rosbags converts to CDR.
 """
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ from contextlib import ExitStack
 from pathlib import Path, PurePath
 from urllib.parse import quote
 
-import yaml
-
-from mems_ins_fusion.recordings.compression import ZSTD_MAGIC, zstd
-from mems_ins_fusion.recordings.errors import RecordingError, RecordingWarning, needs_rosbags
+from mems_ins_fusion.parameters.params_file import read_yaml
+from mems_ins_fusion.recordings.compression import ZSTD_MAGIC, decompress, decompress_file, zstd
+from mems_ins_fusion.recordings.errors import RecordingError, RecordingWarning
 from mems_ins_fusion.recordings.mcap import McapFile
+from mems_ins_fusion.recordings.rosbag1 import Rosbag1File
 
 _BLOCK = 20_000  # messages handed on at once
+_LARGEST_CELL = 2**24  # bytes, of a database
+_LARGEST_MESSAGE = 2**20  # bytes, of those read here: an Imu has some 330
 
 
 class Bag:
@@ -56,7 +58,7 @@ class Bag:
         for i, file in enumerate(self._files):
             for topic, times, messages, part in file.read(topics):
                 if any(message.startswith(ZSTD_MAGIC) for message in messages[:1]):
-                    messages = [self._decompress(message, topic) for message in messages]
+                    messages = [_plain(message) for message in messages]
                 yield topic, times, messages, (i + part) / len(self._files)
 
     def damage(self) -> list[str]:
@@ -65,6 +67,8 @@ class Bag:
 
     def _open(self, path: Path):
         try:
+            if not path.is_file():
+                raise RecordingError(f'{path} is not a file')
             if path.stat().st_size == 0:
                 raise RecordingError(f'{path} is empty (0 bytes)')
             if path.suffix == '.zstd':
@@ -76,50 +80,88 @@ class Bag:
     def _decompress_file(self, path: Path) -> Path:
         folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory()))
         plain = folder / path.stem
-        module = zstd()
         try:
-            with module.open(path, 'rb') as source, plain.open('wb') as target:
-                shutil.copyfileobj(source, target)
-        except (module.ZstdError, EOFError) as error:
+            with path.open('rb') as source, plain.open('wb') as target:
+                decompress_file(source, target, path.stat().st_size)
+        except RecordingError as error:
+            raise RecordingError(f'{path}: {error}') from None
+        except (zstd().ZstdError, EOFError) as error:
             if not plain.stat().st_size:
                 raise RecordingError(f'cannot decompress {path}: {error}') from None
             warnings.warn(f'{path} is decompressed only in part: {error}', RecordingWarning, stacklevel=2)
         return plain
 
-    def _decompress(self, message: bytes, topic: str) -> bytes:
-        module = zstd()
-        try:
-            return module.decompress(message)
-        except module.ZstdError as error:
-            raise RecordingError(f"{self.path}: a compressed message on '{topic}' is damaged: {error}") from None
+
+def _plain(message: bytes) -> bytes:
+    """A message without its compression; as it is, and so not decodable, where that is damaged."""
+    try:
+        return decompress(message, 'zstd', _LARGEST_MESSAGE)
+    except (zstd().ZstdError, RecordingError):
+        return message
 
 
 class _Sqlite3File:
-    """One .db3 file of rosbag2, whatever version of its schema."""
+    """One .db3 file of rosbag2, whatever version of its schema. Its contents are data, never SQL."""
 
     def __init__(self, path: Path):
         self.path = path
-        whole_pages, self.damage = _missing_pages(path)
-        if self.damage:  # in memory, without the last page if that is cut: sqlite would fill it up with zeros
-            self._database = sqlite3.connect(':memory:')
-            self._database.deserialize(path.read_bytes()[:whole_pages])
-        else:
-            # immutable reads where no lock can be taken, but does not see what stands in a write-ahead log
-            mode = 'ro' if path.with_name(f'{path.name}-wal').exists() else 'ro&immutable=1'
-            self._database = sqlite3.connect(f'file:{quote(str(path.absolute()))}?mode={mode}', uri=True)
+        self._folder = None
         try:
+            self._database, self.damage = self._opened(path)
+        except sqlite3.Error as error:
+            raise RecordingError(f'{path} cannot be opened: {error}') from None
+        try:
+            if hasattr(self._database, 'setlimit'):  # from Python 3.11 on
+                self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LARGEST_CELL)
+            self._database.execute('PRAGMA trusted_schema = OFF')
             # without this a file shorter than it says it is would be refused as a whole
             self._database.execute('PRAGMA writable_schema = ON')
+            self._refuse_computed('topics', 'messages')
             rows = self._database.execute('SELECT id, name, type, serialization_format FROM topics').fetchall()
-        except sqlite3.Error as error:
-            self._database.close()
-            raise RecordingError(f'{path} is not a rosbag2 database, or it is damaged: {error}') from None
-        self._names = {number: name for number, name, _, _ in rows}
-        self._formats = {name: encoding for _, name, _, encoding in rows}
-        self.topics = {name: kind for _, name, kind, _ in rows}
+        except (sqlite3.Error, UnicodeDecodeError) as error:
+            self.close()
+            raise RecordingError(f'{path} is not a rosbag2 database, or it is damaged: {_one_line(error)}') from None
+        except RecordingError:
+            self.close()
+            raise
+        good = [row for row in rows if isinstance(row[0], int) and all(isinstance(cell, str) for cell in row[1:])]
+        if len(good) < len(rows):
+            self.damage = self.damage or f'{len(rows) - len(good)} of its topics are damaged'
+        self._names = {number: name for number, name, _, _ in good}
+        self._formats = {name: encoding for _, name, _, encoding in good}
+        self.topics = {name: kind for _, name, kind, _ in good}
+
+    def _opened(self, path: Path):
+        """The database, and what is wrong with the file."""
+        whole_pages, damage = _missing_pages(path)
+        if damage:  # in memory, without the last page if that is cut: sqlite would fill it up with zeros
+            database = sqlite3.connect(':memory:')
+            database.deserialize(path.read_bytes()[:whole_pages])
+            return database, damage
+        log = path.with_name(f'{path.name}-wal')
+        if log.exists() and log.stat().st_size:  # reading it writes beside it: so a copy of both is read
+            self._folder = tempfile.TemporaryDirectory()
+            for file in (log, path):
+                shutil.copyfile(file, Path(self._folder.name) / file.name)
+            path = Path(self._folder.name) / path.name
+            return sqlite3.connect(path), None
+        # immutable: no lock can be taken on read-only media
+        return sqlite3.connect(f'file:{quote(str(path.absolute()))}?mode=ro&immutable=1', uri=True), None
+
+    def _refuse_computed(self, *tables) -> None:
+        """RecordingError unless `tables` are plain tables: views and generated columns can be computed without end."""
+        for table in tables:
+            kinds = self._database.execute('SELECT type, rootpage FROM sqlite_master WHERE name = ?',
+                                           (table,)).fetchall()
+            columns = self._database.execute(f'PRAGMA table_xinfo({table})').fetchall()
+            if [kind for kind, page in kinds if page] != ['table'] or any(column[6] for column in columns):
+                raise RecordingError(f"{self.path} is not a rosbag2 database, or it is damaged: '{table}' is no plain "
+                                     'table')
 
     def close(self) -> None:
         self._database.close()
+        if self._folder is not None:
+            self._folder.cleanup()
 
     def counts(self) -> Counter:
         counts: Counter = Counter()
@@ -136,28 +178,30 @@ class _Sqlite3File:
             if self._formats[name] != 'cdr':
                 raise RecordingError(f"topic '{name}' in {self.path} is encoded as '{self._formats[name]}', not as cdr")
         # in the order of writing: unlike the index on time, it reads from front to end, and up to a damage
-        query = (f'SELECT id, topic_id, timestamp, data FROM messages WHERE topic_id IN ({",".join(map(str, wanted))}) '
-                 'ORDER BY id')
+        query = (f'SELECT id, topic_id, timestamp, data FROM messages WHERE topic_id IN ({",".join("?" * len(wanted))})'
+                 ' ORDER BY id')
         last = self._last_id()
         found, size, number = {topic: ([], []) for topic in wanted}, 0, 0
         try:
-            for number, topic, time, data in self._database.execute(query):
+            for number, topic, time, data in self._database.execute(query, list(wanted)):
                 times, messages = found[topic]
-                times.append(time)
-                messages.append(data)
+                whole = isinstance(data, bytes) and isinstance(time, int)
+                times.append(time if whole else 0)
+                messages.append(data if whole else b'')  # which is not decodable, and counted there
                 size += 1
                 if size == _BLOCK:
-                    yield from ((wanted[topic], *block, number / last) for topic, block in found.items())
+                    yield from ((wanted[topic], *block, min(number / last, 1.0)) for topic, block in found.items())
                     found, size = {topic: ([], []) for topic in wanted}, 0
-        except sqlite3.Error as error:
-            self.damage = self.damage or f'it is damaged after message {number} ({error})'
+        except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
+            self.damage = self.damage or f'it is damaged after message {number} ({_one_line(error)})'
         yield from ((wanted[topic], *block, 1.0) for topic, block in found.items())
 
     def _last_id(self) -> float:
         try:
-            return self._database.execute('SELECT MAX(id) FROM messages').fetchone()[0] or 1
+            last = self._database.execute('SELECT MAX(id) FROM messages').fetchone()[0]
         except sqlite3.Error:
             return float('inf')
+        return last if isinstance(last, int) and last > 0 else 1
 
 
 def _missing_pages(path: Path) -> tuple[int, str | None]:
@@ -177,52 +221,7 @@ def _missing_pages(path: Path) -> tuple[int, str | None]:
     return size - size % page_size, f'it breaks off at {size / 1e6:.3g} MB of {page_size * pages / 1e6:.3g} MB'
 
 
-class _Rosbag1File:
-    """One .bag file of ROS 1."""
-
-    damage = None
-
-    def __init__(self, path: Path):
-        with needs_rosbags(f'reading the ROS 1 bag {path}'):
-            from rosbags.highlevel import AnyReader
-            from rosbags.typesys import Stores, get_typestore
-        self.path = path
-        self._to_cdr = get_typestore(Stores.ROS2_JAZZY).ros1_to_cdr
-        self._reader = AnyReader([path])
-        try:
-            self._reader.open()
-        except Exception as error:  # rosbags raises its own errors, struct's and others on damaged files
-            raise RecordingError(f'{path} is not a ROS 1 bag, or it is damaged: {_one_line(error)}') from None
-        self.topics = {connection.topic: connection.msgtype for connection in self._reader.connections}
-
-    def close(self) -> None:
-        self._reader.close()
-
-    def counts(self) -> Counter:
-        counts: Counter = Counter()
-        for connection in self._reader.connections:
-            counts[connection.topic] += connection.msgcount
-        return counts
-
-    def read(self, topics):
-        connections = [connection for connection in self._reader.connections if connection.topic in topics]
-        total = sum(connection.msgcount for connection in connections) or 1
-        found, size, done = {topic: ([], []) for topic in topics}, 0, 0
-        try:
-            for connection, time, data in self._reader.messages(connections) if connections else ():
-                times, messages = found[connection.topic]
-                messages.append(bytes(self._to_cdr(data, connection.msgtype)))
-                times.append(time)
-                size, done = size + 1, done + 1
-                if size == _BLOCK:
-                    yield from ((topic, *block, done / total) for topic, block in found.items())
-                    found, size = {topic: ([], []) for topic in topics}, 0
-        except Exception as error:  # as above
-            self.damage = f'it is damaged after message {done} ({_one_line(error)})'
-        yield from ((topic, *block, 1.0) for topic, block in found.items())
-
-
-_STORAGES = {'.mcap': McapFile, '.db3': _Sqlite3File, '.bag': _Rosbag1File}
+_STORAGES = {'.mcap': McapFile, '.db3': _Sqlite3File, '.bag': Rosbag1File}
 
 
 def _storage_files(path: Path) -> list[Path]:
@@ -241,9 +240,11 @@ def _storage_files(path: Path) -> list[Path]:
 def _files_of_folder(folder: Path) -> list[Path]:
     there = sorted(path for path in folder.iterdir() if _is_storage(path))
     try:
-        information = yaml.safe_load((folder / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
-        listed = [folder / PurePath(name).name for name in information['relative_file_paths']]
-    except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError) as error:
+        names = read_yaml(folder / 'metadata.yaml')['rosbag2_bagfile_information']['relative_file_paths']
+        if not isinstance(names, list) or not names:
+            raise ValueError('no list of files')
+        listed = [folder / PurePath(name).name for name in names]
+    except (OSError, ValueError, TypeError, KeyError) as error:
         if not there:
             raise RecordingError(f'{folder} is not a recording: it holds no metadata.yaml and no .mcap, .db3 or .bag '
                                  'file') from None
@@ -251,13 +252,15 @@ def _files_of_folder(folder: Path) -> list[Path]:
         warnings.warn(f'{folder} {reason}; reading {", ".join(path.name for path in there)}', RecordingWarning,
                       stacklevel=2)
         return there
-    missing = [path.name for path in listed if not path.exists()]
-    listed = [path for path in listed if path.exists()]
-    if not listed:
-        raise RecordingError(f'{folder} is incomplete: {", ".join(missing) or "every data file"} is missing')
+    missing = [path.name for path in listed if not (_is_storage(path) and path.is_file())]
+    listed = [path for path in dict.fromkeys(listed) if path.name not in missing]
+    if not listed and not there:
+        raise RecordingError(f'{folder} is incomplete: {", ".join(missing)} is missing')
     if missing:
-        warnings.warn(f'{folder} is incomplete: {", ".join(missing)} is missing', RecordingWarning, stacklevel=2)
-    return listed
+        instead = '' if listed else f'; reading {", ".join(path.name for path in there)}'
+        warnings.warn(f'{folder} is incomplete: {", ".join(missing)} is missing{instead}', RecordingWarning,
+                      stacklevel=2)
+    return listed or there
 
 
 def _is_storage(path: Path) -> bool:

@@ -12,7 +12,7 @@ import zlib
 from collections import Counter
 from pathlib import Path
 
-from mems_ins_fusion.recordings.compression import decompress
+from mems_ins_fusion.recordings.compression import decompress, most_unpacked
 from mems_ins_fusion.recordings.errors import RecordingError
 
 MAGIC = b'\x89MCAP0\r\n'
@@ -23,6 +23,10 @@ _MESSAGE_HEADER = struct.Struct('<HIQQ')
 _CHUNK_HEADER = struct.Struct('<QQQI')
 _FOOTER_SIZE = _RECORD.size + 20
 _BLOCK = 10_000  # messages handed on at once where a file has no chunks
+
+
+#: what reading a record raises that is shorter than its kind, or whose texts are none
+_MALFORMED = (struct.error, UnicodeDecodeError)
 
 
 class _Truncated(Exception):
@@ -46,6 +50,7 @@ class McapFile:
         self._channels: dict[int, tuple[str, int, str]] = {}  # topic, schema, encoding
         self._counts: Counter = Counter()  # messages by channel
         self._chunk_channels: dict[int, set[int]] = {}  # where a chunk begins: the channels in it
+        self._unpacked = 0  # bytes
         with path.open('rb') as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise RecordingError(f'{path} is not an MCAP file: it does not begin like one')
@@ -96,7 +101,7 @@ class McapFile:
                     self._chunk_channels[chunk] = {c for c, _ in struct.iter_unpack('<HQ', record[36:36 + size])}
                 else:
                     self._note(opcode, record)
-        except (_Truncated, struct.error, UnicodeDecodeError):
+        except (_Truncated, *_MALFORMED):
             return False
         return has_counts and set(self._counts) <= set(self._channels)
 
@@ -112,10 +117,13 @@ class McapFile:
     def _blocks(self, counts, wanted=()):
         """Walk the file; yield ({channel: (log times, messages)}, position) and count the messages by channel."""
         data, found = self._data, {channel: ([], []) for channel in wanted}
-        pending = 0
+        pending, self._unpacked = 0, 0
         try:
-            for opcode, begin, stop in _records(data, len(MAGIC), len(data)):
+            for opcode, begin, stop in self._top_records():
                 if opcode in (_DATA_END, _FOOTER):
+                    break
+                if self._unpacked > most_unpacked(len(data)):
+                    self.damage = f'it unpacks to more than {_megabytes(most_unpacked(len(data)))}'
                     break
                 if opcode == _CHUNK:
                     channels = self._chunk_channels.get(begin - _RECORD.size)
@@ -127,16 +135,34 @@ class McapFile:
                     self._read_records(data, ((opcode, begin, stop),), counts, found)
                     pending += opcode == _MESSAGE
                 if pending >= _BLOCK:
+                    release(data, stop)
                     yield found, stop
                     found, pending = {channel: ([], []) for channel in wanted}, 0
             else:
                 raise _Truncated(None, len(data))
         except _Truncated as end:
             whole = data[len(data) - len(MAGIC):] == MAGIC
-            self.damage = self._damage_at(end.begin) if whole else f'it breaks off at {_megabytes(len(data))}'
+            if self.damage is None or not whole:
+                self.damage = self._damage_at(end.begin) if whole else f'it breaks off at {_megabytes(len(data))}'
             if end.opcode == _CHUNK:
                 self._read_chunk(data[end.begin:], end.begin, counts, found)
         yield found, len(data)
+
+    def _top_records(self):
+        """The records of the file; where one is damaged in length, on from the next chunk that the summary names."""
+        data, position = self._data, len(MAGIC)
+        while True:
+            try:
+                for opcode, begin, stop in _records(data, position, len(data)):
+                    position = stop
+                    yield opcode, begin, stop
+                return
+            except _Truncated as end:
+                later = [chunk for chunk in self._chunk_channels if end.begin <= chunk < len(data)]
+                if not later:
+                    raise
+                self.damage = self.damage or self._damage_at(end.begin)
+                position = min(later)
 
     def _read_chunk(self, record, begin, counts, found) -> None:
         """Read the messages of one chunk record, or those before the place where it is damaged."""
@@ -144,10 +170,13 @@ class McapFile:
             _, _, size, checksum = _CHUNK_HEADER.unpack_from(record)
             compression, position = _text(record, _CHUNK_HEADER.size)
             content = decompress(record[position + 8:], compression)
+            self._unpacked += len(content)
             if len(content) == size and checksum and zlib.crc32(content) != checksum:
                 raise ValueError('checksum')
             self._read_records(content, _records(content, 0, len(content)), counts, found)
-        except RecordingError:
+        except RecordingError as error:
+            self.damage = self.damage or f'{self._damage_at(begin)} ({error})'
+        except MemoryError:
             raise
         except Exception:  # every decompressor has exceptions of its own
             self.damage = self.damage or self._damage_at(begin)
@@ -159,15 +188,27 @@ class McapFile:
         """Read the messages, and what they need to be understood, among `records` of `data`."""
         unpack, header = _MESSAGE_HEADER.unpack_from, _MESSAGE_HEADER.size
         for opcode, begin, stop in records:
-            if opcode == _MESSAGE:
+            if opcode == _MESSAGE and stop - begin >= header:
                 channel, _, log_time, _ = unpack(data, begin)
                 counts[channel] += 1
                 if channel in found:
                     times, messages = found[channel]
                     times.append(log_time)
                     messages.append(data[begin + header:stop])
-            else:
-                self._note(opcode, data[begin:stop])
+                continue
+            try:
+                if opcode == _MESSAGE:
+                    raise struct.error('too short')
+                if opcode in (_SCHEMA, _CHANNEL):
+                    self._note(opcode, data[begin:stop])
+            except _MALFORMED:
+                self.damage = self.damage or f'a record of it is damaged (kind {opcode}, {stop - begin} bytes)'
+
+
+def release(data: mmap.mmap, position: int) -> None:
+    """Let go of the memory that holds what was read before `position`: a mapped file counts as the process's own."""
+    if hasattr(mmap, 'MADV_DONTNEED'):
+        data.madvise(mmap.MADV_DONTNEED, 0, position - position % mmap.PAGESIZE or mmap.PAGESIZE)
 
 
 def _records(data, position, end):
@@ -188,6 +229,8 @@ def _text(record, position) -> tuple[str, int]:
     """A string that begins at `position`, and where it ends."""
     begin = position + 4
     end = begin + struct.unpack_from('<I', record, position)[0]
+    if end > len(record):
+        raise struct.error('a text is longer than its record')
     return record[begin:end].decode(), end
 
 

@@ -44,15 +44,36 @@ FIELDS = {
 }
 _LITTLE_ENDIAN_CDR = 0x0001
 _MAX_PADDING = 8  # bytes that a middleware may append
+_LONGEST = 100_000  # bytes of a message, most of them a frame's name
 
 
-def decode(raw: list[bytes], msgtype: str) -> np.ndarray:
+def decode(raw: list[bytes], msgtype: str) -> tuple[np.ndarray, np.ndarray]:
     """Serialized messages of `msgtype` (one of FIELDS) as a structured array with the fields named in FIELDS.
 
-    In bulk where all have one layout, else one by one through rosbags. ValueError where a message is not valid.
+    Also which of them it holds, (n,) bool: the others are not valid. In bulk where they have one layout, else one by
+    one through rosbags.
     """
     array = _decode_bulk(raw, msgtype)
-    return _decode_each(raw, msgtype) if array is None else array
+    if array is not None:
+        return array, np.ones(len(raw), dtype=bool)
+    sizes = np.array([len(data) for data in raw])
+    kept = [field[0] for field in FIELDS[msgtype] if field[1] != _STRING]
+    valid = np.zeros(len(raw), dtype=bool)
+    parts, places = [], []
+    for size in np.unique(sizes):  # texts of several lengths, or a few messages that are damaged
+        mine = np.flatnonzero(sizes == size)
+        group = [raw[i] for i in mine]
+        array = _decode_bulk(group, msgtype)
+        if array is None:
+            array, good = _decode_each(group, msgtype)
+            mine = mine[good]
+        plain = np.zeros(len(array), _plain_dtype(msgtype))
+        for name in kept:
+            plain[name] = array[name]
+        parts.append(plain)
+        places.append(mine)
+        valid[mine] = True
+    return np.concatenate(parts)[np.argsort(np.concatenate(places), kind='stable')], valid
 
 
 def encode(msgtype: str, values: dict, strings: dict[str, str]) -> list[memoryview]:
@@ -135,21 +156,29 @@ def _string_size(message, offset) -> int:
     return size
 
 
-def _decode_each(raw, msgtype) -> np.ndarray:
-    """The messages one by one, through rosbags' own deserialization."""
+def _plain_dtype(msgtype) -> np.dtype:
+    """The fields of a message but its texts."""
+    fields = [field for field in FIELDS[msgtype] if field[1] != _STRING]
+    return np.dtype([(name, kind) if count == 1 else (name, kind, count) for name, kind, count in fields])
+
+
+def _decode_each(raw, msgtype) -> tuple[np.ndarray, np.ndarray]:
+    """The valid ones of the messages, one by one through rosbags' own deserialization, and which these are."""
     with needs_rosbags('reading messages of varying layout'):
         from rosbags.typesys import Stores, get_typestore
-    store = get_typestore(Stores.ROS2_JAZZY)
-    fields = [field for field in FIELDS[msgtype] if field[1] != _STRING]
-    array = np.zeros(len(raw), [(name, kind) if count == 1 else (name, kind, count) for name, kind, count in fields])
+    store, dtype = get_typestore(Stores.ROS2_JAZZY), _plain_dtype(msgtype)
+    array, valid = np.zeros(len(raw), dtype), np.zeros(len(raw), dtype=bool)
     for i, data in enumerate(raw):
+        if len(data) > _LONGEST:
+            continue
         try:
             message = store.deserialize_cdr(data, msgtype)
-        except Exception as error:  # whatever rosbags stumbles over, the message is not of this type
-            raise ValueError(f'message {i + 1} is not a valid {msgtype} ({error})') from None
-        for name, _, _ in fields:
-            array[name][i] = _elements(reduce(getattr, name.split('.'), message))
-    return array
+            for name in dtype.names:
+                array[name][i] = _elements(reduce(getattr, name.split('.'), message))
+            valid[i] = True
+        except Exception:  # whatever rosbags stumbles over, the message is not of this type
+            continue
+    return array[valid], valid
 
 
 def _elements(value):

@@ -14,6 +14,7 @@ from mems_ins_fusion.samples import Fixes, ImuSamples
 
 QUIET = 0.03  # spread of the specific force at rest, as a part of gravity: a running engine stays below
 CREEP = 0.15  # m/s: what counts as rest
+HIGHEST = 1e5  # m: no vehicle is higher or lower
 _SHORTEST_COURSE = 5.0  # in sigmas of a fix: below, a displacement has no direction
 _SLIP = 0.01  # rad: scatter of the course about the heading that no receiver is to blame for
 _LARGEST_LAG = 2.0  # s
@@ -26,11 +27,15 @@ def robust_sigma(values: np.ndarray) -> float:
     return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 
+def plausible(latitude: np.ndarray, longitude: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """(n,) which positions, rad and m, can be a land vehicle's; not those with NaN."""
+    return ((np.abs(latitude) <= np.pi / 2) & (np.abs(longitude) <= 2 * np.pi) & (np.abs(height) < HIGHEST))
+
+
 def valid_fixes(fixes: Fixes) -> np.ndarray:
     """(n,) which fixes have a position; 0, 0 is what receivers without one send."""
-    finite = np.isfinite(fixes.latitude) & np.isfinite(fixes.longitude) & np.isfinite(fixes.height)
-    place = (np.abs(fixes.latitude) <= np.pi / 2) & ((fixes.latitude != 0) | (fixes.longitude != 0))
-    return finite & place & (fixes.status >= 0)
+    place = (fixes.latitude != 0) | (fixes.longitude != 0)
+    return plausible(fixes.latitude, fixes.longitude, fixes.height) & place & (fixes.status >= 0)
 
 
 def positions(fixes: Fixes) -> np.ndarray:

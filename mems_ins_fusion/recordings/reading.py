@@ -3,6 +3,8 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +23,7 @@ from mems_ins_fusion.recordings.messages import (
     TEMPERATURE,
     TWIST_WITH_COVARIANCE_STAMPED,
 )
+from mems_ins_fusion.recordings.motion import plausible
 from mems_ins_fusion.samples import (
     Fixes,
     Headings,
@@ -39,6 +42,7 @@ SPEED_TYPES = (TWIST_WITH_COVARIANCE_STAMPED, ODOMETRY)
 VELOCITY_TYPES = (TWIST_WITH_COVARIANCE_STAMPED,)
 HEADING_TYPES = (IMU, POSE_WITH_COVARIANCE_STAMPED)
 _NO_FIX = -1  # NavSatStatus.STATUS_NO_FIX
+_LATEST = 2**63  # ns
 
 #: the fields worth keeping, by message type
 _KEPT = {
@@ -51,19 +55,40 @@ _KEPT = {
     POSE_WITH_COVARIANCE_STAMPED: ('pose.pose.orientation', 'pose.covariance'),
     TWIST_WITH_COVARIANCE_STAMPED: ('twist.twist.linear', 'twist.covariance'),
 }
-#: of a 6 x 6 covariance: the elements of the velocity, or that of the yaw
-_COLUMNS = {'twist.covariance': [0, 1, 2, 6, 7, 8, 12, 13, 14], 'pose.covariance': [35]}
+#: of a 6 x 6 covariance: the elements of the velocity, or that of the yaw; of the orientation's: whether there is one
+_COLUMNS = {'orientation_covariance': [0, 8], 'twist.covariance': [0, 1, 2, 6, 7, 8, 12, 13, 14],
+            'pose.covariance': [35]}
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What a tool may take, and takes. limit: GB, as `memory_limit`. base: GB, without a recording. each: bytes for a
+    message read, at the tool's peak."""
+
+    limit: float
+    base: float
+    each: float
+
+    def check(self, path: str, messages: int, part: float = 1.0) -> None:
+        """RecordingError where `messages`, the first `part` of those in `path`, take more than the limit already."""
+        if self.base + self.each * messages * 1e-9 > self.limit:
+            whole = messages / max(part, 1e-6)
+            raise RecordingError(f'{path}: about {whole:.2g} messages would take about '
+                                 f"{self.base + self.each * whole * 1e-9:.1f} GB of memory, more than parameter "
+                                 f"'memory_limit', {self.limit:g} GB: raise it or split the recording")
 
 
 def read_recording(path, imu_topic, gnss_topic=None, reference_topic=None, temperature_topic=None, progress=None,
-                   datum=None, *, speed_topic=None, velocity_topic=None, heading_topic=None) -> Recording:
+                   datum=None, memory: Memory | None = None, *, speed_topic=None, velocity_topic=None,
+                   heading_topic=None) -> Recording:
     """Read a bag, once, into arrays.
 
     path: rosbag2 folder, .mcap, .db3 or ROS 1 .bag. Topics that are None or empty are not read.
     reference_topic: NavSatFix, or Odometry or PoseStamped with a pose in a local east-north-up frame, whose origin is
     `datum`: latitude, longitude (rad), height (m). Without it the first fix of `gnss_topic` is taken, with a warning.
-    progress: called with the part of the recording that is read, 0 to 1. speed_topic: TwistWithCovarianceStamped or
-    Odometry, twist.linear.x. velocity_topic: TwistWithCovarianceStamped, east-north-up. heading_topic: Imu or
+    progress: called with the part of the recording that is read, 0 to 1. memory: what the tool may take for it; a
+    longer recording is refused before it is read to its end. speed_topic: TwistWithCovarianceStamped or Odometry,
+    twist.linear.x. velocity_topic: TwistWithCovarianceStamped, east-north-up. heading_topic: Imu or
     PoseWithCovarianceStamped, the orientation of base_link in east-north-up; no mounting is applied.
 
     The samples are in the order of arrival (log time), all that were recorded, also those with NaN. Of a reference,
@@ -78,8 +103,8 @@ def read_recording(path, imu_topic, gnss_topic=None, reference_topic=None, tempe
         for topic, types in wanted:
             if bag.topics.get(topic) not in types:
                 raise RecordingError(_topic_problem(bag, topic, types))
-        arrays = _read_arrays(bag, dict.fromkeys(topic for topic, _ in wanted), progress)
-        _report_damage(bag, arrays)
+        arrays, lost = _read_arrays(bag, dict.fromkeys(topic for topic, _ in wanted), progress, memory)
+        _report_damage(bag, arrays, lost)
     gnss = _fixes(arrays[gnss_topic]) if gnss_topic else None
     temperature = _temperatures(arrays[temperature_topic]) if temperature_topic else None
     return Recording(
@@ -117,39 +142,51 @@ def _topic_problem(bag: Bag, topic, types) -> str:
     return f'{problem}; the recording has no topic of type {wanted}, only {there}'
 
 
-def _read_arrays(bag: Bag, topics, progress) -> dict:
-    """{topic: {field: array}} in the order of log time, with `received` and `stamp`."""
+def _read_arrays(bag: Bag, topics, progress, memory: Memory | None) -> tuple[dict, Counter]:
+    """{topic: {field: array}} in the order of log time, with `received` and `stamp`; and the messages not decoded."""
     blocks: dict = {topic: [] for topic in topics}
+    lost: Counter = Counter()
+    count = 0
     for topic, times, raw, part in bag.read(topics):
         if raw:
-            try:
-                array = messages.decode(raw, bag.topics[topic])
-                received = np.array(times, np.int64)
-            except (ValueError, OverflowError) as error:
-                raise RecordingError(f"topic '{topic}' in {bag.path}: {error}") from None
-            block = {name: array[name][:, _COLUMNS[name]] if name in _COLUMNS else array[name].copy()
-                     for name in _KEPT[bag.topics[topic]]}
-            blocks[topic].append({**block, 'stamp': messages.stamps(array), 'received': received})
+            array, valid = messages.decode(raw, bag.topics[topic])
+            dated = np.array([0 <= time < _LATEST for time in times])
+            keep = dated[valid]
+            lost[topic] += len(raw) - int(keep.sum())
+            received = np.array([time for time, good in zip(times, valid & dated) if good], np.int64)
+            block = {name: _thinned(name, array[name][keep]) for name in _KEPT[bag.topics[topic]]}
+            blocks[topic].append({**block, 'stamp': messages.stamps(array)[keep], 'received': received})
+            count += len(received)
+            if memory is not None:
+                memory.check(f'{bag.path}', count, part)
         if progress is not None:
             progress(part)
-    return {topic: _join(found) for topic, found in blocks.items()}
+    return {topic: _join(found) for topic, found in blocks.items()}, lost
+
+
+def _thinned(name: str, array: np.ndarray) -> np.ndarray:
+    """A copy of what is kept of a field."""
+    return array[:, _COLUMNS[name]] if name in _COLUMNS else array.copy()
 
 
 def _join(blocks: list[dict]) -> dict | None:
-    """The blocks as one, in the order of log time; None where there are none."""
-    if not blocks:
+    """The blocks as one, in the order of log time; None where there are no messages. Empties `blocks`."""
+    if not any(len(block['received']) for block in blocks):
         return None
-    joined = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+    joined = {name: np.concatenate([block.pop(name) for block in blocks]) for name in list(blocks[0])}
     received = joined['received']
     if (np.diff(received) < 0).any():
         order = np.argsort(received, kind='stable')
-        joined = {name: array[order] for name, array in joined.items()}
+        for name in joined:
+            joined[name] = joined[name][order]
     return joined
 
 
-def _report_damage(bag: Bag, arrays: dict) -> None:
+def _report_damage(bag: Bag, arrays: dict, lost: Counter) -> None:
     """RecordingError where a topic has no messages; RecordingWarning where some are lost."""
-    damage = '; '.join(bag.damage())
+    damage = bag.damage() + [f"{bag.path}: {count} messages on '{topic}' are no valid {bag.topics[topic]}"
+                             for topic, count in lost.items() if count]
+    damage = '; '.join(damage)
     for topic, array in arrays.items():
         if array is None:
             if damage:
@@ -158,10 +195,17 @@ def _report_damage(bag: Bag, arrays: dict) -> None:
                 raise RecordingError(f'{bag.path} holds no messages')
             raise RecordingError(f"topic '{topic}' in {bag.path} holds no messages")
     if damage:
+        counts = bag.counts()
         readable = ', '.join(f'{len(array["received"])} messages of {topic} '
                              f'({(array["received"][-1] - array["received"][0]) / 1e9:.1f} s)'
+                             + _share(counts[topic], len(array['received']))
                              for topic, array in arrays.items())
         warnings.warn(f'{damage}; readable: {readable}', RecordingWarning, stacklevel=3)
+
+
+def _share(total: int, read: int) -> str:
+    """How many messages are lost, where the recording says how many there were."""
+    return f', {total - read} lost' if total > read else ''
 
 
 def _imu_samples(array) -> ImuSamples:
@@ -208,7 +252,7 @@ def _velocities(array) -> Velocities:
 def _headings(array, msgtype) -> Headings:
     """Yaws; NaN in messages that say they have no orientation, as in `_orientation`, and for a zero quaternion."""
     if msgtype == IMU:
-        orientation, variance = array['orientation'], array['orientation_covariance'][:, 8].copy()
+        orientation, variance = array['orientation'], array['orientation_covariance'][:, 1].copy()
         absent = array['orientation_covariance'][:, 0] == -1
     else:
         orientation, variance = array['pose.pose.orientation'], array['pose.covariance'][:, 0]
@@ -231,8 +275,7 @@ def _reference(array, msgtype, datum, gnss, topic) -> Reference:
         reference = Reference(fixes.stamp, fixes.latitude, fixes.longitude, fixes.height).select(valid)
     else:
         reference = _local_reference(array, msgtype, datum if datum is not None else _first_fix(gnss, topic))
-    finite = np.isfinite(reference.latitude) & np.isfinite(reference.longitude) & np.isfinite(reference.height)
-    reference = reference.select(finite)
+    reference = reference.select(plausible(reference.latitude, reference.longitude, reference.height))
     if not len(reference):
         raise RecordingError(f"reference topic '{topic}' holds no valid position")
     return reference.select(np.argsort(reference.stamp, kind='stable'))
@@ -240,7 +283,7 @@ def _reference(array, msgtype, datum, gnss, topic) -> Reference:
 
 def _first_fix(gnss: Fixes | None, topic) -> tuple:
     """The datum that local poses on `topic` get where none is given."""
-    valid = np.flatnonzero((gnss.status > _NO_FIX) & np.isfinite(gnss.latitude + gnss.longitude + gnss.height)) \
+    valid = np.flatnonzero((gnss.status > _NO_FIX) & plausible(gnss.latitude, gnss.longitude, gnss.height)) \
         if gnss is not None else ()
     if not len(valid):
         raise RecordingError(f"reference topic '{topic}' holds local poses: give the datum (latitude, longitude and "

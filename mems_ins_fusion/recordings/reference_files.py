@@ -10,12 +10,14 @@ from mems_ins_fusion.navigation.earth import from_local
 from mems_ins_fusion.navigation.frames import yaw_from_enu, yaw_of_quaternion
 from mems_ins_fusion.recordings.csv_import import GNSS_COLUMNS
 from mems_ins_fusion.recordings.errors import RecordingError
-from mems_ins_fusion.recordings.tables import Table, read_table, unit_in_name
+from mems_ins_fusion.recordings.motion import plausible
+from mems_ins_fusion.recordings.tables import LATEST, Table, read_table, read_text, unit_in_name
 from mems_ins_fusion.samples import Reference
 
 _SECOND = 10**9
 _GPS_EPOCH = 315_964_800  # s: 6 January 1980
 _WEEK = 604_800
+_DAY = 86_400 * _SECOND
 #: GPS minus UTC, s, from this date on (IERS Bulletin C)
 _LEAP_SECONDS = ((datetime(1999, 1, 1), 13), (datetime(2006, 1, 1), 14), (datetime(2009, 1, 1), 15),
                  (datetime(2012, 7, 1), 16), (datetime(2015, 7, 1), 17), (datetime(2017, 1, 1), 18))
@@ -51,8 +53,7 @@ def read_reference(path, datum=None) -> Reference:
         reference = _read_tum(path, datum)
     else:
         reference = _read_csv(path, datum)
-    finite = np.isfinite(reference.latitude) & np.isfinite(reference.longitude) & np.isfinite(reference.height)
-    reference = reference.select(finite)
+    reference = reference.select(plausible(reference.latitude, reference.longitude, reference.height))
     if not len(reference):
         raise RecordingError(f'{path} holds no valid position')
     return reference.select(np.argsort(reference.stamp, kind='stable'))
@@ -60,11 +61,7 @@ def read_reference(path, datum=None) -> Reference:
 
 def _first_line(path: Path) -> str:
     """The first line that tells the format: not empty, and no comment of a TUM file."""
-    try:
-        with path.open(encoding='utf-8', errors='replace') as file:
-            lines = [line.strip() for _, line in zip(range(50), file)]
-    except OSError as error:
-        raise RecordingError(f'cannot read {path}: {error.strerror}') from None
+    lines = [line.strip() for line in read_text(path, 'utf-8', 'replace').splitlines()[:50]]
     lines = [line for line in lines if line]
     if not lines:
         raise RecordingError(f'{path} is empty')
@@ -137,7 +134,7 @@ def _velocity(table: Table):
 
 def _read_rtklib(path) -> Reference:
     """Solution file of RTKLIB: the manual, appendix B."""
-    lines = path.read_text(encoding='utf-8', errors='replace').splitlines()
+    lines = read_text(path, 'utf-8', 'replace').splitlines()
     header = next((line for line in lines if line.startswith('%') and 'latitude' in line.lower()), None)
     if header is None:
         raise RecordingError(f'{path} has no RTKLIB header with latitude(deg), longitude(deg) and height(m); write the '
@@ -165,9 +162,13 @@ def _rtklib_stamp(path, line, row) -> int:
     try:
         if '/' in row[0]:
             day = datetime.strptime(row[0], '%Y/%m/%d')
-            return _epoch_seconds(day) * _SECOND + _time_of_day(row[1].replace(':', ''))
-        return (_GPS_EPOCH + int(row[0]) * _WEEK) * _SECOND + round(float(row[1]) * 1e6) * 1000
-    except ValueError:
+            stamp = _epoch_seconds(day) * _SECOND + _time_of_day(row[1].replace(':', ''))
+        else:
+            stamp = (_GPS_EPOCH + int(row[0]) * _WEEK) * _SECOND + round(float(row[1]) * 1e6) * 1000
+        if not _GPS_EPOCH * _SECOND <= stamp < LATEST:
+            raise ValueError
+        return stamp
+    except (ValueError, OverflowError):
         raise RecordingError(f"{path}, line {line}: '{row[0]} {row[1]}' is not a time") from None
 
 
@@ -180,16 +181,16 @@ def _read_nmea(path) -> Reference:
     """Positions of GGA sentences (of RMC without any), dated by RMC or ZDA. What has a wrong checksum is left out."""
     fixes: dict[str, list] = {'GGA': [], 'RMC': []}
     day = first_day = None
-    for line in path.read_text(encoding='ascii', errors='replace').splitlines():
+    for line in read_text(path, 'ascii', 'replace').splitlines():
         fields = _nmea_fields(line)
         kind = fields[0][-3:] if fields else ''
         try:
             if kind == 'RMC' and len(fields) > 9 and fields[9]:
-                day = datetime.strptime(fields[9], '%d%m%y')
+                day = _plausible_day(datetime.strptime(fields[9], '%d%m%y'))
                 if fields[2] == 'A':
                     fixes['RMC'].append((day, _time_of_day(fields[1]), *_nmea_position(fields[3:7]), 0.0))
             elif kind == 'ZDA' and len(fields) > 4 and fields[4]:
-                day = datetime(int(fields[4]), int(fields[3]), int(fields[2]))
+                day = _plausible_day(datetime(int(fields[4]), int(fields[3]), int(fields[2])))
             elif kind == 'GGA' and len(fields) > 11 and fields[6] not in ('', '0'):
                 height = float(fields[9] or 0.0) + float(fields[11] or 0.0)
                 fixes['GGA'].append((day, _time_of_day(fields[1]), *_nmea_position(fields[2:6]), height))
@@ -204,6 +205,12 @@ def _read_nmea(path) -> Reference:
     stamps = _nmea_stamps([(fix[0] or first_day, fix[1]) for fix in found])
     latitude, longitude, height = np.array([fix[2:] for fix in found]).T
     return Reference(stamps, np.radians(latitude), np.radians(longitude), height)
+
+
+def _plausible_day(day: datetime) -> datetime:
+    if not 1980 <= day.year < 2038:
+        raise ValueError
+    return day
 
 
 def _nmea_fields(line) -> list[str]:
@@ -230,8 +237,9 @@ def _nmea_stamps(times) -> np.ndarray:
     stamps: list[int] = []
     for day, time in times:
         stamp = _epoch_seconds(day) * _SECOND + time
-        while stamps and stamp < stamps[-1] - 12 * 3600 * _SECOND:
-            stamp += 24 * 3600 * _SECOND
+        if stamps:
+            days = -((stamp - stamps[-1] + _DAY // 2) // _DAY)
+            stamp += max(days, 0) * _DAY
         stamps.append(stamp)
     return np.array(stamps, np.int64)
 

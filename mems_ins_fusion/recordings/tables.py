@@ -15,7 +15,10 @@ from mems_ins_fusion.recordings.errors import RecordingError
 TIME_UNITS = {'s': 10**9, 'ms': 10**6, 'us': 10**3, 'ns': 1}
 _UNIT = re.compile(r'[\[(]\s*(.*?)\s*[\])]|_(s|ms|us|ns|m|deg|rad|g|mg|dps|rad_s|deg_s|radps|degps|m_s2|mps2|mps|m_s)$',
                    re.IGNORECASE)
-_LATEST = 2**31 * 10**9  # ns: ROS stamps end in 2038
+#: ns: ROS stamps end in 2038
+LATEST = 2**31 * 10**9
+_DATE = re.compile(r'\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d*)?)?\s*[Zz]?\s*')
+_LARGEST_FILE = 2 * 10**9  # bytes; a table takes some ten times its size in memory
 _COMMENT = '#%'
 
 
@@ -52,22 +55,43 @@ class Table:
         """
         cells = self.columns[self.names.index(name)]
         if cells and ':' in cells[0]:
-            try:
-                return np.array([cell.rstrip('Zz') for cell in cells], 'datetime64[ns]').astype(np.int64), 'date'
-            except ValueError as error:
-                raise RecordingError(f"{self.path}: column '{name}' holds no valid dates: {error}") from None
+            return self._in_epoch(name, self._dates(name, cells), 'date'), 'date'
         unit = unit or unit_in_name(name, TIME_UNITS) or _guess_unit(self.numbers(name), longest)
         scale = TIME_UNITS[unit]
+        # what is too large is no time in any unit, and would take for ever as a whole number
+        wrong = [not (_is_number(cell) and abs(float(cell)) < 1e19) for cell in cells]
         try:
+            if True in wrong:
+                raise ValueError
             stamp = [int(Decimal(cell) * scale) for cell in cells]
         except (InvalidOperation, ValueError, OverflowError):
-            row = next(i for i, cell in enumerate(cells) if not _is_number(cell) or not np.isfinite(float(cell)))
+            row = wrong.index(True) if True in wrong else 0
             raise RecordingError(f"{self.path}, line {self.lines[row]}: '{cells[row]}' in column '{name}' is not a "
                                  'time') from None
-        if min(stamp, default=0) < 0 or max(stamp, default=0) >= _LATEST:
+        return self._in_epoch(name, stamp, unit), unit
+
+    def _dates(self, name, cells) -> list[int]:
+        """ISO 8601, UTC, as ns."""
+        for line, cell in zip(self.lines, cells):
+            if not _DATE.fullmatch(cell):
+                raise RecordingError(f"{self.path}, line {line}: '{cell}' in column '{name}' is not a date such as "
+                                     '2024-05-31T12:00:00.5Z')
+        try:
+            texts = [cell.strip().rstrip('Zz ').replace(',', '.') for cell in cells]
+            # in microseconds first: beyond the years that nanoseconds hold NumPy wraps without a word
+            coarse = np.array(texts, 'datetime64[us]').astype(np.int64)
+            if coarse.min() < 0 or coarse.max() >= LATEST // 1000:
+                return (coarse.astype(object) * 1000).tolist()
+            return np.array(texts, 'datetime64[ns]').astype(np.int64).tolist()
+        except ValueError as error:
+            raise RecordingError(f"{self.path}: column '{name}' holds no valid dates: {error}") from None
+
+    def _in_epoch(self, name, stamp: list[int], unit) -> np.ndarray:
+        cells = self.columns[self.names.index(name)]
+        if min(stamp, default=0) < 0 or max(stamp, default=0) >= LATEST:
             raise RecordingError(f"{self.path}: times from {cells[0]} to {cells[-1]} in column '{name}', taken for "
                                  f'{unit}, are not between 1970 and 2038; state their unit')
-        return np.array(stamp, np.int64), unit
+        return np.array(stamp, np.int64)
 
     def find(self, wanted: str, aliases, given: dict[str, str]) -> str | None:
         """Name of the column for `wanted`: the one `given` for it, else the first of `aliases` that is there.
@@ -101,12 +125,7 @@ def read_table(path) -> Table:
     Lines that begin with # or % are comments. RecordingError where the file is no such table.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding='utf-8-sig')
-    except OSError as error:
-        raise RecordingError(f'cannot read {path}: {error.strerror}') from None
-    except UnicodeDecodeError:
-        raise RecordingError(f'{path} is not a text file') from None
+    text = read_text(path)
     lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
     body = [(i, line) for i, line in lines if line[0] not in _COMMENT]
     if not lines:
@@ -125,12 +144,32 @@ def read_table(path) -> Table:
     return Table(path, names, *_rows(path, body, delimiter, len(names)))
 
 
+def read_text(path: Path, encoding: str = 'utf-8-sig', errors: str = 'strict') -> str:
+    """The contents of a text file. RecordingError where it cannot be read or is too large."""
+    try:
+        if path.exists() and not path.is_file():  # a pipe that nobody fills would be waited for, for ever
+            raise RecordingError(f'{path} is not a file')
+        size = path.stat().st_size
+        if size > _LARGEST_FILE:
+            raise RecordingError(f'{path} has {size / 1e9:.1f} GB and would take about {size / 1e8:.0f} GB of memory; '
+                                 f'at most {_LARGEST_FILE / 1e9:g} GB are read: split it')
+        return path.read_text(encoding=encoding, errors=errors)
+    except OSError as error:
+        raise RecordingError(f'cannot read {path}: {error.strerror}') from None
+    except UnicodeDecodeError:
+        raise RecordingError(f'{path} is not a text file') from None
+
+
 def _rows(path, body, delimiter, width):
     """The columns, and the number of the line of each row."""
     if delimiter is None:
         rows = [line.split() for _, line in body]
     else:
-        rows = list(csv.reader((line for _, line in body), delimiter=delimiter, skipinitialspace=True))
+        reader = csv.reader((line for _, line in body), delimiter=delimiter, skipinitialspace=True)
+        try:
+            rows = list(reader)
+        except csv.Error as error:
+            raise RecordingError(f'{path}, line {body[min(reader.line_num, len(body)) - 1][0]}: {error}') from None
     if delimiter == ';':
         rows = [[cell.replace(',', '.') for cell in row] for row in rows]
     for (line, _), row in zip(body, rows):
@@ -138,6 +177,8 @@ def _rows(path, body, delimiter, width):
             raise RecordingError(f'{path}, line {line}: {len(row)} cells instead of {width}')
     if not rows:
         raise RecordingError(f'{path} has no rows, only the names of its columns')
+    if len(rows) != len(body):
+        raise RecordingError(f'{path}: a quotation mark (") is not closed in the line in which it stands')
     return list(zip(*rows)), [line for line, _ in body]
 
 

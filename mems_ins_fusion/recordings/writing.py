@@ -1,7 +1,9 @@
 """Writing of recordings as rosbag2."""
 from __future__ import annotations
 
-from dataclasses import dataclass
+import sqlite3
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,7 @@ from mems_ins_fusion.recordings.messages import (
     TEMPERATURE,
     TWIST_WITH_COVARIANCE_STAMPED,
 )
-from mems_ins_fusion.results import result_folder
+from mems_ins_fusion.results import ResultError, result_folder
 from mems_ins_fusion.samples import (
     Fixes,
     Headings,
@@ -30,6 +32,7 @@ from mems_ins_fusion.samples import (
 )
 
 STORAGES = ('mcap', 'sqlite3')
+_BLOCK = 20_000  # messages
 _UNKNOWN = -1.0  # first element of a covariance in sensor_msgs/Imu where the quantity is not there
 
 
@@ -103,10 +106,29 @@ def write_recording(recording: Recording, path, storage='mcap', *, imu_topic='/i
     for topic, samples in (odometry or {}).items():
         topics.append((topic, ODOMETRY, samples, _odometry_fields,
                        {'header.frame_id': odometry_frame, 'child_frame_id': base_frame}))
-    _write(Path(path), storage, [
-        (topic, kind, samples.stamp if isinstance(samples, Reference) else samples.received,
-         messages.encode(kind, {**messages.stamp_fields(samples.stamp), **fields(samples)}, strings))
-        for topic, kind, samples, fields, strings in topics], overwrite)
+    _write(Path(path), storage, [_Stream(topic, kind, samples, fields, strings)
+                                 for topic, kind, samples, fields, strings in topics], overwrite)
+
+
+@dataclass(frozen=True)
+class _Stream:
+    """The samples of one topic and how they become messages."""
+
+    topic: str
+    kind: str
+    samples: ImuSamples | Fixes | Reference | Temperatures | OdometrySamples
+    fields: Callable[..., dict]
+    strings: dict[str, str]
+
+    @property
+    def times(self) -> np.ndarray:
+        return self.samples.stamp if isinstance(self.samples, Reference) else self.samples.received
+
+    def encoded(self, index: np.ndarray) -> list[memoryview]:
+        """The samples at `index` (m,), serialized."""
+        arrays = {f.name: getattr(self.samples, f.name) for f in fields(self.samples)}
+        part = replace(self.samples, **{name: array[index] for name, array in arrays.items() if array is not None})
+        return messages.encode(self.kind, {**messages.stamp_fields(part.stamp), **self.fields(part)}, self.strings)
 
 
 def _imu_fields(imu: ImuSamples) -> dict:
@@ -177,25 +199,33 @@ def _odometry_fields(odometry: OdometrySamples) -> dict:
     return fields
 
 
-def _write(path: Path, storage: str, topics: list, overwrite: bool) -> None:
-    """Write (topic, message type, log times, serialized messages) of all `topics`, in the order of log time."""
+def _write(path: Path, storage: str, streams: list[_Stream], overwrite: bool) -> None:
+    """Write all `streams` in the order of log time, serialized block by block: as messages they are several times as
+    large as in arrays."""
     if storage not in STORAGES:
         raise RecordingError(f"unknown storage '{storage}' for {path}: expected {' or '.join(STORAGES)}")
     with needs_rosbags(f'writing {path}'):
         from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.rosbag2.errors import WriterError
         from rosbags.typesys import Stores, get_typestore
     store = get_typestore(Stores.ROS2_JAZZY)
     path = path.absolute()
-    times = np.concatenate([times for _, _, times, _ in topics])
+    times = np.concatenate([stream.times for stream in streams])
     order = np.argsort(times, kind='stable')
-    data = [message for _, _, _, serialized in topics for message in serialized]
-    topic_of = np.repeat(np.arange(len(topics)), [len(serialized) for _, _, _, serialized in topics])
-    with result_folder(path, overwrite, marker='metadata.yaml') as folder:
-        inner = folder / path.name  # rosbags makes the folder itself and names the data after it
-        with Writer(inner, version=9, storage_plugin=StoragePlugin[storage.upper()]) as writer:
-            connections = [writer.add_connection(topic, kind, typestore=store) for topic, kind, _, _ in topics]
-            for i, topic, time in zip(order.tolist(), topic_of[order].tolist(), times[order].tolist()):
-                writer.write(connections[topic], time, data[i])
-        for file in inner.iterdir():
-            file.rename(folder / file.name)
-        inner.rmdir()
+    first = np.concatenate([[0], np.cumsum([len(stream.times) for stream in streams])])
+    try:
+        with result_folder(path, overwrite, marker='metadata.yaml') as folder:
+            inner = folder / path.name  # rosbags makes the folder itself and names the data after it
+            with Writer(inner, version=9, storage_plugin=StoragePlugin[storage.upper()]) as writer:
+                connections = [writer.add_connection(s.topic, s.kind, typestore=store) for s in streams]
+                for begin in range(0, len(order), _BLOCK):
+                    block = order[begin:begin + _BLOCK]
+                    owner = np.searchsorted(first, block, side='right') - 1
+                    data = [iter(s.encoded(block[owner == i] - first[i])) for i, s in enumerate(streams)]
+                    for i, time in zip(owner.tolist(), times[block].tolist()):
+                        writer.write(connections[i], time, next(data[i]))
+            for file in inner.iterdir():
+                file.rename(folder / file.name)
+            inner.rmdir()
+    except (sqlite3.Error, WriterError) as error:
+        raise ResultError(f'cannot write {path}: {" ".join(str(error).split())}') from None

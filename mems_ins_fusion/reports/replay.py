@@ -15,12 +15,14 @@ from ..evaluation.comparison import Comparison, compare, cut
 from ..parameters.parameter import ParameterError
 from ..recordings.checker import check_recording
 from ..recordings.errors import RecordingWarning
-from ..recordings.reading import read_recording
+from ..recordings.reading import Memory, read_recording
 from ..results import result_folder
 from ..samples import Recording
 from . import trajectories
 from .report import _FIGURES, draw_figures, report, report_page, write_report
 
+#: of replay and diagnosis: GB without a recording, bytes for each message read
+_MEMORY = 0.7, 380.0
 #: called with the part of all work that is done, 0 to 1, and what is being done; what it raises ends the work
 Progress = Callable[[float, str], None]
 
@@ -87,8 +89,8 @@ def _read_whole(path, values: dict, progress) -> Recording:
     datum = _datum(values)
     recording = read_recording(path, values['imu_topic'], values['gnss_topic'], values['reference_topic'] or None,
                                values['temperature_topic'] or None, progress, datum,
-                               speed_topic=values['speed_topic'], velocity_topic=values['velocity_topic'],
-                               heading_topic=values['heading_topic'])
+                               Memory(values['memory_limit'], *_MEMORY), speed_topic=values['speed_topic'],
+                               velocity_topic=values['velocity_topic'], heading_topic=values['heading_topic'])
     if values['reference_file']:
         from ..recordings.reference_files import read_reference
 

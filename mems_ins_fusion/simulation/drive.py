@@ -21,6 +21,7 @@ from mems_ins_fusion.simulation.manoeuvres import CITY, Segment, plan
 START_STAMP = 1_700_000_000_000_000_000  # ns: a date, so that stamps look as those of real recordings
 ORIGIN = (0.8378, 0.2007, 480.0)  # latitude, longitude (rad), height (m) of the start
 MARGIN = 60.0  # s of motion beyond the end, for fixes that describe a later time
+_BLOCK = 100_000  # samples computed at once
 _CELL = 0.02  # s: quadrature cells; the segments' ends fall on their edges
 _DAMPING = 0.3  # of a car's body on its springs
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
@@ -329,7 +330,15 @@ def _random_waves(largest, wavelengths, crest, rng):
 def _sample(path: Path, duration: float, rate: float) -> Drive:
     """The drive on `path` as an IMU with `rate` sees it; its first sample ends at time 0."""
     n = int(np.floor(duration * rate + 1e-6)) + 1
-    edges = path.at(np.arange(-1, n) / rate)
+    blocks = [_block(path, rate, first, min(first + _BLOCK, n)) for first in range(0, n, _BLOCK)]
+    arrays = {name: np.concatenate([block.pop(name) for block in blocks]) for name in list(blocks[0])}
+    stamp = START_STAMP + np.round(arrays['time'] * 1e9).astype(np.int64)
+    return Drive(**arrays, stamp=stamp, rate=rate, path=path)
+
+
+def _block(path: Path, rate: float, first: int, stop: int) -> dict[str, np.ndarray]:
+    """The samples from `first` to before `stop`: a block at a time, as this takes many times the room of the result."""
+    edges = path.at(np.arange(first - 1, stop) / rate)
     velocity_increment = np.diff(edges.velocity, axis=0)
     velocity_increment[:, 2] -= gravity(edges.latitude, edges.height)[1:] / rate
     attitude = edges.attitude
@@ -343,6 +352,4 @@ def _sample(path: Path, duration: float, rate: float) -> Drive:
     turn = (seen_from_end.inv() * attitude[1:]).as_rotvec()
     middle = seen_from_middle * Rotation.from_rotvec(turn / 2)
     states = {name: getattr(edges, name)[1:] for name in Motion.__dataclass_fields__}
-    stamp = START_STAMP + np.round(states['time'] * 1e9).astype(np.int64)
-    return Drive(**states, stamp=stamp, specific_force=middle.inv().apply(velocity_increment) * rate,
-                 angular_rate=turn * rate, rate=rate, path=path)
+    return {**states, 'specific_force': middle.inv().apply(velocity_increment) * rate, 'angular_rate': turn * rate}

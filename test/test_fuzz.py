@@ -1,0 +1,21 @@
+"""Whatever a file holds: a result or one line, in bounded time and memory. An hour of it: studies/fuzz.py."""
+from __future__ import annotations
+
+import time
+
+from fuzz_support import cases, outcome
+
+#: s; `make test` has other things to do
+BUDGET, CASES = 20.0, 150
+
+
+def test_spoiled_input_gives_a_result_or_one_line(tmp_path):
+    began, complaints = time.monotonic(), []
+    for number, (name, work) in zip(range(CASES), cases(tmp_path, 0)):
+        found = outcome(work).complaint()
+        if found:
+            complaints.append(f'{name}: {found}')
+        if time.monotonic() - began > BUDGET:
+            break
+    assert not complaints, '\n'.join(complaints)
+    assert number > 20
