@@ -1,0 +1,77 @@
+"""Least squares that outliers do not spoil, with sigmas that hold where errors are alike for a long while."""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+HUBER = 2.5  # in robust standard deviations: who is further off counts less
+_ITERATIONS = 8
+_LEAST_WEIGHT = 0.3  # of what describes the noise
+_BLOCKS = 20  # stretches that a recording is divided into
+_BLOCK = 10.0  # s, at least
+
+
+@dataclass(frozen=True)
+class Fit:
+    """values = design @ solution. solution: (k, c). left_out: (b, k, c), each without one block. weight: (n,).
+    residual: (n, c). covariance: (c, c) of it, without outliers."""
+
+    solution: np.ndarray
+    left_out: np.ndarray
+    weight: np.ndarray
+    residual: np.ndarray
+    covariance: np.ndarray
+
+
+def blocks(time: np.ndarray) -> np.ndarray:
+    """Number of the stretch of the recording that each of `time`, s, ascending, belongs to."""
+    length = max((time[-1] - time[0]) / _BLOCKS, _BLOCK)
+    return np.minimum((time - time[0]) / length, _BLOCKS - 1).astype(int)
+
+
+def fit(design: np.ndarray, values: np.ndarray, prior: np.ndarray, block: np.ndarray) -> Fit:
+    """Robust least squares of (n, c) `values` on (n, k) `design`.
+
+    prior: (k,) standard deviations of the solution about zero, in units of a row's noise. block: (n,) numbers of
+    stretches whose errors are independent of each other.
+    """
+    weight = np.ones(len(design))
+    for _ in range(_ITERATIONS):
+        solution = _solve(design, values, weight, prior)
+        residual = values - design @ solution
+        used = weight > _LEAST_WEIGHT
+        covariance = np.atleast_2d(np.cov(residual[used].T)) + 1e-9 * np.eye(values.shape[1])
+        size = np.sqrt(np.einsum('ni,ij,nj->n', residual, np.linalg.inv(covariance), residual))
+        size *= 1.0 / max(np.median(size), 1e-9) * math.sqrt(values.shape[1])
+        weight = np.minimum(1.0, HUBER * math.sqrt(values.shape[1]) / np.maximum(size, 1e-9)) ** 2
+    left_out = np.array([_solve(design, values, weight * (block != number), prior) for number in np.unique(block)])
+    return Fit(solution, left_out, weight, residual, covariance)
+
+
+def _solve(design, values, weight, prior):
+    weighted = design * weight[:, None]
+    return np.linalg.lstsq(weighted.T @ design + np.diag(1.0 / prior**2), weighted.T @ values, rcond=None)[0]
+
+
+def ratio(numerator: np.ndarray, denominator: np.ndarray, block: np.ndarray) -> tuple[float, float]:
+    """Sum of (n,) `numerator` over that of `denominator`, and its standard deviation by leaving out blocks."""
+    above, below = (np.bincount(block, terms) for terms in (numerator, denominator))
+    rest = below.sum() - below
+    if rest.min() <= 0.0:
+        return 0.0, math.inf
+    return float(above.sum() / below.sum()), float(jackknife((above.sum() - above) / rest))
+
+
+def jackknife(values: np.ndarray) -> np.ndarray:
+    """Standard deviation of an estimate from its values (b, ...), each with one of b blocks left out.
+
+    Few blocks show their own scatter badly: the factor is that of Student's distribution with b - 1 degrees.
+    Source: Efron and Tibshirani, "An Introduction to the Bootstrap", section 11.2.
+    """
+    count = len(values)
+    if count < 4:
+        return np.full(values.shape[1:], math.inf)
+    spread = ((values - values.mean(axis=0)) ** 2).sum(axis=0)
+    return np.sqrt((count - 1) / count * spread * (count - 1) / (count - 3))
