@@ -116,7 +116,8 @@ class Spans:
     time: s, its middle. speed: m/s along the nose, positive forwards. acceleration: m/s^2 along the nose.
     centripetal: m/s^2 to the right, speed times turn rate. grade: rad, upwards; NaN where heights do not show it.
     turn: rad/s, clockwise. turn_change: rad/s^2. turn_squared: (rad/s)^2.
-    force: (m, 3) m/s^2 and rate: (m, 3) rad/s in sensor axes. force_rate: (m, 3) m/s^3, of force. sideways: m/s, of the antenna to the right.
+    force: (m, 3) m/s^2 and rate: (m, 3) rad/s in sensor axes. force_rate: (m, 3) m/s^3, of force.
+    sideways: m/s, of the antenna to the right of the nose.
     length: s of an interval; a span has two. gyroscope_bias: rad/s about the up axis, clockwise.
     """
 

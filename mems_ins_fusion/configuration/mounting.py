@@ -1,9 +1,9 @@
 """How an IMU sits in its vehicle, from a drive: no filter, no assumption on the axes.
 
-Over spans of seconds the specific force in sensor axes is a sum of vectors times what the fixes and the turn rate say of
-the motion: forward times the change of speed, right times speed times turn rate, up times gravity. Least squares finds
-the vectors, each with a sigma from leaving out one stretch of the drive after the other, so that what a road adds
-(grades, crown) counts as it is: the same for a hundred metres and more. The gyroscopes show the up axis once more, by
+Over spans of seconds the specific force in sensor axes is a sum of vectors times what the fixes and the turn rate say
+of the motion: forward times the change of speed, right times speed times turn rate, up times gravity. Least squares
+finds the vectors, each with a sigma from leaving out one stretch of the drive after the other, so that what a road
+adds (grades, crown) counts as it is: the same for a hundred metres and more. The gyroscopes show the up axis once more, by
 the axis about which the vehicle turns; a bias of the accelerometers does not disturb that.
 The equations: docs/configure.md.
 """
@@ -14,7 +14,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mems_ins_fusion.configuration.kinematics import LONGEST, FixIntervals, InertialIntegrals, Spans, fix_intervals, spans
+from mems_ins_fusion.configuration.kinematics import (
+    LONGEST,
+    FixIntervals,
+    InertialIntegrals,
+    Spans,
+    fix_intervals,
+    spans,
+)
 from mems_ins_fusion.configuration.regression import Fit, blocks, fit, jackknife, ratio
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.motion import find_standstill, robust_sigma
@@ -90,7 +97,7 @@ class Mounting:
 
 
 def rpy(rotation: np.ndarray) -> np.ndarray:
-    """Roll, pitch, yaw, rad, of a rotation matrix R_z(yaw) R_y(pitch) R_x(roll); roll 0 where pitch is a right angle."""
+    """Roll, pitch, yaw, rad, of R_z(yaw) R_y(pitch) R_x(roll); roll 0 where the pitch is a right angle."""
     pitch = math.asin(min(1.0, max(-1.0, -rotation[2, 0])))
     if abs(rotation[2, 0]) > 1.0 - 1e-9:
         return np.array([0.0, pitch, math.atan2(-rotation[0, 1], rotation[1, 1])])
@@ -104,11 +111,13 @@ def deviation(rotation: np.ndarray, other: np.ndarray) -> np.ndarray:
     return Rotation.from_matrix(rotation @ other.T).as_rotvec()
 
 
-def estimate_mounting(imu: ImuSamples, fixes: Fixes | None = None, gravity: float = STANDARD_GRAVITY) -> Mounting | None:
+def estimate_mounting(imu: ImuSamples, fixes: Fixes | None = None, gravity: float = STANDARD_GRAVITY,
+                      lag: float | None = None) -> Mounting | None:
     """The mounting that `imu` (SI units) and `fixes` show; None where not even the up axis does.
 
-    gravity: m/s^2, there. The up axis comes from gravity and from the turns; the yaw from changes of speed, turns and,
-    where the heights are good, grades, each with the sign of the direction of travel: most of the way is forwards.
+    gravity: m/s^2, there. lag: s, the time offset where it is known; None looks for it. The up axis comes from gravity
+    and from the turns; the yaw from changes of speed, turns and, where the heights are good, grades, each with the sign
+    of the direction of travel: most of the way is forwards.
     """
     intervals = fix_intervals(fixes) if fixes is not None else None
     inertial = InertialIntegrals(imu, intervals.origin if intervals else int(imu.stamp[0]))
@@ -120,11 +129,11 @@ def estimate_mounting(imu: ImuSamples, fixes: Fixes | None = None, gravity: floa
     rests = _rests(imu, find_standstill(imu, fixes))
     while intervals is not None:
         level = _levelled(inertial, intervals, up)
-        lag, lag_sigma, antenna = _best_lag(inertial, intervals, level)
-        motion = _explain(inertial, intervals, level, lag)
+        offset = _best_lag(inertial, intervals, level) if lag is None else (lag, 0.0, (0.0, math.inf))
+        motion = _explain(inertial, intervals, level, offset[0])
         longer = 2.0 * intervals.length
         if motion is not None and (motion.gain > _SMALLEST_GAIN or longer > LONGEST):
-            return _assemble(motion, rests, level, gravity, lag=lag, lag_sigma=lag_sigma, antenna=antenna)
+            return _assemble(motion, rests, level, gravity, *offset)
         # in longer intervals the receiver's noise hides less of the changes of speed
         intervals = fix_intervals(fixes, longer) if longer < 2.0 * LONGEST else None
     return _at_rest(rests, up, gravity)
@@ -262,7 +271,7 @@ def _at_rest(rests, up, gravity) -> Mounting:
                     bias=_bias(rests.mean(axis=0) if len(rests) else gravity * up, up, gravity), bias_sigma=BIAS_SIGMA)
 
 
-def _assemble(motion: _Motion, rests, up, gravity, **found) -> Mounting:
+def _assemble(motion: _Motion, rests, up, gravity, lag, lag_sigma, antenna) -> Mounting:
     """All evidence together."""
     axes = _axes(up, _default_heading(up)[0])
     for _ in range(3):  # angles are small about the axes found before
@@ -277,7 +286,8 @@ def _assemble(motion: _Motion, rests, up, gravity, **found) -> Mounting:
         rotation=axes, sigma=np.array([up_sigma[1], up_sigma[0], yaw_sigma]), level=tuple(level),
         heading=tuple(heading), bias=_bias(force, axes[2], gravity), bias_sigma=gravity * float(up_sigma.max()),
         imu=_imu_arm(motion, axes), gain=motion.gain,
-        driven=float(np.ptp(motion.spans.time[motion.moving])), turned=_turned(motion), spans=motion.spans, **found)
+        driven=float(np.ptp(motion.spans.time[motion.moving])), turned=_turned(motion), lag=lag, lag_sigma=lag_sigma,
+        antenna=antenna, spans=motion.spans)
 
 
 def _axes(up: np.ndarray, forward: np.ndarray) -> np.ndarray:

@@ -20,6 +20,7 @@ from ..filter.fusion import FilterConfig, FusionFilter
 from ..filter.odometry import LINEAR, POSE_COVARIANCE, POSITION, SIZE, TWIST_COVARIANCE
 from ..parameters.parameter import ParameterError
 from ..parameters.table import ALL, FILTER, FUSION
+from ..recordings.units import ACCELERATION, RATE
 from .log import Throttle, Watch
 from .ros_parameters import declare, refuse_unused_qos_overrides
 from .run import Stop, run, spin
@@ -37,6 +38,8 @@ class FusionNode(Node):
         self._filter = FusionFilter(FilterConfig.from_parameters(values))
         self.get_logger().info('loading the filter (the first start on a machine compiles it: up to a minute)')
         self._filter.warm_up()  # before there is a subscription: no message waits for the compiler
+        self._force_unit = ACCELERATION[values['imu.acceleration_unit']]
+        self._rate_unit = RATE[values['imu.rate_unit']]
         self._use_orientation = values['alignment.heading'] == 'orientation'
         self._set_rate(values['odometry_rate'])
         self._last_slot = None
@@ -95,14 +98,15 @@ class FusionNode(Node):
         """The hot path: no formatting, no new message, no look-up of a parameter."""
         self._imu_watch.count += 1
         stamp = message.header.stamp
-        force = message.linear_acceleration
-        rate = message.angular_velocity
+        force, force_unit = message.linear_acceleration, self._force_unit
+        rate, rate_unit = message.angular_velocity, self._rate_unit
         x = y = z = w = 0.0
         if self._use_orientation and message.orientation_covariance[0] != -1.0:  # -1: the driver has none (REP 145)
             orientation = message.orientation
             x, y, z, w = orientation.x, orientation.y, orientation.z, orientation.w
         now = stamp.sec * _SECOND + stamp.nanosec
-        if not self._filter.add_imu(now, force.x, force.y, force.z, rate.x, rate.y, rate.z, x, y, z, w):
+        if not self._filter.add_imu(now, force.x * force_unit, force.y * force_unit, force.z * force_unit,
+                                    rate.x * rate_unit, rate.y * rate_unit, rate.z * rate_unit, x, y, z, w):
             self.report()  # why there is no estimate
             return
         if self._period:

@@ -61,6 +61,9 @@ FILTER = (
               'open: they are only subtracted from the output.', choices=('closed', 'open')),
     Parameter('imu.mounting_rpy', [0.0, 0.0, 0.0], 'rad', 'Roll, pitch, yaw of the rotation from sensor axes to '
               'base_link (forward-left-up).', lengths=(3,), minimum=-2 * math.pi, maximum=2 * math.pi),
+    Parameter('imu.acceleration_unit', 'm/s^2', 'text', 'Unit of Imu.linear_acceleration as the driver delivers it; '
+              'every other parameter stays in SI units.', choices=('m/s^2', 'g')),
+    Parameter('imu.rate_unit', 'rad/s', 'text', 'The same for Imu.angular_velocity.', choices=('rad/s', 'deg/s')),
     Parameter('imu.max_gap', 0.5, 's', 'A longer gap between samples is bridged with the last sample and '
               'with a covariance that says so.', positive=True),
     Parameter('imu.restart_gap', 10.0, 's', 'After a longer gap, or stamps that jump back, the filter aligns anew.',
