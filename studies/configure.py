@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import argparse
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from itertools import permutations, product
 from pathlib import Path
 
 import numpy as np
@@ -139,9 +141,9 @@ def measured(data: Path):
         yaw = f'{angles[2]:.1f} ± {sigma[2]:.1f}' if found.yaw_known else 'not shown'
         lag = f'{found.lag:.3f} ± {found.lag_sigma:.3f}' if found.lag_sigma < 0.3 else 'not shown'
         worst_yaw = f'{errors[:, 2].max():.2f}' if found.yaw_known else '–'
-        print(f'| {name.split("/")[0]}, {topic} | {angles[0]:.1f} ± {sigma[0]:.1f} | {angles[1]:.1f} ± {sigma[1]:.1f} | '
-              f'{yaw} | {away[0]:.1f}, {away[1]:.1f}, {away[2]:.1f} | {lag} | {errors[:, :2].max():.2f} | {worst_yaw} | '
-              f'{wrong} of {len(tasks)} |', flush=True)
+        print(f'| {name.split("/")[0]}, {topic} | {angles[0]:.1f} ± {sigma[0]:.1f} | '
+              f'{angles[1]:.1f} ± {sigma[1]:.1f} | {yaw} | {away[0]:.1f}, {away[1]:.1f}, {away[2]:.1f} | {lag} | '
+              f'{errors[:, :2].max():.2f} | {worst_yaw} | {wrong} of {len(tasks)} |', flush=True)
 
 
 def evidence(data: Path):

@@ -29,8 +29,9 @@ def check_mounting(recording: Recording, values: dict) -> list[Finding]:
 def mounting_findings(imu: ImuSamples, fixes: Fixes | None, mounting_rpy, lag: float | None = None) -> list[Finding]:
     """The same for the last minutes of a live filter: samples in sensor axes (SI units) and fixes, by arrival.
 
-    mounting_rpy: (3,) rad, as declared. lag: s, `gnss.time_offset`, which is searched for where None: twenty times the
-    work. Two minutes at 100 Hz take some 10 ms with a lag. Needs some turns or changes of speed to say anything.
+    mounting_rpy: (3,) rad, as declared. lag: s, `gnss.time_offset`; None searches for it, which is ten times the work.
+    With a lag, two minutes at 100 Hz take about 50 ms of CPU: for now and then, not for each fix. Tells an IMU that is
+    not upright from gravity alone, a wrong yaw only after some turns or changes of speed, and is silent till then.
     """
     if fixes is not None:
         fixes = fixes.select(valid_fixes(fixes))
@@ -47,7 +48,7 @@ def _compare(found: Mounting, declared: np.ndarray) -> list[Finding]:
     tilt_sigma = float(found.sigma[:2].max())
     # the yaw is compared about the up axis found, which a wrong level does not disturb unless it lies on its side
     nose = found.rotation @ declared[0]
-    yaw = math.atan2(-nose[1], nose[0])
+    yaw = math.atan2(nose[1], nose[0])
     upright = math.hypot(nose[0], nose[1]) > 0.3
     tilted = tilt > max(_SMALL_TILT, SURE * tilt_sigma)
     turned = found.yaw_known and upright and abs(yaw) > max(_SMALL_YAW, SURE * float(found.sigma[2]))
@@ -69,11 +70,12 @@ def _tilt_in_words(tilt, sigma) -> str:
         return 'upside down'
     if tilt > math.radians(60.0):
         return f'on its side ({degrees} off level)'
-    return f'{degrees} off the level that imu.mounting_rpy says'
+    return f'tilted by {degrees} against what imu.mounting_rpy says'
 
 
 def _yaw_in_words(yaw, sigma) -> str:
     if abs(yaw) > math.radians(150.0):
         return 'backwards'
     side = 'left' if yaw > 0 else 'right'
-    return f'turned {abs(math.degrees(yaw)):.0f} +- {math.degrees(sigma):.1f} deg to the {side}'
+    return (f'turned to the {side} by {abs(math.degrees(yaw)):.0f} +- {math.degrees(sigma):.1f} deg against what '
+            'imu.mounting_rpy says')

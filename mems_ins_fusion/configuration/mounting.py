@@ -3,8 +3,8 @@
 Over spans of seconds the specific force in sensor axes is a sum of vectors times what the fixes and the turn rate say
 of the motion: forward times the change of speed, right times speed times turn rate, up times gravity. Least squares
 finds the vectors, each with a sigma from leaving out one stretch of the drive after the other, so that what a road
-adds (grades, crown) counts as it is: the same for a hundred metres and more. The gyroscopes show the up axis once more, by
-the axis about which the vehicle turns; a bias of the accelerometers does not disturb that.
+adds (grades, crown) counts as it is: the same for a hundred metres and more. The gyroscopes show the up axis once
+more, by the axis about which the vehicle turns; a bias of the accelerometers does not disturb that.
 The equations: docs/configure.md.
 """
 from __future__ import annotations
