@@ -16,10 +16,10 @@ from mems_ins_fusion.samples import Fixes, ImuSamples
 COURSE_WINDOW = 20.0  # s on each side, over which the gyroscopes carry the course
 LONGEST_GAP = 0.3  # s without samples in a span
 SHORTEST, LONGEST = 1.0, 5.0  # s: intervals
+_FINEST = 25.0  # Hz
 _DENSEST = 2.0  # Hz: spans begin that often at most
 _STEPS = 3  # from a constant speed and the gyroscopes' raw bias to those of the drive
 _SLOW = 0.3  # m/s: below, a path is as one at constant speed
-_NUDGE = 0.1  # s, for a derivative
 _CLIMB = 60.0  # m, at least, over which a grade is measured
 _STEEPEST = 0.35  # no road is steeper
 
@@ -27,20 +27,21 @@ _STEEPEST = 0.35  # no road is steeper
 class InertialIntegrals:
     """Running integrals of specific force and angular rate in sensor axes, to be asked at any time.
 
-    Times are seconds after `origin` (ns). Samples that are not finite or whose stamps do not advance are left out.
+    Kept are 25 values a second, enough for a vehicle. Times are seconds after `origin` (ns). Samples that are not finite or whose stamps do not advance are left out.
     """
 
     def __init__(self, imu: ImuSamples, origin: int):
         finite = np.isfinite(imu.specific_force).all(axis=1) & np.isfinite(imu.angular_rate).all(axis=1)
         stamp = imu.stamp[finite]
         advancing = np.diff(np.maximum.accumulate(stamp), prepend=stamp[:1] - 1) > 0
-        self.time = (stamp[advancing] - origin) * 1e-9
-        self.force = imu.specific_force[finite][advancing]
-        self.rate = imu.angular_rate[finite][advancing]
-        self.velocity = integral(self.time, self.force)
-        self.displacement = integral(self.time, self.velocity)
-        self.angle = integral(self.time, self.rate)
-        self.gap_end = self.time[1:][np.diff(self.time) > LONGEST_GAP]
+        time = (stamp[advancing] - origin) * 1e-9
+        velocity = integral(time, imu.specific_force[finite][advancing])
+        angle = integral(time, imu.angular_rate[finite][advancing])
+        self.gap_end = time[1:][np.diff(time) > LONGEST_GAP]
+        some = slice(None, None, max(round(1.0 / (_FINEST * np.median(np.diff(time)))), 1) if len(time) > 1 else 1)
+        self.time, self.velocity, self.angle = time[some], velocity[some], angle[some]
+        self.displacement = integral(time, velocity)[some]
+        self.rate = np.gradient(self.angle, self.time, axis=0) if len(self.time) > 1 else np.zeros_like(self.angle)
 
     def covers(self, begin, end) -> np.ndarray:
         """Whether there are samples without a gap from `begin` to `end`, (m,) s."""
@@ -113,14 +114,14 @@ def fix_sigma(fixes: Fixes, path: np.ndarray) -> float:
 class Spans:
     """What fixes and sensors say of each span; arrays over spans.
 
-    time: s, its middle. speed: m/s along the nose, positive forwards. acceleration: m/s^2 along the nose.
+    stamp: s, its middle by the clock of the fixes. time: s, the same by that of the IMU. speed: m/s along the nose, positive forwards. acceleration: m/s^2 along the nose.
     centripetal: m/s^2 to the right, speed times turn rate. grade: rad, upwards; NaN where heights do not show it.
     turn: rad/s, clockwise. turn_change: rad/s^2. turn_squared: (rad/s)^2.
-    force: (m, 3) m/s^2 and rate: (m, 3) rad/s in sensor axes. force_rate: (m, 3) m/s^3, of force.
-    sideways: m/s, of the antenna to the right of the nose.
+    force: (m, 3) m/s^2 and rate: (m, 3) rad/s in sensor axes. sideways: m/s, of the antenna to the right of the nose.
     length: s of an interval; a span has two. gyroscope_bias: rad/s about the up axis, clockwise.
     """
 
+    stamp: np.ndarray
     time: np.ndarray
     speed: np.ndarray
     acceleration: np.ndarray
@@ -130,7 +131,6 @@ class Spans:
     turn_change: np.ndarray
     turn_squared: np.ndarray
     force: np.ndarray
-    force_rate: np.ndarray
     rate: np.ndarray
     sideways: np.ndarray
     length: float
@@ -172,9 +172,9 @@ def spans(inertial: InertialIntegrals, fixes: FixIntervals, up: np.ndarray, lag:
     turn_rate = -(inertial.rate @ up) - bias
     pace = np.interp(time, middle, mean_speed)
 
-    def weighted(double_integral, later=0.0):
+    def weighted(double_integral):
         """The mean with the span's triangular weight, from the second integral over time."""
-        values = _at((times + later).ravel(), time, double_integral).reshape(*times.shape, -1)
+        values = _at(times.ravel(), time, double_integral).reshape(*times.shape, -1)
         mean = np.diff(values, axis=1) / length[..., None]
         return (mean[:, 1] - mean[:, 0]) / span[:, None]
 
@@ -183,12 +183,10 @@ def spans(inertial: InertialIntegrals, fixes: FixIntervals, up: np.ndarray, lag:
     turning = weighted(integral(time, heading))[:, 0]
     mean_turn = np.diff(_at(times.ravel(), time, heading).reshape(times.shape), axis=1) / length
     return Spans(
-        time=middle, speed=mean_speed, acceleration=np.diff(speed, axis=1)[:, 0] / span, centripetal=lateral,
+        stamp=stamped[:, 1], time=middle, speed=mean_speed, acceleration=np.diff(speed, axis=1)[:, 0] / span, centripetal=lateral,
         grade=_grades(middle, mean_speed, height[:, 1], fixes), turn=turning,
         turn_change=np.diff(mean_turn, axis=1)[:, 0] / span, turn_squared=squared,
-        force=weighted(inertial.displacement),
-        force_rate=(weighted(inertial.displacement, _NUDGE) - weighted(inertial.displacement, -_NUDGE)) / (2 * _NUDGE),
-        rate=weighted(integral(time, inertial.angle)),
+        force=weighted(inertial.displacement), rate=weighted(integral(time, inertial.angle)),
         sideways=sideways.mean(axis=1), length=fixes.length, gyroscope_bias=float(bias))
 
 

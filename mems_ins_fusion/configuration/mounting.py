@@ -35,6 +35,9 @@ AXES_SIGMA = math.radians(0.3)  # to which the axes of a MEMS sensor are at righ
 UNKNOWN = math.pi / math.sqrt(3.0)  # standard deviation of an angle that may be anything
 SHOWN = math.radians(20.0)  # a larger sigma of the yaw is none
 _ARM_SIGMA = 1.5  # m: how far IMU and antenna are from the rear axle, before anything is known
+_SIDEWAYS = 0.1  # m/s: what a sideways velocity is good to, for seconds
+_SLIP = 0.01  # rad per m/s^2: sideslip
+_NUDGE = 0.05  # s, of the lag
 _HARDEST = 8.0  # m/s^2: spans with more are errors of the receiver
 _QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # turns right into forward
 _SLOWEST = 0.5  # m/s: what counts as driving
@@ -206,23 +209,19 @@ def _levelled(inertial, intervals, up):
 
 def _best_lag(inertial, intervals, up):
     """Time offset and sigma that explain specific force and course best, and the arm of the antenna with its sigma."""
-    lags = np.arange(-LARGEST_LAG, LARGEST_LAG + 0.01, 0.1)
+    lags = np.arange(-LARGEST_LAG, LARGEST_LAG + 0.01, 0.2)
     lag = float(lags[np.argmin([_cost(_explain(inertial, intervals, up, lag)) for lag in lags])])
     sigma, antenna = math.inf, (0.0, math.inf)
-    for _ in range(2):
-        motion = _explain(inertial, intervals, up, lag)
-        if motion is None:
+    for _ in range(3):
+        around = [_explain(inertial, intervals, up, lag + shift) for shift in (-_NUDGE, 0.0, _NUDGE)]
+        if any(motion is None for motion in around):
             return 0.0, math.inf, antenna
-        steered, antenna = _steering(motion)
-        steps = np.array([_forced_lag(motion), steered])
+        steered, antenna = _steering(around[1])
+        steps = np.array([_forced_lag(*around), steered])
         steps[:, 1] = np.hypot(steps[:, 1], LAG_FLOOR)
-        information = 1.0 / steps[:, 1] ** 2
-        sigma = information.sum() ** -0.5
-        step = float(steps[:, 0] @ information * sigma**2)
-        # two ways that contradict each other are both less sure than they say
-        sigma *= max(1.0, abs(steps[0, 0] - steps[1, 0]) / math.hypot(*steps[:, 1]))
+        step, sigma = _combine(*steps.T)
         lag = float(np.clip(lag + np.clip(step, -0.2, 0.2), -1.2 * LARGEST_LAG, 1.2 * LARGEST_LAG))
-    return (lag if sigma < LAG_SHOWN else 0.0), sigma, antenna
+    return (lag if sigma < LAG_SHOWN else 0.0), float(sigma), antenna
 
 
 def _cost(motion: _Motion | None) -> float:
@@ -232,12 +231,16 @@ def _cost(motion: _Motion | None) -> float:
     return float(motion.fit.weight @ (motion.fit.residual**2).sum(axis=1) / motion.fit.weight.sum())
 
 
-def _forced_lag(motion: _Motion) -> tuple[float, float]:
-    """What to add to the lag by the specific force, and its sigma: a Gauss-Newton step."""
-    slope = motion.spans.force_rate[motion.moving]
-    inverse = np.linalg.inv(motion.fit.covariance)
-    projected = motion.fit.weight[:, None] * slope @ inverse
-    return ratio((projected * motion.fit.residual).sum(axis=1), (projected * slope).sum(axis=1), motion.block)
+def _forced_lag(before: _Motion, here: _Motion, after: _Motion) -> tuple[float, float]:
+    """What to add to the lag by the specific force, and its sigma: a Gauss-Newton step between two nudges."""
+    stamps = [motion.spans.stamp[motion.moving] for motion in (before, here, after)]
+    common = stamps[1][np.isin(stamps[1], stamps[0]) & np.isin(stamps[1], stamps[2])]
+    at = [np.searchsorted(stamp, common) for stamp in stamps]
+    slope = (after.fit.residual[at[2]] - before.fit.residual[at[0]]) / (2.0 * _NUDGE)
+    projected = here.fit.weight[at[1], None] * slope @ np.linalg.inv(here.fit.covariance)
+    step, sigma = ratio((projected * here.fit.residual[at[1]]).sum(axis=1), (projected * slope).sum(axis=1),
+                        here.block[at[1]])
+    return -step, sigma
 
 
 def _steering(motion: _Motion):
@@ -248,11 +251,12 @@ def _steering(motion: _Motion):
     drive = motion.spans
     design = np.column_stack([drive.speed * drive.turn, drive.turn, drive.speed * drive.centripetal,
                               np.ones(len(drive.time))])[motion.moving]
-    prior = np.array([LARGEST_LAG / 0.1, _ARM_SIGMA / 0.1, 0.01 / 0.1, 1e6])  # a sideways velocity is good to 0.1 m/s
+    prior = np.array([LARGEST_LAG, _ARM_SIGMA, _SLIP, 1e4]) / _SIDEWAYS
     found = fit(design, drive.sideways[motion.moving, None], prior, motion.block)
-    sigma = jackknife(found.left_out)[:, 0]
+    # what the prior decides, the stretches agree upon
+    sigma = np.hypot(jackknife(found.left_out)[:, 0], _SIDEWAYS * found.posterior)
     arm = 1.0 / math.hypot(1.0 / max(sigma[1], 1e-3), 1.0 / _ARM_SIGMA)
-    return (float(found.solution[0, 0]), float(sigma[0])), (float(found.solution[1, 0]), arm)
+    return (-float(found.solution[0, 0]), float(sigma[0])), (float(found.solution[1, 0]), arm)
 
 
 def _rests(imu: ImuSamples, still: np.ndarray) -> np.ndarray:

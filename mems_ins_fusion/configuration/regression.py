@@ -16,13 +16,15 @@ _BLOCK = 10.0  # s, at least
 @dataclass(frozen=True)
 class Fit:
     """values = design @ solution. solution: (k, c). left_out: (b, k, c), each without one block. weight: (n,).
-    residual: (n, c). covariance: (c, c) of it, without outliers."""
+    residual: (n, c). covariance: (c, c) of it, without outliers. posterior: (k,) standard deviations of the solution
+    in units of a row's noise, were it white."""
 
     solution: np.ndarray
     left_out: np.ndarray
     weight: np.ndarray
     residual: np.ndarray
     covariance: np.ndarray
+    posterior: np.ndarray
 
 
 def blocks(time: np.ndarray) -> np.ndarray:
@@ -47,7 +49,9 @@ def fit(design: np.ndarray, values: np.ndarray, prior: np.ndarray, block: np.nda
         size *= 1.0 / max(np.median(size), 1e-9) * math.sqrt(values.shape[1])
         weight = np.minimum(1.0, HUBER * math.sqrt(values.shape[1]) / np.maximum(size, 1e-9)) ** 2
     left_out = np.array([_solve(design, values, weight * (block != number), prior) for number in np.unique(block)])
-    return Fit(solution, left_out, weight, residual, covariance)
+    normal = (design * weight[:, None]).T @ design + np.diag(1.0 / prior**2)
+    posterior = np.sqrt(np.diag(np.linalg.pinv(normal, hermitian=True)))
+    return Fit(solution, left_out, weight, residual, covariance, posterior)
 
 
 def _solve(design, values, weight, prior):
