@@ -31,7 +31,8 @@ QUARTER = math.pi / 2
 HILLS = ((0.04, 900.0, 0.3), (0.02, 250.0, 2.0))
 #: two minutes: rest, off, a right-angled turn, a stop, off again
 SHORT = (Segment(15.0), Segment(8.0, 10.0), Segment(15.0), Segment(4.0, -4.0), Segment(6.0, 0.0, QUARTER),
-         Segment(4.0, 5.0), Segment(15.0), Segment(9.0, -11.0), Segment(8.0), Segment(9.0, 12.0), Segment(27.0 + MARGIN))
+         Segment(4.0, 5.0), Segment(15.0), Segment(9.0, -11.0), Segment(8.0), Segment(9.0, 12.0),
+         Segment(27.0 + MARGIN))
 STRAIGHT = (Segment(10.0), Segment(10.0, 12.0), Segment(100.0 + MARGIN))
 
 
@@ -80,7 +81,7 @@ def test_perfect_sensors_on_a_level_road_give_the_mounting_to_a_hundredth_of_a_d
 def test_sigmas_are_honest():
     # given drives of four minutes with other biases, roads and receivers
     scores = []
-    for seed in range(8):
+    for seed in range(5):
         mounting = rpy(Rotation.random(random_state=seed).as_matrix())
         drive = simulate_drive(240.0, seed, hills=True, pitch_per_acceleration=0.005, roll_per_acceleration=0.005)
         sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
@@ -102,9 +103,9 @@ def test_the_time_offset_is_found_with_the_mounting(offset):
     assert abs(errors(found, [0.0, 0.0, 1.0])[2]) < math.radians(2.0)
 
 
-def test_a_drive_straight_on_at_constant_speed_shows_no_yaw():
+def test_a_level_road_straight_on_at_constant_speed_shows_no_yaw():
     # given a recording that begins when the vehicle drives straight on at constant speed
-    made = recording(STRAIGHT)
+    made = recording(STRAIGHT, hills=())
     begin = made.imu.stamp[0] + 30 * 10**9
     made = replace(made, imu=made.imu.select(made.imu.stamp > begin), gnss=made.gnss.select(made.gnss.stamp > begin))
     found = estimate_mounting(made.imu, made.gnss)

@@ -27,7 +27,8 @@ _STEEPEST = 0.35  # no road is steeper
 class InertialIntegrals:
     """Running integrals of specific force and angular rate in sensor axes, to be asked at any time.
 
-    Kept are 25 values a second, enough for a vehicle. Times are seconds after `origin` (ns). Samples that are not finite or whose stamps do not advance are left out.
+    Kept are 25 values a second, enough for a vehicle. Times are seconds after `origin` (ns). Samples that are not
+    finite, or whose stamps do not advance, are left out.
     """
 
     def __init__(self, imu: ImuSamples, origin: int):
@@ -114,8 +115,9 @@ def fix_sigma(fixes: Fixes, path: np.ndarray) -> float:
 class Spans:
     """What fixes and sensors say of each span; arrays over spans.
 
-    stamp: s, its middle by the clock of the fixes. time: s, the same by that of the IMU. speed: m/s along the nose, positive forwards. acceleration: m/s^2 along the nose.
-    centripetal: m/s^2 to the right, speed times turn rate. grade: rad, upwards; NaN where heights do not show it.
+    stamp: s, its middle by the clock of the fixes. time: s, the same by that of the IMU. speed: m/s along the nose,
+    positive forwards. acceleration: m/s^2 along the nose. centripetal: m/s^2 to the right, speed times turn rate.
+    grade: rad, upwards; NaN where heights do not show it.
     turn: rad/s, clockwise. turn_change: rad/s^2. turn_squared: (rad/s)^2.
     force: (m, 3) m/s^2 and rate: (m, 3) rad/s in sensor axes. sideways: m/s, of the antenna to the right of the nose.
     length: s of an interval; a span has two. gyroscope_bias: rad/s about the up axis, clockwise.
@@ -183,7 +185,8 @@ def spans(inertial: InertialIntegrals, fixes: FixIntervals, up: np.ndarray, lag:
     turning = weighted(integral(time, heading))[:, 0]
     mean_turn = np.diff(_at(times.ravel(), time, heading).reshape(times.shape), axis=1) / length
     return Spans(
-        stamp=stamped[:, 1], time=middle, speed=mean_speed, acceleration=np.diff(speed, axis=1)[:, 0] / span, centripetal=lateral,
+        stamp=stamped[:, 1], time=middle, speed=mean_speed, acceleration=np.diff(speed, axis=1)[:, 0] / span,
+        centripetal=lateral,
         grade=_grades(middle, mean_speed, height[:, 1], fixes), turn=turning,
         turn_change=np.diff(mean_turn, axis=1)[:, 0] / span, turn_squared=squared,
         force=weighted(inertial.displacement), rate=weighted(integral(time, inertial.angle)),

@@ -40,11 +40,13 @@ def find_noise(imu: ImuSamples, still: np.ndarray) -> Noise | None:
     steps = np.concatenate(steps) if steps else np.empty((0, 6))
     if len(steps) < 6:
         return _quietest(both, interval)
-    density = np.sqrt((steps**2).mean(axis=0) / 2.0 * size * interval)
+    # by medians: a standstill's first and last second may belong to the motion
+    density = 1.4826 * np.median(np.abs(steps), axis=0) * np.sqrt(size * interval / 2.0)
     bias = np.concatenate(means)[:, 3:]
-    scatter = np.maximum(bias.std(axis=0), density[3:] / np.sqrt(size * interval)) / np.sqrt(len(bias))
-    return Noise(density[:3], density[3:], float(still.sum() * interval), float(np.sqrt(0.75 / len(steps))),
-                 bias.mean(axis=0), scatter)
+    scatter = 1.4826 * np.median(np.abs(bias - np.median(bias, axis=0)), axis=0)
+    scatter = np.maximum(scatter, density[3:] / np.sqrt(size * interval)) * np.sqrt(np.pi / 2.0 / len(bias))
+    return Noise(density[:3], density[3:], float(still.sum() * interval), float(np.sqrt(1.36 / len(steps))),
+                 np.median(bias, axis=0), scatter)
 
 
 def _quietest(both, interval) -> Noise | None:

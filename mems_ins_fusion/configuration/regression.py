@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -15,16 +16,35 @@ _BLOCK = 10.0  # s, at least
 
 @dataclass(frozen=True)
 class Fit:
-    """values = design @ solution. solution: (k, c). left_out: (b, k, c), each without one block. weight: (n,).
-    residual: (n, c). covariance: (c, c) of it, without outliers. posterior: (k,) standard deviations of the solution
-    in units of a row's noise, were it white."""
+    """values = design @ solution. design: (n, k). values, residual: (n, c). weight: (n,). prior, block: as given.
+    solution: (k, c). covariance: (c, c) of the residual, without outliers."""
 
-    solution: np.ndarray
-    left_out: np.ndarray
+    design: np.ndarray
+    values: np.ndarray
     weight: np.ndarray
+    prior: np.ndarray
+    block: np.ndarray
+    solution: np.ndarray
     residual: np.ndarray
     covariance: np.ndarray
-    posterior: np.ndarray
+
+    @cached_property
+    def left_out(self) -> np.ndarray:
+        """(b, k, c) solutions, each without one block."""
+        weighted = self.design * self.weight[:, None]
+        normal, right = _normal(weighted, self.design, self.values, self.prior)
+        solutions = []
+        for number in np.unique(self.block):
+            rows = self.block == number
+            solutions.append(_solve(normal - weighted[rows].T @ self.design[rows],
+                                    right - weighted[rows].T @ self.values[rows]))
+        return np.array(solutions)
+
+    @property
+    def posterior(self) -> np.ndarray:
+        """(k,) standard deviations of the solution in units of a row's noise, were it white."""
+        normal, _ = _normal(self.design * self.weight[:, None], self.design, self.values, self.prior)
+        return np.sqrt(np.diag(np.linalg.pinv(normal, hermitian=True)))
 
 
 def blocks(time: np.ndarray) -> np.ndarray:
@@ -39,31 +59,30 @@ def fit(design: np.ndarray, values: np.ndarray, prior: np.ndarray, block: np.nda
     prior: (k,) standard deviations of the solution about zero, in units of a row's noise. block: (n,) numbers of
     stretches whose errors are independent of each other.
     """
-    weight = np.ones(len(design))
+    weight, typical = np.ones(len(design)), math.sqrt(values.shape[1])
     for _ in range(_ITERATIONS):
-        solution = _solve(design, values, weight, prior)
+        solution = _solve(*_normal(design * weight[:, None], design, values, prior))
         residual = values - design @ solution
-        used = weight > _LEAST_WEIGHT
-        covariance = np.atleast_2d(np.cov(residual[used].T)) + 1e-9 * np.eye(values.shape[1])
+        covariance = np.atleast_2d(np.cov(residual[weight > _LEAST_WEIGHT].T)) + 1e-9 * np.eye(values.shape[1])
         size = np.sqrt(np.einsum('ni,ij,nj->n', residual, np.linalg.inv(covariance), residual))
-        size *= 1.0 / max(np.median(size), 1e-9) * math.sqrt(values.shape[1])
-        weight = np.minimum(1.0, HUBER * math.sqrt(values.shape[1]) / np.maximum(size, 1e-9)) ** 2
-    left_out = np.array([_solve(design, values, weight * (block != number), prior) for number in np.unique(block)])
-    normal = (design * weight[:, None]).T @ design + np.diag(1.0 / prior**2)
-    posterior = np.sqrt(np.diag(np.linalg.pinv(normal, hermitian=True)))
-    return Fit(solution, left_out, weight, residual, covariance, posterior)
+        size *= typical / max(np.median(size), 1e-9)
+        weight = np.minimum(1.0, HUBER * typical / np.maximum(size, 1e-9)) ** 2
+    return Fit(design, values, weight, prior, block, solution, residual, covariance)
 
 
-def _solve(design, values, weight, prior):
-    weighted = design * weight[:, None]
-    return np.linalg.lstsq(weighted.T @ design + np.diag(1.0 / prior**2), weighted.T @ values, rcond=None)[0]
+def _normal(weighted, design, values, prior):
+    return weighted.T @ design + np.diag(1.0 / prior**2), weighted.T @ values
+
+
+def _solve(normal, right):
+    return np.linalg.lstsq(normal, right, rcond=None)[0]
 
 
 def ratio(numerator: np.ndarray, denominator: np.ndarray, block: np.ndarray) -> tuple[float, float]:
     """Sum of (n,) `numerator` over that of `denominator`, and its standard deviation by leaving out blocks."""
     above, below = (np.bincount(block, terms) for terms in (numerator, denominator))
     rest = below.sum() - below
-    if rest.min() <= 0.0:
+    if not len(rest) or rest.min() <= 0.0:
         return 0.0, math.inf
     return float(above.sum() / below.sum()), float(jackknife((above.sum() - above) / rest))
 
