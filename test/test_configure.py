@@ -174,7 +174,7 @@ def test_gyroscopes_that_are_mirrored_are_no_mounting():
 
 @pytest.fixture(scope='module')
 def bag(tmp_path_factory):
-    """A drive in g and deg/s with two IMUs, one of them without numbers, and a reference beside the receiver."""
+    """A drive in g and deg/s, with a reference beside the receiver."""
     made = altered(recording(mounting=[0.0, 0.0, QUARTER], sigma=0.05), force=1.0 / STANDARD_GRAVITY,
                    rate=180.0 / math.pi)
     path = tmp_path_factory.mktemp('bags') / 'drive'

@@ -51,7 +51,7 @@ def assess_receiver(fixes: Fixes, imu: ImuSamples, still: np.ndarray, found: Mou
         misfit = (drive.acceleration - along) * drive.length**2 / np.sqrt(6.0)
         sensors = _ROUGHNESS * drive.length**2  # what the accelerometers and the road add
         whole = robust_sigma(misfit)
-        in_motion = float(np.sqrt(max(whole**2 - sensors**2, 0.0)))
+        in_motion = float(np.sqrt(max(whole**2 - sensors**2, 0.0))) or None
         outliers = float((np.abs(misfit) > _OUTLIER * max(whole, stated or 0.0, sensors)).mean())
     return Receiver(stated, at_rest, in_motion, outliers, _delay(fixes, imu))
 
