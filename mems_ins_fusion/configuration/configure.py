@@ -317,6 +317,8 @@ def _missing(topics, drives, mounting):
                'changes of speed would tell')
     if mounting is not None and not any(drive.still.any() for drive in drives):
         yield 'no standstill: noise is an upper limit, and the gyroscopes\' biases are left at zero'
+    if all(drive.units.steering is None for drive in drives):
+        yield f'no turn tells the unit of the gyroscopes; {drives[0].units.rate} is taken'
     if mounting is not None and mounting.lag_sigma >= 0.3:
         yield 'the time offset between IMU and fixes is not shown'
 

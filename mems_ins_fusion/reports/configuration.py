@@ -105,7 +105,7 @@ def _force_figure(found):
             if not column:
                 axes.set_ylabel(f'specific force {name}, m/s^2')
     for row in panels:
-        reach = float(np.percentile(np.abs(force[moving]), 99)) if moving.any() else 1.0
+        reach = float(np.percentile(np.abs(force[moving, :2]), 99.5)) if moving.any() else 1.0
         row[0].set_ylim(-1.3 * reach, 1.3 * reach)
     return drawing
 
