@@ -213,7 +213,8 @@ def test_noise_and_biases_at_rest_are_those_simulated(bag):
             [defaults[f'{sensor}.noise_density'][0]] * 3, rel=0.6)
     assert result.drives[0].noise.seconds > 15.0
     truth = recording(mounting=[0.0, 0.0, QUARTER], sigma=0.05).imu.angular_rate[:1400].mean(axis=0)
-    assert result.values['gyroscope.bias'] == pytest.approx(truth, abs=1e-3)  # which wanders by that, to the second stop
+    # the bias wanders by that, to the second stop
+    assert result.values['gyroscope.bias'] == pytest.approx(truth, abs=1e-3)
 
 
 def test_several_drives_are_taken_together(bag):
