@@ -9,6 +9,7 @@ from importlib import import_module
 from mems_ins_fusion.guard import guarded
 
 TOOLS = {
+    'configure': ('cli', 'write the params file of a vehicle from a recording of a drive'),
     'fusion_node': ('nodes', 'fuse IMU and GNSS live on ROS 2 topics'),
     'replay_node': ('nodes', 'run recordings through the same filter and measure its position error'),
     'characterize': ('cli', 'sensor error parameters from a recording of the IMU at rest'),

@@ -1,4 +1,5 @@
-"""Result folders that are either complete or not there, however many write at once and however they end."""
+"""Results, folders and files, that are either complete or not there, however many write at once and however they
+end."""
 from __future__ import annotations
 
 import errno
@@ -140,3 +141,32 @@ def _replace(path: Path, new: Path) -> None:
     path.rename(old / path.name)
     new.rename(path)
     shutil.rmtree(old, ignore_errors=True)
+
+
+def check_files_free(paths, overwrite: bool = False) -> None:
+    """ResultError where one of the files `paths` exists and `overwrite` is false, or is a folder."""
+    for path in map(Path, paths):
+        if path.is_dir():
+            raise ResultError(f'{path} is a folder, not a file')
+        if path.exists() and not overwrite:
+            raise ResultError(f'{path} exists already; choose another output or ask for it to be overwritten')
+
+
+def write_files(texts: dict, overwrite: bool = False) -> None:
+    """Write `texts`, by path: all under temporary names first, then under their own. Raises ResultError."""
+    check_files_free(texts, overwrite)
+    made = []
+    try:
+        for path, text in texts.items():
+            path = Path(path).absolute()
+            path.parent.mkdir(parents=True, exist_ok=True)
+            work = path.with_name(f'.{path.name}.new')
+            made.append((work, path))
+            work.write_text(text, encoding='utf-8')
+        for work, path in made:
+            work.replace(path)
+    except OSError as error:
+        raise ResultError(f'cannot write {error.filename}: {error.strerror}') from None
+    finally:
+        for work, _ in made:
+            work.unlink(missing_ok=True)

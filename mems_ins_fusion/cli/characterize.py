@@ -74,13 +74,15 @@ def _read(options):
             raise ValueError(f'{path} is not a file')
         return path.stem, read_npz(path), None
     from mems_ins_fusion.recordings.reading import Memory, read_recording
+    from mems_ins_fusion.recordings.units import in_si
 
     values = table.check(params_file.load_yaml(options.params_file) if options.params_file else {})
     with _Bar('reading') as bar:
         recording = read_recording(path, options.imu_topic or values['imu_topic'], progress=bar.share,
                                    temperature_topic=options.temperature_topic or values['temperature_topic'] or None,
                                    memory=Memory(values['memory_limit'], *_MEMORY))
-    imu, temperature = recording.imu, recording.temperature
+    imu = in_si(recording.imu, values['imu.acceleration_unit'], values['imu.rate_unit'])
+    temperature = recording.temperature
     grid = to_grid(imu.stamp, np.hstack([imu.specific_force, imu.angular_rate]))
     if temperature is None:
         return recording.name, grid, None

@@ -27,6 +27,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def diagnose(options: argparse.Namespace) -> str:
     """Read, diagnose and write the results; the story for the user. ValueError for bad options or input."""
+    from mems_ins_fusion.configuration.check import check_mounting
     from mems_ins_fusion.diagnosis.diagnose import diagnose as work
     from mems_ins_fusion.reports.diagnosis import corrected_yaml, report, report_html, story
     from mems_ins_fusion.reports.replay import read_part
@@ -38,6 +39,7 @@ def diagnose(options: argparse.Namespace) -> str:
             recording, warned = read_part(options.bag, table.check(given), lambda part: bar(0.2 * part, 'reading'))
             if recording.gnss is None:
                 raise ValueError('gnss_topic is empty: a diagnosis needs fixes')
+            warned = [*warned, *(finding.message for finding in check_mounting(recording, table.check(given)))]
             result = work(recording, table.check(given), lambda part, what: bar(0.2 + 0.75 * part, what))
             bar(0.95, 'writing')
             (folder / 'corrected.yaml').write_text(corrected_yaml(result, given), encoding='utf-8')

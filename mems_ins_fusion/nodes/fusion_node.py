@@ -25,6 +25,7 @@ from ..compiled import tell
 from ..filter.config import FilterConfig
 from ..parameters.parameter import ParameterError
 from ..parameters.table import ALL, FILTER, FUSION
+from ..recordings.units import ACCELERATION, RATE
 from .checks import check_together
 from .inputs import aiding_inputs, subscribe
 from .live_filter import LiveFilter
@@ -64,6 +65,8 @@ class FusionNode(Node):
         self._filter = LiveFilter(FilterConfig.from_parameters(values))
         tell(self.get_logger().info)
         load(self._filter, stop)  # before there is a subscription: no message waits for the compiler
+        self._force_unit = ACCELERATION[values['imu.acceleration_unit']]
+        self._rate_unit = RATE[values['imu.rate_unit']]
         self._use_orientation = values['alignment.heading'] == 'orientation'
         self._start = start_from_parameters(values) if values['start_pose'] else None
         self._datum = None
@@ -167,14 +170,15 @@ class FusionNode(Node):
         """The hot path: no formatting, no new message, no look-up of a parameter."""
         self._imu_watch.count += 1
         stamp = message.header.stamp
-        force = message.linear_acceleration
-        rate = message.angular_velocity
+        force, force_unit = message.linear_acceleration, self._force_unit
+        rate, rate_unit = message.angular_velocity, self._rate_unit
         x = y = z = w = 0.0
         if self._use_orientation and message.orientation_covariance[0] != -1.0:  # -1: the driver has none (REP 145)
             orientation = message.orientation
             x, y, z, w = orientation.x, orientation.y, orientation.z, orientation.w
         now = stamp.sec * _SECOND + stamp.nanosec
-        if not self._filter.add_imu(now, force.x, force.y, force.z, rate.x, rate.y, rate.z, x, y, z, w):
+        if not self._filter.add_imu(now, force.x * force_unit, force.y * force_unit, force.z * force_unit,
+                                    rate.x * rate_unit, rate.y * rate_unit, rate.z * rate_unit, x, y, z, w):
             if self._filter.state in BEFORE_START:
                 self._newest = None
                 self._begin()

@@ -66,7 +66,8 @@ def _tell(result) -> None:
     from ..reports.report import summary_table
 
     for recording in result.content['recordings']:
-        for warning in recording['warnings']:
+        errors = [finding['message'] for finding in recording['findings'] if finding['severity'] == 'error']
+        for warning in (*recording['warnings'], *errors):
             print(f'{NAME}: {warning}', file=sys.stderr)
     print(summary_table(result.content))
     for sentences in result.content['verdict'].values():

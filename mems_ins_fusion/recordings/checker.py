@@ -16,6 +16,7 @@ from mems_ins_fusion.recordings.motion import (
     find_standstill,
     positions,
     robust_sigma,
+    scatter_at_rest,
     sigmas,
     up_axis,
     valid_fixes,
@@ -186,7 +187,8 @@ def _check_gravity(imu, still, fixes):
     unit = next((name for name, per in _UNITS.items() if abs(magnitude / (per * expected) - 1) < 0.15), None)
     text = f'the specific force is {magnitude:.4g} m/s^2 {where}, gravity there is {expected:.4g} m/s^2'
     if unit is not None:
-        yield Finding(ERROR, 'imu', f'{text}: the accelerometers seem to be in {unit} instead of m/s^2', values)
+        yield Finding(ERROR, 'imu', f'{text}: the accelerometers seem to be in {unit} instead of m/s^2 (see '
+                      'imu.acceleration_unit)', values)
     elif magnitude < 0.2 * expected:
         yield Finding(ERROR, 'imu', f'{text}: gravity seems to be removed from it, or the unit is wrong', values)
     elif abs(magnitude / expected - 1) > 0.15:
@@ -261,7 +263,7 @@ def _check_sigma(fixes, imu, still):
         return
     stated = float(np.nanmedian(stated))
     path = positions(fixes)
-    scatter, basis = _scatter_at_rest(path, fixes, imu, still), 'at rest'
+    scatter, basis = scatter_at_rest(fixes, imu, still), 'at rest'
     if scatter is None:
         if len(fixes) < 20:
             return
@@ -279,20 +281,6 @@ def _check_sigma(fixes, imu, still):
                       values)
     else:
         yield Finding(INFO, 'gnss', text, values)
-
-
-def _scatter_at_rest(path, fixes, imu, still):
-    """Standard deviation per axis of the fixes about their mean in each standstill, m; None with too few."""
-    place = np.clip(np.searchsorted(imu.stamp, fixes.stamp), 0, len(imu) - 1)
-    number = np.cumsum(np.diff(still.astype(np.int8), prepend=0) > 0)[place]
-    rest = still[place]
-    squares, freedom = 0.0, 0
-    for group in np.unique(number[rest]):
-        points = path[rest & (number == group)]
-        if len(points) >= 10:
-            squares += float(((points - points.mean(axis=0)) ** 2).sum())
-            freedom += 2 * (len(points) - 1)
-    return np.sqrt(squares / freedom) if freedom else None
 
 
 def _check_clocks(imu, fixes, still):
@@ -322,7 +310,7 @@ def _check_turns(steering: Steering):
     values = {'ratio': turned, 'sigma': steering.scale_sigma * turned**2}
     text = f'the gyroscopes turn through {turned:.3g} times the angle of the course'
     if abs(abs(steering.scale) * 180 / np.pi - 1) < 0.3:
-        yield Finding(ERROR, 'imu', f'{text}: they seem to be in deg/s instead of rad/s', values)
+        yield Finding(ERROR, 'imu', f'{text}: they seem to be in deg/s instead of rad/s (see imu.rate_unit)', values)
     elif steering.scale < 0:
         yield Finding(ERROR, 'imu', f'{text}: their sign does not fit the accelerometers; the axes are not '
                       'right-handed, or the specific force has the wrong sign', values)

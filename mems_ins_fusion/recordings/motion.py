@@ -91,6 +91,21 @@ def _stays(stamp: np.ndarray, fixes: Fixes) -> np.ndarray:
     return near & (np.linalg.norm(after - before, axis=1) < CREEP * window + 3.0 * sigma)
 
 
+def scatter_at_rest(fixes: Fixes, imu: ImuSamples, still: np.ndarray) -> float | None:
+    """Standard deviation per axis of the fixes about their mean in each standstill, m; None with too few."""
+    path = positions(fixes)
+    place = np.clip(np.searchsorted(imu.stamp, fixes.stamp), 0, len(imu) - 1)
+    number = np.cumsum(np.diff(still.astype(np.int8), prepend=0) > 0)[place]
+    rest = still[place]
+    squares, freedom = 0.0, 0
+    for group in np.unique(number[rest]):
+        points = path[rest & (number == group)]
+        if len(points) >= 10:
+            squares += float(((points - points.mean(axis=0)) ** 2).sum())
+            freedom += 2 * (len(points) - 1)
+    return np.sqrt(squares / freedom) if freedom else None
+
+
 def up_axis(imu: ImuSamples, still: np.ndarray) -> tuple[np.ndarray, float]:
     """Unit vector up in sensor axes, and the mean magnitude of the specific force; at rest if there is a rest."""
     chosen = still if still.any() else np.isfinite(imu.specific_force).all(axis=1)

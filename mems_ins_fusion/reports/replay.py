@@ -11,11 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ..configuration.check import check_mounting
 from ..evaluation.comparison import Comparison, compare, cut
 from ..parameters.parameter import ParameterError
 from ..recordings.checker import check_recording
 from ..recordings.errors import RecordingWarning
 from ..recordings.reading import Memory, read_recording
+from ..recordings.units import in_si
 from ..results import result_folder
 from ..samples import Recording
 from . import trajectories
@@ -53,7 +55,7 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
             name = _free_name(recording.name, comparisons)
             said[name] = texts
             with _timed(timing, 'checking'):
-                findings[name] = check_recording(recording)
+                findings[name] = [*check_recording(recording), *check_mounting(recording, values)]
             with _timed(timing, 'filter and errors'):
                 comparisons[name] = compare(recording, values, lambda done: part(0.25 + 0.3 * done, 'filtering'))
         content = _write(folder, comparisons, findings, said, values, timing, progress)
@@ -82,6 +84,7 @@ def read_part(path, values: dict, progress: Callable[[float], None]) -> tuple[Re
         warnings.simplefilter('always', RecordingWarning)
         recording = _read_whole(path, values, progress)
     said = [str(w.message) for w in caught if issubclass(w.category, RecordingWarning)]
+    recording = replace(recording, imu=in_si(recording.imu, values['imu.acceleration_unit'], values['imu.rate_unit']))
     return cut(recording, values['start'], values['stop']), said
 
 

@@ -1,0 +1,59 @@
+"""`configure`: from a recording to the params file of the vehicle."""
+from __future__ import annotations
+
+import argparse
+import sys
+import warnings
+from pathlib import Path
+
+DESCRIPTION = """\
+Write the params file of a vehicle from a recording of a drive: which topics, in which units, how the IMU is mounted,
+noise and biases, time offset, receiver, constraints. Each value has its evidence and its sigma as a comment. What the
+recording does not show is said and left at its default. A minute or two with a standstill, a right-angled turn and
+some braking is enough; more is better. Beside FILE.yaml a page FILE.html shows what was looked at.
+The method: docs/configure.md."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the tool with `argv` (default: the command line); its exit status."""
+    options = _parser().parse_args(argv)
+    try:
+        print(configure(options))
+    except ValueError as error:
+        print(f'configure: {error}', file=sys.stderr)
+        return 2
+    return 0
+
+
+def configure(options: argparse.Namespace) -> str:
+    """Read, look and write; what was found, for the user. ValueError for bad options or input."""
+    from mems_ins_fusion.configuration.configure import configure as work
+    from mems_ins_fusion.parameters import table
+    from mems_ins_fusion.recordings.errors import RecordingWarning
+    from mems_ins_fusion.reports.configuration import configuration_page, configuration_yaml, story
+    from mems_ins_fusion.results import check_files_free, write_files
+
+    output = Path(options.output)
+    if output.suffix not in ('.yaml', '.yml'):
+        raise ValueError(f'--output must be a .yaml file, got {output}')
+    page = output.with_suffix('.html')
+    check_files_free([output, page], options.overwrite)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter('always', RecordingWarning)
+        result = work(options.bag)
+    table.check(result.values)
+    text = configuration_yaml(result)
+    write_files({output: text, page: configuration_page(result, text)}, options.overwrite)
+    said = dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, RecordingWarning))
+    return '\n'.join([*story(result), *said, f'{output}; what it stands on: {page}'])
+
+
+def _parser():
+    parser = argparse.ArgumentParser(prog='configure', description=DESCRIPTION,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    add = parser.add_argument
+    add('--bag', required=True, nargs='+', metavar='BAG', help='rosbag2 folder, .mcap, .db3 or ROS 1 .bag; several of '
+        'one vehicle')
+    add('--output', required=True, metavar='FILE.yaml', help='the params file to write')
+    add('--overwrite', action='store_true', help='replace an existing one')
+    return parser

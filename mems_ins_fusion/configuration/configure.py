@@ -1,0 +1,344 @@
+"""From recordings to a vehicle's parameters: each with its evidence, and what the recordings do not show."""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from mems_ins_fusion.configuration.mounting import BIAS_SIGMA, SHOWN, UNKNOWN, Mounting, deviation, estimate_mounting
+from mems_ins_fusion.configuration.noise import Noise, find_noise
+from mems_ins_fusion.configuration.receiver import Receiver, assess_receiver
+from mems_ins_fusion.configuration.topics import Candidate, Topics, find_topics
+from mems_ins_fusion.configuration.units import Units, find_units
+from mems_ins_fusion.configuration.vehicle import Vehicle, assess_vehicle
+from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
+from mems_ins_fusion.navigation.earth import gravity as gravity_at
+from mems_ins_fusion.parameters.table import defaults
+from mems_ins_fusion.recordings.checker import INFO, Finding, check_recording
+from mems_ins_fusion.recordings.errors import RecordingError
+from mems_ins_fusion.recordings.motion import find_standstill, valid_fixes
+from mems_ins_fusion.recordings.units import in_si
+from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
+
+_SIGNIFICANT = 3.0  # sigmas of a time offset that is worth correcting
+_TOO_SURE = 2.0  # times its stated sigma: a receiver that is not believed
+_OUTLIERS = 0.002  # part of the fixes
+_ROBUST = 3.0  # gnss.robust_sigma where there are outliers
+_ARM_SHOWN = 0.3  # m
+_CONSTRAINT_YAW = math.radians(6.0)  # a larger sigma of the yaw takes the sense out of the constraint
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One parameter of the file. why: lines of evidence, with sigma."""
+
+    name: str
+    value: object
+    why: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One recording and what it shows. imu: in SI units. still: (n,) its samples at rest. seconds: its length."""
+
+    name: str
+    imu: ImuSamples
+    fixes: Fixes | None
+    still: np.ndarray
+    seconds: float
+    units: Units
+    mounting: Mounting | None
+    noise: Noise | None
+    receiver: Receiver | None
+    vehicle: Vehicle
+    findings: tuple[Finding, ...] = ()
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """The parameters found, and all they stand on. mounting: of all drives together. missing: what the recordings do
+    not show, in words. wrong: what is wrong with them."""
+
+    settings: tuple[Setting, ...]
+    topics: Topics
+    drives: tuple[Drive, ...]
+    mounting: Mounting | None
+    missing: tuple[str, ...]
+    wrong: tuple[str, ...] = field(default=())
+
+    @property
+    def values(self) -> dict:
+        return {setting.name: setting.value for setting in self.settings}
+
+
+def configure(paths, progress=lambda part, what: None) -> Configuration:
+    """The parameters of the vehicle that the recordings `paths` are from. progress: called with a part, 0 to 1.
+
+    The topics are those of the first recording. RecordingError where one cannot be used.
+    """
+    topics, drives = None, []
+    for i, path in enumerate(paths):
+        progress(i / len(paths), 'reading')
+        found = find_topics(path)
+        topics = topics or found
+        imu = _same(found.imu, topics.imu[0].topic, path)
+        gnss = _same(found.gnss, topics.gnss[0].topic, path) if topics.gnss else None
+        progress((i + 0.5) / len(paths), 'looking')
+        drives.append(_look(path, imu.samples, gnss.samples if gnss else None))
+    mounting = _together([drive.mounting for drive in drives if drive.mounting is not None])
+    progress(1.0, 'done')
+    return Configuration(tuple(_settings(topics, drives, mounting)), topics, tuple(drives), mounting,
+                         tuple(_missing(topics, drives, mounting)), tuple(_wrong(drives)))
+
+
+def _same(candidates, topic, path) -> Candidate:
+    match = [candidate for candidate in candidates if candidate.topic == topic]
+    if not match:
+        raise RecordingError(f"{path} has no messages on '{topic}', which the first recording has; give recordings of "
+                             'one vehicle')
+    return match[0]
+
+
+def _look(path, imu: ImuSamples, fixes: Fixes | None) -> Drive:
+    """All that one recording shows."""
+    name = str(path)
+    good = fixes.select(valid_fixes(fixes)) if fixes is not None else None
+    good = good.select(np.argsort(good.stamp, kind='stable')) if good is not None and len(good) > 1 else None
+    finite = np.isfinite(imu.specific_force).all(axis=1) & np.isfinite(imu.angular_rate).all(axis=1)
+    if finite.sum() < 2 or np.ptp(imu.stamp) <= 0:
+        raise RecordingError(f'{name}: the IMU has no samples that could be used (numbers with advancing stamps)')
+    whole, imu = imu, imu.select(finite)
+    seconds = float(np.ptp(imu.stamp)) * 1e-9
+    gravity = float(gravity_at(good.latitude[0], good.height[0])) if good is not None else STANDARD_GRAVITY
+    units = find_units(imu, good, gravity)
+    imu = in_si(imu, units.acceleration, units.rate)
+    findings = check_recording(Recording(name, in_si(whole, units.acceleration, units.rate), fixes))
+    still = find_standstill(imu, good)
+    found = estimate_mounting(imu, good, gravity)
+    receiver = assess_receiver(fixes, imu, still, found) if good is not None else None
+    noise = receiver.realised if receiver is not None else None
+    vehicle = assess_vehicle(imu, still, found, noise or 1.0)
+    return Drive(name, imu, good, still, seconds, units, found, find_noise(imu, still), receiver, vehicle,
+                 tuple(finding for finding in findings if finding.severity != INFO))
+
+
+def _together(found: list[Mounting]) -> Mounting | None:
+    """One mounting of several drives, weighted by their sigmas; larger sigmas where they contradict each other."""
+    if len(found) < 2:
+        return found[0] if found else None
+    best = min(found, key=lambda mounting: float((mounting.sigma**2).sum()))
+    away = np.array([deviation(mounting.rotation, best.rotation) if mounting.yaw_known or not best.yaw_known
+                     else np.zeros(3) for mounting in found])
+    sigma = np.array([mounting.sigma for mounting in found])
+    sigma[:, 2] = np.where(sigma[:, 2] < SHOWN, sigma[:, 2], 1e3)
+    rotation, rotation_sigma = _weighted(away, sigma)
+    from scipy.spatial.transform import Rotation
+
+    lag, lag_sigma = _weighted(np.array([m.lag for m in found]), np.array([min(m.lag_sigma, 1e3) for m in found]))
+    arms = {name: _weighted(np.array([getattr(m, name)[0] for m in found]),
+                            np.array([min(getattr(m, name)[1], 1e3) for m in found])) for name in ('antenna', 'imu')}
+    bias, bias_sigma = _weighted(np.array([m.bias for m in found]), np.array([[m.bias_sigma] * 3 for m in found]))
+    rotation_sigma[2] = min(rotation_sigma[2], UNKNOWN)
+    return replace(best, rotation=Rotation.from_rotvec(rotation).as_matrix() @ best.rotation, sigma=rotation_sigma,
+                   lag=float(lag), lag_sigma=float(lag_sigma), bias=bias, bias_sigma=float(bias_sigma.max()),
+                   **{name: (float(arm), float(sigma)) for name, (arm, sigma) in arms.items()})
+
+
+def _weighted(values, sigmas):
+    information = 1.0 / np.maximum(sigmas, 1e-6) ** 2
+    mean = (information * values).sum(axis=0) / information.sum(axis=0)
+    spread = (information * (values - mean) ** 2).sum(axis=0) / (len(values) - 1)
+    return mean, np.sqrt(np.maximum(spread, 1.0) / information.sum(axis=0))
+
+
+def _settings(topics: Topics, drives, mounting):
+    first = drives[0]
+    yield from _topic_settings(topics)
+    yield from _unit_settings(first.units)
+    yield _mechanization(drives, mounting)
+    if mounting is not None:
+        yield _mounting_setting(mounting)
+        yield from _offset_settings(mounting)
+    yield from _receiver_settings([drive.receiver for drive in drives if drive.receiver is not None])
+    yield from _noise_settings(drives, mounting)
+    yield from _vehicle_settings(drives, mounting)
+
+
+def _topic_settings(topics):
+    for name, candidates, kind in (('imu_topic', topics.imu, 'Imu'), ('gnss_topic', topics.gnss, 'NavSatFix')):
+        if not candidates:
+            yield Setting(name, '', (f'no topic of sensor_msgs/{kind}',))
+            continue
+        chosen, *others = candidates
+        why = [f'{chosen.describe()}' + ('' if others else f'; the only sensor_msgs/{kind}')]
+        why += [f'rather than {other.topic}: {other.describe()}' for other in others]
+        yield Setting(name, chosen.topic, tuple(why))
+    if len(topics.temperature) == 1:
+        yield Setting('temperature_topic', topics.temperature[0], ('the only sensor_msgs/Temperature',))
+
+
+def _unit_settings(units: Units):
+    yield Setting('imu.acceleration_unit', units.acceleration, (units.why_acceleration,))
+    yield Setting('imu.rate_unit', units.rate, (units.why_rate,))
+
+
+def _mechanization(drives, mounting) -> Setting:
+    if not all(drive.units.gravity for drive in drives):
+        return Setting('mechanization', 'planar', ('gravity is not in the accelerometers: strapdown needs it',))
+    if mounting is None:
+        return Setting('mechanization', 'planar', ('the up axis is not known',))
+    return Setting('mechanization', 'strapdown', ('gravity is in the accelerometers; roads tilt, and planar takes '
+                                                  'that for acceleration',))
+
+
+def _mounting_setting(found: Mounting) -> Setting:
+    angles = np.degrees(found.rpy)
+    sigma = np.degrees(found.sigma)
+    why = [f'roll {angles[0]:.1f}, pitch {angles[1]:.1f}, yaw {angles[2]:.1f} deg; sigma {sigma[0]:.1f}, '
+           f'{sigma[1]:.1f}, {sigma[2]:.1f} deg about forward, left and up']
+    why += [f'from this, by {way.source}: {_degrees(way.angle[0], way.sigma[0])} about forward, '
+            f'{_degrees(way.angle[1], way.sigma[1])} about left' for way in found.level]
+    if found.spans is not None:
+        why.append(f'gravity counts with {math.degrees(BIAS_SIGMA / STANDARD_GRAVITY):.1f} deg more: a bias of the '
+                   'accelerometers tilts it')
+    if found.yaw_known:
+        why += [f'from this, by {way.source}: {_degrees(way.angle[0], way.sigma[0])} about up' for way in found.heading]
+    else:
+        why.append('yaw not shown: too few turns and changes of speed; 0 is the default, it may be anything')
+    return Setting('imu.mounting_rpy', _rounded(found.rpy, 4), tuple(why))
+
+
+def _degrees(angle, sigma) -> str:
+    return f'{math.degrees(angle):+.1f} +- {max(math.degrees(sigma), 0.1):.1f} deg'
+
+
+def _offset_settings(found: Mounting):
+    if found.lag_sigma < 0.3:
+        shown = abs(found.lag) > _SIGNIFICANT * found.lag_sigma
+        seen = f'by changes of speed and turns {found.lag:.3f} +- {found.lag_sigma:.3f} s'
+        yield Setting('gnss.time_offset', round(found.lag, 3) if shown else 0.0,
+                      (seen if shown else f'{seen}: not significant, left at zero',))
+    else:
+        yield Setting('gnss.time_offset', 0.0, ('not shown',))
+    ahead, sigma = found.antenna[0] - found.imu[0], math.hypot(found.antenna[1], found.imu[1])
+    known = sigma < _ARM_SHOWN
+    seen = (f'forward: antenna {found.antenna[0]:.1f} +- {found.antenna[1]:.1f} m, IMU {found.imu[0]:.1f} +- '
+            f'{found.imu[1]:.1f} m ahead of the rear axle') if math.isfinite(sigma) else 'not shown'
+    yield Setting('gnss.lever_arm', [round(ahead, 1) + 0.0 if known else 0.0, 0.0, 0.0],
+                  (seen + ('' if known or not math.isfinite(sigma) else ': too vague, left at zero'),
+                   'measure it with a tape; left and up are not shown'))
+
+
+def _receiver_settings(receivers: list[Receiver]):
+    if not receivers:
+        return
+    stated = [r.stated for r in receivers if r.stated is not None]
+    seen = [r.realised for r in receivers if r.realised is not None]
+    realised = max(seen) if seen else None
+    text = ', '.join(f'{what} {max(values):.2g} m' for what, values in (
+        ('stated', stated), ('scatter at rest', [r.at_rest for r in receivers if r.at_rest is not None]),
+        ('white noise in motion about', [r.in_motion for r in receivers if r.in_motion is not None])) if values)
+    if stated:
+        too_sure = realised is not None and realised > _TOO_SURE * max(stated)
+        yield Setting('gnss.sigma', float(f'{realised:.2g}') if too_sure else 0.0,
+                      (text, 'the receiver is too sure of itself' if too_sure else 'the stated sigma is used'))
+    else:
+        yield Setting('gnss.default_sigma', float(f'{max(realised or 3.0, 0.02):.2g}'),
+                      (text or 'not shown', 'the receiver states no sigma'))
+    outliers = max(r.outliers for r in receivers)
+    yield Setting('gnss.robust_sigma', _ROBUST if outliers > _OUTLIERS else 0.0,
+                  (f'{outliers:.1%} of the fixes lie far off their neighbours',))
+    delays = [r.delay for r in receivers if r.delay is not None]
+    if delays and max(delays) > 0.7 * defaults()['gnss.max_delay']:
+        yield Setting('gnss.max_delay', min(round(1.5 * max(delays), 1), 10.0),
+                      (f'fixes arrive up to {max(delays):.2f} s (99 %) after the IMU samples of their time',))
+
+
+def _noise_settings(drives, mounting):
+    found = [drive.noise for drive in drives if drive.noise is not None]
+    if not found:
+        return
+    best = max(found, key=lambda noise: noise.seconds)
+    if best.seconds:
+        why = f'{best.seconds:.0f} s at rest; each to {best.part:.0%}'
+    else:
+        why = 'no standstill: from the quietest seconds of the drive, an upper limit'
+    for sensor, density in (('accelerometer', best.force_density), ('gyroscope', best.rate_density)):
+        yield Setting(f'{sensor}.noise_density', _significant(density), (why,))
+        if sensor == 'accelerometer' and mounting is not None and mounting.spans is not None:
+            yield Setting('accelerometer.bias', _significant(mounting.bias, 2), (
+                f'what gravity leaves beside the up axis; sigma {mounting.bias_sigma:.2g} m/s^2',))
+        if sensor == 'gyroscope' and best.bias is not None:
+            sigma = ', '.join(f'{s:.1g}' for s in best.bias_sigma)
+            yield Setting('gyroscope.bias', _significant(best.bias), (
+                f'mean over {best.seconds:.0f} s at rest, sigma {sigma} rad/s; the next start has another one',))
+
+
+def _vehicle_settings(drives, mounting):
+    vehicles = [drive.vehicle for drive in drives]
+    wheels = [vehicle for vehicle in vehicles if vehicle.wheels is not None]
+    fits = bool(wheels) and all(vehicle.wheels for vehicle in wheels)
+    known = mounting is not None and mounting.sigma[2] < _CONSTRAINT_YAW
+    seen = (f'velocity across the nose scatters by {max(v.sideways for v in wheels):.2f} m/s, '
+            f'{max(v.noise for v in wheels):.2f} m/s of it by the fixes' if wheels else 'too few turns to see it')
+    yield Setting('vehicle.non_holonomic', bool(fits and known), (
+        seen + ('' if known else '; the yaw of the mounting is not known well enough'),))
+    rest = [vehicle for vehicle in vehicles if vehicle.rest_force is not None]
+    if not rest:
+        yield Setting('vehicle.zero_velocity', False, ('no standstill beside motion shows how to tell them apart',))
+        return
+    force, rate = max(v.rest_force for v in rest), max(v.rest_rate for v in rest)
+    drive_force, drive_rate = min(v.drive_force for v in rest), min(v.drive_rate for v in rest)
+    told = force < drive_force or rate < drive_rate
+    yield Setting('vehicle.zero_velocity', told, (
+        f'axes scatter by up to {force:.2g} m/s^2 and {rate:.2g} rad/s at rest, by {drive_force:.2g} and '
+        f'{drive_rate:.2g} and more in motion' + ('' if told else ': not to be told apart'),))
+    if told:
+        yield Setting('vehicle.still_acceleration', _threshold(force, drive_force), ('between rest and motion',))
+        yield Setting('vehicle.still_rate', _threshold(rate, drive_rate), ('between rest and motion',))
+
+
+def _threshold(rest, drive) -> float:
+    """Between `rest` and `drive` by ratio; where they overlap, a little above rest."""
+    return float(f'{max(math.sqrt(rest * drive), 1.2 * rest):.2g}')
+
+
+def _missing(topics, drives, mounting):
+    """What the recordings do not show, and what would."""
+    if not topics.gnss:
+        yield 'no fixes in the recording: yaw, time offset and receiver are at their defaults'
+        return
+    if mounting is None or not mounting.yaw_known:
+        yield ('the yaw of the mounting is not shown: record a drive with a right-angled turn, some braking and '
+               'some speeding up')
+    elif math.degrees(mounting.sigma[2]) > 3.0:
+        yield (f'the yaw of the mounting is known to {math.degrees(mounting.sigma[2]):.0f} deg only: more turns and '
+               'changes of speed would tell')
+    if mounting is not None and not any(drive.still.any() for drive in drives):
+        yield 'no standstill: noise is an upper limit, and the gyroscopes\' biases are left at zero'
+    if all(drive.units.steering is None for drive in drives):
+        yield f'no turn tells the unit of the gyroscopes; {drives[0].units.rate} is taken'
+    if mounting is not None and mounting.lag_sigma >= 0.3:
+        yield 'the time offset between IMU and fixes is not shown'
+
+
+def _wrong(drives):
+    """What is wrong with the recordings, each once."""
+    said = [doubt for drive in drives for doubt in drive.units.doubts]
+    said += [f'{finding.topic}: {finding.message}' for drive in drives for finding in drive.findings
+             if 'gnss.time_offset' not in finding.message]
+    units = {(drive.units.acceleration, drive.units.rate) for drive in drives}
+    if len(units) > 1:
+        said.append('the recordings are in different units; those of the first are written')
+    return dict.fromkeys(said)
+
+
+def _rounded(values, digits) -> list:
+    return [round(float(value), digits) + 0.0 for value in values]
+
+
+def _significant(values, digits=3) -> list:
+    return [float(f'{value:.{digits}g}') for value in values]
+
+

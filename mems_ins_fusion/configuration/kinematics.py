@@ -1,0 +1,228 @@
+"""How a vehicle moved between the fixes, and what its inertial sensors saw in the same spans of time.
+
+Two successive intervals between fixes make a span. The change of the mean speed from one to the other is a weighted
+mean of the acceleration, the weight rising and falling linearly; the sensors are averaged with the same weight, so that
+both describe the same quantity however long the span is.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mems_ins_fusion.recordings.motion import positions, robust_sigma, sigmas, valid_fixes
+from mems_ins_fusion.samples import Fixes, ImuSamples
+
+COURSE_WINDOW = 20.0  # s on each side, over which the gyroscopes carry the course
+LONGEST_GAP = 0.3  # s without samples in a span
+SHORTEST, LONGEST = 1.0, 5.0  # s: intervals
+_FINEST = 25.0  # Hz
+_DENSEST = 2.0  # Hz: spans begin that often at most
+_STEPS = 3  # from a constant speed and the gyroscopes' raw bias to those of the drive
+_SLOW = 0.3  # m/s: below, a path is as one at constant speed
+_CLIMB = 60.0  # m, at least, over which a grade is measured
+_STEEPEST = 0.35  # no road is steeper
+
+
+class InertialIntegrals:
+    """Running integrals of specific force and angular rate in sensor axes, to be asked at any time.
+
+    Kept are 25 values a second, enough for a vehicle. Times are seconds after `origin` (ns). Samples that are not
+    finite, or whose stamps do not advance, are left out.
+    """
+
+    def __init__(self, imu: ImuSamples, origin: int):
+        finite = np.isfinite(imu.specific_force).all(axis=1) & np.isfinite(imu.angular_rate).all(axis=1)
+        stamp = imu.stamp[finite]
+        advancing = np.diff(np.maximum.accumulate(stamp), prepend=stamp[:1] - 1) > 0
+        time = (stamp[advancing] - origin) * 1e-9
+        velocity = integral(time, imu.specific_force[finite][advancing])
+        angle = integral(time, imu.angular_rate[finite][advancing])
+        self.gap_end = time[1:][np.diff(time) > LONGEST_GAP]
+        some = slice(None, None, max(round(1.0 / (_FINEST * np.median(np.diff(time)))), 1) if len(time) > 1 else 1)
+        self.time, self.velocity, self.angle = time[some], velocity[some], angle[some]
+        self.displacement = integral(time, velocity)[some]
+        self.rate = np.gradient(self.angle, self.time, axis=0) if len(self.time) > 1 else np.zeros_like(self.angle)
+
+    def covers(self, begin, end) -> np.ndarray:
+        """Whether there are samples without a gap from `begin` to `end`, (m,) s."""
+        whole = np.searchsorted(self.gap_end, begin) == np.searchsorted(self.gap_end, end + LONGEST_GAP)
+        return whole & (begin >= self.time[0]) & (end <= self.time[-1])
+
+
+def integral(time, values):
+    """Running integral of (n,) or (n, k) values by the trapezoidal rule, zero at the first time."""
+    step = np.diff(time) if values.ndim == 1 else np.diff(time)[:, None]
+    return np.concatenate([np.zeros_like(values[:1]), np.cumsum(0.5 * (values[1:] + values[:-1]) * step, axis=0)])
+
+
+def _at(times, time, values):
+    """`values` (n, k) or (n,), real or complex, at `times`, linear in between."""
+    if values.ndim == 1:
+        return np.interp(times, time, values)
+    return np.column_stack([np.interp(times, time, column) for column in values.T])
+
+
+@dataclass(frozen=True)
+class FixIntervals:
+    """Overlapping intervals between fixes, three times each: begin, middle and end of the spans they make.
+
+    times: (m, 3) s after origin (ns). places: (m, 3) complex, north + i east, m. heights: (m, 3) m.
+    length: s, nominal. sigma: m, of a fix against the next, north or east.
+    """
+
+    origin: int
+    times: np.ndarray
+    places: np.ndarray
+    heights: np.ndarray
+    length: float
+    sigma: float
+
+
+def fix_intervals(fixes: Fixes, shortest: float = SHORTEST) -> FixIntervals | None:
+    """The spans of `fixes`, long enough for the noise of the receiver and at least `shortest` s; None with too few."""
+    fixes = fixes.select(valid_fixes(fixes))
+    fixes = fixes.select(np.argsort(fixes.stamp, kind='stable'))
+    if len(fixes) > 1:
+        fixes = fixes.select(np.diff(fixes.stamp, prepend=fixes.stamp[0] - 1) > 0)
+    if len(fixes) < 12:
+        return None
+    time = (fixes.stamp - fixes.stamp[0]) * 1e-9
+    interval = float(np.median(np.diff(time)))
+    path = positions(fixes)
+    sigma = fix_sigma(fixes, path)
+    steps = max(round(np.clip(0.5 + 2.0 * sigma, shortest, max(shortest, LONGEST)) / interval), 1)
+    begin = np.arange(0, len(fixes) - 2 * steps, max(round(1.0 / (_DENSEST * interval)), 1))
+    if len(begin) < 10:
+        return None
+    at = begin[:, None] + steps * np.arange(3)
+    times = time[at]
+    whole = (np.diff(times, axis=1) < 1.5 * steps * interval).all(axis=1)
+    place = path[:, 0] + 1j * path[:, 1]
+    return FixIntervals(int(fixes.stamp[0]), times[whole], place[at][whole], fixes.height[at][whole],
+                        steps * interval, sigma)
+
+
+def fix_sigma(fixes: Fixes, path: np.ndarray) -> float:
+    """What a fix deviates from its neighbours, m: as stated, or less where the track is smoother than that."""
+    stated = sigmas(fixes)
+    stated = float(np.nanmedian(stated)) if np.isfinite(stated).any() else 3.0
+    rough = max(robust_sigma(axis) for axis in np.diff(path, 2, axis=0).T) / np.sqrt(6.0)
+    return float(np.clip(rough, 0.005, max(stated, 0.005)))
+
+
+@dataclass(frozen=True)
+class Spans:
+    """What fixes and sensors say of each span; arrays over spans.
+
+    stamp: s, its middle by the clock of the fixes. time: s, the same by that of the IMU. speed: m/s along the nose,
+    positive forwards. acceleration: m/s^2 along the nose. centripetal: m/s^2 to the right, speed times turn rate.
+    grade: rad, upwards; NaN where heights do not show it.
+    turn: rad/s, clockwise. turn_change: rad/s^2. turn_squared: (rad/s)^2.
+    force: (m, 3) m/s^2 and rate: (m, 3) rad/s in sensor axes. sideways: m/s, of the antenna to the right of the nose.
+    length: s of an interval; a span has two. gyroscope_bias: rad/s about the up axis, clockwise.
+    """
+
+    stamp: np.ndarray
+    time: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    centripetal: np.ndarray
+    grade: np.ndarray
+    turn: np.ndarray
+    turn_change: np.ndarray
+    turn_squared: np.ndarray
+    force: np.ndarray
+    rate: np.ndarray
+    sideways: np.ndarray
+    length: float
+    gyroscope_bias: float
+
+
+def spans(inertial: InertialIntegrals, fixes: FixIntervals, up: np.ndarray, lag: float) -> Spans | None:
+    """The spans of `fixes` in which there are samples. up: (3,) in sensor axes. lag: s, as `gnss.time_offset`.
+
+    The gyroscopes carry the course of the fixes over 20 s to both sides, so that speed is signed, a noisy fix hardly
+    turns it, and their bias comes out.
+    """
+    covered = inertial.covers(fixes.times[:, 0] - lag - 0.5, fixes.times[:, 2] - lag + 0.5)
+    if covered.sum() < 10:
+        return None
+    stamped, place, height = fixes.times[covered], fixes.places[covered], fixes.heights[covered]
+    times = stamped - lag
+    time = inertial.time
+    step = np.diff(place, axis=1)
+    length = np.diff(times, axis=1)
+    middle = times[:, 1]
+    bias, pace = 0.0, np.ones(len(time))
+    for _ in range(_STEPS):
+        heading = -(inertial.angle @ up) - bias * time
+        path = np.column_stack([integral(time, pace * np.cos(heading)), integral(time, pace * np.sin(heading)),
+                                integral(time, pace)])
+        arc = np.diff(_at(times.ravel(), time, path).reshape(*times.shape, 3), axis=1)
+        arc = (arc[..., 0] + 1j * arc[..., 1]) * length / arc[..., 2]  # where a metre per second would lead
+        course = _local_sum(middle, (step * arc.conj()).sum(axis=1), COURSE_WINDOW)
+        bias -= _drift(middle, course)
+        course /= np.maximum(np.abs(course), 1e-9)
+        along = step * (course[:, None] * arc).conj() / np.abs(arc) ** 2
+        speed, sideways = along.real, along.imag
+        mean_speed = (speed * length).sum(axis=1) / length.sum(axis=1)
+        pace = np.interp(time, middle, mean_speed)
+        pace = np.where(np.abs(pace) > _SLOW, pace, _SLOW)
+    span = length.mean(axis=1)
+    pace = np.interp(time, middle, mean_speed)
+    turn_rate = -(inertial.rate @ up) - bias
+    pace = np.interp(time, middle, mean_speed)
+
+    def weighted(double_integral):
+        """The mean with the span's triangular weight, from the second integral over time."""
+        values = _at(times.ravel(), time, double_integral).reshape(*times.shape, -1)
+        mean = np.diff(values, axis=1) / length[..., None]
+        return (mean[:, 1] - mean[:, 0]) / span[:, None]
+
+    lateral = weighted(integral(time, integral(time, pace * turn_rate)))[:, 0]
+    squared = weighted(integral(time, integral(time, turn_rate**2)))[:, 0]
+    turning = weighted(integral(time, heading))[:, 0]
+    mean_turn = np.diff(_at(times.ravel(), time, heading).reshape(times.shape), axis=1) / length
+    return Spans(
+        stamp=stamped[:, 1], time=middle, speed=mean_speed, acceleration=np.diff(speed, axis=1)[:, 0] / span,
+        centripetal=lateral,
+        grade=_grades(middle, mean_speed, height[:, 1], fixes), turn=turning,
+        turn_change=np.diff(mean_turn, axis=1)[:, 0] / span, turn_squared=squared,
+        force=weighted(inertial.displacement), rate=weighted(integral(time, inertial.angle)),
+        sideways=sideways.mean(axis=1), length=fixes.length, gyroscope_bias=float(bias))
+
+
+def _local_sum(time, values, window):
+    """Sum of `values` within `window` s on each side of each of `time`, which ascends."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    return total[np.searchsorted(time, time + window, side='right')] - total[np.searchsorted(time, time - window)]
+
+
+def _drift(time, course) -> float:
+    """Robust mean slope of the phase of `course`, rad/s, where it is well determined: the gyroscopes' bias left."""
+    apart = max(round(COURSE_WINDOW / max(np.median(np.diff(time)), 1e-3)), 1)
+    if len(time) <= apart:
+        return 0.0
+    turned = np.angle(course[apart:] * course[:-apart].conj()) / (time[apart:] - time[:-apart])
+    strength = np.minimum(np.abs(course[apart:]), np.abs(course[:-apart]))
+    strong = strength > 0.2 * np.percentile(strength, 90)
+    return float(np.median(turned[strong])) if strong.any() else 0.0
+
+
+def _grades(time, speed, height, fixes: FixIntervals) -> np.ndarray:
+    """Grade of the road by heights over distance: a line through the fixes of some hundred metres, as noise demands."""
+    distance = np.concatenate([[0.0], np.cumsum(np.abs(0.5 * (speed[1:] + speed[:-1])) * np.minimum(
+        np.diff(time), 5.0))])
+    if distance[-1] < _CLIMB:
+        return np.full(len(time), np.nan)
+    noise = robust_sigma(np.diff(height, 2)) / np.sqrt(6.0)
+    reach = 0.5 * max(_CLIMB, 100.0 * noise)
+    ends = np.searchsorted(distance, distance - reach), np.searchsorted(distance, distance + reach, side='right')
+    count, x, h, xx, xh = (np.concatenate([[0.0], np.cumsum(v)])[ends[1]] - np.concatenate([[0.0], np.cumsum(v)])[
+        ends[0]] for v in (np.ones_like(time), distance, height, distance**2, distance * height))
+    spread = xx - x**2 / count
+    enough = (count >= 4) & (spread / count > (0.2 * reach) ** 2)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        grade = np.arctan((xh - x * h / count) / spread)
+    return np.where(enough & (np.abs(grade) < _STEEPEST), grade, np.nan)

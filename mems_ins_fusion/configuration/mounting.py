@@ -1,0 +1,404 @@
+"""How an IMU sits in its vehicle, from a drive: no filter, no assumption on the axes.
+
+Over spans of seconds the specific force in sensor axes is a sum of vectors times what the fixes and the turn rate say
+of the motion: forward times the change of speed, right times speed times turn rate, up times gravity. Least squares
+finds the vectors, each with a sigma from leaving out one stretch of the drive after the other, so that what a road
+adds (grades, crown) counts as it is: the same for a hundred metres and more. The gyroscopes show the up axis once
+more, by the axis about which the vehicle turns; a bias of the accelerometers does not disturb that.
+The equations: docs/configure.md.
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mems_ins_fusion.configuration.kinematics import (
+    LONGEST,
+    FixIntervals,
+    InertialIntegrals,
+    Spans,
+    fix_intervals,
+    spans,
+)
+from mems_ins_fusion.configuration.regression import Fit, blocks, fit, jackknife, ratio
+from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
+from mems_ins_fusion.recordings.motion import find_standstill, robust_sigma
+from mems_ins_fusion.samples import Fixes, ImuSamples
+
+LARGEST_LAG = 1.0  # s between the clocks of IMU and fixes, searched on both sides
+BIAS_SIGMA = 0.2  # m/s^2: a consumer accelerometer's turn-on bias, which tilts gravity
+SLOPE_SIGMA = math.radians(1.5)  # of the place where a vehicle stands
+TURN_TILT_SIGMA = math.radians(1.5)  # by how much a road's tilt changes over a right-angled turn
+AXES_SIGMA = math.radians(0.3)  # to which the axes of a MEMS sensor are at right angles
+UNKNOWN = math.pi / math.sqrt(3.0)  # standard deviation of an angle that may be anything
+SHOWN = math.radians(20.0)  # a larger sigma of the yaw is none
+_ARM_SIGMA = 1.5  # m: how far IMU and antenna are from the rear axle, before anything is known
+_SIDEWAYS = 0.1  # m/s: what a sideways velocity is good to, for seconds
+_SLIP = 0.01  # rad per m/s^2: sideslip
+_NUDGE = 0.05  # s, of the lag
+_HARDEST = 8.0  # m/s^2: spans with more are errors of the receiver
+_QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # turns right into forward
+_SLOWEST = 0.5  # m/s: what counts as driving
+_FEWEST_SPANS = 15
+LAG_FLOOR = 0.03  # s: suspension and tyres follow what the fixes and the gyroscopes show, with a delay
+LAG_SHOWN = 0.3  # s: a larger sigma of the time offset is none
+_SMALLEST_GAIN = 0.6  # specific force per change of speed
+_LARGEST_GAIN = 1.5
+_USABLE = 0.6  # rad: a way to the yaw with a larger sigma is none
+# the vectors that explain the specific force, and their prior in units of a span's noise, about 0.1 m/s^2
+_FORWARD, _RIGHT, _GRADE, _UP, _TURN_CHANGE, _TURN_SQUARED = range(6)
+_PRIOR = np.array([1e4, 1e4, 10.0, 1e6, 10.0 * _ARM_SIGMA, 10.0 * _ARM_SIGMA])
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One way in which an angle shows: how far it is from what was chosen in the end, and its sigma, rad."""
+
+    source: str
+    angle: tuple[float, ...]
+    sigma: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """The rotation from sensor axes to base_link (forward-left-up) and what it stands on.
+
+    rotation: (3, 3). sigma: (3,) rad, of small rotations about forward, left and up; UNKNOWN where nothing shows it.
+    level, heading: the evidence for the up axis (angles about forward and left) and for the yaw (about up).
+    lag, lag_sigma: s, as `gnss.time_offset`; infinite sigma where the drive does not show it.
+    antenna: m, (value, sigma) of its distance ahead of the rear axle. imu: the same of the IMU.
+    bias: (3,) m/s^2, of the accelerometers in sensor axes, beyond what tilt explains, and bias_sigma.
+    gain: specific force per change of speed or speed times turn rate: one, and some suspension. driven: s in motion.
+    turned: rad, sum of the turns. spans: what the estimate was made of, or None.
+    """
+
+    rotation: np.ndarray
+    sigma: np.ndarray
+    level: tuple[Evidence, ...] = ()
+    heading: tuple[Evidence, ...] = ()
+    lag: float = 0.0
+    lag_sigma: float = math.inf
+    antenna: tuple[float, float] = (0.0, math.inf)
+    imu: tuple[float, float] = (0.0, math.inf)
+    bias: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    bias_sigma: float = math.inf
+    gain: float = math.nan
+    driven: float = 0.0
+    turned: float = 0.0
+    spans: Spans | None = None
+
+    @property
+    def rpy(self) -> np.ndarray:
+        """Roll, pitch, yaw, rad, as `imu.mounting_rpy`."""
+        return rpy(self.rotation)
+
+    @property
+    def yaw_known(self) -> bool:
+        return bool(self.sigma[2] < SHOWN)
+
+
+def rpy(rotation: np.ndarray) -> np.ndarray:
+    """Roll, pitch, yaw, rad, of R_z(yaw) R_y(pitch) R_x(roll); roll 0 where the pitch is a right angle."""
+    pitch = math.asin(min(1.0, max(-1.0, -rotation[2, 0])))
+    if abs(rotation[2, 0]) > 1.0 - 1e-9:
+        return np.array([0.0, pitch, math.atan2(-rotation[0, 1], rotation[1, 1])])
+    return np.array([math.atan2(rotation[2, 1], rotation[2, 2]), pitch, math.atan2(rotation[1, 0], rotation[0, 0])])
+
+
+def deviation(rotation: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(3,) rad, the rotation about forward, left and up that leads from `other` to `rotation`, both to base_link."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(rotation @ other.T).as_rotvec()
+
+
+def estimate_mounting(imu: ImuSamples, fixes: Fixes | None = None, gravity: float = STANDARD_GRAVITY,
+                      lag: float | None = None) -> Mounting | None:
+    """The mounting that `imu` (SI units) and `fixes` show; None where not even the up axis does.
+
+    gravity: m/s^2, there. lag: s, the time offset where it is known; None looks for it. The up axis comes from gravity
+    and from the turns; the yaw from changes of speed, turns and, where the heights are good, grades, each with the sign
+    of the direction of travel: most of the way is forwards.
+    """
+    intervals = fix_intervals(fixes) if fixes is not None else None
+    inertial = InertialIntegrals(imu, intervals.origin if intervals else int(imu.stamp[0]))
+    if len(inertial.time) < 2:
+        return None
+    up = _first_up(inertial, intervals, gravity)
+    if up is None:
+        return None
+    rests = _rests(imu, find_standstill(imu, fixes))
+    while intervals is not None:
+        level = _levelled(inertial, intervals, up)
+        offset = _best_lag(inertial, intervals, level) if lag is None else (lag, 0.0, (0.0, math.inf))
+        motion = _explain(inertial, intervals, level, offset[0])
+        longer = 2.0 * intervals.length
+        if motion is not None and (motion.gain > _SMALLEST_GAIN or longer > LONGEST):
+            return _assemble(motion, rests, level, gravity, *offset)
+        # in longer intervals the receiver's noise hides less of the changes of speed
+        intervals = fix_intervals(fixes, longer) if longer < 2.0 * LONGEST else None
+    return _at_rest(rests, up, gravity)
+
+
+def _first_up(inertial: InertialIntegrals, intervals: FixIntervals | None, gravity) -> np.ndarray | None:
+    """The up axis to some degrees: mean specific force; where gravity is missing, the axis of the turns."""
+    mean = inertial.velocity[-1] / (inertial.time[-1] - inertial.time[0])
+    if np.linalg.norm(mean) > 0.5 * gravity:
+        return mean / np.linalg.norm(mean)
+    if intervals is None:
+        return None
+    _, vectors = np.linalg.eigh(np.cov(inertial.rate.T))
+    # of the two directions of the axis, the one about which the course turns, too
+    costs = [_misfit(inertial, intervals, sign * vectors[:, 2]) for sign in (1.0, -1.0)]
+    return (1.0, -1.0)[int(np.argmin(costs))] * vectors[:, 2]
+
+
+def _misfit(inertial, intervals, up) -> float:
+    found = spans(inertial, intervals, up, 0.0)
+    return robust_sigma(found.sideways[np.abs(found.speed) > _SLOWEST]) if found is not None else math.inf
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """Spans in motion at one time offset, and the specific force explained by them."""
+
+    spans: Spans
+    moving: np.ndarray
+    block: np.ndarray
+    fit: Fit
+
+    @property
+    def gain(self) -> float:
+        """Specific force per change of speed: about one, less where the receiver's noise hides the changes."""
+        return float(np.linalg.norm(self.fit.solution[_FORWARD]))
+
+    def sigma(self, function) -> np.ndarray:
+        """Standard deviation of `function` of the fit's (6, 3) vectors."""
+        return jackknife(np.array([function(vectors) for vectors in self.fit.left_out]))
+
+
+def _explain(inertial, intervals, up, lag) -> _Motion | None:
+    """Least squares of the specific force on the motion; None with too little motion."""
+    motion = spans(inertial, intervals, up, lag)
+    if motion is None:
+        return None
+    slowest = max(_SLOWEST, 3.0 * intervals.sigma / intervals.length)
+    moving = ((np.abs(motion.speed) > slowest) & (np.abs(motion.acceleration) < _HARDEST)
+              & (np.abs(motion.centripetal) < _HARDEST))
+    if moving.sum() < _FEWEST_SPANS:
+        return None
+    grade = np.where(np.isfinite(motion.grade), motion.grade, 0.0)
+    design = np.column_stack([motion.acceleration, motion.centripetal, STANDARD_GRAVITY * np.sin(grade),
+                              np.ones(len(grade)), motion.turn_change, motion.turn_squared])[moving]
+    block = blocks(motion.time[moving])
+    return _Motion(motion, moving, block, fit(design, motion.force[moving], _PRIOR, block))
+
+
+def _levelled(inertial, intervals, up):
+    """`up` without what net turning and speeding up add to the mean specific force."""
+    for _ in range(2):
+        motion = _explain(inertial, intervals, up, 0.0)
+        vector = motion.fit.solution[_UP] if motion is not None else np.zeros(3)
+        if np.linalg.norm(vector) < 0.5 * STANDARD_GRAVITY:
+            return up
+        up = vector / np.linalg.norm(vector)
+    return up
+
+
+def _best_lag(inertial, intervals, up):
+    """Time offset and sigma that explain specific force and course best, and the arm of the antenna with its sigma."""
+    lags = np.arange(-LARGEST_LAG, LARGEST_LAG + 0.01, 0.2)
+    lag = float(lags[np.argmin([_cost(_explain(inertial, intervals, up, lag)) for lag in lags])])
+    sigma, antenna = math.inf, (0.0, math.inf)
+    for _ in range(3):
+        around = [_explain(inertial, intervals, up, lag + shift) for shift in (-_NUDGE, 0.0, _NUDGE)]
+        if any(motion is None for motion in around):
+            return 0.0, math.inf, antenna
+        steered, antenna = _steering(around[1])
+        steps = np.array([_forced_lag(*around), steered])
+        steps[:, 1] = np.hypot(steps[:, 1], LAG_FLOOR)
+        step, sigma = _combine(*steps.T)
+        lag = float(np.clip(lag + np.clip(step, -0.2, 0.2), -1.2 * LARGEST_LAG, 1.2 * LARGEST_LAG))
+    return (lag if sigma < LAG_SHOWN else 0.0), float(sigma), antenna
+
+
+def _cost(motion: _Motion | None) -> float:
+    """What is left unexplained of a span, with a bound for outliers."""
+    if motion is None:
+        return math.inf
+    return float(motion.fit.weight @ (motion.fit.residual**2).sum(axis=1) / motion.fit.weight.sum())
+
+
+def _forced_lag(before: _Motion, here: _Motion, after: _Motion) -> tuple[float, float]:
+    """What to add to the lag by the specific force, and its sigma: a Gauss-Newton step between two nudges."""
+    stamps = [motion.spans.stamp[motion.moving] for motion in (before, here, after)]
+    common = stamps[1][np.isin(stamps[1], stamps[0]) & np.isin(stamps[1], stamps[2])]
+    at = [np.searchsorted(stamp, common) for stamp in stamps]
+    slope = (after.fit.residual[at[2]] - before.fit.residual[at[0]]) / (2.0 * _NUDGE)
+    projected = here.fit.weight[at[1], None] * slope @ np.linalg.inv(here.fit.covariance)
+    step, sigma = ratio((projected * here.fit.residual[at[1]]).sum(axis=1), (projected * slope).sum(axis=1),
+                        here.block[at[1]])
+    return -step, sigma
+
+
+def _steering(motion: _Motion):
+    """What to add to the lag by the course, with sigma, and how far the antenna is ahead of the rear axle, with sigma.
+
+    A lag moves the antenna sideways by speed times turn rate, an arm by the turn rate.
+    """
+    drive = motion.spans
+    design = np.column_stack([drive.speed * drive.turn, drive.turn, drive.speed * drive.centripetal,
+                              np.ones(len(drive.time))])[motion.moving]
+    prior = np.array([LARGEST_LAG, _ARM_SIGMA, _SLIP, 1e4]) / _SIDEWAYS
+    found = fit(design, drive.sideways[motion.moving, None], prior, motion.block)
+    # what the prior decides, the stretches agree upon
+    sigma = np.hypot(jackknife(found.left_out)[:, 0], _SIDEWAYS * found.posterior)
+    arm = 1.0 / math.hypot(1.0 / max(sigma[1], 1e-3), 1.0 / _ARM_SIGMA)
+    return (-float(found.solution[0, 0]), float(sigma[0])), (float(found.solution[1, 0]), arm)
+
+
+def _rests(imu: ImuSamples, still: np.ndarray) -> np.ndarray:
+    """(k, 3) mean specific force of each standstill."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
+    return np.array([imu.specific_force[a:b].mean(axis=0) for a, b in zip(edges[::2], edges[1::2])]).reshape(-1, 3)
+
+
+def _at_rest(rests, up, gravity) -> Mounting:
+    """What is left where nothing moves: the up axis of a standstill, or of the mean over the recording."""
+    tilt, up_sigma = np.zeros(2), np.full(2, math.hypot(SLOPE_SIGMA, BIAS_SIGMA / gravity))
+    if len(rests):
+        up = rests.mean(axis=0) / np.linalg.norm(rests.mean(axis=0))
+    level = Evidence('gravity at rest' if len(rests) else 'mean specific force', tuple(tilt), tuple(up_sigma))
+    return Mounting(_default_heading(up), np.array([*up_sigma[::-1], UNKNOWN]), level=(level,),
+                    bias=_bias(rests.mean(axis=0) if len(rests) else gravity * up, up, gravity), bias_sigma=BIAS_SIGMA)
+
+
+def _assemble(motion: _Motion, rests, up, gravity, lag, lag_sigma, antenna) -> Mounting:
+    """All evidence together."""
+    axes = _axes(up, _default_heading(up)[0])
+    for _ in range(3):  # angles are small about the axes found before
+        heading, yaw, yaw_sigma = _heading(motion, axes)
+        axes = _axes(axes[2], axes.T @ [math.cos(yaw), math.sin(yaw), 0.0])
+        level, tilt, up_sigma = _level(motion, rests, axes, gravity)
+        axes = _axes(axes.T @ [*tilt, 1.0], axes[0])
+    if yaw_sigma > SHOWN:
+        axes, yaw_sigma, heading = _default_heading(axes[2]), UNKNOWN, ()
+    force = _without_grade(motion.fit.solution, motion, axes)
+    return Mounting(
+        rotation=axes, sigma=np.array([up_sigma[1], up_sigma[0], yaw_sigma]), level=tuple(level),
+        heading=tuple(heading), bias=_bias(force, axes[2], gravity), bias_sigma=gravity * float(up_sigma.max()),
+        imu=_imu_arm(motion, axes), gain=motion.gain,
+        driven=float(np.ptp(motion.spans.time[motion.moving])), turned=_turned(motion), lag=lag, lag_sigma=lag_sigma,
+        antenna=antenna, spans=motion.spans)
+
+
+def _axes(up: np.ndarray, forward: np.ndarray) -> np.ndarray:
+    """Rotation whose rows are forward, left and up, with `up` as given and `forward` near to what is given."""
+    up = up / np.linalg.norm(up)
+    forward = forward - (forward @ up) * up
+    forward = forward / np.linalg.norm(forward)
+    return np.array([forward, np.cross(up, forward), up])
+
+
+def _default_heading(up: np.ndarray) -> np.ndarray:
+    """The rotation with that up axis and yaw 0: the sensor's x axis forward, or its z axis where x is upright."""
+    return _axes(up, np.eye(3)[0] if abs(up[0]) < 0.99 else np.eye(3)[2] * -np.sign(up[0]))
+
+
+def _combine(angles, sigmas):
+    """Weighted mean of (k, ...) angles and its standard deviation; larger where they contradict each other."""
+    information = 1.0 / np.asarray(sigmas) ** 2
+    mean = (information * angles).sum(axis=0) / information.sum(axis=0)
+    contradiction = (information * (angles - mean) ** 2).sum(axis=0) / max(len(information) - 1, 1)
+    return mean, np.sqrt(np.maximum(contradiction, 1.0) / information.sum(axis=0))
+
+
+def _heading(motion: _Motion, axes):
+    """Evidence for the yaw about the axes, the yaw and its sigma, rad."""
+    ways = []
+    for source, index, turn in (('changes of speed', _FORWARD, np.eye(3)), ('turns', _RIGHT, _QUARTER),
+                                ('grades', _GRADE, np.eye(3))):
+        def angle(vectors, towards=None):
+            x, y, _ = turn @ axes @ vectors[index]
+            return math.remainder(math.atan2(y, x) - (towards or 0.0), 2 * math.pi)
+
+        if index == _GRADE and not _SMALLEST_GAIN < np.linalg.norm(motion.fit.solution[index]) < _LARGEST_GAIN:
+            continue  # heights that have nothing to do with the road
+        seen = angle(motion.fit.solution)
+        sigma = math.hypot(motion.sigma(lambda vectors: angle(vectors, seen)), AXES_SIGMA)
+        if sigma < _USABLE:
+            ways.append(Evidence(source, (seen,), (sigma,)))
+    if not ways:
+        return ways, 0.0, math.inf
+    best = min(ways, key=lambda way: way.sigma).angle[0]
+    away = np.array([math.remainder(way.angle[0] - best, 2 * math.pi) for way in ways])
+    yaw, sigma = _combine(away, [way.sigma[0] for way in ways])
+    return ways, best + float(yaw), float(sigma)
+
+
+def _level(motion: _Motion, rests, axes, gravity):
+    """Evidence for the up axis as its tilt forward and to the left, the tilt and its sigma, rad."""
+    def tilt(vector):
+        x, y, z = axes @ vector
+        return np.array([x, y]) / z
+
+    ways = []
+    if np.linalg.norm(motion.fit.solution[_UP]) > 0.5 * gravity:
+        force = _without_grade(motion.fit.solution, motion, axes)
+        sigma = motion.sigma(lambda vectors: tilt(_without_grade(vectors, motion, axes)))
+        ways.append(Evidence('gravity in motion', tuple(tilt(force)), tuple(sigma)))
+        if len(rests):
+            sigma = SLOPE_SIGMA / math.sqrt(len(rests))
+            ways.append(Evidence('gravity at rest', tuple(np.mean([tilt(r) for r in rests], axis=0)), (sigma, sigma)))
+        mean, sigma = _combine(np.array([way.angle for way in ways]), np.array([way.sigma for way in ways]))
+        gravitational = mean, np.hypot(sigma, BIAS_SIGMA / gravity)
+    else:
+        gravitational = np.zeros(2), np.full(2, UNKNOWN)
+    seen, sigma = _axis_of_turns(motion, axes)
+    ways.append(Evidence('axis of the turns', tuple(seen), tuple(sigma)))
+    information = 1.0 / np.array([gravitational[1], sigma]) ** 2
+    mean = (information * [gravitational[0], seen]).sum(axis=0) / information.sum(axis=0)
+    return ways, mean, information.sum(axis=0) ** -0.5
+
+
+def _without_grade(vectors, motion: _Motion, axes):
+    """Gravity in sensor axes where the road is level on average: the grades' vector may be too short, heights noisy."""
+    grade = motion.spans.grade[motion.moving]
+    mean = STANDARD_GRAVITY * float(np.where(np.isfinite(grade), np.sin(grade), 0.0).mean())
+    return vectors[_UP] + mean * (vectors[_GRADE] - axes[0])
+
+
+def _axis_of_turns(motion: _Motion, axes):
+    """Tilt of the axis about which the vehicle turns, and its sigma."""
+    rate, weight = motion.spans.rate[motion.moving] @ axes.T, motion.fit.weight
+    design = np.column_stack([rate[:, 2], np.ones(len(rate))])
+    turns = fit(design, rate[:, :2], np.array([1e6, 1e6]), motion.block)
+    grade = np.nan_to_num(motion.spans.grade[motion.moving])
+    squared = weight * rate[:, 2] ** 2
+    climbing = float(squared @ grade / squared.sum())  # on a winding climb the vertical lies ahead of the up axis
+    angles = _turned(motion) / (math.pi / 2)
+    sigma = np.hypot(jackknife(turns.left_out)[0], math.hypot(AXES_SIGMA, TURN_TILT_SIGMA / math.sqrt(
+        max(angles, 1e-3))))
+    return turns.solution[0] - np.array([climbing, 0.0]), sigma
+
+
+def _turned(motion: _Motion) -> float:
+    """Sum of all turns, rad."""
+    turn, time = np.abs(motion.spans.turn[motion.moving]), motion.spans.time[motion.moving]
+    return float((turn[1:] * np.minimum(np.diff(time), motion.spans.length)).sum())
+
+
+def _bias(force, up, gravity) -> np.ndarray:
+    """(3,) m/s^2, what `force` holds beside gravity."""
+    return force - gravity * up if np.linalg.norm(force) > 0.5 * gravity else np.asarray(force)
+
+
+def _imu_arm(motion: _Motion, axes) -> tuple[float, float]:
+    """How far the IMU is ahead of the rear axle, and sigma, m."""
+    ways = [(-axes[1], _TURN_CHANGE), (-axes[0], _TURN_SQUARED)]
+    arms = [axis @ motion.fit.solution[index] for axis, index in ways]
+    sigmas = [math.hypot(float(motion.sigma(lambda vectors: axis @ vectors[index])), 0.05) for axis, index in ways]
+    arm, sigma = _combine(np.array(arms), np.array(sigmas))
+    return float(arm), float(min(sigma, _ARM_SIGMA))

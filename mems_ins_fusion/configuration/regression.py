@@ -1,0 +1,100 @@
+"""Least squares that outliers do not spoil, with sigmas that hold where errors are alike for a long while."""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+HUBER = 2.5  # in robust standard deviations: who is further off counts less
+_ITERATIONS = 8
+_LEAST_WEIGHT = 0.3  # of what describes the noise
+_BLOCKS = 20  # stretches that a recording is divided into
+_BLOCK = 10.0  # s, at least
+
+
+@dataclass(frozen=True)
+class Fit:
+    """values = design @ solution. design: (n, k). values, residual: (n, c). weight: (n,). prior, block: as given.
+    solution: (k, c). covariance: (c, c) of the residual, without outliers."""
+
+    design: np.ndarray
+    values: np.ndarray
+    weight: np.ndarray
+    prior: np.ndarray
+    block: np.ndarray
+    solution: np.ndarray
+    residual: np.ndarray
+    covariance: np.ndarray
+
+    @cached_property
+    def left_out(self) -> np.ndarray:
+        """(b, k, c) solutions, each without one block."""
+        weighted = self.design * self.weight[:, None]
+        normal, right = _normal(weighted, self.design, self.values, self.prior)
+        solutions = []
+        for number in np.unique(self.block):
+            rows = self.block == number
+            solutions.append(_solve(normal - weighted[rows].T @ self.design[rows],
+                                    right - weighted[rows].T @ self.values[rows]))
+        return np.array(solutions)
+
+    @property
+    def posterior(self) -> np.ndarray:
+        """(k,) standard deviations of the solution in units of a row's noise, were it white."""
+        normal, _ = _normal(self.design * self.weight[:, None], self.design, self.values, self.prior)
+        return np.sqrt(np.diag(np.linalg.pinv(normal, hermitian=True)))
+
+
+def blocks(time: np.ndarray) -> np.ndarray:
+    """Number of the stretch of the recording that each of `time`, s, ascending, belongs to."""
+    length = max((time[-1] - time[0]) / _BLOCKS, _BLOCK)
+    return np.minimum((time - time[0]) / length, _BLOCKS - 1).astype(int)
+
+
+def fit(design: np.ndarray, values: np.ndarray, prior: np.ndarray, block: np.ndarray) -> Fit:
+    """Robust least squares of (n, c) `values` on (n, k) `design`.
+
+    prior: (k,) standard deviations of the solution about zero, in units of a row's noise. block: (n,) numbers of
+    stretches whose errors are independent of each other.
+    """
+    weight, typical = np.ones(len(design)), math.sqrt(values.shape[1])
+    for _ in range(_ITERATIONS):
+        solution = _solve(*_normal(design * weight[:, None], design, values, prior))
+        residual = values - design @ solution
+        covariance = np.atleast_2d(np.cov(residual[weight > _LEAST_WEIGHT].T)) + 1e-9 * np.eye(values.shape[1])
+        size = np.sqrt(np.einsum('ni,ij,nj->n', residual, np.linalg.inv(covariance), residual))
+        size *= typical / max(np.median(size), 1e-9)
+        weight = np.minimum(1.0, HUBER * typical / np.maximum(size, 1e-9)) ** 2
+    return Fit(design, values, weight, prior, block, solution, residual, covariance)
+
+
+def _normal(weighted, design, values, prior):
+    return weighted.T @ design + np.diag(1.0 / prior**2), weighted.T @ values
+
+
+def _solve(normal, right):
+    return np.linalg.lstsq(normal, right, rcond=None)[0]
+
+
+def ratio(numerator: np.ndarray, denominator: np.ndarray, block: np.ndarray) -> tuple[float, float]:
+    """Sum of (n,) `numerator` over that of `denominator`, and its standard deviation by leaving out blocks."""
+    above, below = (np.bincount(block, terms) for terms in (numerator, denominator))
+    rest = below.sum() - below
+    if not len(rest) or rest.min() <= 0.0:
+        return 0.0, math.inf
+    return float(above.sum() / below.sum()), float(jackknife((above.sum() - above) / rest))
+
+
+def jackknife(values: np.ndarray) -> np.ndarray:
+    """Standard deviation of an estimate from its values (b, ...), each with one of b blocks left out.
+
+    Few blocks show their own scatter badly: the factor is that of Student's distribution with b - 1 degrees.
+    Source: Efron and Tibshirani, "An Introduction to the Bootstrap", section 11.2.
+    """
+    count = len(values)
+    if count < 4:
+        return np.full(values.shape[1:], math.inf)
+    spread = ((values - values.mean(axis=0)) ** 2).sum(axis=0)
+    return np.sqrt((count - 1) / count * spread * (count - 1) / (count - 3))

@@ -1,0 +1,110 @@
+"""Which topics of a recording are the IMU and the receiver: by type, and by what they carry."""
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mems_ins_fusion.recordings.bags import Bag
+from mems_ins_fusion.recordings.errors import RecordingError
+from mems_ins_fusion.recordings.messages import IMU, NAV_SAT_FIX, TEMPERATURE
+from mems_ins_fusion.recordings.motion import robust_sigma, sigmas, valid_fixes
+from mems_ins_fusion.recordings.reading import read_recording
+from mems_ins_fusion.samples import Fixes, ImuSamples
+
+#: names that say: not a sensor's own measurement
+_DERIVED = re.compile(r'reference|truth|fused|filter|ekf|odom|estimate|gt($|/)', re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A topic that could be the one. rate: Hz. jitter: part of an interval. usable: part of its messages.
+    derived: whether its name says that it is a result or a reference. samples: ImuSamples or Fixes. sigma: m, as a
+    receiver states it, or NaN."""
+
+    topic: str
+    messages: int
+    rate: float
+    jitter: float
+    usable: float
+    derived: bool
+    samples: ImuSamples | Fixes = field(repr=False)
+    sigma: float = np.nan
+
+    def describe(self) -> str:
+        """What it carries, in a few words."""
+        words = [f'{self.messages} messages, {self.rate:.3g} Hz']
+        if self.usable < 0.995:
+            words.append(f'{self.usable:.0%} usable')
+        if self.jitter > 0.02:
+            words.append(f'intervals scatter by {self.jitter:.0%}')
+        if np.isfinite(self.sigma):
+            words.append(f'stated sigma {self.sigma:.3g} m')
+        if self.derived:
+            words.append('a reference or a result by its name')
+        return ', '.join(words)
+
+
+@dataclass(frozen=True)
+class Topics:
+    """The topics chosen, or None, each first in the list of its kind."""
+
+    imu: tuple[Candidate, ...]
+    gnss: tuple[Candidate, ...]
+    temperature: tuple[str, ...]
+
+
+def find_topics(path) -> Topics:
+    """All IMUs and receivers of the recording `path`, the best of each kind first. RecordingError without an IMU."""
+    with Bag(path) as bag:
+        kinds, counts = bag.topics, bag.counts()
+    named = {kind: sorted(name for name, k in kinds.items() if k == kind and counts[name] > 1)
+             for kind in (IMU, NAV_SAT_FIX, TEMPERATURE)}
+    if not named[IMU]:
+        there = ', '.join(f'{name} ({kind})' for name, kind in sorted(kinds.items()))
+        raise RecordingError(f'{path} has no topic with messages of type {IMU}, only {there or "nothing"}')
+    imu = tuple(sorted((_imu(path, name) for name in named[IMU]), key=_imu_rank))
+    gnss = tuple(sorted((_gnss(path, name, named[IMU][0]) for name in named[NAV_SAT_FIX]), key=_gnss_rank))
+    return Topics(imu, gnss, tuple(named[TEMPERATURE]))
+
+
+def _imu(path, topic) -> Candidate:
+    samples = read_recording(path, topic).imu
+    both = np.hstack([samples.specific_force, samples.angular_rate])
+    finite = np.isfinite(both).all(axis=1)
+    alive = 0.0 if len(both) < 2 else float((np.ptp(both[finite], axis=0) > 0).mean()) if finite.any() else 0.0
+    return Candidate(topic, len(samples), *_stamps(samples), usable=float(finite.mean()) * alive,
+                     derived=bool(_DERIVED.search(topic)), samples=samples)
+
+
+def _gnss(path, topic, imu_topic) -> Candidate:
+    fixes = read_recording(path, imu_topic, topic).gnss
+    valid = valid_fixes(fixes)
+    stated = sigmas(fixes.select(valid))
+    return Candidate(topic, len(fixes), *_stamps(fixes), usable=float(valid.mean()),
+                     derived=bool(_DERIVED.search(topic)), samples=fixes,
+                     sigma=float(np.nanmedian(stated)) if np.isfinite(stated).any() else np.nan)
+
+
+def _stamps(samples):
+    """Rate, Hz, and the scatter of the intervals as a part of one."""
+    steps = np.diff(samples.stamp) * 1e-9
+    advancing = steps[steps > 0]
+    if not len(advancing):
+        return 0.0, np.inf
+    interval = float(np.median(advancing))
+    return 1.0 / interval, robust_sigma(steps) / interval + float((steps <= 0).mean())
+
+
+def _imu_rank(candidate: Candidate):
+    """Measurements before results; then what is usable, evenly stamped, fast; then by name."""
+    return (candidate.derived, -round(candidate.usable, 2), round(candidate.jitter, 1), -round(candidate.rate, -1),
+            candidate.topic)
+
+
+def _gnss_rank(candidate: Candidate):
+    """Measurements before references; then by the usable part, the stated sigma, and the rate."""
+    return (candidate.derived, -round(candidate.usable, 2),
+            round(candidate.sigma, 3) if np.isfinite(candidate.sigma) else 1e3, round(candidate.jitter, 1),
+            -candidate.rate, candidate.topic)

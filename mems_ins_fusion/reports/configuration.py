@@ -1,0 +1,130 @@
+"""What `configure` found: the params file with its evidence as comments, and a page with what it looked at."""
+from __future__ import annotations
+
+import math
+import textwrap
+
+import numpy as np
+
+from ..configuration.configure import Configuration
+from ..parameters.params_file import yaml_value
+from . import html
+from .html import bullets, figure, note, paragraph, preformatted, section, table
+
+_WIDTH = 116
+_POINTS = 4000
+
+
+def configuration_yaml(result: Configuration) -> str:
+    """The params file."""
+    names = ', '.join(drive.name for drive in result.drives)
+    lines = [*textwrap.wrap(f'Written by configure from {names}.', _WIDTH, initial_indent='# ', subsequent_indent='# '),
+             '# Each value with what it stands on; +- and sigma: one standard deviation.',
+             *(line for text in (*result.missing, *result.wrong) for line in textwrap.wrap(
+                 f'! {text}', _WIDTH, initial_indent='# ', subsequent_indent='#   ')),
+             '/**:', '  ros__parameters:']
+    for setting in result.settings:
+        for why in setting.why:
+            lines += textwrap.wrap(why, _WIDTH, initial_indent='    # ', subsequent_indent='    #   ')
+        lines.append(f'    {setting.name}: {yaml_value(setting.value)}')
+    return '\n'.join(lines) + '\n'
+
+
+def story(result: Configuration) -> list[str]:
+    """What a person at a terminal wants to know, line by line."""
+    values = result.values
+    lines = [f'IMU {values["imu_topic"]} ({values["imu.acceleration_unit"]}, {values["imu.rate_unit"]}), '
+             f'fixes {values["gnss_topic"] or "none"}; {values["mechanization"]}']
+    found = result.mounting
+    if found is not None:
+        angles, sigma = np.degrees(found.rpy), np.degrees(found.sigma)
+        yaw = f'{angles[2]:.1f} +- {sigma[2]:.1f}' if found.yaw_known else 'not shown'
+        lines.append(f'mounting: roll {angles[0]:.1f} +- {sigma[0]:.1f} deg, pitch {angles[1]:.1f} +- {sigma[1]:.1f} '
+                     f'deg, yaw {yaw}{" deg" if found.yaw_known else ""}')
+        if found.lag_sigma < 0.3:
+            lines.append(f'fixes against the IMU\'s clock: {found.lag:.3f} +- {found.lag_sigma:.3f} s')
+    return [*lines, *(f'not shown: {text}' for text in result.missing), *(f'look at: {text}' for text in result.wrong)]
+
+
+def configuration_page(result: Configuration, yaml_text: str) -> str:
+    """The page about all that was looked at."""
+    notes = [*(note(text, 'warning') for text in result.wrong), *(note(text) for text in result.missing)]
+    summary = f'{", ".join(drive.name for drive in result.drives)}: {"; ".join(story(result)[:3])}'
+    return html.page('What the recording says about the vehicle', [
+        section('Parameters', *notes, _settings(result)), *_mounting(result), _sensors(result),
+        section('The file', preformatted(yaml_text)), _explanation()], summary)
+
+
+def _settings(result):
+    return table(['parameter', 'value', 'evidence'],
+                 [[s.name, yaml_value(s.value), '; '.join(s.why)] for s in result.settings])
+
+
+def _mounting(result):
+    found = result.mounting
+    if found is None:
+        return [section('Mounting', paragraph('The recording does not show how the IMU sits.'))]
+    rows = [[way.source, 'roll, pitch', _list(way.angle), _list(way.sigma)] for way in found.level]
+    rows += [[way.source, 'yaw', _list(way.angle), _list(way.sigma)] for way in found.heading]
+    parts = [paragraph('Each line is one way to see an angle, as its deviation from what all together say.'),
+             table(['seen by', 'angle', 'deviation, deg', 'sigma, deg'], rows)]
+    if found.spans is not None:
+        parts.append(figure(_force_figure(found), 'Specific force in the axes found against what fixes and gyroscopes '
+                            'say of the motion, each dot some seconds of the drive. An IMU that sits as found gives '
+                            'the diagonals on the left top and right bottom, and no slope in the others. What scatters '
+                            'is the road: grades along, crown across.'))
+    return [section('Mounting', *parts)]
+
+
+def _list(angles) -> str:
+    return ', '.join(f'{math.degrees(angle):.1f}' for angle in angles)
+
+
+def _force_figure(found):
+    from matplotlib.figure import Figure
+
+    drive = found.spans
+    some = slice(None, None, max(len(drive.time) // _POINTS, 1))
+    moving = np.abs(drive.speed[some]) > 0.5
+    force = (drive.force[some] - found.bias) @ found.rotation.T
+    drawing = Figure(figsize=(9, 7), layout='constrained')
+    panels = drawing.subplots(2, 2, sharex='col', sharey='row')
+    causes = (('change of speed, m/s^2', drive.acceleration[some]),
+              ('speed times turn rate (left), m/s^2', -drive.centripetal[some]))
+    for row, (name, measured) in enumerate((('forward', force[:, 0]), ('left', force[:, 1]))):
+        for column, (label, cause) in enumerate(causes):
+            axes = panels[row, column]
+            axes.plot(cause[moving], measured[moving], '.', markersize=2.5, color='#1b6ca8', alpha=0.5)
+            reach = max(float(np.percentile(np.abs(cause[moving]), 99)), 0.2) if moving.any() else 1.0
+            ends = np.array([-reach, reach])
+            axes.plot(ends, ends if row == column else 0 * ends, color='0.3', linewidth=1)
+            axes.set_xlim(-1.3 * reach, 1.3 * reach)
+            axes.grid(color='0.92')
+            if row:
+                axes.set_xlabel(label)
+            if not column:
+                axes.set_ylabel(f'specific force {name}, m/s^2')
+    for row in panels:
+        reach = float(np.percentile(np.abs(force[moving, :2]), 99.5)) if moving.any() else 1.0
+        row[0].set_ylim(-1.3 * reach, 1.3 * reach)
+    return drawing
+
+
+def _sensors(result):
+    rows = [[candidate.topic, kind, candidate.messages, candidate.rate, 'chosen' if i == 0 else candidate.describe()]
+            for kind, candidates in (('IMU', result.topics.imu), ('receiver', result.topics.gnss))
+            for i, candidate in enumerate(candidates)]
+    drives = [[drive.name, drive.seconds, float(drive.still.mean() * drive.seconds),
+               drive.mounting.driven if drive.mounting else None,
+               math.degrees(drive.mounting.turned) if drive.mounting else None] for drive in result.drives]
+    return section('Recordings', table(['topic', 'as', 'messages', 'rate, Hz', ''], rows),
+                   table(['recording', 'length, s', 'at rest, s', 'driving, s', 'turned, deg'], drives))
+
+
+def _explanation():
+    return section('How to read this', bullets([
+        'The yaw comes from the direction in which the specific force changes with the speed, in turns and on grades; '
+        'forwards is where the vehicle goes most of the time.',
+        'Roll and pitch come from gravity, averaged over the drive, and from the axis about which the vehicle turns. A '
+        'bias of the accelerometers tilts gravity, but not that axis.',
+        'Sigmas are from leaving out one stretch of the drive after the other. The method: docs/configure.md.']))

@@ -1,0 +1,276 @@
+"""`configure` and the look at the mounting: simulated drives with a known mounting, and measured recordings."""
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import shared_data
+from scipy.spatial.transform import Rotation
+
+from mems_ins_fusion.__main__ import main
+from mems_ins_fusion.configuration.check import check_mounting, mounting_findings
+from mems_ins_fusion.configuration.configure import configure
+from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting, rpy
+from mems_ins_fusion.configuration.units import find_units
+from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
+from mems_ins_fusion.navigation.frames import rotation_from_rpy
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.parameters.params_file import load_yaml
+from mems_ins_fusion.recordings.checker import ERROR
+from mems_ins_fusion.recordings.reading import read_recording
+from mems_ins_fusion.recordings.units import in_si
+from mems_ins_fusion.recordings.writing import write_recording
+from mems_ins_fusion.simulation.drive import MARGIN, Path, _sample
+from mems_ins_fusion.simulation.manoeuvres import Segment
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+
+QUARTER = math.pi / 2
+HILLS = ((0.04, 900.0, 0.3), (0.02, 250.0, 2.0))
+#: two minutes: rest, off, a right-angled turn, a stop, off again
+SHORT = (Segment(15.0), Segment(8.0, 10.0), Segment(15.0), Segment(4.0, -4.0), Segment(6.0, 0.0, QUARTER),
+         Segment(4.0, 5.0), Segment(15.0), Segment(9.0, -11.0), Segment(8.0), Segment(9.0, 12.0),
+         Segment(27.0 + MARGIN))
+STRAIGHT = (Segment(10.0), Segment(10.0, 12.0), Segment(100.0 + MARGIN))
+
+
+def recording(segments=SHORT, mounting=(0.0, 0.0, 0.0), seed=0, sensors=None, sigma=0.5, rate=5.0, effects=(),
+              hills=HILLS, **suspension):
+    """What an IMU so mounted records on a hilly road, and the receiver beside it."""
+    drive = _sample(Path(tuple(segments), course=0.7, hills=hills, **suspension), 120.0, 100.0)
+    sensors = sensors or SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
+    return simulate_recording(drive, sensors, GnssNoise(sigma, rate), effects, mounting, seed).recording
+
+
+def errors(found, mounting):
+    return deviation(found.rotation, rotation_from_rpy(*mounting))
+
+
+def altered(made, rotation=np.eye(3), force=1.0, rate=1.0):
+    imu = made.imu
+    return replace(made, imu=replace(imu, specific_force=imu.specific_force @ rotation.T * force,
+                                     angular_rate=imu.angular_rate @ rotation.T * rate))
+
+
+@pytest.mark.parametrize('seed, sigma, rate', [(0, 0.02, 5.0), (1, 1.5, 1.0), (2, 1.0, 5.0), (3, 0.3, 1.0)])
+def test_two_minutes_with_a_turn_and_a_stop_show_any_mounting(seed, sigma, rate):
+    # given a short drive on hills in a car with springs, and an IMU that lies anyhow
+    mounting = rpy(Rotation.random(random_state=seed).as_matrix())
+    made = recording(mounting=mounting, seed=seed, sigma=sigma, rate=rate, pitch_per_acceleration=0.006,
+                     roll_per_acceleration=0.006)
+    # when the mounting is estimated from it alone
+    found = estimate_mounting(made.imu, made.gnss)
+    # then it is right, and the sigmas hold
+    error = errors(found, mounting)
+    assert np.all(np.abs(error) < 3.0 * found.sigma)
+    assert found.sigma[2] < math.radians(1.5) and np.all(found.sigma[:2] < math.radians(1.5))
+
+
+def test_perfect_sensors_on_a_level_road_give_the_mounting_to_a_hundredth_of_a_degree():
+    # given no noise at all; with it a wrong equation could hide
+    mounting = [0.4, -0.3, 2.0]
+    made = recording(mounting=mounting, sensors=SensorErrors(), sigma=0.001, hills=())
+    found = estimate_mounting(made.imu, made.gnss)
+    assert np.abs(np.degrees(errors(found, mounting))).max() < 0.05
+    assert found.lag == pytest.approx(0.0, abs=0.01)
+    assert np.abs(found.bias).max() < 0.01
+
+
+def test_sigmas_are_honest():
+    # given drives of four minutes with other biases, roads and receivers
+    scores = []
+    for seed in range(5):
+        mounting = rpy(Rotation.random(random_state=seed).as_matrix())
+        drive = simulate_drive(240.0, seed, hills=True, pitch_per_acceleration=0.005, roll_per_acceleration=0.005)
+        sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
+        made = simulate_recording(drive, sensors, GnssNoise((0.02, 1.5)[seed % 2], 1.0), mounting_rpy=mounting,
+                                  seed=seed).recording
+        found = estimate_mounting(made.imu, made.gnss)
+        scores.append(errors(found, mounting) / found.sigma)
+    rms = np.sqrt(np.mean(np.square(scores), axis=0))
+    assert np.all(rms < 1.7), rms
+    assert np.all(rms > 0.2), rms
+
+
+@pytest.mark.parametrize('offset', [-0.4, 0.0, 0.25])
+def test_the_time_offset_is_found_with_the_mounting(offset):
+    effect = (EFFECTS['gnss_time_offset'], {'time_offset': offset})
+    made = recording(mounting=[0.0, 0.0, 1.0], sigma=0.02, effects=[effect])
+    found = estimate_mounting(made.imu, made.gnss)
+    assert found.lag == pytest.approx(offset, abs=max(3.0 * found.lag_sigma, 0.05)) and found.lag_sigma < 0.1
+    assert abs(errors(found, [0.0, 0.0, 1.0])[2]) < math.radians(2.0)
+
+
+def test_a_level_road_straight_on_at_constant_speed_shows_no_yaw():
+    # given a recording that begins when the vehicle drives straight on at constant speed
+    made = recording(STRAIGHT, hills=())
+    begin = made.imu.stamp[0] + 30 * 10**9
+    made = replace(made, imu=made.imu.select(made.imu.stamp > begin), gnss=made.gnss.select(made.gnss.stamp > begin))
+    found = estimate_mounting(made.imu, made.gnss)
+    # then the level is known, and the yaw is said to be anything
+    assert not found.yaw_known and found.sigma[2] > 1.5
+    assert np.all(np.abs(errors(found, [0.0, 0.0, 0.0])[:2]) < 3.0 * found.sigma[:2])
+    # and nothing is said against any yaw
+    assert mounting_findings(made.imu, made.gnss, [0.0, 0.0, 2.0]) == []
+
+
+def test_speeding_up_and_braking_alone_show_the_yaw_and_which_way_is_forwards():
+    mounting = [0.0, 0.0, math.pi - 0.2]
+    made = recording(STRAIGHT, mounting, sigma=0.02)
+    found = estimate_mounting(made.imu, made.gnss)
+    assert abs(errors(found, mounting)[2]) < max(3.0 * found.sigma[2], math.radians(3.0))
+
+
+@pytest.mark.parametrize('declared, words', [
+    ([0.0, 0.0, math.pi], 'backwards'), ([math.pi, 0.0, 0.0], 'upside down'), ([QUARTER, 0.0, 0.0], 'on its side'),
+    ([0.0, 0.0, QUARTER], 'turned to the right by 90 +-'), ([0.0, 0.0, -QUARTER], 'turned to the left by 90 +-')])
+def test_a_wrong_mounting_is_contradicted_in_plain_words(declared, words):
+    made = recording(sigma=0.5)
+    found, = check_mounting(made, table.check({'imu.mounting_rpy': declared}))
+    assert words in found.message and found.severity == ERROR
+    assert 'set imu.mounting_rpy to [' in found.message
+    # and who does what it says is not contradicted again
+    assert check_mounting(made, table.check({'imu.mounting_rpy': found.values['mounting_rpy']})) == []
+
+
+def test_a_right_mounting_is_not_contradicted_and_the_check_needs_no_search_for_the_offset():
+    made = recording(mounting=[0.02, -0.02, 0.0], sigma=1.5, rate=1.0)
+    assert check_mounting(made, table.defaults()) == []
+    assert mounting_findings(made.imu, made.gnss, [0.0, 0.0, 0.0], lag=0.0) == []
+    assert 'backwards' in mounting_findings(made.imu, made.gnss, [0.0, 0.0, math.pi], lag=0.0)[0].message
+    assert mounting_findings(made.imu.select(slice(0, 1)), made.gnss, [0.0, 0.0, 0.0]) == []
+    assert mounting_findings(made.imu, None, [0.0, 0.0, 0.0]) == []
+
+
+@pytest.mark.parametrize('acceleration, rate', [('m/s^2', 'rad/s'), ('g', 'deg/s'), ('g', 'rad/s')])
+def test_units_are_found(acceleration, rate):
+    made = recording(sigma=0.1)
+    force = 1.0 if acceleration == 'm/s^2' else 1.0 / STANDARD_GRAVITY
+    made = altered(made, force=force, rate=1.0 if rate == 'rad/s' else 180.0 / math.pi)
+    units = find_units(made.imu, made.gnss, STANDARD_GRAVITY)
+    assert (units.acceleration, units.rate, units.gravity) == (acceleration, rate, True)
+    si = in_si(made.imu, units.acceleration, units.rate)
+    assert np.linalg.norm(si.specific_force[:1000].mean(axis=0)) == pytest.approx(STANDARD_GRAVITY, abs=0.5)
+
+
+def test_accelerometers_without_gravity_are_told_and_still_show_the_mounting():
+    # given a driver that subtracts gravity on a level road
+    made = recording(sensors=SensorErrors(), sigma=0.02, hills=())
+    made = replace(made, imu=replace(made.imu, specific_force=made.imu.specific_force - [0.0, 0.0, STANDARD_GRAVITY]))
+    turn = Rotation.from_euler('xyz', [QUARTER, 0.0, QUARTER]).as_matrix()
+    made = altered(made, turn)
+    units = find_units(made.imu, made.gnss, STANDARD_GRAVITY)
+    assert not units.gravity and units.acceleration == 'm/s^2'
+    found = estimate_mounting(made.imu, made.gnss)
+    assert np.degrees(np.abs(deviation(found.rotation, turn.T))).max() < 4.0
+
+
+def test_gyroscopes_that_are_mirrored_are_no_mounting():
+    made = altered(recording(sigma=0.02), rate=-1.0)
+    assert any('mirrored' in doubt for doubt in find_units(made.imu, made.gnss, STANDARD_GRAVITY).doubts)
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory):
+    """A drive in g and deg/s, with a reference beside the receiver."""
+    made = altered(recording(mounting=[0.0, 0.0, QUARTER], sigma=0.05), force=1.0 / STANDARD_GRAVITY,
+                   rate=180.0 / math.pi)
+    path = tmp_path_factory.mktemp('bags') / 'drive'
+    write_recording(replace(made, reference=made.gnss), path, imu_topic='/sensors/imu', gnss_topic='/ublox/fix')
+    return path
+
+
+def test_the_file_loads_and_says_what_is_there(bag, tmp_path, capsys):
+    output = tmp_path / 'my_car.yaml'
+    assert main(['configure', '--bag', str(bag), '--output', str(output)]) == 0
+    values = load_yaml(output)
+    checked = table.check(values)
+    assert values['imu_topic'] == '/sensors/imu' and values['gnss_topic'] == '/ublox/fix'
+    assert (values['imu.acceleration_unit'], values['imu.rate_unit']) == ('g', 'deg/s')
+    assert checked['mechanization'] == 'strapdown' and checked['vehicle.non_holonomic']
+    assert checked['imu.mounting_rpy'][2] == pytest.approx(QUARTER, abs=0.05)
+    # every value has its evidence above it
+    lines = output.read_text().splitlines()
+    for i, line in enumerate(lines):
+        if line.startswith('    ') and not line.startswith('    #'):
+            assert lines[i - 1].startswith('    # '), line
+    page = output.with_suffix('.html').read_text()
+    assert 'rather than /reference/fix' in page and '<img' in page
+    # and an existing file is not overwritten
+    capsys.readouterr()
+    assert main(['configure', '--bag', str(bag), '--output', str(output)]) == 2
+    assert 'exists already' in capsys.readouterr().err
+    assert main(['configure', '--bag', str(bag), '--output', str(output), '--overwrite']) == 0
+
+
+def test_noise_and_biases_at_rest_are_those_simulated(bag):
+    result = configure([bag])
+    defaults = table.defaults()
+    for sensor in ('accelerometer', 'gyroscope'):
+        assert result.values[f'{sensor}.noise_density'] == pytest.approx(
+            [defaults[f'{sensor}.noise_density'][0]] * 3, rel=0.6)
+    assert result.drives[0].noise.seconds > 15.0
+    truth = recording(mounting=[0.0, 0.0, QUARTER], sigma=0.05).imu.angular_rate[:1400].mean(axis=0)
+    # the bias wanders by that, to the second stop
+    assert result.values['gyroscope.bias'] == pytest.approx(truth, abs=1e-3)
+
+
+def test_several_drives_are_taken_together(bag):
+    alone, both = configure([bag]), configure([bag, bag])
+    assert np.allclose(both.mounting.rotation, alone.mounting.rotation, atol=1e-6)
+    assert np.all(both.mounting.sigma < alone.mounting.sigma)
+
+
+@pytest.mark.parametrize('arguments, words', [
+    (['--bag', 'nowhere', '--output', 'car.yaml'], 'recording nowhere does not exist'),
+    (['--bag', 'nowhere', '--output', 'car.txt'], '--output must be a .yaml file')])
+def test_bad_input_is_one_line_and_status_2(arguments, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(['configure', *arguments]) == 2
+    said = capsys.readouterr().err
+    assert words in said and said.count('\n') == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_recording_without_an_imu_says_what_there_is(tmp_path, capsys):
+    made = recording()
+    write_recording(replace(made, imu=None), tmp_path / 'bag')
+    assert main(['configure', '--bag', str(tmp_path / 'bag'), '--output', str(tmp_path / 'car.yaml')]) == 2
+    assert 'has no topic with messages of type sensor_msgs/msg/Imu, only /gps/fix' in capsys.readouterr().err
+
+
+def test_a_recording_at_rest_says_what_it_does_not_show():
+    made = recording((Segment(120.0 + MARGIN),), sigma=0.02)
+    found = estimate_mounting(made.imu, made.gnss)
+    assert not found.yaw_known and np.all(found.sigma[:2] > math.radians(1.0))
+    assert found.lag == 0.0 and found.lag_sigma == math.inf
+
+
+#: axes as the README of the recordings tells them, and what they are turned by
+MEASURED = {'longmont_rtk_drive': ('bag', '/gps/fix', [0.0, 0.0, math.pi], 9.0),
+            'karlsruhe_hills': ('bag', '/gps/fix', [0.0, 0.0, 0.0], 3.0),
+            'incheon_square_ros2': ('bag', '/fix', [math.pi, 0.0, 0.0], 5.0),
+            'incheon_park_ros2': ('bag_0.db3', '/fix', [0.0, 0.0, 0.0], 6.0),
+            'kingston_span': ('bag', '/gps/fix', [0.0, 0.0, -QUARTER], 3.0)}
+
+
+@pytest.mark.parametrize('name', MEASURED)
+def test_measured_recordings_show_their_mounting_however_they_are_turned(name):
+    file, topic, axes, tolerance = MEASURED[name]
+    made = read_recording(shared_data(name) / file, '/imu/data', topic)
+    found = estimate_mounting(made.imu, made.gnss)
+    assert found.yaw_known
+    assert np.degrees(np.linalg.norm(errors(found, axes))) < tolerance
+    # when the same IMU is mounted otherwise, the same comes out
+    turn = Rotation.random(random_state=3).as_matrix()
+    again = altered(made, turn)
+    error = np.degrees(np.abs(deviation(estimate_mounting(again.imu, again.gnss).rotation, found.rotation @ turn.T)))
+    assert np.all(error < 0.5)
+
+
+def test_longmont_with_yaw_0_is_said_to_be_backwards():
+    made = read_recording(shared_data('longmont_rtk_drive') / 'bag', '/imu/data', '/gps/fix')
+    found, = check_mounting(made, table.defaults())
+    assert 'backwards' in found.message and found.severity == ERROR
