@@ -10,6 +10,7 @@ setup(
     description='Fusion of a low-cost inertial sensor with GNSS on land vehicles',
     license='Apache-2.0',
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
+    package_data={f'{PACKAGE}.reports': ['*.css', '*.js']},
     python_requires='>=3.10',
     install_requires=['matplotlib', 'numba', 'numpy', 'pyyaml', 'rosbags>=0.11', 'scipy', 'tqdm'],
     extras_require={
