@@ -67,7 +67,7 @@ def _part(title: str, texts: list[str]) -> str:
     return f'<h3>{title}</h3>' + (bullets(texts) if len(texts) > 1 else paragraph(texts[0]))
 
 
-def finding_text(finding: Finding, topics: dict[str, str]) -> str:
+def checked_text(finding: Finding, topics: dict[str, str]) -> str:
     """A finding of the checker with the topic it is about. topics: of `imu`, `gnss` and `temperature`."""
     names = ' and '.join(topics.get(part) or part for part in finding.topic.split('/'))
     return f'{names}: {finding.message}'

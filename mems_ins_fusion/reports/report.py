@@ -10,7 +10,7 @@ from .. import __version__
 from ..evaluation.comparison import Comparison, outage_row, run_row
 from ..parameters.table import defaults as default_parameters
 from . import html, plots
-from .answer import Answer, finding_text, topics_of
+from .answer import Answer, checked_text, topics_of
 from .html import bullets, figure, folded, image_bytes, number, paragraph, section, table
 from .layers import replay_layers
 from .plots import model_name
@@ -57,7 +57,7 @@ def _recording(name: str, comparison: Comparison, findings: list, said: list[str
             'truth_sigma_m': float(np.sqrt(np.median(comparison.truth.variance))),
             'warnings': said, 'notices': _notices(comparison),
             'findings': [{'severity': f.severity, 'topic': f.topic, 'message': f.message,
-                          'text': finding_text(f, topics_of(values))} for f in findings]}
+                          'text': checked_text(f, topics_of(values))} for f in findings]}
 
 
 def _notices(comparison: Comparison) -> list[str]:
@@ -95,10 +95,11 @@ def report_page(comparisons: dict[str, Comparison], values: dict, content: dict,
     for name, comparison in comparisons.items():
         of = f' ({name})' if len(comparisons) > 1 else ''
         still, *others = (figure(png, caption) for png, caption in figures[name])
+        best = best_model(comparison, values['sensor_error_model'])
         names = {model: model_name(comparison, model) for model in comparison.models}
         sections += [
             section(f'Is the filter good here?{of}', answers[name].html(),
-                    track(replay_layers(comparison, best_model(comparison, values['sensor_error_model']), names), still),
+                    track(replay_layers(comparison, best, names), still),
                     _glance(comparison, content, name)),
             folded(f'Which sensor error model is best?{of}', bullets(verdict(comparison))),
             folded(f'Position errors{of}', *_run_tables(comparison, content, name), *others[:3]),

@@ -145,7 +145,7 @@ document.querySelectorAll('.track').forEach(function (root) {
     const step = nice((range[1] - range[0]) / 2.5);
     for (let t = Math.ceil(range[0] / step) * step; t <= range[1]; t += step)
       c.fillText(+t.toPrecision(6) + ' s', Math.min(toTime(t), strip.clientWidth - 40), strip.clientHeight - 4);
-    c.fillText('error', left + 4, 12);
+    c.fillText('horizontal error', left + 30, 12);
     c.save();
     c.beginPath(); c.rect(left, 0, strip.clientWidth - left, height); c.clip();
     for (const l of shown) {

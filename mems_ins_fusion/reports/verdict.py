@@ -8,7 +8,7 @@ import numpy as np
 from ..evaluation.comparison import Comparison, OutageResult, PairResult
 from ..evaluation.metrics import rms
 from ..recordings.checker import ERROR, INFO, Finding
-from .answer import BAD, GOOD, WARNING, Answer, Step, finding_text, topics_of
+from .answer import BAD, GOOD, WARNING, Answer, Step, checked_text, topics_of
 from .html import number
 from .plots import model_name
 
@@ -45,7 +45,7 @@ def answer(comparison: Comparison, findings: list[Finding], values: dict, bag: s
     best = best_model(comparison, values['sensor_error_model'])
     result = comparison.run_of(best, comparison.intervals[0])
     nis, outages = _nis(result), [r for r in comparison.outages if r.model == best and len(r.outages.begin)]
-    said = [finding_text(f, topics_of(values)) for f in findings if f.severity != INFO]
+    said = [checked_text(f, topics_of(values)) for f in findings if f.severity != INFO]
     grades = [_grade_of_nis(nis), *(_grade_of_coverage(r) for r in outages),
               BAD if any(f.severity == ERROR for f in findings) else WARNING if said else GOOD]
     grade = next(g for g in (BAD, WARNING, GOOD) if g in grades)
@@ -82,8 +82,8 @@ def _grade_of_coverage(result: OutageResult) -> str:
 def _headline(grade: str, comparison: Comparison, result, nis, findings) -> str:
     judged = next((r for r in comparison.runs if r.model == result.model and r.independent), None)
     accuracy = 'it follows the fixes' if judged is None else (
-        f'with fixes each {judged.interval:g} s its position is within {number(judged.summary["horizontal_p95_m"], 2)} m '
-        f'of the {_truth_name(comparison)} for 95 % of the time')
+        f'with fixes each {judged.interval:g} s its position is within '
+        f'{number(judged.summary["horizontal_p95_m"], 2)} m of the {_truth_name(comparison)} for 95 % of the time')
     if grade == GOOD:
         return f'The filter is good here: {accuracy}, and it knows its own uncertainty.'
     if grade == WARNING:
@@ -160,7 +160,7 @@ def _trust(nis: float | None, outages: list[OutageResult], result) -> str:
         return 'Yes, on the safe side: its sigmas are larger than they need be.'
     if not shares:
         return 'With fixes, yes. Without them this recording is too short to say.'
-    return f'Yes: its 95 % ellipse held the truth in {number(min(shares), 2)} % of the outages or more.'
+    return f'Yes: its 95 % ellipse held the truth in at least {number(min(shares), 2)} % of the outages.'
 
 
 def _steps(grade: str, comparison: Comparison, best: str, values: dict, bag: str, params_file: str) -> list[Step]:
