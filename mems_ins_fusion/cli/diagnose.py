@@ -46,10 +46,10 @@ def diagnose(options: argparse.Namespace) -> str:
             checked = check_recording(recording)
             answered = answer(result, checked, options.output)
             (folder / 'corrected.yaml').write_text(corrected_yaml(result, given), encoding='utf-8')
-            (folder / 'report.json').write_text(json.dumps(report(result, answered, checked, warned), indent=1, allow_nan=False),
-                                                encoding='utf-8')
-            (folder / 'report.html').write_text(report_html(result, given, answered, checked, warned),
-                                                encoding='utf-8')
+            content = json.dumps(report(result, answered, checked, warned), indent=1, allow_nan=False)
+            (folder / 'report.json').write_text(content, encoding='utf-8')
+            page = report_html(result, given, answered, checked, warned)
+            (folder / 'report.html').write_text(page, encoding='utf-8')
             bar(1.0, 'done')
     return '\n'.join([*story(result, answered), *warned, f'The whole story: {options.output}/report.html'])
 

@@ -305,7 +305,8 @@ def _tests(d: Diagnosis, stages) -> html.Html:
 
 
 def _p(value: float) -> str:
-    return f'{value:.2g}'
+    """A p value, as people write it."""
+    return '< 0.001' if value < 0.001 else html.number(value, 2)
 
 
 def _noise(d: Diagnosis) -> html.Html:
@@ -326,8 +327,8 @@ def _candidates(d: Diagnosis) -> html.Html:
     hidden = html.bullets(f'{name}: {why}' for name, why in not_identifiable(d).items())
     return html.folded(
         'Candidates and their evidence', 'The score test: how much better each effect would explain the innovations, '
-        'with the share of noise levels and of effects added before taken out. Green: significant after counting all '
-        'tests; dark green: the one chosen.',
+        'with the share of noise levels and of effects added before taken out. Coloured: significant after counting '
+        'all tests; dark: the one chosen.',
         html.figure(plots.evidence(d), 'Evidence for each candidate, round by round.'), *tables,
         'What this recording cannot show:', hidden)
 

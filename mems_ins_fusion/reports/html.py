@@ -135,7 +135,9 @@ def _cell(value, digits) -> str:
         return '\N{EN DASH}'
     if isinstance(value, bool):
         return 'yes' if value else 'no'
-    return number(value, digits) if _is_number(value) else _text(value)
+    if _is_number(value):
+        return number(value, digits)
+    return _text(value).replace('_', '_<wbr>')  # where a long name may go on in the next line
 
 
 def _text(value) -> str:
