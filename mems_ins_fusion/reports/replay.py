@@ -44,11 +44,12 @@ class Replay:
     answers: dict[str, Answer]
 
 
-def replay_recordings(values: dict, progress: Progress = lambda part, what: None) -> Replay:
+def replay_recordings(values: dict, progress: Progress = lambda part, what: None, known_as=None) -> Replay:
     """Replay the recordings `bag` and write the results to `output_dir`.
 
-    values: checked parameters. Raises a ValueError with one line for the user (ParameterError, RecordingError,
-    ResultError, ReplayError); then, and when `progress` raises, nothing is written.
+    values: checked parameters. known_as: the folder that the pages name, where `output_dir` is a temporary one. Raises
+    a ValueError with one line for the user (ParameterError, RecordingError, ResultError, ReplayError); then, and when
+    `progress` raises, nothing is written.
     """
     _check(values)
     timing: dict[str, float] = {}
@@ -64,7 +65,8 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
                 findings[name] = check_recording(recording)
             with _timed(timing, 'filter and errors'):
                 comparisons[name] = compare(recording, values, lambda done: part(0.25 + 0.3 * done, 'filtering'))
-        content, answers = _write(folder, comparisons, findings, said, values, timing, progress)
+        content, answers = _write(folder, comparisons, findings, said, values, timing, progress,
+                                  Path(known_as or values['output_dir']))
     return Replay(Path(values['output_dir']), content, comparisons, answers)
 
 
@@ -144,7 +146,8 @@ def _free_name(name: str, taken) -> str:
     return next(n for n in names if n not in taken)
 
 
-def _write(folder: Path, comparisons, findings, said, values, timing, progress) -> tuple[dict, dict[str, Answer]]:
+def _write(folder: Path, comparisons, findings, said, values, timing, progress,
+           known_as: Path) -> tuple[dict, dict[str, Answer]]:
     several = len(comparisons) > 1
     with _timed(timing, 'trajectories'):
         for name, comparison in comparisons.items():
@@ -156,7 +159,7 @@ def _write(folder: Path, comparisons, findings, said, values, timing, progress) 
         for i, (name, comparison) in enumerate(comparisons.items()):
             figures[name] = draw_figures(f'{name}_' if several else '', comparison, folder,
                                          lambda: progress(0.65 + 0.3 * i / steps, 'figures'))
-    params_file = Path(values['output_dir']) / PARAMS_FILE
+    params_file = known_as / PARAMS_FILE
     (folder / PARAMS_FILE).write_text(parameters_yaml(comparisons, values), encoding='utf-8')
     answers = {name: answer(c, findings[name], values, path, str(params_file))
                for (name, c), path in zip(comparisons.items(), values['bag'])}

@@ -27,14 +27,20 @@ REFUSED = 0.02
 
 
 def best_model(comparison: Comparison, configured: str) -> str:
-    """The model with the smallest error in the longest outages, or at the longest interval where there are none; the
-    `configured` one where no other is better by more than nobody would notice."""
+    """The `configured` model, where it was replayed and no other is better for certain and noticeably; else the one
+    with the smallest error in the longest outages, or at the longest interval where there are none."""
     outages = {r.model: rms(r.outages.max_error) for r in comparison.outages
                if len(r.outages.begin) and r.outages.duration == comparison.durations[-1]}
-    errors = {m: rms(comparison.run_of(m, comparison.intervals[-1]).errors.horizontal) for m in comparison.models}
-    error = outages or errors
-    best = min(error, key=error.get)
-    return configured if error.get(configured, np.inf) <= (1 + PRACTICAL) * error[best] else best
+    error = outages or {m: rms(comparison.run_of(m, comparison.intervals[-1]).errors.horizontal)
+                        for m in comparison.models}
+    if configured in error:
+        noticed = [p for p in comparison.pairs if p.significant and configured in (p.first, p.second)
+                   and max(p.rms) > (1 + PRACTICAL) * min(p.rms)]
+        worse = {p.first if p.better == p.second else p.second for p in noticed}
+        error = {m: e for m, e in error.items() if m == configured
+                 or m in {p.better for p in noticed} - worse}
+        error = {m: e for m, e in error.items() if m != configured} or error
+    return min(error, key=error.get)
 
 
 def answer(comparison: Comparison, findings: list[Finding], values: dict, bag: str, params_file: str) -> Answer:
@@ -166,7 +172,7 @@ def _trust(nis: float | None, outages: list[OutageResult], result) -> str:
 def _steps(grade: str, comparison: Comparison, best: str, values: dict, bag: str, params_file: str) -> list[Step]:
     steps = []
     configured = values['sensor_error_model']
-    if any(p.significant and p.better == best and configured in (p.first, p.second) for p in comparison.pairs):
+    if configured in comparison.models and best != configured:
         steps.append(Step(f'Use the sensor error model that is best here: sensor_error_model: {best} in the params '
                           f'file (it is {configured}).'))
     if grade != GOOD:
