@@ -264,7 +264,8 @@ def test_relative_translation_is_that_of_the_kitti_benchmark():
     rng = np.random.default_rng(3)
     time = np.arange(0.0, 200.0, 0.5)
     yaw = 0.8 * np.sin(0.05 * time)
-    position = np.cumsum(5.0 * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0)
+    step = 4.0 + np.sin(0.7 * time)[:, None]
+    position = np.cumsum(step * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0)
     estimate = position + np.cumsum(0.3 * rng.standard_normal((len(time), 2)), axis=0)
     turned = 0.1 * np.sin(0.11 * time)
     distance = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])

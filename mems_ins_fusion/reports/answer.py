@@ -4,7 +4,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from ..recordings.checker import Finding
-from .html import Html, bullets, paragraph, preformatted
+from .html import Html, bullets, number, paragraph, preformatted
 
 GOOD, WARNING, BAD = 'good', 'warning', 'bad'
 
@@ -71,6 +71,11 @@ def checked_text(finding: Finding, topics: dict[str, str]) -> str:
     """A finding of the checker with the topic it is about. topics: of `imu`, `gnss` and `temperature`."""
     names = ' and '.join(topics.get(part) or part for part in finding.topic.split('/'))
     return f'{names}: {finding.message}'
+
+
+def held_text(share: float) -> str:
+    """How often an ellipse held the truth, of outages of which at least `share` %."""
+    return 'in all outages' if share == 100 else f'in at least {number(share, 2)} % of the outages'
 
 
 def topics_of(values: dict) -> dict[str, str]:

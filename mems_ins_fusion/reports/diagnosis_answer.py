@@ -9,7 +9,7 @@ from ..parameters.params_file import yaml_value
 from ..recordings.checker import INFO
 from ..recordings.checker import Finding as Checked
 from . import html
-from .answer import BAD, GOOD, WARNING, Answer, Step, checked_text, topics_of
+from .answer import BAD, GOOD, WARNING, Answer, Step, checked_text, held_text, topics_of
 from .diagnosis import capital, changed, cost, parameters_text, touches, unexplained_text
 from .effect_words import check, what
 
@@ -90,7 +90,7 @@ def _trust(use: str, consistent: bool, shares: list[float]) -> str:
     if shares and min(shares) < COVERED:
         return (f'{which}, no: after the outages of one duration its 95 % ellipse held the truth in only '
                 f'{html.number(min(shares), 2)} %.')
-    held = (f'yes: its 95 % ellipse held the truth in at least {html.number(min(shares), 2)} % of the outages' if shares
+    held = (f'yes: its 95 % ellipse held the truth {held_text(min(shares))}' if shares
             else 'for outages this recording is too short to say')
     if consistent:
         return f'{which}, {held}.'

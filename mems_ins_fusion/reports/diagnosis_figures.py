@@ -140,5 +140,5 @@ def track(diagnosis: Diagnosis):
     axes.set_aspect('equal', adjustable='datalim')
     axes.set(xlabel='east, m', ylabel='north, m')
     axes.grid(color='0.92')
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=8, loc='upper left')
     return figure

@@ -13,7 +13,7 @@ from ..evaluation.bootstrap import Difference, holm, paired
 from ..evaluation.comparison import SIGNIFICANCE
 from ..evaluation.metrics import rms
 from . import colours, html
-from .answer import GOOD, WARNING, Answer, Step
+from .answer import GOOD, WARNING, Answer, Step, held_text
 from .html import number
 from .track import Layer, script, track
 
@@ -182,8 +182,8 @@ def answer(first: Result, second: Result, rows: list[Row]) -> Answer:
         best = better.pop()
         held = min((row.within[best] for row in rows if row.within[best] is not None), default=None)
         if held is not None:
-            trust = (f'{"Yes" if held >= COVERED else "Not even of " + names[best]}: after outages of one duration its '
-                     f'95 % ellipse held the truth in {number(held, 2)} %, more often after the others.')
+            whether = 'That of' if held >= COVERED else 'Not even that of'
+            trust = f'{whether} {names[best]}, whose 95 % ellipse held the truth {held_text(held)}.'
         certain = sum(row.better is not None for row in rows)
         headline = (f'{names[best]} is better: {_headline_row(rows, best, names)}; certain in {certain} of {len(rows)} '
                     'comparisons, and in none is the other.')
@@ -234,9 +234,10 @@ def report_page(first: Result, second: Result, rows: list[Row], answered: Answer
     names = first.name, second.name
     table = html.table(
         ('recording and model', 'error', 'compared', 'A, RMS m', 'B, RMS m', 'A, median m', 'B, median m',
-         'A inside 95 % ellipse, %', 'B inside, %', 'p', 'better'),
-        [(f'{r.recording}, ' + ' / '.join(dict.fromkeys(colours.MODEL_NAMES[m] for m in r.models)), _what(r), r.count or None,
-          *r.rms, *r.median, *r.within, '–' if r.p is None else '< 0.001' if r.p < 0.001 else number(r.p, 2),
+         'inside 95 % ellipse, A / B, %', 'p', 'better'),
+        [(f'{r.recording}, ' + ' / '.join(dict.fromkeys(colours.MODEL_NAMES[m] for m in r.models)), _what(r),
+          r.count or None, *r.rms, *r.median,
+          '–' if None in r.within else ' / '.join(number(share, 2) for share in r.within), _p(r.p),
           '–' if r.better is None else 'AB'[r.better]) for r in rows],
         f'A: {names[0]}. B: {names[1]}. Over the epochs, or outages, that both have.', 3)
     drawn = layers(first, second, rows)
@@ -278,8 +279,13 @@ def _still(drawn: list[Layer]) -> html.Html:
         axes.plot(layer.east, layer.north, color=layer.colour, linewidth=0.7 * layer.width, label=layer.name)
     axes.set_aspect('equal', adjustable='datalim')
     axes.set(xlabel='east, m', ylabel='north, m')
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=8, loc='upper left')
     return html.figure(figure, 'The drive from above.')
+
+
+def _p(value: float | None) -> str:
+    """A p value, as people write it."""
+    return '–' if value is None else '< 0.001' if value < 0.001 else number(value, 2)
 
 
 def table_text(first: Result, second: Result, rows: list[Row]) -> str:
@@ -287,7 +293,7 @@ def table_text(first: Result, second: Result, rows: list[Row]) -> str:
     lines = [f'A: {first.name}', f'B: {second.name}', f"{'error':<46}{'A, RMS':>11}{'B, RMS':>11}{'p':>9}  better"]
     for r in rows:
         model = ' / '.join(dict.fromkeys(r.models))
-        p = '-' if r.p is None else '< 0.001' if r.p < 0.001 else number(r.p, 2)
+        p = _p(r.p)
         lines.append(f'{_what(r).replace("largest error in ", "")}, {model}'.ljust(46)
                      + ''.join(f'{number(v, 3):>9} m' for v in r.rms)
                      + f"{p:>9}  {'-' if r.better is None else 'AB'[r.better]}")

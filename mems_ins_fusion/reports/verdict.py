@@ -8,7 +8,7 @@ import numpy as np
 from ..evaluation.comparison import Comparison, OutageResult, PairResult
 from ..evaluation.metrics import rms
 from ..recordings.checker import ERROR, INFO, Finding
-from .answer import BAD, GOOD, WARNING, Answer, Step, checked_text, topics_of
+from .answer import BAD, GOOD, WARNING, Answer, Step, checked_text, held_text, topics_of
 from .html import number
 from .plots import model_name
 
@@ -53,7 +53,7 @@ def answer(comparison: Comparison, findings: list[Finding], values: dict, bag: s
     nis, outages = _nis(result), [r for r in comparison.outages if r.model == best and len(r.outages.begin)]
     said = [checked_text(f, topics_of(values)) for f in findings if f.severity != INFO]
     grades = [_grade_of_nis(nis), *(_grade_of_coverage(r) for r in outages),
-              BAD if any(f.severity == ERROR for f in findings) else WARNING if said else GOOD]
+              BAD if any(f.severity == ERROR for f in findings) else GOOD]
     grade = next(g for g in (BAD, WARNING, GOOD) if g in grades)
     refused = _refused(comparison, best)
     wrong = [*_about_nis(nis), *_about_coverage(outages), *refused, *said]
@@ -91,7 +91,9 @@ def _headline(grade: str, comparison: Comparison, result, nis, findings) -> str:
         f'with fixes each {judged.interval:g} s its position is within '
         f'{number(judged.summary["horizontal_p95_m"], 2)} m of the {_truth_name(comparison)} for 95 % of the time')
     if grade == GOOD:
-        return f'The filter is good here: {accuracy}, and it knows its own uncertainty.'
+        found = ' The checker found something in the recording, see below.' if any(f.severity != INFO
+                                                                                  for f in findings) else ''
+        return f'The filter is good here: {accuracy}, and it knows its own uncertainty.{found}'
     if grade == WARNING:
         return f'The filter works here, but not all is right: {accuracy}; see below what is wrong.'
     if any(f.severity == ERROR for f in findings):
@@ -147,11 +149,11 @@ def _refused(comparison: Comparison, best: str) -> list[str]:
 def _cost(outages: list[OutageResult]) -> list[str]:
     said = []
     for result in outages:
-        error, share = result.outages.max_error, _coverage(result)
+        error, within = result.outages.max_error, result.outages.within
         median, worst = (number(float(np.percentile(error, q)), 2) for q in (50, 95))
         text = (f'{result.outages.duration:g} s: {median} m (median of the largest error in {len(error)} outages; one '
                 f'in twenty is worse than {worst} m)')
-        said.append(text + ('' if share is None else f'; its 95 % ellipse held the truth in {number(share, 2)} %'))
+        said.append(f'{text}; its 95 % ellipse held the truth in {int(within.sum())} of {len(within)}')
     return said
 
 
@@ -166,7 +168,7 @@ def _trust(nis: float | None, outages: list[OutageResult], result) -> str:
         return 'Yes, on the safe side: its sigmas are larger than they need be.'
     if not shares:
         return 'With fixes, yes. Without them this recording is too short to say.'
-    return f'Yes: its 95 % ellipse held the truth in at least {number(min(shares), 2)} % of the outages.'
+    return f'Yes: its 95 % ellipse held the truth {held_text(min(shares))}.'
 
 
 def _steps(grade: str, comparison: Comparison, best: str, values: dict, bag: str, params_file: str) -> list[Step]:
