@@ -4,6 +4,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..evaluation.comparison import Comparison, RunResult
+from ..evaluation.metrics import rms
 from . import colours
 from .layers import Ground
 
@@ -65,7 +66,8 @@ def _mark_outages(axes, comparison, ground):
     if not comparison.durations:
         return
     duration = comparison.durations[len(comparison.durations) // 2]
-    result = next(r for r in comparison.outages if r.outages.duration == duration)
+    result = min((r for r in comparison.outages if r.outages.duration == duration),
+                 key=lambda r: rms(r.outages.max_error))
     last, label = -np.inf, f'{duration:g} s without fixes, {model_name(comparison, result.model)}'
     for begin, errors in zip(result.outages.begin, result.outages.errors):
         if begin < last + 2 * duration * 1e9:
