@@ -19,7 +19,7 @@ from .verdict import best_model, verdict
 
 #: file name, drawing and caption of each figure
 FIGURES = (
-    ('track', plots.track, 'The drive from above. Grey: the truth. Red: what the filter made of stretches without '
+    ('track', plots.track, 'The drive from above. Grey: the truth. Pink: what the filter made of stretches without '
      'fixes, ending at x; the dotted line leads to where the vehicle was.'),
     ('error_against_time', plots.error_against_time, 'Horizontal error against time. Grey bands: turning. Grey line: '
      'two standard deviations by the filter\'s own account; about 95 % of the errors should lie below.'),
