@@ -56,7 +56,7 @@ class Browser:
         request = urllib.request.Request(self._url + path, json.dumps(content).encode(),
                                          {'Content-Type': 'application/json'})
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
-        with opener.open(request, timeout=60.0) as reply:
+        with opener.open(request, timeout=240.0) as reply:
             return json.load(reply)['value']
 
     def open(self, path, width: int, media: str = 'screen') -> None:
