@@ -14,6 +14,7 @@ TOOLS = {
     'replay_node': ('nodes', 'run recordings through the same filter and measure its position error'),
     'characterize': ('cli', 'sensor error parameters from a recording of the IMU at rest'),
     'diagnose': ('cli', 'find what the model lacks in a recording, and add it'),
+    'compare': ('cli', 'two replays, params files or recordings side by side'),
     'simulate': ('cli', 'write a recording of a simulated drive, with the truth'),
     'import_csv': ('cli', 'turn CSV files into a recording'),
     'compile': ('cli', 'compile the filter ahead: the first start of a tool waits for it otherwise'),

@@ -16,3 +16,14 @@ def shared_data(name: str) -> Path:
     if not path.exists():
         pytest.skip(f'measured recording {name} is not in {_SHARED.parent.name}/{_SHARED.name} beside the repository')
     return path
+
+
+@pytest.fixture(scope='session')
+def browser():
+    """A headless Chromium; skips where it, or its driver, is not installed."""
+    from browser_support import Browser, missing
+
+    if missing():
+        pytest.skip(f'the pages cannot be rendered: {missing()}')
+    with Browser() as opened:
+        yield opened

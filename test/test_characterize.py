@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from browser_support import check_page
 from conftest import shared_data
 
 from mems_ins_fusion.characterization.characterize import characterize
@@ -183,3 +184,7 @@ def test_broken_npz_is_one_clear_line(tmp_path, capsys):
     (tmp_path / 'bad.npz').write_bytes(b'not a zip')
     assert main(['--bag', str(tmp_path / 'bad.npz'), '--output', str(tmp_path / 'out')]) == 2
     assert 'cannot be read as npz' in capsys.readouterr().err
+
+
+def test_nothing_is_wider_than_its_page(result, browser):
+    check_page(browser, result.out / 'report.html')

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from browser_support import check_page
 
 from mems_ins_fusion.cli.diagnose import main
 from mems_ins_fusion.effects.registry import EFFECTS
@@ -111,8 +112,16 @@ def test_the_page_is_self_contained_and_the_comments_say_where_values_come_from(
     yaml = (result / 'out' / 'corrected.yaml').read_text(encoding='ascii')
 
     assert 'gnss_time_offset' in page and 'data:image/png;base64,' in page
-    assert 'src="http' not in page and '<script' not in page
+    answer = json.loads((result / 'out' / 'report.json').read_text())['answer']
+    assert page.index(answer['headline']) < page.index('<canvas') < page.index('<details>')
+    assert answer['headline'].startswith('Use corrected.yaml: on parts of the drive that the estimate did not use')
+    assert answer['steps'][0]['command'].endswith(f"--params-file {result / 'out' / 'corrected.yaml'}")
+    assert any('stamps a fix' in step['what'] and 'gnss.time_offset: 0.' in step['what'] for step in answer['steps'])
     assert '+-' in yaml.split('gnss.time_offset:')[0].splitlines()[-2]
+
+
+def test_nothing_is_wider_than_its_page(result, browser):
+    check_page(browser, result / 'out' / 'report.html')
 
 
 def test_an_existing_result_stays_unless_overwritten(result, capsys):

@@ -56,3 +56,18 @@ def test_table_shows_missing_values_as_a_dash_and_refuses_ragged_rows():
     assert '0.0001235' in cells and cells.count('\N{EN DASH}') == 2 and '>7<' in cells
     with pytest.raises(ValueError, match='a row of 1 cells'):
         html.table(['a', 'b'], [['x']])
+
+
+@pytest.mark.parametrize('value, digits, text', [
+    (1380.2, 3, '1380'), (99.96, 3, '100'), (0.0371, 3, '0.0371'), (5.704, 3, '5.70'), (12345.6, 4, '12350'),
+    (0.00012345, 3, '0.000123'), (0.0000203, 3, '2.03e-5'), (0.99996, 4, '1.000'), (-1380.2, 3, '-1380'), (2, 3, '2'),
+    (3.0, 3, '3'), (1.5e8, 3, '1.50e8'), (0.0, 3, '0'), (float('nan'), 3, '\N{EN DASH}'), (None, 3, '\N{EN DASH}')])
+def test_numbers_are_as_people_write_them(value, digits, text):
+    assert html.number(value, digits) == text
+
+
+def test_a_folded_section_is_in_the_contents():
+    parts = [html.section('A'), html.folded('B & C', 'evidence'), html.section('D'), html.folded('E', 'more')]
+    document = html.page('T', parts)
+    Outline(document)
+    assert '<a href="#b-c">B &amp; C</a>' in document and '<div id="b-c">' in document

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from mems_ins_fusion.evaluation import bootstrap, metrics
 from mems_ins_fusion.evaluation.metrics import Truth, position_errors
 from mems_ins_fusion.filter.results import Run
 from mems_ins_fusion.navigation.earth import from_local
-from mems_ins_fusion.reports.trajectories import write_track
+from mems_ins_fusion.reports.trajectories import write_judged, write_truth
 from mems_ins_fusion.samples import Fixes, ImuSamples, Reference
 
 DATUM = (0.84, 0.2, 480.0)
@@ -128,8 +129,10 @@ def test_rmse_is_evos_without_alignment(tmp_path):
     north, east = np.cumsum(rng.standard_normal((2, len(time))), axis=1)
     run = make_run(time, north, east, yaw=0.3)
     truth = make_truth(time, north + rng.standard_normal(len(time)), east + 2 * rng.standard_normal(len(time)))
-    write_track(tmp_path / 'run.tum', run, DATUM)
-    write_track(tmp_path / 'truth.tum', truth.reference, DATUM)
+    truth = replace(truth, lever_arm=np.array([1.5, -0.8, 0.4]))
+    errors = errors_of(run, truth)
+    write_judged(tmp_path / 'run.tum', run, errors, truth.reference, DATUM)
+    write_truth(tmp_path / 'truth.tum', truth.reference, DATUM)
     # when evo measures the absolute position error in the horizontal plane
     trajectories = [file_interface.read_tum_trajectory_file(str(tmp_path / f'{name}.tum')) for name in ('truth', 'run')]
     trajectories = evo_sync.associate_trajectories(*trajectories)
@@ -139,12 +142,13 @@ def test_rmse_is_evos_without_alignment(tmp_path):
     ape.process_data(trajectories)
     # then it is ours, to the millimetre that a TUM file resolves
     assert ape.get_statistic(evo_metrics.StatisticsType.rmse) == pytest.approx(
-        metrics.summary(errors_of(run, truth))['horizontal_rmse_m'], abs=1e-3)
+        metrics.summary(errors)['horizontal_rmse_m'], abs=1e-3)
 
 
 def test_tum_orientation_is_that_of_base_link_in_east_north_up(tmp_path):
     roll, pitch, yaw = 0.1, -0.2, 2.0
-    write_track(tmp_path / 'run.tum', make_run(TIME, TIME, TIME, roll=roll, pitch=pitch, yaw=yaw), DATUM)
+    run, truth = make_run(TIME, TIME, TIME, roll=roll, pitch=pitch, yaw=yaw), make_truth(TIME, TIME, TIME)
+    write_judged(tmp_path / 'run.tum', run, errors_of(run, truth), truth.reference, DATUM)
     written = Rotation.from_quat(np.loadtxt(tmp_path / 'run.tum')[0, 4:])
     to_enu = Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]])
     expected = to_enu * Rotation.from_euler('ZYX', [yaw, pitch, roll]) * Rotation.from_matrix(np.diag([1, -1, -1]))
@@ -228,3 +232,50 @@ def test_holm_is_that_of_statsmodels():
     p = [0.04, 0.001, 0.03, 0.8, 0.012]
     assert bootstrap.holm(p) == pytest.approx(multitest.multipletests(p, method='holm')[1].tolist())
     assert bootstrap.holm([]) == []
+
+
+def kitti_development_kit(truth, estimate, lengths=range(100, 900, 100), step=1):
+    """Mean translation error, %, of poses as (n, 4, 4) matrices: the loops of the benchmark's evaluate_odometry."""
+    distance = [0.0]
+    for previous, now in zip(truth[:-1], truth[1:]):
+        distance.append(distance[-1] + np.linalg.norm(now[:3, 3] - previous[:3, 3]))
+    found = []
+    for first in range(0, len(truth), step):
+        for length in lengths:
+            last = next((i for i in range(first, len(truth)) if distance[i] >= distance[first] + length), None)
+            if last is None:
+                continue
+            true = np.linalg.inv(truth[first]) @ truth[last]
+            seen = np.linalg.inv(estimate[first]) @ estimate[last]
+            found.append(np.linalg.norm((np.linalg.inv(seen) @ true)[:3, 3]) / length)
+    return 100 * np.mean(found)
+
+
+def poses(position, yaw):
+    matrices = np.tile(np.eye(4), (len(yaw), 1, 1))
+    matrices[:, 0, 0] = matrices[:, 1, 1] = np.cos(yaw)
+    matrices[:, 1, 0], matrices[:, 0, 1] = np.sin(yaw), -np.sin(yaw)
+    matrices[:, :2, 3] = position
+    return matrices
+
+
+def test_relative_translation_is_that_of_the_kitti_benchmark():
+    # given 200 s of a winding drive at 2 Hz, and an estimate that drifts in position and heading
+    rng = np.random.default_rng(3)
+    time = np.arange(0.0, 200.0, 0.5)
+    yaw = 0.8 * np.sin(0.05 * time)
+    step = 4.0 + np.sin(0.7 * time)[:, None]
+    position = np.cumsum(step * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0)
+    estimate = position + np.cumsum(0.3 * rng.standard_normal((len(time), 2)), axis=0)
+    turned = 0.1 * np.sin(0.11 * time)
+    distance = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])
+    stamp = np.round(time * SECOND).astype(np.int64) + 7
+    found = metrics.relative_translation_percent(stamp, position, estimate, turned, distance)
+    # a start each second, which is each second pose
+    assert found == pytest.approx(kitti_development_kit(poses(position, yaw), poses(estimate, yaw + turned), step=2),
+                                  rel=1e-9)
+    # where the truth has no heading, the estimated one counts as right
+    unknown = metrics.relative_translation_percent(stamp, position, estimate, np.full(len(time), np.nan), distance)
+    assert unknown == pytest.approx(kitti_development_kit(poses(position, 0 * yaw), poses(estimate, 0 * yaw), step=2),
+                                    rel=1e-9)
+    assert metrics.relative_translation_percent(stamp[:5], position[:5], estimate[:5], turned[:5], distance[:5]) is None

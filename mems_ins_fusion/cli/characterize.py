@@ -36,6 +36,7 @@ def characterize(options: argparse.Namespace) -> str:
     from mems_ins_fusion.characterization.parameter_file import parameters_yaml
     from mems_ins_fusion.recordings.errors import RecordingWarning
     from mems_ins_fusion.reports.characterization import report, report_html
+    from mems_ins_fusion.reports.characterization_answer import answer
     from mems_ins_fusion.reports.characterization_figures import figures
     from mems_ins_fusion.reports.html import image_bytes
     from mems_ins_fusion.results import result_folder
@@ -45,26 +46,31 @@ def characterize(options: argparse.Namespace) -> str:
     with result_folder(options.output, options.overwrite) as folder:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter('always', RecordingWarning)
-            name, grid, temperature = _read(options)
+            name, grid, temperature, topics, checked = _read(options)
         said = [str(w.message) for w in caught if issubclass(w.category, RecordingWarning)]
         with _Bar('characterizing') as bar:
             result = work.characterize(name, grid, temperature, options.orders, bar.step)
+        answered = answer(result, checked, topics, options.output)
         (folder / 'imu.yaml').write_text(parameters_yaml(result), encoding='utf-8')
-        (folder / 'report.json').write_text(json.dumps({**report(result), 'warnings': said}, indent=1, allow_nan=False),
+        (folder / 'report.json').write_text(json.dumps({**report(result, answered), 'warnings': said}, indent=1,
+                                                       allow_nan=False),
                                             encoding='utf-8')
         (folder / 'figures').mkdir()
         images = {}
         for title, (drawing, caption) in figures(result).items():
             images[title] = image_bytes(drawing), caption
             (folder / 'figures' / f'{title}.png').write_bytes(images[title][0])
-        (folder / 'report.html').write_text(report_html(result, images), encoding='utf-8')
-    lines = [f'{axis.name}: {axis.recommendation.text}' for axis in result.axes]
-    return '\n'.join([*said, f'{name}: {result.duration:.0f} s at rest, {len(result.rest.cuts)} disturbances cut out',
-                      *lines, f'recommended for all axes: {result.model}', f'results in {options.output}'])
+        (folder / 'report.html').write_text(report_html(result, answered, images), encoding='utf-8')
+    return '\n'.join([*said, *answered.lines(), '', f'{name}: {result.duration:.0f} s at rest, {len(result.rest.cuts)} '
+                      'disturbances cut out', *(f'{axis.name}: {axis.recommendation.text}' for axis in result.axes),
+                      f'recommended for all axes: {result.model}', f'results in {options.output}'])
 
 
 def _read(options):
-    """Name, grid and temperature of the recording. ValueError where it cannot be used."""
+    """Name, grid and temperature of the recording, its topics, and what the checker found.
+
+    ValueError where it cannot be used.
+    """
     from mems_ins_fusion.characterization.characterize import read_npz
     from mems_ins_fusion.characterization.stationary import to_grid
 
@@ -72,7 +78,8 @@ def _read(options):
     if path.suffix == '.npz':
         if not path.is_file():
             raise ValueError(f'{path} is not a file')
-        return path.stem, read_npz(path), None
+        return path.stem, read_npz(path), None, {}, []
+    from mems_ins_fusion.recordings.checker import check_recording
     from mems_ins_fusion.recordings.reading import Memory, read_recording
     from mems_ins_fusion.recordings.units import in_si
 
@@ -84,9 +91,11 @@ def _read(options):
     imu = in_si(recording.imu, values['imu.acceleration_unit'], values['imu.rate_unit'])
     temperature = recording.temperature
     grid = to_grid(imu.stamp, np.hstack([imu.specific_force, imu.angular_rate]))
-    if temperature is None:
-        return recording.name, grid, None
-    return recording.name, grid, ((temperature.stamp - imu.stamp[0]) * 1e-9, temperature.celsius)
+    if temperature is not None:
+        temperature = (temperature.stamp - imu.stamp[0]) * 1e-9, temperature.celsius
+    topics = {'imu': options.imu_topic or values['imu_topic'],
+              'temperature': options.temperature_topic or values['temperature_topic']}
+    return recording.name, grid, temperature, topics, check_recording(replace(recording, imu=imu))
 
 
 class _Bar:

@@ -29,7 +29,9 @@ def diagnose(options: argparse.Namespace) -> str:
     """Read, diagnose and write the results; the story for the user. ValueError for bad options or input."""
     from mems_ins_fusion.configuration.check import check_mounting
     from mems_ins_fusion.diagnosis.diagnose import diagnose as work
+    from mems_ins_fusion.recordings.checker import check_recording
     from mems_ins_fusion.reports.diagnosis import corrected_yaml, report, report_html, story
+    from mems_ins_fusion.reports.diagnosis_answer import answer
     from mems_ins_fusion.reports.replay import read_part
     from mems_ins_fusion.results import result_folder
 
@@ -42,12 +44,15 @@ def diagnose(options: argparse.Namespace) -> str:
             warned = [*warned, *(finding.message for finding in check_mounting(recording, table.check(given)))]
             result = work(recording, table.check(given), lambda part, what: bar(0.2 + 0.75 * part, what))
             bar(0.95, 'writing')
+            checked = check_recording(recording)
+            answered = answer(result, checked, options.output)
             (folder / 'corrected.yaml').write_text(corrected_yaml(result, given), encoding='utf-8')
-            (folder / 'report.json').write_text(json.dumps(report(result, warned), indent=1, allow_nan=False),
-                                                encoding='utf-8')
-            (folder / 'report.html').write_text(report_html(result, given, warned), encoding='utf-8')
+            content = json.dumps(report(result, answered, checked, warned), indent=1, allow_nan=False)
+            (folder / 'report.json').write_text(content, encoding='utf-8')
+            page = report_html(result, given, answered, checked, warned)
+            (folder / 'report.html').write_text(page, encoding='utf-8')
             bar(1.0, 'done')
-    return '\n'.join([*story(result), *warned, f'The whole story: {options.output}/report.html'])
+    return '\n'.join([*story(result, answered), *warned, f'The whole story: {options.output}/report.html'])
 
 
 def _parameters(options) -> dict:

@@ -13,13 +13,14 @@ from ..filter.config import FilterConfig
 from ..filter.replay import Aiding
 from ..filter.replay import run as replay
 from ..filter.results import Run
+from ..navigation.earth import to_local
 from ..navigation.frames import FLU_TO_FRD
 from ..recordings.motion import plausible
 from ..samples import Fixes, ImuSamples, Recording
 from . import metrics
 from .bootstrap import Difference, holm, paired
 from .metrics import Errors, Truth, position_errors, truth_from_fixes, turning_at
-from .outages import Outages, outage_begins, run_outages
+from .outages import Distance, Outages, outage_begins, run_outages
 from .outages import summary as outage_summary
 
 #: states are kept at this rate, beside those around the epochs of the truth, Hz
@@ -91,6 +92,7 @@ class Comparison:
     runs: list[RunResult]
     outages: list[OutageResult]
     pairs: list[PairResult]
+    fixes_given: dict[float, np.ndarray]  # to the runs of each interval: when they describe the vehicle, ns
 
     def run_of(self, model: str, interval: float) -> RunResult:
         return next(r for r in self.runs if r.model == model and r.interval == interval)
@@ -198,7 +200,8 @@ def compare(recording: Recording, values: dict, progress: Callable[[float], None
                             lambda part: progress(share + (1 - share) * part))
     outages = [OutageResult(model, work.shortest, o) for model, results in zip(values['models'], _common(found))
                for o in results]
-    return Comparison(work.recording, values['mechanization'], work.truth, runs, outages, _pairs(runs, outages))
+    given = {interval: work.given(interval) for interval in sorted(set(values['update_intervals']))}
+    return Comparison(work.recording, values['mechanization'], work.truth, runs, outages, _pairs(runs, outages), given)
 
 
 class _Work:
@@ -233,6 +236,10 @@ class _Work:
     def _use(self, interval: float) -> np.ndarray:
         return thin(self.fixes, interval, self.start)
 
+    def given(self, interval: float) -> np.ndarray:
+        """Stamps of the fixes given to the runs of `interval`, ns of the IMU's clock."""
+        return np.sort(self.fixes.stamp[self._use(interval)]) - round(self.values['gnss.time_offset'] * 1e9)
+
     def in_threads(self, function, tasks, progress):
         """function(*task) for each task on all cores (the kernel holds no lock), in the order of `tasks`."""
         with ThreadPoolExecutor(len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else None) as pool:
@@ -265,9 +272,20 @@ class _Work:
             if not len(errors):
                 raise ReplayError(f'{self.recording.name}: no position of the {self.truth.source} falls into the '
                                   f'run at update interval {interval:g} s')
-            results.append(RunResult(model, interval, self.fixes.select(use), run, errors, metrics.summary(errors),
+            summary = metrics.summary(errors) | {'relative_translation_percent': self._relative(run, errors)}
+            results.append(RunResult(model, interval, self.fixes.select(use), run, errors, summary,
                                      len(self.recording.imu) - int(run.index[0]), independent))
         return results
+
+    def _relative(self, run: Run, errors: Errors) -> float | None:
+        """The relative translation error, in percent of the path."""
+        reference = self.truth.reference
+        reference = reference.select(np.searchsorted(reference.stamp, errors.stamp))
+        north, east, _ = to_local(reference.latitude, reference.longitude, reference.height,
+                                  np.array([reference.latitude[0], reference.longitude[0], reference.height[0]]))
+        truth = np.column_stack([north, east])
+        return metrics.relative_translation_percent(errors.stamp, truth, truth + np.column_stack(
+            [errors.north, errors.east]), errors.heading, Distance(run).at(errors.stamp))
 
     def _withheld(self, use: np.ndarray) -> np.ndarray:
         """Which epochs of the truth are no fixes that the filter was given."""

@@ -22,6 +22,8 @@ TURN_RATE, TURN_MARGIN = np.radians(5.0), 2.0
 SLOWEST_COURSE = 1.0
 #: 95 % of a chi-square distribution with 2 degrees of freedom
 NEES_95 = 5.991464547107979
+#: lengths of path, m, and time between two starts, s, of the relative error: those of the KITTI odometry benchmark
+PATH_LENGTHS, PATH_SPACING = tuple(range(100, 900, 100)), 1.0
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,9 @@ class Truth:
 class Errors:
     """Errors of one run, (m,) each, at the epochs of the truth within the run.
 
-X
+    stamp: ns. north, east, along, cross: m, along and across the heading. sigma: m, the filter's horizontal standard
+    deviation, sqrt(P_nn + P_ee). nees: normalized error squared of the horizontal position. heading: rad, and speed:
+    m/s, NaN where the truth has none. turning: bool, in a manoeuvre.
     """
 
     stamp: np.ndarray
@@ -84,7 +88,7 @@ def position_errors(run: Run, truth: Truth, turning: np.ndarray, longest_gap: fl
     at = _Interpolation(run.stamp, reference.stamp)
     latitude, longitude = at(run.latitude), at(run.longitude)
     yaw = at(np.unwrap(run.yaw))
-    arm_n, arm_e = _lever_arm(truth.lever_arm, at(run.roll), at(run.pitch), yaw)
+    arm_n, arm_e = lever_arm_north_east(truth.lever_arm, at(run.roll), at(run.pitch), yaw)
     meridian, prime_vertical = radii(reference.latitude)
     north = (latitude - reference.latitude) * (meridian + reference.height) + arm_n
     east = (wrap(longitude - reference.longitude) * (prime_vertical + reference.height) * np.cos(reference.latitude)
@@ -127,7 +131,7 @@ def _covered(stamp, wanted, longest_gap):
     return (wanted >= stamp[0]) & (wanted <= stamp[-1]) & near
 
 
-def _lever_arm(arm, roll, pitch, yaw):
+def lever_arm_north_east(arm, roll, pitch, yaw):
     """North and east component of a lever arm in body axes (forward-right-down), m."""
     x, y, z = arm
     sin_roll, cos_roll = np.sin(roll), np.cos(roll)
@@ -202,3 +206,31 @@ def summary(errors: Errors) -> dict:
     }
     return {name: None if isinstance(value, float) and not np.isfinite(value) else value
             for name, value in numbers.items()}
+
+
+def relative_translation_percent(stamp: np.ndarray, truth: np.ndarray, estimate: np.ndarray, turned: np.ndarray,
+                                 distance: np.ndarray) -> float | None:
+    """Relative translation error in percent of the path, mean over all paths of PATH_LENGTHS, a start each
+    PATH_SPACING s; None where no path is as long as that.
+
+    stamp (m,) ns, ascending. truth, estimate (m, 2): north and east, m. turned (m,): heading error, rad; NaN, where
+    the truth has no heading, takes the estimated heading for right, so that its error counts. distance (m,): driven
+    since the first epoch, m, never falling.
+
+    Both displacements are seen from the vehicle at the start of the path, as in A. Geiger, P. Lenz, R. Urtasun, "Are
+    we ready for autonomous driving? The KITTI vision benchmark suite", 2012 (its development kit), in two dimensions.
+    """
+    if not len(stamp):
+        return None
+    start = np.flatnonzero(np.diff((stamp - stamp[0]) // round(PATH_SPACING * 1e9), prepend=-1))
+    turned = np.nan_to_num(turned)
+    found = []
+    for length in PATH_LENGTHS:
+        end = np.searchsorted(distance, distance[start] + length)
+        first, last = start[end < len(stamp)], end[end < len(stamp)]
+        d_north, d_east = (estimate[last] - estimate[first]).T
+        cos, sin = np.cos(turned[first]), np.sin(turned[first])
+        seen = np.column_stack([cos * d_north + sin * d_east, cos * d_east - sin * d_north])
+        found.append(np.linalg.norm(seen - (truth[last] - truth[first]), axis=1) / length)
+    found = np.concatenate(found)
+    return float(100 * found.mean()) if len(found) else None

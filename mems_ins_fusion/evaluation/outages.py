@@ -71,7 +71,7 @@ def run_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: Trut
     """
     durations = sorted(durations)
     run, coasting = run_with_outages(config, imu, fixes, begin, durations[-1], aiding, keep)
-    driven = _Distance(run)
+    driven = Distance(run)
     errors = [_errors(coasting, i, truth, durations[-1], config.imu.restart_gap)
               for i in range(len(coasting.begin))]
     last = truth.reference.stamp[-1] if len(truth) else 0
@@ -94,8 +94,8 @@ def _errors(coasting: Coasting, i: int, truth: Truth, duration: float, longest_g
     return position_errors(run.states(rows), truth, np.zeros(len(truth), dtype=bool), longest_gap)
 
 
-class _Distance:
-    """Distance driven between two stamps, by the run with all fixes: noisy fixes move at standstill, too."""
+class Distance:
+    """Distance driven by the speed of a run with fixes, m: positions with noise move at standstill, too."""
 
     def __init__(self, run: Run):
         self.stamp = run.stamp
@@ -103,9 +103,9 @@ class _Distance:
         step = np.minimum(np.diff(run.stamp) * 1e-9, 1.0)
         self.driven = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * step)])
 
-    def __call__(self, begin, end):
-        origin = self.stamp[0]
-        return float(np.diff(np.interp([begin - origin, end - origin], self.stamp - origin, self.driven))[0])
+    def at(self, stamp):
+        """From the first estimate to `stamp`, ns."""
+        return np.interp(stamp - self.stamp[0], self.stamp - self.stamp[0], self.driven)
 
 
 def _measure(duration, fits, driven) -> Outages:
@@ -116,7 +116,7 @@ def _measure(duration, fits, driven) -> Outages:
     for begin, errors in fits:
         horizontal, after = errors.horizontal, (errors.stamp - begin) * 1e-9
         maxima.append(horizontal.max())
-        distance.append(driven(begin, begin + length))
+        distance.append(float(driven.at(begin + length) - driven.at(begin)))
         within.append(errors.nees[-1] < NEES_95)
         growth.append(np.interp(time, after, horizontal))
         sigma.append(np.interp(time, after, errors.sigma))

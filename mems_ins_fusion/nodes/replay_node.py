@@ -62,14 +62,16 @@ class ReplayNode(Node):
 
 
 def _tell(result) -> None:
-    """Print the errors, the verdict and where the results are."""
+    """Print the answer, the errors, what they say of the models, and where the results are."""
     from ..reports.report import summary_table
 
     for recording in result.content['recordings']:
         errors = [finding['message'] for finding in recording['findings'] if finding['severity'] == 'error']
         for warning in (*recording['warnings'], *errors):
             print(f'{NAME}: {warning}', file=sys.stderr)
-    print(summary_table(result.content))
+    for name, answer in result.answers.items():
+        print(*([f'{name}:'] if len(result.answers) > 1 else []), *answer.lines(), sep='\n')
+    print(f'\n{summary_table(result.content)}')
     for sentences in result.content['verdict'].values():
         print(*sentences, sep='\n')
     print(f'report: {result.folder / "report.html"}')

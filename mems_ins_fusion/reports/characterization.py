@@ -7,13 +7,15 @@ from mems_ins_fusion.characterization.autoregressive import METHODS, time_consta
 from mems_ins_fusion.characterization.characterize import SENSORS, STANDARD_GRAVITY, Characterization
 from mems_ins_fusion.characterization.parameter_file import parameters, parameters_yaml
 from mems_ins_fusion.reports import html
+from mems_ins_fusion.reports.answer import Answer
+from mems_ins_fusion.reports.characterization_answer import LEAST_GRAVITY, MOST_GRAVITY
+from mems_ins_fusion.reports.colours import MODEL_NAMES
 
-_WORDS = {'random_walk': 'random walk', 'gauss_markov': 'Gauss-Markov', 'autoregressive': 'autoregressive'}
 
-
-def report(c: Characterization) -> dict:
+def report(c: Characterization, answered: Answer) -> dict:
     """report.json: plain numbers, texts and lists; null where something is not known or unbounded."""
     return {
+        'answer': answered.json(),
         'recording': c.name, 'rate_hz': c.grid.rate, 'duration_at_rest_s': c.duration,
         'missing_samples': c.grid.missing, 'rejected_stamps': c.grid.rejected,
         'interval_jitter_s': _plain(c.grid.jitter), 'parts_s': [[a / c.grid.rate, b / c.grid.rate]
@@ -67,45 +69,33 @@ def _plain(value):
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def report_html(c: Characterization, images: dict[str, tuple[bytes, str]]) -> str:
-    """report.html. images: PNG and caption by name, as `characterize_figures.figures` names them."""
+def report_html(c: Characterization, answered: Answer, images: dict[str, tuple[bytes, str]]) -> str:
+    """report.html: the answer and one picture, then the evidence, folded away. images: PNG and caption by name, as
+    `characterize_figures.figures` names them."""
     def show(*names):
         return [html.figure(*images[n]) for n in names if n in images]
 
     sections = [
-        html.section('Result', *_result(c)),
-        html.section('The recording', *_recording(c), *show('overview')),
-        html.section('Allan deviation', *_allan(c), *show(*(f'allan_{s}' for s in SENSORS))),
-        html.section('Autocorrelation', *_autocorrelation(c), *show('autocorrelation')),
-        html.section('Fitted models', *_models(c)),
-        html.section('Autoregressive model: interval', *_intervals(c), *show('intervals')),
-        html.section('Autoregressive model: order and method', *_orders(c), *show('orders')),
-        html.section('Which model is right', *_selection(c), *show('horizons', 'residuals')),
-        html.section('Parameters', 'The file imu.yaml, as the filter loads it.',
-                     html.preformatted(parameters_yaml(c)))]
+        html.section('What is in imu.yaml?', answered.html(), *show('horizons'), *_result(c)),
+        html.folded('imu.yaml', 'The parameters, as the filter loads them.', html.preformatted(parameters_yaml(c))),
+        html.folded('The recording', *_recording(c), *show('overview')),
+        html.folded('Allan deviation', *_allan(c), *show(*(f'allan_{s}' for s in SENSORS))),
+        html.folded('Which model is right', *_selection(c), *show('residuals')),
+        html.folded('Fitted models', *_models(c)),
+        html.folded('Autocorrelation', *_autocorrelation(c), *show('autocorrelation')),
+        html.folded('Autoregressive model: interval', *_intervals(c), *show('intervals')),
+        html.folded('Autoregressive model: order and method', *_orders(c), *show('orders'))]
     return html.page(f'{c.name}: sensor errors at rest', sections,
                      f'{c.duration:.0f} s at rest at {c.grid.rate:.2f} Hz; intervals are 95 %.')
 
 
 def _result(c):
     rows = [(a.name, _words(a.recommendation.model), a.recommendation.decided, a.recommendation.text) for a in c.axes]
-    parts = [html.table(('axis', 'model', 'decided by the data', 'why'), rows),
-             html.note(f'Recommended for all axes together: {_words(c.model)}. It is what imu.yaml selects.', 'good')]
-    quiet = [a.name for a in c.axes if not a.significant]
-    if quiet:
-        parts.append(html.note(f'No slow error beside the white noise was seen on {", ".join(quiet)}. There, imu.yaml '
-                               'holds the upper limit of what could be; a longer recording would show more.',
-                               'warning'))
-    short = [a.name for a in c.axes if a.significant and c.duration < 20 * a.fits['gauss_markov'].model.tau]
-    if short:
-        parts.append(html.note(f'Fewer than 20 correlation times were recorded of {", ".join(short)}: sigma and tau of '
-                               'Gauss-Markov are uncertain, and only their ratio, the driving noise, is well known.',
-                               'warning'))
-    return parts
+    return [html.table(('axis', 'model', 'decided by the data', 'why'), rows)]
 
 
 def _recording(c):
-    low, high = 9.76, 9.84  # gravity on the earth's surface
+    low, high = LEAST_GRAVITY, MOST_GRAVITY
     force = f'Mean specific force {c.gravity:.4f} m/s² against standard gravity {STANDARD_GRAVITY} m/s².'
     if not low <= c.gravity <= high:
         force += (f' No place on earth has that ({low} to {high}): the accelerometers have a bias or scale error of at '
@@ -220,4 +210,4 @@ def _three(e):
 
 
 def _words(name):
-    return _WORDS[name]
+    return MODEL_NAMES[name]

@@ -6,11 +6,13 @@ import numpy as np
 from mems_ins_fusion.characterization.autocorrelation import autocorrelation
 from mems_ins_fusion.characterization.characterize import SENSORS, Characterization
 from mems_ins_fusion.characterization.selection import TRAINING
+from mems_ins_fusion.reports.colours import DASHES, MODEL_NAMES, MODELS, WIDTHS
 from mems_ins_fusion.sensor_errors.models import Autoregressive, RandomWalk
 
 _UNIT = {'accelerometer': 'm/s²', 'gyroscope': 'rad/s'}
-_STYLE = {'random_walk': ('C0', 'random walk'), 'gauss_markov': ('C1', 'Gauss-Markov'),
-          'autoregressive': ('C2', 'autoregressive')}
+_STYLE = {name: (colour, MODEL_NAMES[name]) for name, colour in MODELS.items()}
+#: of the axes x, y, z
+_AXES = ('#000000', '#e69f00', '#56b4e9')
 
 
 CAPTIONS = {
@@ -68,7 +70,7 @@ def _overview(c):
         panel.plot((np.arange(len(mean)) + 0.5) * size / c.grid.rate, mean - axis.mean.value, lw=0.8)
         for cut in c.rest.cuts:
             panel.axvspan(cut.start, max(cut.stop, cut.start + c.grid.values.shape[0] / c.grid.rate / 1000),
-                          color='C3', alpha=0.25, lw=0)
+                          color='#cc79a7', alpha=0.35, lw=0)
         panel.set_ylabel(_UNIT[axis.name.split()[0]])
     for panel in panels[-1]:
         panel.set_xlabel('time in s')
@@ -82,15 +84,18 @@ def _allan(c, sensor):
         panel.fill_between(curve.tau, curve.lower, curve.upper, color='0.8', label='95 % bounds')
         panel.loglog(curve.tau, curve.deviation, 'k', lw=1.2, label='Allan deviation')
         if found.noise_density is not None:
-            panel.loglog(curve.tau, found.noise_density / np.sqrt(curve.tau), 'C3:', lw=1, label='N, slope −1/2')
+            panel.loglog(curve.tau, found.noise_density / np.sqrt(curve.tau), ':', color='#cc79a7', lw=1.4,
+                         label='N, slope −1/2')
         if found.random_walk is not None:
-            panel.loglog(curve.tau, found.random_walk * np.sqrt(curve.tau / 3), 'C4:', lw=1, label='K, slope +1/2')
+            panel.loglog(curve.tau, found.random_walk * np.sqrt(curve.tau / 3), ':', color='#e69f00', lw=1.4,
+                         label='K, slope +1/2')
         if found.bias_instability is not None:
-            panel.plot(found.bias_instability_tau, found.bias_instability * 0.664, 'C5o', ms=5, label='0.664 B')
+            panel.plot(found.bias_instability_tau, found.bias_instability * 0.664, 'o', color='#e69f00', ms=5,
+                       label='0.664 B')
         for name, fit in axis.fits.items():
             colour, label = _STYLE[name]
             tau, deviation = model_allan(fit, curve.tau)
-            panel.loglog(tau, deviation, colour, lw=1, ls='--', label=f'fitted: {label}')
+            panel.loglog(tau, deviation, color=colour, lw=0.8 * WIDTHS[name], ls=DASHES[name], label=f'fitted: {label}')
         panel.set_ylim(0.4 * curve.lower.min(), 2.5 * curve.upper.max())
         panel.set_title(axis.name, fontsize=10)
         panel.set_xlabel('averaging time in s')
@@ -138,9 +143,10 @@ def _autocorrelation(c):
         fit, model = axis.autocorrelation, axis.fits['gauss_markov'].model
         step = max(1, len(fit.lags) // 500)
         panel.plot(fit.lags[1::step], fit.values[1::step], 'k', lw=0.8, label='measured')
-        panel.plot(fit.lags[1:], fit.fitted[1:], 'C3', lw=1.2, label='fit to the curve')
+        panel.plot(fit.lags[1:], fit.fitted[1:], color='#cc79a7', lw=1.8, label='fit to the curve')
         if axis.significant:
-            panel.plot(fit.lags[1:], model.sigma**2 * np.exp(-fit.lags[1:] / model.tau), 'C1--', lw=1.2,
+            panel.plot(fit.lags[1:], model.sigma**2 * np.exp(-fit.lags[1:] / model.tau), '--',
+                       color=MODELS['gauss_markov'], lw=1.4,
                        label='maximum likelihood')
         panel.set_ylabel(f'({_UNIT[axis.name.split()[0]]})²')
     for panel in panels[-1]:
@@ -155,8 +161,8 @@ def _orders(c):
         curve, unit = axis.order_curve, _UNIT[axis.name.split()[0]]
         scale = 1e3
         top.plot(curve.orders, scale * curve.rmse, 'k.-', lw=0.8, label='plain AR, Burg')
-        top.plot(list(axis.joint_orders), [scale * p.one_step_rmse for p in axis.joint_orders.values()], 'C2s-', ms=4,
-                 lw=0.8, label='white noise + AR')
+        top.plot(list(axis.joint_orders), [scale * p.one_step_rmse for p in axis.joint_orders.values()], 's-', ms=4,
+                 color=MODELS['autoregressive'], lw=0.8, label='white noise + AR')
         top.set_title(axis.name, fontsize=9)
         top.set_ylabel(f'RMSE in 10⁻³ {unit}', fontsize=8)
         n = TRAINING * len(axis.averages.z)
@@ -177,8 +183,9 @@ def _intervals(c):
     for sensor, panel in zip(SENSORS, panels.flat):
         for i, axis in enumerate(c.of(sensor)):
             study = axis.intervals
-            panel.loglog(study.interval, study.plain, f'C{i}.--', lw=1, label=f'{axis.name[-1]}, AR(2) alone')
-            panel.loglog(study.interval, study.joint, f'C{i}o-', lw=1, ms=4,
+            panel.loglog(study.interval, study.plain, '.--', color=_AXES[i], lw=1,
+                         label=f'{axis.name[-1]}, AR(2) alone')
+            panel.loglog(study.interval, study.joint, 'o-', color=_AXES[i], lw=1, ms=4,
                          label=f'{axis.name[-1]}, white noise + AR(2)')
         panel.loglog(study.interval, study.interval, color='0.6', lw=0.8, label='the interval itself')
         panel.axvline(c.interval[sensor], color='k', lw=0.8, ls=':')
@@ -197,8 +204,8 @@ def _horizons(c):
     for axis, panel in zip(c.axes, panels.flat):
         for name, prediction in axis.predictions.items():
             colour, label = _STYLE[name]
-            line = ':' if name == 'autoregressive' else '-'
-            panel.plot(prediction.horizons, prediction.horizon_rmse, colour + '.', ls=line, lw=1.4, label=label)
+            panel.plot(prediction.horizons, prediction.horizon_rmse, '.', color=colour, ls=DASHES[name],
+                       lw=WIDTHS[name], label=label)
         panel.set_xscale('log')
         panel.xaxis.set_major_locator(FixedLocator(prediction.horizons))
         panel.xaxis.set_major_formatter('{x:.0f}')

@@ -1,4 +1,4 @@
-"""A diagnosis for a person (story, HTML), for a program (JSON), and for the filter (YAML)."""
+"""A diagnosis for a person (the answer, HTML), for a program (JSON), and for the filter (YAML)."""
 from __future__ import annotations
 
 import math
@@ -13,14 +13,21 @@ from ..parameters.params_file import yaml_value
 from ..parameters.table import ALL
 from . import diagnosis_figures as plots
 from . import html
+from .answer import Answer, checked_text, topics_of
+from .layers import diagnosis_layers
+from .track import script, track
 
 
-def report(diagnosis: Diagnosis, warned=()) -> dict:
-    """The content of `report.json`: plain types, None for what is not known. warned: what reading said."""
+def report(diagnosis: Diagnosis, answered: Answer, checked=(), warned=()) -> dict:
+    """The content of `report.json`: plain types, None for what is not known. answered: what `answer` said. checked:
+    what the checker found. warned: what reading said."""
     d = diagnosis
     model, mechanization = d.values['sensor_error_model'], d.values['mechanization']
     return _plain({
         'recording': d.recording.name,
+        'answer': answered.json(),
+        'findings': [{'severity': f.severity, 'topic': f.topic, 'message': f.message,
+                      'text': checked_text(f, topics_of(d.values))} for f in checked],
         'model': model,
         'mechanization': mechanization,
         'effects': [_effect(f, d) for f in d.findings],
@@ -100,14 +107,14 @@ def not_identifiable(d: Diagnosis) -> dict[str, str]:
 
 
 def changed(d: Diagnosis) -> dict:
-    """The parameters that the diagnosis changed, as `corrected.yaml` holds them: to 6 significant digits."""
+    """The parameters that the diagnosis changed, as `corrected.yaml` holds them: to 4 significant digits."""
     return {name: _rounded(value) for name, value in d.corrected.items() if value != d.values[name]}
 
 
 def _rounded(value):
     if isinstance(value, (list, tuple)):
         return [_rounded(v) for v in value]
-    return float(f'{value:.6g}') if isinstance(value, float) else value
+    return float(f'{value:.4g}') if isinstance(value, float) else value
 
 
 def corrected_yaml(diagnosis: Diagnosis, given: dict) -> str:
@@ -138,12 +145,12 @@ def _origin(d: Diagnosis, name: str) -> str:
         if name == 'gnss.sigma' and not before:
             return f'{said} what the messages say (their covariance was used before)'
         return f'{said} the value before, {yaml_value(_rounded(before))}'
-    sources = [f for f in d.findings if f.added and _touches(f, d.values, name)]
+    sources = [f for f in d.findings if f.added and touches(f, d.values, name)]
     text = '; '.join(parameters_text(f) for f in sources)
     return f'{text or "changed with the effects"}; before: {yaml_value(d.values[name])}'
 
 
-def _touches(finding: Finding, values: dict, name: str) -> bool:
+def touches(finding: Finding, values: dict, name: str) -> bool:
     """Whether the correction of this effect changes parameter `name`."""
     theta = {p.name: 0.0 for p in (*finding.effect.parameters, *finding.effect.traced)}
     theta |= {key: value for key, (value, _, _) in finding.parameters.items()}
@@ -152,6 +159,10 @@ def _touches(finding: Finding, values: dict, name: str) -> bool:
 
 def _comment(text: str, indent: str) -> list[str]:
     return textwrap.wrap(text, 110, initial_indent=f'{indent}# ', subsequent_indent=f'{indent}# ')
+
+
+def capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def parameters_text(finding: Finding) -> str:
@@ -177,19 +188,27 @@ def _to(value: float, sigma: float | None) -> str:
     return f'{value:.{digits}f}' if digits < 8 else f'{value:.3g}'
 
 
-def story(diagnosis: Diagnosis) -> list[str]:
-    """The diagnosis in a few lines."""
+def story(diagnosis: Diagnosis, answered: Answer) -> list[str]:
+    """The diagnosis in a few lines: the answer, then how it came about."""
     d = diagnosis
-    lines = [f'{d.recording.name}: {d.detections["before"].count} innovations', 'As configured: '
+    lines = [*answered.lines(), '', f'{d.recording.name}: {d.detections["before"].count} innovations', 'As configured: '
              + ' '.join(d.detections['before'].words())]
     lines += [f'Effect: {finding_text(f)}' for f in d.findings] or ['No effect was found.']
-    lines += [f'Error, {text}' for text in error_lines(d)]
+    before, after = (html.number(m.summary()['horizontal_rmse_m'], 3) for m in (d.before, d.after))
+    lines.append(f'Error with the fixes used: RMS {before} m before, {after} m after.')
     last = 'after' if any(f.added for f in d.findings) else 'fitted'
     lines.append(f'{plots.STAGES[last].capitalize()}: {" ".join(d.detections["after"].words())}')
-    lines += [unexplained_text(d), *d.remarks]
     if hidden := not_identifiable(d):
-        lines.append(f'Not identifiable here: {", ".join(hidden)}.')
+        lines.append(f'Cannot be seen in this recording: {_hidden_text(hidden)}.')
     return lines
+
+
+def _hidden_text(hidden: dict[str, str]) -> str:
+    """Names by reason."""
+    reasons = {}
+    for name, why in hidden.items():
+        reasons.setdefault(why, []).append(name)
+    return '; '.join(f'{", ".join(names)} ({why})' for why, names in reasons.items())
 
 
 def finding_text(f: Finding) -> str:
@@ -210,16 +229,17 @@ def unexplained_text(d: Diagnosis) -> str:
     return text
 
 
-def error_lines(d: Diagnosis) -> list[str]:
-    """The error as configured and at the end, continuous and in outages."""
-    before, after = d.before.summary(), d.after.summary()
-    lines = [f'fixes used: RMS {html.number(before["horizontal_rmse_m"], 3)} m before, '
-             f'{html.number(after["horizontal_rmse_m"], 3)} m after']
-    for old, new in zip(before['outages'], after['outages']):
-        lines.append(f'{old["duration_s"]:g} s without fixes: median of the largest error '
-                     f'{html.number(old["max_error_median_m"], 3)} m before, '
-                     f'{html.number(new["max_error_median_m"], 3)} m after ({new["count"]} outages)')
-    return lines
+def cost(d: Diagnosis) -> list[str]:
+    """What an outage costs, before and after."""
+    said = []
+    for old, new in zip(d.before.summary()['outages'], d.after.summary()['outages']):
+        if old['count'] and new['count']:
+            was, now = (f'{html.number(o["max_error_median_m"], 2)} m' for o in (old, new))
+            inside, inside_now = (f'{html.number(o["within_95_percent"], 2)} %' for o in (old, new))
+            said.append(f'{old["duration_s"]:g} s: {was} as configured, {now} with corrected.yaml (median of the '
+                        f'largest error in {new["count"]} outages); its own 95 % ellipse held the truth in {inside} '
+                        f'before, {inside_now} after')
+    return said
 
 
 def _plain(value):
@@ -237,67 +257,78 @@ def _plain(value):
     return value
 
 
-def report_html(diagnosis: Diagnosis, given: dict, warned=()) -> str:
-    """The content of `report.html`: the story with its pictures; given: as for `corrected_yaml`."""
+def report_html(diagnosis: Diagnosis, given: dict, answered: Answer, checked=(), warned=()) -> str:
+    """The content of `report.html`: the answer and the track, then the evidence, folded away; given: as for
+    `corrected_yaml`."""
     d = diagnosis
     count = d.detections['before'].count
+    yaml = html.folded('corrected.yaml', 'With --params-file of every tool, the filter runs as here.',
+                       html.preformatted(corrected_yaml(d, given)))
     return html.page(f'Diagnosis of {d.recording.name}', [
-        _result(d, warned), _residual_before(d), _noise(d), _candidates(d), _added(d), _residual_after(d), _errors(d),
-        _unexplained(d), html.section('corrected.yaml', 'With --params-file of every tool, the filter runs as here.',
-                                      html.preformatted(corrected_yaml(d, given)))],
+        _answered(d, answered), _errors(d), _added(d), yaml, _unexplained(d), _residual(d), _noise(d),
+        _recording(d, checked, warned), _candidates(d)],
         f'{d.values["mechanization"]} mechanization, {d.values["sensor_error_model"].replace("_", " ")} sensor errors, '
-        f'{count} innovations')
+        f'{count} innovations', script())
 
 
-def _result(d: Diagnosis, warned) -> html.Html:
-    added = [f for f in d.findings if f.added]
-    said = '; '.join(parameters_text(f) for f in added)
-    head = html.note(f'Added: {said}.', 'good') if added else html.note('No effect was added.')
-    left = html.note(unexplained_text(d), 'warning' if d.unexplained else 'good')
-    return html.section('Result', head, html.bullets(f'Error, {line}' for line in error_lines(d)), left,
-                        *(html.note(w, 'warning') for w in warned))
+def _answered(d: Diagnosis, answered: Answer) -> html.Html:
+    still = html.figure(plots.track(d), 'The drive from above, as configured and with corrected.yaml, with all fixes '
+                        'and in the longest outages, each ending at x.')
+    return html.section('Use corrected.yaml?', answered.html(), track(diagnosis_layers(d), still),
+                        html.figure(plots.errors(d), 'Horizontal position error before and after, to the left with the '
+                                    'fixes used, to the right against the time without fixes.'))
 
 
-def _residual_before(d: Diagnosis) -> html.Html:
-    return html.section(
-        'What the filter cannot explain', html.bullets(d.detections['before'].words()),
+def _recording(d: Diagnosis, checked, warned) -> html.Html:
+    found = [f'{f.severity}: {checked_text(f, topics_of(d.values))}' for f in checked]
+    parts = (('The reader said:', list(warned)), ('The checker found:', found), ('Worth knowing:', d.remarks))
+    return html.folded('Recording', *(part for head, lines in parts if lines
+                                      for part in (html.paragraph(head), html.bullets(lines))))
+
+
+def _residual(d: Diagnosis) -> html.Html:
+    last = 'after' if any(f.added for f in d.findings) else 'fitted'
+    return html.folded(
+        'What the filter could not explain, before and after', html.bullets(d.detections['before'].words()),
         html.figure(plots.residual(d, 'before'), 'Innovations (fix minus prediction) of the filter as configured, in '
                     'units of their predicted standard deviation, along and across the track. What is beyond 5 sigma '
                     'stands at the edges of the histogram.'),
-        _tests(d, ('before',)))
+        html.paragraph(f'{capital(plots.STAGES[last])}:'), html.bullets(d.detections['after'].words()),
+        html.figure(plots.residual(d, 'after'), 'The same at the end.'), _tests(d, ('before', 'fitted', 'after')))
 
 
 def _tests(d: Diagnosis, stages) -> html.Html:
     rows = [(plots.STAGES[stage], name, det.mean[name], _p(det.mean_p[name]), _p(det.whiteness_p[name]))
             for stage in stages for det in (d.detections[stage],) for name in det.mean]
-    return html.table(('model', 'component', 'mean, sigma', 'p of mean zero', 'p of white (Ljung-Box)'), rows, digits=3)
+    return html.table(('filter', 'component', 'mean, sigma', 'p of mean zero', 'p of white (Ljung-Box)'), rows,
+                      digits=3)
 
 
 def _p(value: float) -> str:
-    return f'{value:.2g}'
+    """A p value, as people write it."""
+    return '< 0.001' if value < 0.001 else html.number(value, 2)
 
 
 def _noise(d: Diagnosis) -> html.Html:
-    return html.section(
-        'Noise levels first', 'So that a badly tuned filter is not taken for a missing effect, the noise levels are '
+    return html.folded(
+        'Noise levels', 'So that a badly tuned filter is not taken for a missing effect, the noise levels are '
         'fitted to the innovations before any effect is tested, and again with each one added.',
         html.table(('noise level', 'factor at the end'), list(d.noise.items()), digits=3),
-        html.bullets(d.detections['fitted'].words()),
-        html.figure(plots.residual(d, 'fitted'), 'The same innovations with fitted noise levels and no effect.'))
+        'With fitted noise levels and no effect:', html.bullets(d.detections['fitted'].words()))
 
 
 def _candidates(d: Diagnosis) -> html.Html:
     if not d.rounds:
-        return html.section('Candidates and their evidence', 'No effect could be tested.')
+        return html.folded('Candidates and their evidence', 'No effect could be tested.')
     tables = [html.table(('effect', 'gain', 'p', 'p, all tests counted', 'would be', 'not determined'),
                          [(c.name, c.gain, _p(c.p), _p(c.p_adjusted), _estimates(c), ', '.join(c.undetermined))
                           for c in candidates],
                          f'Round {i + 1}', 3) for i, candidates in enumerate(d.rounds)]
     hidden = html.bullets(f'{name}: {why}' for name, why in not_identifiable(d).items())
-    return html.section(
+    return html.folded(
         'Candidates and their evidence', 'The score test: how much better each effect would explain the innovations, '
-        'with the share of noise levels and of effects added before taken out. Green: significant after counting all '
-        'tests; dark green: the one chosen.',
+        'with the share of noise levels and of effects added before taken out. Coloured: significant after counting '
+        'all tests; dark: the one chosen.',
         html.figure(plots.evidence(d), 'Evidence for each candidate, round by round.'), *tables,
         'What this recording cannot show:', hidden)
 
@@ -309,10 +340,10 @@ def _estimates(c: Candidate) -> str:
 
 def _added(d: Diagnosis) -> html.Html:
     if not d.findings:
-        return html.section('What was found', 'No candidate is significant.')
+        return html.folded('What was found', 'No candidate is significant.')
     rows = [(f.name, ', '.join(n for n in f.group if n != f.name), _values(f), f.gain,
              f.held_out.gain, _p(f.held_out.p), f.added, f.reason) for f in d.findings]
-    return html.section(
+    return html.folded(
         'What was found', 'Values of the last joint fit. The held-out gain is that of the log likelihood in blocks of '
         'the recording that the effect was not fitted to; an effect without one is not added.',
         html.table(('effect', 'cannot be told from', 'value', 'score gain', 'held-out gain', 'p held out', 'added',
@@ -323,25 +354,21 @@ def _values(f: Finding) -> str:
     return ', '.join(_parameter(*item) for item in f.parameters.items())
 
 
-def _residual_after(d: Diagnosis) -> html.Html:
-    return html.section(
-        'The residual after', html.bullets(d.detections['after'].words()),
-        html.figure(plots.residual(d, 'after'), 'Innovations with the effects added.'), _tests(d, ('fitted', 'after')))
-
-
 def _errors(d: Diagnosis) -> html.Html:
     rows = [(c['what'], c.get('count'), c.get('before'), c.get('after'), c.get('difference'), _interval(c),
              _p(c['p']) if 'p' in c else '') for c in d.comparison]
     summaries = {plots.STAGES[stage]: measured.summary() for stage, measured in plots.measured_stages(d).items()}
-    columns = ('model', 'RMS with fixes, m', 'outage, s', 'outages', 'largest error: median, m', 'RMS, m', '95 %, m',
-               '% of distance')
+    columns = ('filter', 'RMS with fixes, m', 'without fixes, s', 'outages', 'largest error: median, m', 'RMS, m',
+               '95 % below, m',
+               '% of distance', 'inside 95 % ellipse, %')
     table = [(name, s['horizontal_rmse_m'] if i == 0 else None, o['duration_s'], o['count'], o['max_error_median_m'],
-              o['max_error_rms_m'], o['max_error_p95_m'], o['percent_of_distance'])
+              o['max_error_rms_m'], o['max_error_p95_m'], o['percent_of_distance'],
+              o['within_95_percent'])
              for name, s in summaries.items() for i, o in enumerate(s['outages'])]
-    return html.section(
+    return html.folded(
         'Error before and after', 'Each error after is one of a model that was fitted to other blocks of the '
         'recording, unless no effect was added.',
-        html.figure(plots.errors(d), 'Horizontal position error.'), html.table(columns, table, digits=3),
+        html.table(columns, table, digits=3),
         html.table(('what', 'count', 'before', 'after', 'difference', '95 % interval', 'p of no difference'), rows,
                    'Paired differences, after minus before, by block bootstrap.', 3))
 
@@ -361,6 +388,4 @@ def _unexplained(d: Diagnosis) -> html.Html:
     elif d.unexplained:
         parts.append('It goes with none of time, speed, acceleration, turn rate, heading and temperature (as far as '
                      'recorded).')
-    if d.remarks:
-        parts += ['Worth knowing:', html.bullets(d.remarks)]
-    return html.section('What stays unexplained', *parts)
+    return html.folded('What stays unexplained', *parts)

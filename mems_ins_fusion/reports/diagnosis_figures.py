@@ -6,10 +6,11 @@ import numpy as np
 from ..diagnosis.detection import COMPONENTS, LAGS
 from ..diagnosis.diagnose import Diagnosis
 from ..diagnosis.proof import Measured
+from .colours import AFTER, BEFORE, FITTED
+from .layers import diagnosis_layers
 
-BEFORE, FITTED, AFTER = '#c1121f', '#8c959f', '#1b7f4b'
 COLOURS = {'before': BEFORE, 'fitted': FITTED, 'after': AFTER}
-STAGES = {'before': 'as configured', 'fitted': 'noise levels fitted', 'after': 'effects added'}
+STAGES = {'before': 'as configured', 'fitted': 'noise levels fitted', 'after': 'with corrected.yaml'}
 #: lags of the autocorrelation shown, and half the width of the histogram in sigma
 SHOWN_LAGS, WIDEST = 3 * LAGS, 5.0
 
@@ -81,7 +82,7 @@ def evidence(diagnosis: Diagnosis):
         ranked = sorted(candidates, key=lambda c: c.gain)
         chosen = diagnosis.chosen[i:i + 1]
         axes.barh([c.name for c in ranked], [c.gain for c in ranked],
-                  color=[AFTER if c.name in chosen else '#a6d8bd' if c.p_adjusted <= SIGNIFICANCE else '0.85'
+                  color=[AFTER if c.name in chosen else '#9fcbe6' if c.p_adjusted <= SIGNIFICANCE else '0.85'
                          for c in ranked])
         axes.tick_params(labelsize=7)
         axes.set_title(f'round {i + 1}', fontsize=9)
@@ -121,3 +122,23 @@ def _growth(axes, measured: Measured, stage: str) -> None:
     time = np.concatenate([[0.0], longest.time])
     axes.fill_between(time, low, high, color=COLOURS[stage], alpha=0.15, linewidth=0)
     axes.plot(time, middle, color=COLOURS[stage])
+
+
+def track(diagnosis: Diagnosis):
+    """The drive from above: truth, before and after, with all fixes and in outages."""
+    figure = _figure(9, 7)
+    axes = figure.add_subplot()
+    for layer in diagnosis_layers(diagnosis):
+        if layer.points:
+            continue
+        pieces = np.split(np.arange(len(layer.time)), [] if layer.first is None else layer.first[1:])
+        for i, piece in enumerate(pieces):
+            axes.plot(layer.east[piece], layer.north[piece], color=layer.colour, linewidth=0.7 * layer.width,
+                      linestyle='--' if layer.dash else '-', label=layer.name if i == 0 else None)
+        if layer.ends is not None:
+            axes.plot(*layer.ends[:, :2].T, 'x', color=layer.colour, markersize=5)
+    axes.set_aspect('equal', adjustable='datalim')
+    axes.set(xlabel='east, m', ylabel='north, m')
+    axes.grid(color='0.92')
+    axes.legend(fontsize=8, loc='upper left')
+    return figure

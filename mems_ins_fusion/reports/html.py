@@ -1,9 +1,10 @@
-"""Self-contained HTML reports: one file with its figures inside, plain CSS, no script, readable on paper too.
+"""Self-contained HTML reports: one file with its figures inside, no network, readable on a phone and on paper too.
 
     parts = [section('Allan deviation', paragraph('...'), figure(fig, 'Allan deviation of the gyroscopes'))]
     path.write_text(page('IMU at rest', parts, summary='record_1, 2.8 h'), encoding='utf-8')
 
-Text is escaped; the parts of a page are `Html`, which is not.
+The answer stands first (`answer.py`), evidence after it is folded away (`folded`). Text is escaped; the parts of a page
+are `Html`, which is not. The only script is that of the interactive track (`track.py`).
 """
 from __future__ import annotations
 
@@ -13,54 +14,39 @@ import io
 import math
 import re
 from numbers import Integral
+from pathlib import Path
 
 
 class Html(str):
     """Text that is HTML already. A plain str given in its place is escaped."""
 
 
-_STYLE = """
-:root { color-scheme: light; }
-body { font: 16px/1.5 system-ui, "Segoe UI", Helvetica, Arial, sans-serif; color: #1c2024; background: #fff;
-       max-width: 62rem; margin: 0 auto; padding: 1.5rem 1rem 4rem; }
-h1 { font-size: 1.7rem; line-height: 1.2; margin: 0 0 .3rem; }
-h2 { font-size: 1.25rem; margin: 2.4rem 0 .6rem; padding-bottom: .2rem; border-bottom: 1px solid #d0d7de; }
-p { margin: .6rem 0; max-width: 48rem; }
-p.summary { color: #57606a; font-size: 1.05rem; }
-nav ul { columns: 2; padding-left: 1.2rem; margin: 1rem 0; }
-a { color: #0550ae; }
-div.scroll { overflow-x: auto; margin: .8rem 0; }
-table { border-collapse: collapse; font-size: .9rem; font-variant-numeric: tabular-nums; }
-caption { caption-side: top; text-align: left; color: #57606a; padding-bottom: .3rem; }
-th, td { padding: .25rem .7rem; border-bottom: 1px solid #e4e8ec; text-align: left; vertical-align: top; }
-td.number, th.number { text-align: right; white-space: nowrap; }
-thead th { border-bottom: 2px solid #8c959f; vertical-align: bottom; }
-figure { margin: 1rem 0; }
-figure img { max-width: 100%; height: auto; }
-figcaption { color: #57606a; font-size: .9rem; max-width: 48rem; }
-.note, .warning, .good { padding: .5rem .8rem; border-left: .3rem solid; margin: .8rem 0; max-width: 48rem; }
-.note { border-color: #54aeff; background: #f1f8ff; }
-.warning { border-color: #d4a72c; background: #fff8e1; }
-.good { border-color: #4ac26b; background: #effbf2; }
-pre { background: #f6f8fa; padding: .7rem; overflow-x: auto; font-size: .85rem; }
-@media print { body { max-width: none; } h2 { break-after: avoid; } figure, table { break-inside: avoid; } }
-"""
+_STYLE = (Path(__file__).parent / 'page.css').read_text(encoding='ascii')
 
 
-def page(title: str, sections, summary: str = '') -> str:
-    """A whole document. sections: what `section` returned; with more than three a table of contents is added."""
+def page(title: str, sections, summary: str = '', script: Html = Html('')) -> str:
+    """A whole document. sections: what `section` returned; with more than three a table of contents is added.
+    script: that of the interactive track, if there is one."""
     parts = [Html(s) if isinstance(s, Html) else paragraph(s) for s in sections]
     head = f'<h1>{_text(title)}</h1>' + (f'<p class="summary">{_text(summary)}</p>' if summary else '')
     return (f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
             f'<meta name="viewport" content="width=device-width, initial-scale=1">\n'
             f'<title>{_text(title)}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n<header>{head}</header>\n'
-            f'{_contents(parts)}<main>\n' + '\n'.join(parts) + '\n</main>\n</body>\n</html>\n')
+            f'{_contents(parts)}<main>\n' + '\n'.join(parts) + f'\n</main>\n{script}</body>\n</html>\n')
 
 
 def section(title: str, *parts: str) -> Html:
     """A headed section; a part that is plain text becomes a paragraph."""
     body = '\n'.join(p if isinstance(p, Html) else paragraph(p) for p in parts if p)
     return Html(f'<section id="{_anchor(title)}">\n<h2>{_text(title)}</h2>\n{body}\n</section>')
+
+
+def folded(title: str, *parts: str) -> Html:
+    """A section of which only the heading shows until it is opened, and on paper."""
+    body = '\n'.join(p if isinstance(p, Html) else paragraph(p) for p in parts if p)
+    # a link to what is inside of `details` opens it
+    return Html(f'<details>\n<summary><h2>{_text(title)}</h2></summary>\n<div id="{_anchor(title)}">\n{body}\n</div>\n'
+                '</details>')
 
 
 def paragraph(text: str) -> Html:
@@ -86,7 +72,8 @@ def bullets(items) -> Html:
 def table(columns, rows, caption: str = '', digits: int = 4) -> Html:
     """A table; numbers right-aligned to `digits` significant digits, None and NaN as a dash.
 
-    columns: headings, units included. rows: sequences of str, numbers or None, one per column.
+    columns: headings, units included. rows: sequences of str, numbers or None, one per column. On a narrow page each
+    row becomes a block of its own, with the heading before each cell.
     """
     rows = [list(row) for row in rows]
     wrong = next((row for row in rows if len(row) != len(columns)), None)
@@ -95,11 +82,11 @@ def table(columns, rows, caption: str = '', digits: int = 4) -> Html:
     numeric = [any(_is_number(row[i]) for row in rows) for i in range(len(columns))]
     style = [' class="number"' if n else '' for n in numeric]
     heading = ''.join(f'<th scope="col"{s}>{_text(c)}</th>' for c, s in zip(columns, style))
-    body = '\n'.join('<tr>' + ''.join(f'<td{s}>{_cell(v, digits)}</td>' for v, s in zip(row, style)) + '</tr>'
-                     for row in rows)
+    label = [f' data-label="{_text(c)}"' for c in columns]
+    body = '\n'.join('<tr>' + ''.join(f'<td{s}{h}>{_cell(v, digits)}</td>' for v, s, h in zip(row, style, label))
+                     + '</tr>' for row in rows)
     title = f'<caption>{_text(caption)}</caption>' if caption else ''
-    return Html(f'<div class="scroll"><table>{title}\n<thead><tr>{heading}</tr></thead>\n'
-                f'<tbody>\n{body}\n</tbody>\n</table></div>')
+    return Html(f'<table>{title}\n<thead><tr>{heading}</tr></thead>\n<tbody>\n{body}\n</tbody></table>')
 
 
 def figure(drawing, caption: str = '', image: str = 'png', dpi: int = 120) -> Html:
@@ -124,12 +111,19 @@ def image_bytes(drawing, image: str = 'png', dpi: int = 120) -> bytes:
 
 
 def number(value, digits: int = 4) -> str:
-    """`value` for a person: `digits` significant digits, powers of ten only where needed, a dash for none."""
+    """`value` as people write it: `digits` significant digits, 1380 and not 1.38e+03, a dash for none.
+
+    Powers of ten only from 10 million on and below a ten-thousandth.
+    """
     if value is None or not math.isfinite(value):
         return '\N{EN DASH}'
     if isinstance(value, Integral) or (float(value).is_integer() and abs(value) < 10**digits):
         return f'{int(value):d}'
-    return f'{value:.{digits}g}'
+    rounded = float(f'{value:.{digits - 1}e}')
+    if 1e-4 <= abs(rounded) < 1e7:
+        return f'{rounded:.{max(digits - 1 - math.floor(math.log10(abs(rounded))), 0)}f}'
+    mantissa, power = f'{rounded:.{digits - 1}e}'.split('e')
+    return f'{mantissa}e{int(power)}'
 
 
 def _is_number(value) -> bool:
@@ -141,7 +135,9 @@ def _cell(value, digits) -> str:
         return '\N{EN DASH}'
     if isinstance(value, bool):
         return 'yes' if value else 'no'
-    return number(value, digits) if _is_number(value) else _text(value)
+    if _is_number(value):
+        return number(value, digits)
+    return _text(value).replace('_', '_<wbr>')  # where a long name may go on in the next line
 
 
 def _text(value) -> str:
@@ -153,7 +149,8 @@ def _anchor(title: str) -> str:
 
 
 def _contents(parts) -> str:
-    titles = [t for p in parts for t in re.findall(r'<section id="([^"]*)">\n<h2>(.*?)</h2>', p)]
+    titles = [t for p in parts for t in re.findall(r'<section id="([^"]*)">\n<h2>(.*?)</h2>', p)
+              or [m[::-1] for m in re.findall(r'<h2>(.*?)</h2></summary>\n<div id="([^"]*)">', p)]]
     if len(titles) <= 3:
         return ''
     return '<nav><ul>' + ''.join(f'<li><a href="#{a}">{t}</a></li>' for a, t in titles) + '</ul></nav>\n'

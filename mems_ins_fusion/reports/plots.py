@@ -4,13 +4,10 @@ from __future__ import annotations
 import numpy as np
 
 from ..evaluation.comparison import Comparison, RunResult
-from ..navigation.earth import to_local
+from ..evaluation.metrics import rms
+from . import colours
+from .layers import Ground
 
-COLOURS = {'random_walk': '#d95f02', 'gauss_markov': '#1b9e77', 'autoregressive': '#7570b3'}
-#: lines that lie on each other all show: the later drawn, the thinner
-WIDTHS = {'random_walk': 2.2, 'gauss_markov': 1.4, 'autoregressive': 0.7}
-NAMES = {'random_walk': 'random walk', 'gauss_markov': 'Gauss-Markov'}
-OUTAGE = '#c1121f'
 #: points of a line, at most
 POINTS = 3000
 #: half the width of the window around a manoeuvre, m
@@ -20,7 +17,7 @@ WINDOW = 40.0
 def model_name(comparison: Comparison, model: str) -> str:
     """What a person calls `model`: AR with its order."""
     if model != 'autoregressive':
-        return NAMES[model]
+        return colours.MODEL_NAMES[model]
     return f'AR({comparison.run_of(model, comparison.intervals[0]).run.config.layout.order})'
 
 
@@ -38,37 +35,23 @@ def _legend_below(figure, handles, labels, columns: int) -> None:
     figure.legend(handles, labels, loc='lower center', ncols=columns, fontsize=8)
 
 
-class _Map:
-    """Positions as east and north of the middle of the recording, m."""
-
-    def __init__(self, comparison: Comparison):
-        reference = comparison.truth.reference
-        self.datum = np.array([np.median(reference.latitude), np.median(reference.longitude),
-                               np.median(reference.height)])
-        self.stamp = reference.stamp
-        self.north, self.east = self(reference)
-
-    def __call__(self, track):
-        north, east, _ = to_local(track.latitude, track.longitude, track.height, self.datum)
-        return north, east
-
-    def of(self, errors):
-        """North and east where a run was, by its errors."""
-        at = np.searchsorted(self.stamp, errors.stamp)
-        return self.north[at] + errors.north, self.east[at] + errors.east
+def _style(model: str, width: float = 1.0) -> dict:
+    """Colour, dashes and width of a model's line."""
+    return {'color': colours.MODELS[model], 'linestyle': colours.DASHES[model],
+            'linewidth': width * colours.WIDTHS[model]}
 
 
 def track(comparison: Comparison):
     """The drive from above: the truth, each model at the shortest interval, and some of the outages."""
     figure = _figure(9, 7)
     axes = figure.add_subplot()
-    ground = _Map(comparison)
+    ground = Ground(comparison.truth.reference)
     axes.plot(ground.east, ground.north, color='0.8', linewidth=5, solid_capstyle='round', zorder=1,
               label=comparison.truth.source)
     interval = comparison.intervals[0]
     for model in comparison.models:
         north, east = ground.of(comparison.run_of(model, interval).errors)
-        axes.plot(east, north, color=COLOURS[model], linewidth=WIDTHS[model], zorder=2,
+        axes.plot(east, north, **_style(model), zorder=2,
                   label=f'{model_name(comparison, model)}, fixes each {interval:g} s')
     _mark_outages(axes, comparison, ground)
     axes.plot(ground.east[0], ground.north[0], marker='o', color='k', markersize=6, linestyle='', zorder=5,
@@ -83,17 +66,18 @@ def _mark_outages(axes, comparison, ground):
     if not comparison.durations:
         return
     duration = comparison.durations[len(comparison.durations) // 2]
-    result = next(r for r in comparison.outages if r.outages.duration == duration)
+    result = min((r for r in comparison.outages if r.outages.duration == duration),
+                 key=lambda r: rms(r.outages.max_error))
     last, label = -np.inf, f'{duration:g} s without fixes, {model_name(comparison, result.model)}'
     for begin, errors in zip(result.outages.begin, result.outages.errors):
         if begin < last + 2 * duration * 1e9:
             continue
         last = begin
         north, east = ground.of(errors)
-        axes.plot(east, north, color=OUTAGE, linewidth=1.4, zorder=3, label=label)
-        axes.plot([east[-1], east[-1] - errors.east[-1]], [north[-1], north[-1] - errors.north[-1]], color=OUTAGE,
-                  linewidth=0.8, linestyle=':', zorder=3)
-        axes.plot(east[-1], north[-1], color=OUTAGE, marker='x', markersize=5, zorder=4)
+        axes.plot(east, north, color=colours.OUTAGE, linewidth=1.4, zorder=3, label=label)
+        axes.plot([east[-1], east[-1] - errors.east[-1]], [north[-1], north[-1] - errors.north[-1]],
+                  color=colours.OUTAGE, linewidth=0.8, linestyle=':', zorder=3)
+        axes.plot(east[-1], north[-1], color=colours.OUTAGE, marker='x', markersize=5, zorder=4)
         label = None
 
 
@@ -109,7 +93,7 @@ def manoeuvre(comparison: Comparison):
     """Each update interval in a panel (the paper's Figures 7 to 9), around the turn with the largest error."""
     intervals = comparison.intervals
     figure = _figure(4.2 * len(intervals), 4.4)
-    ground = _Map(comparison)
+    ground = Ground(comparison.truth.reference)
     middle = _worst_turn([comparison.run_of(m, intervals[-1]) for m in comparison.models])
     at = np.searchsorted(ground.stamp, middle)
     panels = figure.subplots(1, len(intervals), sharex=True, sharey=True, squeeze=False)[0]
@@ -121,7 +105,7 @@ def manoeuvre(comparison: Comparison):
             run = comparison.run_of(model, interval).run
             part = np.abs(run.stamp - middle) < 60e9
             north, east = (values[part] for values in ground(run))
-            axes.plot(east, north, color=COLOURS[model], linewidth=WIDTHS[model], label=model_name(comparison, model))
+            axes.plot(east, north, **_style(model), label=model_name(comparison, model))
         axes.set_title(f'fixes each {interval:g} s', fontsize=10)
         _as_map(axes, 'box')
         axes.set_xlim(ground.east[at] - WINDOW, ground.east[at] + WINDOW)
@@ -155,7 +139,7 @@ def error_against_time(comparison: Comparison):
         for model in comparison.models:
             errors = comparison.run_of(model, interval).errors
             time = (errors.stamp - origin) * 1e-9
-            axes.plot(*_peaks(time, errors.horizontal), color=COLOURS[model], linewidth=0.7 * WIDTHS[model],
+            axes.plot(*_peaks(time, errors.horizontal), **_style(model, 0.7),
                       label=model_name(comparison, model))
         name = model_name(comparison, comparison.models[-1])
         axes.plot(*_peaks(time, 2 * errors.sigma), color='0.6', linewidth=0.8, zorder=1,
@@ -193,11 +177,11 @@ def error_against_interval(comparison: Comparison):
         value = np.array([s['horizontal_rmse_m'] for s in summaries])
         bounds = np.array([s['horizontal_rmse_interval_m'] or (v, v) for s, v in zip(summaries, value)])
         x = np.arange(len(intervals)) + 0.12 * (place - (len(comparison.models) - 1) / 2)
-        whole.errorbar(x, value, yerr=np.abs(bounds.T - value), color=COLOURS[model], marker='o', capsize=3,
+        whole.errorbar(x, value, yerr=np.abs(bounds.T - value), color=colours.MODELS[model], marker='o', capsize=3,
                        label=model_name(comparison, model))
         for key, style, name in (('turning_rmse_m', '-', 'turns'), ('straight_rmse_m', ':', 'straights')):
-            parts.plot(x, [np.nan if s[key] is None else s[key] for s in summaries], color=COLOURS[model], marker='o',
-                       linestyle=style, label=f'{model_name(comparison, model)}, {name}')
+            parts.plot(x, [np.nan if s[key] is None else s[key] for s in summaries], color=colours.MODELS[model],
+                       marker='o', linestyle=style, label=f'{model_name(comparison, model)}, {name}')
     for axes in (whole, parts):
         axes.set_xticks(range(len(intervals)), [f'{i:g}' for i in intervals])
         axes.set_xlabel('update interval, s')
@@ -218,9 +202,9 @@ def outage_growth(comparison: Comparison):
     axes = figure.add_subplot()
     for result in (r for r in results if r.outages.duration == longest):
         outages, name = result.outages, model_name(comparison, result.model)
-        axes.plot(outages.time, np.sqrt((outages.growth**2).mean(axis=0)), color=COLOURS[result.model], linewidth=1.8,
-                  label=f'{name}: RMS error')
-        axes.plot(outages.time, 2 * np.sqrt((outages.sigma**2).mean(axis=0)), color=COLOURS[result.model],
+        axes.plot(outages.time, np.sqrt((outages.growth**2).mean(axis=0)), color=colours.MODELS[result.model],
+                  linewidth=1.2 * colours.WIDTHS[result.model], label=f'{name}: RMS error')
+        axes.plot(outages.time, 2 * np.sqrt((outages.sigma**2).mean(axis=0)), color=colours.MODELS[result.model],
                   linewidth=1.0, linestyle='--', label=f"{name}: 2 sigma by the filter's own account")
     axes.set_xlabel('time since the last fix, s')
     axes.set_ylabel('horizontal error, m')

@@ -14,6 +14,9 @@ import numpy as np
 from ..configuration.check import check_mounting
 from ..evaluation.comparison import Comparison, compare, cut
 from ..parameters.parameter import ParameterError
+from ..parameters.params_file import yaml_value
+from ..parameters.table import FILTER
+from ..parameters.table import defaults as default_parameters
 from ..recordings.checker import check_recording
 from ..recordings.errors import RecordingWarning
 from ..recordings.reading import Memory, read_recording
@@ -21,7 +24,12 @@ from ..recordings.units import in_si
 from ..results import result_folder
 from ..samples import Recording
 from . import trajectories
-from .report import _FIGURES, draw_figures, report, report_page, write_report
+from .answer import Answer
+from .report import FIGURES, draw_figures, report, report_page, write_report
+from .verdict import answer, best_model
+
+#: the parameters of the replay, for the next command
+PARAMS_FILE = 'parameters.yaml'
 
 #: of replay and diagnosis: GB without a recording, bytes for each message read
 _MEMORY = 0.7, 380.0
@@ -31,18 +39,21 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Replay:
-    """What a replay left behind. folder: of the results. content: of report.json. comparisons: by recording."""
+    """What a replay left behind. folder: of the results. content: of report.json. comparisons, answers: by
+    recording."""
 
     folder: Path
     content: dict
     comparisons: dict[str, Comparison]
+    answers: dict[str, Answer]
 
 
-def replay_recordings(values: dict, progress: Progress = lambda part, what: None) -> Replay:
+def replay_recordings(values: dict, progress: Progress = lambda part, what: None, known_as=None) -> Replay:
     """Replay the recordings `bag` and write the results to `output_dir`.
 
-    values: checked parameters. Raises a ValueError with one line for the user (ParameterError, RecordingError,
-    ResultError, ReplayError); then, and when `progress` raises, nothing is written.
+    values: checked parameters. known_as: the folder that the pages name, where `output_dir` is a temporary one. Raises
+    a ValueError with one line for the user (ParameterError, RecordingError, ResultError, ReplayError); then, and when
+    `progress` raises, nothing is written.
     """
     _check(values)
     timing: dict[str, float] = {}
@@ -58,8 +69,9 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
                 findings[name] = [*check_recording(recording), *check_mounting(recording, values)]
             with _timed(timing, 'filter and errors'):
                 comparisons[name] = compare(recording, values, lambda done: part(0.25 + 0.3 * done, 'filtering'))
-        content = _write(folder, comparisons, findings, said, values, timing, progress)
-    return Replay(Path(values['output_dir']), content, comparisons)
+        content, answers = _write(folder, comparisons, findings, said, values, timing, progress,
+                                  Path(known_as or values['output_dir']))
+    return Replay(Path(values['output_dir']), content, comparisons, answers)
 
 
 def _check(values: dict) -> None:
@@ -125,48 +137,80 @@ def _timed(timing: dict, what: str) -> Iterator[None]:
     timing[what] = timing.get(what, 0.0) + time.process_time() - began
 
 
+def parameters_yaml(comparisons: dict[str, Comparison], values: dict) -> str:
+    """The params file of the filter that was replayed: what is not at its default, and the model that was best."""
+    given = default_parameters()
+    names = [p.name for p in FILTER if values[p.name] != given[p.name] and p.name != 'sensor_error_model']
+    model = best_model(next(iter(comparisons.values())), values['sensor_error_model'])
+    lines = ['# Parameters of a replay that are not at their default; sensor_error_model: the best of those replayed.',
+             '/**:', '  ros__parameters:', f'    sensor_error_model: {model}',
+             *(f'    {name}: {yaml_value(values[name])}' for name in names)]
+    return '\n'.join(lines) + '\n'
+
+
 def _free_name(name: str, taken) -> str:
     names = [name, *(f'{name}_{i}' for i in range(2, len(taken) + 2))]
     return next(n for n in names if n not in taken)
 
 
-def _write(folder: Path, comparisons, findings, said, values, timing, progress) -> dict:
+def _write(folder: Path, comparisons, findings, said, values, timing, progress,
+           known_as: Path) -> tuple[dict, dict[str, Answer]]:
     several = len(comparisons) > 1
     with _timed(timing, 'trajectories'):
         for name, comparison in comparisons.items():
             _write_trajectories(folder, f'{name}_' if several else '', comparison, values)
             progress(0.6, 'trajectories')
     figures = {}
-    steps = len(comparisons) * len(_FIGURES)
+    steps = len(comparisons) * len(FIGURES)
     with _timed(timing, 'figures'):
         for i, (name, comparison) in enumerate(comparisons.items()):
             figures[name] = draw_figures(f'{name}_' if several else '', comparison, folder,
                                          lambda: progress(0.65 + 0.3 * i / steps, 'figures'))
-    content = report(comparisons, values, findings, said, timing)
-    write_report(folder, content, report_page(comparisons, values, content, figures))
+    params_file = known_as / PARAMS_FILE
+    (folder / PARAMS_FILE).write_text(parameters_yaml(comparisons, values), encoding='utf-8')
+    answers = {name: answer(c, findings[name], values, path, str(params_file))
+               for (name, c), path in zip(comparisons.items(), values['bag'])}
+    content = report(comparisons, values, findings, said, answers, timing)
+    write_report(folder, content, report_page(comparisons, values, content, figures, answers))
     progress(1.0, 'done')
-    return content
+    return content, answers
 
 
 def _write_trajectories(folder: Path, prefix: str, comparison: Comparison, values: dict) -> None:
     reference = comparison.truth.reference
     datum = origin(comparison, values)
-    trajectories.write_track(folder / f'{prefix}truth.tum', reference, datum)
+    trajectories.write_truth(folder / f'{prefix}truth.tum', reference, datum)
     tracks = {comparison.truth.source: reference}
     for result in comparison.runs:
         name = f'{result.model}_{result.interval:g}s'
-        trajectories.write_track(folder / f'{prefix}{name}.tum', result.run, datum)
+        trajectories.write_judged(folder / f'{prefix}{name}.tum', result.run, result.errors, reference, datum)
         tracks[name] = result.run
     trajectories.write_geojson(folder / f'{prefix}tracks.geojson', tracks)
+    shortest, model = comparison.intervals[0], best_model(comparison, values['sensor_error_model'])
+    best, name = comparison.run_of(model, shortest).run, f'{comparison.recording.name}, {model}, {shortest:g} s'
+    trajectories.write_csv(folder / f'{prefix}track.csv', best)
+    trajectories.write_gpx(folder / f'{prefix}track.gpx', best, name)
+    trajectories.write_kml(folder / f'{prefix}track.kml', best, name)
+    _write_outages(folder / f'{prefix}outages.csv', comparison)
     if values['write_bag']:
-        shortest = comparison.intervals[0]
         trajectories.write_bag(folder / f'{prefix}odometry', comparison.recording,
                                {m: comparison.run_of(m, shortest) for m in comparison.models}, datum, values)
+
+
+#: columns of outages.csv, a row for each outage
+OUTAGE_COLUMNS = ('model', 'duration_s', 'begin_ns', 'max_error_m', 'distance_m', 'within_95')
+
+
+def _write_outages(path: Path, comparison: Comparison) -> None:
+    with open(path, 'w', encoding='ascii') as file:
+        file.write(','.join(OUTAGE_COLUMNS) + '\n')
+        for result in comparison.outages:
+            o = result.outages
+            file.writelines(f'{result.model},{o.duration:g},{begin},{error:.4f},{distance:.2f},{int(within)}\n'
+                            for begin, error, distance, within in zip(o.begin, o.max_error, o.distance, o.within))
 
 
 def origin(comparison: Comparison, values: dict) -> np.ndarray:
     """Origin of the trajectories: the parameter `datum`, or the first position of the truth; rad, rad, m."""
     reference = comparison.truth.reference
     return np.array(_datum(values) or (reference.latitude[0], reference.longitude[0], reference.height[0]))
-
-

@@ -10,13 +10,16 @@ from .. import __version__
 from ..evaluation.comparison import Comparison, outage_row, run_row
 from ..parameters.table import defaults as default_parameters
 from . import html, plots
-from .html import bullets, figure, image_bytes, note, number, paragraph, section, table
+from .answer import Answer, checked_text, topics_of
+from .html import bullets, figure, folded, image_bytes, number, paragraph, section, table
+from .layers import replay_layers
 from .plots import model_name
-from .verdict import verdict
+from .track import script, track
+from .verdict import best_model, verdict
 
 #: file name, drawing and caption of each figure
-_FIGURES = (
-    ('track', plots.track, 'The drive from above. Grey: the truth. Red: what the filter made of stretches without '
+FIGURES = (
+    ('track', plots.track, 'The drive from above. Grey: the truth. Pink: what the filter made of stretches without '
      'fixes, ending at x; the dotted line leads to where the vehicle was.'),
     ('error_against_time', plots.error_against_time, 'Horizontal error against time. Grey bands: turning. Grey line: '
      'two standard deviations by the filter\'s own account; about 95 % of the errors should lie below.'),
@@ -30,29 +33,31 @@ _FIGURES = (
 
 
 def report(comparisons: dict[str, Comparison], values: dict, findings: dict[str, list], said: dict[str, list[str]],
-           timing: dict) -> dict:
-    """The content of `report.json`. comparisons, findings of the checker, what reading said: by name of the recording.
-    timing: name -> s."""
+           answers: dict[str, Answer], timing: dict) -> dict:
+    """The content of `report.json`. comparisons, findings of the checker, what reading said, answers: by name of the
+    recording. timing: name -> s."""
     defaults = default_parameters()
     return {
         'tool': 'replay_node', 'version': __version__,
-        'recordings': [_recording(name, c, findings[name], said[name]) for name, c in comparisons.items()],
+        'recordings': [_recording(name, c, findings[name], said[name], values) for name, c in comparisons.items()],
         'runs': [run_row(r, c.mechanization, name) for name, c in comparisons.items() for r in c.runs],
         'outages': [outage_row(r, c.mechanization, name) for name, c in comparisons.items() for r in c.outages],
         'comparisons': [_pair(p, name) for name, c in comparisons.items() for p in c.pairs],
+        'answer': {name: a.json() for name, a in answers.items()},
         'verdict': {name: verdict(c) for name, c in comparisons.items()},
         'parameters': {name: value for name, value in values.items() if value != defaults[name]},
         'seconds': timing,
     }
 
 
-def _recording(name: str, comparison: Comparison, findings: list, said: list[str]) -> dict:
+def _recording(name: str, comparison: Comparison, findings: list, said: list[str], values: dict) -> dict:
     imu, gnss = comparison.recording.imu, comparison.recording.gnss
     return {'name': name, 'duration_s': float((imu.stamp[-1] - imu.stamp[0]) * 1e-9), 'imu_samples': len(imu),
             'fixes': len(gnss), 'truth': comparison.truth.source, 'truth_positions': len(comparison.truth),
             'truth_sigma_m': float(np.sqrt(np.median(comparison.truth.variance))),
             'warnings': said, 'notices': _notices(comparison),
-            'findings': [{'severity': f.severity, 'topic': f.topic, 'message': f.message} for f in findings]}
+            'findings': [{'severity': f.severity, 'topic': f.topic, 'message': f.message,
+                          'text': checked_text(f, topics_of(values))} for f in findings]}
 
 
 def _notices(comparison: Comparison) -> list[str]:
@@ -73,7 +78,7 @@ def _pair(pair, name: str) -> dict:
 def draw_figures(name: str, comparison: Comparison, folder: Path, progress=lambda: None) -> list[tuple[bytes, str]]:
     """PNG and caption of each figure, also written to `folder`. progress: called after each."""
     drawn = []
-    for file, draw, caption in _FIGURES:
+    for file, draw, caption in FIGURES:
         drawing = draw(comparison)
         if drawing is not None:
             png = image_bytes(drawing)
@@ -83,45 +88,71 @@ def draw_figures(name: str, comparison: Comparison, folder: Path, progress=lambd
     return drawn
 
 
-def report_page(comparisons: dict[str, Comparison], values: dict, content: dict, figures: dict[str, list]) -> str:
-    """The content of `report.html`."""
+def report_page(comparisons: dict[str, Comparison], values: dict, content: dict, figures: dict[str, list],
+                answers: dict[str, Answer]) -> str:
+    """The content of `report.html`: the answer and the track, then the evidence, folded away."""
     sections = []
     for name, comparison in comparisons.items():
-        title = f'{name}: ' if len(comparisons) > 1 else ''
-        track, *others = (figure(png, caption) for png, caption in figures[name])
-        sections += [section(f'{title}Verdict', bullets(verdict(comparison)), *_warnings(name, content)),
-                     section(f'{title}Track', track),
-                     section(f'{title}Position errors', _run_table(comparison, content, name), *others[:3]),
-                     section(f'{title}Outages', _outage_table(comparison, content, name), *others[3:])]
-    sections += [_recordings(content), _settings(values, content), _explanation()]
+        of = f' ({name})' if len(comparisons) > 1 else ''
+        still, *others = (figure(png, caption) for png, caption in figures[name])
+        best = best_model(comparison, values['sensor_error_model'])
+        names = {model: model_name(comparison, model) for model in comparison.models}
+        sections += [
+            section(f'Is the filter good here?{of}', answers[name].html(),
+                    track(replay_layers(comparison, best, names), still),
+                    _glance(comparison, content, name)),
+            folded(f'Which sensor error model is best?{of}', bullets(verdict(comparison))),
+            folded(f'Position errors{of}', *_run_tables(comparison, content, name), *others[:3]),
+            folded(f'Outages{of}', _outage_table(comparison, content, name), *others[3:]),
+            _recording_section(f'Recording{of}', content, name, values)]
+    sections += [_settings(values, content), _explanation()]
     names = ', '.join(comparisons)
-    return html.page('Which sensor error model is best?', sections,
-                     f'{names}: {values["mechanization"]} mechanization, '
-                     f'{len(content["runs"])} runs. Errors are measured against: {_truths(comparisons)}.')
+    return html.page(f'Replay of {names}', sections,
+                     f'{values["mechanization"]} mechanization, {len(content["runs"])} runs. Errors are measured '
+                     f'against: {_truths(comparisons)}.', script())
 
 
 def _truths(comparisons) -> str:
     return ', '.join(dict.fromkeys(c.truth.source for c in comparisons.values()))
 
 
-def _warnings(name, content):
-    recording = next(r for r in content['recordings'] if r['name'] == name)
-    return [note(text, 'warning') for text in (
-        *recording['warnings'], *(f['message'] for f in recording['findings'] if f['severity'] != 'info'))]
+def _glance(comparison: Comparison, content: dict, name: str):
+    """The error of each model with fixes, and in the outages, with how often its 95 % ellipse held the truth."""
+    rows = []
+    for model in comparison.models:
+        run = next(r for r in content['runs'] if r['recording'] == name and r['model'] == model
+                   and r['update_interval_s'] == comparison.intervals[0])
+        outages = [r for r in content['outages'] if r['recording'] == name and r['model'] == model]
+        rows.append([model_name(comparison, model), run['horizontal_rmse_m'],
+                     *(None if r['count'] == 0 else f'{number(r["max_error_median_m"], 3)} m '
+                       f'({number(r["within_95_percent"], 2)} %)' for r in outages)])
+    columns = ['model', f'RMS, fixes each {comparison.intervals[0]:g} s, m',
+               *(f'{d:g} s without fixes' for d in comparison.durations)]
+    return table(columns, rows, 'Horizontal position error. Without fixes: the median of the largest error, and in '
+                 'brackets how often the filter\'s own 95 % ellipse held the truth.' if comparison.durations else '',
+                 digits=3)
 
 
-def _run_table(comparison: Comparison, content: dict, name: str):
-    rows = [[model_name(comparison, r['model']), r['update_interval_s'], r['horizontal_rmse_m'],
-             _interval(r['horizontal_rmse_interval_m']), r['horizontal_median_m'], r['horizontal_p95_m'],
-             r['horizontal_max_m'], r['along_track_rmse_m'], r['cross_track_rmse_m'], r['turning_rmse_m'],
-             r['straight_rmse_m'], r['heading_rmse_deg'], r['speed_rmse_mps'], r['nis_mean'], r['within_95_percent']]
-            for r in content['runs'] if r['recording'] == name]
-    columns = ['model', 'fixes each, s', 'RMS, m', '95 % interval of it', 'median, m', '95 %, m', 'max, m', 'along, m',
-               'across, m', 'turns, m', 'straights, m', 'heading, deg', 'speed, m/s', 'NIS', 'inside 95 % ellipse, %']
-    dropped = [i for i in range(len(columns)) if all(row[i] is None for row in rows)]
-    keep = [i for i in range(len(columns)) if i not in dropped]
-    return table([columns[i] for i in keep], [[row[i] for i in keep] for row in rows],
-                 'Horizontal position error of each run.', digits=3)
+def _run_tables(comparison: Comparison, content: dict, name: str):
+    rows = [r for r in content['runs'] if r['recording'] == name]
+    first = [[model_name(comparison, r['model']), r['update_interval_s'], r['horizontal_rmse_m'],
+              _interval(r['horizontal_rmse_interval_m']), r['horizontal_p95_m'], r['horizontal_max_m'],
+              r['relative_translation_percent'], r['nis_mean'], r['within_95_percent']] for r in rows]
+    second = [[model_name(comparison, r['model']), r['update_interval_s'], r['horizontal_median_m'],
+               r['along_track_rmse_m'], r['cross_track_rmse_m'], r['turning_rmse_m'], r['straight_rmse_m'],
+               r['heading_rmse_deg'], r['speed_rmse_mps']] for r in rows]
+    return (_full_table(['model', 'fixes each, s', 'RMS, m', '95 % interval of it', '95 % below, m', 'largest, m',
+                         'relative, % of path', 'NIS (2 is right)', 'inside 95 % ellipse, %'], first,
+                        'Horizontal position error of each run.'),
+            _full_table(['model', 'fixes each, s', 'median, m', 'along track, m', 'across, m', 'in turns, m',
+                         'on straights, m', 'heading, deg', 'speed, m/s'], second,
+                        'The same in parts: RMS but for the median.'))
+
+
+def _full_table(columns, rows, caption: str):
+    """A table without the columns in which nothing stands."""
+    keep = [i for i in range(len(columns)) if any(row[i] is not None for row in rows)]
+    return table([columns[i] for i in keep], [[row[i] for i in keep] for row in rows], caption, digits=3)
 
 
 def _interval(bounds) -> str | None:
@@ -134,36 +165,37 @@ def _outage_table(comparison: Comparison, content: dict, name: str):
             for r in content['outages'] if r['recording'] == name]
     if not rows:
         return paragraph('No outages were asked for.')
-    return table(['model', 'duration, s', 'outages', 'RMS, m', 'median, m', '95 %, m', '% of distance',
+    return table(['model', 'without fixes, s', 'outages', 'RMS, m', 'median, m', '95 % below, m', '% of distance',
                   'inside 95 % ellipse, %'], rows, 'Largest horizontal error in each outage.', digits=3)
 
 
-def _recordings(content: dict):
-    rows = [[r['name'], r['duration_s'], r['imu_samples'], r['fixes'], r['truth'], r['truth_positions']]
-            for r in content['recordings']]
-    said = [f"{r['name']}: {text}" for r in content['recordings'] for text in r['notices']]
-    found = [f"{r['name']}, {f['severity']}: {f['message']}" for r in content['recordings'] for f in r['findings']]
-    columns = ['name', 'duration, s', 'IMU samples', 'fixes', 'truth', 'positions of it']
-    return section('Recordings', table(columns, rows, digits=8),
-                   paragraph('Findings of the checker:') if found else '', bullets(found) if found else '',
-                   paragraph('What the filter said:') if said else '', bullets(said) if said else '')
+def _recording_section(title: str, content: dict, name: str, values: dict):
+    r = next(r for r in content['recordings'] if r['name'] == name)
+    rows = [[r['duration_s'], r['imu_samples'], r['fixes'], r['truth'], r['truth_positions']]]
+    found = [f"{f['severity']}: {f['text']}" for f in r['findings']]
+    parts = (('The reader said:', r['warnings']), ('The checker found:', found), ('The filter said:', r['notices']))
+    return folded(title, table(['duration, s', 'IMU samples', 'fixes', 'truth', 'positions of it'], rows, digits=6),
+                  *(part for head, lines in parts if lines for part in (paragraph(head), bullets(lines))))
 
 
 def _settings(values: dict, content: dict):
     rows = [[name, str(value)] for name, value in content['parameters'].items()]
     seconds = ', '.join(f'{name} {number(s, 3)} s' for name, s in content['seconds'].items())
-    return section('Settings', table(['parameter', 'value'], rows, 'Parameters that are not at their default.') if rows
+    return folded('Settings', table(['parameter', 'value'], rows, 'Parameters that are not at their default.') if rows
                    else paragraph('All parameters are at their defaults.'), paragraph(f'CPU time: {seconds}.'))
 
 
 def _explanation():
-    return section('How to read this', bullets([
+    return folded('How to read this', bullets([
         'Each run is the same recording through the same filter, with another model of the sensor errors or with fewer '
         'fixes. Errors are estimate minus truth at the antenna; trajectories are not aligned to each other.',
         'Fixes that the filter used are no truth for it, unless noise was added to them: without a reference only '
         'withheld fixes count.',
         'Until the filter has started it is given every fix; only then are they thinned out. All runs of a recording '
         'are judged over the same time.',
+        'Relative: the error of the displacement over 100 to 800 m of path, in percent of the path, mean over all '
+        'such stretches, as in the KITTI benchmark. Where the truth has no heading, an error of the heading counts, '
+        'too.',
         'Turns: the vehicle turns faster than 5 degrees per second, 2 s before and after included.',
         'NIS, the normalized innovation squared, compares each fix with the filter\'s prediction and its covariance. '
         'Its mean is 2 for a filter that judges itself rightly.',
@@ -179,16 +211,20 @@ def write_report(folder: Path, content: dict, page: str) -> None:
 
 def summary_table(content: dict) -> str:
     """The position error of each run, and the outages, as text for a terminal."""
-    lines = [f"{'model':<16}{'fixes each':>11}{'RMS':>9}{'95 %':>9}{'max':>9}{'NIS':>10}"]
+    lines = [f"{'model':<16}{'fixes each':>11}{'RMS':>11}{'95 %':>11}{'max':>11}{'NIS':>8}"]
     several = len(content['recordings']) > 1
     for r in content['runs']:
-        lines.append(f"{r['model']:<16}{r['update_interval_s']:>9g} s{r['horizontal_rmse_m']:>7.2f} m"
-                     f"{r['horizontal_p95_m']:>7.2f} m{r['horizontal_max_m']:>7.2f} m"
-                     f"{number(r['nis_mean'], 3):>10}" + (f"  {r['recording']}" if several else ''))
+        lines.append(f"{r['model']:<16}{r['update_interval_s']:>9g} s{_metres(r['horizontal_rmse_m'])}"
+                     f"{_metres(r['horizontal_p95_m'])}{_metres(r['horizontal_max_m'])}"
+                     f"{number(r['nis_mean'], 3):>8}" + (f"  {r['recording']}" if several else ''))
     if any(r['count'] for r in content['outages']):
-        lines.append(f"{'model':<16}{'outage':>11}{'RMS':>9}{'median':>9}{'95 %':>9}{'count':>7}")
+        lines.append(f"{'model':<16}{'outage':>11}{'RMS':>11}{'median':>11}{'95 %':>11}{'count':>8}{'in ellipse':>12}")
     for r in (r for r in content['outages'] if r['count']):
-        lines.append(f"{r['model']:<16}{r['duration_s']:>9g} s{r['max_error_rms_m']:>7.2f} m"
-                     f"{r['max_error_median_m']:>7.2f} m{r['max_error_p95_m']:>7.2f} m{r['count']:>7}"
-                     + (f"  {r['recording']}" if several else ''))
+        lines.append(f"{r['model']:<16}{r['duration_s']:>9g} s{_metres(r['max_error_rms_m'])}"
+                     f"{_metres(r['max_error_median_m'])}{_metres(r['max_error_p95_m'])}{r['count']:>8}"
+                     f"{r['within_95_percent']:>10.0f} %" + (f"  {r['recording']}" if several else ''))
     return '\n'.join(lines)
+
+
+def _metres(value: float) -> str:
+    return f'{number(value, 3):>9} m'

@@ -1,13 +1,18 @@
-"""Trajectories of runs as files that other tools read: TUM text (evo), GeoJSON (maps), rosbag2 (RViz, Foxglove)."""
+"""Trajectories of runs as files that other tools read: TUM text (evo), GeoJSON, GPX and KML (maps), CSV (tables),
+rosbag2 (RViz, Foxglove)."""
 from __future__ import annotations
 
 import json
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
+from xml.sax.saxutils import escape
 
 import numpy as np
 
 from ..evaluation.comparison import RunResult, aiding_of
+from ..evaluation.metrics import Errors
+from ..filter.layout import PLANAR
 from ..filter.odometry import ANGULAR, LINEAR, ORIENTATION, POSE_COVARIANCE, TWIST_COVARIANCE
 from ..filter.publish import published
 from ..filter.results import Run
@@ -45,16 +50,86 @@ def write_tum(path: Path, stamp: np.ndarray, position: np.ndarray, orientation: 
         file.writelines(line % row for row in rows)
 
 
-def write_track(path: Path, track: Run | Reference, datum) -> None:
-    """`track` as TUM text: base_link in the frame east-north-up at `datum`, a pose every POSE_INTERVAL s.
+def write_truth(path: Path, reference: Reference, datum) -> None:
+    """`reference` as TUM text in the frame east-north-up at `datum`, a pose at each of its epochs.
 
-    Where a reference has no heading, the orientation is that of the frame.
+    Where it has no heading, the orientation is that of the frame.
     """
-    at = _every(track.stamp, POSE_INTERVAL)
-    north, east, down = to_local(track.latitude[at], track.longitude[at], track.height[at], datum)
-    yaw = np.full(len(at), np.pi / 2) if track.yaw is None else track.yaw[at]
-    roll, pitch = (track.roll[at], track.pitch[at]) if isinstance(track, Run) else np.zeros((2, len(at)))
-    write_tum(path, track.stamp[at], np.column_stack([east, north, -down]), _orientation(roll, -pitch, np.pi / 2 - yaw))
+    yaw = np.full(len(reference), np.pi / 2) if reference.yaw is None else reference.yaw
+    write_tum(path, reference.stamp, _local(reference, datum), _orientation(*np.zeros((2, len(yaw))), np.pi / 2 - yaw))
+
+
+def write_judged(path: Path, run: Run, errors: Errors, reference: Reference, datum) -> None:
+    """What the error of `run` was measured at, as TUM text: where it took the point that `reference` describes to be,
+    at the epochs that count. evo, without alignment, measures the reported error between this file and the truth's.
+    """
+    at = np.searchsorted(reference.stamp, errors.stamp)
+    position = _local(reference.select(at), datum)
+    position[:, 0] += errors.east
+    position[:, 1] += errors.north
+    origin = run.stamp[0]
+    height, roll, pitch, yaw = (np.interp(errors.stamp - origin, run.stamp - origin, values)
+                                for values in (run.height, run.roll, run.pitch, np.unwrap(run.yaw)))
+    position[:, 2] += height - reference.height[at]
+    write_tum(path, errors.stamp, position, _orientation(roll, -pitch, np.pi / 2 - yaw))
+
+
+def _local(track: Reference, datum) -> np.ndarray:
+    """East, north, up (n, 3), m."""
+    north, east, down = to_local(track.latitude, track.longitude, track.height, datum)
+    return np.column_stack([east, north, -down])
+
+
+#: columns of a CSV, and of planar and strapdown runs the columns of `Run.sigma` they come from
+CSV_COLUMNS = ('time_s', 'latitude_deg', 'longitude_deg', 'height_m', 'velocity_north_mps', 'velocity_east_mps',
+               'velocity_down_mps', 'roll_deg', 'pitch_deg', 'yaw_deg', 'sigma_north_m', 'sigma_east_m',
+               'sigma_velocity_north_mps', 'sigma_velocity_east_mps', 'sigma_yaw_deg')
+_PLANAR_SIGMAS, _STRAPDOWN_SIGMAS = (0, 1, 2, 3, 4), (0, 1, 3, 4, 8)
+
+
+def write_csv(path: Path, run: Run) -> None:
+    """`run` as a table, a row every POSE_INTERVAL s: base_link, forward-right-down in north-east-down, yaw clockwise
+    from north; time in s since the epoch."""
+    at = _every(run.stamp, POSE_INTERVAL)
+    sigma = run.sigma[at][:, _PLANAR_SIGMAS if run.config.mechanization == PLANAR else _STRAPDOWN_SIGMAS]
+    degrees = np.degrees(np.column_stack([run.latitude, run.longitude, run.roll, run.pitch, run.yaw])[at])
+    rows = np.column_stack([degrees[:, :2], run.height[at], run.velocity[at], degrees[:, 2:], sigma[:, :4],
+                            np.degrees(sigma[:, 4])])
+    line = '%d.%09d,%.9f,%.9f,%.4f' + ',%.4f' * (len(CSV_COLUMNS) - 4) + '\n'
+    seconds, nanoseconds = np.divmod(run.stamp[at], 10**9)
+    with open(path, 'w', encoding='ascii') as file:
+        file.write(','.join(CSV_COLUMNS) + '\n')
+        file.writelines(line % (*time, *row) for *time, row in zip(seconds.tolist(), nanoseconds.tolist(),
+                                                                   rows.tolist()))
+
+
+def write_gpx(path: Path, run: Run, name: str) -> None:
+    """`run` as a track of GPX 1.1, a point every MAP_INTERVAL s."""
+    at = _every(run.stamp, MAP_INTERVAL)
+    points = [f'<trkpt lat="{latitude:.8f}" lon="{longitude:.8f}"><ele>{height:.2f}</ele><time>{_utc(stamp)}</time>'
+              '</trkpt>' for latitude, longitude, height, stamp in zip(
+                  np.degrees(run.latitude[at]), np.degrees(run.longitude[at]), run.height[at], run.stamp[at].tolist())]
+    path.write_text('<?xml version="1.0" encoding="UTF-8"?>\n'
+                    '<gpx version="1.1" creator="mems_ins_fusion" xmlns="http://www.topografix.com/GPX/1/1">\n'
+                    f'<trk><name>{escape(name)}</name><trkseg>\n' + '\n'.join(points) + '\n</trkseg></trk>\n</gpx>\n',
+                    encoding='utf-8')
+
+
+def _utc(stamp: int) -> str:
+    """`stamp`, ns, as ISO 8601 to milliseconds."""
+    seconds, nanoseconds = divmod(stamp, 10**9)
+    return f'{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{nanoseconds // 10**6:03d}Z'
+
+
+def write_kml(path: Path, run: Run, name: str) -> None:
+    """`run` as a line of KML 2.2 on the ground, a point every MAP_INTERVAL s."""
+    at = _every(run.stamp, MAP_INTERVAL)
+    points = ' '.join(f'{longitude:.8f},{latitude:.8f},{height:.2f}' for latitude, longitude, height in zip(
+        np.degrees(run.latitude[at]), np.degrees(run.longitude[at]), run.height[at]))
+    path.write_text('<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2">\n<Document>'
+                    f'<name>{escape(name)}</name>\n<Placemark><name>{escape(name)}</name><LineString><tessellate>1'
+                    f'</tessellate><altitudeMode>clampToGround</altitudeMode>\n<coordinates>{points}</coordinates>\n'
+                    '</LineString></Placemark></Document>\n</kml>\n', encoding='utf-8')
 
 
 def _orientation(roll, pitch, yaw) -> np.ndarray:

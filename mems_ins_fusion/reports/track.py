@@ -1,0 +1,92 @@
+"""The interactive track of a page: layers of positions with what the cursor reads there, drawn by `track.js`.
+
+To scale, with the error against time below it, without a library or network. Where scripts do not run, and on paper, a
+still figure stands in its place.
+"""
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .html import Html, _text
+
+#: points of a layer, at most
+POINTS = 2500
+_HINT = ('Drag to move, wheel or two fingers to zoom, point at a line to read time, speed, error, sigma and NIS there. '
+         'Click a name to hide or show it.')
+
+
+@dataclass
+class Layer:
+    """One line or set of points on the map.
+
+    time (n,): s since the recording's start. east, north (n,): m. values: what the cursor reads, by name (`speed` m/s,
+    `error` m, `sigma` m: the filter's horizontal standard deviation, `nis`), (n,) each; a layer with `error` is also
+    drawn against time. first: index of the first point of each piece, where it is in pieces. ends (p, 4): east and
+    north of the estimate and of the truth at the end of each piece. points: radius in pixels where no line is drawn.
+    """
+
+    name: str
+    colour: str
+    time: np.ndarray
+    east: np.ndarray
+    north: np.ndarray
+    values: dict[str, np.ndarray]
+    width: float = 2.0
+    shown: bool = True
+    first: np.ndarray | None = None
+    ends: np.ndarray | None = None
+    points: float = 0.0
+    hollow: bool = False
+    dash: tuple[float, ...] = ()
+
+    def content(self) -> dict:
+        """As JSON, of at most about POINTS points."""
+        keep = self._kept()
+        content = {'name': self.name, 'colour': self.colour, 'shown': self.shown, 'width': self.width,
+                   't': _rounded(self.time[keep], 2), 'x': _rounded(self.east[keep], 2),
+                   'y': _rounded(self.north[keep], 2)}
+        content |= {name: _rounded(values[keep], 3 if name == 'error' else 2) for name, values in self.values.items()}
+        if self.first is not None:
+            content['first'] = np.searchsorted(keep, self.first).tolist()
+        if self.ends is not None:
+            content['ends'] = [_rounded(end, 2) for end in self.ends]
+        return content | {name: value for name, value in (('points', self.points), ('hollow', self.hollow),
+                                                          ('dash', self.dash)) if value}
+
+    def _kept(self) -> np.ndarray:
+        every = -(-len(self.time) // POINTS)
+        keep = np.zeros(len(self.time), dtype=bool)
+        keep[::max(every, 1)] = True
+        if self.first is not None:  # both ends of each piece
+            keep[self.first] = True
+            keep[self.first[1:] - 1] = True
+        keep[-1:] = True
+        return np.flatnonzero(keep)
+
+
+def _rounded(values, digits: int) -> list:
+    return [float(v) if np.isfinite(v) else None for v in np.round(np.asarray(values, dtype=float), digits)]
+
+
+def track(layers: list[Layer], still: Html) -> Html:
+    """The interactive track. still: what stands there without scripts, and on paper."""
+    content = json.dumps({'layers': [layer.content() for layer in layers if len(layer.time)], 'notes': _HINT},
+                         allow_nan=False, separators=(',', ':')).replace('<', '\\u003c')
+    return Html(f'<div class="track">\n<div class="still">{still}</div>\n<div class="live">\n'
+                '<div class="layers"></div>\n<canvas class="map" tabindex="0" role="img" aria-label="Track from above">'
+                '</canvas>\n<canvas class="time" role="img" aria-label="Error against time"></canvas>\n'
+                '<div class="tools"><button type="button" data-zoom="in">+</button>'
+                '<button type="button" data-zoom="out">\N{MINUS SIGN}</button>'
+                '<button type="button" data-zoom="all">whole track</button></div>\n'
+                f'<div class="said" aria-live="polite">{_text(_HINT)}</div>\n</div>\n'
+                f'<script type="application/json">{content}</script>\n</div>')
+
+
+def script() -> Html:
+    """What draws the tracks of a page; once, at its end."""
+    source = (Path(__file__).parent / 'track.js').read_text(encoding='utf-8')
+    return Html(f'<script>\n{source}</script>')

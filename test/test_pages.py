@@ -1,0 +1,235 @@
+"""The pages of replays and comparisons: the answer, the interactive track, their width; and the tool `compare`."""
+from __future__ import annotations
+
+import json
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from browser_support import check_page
+
+from mems_ins_fusion.cli.compare import main as compare
+from mems_ins_fusion.evaluation.bootstrap import Difference
+from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.recordings.checker import Finding
+from mems_ins_fusion.recordings.writing import write_recording
+from mems_ins_fusion.reports import html, verdict
+from mems_ins_fusion.reports.diagnosis_answer import judged
+from mems_ins_fusion.reports.side_by_side import Result, Series, rows_of
+from mems_ins_fusion.reports.track import Layer, script, track
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+
+OFFSET = 0.5  # s
+#: of the two params files: as it is, and the receiver's clock taken for right
+RIGHT, WRONG = f'gnss.time_offset: {OFFSET}', 'gnss.sigma: 0.3'
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory):
+    """A drive whose receiver's clock is OFFSET late, two params files, and their comparison in `out`."""
+    from mems_ins_fusion.effects.registry import EFFECTS
+
+    folder = tmp_path_factory.mktemp('compare')
+    simulation = simulate_recording(
+        simulate_drive(240.0, 3, rate=50.0), SensorErrors.from_parameters(table.check({}), 'gauss_markov'),
+        GnssNoise(sigma=0.3), [(EFFECTS['gnss_time_offset'], {'time_offset': OFFSET})], seed=3)
+    write_recording(simulation.recording, folder / 'drive')
+    for name, line in (('right', RIGHT), ('wrong', WRONG)):
+        (folder / f'{name}.yaml').write_text(f'/**:\n  ros__parameters:\n    reference_lever_arm: [0.0, 0.0, 0.0]\n'
+                                             f'    {line}\n')
+    status = compare([str(folder / 'wrong.yaml'), str(folder / 'right.yaml'), '--bag', str(folder / 'drive'),
+                      '--reference-topic', '/reference/fix', '--output', str(folder / 'out')])
+    assert status == 0
+    return folder
+
+
+def read(path):
+    return json.loads((path / 'report.json').read_text())
+
+
+# compare
+
+def test_the_better_of_two_params_files_is_named(folder):
+    report = read(folder / 'out')
+    assert report['answer']['headline'].startswith('right.yaml is better')
+    assert {row['better'] for row in report['rows'] if row['outage_duration_s'] is None} == {'right.yaml'}
+    # the numbers are those of the two replays, over the same epochs
+    for place, side in enumerate(('first', 'second')):
+        runs = {r['update_interval_s']: r for r in read(folder / 'out' / side)['runs']}
+        for row in (r for r in report['rows'] if r['outage_duration_s'] is None):
+            assert row['rms_m'][place] == pytest.approx(runs[row['update_interval_s']]['horizontal_rmse_m'], rel=5e-3)
+
+
+def test_outages_are_matched_by_their_fixes_whatever_the_clocks_are_said_to_be(folder):
+    report = read(folder / 'out')
+    rows = [row for row in report['rows'] if row['outage_duration_s'] == 10.0]
+    assert rows and all(row['paired'] >= 5 for row in rows)
+
+
+def test_a_result_compared_with_itself_shows_no_difference(folder, tmp_path, capsys):
+    assert compare([str(folder / 'out' / 'first'), str(folder / 'out' / 'first'), '--output', str(tmp_path / 'o')]) == 0
+    report = read(tmp_path / 'o')
+    assert all(row['better'] is None and row['rms_m'][0] == row['rms_m'][1] for row in report['rows'])
+    assert capsys.readouterr().out.startswith('No certain difference')
+
+
+@pytest.mark.parametrize('arguments, said', [
+    (['nothing', 'nothing'], 'nothing does not exist'),
+    (['{}/wrong.yaml', '{}/right.yaml'], '--bag'),
+    (['{}/wrong.yaml', '{}/drive'], 'two of the same kind'),
+    (['{}/out', '{}/out/first'], 'not a result of replay_node'),
+])
+def test_bad_input_gives_one_line_status_2_and_no_result(folder, tmp_path, capsys, arguments, said):
+    status = compare([a.format(folder) for a in arguments] + ['--output', str(tmp_path / 'out')])
+    error = capsys.readouterr().err
+    assert status == 2
+    assert len(error.splitlines()) == 1 and said in error and error.startswith('compare: ')
+    assert not list(tmp_path.iterdir())
+
+
+def result(name, error):
+    stamp = np.arange(len(error)) * 10**9
+    return Result(name, ['drive'], ['random_walk'], {('drive', 'random_walk', 1.0): Series(stamp, error)}, {})
+
+
+def test_a_difference_is_certain_only_where_the_pairs_say_so():
+    # given the same errors but for a small constant, which pairs show and two separate means would not
+    noise = np.abs(np.random.default_rng(1).standard_normal(2000)) + 1.0
+    [row] = rows_of(result('a', noise), result('b', noise + 0.05))
+    assert row.better == 0 and row.count == 2000
+    # and errors of their own, the same in the mean
+    other = np.abs(np.random.default_rng(2).standard_normal(2000)) + 1.0
+    [row] = rows_of(result('a', noise), result('b', other))
+    assert row.better is None
+
+
+# the answer
+
+def test_a_filter_with_a_wrong_clock_is_not_called_good(folder):
+    answer = read(folder / 'out' / 'first')['answer']['drive']
+    assert answer['grade'] == 'bad' and answer['headline'].startswith('The filter is not good here')
+    assert answer['trust'].startswith('No')
+    assert any('NIS' in text for text in answer['wrong'])
+    assert any('diagnose --bag' in step['command'] for step in answer['steps'])
+    assert any('gnss.time_offset' in step['what'] for step in answer['steps'])
+    assert all('95 % ellipse' in text for text in answer['cost'])
+
+
+def test_the_right_clock_is_called_good(folder):
+    answer = read(folder / 'out' / 'second')['answer']['drive']
+    assert answer['grade'] == 'good' and answer['headline'].startswith('The filter is good here')
+    assert 'fusion_node' in answer['steps'][-1]['command']
+
+
+def test_findings_of_the_checker_are_in_the_answer_with_their_topic(folder):
+    from mems_ins_fusion.evaluation.comparison import compare as replay
+    from mems_ins_fusion.recordings.reading import read_recording
+
+    values = table.check({'models': ['gauss_markov'], 'update_intervals': [2.0], 'outage_durations': []})
+    comparison = replay(read_recording(folder / 'drive', '/imu/data', '/gps/fix'), values)
+    found = [Finding('error', 'imu', f'9.8 is not {STANDARD_GRAVITY}'), Finding('info', 'gnss', 'all is well'),
+             Finding('warning', 'imu/gnss', 'the clocks differ')]
+    answer = verdict.answer(comparison, found, values, 'drive', 'p.yaml')
+    assert answer.grade == 'bad' and 'the recording itself is wrong' in answer.headline
+    assert f'/imu/data: 9.8 is not {STANDARD_GRAVITY}' in answer.wrong
+    assert '/imu/data and /gps/fix: the clocks differ' in answer.wrong
+    assert not any('all is well' in text for text in answer.wrong)
+
+
+def row(before, after, p):
+    return {'what': '', 'before': before, 'after': after, 'p': p}
+
+
+@pytest.mark.parametrize('rows, added, said', [
+    ([row(4.0, 1.0, 0.001), row(100.0, 30.0, 0.1)], True, 'use'),
+    ([row(4.0, 1.0, 0.001), row(100.0, 130.0, 0.001)], True, 'worse'),  # one error grows for certain
+    ([row(4.0, 4.1, 0.5), row(100.0, 120.0, 0.5)], True, 'worse'),
+    ([row(4.0, 4.0, 0.5), row(100.0, 99.0, 0.5)], True, 'same'),
+    ([row(4.0, 3.0, 0.5), row(100.0, 90.0, 0.5)], False, 'same'),  # noise levels fitted to this drive, not certain
+    ([row(4.0, 3.0, 0.001), row(100.0, 90.0, 0.5)], False, 'use'),
+])
+def test_corrected_yaml_is_recommended_only_where_held_out_errors_shrink(rows, added, said):
+    diagnosis = SimpleNamespace(comparison=rows, findings=[SimpleNamespace(added=added)],
+                                values={'gnss.sigma': 1.0}, corrected={'gnss.sigma': 2.0})
+    assert judged(diagnosis) == said
+    diagnosis.corrected = diagnosis.values
+    assert judged(diagnosis) == 'nothing'
+
+
+# the pages
+
+def test_no_table_has_more_columns_than_fit_and_each_cell_its_label(folder):
+    """The structure that keeps a table as wide as its page: on a phone each cell stands below its heading's name."""
+    css = html._STYLE
+    assert 'nowrap' not in css.split('td.number')[1].split('}')[0]
+    narrow = css.split('@media screen and (max-width: 52rem)')[1]
+    assert 'thead { display: none; }' in narrow and 'attr(data-label)' in narrow
+    for page in (folder / 'out' / 'report.html', folder / 'out' / 'first' / 'report.html'):
+        text = page.read_text(encoding='utf-8')
+        assert len(re.findall('<table', text)) > 0
+        for heading in re.findall('<thead>(.*?)</thead>', text, re.S):
+            assert heading.count('<th ') <= 11
+        assert all('data-label="' in cell for cell in re.findall('<td[^>]*>', text))
+
+
+def test_no_page_refers_to_a_network(folder):
+    for page in (folder / 'out' / 'report.html', folder / 'out' / 'first' / 'report.html'):
+        text = page.read_text(encoding='utf-8')
+        assert all(source.startswith(('data:image/', '#')) for source in re.findall(r'(?:src|href)="([^"]*)"', text))
+        assert not re.search(r'https?:|@import|url\(|fetch\(|XMLHttpRequest|WebSocket|import\(|<link|<iframe', text)
+
+
+@pytest.mark.parametrize('page', ['report.html', 'first/report.html'])
+def test_nothing_is_wider_than_its_page(folder, browser, page):
+    check_page(browser, folder / 'out' / page)
+
+
+def test_the_track_shows_what_the_cursor_points_at(browser, tmp_path):
+    # given a line east, whose error, sigma, NIS and speed are known, with a gap in what is known of it
+    time = np.arange(0.0, 100.0, 0.5)
+    values = {'error': time / 10, 'sigma': np.full(200, 1.5), 'nis': np.where(time < 90, 2.25, np.nan),
+              'speed': np.full(200, 7.0)}
+    line = Layer('a <line>', '#0072b2', time, 7 * time, 0 * time, values)
+    outage = Layer('outage', '#cc79a7', time[50:60], 7 * time[50:60], np.full(10, 300.0), {'error': np.full(10, 3.0)},
+                   first=np.array([0, 5]), ends=np.array([[1.0, 2.0, 3.0, 4.0]]))
+    page = tmp_path / 'page.html'
+    page.write_text(html.page('A drive', [html.section('Track', track([line, outage], html.paragraph('still')))],
+                              script=script()), encoding='utf-8')
+    browser.open(page, 1000)
+    assert browser.run('return getComputedStyle(document.querySelector(".still")).display') == 'none'
+    assert browser.run('return [...document.querySelectorAll(".layers label")].map(l => l.textContent)') == [
+        'a <line>', 'outage']
+    # when the cursor is on the line in the middle of the map's width
+    x, y, width, height = browser.run('''const r = document.querySelector("canvas.map").getBoundingClientRect();
+        return [r.x, r.y, r.width, r.height];''')
+    scale = 0.9 * min(width / (7 * 99.5), height / 300.0)
+    middle = y + height / 2 + 150.0 * scale
+    browser.command('Input.dispatchMouseEvent', type='mouseMoved', x=x + width / 2, y=middle)
+    # then it reads what is there
+    said = browser.run('return document.querySelector(".said").innerText')
+    seconds = float(said.split(' s after')[0])
+    assert seconds == pytest.approx(49.75, abs=0.5)
+    assert f'error {seconds / 10:g} m, sigma 1.5 m, speed 7 m/s, NIS of the last fix 2.25' in said
+    # and zooming in makes the same distance on the screen a shorter one on the ground
+    browser.command('Input.dispatchMouseEvent', type='mouseWheel', x=x + width / 2, y=middle, deltaX=0, deltaY=-1000)
+    browser.command('Input.dispatchMouseEvent', type='mouseMoved', x=x + width / 2 + 200, y=middle)
+    zoomed = float(browser.run('return document.querySelector(".said").innerText').split(' s after')[0])
+    assert 0 < zoomed - seconds < 0.5 * 200 / (7 * scale)
+    # on paper, the still picture
+    browser.open(page, 688, 'print')
+    assert browser.run('return getComputedStyle(document.querySelector(".still")).display') == 'block'
+    assert browser.run('return getComputedStyle(document.querySelector(".live")).display') == 'none'
+
+
+def test_text_of_a_track_cannot_become_markup():
+    hostile = '</script><script>alert(1)</script>'
+    line = Layer(hostile, '#000000', np.arange(3.0), np.arange(3.0), np.arange(3.0), {})
+    assert '<script>alert' not in track([line], html.paragraph('still'))
+
+
+def test_difference_is_first_minus_second():
+    """What `Row.better` reads from it."""
+    [row] = rows_of(result('a', np.full(100, 2.0) + 0.01 * np.arange(100) % 1), result('b', np.full(100, 1.0)))
+    assert isinstance(row.difference, Difference) and row.difference.mean > 0 and row.better == 1
