@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from browser_support import check_page
 from conftest import shared_data
+from filter_support import PAPER
 
 from mems_ins_fusion.characterization.characterize import characterize
 from mems_ins_fusion.characterization.stationary import Grid
@@ -19,7 +20,7 @@ from mems_ins_fusion.sensor_errors.models import simulate
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 RATE = 20.0
-TRUE = table.check({
+TRUE = table.check({**PAPER,
     'sensor_error_model': 'gauss_markov',
     'accelerometer.noise_density': [4e-3], 'accelerometer.gauss_markov.sigma': [2e-2, 3e-2, 2e-2],
     'accelerometer.gauss_markov.tau': [60.0, 90.0, 120.0], 'accelerometer.initial_sigma': [0.05],

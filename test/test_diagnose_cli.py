@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from browser_support import check_page
+from filter_support import PAPER
 
 from mems_ins_fusion.cli.diagnose import main
 from mems_ins_fusion.effects.registry import EFFECTS
@@ -36,7 +37,7 @@ def _number(text: str):
 def result(tmp_path_factory):
     """A drive whose receiver's clock is off, its bag, and what diagnose made of it."""
     folder = tmp_path_factory.mktemp('diagnose')
-    values = table.check({})
+    values = table.check(PAPER)
     simulation = simulate_recording(
         simulate_drive(400.0, 1, rate=50.0), SensorErrors.from_parameters(values, 'gauss_markov'), GnssNoise(sigma=0.5),
         [(EFFECTS['gnss_time_offset'], {'time_offset': OFFSET})], seed=1)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from filter_support import PAPER
 
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.proof import held_out
@@ -17,7 +18,7 @@ from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 DURATION, RATE = 480.0, 25.0
-VALUES = table.check({'reference_lever_arm': [0.0, 0.0, 0.0]})  # the simulated reference is the IMU's own position
+VALUES = table.check({**PAPER, 'reference_lever_arm': [0.0, 0.0, 0.0]})  # the simulated reference is the IMU's own position
 OUTAGES = {'durations': (10.0,), 'spacing': 60.0}
 FEW = [EFFECTS[name] for name in ('gnss_time_offset', 'accelerometer_scale', 'gyroscope_scale', 'tilt')]
 
@@ -182,7 +183,7 @@ def test_coloured_noise_is_found_and_only_what_is_determined_gets_a_number():
     # given position errors of 2 m that last 15 s, and an IMU good enough to see them
     good = {'accelerometer.gauss_markov.sigma': [0.01], 'gyroscope.gauss_markov.sigma': [1e-4],
             'accelerometer.initial_sigma': [0.02], 'gyroscope.initial_sigma': [1e-3]}
-    values = table.check({'reference_lever_arm': [0.0, 0.0, 0.0], **good})
+    values = table.check({**PAPER, 'reference_lever_arm': [0.0, 0.0, 0.0], **good})
     recording = recorded('gnss_coloured_noise', values=values, sigma=2.0, tau=15.0)
     [finding] = added(result := diagnose(recording, values, effects=[*FEW, EFFECTS['gnss_coloured_noise']], **OUTAGES))
     assert finding.name == 'gnss_coloured_noise'

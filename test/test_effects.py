@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from filter_support import configure
+from filter_support import PAPER, configure
 
 from mems_ins_fusion.diagnosis.residuals import averaged
 from mems_ins_fusion.effects.registry import EFFECTS
@@ -54,7 +54,7 @@ def horizontal_error(config, recording) -> float:
 def test_a_declared_effect_does_no_harm(drive, name, mounting_rpy):
     # given a drive that an effect disturbs, with sensors that stand along the vehicle or across it
     effect, theta = EFFECTS[name], EFFECTS[name].complete(SIZES[name])
-    values = table.check({'imu.mounting_rpy': list(mounting_rpy), 'vehicle.non_holonomic': name == 'sideslip'})
+    values = table.check({**PAPER, 'imu.mounting_rpy': list(mounting_rpy), 'vehicle.non_holonomic': name == 'sideslip'})
     disturbed = recorded(drive, [(effect, theta)], mounting_rpy)
     # when the filter does not know, knows, and when there is no effect
     ignorant = horizontal_error(configure(values), disturbed)
@@ -67,7 +67,7 @@ def test_a_declared_effect_does_no_harm(drive, name, mounting_rpy):
 
 def test_declared_coloured_noise_makes_the_innovations_what_they_are_said_to_be(drive):
     effect, theta = EFFECTS['gnss_coloured_noise'], {'sigma': 2.0, 'tau': 40.0}
-    values = table.check({})
+    values = table.check(PAPER)
     disturbed = recorded(drive, [(effect, theta)], receiver=GnssNoise(sigma=0.5))
     nis = {}
     for what, used in (('ignorant', values), ('knowing', effect.adjusted(values, theta))):
@@ -84,7 +84,7 @@ def test_effects_of_both_signs_cancel(name):
     theta = effect.complete(SIZES.get(name, {}))
     if name in ('gnss_coloured_noise', 'mounting_rotation'):  # variances only add, and rotations do not commute
         theta = {'sigma': 0.0, 'tau': 60.0} if 'sigma' in theta else {'roll': 0.0, 'pitch': 0.0, 'yaw': 0.2}
-    values = table.check({})
+    values = table.check(PAPER)
     there = effect.adjusted(values, theta)
     back = effect.adjusted(there, {name: -value if name != 'tau' else value for name, value in theta.items()})
     table.check(there)  # what corrected.yaml holds loads again
@@ -108,7 +108,7 @@ def test_the_registry_says_all_that_a_report_needs(name):
 
 
 def corrected_values() -> dict:
-    return table.check({
+    return table.check({**PAPER,
         'imu.lever_arm': [2.0, -0.7, 0.3], 'accelerometer.temperature_coefficient': [0.02, -0.01],
         'gyroscope.temperature_coefficient': 3e-4, 'imu.mounting_rpy': [0.1, -0.2, 1.3]})
 
@@ -137,7 +137,7 @@ def test_correctors_take_samples_in_any_portions():
 
 
 def test_no_corrector_where_nothing_is_declared():
-    values = table.check({})
+    values = table.check(PAPER)
     for effect in EFFECTS.values():
         assert effect.corrector(values, np.eye(3)) is None
         assert effect.conditioning(values) is None
@@ -150,7 +150,7 @@ def test_the_lever_arm_of_the_accelerometers_is_that_of_a_rigid_body():
     stamp = np.round(time * 1e9).astype(np.int64)
     w = np.column_stack([0 * time, 0 * time, rate])
     f = np.column_stack([-rate**2, acceleration, 9.8 + 0 * time])  # forward-left-up
-    values = table.check({'imu.lever_arm': [1.0, 0.0, 0.0]})
+    values = table.check({**PAPER, 'imu.lever_arm': [1.0, 0.0, 0.0]})
     # when the sensor axes are forward-left-up, which the body's are not
     rotation = mounting([0.0, 0.0, 0.0])
     left, _ = EFFECTS['accelerometer_lever_arm'].corrector(values, rotation)(stamp, f, w, np.full(len(f), np.nan))
@@ -163,7 +163,7 @@ def test_the_lever_arm_of_the_accelerometers_does_not_multiply_the_gyroscopes_no
     # given sensors at rest, 100 Hz, with white noise of the angular rate and an arm of 2 m
     w = 1.5e-3 * np.random.default_rng(1).standard_normal((20000, 3))
     stamp = np.arange(1, len(w) + 1) * 10_000_000
-    values = table.check({'imu.lever_arm': [2.0, 0.0, 0.0]})
+    values = table.check({**PAPER, 'imu.lever_arm': [2.0, 0.0, 0.0]})
     corrector = EFFECTS['accelerometer_lever_arm'].corrector(values, mounting([0.0, 0.0, 0.0]))
     force, _ = corrector(stamp, np.zeros_like(w), w, np.full(len(w), np.nan))
     # then the noise is that of differences averaged with weight 0.1: arm * sigma / 0.1 s * sqrt(2 / (2 - 0.1))
@@ -202,7 +202,7 @@ def test_live_and_replay_give_the_same_bits_with_corrections(drive):
 
 
 def test_effects_that_cannot_show_say_why(drive):
-    recording, values = recorded(drive), table.check({})
+    recording, values = recorded(drive), table.check(PAPER)
     hidden = {name: effect.hidden(values, recording) for name, effect in EFFECTS.items()}
     assert {name for name, why in hidden.items() if why} == {'temperature', 'sideslip', 'mounting_rotation'}
     assert 'temperature_topic' in hidden['temperature']

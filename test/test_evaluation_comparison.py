@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from filter_support import PAPER
 
 from mems_ins_fusion.evaluation import metrics
 from mems_ins_fusion.evaluation.comparison import ReplayError, add_noise, compare, cut, thin
@@ -16,7 +17,7 @@ SECOND = 10**9
 
 
 def simulated(duration=200.0, gnss_rate=1.0, sigma=1.5, seed=5, model='gauss_markov', values=None):
-    sensors = SensorErrors.from_parameters(table.check(values or {}), model)
+    sensors = SensorErrors.from_parameters(table.check({**PAPER, **(values or {})}), model)
     return simulate_recording(simulate_drive(duration, seed, 50.0), sensors, GnssNoise(sigma, gnss_rate),
                               seed=seed).recording
 
@@ -27,7 +28,7 @@ def recording():
 
 
 def values(**given):
-    return table.check({'outage_durations': [], **given})
+    return table.check({**PAPER, 'outage_durations': [], **given})
 
 
 @pytest.mark.parametrize('rate, interval, every', [(1.0, 0.0, 1), (1.0, 1.0, 1), (4.0, 1.0, 4), (4.0, 3.0, 12),
@@ -148,7 +149,7 @@ def test_the_truth_of_a_lever_arm():
     recording = simulate_recording(drive, None, GnssNoise(0.02), [(EFFECTS['gnss_lever_arm'], {'x': 3.0})]).recording
     given = {'gnss.lever_arm': [3.0, 0.0, 0.0], 'update_intervals': [1.0], 'models': ['random_walk'],
              'outage_durations': []}
-    right = compare(recording, table.check({**given, 'reference_lever_arm': [0.0, 0.0, 0.0]})).runs[0]
+    right = compare(recording, table.check({**PAPER, **given, 'reference_lever_arm': [0.0, 0.0, 0.0]})).runs[0]
     wrong = compare(recording, table.check(given)).runs[0]
     assert right.summary['horizontal_rmse_m'] < 0.3
     assert wrong.summary['horizontal_rmse_m'] == pytest.approx(3.0, abs=0.3)

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from filter_support import PAPER
 
 from mems_ins_fusion.evaluation.metrics import Truth, position_errors, rms
 from mems_ins_fusion.evaluation.outages import outage_begins, run_outages, summary
@@ -16,13 +17,13 @@ MODELS = table.MODELS
 
 
 def config(**values):
-    return FilterConfig.from_parameters(table.check(values))
+    return FilterConfig.from_parameters(table.check({**PAPER, **values}))
 
 
 @pytest.fixture(scope='module', params=[0.0, 0.3], ids=['prompt fixes', 'late fixes'])
 def recording(request):
     """240 s at 50 Hz with fixes each second."""
-    values = table.check({})
+    values = table.check(PAPER)
     return simulate_recording(simulate_drive(240.0, 3, 50.0), SensorErrors.from_parameters(values, 'gauss_markov'),
                               GnssNoise(1.0, latency=request.param), seed=3).recording
 
@@ -147,7 +148,7 @@ def test_summary_by_hand(recording):
 
 def test_errors_stay_inside_what_the_filter_says():
     # given a sensor with exactly the errors that the filter models, and 35 outages
-    values = table.check({})
+    values = table.check(PAPER)
     sensors = SensorErrors.from_parameters(values, 'gauss_markov')
     simulated = simulate_recording(simulate_drive(900.0, 11, 50.0), sensors, GnssNoise(1.0), seed=11).recording
     outages, = run_outages(config(), simulated.imu, simulated.gnss, truth_of(simulated), [20.0],

@@ -11,7 +11,18 @@ from ..navigation.earth import STANDARD_GRAVITY
 from ..navigation.frames import FLU_TO_FRD, mounting
 from ..sensor_errors.from_parameters import error_models, per_axis
 from ..sensor_errors.models import Autoregressive, GaussMarkov, Model, RandomWalk
-from .layout import MECHANIZATIONS, PLANAR, STRAPDOWN, Event, Head, Sample, StateLayout, noise_size, row_width, scratch_size
+from .layout import (
+    MECHANIZATIONS,
+    PLANAR,
+    STRAPDOWN,
+    Event,
+    Head,
+    Sample,
+    StateLayout,
+    noise_size,
+    row_width,
+    scratch_size,
+)
 
 #: the fastest IMU for which all of gnss.max_delay is remembered, Hz
 FASTEST_IMU = 1000
@@ -323,7 +334,9 @@ def _gnss(values: dict) -> GnssSettings:
         max_delay=values['gnss.max_delay'], robust_sigma=values['gnss.robust_sigma'],
         # of a chi-square distribution with two degrees of freedom
         gate=math.sqrt(-2.0 * math.log1p(-share)) if share < 1.0 else 0.0,
-        recovery_time=values['gnss.recovery_time'], adapt_sigma=values['gnss.adapt_sigma'],
+        recovery_time=values['gnss.recovery_time'],
+        # the planar filter's own errors, slopes, would pass for the receiver's
+        adapt_sigma=values['gnss.adapt_sigma'] and values['mechanization'] == 'strapdown',
         outage_after=values['gnss.outage_after'], coloured=_coloured(values))
 
 

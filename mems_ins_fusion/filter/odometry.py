@@ -51,7 +51,7 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
     out (85,): position ENU; orientation x, y, z, w of base_link (FLU) in ENU; pose covariance 6 x 6; linear and angular
     velocity in base_link; twist covariance 6 x 6. geodetic (3,), geodetic_covariance (9,) ENU.
     """
-    n_navigation, m, p = int(memory[Head.N_NAVIGATION]), int(memory[Head.N_AUGMENTED]), int(memory[Head.ORDER])
+    n_navigation, m = int(memory[Head.N_NAVIGATION]), int(memory[Head.N_AUGMENTED])
     newest = int(memory[Head.SAMPLES])
     r, sample, n = state_at(memory, newest), sample_at(memory, newest), n_navigation + m
     is_planar = memory[Head.MECHANIZATION] == PLANAR

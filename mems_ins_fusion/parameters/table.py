@@ -112,7 +112,8 @@ FILTER = (
               positive=True, maximum=1.0),
     Parameter('gnss.recovery_time', 30.0, 's', 'Fixes refused for this long that agree with each other were right: '
               'the filter starts anew from them.', positive=True, maximum=86400.0),
-    Parameter('gnss.adapt_sigma', True, '-', 'Raise the sigma of the fixes to what they are seen to scatter.'),
+    Parameter('gnss.adapt_sigma', True, '-', 'Raise the sigma of the fixes to what they are seen to scatter '
+              '(strapdown).'),
     Parameter('gnss.outage_after', 2.5, 's', 'Without a fix for this long the node reports an outage.', positive=True, maximum=86400.0),
     Parameter('gnss.coloured_noise.sigma', 0.0, 'm', 'Standard deviation of a first-order Gauss-Markov position '
               'error of the receiver, north and east; 0: none.', minimum=0.0, maximum=1000.0),
@@ -157,7 +158,7 @@ FILTER = (
               maximum=20.0),
     Parameter('vehicle.rear_axle_sigma', 1.0, 'm', 'Standard deviation of its forward component, with which it is '
               'estimated (vehicle.non_holonomic); 0: it is exact.', minimum=0.0, maximum=10.0),
-    Parameter('vehicle.tilt_sigma', 0.015, 'rad', 'Slopes and body roll that the planar mechanization does not know, '
+    Parameter('vehicle.tilt_sigma', 0.03, 'rad', 'Slopes and body roll that the planar mechanization does not know, '
               'one sigma; strapdown does.', minimum=0.0, maximum=0.3),
     Parameter('datum', [], 'deg, deg, m', 'Latitude, longitude and height of the local frame\'s origin; empty: the '
               'first fix used.', lengths=(0, 3)),
