@@ -9,7 +9,7 @@ import numpy as np
 from ..navigation.earth import gravity, radii
 from ..navigation.frames import leveling, wrap, yaw_from_enu, yaw_of_quaternion
 from .config import FilterConfig
-from .layout import Event
+from .layout import PLANAR, Event
 
 MEMORY = 300.0  # s of samples kept while waiting
 STILL_BLOCK = 1.0  # s; a standstill is made of such blocks
@@ -18,6 +18,10 @@ STEADY_ACCELERATION = 0.06  # m/s^2: between the mean of a block and the standst
 STEADY_RATE = 0.005  # rad/s
 COURSE_SIGMA = 0.1  # rad: straightness of course that is good enough to start
 LATEST_FIX = 1.0  # s after the newest sample
+FASTEST = 70.0  # m/s: no land vehicle is faster
+LARGEST_TILT = math.radians(40.0)  # of an IMU whose mounting is as configured, on any road
+FASTEST_TURN = 3.0  # rad/s: of the vehicle's mean turn over a second
+FASTEST_REVERSE = 3.0  # m/s: who starts faster backwards has the IMU turned round
 SHORTEST_COURSE = 1.0  # m
 LONGEST_COURSE_TIME = 60.0  # s
 SLOWEST_START = 0.5  # m/s
@@ -116,10 +120,32 @@ class Alignment:
         if self._fixes[-1][0] > time or not self._imu[0, 0] < time <= self._imu[self._count - 1, 0] + LATEST_FIX:
             return None
         positions = self._positions()
+        problem = self._problem(positions)
+        if problem:
+            self.waiting_for = problem
+            return None
         source = self.config.alignment.heading
         if source == 'course':
             return self._start_from_course(positions)
         return self._start_with_heading(source, positions, self._standstill(positions))
+
+    def _problem(self, positions) -> str:
+        """Why the samples cannot be what the configuration says they are; empty if they can."""
+        imu, topic = self._imu[:self._count], self.config.imu.topic
+        recent = imu[imu[:, 0] > imu[-1, 0] - 1.0]
+        turn = float(np.abs(recent[:, 4:7].mean(axis=0)).max())
+        if turn > FASTEST_TURN:
+            return (f'a believable turn rate on {topic}: angular_velocity is {turn:.1f} rad/s over a second; if the '
+                    "driver delivers deg/s, set imu.rate_unit to 'deg/s'")
+        if self.config.mechanization == PLANAR:
+            return ''
+        mean = recent[:, 1:4].mean(axis=0)
+        size = float(np.linalg.norm(mean))
+        if size > 5.0 and -mean[2] < math.cos(LARGEST_TILT) * size:
+            tilt = math.degrees(math.acos(max(-1.0, min(1.0, -mean[2] / size))))
+            return (f'an IMU that is mounted as imu.mounting_rpy says: gravity on {topic} is {tilt:.0f} deg off the '
+                    'vertical of the vehicle (`configure` finds the mounting from a recording)')
+        return ''
 
     def _forget(self, before: float) -> None:
         first = int(np.searchsorted(self._imu[:self._count, 0], before))
@@ -189,12 +215,13 @@ class Alignment:
     def _start_from_course(self, positions) -> Start | None:
         recent = positions[positions[:, 0] > positions[-1, 0] - LONGEST_COURSE_TIME]
         moved = np.hypot(*(recent[:, 1:3] - recent[-1, 1:3]).T).max()
-        course = None
+        course, said = None, self.waiting_for
         if moved > max(SHORTEST_COURSE, recent[-1, 3] / COURSE_SIGMA):  # else do not look through all samples
             standstill = self._standstill(positions)
             course = self._course(positions, standstill)
         if course is None:
-            self.waiting_for = 'the vehicle to move straight on: the heading comes from the course of the fixes'
+            if self.waiting_for == said:
+                self.waiting_for = 'the vehicle to move straight on: the heading comes from the course of the fixes'
             return None
         yaw, speed, yaw_sigma, speed_sigma = course
         return self._start(yaw, yaw_sigma, speed, speed_sigma, standstill, 'heading from the course')
@@ -233,6 +260,14 @@ class Alignment:
             speed = (forward - added[0]) / interval
             yaw_sigma = math.sqrt((noise / distance) ** 2 + (bias_w * interval / 2) ** 2
                                   + (0.5 * bias_f * interval**2 / distance) ** 2 + SIDESLIP_SIGMA**2)
+            if abs(speed) > FASTEST:
+                self.waiting_for = f'believable fixes: they move at {abs(speed):.0f} m/s'
+                return None
+            if way < 0 and abs(speed + gained[0]) > FASTEST_REVERSE:
+                self.waiting_for = ('the vehicle to drive forwards: it seems to go backwards at '
+                                    f'{abs(speed + gained[0]):.1f} m/s; if it does not, the IMU is mounted the other '
+                                    'way round: turn the yaw of imu.mounting_rpy by pi')
+                return None
             if abs(speed + gained[0]) < SLOWEST_START or yaw_sigma > LARGEST_YAW_SIGMA:
                 return None
             yaw = math.atan2(chord[1], chord[0]) - math.atan2(added[1], forward)
@@ -257,6 +292,9 @@ class Alignment:
             turn, gained, *_ = motion
             expected = math.cos(turn) * gained[0] + math.sin(turn) * gained[1]
         variance = sigma**2 + (MOVED_OFF + 0.1 * since) ** 2
+        if since < LONGEST_COURSE_TIME and min(abs(forwards - expected), abs(backwards - expected)) > (
+                5.0 * math.sqrt(variance) + 1.0):
+            return 0  # the fixes move, the IMU does not
         difference = (forwards - expected) ** 2 - (backwards - expected) ** 2
         if abs(difference) < 9 * variance:  # long ago it no longer helps: who has not turned round drives forwards
             return 1 if since > LONGEST_COURSE_TIME else 0

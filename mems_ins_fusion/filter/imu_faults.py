@@ -1,7 +1,7 @@
 """Which IMU samples can be believed, by what the sensor itself has shown before.
 
-A sample that is not believed is not lost time: the filter bridges it, first as if the vehicle went on as it did, then as
-if it neither turned nor changed its speed, with a covariance that knows what a vehicle may do meanwhile.
+A sample that is not believed is not lost time: the filter bridges it, first as if the vehicle went on as it did, then
+as if it neither turned nor changed its speed, with a covariance that knows what a vehicle may do meanwhile.
 """
 from __future__ import annotations
 

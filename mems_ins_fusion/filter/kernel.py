@@ -103,7 +103,7 @@ def _restore(memory, good, r, time):
 
 @njit(_nrt=False)
 def _take_sample(memory, time, f_x, f_y, f_z, w_x, w_y, w_z):
-    """Predict to `time` (s since the epoch) with one IMU sample in sensor axes, applying what was measured before it."""
+    """Predict to `time` (s since the epoch) with one IMU sample in sensor axes, applying what was measured till then."""
     k = int(memory[Head.SAMPLES]) + 1
     sample = sample_at(memory, k)
     before = state_at(memory, k - 1)
@@ -119,6 +119,10 @@ def _take_sample(memory, time, f_x, f_y, f_z, w_x, w_y, w_z):
         _condition(memory, sample, memory[c], memory[c + 1], memory[c + 2], memory[c + 3], memory[c + 4], memory[c + 5])
     else:
         _coast(memory, sample, before)
+    if dt > memory[Head.MAX_GAP] and k > 1:  # nobody knows what was in between: the mean of both ends is the best guess
+        last = sample_at(memory, k - 1)
+        for i in range(6):
+            memory[sample + Sample.F_X + i] = 0.5 * (memory[sample + Sample.F_X + i] + memory[last + Sample.F_X + i])
     memory[sample + Sample.STILL] = 0.0
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
         memory[sample + Sample.STILL] = is_still(memory, sample, dt, moving)

@@ -66,7 +66,8 @@ class _Nav(NamedTuple):
     LATERAL_NIS: int = 35  # running mean of what the constraints say against the state
     VERTICAL_NIS: int = 36
     BRIDGED: int = 37  # s, within the last minute or so, without a believable IMU sample
-    SIZE: int = 38
+    DOUBT: int = 38  # fixes refused lately less those that fitted well
+    SIZE: int = 39
 
 
 Nav = _Nav()

@@ -20,7 +20,8 @@ from .results import columns
 
 #: the verdicts in words
 VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down', Verdict.REFUSED: 'beyond the gate',
-            Verdict.FROZEN: 'position repeats while moving', Verdict.AHEAD: 'stamped ahead of the IMU', Verdict.RECOVERED: 'the filter started anew from it'}
+            Verdict.FROZEN: 'position repeats while moving', Verdict.AHEAD: 'stamped ahead of the IMU',
+            Verdict.RECOVERED: 'the filter started anew from it'}
 #: what a fault leaves behind shows for so long, s
 _DEGRADED, _RECOVERING = 5.0, 10.0
 _STEADY_REFUSED = 3
@@ -253,8 +254,8 @@ class FusionFilter(Intake):
                                 '(gnss.time_offset); refused')
         elif verdict == Verdict.RECOVERED:
             self._last_recovery = stamp * 1e-9
-            self.say('warning', f'{topic}: the fixes refused for {self.config.gnss.recovery_time:.0f} s agree with each '
-                                'other: position, velocity and heading start anew from them')
+            self.say('warning', f'{topic}: the fixes refused for {self.config.gnss.recovery_time:.0f} s agree with '
+                                'each other: position, velocity and heading start anew from them')
         if not used:
             return
         self._newest_fix = max(self._newest_fix, stamp)
@@ -305,7 +306,8 @@ class FusionFilter(Intake):
             values[name] = float(row[NAV + i])
             values[f'{name} sigma'] = float(sigma[i])
         if self.datum is not None:
-            values['datum'] = f'{math.degrees(self.datum[0]):.8f}, {math.degrees(self.datum[1]):.8f}, {self.datum[2]:.3f}'
+            latitude, longitude = np.degrees(self.datum[:2])
+            values['datum'] = f'{latitude:.8f}, {longitude:.8f}, {self.datum[2]:.3f}'
         return values
 
     def update_odometry(self) -> int:

@@ -17,11 +17,14 @@ from .layout import NAV, PLANAR, Event, Head, Nav, Verdict, packed
 #: fixes further apart say nothing of the receiver's scatter, s: the inertial sensors drift between them
 LONGEST_PAIR = 3.0
 #: of the logarithm of the realised over the claimed variance: gain at first, then steadily
-FIRST_GAIN, STEADY_GAIN = 4.0, 0.03
+FIRST_GAIN, STEADY_GAIN = 4.0, 0.08
 #: the realised variance is believed between these multiples of the claimed one
 LARGEST_RATIO = 1e6
 #: a fix nearer than this is never refused, only weighted down, m
 GATE_FLOOR = 5.0
+#: after so many refused fixes those that come into reach again are weighted down beyond DOUBTED sigma, until as many
+#: have fitted: wrong ones come into reach, too, when the filter has coasted for long enough
+MOST_DOUBT, FEWEST_DOUBT, DOUBTED = 20.0, 2.0, 1.0
 #: slower than this a receiver may rightly repeat a position, m/s
 FROZEN_SPEED = 1.0
 #: fixes refused one after the other must be so many before they can win
@@ -30,10 +33,12 @@ FEWEST_REFUSED = 5
 COURSE_SPEED, COURSE_SIGMA = 3.0, 0.2
 #: sigma of a heading that nothing tells, and that beyond which one is sought anew, rad
 UNKNOWN_YAW_SIGMA, LARGEST_YAW_SIGMA = math.pi / math.sqrt(3.0), 0.8
-#: refused fixes agree when they scatter about a line by less than so many sigma and so much, m, and so much of their size
+#: refused fixes agree when they scatter about a line by less than so many sigma, so much, m, and so much of their size
 AGREEMENT, AGREEMENT_FLOOR, AGREEMENT_PART = 2.0, 1.0, 0.3
 #: of a new start, besides what the fixes tell
 NEW_VELOCITY_SIGMA, NEW_TILT_SIGMA = 0.5, 0.05  # m/s, rad
+#: normalized innovation squared of a fix that fits well
+FITTING = 4.0
 #: median of a chi-square distribution with 2 degrees of freedom, over its mean
 MEDIAN = math.log(2.0)
 
@@ -64,7 +69,10 @@ def trust(mem, r, at):
     factor = max(1.0, mem[r + Nav.GNSS_RATIO]) if mem[Head.ADAPT] > 0.0 else 1.0
     # refused only if it is off by something that matters
     gate = mem[Head.GATE] if math.hypot(z_n, z_e) > GATE_FLOOR else 0.0
-    return factor, mem[Head.ROBUST_SIGMA], gate
+    robust = mem[Head.ROBUST_SIGMA]
+    if robust > 0.0 and mem[r + Nav.DOUBT] > FEWEST_DOUBT:
+        robust = min(robust, DOUBTED)
+    return factor, robust, gate
 
 
 @njit(_nrt=False)
@@ -75,7 +83,14 @@ def learn(mem, r, at, left_n, left_e):
     mem[r + Nav.RESIDUAL_N], mem[r + Nav.RESIDUAL_E] = left_n - mem[r + NAV], left_e - mem[r + NAV + 1]
     mem[r + Nav.FIX_TIME] = time
     mem[r + Nav.FIX_LATITUDE], mem[r + Nav.FIX_LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
-    if mem[at + Event.VERDICT] != Verdict.REFUSED:
+    verdict = mem[at + Event.VERDICT]
+    if verdict == Verdict.REFUSED:
+        mem[r + Nav.DOUBT] = min(mem[r + Nav.DOUBT] + 1.0, MOST_DOUBT)
+    elif verdict == Verdict.RECOVERED:
+        mem[r + Nav.DOUBT] = 0.0
+    elif mem[at + Event.NIS] < FITTING:
+        mem[r + Nav.DOUBT] = max(mem[r + Nav.DOUBT] - 1.0, 0.0)
+    if verdict != Verdict.REFUSED:
         for i in range(Nav.REFUSED, Nav.SUM_SQUARE + 1):
             mem[r + i] = 0.0
         return

@@ -89,8 +89,8 @@ FILTER = (
     Parameter('imu.acceleration_unit', 'm/s^2', 'text', 'Unit of Imu.linear_acceleration as the driver delivers it; '
               'every other parameter stays in SI units.', choices=('m/s^2', 'g')),
     Parameter('imu.rate_unit', 'rad/s', 'text', 'The same for Imu.angular_velocity.', choices=('rad/s', 'deg/s')),
-    Parameter('imu.max_gap', 0.5, 's', 'A longer gap between samples is bridged with the last sample and '
-              'with a covariance that says so.', positive=True, maximum=60.0),
+    Parameter('imu.max_gap', 0.5, 's', 'A longer gap between samples is bridged with the mean of the samples '
+              'before and after it, and with a covariance that says so.', positive=True, maximum=60.0),
     Parameter('imu.restart_gap', 10.0, 's', 'After a longer gap, or stamps that jump back, the filter aligns anew.',
               positive=True, maximum=86400.0),
     Parameter('gnss.lever_arm', [0.0, 0.0, 0.0], 'm', 'From the IMU to the antenna, base_link '
