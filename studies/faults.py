@@ -3,15 +3,16 @@
     python studies/faults.py [--seeds 6] [--output FILE.md]
 
 Each fault begins at 200 s of a drive of 360 s (100 Hz, fixes of 1.5 m each second, simulation/scene.py REALISTIC). The
-table holds the largest error from its begin to its end, the error 20 s after its end (RMS of 5 s, over all seeds) beside
-that of the same filter without the fault and of one that had no fixes while the fault lasted, how often the 95 % ellipse
-held the truth from the begin to 60 s after the end, and what was said.
+table holds the largest error from its begin to its end, the error 20 s after its end (RMS of 5 s, over all seeds)
+beside that of the same filter without the fault and of one that had no fixes while the fault lasted, how often the 95 %
+ellipse held the truth from the begin to 60 s after the end, and what was said.
 """
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -150,9 +151,14 @@ def outcome(recording: Recording, truth, values: dict) -> Outcome:
     return Outcome(time, errors.horizontal, errors.nees < NEES_95, said)
 
 
+@cache
+def clean_drive(seed: int) -> Recording:
+    return simulated(seed, MINUTES, FIXES['1.5 m'])
+
+
 def judged(fault: Fault, seed: int) -> tuple[Outcome, Outcome, Outcome]:
     """With the fault, without it, and without fixes while it lasts."""
-    clean = simulated(seed, MINUTES, FIXES['1.5 m'])
+    clean = clean_drive(seed)
     values = table.check({**(fault.values or {}), 'reference_lever_arm': [0.0, 0.0, 0.0]})
     truth = truth_of(clean, values)
     origin = clean.imu.stamp[0]

@@ -37,12 +37,14 @@ from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simul
 
 DURATIONS = (10.0, 30.0, 60.0)
 _AIDING = ('speed', 'velocity', 'heading')
+_ALONE = {'vehicle.zero_velocity': False, 'vehicle.non_holonomic': False}
+#: the defaults: named, so that they stay when those change
 _CAR = {'mechanization': 'strapdown', 'vehicle.zero_velocity': True, 'vehicle.non_holonomic': True}
 
 #: what is asked of the filter, by name; a topic of _AIDING says that these samples are used
 SETTINGS = {
-    'planar': {'mechanization': 'planar'},
-    'strapdown': {'mechanization': 'strapdown'},
+    'planar': {'mechanization': 'planar', **_ALONE},
+    'strapdown': {'mechanization': 'strapdown', **_ALONE},
     'car': _CAR,
     'car + speed': {**_CAR, 'speed_topic': '/wheel/speed'},
     'car + velocity': {**_CAR, 'velocity_topic': '/gps/velocity'},
