@@ -348,7 +348,7 @@ class Alignment:
                                                    / np.linalg.norm(standstill.specific_force)))))
         size = float(np.linalg.norm(standstill.specific_force))
         bias = ', '.join(f'{math.degrees(w):.3f}' for w in standstill.angular_rate)
-        removed = ' (removed)' if self.config.alignment.level else ''
+        removed = ' (removed)' if self.config.alignment.level and self.config.mechanization == PLANAR else ''
         expected = gravity(latitude, height)
         text = (f'standstill of {standstill.duration:.1f} s: gyroscope bias {bias} deg/s (forward, right, down), '
                 f'tilt {tilt:.1f} deg{removed}, specific force {size:.3f} m/s^2 '
