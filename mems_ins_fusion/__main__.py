@@ -19,8 +19,6 @@ TOOLS = {
     'import_csv': ('cli', 'turn CSV files into a recording'),
     'compile': ('cli', 'compile the filter ahead: the first start of a tool waits for it otherwise'),
 }
-#: exit status, as shells have it
-INTERRUPTED = 130
 
 
 def usage() -> str:
@@ -49,7 +47,7 @@ def main(argv: list[str] | None = None) -> int:
     return guarded(argv[0], argv[1:], lambda: _run(argv))
 
 
-def _run(argv: list[str]) -> int:
+def _run(argv: list[str]) -> int | None:
     package, _ = TOOLS[argv[0]]
     if package == 'nodes':
         _end_quietly_on_signals()
@@ -62,11 +60,7 @@ def _run(argv: list[str]) -> int:
         ros = "; source ROS 2's setup file, or install the package with [ros]" if package == 'nodes' else ''
         print(f"{argv[0]}: the Python module '{error.name}' is not installed{ros}", file=sys.stderr)
         return 2
-    try:
-        return tool.main(argv[1:]) or 0
-    except KeyboardInterrupt:
-        print(f'{argv[0]}: interrupted', file=sys.stderr)
-        return INTERRUPTED
+    return tool.main(argv[1:])
 
 
 if __name__ == '__main__':

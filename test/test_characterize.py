@@ -109,7 +109,7 @@ def test_existing_result_is_kept(result, capsys):
 
 def test_drive_filtered_with_recovered_parameters_is_as_good_as_with_the_true_ones(result):
     # given drives with that sensor, a fix every 10 s, and the filter with the true and with the recovered parameters
-    recovered = {**result.values, 'sensor_error_model': 'gauss_markov'}
+    recovered = {**result.values, **PAPER, 'sensor_error_model': 'gauss_markov'}
     assert recovered['gyroscope.gauss_markov.sigma'] != TRUE['gyroscope.gauss_markov.sigma']
     errors = []
     for seed in range(4):

@@ -95,15 +95,15 @@ def test_several_processes_compile_at_once_and_nothing_is_lost(probe):
     assert [probe(kind) for kind in kinds] == [''] * len(kinds)
 
 
-@pytest.mark.parametrize(['number', 'status'], [(signal.SIGINT, 130), (signal.SIGTERM, -signal.SIGTERM)])
-def test_a_signal_while_it_compiles_ends_without_a_traceback(tmp_path, number, status):
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_it_compiles_ends_without_a_traceback(tmp_path, number):
     process = subprocess.Popen(
         [sys.executable, '-m', 'mems_ins_fusion', 'compile'], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         cwd=PACKAGE.parent, env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)})
     assert SAYS_THAT_IT_COMPILES in process.stderr.readline()
     process.send_signal(number)
     _, said = process.communicate()
-    assert process.returncode == status
+    assert process.returncode == 130
     assert 'Traceback' not in said and 'Error' not in said
 
 

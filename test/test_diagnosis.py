@@ -18,7 +18,8 @@ from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 DURATION, RATE = 480.0, 25.0
-VALUES = table.check({**PAPER, 'reference_lever_arm': [0.0, 0.0, 0.0]})  # the simulated reference is the IMU's own position
+# the simulated reference is the IMU's own position
+VALUES = table.check({**PAPER, 'reference_lever_arm': [0.0, 0.0, 0.0]})
 OUTAGES = {'durations': (10.0,), 'spacing': 60.0}
 FEW = [EFFECTS[name] for name in ('gnss_time_offset', 'accelerometer_scale', 'gyroscope_scale', 'tilt')]
 

@@ -28,8 +28,8 @@ def make_run(time, north, east, *, yaw=0.0, roll=0.0, pitch=0.0, v_n=0.0, v_e=0.
                latitude=latitude, longitude=longitude, height=height,
                velocity=np.column_stack([full[3], full[4], np.zeros(n)]), roll=full[0], pitch=full[1], yaw=full[2],
                sensor_errors=np.empty((n, 0)), sigma=np.sqrt(np.tile([p[0], p[1]], (n, 1))),
-               covariance_ne=np.full(n, p[2]), innovations=None, start=None, notices=[], memory=None,
-               filter_seconds=0.0)
+               extras=np.empty((n, 0)), covariance_ne=np.full(n, p[2]), innovations=None, measured=None, start=None,
+               notices=[], memory=None, filter_seconds=0.0)
 
 
 def make_truth(time, north, east, *, velocity=None, yaw=None, lever_arm=(0.0, 0.0, 0.0), variance=0.0, datum=DATUM):

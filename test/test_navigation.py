@@ -5,11 +5,10 @@ import math
 
 import numpy as np
 import pytest
-from filter_support import configure, started
+from filter_support import configure, started, take_sample
 from scipy.spatial.transform import Rotation
 
-from mems_ins_fusion.filter.kernel import take_sample
-from mems_ins_fusion.filter.layout import NAVIGATION_STATES, PLANAR, Sample, views
+from mems_ins_fusion.filter.layout import PLANAR, Sample, views
 from mems_ins_fusion.filter.odometry import (
     ANGULAR,
     LINEAR,
@@ -185,7 +184,7 @@ def test_odometry_is_in_enu_and_flu(mechanization):
     assert np.array_equal(geodetic_covariance.reshape(3, 3), pose[:3, :3])
     error = rng.multivariate_normal(np.zeros(n), p[:n, :n], size=40000) * 1e-2  # small: to first order
     nine = np.zeros((40000, 9))
-    nine[:, [0, 1, 3, 4, 8] if n == NAVIGATION_STATES[PLANAR] else range(9)] = error
+    nine[:, [0, 1, 3, 4, 8] if config.mechanization == PLANAR else range(9)] = error
     seen = np.column_stack([nine[:, :3] @ ned_to_enu.T, nine[:, 6:] @ ned_to_enu.T])
     turned = Rotation.from_rotvec(nine[:, 6:]).as_matrix() @ attitude
     linear = np.einsum('kji,kj->ki', turned, velocity + nine[:, 3:6]) @ frd_to_flu - out[LINEAR:LINEAR + 3]

@@ -154,7 +154,8 @@ def strapdown_matrices(rates, dt=DT):
         return np.concatenate([e[:3] + moved, velocity, phi_of(q, nominal)])
 
     columns = np.eye(15).reshape(15, 5, 3)
-    implemented = np.column_stack([strapdown.error_step(dt, c, f_level, *(tuple(part) for part in column))
+    step = strapdown.transition(dt, c, f_level)
+    implemented = np.column_stack([strapdown.error_step(step, *(tuple(part) for part in column))
                                    for column in columns])
     return implemented, central_difference(after, 15, 1e-4)
 
@@ -183,6 +184,7 @@ def test_a_yaw_error_is_the_same_in_both_mechanizations():
     # given a level vehicle: the down component of phi is the planar yaw error
     q = strapdown.from_euler(0.0, 0.0, YAW)
     _, c, f_level, _, _ = strapdown.mechanize(q, V_N, V_E, 0.0, (F_X, F_Y, -9.8), (0.0, 0.0, W_Z), DT, 9.8, (0.0,) * 5)
-    strap = strapdown.error_step(DT, c, f_level, (0.0,) * 3, (0.0,) * 3, (0.0, 0.0, 1.0), (0.0,) * 3, (0.0,) * 3)
+    step = strapdown.transition(DT, c, f_level)
+    strap = strapdown.error_step(step, (0.0,) * 3, (0.0,) * 3, (0.0, 0.0, 1.0), (0.0,) * 3, (0.0,) * 3)
     flat = planar_error_matrix()[:, 4]
     assert [strap[i] for i in (0, 1, 3, 4, 8)] == pytest.approx(flat, abs=1e-15)

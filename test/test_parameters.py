@@ -205,7 +205,7 @@ def test_a_filter_takes_axes_through_the_mounting():
 def test_models_of_different_order_are_filled_up():
     config = FilterConfig.from_parameters(check({
         'sensor_error_model': 'autoregressive', 'gyroscope.autoregressive.coefficients': [-0.9]}))
-    assert config.layout.order == 2 and config.layout.n_augmented == 6
+    assert config.layout.order == 2 and config.layout.n_sensor == 2 * 6
     assert config.models[2].coefficients == (-0.9, 0.0)
 
 

@@ -7,7 +7,7 @@ from ..diagnosis.diagnose import Diagnosis
 from ..diagnosis.proof import Measured
 from ..evaluation.comparison import Comparison, truth_of
 from ..evaluation.metrics import Errors, lever_arm_north_east
-from ..filter.fusion import Run
+from ..filter.results import Run
 from ..navigation.earth import to_local
 from ..samples import Fixes, Reference
 from . import colours
