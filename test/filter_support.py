@@ -92,6 +92,25 @@ def random_covariance(n: int, rng: np.random.Generator, scale=None) -> np.ndarra
     return scale[:, None] * (root @ root.T + 0.1 * np.eye(n)) * scale
 
 
+def second_order_variance(config: FilterConfig, p, attitude: Rotation, mounting=()) -> np.ndarray:
+    """Covariance of what no derivative holds of the velocity across the vehicle: lateral and (strapdown) vertical.
+
+    It is the product of two errors, of the forward speed and of the angle, those of the attitude and of the mounting
+    (names of the states) together.
+    """
+    layout, forward = config.layout, attitude.as_matrix()[:, 0]
+    planar = config.mechanization == PLANAR
+    velocity = slice(2, 4) if planar else slice(3, 6)
+    speed = forward[:velocity.stop - velocity.start] @ p[velocity, velocity] @ forward[:velocity.stop - velocity.start]
+    angles = []
+    for k, axis in enumerate((2,) if planar else (2, 1)):
+        across = attitude.as_matrix()[:, axis]
+        angle = p[4, 4] if planar else across @ p[6:9, 6:9] @ across
+        state = layout.index(mounting[k]) if mounting else -1
+        angles.append(angle + (p[state, state] if state >= 0 else 0.0))
+    return speed * np.diag(angles)
+
+
 def central_difference(function, size: int, step) -> np.ndarray:
     """Jacobian of function((size,)) -> (k,) at zero; step: (size,) or one."""
     columns = []

@@ -11,6 +11,7 @@ from filter_support import (
     configure,
     newest,
     random_covariance,
+    second_order_variance,
     started,
     state_and_covariance,
     take_event,
@@ -78,13 +79,23 @@ class Model:
         return np.array([attitude.as_euler('ZYX')[0] + self.of(e, 'mounting_yaw')])
 
     def across(self, e):
-        """Velocity to the right and down at the axle that does not steer, in the vehicle's own axes: zero."""
+        """Velocity to the right and down at the axle that does not steer, in the vehicle's own axes: zero.
+
+        These differ from the body's by small angles.
+        """
         velocity, attitude = self.true(e)
-        vehicle = Rotation.from_euler('ZYX', [self.of(e, 'mounting_yaw'), self.of(e, 'mounting_pitch'), 0.0])
+        forward, right, down = attitude.inv().apply(velocity)
         # the lever arm is short: how its part turns with the mounting is of second order
-        axle = AXLE + np.array([self.of(e, 'axle_x'), 0.0, 0.0])
-        seen = vehicle.inv().apply(attitude.inv().apply(velocity)) + np.cross(self.rate, axle)
-        return seen[1:2 if self.config.mechanization == PLANAR else 3]
+        at_axle = np.cross(self.rate, AXLE + np.array([self.of(e, 'axle_x'), 0.0, 0.0]))
+        seen = np.array([right - self.of(e, 'mounting_yaw') * forward, down + self.of(e, 'mounting_pitch') * forward])
+        return (seen + at_axle[1:])[:1 if self.config.mechanization == PLANAR else 2]
+
+    def estimated_mounting(self, x):
+        """Errors (n,) of which only the mounting is not zero."""
+        states = [i for i in map(self.layout.index, ('mounting_yaw', 'mounting_pitch')) if i >= 0]
+        e = np.zeros(len(x))
+        e[states] = x[states]
+        return e
 
 
 def start_of(config, rng, feedback, velocity):
@@ -188,12 +199,13 @@ def test_the_constraint_with_its_states_corrects_as_the_dense_kalman_update(mech
             break
     x0, p0 = state_and_covariance(config, before)
     model_of = Model(config, before)
-    measured = model_of.across
-    h = -central_difference(measured, len(x0), 1e-5)
+    mounting = model_of.estimated_mounting(x0)
+    h = -central_difference(lambda e: model_of.across(mounting + e), len(x0), 1e-5)
     forward = model_of.attitude.inv().apply(model_of.velocity)[0]
-    r = (0.2**2 + (0.01 * forward) ** 2) * np.eye(len(h))
+    r = ((0.2**2 + (0.01 * forward) ** 2) * np.eye(len(h))
+         + second_order_variance(config, p0, model_of.attitude, ('mounting_yaw', 'mounting_pitch')))
     s = h @ p0 @ h.T + r
-    z = measured(np.zeros(len(x0))) - h @ x0
+    z = model_of.across(mounting) - h @ (x0 - mounting)
     nis = z**2 / np.diag(s)
     assert np.all(nis > 0.05) and np.all((nis < 9) == (sideways < 10))
     if nis[0] > 9:  # then it is weighted down to three sigmas

@@ -198,7 +198,8 @@ def test_what_a_replay_publishes_is_what_a_live_filter_publishes(drive, mechaniz
             _, name, arguments = events.pop(0)
             getattr(fusion, name)(*arguments)
         if fusion.add_imu(int(imu.stamp[k]), *map(float, imu.specific_force[k]), *map(float, imu.angular_rate[k])):
-            odometry[fusion.update_odometry()] = fusion.odometry.copy()
+            stamp = fusion.update_odometry()
+            odometry[stamp] = fusion.odometry.copy()
     keep = np.arange(len(imu)) % 3 == 0
     stamp, rows = would_publish(config, imu, fixes, Aiding(), config.datum, keep)
     common = np.isin(stamp, list(odometry))

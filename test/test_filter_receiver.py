@@ -126,13 +126,13 @@ def test_a_fix_beyond_three_sigma_counts_as_if_it_were_three(mechanization):
         assert record[Event.VERDICT] == verdict and record[Event.WEIGHT] == pytest.approx(weight, rel=1e-3)
 
 
-def test_a_fix_within_a_metre_is_not_refused():
-    # given a filter that is sure to the centimetre, and a fix of a centimetre that is 0.8 m off: 50 sigma
+def test_a_fix_within_five_metres_is_not_refused():
+    # given a filter that is sure to the centimetre, and a fix of a centimetre that is 4 m off: hundreds of sigma
     receiver = Receiver(20.0, scatter=0.01)
-    receiver.position[10] += [0.8, 0.0]
+    receiver.position[10] += [4.0, 0.0]
     _, _, _, records = receiver.through(sigma=0.01, **{'gnss.adapt_sigma': False})
     assert records[10, Event.NIS] > 400 and verdicts(records)[10] == Verdict.WEIGHTED
-    receiver.position[10] += [0.8, 0.0]
+    receiver.position[10] += [2.0, 0.0]
     _, _, _, records = receiver.through(sigma=0.01, **{'gnss.adapt_sigma': False})
     assert verdicts(records)[10] == Verdict.REFUSED
 
@@ -174,8 +174,13 @@ def test_the_realised_sigma_of_the_receiver_is_learned(mechanization, factor):
     # given a receiver that states a sigma of 1 m and scatters by `factor` as much
     config, memory, error, records = Receiver(200.0, scatter=factor * SIGMA).through(mechanization=mechanization)
     ratio = math.sqrt(newest(memory)[Nav.GNSS_RATIO])
-    assert ratio == pytest.approx(factor, rel=0.35)
+    assert ratio > 0.65 * factor
+    if mechanization == 'planar':  # its own errors, slopes, would pass for the receiver's: it is told, not used
+        _, _, as_stated, _ = Receiver(200.0, scatter=factor * SIGMA).through(**{'gnss.adapt_sigma': False})
+        assert np.array_equal(error, as_stated)
+        return
     # then the filter's sigma and its NIS are those of the real one
+    assert ratio < 1.35 * factor
     late = records[60:]
     assert np.median(late[:, Event.NIS]) == pytest.approx(2 * math.log(2), rel=0.5)
     if factor > 1:

@@ -22,6 +22,7 @@ from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simul
 
 RATE, DURATION = 20.0, 150.0
 SIGMA = 1.5  # m, of a fix
+YAW_SIGMA = 0.05  # rad, of a heading that is given
 SEEDS = 24
 #: turn-on biases only as large as a random walk's start; the other two models start stationary
 START = {'random_walk': {'accelerometer.initial_sigma': [0.05], 'gyroscope.initial_sigma': [1e-3]},
@@ -192,12 +193,11 @@ def aligned(mechanization, model, heading, level, seeds, rate=25.0, still=20.0):
     errors, nis, bias = [], [], []
     for seed in range(seeds):
         drive = simulate_drive(90.0, 100 + seed, rate, standstill=still, rotating_earth=mechanization == 'strapdown')
-        config = configure({'alignment.level': level, 'alignment.heading': heading}, mechanization=mechanization,
-                           sensor_error_model=model)
+        yaw = drive.yaw[0] + YAW_SIGMA * np.random.default_rng(seed).standard_normal()
+        config = configure({'alignment.level': level, 'alignment.heading': heading, 'alignment.yaw': float(wrap(yaw)),
+                            'alignment.yaw_sigma': YAW_SIGMA}, mechanization=mechanization, sensor_error_model=model)
         sensors = SensorErrors.from_parameters(config.parameters, model)
         simulation = simulate_recording(drive, sensors, GnssNoise(SIGMA, 1.0), seed=seed)
-        draw = np.random.default_rng(seed).standard_normal()
-        config.parameters['alignment.yaw'] = float(wrap(drive.yaw[0] + draw * config.parameters['alignment.yaw_sigma']))
         result = replay.run(config, simulation.recording.imu, simulation.recording.gnss)
         i = result.index
         east = (result.longitude - drive.longitude[i]) * EARTH * np.cos(drive.latitude[i])
