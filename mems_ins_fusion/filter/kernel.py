@@ -103,7 +103,7 @@ def _restore(memory, good, r, time):
 
 @njit(_nrt=False)
 def _take_sample(memory, time, f_x, f_y, f_z, w_x, w_y, w_z):
-    """Predict to `time` (s since the epoch) with one IMU sample in sensor axes, applying what was measured till then."""
+    """Predict to `time` (s since the epoch) with one IMU sample in sensor axes, and what was measured till then."""
     k = int(memory[Head.SAMPLES]) + 1
     sample = sample_at(memory, k)
     before = state_at(memory, k - 1)

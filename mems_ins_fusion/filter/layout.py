@@ -67,7 +67,8 @@ class _Nav(NamedTuple):
     VERTICAL_NIS: int = 36
     BRIDGED: int = 37  # s, within the last minute or so, without a believable IMU sample
     DOUBT: int = 38  # fixes refused lately less those that fitted well
-    SIZE: int = 39
+    WEIGHTED: int = 39  # fixes weighted down one after the other
+    SIZE: int = 40
 
 
 Nav = _Nav()

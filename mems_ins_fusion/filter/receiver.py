@@ -37,6 +37,10 @@ UNKNOWN_YAW_SIGMA, LARGEST_YAW_SIGMA = math.pi / math.sqrt(3.0), 0.8
 AGREEMENT, AGREEMENT_FLOOR, AGREEMENT_PART = 2.0, 1.0, 0.3
 #: of a new start, besides what the fixes tell
 NEW_VELOCITY_SIGMA, NEW_TILT_SIGMA = 0.5, 0.05  # m/s, rad
+#: no receiver errs so often in a row: then a fix is believed as it is
+MOST_WEIGHTED = 4.0
+#: of the logarithm of the realised over the claimed variance, by a fix that was weighted down
+WEIGHTED_GAIN = 0.25
 #: normalized innovation squared of a fix that fits well
 FITTING = 4.0
 #: median of a chi-square distribution with 2 degrees of freedom, over its mean
@@ -67,11 +71,18 @@ def trust(mem, r, at):
     z_n, z_e = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
     _scatter(mem, r, at, z_n, z_e)
     factor = max(1.0, mem[r + Nav.GNSS_RATIO]) if mem[Head.ADAPT] > 0.0 else 1.0
-    # refused only if it is off by something that matters
-    gate = mem[Head.GATE] if math.hypot(z_n, z_e) > GATE_FLOOR else 0.0
+    # refused only if it is off by something that matters, and has become so at once: what grows from fix to fix is the
+    # filter's own error
+    interval = mem[at + Event.TIME] - mem[r + Nav.RESIDUAL_TIME]
+    jump = math.hypot(z_n, z_e)
+    if mem[r + Nav.REFUSED] == 0.0 and mem[r + Nav.FIX_TIME] != 0.0 and 0.0 < interval < LONGEST_PAIR:
+        jump = min(jump, math.hypot(z_n - mem[r + Nav.RESIDUAL_N], z_e - mem[r + Nav.RESIDUAL_E]))
+    gate = mem[Head.GATE] if jump > GATE_FLOOR else 0.0
     robust = mem[Head.ROBUST_SIGMA]
     if robust > 0.0 and mem[r + Nav.DOUBT] > FEWEST_DOUBT:
         robust = min(robust, DOUBTED)
+    elif mem[r + Nav.WEIGHTED] >= MOST_WEIGHTED:  # it is the filter that is wrong
+        robust = 0.0
     return factor, robust, gate
 
 
@@ -84,6 +95,10 @@ def learn(mem, r, at, left_n, left_e):
     mem[r + Nav.FIX_TIME] = time
     mem[r + Nav.FIX_LATITUDE], mem[r + Nav.FIX_LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
     verdict = mem[at + Event.VERDICT]
+    mem[r + Nav.WEIGHTED] = mem[r + Nav.WEIGHTED] + 1.0 if verdict == Verdict.WEIGHTED else 0.0
+    if verdict == Verdict.WEIGHTED and mem[r + Nav.DOUBT] <= FEWEST_DOUBT:
+        # errors that last do not show between two fixes (a time offset), but here
+        mem[r + Nav.GNSS_RATIO] = min(mem[r + Nav.GNSS_RATIO] * math.exp(WEIGHTED_GAIN), LARGEST_RATIO)
     if verdict == Verdict.REFUSED:
         mem[r + Nav.DOUBT] = min(mem[r + Nav.DOUBT] + 1.0, MOST_DOUBT)
     elif verdict == Verdict.RECOVERED:
