@@ -36,6 +36,8 @@ PAPER = {'mechanization': 'planar', 'vehicle.zero_velocity': False, 'vehicle.non
          'vehicle.non_holonomic_sigma': 0.2, 'vehicle.non_holonomic_vertical_sigma': 0.2, 'imu.mounting_sigma': 0.0,
          'vehicle.rear_axle_sigma': 0.0}
 CONSTRAINTS = {'vehicle.zero_velocity': True, 'vehicle.non_holonomic': True}
+#: and the defaults
+CAR = {name: table.defaults()[name] for name in PAPER}
 AR2 = {'sensor_error_model': 'autoregressive'}
 AR3 = {'sensor_error_model': 'autoregressive', 'accelerometer.autoregressive.coefficients': [-1.6, 0.5, 0.101],
        'gyroscope.autoregressive.coefficients': [-1.5, 0.4, 0.101], 'accelerometer.autoregressive.interval': 0.5}
@@ -63,6 +65,9 @@ CASES = {
                               'gnss.coloured_noise.sigma': 0.7, 'gnss.robust_sigma': 3.0},
                              {'delay': 0.9, 'coloured': 0.7, 'lever_arm': ARM, 'phase': 0.0073, 'outliers': 20.0,
                               'gaps': ((50.0, 50.3), (70.0, 71.2))}),
+    'car': (CAR, {}),
+    'car_outliers': (CAR, {'outliers': 30.0}),
+    'car_late_gap': (CAR, {'delay': 0.9, 'gaps': ((50.0, 50.3), (70.0, 71.2))}),
     'strapdown_lever_arm': ({'mechanization': 'strapdown', 'gnss.lever_arm': ARM}, {'lever_arm': ARM}),
 }
 

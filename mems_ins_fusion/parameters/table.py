@@ -114,7 +114,8 @@ FILTER = (
               'the filter starts anew from them.', positive=True, maximum=86400.0),
     Parameter('gnss.adapt_sigma', True, '-', 'Raise the sigma of the fixes to what they are seen to scatter '
               '(strapdown).'),
-    Parameter('gnss.outage_after', 2.5, 's', 'Without a fix for this long the node reports an outage.', positive=True, maximum=86400.0),
+    Parameter('gnss.outage_after', 2.5, 's', 'Without a fix for this long the node reports an outage.', positive=True,
+              maximum=86400.0),
     Parameter('gnss.coloured_noise.sigma', 0.0, 'm', 'Standard deviation of a first-order Gauss-Markov position '
               'error of the receiver, north and east; 0: none.', minimum=0.0, maximum=1000.0),
     Parameter('gnss.coloured_noise.tau', 60.0, 's', 'Its correlation time.', positive=True, maximum=1e9),
