@@ -149,7 +149,7 @@ def test_in_an_outage_it_coasts_with_growing_covariance_and_says_so(played, reco
     variance = np.array([m.pose.covariance[0] + m.pose.covariance[7] for m in odometry])[during]
     assert len(variance) > 450
     assert np.all(np.diff(variance) > 0)
-    assert any('no fix on /gps/fix for 2.5 s' in line for line in lines)
+    assert any('no fix used from /gps/fix for 2.5 s: coasting' in line for line in lines)
 
 
 def test_the_log_says_what_it_waits_for_and_that_it_is_aligned(played):

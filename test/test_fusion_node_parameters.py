@@ -40,7 +40,7 @@ def refusal(capsys):
     ('gnss.sigma', 'near', "must be a number, got 'near'"),
     ('gnss.lever_arm', '[1, 2]', 'must have 3 values, got 2: [1, 2]'),
     ('gnss.lever_arm', '[]', 'must have 3 values, got 0: []'),
-    ('gyroscope.gauss_markov.tau', '[0]', 'must be above 0 s, got 0'),
+    ('gyroscope.gauss_markov.tau', '[0]', 'must be above 0 and at most 1e+09 s, got 0'),
     ('vehicle.zero_velocity', '1', 'must be true or false, got 1'),
 ])
 def test_a_value_that_does_not_fit_is_refused_with_what_would(refusal, name, value, said):
@@ -93,7 +93,7 @@ def test_transforms_without_tf2_msgs_are_refused(refusal, monkeypatch):
     (['frames:=map_odom', 'map_frame_id:=odom'],
      "parameters 'frame_id' and 'map_frame_id' are the same frame, 'odom'"),
     (['child_frame_id:=/car'], "parameter 'child_frame_id' must be a frame without a slash in front, got '/car'"),
-    (['datum:=[95.0, 11.0, 0.0]'], "parameter 'datum' must be a place on earth"),
+    (['datum:=[95.0, 11.0, 0.0]'], "parameter 'datum' must have a latitude from -90 to 90, got 95"),
     (['start_pose:=[48.0, 200.0, 0.0, 0.0]'], "parameter 'start_pose' must be a place on earth"),
     (['predict_to_now:=true'], "parameter 'predict_to_now' needs an 'odometry_rate' above 0"),
     (['state_file:=/absent/state.json'], "parameter 'state_file': there is no folder /absent"),

@@ -144,7 +144,7 @@ def test_output_by_the_clock_goes_on_between_samples_from_a_start_pose(recording
     # given output at 50 Hz by a clock that the samples share, started from a pose
     pose = '[48.0, 11.0, 500.0, 0.0]'
     with NodeProcess('fusion_node', '-p', 'predict_to_now:=true', '-p', 'odometry_rate:=50.0', '-p',
-                     'imu.max_gap:=1.0', '-p', f'start_pose:={pose}') as node:
+                     'imu.max_gap:=1.0', '-p', 'imu.mounting_sigma:=0.0', '-p', f'start_pose:={pose}') as node:
         node.wait_until_ready()
         now = peer.node.get_clock().now
         sent = []

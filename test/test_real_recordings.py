@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import shared_data
-from filter_support import PAPER
 from ros_support import PLAYABLE, NodeProcess, Peer
 
 from mems_ins_fusion.evaluation.comparison import cut
@@ -32,7 +31,7 @@ def test_the_node_gives_on_measured_messages_what_the_replay_gives(name):
     gnss = replace(gnss, latitude=np.radians(np.degrees(gnss.latitude)),  # as a message in degrees carries it
                    longitude=np.radians(np.degrees(gnss.longitude)))
     recording = replace(recording, gnss=gnss)
-    values = table.check({**PAPER, 'imu.mounting_rpy': mounting})
+    values = table.check({'imu.mounting_rpy': mounting})
     replay = run(FilterConfig.from_parameters(values), recording.imu, gnss)
     assert len(replay.stamp) > 0.1 * len(recording.imu)
     # when it is played to the node
