@@ -33,7 +33,7 @@ HELD = 0.3
 #: the vehicle certainly moves above this speed plus two sigma, m/s
 MOVING_SPEED = 1.0
 #: a measurement that came before an IMU sample may be this much later than it, s
-LATEST = 0.5
+LATEST = 1.0
 #: what is added to the sigmas of velocity and attitude where a state was not finite and the one before it is taken
 RESTART_VELOCITY, RESTART_ATTITUDE = 1.0, 0.05  # m/s, rad
 
