@@ -43,7 +43,7 @@ class _Publishing(_Replay):
 
     def _filter(self, memory, samples, index, events: _Events, epoch: int) -> None:
         kept = np.flatnonzero(self.keep[index])
-        rows, geodetic, covariance = np.empty((len(kept), SIZE)), np.empty(3), np.empty(9)
+        rows, geodetic, covariance = np.zeros((len(kept), SIZE)), np.empty(3), np.empty(9)
         events.record[:, Event.ID] = np.arange(len(events.kind))
         work = _Work(samples, events, self.columns, kept[:0], np.empty((0, len(self.columns))))
         # the planar height is as good as the latest fix says, those of the alignment too
