@@ -96,7 +96,7 @@ def learn(mem, r, at, left_n, left_e):
     mem[r + Nav.FIX_LATITUDE], mem[r + Nav.FIX_LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
     verdict = mem[at + Event.VERDICT]
     mem[r + Nav.WEIGHTED] = mem[r + Nav.WEIGHTED] + 1.0 if verdict == Verdict.WEIGHTED else 0.0
-    if verdict == Verdict.WEIGHTED and mem[r + Nav.DOUBT] <= FEWEST_DOUBT:
+    if verdict == Verdict.WEIGHTED and mem[Head.ADAPT] > 0.0 and mem[r + Nav.DOUBT] <= FEWEST_DOUBT:
         # errors that last do not show between two fixes (a time offset), but here
         mem[r + Nav.GNSS_RATIO] = min(mem[r + Nav.GNSS_RATIO] * math.exp(WEIGHTED_GAIN), LARGEST_RATIO)
     if verdict == Verdict.REFUSED:
