@@ -95,7 +95,8 @@ def _claim(path: Path) -> tuple[Path, int]:
     """
     parent = os.open(path.parent, os.O_RDONLY)
     try:
-        fcntl.flock(parent, fcntl.LOCK_EX)  # between the making of a folder and its locking nobody may look
+        if not path.parent.name.endswith(_UNFINISHED):  # that is a result of this process, which it has locked
+            fcntl.flock(parent, fcntl.LOCK_EX)  # between the making of a folder and its locking nobody may look
         for folder in _left_over(path, _UNFINISHED):
             _remove_left_over(folder, path)
         for folder in _left_over(path, _FORMER):
