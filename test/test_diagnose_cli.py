@@ -65,8 +65,8 @@ def test_the_report_is_valid_json_with_what_the_design_promises(result):
                     'percent_of_distance'} <= set(outage)
     assert content['after']['horizontal_rmse_m'] < content['before']['horizontal_rmse_m']
     assert isinstance(content['unexplained'], bool)
-    # neither a temperature nor the non-holonomic constraint is there, and a planar filter sees no height of an antenna
-    assert {'temperature', 'sideslip', 'gnss_lever_arm.z'} <= set(content['not_identifiable'])
+    # there is no temperature, and a level drive shows no height of an antenna; the constraint that sideslip needs is on
+    assert {'temperature', 'gnss_lever_arm.z'} <= set(content['not_identifiable'])
 
 
 def test_no_number_is_given_for_what_is_not_identifiable(result):

@@ -8,11 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from browser_support import check_page
+from filter_support import PAPER
 
 from mems_ins_fusion.cli.compare import main as compare
 from mems_ins_fusion.evaluation.bootstrap import Difference
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.parameters import table
+from mems_ins_fusion.parameters.params_file import yaml_value
 from mems_ins_fusion.recordings.checker import Finding
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.reports import html, verdict
@@ -36,9 +38,10 @@ def folder(tmp_path_factory):
         simulate_drive(240.0, 3, rate=50.0), SensorErrors.from_parameters(table.check({}), 'gauss_markov'),
         GnssNoise(sigma=0.3), [(EFFECTS['gnss_time_offset'], {'time_offset': OFFSET})], seed=3)
     write_recording(simulation.recording, folder / 'drive')
-    for name, line in (('right', RIGHT), ('wrong', WRONG)):
-        (folder / f'{name}.yaml').write_text(f'/**:\n  ros__parameters:\n    reference_lever_arm: [0.0, 0.0, 0.0]\n'
-                                             f'    {line}\n')
+    for kind, line in (('right', RIGHT), ('wrong', WRONG)):
+        (folder / f'{kind}.yaml').write_text(f'/**:\n  ros__parameters:\n    reference_lever_arm: [0.0, 0.0, 0.0]\n'
+                                             f'    {line}\n' + ''.join(
+                                                 f'    {name}: {yaml_value(value)}\n' for name, value in PAPER.items()))
     status = compare([str(folder / 'wrong.yaml'), str(folder / 'right.yaml'), '--bag', str(folder / 'drive'),
                       '--reference-topic', '/reference/fix', '--output', str(folder / 'out')])
     assert status == 0

@@ -14,9 +14,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import shared_data
+from filter_support import PAPER
 
 from mems_ins_fusion.__main__ import main as tool
 from mems_ins_fusion.parameters import params_file, table
+from mems_ins_fusion.parameters.params_file import yaml_value
 from mems_ins_fusion.recordings import messages
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.errors import RecordingWarning
@@ -286,10 +288,11 @@ def test_published_odometry_comes_with_the_clock(bag, tmp_path):
 
 
 def test_incheon_end_to_end(tmp_path):
-    """A real recording: MEMS IMU upside down, RTK at 5 Hz."""
+    """A real recording: MEMS IMU upside down, RTK at 5 Hz; the paper's filter."""
     recording = shared_data('incheon_square_ros2')
-    process = replay('imu.mounting_rpy:=[3.141592653589793, 0.0, 0.0]', bag=recording / 'bag', gnss_topic='/fix',
-                     output_dir=tmp_path / 'r')
+    paper = [f'{name}:={yaml_value(value)}' for name, value in PAPER.items()]
+    process = replay('imu.mounting_rpy:=[3.141592653589793, 0.0, 0.0]', *paper, bag=recording / 'bag',
+                     gnss_topic='/fix', output_dir=tmp_path / 'r')
     assert process.returncode == 0, process.stderr
     report = json.loads((tmp_path / 'r' / 'report.json').read_text())
     assert len(report['runs']) == 9 and report['recordings'][0]['truth'] == 'fixes'
