@@ -32,8 +32,7 @@ def test_a_fault_is_contained_said_and_forgotten(fault):
     assert np.isfinite(faulty.error).all()
     assert later(faulty) < 3.0 * max(later(clean), 1.0)
     # and meanwhile it costs no more than coasting through it would, or than fixes without an IMU: their scatter and
-    # what
-    # a car may do in the second between two
+    # what a car may do in the second between two
     if fault.duration <= 20.0:
         assert during(faulty) < max(1.3 * during(coasting), 3.0 * max(during(clean), 2.0))
     # and it is said
