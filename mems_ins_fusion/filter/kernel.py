@@ -101,7 +101,7 @@ def _restore(memory, good, r, time):
     memory[Head.RESTARTS] += 1.0
 
 
-@njit(_nrt=False)
+@njit(inline='always')  # in its one caller: what it calls is then compiled once less
 def _take_sample(memory, time, f_x, f_y, f_z, w_x, w_y, w_z):
     """Predict to `time` (s since the epoch) with one IMU sample in sensor axes, and what was measured till then."""
     k = int(memory[Head.SAMPLES]) + 1
@@ -177,7 +177,7 @@ def _moves(memory, r):
     return speed > MOVING_SPEED and (speed - MOVING_SPEED) ** 2 > 4.0 * variance
 
 
-@njit(_nrt=False)
+@njit(inline='always')  # as above
 def _take_event(memory, events, i):
     """Take in measurement i of `events`, rows as in `Event`; TAKEN, or why not."""
     capacity, newest = int(memory[Head.CAPACITY]), int(memory[Head.SAMPLES])

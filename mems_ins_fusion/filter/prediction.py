@@ -31,12 +31,9 @@ def predict(mem, src, dst, sample, dt):
     if src < 0 or dst < 0 or sample < 0:  # never: but it tells the compiler that no index counts from the end
         return
     m, p = int(mem[Head.N_AUGMENTED]), int(mem[Head.ORDER])
-    # with sizes known when compiling, the usual filters are several times as fast
     if mem[Head.MECHANIZATION] != PLANAR:
         _step_strapdown(mem, src, dst, sample, dt, m, p)
-    elif m == 3:
-        _step_planar(mem, src, dst, sample, dt, 3, 1)
-    elif m == 6 and p == 2:
+    elif m == 6 and p == 2:  # AR(2), with its sizes known to the compiler: a third faster (the others gain nothing)
         _step_planar(mem, src, dst, sample, dt, 6, 2)
     else:
         _step_planar(mem, src, dst, sample, dt, m, p)
