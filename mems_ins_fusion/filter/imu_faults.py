@@ -42,16 +42,17 @@ FROZEN_TIME = 0.3  # s
 
 
 @njit(_nrt=False)
-def check(mem, time, dt, moving, f_x, f_y, f_z, w_x, w_y, w_z):
-    """What is wrong with a sample in sensor axes, a `Fault`; what it shows is remembered in the head of `mem`.
+def check(mem, samples, k, dt, moving):
+    """What is wrong with sample k, a `Fault`; it, and what it shows, is remembered in the head of `mem`.
 
-    time: s. dt: s since the one before. moving: whether the vehicle certainly moves.
+    samples (n, 7): time (s), specific force and angular rate in sensor axes. dt: s since the one before. moving:
+    whether the vehicle certainly moves.
     """
-    raw = (f_x, f_y, f_z, w_x, w_y, w_z)
+    time = samples[k, 0]
     equal, zero, out, saturated = 1e9, True, False, False
     lively = mem[Head.VARIED] > 0.5 * mem[Head.BELIEVED] and mem[Head.BELIEVED] > 10.0
     for i in range(6):
-        value = raw[i]
+        value = samples[k, 1 + i]
         mem[Head.SAME + i] = mem[Head.SAME + i] + 1.0 if value == mem[Head.RAW + i] else 0.0
         mem[Head.RAW + i] = value
         equal = min(equal, mem[Head.SAME + i])
@@ -68,7 +69,7 @@ def check(mem, time, dt, moving, f_x, f_y, f_z, w_x, w_y, w_z):
         fault = Fault.SATURATED
     elif lively and moving and equal >= FEWEST_EQUAL and equal * dt > FROZEN_TIME:
         fault = Fault.FROZEN
-    elif _is_spike(mem, raw, time):
+    elif _is_spike(mem, time):
         fault = Fault.SPIKE
     if fault != Fault.NONE:
         mem[Head.FAULTS + fault] += 1.0
@@ -77,30 +78,30 @@ def check(mem, time, dt, moving, f_x, f_y, f_z, w_x, w_y, w_z):
     mem[Head.BELIEVED] += 1.0
     if equal == 0.0:
         mem[Head.VARIED] += 1.0
-    _remember(mem, raw, dt)
+    _remember(mem, dt)
     return fault
 
 
 @njit(_nrt=False)
-def _is_spike(mem, raw, time):
+def _is_spike(mem, time):
     if mem[Head.BELIEVED] < 10.0 or time - mem[Head.SPIKE_SINCE] > LONGEST_SPIKE:
         return False
     force = JUMP_FORCE + JUMP_SIGMAS * math.sqrt(mem[Head.SPREAD])
     rate = JUMP_RATE + JUMP_SIGMAS * math.sqrt(mem[Head.SPREAD + 1])
     for i in range(6):
-        if abs(raw[i] - mem[Head.CENTRE + i]) > (force if i < 3 else rate):
+        if abs(mem[Head.RAW + i] - mem[Head.CENTRE + i]) > (force if i < 3 else rate):
             return True
     return False
 
 
 @njit(_nrt=False)
-def _remember(mem, raw, dt):
+def _remember(mem, dt):
     """Running mean and variance of what was believed."""
     weight = 1.0 if mem[Head.BELIEVED] == 1.0 else min(1.0, dt / NEIGHBOURHOOD)
     for half in range(2):
         squared = 0.0
         for i in range(3 * half, 3 * half + 3):
-            deviation = raw[i] - mem[Head.CENTRE + i]
+            deviation = mem[Head.RAW + i] - mem[Head.CENTRE + i]
             mem[Head.CENTRE + i] += weight * deviation
             squared = max(squared, deviation * deviation)
         mem[Head.SPREAD + half] += min(weight, 0.5) * ((squared if weight < 1.0 else 0.0) - mem[Head.SPREAD + half])

@@ -102,27 +102,28 @@ def _restore(memory, good, r, time):
 
 
 @njit(inline='always')  # in its one caller: what it calls is then compiled once less
-def _take_sample(memory, time, f_x, f_y, f_z, w_x, w_y, w_z):
-    """Predict to `time` (s since the epoch) with one IMU sample in sensor axes, and what was measured till then."""
+def _take_sample(memory, samples, i):
+    """Predict to the time of sample i (time, specific force and angular rate in sensor axes), with what was measured
+    till then."""
     k = int(memory[Head.SAMPLES]) + 1
     sample = sample_at(memory, k)
     before = state_at(memory, k - 1)
+    time = samples[i, 0]
     dt = time - memory[sample_at(memory, k - 1) + Sample.TIME]
     memory[sample + Sample.TIME] = time
     moving = _moves(memory, before)
-    fault = imu_faults.check(memory, time, dt, moving, f_x, f_y, f_z, w_x, w_y, w_z)
+    fault = imu_faults.check(memory, samples, i, dt, moving)
     memory[sample + Sample.FAULT] = fault
     if fault == Fault.NONE:
-        _condition(memory, sample, f_x, f_y, f_z, w_x, w_y, w_z)
+        _condition(memory, sample, Head.RAW)
     elif memory[before + Nav.BRIDGED] < HELD:
-        c = Head.CENTRE
-        _condition(memory, sample, memory[c], memory[c + 1], memory[c + 2], memory[c + 3], memory[c + 4], memory[c + 5])
+        _condition(memory, sample, Head.CENTRE)
     else:
         _coast(memory, sample, before)
     if dt > memory[Head.MAX_GAP] and k > 1:  # nobody knows what was in between: the mean of both ends is the best guess
         last = sample_at(memory, k - 1)
-        for i in range(6):
-            memory[sample + Sample.F_X + i] = 0.5 * (memory[sample + Sample.F_X + i] + memory[last + Sample.F_X + i])
+        for j in range(6):
+            memory[sample + Sample.F_X + j] = 0.5 * (memory[sample + Sample.F_X + j] + memory[last + Sample.F_X + j])
     memory[sample + Sample.STILL] = 0.0
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
         memory[sample + Sample.STILL] = is_still(memory, sample, dt, moving)
@@ -141,13 +142,13 @@ def _refuse_ahead(memory, time):
 
 
 @njit(_nrt=False)
-def _condition(memory, sample, f_x, f_y, f_z, w_x, w_y, w_z):
-    """Sensor axes to body axes, with the corrections of the configuration."""
+def _condition(memory, sample, raw):
+    """The six numbers at `raw`, in sensor axes, to body axes, with the corrections of the configuration."""
     for i in range(6):
-        c = Head.CONDITIONING + 6 * i
-        memory[sample + Sample.F_X + i] = (memory[c] * f_x + memory[c + 1] * f_y + memory[c + 2] * f_z
-                                           + memory[c + 3] * w_x + memory[c + 4] * w_y + memory[c + 5] * w_z
-                                           + memory[Head.OFFSET + i])
+        total = memory[Head.OFFSET + i]
+        for j in range(6):
+            total += memory[Head.CONDITIONING + 6 * i + j] * memory[raw + j]
+        memory[sample + Sample.F_X + i] = total
 
 
 @njit(_nrt=False)
@@ -173,7 +174,7 @@ def _moves(memory, r):
     v = planar.State.V_N if n_navigation == planar.State.SIZE else strapdown.State.V_N
     a = r + NAV + n_navigation + int(memory[Head.N_AUGMENTED])
     variance = memory[a + packed(v, v, n_navigation)] + memory[a + packed(v + 1, v + 1, n_navigation)]
-    speed = math.hypot(memory[r + Nav.V_N], memory[r + Nav.V_E])
+    speed = math.sqrt(memory[r + Nav.V_N] ** 2 + memory[r + Nav.V_E] ** 2)
     return speed > MOVING_SPEED and (speed - MOVING_SPEED) ** 2 > 4.0 * variance
 
 
@@ -235,8 +236,7 @@ def run(memory, samples, events, arrival, answers, columns, kept, states, log):
             next_event += 1
         if k == len(samples):
             break
-        _take_sample(memory, samples[k, 0], samples[k, 1], samples[k, 2], samples[k, 3], samples[k, 4], samples[k, 5],
-                     samples[k, 6])
+        _take_sample(memory, samples, k)
         if next_row < len(kept) and kept[next_row] == k:
             newest = np.uint64(state_at(memory, int(memory[Head.SAMPLES])))
             for c in range(len(columns)):
