@@ -24,7 +24,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from mems_ins_fusion.guard import guarded, refuse
 
-#: what small input may take: GB on top of the process as it is, and s of processor time
+#: what small input may take: GB of the whole process, and s of processor time
 MOST_MEMORY, LONGEST = 1.0, 30
 START = 1_700_000_000_000_000_000
 IMU, FIX = 'sensor_msgs/msg/Imu', 'sensor_msgs/msg/NavSatFix'
@@ -37,7 +37,7 @@ class Outcome:
     status: int
     said: str
     seconds: float
-    memory: float  # GB
+    memory: float  # GB, most that was resident
 
     def complaint(self) -> str:
         """What is wrong with it; empty where nothing is."""
@@ -64,9 +64,8 @@ def outcome(work: Callable[[], object]) -> Outcome:
         _, status, usage = os.wait4(child, 0)
         said.seek(0)
         text = said.read().decode(errors='replace')
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return Outcome(os.waitstatus_to_exitcode(status), text, usage.ru_utime + usage.ru_stime,
-                   max(usage.ru_maxrss - before, 0) * 1024 / 1e9)
+                   usage.ru_maxrss * 1024 / 1e9)
 
 
 def _child(work, said) -> int:
@@ -307,26 +306,48 @@ def _use_parameters(values: dict) -> None:
     FilterConfig.from_parameters(values)
 
 
+#: options of each tool, each with values that it takes: a part of the command lines is to be carried out
 _OPTIONS = {
-    'simulate': ('--duration', '--rate', '--seed', '--gnss-rate', '--gnss-sigma', '--gnss-latency', '--reference-rate',
-                 '--standstill', '--outage', '--effect', '--model', '--storage', '--params-file', '--static'),
-    'import_csv': ('--imu', '--gnss', '--reference', '--imu-axes', '--imu-columns', '--gnss-columns', '--gnss-sigma',
-                   '--imu-time-unit', '--acceleration-unit', '--imu-topic', '--storage'),
-    'characterize': ('--bag', '--orders', '--imu-topic', '--params-file'),
-    'diagnose': ('--bag', '--params-file', '--reference-topic', '--reference-file', '--start', '--stop')}
+    'simulate': {'--duration': '3|0.5', '--rate': '20|200', '--seed': '0|7', '--gnss-rate': '1|5', '--gnss-sigma': '0|3',
+                 '--gnss-latency': '0|0.4', '--reference-rate': '1|20', '--standstill': '0|2', '--outage': '1:2|0:9',
+                 '--effect': 'tilt=1|gnss_time_offset=0.2|gyroscope_scale.z=0.01', '--storage': 'mcap|sqlite3',
+                 '--model': 'random_walk|autoregressive', '--params-file': 'good.yaml', '--static': '',
+                 '--drive': 'realistic|flat', '--gnss-outliers': '0.5|1', '--gnss-smoothing': '0|2', '--aiding': '',
+                 '--manoeuvres': 'mixed|city', '--vibration': '0|3', '--overwrite': ''},
+    'import_csv': {'--imu': 'good_imu.csv', '--gnss': 'good_gnss.csv', '--reference': 'good.tum', '--gnss-sigma': '1',
+                   '--imu-axes': 'forward left up|right back up', '--imu-columns': 'time=1|time=t',
+                   '--gnss-columns': 'time=1', '--imu-time-unit': 's|ns', '--acceleration-unit': 'g|mg',
+                   '--imu-topic': '/imu|a', '--storage': 'sqlite3', '--overwrite': ''},
+    'characterize': {'--bag': 'rest', '--orders': '1|3', '--imu-topic': '/imu/data', '--params-file': 'good.yaml',
+                     '--overwrite': ''},
+    'configure': {'--bag': 'mcap', '--overwrite': ''},
+    'diagnose': {'--bag': 'mcap', '--params-file': 'good.yaml', '--reference-topic': '/gps/fix', '--start': '0|1',
+                 '--stop': '1|3', '--reference-file': 'good.tum', '--overwrite': ''},
+    'compare': {'--bag': 'mcap', '--params-file': 'good.yaml', '--reference-topic': '/gps/fix', '--overwrite': ''}}
 _ARGUMENTS = ('0', '-1', '5', '1e9', '1e300', 'nan', 'inf', '', 'x', '/', '/dev/null', '/dev/zero', '.', 'a=b', '1:2',
               '2:1', 'tilt=1', 'tilt.x=1e300', 'gnss_time_offset=1e9', 'nowhere', 'x' * 300, 'forward left up',
               'time=1', 'temperature=1e308', 'mcap', 'sqlite3', 'random_walk', '9' * 400, 'accelerometer_scale=1e300')
 
 
 def _command_line(folder: Path, rng) -> Callable[[], object]:
-    tool = rng.choice(list(_OPTIONS))
-    given = {'simulate': ['--duration', '3', '--rate', '20'], 'import_csv': ['--imu', str(folder / 'imu.csv')],
-             'characterize': ['--bag', str(folder / 'mcap')], 'diagnose': ['--bag', str(folder / 'mcap')]}[tool]
-    options = [*given, '--output', rng.choice([str(folder / 'out' / 'result'), '/dev/null/x', str(folder / ('y' * 300)),
-                                               str(folder / 'mcap')])]
+    """A tool with options of its own, of which in half of the cases every value is one that it takes."""
+    tool, plausible = rng.choice(list(_OPTIONS)), rng.random() < 0.5
+    for name, kind in (('good_imu.csv', 'imu.csv'), ('good_gnss.csv', 'gnss.csv'), ('good.tum', 'track.tum'),
+                       ('good.yaml', 'params.yaml')):
+        (folder / name).write_text(TEXTS[kind])
+    given = {'simulate': ['--duration', '3', '--rate', '20'], 'import_csv': ['--imu', str(folder / 'good_imu.csv')],
+             'compare': [str(folder / 'mcap')] * 2}.get(tool, ['--bag', str(folder / 'mcap')])
+    outputs = [folder / 'out' / f'result{rng.randrange(10**9)}{".yaml" if tool == "configure" else ""}']
+    if not plausible:
+        outputs += [Path('/dev/null/x'), folder / ('y' * 300), folder / 'mcap']
+    options = [*given, '--output', str(rng.choice(outputs))]
     for _ in range(rng.randint(1, 3)):
-        options += [rng.choice(_OPTIONS[tool]), rng.choice(_ARGUMENTS)]
+        option = rng.choice(list(_OPTIONS[tool]))
+        values = _OPTIONS[tool][option].split('|') if plausible or rng.random() < 0.3 else _ARGUMENTS
+        value = rng.choice(values)
+        options.append(option)
+        if value:
+            options.append(str(folder / value) if os.path.exists(folder / value) else value)
     from importlib import import_module
     return lambda: import_module(f'mems_ins_fusion.cli.{tool}').main(options)
 
