@@ -20,6 +20,7 @@ from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.parameters.params_file import load_yaml
 from mems_ins_fusion.recordings.checker import ERROR
+from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.units import in_si
 from mems_ins_fusion.recordings.writing import write_recording
@@ -217,10 +218,20 @@ def test_noise_and_biases_at_rest_are_those_simulated(bag):
     assert result.values['gyroscope.bias'] == pytest.approx(truth, abs=1e-3)
 
 
-def test_several_drives_are_taken_together(bag):
-    alone, both = configure([bag]), configure([bag, bag])
-    assert np.allclose(both.mounting.rotation, alone.mounting.rotation, atol=1e-6)
-    assert np.all(both.mounting.sigma < alone.mounting.sigma)
+def test_several_drives_are_taken_together(bag, tmp_path):
+    other = tmp_path / 'other'
+    made = altered(recording(mounting=[0.0, 0.0, QUARTER], sigma=0.05, seed=5), force=1.0 / STANDARD_GRAVITY,
+                   rate=180.0 / math.pi)
+    write_recording(made, other, imu_topic='/sensors/imu', gnss_topic='/ublox/fix')
+    alone, both = configure([bag]), configure([bag, other])
+    error = errors(both.mounting, [0.0, 0.0, QUARTER])
+    assert np.linalg.norm(error) < 3.0 * np.linalg.norm(both.mounting.sigma)
+    assert np.linalg.norm(both.mounting.sigma) < np.linalg.norm(alone.mounting.sigma)
+
+
+def test_the_same_recording_twice_is_no_second_witness(bag):
+    with pytest.raises(RecordingError, match='holds the samples of .*; give each recording once'):
+        configure([bag, bag])
 
 
 @pytest.mark.parametrize('arguments, words', [

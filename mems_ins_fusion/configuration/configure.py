@@ -86,6 +86,7 @@ def configure(paths, progress=lambda part, what: None) -> Configuration:
         gnss = _same(found.gnss, topics.gnss[0].topic, path) if topics.gnss else None
         progress((i + 0.5) / len(paths), 'looking')
         drives.append(_look(path, imu.samples, gnss.samples if gnss else None))
+        _refuse_twice(drives)
     mounting = _together([drive.mounting for drive in drives if drive.mounting is not None])
     progress(1.0, 'done')
     return Configuration(tuple(_settings(topics, drives, mounting)), topics, tuple(drives), mounting,
@@ -98,6 +99,16 @@ def _same(candidates, topic, path) -> Candidate:
         raise RecordingError(f"{path} has no messages on '{topic}', which the first recording has; give recordings of "
                              'one vehicle')
     return match[0]
+
+
+def _refuse_twice(drives) -> None:
+    """A RecordingError where the newest of `drives` has the samples of another: what they show is no second witness."""
+    newest = drives[-1]
+    for other in drives[:-1]:
+        _, a, b = np.intersect1d(newest.imu.stamp, other.imu.stamp, return_indices=True)
+        same = (newest.imu.specific_force[a] == other.imu.specific_force[b]).all(axis=1).sum()
+        if same > 0.5 * min(len(newest.imu), len(other.imu)):
+            raise RecordingError(f'{newest.name} holds the samples of {other.name}; give each recording once')
 
 
 def _look(path, imu: ImuSamples, fixes: Fixes | None) -> Drive:
