@@ -18,7 +18,7 @@ def test_the_files_are_there(name):
 @pytest.mark.parametrize(('file', 'names'), [
     ('effects/registry.py', ['EFFECTS']), ('effects/base.py', ['Effect', 'applied', 'attitude']),
     ('filter/layout.py', ['Kind', 'Head', 'MECHANIZATIONS', 'Nav']),
-    ('filter/correction.py', ['apply_event', '_feed_back']),
+    ('filter/correction.py', ['apply_event', 'feed_back']),
     ('filter/intake.py', ['SOURCES', 'NAMES']), ('filter/config.py', ['_extras', '_write_head', '_set_noise']),
     ('filter/replay.py', ['Aiding', 'WITHHELD']), ('parameters/table.py', ['MODELS', '_sensor']),
     ('filter/odometry.py', ['corrected']), ('navigation/planar.py', ['STATES', 'State', 'CHANNELS', 'mechanize']),

@@ -4,7 +4,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import combinations
 
 import numpy as np
@@ -13,6 +13,7 @@ from ..filter.config import FilterConfig
 from ..filter.replay import Aiding
 from ..filter.replay import run as replay
 from ..filter.results import Run
+from ..filter.smoothing import smoothed
 from ..navigation.earth import to_local
 from ..navigation.frames import FLU_TO_FRD
 from ..recordings.motion import plausible
@@ -20,7 +21,7 @@ from ..samples import Fixes, ImuSamples, Recording
 from . import metrics
 from .bootstrap import Difference, holm, paired
 from .metrics import Errors, Truth, position_errors, truth_from_fixes, turning_at
-from .outages import Distance, Outages, outage_begins, run_outages
+from .outages import Distance, Outages, outage_begins, run_outages, smooth_outages
 from .outages import summary as outage_summary
 
 #: states are kept at this rate, beside those around the epochs of the truth, Hz
@@ -55,9 +56,12 @@ class RunResult:
 
 @dataclass(frozen=True)
 class OutageResult:
+    """smoothed: the same outages of the smoothed trajectory, where that was asked for."""
+
     model: str
     interval: float
     outages: Outages
+    smoothed: Outages | None = None
 
 
 @dataclass(frozen=True)
@@ -84,7 +88,7 @@ class PairResult:
 
 @dataclass(frozen=True)
 class Comparison:
-    """All runs on one recording."""
+    """All runs on one recording. smoothed: those at the shortest interval, smoothed, where that was asked for."""
 
     recording: Recording
     mechanization: str
@@ -93,9 +97,13 @@ class Comparison:
     outages: list[OutageResult]
     pairs: list[PairResult]
     fixes_given: dict[float, np.ndarray]  # to the runs of each interval: when they describe the vehicle, ns
+    smoothed: list[RunResult] = field(default_factory=list)
 
     def run_of(self, model: str, interval: float) -> RunResult:
         return next(r for r in self.runs if r.model == model and r.interval == interval)
+
+    def smoothed_of(self, model: str) -> RunResult | None:
+        return next((r for r in self.smoothed if r.model == model), None)
 
     @property
     def intervals(self) -> list[float]:
@@ -196,12 +204,18 @@ def compare(recording: Recording, values: dict, progress: Callable[[float], None
     runs = work.in_threads(work.run, tasks, lambda part: progress(share * part))
     runs = work.measure(runs)
     begin = work.outage_begins(runs)
+    share_of_smoothing = 0.5 if values['smoothing'] else 0.0
     found = work.in_threads(work.outages, [(model, begin) for model in values['models']] if durations else [],
-                            lambda part: progress(share + (1 - share) * part))
-    outages = [OutageResult(model, work.shortest, o) for model, results in zip(values['models'], _common(found))
-               for o in results]
+                            lambda part: progress(share + (1 - share) * (1 - share_of_smoothing) * part))
+    smoothed_runs, smoothed_found = work.smoothed(
+        runs, begin, lambda part: progress(1 - (1 - share) * share_of_smoothing * (1 - part)))
+    models, found = values['models'], _common([*found, *smoothed_found])
+    of_model = dict(zip(models, found[len(models):]))
+    outages = [OutageResult(model, work.shortest, o, of_model[model][i] if of_model else None)
+               for model, results in zip(models, found) for i, o in enumerate(results)]
     given = {interval: work.given(interval) for interval in sorted(set(values['update_intervals']))}
-    return Comparison(work.recording, values['mechanization'], work.truth, runs, outages, _pairs(runs, outages), given)
+    return Comparison(work.recording, values['mechanization'], work.truth, runs, outages, _pairs(runs, outages), given,
+                      smoothed_runs)
 
 
 class _Work:
@@ -211,6 +225,9 @@ class _Work:
         self.values = values
         self.recording = recording
         self.fixes = add_noise(recording.gnss, values['fix_noise'], values['seed'])
+        self.until = int(recording.imu.stamp[0]) + round(values['fixes_until'] * 1e9) if values['fixes_until'] else 0
+        if self.until:
+            self.fixes = self.fixes.select(self.fixes.stamp <= self.until)
         self.truth = truth_of(recording, values)
         if not len(self.truth):
             raise ReplayError(f'{recording.name}: there is no valid position to compare with')
@@ -261,21 +278,42 @@ class _Work:
 
     def measure(self, runs) -> list[RunResult]:
         """The errors of `runs`, all from the time on at which each of them had started."""
-        first = max(run.stamp[0] for *_, run in runs)
-        results = []
-        for model, interval, use, run in runs:
-            withheld = self._withheld(use)
-            independent = bool(withheld.any())
-            judged = (self.truth.reference.stamp >= first) & (withheld if independent else ~withheld)
-            errors = position_errors(run, self.truth.select(judged), self.turning[judged],
-                                     self.values['imu.restart_gap'])
-            if not len(errors):
-                raise ReplayError(f'{self.recording.name}: no position of the {self.truth.source} falls into the '
-                                  f'run at update interval {interval:g} s')
-            summary = metrics.summary(errors) | {'relative_translation_percent': self._relative(run, errors)}
-            results.append(RunResult(model, interval, self.fixes.select(use), run, errors, summary,
-                                     len(self.recording.imu) - int(run.index[0]), independent))
-        return results
+        first = max(self.until, *(run.stamp[0] for *_, run in runs))
+        return [self._result(*run, first) for run in runs]
+
+    def _result(self, model: str, interval: float, use: np.ndarray, run: Run, first: int) -> RunResult:
+        """`run` with its errors from `first` (ns) on."""
+        withheld = self._withheld(use)
+        independent = bool(withheld.any())
+        judged = (self.truth.reference.stamp >= first) & (withheld if independent else ~withheld)
+        errors = position_errors(run, self.truth.select(judged), self.turning[judged], self.values['imu.restart_gap'])
+        if not len(errors):
+            raise ReplayError(f'{self.recording.name}: no position of the {self.truth.source} falls into the '
+                              f'run at update interval {interval:g} s')
+        summary = metrics.summary(errors) | {'relative_translation_percent': self._relative(run, errors)}
+        return RunResult(model, interval, self.fixes.select(use), run, errors, summary,
+                         len(self.recording.imu) - int(run.index[0]), independent)
+
+    def smoothed(self, runs: list[RunResult], begin: np.ndarray,
+                 progress: Callable[[float], None]) -> tuple[list[RunResult], list[list[Outages]]]:
+        """The runs at the shortest interval, and the outages of each model, smoothed; nothing where not asked for."""
+        if not self.values['smoothing']:
+            return [], []
+        keep = samples_to_keep(self.recording.imu, np.empty(0, dtype=np.int64))
+        results, outages = [], []
+        shortest = [r for r in runs if r.interval == self.shortest]
+        for i, filtered in enumerate(shortest):
+            config = self._config(filtered.model)
+            given = config, self.recording.imu, filtered.fixes
+            run = smoothed(*given, self.aiding, keep)
+            first = max(int(filtered.errors.stamp[0]), int(run.stamp[0]))
+            results.append(self._result(filtered.model, self.shortest, self._use(self.shortest), run, first))
+            progress((i + 0.3) / len(shortest))
+            if self.values['outage_durations']:
+                outages.append(smooth_outages(*given, self.truth, self.values['outage_durations'], begin, self.aiding,
+                                              keep, run))
+            progress((i + 1) / len(shortest))
+        return results, outages
 
     def _relative(self, run: Run, errors: Errors) -> float | None:
         """The relative translation error, in percent of the path."""
@@ -284,8 +322,11 @@ class _Work:
         north, east, _ = to_local(reference.latitude, reference.longitude, reference.height,
                                   np.array([reference.latitude[0], reference.longitude[0], reference.height[0]]))
         truth = np.column_stack([north, east])
-        return metrics.relative_translation_percent(errors.stamp, truth, truth + np.column_stack(
-            [errors.north, errors.east]), errors.heading, Distance(run).at(errors.stamp))
+        estimate, turned = truth + np.column_stack([errors.north, errors.east]), errors.heading
+        if reference.yaw is None and self.recording.reference is not None:  # fixes are too noisy for a course
+            turned = metrics.turned_by_course(errors.stamp, truth, estimate)
+        return metrics.relative_translation_percent(errors.stamp, truth, estimate, turned,
+                                                    Distance(run).at(errors.stamp))
 
     def _withheld(self, use: np.ndarray) -> np.ndarray:
         """Which epochs of the truth are no fixes that the filter was given."""
@@ -365,7 +406,7 @@ def _pairs(runs: list[RunResult], outages: list[OutageResult]) -> list[PairResul
 
 
 def run_row(result: RunResult, mechanization: str, name: str) -> dict:
-    """One entry of `runs` in `report.json`."""
+    """One entry of `runs`, or of `smoothed`, in `report.json`."""
     run = result.run
     return {'recording': name, 'model': result.model, 'mechanization': mechanization,
             'update_interval_s': result.interval, **result.summary,
@@ -377,4 +418,5 @@ def run_row(result: RunResult, mechanization: str, name: str) -> dict:
 def outage_row(result: OutageResult, mechanization: str, name: str) -> dict:
     """One entry of `outages` in `report.json`."""
     return {'recording': name, 'model': result.model, 'mechanization': mechanization,
-            'update_interval_s': result.interval, **outage_summary(result.outages)}
+            'update_interval_s': result.interval, **outage_summary(result.outages),
+            **({'smoothed': outage_summary(result.smoothed)} if result.smoothed else {})}

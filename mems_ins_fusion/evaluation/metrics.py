@@ -20,6 +20,8 @@ from .bootstrap import interval_of_mean
 TURN_RATE, TURN_MARGIN = np.radians(5.0), 2.0
 #: slower than this a course says nothing, m/s
 SLOWEST_COURSE = 1.0
+#: a course is that of the way over so long, s
+COURSE_SPAN = 1.0
 #: 95 % of a chi-square distribution with 2 degrees of freedom
 NEES_95 = 5.991464547107979
 #: lengths of path, m, and time between two starts, s, of the relative error: those of the KITTI odometry benchmark
@@ -206,6 +208,20 @@ def summary(errors: Errors) -> dict:
     }
     return {name: None if isinstance(value, float) and not np.isfinite(value) else value
             for name, value in numbers.items()}
+
+
+def turned_by_course(stamp: np.ndarray, truth: np.ndarray, estimate: np.ndarray) -> np.ndarray:
+    """Heading error (m,), rad, of a truth that has none: how far the way over COURSE_SPAN is turned; NaN where it is slow.
+
+    Both tracks (m, 2) are of the same point of the vehicle, so that neither sideslip nor mounting counts. stamp: ns.
+    """
+    half = round(0.5e9 * COURSE_SPAN)
+    last = np.clip(np.searchsorted(stamp, stamp + half), 0, len(stamp) - 1)
+    first = np.clip(np.searchsorted(stamp, stamp - half, side='right') - 1, 0, len(stamp) - 1)
+    (north, east), (n, e) = (truth[last] - truth[first]).T, (estimate[last] - estimate[first]).T
+    seconds = np.maximum((stamp[last] - stamp[first]) * 1e-9, 1e-3)
+    slow = np.hypot(north, east) < SLOWEST_COURSE * seconds
+    return np.where(slow, np.nan, wrap(np.arctan2(e, n) - np.arctan2(east, north)))
 
 
 def relative_translation_percent(stamp: np.ndarray, truth: np.ndarray, estimate: np.ndarray, turned: np.ndarray,

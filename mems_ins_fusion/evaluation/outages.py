@@ -8,6 +8,7 @@ import numpy as np
 from ..filter.config import FilterConfig
 from ..filter.replay import Aiding, Coasting, run_with_outages
 from ..filter.results import Run
+from ..filter.smoothing import smoothed_outages
 from ..samples import Fixes, ImuSamples
 from .metrics import NEES_95, Errors, Truth, position_errors, rms
 
@@ -22,7 +23,7 @@ class Outages:
     """The outages of one filter and one duration, (o,) each.
 
     begin: ns, of the last fix used. max_error: m, the largest horizontal error. distance: m, driven meanwhile.
-    within: whether the error at the end is inside the filter's own 95 % ellipse. time (g,): s after the begin;
+    within: whether the error at the end (smoothed: in the middle) is inside the filter's own 95 % ellipse. time (g,): s after the begin;
     growth (o, g): horizontal error then, m; sigma (o, g): the filter's horizontal standard deviation,
     m. errors: of each.
     """
@@ -74,14 +75,25 @@ def run_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: Trut
     driven = Distance(run)
     errors = [_errors(coasting, i, truth, durations[-1], config.imu.restart_gap)
               for i in range(len(coasting.begin))]
-    last = truth.reference.stamp[-1] if len(truth) else 0
+    return [_measure(duration, _fitting(duration, coasting, errors, truth, run), driven) for duration in durations]
+
+
+def smooth_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: Truth, durations, begin: np.ndarray,
+                   aiding: Aiding, keep: np.ndarray, run: Run) -> list[Outages]:
+    """The same outages smoothed: with the fixes that come after them. run: with all fixes."""
     results = []
-    for duration in durations:
-        length = round(duration * 1e9)
-        fits = [(b, e) for b, e in zip(coasting.begin.tolist(), errors)
-                if b + length <= min(last, run.stamp[-1]) and (e.stamp <= b + length).any()]
-        results.append(_measure(duration, fits, driven))
+    for duration in sorted(durations):
+        coasting = smoothed_outages(config, imu, fixes, begin, duration, aiding, keep)
+        errors = [_errors(coasting, i, truth, duration, config.imu.restart_gap) for i in range(len(coasting.begin))]
+        results.append(_measure(duration, _fitting(duration, coasting, errors, truth, run), Distance(run), 0.5))
     return results
+
+
+def _fitting(duration: float, coasting: Coasting, errors: list[Errors], truth: Truth, run: Run):
+    """Begin and errors of those outages that end before the recording does."""
+    length, last = round(duration * 1e9), min(truth.reference.stamp[-1] if len(truth) else 0, run.stamp[-1])
+    return [(b, e) for b, e in zip(coasting.begin.tolist(), errors)
+            if b + length <= last and (e.stamp <= b + length).any()]
 
 
 def _errors(coasting: Coasting, i: int, truth: Truth, duration: float, longest_gap: float) -> Errors:
@@ -108,7 +120,8 @@ class Distance:
         return np.interp(stamp - self.stamp[0], self.stamp - self.stamp[0], self.driven)
 
 
-def _measure(duration, fits, driven) -> Outages:
+def _measure(duration, fits, driven, judged: float = 1.0) -> Outages:
+    """judged: in what part of the outage `within` looks."""
     length = round(duration * 1e9)
     time = np.linspace(0.0, duration, max(int(np.ceil(duration)), 2) + 1)[1:]
     maxima, distance, within, growth, sigma = [], [], [], [], []
@@ -117,7 +130,7 @@ def _measure(duration, fits, driven) -> Outages:
         horizontal, after = errors.horizontal, (errors.stamp - begin) * 1e-9
         maxima.append(horizontal.max())
         distance.append(float(driven.at(begin + length) - driven.at(begin)))
-        within.append(errors.nees[-1] < NEES_95)
+        within.append(errors.nees[min(int(judged * len(errors)), len(errors) - 1)] < NEES_95)
         growth.append(np.interp(time, after, horizontal))
         sigma.append(np.interp(time, after, errors.sigma))
     shape = (len(fits), len(time))

@@ -11,6 +11,7 @@ from ..navigation.earth import STANDARD_GRAVITY
 from ..navigation.frames import FLU_TO_FRD, mounting
 from ..sensor_errors.from_parameters import error_models, per_axis
 from ..sensor_errors.models import Autoregressive, GaussMarkov, Model, RandomWalk
+from .history import history_size
 from .layout import (
     MECHANIZATIONS,
     PLANAR,
@@ -193,17 +194,19 @@ class FilterConfig:
         made = (effect.corrector(self.parameters, self.imu.mounting) for effect in EFFECTS.values())
         return [corrector for corrector in made if corrector is not None]
 
-    def memory(self) -> np.ndarray:
-        """The kernel's memory with these settings in it, before the first state."""
+    def memory(self, history: bool = False) -> np.ndarray:
+        """The kernel's memory with these settings in it, before the first state. history: with what a smoother needs.
+        """
         layout, width = self.layout, row_width(self.layout)
         rows = Head.SIZE + noise_size(layout)
         ring = rows + (self.capacity + 2) * width  # two rows more, for states between samples
         events = ring + self.capacity * Sample.SIZE
         scratch = events + EVENT_CAPACITY * Event.SIZE
-        memory = np.zeros(scratch + scratch_size(layout.n))
+        end = scratch + scratch_size(layout.n)
+        memory = np.zeros(end + (history_size(layout.n) if history else 0))
         self._write_head(memory, width)
         for column, at in ((Head.ROWS_AT, rows), (Head.RING_AT, ring), (Head.EVENTS_AT, events),
-                           (Head.SCRATCH_AT, scratch)):
+                           (Head.SCRATCH_AT, scratch), (Head.HISTORY_AT, end if history else 0)):
             memory[column] = at
         memory[Head.SIZE:rows] = self._noise()
         return memory

@@ -10,7 +10,7 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
-from . import receiver
+from . import history, receiver
 from .layout import (
     NAV,
     PLANAR,
@@ -61,6 +61,8 @@ def _scalar(mem, r, n, h, z, variance, column):
         for j in range(i, n):
             value = mem[p + n * i + j] - gain * mem[column + j]
             mem[p + n * i + j] = mem[p + n * j + i] = value
+    if mem[Head.HISTORY_AT] > 0.0:
+        history.corrected(mem, n, h, column, residual, s)
 
 
 @njit(_nrt=False)
@@ -138,7 +140,7 @@ def update(mem, r, at, n, dimensions, factor, robust, gate):
 
 
 @njit(_nrt=False)
-def _feed_back(mem, r):
+def feed_back(mem, r):
     """Closed loop: the estimated navigation errors go into the solution, and x is zero there again."""
     if mem[Head.OPEN_LOOP] != 0.0:
         return
@@ -214,7 +216,7 @@ def apply_event(mem, r, at, sample):
     mem[at + Event.VERDICT] = Verdict.RECOVERED if recovered else verdict
     if verdict != Verdict.REFUSED:
         store_covariance(mem, p, n_navigation, m, mem, r)
-        _feed_back(mem, r)
+        feed_back(mem, r)
         if kind == Kind.POSITION and mem[Head.MECHANIZATION] == PLANAR:
             mem[r + Nav.HEIGHT] = height
         set_radii(mem, r)
@@ -260,7 +262,7 @@ def constrain(mem, r, sample, dt):
     else:
         return
     store_covariance(mem, p, n_navigation, m, mem, r)
-    _feed_back(mem, r)
+    feed_back(mem, r)
     set_radii(mem, r)
 
 

@@ -18,7 +18,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
 from ..navigation.earth import gravity
-from . import imu_faults
+from . import history, imu_faults
 from .correction import CONSTRAINT_INTERVAL, apply_event, constrain
 from .imu_faults import Fault
 from .layout import NAV, PLANAR, Event, Head, Nav, Sample, Verdict, event_at, packed, sample_at, state_at
@@ -98,6 +98,7 @@ def _restore(memory, good, r, time):
         memory[a + packed(i, i, n_navigation)] += RESTART_VELOCITY**2
     for i in range(attitude, n_navigation):
         memory[a + packed(i, i, n_navigation)] += RESTART_ATTITUDE**2
+    history.lose(memory, n_navigation + int(memory[Head.N_AUGMENTED]))
     memory[Head.RESTARTS] += 1.0
 
 

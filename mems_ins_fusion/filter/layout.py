@@ -266,7 +266,8 @@ class _Head(NamedTuple):
     FAULTS: int = 122  # samples not believed, by reason: as many as `Fault` has
     RESTARTS: int = 130  # states that were not finite and were taken back
     RECOVERIES: int = 131  # resets to fixes that had been refused
-    SIZE: int = 133
+    HISTORY_AT: int = 133  # where a smoother's history begins, see history.py; 0: none
+    SIZE: int = 134
 
 
 Head = _Head()

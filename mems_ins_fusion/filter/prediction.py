@@ -100,6 +100,8 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
             dt, f_n, f_e, c, s, mem[src + NAV], mem[src + NAV + 1], mem[src + NAV + 2], mem[src + NAV + 3],
             mem[src + NAV + 4], mem[src + x], mem[src + x + p], mem[src + x + 2 * p])
 
+    if mem[Head.HISTORY_AT] > 0.0:
+        _carry_planar(mem, dt, f_n, f_e, c, s, m, p)
     # Phi P, column by column
     g00, g10, g20, g30, g40 = planar.error_step(
         dt, f_n, f_e, c, s, mem[src + a], mem[src + a + 1], mem[src + a + 2], mem[src + a + 3], mem[src + a + 4],
@@ -150,6 +152,43 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
         mem[k], mem[k + 1], mem[k + 2] = decay * r0, decay * r1, decay * r2
         mem[k + 3], mem[k + 4] = decay * r3, decay * r4
     _sensor_states(mem, src, dst, dt, 5, m, p)
+
+
+@njit(_nrt=False)
+def _carry_planar(mem, dt, f_n, f_e, c, s, m, p):
+    """The transition of the history over one interval: its navigation rows."""
+    n = 5 + m
+    for k in range(int(mem[Head.HISTORY_AT]), int(mem[Head.HISTORY_AT]) + n):
+        x = k + 5 * n
+        moved = planar.error_step(dt, f_n, f_e, c, s, mem[k], mem[k + n], mem[k + 2 * n], mem[k + 3 * n],
+                                  mem[k + 4 * n], mem[x], mem[x + n * p], mem[x + 2 * n * p])
+        for i in range(5):
+            mem[k + n * i] = moved[i]
+
+
+@njit(_nrt=False)
+def _carry_strapdown(mem, step, m, p):
+    """The same for the strapdown mechanization."""
+    n = 9 + m
+    for k in range(int(mem[Head.HISTORY_AT]), int(mem[Head.HISTORY_AT]) + n):
+        x, q = k + 9 * n, n * p
+        moved = strapdown.error_step(step, (mem[k], mem[k + n], mem[k + 2 * n]),
+                                     (mem[k + 3 * n], mem[k + 4 * n], mem[k + 5 * n]),
+                                     (mem[k + 6 * n], mem[k + 7 * n], mem[k + 8 * n]),
+                                     (mem[x], mem[x + q], mem[x + 2 * q]),
+                                     (mem[x + 3 * q], mem[x + 4 * q], mem[x + 5 * q]))
+        for i in range(9):
+            mem[k + n * i] = moved[i]
+
+
+@njit(_nrt=False)
+def _carry_sensors(mem, dt, size, m):
+    """The rows behind the navigation errors."""
+    n = size + m
+    for j in range(m):
+        decay, at = _decay(dt * mem[Head.SIZE + 6 + j]), int(mem[Head.HISTORY_AT]) + n * (size + j)
+        for k in range(at, at + n):
+            mem[k] *= decay
 
 
 @njit(inline='always')
@@ -215,6 +254,8 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
         squared = decay * decay
         mem[dst + e + (m + 1) * j] = (squared * mem[src + e + (m + 1) * j] + mem[Head.SIZE + 6 + m + j] * dt
                                       + mem[Head.SIZE + 6 + 2 * m + j] * (1.0 - squared))
+    if mem[Head.HISTORY_AT] > 0.0:
+        _carry_sensors(mem, dt, size, m)
     if mem[Head.ACCELEROMETER_INTERVAL] > 0.0:
         _autoregressive(mem, src, dst, dt, size, m, p)
     mem[dst + Nav.CONSTRAINT_TIME] = mem[src + Nav.CONSTRAINT_TIME] + dt
@@ -248,6 +289,10 @@ def _step_channel(mem, dst, size, m, p, channel, channels):
         _companion(mem, dst + e + m * start + j, m, p, a)
     for i in range(m):
         _companion(mem, dst + e + m * i + start, 1, p, a)
+    if mem[Head.HISTORY_AT] > 0.0:
+        n = size + m
+        for k in range(n):
+            _companion(mem, int(mem[Head.HISTORY_AT]) + n * (size + start) + k, n, p, a)
     mem[dst + e + (m + 1) * start] += mem[Head.SIZE + 6 + 3 * m + channels * p + channel]
 
 
@@ -282,6 +327,8 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
         (mem[src + Nav.Q_W], mem[src + Nav.Q_X], mem[src + Nav.Q_Y], mem[src + Nav.Q_Z]), mem[src + Nav.V_N],
         mem[src + Nav.V_E], mem[src + Nav.V_D], f, w, dt, gravity(latitude, height), rates)
     step = strapdown.transition(dt, c, f_level)
+    if mem[Head.HISTORY_AT] > 0.0:
+        _carry_strapdown(mem, step, m, p)
     _move(mem, src, dst, moved[0], moved[1])
     mem[dst + Nav.HEIGHT] = height - moved[2]
     mem[dst + Nav.V_N], mem[dst + Nav.V_E], mem[dst + Nav.V_D] = velocity

@@ -12,6 +12,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
 from ..navigation.strapdown import from_euler, to_euler
+from .history import forget
 from .layout import NAV, PLANAR, Event, Head, Nav, Verdict, packed
 
 #: fixes further apart say nothing of the receiver's scatter, s: the inertial sensors drift between them
@@ -195,6 +196,7 @@ def start_anew(mem, r, at):
                 mem[p + n * i + j] = 0.0
     for i in range(n_navigation):
         mem[r + NAV + i] = 0.0
+        forget(mem, i, n)
     mem[r + Nav.LATITUDE], mem[r + Nav.LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
     mem[r + Nav.V_N], mem[r + Nav.V_E] = v_n, v_e
     variance = max(1.0, mem[r + Nav.GNSS_RATIO]) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
@@ -224,6 +226,7 @@ def take_course(mem, r, v_n, v_e):
     k = planar.State.YAW if mem[Head.MECHANIZATION] == PLANAR else strapdown.State.PHI_D
     for i in range(n):
         mem[p + n * k + i] = mem[p + n * i + k] = 0.0
+    forget(mem, k, n)
     if math.hypot(v_n, v_e) < COURSE_SPEED:
         mem[p + (n + 1) * k] = UNKNOWN_YAW_SIGMA**2
         return

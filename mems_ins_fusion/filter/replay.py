@@ -134,7 +134,7 @@ class _Replay(Intake):
         if start is None:
             return
         self.start = self.start or start
-        memory = self.config.memory()
+        memory = self._memory()
         initialize(memory, self.config, start)
         skip = int(np.searchsorted(time, start.time, side='right'))
         events = events.later(first, skip)
@@ -149,6 +149,9 @@ class _Replay(Intake):
         judged = events.record[:, Event.VERDICT] != Verdict.PENDING
         stamp = epoch + np.rint(events.record[:, Event.TIME] * 1e9).astype(np.int64)
         self.measurements.append(Measured(events.kind, events.index, stamp, events.record).select(judged))
+
+    def _memory(self) -> np.ndarray:
+        return self.config.memory()
 
     def _events(self, kept: np.ndarray, end: int, epoch: int) -> _Events:
         """The good measurements that arrived within a stretch, in the order of their arrival."""

@@ -212,6 +212,10 @@ REPLAY = (
               maximum=86400.0, lengths=range(0, 51)),
     Parameter('outage_spacing', 30.0, 's', 'Between the starts of two outages of one duration.', minimum=0.1,
               maximum=1e6),
+    Parameter('smoothing', False, '-', 'Also smooth: the best trajectory that the recording allows, each state with what '
+              'came after it, too.'),
+    Parameter('fixes_until', 0.0, 's', 'Dead reckoning: fixes later than this after the recording\'s first IMU sample '
+              'are not used, and errors count from then on; 0: all are used.', minimum=0.0, maximum=1e9),
     Parameter('start', 0.0, 's', 'Skip this much of the recording.', minimum=0.0, maximum=1e9),
     Parameter('stop', 0.0, 's', 'Stop this long after the recording\'s start; 0: at its end.', minimum=0.0,
               maximum=1e9),

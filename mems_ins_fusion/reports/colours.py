@@ -11,4 +11,5 @@ WIDTHS = {'random_walk': 2.4, 'gauss_markov': 1.5, 'autoregressive': 1.1}
 #: of the stages of a diagnosis, and of two results that are compared
 BEFORE, FITTED, AFTER = '#d55e00', '#8c959f', '#0072b2'
 FIRST, SECOND = '#d55e00', '#0072b2'
+SMOOTHED = '#f0e442'
 TRUTH, OUTAGE, FIX, WITHHELD, REFUSED = '#b8bec5', '#cc79a7', '#56b4e9', '#e69f00', '#000000'

@@ -185,12 +185,20 @@ def _write_trajectories(folder: Path, prefix: str, comparison: Comparison, value
         name = f'{result.model}_{result.interval:g}s'
         trajectories.write_judged(folder / f'{prefix}{name}.tum', result.run, result.errors, reference, datum)
         tracks[name] = result.run
+    for result in comparison.smoothed:
+        name = f'{result.model}_{result.interval:g}s_smoothed'
+        trajectories.write_judged(folder / f'{prefix}{name}.tum', result.run, result.errors, reference, datum)
+        tracks[name] = result.run
     trajectories.write_geojson(folder / f'{prefix}tracks.geojson', tracks)
     shortest, model = comparison.intervals[0], best_model(comparison, values['sensor_error_model'])
-    best, name = comparison.run_of(model, shortest).run, f'{comparison.recording.name}, {model}, {shortest:g} s'
-    trajectories.write_csv(folder / f'{prefix}track.csv', best)
-    trajectories.write_gpx(folder / f'{prefix}track.gpx', best, name)
-    trajectories.write_kml(folder / f'{prefix}track.kml', best, name)
+    name = f'{comparison.recording.name}, {model}, {shortest:g} s'
+    exported = {'track': (comparison.run_of(model, shortest), name),
+                'smoothed': (comparison.smoothed_of(model), f'{name}, smoothed')}
+    for file, (result, name) in exported.items():
+        if result is not None:
+            trajectories.write_csv(folder / f'{prefix}{file}.csv', result.run)
+            trajectories.write_gpx(folder / f'{prefix}{file}.gpx', result.run, name)
+            trajectories.write_kml(folder / f'{prefix}{file}.kml', result.run, name)
     _write_outages(folder / f'{prefix}outages.csv', comparison)
     if values['write_bag']:
         trajectories.write_bag(folder / f'{prefix}odometry', comparison.recording,

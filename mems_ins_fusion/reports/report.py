@@ -42,6 +42,7 @@ def report(comparisons: dict[str, Comparison], values: dict, findings: dict[str,
         'recordings': [_recording(name, c, findings[name], said[name], values) for name, c in comparisons.items()],
         'runs': [run_row(r, c.mechanization, name) for name, c in comparisons.items() for r in c.runs],
         'outages': [outage_row(r, c.mechanization, name) for name, c in comparisons.items() for r in c.outages],
+        'smoothed': [run_row(r, c.mechanization, name) for name, c in comparisons.items() for r in c.smoothed],
         'comparisons': [_pair(p, name) for name, c in comparisons.items() for p in c.pairs],
         'answer': {name: a.json() for name, a in answers.items()},
         'verdict': {name: verdict(c) for name, c in comparisons.items()},
@@ -141,12 +142,19 @@ def _run_tables(comparison: Comparison, content: dict, name: str):
     second = [[model_name(comparison, r['model']), r['update_interval_s'], r['horizontal_median_m'],
                r['along_track_rmse_m'], r['cross_track_rmse_m'], r['turning_rmse_m'], r['straight_rmse_m'],
                r['heading_rmse_deg'], r['speed_rmse_mps']] for r in rows]
+    rows = [r for r in content['smoothed'] if r['recording'] == name]
+    smooth = [[model_name(comparison, r['model']), r['horizontal_rmse_m'], _interval(r['horizontal_rmse_interval_m']),
+               r['horizontal_p95_m'], r['horizontal_max_m'], r['within_95_percent']] for r in rows]
+    smoothed = [table(['model', 'RMS, m', '95 % interval of it', '95 % below, m', 'largest, m', 'inside 95 % ellipse, %'],
+                      smooth, f'Smoothed, fixes each {comparison.intervals[0]:g} s: each position with what came after '
+                      'it, too.', digits=3)] if rows else []
     return (_full_table(['model', 'fixes each, s', 'RMS, m', '95 % interval of it', '95 % below, m', 'largest, m',
                          'relative, % of path', 'NIS (2 is right)', 'inside 95 % ellipse, %'], first,
                         'Horizontal position error of each run.'),
+            *smoothed,
             _full_table(['model', 'fixes each, s', 'median, m', 'along track, m', 'across, m', 'in turns, m',
                          'on straights, m', 'heading, deg', 'speed, m/s'], second,
-                        'The same in parts: RMS but for the median.'))
+                        'The first table in parts: RMS but for the median.'))
 
 
 def _full_table(columns, rows, caption: str):
@@ -165,8 +173,15 @@ def _outage_table(comparison: Comparison, content: dict, name: str):
             for r in content['outages'] if r['recording'] == name]
     if not rows:
         return paragraph('No outages were asked for.')
-    return table(['model', 'without fixes, s', 'outages', 'RMS, m', 'median, m', '95 % below, m', '% of distance',
-                  'inside 95 % ellipse, %'], rows, 'Largest horizontal error in each outage.', digits=3)
+    columns, caption = ['model', 'without fixes, s', 'outages', 'RMS, m', 'median, m', '95 % below, m', '% of distance',
+                        'inside 95 % ellipse, %'], 'Largest horizontal error in each outage.'
+    smoothed = [r['smoothed'] for r in content['outages'] if r['recording'] == name and 'smoothed' in r]
+    if smoothed:
+        columns += ['smoothed: median, m', '95 % below, m', 'inside, %']
+        caption += ' Smoothed: with the fixes that come after the outage; inside the ellipse in its middle.'
+        rows = [[*row, s['max_error_median_m'], s['max_error_p95_m'], s['within_95_percent']]
+                for row, s in zip(rows, smoothed)]
+    return table(columns, rows, caption, digits=3)
 
 
 def _recording_section(title: str, content: dict, name: str, values: dict):
@@ -217,12 +232,20 @@ def summary_table(content: dict) -> str:
         lines.append(f"{r['model']:<16}{r['update_interval_s']:>9g} s{_metres(r['horizontal_rmse_m'])}"
                      f"{_metres(r['horizontal_p95_m'])}{_metres(r['horizontal_max_m'])}"
                      f"{number(r['nis_mean'], 3):>8}" + (f"  {r['recording']}" if several else ''))
+    for r in content['smoothed']:
+        lines.append(f"{r['model']:<16}{'smoothed':>11}{_metres(r['horizontal_rmse_m'])}"
+                     f"{_metres(r['horizontal_p95_m'])}{_metres(r['horizontal_max_m'])}"
+                     f"{'':>8}" + (f"  {r['recording']}" if several else ''))
     if any(r['count'] for r in content['outages']):
         lines.append(f"{'model':<16}{'outage':>11}{'RMS':>11}{'median':>11}{'95 %':>11}{'count':>8}{'in ellipse':>12}")
     for r in (r for r in content['outages'] if r['count']):
         lines.append(f"{r['model']:<16}{r['duration_s']:>9g} s{_metres(r['max_error_rms_m'])}"
                      f"{_metres(r['max_error_median_m'])}{_metres(r['max_error_p95_m'])}{r['count']:>8}"
                      f"{r['within_95_percent']:>10.0f} %" + (f"  {r['recording']}" if several else ''))
+        if 'smoothed' in r:
+            s = r['smoothed']
+            lines.append(f"{'':<16}{'smoothed':>11}{_metres(s['max_error_rms_m'])}{_metres(s['max_error_median_m'])}"
+                         f"{_metres(s['max_error_p95_m'])}{s['count']:>8}{s['within_95_percent']:>10.0f} %")
     return '\n'.join(lines)
 
 

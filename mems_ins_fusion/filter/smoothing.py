@@ -1,0 +1,176 @@
+"""The best trajectory that a recording allows: each state with what came after it, too (fixed-interval smoothing).
+
+The filter runs forward and leaves, for each state that is kept, its row (estimate, covariance P) and the history since
+the one before (`history.py`). From the last back to the first the innovations that came later are gathered in lambda
+and their information in Lambda; then
+
+    smoothed x = x + P lambda          smoothed P = P - P Lambda P
+
+which is the fixed-interval smoother of Rauch, Tung and Striebel in the form of Bryson and Frazier (G. J. Bierman, "Fixed
+interval smoothing with discrete measurements", Int. J. Control 18, 1973): nothing is inverted, and between two states
+kept there may be any number of predictions and corrections. All states of the filter take part.
+
+The rows lie in a temporary file: 8 (width + 2 n^2 + n) bytes each, 7.4 kB with the 18 states of a car, 270 MB for an
+hour at 10 Hz; in memory stand BLOCK of them.
+"""
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..samples import Fixes, ImuSamples, Reference
+from . import history
+from .config import FilterConfig
+from .correction import feed_back
+from .layout import NAV, Event, Head, StateLayout, covariance, covariance_index, row_width, state_at
+from .replay import WITHHELD, Aiding, Coasting, _Events, _Replay, _Stretch, _Work
+from .results import Run
+
+#: rows in memory at a time
+BLOCK = 256
+#: what comes so long after an outage still tells of it, s
+AFTER = 60.0
+
+
+def smoothed(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aiding = Aiding(),
+             keep: np.ndarray | None = None) -> Run:
+    """As `replay.run`, with each state smoothed: sigmas and covariance are those of the smoothed state.
+
+    keep: the samples whose states are wanted, (n,) bool; a tenth of a second apart is plenty. Verdicts and innovations
+    are those of the filter on the way.
+    """
+    return _Smoothing(config, imu, fixes, aiding, None, keep).run()
+
+
+def smoothed_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin: np.ndarray, duration: float,
+                     aiding: Aiding = Aiding(), keep: np.ndarray | None = None) -> Coasting:
+    """The outages that begin at `begin` (o,) ns, smoothed: fixes are withheld for `duration` s, and come again after.
+
+    As `replay.run_with_outages`, whose outages know nothing of what comes after them.
+    """
+    work = _SmoothedOutages(config, imu, fixes, aiding, None, keep, np.asarray(begin, dtype=np.int64), duration)
+    work.run()
+    first = np.concatenate([[0], np.cumsum([len(branch.samples) for branch in work.branches])]).astype(np.int64)
+    return Coasting(np.array([branch.begin for branch in work.branches], dtype=np.int64), first,
+                    work.result(work.branches))
+
+
+def as_reference(run: Run) -> Reference:
+    """A smoothed run as a reference for what it was made of: position, velocity and heading of the IMU."""
+    return Reference(run.stamp, run.latitude, run.longitude, run.height, run.velocity, run.yaw)
+
+
+class _Rows:
+    """Rows of floats, appended one by one and read back from the last to the first."""
+
+    def __init__(self, width: int):
+        self.file, self.block, self.used, self.blocks = tempfile.TemporaryFile(), np.empty((BLOCK, width)), 0, 0
+
+    def next(self) -> np.ndarray:
+        """Room for one more."""
+        if self.used == BLOCK:
+            self.file.write(self.block.data)
+            self.used, self.blocks = 0, self.blocks + 1
+        self.used += 1
+        return self.block[self.used - 1]
+
+    def backward(self) -> Iterator[np.ndarray]:
+        yield from self.block[:self.used][::-1]
+        for i in reversed(range(self.blocks)):
+            self.file.seek(i * self.block.nbytes)
+            yield from np.frombuffer(self.file.read(self.block.nbytes)).reshape(self.block.shape)[::-1]
+        self.file.close()
+
+
+class _Smoothing(_Replay):
+    """A replay whose measurements come at their own time: who looks back need not wait for late ones."""
+
+    def _memory(self) -> np.ndarray:
+        memory = self.config.memory(history=True)
+        history.begin(memory, self.config.layout.n)
+        return memory
+
+    def _filter(self, memory, samples, index, events: _Events, epoch: int) -> None:
+        order = np.argsort(events.record[:, Event.TIME], kind='stable')
+        timely = events.select(order)
+        timely.record[:, Event.ID] = np.arange(len(order))
+        timely.arrival[:] = np.searchsorted(samples[:, 0], timely.record[:, Event.TIME])
+        self._smooth(memory, samples, index, timely, epoch)
+        events.record[order], events.answer[order] = timely.record, timely.answer
+
+    def _smooth(self, memory, samples, index, events: _Events, epoch: int) -> None:
+        kept = np.flatnonzero(self.keep[index])
+        rows, work = self._rows(), self._work(samples, events)
+        for k in kept.tolist():
+            work.advance(memory, k + 1)
+            self._take(memory, rows.next())
+        work.advance(memory, len(samples))
+        work.finish(memory)
+        self.stretches.append(_Stretch(index[kept], self._looked_back(memory, rows, len(kept))))
+
+    def _work(self, samples, events: _Events, after: _Work | None = None) -> _Work:
+        none = np.empty(0, dtype=np.int64)
+        return _Work(samples, events, self.columns, none, np.empty((0, len(self.columns))), after)
+
+    def _rows(self) -> _Rows:
+        layout = self.config.layout
+        return _Rows(row_width(layout) + 2 * layout.n**2 + layout.n)
+
+    def _take(self, memory, out: np.ndarray) -> None:
+        history.take(memory, state_at(memory, int(memory[Head.SAMPLES])), self.config.layout.n, out)
+
+    def _looked_back(self, memory, rows: _Rows, count: int) -> np.ndarray:
+        """The columns (count, c) of the smoothed states. What has come since the last of `rows` stands in `memory`."""
+        layout, columns = self.config.layout, self.columns.astype(np.int64)
+        last = np.empty_like(rows.block[0])
+        self._take(memory, last)
+        told, information = _parts(last, layout)[1:]
+        states, n = np.empty((count, len(columns))), layout.n
+        diagonal = [covariance_index(i, i, layout) for i in range(n)] + [covariance_index(0, 1, layout)]
+        at = int(memory[Head.RING_AT]) - row_width(layout)  # a row for the time being
+        for i, row in zip(range(count - 1, -1, -1), rows.backward()):
+            p, state = covariance(row, layout), memory[at:at + row_width(layout)]
+            state[:] = row[:len(state)]
+            state[NAV:NAV + n] += p @ told
+            feed_back(memory, at)
+            left = p - p @ information @ p
+            state[diagonal] = [*np.maximum(np.diag(left), 0.0), left[0, 1]]
+            states[i] = state[columns]
+            transition, g, more = _parts(row, layout)
+            told = transition.T @ told + g
+            information = transition.T @ information @ transition + more
+        return states
+
+
+class _SmoothedOutages(_Smoothing):
+    """Outages branched off the run, each followed until AFTER its end."""
+
+    def _smooth(self, memory, samples, index, events: _Events, epoch: int) -> None:
+        kept, time = np.flatnonzero(self.keep[index]), samples[:, 0]
+        work, withheld = self._work(samples, events), np.isin(events.kind, WITHHELD)
+        for b in self.begin:
+            begin = (b - epoch) * 1e-9
+            if not len(kept) or not time[kept[0]] <= begin <= time[-1]:
+                continue
+            first = int(np.searchsorted(time[kept], begin, side='right')) - 1
+            stop = min(int(np.searchsorted(time[kept], begin + self.duration)) + 1, len(kept))
+            work.advance(memory, int(kept[first]) + 1)
+            left = events.select(~(withheld & (events.record[:, Event.TIME] > begin)
+                                   & (events.record[:, Event.TIME] <= begin + self.duration)))
+            branch, coasting, rows = self._work(samples, left, work), memory.copy(), self._rows()
+            history.begin(coasting, self.config.layout.n)
+            for k in kept[first:stop].tolist():
+                branch.advance(coasting, k + 1)
+                self._take(coasting, rows.next())
+            branch.advance(coasting, int(np.searchsorted(time, begin + self.duration + AFTER)))
+            self.branches.append(_Stretch(index[kept[first:stop]],
+                                          self._looked_back(coasting, rows, stop - first), int(b)))
+
+
+def _parts(row: np.ndarray, layout: StateLayout) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """T (n, n), g (n,) and G (n, n) of a row's history."""
+    n, at = layout.n, row_width(layout)
+    square = at + n * n
+    return row[at:square].reshape(n, n), row[square + n * n:], row[square:square + n * n].reshape(n, n)
