@@ -191,29 +191,63 @@ def truth_of(recording: Recording, values: dict) -> Truth:
     return truth.select(slice(None, None, -(-len(truth) // MOST_EPOCHS))) if len(truth) > MOST_EPOCHS else truth
 
 
+@dataclass(frozen=True)
+class Protocol:
+    """What is run on a recording and measured: the parameters of replay, in types.
+
+    filters: by sensor error model, the first one is that of the start. intervals (ascending) and durations: s.
+    spacing: s, between the begins of outages. noise: m, added to the fixes, from `seed`. until: s, after which no fix
+    is given; 0: to the end. offset: ns, of the fixes' stamps. restart_gap: s, of the IMU.
+    """
+
+    filters: dict[str, FilterConfig]
+    intervals: tuple[float, ...]
+    durations: tuple[float, ...]
+    spacing: float
+    noise: float
+    seed: int
+    until: float
+    smoothing: bool
+    offset: int
+    restart_gap: float
+
+    @classmethod
+    def from_parameters(cls, values: dict) -> Protocol:
+        """values: checked parameters."""
+        filters = {model: FilterConfig.from_parameters({**values, 'sensor_error_model': model})
+                   for model in values['models']}
+        return cls(filters, tuple(sorted(set(values['update_intervals']))), tuple(values['outage_durations']),
+                   values['outage_spacing'], values['fix_noise'], values['seed'], values['fixes_until'],
+                   values['smoothing'], round(values['gnss.time_offset'] * 1e9), values['imu.restart_gap'])
+
+    @property
+    def first(self) -> FilterConfig:
+        return next(iter(self.filters.values()))
+
+
 def compare(recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None) -> Comparison:
     """Replay `recording` with each of `models`, at each of `update_intervals`, and in the outages.
 
     values: checked parameters. progress: called from time to time with the part that is done; what it raises ends all.
     Raises ReplayError where the filter does not start.
     """
-    work = _Work(recording, values)
-    tasks = [(model, interval) for model in values['models'] for interval in sorted(set(values['update_intervals']))]
-    durations = values['outage_durations']
-    share = 0.6 if durations else 1.0
+    protocol = Protocol.from_parameters(values)
+    work = _Work(recording, protocol, truth_of(recording, values))
+    tasks = [(model, interval) for model in protocol.filters for interval in protocol.intervals]
+    share = 0.6 if protocol.durations else 1.0
     runs = work.in_threads(work.run, tasks, lambda part: progress(share * part))
     runs = work.measure(runs)
     begin = work.outage_begins(runs)
-    share_of_smoothing = 0.5 if values['smoothing'] else 0.0
-    found = work.in_threads(work.outages, [(model, begin) for model in values['models']] if durations else [],
+    share_of_smoothing = 0.5 if protocol.smoothing else 0.0
+    found = work.in_threads(work.outages, [(model, begin) for model in protocol.filters] if protocol.durations else [],
                             lambda part: progress(share + (1 - share) * (1 - share_of_smoothing) * part))
     smoothed_runs, smoothed_found = work.smoothed(
         runs, begin, lambda part: progress(1 - (1 - share) * share_of_smoothing * (1 - part)))
-    models, found = values['models'], _common([*found, *smoothed_found])
+    models, found = list(protocol.filters), _common([*found, *smoothed_found])
     of_model = dict(zip(models, found[len(models):]))
     outages = [OutageResult(model, work.shortest, o, of_model[model][i] if of_model else None)
                for model, results in zip(models, found) for i, o in enumerate(results)]
-    given = {interval: work.given(interval) for interval in sorted(set(values['update_intervals']))}
+    given = {interval: work.given(interval) for interval in protocol.intervals}
     return Comparison(work.recording, values['mechanization'], work.truth, runs, outages, _pairs(runs, outages), given,
                       smoothed_runs)
 
@@ -221,41 +255,37 @@ def compare(recording: Recording, values: dict, progress: Callable[[float], None
 class _Work:
     """What all runs on one recording share."""
 
-    def __init__(self, recording: Recording, values: dict):
-        self.values = values
+    def __init__(self, recording: Recording, protocol: Protocol, truth: Truth):
+        self.protocol = protocol
         self.recording = recording
-        self.fixes = add_noise(recording.gnss, values['fix_noise'], values['seed'])
-        self.until = int(recording.imu.stamp[0]) + round(values['fixes_until'] * 1e9) if values['fixes_until'] else 0
+        self.fixes = add_noise(recording.gnss, protocol.noise, protocol.seed)
+        self.until = int(recording.imu.stamp[0]) + round(protocol.until * 1e9) if protocol.until else 0
         if self.until:
             self.fixes = self.fixes.select(self.fixes.stamp <= self.until)
-        self.truth = truth_of(recording, values)
+        self.truth = truth
         if not len(self.truth):
             raise ReplayError(f'{recording.name}: there is no valid position to compare with')
-        self.shortest = min(values['update_intervals'])
-        conditioning = self._config(values['models'][0]).conditioning
-        self.turning = turning_at(recording.imu, conditioning, self.truth.reference.stamp)
+        self.shortest = protocol.intervals[0]
+        self.turning = turning_at(recording.imu, protocol.first.conditioning, self.truth.reference.stamp)
         self.aiding = aiding_of(recording)
         self.keep = samples_to_keep(recording.imu, self.truth.reference.stamp)
         self.start = self._start()
 
-    def _config(self, model: str) -> FilterConfig:
-        return FilterConfig.from_parameters({**self.values, 'sensor_error_model': model})
-
     def _start(self) -> int:
         """When the filter starts with all fixes, as these are stamped, ns."""
         every = self.fixes.select(thin(self.fixes, 0.0))
-        run = replay(self._config(self.values['models'][0]), self.recording.imu, every, self.aiding, keep=self.keep)
+        run = replay(self.protocol.first, self.recording.imu, every, self.aiding, keep=self.keep)
         if not len(run.stamp):
             reason = next((n.text for n in reversed(run.notices) if n.level == 'error'), 'no usable fix')
             raise ReplayError(f'{self.recording.name}: {reason}')
-        return int(run.stamp[0]) + round(self.values['gnss.time_offset'] * 1e9)
+        return int(run.stamp[0]) + self.protocol.offset
 
     def _use(self, interval: float) -> np.ndarray:
         return thin(self.fixes, interval, self.start)
 
     def given(self, interval: float) -> np.ndarray:
         """Stamps of the fixes given to the runs of `interval`, ns of the IMU's clock."""
-        return np.sort(self.fixes.stamp[self._use(interval)]) - round(self.values['gnss.time_offset'] * 1e9)
+        return np.sort(self.fixes.stamp[self._use(interval)]) - self.protocol.offset
 
     def in_threads(self, function, tasks, progress):
         """function(*task) for each task on all cores (the kernel holds no lock), in the order of `tasks`."""
@@ -273,7 +303,7 @@ class _Work:
 
     def run(self, model: str, interval: float) -> tuple[str, float, np.ndarray, Run]:
         use = self._use(interval)
-        run = replay(self._config(model), self.recording.imu, self.fixes.select(use), self.aiding, keep=self.keep)
+        run = replay(self.protocol.filters[model], self.recording.imu, self.fixes.select(use), self.aiding, keep=self.keep)
         return model, interval, use, _without_views(run)
 
     def measure(self, runs) -> list[RunResult]:
@@ -286,7 +316,7 @@ class _Work:
         withheld = self._withheld(use)
         independent = bool(withheld.any())
         judged = (self.truth.reference.stamp >= first) & (withheld if independent else ~withheld)
-        errors = position_errors(run, self.truth.select(judged), self.turning[judged], self.values['imu.restart_gap'])
+        errors = position_errors(run, self.truth.select(judged), self.turning[judged], self.protocol.restart_gap)
         if not len(errors):
             raise ReplayError(f'{self.recording.name}: no position of the {self.truth.source} falls into the '
                               f'run at update interval {interval:g} s')
@@ -297,20 +327,20 @@ class _Work:
     def smoothed(self, runs: list[RunResult], begin: np.ndarray,
                  progress: Callable[[float], None]) -> tuple[list[RunResult], list[list[Outages]]]:
         """The runs at the shortest interval, and the outages of each model, smoothed; nothing where not asked for."""
-        if not self.values['smoothing']:
+        if not self.protocol.smoothing:
             return [], []
         keep = samples_to_keep(self.recording.imu, np.empty(0, dtype=np.int64))
         results, outages = [], []
         shortest = [r for r in runs if r.interval == self.shortest]
         for i, filtered in enumerate(shortest):
-            config = self._config(filtered.model)
+            config = self.protocol.filters[filtered.model]
             given = config, self.recording.imu, filtered.fixes
             run = smoothed(*given, self.aiding, keep)
             first = max(int(filtered.errors.stamp[0]), int(run.stamp[0]))
             results.append(self._result(filtered.model, self.shortest, self._use(self.shortest), run, first))
             progress((i + 0.3) / len(shortest))
-            if self.values['outage_durations']:
-                outages.append(smooth_outages(*given, self.truth, self.values['outage_durations'], begin, self.aiding,
+            if self.protocol.durations:
+                outages.append(smooth_outages(*given, self.truth, self.protocol.durations, begin, self.aiding,
                                               keep, run))
             progress((i + 1) / len(shortest))
         return results, outages
@@ -331,21 +361,21 @@ class _Work:
     def _withheld(self, use: np.ndarray) -> np.ndarray:
         """Which epochs of the truth are no fixes that the filter was given."""
         stamp = self.truth.reference.stamp
-        if self.recording.reference is not None or self.values['fix_noise'] > 0:
+        if self.recording.reference is not None or self.protocol.noise > 0:
             return np.ones(len(stamp), dtype=bool)
-        used = self.fixes.stamp[use] - round(self.values['gnss.time_offset'] * 1e9)
+        used = self.fixes.stamp[use] - self.protocol.offset
         return ~np.isin(stamp, used)
 
     def outage_begins(self, runs: list[RunResult]) -> np.ndarray:
-        if not self.values['outage_durations']:
+        if not self.protocol.durations:
             return np.empty(0, dtype=np.int64)
         first = max(r.run.stamp[0] for r in runs if r.interval == self.shortest)
-        return outage_begins(first, self.fixes.select(self._use(self.shortest)), self.values['gnss.time_offset'],
-                             self.values['outage_spacing'], min(self.values['outage_durations']))
+        return outage_begins(first, self.fixes.select(self._use(self.shortest)), 1e-9 * self.protocol.offset,
+                             self.protocol.spacing, min(self.protocol.durations))
 
     def outages(self, model: str, begin: np.ndarray) -> list[Outages]:
-        return run_outages(self._config(model), self.recording.imu, self.fixes.select(self._use(self.shortest)),
-                           self.truth, self.values['outage_durations'], begin, self.aiding, self.keep)
+        return run_outages(self.protocol.filters[model], self.recording.imu, self.fixes.select(self._use(self.shortest)),
+                           self.truth, self.protocol.durations, begin, self.aiding, self.keep)
 
 
 def samples_to_keep(imu: ImuSamples, epochs: np.ndarray) -> np.ndarray:
