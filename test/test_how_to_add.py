@@ -1,4 +1,4 @@
-"""docs/how_to_add.md names files and what stands in them: all of it is there."""
+"""docs/how_to_add.md names files and what stands in them: all of it is there, and no file is missing in its lists."""
 from __future__ import annotations
 
 import re
@@ -34,3 +34,33 @@ def test_what_is_named_is_in_them(file, names):
 def test_a_measurement_is_what_the_page_says(name):
     text = (ROOT / 'mems_ins_fusion' / 'filter' / 'measurements' / f'{name}.py').read_text(encoding='utf-8')
     assert 'def observe(' in text and 'def records(' in text
+
+
+def section(title):
+    """The files that a section names, folders with all that is in them."""
+    text = PAGE.split(f'## {title}\n')[1].split('\n## ')[0]
+    return tuple(re.findall(r'`(mems_ins_fusion/[\w/.]*)`', text))
+
+
+def naming(*patterns):
+    """Files of the package in which each of `patterns` is found."""
+    files = sorted((ROOT / 'mems_ins_fusion').rglob('*.py'))
+    return [str(file.relative_to(ROOT)) for file in files
+            if all(re.search(pattern, file.read_text(encoding='utf-8')) for pattern in patterns)]
+
+
+def sensor(name, samples):
+    return rf'\b({name}_topic|add_{name}|{samples}|Kind\.{name.upper()}|{name}\.(observe|records)|recording\.{name})\b'
+
+
+@pytest.mark.parametrize(('title', 'patterns'), [
+    # what the one that is there touches
+    ('An effect', [r'g_sensitivity|GSensitivity']),
+    # what all of those that are there touch
+    ('A measurement', [sensor('speed', 'Speeds'), sensor('velocity', 'Velocities'), sensor('heading', 'Headings')]),
+    ('A sensor error model', ['random_walk|RandomWalk', 'gauss_markov|GaussMarkov', 'autoregressive|Autoregressive']),
+    ('A mechanization', ['planar|PLANAR', 'strapdown|STRAPDOWN'])])
+def test_the_lists_name_every_file_that_an_example_is_in(title, patterns):
+    listed, found = section(title), naming(*patterns)
+    assert found
+    assert not [file for file in found if not file.startswith(listed)]
