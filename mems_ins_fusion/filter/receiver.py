@@ -91,14 +91,16 @@ def trust(mem, r, at):
 def learn(mem, r, at, left_n, left_e):
     """Remember the fix at `at`, which has been judged; left_n, left_e: predicted minus measured position after that."""
     time = mem[at + Event.TIME]
+    paired = 0.0 < time - mem[r + Nav.RESIDUAL_TIME] < LONGEST_PAIR
     mem[r + Nav.RESIDUAL_TIME] = time
     mem[r + Nav.RESIDUAL_N], mem[r + Nav.RESIDUAL_E] = left_n - mem[r + NAV], left_e - mem[r + NAV + 1]
     mem[r + Nav.FIX_TIME] = time
     mem[r + Nav.FIX_LATITUDE], mem[r + Nav.FIX_LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
     verdict = mem[at + Event.VERDICT]
     mem[r + Nav.WEIGHTED] = mem[r + Nav.WEIGHTED] + 1.0 if verdict == Verdict.WEIGHTED else 0.0
-    if verdict == Verdict.WEIGHTED and mem[Head.ADAPT] > 0.0 and mem[r + Nav.DOUBT] <= FEWEST_DOUBT:
-        # errors that last do not show between two fixes (a time offset), but here
+    if verdict == Verdict.WEIGHTED and paired and mem[Head.ADAPT] > 0.0 and mem[r + Nav.DOUBT] <= FEWEST_DOUBT:
+        # errors that last do not show between two fixes (a time offset), but here; not where pairs are too far apart to
+        # show the scatter: nothing would bring the ratio down again, and a filter that is too sure would blame the fixes
         mem[r + Nav.GNSS_RATIO] = min(mem[r + Nav.GNSS_RATIO] * math.exp(WEIGHTED_GAIN), LARGEST_RATIO)
     if verdict == Verdict.REFUSED:
         mem[r + Nav.DOUBT] = min(mem[r + Nav.DOUBT] + 1.0, MOST_DOUBT)
