@@ -27,7 +27,7 @@ from .outages import summary as outage_summary
 #: states are kept at this rate, beside those around the epochs of the truth, Hz
 KEPT_RATE = 10.0
 #: epochs of the truth that errors are measured at, and states kept of a run: a recording with more is thinned
-MOST_EPOCHS = 100_000
+MOST_EPOCHS = 40_000
 #: stamps that go back further begin a stretch of their own, s; with more of those each sample is kept
 _BACK, _MOST_BREAKS = 1, 100
 #: a difference is significant when its adjusted p is smaller

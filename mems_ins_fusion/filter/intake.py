@@ -90,9 +90,10 @@ class Intake:
         last = int(self._follow[0])
         follow(self._follow, stamp, values, self._restart_gap, codes)
         topic = self.config.imu.topic
+        good = np.where((codes == GOOD) | (codes == JUMPED), np.arange(len(codes)), -1)
+        newest = np.maximum.accumulate(good)
         for i in np.flatnonzero(codes):
-            previous = stamp[:i][(codes[:i] == GOOD) | (codes[:i] == JUMPED)]
-            before = int(previous[-1]) if len(previous) else last
+            before = int(stamp[newest[i - 1]]) if i > 0 and newest[i - 1] >= 0 else last
             now = int(stamp[i])
             if codes[i] == NOT_FINITE:
                 f, w = values[i, :3].tolist(), values[i, 3:].tolist()
@@ -145,11 +146,6 @@ class Intake:
             self.say('warning', f'{self.topic(kind)}: {NAMES[kind]} stamped {stamp * 1e-9:.3f} s came '
                                 f'{(newest - stamp) * 1e-9:.2f} s after the IMU samples of its time: later than '
                                 'gnss.max_delay, or the clocks differ (gnss.time_offset); dropped')
-
-
-def samples_of(imu: ImuSamples, index: np.ndarray) -> np.ndarray:
-    """Specific force and angular rate of the samples `index`, (n, 6)."""
-    return np.column_stack([imu.specific_force[index], imu.angular_rate[index]])
 
 
 def corrected(correctors: list, stamp, values, celsius) -> np.ndarray:
