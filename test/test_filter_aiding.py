@@ -31,7 +31,7 @@ STATES = {'imu.mounting_sigma': 0.03, 'vehicle.rear_axle_sigma': 0.4, 'speed.sca
           'speed_topic': '/speed', 'vehicle.non_holonomic': True, 'vehicle.non_holonomic_angle_sigma': 0.01,
           'gnss.coloured_noise.sigma': 0.8, 'gnss.lever_arm': [1.2, -0.7, 1.5], 'vehicle.rear_axle': [-1.1, 0.3, -0.6]}
 OPTIONAL = {'coloured_n': 0.8, 'coloured_e': 0.8, 'mounting_pitch': 0.03, 'mounting_yaw': 0.03, 'axle_x': 0.4,
-            'speed_scale': 0.02}
+            'speed_scale': 0.02, 'axle_y': 0.4}
 ARM, AXLE = FLU * STATES['gnss.lever_arm'], FLU * STATES['vehicle.rear_axle']
 ATTITUDE = (0.05, -0.08, 0.7)
 
@@ -67,7 +67,8 @@ class Model:
 
     def speed(self, e):
         velocity, attitude = self.true(e)
-        at_axle = attitude.inv().apply(velocity) + np.cross(self.rate, AXLE)
+        arm = AXLE + np.array([0.0, self.of(e, 'axle_y'), 0.0])
+        at_axle = attitude.inv().apply(velocity) + np.cross(self.rate, arm)
         return (1 + self.of(e, 'speed_scale')) * at_axle[:1]
 
     def antenna_velocity(self, e):
@@ -86,7 +87,7 @@ class Model:
         velocity, attitude = self.true(e)
         forward, right, down = attitude.inv().apply(velocity)
         # the lever arm is short: how its part turns with the mounting is of second order
-        at_axle = np.cross(self.rate, AXLE + np.array([self.of(e, 'axle_x'), 0.0, 0.0]))
+        at_axle = np.cross(self.rate, AXLE + np.array([self.of(e, 'axle_x'), self.of(e, 'axle_y'), 0.0]))
         seen = np.array([right - self.of(e, 'mounting_yaw') * forward, down + self.of(e, 'mounting_pitch') * forward])
         return (seen + at_axle[1:])[:1 if self.config.mechanization == PLANAR else 2]
 

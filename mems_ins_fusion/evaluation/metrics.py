@@ -211,7 +211,7 @@ def summary(errors: Errors) -> dict:
 
 
 def turned_by_course(stamp: np.ndarray, truth: np.ndarray, estimate: np.ndarray) -> np.ndarray:
-    """Heading error (m,), rad, of a truth that has none: how far the way over COURSE_SPAN is turned; NaN where it is slow.
+    """Heading error (m,), rad, of a truth that has none: how far the way over COURSE_SPAN is turned; NaN where slow.
 
     Both tracks (m, 2) are of the same point of the vehicle, so that neither sideslip nor mounting counts. stamp: ns.
     """

@@ -221,7 +221,8 @@ class FilterConfig:
             Head.EVENT_CAPACITY: EVENT_CAPACITY,
             Head.COLOURED: layout.index('coloured_n'), Head.MOUNTING_PITCH: layout.index('mounting_pitch'),
             Head.MOUNTING_YAW: layout.index('mounting_yaw'), Head.AXLE: layout.index('axle_x'),
-            Head.SPEED_SCALE: layout.index('speed_scale'), Head.TIME_OFFSET: layout.index('time_offset'),
+            Head.AXLE_ACROSS: layout.index('axle_y'), Head.SPEED_SCALE: layout.index('speed_scale'),
+            Head.TIME_OFFSET: layout.index('time_offset'),
             Head.ACCELEROMETER_INTERVAL: self.models[0].interval if autoregressive else 0,
             Head.GYROSCOPE_INTERVAL: self.models[-1].interval if autoregressive else 0,
             Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: gnss.max_delay, Head.ROBUST_SIGMA: gnss.robust_sigma,
@@ -315,6 +316,7 @@ def _extras(values: dict, mechanization: int) -> tuple[Extra, ...]:
     slow('time_offset', values['gnss.time_offset_sigma'])
     if values['speed_topic']:
         slow('speed_scale', values['speed.scale_sigma'])
+        slow('axle_y', values['vehicle.rear_axle_sigma'])  # in a bend the wheels' speed is not the IMU's
     return tuple(extras)
 
 

@@ -267,7 +267,8 @@ class _Head(NamedTuple):
     RESTARTS: int = 130  # states that were not finite and were taken back
     RECOVERIES: int = 131  # resets to fixes that had been refused
     HISTORY_AT: int = 133  # where a smoother's history begins, see history.py; 0: none
-    SIZE: int = 134
+    AXLE_ACROSS: int = 134  # index of the optional state axle_y
+    SIZE: int = 135
 
 
 Head = _Head()

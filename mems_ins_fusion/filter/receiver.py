@@ -26,6 +26,8 @@ GATE_FLOOR = 5.0
 #: after so many refused fixes those that come into reach again are weighted down beyond DOUBTED sigma, until as many
 #: have fitted: wrong ones come into reach, too, when the filter has coasted for long enough
 MOST_DOUBT, FEWEST_DOUBT, DOUBTED = 20.0, 2.0, 1.0
+#: a receiver that has repeated itself for so long is doubted when it goes on: it may not have its satellites back, s
+LONG_FROZEN = 1.5
 #: slower than this a receiver may rightly repeat a position, m/s
 FROZEN_SPEED = 1.0
 #: fixes refused one after the other must be so many before they can win
@@ -60,7 +62,10 @@ def is_frozen(mem, r, at):
         variance = mem[r + k + packed(2, 2, 5)] + mem[r + k + packed(3, 3, 5)]
     else:
         variance = mem[r + k + packed(3, 3, 9)] + mem[r + k + packed(4, 4, 9)]
-    return mem[Head.GATE] > 0.0 and same and speed > FROZEN_SPEED + 2.0 * math.sqrt(variance)
+    frozen = mem[Head.GATE] > 0.0 and same and speed > FROZEN_SPEED + 2.0 * math.sqrt(variance)
+    if frozen and mem[at + Event.TIME] - mem[r + Nav.FIX_TIME] > LONG_FROZEN:
+        mem[r + Nav.DOUBT] = max(mem[r + Nav.DOUBT], 2.0 * FEWEST_DOUBT)
+    return frozen
 
 
 @njit(_nrt=False)

@@ -6,8 +6,8 @@ and their information in Lambda; then
 
     smoothed x = x + P lambda          smoothed P = P - P Lambda P
 
-which is the fixed-interval smoother of Rauch, Tung and Striebel in the form of Bryson and Frazier (G. J. Bierman, "Fixed
-interval smoothing with discrete measurements", Int. J. Control 18, 1973): nothing is inverted, and between two states
+which is the fixed-interval smoother of Rauch, Tung and Striebel in the form of Bryson and Frazier (G. J. Bierman,
+"Fixed interval smoothing with discrete measurements", Int. J. Control 18, 1973): nothing is inverted, and between two states
 kept there may be any number of predictions and corrections. All states of the filter take part.
 
 The rows lie in a temporary file: 8 (width + 2 n^2 + n) bytes each, 7.4 kB with the 18 states of a car, 270 MB for an

@@ -159,8 +159,9 @@ FILTER = (
               'base_link (forward-left-up): there the vehicle does not move sideways.', lengths=(3,), minimum=-20.0,
               maximum=20.0),
     Parameter('vehicle.rear_axle_sigma', 1.0, 'm', 'Standard deviation of its forward component, with which it is '
-              'estimated (vehicle.non_holonomic); 0: it is exact.', minimum=0.0, maximum=10.0),
-    Parameter('vehicle.tilt_sigma', 0.03, 'rad', 'Slopes and body roll that the planar mechanization does not know, '
+              'estimated (vehicle.non_holonomic), and with a speed of its component across, too; 0: it is exact.',
+              minimum=0.0, maximum=10.0),
+    Parameter('vehicle.tilt_sigma', 0.05, 'rad', 'Slopes and body roll that the planar mechanization does not know, '
               'one sigma; strapdown does.', minimum=0.0, maximum=0.3),
     Parameter('datum', [], 'deg, deg, m', 'Latitude, longitude and height of the local frame\'s origin; empty: the '
               'first fix used.', lengths=(0, 3)),

@@ -67,8 +67,9 @@ def replay_layers(comparison: Comparison, best: str, names: dict[str, str]) -> l
                             colours.WIDTHS[model] + 0.5, dash=() if model != 'autoregressive' else (6, 4)))
     for result in comparison.smoothed:
         north, east = ground.antenna(result.run, comparison.truth.lever_arm)
-        layers.append(Layer(f'{names[result.model]}, smoothed', colours.SMOOTHED, _seconds(result.run.stamp, origin), east,
-                            north, _read(result.run, result.errors), 1.5, shown=result.model == best))
+        layers.append(Layer(f'{names[result.model]}, smoothed', colours.SMOOTHED,
+                            _seconds(result.run.stamp, origin), east, north, _read(result.run, result.errors), 1.5,
+                            shown=result.model == best))
     longest = max((r.outages.duration for r in comparison.outages if len(r.outages.begin)), default=None)
     for result in comparison.outages:
         if result.outages.duration == longest:

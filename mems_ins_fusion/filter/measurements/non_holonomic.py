@@ -43,5 +43,8 @@ def observe(mem, r, at, h, n, c, sample):
         add_body_velocity(mem, r, h + n, c, 0, mem[r + NAV + pitch])
     if axle >= 0:
         mem[h + n + axle] = w_y
+    across = int(mem[Head.AXLE_ACROSS])
+    if across >= 0:
+        mem[h + n + across] = -w_x
     mem[at + Event.R_EE] = mem[Head.VERTICAL_SIGMA] ** 2 + angle + second_order(mem, n, c, 1, pitch)
     return 2

@@ -20,6 +20,9 @@ def observe(mem, r, at, h, n, c, sample):
     scale = int(mem[Head.SPEED_SCALE])
     if scale >= 0:
         mem[h + scale] = -forward
+    across = int(mem[Head.AXLE_ACROSS])
+    if across >= 0:
+        mem[h + across] = w_z
     return 1
 
 
