@@ -25,6 +25,8 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
         (f'share/{PACKAGE}/config', glob('config/*.yaml')),
+        (f'share/{PACKAGE}/config/sensors', glob('config/sensors/*.yaml')),
+        (f'share/{PACKAGE}/config/layouts', glob('config/layouts/*')),
         (f'share/{PACKAGE}/launch', glob('launch/*.launch.py')),
         # where `ros2 run` looks; pip would put console scripts into bin only
         (f'lib/{PACKAGE}', sorted(glob('scripts/*'))),

@@ -32,7 +32,7 @@ def characterize(options: argparse.Namespace) -> str:
     from mems_ins_fusion.characterization import characterize as work
     from mems_ins_fusion.characterization.parameter_file import parameters_yaml
     from mems_ins_fusion.recordings.errors import RecordingWarning
-    from mems_ins_fusion.reports.characterization import report, report_html
+    from mems_ins_fusion.reports.characterization import data_sheet_text, report, report_html
     from mems_ins_fusion.reports.characterization_answer import answer
     from mems_ins_fusion.reports.characterization_figures import figures
     from mems_ins_fusion.reports.html import image_bytes
@@ -61,7 +61,8 @@ def characterize(options: argparse.Namespace) -> str:
         (folder / 'report.html').write_text(report_html(result, answered, images), encoding='utf-8')
     return '\n'.join([*said, *answered.lines(), '', f'{name}: {result.duration:.0f} s at rest, {len(result.rest.cuts)} '
                       'disturbances cut out', *(f'{axis.name}: {axis.recommendation.text}' for axis in result.axes),
-                      f'recommended for all axes: {result.model}', f'results in {options.output}'])
+                      f'recommended for all axes: {result.model}', '', *data_sheet_text(result), '',
+                      f'results in {options.output}'])
 
 
 def _read(options):
