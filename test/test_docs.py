@@ -23,7 +23,7 @@ PAGES = [REPOSITORY / 'README.md', *sorted((REPOSITORY / 'docs').glob('*.md'))]
 OF_NODE = {'fusion_node': (*FILTER, *FUSION), 'replay_node': (*FILTER, *REPLAY)}
 #: commands that no test looks into, and why
 NOT_OURS = {
-    'sudo': 'installs on the machine', 'source': 'a shell of ROS 2', 'rosdep': 'a command of ROS 2', 'mkdir': 'the shell',
+    'sudo': 'installs on the machine', 'source': 'the shell', 'rosdep': 'a command of ROS 2', 'mkdir': 'the shell',
     'git': 'needs the network', 'pip': 'needs the network', 'touch': 'the shell', 'docker': 'needs Docker',
     'kill': 'the shell', 'true': 'the shell', 'cd': 'the shell', 'evo_ape': 'evo, in test_replay.py'}
 #: of Python's own and of others' modules, likewise
@@ -66,7 +66,8 @@ def all_commands():
             words = [w for word in words for w in variables.get(word, [word])]
             if words:
                 yield pytest.param(words, id=f'{page.name}:{number}:{words[0].split("/")[-1]}')
-        for text in re.findall(r'`((?:python -m|ros2 run) mems_ins_fusion [a-z][^`]*)`', page.read_text(encoding='utf-8')):
+        inline = r'`((?:python -m|ros2 run) mems_ins_fusion [a-z][^`]*)`'
+        for text in re.findall(inline, page.read_text(encoding='utf-8')):
             yield pytest.param(shlex.split(text), id=f'{page.name}:{text}')
 
 

@@ -25,7 +25,7 @@ def configure(options: argparse.Namespace) -> str:
     from mems_ins_fusion.configuration.configure import configure as work
     from mems_ins_fusion.parameters import table
     from mems_ins_fusion.recordings.errors import RecordingWarning
-    from mems_ins_fusion.reports.configuration import configuration_page, configuration_yaml, story
+    from mems_ins_fusion.reports.configuration import answer, configuration_page, configuration_yaml, story
     from mems_ins_fusion.results import check_files_free, write_files
 
     output = Path(options.output)
@@ -38,9 +38,10 @@ def configure(options: argparse.Namespace) -> str:
         result = work(options.bag)
     table.check(result.values)
     text = configuration_yaml(result)
-    write_files({output: text, page: configuration_page(result, text)}, options.overwrite)
+    answered = answer(result, options.bag, options.output)
+    write_files({output: text, page: configuration_page(result, text, answered)}, options.overwrite)
     said = dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, RecordingWarning))
-    return '\n'.join([*story(result), *said, f'{output}; what it stands on: {page}'])
+    return '\n'.join([*answered.lines(), '', *story(result), *said, f'{output}; what it stands on: {page}'])
 
 
 def _parser():
