@@ -1,6 +1,7 @@
 # make demo: simulate a city drive, replay it, print the position error of each sensor error model
 # make test: run the tests with the newest versions of all that is needed
 # make test-oldest: run those of the filter, the nodes and replay with the oldest (test/oldest.txt)
+# make docs: the documentation as a site, docs/_build/index.html; fails where a link between pages is broken
 # Each sets up what it needs in .venv or .venv-oldest, ROS 2 included. PYTHON=python3.12 chooses another Python.
 PYTHON ?= python3
 BIN := .venv/bin
@@ -9,7 +10,7 @@ OLDEST := .venv-oldest/bin
 PYTEST := -m pytest -q -n auto
 PIP := -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-oldest
+.PHONY: demo test test-oldest docs
 
 demo: .venv/ros
 	$(BIN)/python -m mems_ins_fusion compile
@@ -26,6 +27,9 @@ test-oldest: .venv-oldest/ros,test
 	$(OLDEST)/python -m mems_ins_fusion compile
 	$(OLDEST)/python $(PYTEST) $(wildcard test/test_filter*.py test/test_navigation*.py test/test_fusion_node*.py \
 	    test/test_node*.py test/test_replay*.py test/test_evaluation*.py)
+
+docs: .venv/docs
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build
 
 # an empty file in the environment for each set of extras that is installed there
 .venv/%: setup.py pyproject.toml

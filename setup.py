@@ -18,6 +18,8 @@ setup(
     extras_require={
         # ROS 2 itself, where it does not come from the system
         'ros': ['ros-jazzy-rclpy', 'ros-jazzy-common-interfaces', 'ros-jazzy-rmw-fastrtps-cpp'],
+        # the documentation as a site
+        'docs': ['sphinx', 'myst-parser'],
         # allantools, evo and statsmodels are judges: tests hold our numbers against theirs
         'test': ['pytest', 'pytest-xdist', 'setuptools>=70.1', 'allantools', 'evo', 'statsmodels'],
     },
@@ -25,6 +27,8 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
         (f'share/{PACKAGE}/config', glob('config/*.yaml')),
+        (f'share/{PACKAGE}/config/sensors', glob('config/sensors/*.yaml')),
+        (f'share/{PACKAGE}/config/layouts', glob('config/layouts/*')),
         (f'share/{PACKAGE}/launch', glob('launch/*.launch.py')),
         # where `ros2 run` looks; pip would put console scripts into bin only
         (f'lib/{PACKAGE}', sorted(glob('scripts/*'))),

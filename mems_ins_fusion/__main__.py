@@ -7,24 +7,14 @@ import sys
 from importlib import import_module
 
 from mems_ins_fusion.guard import guarded
-
-TOOLS = {
-    'configure': ('cli', 'write the params file of a vehicle from a recording of a drive'),
-    'fusion_node': ('nodes', 'fuse IMU and GNSS live on ROS 2 topics'),
-    'replay_node': ('nodes', 'run recordings through the same filter and measure its position error'),
-    'characterize': ('cli', 'sensor error parameters from a recording of the IMU at rest'),
-    'diagnose': ('cli', 'find what the model lacks in a recording, and add it'),
-    'compare': ('cli', 'two replays, params files or recordings side by side'),
-    'simulate': ('cli', 'write a recording of a simulated drive, with the truth'),
-    'import_csv': ('cli', 'turn CSV files into a recording'),
-    'compile': ('cli', 'compile the filter ahead: the first start of a tool waits for it otherwise'),
-}
+from mems_ins_fusion.hints import VERSION, did_you_mean
+from mems_ins_fusion.tools import TOOLS
 
 
 def usage() -> str:
     """One line per tool."""
     lines = [f'  {name:<13} {purpose}' for name, (_, purpose) in TOOLS.items()]
-    return '\n'.join(['usage: python -m mems_ins_fusion NAME ...', '', *lines])
+    return '\n'.join(['usage: python -m mems_ins_fusion NAME ...', '       NAME --help tells its options', '', *lines])
 
 
 def _end_quietly_on_signals() -> None:
@@ -39,10 +29,13 @@ def main(argv: list[str] | None = None) -> int:
     if argv and argv[0] in ('-h', '--help'):
         print(usage())
         return 0
+    if argv and argv[0] == '--version':
+        print(VERSION)
+        return 0
     if not argv or argv[0] not in TOOLS:
         print(usage(), file=sys.stderr)
         if argv:
-            print(f"\nno tool is named '{argv[0]}'", file=sys.stderr)
+            print(f"\nno tool is named '{argv[0]}'{did_you_mean(argv[0], TOOLS)}", file=sys.stderr)
         return 2
     return guarded(argv[0], argv[1:], lambda: _run(argv))
 

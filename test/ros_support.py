@@ -150,6 +150,12 @@ class Peer:
             assert time.monotonic() < deadline, 'the node did not answer in time'
             self._executor.spin_once(timeout_sec=0.05)
 
+    def spin_some(self, seconds: float = 0.3) -> None:
+        """Take what has arrived."""
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            self._executor.spin_once(timeout_sec=0.01)
+
     def connect(self, node: NodeProcess, recording) -> None:
         """Return when the node hears both topics and is heard; the first IMU sample of `recording` is played by then.
 

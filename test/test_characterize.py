@@ -1,5 +1,8 @@
 """`characterize` from end to end: a simulated sensor with known errors, recovered and used in a drive; bad input."""
+import contextlib
+import io
 import json
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -56,9 +59,11 @@ def result(tmp_path_factory):
                     temperature_topic='/imu/temperature')
     arguments = ['--bag', str(folder / 'bag'), '--output', str(folder / 'out'), '--orders', '1', '2',
                  '--temperature-topic', '/imu/temperature']
-    assert main(arguments) == 0
+    with contextlib.redirect_stdout(io.StringIO()) as said:
+        assert main(arguments) == 0
     return SimpleNamespace(
-        arguments=arguments, out=folder / 'out', report=json.loads((folder / 'out' / 'report.json').read_text()),
+        arguments=arguments, out=folder / 'out', said=said.getvalue(),
+        report=json.loads((folder / 'out' / 'report.json').read_text()),
         values=table.check(params_file.load_yaml(folder / 'out' / 'imu.yaml', 'fusion_node')))
 
 
@@ -83,6 +88,24 @@ def test_params_file_holds_what_a_filter_needs(result):
     assert result.values['accelerometer.bias'] == [0.0]  # cannot be told from tilt
     text = (result.out / 'imu.yaml').read_text()
     assert text.count('#') > 15 and 'cannot be told from tilt' in text
+
+
+def test_numbers_are_told_as_data_sheets_write_them(result):
+    # given a gyroscope with 3e-4 rad/s/sqrt(Hz), which is 1.03 deg/sqrt(h), and accelerometers with 4e-3 m/s^2/sqrt(Hz)
+    text = (result.out / 'imu.yaml').read_text()
+    told = dict(re.findall(r'# in data sheets: .*?([\d.]+), [\d.]+, [\d.]+ (deg/sqrt\(h\)|ug/sqrt\(Hz\))', text))
+    assert {unit: float(number) for number, unit in told.items()} == pytest.approx(
+        {'deg/sqrt(h)': 1.031, 'ug/sqrt(Hz)': 407.9}, rel=0.1)
+    assert all(unit in text for unit in (' mg', ' deg/h'))
+    # and on the terminal beside SI
+    line, = (line for line in result.said.splitlines() if line.startswith('gyroscope x: white noise'))
+    si, sheet = (float(re.search(rf'([\d.e-]+) {re.escape(unit)}', line)[1]) for unit in (
+        'rad/s/sqrt(Hz)', 'deg/sqrt(h)'))
+    assert sheet == pytest.approx(np.degrees(si) * 60, rel=0.01)
+    # four digits are enough, but for the coefficients
+    values = [number for number in re.findall(r'(?<![\w.])-?\d+\.[\d]+(?:e-\d+)?', '\n'.join(
+        line for line in text.splitlines() if '#' not in line and 'coefficients' not in line))]
+    assert values and all(len(v.split('e')[0].replace('.', '').lstrip('-0')) <= 4 for v in values)
 
 
 def test_knock_is_cut_out_and_gravity_and_temperature_are_reported(result):

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -199,6 +200,12 @@ def test_the_file_loads_and_says_what_is_there(bag, tmp_path, capsys):
             assert lines[i - 1].startswith('    # '), line
     page = output.with_suffix('.html').read_text()
     assert 'rather than /reference/fix' in page and '<img' in page
+    # what to type next is said, on the console and at the top of the page
+    said = capsys.readouterr().out
+    for text in (said, re.sub('<.*?>', '', page)):
+        assert 'my_car.yaml is ready to drive with' in text
+        assert f'diagnose --bag {bag} --params-file {output}' in text
+    assert page.index('ready to drive with') < page.index('<img') < page.index('rather than /reference/fix')
     # and an existing file is not overwritten
     capsys.readouterr()
     assert main(['configure', '--bag', str(bag), '--output', str(output)]) == 2

@@ -165,6 +165,9 @@ def test_pip_installs_what_ros_looks_for(prefix):
     assert (prefix / 'share/ament_index/resource_index/packages/mems_ins_fusion').is_file()
     assert (share / 'package.xml').is_file()
     assert (share / 'config/fusion.yaml').is_file()
+    for kind in ('sensors', 'layouts'):
+        ours = {path.name for path in (REPOSITORY / 'config' / kind).iterdir()}
+        assert ours and {path.name for path in (share / 'config' / kind).iterdir()} == ours
     assert (share / 'launch/fusion.launch.py').is_file()
 
 

@@ -6,8 +6,12 @@ import math
 import numpy as np
 
 from ..sensor_errors.models import Autoregressive, GaussMarkov, Model, RandomWalk
+from . import data_sheet
 from .characterize import SENSORS, STANDARD_GRAVITY, Axis, Characterization
 from .fitting import Estimate
+
+#: of the values in the file; coefficients of poles near the unit circle need more
+_DIGITS, _COEFFICIENT_DIGITS = 4, 10
 
 
 def axis_models(axis: Axis, duration: float) -> dict[str, Model]:
@@ -85,7 +89,8 @@ def parameters_yaml(c: Characterization) -> str:
                       f'    # mean specific force {c.gravity:.4f} m/s^2, standard gravity {STANDARD_GRAVITY} m/s^2']
         for name in (n for n in values if n.startswith(sensor)):
             lines += [f'    # {line}' for line in _origin(c, sensor, unit, axes, name.removeprefix(f'{sensor}.'))]
-            lines.append(f'    {name}: {_text(values[name])}')
+            digits = _COEFFICIENT_DIGITS if name.endswith('coefficients') else _DIGITS
+            lines.append(f'    {name}: {_text(values[name], digits)}')
     return '\n'.join(lines) + '\n'
 
 
@@ -93,17 +98,25 @@ def _origin(c, sensor, unit, axes, name):
     quiet = [a.name[-1] for a in axes if not a.significant]
     note = [f'no slow error was seen on {", ".join(quiet)}: there, the upper limit of what could be'] if quiet else []
     if name == 'noise_density':
-        return [f'{unit}/sqrt(Hz), beside {c.model.replace("_", " ")}: {_ranges([_white(a, c.model) for a in axes])}']
+        noise = [_white(a, c.model) for a in axes]
+        return [f'{unit}/sqrt(Hz), beside {c.model.replace("_", " ")}: {_ranges(noise)}',
+                *_data_sheet(data_sheet.white_noise, sensor, [e.value for e in noise])]
     if name == 'bias':
         return [f'{unit}, mean of the recording, rotation of the earth (up to 7.3e-5) included',
-                f'long-term level: {_ranges([a.mean for a in axes])}']
+                f'long-term level: {_ranges([a.mean for a in axes])}',
+                *_data_sheet(data_sheet.bias, sensor, [a.mean.value for a in axes])]
     if name == 'initial_sigma':
-        return [f'{unit}, size of the turn-on bias as far as one recording shows it']
+        return [f'{unit}, size of the turn-on bias as far as one recording shows it',
+                *_data_sheet(data_sheet.bias, sensor, [initial_sigma(c, sensor)])]
     if name == 'random_walk.q':
         return [f'{unit}/sqrt(s): {_ranges([a.fits["random_walk"].estimates["q"] for a in axes])}', *note]
     if name.startswith('gauss_markov'):
         key = name.rsplit('.', 1)[1]
-        return [f'{"s" if key == "tau" else unit}: {_ranges([a.fits["gauss_markov"].estimates[key] for a in axes])}']
+        ranges = _ranges([a.fits["gauss_markov"].estimates[key] for a in axes])
+        if key == 'tau':
+            return [f's: {ranges}']
+        sigmas = [axis_models(a, c.duration)['gauss_markov'].sigma for a in axes]
+        return [f'{unit}: {ranges}', *_data_sheet(data_sheet.bias, sensor, sigmas)]
     if name == 'autoregressive.coefficients':
         return [f'a_1..a_{c.order[sensor]} of x, then y, then z; white noise is not part of them',
                 *(f'{a.name[-1]}: {_ranges(_coefficients(a, c.order[sensor]))}' for a in axes)]
@@ -123,17 +136,21 @@ def _ranges(estimates: list[Estimate | None]) -> str:
     return ', '.join('[not known]' if e is None else f'[{e.lower:.3g}, {e.upper:.3g}]' for e in estimates)
 
 
-def _text(value) -> str:
+def _data_sheet(convert, sensor, values) -> list[str]:
+    """`values` in the units of data sheets, a line."""
+    by_unit = [convert(sensor, value) for value in values]
+    return ['in data sheets: ' + '; '.join(f'{", ".join(f"{v[unit]:.3g}" for v in by_unit)} {unit}'
+                                           for unit in by_unit[0])]
+
+
+def _text(value, digits: int) -> str:
     if isinstance(value, list):
-        return f'[{", ".join(map(_text, value))}]'
-    return _number(value) if isinstance(value, float) else str(value)
+        return f'[{", ".join(_text(v, digits) for v in value)}]'
+    return _number(value, digits) if isinstance(value, float) else str(value)
 
 
-def _number(value: float) -> str:
-    """A text that YAML readers take for a floating-point number: with a point, also before an exponent.
-
-    Coefficients near the unit circle need all their digits.
-    """
-    text = f'{float(value):.10g}'
+def _number(value: float, digits: int) -> str:
+    """A text that YAML readers take for a floating-point number: with a point, also before an exponent."""
+    text = f'{float(value):.{digits}g}'
     mantissa, e, exponent = text.partition('e')
     return (mantissa if '.' in mantissa else f'{mantissa}.0') + e + exponent

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mems_ins_fusion.guard import refuse
+from mems_ins_fusion.cli.command import Parser, run
 from mems_ins_fusion.parameters import params_file, table
+from mems_ins_fusion.progress import Progress
 
 #: GB at the start, bytes for each sample
 _MEMORY = 0.3, 500.0
@@ -23,12 +24,7 @@ folder: imu.yaml (for --params-file of the other tools), report.html, report.jso
 
 def main(argv: list[str] | None = None) -> int:
     """Run the tool with `argv` (default: the command line); its exit status."""
-    options = _parser().parse_args(argv)
-    try:
-        print(characterize(options))
-    except ValueError as error:
-        return refuse('characterize', error)
-    return 0
+    return run(_parser(), characterize, argv)
 
 
 def characterize(options: argparse.Namespace) -> str:
@@ -36,7 +32,7 @@ def characterize(options: argparse.Namespace) -> str:
     from mems_ins_fusion.characterization import characterize as work
     from mems_ins_fusion.characterization.parameter_file import parameters_yaml
     from mems_ins_fusion.recordings.errors import RecordingWarning
-    from mems_ins_fusion.reports.characterization import report, report_html
+    from mems_ins_fusion.reports.characterization import data_sheet_text, report, report_html
     from mems_ins_fusion.reports.characterization_answer import answer
     from mems_ins_fusion.reports.characterization_figures import figures
     from mems_ins_fusion.reports.html import image_bytes
@@ -49,8 +45,9 @@ def characterize(options: argparse.Namespace) -> str:
             warnings.simplefilter('always', RecordingWarning)
             name, grid, temperature, topics, checked = _read(options)
         said = [str(w.message) for w in caught if issubclass(w.category, RecordingWarning)]
-        with _Bar('characterizing') as bar:
-            result = work.characterize(name, grid, temperature, options.orders, bar.step)
+        with Progress('characterize') as tell:
+            result = work.characterize(name, grid, temperature, options.orders,
+                                       lambda done, total, what: tell(done / total, what))
         answered = answer(result, checked, topics, options.output)
         (folder / 'imu.yaml').write_text(parameters_yaml(result), encoding='utf-8')
         (folder / 'report.json').write_text(json.dumps({**report(result, answered), 'warnings': said}, indent=1,
@@ -64,7 +61,8 @@ def characterize(options: argparse.Namespace) -> str:
         (folder / 'report.html').write_text(report_html(result, answered, images), encoding='utf-8')
     return '\n'.join([*said, *answered.lines(), '', f'{name}: {result.duration:.0f} s at rest, {len(result.rest.cuts)} '
                       'disturbances cut out', *(f'{axis.name}: {axis.recommendation.text}' for axis in result.axes),
-                      f'recommended for all axes: {result.model}', f'results in {options.output}'])
+                      f'recommended for all axes: {result.model}', '', *data_sheet_text(result), '',
+                      f'results in {options.output}'])
 
 
 def _read(options):
@@ -84,9 +82,10 @@ def _read(options):
     from mems_ins_fusion.recordings.reading import Memory, read_recording
     from mems_ins_fusion.recordings.units import in_si
 
-    values = table.check(params_file.load_yaml(options.params_file) if options.params_file else {})
-    with _Bar('reading') as bar:
-        recording = read_recording(path, options.imu_topic or values['imu_topic'], progress=bar.share,
+    values = table.check(params_file.load_files(options.params_file))
+    with Progress('characterize') as tell:
+        recording = read_recording(path, options.imu_topic or values['imu_topic'],
+                                   progress=lambda part: tell(part, 'reading'),
                                    temperature_topic=options.temperature_topic or values['temperature_topic'] or None,
                                    memory=Memory(values['memory_limit'], *_MEMORY))
     imu = in_si(recording.imu, values['imu.acceleration_unit'], values['imu.rate_unit'])
@@ -99,40 +98,16 @@ def _read(options):
     return recording.name, grid, temperature, topics, check_recording(replace(recording, imu=imu))
 
 
-class _Bar:
-    """A progress bar on standard error, only where a person watches."""
-
-    def __init__(self, what):
-        from tqdm import tqdm
-
-        self.bar = tqdm(total=1.0, desc=what, bar_format='{desc}: {percentage:3.0f}%|{bar}| {elapsed} {postfix}',
-                        disable=None)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.bar.close()
-
-    def share(self, done: float):
-        self.bar.update(done - self.bar.n)
-
-    def step(self, done: int, total: int, what: str):
-        self.bar.set_postfix_str(what, refresh=False)
-        self.share(done / total)
-
-
 def _parser():
-    parser = argparse.ArgumentParser(prog='characterize', description=DESCRIPTION,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = Parser('characterize', DESCRIPTION)
     add = parser.add_argument
     add('--bag', required=True, metavar='BAG', help='rosbag2 folder, .mcap, .db3 or ROS 1 .bag; or .npz with acc_mps2 '
         '(n, 3), gyro_radps (n, 3) and rate_hz')
     add('--output', required=True, metavar='DIR', help='folder for the results')
-    add('--params-file', metavar='FILE', help='YAML with imu_topic and temperature_topic, as for the nodes')
+    parser.add_params_file('imu_topic and temperature_topic')
     add('--imu-topic', metavar='TOPIC', help='sensor_msgs/Imu (default: imu_topic of the params file, else /imu/data)')
     add('--temperature-topic', metavar='TOPIC', help='sensor_msgs/Temperature (default: that of the params file)')
     add('--orders', type=int, nargs='+', default=[1, 2, 3], metavar='P',
         help='orders of the autoregressive model to try (default 1 2 3)')
-    add('--overwrite', action='store_true', help='replace an existing result')
+    parser.add_overwrite()
     return parser

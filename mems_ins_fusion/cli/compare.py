@@ -3,9 +3,9 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 
+from mems_ins_fusion.cli.command import Parser, run
 from mems_ins_fusion.parameters import params_file, table
 
 DESCRIPTION = """\
@@ -20,13 +20,7 @@ PLACES = ('first', 'second')
 
 def main(argv: list[str] | None = None) -> int:
     """Run the tool with `argv` (default: the command line); its exit status."""
-    options = _parser().parse_args(argv)
-    try:
-        print(compare(options))
-    except ValueError as error:
-        print(f'compare: {error}', file=sys.stderr)
-        return 2
-    return 0
+    return run(_parser(), compare, argv)
 
 
 def compare(options: argparse.Namespace) -> str:
@@ -80,10 +74,10 @@ def _replay(options, kind: str, path: str, folder: Path, known_as: Path) -> None
     """Replay with the params file, or the recording, `path` into `folder`."""
     from mems_ins_fusion.reports.replay import replay_recordings
 
-    given_file = options.params_file
+    files = options.params_file
     if kind == 'params file':
-        given_file = path if Path(path).is_file() else str(Path(path) / 'corrected.yaml')
-    given = params_file.load_yaml(given_file) if given_file else {}
+        files = [*files, path if Path(path).is_file() else Path(path) / 'corrected.yaml']
+    given = params_file.load_files(files)
     asked = {'reference_topic': options.reference_topic, 'reference_file': options.reference_file}
     given |= {name: value for name, value in asked.items() if value is not None}
     values = table.check(given | {'bag': [options.bag if kind == 'params file' else path], 'output_dir': str(folder),
@@ -94,16 +88,15 @@ def _replay(options, kind: str, path: str, folder: Path, known_as: Path) -> None
 
 
 def _parser():
-    parser = argparse.ArgumentParser(prog='compare', description=DESCRIPTION,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = Parser('compare', DESCRIPTION)
     add = parser.add_argument
     add('first', metavar='A', help='result of replay_node, params file, or recording')
     add('second', metavar='B', help='the other, of the same kind')
     add('--output', required=True, metavar='DIR', help='folder for the results')
     add('--bag', metavar='BAG', help='the recording that two params files are compared on')
-    add('--params-file', metavar='FILE', help='YAML with the filter that two recordings are compared with')
+    parser.add_params_file('the filter that recordings are compared with, or what both params files lie over')
     add('--reference-topic', metavar='TOPIC', help='the truth in the recordings (default: that of the params file, '
         'else withheld fixes)')
     add('--reference-file', metavar='FILE', help='the truth as CSV, TUM, NMEA or RTKLIB .pos')
-    add('--overwrite', action='store_true', help='replace an existing result')
+    parser.add_overwrite()
     return parser

@@ -1,8 +1,9 @@
 """`compile`: the filter compiled ahead, so that no tool waits for the compiler."""
 from __future__ import annotations
 
-import argparse
 import time
+
+from mems_ins_fusion.cli.command import Parser
 
 DESCRIPTION = """\
 Compile the filter and all other compiled code ahead, for this machine, user and version: the first start of the node
@@ -12,8 +13,7 @@ The code is kept in ~/.cache/mems_ins_fusion, or in the folder that NUMBA_CACHE_
 
 def main(argv: list[str] | None = None) -> int:
     """Compile; the exit status."""
-    argparse.ArgumentParser(prog='compile', description=DESCRIPTION,
-                            formatter_class=argparse.RawDescriptionHelpFormatter).parse_args(argv)
+    _parser().parse_args(argv)
     # imported only now: that takes a second
     from mems_ins_fusion.compiled import FOLDER
 
@@ -68,3 +68,7 @@ def _drive():
     from mems_ins_fusion.simulation.simulation import simulate_drive, simulate_recording
 
     return simulate_recording(simulate_drive(60.0, seed=1, rate=20.0)).recording
+
+
+def _parser():
+    return Parser('compile', DESCRIPTION)

@@ -2,9 +2,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import warnings
 from pathlib import Path
+
+from mems_ins_fusion.cli.command import Parser, run
 
 DESCRIPTION = """\
 Write the params file of a vehicle from a recording of a drive: which topics, in which units, how the IMU is mounted,
@@ -16,13 +17,7 @@ The method: docs/configure.md."""
 
 def main(argv: list[str] | None = None) -> int:
     """Run the tool with `argv` (default: the command line); its exit status."""
-    options = _parser().parse_args(argv)
-    try:
-        print(configure(options))
-    except ValueError as error:
-        print(f'configure: {error}', file=sys.stderr)
-        return 2
-    return 0
+    return run(_parser(), configure, argv)
 
 
 def configure(options: argparse.Namespace) -> str:
@@ -30,7 +25,7 @@ def configure(options: argparse.Namespace) -> str:
     from mems_ins_fusion.configuration.configure import configure as work
     from mems_ins_fusion.parameters import table
     from mems_ins_fusion.recordings.errors import RecordingWarning
-    from mems_ins_fusion.reports.configuration import configuration_page, configuration_yaml, story
+    from mems_ins_fusion.reports.configuration import answer, configuration_page, configuration_yaml, story
     from mems_ins_fusion.results import check_files_free, write_files
 
     output = Path(options.output)
@@ -43,17 +38,17 @@ def configure(options: argparse.Namespace) -> str:
         result = work(options.bag)
     table.check(result.values)
     text = configuration_yaml(result)
-    write_files({output: text, page: configuration_page(result, text)}, options.overwrite)
+    answered = answer(result, options.bag, options.output)
+    write_files({output: text, page: configuration_page(result, text, answered)}, options.overwrite)
     said = dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, RecordingWarning))
-    return '\n'.join([*story(result), *said, f'{output}; what it stands on: {page}'])
+    return '\n'.join([*answered.lines(), '', *story(result), *said, f'{output}; what it stands on: {page}'])
 
 
 def _parser():
-    parser = argparse.ArgumentParser(prog='configure', description=DESCRIPTION,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = Parser('configure', DESCRIPTION)
     add = parser.add_argument
     add('--bag', required=True, nargs='+', metavar='BAG', help='rosbag2 folder, .mcap, .db3 or ROS 1 .bag; several of '
         'one vehicle')
     add('--output', required=True, metavar='FILE.yaml', help='the params file to write')
-    add('--overwrite', action='store_true', help='replace an existing one')
+    parser.add_overwrite()
     return parser

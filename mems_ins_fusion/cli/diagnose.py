@@ -4,8 +4,9 @@ from __future__ import annotations
 import argparse
 import json
 
-from mems_ins_fusion.guard import refuse
+from mems_ins_fusion.cli.command import Parser, run
 from mems_ins_fusion.parameters import params_file, table
+from mems_ins_fusion.progress import Progress
 
 DESCRIPTION = """\
 Diagnose a drive: run the filter as configured, find what it cannot explain, trace that to a physical effect the model
@@ -17,12 +18,7 @@ The method: docs/closing_the_loop.md; the effects: docs/effects.md."""
 
 def main(argv: list[str] | None = None) -> int:
     """Run the tool with `argv` (default: the command line); its exit status."""
-    options = _parser().parse_args(argv)
-    try:
-        print(diagnose(options))
-    except ValueError as error:
-        return refuse('diagnose', error)
-    return 0
+    return run(_parser(), diagnose, argv)
 
 
 def diagnose(options: argparse.Namespace) -> str:
@@ -37,7 +33,7 @@ def diagnose(options: argparse.Namespace) -> str:
 
     given = _parameters(options)
     with result_folder(options.output, options.overwrite) as folder:
-        with _Bar() as bar:
+        with Progress('diagnose') as bar:
             recording, warned = read_part(options.bag, table.check(given), lambda part: bar(0.2 * part, 'reading'))
             if recording.gnss is None:
                 raise ValueError('gnss_topic is empty: a diagnosis needs fixes')
@@ -57,7 +53,7 @@ def diagnose(options: argparse.Namespace) -> str:
 
 def _parameters(options) -> dict:
     """What the params file and the options give, by full name."""
-    given = params_file.load_yaml(options.params_file) if options.params_file else {}
+    given = params_file.load_files(options.params_file)
     asked = {'reference_topic': options.reference_topic, 'reference_file': options.reference_file,
              'start': options.start, 'stop': options.stop}
     if options.reference_topic:
@@ -69,35 +65,16 @@ def _parameters(options) -> dict:
     return given | {name: value for name, value in asked.items() if value is not None}
 
 
-class _Bar:
-    """A progress bar on standard error, only where a person watches."""
-
-    def __enter__(self):
-        from tqdm import tqdm
-
-        self.bar = tqdm(total=1.0, desc='diagnosing', disable=None,
-                        bar_format='{desc}: {percentage:3.0f}%|{bar}| {elapsed} {postfix}')
-        return self
-
-    def __exit__(self, *_):
-        self.bar.close()
-
-    def __call__(self, part: float, what: str):
-        self.bar.set_postfix_str(what, refresh=False)
-        self.bar.update(max(part - self.bar.n, 0.0))
-
-
 def _parser():
-    parser = argparse.ArgumentParser(prog='diagnose', description=DESCRIPTION,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = Parser('diagnose', DESCRIPTION)
     add = parser.add_argument
     add('--bag', required=True, metavar='BAG', help='rosbag2 folder, .mcap, .db3 or ROS 1 .bag')
     add('--output', required=True, metavar='DIR', help='folder for the results')
-    add('--params-file', metavar='FILE', help='YAML with the filter as configured, as for the nodes')
+    parser.add_params_file('the filter as configured')
     add('--reference-topic', metavar='TOPIC', help='the truth: NavSatFix, Odometry or PoseStamped (default: '
         'reference_topic of the params file, else the fixes that are withheld)')
     add('--reference-file', metavar='FILE', help='the truth as CSV, TUM, NMEA or RTKLIB .pos')
     add('--start', type=float, metavar='S', help='skip this much of the recording')
     add('--stop', type=float, metavar='S', help="stop this long after the recording's start")
-    add('--overwrite', action='store_true', help='replace an existing result')
+    parser.add_overwrite()
     return parser

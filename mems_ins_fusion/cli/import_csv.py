@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import argparse
 
-from mems_ins_fusion.guard import refuse
+from mems_ins_fusion.cli.command import Parser, run
 from mems_ins_fusion.recordings.tables import TIME_UNITS
 
 DESCRIPTION = """\
@@ -18,13 +18,7 @@ Samples are turned to base_link (forward, left, up), so that imu.mounting_rpy is
 
 def main(argv: list[str] | None = None) -> int:
     """Run the tool with `argv` (default: the command line); its exit status."""
-    options = _parser().parse_args(argv)
-    try:
-        for line in import_csv(options):
-            print(line)
-    except ValueError as error:
-        return refuse('import_csv', error)
-    return 0
+    return run(_parser(), lambda options: '\n'.join(import_csv(options)), argv)
 
 
 def import_csv(options: argparse.Namespace):
@@ -71,16 +65,15 @@ def import_csv(options: argparse.Namespace):
         yield f'{finding.severity}: {finding.topic}: {finding.message}'
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog='import_csv', description=DESCRIPTION,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+def _parser() -> Parser:
+    parser = Parser('import_csv', DESCRIPTION)
     add = parser.add_argument
     add('--imu', required=True, metavar='FILE', help='CSV with time, specific force and angular rate')
     add('--gnss', metavar='FILE', help='CSV with time, latitude, longitude and, if there, height and sigma')
     add('--speed', metavar='FILE', help='CSV with time and speed of the rear axle, to /wheel/speed')
     add('--reference', metavar='FILE', help='reference trajectory: CSV, NMEA or RTKLIB .pos, to /reference/fix')
     add('--output', required=True, metavar='BAG', help='folder of the rosbag2 to write')
-    add('--overwrite', action='store_true', help='replace an existing one')
+    parser.add_overwrite()
     add('--storage', choices=('mcap', 'sqlite3'), default='mcap')
     add('--imu-axes', default='forward left up', metavar='"X Y Z"',
         help='where the sensor\'s x, y and z point: three of forward, back, left, right, up, down '

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from mems_ins_fusion.cli.command import Parser, run
 from mems_ins_fusion.effects.registry import EFFECTS
-from mems_ins_fusion.guard import refuse
+from mems_ins_fusion.hints import did_you_mean
 from mems_ins_fusion.parameters import params_file, table
 
 _NAMED_TOPICS = ('temperature_topic', 'speed_topic', 'velocity_topic', 'heading_topic')
@@ -36,12 +37,7 @@ bias, gnss.coloured_noise) are simulated as it says. Effects given with --effect
 
 def main(argv: list[str] | None = None) -> int:
     """Run the tool with `argv` (default: the command line); its exit status."""
-    options = _parser().parse_args(argv)
-    try:
-        print(simulate(options))
-    except ValueError as error:
-        return refuse('simulate', error)
-    return 0
+    return run(_parser(), simulate, argv)
 
 
 def simulate(options: argparse.Namespace) -> str:
@@ -56,7 +52,7 @@ def simulate(options: argparse.Namespace) -> str:
             raise ValueError(f"--{name.replace('_', '-')} must be from {low:g} to {high:g}{unit}, got {value!s:.20}")
     effects = parse_effects(options.effect)
     scene = _scene(options)
-    values = table.check({**scene.imu, **(params_file.load_yaml(options.params_file) if options.params_file else {})})
+    values = table.check({**scene.imu, **params_file.load_files(options.params_file)})
     model = options.model or values['sensor_error_model']
     sigma = 0.02 if options.rtk else values['gnss.sigma'] or 1.5
     sigma = sigma if options.gnss_sigma is None else options.gnss_sigma
@@ -131,7 +127,7 @@ def parse_effects(texts: list[str]) -> list[tuple]:
         if not equals:
             raise ValueError(f"--effect must be NAME=VALUE or NAME.PARAM=VALUE, got '{text}'")
         if name not in EFFECTS:
-            raise ValueError(f"no effect is named '{name}'; there are {', '.join(EFFECTS)}")
+            raise ValueError(f"no effect is named '{name}'{did_you_mean(name, EFFECTS) or '; there are ' + ', '.join(EFFECTS)}")
         values.setdefault(name, {})[parameter or EFFECTS[name].principal] = _number('--effect', text, number)
     return [(EFFECTS[name], EFFECTS[name].complete(given)) for name, given in values.items()]
 
@@ -163,11 +159,10 @@ def _declared(values):
 
 
 def _parser():
-    parser = argparse.ArgumentParser(prog='simulate', description=DESCRIPTION,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter, epilog=_effects_help())
+    parser = Parser('simulate', DESCRIPTION, _effects_help())
     add = parser.add_argument
     add('--output', required=True, metavar='BAG', help='folder of the rosbag2 to write')
-    add('--overwrite', action='store_true', help='replace an existing one')
+    parser.add_overwrite()
     add('--storage', choices=('mcap', 'sqlite3'), default='mcap')
     add('--duration', type=float, default=600.0, metavar='S', help='seconds (default %(default)g)')
     add('--seed', type=int, default=0, help='the same seed gives the same recording (default %(default)s)')
@@ -179,7 +174,7 @@ def _parser():
     add('--reference-rate', type=float, default=10.0, metavar='HZ', help='of the truth (default %(default)g)')
     add('--model', choices=table.MODELS, help='of the sensor errors (default: sensor_error_model of the params '
         'file, else gauss_markov)')
-    add('--params-file', metavar='FILE', help='YAML with the parameters of the sensors, as for the nodes')
+    parser.add_params_file('the parameters of the sensors')
     add('--drive', choices=('flat', 'realistic'), default='flat', help='(default %(default)s)')
     add('--grade', type=float, metavar='G', help='largest grade of a random road (0.03 is 3 %%)')
     add('--bank', type=float, metavar='B', help='largest bank of it')

@@ -33,7 +33,7 @@ def play(node: Node, tracks: dict[str, OdometrySamples], rate: float, stopped: C
         if not _wait_until(began + (stamp - int(stamps[order[0]])) / (_SECOND * rate), stopped):
             return
         if stamp != last:
-            clock.publish(Clock(clock=_time(stamp)))
+            clock.publish(Clock(clock=time_message(stamp)))
             last = stamp
         publishers[name].publish(_message(tracks[name], int(index[k]), frame_id, child_frame_id))
 
@@ -45,14 +45,15 @@ def _wait_until(moment: float, stopped) -> bool:
     return not stopped()
 
 
-def _time(stamp: int) -> Time:
+def time_message(stamp: int) -> Time:
+    """stamp: ns."""
     seconds, nanoseconds = divmod(stamp, _SECOND)
     return Time(sec=seconds, nanosec=nanoseconds)
 
 
 def _message(track: OdometrySamples, i: int, frame_id: str, child_frame_id: str) -> Odometry:
     message = Odometry(child_frame_id=child_frame_id)
-    message.header.stamp = _time(int(track.stamp[i]))
+    message.header.stamp = time_message(int(track.stamp[i]))
     message.header.frame_id = frame_id
     pose, twist = message.pose, message.twist
     for target, values in ((pose.pose.position, track.position[i]), (twist.twist.linear, track.velocity[i])):

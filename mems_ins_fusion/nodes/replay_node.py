@@ -11,6 +11,7 @@ from rclpy.node import Node
 from ..guard import INTERRUPTED, refuse
 from ..parameters.parameter import ParameterError
 from ..parameters.table import FILTER, REPLAY
+from ..progress import Progress
 from .ros_parameters import declare
 from .run import Stop, run
 
@@ -33,8 +34,8 @@ class ReplayNode(Node):
 
         stop.interrupts = True
         try:
-            with _Bar(stop) as bar:
-                result = replay_recordings(self._values, bar)
+            with Progress(NAME) as tell:
+                result = replay_recordings(self._values, _interruptible(tell, stop))
             _tell(result)
         except ValueError as error:
             return refuse(NAME, error)
@@ -79,28 +80,13 @@ def _tell(result) -> None:
         print(f'track: {picture}')
 
 
-class _Bar:
-    """A progress bar on stderr; a context manager, called with the part done. KeyboardInterrupt after a signal."""
-
-    def __init__(self, stop: Stop):
-        self._stop = stop
-
-    def __enter__(self):
-        from tqdm import tqdm
-
-        self._bar = tqdm(total=100, desc=NAME, bar_format='{desc}: {percentage:3.0f}%|{bar}| {elapsed} {postfix}',
-                         mininterval=0.02, file=sys.stderr)
-        return self
-
-    def __exit__(self, *exception):
-        self._bar.close()
-
-    def __call__(self, part: float, what: str) -> None:
-        if self._stop.requested:  # its KeyboardInterrupt may have been lost in a library's callback
+def _interruptible(tell: Progress, stop: Stop):
+    """`tell`, but KeyboardInterrupt after a signal: that of its handler may have been lost in a library's callback."""
+    def told(part: float, what: str) -> None:
+        if stop.requested:
             raise KeyboardInterrupt
-        if what != self._bar.postfix:  # a new stage shows at once, however little time has passed
-            self._bar.set_postfix_str(what)
-        self._bar.update(max(round(100 * part) - self._bar.n, 0))
+        tell(part, what)
+    return told
 
 
 def main(argv: list[str]) -> int:

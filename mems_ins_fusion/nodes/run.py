@@ -17,10 +17,13 @@ from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from ..hints import VERSION
 from ..parameters.parameter import Parameter, ParameterError
 from ..parameters.params_file import load_yaml, yaml_value
 from .ros_parameters import params_files
 
+#: ROS arguments, for who leaves out --ros-args
+_ROS_OPTIONS = ('--params-file', '-p', '--param', '-r', '--remap', '--log-level')
 #: what a user got wrong, as opposed to a defect of the program
 _USER_ERRORS = (ValueError, ParameterException, NameValidationException, InvalidQosOverridesError)
 
@@ -60,6 +63,9 @@ def run(name: str, make_node: Callable[[list[str], Stop], Node], argv: list[str]
     tables: the node's parameters, for --help. 0 after a signal, that of `work` (None is 0) where it returns by itself,
     2 with one line on stderr where `argv` or the parameters are wrong.
     """
+    if '--version' in argv:
+        print(VERSION)
+        return 0
     if {'-h', '--help'} & set(argv):
         print(usage(name, tables))
         return 0
@@ -84,7 +90,8 @@ def run(name: str, make_node: Callable[[list[str], Stop], Node], argv: list[str]
 
 def usage(name: str, tables: tuple[tuple[Parameter, ...], ...]) -> str:
     """How the node `name` is started, and its parameters with unit, default and meaning."""
-    lines = [f'usage: ros2 run mems_ins_fusion {name} [--ros-args [--params-file FILE] [-p NAME:=VALUE] ...]', '',
+    lines = [f'usage: python -m mems_ins_fusion {name} [--help] [--version] [--ros-args [--params-file FILE] '
+             '[-p NAME:=VALUE] ...]', f'or:    ros2 run mems_ins_fusion {name} ...', '',
              'parameters:']
     for parameter in (p for table in tables for p in table):
         unit = '' if parameter.unit in ('text', '-') else f' {parameter.unit}'
@@ -100,6 +107,8 @@ def _initialize(name, argv):
     set_logger_level('rcl', LoggingSeverity.FATAL)  # it would log the same error in its own words
     try:
         others = remove_ros_args(argv)
+        if others and others[0] in _ROS_OPTIONS:
+            raise ParameterError(f"'{others[0]}' is a ROS argument: write --ros-args before it")
         if others:
             raise ParameterError(f"'{others[0]}' is not understood: {name} takes ROS arguments only, "
                                  'such as --ros-args --params-file FILE -p NAME:=VALUE')

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 
 import yaml
@@ -78,6 +79,14 @@ def load_yaml(path, node: str = '') -> dict:
         if not isinstance(section, dict) or not isinstance(section.get('ros__parameters'), dict):
             raise ParameterError(f"params file {path}: each node's parameters must stand under 'ros__parameters'")
         values.update(_flatten(section['ros__parameters'], path))
+    return values
+
+
+def load_files(paths: Iterable) -> dict:
+    """The parameters of several params files as one, unchecked; where two say different, the later one counts."""
+    values: dict = {}
+    for path in paths:
+        values.update(load_yaml(path))
     return values
 
 

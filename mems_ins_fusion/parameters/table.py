@@ -5,10 +5,10 @@ A YAML file may hold any of them, whichever tool reads it: one file configures a
 """
 from __future__ import annotations
 
-import difflib
 import math
 
 from ..effects.registry import EFFECTS
+from ..hints import did_you_mean
 from .parameter import Parameter, ParameterError
 
 
@@ -266,6 +266,4 @@ def _check_datum(datum: list[float]) -> None:
 
 def unknown(name: str) -> str:
     """What to tell a user who wrote `name`."""
-    close = difflib.get_close_matches(name, ALL, n=1)
-    hint = f"; did you mean '{close[0]}'?" if close else ''
-    return f"unknown parameter '{name}'{hint}"
+    return f"unknown parameter '{name}'{did_you_mean(name, ALL)}"

@@ -55,6 +55,8 @@ _KEPT = {
     POSE_WITH_COVARIANCE_STAMPED: ('pose.pose.orientation', 'pose.covariance'),
     TWIST_WITH_COVARIANCE_STAMPED: ('twist.twist.linear', 'twist.covariance'),
 }
+#: what a recording is looked at for
+READABLE = frozenset(_KEPT)
 #: of a 6 x 6 covariance: the elements of the velocity, or that of the yaw; of the orientation's: whether there is one
 _COLUMNS = {'orientation_covariance': [0, 8], 'twist.covariance': [0, 1, 2, 6, 7, 8, 12, 13, 14],
             'pose.covariance': [35]}

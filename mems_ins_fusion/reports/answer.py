@@ -4,7 +4,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from ..recordings.checker import Finding
-from .html import Html, bullets, number, paragraph, preformatted
+from .html import Html, bullets, command, number, paragraph
 
 GOOD, WARNING, BAD = 'good', 'warning', 'bad'
 
@@ -51,7 +51,7 @@ class Answer:
     def _steps(self) -> str:
         if not self.steps:
             return ''
-        items = ''.join(f'<li>{paragraph(s.what)}{preformatted(s.command) if s.command else ""}</li>'
+        items = ''.join(f'<li>{paragraph(s.what)}{command(s.command) if s.command else ""}</li>'
                         for s in self.steps)
         return f'<h3>What to do next</h3><ol>{items}</ol>'
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import math
 
+from mems_ins_fusion.characterization import data_sheet
 from mems_ins_fusion.characterization.autoregressive import METHODS, time_constant
 from mems_ins_fusion.characterization.characterize import SENSORS, STANDARD_GRAVITY, Characterization
 from mems_ins_fusion.characterization.parameter_file import parameters, parameters_yaml
@@ -91,7 +92,48 @@ def report_html(c: Characterization, answered: Answer, images: dict[str, tuple[b
 
 def _result(c):
     rows = [(a.name, _words(a.recommendation.model), a.recommendation.decided, a.recommendation.text) for a in c.axes]
-    return [html.table(('axis', 'model', 'decided by the data', 'why'), rows)]
+    return [html.table(('axis', 'model', 'decided by the data', 'why'), rows), *_data_sheet(c)]
+
+
+def _data_sheet(c):
+    """A table for each sensor with the units of its data sheet beside SI."""
+    tables = []
+    for sensor, unit in SENSORS.items():
+        rows = [data_sheet_row(sensor, a) for a in c.of(sensor)]
+        units = [key for key, _ in rows[0]]
+        tables.append(html.table(['axis', *units], [[a.name, *(value for _, value in row)]
+                                                    for a, row in zip(c.of(sensor), rows)]))
+    return [*tables, 'As data sheets write them: white noise (angle or velocity random walk) and bias instability, the '
+            'lowest point of the Allan deviation divided by 0.664. A dash: the recording does not show it.']
+
+
+def data_sheet_row(sensor: str, axis) -> list[tuple]:
+    """(what and unit, value or None) of one axis: SI first, then as data sheets write it."""
+    found = axis.allan_parameters
+    row = []
+    for what, value, si, convert in (
+            ('white noise', found.noise_density, f'{axis.unit}/sqrt(Hz)', data_sheet.white_noise),
+            ('bias instability', found.bias_instability, axis.unit, data_sheet.bias)):
+        known = value is not None and math.isfinite(value)
+        units = convert(sensor, value if known else math.nan)
+        row += [(f'{what}, {key}', v if known else None) for key, v in {si: value, **units}.items()]
+    return row
+
+
+def data_sheet_text(c: Characterization) -> list[str]:
+    """The same for a terminal, a line for each axis."""
+    lines = []
+    for sensor in SENSORS:
+        for axis in c.of(sensor):
+            said: dict[str, list[str]] = {}
+            for key, value in data_sheet_row(sensor, axis):
+                what, unit = key.split(', ')
+                said.setdefault(what, []).append('not shown' if value is None else f'{value:.3g} {unit}')
+            lines.append(f'{axis.name}: ' + '; '.join(
+                f'{what} {"not shown" if "not shown" in values else " = ".join(values)}'
+                for what, values in said.items()))
+    return lines
+
 
 
 def _recording(c):

@@ -2,14 +2,17 @@
 from __future__ import annotations
 
 import math
+import shlex
 import textwrap
+from pathlib import PurePath
 
 import numpy as np
 
 from ..configuration.configure import Configuration
 from ..parameters.params_file import yaml_value
 from . import html
-from .html import bullets, figure, note, paragraph, preformatted, section, table
+from .answer import GOOD, WARNING, Answer, Step
+from .html import bullets, figure, folded, paragraph, preformatted, section, table
 
 _WIDTH = 116
 _POINTS = 4000
@@ -31,7 +34,7 @@ def configuration_yaml(result: Configuration) -> str:
 
 
 def story(result: Configuration) -> list[str]:
-    """What a person at a terminal wants to know, line by line."""
+    """What was found, line by line."""
     values = result.values
     lines = [f'IMU {values["imu_topic"]} ({values["imu.acceleration_unit"]}, {values["imu.rate_unit"]}), '
              f'fixes {values["gnss_topic"] or "none"}; {values["mechanization"]}']
@@ -43,37 +46,69 @@ def story(result: Configuration) -> list[str]:
                      f'deg, yaw {yaw}{" deg" if found.yaw_known else ""}')
         if found.lag_sigma < 0.3:
             lines.append(f'fixes against the IMU\'s clock: {found.lag:.3f} +- {found.lag_sigma:.3f} s')
-    return [*lines, *(f'not shown: {text}' for text in result.missing), *(f'look at: {text}' for text in result.wrong)]
+    return lines
 
 
-def configuration_page(result: Configuration, yaml_text: str) -> str:
+def answer(result: Configuration, bags: list[str], output: str) -> Answer:
+    """Whether the file can be driven with, what is not right or not known, and what to type next. bags, output: paths of
+    the recordings and of the file, for the commands."""
+    found = result.mounting
+    path, name = shlex.quote(output), PurePath(output).name
+    steps = [Step('Look at how good it is on this recording:', f'python -m mems_ins_fusion replay_node --ros-args '
+                  f'--params-file {path} -p bag:={shlex.quote(bags[0])} -p output_dir:=replay'),
+             Step('Find what is missing in it:', f'python -m mems_ins_fusion diagnose --bag {shlex.quote(bags[0])} '
+                  f'--params-file {path} --output diagnosis'),
+             Step('Drive with it:', f'python -m mems_ins_fusion fusion_node --ros-args --params-file {path}')]
+    if found is None or not found.yaw_known:
+        headline = f'{name} is not complete: the recording does not show how the IMU sits.'
+        steps = [Step('Record a drive with a standstill, right-angled turns and braking, and run configure again; or set '
+                      'imu.mounting_rpy by hand.')]
+    elif result.wrong or result.missing:
+        headline = f'{name} can be used; see below what is not right or not known.'
+    else:
+        headline = f'{name} is ready to drive with.'
+    wrong = [*result.wrong, *(f'Not shown by the recording: {text}' for text in result.missing)]
+    return Answer(WARNING if wrong or found is None or not found.yaw_known else GOOD, headline, wrong, [], steps)
+
+
+def configuration_page(result: Configuration, yaml_text: str, answered: Answer) -> str:
     """The page about all that was looked at."""
-    notes = [*(note(text, 'warning') for text in result.wrong), *(note(text) for text in result.missing)]
-    summary = f'{", ".join(drive.name for drive in result.drives)}: {"; ".join(story(result)[:3])}'
+    summary = f'{", ".join(drive.name for drive in result.drives)}: {"; ".join(story(result))}'
     return html.page('What the recording says about the vehicle', [
-        section('Parameters', *notes, _settings(result)), *_mounting(result), _sensors(result),
-        section('The file', preformatted(yaml_text)), _explanation()], summary)
+        section('Is the file ready?', answered.html(), *_figure(result), _settings(result)),
+        folded('Why', _evidence(result)), *_mounting(result), _sensors(result),
+        folded('The file', preformatted(yaml_text)), _explanation()], summary.replace('+-', '\N{PLUS-MINUS SIGN}'))
 
 
 def _settings(result):
-    return table(['parameter', 'value', 'evidence'],
-                 [[s.name, yaml_value(s.value), '; '.join(s.why)] for s in result.settings])
+    return table(['parameter', 'value'], [[s.name, yaml_value(s.value)] for s in result.settings])
+
+
+def _evidence(result):
+    return table(['parameter', 'evidence'],
+                 [[s.name, '; '.join(s.why).replace('+-', '\N{PLUS-MINUS SIGN}')] for s in result.settings])
 
 
 def _mounting(result):
     found = result.mounting
     if found is None:
-        return [section('Mounting', paragraph('The recording does not show how the IMU sits.'))]
+        return [folded('Mounting', paragraph('The recording does not show how the IMU sits.'))]
     rows = [[way.source, 'roll, pitch', _list(way.angle), _list(way.sigma)] for way in found.level]
     rows += [[way.source, 'yaw', _list(way.angle), _list(way.sigma)] for way in found.heading]
     parts = [paragraph('Each line is one way to see an angle, as its deviation from what all together say.'),
              table(['seen by', 'angle', 'deviation, deg', 'sigma, deg'], rows)]
-    if found.spans is not None:
-        parts.append(figure(_force_figure(found), 'Specific force in the axes found against what fixes and gyroscopes '
-                            'say of the motion, each dot some seconds of the drive. An IMU that sits as found gives '
-                            'the diagonals on the left top and right bottom, and no slope in the others. What scatters '
-                            'is the road: grades along, crown across.'))
-    return [section('Mounting', *parts)]
+    return [folded('Mounting', *parts)]
+
+
+def _figure(result):
+    """The picture beside the answer."""
+    found = result.mounting
+    if found is None or found.spans is None:
+        return []
+    return [figure(_force_figure(found), 'Specific force in the axes found against what fixes and gyroscopes say of the '
+                   'motion, each dot some seconds of the drive. An IMU that sits as found gives the diagonals on the left '
+                   'top and right bottom, and no slope in the others. What scatters is the road: grades along, crown '
+                   'across.')]
 
 
 def _list(angles) -> str:
@@ -117,12 +152,12 @@ def _sensors(result):
     drives = [[drive.name, drive.seconds, float(drive.still.mean() * drive.seconds),
                drive.mounting.driven if drive.mounting else None,
                math.degrees(drive.mounting.turned) if drive.mounting else None] for drive in result.drives]
-    return section('Recordings', table(['topic', 'as', 'messages', 'rate, Hz', ''], rows),
+    return folded('Recordings', table(['topic', 'as', 'messages', 'rate, Hz', ''], rows),
                    table(['recording', 'length, s', 'at rest, s', 'driving, s', 'turned, deg'], drives))
 
 
 def _explanation():
-    return section('How to read this', bullets([
+    return folded('How to read this', bullets([
         'The yaw comes from the direction in which the specific force changes with the speed, in turns and on grades; '
         'forwards is where the vehicle goes most of the time.',
         'Roll and pitch come from gravity, averaged over the drive, and from the axis about which the vehicle turns. A '

@@ -65,6 +65,12 @@ def preformatted(text: str) -> Html:
     return Html(f'<pre>{_text(text)}</pre>')
 
 
+def command(text: str) -> Html:
+    """A command to type: lines break between its words only."""
+    words = ' '.join(f'<span>{_text(word)}</span>' for word in text.split(' '))
+    return Html(f'<pre class="command">{words}</pre>')
+
+
 def bullets(items) -> Html:
     return Html('<ul>' + ''.join(f'<li>{_text(item)}</li>' for item in items) + '</ul>')
 

@@ -1,0 +1,36 @@
+"""The documentation as a site: `make docs`."""
+import re
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from mems_ins_fusion import __version__  # noqa: E402
+
+project = 'mems_ins_fusion'
+author = 'mems_ins_fusion developers'
+release = __version__
+
+extensions = ['myst_parser', 'sphinx.ext.autodoc']
+myst_enable_extensions = ['dollarmath']
+myst_heading_anchors = 4
+exclude_patterns = ['figures', '_build']
+html_theme = 'alabaster'
+html_theme_options = {'page_width': '70rem', 'description': 'IMU and GNSS on land vehicles', 'fixed_sidebar': True}
+html_show_sourcelink = False
+
+autodoc_member_order = 'bysource'
+autodoc_typehints = 'signature'
+# what needs ROS is not among the pages of the library
+autodoc_mock_imports = ['rclpy']
+
+
+def _plain(app, what, name, obj, options, lines):
+    """Docstrings are plain English with `code` in them: what reStructuredText would take for markup is text."""
+    parts = re.split(r'(`[^`]*`)', '\n'.join(lines))
+    lines[:] = ''.join(f'``{" ".join(part[1:-1].split())}``' if part.startswith('`') else
+                       re.sub(r'([\\*|_])', r'\\\1', part) for part in parts).split('\n')
+
+
+def setup(app):
+    app.connect('autodoc-process-docstring', _plain)

@@ -1,0 +1,52 @@
+"""What every tool with ordinary options does alike: its options, its way to fail, its exit status."""
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+
+from mems_ins_fusion.guard import one_line, refuse
+from mems_ins_fusion.hints import VERSION, did_you_mean
+
+
+class Parser(argparse.ArgumentParser):
+    """The options of the tool `tool`. Wrong usage is one line on standard error and status 2."""
+
+    def __init__(self, tool: str, description: str, epilog: str | None = None):
+        super().__init__(prog=f'python -m mems_ins_fusion {tool}', description=description, epilog=epilog,
+                         formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False)
+        self.tool = tool
+        self.add_argument('--version', action='version', version=VERSION)
+
+    def parse_known_args(self, args=None, namespace=None):
+        for word in sys.argv[1:] if args is None else args:  # before what is missing: that is often what is written wrongly
+            option = word.partition('=')[0]
+            if option.startswith('--') and option != '--' and option not in self._option_string_actions:
+                known = [name for name in self._option_string_actions if name.startswith('--')]
+                self.error(f"unknown option '{option}'{did_you_mean(option, known)}")
+        return super().parse_known_args(args, namespace)
+
+    def error(self, message: str):
+        self.exit(2, f'{self.tool}: {one_line(message)} (--help shows all options)\n')
+
+    def add_params_file(self, what: str) -> None:
+        """--params-file, which may be given several times; `what` is in it."""
+        self.add_argument('--params-file', action='append', default=[], metavar='FILE',
+                          help=f'YAML with {what}, as for the nodes; repeatable, the later one counts')
+
+    def add_overwrite(self) -> None:
+        """--overwrite."""
+        self.add_argument('--overwrite', action='store_true', help='replace an existing result')
+
+
+def run(parser: Parser, work: Callable[[argparse.Namespace], str], argv: list[str] | None) -> int:
+    """Parse `argv` (None: the command line), print what `work` returns; the exit status.
+
+    A ValueError of `work` says in one line what is wrong with the options or the input.
+    """
+    options = parser.parse_args(argv)
+    try:
+        print(work(options))
+    except ValueError as error:
+        return refuse(parser.tool, error)
+    return 0

@@ -1,0 +1,227 @@
+"""README and docs: every command in them can be typed, every link leads somewhere, and what a new user types runs."""
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import yaml
+
+from mems_ins_fusion.__main__ import main as tool
+from mems_ins_fusion.parameters import params_file
+from mems_ins_fusion.parameters.table import FILTER, FUSION, REPLAY, check
+from mems_ins_fusion.tools import TOOLS
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+PAGES = [REPOSITORY / 'README.md', *sorted((REPOSITORY / 'docs').glob('*.md'))]
+OF_NODE = {'fusion_node': (*FILTER, *FUSION), 'replay_node': (*FILTER, *REPLAY)}
+#: commands that no test looks into, and why
+NOT_OURS = {
+    'sudo': 'installs on the machine', 'source': 'the shell', 'rosdep': 'a command of ROS 2', 'mkdir': 'the shell',
+    'git': 'needs the network', 'pip': 'needs the network', 'touch': 'the shell', 'docker': 'needs Docker',
+    'kill': 'the shell', 'true': 'the shell', 'cd': 'the shell', 'evo_ape': 'evo, in test_replay.py'}
+#: of Python's own and of others' modules, likewise
+OTHER_MODULES = {'venv', 'colcon', 'pip'}
+#: tools that are run, in the order of the page, on a short recording; the nodes live are in test_play.py
+RUN = ('simulate', 'configure', 'replay_node', 'diagnose', 'compare', 'characterize', 'import_csv', 'completion')
+
+
+def commands(page):
+    """(number of the line, words) of each command in a page: blocks marked sh, and indented lines of a command."""
+    fenced, continued, begin = False, '', 0
+    for number, line in enumerate(page.read_text(encoding='utf-8').splitlines(), 1):
+        text = line.strip()
+        if text.startswith('```'):
+            fenced = text == '```sh'
+            continue
+        starts = re.match(r'    (python3?|ros2|make|evo_ape) ', line) or (line.startswith('    ') and '="' in line)
+        if not (fenced or continued or starts) or not text:
+            continue
+        begin = begin if continued else number
+        if text.endswith('\\'):
+            continued += text[:-1]
+            continue
+        text, continued = continued + text, ''
+        text = re.sub(r'\s\[[a-z]+ [a-z ]+\]', '', text)  # what may be left out, in words
+        for part in re.split(r'&&|\|\|', text):
+            words = shlex.split(part, comments=True)
+            words = words[:words.index('>')] if '>' in words else words
+            yield begin, [word for word in words if word != '&']
+
+
+def all_commands():
+    for page in PAGES:
+        variables = {}
+        for number, words in commands(page):
+            if words and '=' in words[0] and '/' not in words[0]:
+                name, _, value = words[0].partition('=')
+                variables[f'${name}'] = shlex.split(value)
+                words = words[1:]
+            words = [w for word in words for w in variables.get(word, [word])]
+            if words:
+                yield pytest.param(words, id=f'{page.name}:{number}:{words[0].split("/")[-1]}')
+        inline = r'`((?:python -m|ros2 run) mems_ins_fusion [a-z][^`]*)`'
+        for text in re.findall(inline, page.read_text(encoding='utf-8')):
+            yield pytest.param(shlex.split(text), id=f'{page.name}:{text}')
+
+
+ALL = list(all_commands())
+
+
+def test_the_commands_are_found():
+    assert len(ALL) > 60
+    tools = {words[i + 1] for words in (p.values[0] for p in ALL) for i, word in enumerate(words[:-1])
+             if word == 'mems_ins_fusion'}
+    assert set(TOOLS) - {'completion'} <= tools
+
+
+@pytest.mark.parametrize('words', ALL)
+def test_a_command_names_what_there_is(words):
+    program = words[0].split('/')[-1]
+    if program in NOT_OURS:
+        return
+    if program == 'make':
+        assert re.search(rf'^{words[1]}:', (REPOSITORY / 'Makefile').read_text(), re.MULTILINE)
+    elif program == 'ros2':
+        assert words[1] in ('run', 'launch', 'pkg') and 'mems_ins_fusion' in words
+        if words[1] == 'run':
+            check_tool(words[3], words[4:])
+        if words[1] == 'launch':
+            check_launch(words[3], words[4:])
+    elif words[1] == '-m' and words[2].startswith('mems_ins_fusion'):
+        if words[2] == 'mems_ins_fusion':
+            check_tool(words[3], words[4:])
+        else:
+            import_module(words[2])
+    elif words[1] == '-m':
+        assert words[2] in OTHER_MODULES
+    else:
+        assert program.startswith('python')
+        script = (REPOSITORY / words[1]).read_text(encoding='utf-8')
+        assert all(f"'{word}'" in script for word in words[2:] if word.startswith('--'))
+
+
+def check_tool(name, argv):
+    """AssertionError or SystemExit where the tool, an option or a parameter is unknown, or a value does not fit."""
+    assert name in TOOLS
+    ros = argv.index('--ros-args') if '--ros-args' in argv else len(argv)
+    if name not in OF_NODE:
+        parser = import_module(f'mems_ins_fusion.{TOOLS[name][0]}.{name}')._parser()
+        if '--help' not in argv:
+            options = parser.parse_args(argv[:ros])
+            check_files(getattr(options, 'params_file', []))
+        return
+    assert not argv[:ros] or argv == ['--help']
+    pairs = list(zip(argv[ros + 1::2], argv[ros + 2::2]))
+    assert len(argv[ros + 1:]) == 2 * len(pairs) and all(option in ('-p', '--params-file', '-r') for option, _ in pairs)
+    check_files(value for option, value in pairs if option == '--params-file')
+    for option, value in pairs:
+        if option == '-p' and not value.startswith('use_sim_time:='):
+            parameter, _, text = value.partition(':=')
+            assert parameter in {p.name for p in OF_NODE[name]}
+            check({parameter: yaml.safe_load(text)})
+
+
+def check_files(paths):
+    """Those of the repository are there and hold what is known."""
+    for path in paths:
+        if path.startswith('config/'):
+            check(params_file.load_yaml(REPOSITORY / path))
+
+
+def check_launch(name, argv):
+    text = (REPOSITORY / 'launch' / name).read_text(encoding='utf-8')
+    assert all(f"'{word.partition(':=')[0]}'" in text for word in argv)
+
+
+@pytest.mark.parametrize('words', [
+    ['python', '-m', 'mems_ins_fusion', 'simulate', '--ouput', 'x'], ['make', 'everything'],
+    ['python', '-m', 'mems_ins_fusion', 'replay_node', '--ros-args', '-p', 'bags:=x'], ['rm', '-rf', 'x'],
+    ['python', 'studies/faults.py', '--seed', '6']])
+def test_the_check_sees_mistakes(words):
+    with pytest.raises((AssertionError, SystemExit, OSError, IndexError)):
+        test_a_command_names_what_there_is(words)
+
+
+# links
+
+def anchors(page):
+    """The anchors of the headings of a page, as GitHub and the site make them."""
+    found = set()
+    for heading in re.findall(r'^#+ (.+)$', page.read_text(encoding='utf-8'), re.MULTILINE):
+        plain = re.sub(r'\[([^]]*)\]\([^)]*\)', r'\1', heading).replace('`', '').strip().lower()
+        found.add(re.sub(r'[^\w\- ]', '', plain).replace(' ', '-'))
+    return found
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    text = re.sub(r'```.*?```|`[^`\n]*`', '', page.read_text(encoding='utf-8'), flags=re.DOTALL)
+    for target in re.findall(r'\]\(([^)\s]+)\)', text):
+        if target.startswith(('http:', 'https:', 'mailto:')):
+            continue
+        path, _, anchor = target.partition('#')
+        other = (page.parent / path).resolve() if path else page
+        assert other.exists(), target
+        assert not anchor or anchor in anchors(other), target
+
+
+def test_each_page_is_in_the_table_of_contents():
+    index = (REPOSITORY / 'docs/index.md').read_text(encoding='utf-8')
+    listed = {line.strip() for block in re.findall(r'```{toctree}(.*?)```', index, re.DOTALL)
+              for line in block.splitlines() if re.fullmatch(r'\w+', line.strip())}
+    assert listed == {page.stem for page in PAGES if page.name not in ('README.md', 'index.md')}
+
+
+# as a new user
+
+@pytest.fixture(scope='module')
+def played(tmp_path_factory):
+    """Every command of the tutorial that RUN names, in order and in one folder; what each said."""
+    folder = tmp_path_factory.mktemp('tutorial')
+    (folder / 'config').symlink_to(REPOSITORY / 'config')
+    said = []
+    for number, words in commands(REPOSITORY / 'docs/tutorial.md'):
+        if words[:3] != ['python', '-m', 'mems_ins_fusion'] or words[3] not in RUN:
+            continue
+        if words[3] == 'simulate':  # short; of what is given twice the last counts
+            words = [*words, '--duration', '300', '--rate', '50']
+        process = subprocess.run([sys.executable, *words[1:]], cwd=folder, capture_output=True, text=True,
+                                 env={**os.environ, 'PYTHONPATH': str(REPOSITORY)})
+        said.append(SimpleNamespace(tool=words[3], words=words, process=process))
+    return folder, said
+
+
+def test_the_commands_of_the_tutorial_run_one_after_the_other(played):
+    folder, said = played
+    assert [step.tool for step in said].count('simulate') and len(said) >= 5
+    for step in said:
+        assert step.process.returncode == 0, f'{" ".join(step.words)}\n{step.process.stderr}'
+        assert 'Traceback' not in step.process.stderr
+    for name in ('my_car.yaml', 'replay/report.html', 'diagnosis/report.html', 'diagnosis/corrected.yaml'):
+        assert (folder / name).is_file()
+
+
+def test_what_a_tool_says_to_type_next_can_be_typed(played):
+    folder, said = played
+    next_ones = [shlex.split(line) for step in said for line in step.process.stdout.splitlines()
+                 if line.strip().startswith('python -m mems_ins_fusion')]
+    assert next_ones
+    for words in next_ones:
+        check_tool(words[3], words[4:])
+        for option, value in zip(words, words[1:]):
+            assert option != '--params-file' or (folder / value).is_file()
+
+
+def test_a_tool_without_its_arguments_says_what_it_needs(capsys):
+    for name in TOOLS:
+        if name not in OF_NODE and name not in ('compile', 'completion'):
+            with pytest.raises(SystemExit):
+                tool([name])
+            assert 'required' in capsys.readouterr().err
