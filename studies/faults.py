@@ -1,11 +1,12 @@
 """What the filter makes of faults: simulated realistic drives with one fault each, parameters at their defaults.
 
-    python studies/faults.py [--seeds 6] [--output FILE.md]
+    python studies/faults.py [--seeds 6] [--output FILE.md] [--figure FILE.svg]
 
 Each fault begins at 200 s of a drive of 360 s (100 Hz, fixes of 1.5 m each second, simulation/scene.py REALISTIC). The
 table holds the largest error from its begin to its end, the error 20 s after its end (RMS of 5 s, over all seeds)
 beside that of the same filter without the fault and of one that had no fixes while the fault lasted, how often the 95 %
-ellipse held the truth from the begin to 60 s after the end, and what was said.
+ellipse held the truth from the begin to 60 s after the end, and what was said. The figure shows the error of the first
+seed over time, for each fault, and how large the 95 % ellipse was in its direction.
 """
 from __future__ import annotations
 
@@ -135,11 +136,13 @@ FAULTS = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """Errors of one drive: time (m,) s after the fault's begin, error (m,) m, inside (m,) the 95 % ellipse."""
+    """Errors of one drive: time (m,) s after the fault's begin, error (m,) m, inside (m,) the 95 % ellipse, which
+    reaches that far in the direction of the error: reach (m,) m."""
 
     time: np.ndarray
     error: np.ndarray
     inside: np.ndarray
+    reach: np.ndarray
     said: list[str]
 
 
@@ -148,7 +151,8 @@ def outcome(recording: Recording, truth, values: dict) -> Outcome:
     errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
     time = (errors.stamp - recording.imu.stamp[0]) * 1e-9 - BEGIN
     said = [n.text for n in result.notices if n.level != 'info']
-    return Outcome(time, errors.horizontal, errors.nees < NEES_95, said)
+    reach = errors.horizontal * np.sqrt(NEES_95 / np.maximum(errors.nees, 1e-12))
+    return Outcome(time, errors.horizontal, errors.nees < NEES_95, reach, said)
 
 
 @cache
@@ -172,8 +176,8 @@ def judged(fault: Fault, seed: int) -> tuple[Outcome, Outcome, Outcome]:
     return tuple(outcome(r, truth, values) for r in (faulty, clean, dark))
 
 
-def row(fault: Fault, seeds) -> str:
-    found = [judged(fault, seed) for seed in seeds]
+def row(fault: Fault, found: list[tuple[Outcome, Outcome, Outcome]]) -> str:
+    """A line of the table from what was `judged` for each seed."""
     during = [o.error[(o.time >= 0) & (o.time <= fault.duration + 1.0)] for o, *_ in found]
     dark = [o.error[(o.time >= 0) & (o.time <= fault.duration + 1.0)] for *_, o in found]
     later = [rms(np.concatenate([o.error[np.abs(o.time - fault.duration - 20.0) < 2.5] for o in outcomes]))
@@ -188,19 +192,52 @@ def row(fault: Fault, seeds) -> str:
             f'{text[:90]} |')
 
 
+def draw(figure: Path, drawn: list[tuple[Fault, tuple[Outcome, Outcome, Outcome]]]) -> None:
+    """The error over time with each fault, without fixes meanwhile, and how far the 95 % ellipse reached."""
+    from matplotlib import pyplot as plt
+
+    columns = 4
+    rows = -(-len(drawn) // columns)
+    picture, axes = plt.subplots(rows, columns, figsize=(13, 1.9 * rows), layout='constrained', squeeze=False)
+    for ax in axes.ravel()[len(drawn):]:
+        ax.remove()
+    for ax, (fault, (faulty, _, dark)) in zip(axes.ravel(), drawn):
+        shown, while_dark = ((o.time > -10.0) & (o.time < fault.duration + 40.0) for o in (faulty, dark))
+        ax.axvspan(0.0, max(fault.duration, 0.3), color='0.88', lw=0)
+        if fault.duration <= 20.0:
+            ax.plot(dark.time[while_dark], dark.error[while_dark], color='0.55', lw=0.9, label='coasting through it')
+        ax.plot(faulty.time[shown], faulty.reach[shown], color='tab:orange', lw=0.9, label='95 % ellipse')
+        ax.plot(faulty.time[shown], faulty.error[shown], color='tab:blue', lw=1.1, label='error')
+        ax.set_title(fault.name, fontsize=8)
+        ax.set_ylim(0.0, max(6.0, 1.1 * faulty.error[shown].max()))
+        ax.tick_params(labelsize=7)
+    for ax in axes[:, 0]:
+        ax.set_ylabel('m', fontsize=8)
+    axes[0, -1].legend(fontsize=7, frameon=False)
+    picture.supxlabel('seconds after the begin of the fault (grey)', fontsize=8)
+    plt.rcParams['svg.hashsalt'] = 'faults'
+    picture.savefig(figure, metadata={'Date': None} if figure.suffix == '.svg' else None, dpi=80)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--seeds', type=int, default=6)
     parser.add_argument('--first-seed', type=int, default=2000)
     parser.add_argument('--output', type=Path)
+    parser.add_argument('--figure', type=Path)
     options = parser.parse_args()
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     lines = ['| fault | largest, m | coasting, m | 20 s after, m | without fault | after coasting | in 95 % | said |',
              '|---|---|---|---|---|---|---|---|']
     print(*lines, sep='\n')
+    drawn = []
     for fault in FAULTS:
-        lines.append(row(fault, seeds))
+        found = [judged(fault, seed) for seed in seeds]
+        lines.append(row(fault, found))
+        drawn.append((fault, found[0]))
         print(lines[-1], flush=True)
+    if options.figure:
+        draw(options.figure, drawn)
     if options.output:
         options.output.write_text('\n'.join(lines) + '\n')
 

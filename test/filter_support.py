@@ -5,7 +5,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.filter import kernel
-from mems_ins_fusion.filter.alignment import Start
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.initial import initialize
 from mems_ins_fusion.filter.layout import (
@@ -19,6 +18,7 @@ from mems_ins_fusion.filter.layout import (
     set_covariance,
     views,
 )
+from mems_ins_fusion.filter.start import Start
 from mems_ins_fusion.navigation.strapdown import from_euler
 from mems_ins_fusion.parameters import table
 

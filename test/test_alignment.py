@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from mems_ins_fusion.effects.registry import EFFECTS
-from mems_ins_fusion.filter.alignment import channel_prior
+from mems_ins_fusion.filter.initial import channel_prior
 from mems_ins_fusion.filter.layout import Head, views
 from mems_ins_fusion.filter.live import FusionFilter
 from mems_ins_fusion.filter.replay import run
@@ -198,7 +198,8 @@ def test_it_says_what_it_waits_for(template):
     fusion, imu, gnss = FusionFilter(config), recording.imu, recording.gnss
     assert fusion.status == 'waiting for IMU samples'
     for k in range(len(imu)):
-        assert not fusion.add_imu(int(imu.stamp[k]), *imu.specific_force[k], *imu.angular_rate[k])
+        fusion.add_imu(int(imu.stamp[k]), *imu.specific_force[k], *imu.angular_rate[k])
+        assert not fusion.aligned
         if k == 0:
             assert fusion.status == 'waiting for a fix on /gps/fix'
         if k % 50 == 10:

@@ -9,9 +9,9 @@ from filter_support import PAPER, configure
 
 from mems_ins_fusion.diagnosis.residuals import averaged
 from mems_ins_fusion.effects.registry import EFFECTS
-from mems_ins_fusion.filter.alignment import transferred
 from mems_ins_fusion.filter.live import FusionFilter
 from mems_ins_fusion.filter.replay import run
+from mems_ins_fusion.filter.start import transferred
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.navigation.frames import mounting
 from mems_ins_fusion.parameters import table

@@ -114,7 +114,8 @@ def live(config, imu, fixes, aiding=Aiding()):
         while events and events[0][0] <= k:
             _, name, arguments = events.pop(0)
             getattr(fusion, name)(*arguments)
-        if fusion.add_imu(int(imu.stamp[k]), *map(float, imu.specific_force[k]), *map(float, imu.angular_rate[k])):
+        if fusion.add_imu(int(imu.stamp[k]), *map(float, imu.specific_force[k]),
+                          *map(float, imu.angular_rate[k])) and fusion.aligned:
             stamp = fusion.update_odometry()
             row = newest(fusion._memory)
             sigma = np.sqrt(np.diag(covariance(row, config.layout)))

@@ -17,10 +17,10 @@ from functools import cache
 import numpy as np
 
 from ..evaluation.comparison import aiding_of, samples_to_keep, thin
-from ..filter.alignment import transferred
 from ..filter.config import FilterConfig
 from ..filter.replay import run
 from ..filter.results import Run
+from ..filter.start import transferred
 from ..samples import ImuSamples, Recording
 
 #: innovations of the first seconds after the start belong to the alignment

@@ -6,15 +6,20 @@ import math
 import numpy as np
 
 from ..navigation.earth import gravity
+from ..navigation.frames import leveling
 from ..navigation.strapdown import from_euler, matrix
-from .alignment import Start, channel_prior, leveled
 from .config import FilterConfig
-from .layout import NAV, PLANAR, Head, Nav, Sample, set_covariance, views
+from .layout import NAV, PLANAR, Head, Nav, Sample, set_covariance, state_at, views
+from .layout import covariance as covariance_of
 from .prediction import set_radii
+from .start import SensorErrors, Standstill, Start
 
 UNKNOWN_TILT_SIGMA = 0.05  # rad, roll and pitch where no standstill showed them
 #: of the tilt that a standstill takes out: on a parking place nobody has surveyed
 TILT_SIGMA = 0.3  # m/s^2, 2 deg times gravity
+#: of an IMU that is switched off and on: how far its errors move, as a part of what they are for one never seen
+REPEATED_TURN_ON = 0.3
+STILL_STEPS = 1024  # in which a process that is continuous in time is followed through a standstill
 
 
 def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
@@ -40,11 +45,13 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
     row[Nav.GNSS_RATIO] = 1.0
     full = np.zeros((layout.n, layout.n))
     full[layout.n_navigation:, layout.n_navigation:] = covariance
+    mounting = layout.index('mounting_yaw') - layout.n_navigation
+    yaw = start.yaw - (estimate[mounting] if mounting >= 0 else 0.0)  # of the body
     if config.mechanization == PLANAR:
-        row[Nav.YAW] = start.yaw
+        row[Nav.YAW] = yaw
         full[:5, :5] = start.covariance
     else:
-        _strapdown_attitude(config, row, full, start, level)
+        _strapdown_attitude(config, row, full, start, yaw, _level_errors(config, estimate, constant))
     _turn_into_vehicle(config, full)
     row[NAV + layout.n_navigation:NAV + layout.n] = estimate
     set_covariance(row, layout, full)
@@ -57,8 +64,8 @@ def _turn_into_vehicle(config: FilterConfig, full: np.ndarray) -> None:
     layout = config.layout
     mounting, yaw = layout.index('mounting_yaw'), layout.n_navigation - 1
     if mounting >= 0:
-        full[yaw, yaw] += full[mounting, mounting]
-        full[yaw, mounting] = full[mounting, yaw] = full[mounting, mounting]
+        full[yaw] += full[mounting]
+        full[:, yaw] += full[:, mounting]
 
 
 def _sensor_errors(config: FilterConfig, start: Start, level: bool):
@@ -67,6 +74,7 @@ def _sensor_errors(config: FilterConfig, start: Start, level: bool):
     estimate, covariance, constant = np.zeros(m), np.zeros((m, m)), np.zeros(len(config.models))
     still = start.standstill
     span = (still.duration, start.time - still.end) if still else (0.0, 0.0)
+    unseen = np.ones(m, dtype=bool)  # by the standstill
     for channel, (model, axis) in enumerate(zip(config.models, config.channel_axes)):
         block = slice(channel * p, (channel + 1) * p)
         mean, sigma = _shown(config, start, axis, level), config.turn_on_sigma[channel]
@@ -74,11 +82,47 @@ def _sensor_errors(config: FilterConfig, start: Start, level: bool):
             mean = None  # tilt and bias stay one: see _strapdown_attitude
         elif axis < 2 and level:
             sigma = math.hypot(sigma, TILT_SIGMA)
+        # a planar filter's accelerometers feel the slope of where it started, which is not that of another place
+        unseen[block] = mean is None and not (axis < 2 and config.mechanization == PLANAR)
         estimate[block], covariance[block, block], constant[channel] = channel_prior(
             model, sigma, config.white[axis], mean, *span)
     for state, extra in enumerate(config.extras, start=config.layout.n_sensor):
         covariance[state, state] = extra.initial_sigma**2
+    if start.errors is not None:
+        known, pairs = start.errors, np.ix_(unseen, unseen)
+        estimate[unseen], covariance[pairs] = known.estimate[unseen], known.covariance[pairs]
+        constant = np.where(unseen[:config.layout.n_sensor:p], known.constant, constant)
     return estimate, covariance, constant
+
+
+def learned(config: FilterConfig, memory: np.ndarray) -> SensorErrors:
+    """What the filter with this memory knows of its sensors."""
+    head, layout = views(memory)[0], config.layout
+    at = state_at(memory, int(head[Head.SAMPLES]))
+    row, n = memory[at:at + int(head[Head.WIDTH])], layout.n_navigation
+    # the constant parts are what the offset has beyond that of the configuration, which may have been leveled
+    leveled_offset = (head[Head.CONDITIONING:Head.CONDITIONING + 36].reshape(6, 6)
+                      @ np.linalg.solve(config.conditioning, config.offset))
+    constant = (leveled_offset - head[Head.OFFSET:Head.OFFSET + 6])[config.channel_axes]
+    return SensorErrors(row[NAV + n:NAV + layout.n].copy(), covariance_of(row, layout)[n:, n:], constant)
+
+
+def aged(config: FilterConfig, errors: SensorErrors, age: float) -> SensorErrors:
+    """`errors` after `age` s, in which each has gone on as its model says and the IMU may have been switched off."""
+    p, m = config.layout.order, config.layout.n_augmented
+    transition, noise = np.zeros((m, m)), np.zeros((m, m))
+    parts = [(model, slice(k * p, (k + 1) * p), turn_on)
+             for k, (model, turn_on) in enumerate(zip(config.models, config.turn_on_sigma))]
+    parts += [(extra.model, slice(k, k + 1), 0.0) for k, extra in enumerate(config.extras, start=config.layout.n_sensor)]
+    for model, block, turn_on in parts:
+        interval = model.interval or age
+        transition[block, block], noise[block, block] = _repeated(
+            model.transition(interval), model.process_noise(interval), round(age / interval) if age else 0)
+        if block.start < config.layout.n_sensor:
+            first = model.initial_covariance()[0, 0] + turn_on**2
+            noise[block.start, block.start] += REPEATED_TURN_ON**2 * first
+    covariance = transition @ errors.covariance @ transition.T + noise
+    return SensorErrors(transition @ errors.estimate, 0.5 * (covariance + covariance.T), errors.constant)
 
 
 def _shown(config: FilterConfig, start: Start, axis: int, level: bool) -> float | None:
@@ -93,17 +137,23 @@ def _shown(config: FilterConfig, start: Start, axis: int, level: bool) -> float 
     return 0.0 if level else float(still.specific_force[axis])
 
 
-def _strapdown_attitude(config: FilterConfig, row: np.ndarray, full: np.ndarray, start: Start, level: bool) -> None:
-    """Attitude and covariance of the nine navigation errors.
+def _level_errors(config: FilterConfig, estimate: np.ndarray, constant: np.ndarray) -> np.ndarray:
+    """What is known of the errors of the two level accelerometers, m/s^2."""
+    return estimate[:2 * config.layout.order:config.layout.order] + constant[:2]
 
-    Leveled at standstill, the attitude error and the errors of f_x, f_y are one: g phi_e = df_n, g phi_n = -df_e.
-    Not leveled, the standstill's specific force is taken as it is for roll and pitch; never at rest, both start at 0.
+
+def _strapdown_attitude(config: FilterConfig, row: np.ndarray, full: np.ndarray, start: Start, yaw: float,
+                        errors: np.ndarray) -> None:
+    """Attitude and covariance of the nine navigation errors. errors: what is known of those of f_x and f_y, m/s^2.
+
+    Roll and pitch are those of the standstill's specific force; never at rest, both start at 0. After a standstill the
+    attitude error and the errors of f_x, f_y are one: g phi_e = df_n, g phi_n = -df_e.
     """
     roll = pitch = 0.0
-    if start.standstill is not None and not level:
-        f = start.standstill.specific_force
+    if start.standstill is not None:
+        f = start.standstill.specific_force - [*errors, 0.0]
         roll, pitch = math.atan2(-f[1], -f[2]), math.atan2(f[0], math.hypot(f[1], f[2]))
-    q = from_euler(roll, pitch, start.yaw)
+    q = from_euler(roll, pitch, yaw)
     row[Nav.Q_W], row[Nav.Q_X], row[Nav.Q_Y], row[Nav.Q_Z] = q
     planar = [0, 1, 3, 4, 8]
     full[np.ix_(planar, planar)] = start.covariance
@@ -122,3 +172,53 @@ def _strapdown_attitude(config: FilterConfig, row: np.ndarray, full: np.ndarray,
     full[6:9, 6:9] += coupling @ sensor @ coupling.T + np.diag([0.002**2, 0.002**2, 0])
     full[6:9, 9:] = coupling @ sensor
     full[9:, 6:9] = full[6:9, 9:].T
+
+
+def leveled(config: FilterConfig, standstill: Standstill):
+    """Conditioning and offset of `config` with the tilt of `standstill` removed: (6, 6), (6,).
+
+    The tilt is the smallest rotation that makes the specific force vertical: what is then left of f_x, f_y is zero.
+    """
+    rotation = np.kron(np.eye(2), leveling(standstill.specific_force))
+    return rotation @ config.conditioning, rotation @ config.offset
+
+
+def channel_prior(model, turn_on_sigma: float, white: float, mean: float | None, duration: float, since: float = 0.0):
+    """Estimate (p,), covariance (p, p) and constant part of one channel's error at the start.
+
+    The error is a constant N(0, turn_on_sigma^2) plus the model's process from its initial covariance on. A standstill
+    of `duration` s that ended `since` s ago shows the mean of their sum, `mean`, with the variance of white noise
+    averaged over `duration`. What the process does during the standstill and after it counts, too.
+    """
+    p = model.order
+    if mean is None:
+        covariance = model.initial_covariance()
+        covariance[0, 0] += turn_on_sigma**2  # the constant has no state: the first stands for it
+        return np.zeros(p), covariance, 0.0
+    interval = model.interval or duration / STILL_STEPS
+    steps = max(1, round(duration / interval))
+    # the process, the constant, and the mean over the standstill as it adds up
+    transition, noise, prior = np.eye(p + 2), np.zeros((p + 2, p + 2)), np.zeros((p + 2, p + 2))
+    transition[:p, :p], noise[:p, :p] = model.transition(interval), model.process_noise(interval)
+    transition[-1, 0] = transition[-1, -2] = 1.0 / steps
+    prior[:p, :p], prior[p, p] = model.initial_covariance(), turn_on_sigma**2
+    f, q = _repeated(transition, noise, steps)
+    transition[-1, :-1] = 0.0
+    after, grown = _repeated(transition, noise, round(since / interval))
+    f, q = after @ f, after @ q @ after.T + grown
+    joint = f @ prior @ f.T + q
+    gain = joint[:, -1] / (joint[-1, -1] + white / duration)
+    estimate = gain * mean
+    covariance = (joint - np.outer(gain, joint[-1]))[:p, :p]
+    return estimate[:p], 0.5 * (covariance + covariance.T), estimate[p]
+
+
+def _repeated(transition, noise, steps: int):
+    """Transition and process noise of `steps` steps, by doubling."""
+    f, q = np.eye(len(transition)), np.zeros_like(noise)
+    while steps:
+        if steps & 1:
+            f, q = transition @ f, transition @ q @ transition.T + noise
+        transition, noise = transition @ transition, transition @ noise @ transition.T + noise
+        steps >>= 1
+    return f, q

@@ -2,21 +2,24 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..parameters.parameter import ParameterError
 from ..samples import Fixes, Headings, Speeds, Velocities
 from . import kernel
-from .alignment import Alignment, Start
+from .alignment import STANDING_SIGMA, Alignment, start_covariance
 from .config import FilterConfig
 from .imu_faults import FAULTS, Fault
-from .initial import initialize
-from .intake import GOOD, JUMPED, NAMES, Intake, corrected
+from .initial import initialize, learned
+from .intake import JUMPED, NAMES, Intake, corrected
 from .kernel import TAKEN
 from .layout import NAV, Event, Head, Kind, Nav, Verdict, covariance, state_at, views
-from .odometry import SIZE, odometry
+from .odometry import LINEAR, SIZE, TWIST_COVARIANCE, odometry
 from .results import columns
+from .snapshot import made, recalled
+from .start import Start
 
 #: the verdicts in words
 VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down', Verdict.REFUSED: 'beyond the gate',
@@ -25,6 +28,14 @@ VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down', Verdict.REF
 #: what a fault leaves behind shows for so long, s
 _DEGRADED, _RECOVERING = 5.0, 10.0
 _STEADY_REFUSED = 3
+#: of a speed that nobody has told, m/s
+UNKNOWN_SPEED_SIGMA = 15.0
+#: parameters that may change while the filter runs, and where those that the kernel uses stand
+CHANGEABLE = ('gnss.gate_probability', 'gnss.robust_sigma', 'gnss.recovery_time', 'gnss.adapt_sigma',
+              'gnss.outage_after', 'vehicle.zero_velocity', 'vehicle.zero_velocity_sigma', 'vehicle.non_holonomic',
+              'vehicle.non_holonomic_sigma', 'vehicle.non_holonomic_vertical_sigma')
+_CHANGED = (Head.GATE, Head.ROBUST_SIGMA, Head.RECOVERY_TIME, Head.ADAPT, Head.CONSTRAINTS, Head.ZERO_VELOCITY_SIGMA,
+            Head.LATERAL_SIGMA, Head.VERTICAL_SIGMA)
 
 
 @dataclass(frozen=True)
@@ -60,13 +71,14 @@ class FusionFilter(Intake):
         self._none, self._log = np.zeros(0, dtype=np.int64), np.zeros((0, Event.SIZE))
         self._answer, self._before = np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int64)
         self._using_fixes = True
-        self._start_given: Start | None = None
+        self._max_gap = round(config.imu.max_gap * 1e9)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything but the datum, and align anew."""
         self._alignment = Alignment(self.config)
         self._memory: np.ndarray | None = None
+        self._provisional: np.ndarray | None = None  # a filter that does not know its heading yet
         self._epoch: int | None = None
         self._newest_fix = 0
         self._outage = False
@@ -76,8 +88,32 @@ class FusionFilter(Intake):
         self._ids = 0
         self._counts: dict[str, int] = {}
         self._said_faults = np.zeros(Head.RECOVERIES + 1 - Head.FAULTS)
+        self._faults_seen = self._said_faults.tobytes()
+        self._last_gap = 0.0
         self._last_fault = self._last_recovery = -math.inf
         self._refused_in_a_row = 0
+
+    def changed(self, values: dict) -> FilterConfig:
+        """The configuration with those of `values` (checked, by name) that are CHANGEABLE.
+
+        ParameterError where the filter would have to begin anew.
+        """
+        values = {name: value for name, value in values.items() if name in CHANGEABLE}
+        config = FilterConfig.from_parameters({**self.config.parameters, **values})
+        if config.layout == self.config.layout:
+            return config
+        if config.parameters['vehicle.non_holonomic']:
+            raise ParameterError("parameter 'vehicle.non_holonomic' cannot be switched on while the filter runs: it "
+                                 'brings states (mounting, axle) that were not there at the start; start the node with it')
+        return replace(config, extras=self.config.extras)  # the states that it does not need any more stay
+
+    def adopt(self, config: FilterConfig) -> None:
+        """Go on with the configuration `config`, one of `changed`."""
+        self.config = config
+        self._outage_after = round(config.gnss.outage_after * 1e9)
+        for memory in (self._memory, self._provisional):
+            if memory is not None:
+                memory[list(_CHANGED)] = config.memory()[list(_CHANGED)]
 
     def use_fixes(self, use: bool) -> None:
         """Whether fixes are used from now on; without them the filter coasts."""
@@ -85,7 +121,7 @@ class FusionFilter(Intake):
 
     @property
     def aligned(self) -> bool:
-        """Whether there is an estimate."""
+        """Whether the heading is known: before that an estimate is one of the position alone."""
         return self._memory is not None
 
     @property
@@ -121,14 +157,19 @@ class FusionFilter(Intake):
 
         The quaternion is `Imu.orientation`, zero where the driver has none.
         """
-        sample = self._sample
+        sample, last = self._sample, self._now
         sample[0, 1:] = f_x, f_y, f_z, w_x, w_y, w_z
-        self._stamp[0] = stamp
-        code = self.follow(self._stamp, sample[:, 1:])[0]
-        if code != GOOD:
-            if code != JUMPED:
+        if 0 < stamp - last <= self._restart_gap and last != -1 and math.isfinite(f_x + f_y + f_z + w_x + w_y + w_z):
+            self._follow[0], self._follow[2] = stamp, 0  # as `follow` does, which is for the other cases
+            if stamp - last > self._max_gap:
+                self._say_gap((stamp - last) * 1e-9)
+        else:
+            self._stamp[0] = stamp
+            code = self.follow(self._stamp, sample[:, 1:])[0]
+            if code == JUMPED:
+                self.reset()
+            elif code:
                 return False
-            self.reset()
         if self._correctors:
             sample[:, 1:] = corrected(self._correctors, self._stamp, sample[:, 1:], np.array([self._celsius]))
         if self._epoch is None:
@@ -139,9 +180,12 @@ class FusionFilter(Intake):
         sample[0, 0] = (stamp - self._epoch) * 1e-9
         if self._memory is None:
             self._alignment.add_samples(sample, [(q_x, q_y, q_z, q_w)])
-            return False
-        self._filter(sample, self._log, self._none)
-        if self._memory[Head.FAULTS:Head.RECOVERIES + 1].sum() != self._said_faults.sum():
+            if self._provisional is None:
+                return False
+            self._filter(self._provisional, sample, self._log, self._none)
+            return True
+        self._filter(self._memory, sample, self._log, self._none)
+        if self._memory[Head.FAULTS:Head.RECOVERIES + 1].tobytes() != self._faults_seen:
             self._say_faults(stamp)
         if self._pending:
             self._judge()
@@ -151,9 +195,14 @@ class FusionFilter(Intake):
                                 f'{(stamp - self._newest_fix) * 1e-9:.1f} s: coasting on prediction')
         return True
 
-    def _filter(self, samples, events, arrival) -> int:
+    @property
+    def _estimating(self) -> np.ndarray | None:
+        """The memory that the estimate is taken from; None where there is none."""
+        return self._provisional if self._memory is None else self._memory
+
+    def _filter(self, memory, samples, events, arrival) -> int:
         """Samples and events through the kernel; its answer to the event."""
-        kernel.run(self._memory, samples, events, arrival, self._answer, self._columns, self._none, self._states,
+        kernel.run(memory, samples, events, arrival, self._answer, self._columns, self._none, self._states,
                    self._log)
         return int(self._answer[0])
 
@@ -205,10 +254,13 @@ class FusionFilter(Intake):
                 start = self._alignment.add_record(record, self.say)
                 if start is not None:
                     self._begin(start, stamp)
+                else:
+                    start = self._alignment.provisional()
+                    self._provisional = None if start is None else self._started(start)
             return
         record[Event.ID] = self._ids
         self._ids += 1
-        answer = self._filter(self._sample[:0], records, self._before)
+        answer = self._filter(self._memory, self._sample[:0], records, self._before)
         if answer != TAKEN:
             self.say_not_taken(kind, answer, stamp, self._now)
             self._count(NAMES[kind], 'late')
@@ -217,12 +269,58 @@ class FusionFilter(Intake):
         self._judge()
 
     def _begin(self, start: Start, stamp: int) -> None:
+        self._memory, self._newest_fix = self._started(start), stamp
+        self._provisional = None
+
+    def _started(self, start: Start) -> np.ndarray:
+        """The memory of a filter that began with `start` and has seen all samples since."""
         memory = self.config.memory()
         initialize(memory, self.config, start)
         if self.datum is None:
             self.datum = np.array([start.latitude, start.longitude, start.height])
-        self._memory, self._newest_fix = memory, stamp
-        self._filter(np.ascontiguousarray(self._alignment.samples_after(start.time)), self._log, self._none)
+        self._filter(memory, np.ascontiguousarray(self._alignment.samples_after(start.time)), self._log, self._none)
+        return memory
+
+    def set_start(self, latitude, longitude, height, yaw, covariance) -> None:
+        """Be there now. rad, m; yaw clockwise from north; covariance (4, 4) of north, east, down (m), yaw.
+
+        The speed, along the yaw, is what the filter had, or zero where the vehicle is seen to stand; where nothing tells,
+        zero with UNKNOWN_SPEED_SIGMA. What the filter had learned of the sensors stays.
+        """
+        if self._epoch is None:
+            self.say('warning', 'start pose: no IMU sample yet, nothing to start from')
+            return
+        speed, speed_sigma, still, errors = 0.0, UNKNOWN_SPEED_SIGMA, self._alignment.standing(), None
+        if self._memory is not None and self._memory[Head.SAMPLES] > 0:
+            self.update_odometry()
+            speed, speed_sigma = float(self.odometry[LINEAR]), math.sqrt(self.odometry[TWIST_COVARIANCE])
+            errors = learned(self.config, self._memory)
+        elif still is not None:
+            speed_sigma = STANDING_SIGMA
+            still.end -= (self._now - self._epoch) * 1e-9
+        epoch = self._now
+        self.reset()
+        self._epoch = epoch
+        given = np.asarray(covariance)[np.ix_([0, 1, 3], [0, 1, 3])]
+        p = start_covariance(np.eye(2), yaw, math.sqrt(given[2, 2]), speed, speed_sigma)
+        p[np.ix_([0, 1, 4], [0, 1, 4])] = given
+        velocity = speed * np.array([math.cos(yaw), math.sin(yaw)])
+        self._begin(Start(0.0, latitude, longitude, height, velocity, float(yaw), p, still, errors=errors), epoch)
+
+    def snapshot(self) -> dict | None:
+        """What a restart can begin with, in plain numbers (see snapshot.py); None while there is no heading."""
+        return None if self._memory is None else made(self.config, self._memory, self._now)
+
+    def restore(self, snapshot: dict, max_distance: float) -> str:
+        """Start with what an earlier run knew, if the vehicle has stood since; max_distance: m from where that was.
+
+        What is used of it, in words; ValueError where `snapshot` is not one.
+        """
+        if self._memory is not None or self._epoch is None:
+            raise ValueError('the filter has started already, or has no IMU sample yet')
+        remembered, said = recalled(self.config, snapshot, self._now, max_distance)
+        self._alignment.remember(remembered)
+        return said
 
     def _judge(self) -> None:
         """What the filter has done with the measurements it had still to come to."""
@@ -250,8 +348,10 @@ class FusionFilter(Intake):
         elif verdict == Verdict.FROZEN:
             self.say('warning', f'{topic}: the same position again while the vehicle moves: fix refused')
         elif verdict == Verdict.AHEAD:
-            self.say('warning', f'{topic}: fix stamped after the IMU sample that came next: the clocks differ '
-                                '(gnss.time_offset); refused')
+            missing = f'IMU samples are missing, {self._last_gap:.1f} s of them' if self._last_gap else (
+                'IMU samples come late, as on a busy machine')
+            self.say('warning', f'{topic}: fix stamped {(stamp - self._now) * 1e-9:.1f} s after the IMU sample that came '
+                                f'next: {missing}, or the clocks differ (gnss.time_offset); refused')
         elif verdict == Verdict.RECOVERED:
             self._last_recovery = stamp * 1e-9
             self.say('warning', f'{topic}: the fixes refused for {self.config.gnss.recovery_time:.0f} s agree with '
@@ -266,7 +366,7 @@ class FusionFilter(Intake):
     def _say_faults(self, stamp: int) -> None:
         counts = self._memory[Head.FAULTS:Head.RECOVERIES + 1].copy()
         new = counts - self._said_faults
-        self._said_faults = counts
+        self._said_faults, self._faults_seen = counts, counts.tobytes()
         for fault in range(1, Fault.SIZE):
             if new[fault] > 0:
                 self._last_fault = stamp * 1e-9
@@ -278,6 +378,12 @@ class FusionFilter(Intake):
         if new[Head.RESTARTS - Head.FAULTS] > 0:
             self._last_recovery = stamp * 1e-9
             self.say('error', 'the state was not finite: the filter went back to the last good one')
+
+    def _say_gap(self, seconds: float) -> None:
+        self._last_gap = seconds
+        self._count('imu', 'gaps')
+        self.say('warning', f'{self.config.imu.topic}: no sample for {seconds:.2f} s (imu.max_gap): samples are missing, '
+                            'bridged')
 
     def _count(self, what: str, outcome: str) -> None:
         key = f'{what} {outcome}'
@@ -291,17 +397,19 @@ class FusionFilter(Intake):
     def health(self) -> dict:
         """Numbers and words for a diagnosis of the running filter, by name with the unit."""
         values: dict = {'state': self.state, 'status': self.status, **self._counts}
-        if self._memory is None:
+        memory = self._estimating
+        if memory is None:
             return values
         layout = self.config.layout
-        at = state_at(self._memory, int(self._memory[Head.SAMPLES]))
-        row = self._memory[at:at + int(self._memory[Head.WIDTH])]
+        at = state_at(memory, int(memory[Head.SAMPLES]))
+        row = memory[at:at + int(memory[Head.WIDTH])]
         sigma = np.sqrt(np.diag(covariance(row, layout)))
-        heading = 4 if layout.n_navigation == 5 else 8
+        values |= {'position sigma, m': float(math.hypot(sigma[0], sigma[1])),
+                   'heading sigma, deg': math.degrees(sigma[layout.n_navigation - 1])}
+        if self._memory is None:
+            return values
         values |= {'age of the last fix used, s': (self._now - self._newest_fix) * 1e-9,
-                   'realised over claimed sigma of the fixes': math.sqrt(row[Nav.GNSS_RATIO]),
-                   'position sigma, m': float(math.hypot(sigma[0], sigma[1])),
-                   'heading sigma, deg': math.degrees(sigma[heading])}
+                   'realised over claimed sigma of the fixes': math.sqrt(row[Nav.GNSS_RATIO])}
         for i, name in enumerate(layout.names[layout.n_navigation:], start=layout.n_navigation):
             values[name] = float(row[NAV + i])
             values[f'{name} sigma'] = float(sigma[i])
@@ -312,7 +420,7 @@ class FusionFilter(Intake):
 
     def update_odometry(self) -> int:
         """Fill `odometry`, `geodetic` and `position_covariance_enu` for the newest estimate; its stamp in ns."""
-        odometry(self._memory, self.datum, self._height_sigma, self.odometry, self.geodetic,
+        odometry(self._estimating, self.datum, self._height_sigma, self.odometry, self.geodetic,
                  self.position_covariance_enu)
         return self._now
 

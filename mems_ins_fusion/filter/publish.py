@@ -4,17 +4,20 @@ from __future__ import annotations
 import numpy as np
 
 from ..samples import Fixes, ImuSamples
+from .alignment import Alignment
 from .config import FilterConfig
+from .initial import initialize
 from .layout import Event, Kind
 from .odometry import SIZE, odometry
 from .replay import Aiding, _Events, _Replay, _Work
+from .start import Start
 
 
 def published(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aiding, datum,
               keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Stamps (k,) ns and what `odometry` makes of the state after each of the samples `keep` (n,), (k, SIZE).
 
-    datum: latitude, longitude (rad), height of the origin.
+    datum: latitude, longitude (rad), height of the origin. Before the heading is known, those of the provisional filter.
     """
     work = _Publishing(config, imu, fixes, aiding, None, keep)
     work.datum = np.array(datum, dtype=float)
@@ -22,6 +25,24 @@ def published(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aidin
     index, rows = (np.concatenate(parts) for parts in zip(*work.published)) if work.published else (
         np.empty(0, dtype=np.int64), np.empty((0, SIZE)))
     return imu.stamp[index], rows
+
+
+class _Waiting(Alignment):
+    """An alignment that remembers each provisional start, and how many samples had come by then."""
+
+    def __init__(self, config: FilterConfig):
+        super().__init__(config)
+        self._fed = 0
+        self.found: list[tuple[int, Start | None]] = []
+
+    def add_samples(self, samples, orientation=None):
+        super().add_samples(samples, orientation)
+        self._fed += len(samples)
+
+    def add_record(self, record, say):
+        start = super().add_record(record, say)
+        self.found.append((self._fed, None if start else self.provisional()))
+        return start
 
 
 class _Publishing(_Replay):
@@ -38,21 +59,46 @@ class _Publishing(_Replay):
     def _events(self, kept: np.ndarray, end: int, epoch: int) -> _Events:
         events = super()._events(kept, end, epoch)
         fixes = events.select(events.kind == Kind.POSITION)
-        self._heights = len(kept), fixes.arrival, np.sqrt(fixes.record[:, Event.R_DD])
+        self._heights = fixes.arrival, np.sqrt(fixes.record[:, Event.R_DD])
+        self._length = len(kept)
         return events
 
+    def _alignment(self) -> Alignment:
+        self._waiting = _Waiting(self.config)
+        return self._waiting
+
+    def _align(self, kept, samples, events: _Events) -> tuple[Start | None, int]:
+        start, first = super()._align(kept, samples, events)
+        found = self._waiting.found
+        if start is None:
+            found.append((len(samples), None))
+        nothing = events.select(slice(0))
+        for (fed, provisional), (end, _) in zip(found, found[1:]):
+            if provisional is not None:
+                memory = self.config.memory()
+                initialize(memory, self.config, provisional)
+                begin = int(np.searchsorted(samples[:end, 0], provisional.time, side='right'))
+                self._ask(memory, samples[begin:end], kept[begin:end], nothing, begin, fed - begin)
+        return start, first
+
     def _filter(self, memory, samples, index, events: _Events, epoch: int) -> None:
-        kept = np.flatnonzero(self.keep[index])
-        rows, geodetic, covariance = np.zeros((len(kept), SIZE)), np.empty(3), np.empty(9)
         events.record[:, Event.ID] = np.arange(len(events.kind))
+        self._ask(memory, samples, index, events, self._length - len(index)).finish(memory)
+        self.height_sigma = np.append(self._heights[1], self.height_sigma)[len(self._heights[0]) - 1]
+
+    def _ask(self, memory, samples, index, events: _Events, first: int, silent: int = 0) -> _Work:
+        """`samples` with these indices, that numbered `first` first, through the kernel; the odometry after each that is
+        kept, but for the `silent` first ones."""
+        kept = np.flatnonzero(self.keep[index])
+        kept = kept[kept >= silent]
+        rows, geodetic, covariance = np.zeros((len(kept), SIZE)), np.empty(3), np.empty(9)
         work = _Work(samples, events, self.columns, kept[:0], np.empty((0, len(self.columns))))
         # the planar height is as good as the latest fix says, those of the alignment too
-        length, arrived, sigma = self._heights
-        latest = np.searchsorted(arrived, kept + length - len(index), side='right') - 1
+        arrived, sigma = self._heights
+        latest = np.searchsorted(arrived, kept + first, side='right') - 1
         sigma = np.append(sigma, self.height_sigma)  # -1, none yet, is the one before
         for i, k in enumerate(kept.tolist()):
             work.advance(memory, k + 1)
             odometry(memory, self.datum, sigma[latest[i]], rows[i], geodetic, covariance)
-        work.finish(memory)
-        self.height_sigma = sigma[len(arrived) - 1]
         self.published.append((index[kept], rows))
+        return work

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..samples import Fixes, Headings, ImuSamples, Speeds, Velocities
 from . import kernel
-from .alignment import Alignment, Start, retaken
+from .alignment import Alignment
 from .config import FilterConfig
 from .imu_faults import FAULTS
 from .initial import initialize
@@ -22,6 +22,7 @@ from .intake import GOOD, JUMPED, Intake, corrected
 from .kernel import TAKEN
 from .layout import Event, Head, Kind, Verdict
 from .results import Measured, Run, columns, result
+from .start import Start, retaken
 
 #: what comes from satellites and is withheld in an outage: a heading may be that of two antennas
 WITHHELD = (Kind.POSITION, Kind.VELOCITY, Kind.HEADING)
@@ -178,7 +179,7 @@ class _Replay(Intake):
             start = retaken(self.given, self.config, samples)
             first = int(np.searchsorted(events.record[fixes, Event.TIME], start.time + 1e-6, side='right'))
             return start, int(fixes[first]) if first < len(fixes) else len(events.kind)
-        alignment, fed = Alignment(self.config), 0
+        alignment, fed = self._alignment(), 0
         for i in fixes:
             upto = events.arrival[i]
             orientation = None if self.imu.orientation is None else self.imu.orientation[kept[fed:upto]]
@@ -189,6 +190,9 @@ class _Replay(Intake):
                 return start, i + 1
         self.say('error', f'the filter did not start: waiting for {alignment.waiting_for}')
         return None, len(events.kind)
+
+    def _alignment(self) -> Alignment:
+        return Alignment(self.config)
 
     def _filter(self, memory, samples, index, events: _Events, epoch: int) -> None:
         """`samples` (k, 7) of the IMU (`index` of each) and events through the kernel, outages branched off."""

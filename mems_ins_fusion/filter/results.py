@@ -8,11 +8,11 @@ import numpy as np
 from mems_ins_fusion.compiled import njit
 
 from ..navigation.strapdown import to_euler
-from .alignment import Start
 from .config import FilterConfig
 from .intake import Notice
 from .layout import NAV, PLANAR, Event, Kind, Nav, StateLayout, Verdict, covariance_index
 from .odometry import corrected
+from .start import Start
 
 
 @dataclass(frozen=True)

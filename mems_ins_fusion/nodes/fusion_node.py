@@ -23,15 +23,16 @@ from std_srvs.srv import SetBool, Trigger
 
 from ..compiled import tell
 from ..filter.config import FilterConfig
+from ..filter.live import CHANGEABLE, FusionFilter
 from ..parameters.parameter import ParameterError
 from ..parameters.table import ALL, FILTER, FUSION
 from ..recordings.units import ACCELERATION, RATE
 from .checks import check_together
 from .inputs import aiding_inputs, subscribe
-from .live_filter import LiveFilter
 from .loading import load
 from .log import StateLog, Throttle, Watch
 from .mounting import mounting_from_tf
+from .mounting_check import MountingCheck
 from .output import MapOutput, Output, Prediction, SmoothFrame, tf_message
 from .places import geographic_services, start_from_parameters, start_from_pose
 from .ros_parameters import declare, refuse_unused_qos_overrides
@@ -54,7 +55,7 @@ class FusionNode(Node):
 
     def __init__(self, argv: list[str], stop: Stop):
         super().__init__(NAME)
-        self._values = values = declare(self, argv, (*FILTER, *FUSION), changeable=frozenset({'odometry_rate'}))
+        self._values = values = declare(self, argv, (*FILTER, *FUSION), changeable=frozenset({*CHANGEABLE, 'odometry_rate'}))
         check_together(values, self.resolve_topic_name)
         if values['publish_tf']:
             tf_message()  # what is missing is said before anything takes time
@@ -62,11 +63,12 @@ class FusionNode(Node):
         if values['mounting_from_tf']:
             values['imu.mounting_rpy'] = mounting_from_tf(self, values['imu_topic'], values['child_frame_id'],
                                                             stop)
-        self._filter = LiveFilter(FilterConfig.from_parameters(values))
+        self._filter = FusionFilter(FilterConfig.from_parameters(values))
         tell(self.get_logger().info)
         load(self._filter, stop)  # before there is a subscription: no message waits for the compiler
         self._force_unit = ACCELERATION[values['imu.acceleration_unit']]
         self._rate_unit = RATE[values['imu.rate_unit']]
+        self._mounting = MountingCheck(values['imu.mounting_rpy'], values['gnss.time_offset'])
         self._use_orientation = values['alignment.heading'] == 'orientation'
         self._start = start_from_parameters(values) if values['start_pose'] else None
         self._datum = None
@@ -177,8 +179,10 @@ class FusionNode(Node):
             orientation = message.orientation
             x, y, z, w = orientation.x, orientation.y, orientation.z, orientation.w
         now = stamp.sec * _SECOND + stamp.nanosec
-        if not self._filter.add_imu(now, force.x * force_unit, force.y * force_unit, force.z * force_unit,
-                                    rate.x * rate_unit, rate.y * rate_unit, rate.z * rate_unit, x, y, z, w):
+        sample = (now, force.x * force_unit, force.y * force_unit, force.z * force_unit,
+                  rate.x * rate_unit, rate.y * rate_unit, rate.z * rate_unit)
+        self._mounting.add_sample(sample)
+        if not self._filter.add_imu(*sample, x, y, z, w):
             if self._filter.state in BEFORE_START:
                 self._newest = None
                 self._begin()
@@ -187,6 +191,8 @@ class FusionNode(Node):
         if self._smooth or self._prediction:
             self._newest = self._filter.update_odometry()
             if self._smooth:
+                if not self._filter.aligned:  # a heading that nobody knows is none to turn a frame by
+                    self._smooth.restart()
                 self._smooth.advance(self._newest)
             if self._prediction:  # published by the clock
                 return
@@ -204,8 +210,10 @@ class FusionNode(Node):
         latitude, longitude = math.radians(message.latitude), math.radians(message.longitude)
         if self._state_file and message.status.status >= 0 and math.isfinite(latitude + longitude + message.altitude):
             self._resume(stamp, latitude, longitude, message.altitude)
-        self._filter.add_fix(stamp, latitude, longitude, message.altitude, message.position_covariance,
-                             message.status.status, message.position_covariance_type)
+        fix = (stamp, latitude, longitude, message.altitude, message.position_covariance, message.status.status,
+               message.position_covariance_type)
+        self._mounting.add_fix((*fix[:4], fix[4].copy(), *fix[5:]))
+        self._filter.add_fix(*fix)
         self.report()
 
     def _on_temperature(self, message):
@@ -252,8 +260,8 @@ class FusionNode(Node):
             self.get_logger().warning(said)
             return
         try:
-            self._filter.restore(snapshot)
-            self.get_logger().info(said)
+            used = self._filter.restore(snapshot, self._values['state_file_max_distance'])
+            self.get_logger().info(f'{said}: {used}')
         except ValueError as error:
             self.get_logger().warning(f'{error}: starting without')
 
@@ -333,6 +341,7 @@ class FusionNode(Node):
     def _each_second(self):
         for aiding in self._aiding:
             aiding.look()
+        self._look_at_mounting()
         self._check_topics()
         self._tell_datum()
         state, health = self._filter.state, self._filter.health()
@@ -344,7 +353,15 @@ class FusionNode(Node):
         if self._nis:
             health['mean NIS'] = sum(self._nis) / len(self._nis)
         now = self.get_clock().now().nanoseconds
-        self._diagnostics.publish(diagnostics(now, self.get_name(), state, since, health))
+        health['mounting'] = self._mounting.found
+        wrong = self._mounting.found if self._mounting.is_wrong else ''
+        self._diagnostics.publish(diagnostics(now, self.get_name(), state, since, health, wrong))
+
+    def _look_at_mounting(self):
+        found = self._mounting.look()
+        if found:
+            level, text = found
+            self._log(level, f'{self._imu.topic_name}: {text}')
 
     def _check_topics(self):
         for watch, topic, kind in self._watched:
@@ -376,19 +393,22 @@ class FusionNode(Node):
 
     def _check_changes(self, changed):
         try:
-            for parameter in changed:
-                if parameter.name in ALL:
-                    value = ALL[parameter.name].check(parameter.value)
-                    if parameter.name == 'odometry_rate' and self._prediction and not value:
-                        raise ParameterError("parameter 'odometry_rate' must be above 0 with predict_to_now")
+            values = {p.name: ALL[p.name].check(p.value) for p in changed if p.name in ALL}
+            if self._prediction and not values.get('odometry_rate', 1.0):
+                raise ParameterError("parameter 'odometry_rate' must be above 0 with predict_to_now")
+            self._filter.changed(values)
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _apply_changes(self, changed):
-        for parameter in changed:
-            if parameter.name == 'odometry_rate':
-                self._set_rate(parameter.value)
+        values = {p.name: ALL[p.name].check(p.value) for p in changed if p.name in ALL}
+        self._values.update(values)
+        if 'odometry_rate' in values:
+            self._set_rate(values['odometry_rate'])
+        self._filter.adopt(self._filter.changed(values))
+        if values:
+            self.get_logger().info(', '.join(f'{name}: {value}' for name, value in values.items()) + ' from now on')
 
     def _set_rate(self, rate):
         self._period = round(_SECOND / rate) if rate else 0

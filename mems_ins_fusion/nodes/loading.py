@@ -14,7 +14,7 @@ from ..compiled import FOLDER
 from ..filter.config import FilterConfig
 from ..filter.odometry import ORIENTATION, POSE_COVARIANCE
 from ..parameters import table
-from .live_filter import LiveFilter
+from ..filter.live import FusionFilter
 from .output import Prediction, SmoothFrame
 from .run import Stop
 
@@ -22,7 +22,7 @@ from .run import Stop
 _MARK = 'fusion_node.compiled'
 
 
-def load(fusion: LiveFilter, stop: Stop) -> None:
+def load(fusion: FusionFilter, stop: Stop) -> None:
     """Load what `fusion` and the node's outputs need compiled. KeyboardInterrupt when `stop` is requested meanwhile."""
     mark = FOLDER / _MARK
     kept = _is_writable(mark.parent)
@@ -56,7 +56,7 @@ def _compile_in_child(stop):
 
 def _warm_up(fusion):
     fusion.warm_up()
-    estimate = LiveFilter(fusion.config)
+    estimate = FusionFilter(fusion.config)
     estimate.odometry[ORIENTATION:POSE_COVARIANCE] = 0.0, 0.0, 0.0, 1.0
     smooth = SmoothFrame(estimate)
     smooth.advance(0)
@@ -65,4 +65,4 @@ def _warm_up(fusion):
 
 
 if __name__ == '__main__':
-    _warm_up(LiveFilter(FilterConfig.from_parameters(table.defaults())))
+    _warm_up(FusionFilter(FilterConfig.from_parameters(table.defaults())))

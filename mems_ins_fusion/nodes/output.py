@@ -59,6 +59,10 @@ class SmoothFrame:
         self._stamp = None
         self._position, self._q = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
 
+    def restart(self) -> None:
+        """Be the same as the frame of `source` at its next estimate."""
+        self._stamp = None
+
     def advance(self, stamp: int) -> None:
         """Take over the newest estimate of `source`, of time `stamp` (ns)."""
         east, north, up, q_x, q_y, q_z, q_w = self._source.odometry[POSITION:POSE_COVARIANCE].tolist()

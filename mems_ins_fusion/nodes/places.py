@@ -37,6 +37,8 @@ def start_from_pose(message, datum, frame_id: str) -> tuple:
     if min(covariance[0, 0], covariance[1, 1], covariance[3, 3]) <= 0.0:
         raise ValueError(f'covariance of x, y, yaw must be above 0, got {covariance[1, 1]:g}, {covariance[0, 0]:g}, '
                          f'{covariance[3, 3]:g}')
+    if np.linalg.eigvalsh(covariance[np.ix_([0, 1, 3], [0, 1, 3])]).min() <= 0.0:
+        raise ValueError('covariance of x, y, yaw is none: it is not positive definite')
     # a two-dimensional tool says nothing of the height
     height_variance = covariance[2, 2] if covariance[2, 2] > 0.0 else 100.0
     covariance[2, 2] = height_variance

@@ -10,7 +10,7 @@ from pathlib import Path
 from ..navigation.earth import to_local
 from ..parameters.parameter import ParameterError
 
-_VERSION = 1
+_VERSION = 2
 
 
 class StateFile:

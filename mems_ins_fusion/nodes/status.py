@@ -18,10 +18,13 @@ def level_of(state: str) -> bytes:
     return DiagnosticStatus.ERROR if state == 'recovering' else DiagnosticStatus.WARN
 
 
-def diagnostics(stamp: int, name: str, state: str, since: float, health: dict) -> DiagnosticArray:
-    """The filter's state for /diagnostics. stamp: ns. since: s that `state` has lasted. health: of the filter."""
+def diagnostics(stamp: int, name: str, state: str, since: float, health: dict, problem: str = '') -> DiagnosticArray:
+    """The filter's state for /diagnostics. stamp: ns. since: s that `state` has lasted. health: of the filter. problem:
+    what is wrong whatever the state."""
     why = f": {health['status']}" if state in BEFORE_START else ''
-    status = DiagnosticStatus(level=level_of(state), name=f'{name}: filter', message=f'{state} for {since:.0f} s{why}',
+    why += f'; {problem}' if problem else ''
+    level = max(level_of(state), DiagnosticStatus.WARN if problem else DiagnosticStatus.OK)
+    status = DiagnosticStatus(level=level, name=f'{name}: filter', message=f'{state} for {since:.0f} s{why}',
                               hardware_id=name, values=_key_values({**health, 'state for, s': since}))
     return _array(stamp, [status])
 

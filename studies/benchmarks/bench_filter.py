@@ -17,11 +17,11 @@ import time
 import numpy as np
 from numba import njit
 
-from mems_ins_fusion.filter.alignment import Start
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.initial import initialize
 from mems_ins_fusion.filter.kernel import run
 from mems_ins_fusion.filter.layout import NAV, PLANAR, Event, Kind
+from mems_ins_fusion.filter.start import Start
 from mems_ins_fusion.parameters import table
 
 RATE = 100

@@ -1,0 +1,101 @@
+"""The standstill before the filter starts: where it was, what it shows, and what there is to say of it.
+
+The filter's own detector, which learns while it runs, is in standstill.py.
+"""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..navigation.earth import gravity
+from .config import FilterConfig
+from .layout import PLANAR
+from .start import Standstill
+
+STILL_BLOCK = 1.0  # s; a standstill is made of such blocks
+SHORTEST_STILL = 3.0  # s
+STEADY_ACCELERATION = 0.06  # m/s^2: between the mean of a block and the standstill's
+STEADY_RATE = 0.005  # rad/s
+RECEIVER_DRIFT = 0.3  # m/s: positions wander this fast at rest; who is as slow and as quiet shows the same biases
+GRAVITY_TOLERANCE = 0.1  # of gravity: more is no sensor's error at rest
+
+
+def latest_standstill(imu: np.ndarray, positions: np.ndarray, config: FilterConfig) -> Standstill | None:
+    """The latest standstill: at least SHORTEST_STILL in which the sensors are quiet and the fixes stay in place.
+
+    imu (n, 7 or more): time, specific force and angular rate in body axes. positions (k, 4): time, north, east, sigma.
+    """
+    mean, scatter, starts, length = _blocks(imu)
+    quiet = ((scatter[:, :3].max(axis=1) < config.vehicle.still_acceleration)
+             & (scatter[:, 3:].max(axis=1) < config.vehicle.still_rate) & (length > 2))
+    ends = np.append(starts[1:], len(imu))
+    for first, last in _runs(quiet)[::-1]:
+        steady = _longest_steady(mean[first:last])
+        begin, end = starts[first + steady.start], ends[first + steady.stop - 1]
+        duration = imu[end - 1, 0] - imu[begin, 0]
+        if duration >= SHORTEST_STILL and _stays(positions, imu[begin, 0], imu[end - 1, 0]):
+            means = imu[begin:end, 1:7].mean(axis=0)
+            return Standstill(imu[end - 1, 0], duration, means[:3], means[3:])
+    return None
+
+
+def _blocks(imu):
+    """Mean and scatter (k, 6) of the samples in blocks of STILL_BLOCK, where each begins, and how many it has."""
+    block = np.floor((imu[:, 0] - imu[0, 0]) / STILL_BLOCK).astype(np.int64)
+    starts = np.flatnonzero(np.diff(block, prepend=-1))
+    length = np.diff(np.append(starts, len(imu)))
+    mean = np.add.reduceat(imu[:, 1:7], starts) / length[:, None]
+    squares = np.add.reduceat((imu[:, 1:7] - np.repeat(mean, length, axis=0)) ** 2, starts)
+    return mean, np.sqrt(squares / length[:, None]), starts, length
+
+
+def _runs(mask: np.ndarray) -> np.ndarray:
+    """First and last + 1 of each run of True in `mask`, (k, 2)."""
+    return np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))).reshape(-1, 2)
+
+
+def _longest_steady(mean: np.ndarray) -> slice:
+    """The longest run of blocks whose means (k, 6) stay near their median: a gentle start is quiet, but not that."""
+    away = np.abs(mean - np.median(mean, axis=0))
+    runs = _runs((away[:, :3].max(axis=1) < STEADY_ACCELERATION) & (away[:, 3:].max(axis=1) < STEADY_RATE))
+    if not len(runs):
+        return slice(0, 1)
+    first, last = runs[np.argmax(runs[:, 1] - runs[:, 0])]
+    return slice(int(first), int(last))
+
+
+def _stays(positions: np.ndarray, begin: float, end: float) -> bool:
+    """No motion between two times as far as the fixes can tell: at least two of them, first and last halves agree.
+
+    Receivers wander by more than they say: what goes slowly enough for that does not speak against a standstill.
+    """
+    inside = positions[(positions[:, 0] >= begin - 0.5) & (positions[:, 0] <= end + 0.5)]
+    if len(inside) < 2:
+        return False
+    half = len(inside) // 2
+    moved = np.hypot(*(inside[half:, 1:3].mean(axis=0) - inside[:half, 1:3].mean(axis=0)))
+    sigma = inside[:, 3].mean() * math.sqrt(1 / half + 1 / (len(inside) - half))
+    interval = max(0.5 * (inside[-1, 0] - inside[0, 0]), 1e-3)
+    return moved < 4 * sigma + max(0.1, RECEIVER_DRIFT * interval) and moved < 2.0 * interval
+
+
+def note_standstill(standstill: Standstill | None, latitude: float, height: float,
+                    config: FilterConfig) -> list[tuple[str, str]]:
+    """What a user should know of it: levels and texts."""
+    if standstill is None:
+        return [('info', 'no standstill seen: gyroscope bias and tilt of the IMU start unknown')]
+    size = float(np.linalg.norm(standstill.specific_force))
+    tilt = math.degrees(math.acos(min(1.0, max(-1.0, -standstill.specific_force[2] / size)))) if size else math.nan
+    bias = ', '.join(f'{math.degrees(w):.3f}' for w in standstill.angular_rate)
+    removed = ' (removed)' if config.alignment.level and config.mechanization == PLANAR else ''
+    expected = gravity(latitude, height)
+    text = (f'standstill of {standstill.duration:.1f} s: gyroscope bias {bias} deg/s (forward, right, down), '
+            f'tilt {tilt:.1f} deg{removed}, specific force {size:.3f} m/s^2 '
+            f'(gravity here {expected:.3f})')
+    notes = [('info', text)]
+    if abs(size - expected) > GRAVITY_TOLERANCE * expected:
+        unit = 'in g, not in m/s^2' if abs(size - 1.0) < GRAVITY_TOLERANCE else 'a wrong unit or scale'
+        notes.append(('error', f'{config.imu.topic}: linear_acceleration is {size:.3f} at rest '
+                               f'where gravity is {expected:.3f} m/s^2: {unit}'))
+    return notes

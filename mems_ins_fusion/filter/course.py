@@ -1,0 +1,144 @@
+"""The first heading from the way between two fixes, and what the inertial sensors say of that way."""
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .config import FilterConfig
+from .start import Standstill
+
+COURSE_SIGMA = 0.1  # rad: straightness of course that is good enough to start
+FASTEST = 70.0  # m/s: no land vehicle is faster
+FASTEST_REVERSE = 3.0  # m/s: who starts faster backwards has the IMU turned round
+SHORTEST_COURSE = 1.0  # m
+LONGEST_COURSE_TIME = 60.0  # s
+SLOWEST_START = 0.5  # m/s
+SIDESLIP_SIGMA = 0.02  # rad: between where a car points and where it goes
+UNKNOWN_TILT_SIGMA = 0.05  # rad
+LARGEST_YAW_SIGMA = 0.5  # rad: the filter's equations are linear in the heading's error
+MOVED_OFF = 0.2  # m/s: of a vehicle whose standstill has only just ended
+
+
+class Course(NamedTuple):
+    """Heading and speed at the newest fix, rad and m/s, with their sigmas."""
+
+    yaw: float
+    speed: float
+    yaw_sigma: float
+    speed_sigma: float
+
+
+class Refused(ValueError):
+    """The fixes show a course that cannot be; says what is waited for."""
+
+
+class _Motion(NamedTuple):
+    """What the inertial sensors saw between two times, in the body axes of the first, and sigmas of their biases."""
+
+    turn: float
+    gained: np.ndarray  # (2,) velocity
+    moved: np.ndarray  # (2,) displacement that the specific force adds
+    bias_f: float
+    bias_w: float
+
+
+def has_moved(positions: np.ndarray) -> bool:
+    """Whether the fixes (k, 4: time, north, east, sigma) are far enough apart for a course, before all is looked at."""
+    recent = positions[positions[:, 0] > positions[-1, 0] - LONGEST_COURSE_TIME]
+    moved = np.hypot(*(recent[:, 1:3] - recent[-1, 1:3]).T).max()
+    return moved > max(SHORTEST_COURSE, recent[-1, 3] / COURSE_SIGMA)
+
+
+def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill | None,
+                config: FilterConfig) -> Course | None:
+    """The course from the chord of the newest fix to an earlier one; None if not yet. Raises Refused.
+
+    imu, positions as for `at_rest.latest_standstill`. The inertial sensors tell how the vehicle turned and changed
+    speed on the way: with s the speed at the chord's begin and D the displacement that the specific force adds in the
+    body axes of then, the chord is C(yaw) ([s T, 0] + D), which gives both s and yaw. No sideslip is assumed.
+    """
+    now, north, east, sigma = positions[-1]
+    for time, n, e, s in positions[-2::-1]:
+        chord = np.array([north - n, east - e])
+        if now - time > LONGEST_COURSE_TIME:
+            return None
+        if standstill is not None:  # as long as it stood, it was there
+            time = max(time, standstill.end)
+        noise = math.sqrt(sigma**2 + s**2 + _wandered(config, now - time))
+        distance, interval = float(np.hypot(*chord)), now - time
+        if distance >= max(SHORTEST_COURSE, noise / COURSE_SIGMA) and interval > 0:
+            return _of_chord(imu, chord, time, now, noise, standstill, config)
+    return None
+
+
+def _of_chord(imu, chord, time, now, noise, standstill, config) -> Course | None:
+    motion = _inertial_motion(imu, time, now, standstill, config)
+    distance, interval = float(np.hypot(*chord)), now - time
+    if motion is None or abs(motion.turn) > 1.0 or abs(motion.moved[1]) > 0.5 * distance:
+        return None
+    speed_sigma = math.hypot(noise / interval, 0.5 * motion.bias_f * interval)
+    forward = math.sqrt(distance**2 - motion.moved[1] ** 2)
+    way = _way(imu, time, standstill, (forward - motion.moved[0]) / interval, (-forward - motion.moved[0]) / interval,
+               speed_sigma, config)
+    if way == 0:
+        return None
+    forward *= way
+    speed = (forward - motion.moved[0]) / interval
+    last = speed + motion.gained[0]
+    yaw_sigma = math.sqrt((noise / distance) ** 2 + (motion.bias_w * interval / 2) ** 2
+                          + (0.5 * motion.bias_f * interval**2 / distance) ** 2 + SIDESLIP_SIGMA**2)
+    if abs(speed) > FASTEST:
+        raise Refused(f'believable fixes: they move at {abs(speed):.0f} m/s')
+    if way < 0 and abs(last) > FASTEST_REVERSE:
+        raise Refused(f'the vehicle to drive forwards: it seems to go backwards at {abs(last):.1f} m/s; if it does not, '
+                      'the IMU is mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
+    if abs(last) < SLOWEST_START or yaw_sigma > LARGEST_YAW_SIGMA:
+        return None
+    yaw = math.atan2(chord[1], chord[0]) - math.atan2(motion.moved[1], forward)
+    return Course(yaw + motion.turn, math.copysign(math.hypot(last, motion.gained[1]), last), yaw_sigma, speed_sigma)
+
+
+def _wandered(config, interval: float) -> float:
+    """Variance of how far the receiver's coloured error has gone within `interval` s, m^2, one axis."""
+    if not config.gnss.coloured:
+        return 0.0
+    return -2.0 * config.gnss.coloured.sigma**2 * math.expm1(-interval / config.gnss.coloured.tau)
+
+
+def _way(imu, time, standstill, forwards, backwards, sigma, config) -> int:
+    """1 forwards, -1 backwards, 0 unclear: which speed at `time` fits the accelerometers since it stood."""
+    if standstill is None:
+        return 1
+    since = time - standstill.end
+    motion = _inertial_motion(imu, standstill.end, time, standstill, config)
+    expected = 0.0
+    if motion is not None:
+        expected = math.cos(motion.turn) * motion.gained[0] + math.sin(motion.turn) * motion.gained[1]
+    variance = sigma**2 + (MOVED_OFF + 0.1 * since) ** 2
+    if since < LONGEST_COURSE_TIME and min(abs(forwards - expected), abs(backwards - expected)) > (
+            5.0 * math.sqrt(variance) + 1.0):
+        return 0  # the fixes move, the IMU does not
+    difference = (forwards - expected) ** 2 - (backwards - expected) ** 2
+    if abs(difference) < 9 * variance:  # long ago it no longer helps: who has not turned round drives forwards
+        return 1 if since > LONGEST_COURSE_TIME else 0
+    return 1 if difference < 0 else -1
+
+
+def _inertial_motion(imu, begin, end, standstill, config) -> _Motion | None:
+    part = imu[(imu[:, 0] > begin) & (imu[:, 0] <= end)]
+    if len(part) < 3:
+        return None
+    force, rate = part[:, 1:3].copy(), part[:, 6].copy()
+    bias_f, bias_w = UNKNOWN_TILT_SIGMA * 9.8, config.alignment.gyroscope_turn_on
+    if standstill is not None:
+        rate -= standstill.angular_rate[2]
+        force -= standstill.specific_force[:2]
+        bias_f, bias_w = 0.1, 1e-3
+    dt = np.diff(part[:, 0], prepend=begin)
+    yaw = np.cumsum(rate * dt)
+    c, s = np.cos(yaw), np.sin(yaw)
+    level = np.stack([c * force[:, 0] - s * force[:, 1], s * force[:, 0] + c * force[:, 1]])
+    velocity = np.cumsum(level * dt, axis=1)
+    return _Motion(float(yaw[-1]), velocity[:, -1], (velocity * dt).sum(axis=1), bias_f, bias_w)

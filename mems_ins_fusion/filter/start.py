@@ -1,0 +1,73 @@
+"""What a filter starts from: where, how fast, which way, what a standstill showed, and how well all that is known."""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..navigation.earth import radii
+from .config import FilterConfig
+
+
+@dataclass
+class Standstill:
+    """What the sensors showed at rest, body axes: means over `duration` seconds that ended at `end`."""
+
+    end: float
+    duration: float
+    specific_force: np.ndarray
+    angular_rate: np.ndarray
+
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """What an earlier filter with the same states had learned. estimate (m,), covariance (m, m) of the states behind the
+    navigation errors; constant (channels,): the part of each sensor's error that has no state."""
+
+    estimate: np.ndarray
+    covariance: np.ndarray
+    constant: np.ndarray
+
+
+@dataclass
+class Start:
+    """The first state: where, how fast, which way, and how well that is known."""
+
+    time: float  # s since the epoch
+    latitude: float
+    longitude: float
+    height: float
+    velocity: np.ndarray  # (2,) north, east, m/s
+    yaw: float  # of the vehicle
+    covariance: np.ndarray  # (5, 5) of r_n, r_e, v_n, v_e, yaw
+    standstill: Standstill | None
+    notes: list[tuple[str, str]] = field(default_factory=list)  # level and text
+    errors: SensorErrors | None = None
+
+
+def transferred(start: Start, old: FilterConfig, new: FilterConfig) -> Start:
+    """The start that `old` found, for a filter with other parameters: so that two runs differ by these alone.
+
+    The time offset moves its time, the lever arm its position; what the standstill shows is `retaken` by the run.
+    """
+    delay = new.gnss.time_offset - old.gnss.time_offset
+    arm = new.gnss.lever_arm - old.gnss.lever_arm
+    c, s = math.cos(start.yaw), math.sin(start.yaw)
+    meridian, prime_vertical = radii(start.latitude)
+    return replace(
+        start, time=start.time - delay, latitude=start.latitude - (c * arm[0] - s * arm[1]) / (meridian + start.height),
+        longitude=start.longitude - (s * arm[0] + c * arm[1]) / (
+            (prime_vertical + start.height) * math.cos(start.latitude)),
+        height=start.height + arm[2])
+
+
+def retaken(start: Start, config: FilterConfig, samples: np.ndarray) -> Start:
+    """`start` with what its standstill shows in these samples (n, 7): time as in `start`, f and w in sensor axes."""
+    still = start.standstill
+    if still is None:
+        return start
+    inside = slice(*np.searchsorted(samples[:, 0], [still.end - still.duration - 1e-6, still.end + 1e-6]))
+    seen = samples[inside, 1:].mean(axis=0)
+    seen = config.conditioning @ seen + config.offset
+    return replace(start, standstill=replace(still, specific_force=seen[:3], angular_rate=seen[3:]))
