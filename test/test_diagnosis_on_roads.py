@@ -21,7 +21,9 @@ def test_the_drives_are_what_the_study_says():
     assert sum(c.constrained for c in CARS) == 60
     assert sum(c.receiver.outliers > 0 and c.receiver.smoothing > 0 for c in CARS) == 40
     assert sum(c.receiver.outliers > 0 or c.receiver.smoothing > 0 for c in CARS) == 40
-    assert sum(c.receiver.sigma < 0.1 for c in CARS) == 40 and sum(c.characterized for c in CARS) == 60
+    rtk = [c for c in CARS if c.receiver.sigma < 0.1]
+    assert 30 < len(rtk) <= 40 and not any(c.receiver.smoothing or 'gnss_lag' in c.true for c in rtk)
+    assert sum(c.characterized for c in CARS) == 60
     assert {g: sum(c.grade == g for c in CARS) for g in study.GRADES} == dict.fromkeys(study.GRADES, 40)
     pairs = [c for c in CARS if c.kind == 'mounting and offset']
     assert len(pairs) == 24 and sum(c.constrained for c in pairs) == 12
@@ -43,7 +45,7 @@ def test_a_number_is_a_drive():
 def test_what_is_declared_is_not_there_twice():
     # given the pair on a car with outliers and smoothing
     case = next(c for c in CARS if c.kind == 'mounting and offset' and c.constrained and c.receiver.smoothing)
-    all_of_it, none = case.declaring(list(case.true)), case.declaring([])
+    all_of_it, none = case.declaring(list(case.true), None), case.declaring([], None)
     offset = case.true['gnss_time_offset']['time_offset']
     assert all_of_it['gnss.time_offset'] == pytest.approx(offset) and none['gnss.time_offset'] == 0.0
     assert all_of_it['imu.mounting_rpy'] == pytest.approx([case.true['mounting_rotation'][a]

@@ -285,7 +285,8 @@ def test_a_declared_speed_scale_does_no_harm(drive):
     # given wheels without noise that turn 5 % too fast, and fixes for the first minute only
     effect, theta = EFFECTS['speed_scale'], {'scale': 0.05}
     sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
-    receiver, wheels = replace(RECEIVER, outages=[(60.0, 200.0)]), Aiding(speed_rate=10.0, speed_sigma=0.0, speed_scale=0.0)
+    receiver = replace(RECEIVER, outages=[(60.0, 200.0)])
+    wheels = Aiding(speed_rate=10.0, speed_sigma=0.0, speed_scale=0.0)
     values = table.check({**PAPER, 'speed_topic': '/speed', 'speed.scale_sigma': 0.0, 'speed.sigma': 0.05})
     error = {}
     for what, effects, used in (('clean', [], values), ('ignorant', [(effect, theta)], values),
@@ -315,6 +316,40 @@ def test_what_is_seen_is_as_large_as_it_is(name, theta):
         # the smallest outliers hide, the largest delays push others along
         assert abs(value - true) < 3 * sigma + 0.2 * true
     assert seen.text[-1] != '.' and any(c.isdigit() for c in seen.text)
+    # and what helps can be declared; the defaults bear outliers
+    assert table.check({**values, **seen.helps}) and bool(seen.helps) == (name != 'gnss_outliers')
+
+
+def test_what_helps_against_outliers_are_the_defaults():
+    disturbed = recorded(simulate_drive(600.0, 5, 50.0), [(EFFECTS['gnss_outliers'], {'share': 0.05, 'sigma': 40.0})])
+    seen = EFFECTS['gnss_outliers'].seen(table.check(PAPER), disturbed)
+    defaults = table.defaults()
+    assert seen.helps == {name: defaults[name] for name in ('gnss.robust_sigma', 'gnss.gate_probability')}
+
+
+@pytest.mark.parametrize(['name', 'theta', 'lost'], [
+    ('imu_repeats', {'share': 0.3}, 0.3), ('imu_jitter', {'sigma': 2e-3}, (2e-3 / 0.02)**2)])
+def test_what_samples_miss_is_white_noise(drive, name, theta, lost):
+    # given sensors that shake with independent samples of 0.5 m/s^2 and 0.02 rad/s, 50 Hz, and half a minute of them at
+    # a time, integrated with their stamps
+    rng, n, dt = np.random.default_rng(2), 1500 * 200, 0.02
+    shaking = rng.standard_normal((n, 6)) * ([0.5] * 3 + [0.02] * 3)
+    stamp = np.round(dt * 1e9 * np.arange(1, n + 1)).astype(np.int64)
+    clean = ImuSamples(stamp, stamp, shaking[:, :3], shaking[:, 3:])
+    disturbed = EFFECTS[name].distort_samples(clean, theta, rng)
+
+    def integrated(imu):
+        both = np.column_stack([imu.specific_force, imu.angular_rate])
+        return (both * np.diff(imu.stamp, prepend=0)[:, None] * 1e-9).reshape(200, 1500, 6).sum(axis=1)
+
+    error = (integrated(disturbed) - integrated(clean)).std(axis=0) / np.sqrt(1500 * dt)
+    # when it is seen by a filter that takes the sensors for perfect
+    values = table.check({'accelerometer.noise_density': [0.0], 'gyroscope.noise_density': [0.0]})
+    helps = EFFECTS[name].seen(values, replace(recorded(drive), imu=disturbed)).helps
+    density = np.concatenate([helps['accelerometer.noise_density'], helps['gyroscope.noise_density']])
+    # then the noise declared is that of the integrals: 200 of them know it to a twentieth
+    assert np.allclose(density, error, rtol=0.25)
+    assert np.allclose(density[:3], np.sqrt(2 * lost * dt) * 0.5, rtol=0.15)
 
 
 def test_a_receiver_that_jumps_and_stays_there_has_no_outlier():

@@ -25,10 +25,12 @@ class Sighting:
     """What a direct look at a recording shows.
 
     parameters: those of the effect, name -> (value, sigma). text: the numbers and what they mean, without a full stop.
+    helps: settings with which the filter bears it, parameters of the YAML that differ from those it has.
     """
 
     parameters: dict[str, tuple[float, float]]
     text: str
+    helps: dict
 
 
 class Effect:

@@ -13,14 +13,14 @@ class GnssLag(Effect):
 
     To second order every smoothing receiver says p(t - delay) - lag a(t): a low pass has the delay tau and the lag
     -tau^2/2 (1/(1 + tau s) against exp(-tau s)), one that tracks the velocity (critically damped) no delay and the lag
-    tau^2. These two are traced and corrected, whatever its filter is.
+    tau^2. The delay is a time offset and is traced as one; the lag is what is traced here.
     """
 
     name = 'gnss_lag'
     signature = ('innovations along the track in proportion to the acceleration, across it in bends; what is late at '
-                 'constant speed, too, looks like a time offset')
+                 'constant speed, too, is a time offset')
     parameters = (EffectParameter('tau', 's', 0.5),)
-    traced = (EffectParameter('delay', 's', 0.1), EffectParameter('lag', 's^2', 0.25))
+    traced = (EffectParameter('lag', 's^2', 0.25),)
     settings = (Parameter('gnss.lag_per_acceleration', 0.0, 's^2', 'A receiver that smooths its positions: by how much '
                           'they stay behind, m for each m/s^2, beside gnss.time_offset.', minimum=-10.0,
                           maximum=10.0),)
@@ -39,5 +39,5 @@ class GnssLag(Effect):
         return position + np.column_stack([np.interp(time, drive.time, axis) for axis in behind.T])
 
     def adjusted(self, values, theta):
-        values = added(values, 'gnss.time_offset', None, theta['delay'])
+        values = added(values, 'gnss.time_offset', None, theta.get('delay', 0.0))
         return added(values, 'gnss.lag_per_acceleration', None, theta['lag'])

@@ -38,7 +38,8 @@ class GnssOutliers(Effect):
         return Sighting({'share': (share, share / np.sqrt(len(index))),
                          'sigma': (size, size / np.sqrt(2 * off.size))},
                         f'{len(index)} of {len(fixes)} fixes ({100 * share:.2g} %) are off by {size:.2g} m (RMS of an '
-                        'axis) from those before and after them, more than any vehicle moves and than they claim')
+                        'axis) from those before and after them, more than any vehicle moves and than they claim',
+                        {name: value for name, value in self.adjusted(values, {}).items() if value != values[name]})
 
     def adjusted(self, values, theta):
         robust = values['gnss.robust_sigma']

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from mems_ins_fusion.effects.base import Effect, EffectParameter, Sighting
+from mems_ins_fusion.effects.imu_repeats import noisier
 
 SMALLEST = 0.1  # scatter of the intervals, in intervals, that is worth a word
 _GAP = 5.0  # in intervals
@@ -16,8 +17,8 @@ class ImuJitter(Effect):
     """Samples are stamped late, each by another time: exponential with mean `sigma`, in order."""
 
     name = 'imu_jitter'
-    signature = ('none that stands out: what a stamp takes from one interval it gives to the next; fixes seem early by '
-                 'the mean delay')
+    signature = ('none that stands out: the sensors are noisier than characterized; fixes seem early by the mean '
+                 'delay')
     parameters = (EffectParameter('sigma', 's', 5e-3),)
     traced = ()
 
@@ -41,7 +42,8 @@ class ImuJitter(Effect):
         return Sighting({'sigma': (float(sigma), float(sigma / np.sqrt(len(step))))},
                         f'the intervals between IMU samples, {1e3 * interval:.3g} ms, scatter by '
                         f'{1e3 * scatter:.2g} ms: they are stamped on arrival. Let the driver stamp with the clock '
-                        'of the sensor; till then all other sensors seem early by about as much')
+                        'of the sensor; till then all other sensors seem early by about as much',
+                        noisier(values, recording.imu, (sigma / interval)**2))
 
     def adjusted(self, values, theta):
-        return values
+        return values  # what helps is seen in the samples
