@@ -222,6 +222,7 @@ class _Head(NamedTuple):
     AXLE: int = 18
     SPEED_SCALE: int = 19
     TIME_OFFSET: int = 132  # of the receiver's stamps, beyond gnss.time_offset
+    LAG: int = 135  # s^2: by how much a fix stays behind for each m/s^2
     ACCELEROMETER_INTERVAL: int = 20  # s, of the autoregressive model; 0: another model
     GYROSCOPE_INTERVAL: int = 21
     MAX_GAP: int = 22
@@ -268,7 +269,7 @@ class _Head(NamedTuple):
     RECOVERIES: int = 131  # resets to fixes that had been refused
     HISTORY_AT: int = 133  # where a smoother's history begins, see history.py; 0: none
     AXLE_ACROSS: int = 134  # index of the optional state axle_y
-    SIZE: int = 135
+    SIZE: int = 136
 
 
 Head = _Head()

@@ -1,0 +1,57 @@
+"""Repeated IMU samples: the messages come faster than the sensor measures, or the driver read too early."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mems_ins_fusion.effects.base import Effect, EffectParameter, Sighting
+from mems_ins_fusion.sensor_errors.from_parameters import per_axis
+
+SMALLEST = 0.01  # share that is worth a word
+
+
+class ImuRepeats(Effect):
+    """A `share` of the samples repeats the one before it to the last digit."""
+
+    name = 'imu_repeats'
+    signature = 'none that stands out: the sensors are noisier than characterized'
+    parameters = (EffectParameter('share', '-', 0.2),)
+    traced = ()
+
+    def distort_samples(self, imu, values, rng):
+        own = rng.uniform(size=len(imu)) >= values['share']
+        source = np.maximum.accumulate(np.where(own, np.arange(len(imu)), 0))
+        return replace(imu, specific_force=imu.specific_force[source], angular_rate=imu.angular_rate[source])
+
+    def seen(self, values, recording):
+        imu = recording.imu
+        both = np.hstack([imu.specific_force, imu.angular_rate])
+        same = (both[1:] == both[:-1]).all(axis=1)
+        share = float(same.mean()) if len(same) else 0.0
+        if not SMALLEST < share < 1:
+            return None
+        seconds = (imu.stamp[-1] - imu.stamp[0]) * 1e-9
+        return Sighting({'share': (share, float(np.sqrt(share * (1 - share) / len(same))))},
+                        f'{100 * share:.2g} % of the IMU samples repeat the one before to the last digit: about '
+                        f'{(1 - share) * len(same) / seconds:.3g} a second are new. Set the driver to the rate at '
+                        'which the sensor measures', noisier(values, imu, share))
+
+    def adjusted(self, values, theta):
+        return values  # what helps is seen in the samples
+
+
+def noisier(values: dict, imu, share: float) -> dict:
+    """The noise densities with that of samples of which this share is taken for the one before it.
+
+    What a sample misses of its change goes into one interval T: white noise of density share T times the mean square
+    change, which is above all vibration.
+    """
+    interval = (imu.stamp[-1] - imu.stamp[0]) * 1e-9 / (len(imu) - 1)
+    raised = {}
+    for sensor, samples in (('accelerometer', imu.specific_force), ('gyroscope', imu.angular_rate)):
+        change = np.diff(samples, axis=0)
+        change = change[(change != 0).any(axis=1)]
+        density = np.sqrt(share * interval * np.mean(change**2, axis=0))
+        raised[f'{sensor}.noise_density'] = np.hypot(per_axis(values, f'{sensor}.noise_density'), density).tolist()
+    return raised
