@@ -61,6 +61,7 @@ def detect(residual: Residual, mask: np.ndarray) -> Detection:
     """The tests on the innovations in `mask`."""
     from scipy.stats import chi2, norm
 
+    mask = mask & np.isfinite(residual.z[:, 0])  # what the filter refused says nothing of the others
     u, t = residual.whitened()[mask], residual.along_across()[mask]
     series = dict(zip(COMPONENTS, [*u.T, *t.T]))
     n = len(u)
