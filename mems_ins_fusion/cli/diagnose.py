@@ -35,7 +35,8 @@ def diagnose(options: argparse.Namespace) -> str:
     from mems_ins_fusion.reports.replay import read_part
     from mems_ins_fusion.results import result_folder
 
-    given = _parameters(options)
+    kept = params_file.load_yaml(options.params_file) if options.params_file else {}
+    given = _parameters(options, kept)
     with result_folder(options.output, options.overwrite) as folder:
         with _Bar() as bar:
             recording, warned = read_part(options.bag, table.check(given), lambda part: bar(0.2 * part, 'reading'))
@@ -46,18 +47,18 @@ def diagnose(options: argparse.Namespace) -> str:
             bar(0.95, 'writing')
             checked = check_recording(recording)
             answered = answer(result, checked, options.output)
-            (folder / 'corrected.yaml').write_text(corrected_yaml(result, given), encoding='utf-8')
+            (folder / 'corrected.yaml').write_text(corrected_yaml(result, kept), encoding='utf-8')
             content = json.dumps(report(result, answered, checked, warned), indent=1, allow_nan=False)
             (folder / 'report.json').write_text(content, encoding='utf-8')
-            page = report_html(result, given, answered, checked, warned)
+            page = report_html(result, kept, answered, checked, warned)
             (folder / 'report.html').write_text(page, encoding='utf-8')
             bar(1.0, 'done')
     return '\n'.join([*story(result, answered), *warned, f'The whole story: {options.output}/report.html'])
 
 
-def _parameters(options) -> dict:
-    """What the params file and the options give, by full name."""
-    given = params_file.load_yaml(options.params_file) if options.params_file else {}
+def _parameters(options, kept: dict) -> dict:
+    """What the params file, `kept`, and the options give, by full name."""
+    given = dict(kept)
     asked = {'reference_topic': options.reference_topic, 'reference_file': options.reference_file,
              'start': options.start, 'stop': options.stop}
     if options.reference_topic:

@@ -5,7 +5,6 @@ Each step takes what is known so far (`Known`, never changed) and returns what i
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -64,13 +63,14 @@ FEWEST_FIXES = 60
 #: a recording has turns, and changes of speed, where these happen: rad/s and m/s^2 (root mean square)
 TURNING, SPEEDING = 0.03, 0.15
 MOST_ROUNDS = 6
-#: a search that has taken this long is content with what it has, s
-ENOUGH = 30.0
+#: a search that has filtered so many IMU samples is content with what it has: half a minute on two cores, whatever the
+#: recording, and the same result on each machine
+ENOUGH = 10_000_000
 #: errors are measured no more often than this, s
 REFERENCE_INTERVAL = 0.1
 #: candidates of one round that are fitted to see which explains most, if their gain is this part of the largest, and
 #: how close in log likelihood equals come
-TRIED, PART, CLOSE = 3, 0.2, 3.3
+TRIED, PART, CLOSE, MOST_TRIED = 3, 0.2, 3.3, 4
 #: position errors all in all that differ by this factor tell effects apart
 DIFFERENT = 1.1
 #: a parameter is not determined where values this many times apart fit equally well
@@ -83,8 +83,8 @@ SAME_START = 0.7
 PLAIN, SHOWN = 3.0, 2.0
 #: the filter with corrected.yaml is better where its errors are this part of those before, all in all
 BETTER = 0.97
-#: outages among which settings are chosen
-FEW_OUTAGES = 60
+#: decisions are made on about so many outages, so far apart, s
+FEW_OUTAGES, CLOSEST_OUTAGES = 60, 10.0
 
 Progress = Callable[[float, str], None]
 
@@ -145,7 +145,7 @@ class Diagnosis:
 
 @dataclass(frozen=True)
 class Bench:
-    """The recording on the bench: what errors a filter makes in it. begun: s, by the monotonic clock."""
+    """The recording on the bench: what errors a filter makes in it."""
 
     recording: Recording
     origin: Problem
@@ -153,24 +153,27 @@ class Bench:
     durations: tuple[float, ...]
     spacing: float
     tell: Progress
-    begun: float
 
     def enough(self, share: float = 1.0) -> bool:
-        """Whether this share of the time for the search is over."""
-        return time.monotonic() - self.begun > share * ENOUGH
+        """Whether this share of the work of a search is done."""
+        return sum(self.origin.runs) > share * ENOUGH
 
-    def errors(self, models: Sequence[dict], spacing: float | None = None, full: bool = False) -> Measured:
-        """Of one filter, or of those fitted to all parts but one, in these parts. full: with all IMU samples."""
-        imu = self.origin.full.imu if full else self.origin.drive.imu
-        return measure(self.origin, self.recording, imu, models, self.durations, spacing or self.spacing)
+    def errors(self, models: Sequence[dict], full: bool = False) -> Measured:
+        """Of one filter, or of those fitted to all parts but one, in these parts.
 
-    def each(self, configurations: Sequence[dict]) -> list[Measured]:
-        """Of several filters, in few outages."""
+        full: with all IMU samples, by the protocol that is reported; else for decisions.
+        """
+        if full:
+            return measure(self.origin, self.recording, self.origin.full.imu, models, self.durations, self.spacing)
         mask = self.origin.mask
         seconds = float(self.origin.stamp[mask][-1] - self.origin.stamp[mask][0]) * 1e-9
-        spacing = max(self.spacing, seconds / FEW_OUTAGES)
+        spacing = max(CLOSEST_OUTAGES, seconds / FEW_OUTAGES)
+        return measure(self.origin, self.recording, self.origin.drive.imu, models, self.durations, spacing)
+
+    def each(self, configurations: Sequence[dict]) -> list[Measured]:
+        """Of several filters."""
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            return list(pool.map(lambda values: self.errors([values], spacing), configurations))
+            return list(pool.map(lambda values: self.errors([values]), configurations))
 
 
 @dataclass(frozen=True)
@@ -225,7 +228,7 @@ def diagnose(recording: Recording, values: dict, progress: Progress = lambda par
                              f'{FEWEST_FIXES} are needed: record some minutes of driving with fixes every second')
     durations = tuple(d for d in durations if d < 0.3 * (problem.stamp[-1] - problem.stamp[0]) * 1e-9)
     library = tuple(effects if effects is not None else EFFECTS.values())
-    bench = Bench(recording, problem, library, durations, spacing, progress, time.monotonic())
+    bench = Bench(recording, problem, library, durations, spacing, progress)
     known = first = begin(bench)
     for _ in range(MOST_ROUNDS):
         further = add_best(known, bench)
@@ -270,7 +273,7 @@ def add_best(known: Known, bench: Bench) -> Known:
     bench.tell(share, 'testing effects')
     views = starts(known)[:1 if bench.enough(0.6) else None]
     best: dict[str, tuple[Candidate, np.ndarray]] = {}
-    significant: list[tuple[Candidate, np.ndarray]] = []
+    significant: list[tuple[int, Candidate, np.ndarray]] = []
     for view in views:
         at, nuisance = scores(known.problem, known.model.unknowns, view)
         moved = known.problem.moved(known.model.unknowns, view)
@@ -280,13 +283,16 @@ def add_best(known: Known, bench: Bench) -> Known:
                 best[candidate.name] = candidate, view
         plain = [c for c in traced if c.p_adjusted <= SIGNIFICANCE and c.scores is not None]
         plain.sort(key=lambda c: 2 * len(c.theta) - c.gain)
-        significant += [(c, view) for c in plain[:TRIED] if c.gain >= PART * plain[0].gain]
+        significant += [(rank, c, view) for rank, c in enumerate(plain[:TRIED]) if c.gain >= PART * plain[0].gain]
     candidates = sorted((c for c, _ in best.values()), key=lambda c: (c.p, -c.gain))
     known = replace(known, rounds=(*known.rounds, candidates))
     if not significant:
         return known
-    bench.tell(share + 0.05, f'adding {" or ".join(dict.fromkeys(c.name for c, _ in significant))}')
-    return _tried(known, significant, candidates, bench)
+    # each from the start where it explains most, those first that are first at some start
+    names = [c.name for _, c, _ in sorted(significant, key=lambda found: (found[0], best[found[1].name][0].p))]
+    names = list(dict.fromkeys(names))[:MOST_TRIED]
+    bench.tell(share + 0.05, f'adding {" or ".join(names)}')
+    return _tried(known, [best[name] for name in names], candidates, bench)
 
 
 def starts(known: Known) -> list[np.ndarray]:
@@ -322,13 +328,8 @@ def _tried(known: Known, significant, candidates: list[Candidate], bench: Bench)
     Of those that explain the same, the position errors decide where these differ: a reference may know more. What
     cannot be is told and makes room for the next.
     """
-    models: dict[str, Model] = {}
-    chosen: dict[str, Candidate] = {}
-    for candidate, view in significant:
-        model = _with(known, candidate, view, bench)
-        if candidate.name not in models or model.likelihood(known.problem.mask) > models[candidate.name].likelihood(
-                known.problem.mask):
-            models[candidate.name], chosen[candidate.name] = model, candidate
+    chosen = {candidate.name: candidate for candidate, _ in significant}
+    models = {candidate.name: _with(known, candidate, view, bench) for candidate, view in significant}
     mask = np.logical_and.reduce([model.problem.mask for model in models.values()])
     merit = {name: model.likelihood(mask) - len(chosen[name].theta) for name, model in models.items()}
     order = sorted(models, key=merit.get, reverse=True)
@@ -380,6 +381,7 @@ def _with(known: Known, candidate: Candidate, view: np.ndarray, bench: Bench) ->
     model = known.model
     if candidate.effect.replaces_model(candidate.values()):
         problem = Problem(bench.recording, candidate.effect.adjusted(known.problem.given, candidate.values()))
+        problem.runs = known.problem.runs
         problem = problem.without(known.problem.outlying)
         noise = noise_unknowns(problem)
         kept = [u for u in model.unknowns if not u.noise]
@@ -459,10 +461,9 @@ def _refined(known: Known, effect: Effect, trial: Model) -> tuple[Model, dict[st
     first = len(known.model.unknowns)
     fits = []
     for fixed in effect.tried:
-        unknowns = [*known.model.unknowns, *effect_unknowns(effect, fixed, known.problem.attitude)]
-        model = fit(trial.problem, unknowns, trial.x)
         refined = refined_unknowns(effect, fixed)
-        fits.append(fit(trial.problem, [*unknowns, *refined], np.append(model.x, np.zeros(len(refined)))))
+        unknowns = [*known.model.unknowns, *effect_unknowns(effect, fixed, known.problem.attitude), *refined]
+        fits.append(fit(trial.problem, unknowns, np.append(trial.x, np.zeros(len(refined)))))
     mask = trial.problem.mask
     best = max(fits, key=lambda m: m.likelihood(mask))
     good = [m for m in fits if m.likelihood(mask) > best.likelihood(mask) - CLOSE]
@@ -557,8 +558,9 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
     comparison = compared(before, after)
     if correction is not configured and not improves(comparison):
         correction, after, comparison = configured, before, compared(before, before)
+    hidden = _not_shown(known)
     # a finding is added only where corrected.yaml holds it
-    findings = [*_final(known, correction.values, given, bench.library), *correction.settings]
+    findings = [*_final(known, hidden, correction.values, given, bench.library), *correction.settings]
     if not correction.effects:
         findings = [replace(f, added=False, changes={}, reason=f.reason or 'the errors do not shrink with it')
                     for f in findings]
@@ -572,7 +574,7 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
         recording=bench.recording, values=given, problem=origin, residuals=residuals,
         detections={stage: detect(r, origin.mask) for stage, r in residuals.items()}, noise=correction.factors,
         explained=explained, rounds=list(known.rounds), chosen=list(known.chosen), findings=findings,
-        outliers=known.outliers, hidden=_not_shown(known), corrected=correction.values,
+        outliers=known.outliers, hidden=hidden, corrected=correction.values,
         better=correction is not configured, before=before, fitted=noise_only, after=after, comparison=comparison,
         rest=rest, remarks=_remarks(origin) + _noise_remarks(explained))
 
@@ -622,7 +624,7 @@ def improves(comparison: Sequence[dict]) -> bool:
     return all_in_all(rows) < BETTER or honest and all_in_all(rows) <= 1.0
 
 
-def _final(known: Known, corrected: dict, given: dict, library: Sequence[Effect]) -> list[Finding]:
+def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence[Effect]) -> list[Finding]:
     """All findings with the estimates of the last joint fit, and what each has changed in `corrected`."""
     model, sigma, found = known.model, known.model.sigma(), []
     effects = {e.name: e for e in library}
@@ -633,7 +635,7 @@ def _final(known: Known, corrected: dict, given: dict, library: Sequence[Effect]
         parameters = finding.parameters
         if finding.added and own:
             parameters = {n: own.get(n, e) for n, e in parameters.items() if n in own or e.sigma is None}
-        parameters = {n: e for n, e in parameters.items() if f'{finding.name}.{n}' not in known.hidden}
+        parameters = {n: e for n, e in parameters.items() if f'{finding.name}.{n}' not in hidden}
         changes = {}
         if finding.added:
             effect = effects[finding.name]
@@ -646,11 +648,11 @@ def _final(known: Known, corrected: dict, given: dict, library: Sequence[Effect]
 
 
 def _not_shown(known: Known) -> dict[str, str]:
-    """Effects and parameters of which nothing can be said, and why."""
+    """Effects and parameters of which nothing can be said, and why: as each effect was tested last."""
     estimated = {u.name for u in known.model.unknowns}
-    undetermined = {f'{c.name}.{name}': 'not determined by this recording'
-                    for candidates in known.rounds for c in candidates for name in c.undetermined
-                    if f'{c.name}.{name}' not in estimated}
+    last = {c.name: c for candidates in known.rounds for c in candidates}
+    undetermined = {f'{c.name}.{name}': 'not determined by this recording' for c in last.values()
+                    for name in c.undetermined if f'{c.name}.{name}' not in estimated}
     added = {f.name for f in known.findings if f.added}
     return {name: why for name, why in {**known.hidden, **undetermined}.items() if name not in added}
 

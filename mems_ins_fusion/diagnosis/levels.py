@@ -16,8 +16,10 @@ from .residuals import LARGEST_FACTOR, MODEL_NOISE, scaled
 
 #: factors are tried in steps of this
 STEP = float(np.sqrt(10.0))
-#: how much better a prediction has to be on average, in log likelihood, for each level that is moved by a step
-WORTH = 0.05
+#: how much better all predictions together have to be, in log likelihood, for each level that is moved by a step
+WORTH = 3.0
+#: a constraint is no better or worse than configured by more steps
+MOST_STEPS = {'vehicle.non_holonomic_sigma': 1}
 #: times that all levels are gone through
 SWEEPS = 2
 
@@ -64,15 +66,17 @@ def choose(values: dict, errors: Callable[[Sequence[dict]], list[Measured]], par
         new = [p for p in dict.fromkeys(points) if p not in tried]
         found = errors([multiplied(values, _factors(names, p), claimed) for p in new])
         for point, measured in zip(new, found):
-            tried[point] = _merit(measured, part_of, count) - WORTH * np.abs(point).sum()
+            predictions = sum(len(o.begin) for o in measured.outages)
+            tried[point] = _merit(measured, part_of, count) - WORTH * np.abs(point).sum() / max(predictions, 1)
         return [tried[p][-1] for p in points]
 
     best = tuple(0 for _ in names)
+    most = round(np.log(LARGEST_FACTOR) / np.log(STEP))
     merits([best])
     for _ in range(SWEEPS):
         before = best
         for i in range(len(names)):
-            best = _along(best, i, merits, tried)
+            best = _along(best, i, MOST_STEPS.get(names[i], most), merits, tried)
             if enough():
                 break
         if best == before or enough():
@@ -83,9 +87,8 @@ def choose(values: dict, errors: Callable[[Sequence[dict]], list[Measured]], par
     return Levels(_factors(names, chosen[-1]), [_factors(names, p) for p in chosen[:-1]])
 
 
-def _along(best, i, merits, tried):
-    """The best point on the line through `best` along axis i: steps as long as they help, up or down."""
-    limit = round(np.log(LARGEST_FACTOR) / np.log(STEP))
+def _along(best, i, limit: int, merits, tried):
+    """The best point on the line through `best` along axis i: steps as long as they help, up or down, to `limit`."""
 
     def moved(by):
         return (*best[:i], best[i] + by, *best[i + 1:])

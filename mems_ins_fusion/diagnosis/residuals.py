@@ -22,7 +22,7 @@ import numpy as np
 
 from ..evaluation.comparison import aiding_of, samples_to_keep, thin
 from ..filter.alignment import transferred
-from ..filter.config import FilterConfig
+from ..filter.config import SENSORS, FilterConfig
 from ..filter.layout import Event, Kind, Verdict
 from ..filter.replay import run
 from ..filter.results import Run
@@ -208,6 +208,7 @@ class Problem:
         if self.start is None:
             raise DiagnosisError(f'{recording.name}: the filter starts only with fixes that it does not believe later')
         self.attitude = cache(self._attitude)
+        self.runs: list[int] = []  # IMU samples of each run, of this problem and those made from it
         self.base = self.residual(self.values, self.recording)
         settled = self.stamp > began + round(SETTLING * 1e9)
         self.mask = settled & np.isfinite(self.base.z[:, 0])
@@ -233,6 +234,7 @@ class Problem:
         keep: the samples whose states are kept, (n,) bool; all where None.
         """
         config = FilterConfig.from_parameters(values)
+        self.runs.append(len(recording.imu))
         return run(config, recording.imu, recording.gnss, aiding_of(recording),
                    transferred(self.start, self.config, config), keep)
 
@@ -455,7 +457,7 @@ def fit(problem: Problem, unknowns: Sequence[Unknown], x, iterations: int = 8) -
         moved = False
         for _ in range(5):
             step = np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
-            step = np.clip(step, -prior, prior)
+            step = np.clip(x + np.clip(step, -prior, prior), *bounds) - x
             [trial] = problem.residuals(unknowns, [x + step])
             better = _objective(trial, mask, x + step, base, prior)
             if better > value:
@@ -483,11 +485,11 @@ MODEL_NOISE = {'random_walk': 'random_walk.q', 'gauss_markov': 'gauss_markov.sig
                 'autoregressive': 'autoregressive.b0'}
 #: how far a fit may take a noise level, natural logarithm: what is usual, and what is no noise of that sensor any more
 NOISE_PRIOR, RECEIVER_PRIOR = 1.0, 1.5
-LARGEST_FACTOR, LARGEST_RECEIVER = 10.0, 100.0
+SMALLEST_FACTOR, LARGEST_FACTOR, LARGEST_RECEIVER = 3.0, 10.0, 100.0
 
 
 def noise_unknowns(problem: Problem) -> list[Unknown]:
-    """Logarithms of the noise levels: receiver, white noise and slow errors of the sensors, each as a factor."""
+    """Logarithms of the noise levels as factors: of the receiver, of each kind of sensor, of the constraint."""
     model = MODEL_NOISE[problem.values['sensor_error_model']]
     original, claimed, outlying = problem.drive.gnss, problem.claimed, problem.outlying
 
@@ -495,18 +497,20 @@ def noise_unknowns(problem: Problem) -> list[Unknown]:
         return values, replace(recording, gnss=replace(
             recording.gnss, covariance=believed(original, claimed, x, outlying).covariance))
 
-    names = [f'{sensor}.{part}' for sensor in ('accelerometer', 'gyroscope') for part in ('noise_density', model)]
-    constraints = [name for name, on in (('vehicle.non_holonomic_sigma', problem.values['vehicle.non_holonomic']),)
-                   if on]
-    sensors = [Unknown(name, _scaled(name), 0.0, 0.05, NOISE_PRIOR, one_sided=True, noise=True,
-                       bounds=(-np.log(LARGEST_FACTOR), np.log(LARGEST_FACTOR))) for name in [*names, *constraints]]
+    groups = {f'{sensor}.noise': [f'{sensor}.noise_density', f'{sensor}.{model}'] for sensor in SENSORS}
+    if problem.values['vehicle.non_holonomic']:
+        groups['vehicle.non_holonomic_sigma'] = ['vehicle.non_holonomic_sigma']
+    sensors = [Unknown(name, _scaled(names), 0.0, 0.05, NOISE_PRIOR, one_sided=True, noise=True,
+                       bounds=(-np.log(SMALLEST_FACTOR), np.log(LARGEST_FACTOR))) for name, names in groups.items()]
     return [Unknown('gnss.sigma', receiver, 0.0, 0.05, RECEIVER_PRIOR, one_sided=True, noise=True,
-                    bounds=(-np.log(LARGEST_FACTOR), np.log(LARGEST_RECEIVER))), *sensors]
+                    bounds=(-np.log(SMALLEST_FACTOR), np.log(LARGEST_RECEIVER))), *sensors]
 
 
-def _scaled(name: str) -> Callable:
+def _scaled(names: Sequence[str]) -> Callable:
     def apply(values, recording, x):
-        return scaled(values, name, float(np.exp(x))), recording
+        for name in names:
+            values = scaled(values, name, float(np.exp(x)))
+        return values, recording
     return apply
 
 
