@@ -25,7 +25,7 @@ test: .venv/ros,test
 test-oldest: .venv-oldest/ros,test
 	$(OLDEST)/python -m mems_ins_fusion compile
 	$(OLDEST)/python $(PYTEST) $(wildcard test/test_filter*.py test/test_navigation*.py test/test_fusion_node*.py \
-	    test/test_node*.py test/test_replay*.py test/test_evaluation*.py)
+	    test/test_node*.py test/test_replay*.py test/test_evaluation*.py test/test_compiled.py)
 
 # an empty file in the environment for each set of extras that is installed there
 .venv/%: setup.py pyproject.toml

@@ -8,15 +8,18 @@ import pytest
 from filter_support import PAPER, configure
 
 from mems_ins_fusion.diagnosis.residuals import averaged
+from mems_ins_fusion.effects.gnss_outliers import far_off
 from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.filter import replay as filter_replay
 from mems_ins_fusion.filter.alignment import transferred
 from mems_ins_fusion.filter.live import FusionFilter
 from mems_ins_fusion.filter.replay import run
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.navigation.frames import mounting
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.samples import ImuSamples
-from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.samples import ImuSamples, Speeds
+from mems_ins_fusion.simulation.drive import START_STAMP
+from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 RECEIVER = GnssNoise(sigma=0.1, rate=0.5)
 #: sizes that nobody would overlook
@@ -26,7 +29,11 @@ SIZES = {'gnss_time_offset': {'time_offset': 0.3}, 'gnss_lever_arm': {'x': 2.0, 
          'tilt': {'pitch_per_acceleration': 0.03, 'roll_per_acceleration': 0.03},
          'g_sensitivity': {'x': 0.02, 'y': -0.02}, 'accelerometer_lever_arm': {'x': 1.2, 'y': -0.5, 'z': 0.3},
          'temperature': {'accelerometer_x': 0.05, 'accelerometer_y': -0.05, 'gyroscope_z': 2e-3},
-         'sideslip': {'angle_per_acceleration': 0.05}}
+         'sideslip': {'angle_per_acceleration': 0.05}, 'gnss_lag': {'tau': 0.4},
+         'rear_axle': {'x': -4.0}, 'gyroscope_warm_up': {'z': 0.02, 'tau': 60.0},
+         'gnss_outliers': {'share': 0.05, 'sigma': 30.0}}
+CONSTRAINED = ('sideslip', 'rear_axle')
+SEEN = [name for name, effect in EFFECTS.items() if not effect.traced]
 
 
 @pytest.fixture(scope='module')
@@ -39,9 +46,9 @@ def recorded(drive, effects=(), mounting_rpy=(0.0, 0.0, 0.0), receiver=RECEIVER)
     return simulate_recording(drive, sensors, receiver, effects, mounting_rpy, seed=3).recording
 
 
-def horizontal_error(config, recording) -> float:
+def horizontal_error(config, recording, aiding=filter_replay.Aiding()) -> float:
     """RMS distance, m, of the filter's positions from the true ones of the same samples."""
-    result, true = run(config, recording.imu, recording.gnss), recording.reference
+    result, true = run(config, recording.imu, recording.gnss, aiding), recording.reference
     meridian, prime_vertical = radii(result.latitude)
     north = (result.latitude - true.latitude[result.index]) * (meridian + result.height)
     east = (result.longitude - true.longitude[result.index]) * (prime_vertical + result.height)
@@ -54,11 +61,12 @@ def horizontal_error(config, recording) -> float:
 def test_a_declared_effect_does_no_harm(drive, name, mounting_rpy):
     # given a drive that an effect disturbs, with sensors that stand along the vehicle or across it
     effect, theta = EFFECTS[name], EFFECTS[name].complete(SIZES[name])
-    values = table.check({**PAPER, 'imu.mounting_rpy': list(mounting_rpy), 'vehicle.non_holonomic': name == 'sideslip'})
+    values = table.check({**PAPER, 'imu.mounting_rpy': list(mounting_rpy),
+                          'vehicle.non_holonomic': name in CONSTRAINED})
     disturbed = recorded(drive, [(effect, theta)], mounting_rpy)
     # when the filter does not know, knows, and when there is no effect
     ignorant = horizontal_error(configure(values), disturbed)
-    knowing = horizontal_error(configure(effect.adjusted(values, theta)), disturbed)
+    knowing = horizontal_error(configure(effect.adjusted(values, effect.as_traced(theta))), disturbed)
     clean = horizontal_error(configure(values), recorded(drive, (), mounting_rpy))
     # then knowing it is as good as not having it
     assert knowing < 1.15 * clean
@@ -81,14 +89,18 @@ def test_declared_coloured_noise_makes_the_innovations_what_they_are_said_to_be(
 @pytest.mark.parametrize('name', EFFECTS)
 def test_effects_of_both_signs_cancel(name):
     effect = EFFECTS[name]
-    theta = effect.complete(SIZES.get(name, {}))
-    if name in ('gnss_coloured_noise', 'mounting_rotation'):  # variances only add, and rotations do not commute
-        theta = {'sigma': 0.0, 'tau': 60.0} if 'sigma' in theta else {'roll': 0.0, 'pitch': 0.0, 'yaw': 0.2}
+    theta = effect.as_traced(effect.complete(SIZES.get(name, {})))
+    # variances only add, rotations do not commute
+    theta = {'gnss_coloured_noise': {'sigma': 0.0, 'tau': 60.0}, 'gnss_latency': {'wander': 0.0},
+             'mounting_rotation': {'roll': 0.0, 'pitch': 0.0, 'yaw': 0.2}}.get(name, theta)
     values = table.check(PAPER)
     there = effect.adjusted(values, theta)
+    if name in SEEN:  # what helps against it knows no sign
+        return
     back = effect.adjusted(there, {name: -value if name != 'tau' else value for name, value in theta.items()})
     table.check(there)  # what corrected.yaml holds loads again
-    for key, value in values.items():
+    there = [key for key in values if key != 'gyroscope.warm_up_time']  # the time constant of nothing
+    for key, value in ((key, values[key]) for key in there):
         # one number for all axes may have become three
         same = back[key] == value or np.abs(np.subtract(back[key], value)).max() < 1e-12
         assert same, key
@@ -99,18 +111,22 @@ def test_the_registry_says_all_that_a_report_needs(name):
     effect = EFFECTS[name]
     assert effect.name == name
     assert len(effect.signature) > 20
-    assert effect.parameters and all(p.unit and p.prior_scale > 0 for p in effect.traced)
+    assert effect.parameters and all(p.unit and p.prior_scale > 0 for p in (*effect.parameters, *effect.traced))
     assert effect.principal in [p.name for p in effect.parameters]
     assert all(table.ALL[setting.name] is setting for setting in effect.settings)
     # what is tried at fixed values leaves something to be estimated
     traced = {p.name for p in effect.traced}
-    assert all(set(fixed) < traced for fixed in effect.tried)
+    assert all(set(fixed) < traced for fixed in effect.tried) or name in SEEN
+    # and what is simulated can be declared
+    theta = effect.as_traced(effect.complete({}))
+    assert set(theta) >= traced - {'compensation'}
+    table.check(effect.adjusted(table.defaults(), theta))
 
 
 def corrected_values() -> dict:
     return table.check({**PAPER,
         'imu.lever_arm': [2.0, -0.7, 0.3], 'accelerometer.temperature_coefficient': [0.02, -0.01],
-        'gyroscope.temperature_coefficient': 3e-4, 'imu.mounting_rpy': [0.1, -0.2, 1.3]})
+        'gyroscope.temperature_coefficient': 3e-4, 'gyroscope.warm_up': 0.01, 'imu.mounting_rpy': [0.1, -0.2, 1.3]})
 
 
 def test_correctors_take_samples_in_any_portions():
@@ -121,7 +137,7 @@ def test_correctors_take_samples_in_any_portions():
     stamp[200] = stamp[199]
     f, w = rng.standard_normal((2, n, 3)) * [[[3.0]], [[0.5]]]
     celsius = np.where(np.arange(n) < 50, np.nan, 20 + 0.05 * np.arange(n))
-    values, names = corrected_values(), ('temperature', 'accelerometer_lever_arm')
+    values, names = corrected_values(), ('temperature', 'accelerometer_lever_arm', 'gyroscope_warm_up')
     rotation = mounting(values['imu.mounting_rpy'])
     for name in names:
         def portions(edges, effect=EFFECTS[name]):
@@ -133,7 +149,7 @@ def test_correctors_take_samples_in_any_portions():
         # then not a bit differs, and something has been corrected
         for edges in (np.arange(n + 1), [0, 1, 7, 100, 101, 200, 250, n]):
             assert all(np.array_equal(a, b) for a, b in zip(whole, portions(edges)))
-        assert not np.array_equal(whole[0], f)
+        assert not (np.array_equal(whole[0], f) and np.array_equal(whole[1], w))
 
 
 def test_no_corrector_where_nothing_is_declared():
@@ -204,7 +220,8 @@ def test_live_and_replay_give_the_same_bits_with_corrections(drive):
 def test_effects_that_cannot_show_say_why(drive):
     recording, values = recorded(drive), table.check(PAPER)
     hidden = {name: effect.hidden(values, recording) for name, effect in EFFECTS.items()}
-    assert {name for name, why in hidden.items() if why} == {'temperature', 'sideslip', 'mounting_rotation'}
+    assert {name for name, why in hidden.items() if why} == {'temperature', 'sideslip', 'mounting_rotation',
+                                                             'rear_axle', 'speed_scale', *SEEN}
     assert 'temperature_topic' in hidden['temperature']
     assert 'vehicle.non_holonomic' in hidden['sideslip'] and 'vehicle.non_holonomic' in hidden['mounting_rotation']
     # and where they can, they do not
@@ -213,7 +230,104 @@ def test_effects_that_cannot_show_say_why(drive):
     assert not EFFECTS['temperature'].hidden(values, warm)
     assert not EFFECTS['sideslip'].hidden(constrained, recording)
     assert not EFFECTS['mounting_rotation'].hidden(constrained, recording)
+    assert not EFFECTS['rear_axle'].hidden(constrained, recording)
+    # nor where the filter estimates it itself
+    assert 'estimates' in EFFECTS['rear_axle'].hidden({**constrained, 'vehicle.rear_axle_sigma': 1.0}, recording)
+    wheels = replace(recording, speed=Speeds(*np.zeros((4, 1))))
+    assert 'estimates' in EFFECTS['speed_scale'].hidden({**values, 'speed.scale_sigma': 0.02}, wheels)
+    assert not EFFECTS['speed_scale'].hidden({**values, 'speed.scale_sigma': 0.0}, wheels)
     assert 'strapdown' in EFFECTS['tilt'].hidden({**values, 'mechanization': 'strapdown'}, recording)
+
+
+@pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+def test_a_lag_is_as_far_behind_as_the_acceleration_says(mechanization):
+    # given perfect sensors (on a hill for the filter that knows hills), and fixes behind by 0.5 s^2 times the second
+    # difference of the true positions
+    lag, step = 0.5, 0.02
+    drive = simulate_drive(120.0, 4, 100.0, hills=mechanization == 'strapdown')
+    recording = simulate_recording(drive, None, GnssNoise(sigma=0.0)).recording
+    fixes, time = recording.gnss, (recording.gnss.stamp - START_STAMP) * 1e-9
+    before, now, after = (drive.at(time + k * step).position for k in (-1, 0, 1))
+    north, east, _ = -lag * (before - 2 * now + after).T / step**2
+    meridian, prime_vertical = radii(fixes.latitude)
+    behind = replace(fixes, latitude=fixes.latitude + north / (meridian + fixes.height),
+                     longitude=fixes.longitude + east / ((prime_vertical + fixes.height) * np.cos(fixes.latitude)))
+    assert np.hypot(north, east).max() > 1.0
+    values = {'mechanization': mechanization, 'gnss.sigma': 1.0}
+    largest = {}
+    for what, used, seen in (('none', {}, fixes), ('known', {'gnss.lag_per_acceleration': lag}, behind),
+                             ('ignored', {}, behind)):
+        innovations = run(configure({**values, **used}), recording.imu, seen).innovations
+        largest[what] = np.abs(innovations.z[20:]).max()
+    # then a filter that knows finds no more in them than where there is nothing
+    assert largest['known'] < largest['none'] + 0.08 < 0.3 < 0.5 < largest['ignored']
+
+
+def test_of_a_smoothing_receiver_the_delay_is_not_all(drive):
+    # given a receiver with a low pass of 1 s, and a filter that knows only that its fixes are late
+    effect, theta = EFFECTS['gnss_lag'], {'tau': 1.0}
+    disturbed, values = recorded(drive, [(effect, theta)]), table.check(PAPER)
+    late = horizontal_error(configure({**values, 'gnss.time_offset': 1.0}), disturbed)
+    knowing = horizontal_error(configure(effect.adjusted(values, effect.as_traced(theta))), disturbed)
+    # then the lag takes out half of what is left
+    assert knowing < 0.6 * late
+
+
+def test_a_latency_that_steps_is_followed(drive):
+    effect, theta = EFFECTS['gnss_latency'], EFFECTS['gnss_latency'].complete({'step': 0.5})
+    disturbed, values = recorded(drive, [(effect, theta)]), table.check(PAPER)
+    ignorant = horizontal_error(configure(values), disturbed)
+    knowing = horizontal_error(configure(effect.adjusted(values, effect.as_traced(theta))), disturbed)
+    assert knowing < 0.4 * ignorant
+
+
+def test_a_declared_speed_scale_does_no_harm(drive):
+    # given wheels without noise that turn 5 % too fast, and fixes for the first minute only
+    effect, theta = EFFECTS['speed_scale'], {'scale': 0.05}
+    sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
+    receiver, wheels = replace(RECEIVER, outages=[(60.0, 200.0)]), Aiding(speed_rate=10.0, speed_sigma=0.0, speed_scale=0.0)
+    values = table.check({**PAPER, 'speed_topic': '/speed', 'speed.scale_sigma': 0.0, 'speed.sigma': 0.05})
+    error = {}
+    for what, effects, used in (('clean', [], values), ('ignorant', [(effect, theta)], values),
+                                ('knowing', [(effect, theta)], effect.adjusted(values, theta))):
+        recording = simulate_recording(drive, sensors, receiver, effects, seed=3, aiding=wheels).recording
+        error[what] = horizontal_error(configure(used), recording, filter_replay.Aiding(speed=recording.speed))
+    assert error['knowing'] == pytest.approx(error['clean'], rel=1e-6)
+    assert error['ignorant'] > 1.4 * error['clean']
+
+
+@pytest.mark.parametrize(['name', 'theta'], [
+    ('gnss_outliers', {'share': 0.05, 'sigma': 40.0}), ('imu_repeats', {'share': 0.3}),
+    ('imu_jitter', {'sigma': 4e-3})])
+def test_what_is_seen_is_as_large_as_it_is(name, theta):
+    # given half an hour at 50 Hz with a receiver of 1 m, twice a second, that wanders
+    drive = simulate_drive(1800.0, 5, 50.0)
+    receiver = GnssNoise(sigma=1.0, rate=2.0, coloured_sigma=2.0)
+    clean, disturbed = (recorded(drive, effects, receiver=receiver) for effects in ([], [(EFFECTS[name], theta)]))
+    values = table.defaults()
+    # then each sees its own, with its size, and nothing else
+    for other in SEEN:
+        assert EFFECTS[other].seen(values, clean) is None
+        assert (EFFECTS[other].seen(values, disturbed) is not None) == (other == name)
+    seen = EFFECTS[name].seen(values, disturbed)
+    for parameter, true in theta.items():
+        value, sigma = seen.parameters[parameter]
+        # the smallest outliers hide, the largest delays push others along
+        assert abs(value - true) < 3 * sigma + 0.2 * true
+    assert seen.text[-1] != '.' and any(c.isdigit() for c in seen.text)
+
+
+def test_a_receiver_that_jumps_and_stays_there_has_no_outlier():
+    drive = simulate_drive(300.0, 5, 50.0)
+    fixes = recorded(drive, receiver=GnssNoise(sigma=0.5)).gnss
+    jumped = replace(fixes, latitude=fixes.latitude + np.where(np.arange(len(fixes)) > 150, 1e-5, 0.0))
+    assert len(far_off(fixes)[0]) == len(far_off(jumped)[0]) == 0
+    single = replace(fixes, latitude=fixes.latitude + np.where(np.arange(len(fixes)) == 150, 1e-5, 0.0))
+    index, off = far_off(single)
+    assert index.tolist() == [150] and np.abs(off - [[63.7, 0.0]]).max() < 3.0
+    # nor do few fixes, none, or messages without a fix say anything
+    assert all(len(far_off(fixes.select(slice(n)))[0]) == 0 for n in range(6))
+    assert len(far_off(replace(single, status=np.full(len(single), -1, np.int8)))[0]) == 0
 
 
 def test_averaging_keeps_the_motion():

@@ -10,7 +10,7 @@ from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.sensor_errors.models import GaussMarkov
 from mems_ins_fusion.simulation.drive import START_STAMP
-from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 SENSORS = SensorErrors((GaussMarkov(0.05, 100.0),) * 3, (GaussMarkov(1e-3, 100.0),) * 3, (0.01,) * 3, (1e-4,) * 3)
 DURATION = 240.0
@@ -45,6 +45,8 @@ TOUCHED = {
     'accelerometer_scale': 'xy.......', 'gyroscope_scale': '.....z...', 'mounting_rotation': 'xyzxyz...',
     'tilt': 'xyzxyz...', 'g_sensitivity': '.....z...', 'temperature': 'xy...z...',
     'accelerometer_lever_arm': 'xy.......', 'sideslip': 'xy...z...',
+    'gnss_lag': '......NE.', 'gnss_latency': '......NE.', 'gnss_outliers': '......NED', 'rear_axle': 'xy....NE.',
+    'speed_scale': '.........', 'gyroscope_warm_up': '.....z...', 'imu_repeats': 'xyzxyz...', 'imu_jitter': '.........',
 }
 
 
@@ -55,13 +57,14 @@ def test_an_effect_touches_what_it_should_and_nothing_else(drive, name):
     size = np.concatenate([np.abs(change).max(axis=0) for change in (force, rate, fixes)])
     expected = np.array([c != '.' for c in TOUCHED[name]])
     assert np.all(size[expected] > 1e-5)
-    assert np.all(size[~expected] < 1e-9)  # rounding: a difference of radians of latitude is worth 1 nm
+    # rounding: a difference of radians of latitude is worth 1 nm; gravity a metre further north is another by 8e-9
+    assert np.all(size[~expected] < 1e-8)
 
 
 @pytest.mark.parametrize('name', EFFECTS)
 def test_an_effect_of_size_zero_is_no_effect(drive, name):
-    # given all parameters at zero but a correlation time, which scales nothing
-    values = {p.name: 0.0 for p in EFFECTS[name].parameters if p.name != 'tau'}
+    # given all parameters at zero but those that scale nothing, a time constant
+    values = {p.name: 0.0 for p in EFFECTS[name].parameters if p.name not in ('tau', 'at') or name == 'gnss_lag'}
     for change in changes(drive, name, **values):
         assert np.abs(change).max() < 1e-8
 
@@ -240,3 +243,69 @@ def test_two_effects_add_up(drive):
     rate = tilted.recording.imu.angular_rate * [1, 1, 1.02]
     assert close(both.recording.imu.angular_rate, rate, 1e-12)
     assert np.array_equal(both.recording.imu.stamp, both.drive.stamp) and both.drive.stamp[0] == START_STAMP
+
+
+def test_a_smoothing_receiver_is_a_low_pass(drive):
+    # given fixes behind a low pass of 0.8 s: tau dp/dt = (true position) - p
+    tau, step = 0.8, 0.01
+    time = np.arange(30.0, 200.0, 0.37)
+    position = [EFFECTS['gnss_lag'].distort_fixes(drive, time + k * step, drive.at(time + k * step).position,
+                                                  {'tau': tau}, None) for k in (-1, 0, 1)]
+    rate = (position[2] - position[0]) / (2 * step)
+    assert close(tau * rate, drive.at(time).position - position[1], 2e-3)
+    # and at constant speed it is late by that
+    steady = np.linalg.norm(drive.at(time).position - position[1], axis=1) / tau
+    assert steady.max() == pytest.approx(np.linalg.norm(drive.velocity, axis=1).max(), rel=0.05)
+
+
+def test_a_latency_drifts_and_steps():
+    time = np.arange(101.0)
+    late = time - EFFECTS['gnss_latency'].fix_times(time, {'step': 0.2, 'drift': 1e-3, 'at': 0.3})
+    assert close(late, 1e-3 * time + np.where(time >= 30.0, 0.2, 0.0), 1e-12)
+
+
+def test_outliers_are_as_many_and_as_large_as_they_should_be():
+    rest = simulate_drive(4000.0, 1, rate=1.0, standstill=4000.0)
+    _, _, fixes = changes(rest, 'gnss_outliers', share=0.1, sigma=30.0)
+    wrong = np.abs(fixes).max(axis=1) > 1e-6
+    assert wrong.mean() == pytest.approx(0.1, abs=4 * np.sqrt(0.09 / len(wrong)))
+    assert fixes[wrong].std() == pytest.approx(30.0, rel=4 / np.sqrt(6 * wrong.sum()))
+
+
+def test_the_imu_is_where_the_rear_axle_is_seen_from_it(drive):
+    moved = simulated(drive, 'rear_axle', x=-1.5).drive
+    arm = moved.attitude.inv().apply(moved.position - drive.position)
+    assert close(arm, [1.5, 0.0, 0.0], 1e-9)
+
+
+def test_a_warming_gyroscope_forgets_its_bias(drive):
+    _, rate, _ = changes(drive, 'gyroscope_warm_up', z=2e-3, tau=60.0)
+    assert close(rate[:, 2], 2e-3 * np.exp(-drive.time / 60.0), 1e-12)
+
+
+def test_wheels_of_another_size_measure_another_speed(drive):
+    speeds = [simulate_recording(drive, effects=effects, aiding=Aiding(speed_rate=10.0, speed_scale=0.0)).recording.speed
+              for effects in ([], [(EFFECTS['speed_scale'], {'scale': 0.04})])]
+    true = drive.path.wheel_speed((speeds[0].stamp - START_STAMP) * 1e-9)
+    assert close(speeds[1].speed - speeds[0].speed, 0.04 * true, 1e-9)
+
+
+def test_repeated_samples_repeat_the_one_before(drive):
+    plain, disturbed = (simulate_recording(drive, SENSORS, effects=effects).recording.imu
+                        for effects in ([], [(EFFECTS['imu_repeats'], {'share': 0.4})]))
+    repeats = (disturbed.specific_force[1:] == disturbed.specific_force[:-1]).all(axis=1)
+    assert repeats.mean() == pytest.approx(0.4, abs=4 * np.sqrt(0.24 / len(repeats)))
+    own = np.append(True, ~repeats)
+    assert np.array_equal(disturbed.angular_rate[own], plain.angular_rate[own])
+    assert np.array_equal(disturbed.stamp, plain.stamp)
+
+
+def test_late_stamps_keep_their_order(drive):
+    plain, disturbed = (simulate_recording(drive, SENSORS, effects=effects).recording.imu
+                        for effects in ([], [(EFFECTS['imu_jitter'], {'sigma': 2e-3})]))
+    late = (disturbed.stamp - plain.stamp) * 1e-9
+    assert late.min() >= 0 and np.diff(disturbed.stamp).min() > 0
+    # 2 ms on average, and a little more as the latest push those behind them
+    assert 2e-3 < late.mean() < 2.1e-3
+    assert np.array_equal(disturbed.specific_force, plain.specific_force)
+    assert np.array_equal(disturbed.received, disturbed.stamp)

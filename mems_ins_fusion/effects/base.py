@@ -20,8 +20,22 @@ class EffectParameter:
     variance: bool = False
 
 
+@dataclass(frozen=True)
+class Sighting:
+    """What a direct look at a recording shows.
+
+    parameters: those of the effect, name -> (value, sigma). text: the numbers and what they mean, without a full stop.
+    """
+
+    parameters: dict[str, tuple[float, float]]
+    text: str
+
+
 class Effect:
     """One effect; each module of this package holds one and changes only the hooks it needs.
+
+    Most effects are fitted: a diagnosis estimates what is `traced`. Some are seen, by a direct look at the recording
+    (`seen`); of these nothing is traced.
 
     The simulated half follows. `drive` is a `recordings.drive.Drive`, `values` the effect's parameters by name, `rng`
     random numbers of the effect's own, started anew for each hook. Specific forces and angular rates are (n, 3) in body
@@ -43,6 +57,10 @@ class Effect:
     def traced(self) -> tuple[EffectParameter, ...]:
         """The parameters that a diagnosis estimates; those of the simulation unless the effect says otherwise."""
         return self.parameters
+
+    def as_traced(self, values: dict) -> dict:
+        """What the effect, simulated with `values` (complete), comes to in the parameters that are estimated."""
+        return values
 
     @property
     def principal(self) -> str:
@@ -73,6 +91,14 @@ class Effect:
         """What the receiver measures before its white noise: `position`, (m, 3) m in `n`, described at `time`."""
         return position
 
+    def distort_samples(self, imu, values, rng):
+        """The samples (`samples.ImuSamples`) as the driver delivers them: for effects of stamps and messages."""
+        return imu
+
+    def distort_speeds(self, speed, values):
+        """What the wheels measure before their own errors: `speed`, (m,) m/s."""
+        return speed
+
     def temperature(self, drive, values, rng):
         """The sensor's temperature at `drive.time`, (n,) degrees Celsius, or None where it plays no part."""
         return None
@@ -98,7 +124,11 @@ class Effect:
 
     def hidden(self, values: dict, recording) -> str:
         """Why this recording, filtered with these parameters, can say nothing about the effect; empty if it can."""
-        return ''
+        return '' if self.traced else 'it is looked for in the data themselves, not in the innovations'
+
+    def seen(self, values: dict, recording) -> Sighting | None:
+        """What a direct look at the recording shows of the effect; None where nothing, or where it is fitted."""
+        return None
 
     def conditioning(self, values: dict):
         """A (6, 6) matrix that takes the effect out of body-axis (f, w), or None where `values` have none of it."""

@@ -6,15 +6,24 @@ from mems_ins_fusion.effects.accelerometer_scale import AccelerometerScale
 from mems_ins_fusion.effects.base import Effect
 from mems_ins_fusion.effects.g_sensitivity import GSensitivity
 from mems_ins_fusion.effects.gnss_coloured_noise import GnssColouredNoise
+from mems_ins_fusion.effects.gnss_lag import GnssLag
+from mems_ins_fusion.effects.gnss_latency import GnssLatency
 from mems_ins_fusion.effects.gnss_lever_arm import GnssLeverArm
+from mems_ins_fusion.effects.gnss_outliers import GnssOutliers
 from mems_ins_fusion.effects.gnss_time_offset import GnssTimeOffset
 from mems_ins_fusion.effects.gyroscope_scale import GyroscopeScale
+from mems_ins_fusion.effects.gyroscope_warm_up import GyroscopeWarmUp
+from mems_ins_fusion.effects.imu_jitter import ImuJitter
+from mems_ins_fusion.effects.imu_repeats import ImuRepeats
 from mems_ins_fusion.effects.mounting_rotation import MountingRotation
+from mems_ins_fusion.effects.rear_axle import RearAxle
 from mems_ins_fusion.effects.sideslip import Sideslip
+from mems_ins_fusion.effects.speed_scale import SpeedScale
 from mems_ins_fusion.effects.temperature import Temperature
 from mems_ins_fusion.effects.tilt import Tilt
 
 EFFECTS: dict[str, Effect] = {effect.name: effect for effect in (
     GnssTimeOffset(), GnssLeverArm(), GnssColouredNoise(), AccelerometerScale(), GyroscopeScale(), MountingRotation(),
     Tilt(), GSensitivity(), Temperature(), AccelerometerLeverArm(), Sideslip(),
+    GnssLag(), GnssLatency(), RearAxle(), SpeedScale(), GyroscopeWarmUp(), GnssOutliers(), ImuRepeats(), ImuJitter(),
 )}

@@ -53,12 +53,14 @@ class ImuSettings:
 
 @dataclass(frozen=True)
 class GnssSettings:
-    """lever_arm: (3,) body axes forward-right-down. gate: normalized innovation beyond which a fix is refused, 0: none.
-    coloured: model of the receiver's coloured noise, or None."""
+    """lever_arm: (3,) body axes forward-right-down. lag: s^2, by how much a fix stays behind for each m/s^2. gate:
+    normalized innovation beyond which a fix is refused, 0: none. coloured: model of the receiver's coloured noise, or
+    None."""
 
     topic: str
     lever_arm: np.ndarray
     time_offset: float
+    lag: float
     sigma: float
     default_sigma: float
     max_delay: float
@@ -223,6 +225,7 @@ class FilterConfig:
             Head.GYROSCOPE_INTERVAL: self.models[-1].interval if autoregressive else 0,
             Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: gnss.max_delay, Head.ROBUST_SIGMA: gnss.robust_sigma,
             Head.GATE: gnss.gate, Head.RECOVERY_TIME: gnss.recovery_time, Head.ADAPT: gnss.adapt_sigma,
+            Head.LAG: gnss.lag,
             Head.LEVER_X: gnss.lever_arm[0], Head.LEVER_Y: gnss.lever_arm[1], Head.LEVER_Z: gnss.lever_arm[2],
             Head.AXLE_X: vehicle.axle[0], Head.AXLE_Y: vehicle.axle[1], Head.AXLE_Z: vehicle.axle[2],
             Head.CONSTRAINTS: vehicle.zero_velocity_sigma > 0 or vehicle.lateral_sigma > 0,
@@ -299,9 +302,9 @@ def _extras(values: dict, mechanization: int) -> tuple[Extra, ...]:
     if coloured:
         extras += [Extra(name, coloured, coloured.sigma) for name in ('coloured_n', 'coloured_e')]
 
-    def slow(name, sigma):
-        if sigma > 0:
-            walk = MOUNTING_WANDER * sigma / math.sqrt(3600.0)
+    def slow(name, sigma, walk=0.0):
+        if sigma > 0 or walk > 0:
+            walk = walk or MOUNTING_WANDER * sigma / math.sqrt(3600.0)
             extras.append(Extra(name, RandomWalk(walk, sigma), sigma))
 
     if values['vehicle.non_holonomic']:
@@ -309,7 +312,7 @@ def _extras(values: dict, mechanization: int) -> tuple[Extra, ...]:
             slow('mounting_pitch', values['imu.mounting_sigma'])
         slow('mounting_yaw', values['imu.mounting_sigma'])
         slow('axle_x', values['vehicle.rear_axle_sigma'])
-    slow('time_offset', values['gnss.time_offset_sigma'])
+    slow('time_offset', values['gnss.time_offset_sigma'], values['gnss.time_offset_walk'])
     if values['speed_topic']:
         slow('speed_scale', values['speed.scale_sigma'])
     return tuple(extras)
@@ -330,7 +333,8 @@ def _gnss(values: dict) -> GnssSettings:
     share = values['gnss.gate_probability']
     return GnssSettings(
         topic=values['gnss_topic'], lever_arm=FLU_TO_FRD @ np.asarray(values['gnss.lever_arm'], dtype=float),
-        time_offset=values['gnss.time_offset'], sigma=values['gnss.sigma'], default_sigma=values['gnss.default_sigma'],
+        time_offset=values['gnss.time_offset'], lag=values['gnss.lag_per_acceleration'], sigma=values['gnss.sigma'],
+        default_sigma=values['gnss.default_sigma'],
         max_delay=values['gnss.max_delay'], robust_sigma=values['gnss.robust_sigma'],
         # of a chi-square distribution with two degrees of freedom
         gate=math.sqrt(-2.0 * math.log1p(-share)) if share < 1.0 else 0.0,

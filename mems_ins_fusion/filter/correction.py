@@ -201,7 +201,7 @@ def apply_event(mem, r, at, sample):
     factor, robust, gate = 1.0, OTHER_ROBUST, OTHER_GATE
     height = 0.0
     if kind == Kind.POSITION:
-        dimensions = position.observe(mem, r, at, h, n, c)
+        dimensions = position.observe(mem, r, at, h, n, c, sample)
         height = mem[at + Event.Z_D] + mem[r + Nav.HEIGHT]  # of the planar filter, which has no state for it
         factor, robust, gate = receiver.trust(mem, r, at)
     elif kind == Kind.VELOCITY:
@@ -219,7 +219,7 @@ def apply_event(mem, r, at, sample):
             mem[r + Nav.HEIGHT] = height
         set_radii(mem, r)
     if kind == Kind.POSITION:
-        left_n, left_e, _ = position.difference(mem, r, at, body_to_level(mem, r))
+        left_n, left_e, _ = position.difference(mem, r, at, body_to_level(mem, r), sample)
         receiver.learn(mem, r, at, left_n, left_e)
 
 

@@ -157,6 +157,6 @@ def corrected(correctors: list, stamp, values, celsius) -> np.ndarray:
     if not correctors:
         return values
     force, rate = values[:, :3], values[:, 3:]
-    for corrector in correctors:
-        force, rate = corrector(stamp, force, rate, celsius)
+    for corrector in correctors:  # contiguous: compiled code is made anew for each layout
+        force, rate = corrector(stamp, np.ascontiguousarray(force), np.ascontiguousarray(rate), celsius)
     return np.column_stack([force, rate])

@@ -222,6 +222,7 @@ class _Head(NamedTuple):
     AXLE: int = 18
     SPEED_SCALE: int = 19
     TIME_OFFSET: int = 132  # of the receiver's stamps, beyond gnss.time_offset
+    LAG: int = 133  # s^2: by how much a fix stays behind for each m/s^2
     ACCELEROMETER_INTERVAL: int = 20  # s, of the autoregressive model; 0: another model
     GYROSCOPE_INTERVAL: int = 21
     MAX_GAP: int = 22
@@ -266,7 +267,7 @@ class _Head(NamedTuple):
     FAULTS: int = 122  # samples not believed, by reason: as many as `Fault` has
     RESTARTS: int = 130  # states that were not finite and were taken back
     RECOVERIES: int = 131  # resets to fixes that had been refused
-    SIZE: int = 133
+    SIZE: int = 134
 
 
 Head = _Head()

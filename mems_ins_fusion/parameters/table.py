@@ -99,6 +99,8 @@ FILTER = (
               't - time_offset.', minimum=-60.0, maximum=60.0),
     Parameter('gnss.time_offset_sigma', 0.0, 's', 'Standard deviation of gnss.time_offset, with which what is left '
               'of it is estimated; 0: it is exact.', minimum=0.0, maximum=2.0),
+    Parameter('gnss.time_offset_walk', 0.0, 's/sqrt(s)', 'Driving noise of that state, for a receiver whose latency '
+              'drifts or steps; 0: it hardly changes.', minimum=0.0, maximum=1.0),
     Parameter('gnss.sigma', 0.0, 'm', 'Horizontal standard deviation of a fix; 0 takes the covariance in the '
               'message.', minimum=0.0, maximum=1000.0),
     Parameter('gnss.default_sigma', 3.0, 'm', 'Used where the message\'s covariance is unknown or zero.',

@@ -28,6 +28,14 @@ _WORDS = {
     'temperature': ('the bias follows the temperature', 'the place of the IMU (sun, engine), and its warm-up time'),
     'accelerometer_lever_arm': ('the IMU is far from the axle about which the vehicle turns',
                                 'the place of the IMU seen from the middle of the rear axle'),
+    'gnss_latency': ('how late the fixes are changes during the drive',
+                     'whether the receiver\'s driver stamps a fix when it arrives, and what else uses its serial line'),
+    'rear_axle': ('the rear axle is not where the parameters say',
+                  'the place of the rear axle seen from the IMU, with a tape measure (vehicle.rear_axle)'),
+    'speed_scale': ('the wheels measure too much or too little', 'the size and pressure of the tyres'),
+    'gyroscope_warm_up': ('the gyroscope warms up', 'whether it can be switched on some minutes before the drive'),
+    'imu_repeats': ('IMU samples come twice', 'the rate of the IMU\'s driver and that at which the sensor measures'),
+    'imu_jitter': ('IMU samples are stamped unevenly', 'whether the driver can stamp with the sensor\'s own clock'),
     'sideslip': ('the vehicle moves sideways in bends', 'tyres and load; whether the IMU points straight ahead'),
 }
 

@@ -15,7 +15,7 @@ from mems_ins_fusion.simulation.vibration import Vibration
 
 MANOEUVRES = {'city': CITY, 'mixed': MIXED}
 _SUSPENSION = 1.2  # Hz
-_PITCH, _ROLL, _SIDESLIP = math.radians(0.35), math.radians(0.4), 0.003  # per m/s^2
+_PITCH, _ROLL, SIDESLIP = math.radians(0.35), math.radians(0.4), 0.003  # per m/s^2
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Scene:
         """A drive of `duration` s in this scene; the others as in `simulate_drive`."""
         x, y, z = self.axle_to_imu
         body = {'suspension': _SUSPENSION, 'pitch_per_acceleration': _PITCH, 'roll_per_acceleration': _ROLL,
-                'sideslip_per_acceleration': _SIDESLIP, 'unevenness': self.unevenness} if self.body else {}
+                'sideslip_per_acceleration': SIDESLIP, 'unevenness': self.unevenness} if self.body else {}
         return simulate_drive(duration, seed, rate, grade=self.grade, bank=self.bank,
                               parked_on_slope=self.parked_on_slope, manoeuvres=MANOEUVRES[self.manoeuvres],
                               rotating_earth=self.rotating_earth, axle_to_imu=(x, -y, -z), **body, **options)

@@ -129,6 +129,8 @@ def simulate_recording(drive: Drive, sensors: SensorErrors | None = None, gnss: 
     to_sensor = Rotation.from_matrix(rotation_from_rpy(*mounting_rpy)).inv()
     imu, slow_errors = _imu(drive, sensors, effects, to_sensor, seed, vibration)
     reference = Reference(drive.stamp, drive.latitude, drive.longitude, drive.height, drive.velocity, wrap(drive.yaw))
+    for effect, values in effects:
+        imu = effect.distort_samples(imu, values, stream(seed, effect.name))
     temperatures = _temperatures(drive, effects, seed)
     recording = Recording(name, imu.with_temperature(temperatures), _fixes(drive, gnss, effects, seed), reference,
                           temperatures, *(_aided(drive, aiding, effects, seed) if aiding else ()))
@@ -191,15 +193,17 @@ def _fixes(drive, gnss, effects, seed) -> Fixes:
 
 def _aided(drive, aiding, effects, seed):
     """What wheels, receiver and compass say: speeds, velocities, headings, None for what is not there."""
-    return (_speeds(drive, aiding, stream(seed, 'speed')) if aiding.speed_rate else None,
+    return (_speeds(drive, aiding, effects, stream(seed, 'speed')) if aiding.speed_rate else None,
             _velocities(drive, aiding, effects, stream(seed, 'velocity')) if aiding.velocity_rate else None,
             _headings(drive, aiding, stream(seed, 'heading')) if aiding.heading_rate else None)
 
 
-def _speeds(drive, aiding, rng) -> Speeds:
+def _speeds(drive, aiding, effects, rng) -> Speeds:
     time, stamp = _instants(drive, aiding.speed_rate, 0.0021)
-    scale = 1 + aiding.speed_scale * rng.standard_normal()
-    speed = scale * drive.path.wheel_speed(time) + aiding.speed_sigma * rng.standard_normal(len(time))
+    speed = (1 + aiding.speed_scale * rng.standard_normal()) * drive.path.wheel_speed(time)
+    for effect, values in effects:
+        speed = effect.distort_speeds(speed, values)
+    speed = speed + aiding.speed_sigma * rng.standard_normal(len(time))
     return Speeds(stamp, stamp.copy(), speed, np.full(len(time), aiding.speed_sigma**2))
 
 

@@ -1,0 +1,47 @@
+"""Unevenly stamped IMU samples: the stamps are of their arrival, not of the measurement."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mems_ins_fusion.effects.base import Effect, EffectParameter, Sighting
+
+SMALLEST = 0.1  # scatter of the intervals, in intervals, that is worth a word
+_GAP = 5.0  # in intervals
+_CLOSEST = 50_000  # ns between the stamps of samples that arrive together
+
+
+class ImuJitter(Effect):
+    """Samples are stamped late, each by another time: exponential with mean `sigma`, in order."""
+
+    name = 'imu_jitter'
+    signature = ('none that stands out: what a stamp takes from one interval it gives to the next; fixes seem early by '
+                 'the mean delay')
+    parameters = (EffectParameter('sigma', 's', 5e-3),)
+    traced = ()
+
+    def distort_samples(self, imu, values, rng):
+        late = np.round(1e9 * values['sigma'] * rng.standard_exponential(len(imu))).astype(np.int64)
+        order = _CLOSEST * np.arange(len(imu)) * (values['sigma'] > 0)
+        stamp = np.maximum.accumulate(imu.stamp + late - order) + order
+        return replace(imu, stamp=stamp, received=np.maximum(imu.received, stamp))
+
+    def seen(self, values, recording):
+        step = np.diff(recording.imu.stamp)
+        step = step[step > 0] * 1e-9
+        if len(step) < 100:
+            return None
+        interval = (np.percentile(step, 25) + np.percentile(step, 75)) / 2
+        step = step[step < _GAP * interval]
+        scatter = float(step.std())
+        if scatter < SMALLEST * interval:
+            return None
+        sigma = scatter / np.sqrt(2)
+        return Sighting({'sigma': (float(sigma), float(sigma / np.sqrt(len(step))))},
+                        f'the intervals between IMU samples, {1e3 * interval:.3g} ms, scatter by '
+                        f'{1e3 * scatter:.2g} ms: they are stamped on arrival. Let the driver stamp with the clock '
+                        'of the sensor; till then all other sensors seem early by about as much')
+
+    def adjusted(self, values, theta):
+        return values

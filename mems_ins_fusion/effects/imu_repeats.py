@@ -1,0 +1,40 @@
+"""Repeated IMU samples: the messages come faster than the sensor measures, or the driver read too early."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mems_ins_fusion.effects.base import Effect, EffectParameter, Sighting
+
+SMALLEST = 0.01  # share that is worth a word
+
+
+class ImuRepeats(Effect):
+    """A `share` of the samples repeats the one before it to the last digit."""
+
+    name = 'imu_repeats'
+    signature = 'none that stands out: the sensors seem noisier and a little late'
+    parameters = (EffectParameter('share', '-', 0.2),)
+    traced = ()
+
+    def distort_samples(self, imu, values, rng):
+        own = rng.uniform(size=len(imu)) >= values['share']
+        source = np.maximum.accumulate(np.where(own, np.arange(len(imu)), 0))
+        return replace(imu, specific_force=imu.specific_force[source], angular_rate=imu.angular_rate[source])
+
+    def seen(self, values, recording):
+        imu = recording.imu
+        both = np.hstack([imu.specific_force, imu.angular_rate])
+        same = (both[1:] == both[:-1]).all(axis=1)
+        share = float(same.mean()) if len(same) else 0.0
+        if not SMALLEST < share < 1:
+            return None
+        seconds = (imu.stamp[-1] - imu.stamp[0]) * 1e-9
+        return Sighting({'share': (share, float(np.sqrt(share * (1 - share) / len(same))))},
+                        f'{100 * share:.2g} % of the IMU samples repeat the one before to the last digit: about '
+                        f'{(1 - share) * len(same) / seconds:.3g} a second are new. Set the driver to the rate at '
+                        'which the sensor measures')
+
+    def adjusted(self, values, theta):
+        return values

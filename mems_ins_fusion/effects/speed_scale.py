@@ -1,0 +1,26 @@
+"""Wheel speed scale factor error: tyres of another size or pressure."""
+from __future__ import annotations
+
+from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+
+
+class SpeedScale(Effect):
+    """measured = (1 + scale) true."""
+
+    name = 'speed_scale'
+    signature = ('in every gap between fixes the track comes out too long or too short; innovations along the track in '
+                 'proportion to speed, where a time offset looks alike')
+    parameters = (EffectParameter('scale', '-', 0.02),)
+
+    def distort_speeds(self, speed, values):
+        return (1 + values['scale']) * speed
+
+    def hidden(self, values, recording):
+        if recording.speed is None:
+            return 'no speed in the recording (speed_topic)'
+        if values['speed.scale_sigma'] > 0:
+            return 'the filter estimates it (speed.scale_sigma)'
+        return ''
+
+    def adjusted(self, values, theta):
+        return added(values, 'speed.scale', None, theta['scale'])
