@@ -12,13 +12,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..effects.base import Effect
+from ..effects.gnss_outliers import far_off
 from ..effects.registry import EFFECTS
 from ..samples import Recording
 from . import learned
 from .detection import Detection, detect
 from .estimate import Estimate
 from .levels import choose, multiplied
-from .outliers import Outliers, isolated
+from .outliers import isolated
 from .plausible import implausible
 from .proof import (
     COVERED,
@@ -81,10 +82,11 @@ COMPARED = 3
 SAME_START = 0.7
 #: an effect is one from so many sigma on, and a parameter of it has a value
 PLAIN, SHOWN = 3.0, 2.0
+MOUNTING = 'mounting_rotation'
 #: the filter with corrected.yaml is better where its errors are this part of those before, all in all
 BETTER = 0.97
 #: decisions are made on about so many outages, so far apart, s
-FEW_OUTAGES, CLOSEST_OUTAGES = 60, 10.0
+FEW_OUTAGES, CLOSEST_OUTAGES = 40, 10.0
 
 Progress = Callable[[float, str], None]
 
@@ -94,7 +96,7 @@ class Finding:
     """One thing that was traced.
 
     group: names of what the recording cannot tell it from, itself first. changes: the parameters as the correction
-    sets them. reason: why it was not added.
+    sets them. reason: why it was not added. seen: where it was not fitted, what shows it.
     """
 
     name: str
@@ -106,6 +108,7 @@ class Finding:
     held_out: HeldOut
     reason: str = ''
     changes: dict = field(default_factory=dict)
+    seen: str = ''
 
 
 @dataclass(frozen=True)
@@ -127,7 +130,6 @@ class Diagnosis:
     rounds: list[list[Candidate]]
     chosen: list[str]  # the candidate that each round tried to add; none in the last one
     findings: list[Finding]
-    outliers: Outliers
     hidden: dict[str, str]  # effects and parameters that the data cannot show, and why
     corrected: dict
     better: bool  # whether `corrected` is proven; else it is `values`
@@ -187,7 +189,6 @@ class Known:
     problem: Problem
     model: Model
     errors: Measured
-    outliers: Outliers
     effects: tuple[Effect, ...]
     rejected: tuple[Effect, ...] = ()
     estimates: tuple[np.ndarray, ...] = ()
@@ -246,11 +247,17 @@ def begin(bench: Bench) -> Known:
     problem = bench.origin
     noise = noise_unknowns(problem)
     [at] = problem.residuals(noise, [calibrated(problem, noise)])
-    problem = problem.without(isolated(at, problem.mask))
+    problem = problem.without(isolated(at, problem.mask) | _far_off(problem))
     noise = noise_unknowns(problem)
     model = fit(problem, noise, calibrated(problem, noise))
-    outliers = Outliers.of(bench.origin, problem.outlying)
-    return _hidden(Known(problem, model, bench.errors([bench.origin.given]), outliers, bench.library))
+    return _hidden(Known(problem, model, bench.errors([bench.origin.given]), bench.library))
+
+
+def _far_off(problem: Problem) -> np.ndarray:
+    """Which fixes neither those before nor those after them explain, (f,) bool."""
+    found = np.zeros(len(problem.stamp), dtype=bool)
+    found[far_off(problem.drive.gnss)[0]] = True
+    return found
 
 
 def _hidden(known: Known) -> Known:
@@ -556,14 +563,14 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
         before, noise_only, after = pool.map(lambda models: bench.errors(models, full=True),
                                              ([given], fitted.by_part, correction.by_part))
     comparison = compared(before, after)
-    if correction is not configured and not improves(comparison):
-        correction, after, comparison = configured, before, compared(before, before)
+    better = correction.values != given and improves(comparison)
+    if not better:
+        told = tuple(_only_told(f) for f in correction.settings)
+        correction, after, comparison = replace(configured, settings=told), before, compared(before, before)
     hidden = _not_shown(known)
     # a finding is added only where corrected.yaml holds it
-    findings = [*_final(known, hidden, correction.values, given, bench.library), *correction.settings]
-    if not correction.effects:
-        findings = [replace(f, added=False, changes={}, reason=f.reason or 'the errors do not shrink with it')
-                    for f in findings]
+    findings = _final(known, hidden, correction.values, given, bench.library)
+    findings = [*(findings if correction.effects else map(_only_told, findings)), *correction.settings]
     model, origin = known.model, bench.origin
     residuals = {'before': origin.before, 'fitted': origin.observed(fitted.values),
                  'after': origin.observed(correction.values)}
@@ -574,35 +581,94 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
         recording=bench.recording, values=given, problem=origin, residuals=residuals,
         detections={stage: detect(r, origin.mask) for stage, r in residuals.items()}, noise=correction.factors,
         explained=explained, rounds=list(known.rounds), chosen=list(known.chosen), findings=findings,
-        outliers=known.outliers, hidden=hidden, corrected=correction.values,
-        better=correction is not configured, before=before, fitted=noise_only, after=after, comparison=comparison,
+        hidden=hidden, corrected=correction.values,
+        better=better, before=before, fitted=noise_only, after=after, comparison=comparison,
         rest=rest, remarks=_remarks(origin) + _noise_remarks(explained))
 
 
 def _settled(known: Known, first: Known, fitted: Correction, configured: Correction, bench: Bench) -> Correction:
     """What is proven together: effects with or without other noise levels, noise levels alone, or nothing."""
+    options, told = [fitted], ()
     effects = configured
     if any(f.added for f in known.findings):
         effects = Correction(known.corrected(), known.by_part(), {}, True)
-    effects = learned.with_mounting(effects, known, bench)
-    options = [_levelled(effects, bench), effects] if effects is not configured else []
-    options.append(fitted)
+    effects = _with_mounting(_with_settings(effects, bench), bench)
+    told = effects.settings
+    if effects.values != configured.values:
+        options += [_levelled(replace(effects, factors=fitted.factors), bench), effects]
     best, merit = configured, _merit(first.errors)
     for option in options:
-        if option is configured or not option.effects and not option.factors:
+        if option.values == configured.values:
             continue
         errors = bench.errors(option.by_part)
         value = _merit(errors)
-        if improves(compared(first.errors, errors)) and value > merit:
+        if value > merit and improves(compared(first.errors, errors)):
             best, merit = option, value
-    return best
+    return best if best.settings else replace(best, settings=tuple(_only_told(f) for f in told))
+
+
+def _only_told(finding: Finding) -> Finding:
+    reason = finding.reason or 'the errors do not shrink with it'
+    return replace(finding, added=False, changes={}, reason=reason)
+
+
+def _with_settings(correction: Correction, bench: Bench) -> Correction:
+    """With what a direct look at the recording shows, and the settings against it where these help."""
+    for effect in bench.library:
+        sighting = effect.seen(bench.origin.given, bench.origin.full)
+        if sighting is None:
+            continue
+        units = {p.name: p.unit for p in effect.parameters}
+        finding = Finding(effect.name, [effect.name], {n: Estimate(v, s, units[n]) for n, (v, s) in
+                                                       sighting.parameters.items()}, 0.0, 0.0, False,
+                          HeldOut(0.0, 1.0, []), seen=sighting.text)
+        further = [effect.adjusted(values, effect.complete({})) for values in (correction.values, *correction.by_part)]
+        if further[0] == correction.values:
+            finding = replace(finding, reason='the settings are made for it already')
+        elif improves(compared(bench.errors(correction.by_part), bench.errors(further[1:]))):
+            changes = {n: v for n, v in further[0].items() if v != correction.values[n]}
+            finding = replace(finding, added=True, changes=changes)
+            correction = replace(correction, values=further[0], by_part=further[1:])
+        else:
+            finding = replace(finding, reason='the errors do not shrink with other settings')
+        correction = replace(correction, settings=(*correction.settings, finding))
+    return correction
+
+
+def _with_mounting(correction: Correction, bench: Bench) -> Correction:
+    """With the mounting's angles as the filter has learned them, where they are there and do no harm."""
+    if MOUNTING not in {e.name for e in bench.library}:
+        return correction
+    found = learned.angles(bench.origin.full, correction.values)
+    if found is None or not found.plain:
+        return correction
+    effect = next(e for e in bench.library if e.name == MOUNTING)
+
+    def turned(values, angles):
+        return effect.adjusted(values, {'roll': 0.0, **{n: angles[n] if n in found.plain else 0.0
+                                                        for n in learned.STATES}})
+
+    whole = {name: e.value for name, e in found.whole.items()}
+    parted = correction.by_part * (len(parts(bench.origin)) if len(correction.by_part) == 1 else 1)
+    # each part in turn with the angles of one half of the drive, so that their scatter is in the errors
+    halves = found.halves or [whole]
+    by_part = [turned(values, halves[k % len(halves)]) for k, values in enumerate(parted)]
+    values = turned(correction.values, {n: whole.get(n, 0.0) for n in learned.STATES})
+    finding = Finding(MOUNTING, [MOUNTING], found.plain, 0.0, 0.0, True, HeldOut(0.0, 1.0, []),
+                      changes={'imu.mounting_rpy': values['imu.mounting_rpy']},
+                      seen='the filter finds it itself in each drive, within a minute or two of it')
+    reason = implausible(MOUNTING, found.plain) or harm(compared(bench.errors(correction.by_part),
+                                                                 bench.errors(by_part)))
+    if reason:
+        return replace(correction, settings=(*correction.settings, _only_told(replace(finding, reason=reason))))
+    return replace(correction, values=values, by_part=by_part, settings=(*correction.settings, finding))
 
 
 def _levelled(correction: Correction, bench: Bench) -> Correction:
-    """`correction` with the noise levels that predict best."""
+    """`correction` with the noise levels that predict best; its factors are where the search begins, too."""
     claimed = float(np.median(np.sqrt(bench.origin.claimed[:, 0, 0])))
     levels = choose(correction.values, bench.each, which_part(bench.origin), len(parts(bench.origin)), claimed,
-                    lambda: bench.enough(1.5))
+                    correction.factors)
     factors = {name: factor for name, factor in levels.factors.items() if factor != 1.0}
     by_part = correction.by_part * (len(levels.by_part) if len(correction.by_part) == 1 else 1)
     return replace(correction, values=multiplied(correction.values, factors, claimed), factors=factors,
@@ -636,6 +702,10 @@ def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence
         if finding.added and own:
             parameters = {n: own.get(n, e) for n, e in parameters.items() if n in own or e.sigma is None}
         parameters = {n: e for n, e in parameters.items() if f'{finding.name}.{n}' not in hidden}
+        if not finding.added:  # what is less than PLAIN is no news
+            parameters = {n: e for n, e in parameters.items() if not e.known or abs(e.value) >= PLAIN * e.sigma}
+            if not parameters or finding.held_out.gain <= 0:
+                continue
         changes = {}
         if finding.added:
             effect = effects[finding.name]

@@ -20,8 +20,6 @@ STEP = float(np.sqrt(10.0))
 WORTH = 3.0
 #: a constraint is no better or worse than configured by more steps
 MOST_STEPS = {'vehicle.non_holonomic_sigma': 1}
-#: times that all levels are gone through
-SWEEPS = 2
 
 
 @dataclass(frozen=True)
@@ -53,11 +51,12 @@ def adjustable(values: dict) -> list[str]:
 
 
 def choose(values: dict, errors: Callable[[Sequence[dict]], list[Measured]], part_of: Callable, count: int,
-           claimed: float, enough: Callable[[], bool] = lambda: False) -> Levels:
-    """The levels that predict best: one by one up or down, as long as that helps.
+           claimed: float, start: dict[str, float] | None = None) -> Levels:
+    """The levels that predict best: from those as configured, or from `start` if these are better, one by one up or
+    down, as long as that helps.
 
     errors: measures the filters of several parameter sets. part_of: the part, 0 to count - 1, of stamps (k,) ns.
-    claimed: as for `multiplied`. enough: whether to be content with what there is.
+    claimed: as for `multiplied`.
     """
     names = adjustable(values)
     tried: dict[tuple[int, ...], np.ndarray] = {}
@@ -70,17 +69,14 @@ def choose(values: dict, errors: Callable[[Sequence[dict]], list[Measured]], par
             tried[point] = _merit(measured, part_of, count) - WORTH * np.abs(point).sum() / max(predictions, 1)
         return [tried[p][-1] for p in points]
 
-    best = tuple(0 for _ in names)
     most = round(np.log(LARGEST_FACTOR) / np.log(STEP))
-    merits([best])
-    for _ in range(SWEEPS):
-        before = best
-        for i in range(len(names)):
-            best = _along(best, i, MOST_STEPS.get(names[i], most), merits, tried)
-            if enough():
-                break
-        if best == before or enough():
-            break
+    begins = [tuple(0 for _ in names)]
+    if start:
+        begins.append(tuple(round(np.log(start.get(name, 1.0)) / np.log(STEP)) for name in names))
+    merits(begins)
+    best = max(begins, key=lambda point: tried[point][-1])
+    for i in range(len(names)):
+        best = _along(best, i, MOST_STEPS.get(names[i], most), merits, tried)
     points = list(tried)
     table = np.array([tried[p] for p in points])
     chosen = [points[k] for k in np.argmax(table, axis=0)]

@@ -1,38 +1,15 @@
-"""Fixes that are off alone: neither the fix before nor the one after is, so nothing of the filter explains them."""
-from __future__ import annotations
+"""Fixes that are off alone: the fix before and the one after are not, so nothing of the filter explains them.
 
-from dataclasses import dataclass
+The search sets them aside; what a user is told of them is a direct look at the recording (`effects/gnss_outliers.py`).
+"""
+from __future__ import annotations
 
 import numpy as np
 
-from .residuals import Problem, Residual
+from .residuals import Residual
 
 #: a fix is off from so many sigma on, where its neighbours are within the other
 OFF, WITHIN = 6.0, 3.0
-#: fewer than this, or than this part of the fixes, are not worth a word
-FEWEST, SHARE = 3, 0.003
-
-
-@dataclass(frozen=True)
-class Outliers:
-    """index: of the fixes that were set aside, among those used. share: of all. typical: m, the median of how far off
-    they are."""
-
-    index: np.ndarray
-    share: float
-    typical: float
-
-    @classmethod
-    def of(cls, problem: Problem, outlying: np.ndarray) -> Outliers:
-        """Those of `outlying` (f,), by the innovations of the filter as configured."""
-        index = np.flatnonzero(outlying)
-        distance = np.hypot(*problem.base.z[index].T)
-        distance = distance[np.isfinite(distance)]
-        return cls(index, len(index) / max(len(outlying), 1), float(np.median(distance)) if len(distance) else 0.0)
-
-    @property
-    def matter(self) -> bool:
-        return len(self.index) >= FEWEST and self.share >= SHARE
 
 
 def isolated(residual: Residual, mask: np.ndarray) -> np.ndarray:

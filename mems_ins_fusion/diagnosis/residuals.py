@@ -41,6 +41,8 @@ _ALIGNING = 100_000
 TAIL = 3.0
 #: what is added to each fix, m: a diagnosis looks for metres, and no model of a car is right to a centimetre
 FLOOR = 0.1
+#: a fit ends when a step gains less than this in log likelihood
+ENOUGH_GAIN = 0.2
 #: a model must let the filter see this part of the fixes
 FEWEST_SEEN = 0.98
 #: more outliers than this part of the fixes are none
@@ -466,7 +468,7 @@ def fit(problem: Problem, unknowns: Sequence[Unknown], x, iterations: int = 8) -
                 at, found = scores(problem, unknowns, x, trial)
                 break
             damping = max(10 * damping, 1e-2)
-        if not moved or gain < 0.05:
+        if not moved or gain < ENOUGH_GAIN:
             break
     return Model(problem, list(unknowns), x, np.linalg.inv(found.information(mask) + np.diag(1 / prior**2)), at, found)
 

@@ -42,7 +42,6 @@ def report(diagnosis: Diagnosis, answered: Answer, checked=(), warned=()) -> dic
         'goes_with': [asdict(rest) for rest in d.rest],
         'noise_factors': d.noise,
         'noise_that_would_explain': d.explained,
-        'outliers': {'count': len(d.outliers.index), 'share': d.outliers.share, 'typical_m': d.outliers.typical},
         'use_corrected': d.better,
         'changed_parameters': changed(d),
         'rounds': [[_candidate(c, d) for c in candidates] for candidates in d.rounds],
@@ -63,6 +62,7 @@ def _effect(finding: Finding) -> dict:
         'held_out_p_value': finding.held_out.p,
         'reason': finding.reason,
         'changes': finding.changes,
+        'seen': finding.seen,
     }
 
 

@@ -36,7 +36,7 @@ def answer(diagnosis: Diagnosis, checked: list[Checked], output: str) -> Answer:
     tried = [tried_text(f) for f in d.findings if not f.added]
     shown = [] if d.detections['before'].consistent else [f"As configured: {' '.join(d.detections['before'].words())}"]
     left = [unexplained_text(d)] if d.unexplained else []
-    return Answer(grade, _headline(d), [*found, *outliers_text(d), *tried, *shown, *said, *left, *d.remarks], cost(d),
+    return Answer(grade, _headline(d), [*found, *tried, *shown, *said, *left, *d.remarks], cost(d),
                   _steps(d, output), _trust(d.better, consistent, shares))
 
 
@@ -45,23 +45,18 @@ def found_text(f: Finding) -> str:
     how = 'corrected.yaml uses the strapdown mechanization' if 'mechanization' in f.changes else parameters_text(f)
     others = [what(name) for name in f.group if name != f.name]
     group = f' (in this drive the same as: {"; ".join(others)})' if others else ''
-    return f'{capital(what(f.name))}: {how}{group}.'
+    return f'{capital(what(f.name))}: {how}{group}{_seen(f)}.'
+
+
+def _seen(f: Finding) -> str:
+    return f'; {f.seen}' if f.seen else ''
 
 
 def tried_text(f: Finding) -> str:
     """What looked like an effect and is none, or none that helps."""
+    if f.seen:
+        return f'{capital(what(f.name))}: {f.seen}. Nothing is changed: {f.reason}.'
     return f'Looked at, and left alone: {what(f.name)} ({parameters_text(f)}): {f.reason}.'
-
-
-def outliers_text(d: Diagnosis) -> list[str]:
-    """Fixes that are off alone, and the setting that helps against them."""
-    if not d.outliers.matter:
-        return []
-    guarded = d.values['gnss.robust_sigma'] > 0 and d.values['gnss.gate_probability'] < 1.0
-    advice = 'the filter weights them down already' if guarded else (
-        'set gnss.robust_sigma: 3.0 and gnss.gate_probability: 0.999999, with which the filter does not follow them')
-    return [f'{len(d.outliers.index)} fixes ({html.number(100 * d.outliers.share, 2)} %) are far off alone, half of them '
-            f'by more than {html.number(d.outliers.typical, 2)} m: {what("gnss_outliers")}; {advice}.']
 
 
 def _headline(d: Diagnosis) -> str:
