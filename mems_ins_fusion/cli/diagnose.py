@@ -14,6 +14,9 @@ and measure the error before and after on data that the effect was not fitted to
 report.html, report.json and corrected.yaml, the parameters with the effects added, for --params-file of every tool.
 The method: docs/closing_the_loop.md; the effects: docs/effects.md."""
 
+#: how an IMU is mounted shows in this part of a drive, s
+MOUNTING_SHOWN = 1200.0
+
 
 def main(argv: list[str] | None = None) -> int:
     """Run the tool with `argv` (default: the command line); its exit status."""
@@ -29,6 +32,7 @@ def diagnose(options: argparse.Namespace) -> str:
     """Read, diagnose and write the results; the story for the user. ValueError for bad options or input."""
     from mems_ins_fusion.configuration.check import check_mounting
     from mems_ins_fusion.diagnosis.diagnose import diagnose as work
+    from mems_ins_fusion.evaluation.comparison import cut
     from mems_ins_fusion.recordings.checker import check_recording
     from mems_ins_fusion.reports.diagnosis import corrected_yaml, report, report_html, story
     from mems_ins_fusion.reports.diagnosis_answer import answer
@@ -42,7 +46,8 @@ def diagnose(options: argparse.Namespace) -> str:
             recording, warned = read_part(options.bag, table.check(given), lambda part: bar(0.2 * part, 'reading'))
             if recording.gnss is None:
                 raise ValueError('gnss_topic is empty: a diagnosis needs fixes')
-            warned = [*warned, *(finding.message for finding in check_mounting(recording, table.check(given)))]
+            shown = check_mounting(cut(recording, 0.0, MOUNTING_SHOWN), table.check(given))
+            warned = [*warned, *(finding.message for finding in shown)]
             result = work(recording, table.check(given), lambda part, what: bar(0.2 + 0.75 * part, what))
             bar(0.95, 'writing')
             checked = check_recording(recording)
@@ -77,7 +82,7 @@ class _Bar:
         from tqdm import tqdm
 
         self.bar = tqdm(total=1.0, desc='diagnosing', disable=None,
-                        bar_format='{desc}: {percentage:3.0f}%|{bar}| {elapsed} {postfix}')
+                        bar_format='{desc}: {percentage:3.0f}%|{bar}| {elapsed}, at most {remaining} more {postfix}')
         return self
 
     def __exit__(self, *_):

@@ -16,6 +16,7 @@ from ..effects.gnss_outliers import far_off
 from ..effects.registry import EFFECTS
 from ..samples import Recording
 from . import learned
+from .clock import in_its_clock
 from .detection import Detection, detect
 from .estimate import Estimate
 from .levels import choose, multiplied
@@ -45,6 +46,7 @@ from .residuals import (
     calibrated,
     fit,
     noise_unknowns,
+    refined,
     scores,
 )
 from .rest import GoesWith, goes_with
@@ -78,6 +80,8 @@ DIFFERENT = 1.1
 APART = 1.5
 #: iterations of a fit that is only compared with others
 COMPARED = 3
+#: and of one from a maximum that has moved little
+REFITTED = 4
 #: noise levels that differ by less than this (natural logarithm) make no other start
 SAME_START = 0.7
 #: an effect is one from so many sigma on, and a parameter of it has a value
@@ -223,7 +227,9 @@ def diagnose(recording: Recording, values: dict, progress: Progress = lambda par
         slot = (recording.reference.stamp - recording.reference.stamp[0]) // round(REFERENCE_INTERVAL * 1e9)
         kept = np.unique(slot, return_index=True)[1]
         recording = replace(recording, reference=recording.reference.select(kept))
+    recording, clock = in_its_clock(recording, values['reference_clock'])
     problem = Problem(recording, values)
+    problem.reference_with_fixes = clock.with_fixes
     if problem.mask.sum() < FEWEST_FIXES:
         raise DiagnosisError(f'{recording.name}: {int(problem.mask.sum())} fixes while the filter runs, at least '
                              f'{FEWEST_FIXES} are needed: record some minutes of driving with fixes every second')
@@ -276,7 +282,7 @@ def add_best(known: Known, bench: Bench) -> Known:
     A `Known` without a further choice where nothing is significant."""
     if not known.effects:
         return known
-    share = 0.1 + 0.6 * len(known.rounds) / MOST_ROUNDS
+    share = 0.1 + 0.6 * min(1.0, sum(bench.origin.runs) / ENOUGH)  # of the most that there may be to do
     bench.tell(share, 'testing effects')
     views = starts(known)[:1 if bench.enough(0.6) else None]
     best: dict[str, tuple[Candidate, np.ndarray]] = {}
@@ -298,19 +304,20 @@ def add_best(known: Known, bench: Bench) -> Known:
     # each from the start where it explains most, those first that are first at some start
     names = [c.name for _, c, _ in sorted(significant, key=lambda found: (found[0], best[found[1].name][0].p))]
     names = list(dict.fromkeys(names))[:MOST_TRIED]
-    bench.tell(share + 0.05, f'adding {" or ".join(names)}')
+    bench.tell(share + 0.01, f'adding {" or ".join(names)}')
     return _tried(known, [best[name] for name in names], candidates, bench)
 
 
 def starts(known: Known) -> list[np.ndarray]:
-    """The unknowns at different noise levels: as fitted, as configured with the receiver's as it shows, and between.
+    """The unknowns at different noise levels: as fitted, as configured with the receiver's as it shows, and at first
+    between them.
 
     Fitted levels may have swallowed an effect, and configured ones may hide it behind others.
     """
     model, n = known.model, known.noise
     configured = calibrated(known.problem, model.unknowns, model.x)
     found = [model.x]
-    for x in (configured, 0.5 * (configured + model.x)):
+    for x in (configured, 0.5 * (configured + model.x))[:1 if known.rounds else 2]:
         if all(np.abs(x[:n] - other[:n]).max() > SAME_START for other in found):
             found.append(x)
     return found
@@ -404,14 +411,14 @@ def _judged(known: Known, candidate: Candidate, model: Model, bench: Bench) -> J
     first = len(known.model.unknowns)
     if model.problem is not known.problem:
         # another mechanization has no parameter of its own that could have been fitted to the data
-        model = fit(model.problem, model.unknowns, model.x)
+        model = refined(model)
         proof = gain_of(known.problem, known.model.residual, model.residual)
         alone = fit(known.problem.moved(known.model.unknowns, known.model.x), candidate.unknowns, candidate.theta)
         parameters = _estimates(candidate, alone, 0)
         errors = bench.errors([model.problem.corrected(model.unknowns, model.x)])
         against = objection(proof, compared(known.errors, errors))
         return Judged(candidate, model, parameters, {}, proof, errors, against)
-    model, hidden = _completed(known, candidate, _pruned(fit(model.problem, model.unknowns, model.x), first))
+    model, hidden = _completed(known, candidate, _pruned(refined(model), first))
     if len(model.unknowns) == first:
         return Judged(candidate, known.model, {}, {}, HeldOut(0.0, 1.0, []), known.errors,
                       'not determined once all is fitted together')
@@ -447,7 +454,7 @@ def _pruned(trial: Model, first: int) -> Model:
     if keep.all():
         return trial
     kept = np.append(np.ones(first, dtype=bool), keep)
-    return fit(trial.problem, [u for u, k in zip(trial.unknowns, kept) if k], trial.x[kept])
+    return fit(trial.problem, [u for u, k in zip(trial.unknowns, kept) if k], trial.x[kept], REFITTED)
 
 
 def _completed(known: Known, candidate: Candidate, trial: Model) -> tuple[Model, dict[str, str]]:
@@ -458,7 +465,7 @@ def _completed(known: Known, candidate: Candidate, trial: Model) -> tuple[Model,
     more = also_determined(trial.moved(), missing, trial.scores, trial.residual, trial.problem.mask)
     if more:
         first, start = len(trial.unknowns), np.append(trial.x, np.zeros(len(more)))
-        trial = _pruned(fit(trial.problem, [*trial.unknowns, *more], start), first)
+        trial = _pruned(fit(trial.problem, [*trial.unknowns, *more], start, REFITTED), first)
     return _refined(known, candidate.effect, trial) if candidate.effect.refined else (trial, {})
 
 
@@ -468,9 +475,9 @@ def _refined(known: Known, effect: Effect, trial: Model) -> tuple[Model, dict[st
     first = len(known.model.unknowns)
     fits = []
     for fixed in effect.tried:
-        refined = refined_unknowns(effect, fixed)
-        unknowns = [*known.model.unknowns, *effect_unknowns(effect, fixed, known.problem.attitude), *refined]
-        fits.append(fit(trial.problem, unknowns, np.append(trial.x, np.zeros(len(refined)))))
+        factors = refined_unknowns(effect, fixed)
+        unknowns = [*known.model.unknowns, *effect_unknowns(effect, fixed, known.problem.attitude), *factors]
+        fits.append(fit(trial.problem, unknowns, np.append(trial.x, np.zeros(len(factors))), REFITTED))
     mask = trial.problem.mask
     best = max(fits, key=lambda m: m.likelihood(mask))
     good = [m for m in fits if m.likelihood(mask) > best.likelihood(mask) - CLOSE]

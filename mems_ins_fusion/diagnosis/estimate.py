@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with its standard deviation, or a range (low, high) where values in it explain the recording equally well.
+    """A value with its standard deviation, or a range (low, high) whose values explain the recording equally well.
 
     unit: SI, '-' for a ratio. value: None where there is only a range. sigma: None where it was only tried.
     """

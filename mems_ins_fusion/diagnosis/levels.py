@@ -18,8 +18,8 @@ from .residuals import LARGEST_FACTOR, MODEL_NOISE, scaled
 STEP = float(np.sqrt(10.0))
 #: how much better all predictions together have to be, in log likelihood, for each level that is moved by a step
 WORTH = 3.0
-#: a constraint is no better or worse than configured by more steps
-MOST_STEPS = {'vehicle.non_holonomic_sigma': 1}
+#: a constraint is no better or worse than configured by more steps, and no sensor is better
+MOST_STEPS, MOST_STEPS_DOWN = {'vehicle.non_holonomic_sigma': 1}, 1
 
 
 @dataclass(frozen=True)
@@ -89,14 +89,17 @@ def _along(best, i, limit: int, merits, tried):
     def moved(by):
         return (*best[:i], best[i] + by, *best[i + 1:])
 
-    steps = [by for by in (1, -1) if abs(best[i] + by) <= limit]
+    def allowed(by):
+        return -MOST_STEPS_DOWN <= best[i] + by <= limit
+
+    steps = [by for by in (1, -1) if allowed(by)]
     found = merits([moved(by) for by in steps])
     here = tried[best][-1]
     if max(found) <= here:
         return best
     by = steps[int(np.argmax(found))]
     best = moved(by)
-    while abs(best[i] + by) <= limit and merits([moved(by)])[0] > tried[best][-1]:
+    while allowed(by) and merits([moved(by)])[0] > tried[best][-1]:
         best = moved(by)
     return best
 

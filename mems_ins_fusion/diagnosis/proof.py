@@ -170,12 +170,11 @@ def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Seq
     judged = parts(problem) if len(models) > 1 else [problem.mask]
     found = []
     for values, part in zip(models, judged):
-        errors, outages, innovations = _run(problem, recording, imu, values, durations, begins)
+        whole = len(models) == 1
+        errors, outages, innovations = _run(problem, recording, imu, values, durations,
+                                            begins if whole else begins[_in_mask(begins, problem, part)])
         seen = np.isfinite(innovations) & part
-        mine = np.ones(len(errors), dtype=bool) if len(models) == 1 else _in_mask(errors.stamp, problem, part)
-        if len(models) > 1:
-            outages = [o.select(_in_mask(o.begin, problem, part)) for o in outages]
-        errors = errors.select(mine & (errors.stamp >= first))
+        errors = errors.select((whole | _in_mask(errors.stamp, problem, part)) & (errors.stamp >= first))
         found.append((errors, outages, problem.stamp[seen], innovations[seen]))
     independent = recording.reference is not None
     if len(found) == 1:
@@ -192,6 +191,8 @@ def _run(problem: Problem, recording: Recording, imu: ImuSamples, values: dict, 
     """One filter through the recording: errors with the fixes used, in outages, and the likelihood of each fix (f,)."""
     config = FilterConfig.from_parameters(values)
     truth, delay = truth_of(recording, values), round(values['gnss.time_offset'] * 1e9)
+    if recording.reference is not None and problem.reference_with_fixes:
+        truth = replace(truth, reference=replace(truth.reference, stamp=truth.reference.stamp - delay))
     keep = samples_to_keep(imu, truth.reference.stamp)
     outages, result = [], None
     if durations:
@@ -201,7 +202,7 @@ def _run(problem: Problem, recording: Recording, imu: ImuSamples, values: dict, 
     else:
         result = run(config, imu, problem.full.gnss, aiding_of(recording), keep=keep)
     errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
-    if recording.reference is None:
+    if problem.reference_with_fixes:
         errors = replace(errors, stamp=errors.stamp + delay)
     return (errors, [replace(o, begin=o.begin + delay) for o in outages],
             problem.innovations(result).log_likelihood())
@@ -261,7 +262,8 @@ def harm(comparison: Sequence[dict]) -> str:
             grown = new > (1 + GROWN) * old + NOTICED
             if grown and (new > LARGER * old + NOTICED or (i == 0 and row.get('p', 1.0) < CERTAIN)):
                 which = 'root mean square of the ' if i else ''
-                return f"the error grows: {which}{row['what']}, {_plain(old, squared)} before, {_plain(new, squared)} after"
+                return (f"the error grows: {which}{row['what']}, {_plain(old, squared)} before, "
+                        f'{_plain(new, squared)} after')
         held, holds = row.get('within_before'), row.get('within_after')
         if held is not None and holds < min(held, COVERED) - 1.0 / row['count']:
             return (f"{row['what'].split(',')[0]}: the 95 % ellipse held the truth in {100 * held:.0f} % before, in "

@@ -180,9 +180,11 @@ class Problem:
     given: the parameters as given; values: those of the filter that is looked through. full: the recording with the
     fixes used; drive: the same with averaged samples; recording: as `drive`, as that filter sees it - covariances
     spelled out, fixes that the filter as given refuses left out. stamp (f,) ns of the fixes; mask (f,): which count.
+    reference_with_fixes: whether the truth runs in the clock of the fixes.
     """
 
     def __init__(self, recording: Recording, values: dict, interval: float = UPDATE_INTERVAL):
+        self.reference_with_fixes = recording.reference is None
         self.given = {**values, 'gnss.time_offset_sigma': 0.0}
         self.values = looked_through(values)
         given = FilterConfig.from_parameters(self.given)
@@ -443,15 +445,21 @@ def _priors(unknowns: Sequence[Unknown]) -> tuple[np.ndarray, np.ndarray]:
     return np.array([u.base for u in unknowns]), np.array([u.prior for u in unknowns])
 
 
-def fit(problem: Problem, unknowns: Sequence[Unknown], x, iterations: int = 8) -> Model:
+def refined(model: Model, iterations: int = 8) -> Model:
+    """`model` fitted further."""
+    return fit(model.problem, model.unknowns, model.x, iterations, model)
+
+
+def fit(problem: Problem, unknowns: Sequence[Unknown], x, iterations: int = 8, begun: Model | None = None) -> Model:
     """The maximum of the likelihood.
 
-    Fisher's scoring with Levenberg's damping; each unknown has a weak Gaussian prior about its base.
+    Fisher's scoring with Levenberg's damping; each unknown has a weak Gaussian prior about its base. begun: a model
+    that was fitted at `x` already.
     """
     base, prior = _priors(unknowns)
     bounds = np.reshape([u.bounds for u in unknowns], (-1, 2)).T
     x, mask = np.clip(np.asarray(x, dtype=float), *bounds), problem.mask
-    at, found = scores(problem, unknowns, x)
+    at, found = (begun.residual, begun.scores) if begun else scores(problem, unknowns, x)
     value, damping = _objective(at, mask, x, base, prior), 1e-3
     for _ in range(iterations):
         gradient = found.gradient(mask) - (x - base) / prior**2
