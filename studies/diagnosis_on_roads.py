@@ -156,7 +156,8 @@ def car(number: int) -> Car:
     constrained, spoiled = number % 2 == 0, number % 3 == 0
     mount = dict(zip(('roll', 'pitch', 'yaw'), rng.uniform(-CROOKED, CROOKED, 3).tolist()))
     smoothing, share = rng.uniform(0.8, 1.5), rng.uniform(0.01, 0.04)
-    receiver = GnssNoise(0.02 if (number // 2) % 2 else 1.5, smoothing=smoothing if spoiled else 0.0,
+    rtk = (number // 2) % 2 == 1 and not spoiled  # which does not smooth: its fixes would be metres off
+    receiver = GnssNoise(0.02 if rtk else 1.5, smoothing=smoothing if spoiled else 0.0,
                          outliers=share if spoiled else 0.0)
     if number % 5 == 0:
         kind = 'mounting and offset'
