@@ -118,7 +118,8 @@ class Finding:
 @dataclass(frozen=True)
 class Diagnosis:
     """What `diagnose` found. Residuals and detections: of the filter of the user as configured, with the noise levels
-    alone that predict best, and with all that was found.
+    alone that predict best, and with all that was found; 'search': of the best model of the search, which hides nothing
+    and is what is left unexplained.
 
     noise: factors on noise levels in `corrected`. explained: those with which the innovations are explained best, and
     which no filter has to use.
@@ -146,7 +147,7 @@ class Diagnosis:
 
     @property
     def unexplained(self) -> bool:
-        return not self.detections['after'].consistent or bool(self.rest)
+        return self.detections['search'].lacking or bool(self.rest)
 
 
 @dataclass(frozen=True)
@@ -580,7 +581,7 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
     findings = [*(findings if correction.effects else map(_only_told, findings)), *correction.settings]
     model, origin = known.model, bench.origin
     residuals = {'before': origin.before, 'fitted': origin.observed(fitted.values),
-                 'after': origin.observed(correction.values)}
+                 'after': origin.observed(correction.values), 'search': model.residual}
     bench.tell(0.95, 'looking at what is left')
     rest = goes_with(model.moved(), model.scores, model.residual)
     explained = {u.name: float(np.exp(x)) for u, x in zip(model.unknowns, model.x) if u.noise}
@@ -692,6 +693,8 @@ def improves(comparison: Sequence[dict]) -> bool:
     if harm(comparison):
         return False
     rows = [row for row in comparison if row['decides'] and row.get('before') and row.get('after')]
+    if not rows:
+        return False
     honest = any(row['within_before'] < COVERED and row['within_after'] >= row['within_before'] + 2 / row['count']
                  for row in rows if 'within_before' in row)
     return all_in_all(rows) < BETTER or honest and all_in_all(rows) <= 1.0

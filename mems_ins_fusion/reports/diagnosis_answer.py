@@ -28,13 +28,13 @@ def answer(diagnosis: Diagnosis, checked: list[Checked], output: str) -> Answer:
     d = diagnosis
     after = d.after if d.better else d.before
     shares = [o['within_95_percent'] for o in after.summary()['outages'] if o['count'] >= FEWEST_OUTAGES]
-    consistent = d.detections['after' if d.better else 'before'].consistent
+    consistent = not d.detections['after' if d.better else 'before'].lacking
     covered = not shares or min(shares) >= COVERED
     grade = GOOD if consistent and covered else WARNING if d.better else BAD
     said = [checked_text(f, topics_of(d.values)) for f in checked if f.severity != INFO]
     found = [found_text(f) for f in d.findings if f.added]
     tried = [tried_text(f) for f in d.findings if not f.added]
-    shown = [] if d.detections['before'].consistent else [f"As configured: {' '.join(d.detections['before'].words())}"]
+    shown = [] if not d.detections['before'].lacking else [f"As configured: {' '.join(d.detections['before'].words())}"]
     left = [unexplained_text(d)] if d.unexplained else []
     return Answer(grade, _headline(d), [*found, *tried, *shown, *said, *left, *d.remarks], cost(d),
                   _steps(d, output), _trust(d.better, consistent, shares))
