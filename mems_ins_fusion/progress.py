@@ -21,7 +21,7 @@ class Progress:
             from tqdm import tqdm  # only now: that takes a while
 
             self._bar = tqdm(total=100, desc=self._name, mininterval=0.02, file=sys.stderr,
-                             bar_format='{desc}: {percentage:3.0f}%|{bar}| {elapsed} {postfix}')
+                             bar_format='{desc}: {percentage:3.0f}%|{bar}| {elapsed}, about {remaining} more {postfix}')
         return self
 
     def __exit__(self, *exception):

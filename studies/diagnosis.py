@@ -171,10 +171,11 @@ def study(scenario: str, names, seed: int) -> Case:
                   f'{f.reason}' for f in result.findings]
     case.notes += [f'{r.where} goes with {r.what}: gain {r.gain:.0f}' for r in result.rest[:4]]
     for finding in added:
-        for name, (value, sigma, _) in finding.parameters.items():
-            if finding.name in truth and sigma:
+        for name, estimate in finding.parameters.items():
+            if finding.name in truth and estimate.known:
                 # the parameters that were not simulated are truly zero
-                case.errors[f'{finding.name}.{name}'] = (value - truth[finding.name].get(name, 0.0)) / sigma
+                case.errors[f'{finding.name}.{name}'] = (
+                    estimate.value - truth[finding.name].get(name, 0.0)) / estimate.sigma
     knowing = oracle(truth, values, scenario)
     if knowing is not None:
         problem = Problem(recording, values)

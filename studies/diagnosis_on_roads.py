@@ -213,8 +213,7 @@ def asked(recording: Recording, given: dict) -> Answer:
     """The diagnosis of a drive, which has no reference: the only place that knows what `diagnose` returns."""
     result = diagnose(replace(recording, reference=None), given, durations=DURATIONS)
     added = [f for f in result.findings if f.added]
-    parameters = {f'{f.name}.{name}': (float(value), float(sigma)) for f in added
-                  for name, (value, sigma, _) in f.parameters.items() if sigma}
+    parameters = {f'{f.name}.{name}': (e.value, e.sigma) for f in added for name, e in f.parameters.items() if e.known}
     return Answer([list(f.group) for f in added], parameters, result.corrected, bool(result.unexplained))
 
 

@@ -90,8 +90,10 @@ def test_a_time_offset_is_found_with_its_value_and_taken_out(plain):
     # then it alone is found, within 3 sigma of the truth
     [finding] = added(result)
     assert finding.name == 'gnss_time_offset'
-    value, sigma, unit = finding.parameters['time_offset']
-    assert unit == 's' and 0 < sigma < 0.03 and abs(value - 0.2) < 3 * sigma
+    offset = finding.parameters['time_offset']
+    value, sigma = offset.value, offset.sigma
+    assert offset.unit == 's' and 0 < sigma < 0.03 and abs(value - 0.2) < 3 * sigma
+    assert finding.changes == {'gnss.time_offset': result.corrected['gnss.time_offset']}
     assert finding.held_out.helps
     # the error is that without the effect and what 3 sigma (of half the data: sqrt 2 more) are at this speed
     clean = rms(diagnose(plain, VALUES, effects=[], **OUTAGES).before)
@@ -113,8 +115,8 @@ def test_a_scale_factor_is_found_and_grouped_with_the_suspension_that_looks_the_
     assert {'accelerometer_scale', 'tilt'} == set(finding.group)
     if finding.name == 'accelerometer_scale':
         for name, true in (('x', 0.06), ('y', -0.06)):
-            value, sigma, _ = finding.parameters[name]
-            assert abs(value - true) < 3 * sigma < 0.06
+            estimate = finding.parameters[name]
+            assert abs(estimate.value - true) < 3 * estimate.sigma < 0.06
 
 
 def test_nothing_is_found_where_nothing_is(plain):
@@ -123,8 +125,10 @@ def test_nothing_is_found_where_nothing_is(plain):
                       [*EFFECTS.values(), Placebo()], **OUTAGES)
     assert not added(result) and not result.unexplained
     assert result.detections['after'].consistent
-    # only noise levels have moved, the receiver's, which each fix shows, by little: 450 fixes of two components
-    assert abs(np.log(result.noise['gnss.sigma'])) < 4 / np.sqrt(2 * 900)
+    # and nothing is changed, and it says so
+    assert not result.better and result.corrected == result.values and not result.noise
+    # the receiver's level, which each fix shows, is what was simulated: 450 fixes of two components, and FLOOR
+    assert abs(np.log(result.explained['gnss.sigma'])) < 0.03 + 4 / np.sqrt(2 * 900)
     parts = [part for part, _ in progress]
     assert parts == sorted(parts) and 0 < parts[0] and parts[-1] <= 1 and all(what for _, what in progress)
 
@@ -176,7 +180,7 @@ def test_temperature_coefficients_are_not_biased_by_the_standstill_before():
     true = {'accelerometer_x': 0.04, 'accelerometer_y': -0.05, 'gyroscope_z': 1e-3}
     result = diagnose(recorded('temperature', **true), VALUES, effects=[*FEW, EFFECTS['temperature']], **OUTAGES)
     [finding] = [f for f in added(result) if f.name == 'temperature']
-    errors = {name: (value - true[name]) / sigma for name, (value, sigma, _) in finding.parameters.items()}
+    errors = {name: (e.value - true[name]) / e.sigma for name, e in finding.parameters.items()}
     assert {'accelerometer_x', 'accelerometer_y'} <= set(errors) and all(abs(e) < 3 for e in errors.values())
 
 
@@ -192,8 +196,8 @@ def test_coloured_noise_is_found_and_only_what_is_determined_gets_a_number():
     # then sigma and tau are within 3 sigma, or they are said to trade against each other and have no number
     for name, true in (('sigma', 2.0), ('tau', 15.0)):
         if name in finding.parameters:
-            value, sigma, _ = finding.parameters[name]
-            assert abs(value - true) < 3 * sigma
+            estimate = finding.parameters[name]
+            assert abs(estimate.value - true) < 3 * estimate.sigma
         else:
             low, high = (float(n) for n in result.hidden[f'gnss_coloured_noise.{name}'].split()[0:3:2])
             assert low < 1.5 * true and high > true / 1.5
@@ -208,8 +212,8 @@ def test_position_errors_decide_between_effects_that_explain_the_same():
     [finding] = added(result)
     assert finding.name == 'accelerometer_lever_arm' and finding.group == ['accelerometer_lever_arm']
     for name, true in (('x', 2.0), ('y', 1.0)):
-        value, sigma, _ = finding.parameters[name]
-        assert abs(value - true) < 3 * sigma
+        estimate = finding.parameters[name]
+        assert abs(estimate.value - true) < 3 * estimate.sigma
     assert rms(result.after) < 1.2 * rms(diagnose(recorded(), VALUES, effects=[], **OUTAGES).before)
     # and without that reference neither is preferred: withheld fixes are of the same antenna
     without = diagnose(replace(recording, reference=None), VALUES, effects=arms, **OUTAGES)

@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import json
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from mems_ins_fusion.parameters.params_file import yaml_value
 from mems_ins_fusion.recordings.checker import Finding
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.reports import html, verdict
-from mems_ins_fusion.reports.diagnosis_answer import judged
 from mems_ins_fusion.reports.side_by_side import Result, Series, rows_of
 from mems_ins_fusion.reports.track import Layer, script, track
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -139,26 +137,6 @@ def test_findings_of_the_checker_are_in_the_answer_with_their_topic(folder):
     assert f'/imu/data: 9.8 is not {STANDARD_GRAVITY}' in answer.wrong
     assert '/imu/data and /gps/fix: the clocks differ' in answer.wrong
     assert not any('all is well' in text for text in answer.wrong)
-
-
-def row(before, after, p):
-    return {'what': '', 'before': before, 'after': after, 'p': p}
-
-
-@pytest.mark.parametrize('rows, added, said', [
-    ([row(4.0, 1.0, 0.001), row(100.0, 30.0, 0.1)], True, 'use'),
-    ([row(4.0, 1.0, 0.001), row(100.0, 130.0, 0.001)], True, 'worse'),  # one error grows for certain
-    ([row(4.0, 4.1, 0.5), row(100.0, 120.0, 0.5)], True, 'worse'),
-    ([row(4.0, 4.0, 0.5), row(100.0, 99.0, 0.5)], True, 'same'),
-    ([row(4.0, 3.0, 0.5), row(100.0, 90.0, 0.5)], False, 'same'),  # noise levels fitted to this drive, not certain
-    ([row(4.0, 3.0, 0.001), row(100.0, 90.0, 0.5)], False, 'use'),
-])
-def test_corrected_yaml_is_recommended_only_where_held_out_errors_shrink(rows, added, said):
-    diagnosis = SimpleNamespace(comparison=rows, findings=[SimpleNamespace(added=added)],
-                                values={'gnss.sigma': 1.0}, corrected={'gnss.sigma': 2.0})
-    assert judged(diagnosis) == said
-    diagnosis.corrected = diagnosis.values
-    assert judged(diagnosis) == 'nothing'
 
 
 # the pages

@@ -15,6 +15,9 @@ and measure the error before and after on data that the effect was not fitted to
 report.html, report.json and corrected.yaml, the parameters with the effects added, for --params-file of every tool.
 The method: docs/closing_the_loop.md; the effects: docs/effects.md."""
 
+#: how an IMU is mounted shows in this part of a drive, s
+MOUNTING_SHOWN = 1200.0
+
 
 def main(argv: list[str] | None = None) -> int:
     """Run the tool with `argv` (default: the command line); its exit status."""
@@ -25,35 +28,38 @@ def diagnose(options: argparse.Namespace) -> str:
     """Read, diagnose and write the results; the story for the user. ValueError for bad options or input."""
     from mems_ins_fusion.configuration.check import check_mounting
     from mems_ins_fusion.diagnosis.diagnose import diagnose as work
+    from mems_ins_fusion.evaluation.comparison import cut
     from mems_ins_fusion.recordings.checker import check_recording
     from mems_ins_fusion.reports.diagnosis import corrected_yaml, report, report_html, story
     from mems_ins_fusion.reports.diagnosis_answer import answer
     from mems_ins_fusion.reports.replay import read_part
     from mems_ins_fusion.results import result_folder
 
-    given = _parameters(options)
+    kept = params_file.load_files(options.params_file)
+    given = _parameters(options, kept)
     with result_folder(options.output, options.overwrite) as folder:
         with Progress('diagnose') as bar:
             recording, warned = read_part(options.bag, table.check(given), lambda part: bar(0.2 * part, 'reading'))
             if recording.gnss is None:
                 raise ValueError('gnss_topic is empty: a diagnosis needs fixes')
-            warned = [*warned, *(finding.message for finding in check_mounting(recording, table.check(given)))]
+            shown = check_mounting(cut(recording, 0.0, MOUNTING_SHOWN), table.check(given))
+            warned = [*warned, *(finding.message for finding in shown)]
             result = work(recording, table.check(given), lambda part, what: bar(0.2 + 0.75 * part, what))
             bar(0.95, 'writing')
             checked = check_recording(recording)
             answered = answer(result, checked, options.output)
-            (folder / 'corrected.yaml').write_text(corrected_yaml(result, given), encoding='utf-8')
+            (folder / 'corrected.yaml').write_text(corrected_yaml(result, kept), encoding='utf-8')
             content = json.dumps(report(result, answered, checked, warned), indent=1, allow_nan=False)
             (folder / 'report.json').write_text(content, encoding='utf-8')
-            page = report_html(result, given, answered, checked, warned)
+            page = report_html(result, kept, answered, checked, warned)
             (folder / 'report.html').write_text(page, encoding='utf-8')
             bar(1.0, 'done')
     return '\n'.join([*story(result, answered), *warned, f'The whole story: {options.output}/report.html'])
 
 
-def _parameters(options) -> dict:
-    """What the params file and the options give, by full name."""
-    given = params_file.load_files(options.params_file)
+def _parameters(options, kept: dict) -> dict:
+    """What the params file, `kept`, and the options give, by full name."""
+    given = dict(kept)
     asked = {'reference_topic': options.reference_topic, 'reference_file': options.reference_file,
              'start': options.start, 'stop': options.stop}
     if options.reference_topic:

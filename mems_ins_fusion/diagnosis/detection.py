@@ -1,7 +1,7 @@
 """What is wrong with the innovations, before anybody asks why."""
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,6 +36,12 @@ class Detection:
         return (low <= self.nis_mean <= high and self.ljung_box_p >= COLOURED
                 and 4 * min(self.mean_p.values()) >= SHIFTED)
 
+    @property
+    def lacking(self) -> bool:
+        """The model lacks something: not consistent, and not for expecting more than there is."""
+        low, _ = self.nis_bounds
+        return not replace(self, nis_mean=max(self.nis_mean, low)).consistent
+
     def words(self) -> list[str]:
         """What is wrong, for a person."""
         low, high = self.nis_bounds
@@ -61,6 +67,7 @@ def detect(residual: Residual, mask: np.ndarray) -> Detection:
     """The tests on the innovations in `mask`."""
     from scipy.stats import chi2, norm
 
+    mask = mask & np.isfinite(residual.z[:, 0])  # what the filter refused says nothing of the others
     u, t = residual.whitened()[mask], residual.along_across()[mask]
     series = dict(zip(COMPONENTS, [*u.T, *t.T]))
     n = len(u)

@@ -1,4 +1,7 @@
-"""Close the loop: find the residual, trace it to an effect the model lacks, add that effect, prove it (DESIGN, 5)."""
+"""Close the loop: find the residual, trace it to an effect the model lacks, add that effect, prove it (DESIGN, 5).
+
+Each step takes what is known so far (`Known`, never changed) and returns what is known after it.
+"""
 from __future__ import annotations
 
 import os
@@ -9,11 +12,43 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..effects.base import Effect
+from ..effects.gnss_outliers import far_off
 from ..effects.registry import EFFECTS
 from ..samples import Recording
+from . import learned
+from .clock import in_its_clock
 from .detection import Detection, detect
-from .proof import HeldOut, Measured, all_in_all, compared, gain_of, held_out, measure, objection, parts
-from .residuals import DiagnosisError, Model, Problem, Residual, fit, noise_unknowns
+from .estimate import Estimate
+from .levels import choose, multiplied
+from .outliers import isolated
+from .plausible import implausible
+from .proof import (
+    COVERED,
+    HeldOut,
+    Measured,
+    all_in_all,
+    compared,
+    gain_of,
+    harm,
+    held_out,
+    measure,
+    objection,
+    parts,
+    which_part,
+)
+from .residuals import (
+    LARGEST_FACTOR,
+    DiagnosisError,
+    Model,
+    Problem,
+    Residual,
+    Unknown,
+    calibrated,
+    fit,
+    noise_unknowns,
+    refined,
+    scores,
+)
 from .rest import GoesWith, goes_with
 from .tracing import (
     SIGNIFICANCE,
@@ -30,62 +65,79 @@ from .tracing import (
 FEWEST_FIXES = 60
 #: a recording has turns, and changes of speed, where these happen: rad/s and m/s^2 (root mean square)
 TURNING, SPEEDING = 0.03, 0.15
-MOST_ROUNDS = 8
+MOST_ROUNDS = 6
+#: a search that has filtered so many IMU samples is content with what it has: half a minute on two cores, whatever the
+#: recording, and the same result on each machine
+ENOUGH = 10_000_000
 #: errors are measured no more often than this, s
 REFERENCE_INTERVAL = 0.1
 #: candidates of one round that are fitted to see which explains most, if their gain is this part of the largest, and
 #: how close in log likelihood equals come
-TRIED, PART, CLOSE = 4, 0.3, 3.3
+TRIED, PART, CLOSE, MOST_TRIED = 3, 0.2, 3.3, 4
 #: position errors all in all that differ by this factor tell effects apart
 DIFFERENT = 1.1
 #: a parameter is not determined where values this many times apart fit equally well
 APART = 1.5
 #: iterations of a fit that is only compared with others
 COMPARED = 3
-#: noise levels with a factor above this may stand for an effect; a start this much below in log likelihood is none
-SWALLOWED, HOPELESS = 1.5, 50.0
-#: a fitted noise level this many times the configured one is worth a remark
-NOISE_FACTOR = 3.0
+#: and of one from a maximum that has moved little
+REFITTED = 4
+#: noise levels that differ by less than this (natural logarithm) make no other start
+SAME_START = 0.7
+#: an effect is one from so many sigma on, and a parameter of it has a value
+PLAIN, SHOWN = 3.0, 2.0
+MOUNTING = 'mounting_rotation'
+#: the filter with corrected.yaml is better where its errors are this part of those before, all in all
+BETTER = 0.97
+#: decisions are made on about so many outages, so far apart, s
+FEW_OUTAGES, CLOSEST_OUTAGES = 40, 10.0
 
 Progress = Callable[[float, str], None]
 
 
-@dataclass
+@dataclass(frozen=True)
 class Finding:
-    """One effect that was traced. parameters: name -> (value, sigma or None where it was only tried, unit).
+    """One thing that was traced.
 
-    reason: why it was not added.
+    group: names of what the recording cannot tell it from, itself first. changes: the parameters as the correction
+    sets them. reason: why it was not added. seen: where it was not fitted, what shows it.
     """
 
-    effect: Effect
+    name: str
     group: list[str]
-    parameters: dict[str, tuple[float, float | None, str]]
+    parameters: dict[str, Estimate]
     gain: float
     p: float
     added: bool
     held_out: HeldOut
     reason: str = ''
-
-    @property
-    def name(self) -> str:
-        return self.effect.name
+    changes: dict = field(default_factory=dict)
+    seen: str = ''
 
 
-@dataclass
+@dataclass(frozen=True)
 class Diagnosis:
-    """What `diagnose` found. Residuals and detections: as configured, with fitted noise levels, and at the end."""
+    """What `diagnose` found. Residuals and detections: of the filter of the user as configured, with the noise levels
+    alone that predict best, and with all that was found; 'search': of the best model of the search, which hides nothing
+    and is what is left unexplained.
+
+    noise: factors on noise levels in `corrected`. explained: those with which the innovations are explained best, and
+    which no filter has to use.
+    """
 
     recording: Recording
     values: dict
     problem: Problem
     residuals: dict[str, Residual]
     detections: dict[str, Detection]
-    noise: dict[str, float]  # fitted noise levels, as factors
+    noise: dict[str, float]
+    explained: dict[str, float]
     rounds: list[list[Candidate]]
     chosen: list[str]  # the candidate that each round tried to add; none in the last one
     findings: list[Finding]
     hidden: dict[str, str]  # effects and parameters that the data cannot show, and why
     corrected: dict
+    better: bool  # whether `corrected` is proven; else it is `values`
     before: Measured
     fitted: Measured
     after: Measured
@@ -95,7 +147,73 @@ class Diagnosis:
 
     @property
     def unexplained(self) -> bool:
-        return not self.detections['after'].consistent or bool(self.rest)
+        return self.detections['search'].lacking or bool(self.rest)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """The recording on the bench: what errors a filter makes in it."""
+
+    recording: Recording
+    origin: Problem
+    library: tuple[Effect, ...]
+    durations: tuple[float, ...]
+    spacing: float
+    tell: Progress
+
+    def enough(self, share: float = 1.0) -> bool:
+        """Whether this share of the work of a search is done."""
+        return sum(self.origin.runs) > share * ENOUGH
+
+    def errors(self, models: Sequence[dict], full: bool = False) -> Measured:
+        """Of one filter, or of those fitted to all parts but one, in these parts.
+
+        full: with all IMU samples, by the protocol that is reported; else for decisions.
+        """
+        if full:
+            return measure(self.origin, self.recording, self.origin.full.imu, models, self.durations, self.spacing)
+        mask = self.origin.mask
+        seconds = float(self.origin.stamp[mask][-1] - self.origin.stamp[mask][0]) * 1e-9
+        spacing = max(CLOSEST_OUTAGES, seconds / FEW_OUTAGES)
+        return measure(self.origin, self.recording, self.origin.drive.imu, models, self.durations, spacing)
+
+    def each(self, configurations: Sequence[dict]) -> list[Measured]:
+        """Of several filters."""
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            return list(pool.map(lambda values: self.errors([values]), configurations))
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known after a step: the model, what was found, and what is still to be tried.
+
+    estimates: the unknowns by the part that is held out. errors: those of the user's filter with the effects so far,
+    in each part with the estimate from the others.
+    """
+
+    problem: Problem
+    model: Model
+    errors: Measured
+    effects: tuple[Effect, ...]
+    rejected: tuple[Effect, ...] = ()
+    estimates: tuple[np.ndarray, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    rounds: tuple[list[Candidate], ...] = ()
+    chosen: tuple[str, ...] = ()
+    hidden: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def noise(self) -> int:
+        """How many of the unknowns, the first ones, are noise levels."""
+        return sum(u.noise for u in self.model.unknowns)
+
+    def corrected(self) -> dict:
+        """The user's parameters with the effects found so far."""
+        return self.problem.corrected(self.model.unknowns, self.model.x)
+
+    def by_part(self) -> list[dict]:
+        """The same by the part that is held out; one for all where nothing was estimated."""
+        return [self.problem.corrected(self.model.unknowns, x) for x in self.estimates] or [self.corrected()]
 
 
 def diagnose(recording: Recording, values: dict, progress: Progress = lambda part, what: None,
@@ -110,318 +228,521 @@ def diagnose(recording: Recording, values: dict, progress: Progress = lambda par
         slot = (recording.reference.stamp - recording.reference.stamp[0]) // round(REFERENCE_INTERVAL * 1e9)
         kept = np.unique(slot, return_index=True)[1]
         recording = replace(recording, reference=recording.reference.select(kept))
+    recording, clock = in_its_clock(recording, values['reference_clock'])
     problem = Problem(recording, values)
+    problem.reference_with_fixes = clock.with_fixes
     if problem.mask.sum() < FEWEST_FIXES:
         raise DiagnosisError(f'{recording.name}: {int(problem.mask.sum())} fixes while the filter runs, at least '
                              f'{FEWEST_FIXES} are needed: record some minutes of driving with fixes every second')
-    durations = [d for d in durations if d < 0.3 * (problem.stamp[-1] - problem.stamp[0]) * 1e-9]
-    work = _Work(recording, problem, list(effects if effects is not None else EFFECTS.values()), durations, spacing,
-                 progress)
-    work.fit_noise()
+    durations = tuple(d for d in durations if d < 0.3 * (problem.stamp[-1] - problem.stamp[0]) * 1e-9)
+    library = tuple(effects if effects is not None else EFFECTS.values())
+    bench = Bench(recording, problem, library, durations, spacing, progress)
+    known = first = begin(bench)
     for _ in range(MOST_ROUNDS):
-        if not work.add_best():
+        further = add_best(known, bench)
+        found_none = len(further.chosen) == len(known.chosen)
+        known = further
+        if found_none or bench.enough():
             break
-    work.drop_superseded()
-    work.drop_undetermined()
-    return work.finish()
+    known = without_undetermined(without_superseded(known, bench), bench)
+    return concluded(known, first, bench)
 
 
-@dataclass(frozen=True)
-class _Judged:
-    """A candidate, the model with it, its parameters as in a Finding, and what it does on data it was not fitted to."""
-
-    candidate: Candidate
-    model: Model
-    parameters: dict
-    proof: HeldOut
-    errors: Measured
-
-
-class _Work:
-    """The model as it grows: noise levels first, then one effect after the other."""
-
-    def __init__(self, recording, problem: Problem, effects: list[Effect], durations, spacing, progress: Progress):
-        self.recording, self.origin, self.progress = recording, problem, progress
-        self.library, self.effects, self.hidden = effects, effects, {}
-        self.durations, self.spacing = durations, spacing
-        self._hide(problem)
-        self.residuals = {'before': problem.base}
-        self.detections = {'before': detect(problem.base, problem.mask)}
-        self.findings: list[Finding] = []
-        self.rounds: list[list[Candidate]] = []
-        self.chosen: list[str] = []
-        self.estimates: list[np.ndarray] = []
-        self.rejected: list[Effect] = []
-
-    def _hide(self, problem: Problem) -> None:
-        """Set aside the effects of which this problem can say nothing."""
-        reasons = {e.name: e.hidden(problem.values, problem.recording) for e in self.effects}
-        self.hidden |= {name: why for name, why in reasons.items() if why}
-        self.effects = [e for e in self.effects if not reasons[e.name]]
-
-    def fit_noise(self) -> None:
-        self.progress(0.05, 'fitting noise levels')
-        noise = noise_unknowns(self.origin)
-        self.noise_count = len(noise)
-        self.model = self.noise_model = fit(self.origin, noise, np.zeros(len(noise)))
-        self.residuals['fitted'] = self.model.residual
-        self.detections['fitted'] = detect(self.model.residual, self.origin.mask)
-        self.errors = self._quick_errors(self.model, [])
-
-    def add_best(self) -> bool:
-        """Trace, and add the best candidate that helps on held-out data; False when none is left."""
-        share = 0.1 + 0.7 * len(self.rounds) / MOST_ROUNDS
-        tested = [0]
-
-        def progress():
-            tested[0] += 1
-            self.progress(share + 0.05 * tested[0] / len(self.effects), 'testing effects')
-
-        if not self.effects:
-            return False
-        model = self.model
-        candidates = trace(model.moved(), model.scores, model.residual, self.effects, model.problem.mask, progress)
-        self.rounds.append(candidates)
-        significant = [c for c in candidates if c.p_adjusted <= SIGNIFICANCE and c.scores is not None]
-        if not significant:
-            return False
-        self.progress(share + 0.07, f"adding {' or '.join(c.name for c in significant[:TRIED])}")
-        finding = self._tried(significant, candidates)
-        # the others of its group stay: what of them is not the same as the winner may show in the next round
-        self.effects = [e for e in self.effects if e.name != finding.name]
-        self.chosen.append(finding.name)
-        self.findings = [f for f in self.findings if f.name != finding.name] + [finding]
-        if not finding.added:
-            self.rejected.append(finding.effect)
-        elif self.rejected:  # what did not help before may help now
-            again = [*self.effects, *self.rejected]
-            self.effects, self.rejected = [e for e in self.library if e in again], []
-        return True
-
-    def _tried(self, significant: list[Candidate], candidates: list[Candidate]) -> Finding:
-        """The best candidate, in the model from now on if it helps on held-out data, and what it came to.
-
-        Of those that explain the same, the position errors decide where these differ: a reference may know more.
-        """
-        names, models = self._best(significant, candidates)
-        judged = {c.name: self._judged(c, models[c.name]) for c in significant if c.name in names and c.name in models}
-        best = judged[names[0]]
-        for name in names[1:]:
-            if name in judged and all_in_all(compared(best.errors, judged[name].errors)) < 1 / DIFFERENT:
-                best = judged[name]
-        others = [name for name in names if name not in judged or
-                  all_in_all(compared(best.errors, judged[name].errors)) < DIFFERENT]
-        against = objection(best.proof, compared(self.errors, best.errors))
-        if not against:
-            self.model, self.estimates, self.errors = best.model, best.proof.estimates, best.errors
-            self._hide(best.model.problem)
-        candidate = best.candidate
-        group = [candidate.name, *(name for name in others if name != candidate.name)]
-        return Finding(candidate.effect, group, best.parameters, candidate.gain, candidate.p_adjusted, not against,
-                       best.proof, against)
-
-    def _best(self, significant: list[Candidate], candidates: list[Candidate]) -> tuple[list[str], dict[str, Model]]:
-        """The candidate that explains most once it is in the model and all is fitted again, those that explain as much
-        or the same after it, and the models that were fitted for this.
-
-        The score test is linear, and at a model that is far off it ranks poorly; the likelihood does not. Equals are
-        taken in the order of the registry.
-        """
-        by_gain = sorted(significant, key=lambda c: 2 * len(c.theta) - c.gain)[:TRIED]
-        tried = [c for c in by_gain if c.gain >= PART * by_gain[0].gain]
-        models = {c.name: self._with(c) for c in tried}
-        mask = np.logical_and.reduce([model.problem.mask for model in models.values()])
-        merit = {c.name: models[c.name].likelihood(mask) - len(c.theta) for c in tried}
-        alike = [e.name for e in self.effects if merit.get(e.name, -np.inf) > max(merit.values()) - CLOSE]
-        best = next(c for c in tried if c.name == alike[0])
-        return list(dict.fromkeys([*alike, *group(best, candidates, self.model.problem.mask)])), models
-
-    def _with(self, candidate: Candidate) -> Model:
-        """The present model with one candidate added and all unknowns fitted again, well enough to compare."""
-        model = self.model
-        if candidate.effect.replaces_model(candidate.values()):
-            problem = Problem(self.recording, candidate.effect.adjusted(model.problem.values, candidate.values()))
-            return fit(problem, model.unknowns, model.x, COMPARED)
-        begin = [max(t, u.step) if u.variance else np.clip(t, -u.prior / 5, u.prior / 5)
-                 for t, u in zip(candidate.theta, candidate.unknowns)]
-        return fit(model.problem, [*model.unknowns, *candidate.unknowns], np.concatenate([model.x, begin]), COMPARED)
-
-    def _converged(self, trial: Model) -> Model:
-        """`trial` fitted to the end, without what is not determined then.
-
-        Noise levels that have swallowed the effect may not let go of it: so also from those configured, where these
-        are not hopeless.
-        """
-        first, mask = len(self.model.unknowns), trial.problem.mask
-        best = fit(trial.problem, trial.unknowns, trial.x)
-        if trial.x[:self.noise_count].max() >= np.log(SWALLOWED):
-            configured = np.concatenate([np.zeros(self.noise_count), trial.x[self.noise_count:]])
-            [there] = trial.problem.residuals(trial.unknowns, [configured])
-            if np.nansum(there.log_likelihood()[mask]) > best.likelihood(mask) - HOPELESS:
-                other = fit(trial.problem, trial.unknowns, configured)
-                best = max(best, other, key=lambda m: m.likelihood(mask))
-        pruned = self._pruned(best, first)
-        return pruned if len(pruned.unknowns) > first else best
-
-    def _pruned(self, trial: Model, first: int) -> Model:
-        """`trial` without those of its unknowns from `first` on that turn out not to be determined.
-
-        What can trade against another one of its effect (`_refined`) stays: together they are determined.
-        """
-        keep = determined(trial.x[first:], trial.sigma()[first:], trial.unknowns[first:])
-        keep |= np.array([u.variance or u.factor_on is not None for u in trial.unknowns[first:]], dtype=bool)
-        if keep.all():
-            return trial
-        kept = np.append(np.ones(first, dtype=bool), keep)
-        return fit(trial.problem, [u for u, k in zip(trial.unknowns, kept) if k], trial.x[kept])
-
-    def _completed(self, candidate: Candidate, trial: Model) -> Model:
-        """`trial` with what else of its effect the data determine now that noise levels need not stand for it."""
-        known = {u.name for u in trial.unknowns}
-        missing = [u for u in effect_unknowns(candidate.effect, candidate.fixed, trial.problem.attitude)
-                   if u.name not in known]
-        more = also_determined(trial.moved(), missing, trial.scores, trial.residual, trial.problem.mask)
-        if more:
-            first, start = len(trial.unknowns), np.append(trial.x, np.zeros(len(more)))
-            trial = self._pruned(fit(trial.problem, [*trial.unknowns, *more], start), first)
-        return self._refined(candidate.effect, trial) if candidate.effect.refined else trial
-
-    def _refined(self, effect: Effect, trial: Model) -> Model:
-        """`trial` with the parameters that were tried estimated, too, from each start: where these end as good ones at
-        other values, the data do not determine the effect's parameters."""
-        first = len(self.model.unknowns)
-        fits = []
-        for fixed in effect.tried:
-            unknowns = [*self.model.unknowns, *effect_unknowns(effect, fixed, self.model.problem.attitude)]
-            model = fit(trial.problem, unknowns, trial.x)
-            refined = refined_unknowns(effect, fixed)
-            fits.append(fit(trial.problem, [*unknowns, *refined], np.append(model.x, np.zeros(len(refined)))))
-        mask = trial.problem.mask
-        best = max(fits, key=lambda m: m.likelihood(mask))
-        good = [m for m in fits if m.likelihood(mask) > best.likelihood(mask) - CLOSE]
-        for i in range(first, len(best.unknowns)):
-            found = [m.unknowns[i].meant(m.x[i], 0.0)[0] for m in good]
-            if max(found) > APART * min(found):
-                unknown = best.unknowns[i]
-                unit = next(p.unit for p in effect.traced if p.name == unknown.parameter)
-                self.hidden[unknown.name] = (f'{min(found):.2g} to {max(found):.2g} {unit} explain the recording '
-                                             'equally well')
-        return best
-
-    def _judged(self, candidate: Candidate, model: Model) -> _Judged:
-        """What `candidate`, fitted as `model`, comes to on data it was not fitted to."""
-        if model.problem is self.model.problem:
-            model = self._completed(candidate, self._converged(model))
-            proof = held_out(model, self.model, self.noise_count)
-            parameters = _estimates(candidate, model, len(self.model.unknowns))
-        else:  # another mechanization has no parameter of its own that could have been fitted to the data
-            model = fit(model.problem, model.unknowns, model.x)
-            proof = gain_of(self.model.problem, self.model.residual, model.residual)
-            alone = fit(self.model.problem.moved(model.unknowns, model.x), candidate.unknowns, candidate.theta)
-            parameters = _estimates(candidate, alone, 0)
-        return _Judged(candidate, model, parameters, proof, self._quick_errors(model, proof.estimates))
-
-    def _quick_errors(self, model: Model, estimates: Sequence[np.ndarray]) -> Measured:
-        """Errors of `model`, each by the estimate from other blocks, with the samples of the many runs."""
-        assumed = [model.problem.assume(model.unknowns, x)[0] for x in estimates or [model.x]]
-        return measure(self.origin, self.recording, self.origin.recording.imu, assumed, self.durations, self.spacing)
-
-    def drop_superseded(self) -> None:
-        """Take out again what an effect that was added later has made superfluous."""
-        for finding in [f for f in self.findings if f.added][:-1]:
-            kept = [i for i, u in enumerate(self.model.unknowns) if u.effect != finding.name]
-            if len(kept) == len(self.model.unknowns):
-                continue
-            without = fit(self.model.problem, [self.model.unknowns[i] for i in kept], self.model.x[kept], COMPARED)
-            proof = held_out(self.model, without, self.noise_count)
-            estimates = self._by_part(without)
-            errors = self._quick_errors(without, estimates)
-            against = objection(proof, compared(errors, self.errors))
-            if against:
-                finding.added, finding.held_out = False, proof
-                finding.reason = f'superseded by an effect that was added later: {against}'
-                self.model, self.estimates, self.errors = without, estimates, errors
-
-    def drop_undetermined(self) -> None:
-        """Take out again the parameters that effects added later have left undetermined."""
-        pruned = self._pruned(self.model, self.noise_count)
-        if pruned is not self.model:
-            left = {u.name for u in pruned.unknowns}
-            self.hidden |= {u.name: 'not determined by this recording' for u in self.model.unknowns
-                            if u.name not in left}
-            for finding in self.findings:
-                own = {u.name for u in self.model.unknowns if u.effect == finding.name}
-                if finding.added and own and not own & left:
-                    finding.added, finding.reason = False, 'not determined with the effects that were added later'
-            self.model, self.estimates = pruned, self._by_part(pruned)
-
-    def _by_part(self, model: Model) -> list[np.ndarray]:
-        """The unknowns of `model` by the part that is held out."""
-        return [model.refitted(model.problem.mask & ~part, self.noise_count)[0] for part in parts(model.problem)]
-
-    def finish(self) -> Diagnosis:
-        model = self.model
-        problem = model.problem
-        self._final_estimates()
-        corrected, _ = problem.assume(model.unknowns, model.x)
-        noise_only, _ = self.origin.assume(self.noise_model.unknowns, self.noise_model.x)
-        folded = [problem.assume(model.unknowns, x)[0] for x in self.estimates] or [corrected]
-        self.progress(0.85, 'measuring errors')
-
-        def measured(models):
-            return measure(self.origin, self.recording, self.origin.full.imu, models, self.durations, self.spacing)
-
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            before, fitted, after = pool.map(measured, ([self.origin.values], [noise_only], folded))
-        self.residuals['after'], self.detections['after'] = model.residual, detect(model.residual, problem.mask)
-        rest = goes_with(model.moved(), model.scores, model.residual)
-        noise = {u.name: float(np.exp(v)) for u, v in zip(self.noise_model.unknowns, model.x)}
-        return Diagnosis(
-            recording=self.recording, values=self.origin.values, problem=problem, residuals=self.residuals,
-            detections=self.detections, noise=noise,
-            rounds=self.rounds, chosen=self.chosen, findings=self.findings, hidden=self._not_shown(),
-            corrected=corrected, before=before, fitted=fitted, after=after, comparison=compared(before, after),
-            rest=rest, remarks=_remarks(problem) + _noise_remarks(noise))
-
-    def _not_shown(self) -> dict[str, str]:
-        """Effects and parameters of which nothing can be said, and why."""
-        estimated = {u.name for u in self.model.unknowns}
-        undetermined = {f'{c.name}.{name}': 'not determined by this recording'
-                        for candidates in self.rounds for c in candidates for name in c.undetermined
-                        if f'{c.name}.{name}' not in estimated}
-        added = {f.name for f in self.findings if f.added}
-        return {name: why for name, why in {**self.hidden, **undetermined}.items() if name not in added}
-
-    def _final_estimates(self) -> None:
-        """All added parameters as the last joint fit left them; what is not determined has no number."""
-        model, sigma = self.model, self.model.sigma()
-        for finding in self.findings:
-            own = [i for i, u in enumerate(model.unknowns) if u.effect == finding.name]
-            if finding.added and own:
-                for i in own:
-                    name = model.unknowns[i].parameter
-                    unit = finding.parameters[name][2]
-                    finding.parameters[name] = (*model.unknowns[i].meant(model.x[i], sigma[i]), unit)
-            for name in [n for n in finding.parameters if f'{finding.name}.{n}' in self.hidden]:
-                del finding.parameters[name]
+def begin(bench: Bench) -> Known:
+    """The model without effects: fixes that are off alone set aside, noise levels fitted."""
+    bench.tell(0.05, 'fitting noise levels')
+    problem = bench.origin
+    noise = noise_unknowns(problem)
+    [at] = problem.residuals(noise, [calibrated(problem, noise)])
+    problem = problem.without(isolated(at, problem.mask) | _far_off(problem))
+    noise = noise_unknowns(problem)
+    model = fit(problem, noise, calibrated(problem, noise))
+    return _hidden(Known(problem, model, bench.errors([bench.origin.given]), bench.library))
 
 
-def _estimates(best: Candidate, model: Model, first: int) -> dict:
-    """Parameters of a finding, the unknowns of `model` from `first` on: name -> value, sigma, unit."""
-    units = {p.name: p.unit for p in best.effect.traced}
-    found = {name: (value, None, units[name]) for name, value in best.fixed.items() if value}
-    sigma = model.sigma()
-    for unknown, x, s in zip(model.unknowns[first:], model.x[first:], sigma[first:]):
-        name = unknown.parameter
-        found[name] = (*unknown.meant(x, s), units[name])
+def _far_off(problem: Problem) -> np.ndarray:
+    """Which fixes neither those before nor those after them explain, (f,) bool."""
+    found = np.zeros(len(problem.stamp), dtype=bool)
+    found[far_off(problem.drive.gnss)[0]] = True
     return found
 
 
+def _hidden(known: Known) -> Known:
+    """Without the effects of which this problem can say nothing."""
+    reasons = {e.name: e.hidden(known.problem.given, known.problem.recording) for e in known.effects}
+    reasons |= {name: why for name, why in learned.hides(known.problem.given).items() if name in reasons}
+    return replace(known, hidden=known.hidden | {name: why for name, why in reasons.items() if why},
+                   effects=tuple(e for e in known.effects if not reasons[e.name]))
+
+
+# one round: trace, try, judge
+
+def add_best(known: Known, bench: Bench) -> Known:
+    """Trace from several starts, and add the best candidate that helps on held-out data.
+
+    A `Known` without a further choice where nothing is significant."""
+    if not known.effects:
+        return known
+    share = 0.1 + 0.6 * min(1.0, sum(bench.origin.runs) / ENOUGH)  # of the most that there may be to do
+    bench.tell(share, 'testing effects')
+    views = starts(known)[:1 if bench.enough(0.6) else None]
+    best: dict[str, tuple[Candidate, np.ndarray]] = {}
+    significant: list[tuple[int, Candidate, np.ndarray]] = []
+    for view in views:
+        at, nuisance = scores(known.problem, known.model.unknowns, view)
+        moved = known.problem.moved(known.model.unknowns, view)
+        traced = trace(moved, nuisance, at, known.effects, known.problem.mask)
+        for candidate in traced:
+            if candidate.name not in best or candidate.p < best[candidate.name][0].p:
+                best[candidate.name] = candidate, view
+        plain = [c for c in traced if c.p_adjusted <= SIGNIFICANCE and c.scores is not None]
+        plain.sort(key=lambda c: 2 * len(c.theta) - c.gain)
+        significant += [(rank, c, view) for rank, c in enumerate(plain[:TRIED]) if c.gain >= PART * plain[0].gain]
+    candidates = sorted((c for c, _ in best.values()), key=lambda c: (c.p, -c.gain))
+    known = replace(known, rounds=(*known.rounds, candidates))
+    if not significant:
+        return known
+    # each from the start where it explains most, those first that are first at some start
+    names = [c.name for _, c, _ in sorted(significant, key=lambda found: (found[0], best[found[1].name][0].p))]
+    names = list(dict.fromkeys(names))[:MOST_TRIED]
+    bench.tell(share + 0.01, f'adding {" or ".join(names)}')
+    return _tried(known, [best[name] for name in names], candidates, bench)
+
+
+def starts(known: Known) -> list[np.ndarray]:
+    """The unknowns at different noise levels: as fitted, as configured with the receiver's as it shows, and at first
+    between them.
+
+    Fitted levels may have swallowed an effect, and configured ones may hide it behind others.
+    """
+    model, n = known.model, known.noise
+    configured = calibrated(known.problem, model.unknowns, model.x)
+    found = [model.x]
+    for x in (configured, 0.5 * (configured + model.x))[:1 if known.rounds else 2]:
+        if all(np.abs(x[:n] - other[:n]).max() > SAME_START for other in found):
+            found.append(x)
+    return found
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A candidate, the model with it, its parameters, and what it does on data it was not fitted to."""
+
+    candidate: Candidate
+    model: Model
+    parameters: dict[str, Estimate]
+    hidden: dict[str, str]
+    proof: HeldOut
+    errors: Measured
+    against: str
+
+
+def _tried(known: Known, significant, candidates: list[Candidate], bench: Bench) -> Known:
+    """With the best of the significant candidates in the model, if it helps on held-out data.
+
+    Of those that explain the same, the position errors decide where these differ: a reference may know more. What
+    cannot be is told and makes room for the next.
+    """
+    chosen = {candidate.name: candidate for candidate, _ in significant}
+    models = {candidate.name: _with(known, candidate, view, bench) for candidate, view in significant}
+    mask = np.logical_and.reduce([model.problem.mask for model in models.values()])
+    merit = {name: model.likelihood(mask) - len(chosen[name].theta) for name, model in models.items()}
+    order = sorted(models, key=merit.get, reverse=True)
+    failed: list[Finding] = []
+    for name in order:
+        alike = [e.name for e in known.effects if e.name in merit and merit[e.name] > merit[name] - CLOSE
+                 and e.name not in {f.name for f in failed}]
+        same = [n for n in group(chosen[alike[0]], candidates, known.problem.mask) if n not in alike]
+        names = [*alike, *same]
+        judged = {n: _judged(known, chosen[n], models[n], bench) for n in names if n in models}
+        best = judged[names[0]]
+        for n in names[1:]:
+            if n in judged and not judged[n].against and (
+                    best.against or all_in_all(compared(best.errors, judged[n].errors)) < 1 / DIFFERENT):
+                best = judged[n]
+        others = [n for n in names if n != best.candidate.name and (
+            n not in judged or all_in_all(compared(best.errors, judged[n].errors)) < DIFFERENT)]
+        finding = Finding(best.candidate.name, [best.candidate.name, *others], best.parameters, best.candidate.gain,
+                          best.candidate.p_adjusted, not best.against, best.proof, best.against)
+        if not best.against:
+            return _taken(known, best, finding, failed)
+        failed.append(finding)
+        if bench.enough(0.8):
+            break
+    names = {f.name for f in failed}
+    return replace(known, findings=_with_findings(known.findings, failed), chosen=(*known.chosen, order[0]),
+                   effects=tuple(e for e in known.effects if e.name not in names),
+                   rejected=(*known.rejected, *(e for e in known.effects if e.name in names)))
+
+
+def _with_findings(findings, new: Sequence[Finding]) -> tuple[Finding, ...]:
+    names = {f.name for f in new}
+    return (*(f for f in findings if f.name not in names), *new)
+
+
+def _taken(known: Known, best: Judged, finding: Finding, failed: list[Finding]) -> Known:
+    """With what was judged in the model; what did not help before may help now."""
+    again = {e.name for e in (*known.effects, *known.rejected)} - {finding.name}
+    library = dict.fromkeys((*known.effects, *known.rejected))
+    effects = tuple(e for e in library if e.name in again)
+    return _hidden(replace(
+        known, problem=best.model.problem, model=best.model, errors=best.errors, estimates=tuple(best.proof.estimates),
+        findings=_with_findings(known.findings, [*failed, finding]), chosen=(*known.chosen, finding.name),
+        effects=effects, rejected=(), hidden=known.hidden | best.hidden))
+
+
+def _with(known: Known, candidate: Candidate, view: np.ndarray, bench: Bench) -> Model:
+    """The present model with one candidate added and all fitted again from `view`, well enough to compare."""
+    model = known.model
+    if candidate.effect.replaces_model(candidate.values()):
+        problem = Problem(bench.recording, candidate.effect.adjusted(known.problem.given, candidate.values()))
+        problem.runs = known.problem.runs
+        problem = problem.without(known.problem.outlying)
+        noise = noise_unknowns(problem)
+        kept = [u for u in model.unknowns if not u.noise]
+        x = np.append(calibrated(problem, noise), model.x[known.noise:])
+        return fit(problem, [*noise, *kept], x, COMPARED)
+    begin = [max(t, u.step) if u.variance else np.clip(t, -u.prior / 5, u.prior / 5)
+             for t, u in zip(candidate.theta, candidate.unknowns)]
+    return fit(known.problem, [*model.unknowns, *candidate.unknowns], np.concatenate([view, begin]), COMPARED)
+
+
+def _judged(known: Known, candidate: Candidate, model: Model, bench: Bench) -> Judged:
+    """What `candidate`, fitted as `model`, comes to on data it was not fitted to."""
+    first = len(known.model.unknowns)
+    if model.problem is not known.problem:
+        # another mechanization has no parameter of its own that could have been fitted to the data
+        model = refined(model)
+        proof = gain_of(known.problem, known.model.residual, model.residual)
+        alone = fit(known.problem.moved(known.model.unknowns, known.model.x), candidate.unknowns, candidate.theta)
+        parameters = _estimates(candidate, alone, 0)
+        errors = bench.errors([model.problem.corrected(model.unknowns, model.x)])
+        against = objection(proof, compared(known.errors, errors))
+        return Judged(candidate, model, parameters, {}, proof, errors, against)
+    model, hidden = _completed(known, candidate, _pruned(refined(model), first))
+    if len(model.unknowns) == first:
+        return Judged(candidate, known.model, {}, {}, HeldOut(0.0, 1.0, []), known.errors,
+                      'not determined once all is fitted together')
+    parameters = {name: e for name, e in _estimates(candidate, model, first).items()
+                  if f'{candidate.name}.{name}' not in hidden}
+    # the same noise levels may suit the shorter model better, too
+    shorter = fit(known.problem, known.model.unknowns, model.x[:first], COMPARED)
+    mask = known.problem.mask
+    shorter = max(known.model, shorter, key=lambda m: m.likelihood(mask))
+    proof = held_out(model, shorter, known.noise)
+    errors = bench.errors([known.problem.corrected(model.unknowns, x) for x in proof.estimates])
+    against = (implausible(candidate.name, parameters) or _small(model, first)
+               or objection(proof, compared(known.errors, errors)))
+    return Judged(candidate, model, parameters, hidden, proof, errors, against)
+
+
+def _small(model: Model, first: int) -> str:
+    """An objection to an effect none of whose parameters is PLAIN; empty where one is."""
+    sigma = model.sigma()
+    plain = [u.variance or u.factor_on is not None or abs(x) >= PLAIN * s
+             for u, x, s in zip(model.unknowns[first:], model.x[first:], sigma[first:])]
+    return '' if any(plain) else f'less than {PLAIN:g} sigma'
+
+
+def _pruned(trial: Model, first: int) -> Model:
+    """`trial` without those of its unknowns from `first` on that turn out not to be determined, or not to be there.
+
+    What can trade against another one of its effect (`_refined`) stays: together they are determined.
+    """
+    x, sigma = trial.x[first:], trial.sigma()[first:]
+    keep = determined(x, sigma, trial.unknowns[first:]) & (np.abs(x) >= SHOWN * sigma)
+    keep |= np.array([u.variance or u.factor_on is not None for u in trial.unknowns[first:]], dtype=bool)
+    if keep.all():
+        return trial
+    kept = np.append(np.ones(first, dtype=bool), keep)
+    return fit(trial.problem, [u for u, k in zip(trial.unknowns, kept) if k], trial.x[kept], REFITTED)
+
+
+def _completed(known: Known, candidate: Candidate, trial: Model) -> tuple[Model, dict[str, str]]:
+    """`trial` with what else of its effect the data determine now that noise levels need not stand for it."""
+    present = {u.name for u in trial.unknowns}
+    missing = [u for u in effect_unknowns(candidate.effect, candidate.fixed, trial.problem.attitude)
+               if u.name not in present and u.parameter in candidate.undetermined]
+    more = also_determined(trial.moved(), missing, trial.scores, trial.residual, trial.problem.mask)
+    if more:
+        first, start = len(trial.unknowns), np.append(trial.x, np.zeros(len(more)))
+        trial = _pruned(fit(trial.problem, [*trial.unknowns, *more], start, REFITTED), first)
+    return _refined(known, candidate.effect, trial) if candidate.effect.refined else (trial, {})
+
+
+def _refined(known: Known, effect: Effect, trial: Model) -> tuple[Model, dict[str, str]]:
+    """`trial` with the parameters that were tried estimated, too, from each start: where these end as good ones at
+    other values, the data do not determine the effect's parameters."""
+    first = len(known.model.unknowns)
+    fits = []
+    for fixed in effect.tried:
+        factors = refined_unknowns(effect, fixed)
+        unknowns = [*known.model.unknowns, *effect_unknowns(effect, fixed, known.problem.attitude), *factors]
+        fits.append(fit(trial.problem, unknowns, np.append(trial.x, np.zeros(len(factors))), REFITTED))
+    mask = trial.problem.mask
+    best = max(fits, key=lambda m: m.likelihood(mask))
+    good = [m for m in fits if m.likelihood(mask) > best.likelihood(mask) - CLOSE]
+    hidden = {}
+    for i in range(first, len(best.unknowns)):
+        unknown = best.unknowns[i]
+        found = [m.unknowns[i].meant(m.x[i], 0.0)[0] for m in good]
+        if max(found) > APART * min(found):
+            unit = next(p.unit for p in effect.traced if p.name == unknown.parameter)
+            between = Estimate(None, None, unit, (min(found), max(found)))
+            hidden[unknown.name] = f'{between.text()} explain the recording equally well'
+    return best, hidden
+
+
+def _estimates(best: Candidate, model: Model, first: int) -> dict[str, Estimate]:
+    """Parameters of a finding, the unknowns of `model` from `first` on."""
+    units = {p.name: p.unit for p in best.effect.traced}
+    found = {name: Estimate(value, None, units[name]) for name, value in best.fixed.items() if value}
+    sigma = model.sigma()
+    for unknown, x, s in zip(model.unknowns[first:], model.x[first:], sigma[first:]):
+        found[unknown.parameter] = Estimate(*unknown.meant(x, s), units[unknown.parameter])
+    return found
+
+
+# when all rounds are over
+
+def without_superseded(known: Known, bench: Bench) -> Known:
+    """Without what an effect that was added later has made superfluous."""
+    for finding in [f for f in known.findings if f.added][:-1]:
+        model = known.model
+        kept = [i for i, u in enumerate(model.unknowns) if u.effect != finding.name or u.noise]
+        if len(kept) == len(model.unknowns):
+            continue
+        without = fit(known.problem, [model.unknowns[i] for i in kept], model.x[kept], COMPARED)
+        proof = held_out(model, without, known.noise)
+        estimates = _by_part(without, known.noise)
+        errors = bench.errors([known.problem.corrected(without.unknowns, x) for x in estimates])
+        against = objection(proof, compared(errors, known.errors))
+        if against:
+            dropped = replace(finding, added=False, held_out=proof,
+                              reason=f'superseded by an effect that was added later: {against}')
+            known = replace(known, model=without, estimates=tuple(estimates), errors=errors, findings=tuple(
+                dropped if f is finding else f for f in known.findings))
+    return known
+
+
+def without_undetermined(known: Known, bench: Bench) -> Known:
+    """Without the parameters that effects added later have left undetermined."""
+    pruned = _pruned(known.model, known.noise)
+    if pruned is known.model:
+        return known
+    left = {u.name for u in pruned.unknowns}
+    gone = {u.name: 'not determined by this recording' for u in known.model.unknowns if u.name not in left}
+    findings = []
+    for finding in known.findings:
+        own = {u.name for u in known.model.unknowns if u.effect == finding.name and not u.noise}
+        if finding.added and own and not own & left:
+            finding = replace(finding, added=False, reason='not determined with the effects that were added later')
+        findings.append(finding)
+    estimates = tuple(_by_part(pruned, known.noise))
+    known = replace(known, model=pruned, estimates=estimates, findings=tuple(findings), hidden=known.hidden | gone)
+    return replace(known, errors=bench.errors(known.by_part()))
+
+
+def _by_part(model: Model, noise: int) -> list[np.ndarray]:
+    """The unknowns of `model` by the part that is held out."""
+    return [model.refitted(model.problem.mask & ~part, noise)[0] for part in parts(model.problem)]
+
+
+@dataclass(frozen=True)
+class Correction:
+    """One way to correct the parameters: for the whole drive, and by the part that is held out."""
+
+    values: dict
+    by_part: list[dict]
+    factors: dict[str, float]
+    effects: bool
+    settings: tuple[Finding, ...] = ()
+
+
+def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
+    """The corrections that are proven, and the errors before and after."""
+    bench.tell(0.72, 'choosing noise levels')
+    given = bench.origin.given
+    configured = Correction(given, [given], {}, False)
+    fitted = _levelled(configured, bench)
+    correction = _settled(known, first, fitted, configured, bench)
+    bench.tell(0.88, 'measuring errors')
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        before, noise_only, after = pool.map(lambda models: bench.errors(models, full=True),
+                                             ([given], fitted.by_part, correction.by_part))
+    comparison = compared(before, after)
+    better = correction.values != given and improves(comparison)
+    if not better:
+        told = tuple(_only_told(f) for f in correction.settings)
+        correction, after, comparison = replace(configured, settings=told), before, compared(before, before)
+    hidden = _not_shown(known)
+    # a finding is added only where corrected.yaml holds it
+    findings = _final(known, hidden, correction.values, given, bench.library)
+    findings = [*(findings if correction.effects else map(_only_told, findings)), *correction.settings]
+    model, origin = known.model, bench.origin
+    residuals = {'before': origin.before, 'fitted': origin.observed(fitted.values),
+                 'after': origin.observed(correction.values), 'search': model.residual}
+    bench.tell(0.95, 'looking at what is left')
+    rest = goes_with(model.moved(), model.scores, model.residual)
+    explained = {u.name: float(np.exp(x)) for u, x in zip(model.unknowns, model.x) if u.noise}
+    return Diagnosis(
+        recording=bench.recording, values=given, problem=origin, residuals=residuals,
+        detections={stage: detect(r, origin.mask) for stage, r in residuals.items()}, noise=correction.factors,
+        explained=explained, rounds=list(known.rounds), chosen=list(known.chosen), findings=findings,
+        hidden=hidden, corrected=correction.values,
+        better=better, before=before, fitted=noise_only, after=after, comparison=comparison,
+        rest=rest, remarks=_remarks(origin) + _noise_remarks(explained))
+
+
+def _settled(known: Known, first: Known, fitted: Correction, configured: Correction, bench: Bench) -> Correction:
+    """What is proven together: effects with or without other noise levels, noise levels alone, or nothing."""
+    options, told = [fitted], ()
+    effects = configured
+    if any(f.added for f in known.findings):
+        effects = Correction(known.corrected(), known.by_part(), {}, True)
+    effects = _with_mounting(_with_settings(effects, bench), bench)
+    told = effects.settings
+    if effects.values != configured.values:
+        options += [_levelled(replace(effects, factors=fitted.factors), bench), effects]
+    best, merit = configured, _merit(first.errors)
+    for option in options:
+        if option.values == configured.values:
+            continue
+        errors = bench.errors(option.by_part)
+        value = _merit(errors)
+        if value > merit and improves(compared(first.errors, errors)):
+            best, merit = option, value
+    return best if best.settings else replace(best, settings=tuple(_only_told(f) for f in told))
+
+
+def _only_told(finding: Finding) -> Finding:
+    reason = finding.reason or 'the errors do not shrink with it'
+    return replace(finding, added=False, changes={}, reason=reason)
+
+
+def _with_settings(correction: Correction, bench: Bench) -> Correction:
+    """With what a direct look at the recording shows, and the settings against it where these help."""
+    for effect in bench.library:
+        sighting = effect.seen(bench.origin.given, bench.origin.full)
+        if sighting is None:
+            continue
+        units = {p.name: p.unit for p in effect.parameters}
+        finding = Finding(effect.name, [effect.name], {n: Estimate(v, s, units[n]) for n, (v, s) in
+                                                       sighting.parameters.items()}, 0.0, 0.0, False,
+                          HeldOut(0.0, 1.0, []), seen=sighting.text)
+        further = [effect.adjusted(values, effect.complete({})) for values in (correction.values, *correction.by_part)]
+        if further[0] == correction.values:
+            finding = replace(finding, reason='the settings are made for it already')
+        elif improves(compared(bench.errors(correction.by_part), bench.errors(further[1:]))):
+            changes = {n: v for n, v in further[0].items() if v != correction.values[n]}
+            finding = replace(finding, added=True, changes=changes)
+            correction = replace(correction, values=further[0], by_part=further[1:])
+        else:
+            finding = replace(finding, reason='the errors do not shrink with other settings')
+        correction = replace(correction, settings=(*correction.settings, finding))
+    return correction
+
+
+def _with_mounting(correction: Correction, bench: Bench) -> Correction:
+    """With the mounting's angles as the filter has learned them, where they are there and do no harm."""
+    if MOUNTING not in {e.name for e in bench.library}:
+        return correction
+    found = learned.angles(bench.origin.full, correction.values)
+    if found is None or not found.plain:
+        return correction
+    effect = next(e for e in bench.library if e.name == MOUNTING)
+
+    def turned(values, angles):
+        return effect.adjusted(values, {'roll': 0.0, **{n: angles[n] if n in found.plain else 0.0
+                                                        for n in learned.STATES}})
+
+    whole = {name: e.value for name, e in found.whole.items()}
+    parted = correction.by_part * (len(parts(bench.origin)) if len(correction.by_part) == 1 else 1)
+    # each part in turn with the angles of one half of the drive, so that their scatter is in the errors
+    halves = found.halves or [whole]
+    by_part = [turned(values, halves[k % len(halves)]) for k, values in enumerate(parted)]
+    values = turned(correction.values, {n: whole.get(n, 0.0) for n in learned.STATES})
+    finding = Finding(MOUNTING, [MOUNTING], found.plain, 0.0, 0.0, True, HeldOut(0.0, 1.0, []),
+                      changes={'imu.mounting_rpy': values['imu.mounting_rpy']},
+                      seen='the filter finds it itself in each drive, within a minute or two of it')
+    reason = implausible(MOUNTING, found.plain) or harm(compared(bench.errors(correction.by_part),
+                                                                 bench.errors(by_part)))
+    if reason:
+        return replace(correction, settings=(*correction.settings, _only_told(replace(finding, reason=reason))))
+    return replace(correction, values=values, by_part=by_part, settings=(*correction.settings, finding))
+
+
+def _levelled(correction: Correction, bench: Bench) -> Correction:
+    """`correction` with the noise levels that predict best; its factors are where the search begins, too."""
+    claimed = float(np.median(np.sqrt(bench.origin.claimed[:, 0, 0])))
+    levels = choose(correction.values, bench.each, which_part(bench.origin), len(parts(bench.origin)), claimed,
+                    correction.factors)
+    factors = {name: factor for name, factor in levels.factors.items() if factor != 1.0}
+    by_part = correction.by_part * (len(levels.by_part) if len(correction.by_part) == 1 else 1)
+    return replace(correction, values=multiplied(correction.values, factors, claimed), factors=factors,
+                   by_part=[multiplied(values, chosen, claimed) for values, chosen in zip(by_part, levels.by_part)])
+
+
+def _merit(measured: Measured) -> float:
+    """Mean log likelihood of what was predicted, all horizons alike."""
+    return float(np.mean([score.mean() for _, score in measured.scores() if len(score)]))
+
+
+def improves(comparison: Sequence[dict]) -> bool:
+    """Whether errors shrink, or the ellipses hold the truth where they did not, and nothing becomes worse."""
+    if harm(comparison):
+        return False
+    rows = [row for row in comparison if row['decides'] and row.get('before') and row.get('after')]
+    if not rows:
+        return False
+    honest = any(row['within_before'] < COVERED and row['within_after'] >= row['within_before'] + 2 / row['count']
+                 for row in rows if 'within_before' in row)
+    return all_in_all(rows) < BETTER or honest and all_in_all(rows) <= 1.0
+
+
+def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence[Effect]) -> list[Finding]:
+    """All findings with the estimates of the last joint fit, and what each has changed in `corrected`."""
+    model, sigma, found = known.model, known.model.sigma(), []
+    effects = {e.name: e for e in library}
+    for finding in known.findings:
+        own = {u.parameter: Estimate(*u.meant(x, s), finding.parameters[u.parameter].unit)
+               for u, x, s in zip(model.unknowns, model.x, sigma)
+               if u.effect == finding.name and not u.noise and u.parameter in finding.parameters}
+        parameters = finding.parameters
+        if finding.added and own:
+            parameters = {n: own.get(n, e) for n, e in parameters.items() if n in own or e.sigma is None}
+        parameters = {n: e for n, e in parameters.items() if f'{finding.name}.{n}' not in hidden}
+        if not finding.added:  # what is less than PLAIN is no news
+            parameters = {n: e for n, e in parameters.items() if not e.known or abs(e.value) >= PLAIN * e.sigma}
+            if not parameters or finding.held_out.gain <= 0:
+                continue
+        changes = {}
+        if finding.added:
+            effect = effects[finding.name]
+            theta = {p.name: 0.0 for p in (*effect.parameters, *effect.traced)}
+            theta |= {n: e.value for n, e in finding.parameters.items()}
+            moved = effect.adjusted(given, theta)
+            changes = {n: corrected[n] for n in given if moved[n] != given[n]}
+        found.append(replace(finding, parameters=parameters, changes=changes))
+    return found
+
+
+def _not_shown(known: Known) -> dict[str, str]:
+    """Effects and parameters of which nothing can be said, and why: as each effect was tested last."""
+    estimated = {u.name for u in known.model.unknowns}
+    last = {c.name: c for candidates in known.rounds for c in candidates}
+    undetermined = {f'{c.name}.{name}': 'not determined by this recording' for c in last.values()
+                    for name in c.undetermined if f'{c.name}.{name}' not in estimated}
+    added = {f.name for f in known.findings if f.added}
+    return {name: why for name, why in {**known.hidden, **undetermined}.items() if name not in added}
+
+
 def _noise_remarks(factors: dict[str, float]) -> list[str]:
-    """Noise levels far above those configured: wrong settings, or something that is in no effect of the library."""
-    return [f'{name} had to be fitted {factor:.1f} times as large as configured: either it was set too small, or the '
-            'noise stands for an effect that is not in the library.'
-            for name, factor in factors.items() if factor > NOISE_FACTOR]
+    """Noise levels that are none: wrong settings, or something that is in no effect of the library."""
+    return [f'{name} would have to be {factor:.0f} times as large as configured to explain this drive: no sensor is so '
+            'much noisier than its settings, so this stands for something that is not in the library (vibration of the '
+            'mount, samples that repeat, a scale or an axis that is not what it says).'
+            for name, factor in factors.items() if name != 'gnss.sigma' and factor > 0.95 * LARGEST_FACTOR]
 
 
 def _remarks(problem: Problem) -> list[str]:

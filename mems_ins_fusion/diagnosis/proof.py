@@ -16,12 +16,12 @@ from ..evaluation import metrics
 from ..evaluation.bootstrap import paired
 from ..evaluation.comparison import aiding_of, samples_to_keep, truth_of
 from ..evaluation.metrics import Errors, position_errors
-from ..evaluation.outages import Outages, outage_begins, run_outages
+from ..evaluation.outages import Outages, outage_begins, outages_of
 from ..evaluation.outages import summary as outage_summary
 from ..filter.config import FilterConfig
-from ..filter.replay import run
+from ..filter.replay import run, run_with_outages
 from ..samples import ImuSamples, Recording
-from .residuals import Model, Problem, Residual
+from .residuals import Model, Problem, Residual, tempered
 
 #: parts of the recording, each held out in turn; blocks of each part; a block is not shorter than this, s
 PARTS, BLOCKS, SHORTEST_BLOCK = 4, 2, 30.0
@@ -31,6 +31,12 @@ SIGNIFICANCE = 0.2
 SUPPORT = 0.95
 #: an error is larger or smaller for certain when chance would give that this rarely
 CERTAIN = 0.01
+#: an error has grown noticeably beyond this part and this much, m; by this factor it has grown, certain or not
+GROWN, NOTICED, LARGER = 0.03, 0.1, 1.1
+#: 95 % ellipses shall hold the truth in this part of the outages
+COVERED = 0.9
+#: a predicted error smaller than this is none, m
+SMALLEST_ERROR = 0.1
 
 
 def parts(problem: Problem) -> list[np.ndarray]:
@@ -40,6 +46,18 @@ def parts(problem: Problem) -> list[np.ndarray]:
     length = max(duration / (PARTS * BLOCKS), min(SHORTEST_BLOCK, duration / PARTS)) + 1e-6
     part = part_of(problem.stamp, stamp[0], length)
     return [problem.mask & (part == k) for k in range(PARTS)]
+
+
+def which_part(problem: Problem):
+    """A function that tells the part, 0 to PARTS - 1, of stamps (k,) ns."""
+    masks = parts(problem)
+
+    def of(stamp):
+        found = np.full(len(stamp), -1)
+        for k, mask in enumerate(masks):
+            found[_in_mask(stamp, problem, mask)] = k
+        return found
+    return of
 
 
 def part_of(stamp: np.ndarray, origin: int, length: float) -> np.ndarray:
@@ -107,15 +125,37 @@ def _p_of_no_gain(problem: Problem, gains: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Measured:
-    """Position errors of one model: at the truth's epochs with the fixes used, and in outages."""
+    """Errors of one model: at the truth's epochs with the fixes used, in outages, and the innovations of its filter.
+
+    independent: whether the truth is more than the fixes that the filter was given. stamp, likelihood (k,): of the
+    fixes that count, ns, and how well each was predicted.
+    """
 
     continuous: Errors
     outages: list[Outages]
+    independent: bool
+    stamp: np.ndarray
+    likelihood: np.ndarray
 
     def summary(self) -> dict:
         """The numbers for `report.json`."""
         return {'horizontal_rmse_m': metrics.rms(self.continuous.horizontal),
                 'outages': [outage_summary(outages) for outages in self.outages]}
+
+    def scores(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Stamps and log likelihoods of what was predicted: fix by fix, and at the end of the outages of each duration.
+
+        A likelihood counts both: how far off, and how far off the filter thought that it may be.
+        """
+        ends = [(o.begin, _end_scores(o)) for o in self.outages if len(o.begin)]
+        return [(self.stamp, self.likelihood), *ends]
+
+
+def _end_scores(outages: Outages) -> np.ndarray:
+    """Log likelihood of the error at the end of each outage, (o,): the covariance as that of a circle."""
+    error = np.array([e.horizontal[-1] for e in outages.errors])
+    variance = np.maximum(0.5 * np.array([e.sigma[-1] for e in outages.errors]) ** 2, SMALLEST_ERROR**2)
+    return -0.5 * (2 * np.log(variance) + tempered(error**2 / variance))
 
 
 def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Sequence[dict], durations,
@@ -130,25 +170,42 @@ def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Seq
     judged = parts(problem) if len(models) > 1 else [problem.mask]
     found = []
     for values, part in zip(models, judged):
-        config = FilterConfig.from_parameters(values)
-        truth, delay = truth_of(recording, values), round(values['gnss.time_offset'] * 1e9)
-        keep = samples_to_keep(imu, truth.reference.stamp)
-        result = run(config, imu, problem.full.gnss, aiding_of(recording), keep=keep)
-        errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
-        if recording.reference is None:
-            errors = replace(errors, stamp=errors.stamp + delay)
-        mine = begins
-        if len(models) > 1:
-            mine = begins[_in_mask(begins, problem, part)]
-            errors = errors.select(_in_mask(errors.stamp, problem, part))
-        errors = errors.select(errors.stamp >= first)
-        outages = run_outages(config, imu, problem.full.gnss, truth, durations, mine - delay,
-                              aiding_of(recording), keep) if durations else []
-        found.append((errors, [replace(o, begin=o.begin + delay) for o in outages]))
+        whole = len(models) == 1
+        errors, outages, innovations = _run(problem, recording, imu, values, durations,
+                                            begins if whole else begins[_in_mask(begins, problem, part)])
+        seen = np.isfinite(innovations) & part
+        errors = errors.select((whole | _in_mask(errors.stamp, problem, part)) & (errors.stamp >= first))
+        found.append((errors, outages, problem.stamp[seen], innovations[seen]))
+    independent = recording.reference is not None
     if len(found) == 1:
-        return Measured(*found[0])
-    return Measured(_joined_errors([errors for errors, _ in found]),
-                    [_joined_outages(list(same)) for same in zip(*(outages for _, outages in found))])
+        return Measured(found[0][0], found[0][1], independent, *found[0][2:])
+    stamp, likelihood = (np.concatenate(columns) for columns in list(zip(*found))[2:])
+    order = np.argsort(stamp, kind='stable')
+    return Measured(_joined_errors([f[0] for f in found]), [_joined_outages(list(same)) for same in
+                                                           zip(*(f[1] for f in found))],
+                    independent, stamp[order], likelihood[order])
+
+
+def _run(problem: Problem, recording: Recording, imu: ImuSamples, values: dict, durations,
+         begins: np.ndarray) -> tuple[Errors, list[Outages], np.ndarray]:
+    """One filter through the recording: errors with the fixes used, in outages, and the likelihood of each fix (f,)."""
+    config = FilterConfig.from_parameters(values)
+    truth, delay = truth_of(recording, values), round(values['gnss.time_offset'] * 1e9)
+    if recording.reference is not None and problem.reference_with_fixes:
+        truth = replace(truth, reference=replace(truth.reference, stamp=truth.reference.stamp - delay))
+    keep = samples_to_keep(imu, truth.reference.stamp)
+    outages, result = [], None
+    if durations:
+        result, coasting = run_with_outages(config, imu, problem.full.gnss, begins - delay, max(durations),
+                                            aiding_of(recording), keep)
+        outages = outages_of(result, coasting, truth, durations, config.imu.restart_gap)
+    else:
+        result = run(config, imu, problem.full.gnss, aiding_of(recording), keep=keep)
+    errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
+    if problem.reference_with_fixes:
+        errors = replace(errors, stamp=errors.stamp + delay)
+    return (errors, [replace(o, begin=o.begin + delay) for o in outages],
+            problem.innovations(result).log_likelihood())
 
 
 def _in_mask(stamp: np.ndarray, problem: Problem, mask: np.ndarray) -> np.ndarray:
@@ -172,36 +229,72 @@ def _joined_outages(parts: list[Outages]) -> Outages:
 
 
 def compared(before: Measured, after: Measured) -> list[dict]:
-    """Whether the errors differ: mean square of the continuous error, mean of the largest error of the outages."""
+    """Whether the errors differ, by what is measured: mean, root mean square (for the tails), and how often the 95 %
+    ellipse held the truth; mean square with the fixes used, mean of the largest error in outages.
+
+    decides: not where the truth is the fixes that the filter was given, which only shows how closely it follows them.
+    """
     rows = [_row('with all fixes used, mean square error in m^2', before.continuous.stamp, after.continuous.stamp,
-                 before.continuous.horizontal**2, after.continuous.horizontal**2)]
+                 before.continuous.horizontal**2, after.continuous.horizontal**2)
+            | {'decides': before.independent}]
     for old, new in zip(before.outages, after.outages):
-        rows.append(_row(f'outages of {old.duration:g} s, mean largest error in m', old.begin, new.begin, old.max_error,
-                         new.max_error))
+        row = _row(f'outages of {old.duration:g} s, mean largest error in m', old.begin, new.begin, old.max_error,
+                   new.max_error)
+        if row['count']:
+            row |= {'rms_before': metrics.rms(old.max_error), 'rms_after': metrics.rms(new.max_error),
+                    'within_before': float(old.within.mean()), 'within_after': float(new.within.mean())}
+        rows.append(row | {'decides': True})
     return rows
 
 
-def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
-    """What speaks against an effect, empty where nothing does: no gain of likelihood, or errors that do not shrink.
+def harm(comparison: Sequence[dict]) -> str:
+    """What becomes worse, and by how much; empty where nothing does.
 
-    comparison: errors with the effect and without, of parts that it was not fitted to. An error is larger or smaller
-    for certain at CERTAIN; all in all counts the mean of their logarithms. A likelihood that gains, but not for
-    certain, is no objection where an error shrinks for certain.
+    An error grows where it is larger for certain and noticeably (GROWN, NOTICED), or where its mean or its root mean
+    square is larger by LARGER, certain or not. An ellipse that held the truth in 90 % still has to, or one outage less.
     """
-    rows = [row for row in comparison if row.get('before') and row.get('after')]
-    certain = [row for row in rows if row.get('p', 1.0) < CERTAIN]
-    for row in certain:
-        if row['after'] > row['before']:
-            return f"the error grows: {row['what']}, {row['before']:.3g} before, {row['after']:.3g} after"
-    if not (proof.helps or (proof.gain > 0 and certain)):
+    for row in comparison:
+        if not (row.get('before') and row.get('after') and row['decides']):
+            continue
+        squared = 'mean square' in row['what']
+        pairs = [(row['before'], row['after']), (row.get('rms_before', 0.0), row.get('rms_after', 0.0))]
+        for i, (old, new) in enumerate(np.sqrt(pairs) if squared else pairs):
+            grown = new > (1 + GROWN) * old + NOTICED
+            if grown and (new > LARGER * old + NOTICED or (i == 0 and row.get('p', 1.0) < CERTAIN)):
+                which = 'root mean square of the ' if i else ''
+                return (f"the error grows: {which}{row['what']}, {_plain(old, squared)} before, "
+                        f'{_plain(new, squared)} after')
+        held, holds = row.get('within_before'), row.get('within_after')
+        if held is not None and holds < min(held, COVERED) - 1.0 / row['count']:
+            return (f"{row['what'].split(',')[0]}: the 95 % ellipse held the truth in {100 * held:.0f} % before, in "
+                    f'{100 * holds:.0f} % after')
+    return ''
+
+
+def _plain(value: float, squared: bool) -> str:
+    return f'{value**2 if squared else value:.3g}'
+
+
+def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
+    """What speaks against an effect, empty where nothing does: no gain of likelihood, or an error that grows.
+
+    comparison: errors with the effect and without, of parts that it was not fitted to. A likelihood that gains, but
+    not for certain, is no objection where an error shrinks for certain.
+    """
+    worse = harm(comparison)
+    if worse:
+        return worse
+    shrinks = any(row.get('p', 1.0) < CERTAIN and row['after'] < row['before'] for row in comparison if row['decides'])
+    if not (proof.helps or (proof.gain > 0 and shrinks)):
         return f'no gain on data it was not fitted to (log likelihood {proof.gain:+.1f}, p {proof.p:.2g})'
-    change = all_in_all(rows)
-    return f'the error does not shrink: all in all it is {change:.2f} times that before' if change >= 1 else ''
+    change = all_in_all(comparison)
+    return f'the error does not shrink: all in all it is {change:.2f} times that before' if change > 1 + GROWN else ''
 
 
 def all_in_all(comparison: Sequence[dict]) -> float:
-    """Errors after over those before, the geometric mean of all rows; 0 where nothing was measured."""
-    ratios = [row['after'] / row['before'] for row in comparison if row.get('before') and row.get('after')]
+    """Errors after over those before, the geometric mean of all rows that decide; 0 where nothing was measured."""
+    ratios = [row['after'] / row['before'] for row in comparison
+              if row.get('before') and row.get('after') and row['decides']]
     return float(np.exp(np.mean(np.log(ratios)))) if ratios else 0.0
 
 

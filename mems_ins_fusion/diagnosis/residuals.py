@@ -1,9 +1,13 @@
 """Innovations as a function of what is assumed, and the likelihood of that: the ground on which a diagnosis stands.
 
 Whatever is assumed - noise levels, effects - the filter is run again and its innovations z_k with covariances S_k are
-the residual; log L = -1/2 sum(log det S_k + z_k^T S_k^-1 z_k). Derivatives are differences between runs; with them the
-score and the Fisher information follow (F. C. Schweppe, "Evaluation of likelihood functions for Gaussian signals",
-1965; R. K. Mehra, "On the identification of variances and adaptive Kalman filtering", 1970).
+the residual; log L = -1/2 sum(log det S_k + rho(z_k^T S_k^-1 z_k)). Derivatives are differences between runs; with
+them the score and the Fisher information follow (F. C. Schweppe, "Evaluation of likelihood functions for Gaussian
+signals", 1965; R. K. Mehra, "On the identification of variances and adaptive Kalman filtering", 1970). rho is the
+identity up to TAIL^2 and grows with the logarithm beyond: a fix that is far off counts as one that is off.
+
+The filter that is looked through is not quite the one of the user: what adapts to a misfit - fixes weighted down,
+refused, or believed less the worse they fit - hides that misfit (`looked_through`).
 """
 from __future__ import annotations
 
@@ -17,11 +21,12 @@ from functools import cache
 import numpy as np
 
 from ..evaluation.comparison import aiding_of, samples_to_keep, thin
-from ..filter.config import FilterConfig
+from ..filter.config import SENSORS, FilterConfig
+from ..filter.layout import Event, Kind, Verdict
 from ..filter.replay import run
 from ..filter.results import Run
 from ..filter.start import transferred
-from ..samples import ImuSamples, Recording
+from ..samples import Fixes, ImuSamples, Recording
 
 #: innovations of the first seconds after the start belong to the alignment
 SETTLING = 20.0
@@ -32,8 +37,16 @@ UPDATE_INTERVAL = 1.0
 FASTEST_RATE, SLOWEST_RATE, MANY_SAMPLES = 12.5, 5.0, 20_000
 #: samples among which the start is looked for to the sample, later only to a tenth of a second
 _ALIGNING = 100_000
-
-
+#: innovations beyond this many sigma count by their logarithm
+TAIL = 3.0
+#: what is added to each fix, m: a diagnosis looks for metres, and no model of a car is right to a centimetre
+FLOOR = 0.1
+#: a fit ends when a step gains less than this in log likelihood
+ENOUGH_GAIN = 0.2
+#: a model must let the filter see this part of the fixes
+FEWEST_SEEN = 0.98
+#: more outliers than this part of the fixes are none
+MOST_OUTLIERS = 0.2
 #: length of a block over which scores may go together, s
 BLOCK = 20.0
 
@@ -55,7 +68,7 @@ class Residual:
     def log_likelihood(self) -> np.ndarray:
         """The likelihood of each innovation, (f,), without the constant."""
         determinant = self.s[:, 0] * self.s[:, 2] - self.s[:, 1] ** 2
-        return -0.5 * (np.log(determinant) + self.nis())
+        return -0.5 * (np.log(determinant) + tempered(self.nis()))
 
     def nis(self) -> np.ndarray:
         """Normalized innovation squared, (f,)."""
@@ -79,6 +92,11 @@ class Residual:
         rotated = np.stack([c * c * nn + 2 * c * s * ne + s * s * ee, (c * c - s * s) * ne + c * s * (ee - nn),
                             s * s * nn - 2 * c * s * ne + c * c * ee], axis=1)
         return replace(self, z=turned, s=rotated).whitened()
+
+
+def tempered(nis: np.ndarray) -> np.ndarray:
+    """rho: `nis` up to TAIL^2, growing with its logarithm beyond."""
+    return np.where(nis > TAIL**2, TAIL**2 * (1 + np.log(np.maximum(nis, 1e-12) / TAIL**2)), nis)
 
 
 def _whiten(factors, z):
@@ -126,6 +144,8 @@ class Unknown:
     one_sided: bool = False
     variance: bool = False
     factor_on: float | None = None
+    bounds: tuple[float, float] = (-np.inf, np.inf)
+    noise: bool = False
 
     @property
     def effect(self) -> str:
@@ -148,14 +168,28 @@ class Unknown:
         return root, float(sigma / (2 * root)) if root > 0 else float(np.sqrt(sigma))
 
 
+def looked_through(values: dict) -> dict:
+    """`values` for the filter that a diagnosis looks through: each fix believed as stated, nothing that adapts."""
+    return {**values, 'gnss.sigma': 0.0, 'gnss.adapt_sigma': False, 'gnss.gate_probability': 1.0,
+            'gnss.robust_sigma': 0.0, 'gnss.time_offset_sigma': 0.0}
+
+
 class Problem:
-    """A recording and the parameters it is filtered with; runs of it that differ by what is assumed alone."""
+    """A recording and the parameters it is filtered with; runs of it that differ by what is assumed alone.
+
+    given: the parameters as given; values: those of the filter that is looked through. full: the recording with the
+    fixes used; drive: the same with averaged samples; recording: as `drive`, as that filter sees it - covariances
+    spelled out, fixes that the filter as given refuses left out. stamp (f,) ns of the fixes; mask (f,): which count.
+    reference_with_fixes: whether the truth runs in the clock of the fixes.
+    """
 
     def __init__(self, recording: Recording, values: dict, interval: float = UPDATE_INTERVAL):
-        self.values = values
-        self.config = FilterConfig.from_parameters(values)
+        self.reference_with_fixes = recording.reference is None
+        self.given = {**values, 'gnss.time_offset_sigma': 0.0}
+        self.values = looked_through(values)
+        given = FilterConfig.from_parameters(self.given)
         keep = samples_to_keep(recording.imu, recording.imu.stamp[:_ALIGNING])
-        first = run(self.config, recording.imu, recording.gnss, aiding_of(recording), keep=keep)
+        first = run(given, recording.imu, recording.gnss, aiding_of(recording), keep=keep)
         if first.start is None:
             reason = first.notices[-1].text if first.notices else 'no fixes'
             raise DiagnosisError(f'{recording.name}: {reason}')
@@ -164,15 +198,39 @@ class Problem:
         self.full = replace(recording, gnss=recording.gnss.select(self.used))
         seconds = max((recording.imu.stamp[-1] - recording.imu.stamp[0]) * 1e-9, 1.0)
         rate = float(np.clip(MANY_SAMPLES / seconds, SLOWEST_RATE, FASTEST_RATE))
-        self.recording = replace(self.full, imu=averaged(recording.imu, rate))
-        nothing = np.zeros(len(self.recording.imu), dtype=bool)
+        self.drive = replace(self.full, imu=averaged(recording.imu, rate))
+        self.stamp = self.drive.gnss.stamp
+        watched = run(given, self.drive.imu, self.drive.gnss, aiding_of(recording),
+                      keep=np.zeros(len(self.drive.imu), dtype=bool))
+        self.before = self.innovations(watched)
+        self.claimed = stated(self.drive.gnss, self.given)
+        self.outlying = _refused(watched, len(self.stamp))
+        self.recording = replace(self.drive, gnss=believed(self.drive.gnss, self.claimed, 0.0, self.outlying))
+        self.config = FilterConfig.from_parameters(self.values)
         self.start = run(self.config, self.recording.imu, self.recording.gnss, aiding_of(recording),
-                         keep=nothing).start
+                         keep=np.zeros(len(self.recording.imu), dtype=bool)).start
+        if self.start is None:
+            raise DiagnosisError(f'{recording.name}: the filter starts only with fixes that it does not believe later')
         self.attitude = cache(self._attitude)
-        self.stamp = self.recording.gnss.stamp
-        self.base = self.residual(values, self.recording)
+        self.runs: list[int] = []  # IMU samples of each run, of this problem and those made from it
+        self.base = self.residual(self.values, self.recording)
         settled = self.stamp > began + round(SETTLING * 1e9)
         self.mask = settled & np.isfinite(self.base.z[:, 0])
+
+    def without(self, outlying: np.ndarray) -> Problem:
+        """The same problem with the fixes `outlying` (f,) left out, too."""
+        other = copy.copy(self)
+        other.outlying = self.outlying | outlying
+        other.recording = replace(self.recording, gnss=believed(self.drive.gnss, self.claimed, 0.0, other.outlying))
+        other.base = other.residual(other.values, other.recording)
+        other.mask = self.mask & np.isfinite(other.base.z[:, 0])
+        return other
+
+    def observed(self, values: dict) -> Residual:
+        """The innovations of the filter of a user with these parameters, whatever it makes of its fixes."""
+        config = FilterConfig.from_parameters(values)
+        return self.innovations(run(config, self.drive.imu, self.drive.gnss, aiding_of(self.drive),
+                                     keep=np.zeros(len(self.drive.imu), dtype=bool)))
 
     def filtered(self, values: dict, recording: Recording, keep: np.ndarray | None = None) -> Run:
         """A run under other parameters or with another recording, from the same start.
@@ -180,13 +238,17 @@ class Problem:
         keep: the samples whose states are kept, (n,) bool; all where None.
         """
         config = FilterConfig.from_parameters(values)
+        self.runs.append(len(recording.imu))
         return run(config, recording.imu, recording.gnss, aiding_of(recording),
                    transferred(self.start, self.config, config), keep)
 
     def residual(self, values: dict, recording: Recording) -> Residual:
         """The innovations under other parameters or with another recording (of the same fixes)."""
-        nothing, n = np.zeros(len(recording.imu), dtype=bool), len(recording.gnss)
-        innovations = self.filtered(values, recording, nothing).innovations
+        return self.innovations(self.filtered(values, recording, np.zeros(len(recording.imu), dtype=bool)))
+
+    def innovations(self, of: Run) -> Residual:
+        """The innovations of a run that was given these fixes."""
+        innovations, n = of.innovations, len(self.stamp)
         z, s, yaw, velocity = np.full((n, 2), np.nan), np.full((n, 3), np.nan), np.zeros(n), np.zeros((n, 2))
         z[innovations.index], s[innovations.index] = innovations.z, innovations.s
         yaw[innovations.index], velocity[innovations.index] = innovations.yaw, innovations.velocity
@@ -213,6 +275,14 @@ class Problem:
         other.values, other.recording = self.assume(unknowns, x)
         return other
 
+    def corrected(self, unknowns: Sequence[Unknown], x) -> dict:
+        """The parameters as given with the effects among `unknowns` at `x`; noise levels are not an effect."""
+        values = self.given
+        for unknown, value in zip(unknowns, x):
+            if not unknown.noise:
+                values, _ = unknown.apply(values, self.recording, float(value))
+        return values
+
     def residuals(self, unknowns: Sequence[Unknown], points) -> list[Residual]:
         """The innovations at several `points`, on all cores."""
         def one(x):
@@ -220,6 +290,35 @@ class Problem:
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             return list(pool.map(one, points))
+
+
+def stated(fixes: Fixes, values: dict) -> np.ndarray:
+    """Covariances (f, 3, 3) m^2, east-north-up, that the filter takes `fixes` to have."""
+    covariance = np.array(fixes.covariance, dtype=float)
+    diagonal = np.einsum('fii->fi', covariance)
+    told = (fixes.covariance_type > 0) & np.isfinite(diagonal).all(axis=1) & (diagonal[:, :2] > 0).all(axis=1)
+    covariance[~told] = values['gnss.default_sigma'] ** 2 * np.diag([1.0, 1.0, 4.0])
+    covariance[diagonal[:, 2] <= 0, 2, 2] = 4 * diagonal[diagonal[:, 2] <= 0, :2].max(axis=1)
+    if values['gnss.sigma'] > 0:
+        covariance[:, :2, :2] = values['gnss.sigma'] ** 2 * np.eye(2)
+        covariance[:, 2, 2] = np.maximum(covariance[:, 2, 2], values['gnss.sigma'] ** 2)
+    covariance[:, :2, 2] = covariance[:, 2, :2] = 0.0
+    return covariance
+
+
+def believed(fixes: Fixes, claimed: np.ndarray, x: float, outlying: np.ndarray) -> Fixes:
+    """`fixes` with exp(x) times the standard deviations `claimed`, and FLOOR; those `outlying` (f,) are none."""
+    covariance = np.exp(2 * x) * claimed + FLOOR**2 * np.eye(3)
+    return replace(fixes, covariance=covariance, covariance_type=np.full(len(fixes), 3, dtype=np.uint8),
+                   status=np.where(outlying, np.int8(-1), fixes.status))
+
+
+def _refused(of: Run, count: int) -> np.ndarray:
+    """Which of `count` fixes the filter refused, (f,): where it refuses many, it is the one that is wrong."""
+    refused = np.zeros(count, dtype=bool)
+    mine = (of.measured.kind == Kind.POSITION) & (of.measured.record[:, Event.VERDICT] == Verdict.REFUSED)
+    refused[of.measured.index[mine]] = True
+    return refused if refused.mean() < MOST_OUTLIERS else np.zeros(count, dtype=bool)
 
 
 def block_begins(problem: Problem) -> np.ndarray:
@@ -252,12 +351,15 @@ class Scores:
                       np.concatenate([self.sensitivity, other.sensitivity], axis=1))
 
 
-def scores(problem: Problem, unknowns: Sequence[Unknown], x, at: Residual | None = None) -> tuple[Residual, Scores]:
+def scores(problem: Problem, unknowns: Sequence[Unknown], x, at: Residual | None = None,
+           quick: bool = False) -> tuple[Residual, Scores]:
     """Residual at `x` and the scores of `unknowns` there, by differences between runs of the filter.
 
-    Central differences, or forward ones, as each unknown asks.
+    Central differences, or forward ones, as each unknown asks; quick: forward ones for all.
     """
     x = np.asarray(x, dtype=float)
+    if quick:
+        unknowns = [replace(u, one_sided=True) for u in unknowns]
     points = [] if at is not None else [x]
     for i, unknown in enumerate(unknowns):
         for sign in (1,) if unknown.one_sided else (1, -1):
@@ -279,9 +381,10 @@ def _scores(at: Residual, pairs, mask) -> Scores:
     shifts = [np.nan_to_num(_whiten(factors, (plus.z - minus.z) / step)) for plus, minus, step in pairs]
     shapes = [np.nan_to_num(_whiten_matrix(factors, (plus.s - minus.s) / step)) for plus, minus, step in pairs]
     d, m = np.stack(shifts, axis=1), np.stack(shapes, axis=1)
-    squares = np.stack([u[:, 0] ** 2 - 1, 2 * u[:, 0] * u[:, 1], u[:, 1] ** 2 - 1], axis=1)
-    score = 0.5 * np.einsum('fpi,fi->fp', m, squares) - np.einsum('fpi,fi->fp', d, u)
-    sensitivity = np.concatenate([d, m * np.sqrt([0.5, 1.0, 0.5])], axis=2)
+    weight = TAIL**2 / np.maximum((u**2).sum(axis=1), TAIL**2)  # the slope of rho
+    squares = np.stack([weight * u[:, 0] ** 2 - 1, 2 * weight * u[:, 0] * u[:, 1], weight * u[:, 1] ** 2 - 1], axis=1)
+    score = 0.5 * np.einsum('fpi,fi->fp', m, squares) - weight[:, None] * np.einsum('fpi,fi->fp', d, u)
+    sensitivity = np.sqrt(weight)[:, None, None] * np.concatenate([d, m * np.sqrt([0.5, 1.0, 0.5])], axis=2)
     score[~mask], sensitivity[~mask] = 0.0, 0.0
     return Scores(score, sensitivity)
 
@@ -307,7 +410,7 @@ class Model:
     scores: Scores
 
     def likelihood(self, mask: np.ndarray) -> float:
-        return float(self.residual.log_likelihood()[mask].sum())
+        return float(np.nansum(self.residual.log_likelihood()[mask]))
 
     def sigma(self) -> np.ndarray:
         """Standard deviations of x, (p,): by the information, or by how the scores of blocks scatter, what is larger.
@@ -342,22 +445,29 @@ def _priors(unknowns: Sequence[Unknown]) -> tuple[np.ndarray, np.ndarray]:
     return np.array([u.base for u in unknowns]), np.array([u.prior for u in unknowns])
 
 
-def fit(problem: Problem, unknowns: Sequence[Unknown], x, iterations: int = 8) -> Model:
+def refined(model: Model, iterations: int = 8) -> Model:
+    """`model` fitted further."""
+    return fit(model.problem, model.unknowns, model.x, iterations, model)
+
+
+def fit(problem: Problem, unknowns: Sequence[Unknown], x, iterations: int = 8, begun: Model | None = None) -> Model:
     """The maximum of the likelihood.
 
-    Fisher's scoring with Levenberg's damping; each unknown has a weak Gaussian prior about its base.
+    Fisher's scoring with Levenberg's damping; each unknown has a weak Gaussian prior about its base. begun: a model
+    that was fitted at `x` already.
     """
-    x, mask = np.asarray(x, dtype=float), problem.mask
     base, prior = _priors(unknowns)
-    at, found = scores(problem, unknowns, x)
+    bounds = np.reshape([u.bounds for u in unknowns], (-1, 2)).T
+    x, mask = np.clip(np.asarray(x, dtype=float), *bounds), problem.mask
+    at, found = (begun.residual, begun.scores) if begun else scores(problem, unknowns, x)
     value, damping = _objective(at, mask, x, base, prior), 1e-3
     for _ in range(iterations):
         gradient = found.gradient(mask) - (x - base) / prior**2
         information = found.information(mask) + np.diag(1 / prior**2)
         moved = False
-        for _ in range(6):
+        for _ in range(5):
             step = np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
-            step = np.clip(step, -prior, prior)
+            step = np.clip(x + np.clip(step, -prior, prior), *bounds) - x
             [trial] = problem.residuals(unknowns, [x + step])
             better = _objective(trial, mask, x + step, base, prior)
             if better > value:
@@ -366,39 +476,69 @@ def fit(problem: Problem, unknowns: Sequence[Unknown], x, iterations: int = 8) -
                 at, found = scores(problem, unknowns, x, trial)
                 break
             damping = max(10 * damping, 1e-2)
-        if not moved or gain < 0.05:
+        if not moved or gain < ENOUGH_GAIN:
             break
     return Model(problem, list(unknowns), x, np.linalg.inv(found.information(mask) + np.diag(1 / prior**2)), at, found)
 
 
 def _objective(residual: Residual, mask, x, base, prior) -> float:
     likelihood = residual.log_likelihood()[mask]
-    if not np.isfinite(likelihood).all():
+    seen = np.isfinite(likelihood)
+    if seen.mean() < FEWEST_SEEN:
         return -np.inf
+    likelihood = np.where(seen, likelihood, likelihood[seen].min())
     return float(likelihood.sum() - 0.5 * (((x - base) / prior) ** 2).sum())
 
 
-#: the parameters that say how noisy the sensors are, by model, and how far a fit may take them (natural logarithm)
-_MODEL_NOISE = {'random_walk': 'random_walk.q', 'gauss_markov': 'gauss_markov.sigma',
+#: the parameters that say how noisy the sensors are, by model
+MODEL_NOISE = {'random_walk': 'random_walk.q', 'gauss_markov': 'gauss_markov.sigma',
                 'autoregressive': 'autoregressive.b0'}
-NOISE_PRIOR = 1.5
+#: how far a fit may take a noise level, natural logarithm: what is usual, and what is no noise of that sensor any more
+NOISE_PRIOR, RECEIVER_PRIOR = 1.0, 1.5
+SMALLEST_FACTOR, LARGEST_FACTOR, LARGEST_RECEIVER = 3.0, 10.0, 100.0
 
 
 def noise_unknowns(problem: Problem) -> list[Unknown]:
-    """Logarithms of the noise levels: receiver, white noise and slow errors of the sensors, each as a factor."""
-    model = _MODEL_NOISE[problem.values['sensor_error_model']]
-    sigma = problem.values['gnss.sigma'] or float(np.sqrt(np.nanmedian(
-        0.5 * (problem.recording.gnss.covariance[:, 0, 0] + problem.recording.gnss.covariance[:, 1, 1]))))
-    sigma = sigma if sigma > 0 else problem.values['gnss.default_sigma']
+    """Logarithms of the noise levels as factors: of the receiver, of each kind of sensor, of the constraint."""
+    model = MODEL_NOISE[problem.values['sensor_error_model']]
+    original, claimed, outlying = problem.drive.gnss, problem.claimed, problem.outlying
 
     def receiver(values, recording, x):
-        return {**values, 'gnss.sigma': float(np.clip(sigma * np.exp(x), 1e-3, 1e3))}, recording
+        return values, replace(recording, gnss=replace(
+            recording.gnss, covariance=believed(original, claimed, x, outlying).covariance))
 
-    def scaled(name):
-        def apply(values, recording, x):
-            return {**values, name: [v * float(np.exp(x)) for v in values[name]]}, recording
-        return apply
+    groups = {f'{sensor}.noise': [f'{sensor}.noise_density', f'{sensor}.{model}'] for sensor in SENSORS}
+    if problem.values['vehicle.non_holonomic']:
+        groups['vehicle.non_holonomic_sigma'] = ['vehicle.non_holonomic_sigma']
+    sensors = [Unknown(name, _scaled(names), 0.0, 0.05, NOISE_PRIOR, one_sided=True, noise=True,
+                       bounds=(-np.log(SMALLEST_FACTOR), np.log(LARGEST_FACTOR))) for name, names in groups.items()]
+    return [Unknown('gnss.sigma', receiver, 0.0, 0.05, RECEIVER_PRIOR, one_sided=True, noise=True,
+                    bounds=(-np.log(SMALLEST_FACTOR), np.log(LARGEST_RECEIVER))), *sensors]
 
-    names = [f'{sensor}.{part}' for sensor in ('accelerometer', 'gyroscope') for part in ('noise_density', model)]
-    return [Unknown(name, apply, 0.0, 0.05, NOISE_PRIOR, one_sided=True)
-            for name, apply in [('gnss.sigma', receiver), *((name, scaled(name)) for name in names)]]
+
+def _scaled(names: Sequence[str]) -> Callable:
+    def apply(values, recording, x):
+        for name in names:
+            values = scaled(values, name, float(np.exp(x)))
+        return values, recording
+    return apply
+
+
+def scaled(values: dict, name: str, factor: float) -> dict:
+    """`values` with `factor` on one of them, a number or one for each axis."""
+    value = values[name]
+    return {**values, name: [v * factor for v in value] if isinstance(value, (list, tuple)) else value * factor}
+
+
+def calibrated(problem: Problem, unknowns: Sequence[Unknown], x=None) -> np.ndarray:
+    """`x` with the noise levels as configured, but for the receiver's: that which explains the innovations best."""
+    start = np.zeros(len(unknowns)) if x is None else np.array(x, dtype=float)
+    start[[u.noise for u in unknowns]] = 0.0
+
+    def at(level):
+        return np.append(level, start[1:])
+
+    levels = np.log([0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0])
+    found = [_objective(r, problem.mask, at(level), *_priors(unknowns))
+             for level, r in zip(levels, problem.residuals(unknowns, [at(level) for level in levels]))]
+    return at(levels[int(np.argmax(found))])

@@ -8,7 +8,7 @@ so it is divided by what the scores of blocks of time scatter more than they sho
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -26,7 +26,7 @@ PARALLEL = 0.95
 DETERMINED, TOLERATED, DISTINCT = 1.0, 5.0, 3.5
 
 
-@dataclass
+@dataclass(frozen=True)
 class Candidate:
     """One effect under test: its unknowns that the data determine, what they come to, and how much they explain.
 
@@ -108,14 +108,12 @@ def trace(problem: Problem, nuisance: Scores, at: Residual, effects: Sequence[Ef
         tried = []
         for fixed in effect.tried:
             unknowns = effect_unknowns(effect, fixed, problem.attitude)
-            _, own = scores(problem, unknowns, np.zeros(len(unknowns)), at)
+            _, own = scores(problem, unknowns, np.zeros(len(unknowns)), at, quick=True)
             tried.append(_test(problem, effect, unknowns, own, nuisance, mask, fixed))
         best = max(tried, key=lambda c: c.gain)
-        best.p = min(1.0, best.p * len(tried))
-        found.append(best)
+        found.append(replace(best, p=min(1.0, best.p * len(tried))))
         progress()
-    for candidate, p in zip(found, holm([c.p for c in found])):
-        candidate.p_adjusted = float(p)
+    found = [replace(c, p_adjusted=float(p)) for c, p in zip(found, holm([c.p for c in found]))]
     return sorted(found, key=lambda c: (c.p, -c.gain))
 
 

@@ -70,11 +70,15 @@ def run_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: Trut
     aiding: what else is measured. keep: which IMU samples' states to look at, (n,) bool; they must surround the epochs
     of the truth.
     """
+    run, coasting = run_with_outages(config, imu, fixes, begin, max(durations), aiding, keep)
+    return outages_of(run, coasting, truth, durations, config.imu.restart_gap)
+
+
+def outages_of(run: Run, coasting: Coasting, truth: Truth, durations, longest_gap: float) -> list[Outages]:
+    """The outages of each duration (s) that `coasting` holds; run: the ordinary one beside it."""
     durations = sorted(durations)
-    run, coasting = run_with_outages(config, imu, fixes, begin, durations[-1], aiding, keep)
     driven = Distance(run)
-    errors = [_errors(coasting, i, truth, durations[-1], config.imu.restart_gap)
-              for i in range(len(coasting.begin))]
+    errors = [_errors(coasting, i, truth, durations[-1], longest_gap) for i in range(len(coasting.begin))]
     return [_measure(duration, _fitting(duration, coasting, errors, truth, run), driven) for duration in durations]
 
 

@@ -8,6 +8,7 @@ from dataclasses import asdict
 import numpy as np
 
 from ..diagnosis.diagnose import Diagnosis, Finding
+from ..diagnosis.estimate import Estimate, rounded
 from ..diagnosis.tracing import Candidate
 from ..parameters.params_file import yaml_value
 from ..parameters.table import ALL
@@ -30,7 +31,7 @@ def report(diagnosis: Diagnosis, answered: Answer, checked=(), warned=()) -> dic
                       'text': checked_text(f, topics_of(d.values))} for f in checked],
         'model': model,
         'mechanization': mechanization,
-        'effects': [_effect(f, d) for f in d.findings],
+        'effects': [_effect(f) for f in d.findings],
         'before': _measured(d, 'before', d.values),
         'noise_fitted': _measured(d, 'fitted', d.values),
         'after': _measured(d, 'after', d.corrected),
@@ -40,25 +41,28 @@ def report(diagnosis: Diagnosis, answered: Answer, checked=(), warned=()) -> dic
         'comparison': d.comparison,
         'goes_with': [asdict(rest) for rest in d.rest],
         'noise_factors': d.noise,
+        'noise_that_would_explain': d.explained,
+        'use_corrected': d.better,
         'changed_parameters': changed(d),
-        'rounds': [[_candidate(c) for c in candidates] for candidates in d.rounds],
+        'rounds': [[_candidate(c, d) for c in candidates] for candidates in d.rounds],
         'remarks': d.remarks,
         'warnings': list(warned),
     })
 
 
-def _effect(finding: Finding, d: Diagnosis) -> dict:
+def _effect(finding: Finding) -> dict:
     return {
         'name': finding.name,
         'group': finding.group,
-        'parameters': {name: {'value': value, 'sigma': sigma, 'unit': unit}
-                       for name, (value, sigma, unit) in finding.parameters.items()},
+        'parameters': {name: asdict(estimate) for name, estimate in finding.parameters.items()},
         'log_likelihood_gain': finding.gain,
         'p_value': finding.p,
         'added': finding.added,
         'held_out_log_likelihood_gain': finding.held_out.gain,
         'held_out_p_value': finding.held_out.p,
         'reason': finding.reason,
+        'changes': finding.changes,
+        'seen': finding.seen,
     }
 
 
@@ -72,32 +76,26 @@ def _measured(d: Diagnosis, stage: str, values: dict) -> dict:
             'words': detection.words()}
 
 
-def _candidate(c: Candidate) -> dict:
+def _candidate(c: Candidate, d: Diagnosis) -> dict:
     """What a test said; parameters that the recording does not determine are named and have no number."""
     return {'name': c.name, 'score_gain': c.gain, 'p_value': c.p, 'p_adjusted': c.p_adjusted,
-            'parameters': {name: {'value': value, 'sigma': sigma} for name, (value, sigma) in _tested(c).items()},
+            'parameters': {name: asdict(estimate) for name, estimate in _tested(c, d).items()},
             'undetermined': c.undetermined}
 
 
-def _tested(c: Candidate) -> dict[str, tuple[float, float | None]]:
-    """One-step estimates of the parameters that a candidate determines; standard deviations, not variances."""
-    found = {}
-    for unknown, value, sigma in zip(c.unknowns, c.theta, c.sigma):
-        found[unknown.parameter] = unknown.meant(float(value), float(sigma))
-    return found
+def _tested(c: Candidate, d: Diagnosis) -> dict[str, Estimate]:
+    """One-step estimates of the parameters that a candidate determines, then and in the end."""
+    units = {p.name: p.unit for p in c.effect.traced}
+    return {u.parameter: Estimate(*u.meant(float(value), float(sigma)), units[u.parameter])
+            for u, value, sigma in zip(c.unknowns, c.theta, c.sigma) if u.name not in d.hidden}
 
 
 def not_identifiable(d: Diagnosis) -> dict[str, str]:
     """Effects, and single parameters of effects, that the data cannot show, and why.
 
-    An effect of which no parameter is determined is named as a whole, an added one by what is missing of it.
+    An effect of which no parameter is determined is named as a whole.
     """
     found = dict(d.hidden)
-    present = {f.name for f in d.findings}
-    for candidates in d.rounds:
-        for c in candidates:
-            if c.name in present:
-                found |= {f'{c.name}.{name}': 'not determined by this recording' for name in c.undetermined}
     for c in d.rounds[-1] if d.rounds else []:
         if c.undetermined and not c.unknowns:
             for name in c.undetermined:
@@ -118,43 +116,34 @@ def _rounded(value):
 
 
 def corrected_yaml(diagnosis: Diagnosis, given: dict) -> str:
-    """The params file with the effects added: what was `given` (by full name), what changed, and where that is from."""
+    """The params file with what was found: what was `given` (by full name), what changed, and where that is from.
+
+    Where nothing is proven to be better, what was given.
+    """
     d = diagnosis
     new = changed(d)
     checked = {name: ALL[name].check(value) for name, value in given.items()}
     found = '; '.join(parameters_text(f) for f in d.findings if f.added) or 'none'
-    lines = [*_comment(f'Corrected by diagnose from {d.recording.name}. Effects added: {found}.', ''),
-             '# Other parameters are as they were given.', '/**:', '  ros__parameters:']
+    said = f'Corrected by diagnose from {d.recording.name}. Effects added: {found}.' if d.better else (
+        f'As given: diagnose found nothing in {d.recording.name} that would make the filter better for certain.')
+    lines = [*_comment(said, ''), *(['# Other parameters are as they were given.'] if d.better else []), '/**:',
+             '  ros__parameters:']
     for name, value in {**checked, **new}.items():
-        if name in _READING:
-            continue  # which part of a recording was looked at is no property of the vehicle
         if name in new:
             lines += _comment(_origin(d, name), '    ')
         lines.append(f'    {name}: {yaml_value(value)}')
+    # an empty mapping would be no parameters file
+    lines += [] if checked or new else [f'    imu_topic: {yaml_value(d.values["imu_topic"])}']
     return '\n'.join(lines).replace('\N{PLUS-MINUS SIGN}', '+-') + '\n'  # plain ASCII: not every reader knows better
-
-
-_READING = ('start', 'stop', 'reference_topic', 'reference_file', 'bag', 'output_dir', 'overwrite')
 
 
 def _origin(d: Diagnosis, name: str) -> str:
     """Where the changed value of parameter `name` comes from."""
+    before = yaml_value(_rounded(d.values[name]))
     if name in d.noise:
-        said = f'noise level fitted to the innovations: {d.noise[name]:.3g} times'
-        before = d.values[name]
-        if name == 'gnss.sigma' and not before:
-            return f'{said} what the messages say (their covariance was used before)'
-        return f'{said} the value before, {yaml_value(_rounded(before))}'
-    sources = [f for f in d.findings if f.added and touches(f, d.values, name)]
-    text = '; '.join(parameters_text(f) for f in sources)
-    return f'{text or "changed with the effects"}; before: {yaml_value(d.values[name])}'
-
-
-def touches(finding: Finding, values: dict, name: str) -> bool:
-    """Whether the correction of this effect changes parameter `name`."""
-    theta = {p.name: 0.0 for p in (*finding.effect.parameters, *finding.effect.traced)}
-    theta |= {key: value for key, (value, _, _) in finding.parameters.items()}
-    return finding.effect.adjusted(values, theta)[name] != values[name]
+        return f'noise level with which this drive is predicted best: {d.noise[name]:.3g} times as configured, {before}'
+    text = '; '.join(parameters_text(f) for f in d.findings if f.added and name in f.changes)
+    return f'{text or "changed with the effects"}; before: {before}'
 
 
 def _comment(text: str, indent: str) -> list[str]:
@@ -167,25 +156,8 @@ def capital(text: str) -> str:
 
 def parameters_text(finding: Finding) -> str:
     """An effect with its values, for a person."""
-    values = ', '.join(_parameter(*item) for item in finding.parameters.items())
+    values = ', '.join(f'{name} {estimate.text()}' for name, estimate in finding.parameters.items())
     return f'{finding.name} ({values or "its parameters are not determined"})'
-
-
-def _parameter(name: str, estimate: tuple[float, float | None, str]) -> str:
-    value, sigma, unit = estimate
-    known = sigma is not None and math.isfinite(sigma)
-    text = f'{name} {_to(value, sigma)}' + (f' \N{PLUS-MINUS SIGN} {sigma:.2g}' if known else '')
-    if unit == 'rad':
-        return f'{text} rad, {math.degrees(value):.3g} deg'
-    return text if unit == '-' else f'{text} {unit}'
-
-
-def _to(value: float, sigma: float | None) -> str:
-    """`value` to as many digits as its uncertainty is worth."""
-    if not sigma or not math.isfinite(sigma):
-        return f'{value:.4g}'
-    digits = max(1 - math.floor(math.log10(sigma)), 0)
-    return f'{value:.{digits}f}' if digits < 8 else f'{value:.3g}'
 
 
 def story(diagnosis: Diagnosis, answered: Answer) -> list[str]:
@@ -196,8 +168,8 @@ def story(diagnosis: Diagnosis, answered: Answer) -> list[str]:
     lines += [f'Effect: {finding_text(f)}' for f in d.findings] or ['No effect was found.']
     before, after = (html.number(m.summary()['horizontal_rmse_m'], 3) for m in (d.before, d.after))
     lines.append(f'Error with the fixes used: RMS {before} m before, {after} m after.')
-    last = 'after' if any(f.added for f in d.findings) else 'fitted'
-    lines.append(f'{plots.STAGES[last].capitalize()}: {" ".join(d.detections["after"].words())}')
+    if d.better:
+        lines.append(f'{plots.STAGES["after"].capitalize()}: {" ".join(d.detections["after"].words())}')
     if hidden := not_identifiable(d):
         lines.append(f'Cannot be seen in this recording: {_hidden_text(hidden)}.')
     return lines
@@ -213,8 +185,7 @@ def _hidden_text(hidden: dict[str, str]) -> str:
 
 def finding_text(f: Finding) -> str:
     others = [name for name in f.group if name != f.name]
-    replaced = f.effect.replaces_model({name: value for name, (value, _, _) in f.parameters.items()})
-    how = ' by another mechanization' if replaced else ''
+    how = ' by another mechanization' if 'mechanization' in f.changes else ''
     group = f'; this recording cannot tell it from {" or ".join(others)}' if others else ''
     return f'{parameters_text(f)}{group}; ' + (f'added{how}.' if f.added else f'not added: {f.reason}.')
 
@@ -225,7 +196,7 @@ def unexplained_text(d: Diagnosis) -> str:
     text = 'A part stays unexplained.'
     if d.rest:
         text += ' An error would explain some of it that goes with ' + ', or '.join(
-            f'{r.what} ({r.where}, {_to(abs(r.rms), r.sigma)} {r.unit} RMS)' for r in d.rest[:3]) + '.'
+            f'{r.what} ({r.where}, {rounded(abs(r.rms), r.sigma)} {r.unit} RMS)' for r in d.rest[:3]) + '.'
     return text
 
 
@@ -287,13 +258,12 @@ def _recording(d: Diagnosis, checked, warned) -> html.Html:
 
 
 def _residual(d: Diagnosis) -> html.Html:
-    last = 'after' if any(f.added for f in d.findings) else 'fitted'
     return html.folded(
         'What the filter could not explain, before and after', html.bullets(d.detections['before'].words()),
         html.figure(plots.residual(d, 'before'), 'Innovations (fix minus prediction) of the filter as configured, in '
                     'units of their predicted standard deviation, along and across the track. What is beyond 5 sigma '
                     'stands at the edges of the histogram.'),
-        html.paragraph(f'{capital(plots.STAGES[last])}:'), html.bullets(d.detections['after'].words()),
+        html.paragraph(f'{capital(plots.STAGES["after"])}:'), html.bullets(d.detections['after'].words()),
         html.figure(plots.residual(d, 'after'), 'The same at the end.'), _tests(d, ('before', 'fitted', 'after')))
 
 
@@ -311,17 +281,20 @@ def _p(value: float) -> str:
 
 def _noise(d: Diagnosis) -> html.Html:
     return html.folded(
-        'Noise levels', 'So that a badly tuned filter is not taken for a missing effect, the noise levels are '
-        'fitted to the innovations before any effect is tested, and again with each one added.',
-        html.table(('noise level', 'factor at the end'), list(d.noise.items()), digits=3),
-        'With fitted noise levels and no effect:', html.bullets(d.detections['fitted'].words()))
+        'Noise levels', 'Two things are told apart. The levels with which each fix is explained best by the one before '
+        'belong to the search alone, where they keep a badly tuned filter from being taken for a missing effect. Those '
+        'in corrected.yaml are chosen by what the filter predicts up to a minute ahead, and only if that is better on '
+        'parts of the drive that did not choose.',
+        html.table(('noise level', 'factor in the search'), list(d.explained.items()), digits=3),
+        html.table(('noise level', 'factor in corrected.yaml'), list(d.noise.items()), digits=3) if d.noise else
+        'corrected.yaml has those that were given.')
 
 
 def _candidates(d: Diagnosis) -> html.Html:
     if not d.rounds:
         return html.folded('Candidates and their evidence', 'No effect could be tested.')
     tables = [html.table(('effect', 'gain', 'p', 'p, all tests counted', 'would be', 'not determined'),
-                         [(c.name, c.gain, _p(c.p), _p(c.p_adjusted), _estimates(c), ', '.join(c.undetermined))
+                         [(c.name, c.gain, _p(c.p), _p(c.p_adjusted), _estimates(c, d), ', '.join(c.undetermined))
                           for c in candidates],
                          f'Round {i + 1}', 3) for i, candidates in enumerate(d.rounds)]
     hidden = html.bullets(f'{name}: {why}' for name, why in not_identifiable(d).items())
@@ -333,9 +306,8 @@ def _candidates(d: Diagnosis) -> html.Html:
         'What this recording cannot show:', hidden)
 
 
-def _estimates(c: Candidate) -> str:
-    units = {p.name: p.unit for p in c.effect.traced}
-    return ', '.join(_parameter(name, (value, sigma, units[name])) for name, (value, sigma) in _tested(c).items())
+def _estimates(c: Candidate, d: Diagnosis) -> str:
+    return ', '.join(f'{name} {estimate.text()}' for name, estimate in _tested(c, d).items())
 
 
 def _added(d: Diagnosis) -> html.Html:
@@ -351,7 +323,7 @@ def _added(d: Diagnosis) -> html.Html:
 
 
 def _values(f: Finding) -> str:
-    return ', '.join(_parameter(*item) for item in f.parameters.items())
+    return ', '.join(f'{name} {estimate.text()}' for name, estimate in f.parameters.items())
 
 
 def _errors(d: Diagnosis) -> html.Html:

@@ -3,18 +3,19 @@ from __future__ import annotations
 
 import shlex
 
+import numpy as np
+
 from ..diagnosis.diagnose import Diagnosis, Finding
-from ..diagnosis.proof import CERTAIN, all_in_all
 from ..parameters.params_file import yaml_value
 from ..recordings.checker import INFO
 from ..recordings.checker import Finding as Checked
 from . import html
 from .answer import BAD, GOOD, WARNING, Answer, Step, checked_text, held_text, topics_of
-from .diagnosis import capital, changed, cost, parameters_text, touches, unexplained_text
+from .diagnosis import capital, changed, cost, parameters_text, unexplained_text
 from .effect_words import check, what
 
-#: errors that change by less than this part are called unchanged
-PRACTICAL = 0.03
+#: means and medians that differ by more than this factor tell of a few large errors
+TAILS = 1.5
 #: 95 % ellipses that hold the truth less often than this, %, are too small; said of so many outages
 COVERED, FEWEST_OUTAGES = 85.0, 5
 
@@ -24,69 +25,69 @@ def answer(diagnosis: Diagnosis, checked: list[Checked], output: str) -> Answer:
 
     checked: what the checker found. output: folder of the results, for the command.
     """
-    d, use = diagnosis, judged(diagnosis)
-    after = d.after if use == 'use' else d.before
+    d = diagnosis
+    after = d.after if d.better else d.before
     shares = [o['within_95_percent'] for o in after.summary()['outages'] if o['count'] >= FEWEST_OUTAGES]
-    consistent = d.detections['after' if use == 'use' else 'before'].consistent
+    consistent = not d.detections['after' if d.better else 'before'].lacking
     covered = not shares or min(shares) >= COVERED
-    grade = GOOD if consistent and covered and use != 'worse' else WARNING if use == 'use' else BAD
+    grade = GOOD if consistent and covered else WARNING if d.better else BAD
     said = [checked_text(f, topics_of(d.values)) for f in checked if f.severity != INFO]
-    found = [_found(f) for f in d.findings if f.added]
-    shown = [] if d.detections['before'].consistent else [f"As configured: {' '.join(d.detections['before'].words())}"]
+    found = [found_text(f) for f in d.findings if f.added]
+    tried = [tried_text(f) for f in d.findings if not f.added]
+    shown = [] if not d.detections['before'].lacking else [f"As configured: {' '.join(d.detections['before'].words())}"]
     left = [unexplained_text(d)] if d.unexplained else []
-    return Answer(grade, _headline(d, use), [*found, *shown, *said, *left, *d.remarks], cost(d),
-                  _steps(d, use, output), _trust(use, consistent, shares))
+    return Answer(grade, _headline(d), [*found, *tried, *shown, *said, *left, *d.remarks], cost(d),
+                  _steps(d, output), _trust(d.better, consistent, shares))
 
 
-def _found(f: Finding) -> str:
-    theta = {name: value for name, (value, _, _) in f.parameters.items()}
-    how = 'corrected.yaml uses the strapdown mechanization' if f.effect.replaces_model(theta) else parameters_text(f)
-    return f'{capital(what(f.name))}: {how}.'
+def found_text(f: Finding) -> str:
+    """What was found: what it is, how sure, and what corrected.yaml does about it."""
+    how = 'corrected.yaml uses the strapdown mechanization' if 'mechanization' in f.changes else parameters_text(f)
+    others = [what(name) for name in f.group if name != f.name]
+    group = f' (in this drive the same as: {"; ".join(others)})' if others else ''
+    return f'{capital(what(f.name))}: {how}{group}{_seen(f)}.'
 
 
-def judged(d: Diagnosis) -> str:
-    """What the errors say of corrected.yaml: 'use', 'worse', 'same', or 'nothing' where nothing was changed."""
-    if not changed(d):
-        return 'nothing'
-    rows = [row for row in d.comparison if row.get('before') and row.get('after')]
-    if any(row.get('p', 1.0) < CERTAIN and row['after'] > (1 + PRACTICAL) * row['before'] for row in rows):
-        return 'worse'
-    change = all_in_all(rows) if rows else 1.0
-    if change > 1 + PRACTICAL:
-        return 'worse'
-    # noise levels alone were fitted to this very drive: an error has to shrink for certain
-    proven = any(f.added for f in d.findings) or any(row.get('p', 1.0) < CERTAIN for row in rows)
-    return 'use' if change < 1 - PRACTICAL and proven else 'same'
+def _seen(f: Finding) -> str:
+    return f'; {f.seen}' if f.seen else ''
 
 
-def _headline(d: Diagnosis, use: str) -> str:
-    proof = _proof(d)
-    if use == 'use':
-        return f'Use corrected.yaml: {proof}.'
-    if use == 'worse':
-        return f'Do not use corrected.yaml, keep your parameters: {proof}.'
-    if use == 'same':
-        return f'It makes no difference whether you use corrected.yaml: {proof}.'
-    return 'Keep your parameters: nothing was found that would make the filter better here.'
+def tried_text(f: Finding) -> str:
+    """What looked like an effect and is none, or none that helps."""
+    if f.seen:
+        return f'{capital(what(f.name))}: {f.seen}. Nothing is changed: {f.reason}.'
+    return f'Looked at, and left alone: {what(f.name)} ({parameters_text(f)}): {f.reason}.'
+
+
+def _headline(d: Diagnosis) -> str:
+    if d.better:
+        return f'Use corrected.yaml: {_proof(d)}.'
+    tried = [f for f in d.findings if not f.added]
+    also = ' Something was found that does not help; see below.' if tried else ''
+    return ('Keep your parameters: nothing was found that makes the filter better here for certain, and corrected.yaml '
+            f'holds them as they are.{also}')
 
 
 def _proof(d: Diagnosis) -> str:
     """The error before and after in one clause: of the outages nearest to 30 s, or of all where there are none."""
-    where = ('on parts of the drive that the estimate did not use' if any(f.added for f in d.findings) else
-             'with noise levels fitted to this drive')
+    where = 'on parts of the drive that the estimate did not use'
     before, after = d.before.summary(), d.after.summary()
-    pairs = [(o, n) for o, n in zip(before['outages'], after['outages']) if o['count'] and n['count']]
+    pairs = [(o, n) for o, n in zip(d.before.outages, d.after.outages) if len(o.begin) and len(n.begin)]
     if not pairs:
         old, new = (html.number(s['horizontal_rmse_m'], 2) for s in (before, after))
         return f'{where}, the position error goes from {old} m to {new} m RMS'
-    old, new = min(pairs, key=lambda pair: abs(pair[0]['duration_s'] - 30.0))
-    was, now = (html.number(o['max_error_median_m'], 2) for o in (old, new))
-    return (f'{where}, the largest error in {old["duration_s"]:g} s without fixes goes from {was} m to {now} m (median '
-            f'of {new["count"]} outages)')
+    old, new = min(pairs, key=lambda pair: abs(pair[0].duration - 30.0))
+    was, now = (html.number(float(np.median(o.max_error)), 2) for o in (old, new))
+    said = (f'{where}, the largest error in {old.duration:g} s without fixes goes from {was} m to {now} m (median of '
+            f'{len(new.begin)} outages')
+    means = [float(o.max_error.mean()) for o in (old, new)]
+    if any(mean > TAILS * np.median(o.max_error) for mean, o in zip(means, (old, new))):
+        said += f'; mean {html.number(means[0], 2)} m to {html.number(means[1], 2)} m, as a few are much larger'
+    return said + ')'
 
 
-def _trust(use: str, consistent: bool, shares: list[float]) -> str:
-    which = 'With corrected.yaml' if use == 'use' else 'As configured'
+def _trust(better: bool, consistent: bool, shares: list[float]) -> str:
+    which = 'With corrected.yaml' if better else 'As configured'
     if shares and min(shares) < COVERED:
         return (f'{which}, no: after the outages of one duration its 95 % ellipse held the truth in only '
                 f'{html.number(min(shares), 2)} %.')
@@ -97,18 +98,18 @@ def _trust(use: str, consistent: bool, shares: list[float]) -> str:
     return f'{which}, without fixes {held}. From fix to fix not quite: the innovations are not as it expects.'
 
 
-def _steps(d: Diagnosis, use: str, output: str) -> list[Step]:
+def _steps(d: Diagnosis, output: str) -> list[Step]:
     steps = []
-    if use == 'use':
+    if d.better:
         steps.append(Step('Drive on with it:', 'python -m mems_ins_fusion fusion_node --ros-args --params-file '
                           + shlex.quote(f'{output}/corrected.yaml')))
-    for f in d.findings if use == 'use' else ():
-        values = ', '.join(f'{name}: {yaml_value(value)}' for name, value in changed(d).items()
-                           if f.added and touches(f, d.values, name))
+    new = changed(d)
+    for f in d.findings if d.better else ():
+        values = ', '.join(f'{name}: {yaml_value(new[name])}' for name in f.changes if name in new)
         if f.added and check(f.name):
             steps.append(Step(f'Check on the vehicle: {check(f.name)}' + (f' (corrected.yaml has {values}).' if values
                                                                           else '.')))
-    if use != 'nothing' and not any(f.added for f in d.findings):
-        steps.append(Step('No effect was added, only noise levels were fitted: record another drive with bends to both '
+    if d.better and not any(f.added for f in d.findings):
+        steps.append(Step('No effect was added, only noise levels were chosen: record another drive with bends to both '
                           'sides, stops and braking before you rely on them.'))
     return steps

@@ -10,7 +10,7 @@ from .colours import AFTER, BEFORE, FITTED
 from .layers import diagnosis_layers
 
 COLOURS = {'before': BEFORE, 'fitted': FITTED, 'after': AFTER}
-STAGES = {'before': 'as configured', 'fitted': 'noise levels fitted', 'after': 'with corrected.yaml'}
+STAGES = {'before': 'as configured', 'fitted': 'other noise levels alone', 'after': 'with corrected.yaml'}
 #: lags of the autocorrelation shown, and half the width of the histogram in sigma
 SHOWN_LAGS, WIDEST = 3 * LAGS, 5.0
 
@@ -30,8 +30,9 @@ def autocorrelation(values: np.ndarray, lags: int) -> np.ndarray:
 def residual(diagnosis: Diagnosis, stage: str):
     """Whitened innovations along and across the track at one stage: against time, their autocorrelation, histogram."""
     problem, detection = diagnosis.problem, diagnosis.detections[stage]
-    series = diagnosis.residuals[stage].along_across()[problem.mask].T
-    minutes = (problem.stamp[problem.mask] - problem.stamp[0]) * 1e-9 / 60
+    mask = problem.mask & np.isfinite(diagnosis.residuals[stage].z[:, 0])
+    series = diagnosis.residuals[stage].along_across()[mask].T
+    minutes = (problem.stamp[mask] - problem.stamp[0]) * 1e-9 / 60
     figure = _figure(11, 5)
     axes = figure.subplots(2, 3, width_ratios=(2.4, 1.2, 1), sharex='col')
     for (time, acf, histogram), name, values in zip(axes, COMPONENTS[2:], series):
@@ -109,9 +110,9 @@ def errors(diagnosis: Diagnosis):
 
 
 def measured_stages(diagnosis: Diagnosis) -> dict[str, Measured]:
-    """The errors measured, by stage; only one stage where nothing was added."""
+    """The errors measured, by stage; no stage after where nothing is better."""
     stages = {'before': diagnosis.before, 'fitted': diagnosis.fitted}
-    return stages | ({'after': diagnosis.after} if any(f.added for f in diagnosis.findings) else {})
+    return stages | ({'after': diagnosis.after} if diagnosis.better else {})
 
 
 def _growth(axes, measured: Measured, stage: str) -> None:

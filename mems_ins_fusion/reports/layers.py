@@ -103,7 +103,7 @@ def diagnosis_layers(diagnosis: Diagnosis) -> list[Layer]:
     for stage, name, measured, values, colour in stages:
         longest = _longest(measured)
         if longest is not None:
-            delay = 0 if d.recording.reference is not None else round(values['gnss.time_offset'] * 1e9)
+            delay = round(values['gnss.time_offset'] * 1e9) if d.problem.reference_with_fixes else 0
             layers.append(_outages(ground, longest.errors, origin, delay, colour,
                                    f'{longest.duration:g} s without fixes, {name}', (5, 3)))
     return layers

@@ -1,0 +1,119 @@
+"""Noise levels for the filter of the user, by what it predicts seconds to a minute ahead.
+
+The likelihood of innovations alone may trade what the sensors cannot have for receivers that are too good: the filter
+then follows each fix and knows nothing a minute later. So levels are chosen by predictions over all horizons, one vote
+for each, and each part of the drive is judged with levels that the other parts have chosen.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .proof import Measured
+from .residuals import LARGEST_FACTOR, MODEL_NOISE, scaled
+
+#: factors are tried in steps of this
+STEP = float(np.sqrt(10.0))
+#: how much better all predictions together have to be, in log likelihood, for each level that is moved by a step
+WORTH = 3.0
+#: a constraint is no better or worse than configured by more steps, and no sensor is better
+MOST_STEPS, MOST_STEPS_DOWN = {'vehicle.non_holonomic_sigma': 1}, 1
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Factors on noise levels, by name. by_part: those that the other parts would have chosen, for each part."""
+
+    factors: dict[str, float]
+    by_part: list[dict[str, float]]
+
+
+def multiplied(values: dict, factors: dict[str, float], claimed: float) -> dict:
+    """`values` with these factors on some of them. claimed: m, of a fix, where gnss.sigma leaves it to the messages."""
+    for name, factor in factors.items():
+        if factor != 1.0:
+            if name == 'gnss.sigma' and not values[name]:
+                values = {**values, name: claimed}
+            values = scaled(values, name, factor)
+    return values
+
+
+def adjustable(values: dict) -> list[str]:
+    """The noise levels of the filter with these parameters that may be moved."""
+    model = MODEL_NOISE[values['sensor_error_model']]
+    names = [f'{sensor}.{part}' for sensor in ('gyroscope', 'accelerometer') for part in ('noise_density', model)]
+    if values['vehicle.non_holonomic']:
+        names.append('vehicle.non_holonomic_sigma')
+    adapts = values['gnss.adapt_sigma'] and values['mechanization'] == 'strapdown'
+    return names if adapts else ['gnss.sigma', *names]
+
+
+def choose(values: dict, errors: Callable[[Sequence[dict]], list[Measured]], part_of: Callable, count: int,
+           claimed: float, start: dict[str, float] | None = None) -> Levels:
+    """The levels that predict best: from those as configured, or from `start` if these are better, one by one up or
+    down, as long as that helps.
+
+    errors: measures the filters of several parameter sets. part_of: the part, 0 to count - 1, of stamps (k,) ns.
+    claimed: as for `multiplied`.
+    """
+    names = adjustable(values)
+    tried: dict[tuple[int, ...], np.ndarray] = {}
+
+    def merits(points):
+        new = [p for p in dict.fromkeys(points) if p not in tried]
+        found = errors([multiplied(values, _factors(names, p), claimed) for p in new])
+        for point, measured in zip(new, found):
+            predictions = sum(len(o.begin) for o in measured.outages)
+            tried[point] = _merit(measured, part_of, count) - WORTH * np.abs(point).sum() / max(predictions, 1)
+        return [tried[p][-1] for p in points]
+
+    most = round(np.log(LARGEST_FACTOR) / np.log(STEP))
+    begins = [tuple(0 for _ in names)]
+    if start:
+        begins.append(tuple(round(np.log(start.get(name, 1.0)) / np.log(STEP)) for name in names))
+    merits(begins)
+    best = max(begins, key=lambda point: tried[point][-1])
+    for i in range(len(names)):
+        best = _along(best, i, MOST_STEPS.get(names[i], most), merits, tried)
+    points = list(tried)
+    table = np.array([tried[p] for p in points])
+    chosen = [points[k] for k in np.argmax(table, axis=0)]
+    return Levels(_factors(names, chosen[-1]), [_factors(names, p) for p in chosen[:-1]])
+
+
+def _along(best, i, limit: int, merits, tried):
+    """The best point on the line through `best` along axis i: steps as long as they help, up or down, to `limit`."""
+
+    def moved(by):
+        return (*best[:i], best[i] + by, *best[i + 1:])
+
+    def allowed(by):
+        return -MOST_STEPS_DOWN <= best[i] + by <= limit
+
+    steps = [by for by in (1, -1) if allowed(by)]
+    found = merits([moved(by) for by in steps])
+    here = tried[best][-1]
+    if max(found) <= here:
+        return best
+    by = steps[int(np.argmax(found))]
+    best = moved(by)
+    while allowed(by) and merits([moved(by)])[0] > tried[best][-1]:
+        best = moved(by)
+    return best
+
+
+def _factors(names, point) -> dict[str, float]:
+    return {name: round(STEP**k, 2) if k >= 0 else round(STEP**k, 3) for name, k in zip(names, point)}
+
+
+def _merit(measured: Measured, part_of, count: int) -> np.ndarray:
+    """Mean over the horizons of the mean log likelihood, (count + 1,): without each part, and of all."""
+    total = np.zeros(count + 1)
+    for stamp, score in measured.scores():
+        part = part_of(stamp)
+        for k in range(count + 1):
+            mine = score[part != k]
+            total[k] += mine.mean() if len(mine) else score.mean()
+    return total / max(len(measured.scores()), 1)
