@@ -68,7 +68,8 @@ class FusionNode(Node):
         load(self._filter, stop)  # before there is a subscription: no message waits for the compiler
         self._force_unit = ACCELERATION[values['imu.acceleration_unit']]
         self._rate_unit = RATE[values['imu.rate_unit']]
-        self._mounting = MountingCheck(values['imu.mounting_rpy'], values['gnss.time_offset'])
+        self._mounting = MountingCheck(values['imu.mounting_rpy'], values['gnss.time_offset'],
+                                       values['imu.max_specific_force'], values['imu.max_angular_rate'])
         self._use_orientation = values['alignment.heading'] == 'orientation'
         self._start = start_from_parameters(values) if values['start_pose'] else None
         self._datum = None
