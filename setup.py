@@ -20,8 +20,8 @@ setup(
         'ros': ['ros-jazzy-rclpy', 'ros-jazzy-common-interfaces', 'ros-jazzy-rmw-fastrtps-cpp'],
         # the documentation as a site
         'docs': ['sphinx', 'myst-parser'],
-        # allantools, evo and statsmodels are judges: tests hold our numbers against theirs
-        'test': ['pytest', 'pytest-xdist', 'setuptools>=70.1', 'allantools', 'evo', 'statsmodels'],
+        # allantools, evo and statsmodels are judges: tests hold our numbers against theirs; hypothesis thinks of input
+        'test': ['pytest', 'pytest-xdist', 'setuptools>=70.1', 'allantools', 'evo', 'hypothesis', 'statsmodels'],
     },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),

@@ -1,6 +1,6 @@
 """What the filter makes of faults: simulated realistic drives with one fault each, parameters at their defaults.
 
-    python studies/faults.py [--seeds 6] [--output FILE.md] [--figure FILE.svg]
+    python studies/faults.py [--seeds 6] [--output FILE.md] [--figure FILE.png]
 
 Each fault begins at 200 s of a drive of 360 s (100 Hz, fixes of 1.5 m each second, simulation/scene.py REALISTIC). The
 table holds the largest error from its begin to its end, the error 20 s after its end (RMS of 5 s, over all seeds)

@@ -73,7 +73,8 @@ def _sensor_errors(config: FilterConfig, start: Start, level: bool):
     p, m = config.layout.order, config.layout.n_augmented
     estimate, covariance, constant = np.zeros(m), np.zeros((m, m)), np.zeros(len(config.models))
     still = start.standstill
-    span = (still.duration, start.time - still.end) if still else (0.0, 0.0)
+    # a fix that comes late starts the filter within the standstill that shows its sensors
+    span = (still.duration, max(0.0, start.time - still.end)) if still else (0.0, 0.0)
     unseen = np.ones(m, dtype=bool)  # by the standstill
     for channel, (model, axis) in enumerate(zip(config.models, config.channel_axes)):
         block = slice(channel * p, (channel + 1) * p)

@@ -20,6 +20,7 @@ from .odometry import LINEAR, SIZE, TWIST_COVARIANCE, odometry
 from .results import columns
 from .snapshot import made, recalled
 from .start import Start
+from .unheaded import spread
 
 #: the verdicts in words
 VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down', Verdict.REFUSED: 'beyond the gate',
@@ -78,7 +79,8 @@ class FusionFilter(Intake):
         """Forget everything but the datum, and align anew."""
         self._alignment = Alignment(self.config)
         self._memory: np.ndarray | None = None
-        self._provisional: np.ndarray | None = None  # a filter that does not know its heading yet
+        self._provisional: np.ndarray | None = None  # a filter that does not know its heading yet,
+        self._unheaded: Start | None = None  # and where it began
         self._epoch: int | None = None
         self._newest_fix = 0
         self._outage = False
@@ -255,8 +257,8 @@ class FusionFilter(Intake):
                 if start is not None:
                     self._begin(start, stamp)
                 else:
-                    start = self._alignment.provisional()
-                    self._provisional = None if start is None else self._started(start)
+                    self._unheaded = self._alignment.provisional()
+                    self._provisional = None if self._unheaded is None else self._started(self._unheaded)
             return
         record[Event.ID] = self._ids
         self._ids += 1
@@ -422,6 +424,8 @@ class FusionFilter(Intake):
         """Fill `odometry`, `geodetic` and `position_covariance_enu` for the newest estimate; its stamp in ns."""
         odometry(self._estimating, self.datum, self._height_sigma, self.odometry, self.geodetic,
                  self.position_covariance_enu)
+        if self._memory is None:
+            spread(self._unheaded, self.datum, self.odometry, self.geodetic, self.position_covariance_enu)
         return self._now
 
     def warm_up(self) -> None:

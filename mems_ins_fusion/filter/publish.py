@@ -11,6 +11,7 @@ from .layout import Event, Kind
 from .odometry import SIZE, odometry
 from .replay import Aiding, _Events, _Replay, _Work
 from .start import Start
+from .unheaded import spread
 
 
 def published(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aiding, datum,
@@ -78,7 +79,7 @@ class _Publishing(_Replay):
                 memory = self.config.memory()
                 initialize(memory, self.config, provisional)
                 begin = int(np.searchsorted(samples[:end, 0], provisional.time, side='right'))
-                self._ask(memory, samples[begin:end], kept[begin:end], nothing, begin, fed - begin)
+                self._ask(memory, samples[begin:end], kept[begin:end], nothing, begin, fed - begin, provisional)
         return start, first
 
     def _filter(self, memory, samples, index, events: _Events, epoch: int) -> None:
@@ -86,9 +87,10 @@ class _Publishing(_Replay):
         self._ask(memory, samples, index, events, self._length - len(index)).finish(memory)
         self.height_sigma = np.append(self._heights[1], self.height_sigma)[len(self._heights[0]) - 1]
 
-    def _ask(self, memory, samples, index, events: _Events, first: int, silent: int = 0) -> _Work:
+    def _ask(self, memory, samples, index, events: _Events, first: int, silent: int = 0,
+             unheaded: Start | None = None) -> _Work:
         """`samples` with these indices, that numbered `first` first, through the kernel; the odometry after each that is
-        kept, but for the `silent` first ones."""
+        kept, but for the `silent` first ones. unheaded: where a filter without a heading began."""
         kept = np.flatnonzero(self.keep[index])
         kept = kept[kept >= silent]
         rows, geodetic, covariance = np.zeros((len(kept), SIZE)), np.empty(3), np.empty(9)
@@ -100,5 +102,7 @@ class _Publishing(_Replay):
         for i, k in enumerate(kept.tolist()):
             work.advance(memory, k + 1)
             odometry(memory, self.datum, sigma[latest[i]], rows[i], geodetic, covariance)
+            if unheaded is not None:
+                spread(unheaded, self.datum, rows[i], geodetic, covariance)
         self.published.append((index[kept], rows))
         return work

@@ -68,10 +68,12 @@ class FusionNode(Node):
         load(self._filter, stop)  # before there is a subscription: no message waits for the compiler
         self._force_unit = ACCELERATION[values['imu.acceleration_unit']]
         self._rate_unit = RATE[values['imu.rate_unit']]
-        self._mounting = MountingCheck(values['imu.mounting_rpy'], values['gnss.time_offset'])
+        self._mounting = MountingCheck(values['imu.mounting_rpy'], values['gnss.time_offset'],
+                                       values['imu.max_specific_force'], values['imu.max_angular_rate'])
         self._use_orientation = values['alignment.heading'] == 'orientation'
         self._start = start_from_parameters(values) if values['start_pose'] else None
         self._datum = None
+        self._urgent: set = set()
         self._set_rate(values['odometry_rate'])
         self._last_slot = None
         self._throttle = Throttle(5.0)
@@ -85,7 +87,7 @@ class FusionNode(Node):
         self.add_post_set_parameters_callback(self._apply_changes)
         # timers of the ROS clock stand still while use_sim_time waits for a /clock
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(0.2, self.report, clock=steady)
+        self._urgent |= {self._imu, self._fix, self.create_timer(0.2, self.report, clock=steady)}
         self.create_timer(1.0, self._each_second, clock=steady)
         if self._state_file:
             self.create_timer(_SAVE_PERIOD, self._save, clock=steady)
@@ -96,7 +98,7 @@ class FusionNode(Node):
     def serve(self, stop: Stop) -> None:
         """Work until `stop` is requested."""
         self.get_logger().info(self._ready)
-        spin(self, stop)
+        spin(self, stop, urgent=self._urgent)
         if self._state_file:
             self._save()
 
@@ -418,8 +420,11 @@ class FusionNode(Node):
     def _replaced_timer(self, period):
         old = getattr(self, '_clock_timer', None)
         if old is not None:
+            self._urgent.discard(old)
             self.destroy_timer(old)
-        return self.create_timer(period, self._send_prediction)
+        timer = self.create_timer(period, self._send_prediction)
+        self._urgent.add(timer)
+        return timer
 
 
 def main(argv: list[str]) -> int:

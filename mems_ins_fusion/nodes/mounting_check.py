@@ -22,17 +22,20 @@ class MountingCheck:
     """Collects samples and fixes, SI units in sensor axes, and looks at them now and then until LOOKS are through.
 
     add_sample and add_fix are lists' own `append`: stamp (ns), specific force and angular rate; stamp, latitude, longitude
-    (rad), height (m), nine of the covariance (m^2), status, covariance type.
+    (rad), height (m), nine of the covariance (m^2), status, covariance type. max_force, max_rate: beyond them a sample is
+    not believed, m/s^2 and rad/s.
     """
 
-    def __init__(self, mounting_rpy: Sequence[float], time_offset: float):
+    def __init__(self, mounting_rpy: Sequence[float], time_offset: float, max_force: float, max_rate: float):
         self._mounting, self._lag = mounting_rpy, time_offset
+        self._limits = np.repeat([max_force, max_rate], 3)
         self._samples: list[tuple] = []
         self.add_sample = self._samples.append
         self._fixes: deque[tuple] = deque(maxlen=round(20 * MEMORY))
         self.add_fix = self._fixes.append
         self._means: deque[np.ndarray] = deque(maxlen=round(RATE * MEMORY))
         self._first: int | None = None
+        self._last = 0
         self._looks = list(LOOKS)
         self.found = 'not looked at yet'
         self.is_wrong = False
@@ -42,10 +45,8 @@ class MountingCheck:
         """Whether there will be no other look."""
         return not self._looks
 
-    def restart(self) -> None:
-        """Forget the samples: those to come do not follow them."""
-        self._samples.clear()
-        self._fixes.clear()
+    def _restart(self) -> None:
+        """Forget the samples: those to come do not follow them. Fixes of before are not used any more."""
         self._means.clear()
         self._first = None
 
@@ -56,23 +57,29 @@ class MountingCheck:
             return None
         if not self._samples:
             return None
-        rows = np.array(self._samples)  # stamps as floats are good to a microsecond
-        stamps = [sample[0] for sample in self._samples]
+        stamps, rows = np.array([s[0] for s in self._samples]), np.array([s[1:] for s in self._samples], dtype=float)
         self._samples.clear()
+        believed = (np.abs(rows) <= self._limits).all(axis=1)  # not NaN, too
+        stamps, rows = stamps[believed], rows[believed]
+        if not len(stamps):
+            return None
+        steps = np.diff(stamps, prepend=self._last if self._first is not None else stamps[0])
+        breaks = np.flatnonzero((steps < 0) | (steps > LONGEST_GAP * _SECOND))  # another clock, another drive
+        if len(breaks):
+            self._restart()
+            stamps, rows = stamps[breaks[-1]:], rows[breaks[-1]:]
         if self._first is None:
-            self._first = self._last = stamps[0]
-        if min(stamps) < self._last or max(stamps) > self._last + LONGEST_GAP * _SECOND:  # another clock
-            self.restart()
-            return None
-        self._last = stamps[-1]
-        slot = np.array([(stamp - self._first) * RATE // _SECOND for stamp in stamps])
-        starts = np.flatnonzero(np.diff(slot, prepend=np.nan) != 0)
+            self._first = int(stamps[0])
+        self._last = int(stamps[-1])
+        rows = np.column_stack([stamps - self._first, rows])
+        slot = (stamps - self._first) * round(RATE) // _SECOND
+        starts = np.flatnonzero(np.diff(slot, prepend=-1))
         length = np.diff(np.append(starts, len(rows)))[:, None]
-        rows[:, 0] -= self._first
         self._means.extend(np.add.reduceat(rows, starts) / length)
-        if (stamps[-1] - self._first) * 1e-9 < self._looks[0]:
+        seconds = (self._last - self._first) * 1e-9
+        if seconds < self._looks[0]:
             return None
-        self._looks.pop(0)
+        self._looks = [look for look in self._looks if look > seconds]
         return self._judge()
 
     def _judge(self) -> tuple[str, str] | None:

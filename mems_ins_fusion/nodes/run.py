@@ -5,7 +5,8 @@ import re
 import signal
 import sys
 import textwrap
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Collection
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
@@ -26,6 +27,9 @@ from .ros_parameters import params_files
 _ROS_OPTIONS = ('--params-file', '-p', '--param', '-r', '--remap', '--log-level')
 #: what a user got wrong, as opposed to a defect of the program
 _USER_ERRORS = (ValueError, ParameterException, NameValidationException, InvalidQosOverridesError)
+
+#: what is not urgent is looked at this often, s
+PATIENCE = 0.05
 
 
 class Stop:
@@ -48,12 +52,38 @@ class Stop:
             raise KeyboardInterrupt
 
 
-def spin(node: Node, stop: Stop) -> None:
-    """Serve the callbacks of `node` until `stop` is requested; a steady timer of the node must wake it now and then."""
-    executor = SingleThreadedExecutor()
+class _Executor(SingleThreadedExecutor):
+    """One that mostly waits for `urgent` entities alone.
+
+    rclpy builds its wait set anew for each message, at some microseconds for each entity of the node: services, timers
+    and parameters of a node would cost as much as its work.
+    """
+
+    def __init__(self, urgent: Collection):
+        super().__init__()
+        self.urgent, self.everything = urgent, True
+
+    def can_execute(self, entity) -> bool:
+        return (self.everything or entity in self.urgent) and super().can_execute(entity)
+
+
+def spin(node: Node, stop: Stop, urgent: Collection = ()) -> None:
+    """Serve the callbacks of `node` until `stop` is requested; a steady timer must wake it now and then.
+
+    urgent: subscriptions and timers that are served at once, that timer among them; the others are looked at every
+    PATIENCE s. Without any, all are urgent.
+    """
+    executor = _Executor(urgent)
     executor.add_node(node)
+    looked = time.monotonic()
     while not stop.requested:
-        executor.spin_once()
+        now = time.monotonic()
+        executor.everything = not executor.urgent or now - looked > PATIENCE
+        if executor.urgent and executor.everything:
+            looked = now
+            executor.spin_once(timeout_sec=0)
+        else:
+            executor.spin_once()
 
 
 def run(name: str, make_node: Callable[[list[str], Stop], Node], argv: list[str],

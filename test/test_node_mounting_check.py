@@ -1,0 +1,89 @@
+"""A wrong mounting is named while the vehicle drives, in the words of replays."""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from ros_support import PLAYABLE, NodeProcess, Peer
+
+from mems_ins_fusion.nodes.mounting_check import LOOKS, MEMORY, RATE, MountingCheck
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+
+LIMITS = 160.0, 40.0
+
+
+@pytest.fixture(scope='module')
+def recording():
+    """More than two minutes at 50 Hz with an IMU that is turned to the left by a right angle."""
+    return simulate_recording(simulate_drive(140.0, seed=5, rate=50.0, standstill=10.0),
+                              SensorErrors(accelerometer_noise_density=[1e-3] * 3, gyroscope_noise_density=[1e-4] * 3),
+                              GnssNoise(sigma=1.0, rate=2.0), seed=5, mounting_rpy=[0.0, 0.0, math.pi / 2]).recording
+
+
+def looked(recording, mounting_rpy):
+    """What is found when it looks once a second, and the check."""
+    check, found = MountingCheck(mounting_rpy, 0.0, *LIMITS), []
+    imu, gnss, next_fix = recording.imu, recording.gnss, 0
+    for k in range(len(imu)):
+        check.add_sample((int(imu.stamp[k]), *imu.specific_force[k].tolist(), *imu.angular_rate[k].tolist()))
+        while next_fix < len(gnss) and gnss.stamp[next_fix] <= imu.stamp[k]:
+            i, next_fix = next_fix, next_fix + 1
+            check.add_fix((int(gnss.stamp[i]), gnss.latitude[i], gnss.longitude[i], gnss.height[i],
+                           gnss.covariance[i].reshape(9), 0, 2))
+        if k % 50 == 49:
+            found.append(check.look())
+    return [f for f in found if f], check
+
+
+def test_a_wrong_mounting_is_named_with_the_angles_to_set(recording):
+    found, check = looked(recording, [0.0, 0.0, 0.0])
+    level, text = found[-1]
+    assert level == 'error' and check.is_wrong and check.found == text
+    assert 'turned to the left by' in text and 'set imu.mounting_rpy to [' in text
+    yaw = float(text.split('[')[1].split(']')[0].split(',')[2])
+    assert yaw == pytest.approx(math.pi / 2, abs=math.radians(5.0))
+
+
+def test_the_right_one_is_not_contradicted_and_memory_is_bounded(recording):
+    found, check = looked(recording, [0.0, 0.0, math.pi / 2])
+    assert found == [] and not check.is_wrong and check.found == 'nothing speaks against imu.mounting_rpy'
+    # and what it remembers does not grow, nor after its last look
+    begin = int(recording.imu.stamp[-1])
+    for second in range(1, round(LOOKS[-1]) + 60):
+        for k in range(50):
+            check.add_sample((begin + second * 10**9 + k * 20_000_000, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0))
+        check.look()
+    assert check.done and len(check._means) <= RATE * MEMORY and not check._samples
+
+
+def test_samples_of_another_clock_and_of_no_vehicle_do_not_end_it(recording):
+    check = MountingCheck([0.0, 0.0, 0.0], 0.0, *LIMITS)
+    for stamp, value in ((10**18, 1.0), (10**18 + 10**7, 1e300), (5, 2.0), (2 * 10**18, -1e300), (2 * 10**18 + 1, 3.0)):
+        check.add_sample((stamp, *[value] * 6))
+        check.look()
+    for k in range(4000):
+        check.add_sample((3 * 10**18 + k * 10**7, *([1e300] * 6 if k % 3 else [math.nan] * 6)))
+    with np.errstate(all='ignore'):
+        check.look()
+    assert not check.is_wrong
+
+
+def test_the_node_says_it_in_its_log_and_on_diagnostics(recording):
+    peer, heard = Peer(), []
+    subscription = peer.node.create_subscription(DiagnosticArray, '/diagnostics', heard.append, 10)
+    with NodeProcess('fusion_node', *PLAYABLE) as node:
+        # given a mounting that is not in the parameters
+        node.wait_until_ready()
+        peer.connect(node, recording)
+        peer.play(node, recording)
+        # then it is named
+        line = node.wait_for('the IMU seems to be mounted')
+        assert 'ERROR' in line and '/imu/data' in line and 'set imu.mounting_rpy to' in line
+        peer.spin_until(lambda: heard and 'seems to be mounted' in heard[-1].status[0].message)
+        status = heard[-1].status[0]
+        assert status.level != b'\x00'
+        assert 'set imu.mounting_rpy' in {pair.key: pair.value for pair in status.values}['mounting']
+    peer.node.destroy_subscription(subscription)
+    peer.close()
