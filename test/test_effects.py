@@ -239,6 +239,20 @@ def test_effects_that_cannot_show_say_why(drive):
     assert 'strapdown' in EFFECTS['tilt'].hidden({**values, 'mechanization': 'strapdown'}, recording)
 
 
+@pytest.mark.parametrize('offset', [-0.8, 0.4, 0.8, 1.4])
+def test_a_filter_that_knows_how_late_fixes_are_takes_them(drive, offset):
+    # given fixes that are late by more than gnss.max_delay, or arrive late as well
+    effect, theta = EFFECTS['gnss_time_offset'], {'time_offset': offset}
+    recording = recorded(drive, [(effect, theta)], receiver=replace(RECEIVER, latency=0.3))
+    values = table.check(PAPER)
+    known = effect.adjusted(values, theta)
+    result = run(configure(known), recording.imu, recording.gnss)
+    # then all are used, and nothing is remembered for longer than is needed
+    assert len(result.innovations.z) > 0.8 * len(recording.gnss)
+    assert not any('dropped' in notice.text for notice in result.notices)
+    assert known['gnss.max_delay'] == max(values['gnss.max_delay'], offset + 0.5)
+
+
 @pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
 def test_a_lag_is_as_far_behind_as_the_acceleration_says(mechanization):
     # given perfect sensors (on a hill for the filter that knows hills), and fixes behind by 0.5 s^2 times the second

@@ -5,6 +5,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.effects.gnss_time_offset import later
 from mems_ins_fusion.parameters.parameter import Parameter
 
 
@@ -39,5 +40,5 @@ class GnssLag(Effect):
         return position + np.column_stack([np.interp(time, drive.time, axis) for axis in behind.T])
 
     def adjusted(self, values, theta):
-        values = added(values, 'gnss.time_offset', None, theta.get('delay', 0.0))
+        values = later(values, theta.get('delay', 0.0))
         return added(values, 'gnss.lag_per_acceleration', None, theta['lag'])
