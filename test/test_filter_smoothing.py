@@ -5,11 +5,14 @@ import numpy as np
 import pytest
 from filter_support import HEIGHT, LATITUDE, LONGITUDE, configure, newest, take_all
 
+from mems_ins_fusion.evaluation.metrics import NEES_95, Truth, position_errors, rms
 from mems_ins_fusion.filter import replay, smoothing
 from mems_ins_fusion.filter.alignment import Start
 from mems_ins_fusion.filter.initial import initialize
-from mems_ins_fusion.filter.layout import NAV, Event, Verdict, covariance, set_covariance, views
+from mems_ins_fusion.filter.layout import NAV, STRAPDOWN, Event, Head, Verdict, covariance, views
+from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Fixes, ImuSamples, Velocities
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 RATE, SECONDS = 20, 12
 STEP = 10**9 // RATE
@@ -29,7 +32,7 @@ def _drive(seed=3):
     covariance = np.tile(np.diag([2.0, 1.5, 4.0]), (m, 1, 1))
     covariance[:, 0, 1] = covariance[:, 1, 0] = 0.5
     fixes = Fixes(at, at, LATITUDE + 1e-6 * rng.standard_normal(m), LONGITUDE + 1e-6 * rng.standard_normal(m),
-                  HEIGHT + rng.standard_normal(m), covariance, np.full(m, 2, np.uint8), np.zeros(m, np.int8))
+                  HEIGHT + rng.standard_normal(m), covariance, status=np.zeros(m, np.int8), covariance_type=np.full(m, 2, np.uint8))
     velocity = Velocities(at, at, rng.standard_normal((m, 3)), np.tile(np.eye(3), (m, 1, 1)))
     return imu, fixes, replay.Aiding(velocity=velocity)
 
@@ -58,8 +61,8 @@ def _dense(config, imu, records):
         columns = []
         for i in range(n):
             moved = memory.copy()
-            rows = views(moved)[2]
-            rows[int(views(moved)[0][9]) % len(rows[:-2]), NAV:NAV + n] = np.eye(n)[i]
+            head, _, rows, *_ = views(moved)
+            rows[int(head[Head.SAMPLES]) % int(head[Head.CAPACITY]), NAV:NAV + n] = np.eye(n)[i]
             take_all(moved, sample[None], records[:0], [0])
             columns.append(of(moved)[0])
         transitions.append(np.column_stack(columns))
@@ -104,3 +107,103 @@ def test_equals_a_dense_smoother(values):
                                rtol=1e-5, atol=1e-8)
     filtered = replay._Replay(config, imu, fixes, aiding, START, keep).run()
     assert np.mean(run.sigma[:, 0] < 0.9 * filtered.sigma[:, 0]) > 0.5
+
+
+SEEDS = 20
+#: a car as the filter thinks of it, at its defaults
+CAR = {name: table.defaults()[name] for name in (
+    'vehicle.zero_velocity', 'vehicle.non_holonomic', 'gnss.gate_probability', 'gnss.adapt_sigma', 'gnss.robust_sigma',
+    'vehicle.non_holonomic_sigma', 'vehicle.non_holonomic_vertical_sigma', 'imu.mounting_sigma',
+    'vehicle.rear_axle_sigma')}
+
+
+def simulated(seed, config, latency=0.0, duration=150.0):
+    drive = simulate_drive(duration, seed, 20.0, hills=config.mechanization == STRAPDOWN,
+                           rotating_earth=config.mechanization == STRAPDOWN)
+    sensors = SensorErrors.from_parameters(config.parameters, 'gauss_markov')
+    return simulate_recording(drive, sensors, GnssNoise(1.5, latency=latency), seed=seed).recording
+
+
+def errors_of(run, recording):
+    truth = Truth(recording.reference, np.zeros(3), np.zeros(len(recording.reference)), 'reference')
+    inside = (recording.reference.stamp >= run.stamp[0]) & (recording.reference.stamp <= run.stamp[-1])
+    return position_errors(run, truth.select(inside), np.zeros(inside.sum(), dtype=bool))
+
+
+@pytest.mark.parametrize('values', [{}, {'mechanization': 'strapdown'}, {'mechanization': 'strapdown', **CAR}],
+                         ids=['planar', 'strapdown', 'car'])
+def test_is_better_than_the_filter_and_knows_how_good_it_is(values):
+    config = configure(values)
+    filtered, smooth = [], []
+    for seed in range(SEEDS):
+        recording = simulated(seed, config)
+        filtered.append(errors_of(replay.run(config, recording.imu, recording.gnss), recording))
+        smooth.append(errors_of(smoothing.smoothed(config, recording.imu, recording.gnss), recording))
+    before, after = (np.concatenate([e.horizontal for e in errors]) for errors in (filtered, smooth))
+    nees = np.concatenate([e.nees for e in smooth])
+    assert rms(after) < 0.7 * rms(before)
+    # errors of one drive go together: some tens of independent ones
+    assert 0.9 < np.mean(nees < NEES_95) < 0.985
+    assert np.mean([rms(e.sigma) for e in smooth]) < 0.7 * np.mean([rms(e.sigma) for e in filtered])
+
+
+@pytest.mark.parametrize('values', [{}, {'mechanization': 'strapdown', **CAR}], ids=['planar', 'car'])
+def test_an_outage_is_the_smoothed_run_without_its_fixes(values):
+    config = configure(values)
+    recording = simulated(3, config, duration=200.0)
+    imu, gnss = recording.imu, recording.gnss
+    begin, duration = gnss.stamp[[60, 90]], 30.0
+    keep = np.zeros(len(imu), dtype=bool)
+    keep[::4] = True
+    outages = smoothing.smoothed_outages(config, imu, gnss, begin, duration, keep=keep)
+    assert outages.begin.tolist() == begin.tolist()
+    for i, b in enumerate(begin):
+        # given the recording up to a minute after the outage, without its fixes
+        end = b + round((duration + smoothing.AFTER) * 1e9)
+        left = gnss.select(((gnss.stamp <= b) | (gnss.stamp > b + round(duration * 1e9))) & (gnss.stamp < end))
+        until = imu.stamp < end
+        whole = smoothing.smoothed(config, imu.select(until), left, keep=keep[until])
+        part = outages.run.states(slice(outages.first[i], outages.first[i + 1]))
+        at = np.searchsorted(whole.stamp, part.stamp)
+        assert len(at) > 100
+        np.testing.assert_allclose(part.sigma, whole.sigma[at], rtol=1e-6)
+        np.testing.assert_allclose(part.latitude, whole.latitude[at], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(part.velocity, whole.velocity[at], rtol=0, atol=1e-5)
+        # then the error stays a small part of the filter's
+        coasting = replay.run_with_outages(config, imu, gnss, begin[i:i + 1], duration, keep=keep)[1].run
+        inside = recording.reference
+        inside = inside.select((inside.stamp > b) & (inside.stamp < part.stamp[-1]))
+        worst = [position_errors(run, Truth(inside, np.zeros(3), np.zeros(len(inside)), ''),
+                                 np.zeros(len(inside), dtype=bool)).horizontal.max() for run in (part, coasting)]
+        assert worst[0] < 0.5 * worst[1]
+
+
+def test_late_fixes_are_used_at_their_own_time():
+    config = configure({'mechanization': 'strapdown'})
+    prompt, late = (simulated(5, config, latency) for latency in (0.0, 0.4))
+    whole, after = (smoothing.smoothed(config, r.imu, r.gnss) for r in (prompt, late))
+    # the filter starts later, and the last fix does not come any more
+    both = slice(np.searchsorted(whole.stamp, after.stamp[0]) + 400, -400)
+    at = np.searchsorted(after.stamp, whole.stamp[both])
+    np.testing.assert_allclose(after.velocity[at], whole.velocity[both], atol=0.02)
+    np.testing.assert_allclose(after.sigma[at][:, :6], whole.sigma[both][:, :6], rtol=0.02)
+
+
+def test_stretches_between_restarts_are_smoothed_apart():
+    config = configure({})
+    recording = simulated(2, config, duration=240.0)
+    gap = (recording.imu.stamp > recording.imu.stamp[0] + 110 * 10**9) & (
+        recording.imu.stamp < recording.imu.stamp[0] + 130 * 10**9)
+    run = smoothing.smoothed(config, recording.imu.select(~gap), recording.gnss)
+    assert np.count_nonzero(np.diff(run.stamp) > 15e9) == 1
+    errors = errors_of(run, recording)
+    assert np.median(errors.horizontal) < 1.5 and np.isfinite(run.sigma).all()
+
+
+def test_a_smoothed_run_is_a_reference():
+    config = configure({})
+    recording = simulated(2, config, duration=60.0)
+    run = smoothing.smoothed(config, recording.imu, recording.gnss)
+    reference = smoothing.as_reference(run)
+    assert np.array_equal(reference.stamp, run.stamp) and np.array_equal(reference.yaw, run.yaw)
+    assert reference.velocity.shape == (len(run.stamp), 3)

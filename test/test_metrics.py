@@ -259,6 +259,19 @@ def poses(position, yaw):
     return matrices
 
 
+def test_the_heading_error_of_a_reference_without_one_is_that_of_the_course():
+    # given an estimate that is the truth turned by 0.1 rad, and a vehicle that stops
+    stamp = np.arange(300, dtype=np.int64) * 10**8
+    speed = np.where(np.arange(300) < 200, 8.0, 0.0)
+    yaw = 0.02 * np.arange(300)
+    truth = np.cumsum(0.1 * speed[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0)
+    cos, sin = np.cos(0.1), np.sin(0.1)
+    estimate = truth @ np.array([[cos, sin], [-sin, cos]]) + [5.0, -3.0]
+    found = metrics.turned_by_course(stamp, truth, estimate)
+    assert found[:195] == pytest.approx(np.full(195, 0.1))
+    assert np.isnan(found[210:]).all()
+
+
 def test_relative_translation_is_that_of_the_kitti_benchmark():
     # given 200 s of a winding drive at 2 Hz, and an estimate that drifts in position and heading
     rng = np.random.default_rng(3)

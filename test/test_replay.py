@@ -170,6 +170,37 @@ def test_map_and_odometry_bag(result, bag):
                   - tum[:, 4:] * np.sign(tum[:, 7:])).max() < 1e-5
 
 
+def test_smoothed_trajectory_and_outages(bag, tmp_path):
+    folder = tmp_path / 'smoothed'
+    process = replay("models:=['gauss_markov']", 'update_intervals:=[1.0]', bag=bag, output_dir=folder,
+                     smoothing='true', reference_topic='/reference/odometry')
+    assert process.returncode == 0, process.stderr
+    report = json.loads((folder / 'report.json').read_text())
+    run, smoothed = report['runs'][0], report['smoothed'][0]
+    assert smoothed['model'] == 'gauss_markov' and smoothed['horizontal_rmse_m'] < 0.8 * run['horizontal_rmse_m']
+    for row in report['outages']:
+        assert row['smoothed']['count'] == row['count'] > 0
+        assert row['smoothed']['max_error_rms_m'] < row['max_error_rms_m']
+    # both tracks, each with its sigmas
+    filtered, after = (np.genfromtxt(folder / f'{name}.csv', delimiter=',', names=True)
+                       for name in ('track', 'smoothed'))
+    assert np.median(after['sigma_north_m']) < 0.8 * np.median(filtered['sigma_north_m'])
+    assert {'smoothed.gpx', 'smoothed.kml', 'gauss_markov_1s_smoothed.tum'} <= {f.name for f in folder.iterdir()}
+    assert 'Gauss-Markov, smoothed' in (folder / 'report.html').read_text()
+    assert any(line.split()[1:2] == ['smoothed'] for line in process.stdout.splitlines())
+
+
+def test_dead_reckoning_counts_errors_without_fixes(bag, tmp_path):
+    folder = tmp_path / 'dead'
+    process = replay("models:=['gauss_markov']", 'update_intervals:=[1.0]', 'outage_durations:=[]', bag=bag,
+                     output_dir=folder, fixes_until='90.0', reference_topic='/reference/odometry')
+    assert process.returncode == 0, process.stderr
+    run, = json.loads((folder / 'report.json').read_text())['runs']
+    assert run['fixes_used'] <= 90 and run['relative_translation_percent'] > 0
+    assert 50 * 10 < run['errors_counted'] <= 60 * 50 + 1  # the last minute
+    assert 'without fixes after 90 s' in process.stdout
+
+
 def test_several_recordings_stand_side_by_side(bag, tmp_path):
     (tmp_path / 'other').mkdir()
     (tmp_path / 'other' / 'drive').symlink_to(bag)

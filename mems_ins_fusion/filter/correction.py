@@ -24,13 +24,15 @@ from .layout import (
     store_covariance,
 )
 from .measurements import heading, non_holonomic, position, speed, standstill, velocity
-from .measurements.geometry import body_to_level
+from .measurements.geometry import angular_rate, body_to_level
 from .prediction import set_radii
 
 #: standstill and non-holonomic constraints are applied this often, s: their errors are not white from sample to sample
 CONSTRAINT_INTERVAL = 0.1
 #: what the inertial sensors call a standstill is one only below this speed plus three sigma
 STILL_SPEED = 0.3  # m/s
+#: and below this turn rate plus three sigma: who turns on the spot over the IMU stands still by the accelerometers
+STILL_RATE = 0.05  # rad/s
 #: a constraint that fits worse than this many sigma is weighted down to it
 CONSTRAINT_ROBUST = 3.0
 #: running mean of the constraint's NIS, over so many of them; above OFF it is not used, until it is below ON again
@@ -244,7 +246,7 @@ def constrain(mem, r, sample, dt):
         k = planar.State.V_N if mem[Head.MECHANIZATION] == PLANAR else strapdown.State.V_N
         variance = mem[p + n * k + k] + mem[p + n * (k + 1) + k + 1]
         squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
-        still = squared < STILL_SPEED**2 + 9.0 * variance
+        still = squared < STILL_SPEED**2 + 9.0 * variance and not _turns(mem, r, sample, n_navigation, n)
     if still:
         _clear(mem, h, n)
         dimensions = standstill.observe_velocity(mem, r, at, h, n)
@@ -264,6 +266,18 @@ def constrain(mem, r, sample, dt):
     store_covariance(mem, p, n_navigation, m, mem, r)
     feed_back(mem, r)
     set_radii(mem, r)
+
+
+@njit(_nrt=False)
+def _turns(mem, r, sample, n_navigation, n):
+    """Whether the gyroscopes certainly turn at the sample; P stands in the scratch."""
+    w_x, w_y, w_z = angular_rate(mem, r, sample)
+    p, order = int(mem[Head.SCRATCH_AT]), int(mem[Head.ORDER])
+    first, last = (2, 3) if mem[Head.MECHANIZATION] == PLANAR else (3, 6)
+    variance = mem[Head.SPREAD + 1]
+    for channel in range(first, last):
+        variance += mem[p + (n + 1) * (n_navigation + channel * order)]
+    return w_x * w_x + w_y * w_y + w_z * w_z > STILL_RATE**2 + 9.0 * variance
 
 
 @njit(_nrt=False)

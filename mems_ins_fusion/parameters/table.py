@@ -130,7 +130,7 @@ FILTER = (
     *_aiding('heading', 'rad', 0.05),
     Parameter('heading.offset', 0.0, 'rad', 'Of the heading measured to that of base_link, clockwise; subtracted.',
               minimum=-2 * math.pi, maximum=2 * math.pi),
-    # the random walk drives as the Gauss-Markov process does, sigma sqrt(2 / tau): they describe the same sensor
+    # the three models describe the same sensor: q = sigma sqrt(2 / tau)
     *_sensor('accelerometer', 'm/s^2', 0.01, 0.2, 4.1e-3, 0.05, 0.001165),
     *_sensor('gyroscope', 'rad/s', 3e-4, 0.01, 8.2e-5, 1e-3, 2.33e-5),
     Parameter('alignment.heading', 'course', 'text', 'Where the first heading comes from: course (of the fixes, once '

@@ -57,7 +57,7 @@ def answer(comparison: Comparison, findings: list[Finding], values: dict, bag: s
     grade = next(g for g in (BAD, WARNING, GOOD) if g in grades)
     refused = _refused(comparison, best)
     wrong = [*_about_nis(nis), *_about_coverage(outages), *refused, *said]
-    return Answer(grade, _headline(grade, comparison, result, nis, findings), wrong, _cost(outages),
+    return Answer(grade, _headline(grade, comparison, result, nis, findings, values['fixes_until']), wrong, _cost(outages),
                   _steps(grade, comparison, best, values, bag, params_file), _trust(nis, outages, result))
 
 
@@ -85,11 +85,13 @@ def _grade_of_coverage(result: OutageResult) -> str:
     return BAD if share < POORLY_COVERED else WARNING
 
 
-def _headline(grade: str, comparison: Comparison, result, nis, findings) -> str:
+def _headline(grade: str, comparison: Comparison, result, nis, findings, fixes_until: float) -> str:
     judged = next((r for r in comparison.runs if r.model == result.model and r.independent), None)
-    accuracy = 'it follows the fixes' if judged is None else (
-        f'with fixes each {judged.interval:g} s its position is within '
-        f'{number(judged.summary["horizontal_p95_m"], 2)} m of the {_truth_name(comparison)} for 95 % of the time')
+    accuracy = 'it follows the fixes'
+    if judged is not None:
+        when = f'without fixes after {fixes_until:g} s' if fixes_until else f'with fixes each {judged.interval:g} s'
+        accuracy = (f'{when} its position is within {number(judged.summary["horizontal_p95_m"], 2)} m of the '
+                    f'{_truth_name(comparison)} for 95 % of the time')
     if grade == GOOD:
         found = ' The checker found something in the recording, see below.' if any(f.severity != INFO
                                                                                   for f in findings) else ''
