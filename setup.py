@@ -19,7 +19,7 @@ setup(
         # ROS 2 itself, where it does not come from the system
         'ros': ['ros-jazzy-rclpy', 'ros-jazzy-common-interfaces', 'ros-jazzy-rmw-fastrtps-cpp'],
         # the documentation as a site
-        'docs': ['sphinx', 'myst-parser'],
+        'docs': ['sphinx', 'myst-parser', 'furo'],
         # allantools, evo and statsmodels are judges: tests hold our numbers against theirs; hypothesis thinks of input
         'test': ['pytest', 'pytest-xdist', 'setuptools>=70.1', 'allantools', 'evo', 'hypothesis', 'statsmodels'],
     },

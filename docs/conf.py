@@ -14,9 +14,11 @@ release = __version__
 extensions = ['myst_parser', 'sphinx.ext.autodoc']
 myst_enable_extensions = ['dollarmath']
 myst_heading_anchors = 4
-exclude_patterns = ['figures', '_build']
-html_theme = 'alabaster'
-html_theme_options = {'page_width': '70rem', 'description': 'IMU and GNSS on land vehicles', 'fixed_sidebar': True}
+exclude_patterns = ['figures', 'site', '_build']
+html_theme = 'furo'
+html_title = 'mems_ins_fusion'
+html_static_path = ['site']
+html_css_files = ['wrap.css']
 html_show_sourcelink = False
 
 autodoc_member_order = 'bysource'
@@ -28,7 +30,8 @@ autodoc_mock_imports = ['rclpy']
 def _plain(app, what, name, obj, options, lines):
     """Docstrings are plain English with `code` in them: what reStructuredText would take for markup is text."""
     parts = re.split(r'(`[^`]*`)', '\n'.join(lines))
-    lines[:] = ''.join(f'``{" ".join(part[1:-1].split())}``' if part.startswith('`') else
+    # "\\ " ends the code where a letter follows, as in `Parameter`s
+    lines[:] = ''.join(f'``{" ".join(part[1:-1].split())}``\\ ' if part.startswith('`') else
                        re.sub(r'([\\*|_])', r'\\\1', part) for part in parts).split('\n')
 
 

@@ -1,4 +1,7 @@
-"""Start fusion_node: `ros2 launch mems_ins_fusion fusion.launch.py params_file:=my_vehicle.yaml`."""
+"""Start fusion_node: `ros2 launch mems_ins_fusion fusion.launch.py params_file:=my_vehicle.yaml`.
+
+preset:=FILE names a params file that lies below it, as those of config/sensors.
+"""
 from pathlib import Path
 
 from launch import LaunchDescription
@@ -9,27 +12,32 @@ from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 
-def check_params_file(context):
+def check_params_files(context):
     """Refuse a file that is not there: launch would start the node with its defaults."""
-    path = LaunchConfiguration('params_file').perform(context)
-    if not Path(path).is_file():
-        raise RuntimeError(f"params_file '{path}' does not exist")
+    for name in ('preset', 'params_file'):
+        path = LaunchConfiguration(name).perform(context)
+        if not Path(path).is_file():
+            raise RuntimeError(f"{name} '{path}' does not exist")
 
 
 def generate_launch_description():
     defaults = PathJoinSubstitution([FindPackageShare('mems_ins_fusion'), 'config', 'fusion.yaml'])
     return LaunchDescription([
-        DeclareLaunchArgument('params_file', default_value=defaults, description='parameters of the vehicle'),
+        DeclareLaunchArgument('preset', default_value=defaults, description='parameters of a sensor; what params_file '
+                              'says counts more'),
+        DeclareLaunchArgument('params_file', default_value=LaunchConfiguration('preset'),
+                              description='parameters of the vehicle'),
         DeclareLaunchArgument('namespace', default_value='', description='namespace of the node and of the topics '
                               'whose names in the parameters do not start with a slash'),
         DeclareLaunchArgument('use_sim_time', default_value='false', description='take the time from /clock'),
-        OpaqueFunction(function=check_params_file),
+        OpaqueFunction(function=check_params_files),
         Node(
             package='mems_ins_fusion',
             executable='fusion_node',
             namespace=LaunchConfiguration('namespace'),
             output='screen',
             parameters=[
+                LaunchConfiguration('preset'),
                 LaunchConfiguration('params_file'),
                 {'use_sim_time': ParameterValue(LaunchConfiguration('use_sim_time'), value_type=bool)},
             ],

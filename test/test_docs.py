@@ -66,7 +66,7 @@ def all_commands():
             words = [w for word in words for w in variables.get(word, [word])]
             if words:
                 yield pytest.param(words, id=f'{page.name}:{number}:{words[0].split("/")[-1]}')
-        inline = r'`((?:python -m|ros2 run) mems_ins_fusion [a-z][^`]*)`'
+        inline = r'`((?:python -m|ros2 run|ros2 launch) mems_ins_fusion [a-z][^`]*)`'
         for text in re.findall(inline, page.read_text(encoding='utf-8')):
             yield pytest.param(shlex.split(text), id=f'{page.name}:{text}')
 

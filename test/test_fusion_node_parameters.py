@@ -110,7 +110,8 @@ def test_parameters_that_contradict_each_other_are_refused_before_anything_takes
 def test_help_names_every_parameter_with_default_and_unit(node, capsys):
     assert node.main(['--help']) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith(f'usage: ros2 run mems_ins_fusion {node.NAME}')
+    assert lines[0].startswith(f'usage: python -m mems_ins_fusion {node.NAME}')
+    assert 'ros2 run' in lines[1]
     assert '  gnss.max_delay = 1.0 s' in lines
     assert ('  odometry_rate = 0.0 Hz' in lines) == (node is fusion_node)
 

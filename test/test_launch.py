@@ -41,8 +41,19 @@ def test_a_params_file_that_does_not_exist_is_refused_before_the_node_starts(lau
     kinds = [type(action).__name__ for action in actions]
     assert kinds.index('OpaqueFunction') < kinds.index('Node')
     check = actions[kinds.index('OpaqueFunction')].named['function']
-    with pytest.raises(RuntimeError, match=r"params_file '/absent/my\.yaml' does not exist"):
-        check({'params_file': '/absent/my.yaml'})
     there = tmp_path / 'my.yaml'
     there.write_text('/**: {}')
-    assert check({'params_file': str(there)}) is None
+    for absent in ('preset', 'params_file'):
+        context = {'preset': str(there), 'params_file': str(there), absent: '/absent/my.yaml'}
+        with pytest.raises(RuntimeError, match=rf"{absent} '/absent/my\.yaml' does not exist"):
+            check(context)
+    assert check({'preset': str(there), 'params_file': str(there)}) is None
+
+
+def test_the_params_file_counts_more_than_the_preset_and_is_it_where_it_is_not_given(launch_file):
+    actions = launch_file.generate_launch_description().arguments[0]
+    node = next(action for action in actions if type(action).__name__ == 'Node')
+    assert [p.arguments[0] for p in node.named['parameters'][:2]] == ['preset', 'params_file']
+    declared = {action.arguments[0]: action.named['default_value'] for action in actions
+                if type(action).__name__ == 'DeclareLaunchArgument'}
+    assert declared['params_file'].arguments == ('preset',)

@@ -15,6 +15,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, NavSatFix
 
 from mems_ins_fusion.__main__ import main as tool
+from mems_ins_fusion.nodes import play
 from mems_ins_fusion.recordings.bags import Bag
 
 SECONDS = 60
@@ -127,8 +128,11 @@ def test_the_live_node_runs_on_a_recording_in_its_time(bag):
     (['nowhere'], 'nowhere does not exist'), (['{bag}', '--topics', '/imu/dat'], "did you mean '/imu/data'"),
     (['{bag}', '--rate', '0'], '--rate must be'), (['{bag}', '--start', '100'], 'is after the end'),
     (['{bag}', '--memory-limit', '0.2'], 'memory'), (['{bag}', '--lop'], "did you mean '--loop'")])
-def test_what_is_wrong_is_said_in_one_line(bag, arguments, said):
-    run = subprocess.run([sys.executable, '-m', 'mems_ins_fusion', 'play', *(a.format(bag=bag) for a in arguments),
-                          '--wait', '0'], cwd=ros_support.REPOSITORY, capture_output=True, text=True)
-    assert run.returncode == 2
-    assert run.stderr.startswith('play: ') and len(run.stderr.splitlines()) == 1 and said in run.stderr
+def test_what_is_wrong_is_said_in_one_line(bag, arguments, said, capsys):
+    try:
+        status = play.main([*(a.format(bag=bag) for a in arguments), '--wait', '0'])
+    except SystemExit as end:
+        status = end.code
+    error = capsys.readouterr().err
+    assert status == 2
+    assert error.startswith('play: ') and len(error.splitlines()) == 1 and said in error

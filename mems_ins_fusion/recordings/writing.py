@@ -12,13 +12,6 @@ from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.navigation.frames import FLU_TO_FRD, ned_covariance_from_enu, ned_from_enu, yaw_from_enu
 from mems_ins_fusion.recordings import messages
 from mems_ins_fusion.recordings.errors import RecordingError, needs_rosbags
-from mems_ins_fusion.recordings.messages import (
-    IMU,
-    NAV_SAT_FIX,
-    ODOMETRY,
-    TEMPERATURE,
-    TWIST_WITH_COVARIANCE_STAMPED,
-)
 from mems_ins_fusion.results import ResultError, result_folder
 from mems_ins_fusion.samples import (
     Fixes,
@@ -89,22 +82,22 @@ def write_recording(recording: Recording, path, storage='mcap', *, imu_topic='/i
     """
     topics = []
     if recording.imu is not None:
-        topics.append((imu_topic, IMU, recording.imu, _imu_fields, {'header.frame_id': imu_frame}))
+        topics.append((imu_topic, messages.IMU, recording.imu, _imu_fields, {'header.frame_id': imu_frame}))
     for topic, samples in ((gnss_topic, recording.gnss), (reference_topic, recording.reference)):
         if samples is not None:
             fields = _fix_fields if isinstance(samples, Fixes) else _reference_fields
-            topics.append((topic, NAV_SAT_FIX, samples, fields, {'header.frame_id': gnss_frame}))
+            topics.append((topic, messages.NAV_SAT_FIX, samples, fields, {'header.frame_id': gnss_frame}))
     if recording.temperature is not None:
-        topics.append((temperature_topic, TEMPERATURE, recording.temperature, _temperature_fields,
+        topics.append((temperature_topic, messages.TEMPERATURE, recording.temperature, _temperature_fields,
                        {'header.frame_id': imu_frame}))
     for topic, kind, samples, fields, frame in (
-            (speed_topic, TWIST_WITH_COVARIANCE_STAMPED, recording.speed, _speed_fields, base_frame),
-            (velocity_topic, TWIST_WITH_COVARIANCE_STAMPED, recording.velocity, _velocity_fields, gnss_frame),
-            (heading_topic, IMU, recording.heading, _heading_fields, base_frame)):
+            (speed_topic, messages.TWIST_WITH_COVARIANCE_STAMPED, recording.speed, _speed_fields, base_frame),
+            (velocity_topic, messages.TWIST_WITH_COVARIANCE_STAMPED, recording.velocity, _velocity_fields, gnss_frame),
+            (heading_topic, messages.IMU, recording.heading, _heading_fields, base_frame)):
         if samples is not None:
             topics.append((topic, kind, samples, fields, {'header.frame_id': frame}))
     for topic, samples in (odometry or {}).items():
-        topics.append((topic, ODOMETRY, samples, _odometry_fields,
+        topics.append((topic, messages.ODOMETRY, samples, _odometry_fields,
                        {'header.frame_id': odometry_frame, 'child_frame_id': base_frame}))
     _write(Path(path), storage, [_Stream(topic, kind, samples, fields, strings)
                                  for topic, kind, samples, fields, strings in topics], overwrite)
