@@ -271,7 +271,9 @@ def _hidden(known: Known) -> Known:
     """Without the effects of which this problem can say nothing."""
     reasons = {e.name: e.hidden(known.problem.given, known.problem.recording) for e in known.effects}
     reasons |= {name: why for name, why in learned.hides(known.problem.given).items() if name in reasons}
-    return replace(known, hidden=known.hidden | {name: why for name, why in reasons.items() if why},
+    fitted = {e.name for e in known.effects if e.traced}
+    hidden = {name: why for name, why in reasons.items() if why and name in fitted}
+    return replace(known, hidden=known.hidden | hidden,
                    effects=tuple(e for e in known.effects if not reasons[e.name]))
 
 
@@ -575,7 +577,7 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
     if not better:
         told = tuple(_only_told(f) for f in correction.settings)
         correction, after, comparison = replace(configured, settings=told), before, compared(before, before)
-    hidden = _not_shown(known)
+    hidden = _not_shown(known, correction.settings)
     # a finding is added only where corrected.yaml holds it
     findings = _final(known, hidden, correction.values, given, bench.library)
     findings = [*(findings if correction.effects else map(_only_told, findings)), *correction.settings]
@@ -727,14 +729,14 @@ def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence
     return found
 
 
-def _not_shown(known: Known) -> dict[str, str]:
+def _not_shown(known: Known, settings: Sequence[Finding]) -> dict[str, str]:
     """Effects and parameters of which nothing can be said, and why: as each effect was tested last."""
     estimated = {u.name for u in known.model.unknowns}
     last = {c.name: c for candidates in known.rounds for c in candidates}
     undetermined = {f'{c.name}.{name}': 'not determined by this recording' for c in last.values()
                     for name in c.undetermined if f'{c.name}.{name}' not in estimated}
-    added = {f.name for f in known.findings if f.added}
-    return {name: why for name, why in {**known.hidden, **undetermined}.items() if name not in added}
+    found = {f.name for f in known.findings if f.added} | {f.name for f in settings}
+    return {name: why for name, why in {**known.hidden, **undetermined}.items() if name not in found}
 
 
 def _noise_remarks(factors: dict[str, float]) -> list[str]:
