@@ -567,16 +567,20 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
     given = bench.origin.given
     configured = Correction(given, [given], {}, False)
     fitted = _levelled(configured, bench)
-    correction = _settled(known, first, fitted, configured, bench)
+    corrections = _settled(known, first, fitted, configured, bench)
     bench.tell(0.88, 'measuring errors')
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         before, noise_only, after = pool.map(lambda models: bench.errors(models, full=True),
-                                             ([given], fitted.by_part, correction.by_part))
-    comparison = compared(before, after)
-    better = correction.values != given and improves(comparison)
-    if not better:
-        told = tuple(_only_told(f) for f in correction.settings)
-        correction, after, comparison = replace(configured, settings=told), before, compared(before, before)
+                                             ([given], fitted.by_part, corrections[0].by_part))
+    for correction in corrections:  # the last one is what was given
+        better = correction.values != given
+        if not better:
+            after = before
+        elif correction is not corrections[0]:
+            after = bench.errors(correction.by_part, full=True)
+        comparison = compared(before, after)
+        if not better or improves(comparison, correction.effects):
+            break
     hidden = _not_shown(known, correction.settings)
     # a finding is added only where corrected.yaml holds it
     findings = _final(known, hidden, correction.values, given, bench.library)
@@ -596,9 +600,9 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
         rest=rest, remarks=_remarks(origin) + _noise_remarks(explained))
 
 
-def _settled(known: Known, first: Known, fitted: Correction, configured: Correction, bench: Bench) -> Correction:
-    """What is proven together: effects with or without other noise levels, noise levels alone, or nothing."""
-    options, told = [fitted], ()
+def _settled(known: Known, first: Known, fitted: Correction, configured: Correction, bench: Bench) -> list[Correction]:
+    """What is proven together, the best first: effects with or without other noise levels, these alone, nothing."""
+    options = [fitted]
     effects = configured
     if any(f.added for f in known.findings):
         effects = Correction(known.corrected(), known.by_part(), {}, True)
@@ -606,15 +610,16 @@ def _settled(known: Known, first: Known, fitted: Correction, configured: Correct
     told = effects.settings
     if effects.values != configured.values:
         options += [_levelled(replace(effects, factors=fitted.factors), bench), effects]
-    best, merit = configured, _merit(first.errors)
+    proven = []
     for option in options:
         if option.values == configured.values:
             continue
         errors = bench.errors(option.by_part)
-        value = _merit(errors)
-        if value > merit and improves(compared(first.errors, errors)):
-            best, merit = option, value
-    return best if best.settings else replace(best, settings=tuple(_only_told(f) for f in told))
+        if _merit(errors) > _merit(first.errors) and improves(compared(first.errors, errors), option.effects):
+            proven.append((_merit(errors), option))
+    proven = [option for _, option in sorted(proven, key=lambda found: -found[0])]
+    return [option if option.settings else replace(option, settings=tuple(map(_only_told, told)))
+            for option in (*proven, configured)]
 
 
 def _only_told(finding: Finding) -> Finding:
@@ -690,8 +695,11 @@ def _merit(measured: Measured) -> float:
     return float(np.mean([score.mean() for _, score in measured.scores() if len(score)]))
 
 
-def improves(comparison: Sequence[dict]) -> bool:
-    """Whether errors shrink, or the ellipses hold the truth where they did not, and nothing becomes worse."""
+def improves(comparison: Sequence[dict], effects: bool = False) -> bool:
+    """Whether errors shrink, or the ellipses hold the truth where they did not, and nothing becomes worse.
+
+    effects: there are effects in it, which the likelihood of held-out data has proven already.
+    """
     if harm(comparison):
         return False
     rows = [row for row in comparison if row['decides'] and row.get('before') and row.get('after')]
@@ -699,7 +707,7 @@ def improves(comparison: Sequence[dict]) -> bool:
         return False
     honest = any(row['within_before'] < COVERED and row['within_after'] >= row['within_before'] + 2 / row['count']
                  for row in rows if 'within_before' in row)
-    return all_in_all(rows) < BETTER or honest and all_in_all(rows) <= 1.0
+    return all_in_all(rows) < (1.0 if effects else BETTER) or honest and all_in_all(rows) <= 1.0
 
 
 def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence[Effect]) -> list[Finding]:
