@@ -35,6 +35,8 @@ CERTAIN = 0.01
 GROWN, NOTICED, LARGER = 0.03, 0.1, 1.1
 #: 95 % ellipses shall hold the truth in this part of the outages
 COVERED = 0.9
+#: errors in outages count as they are up to so many sigma: who is in one wants to be told of the large ones
+END_TAIL = 6.0
 #: a predicted error smaller than this is none, m
 SMALLEST_ERROR = 0.1
 
@@ -155,7 +157,7 @@ def _end_scores(outages: Outages) -> np.ndarray:
     """Log likelihood of the error at the end of each outage, (o,): the covariance as that of a circle."""
     error = np.array([e.horizontal[-1] for e in outages.errors])
     variance = np.maximum(0.5 * np.array([e.sigma[-1] for e in outages.errors]) ** 2, SMALLEST_ERROR**2)
-    return -0.5 * (2 * np.log(variance) + tempered(error**2 / variance))
+    return -0.5 * (2 * np.log(variance) + tempered(error**2 / variance, END_TAIL))
 
 
 def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Sequence[dict], durations,
