@@ -68,7 +68,7 @@ TURNING, SPEEDING = 0.03, 0.15
 MOST_ROUNDS = 6
 #: a search that has filtered so many IMU samples is content with what it has: half a minute on two cores, whatever the
 #: recording, and the same result on each machine
-ENOUGH = 10_000_000
+ENOUGH = 6_000_000
 #: errors are measured no more often than this, s
 REFERENCE_INTERVAL = 0.1
 #: candidates of one round that are fitted to see which explains most, if their gain is this part of the largest, and
@@ -89,6 +89,8 @@ PLAIN, SHOWN = 3.0, 2.0
 MOUNTING = 'mounting_rotation'
 #: the filter with corrected.yaml is better where its errors are this part of those before, all in all
 BETTER = 0.97
+#: fewer outages do not prove noise levels
+FEWEST_OUTAGES = 5
 #: decisions are made on about so many outages, so far apart, s
 FEW_OUTAGES, CLOSEST_OUTAGES = 40, 10.0
 
@@ -702,7 +704,8 @@ def improves(comparison: Sequence[dict], effects: bool = False) -> bool:
     """
     if harm(comparison):
         return False
-    rows = [row for row in comparison if row['decides'] and row.get('before') and row.get('after')]
+    rows = [row for row in comparison if row['decides'] and row.get('before') and row.get('after')
+            and (effects or row['count'] >= FEWEST_OUTAGES)]
     if not rows:
         return False
     honest = any(row['within_before'] < COVERED and row['within_after'] >= row['within_before'] + 2 / row['count']
