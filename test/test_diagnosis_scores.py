@@ -244,8 +244,13 @@ def test_what_is_harm(rows, harmed):
     assert not (harmed and improves(rows))
 
 
+def test_an_effect_that_the_likelihood_has_proven_may_scatter_as_few_outages_do():
+    assert harm([row(30.0, 34.0, 0.4, count=9)]) and not harm([row(30.0, 34.0, 0.4, count=9)], effects=True)
+    assert harm([row(30.0, 36.0, 0.4, count=9)], effects=True) and harm([row(30.0, 34.0, 0.4, count=90)], effects=True)
+
+
 def test_better_are_smaller_errors_or_ellipses_that_hold_the_truth_again():
-    assert improves([row(10.0, 9.0)]) and not improves([row(10.0, 9.9)])
+    assert improves([row(10.0, 8.5)]) and not improves([row(10.0, 9.5)]) and improves([row(10.0, 9.5)], effects=True)
     assert improves([row(10.0, 9.9, within=(0.5, 0.95))]) and not improves([row(10.0, 10.2, within=(0.5, 0.95))])
 
 

@@ -33,6 +33,8 @@ SUPPORT = 0.95
 CERTAIN = 0.01
 #: an error has grown noticeably beyond this part and this much, m; by this factor it has grown, certain or not
 GROWN, NOTICED, LARGER = 0.03, 0.1, 1.1
+#: over the root of their number, the part by which the mean of the largest errors of outages scatters
+SCATTER = 0.5
 #: 95 % ellipses shall hold the truth in this part of the outages
 COVERED = 0.9
 #: errors in outages count as they are up to so many sigma: who is in one wants to be told of the large ones
@@ -249,20 +251,22 @@ def compared(before: Measured, after: Measured) -> list[dict]:
     return rows
 
 
-def harm(comparison: Sequence[dict]) -> str:
+def harm(comparison: Sequence[dict], effects: bool = False) -> str:
     """What becomes worse, and by how much; empty where nothing does.
 
     An error grows where it is larger for certain and noticeably (GROWN, NOTICED), or where its mean or its root mean
-    square is larger by LARGER, certain or not. An ellipse that held the truth in 90 % still has to, or one outage less.
+    square is larger by LARGER, certain or not; effects: by as much as so many outages can tell (SCATTER), as the
+    likelihood of held-out data has proven the effect already. An ellipse that held the truth in 90 % still has to, or one outage less.
     """
     for row in comparison:
         if not (row.get('before') and row.get('after') and row['decides']):
             continue
         squared = 'mean square' in row['what']
+        larger = max(LARGER, 1 + SCATTER / np.sqrt(row['count'])) if effects else LARGER
         pairs = [(row['before'], row['after']), (row.get('rms_before', 0.0), row.get('rms_after', 0.0))]
         for i, (old, new) in enumerate(np.sqrt(pairs) if squared else pairs):
             grown = new > (1 + GROWN) * old + NOTICED
-            if grown and (new > LARGER * old + NOTICED or (i == 0 and row.get('p', 1.0) < CERTAIN)):
+            if grown and (new > larger * old + NOTICED or (i == 0 and row.get('p', 1.0) < CERTAIN)):
                 which = 'root mean square of the ' if i else ''
                 return (f"the error grows: {which}{row['what']}, {_plain(old, squared)} before, "
                         f'{_plain(new, squared)} after')
@@ -283,7 +287,7 @@ def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
     comparison: errors with the effect and without, of parts that it was not fitted to. A likelihood that gains, but
     not for certain, is no objection where an error shrinks for certain.
     """
-    worse = harm(comparison)
+    worse = harm(comparison, proof.helps)
     if worse:
         return worse
     shrinks = any(row.get('p', 1.0) < CERTAIN and row['after'] < row['before'] for row in comparison if row['decides'])
