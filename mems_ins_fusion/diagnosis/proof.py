@@ -256,7 +256,8 @@ def harm(comparison: Sequence[dict], effects: bool = False) -> str:
 
     An error grows where it is larger for certain and noticeably (GROWN, NOTICED), or where its mean or its root mean
     square is larger by LARGER, certain or not; effects: by as much as so many outages can tell (SCATTER), as the
-    likelihood of held-out data has proven the effect already. An ellipse that held the truth in 90 % still has to, or one outage less.
+    likelihood of held-out data has proven the effect already. An ellipse that held the truth in 90 % still has to, or
+    one outage less.
     """
     for row in comparison:
         if not (row.get('before') and row.get('after') and row['decides']):
