@@ -86,8 +86,9 @@ SAME_START = 0.7
 #: an effect is one from so many sigma on, and a parameter of it has a value
 PLAIN, SHOWN = 3.0, 2.0
 MOUNTING = 'mounting_rotation'
-#: other noise levels alone are better where the errors are this part of those before, all in all
-BETTER = 0.9
+#: other noise levels alone are better where the errors are this part of those before, all in all; and
+#: effects, which the likelihood has proven
+BETTER, BETTER_EFFECTS = 0.9, 0.95
 #: fewer outages do not prove noise levels
 FEWEST_OUTAGES = 5
 #: decisions are made on about so many outages, so far apart, s
@@ -598,7 +599,7 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
         explained=explained, rounds=list(known.rounds), chosen=list(known.chosen), findings=findings,
         hidden=hidden, corrected=correction.values,
         better=better, before=before, fitted=noise_only, after=after, comparison=comparison,
-        rest=rest, remarks=_remarks(origin) + _noise_remarks(explained))
+        rest=rest, remarks=_remarks(origin) + _noise_remarks(explained | correction.factors))
 
 
 def _settled(known: Known, first: Known, fitted: Correction, configured: Correction, bench: Bench) -> list[Correction]:
@@ -709,7 +710,7 @@ def improves(comparison: Sequence[dict], effects: bool = False) -> bool:
         return False
     honest = any(row['within_before'] < COVERED and row['within_after'] >= row['within_before'] + 2 / row['count']
                  for row in rows if 'within_before' in row)
-    return all_in_all(rows) < (1.0 if effects else BETTER) or honest and all_in_all(rows) <= 1.0
+    return all_in_all(rows) < (BETTER_EFFECTS if effects else BETTER) or honest and all_in_all(rows) <= 1.0
 
 
 def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence[Effect]) -> list[Finding]:
