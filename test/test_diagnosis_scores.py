@@ -108,8 +108,8 @@ def test_the_information_is_that_of_the_dense_formula():
         dz = [(plus.z[k] - minus.z[k]) / (2 * step) for plus, minus in ends]
         ds = [(unpacked(plus.s[k]) - unpacked(minus.s[k])) / (2 * step) for plus, minus in ends]
         weight = min(1.0, 9 / (at(x).z[k] @ inverse @ at(x).z[k]))  # of a fix that is off
-        expected += [[weight * (dz[i] @ inverse @ dz[j] + 0.5 * np.trace(inverse @ ds[i] @ inverse @ ds[j])) for j in range(2)]
-                     for i in range(2)]
+        expected += weight * np.array([[dz[i] @ inverse @ dz[j] + 0.5 * np.trace(inverse @ ds[i] @ inverse @ ds[j])
+                                        for j in range(2)] for i in range(2)])
     assert np.allclose(found, expected, rtol=1e-5)
 
 
@@ -244,8 +244,13 @@ def test_what_is_harm(rows, harmed):
     assert not (harmed and improves(rows))
 
 
+def test_an_effect_that_the_likelihood_has_proven_may_scatter_as_few_outages_do():
+    assert harm([row(30.0, 34.0, 0.4, count=9)]) and not harm([row(30.0, 34.0, 0.4, count=9)], effects=True)
+    assert harm([row(30.0, 36.0, 0.4, count=9)], effects=True) and harm([row(30.0, 34.0, 0.4, count=90)], effects=True)
+
+
 def test_better_are_smaller_errors_or_ellipses_that_hold_the_truth_again():
-    assert improves([row(10.0, 9.0)]) and not improves([row(10.0, 9.9)])
+    assert improves([row(10.0, 8.5)]) and not improves([row(10.0, 9.5)]) and improves([row(10.0, 9.5)], effects=True)
     assert improves([row(10.0, 9.9, within=(0.5, 0.95))]) and not improves([row(10.0, 10.2, within=(0.5, 0.95))])
 
 
@@ -293,7 +298,8 @@ def test_a_level_that_makes_no_difference_stays_as_configured():
 
 def test_what_cannot_be_is_told_with_what_it_stands_for():
     arm = {'z': Estimate(-20.2, 2.3, 'm'), 'x': Estimate(0.5, 0.1, 'm')}
-    assert implausible('gnss_lever_arm', arm).startswith('z of -20.2 \N{PLUS-MINUS SIGN} 2.3 m is more than any vehicle')
+    said = implausible('gnss_lever_arm', arm)
+    assert said.startswith('z of -20.2 \N{PLUS-MINUS SIGN} 2.3 m is more than any vehicle')
     assert 'time offset' in implausible('gnss_lever_arm', arm)
     assert implausible('gnss_lever_arm', {'x': arm['x']}) == implausible('of_nobody', arm) == ''
 

@@ -13,8 +13,8 @@ import numpy as np
 from ..navigation.earth import radii
 from ..samples import Fixes, Recording, Reference
 
-#: clocks that differ by less, s, or by less than so many sigma, are the same
-SAME, SIGMAS = 0.02, 3.0
+#: clocks that differ by less, s, are the same, as far as so many sigma can tell; a larger sigma, s, tells nothing
+SAME, SIGMAS, UNKNOWN = 0.02, 2.0, 0.03
 #: fixes in blocks of this length count as one, s
 BLOCK = 20.0
 #: who is slower shows no time, m/s
@@ -36,7 +36,7 @@ def in_its_clock(recording: Recording, name: str) -> tuple[Recording, Clock]:
     if recording.reference is None or recording.gnss is None:
         return recording, Clock(True, 0.0, 0.0)
     late, sigma = lateness(recording.reference, recording.gnss)
-    same = np.isfinite(late) and abs(late) < max(SAME, SIGMAS * sigma)
+    same = np.isfinite(late) and sigma < UNKNOWN and abs(late) < SAME + SIGMAS * sigma
     clock = Clock(name in ('gnss', 'own') or (name == 'auto' and same), late, sigma)
     if name == 'own' and np.isfinite(late):
         moved = replace(recording.reference, stamp=recording.reference.stamp - round(late * 1e9))
@@ -66,12 +66,13 @@ def lateness(reference: Reference, fixes: Fixes) -> tuple[float, float]:
     there = np.column_stack([np.interp(at, time, axis) for axis in path.T])
     speed = np.column_stack([np.interp(at, time, axis) for axis in velocity.T])
     off = (np.column_stack([fixes.latitude, fixes.longitude])[inside] - origin) * scale - there
-    off -= np.median(off, axis=0)
-    good = gap & (np.linalg.norm(speed, axis=1) > SLOWEST)
-    good &= np.linalg.norm(off, axis=1) < 5 * np.median(np.linalg.norm(off, axis=1)) + 1.0
+    distance = np.linalg.norm(off - np.median(off, axis=0), axis=1)
+    good = gap & (np.linalg.norm(speed, axis=1) > SLOWEST) & (distance < 5 * np.median(distance) + 1.0)
     if good.sum() < 20:
         return nan
+    # about their means: an antenna elsewhere, or another map, is no time
+    off, speed = (v[good] - v[good].mean(axis=0) for v in (off, speed))
     block = np.unique((at[good] // BLOCK).astype(int), return_inverse=True)[1]
-    share, weight = (np.bincount(block, (speed[good] * v).sum(axis=1)) for v in (off[good], speed[good]))
+    share, weight = (np.bincount(block, (speed * v).sum(axis=1)) for v in (off, speed))
     late = share.sum() / weight.sum()
     return float(late), float(np.sqrt(((share - late * weight) ** 2).sum()) / weight.sum())

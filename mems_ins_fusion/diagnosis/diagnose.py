@@ -42,7 +42,6 @@ from .residuals import (
     Model,
     Problem,
     Residual,
-    Unknown,
     calibrated,
     fit,
     noise_unknowns,
@@ -68,7 +67,7 @@ TURNING, SPEEDING = 0.03, 0.15
 MOST_ROUNDS = 6
 #: a search that has filtered so many IMU samples is content with what it has: half a minute on two cores, whatever the
 #: recording, and the same result on each machine
-ENOUGH = 10_000_000
+ENOUGH = 6_000_000
 #: errors are measured no more often than this, s
 REFERENCE_INTERVAL = 0.1
 #: candidates of one round that are fitted to see which explains most, if their gain is this part of the largest, and
@@ -87,8 +86,11 @@ SAME_START = 0.7
 #: an effect is one from so many sigma on, and a parameter of it has a value
 PLAIN, SHOWN = 3.0, 2.0
 MOUNTING = 'mounting_rotation'
-#: the filter with corrected.yaml is better where its errors are this part of those before, all in all
-BETTER = 0.97
+#: other noise levels alone are better where the errors are this part of those before, all in all; and
+#: effects, which the likelihood has proven
+BETTER, BETTER_EFFECTS = 0.9, 0.95
+#: fewer outages do not prove noise levels
+FEWEST_OUTAGES = 5
 #: decisions are made on about so many outages, so far apart, s
 FEW_OUTAGES, CLOSEST_OUTAGES = 40, 10.0
 
@@ -271,7 +273,9 @@ def _hidden(known: Known) -> Known:
     """Without the effects of which this problem can say nothing."""
     reasons = {e.name: e.hidden(known.problem.given, known.problem.recording) for e in known.effects}
     reasons |= {name: why for name, why in learned.hides(known.problem.given).items() if name in reasons}
-    return replace(known, hidden=known.hidden | {name: why for name, why in reasons.items() if why},
+    fitted = {e.name for e in known.effects if e.traced}
+    hidden = {name: why for name, why in reasons.items() if why and name in fitted}
+    return replace(known, hidden=known.hidden | hidden,
                    effects=tuple(e for e in known.effects if not reasons[e.name]))
 
 
@@ -565,17 +569,21 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
     given = bench.origin.given
     configured = Correction(given, [given], {}, False)
     fitted = _levelled(configured, bench)
-    correction = _settled(known, first, fitted, configured, bench)
+    corrections = _settled(known, first, fitted, configured, bench)
     bench.tell(0.88, 'measuring errors')
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         before, noise_only, after = pool.map(lambda models: bench.errors(models, full=True),
-                                             ([given], fitted.by_part, correction.by_part))
-    comparison = compared(before, after)
-    better = correction.values != given and improves(comparison)
-    if not better:
-        told = tuple(_only_told(f) for f in correction.settings)
-        correction, after, comparison = replace(configured, settings=told), before, compared(before, before)
-    hidden = _not_shown(known)
+                                             ([given], fitted.by_part, corrections[0].by_part))
+    for correction in corrections:  # the last one is what was given
+        better = correction.values != given
+        if not better:
+            after = before
+        elif correction is not corrections[0]:
+            after = bench.errors(correction.by_part, full=True)
+        comparison = compared(before, after)
+        if not better or improves(comparison, correction.effects):
+            break
+    hidden = _not_shown(known, correction.settings)
     # a finding is added only where corrected.yaml holds it
     findings = _final(known, hidden, correction.values, given, bench.library)
     findings = [*(findings if correction.effects else map(_only_told, findings)), *correction.settings]
@@ -591,12 +599,12 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
         explained=explained, rounds=list(known.rounds), chosen=list(known.chosen), findings=findings,
         hidden=hidden, corrected=correction.values,
         better=better, before=before, fitted=noise_only, after=after, comparison=comparison,
-        rest=rest, remarks=_remarks(origin) + _noise_remarks(explained))
+        rest=rest, remarks=_remarks(origin) + _noise_remarks(explained | correction.factors))
 
 
-def _settled(known: Known, first: Known, fitted: Correction, configured: Correction, bench: Bench) -> Correction:
-    """What is proven together: effects with or without other noise levels, noise levels alone, or nothing."""
-    options, told = [fitted], ()
+def _settled(known: Known, first: Known, fitted: Correction, configured: Correction, bench: Bench) -> list[Correction]:
+    """What is proven together, the best first: effects with or without other noise levels, these alone, nothing."""
+    options = [fitted]
     effects = configured
     if any(f.added for f in known.findings):
         effects = Correction(known.corrected(), known.by_part(), {}, True)
@@ -604,15 +612,16 @@ def _settled(known: Known, first: Known, fitted: Correction, configured: Correct
     told = effects.settings
     if effects.values != configured.values:
         options += [_levelled(replace(effects, factors=fitted.factors), bench), effects]
-    best, merit = configured, _merit(first.errors)
+    proven = []
     for option in options:
         if option.values == configured.values:
             continue
         errors = bench.errors(option.by_part)
-        value = _merit(errors)
-        if value > merit and improves(compared(first.errors, errors)):
-            best, merit = option, value
-    return best if best.settings else replace(best, settings=tuple(_only_told(f) for f in told))
+        if _merit(errors) > _merit(first.errors) and improves(compared(first.errors, errors), option.effects):
+            proven.append((_merit(errors), option))
+    proven = [option for _, option in sorted(proven, key=lambda found: -found[0])]
+    return [option if option.settings else replace(option, settings=tuple(map(_only_told, told)))
+            for option in (*proven, configured)]
 
 
 def _only_told(finding: Finding) -> Finding:
@@ -688,16 +697,20 @@ def _merit(measured: Measured) -> float:
     return float(np.mean([score.mean() for _, score in measured.scores() if len(score)]))
 
 
-def improves(comparison: Sequence[dict]) -> bool:
-    """Whether errors shrink, or the ellipses hold the truth where they did not, and nothing becomes worse."""
-    if harm(comparison):
+def improves(comparison: Sequence[dict], effects: bool = False) -> bool:
+    """Whether errors shrink, or the ellipses hold the truth where they did not, and nothing becomes worse.
+
+    effects: there are effects in it, which the likelihood of held-out data has proven already.
+    """
+    if harm(comparison, effects):
         return False
-    rows = [row for row in comparison if row['decides'] and row.get('before') and row.get('after')]
+    rows = [row for row in comparison if row['decides'] and row.get('before') and row.get('after')
+            and (effects or row['count'] >= FEWEST_OUTAGES)]
     if not rows:
         return False
     honest = any(row['within_before'] < COVERED and row['within_after'] >= row['within_before'] + 2 / row['count']
                  for row in rows if 'within_before' in row)
-    return all_in_all(rows) < BETTER or honest and all_in_all(rows) <= 1.0
+    return all_in_all(rows) < (BETTER_EFFECTS if effects else BETTER) or honest and all_in_all(rows) <= 1.0
 
 
 def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence[Effect]) -> list[Finding]:
@@ -727,14 +740,14 @@ def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence
     return found
 
 
-def _not_shown(known: Known) -> dict[str, str]:
+def _not_shown(known: Known, settings: Sequence[Finding]) -> dict[str, str]:
     """Effects and parameters of which nothing can be said, and why: as each effect was tested last."""
     estimated = {u.name for u in known.model.unknowns}
     last = {c.name: c for candidates in known.rounds for c in candidates}
     undetermined = {f'{c.name}.{name}': 'not determined by this recording' for c in last.values()
                     for name in c.undetermined if f'{c.name}.{name}' not in estimated}
-    added = {f.name for f in known.findings if f.added}
-    return {name: why for name, why in {**known.hidden, **undetermined}.items() if name not in added}
+    found = {f.name for f in known.findings if f.added} | {f.name for f in settings}
+    return {name: why for name, why in {**known.hidden, **undetermined}.items() if name not in found}
 
 
 def _noise_remarks(factors: dict[str, float]) -> list[str]:

@@ -18,6 +18,8 @@ from .residuals import LARGEST_FACTOR, MODEL_NOISE, scaled
 STEP = float(np.sqrt(10.0))
 #: how much better all predictions together have to be, in log likelihood, for each level that is moved by a step
 WORTH = 3.0
+#: times that all levels are gone through
+SWEEPS = 2
 #: a constraint is no better or worse than configured by more steps, and no sensor is better
 MOST_STEPS, MOST_STEPS_DOWN = {'vehicle.non_holonomic_sigma': 1}, 1
 
@@ -75,8 +77,12 @@ def choose(values: dict, errors: Callable[[Sequence[dict]], list[Measured]], par
         begins.append(tuple(round(np.log(start.get(name, 1.0)) / np.log(STEP)) for name in names))
     merits(begins)
     best = max(begins, key=lambda point: tried[point][-1])
-    for i in range(len(names)):
-        best = _along(best, i, MOST_STEPS.get(names[i], most), merits, tried)
+    for _ in range(SWEEPS):
+        before = best
+        for i in range(len(names)):
+            best = _along(best, i, MOST_STEPS.get(names[i], most), merits, tried)
+        if best == before:
+            break
     points = list(tried)
     table = np.array([tried[p] for p in points])
     chosen = [points[k] for k in np.argmax(table, axis=0)]

@@ -33,8 +33,12 @@ SUPPORT = 0.95
 CERTAIN = 0.01
 #: an error has grown noticeably beyond this part and this much, m; by this factor it has grown, certain or not
 GROWN, NOTICED, LARGER = 0.03, 0.1, 1.1
+#: over the root of their number, the part by which the mean of the largest errors of outages scatters
+SCATTER = 0.5
 #: 95 % ellipses shall hold the truth in this part of the outages
-COVERED = 0.9
+COVERED, LESS_HELD = 0.9, 0.15
+#: errors in outages count as they are up to so many sigma: who is in one wants to be told of the large ones
+END_TAIL = 6.0
 #: a predicted error smaller than this is none, m
 SMALLEST_ERROR = 0.1
 
@@ -103,7 +107,8 @@ def held_out(longer: Model, shorter: Model, noise: int) -> HeldOut:
     one, other = problem.residuals(longer.unknowns, found), problem.residuals(shorter.unknowns, without)
     gains = np.zeros(len(problem.stamp))
     for part, with_it, plain in zip(parts(problem), one, other):
-        gains[part] = (with_it.log_likelihood() - plain.log_likelihood())[part]
+        # a fix that one of them did not get to see says nothing
+        gains[part] = np.nan_to_num((with_it.log_likelihood() - plain.log_likelihood())[part])
     return HeldOut(float(gains.sum()), _p_of_no_gain(problem, gains), found)
 
 
@@ -155,7 +160,7 @@ def _end_scores(outages: Outages) -> np.ndarray:
     """Log likelihood of the error at the end of each outage, (o,): the covariance as that of a circle."""
     error = np.array([e.horizontal[-1] for e in outages.errors])
     variance = np.maximum(0.5 * np.array([e.sigma[-1] for e in outages.errors]) ** 2, SMALLEST_ERROR**2)
-    return -0.5 * (2 * np.log(variance) + tempered(error**2 / variance))
+    return -0.5 * (2 * np.log(variance) + tempered(error**2 / variance, END_TAIL))
 
 
 def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Sequence[dict], durations,
@@ -247,25 +252,28 @@ def compared(before: Measured, after: Measured) -> list[dict]:
     return rows
 
 
-def harm(comparison: Sequence[dict]) -> str:
+def harm(comparison: Sequence[dict], effects: bool = False) -> str:
     """What becomes worse, and by how much; empty where nothing does.
 
     An error grows where it is larger for certain and noticeably (GROWN, NOTICED), or where its mean or its root mean
-    square is larger by LARGER, certain or not. An ellipse that held the truth in 90 % still has to, or one outage less.
+    square is larger by LARGER, certain or not; effects: by as much as so many outages can tell (SCATTER), as the
+    likelihood of held-out data has proven the effect already. An ellipse that held the truth in COVERED still has to,
+    or one outage less; one that did not must not hold it in LESS_HELD less.
     """
     for row in comparison:
         if not (row.get('before') and row.get('after') and row['decides']):
             continue
         squared = 'mean square' in row['what']
+        larger = max(LARGER, 1 + SCATTER / np.sqrt(row['count'])) if effects else LARGER
         pairs = [(row['before'], row['after']), (row.get('rms_before', 0.0), row.get('rms_after', 0.0))]
         for i, (old, new) in enumerate(np.sqrt(pairs) if squared else pairs):
             grown = new > (1 + GROWN) * old + NOTICED
-            if grown and (new > LARGER * old + NOTICED or (i == 0 and row.get('p', 1.0) < CERTAIN)):
+            if grown and (new > larger * old + NOTICED or (i == 0 and row.get('p', 1.0) < CERTAIN)):
                 which = 'root mean square of the ' if i else ''
                 return (f"the error grows: {which}{row['what']}, {_plain(old, squared)} before, "
                         f'{_plain(new, squared)} after')
         held, holds = row.get('within_before'), row.get('within_after')
-        if held is not None and holds < min(held, COVERED) - 1.0 / row['count']:
+        if held is not None and holds < (COVERED - 1.0 / row['count'] if held >= COVERED else held - LESS_HELD):
             return (f"{row['what'].split(',')[0]}: the 95 % ellipse held the truth in {100 * held:.0f} % before, in "
                     f'{100 * holds:.0f} % after')
     return ''
@@ -281,7 +289,7 @@ def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
     comparison: errors with the effect and without, of parts that it was not fitted to. A likelihood that gains, but
     not for certain, is no objection where an error shrinks for certain.
     """
-    worse = harm(comparison)
+    worse = harm(comparison, proof.helps)
     if worse:
         return worse
     shrinks = any(row.get('p', 1.0) < CERTAIN and row['after'] < row['before'] for row in comparison if row['decides'])

@@ -94,9 +94,9 @@ class Residual:
         return replace(self, z=turned, s=rotated).whitened()
 
 
-def tempered(nis: np.ndarray) -> np.ndarray:
-    """rho: `nis` up to TAIL^2, growing with its logarithm beyond."""
-    return np.where(nis > TAIL**2, TAIL**2 * (1 + np.log(np.maximum(nis, 1e-12) / TAIL**2)), nis)
+def tempered(nis: np.ndarray, tail: float = TAIL) -> np.ndarray:
+    """rho: `nis` up to tail^2, growing with its logarithm beyond."""
+    return np.where(nis > tail**2, tail**2 * (1 + np.log(np.maximum(nis, 1e-12) / tail**2)), nis)
 
 
 def _whiten(factors, z):
