@@ -60,20 +60,34 @@ def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill |
     body axes of then, the chord is C(yaw) ([s T, 0] + D), which gives both s and yaw. No sideslip is assumed.
     """
     now, north, east, sigma = positions[-1]
-    for time, n, e, s in positions[-2::-1]:
+    refused = None
+    for i in range(len(positions) - 2, -1, -1):
+        time, n, e, s = positions[i]
         chord = np.array([north - n, east - e])
         if now - time > LONGEST_COURSE_TIME:
-            return None
+            break
         if standstill is not None:  # as long as it stood, it was there
             time = max(time, standstill.end)
         noise = math.sqrt(sigma**2 + s**2 + _wandered(config, now - time))
         distance, interval = float(np.hypot(*chord)), now - time
         if distance >= max(SHORTEST_COURSE, noise / COURSE_SIGMA) and interval > 0:
-            return _of_chord(imu, chord, time, now, noise, standstill, config)
+            if standstill is not None:
+                return _of_chord(imu, chord, time, now, noise, standstill, config)
+            # one fix far off must not pass for a drive: those in between have to lie on the way
+            try:
+                found = _of_chord(imu, chord, time, now, noise, None, config, positions[i + 1:-1] - [0.0, n, e, 0.0])
+            except Refused as reason:
+                refused = refused or reason
+                continue
+            if found is not None:
+                return found
+    if refused is not None:
+        raise refused
     return None
 
 
-def _of_chord(imu, chord, time, now, noise, standstill, config) -> Course | None:
+def _of_chord(imu, chord, time, now, noise, standstill, config, between=None) -> Course | None:
+    """between: fixes as rows of time, north, east from the chord's begin, sigma, where they have to agree."""
     motion = _inertial_motion(imu, time, now, standstill, config)
     distance, interval = float(np.hypot(*chord)), now - time
     if motion is None or abs(motion.turn) > 1.0 or abs(motion.moved[1]) > 0.5 * distance:
@@ -97,7 +111,22 @@ def _of_chord(imu, chord, time, now, noise, standstill, config) -> Course | None
     if abs(last) < SLOWEST_START or yaw_sigma > LARGEST_YAW_SIGMA:
         return None
     yaw = math.atan2(chord[1], chord[0]) - math.atan2(motion.moved[1], forward)
+    if between is not None and not _on_the_way(imu, between, time, now, yaw, speed, noise, config):
+        return None
     return Course(yaw + motion.turn, math.copysign(math.hypot(last, motion.gained[1]), last), yaw_sigma, speed_sigma)
+
+
+def _on_the_way(imu, between, time, now, yaw, speed, noise, config) -> bool:
+    """Whether of the fixes between the ends of a chord more than half lie where it was driven; without any: no."""
+    agreeing = 0
+    for at, north, east, sigma in between:
+        motion = _inertial_motion(imu, time, at, None, config)
+        moved = np.array([speed * (at - time), 0.0]) + (motion.moved if motion is not None else 0.0)
+        c, s = math.cos(yaw), math.sin(yaw)
+        off = math.hypot(north - c * moved[0] + s * moved[1], east - s * moved[0] - c * moved[1])
+        bent = 0.5 * UNKNOWN_TILT_SIGMA * 9.8 * (at - time) * (now - at)  # by what tilt passes for acceleration
+        agreeing += off < 3.0 * math.sqrt(noise**2 + sigma**2 + bent**2)
+    return 2 * agreeing > len(between)
 
 
 def _wandered(config, interval: float) -> float:
