@@ -72,6 +72,21 @@ def test_honest_fixes_are_used(mechanization):
 
 
 @BOTH
+def test_a_receiver_that_was_frozen_is_doubted_until_it_fits_again(mechanization):
+    # given one that repeats a position and then creeps, seen on kingston_span
+    receiver = Receiver()
+    receiver.position[41:45] = receiver.position[40]
+    receiver.position[45:47] = receiver.position[40] + [[0.5, 0.2], [1.0, 0.4]]
+    _, _, error, records = receiver.through(mechanization=mechanization, sigma=10 * SIGMA)
+    assert (verdicts(records)[41:45] == Verdict.FROZEN).all()
+    # when the creeping ones come, tens of metres off, they hardly count
+    assert not records[45:47, Event.WEIGHT].max() > 0.3
+    # and after some that fit all count as before
+    assert records[52:60, Event.WEIGHT].min() > 0.9
+    assert np.hypot(*error[round(46.5 * RATE):round(60 * RATE)].T).max() < 15.0
+
+
+@BOTH
 def test_a_position_that_repeats_itself_while_the_vehicle_moves_is_refused(mechanization):
     # given a receiver that for 8 s repeats the position that it had
     receiver = Receiver()
