@@ -36,7 +36,8 @@ def main(bag: str, *files: str) -> int:
                 latitude, longitude, _ = live.geodetic
                 sigma = np.sqrt(live.position_covariance_enu[[0, 4]])
                 print(f'{(stamp - imu.stamp[0]) * 1e-9:6.1f} s  '
-                      f'{np.degrees(latitude):.6f} {np.degrees(longitude):.6f}  sigma {sigma[0]:.2f} m east, {sigma[1]:.2f} m north  {live.state}')
+                      f'{np.degrees(latitude):.6f} {np.degrees(longitude):.6f}  '
+                      f'sigma {sigma[0]:.2f} m east, {sigma[1]:.2f} m north  {live.state}')
     return 0 if live.aligned else 1
 
 

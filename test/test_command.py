@@ -49,10 +49,10 @@ def test_each_tool_tells_its_version_and_its_options(tool, capsys):
     (['fusion_node', '--ros-args', '-p', 'gnss.leverarm:=[1.0, 0.0, 0.0]'], 'gnss.lever_arm')])
 def test_a_misspelled_name_is_answered_with_the_one_meant(argv, meant, capsys):
     status, text = said(capsys, *argv)
-    assert status == 2
+    assert status == 2, text
     assert text.splitlines()[-1].startswith(f'{argv[0]}: ' if argv[0] in TOOLS else 'no tool')
     assert f"did you mean '{meant}'?" in text
-    assert len(text.splitlines()) == 1 or argv[0] not in TOOLS
+    assert len(text.splitlines()) == 1 or argv[0] not in TOOLS, text
 
 
 def test_a_misspelled_parameter_of_a_file_is_answered_too():

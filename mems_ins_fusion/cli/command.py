@@ -19,7 +19,8 @@ class Parser(argparse.ArgumentParser):
         self.add_argument('--version', action='version', version=VERSION)
 
     def parse_known_args(self, args=None, namespace=None):
-        for word in sys.argv[1:] if args is None else args:  # before what is missing: that is often what is written wrongly
+        # before what is missing: that is often what is written wrongly
+        for word in sys.argv[1:] if args is None else args:
             option = word.partition('=')[0]
             if option.startswith('--') and option != '--' and option not in self._option_string_actions:
                 known = [name for name in self._option_string_actions if name.startswith('--')]

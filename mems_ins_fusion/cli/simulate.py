@@ -127,7 +127,8 @@ def parse_effects(texts: list[str]) -> list[tuple]:
         if not equals:
             raise ValueError(f"--effect must be NAME=VALUE or NAME.PARAM=VALUE, got '{text}'")
         if name not in EFFECTS:
-            raise ValueError(f"no effect is named '{name}'{did_you_mean(name, EFFECTS) or '; there are ' + ', '.join(EFFECTS)}")
+            hint = did_you_mean(name, EFFECTS) or f"; there are {', '.join(EFFECTS)}"
+            raise ValueError(f"no effect is named '{name}'{hint}")
         values.setdefault(name, {})[parameter or EFFECTS[name].principal] = _number('--effect', text, number)
     return [(EFFECTS[name], EFFECTS[name].complete(given)) for name, given in values.items()]
 

@@ -50,8 +50,8 @@ def story(result: Configuration) -> list[str]:
 
 
 def answer(result: Configuration, bags: list[str], output: str) -> Answer:
-    """Whether the file can be driven with, what is not right or not known, and what to type next. bags, output: paths of
-    the recordings and of the file, for the commands."""
+    """Whether the file can be driven with, what is not right or not known, and what to type next. bags, output: paths
+    of the recordings and of the file, for the commands."""
     found = result.mounting
     path, name = shlex.quote(output), PurePath(output).name
     steps = [Step('Look at how good it is on this recording:', f'python -m mems_ins_fusion replay_node --ros-args '
@@ -61,8 +61,8 @@ def answer(result: Configuration, bags: list[str], output: str) -> Answer:
              Step('Drive with it:', f'python -m mems_ins_fusion fusion_node --ros-args --params-file {path}')]
     if found is None or not found.yaw_known:
         headline = f'{name} is not complete: the recording does not show how the IMU sits.'
-        steps = [Step('Record a drive with a standstill, right-angled turns and braking, and run configure again; or set '
-                      'imu.mounting_rpy by hand.')]
+        steps = [Step('Record a drive with a standstill, right-angled turns and braking, and run configure again; or '
+                      'set imu.mounting_rpy by hand.')]
     elif result.wrong or result.missing:
         headline = f'{name} can be used; see below what is not right or not known.'
     else:
@@ -105,10 +105,10 @@ def _figure(result):
     found = result.mounting
     if found is None or found.spans is None:
         return []
-    return [figure(_force_figure(found), 'Specific force in the axes found against what fixes and gyroscopes say of the '
-                   'motion, each dot some seconds of the drive. An IMU that sits as found gives the diagonals on the left '
-                   'top and right bottom, and no slope in the others. What scatters is the road: grades along, crown '
-                   'across.')]
+    return [figure(_force_figure(found), 'Specific force in the axes found against what fixes and gyroscopes say of '
+                   'the motion, each dot some seconds of the drive. An IMU that sits as found gives the diagonals on '
+                   'the left top and right bottom, and no slope in the others. What scatters is the road: grades '
+                   'along, crown across.')]
 
 
 def _list(angles) -> str:
