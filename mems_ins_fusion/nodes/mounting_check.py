@@ -84,7 +84,8 @@ class MountingCheck:
 
     def _judge(self) -> tuple[str, str] | None:
         try:
-            findings = mounting_findings(self._imu(), self._received(), self._mounting, self._lag)
+            with np.errstate(all='ignore'):
+                findings = mounting_findings(self._imu(), self._received(), self._mounting, self._lag)
         except (ValueError, ArithmeticError, np.linalg.LinAlgError):  # numbers that no vehicle gives: no reason to stop
             return None
         self.is_wrong = bool(findings)
