@@ -241,8 +241,10 @@ class Alignment:
             if standstill is not None:  # as long as it stood, it was there
                 time = max(time, standstill.end)
             distance, interval = float(np.hypot(*chord)), now - time
-            noise = math.sqrt(sigma**2 + s**2 + self._wandered(now - time))
-            if distance < max(SHORTEST_COURSE, noise / COURSE_SIGMA) or interval <= 0:
+            if interval <= 0:
+                continue
+            noise = math.sqrt(sigma**2 + s**2 + self._wandered(interval))
+            if distance < max(SHORTEST_COURSE, noise / COURSE_SIGMA):
                 continue
             motion = self._inertial_motion(time, now, standstill)
             if motion is None:
