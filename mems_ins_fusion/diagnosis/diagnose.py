@@ -154,7 +154,10 @@ class Diagnosis:
 
 @dataclass(frozen=True)
 class Bench:
-    """The recording on the bench: what errors a filter makes in it."""
+    """The recording on the bench: what errors a filter makes in it.
+
+    offset_sigma: gnss.time_offset_sigma as given, which the search does without.
+    """
 
     recording: Recording
     origin: Problem
@@ -162,6 +165,7 @@ class Bench:
     durations: tuple[float, ...]
     spacing: float
     tell: Progress
+    offset_sigma: float
 
     def enough(self, share: float = 1.0) -> bool:
         """Whether this share of the work of a search is done."""
@@ -172,6 +176,7 @@ class Bench:
 
         full: with all IMU samples, by the protocol that is reported; else for decisions.
         """
+        models = [{**values, 'gnss.time_offset_sigma': self.offset_sigma} for values in models]
         if full:
             return measure(self.origin, self.recording, self.origin.full.imu, models, self.durations, self.spacing)
         mask = self.origin.mask
@@ -238,7 +243,8 @@ def diagnose(recording: Recording, values: dict, progress: Progress = lambda par
                              f'{FEWEST_FIXES} are needed: record some minutes of driving with fixes every second')
     durations = tuple(d for d in durations if d < 0.3 * (problem.stamp[-1] - problem.stamp[0]) * 1e-9)
     library = tuple(effects if effects is not None else EFFECTS.values())
-    bench = Bench(recording, problem, library, durations, spacing, progress)
+    bench = Bench(recording, problem, library, durations, spacing, progress,
+                  values['gnss.time_offset_sigma'])
     known = first = begin(bench)
     for _ in range(MOST_ROUNDS):
         further = add_best(known, bench)

@@ -68,9 +68,11 @@ def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill |
             break
         if standstill is not None:  # as long as it stood, it was there
             time = max(time, standstill.end)
-        noise = math.sqrt(sigma**2 + s**2 + _wandered(config, now - time))
         distance, interval = float(np.hypot(*chord)), now - time
-        if distance >= max(SHORTEST_COURSE, noise / COURSE_SIGMA) and interval > 0:
+        if interval <= 0:
+            continue
+        noise = math.sqrt(sigma**2 + s**2 + _wandered(config, interval))
+        if distance >= max(SHORTEST_COURSE, noise / COURSE_SIGMA):
             if standstill is not None:
                 return _of_chord(imu, chord, time, now, noise, standstill, config)
             # one fix far off must not pass for a drive: those in between have to lie on the way
