@@ -205,7 +205,8 @@ def test_live_and_replay_give_the_same_bits_with_corrections(drive):
         while next_celsius < len(temperature) and temperature.received[next_celsius] <= imu.received[k]:
             fusion.add_temperature(int(temperature.stamp[next_celsius]), float(temperature.celsius[next_celsius]))
             next_celsius += 1
-        if fusion.add_imu(int(imu.stamp[k]), *map(float, imu.specific_force[k]), *map(float, imu.angular_rate[k])):
+        if fusion.add_imu(int(imu.stamp[k]), *map(float, imu.specific_force[k]),
+                          *map(float, imu.angular_rate[k])) and fusion.aligned:
             fusion.update_odometry()
             published[k] = fusion.geodetic.copy()
     # then each state is the replay's, and the corrections matter

@@ -161,12 +161,12 @@ class FusionFilter(Intake):
         """
         sample, last = self._sample, self._now
         sample[0, 1:] = f_x, f_y, f_z, w_x, w_y, w_z
+        self._stamp[0] = stamp
         if 0 < stamp - last <= self._restart_gap and last != -1 and math.isfinite(f_x + f_y + f_z + w_x + w_y + w_z):
             self._follow[0], self._follow[2] = stamp, 0  # as `follow` does, which is for the other cases
             if stamp - last > self._max_gap:
                 self._say_gap((stamp - last) * 1e-9)
         else:
-            self._stamp[0] = stamp
             code = self.follow(self._stamp, sample[:, 1:])[0]
             if code == JUMPED:
                 self.reset()
