@@ -128,7 +128,8 @@ def completed(shell, words):
 @pytest.mark.parametrize(['words', 'offered'], [
     (['co'], ['configure', 'compare', 'compile', 'completion']), (['simulate', '--drive', ''], ['flat', 'realistic']),
     (['diagnose', '--ref'], ['--reference-topic', '--reference-file']), (['characterize', '--bag', ''], []),
-    (['fusion_node', '--ros-args', '-p', 'gnss.time'], ['gnss.time_offset:=', 'gnss.time_offset_sigma:=']),
+    (['fusion_node', '--ros-args', '-p', 'gnss.time'],
+     ['gnss.time_offset:=', 'gnss.time_offset_sigma:=', 'gnss.time_offset_walk:=']),
     (['replay_node', '--ros-args', '-p', 'write_b'], ['write_bag:=']), (['play', '--lo'], ['--loop'])])
 def test_a_shell_completes(shell, words, offered):
     assert completed(shell, ['mems_ins_fusion', *words]) == offered
