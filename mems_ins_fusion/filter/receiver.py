@@ -102,12 +102,7 @@ def learn(mem, r, at, left_n, left_e):
     mem[r + Nav.FIX_TIME] = time
     mem[r + Nav.FIX_LATITUDE], mem[r + Nav.FIX_LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
     verdict = mem[at + Event.VERDICT]
-    if verdict == Verdict.REFUSED:
-        mem[r + Nav.WEIGHTED] = 0.0
-    elif mem[at + Event.NIS] > mem[Head.ROBUST_SIGMA] ** 2:  # weighted down or not: a filter that is too sure goes on so
-        mem[r + Nav.WEIGHTED] = min(mem[r + Nav.WEIGHTED] + 1.0, 2.0 * MOST_WEIGHTED)
-    else:
-        mem[r + Nav.WEIGHTED] = max(mem[r + Nav.WEIGHTED] - 1.0, 0.0)
+    mem[r + Nav.WEIGHTED] = mem[r + Nav.WEIGHTED] + 1.0 if verdict == Verdict.WEIGHTED else 0.0
     if verdict == Verdict.WEIGHTED and paired and mem[Head.ADAPT] > 0.0 and mem[r + Nav.DOUBT] <= FEWEST_DOUBT:
         # errors that last do not show between two fixes (a time offset), but here; not where pairs are too far apart to
         # show the scatter: nothing would bring the ratio down again, and a filter that is too sure would blame the fixes
