@@ -33,16 +33,16 @@ class _Waiting(Alignment):
 
     def __init__(self, config: FilterConfig):
         super().__init__(config)
-        self._fed = 0
+        self.fed = 0
         self.found: list[tuple[int, Start | None]] = []
 
     def add_samples(self, samples, orientation=None):
         super().add_samples(samples, orientation)
-        self._fed += len(samples)
+        self.fed += len(samples)
 
     def add_record(self, record, say):
         start = super().add_record(record, say)
-        self.found.append((self._fed, None if start else self.provisional()))
+        self.found.append((self.fed, None if start else self.provisional()))
         return start
 
 
@@ -71,6 +71,7 @@ class _Publishing(_Replay):
     def _align(self, kept, samples, events: _Events) -> tuple[Start | None, int]:
         start, first = super()._align(kept, samples, events)
         found = self._waiting.found
+        self._aligned = self._waiting.fed
         if start is None:
             found.append((len(samples), None))
         nothing = events.select(slice(0))
@@ -84,7 +85,8 @@ class _Publishing(_Replay):
 
     def _filter(self, memory, samples, index, events: _Events, epoch: int) -> None:
         events.record[:, Event.ID] = np.arange(len(events.kind))
-        self._ask(memory, samples, index, events, self._length - len(index)).finish(memory)
+        first = self._length - len(index)  # a start is of the time of its fix, and known when that has come
+        self._ask(memory, samples, index, events, first, max(self._aligned - first, 0)).finish(memory)
         self.height_sigma = np.append(self._heights[1], self.height_sigma)[len(self._heights[0]) - 1]
 
     def _ask(self, memory, samples, index, events: _Events, first: int, silent: int = 0,
