@@ -101,10 +101,12 @@ def test_it_says_how_it_is_and_does_what_it_is_asked(recording, peer):
         datum = peer.hears_datum()
         assert abs(datum.latitude - math.degrees(recording.gnss.latitude[0])) < 1e-3
         assert any('datum: latitude' in line for line in node.lines)
-        # and the odometry in odom has no jump, the pose in the map is as often
+        # and the odometry in odom has no jump; poses in the map are of the same times (each topic keeps its last ten
+        # messages: who reads the other one meanwhile misses some)
         last = int(recording.imu.stamp[-1])
         peer.spin_until(lambda: peer.poses and stamp_of(peer.poses[-1]) == stamp_of(peer.odometry[-1]) == last)
-        assert len(peer.poses) == len(peer.odometry)
+        assert len(peer.poses) > 1000
+        assert {stamp_of(m) for m in peer.poses} <= {stamp_of(m) for m in peer.odometry}
         speeds = [math.hypot(m.twist.twist.linear.x, m.twist.twist.linear.y) for m in peer.odometry]
         steps = [math.dist((a.pose.pose.position.x, a.pose.pose.position.y),
                            (b.pose.pose.position.x, b.pose.pose.position.y))

@@ -71,7 +71,7 @@ class Alignment:
         # the raw ones stay as they are: the filter looks at them again
         limit = np.repeat([self.config.imu.max_specific_force, self.config.imu.max_angular_rate], 3)
         for i in np.flatnonzero((np.abs(rows[:, 7:13]) > limit).any(axis=1)) + self._count:
-            self._imu[i, 1:7] = self._imu[i - 1, 1:7] if i else 0.0
+            self._imu[i, 1:7] = self._imu[max(i - 1, 0), 1:7]  # if all are, the first one shows what is wrong with them
         if orientation is not None:
             orientation = np.asarray(orientation)
             given = orientation[np.isfinite(orientation).all(axis=1) & orientation.any(axis=1)]
