@@ -67,7 +67,7 @@ class _Nav(NamedTuple):
     VERTICAL_NIS: int = 36
     BRIDGED: int = 37  # s, within the last minute or so, without a believable IMU sample
     DOUBT: int = 38  # fixes refused lately less those that fitted well
-    WEIGHTED: int = 39  # fixes weighted down one after the other
+    WEIGHTED: int = 39  # fixes that did not fit one after the other, the first of them weighted down
     SIZE: int = 40
 
 

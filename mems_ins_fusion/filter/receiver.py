@@ -40,8 +40,11 @@ UNKNOWN_YAW_SIGMA, LARGEST_YAW_SIGMA = math.pi / math.sqrt(3.0), 0.8
 AGREEMENT, AGREEMENT_FLOOR, AGREEMENT_PART = 2.0, 1.0, 0.3
 #: of a new start, besides what the fixes tell
 NEW_VELOCITY_SIGMA, NEW_TILT_SIGMA = 0.5, 0.05  # m/s, rad
-#: no receiver errs so often in a row: then a fix is believed as it is
-MOST_WEIGHTED = 4.0
+#: no receiver errs for so long, s: then it is the filter, and fixes are believed as they are until they fit again
+LONGEST_WEIGHTED = 4.0
+#: what grows from fix to fix is the filter's own error; fixes further apart do not show that, s
+LONGEST_GROWTH = 10.0
+GROWTH = 0.5  # m/s^2: by a tilt that is three degrees wrong
 #: of the logarithm of the realised over the claimed variance, by a fix that was weighted down
 WEIGHTED_GAIN = 0.25
 #: normalized innovation squared of a fix that fits well
@@ -80,14 +83,15 @@ def trust(mem, r, at):
     # refused only if it is off by something that matters, and has become so at once: what grows from fix to fix is the
     # filter's own error
     interval = mem[at + Event.TIME] - mem[r + Nav.RESIDUAL_TIME]
-    jump = math.hypot(z_n, z_e)
-    if mem[r + Nav.REFUSED] == 0.0 and mem[r + Nav.FIX_TIME] != 0.0 and 0.0 < interval < LONGEST_PAIR:
+    jump, floor = math.hypot(z_n, z_e), GATE_FLOOR
+    if mem[r + Nav.REFUSED] == 0.0 and mem[r + Nav.FIX_TIME] != 0.0 and 0.0 < interval < LONGEST_GROWTH:
         jump = min(jump, math.hypot(z_n - mem[r + Nav.RESIDUAL_N], z_e - mem[r + Nav.RESIDUAL_E]))
-    gate = mem[Head.GATE] if jump > GATE_FLOOR else 0.0
+        floor += 0.5 * GROWTH * interval * interval
+    gate = mem[Head.GATE] if jump > floor else 0.0
     robust = mem[Head.ROBUST_SIGMA]
     if robust > 0.0 and mem[r + Nav.DOUBT] > FEWEST_DOUBT:
         robust = min(robust, DOUBTED)
-    elif mem[r + Nav.WEIGHTED] >= MOST_WEIGHTED:  # it is the filter that is wrong
+    elif mem[r + Nav.WEIGHTED] >= max(1.0, LONGEST_WEIGHTED / max(interval, 1e-3)):
         robust = 0.0
     return factor, robust, gate
 
@@ -102,10 +106,13 @@ def learn(mem, r, at, left_n, left_e):
     mem[r + Nav.FIX_TIME] = time
     mem[r + Nav.FIX_LATITUDE], mem[r + Nav.FIX_LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
     verdict = mem[at + Event.VERDICT]
-    mem[r + Nav.WEIGHTED] = mem[r + Nav.WEIGHTED] + 1.0 if verdict == Verdict.WEIGHTED else 0.0
+    if verdict == Verdict.WEIGHTED or mem[r + Nav.WEIGHTED] > 0.0 and mem[at + Event.NIS] > mem[Head.ROBUST_SIGMA] ** 2:
+        mem[r + Nav.WEIGHTED] += 1.0
+    else:
+        mem[r + Nav.WEIGHTED] = 0.0
     if verdict == Verdict.WEIGHTED and paired and mem[Head.ADAPT] > 0.0 and mem[r + Nav.DOUBT] <= FEWEST_DOUBT:
-        # errors that last do not show between two fixes (a time offset), but here; not where pairs are too far apart to
-        # show the scatter: nothing would bring the ratio down again, and a filter that is too sure would blame the fixes
+        # errors that last do not show between two fixes (a time offset), but here; not where pairs are too far apart:
+        # nothing would bring the ratio down again, and a filter that is too sure would blame the fixes
         mem[r + Nav.GNSS_RATIO] = min(mem[r + Nav.GNSS_RATIO] * math.exp(WEIGHTED_GAIN), LARGEST_RATIO)
     if verdict == Verdict.REFUSED:
         mem[r + Nav.DOUBT] = min(mem[r + Nav.DOUBT] + 1.0, MOST_DOUBT)
