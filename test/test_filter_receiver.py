@@ -202,3 +202,21 @@ def test_the_realised_sigma_of_the_receiver_is_learned(mechanization, factor):
         _, _, without, _ = Receiver(200.0, scatter=factor * SIGMA).through(mechanization=mechanization, **{
             'gnss.adapt_sigma': False, 'gnss.gate_probability': 1.0})
         assert np.sqrt(np.mean(error[1200:]**2)) < np.sqrt(np.mean(without[1200:]**2))
+
+
+@pytest.mark.parametrize('apart', [1, 4, 6])
+@BOTH
+def test_good_fixes_pull_back_a_filter_that_is_too_sure_however_far_apart_they_are(mechanization, apart):
+    # given accelerometers that go off by far more than the filter knows of, and a receiver that is right
+    receiver = Receiver(duration=300.0, scatter=0.02)
+    receiver.samples[:, 2] += 0.2 * np.sin(2 * np.pi * receiver.samples[:, 0] / 80.0)
+    receiver.time, receiver.position = receiver.time[::apart], receiver.position[::apart]
+    rms = {}
+    for robust in (0.0, 3.0):
+        _, memory, error, records = receiver.through(0.02, mechanization, **{'gnss.robust_sigma': robust})
+        rms[robust] = np.sqrt((error**2).sum(axis=1).mean())
+    # then weighting down what does not fit costs little: it is not the receiver that errs
+    assert not np.isin(verdicts(records), [Verdict.REFUSED, Verdict.RECOVERED]).any()
+    assert rms[3.0] < 3.0 * rms[0.0] + 0.1, rms
+    # and its sigma is not learned from it where fixes are too far apart to show their scatter
+    assert apart < 4 or newest(memory)[Nav.GNSS_RATIO] == 1.0
