@@ -1,6 +1,6 @@
 """What the sensors delivered, as arrays: the one form in which every part of the package passes data on.
 
-Stamps are integer nanoseconds since the epoch, as in the message headers; ``received`` is when the
+Stamps are integer nanoseconds since the epoch, as in the message headers; `received` is when the
 message arrived (the log time of a bag), which decides the order in which a live filter saw it.
 """
 from __future__ import annotations

@@ -111,7 +111,9 @@ def test_it_says_how_it_is_and_does_what_it_is_asked(recording, peer):
         steps = [math.dist((a.pose.pose.position.x, a.pose.pose.position.y),
                            (b.pose.pose.position.x, b.pose.pose.position.y))
                  for a, b in zip(peer.odometry, peer.odometry[1:])]
-        assert max(step - 0.01 * speed for step, speed in zip(steps, speeds[1:])) < 0.005
+        # (before the heading is known each fix begins it anew)
+        steps, speeds = steps[-500:], speeds[-500:]
+        assert len(steps) == 500 and max(step - 0.01 * speed for step, speed in zip(steps, speeds[1:])) < 0.005
         assert {m.header.frame_id for m in peer.poses} == {'map'}
 
         # when fixes are switched off
