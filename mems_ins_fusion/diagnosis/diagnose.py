@@ -645,7 +645,7 @@ def _with_settings(correction: Correction, bench: Bench) -> Correction:
         finding = Finding(effect.name, [effect.name], {n: Estimate(v, s, units[n]) for n, (v, s) in
                                                        sighting.parameters.items()}, 0.0, 0.0, False,
                           HeldOut(0.0, 1.0, []), seen=sighting.text)
-        further = [effect.adjusted(values, effect.complete({})) for values in (correction.values, *correction.by_part)]
+        further = [{**values, **sighting.helps} for values in (correction.values, *correction.by_part)]
         if further[0] == correction.values:
             finding = replace(finding, reason='the settings are made for it already')
         elif improves(compared(bench.errors(correction.by_part), bench.errors(further[1:]))):
