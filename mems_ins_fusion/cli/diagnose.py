@@ -36,15 +36,15 @@ def diagnose(options: argparse.Namespace) -> str:
     from mems_ins_fusion.results import result_folder
 
     kept = params_file.load_files(options.params_file)
-    given = _parameters(options, kept)
+    values = table.check(_parameters(options, kept))
     with result_folder(options.output, options.overwrite) as folder:
         with Progress('diagnose') as bar:
-            recording, warned = read_part(options.bag, table.check(given), lambda part: bar(0.2 * part, 'reading'))
+            recording, warned = read_part(options.bag, values, lambda part: bar(0.2 * part, 'reading'))
             if recording.gnss is None:
                 raise ValueError('gnss_topic is empty: a diagnosis needs fixes')
-            shown = check_mounting(cut(recording, 0.0, MOUNTING_SHOWN), table.check(given))
+            shown = check_mounting(cut(recording, 0.0, MOUNTING_SHOWN), values)
             warned = [*warned, *(finding.message for finding in shown)]
-            result = work(recording, table.check(given), lambda part, what: bar(0.2 + 0.75 * part, what))
+            result = work(recording, values, lambda part, what: bar(0.2 + 0.75 * part, what))
             bar(0.95, 'writing')
             checked = check_recording(recording)
             answered = answer(result, checked, options.output)

@@ -392,9 +392,7 @@ def _with_findings(findings, new: Sequence[Finding]) -> tuple[Finding, ...]:
 
 def _taken(known: Known, best: Judged, finding: Finding, failed: list[Finding]) -> Known:
     """With what was judged in the model; what did not help before may help now."""
-    again = {e.name for e in (*known.effects, *known.rejected)} - {finding.name}
-    library = dict.fromkeys((*known.effects, *known.rejected))
-    effects = tuple(e for e in library if e.name in again)
+    effects = tuple(e for e in dict.fromkeys((*known.effects, *known.rejected)) if e.name != finding.name)
     return _hidden(replace(
         known, problem=best.model.problem, model=best.model, errors=best.errors, estimates=tuple(best.proof.estimates),
         findings=_with_findings(known.findings, [*failed, finding]), chosen=(*known.chosen, finding.name),

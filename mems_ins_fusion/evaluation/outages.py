@@ -74,12 +74,15 @@ def run_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: Trut
     return outages_of(run, coasting, truth, durations, config.imu.restart_gap)
 
 
-def outages_of(run: Run, coasting: Coasting, truth: Truth, durations, longest_gap: float) -> list[Outages]:
-    """The outages of each duration (s) that `coasting` holds; run: the ordinary one beside it."""
+def outages_of(run: Run, coasting: Coasting, truth: Truth, durations, longest_gap: float,
+               judged: float = 1.0) -> list[Outages]:
+    """The outages of each duration (s) that `coasting` holds; run: the ordinary one beside it. judged: in what part of
+    an outage `within` looks."""
     durations = sorted(durations)
     driven = Distance(run)
     errors = [_errors(coasting, i, truth, durations[-1], longest_gap) for i in range(len(coasting.begin))]
-    return [_measure(duration, _fitting(duration, coasting, errors, truth, run), driven) for duration in durations]
+    return [_measure(duration, _fitting(duration, coasting, errors, truth, run), driven, judged)
+            for duration in durations]
 
 
 def smooth_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: Truth, durations, begin: np.ndarray,
@@ -88,8 +91,7 @@ def smooth_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: T
     results = []
     for duration in sorted(durations):
         coasting = smoothed_outages(config, imu, fixes, begin, duration, aiding, keep)
-        errors = [_errors(coasting, i, truth, duration, config.imu.restart_gap) for i in range(len(coasting.begin))]
-        results.append(_measure(duration, _fitting(duration, coasting, errors, truth, run), Distance(run), 0.5))
+        results += outages_of(run, coasting, truth, [duration], config.imu.restart_gap, 0.5)
     return results
 
 
@@ -124,8 +126,7 @@ class Distance:
         return np.interp(stamp - self.stamp[0], self.stamp - self.stamp[0], self.driven)
 
 
-def _measure(duration, fits, driven, judged: float = 1.0) -> Outages:
-    """judged: in what part of the outage `within` looks."""
+def _measure(duration, fits, driven, judged: float) -> Outages:
     length = round(duration * 1e9)
     time = np.linspace(0.0, duration, max(int(np.ceil(duration)), 2) + 1)[1:]
     maxima, distance, within, growth, sigma = [], [], [], [], []

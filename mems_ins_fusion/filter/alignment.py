@@ -138,13 +138,13 @@ class Alignment:
         if len(self._fixes) < 2 or self._fixes[-1][0] > self._samples[-1, 0] + LATEST_FIX or self._problem():
             return None
         time, latitude, longitude, height, r = self._fixes[-1]
-        positions, imu = self._positions()[-2:], self._samples
-        still = latest_standstill(imu[imu[:, 0] > imu[-1, 0] - RECENT], self._positions(), self.config)
+        positions, imu = self._positions(), self._samples
+        still = latest_standstill(imu[imu[:, 0] > imu[-1, 0] - RECENT], positions, self.config)
         speed = STANDING_SIGMA
         if still is None or imu[-1, 0] - still.end > 2 * STILL_BLOCK:
-            moved = math.hypot(*(positions[1, 1:3] - positions[0, 1:3]))
-            interval = max(positions[1, 0] - positions[0, 0], 0.1)
-            speed = math.hypot(moved, positions[0, 3], positions[1, 3]) / interval
+            before, now = positions[-2:]
+            moved = math.hypot(*(now[1:3] - before[1:3]))
+            speed = math.hypot(moved, before[3], now[3]) / max(now[0] - before[0], 0.1)
         arm = self.config.gnss.lever_arm
         ahead = max(time - imu[-1, 0], 0.0)  # the state is of a sample's time
         position = r + np.eye(2) * (0.5 * (arm[0] ** 2 + arm[1] ** 2) + (ahead * speed) ** 2)

@@ -89,10 +89,13 @@ class Intake:
         codes = np.zeros(len(stamp), dtype=np.int64)
         last = int(self._follow[0])
         follow(self._follow, stamp, values, self._restart_gap, codes)
+        flagged = np.flatnonzero(codes)
+        if not len(flagged):
+            return codes
         topic = self.config.imu.topic
         good = np.where((codes == GOOD) | (codes == JUMPED), np.arange(len(codes)), -1)
         newest = np.maximum.accumulate(good)
-        for i in np.flatnonzero(codes):
+        for i in flagged:
             before = int(stamp[newest[i - 1]]) if i > 0 and newest[i - 1] >= 0 else last
             now = int(stamp[i])
             if codes[i] == NOT_FINITE:

@@ -89,8 +89,7 @@ class FusionFilter(Intake):
         self._judged: list[Judged] = []
         self._ids = 0
         self._counts: dict[str, int] = {}
-        self._said_faults = np.zeros(Head.RECOVERIES + 1 - Head.FAULTS)
-        self._faults_seen = self._said_faults.tobytes()
+        self._said_faults = bytes(8 * (Head.RECOVERIES + 1 - Head.FAULTS))  # the counts, quick to compare
         self._last_gap = 0.0
         self._last_fault = self._last_recovery = -math.inf
         self._refused_in_a_row = 0
@@ -187,7 +186,7 @@ class FusionFilter(Intake):
             self._filter(self._provisional, sample, self._log, self._none)
             return True
         self._filter(self._memory, sample, self._log, self._none)
-        if self._memory[Head.FAULTS:Head.RECOVERIES + 1].tobytes() != self._faults_seen:
+        if self._memory[Head.FAULTS:Head.RECOVERIES + 1].tobytes() != self._said_faults:
             self._say_faults(stamp)
         if self._pending:
             self._judge()
@@ -367,8 +366,8 @@ class FusionFilter(Intake):
 
     def _say_faults(self, stamp: int) -> None:
         counts = self._memory[Head.FAULTS:Head.RECOVERIES + 1].copy()
-        new = counts - self._said_faults
-        self._said_faults, self._faults_seen = counts, counts.tobytes()
+        new = counts - np.frombuffer(self._said_faults)
+        self._said_faults = counts.tobytes()
         for fault in range(1, Fault.SIZE):
             if new[fault] > 0:
                 self._last_fault = stamp * 1e-9

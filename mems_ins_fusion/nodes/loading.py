@@ -12,9 +12,9 @@ import time
 
 from ..compiled import FOLDER
 from ..filter.config import FilterConfig
+from ..filter.live import FusionFilter
 from ..filter.odometry import ORIENTATION, POSE_COVARIANCE
 from ..parameters import table
-from ..filter.live import FusionFilter
 from .output import Prediction, SmoothFrame
 from .run import Stop
 
