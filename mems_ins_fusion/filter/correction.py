@@ -21,6 +21,7 @@ from .layout import (
     Sample,
     Verdict,
     load_covariance,
+    place,
     store_covariance,
 )
 from .measurements import heading, non_holonomic, position, speed, standstill, velocity
@@ -42,40 +43,43 @@ OTHER_ROBUST, OTHER_GATE = 3.0, 6.0
 
 
 @njit(_nrt=False)
-def _scalar(mem, r, n, h, z, variance, column):
-    """One scalar measurement z = H x + noise: the row H at `h`; P at the begin of the scratch; column: scratch (n,).
-
-    P - K H P with the symmetric K H P written once for both halves: symmetric by construction.
-    """
-    p, x = int(mem[Head.SCRATCH_AT]), r + NAV
-    residual, s = z, variance
+def _project(mem, n, h, column):
+    """P H^T of the row H at `h` into `column` (n,); P stands at the begin of the scratch. H P H^T."""
+    p, h, column = place(int(mem[Head.SCRATCH_AT])), place(h), place(column)
     for i in range(n):
-        total = 0.0
-        for j in range(n):
-            total += mem[p + n * i + j] * mem[h + j]
-        mem[column + i] = total
-    for i in range(n):
-        residual -= mem[h + i] * mem[x + i]
-        s += mem[h + i] * mem[column + i]
-    for i in range(n):
-        gain = mem[column + i] / s
-        mem[x + i] += gain * residual
-        for j in range(i, n):
-            value = mem[p + n * i + j] - gain * mem[column + j]
-            mem[p + n * i + j] = mem[p + n * j + i] = value
-    if mem[Head.HISTORY_AT] > 0.0:
-        history.corrected(mem, n, h, column, residual, s)
+        mem[column + i] = 0.0
+    for j in range(n):
+        factor, row = mem[h + j], place(p + n * j)
+        if factor != 0.0:
+            for i in range(n):
+                mem[column + i] += factor * mem[row + i]
+    return _product(mem, n, h, column)
 
 
 @njit(_nrt=False)
-def _product(mem, p, n, left, right):
-    """H_left P H_right^T."""
-    total = 0.0
+def _product(mem, n, h, column):
+    """The row H at `h` times a column."""
+    h, column, total = place(h), place(column), 0.0
     for i in range(n):
-        if mem[left + i] != 0.0:
-            for j in range(n):
-                total += mem[left + i] * mem[p + n * i + j] * mem[right + j]
+        total += mem[h + i] * mem[column + i]
     return total
+
+
+@njit(_nrt=False)
+def _scalar(mem, r, n, h, column, z, s):
+    """One scalar measurement z = H x + noise: the row H at `h`, P H^T at `column`, variance of the innovation s.
+
+    P - K H P, of which both halves are the same bits: symmetric by construction.
+    """
+    p, x, h, column = place(int(mem[Head.SCRATCH_AT])), place(r + NAV), place(h), place(column)
+    residual, inverse = z - _product(mem, n, h, x), 1.0 / s
+    for i in range(n):
+        element, row = mem[column + i], place(p + n * i)
+        mem[x + i] += element * inverse * residual
+        for j in range(n):
+            mem[row + j] -= element * mem[column + j] * inverse
+    if mem[Head.HISTORY_AT] > 0.0:
+        history.corrected(mem, n, h, column, residual, s)
 
 
 @njit(_nrt=False)
@@ -96,12 +100,12 @@ def update(mem, r, at, n, dimensions, factor, robust, gate):
         for i in range(n):
             mem[at + Event.Z_N + k] -= mem[h + n * k + i] * mem[r + NAV + i]
     a, b = mem[at + Event.Z_N], mem[at + Event.Z_E]
-    s_nn, s_ne, s_ee = r_nn + _product(mem, p, n, h, h), 0.0, 0.0
+    s_nn, s_ne, s_ee = r_nn + _project(mem, n, h, column), 0.0, 0.0
     if dimensions == 1:
         nis = a * a / s_nn
     else:
-        s_ne = r_ne + _product(mem, p, n, h, h + n)
-        s_ee = r_ee + _product(mem, p, n, h + n, h + n)
+        s_ne = r_ne + _product(mem, n, h + n, column)
+        s_ee = r_ee + _project(mem, n, h + n, column)
         nis = (s_ee * a * a - 2.0 * s_ne * a * b + s_nn * b * b) / (s_nn * s_ee - s_ne * s_ne)
     mem[at + Event.S_NN], mem[at + Event.S_NE], mem[at + Event.S_EE] = s_nn, s_ne, s_ee
     mem[at + Event.NIS], mem[at + Event.WEIGHT] = nis, 1.0
@@ -117,27 +121,30 @@ def update(mem, r, at, n, dimensions, factor, robust, gate):
 
     # the first two made independent by the Cholesky factor of R, then one after the other
     if dimensions > 2:
-        s_dd = r_dd + _product(mem, p, n, h + 2 * n, h + 2 * n)
+        s_dd = r_dd + _project(mem, n, h + 2 * n, column)
         mem[at + Event.S_DD] = s_dd
     l_nn = math.sqrt(r_nn)
     for i in range(n):
         mem[h + i] /= l_nn
     z_n /= l_nn
-    _scalar(mem, r, n, h, z_n, 1.0, column)
+    s = 1.0 + _project(mem, n, h, column)
+    _scalar(mem, r, n, h, column, z_n, s)
     if dimensions > 1:
         l_en = r_ne / l_nn
         l_ee = math.sqrt(r_ee - l_en * l_en)
         for i in range(n):
             mem[h + n + i] = (mem[h + n + i] - l_en * mem[h + i]) / l_ee
         z_e = (z_e - l_en * z_n) / l_ee
-        _scalar(mem, r, n, h + n, z_e, 1.0, column)
+        s = 1.0 + _project(mem, n, h + n, column)
+        _scalar(mem, r, n, h + n, column, z_e, s)
     if dimensions > 2:
         down = mem[at + Event.Z_D] ** 2 / s_dd
         if gate > 0.0 and down > gate * gate:
             return verdict
         if robust > 0.0 and down > robust * robust:
             r_dd += (down / (robust * robust) - 1.0) * s_dd
-        _scalar(mem, r, n, h + 2 * n, z_d, r_dd, column)
+        s = r_dd + _project(mem, n, h + 2 * n, column)
+        _scalar(mem, r, n, h + 2 * n, column, z_d, s)
     return verdict
 
 
@@ -283,14 +290,11 @@ def _turns(mem, r, sample, n_navigation, n):
 @njit(_nrt=False)
 def _constrain_motion(mem, r, at, n, h, dimensions):
     """The components of the non-holonomic constraint one by one, each unless the vehicle does not keep to it."""
-    p = int(mem[Head.SCRATCH_AT])
     for k in range(dimensions):
         z, variance = mem[at + Event.Z_N + k], mem[at + (Event.R_NN if k == 0 else Event.R_EE)]
         column = h + (3 + k) * n
-        innovation = z
-        for i in range(n):
-            innovation -= mem[h + n * k + i] * mem[r + NAV + i]
-        s = variance + _product(mem, p, n, h + n * k, h + n * k)
+        innovation = z - _product(mem, n, h + n * k, r + NAV)
+        s = variance + _project(mem, n, h + n * k, column)
         nis = innovation * innovation / s
         mem[at + Event.Z_N + k] = innovation
         mem[at + (Event.S_NN if k == 0 else Event.S_EE)] = s
@@ -303,8 +307,8 @@ def _constrain_motion(mem, r, at, n, h, dimensions):
         if off:
             continue
         if nis > CONSTRAINT_ROBUST**2:
-            variance += (nis / CONSTRAINT_ROBUST**2 - 1.0) * s
-        _scalar(mem, r, n, h + n * k, z, variance, column)
+            s *= nis / CONSTRAINT_ROBUST**2  # so much more noise
+        _scalar(mem, r, n, h + n * k, column, z, s)
 
 
 @njit(_nrt=False)

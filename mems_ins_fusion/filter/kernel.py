@@ -21,7 +21,7 @@ from ..navigation.earth import gravity
 from . import history, imu_faults
 from .correction import CONSTRAINT_INTERVAL, apply_event, constrain
 from .imu_faults import Fault
-from .layout import NAV, PLANAR, Event, Head, Nav, Sample, Verdict, event_at, packed, sample_at, state_at
+from .layout import NAV, PLANAR, Event, Head, Nav, Sample, Verdict, event_at, packed, place, sample_at, state_at
 from .measurements.geometry import body_to_level
 from .prediction import predict
 from .standstill import is_still
@@ -41,7 +41,8 @@ RESTART_VELOCITY, RESTART_ATTITUDE = 1.0, 0.05  # m/s, rad
 @njit(_nrt=False)
 def _advance(memory, k):
     """State k from state k - 1 and sample k: the interval is split at each measurement in it."""
-    first_row, dst, sample = state_at(memory, k - 1), state_at(memory, k), sample_at(memory, k)
+    first_row, dst = place(state_at(memory, k - 1)), place(state_at(memory, k))
+    sample = place(sample_at(memory, k))
     src = first_row
     begin, end = memory[src + Nav.TIME], memory[sample + Sample.TIME]
     count = int(memory[Head.EVENTS])
@@ -75,13 +76,14 @@ def _advance(memory, k):
 @njit(_nrt=False)
 def _is_finite(memory, r):
     """Whether navigation solution and variances of row r are numbers."""
+    r, n_navigation, m = place(r), int(memory[Head.N_NAVIGATION]), int(memory[Head.N_AUGMENTED])
     total = 0.0
     for i in range(Nav.MEMORY):
         total += memory[r + i]
-    n_navigation = int(memory[Head.N_NAVIGATION])
-    a = r + NAV + n_navigation + int(memory[Head.N_AUGMENTED])
+    diagonal = np.uint64(r + NAV + n_navigation + m)
     for i in range(n_navigation):
-        total += memory[r + NAV + i] + memory[a + packed(i, i, n_navigation)]
+        total += memory[r + NAV + i] + memory[diagonal]
+        diagonal += np.uint64(n_navigation - i)
     return math.isfinite(total)
 
 
@@ -107,10 +109,9 @@ def _take_sample(memory, samples, i):
     """Predict to the time of sample i (time, specific force and angular rate in sensor axes), with what was measured
     till then."""
     k = int(memory[Head.SAMPLES]) + 1
-    sample = sample_at(memory, k)
-    before = state_at(memory, k - 1)
+    sample, before = place(sample_at(memory, k)), place(state_at(memory, k - 1))
     time = samples[i, 0]
-    dt = time - memory[sample_at(memory, k - 1) + Sample.TIME]
+    dt = time - memory[place(sample_at(memory, k - 1)) + Sample.TIME]
     memory[sample + Sample.TIME] = time
     moving = _moves(memory, before)
     fault = imu_faults.check(memory, samples, i, dt, moving)
@@ -122,7 +123,7 @@ def _take_sample(memory, samples, i):
     else:
         _coast(memory, sample, before)
     if dt > memory[Head.MAX_GAP] and k > 1:  # nobody knows what was in between: the mean of both ends is the best guess
-        last = sample_at(memory, k - 1)
+        last = place(sample_at(memory, k - 1))
         for j in range(6):
             memory[sample + Sample.F_X + j] = 0.5 * (memory[sample + Sample.F_X + j] + memory[last + Sample.F_X + j])
     memory[sample + Sample.STILL] = 0.0
@@ -142,9 +143,10 @@ def _refuse_ahead(memory, time):
         i -= 1
 
 
-@njit(_nrt=False)
+@njit(_nrt=False, fastmath={'contract'})
 def _condition(memory, sample, raw):
     """The six numbers at `raw`, in sensor axes, to body axes, with the corrections of the configuration."""
+    sample, raw = place(sample), place(raw)
     for i in range(6):
         total = memory[Head.OFFSET + i]
         for j in range(6):
@@ -171,9 +173,10 @@ def _coast(memory, sample, r):
 @njit(_nrt=False)
 def _moves(memory, r):
     """Whether the vehicle certainly moves in the state at r."""
+    r = place(r)
     n_navigation = int(memory[Head.N_NAVIGATION])
     v = planar.State.V_N if n_navigation == planar.State.SIZE else strapdown.State.V_N
-    a = r + NAV + n_navigation + int(memory[Head.N_AUGMENTED])
+    a = place(r + NAV + n_navigation + int(memory[Head.N_AUGMENTED]))
     variance = memory[a + packed(v, v, n_navigation)] + memory[a + packed(v + 1, v + 1, n_navigation)]
     speed = math.sqrt(memory[r + Nav.V_N] ** 2 + memory[r + Nav.V_E] ** 2)
     return speed > MOVING_SPEED and (speed - MOVING_SPEED) ** 2 > 4.0 * variance
@@ -218,7 +221,7 @@ def _copy(memory, to, source):
         memory[to + i] = memory[source + i]
 
 
-@njit(nogil=True)
+@njit(nogil=True, _nrt=False)
 def run(memory, samples, events, arrival, answers, columns, kept, states, log):
     """IMU samples and measurements in the order of their arrival through the filter.
 

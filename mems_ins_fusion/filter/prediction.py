@@ -15,7 +15,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
 from ..navigation.earth import gravity, radii
-from .layout import NAV, PLANAR, Head, Nav, Sample, packed
+from .layout import NAV, PLANAR, Head, Nav, Sample, packed, place
 
 #: what a land vehicle may do unseen while the IMU is silent (one sigma): the covariance of a bridged gap
 GAP_ACCELERATION = 1.5  # m/s^2
@@ -28,9 +28,8 @@ RADII_STEP = 2e-6
 @njit(_nrt=False, fastmath={'contract'})
 def predict(mem, src, dst, sample, dt):
     """State dst = state src, predicted over dt with one IMU sample; its TIME is left to the caller, who knows it."""
-    if src < 0 or dst < 0 or sample < 0:  # never: but it tells the compiler that no index counts from the end
-        return
-    m, p = int(mem[Head.N_AUGMENTED]), int(mem[Head.ORDER])
+    src, dst, sample = place(src), place(dst), place(sample)
+    m, p = place(int(mem[Head.N_AUGMENTED])), place(int(mem[Head.ORDER]))
     if mem[Head.MECHANIZATION] != PLANAR:
         _step_strapdown(mem, src, dst, sample, dt, m, p)
     elif m == 6 and p == 2:  # AR(2), with its sizes known to the compiler: a third faster (the others gain nothing)
@@ -58,6 +57,7 @@ def set_radii(mem, r):
 @njit(_nrt=False)
 def _move(mem, src, dst, north, east):
     """Position of row dst: that of src moved by a displacement in m."""
+    src, dst = place(src), place(dst)
     mem[dst + Nav.LATITUDE] = mem[src + Nav.LATITUDE] + north * mem[src + Nav.NORTH_SCALE]
     mem[dst + Nav.LONGITUDE] = mem[src + Nav.LONGITUDE] + east * mem[src + Nav.EAST_SCALE]
     mem[dst + Nav.RADII_LATITUDE] = mem[src + Nav.RADII_LATITUDE]
@@ -71,10 +71,9 @@ def _move(mem, src, dst, north, east):
 def _step_planar(mem, src, dst, sample, dt, m, p):
     """One interval of the planar mechanization with m states behind the navigation errors, p for each channel."""
     x = NAV + 5
-    # columns of the blocks of P (navigation a, cross b), and of the errors of f_x, f_y, w_z
+    # columns of the blocks of P: navigation a, cross b, and in it the errors of f_x, f_y, w_z
     a = x + m
     b = a + 15
-    jx, jy, jw = 0, p, 2 * p
     bx, by, bw = b, b + 5 * p, b + 10 * p
     f_x, f_y, w_z = mem[sample + Sample.F_X], mem[sample + Sample.F_Y], mem[sample + Sample.W_Z]
     closed = mem[Head.OPEN_LOOP] == 0.0
@@ -103,6 +102,11 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
     if mem[Head.HISTORY_AT] > 0.0:
         _carry_planar(mem, dt, f_n, f_e, c, s, m, p)
     # Phi P, column by column
+    for j in range(m):
+        k, e = b + 5 * j, b + 5 * m + j
+        (mem[dst + k], mem[dst + k + 1], mem[dst + k + 2], mem[dst + k + 3], mem[dst + k + 4]) = planar.error_step(
+            dt, f_n, f_e, c, s, mem[src + k], mem[src + k + 1], mem[src + k + 2], mem[src + k + 3], mem[src + k + 4],
+            mem[src + e], mem[src + e + m * p], mem[src + e + 2 * m * p])
     g00, g10, g20, g30, g40 = planar.error_step(
         dt, f_n, f_e, c, s, mem[src + a], mem[src + a + 1], mem[src + a + 2], mem[src + a + 3], mem[src + a + 4],
         mem[src + bx], mem[src + by], mem[src + bw])
@@ -118,39 +122,29 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
     g04, g14, g24, g34, g44 = planar.error_step(
         dt, f_n, f_e, c, s, mem[src + a + 4], mem[src + a + 8], mem[src + a + 11], mem[src + a + 13], mem[src + a + 14],
         mem[src + bx + 4], mem[src + by + 4], mem[src + bw + 4])
-    x0, x1, x2, x3, x4 = _cross_column(mem, src, dt, f_n, f_e, c, s, jx, m, p)
-    y0, y1, y2, y3, y4 = _cross_column(mem, src, dt, f_n, f_e, c, s, jy, m, p)
-    w0, w1, w2, w3, w4 = _cross_column(mem, src, dt, f_n, f_e, c, s, jw, m, p)
 
     # (Phi P) Phi^T, row by row; the sensors' white noise enters like an error that lasts one interval
     h = 0.5 * dt
     nx, ny, nw = mem[Head.SIZE + 0], mem[Head.SIZE + 1], mem[Head.SIZE + 5]
+    x, y, w = dst + bx, dst + by, dst + bw
     a00, a01, a02, a03, a04 = planar.error_step(
-        dt, f_n, f_e, c, s, g00, g01, g02, g03, g04, x0 + nx * h * c, y0 - ny * h * s, w0 - nw * h * h * f_e)
+        dt, f_n, f_e, c, s, g00, g01, g02, g03, g04,
+        mem[x] + nx * h * c, mem[y] - ny * h * s, mem[w] - nw * h * h * f_e)
     _, a11, a12, a13, a14 = planar.error_step(
-        dt, f_n, f_e, c, s, g10, g11, g12, g13, g14, x1 + nx * h * s, y1 + ny * h * c, w1 + nw * h * h * f_n)
+        dt, f_n, f_e, c, s, g10, g11, g12, g13, g14,
+        mem[x + 1] + nx * h * s, mem[y + 1] + ny * h * c, mem[w + 1] + nw * h * h * f_n)
     _, _, a22, a23, a24 = planar.error_step(
-        dt, f_n, f_e, c, s, g20, g21, g22, g23, g24, x2 + nx * c, y2 - ny * s, w2 - nw * h * f_e)
+        dt, f_n, f_e, c, s, g20, g21, g22, g23, g24,
+        mem[x + 2] + nx * c, mem[y + 2] - ny * s, mem[w + 2] - nw * h * f_e)
     _, _, _, a33, a34 = planar.error_step(
-        dt, f_n, f_e, c, s, g30, g31, g32, g33, g34, x3 + nx * s, y3 + ny * c, w3 + nw * h * f_n)
-    _, _, _, _, a44 = planar.error_step(dt, f_n, f_e, c, s, g40, g41, g42, g43, g44, x4, y4, w4 + nw)
+        dt, f_n, f_e, c, s, g30, g31, g32, g33, g34,
+        mem[x + 3] + nx * s, mem[y + 3] + ny * c, mem[w + 3] + nw * h * f_n)
+    _, _, _, _, a44 = planar.error_step(dt, f_n, f_e, c, s, g40, g41, g42, g43, g44,
+                                        mem[x + 4], mem[y + 4], mem[w + 4] + nw)
     mem[dst + a], mem[dst + a + 1], mem[dst + a + 2], mem[dst + a + 3], mem[dst + a + 4] = a00, a01, a02, a03, a04
     mem[dst + a + 5], mem[dst + a + 6], mem[dst + a + 7], mem[dst + a + 8] = a11, a12, a13, a14
     mem[dst + a + 9], mem[dst + a + 10], mem[dst + a + 11] = a22, a23, a24
     mem[dst + a + 12], mem[dst + a + 13], mem[dst + a + 14] = a33, a34, a44
-    for j in range(m):
-        k = dst + b + 5 * j
-        if j == jx:
-            r0, r1, r2, r3, r4 = x0, x1, x2, x3, x4
-        elif j == jy:
-            r0, r1, r2, r3, r4 = y0, y1, y2, y3, y4
-        elif j == jw:
-            r0, r1, r2, r3, r4 = w0, w1, w2, w3, w4
-        else:
-            r0, r1, r2, r3, r4 = _cross_column(mem, src, dt, f_n, f_e, c, s, j, m, p)
-        decay = _decay(dt * mem[Head.SIZE + 6 + j])
-        mem[k], mem[k + 1], mem[k + 2] = decay * r0, decay * r1, decay * r2
-        mem[k + 3], mem[k + 4] = decay * r3, decay * r4
     _sensor_states(mem, src, dst, dt, 5, m, p)
 
 
@@ -191,16 +185,6 @@ def _carry_sensors(mem, dt, size, m):
             mem[k] *= decay
 
 
-@njit(inline='always')
-def _cross_column(mem, src, dt, f_n, f_e, c, s, j, m, p):
-    """Column j of the cross block of Phi P."""
-    k = src + NAV + 5 + m + 15
-    e = k + 5 * m + j
-    k += 5 * j
-    return planar.error_step(dt, f_n, f_e, c, s, mem[k], mem[k + 1], mem[k + 2], mem[k + 3], mem[k + 4],
-                             mem[e], mem[e + m * p], mem[e + 2 * m * p])
-
-
 @njit(_nrt=False)
 def _bridge(mem, r, dt, m):
     """Add to the covariance of row r what a vehicle may have done unseen for dt, while no sample could be believed.
@@ -237,23 +221,22 @@ def _decay(x):
 
 @njit(inline='always')
 def _sensor_states(mem, src, dst, dt, size, m, p):
-    """The m states behind the `size` navigation errors: x, their covariance, and the steps of AR(p)."""
+    """The m states behind the `size` navigation errors: x, their covariance, whose cross block has the navigation's
+    step already, and the steps of AR(p)."""
     x = NAV + size
     b = x + m + size * (size + 1) // 2
     e = b + size * m
+    decays = place(int(mem[Head.SCRATCH_AT]))
     for j in range(m):
-        decay = _decay(dt * mem[Head.SIZE + 6 + j])
+        mem[decays + j] = _decay(dt * mem[Head.SIZE + 6 + j])
+    for j in range(m):
+        decay, column, before, row = mem[decays + j], dst + b + size * j, src + e + m * j, dst + e + m * j
         mem[dst + x + j] = decay * mem[src + x + j]
-        # sensor block: row j is scaled now, column j when each row below it has been
-        for i in range(j):
-            both = mem[dst + e + m * i + j] * decay
-            mem[dst + e + m * i + j] = both
-            mem[dst + e + m * j + i] = both
-        for i in range(j + 1, m):
-            mem[dst + e + m * j + i] = decay * mem[src + e + m * j + i]
-        squared = decay * decay
-        mem[dst + e + (m + 1) * j] = (squared * mem[src + e + (m + 1) * j] + mem[Head.SIZE + 6 + m + j] * dt
-                                      + mem[Head.SIZE + 6 + 2 * m + j] * (1.0 - squared))
+        for i in range(size):
+            mem[column + i] *= decay
+        for i in range(m):
+            mem[row + i] = decay * mem[decays + i] * mem[before + i]
+        mem[row + j] += mem[Head.SIZE + 6 + m + j] * dt + mem[Head.SIZE + 6 + 2 * m + j] * (1.0 - decay * decay)
     if mem[Head.HISTORY_AT] > 0.0:
         _carry_sensors(mem, dt, size, m)
     if mem[Head.ACCELEROMETER_INTERVAL] > 0.0:
@@ -261,9 +244,10 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
     mem[dst + Nav.CONSTRAINT_TIME] = mem[src + Nav.CONSTRAINT_TIME] + dt
 
 
-@njit(inline='always')
+@njit(_nrt=False, fastmath={'contract'})
 def _autoregressive(mem, src, dst, dt, size, m, p):
     """Step the companion blocks of accelerometers and gyroscopes, each once for every T_s that has passed (Eq. 22)."""
+    src, dst, size, m, p = place(src), place(dst), place(size), place(m), place(p)
     accelerometers, channels = (2, 3) if size == 5 else (3, 6)
     for sensor in range(2):
         phase, interval = Nav.ACCELEROMETER_PHASE + sensor, mem[Head.ACCELEROMETER_INTERVAL + sensor]
@@ -284,11 +268,11 @@ def _step_channel(mem, dst, size, m, p, channel, channels):
     start, a = channel * p, 6 + 3 * m + channel * p
     _companion(mem, dst + x + start, 1, p, a)
     for i in range(size):
-        _companion(mem, dst + b + size * start + i, size, p, a)
+        _companion(mem, place(dst + b + size * start + i), size, p, a)
     for j in range(m):
-        _companion(mem, dst + e + m * start + j, m, p, a)
+        _companion(mem, place(dst + e + m * start + j), m, p, a)
     for i in range(m):
-        _companion(mem, dst + e + m * i + start, 1, p, a)
+        _companion(mem, place(dst + e + m * i + start), 1, p, a)
     if mem[Head.HISTORY_AT] > 0.0:
         n = size + m
         for k in range(n):
@@ -299,6 +283,11 @@ def _step_channel(mem, dst, size, m, p, channel, channels):
 @njit(inline='always')
 def _companion(mem, at, stride, p, a):
     """y = -a_1 v_1 - ... - a_p v_p in front, the rest moves back: p elements of a row, `stride` apart."""
+    if p == 2:  # the usual one, without a loop
+        first = mem[at]
+        mem[at] = -mem[Head.SIZE + a + 1] * mem[at + stride] - mem[Head.SIZE + a] * first
+        mem[at + stride] = first
+        return
     y = 0.0
     for k in range(p - 1, -1, -1):
         y -= mem[Head.SIZE + a + k] * mem[at + k * stride]
@@ -310,6 +299,7 @@ def _companion(mem, at, stride, p, a):
 @njit(_nrt=False, fastmath={'contract'})
 def _step_strapdown(mem, src, dst, sample, dt, m, p):
     """One interval of the strapdown mechanization."""
+    src, dst, sample, m, p = place(src), place(dst), place(sample), place(m), place(p)
     x = NAV + 9
     a = x + m
     b = a + 45
@@ -346,44 +336,45 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
             (mem[src + x], mem[src + x + p], mem[src + x + 2 * p]),
             (mem[src + x + 3 * p], mem[src + x + 4 * p], mem[src + x + 5 * p])))
     for j in range(m):
-        errors = (mem[src + e + j], mem[src + e + m * p + j], mem[src + e + 2 * m * p + j])
-        turns = (mem[src + e + 3 * m * p + j], mem[src + e + 4 * m * p + j], mem[src + e + 5 * m * p + j])
-        k = b + 9 * j
-        _store(mem, dst + k, strapdown.error_step(
-            step, (mem[src + k], mem[src + k + 1], mem[src + k + 2]),
-            (mem[src + k + 3], mem[src + k + 4], mem[src + k + 5]),
-            (mem[src + k + 6], mem[src + k + 7], mem[src + k + 8]), errors, turns))
+        k, q, r = place(src + b + 9 * j), place(src + e + j), dst + b + 9 * j
+        _store(mem, r, strapdown.error_step(
+            step, (mem[k], mem[k + 1], mem[k + 2]), (mem[k + 3], mem[k + 4], mem[k + 5]),
+            (mem[k + 6], mem[k + 7], mem[k + 8]), (mem[q], mem[q + m * p], mem[q + 2 * m * p]),
+            (mem[q + 3 * m * p], mem[q + 4 * m * p], mem[q + 5 * m * p])))
 
-    # Phi P, column by column, then (Phi P) Phi^T, row by row; scratch: P_nn at s, the transpose of Phi P at g
-    s = int(mem[Head.SCRATCH_AT])
-    g = s + 81
-    column = src + a
+    # Phi P, column by column, then (Phi P) Phi^T, row by row; scratch: P_nn at s, the transpose of Phi P at g, and at u
+    # the columns of the six sensors, with their white noise: it enters like an error that lasts one interval
+    s = place(int(mem[Head.SCRATCH_AT]))
+    g, u = s + 81, s + 162
+    column = place(src + a)
     for i in range(9):
         for j in range(i, 9):
             mem[s + 9 * i + j] = mem[s + 9 * j + i] = mem[column]
             column += 1
     for j in range(9):
-        k, q = src + b + j, s + 9 * j
+        k, q = place(src + b + j), place(s + 9 * j)
         _store(mem, g + 9 * j, strapdown.error_step(
             step, (mem[q], mem[q + 1], mem[q + 2]), (mem[q + 3], mem[q + 4], mem[q + 5]),
             (mem[q + 6], mem[q + 7], mem[q + 8]), (mem[k], mem[k + 9 * p], mem[k + 18 * p]),
             (mem[k + 27 * p], mem[k + 36 * p], mem[k + 45 * p])))
-    column = dst + a
-    for i in range(9):
-        k, q = dst + b + i, g + i
-        white_f, white_w = _white(mem, i, dt, c, f_level)
-        result = strapdown.error_step(
-            step, (mem[q], mem[q + 9], mem[q + 18]), (mem[q + 27], mem[q + 36], mem[q + 45]),
-            (mem[q + 54], mem[q + 63], mem[q + 72]),
-            (mem[k] + white_f[0], mem[k + 9 * p] + white_f[1], mem[k + 18 * p] + white_f[2]),
-            (mem[k + 27 * p] + white_w[0], mem[k + 36 * p] + white_w[1], mem[k + 45 * p] + white_w[2]))
-        for j in range(i, 9):
-            mem[column] = result[j]
-            column += 1
-    for j in range(m):
-        decay = _decay(dt * mem[Head.SIZE + 6 + j])
+    none = (0.0, 0.0, 0.0)
+    for j in range(6):
+        k, q, white = place(dst + b + 9 * p * j), place(u + 9 * j), mem[Head.SIZE + j] / dt
+        _store(mem, q, strapdown.error_step(
+            step, none, none, none, (white * (j == 0), white * (j == 1), white * (j == 2)),
+            (white * (j == 3), white * (j == 4), white * (j == 5))))
         for i in range(9):
-            mem[dst + b + 9 * j + i] *= decay
+            mem[q + i] += mem[k + i]
+    column = place(dst + a)
+    for i in range(9):
+        k, q = place(u + i), place(g + i)
+        _store(mem, s, strapdown.error_step(
+            step, (mem[q], mem[q + 9], mem[q + 18]), (mem[q + 27], mem[q + 36], mem[q + 45]),
+            (mem[q + 54], mem[q + 63], mem[q + 72]), (mem[k], mem[k + 9], mem[k + 18]),
+            (mem[k + 27], mem[k + 36], mem[k + 45])))
+        for j in range(i, 9):
+            mem[column] = mem[s + j]
+            column += 1
     _sensor_states(mem, src, dst, dt, 9, m, p)
 
 
@@ -393,20 +384,3 @@ def _store(mem, at, values):
     for i in range(9):
         mem[at + i] = values[i]
 
-
-@njit(inline='always')
-def _white(mem, i, dt, c, f):
-    """Row i of B diag(density / dt), the white noise of the six sensors: for f, for w."""
-    h, n = 0.5 * dt, i % 3
-    x, y, z = c[3 * n], c[3 * n + 1], c[3 * n + 2]
-    if i >= 6:
-        return (0.0, 0.0, 0.0), (x * mem[Head.SIZE + 3], y * mem[Head.SIZE + 4], z * mem[Head.SIZE + 5])
-    lever = h if i < 3 else 1.0
-    # the specific force in n turns with the attitude: (C dw) x f, component n
-    j, k = (n + 1) % 3, (n + 2) % 3
-    turned = (c[3 * j] * f[k] - c[3 * k] * f[j], c[3 * j + 1] * f[k] - c[3 * k + 1] * f[j],
-              c[3 * j + 2] * f[k] - c[3 * k + 2] * f[j])
-    white_f = (lever * x * mem[Head.SIZE], lever * y * mem[Head.SIZE + 1], lever * z * mem[Head.SIZE + 2])
-    lever *= h
-    return white_f, (lever * turned[0] * mem[Head.SIZE + 3], lever * turned[1] * mem[Head.SIZE + 4],
-                     lever * turned[2] * mem[Head.SIZE + 5])
