@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from mems_ins_fusion.compiled import njit
 
-from .layout import Head, place
+from .layout import Head
 
 
 class _Fault(NamedTuple):
@@ -48,20 +48,18 @@ def check(mem, samples, k, dt, moving):
     samples (n, 7): time (s), specific force and angular rate in sensor axes. dt: s since the one before. moving:
     whether the vehicle certainly moves.
     """
-    k = place(k)
     time = samples[k, 0]
     equal, zero, out, saturated = 1e9, True, False, False
     lively = mem[Head.VARIED] > 0.5 * mem[Head.BELIEVED] and mem[Head.BELIEVED] > 10.0
     for i in range(6):
-        value, same = samples[k, 1 + i], 0.0
-        if value == mem[Head.RAW + i]:
-            same = mem[Head.SAME + i] + 1.0
-            large = abs(value) > (LARGE_FORCE if i < 3 else LARGE_RATE)
-            saturated = saturated or (large and same >= FEWEST_EQUAL)
-        mem[Head.SAME + i], mem[Head.RAW + i] = same, value
-        equal = same if same < equal else equal
+        value = samples[k, 1 + i]
+        mem[Head.SAME + i] = mem[Head.SAME + i] + 1.0 if value == mem[Head.RAW + i] else 0.0
+        mem[Head.RAW + i] = value
+        equal = min(equal, mem[Head.SAME + i])
         zero = zero and value == 0.0
         out = out or abs(value) > mem[Head.MAX_FORCE + (i >= 3)]
+        large = abs(value) > (LARGE_FORCE if i < 3 else LARGE_RATE)
+        saturated = saturated or (large and mem[Head.SAME + i] >= FEWEST_EQUAL)
     fault = Fault.NONE
     if out:
         fault = Fault.RANGE

@@ -73,7 +73,7 @@ def _advance(memory, k):
         _restore(memory, first_row, dst, end)
 
 
-@njit(_nrt=False)
+@njit(_nrt=False, forceinline=True)
 def _is_finite(memory, r):
     """Whether navigation solution and variances of row r are numbers."""
     r, n_navigation, m = place(r), int(memory[Head.N_NAVIGATION]), int(memory[Head.N_AUGMENTED])
@@ -108,7 +108,7 @@ def _restore(memory, good, r, time):
 def _take_sample(memory, samples, i):
     """Predict to the time of sample i (time, specific force and angular rate in sensor axes), with what was measured
     till then."""
-    k = int(memory[Head.SAMPLES]) + 1
+    i, k = place(i), int(memory[Head.SAMPLES]) + 1
     sample, before = place(sample_at(memory, k)), place(state_at(memory, k - 1))
     time = samples[i, 0]
     dt = time - memory[place(sample_at(memory, k - 1)) + Sample.TIME]
@@ -143,7 +143,7 @@ def _refuse_ahead(memory, time):
         i -= 1
 
 
-@njit(_nrt=False, fastmath={'contract'})
+@njit(_nrt=False, fastmath={'contract'}, forceinline=True)
 def _condition(memory, sample, raw):
     """The six numbers at `raw`, in sensor axes, to body axes, with the corrections of the configuration."""
     sample, raw = place(sample), place(raw)

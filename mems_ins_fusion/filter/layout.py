@@ -146,38 +146,44 @@ def row_width(layout: StateLayout) -> int:
 @njit(_nrt=False)
 def load_covariance(row, r, n_navigation, n_augmented, full, at):
     """The covariance of the state at `r` in the array `row`, as a full symmetric matrix (n, n) from full[at] on."""
-    n = place(n_navigation + n_augmented)
-    k, at = place(r + NAV + n), place(at)
+    n_navigation, n_augmented = place(n_navigation), place(n_augmented)
+    n = n_navigation + n_augmented
+    k = place(r + NAV + n)
     for i in range(n_navigation):
         for j in range(i, n_navigation):
-            full[at + n * i + j] = full[at + n * j + i] = row[k]
+            full[place(at + n * i + j)] = full[place(at + n * j + i)] = row[k]
             k = place(k + 1)
     for j in range(n_navigation, n):
+        line = place(at + n * j)
         for i in range(n_navigation):
-            full[at + n * i + j] = full[at + n * j + i] = row[k + i]
+            full[line + i] = full[place(at + n * i + j)] = row[k + i]
         k = place(k + n_navigation)
     for i in range(n_navigation, n):
-        for j in range(n_navigation, n):
-            full[at + n * i + j] = row[k + j - n_navigation]
+        line = place(at + n * i + n_navigation)
+        for j in range(n_augmented):
+            full[line + j] = row[k + j]
         k = place(k + n_augmented)
 
 
 @njit(_nrt=False)
 def store_covariance(full, at, n_navigation, n_augmented, row, r):
     """Inverse of `load_covariance`."""
-    n = place(n_navigation + n_augmented)
-    k, at = place(r + NAV + n), place(at)
+    n_navigation, n_augmented = place(n_navigation), place(n_augmented)
+    n = n_navigation + n_augmented
+    k = place(r + NAV + n)
     for i in range(n_navigation):
         for j in range(i, n_navigation):
-            row[k] = full[at + n * i + j]
+            row[k] = full[place(at + n * i + j)]
             k = place(k + 1)
     for j in range(n_navigation, n):
+        line = place(at + n * j)
         for i in range(n_navigation):
-            row[k + i] = full[at + n * i + j]
+            row[k + i] = full[line + i]
         k = place(k + n_navigation)
     for i in range(n_navigation, n):
-        for j in range(n_navigation, n):
-            row[k + j - n_navigation] = full[at + n * i + j]
+        line = place(at + n * i + n_navigation)
+        for j in range(n_augmented):
+            row[k + j] = full[line + j]
         k = place(k + n_augmented)
 
 

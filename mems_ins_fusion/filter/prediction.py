@@ -32,7 +32,9 @@ def predict(mem, src, dst, sample, dt):
     m, p = place(int(mem[Head.N_AUGMENTED])), place(int(mem[Head.ORDER]))
     if mem[Head.MECHANIZATION] != PLANAR:
         _step_strapdown(mem, src, dst, sample, dt, m, p)
-    elif m == 6 and p == 2:  # AR(2), with its sizes known to the compiler: a third faster (the others gain nothing)
+    elif m == 3 and p == 1:  # the paper's filters, with their sizes known to the compiler: a quarter faster
+        _step_planar(mem, src, dst, sample, dt, 3, 1)
+    elif m == 6 and p == 2:
         _step_planar(mem, src, dst, sample, dt, 6, 2)
     else:
         _step_planar(mem, src, dst, sample, dt, m, p)
@@ -67,7 +69,7 @@ def _move(mem, src, dst, north, east):
         set_radii(mem, dst)
 
 
-@njit(inline='always')
+@njit(_nrt=False, fastmath={'contract'}, forceinline=True)
 def _step_planar(mem, src, dst, sample, dt, m, p):
     """One interval of the planar mechanization with m states behind the navigation errors, p for each channel."""
     x = NAV + 5
@@ -100,7 +102,7 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
             mem[src + NAV + 4], mem[src + x], mem[src + x + p], mem[src + x + 2 * p])
 
     if mem[Head.HISTORY_AT] > 0.0:
-        _carry_planar(mem, dt, f_n, f_e, c, s, m, p)
+        _carry_planar(mem, dt, f_n, f_e, c, s, place(m), place(p))
     # Phi P, column by column
     for j in range(m):
         k, e = b + 5 * j, b + 5 * m + j
@@ -234,11 +236,13 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
         mem[dst + x + j] = decay * mem[src + x + j]
         for i in range(size):
             mem[column + i] *= decay
-        for i in range(m):
-            mem[row + i] = decay * mem[decays + i] * mem[before + i]
-        mem[row + j] += mem[Head.SIZE + 6 + m + j] * dt + mem[Head.SIZE + 6 + 2 * m + j] * (1.0 - decay * decay)
+        for i in range(j + 1, m):
+            mem[row + i] = mem[place(dst + e + m * i + j)] = decay * mem[decays + i] * mem[before + i]
+        squared = decay * decay
+        mem[row + j] = (squared * mem[before + j] + mem[Head.SIZE + 6 + m + j] * dt
+                        + mem[Head.SIZE + 6 + 2 * m + j] * (1.0 - squared))
     if mem[Head.HISTORY_AT] > 0.0:
-        _carry_sensors(mem, dt, size, m)
+        _carry_sensors(mem, dt, place(size), place(m))
     if mem[Head.ACCELEROMETER_INTERVAL] > 0.0:
         _autoregressive(mem, src, dst, dt, size, m, p)
     mem[dst + Nav.CONSTRAINT_TIME] = mem[src + Nav.CONSTRAINT_TIME] + dt
@@ -357,14 +361,16 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
             step, (mem[q], mem[q + 1], mem[q + 2]), (mem[q + 3], mem[q + 4], mem[q + 5]),
             (mem[q + 6], mem[q + 7], mem[q + 8]), (mem[k], mem[k + 9 * p], mem[k + 18 * p]),
             (mem[k + 27 * p], mem[k + 36 * p], mem[k + 45 * p])))
-    none = (0.0, 0.0, 0.0)
-    for j in range(6):
-        k, q, white = place(dst + b + 9 * p * j), place(u + 9 * j), mem[Head.SIZE + j] / dt
-        _store(mem, q, strapdown.error_step(
-            step, none, none, none, (white * (j == 0), white * (j == 1), white * (j == 2)),
-            (white * (j == 3), white * (j == 4), white * (j == 5))))
-        for i in range(9):
-            mem[q + i] += mem[k + i]
+    h = 0.5 * dt
+    for axis in range(3):
+        k, q = place(dst + b + 9 * p * axis), place(u + 9 * axis)
+        white_f, white_w = mem[Head.SIZE + axis], mem[Head.SIZE + 3 + axis]
+        x, y, z = strapdown.column(c, axis)
+        turned = h * (y * f_level[2] - z * f_level[1]), h * (z * f_level[0] - x * f_level[2]), h * (
+            x * f_level[1] - y * f_level[0])
+        _add(mem, q, k, white_f, (h * x, h * y, h * z, x, y, z, 0.0, 0.0, 0.0))
+        _add(mem, q + 27, k + 27 * p, white_w, (
+            h * turned[0], h * turned[1], h * turned[2], turned[0], turned[1], turned[2], x, y, z))
     column = place(dst + a)
     for i in range(9):
         k, q = place(u + i), place(g + i)
@@ -376,6 +382,13 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
             mem[column] = mem[s + j]
             column += 1
     _sensor_states(mem, src, dst, dt, 9, m, p)
+
+
+@njit(inline='always')
+def _add(mem, to, source, factor, values):
+    """The nine elements at `source` and `factor` times the nine values."""
+    for i in range(9):
+        mem[to + i] = mem[source + i] + factor * values[i]
 
 
 @njit(inline='always')

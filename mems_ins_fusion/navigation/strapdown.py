@@ -68,6 +68,16 @@ def matrix(q):
 
 
 @njit
+def column(c, axis):
+    """One of the three columns of the rotation matrix `c`, nine numbers row by row: the axis of `b` in `n`."""
+    if axis == 0:
+        return c[0], c[3], c[6]
+    if axis == 1:
+        return c[1], c[4], c[7]
+    return c[2], c[5], c[8]
+
+
+@njit
 def from_euler(roll, pitch, yaw):
     """Quaternion from b to n of roll, pitch, yaw (rad, z-y-x)."""
     cr, sr = math.cos(0.5 * roll), math.sin(0.5 * roll)
@@ -95,8 +105,8 @@ def correct_attitude(q, phi_n, phi_e, phi_d):
 @njit
 def frame_rates(latitude, v_n, v_e, north_radius, east_radius):
     """Earth rate and transport rate in `n`, rad/s: (e_n, e_d, t_n, t_e, t_d); radii with the height added, m."""
-    e_n, e_d = EARTH_RATE * math.cos(latitude), -EARTH_RATE * math.sin(latitude)
-    return e_n, e_d, v_e / east_radius, -v_n / north_radius, -v_e * math.tan(latitude) / east_radius
+    c, s = math.cos(latitude), math.sin(latitude)
+    return EARTH_RATE * c, -EARTH_RATE * s, v_e / east_radius, -v_n / north_radius, -v_e * s / (c * east_radius)
 
 
 @njit

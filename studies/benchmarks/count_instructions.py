@@ -1,0 +1,79 @@
+"""The filter's work without a clock: machine instructions a sample, counted by valgrind, the same on any busy machine.
+
+    python studies/benchmarks/count_instructions.py
+
+The cases of bench_filter.py with what a replay keeps of each state. Needs valgrind with its headers, and a C compiler:
+so small a library as below switches the counting on behind the imports. The code is compiled for a processor that
+valgrind knows, in a cache of its own (a few minutes the first time).
+"""
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+from bench_filter import CASES, NO_EVENTS, recording, started
+
+from mems_ins_fusion.filter.kernel import run
+from mems_ins_fusion.filter.results import columns
+
+#: samples before the count, and in it
+WARM, COUNTED = 1000, 3000
+SWITCH = """#include <valgrind/callgrind.h>
+void on(void) { CALLGRIND_START_INSTRUMENTATION; CALLGRIND_TOGGLE_COLLECT; }
+void off(void) { CALLGRIND_TOGGLE_COLLECT; CALLGRIND_STOP_INSTRUMENTATION; CALLGRIND_DUMP_STATS; }
+"""
+PROCESSOR = {'NUMBA_CPU_NAME': 'haswell', 'NUMBA_CPU_FEATURES': '+avx,+avx2,+fma,+bmi,+bmi2,+lzcnt,+popcnt,+sse,+sse2,'
+             '+sse3,+ssse3,+sse4.1,+sse4.2,+cx16,+64bit,+cmov,+movbe,+fxsr,+xsave'}
+
+
+def run_case(values: dict, switch) -> None:
+    """Counted twice: a call without samples, and one with COUNTED of them."""
+    samples, fixes, arrival = recording((WARM + COUNTED) / 6000 + 0.1)
+    config, memory = started(values)
+    kept, names = np.arange(COUNTED), columns(config.layout)
+    states = np.zeros((COUNTED, len(names)))
+    for begin, end in ((0, WARM), (WARM, WARM), (WARM, WARM + COUNTED)):
+        mine = (arrival >= begin) & (arrival < end)
+        arguments = (memory, samples[begin:end], fixes[mine], arrival[mine] - begin, np.zeros(mine.sum(), np.int64),
+                     names, kept[:end - begin], states, NO_EVENTS)
+        if begin:
+            switch.on()
+        run(*arguments)
+        if begin:
+            switch.off()
+
+
+def run_all(switch) -> None:
+    for values in CASES.values():
+        run_case(values, switch)
+
+
+def main() -> None:
+    if len(sys.argv) > 1:  # the process that is counted, and before it the one that compiles
+        run_all(ctypes.CDLL(sys.argv[1]) if sys.argv[1] != 'compile' else SimpleNamespace(on=int, off=int))
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        here = Path(folder)
+        (here / 'switch.c').write_text(SWITCH, encoding='ascii')
+        subprocess.run(['cc', '-shared', '-fPIC', '-o', 'switch.so', 'switch.c'], cwd=here, check=True)
+        environment = {**os.environ, **PROCESSOR, 'NUMBA_CACHE_DIR': str(Path.home() / '.cache' / 'counted')}
+        subprocess.run([sys.executable, __file__, 'compile'], env=environment, check=True)
+        subprocess.run(['valgrind', '-q', '--tool=callgrind', '--trace-children=yes', '--instr-atstart=no',
+                        '--collect-atstart=no', f'--callgrind-out-file={here}/count', sys.executable, __file__,
+                        str(here / 'switch.so')], env=environment, check=True)
+        counts = [int(re.search(r'^totals: (\d+)', (here / f'count.{i + 1}').read_text(), re.M)[1])
+                  for i in range(2 * len(CASES))]
+    print('instructions a sample')
+    for name, without, whole in zip(CASES, counts[::2], counts[1::2]):
+        print(f'{name:13} {(whole - without) / COUNTED:7.0f}')
+
+
+if __name__ == '__main__':
+    main()
