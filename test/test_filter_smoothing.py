@@ -32,7 +32,8 @@ def _drive(seed=3):
     covariance = np.tile(np.diag([2.0, 1.5, 4.0]), (m, 1, 1))
     covariance[:, 0, 1] = covariance[:, 1, 0] = 0.5
     fixes = Fixes(at, at, LATITUDE + 1e-6 * rng.standard_normal(m), LONGITUDE + 1e-6 * rng.standard_normal(m),
-                  HEIGHT + rng.standard_normal(m), covariance, status=np.zeros(m, np.int8), covariance_type=np.full(m, 2, np.uint8))
+                  HEIGHT + rng.standard_normal(m), covariance, status=np.zeros(m, np.int8),
+                  covariance_type=np.full(m, 2, np.uint8))
     velocity = Velocities(at, at, rng.standard_normal((m, 3)), np.tile(np.eye(3), (m, 1, 1)))
     return imu, fixes, replay.Aiding(velocity=velocity)
 
@@ -105,7 +106,7 @@ def test_equals_a_dense_smoother(values):
     first = config.layout.n_navigation
     np.testing.assert_allclose(run.sensor_errors, x[at][:, first:first + config.layout.n_sensor:config.layout.order],
                                rtol=1e-5, atol=1e-8)
-    filtered = replay._Replay(config, imu, fixes, aiding, START, keep).run()
+    filtered = replay.Replay(config, imu, fixes, aiding, START, keep).run()
     assert np.mean(run.sigma[:, 0] < 0.9 * filtered.sigma[:, 0]) > 0.5
 
 

@@ -9,7 +9,7 @@ from .config import FilterConfig
 from .initial import initialize
 from .layout import Event, Kind
 from .odometry import SIZE, odometry
-from .replay import Aiding, _Events, _Replay, _Work
+from .replay import Aiding, Events, Progress, Replay
 from .start import Start
 from .unheaded import spread
 
@@ -18,7 +18,8 @@ def published(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aidin
               keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Stamps (k,) ns and what `odometry` makes of the state after each of the samples `keep` (n,), (k, SIZE).
 
-    datum: latitude, longitude (rad), height of the origin. Before the heading is known, those of the provisional filter.
+    datum: latitude, longitude (rad), height of the origin. Before the heading is known, those of the provisional
+    filter.
     """
     work = _Publishing(config, imu, fixes, aiding, None, keep)
     work.datum = np.array(datum, dtype=float)
@@ -46,7 +47,7 @@ class _Waiting(Alignment):
         return start
 
 
-class _Publishing(_Replay):
+class _Publishing(Replay):
     """A replay that stops after each sample kept and asks for the odometry, as the node does."""
 
     datum: np.ndarray
@@ -57,7 +58,7 @@ class _Publishing(_Replay):
         self.height_sigma = self.config.gnss.default_sigma
         return super().run()
 
-    def _events(self, kept: np.ndarray, end: int, epoch: int) -> _Events:
+    def _events(self, kept: np.ndarray, end: int, epoch: int) -> Events:
         events = super()._events(kept, end, epoch)
         fixes = events.select(events.kind == Kind.POSITION)
         self._heights = fixes.arrival, np.sqrt(fixes.record[:, Event.R_DD])
@@ -68,7 +69,7 @@ class _Publishing(_Replay):
         self._waiting = _Waiting(self.config)
         return self._waiting
 
-    def _align(self, kept, samples, events: _Events) -> tuple[Start | None, int]:
+    def _align(self, kept, samples, events: Events) -> tuple[Start | None, int]:
         start, first = super()._align(kept, samples, events)
         found = self._waiting.found
         self._aligned = self._waiting.fed
@@ -83,20 +84,20 @@ class _Publishing(_Replay):
                 self._ask(memory, samples[begin:end], kept[begin:end], nothing, begin, fed - begin, provisional)
         return start, first
 
-    def _filter(self, memory, samples, index, events: _Events, epoch: int) -> None:
+    def _filter(self, memory, samples, index, events: Events, epoch: int) -> None:
         events.record[:, Event.ID] = np.arange(len(events.kind))
         first = self._length - len(index)  # a start is of the time of its fix, and known when that has come
         self._ask(memory, samples, index, events, first, max(self._aligned - first, 0)).finish(memory)
         self.height_sigma = np.append(self._heights[1], self.height_sigma)[len(self._heights[0]) - 1]
 
-    def _ask(self, memory, samples, index, events: _Events, first: int, silent: int = 0,
-             unheaded: Start | None = None) -> _Work:
-        """`samples` with these indices, that numbered `first` first, through the kernel; the odometry after each that is
-        kept, but for the `silent` first ones. unheaded: where a filter without a heading began."""
+    def _ask(self, memory, samples, index, events: Events, first: int, silent: int = 0,
+             unheaded: Start | None = None) -> Progress:
+        """`samples` with these indices, that numbered `first` first, through the kernel; the odometry after each that
+        is kept, but for the `silent` first ones. unheaded: where a filter without a heading began."""
         kept = np.flatnonzero(self.keep[index])
         kept = kept[kept >= silent]
         rows, geodetic, covariance = np.zeros((len(kept), SIZE)), np.empty(3), np.empty(9)
-        work = _Work(samples, events, self.columns, kept[:0], np.empty((0, len(self.columns))))
+        work = Progress(samples, events, self.columns, kept[:0], np.empty((0, len(self.columns))))
         # the planar height is as good as the latest fix says, those of the alignment too
         arrived, sigma = self._heights
         latest = np.searchsorted(arrived, kept + first, side='right') - 1

@@ -58,7 +58,7 @@ def run(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aiding = Ai
     start: begin there instead of aligning, where the recording has no restart. keep: whether to keep the state after
     each sample of `imu`, (n,) bool; all where None.
     """
-    return _Replay(config, imu, fixes, aiding, start, keep).run()
+    return Replay(config, imu, fixes, aiding, start, keep).run()
 
 
 def run_with_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin: np.ndarray, duration: float,
@@ -68,7 +68,7 @@ def run_with_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin:
     begin: (o,) ns, ascending. duration: s that each outage is followed for, or to the end of the recording. keep: as
     for `run`. An outage is left out where the filter was not running at its begin.
     """
-    work = _Replay(config, imu, fixes, aiding, None, keep, np.asarray(begin, dtype=np.int64), duration)
+    work = Replay(config, imu, fixes, aiding, None, keep, np.asarray(begin, dtype=np.int64), duration)
     whole = work.run()
     lengths = [len(branch.samples) for branch in work.branches]
     first = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
@@ -77,7 +77,7 @@ def run_with_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin:
 
 
 @dataclass(frozen=True)
-class _Stretch:
+class Stretch:
     """Between two restarts, or one outage: the samples (indices) whose states are kept, and these."""
 
     samples: np.ndarray
@@ -85,8 +85,12 @@ class _Stretch:
     begin: int = 0
 
 
-class _Replay(Intake):
-    """A recording on its way through the filter: stretches between restarts, aligned and run one by one."""
+class Replay(Intake):
+    """A recording on its way through the filter: stretches between restarts, aligned and run one by one.
+
+    Who wants something else of a replay (`smoothing`, `publish`) overrides a step of it: `_memory` (the filter's, new),
+    `_events` (what was measured in a stretch), `_alignment` and `_align` (its start), `_filter` (the rest of it).
+    """
 
     def __init__(self, config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aiding, given: Start | None,
                  keep: np.ndarray | None, begin: Sequence[int] = (), duration: float = 0.0):
@@ -100,8 +104,8 @@ class _Replay(Intake):
         self.arrival = {kind: np.searchsorted(imu.received, samples.received, side='right')
                         for kind, samples in self.inputs.items() if samples is not None}
         self.columns = columns(config.layout)
-        self.stretches: list[_Stretch] = []
-        self.branches: list[_Stretch] = []
+        self.stretches: list[Stretch] = []
+        self.branches: list[Stretch] = []
         self.measurements: list[Measured] = []
         self.start: Start | None = None
         self.memory: np.ndarray | None = None
@@ -127,7 +131,8 @@ class _Replay(Intake):
         epoch = int(self.imu.stamp[kept[0]])
         time = (self.imu.stamp[kept] - epoch) * 1e-9
         samples = np.empty((len(kept), 7))  # one array, and no copies beside it: hours are hundreds of megabytes
-        samples[:, 0], samples[:, 1:4], samples[:, 4:] = time, self.imu.specific_force[kept], self.imu.angular_rate[kept]
+        samples[:, 0] = time
+        samples[:, 1:4], samples[:, 4:] = self.imu.specific_force[kept], self.imu.angular_rate[kept]
         if correctors:
             celsius = np.full(len(kept), np.nan) if self.imu.temperature is None else self.imu.temperature[kept]
             samples[:, 1:] = corrected(correctors, self.imu.stamp[kept], samples[:, 1:].copy(), celsius)
@@ -155,7 +160,7 @@ class _Replay(Intake):
     def _memory(self) -> np.ndarray:
         return self.config.memory()
 
-    def _events(self, kept: np.ndarray, end: int, epoch: int) -> _Events:
+    def _events(self, kept: np.ndarray, end: int, epoch: int) -> Events:
         """The good measurements that arrived within a stretch, in the order of their arrival."""
         parts = []
         for kind in self.arrival:
@@ -169,10 +174,10 @@ class _Replay(Intake):
         kind, index, arrival, received, record = (np.concatenate(column) for column in zip(*parts))
         order = np.lexsort((received, arrival))
         record = np.ascontiguousarray(record[order])
-        return _Events(kind[order], index[order], arrival[order].astype(np.int64), record,
+        return Events(kind[order], index[order], arrival[order].astype(np.int64), record,
                        np.zeros(len(order), dtype=np.int64))
 
-    def _align(self, kept, samples, events: _Events) -> tuple[Start | None, int]:
+    def _align(self, kept, samples, events: Events) -> tuple[Start | None, int]:
         """The start, and how many events went into it or came before it."""
         fixes = np.flatnonzero(events.kind == Kind.POSITION)
         if self.given is not None and self.start is None:
@@ -194,7 +199,7 @@ class _Replay(Intake):
     def _alignment(self) -> Alignment:
         return Alignment(self.config)
 
-    def _filter(self, memory, samples, index, events: _Events, epoch: int) -> None:
+    def _filter(self, memory, samples, index, events: Events, epoch: int) -> None:
         """`samples` (k, 7) of the IMU (`index` of each) and events through the kernel, outages branched off."""
         kept = np.flatnonzero(self.keep[index])
         states = np.empty((len(kept), len(self.columns)))
@@ -206,7 +211,7 @@ class _Replay(Intake):
             later = withheld & (events.record[:, Event.TIME] > (b - epoch) * 1e-9)
             forks.append(int(events.arrival[later].min()) if later.any() else len(samples))
         events.record[:, Event.ID] = np.arange(len(events.kind))
-        work = _Work(samples, events, self.columns, kept, states)
+        work = Progress(samples, events, self.columns, kept, states)
         branches = {}
         for i in np.argsort(forks, kind='stable'):
             work.advance(memory, forks[i])
@@ -215,10 +220,10 @@ class _Replay(Intake):
         work.finish(memory)
         for i, b in enumerate(begin):
             rows, coasted = branches[i]
-            self.branches.append(_Stretch(index[kept[rows]], coasted, b))
-        self.stretches.append(_Stretch(index[kept], states))
+            self.branches.append(Stretch(index[kept[rows]], coasted, b))
+        self.stretches.append(Stretch(index[kept], states))
 
-    def _branch(self, memory, work: _Work, begin: float, withheld) -> tuple[slice, np.ndarray]:
+    def _branch(self, memory, work: Progress, begin: float, withheld) -> tuple[slice, np.ndarray]:
         """One outage from where `work` is: which of the kept states it covers, and these.
 
         One row before the begin and one after the end are there to interpolate between.
@@ -231,7 +236,7 @@ class _Replay(Intake):
         coasted[:done] = work.states[first:first + done]
         if done < len(coasted):
             left = work.events.select(~(withheld & (work.events.record[:, Event.TIME] > begin)))
-            branch = _Work(work.samples, left, self.columns, work.kept, np.empty_like(work.states[:0]), work)
+            branch = Progress(work.samples, left, self.columns, work.kept, np.empty_like(work.states[:0]), work)
             branch.into(coasted[done:], first + done)
             branch.advance(memory.copy(), int(work.kept[stop - 1]) + 1)
         return slice(first, stop), coasted
@@ -259,7 +264,7 @@ class _Replay(Intake):
         names = ('kind', 'index', 'stamp', 'record')
         return Measured(*(np.concatenate([getattr(m, name) for m in self.measurements]) for name in names))
 
-    def result(self, stretches: list[_Stretch]) -> Run:
+    def result(self, stretches: list[Stretch]) -> Run:
         states = [s.states for s in stretches] or [np.empty((0, len(self.columns)))]
         states = states[0] if len(states) == 1 else np.concatenate(states)
         index = np.concatenate([s.samples for s in stretches]) if stretches else np.empty(0, dtype=np.int64)
@@ -268,7 +273,7 @@ class _Replay(Intake):
 
 
 @dataclass(frozen=True)
-class _Events:
+class Events:
     """Measurements in the order of their arrival: kind, index among those of its kind, how many samples came before,
     records as the kernel takes them, and its answers."""
 
@@ -278,20 +283,20 @@ class _Events:
     record: np.ndarray
     answer: np.ndarray
 
-    def select(self, index) -> _Events:
-        return _Events(self.kind[index], self.index[index], self.arrival[index], self.record[index],
+    def select(self, index) -> Events:
+        return Events(self.kind[index], self.index[index], self.arrival[index], self.record[index],
                        self.answer[index])
 
-    def later(self, first: int, skip: int) -> _Events:
+    def later(self, first: int, skip: int) -> Events:
         """Those from `first` on, with `skip` samples less in front."""
         events = self.select(slice(first, None))
-        return _Events(events.kind, events.index, np.maximum(events.arrival - skip, 0), events.record, events.answer)
+        return Events(events.kind, events.index, np.maximum(events.arrival - skip, 0), events.record, events.answer)
 
 
-class _Work:
+class Progress:
     """How far the kernel has come with a recording."""
 
-    def __init__(self, samples, events: _Events, names: np.ndarray, kept, states, after: _Work | None = None):
+    def __init__(self, samples, events: Events, names: np.ndarray, kept, states, after: Progress | None = None):
         self.samples, self.events, self.columns, self.kept, self.states = samples, events, names, kept, states
         self.sample = after.sample if after else 0
         self.next_row = 0

@@ -7,8 +7,8 @@ and their information in Lambda; then
     smoothed x = x + P lambda          smoothed P = P - P Lambda P
 
 which is the fixed-interval smoother of Rauch, Tung and Striebel in the form of Bryson and Frazier (G. J. Bierman,
-"Fixed interval smoothing with discrete measurements", Int. J. Control 18, 1973): nothing is inverted, and between two states
-kept there may be any number of predictions and corrections. All states of the filter take part.
+"Fixed interval smoothing with discrete measurements", Int. J. Control 18, 1973): nothing is inverted, and between two
+states kept there may be any number of predictions and corrections. All states of the filter take part.
 
 The rows lie in a temporary file: 8 (width + 2 n^2 + n) bytes each, 7.4 kB with the 18 states of a car, 270 MB for an
 hour at 10 Hz; in memory stand BLOCK of them.
@@ -25,7 +25,7 @@ from . import history
 from .config import FilterConfig
 from .correction import feed_back
 from .layout import NAV, Event, Head, StateLayout, covariance, covariance_index, row_width, state_at
-from .replay import WITHHELD, Aiding, Coasting, _Events, _Replay, _Stretch, _Work
+from .replay import WITHHELD, Aiding, Coasting, Events, Progress, Replay, Stretch
 from .results import Run
 
 #: rows in memory at a time
@@ -84,7 +84,7 @@ class _Rows:
         self.file.close()
 
 
-class _Smoothing(_Replay):
+class _Smoothing(Replay):
     """A replay whose measurements come at their own time: who looks back need not wait for late ones."""
 
     def _memory(self) -> np.ndarray:
@@ -92,7 +92,7 @@ class _Smoothing(_Replay):
         history.begin(memory, self.config.layout.n)
         return memory
 
-    def _filter(self, memory, samples, index, events: _Events, epoch: int) -> None:
+    def _filter(self, memory, samples, index, events: Events, epoch: int) -> None:
         order = np.argsort(events.record[:, Event.TIME], kind='stable')
         timely = events.select(order)
         timely.record[:, Event.ID] = np.arange(len(order))
@@ -100,7 +100,7 @@ class _Smoothing(_Replay):
         self._smooth(memory, samples, index, timely, epoch)
         events.record[order], events.answer[order] = timely.record, timely.answer
 
-    def _smooth(self, memory, samples, index, events: _Events, epoch: int) -> None:
+    def _smooth(self, memory, samples, index, events: Events, epoch: int) -> None:
         kept = np.flatnonzero(self.keep[index])
         rows, work = self._rows(), self._work(samples, events)
         for k in kept.tolist():
@@ -108,11 +108,11 @@ class _Smoothing(_Replay):
             self._take(memory, rows.next())
         work.advance(memory, len(samples))
         work.finish(memory)
-        self.stretches.append(_Stretch(index[kept], self._looked_back(memory, rows, len(kept))))
+        self.stretches.append(Stretch(index[kept], self._looked_back(memory, rows, len(kept))))
 
-    def _work(self, samples, events: _Events, after: _Work | None = None) -> _Work:
+    def _work(self, samples, events: Events, after: Progress | None = None) -> Progress:
         none = np.empty(0, dtype=np.int64)
-        return _Work(samples, events, self.columns, none, np.empty((0, len(self.columns))), after)
+        return Progress(samples, events, self.columns, none, np.empty((0, len(self.columns))), after)
 
     def _rows(self) -> _Rows:
         layout = self.config.layout
@@ -147,7 +147,7 @@ class _Smoothing(_Replay):
 class _SmoothedOutages(_Smoothing):
     """Outages branched off the run, each followed until AFTER its end."""
 
-    def _smooth(self, memory, samples, index, events: _Events, epoch: int) -> None:
+    def _smooth(self, memory, samples, index, events: Events, epoch: int) -> None:
         kept, time = np.flatnonzero(self.keep[index]), samples[:, 0]
         work, withheld = self._work(samples, events), np.isin(events.kind, WITHHELD)
         for b in self.begin:
@@ -165,7 +165,7 @@ class _SmoothedOutages(_Smoothing):
                 branch.advance(coasting, k + 1)
                 self._take(coasting, rows.next())
             branch.advance(coasting, int(np.searchsorted(time, begin + self.duration + AFTER)))
-            self.branches.append(_Stretch(index[kept[first:stop]],
+            self.branches.append(Stretch(index[kept[first:stop]],
                                           self._looked_back(coasting, rows, stop - first), int(b)))
 
 
