@@ -10,6 +10,11 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 
+def runs(mask: np.ndarray) -> np.ndarray:
+    """First and last + 1 of each run of True in `mask` (n,): (k, 2)."""
+    return np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(mask, np.int8), [0]]))).reshape(-1, 2)
+
+
 class _Samples:
     """Length and slicing for dataclasses whose fields are arrays along the same first axis."""
 

@@ -10,7 +10,8 @@ from filter_support import random_covariance
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from mems_ins_fusion.diagnosis.detection import detect, ljung_box
+from mems_ins_fusion.characterization.autocorrelation import ljung_box
+from mems_ins_fusion.diagnosis.detection import detect
 from mems_ins_fusion.diagnosis.diagnose import improves
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.levels import choose, multiplied
@@ -125,7 +126,7 @@ def test_ljung_box_is_that_of_statsmodels(n):
     noise = rng.standard_normal(n)
     for values in (noise, noise + 0.4 * np.roll(noise, 1) + 3.0):
         expected = diagnostic.acorr_ljungbox(values, lags=[min(10, n // 5)])['lb_pvalue'].iloc[0]
-        assert ljung_box(values) == pytest.approx(expected, rel=1e-6)
+        assert ljung_box(values, 10) == pytest.approx(expected, rel=1e-6)
 
 
 def test_detection_is_silent_when_the_model_is_right_and_says_what_is_wrong_when_not():

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..samples import runs
+
 #: sigma of flicker noise at the flat minimum is this times the bias instability B (IEEE 952, C.1.2)
 FLICKER_MINIMUM = math.sqrt(2 * math.log(2) / math.pi)
 #: the Allan deviation of a first-order Gauss-Markov process peaks at this multiple of its correlation time
@@ -174,9 +176,8 @@ def _rise(curve):
 
 def _region(inside, weight):
     """Indices of the run of `inside` with the largest total weight, at least two points long; or None."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
-    runs = [np.arange(a, b) for a, b in zip(edges[::2], edges[1::2]) if b - a >= 2]
-    return max(runs, key=lambda run: weight[run].sum()) if runs else None
+    long = [np.arange(a, b) for a, b in runs(inside) if b - a >= 2]
+    return max(long, key=lambda run: weight[run].sum()) if long else None
 
 
 def _coefficient(curve, region, squared):

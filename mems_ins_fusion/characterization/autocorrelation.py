@@ -48,6 +48,23 @@ def autocorrelation(parts, max_lag: int) -> np.ndarray:
     return np.divide(products, pairs, out=np.full(max_lag + 1, np.nan), where=pairs > 0)
 
 
+def ljung_box(values: np.ndarray, lags: int) -> float:
+    """p of the hypothesis that `values` (n,) are white, by the first `lags` lags, at most n / 5 of them.
+
+    G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time series models", Biometrika 65, 1978.
+    """
+    from scipy.stats import chi2
+
+    n, centred = len(values), values - values.mean()
+    lags = min(lags, n // 5)
+    if lags < 1 or not centred.any():
+        return 1.0
+    left = n - np.arange(lags + 1)
+    covariance = autocorrelation([centred], lags) * left / n
+    correlation = covariance[1:] / covariance[0]
+    return float(chi2.sf(n * (n + 2) * np.sum(correlation**2 / left[1:]), lags))
+
+
 def fit_gauss_markov_autocorrelation(data: Averages) -> AutocorrelationFit:
     """Gauss-Markov fit to the autocorrelation of averages, with 95 % intervals from a parametric bootstrap.
 

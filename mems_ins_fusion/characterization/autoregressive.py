@@ -13,6 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..samples import runs
+
 
 @dataclass(frozen=True)
 class ArFit:
@@ -46,12 +48,11 @@ def time_constant(coefficients, interval: float) -> float:
 
 def segments(x) -> list[np.ndarray]:
     """`x`, an array or a list of arrays, cut at its missing samples (NaN)."""
-    runs = []
+    parts = []
     for part in x if isinstance(x, (list, tuple)) else [x]:
         part = np.asarray(part, float)
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], np.isfinite(part).astype(int), [0]])))
-        runs += [part[a:b] for a, b in zip(edges[::2], edges[1::2])]
-    return runs
+        parts += [part[a:b] for a, b in runs(np.isfinite(part))]
+    return parts
 
 
 def yule_walker(x, order: int) -> ArFit:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..sensor_errors.models import Model
-from .autocorrelation import autocorrelation
+from .autocorrelation import ljung_box
 from .likelihood import Averages, StateSpace, estimate_levels, innovations, predicted_states, state_space
 
 #: share of the recording that the models are fitted to
@@ -101,16 +101,6 @@ def _mean_output(space: StateSpace, h: int):
         total += row
         row = row @ space.a
     return total / h
-
-
-def ljung_box(residual: np.ndarray, lags: int) -> float:
-    """p-value of whiteness (G. Ljung, G. Box, Biometrika 65, 1978)."""
-    from scipy.stats import chi2
-
-    n = len(residual)
-    covariance = autocorrelation([residual - residual.mean()], lags) * (n - np.arange(lags + 1)) / n
-    correlation = covariance[1:] / covariance[0]
-    return float(chi2.sf(n * (n + 2) * np.sum(correlation**2 / (n - np.arange(1, lags + 1))), lags))
 
 
 def recommend(predictions: list[Prediction], significant: bool) -> Recommendation:

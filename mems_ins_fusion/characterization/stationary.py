@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..samples import runs
+
 #: a longer gap in the stamps begins a new part, s
 LONGEST_HOLE = 60.0
 #: window in which rest is judged: at least this long, s, and with at least so many samples
@@ -198,8 +200,7 @@ def _boundaries(mean, bad, smooth, floor):
     for k in np.flatnonzero(~bad[1:] & ~bad[:-1] & (difference > limit).any(axis=1)):
         boundaries.add(int(k) + 1)
         steps.append(int(k) + 1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], bad.astype(int), [0]])))
-    for a, b in zip(edges[::2], edges[1::2]):
+    for a, b in runs(bad):
         if a >= _SIDE and b < len(smooth) and _moved(smooth, a, b, floor):
             boundaries.add(int(b))
     return boundaries, steps
@@ -242,9 +243,8 @@ def _shifts(mean, parts, size, seconds):
 
 
 def _describe(disturbed, steps, boundaries, breaks, seconds, size, count):
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], disturbed.astype(int), [0]])))
     cuts = []
-    for a, b in zip(edges[::2], edges[1::2]):
+    for a, b in runs(disturbed):
         reason = 'vibration' if (b - a) * seconds > _LONG else 'knock'
         moved = not boundaries.isdisjoint(range(a, b + 1))
         cuts.append(Cut(float(a * seconds), float(b * seconds), 'moved: another level after it' if moved else reason))

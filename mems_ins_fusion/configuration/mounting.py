@@ -25,7 +25,7 @@ from mems_ins_fusion.configuration.kinematics import (
 from mems_ins_fusion.configuration.regression import Fit, blocks, fit, jackknife, ratio
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.motion import find_standstill, robust_sigma
-from mems_ins_fusion.samples import Fixes, ImuSamples
+from mems_ins_fusion.samples import Fixes, ImuSamples, runs
 
 LARGEST_LAG = 1.0  # s between the clocks of IMU and fixes, searched on both sides
 BIAS_SIGMA = 0.2  # m/s^2: a consumer accelerometer's turn-on bias, which tilts gravity
@@ -261,8 +261,7 @@ def _steering(motion: _Motion):
 
 def _rests(imu: ImuSamples, still: np.ndarray) -> np.ndarray:
     """(k, 3) mean specific force of each standstill."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
-    return np.array([imu.specific_force[a:b].mean(axis=0) for a, b in zip(edges[::2], edges[1::2])]).reshape(-1, 3)
+    return np.array([imu.specific_force[a:b].mean(axis=0) for a, b in runs(still)]).reshape(-1, 3)
 
 
 def _at_rest(rests, up, gravity) -> Mounting:

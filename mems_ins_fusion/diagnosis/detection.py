@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..characterization.autocorrelation import ljung_box
 from .residuals import Residual
 
 LAGS = 10
@@ -71,24 +72,9 @@ def detect(residual: Residual, mask: np.ndarray) -> Detection:
     u, t = residual.whitened()[mask], residual.along_across()[mask]
     series = dict(zip(COMPONENTS, [*u.T, *t.T]))
     n = len(u)
-    whiteness = {name: ljung_box(values) for name, values in series.items()}
+    whiteness = {name: ljung_box(values, LAGS) for name, values in series.items()}
     mean = {name: float(values.mean()) for name, values in series.items()}
     mean_p = {name: float(2 * norm.sf(abs(m) * np.sqrt(n))) for name, m in mean.items()}
     bounds = tuple(float(b) / n for b in chi2.ppf([0.005, 0.995], 2 * n))
     return Detection(float((u**2).sum() / n), bounds, mean, mean_p, whiteness,
                      min(1.0, 4 * min(whiteness.values())), n)
-
-
-def ljung_box(values: np.ndarray, lags: int = LAGS) -> float:
-    """p of the hypothesis that `values` (n,) are white (G. M. Ljung, G. E. P. Box, 1978)."""
-    from scipy.stats import chi2
-
-    n = len(values)
-    centred = values - values.mean()
-    power = (centred**2).sum()
-    lags = min(lags, n // 5)
-    if lags < 1 or power == 0:
-        return 1.0
-    rho = np.array([(centred[k:] * centred[:-k]).sum() / power for k in range(1, lags + 1)])
-    statistic = n * (n + 2) * (rho**2 / (n - np.arange(1, lags + 1))).sum()
-    return float(chi2.sf(statistic, lags))

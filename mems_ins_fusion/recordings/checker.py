@@ -21,7 +21,7 @@ from mems_ins_fusion.recordings.motion import (
     up_axis,
     valid_fixes,
 )
-from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
+from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, runs
 
 FASTEST = 70.0  # m/s: of a land vehicle
 HARDEST = 12.0  # m/s^2: its strongest acceleration
@@ -217,9 +217,9 @@ def _check_frozen(fixes, imu, still):
     """Fixes that repeat a position to the last digit while the vehicle moves."""
     same = (np.diff(fixes.latitude) == 0) & (np.diff(fixes.longitude) == 0)
     moving = ~still[np.clip(np.searchsorted(imu.stamp, fixes.stamp[1:]), 0, len(imu) - 1)]
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
-    begins, ends = edges[::2], edges[1::2]
-    moved = np.diff(np.concatenate([[0], np.cumsum(moving)])[np.column_stack([begins, ends])], axis=1)[:, 0]
+    edges = runs(same)
+    begins, ends = edges.T
+    moved = np.diff(np.concatenate([[0], np.cumsum(moving)])[edges], axis=1)[:, 0]
     step = np.linalg.norm(np.diff(positions(fixes), axis=0), axis=1)
     pace = np.median(step[step > 0]) if (step > 0).any() else 0.0
     after = np.append(step, 0.0)[np.minimum(ends, len(step))]  # a leap to where the vehicle went meanwhile

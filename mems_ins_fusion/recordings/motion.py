@@ -55,6 +55,12 @@ def find_standstill(imu: ImuSamples, fixes: Fixes | None = None) -> np.ndarray:
     """(n,) which samples are taken at rest: quiet accelerometers for two seconds and more, and fixes that stay.
 
     Judged second by second. Without fixes, quiet accelerometers alone decide.
+
+    Who asks for a standstill elsewhere knows other things, and is harmed by another error. Here nothing is known yet of
+    the sensors, not even their unit. `filter.at_rest` has the parameters' thresholds and wants the means of one
+    standstill, as biases: a slow start must not get in. `filter.standstill` judges each sample while the filter runs,
+    which tells it what certainly is motion, and learns from that. `characterization.stationary` looks for hours of a
+    sensor that nobody touches, by what is usual in them, and leaves out single knocks.
     """
     force = imu.specific_force
     interval = np.median(np.diff(imu.stamp)) * 1e-9 if len(imu) > 1 else 0.0

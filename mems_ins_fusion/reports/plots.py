@@ -5,6 +5,7 @@ import numpy as np
 
 from ..evaluation.comparison import Comparison, RunResult
 from ..evaluation.metrics import rms
+from ..samples import runs
 from . import colours
 from .layers import Ground
 
@@ -144,10 +145,10 @@ def error_against_time(comparison: Comparison):
         name = model_name(comparison, comparison.models[-1])
         axes.plot(*_peaks(time, 2 * errors.sigma), color='0.6', linewidth=0.8, zorder=1,
                   label=f"2 sigma by the filter's own account ({name})")
-        edges = np.flatnonzero(np.diff(errors.turning.astype(int), prepend=0, append=0))
-        for first, last in edges.reshape(-1, 2):
+        turns = runs(errors.turning)
+        for first, last in turns:
             axes.axvspan(time[first], time[last - 1], color='0.93', linewidth=0, zorder=0,
-                         label='turning' if first == edges[0] else None)
+                         label='turning' if first == turns[0, 0] else None)
         axes.set_ylabel('horizontal error, m')
         axes.set_title(f'fixes each {interval:g} s', fontsize=10, loc='left')
         largest = max(comparison.run_of(m, interval).summary['horizontal_max_m'] for m in comparison.models)
