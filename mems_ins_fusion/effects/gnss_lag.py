@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import lfilter
 
 from mems_ins_fusion.effects.base import Effect, EffectParameter, added
 from mems_ins_fusion.effects.gnss_time_offset import later
@@ -30,6 +29,8 @@ class GnssLag(Effect):
         return {'delay': values['tau'], 'lag': -0.5 * values['tau']**2}
 
     def distort_fixes(self, drive, time, position, values, rng):
+        from scipy.signal import lfilter
+
         if values['tau'] == 0:
             return position
         # s = 2 / dt (z - 1) / (z + 1); the vehicle begins at rest
