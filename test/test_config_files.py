@@ -44,8 +44,8 @@ def recorded(forward, sideways, yaw, sigma, seed=1):
     noise = sigma * rng.standard_normal((2, len(at)))
     fixes = Fixes(stamp[at], stamp[at], latitude[at] + noise[0] / meridian,
                   longitude[at] + noise[1] / (prime_vertical * np.cos(LATITUDE)), np.full(len(at), HEIGHT),
-                  np.tile(np.diag([sigma**2, sigma**2, 4 * sigma**2]), (len(at), 1, 1)), status=np.zeros(len(at), np.int8),
-                  covariance_type=np.full(len(at), 2, np.uint8))
+                  np.tile(np.diag([sigma**2, sigma**2, 4 * sigma**2]), (len(at), 1, 1)),
+                  status=np.zeros(len(at), np.int8), covariance_type=np.full(len(at), 2, np.uint8))
     truth = Reference(stamp[::5], latitude[::5], longitude[::5], np.full(len(stamp[::5]), HEIGHT), yaw=yaw[::5])
     return ImuSamples(stamp, stamp, force, rate), fixes, Truth(truth, np.zeros(3), np.zeros(len(truth)), 'truth')
 

@@ -284,7 +284,8 @@ def test_a_warming_gyroscope_forgets_its_bias(drive):
 
 
 def test_wheels_of_another_size_measure_another_speed(drive):
-    speeds = [simulate_recording(drive, effects=effects, aiding=Aiding(speed_rate=10.0, speed_scale=0.0)).recording.speed
+    aiding = Aiding(speed_rate=10.0, speed_scale=0.0)
+    speeds = [simulate_recording(drive, effects=effects, aiding=aiding).recording.speed
               for effects in ([], [(EFFECTS['speed_scale'], {'scale': 0.04})])]
     true = drive.path.wheel_speed((speeds[0].stamp - START_STAMP) * 1e-9)
     assert close(speeds[1].speed - speeds[0].speed, 0.04 * true, 1e-9)

@@ -303,7 +303,8 @@ class _Work:
 
     def run(self, model: str, interval: float) -> tuple[str, float, np.ndarray, Run]:
         use = self._use(interval)
-        run = replay(self.protocol.filters[model], self.recording.imu, self.fixes.select(use), self.aiding, keep=self.keep)
+        run = replay(self.protocol.filters[model], self.recording.imu, self.fixes.select(use), self.aiding,
+                     keep=self.keep)
         return model, interval, use, _without_views(run)
 
     def measure(self, runs) -> list[RunResult]:
@@ -374,8 +375,9 @@ class _Work:
                              self.protocol.spacing, min(self.protocol.durations))
 
     def outages(self, model: str, begin: np.ndarray) -> list[Outages]:
-        return run_outages(self.protocol.filters[model], self.recording.imu, self.fixes.select(self._use(self.shortest)),
-                           self.truth, self.protocol.durations, begin, self.aiding, self.keep)
+        fixes = self.fixes.select(self._use(self.shortest))
+        return run_outages(self.protocol.filters[model], self.recording.imu, fixes, self.truth,
+                           self.protocol.durations, begin, self.aiding, self.keep)
 
 
 def samples_to_keep(imu: ImuSamples, epochs: np.ndarray) -> np.ndarray:

@@ -24,8 +24,8 @@ class Outages:
 
     begin: ns, of the last fix used. max_error: m, the largest horizontal error. distance: m, driven meanwhile.
     within: whether the error at the end (smoothed: in the middle) is inside the filter's own 95 % ellipse. time (g,): s
-    after the begin; growth (o, g): horizontal error then, m; sigma (o, g): the filter's horizontal standard deviation, m.
-    errors: of each.
+    after the begin; growth (o, g): horizontal error then, m; sigma (o, g): the filter's horizontal standard deviation,
+    m. errors: of each.
     """
 
     duration: float

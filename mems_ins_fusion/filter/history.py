@@ -7,8 +7,8 @@ becomes T e (and noise) at the second, and the innovations in between tell of it
     correction      g <- g + T^T H^T z / s,  G <- G + T^T H^T H T / s,  T <- (I - K H) T
 
 z with x already taken out. From the second state back to the first: lambda <- T^T lambda + g and
-Lambda <- T^T Lambda T + G (`smoothing.py`). Stands at the end of the filter's memory, where a smoother asked for it: T (n, n) | G (n, n) | g (n) |
-room to work (n).
+Lambda <- T^T Lambda T + G (`smoothing.py`). Stands at the end of the filter's memory, where a smoother asked for it:
+T (n, n) | G (n, n) | g (n) | room to work (n).
 """
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
 """What a filter knows, as plain numbers that outlast it, and what of that the next filter can begin with.
 
-A snapshot is a dict that JSON can hold: stamp (ns), latitude, longitude (rad), height (m), speed (m/s), yaw of the vehicle
-(rad, clockwise from north) and yaw_sigma, and errors: names of the states behind the navigation errors, their estimate,
-covariance and constant parts (see `start.SensorErrors`), and the conditioning of the samples that they belong to.
+A snapshot is a dict that JSON can hold: stamp (ns), latitude, longitude (rad), height (m), speed (m/s), yaw of the
+vehicle (rad, clockwise from north) and yaw_sigma, and errors: names of the states behind the navigation errors, their
+estimate, covariance and constant parts (see `start.SensorErrors`), and the conditioning of the samples that they belong
+to.
 """
 from __future__ import annotations
 

@@ -13,8 +13,8 @@ from .start import Start
 def spread(start: Start, datum, out: np.ndarray, geodetic: np.ndarray, covariance: np.ndarray) -> None:
     """Take out of an `odometry` the way since `start`, whose direction nobody knows: in place.
 
-    The equations are linear in the heading's error, which here may be anything. So the position stays that of the start,
-    and the way that the sensors saw is added to its sigma in both directions. At rest there is none.
+    The equations are linear in the heading's error, which here may be anything. So the position stays that of the
+    start, and the way that the sensors saw is added to its sigma in both directions. At rest there is none.
     """
     north, east, down = to_local(start.latitude, start.longitude, start.height, datum)
     way = math.hypot(out[0] - east, out[1] - north)

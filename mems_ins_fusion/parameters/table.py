@@ -216,8 +216,8 @@ REPLAY = (
               maximum=86400.0, lengths=range(0, 51)),
     Parameter('outage_spacing', 30.0, 's', 'Between the starts of two outages of one duration.', minimum=0.1,
               maximum=1e6),
-    Parameter('smoothing', False, '-', 'Also smooth: the best trajectory that the recording allows, each state with what '
-              'came after it, too.'),
+    Parameter('smoothing', False, '-', 'Also smooth: the best trajectory that the recording allows, each state with '
+              'what came after it, too.'),
     Parameter('fixes_until', 0.0, 's', 'Dead reckoning: fixes later than this after the recording\'s first IMU sample '
               'are not used, and errors count from then on; 0: all are used.', minimum=0.0, maximum=1e9),
     Parameter('start', 0.0, 's', 'Skip this much of the recording.', minimum=0.0, maximum=1e9),
@@ -228,8 +228,8 @@ REPLAY = (
     Parameter('seed', 0, '-', 'Seed of that noise.', minimum=0, maximum=2**53),
     Parameter('reference_topic', '', 'text', 'Topic of the reference: NavSatFix, Odometry or PoseStamped; empty: the '
               'withheld fixes are the truth.'),
-    Parameter('reference_clock', 'auto', 'text', 'Whose clock the reference is stamped by, for a diagnosis: that of the '
-              'imu, that of the gnss receiver (gnss.time_offset applies to it, too), its own; auto: the receiver\'s '
+    Parameter('reference_clock', 'auto', 'text', 'Whose clock the reference is stamped by, for a diagnosis: that of '
+              'the imu, that of the gnss receiver (gnss.time_offset applies to it, too), its own; auto: the receiver\'s '
               'where both say the same at the same time, else the IMU\'s.', choices=('auto', 'imu', 'gnss', 'own')),
     Parameter('reference_lever_arm', [], 'm', 'From the IMU to the point whose position the reference is, base_link '
               '(forward-left-up); empty: the antenna, gnss.lever_arm.', lengths=(0, 3), minimum=-50.0, maximum=50.0),

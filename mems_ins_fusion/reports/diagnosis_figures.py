@@ -4,6 +4,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..diagnosis.detection import COMPONENTS, LAGS
+from ..diagnosis.tracing import SIGNIFICANCE
 from ..diagnosis.diagnose import Diagnosis
 from ..diagnosis.proof import Measured
 from .colours import AFTER, BEFORE, FITTED
@@ -72,8 +73,6 @@ def _histogram(axes, values, colour) -> None:
 
 def evidence(diagnosis: Diagnosis):
     """The gain of every candidate in every round; None where nothing was tested."""
-    from ..diagnosis.tracing import SIGNIFICANCE
-
     if not diagnosis.rounds:
         return None
     count = max(len(r) for r in diagnosis.rounds)

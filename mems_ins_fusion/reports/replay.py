@@ -20,6 +20,7 @@ from ..parameters.table import defaults as default_parameters
 from ..recordings.checker import check_recording
 from ..recordings.errors import RecordingWarning
 from ..recordings.reading import Memory, read_recording
+from ..recordings.reference_files import read_reference
 from ..recordings.units import in_si
 from ..results import result_folder
 from ..samples import Recording
@@ -107,8 +108,6 @@ def _read_whole(path, values: dict, progress) -> Recording:
                                Memory(values['memory_limit'], *_MEMORY), speed_topic=values['speed_topic'],
                                velocity_topic=values['velocity_topic'], heading_topic=values['heading_topic'])
     if values['reference_file']:
-        from ..recordings.reference_files import read_reference
-
         recording = replace(recording, reference=read_reference(values['reference_file'], datum))
     return recording
 

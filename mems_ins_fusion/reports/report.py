@@ -146,8 +146,8 @@ def _run_tables(comparison: Comparison, content: dict, name: str):
     smooth = [[model_name(comparison, r['model']), r['horizontal_rmse_m'], _interval(r['horizontal_rmse_interval_m']),
                r['horizontal_p95_m'], r['horizontal_max_m'], r['within_95_percent']] for r in rows]
     smoothed = [table(['model', 'RMS, m', '95 % interval of it', '95 % below, m', 'largest, m',
-                       'inside 95 % ellipse, %'], smooth, f'Smoothed, fixes each {comparison.intervals[0]:g} s: each position with what came after '
-                      'it, too.', digits=3)] if rows else []
+                       'inside 95 % ellipse, %'], smooth, f'Smoothed, fixes each {comparison.intervals[0]:g} s: each '
+                      'position with what came after it, too.', digits=3)] if rows else []
     return (_full_table(['model', 'fixes each, s', 'RMS, m', '95 % interval of it', '95 % below, m', 'largest, m',
                          'relative, % of path', 'NIS (2 is right)', 'inside 95 % ellipse, %'], first,
                         'Horizontal position error of each run.'),

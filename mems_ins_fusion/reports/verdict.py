@@ -57,7 +57,8 @@ def answer(comparison: Comparison, findings: list[Finding], values: dict, bag: s
     grade = next(g for g in (BAD, WARNING, GOOD) if g in grades)
     refused = _refused(comparison, best)
     wrong = [*_about_nis(nis), *_about_coverage(outages), *refused, *said]
-    return Answer(grade, _headline(grade, comparison, result, nis, findings, values['fixes_until']), wrong, _cost(outages),
+    headline = _headline(grade, comparison, result, nis, findings, values['fixes_until'])
+    return Answer(grade, headline, wrong, _cost(outages),
                   _steps(grade, comparison, best, values, bag, params_file), _trust(nis, outages, result))
 
 
