@@ -89,7 +89,7 @@ def random_covariance(n: int, rng: np.random.Generator, scale=None) -> np.ndarra
     """A positive definite matrix (n, n) that is far from diagonal."""
     root = rng.standard_normal((n, n))
     scale = np.ones(n) if scale is None else np.asarray(scale)
-    return scale[:, None] * (root @ root.T + 0.1 * np.eye(n)) * scale
+    return np.outer(scale, scale) * (root @ root.T + 0.1 * np.eye(n))  # symmetric to the last bit
 
 
 def second_order_variance(config: FilterConfig, p, attitude: Rotation, mounting=()) -> np.ndarray:

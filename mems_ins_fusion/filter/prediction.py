@@ -72,6 +72,7 @@ def _move(mem, src, dst, north, east):
 @njit(_nrt=False, fastmath={'contract'}, forceinline=True)
 def _step_planar(mem, src, dst, sample, dt, m, p):
     """One interval of the planar mechanization with m states behind the navigation errors, p for each channel."""
+    src, dst, sample, m, p = place(src), place(dst), place(sample), place(m), place(p)
     x = NAV + 5
     # columns of the blocks of P: navigation a, cross b, and in it the errors of f_x, f_y, w_z
     a = x + m
@@ -236,11 +237,9 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
         mem[dst + x + j] = decay * mem[src + x + j]
         for i in range(size):
             mem[column + i] *= decay
-        for i in range(j + 1, m):
-            mem[row + i] = mem[place(dst + e + m * i + j)] = decay * mem[decays + i] * mem[before + i]
-        squared = decay * decay
-        mem[row + j] = (squared * mem[before + j] + mem[Head.SIZE + 6 + m + j] * dt
-                        + mem[Head.SIZE + 6 + 2 * m + j] * (1.0 - squared))
+        for i in range(m):  # both halves are the same bits, as they were before
+            mem[row + i] = decay * mem[decays + i] * mem[before + i]
+        mem[row + j] += mem[Head.SIZE + 6 + m + j] * dt + mem[Head.SIZE + 6 + 2 * m + j] * (1.0 - decay * decay)
     if mem[Head.HISTORY_AT] > 0.0:
         _carry_sensors(mem, dt, place(size), place(m))
     if mem[Head.ACCELEROMETER_INTERVAL] > 0.0:
@@ -276,7 +275,12 @@ def _step_channel(mem, dst, size, m, p, channel, channels):
     for j in range(m):
         _companion(mem, place(dst + e + m * start + j), m, p, a)
     for i in range(m):
-        _companion(mem, place(dst + e + m * i + start), 1, p, a)
+        row = place(dst + e + m * i + start)
+        if start <= i < start + p:
+            _companion(mem, row, 1, p, a)
+        else:  # the mirror image of what was done to the rows
+            for k in range(p):
+                mem[row + k] = mem[place(dst + e + m * (start + k) + i)]
     if mem[Head.HISTORY_AT] > 0.0:
         n = size + m
         for k in range(n):
