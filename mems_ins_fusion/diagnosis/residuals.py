@@ -211,7 +211,7 @@ class Problem:
                          keep=np.zeros(len(self.recording.imu), dtype=bool)).start
         if self.start is None:
             raise DiagnosisError(f'{recording.name}: the filter starts only with fixes that it does not believe later')
-        self.attitude = cache(self._attitude)
+        self._attitude = cache(self._strapdown_attitude)
         self.runs: list[int] = []  # IMU samples of each run, of this problem and those made from it
         self.base = self.residual(self.values, self.recording)
         settled = self.stamp > began + round(SETTLING * 1e9)
@@ -254,7 +254,20 @@ class Problem:
         yaw[innovations.index], velocity[innovations.index] = innovations.yaw, innovations.velocity
         return Residual(z, s, yaw, velocity)
 
-    def _attitude(self) -> tuple[np.ndarray, np.ndarray]:
+    @property
+    def each(self) -> tuple[Problem, ...]:
+        """The problem of each drive: of one drive itself (see `drives.Drives`)."""
+        return (self,)
+
+    def of(self, recording: Recording) -> Problem:
+        """The problem of the drive that `recording` was made from."""
+        return self
+
+    def attitude(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+        """Roll and pitch, rad, at each IMU sample of `recording`, which was made from this drive."""
+        return self._attitude()
+
+    def _strapdown_attitude(self) -> tuple[np.ndarray, np.ndarray]:
         """Roll and pitch, rad, at each IMU sample by a strapdown run of what was configured; 0 before its start."""
         imu, config = self.recording.imu, FilterConfig.from_parameters({**self.values, 'mechanization': 'strapdown'})
         result = run(config, imu, self.recording.gnss, aiding_of(self.recording))
@@ -501,11 +514,11 @@ SMALLEST_FACTOR, LARGEST_FACTOR, LARGEST_RECEIVER = 3.0, 10.0, 100.0
 def noise_unknowns(problem: Problem) -> list[Unknown]:
     """Logarithms of the noise levels as factors: of the receiver, of each kind of sensor, of the constraint."""
     model = MODEL_NOISE[problem.values['sensor_error_model']]
-    original, claimed, outlying = problem.drive.gnss, problem.claimed, problem.outlying
 
     def receiver(values, recording, x):
+        own = problem.of(recording)
         return values, replace(recording, gnss=replace(
-            recording.gnss, covariance=believed(original, claimed, x, outlying).covariance))
+            recording.gnss, covariance=believed(own.drive.gnss, own.claimed, x, own.outlying).covariance))
 
     groups = {f'{sensor}.noise': [f'{sensor}.noise_density', f'{sensor}.{model}'] for sensor in SENSORS}
     if problem.values['vehicle.non_holonomic']:
