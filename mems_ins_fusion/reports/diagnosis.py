@@ -9,6 +9,7 @@ import numpy as np
 
 from ..diagnosis.diagnose import Diagnosis, Finding
 from ..diagnosis.estimate import Estimate, rounded
+from ..diagnosis.proof import Measured
 from ..diagnosis.tracing import Candidate
 from ..parameters.params_file import yaml_value
 from ..parameters.table import ALL
@@ -25,7 +26,9 @@ def report(diagnosis: Diagnosis, answered: Answer, checked=(), warned=()) -> dic
     d = diagnosis
     model, mechanization = d.values['sensor_error_model'], d.values['mechanization']
     return _plain({
-        'recording': d.recording.name,
+        'recording': d.name,
+        'drives': [_drive(d, drive) for drive in d.drives],
+        'left_out': d.left_out,
         'answer': answered.json(),
         'findings': [{'severity': f.severity, 'topic': f.topic, 'message': f.message,
                       'text': checked_text(f, topics_of(d.values))} for f in checked],
@@ -63,6 +66,23 @@ def _effect(finding: Finding) -> dict:
         'reason': finding.reason,
         'changes': finding.changes,
         'seen': finding.seen,
+        'drives': {name: {p: asdict(estimate) for p, estimate in found.items()}
+                   for name, found in finding.drives.items()},
+        'drives_contradict': finding.apart,
+    }
+
+
+def _drive(d: Diagnosis, drive: Diagnosis) -> dict:
+    """One of several drives, by name, as all of them together."""
+    return {
+        'recording': drive.name,
+        'before': _measured(drive, 'before', d.values),
+        'noise_fitted': _measured(drive, 'fitted', d.values),
+        'after': _measured(drive, 'after', d.corrected),
+        'unexplained': drive.unexplained,
+        'comparison': drive.comparison,
+        'goes_with': [asdict(rest) for rest in drive.rest],
+        'remarks': drive.remarks,
     }
 
 
@@ -124,8 +144,8 @@ def corrected_yaml(diagnosis: Diagnosis, given: dict) -> str:
     new = changed(d)
     checked = {name: ALL[name].check(value) for name, value in given.items()}
     found = '; '.join(parameters_text(f) for f in d.findings if f.added) or 'none'
-    said = f'Corrected by diagnose from {d.recording.name}. Effects added: {found}.' if d.better else (
-        f'As given: diagnose found nothing in {d.recording.name} that would make the filter better for certain.')
+    said = f'Corrected by diagnose from {d.name}. Effects added: {found}.' if d.better else (
+        f'As given: diagnose found nothing in {d.name} that would make the filter better for certain.')
     lines = [*_comment(said, ''), *(['# Other parameters are as they were given.'] if d.better else []), '/**:',
              '  ros__parameters:']
     for name, value in {**checked, **new}.items():
@@ -163,7 +183,7 @@ def parameters_text(finding: Finding) -> str:
 def story(diagnosis: Diagnosis, answered: Answer) -> list[str]:
     """The diagnosis in a few lines: the answer, then how it came about."""
     d = diagnosis
-    lines = [*answered.lines(), '', f'{d.recording.name}: {d.detections["before"].count} innovations', 'As configured: '
+    lines = [*answered.lines(), '', f'{d.name}: {d.detections["before"].count} innovations', 'As configured: '
              + ' '.join(d.detections['before'].words())]
     lines += [f'Effect: {finding_text(f)}' for f in d.findings] or ['No effect was found.']
     before, after = (html.number(m.summary()['horizontal_rmse_m'], 3) for m in (d.before, d.after))
@@ -171,8 +191,18 @@ def story(diagnosis: Diagnosis, answered: Answer) -> list[str]:
     if d.better:
         lines.append(f'{plots.STAGES["after"].capitalize()}: {" ".join(d.detections["after"].words())}')
     if hidden := not_identifiable(d):
-        lines.append(f'Cannot be seen in this recording: {_hidden_text(hidden)}.')
-    return lines
+        lines.append(f'Cannot be seen in {this(d)}: {_hidden_text(hidden)}.')
+    return [*lines, *(drive_text(drive) for drive in d.drives)]
+
+
+def this(d: Diagnosis) -> str:
+    """What was diagnosed, in a sentence."""
+    return 'these recordings' if d.drives else 'this recording'
+
+
+def drive_text(drive: Diagnosis) -> str:
+    """One of several drives in a sentence."""
+    return f'{drive.name}: ' + ('; '.join(cost(drive)) or 'too short for outages') + '.'
 
 
 def _hidden_text(hidden: dict[str, str]) -> str:
@@ -233,21 +263,58 @@ def report_html(diagnosis: Diagnosis, given: dict, answered: Answer, checked=(),
     `corrected_yaml`."""
     d = diagnosis
     count = d.detections['before'].count
+    evidence = [_in_drive(drive) for drive in d.drives] or [_residual(d)]
     yaml = html.folded('corrected.yaml', 'With --params-file of every tool, the filter runs as here.',
                        html.preformatted(corrected_yaml(d, given)))
-    return html.page(f'Diagnosis of {d.recording.name}', [
-        _answered(d, answered), _errors(d), _added(d), yaml, _unexplained(d), _residual(d), _noise(d),
+    return html.page(f'Diagnosis of {d.name}', [
+        _answered(d, answered), _errors(d), _added(d), yaml, _unexplained(d), *evidence, _noise(d),
         _recording(d, checked, warned), _candidates(d)],
         f'{d.values["mechanization"]} mechanization, {d.values["sensor_error_model"].replace("_", " ")} sensor errors, '
         f'{count} innovations', script())
 
 
 def _answered(d: Diagnosis, answered: Answer) -> html.Html:
-    still = html.figure(plots.track(d), 'The drive from above, as configured and with corrected.yaml, with all fixes '
-                        'and in the longest outages, each ending at x.')
-    return html.section('Use corrected.yaml?', answered.html(), track(diagnosis_layers(d), still),
-                        html.figure(plots.errors(d), 'Horizontal position error before and after, to the left with the '
-                                    'fixes used, to the right against the time without fixes.'))
+    shown = _drives(d) if d.drives else _track(d)
+    return html.section('Use corrected.yaml?', answered.html(), shown, html.figure(
+        plots.errors(d), 'Horizontal position error before and after, to the left with the fixes used, to the right '
+        'against the time without fixes.'))
+
+
+def _track(d: Diagnosis) -> html.Html:
+    return track(diagnosis_layers(d), html.figure(
+        plots.track(d), 'The drive from above, as configured and with corrected.yaml, with all fixes and in the longest '
+        'outages, each ending at x.'))
+
+
+def _drives(d: Diagnosis) -> html.Html:
+    """The table of several drives: their errors before and after, and what each says of what was added."""
+    added = [f for f in d.findings if f.drives]
+    rows = []
+    for drive in d.drives:
+        problem = drive.problem
+        minutes = float(np.ptp(problem.stamp[problem.mask])) * 1e-9 / 60
+        before, after = (_nearest(m) for m in (drive.before, drive.after))
+        numbers = [None] * 5 if before is None or after is None else [
+            before['duration_s'], before['max_error_median_m'], after['max_error_median_m'],
+            before['within_95_percent'], after['within_95_percent']]
+        rows.append((drive.name, minutes, drive.detections['before'].count, *numbers,
+                     *(', '.join(f'{n} {e.text()}' for n, e in f.drives.get(drive.name, {}).items()) or 'does not say'
+                       for f in added)))
+    columns = ('drive', 'minutes', 'fixes', 'without fixes, s', 'largest error before: median, m', 'after, m',
+               'inside 95 % ellipse before, %', 'after, %', *(f'{f.name}, this drive alone' for f in added))
+    return html.table(columns, rows, 'Each drive. What it says alone of an effect has a larger sigma than all together; '
+                      'a drive in which an effect does not show says nothing against it.', 3)
+
+
+def _nearest(measured: Measured) -> dict | None:
+    """The outages nearest to 30 s that there are."""
+    there = [outage for outage in measured.summary()['outages'] if outage['count']]
+    return min(there, key=lambda o: abs(o['duration_s'] - 30.0)) if there else None
+
+
+def _in_drive(drive: Diagnosis) -> html.Html:
+    return html.folded(f'Drive {drive.name}', html.bullets([*cost(drive), *drive.remarks]), _track(drive),
+                       *_innovations(drive))
 
 
 def _recording(d: Diagnosis, checked, warned) -> html.Html:
@@ -258,13 +325,17 @@ def _recording(d: Diagnosis, checked, warned) -> html.Html:
 
 
 def _residual(d: Diagnosis) -> html.Html:
-    return html.folded(
-        'What the filter could not explain, before and after', html.bullets(d.detections['before'].words()),
+    return html.folded('What the filter could not explain, before and after', *_innovations(d))
+
+
+def _innovations(d: Diagnosis) -> list[html.Html]:
+    return [
+        html.bullets(d.detections['before'].words()),
         html.figure(plots.residual(d, 'before'), 'Innovations (fix minus prediction) of the filter as configured, in '
                     'units of their predicted standard deviation, along and across the track. What is beyond 5 sigma '
                     'stands at the edges of the histogram.'),
         html.paragraph(f'{capital(plots.STAGES["after"])}:'), html.bullets(d.detections['after'].words()),
-        html.figure(plots.residual(d, 'after'), 'The same at the end.'), _tests(d, ('before', 'fitted', 'after')))
+        html.figure(plots.residual(d, 'after'), 'The same at the end.'), _tests(d, ('before', 'fitted', 'after'))]
 
 
 def _tests(d: Diagnosis, stages) -> html.Html:
@@ -327,7 +398,7 @@ def _values(f: Finding) -> str:
 
 
 def _errors(d: Diagnosis) -> html.Html:
-    rows = [(c['what'], c.get('count'), c.get('before'), c.get('after'), c.get('difference'), _interval(c),
+    rows = [(f"{c['drive']}: {c['what']}" if 'drive' in c else c['what'], c.get('count'), c.get('before'), c.get('after'), c.get('difference'), _interval(c),
              _p(c['p']) if 'p' in c else '') for c in d.comparison]
     summaries = {plots.STAGES[stage]: measured.summary() for stage, measured in plots.measured_stages(d).items()}
     columns = ('filter', 'RMS with fixes, m', 'without fixes, s', 'outages', 'largest error: median, m', 'RMS, m',

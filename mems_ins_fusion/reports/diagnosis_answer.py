@@ -6,12 +6,13 @@ import shlex
 import numpy as np
 
 from ..diagnosis.diagnose import Diagnosis, Finding
+from ..diagnosis.proof import FEWEST_DRIVES
 from ..parameters.params_file import yaml_value
 from ..recordings.checker import INFO
 from ..recordings.checker import Finding as Checked
 from . import html
 from .answer import BAD, GOOD, WARNING, Answer, Step, checked_text, held_text, topics_of
-from .diagnosis import capital, changed, cost, parameters_text, unexplained_text
+from .diagnosis import capital, changed, cost, parameters_text, this, unexplained_text
 from .effect_words import check, what
 
 #: means and medians that differ by more than this factor tell of a few large errors
@@ -32,19 +33,20 @@ def answer(diagnosis: Diagnosis, checked: list[Checked], output: str) -> Answer:
     covered = not shares or min(shares) >= COVERED
     grade = GOOD if consistent and covered else WARNING if d.better else BAD
     said = [checked_text(f, topics_of(d.values)) for f in checked if f.severity != INFO]
-    found = [found_text(f) for f in d.findings if f.added]
+    found = [found_text(f, d) for f in d.findings if f.added]
+    out = [f'{name} was left out: {why}' for name, why in d.left_out.items()]
     tried = [tried_text(f) for f in d.findings if not f.added]
     shown = [] if not d.detections['before'].lacking else [f"As configured: {' '.join(d.detections['before'].words())}"]
     left = [unexplained_text(d)] if d.unexplained else []
-    return Answer(grade, _headline(d), [*found, *tried, *shown, *said, *left, *d.remarks], cost(d),
+    return Answer(grade, _headline(d), [*found, *tried, *shown, *said, *left, *out, *d.remarks], cost(d),
                   _steps(d, output), _trust(d.better, consistent, shares))
 
 
-def found_text(f: Finding) -> str:
+def found_text(f: Finding, d: Diagnosis) -> str:
     """What was found: what it is, how sure, and what corrected.yaml does about it."""
     how = 'corrected.yaml uses the strapdown mechanization' if 'mechanization' in f.changes else parameters_text(f)
     others = [what(name) for name in f.group if name != f.name]
-    group = f' (in this drive the same as: {"; ".join(others)})' if others else ''
+    group = f' (in {this(d)} the same as: {"; ".join(others)})' if others else ''
     return f'{capital(what(f.name))}: {how}{group}{_seen(f)}.'
 
 
@@ -70,7 +72,9 @@ def _headline(d: Diagnosis) -> str:
 
 def _proof(d: Diagnosis) -> str:
     """The error before and after in one clause: of the outages nearest to 30 s, or of all where there are none."""
-    where = 'on parts of the drive that the estimate did not use'
+    where = ('on parts of the drives that' if d.drives else 'on parts of the drive that') + ' the estimate did not use'
+    if len(d.drives) >= FEWEST_DRIVES:
+        where = 'in each drive, with what the others say'
     before, after = d.before.summary(), d.after.summary()
     pairs = [(o, n) for o, n in zip(d.before.outages, d.after.outages) if len(o.begin) and len(n.begin)]
     if not pairs:
@@ -109,6 +113,9 @@ def _steps(d: Diagnosis, output: str) -> list[Step]:
         if f.added and check(f.name):
             steps.append(Step(f'Check on the vehicle: {check(f.name)}' + (f' (corrected.yaml has {values}).' if values
                                                                           else '.')))
+    if any(f.apart for f in d.findings):
+        steps.append(Step('The drives contradict each other in what is left alone above: find out what was changed '
+                          'between them, and diagnose them apart.'))
     if d.better and not any(f.added for f in d.findings):
         steps.append(Step('No effect was added, only noise levels were chosen: record another drive with bends to both '
                           'sides, stops and braking before you rely on them.'))
