@@ -19,6 +19,7 @@ from mems_ins_fusion.recordings.several import one_after_another, refuse_other_v
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 VALUES = table.check({**PAPER, 'reference_lever_arm': [0.0, 0.0, 0.0]})
+DEFAULT = table.check({'reference_lever_arm': [0.0, 0.0, 0.0]})
 FEW = [EFFECTS[name] for name in ('gnss_time_offset', 'accelerometer_scale', 'gyroscope_scale')]
 OUTAGES = {'durations': (10.0,), 'spacing': 40.0}
 
@@ -40,9 +41,9 @@ def pair():
     return one_after_another([drive(1), drive(2)])
 
 
-@pytest.fixture(scope='module')
-def problems(pair):
-    return [Problem(recording, VALUES) for recording in pair]
+@pytest.fixture(scope='module', params=[VALUES, DEFAULT], ids=['planar', 'default'])
+def problems(pair, request):
+    return [Problem(recording, request.param) for recording in pair]
 
 
 # the problem of several

@@ -403,7 +403,10 @@ def _tried(known: Known, significant, candidates: list[Candidate], bench: Bench)
     chosen = {candidate.name: candidate for candidate, _ in significant}
     models = {candidate.name: _with(known, candidate, view, bench) for candidate, view in significant}
     mask = np.logical_and.reduce([model.problem.mask for model in models.values()])
-    merit = {name: model.likelihood(mask) - len(chosen[name].theta) for name, model in models.items()}
+    # another mechanization measures other things beside the fixes
+    comparable = all(model.problem is known.problem for model in models.values())
+    merit = {name: float(np.nansum((m.residual if comparable else m.residual.of_fixes).log_likelihood()[mask]))
+             - len(chosen[name].theta) for name, m in models.items()}
     order = sorted(models, key=merit.get, reverse=True)
     failed: list[Finding] = []
     for name in order:

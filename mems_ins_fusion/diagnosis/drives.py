@@ -83,12 +83,15 @@ def _on_all_cores(work, items) -> list:
 
 def joined(residuals: Sequence[Residual]) -> Residual:
     """Innovations of several drives, one after another."""
-    return Residual(**{f.name: np.concatenate([getattr(r, f.name) for r in residuals]) for f in fields(Residual)})
+    columns = {f.name: [getattr(r, f.name) for r in residuals] for f in fields(Residual)}
+    return Residual(**{name: None if any(c is None for c in column) else np.concatenate(column)
+                       for name, column in columns.items()})
 
 
 def part(of, where: slice):
     """The fixes `where` of a Residual, or of Scores."""
-    return replace(of, **{f.name: getattr(of, f.name)[where] for f in fields(of)})
+    arrays = {f.name: getattr(of, f.name) for f in fields(of)}
+    return replace(of, **{name: None if array is None else array[where] for name, array in arrays.items()})
 
 
 def problems(recordings: Sequence[Recording], values: dict, fewest: int) -> tuple[list[Problem], dict[str, str]]:

@@ -82,6 +82,11 @@ class Residual:
         z, s = self.beside[:, 0], self.beside[:, 1]
         return of_fixes - 0.5 * np.nan_to_num(np.log(s) + tempered(z**2 / s)).sum(axis=1)
 
+    @property
+    def of_fixes(self) -> Residual:
+        """The innovations of the positions alone."""
+        return replace(self, beside=None)
+
     def nis(self) -> np.ndarray:
         """Normalized innovation squared, (f,)."""
         return (self.whitened() ** 2).sum(axis=1)
