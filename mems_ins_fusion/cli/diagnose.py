@@ -37,7 +37,7 @@ def diagnose(options: argparse.Namespace) -> str:
     """Read, diagnose and write the results; the story for the user. ValueError for bad options or input."""
     from mems_ins_fusion.diagnosis.diagnose import diagnose as work
     from mems_ins_fusion.recordings.several import refuse_other_vehicles
-    from mems_ins_fusion.reports.diagnosis import corrected_yaml, report, report_html, story
+    from mems_ins_fusion.reports.diagnosis import changed, corrected_yaml, report, report_html, story
     from mems_ins_fusion.reports.diagnosis_answer import answer
     from mems_ins_fusion.results import result_folder
 
@@ -45,10 +45,12 @@ def diagnose(options: argparse.Namespace) -> str:
     values = table.check(_parameters(options, kept))
     with result_folder(options.output, options.overwrite) as folder:
         with Progress('diagnose') as bar:
-            recordings, checked, warned = _read(options.bag, values, lambda part: bar(0.2 * part, 'reading'))
+            recordings, checked, warned, mounted = _read(options.bag, values, lambda part: bar(0.2 * part, 'reading'))
             refuse_other_vehicles(recordings)
             result = work(recordings, values, lambda part, what: bar(0.2 + 0.75 * part, what))
             bar(0.95, 'writing')
+            # what is corrected needs no warning
+            warned += [] if 'imu.mounting_rpy' in changed(result) else mounted
             answered = answer(result, checked, options.output)
             (folder / 'corrected.yaml').write_text(corrected_yaml(result, kept), encoding='utf-8')
             content = json.dumps(report(result, answered, checked, warned), indent=1, allow_nan=False)
@@ -59,24 +61,25 @@ def diagnose(options: argparse.Namespace) -> str:
     return '\n'.join([*story(result, answered), *warned, f'The whole story: {options.output}/report.html'])
 
 
-def _read(paths: list[str], values: dict, progress) -> tuple[list[Recording], list[Finding], list[str]]:
-    """The recordings, what the checker found, and what is to be said of reading them and of their mounting."""
+def _read(paths: list[str], values: dict, progress) -> tuple[list[Recording], list[Finding], list[str], list[str]]:
+    """The recordings, what the checker found, and what is to be said of reading them, and of their mounting."""
     from mems_ins_fusion.configuration.check import check_mounting
     from mems_ins_fusion.evaluation.comparison import cut
     from mems_ins_fusion.recordings.checker import check_recording
     from mems_ins_fusion.reports.replay import read_part
 
-    recordings, checked, warned = [], [], []
+    recordings, checked, warned, mounted = [], [], [], []
     for i, path in enumerate(paths):
         recording, texts = read_part(Path(path).expanduser(), values, lambda part, i=i: progress((i + part) / len(paths)))
         if recording.gnss is None:
             raise ValueError('gnss_topic is empty: a diagnosis needs fixes')
         shown = check_mounting(cut(recording, 0.0, MOUNTING_SHOWN), values)
         of = f'{recording.name}: ' if len(paths) > 1 else ''
-        warned += [f'{of}{text}' for text in (*texts, *(finding.message for finding in shown))]
+        warned += [f'{of}{text}' for text in texts]
+        mounted += [f'{of}{finding.message}' for finding in shown]
         checked += [replace(found, message=f'{of}{found.message}') for found in check_recording(recording)]
         recordings.append(recording)
-    return recordings, checked, warned
+    return recordings, checked, warned, mounted
 
 
 def _parameters(options, kept: dict) -> dict:

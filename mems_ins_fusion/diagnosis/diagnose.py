@@ -38,6 +38,7 @@ from .proof import (
     objection,
     of_all,
     parts,
+    saved,
     together,
     which_part,
 )
@@ -107,7 +108,8 @@ class Finding:
 
     group: names of what the recording cannot tell it from, itself first. changes: the parameters as the correction
     sets them. reason: why it was not added. seen: where it was not fitted, what shows it. drives: what each of several
-    drives says alone, by name. apart: the drives contradict each other.
+    drives says alone, by name. apart: the drives contradict each other. saves: duration of outages, s, and the median of
+    the largest error without it and with it, m, each beside what was found before.
     """
 
     name: str
@@ -122,6 +124,7 @@ class Finding:
     seen: str = ''
     drives: dict[str, dict[str, Estimate]] = field(default_factory=dict)
     apart: bool = False
+    saves: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -424,7 +427,7 @@ def _tried(known: Known, significant, candidates: list[Candidate], bench: Bench)
             n not in judged or all_in_all(compared(best.errors, judged[n].errors)) < DIFFERENT)]
         finding = Finding(best.candidate.name, [best.candidate.name, *others], best.parameters, best.candidate.gain,
                           best.candidate.p_adjusted, not best.against, best.proof, best.against, drives=best.drives,
-                          apart=best.apart)
+                          apart=best.apart, saves=saved(known.errors, best.errors))
         if not best.against:
             return _taken(known, best, finding, failed)
         failed.append(finding)
@@ -733,12 +736,14 @@ def _with_settings(correction: Correction, bench: Bench) -> Correction:
         further = [{**values, **sighting.helps} for values in (correction.values, *correction.by_part)]
         if further[0] == correction.values:
             finding = replace(finding, reason='the settings are made for it already')
-        elif improves(compared(bench.errors(correction.by_part), bench.errors(further[1:]))):
-            changes = {n: v for n, v in further[0].items() if v != correction.values[n]}
-            finding = replace(finding, added=True, changes=changes)
-            correction = replace(correction, values=further[0], by_part=further[1:])
         else:
-            finding = replace(finding, reason='the errors do not shrink with other settings')
+            before, after = bench.errors(correction.by_part), bench.errors(further[1:])
+            if improves(compared(before, after)):
+                changes = {n: v for n, v in further[0].items() if v != correction.values[n]}
+                finding = replace(finding, added=True, changes=changes, saves=saved(before, after))
+                correction = replace(correction, values=further[0], by_part=further[1:])
+            else:
+                finding = replace(finding, reason='the errors do not shrink with other settings')
         correction = replace(correction, settings=(*correction.settings, finding))
     return correction
 
@@ -766,8 +771,9 @@ def _with_mounting(correction: Correction, bench: Bench) -> Correction:
                       changes={'imu.mounting_rpy': values['imu.mounting_rpy']},
                       seen='the filter finds it itself in each drive, within a minute or two of it',
                       drives={p.recording.name: own for p, own in zip(bench.origin.each, found.drives)})
-    reason = implausible(MOUNTING, found.plain) or found.contradicted or harm(
-        compared(bench.errors(correction.by_part), bench.errors(by_part)))
+    before, after = bench.errors(correction.by_part), bench.errors(by_part)
+    finding = replace(finding, saves=saved(before, after))
+    reason = implausible(MOUNTING, found.plain) or found.contradicted or harm(compared(before, after))
     if reason:
         return replace(correction, settings=(*correction.settings, _only_told(replace(finding, reason=reason))))
     return replace(correction, values=values, by_part=by_part, settings=(*correction.settings, finding))

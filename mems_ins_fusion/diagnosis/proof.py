@@ -272,6 +272,20 @@ def _joined_outages(parts: list[Outages]) -> Outages:
     return Outages(duration=parts[0].duration, time=parts[0].time, errors=[errors[i] for i in order], **joined)
 
 
+def nearest(measured: Measured, duration: float = 30.0) -> Outages | None:
+    """Its outages of about `duration` s, None where there are none."""
+    there = [outages for outages in measured.outages if len(outages.begin)]
+    return min(there, key=lambda o: abs(o.duration - duration)) if there else None
+
+
+def saved(before: Measured, after: Measured) -> tuple[float, float, float] | None:
+    """Duration of outages, s, and the median of the largest error in them before and after, m; None without any."""
+    one, other = nearest(before), nearest(after)
+    if one is None or other is None or one.duration != other.duration:
+        return None
+    return one.duration, float(np.median(one.max_error)), float(np.median(other.max_error))
+
+
 def compared(before: Measured, after: Measured) -> list[dict]:
     """Whether the errors differ, by what is measured: mean, root mean square (for the tails), and how often the 95 %
     ellipse held the truth; mean square with the fixes used, mean of the largest error in outages.

@@ -3,14 +3,16 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
 
 from ..diagnosis.diagnose import Diagnosis, Finding
 from ..diagnosis.estimate import Estimate, rounded
-from ..diagnosis.proof import Measured
+from ..diagnosis.proof import nearest
 from ..diagnosis.tracing import Candidate
+from ..evaluation.outages import Outages
 from ..parameters.params_file import yaml_value
 from ..parameters.table import ALL
 from . import diagnosis_figures as plots
@@ -65,6 +67,8 @@ def _effect(finding: Finding) -> dict:
         'held_out_p_value': finding.held_out.p,
         'reason': finding.reason,
         'changes': finding.changes,
+        'outages_without_and_with_it': finding.saves and dict(
+            zip(('duration_s', 'max_error_median_without_m', 'max_error_median_with_m'), finding.saves)),
         'seen': finding.seen,
         'drives': {name: {p: asdict(estimate) for p, estimate in found.items()}
                    for name, found in finding.drives.items()},
@@ -126,12 +130,18 @@ def not_identifiable(d: Diagnosis) -> dict[str, str]:
 
 def changed(d: Diagnosis) -> dict:
     """The parameters that the diagnosis changed, as `corrected.yaml` holds them: to 4 significant digits."""
-    return {name: _rounded(value) for name, value in d.corrected.items() if value != d.values[name]}
+    return {name: rounded_value(value) for name, value in d.corrected.items() if value != d.values[name]}
 
 
-def _rounded(value):
+#: of the largest of several numbers, what the rounding of a computation leaves
+NOTHING = 1e-6
+
+
+def rounded_value(value):
+    """`value` of a parameter to 4 significant digits."""
     if isinstance(value, (list, tuple)):
-        return [_rounded(v) for v in value]
+        largest = max((abs(v) for v in value), default=0.0)
+        return [rounded_value(v if abs(v) > NOTHING * largest else 0.0) for v in value]
     return float(f'{value:.4g}') if isinstance(value, float) else value
 
 
@@ -159,7 +169,7 @@ def corrected_yaml(diagnosis: Diagnosis, given: dict) -> str:
 
 def _origin(d: Diagnosis, name: str) -> str:
     """Where the changed value of parameter `name` comes from."""
-    before = yaml_value(_rounded(d.values[name]))
+    before = yaml_value(rounded_value(d.values[name]))
     if name in d.noise:
         return f'noise level with which this drive is predicted best: {d.noise[name]:.3g} times as configured, {before}'
     text = '; '.join(parameters_text(f) for f in d.findings if f.added and name in f.changes)
@@ -225,22 +235,35 @@ def unexplained_text(d: Diagnosis) -> str:
         return 'Nothing is left unexplained.'
     text = 'A part stays unexplained.'
     if d.rest:
-        text += ' An error would explain some of it that goes with ' + ', or '.join(
-            f'{r.what} ({r.where}, {rounded(abs(r.rms), r.sigma)} {r.unit} RMS)' for r in d.rest[:3]) + '.'
+        text += ' What is left looks like an error of the ' + ', or of the '.join(
+            f'{r.where} that goes with {r.what} ({rounded(abs(r.rms), r.sigma)} {r.unit} RMS)' for r in d.rest[:3]) + '.'
     return text
 
 
+#: means and medians that differ by more than this factor tell of a few large errors
+TAILS = 1.5
+
+
 def cost(d: Diagnosis) -> list[str]:
-    """What an outage costs, before and after."""
-    said = []
-    for old, new in zip(d.before.summary()['outages'], d.after.summary()['outages']):
-        if old['count'] and new['count']:
-            was, now = (f'{html.number(o["max_error_median_m"], 2)} m' for o in (old, new))
-            inside, inside_now = (f'{html.number(o["within_95_percent"], 2)} %' for o in (old, new))
-            said.append(f'{old["duration_s"]:g} s: {was} as configured, {now} with corrected.yaml (median of the '
-                        f'largest error in {new["count"]} outages); its own 95 % ellipse held the truth in {inside} '
-                        f'before, {inside_now} after')
-    return said
+    """What an outage costs: median, and mean where that says something else; as configured, and with corrected.yaml."""
+    return [f'{old.duration:g} s: {_cost(old, new if d.better else None)}'
+            for old, new in zip(d.before.outages, d.after.outages) if len(old.begin) and len(new.begin)]
+
+
+def _cost(old: Outages, new: Outages | None) -> str:
+    stages = [old] if new is None else [old, new]
+    medians, means = ([f'{html.number(float(middle(o.max_error)), 2)} m' for o in stages] for middle in (np.median, np.mean))
+    held = [f'{html.number(100 * float(o.within.mean()), 2)} %' for o in stages]
+    said = f'{" as configured, ".join(medians)}{" with corrected.yaml" if new else " as configured"} (median of the ' \
+           f'largest error in {len(stages[-1].begin)} outages'
+    if tailed(stages):
+        said += f'; mean {" and ".join(means)}, as a few are much larger'
+    return said + f'); its own 95 % ellipse held the truth in {" before, ".join(held)}{" after" if new else ""}'
+
+
+def tailed(stages: Sequence[Outages]) -> bool:
+    """Whether means and medians of the largest errors disagree."""
+    return any(o.max_error.mean() > TAILS * np.median(o.max_error) for o in stages)
 
 
 def _plain(value):
@@ -293,10 +316,10 @@ def _drives(d: Diagnosis) -> html.Html:
     for drive in d.drives:
         problem = drive.problem
         minutes = float(np.ptp(problem.stamp[problem.mask])) * 1e-9 / 60
-        before, after = (_nearest(m) for m in (drive.before, drive.after))
+        before, after = (nearest(m) for m in (drive.before, drive.after))
         numbers = [None] * 5 if before is None or after is None else [
-            before['duration_s'], before['max_error_median_m'], after['max_error_median_m'],
-            before['within_95_percent'], after['within_95_percent']]
+            before.duration, *(float(np.median(o.max_error)) for o in (before, after)),
+            *(100 * float(o.within.mean()) for o in (before, after))]
         rows.append((drive.name, minutes, drive.detections['before'].count, *numbers,
                      *(', '.join(f'{n} {e.text()}' for n, e in f.drives.get(drive.name, {}).items()) or 'does not say'
                        for f in added)))
@@ -304,12 +327,6 @@ def _drives(d: Diagnosis) -> html.Html:
                'inside 95 % ellipse before, %', 'after, %', *(f'{f.name}, this drive alone' for f in added))
     return html.table(columns, rows, 'Each drive. What it says alone of an effect has a larger sigma than all together; '
                       'a drive in which an effect does not show says nothing against it.', 3)
-
-
-def _nearest(measured: Measured) -> dict | None:
-    """The outages nearest to 30 s that there are."""
-    there = [outage for outage in measured.summary()['outages'] if outage['count']]
-    return min(there, key=lambda o: abs(o['duration_s'] - 30.0)) if there else None
 
 
 def _in_drive(drive: Diagnosis) -> html.Html:
