@@ -73,12 +73,14 @@ class Residual:
     velocity: np.ndarray
     beside: np.ndarray | None = None
 
+    def __post_init__(self):
+        if self.beside is None:
+            object.__setattr__(self, 'beside', np.empty((len(self.z), 2, 0)))
+
     def log_likelihood(self) -> np.ndarray:
         """The likelihood of each innovation, (f,), without the constant."""
         determinant = self.s[:, 0] * self.s[:, 2] - self.s[:, 1] ** 2
         of_fixes = -0.5 * (np.log(determinant) + tempered(self.nis()))
-        if self.beside is None:
-            return of_fixes
         z, s = self.beside[:, 0], self.beside[:, 1]
         return of_fixes - 0.5 * np.nan_to_num(np.log(s) + tempered(z**2 / s)).sum(axis=1)
 
@@ -468,9 +470,8 @@ def _scores(at: Residual, pairs, mask) -> Scores:
     squares = np.stack([weight * u[:, 0] ** 2 - 1, 2 * weight * u[:, 0] * u[:, 1], weight * u[:, 1] ** 2 - 1], axis=1)
     score = 0.5 * np.einsum('fpi,fi->fp', m, squares) - weight[:, None] * np.einsum('fpi,fi->fp', d, u)
     sensitivity = np.sqrt(weight)[:, None, None] * np.concatenate([d, m * np.sqrt([0.5, 1.0, 0.5])], axis=2)
-    if at.beside is not None:
-        more = _scores_beside(at, pairs)
-        score, sensitivity = score + more.score, np.concatenate([sensitivity, more.sensitivity], axis=2)
+    more = _scores_beside(at, pairs)
+    score, sensitivity = score + more.score, np.concatenate([sensitivity, more.sensitivity], axis=2)
     score[~mask], sensitivity[~mask] = 0.0, 0.0
     return Scores(score, sensitivity)
 
