@@ -77,6 +77,20 @@ def test_scores_of_an_effect_are_the_slope_of_the_likelihood(problem):
     assert gradient[0] == pytest.approx(slope[0], rel=0.15)
 
 
+def test_how_much_of_the_attitude_is_error(problem):
+    # given a level road, where all that a strapdown run has of roll and pitch is error, and one with slopes
+    drive = simulate_drive(DURATION, 1, RATE, grade=0.08)
+    hills = simulate_recording(drive, SensorErrors.from_parameters(VALUES, VALUES['sensor_error_model']),
+                               GnssNoise(sigma=0.5), seed=1).recording
+    sloping = Problem(hills, VALUES)
+    roll, pitch = sloping.attitude(sloping.recording)
+    true = np.interp(sloping.recording.imu.stamp, drive.stamp, drive.pitch)
+    # then a regression on it may be diluted by the part that errors have in it
+    off = (pitch - true)[pitch != 0.0]
+    assert problem.diluted > 0.5 > 4 * sloping.diluted
+    assert off.var() / pitch[pitch != 0.0].var() < sloping.diluted
+
+
 def test_what_moves_nothing_leaves_the_innovations_as_they_are(problem):
     unknowns = [*noise_unknowns(problem), *effect_unknowns(EFFECTS['accelerometer_scale'], {})]
     same = problem.residual(*problem.assume(unknowns, np.zeros(len(unknowns))))

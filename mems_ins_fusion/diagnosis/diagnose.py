@@ -476,7 +476,9 @@ def _judged(known: Known, candidate: Candidate, model: Model, bench: Bench) -> J
         model = refined(model)
         proof = gain_of(known.problem, known.model.residual, model.residual)
         alone = fit(known.problem.moved(known.model.unknowns, known.model.x), candidate.unknowns, candidate.theta)
-        parameters = _estimates(candidate, alone, 0)
+        diluted = max(p.diluted for p in known.problem.each)
+        parameters = {name: replace(e, sigma=float(np.hypot(e.sigma, diluted * e.value))) if e.known else e
+                      for name, e in _estimates(candidate, alone, 0).items()}
         errors = bench.errors([model.problem.corrected(model.unknowns, model.x)])
         against = objection(proof, compared(known.errors, errors))
         return Judged(candidate, model, parameters, {}, proof, errors, against)

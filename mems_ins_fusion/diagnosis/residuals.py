@@ -337,15 +337,25 @@ class Problem:
 
     def attitude(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
         """Roll and pitch, rad, at each IMU sample of `recording`, which was made from this drive."""
-        return self._attitude()
+        return self._attitude()[:2]
 
-    def _strapdown_attitude(self) -> tuple[np.ndarray, np.ndarray]:
-        """Roll and pitch, rad, at each IMU sample by a strapdown run of what was configured; 0 before its start."""
+    @property
+    def diluted(self) -> float:
+        """By what part a regression on that attitude may come out too small, as it is not exact: the variance of its
+        errors, as far as it knows them, over that of roll and pitch (C. Spearman, 1904)."""
+        return self._attitude()[2]
+
+    def _strapdown_attitude(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Roll and pitch, rad, at each IMU sample by a strapdown run of what was configured; 0 before its start. And
+        `diluted`."""
         imu, config = self.recording.imu, FilterConfig.from_parameters({**self.values, 'mechanization': 'strapdown'})
         result = run(config, imu, self.recording.gnss, aiding_of(self.recording))
         roll, pitch = np.zeros((2, len(imu)))
         roll[result.index], pitch[result.index] = result.roll, result.pitch
-        return roll, pitch
+        first = result.config.layout.index('phi_n')
+        signal = result.roll.var() + result.pitch.var()
+        error = float((result.sigma[:, first:first + 2] ** 2).sum(axis=1).mean())
+        return roll, pitch, min(error / signal, 1.0) if signal > 0 else 1.0
 
     def assume(self, unknowns: Sequence[Unknown], x) -> tuple[dict, Recording]:
         """Parameters and recording with `unknowns` at `x`."""
