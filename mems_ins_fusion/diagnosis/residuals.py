@@ -51,8 +51,8 @@ MOST_OUTLIERS = 0.2
 BESIDE = ('height', 'sideways', 'upwards', 'north at rest', 'east at rest', 'down at rest')
 #: constraints since the last fix that make a mean; innovations that tell how long they last, and up to how many fixes
 FEWEST_SAID, FEWEST_LASTING, LASTING = 3, 50, 30
-#: length of a block over which scores may go together, s
-BLOCK = 20.0
+#: length of a block over which scores may go together, s; longer ones count where there are so many
+BLOCK, LONG_BLOCK, FEWEST_BLOCKS = 20.0, 60.0, 10
 
 
 class DiagnosisError(ValueError):
@@ -416,10 +416,16 @@ def _refused(of: Run, count: int) -> np.ndarray:
     return refused if refused.mean() < MOST_OUTLIERS else np.zeros(count, dtype=bool)
 
 
-def block_begins(problem: Problem) -> np.ndarray:
-    """Where blocks of BLOCK seconds begin among the fixes that count."""
-    block = (problem.stamp[problem.mask] - problem.stamp[0]) // round(BLOCK * 1e9)
+def block_begins(problem: Problem, length: float = BLOCK) -> np.ndarray:
+    """Where blocks of `length` seconds begin among the fixes that count."""
+    block = (problem.stamp[problem.mask] - problem.stamp[0]) // round(length * 1e9)
     return np.unique(block, return_index=True)[1]
+
+
+def blocks(problem: Problem) -> list[np.ndarray]:
+    """The same for each length over which scores may go together: a receiver's errors last for minutes."""
+    long = block_begins(problem, LONG_BLOCK)
+    return [block_begins(problem), *([long] if len(long) >= FEWEST_BLOCKS else [])]
 
 
 @dataclass(frozen=True)
@@ -526,10 +532,11 @@ class Model:
 
         The latter holds where innovations follow each other, too (P. J. Huber, 1967; W. K. Newey, K. D. West, 1987).
         """
-        mask = self.problem.mask
-        sums = np.add.reduceat(self.scores.score[mask], block_begins(self.problem))
-        spread = self.covariance @ (sums.T @ sums) @ self.covariance
-        return np.sqrt(np.maximum(np.diag(self.covariance), np.diag(spread)))
+        variance, score = np.diag(self.covariance), self.scores.score[self.problem.mask]
+        for begins in blocks(self.problem):
+            sums = np.add.reduceat(score, begins)
+            variance = np.maximum(variance, np.diag(self.covariance @ (sums.T @ sums) @ self.covariance))
+        return np.sqrt(variance)
 
     def moved(self) -> Problem:
         """The problem with this model as what is assumed."""
