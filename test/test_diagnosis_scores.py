@@ -172,7 +172,9 @@ def test_detection_is_silent_when_the_model_is_right_and_says_what_is_wrong_when
 
 
 def problem_of_fixes(n=600):
-    return SimpleNamespace(stamp=1_700_000_000_000_000_000 + np.arange(n) * 10**9, mask=np.arange(n) >= 20)
+    problem = SimpleNamespace(stamp=1_700_000_000_000_000_000 + np.arange(n) * 10**9, mask=np.arange(n) >= 20)
+    problem.each = (problem,)
+    return problem
 
 
 def synthetic(rng, n=N, theta=(0.0, 0.0)):
@@ -244,6 +246,9 @@ def test_what_speaks_against_an_effect():
     assert objection(sure, []) == objection(sure, [{'what': 'outages of 60 s', 'count': 0, 'decides': True}]) == ''
     assert objection(sure, [better, worse]).startswith('the error grows: outages of 30 s, mean largest error in m, 10')
     assert 'all in all it is 1.07 times' in objection(sure, [row(4.0, 4.3)])
+    # the same error is none where the ellipse comes to hold it, a larger one is
+    assert objection(sure, [row(4.0, 4.3, within=(0.6, 0.8))]) == ''
+    assert objection(sure, [row(4.0, 4.3, within=(0.6, 0.61))]) and objection(sure, [row(1.0, 1.3, within=(0.6, 0.9))])
     assert objection(weak, [alike]).startswith('no gain on data it was not fitted to (log likelihood +5.0, p 0.4)')
     assert objection(none, [better]).startswith('no gain')
 

@@ -26,7 +26,6 @@ from .levels import choose, multiplied
 from .outliers import isolated
 from .plausible import implausible
 from .proof import (
-    COVERED,
     HeldOut,
     Measured,
     all_in_all,
@@ -34,6 +33,7 @@ from .proof import (
     gain_of,
     harm,
     held_out,
+    honest,
     measure,
     objection,
     of_all,
@@ -807,9 +807,7 @@ def improves(comparison: Sequence[dict], effects: bool = False) -> bool:
     rows = [row for row in of_all(comparison) if effects or row['count'] >= FEWEST_OUTAGES]
     if not rows:
         return False
-    honest = any(row['within_before'] < COVERED and row['within_after'] >= row['within_before'] + 2 / row['count']
-                 for row in rows if 'within_before' in row)
-    return all_in_all(rows) < (BETTER_EFFECTS if effects else BETTER) or honest and all_in_all(rows) <= 1.0
+    return all_in_all(rows) < (BETTER_EFFECTS if effects else BETTER) or honest(rows) and all_in_all(rows) <= 1.0
 
 
 def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence[Effect]) -> list[Finding]:
