@@ -4,9 +4,7 @@ Each step takes what is known so far (`Known`, never changed) and returns what i
 """
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,7 +18,7 @@ from . import learned
 from .agreement import by_drive, contradicted, plainest_in_one, said
 from .clock import in_its_clock
 from .detection import Detection, detect
-from .drives import Drives, part, problems
+from .drives import Drives, on_all_cores, part, problems
 from .estimate import Estimate
 from .levels import choose, multiplied
 from .outliers import isolated
@@ -98,6 +96,9 @@ BETTER, BETTER_EFFECTS = 0.9, 0.95
 FEWEST_OUTAGES = 5
 #: decisions are made on about so many outages, so far apart, s
 FEW_OUTAGES, CLOSEST_OUTAGES = 40, 10.0
+
+#: the parts of the work, by the time they usually take: where they begin, and how many choices there are among levels
+SEARCHING, CHOOSING, MEASURING, LOOKING, USUAL_CHOICES = 0.05, 0.72, 0.88, 0.95, 15
 
 Progress = Callable[[float, str], None]
 
@@ -190,6 +191,7 @@ class Bench:
     spacing: float
     tell: Progress
     offset_sigma: float
+    measured: dict[str, Measured] = field(default_factory=dict)  # by the filters asked for
 
     def enough(self, share: float = 1.0) -> bool:
         """Whether this share of the work of a search is done."""
@@ -200,12 +202,25 @@ class Bench:
         """The share of the most that there may be to do that is done."""
         return self.origin.work / (ENOUGH * len(self.recordings))
 
+    def searching(self, what: str) -> None:
+        """Tell what is being done, now and after each batch of work."""
+        def tell():
+            self.tell(SEARCHING + (CHOOSING - SEARCHING) * min(1.0, self.done), what)
+        tell()
+        self.origin.watched(tell)
+
     def errors(self, models: Sequence[dict], full: bool = False) -> Measured:
         """Of one filter, or of those fitted to all parts but one, in these parts.
 
         full: with all IMU samples, by the protocol that is reported; else for decisions.
         """
         models = [{**values, 'gnss.time_offset_sigma': self.offset_sigma} for values in models]
+        asked = repr((full, [sorted(values.items()) for values in models]))
+        if asked not in self.measured:
+            self.measured[asked] = self._measured(models, full)
+        return self.measured[asked]
+
+    def _measured(self, models: list[dict], full: bool) -> Measured:
         judged = parts(self.origin) if len(models) > 1 else [self.origin.mask]
         found = {}
         for recording, problem, where in zip(self.recordings, self.origin.each, self.origin.slices):
@@ -218,9 +233,11 @@ class Bench:
         return together(found)
 
     def each(self, configurations: Sequence[dict]) -> list[Measured]:
-        """Of several filters."""
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            return list(pool.map(lambda values: self.errors([values]), configurations))
+        """Of several filters, for the choice of noise levels."""
+        found = on_all_cores(lambda values: self.errors([values]), configurations)
+        count = len(self.measured)
+        self.tell(CHOOSING + (MEASURING - CHOOSING) * count / (count + USUAL_CHOICES), 'choosing noise levels')
+        return found
 
 
 @dataclass(frozen=True)
@@ -299,7 +316,7 @@ def fitting(durations: Sequence[float], problem: Problem) -> tuple[float, ...]:
 
 def begin(bench: Bench) -> Known:
     """The model without effects: fixes that are off alone set aside, noise levels fitted."""
-    bench.tell(0.05, 'fitting noise levels')
+    bench.searching('fitting noise levels')
     problem = bench.origin
     noise = noise_unknowns(problem)
     [at] = problem.residuals(noise, [calibrated(problem, noise)])
@@ -338,8 +355,7 @@ def add_best(known: Known, bench: Bench) -> Known:
     A `Known` without a further choice where nothing is significant."""
     if not known.effects:
         return known
-    share = 0.1 + 0.6 * min(1.0, bench.done)
-    bench.tell(share, 'testing effects')
+    bench.searching('testing effects')
     views = starts(known)[:1 if bench.enough(0.6) else None]
     best: dict[str, tuple[Candidate, np.ndarray]] = {}
     significant: list[tuple[int, Candidate, np.ndarray]] = []
@@ -363,7 +379,7 @@ def add_best(known: Known, bench: Bench) -> Known:
     # each from the start where it explains most, those first that are first at some start
     names = [c.name for _, c, _ in sorted(significant, key=lambda found: (found[0], best[found[1].name][0].p))]
     names = list(dict.fromkeys(names))[:MOST_TRIED]
-    bench.tell(share + 0.01, f'adding {" or ".join(names)}')
+    bench.searching(f'adding {" or ".join(names)}')
     return _tried(known, [best[name] for name in names], candidates, bench)
 
 
@@ -504,7 +520,7 @@ def _judged(known: Known, candidate: Candidate, model: Model, bench: Bench) -> J
 def _by_drive(model: Model, effect: Effect, noise: int, own: Sequence[int]):
     """What each of several drives says of the unknowns `own` (indices), and whether they contradict each other."""
     units = {p.name: p.unit for p in effect.traced}
-    own = [i for i in own if model.unknowns[i].factor_on is None]
+    own = [i for i in own if model.unknowns[i].factor_on is None and not model.unknowns[i].variance]
     drives = {name: {p: replace(e, unit=units[p]) for p, e in found.items()}
               for name, found in by_drive(model, noise, own).items()} if own else {}
     return drives, contradicted(model, noise, own)
@@ -635,21 +651,17 @@ class Correction:
 
 def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
     """The corrections that are proven, and the errors before and after."""
-    bench.tell(0.72, 'choosing noise levels')
+    bench.origin.watched(None)
+    bench.tell(CHOOSING, 'choosing noise levels')
     given = bench.origin.given
     configured = Correction(given, [given], {}, False)
     fitted = _levelled(configured, bench)
     corrections = _settled(known, first, fitted, configured, bench)
-    bench.tell(0.88, 'measuring errors')
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        before, noise_only, after = pool.map(lambda models: bench.errors(models, full=True),
-                                             ([given], fitted.by_part, corrections[0].by_part))
+    bench.tell(MEASURING, 'measuring errors')
+    before, noise_only = (bench.errors(models, full=True) for models in ([given], fitted.by_part))
     for correction in corrections:  # the last one is what was given
         better = correction.values != given
-        if not better:
-            after = before
-        elif correction is not corrections[0]:
-            after = bench.errors(correction.by_part, full=True)
+        after = bench.errors(correction.by_part, full=True) if better else before
         comparison = compared(before, after)
         if not better or improves(comparison, correction.effects):
             break
@@ -661,7 +673,7 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
     drives = origin.each
     residuals = {'before': origin.before, 'fitted': origin.observed(fitted.values),
                  'after': origin.observed(correction.values), 'search': model.residual}
-    bench.tell(0.95, 'looking at what is left')
+    bench.tell(LOOKING, 'looking at what is left')
     rests = [goes_with(moved, part(model.scores, where), part(model.residual, where))
              for moved, where in zip(model.moved().each, origin.slices)]
     explained = {u.name: float(np.exp(x)) for u, x in zip(model.unknowns, model.x) if u.noise}
@@ -732,7 +744,8 @@ def _with_settings(correction: Correction, bench: Bench) -> Correction:
         # the settings against it are those for the drive that has most of it
         most = max(sightings, key=lambda name: drives[name][effect.principal].value)
         sighting, several = sightings[most], len(bench.origin.each) > 1
-        text = '; '.join(f'{name}: {s.text}' for name, s in sightings.items()) if several else sighting.text
+        rest = [name for name in sightings if name != most]
+        text = sighting.text + (f' (in {most}{"; also in " if rest else ""}{", ".join(rest)})' if several else '')
         finding = Finding(effect.name, [effect.name], drives[most], 0.0, 0.0, False, HeldOut(0.0, 1.0, []), seen=text,
                           drives=drives if several else {})
         further = [{**values, **sighting.helps} for values in (correction.values, *correction.by_part)]

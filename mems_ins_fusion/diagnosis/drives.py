@@ -6,7 +6,7 @@ each drive. So the innovations of all drives stand one after another, and likeli
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 
@@ -31,6 +31,16 @@ class Drives:
             np.concatenate([getattr(p, name) for p in self.each]) for name in ('stamp', 'mask', 'claimed', 'outlying'))
         self.before, self.base = joined([p.before for p in self.each]), joined([p.base for p in self.each])
         self._by_name = {p.recording.name: p for p in self.each}
+        self._watch: list[Callable[[], None] | None] = [None]
+
+    def watched(self, watch: Callable[[], None] | None) -> None:
+        """Call `watch` after each batch of runs, of this problem and those made from it."""
+        self._watch[0] = watch
+
+    def _made(self, problems: Sequence[Problem]) -> Drives:
+        other = Drives(problems)
+        other._watch = self._watch
+        return other
 
     @property
     def work(self) -> int:
@@ -45,7 +55,7 @@ class Drives:
 
     def without(self, outlying: np.ndarray) -> Drives:
         """The same problem with the fixes `outlying` (f,) left out, too."""
-        return Drives([p.without(outlying[where]) for p, where in zip(self.each, self.slices)])
+        return self._made([p.without(outlying[where]) for p, where in zip(self.each, self.slices)])
 
     def configured(self, recordings: Sequence[Recording], values: dict) -> Drives:
         """The same drives, `recordings`, with other parameters given; the work it makes counts with that of this."""
@@ -54,13 +64,13 @@ class Drives:
             other = Problem(recording, values)
             other.runs = old.runs
             others.append(other)
-        return Drives(others).without(self.outlying)
+        return self._made(others).without(self.outlying)
 
     def observed(self, values: dict) -> Residual:
-        return joined(_on_all_cores(lambda p: p.observed(values), self.each))
+        return joined(on_all_cores(lambda p: p.observed(values), self.each))
 
     def moved(self, unknowns: Sequence[Unknown], x) -> Drives:
-        return Drives([p.moved(unknowns, x) for p in self.each])
+        return self._made([p.moved(unknowns, x) for p in self.each])
 
     def corrected(self, unknowns: Sequence[Unknown], x) -> dict:
         return self.each[0].corrected(unknowns, x)
@@ -72,11 +82,14 @@ class Drives:
             return problem.residual(*problem.assume(unknowns, x))
 
         count = len(self.each)
-        found = _on_all_cores(one, [(x, p) for x in points for p in self.each])
+        found = on_all_cores(one, [(x, p) for x in points for p in self.each])
+        if self._watch[0] is not None:
+            self._watch[0]()
         return [joined(found[i:i + count]) for i in range(0, len(found), count)]
 
 
-def _on_all_cores(work, items) -> list:
+def on_all_cores(work: Callable, items: Iterable) -> list:
+    """What `work` makes of each of `items`: a filter runs without the interpreter's lock."""
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return list(pool.map(work, items))
 

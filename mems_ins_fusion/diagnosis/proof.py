@@ -21,7 +21,7 @@ from ..evaluation.outages import summary as outage_summary
 from ..filter.config import FilterConfig
 from ..filter.replay import run, run_with_outages
 from ..samples import ImuSamples, Recording
-from .drives import Drives
+from .drives import Drives, on_all_cores
 from .residuals import Model, Problem, Residual, tempered
 
 #: parts of the recording, each held out in turn; blocks of each part; a block is not shorter than this, s
@@ -201,16 +201,16 @@ def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Seq
         judged = [problem.mask]
     elif judged is None:
         judged = parts(problem)
-    found = []
-    for values, part in zip(models, judged):
-        whole = len(models) == 1
+    whole = len(models) == 1
+
+    def one(model):
+        values, part = model
         errors, outages, innovations = _run(problem, recording, imu, values, durations,
                                             begins if whole else begins[_in_mask(begins, problem, part)])
         seen = np.isfinite(innovations) & part
         errors = errors.select((whole | _in_mask(errors.stamp, problem, part)) & (errors.stamp >= first))
-        found.append((errors, outages, problem.stamp[seen], innovations[seen]))
-    independent = recording.reference is not None
-    return _joined([Measured(errors, outages, independent, *fixes) for errors, outages, *fixes in found])
+        return Measured(errors, outages, recording.reference is not None, problem.stamp[seen], innovations[seen])
+    return _joined(on_all_cores(one, zip(models, judged)))
 
 
 def together(drives: dict[str, Measured]) -> Measured:

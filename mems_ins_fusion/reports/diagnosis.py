@@ -233,11 +233,11 @@ def finding_text(f: Finding) -> str:
 def unexplained_text(d: Diagnosis) -> str:
     if not d.unexplained:
         return 'Nothing is left unexplained.'
-    text = 'A part stays unexplained.'
-    if d.rest:
-        text += ' What is left looks like an error of the ' + ', or of the '.join(
+    text = 'A part stays unexplained'
+    if not d.rest:
+        return f'{text}: the filter still errs the same way from one fix to the next, and with nothing that was recorded.'
+    return f'{text}. What is left looks like an error of the ' + ', or of the '.join(
             f'{r.where} that goes with {r.what} ({rounded(abs(r.rms), r.sigma)} {r.unit} RMS)' for r in d.rest[:3]) + '.'
-    return text
 
 
 #: means and medians that differ by more than this factor tell of a few large errors
