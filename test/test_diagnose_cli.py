@@ -154,7 +154,7 @@ def test_bad_input_gives_one_line_status_2_and_no_result(result, tmp_path, capsy
 
 @pytest.fixture(scope='module')
 def several(tmp_path_factory):
-    """Two drives of one vehicle, an mcap and a sqlite3, one found under the home directory, and one that is too short."""
+    """Two drives of one vehicle, an mcap under the home directory and a sqlite3, and one that is too short."""
     folder = tmp_path_factory.mktemp('several')
     values = table.check(PAPER)
     for name, seed, duration, storage in (('monday', 1, 240.0, 'mcap'), ('tuesday', 2, 240.0, 'sqlite3'),

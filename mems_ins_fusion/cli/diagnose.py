@@ -70,7 +70,8 @@ def _read(paths: list[str], values: dict, progress) -> tuple[list[Recording], li
 
     recordings, checked, warned, mounted = [], [], [], []
     for i, path in enumerate(paths):
-        recording, texts = read_part(Path(path).expanduser(), values, lambda part, i=i: progress((i + part) / len(paths)))
+        recording, texts = read_part(Path(path).expanduser(), values,
+                                     lambda part, i=i: progress((i + part) / len(paths)))
         if recording.gnss is None:
             raise ValueError('gnss_topic is empty: a diagnosis needs fixes')
         shown = check_mounting(cut(recording, 0.0, MOUNTING_SHOWN), values)

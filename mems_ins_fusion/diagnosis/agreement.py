@@ -53,7 +53,7 @@ def by_drive(model: Model, noise: int, chosen) -> dict[str, dict[str, Estimate]]
 
 
 def contradicted(model: Model, noise: int, chosen) -> bool:
-    """Whether a drive, or the others without it, would rather have nothing of `chosen` than what the other side says."""
+    """Whether a drive, or the others without it, would rather have none of `chosen` than what the other side says."""
     if len(model.problem.each) < 2 or not len(chosen):
         return False
     for mask in _masks(model):

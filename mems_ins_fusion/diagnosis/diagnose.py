@@ -109,8 +109,8 @@ class Finding:
 
     group: names of what the recording cannot tell it from, itself first. changes: the parameters as the correction
     sets them. reason: why it was not added. seen: where it was not fitted, what shows it. drives: what each of several
-    drives says alone, by name. apart: the drives contradict each other. saves: duration of outages, s, and the median of
-    the largest error without it and with it, m, each beside what was found before.
+    drives says alone, by name. apart: the drives contradict each other. saves: duration of outages, s, and the
+    median of the largest error without it and with it, m, each beside what was found before.
     """
 
     name: str

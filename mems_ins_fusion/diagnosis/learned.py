@@ -98,8 +98,7 @@ def together(found: Sequence[Angles | None]) -> Angles | None:
                for name in names} for i in range(len(drives))]
     apart = [name for name in names if np.ptp([a[name].value for a in known]) > max(
         SMALL, PLAIN * float(np.hypot(*sorted(a[name].sigma for a in known)[-2:]) if len(known) > 1 else 0.0))]
-    said = ', '.join(f'{name} from {min(a[name].value for a in known):.3f} to {max(a[name].value for a in known):.3f} rad'
-                     for name in apart)
+    said = ', '.join(f'{name} ' + ', '.join(f'{a[name].value:.3f}' for a in known) + ' rad' for name in apart)
     return Angles(whole, others, drives, f'the drives contradict each other: {said}' if apart else '')
 
 

@@ -319,8 +319,8 @@ def harm(comparison: Sequence[dict], effects: bool = False) -> str:
     An error grows where it is larger for certain and noticeably (GROWN, NOTICED), or where its mean or its root mean
     square is larger by LARGER, certain or not; effects: by as much as so many outages can tell (SCATTER), as the
     likelihood of held-out data has proven the effect already; so, too, in single drives, as all together have to be
-    better. An ellipse that held the truth in COVERED still has to, or one outage less; one that did not must not hold it
-    in LESS_HELD less.
+    better. An ellipse that held the truth in COVERED still has to, or one outage less; one that did not must not hold
+    it in LESS_HELD less.
     """
     for row in comparison:
         if not (row.get('before') and row.get('after') and row['decides']):
@@ -338,8 +338,9 @@ def harm(comparison: Sequence[dict], effects: bool = False) -> str:
                         f'{_plain(new, squared)} after')
         held, holds = row.get('within_before'), row.get('within_after')
         if held is not None and holds < (COVERED - 1.0 / row['count'] if held >= COVERED else held - LESS_HELD):
-            return (f"{where}{row['what'].split(',')[0]}: the 95 % ellipse held the truth in {100 * held:.0f} % before, in "
-                    f'{100 * holds:.0f} % after')
+            which = row['what'].split(',')[0]
+            return (f'{where}{which}: the 95 % ellipse held the truth in {100 * held:.0f} % before, '
+                    f'in {100 * holds:.0f} % after')
     return ''
 
 

@@ -62,8 +62,10 @@ def refuse_other_vehicles(recordings: Sequence[Recording]) -> None:
 
 
 def refuse_twice(recording, other) -> None:
-    """RecordingError where `recording` has the samples of `other`: what they show is no second witness. Both with `name`
-    and `imu`."""
+    """RecordingError where `recording` has the samples of `other`: what they show is no second witness.
+
+    Both have `name` and `imu`.
+    """
     _, a, b = np.intersect1d(recording.imu.stamp, other.imu.stamp, return_indices=True)
     same = (recording.imu.specific_force[a] == other.imu.specific_force[b]).all(axis=1).sum()
     if same > 0.5 * min(len(recording.imu), len(other.imu)):

@@ -235,9 +235,9 @@ def unexplained_text(d: Diagnosis) -> str:
         return 'Nothing is left unexplained.'
     text = 'A part stays unexplained'
     if not d.rest:
-        return f'{text}: the filter still errs the same way from one fix to the next, and with nothing that was recorded.'
+        return f'{text}: errors still last from one fix to the next, and go with nothing that was recorded.'
     return f'{text}. What is left looks like an error of the ' + ', or of the '.join(
-            f'{r.where} that goes with {r.what} ({rounded(abs(r.rms), r.sigma)} {r.unit} RMS)' for r in d.rest[:3]) + '.'
+        f'{r.where} that goes with {r.what} ({rounded(abs(r.rms), r.sigma)} {r.unit} RMS)' for r in d.rest[:3]) + '.'
 
 
 #: means and medians that differ by more than this factor tell of a few large errors
@@ -252,7 +252,8 @@ def cost(d: Diagnosis) -> list[str]:
 
 def _cost(old: Outages, new: Outages | None) -> str:
     stages = [old] if new is None else [old, new]
-    medians, means = ([f'{html.number(float(middle(o.max_error)), 2)} m' for o in stages] for middle in (np.median, np.mean))
+    medians, means = ([f'{html.number(float(middle(o.max_error)), 2)} m' for o in stages]
+                      for middle in (np.median, np.mean))
     held = [f'{html.number(100 * float(o.within.mean()), 2)} %' for o in stages]
     said = f'{" as configured, ".join(medians)}{" with corrected.yaml" if new else " as configured"} (median of the ' \
            f'largest error in {len(stages[-1].begin)} outages'
@@ -305,13 +306,12 @@ def _answered(d: Diagnosis, answered: Answer) -> html.Html:
 
 def _track(d: Diagnosis) -> html.Html:
     return track(diagnosis_layers(d), html.figure(
-        plots.track(d), 'The drive from above, as configured and with corrected.yaml, with all fixes and in the longest '
-        'outages, each ending at x.'))
+        plots.track(d), 'The drive from above, as configured and with corrected.yaml, with all fixes and in the '
+        'longest outages, each ending at x.'))
 
 
 def _drives(d: Diagnosis) -> html.Html:
-    """The table of several drives: their errors before and after, and what each says of what was added."""
-    added = [f for f in d.findings if f.drives]
+    """Tables of several drives: their errors before and after, and what each says of the effects."""
     rows = []
     for drive in d.drives:
         problem = drive.problem
@@ -320,13 +320,14 @@ def _drives(d: Diagnosis) -> html.Html:
         numbers = [None] * 5 if before is None or after is None else [
             before.duration, *(float(np.median(o.max_error)) for o in (before, after)),
             *(100 * float(o.within.mean()) for o in (before, after))]
-        rows.append((drive.name, minutes, drive.detections['before'].count, *numbers,
-                     *(', '.join(f'{n} {e.text()}' for n, e in f.drives.get(drive.name, {}).items()) or 'does not say'
-                       for f in added)))
-    columns = ('drive', 'minutes', 'fixes', 'without fixes, s', 'largest error before: median, m', 'after, m',
-               'inside 95 % ellipse before, %', 'after, %', *(f'{f.name}, this drive alone' for f in added))
-    return html.table(columns, rows, 'Each drive. What it says alone of an effect has a larger sigma than all together; '
-                      'a drive in which an effect does not show says nothing against it.', 3)
+        rows.append((drive.name, minutes, drive.detections['before'].count, *numbers))
+    columns = ('drive', 'minutes', 'fixes', 'without fixes, s', 'largest error, median: before, m', 'after, m',
+               'inside 95 % ellipse: before, %', 'after, %')
+    said = [(f.name, drive.name, _sizes(f.drives.get(drive.name, {})) or 'nothing')
+            for f in d.findings if f.drives for drive in d.drives]
+    of_effects = html.table(('effect', 'drive', 'what it says alone'), said, 'A drive alone is less sure than all '
+                            'together; one in which an effect does not show says nothing against it.')
+    return html.Html(html.table(columns, rows, 'Each drive.', 3) + (of_effects if said else ''))
 
 
 def _in_drive(drive: Diagnosis) -> html.Html:
@@ -401,7 +402,7 @@ def _estimates(c: Candidate, d: Diagnosis) -> str:
 def _added(d: Diagnosis) -> html.Html:
     if not d.findings:
         return html.folded('What was found', 'No candidate is significant.')
-    rows = [(f.name, ', '.join(n for n in f.group if n != f.name), _values(f), f.gain,
+    rows = [(f.name, ', '.join(n for n in f.group if n != f.name), _sizes(f.parameters), f.gain,
              f.held_out.gain, _p(f.held_out.p), f.added, f.reason) for f in d.findings]
     return html.folded(
         'What was found', 'Values of the last joint fit. The held-out gain is that of the log likelihood in blocks of '
@@ -410,13 +411,14 @@ def _added(d: Diagnosis) -> html.Html:
                     'why not'), rows, digits=3))
 
 
-def _values(f: Finding) -> str:
-    return ', '.join(f'{name} {estimate.text()}' for name, estimate in f.parameters.items())
+def _sizes(parameters: dict[str, Estimate]) -> str:
+    return ', '.join(f'{name} {estimate.text()}' for name, estimate in parameters.items())
 
 
 def _errors(d: Diagnosis) -> html.Html:
-    rows = [(f"{c['drive']}: {c['what']}" if 'drive' in c else c['what'], c.get('count'), c.get('before'), c.get('after'), c.get('difference'), _interval(c),
-             _p(c['p']) if 'p' in c else '') for c in d.comparison]
+    rows = [(f"{c['drive']}: {c['what']}" if 'drive' in c else c['what'],
+             *map(c.get, ('count', 'before', 'after', 'difference')), _interval(c), _p(c['p']) if 'p' in c else '')
+            for c in d.comparison]
     summaries = {plots.STAGES[stage]: measured.summary() for stage, measured in plots.measured_stages(d).items()}
     columns = ('filter', 'RMS with fixes, m', 'without fixes, s', 'outages', 'largest error: median, m', 'RMS, m',
                '95 % below, m',

@@ -77,15 +77,15 @@ def _saves(f: Finding) -> str:
     duration, before, after = f.saves
     one, other = (html.number(v, 2) for v in (before, after))
     gain = f'goes from {one} m to {other} m' if one != other else f'stays at {one} m'
-    return f' Added to those above it, the error {gain} (median of the largest in {duration:g} s without fixes).'
+    return f' With it the error {gain} (median of the largest in {duration:g} s without fixes).'
 
 
 def shown_text(detection: Detection) -> str:
     """What the innovations of the filter as configured show, without the words of statistics."""
     said = []
     if detection.nis_mean > detection.nis_bounds[1]:
-        said.append(f'the fixes lie {np.sqrt(detection.nis_mean / 2):.2g} times as far from where it expects them as it '
-                    'thinks they can')
+        said.append(f'the fixes lie {np.sqrt(detection.nis_mean / 2):.2g} times as far from where it expects them as '
+                    'it thinks they can')
     if detection.ljung_box_p < COLOURED:
         said.append('its errors last from one fix to the next, as those of a wrong setting do and noise does not')
     return f'The filter as configured: {"; ".join(said) or "it is always off to the same side"}.'

@@ -38,7 +38,7 @@ _WORDS = {
                   'the place of the rear axle seen from the IMU, with a tape measure (vehicle.rear_axle)'),
     'speed_scale': ('the wheels measure too much or too little', 'the size and pressure of the tyres'),
     'gyroscope_warm_up': ('the vertical gyroscope drifts in the first minutes, as one that warms up',
-                          'with a recording that begins some minutes after the IMU was switched on, whether it is gone'),
+                          'whether a recording that begins some minutes after the IMU was switched on has it, too'),
     'imu_repeats': ('IMU samples come twice', 'the rate of the IMU\'s driver and that at which the sensor measures'),
     'imu_jitter': ('IMU samples are stamped unevenly', 'whether the driver can stamp with the sensor\'s own clock'),
     'sideslip': ('the vehicle moves sideways in bends', 'tyres and load; whether the IMU points straight ahead'),
@@ -94,7 +94,8 @@ def size(name: str, parameter: str, estimate: Estimate) -> str:
     words = _SIZES.get((name, parameter))
     if words is None or estimate.value is None:
         return f'{parameter} {estimate.text()}'
-    factor, unit = {'rad': (math.degrees(1.0), ' deg'), '-': (100.0, ' %')}.get(estimate.unit, (1.0, f' {estimate.unit}'))
+    shown = {'rad': (math.degrees(1.0), ' deg'), '-': (100.0, ' %')}
+    factor, unit = shown.get(estimate.unit, (1.0, f' {estimate.unit}'))
     value, sigma = abs(estimate.value) * factor, estimate.sigma * factor if estimate.known else None
     said = rounded(value, sigma) + (f' \N{PLUS-MINUS SIGN} {sigma:.2g}' if sigma is not None else '') + unit
     return words[estimate.value < 0].format(said)
