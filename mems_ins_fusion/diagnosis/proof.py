@@ -38,6 +38,8 @@ CERTAIN = 0.01
 GROWN, NOTICED, LARGER = 0.03, 0.1, 1.1
 #: over the root of their number, the part by which the mean of the largest errors of outages scatters
 SCATTER = 0.5
+#: errors that are this part of those before have shrunk plainly
+PLAINLY = 0.7
 #: 95 % ellipses shall hold the truth in this part of the outages
 COVERED, LESS_HELD = 0.9, 0.15
 #: errors in outages count as they are up to so many sigma: who is in one wants to be told of the large ones
@@ -313,8 +315,8 @@ def _compared(before: Measured, after: Measured) -> list[dict]:
     return rows
 
 
-def harm(comparison: Sequence[dict], effects: bool = False) -> str:
-    """What becomes worse, and by how much; empty where nothing does.
+def harm(comparison: Sequence[dict], effects: bool = False, ellipses: bool = True) -> str:
+    """What becomes worse, and by how much; empty where nothing does. ellipses: whether these count, too.
 
     An error grows where it is larger for certain and noticeably (GROWN, NOTICED), or where its mean or its root mean
     square is larger by LARGER, certain or not; effects: by as much as so many outages can tell (SCATTER), as the
@@ -337,7 +339,9 @@ def harm(comparison: Sequence[dict], effects: bool = False) -> str:
                 return (f"the error grows: {where}{which}{row['what']}, {_plain(old, squared)} before, "
                         f'{_plain(new, squared)} after')
         held, holds = row.get('within_before'), row.get('within_after')
-        if held is not None and holds < (COVERED - 1.0 / row['count'] if held >= COVERED else held - LESS_HELD):
+        if not ellipses or held is None:
+            continue
+        if holds < (COVERED - 1.0 / row['count'] if held >= COVERED else held - LESS_HELD):
             which = row['what'].split(',')[0]
             return (f'{where}{which}: the 95 % ellipse held the truth in {100 * held:.0f} % before, '
                     f'in {100 * holds:.0f} % after')
@@ -354,8 +358,11 @@ def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
     comparison: errors with the effect and without, of parts that it was not fitted to. A likelihood that gains, but
     not for certain, is no objection where an error shrinks for certain. Nor is an error that is the same, where the
     ellipses come to hold it: errors that last are in the withheld fixes, too, so these never favour who models them.
+    Nor are ellipses that hold a far smaller error less often: what else is wrong shows only now, and noise levels,
+    which decide on ellipses, are chosen at the end.
     """
-    worse = harm(comparison, proof.helps)
+    change = all_in_all(comparison)
+    worse = harm(comparison, proof.helps, ellipses=change == 0.0 or change > PLAINLY)
     if worse:
         return worse
     for name, (gain, p) in proof.drives.items():
@@ -364,7 +371,6 @@ def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
     shrinks = any(row.get('p', 1.0) < CERTAIN and row['after'] < row['before'] for row in of_all(comparison))
     if not (proof.helps or (proof.gain > 0 and shrinks)):
         return f'no gain on data it was not fitted to (log likelihood {proof.gain:+.1f}, p {proof.p:.2g})'
-    change = all_in_all(comparison)
     if change <= 1 + GROWN or (change <= LARGER and honest(of_all(comparison))):
         return ''
     return f'the error does not shrink: all in all it is {change:.2f} times that before'
