@@ -183,9 +183,12 @@ class Alignment:
         """The fixes as (time, north, east, sigma), metres from the first."""
         _, latitude, longitude, height, _ = self._fixes[0]
         north, east = radii(latitude)
-        return np.array([(t, (lat - latitude) * (north + height),
-                          (lon - longitude) * (east + height) * math.cos(latitude),
-                          math.sqrt(0.5 * (c[0, 0] + c[1, 1]))) for t, lat, lon, _, c in self._fixes])
+        # at each fix, and of as many as MEMORY holds: a drive may begin with minutes at rest
+        positions = np.array([(t, lat, lon, c[0, 0] + c[1, 1]) for t, lat, lon, _, c in self._fixes])
+        positions[:, 1] = (positions[:, 1] - latitude) * (north + height)
+        positions[:, 2] = (positions[:, 2] - longitude) * (east + height) * math.cos(latitude)
+        positions[:, 3] = np.sqrt(0.5 * positions[:, 3])
+        return positions
 
     def standing(self) -> Standstill | None:
         """The standstill that still lasts, None where the vehicle moves or nothing tells that it does not."""
