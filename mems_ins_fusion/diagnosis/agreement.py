@@ -8,7 +8,7 @@ import numpy as np
 
 from .drives import Drives, part
 from .estimate import Estimate
-from .residuals import Model, block_begins
+from .residuals import Model, blocks
 from .tracing import Candidate, significance
 
 #: a drive, or all others, would rather have no effect than that of the other side: twice the log likelihood
@@ -96,18 +96,18 @@ def _masks(model: Model) -> list[np.ndarray]:
 def _side(model: Model, mask: np.ndarray, noise: int, chosen) -> _Side:
     """By the information, or by how the scores of blocks scatter, what says less."""
     x, covariance = model.refitted(mask, noise)
-    chosen = np.asarray(chosen)
-    counted = np.where(mask[:, None], model.scores.score, 0.0)[model.problem.mask]
-    sums = np.add.reduceat(counted, block_begins(model.problem))
-    # what the estimate itself adds to a block is no scatter
-    seen = np.where(mask[:, None, None], model.scores.sensitivity, 0.0)[model.problem.mask]
-    information = np.add.reduceat(np.einsum('fpi,fqi->fpq', seen, seen), block_begins(model.problem))
-    sums = sums - information @ np.where(np.arange(len(x)) < noise, 0.0, x - model.x)
-    spread = (covariance @ (sums.T @ sums) @ covariance)[np.ix_(chosen, chosen)]
-    covariance = covariance[np.ix_(chosen, chosen)]
-    weight = np.linalg.inv(covariance)
-    excess = max(1.0, float(np.trace(weight @ spread)) / len(chosen))
-    return _Side(x[chosen], weight / excess, np.sqrt(excess * np.diag(covariance)))
+    chosen, counted = np.asarray(chosen), mask[model.problem.mask]
+    score = np.where(counted[:, None], model.scores.score[model.problem.mask], 0.0)
+    seen = np.where(counted[:, None, None], model.scores.sensitivity[model.problem.mask], 0.0)
+    products = np.einsum('fpi,fqi->fpq', seen, seen)
+    moved = np.where(np.arange(len(x)) < noise, 0.0, x - model.x)
+    weight, excess = np.linalg.inv(covariance[np.ix_(chosen, chosen)]), 1.0
+    for begins in blocks(model.problem):
+        # what the estimate itself adds to a block is no scatter
+        sums = np.add.reduceat(score, begins) - np.add.reduceat(products, begins) @ moved
+        spread = (covariance @ (sums.T @ sums) @ covariance)[np.ix_(chosen, chosen)]
+        excess = max(excess, float(np.trace(weight @ spread)) / len(chosen))
+    return _Side(x[chosen], weight / excess, np.sqrt(excess * np.diag(covariance)[chosen]))
 
 
 def said(drives: Mapping[str, Mapping[str, Estimate]]) -> str:
