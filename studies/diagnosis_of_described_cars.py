@@ -1,20 +1,19 @@
 """The diagnosis on simulated drives made after the descriptions of cars that nobody of the project has recordings of.
 
-    python studies/diagnosis_of_described_cars.py RESULTS.csv [--drives N] [--first I] [--minutes M]
+    python studies/diagnosis_of_described_cars.py RESULTS.jsonl [--only NUMBER ..]
 
-Each description (DESCRIPTIONS) with each of three settings, 15 min: a line in RESULTS.csv each, as of
-`diagnosis_on_roads`. Judged is a second drive of the same car against the truth.
+Each description (DESCRIPTIONS) with each of three settings (SETTINGS), 15 min: a line in RESULTS.jsonl each; those that
+are there are not run again. Then the table of docs/diagnosis_study.md is printed. Judged is a second drive of the same
+car, which the diagnosis never sees, against the truth.
 """
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import sys
-import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-
-import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
@@ -62,6 +61,7 @@ DESCRIPTIONS = {
     'turned by 6 deg': Description('consumer', GnssNoise(1.5), yaw=6.0),
     'survey, hills': Description('tactical', GnssNoise(0.02), slope=0.08, reference=0.0),
     'nothing': Description('automotive', GnssNoise(1.5))}
+CASES = [(description, settings) for description in DESCRIPTIONS for settings in SETTINGS]
 
 
 def drive(what: Description, seed: int) -> Recording:
@@ -77,48 +77,51 @@ def drive(what: Description, seed: int) -> Recording:
 
 
 def judged(number: int) -> dict:
-    """The line of one case."""
-    names = [(d, s) for d in DESCRIPTIONS for s in SETTINGS]
-    description, settings = names[number % len(names)]
-    what, seed = DESCRIPTIONS[description], FIRST_SEED + number // len(names)
+    """The line of one case: what was found and what was told, errors and ellipses before and after."""
+    description, settings = CASES[number]
+    what = DESCRIPTIONS[description]
     given = table.check({**SETTINGS[settings], **roads.TRUTH})
-    true = {**what.effects, **({'mounting_rotation': {'yaw': math.radians(what.yaw)}} if what.yaw else {})}
-    row = dict.fromkeys(roads.COLUMNS, '') | {'number': number, 'kind': f'{description}, {settings}', 'true': true}
-    first, second = drive(what, seed), drive(what, seed + SECOND_DRIVE)
+    first, second = drive(what, FIRST_SEED), drive(what, FIRST_SEED + SECOND_DRIVE)
     reference = None
     if what.reference is not None:
         reference = replace(first.reference, stamp=first.reference.stamp + round(what.reference * 1e9))
-    began = time.perf_counter()
     result = diagnose(replace(first, reference=reference), given)
-    row['seconds'] = time.perf_counter() - began
     before, after = roads.errors(given, second), roads.errors(result.corrected, second)
-    said = [{'name': f.name, 'group': f.group, 'added': f.added, 'why': f.reason,
-             **{n: e.text() for n, e in f.parameters.items()}} for f in result.findings]
-    return row | {'found': said, 'deviations': result.noise, 'unexplained': result.unexplained,
-                  'before': roads.measured(before), 'after': roads.measured(after),
-                  'harm': roads.certainly_larger(after, before),
-                  'within_before': [float(w.mean()) for w in before.within],
-                  'within_after': [float(w.mean()) for w in after.within]}
+    said = [{'name': f.name, 'added': f.added, **{n: e.text() for n, e in f.parameters.items()}}
+            for f in result.findings]
+    return {'number': number, 'car': description, 'settings': settings, 'found': said, 'noise': result.noise,
+            'before': roads.measured(before), 'after': roads.measured(after),
+            'harm': roads.certainly_larger(after, before), **{
+                f'within_{name}': [float(w.mean()) for w in e.within]
+                for name, e in (('before', before), ('after', after))}}
+
+
+def line(row: dict) -> str:
+    """A row of the table."""
+    found = '; '.join(f'`{f["name"]}` ' + ', '.join(f'{n} {t}' for n, t in f.items() if n not in ('name', 'added'))
+                      for f in row['found'] if f['added'])
+    errors = ', '.join(f'{a:.2g} to {b:.2g}' for a, b in zip(row['before'], row['after']))
+    held = ', '.join(f'{100 * a:.0f} to {100 * b:.0f}' for a, b in zip(row['within_before'], row['within_after']))
+    noise = ', '.join(f'{n} x {f:.2g}' for n, f in row['noise'].items())
+    return (f'| {row["car"]} | {row["settings"]} | {"; ".join(filter(None, (found, noise))) or "nothing"} | {errors}'
+            f'{" (harm)" if row["harm"] else ""} | {held} |')
 
 
 def main(arguments=None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument('results', type=Path)
-    parser.add_argument('--drives', type=int, default=len(DESCRIPTIONS) * len(SETTINGS))
-    parser.add_argument('--first', type=int, default=0)
-    parser.add_argument('--only', type=int, nargs='*')
+    parser.add_argument('results', type=Path, help='a line of JSON for each case')
+    parser.add_argument('--only', type=int, nargs='*', help='these cases (default: all)')
     options = parser.parse_args(arguments)
-    there = {row['number'] for row in roads.read(options.results)}
-    for number in options.only or range(options.first, options.first + options.drives):
-        if number not in there:
-            row = judged(number)
-            roads.append(options.results, row)
-            print(row['number'], row['kind'], 'HARM' if row['harm'] else '', f"{row['seconds']:.0f} s")
-            for f in row['found']:
-                print('   ', {k: v for k, v in f.items() if v})
-            print('    noise', roads._rounded(row['deviations']), 'unexplained', row['unexplained'])
-            for what in ('before', 'after', 'within_before', 'within_after'):
-                print('   ', what, roads._rounded(row[what]), flush=True)
+    lines = options.results.read_text().splitlines() if options.results.exists() else []
+    rows = {row['number']: row for row in map(json.loads, lines)}
+    for number in range(len(CASES)) if options.only is None else options.only:
+        if number not in rows:
+            rows[number] = judged(number)
+            with options.results.open('a') as file:
+                file.write(json.dumps(rows[number]) + '\n')
+    print('| car | settings | found | errors, m: fixes; 10, 30, 60 s | ellipse holds, %: 10, 30, 60 s |')
+    print('|---|---|---|---|---|')
+    print('\n'.join(line(row) for _, row in sorted(rows.items())))
     return 0
 
 
