@@ -148,3 +148,63 @@ def test_bad_input_gives_one_line_status_2_and_no_result(result, tmp_path, capsy
     assert status == 2
     assert len(error.splitlines()) == 1 and said in error and error.startswith('diagnose: ')
     assert not list(tmp_path.iterdir())
+
+
+# several recordings of one vehicle
+
+@pytest.fixture(scope='module')
+def several(tmp_path_factory):
+    """Two drives of one vehicle, an mcap under the home directory and a sqlite3, and one that is too short."""
+    folder = tmp_path_factory.mktemp('several')
+    values = table.check(PAPER)
+    for name, seed, duration, storage in (('monday', 1, 240.0, 'mcap'), ('tuesday', 2, 240.0, 'sqlite3'),
+                                          ('yard', 3, 40.0, 'mcap')):
+        simulation = simulate_recording(
+            simulate_drive(duration, seed, rate=25.0), SensorErrors.from_parameters(values, 'gauss_markov'),
+            GnssNoise(sigma=0.5), [(EFFECTS['gnss_time_offset'], {'time_offset': OFFSET})], seed=seed)
+        write_recording(simulation.recording, folder / name, storage)
+    (folder / 'given.yaml').write_text(GIVEN)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv('HOME', str(folder))
+        assert main(['--bag', '~/monday', *(str(folder / name) for name in ('yard', 'tuesday')), '--output',
+                     str(folder / 'out'), '--params-file', str(folder / 'given.yaml'), '--reference-topic',
+                     '/reference/fix']) == 0
+    return folder
+
+
+def test_several_recordings_give_one_report_with_each_drive_in_it(several):
+    content = json.loads((several / 'out' / 'report.json').read_text(), parse_constant=_number)
+
+    assert content['recording'] == 'monday, tuesday'
+    assert list(content['left_out']) == ['yard'] and 'fixes' in content['left_out']['yard']
+    [effect] = [e for e in content['effects'] if e['added']]
+    assert effect['name'] == 'gnss_time_offset' and set(effect['drives']) == {'monday', 'tuesday'}
+    assert effect['parameters']['time_offset']['value'] == pytest.approx(OFFSET, abs=0.06)
+    for drive in content['drives']:
+        assert drive['after']['horizontal_rmse_m'] < drive['before']['horizontal_rmse_m']
+        assert drive['after']['nis_mean'] < drive['before']['nis_mean']
+    for stage in ('before', 'after'):
+        outages = [drive[stage]['outages'][0]['count'] for drive in content['drives']]
+        assert content[stage]['outages'][0]['count'] == sum(outages) and min(outages) > 0
+    values = table.check(params_file.load_yaml(several / 'out' / 'corrected.yaml'))
+    assert values['gnss.time_offset'] == pytest.approx(OFFSET, abs=0.06)
+
+
+def test_the_page_of_several_recordings_names_each(several, browser):
+    page = (several / 'out' / 'report.html').read_text(encoding='utf-8')
+
+    assert page.count('<canvas class="map"') == 2
+    assert 'yard was left out' in page and 'Drive tuesday' in page
+    check_page(browser, several / 'out' / 'report.html')
+
+
+@pytest.mark.parametrize('names, said', [
+    (('monday', 'monday'), 'give each recording once'),
+    (('monday', 'nowhere'), 'nowhere'),
+])
+def test_recordings_that_do_not_go_together_give_one_line_and_no_result(several, tmp_path, capsys, names, said):
+    status = main(['--bag', *(str(several / name) for name in names), '--output', str(tmp_path / 'out')])
+
+    error = capsys.readouterr().err
+    assert status == 2 and len(error.splitlines()) == 1 and said in error
+    assert not list(tmp_path.iterdir())

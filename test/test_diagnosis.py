@@ -77,6 +77,20 @@ def test_scores_of_an_effect_are_the_slope_of_the_likelihood(problem):
     assert gradient[0] == pytest.approx(slope[0], rel=0.15)
 
 
+def test_how_much_of_the_attitude_is_error(problem):
+    # given a level road, where all that a strapdown run has of roll and pitch is error, and one with slopes
+    drive = simulate_drive(DURATION, 1, RATE, grade=0.08)
+    hills = simulate_recording(drive, SensorErrors.from_parameters(VALUES, VALUES['sensor_error_model']),
+                               GnssNoise(sigma=0.5), seed=1).recording
+    sloping = Problem(hills, VALUES)
+    roll, pitch = sloping.attitude(sloping.recording)
+    true = np.interp(sloping.recording.imu.stamp, drive.stamp, drive.pitch)
+    # then a regression on it may be diluted by the part that errors have in it
+    off = (pitch - true)[pitch != 0.0]
+    assert problem.diluted > 0.5 > 4 * sloping.diluted
+    assert off.var() / pitch[pitch != 0.0].var() < sloping.diluted
+
+
 def test_what_moves_nothing_leaves_the_innovations_as_they_are(problem):
     unknowns = [*noise_unknowns(problem), *effect_unknowns(EFFECTS['accelerometer_scale'], {})]
     same = problem.residual(*problem.assume(unknowns, np.zeros(len(unknowns))))
@@ -241,3 +255,26 @@ def test_a_recording_that_is_too_short_says_what_is_needed(duration, needed):
         diagnose(recorded(duration=duration), VALUES)
     text = str(told.value)
     assert text.startswith('simulation: ') and '\n' not in text and needed in text and len(text) > 20
+
+
+@pytest.mark.parametrize('wrong', [{}, {'gyroscope.noise_density': [2e-3], 'accelerometer.noise_density': [1e-3],
+                                        'gnss.sigma': 2.0}])
+def test_an_offset_and_a_mount_that_is_turned_are_found_together(wrong):
+    # given fixes 0.6 s late, an IMU turned by 7 deg, and the settings of the README, also with noise levels that are off
+    drive = simulate_drive(DURATION, 3, RATE)
+    sensors = SensorErrors.from_parameters(VALUES, 'gauss_markov')
+    effects = [(EFFECTS['gnss_time_offset'], {'time_offset': 0.6}),
+               (EFFECTS['mounting_rotation'], {'yaw': np.radians(7.0)})]
+    recording = replace(simulate_recording(drive, sensors, GnssNoise(sigma=0.5), effects, seed=3).recording,
+                        reference=None)
+    values = table.check({'reference_lever_arm': [0.0, 0.0, 0.0], **wrong})
+    effects = [EFFECTS[name] for name in ('gnss_time_offset', 'mounting_rotation', 'gnss_lever_arm', 'sideslip')]
+    result = diagnose(recording, values, effects=effects, **OUTAGES)
+    # then both are found with their sizes, and nothing else
+    found = {f.name: f.parameters for f in added(result)}
+    assert set(found) == {'gnss_time_offset', 'mounting_rotation'}
+    offset, yaw = found['gnss_time_offset']['time_offset'], found['mounting_rotation']['yaw']
+    assert abs(offset.value - 0.6) < max(3 * offset.sigma, 0.02) and offset.sigma < 0.05
+    assert abs(yaw.value - np.radians(7.0)) < np.radians(1.0)
+    assert result.better
+    assert result.after.outages[0].max_error.mean() < 0.6 * result.before.outages[0].max_error.mean()

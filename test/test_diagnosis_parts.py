@@ -1,17 +1,20 @@
 """Parts of the diagnosis on simulated drives whose truth is known: whose clock, what the filter has learned."""
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from mems_ins_fusion.diagnosis.clock import in_its_clock, lateness
+from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.learned import angles
 from mems_ins_fusion.diagnosis.residuals import FLOOR, Problem, believed, looked_through, stated
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.parameters import table
+from mems_ins_fusion.reports.effect_words import size
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 OFFSET = 0.3  # s
@@ -93,3 +96,26 @@ def test_a_fix_that_is_far_off_is_set_aside(late):
     wrong = replace(late, gnss=replace(late.gnss, latitude=latitude))
     problem = Problem(wrong, table.check({}))
     assert np.flatnonzero(problem.outlying).tolist() == [60] and not problem.mask[60]
+
+
+@pytest.mark.parametrize('effect, parameter, value, sigma, unit, said', [
+    ('gnss_time_offset', 'time_offset', 0.25, 0.01, 's', 'fixes are stamped 0.250 \N{PLUS-MINUS SIGN} 0.01 s too late'),
+    ('gnss_time_offset', 'time_offset', -0.25, 0.01, 's', 'too early'),
+    ('mounting_rotation', 'yaw', math.radians(-5.0), math.radians(0.5), 'rad',
+     'it is turned 5.00 \N{PLUS-MINUS SIGN} 0.5 deg more to the right'),
+    ('mounting_rotation', 'pitch', 0.1, 0.01, 'rad', 'more forward'),
+    ('accelerometer_scale', 'x', 0.05, 0.01, '-', 'forward 5.0 \N{PLUS-MINUS SIGN} 1 % too much'),
+    ('gnss_lever_arm', 'y', -0.8, 0.1, 'm', 'further right'),
+    ('g_sensitivity', 'x', 1e-3, 1e-4, '(rad/s)/(m/s^2)', 'x 0.0010'),
+])
+def test_the_size_of_an_effect_in_words(effect, parameter, value, sigma, unit, said):
+    assert said in size(effect, parameter, Estimate(value, sigma, unit))
+
+
+def test_the_words_for_an_effect_are_of_effects_that_are_there():
+    from mems_ins_fusion.reports import effect_words
+
+    for name in (*effect_words._WORDS, *effect_words._OR, *(name for name, _ in effect_words._SIZES)):
+        assert name in EFFECTS
+    for name, parameter in effect_words._SIZES:
+        assert parameter in {p.name for p in EFFECTS[name].traced}

@@ -18,7 +18,7 @@ from mems_ins_fusion.diagnosis.levels import choose, multiplied
 from mems_ins_fusion.diagnosis.outliers import isolated
 from mems_ins_fusion.diagnosis.plausible import implausible
 from mems_ins_fusion.diagnosis.proof import HeldOut, harm, objection, parts
-from mems_ins_fusion.diagnosis.residuals import Residual, Scores, _scores, _whiten_matrix, tempered
+from mems_ins_fusion.diagnosis.residuals import Residual, Scores, _scores, _whiten_matrix, lasting, tempered
 from mems_ins_fusion.diagnosis.tracing import Candidate, _test, effect_unknowns, group
 from mems_ins_fusion.effects.base import Effect, EffectParameter
 from mems_ins_fusion.parameters import table
@@ -78,11 +78,17 @@ def made_innovations(rng):
     """z and S as smooth functions of two unknowns; S(x) = S_0 exp(a x) and some off the diagonal."""
     base, slope, curve = white(rng), rng.standard_normal((N, 2, 2)), rng.standard_normal((N, 2))
     growth = 0.3 * rng.standard_normal((N, 2))
+    # and numbers of their own beside the fixes, some not there
+    number, move, grow = rng.standard_normal((3, N, 3))
+    number[::4] *= 6.0  # beyond the tail
+    number[:, 1][missing := rng.uniform(size=N) < 0.3] = np.nan
+    grow[missing, 1] = np.nan
 
     def at(x):
         z = base.z + slope @ x + curve * x[0] * x[1]
         s = base.s * np.exp(growth @ x)[:, None] + np.array([0.1, 0.05, 0.2]) * (x[0] ** 2 + x[1])
-        return Residual(z, s, base.yaw, base.velocity)
+        own = np.stack([number + move * x[0] + x[1] ** 2, np.exp(0.3 * grow * x[1]) + x[0] ** 2], axis=1)
+        return Residual(z, s, base.yaw, base.velocity, own)
     return at
 
 
@@ -111,7 +117,24 @@ def test_the_information_is_that_of_the_dense_formula():
         weight = min(1.0, 9 / (at(x).z[k] @ inverse @ at(x).z[k]))  # of a fix that is off
         expected += weight * np.array([[dz[i] @ inverse @ dz[j] + 0.5 * np.trace(inverse @ ds[i] @ inverse @ ds[j])
                                         for j in range(2)] for i in range(2)])
+        for z, variance, dz, ds in zip(*at(x).beside[k], *np.transpose(
+                [(plus.beside[k] - minus.beside[k]) / (2 * step) for plus, minus in ends], (1, 2, 0))):
+            if np.isfinite(z):
+                expected += min(1.0, 9 * variance / z**2) * (np.outer(dz, dz) / variance
+                                                             + 0.5 * np.outer(ds, ds) / variance**2)
     assert np.allclose(found, expected, rtol=1e-5)
+
+
+def test_what_lasts_counts_for_less():
+    # given white numbers, such that follow each other with 0.8 from one to the next, and a few
+    rng = np.random.default_rng(12)
+    variance = rng.uniform(0.5, 2.0, (20_000, 3))
+    u = np.column_stack([rng.standard_normal(20_000), lfilter([0.6], [1.0, -0.8], rng.standard_normal(20_000)),
+                         np.full(20_000, np.nan)])
+    u[:30, 2], u[::7, 1] = 1.0, np.nan
+    # then they are worth what the spectrum at zero says: (1 + 0.8) / (1 - 0.8)
+    found = lasting(np.stack([np.sqrt(variance) * u, variance], axis=1), np.ones(20_000, dtype=bool))
+    assert found == pytest.approx([1.0, 9.0, 1.0], rel=0.1)
 
 
 def unpacked(s):
@@ -150,7 +173,9 @@ def test_detection_is_silent_when_the_model_is_right_and_says_what_is_wrong_when
 
 
 def problem_of_fixes(n=600):
-    return SimpleNamespace(stamp=1_700_000_000_000_000_000 + np.arange(n) * 10**9, mask=np.arange(n) >= 20)
+    problem = SimpleNamespace(stamp=1_700_000_000_000_000_000 + np.arange(n) * 10**9, mask=np.arange(n) >= 20)
+    problem.each = (problem,)
+    return problem
 
 
 def synthetic(rng, n=N, theta=(0.0, 0.0)):
@@ -222,6 +247,13 @@ def test_what_speaks_against_an_effect():
     assert objection(sure, []) == objection(sure, [{'what': 'outages of 60 s', 'count': 0, 'decides': True}]) == ''
     assert objection(sure, [better, worse]).startswith('the error grows: outages of 30 s, mean largest error in m, 10')
     assert 'all in all it is 1.07 times' in objection(sure, [row(4.0, 4.3)])
+    # the same error is none where the ellipse comes to hold it, a larger one is
+    assert objection(sure, [row(4.0, 4.3, within=(0.6, 0.8))]) == ''
+    assert objection(sure, [row(4.0, 4.3, within=(0.6, 0.61))]) and objection(sure, [row(1.0, 1.3, within=(0.6, 0.9))])
+    # nor does an ellipse speak against an error that is plainly smaller: that is a matter of noise levels
+    assert objection(sure, [row(4.0, 1.5, within=(0.97, 0.74))]) == ''
+    assert 'ellipse' in objection(sure, [row(4.0, 3.2, within=(0.97, 0.74))])
+    assert harm([row(4.0, 1.5, within=(0.97, 0.74))])
     assert objection(weak, [alike]).startswith('no gain on data it was not fitted to (log likelihood +5.0, p 0.4)')
     assert objection(none, [better]).startswith('no gain')
 

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.evaluation.metrics import position_errors, rms
 from mems_ins_fusion.filter import replay
-from mems_ins_fusion.filter.layout import Head, views
+from mems_ins_fusion.filter.layout import Head, Kind, views
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'studies'))
 from table_of_numbers import Drive, recording, truth_of  # noqa: E402
@@ -196,3 +196,26 @@ def test_what_is_known_of_the_vehicle_bounds_an_outage(mechanization):
     assert error['non_holonomic'] < 0.5 * error['none'] and error['both'] < 3.0, error
     assert max(at_rest_speed['standstill'], at_rest_speed['both']) < 0.03 < 0.1 < at_rest_speed['none'], at_rest_speed
     assert max(normalized.values()) < 6.0, normalized  # 2 on average, but errors of one drive are not independent
+
+
+def test_what_the_constraints_said_of_a_whole_recording():
+    # given a drive, and constraints with so large a sigma that they change nothing
+    imu, fixes = recording(Drive(duration=120.0), 3, True)
+    values = {'mechanization': 'strapdown', 'imu.mounting_sigma': 0.0, 'vehicle.non_holonomic': True,
+              'vehicle.non_holonomic_sigma': 100.0, 'vehicle.non_holonomic_vertical_sigma': 100.0,
+              'vehicle.zero_velocity': True, 'vehicle.rear_axle': [0.0, 0.0, 0.0], 'vehicle.rear_axle_sigma': 0.0}
+    config = configure(values)
+    plain = replay.run(config, imu, fixes)
+    # when it is asked what they said
+    found, said = replay.run_with_constraints(config, imu, fixes)
+    # then the run is the same, and their innovations are the velocities across the vehicle, or at rest the velocity
+    assert np.array_equal(found.latitude, plain.latitude) and np.array_equal(found.sigma, plain.sigma)
+    moving = said.kind == Kind.NON_HOLONOMIC
+    assert moving.sum() > 300 and (~moving).sum() > 20
+    at = np.searchsorted(found.index, said.index[moving])
+    turned = Rotation.from_euler('ZYX', np.column_stack([found.yaw, found.pitch, found.roll])[at]).inv()
+    off = np.abs(said.z[moving, :2] - turned.apply(found.velocity[at])[:, 1:]).max(axis=1)
+    assert np.mean(off < 1e-3) > 0.85  # but where a fix came between, which is in the state kept
+    assert said.s[moving, :2] == pytest.approx(1e4, rel=1e-2)
+    assert set(said.kind) == {Kind.NON_HOLONOMIC, Kind.ZERO_VELOCITY}
+    assert np.abs(said.z[~moving]).max() < 1.0

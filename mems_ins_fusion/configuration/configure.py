@@ -18,6 +18,7 @@ from mems_ins_fusion.parameters.table import defaults
 from mems_ins_fusion.recordings.checker import INFO, Finding, check_recording
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.motion import find_standstill, valid_fixes
+from mems_ins_fusion.recordings.several import refuse_twice
 from mems_ins_fusion.recordings.units import in_si
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
@@ -86,7 +87,8 @@ def configure(paths, progress=lambda part, what: None) -> Configuration:
         gnss = _same(found.gnss, topics.gnss[0].topic, path) if topics.gnss else None
         progress((i + 0.5) / len(paths), 'looking')
         drives.append(_look(path, imu.samples, gnss.samples if gnss else None))
-        _refuse_twice(drives)
+        for other in drives[:-1]:
+            refuse_twice(drives[-1], other)
     mounting = _together([drive.mounting for drive in drives if drive.mounting is not None])
     progress(1.0, 'done')
     return Configuration(tuple(_settings(topics, drives, mounting)), topics, tuple(drives), mounting,
@@ -99,16 +101,6 @@ def _same(candidates, topic, path) -> Candidate:
         raise RecordingError(f"{path} has no messages on '{topic}', which the first recording has; give recordings of "
                              'one vehicle')
     return match[0]
-
-
-def _refuse_twice(drives) -> None:
-    """A RecordingError where the newest of `drives` has the samples of another: what they show is no second witness."""
-    newest = drives[-1]
-    for other in drives[:-1]:
-        _, a, b = np.intersect1d(newest.imu.stamp, other.imu.stamp, return_indices=True)
-        same = (newest.imu.specific_force[a] == other.imu.specific_force[b]).all(axis=1).sum()
-        if same > 0.5 * min(len(newest.imu), len(other.imu)):
-            raise RecordingError(f'{newest.name} holds the samples of {other.name}; give each recording once')
 
 
 def _look(path, imu: ImuSamples, fixes: Fixes | None) -> Drive:

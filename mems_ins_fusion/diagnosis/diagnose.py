@@ -4,9 +4,7 @@ Each step takes what is known so far (`Known`, never changed) and returns what i
 """
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,16 +12,18 @@ import numpy as np
 from ..effects.base import Effect
 from ..effects.gnss_outliers import far_off
 from ..effects.registry import EFFECTS
+from ..recordings.several import one_after_another
 from ..samples import Recording
 from . import learned
+from .agreement import by_drive, contradicted, plainest_in_one, said
 from .clock import in_its_clock
 from .detection import Detection, detect
+from .drives import Drives, on_all_cores, part, problems
 from .estimate import Estimate
 from .levels import choose, multiplied
 from .outliers import isolated
 from .plausible import implausible
 from .proof import (
-    COVERED,
     HeldOut,
     Measured,
     all_in_all,
@@ -31,14 +31,17 @@ from .proof import (
     gain_of,
     harm,
     held_out,
+    honest,
     measure,
     objection,
+    of_all,
     parts,
+    saved,
+    together,
     which_part,
 )
 from .residuals import (
     LARGEST_FACTOR,
-    DiagnosisError,
     Model,
     Problem,
     Residual,
@@ -94,6 +97,9 @@ FEWEST_OUTAGES = 5
 #: decisions are made on about so many outages, so far apart, s
 FEW_OUTAGES, CLOSEST_OUTAGES = 40, 10.0
 
+#: the parts of the work, by the time they usually take: where they begin, and how many choices there are among levels
+SEARCHING, CHOOSING, MEASURING, LOOKING, USUAL_CHOICES = 0.05, 0.72, 0.88, 0.95, 15
+
 Progress = Callable[[float, str], None]
 
 
@@ -102,7 +108,9 @@ class Finding:
     """One thing that was traced.
 
     group: names of what the recording cannot tell it from, itself first. changes: the parameters as the correction
-    sets them. reason: why it was not added. seen: where it was not fitted, what shows it.
+    sets them. reason: why it was not added. seen: where it was not fitted, what shows it. drives: what each of several
+    drives says alone, by name. apart: the drives contradict each other. saves: duration of outages, s, and the
+    median of the largest error without it and with it, m, each beside what was found before.
     """
 
     name: str
@@ -115,6 +123,9 @@ class Finding:
     reason: str = ''
     changes: dict = field(default_factory=dict)
     seen: str = ''
+    drives: dict[str, dict[str, Estimate]] = field(default_factory=dict)
+    apart: bool = False
+    saves: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -124,12 +135,13 @@ class Diagnosis:
     and is what is left unexplained.
 
     noise: factors on noise levels in `corrected`. explained: those with which the innovations are explained best, and
-    which no filter has to use.
+    which no filter has to use. drives: the same diagnosis as it looks in each of several drives. left_out: why other
+    drives are not in it, by name.
     """
 
-    recording: Recording
+    recordings: tuple[Recording, ...]
     values: dict
-    problem: Problem
+    problem: Drives
     residuals: dict[str, Residual]
     detections: dict[str, Detection]
     noise: dict[str, float]
@@ -146,6 +158,18 @@ class Diagnosis:
     comparison: list[dict]
     rest: list[GoesWith]
     remarks: list[str] = field(default_factory=list)
+    drives: list[Diagnosis] = field(default_factory=list)
+    left_out: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Of the recordings."""
+        return ', '.join(recording.name for recording in self.recordings)
+
+    @property
+    def recording(self) -> Recording:
+        """The recording of a diagnosis of one drive, the first one of several."""
+        return self.recordings[0]
 
     @property
     def unexplained(self) -> bool:
@@ -154,22 +178,36 @@ class Diagnosis:
 
 @dataclass(frozen=True)
 class Bench:
-    """The recording on the bench: what errors a filter makes in it.
+    """The recordings on the bench: what errors a filter makes in them.
 
-    offset_sigma: gnss.time_offset_sigma as given, which the search does without.
+    recordings: with all fixes, as many as the problem has drives. offset_sigma: gnss.time_offset_sigma as given, which
+    the search does without.
     """
 
-    recording: Recording
-    origin: Problem
+    recordings: tuple[Recording, ...]
+    origin: Drives
     library: tuple[Effect, ...]
     durations: tuple[float, ...]
     spacing: float
     tell: Progress
     offset_sigma: float
+    measured: dict[str, Measured] = field(default_factory=dict)  # by the filters asked for
 
     def enough(self, share: float = 1.0) -> bool:
         """Whether this share of the work of a search is done."""
-        return sum(self.origin.runs) > share * ENOUGH
+        return self.done > share
+
+    @property
+    def done(self) -> float:
+        """The share of the most that there may be to do that is done."""
+        return self.origin.work / (ENOUGH * len(self.recordings))
+
+    def searching(self, what: str) -> None:
+        """Tell what is being done, now and after each batch of work."""
+        def tell():
+            self.tell(SEARCHING + (CHOOSING - SEARCHING) * min(1.0, self.done), what)
+        tell()
+        self.origin.watched(tell)
 
     def errors(self, models: Sequence[dict], full: bool = False) -> Measured:
         """Of one filter, or of those fitted to all parts but one, in these parts.
@@ -177,17 +215,29 @@ class Bench:
         full: with all IMU samples, by the protocol that is reported; else for decisions.
         """
         models = [{**values, 'gnss.time_offset_sigma': self.offset_sigma} for values in models]
-        if full:
-            return measure(self.origin, self.recording, self.origin.full.imu, models, self.durations, self.spacing)
-        mask = self.origin.mask
-        seconds = float(self.origin.stamp[mask][-1] - self.origin.stamp[mask][0]) * 1e-9
-        spacing = max(CLOSEST_OUTAGES, seconds / FEW_OUTAGES)
-        return measure(self.origin, self.recording, self.origin.drive.imu, models, self.durations, spacing)
+        asked = repr((full, [sorted(values.items()) for values in models]))
+        if asked not in self.measured:
+            self.measured[asked] = self._measured(models, full)
+        return self.measured[asked]
+
+    def _measured(self, models: list[dict], full: bool) -> Measured:
+        judged = parts(self.origin) if len(models) > 1 else [self.origin.mask]
+        found = {}
+        for recording, problem, where in zip(self.recordings, self.origin.each, self.origin.slices):
+            seconds = float(np.ptp(problem.stamp[problem.mask])) * 1e-9
+            mine = [(values, mask[where]) for values, mask in zip(models, judged) if mask[where].any()]
+            spacing = self.spacing if full else max(CLOSEST_OUTAGES, seconds / FEW_OUTAGES)
+            found[recording.name] = measure(
+                problem, recording, (problem.full if full else problem.drive).imu, [values for values, _ in mine],
+                fitting(self.durations, problem), spacing, [mask for _, mask in mine])
+        return together(found)
 
     def each(self, configurations: Sequence[dict]) -> list[Measured]:
-        """Of several filters."""
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            return list(pool.map(lambda values: self.errors([values]), configurations))
+        """Of several filters, for the choice of noise levels."""
+        found = on_all_cores(lambda values: self.errors([values]), configurations)
+        count = len(self.measured)
+        self.tell(CHOOSING + (MEASURING - CHOOSING) * count / (count + USUAL_CHOICES), 'choosing noise levels')
+        return found
 
 
 @dataclass(frozen=True)
@@ -223,27 +273,22 @@ class Known:
         return [self.problem.corrected(self.model.unknowns, x) for x in self.estimates] or [self.corrected()]
 
 
-def diagnose(recording: Recording, values: dict, progress: Progress = lambda part, what: None,
+def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress: Progress = lambda part, what: None,
              effects: Sequence[Effect] | None = None, durations=(10.0, 30.0, 60.0), spacing: float = 30.0) -> Diagnosis:
-    """Diagnose `recording` as filtered with `values` (checked parameters).
+    """Diagnose `recordings`, one or several of one vehicle, as filtered with `values` (checked parameters).
 
-    effects: the candidates, by default all of the registry. Raises DiagnosisError where the recording cannot be
-    diagnosed at all. `progress` is called with the part of the work done and what is being done.
+    effects: the candidates, by default all of the registry. Raises DiagnosisError where no recording can be diagnosed
+    at all. `progress` is called with the part of the work done and what is being done.
     """
     progress(0.02, 'filtering')
-    if recording.reference is not None:
-        slot = (recording.reference.stamp - recording.reference.stamp[0]) // round(REFERENCE_INTERVAL * 1e9)
-        kept = np.unique(slot, return_index=True)[1]
-        recording = replace(recording, reference=recording.reference.select(kept))
-    recording, clock = in_its_clock(recording, values['reference_clock'])
-    problem = Problem(recording, values)
-    problem.reference_with_fixes = clock.with_fixes
-    if problem.mask.sum() < FEWEST_FIXES:
-        raise DiagnosisError(f'{recording.name}: {int(problem.mask.sum())} fixes while the filter runs, at least '
-                             f'{FEWEST_FIXES} are needed: record some minutes of driving with fixes every second')
-    durations = tuple(d for d in durations if d < 0.3 * (problem.stamp[-1] - problem.stamp[0]) * 1e-9)
+    given = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    timed = [in_its_clock(_thinned(r), values['reference_clock']) for r in one_after_another(given)]
+    found, left_out = problems([r for r, _ in timed], values, FEWEST_FIXES)
+    timed = [(r, clock) for r, clock in timed if r.name not in left_out]
+    for problem, (_, clock) in zip(found, timed):
+        problem.reference_with_fixes = clock.with_fixes
     library = tuple(effects if effects is not None else EFFECTS.values())
-    bench = Bench(recording, problem, library, durations, spacing, progress,
+    bench = Bench(tuple(r for r, _ in timed), Drives(found), library, tuple(durations), spacing, progress,
                   values['gnss.time_offset_sigma'])
     known = first = begin(bench)
     for _ in range(MOST_ROUNDS):
@@ -253,12 +298,25 @@ def diagnose(recording: Recording, values: dict, progress: Progress = lambda par
         if found_none or bench.enough():
             break
     known = without_undetermined(without_superseded(known, bench), bench)
-    return concluded(known, first, bench)
+    return replace(concluded(known, first, bench), left_out=left_out)
+
+
+def _thinned(recording: Recording) -> Recording:
+    """With no more of the reference than errors are measured at."""
+    if recording.reference is None:
+        return recording
+    slot = (recording.reference.stamp - recording.reference.stamp[0]) // round(REFERENCE_INTERVAL * 1e9)
+    return replace(recording, reference=recording.reference.select(np.unique(slot, return_index=True)[1]))
+
+
+def fitting(durations: Sequence[float], problem: Problem) -> tuple[float, ...]:
+    """The durations of outages, s, of which a drive holds enough."""
+    return tuple(d for d in durations if d < 0.3 * (problem.stamp[-1] - problem.stamp[0]) * 1e-9)
 
 
 def begin(bench: Bench) -> Known:
     """The model without effects: fixes that are off alone set aside, noise levels fitted."""
-    bench.tell(0.05, 'fitting noise levels')
+    bench.searching('fitting noise levels')
     problem = bench.origin
     noise = noise_unknowns(problem)
     [at] = problem.residuals(noise, [calibrated(problem, noise)])
@@ -268,16 +326,20 @@ def begin(bench: Bench) -> Known:
     return _hidden(Known(problem, model, bench.errors([bench.origin.given]), bench.library))
 
 
-def _far_off(problem: Problem) -> np.ndarray:
+def _far_off(problem: Drives) -> np.ndarray:
     """Which fixes neither those before nor those after them explain, (f,) bool."""
     found = np.zeros(len(problem.stamp), dtype=bool)
-    found[far_off(problem.drive.gnss)[0]] = True
+    for drive, where in zip(problem.each, problem.slices):
+        found[where.start + far_off(drive.drive.gnss)[0]] = True
     return found
 
 
 def _hidden(known: Known) -> Known:
-    """Without the effects of which this problem can say nothing."""
-    reasons = {e.name: e.hidden(known.problem.given, known.problem.recording) for e in known.effects}
+    """Without the effects of which none of the drives can say anything."""
+    reasons = {}
+    for e in known.effects:
+        own = [e.hidden(known.problem.given, p.recording) for p in known.problem.each]
+        reasons[e.name] = own[0] if all(own) else ''
     reasons |= {name: why for name, why in learned.hides(known.problem.given).items() if name in reasons}
     fitted = {e.name for e in known.effects if e.traced}
     hidden = {name: why for name, why in reasons.items() if why and name in fitted}
@@ -293,8 +355,7 @@ def add_best(known: Known, bench: Bench) -> Known:
     A `Known` without a further choice where nothing is significant."""
     if not known.effects:
         return known
-    share = 0.1 + 0.6 * min(1.0, sum(bench.origin.runs) / ENOUGH)  # of the most that there may be to do
-    bench.tell(share, 'testing effects')
+    bench.searching('testing effects')
     views = starts(known)[:1 if bench.enough(0.6) else None]
     best: dict[str, tuple[Candidate, np.ndarray]] = {}
     significant: list[tuple[int, Candidate, np.ndarray]] = []
@@ -308,6 +369,9 @@ def add_best(known: Known, bench: Bench) -> Known:
         plain = [c for c in traced if c.p_adjusted <= SIGNIFICANCE and c.scores is not None]
         plain.sort(key=lambda c: 2 * len(c.theta) - c.gain)
         significant += [(rank, c, view) for rank, c in enumerate(plain[:TRIED]) if c.gain >= PART * plain[0].gain]
+        alone = plainest_in_one(traced, moved)
+        if alone is not None and alone[1] <= SIGNIFICANCE:
+            significant.append((TRIED, alone[0], view))
     candidates = sorted((c for c, _ in best.values()), key=lambda c: (c.p, -c.gain))
     known = replace(known, rounds=(*known.rounds, candidates))
     if not significant:
@@ -315,7 +379,7 @@ def add_best(known: Known, bench: Bench) -> Known:
     # each from the start where it explains most, those first that are first at some start
     names = [c.name for _, c, _ in sorted(significant, key=lambda found: (found[0], best[found[1].name][0].p))]
     names = list(dict.fromkeys(names))[:MOST_TRIED]
-    bench.tell(share + 0.01, f'adding {" or ".join(names)}')
+    bench.searching(f'adding {" or ".join(names)}')
     return _tried(known, [best[name] for name in names], candidates, bench)
 
 
@@ -345,6 +409,8 @@ class Judged:
     proof: HeldOut
     errors: Measured
     against: str
+    drives: dict[str, dict[str, Estimate]] = field(default_factory=dict)
+    apart: bool = False
 
 
 def _tried(known: Known, significant, candidates: list[Candidate], bench: Bench) -> Known:
@@ -356,7 +422,10 @@ def _tried(known: Known, significant, candidates: list[Candidate], bench: Bench)
     chosen = {candidate.name: candidate for candidate, _ in significant}
     models = {candidate.name: _with(known, candidate, view, bench) for candidate, view in significant}
     mask = np.logical_and.reduce([model.problem.mask for model in models.values()])
-    merit = {name: model.likelihood(mask) - len(chosen[name].theta) for name, model in models.items()}
+    # another mechanization measures other things beside the fixes
+    comparable = all(model.problem is known.problem for model in models.values())
+    merit = {name: float(np.nansum((m.residual if comparable else m.residual.of_fixes).log_likelihood()[mask]))
+             - len(chosen[name].theta) for name, m in models.items()}
     order = sorted(models, key=merit.get, reverse=True)
     failed: list[Finding] = []
     for name in order:
@@ -373,7 +442,8 @@ def _tried(known: Known, significant, candidates: list[Candidate], bench: Bench)
         others = [n for n in names if n != best.candidate.name and (
             n not in judged or all_in_all(compared(best.errors, judged[n].errors)) < DIFFERENT)]
         finding = Finding(best.candidate.name, [best.candidate.name, *others], best.parameters, best.candidate.gain,
-                          best.candidate.p_adjusted, not best.against, best.proof, best.against)
+                          best.candidate.p_adjusted, not best.against, best.proof, best.against, drives=best.drives,
+                          apart=best.apart, saves=saved(known.errors, best.errors))
         if not best.against:
             return _taken(known, best, finding, failed)
         failed.append(finding)
@@ -403,9 +473,8 @@ def _with(known: Known, candidate: Candidate, view: np.ndarray, bench: Bench) ->
     """The present model with one candidate added and all fitted again from `view`, well enough to compare."""
     model = known.model
     if candidate.effect.replaces_model(candidate.values()):
-        problem = Problem(bench.recording, candidate.effect.adjusted(known.problem.given, candidate.values()))
-        problem.runs = known.problem.runs
-        problem = problem.without(known.problem.outlying)
+        problem = known.problem.configured(bench.recordings,
+                                           candidate.effect.adjusted(known.problem.given, candidate.values()))
         noise = noise_unknowns(problem)
         kept = [u for u in model.unknowns if not u.noise]
         x = np.append(calibrated(problem, noise), model.x[known.noise:])
@@ -423,7 +492,9 @@ def _judged(known: Known, candidate: Candidate, model: Model, bench: Bench) -> J
         model = refined(model)
         proof = gain_of(known.problem, known.model.residual, model.residual)
         alone = fit(known.problem.moved(known.model.unknowns, known.model.x), candidate.unknowns, candidate.theta)
-        parameters = _estimates(candidate, alone, 0)
+        diluted = max(p.diluted for p in known.problem.each)
+        parameters = {name: replace(e, sigma=float(np.hypot(e.sigma, diluted * e.value))) if e.known else e
+                      for name, e in _estimates(candidate, alone, 0).items()}
         errors = bench.errors([model.problem.corrected(model.unknowns, model.x)])
         against = objection(proof, compared(known.errors, errors))
         return Judged(candidate, model, parameters, {}, proof, errors, against)
@@ -439,9 +510,20 @@ def _judged(known: Known, candidate: Candidate, model: Model, bench: Bench) -> J
     shorter = max(known.model, shorter, key=lambda m: m.likelihood(mask))
     proof = held_out(model, shorter, known.noise)
     errors = bench.errors([known.problem.corrected(model.unknowns, x) for x in proof.estimates])
-    against = (implausible(candidate.name, parameters) or _small(model, first)
+    drives, apart = _by_drive(model, candidate.effect, known.noise, range(first, len(model.unknowns)))
+    against = (implausible(candidate.name, parameters)
+               or (f'the drives contradict each other ({said(drives)})' if apart else '') or _small(model, first)
                or objection(proof, compared(known.errors, errors)))
-    return Judged(candidate, model, parameters, hidden, proof, errors, against)
+    return Judged(candidate, model, parameters, hidden, proof, errors, against, drives, apart)
+
+
+def _by_drive(model: Model, effect: Effect, noise: int, own: Sequence[int]):
+    """What each of several drives says of the unknowns `own` (indices), and whether they contradict each other."""
+    units = {p.name: p.unit for p in effect.traced}
+    own = [i for i in own if model.unknowns[i].factor_on is None and not model.unknowns[i].variance]
+    drives = {name: {p: replace(e, unit=units[p]) for p, e in found.items()}
+              for name, found in by_drive(model, noise, own).items()} if own else {}
+    return drives, contradicted(model, noise, own)
 
 
 def _small(model: Model, first: int) -> str:
@@ -569,21 +651,17 @@ class Correction:
 
 def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
     """The corrections that are proven, and the errors before and after."""
-    bench.tell(0.72, 'choosing noise levels')
+    bench.origin.watched(None)
+    bench.tell(CHOOSING, 'choosing noise levels')
     given = bench.origin.given
     configured = Correction(given, [given], {}, False)
     fitted = _levelled(configured, bench)
     corrections = _settled(known, first, fitted, configured, bench)
-    bench.tell(0.88, 'measuring errors')
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        before, noise_only, after = pool.map(lambda models: bench.errors(models, full=True),
-                                             ([given], fitted.by_part, corrections[0].by_part))
+    bench.tell(MEASURING, 'measuring errors')
+    before, noise_only = (bench.errors(models, full=True) for models in ([given], fitted.by_part))
     for correction in corrections:  # the last one is what was given
         better = correction.values != given
-        if not better:
-            after = before
-        elif correction is not corrections[0]:
-            after = bench.errors(correction.by_part, full=True)
+        after = bench.errors(correction.by_part, full=True) if better else before
         comparison = compared(before, after)
         if not better or improves(comparison, correction.effects):
             break
@@ -592,18 +670,38 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
     findings = _final(known, hidden, correction.values, given, bench.library)
     findings = [*(findings if correction.effects else map(_only_told, findings)), *correction.settings]
     model, origin = known.model, bench.origin
+    drives = origin.each
     residuals = {'before': origin.before, 'fitted': origin.observed(fitted.values),
                  'after': origin.observed(correction.values), 'search': model.residual}
-    bench.tell(0.95, 'looking at what is left')
-    rest = goes_with(model.moved(), model.scores, model.residual)
+    bench.tell(LOOKING, 'looking at what is left')
+    rests = [goes_with(moved, part(model.scores, where), part(model.residual, where))
+             for moved, where in zip(model.moved().each, origin.slices)]
     explained = {u.name: float(np.exp(x)) for u, x in zip(model.unknowns, model.x) if u.noise}
-    return Diagnosis(
-        recording=bench.recording, values=given, problem=origin, residuals=residuals,
+    remarks = [_remarks(p) for p in drives]
+    whole = Diagnosis(
+        recordings=bench.recordings, values=given, problem=origin, residuals=residuals,
         detections={stage: detect(r, origin.mask) for stage, r in residuals.items()}, noise=correction.factors,
         explained=explained, rounds=list(known.rounds), chosen=list(known.chosen), findings=findings,
         hidden=hidden, corrected=correction.values,
         better=better, before=before, fitted=noise_only, after=after, comparison=comparison,
-        rest=rest, remarks=_remarks(origin) + _noise_remarks(explained | correction.factors))
+        rest=[rest for found in rests for rest in found],
+        remarks=[said for said in remarks[0] if all(said in other for other in remarks)]
+        + _noise_remarks(explained | correction.factors))
+    if len(drives) < 2:
+        return whole
+    return replace(whole, drives=[_in_drive(whole, k, rests[k], remarks[k]) for k in range(len(drives))])
+
+
+def _in_drive(whole: Diagnosis, k: int, rest: list[GoesWith], remarks: list[str]) -> Diagnosis:
+    """The diagnosis of several drives as it looks in the k-th."""
+    problem, recording, where = whole.problem.each[k], whole.recordings[k], whole.problem.slices[k]
+    residuals = {stage: part(r, where) for stage, r in whole.residuals.items()}
+    return replace(
+        whole, recordings=(recording,), problem=Drives([problem]), residuals=residuals, rest=rest, remarks=remarks,
+        detections={stage: detect(r, problem.mask) for stage, r in residuals.items()},
+        before=whole.before.drives[recording.name], fitted=whole.fitted.drives[recording.name],
+        after=whole.after.drives[recording.name],
+        comparison=[row for row in whole.comparison if row.get('drive') == recording.name])
 
 
 def _settled(known: Known, first: Known, fitted: Correction, configured: Correction, bench: Bench) -> list[Correction]:
@@ -636,22 +734,31 @@ def _only_told(finding: Finding) -> Finding:
 def _with_settings(correction: Correction, bench: Bench) -> Correction:
     """With what a direct look at the recording shows, and the settings against it where these help."""
     for effect in bench.library:
-        sighting = effect.seen(bench.origin.given, bench.origin.full)
-        if sighting is None:
+        sightings = {p.recording.name: effect.seen(bench.origin.given, p.full) for p in bench.origin.each}
+        sightings = {name: sighting for name, sighting in sightings.items() if sighting is not None}
+        if not sightings:
             continue
         units = {p.name: p.unit for p in effect.parameters}
-        finding = Finding(effect.name, [effect.name], {n: Estimate(v, s, units[n]) for n, (v, s) in
-                                                       sighting.parameters.items()}, 0.0, 0.0, False,
-                          HeldOut(0.0, 1.0, []), seen=sighting.text)
+        drives = {name: {n: Estimate(v, s, units[n]) for n, (v, s) in sighting.parameters.items()}
+                  for name, sighting in sightings.items()}
+        # the settings against it are those for the drive that has most of it
+        most = max(sightings, key=lambda name: drives[name][effect.principal].value)
+        sighting, several = sightings[most], len(bench.origin.each) > 1
+        rest = [name for name in sightings if name != most]
+        text = sighting.text + (f' (in {most}{"; also in " if rest else ""}{", ".join(rest)})' if several else '')
+        finding = Finding(effect.name, [effect.name], drives[most], 0.0, 0.0, False, HeldOut(0.0, 1.0, []), seen=text,
+                          drives=drives if several else {})
         further = [{**values, **sighting.helps} for values in (correction.values, *correction.by_part)]
         if further[0] == correction.values:
             finding = replace(finding, reason='the settings are made for it already')
-        elif improves(compared(bench.errors(correction.by_part), bench.errors(further[1:]))):
-            changes = {n: v for n, v in further[0].items() if v != correction.values[n]}
-            finding = replace(finding, added=True, changes=changes)
-            correction = replace(correction, values=further[0], by_part=further[1:])
         else:
-            finding = replace(finding, reason='the errors do not shrink with other settings')
+            before, after = bench.errors(correction.by_part), bench.errors(further[1:])
+            if improves(compared(before, after)):
+                changes = {n: v for n, v in further[0].items() if v != correction.values[n]}
+                finding = replace(finding, added=True, changes=changes, saves=saved(before, after))
+                correction = replace(correction, values=further[0], by_part=further[1:])
+            else:
+                finding = replace(finding, reason='the errors do not shrink with other settings')
         correction = replace(correction, settings=(*correction.settings, finding))
     return correction
 
@@ -660,7 +767,7 @@ def _with_mounting(correction: Correction, bench: Bench) -> Correction:
     """With the mounting's angles as the filter has learned them, where they are there and do no harm."""
     if MOUNTING not in {e.name for e in bench.library}:
         return correction
-    found = learned.angles(bench.origin.full, correction.values)
+    found = learned.together([learned.angles(p.full, correction.values) for p in bench.origin.each])
     if found is None or not found.plain:
         return correction
     effect = next(e for e in bench.library if e.name == MOUNTING)
@@ -671,15 +778,17 @@ def _with_mounting(correction: Correction, bench: Bench) -> Correction:
 
     whole = {name: e.value for name, e in found.whole.items()}
     parted = correction.by_part * (len(parts(bench.origin)) if len(correction.by_part) == 1 else 1)
-    # each part in turn with the angles of one half of the drive, so that their scatter is in the errors
+    # each part in turn with angles of other data, or of one half of them, so that their scatter is in the errors
     halves = found.halves or [whole]
     by_part = [turned(values, halves[k % len(halves)]) for k, values in enumerate(parted)]
     values = turned(correction.values, {n: whole.get(n, 0.0) for n in learned.STATES})
     finding = Finding(MOUNTING, [MOUNTING], found.plain, 0.0, 0.0, True, HeldOut(0.0, 1.0, []),
                       changes={'imu.mounting_rpy': values['imu.mounting_rpy']},
-                      seen='the filter finds it itself in each drive, within a minute or two of it')
-    reason = implausible(MOUNTING, found.plain) or harm(compared(bench.errors(correction.by_part),
-                                                                 bench.errors(by_part)))
+                      seen='the filter finds it itself in each drive, within a minute or two of it',
+                      drives={p.recording.name: own for p, own in zip(bench.origin.each, found.drives)})
+    before, after = bench.errors(correction.by_part), bench.errors(by_part)
+    finding = replace(finding, saves=saved(before, after))
+    reason = implausible(MOUNTING, found.plain) or found.contradicted or harm(compared(before, after))
     if reason:
         return replace(correction, settings=(*correction.settings, _only_told(replace(finding, reason=reason))))
     return replace(correction, values=values, by_part=by_part, settings=(*correction.settings, finding))
@@ -708,13 +817,10 @@ def improves(comparison: Sequence[dict], effects: bool = False) -> bool:
     """
     if harm(comparison, effects):
         return False
-    rows = [row for row in comparison if row['decides'] and row.get('before') and row.get('after')
-            and (effects or row['count'] >= FEWEST_OUTAGES)]
+    rows = [row for row in of_all(comparison) if effects or row['count'] >= FEWEST_OUTAGES]
     if not rows:
         return False
-    honest = any(row['within_before'] < COVERED and row['within_after'] >= row['within_before'] + 2 / row['count']
-                 for row in rows if 'within_before' in row)
-    return all_in_all(rows) < (BETTER_EFFECTS if effects else BETTER) or honest and all_in_all(rows) <= 1.0
+    return all_in_all(rows) < (BETTER_EFFECTS if effects else BETTER) or honest(rows) and all_in_all(rows) <= 1.0
 
 
 def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence[Effect]) -> list[Finding]:
@@ -731,7 +837,7 @@ def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence
         parameters = {n: e for n, e in parameters.items() if f'{finding.name}.{n}' not in hidden}
         if not finding.added:  # what is less than PLAIN is no news
             parameters = {n: e for n, e in parameters.items() if not e.known or abs(e.value) >= PLAIN * e.sigma}
-            if not parameters or finding.held_out.gain <= 0:
+            if not finding.apart and (not parameters or finding.held_out.gain <= 0):
                 continue
         changes = {}
         if finding.added:
@@ -740,6 +846,8 @@ def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence
             theta |= {n: e.value for n, e in finding.parameters.items()}
             moved = effect.adjusted(given, theta)
             changes = {n: corrected[n] for n in given if moved[n] != given[n]}
+            own = [i for i, u in enumerate(model.unknowns) if u.effect == finding.name and not u.noise]
+            finding = replace(finding, drives=_by_drive(model, effect, known.noise, own)[0])
         found.append(replace(finding, parameters=parameters, changes=changes))
     return found
 

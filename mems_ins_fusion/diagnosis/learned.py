@@ -6,6 +6,7 @@ effect is what the state has come to, at the end of the drive and of each half o
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,10 +33,15 @@ def hides(values: dict) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Angles:
-    """Mounting angles as learned, rad: of the whole drive, and of its halves where those are long enough."""
+    """Mounting angles as learned, rad: of all data, and of its halves, or of all drives but one in turn.
+
+    drives: of each of several drives. contradicted: that these contradict each other, empty where they do not.
+    """
 
     whole: dict[str, Estimate]
     halves: list[dict[str, float]]
+    drives: tuple[dict[str, Estimate], ...] = ()
+    contradicted: str = ''
 
     @property
     def plain(self) -> dict[str, Estimate]:
@@ -77,3 +83,29 @@ def _learned(config: FilterConfig, recording: Recording, begin: int, end: int) -
     first = len(names) - len(config.extras)
     return {angle: (float(result.extras[-1, names.index(state) - first]), float(result.sigma[-1, names.index(state)]))
             for angle, state in STATES.items() if state in names}
+
+
+def together(found: Sequence[Angles | None]) -> Angles | None:
+    """The angles of one mounting in several drives, weighted by their sigmas; None where none was learned."""
+    if len(found) == 1 or all(angles is None for angles in found):
+        return found[0]
+    drives = tuple(angles.whole if angles else {} for angles in found)
+    known = [angles for angles in drives if angles]
+    names = [name for name in STATES if all(name in angles for angles in known)]
+    whole = {name: _mean([angles[name] for angles in known]) for name in names}
+    # of each drive in turn what the others say; where there is one other, it alone
+    others = [{name: _mean([a[name] for k, a in enumerate(drives) if a and (k != i or len(known) == 1)]).value
+               for name in names} for i in range(len(drives))]
+    apart = [name for name in names if np.ptp([a[name].value for a in known]) > max(
+        SMALL, PLAIN * float(np.hypot(*sorted(a[name].sigma for a in known)[-2:]) if len(known) > 1 else 0.0))]
+    said = ', '.join(f'{name} ' + ', '.join(f'{a[name].value:.3f}' for a in known) + ' rad' for name in apart)
+    return Angles(whole, others, drives, f'the drives contradict each other: {said}' if apart else '')
+
+
+def _mean(estimates: Sequence[Estimate]) -> Estimate:
+    """Weighted by their sigmas; sigma at least what they scatter."""
+    value, sigma = (np.array([getattr(e, part) for e in estimates]) for part in ('value', 'sigma'))
+    weight = sigma**-2 / (sigma**-2).sum()
+    mean = float(weight @ value)
+    scatter = float(np.sqrt(weight @ (value - mean) ** 2 / max(len(value) - 1, 1)))
+    return Estimate(mean, max(float((sigma**-2).sum() ** -0.5), scatter), 'rad')

@@ -1,12 +1,12 @@
-"""Does it help where it was not fitted? Parts of the recording held out in turn, and errors of position in all of them.
+"""Does it help where it was not fitted? Parts of the data held out in turn, and errors of position in all of them.
 
-The filter always runs through the whole recording; an estimate uses the innovations of all parts but one and is judged
-on that one.
+Parts are blocks of time of each drive, or, of three drives and more, the drives. The filter always runs through whole
+recordings; an estimate uses the innovations of all parts but one and is judged on that one.
 """
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -21,10 +21,13 @@ from ..evaluation.outages import summary as outage_summary
 from ..filter.config import FilterConfig
 from ..filter.replay import run, run_with_outages
 from ..samples import ImuSamples, Recording
+from .drives import Drives, on_all_cores
 from .residuals import Model, Problem, Residual, tempered
 
 #: parts of the recording, each held out in turn; blocks of each part; a block is not shorter than this, s
 PARTS, BLOCKS, SHORTEST_BLOCK = 4, 2, 30.0
+#: of so many drives and more, each is held out as a whole
+FEWEST_DRIVES = 3
 #: a held-out gain counts when chance would give it this rarely: the tests that led to the effect were far stricter
 SIGNIFICANCE = 0.2
 #: what is new is supported by a part of the data where it is no chance at this level
@@ -35,6 +38,8 @@ CERTAIN = 0.01
 GROWN, NOTICED, LARGER = 0.03, 0.1, 1.1
 #: over the root of their number, the part by which the mean of the largest errors of outages scatters
 SCATTER = 0.5
+#: errors that are this part of those before have shrunk plainly
+PLAINLY = 0.7
 #: 95 % ellipses shall hold the truth in this part of the outages
 COVERED, LESS_HELD = 0.9, 0.15
 #: errors in outages count as they are up to so many sigma: who is in one wants to be told of the large ones
@@ -43,8 +48,15 @@ END_TAIL = 6.0
 SMALLEST_ERROR = 0.1
 
 
-def parts(problem: Problem) -> list[np.ndarray]:
-    """Masks of the fixes that count, by part: blocks of time in turns, so that all parts see all kinds of road."""
+def parts(problem: Problem | Drives) -> list[np.ndarray]:
+    """Masks of the fixes that count, by part: whole drives where there are enough; else parts of each."""
+    if len(problem.each) < FEWEST_DRIVES:
+        return [np.concatenate(same) for same in zip(*(_blocks(p) for p in problem.each))]
+    return [np.concatenate([p.mask & (p is drive) for p in problem.each]) for drive in problem.each]
+
+
+def _blocks(problem: Problem) -> list[np.ndarray]:
+    """Parts of one drive: blocks of time in turns, so that all parts see all kinds of road."""
     stamp = problem.stamp[problem.mask]
     duration = (stamp[-1] - stamp[0]) * 1e-9
     length = max(duration / (PARTS * BLOCKS), min(SHORTEST_BLOCK, duration / PARTS)) + 1e-6
@@ -53,7 +65,7 @@ def parts(problem: Problem) -> list[np.ndarray]:
 
 
 def which_part(problem: Problem):
-    """A function that tells the part, 0 to PARTS - 1, of stamps (k,) ns."""
+    """A function that tells the part, by its place in `parts`, of stamps (k,) ns."""
     masks = parts(problem)
 
     def of(stamp):
@@ -73,12 +85,14 @@ def part_of(stamp: np.ndarray, origin: int, length: float) -> np.ndarray:
 class HeldOut:
     """Gain of log likelihood on fixes that the estimate did not see: total, and p of no gain by blocks of time.
 
-    estimates: the unknowns by the part that was held out.
+    estimates: the unknowns by the part that was held out. drives: gain and p of no loss, by the name of each of several
+    drives.
     """
 
     gain: float
     p: float
     estimates: list[np.ndarray]
+    drives: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def helps(self) -> bool:
@@ -109,16 +123,27 @@ def held_out(longer: Model, shorter: Model, noise: int) -> HeldOut:
     for part, with_it, plain in zip(parts(problem), one, other):
         # a fix that one of them did not get to see says nothing
         gains[part] = np.nan_to_num((with_it.log_likelihood() - plain.log_likelihood())[part])
-    return HeldOut(float(gains.sum()), _p_of_no_gain(problem, gains), found)
+    return _of_gains(problem, gains, found)
 
 
 def gain_of(problem: Problem, before: Residual, after: Residual) -> HeldOut:
-    """What a model without unknowns of its own gains: nothing of it was fitted, so all data are held out."""
-    gains = np.where(problem.mask, np.nan_to_num(after.log_likelihood() - before.log_likelihood()), 0.0)
-    return HeldOut(float(gains.sum()), _p_of_no_gain(problem, gains), [])
+    """What a model without unknowns of its own gains: nothing of it was fitted, so all data are held out. Of the fixes,
+    as another mechanization measures other things beside them."""
+    one, other = after.of_fixes.log_likelihood(), before.of_fixes.log_likelihood()
+    gains = np.where(problem.mask, np.nan_to_num(one - other), 0.0)
+    return _of_gains(problem, gains, [])
 
 
-def _p_of_no_gain(problem: Problem, gains: np.ndarray) -> float:
+def _of_gains(problem: Problem | Drives, gains: np.ndarray, estimates: list[np.ndarray]) -> HeldOut:
+    drives, first = {}, 0
+    for drive in problem.each if len(problem.each) > 1 else ():
+        own = gains[first:first + len(drive.stamp)]
+        drives[drive.recording.name] = float(own.sum()), _p_of_no_gain(drive, -own)
+        first += len(drive.stamp)
+    return HeldOut(float(gains.sum()), _p_of_no_gain(problem, gains), estimates, drives)
+
+
+def _p_of_no_gain(problem: Problem | Drives, gains: np.ndarray) -> float:
     """One-sided t test of the sums over blocks of SHORTEST_BLOCK."""
     block = ((problem.stamp - problem.stamp[0]) // round(SHORTEST_BLOCK * 1e9))[problem.mask]
     _, index = np.unique(block, return_inverse=True)
@@ -133,7 +158,7 @@ class Measured:
     """Errors of one model: at the truth's epochs with the fixes used, in outages, and the innovations of its filter.
 
     independent: whether the truth is more than the fixes that the filter was given. stamp, likelihood (k,): of the
-    fixes that count, ns, and how well each was predicted.
+    fixes that count, ns, and how well each was predicted. drives: those of each of several drives, by name.
     """
 
     continuous: Errors
@@ -141,6 +166,7 @@ class Measured:
     independent: bool
     stamp: np.ndarray
     likelihood: np.ndarray
+    drives: dict[str, Measured] = field(default_factory=dict)
 
     def summary(self) -> dict:
         """The numbers for `report.json`."""
@@ -164,31 +190,46 @@ def _end_scores(outages: Outages) -> np.ndarray:
 
 
 def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Sequence[dict], durations,
-            spacing: float) -> Measured:
-    """Errors of a model with parameters `models`: one set, or one for each of `parts`, fitted to the others.
+            spacing: float, judged: Sequence[np.ndarray] | None = None) -> Measured:
+    """Errors in one drive of a model with parameters `models`: one set, or one for each part, fitted to the others.
 
-    recording: with all fixes, for the truth; imu: the samples that the filter gets.
+    recording: with all fixes, for the truth; imu: the samples that the filter gets. judged: masks of the parts, those
+    of `parts` by default.
     """
     first = int(problem.stamp[problem.mask][0])
     # by the fixes' own stamps, so that the same outages are compared whatever a model says of the clocks
     begins = outage_begins(first, problem.full.gnss, 0.0, spacing, min(durations, default=0.0))
-    judged = parts(problem) if len(models) > 1 else [problem.mask]
-    found = []
-    for values, part in zip(models, judged):
-        whole = len(models) == 1
+    if len(models) == 1:
+        judged = [problem.mask]
+    elif judged is None:
+        judged = parts(problem)
+    whole = len(models) == 1
+
+    def one(model):
+        values, part = model
         errors, outages, innovations = _run(problem, recording, imu, values, durations,
                                             begins if whole else begins[_in_mask(begins, problem, part)])
         seen = np.isfinite(innovations) & part
         errors = errors.select((whole | _in_mask(errors.stamp, problem, part)) & (errors.stamp >= first))
-        found.append((errors, outages, problem.stamp[seen], innovations[seen]))
-    independent = recording.reference is not None
+        return Measured(errors, outages, recording.reference is not None, problem.stamp[seen], innovations[seen])
+    return _joined(on_all_cores(one, zip(models, judged)))
+
+
+def together(drives: dict[str, Measured]) -> Measured:
+    """The errors in several drives, by name, as those of one; of one, these."""
+    return replace(_joined(list(drives.values())), drives=drives if len(drives) > 1 else {})
+
+
+def _joined(found: Sequence[Measured]) -> Measured:
+    """What was measured in parts of a drive, or in drives on one time axis, in the order of time."""
     if len(found) == 1:
-        return Measured(found[0][0], found[0][1], independent, *found[0][2:])
-    stamp, likelihood = (np.concatenate(columns) for columns in list(zip(*found))[2:])
+        return found[0]
+    stamp, likelihood = (np.concatenate([getattr(m, name) for m in found]) for name in ('stamp', 'likelihood'))
     order = np.argsort(stamp, kind='stable')
-    return Measured(_joined_errors([f[0] for f in found]), [_joined_outages(list(same)) for same in
-                                                           zip(*(f[1] for f in found))],
-                    independent, stamp[order], likelihood[order])
+    durations = sorted({o.duration for m in found for o in m.outages})
+    outages = [_joined_outages([o for m in found for o in m.outages if o.duration == d]) for d in durations]
+    return Measured(_joined_errors([m.continuous for m in found]), outages, all(m.independent for m in found),
+                    stamp[order], likelihood[order])
 
 
 def _run(problem: Problem, recording: Recording, imu: ImuSamples, values: dict, durations,
@@ -233,12 +274,34 @@ def _joined_outages(parts: list[Outages]) -> Outages:
     return Outages(duration=parts[0].duration, time=parts[0].time, errors=[errors[i] for i in order], **joined)
 
 
+def nearest(measured: Measured, duration: float = 30.0) -> Outages | None:
+    """Its outages of about `duration` s, None where there are none."""
+    there = [outages for outages in measured.outages if len(outages.begin)]
+    return min(there, key=lambda o: abs(o.duration - duration)) if there else None
+
+
+def saved(before: Measured, after: Measured) -> tuple[float, float, float] | None:
+    """Duration of outages, s, and the median of the largest error in them before and after, m; None without any."""
+    one, other = nearest(before), nearest(after)
+    if one is None or other is None or one.duration != other.duration:
+        return None
+    return one.duration, float(np.median(one.max_error)), float(np.median(other.max_error))
+
+
 def compared(before: Measured, after: Measured) -> list[dict]:
     """Whether the errors differ, by what is measured: mean, root mean square (for the tails), and how often the 95 %
     ellipse held the truth; mean square with the fixes used, mean of the largest error in outages.
 
     decides: not where the truth is the fixes that the filter was given, which only shows how closely it follows them.
+    drive: its name in the rows of each of several drives, which come last; else there is none.
     """
+    rows = _compared(before, after)
+    for name in before.drives:
+        rows += [row | {'drive': name} for row in _compared(before.drives[name], after.drives[name])]
+    return rows
+
+
+def _compared(before: Measured, after: Measured) -> list[dict]:
     rows = [_row('with all fixes used, mean square error in m^2', before.continuous.stamp, after.continuous.stamp,
                  before.continuous.horizontal**2, after.continuous.horizontal**2)
             | {'decides': before.independent}]
@@ -252,30 +315,36 @@ def compared(before: Measured, after: Measured) -> list[dict]:
     return rows
 
 
-def harm(comparison: Sequence[dict], effects: bool = False) -> str:
-    """What becomes worse, and by how much; empty where nothing does.
+def harm(comparison: Sequence[dict], effects: bool = False, ellipses: bool = True) -> str:
+    """What becomes worse, and by how much; empty where nothing does. ellipses: whether these count, too.
 
     An error grows where it is larger for certain and noticeably (GROWN, NOTICED), or where its mean or its root mean
     square is larger by LARGER, certain or not; effects: by as much as so many outages can tell (SCATTER), as the
-    likelihood of held-out data has proven the effect already. An ellipse that held the truth in COVERED still has to,
-    or one outage less; one that did not must not hold it in LESS_HELD less.
+    likelihood of held-out data has proven the effect already; so, too, in single drives, as all together have to be
+    better. An ellipse that held the truth in COVERED still has to, or one outage less; one that did not must not hold
+    it in LESS_HELD less.
     """
     for row in comparison:
         if not (row.get('before') and row.get('after') and row['decides']):
             continue
         squared = 'mean square' in row['what']
-        larger = max(LARGER, 1 + SCATTER / np.sqrt(row['count'])) if effects else LARGER
+        tolerant = effects or 'drive' in row
+        larger = max(LARGER, 1 + SCATTER / np.sqrt(row['count'])) if tolerant else LARGER
+        where = f"in {row['drive']} " if 'drive' in row else ''
         pairs = [(row['before'], row['after']), (row.get('rms_before', 0.0), row.get('rms_after', 0.0))]
         for i, (old, new) in enumerate(np.sqrt(pairs) if squared else pairs):
             grown = new > (1 + GROWN) * old + NOTICED
             if grown and (new > larger * old + NOTICED or (i == 0 and row.get('p', 1.0) < CERTAIN)):
                 which = 'root mean square of the ' if i else ''
-                return (f"the error grows: {which}{row['what']}, {_plain(old, squared)} before, "
+                return (f"the error grows: {where}{which}{row['what']}, {_plain(old, squared)} before, "
                         f'{_plain(new, squared)} after')
         held, holds = row.get('within_before'), row.get('within_after')
-        if held is not None and holds < (COVERED - 1.0 / row['count'] if held >= COVERED else held - LESS_HELD):
-            return (f"{row['what'].split(',')[0]}: the 95 % ellipse held the truth in {100 * held:.0f} % before, in "
-                    f'{100 * holds:.0f} % after')
+        if not ellipses or held is None:
+            continue
+        if holds < (COVERED - 1.0 / row['count'] if held >= COVERED else held - LESS_HELD):
+            which = row['what'].split(',')[0]
+            return (f'{where}{which}: the 95 % ellipse held the truth in {100 * held:.0f} % before, '
+                    f'in {100 * holds:.0f} % after')
     return ''
 
 
@@ -287,23 +356,42 @@ def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
     """What speaks against an effect, empty where nothing does: no gain of likelihood, or an error that grows.
 
     comparison: errors with the effect and without, of parts that it was not fitted to. A likelihood that gains, but
-    not for certain, is no objection where an error shrinks for certain.
+    not for certain, is no objection where an error shrinks for certain. Nor is an error that is the same, where the
+    ellipses come to hold it: errors that last are in the withheld fixes, too, so these never favour who models them.
+    Nor are ellipses that hold a far smaller error less often: what else is wrong shows only now, and noise levels,
+    which decide on ellipses, are chosen at the end.
     """
-    worse = harm(comparison, proof.helps)
+    change = all_in_all(comparison)
+    worse = harm(comparison, proof.helps, ellipses=change == 0.0 or change > PLAINLY)
     if worse:
         return worse
-    shrinks = any(row.get('p', 1.0) < CERTAIN and row['after'] < row['before'] for row in comparison if row['decides'])
+    for name, (gain, p) in proof.drives.items():
+        if p < CERTAIN:
+            return f'{name} speaks against it (log likelihood {gain:+.1f} there, p {p:.2g})'
+    shrinks = any(row.get('p', 1.0) < CERTAIN and row['after'] < row['before'] for row in of_all(comparison))
     if not (proof.helps or (proof.gain > 0 and shrinks)):
         return f'no gain on data it was not fitted to (log likelihood {proof.gain:+.1f}, p {proof.p:.2g})'
-    change = all_in_all(comparison)
-    return f'the error does not shrink: all in all it is {change:.2f} times that before' if change > 1 + GROWN else ''
+    if change <= 1 + GROWN or (change <= LARGER and honest(of_all(comparison))):
+        return ''
+    return f'the error does not shrink: all in all it is {change:.2f} times that before'
+
+
+def honest(rows: Sequence[dict]) -> bool:
+    """Whether ellipses that did not hold the truth hold it more often, by two outages or more."""
+    return any(row['within_before'] < COVERED and row['within_after'] >= row['within_before'] + 2 / row['count']
+               for row in rows if 'within_before' in row)
 
 
 def all_in_all(comparison: Sequence[dict]) -> float:
     """Errors after over those before, the geometric mean of all rows that decide; 0 where nothing was measured."""
-    ratios = [row['after'] / row['before'] for row in comparison
-              if row.get('before') and row.get('after') and row['decides']]
+    ratios = [row['after'] / row['before'] for row in of_all(comparison)]
     return float(np.exp(np.mean(np.log(ratios)))) if ratios else 0.0
+
+
+def of_all(comparison: Sequence[dict]) -> list[dict]:
+    """The rows that decide and were measured, of all drives together."""
+    return [row for row in comparison if row['decides'] and row.get('before') and row.get('after')
+            and 'drive' not in row]
 
 
 def _row(what: str, stamp, new_stamp, old, new) -> dict:

@@ -22,8 +22,8 @@ import numpy as np
 
 from ..evaluation.comparison import aiding_of, samples_to_keep, thin
 from ..filter.config import SENSORS, FilterConfig
-from ..filter.layout import Event, Kind, Verdict
-from ..filter.replay import run
+from ..filter.layout import PLANAR, Event, Kind, Verdict
+from ..filter.replay import Constrained, run, run_with_constraints
 from ..filter.results import Run
 from ..filter.start import transferred
 from ..samples import Fixes, ImuSamples, Recording
@@ -47,8 +47,12 @@ ENOUGH_GAIN = 0.2
 FEWEST_SEEN = 0.98
 #: more outliers than this part of the fixes are none
 MOST_OUTLIERS = 0.2
-#: length of a block over which scores may go together, s
-BLOCK = 20.0
+#: what is measured beside the position of a fix: its height, and what the constraints say
+BESIDE = ('height', 'sideways', 'upwards', 'north at rest', 'east at rest', 'down at rest')
+#: constraints since the last fix that make a mean; innovations that tell how long they last, and up to how many fixes
+FEWEST_SAID, FEWEST_LASTING, LASTING = 3, 50, 30
+#: length of a block over which scores may go together, s; longer ones count where there are so many
+BLOCK, LONG_BLOCK, FEWEST_BLOCKS = 20.0, 60.0, 10
 
 
 class DiagnosisError(ValueError):
@@ -58,17 +62,32 @@ class DiagnosisError(ValueError):
 @dataclass(frozen=True)
 class Residual:
     """Innovations of one run, by the fixes used (f,): z (f, 2) north-east m, s (f, 3) covariance nn, ne, ee, m^2; NaN
-    where a fix was not applied. yaw (f,) rad and velocity (f, 2) m/s of the prediction."""
+    where a fix was not applied. yaw (f,) rad and velocity (f, 2) m/s of the prediction.
+
+    beside (f, 2, b): innovation and variance of what else was measured since the fix before, each a number of its own;
+    NaN where there was nothing."""
 
     z: np.ndarray
     s: np.ndarray
     yaw: np.ndarray
     velocity: np.ndarray
+    beside: np.ndarray | None = None
+
+    def __post_init__(self):
+        if self.beside is None:
+            object.__setattr__(self, 'beside', np.empty((len(self.z), 2, 0)))
 
     def log_likelihood(self) -> np.ndarray:
         """The likelihood of each innovation, (f,), without the constant."""
         determinant = self.s[:, 0] * self.s[:, 2] - self.s[:, 1] ** 2
-        return -0.5 * (np.log(determinant) + tempered(self.nis()))
+        of_fixes = -0.5 * (np.log(determinant) + tempered(self.nis()))
+        z, s = self.beside[:, 0], self.beside[:, 1]
+        return of_fixes - 0.5 * np.nan_to_num(np.log(s) + tempered(z**2 / s)).sum(axis=1)
+
+    @property
+    def of_fixes(self) -> Residual:
+        """The innovations of the positions alone."""
+        return replace(self, beside=None)
 
     def nis(self) -> np.ndarray:
         """Normalized innovation squared, (f,)."""
@@ -97,6 +116,28 @@ class Residual:
 def tempered(nis: np.ndarray, tail: float = TAIL) -> np.ndarray:
     """rho: `nis` up to tail^2, growing with its logarithm beyond."""
     return np.where(nis > tail**2, tail**2 * (1 + np.log(np.maximum(nis, 1e-12) / tail**2)), nis)
+
+
+def lasting(beside: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """By how much the mean of many innovations scatters more than a single one of them divided by their number: the
+    variance of the long run over that of one, (b,), by autocorrelations up to LASTING fixes, as long as they are
+    positive (M. S. Bartlett, 1946). 1 where there is too little to tell."""
+    found = np.ones(beside.shape[2])
+    for k in range(len(found)):
+        z, s = beside[mask, :, k].T
+        u = z / np.sqrt(s)
+        there = np.isfinite(u)
+        if there.sum() < FEWEST_LASTING:
+            continue
+        u = np.where(there, np.clip(u, -TAIL, TAIL), 0.0)
+        power = (u**2).sum() / there.sum()
+        for lag in range(1, LASTING):
+            pairs = (there[lag:] & there[:-lag]).sum()
+            rho = (u[lag:] * u[:-lag]).sum() / max(pairs, 1) / power
+            if pairs < FEWEST_LASTING or rho < 0:
+                break
+            found[k] += 2 * rho
+    return found
 
 
 def _whiten(factors, z):
@@ -211,11 +252,14 @@ class Problem:
                          keep=np.zeros(len(self.recording.imu), dtype=bool)).start
         if self.start is None:
             raise DiagnosisError(f'{recording.name}: the filter starts only with fixes that it does not believe later')
-        self.attitude = cache(self._attitude)
+        self._attitude = cache(self._strapdown_attitude)
         self.runs: list[int] = []  # IMU samples of each run, of this problem and those made from it
+        self.lasting = np.ones(len(BESIDE))
         self.base = self.residual(self.values, self.recording)
         settled = self.stamp > began + round(SETTLING * 1e9)
         self.mask = settled & np.isfinite(self.base.z[:, 0])
+        self.lasting = lasting(self.base.beside, self.mask)
+        self.base.beside[:, 1] *= self.lasting
 
     def without(self, outlying: np.ndarray) -> Problem:
         """The same problem with the fixes `outlying` (f,) left out, too."""
@@ -244,7 +288,35 @@ class Problem:
 
     def residual(self, values: dict, recording: Recording) -> Residual:
         """The innovations under other parameters or with another recording (of the same fixes)."""
-        return self.innovations(self.filtered(values, recording, np.zeros(len(recording.imu), dtype=bool)))
+        config = FilterConfig.from_parameters(values)
+        self.runs.append(len(recording.imu))
+        found, said = run_with_constraints(config, recording.imu, recording.gnss, aiding_of(recording),
+                                           transferred(self.start, self.config, config),
+                                           np.zeros(len(recording.imu), dtype=bool))
+        return replace(self.innovations(found), beside=self.beside(found, said))
+
+    def beside(self, of: Run, said: Constrained) -> np.ndarray:
+        """Heights and constraints of a run, (f, 2, b): means over the time since the fix before.
+
+        What lasts longer than that is worth less than it seems: variances are multiplied by `self.lasting` (b,).
+        """
+        innovations, n = of.innovations, len(self.stamp)
+        found = np.full((n, 2, len(BESIDE)), np.nan)
+        if len(innovations.index) and of.config.mechanization != PLANAR:
+            found[innovations.index, 0, 0], found[innovations.index, 1, 0] = innovations.z_down, innovations.s_down
+        # the fix that comes next; a run may differ from others by which constraint it applied when
+        slot = np.searchsorted(self.stamp, self.recording.imu.stamp[said.index])
+        for kind, first, count in ((Kind.NON_HOLONOMIC, 1, 2), (Kind.ZERO_VELOCITY, 3, 3)):
+            mine = (said.kind == kind) & (slot < n)
+            times = np.bincount(slot[mine], minlength=n)
+            for k in range(count):
+                z = np.bincount(slot[mine], said.z[mine, k], n)
+                s = np.bincount(slot[mine], said.s[mine, k], n)
+                with np.errstate(invalid='ignore', divide='ignore'):
+                    found[:, :, first + k] = np.where(times >= FEWEST_SAID, [z / times, s / times], np.nan).T
+        found[:, 1][found[:, 1] <= 0] = np.nan
+        found[:, 1] *= self.lasting
+        return found
 
     def innovations(self, of: Run) -> Residual:
         """The innovations of a run that was given these fixes."""
@@ -254,13 +326,36 @@ class Problem:
         yaw[innovations.index], velocity[innovations.index] = innovations.yaw, innovations.velocity
         return Residual(z, s, yaw, velocity)
 
-    def _attitude(self) -> tuple[np.ndarray, np.ndarray]:
-        """Roll and pitch, rad, at each IMU sample by a strapdown run of what was configured; 0 before its start."""
+    @property
+    def each(self) -> tuple[Problem, ...]:
+        """The problem of each drive: of one drive itself (see `drives.Drives`)."""
+        return (self,)
+
+    def of(self, recording: Recording) -> Problem:
+        """The problem of the drive that `recording` was made from."""
+        return self
+
+    def attitude(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+        """Roll and pitch, rad, at each IMU sample of `recording`, which was made from this drive."""
+        return self._attitude()[:2]
+
+    @property
+    def diluted(self) -> float:
+        """By what part a regression on that attitude may come out too small, as it is not exact: the variance of its
+        errors, as far as it knows them, over that of roll and pitch (C. Spearman, 1904)."""
+        return self._attitude()[2]
+
+    def _strapdown_attitude(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Roll and pitch, rad, at each IMU sample by a strapdown run of what was configured; 0 before its start. And
+        `diluted`."""
         imu, config = self.recording.imu, FilterConfig.from_parameters({**self.values, 'mechanization': 'strapdown'})
         result = run(config, imu, self.recording.gnss, aiding_of(self.recording))
         roll, pitch = np.zeros((2, len(imu)))
         roll[result.index], pitch[result.index] = result.roll, result.pitch
-        return roll, pitch
+        first = result.config.layout.index('phi_n')
+        signal = result.roll.var() + result.pitch.var()
+        error = float((result.sigma[:, first:first + 2] ** 2).sum(axis=1).mean())
+        return roll, pitch, min(error / signal, 1.0) if signal > 0 else 1.0
 
     def assume(self, unknowns: Sequence[Unknown], x) -> tuple[dict, Recording]:
         """Parameters and recording with `unknowns` at `x`."""
@@ -321,10 +416,16 @@ def _refused(of: Run, count: int) -> np.ndarray:
     return refused if refused.mean() < MOST_OUTLIERS else np.zeros(count, dtype=bool)
 
 
-def block_begins(problem: Problem) -> np.ndarray:
-    """Where blocks of BLOCK seconds begin among the fixes that count."""
-    block = (problem.stamp[problem.mask] - problem.stamp[0]) // round(BLOCK * 1e9)
+def block_begins(problem: Problem, length: float = BLOCK) -> np.ndarray:
+    """Where blocks of `length` seconds begin among the fixes that count."""
+    block = (problem.stamp[problem.mask] - problem.stamp[0]) // round(length * 1e9)
     return np.unique(block, return_index=True)[1]
+
+
+def blocks(problem: Problem) -> list[np.ndarray]:
+    """The same for each length over which scores may go together: a receiver's errors last for minutes."""
+    long = block_begins(problem, LONG_BLOCK)
+    return [block_begins(problem), *([long] if len(long) >= FEWEST_BLOCKS else [])]
 
 
 @dataclass(frozen=True)
@@ -385,8 +486,22 @@ def _scores(at: Residual, pairs, mask) -> Scores:
     squares = np.stack([weight * u[:, 0] ** 2 - 1, 2 * weight * u[:, 0] * u[:, 1], weight * u[:, 1] ** 2 - 1], axis=1)
     score = 0.5 * np.einsum('fpi,fi->fp', m, squares) - weight[:, None] * np.einsum('fpi,fi->fp', d, u)
     sensitivity = np.sqrt(weight)[:, None, None] * np.concatenate([d, m * np.sqrt([0.5, 1.0, 0.5])], axis=2)
+    more = _scores_beside(at, pairs)
+    score, sensitivity = score + more.score, np.concatenate([sensitivity, more.sensitivity], axis=2)
     score[~mask], sensitivity[~mask] = 0.0, 0.0
     return Scores(score, sensitivity)
+
+
+def _scores_beside(at: Residual, pairs) -> Scores:
+    """The same of the innovations that are numbers of their own."""
+    z, s = at.beside[:, 0], at.beside[:, 1]
+    u = np.nan_to_num(z / np.sqrt(s))
+    change = np.stack([(plus.beside - minus.beside) / step for plus, minus, step in pairs], axis=1)  # (f, p, 2, b)
+    d, m = np.nan_to_num(change[:, :, 0] / np.sqrt(s)[:, None]), np.nan_to_num(change[:, :, 1] / s[:, None])
+    weight = TAIL**2 / np.maximum(u**2, TAIL**2)
+    score = (0.5 * m * (weight * u**2 - 1)[:, None] - d * (weight * u)[:, None]).sum(axis=2)
+    weight = np.tile(np.sqrt(weight), 2)[:, None]
+    return Scores(score, weight * np.concatenate([d, m * np.sqrt(0.5)], axis=2))
 
 
 def _whiten_matrix(factors, s):
@@ -417,10 +532,11 @@ class Model:
 
         The latter holds where innovations follow each other, too (P. J. Huber, 1967; W. K. Newey, K. D. West, 1987).
         """
-        mask = self.problem.mask
-        sums = np.add.reduceat(self.scores.score[mask], block_begins(self.problem))
-        spread = self.covariance @ (sums.T @ sums) @ self.covariance
-        return np.sqrt(np.maximum(np.diag(self.covariance), np.diag(spread)))
+        variance, score = np.diag(self.covariance), self.scores.score[self.problem.mask]
+        for begins in blocks(self.problem):
+            sums = np.add.reduceat(score, begins)
+            variance = np.maximum(variance, np.diag(self.covariance @ (sums.T @ sums) @ self.covariance))
+        return np.sqrt(variance)
 
     def moved(self) -> Problem:
         """The problem with this model as what is assumed."""
@@ -501,11 +617,11 @@ SMALLEST_FACTOR, LARGEST_FACTOR, LARGEST_RECEIVER = 3.0, 10.0, 100.0
 def noise_unknowns(problem: Problem) -> list[Unknown]:
     """Logarithms of the noise levels as factors: of the receiver, of each kind of sensor, of the constraint."""
     model = MODEL_NOISE[problem.values['sensor_error_model']]
-    original, claimed, outlying = problem.drive.gnss, problem.claimed, problem.outlying
 
     def receiver(values, recording, x):
+        own = problem.of(recording)
         return values, replace(recording, gnss=replace(
-            recording.gnss, covariance=believed(original, claimed, x, outlying).covariance))
+            recording.gnss, covariance=believed(own.drive.gnss, own.claimed, x, own.outlying).covariance))
 
     groups = {f'{sensor}.noise': [f'{sensor}.noise_density', f'{sensor}.{model}'] for sensor in SENSORS}
     if problem.values['vehicle.non_holonomic']:

@@ -15,7 +15,7 @@ from scipy.stats import chi2
 
 from ..effects.base import Effect
 from ..evaluation.bootstrap import holm
-from .residuals import Problem, Residual, Scores, Unknown, block_begins, scores
+from .residuals import Problem, Residual, Scores, Unknown, blocks, scores
 
 #: family-wise error of one round of tests
 SIGNIFICANCE = 0.01
@@ -167,13 +167,14 @@ def significance(problem: Problem, own: Scores, theta, total) -> tuple[float, fl
 
     What the effect itself adds to a block is taken out first: a few blocks may hold all that the recording knows.
     """
-    gain = float(theta @ total)
-    first, mask = block_begins(problem), problem.mask
-    sensitivity = own.sensitivity[mask]
-    information = np.add.reduceat(np.einsum('fpi,fqi->fpq', sensitivity, sensitivity), first)
-    rest = np.add.reduceat(own.score[mask], first) - information @ theta
-    scatter = np.einsum('bp,bq->pq', rest, rest)
-    excess = max(1.0, float(np.trace(np.linalg.solve(information.sum(axis=0), scatter))) / len(theta))
+    gain, excess, mask = float(theta @ total), 1.0, problem.mask
+    sensitivity, score = own.sensitivity[mask], own.score[mask]
+    products = np.einsum('fpi,fqi->fpq', sensitivity, sensitivity)
+    for begins in blocks(problem):
+        information = np.add.reduceat(products, begins)
+        rest = np.add.reduceat(score, begins) - information @ theta
+        scatter = np.einsum('bp,bq->pq', rest, rest)
+        excess = max(excess, float(np.trace(np.linalg.solve(information.sum(axis=0), scatter))) / len(theta))
     return gain / excess, float(chi2.sf(gain / excess, len(theta)))
 
 

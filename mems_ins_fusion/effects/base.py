@@ -119,7 +119,7 @@ class Effect:
     def applied(self, values: dict, recording, theta: dict, attitude=None):
         """Parameters and recording as a filter would have to see them if `theta` were true: for the diagnosis.
 
-        attitude: called without arguments, it gives roll and pitch of the body, rad, at each IMU sample, 0 where not
+        attitude: called with the recording, it gives roll and pitch of the body, rad, at each IMU sample, 0 where not
         known; for effects that need it.
         """
         return self.adjusted(values, theta), recording

@@ -67,7 +67,7 @@ class Tilt(Effect):
         """With `compensation`: the recording with this part of the leakage taken out, the mechanization as it is."""
         if not self.replaces_model(theta):
             return self.adjusted(values, theta), recording
-        leaked = leakage(*attitude()) @ mounting(values['imu.mounting_rpy'])
+        leaked = leakage(*attitude(recording)) @ mounting(values['imu.mounting_rpy'])
         force = recording.imu.specific_force - theta['compensation'] * leaked
         return values, replace(recording, imu=replace(recording.imu, specific_force=force))
 

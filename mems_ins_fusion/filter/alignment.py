@@ -107,7 +107,8 @@ class Alignment:
         if not self._count:
             return None
         self._forget(time - MEMORY)
-        self._fixes.append((time, latitude, longitude, height, covariance))
+        variance = float(0.5 * (covariance[0, 0] + covariance[1, 1]))
+        self._fixes.append((time, latitude, longitude, variance, height, covariance))
         self._fixes.sort(key=lambda fix: fix[0])
         ahead = time - self._samples[-1, 0]
         if ahead > LATEST_FIX:
@@ -137,7 +138,7 @@ class Alignment:
         """
         if len(self._fixes) < 2 or self._fixes[-1][0] > self._samples[-1, 0] + LATEST_FIX or self._problem():
             return None
-        time, latitude, longitude, height, r = self._fixes[-1]
+        time, latitude, longitude, _, height, r = self._fixes[-1]
         positions, imu = self._positions(), self._samples
         still = latest_standstill(imu[imu[:, 0] > imu[-1, 0] - RECENT], positions, self.config)
         speed = STANDING_SIGMA
@@ -181,11 +182,14 @@ class Alignment:
 
     def _positions(self) -> np.ndarray:
         """The fixes as (time, north, east, sigma), metres from the first."""
-        _, latitude, longitude, height, _ = self._fixes[0]
+        _, latitude, longitude, _, height, _ = self._fixes[0]
         north, east = radii(latitude)
-        return np.array([(t, (lat - latitude) * (north + height),
-                          (lon - longitude) * (east + height) * math.cos(latitude),
-                          math.sqrt(0.5 * (c[0, 0] + c[1, 1]))) for t, lat, lon, _, c in self._fixes])
+        # at each fix, and of as many as MEMORY holds: a drive may begin with minutes at rest
+        positions = np.array([fix[:4] for fix in self._fixes])
+        positions[:, 1] = (positions[:, 1] - latitude) * (north + height)
+        positions[:, 2] = (positions[:, 2] - longitude) * (east + height) * math.cos(latitude)
+        positions[:, 3] = np.sqrt(positions[:, 3])
+        return positions
 
     def standing(self) -> Standstill | None:
         """The standstill that still lasts, None where the vehicle moves or nothing tells that it does not."""
@@ -206,7 +210,7 @@ class Alignment:
         standstill = self._still_standing(latest_standstill(self._samples, positions, self.config))
         if standstill is None:
             return None
-        _, latitude, longitude, height, _ = self._fixes[-1]
+        _, latitude, longitude, _, height, _ = self._fixes[-1]
         away = math.hypot(*to_local(latitude, longitude, height, known.place)[:2])
         if standstill.end - standstill.duration > self._first + SEEN_FROM_BEGIN or away > known.max_distance:
             return None
@@ -248,7 +252,7 @@ class Alignment:
                            'heading from the course')
 
     def _start(self, yaw, yaw_sigma, speed, speed_sigma, standstill, source) -> Start:
-        time, latitude, longitude, height, r = self._fixes[-1]
+        time, latitude, longitude, _, height, r = self._fixes[-1]
         course = np.array([math.cos(yaw), math.sin(yaw)])
         across = np.array([-course[1], course[0]])
         covariance = start_covariance(r, yaw, yaw_sigma, speed, speed_sigma)

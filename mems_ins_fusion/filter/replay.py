@@ -20,7 +20,7 @@ from .imu_faults import FAULTS
 from .initial import initialize
 from .intake import GOOD, JUMPED, Intake, corrected
 from .kernel import TAKEN
-from .layout import Event, Head, Kind, Verdict
+from .layout import Event, Head, Kind, Sample, Verdict
 from .results import Measured, Run, columns, result
 from .start import Start, retaken
 
@@ -59,6 +59,31 @@ def run(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aiding = Ai
     each sample of `imu`, (n,) bool; all where None.
     """
     return Replay(config, imu, fixes, aiding, start, keep).run()
+
+
+@dataclass(frozen=True)
+class Constrained:
+    """What the vehicle's constraints said, in the order of time: index (c,) of the IMU sample, kind (c,) of `Kind`,
+    innovation z (c, 3) and its variances s (c, 3), m/s: north, east and down at standstill, else to the right and
+    down of the vehicle."""
+
+    index: np.ndarray
+    kind: np.ndarray
+    z: np.ndarray
+    s: np.ndarray
+
+
+def run_with_constraints(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aiding = Aiding(),
+                         start: Start | None = None, keep: np.ndarray | None = None) -> tuple[Run, Constrained]:
+    """The same as `run`, and what the constraints said in it."""
+    work = Replay(config, imu, fixes, aiding, start, keep)
+    work.said = []
+    found = work.run()
+    columns = [np.concatenate(c) for c in zip(*work.said)] if work.said else [np.empty(0, dtype=np.int64),
+                                                                                np.empty((0, Sample.SIZE))]
+    index, samples = columns
+    return found, Constrained(index, samples[:, Sample.CONSTRAINT].astype(np.int64), samples[:, Sample.Z:Sample.Z + 3],
+                              samples[:, Sample.S:Sample.S + 3])
 
 
 def run_with_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin: np.ndarray, duration: float,
@@ -107,6 +132,7 @@ class Replay(Intake):
         self.stretches: list[Stretch] = []
         self.branches: list[Stretch] = []
         self.measurements: list[Measured] = []
+        self.said: list[tuple[np.ndarray, np.ndarray]] | None = None
         self.start: Start | None = None
         self.memory: np.ndarray | None = None
         self.seconds = 0.0
@@ -216,12 +242,25 @@ class Replay(Intake):
         for i in np.argsort(forks, kind='stable'):
             work.advance(memory, forks[i])
             branches[int(i)] = self._branch(memory, work, (begin[i] - epoch) * 1e-9, withheld)
+        if self.said is not None:
+            self._listen(memory, work, index)
         work.advance(memory, len(samples))
         work.finish(memory)
         for i, b in enumerate(begin):
             rows, coasted = branches[i]
             self.branches.append(Stretch(index[kept[rows]], coasted, b))
         self.stretches.append(Stretch(index[kept], states))
+
+    def _listen(self, memory, work: Progress, index) -> None:
+        """Go on to the last sample, and keep what the constraints said: the memory holds it for some samples only."""
+        capacity, first = self.config.capacity, int(memory[Head.SAMPLES]) + 1
+        samples = memory[int(memory[Head.RING_AT]):][:capacity * Sample.SIZE].reshape(capacity, Sample.SIZE)
+        for begin in range(0, len(work.samples), capacity // 2):
+            end = min(begin + capacity // 2, len(work.samples))
+            work.advance(memory, end)
+            rows = samples[(first + np.arange(begin, end)) % capacity]
+            spoke = rows[:, Sample.CONSTRAINT] != 0.0
+            self.said.append((index[begin:end][spoke], rows[spoke]))
 
     def _branch(self, memory, work: Progress, begin: float, withheld) -> tuple[slice, np.ndarray]:
         """One outage from where `work` is: which of the kept states it covers, and these.

@@ -22,7 +22,7 @@ class Answer:
     """What a person wants to know of a result.
 
     grade: GOOD, WARNING or BAD. headline: one sentence. wrong: what is wrong. cost: in metres without fixes. steps:
-    what to do next. trust: whether to believe the filter's own sigmas.
+    what to do next. trust: whether to believe the filter's own sigmas. remains: what is left of it all.
     """
 
     grade: str
@@ -31,10 +31,12 @@ class Answer:
     cost: list[str] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
     trust: str = ''
+    remains: list[str] = field(default_factory=list)
 
     def lines(self) -> list[str]:
         """For the console."""
-        parts = [('wrong', self.wrong), ('cost', self.cost), ('trust', [self.trust] if self.trust else [])]
+        parts = [('wrong', self.wrong), ('cost', self.cost), ('trust', [self.trust] if self.trust else []),
+                 ('remains', self.remains)]
         said = [self.headline, *(f'{name}: {text}' for name, texts in parts for text in texts)]
         for step in self.steps:
             said += [f'next: {step.what}', *([f'    {step.command}'] if step.command else [])]
@@ -43,7 +45,8 @@ class Answer:
     def html(self) -> Html:
         """For the page."""
         parts = [_part('What is wrong', self.wrong), _part('What it costs without fixes', self.cost),
-                 _part('Can its own uncertainty be trusted?', [self.trust] if self.trust else []), self._steps()]
+                 _part('Can its own uncertainty be trusted?', [self.trust] if self.trust else []),
+                 _part('What remains', self.remains), self._steps()]
         headline = Html(paragraph(self.headline).replace('<p>', '<p class="headline">', 1))
         return Html(f'<section id="answer" class="answer {self.grade}">\n' + '\n'.join([headline, *filter(None, parts)])
                     + '\n</section>')
@@ -58,7 +61,8 @@ class Answer:
     def json(self) -> dict:
         """For report.json."""
         return {'grade': self.grade, 'headline': self.headline, 'wrong': self.wrong, 'cost': self.cost,
-                'trust': self.trust, 'steps': [{'what': s.what, 'command': s.command} for s in self.steps]}
+                'trust': self.trust, 'remains': self.remains,
+                'steps': [{'what': s.what, 'command': s.command} for s in self.steps]}
 
 
 def _part(title: str, texts: list[str]) -> str:

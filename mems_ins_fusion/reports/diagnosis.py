@@ -3,13 +3,16 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
 
 from ..diagnosis.diagnose import Diagnosis, Finding
 from ..diagnosis.estimate import Estimate, rounded
+from ..diagnosis.proof import nearest
 from ..diagnosis.tracing import Candidate
+from ..evaluation.outages import Outages
 from ..parameters.params_file import yaml_value
 from ..parameters.table import ALL
 from . import diagnosis_figures as plots
@@ -25,7 +28,9 @@ def report(diagnosis: Diagnosis, answered: Answer, checked=(), warned=()) -> dic
     d = diagnosis
     model, mechanization = d.values['sensor_error_model'], d.values['mechanization']
     return _plain({
-        'recording': d.recording.name,
+        'recording': d.name,
+        'drives': [_drive(d, drive) for drive in d.drives],
+        'left_out': d.left_out,
         'answer': answered.json(),
         'findings': [{'severity': f.severity, 'topic': f.topic, 'message': f.message,
                       'text': checked_text(f, topics_of(d.values))} for f in checked],
@@ -62,7 +67,26 @@ def _effect(finding: Finding) -> dict:
         'held_out_p_value': finding.held_out.p,
         'reason': finding.reason,
         'changes': finding.changes,
+        'outages_without_and_with_it': finding.saves and dict(
+            zip(('duration_s', 'max_error_median_without_m', 'max_error_median_with_m'), finding.saves)),
         'seen': finding.seen,
+        'drives': {name: {p: asdict(estimate) for p, estimate in found.items()}
+                   for name, found in finding.drives.items()},
+        'drives_contradict': finding.apart,
+    }
+
+
+def _drive(d: Diagnosis, drive: Diagnosis) -> dict:
+    """One of several drives, by name, as all of them together."""
+    return {
+        'recording': drive.name,
+        'before': _measured(drive, 'before', d.values),
+        'noise_fitted': _measured(drive, 'fitted', d.values),
+        'after': _measured(drive, 'after', d.corrected),
+        'unexplained': drive.unexplained,
+        'comparison': drive.comparison,
+        'goes_with': [asdict(rest) for rest in drive.rest],
+        'remarks': drive.remarks,
     }
 
 
@@ -106,12 +130,18 @@ def not_identifiable(d: Diagnosis) -> dict[str, str]:
 
 def changed(d: Diagnosis) -> dict:
     """The parameters that the diagnosis changed, as `corrected.yaml` holds them: to 4 significant digits."""
-    return {name: _rounded(value) for name, value in d.corrected.items() if value != d.values[name]}
+    return {name: rounded_value(value) for name, value in d.corrected.items() if value != d.values[name]}
 
 
-def _rounded(value):
+#: of the largest of several numbers, what the rounding of a computation leaves
+NOTHING = 1e-6
+
+
+def rounded_value(value):
+    """`value` of a parameter to 4 significant digits."""
     if isinstance(value, (list, tuple)):
-        return [_rounded(v) for v in value]
+        largest = max((abs(v) for v in value), default=0.0)
+        return [rounded_value(v if abs(v) > NOTHING * largest else 0.0) for v in value]
     return float(f'{value:.4g}') if isinstance(value, float) else value
 
 
@@ -124,8 +154,8 @@ def corrected_yaml(diagnosis: Diagnosis, given: dict) -> str:
     new = changed(d)
     checked = {name: ALL[name].check(value) for name, value in given.items()}
     found = '; '.join(parameters_text(f) for f in d.findings if f.added) or 'none'
-    said = f'Corrected by diagnose from {d.recording.name}. Effects added: {found}.' if d.better else (
-        f'As given: diagnose found nothing in {d.recording.name} that would make the filter better for certain.')
+    said = f'Corrected by diagnose from {d.name}. Effects added: {found}.' if d.better else (
+        f'As given: diagnose found nothing in {d.name} that would make the filter better for certain.')
     lines = [*_comment(said, ''), *(['# Other parameters are as they were given.'] if d.better else []), '/**:',
              '  ros__parameters:']
     for name, value in {**checked, **new}.items():
@@ -139,7 +169,7 @@ def corrected_yaml(diagnosis: Diagnosis, given: dict) -> str:
 
 def _origin(d: Diagnosis, name: str) -> str:
     """Where the changed value of parameter `name` comes from."""
-    before = yaml_value(_rounded(d.values[name]))
+    before = yaml_value(rounded_value(d.values[name]))
     if name in d.noise:
         return f'noise level with which this drive is predicted best: {d.noise[name]:.3g} times as configured, {before}'
     text = '; '.join(parameters_text(f) for f in d.findings if f.added and name in f.changes)
@@ -163,7 +193,7 @@ def parameters_text(finding: Finding) -> str:
 def story(diagnosis: Diagnosis, answered: Answer) -> list[str]:
     """The diagnosis in a few lines: the answer, then how it came about."""
     d = diagnosis
-    lines = [*answered.lines(), '', f'{d.recording.name}: {d.detections["before"].count} innovations', 'As configured: '
+    lines = [*answered.lines(), '', f'{d.name}: {d.detections["before"].count} innovations', 'As configured: '
              + ' '.join(d.detections['before'].words())]
     lines += [f'Effect: {finding_text(f)}' for f in d.findings] or ['No effect was found.']
     before, after = (html.number(m.summary()['horizontal_rmse_m'], 3) for m in (d.before, d.after))
@@ -171,8 +201,18 @@ def story(diagnosis: Diagnosis, answered: Answer) -> list[str]:
     if d.better:
         lines.append(f'{plots.STAGES["after"].capitalize()}: {" ".join(d.detections["after"].words())}')
     if hidden := not_identifiable(d):
-        lines.append(f'Cannot be seen in this recording: {_hidden_text(hidden)}.')
-    return lines
+        lines.append(f'Cannot be seen in {this(d)}: {_hidden_text(hidden)}.')
+    return [*lines, *(drive_text(drive) for drive in d.drives)]
+
+
+def this(d: Diagnosis) -> str:
+    """What was diagnosed, in a sentence."""
+    return 'these recordings' if d.drives else 'this recording'
+
+
+def drive_text(drive: Diagnosis) -> str:
+    """One of several drives in a sentence."""
+    return f'{drive.name}: ' + ('; '.join(cost(drive)) or 'too short for outages') + '.'
 
 
 def _hidden_text(hidden: dict[str, str]) -> str:
@@ -193,24 +233,38 @@ def finding_text(f: Finding) -> str:
 def unexplained_text(d: Diagnosis) -> str:
     if not d.unexplained:
         return 'Nothing is left unexplained.'
-    text = 'A part stays unexplained.'
-    if d.rest:
-        text += ' An error would explain some of it that goes with ' + ', or '.join(
-            f'{r.what} ({r.where}, {rounded(abs(r.rms), r.sigma)} {r.unit} RMS)' for r in d.rest[:3]) + '.'
-    return text
+    text = 'A part stays unexplained'
+    if not d.rest:
+        return f'{text}: errors still last from one fix to the next, and go with nothing that was recorded.'
+    return f'{text}. What is left looks like an error of the ' + ', or of the '.join(
+        f'{r.where} that goes with {r.what} ({rounded(abs(r.rms), r.sigma)} {r.unit} RMS)' for r in d.rest[:3]) + '.'
+
+
+#: means and medians that differ by more than this factor tell of a few large errors
+TAILS = 1.5
 
 
 def cost(d: Diagnosis) -> list[str]:
-    """What an outage costs, before and after."""
-    said = []
-    for old, new in zip(d.before.summary()['outages'], d.after.summary()['outages']):
-        if old['count'] and new['count']:
-            was, now = (f'{html.number(o["max_error_median_m"], 2)} m' for o in (old, new))
-            inside, inside_now = (f'{html.number(o["within_95_percent"], 2)} %' for o in (old, new))
-            said.append(f'{old["duration_s"]:g} s: {was} as configured, {now} with corrected.yaml (median of the '
-                        f'largest error in {new["count"]} outages); its own 95 % ellipse held the truth in {inside} '
-                        f'before, {inside_now} after')
-    return said
+    """What an outage costs: median, and mean where that says something else; as configured, and with corrected.yaml."""
+    return [f'{old.duration:g} s: {_cost(old, new if d.better else None)}'
+            for old, new in zip(d.before.outages, d.after.outages) if len(old.begin) and len(new.begin)]
+
+
+def _cost(old: Outages, new: Outages | None) -> str:
+    stages = [old] if new is None else [old, new]
+    medians, means = ([f'{html.number(float(middle(o.max_error)), 2)} m' for o in stages]
+                      for middle in (np.median, np.mean))
+    held = [f'{html.number(100 * float(o.within.mean()), 2)} %' for o in stages]
+    said = f'{" as configured, ".join(medians)}{" with corrected.yaml" if new else " as configured"} (median of the ' \
+           f'largest error in {len(stages[-1].begin)} outages'
+    if tailed(stages):
+        said += f'; mean {" and ".join(means)}, as a few are much larger'
+    return said + f'); its own 95 % ellipse held the truth in {" before, ".join(held)}{" after" if new else ""}'
+
+
+def tailed(stages: Sequence[Outages]) -> bool:
+    """Whether means and medians of the largest errors disagree."""
+    return any(o.max_error.mean() > TAILS * np.median(o.max_error) for o in stages)
 
 
 def _plain(value):
@@ -233,21 +287,52 @@ def report_html(diagnosis: Diagnosis, given: dict, answered: Answer, checked=(),
     `corrected_yaml`."""
     d = diagnosis
     count = d.detections['before'].count
+    evidence = [_in_drive(drive) for drive in d.drives] or [_residual(d)]
     yaml = html.folded('corrected.yaml', 'With --params-file of every tool, the filter runs as here.',
                        html.preformatted(corrected_yaml(d, given)))
-    return html.page(f'Diagnosis of {d.recording.name}', [
-        _answered(d, answered), _errors(d), _added(d), yaml, _unexplained(d), _residual(d), _noise(d),
+    return html.page(f'Diagnosis of {d.name}', [
+        _answered(d, answered), _errors(d), _added(d), yaml, _unexplained(d), *evidence, _noise(d),
         _recording(d, checked, warned), _candidates(d)],
         f'{d.values["mechanization"]} mechanization, {d.values["sensor_error_model"].replace("_", " ")} sensor errors, '
         f'{count} innovations', script())
 
 
 def _answered(d: Diagnosis, answered: Answer) -> html.Html:
-    still = html.figure(plots.track(d), 'The drive from above, as configured and with corrected.yaml, with all fixes '
-                        'and in the longest outages, each ending at x.')
-    return html.section('Use corrected.yaml?', answered.html(), track(diagnosis_layers(d), still),
-                        html.figure(plots.errors(d), 'Horizontal position error before and after, to the left with the '
-                                    'fixes used, to the right against the time without fixes.'))
+    shown = _drives(d) if d.drives else _track(d)
+    return html.section('Use corrected.yaml?', answered.html(), shown, html.figure(
+        plots.errors(d), 'Horizontal position error before and after, to the left with the fixes used, to the right '
+        'against the time without fixes.'))
+
+
+def _track(d: Diagnosis) -> html.Html:
+    return track(diagnosis_layers(d), html.figure(
+        plots.track(d), 'The drive from above, as configured and with corrected.yaml, with all fixes and in the '
+        'longest outages, each ending at x.'))
+
+
+def _drives(d: Diagnosis) -> html.Html:
+    """Tables of several drives: their errors before and after, and what each says of the effects."""
+    rows = []
+    for drive in d.drives:
+        problem = drive.problem
+        minutes = float(np.ptp(problem.stamp[problem.mask])) * 1e-9 / 60
+        before, after = (nearest(m) for m in (drive.before, drive.after))
+        numbers = [None] * 5 if before is None or after is None else [
+            before.duration, *(float(np.median(o.max_error)) for o in (before, after)),
+            *(100 * float(o.within.mean()) for o in (before, after))]
+        rows.append((drive.name, minutes, drive.detections['before'].count, *numbers))
+    columns = ('drive', 'minutes', 'fixes', 'without fixes, s', 'largest error, median: before, m', 'after, m',
+               'inside 95 % ellipse: before, %', 'after, %')
+    said = [(f.name, drive.name, _sizes(f.drives.get(drive.name, {})) or 'nothing')
+            for f in d.findings if f.drives for drive in d.drives]
+    of_effects = html.table(('effect', 'drive', 'what it says alone'), said, 'A drive alone is less sure than all '
+                            'together; one in which an effect does not show says nothing against it.')
+    return html.Html(html.table(columns, rows, 'Each drive.', 3) + (of_effects if said else ''))
+
+
+def _in_drive(drive: Diagnosis) -> html.Html:
+    return html.folded(f'Drive {drive.name}', html.bullets([*cost(drive), *drive.remarks]), _track(drive),
+                       *_innovations(drive))
 
 
 def _recording(d: Diagnosis, checked, warned) -> html.Html:
@@ -258,13 +343,17 @@ def _recording(d: Diagnosis, checked, warned) -> html.Html:
 
 
 def _residual(d: Diagnosis) -> html.Html:
-    return html.folded(
-        'What the filter could not explain, before and after', html.bullets(d.detections['before'].words()),
+    return html.folded('What the filter could not explain, before and after', *_innovations(d))
+
+
+def _innovations(d: Diagnosis) -> list[html.Html]:
+    return [
+        html.bullets(d.detections['before'].words()),
         html.figure(plots.residual(d, 'before'), 'Innovations (fix minus prediction) of the filter as configured, in '
                     'units of their predicted standard deviation, along and across the track. What is beyond 5 sigma '
                     'stands at the edges of the histogram.'),
         html.paragraph(f'{capital(plots.STAGES["after"])}:'), html.bullets(d.detections['after'].words()),
-        html.figure(plots.residual(d, 'after'), 'The same at the end.'), _tests(d, ('before', 'fitted', 'after')))
+        html.figure(plots.residual(d, 'after'), 'The same at the end.'), _tests(d, ('before', 'fitted', 'after'))]
 
 
 def _tests(d: Diagnosis, stages) -> html.Html:
@@ -313,7 +402,7 @@ def _estimates(c: Candidate, d: Diagnosis) -> str:
 def _added(d: Diagnosis) -> html.Html:
     if not d.findings:
         return html.folded('What was found', 'No candidate is significant.')
-    rows = [(f.name, ', '.join(n for n in f.group if n != f.name), _values(f), f.gain,
+    rows = [(f.name, ', '.join(n for n in f.group if n != f.name), _sizes(f.parameters), f.gain,
              f.held_out.gain, _p(f.held_out.p), f.added, f.reason) for f in d.findings]
     return html.folded(
         'What was found', 'Values of the last joint fit. The held-out gain is that of the log likelihood in blocks of '
@@ -322,13 +411,14 @@ def _added(d: Diagnosis) -> html.Html:
                     'why not'), rows, digits=3))
 
 
-def _values(f: Finding) -> str:
-    return ', '.join(f'{name} {estimate.text()}' for name, estimate in f.parameters.items())
+def _sizes(parameters: dict[str, Estimate]) -> str:
+    return ', '.join(f'{name} {estimate.text()}' for name, estimate in parameters.items())
 
 
 def _errors(d: Diagnosis) -> html.Html:
-    rows = [(c['what'], c.get('count'), c.get('before'), c.get('after'), c.get('difference'), _interval(c),
-             _p(c['p']) if 'p' in c else '') for c in d.comparison]
+    rows = [(f"{c['drive']}: {c['what']}" if 'drive' in c else c['what'],
+             *map(c.get, ('count', 'before', 'after', 'difference')), _interval(c), _p(c['p']) if 'p' in c else '')
+            for c in d.comparison]
     summaries = {plots.STAGES[stage]: measured.summary() for stage, measured in plots.measured_stages(d).items()}
     columns = ('filter', 'RMS with fixes, m', 'without fixes, s', 'outages', 'largest error: median, m', 'RMS, m',
                '95 % below, m',

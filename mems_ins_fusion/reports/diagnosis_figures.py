@@ -100,7 +100,8 @@ def errors(diagnosis: Diagnosis):
         time.plot((continuous.stamp - origin) * 1e-9 / 60, continuous.horizontal, '.', markersize=2,
                   color=COLOURS[stage], label=STAGES[stage])
         _growth(outage, measured, stage)
-    time.set(xlabel='time, min', ylabel='horizontal error, m', yscale='log')
+    time.set(xlabel='time, min; one drive after the other' if diagnosis.drives else 'time, min',
+             ylabel='horizontal error, m', yscale='log')
     time.set_title('with the fixes used', fontsize=9)
     outage.set(xlabel='since the last fix, s', ylabel='horizontal error, m', xlim=(0, None), ylim=(0, None))
     outage.set_title('without fixes: median, and half of the outages', fontsize=9)

@@ -80,12 +80,13 @@ def replay_layers(comparison: Comparison, best: str, names: dict[str, str]) -> l
 
 
 def diagnosis_layers(diagnosis: Diagnosis) -> list[Layer]:
-    """Truth, fixes, and the position before and after, with all fixes and in the longest outages."""
+    """Truth, fixes, and the position before and after, with all fixes and in the longest outages; of one drive."""
     d = diagnosis
     truth = truth_of(d.recording, d.values | {'gnss.time_offset': 0.0})  # by the stamps that the errors carry
     ground, origin = Ground(truth.reference), int(d.recording.imu.stamp[0])
     layers = [_truth(ground, origin, truth.source)]
-    fixes = d.problem.full.gnss
+    [problem] = d.problem.each
+    fixes = problem.full.gnss
     if d.recording.reference is not None:
         north, east = ground(fixes)
         layers.append(Layer('fixes', colours.FIX, _seconds(fixes.stamp, origin), east, north, {}, points=2.0,
@@ -97,13 +98,13 @@ def diagnosis_layers(diagnosis: Diagnosis) -> list[Layer]:
         north, east = ground.of(errors)
         nis = (d.residuals[stage].whitened()**2).sum(axis=1)
         values = {'error': errors.horizontal, 'sigma': errors.sigma,
-                  'nis': _latest(d.problem.stamp, nis, errors.stamp), 'speed': _speed(ground, errors.stamp)}
+                  'nis': _latest(problem.stamp, nis, errors.stamp), 'speed': _speed(ground, errors.stamp)}
         layers.append(Layer(f'{name}, all fixes', colour, _seconds(errors.stamp, origin), east, north, values,
                             3.0 if stage == 'before' else 1.8))
     for stage, name, measured, values, colour in stages:
         longest = _longest(measured)
         if longest is not None:
-            delay = round(values['gnss.time_offset'] * 1e9) if d.problem.reference_with_fixes else 0
+            delay = round(values['gnss.time_offset'] * 1e9) if problem.reference_with_fixes else 0
             layers.append(_outages(ground, longest.errors, origin, delay, colour,
                                    f'{longest.duration:g} s without fixes, {name}', (5, 3)))
     return layers

@@ -1,0 +1,98 @@
+"""Several recordings of one vehicle: on one time axis, and not of two vehicles."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+
+from ..samples import Recording
+from .errors import RecordingError
+
+#: what is put between two drives on the time axis of all, s: longer than any block of time that goes together
+BETWEEN = 120.0
+#: IMUs of one vehicle have rates that differ by no more than this factor, and gravity no further apart, rad
+SAME_RATE, SAME_UP = 1.25, np.radians(30.0)
+_STREAMS = ('imu', 'gnss', 'reference', 'temperature', 'speed', 'velocity', 'heading')
+
+
+def one_after_another(recordings: Sequence[Recording]) -> list[Recording]:
+    """The recordings with names of their own and on one time axis, BETWEEN apart; the first one as it is."""
+    placed: list[Recording] = []
+    for recording in recordings:
+        names = {other.name for other in placed}
+        free = [recording.name, *(f'{recording.name}_{i}' for i in range(2, len(names) + 2))]
+        recording = replace(recording, name=next(name for name in free if name not in names))
+        if placed:
+            end = max(int(samples.stamp.max()) for samples in _samples(placed[-1]))
+            begin = min(int(samples.stamp.min()) for samples in _samples(recording))
+            recording = later(recording, end - begin + round(BETWEEN * 1e9))
+        placed.append(recording)
+    return placed
+
+
+def _samples(recording: Recording) -> list:
+    # a reference may hold more than the drive
+    found = [getattr(recording, name) for name in _STREAMS if name != 'reference']
+    return [samples for samples in found if samples is not None and len(samples)]
+
+
+def later(recording: Recording, shift: int) -> Recording:
+    """The recording with all stamps later by `shift` ns."""
+    moved = {}
+    for name in _STREAMS:
+        samples = getattr(recording, name)
+        if samples is not None:
+            stamps = {f.name: getattr(samples, f.name) + shift for f in fields(samples)
+                      if f.name in ('stamp', 'received')}
+            moved[name] = replace(samples, **stamps)
+    return replace(recording, **moved)
+
+
+def refuse_other_vehicles(recordings: Sequence[Recording]) -> None:
+    """RecordingError where a recording cannot be of the same vehicle and IMU as the first one, or is it once more.
+
+    What shows: how often the IMU measures, and which way it is mounted.
+    """
+    for i, recording in enumerate(recordings):
+        for other in recordings[:i]:
+            refuse_twice(recording, other)
+        if i:
+            _refuse_another(recording, recordings[0])
+
+
+def refuse_twice(recording, other) -> None:
+    """RecordingError where `recording` has the samples of `other`: what they show is no second witness.
+
+    Both have `name` and `imu`.
+    """
+    _, a, b = np.intersect1d(recording.imu.stamp, other.imu.stamp, return_indices=True)
+    same = (recording.imu.specific_force[a] == other.imu.specific_force[b]).all(axis=1).sum()
+    if same > 0.5 * min(len(recording.imu), len(other.imu)):
+        raise RecordingError(f'{recording.name} holds the samples of {other.name}; give each recording once')
+
+
+def _refuse_another(recording: Recording, first: Recording) -> None:
+    rate, usual = _rate(recording), _rate(first)
+    advice = 'give recordings of one vehicle with one IMU, or diagnose them apart'
+    if not 1 / SAME_RATE < rate / usual < SAME_RATE:
+        raise RecordingError(f'{recording.name} has an IMU of {rate:.3g} Hz and {first.name} one of {usual:.3g} Hz; '
+                             f'{advice}')
+    up, usual_up = _up(recording), _up(first)
+    if up @ usual_up < np.cos(SAME_UP):
+        words = ['({:.2g}, {:.2g}, {:.2g})'.format(*(v + 0.0)) for v in np.round([up, usual_up], 2)]
+        raise RecordingError(f'up is {words[0]} in the axes of the IMU in {recording.name} and {words[1]} in '
+                             f'{first.name}, so it is mounted differently; {advice}')
+
+
+def _rate(recording: Recording) -> float:
+    step = np.diff(recording.imu.stamp)
+    step = step[step > 0]
+    return float(1e9 / np.median(step)) if len(step) else float('nan')
+
+
+def _up(recording: Recording) -> np.ndarray:
+    """The mean direction of specific force in sensor axes, (3,)."""
+    force = recording.imu.specific_force
+    mean = force[np.isfinite(force).all(axis=1)].mean(axis=0)
+    return mean / max(np.linalg.norm(mean), 1e-12)
