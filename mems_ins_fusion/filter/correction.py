@@ -197,7 +197,7 @@ def apply_event(mem, r, at, sample):
         else:
             v_n, v_e = receiver.finds_course(mem, r, at)
             if v_n != 0.0 or v_e != 0.0:
-                receiver.take_course(mem, r, v_n, v_e)
+                receiver.take_course(mem, r, v_n, v_e, 0.0)
     _clear(mem, h, n)
     c = body_to_level(mem, r)
     mem[at + Event.YAW] = math.atan2(c[3], c[0])

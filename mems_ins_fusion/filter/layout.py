@@ -68,7 +68,12 @@ class _Nav(NamedTuple):
     BRIDGED: int = 37  # s, within the last minute or so, without a believable IMU sample
     DOUBT: int = 38  # fixes refused lately less those that fitted well
     WEIGHTED: int = 39  # fixes that did not fit one after the other, the first of them weighted down
-    SIZE: int = 40
+    STRAYED: int = 40  # resets to refused fixes from which the filter had strayed, soon after each other,
+    STRAYED_TIME: int = 41  # and when the last one was
+    PROVEN: int = 42  # m/s: changes of velocity in which fixes have confirmed the IMU
+    PROVEN_N: int = 43  # the velocity at the last fix
+    PROVEN_E: int = 44
+    SIZE: int = 45
 
 
 Nav = _Nav()
@@ -269,7 +274,8 @@ class _Head(NamedTuple):
     RECOVERIES: int = 131  # resets to fixes that had been refused
     HISTORY_AT: int = 133  # where a smoother's history begins, see history.py; 0: none
     AXLE_ACROSS: int = 134  # index of the optional state axle_y
-    SIZE: int = 136
+    WHIRLED: int = 136  # s of turns too fast for the speed, lately
+    SIZE: int = 137
 
 
 Head = _Head()

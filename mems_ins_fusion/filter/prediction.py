@@ -15,11 +15,13 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
 from ..navigation.earth import gravity, radii
+from .imu_faults import LONGEST_WHIRL, Fault
 from .layout import NAV, PLANAR, Head, Nav, Sample, packed
 
 #: what a land vehicle may do unseen while the IMU is silent (one sigma): the covariance of a bridged gap
 GAP_ACCELERATION = 1.5  # m/s^2
 GAP_TURN_RATE = 0.3  # rad/s
+UNKNOWN_YAW_SIGMA = math.pi / math.sqrt(3.0)  # rad, of a heading that nothing tells
 LONGEST_BRIDGE = 2.0  # s: after that they are others
 #: the radii are computed anew after this much latitude, rad (13 m): the scale is then good to 2e-6
 RADII_STEP = 2e-6
@@ -40,7 +42,7 @@ def predict(mem, src, dst, sample, dt):
     for k in range(Nav.MEMORY, NAV):
         mem[dst + k] = mem[src + k]
     if dt > mem[Head.MAX_GAP] or mem[sample + Sample.FAULT] != 0.0:
-        _bridge(mem, dst, dt, m)
+        _bridge(mem, dst, dt, m, mem[sample + Sample.FAULT])
     else:
         mem[dst + Nav.BRIDGED] = 0.0
 
@@ -202,10 +204,11 @@ def _cross_column(mem, src, dt, f_n, f_e, c, s, j, m, p):
 
 
 @njit(_nrt=False)
-def _bridge(mem, r, dt, m):
+def _bridge(mem, r, dt, m, fault):
     """Add to the covariance of row r what a vehicle may have done unseen for dt, while no sample could be believed.
 
-    An acceleration and a turn rate that last: what they add in dt depends on how long it has been so.
+    An acceleration and a turn rate that last: what they add in dt depends on how long it has been so. After turns that
+    cannot be the heading is lost, and with it the direction of the velocity.
     """
     before = mem[r + Nav.BRIDGED]
     after = before + dt
@@ -213,6 +216,10 @@ def _bridge(mem, r, dt, m):
     squares = after**2 - before**2
     velocity, turn = GAP_ACCELERATION**2 * squares, GAP_TURN_RATE**2 * squares
     position = 0.25 * GAP_ACCELERATION**2 * (after**4 - before**4)
+    if fault == Fault.WHIRL:
+        part = dt / LONGEST_WHIRL
+        turn += part * UNKNOWN_YAW_SIGMA**2
+        velocity += part * (mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2)
     if mem[Head.MECHANIZATION] == PLANAR:
         a = r + NAV + 5 + m
         for i in range(2):
