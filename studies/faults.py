@@ -290,15 +290,21 @@ def judged(fault: Fault, seed: int) -> tuple[Outcome, Outcome, Outcome]:
 
 def row(fault: Fault, found: list[tuple[Outcome, Outcome, Outcome]]) -> str:
     """A line of the table from what was `judged` for each seed."""
-    during = [o.error[(o.time >= 0) & (o.time <= fault.duration + 1.0)] for o, *_ in found]
-    dark = [o.error[(o.time >= 0) & (o.time <= fault.duration + 1.0)] for *_, o in found]
+    def largest(outcomes):
+        return max((o.error[(o.time >= 0) & (o.time <= fault.duration + 1.0)].max(initial=0.0) for o in outcomes))
+
+    faulty, _, dark = zip(*found)
     later = [rms(np.concatenate([o.error[np.abs(o.time - fault.duration - 20.0) < 2.5] for o in outcomes]))
              for outcomes in zip(*found)]
-    held = np.concatenate([o.inside[(o.time >= 0) & (o.time <= fault.duration + 60.0)] for o, *_ in found])
-    finite = all(np.isfinite(o.error).all() for o, *_ in found)
+    held = np.concatenate([o.inside[(o.time >= 0) & (o.time <= fault.duration + 60.0)] for o in faulty])
+    finite = all(np.isfinite(o.error).all() for o in faulty)
+    silent = 1.0 - len(held) / sum(np.count_nonzero((o.time >= 0) & (o.time <= fault.duration + 60.0))
+                                   for _, o, _ in found)
     said = found[0][0].said
     text = said[0].split(': ', 1)[-1] if said else ''
-    cells = [max(d.max() for d in during), max(d.max() for d in dark), *later]
+    if silent > 0.0:
+        text = f'(nothing published for {silent * (fault.duration + 60.0):.0f} s) {text}'
+    cells = [largest(faulty), largest(dark), *later]
     numbers = ' | '.join(f'{c:.2f}' if c < 100 else f'{c:.0f}' for c in cells)
     return (f'| {fault.name} | {numbers} | {100 * held.mean():.0f} %{"" if finite else " NOT FINITE"} | '
             f'{text[:90]} |')

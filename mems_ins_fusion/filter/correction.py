@@ -301,6 +301,7 @@ def _constrain_motion(mem, r, at, n, h, dimensions):
         off = mean > (CONSTRAINT_ON if off else CONSTRAINT_OFF)
         mem[r + running] = -mean if off else mean
         if off:
+            mem[Head.SIDEWAYS] += CONSTRAINT_INTERVAL if k == 0 else 0.0
             continue
         if nis > CONSTRAINT_ROBUST**2:
             variance += (nis / CONSTRAINT_ROBUST**2 - 1.0) * s

@@ -20,7 +20,7 @@ class _Fault(NamedTuple):
     RANGE: int = 1  # beyond what imu.max_specific_force or imu.max_angular_rate allow
     SPIKE: int = 2  # far from its neighbours
     SATURATED: int = 3  # an axis stays at a large value to the last digit
-    FROZEN: int = 4  # all axes repeat themselves to the last digit while the vehicle moves
+    FROZEN: int = 4  # an axis that always changes repeats itself to the last digit while the vehicle moves
     ZERO: int = 5  # all axes zero: no gravity
     WHIRL: int = 6  # a turn that no wheels hold at that speed
     DOUBTED: int = 7  # nothing wrong with it, but the fixes have contradicted those before it
@@ -45,6 +45,8 @@ LARGE_FORCE, LARGE_RATE = 15.0, 1.5  # m/s^2, rad/s
 #: so many equal values are no chance where the sensor's noise shows in its last digit
 FEWEST_EQUAL = 2
 FROZEN_TIME = 0.3  # s
+#: and of one axis so many, where it has changed with so much of the samples: the digits of others are coarse
+FEWEST_STUCK, ALWAYS = 5.0, 0.9
 #: speed times turn rate that no vehicle reaches, m/s^2
 FASTEST_WHIRL = 50.0
 #: so long it may last in all, s, before the sensor is not believed any more; it is forgotten at this rate, s/s
@@ -84,7 +86,7 @@ def check(mem, samples, k, dt, speed, doubted):
     """
     moving = speed > MOVING_SPEED
     time = samples[k, 0]
-    equal, zero, out, saturated = 1e9, True, False, False
+    equal, zero, out, saturated, stuck = 1e9, True, False, False, False
     lively = mem[Head.VARIED] > 0.5 * mem[Head.BELIEVED] and mem[Head.BELIEVED] > 10.0
     for i in range(6):
         value = samples[k, 1 + i]
@@ -95,6 +97,8 @@ def check(mem, samples, k, dt, speed, doubted):
         out = out or abs(value) > mem[Head.MAX_FORCE + (i >= 3)]
         large = abs(value) > (LARGE_FORCE if i < 3 else LARGE_RATE)
         saturated = saturated or (large and mem[Head.SAME + i] >= FEWEST_EQUAL)
+        stuck = stuck or (mem[Head.SAME + i] >= FEWEST_STUCK and mem[Head.SAME + i] * dt > FROZEN_TIME
+                          and mem[Head.CHANGED + i] > ALWAYS * mem[Head.BELIEVED])
     fault = Fault.NONE
     if out:
         fault = Fault.RANGE
@@ -102,7 +106,7 @@ def check(mem, samples, k, dt, speed, doubted):
         fault = Fault.ZERO
     elif lively and saturated:
         fault = Fault.SATURATED
-    elif lively and moving and equal >= FEWEST_EQUAL and equal * dt > FROZEN_TIME:
+    elif lively and moving and (equal >= FEWEST_EQUAL and equal * dt > FROZEN_TIME or stuck):
         fault = Fault.FROZEN
     elif _is_spike(mem, time):
         fault = Fault.SPIKE
@@ -117,6 +121,9 @@ def check(mem, samples, k, dt, speed, doubted):
     mem[Head.BELIEVED] += 1.0
     if equal == 0.0:
         mem[Head.VARIED] += 1.0
+    for i in range(6):
+        if mem[Head.SAME + i] == 0.0:
+            mem[Head.CHANGED + i] += 1.0
     _remember(mem, dt)
     return fault
 

@@ -112,7 +112,7 @@ def _take_sample(memory, samples, i):
     memory[sample + Sample.TIME] = time
     speed = _certain_speed(memory, before)
     fault = imu_faults.check(memory, samples, i, dt, speed, imu_faults.is_doubted(memory, before, time))
-    memory[sample + Sample.FAULT] = fault
+    memory[sample + Sample.FAULT], memory[sample + Sample.COASTED] = fault, 0.0
     if fault == Fault.NONE:
         _condition(memory, sample, Head.RAW)
     elif fault < Fault.WHIRL and memory[before + Nav.BRIDGED] < HELD:
@@ -153,6 +153,7 @@ def _condition(memory, sample, raw):
 @njit(_nrt=False)
 def _coast(memory, sample, r):
     """The sample of a vehicle that goes straight on at its speed, from the state at r."""
+    memory[sample + Sample.COASTED] = 1.0
     x, p = r + NAV + int(memory[Head.N_NAVIGATION]), int(memory[Head.ORDER])
     c = body_to_level(memory, r)
     g = gravity(memory[r + Nav.LATITUDE], memory[r + Nav.HEIGHT])

@@ -266,7 +266,7 @@ class _Head(NamedTuple):
     SAME: int = 105  # how often each came again one after the other, six
     CENTRE: int = 111  # running mean of what was believed, six
     SPREAD: int = 117  # and its running variance, of f and of w
-    VARIED: int = 119  # whether the sensor has ever given another value
+    VARIED: int = 119  # samples that differ from the one before
     SPIKE_SINCE: int = 120
     BELIEVED: int = 121  # samples believed so far
     FAULTS: int = 122  # samples not believed, by reason: as many as `Fault` has
@@ -275,7 +275,9 @@ class _Head(NamedTuple):
     HISTORY_AT: int = 133  # where a smoother's history begins, see history.py; 0: none
     AXLE_ACROSS: int = 134  # index of the optional state axle_y
     WHIRLED: int = 136  # s of turns too fast for the speed, lately
-    SIZE: int = 137
+    CHANGED: int = 137  # how often each of the six numbers was another one than before
+    SIDEWAYS: int = 143  # s in which the vehicle did not keep to the non-holonomic constraint
+    SIZE: int = 144
 
 
 Head = _Head()
@@ -296,7 +298,8 @@ class _Sample(NamedTuple):
     CONSTRAINT: int = 9  # kind of the constraint that was applied; 0: none
     Z: int = 10  # its innovation, three
     S: int = 13  # and the variances of that, three
-    SIZE: int = 16
+    COASTED: int = 16  # 1: not measured, but made so that the vehicle goes straight on
+    SIZE: int = 17
 
 
 Sample = _Sample()

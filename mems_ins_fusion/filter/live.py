@@ -21,6 +21,7 @@ from .results import columns
 from .snapshot import made, recalled
 from .start import Start
 from .unheaded import spread
+from .vehicle_check import vehicle_says
 
 #: the verdicts in words
 VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down', Verdict.REFUSED: 'beyond the gate',
@@ -292,7 +293,7 @@ class FusionFilter(Intake):
             self.say('warning', 'start pose: no IMU sample yet, nothing to start from')
             return
         speed, speed_sigma, still, errors = 0.0, UNKNOWN_SPEED_SIGMA, self._alignment.standing(), None
-        if self._memory is not None and self._memory[Head.SAMPLES] > 0:
+        if self._memory is not None:
             self.update_odometry()
             speed, speed_sigma = float(self.odometry[LINEAR]), math.sqrt(self.odometry[TWIST_COVARIANCE])
             errors = learned(self.config, self._memory)
@@ -359,6 +360,8 @@ class FusionFilter(Intake):
                                 'each other: position, velocity and heading start anew from them')
         if not used:
             return
+        for text in vehicle_says(self._memory, self.config, record[None]):
+            self.say('warning', text)
         self._newest_fix = max(self._newest_fix, stamp)
         if self._outage and self._now - stamp < self._outage_after:
             self._outage = False

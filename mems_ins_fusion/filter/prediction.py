@@ -21,6 +21,7 @@ from .layout import NAV, PLANAR, Head, Nav, Sample, packed
 #: what a land vehicle may do unseen while the IMU is silent (one sigma): the covariance of a bridged gap
 GAP_ACCELERATION = 1.5  # m/s^2
 GAP_TURN_RATE = 0.3  # rad/s
+GAP_TILT = 0.1  # rad: roads are not steeper, however long it lasts
 UNKNOWN_YAW_SIGMA = math.pi / math.sqrt(3.0)  # rad, of a heading that nothing tells
 LONGEST_BRIDGE = 2.0  # s: after that they are others
 #: the radii are computed anew after this much latitude, rad (13 m): the scale is then good to 2e-6
@@ -87,6 +88,8 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
     yaw = mem[src + Nav.YAW]
     f_n, f_e, c, s = planar.rotate(yaw, dt, f_x, f_y, w_z)
     north, east, v_n, v_e, yaw = planar.mechanize(mem[src + Nav.V_N], mem[src + Nav.V_E], yaw, f_x, f_y, w_z, dt)
+    if mem[sample + Sample.COASTED] != 0.0:  # straight on whatever the heading and the sensors' errors are
+        f_n = f_e = c = s = 0.0
     _move(mem, src, dst, north, east)
     mem[dst + Nav.HEIGHT] = mem[src + Nav.HEIGHT]
     mem[dst + Nav.V_N] = v_n
@@ -231,7 +234,11 @@ def _bridge(mem, r, dt, m, fault):
     for i in range(3):
         mem[a + packed(i, i, 9)] += position
         mem[a + packed(3 + i, 3 + i, 9)] += velocity
-        mem[a + packed(6 + i, 6 + i, 9)] += turn if i == 2 else 0.1 * turn
+        tilt = 6 + i
+        if i == 2:
+            mem[a + packed(tilt, tilt, 9)] += turn
+        else:
+            mem[a + packed(tilt, tilt, 9)] += min(0.1 * turn, max(GAP_TILT**2 - mem[a + packed(tilt, tilt, 9)], 0.0))
 
 
 @njit
@@ -333,6 +340,8 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
     attitude, c, f_level, moved, velocity = strapdown.mechanize(
         (mem[src + Nav.Q_W], mem[src + Nav.Q_X], mem[src + Nav.Q_Y], mem[src + Nav.Q_Z]), mem[src + Nav.V_N],
         mem[src + Nav.V_E], mem[src + Nav.V_D], f, w, dt, gravity(latitude, height), rates)
+    if mem[sample + Sample.COASTED] != 0.0:  # straight on whatever the attitude and the sensors' errors are
+        c, f_level = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     step = strapdown.transition(dt, c, f_level)
     if mem[Head.HISTORY_AT] > 0.0:
         _carry_strapdown(mem, step, m, p)

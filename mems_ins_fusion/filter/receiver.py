@@ -14,7 +14,7 @@ from ..navigation import planar, strapdown
 from ..navigation.strapdown import from_euler, to_euler
 from .history import forget
 from .layout import NAV, PLANAR, Event, Head, Nav, Verdict, packed
-from .prediction import UNKNOWN_YAW_SIGMA
+from .prediction import GAP_ACCELERATION, UNKNOWN_YAW_SIGMA
 
 #: fixes further apart say nothing of the receiver's scatter, s: the inertial sensors drift between them
 LONGEST_PAIR = 3.0
@@ -51,7 +51,7 @@ GROWTH = 0.5  # m/s^2: by a tilt that is three degrees wrong
 STRAYED_PART, STRAYED_SLOPE, SOON = 0.5, 2.0, 300.0
 #: an IMU is proven by so many m/s of changes of velocity that fixes confirm, as far as they are faster than that, m/s^2;
 #: before that fixes win over it after s
-PROOF, BRISK, UNPROVEN_TIME = 20.0, 1.0, 4.0
+PROOF, BRISK, UNPROVEN_TIME = 20.0, 0.3, 4.0
 #: of the logarithm of the realised over the claimed variance, by a fix that was weighted down
 WEIGHTED_GAIN = 0.25
 #: normalized innovation squared of a fix that fits well
@@ -261,7 +261,7 @@ def _velocity_of_fixes(mem, r, at, strayed):
     east = (mem[at + Event.LONGITUDE] - mem[r + Nav.FIX_LONGITUDE]) / mem[r + Nav.EAST_SCALE]
     variance = max(1.0, mem[r + Nav.GNSS_RATIO]) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     return (north / interval, east / interval,
-            NEW_VELOCITY_SIGMA**2 + (BRISK * interval) ** 2 + variance / interval**2)
+            NEW_VELOCITY_SIGMA**2 + (GAP_ACCELERATION * interval) ** 2 + variance / interval**2)
 
 
 @njit(_nrt=False)
@@ -270,6 +270,8 @@ def _strayed(mem, r, at):
     far as at first."""
     slope_n, slope_e, _ = _line(mem, r)
     slope = math.hypot(slope_n, slope_e)
+    if math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]) < COURSE_SPEED:
+        return False  # who hardly moves cannot stray
     size = math.sqrt(mem[r + Nav.SUM_SQUARE] / mem[r + Nav.REFUSED])
     return slope > STRAYED_SLOPE and slope * (mem[at + Event.TIME] - mem[r + Nav.REFUSED_SINCE]) > STRAYED_PART * size
 
@@ -278,7 +280,7 @@ def _strayed(mem, r, at):
 def _prove(mem, r, at, interval):
     """Remember the change of velocity since the last fix, where the fix at `at` confirms it."""
     change = math.hypot(mem[r + Nav.V_N] - mem[r + Nav.PROVEN_N], mem[r + Nav.V_E] - mem[r + Nav.PROVEN_E])
-    change -= BRISK * interval + 2.0 * math.sqrt(_velocity_variance(mem, r))
+    change -= BRISK * interval + math.sqrt(_velocity_variance(mem, r))
     if 0.0 < interval < LONGEST_PAIR and mem[at + Event.NIS] < FITTING and mem[r + Nav.BRIDGED] == 0.0:
         mem[r + Nav.PROVEN] = min(mem[r + Nav.PROVEN] + max(change, 0.0), 2.0 * PROOF)
     mem[r + Nav.PROVEN_N], mem[r + Nav.PROVEN_E] = mem[r + Nav.V_N], mem[r + Nav.V_E]
