@@ -70,10 +70,11 @@ class _Nav(NamedTuple):
     WEIGHTED: int = 39  # fixes that did not fit one after the other, the first of them weighted down
     STRAYED: int = 40  # resets to refused fixes from which the filter had strayed, soon after each other,
     STRAYED_TIME: int = 41  # and when the last one was
-    PROVEN: int = 42  # m/s: changes of velocity in which fixes have confirmed the IMU
+    PROVEN: int = 42  # m/s: changes of velocity in which fixes have confirmed the IMU; below 0: no more
     PROVEN_N: int = 43  # the velocity at the last fix
     PROVEN_E: int = 44
-    SIZE: int = 45
+    CLAIMED: int = 45  # variance of the last fix, as it says
+    SIZE: int = 46
 
 
 Nav = _Nav()

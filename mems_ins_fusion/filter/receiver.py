@@ -52,6 +52,10 @@ STRAYED_PART, STRAYED_SLOPE, SOON = 0.5, 2.0, 300.0
 #: an IMU is proven by so many m/s of changes of velocity that fixes confirm, as far as they are faster than that, m/s^2;
 #: before that fixes win over it after s
 PROOF, BRISK, UNPROVEN_TIME = 20.0, 0.3, 4.0
+#: what is left of the proof where the filter has strayed, or has not fitted for longer than a receiver errs
+LOST = -1.0
+#: where the claimed variance changes by more at once, the realised one is as it was until the fixes show more
+CLAIM_CHANGE = 10.0
 #: of the logarithm of the realised over the claimed variance, by a fix that was weighted down
 WEIGHTED_GAIN = 0.25
 #: normalized innovation squared of a fix that fits well
@@ -119,6 +123,8 @@ def learn(mem, r, at, left_n, left_e):
         mem[r + Nav.WEIGHTED] += 1.0
     else:
         mem[r + Nav.WEIGHTED] = 0.0
+    if mem[r + Nav.WEIGHTED] * interval > LONGEST_WEIGHTED:
+        mem[r + Nav.PROVEN] = LOST
     if verdict == Verdict.WEIGHTED and paired and mem[Head.ADAPT] > 0.0 and mem[r + Nav.DOUBT] <= FEWEST_DOUBT:
         # errors that last do not show between two fixes (a time offset), but here; not where pairs are too far apart:
         # nothing would bring the ratio down again, and a filter that is too sure would blame the fixes
@@ -162,14 +168,17 @@ def _scatter(mem, r, at, z_n, z_e):
     The second innovation less what the first fix left is the difference of two errors of the receiver, as far as the
     inertial sensors are right in between. A running median: it moves by its gain towards each value, however large.
     """
-    interval = mem[at + Event.TIME] - mem[r + Nav.RESIDUAL_TIME]
+    interval, claimed = mem[at + Event.TIME] - mem[r + Nav.RESIDUAL_TIME], mem[at + Event.R_NN] + mem[at + Event.R_EE]
+    before, mem[r + Nav.CLAIMED] = mem[r + Nav.CLAIMED], claimed
+    if before > 0.0 and (claimed * CLAIM_CHANGE < before or claimed > CLAIM_CHANGE * before):
+        mem[r + Nav.GNSS_RATIO] = min(max(mem[r + Nav.GNSS_RATIO] * before / claimed, 1.0 / LARGEST_RATIO), LARGEST_RATIO)
+        mem[r + Nav.GNSS_SEEN] = 0.0
     if not (0.0 < interval < LONGEST_PAIR and mem[r + Nav.FIX_TIME] != 0.0):
         return
     drift = interval * interval * _velocity_variance(mem, r)
     squared = (z_n - mem[r + Nav.RESIDUAL_N]) ** 2 + (z_e - mem[r + Nav.RESIDUAL_E]) ** 2
-    claimed = 2.0 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     gain = max(STEADY_GAIN, FIRST_GAIN / (mem[r + Nav.GNSS_SEEN] + 2.0 * FIRST_GAIN))
-    more = squared > MEDIAN * (mem[r + Nav.GNSS_RATIO] * claimed + drift)
+    more = squared > MEDIAN * (2.0 * mem[r + Nav.GNSS_RATIO] * claimed + drift)
     ratio = mem[r + Nav.GNSS_RATIO] * math.exp(gain if more else -gain)
     mem[r + Nav.GNSS_RATIO] = min(max(ratio, 1.0 / LARGEST_RATIO), LARGEST_RATIO)
     mem[r + Nav.GNSS_SEEN] += 1.0
@@ -214,9 +223,9 @@ def start_anew(mem, r, at):
     v_n, v_e, drift = _velocity_of_fixes(mem, r, at, strayed)
     if strayed:
         again = mem[r + Nav.STRAYED] > 0.0 and mem[at + Event.TIME] - mem[r + Nav.STRAYED_TIME] < SOON
-        unproven = mem[r + Nav.PROVEN] <= PROOF
-        mem[r + Nav.STRAYED] = max(mem[r + Nav.STRAYED] + 1.0 if again else 1.0, 2.0 if unproven else 1.0)
-        mem[r + Nav.STRAYED_TIME], mem[r + Nav.PROVEN] = mem[at + Event.TIME], 0.0
+        never = 0.0 <= mem[r + Nav.PROVEN] <= PROOF
+        mem[r + Nav.STRAYED] = max(mem[r + Nav.STRAYED] + 1.0 if again else 1.0, 2.0 if never else 1.0)
+        mem[r + Nav.STRAYED_TIME], mem[r + Nav.PROVEN] = mem[at + Event.TIME], LOST
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
     for i in range(n):
