@@ -162,7 +162,7 @@ def main() -> None:
         drive(fusion, part, begin if fault is RESTART else None, begin, hour)
         hour.faults += 1
         memory = memory or megabytes()
-        if part.imu.stamp[-1] - first < number * 3600 * SECOND and options.hours > 1.0:
+        if part.imu.stamp[-1] - first < number * 3600 * SECOND:
             continue
         line, away = row(number, hour, memory)
         lines.append(line)

@@ -50,8 +50,10 @@ GROWTH = 0.5  # m/s^2: by a tilt that is three degrees wrong
 #: time soon is within s
 STRAYED_PART, STRAYED_SLOPE, SOON = 0.5, 2.0, 300.0
 #: an IMU is proven by so many m/s of changes of velocity that fixes confirm, as far as they are faster than that, m/s^2;
-#: before that fixes win over it after s
-PROOF, BRISK, UNPROVEN_TIME = 20.0, 0.3, 4.0
+#: before that fixes from which the filter strays win over it after s, after that in more
+PROOF, BRISK, UNPROVEN_TIME, PROVEN_TIME = 20.0, 0.3, 4.0, 10.0
+#: while the velocity is less certain, m/s, it changes by what fixes say
+CERTAIN = 1.0
 #: what is left of the proof where the filter has strayed, or has not fitted for longer than a receiver errs
 LOST = -1.0
 #: where the claimed variance changes by more at once, the realised one is as it was until the fixes show more
@@ -123,7 +125,7 @@ def learn(mem, r, at, left_n, left_e):
         mem[r + Nav.WEIGHTED] += 1.0
     else:
         mem[r + Nav.WEIGHTED] = 0.0
-    if mem[r + Nav.WEIGHTED] * interval > LONGEST_WEIGHTED:
+    if mem[r + Nav.WEIGHTED] * interval > LONGEST_WEIGHTED and mem[r + Nav.PROVEN] > PROOF:
         mem[r + Nav.PROVEN] = LOST
     if verdict == Verdict.WEIGHTED and paired and mem[Head.ADAPT] > 0.0 and mem[r + Nav.DOUBT] <= FEWEST_DOUBT:
         # errors that last do not show between two fixes (a time offset), but here; not where pairs are too far apart:
@@ -190,9 +192,10 @@ def agreed(mem, r, at):
     a line as the error of a position and a velocity would."""
     count = mem[r + Nav.REFUSED]
     lasted = mem[at + Event.TIME] - mem[r + Nav.REFUSED_SINCE]
-    if count < FEWEST_REFUSED or lasted < min(UNPROVEN_TIME, mem[Head.RECOVERY_TIME]):
+    soon = PROVEN_TIME if mem[r + Nav.PROVEN] > PROOF else UNPROVEN_TIME
+    if count < FEWEST_REFUSED or lasted < min(soon, mem[Head.RECOVERY_TIME]):
         return False
-    if lasted < mem[Head.RECOVERY_TIME] and (mem[r + Nav.PROVEN] > PROOF or not _strayed(mem, r, at)):
+    if lasted < mem[Head.RECOVERY_TIME] and not _strayed(mem, r, at):
         return False
     _, _, spread = _line(mem, r)
     size = math.sqrt(mem[r + Nav.SUM_SQUARE] / count)
@@ -225,7 +228,7 @@ def start_anew(mem, r, at):
         again = mem[r + Nav.STRAYED] > 0.0 and mem[at + Event.TIME] - mem[r + Nav.STRAYED_TIME] < SOON
         never = 0.0 <= mem[r + Nav.PROVEN] <= PROOF
         mem[r + Nav.STRAYED] = max(mem[r + Nav.STRAYED] + 1.0 if again else 1.0, 2.0 if never else 1.0)
-        mem[r + Nav.STRAYED_TIME], mem[r + Nav.PROVEN] = mem[at + Event.TIME], LOST
+        mem[r + Nav.STRAYED_TIME], mem[r + Nav.PROVEN] = mem[at + Event.TIME], 0.0 if never else LOST
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
     for i in range(n):
@@ -289,8 +292,10 @@ def _strayed(mem, r, at):
 def _prove(mem, r, at, interval):
     """Remember the change of velocity since the last fix, where the fix at `at` confirms it."""
     change = math.hypot(mem[r + Nav.V_N] - mem[r + Nav.PROVEN_N], mem[r + Nav.V_E] - mem[r + Nav.PROVEN_E])
-    change -= BRISK * interval + math.sqrt(_velocity_variance(mem, r))
-    if 0.0 < interval < LONGEST_PAIR and mem[at + Event.NIS] < FITTING and mem[r + Nav.BRIDGED] == 0.0:
+    sigma = math.sqrt(_velocity_variance(mem, r))
+    change -= BRISK * interval + sigma
+    fits = mem[at + Event.NIS] < FITTING and mem[r + Nav.BRIDGED] == 0.0 and sigma < CERTAIN
+    if 0.0 < interval < LONGEST_PAIR and fits:
         mem[r + Nav.PROVEN] = min(mem[r + Nav.PROVEN] + max(change, 0.0), 2.0 * PROOF)
     mem[r + Nav.PROVEN_N], mem[r + Nav.PROVEN_E] = mem[r + Nav.V_N], mem[r + Nav.V_E]
 
