@@ -8,20 +8,30 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from filter_support import attitude_of, central_difference, configure, random_covariance, state_and_covariance
+from filter_support import (
+    attitude_of,
+    central_difference,
+    configure,
+    random_covariance,
+    started,
+    state_and_covariance,
+    take_sample,
+)
 from scipy.spatial.transform import Rotation
-from test_filter_constraints import FLU, SIDEWAYS_SIGMA, NON_HOLONOMIC, true_motion, until_corrected
+from test_filter_constraints import NON_HOLONOMIC, SIDEWAYS_SIGMA, true_motion
 
 from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors
 from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.layout import Event, Head, Nav, views
 from mems_ins_fusion.filter.replay import run
+from mems_ins_fusion.filter.vehicle_check import vehicle_says
 from mems_ins_fusion.navigation.frames import rotation_from_rpy, wrap
 from mems_ins_fusion.parameters import table
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'studies'))
 from faults import clean_drive, truth_of  # noqa: E402
 
-SEED, FREE = 2000, {**NON_HOLONOMIC, 'imu.mounting_sigma': 0.1}
+SEED, FREE = 2000, {**NON_HOLONOMIC, 'imu.mounting_sigma': 0.1, 'sensor_error_model': 'gauss_markov'}
 
 
 @pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
@@ -36,8 +46,11 @@ def test_no_sideways_velocity_is_linearised_where_the_mounting_is_estimated(mech
     x[yaw] = turn
     sample, attitude = (0.3, 0.2, 9.7, 0.02, -0.03, 0.2), (0.0, 0.0, 0.7)
     velocity = Rotation.from_euler('z', 0.7 + turn + 0.05).apply((13.0, 0.0, -0.3 if k == 2 else 0.0))
-    config, before, after = until_corrected('GM', mechanization, 'closed', FREE, sample, attitude=attitude,
-                                            velocity=velocity, x=x, p=random_covariance(n, np.random.default_rng(5), scale))
+    before, after = (started(config, attitude=attitude, velocity=velocity, x=x,
+                             p=random_covariance(n, np.random.default_rng(5), scale)) for _ in range(2))
+    for memory, since in ((before, 0.0), (after, 1.0)):  # s since the last constraint: one of them is due
+        views(memory)[2][0, Nav.CONSTRAINT_TIME] = since
+        take_sample(memory, 0.01, *sample)
     x, p = state_and_covariance(config, before)
 
     def measured(e):  # velocity to the right of the vehicle, and down
@@ -114,7 +127,10 @@ def test_a_boat_with_the_parameters_of_a_car_is_told_which_are_its():
         drift = 2.0 * (samples.stamp - clean.imu.stamp[0]) * 1e-9 / 6.37e6
         return replace(samples, latitude=samples.latitude + drift)
     result, _, _ = driven(replace(clean, gnss=carried(clean.gnss)))
-    assert any('config/boat.yaml' in n.text for n in result.notices)
+    assert any('a boat needs config/boat.yaml' in n.text for n in result.notices)
+    memory = result.memory.copy()
+    memory[Head.SIDEWAYS] = 20.0  # s, as the kernel counts them
+    assert any('went sideways for 20 s' in text for text in vehicle_says(memory, result.config, np.zeros((0, Event.SIZE))))
     # and a car is not
     result, _, _ = driven(clean)
     assert not any('config/boat.yaml' in n.text or 'imu.mounting_rpy' in n.text for n in result.notices)

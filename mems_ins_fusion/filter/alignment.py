@@ -8,7 +8,7 @@ import numpy as np
 
 from ..navigation.earth import radii, to_local
 from ..navigation.frames import wrap, yaw_from_enu, yaw_of_quaternion
-from .at_rest import SHORTEST_STILL, STILL_BLOCK, latest_standstill, note_standstill, shows_no_rates
+from .at_rest import SHORTEST_STILL, STILL_BLOCK, latest_standstill, note_standstill, tumbling_rate
 from .config import FilterConfig
 from .course import FASTEST_REVERSE, SIDESLIP_SIGMA, Refused, driven_off, find_course, has_moved
 from .layout import PLANAR, Event
@@ -251,7 +251,7 @@ class Alignment:
     def _refuse_contradictions(self, positions) -> None:
         """Refused where rest or driving off have shown that the samples are not what the configuration says."""
         topic = self.config.imu.topic
-        rate = shows_no_rates(self._samples, positions, self.config)
+        rate = tumbling_rate(self._samples, positions, self.config)
         if rate:
             raise Refused(f'a believable turn rate on {topic}: angular_velocity is {rate:.3f} rad/s at rest, about an '
                           "axis about which no vehicle turns; if the driver delivers deg/s, set imu.rate_unit to 'deg/s'")

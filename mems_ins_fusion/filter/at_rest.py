@@ -27,22 +27,6 @@ def latest_standstill(imu: np.ndarray, positions: np.ndarray, config: FilterConf
 
     imu (n, 7 or more): time, specific force and angular rate in body axes. positions (k, 4): time, north, east, sigma.
     """
-    found = next(_quiet_times(imu, positions, config), None)
-    return found if found is not None and np.abs(found.angular_rate).max() < config.vehicle.still_rate else None
-
-
-def shows_no_rates(imu: np.ndarray, positions: np.ndarray, config: FilterConfig) -> float:
-    """The turn rate, rad/s, that the gyroscopes of a vehicle at rest show about an axis about which none turns for
-    seconds: forward or right; 0 where they show none."""
-    for still in _quiet_times(imu, positions, config):
-        rate = float(np.abs(still.angular_rate[:2]).max())
-        if rate > config.vehicle.still_rate:
-            return rate
-    return 0.0
-
-
-def _quiet_times(imu: np.ndarray, positions: np.ndarray, config: FilterConfig):
-    """What may be standstills, the latest first: the sensors are quiet and steady, and the fixes stay in place."""
     mean, scatter, starts, length = _blocks(imu)
     quiet = ((scatter[:, :3].max(axis=1) < config.vehicle.still_acceleration)
              & (scatter[:, 3:].max(axis=1) < config.vehicle.still_rate) & (length > 2))
@@ -55,7 +39,22 @@ def _quiet_times(imu: np.ndarray, positions: np.ndarray, config: FilterConfig):
         duration = imu[end - 1, 0] - imu[begin, 0]
         if duration >= SHORTEST_STILL and _stays(positions, imu[begin, 0], imu[end - 1, 0]):
             means = imu[begin:end, 1:7].mean(axis=0)
-            yield Standstill(imu[end - 1, 0], duration, means[:3], means[3:])
+            turns = np.abs(means[3:]).max() > config.vehicle.still_rate
+            return None if turns else Standstill(imu[end - 1, 0], duration, means[:3], means[3:])
+    return None
+
+
+def tumbling_rate(imu: np.ndarray, positions: np.ndarray, config: FilterConfig) -> float:
+    """The turn rate, rad/s, that gyroscopes show about an axis about which no vehicle turns for seconds, forward or
+    right, while the accelerometers are quiet and the fixes stay in place; 0 where they show none."""
+    mean, scatter, starts, length = _blocks(imu)
+    ends = np.append(starts[1:], len(imu))
+    for first, last in _runs((scatter[:, :3].max(axis=1) < config.vehicle.still_acceleration) & (length > 2)):
+        begin, end = imu[starts[first], 0], imu[ends[last - 1] - 1, 0]
+        rate = float(np.abs(mean[first:last, 3:5].mean(axis=0)).max())
+        if rate > config.vehicle.still_rate and end - begin >= SHORTEST_STILL and _stays(positions, begin, end):
+            return rate
+    return 0.0
 
 
 def _swings(rate: np.ndarray) -> bool:

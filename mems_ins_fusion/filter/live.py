@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +22,7 @@ from .results import columns
 from .snapshot import made, recalled
 from .start import Start
 from .unheaded import spread
-from .vehicle_check import vehicle_says
+from .vehicle_check import ADRIFT, vehicle_says
 
 #: the verdicts in words
 VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down', Verdict.REFUSED: 'beyond the gate',
@@ -94,6 +95,7 @@ class FusionFilter(Intake):
         self._last_gap = 0.0
         self._last_fault = self._last_recovery = -math.inf
         self._refused_in_a_row = 0
+        self._recent: deque[np.ndarray] = deque(maxlen=ADRIFT)  # records of fixes
 
     def changed(self, values: dict) -> FilterConfig:
         """The configuration with those of `values` (checked, by name) that are CHANGEABLE.
@@ -358,10 +360,11 @@ class FusionFilter(Intake):
             self._last_recovery = stamp * 1e-9
             self.say('warning', f'{topic}: the fixes refused for {self.config.gnss.recovery_time:.0f} s agree with '
                                 'each other: position, velocity and heading start anew from them')
+        self._recent.append(record.copy())
+        for text in vehicle_says(self._memory, self.config, np.array(self._recent)):
+            self.say('warning', text)
         if not used:
             return
-        for text in vehicle_says(self._memory, self.config, record[None]):
-            self.say('warning', text)
         self._newest_fix = max(self._newest_fix, stamp)
         if self._outage and self._now - stamp < self._outage_after:
             self._outage = False

@@ -252,8 +252,7 @@ class _Replay(Intake):
                     self.say('warning', f'{self.topic(kind)}: {counts[verdict]} of {total} messages {why}')
         if self.memory is None:
             return
-        used = np.isin(measured.record[:, Event.VERDICT], (Verdict.USED, Verdict.WEIGHTED))
-        fixes = measured.record[used & (measured.kind == Kind.POSITION)]
+        fixes = measured.record[measured.kind == Kind.POSITION]
         for text in (*kernel_says(self.memory, self.config.imu.topic), *vehicle_says(self.memory, self.config, fixes)):
             self.say('warning', text)
 

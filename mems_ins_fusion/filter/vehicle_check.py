@@ -6,19 +6,27 @@ import math
 import numpy as np
 
 from .config import FilterConfig
-from .layout import NAV, Event, Head, state_at
+from .layout import NAV, Event, Head, Verdict, state_at
 
 #: faster no car goes backwards, m/s
 FASTEST_BACKWARDS = 8.0
+#: slower it stands, m/s
+AT_REST = 0.3
 #: a mounting found further from that of the parameters than so many sigma, and than this, rad, is worth a word
 MOUNTING_SIGMAS, SMALL_ANGLE = 3.0, 0.2
 #: a vehicle that goes sideways for longer in all is none that rolls, s
 LONGEST_SIDEWAYS = 5.0
+#: refused fixes in a row that go on while the IMU is seen at rest, and how far, m, in that time
+ADRIFT, FARTHEST_ADRIFT = 10, 10.0
 
 
 def vehicle_says(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray) -> list[str]:
     """Lines on what does not fit the parameters, from the filter's memory and records of fixes (k, Event.SIZE)."""
     texts, topic = [], config.imu.topic
+    if config.vehicle.zero_velocity_sigma and _is_adrift(fixes):
+        texts.append(f'{config.gnss.topic}: the fixes go on while {topic} shows a standstill (vehicle.zero_velocity): a boat '
+                     'needs config/boat.yaml')
+    fixes = fixes[np.isin(fixes[:, Event.VERDICT], (Verdict.USED, Verdict.WEIGHTED))]
     if config.vehicle.lateral_sigma:
         turn = _mounting_yaw(memory, config)
         prior = config.parameters['imu.mounting_sigma']
@@ -36,6 +44,13 @@ def vehicle_says(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray) ->
         texts.append(f'the vehicle went sideways for {memory[Head.SIDEWAYS]:.0f} s, against vehicle.non_holonomic, which '
                      'was not used then: a boat needs config/boat.yaml, a robot that turns on the spot config/robot.yaml')
     return texts
+
+
+def _is_adrift(fixes: np.ndarray) -> bool:
+    refused = (fixes[:, Event.VERDICT] == Verdict.REFUSED) & (np.hypot(fixes[:, Event.V_N], fixes[:, Event.V_E]) < AT_REST)
+    off = np.hypot(fixes[:, Event.Z_N], fixes[:, Event.Z_E])
+    gone = [np.ptp(off[k - ADRIFT:k]) for k in range(ADRIFT, len(fixes) + 1) if refused[k - ADRIFT:k].all()]
+    return max(gone, default=0.0) > FARTHEST_ADRIFT
 
 
 def _mounting_yaw(memory: np.ndarray, config: FilterConfig) -> float:
