@@ -31,6 +31,8 @@ VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down', Verdict.REF
 #: what a fault leaves behind shows for so long, s
 _DEGRADED, _RECOVERING = 5.0, 10.0
 _STEADY_REFUSED = 3
+#: what the vehicle shows against the parameters is said so often, ns
+_LOOK_PERIOD = 60 * 10**9
 #: of a speed that nobody has told, m/s
 UNKNOWN_SPEED_SIGMA = 15.0
 #: parameters that may change while the filter runs, and where those that the kernel uses stand
@@ -96,6 +98,7 @@ class FusionFilter(Intake):
         self._last_fault = self._last_recovery = -math.inf
         self._refused_in_a_row = 0
         self._recent: deque[np.ndarray] = deque(maxlen=ADRIFT)  # records of fixes
+        self._looked = -_LOOK_PERIOD  # ns: when the vehicle was last said to be another than the parameters tell
 
     def changed(self, values: dict) -> FilterConfig:
         """The configuration with those of `values` (checked, by name) that are CHANGEABLE.
@@ -361,8 +364,11 @@ class FusionFilter(Intake):
             self.say('warning', f'{topic}: the fixes refused for {self.config.gnss.recovery_time:.0f} s agree with '
                                 'each other: position, velocity and heading start anew from them')
         self._recent.append(record.copy())
-        for text in vehicle_says(self._memory, self.config, np.array(self._recent)):
-            self.say('warning', text)
+        if stamp - self._looked > _LOOK_PERIOD:
+            said = vehicle_says(self._memory, self.config, np.array(self._recent))
+            self._looked = stamp if said else self._looked
+            for text in said:
+                self.say('warning', text)
         if not used:
             return
         self._newest_fix = max(self._newest_fix, stamp)
