@@ -162,7 +162,7 @@ def main() -> None:
         drive(fusion, part, begin if fault is RESTART else None, begin, hour)
         hour.faults += 1
         memory = memory or megabytes()
-        if part.imu.stamp[-1] - first < number * 3600 * SECOND:
+        if part.imu.stamp[-1] - first < min(number, options.hours - 0.2) * 3600 * SECOND:  # there is no fault at the end
             continue
         line, away = row(number, hour, memory)
         lines.append(line)

@@ -107,7 +107,7 @@ def test_an_imu_turned_by_forty_degrees_is_found_and_told():
 
 @pytest.mark.parametrize(('rpy', 'rate', 'begin'), [
     ((0.0, 0.0, math.pi / 2), 1.0, 60.0), ((0.0, 0.0, -math.pi / 2), 1.0, 60.0), ((0.0, 0.0, math.pi), 1.0, 60.0),
-    ((0.0, 0.0, 0.0), math.degrees(1.0), 0.0)], ids=['left', 'right', 'backwards', 'deg/s'])
+    ((0.0, 0.0, 0.0), math.degrees(1.0), 60.0)], ids=['left', 'right', 'backwards', 'deg/s'])
 def test_what_the_start_has_not_shown_is_not_driven_with_for_long(rpy, rate, begin):
     # given an IMU that is not what the parameters say, and a start that does not show it
     result, errors, held = driven(turned_imu(clean_drive(SEED), rpy, rate), begin)
