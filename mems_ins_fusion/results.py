@@ -2,6 +2,7 @@
 end."""
 from __future__ import annotations
 
+import ctypes
 import errno
 import fcntl
 import os
@@ -13,6 +14,8 @@ from pathlib import Path
 
 #: ends of the names of unfinished results, and of one that is being replaced
 _UNFINISHED, _FORMER = '.unfinished', '.former'
+#: of renameat2 (linux/fs.h, fcntl.h): paths are not relative to a folder; the two names change places
+_HERE, _EXCHANGE = -100, 2
 #: what a write fails with where there is no room for it, as opposed to a read
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
@@ -134,14 +137,22 @@ def _remove_left_over(folder: Path, path: Path) -> None:
 
 
 def _replace(path: Path, new: Path) -> None:
-    """Give the folder `new` the name `path`; a former result there is removed after that."""
+    """Give the folder `new` the name `path`; a former result there takes its name, or is removed."""
     if not path.exists() or not any(path.iterdir()):
         new.rename(path)
+        return
+    if _exchange(path, new):  # at no moment is there none
         return
     old = Path(tempfile.mkdtemp(prefix=f'.{path.name}.', suffix=_FORMER, dir=path.parent))
     path.rename(old / path.name)
     new.rename(path)
     shutil.rmtree(old, ignore_errors=True)
+
+
+def _exchange(path: Path, other: Path) -> bool:
+    """Exchange the names of two folders in one step; False where the system or the file system does not know how."""
+    rename = getattr(ctypes.CDLL(None, use_errno=True), 'renameat2', None)
+    return rename is not None and rename(_HERE, os.fsencode(path), _HERE, os.fsencode(other), _EXCHANGE) == 0
 
 
 def check_files_free(paths, overwrite: bool = False) -> None:

@@ -55,7 +55,7 @@ def test_standstill_shows_gyroscope_bias_and_tilt(template):
     # given an IMU mounted with a half turn and a bias far beyond a usual one
     drive = driven(template, [STAND, GO, Segment(10.0)])
     config = configure({'imu.mounting_rpy': [0.0, 0.0, math.pi]})
-    bias = np.array([0.02, -0.03, 0.05])
+    bias = np.array([0.02, -0.03, 0.04])
     sensors = SensorErrors(gyroscope_bias=bias, gyroscope_noise_density=[3e-4] * 3,
                            accelerometer_noise_density=[0.01] * 3)
     recording = simulate_recording(drive, sensors, GnssNoise(1.0, 1.0), seed=1, mounting_rpy=[0, 0, math.pi]).recording
@@ -63,7 +63,7 @@ def test_standstill_shows_gyroscope_bias_and_tilt(template):
     still = result.start.standstill
     # then it is seen in body axes, forward-right-down, to the white noise of ten seconds
     assert still.duration > 8
-    assert still.angular_rate == pytest.approx([-0.02, -0.03, -0.05], abs=4 * 3e-4 / math.sqrt(still.duration))
+    assert still.angular_rate == pytest.approx([-0.02, -0.03, -0.04], abs=4 * 3e-4 / math.sqrt(still.duration))
     assert still.specific_force == pytest.approx([0, 0, -9.806], abs=0.02)
     note = next(text for text in texts(result.notices) if text.startswith('standstill'))
     assert 'gyroscope bias -1.1' in note and 'forward, right, down' in note and 'gravity here 9.80' in note
@@ -286,3 +286,62 @@ def test_the_heading_knows_that_the_receiver_wanders(template):
     # then the heading's error is as large as its sigma says (20 headings: below 1.6, one in 10,000), and only then
     assert np.sqrt(np.mean(np.square(errors[True]))) < math.sqrt(chi2.ppf(1 - 1e-4, 20) / 20)
     assert np.sqrt(np.mean(np.square(errors[False]))) > 2
+
+
+CAR = {'mechanization': 'strapdown', 'vehicle.non_holonomic': True}
+
+
+@pytest.mark.parametrize('yaw', [90, -90, 60, 180])
+def test_who_seems_to_drive_off_sideways_or_backwards_has_the_imu_turned_and_is_told_how(template, yaw):
+    # given an IMU that is turned, and parameters that say it is not
+    turned = [0.0, 0.0, math.radians(yaw)]
+    _, recording = recorded(driven(template, ROUTES['straight']), 3, **CAR, **{'imu.mounting_rpy': turned})
+    result = run(configure(CAR), recording.imu, recording.gnss)
+    # then it does not start, and says what to set
+    assert result.start is None
+    said = texts(result.notices)[-1]
+    assert 'imu.mounting_rpy' in said
+    if yaw == 180:
+        assert 'drives off backwards' in said and 'turn the yaw of imu.mounting_rpy by pi' in said
+        return
+    advice = float(said.split('add ')[1].split()[0])
+    assert advice == pytest.approx(turned[2], abs=0.15)
+    # and with that it starts
+    right = run(configure(CAR, **{'imu.mounting_rpy': [0.0, 0.0, advice]}), recording.imu, recording.gnss)
+    assert abs(wrap(right.start.yaw - COURSE)) < 4 * math.sqrt(right.start.covariance[4, 4])
+
+
+def test_a_car_that_backs_out_slowly_is_not_told_so(template):
+    _, recording = recorded(driven(template, ROUTES['backwards']), 3, **CAR)
+    assert run(configure(CAR), recording.imu, recording.gnss).start is not None
+
+
+def test_gyroscopes_in_degrees_are_seen_at_rest(template):
+    # given biases of tenths of a degree per second, in deg/s
+    drive = driven(template, [STAND, GO, Segment(20.0)])
+    sensors = SensorErrors(gyroscope_bias=np.radians([0.2, -0.3, 0.1]), gyroscope_noise_density=[1e-4] * 3,
+                           accelerometer_noise_density=[0.01] * 3)
+    recording = simulate_recording(drive, sensors, GnssNoise(1.0, 1.0), seed=1).recording
+    imu = replace(recording.imu, angular_rate=np.degrees(recording.imu.angular_rate))
+    for mechanization in ('planar', 'strapdown'):
+        result = run(configure(mechanization=mechanization), imu, recording.gnss)
+        assert result.start is None
+        assert "at rest" in texts(result.notices)[-1] and "set imu.rate_unit to 'deg/s'" in texts(result.notices)[-1]
+
+
+@pytest.mark.parametrize('rate', [lambda t: 0.02 * np.sin(2 * np.pi * t / 40.0), lambda t: np.full(len(t), 0.1)],
+                         ids=['swings', 'turns'])
+def test_who_turns_at_his_place_is_not_at_rest(template, rate):
+    # given a boat at anchor, or a robot that turns on the spot: quiet sensors, fixes that stay
+    drive = driven(template, [Segment(60.0)])
+    config, recording = recorded(drive, **{'alignment.heading': 'parameter'})
+    time = (recording.imu.stamp - recording.imu.stamp[0]) * 1e-9
+    turning = recording.imu.angular_rate + np.outer(rate(time), [0.0, 0.0, 1.0])
+    result = run(config, replace(recording.imu, angular_rate=turning), recording.gnss)
+    # then what it turns is not taken for the gyroscope's bias with a small sigma
+    if result.start is not None and result.start.standstill is not None:
+        seen = result.start.standstill
+        true = turning[np.abs(time - (seen.end - 0.5 * seen.duration)) < 0.5 * seen.duration].mean()
+        assert seen.duration < 10.0 and abs(true) < 0.02
+    else:
+        assert result.start is None or result.start.standstill is None

@@ -218,22 +218,32 @@ def test_an_outage_is_said_once_and_its_end_as_well(fusion):
     assert said(fusion) == [('info', 'fixes on /gps/fix again')] and fusion.status == 'running'
 
 
-@pytest.mark.parametrize(('factor', 'expected'), [
-    (1 / STANDARD_GRAVITY, 'in g, not in m/s^2'), (1000 / STANDARD_GRAVITY, 'a wrong unit or scale'), (1.0, None),
-    (1.05, None)])
-def test_acceleration_in_g_is_seen_at_standstill(factor, expected):
+@pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+def test_acceleration_in_g_is_not_started_with(mechanization):
+    drive = simulate_drive(40.0, 2, float(RATE), standstill=10.0)
+    config = configure({'alignment.heading': 'parameter', 'mechanization': mechanization})
+    recording = simulate_recording(drive, SensorErrors(), GnssNoise(1.0, 1.0)).recording
+    imu = replace(recording.imu, specific_force=recording.imu.specific_force / STANDARD_GRAVITY)
+    result = run(config, imu, recording.gnss)
+    text = result.notices[-1].text
+    assert result.start is None and 'a believable specific force on /imu/data' in text
+    assert "in g; set imu.acceleration_unit to 'g'" in text
+
+
+@pytest.mark.parametrize(('factor', 'told'), [(1.2, True), (1.05, False), (1.0, False)])
+def test_a_wrong_scale_is_seen_at_standstill(factor, told):
     drive = simulate_drive(40.0, 2, float(RATE), standstill=10.0)
     config = configure({'alignment.heading': 'parameter'})
     recording = simulate_recording(drive, SensorErrors(), GnssNoise(1.0, 1.0)).recording
     imu = replace(recording.imu, specific_force=recording.imu.specific_force * factor)
     errors = [notice.text for notice in run(config, imu, recording.gnss).notices if notice.level == 'error']
-    if expected is None:
+    if not told:
         assert errors == []
-    else:
-        text, = errors
-        size = float(text.removeprefix('/imu/data: linear_acceleration is ').split()[0])
-        assert size == pytest.approx(9.807 * factor, rel=1e-3)
-        assert text.endswith(f' at rest where gravity is 9.807 m/s^2: {expected}')
+        return
+    text, = errors
+    size = float(text.removeprefix('/imu/data: linear_acceleration is ').split()[0])
+    assert size == pytest.approx(9.807 * factor, rel=1e-3)
+    assert text.endswith(' at rest where gravity is 9.807 m/s^2: a wrong unit or scale')
 
 
 def test_a_recording_without_usable_fixes_does_not_start():

@@ -102,6 +102,30 @@ def test_a_restart_of_the_filter_leaves_the_smooth_frame_where_it_is():
     assert smooth.odometry[:3] == pytest.approx(before[:3])
 
 
+def test_a_heading_that_is_found_turns_the_smooth_frame_and_not_the_vehicle_in_it():
+    # given a parked vehicle whose heading nobody knows, and fixes that move it
+    estimate = Estimate()
+    smooth = SmoothFrame(estimate)
+    poses = []
+    for k, north in enumerate((0.0, 2.0, -1.0)):
+        estimate.set((0, north, 0), Rotation.identity(), (0, 0, 0), (0, 0, 0))
+        smooth.advance(k * DT)
+        smooth.settle()
+        poses.append(smooth.odometry[:7].copy())
+    # when it is found
+    estimate.set((0, -1.0, 0), Rotation.from_euler('z', 2.0), (0, 0, 0), (0, 0, 0))
+    smooth.advance(3 * DT)
+    smooth.settle()
+    estimate.set((0.5, -1.0, 0), Rotation.from_euler('z', 2.1), (0, 0, 0), (0, 0, 0))
+    smooth.advance(4 * DT)
+    # then it has not moved in the smooth frame, the two together are the estimate, and the drift is that since then
+    assert np.ptp([*poses, smooth.odometry[:7]], axis=0) == pytest.approx(np.zeros(7))
+    assert transform(np.array(smooth.frame)) @ transform(smooth.odometry) == pytest.approx(transform(estimate.odometry))
+    p = smooth.odometry[7:43].reshape(6, 6)
+    assert np.trace(p[:2, :2]) == pytest.approx(np.trace(estimate.odometry[7:43].reshape(6, 6)[:2, :2]) + 0.25)
+    assert p[5, 5] == pytest.approx(estimate.odometry[42] + 0.01)
+
+
 def test_the_prediction_moves_the_pose_along_its_own_velocity():
     # given 10 m/s and a turn, 50 ms old
     estimate = Estimate()

@@ -1,6 +1,9 @@
 """Result folders appear whole or not at all, and nobody's own files are lost."""
+from pathlib import Path
+
 import pytest
 
+from mems_ins_fusion import results
 from mems_ins_fusion.results import ResultError, result_folder
 
 
@@ -39,3 +42,35 @@ def test_empty_folder_is_filled(tmp_path):
     (tmp_path / 'out').mkdir()
     write(tmp_path / 'out', 'x')
     assert (tmp_path / 'out' / 'report.json').exists()
+
+
+def names_seen(tmp_path, monkeypatch):
+    """Write over a result, and look after each step of the file system whether it is there."""
+    out, seen = tmp_path / 'out', []
+    write(out, 'first')
+    rename, exchange = Path.rename, results._exchange
+
+    def looked(step):
+        def then(*arguments):
+            done = step(*arguments)
+            seen.append((out / 'report.json').exists())
+            return done
+        return then
+    monkeypatch.setattr(Path, 'rename', looked(rename))
+    monkeypatch.setattr(results, '_exchange', looked(exchange))
+    write(out, 'second', overwrite=True)
+    assert (out / 'report.json').read_text() == 'second' and [p.name for p in tmp_path.iterdir()] == ['out']
+    return seen
+
+
+def test_a_result_that_is_replaced_is_there_at_every_moment(tmp_path, monkeypatch):
+    (tmp_path / 'a').mkdir(), (tmp_path / 'b').mkdir()
+    if not results._exchange(tmp_path / 'a', tmp_path / 'b'):
+        pytest.skip('this file system cannot exchange two names')
+    (tmp_path / 'a').rmdir(), (tmp_path / 'b').rmdir()
+    assert names_seen(tmp_path, monkeypatch) == [True]
+
+
+def test_a_file_system_that_cannot_exchange_names_replaces_a_result_all_the_same(tmp_path, monkeypatch):
+    monkeypatch.setattr(results, '_EXCHANGE', 1 << 20)  # what no system knows
+    assert names_seen(tmp_path, monkeypatch) == [True, False, True]

@@ -8,9 +8,9 @@ import numpy as np
 
 from ..navigation.earth import radii, to_local
 from ..navigation.frames import wrap, yaw_from_enu, yaw_of_quaternion
-from .at_rest import SHORTEST_STILL, STILL_BLOCK, latest_standstill, note_standstill
+from .at_rest import SHORTEST_STILL, STILL_BLOCK, latest_standstill, note_standstill, tumbling_rate
 from .config import FilterConfig
-from .course import SIDESLIP_SIGMA, Refused, find_course, has_moved
+from .course import FASTEST_REVERSE, SIDESLIP_SIGMA, Refused, driven_off, find_course, has_moved
 from .layout import PLANAR, Event
 from .receiver import UNKNOWN_YAW_SIGMA
 from .start import SensorErrors, Standstill, Start
@@ -19,6 +19,9 @@ MEMORY = 300.0  # s of samples kept while waiting
 LATEST_FIX = 1.0  # s after the newest sample
 LARGEST_TILT = math.radians(40.0)  # of an IMU whose mounting is as configured, on any road
 FASTEST_TURN = 3.0  # rad/s: of the vehicle's mean turn over a second
+LEAST_GRAVITY, MOST_GRAVITY = 6.0, 14.0  # m/s^2: what an accelerometer may show of it
+MOST_G = 2.0  # of a mean specific force in g
+SIDEWAYS = math.radians(45.0)  # from straight on: no wheels drive off that way
 RECENT = 10.0  # s: what tells whether the vehicle stands now
 STANDING_SIGMA = 0.05  # m/s, of a velocity of zero at rest
 #: a node that starts this late after the IMU came to rest may have been driven before, s
@@ -51,6 +54,7 @@ class Alignment:
         self._fixes: list[tuple] = []
         self._first: float | None = None
         self._remembered: Remembered | None = None
+        self._turned = ''  # what driving off has shown of the mounting, empty: nothing that is wrong
 
     def remember(self, remembered: Remembered) -> None:
         """What an earlier run knew: its heading holds if the vehicle has been at rest ever since the first sample."""
@@ -123,6 +127,7 @@ class Alignment:
         positions = self._positions()
         source = self.config.alignment.heading
         try:
+            self._refuse_contradictions(positions)
             return self._start_as_before(positions) or (
                 self._start_from_course(positions) if source == 'course' else
                 self._start_with_heading(source, positions))
@@ -162,10 +167,16 @@ class Alignment:
         if turn > FASTEST_TURN:
             return (f'a believable turn rate on {topic}: angular_velocity is {turn:.1f} rad/s over a second; if the '
                     "driver delivers deg/s, set imu.rate_unit to 'deg/s'")
-        if self.config.mechanization == PLANAR:
-            return ''
         mean = recent[:, 1:4].mean(axis=0)
         size = float(np.linalg.norm(mean))
+        level = self.config.mechanization == PLANAR  # it may be given no vertical axis
+        if imu[-1, 0] - imu[0, 0] > 1.0 and not LEAST_GRAVITY < size < MOST_GRAVITY and (
+                not level or abs(size - 1.0) < 0.1):
+            unit = "in g; set imu.acceleration_unit to 'g'" if 1.0 / MOST_G < size < MOST_G else 'a wrong unit or scale'
+            return (f'a believable specific force on {topic}: linear_acceleration is {size:.3f} m/s^2 over a second, '
+                    f'gravity included: {unit}')
+        if level:
+            return ''
         if size > 5.0 and -mean[2] < math.cos(LARGEST_TILT) * size:
             tilt = math.degrees(math.acos(max(-1.0, min(1.0, -mean[2] / size))))
             return (f'an IMU that is mounted as imu.mounting_rpy says: gravity on {topic} is {tilt:.0f} deg off the '
@@ -240,6 +251,30 @@ class Alignment:
         rotation = Rotation.from_quat(self._orientation) * Rotation.from_euler(
             'xyz', self.config.imu.mounting_rpy).inv()
         return float(yaw_from_enu(yaw_of_quaternion(*rotation.as_quat())))
+
+    def _refuse_contradictions(self, positions) -> None:
+        """Refused where rest or driving off have shown that the samples are not what the configuration says."""
+        topic = self.config.imu.topic
+        rate = tumbling_rate(self._samples, positions, self.config)
+        if rate:
+            raise Refused(f'a believable turn rate on {topic}: angular_velocity is {rate:.3f} rad/s at rest, about an '
+                          "axis about which no vehicle turns; if the driver delivers deg/s, set imu.rate_unit to 'deg/s'")
+        if not self.config.vehicle.lateral_sigma:
+            return  # who may go sideways drives off as he likes
+        standstill = latest_standstill(self._samples, positions, self.config)
+        found = None if standstill is None else driven_off(self._samples, positions, standstill, self.config)
+        if found is not None:
+            angle, speed = found
+            self._turned = ''
+            if abs(angle) > math.pi - SIDEWAYS and speed > FASTEST_REVERSE:
+                self._turned = (f'the vehicle to drive forwards: it drives off backwards at {speed:.1f} m/s; if it does not, '
+                                'the IMU is mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
+            elif SIDEWAYS < abs(angle) < math.pi - SIDEWAYS:
+                self._turned = (f'an IMU that is mounted as imu.mounting_rpy says: the vehicle drives off '
+                                f'{abs(math.degrees(angle)):.0f} deg to the {"right" if angle > 0 else "left"} of its '
+                                f'forward axis: add {angle:.2f} to the yaw of imu.mounting_rpy')
+        if self._turned:
+            raise Refused(self._turned)
 
     def _start_from_course(self, positions) -> Start | None:
         course = None

@@ -17,6 +17,7 @@ STILL_BLOCK = 1.0  # s; a standstill is made of such blocks
 SHORTEST_STILL = 3.0  # s
 STEADY_ACCELERATION = 0.06  # m/s^2: between the mean of a block and the standstill's
 STEADY_RATE = 0.005  # rad/s
+FEWEST_BLOCKS = 10  # that tell whether a turn rate wanders: who has just driven off is quiet, too
 RECEIVER_DRIFT = 0.3  # m/s: positions wander this fast at rest; who is as slow and as quiet shows the same biases
 GRAVITY_TOLERANCE = 0.1  # of gravity: more is no sensor's error at rest
 
@@ -31,13 +32,35 @@ def latest_standstill(imu: np.ndarray, positions: np.ndarray, config: FilterConf
              & (scatter[:, 3:].max(axis=1) < config.vehicle.still_rate) & (length > 2))
     ends = np.append(starts[1:], len(imu))
     for first, last in _runs(quiet)[::-1]:
+        if _swings(mean[first:last, 3:]):
+            continue
         steady = _longest_steady(mean[first:last])
         begin, end = starts[first + steady.start], ends[first + steady.stop - 1]
         duration = imu[end - 1, 0] - imu[begin, 0]
         if duration >= SHORTEST_STILL and _stays(positions, imu[begin, 0], imu[end - 1, 0]):
             means = imu[begin:end, 1:7].mean(axis=0)
-            return Standstill(imu[end - 1, 0], duration, means[:3], means[3:])
+            turns = np.abs(means[3:]).max() > config.vehicle.still_rate
+            return None if turns else Standstill(imu[end - 1, 0], duration, means[:3], means[3:])
     return None
+
+
+def tumbling_rate(imu: np.ndarray, positions: np.ndarray, config: FilterConfig) -> float:
+    """The turn rate, rad/s, that gyroscopes show about an axis about which no vehicle turns for seconds, forward or
+    right, while the accelerometers are quiet and the fixes stay in place; 0 where they show none."""
+    mean, scatter, starts, length = _blocks(imu)
+    ends = np.append(starts[1:], len(imu))
+    for first, last in _runs((scatter[:, :3].max(axis=1) < config.vehicle.still_acceleration) & (length > 2)):
+        begin, end = imu[starts[first], 0], imu[ends[last - 1] - 1, 0]
+        rate = float(np.abs(mean[first:last, 3:5].mean(axis=0)).max())
+        if rate > config.vehicle.still_rate and end - begin >= SHORTEST_STILL and _stays(positions, begin, end):
+            return rate
+    return 0.0
+
+
+def _swings(rate: np.ndarray) -> bool:
+    """Whether the turn rate (k, 3) of blocks wanders as that of a boat at anchor does, and not as a bias."""
+    away = np.abs(rate - np.median(rate, axis=0)).max(axis=1)
+    return len(rate) >= FEWEST_BLOCKS and np.mean(away < STEADY_RATE) < 0.5
 
 
 def _blocks(imu):
@@ -95,7 +118,6 @@ def note_standstill(standstill: Standstill | None, latitude: float, height: floa
             f'(gravity here {expected:.3f})')
     notes = [('info', text)]
     if abs(size - expected) > GRAVITY_TOLERANCE * expected:
-        unit = 'in g, not in m/s^2' if abs(size - 1.0) < GRAVITY_TOLERANCE else 'a wrong unit or scale'
         notes.append(('error', f'{config.imu.topic}: linear_acceleration is {size:.3f} at rest '
-                               f'where gravity is {expected:.3f} m/s^2: {unit}'))
+                               f'where gravity is {expected:.3f} m/s^2: a wrong unit or scale'))
     return notes

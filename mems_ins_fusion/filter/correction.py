@@ -204,7 +204,7 @@ def apply_event(mem, r, at, sample):
         else:
             v_n, v_e = receiver.finds_course(mem, r, at)
             if v_n != 0.0 or v_e != 0.0:
-                receiver.take_course(mem, r, v_n, v_e)
+                receiver.take_course(mem, r, v_n, v_e, 0.0)
     _clear(mem, h, n)
     c = body_to_level(mem, r)
     mem[at + Event.YAW] = math.atan2(c[3], c[0])
@@ -305,6 +305,7 @@ def _constrain_motion(mem, r, at, n, h, dimensions):
         off = mean > (CONSTRAINT_ON if off else CONSTRAINT_OFF)
         mem[r + running] = -mean if off else mean
         if off:
+            mem[Head.SIDEWAYS] += CONSTRAINT_INTERVAL if k == 0 else 0.0
             continue
         if nis > CONSTRAINT_ROBUST**2:
             s *= nis / CONSTRAINT_ROBUST**2  # so much more noise

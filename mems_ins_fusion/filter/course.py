@@ -18,6 +18,7 @@ SLOWEST_START = 0.5  # m/s
 SIDESLIP_SIGMA = 0.02  # rad: between where a car points and where it goes
 UNKNOWN_TILT_SIGMA = 0.05  # rad
 LARGEST_YAW_SIGMA = 0.5  # rad: the filter's equations are linear in the heading's error
+LONGEST_START, LARGEST_START_TURN = 12.0, 0.7  # s, rad: of driving off from a standstill
 MOVED_OFF = 0.2  # m/s: of a vehicle whose standstill has only just ended
 
 
@@ -86,6 +87,29 @@ def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill |
     if refused is not None:
         raise refused
     return None
+
+
+def driven_off(imu: np.ndarray, positions: np.ndarray, standstill: Standstill,
+               config: FilterConfig) -> tuple[float, float] | None:
+    """Which way a vehicle drove off after `standstill`: angle to the right of its body's forward axis (rad) and speed.
+
+    None where IMU and fixes do not show the same way, or not yet. Arguments as for `find_course`.
+    """
+    at_rest = positions[(positions[:, 0] > standstill.end - 5.0) & (positions[:, 0] <= standstill.end)]
+    later = positions[(positions[:, 0] > standstill.end) & (positions[:, 0] <= standstill.end + LONGEST_START)]
+    if not len(at_rest):
+        return None
+    begin, found = at_rest[:, 1:3].mean(axis=0), None
+    for time, north, east, sigma in later:
+        motion, interval = _inertial_motion(imu, standstill.end, time, standstill, config), time - standstill.end
+        if motion is None or abs(motion.turn) > LARGEST_START_TURN:
+            continue
+        way = math.hypot(north - begin[0], east - begin[1])
+        uncertain = sigma + 0.5 * motion.bias_f * interval**2
+        shown = math.hypot(*motion.moved)
+        if shown > 5.0 * uncertain and abs(shown - way) < 2.0 * uncertain + 0.2 * shown:
+            found = math.atan2(motion.moved[1], motion.moved[0]), math.hypot(*motion.gained)
+    return found
 
 
 def _of_chord(imu, chord, time, now, noise, standstill, config, between=None) -> Course | None:

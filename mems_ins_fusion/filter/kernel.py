@@ -30,8 +30,6 @@ from .standstill import is_still
 TAKEN, BEFORE_START, TOO_LATE = 0, 1, 2
 #: so long a sample that is not believed is replaced by what the vehicle did before it, s; after that by no motion
 HELD = 0.3
-#: the vehicle certainly moves above this speed plus two sigma, m/s
-MOVING_SPEED = 1.0
 #: a measurement that came before an IMU sample may be this much later than it, s
 LATEST = 1.0
 #: what is added to the sigmas of velocity and attitude where a state was not finite and the one before it is taken
@@ -113,12 +111,12 @@ def _take_sample(memory, samples, i):
     time = samples[i, 0]
     dt = time - memory[place(sample_at(memory, k - 1)) + Sample.TIME]
     memory[sample + Sample.TIME] = time
-    moving = _moves(memory, before)
-    fault = imu_faults.check(memory, samples, i, dt, moving)
-    memory[sample + Sample.FAULT] = fault
+    speed = _certain_speed(memory, before)
+    fault = imu_faults.check(memory, samples, i, dt, speed, imu_faults.is_doubted(memory, before, time))
+    memory[sample + Sample.FAULT], memory[sample + Sample.COASTED] = fault, 0.0
     if fault == Fault.NONE:
         _condition(memory, sample, Head.RAW)
-    elif memory[before + Nav.BRIDGED] < HELD:
+    elif fault < Fault.WHIRL and memory[before + Nav.BRIDGED] < HELD:
         _condition(memory, sample, Head.CENTRE)
     else:
         _coast(memory, sample, before)
@@ -128,7 +126,7 @@ def _take_sample(memory, samples, i):
             memory[sample + Sample.F_X + j] = 0.5 * (memory[sample + Sample.F_X + j] + memory[last + Sample.F_X + j])
     memory[sample + Sample.STILL] = 0.0
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
-        memory[sample + Sample.STILL] = is_still(memory, sample, dt, moving)
+        memory[sample + Sample.STILL] = is_still(memory, sample, dt, speed > imu_faults.MOVING_SPEED)
     _refuse_ahead(memory, time)
     _advance(memory, k)
     memory[Head.SAMPLES] = k
@@ -157,6 +155,7 @@ def _condition(memory, sample, raw):
 @njit(_nrt=False)
 def _coast(memory, sample, r):
     """The sample of a vehicle that goes straight on at its speed, from the state at r."""
+    memory[sample + Sample.COASTED] = 1.0
     x, p = r + NAV + int(memory[Head.N_NAVIGATION]), int(memory[Head.ORDER])
     c = body_to_level(memory, r)
     g = gravity(memory[r + Nav.LATITUDE], memory[r + Nav.HEIGHT])
@@ -171,15 +170,14 @@ def _coast(memory, sample, r):
 
 
 @njit(_nrt=False)
-def _moves(memory, r):
-    """Whether the vehicle certainly moves in the state at r."""
+def _certain_speed(memory, r):
+    """The speed that the vehicle certainly has in the state at r, m/s: less two sigma."""
     r = place(r)
     n_navigation = int(memory[Head.N_NAVIGATION])
     v = planar.State.V_N if n_navigation == planar.State.SIZE else strapdown.State.V_N
     a = place(r + NAV + n_navigation + int(memory[Head.N_AUGMENTED]))
     variance = memory[a + packed(v, v, n_navigation)] + memory[a + packed(v + 1, v + 1, n_navigation)]
-    speed = math.sqrt(memory[r + Nav.V_N] ** 2 + memory[r + Nav.V_E] ** 2)
-    return speed > MOVING_SPEED and (speed - MOVING_SPEED) ** 2 > 4.0 * variance
+    return max(math.hypot(memory[r + Nav.V_N], memory[r + Nav.V_E]) - 2.0 * math.sqrt(variance), 0.0)
 
 
 @njit(inline='always')  # as above

@@ -68,7 +68,13 @@ class _Nav(NamedTuple):
     BRIDGED: int = 37  # s, within the last minute or so, without a believable IMU sample
     DOUBT: int = 38  # fixes refused lately less those that fitted well
     WEIGHTED: int = 39  # fixes that did not fit one after the other, the first of them weighted down
-    SIZE: int = 40
+    STRAYED: int = 40  # resets to refused fixes from which the filter had strayed, soon after each other,
+    STRAYED_TIME: int = 41  # and when the last one was
+    PROVEN: int = 42  # m/s: changes of velocity in which fixes have confirmed the IMU; below 0: no more
+    PROVEN_N: int = 43  # the velocity at the last fix
+    PROVEN_E: int = 44
+    CLAIMED: int = 45  # variance of the last fix, as it says
+    SIZE: int = 46
 
 
 Nav = _Nav()
@@ -276,7 +282,7 @@ class _Head(NamedTuple):
     SAME: int = 105  # how often each came again one after the other, six
     CENTRE: int = 111  # running mean of what was believed, six
     SPREAD: int = 117  # and its running variance, of f and of w
-    VARIED: int = 119  # whether the sensor has ever given another value
+    VARIED: int = 119  # samples that differ from the one before
     SPIKE_SINCE: int = 120
     BELIEVED: int = 121  # samples believed so far
     FAULTS: int = 122  # samples not believed, by reason: as many as `Fault` has
@@ -284,7 +290,10 @@ class _Head(NamedTuple):
     RECOVERIES: int = 131  # resets to fixes that had been refused
     HISTORY_AT: int = 133  # where a smoother's history begins, see history.py; 0: none
     AXLE_ACROSS: int = 134  # index of the optional state axle_y
-    SIZE: int = 136
+    WHIRLED: int = 136  # s of turns too fast for the speed, lately
+    CHANGED: int = 137  # how often each of the six numbers was another one than before
+    SIDEWAYS: int = 143  # s in which the vehicle did not keep to the non-holonomic constraint
+    SIZE: int = 144
 
 
 Head = _Head()
@@ -305,7 +314,8 @@ class _Sample(NamedTuple):
     CONSTRAINT: int = 9  # kind of the constraint that was applied; 0: none
     Z: int = 10  # its innovation, three
     S: int = 13  # and the variances of that, three
-    SIZE: int = 16
+    COASTED: int = 16  # 1: not measured, but made so that the vehicle goes straight on
+    SIZE: int = 17
 
 
 Sample = _Sample()

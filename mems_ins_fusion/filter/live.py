@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +22,7 @@ from .results import columns
 from .snapshot import made, recalled
 from .start import Start
 from .unheaded import spread
+from .vehicle_check import ADRIFT, vehicle_says
 
 #: the verdicts in words
 VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down', Verdict.REFUSED: 'beyond the gate',
@@ -29,6 +31,8 @@ VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down', Verdict.REF
 #: what a fault leaves behind shows for so long, s
 _DEGRADED, _RECOVERING = 5.0, 10.0
 _STEADY_REFUSED = 3
+#: what the vehicle shows against the parameters is said so often, ns
+_LOOK_PERIOD = 60 * 10**9
 #: of a speed that nobody has told, m/s
 UNKNOWN_SPEED_SIGMA = 15.0
 #: parameters that may change while the filter runs, and where those that the kernel uses stand
@@ -93,6 +97,8 @@ class FusionFilter(Intake):
         self._last_gap = 0.0
         self._last_fault = self._last_recovery = -math.inf
         self._refused_in_a_row = 0
+        self._recent: deque[np.ndarray] = deque(maxlen=ADRIFT)  # records of fixes
+        self._looked = -_LOOK_PERIOD  # ns: when the vehicle was last said to be another than the parameters tell
 
     def changed(self, values: dict) -> FilterConfig:
         """The configuration with those of `values` (checked, by name) that are CHANGEABLE.
@@ -292,7 +298,7 @@ class FusionFilter(Intake):
             self.say('warning', 'start pose: no IMU sample yet, nothing to start from')
             return
         speed, speed_sigma, still, errors = 0.0, UNKNOWN_SPEED_SIGMA, self._alignment.standing(), None
-        if self._memory is not None and self._memory[Head.SAMPLES] > 0:
+        if self._memory is not None:
             self.update_odometry()
             speed, speed_sigma = float(self.odometry[LINEAR]), math.sqrt(self.odometry[TWIST_COVARIANCE])
             errors = learned(self.config, self._memory)
@@ -357,6 +363,12 @@ class FusionFilter(Intake):
             self._last_recovery = stamp * 1e-9
             self.say('warning', f'{topic}: the fixes refused for {self.config.gnss.recovery_time:.0f} s agree with '
                                 'each other: position, velocity and heading start anew from them')
+        self._recent.append(record.copy())
+        if stamp - self._looked > _LOOK_PERIOD:
+            said = vehicle_says(self._memory, self.config, np.array(self._recent))
+            self._looked = stamp if said else self._looked
+            for text in said:
+                self.say('warning', text)
         if not used:
             return
         self._newest_fix = max(self._newest_fix, stamp)

@@ -102,7 +102,7 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
                     total += jacobian[i, k] * nine[k, other] * jacobian[j, other]
             out[TWIST_COVARIANCE + 6 * i + j] = total
     interval = memory[sample + Sample.TIME] - memory[sample_at(memory, newest - 1) + Sample.TIME]
-    _angular(memory, r, sample, interval, full, out)
+    _angular(memory, newest, r, sample, interval, full, out)
     return memory[r + Nav.TIME]
 
 
@@ -126,18 +126,18 @@ def _orientation(q, out):
 
 
 @njit
-def _angular(memory, r, sample, interval, full, out):
-    """Angular velocity of the sample, sensor errors removed, and its variance with the sample's white noise."""
+def _angular(memory, newest, r, sample, interval, full, out):
+    """Angular velocity of the sample, sensor errors removed, and its variance with the sample's white noise; zero before
+    the first sample."""
     n_navigation, p = int(memory[Head.N_NAVIGATION]), int(memory[Head.ORDER])
     is_planar = memory[Head.MECHANIZATION] == PLANAR
     for k in range(3):
         sign = 1.0 if k == 0 else -1.0
         at = TWIST_COVARIANCE + 6 * (3 + k) + 3 + k
-        variance = memory[Head.SIZE + 3 + k] / interval
-        if is_planar and k < 2:  # a planar vehicle neither rolls nor pitches
+        if is_planar and k < 2 or newest == 0:  # a planar vehicle neither rolls nor pitches
             out[ANGULAR + k] = 0.0
             out[at] = PLANAR_TILT_SIGMA**2
             continue
         state = n_navigation + (2 * p if is_planar else (3 + k) * p)
         out[ANGULAR + k] = sign * (memory[sample + Sample.W_X + k] - memory[r + NAV + state])
-        out[at] = variance + full[state, state]
+        out[at] = memory[Head.SIZE + 3 + k] / interval + full[state, state]

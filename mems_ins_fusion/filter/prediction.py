@@ -15,11 +15,14 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
 from ..navigation.earth import gravity, radii
+from .imu_faults import LONGEST_WHIRL, Fault
 from .layout import NAV, PLANAR, Head, Nav, Sample, packed, place
 
 #: what a land vehicle may do unseen while the IMU is silent (one sigma): the covariance of a bridged gap
 GAP_ACCELERATION = 1.5  # m/s^2
 GAP_TURN_RATE = 0.3  # rad/s
+GAP_TILT = 0.1  # rad: roads are not steeper, however long it lasts
+UNKNOWN_YAW_SIGMA = math.pi / math.sqrt(3.0)  # rad, of a heading that nothing tells
 LONGEST_BRIDGE = 2.0  # s: after that they are others
 #: the radii are computed anew after this much latitude, rad (13 m): the scale is then good to 2e-6
 RADII_STEP = 2e-6
@@ -41,7 +44,7 @@ def predict(mem, src, dst, sample, dt):
     for k in range(Nav.MEMORY, NAV):
         mem[dst + k] = mem[src + k]
     if dt > mem[Head.MAX_GAP] or mem[sample + Sample.FAULT] != 0.0:
-        _bridge(mem, dst, dt, m)
+        _bridge(mem, dst, dt, m, mem[sample + Sample.FAULT])
     else:
         mem[dst + Nav.BRIDGED] = 0.0
 
@@ -87,6 +90,8 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
     yaw = mem[src + Nav.YAW]
     f_n, f_e, c, s = planar.rotate(yaw, dt, f_x, f_y, w_z)
     north, east, v_n, v_e, yaw = planar.mechanize(mem[src + Nav.V_N], mem[src + Nav.V_E], yaw, f_x, f_y, w_z, dt)
+    if mem[sample + Sample.COASTED] != 0.0:  # straight on whatever the heading and the sensors' errors are
+        f_n = f_e = c = s = 0.0
     _move(mem, src, dst, north, east)
     mem[dst + Nav.HEIGHT] = mem[src + Nav.HEIGHT]
     mem[dst + Nav.V_N] = v_n
@@ -189,10 +194,11 @@ def _carry_sensors(mem, dt, size, m):
 
 
 @njit(_nrt=False)
-def _bridge(mem, r, dt, m):
+def _bridge(mem, r, dt, m, fault):
     """Add to the covariance of row r what a vehicle may have done unseen for dt, while no sample could be believed.
 
-    An acceleration and a turn rate that last: what they add in dt depends on how long it has been so.
+    An acceleration and a turn rate that last: what they add in dt depends on how long it has been so. After turns that
+    cannot be the heading is lost, and with it the direction of the velocity.
     """
     before = mem[r + Nav.BRIDGED]
     after = before + dt
@@ -200,6 +206,10 @@ def _bridge(mem, r, dt, m):
     squares = after**2 - before**2
     velocity, turn = GAP_ACCELERATION**2 * squares, GAP_TURN_RATE**2 * squares
     position = 0.25 * GAP_ACCELERATION**2 * (after**4 - before**4)
+    if fault == Fault.WHIRL:
+        part = dt / LONGEST_WHIRL
+        turn += part * UNKNOWN_YAW_SIGMA**2
+        velocity += part * (mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2)
     if mem[Head.MECHANIZATION] == PLANAR:
         a = r + NAV + 5 + m
         for i in range(2):
@@ -211,7 +221,11 @@ def _bridge(mem, r, dt, m):
     for i in range(3):
         mem[a + packed(i, i, 9)] += position
         mem[a + packed(3 + i, 3 + i, 9)] += velocity
-        mem[a + packed(6 + i, 6 + i, 9)] += turn if i == 2 else 0.1 * turn
+        tilt = 6 + i
+        if i == 2:
+            mem[a + packed(tilt, tilt, 9)] += turn
+        else:
+            mem[a + packed(tilt, tilt, 9)] += min(0.1 * turn, max(GAP_TILT**2 - mem[a + packed(tilt, tilt, 9)], 0.0))
 
 
 @njit
@@ -324,6 +338,8 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
     attitude, c, f_level, moved, velocity = strapdown.mechanize(
         (mem[src + Nav.Q_W], mem[src + Nav.Q_X], mem[src + Nav.Q_Y], mem[src + Nav.Q_Z]), mem[src + Nav.V_N],
         mem[src + Nav.V_E], mem[src + Nav.V_D], f, w, dt, gravity(latitude, height), rates)
+    if mem[sample + Sample.COASTED] != 0.0:  # straight on whatever the attitude and the sensors' errors are
+        c, f_level = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     step = strapdown.transition(dt, c, f_level)
     if mem[Head.HISTORY_AT] > 0.0:
         _carry_strapdown(mem, step, m, p)

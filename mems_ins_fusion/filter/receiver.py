@@ -14,6 +14,7 @@ from ..navigation import planar, strapdown
 from ..navigation.strapdown import from_euler, to_euler
 from .history import forget
 from .layout import NAV, PLANAR, Event, Head, Nav, Verdict, packed
+from .prediction import GAP_ACCELERATION, UNKNOWN_YAW_SIGMA
 
 #: fixes further apart say nothing of the receiver's scatter, s: the inertial sensors drift between them
 LONGEST_PAIR = 3.0
@@ -34,8 +35,8 @@ FROZEN_SPEED = 1.0
 FEWEST_REFUSED = 5
 #: a course is a heading above this speed, m/s, with this sigma, rad
 COURSE_SPEED, COURSE_SIGMA = 3.0, 0.2
-#: sigma of a heading that nothing tells, and that beyond which one is sought anew, rad
-UNKNOWN_YAW_SIGMA, LARGEST_YAW_SIGMA = math.pi / math.sqrt(3.0), 0.8
+#: sigma beyond which a heading is sought anew, rad
+LARGEST_YAW_SIGMA = 0.8
 #: refused fixes agree when they scatter about a line by less than so many sigma, so much, m, and so much of their size
 AGREEMENT, AGREEMENT_FLOOR, AGREEMENT_PART = 2.0, 1.0, 0.3
 #: of a new start, besides what the fixes tell
@@ -45,6 +46,18 @@ LONGEST_WEIGHTED = 4.0
 #: what grows from fix to fix is the filter's own error; fixes further apart do not show that, s
 LONGEST_GROWTH = 10.0
 GROWTH = 0.5  # m/s^2: by a tilt that is three degrees wrong
+#: the filter has strayed where the refused innovations grew by so much of their size, and faster than that, m/s; another
+#: time soon is within s
+STRAYED_PART, STRAYED_SLOPE, SOON = 0.5, 2.0, 300.0
+#: an IMU is proven by so many m/s of changes of velocity that fixes confirm, as far as they are faster than that, m/s^2;
+#: before that fixes from which the filter strays win over it after s, after that in more
+PROOF, BRISK, UNPROVEN_TIME, PROVEN_TIME = 20.0, 0.3, 4.0, 10.0
+#: while the velocity is less certain, m/s, it changes by what fixes say
+CERTAIN = 1.0
+#: what is left of the proof where the filter has strayed, or has not fitted for longer than a receiver errs
+LOST = -1.0
+#: where the claimed variance changes by more at once, the realised one is as it was until the fixes show more
+CLAIM_CHANGE = 10.0
 #: of the logarithm of the realised over the claimed variance, by a fix that was weighted down
 WEIGHTED_GAIN = 0.25
 #: normalized innovation squared of a fix that fits well
@@ -100,7 +113,9 @@ def trust(mem, r, at):
 def learn(mem, r, at, left_n, left_e):
     """Remember the fix at `at`, which has been judged; left_n, left_e: predicted minus measured position after that."""
     time = mem[at + Event.TIME]
-    paired = 0.0 < time - mem[r + Nav.RESIDUAL_TIME] < LONGEST_PAIR
+    interval = time - mem[r + Nav.RESIDUAL_TIME]
+    paired = 0.0 < interval < LONGEST_PAIR
+    _prove(mem, r, at, interval)
     mem[r + Nav.RESIDUAL_TIME] = time
     mem[r + Nav.RESIDUAL_N], mem[r + Nav.RESIDUAL_E] = left_n - mem[r + NAV], left_e - mem[r + NAV + 1]
     mem[r + Nav.FIX_TIME] = time
@@ -110,6 +125,8 @@ def learn(mem, r, at, left_n, left_e):
         mem[r + Nav.WEIGHTED] += 1.0
     else:
         mem[r + Nav.WEIGHTED] = 0.0
+    if mem[r + Nav.WEIGHTED] * interval > LONGEST_WEIGHTED and mem[r + Nav.PROVEN] > PROOF:
+        mem[r + Nav.PROVEN] = LOST
     if verdict == Verdict.WEIGHTED and paired and mem[Head.ADAPT] > 0.0 and mem[r + Nav.DOUBT] <= FEWEST_DOUBT:
         # errors that last do not show between two fixes (a time offset), but here; not where pairs are too far apart:
         # nothing would bring the ratio down again, and a filter that is too sure would blame the fixes
@@ -153,14 +170,17 @@ def _scatter(mem, r, at, z_n, z_e):
     The second innovation less what the first fix left is the difference of two errors of the receiver, as far as the
     inertial sensors are right in between. A running median: it moves by its gain towards each value, however large.
     """
-    interval = mem[at + Event.TIME] - mem[r + Nav.RESIDUAL_TIME]
+    interval, claimed = mem[at + Event.TIME] - mem[r + Nav.RESIDUAL_TIME], mem[at + Event.R_NN] + mem[at + Event.R_EE]
+    before, mem[r + Nav.CLAIMED] = mem[r + Nav.CLAIMED], claimed
+    if before > 0.0 and (claimed * CLAIM_CHANGE < before or claimed > CLAIM_CHANGE * before):
+        mem[r + Nav.GNSS_RATIO] = min(max(mem[r + Nav.GNSS_RATIO] * before / claimed, 1.0 / LARGEST_RATIO), LARGEST_RATIO)
+        mem[r + Nav.GNSS_SEEN] = 0.0
     if not (0.0 < interval < LONGEST_PAIR and mem[r + Nav.FIX_TIME] != 0.0):
         return
     drift = interval * interval * _velocity_variance(mem, r)
     squared = (z_n - mem[r + Nav.RESIDUAL_N]) ** 2 + (z_e - mem[r + Nav.RESIDUAL_E]) ** 2
-    claimed = 2.0 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     gain = max(STEADY_GAIN, FIRST_GAIN / (mem[r + Nav.GNSS_SEEN] + 2.0 * FIRST_GAIN))
-    more = squared > MEDIAN * (mem[r + Nav.GNSS_RATIO] * claimed + drift)
+    more = squared > MEDIAN * (2.0 * mem[r + Nav.GNSS_RATIO] * claimed + drift)
     ratio = mem[r + Nav.GNSS_RATIO] * math.exp(gain if more else -gain)
     mem[r + Nav.GNSS_RATIO] = min(max(ratio, 1.0 / LARGEST_RATIO), LARGEST_RATIO)
     mem[r + Nav.GNSS_SEEN] += 1.0
@@ -171,7 +191,11 @@ def agreed(mem, r, at):
     """Whether the fixes refused until now have been right: they have come for long enough, and their innovations lie on
     a line as the error of a position and a velocity would."""
     count = mem[r + Nav.REFUSED]
-    if count < FEWEST_REFUSED or mem[at + Event.TIME] - mem[r + Nav.REFUSED_SINCE] < mem[Head.RECOVERY_TIME]:
+    lasted = mem[at + Event.TIME] - mem[r + Nav.REFUSED_SINCE]
+    soon = PROVEN_TIME if mem[r + Nav.PROVEN] > PROOF else UNPROVEN_TIME
+    if count < FEWEST_REFUSED or lasted < min(soon, mem[Head.RECOVERY_TIME]):
+        return False
+    if lasted < mem[Head.RECOVERY_TIME] and not _strayed(mem, r, at):
         return False
     _, _, spread = _line(mem, r)
     size = math.sqrt(mem[r + Nav.SUM_SQUARE] / count)
@@ -198,8 +222,13 @@ def start_anew(mem, r, at):
 
     The sensor errors stay as estimated, with twice the sigma: what was wrong may have spoiled them, too.
     """
-    slope_n, slope_e, spread = _line(mem, r)
-    v_n, v_e = mem[r + Nav.V_N] - slope_n, mem[r + Nav.V_E] - slope_e
+    strayed = _strayed(mem, r, at)
+    v_n, v_e, drift = _velocity_of_fixes(mem, r, at, strayed)
+    if strayed:
+        again = mem[r + Nav.STRAYED] > 0.0 and mem[at + Event.TIME] - mem[r + Nav.STRAYED_TIME] < SOON
+        never = 0.0 <= mem[r + Nav.PROVEN] <= PROOF
+        mem[r + Nav.STRAYED] = max(mem[r + Nav.STRAYED] + 1.0 if again else 1.0, 2.0 if never else 1.0)
+        mem[r + Nav.STRAYED_TIME], mem[r + Nav.PROVEN] = mem[at + Event.TIME], 0.0 if never else LOST
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
     for i in range(n):
@@ -215,8 +244,6 @@ def start_anew(mem, r, at):
     mem[r + Nav.V_N], mem[r + Nav.V_E] = v_n, v_e
     variance = max(1.0, mem[r + Nav.GNSS_RATIO]) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     arm = mem[Head.LEVER_X] ** 2 + mem[Head.LEVER_Y] ** 2 + mem[Head.LEVER_Z] ** 2
-    t = mem[r + Nav.SUM_TT] / mem[r + Nav.REFUSED] - (mem[r + Nav.SUM_T] / mem[r + Nav.REFUSED]) ** 2
-    drift = NEW_VELOCITY_SIGMA**2 + spread / max(mem[r + Nav.REFUSED] * t, 1e-6)
     for i in range(2):
         mem[p + (n + 1) * i] = variance + arm
     first = planar.State.V_N if mem[Head.MECHANIZATION] == PLANAR else strapdown.State.V_N
@@ -228,13 +255,57 @@ def start_anew(mem, r, at):
         mem[p + (n + 1) * s.R_D] = 4.0 * variance
         mem[p + (n + 1) * s.V_D] = 0.25
         mem[p + (n + 1) * s.PHI_N] = mem[p + (n + 1) * s.PHI_E] = NEW_TILT_SIGMA**2
-    take_course(mem, r, v_n, v_e)
+    take_course(mem, r, v_n, v_e, drift)
     mem[Head.RECOVERIES] += 1.0
 
 
 @njit(_nrt=False)
-def take_course(mem, r, v_n, v_e):
-    """Heading from the course of a velocity, with its variance in P of the scratch; unknown if it is too slow."""
+def _velocity_of_fixes(mem, r, at, strayed):
+    """Velocity (north, east) that the refused fixes show, and its variance: by how they drift from the filter, whose
+    own may be of no use where it has strayed, or by the last two of them."""
+    slope_n, slope_e, spread = _line(mem, r)
+    interval = mem[at + Event.TIME] - mem[r + Nav.FIX_TIME]
+    if not strayed or not 0.0 < interval < LONGEST_PAIR:
+        t = mem[r + Nav.SUM_TT] / mem[r + Nav.REFUSED] - (mem[r + Nav.SUM_T] / mem[r + Nav.REFUSED]) ** 2
+        return (mem[r + Nav.V_N] - slope_n, mem[r + Nav.V_E] - slope_e,
+                NEW_VELOCITY_SIGMA**2 + spread / max(mem[r + Nav.REFUSED] * t, 1e-6))
+    north = (mem[at + Event.LATITUDE] - mem[r + Nav.FIX_LATITUDE]) / mem[r + Nav.NORTH_SCALE]
+    east = (mem[at + Event.LONGITUDE] - mem[r + Nav.FIX_LONGITUDE]) / mem[r + Nav.EAST_SCALE]
+    variance = max(1.0, mem[r + Nav.GNSS_RATIO]) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    return (north / interval, east / interval,
+            NEW_VELOCITY_SIGMA**2 + (GAP_ACCELERATION * interval) ** 2 + variance / interval**2)
+
+
+@njit(_nrt=False)
+def _strayed(mem, r, at):
+    """Whether it was the filter that strayed from the refused fixes: away from those of a receiver that jumps it is as
+    far as at first."""
+    slope_n, slope_e, _ = _line(mem, r)
+    slope = math.hypot(slope_n, slope_e)
+    if math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]) < COURSE_SPEED:
+        return False  # who hardly moves cannot stray
+    size = math.sqrt(mem[r + Nav.SUM_SQUARE] / mem[r + Nav.REFUSED])
+    return slope > STRAYED_SLOPE and slope * (mem[at + Event.TIME] - mem[r + Nav.REFUSED_SINCE]) > STRAYED_PART * size
+
+
+@njit(_nrt=False)
+def _prove(mem, r, at, interval):
+    """Remember the change of velocity since the last fix, where the fix at `at` confirms it."""
+    change = math.hypot(mem[r + Nav.V_N] - mem[r + Nav.PROVEN_N], mem[r + Nav.V_E] - mem[r + Nav.PROVEN_E])
+    sigma = math.sqrt(_velocity_variance(mem, r))
+    change -= BRISK * interval + sigma
+    fits = mem[at + Event.NIS] < FITTING and mem[r + Nav.BRIDGED] == 0.0 and sigma < CERTAIN
+    if 0.0 < interval < LONGEST_PAIR and fits:
+        mem[r + Nav.PROVEN] = min(mem[r + Nav.PROVEN] + max(change, 0.0), 2.0 * PROOF)
+    mem[r + Nav.PROVEN_N], mem[r + Nav.PROVEN_E] = mem[r + Nav.V_N], mem[r + Nav.V_E]
+
+
+@njit(_nrt=False)
+def take_course(mem, r, v_n, v_e, drift):
+    """Heading from the course of a velocity, with its variance in P of the scratch; unknown if it is too slow.
+
+    drift: variance of the velocity, m^2/s^2.
+    """
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
     k = planar.State.YAW if mem[Head.MECHANIZATION] == PLANAR else strapdown.State.PHI_D
@@ -244,7 +315,7 @@ def take_course(mem, r, v_n, v_e):
     if math.hypot(v_n, v_e) < COURSE_SPEED:
         mem[p + (n + 1) * k] = UNKNOWN_YAW_SIGMA**2
         return
-    yaw, variance = math.atan2(v_e, v_n), COURSE_SIGMA**2
+    yaw, variance = math.atan2(v_e, v_n), COURSE_SIGMA**2 + drift / (v_n**2 + v_e**2)
     mounting = int(mem[Head.MOUNTING_YAW])
     if mounting >= 0:  # the vehicle goes along its own axis, the body is turned by that
         yaw -= mem[r + NAV + mounting]

@@ -23,6 +23,7 @@ from .kernel import TAKEN
 from .layout import Event, Head, Kind, Sample, Verdict
 from .results import Measured, Run, columns, result
 from .start import Start, retaken
+from .vehicle_check import vehicle_says
 
 #: what comes from satellites and is withheld in an outage: a heading may be that of two antennas
 WITHHELD = (Kind.POSITION, Kind.VELOCITY, Kind.HEADING)
@@ -293,7 +294,10 @@ class Replay(Intake):
                                  (Verdict.RECOVERED, 'had the filter start anew: those refused before it agree')):
                 if counts.get(verdict):
                     self.say('warning', f'{self.topic(kind)}: {counts[verdict]} of {total} messages {why}')
-        for text in kernel_says(self.memory, self.config.imu.topic):
+        if self.memory is None:
+            return
+        fixes = measured.record[measured.kind == Kind.POSITION]
+        for text in (*kernel_says(self.memory, self.config.imu.topic), *vehicle_says(self.memory, self.config, fixes)):
             self.say('warning', text)
 
     @property
@@ -372,10 +376,8 @@ class Progress:
         kernel.collect(memory, self.log)
 
 
-def kernel_says(memory: np.ndarray | None, topic: str) -> list[str]:
+def kernel_says(memory: np.ndarray, topic: str) -> list[str]:
     """What the kernel counted of samples it did not believe, in words."""
-    if memory is None:
-        return []
     texts = [f'{topic}: {memory[Head.FAULTS + i]:.0f} samples not believed: {name}'
              for i, name in enumerate(FAULTS) if i and memory[Head.FAULTS + i]]
     if memory[Head.RESTARTS]:

@@ -193,9 +193,9 @@ class FusionNode(Node):
         if self._smooth or self._prediction:
             self._newest = self._filter.update_odometry()
             if self._smooth:
-                if not self._filter.aligned:  # a heading that nobody knows is none to turn a frame by
-                    self._smooth.restart()
                 self._smooth.advance(self._newest)
+                if not self._filter.aligned:  # by as much as a heading that nobody knows is wrong nothing has drifted
+                    self._smooth.settle()
             if self._prediction:  # published by the clock
                 return
         if self._period:

@@ -22,7 +22,7 @@ from ..filter.odometry import (
     SIZE,
     TWIST_COVARIANCE,
 )
-from ..navigation.frames import rotation_from_rpy, yaw_of_quaternion
+from ..navigation.frames import rotation_from_rpy, wrap, yaw_of_quaternion
 from ..navigation.strapdown import from_rotation_vector, matrix, multiply
 from ..parameters.parameter import ParameterError
 
@@ -48,7 +48,7 @@ class SmoothFrame:
 
     What fixes correct appears in `frame`, the pose (x, y, z, q_x, q_y, q_z, q_w) of this frame in that of `source`. At
     the first estimate both are the same. Roll and pitch follow those of `source` slowly, so that the frame stays level.
-    The covariance is that of `source` and the square of how far this frame has drifted from it.
+    The covariance is that of `source` and the square of how far this frame has drifted from where it was `settled`.
     """
 
     def __init__(self, source):
@@ -58,10 +58,11 @@ class SmoothFrame:
         self.frame = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
         self._stamp = None
         self._position, self._q = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+        self._settled = self.frame
 
-    def restart(self) -> None:
-        """Be the same as the frame of `source` at its next estimate."""
-        self._stamp = None
+    def settle(self) -> None:
+        """Be where it is from now on: what the frames differ by now, as their origins, is no drift."""
+        self._settled = self.frame
 
     def advance(self, stamp: int) -> None:
         """Take over the newest estimate of `source`, of time `stamp` (ns)."""
@@ -80,7 +81,7 @@ class SmoothFrame:
         out[:] = self._source.odometry
         out[POSITION:ORIENTATION] = self._position
         out[ORIENTATION:POSE_COVARIANCE] = (*self._q[1:], self._q[0])
-        self._covariance(turned, position)
+        self._covariance(position)
 
     def _move(self, level, dt):
         v, w = self._source.odometry[LINEAR:ANGULAR].tolist(), self._source.odometry[ANGULAR:TWIST_COVARIANCE].tolist()
@@ -96,10 +97,11 @@ class SmoothFrame:
         norm = math.sqrt(sum(part * part for part in q))
         self._q = tuple(part / norm for part in q)
 
-    def _covariance(self, turned, position):
-        yaw = yaw_of_quaternion(*turned[1:], turned[0])
+    def _covariance(self, position):
+        yaw, before = yaw_of_quaternion(*self.frame[3:]), yaw_of_quaternion(*self._settled[3:])
         back = np.kron(np.eye(2), rotation_from_rpy(0.0, 0.0, -yaw))
-        drift = np.array([*(a - b for a, b in zip(self._position, position)), 0.0, 0.0, yaw])
+        expected = rotation_from_rpy(0.0, 0.0, -before) @ np.subtract(position, self._settled[:3])
+        drift = np.array([*(self._position - expected), 0.0, 0.0, wrap(yaw - before)])
         p = self._source.odometry[POSE_COVARIANCE:LINEAR].reshape(6, 6)
         self.odometry[POSE_COVARIANCE:LINEAR] = (back @ p @ back.T + np.outer(drift, drift)).ravel()
 

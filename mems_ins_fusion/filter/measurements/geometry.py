@@ -7,7 +7,7 @@ from mems_ins_fusion.compiled import njit
 
 from ...navigation import planar, strapdown
 from ...navigation.earth import gravity
-from ..layout import PLANAR, Head, Nav, Sample
+from ..layout import NAV, PLANAR, Head, Nav, Sample
 
 
 @njit(_nrt=False)
@@ -17,6 +17,24 @@ def body_to_level(mem, r):
         c, s = math.cos(mem[r + Nav.YAW]), math.sin(mem[r + Nav.YAW])
         return c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0
     return strapdown.matrix((mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z]))
+
+
+@njit(_nrt=False)
+def vehicle_to_level(mem, r, c):
+    """Rotation from the vehicle's axes to n, where the estimated mounting turns them in b; c: rotation from b to n.
+
+    About z by the yaw, then about y by the pitch, however large: the mounting may be far from what is configured.
+    """
+    yaw, pitch = int(mem[Head.MOUNTING_YAW]), int(mem[Head.MOUNTING_PITCH])
+    if yaw >= 0:
+        a, b = math.cos(mem[r + NAV + yaw]), math.sin(mem[r + NAV + yaw])
+        c = (a * c[0] + b * c[1], a * c[1] - b * c[0], c[2], a * c[3] + b * c[4], a * c[4] - b * c[3], c[5],
+             a * c[6] + b * c[7], a * c[7] - b * c[6], c[8])
+    if pitch >= 0:
+        a, b = math.cos(mem[r + NAV + pitch]), math.sin(mem[r + NAV + pitch])
+        c = (a * c[0] - b * c[2], c[1], a * c[2] + b * c[0], a * c[3] - b * c[5], c[4], a * c[5] + b * c[3],
+             a * c[6] - b * c[8], c[7], a * c[8] + b * c[6])
+    return c
 
 
 @njit(_nrt=False)

@@ -8,15 +8,17 @@ import numpy as np
 from mems_ins_fusion.compiled import njit
 
 from ...navigation import planar, strapdown
-from ..layout import PLANAR, Event, Head, Kind
+from ..layout import NAV, PLANAR, Event, Head, Kind
 from .records import empty, refuse, stated_or
 
 
 @njit(_nrt=False)
 def observe(mem, r, at, h, n, c):
     """Predicted minus measured yaw, within half a turn; one component."""
-    difference = math.atan2(c[3], c[0]) - mem[at + Event.VALUE]
-    mem[at + Event.Z_N] = math.atan2(math.sin(difference), math.cos(difference))
+    yaw = int(mem[Head.MOUNTING_YAW])
+    mounting = mem[r + NAV + yaw] if yaw >= 0 else 0.0  # the vehicle is turned by that in the body's axes
+    difference = math.atan2(c[3], c[0]) + mounting - mem[at + Event.VALUE]
+    mem[at + Event.Z_N] = math.atan2(math.sin(difference), math.cos(difference)) - mounting
     if mem[Head.MECHANIZATION] == PLANAR:
         mem[h + planar.State.YAW] = 1.0
     else:  # of atan2(c_21, c_11), where the column turns by phi x c
@@ -24,8 +26,7 @@ def observe(mem, r, at, h, n, c):
         mem[h + strapdown.State.PHI_D] = 1.0
         mem[h + strapdown.State.PHI_N] = -c[6] * c[0] / level
         mem[h + strapdown.State.PHI_E] = -c[6] * c[3] / level
-    yaw = int(mem[Head.MOUNTING_YAW])
-    if yaw >= 0:  # the vehicle is turned by that in the body's axes
+    if yaw >= 0:
         mem[h + yaw] = -1.0
     return 1
 

@@ -6,7 +6,7 @@ import numpy as np
 from mems_ins_fusion.compiled import njit
 
 from ..layout import Event, Head, Kind
-from .geometry import add_body_velocity, angular_rate, body_velocity
+from .geometry import add_body_velocity, angular_rate, body_velocity, vehicle_to_level
 from .records import empty, refuse, stated_or
 
 
@@ -14,6 +14,7 @@ from .records import empty, refuse, stated_or
 def observe(mem, r, at, h, n, c, sample):
     """Predicted minus measured speed, positive forwards; one component. measured = (1 + scale) true."""
     _, w_y, w_z = angular_rate(mem, r, sample)
+    c = vehicle_to_level(mem, r, c)
     forward = body_velocity(mem, r, c, 0) + w_y * mem[Head.AXLE_Z] - w_z * mem[Head.AXLE_Y]
     add_body_velocity(mem, r, h, c, 0, 1.0)
     mem[at + Event.Z_N] = forward - mem[at + Event.VALUE]

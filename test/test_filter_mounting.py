@@ -1,0 +1,136 @@
+"""A mounting far from that of the parameters: estimated at any angle, named, and never driven with a small sigma."""
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from filter_support import (
+    attitude_of,
+    central_difference,
+    configure,
+    random_covariance,
+    started,
+    state_and_covariance,
+    take_sample,
+)
+from scipy.spatial.transform import Rotation
+from test_filter_constraints import NON_HOLONOMIC, SIDEWAYS_SIGMA, true_motion
+
+from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors
+from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.layout import Event, Head, Nav, views
+from mems_ins_fusion.filter.replay import run
+from mems_ins_fusion.filter.vehicle_check import vehicle_says
+from mems_ins_fusion.navigation.frames import rotation_from_rpy, wrap
+from mems_ins_fusion.parameters import table
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'studies'))
+from faults import clean_drive, truth_of  # noqa: E402
+
+SEED, FREE = 2000, {**NON_HOLONOMIC, 'imu.mounting_sigma': 0.1, 'sensor_error_model': 'gauss_markov'}
+
+
+@pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+@pytest.mark.parametrize('turn', [0.0, 0.8, -1.6, 3.0])
+def test_no_sideways_velocity_is_linearised_where_the_mounting_is_estimated(mechanization, turn):
+    # given a body that is turned in the vehicle by the estimated angle and some more
+    config = configure({**FREE, 'mechanization': mechanization})
+    n, k = config.layout.n, 1 if mechanization == 'planar' else 2
+    yaw, pitch = config.layout.index('mounting_yaw'), config.layout.index('mounting_pitch')
+    scale = np.full(n, 0.01)
+    x = np.zeros(n)
+    x[yaw] = turn
+    sample, attitude = (0.3, 0.2, 9.7, 0.02, -0.03, 0.2), (0.0, 0.0, 0.7)
+    velocity = Rotation.from_euler('z', 0.7 + turn + 0.05).apply((13.0, 0.0, -0.3 if k == 2 else 0.0))
+    before, after = (started(config, attitude=attitude, velocity=velocity, x=x,
+                             p=random_covariance(n, np.random.default_rng(5), scale)) for _ in range(2))
+    for memory, since in ((before, 0.0), (after, 1.0)):  # s since the last constraint: one of them is due
+        views(memory)[2][0, Nav.CONSTRAINT_TIME] = since
+        take_sample(memory, 0.01, *sample)
+    x, p = state_and_covariance(config, before)
+
+    def measured(e):  # velocity to the right of the vehicle, and down
+        moved, turned = true_motion(config, before, e)
+        sits = Rotation.from_euler('ZYX', [e[yaw], e[pitch] if k == 2 else 0.0, 0.0])
+        return (turned * sits).inv().apply(moved)[1:1 + k]
+    h = -central_difference(lambda e: measured(x + e), n, 1e-6)
+    vehicle = (attitude_of(config, before) * Rotation.from_euler('z', x[yaw])).as_matrix()
+    first = 2 if k == 1 else 3
+    forward = vehicle[:k + 1, 0] @ p[first:first + k + 1, first:first + k + 1] @ vehicle[:k + 1, 0]
+    angles = [p[4, 4] + p[yaw, yaw]] if k == 1 else [
+        vehicle[:, axis] @ p[6:9, 6:9] @ vehicle[:, axis] + p[s, s] for axis, s in ((2, yaw), (1, pitch))]
+    s = h @ p @ h.T + SIDEWAYS_SIGMA**2 * np.eye(k) + forward * np.diag(angles)
+    gain = p @ h.T @ np.linalg.inv(s)
+    estimate, covariance = state_and_covariance(config, after)
+    # then the correction is the dense one at that angle
+    m = config.layout.n_navigation
+    assert estimate[m:] == pytest.approx((x + gain @ measured(x))[m:], abs=1e-7)
+    assert covariance == pytest.approx(p - gain @ s @ gain.T, abs=1e-9)
+
+
+def turned_imu(recording, rpy=(0.0, 0.0, 0.0), rate=1.0):
+    turn = rotation_from_rpy(*rpy)
+    imu = recording.imu
+    return replace(recording, imu=replace(imu, specific_force=imu.specific_force @ turn.T,
+                                          angular_rate=rate * imu.angular_rate @ turn.T))
+
+
+def driven(recording, begin=0.0):
+    """The run at the defaults from `begin` s on, errors, and how often the ellipse held the truth."""
+    clean = clean_drive(SEED)
+    since = clean.imu.stamp[0] + round(begin * 1e9)
+    values = table.check({'reference_lever_arm': [0.0, 0.0, 0.0]})
+    result = run(FilterConfig.from_parameters(values), recording.imu.select(recording.imu.stamp > since),
+                 recording.gnss.select(recording.gnss.stamp > since))
+    truth = truth_of(clean, values)
+    errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
+    return result, errors, np.mean(errors.nees < NEES_95)
+
+
+def test_an_imu_turned_by_forty_degrees_is_found_and_told():
+    turn = math.radians(40.0)
+    result, errors, held = driven(turned_imu(clean_drive(SEED), (0.0, 0.0, turn)))
+    found = result.extras[-1, result.config.layout.extras.index('mounting_yaw')]
+    # the IMU of the drive sits some degrees off by itself
+    assert found == pytest.approx(-turn, abs=0.05)
+    assert held > 0.9 and errors.horizontal.max() < 10.0
+    truth = clean_drive(SEED).reference
+    i = np.searchsorted(truth.stamp, result.stamp[-1]) - 1
+    assert abs(wrap(result.yaw[-1] + found - truth.yaw[i])) < 0.03
+    said, = [n.text for n in result.notices if 'forward axis' in n.text]
+    assert 'to the left' in said and float(said.split('add ')[1].split()[0]) == pytest.approx(-turn, abs=0.05)
+
+
+@pytest.mark.parametrize(('rpy', 'rate', 'begin'), [
+    ((0.0, 0.0, math.pi / 2), 1.0, 60.0), ((0.0, 0.0, -math.pi / 2), 1.0, 60.0), ((0.0, 0.0, math.pi), 1.0, 60.0),
+    ((0.0, 0.0, 0.0), math.degrees(1.0), 60.0)], ids=['left', 'right', 'backwards', 'deg/s'])
+def test_what_the_start_has_not_shown_is_not_driven_with_for_long(rpy, rate, begin):
+    # given an IMU that is not what the parameters say, and a start that does not show it
+    result, errors, held = driven(turned_imu(clean_drive(SEED), rpy, rate), begin)
+    # then the fixes win, and the sigma says how good they are alone
+    assert held > 0.85
+    later = errors.horizontal[(errors.stamp - errors.stamp[0]) * 1e-9 > 100.0]
+    assert np.median(errors.horizontal) < 5.0 and np.mean(later < 30.0) > 0.9
+    said = ' '.join(n.text for n in result.notices)
+    assert 'contradicted by the fixes' in said or 'forward axis' in said or 'backwards' in said
+
+
+def test_a_boat_with_the_parameters_of_a_car_is_told_which_are_its():
+    # given a drive on water that flows by 2 m/s
+    clean = clean_drive(SEED)
+
+    def carried(samples):
+        drift = 2.0 * (samples.stamp - clean.imu.stamp[0]) * 1e-9 / 6.37e6
+        return replace(samples, latitude=samples.latitude + drift)
+    result, _, _ = driven(replace(clean, gnss=carried(clean.gnss)))
+    assert any('a boat needs config/boat.yaml' in n.text for n in result.notices)
+    memory = result.memory.copy()
+    memory[Head.SIDEWAYS] = 20.0  # s, as the kernel counts them
+    assert any('went sideways for 20 s' in text for text in vehicle_says(memory, result.config, np.zeros((0, Event.SIZE))))
+    # and a car is not
+    result, _, _ = driven(clean)
+    assert not any('config/boat.yaml' in n.text or 'imu.mounting_rpy' in n.text for n in result.notices)
