@@ -162,12 +162,15 @@ def test_a_smooth_motion_is_no_standstill(template):
     assert np.hypot(*result.start.velocity) == pytest.approx(12.0, abs=2.0)
 
 
-@pytest.mark.parametrize('wrong', [1, 2, 3])
-def test_one_fix_far_off_before_a_standstill_is_seen_is_no_drive(template, wrong):
-    # given a vehicle that is parked and a receiver of which one of the first fixes is 30 m off
+@pytest.mark.parametrize('kept', [0.0, 0.3], ids=['at once', 'fading'])
+@pytest.mark.parametrize('wrong', [1, 2, 3, 4])
+def test_one_fix_far_off_before_a_standstill_is_seen_is_no_drive(template, wrong, kept):
+    # given a vehicle that is parked and a receiver of which one of the first fixes is 30 m off, and those after it as
+    # much of that as its own filter keeps
     config, recording = recorded(driven(template, [STAND, GO, Segment(20.0)]))
     gnss = recording.gnss
-    north = np.where(np.arange(len(gnss)) == wrong, 30.0 / 6.37e6, 0.0)
+    after = np.arange(len(gnss)) - wrong
+    north = np.where(after >= 0, 30.0 / 6.37e6 * kept ** np.maximum(after, 0), 0.0)
     result = run(config, recording.imu, replace(gnss, latitude=gnss.latitude + north))
     # then the filter starts when the vehicle drives, the right way
     assert len(result.stamp) and (result.stamp[0] - recording.imu.stamp[0]) * 1e-9 > STAND.duration

@@ -19,6 +19,7 @@ STEADY_ACCELERATION = 0.06  # m/s^2: between the mean of a block and the standst
 STEADY_RATE = 0.005  # rad/s
 FEWEST_BLOCKS = 10  # that tell whether a turn rate wanders: who has just driven off is quiet, too
 RECEIVER_DRIFT = 0.3  # m/s: positions wander this fast at rest; who is as slow and as quiet shows the same biases
+MEDIAN_SIGMA = math.sqrt(math.pi / 2)  # of a median over that of a mean, normal errors
 GRAVITY_TOLERANCE = 0.1  # of gravity: more is no sensor's error at rest
 
 
@@ -91,14 +92,15 @@ def _longest_steady(mean: np.ndarray) -> slice:
 def _stays(positions: np.ndarray, begin: float, end: float) -> bool:
     """No motion between two times as far as the fixes can tell: at least two of them, first and last halves agree.
 
-    Receivers wander by more than they say: what goes slowly enough for that does not speak against a standstill.
+    Receivers wander by more than they say: what goes slowly enough for that does not speak against a standstill; nor
+    does one fix that is far off, which a median does not see.
     """
     inside = positions[(positions[:, 0] >= begin - 0.5) & (positions[:, 0] <= end + 0.5)]
     if len(inside) < 2:
         return False
     half = len(inside) // 2
-    moved = np.hypot(*(inside[half:, 1:3].mean(axis=0) - inside[:half, 1:3].mean(axis=0)))
-    sigma = inside[:, 3].mean() * math.sqrt(1 / half + 1 / (len(inside) - half))
+    moved = np.hypot(*(np.median(inside[half:, 1:3], axis=0) - np.median(inside[:half, 1:3], axis=0)))
+    sigma = MEDIAN_SIGMA * inside[:, 3].mean() * math.sqrt(1 / half + 1 / (len(inside) - half))
     interval = max(0.5 * (inside[-1, 0] - inside[0, 0]), 1e-3)
     return moved < 4 * sigma + max(0.1, RECEIVER_DRIFT * interval) and moved < 2.0 * interval
 

@@ -18,6 +18,7 @@ SLOWEST_START = 0.5  # m/s
 SIDESLIP_SIGMA = 0.02  # rad: between where a car points and where it goes
 UNKNOWN_TILT_SIGMA = 0.05  # rad
 LARGEST_YAW_SIGMA = 0.5  # rad: the filter's equations are linear in the heading's error
+FEWEST_BETWEEN = 3  # fixes on a way that begins nobody knows where
 LONGEST_START, LARGEST_START_TURN = 12.0, 0.7  # s, rad: of driving off from a standstill
 MOVED_OFF = 0.2  # m/s: of a vehicle whose standstill has only just ended
 
@@ -62,13 +63,13 @@ def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill |
     """
     now, north, east, sigma = positions[-1]
     refused = None
+    if standstill is not None:
+        positions = _since(positions, standstill)
     for i in range(len(positions) - 2, -1, -1):
         time, n, e, s = positions[i]
         chord = np.array([north - n, east - e])
         if now - time > LONGEST_COURSE_TIME:
             break
-        if standstill is not None:  # as long as it stood, it was there
-            time = max(time, standstill.end)
         distance, interval = float(np.hypot(*chord)), now - time
         if interval <= 0:
             continue
@@ -89,18 +90,27 @@ def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill |
     return None
 
 
+def _since(positions: np.ndarray, standstill: Standstill) -> np.ndarray:
+    """The fixes from the end of a standstill on, those at rest as one: their median, as one may be far off."""
+    later = positions[positions[:, 0] > standstill.end]
+    at_rest = positions[(positions[:, 0] > standstill.end - standstill.duration) & (positions[:, 0] <= standstill.end)]
+    if not len(at_rest):
+        return later
+    place = [standstill.end, *np.median(at_rest[:, 1:3], axis=0), at_rest[:, 3].mean()]
+    return np.concatenate([[place], later])
+
+
 def driven_off(imu: np.ndarray, positions: np.ndarray, standstill: Standstill,
                config: FilterConfig) -> tuple[float, float] | None:
     """Which way a vehicle drove off after `standstill`: angle to the right of its body's forward axis (rad) and speed.
 
     None where IMU and fixes do not show the same way, or not yet. Arguments as for `find_course`.
     """
-    at_rest = positions[(positions[:, 0] > standstill.end - 5.0) & (positions[:, 0] <= standstill.end)]
-    later = positions[(positions[:, 0] > standstill.end) & (positions[:, 0] <= standstill.end + LONGEST_START)]
-    if not len(at_rest):
+    way_driven = _since(positions[positions[:, 0] <= standstill.end + LONGEST_START], standstill)
+    if not len(way_driven) or way_driven[0, 0] > standstill.end:
         return None
-    begin, found = at_rest[:, 1:3].mean(axis=0), None
-    for time, north, east, sigma in later:
+    begin, found = way_driven[0, 1:3], None
+    for time, north, east, sigma in way_driven[1:]:
         motion, interval = _inertial_motion(imu, standstill.end, time, standstill, config), time - standstill.end
         if motion is None or abs(motion.turn) > LARGEST_START_TURN:
             continue
@@ -143,7 +153,10 @@ def _of_chord(imu, chord, time, now, noise, standstill, config, between=None) ->
 
 
 def _on_the_way(imu, between, time, now, yaw, speed, noise, config) -> bool:
-    """Whether of the fixes between the ends of a chord more than half lie where it was driven; without any: no."""
+    """Whether of the fixes between the ends of a chord more than half lie where it was driven; with too few: no, as a
+    receiver that smooths makes of one fix far off two or three that look like a drive."""
+    if len(between) < FEWEST_BETWEEN:
+        return False
     agreeing = 0
     for at, north, east, sigma in between:
         motion = _inertial_motion(imu, time, at, None, config)
