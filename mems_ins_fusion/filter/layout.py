@@ -68,7 +68,21 @@ class _Nav(NamedTuple):
     BRIDGED: int = 37  # s, within the last minute or so, without a believable IMU sample
     DOUBT: int = 38  # fixes refused lately less those that fitted well
     WEIGHTED: int = 39  # fixes that did not fit one after the other, the first of them weighted down
-    SIZE: int = 40
+    # what the innovations show of the covariance, see receiver.py
+    SLOW_N: int = 40  # low-passed whitened innovations of the fixes, and the variance they have when white
+    SLOW_E: int = 41
+    SLOW_VARIANCE: int = 42
+    FACTOR_TIME: int = 43  # s that went into it
+    VARIANCE_FACTOR: int = 44  # realised over expected variance of them; below 1 it counts as 1
+    # what standstills show of the gyroscopes' drift, see standstill.py of the measurements
+    STOOD: int = 45  # s that the vehicle has stood
+    STOPS: int = 46  # standstills that have lasted
+    BIAS: int = 47  # estimates of the gyroscopes' errors when it stopped, three,
+    BIAS_VARIANCE: int = 50  # and their variances, three
+    DRIFT_RATIO: int = 53  # realised over assumed variance of their drift
+    DRIFT_SUM: int = 54  # of what went into that
+    DRIFT_SEEN: int = 55  # and its weight
+    SIZE: int = 56
 
 
 Nav = _Nav()
@@ -172,6 +186,15 @@ def store_covariance(full, at, n_navigation, n_augmented, row, r):
             k += 1
 
 
+@njit(_nrt=False)
+def variance_factor(row, r):
+    """By what the covariance of the state at `r` in `row` is to be multiplied before anybody believes it.
+
+    The filter works with the covariance as it is: a common factor changes no gain.
+    """
+    return max(1.0, row[r + Nav.VARIANCE_FACTOR])
+
+
 def covariance_index(i: int, j: int, layout: StateLayout) -> int:
     """Column of a row in which element (i, j) of the covariance stands."""
     i, j = min(i, j), max(i, j)
@@ -269,7 +292,9 @@ class _Head(NamedTuple):
     RECOVERIES: int = 131  # resets to fixes that had been refused
     HISTORY_AT: int = 133  # where a smoother's history begins, see history.py; 0: none
     AXLE_ACROSS: int = 134  # index of the optional state axle_y
-    SIZE: int = 136
+    COVARIANCE_FACTOR: int = 136  # whether the covariance is scaled by what the innovations show
+    ADAPT_DRIFT: int = 137  # whether the gyroscopes' drift is learned from standstills
+    SIZE: int = 138
 
 
 Head = _Head()

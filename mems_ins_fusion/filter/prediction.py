@@ -241,7 +241,9 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
     x = NAV + size
     b = x + m + size * (size + 1) // 2
     e = b + size * m
+    first, last = (2 * p, 3 * p) if size == 5 else (3 * p, 6 * p)  # the gyroscopes' states
     for j in range(m):
+        drift = mem[src + Nav.DRIFT_RATIO] if first <= j < last else 1.0
         decay = _decay(dt * mem[Head.SIZE + 6 + j])
         mem[dst + x + j] = decay * mem[src + x + j]
         # sensor block: row j is scaled now, column j when each row below it has been
@@ -252,8 +254,8 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
         for i in range(j + 1, m):
             mem[dst + e + m * j + i] = decay * mem[src + e + m * j + i]
         squared = decay * decay
-        mem[dst + e + (m + 1) * j] = (squared * mem[src + e + (m + 1) * j] + mem[Head.SIZE + 6 + m + j] * dt
-                                      + mem[Head.SIZE + 6 + 2 * m + j] * (1.0 - squared))
+        mem[dst + e + (m + 1) * j] = (squared * mem[src + e + (m + 1) * j] + drift * (
+            mem[Head.SIZE + 6 + m + j] * dt + mem[Head.SIZE + 6 + 2 * m + j] * (1.0 - squared)))
     if mem[Head.HISTORY_AT] > 0.0:
         _carry_sensors(mem, dt, size, m)
     if mem[Head.ACCELEROMETER_INTERVAL] > 0.0:
@@ -271,13 +273,14 @@ def _autoregressive(mem, src, dst, dt, size, m, p):
         mem[dst + phase] = mem[src + phase] + dt
         while mem[dst + phase] > interval * (1.0 - 1e-6):
             mem[dst + phase] -= interval
+            drift = mem[src + Nav.DRIFT_RATIO] if sensor else 1.0
             for channel in range(first, last):
-                _step_channel(mem, dst, size, m, p, channel, channels)
+                _step_channel(mem, dst, size, m, p, channel, channels, drift)
 
 
 @njit(inline='always')
-def _step_channel(mem, dst, size, m, p, channel, channels):
-    """One step of one channel's AR(p): companion matrix on x, on both sides of P, and b0^2."""
+def _step_channel(mem, dst, size, m, p, channel, channels, drift):
+    """One step of one channel's AR(p): companion matrix on x, on both sides of P, and b0^2 times `drift`."""
     x = NAV + size
     b = x + m + size * (size + 1) // 2
     e = b + size * m
@@ -293,7 +296,7 @@ def _step_channel(mem, dst, size, m, p, channel, channels):
         n = size + m
         for k in range(n):
             _companion(mem, int(mem[Head.HISTORY_AT]) + n * (size + start) + k, n, p, a)
-    mem[dst + e + (m + 1) * start] += mem[Head.SIZE + 6 + 3 * m + channels * p + channel]
+    mem[dst + e + (m + 1) * start] += drift * mem[Head.SIZE + 6 + 3 * m + channels * p + channel]
 
 
 @njit(inline='always')
