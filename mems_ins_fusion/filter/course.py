@@ -20,6 +20,7 @@ UNKNOWN_TILT_SIGMA = 0.05  # rad
 LARGEST_YAW_SIGMA = 0.5  # rad: the filter's equations are linear in the heading's error
 MOVED_OFF = 0.2  # m/s: of a vehicle whose standstill has only just ended
 LARGEST_TURN = 1.0  # rad: whoever turns by more goes no chord, but a bent way
+BENT = 0.6  # of the way is the chord of a bent one
 KNOT = 4.0  # s: a speed that is fitted to a bent way is linear between such
 PICKED_UP = 4.0  # m/s: by how much it changes in that time, one sigma
 FEWEST_ON_WAY = 10  # fixes on a bent way
@@ -53,7 +54,7 @@ def has_moved(positions: np.ndarray) -> bool:
     """Whether the fixes (k, 4: time, north, east, sigma) are far enough apart for a course, before all is looked at."""
     recent = positions[positions[:, 0] > positions[-1, 0] - LONGEST_COURSE_TIME]
     moved = np.hypot(*(recent[:, 1:3] - recent[-1, 1:3]).T).max()
-    return moved > max(SHORTEST_COURSE, recent[-1, 3] / COURSE_SIGMA)
+    return moved > max(SHORTEST_COURSE, BENT * recent[-1, 3] / COURSE_SIGMA)
 
 
 def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill | None,

@@ -8,8 +8,9 @@ from ..layout import NAV, PLANAR, Event, Head, Nav, Sample
 
 #: the gyroscopes' drift is looked at when the vehicle has stood for so long, s
 STANDING = 3.0
-#: where that has taken so much of the variance of their errors away
-TOLD = 0.5
+JUST_NOW = 1e-9
+#: where that has taken so much of the variance of their errors away: a running engine hides the rest
+TOLD = 0.1
 #: a drift squared, over its variance, counts no more than this: what was no standstill must not ruin the rest
 LARGEST_DRIFT = 9.0
 #: the assumed drift is worth so many, and no more than so many are remembered; three in each standstill
@@ -53,16 +54,16 @@ def observe_rate(mem, r, at, h, n, sample, dt):
 def learn_drift(mem, r, since):
     """Realised over assumed variance of the gyroscopes' drift, once in each standstill but the first.
 
-    since: s since the last call in this standstill, which tells nothing at its begin. By what the estimates of their
+    since: s since the last correction, which at the begin of a standstill may be long ago. By what the estimates of their
     errors change in its first STANDING s, against what they may: the variance that they had less the one that they have.
     P stands in the scratch. The first standstill shows the bias that the sensor was switched on with, too.
     """
     n_navigation, order = int(mem[Head.N_NAVIGATION]), int(mem[Head.ORDER])
     n, p = n_navigation + int(mem[Head.N_AUGMENTED]), int(mem[Head.SCRATCH_AT])
     first, axes = (2, 1) if mem[Head.MECHANIZATION] == PLANAR else (3, 3)
-    begins = mem[r + Nav.STOOD] == 0.0
     before = mem[r + Nav.STOOD]
-    mem[r + Nav.STOOD] += since
+    begins = before == 0.0
+    mem[r + Nav.STOOD] = JUST_NOW if begins else before + since
     if not begins and (before >= STANDING or mem[r + Nav.STOOD] < STANDING):
         return
     for k in range(axes):
