@@ -140,7 +140,8 @@ def test_every_heading_is_found(template):
 @pytest.mark.parametrize('turn', [0.12, -0.2])
 def test_a_way_that_always_bends_tells_the_heading(template, turn):
     # given a slow vehicle that goes round and round: no chord is long enough for fixes of 1.5 m
-    segments = (STAND, Segment(4.0, 1.5), *[Segment(5.0, 0.0, 5.0 * turn)] * 8)
+    # and who may have driven off backwards is waited for, for a minute
+    segments = (STAND, Segment(4.0, 1.5), *[Segment(5.0, 0.0, 5.0 * turn)] * 14)
     normalized = []
     for seed in range(8):
         config, recording = recorded(driven(template, segments), seed)

@@ -80,7 +80,8 @@ def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill |
         noise = math.sqrt(sigma**2 + s**2 + _wandered(config, interval))
         if distance >= max(SHORTEST_COURSE, noise / COURSE_SIGMA):
             if standstill is not None:
-                return _of_chord(imu, chord, time, now, noise, standstill, config)
+                return (_of_chord(imu, chord, time, now, noise, standstill, config)
+                        or _of_bent_way(imu, positions, standstill, config))
             # one fix far off must not pass for a drive: those in between have to lie on the way
             try:
                 found = _of_chord(imu, chord, time, now, noise, None, config, positions[i + 1:-1] - [0.0, n, e, 0.0])
