@@ -31,8 +31,9 @@ def variants(seed: int, minutes: float) -> dict[str, Recording]:
     found = {name: simulated(seed, minutes, fixes, drive) for name, fixes in FIXES.items()}
     for name in ('RTK', '1.5 m'):
         recording = found[name]
-        gnss, reference = (replace(s, stamp=s.stamp - round(EARLY * 1e9)) for s in (recording.gnss, recording.reference))
-        found[f'{name}, stamps early'] = replace(recording, gnss=gnss, reference=reference)
+        found[f'{name}, stamps early'] = replace(recording, **{
+            stream: replace(samples, stamp=samples.stamp - round(EARLY * 1e9))
+            for stream, samples in (('gnss', recording.gnss), ('reference', recording.reference))})
         bad = SensorErrors.from_parameters(table.check({**REALISTIC.imu, **BAD_IMU}), 'gauss_markov')
         recording = simulate_recording(drive, bad, FIXES[name], seed=seed, name=f'bad IMU {seed}',
                                        **REALISTIC.distortions(seed)).recording

@@ -282,8 +282,8 @@ def test_the_factor_is_in_all_that_is_published(mechanization):
         odometry(memory, np.array([LATITUDE, LONGITUDE, HEIGHT]), 2.0, out, np.zeros(3), covariance_enu)
         states = row[columns(config.layout).astype(np.int64)][None]
         run = result(config, np.zeros(1, np.int64), np.zeros(1, np.int64), states,
-                     Measured(*np.zeros((3, 0), np.int64), np.zeros((0, Event.SIZE))), start=None, notices=[], memory=memory,
-                     filter_seconds=0.0)
+                     Measured(*np.zeros((3, 0), np.int64), np.zeros((0, Event.SIZE))), start=None, notices=[],
+                     memory=memory, filter_seconds=0.0)
         known = [0, 7, 35]  # east, north and yaw of the pose
         published.append([*out[POSE_COVARIANCE:][known], out[TWIST_COVARIANCE], covariance_enu[0], *run.sigma[0] ** 2,
                           *run.covariance_ne, *learned(config, memory).covariance.diagonal()])
