@@ -25,7 +25,8 @@ from mems_ins_fusion.parameters import table
 #: the paper's filter: planar, nothing known of the vehicle, every fix believed as it claims; what a test asks for
 #: beyond that, it says
 PAPER = {'mechanization': 'planar', 'vehicle.zero_velocity': False, 'vehicle.non_holonomic': False,
-         'vehicle.tilt_sigma': 0.0, 'gnss.gate_probability': 1.0, 'gnss.adapt_sigma': False, 'gnss.robust_sigma': 0.0,
+         'vehicle.tilt_sigma': 0.0, 'gnss.gate_probability': 1.0, 'gnss.adapt_sigma': False,
+         'gnss.adapt_covariance': False, 'gnss.robust_sigma': 0.0, 'vehicle.learn_drift': False,
          'vehicle.non_holonomic_sigma': 0.2, 'vehicle.non_holonomic_vertical_sigma': 0.2, 'imu.mounting_sigma': 0.0,
          'vehicle.rear_axle_sigma': 0.0}
 MODELS = ('random_walk', 'gauss_markov', 'autoregressive')

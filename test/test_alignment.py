@@ -137,6 +137,22 @@ def test_every_heading_is_found(template):
         assert np.abs(yaw).max() < 4
 
 
+@pytest.mark.parametrize('turn', [0.12, -0.2])
+def test_a_way_that_always_bends_tells_the_heading(template, turn):
+    # given a slow vehicle that goes round and round: no chord is long enough for fixes of 1.5 m
+    # and who may have driven off backwards is waited for, for a minute
+    segments = (STAND, Segment(4.0, 1.5), *[Segment(5.0, 0.0, 5.0 * turn)] * 14)
+    normalized = []
+    for seed in range(8):
+        config, recording = recorded(driven(template, segments), seed)
+        filtered = run(config, recording.imu, recording.gnss)
+        assert len(filtered.stamp), texts(filtered.notices)
+        true = np.interp(filtered.stamp[0], recording.reference.stamp, np.unwrap(recording.reference.yaw))
+        normalized.append(wrap(filtered.yaw[0] - true) / filtered.sigma[0, config.layout.n_navigation - 1])
+    # then it is found, and as good as it says
+    assert np.sqrt(np.mean(np.square(normalized))) < 1.6, normalized
+
+
 def test_a_recording_that_begins_in_motion_starts_without_a_standstill():
     drive = simulate_drive(120.0, 3, RATE, standstill=5.0)
     config, recording = recorded(drive, 2)

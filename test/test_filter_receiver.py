@@ -10,7 +10,10 @@ import numpy as np
 import pytest
 from filter_support import HEIGHT, LATITUDE, LONGITUDE, configure, fix_record, newest, started, take_all
 
-from mems_ins_fusion.filter.layout import Event, Head, Nav, Verdict, covariance, views
+from mems_ins_fusion.filter.initial import learned
+from mems_ins_fusion.filter.layout import Event, Head, Nav, Verdict, covariance, variance_factor, views
+from mems_ins_fusion.filter.odometry import POSE_COVARIANCE, SIZE, TWIST_COVARIANCE, odometry
+from mems_ins_fusion.filter.results import Measured, columns, result
 from mems_ins_fusion.navigation.earth import gravity, radii
 
 RATE, SPEED, COURSE, SIGMA = 20.0, 12.0, 0.6, 1.0
@@ -220,3 +223,68 @@ def test_good_fixes_pull_back_a_filter_that_is_too_sure_however_far_apart_they_a
     assert rms[3.0] < 3.0 * rms[0.0] + 0.1, rms
     # and its sigma is not learned from it where fixes are too far apart to show their scatter
     assert apart < 4 or newest(memory)[Nav.GNSS_RATIO] == 1.0
+
+
+def long_run_variance(records, span=12):
+    """Of the whitened innovations, both components: sum of their autocovariances up to `span` fixes (Bartlett)."""
+    used = records[20:]
+    whitened = np.array([np.linalg.solve(np.linalg.cholesky(
+        [[r[Event.S_NN], r[Event.S_NE]], [r[Event.S_NE], r[Event.S_EE]]]), r[[Event.Z_N, Event.Z_E]]) for r in used])
+    return np.mean([sum((1 if k == 0 else 2 * (1 - k / span)) * np.mean(u[:len(u) - k] * u[k:]) for k in range(span))
+                    for u in whitened.T])
+
+
+def lasting(receiver, tau):
+    """Its errors, of 1 m, with a correlation time of `tau` s."""
+    keep = math.exp(-1.0 / tau)
+    error = np.empty((len(receiver.time), 2))
+    error[0] = receiver.rng.standard_normal(2)
+    for k in range(1, len(error)):
+        error[k] = keep * error[k - 1] + math.sqrt(1 - keep**2) * receiver.rng.standard_normal(2)
+    return true_position(receiver.time) + SIGMA * error
+
+
+@BOTH
+def test_a_receiver_whose_errors_last_raises_the_covariance_and_moves_no_estimate(mechanization):
+    steady = {'accelerometer.gauss_markov.sigma': [0.003], 'gyroscope.gauss_markov.sigma': [2e-5]}
+    factor, realised = {'white': [], 'lasting': []}, []
+    for seed in range(4):
+        receiver = Receiver(300.0, seed=seed)
+        for errors in factor:
+            if errors == 'lasting':
+                receiver.position = lasting(receiver, 4.0)
+            (_, memory, error, records), (_, without, same, _) = [receiver.through(mechanization=mechanization, **{
+                'gnss.adapt_covariance': adapts}, **steady) for adapts in (True, False)]
+            factor[errors].append(newest(memory)[Nav.VARIANCE_FACTOR])
+            assert np.array_equal(error, same) and variance_factor(newest(without), 0) == 1.0
+        realised.append(long_run_variance(records))
+    # then it is the realised variance of the slow innovations, and that of white ones is as expected, not more
+    assert np.mean(factor['white']) < 1.2 and np.mean(factor['lasting']) > 1.4 * np.mean(factor['white']), factor
+    assert 0.5 < np.mean(factor['lasting']) / np.mean(realised) < 1.3, (factor, realised)
+
+
+def test_one_fix_far_off_is_no_filter_that_is_too_sure():
+    # given white errors, and from time to time a fix that is ten sigma off
+    receiver = Receiver(300.0)
+    receiver.position[20::40] += [10.0, 0.0]
+    _, memory, _, _ = receiver.through(mechanization='strapdown', **{'gnss.adapt_covariance': True})
+    assert newest(memory)[Nav.VARIANCE_FACTOR] < 1.7
+
+
+@BOTH
+def test_the_factor_is_in_all_that_is_published(mechanization):
+    config, memory, _, _ = Receiver(30.0).through(mechanization=mechanization, **{'gnss.adapt_covariance': True})
+    published = []
+    for factor in (1.0, 4.0):
+        row = views(memory)[2][int(views(memory)[0][Head.SAMPLES]) % config.capacity]
+        row[Nav.VARIANCE_FACTOR] = factor
+        out, covariance_enu = np.zeros(SIZE), np.zeros(9)
+        odometry(memory, np.array([LATITUDE, LONGITUDE, HEIGHT]), 2.0, out, np.zeros(3), covariance_enu)
+        states = row[columns(config.layout).astype(np.int64)][None]
+        run = result(config, np.zeros(1, np.int64), np.zeros(1, np.int64), states,
+                     Measured(*np.zeros((3, 0), np.int64), np.zeros((0, Event.SIZE))), start=None, notices=[],
+                     memory=memory, filter_seconds=0.0)
+        known = [0, 7, 35]  # east, north and yaw of the pose
+        published.append([*out[POSE_COVARIANCE:][known], out[TWIST_COVARIANCE], covariance_enu[0], *run.sigma[0] ** 2,
+                          *run.covariance_ne, *learned(config, memory).covariance.diagonal()])
+    np.testing.assert_allclose(published[1], 4.0 * np.array(published[0]), rtol=1e-9)

@@ -69,6 +69,7 @@ class GnssSettings:
     gate: float
     recovery_time: float
     adapt_sigma: bool
+    adapt_covariance: bool
     outage_after: float
     coloured: GaussMarkov | None
 
@@ -109,6 +110,7 @@ class VehicleSettings:
     axle: np.ndarray
     still_acceleration: float
     still_rate: float
+    learn_drift: bool
 
 
 @dataclass(frozen=True)
@@ -229,7 +231,8 @@ class FilterConfig:
             Head.GYROSCOPE_INTERVAL: self.models[-1].interval if autoregressive else 0,
             Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: gnss.max_delay, Head.ROBUST_SIGMA: gnss.robust_sigma,
             Head.GATE: gnss.gate, Head.RECOVERY_TIME: gnss.recovery_time, Head.ADAPT: gnss.adapt_sigma,
-            Head.LAG: gnss.lag,
+            Head.LAG: gnss.lag, Head.COVARIANCE_FACTOR: gnss.adapt_covariance,
+            Head.ADAPT_DRIFT: vehicle.learn_drift,
             Head.LEVER_X: gnss.lever_arm[0], Head.LEVER_Y: gnss.lever_arm[1], Head.LEVER_Z: gnss.lever_arm[2],
             Head.AXLE_X: vehicle.axle[0], Head.AXLE_Y: vehicle.axle[1], Head.AXLE_Z: vehicle.axle[2],
             Head.CONSTRAINTS: vehicle.zero_velocity_sigma > 0 or vehicle.lateral_sigma > 0,
@@ -346,7 +349,7 @@ def _gnss(values: dict) -> GnssSettings:
         recovery_time=values['gnss.recovery_time'],
         # the planar filter's own errors, slopes, would pass for the receiver's
         adapt_sigma=values['gnss.adapt_sigma'] and values['mechanization'] == 'strapdown',
-        outage_after=values['gnss.outage_after'], coloured=_coloured(values))
+        adapt_covariance=values['gnss.adapt_covariance'], outage_after=values['gnss.outage_after'], coloured=_coloured(values))
 
 
 def _sensor(values: dict, name: str, offset: str = '') -> SensorSettings:
@@ -368,4 +371,5 @@ def _vehicle(values: dict) -> VehicleSettings:
         angle_sigma=values['vehicle.non_holonomic_angle_sigma'], sideslip=values['vehicle.sideslip_per_acceleration'],
         sideslip_sigma=values['vehicle.sideslip_sigma'],
         axle=FLU_TO_FRD @ np.asarray(values['vehicle.rear_axle'], dtype=float),
-        still_acceleration=values['vehicle.still_acceleration'], still_rate=values['vehicle.still_rate'])
+        still_acceleration=values['vehicle.still_acceleration'], still_rate=values['vehicle.still_rate'],
+        learn_drift=values['vehicle.learn_drift'])

@@ -21,6 +21,12 @@ LARGEST_YAW_SIGMA = 0.5  # rad: the filter's equations are linear in the heading
 FEWEST_BETWEEN = 3  # fixes on a way that begins nobody knows where
 LONGEST_START, LARGEST_START_TURN = 12.0, 0.7  # s, rad: of driving off from a standstill
 MOVED_OFF = 0.2  # m/s: of a vehicle whose standstill has only just ended
+LARGEST_TURN = 1.0  # rad: whoever turns by more goes no chord, but a bent way
+BENT = 0.6  # of the way is the chord of a bent one
+KNOT = 4.0  # s: a speed that is fitted to a bent way is linear between such
+PICKED_UP = 4.0  # m/s: by how much it changes in that time, one sigma
+FEWEST_ON_WAY = 10  # fixes on a bent way
+MISFIT = 3.0  # times the expected sum of squares: no way that the vehicle has gone
 
 
 class Course(NamedTuple):
@@ -50,7 +56,7 @@ def has_moved(positions: np.ndarray) -> bool:
     """Whether the fixes (k, 4: time, north, east, sigma) are far enough apart for a course, before all is looked at."""
     recent = positions[positions[:, 0] > positions[-1, 0] - LONGEST_COURSE_TIME]
     moved = np.hypot(*(recent[:, 1:3] - recent[-1, 1:3]).T).max()
-    return moved > max(SHORTEST_COURSE, recent[-1, 3] / COURSE_SIGMA)
+    return moved > max(SHORTEST_COURSE, BENT * recent[-1, 3] / COURSE_SIGMA)
 
 
 def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill | None,
@@ -76,7 +82,8 @@ def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill |
         noise = math.sqrt(sigma**2 + s**2 + _wandered(config, interval))
         if distance >= max(SHORTEST_COURSE, noise / COURSE_SIGMA):
             if standstill is not None:
-                return _of_chord(imu, chord, time, now, noise, standstill, config)
+                return (_of_chord(imu, chord, time, now, noise, standstill, config)
+                        or _of_bent_way(imu, positions, standstill, config))
             # one fix far off must not pass for a drive: those in between have to lie on the way
             try:
                 found = _of_chord(imu, chord, time, now, noise, None, config, positions[i + 1:-1] - [0.0, n, e, 0.0])
@@ -87,7 +94,78 @@ def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill |
                 return found
     if refused is not None:
         raise refused
-    return None
+    return _of_bent_way(imu, positions, standstill, config)
+
+
+def _of_bent_way(imu, positions, standstill, config) -> Course | None:
+    """The course of a vehicle that never goes straight on for long: what heading and speeds fit the fixes best.
+
+    With the turn t(tau) that the gyroscope shows from tau to the newest fix, and as complex numbers north + i east, the
+    vehicle was at p - e^(i yaw) int s(tau) e^(-i t(tau)) dtau. Turned back by the yaw that is linear in p and in the
+    speeds s at the knots: one matrix for all headings. What it leaves is a quadratic form of (cos yaw, sin yaw), so
+    m - r cos 2 (yaw - yaw_0): the least and its curvature 4 r in closed form, yaw and yaw + pi (backwards) alike.
+    """
+    now = positions[-1, 0]
+    since = now - LONGEST_COURSE_TIME if standstill is None else max(now - LONGEST_COURSE_TIME, standstill.end)
+    fixes = positions[positions[:, 0] >= max(since, imu[0, 0])]
+    part = imu[(imu[:, 0] >= since) & (imu[:, 0] <= now)]
+    if len(fixes) < FEWEST_ON_WAY or len(part) < 3 or fixes[-1, 0] - fixes[0, 0] < 2.0 * KNOT:
+        return None
+    # fixes closer together than a second err alike, and all as far as their error lasts
+    duration = fixes[-1, 0] - fixes[0, 0]
+    variance = max(1.0, len(fixes) / duration) * fixes[:, 3] ** 2
+    if config.gnss.coloured:
+        variance += 2.0 * config.gnss.coloured.tau * len(fixes) / duration * config.gnss.coloured.sigma**2
+    sigma = np.sqrt(variance)
+    knots = np.linspace(fixes[0, 0], now, 1 + math.ceil(duration / KNOT))
+    design, turned, bias = _way_of_knots(part, fixes[:, 0], knots, standstill, config)
+    if turned < LARGEST_TURN:
+        return None
+    k = len(knots)
+    rows = np.zeros((2 * len(fixes) + k - 1, 2 + k))
+    rows[:len(fixes), 0] = rows[len(fixes):2 * len(fixes), 1] = 1.0 / sigma
+    rows[:2 * len(fixes), 2:] = np.concatenate([design.real, design.imag]) / np.tile(sigma, 2)[:, None]
+    rows[2 * len(fixes):, 2:] = np.diff(np.eye(k), axis=0) / PICKED_UP
+    q, triangle = np.linalg.qr(rows)
+    measured = (fixes[:, 1] + 1j * fixes[:, 2] - fixes[-1, 1] - 1j * fixes[-1, 2]) / sigma
+    back = np.zeros((2, len(rows)))  # turned by a heading of 0 and of pi / 2
+    back[:, :2 * len(fixes)] = [np.concatenate([z.real, z.imag]) for z in (measured, -1j * measured)]
+    left = back - back @ q @ q.T
+    (a, b), (_, c) = left @ left.T
+    r = math.hypot(0.5 * (a - c), b)
+    if 0.5 * (a + c) - r > MISFIT * 2.0 * len(fixes) or r < 0.5 / COURSE_SIGMA**2:
+        return None
+    yaw = 0.5 * math.atan2(-b, -0.5 * (a - c))
+    inverse = np.linalg.inv(triangle)
+    speeds = (inverse @ (q.T @ (math.cos(yaw) * back[0] + math.sin(yaw) * back[1])))[2:]
+    speed_sigma = float(np.linalg.norm(inverse[2:], axis=1)[-1])
+    way = _way(imu, now, standstill, speeds[-1], -speeds[-1], speed_sigma, config) if abs(speeds[-1]) > 0 else 0
+    if standstill is None or now - standstill.end > LONGEST_COURSE_TIME:
+        way = 1 if speeds.sum() > 0 else -1  # who has not turned round drives forwards
+    # no better than by two fixes and a chord as long: what the receiver's errors have in common does not show
+    length, noise = float(0.5 * abs(speeds[1:] + speeds[:-1]) @ np.diff(knots)), math.sqrt(2.0) * float(fixes[:, 3].max())
+    yaw_sigma = math.sqrt(max(0.5 / r, (noise / max(length, 1e-3)) ** 2) + (0.5 * bias * duration) ** 2
+                          + SIDESLIP_SIGMA**2)
+    if (way == 0 or length < max(SHORTEST_COURSE, noise / COURSE_SIGMA) or not SLOWEST_START < abs(speeds[-1]) or abs(speeds).max() > FASTEST
+            or way * speeds[-1] < -FASTEST_REVERSE or yaw_sigma > LARGEST_YAW_SIGMA):
+        return None
+    return Course(yaw if way > 0 else yaw + math.pi, way * speeds[-1], yaw_sigma, speed_sigma)
+
+
+def _way_of_knots(part, times, knots, standstill, config) -> tuple[np.ndarray, float, float]:
+    """Displacement at `times` (f,) against now for 1 m/s at each of the knots (k,), heading 0 now: (f, k), complex.
+    And by how much it turned (the range of headings, rad), and the sigma of the turn rate, rad/s."""
+    rate, bias = part[:, 6], config.alignment.gyroscope_turn_on
+    if standstill is not None:
+        rate, bias = rate - standstill.angular_rate[2], 1e-3
+    dt = np.diff(part[:, 0], prepend=part[0, 0])
+    turn = np.cumsum(rate * dt)
+    heading = np.exp(1j * (turn - turn[-1]))
+    shape = np.array([np.interp(part[:, 0], knots, one) for one in np.eye(len(knots))]).T
+    way = np.cumsum(shape * (heading * dt)[:, None], axis=0)
+    way -= way[-1]
+    at = np.clip(np.searchsorted(part[:, 0], times), 0, len(part) - 1)
+    return way[at], float(np.ptp(turn)), bias
 
 
 def _since(positions: np.ndarray, standstill: Standstill) -> np.ndarray:
@@ -126,7 +204,7 @@ def _of_chord(imu, chord, time, now, noise, standstill, config, between=None) ->
     """between: fixes as rows of time, north, east from the chord's begin, sigma, where they have to agree."""
     motion = _inertial_motion(imu, time, now, standstill, config)
     distance, interval = float(np.hypot(*chord)), now - time
-    if motion is None or abs(motion.turn) > 1.0 or abs(motion.moved[1]) > 0.5 * distance:
+    if motion is None or abs(motion.turn) > LARGEST_TURN or abs(motion.moved[1]) > 0.5 * distance:
         return None
     speed_sigma = math.hypot(noise / interval, 0.5 * motion.bias_f * interval)
     forward = math.sqrt(distance**2 - motion.moved[1] ** 2)

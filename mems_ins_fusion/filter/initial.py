@@ -9,7 +9,7 @@ from ..navigation.earth import gravity
 from ..navigation.frames import leveling
 from ..navigation.strapdown import from_euler, matrix
 from .config import FilterConfig
-from .layout import NAV, PLANAR, Head, Nav, Sample, set_covariance, state_at, views
+from .layout import NAV, PLANAR, Head, Nav, Sample, set_covariance, state_at, variance_factor, views
 from .layout import covariance as covariance_of
 from .prediction import set_radii
 from .start import SensorErrors, Standstill, Start
@@ -42,7 +42,7 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
     row[Nav.TIME], row[Nav.LATITUDE], row[Nav.LONGITUDE], row[Nav.HEIGHT] = (
         start.time, start.latitude, start.longitude, start.height)
     row[Nav.V_N], row[Nav.V_E] = start.velocity
-    row[Nav.GNSS_RATIO] = 1.0
+    row[Nav.GNSS_RATIO] = row[Nav.VARIANCE_FACTOR] = row[Nav.DRIFT_RATIO] = 1.0
     full = np.zeros((layout.n, layout.n))
     full[layout.n_navigation:, layout.n_navigation:] = covariance
     mounting = layout.index('mounting_yaw') - layout.n_navigation
@@ -105,7 +105,8 @@ def learned(config: FilterConfig, memory: np.ndarray) -> SensorErrors:
     leveled_offset = (head[Head.CONDITIONING:Head.CONDITIONING + 36].reshape(6, 6)
                       @ np.linalg.solve(config.conditioning, config.offset))
     constant = (leveled_offset - head[Head.OFFSET:Head.OFFSET + 6])[config.channel_axes]
-    return SensorErrors(row[NAV + n:NAV + layout.n].copy(), covariance_of(row, layout)[n:, n:], constant)
+    return SensorErrors(row[NAV + n:NAV + layout.n].copy(),
+                        variance_factor(row, 0) * covariance_of(row, layout)[n:, n:], constant)
 
 
 def aged(config: FilterConfig, errors: SensorErrors, age: float) -> SensorErrors:

@@ -74,7 +74,21 @@ class _Nav(NamedTuple):
     PROVEN_N: int = 43  # the velocity at the last fix
     PROVEN_E: int = 44
     CLAIMED: int = 45  # variance of the last fix, as it says
-    SIZE: int = 46
+    # what the innovations show of the covariance, see receiver.py
+    SLOW_N: int = 46  # low-passed whitened innovations of the fixes, and the variance they have when white
+    SLOW_E: int = 47
+    SLOW_VARIANCE: int = 48
+    FACTOR_TIME: int = 49  # s that went into it
+    VARIANCE_FACTOR: int = 50  # realised over expected variance of them; below 1 it counts as 1
+    # what standstills show of the gyroscopes' drift, see standstill.py of the measurements
+    STOOD: int = 51  # s that the vehicle has stood
+    STOPS: int = 52  # standstills that have lasted
+    BIAS: int = 53  # estimates of the gyroscopes' errors when it stopped, three,
+    BIAS_VARIANCE: int = 56  # and their variances, three
+    DRIFT_RATIO: int = 59  # realised over assumed variance of their drift
+    DRIFT_SUM: int = 60  # of what went into that
+    DRIFT_SEEN: int = 61  # and its weight
+    SIZE: int = 62
 
 
 Nav = _Nav()
@@ -193,6 +207,15 @@ def store_covariance(full, at, n_navigation, n_augmented, row, r):
         k = place(k + n_augmented)
 
 
+@njit(_nrt=False)
+def variance_factor(row, r):
+    """By what the covariance of the state at `r` in `row` is to be multiplied before anybody believes it.
+
+    The filter works with the covariance as it is: a common factor changes no gain.
+    """
+    return max(1.0, row[r + Nav.VARIANCE_FACTOR])
+
+
 def covariance_index(i: int, j: int, layout: StateLayout) -> int:
     """Column of a row in which element (i, j) of the covariance stands."""
     i, j = min(i, j), max(i, j)
@@ -293,7 +316,9 @@ class _Head(NamedTuple):
     WHIRLED: int = 136  # s of turns too fast for the speed, lately
     CHANGED: int = 137  # how often each of the six numbers was another one than before
     SIDEWAYS: int = 143  # s in which the vehicle did not keep to the non-holonomic constraint
-    SIZE: int = 144
+    COVARIANCE_FACTOR: int = 144  # whether the covariance is scaled by what the innovations show
+    ADAPT_DRIFT: int = 145  # whether the gyroscopes' drift is learned from standstills
+    SIZE: int = 146
 
 
 Head = _Head()

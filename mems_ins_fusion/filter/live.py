@@ -16,7 +16,7 @@ from .imu_faults import FAULTS, Fault
 from .initial import initialize, learned
 from .intake import JUMPED, NAMES, Intake, corrected
 from .kernel import TAKEN
-from .layout import NAV, Event, Head, Kind, Nav, Verdict, covariance, state_at, views
+from .layout import NAV, Event, Head, Kind, Nav, Verdict, covariance, state_at, variance_factor, views
 from .odometry import LINEAR, SIZE, TWIST_COVARIANCE, odometry
 from .results import columns
 from .snapshot import made, recalled
@@ -416,13 +416,15 @@ class FusionFilter(Intake):
         layout = self.config.layout
         at = state_at(memory, int(memory[Head.SAMPLES]))
         row = memory[at:at + int(memory[Head.WIDTH])]
-        sigma = np.sqrt(np.diag(covariance(row, layout)))
+        sigma = np.sqrt(variance_factor(row, 0) * np.diag(covariance(row, layout)))
         values |= {'position sigma, m': float(math.hypot(sigma[0], sigma[1])),
                    'heading sigma, deg': math.degrees(sigma[layout.n_navigation - 1])}
         if self._memory is None:
             return values
         values |= {'age of the last fix used, s': (self._now - self._newest_fix) * 1e-9,
-                   'realised over claimed sigma of the fixes': math.sqrt(row[Nav.GNSS_RATIO])}
+                   'realised over claimed sigma of the fixes': math.sqrt(row[Nav.GNSS_RATIO]),
+                   'realised over expected sigma of the innovations': math.sqrt(row[Nav.VARIANCE_FACTOR]),
+                   'realised over assumed drift of the gyroscopes': math.sqrt(row[Nav.DRIFT_RATIO])}
         for i, name in enumerate(layout.names[layout.n_navigation:], start=layout.n_navigation):
             values[name] = float(row[NAV + i])
             values[f'{name} sigma'] = float(sigma[i])

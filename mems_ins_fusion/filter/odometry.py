@@ -9,7 +9,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
 from ..navigation.earth import to_local
-from .layout import NAV, PLANAR, Head, Nav, Sample, load_covariance, sample_at, state_at
+from .layout import NAV, PLANAR, Head, Nav, Sample, load_covariance, sample_at, state_at, variance_factor
 
 #: where each part stands in the vector that `odometry` fills
 POSITION, ORIENTATION, POSE_COVARIANCE, LINEAR, ANGULAR, TWIST_COVARIANCE, SIZE = 0, 3, 7, 43, 46, 49, 85
@@ -57,7 +57,7 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
     is_planar = memory[Head.MECHANIZATION] == PLANAR
     packed_full = np.empty(n * n)
     load_covariance(memory, r, n_navigation, m, packed_full, 0)
-    full = packed_full.reshape((n, n))
+    full = variance_factor(memory, r) * packed_full.reshape((n, n))
     latitude, longitude, height, v_n, v_e, v_d, q = corrected(memory, r, is_planar, memory[Head.OPEN_LOOP] != 0.0)
     geodetic[0], geodetic[1], geodetic[2] = latitude, longitude, height
     north, east, down = to_local(latitude, longitude, height, datum)

@@ -62,6 +62,14 @@ CLAIM_CHANGE = 10.0
 WEIGHTED_GAIN = 0.25
 #: normalized innovation squared of a fix that fits well
 FITTING = 4.0
+#: innovations are judged by their mean over this time, s: what lasts for shorter averages out
+SLOW = 10.0
+#: s over which their variance is a mean, and for how long an expected one is as good as a realised one
+FACTOR_MEMORY, FACTOR_PRIOR = 100.0, 20.0
+#: fixes closer together tell no more of it than one a second, s
+FACTOR_STEP = 1.0
+#: a larger normalized innovation counts as this: one fix far off is not a filter that is too sure
+LARGEST_INNOVATION = 4.0
 #: median of a chi-square distribution with 2 degrees of freedom, over its mean
 MEDIAN = math.log(2.0)
 
@@ -115,6 +123,7 @@ def learn(mem, r, at, left_n, left_e):
     time = mem[at + Event.TIME]
     interval = time - mem[r + Nav.RESIDUAL_TIME]
     paired = 0.0 < interval < LONGEST_PAIR
+    _judge_covariance(mem, r, at)
     _prove(mem, r, at, interval)
     mem[r + Nav.RESIDUAL_TIME] = time
     mem[r + Nav.RESIDUAL_N], mem[r + Nav.RESIDUAL_E] = left_n - mem[r + NAV], left_e - mem[r + NAV + 1]
@@ -152,6 +161,42 @@ def learn(mem, r, at, left_n, left_e):
     mem[r + Nav.SUM_E] += z_e
     mem[r + Nav.SUM_TE] += t * z_e
     mem[r + Nav.SUM_SQUARE] += z_n * z_n + z_e * z_e
+
+
+@njit(_nrt=False)
+def _judge_covariance(mem, r, at):
+    """Realised over expected variance of the innovations, at low frequency: the a posteriori variance factor.
+
+    Innovations of a filter that is right are white with covariance S. Receivers whose errors last and filters whose
+    sensors are worse than assumed have innovations that last: the sum of n of them has a variance larger than n S, by
+    the factor 1 + 2 (sum of their autocorrelation) - (1 + rho) / (1 - rho) for a first-order process - and by so much
+    the covariance of what is learned from many fixes (velocity, attitude, biases) is too small. Seen as the variance of
+    whitened innovations after a first-order low pass, over the one that it has for white ones. It says not which of
+    the two it is, and need not: the whole covariance is scaled, no gain changes. Errors slower than what the inertial
+    sensors hold do not show.
+    """
+    verdict = mem[at + Event.VERDICT]
+    if mem[Head.COVARIANCE_FACTOR] == 0.0 or (verdict != Verdict.USED and verdict != Verdict.WEIGHTED):
+        return
+    interval = FACTOR_STEP
+    if mem[r + Nav.FIX_TIME] != 0.0:
+        interval = max(mem[at + Event.TIME] - mem[r + Nav.RESIDUAL_TIME], 0.0)
+    l_nn = math.sqrt(mem[at + Event.S_NN])
+    l_en = mem[at + Event.S_NE] / l_nn
+    u_n = mem[at + Event.Z_N] / l_nn
+    u_e = (mem[at + Event.Z_E] - l_en * u_n) / math.sqrt(mem[at + Event.S_EE] - l_en * l_en)
+    scale = min(1.0, LARGEST_INNOVATION / max(math.hypot(u_n, u_e), 1.0))
+    keep = math.exp(-interval / SLOW)
+    mem[r + Nav.SLOW_N] += (1.0 - keep) * (scale * u_n - mem[r + Nav.SLOW_N])
+    mem[r + Nav.SLOW_E] += (1.0 - keep) * (scale * u_e - mem[r + Nav.SLOW_E])
+    mem[r + Nav.SLOW_VARIANCE] = keep**2 * mem[r + Nav.SLOW_VARIANCE] + (1.0 - keep) ** 2
+    if mem[r + Nav.SLOW_VARIANCE] == 0.0:
+        return
+    squared = 0.5 * (mem[r + Nav.SLOW_N] ** 2 + mem[r + Nav.SLOW_E] ** 2) / mem[r + Nav.SLOW_VARIANCE]
+    step = min(interval, FACTOR_STEP)
+    mem[r + Nav.FACTOR_TIME] += step
+    gain = step / min(FACTOR_MEMORY, FACTOR_PRIOR + mem[r + Nav.FACTOR_TIME])
+    mem[r + Nav.VARIANCE_FACTOR] += gain * (squared - mem[r + Nav.VARIANCE_FACTOR])
 
 
 @njit(_nrt=False)
