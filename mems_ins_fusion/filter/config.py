@@ -349,7 +349,8 @@ def _gnss(values: dict) -> GnssSettings:
         recovery_time=values['gnss.recovery_time'],
         # the planar filter's own errors, slopes, would pass for the receiver's
         adapt_sigma=values['gnss.adapt_sigma'] and values['mechanization'] == 'strapdown',
-        adapt_covariance=values['gnss.adapt_covariance'], outage_after=values['gnss.outage_after'], coloured=_coloured(values))
+        adapt_covariance=values['gnss.adapt_covariance'], outage_after=values['gnss.outage_after'],
+        coloured=_coloured(values))
 
 
 def _sensor(values: dict, name: str, offset: str = '') -> SensorSettings:

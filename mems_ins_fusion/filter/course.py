@@ -143,11 +143,12 @@ def _of_bent_way(imu, positions, standstill, config) -> Course | None:
     if standstill is None or now - standstill.end > LONGEST_COURSE_TIME:
         way = 1 if speeds.sum() > 0 else -1  # who has not turned round drives forwards
     # no better than by two fixes and a chord as long: what the receiver's errors have in common does not show
-    length, noise = float(0.5 * abs(speeds[1:] + speeds[:-1]) @ np.diff(knots)), math.sqrt(2.0) * float(fixes[:, 3].max())
+    length, noise = (float(0.5 * abs(speeds[1:] + speeds[:-1]) @ np.diff(knots)),
+                     math.sqrt(2.0) * float(fixes[:, 3].max()))
     yaw_sigma = math.sqrt(max(0.5 / r, (noise / max(length, 1e-3)) ** 2) + (0.5 * bias * duration) ** 2
                           + SIDESLIP_SIGMA**2)
-    if (way == 0 or length < max(SHORTEST_COURSE, noise / COURSE_SIGMA) or not SLOWEST_START < abs(speeds[-1]) or abs(speeds).max() > FASTEST
-            or way * speeds[-1] < -FASTEST_REVERSE or yaw_sigma > LARGEST_YAW_SIGMA):
+    if (way == 0 or length < max(SHORTEST_COURSE, noise / COURSE_SIGMA) or not SLOWEST_START < abs(speeds[-1])
+            or abs(speeds).max() > FASTEST or way * speeds[-1] < -FASTEST_REVERSE or yaw_sigma > LARGEST_YAW_SIGMA):
         return None
     return Course(yaw if way > 0 else yaw + math.pi, way * speeds[-1], yaw_sigma, speed_sigma)
 

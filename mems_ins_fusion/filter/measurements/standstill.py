@@ -8,6 +8,7 @@ from ..layout import NAV, PLANAR, Event, Head, Nav, Sample
 
 #: the gyroscopes' drift is looked at when the vehicle has stood for so long, s
 STANDING = 3.0
+#: of one that has only begun, s: 0 is in motion
 JUST_NOW = 1e-9
 #: where that has taken so much of the variance of their errors away: a running engine hides the rest
 TOLD = 0.1
@@ -54,9 +55,9 @@ def observe_rate(mem, r, at, h, n, sample, dt):
 def learn_drift(mem, r, since):
     """Realised over assumed variance of the gyroscopes' drift, once in each standstill but the first.
 
-    since: s since the last correction, which at the begin of a standstill may be long ago. By what the estimates of their
-    errors change in its first STANDING s, against what they may: the variance that they had less the one that they have.
-    P stands in the scratch. The first standstill shows the bias that the sensor was switched on with, too.
+    since: s since the last correction, which at the begin of a standstill may be long ago. By what the estimates of
+    their errors change in its first STANDING s, against what they may: the variance that they had less the one that
+    they have. P stands in the scratch. The first standstill shows the bias that the sensor was switched on with, too.
     """
     n_navigation, order = int(mem[Head.N_NAVIGATION]), int(mem[Head.ORDER])
     n, p = n_navigation + int(mem[Head.N_AUGMENTED]), int(mem[Head.SCRATCH_AT])
