@@ -22,7 +22,7 @@ from test_filter_constraints import NON_HOLONOMIC, SIDEWAYS_SIGMA, true_motion
 
 from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.layout import Event, Head, Nav, views
+from mems_ins_fusion.filter.layout import Event, Head, Nav, Verdict, views
 from mems_ins_fusion.filter.replay import run
 from mems_ins_fusion.filter.vehicle_check import vehicle_says
 from mems_ins_fusion.navigation.frames import rotation_from_rpy, wrap
@@ -119,18 +119,18 @@ def test_what_the_start_has_not_shown_is_not_driven_with_for_long(rpy, rate, beg
     assert 'contradicted by the fixes' in said or 'forward axis' in said or 'backwards' in said
 
 
-def test_a_boat_with_the_parameters_of_a_car_is_told_which_are_its():
-    # given a drive on water that flows by 2 m/s
-    clean = clean_drive(SEED)
-
-    def carried(samples):
-        drift = 2.0 * (samples.stamp - clean.imu.stamp[0]) * 1e-9 / 6.37e6
-        return replace(samples, latitude=samples.latitude + drift)
-    result, _, _ = driven(replace(clean, gnss=carried(clean.gnss)))
-    assert any('a boat needs config/boat.yaml' in n.text for n in result.notices)
-    memory = result.memory.copy()
-    memory[Head.SIDEWAYS] = 20.0  # s, as the kernel counts them
-    assert any('went sideways for 20 s' in text for text in vehicle_says(memory, result.config, np.zeros((0, Event.SIZE))))
-    # and a car is not
-    result, _, _ = driven(clean)
+def test_what_no_car_does_is_said_with_the_parameters_that_are_its():
+    # given a car: nothing is said
+    result, _, _ = driven(clean_drive(SEED))
     assert not any('config/boat.yaml' in n.text or 'imu.mounting_rpy' in n.text for n in result.notices)
+    # when it has gone sideways for so long, as the kernel counts
+    memory, fixes = result.memory.copy(), np.zeros((20, Event.SIZE))
+    memory[Head.SIDEWAYS] = 20.0
+    said, = vehicle_says(memory, result.config, fixes)
+    assert 'went sideways for 20 s' in said and 'config/boat.yaml' in said
+    # or fixes are refused that go on while the IMU shows a standstill
+    fixes[:, Event.VERDICT], fixes[:, Event.Z_N] = Verdict.REFUSED, 3.0 * np.arange(20)
+    said, = vehicle_says(result.memory, result.config, fixes)
+    assert 'the fixes go on while /imu/data shows a standstill' in said
+    fixes[::4, Event.V_N] = 5.0  # not while it drives
+    assert vehicle_says(result.memory, result.config, fixes) == []

@@ -31,7 +31,7 @@ Fault = _Fault()
 #: in words, by number
 FAULTS = ('', 'out of range', 'spike', 'saturated', 'frozen', 'all zero',
           'a turn that is too fast for the speed (imu.rate_unit?)',
-          'contradicted by the fixes (units? imu.mounting_rpy? no car, but config/boat.yaml?)')
+          'contradicted by the fixes (units? imu.mounting_rpy?)')
 
 #: the vehicle certainly moves above this speed, m/s
 MOVING_SPEED = 1.0

@@ -17,7 +17,7 @@ MOUNTING_SIGMAS, SMALL_ANGLE = 3.0, 0.2
 #: a vehicle that goes sideways for longer in all is none that rolls, s
 LONGEST_SIDEWAYS = 5.0
 #: refused fixes in a row that go on while the IMU is seen at rest, and how far, m, in that time
-ADRIFT, FARTHEST_ADRIFT = 5, 5.0
+ADRIFT, FARTHEST_ADRIFT = 10, 10.0
 
 
 def vehicle_says(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray) -> list[str]:
