@@ -498,10 +498,14 @@ def _judged(known: Known, candidate: Candidate, model: Model, bench: Bench) -> J
         errors = bench.errors([model.problem.corrected(model.unknowns, model.x)])
         against = objection(proof, compared(known.errors, errors))
         return Judged(candidate, model, parameters, {}, proof, errors, against)
-    model, hidden = _completed(known, candidate, _pruned(refined(model), first))
+    model = refined(model)
+    # what one drive has and another has not may be nothing in all together
+    drives, apart = _by_drive(model, candidate.effect, known.noise, range(first, len(model.unknowns)))
+    contradiction = f'the drives contradict each other ({said(drives)})' if apart else ''
+    model, hidden = _completed(known, candidate, _pruned(model, first))
     if len(model.unknowns) == first:
         return Judged(candidate, known.model, {}, {}, HeldOut(0.0, 1.0, []), known.errors,
-                      'not determined once all is fitted together')
+                      contradiction or 'not determined once all is fitted together', drives, apart)
     parameters = {name: e for name, e in _estimates(candidate, model, first).items()
                   if f'{candidate.name}.{name}' not in hidden}
     # the same noise levels may suit the shorter model better, too
@@ -510,9 +514,7 @@ def _judged(known: Known, candidate: Candidate, model: Model, bench: Bench) -> J
     shorter = max(known.model, shorter, key=lambda m: m.likelihood(mask))
     proof = held_out(model, shorter, known.noise)
     errors = bench.errors([known.problem.corrected(model.unknowns, x) for x in proof.estimates])
-    drives, apart = _by_drive(model, candidate.effect, known.noise, range(first, len(model.unknowns)))
-    against = (implausible(candidate.name, parameters)
-               or (f'the drives contradict each other ({said(drives)})' if apart else '') or _small(model, first)
+    against = (implausible(candidate.name, parameters) or contradiction or _small(model, first)
                or objection(proof, compared(known.errors, errors)))
     return Judged(candidate, model, parameters, hidden, proof, errors, against, drives, apart)
 
