@@ -212,9 +212,11 @@ class Bench:
     def errors(self, models: Sequence[dict], full: bool = False) -> Measured:
         """Of one filter, or of those fitted to all parts but one, in these parts.
 
-        full: with all IMU samples, by the protocol that is reported; else for decisions.
+        full: with all IMU samples, by the protocol that is reported; else for decisions. These look at the covariance as
+        the model has it: scaled by what innovations show, it would hold the truth whatever the model lacks.
         """
-        models = [{**values, 'gnss.time_offset_sigma': self.offset_sigma} for values in models]
+        decides = {} if full else {'gnss.adapt_covariance': False}
+        models = [{**values, 'gnss.time_offset_sigma': self.offset_sigma, **decides} for values in models]
         asked = repr((full, [sorted(values.items()) for values in models]))
         if asked not in self.measured:
             self.measured[asked] = self._measured(models, full)

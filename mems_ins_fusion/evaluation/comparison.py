@@ -3,9 +3,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from itertools import combinations
+from queue import Empty, SimpleQueue
 
 import numpy as np
 
@@ -290,12 +292,17 @@ class _Work:
     def in_threads(self, function, tasks, progress):
         """function(*task) for each task on all cores (the kernel holds no lock), in the order of `tasks`."""
         with ThreadPoolExecutor(len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else None) as pool:
+            done = SimpleQueue()  # in C: a signal cannot leave one of its locks behind, as it can those of `wait`
             futures = [pool.submit(function, *task) for task in tasks]
             try:
-                pending = set(futures)
-                while pending:
-                    _, pending = wait(pending, timeout=0.1, return_when=FIRST_COMPLETED)
-                    progress(1 - len(pending) / len(futures))
+                for future in futures:
+                    future.add_done_callback(done.put)
+                left = len(futures)
+                while left:
+                    with suppress(Empty):
+                        done.get(timeout=0.1)
+                        left -= 1
+                    progress(1 - left / len(futures))
             except BaseException:
                 pool.shutdown(cancel_futures=True)
                 raise

@@ -24,7 +24,7 @@ MOVED_OFF = 0.2  # m/s: of a vehicle whose standstill has only just ended
 LARGEST_TURN = 1.0  # rad: whoever turns by more goes no chord, but a bent way
 BENT = 0.6  # of the way is the chord of a bent one
 KNOT = 4.0  # s: a speed that is fitted to a bent way is linear between such
-PICKED_UP = 4.0  # m/s: by how much it changes in that time, one sigma
+PICKED_UP = 8.0  # m/s: by how much it changes in that time, one sigma
 FEWEST_ON_WAY = 10  # fixes on a bent way
 MISFIT = 3.0  # times the expected sum of squares: no way that the vehicle has gone
 
