@@ -89,6 +89,8 @@ SAME_START = 0.7
 #: an effect is one from so many sigma on, and a parameter of it has a value
 PLAIN, SHOWN = 3.0, 2.0
 MOUNTING = 'mounting_rotation'
+#: what lasts, and what changes and so can do all that it does: the plainer one is tried first
+VARIED = {'gnss_time_offset': 'gnss_latency'}
 #: other noise levels alone are better where the errors are this part of those before, all in all; and
 #: effects, which the likelihood has proven
 BETTER, BETTER_EFFECTS = 0.9, 0.95
@@ -428,7 +430,8 @@ def _tried(known: Known, significant, candidates: list[Candidate], bench: Bench)
     comparable = all(model.problem is known.problem for model in models.values())
     merit = {name: float(np.nansum((m.residual if comparable else m.residual.of_fixes).log_likelihood()[mask]))
              - len(chosen[name].theta) for name, m in models.items()}
-    order = sorted(models, key=merit.get, reverse=True)
+    order = sorted(models, key=lambda name: (max(merit[name], merit.get(VARIED.get(name), -np.inf)), name in VARIED),
+                   reverse=True)
     failed: list[Finding] = []
     for name in order:
         alike = [e.name for e in known.effects if e.name in merit and merit[e.name] > merit[name] - CLOSE
