@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from ..navigation.earth import gravity
+from ..samples import runs
 from .config import FilterConfig
 from .layout import PLANAR
 from .start import Standstill
@@ -32,7 +33,7 @@ def latest_standstill(imu: np.ndarray, positions: np.ndarray, config: FilterConf
     quiet = ((scatter[:, :3].max(axis=1) < config.vehicle.still_acceleration)
              & (scatter[:, 3:].max(axis=1) < config.vehicle.still_rate) & (length > 2))
     ends = np.append(starts[1:], len(imu))
-    for first, last in _runs(quiet)[::-1]:
+    for first, last in runs(quiet)[::-1]:
         if _swings(mean[first:last, 3:]):
             continue
         steady = _longest_steady(mean[first:last])
@@ -50,7 +51,7 @@ def tumbling_rate(imu: np.ndarray, positions: np.ndarray, config: FilterConfig) 
     right, while the accelerometers are quiet and the fixes stay in place; 0 where they show none."""
     mean, scatter, starts, length = _blocks(imu)
     ends = np.append(starts[1:], len(imu))
-    for first, last in _runs((scatter[:, :3].max(axis=1) < config.vehicle.still_acceleration) & (length > 2)):
+    for first, last in runs((scatter[:, :3].max(axis=1) < config.vehicle.still_acceleration) & (length > 2)):
         begin, end = imu[starts[first], 0], imu[ends[last - 1] - 1, 0]
         rate = float(np.abs(mean[first:last, 3:5].mean(axis=0)).max())
         if rate > config.vehicle.still_rate and end - begin >= SHORTEST_STILL and _stays(positions, begin, end):
@@ -74,18 +75,13 @@ def _blocks(imu):
     return mean, np.sqrt(squares / length[:, None]), starts, length
 
 
-def _runs(mask: np.ndarray) -> np.ndarray:
-    """First and last + 1 of each run of True in `mask`, (k, 2)."""
-    return np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))).reshape(-1, 2)
-
-
 def _longest_steady(mean: np.ndarray) -> slice:
     """The longest run of blocks whose means (k, 6) stay near their median: a gentle start is quiet, but not that."""
     away = np.abs(mean - np.median(mean, axis=0))
-    runs = _runs((away[:, :3].max(axis=1) < STEADY_ACCELERATION) & (away[:, 3:].max(axis=1) < STEADY_RATE))
-    if not len(runs):
+    found = runs((away[:, :3].max(axis=1) < STEADY_ACCELERATION) & (away[:, 3:].max(axis=1) < STEADY_RATE))
+    if not len(found):
         return slice(0, 1)
-    first, last = runs[np.argmax(runs[:, 1] - runs[:, 0])]
+    first, last = found[np.argmax(found[:, 1] - found[:, 0])]
     return slice(int(first), int(last))
 
 
