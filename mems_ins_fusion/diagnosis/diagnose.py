@@ -18,7 +18,7 @@ from . import learned
 from .agreement import by_drive, contradicted, plainest_in_one, said
 from .clock import in_its_clock
 from .detection import Detection, detect
-from .drives import Drives, on_all_cores, part, problems
+from .drives import Drives, part, problems
 from .estimate import Estimate
 from .levels import choose, multiplied
 from .outliers import isolated
@@ -48,6 +48,7 @@ from .residuals import (
     calibrated,
     fit,
     noise_unknowns,
+    on_all_cores,
     refined,
     scores,
 )

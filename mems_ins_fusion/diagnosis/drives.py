@@ -5,15 +5,13 @@ each drive. So the innovations of all drives stand one after another, and likeli
 """
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 
 import numpy as np
 
 from ..samples import Recording
-from .residuals import DiagnosisError, Problem, Residual, Unknown
+from .residuals import DiagnosisError, Problem, Residual, Unknown, on_all_cores
 
 
 class Drives:
@@ -86,12 +84,6 @@ class Drives:
         if self._watch[0] is not None:
             self._watch[0]()
         return [joined(found[i:i + count]) for i in range(0, len(found), count)]
-
-
-def on_all_cores(work: Callable, items: Iterable) -> list:
-    """What `work` makes of each of `items`: a filter runs without the interpreter's lock."""
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return list(pool.map(work, items))
 
 
 def joined(residuals: Sequence[Residual]) -> Residual:

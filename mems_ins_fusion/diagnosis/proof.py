@@ -21,8 +21,8 @@ from ..evaluation.outages import summary as outage_summary
 from ..filter.config import FilterConfig
 from ..filter.replay import run, run_with_outages
 from ..samples import ImuSamples, Recording
-from .drives import Drives, on_all_cores
-from .residuals import Model, Problem, Residual, tempered
+from .drives import Drives
+from .residuals import Model, Problem, Residual, on_all_cores, tempered
 
 #: parts of the recording, each held out in turn; blocks of each part; a block is not shorter than this, s
 PARTS, BLOCKS, SHORTEST_BLOCK = 4, 2, 30.0

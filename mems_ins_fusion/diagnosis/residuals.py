@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache
@@ -276,23 +276,19 @@ class Problem:
         return self.innovations(run(config, self.drive.imu, self.drive.gnss, aiding_of(self.drive),
                                      keep=np.zeros(len(self.drive.imu), dtype=bool)))
 
-    def filtered(self, values: dict, recording: Recording, keep: np.ndarray | None = None) -> Run:
-        """A run under other parameters or with another recording, from the same start.
+    def filtered(self, values: dict, recording: Recording, keep: np.ndarray | None = None, through: Callable = run):
+        """A run under other parameters or with another recording, from the same start: what `through` makes of it.
 
-        keep: the samples whose states are kept, (n,) bool; all where None.
+        keep: the samples whose states are kept, (n,) bool; all where None. through: `run`, or `run_with_constraints`.
         """
         config = FilterConfig.from_parameters(values)
         self.runs.append(len(recording.imu))
-        return run(config, recording.imu, recording.gnss, aiding_of(recording),
-                   transferred(self.start, self.config, config), keep)
+        return through(config, recording.imu, recording.gnss, aiding_of(recording),
+                       transferred(self.start, self.config, config), keep)
 
     def residual(self, values: dict, recording: Recording) -> Residual:
         """The innovations under other parameters or with another recording (of the same fixes)."""
-        config = FilterConfig.from_parameters(values)
-        self.runs.append(len(recording.imu))
-        found, said = run_with_constraints(config, recording.imu, recording.gnss, aiding_of(recording),
-                                           transferred(self.start, self.config, config),
-                                           np.zeros(len(recording.imu), dtype=bool))
+        found, said = self.filtered(values, recording, np.zeros(len(recording.imu), dtype=bool), run_with_constraints)
         return replace(self.innovations(found), beside=self.beside(found, said))
 
     def beside(self, of: Run, said: Constrained) -> np.ndarray:
@@ -383,8 +379,13 @@ class Problem:
         def one(x):
             return self.residual(*self.assume(unknowns, x))
 
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            return list(pool.map(one, points))
+        return on_all_cores(one, points)
+
+
+def on_all_cores(work: Callable, items: Iterable) -> list:
+    """What `work` makes of each of `items`: a filter runs without the interpreter's lock."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(work, items))
 
 
 def stated(fixes: Fixes, values: dict) -> np.ndarray:
