@@ -10,7 +10,7 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
-from . import history, receiver
+from . import contradiction, history, receiver
 from .layout import (
     NAV,
     PLANAR,
@@ -149,6 +149,16 @@ def update(mem, r, at, n, dimensions, factor, robust, gate):
 
 
 @njit(_nrt=False)
+def _misfit(mem, r, at, n, factor):
+    """Normalized innovation squared of the fix at `at` before its correction, the antenna's arm taken for exact."""
+    p = int(mem[Head.SCRATCH_AT])
+    a, b = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
+    s_nn, s_ne = mem[p] + factor * mem[at + Event.R_NN], mem[p + 1] + factor * mem[at + Event.R_NE]
+    s_ee = mem[p + n + 1] + factor * mem[at + Event.R_EE]
+    return (s_ee * a * a - 2.0 * s_ne * a * b + s_nn * b * b) / (s_nn * s_ee - s_ne * s_ne)
+
+
+@njit(_nrt=False)
 def feed_back(mem, r):
     """Closed loop: the estimated navigation errors go into the solution, and x is zero there again."""
     if mem[Head.OPEN_LOOP] != 0.0:
@@ -200,6 +210,7 @@ def apply_event(mem, r, at, sample):
     if kind == Kind.POSITION:
         recovered = mem[Head.GATE] > 0.0 and receiver.agreed(mem, r, at)
         if recovered:
+            contradiction.gives_in(mem, r, at, position.difference(mem, r, at, body_to_level(mem, r), sample))
             receiver.start_anew(mem, r, at)
         else:
             v_n, v_e = receiver.finds_course(mem, r, at)
@@ -215,6 +226,9 @@ def apply_event(mem, r, at, sample):
         dimensions = position.observe(mem, r, at, h, n, c, sample)
         height = mem[at + Event.Z_D] + mem[r + Nav.HEIGHT]  # of the planar filter, which has no state for it
         factor, robust, gate = receiver.trust(mem, r, at)
+        if mem[r + Nav.UNSETTLED] > 0.0:
+            robust = gate = 0.0
+            contradiction.loosen(mem, r, n, _misfit(mem, r, at, n, factor))
     elif kind == Kind.VELOCITY:
         dimensions = velocity.observe(mem, r, at, h, n, c, sample)
     elif kind == Kind.SPEED:
@@ -231,6 +245,7 @@ def apply_event(mem, r, at, sample):
         set_radii(mem, r)
     if kind == Kind.POSITION:
         left_n, left_e, _ = position.difference(mem, r, at, body_to_level(mem, r), sample)
+        contradiction.dispute(mem, r, at, left_n, left_e)
         receiver.learn(mem, r, at, left_n, left_e)
 
 
@@ -271,7 +286,7 @@ def constrain(mem, r, sample, dt):
         _clear(mem, h, n)
         c = body_to_level(mem, r)
         dimensions = non_holonomic.observe(mem, r, at, h, n, c, sample)
-        _constrain_motion(mem, r, at, n, h, dimensions)
+        _constrain_motion(mem, r, at, n, h, dimensions, since)
         _note(mem, sample, at, Kind.NON_HOLONOMIC, dimensions)
     else:
         return
@@ -293,7 +308,7 @@ def _turns(mem, r, sample, n_navigation, n):
 
 
 @njit(_nrt=False)
-def _constrain_motion(mem, r, at, n, h, dimensions):
+def _constrain_motion(mem, r, at, n, h, dimensions, since):
     """The components of the non-holonomic constraint one by one, each unless the vehicle does not keep to it."""
     for k in range(dimensions):
         z, variance = mem[at + Event.Z_N + k], mem[at + (Event.R_NN if k == 0 else Event.R_EE)]
@@ -301,6 +316,10 @@ def _constrain_motion(mem, r, at, n, h, dimensions):
         innovation = z - _product(mem, n, h + n * k, r + NAV)
         s = variance + _project(mem, n, h + n * k, column)
         nis = innovation * innovation / s
+        if k == 0 and contradiction.slides(mem, r, nis, since):
+            contradiction.unsettle(mem, r, n, innovation, since)
+            s = variance + _project(mem, n, h + n * k, column)
+            nis = innovation * innovation / s
         mem[at + Event.Z_N + k] = innovation
         mem[at + (Event.S_NN if k == 0 else Event.S_EE)] = s
         running = Nav.LATERAL_NIS if k == 0 else Nav.VERTICAL_NIS

@@ -9,6 +9,7 @@ from ..navigation.earth import gravity
 from ..navigation.frames import leveling
 from ..navigation.strapdown import from_euler, matrix
 from .config import FilterConfig
+from .contradiction import FIRST_USUAL
 from .layout import NAV, PLANAR, Head, Nav, Sample, set_covariance, state_at, variance_factor, views
 from .layout import covariance as covariance_of
 from .prediction import set_radii
@@ -42,6 +43,7 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
     row[Nav.TIME], row[Nav.LATITUDE], row[Nav.LONGITUDE], row[Nav.HEIGHT] = (
         start.time, start.latitude, start.longitude, start.height)
     row[Nav.V_N], row[Nav.V_E] = start.velocity
+    row[Nav.USUAL_SLIDING] = FIRST_USUAL
     row[Nav.GNSS_RATIO] = row[Nav.VARIANCE_FACTOR] = row[Nav.DRIFT_RATIO] = 1.0
     full = np.zeros((layout.n, layout.n))
     full[layout.n_navigation:, layout.n_navigation:] = covariance

@@ -88,7 +88,16 @@ class _Nav(NamedTuple):
     DRIFT_RATIO: int = 59  # realised over assumed variance of their drift
     DRIFT_SUM: int = 60  # of what went into that
     DRIFT_SEEN: int = 61  # and its weight
-    SIZE: int = 62
+    # who is right, fixes or IMU, see contradiction.py
+    SLIDING: int = 62  # NIS of the lateral constraint lately, and as is usual for this vehicle
+    USUAL_SLIDING: int = 63
+    UNSETTLED: int = 64  # s for which the fixes are still to decide
+    DRAWN_N: int = 65  # m: how far fixes that did not fit have drawn the position
+    DRAWN_E: int = 66
+    DISPUTED_NN: int = 67  # m^2: what the covariance of the position is published with besides P
+    DISPUTED_NE: int = 68
+    DISPUTED_EE: int = 69
+    SIZE: int = 70
 
 
 Nav = _Nav()
@@ -236,6 +245,16 @@ def covariance(row: np.ndarray, layout: StateLayout) -> np.ndarray:
     return full.reshape(layout.n, layout.n)
 
 
+def published_covariance(row: np.ndarray, layout: StateLayout) -> np.ndarray:
+    """The covariance (n, n) that `row` deserves to be published with: see receiver.py and contradiction.py."""
+    full = variance_factor(row, 0) * covariance(row, layout)
+    full[0, 0] += row[Nav.DISPUTED_NN]
+    full[0, 1] += row[Nav.DISPUTED_NE]
+    full[1, 0] += row[Nav.DISPUTED_NE]
+    full[1, 1] += row[Nav.DISPUTED_EE]
+    return full
+
+
 def set_covariance(row: np.ndarray, layout: StateLayout, full: np.ndarray) -> None:
     """Write the covariance (n, n) into `row`."""
     store_covariance(np.ascontiguousarray(full).ravel(), 0, layout.n_navigation, layout.n_augmented, row, 0)
@@ -318,7 +337,8 @@ class _Head(NamedTuple):
     SIDEWAYS: int = 143  # s in which the vehicle did not keep to the non-holonomic constraint
     COVARIANCE_FACTOR: int = 144  # whether the covariance is scaled by what the innovations show
     ADAPT_DRIFT: int = 145  # whether the gyroscopes' drift is learned from standstills
-    SIZE: int = 146
+    UNSETTLED: int = 146  # s in which a slide showed that the IMU misled the filter
+    SIZE: int = 147
 
 
 Head = _Head()

@@ -16,7 +16,7 @@ from .imu_faults import FAULTS, Fault
 from .initial import initialize, learned
 from .intake import JUMPED, NAMES, Intake, corrected
 from .kernel import TAKEN
-from .layout import NAV, Event, Head, Kind, Nav, Verdict, covariance, state_at, variance_factor, views
+from .layout import NAV, Event, Head, Kind, Nav, Verdict, published_covariance, state_at, views
 from .odometry import LINEAR, SIZE, TWIST_COVARIANCE, odometry
 from .results import columns
 from .snapshot import made, recalled
@@ -416,7 +416,7 @@ class FusionFilter(Intake):
         layout = self.config.layout
         at = state_at(memory, int(memory[Head.SAMPLES]))
         row = memory[at:at + int(memory[Head.WIDTH])]
-        sigma = np.sqrt(variance_factor(row, 0) * np.diag(covariance(row, layout)))
+        sigma = np.sqrt(np.diag(published_covariance(row, layout)))
         values |= {'position sigma, m': float(math.hypot(sigma[0], sigma[1])),
                    'heading sigma, deg': math.degrees(sigma[layout.n_navigation - 1])}
         if self._memory is None:

@@ -58,6 +58,10 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
     packed_full = np.empty(n * n)
     load_covariance(memory, r, n_navigation, m, packed_full, 0)
     full = variance_factor(memory, r) * packed_full.reshape((n, n))
+    full[0, 0] += memory[r + Nav.DISPUTED_NN]
+    full[1, 1] += memory[r + Nav.DISPUTED_EE]
+    full[0, 1] += memory[r + Nav.DISPUTED_NE]
+    full[1, 0] += memory[r + Nav.DISPUTED_NE]
     latitude, longitude, height, v_n, v_e, v_d, q = corrected(memory, r, is_planar, memory[Head.OPEN_LOOP] != 0.0)
     geodetic[0], geodetic[1], geodetic[2] = latitude, longitude, height
     north, east, down = to_local(latitude, longitude, height, datum)

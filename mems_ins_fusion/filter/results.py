@@ -15,6 +15,10 @@ from .odometry import corrected
 from .start import Start
 
 
+#: besides solution and covariance: what makes metres of angles, and of P what is published
+_SCALES = (Nav.NORTH_SCALE, Nav.EAST_SCALE, Nav.VARIANCE_FACTOR, Nav.DISPUTED_NN, Nav.DISPUTED_NE, Nav.DISPUTED_EE)
+
+
 @dataclass(frozen=True)
 class Innovations:
     """What each fix told the filter, in the order of the fixes' times: those that were used.
@@ -100,8 +104,7 @@ def columns(layout: StateLayout) -> np.ndarray:
     """What of each state is kept: navigation solution, x, the covariance's diagonal and its north-east element,
     and the factor on these."""
     pairs = [(i, i) for i in range(layout.n)] + [(0, 1)]
-    kept = [*range(Nav.RADII_LATITUDE), Nav.NORTH_SCALE, Nav.EAST_SCALE, Nav.VARIANCE_FACTOR,
-            *range(NAV, NAV + layout.n)]
+    kept = [*range(Nav.RADII_LATITUDE), *_SCALES, *range(NAV, NAV + layout.n)]
     kept += [covariance_index(i, j, layout) for i, j in pairs]
     return np.array(kept, dtype=np.uint64)  # unsigned: the kernel need not look for negative ones
 
@@ -110,13 +113,14 @@ def result(config: FilterConfig, stamp, index, states, measured: Measured, **mor
     """A `Run` from the columns `states` (k, c) of the states at the samples `index` (k,) with `stamp` (k,)."""
     layout = config.layout
     rows = np.zeros((len(states), NAV + layout.n))
-    kept = columns(layout)[:Nav.RADII_LATITUDE + 3 + layout.n].astype(np.int64)
+    kept = columns(layout)[:Nav.RADII_LATITUDE + len(_SCALES) + layout.n].astype(np.int64)
     rows[:, kept] = states[:, :len(kept)]
     solution = _solution(rows, config.mechanization == PLANAR, config.open_loop)
     x = rows[:, NAV:]
     first, p = layout.n_navigation, layout.order
     at = len(kept)
     variances = states[:, at:at + layout.n + 1] * np.maximum(rows[:, Nav.VARIANCE_FACTOR], 1.0)[:, None]
+    variances[:, [0, 1, -1]] += rows[:, [Nav.DISPUTED_NN, Nav.DISPUTED_EE, Nav.DISPUTED_NE]]
     return Run(config=config, stamp=stamp, index=index, latitude=solution[:, 0], longitude=solution[:, 1],
                height=solution[:, 2], velocity=solution[:, 3:6], roll=solution[:, 6], pitch=solution[:, 7],
                yaw=solution[:, 8], sensor_errors=x[:, first:first + layout.n_sensor:p],

@@ -24,7 +24,7 @@ from ..samples import Fixes, ImuSamples, Reference
 from . import history
 from .config import FilterConfig
 from .correction import feed_back
-from .layout import NAV, Event, Head, StateLayout, covariance, covariance_index, row_width, state_at
+from .layout import NAV, Event, Head, Nav, StateLayout, covariance, covariance_index, row_width, state_at
 from .replay import WITHHELD, Aiding, Coasting, Events, Progress, Replay, Stretch
 from .results import Run
 
@@ -136,6 +136,7 @@ class _Smoothing(Replay):
             state[NAV:NAV + n] += p @ told
             feed_back(memory, at)
             left = p - p @ information @ p
+            state[Nav.DISPUTED_NN:Nav.DISPUTED_EE + 1] = 0.0  # what came later has settled it
             state[diagonal] = [*np.maximum(np.diag(left), 0.0), left[0, 1]]
             states[i] = state[columns]
             transition, g, more = _parts(row, layout)

@@ -15,7 +15,7 @@ from ..navigation.strapdown import to_euler
 from .alignment import Remembered
 from .config import FilterConfig
 from .initial import aged, learned
-from .layout import NAV, PLANAR, Head, covariance, state_at, variance_factor
+from .layout import NAV, PLANAR, Head, published_covariance, state_at
 from .odometry import corrected
 from .start import SensorErrors
 
@@ -30,7 +30,7 @@ def made(config: FilterConfig, memory: np.ndarray, stamp: int) -> dict:
     layout, at = config.layout, state_at(memory, int(memory[Head.SAMPLES]))
     latitude, longitude, height, v_n, v_e, _, q = corrected(memory, at, config.mechanization == PLANAR,
                                                             config.open_loop)
-    p = variance_factor(memory, at) * covariance(memory[at:at + int(memory[Head.WIDTH])], layout)
+    p = published_covariance(memory[at:at + int(memory[Head.WIDTH])], layout)
     # the vehicle's heading is the body's and the mounting's yaw
     row, turned = layout.n_navigation - 1, layout.index('mounting_yaw')
     direction = np.zeros(layout.n)

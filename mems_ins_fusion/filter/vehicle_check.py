@@ -16,6 +16,8 @@ AT_REST = 0.3
 MOUNTING_SIGMAS, SMALL_ANGLE = 3.0, 0.2
 #: a vehicle that goes sideways for longer in all is none that rolls, s
 LONGEST_SIDEWAYS = 5.0
+#: s of a slide that are worth a word
+LONGEST_UNSETTLED = 0.5
 #: refused fixes in a row that go on while the IMU is seen at rest, and how far, m, in that time
 ADRIFT, FARTHEST_ADRIFT = 10, 10.0
 
@@ -43,6 +45,9 @@ def vehicle_says(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray) ->
     if memory[Head.SIDEWAYS] > LONGEST_SIDEWAYS:
         texts.append(f'the vehicle went sideways for {memory[Head.SIDEWAYS]:.0f} s, against vehicle.non_holonomic, which '
                      'was not used then: a boat needs config/boat.yaml, a robot that turns on the spot config/robot.yaml')
+    if memory[Head.UNSETTLED] > LONGEST_UNSETTLED:
+        texts.append(f'{topic}: for {memory[Head.UNSETTLED]:.1f} s it showed a motion sideways that is not usual for this '
+                     'vehicle: it slid, or the IMU was not right; the fixes decided then')
     return texts
 
 
