@@ -13,10 +13,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
-from .layout import NAV, PLANAR, Event, Head, Nav, Verdict
+from .layout import NAV, PLANAR, Event, Head, Nav, StateLayout, Verdict, covariance, variance_factor
 
 #: s over which the normalized innovation squared (NIS) of the lateral constraint is averaged, and what is usual of it
 NOW, USUALLY = 1.0, 30.0
@@ -35,12 +37,18 @@ LOOSENED = 2.0
 #: part of the way between filter and fixes that is one sigma of where the truth is
 DISPUTED = 0.5
 #: s in which what the fixes have drawn is forgotten when they fit
-FORGIVEN = 10.0
+FORGIVEN = 30.0
 
 
 @njit(_nrt=False)
-def slides(mem, r, nis, since):
-    """Whether the vehicle slides as it does not usually; nis: of the lateral constraint, since: s from the one before."""
+def slides(mem, r, c, innovation, s, since):
+    """Whether the IMU has the vehicle slide as it does not usually.
+
+    c: rotation from the vehicle's axes to n. innovation, s: of the lateral constraint, m/s, and its variance. since: s
+    from the one before. What fixes have drawn sideways is not the IMU's.
+    """
+    drawn = c[1] * mem[r + Nav.DRAWN_V_N] + c[4] * mem[r + Nav.DRAWN_V_E]
+    nis = min(innovation * innovation, (innovation - drawn) ** 2) / s
     usual = mem[r + Nav.USUAL_SLIDING]
     mem[r + Nav.SLIDING] += (nis - mem[r + Nav.SLIDING]) * min(since / NOW, 1.0)
     mem[r + Nav.USUAL_SLIDING] += (min(nis, LARGEST_LESSON * usual) - usual) * min(since / USUALLY, 1.0)
@@ -77,32 +85,62 @@ def loosen(mem, r, n, nis):
 
 
 @njit(_nrt=False)
-def gives_in(mem, r, at, difference):
-    """The filter is about to start anew from the fix at `at`; difference: predicted minus measured position, m."""
-    mem[r + Nav.DRAWN_N] += difference[0] - mem[r + NAV]
-    mem[r + Nav.DRAWN_E] += difference[1] - mem[r + NAV + 1]
+def estimate(mem, r):
+    """Latitude, longitude (rad), north and east velocity (m/s) of the state at r, x taken out."""
+    x, k = r + NAV, planar.State.V_N if mem[Head.MECHANIZATION] == PLANAR else strapdown.State.V_N
+    return (mem[r + Nav.LATITUDE] - mem[x] * mem[r + Nav.NORTH_SCALE],
+            mem[r + Nav.LONGITUDE] - mem[x + 1] * mem[r + Nav.EAST_SCALE],
+            mem[r + Nav.V_N] - mem[x + k], mem[r + Nav.V_E] - mem[x + k + 1])
 
 
 @njit(_nrt=False)
-def dispute(mem, r, at, left_n, left_e):
-    """What is published beside P after the fix at `at`, which has been judged, and left this of its innovation, m.
+def dispute(mem, r, at, before, left_n, left_e):
+    """Remember what the fix at `at`, which has been judged, did to the `estimate` before it, if it did not fit.
 
-    left: updated minus measured position. The way from the prediction to there is what the fix has drawn.
+    left: updated minus measured position, m.
     """
     interval = max(mem[at + Event.TIME] - mem[r + Nav.FIX_TIME], 0.0)
-    misfit = mem[at + Event.NIS] > mem[Head.ROBUST_SIGMA] ** 2 and mem[Head.ROBUST_SIGMA] > 0.0
-    if mem[at + Event.VERDICT] == Verdict.REFUSED:
+    mem[r + Nav.DRAWN_N] += mem[r + Nav.DRAWN_V_N] * interval
+    mem[r + Nav.DRAWN_E] += mem[r + Nav.DRAWN_V_E] * interval
+    verdict, robust = mem[at + Event.VERDICT], mem[Head.ROBUST_SIGMA]
+    if verdict == Verdict.REFUSED:
         return
-    if not misfit:
-        keep = math.exp(-interval / FORGIVEN)
-        mem[r + Nav.DRAWN_N] *= keep
-        mem[r + Nav.DRAWN_E] *= keep
-        left_n = left_e = 0.0
-    else:
-        mem[r + Nav.DRAWN_N] += mem[at + Event.Z_N] - left_n
-        mem[r + Nav.DRAWN_E] += mem[at + Event.Z_E] - left_e
-    drawn_n, drawn_e = mem[r + Nav.DRAWN_N], mem[r + Nav.DRAWN_E]
-    part = DISPUTED * DISPUTED
-    mem[r + Nav.DISPUTED_NN] = part * (left_n * left_n + drawn_n * drawn_n)
-    mem[r + Nav.DISPUTED_NE] = part * (left_n * left_e + drawn_n * drawn_e)
-    mem[r + Nav.DISPUTED_EE] = part * (left_e * left_e + drawn_e * drawn_e)
+    if verdict == Verdict.RECOVERED or robust > 0.0 and mem[at + Event.NIS] > robust * robust:
+        latitude, longitude, v_n, v_e = estimate(mem, r)
+        mem[r + Nav.DRAWN_N] += (latitude - before[0]) / mem[r + Nav.NORTH_SCALE]
+        mem[r + Nav.DRAWN_E] += (longitude - before[1]) / mem[r + Nav.EAST_SCALE]
+        mem[r + Nav.DRAWN_V_N] += v_n - before[2]
+        mem[r + Nav.DRAWN_V_E] += v_e - before[3]
+        mem[r + Nav.LEFT_N], mem[r + Nav.LEFT_E] = left_n, left_e
+        return
+    keep = math.exp(-interval / FORGIVEN)
+    for i in range(Nav.DRAWN_N, Nav.DRAWN_V_E + 1):
+        mem[r + i] *= keep
+    mem[r + Nav.LEFT_N] = mem[r + Nav.LEFT_E] = 0.0
+
+
+@njit(_nrt=False)
+def disputed(row, r):
+    """One sigma of what the state at r in `row` is published with besides P: twice a vector of position (n, e; m) and
+    velocity (n, e; m/s). First where the state has been drawn from by now, then where the fixes would have it."""
+    since = row[r + Nav.TIME] - row[r + Nav.FIX_TIME]
+    v_n, v_e = DISPUTED * row[r + Nav.DRAWN_V_N], DISPUTED * row[r + Nav.DRAWN_V_E]
+    return ((DISPUTED * row[r + Nav.DRAWN_N] + since * v_n, DISPUTED * row[r + Nav.DRAWN_E] + since * v_e, v_n, v_e),
+            (DISPUTED * row[r + Nav.LEFT_N], DISPUTED * row[r + Nav.LEFT_E], 0.0, 0.0))
+
+
+@njit(_nrt=False)
+def widen(full, first, row, r):
+    """Add what is `disputed` of the state at r in `row` to its covariance `full` (n, n); first: state of the velocity."""
+    where = (0, 1, first, first + 1)
+    for vector in disputed(row, r):
+        for i in range(4):
+            for j in range(4):
+                full[where[i], where[j]] += vector[i] * vector[j]
+
+
+def published_covariance(row: np.ndarray, layout: StateLayout) -> np.ndarray:
+    """The covariance (n, n) that the state in `row` is published with."""
+    full = variance_factor(row, 0) * covariance(row, layout)
+    widen(full, layout.index('v_n'), row, 0)
+    return full

@@ -25,7 +25,7 @@ from .layout import (
     store_covariance,
 )
 from .measurements import heading, non_holonomic, position, speed, standstill, velocity
-from .measurements.geometry import angular_rate, body_to_level
+from .measurements.geometry import angular_rate, body_to_level, vehicle_to_level
 from .prediction import set_radii
 
 #: standstill and non-holonomic constraints are applied this often, s: their errors are not white from sample to sample
@@ -206,11 +206,10 @@ def apply_event(mem, r, at, sample):
         mem[at + Event.VERDICT], mem[at + Event.WEIGHT] = Verdict.FROZEN, 0.0
         return
     load_covariance(mem, r, n_navigation, m, mem, p)
-    recovered = False
+    recovered, before = False, contradiction.estimate(mem, r)
     if kind == Kind.POSITION:
         recovered = mem[Head.GATE] > 0.0 and receiver.agreed(mem, r, at)
         if recovered:
-            contradiction.gives_in(mem, r, at, position.difference(mem, r, at, body_to_level(mem, r), sample))
             receiver.start_anew(mem, r, at)
         else:
             v_n, v_e = receiver.finds_course(mem, r, at)
@@ -245,7 +244,7 @@ def apply_event(mem, r, at, sample):
         set_radii(mem, r)
     if kind == Kind.POSITION:
         left_n, left_e, _ = position.difference(mem, r, at, body_to_level(mem, r), sample)
-        contradiction.dispute(mem, r, at, left_n, left_e)
+        contradiction.dispute(mem, r, at, before, left_n, left_e)
         receiver.learn(mem, r, at, left_n, left_e)
 
 
@@ -286,7 +285,7 @@ def constrain(mem, r, sample, dt):
         _clear(mem, h, n)
         c = body_to_level(mem, r)
         dimensions = non_holonomic.observe(mem, r, at, h, n, c, sample)
-        _constrain_motion(mem, r, at, n, h, dimensions, since)
+        _constrain_motion(mem, r, at, n, h, vehicle_to_level(mem, r, c), dimensions, since)
         _note(mem, sample, at, Kind.NON_HOLONOMIC, dimensions)
     else:
         return
@@ -308,15 +307,18 @@ def _turns(mem, r, sample, n_navigation, n):
 
 
 @njit(_nrt=False)
-def _constrain_motion(mem, r, at, n, h, dimensions, since):
-    """The components of the non-holonomic constraint one by one, each unless the vehicle does not keep to it."""
+def _constrain_motion(mem, r, at, n, h, c, dimensions, since):
+    """The components of the non-holonomic constraint one by one, each unless the vehicle does not keep to it.
+
+    c: rotation from the vehicle's axes to n.
+    """
     for k in range(dimensions):
         z, variance = mem[at + Event.Z_N + k], mem[at + (Event.R_NN if k == 0 else Event.R_EE)]
         column = h + (3 + k) * n
         innovation = z - _product(mem, n, h + n * k, r + NAV)
         s = variance + _project(mem, n, h + n * k, column)
         nis = innovation * innovation / s
-        if k == 0 and contradiction.slides(mem, r, nis, since):
+        if k == 0 and contradiction.slides(mem, r, c, innovation, s, since):
             contradiction.unsettle(mem, r, n, innovation, since)
             s = variance + _project(mem, n, h + n * k, column)
             nis = innovation * innovation / s

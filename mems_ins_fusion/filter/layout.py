@@ -92,12 +92,13 @@ class _Nav(NamedTuple):
     SLIDING: int = 62  # NIS of the lateral constraint lately, and as is usual for this vehicle
     USUAL_SLIDING: int = 63
     UNSETTLED: int = 64  # s for which the fixes are still to decide
-    DRAWN_N: int = 65  # m: how far fixes that did not fit have drawn the position
+    DRAWN_N: int = 65  # by what fixes that did not fit have changed position, m, and velocity, m/s, until the last fix
     DRAWN_E: int = 66
-    DISPUTED_NN: int = 67  # m^2: what the covariance of the position is published with besides P
-    DISPUTED_NE: int = 68
-    DISPUTED_EE: int = 69
-    SIZE: int = 70
+    DRAWN_V_N: int = 67
+    DRAWN_V_E: int = 68
+    LEFT_N: int = 69  # m: and how far they still are from it
+    LEFT_E: int = 70
+    SIZE: int = 71
 
 
 Nav = _Nav()
@@ -243,16 +244,6 @@ def covariance(row: np.ndarray, layout: StateLayout) -> np.ndarray:
     full = np.empty(layout.n**2)
     load_covariance(row, 0, layout.n_navigation, layout.n_augmented, full, 0)
     return full.reshape(layout.n, layout.n)
-
-
-def published_covariance(row: np.ndarray, layout: StateLayout) -> np.ndarray:
-    """The covariance (n, n) that `row` deserves to be published with: see receiver.py and contradiction.py."""
-    full = variance_factor(row, 0) * covariance(row, layout)
-    full[0, 0] += row[Nav.DISPUTED_NN]
-    full[0, 1] += row[Nav.DISPUTED_NE]
-    full[1, 0] += row[Nav.DISPUTED_NE]
-    full[1, 1] += row[Nav.DISPUTED_EE]
-    return full
 
 
 def set_covariance(row: np.ndarray, layout: StateLayout, full: np.ndarray) -> None:

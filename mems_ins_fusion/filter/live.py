@@ -12,11 +12,12 @@ from ..samples import Fixes, Headings, Speeds, Velocities
 from . import kernel
 from .alignment import STANDING_SIGMA, Alignment, start_covariance
 from .config import FilterConfig
+from .contradiction import published_covariance
 from .imu_faults import FAULTS, Fault
 from .initial import initialize, learned
 from .intake import JUMPED, NAMES, Intake, corrected
 from .kernel import TAKEN
-from .layout import NAV, Event, Head, Kind, Nav, Verdict, published_covariance, state_at, views
+from .layout import NAV, Event, Head, Kind, Nav, Verdict, state_at, views
 from .odometry import LINEAR, SIZE, TWIST_COVARIANCE, odometry
 from .results import columns
 from .snapshot import made, recalled

@@ -9,6 +9,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
 from ..navigation.earth import to_local
+from .contradiction import widen
 from .layout import NAV, PLANAR, Head, Nav, Sample, load_covariance, sample_at, state_at, variance_factor
 
 #: where each part stands in the vector that `odometry` fills
@@ -58,10 +59,7 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
     packed_full = np.empty(n * n)
     load_covariance(memory, r, n_navigation, m, packed_full, 0)
     full = variance_factor(memory, r) * packed_full.reshape((n, n))
-    full[0, 0] += memory[r + Nav.DISPUTED_NN]
-    full[1, 1] += memory[r + Nav.DISPUTED_EE]
-    full[0, 1] += memory[r + Nav.DISPUTED_NE]
-    full[1, 0] += memory[r + Nav.DISPUTED_NE]
+    widen(full, planar.State.V_N if is_planar else strapdown.State.V_N, memory, r)
     latitude, longitude, height, v_n, v_e, v_d, q = corrected(memory, r, is_planar, memory[Head.OPEN_LOOP] != 0.0)
     geodetic[0], geodetic[1], geodetic[2] = latitude, longitude, height
     north, east, down = to_local(latitude, longitude, height, datum)

@@ -9,6 +9,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation.strapdown import to_euler
 from .config import FilterConfig
+from .contradiction import disputed
 from .intake import Notice
 from .layout import NAV, PLANAR, Event, Kind, Nav, StateLayout, Verdict, covariance_index
 from .odometry import corrected
@@ -16,7 +17,7 @@ from .start import Start
 
 
 #: besides solution and covariance: what makes metres of angles, and of P what is published
-_SCALES = (Nav.NORTH_SCALE, Nav.EAST_SCALE, Nav.VARIANCE_FACTOR, Nav.DISPUTED_NN, Nav.DISPUTED_NE, Nav.DISPUTED_EE)
+_SCALES = (Nav.NORTH_SCALE, Nav.EAST_SCALE, Nav.VARIANCE_FACTOR, Nav.FIX_TIME, *range(Nav.DRAWN_N, Nav.LEFT_E + 1))
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,8 @@ def result(config: FilterConfig, stamp, index, states, measured: Measured, **mor
     first, p = layout.n_navigation, layout.order
     at = len(kept)
     variances = states[:, at:at + layout.n + 1] * np.maximum(rows[:, Nav.VARIANCE_FACTOR], 1.0)[:, None]
-    variances[:, [0, 1, -1]] += rows[:, [Nav.DISPUTED_NN, Nav.DISPUTED_EE, Nav.DISPUTED_NE]]
+    velocity = layout.index('v_n')
+    variances[:, [0, 1, velocity, velocity + 1, -1]] += _disputed(rows)
     return Run(config=config, stamp=stamp, index=index, latitude=solution[:, 0], longitude=solution[:, 1],
                height=solution[:, 2], velocity=solution[:, 3:6], roll=solution[:, 6], pitch=solution[:, 7],
                yaw=solution[:, 8], sensor_errors=x[:, first:first + layout.n_sensor:p],
@@ -140,6 +142,18 @@ def _solution(rows, is_planar, open_loop):
             out[k, 8] = rows[k, Nav.YAW] - (rows[k, NAV + 4] if open_loop else 0.0)
         else:
             out[k, 6], out[k, 7], out[k, 8] = to_euler(q)
+    return out
+
+
+@njit
+def _disputed(rows):
+    """Of each state, what is published besides P: variances of r_n, r_e, v_n, v_e and the covariance of r_n, r_e."""
+    out = np.zeros((len(rows), 5))
+    for k in range(len(rows)):
+        for vector in disputed(rows[k], 0):
+            for i in range(4):
+                out[k, i] += vector[i] * vector[i]
+            out[k, 4] += vector[0] * vector[1]
     return out
 
 

@@ -14,8 +14,9 @@ import numpy as np
 from ..navigation.strapdown import to_euler
 from .alignment import Remembered
 from .config import FilterConfig
+from .contradiction import published_covariance
 from .initial import aged, learned
-from .layout import NAV, PLANAR, Head, published_covariance, state_at
+from .layout import NAV, PLANAR, Head, state_at
 from .odometry import corrected
 from .start import SensorErrors
 
