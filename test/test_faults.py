@@ -18,12 +18,12 @@ SEED = 2001
 UNSAID = {'nothing', 'claimed sigma a tenth of the true one', 'altitude 1000 m off for 10 s', 'IMU frozen for 5 s',
           'altitude 300 m more for 20 s', 'claimed covariance a millionth for 20 s',
           'claimed covariance a million times for 20 s', 'gyroscope z stuck for 10 s', 'accelerometer x stuck for 10 s',
-          'IMU axes x and y swapped for 2 s', 'IMU at half its rate for 20 s', 'half of the IMU samples lost for 20 s',
-          'fixes go straight on for 15 s', 'IMU noise of 3 m/s^2 and 0.2 rad/s for 10 s', 'gyroscope z 5 deg/s off for 10 s',
+          'IMU at half its rate for 20 s', 'half of the IMU samples lost for 20 s', 'fixes go straight on for 15 s',
           'fixes drift away by 3 m/s for 20 s'}
 #: what nothing but the motion itself shows: it is followed for a while, and forgotten (docs/faults.md)
-FOLLOWED = {'IMU noise of 3 m/s^2 and 0.2 rad/s for 10 s', 'gyroscope z 5 deg/s off for 10 s',
-            'IMU axes x and y swapped for 2 s', 'fixes drift away by 3 m/s for 20 s', 'fixes go straight on for 15 s'}
+FOLLOWED = {'fixes drift away by 3 m/s for 20 s', 'fixes go straight on for 15 s'}
+#: what only the constraint shows, and as soon as it does: it may cost so many times what coasting through it does
+SHOWN_BY_MOTION = {'gyroscope z 5 deg/s off for 10 s': 2.0}
 
 
 @pytest.mark.parametrize('fault', FAULTS, ids=lambda fault: fault.name)
@@ -43,6 +43,10 @@ def test_a_fault_is_contained_said_and_forgotten(fault):
     # and meanwhile it costs no more than coasting through it would, or than fixes without an IMU: their scatter and
     # what a car may do in the second between two
     if fault.duration <= 20.0 and fault.name not in FOLLOWED:
-        assert during(faulty) < max(1.3 * during(coasting), 3.0 * max(during(clean), 2.0))
+        allowed = SHOWN_BY_MOTION.get(fault.name, 1.3)
+        assert during(faulty) < max(allowed * during(coasting), 3.0 * max(during(clean), 2.0))
+    # and the covariance holds it
+    if fault.name not in FOLLOWED:
+        assert faulty.inside[(faulty.time >= 0) & (faulty.time <= fault.duration + 60.0)].mean() > 0.9
     # and it is said
     assert bool(faulty.said) or fault.name in UNSAID

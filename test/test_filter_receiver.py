@@ -278,6 +278,7 @@ def test_the_factor_is_in_all_that_is_published(mechanization):
     for factor in (1.0, 4.0):
         row = views(memory)[2][int(views(memory)[0][Head.SAMPLES]) % config.capacity]
         row[Nav.VARIANCE_FACTOR] = factor
+        row[Nav.DRAWN_N:Nav.LEFT_E + 1] = 0.0  # published besides, see test_filter_contradiction.py
         out, covariance_enu = np.zeros(SIZE), np.zeros(9)
         odometry(memory, np.array([LATITUDE, LONGITUDE, HEIGHT]), 2.0, out, np.zeros(3), covariance_enu)
         states = row[columns(config.layout).astype(np.int64)][None]

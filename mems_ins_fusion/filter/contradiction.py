@@ -34,8 +34,8 @@ UNSETTLED_TIME = 20.0
 SLOWEST = 1.0
 #: normalized innovation squared of a fix, 2 degrees of freedom, to which an unsettled state is loosened
 LOOSENED = 2.0
-#: part of the way between filter and fixes that is one sigma of where the truth is
-DISPUTED = 0.5
+#: the fixes are as likely right as wrong: half the square of how far the truth then is off
+DISPUTED = math.sqrt(0.5)
 #: s in which what the fixes have drawn is forgotten when they fit
 FORGIVEN = 30.0
 

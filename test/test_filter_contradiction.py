@@ -1,0 +1,202 @@
+"""Who is right where fixes, IMU and the vehicle's constraint contradict each other: a slide, and what is in dispute."""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from filter_support import LATITUDE, LONGITUDE, configure, fix_record, random_covariance, started, take_all
+
+from mems_ins_fusion.filter.contradiction import (
+    LOOSENED,
+    UNSETTLED_TIME,
+    disputed,
+    loosen,
+    published_covariance,
+    slides,
+    unsettle,
+)
+from mems_ins_fusion.filter.layout import Head, Nav, covariance, state_at
+from mems_ins_fusion.filter.odometry import POSE_COVARIANCE, SIZE, odometry
+from mems_ins_fusion.filter.vehicle_check import vehicle_says
+from mems_ins_fusion.navigation.earth import gravity, radii
+
+BOTH = pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+CAR = {'vehicle.non_holonomic': True, 'vehicle.zero_velocity': True, 'gnss.gate_probability': 0.999999,
+       'gnss.robust_sigma': 3.0}
+EAST = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)  # rotation of a vehicle that goes north: its right is east
+STEP = 0.1
+
+
+def a_state(mechanization='strapdown', **more):
+    """Configuration, memory and position of its first state, north at 10 m/s."""
+    config = configure({**CAR, **more}, mechanization=mechanization)
+    memory = started(config, velocity=(10.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0))
+    return config, memory, state_at(memory, 0)
+
+
+def slid(memory, r, innovations, s=0.04):
+    return [slides(memory, r, EAST, z, s, STEP) for z in innovations]
+
+
+def noise(sigma, seconds, seed=1):
+    return sigma * np.random.default_rng(seed).standard_normal(round(seconds / STEP))
+
+
+@pytest.mark.parametrize('usual', [0.02, 0.06])  # m/s: both well within the constraint's sigma of 0.2
+def test_a_slide_is_one_beside_what_is_usual_for_the_vehicle(usual):
+    # given a vehicle that has kept to its lane for two minutes
+    _, memory, r = a_state()
+    assert not any(slid(memory, r, noise(usual, 120.0)))
+    # when it slides a dozen times as fast as usual, it is seen within a second
+    assert any(slid(memory, r, np.full(10, 15.0 * usual + 0.2)))
+
+
+def test_who_always_slides_is_not_told_of_it():
+    # given a vehicle to which the constraint does not apply, 2 m/s sideways in waves
+    _, memory, r = a_state()
+    slid(memory, r, noise(2.0, 120.0))
+    # then that is what is usual
+    assert not any(slid(memory, r, noise(2.0, 120.0, seed=2)))
+
+
+@pytest.mark.parametrize('drawn, is_one', [(2.0, False), (-2.0, True), (0.0, True)])
+def test_what_fixes_have_drawn_sideways_is_not_the_imus_slide(drawn, is_one):
+    _, memory, r = a_state()
+    slid(memory, r, noise(0.05, 60.0))
+    # given a fix that has drawn the velocity to the east, which is to the right
+    memory[r + Nav.DRAWN_V_E] = drawn
+    # then a motion to the right by as much is its doing
+    assert any(slid(memory, r, np.full(20, 2.0))) == is_one
+
+
+@BOTH
+def test_after_a_slide_velocity_and_heading_are_as_uncertain_as_it_is_large(mechanization):
+    # given a covariance in the scratch
+    config, memory, r = a_state(mechanization)
+    n, p = config.layout.n, int(memory[Head.SCRATCH_AT])
+    before = random_covariance(n, np.random.default_rng(3))
+    memory[p:p + n * n] = before.ravel()
+    # when the vehicle slides by 1.5 m/s at 10 m/s
+    unsettle(memory, r, n, 1.5, STEP)
+    added = memory[p:p + n * n].reshape(n, n) - before
+    # then by its square: of velocities, and of the angle whose sine it is at that speed
+    expected = np.zeros(n)
+    names = config.layout.names
+    expected[[names.index('v_n'), names.index('v_e')]] = 1.5**2
+    expected[names.index('yaw' if mechanization == 'planar' else 'phi_d')] = 0.15**2
+    np.testing.assert_allclose(added, np.diag(expected), atol=1e-12)
+    assert memory[r + Nav.UNSETTLED] == UNSETTLED_TIME and memory[Head.UNSETTLED] == STEP
+
+
+@BOTH
+def test_a_loosened_state_fits_a_fix_that_contradicts_it(mechanization):
+    config, memory, r = a_state(mechanization)
+    n, p, first = config.layout.n, int(memory[Head.SCRATCH_AT]), config.layout.n_navigation
+    before = random_covariance(n, np.random.default_rng(4))
+    memory[p:p + n * n] = before.ravel()
+    # given an exact fix that is off by a normalized innovation of 50
+    z = np.array([3.0, 4.0])
+    z *= math.sqrt(50.0 / (z @ np.linalg.solve(before[:2, :2], z)))
+    loosen(memory, r, n, 50.0)
+    after = memory[p:p + n * n].reshape(n, n)
+    # then it fits as well as it has to, the sensor errors are as they were, and it is a covariance
+    assert z @ np.linalg.solve(after[:2, :2], z) == pytest.approx(LOOSENED)
+    np.testing.assert_array_equal(after[first:, first:], before[first:, first:])
+    np.testing.assert_allclose(after, after.T)
+    assert np.linalg.eigvalsh(after).min() > 0.0
+
+
+@BOTH
+def test_one_that_fits_loosens_nothing(mechanization):
+    config, memory, r = a_state(mechanization)
+    before = memory.copy()
+    loosen(memory, r, config.layout.n, 0.99 * LOOSENED)
+    np.testing.assert_array_equal(memory, before)
+
+
+@BOTH
+def test_what_is_published_holds_both_sides_of_a_dispute(mechanization):
+    # given a state that fixes have drawn by 6 m and 1 m/s to the east, until 3 s ago, and that they want 4 m further north
+    config, memory, r = a_state(mechanization)
+    memory[r + Nav.TIME], memory[r + Nav.FIX_TIME] = 13.0, 10.0
+    memory[r + Nav.DRAWN_E], memory[r + Nav.DRAWN_V_E], memory[r + Nav.LEFT_N] = 6.0, 1.0, 4.0
+    memory[r + Nav.VARIANCE_FACTOR] = 2.0
+    row = memory[r:r + int(memory[Head.WIDTH])]
+    # then the truth is as likely there as here: half the squares, 9 m by now
+    added = published_covariance(row, config.layout) - 2.0 * covariance(row, config.layout)
+    expected = np.zeros_like(added)
+    east = [1, config.layout.index('v_e')]
+    expected[np.ix_(east, east)] = 0.5 * np.outer([9.0, 1.0], [9.0, 1.0])
+    expected[0, 0] = 0.5 * 4.0**2
+    np.testing.assert_allclose(added, expected, atol=1e-12)
+    # and ROS is told the same
+    out, enu = np.zeros(SIZE), np.zeros(9)
+    odometry(memory, np.array([LATITUDE, LONGITUDE, 0.0]), 2.0, out, np.zeros(3), enu)
+    pose = out[POSE_COVARIANCE:POSE_COVARIANCE + 36].reshape(6, 6)
+    full = published_covariance(row, config.layout)
+    np.testing.assert_allclose(pose[:2, :2], [[full[1, 1], full[0, 1]], [full[0, 1], full[0, 0]]])
+
+
+class Drive:
+    """North at 10 m/s for 60 s at 50 Hz, fixes of 0.5 m each second; without an error what is true is known."""
+
+    def __init__(self):
+        rng = np.random.default_rng(5)
+        self.samples = np.zeros((3000, 7))
+        self.samples[:, 0] = np.arange(1, 3001) / 50.0
+        self.samples[:, 3] = -gravity(LATITUDE, 480.0)
+        self.samples[:, 1:] += rng.standard_normal((3000, 6)) * np.repeat([0.03, 1e-3], 3)
+        self.time = np.arange(0.51, 59.0)
+        self.position = np.stack([10.0 * self.time, np.zeros(len(self.time))], axis=1)
+        self.position += 0.5 * rng.standard_normal((len(self.time), 2))
+
+    def through(self, mechanization):
+        """Configuration, memory, and at each fix after the first: error (k, 2), m, and `disputed` sigmas (k, 2), m."""
+        config = configure(CAR, mechanization=mechanization)
+        n, first = config.layout.n, config.layout.n_navigation
+        p = np.diag(np.concatenate([np.square([1, 1, .2, .2, .02] if first == 5 else
+                                              [1, 1, 1, .2, .2, .2, .005, .005, .02]), np.full(n - first, 1e-6)]))
+        memory = started(config, velocity=(10.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=p)
+        scale = np.array([radii(LATITUDE)[0] + 480.0, (radii(LATITUDE)[1] + 480.0) * math.cos(LATITUDE)])
+        records = np.array([fix_record(t, LATITUDE + north / scale[0], LONGITUDE + east / scale[1], r=0.25 * np.eye(2))
+                            for t, (north, east) in zip(self.time, self.position)])
+        kept = [Nav.TIME, Nav.LATITUDE, Nav.LONGITUDE, Nav.FIX_TIME, *range(Nav.DRAWN_N, Nav.LEFT_E + 1)]
+        states, records = take_all(memory, self.samples, records, kept)
+        rows = np.zeros((len(states), Nav.SIZE))
+        rows[:, kept] = states
+        truth = np.stack([10.0 * rows[:, Nav.TIME], np.zeros(len(rows))], axis=1)
+        error = (rows[:, [Nav.LATITUDE, Nav.LONGITUDE]] - [LATITUDE, LONGITUDE]) * scale - truth
+        sigma = np.array([np.hypot(*np.array(disputed(row, 0))[:, :2]) for row in rows])
+        return config, memory, error, sigma, records
+
+
+@BOTH
+def test_nothing_is_in_dispute_where_all_is_right(mechanization):
+    config, memory, error, sigma, records = Drive().through(mechanization)
+    assert memory[Head.UNSETTLED] == 0.0
+    assert np.hypot(*sigma.T).max() < 1.0 and np.hypot(*error.T).max() < 2.0
+    assert not any('sideways' in text for text in vehicle_says(memory, config, records))
+
+
+def test_a_gyroscope_that_turns_away_is_seen_and_said():
+    # given a gyroscope that shows 5 deg/s of a turn for 10 s where there is none
+    drive = Drive()
+    drive.samples[1500:2000, 6] += math.radians(5.0)
+    config, memory, error, _, records = drive.through('planar')
+    # then the fixes decide: by the IMU and the constraint it would be v w t^2 / 2 = 44 m off
+    assert memory[Head.UNSETTLED] > 1.0
+    assert np.hypot(*error.T).max() < 6.0 and np.hypot(*error[-500:].T).max() < 2.0
+    assert any('sideways' in text for text in vehicle_says(memory, config, records))
+
+
+@BOTH
+def test_fixes_that_drift_away_widen_what_is_published(mechanization):
+    # given fixes that drift ahead by 4 m/s for 10 s, which no constraint contradicts
+    drive = Drive()
+    drive.position[:, 0] += 4.0 * np.clip(drive.time - 30.0, 0.0, 10.0)
+    _, memory, error, sigma, _ = drive.through(mechanization)
+    # then where it has been drawn from is within the 95 % ellipse of what is published, but for its first seconds
+    later = slice(round(36.0 * 50), round(41.0 * 50))
+    assert np.abs(error[later, 0]).max() > 10.0
+    assert (np.abs(error[later, 0]) < 2.45 * sigma[later, 0] + 2.0).mean() > 0.9
