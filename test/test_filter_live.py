@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from filter_support import MODELS, configure, newest
 
-from mems_ins_fusion.filter.layout import NAV, Kind, Verdict, covariance
+from mems_ins_fusion.filter.contradiction import published_covariance
+from mems_ins_fusion.filter.layout import NAV, Kind, Verdict
 from mems_ins_fusion.filter.live import FusionFilter
 from mems_ins_fusion.filter.publish import published as would_publish
 from mems_ins_fusion.filter.replay import Aiding, run
@@ -118,7 +119,7 @@ def live(config, imu, fixes, aiding=Aiding()):
                           *map(float, imu.angular_rate[k])) and fusion.aligned:
             stamp = fusion.update_odometry()
             row = newest(fusion._memory)
-            sigma = np.sqrt(np.diag(covariance(row, config.layout)))
+            sigma = np.sqrt(np.diag(published_covariance(row, config.layout)))
             published.append((k, stamp, *fusion.geodetic, *sigma, row))
         notices += fusion.notices()
     return published, notices

@@ -36,7 +36,9 @@ SLOWEST = 1.0
 LOOSENED = 2.0
 #: the fixes are as likely right as wrong: half the square of how far the truth then is off
 DISPUTED = math.sqrt(0.5)
-#: s in which what the fixes have drawn is forgotten when they fit
+#: fixes that did not fit may be followed, s, by wrong ones that seem to, or by right ones that draw back
+DISPUTE_TIME = 10.0
+#: s in which what they have drawn is forgotten after that
 FORGIVEN = 30.0
 
 
@@ -95,7 +97,7 @@ def estimate(mem, r):
 
 @njit(_nrt=False)
 def dispute(mem, r, at, before, left_n, left_e):
-    """Remember what the fix at `at`, which has been judged, did to the `estimate` before it, if it did not fit.
+    """Remember what the fix at `at`, which has been judged, did to the `estimate` before it, in a dispute.
 
     left: updated minus measured position, m.
     """
@@ -105,18 +107,19 @@ def dispute(mem, r, at, before, left_n, left_e):
     verdict, robust = mem[at + Event.VERDICT], mem[Head.ROBUST_SIGMA]
     if verdict == Verdict.REFUSED:
         return
-    if verdict == Verdict.RECOVERED or robust > 0.0 and mem[at + Event.NIS] > robust * robust:
+    misfit = verdict == Verdict.RECOVERED or robust > 0.0 and mem[at + Event.NIS] > robust * robust
+    mem[r + Nav.IN_DISPUTE] = DISPUTE_TIME if misfit else max(mem[r + Nav.IN_DISPUTE] - interval, 0.0)
+    if mem[r + Nav.IN_DISPUTE] > 0.0:
         latitude, longitude, v_n, v_e = estimate(mem, r)
         mem[r + Nav.DRAWN_N] += (latitude - before[0]) / mem[r + Nav.NORTH_SCALE]
         mem[r + Nav.DRAWN_E] += (longitude - before[1]) / mem[r + Nav.EAST_SCALE]
         mem[r + Nav.DRAWN_V_N] += v_n - before[2]
         mem[r + Nav.DRAWN_V_E] += v_e - before[3]
-        mem[r + Nav.LEFT_N], mem[r + Nav.LEFT_E] = left_n, left_e
-        return
-    keep = math.exp(-interval / FORGIVEN)
-    for i in range(Nav.DRAWN_N, Nav.DRAWN_V_E + 1):
-        mem[r + i] *= keep
-    mem[r + Nav.LEFT_N] = mem[r + Nav.LEFT_E] = 0.0
+    else:
+        keep = math.exp(-interval / FORGIVEN)
+        for i in range(Nav.DRAWN_N, Nav.DRAWN_V_E + 1):
+            mem[r + i] *= keep
+    mem[r + Nav.LEFT_N], mem[r + Nav.LEFT_E] = (left_n, left_e) if misfit else (0.0, 0.0)
 
 
 @njit(_nrt=False)

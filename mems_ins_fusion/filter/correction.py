@@ -264,8 +264,10 @@ def constrain(mem, r, sample, dt):
     at = h + 6 * n  # a record for the time being
     since, mem[r + Nav.CONSTRAINT_TIME] = mem[r + Nav.CONSTRAINT_TIME], 0.0
     load_covariance(mem, r, n_navigation, m, mem, p)
+    k, yaw = strapdown.State.V_N, strapdown.State.PHI_D
+    if mem[Head.MECHANIZATION] == PLANAR:
+        k, yaw = planar.State.V_N, planar.State.YAW
     if still:  # a smooth road at speed must not pass for a standstill
-        k = planar.State.V_N if mem[Head.MECHANIZATION] == PLANAR else strapdown.State.V_N
         variance = mem[p + n * k + k] + mem[p + n * (k + 1) + k + 1]
         squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
         still = squared < STILL_SPEED**2 + 9.0 * variance and not _turns(mem, r, sample, n_navigation, n)
@@ -281,7 +283,7 @@ def constrain(mem, r, sample, dt):
         _clear(mem, h, n)
         dimensions = standstill.observe_rate(mem, r, at, h, n, sample, dt)
         update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0)
-    elif mem[Head.LATERAL_SIGMA] > 0.0:
+    elif mem[Head.LATERAL_SIGMA] > 0.0 and mem[p + (n + 1) * yaw] < receiver.LARGEST_YAW_SIGMA**2:
         _clear(mem, h, n)
         c = body_to_level(mem, r)
         dimensions = non_holonomic.observe(mem, r, at, h, n, c, sample)

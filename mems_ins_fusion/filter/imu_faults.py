@@ -20,7 +20,7 @@ class _Fault(NamedTuple):
     RANGE: int = 1  # beyond what imu.max_specific_force or imu.max_angular_rate allow
     SPIKE: int = 2  # far from its neighbours
     SATURATED: int = 3  # an axis stays at a large value to the last digit
-    FROZEN: int = 4  # an axis that always changes repeats itself to the last digit while the vehicle moves
+    FROZEN: int = 4  # an axis that always changes repeats itself to the last digit while the vehicle moves, or all do
     ZERO: int = 5  # all axes zero: no gravity
     WHIRL: int = 6  # a turn that no wheels hold at that speed
     DOUBTED: int = 7  # nothing wrong with it, but the fixes have contradicted those before it
@@ -86,7 +86,7 @@ def check(mem, samples, k, dt, speed, doubted):
     """
     moving = speed > MOVING_SPEED
     time = samples[k, 0]
-    equal, zero, out, saturated, stuck = 1e9, True, False, False, False
+    equal, zero, out, saturated, stuck = 1e9, True, False, False, 0
     lively = mem[Head.VARIED] > 0.5 * mem[Head.BELIEVED] and mem[Head.BELIEVED] > 10.0
     for i in range(6):
         value = samples[k, 1 + i]
@@ -97,8 +97,7 @@ def check(mem, samples, k, dt, speed, doubted):
         out = out or abs(value) > mem[Head.MAX_FORCE + (i >= 3)]
         large = abs(value) > (LARGE_FORCE if i < 3 else LARGE_RATE)
         saturated = saturated or (large and mem[Head.SAME + i] >= FEWEST_EQUAL)
-        stuck = stuck or (mem[Head.SAME + i] >= FEWEST_STUCK and mem[Head.SAME + i] * dt > FROZEN_TIME
-                          and mem[Head.CHANGED + i] > ALWAYS * mem[Head.BELIEVED])
+        stuck += 1 if _stays(mem, i, dt) else 0
     fault = Fault.NONE
     if out:
         fault = Fault.RANGE
@@ -106,7 +105,7 @@ def check(mem, samples, k, dt, speed, doubted):
         fault = Fault.ZERO
     elif lively and saturated:
         fault = Fault.SATURATED
-    elif lively and moving and (equal >= FEWEST_EQUAL and equal * dt > FROZEN_TIME or stuck):
+    elif lively and (moving and (equal >= FEWEST_EQUAL and equal * dt > FROZEN_TIME or stuck > 0) or stuck == 6):
         fault = Fault.FROZEN
     elif _is_spike(mem, time):
         fault = Fault.SPIKE
@@ -126,6 +125,19 @@ def check(mem, samples, k, dt, speed, doubted):
             mem[Head.CHANGED + i] += 1.0
     _remember(mem, dt)
     return fault
+
+
+@njit(_nrt=False)
+def _stays(mem, i, dt):
+    """Whether number i of the samples, which always changes, has repeated itself for too long."""
+    return (mem[Head.SAME + i] >= FEWEST_STUCK and mem[Head.SAME + i] * dt > FROZEN_TIME
+            and mem[Head.CHANGED + i] > ALWAYS * mem[Head.BELIEVED])
+
+
+@njit(_nrt=False)
+def is_stuck(mem, dt):
+    """Whether an accelerometer repeats itself: at rest that is no fault to be bridged, but no sign of rest either."""
+    return _stays(mem, 0, dt) or _stays(mem, 1, dt) or _stays(mem, 2, dt)
 
 
 @njit(_nrt=False)

@@ -126,7 +126,10 @@ def _take_sample(memory, samples, i):
             memory[sample + Sample.F_X + j] = 0.5 * (memory[sample + Sample.F_X + j] + memory[last + Sample.F_X + j])
     memory[sample + Sample.STILL] = 0.0
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
-        memory[sample + Sample.STILL] = is_still(memory, sample, dt, speed > imu_faults.MOVING_SPEED)
+        bridged = memory[place(sample_at(memory, k - 1)) + Sample.FAULT] != Fault.NONE or dt > memory[Head.MAX_GAP]
+        memory[sample + Sample.STILL] = is_still(memory, sample, dt, speed > imu_faults.MOVING_SPEED, bridged)
+        if imu_faults.is_stuck(memory, dt):  # it would not show a motion
+            memory[sample + Sample.STILL] = 0.0
     _refuse_ahead(memory, time)
     _advance(memory, k)
     memory[Head.SAMPLES] = k

@@ -92,13 +92,14 @@ class _Nav(NamedTuple):
     SLIDING: int = 62  # NIS of the lateral constraint lately, and as is usual for this vehicle
     USUAL_SLIDING: int = 63
     UNSETTLED: int = 64  # s for which the fixes are still to decide
-    DRAWN_N: int = 65  # by what fixes that did not fit have changed position, m, and velocity, m/s, until the last fix
+    DRAWN_N: int = 65  # by what fixes in dispute have changed position, m, and velocity, m/s, until the last fix
     DRAWN_E: int = 66
     DRAWN_V_N: int = 67
     DRAWN_V_E: int = 68
     LEFT_N: int = 69  # m: and how far they still are from it
     LEFT_E: int = 70
-    SIZE: int = 71
+    IN_DISPUTE: int = 71  # s for which whatever fixes change still counts
+    SIZE: int = 72
 
 
 Nav = _Nav()

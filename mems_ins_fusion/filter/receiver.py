@@ -35,8 +35,8 @@ FROZEN_SPEED = 1.0
 FEWEST_REFUSED = 5
 #: a course is a heading above this speed, m/s, with this sigma, rad
 COURSE_SPEED, COURSE_SIGMA = 3.0, 0.2
-#: sigma beyond which a heading is sought anew, rad
-LARGEST_YAW_SIGMA = 0.8
+#: sigma beyond which a heading is sought anew, rad: the equations are linear in its error
+LARGEST_YAW_SIGMA = 0.5
 #: refused fixes agree when they scatter about a line by less than so many sigma, so much, m, and so much of their size
 AGREEMENT, AGREEMENT_FLOOR, AGREEMENT_PART = 2.0, 1.0, 0.3
 #: of a new start, besides what the fixes tell

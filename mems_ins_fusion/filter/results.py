@@ -121,8 +121,7 @@ def result(config: FilterConfig, stamp, index, states, measured: Measured, **mor
     first, p = layout.n_navigation, layout.order
     at = len(kept)
     variances = states[:, at:at + layout.n + 1] * np.maximum(rows[:, Nav.VARIANCE_FACTOR], 1.0)[:, None]
-    velocity = layout.index('v_n')
-    variances[:, [0, 1, velocity, velocity + 1, -1]] += _disputed(rows)
+    _widen(variances, layout.index('v_n'), rows)
     return Run(config=config, stamp=stamp, index=index, latitude=solution[:, 0], longitude=solution[:, 1],
                height=solution[:, 2], velocity=solution[:, 3:6], roll=solution[:, 6], pitch=solution[:, 7],
                yaw=solution[:, 8], sensor_errors=x[:, first:first + layout.n_sensor:p],
@@ -146,15 +145,14 @@ def _solution(rows, is_planar, open_loop):
 
 
 @njit
-def _disputed(rows):
-    """Of each state, what is published besides P: variances of r_n, r_e, v_n, v_e and the covariance of r_n, r_e."""
-    out = np.zeros((len(rows), 5))
+def _widen(variances, velocity, rows):
+    """As `contradiction.widen`, of variances and the covariance of r_n and r_e behind them; velocity: state of v_n."""
+    where = (0, 1, velocity, velocity + 1)
     for k in range(len(rows)):
         for vector in disputed(rows[k], 0):
             for i in range(4):
-                out[k, i] += vector[i] * vector[i]
-            out[k, 4] += vector[0] * vector[1]
-    return out
+                variances[k, where[i]] += vector[i] * vector[i]
+            variances[k, -1] += vector[0] * vector[1]
 
 
 def _innovations(measured: Measured) -> Innovations:

@@ -27,16 +27,17 @@ JUMP = 4.0
 
 
 @njit(_nrt=False)
-def is_still(mem, sample, dt, moving):
+def is_still(mem, sample, dt, moving, anew):
     """1 when the sample at `sample`, dt s after the one before, is one of a standstill; its state is in the head.
 
-    moving: whether the filter is certain that the vehicle moves.
+    moving: whether the filter is certain that the vehicle moves. anew: whether nothing is known of the time before the
+    sample, so that a change of its specific force since then says nothing.
     """
     low, slow, energy = min(1.0, dt / LOW_PASS), min(1.0, dt / MEAN_TIME), 0.0
     first = mem[Head.STILL_ENERGY] == 0.0
     for i in range(3):
         f = mem[sample + Sample.F_X + i]
-        if first:
+        if first or anew:
             mem[Head.STILL_FIRST + i] = mem[Head.STILL_SECOND + i] = mem[Head.STILL_MEAN + i] = f
         mem[Head.STILL_FIRST + i] += low * (f - mem[Head.STILL_FIRST + i])
         mem[Head.STILL_SECOND + i] += low * (mem[Head.STILL_FIRST + i] - mem[Head.STILL_SECOND + i])
