@@ -15,7 +15,7 @@ RATE, SPEED = 50.0, 12.0
 BOTH = pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
 
 
-def driven(mechanization, change, count=400, speed=SPEED, acceleration=0.0):
+def driven(mechanization, change, count=400, speed=SPEED, acceleration=0.0, **vehicle):
     """A filter after `count` samples of a vehicle that goes north, each given to change(samples) first."""
     samples = np.zeros((count, 7))
     samples[:, 0] = np.arange(1, count + 1) / RATE
@@ -23,7 +23,7 @@ def driven(mechanization, change, count=400, speed=SPEED, acceleration=0.0):
     samples[:, 1:] += np.random.default_rng(2).standard_normal((count, 6)) * np.repeat([0.05, 1e-3], 3)
     samples[200:250, 1] += acceleration
     change(samples)
-    config = configure({'mechanization': mechanization})
+    config = configure({f'vehicle.{name}': value for name, value in vehicle.items()}, mechanization=mechanization)
     n = config.layout.n_navigation
     p = 1e-6 * np.eye(config.layout.n)
     p[:n, :n] = np.diag(np.square([1, 1, .1, .1, .01] if n == 5 else [1, 1, 1, .1, .1, .1, .003, .003, .01]))
@@ -99,6 +99,41 @@ def test_a_sensor_that_always_repeats_itself_at_rest_is_believed():
 
     _, memory, _ = driven('planar', constant, speed=0.0)
     assert not views(memory)[0][Head.FAULTS:Head.FAULTS + Fault.SIZE].any()
+
+
+def flags_at_rest(change, speed=0.0, count=800):
+    """Whether a parked vehicle was taken for one at the last of `count` samples."""
+    _, memory, _ = driven('strapdown', change, count=count, speed=speed, zero_velocity=True)
+    head, samples = views(memory)[0], views(memory)[3]
+    return samples[int(head[Head.SAMPLES]) % len(samples), Sample.STILL] == 1.0
+
+
+@pytest.mark.parametrize('axis', [1, 2, 3])
+def test_an_accelerometer_that_repeats_itself_is_no_sign_of_rest(axis):
+    # given a parked vehicle, and then an axis that would not show that it drives off
+    def stuck(samples):
+        samples[730:, axis] = samples[730, axis]
+
+    assert flags_at_rest(lambda samples: None)
+    assert not flags_at_rest(stuck)
+
+
+def test_a_gyroscope_that_repeats_itself_at_rest_is_no_matter():
+    def stuck(samples):
+        samples[730:, 6] = samples[730, 6]
+
+    assert flags_at_rest(stuck)
+
+
+def test_rest_is_seen_soon_behind_a_bridge_however_much_the_specific_force_has_changed():
+    # given a vehicle on a road that brakes for 4 s, of which the last is not shown, nor 1 s after that, and then stands
+    def braked(samples):
+        samples[:650, 2] += 0.3 * np.sin(2.0 * samples[:650, 0])
+        samples[450:650, 1] -= SPEED / 4.0
+        samples[600:700, 1:] = 0.0
+
+    # then 4 s later it is seen
+    assert flags_at_rest(braked, speed=SPEED, count=900)
 
 
 @BOTH

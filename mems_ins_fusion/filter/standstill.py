@@ -47,6 +47,8 @@ def is_still(mem, sample, dt, moving, anew):
     if first:
         mem[Head.STILL_ENERGY] = EXPECTED_MOTION**2
         mem[Head.STILL_MOTION], mem[Head.STILL_REST] = math.log(EXPECTED_MOTION), math.log(EXPECTED_REST)
+    elif anew:  # it may stand by now: as loud as the quietest motion, till it shows more
+        mem[Head.STILL_ENERGY] = min(mem[Head.STILL_ENERGY], math.exp(2.0 * mem[Head.STILL_MOTION]))
     mem[Head.STILL_ENERGY] += min(1.0, dt / ENERGY_TIME) * (energy - mem[Head.STILL_ENERGY])
     level, separation = 0.5 * math.log(max(mem[Head.STILL_ENERGY], 1e-12)), math.log(SEPARATION)
     motion, rest = mem[Head.STILL_MOTION], mem[Head.STILL_REST]
