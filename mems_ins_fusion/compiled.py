@@ -31,6 +31,14 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.core.typing import make_concrete_template
 
+# numba looks whether there is `scipy.linalg` when it loads its array functions, for np.cov and np.corrcoef, which nothing
+# compiled here has: a third of the time in which the node becomes ready
+_unwanted = 'scipy.linalg.cython_blas'
+if _unwanted not in sys.modules:
+    sys.modules[_unwanted] = None
+    import numba.np.arraymath  # noqa: E402, F401
+    del sys.modules[_unwanted]
+
 #: while numba compiles: it makes many small objects that stay, through which Python else looks again and again
 _GARBAGE_THRESHOLDS = 20_000, 20, 20
 #: packages with compiled functions, and with what these use
