@@ -6,11 +6,12 @@
 PYTHON ?= python3
 BIN := .venv/bin
 OLDEST := .venv-oldest/bin
-# one process for each core
-PYTEST := -m pytest -q -n auto
+# one process for each core; what the tests of a file share is made once, in one of them. By name, since the last files are
+# short ones: else one core would wait for the other
+PYTEST := -m pytest -q -n auto --dist loadfile --no-loadscope-reorder
 PIP := -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-oldest docs
+.PHONY: demo test test-oldest compiled compiled-oldest docs
 
 demo: .venv/ros
 	$(BIN)/python -m mems_ins_fusion compile
@@ -18,15 +19,22 @@ demo: .venv/ros
 	$(BIN)/python -m mems_ins_fusion replay_node --ros-args -p bag:=demo/drive -p output_dir:=demo/replay \
 	    -p reference_topic:=/reference/fix -p overwrite:=true
 
-# compiled ahead: else each process of the tests does it
-test: .venv/ros,test
-	$(BIN)/python -m mems_ins_fusion compile
+test: compiled
 	$(BIN)/python $(PYTEST) test
 
-test-oldest: .venv-oldest/ros,test
+# what numba, NumPy, SciPy, matplotlib and rosbags do for the filter, the nodes and replay; not what the system does with
+# files and signals, which is the same
+test-oldest: compiled-oldest
+	$(OLDEST)/python $(PYTEST) -k 'not killed and not interrupted and not overwritten' $(wildcard \
+	    test/test_replay*.py test/test_compiled.py test/test_fusion_node*.py test/test_node*.py test/test_evaluation*.py \
+	    test/test_filter*.py test/test_navigation*.py)
+
+# ahead: else each process of the tests does it
+compiled: .venv/ros,test
+	$(BIN)/python -m mems_ins_fusion compile
+
+compiled-oldest: .venv-oldest/ros,test
 	$(OLDEST)/python -m mems_ins_fusion compile
-	$(OLDEST)/python $(PYTEST) $(filter-out test/test_node_killed.py, $(wildcard test/test_filter*.py test/test_navigation*.py test/test_fusion_node*.py \
-	    test/test_node*.py test/test_replay*.py test/test_evaluation*.py test/test_compiled.py))
 
 docs: .venv/docs
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 
 os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'  # read where messages are imported: wrong types are errors, not garbage
+# NumPy's own threads wait in a loop for small matrices, which doubles the CPU: a process of tests has one core anyway
+os.environ.update(dict.fromkeys(('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS'), '1'))
 _SHARED = Path(__file__).resolve().parents[2] / 'shared' / 'data'
 
 

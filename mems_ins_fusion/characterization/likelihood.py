@@ -129,27 +129,35 @@ def _gauss_markov_mean(model, interval):
     return decay, lost / u, model.sigma**2 * q
 
 
-@njit(nogil=True)
 def _innovations(z, part, a, q, c, r, p0):
-    """Innovations of z and of a constant 1, their variance, and the state for z predicted after each interval, from
-    one Kalman filter; restarts with each part.
+    """Innovations of z (n,) and of a constant 1, their variance, and the state for z predicted after each interval
+    (n, d), from one Kalman filter; restarts with each part."""
+    n, d = len(z), len(c)
+    error, level, variance = np.full((3, n), np.nan)
+    states = np.empty((n, d))
+    _filter(z, part, a, q, c, r, p0, error, level, variance, states, np.zeros((6, d)), np.zeros((3, d, d)))
+    return error, level, variance, states
+
+
+@njit(nogil=True)
+def _filter(z, part, a, q, c, r, p0, error, level, variance, states, vectors, matrices):
+    """`_innovations` into error, level, variance (n,) of NaN and states (n, d), with room to work.
 
     Once the covariance no longer changes it is left alone until the next missing average, and so is the answer to
     the constant: most of a long recording costs one product with the transition matrix per average.
     """
     n, d = len(z), len(c)
-    error, level, variance = np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan)
-    states = np.empty((n, d))
-    x, y, x_next, y_next = np.zeros(d), np.zeros(d), np.zeros(d), np.zeros(d)
-    p, p_next, ap = p0.copy(), np.zeros((d, d)), np.zeros((d, d))
-    column, gain = np.zeros(d), np.zeros(d)  # p c, and a p c / f
+    x, y, x_next, y_next = vectors[0], vectors[1], vectors[2], vectors[3]
+    column, gain = vectors[4], vectors[5]  # p c, and a p c / f
+    p, p_next, ap = matrices[0], matrices[1], matrices[2]
     f, el = 1.0, 1.0
     steady, settled = False, False
     for k in range(n):
         if k == 0 or part[k] != part[k - 1]:
-            x[:] = 0.0
-            y[:] = 0.0
-            p[:] = p0
+            for i in range(d):
+                x[i] = y[i] = 0.0
+                for j in range(d):
+                    p[i, j] = p0[i, j]
             steady = False
         present = not np.isnan(z[k])
         if not present:
@@ -180,8 +188,8 @@ def _innovations(z, part, a, q, c, r, p0):
             x_next[i] = gain[i] * ez
             for j in range(d):
                 x_next[i] += a[i, j] * x[j]
-        x[:] = x_next
-        states[k] = x
+        for i in range(d):
+            x[i] = states[k, i] = x_next[i]
         if not settled:
             move = 0.0
             for i in range(d):
@@ -189,7 +197,8 @@ def _innovations(z, part, a, q, c, r, p0):
                 for j in range(d):
                     y_next[i] += a[i, j] * y[j]
                 move += abs(y_next[i] - y[i])
-            y[:] = y_next
+            for i in range(d):
+                y[i] = y_next[i]
             settled = steady and move < _STEADY
         if not steady:
             for i in range(d):
@@ -210,8 +219,9 @@ def _innovations(z, part, a, q, c, r, p0):
                     size = max(size, abs(p_next[i, j]))
             steady = present and change <= _STEADY * size
             if not steady:
-                p[:] = p_next
-    return error, level, variance, states
+                for i in range(d):
+                    for j in range(d):
+                        p[i, j] = p_next[i, j]
 
 
 def innovations(data: Averages, space: StateSpace, levels) -> tuple[np.ndarray, np.ndarray]:

@@ -445,15 +445,17 @@ class FusionFilter(Intake):
     def warm_up(self) -> None:
         """Compile or load the kernel now, so that the first message is not late."""
         memory = self.config.memory()
-        initialize(memory, self.config, Start(0.0, 0.0, 0.0, 0.0, np.zeros(2), 0.0, np.eye(5), None))
+        start, datum = Start(0.0, 0.0, 0.0, 0.0, np.zeros(2), 0.0, np.eye(5), None), np.zeros(3)
+        initialize(memory, self.config, start)
         event = np.zeros((1, Event.SIZE))
         event[0, [Event.TIME, Event.KIND]] = 0.005, Kind.POSITION
         event[0, [Event.R_NN, Event.R_EE, Event.R_DD]] = 1.0
         sample = np.array([[0.01, 0.0, 0.0, -9.8, 0.0, 0.0, 0.0]])
         kernel.run(memory, sample, event, self._before, self._answer.copy(), self._columns, self._none, self._states,
                    self._log)
-        odometry(memory, np.zeros(3), 1.0, self.odometry.copy(), self.geodetic.copy(),
-                 self.position_covariance_enu.copy())
+        filled = self.odometry.copy(), self.geodetic.copy(), self.position_covariance_enu.copy()
+        odometry(memory, datum, 1.0, *filled)
+        spread(start, datum, *filled)
         follow = self._follow.copy()
         self.follow(np.array([0], dtype=np.int64), sample[:, 1:])
         self._follow[:] = follow

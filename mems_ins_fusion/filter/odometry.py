@@ -56,56 +56,64 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
     newest = int(memory[Head.SAMPLES])
     r, sample, n = state_at(memory, newest), sample_at(memory, newest), n_navigation + m
     is_planar = memory[Head.MECHANIZATION] == PLANAR
-    packed_full = np.empty(n * n)
-    load_covariance(memory, r, n_navigation, m, packed_full, 0)
-    full = variance_factor(memory, r) * packed_full.reshape((n, n))
-    widen(full, planar.State.V_N if is_planar else strapdown.State.V_N, memory, r)
+    full = int(memory[Head.SCRATCH_AT])  # n x n
+    load_covariance(memory, r, n_navigation, m, memory, full)
+    factor = variance_factor(memory, r)
+    for k in range(full, full + n * n):
+        memory[k] *= factor
+    widen(memory, full, n, planar.State.V_N if is_planar else strapdown.State.V_N, memory, r)
     latitude, longitude, height, v_n, v_e, v_d, q = corrected(memory, r, is_planar, memory[Head.OPEN_LOOP] != 0.0)
     geodetic[0], geodetic[1], geodetic[2] = latitude, longitude, height
     north, east, down = to_local(latitude, longitude, height, datum)
     out[0], out[1], out[2] = east, north, -down
     _orientation(q, out)
-    c = np.array(strapdown.matrix(q)).reshape(3, 3)
+    c = strapdown.matrix(q)
 
     # errors of position (n, e, d), velocity (n, e, d) and attitude (n, e, d) as one 9 x 9 covariance
-    nine = np.zeros((9, 9))
+    nine = np.zeros(81)
+    for i in range(n_navigation):
+        for j in range(n_navigation):
+            nine[9 * _among_nine(i, is_planar) + _among_nine(j, is_planar)] = memory[full + n * i + j]
     if is_planar:
-        where = (0, 1, 3, 4, 8)  # of the planar states among the nine
-        for i in range(5):
-            for j in range(5):
-                nine[where[i], where[j]] = full[i, j]
-        nine[2, 2], nine[5, 5] = height_sigma**2, PLANAR_VERTICAL_SIGMA**2
-        nine[6, 6] = nine[7, 7] = PLANAR_TILT_SIGMA**2
-    else:
-        nine[:, :] = full[:9, :9]
+        nine[20], nine[50] = height_sigma**2, PLANAR_VERTICAL_SIGMA**2
+        nine[60] = nine[70] = PLANAR_TILT_SIGMA**2
     for i in range(6):
         for j in range(6):
             a, sign_a = _enu(i)
             b, sign_b = _enu(j)
-            out[POSE_COVARIANCE + 6 * i + j] = sign_a * sign_b * nine[a, b]
+            out[POSE_COVARIANCE + 6 * i + j] = sign_a * sign_b * nine[9 * a + b]
             if i < 3 and j < 3:
-                geodetic_covariance[3 * i + j] = sign_a * sign_b * nine[a, b]
+                geodetic_covariance[3 * i + j] = sign_a * sign_b * nine[9 * a + b]
 
     # velocity in b: C^T v, its error C^T (dv + [v x] phi)
-    jacobian = np.zeros((3, 9))
+    jacobian = np.zeros(27)
     for k in range(3):
-        x, y, z = c[0, k], c[1, k], c[2, k]
+        x, y, z = strapdown.column(c, k)
+        row = 9 * k
         sign = 1.0 if k == 0 else -1.0  # forward-right-down to forward-left-up
         out[LINEAR + k] = sign * (x * v_n + y * v_e + z * v_d)
-        jacobian[k, 3], jacobian[k, 4], jacobian[k, 5] = sign * x, sign * y, sign * z
-        jacobian[k, 6] = sign * (y * v_d - z * v_e)
-        jacobian[k, 7] = sign * (z * v_n - x * v_d)
-        jacobian[k, 8] = sign * (x * v_e - y * v_n)
+        jacobian[row + 3], jacobian[row + 4], jacobian[row + 5] = sign * x, sign * y, sign * z
+        jacobian[row + 6] = sign * (y * v_d - z * v_e)
+        jacobian[row + 7] = sign * (z * v_n - x * v_d)
+        jacobian[row + 8] = sign * (x * v_e - y * v_n)
     for i in range(3):
         for j in range(3):
             total = 0.0
             for k in range(3, 9):
                 for other in range(3, 9):
-                    total += jacobian[i, k] * nine[k, other] * jacobian[j, other]
+                    total += jacobian[9 * i + k] * nine[9 * k + other] * jacobian[9 * j + other]
             out[TWIST_COVARIANCE + 6 * i + j] = total
     interval = memory[sample + Sample.TIME] - memory[sample_at(memory, newest - 1) + Sample.TIME]
     _angular(memory, newest, r, sample, interval, full, out)
     return memory[r + Nav.TIME]
+
+
+@njit
+def _among_nine(i, is_planar):
+    """Where navigation error i stands among the nine of position, velocity and attitude."""
+    if not is_planar or i < 2:
+        return i
+    return 8 if i == planar.State.YAW else i + 1
 
 
 @njit
@@ -130,8 +138,9 @@ def _orientation(q, out):
 @njit
 def _angular(memory, newest, r, sample, interval, full, out):
     """Angular velocity of the sample, sensor errors removed, and its variance with the sample's white noise; zero before
-    the first sample."""
+    the first sample. full: position of the covariance (n, n) in the memory."""
     n_navigation, p = int(memory[Head.N_NAVIGATION]), int(memory[Head.ORDER])
+    n = n_navigation + int(memory[Head.N_AUGMENTED])
     is_planar = memory[Head.MECHANIZATION] == PLANAR
     for k in range(3):
         sign = 1.0 if k == 0 else -1.0
@@ -142,4 +151,4 @@ def _angular(memory, newest, r, sample, interval, full, out):
             continue
         state = n_navigation + (2 * p if is_planar else (3 + k) * p)
         out[ANGULAR + k] = sign * (memory[sample + Sample.W_X + k] - memory[r + NAV + state])
-        out[at] = memory[Head.SIZE + 3 + k] / interval + full[state, state]
+        out[at] = memory[Head.SIZE + 3 + k] / interval + memory[full + (n + 1) * state]
