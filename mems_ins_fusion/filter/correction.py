@@ -11,6 +11,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
 from . import history, receiver
+from .drift import learn_drift
 from .layout import (
     NAV,
     PLANAR,
@@ -232,6 +233,7 @@ def apply_event(mem, r, at, sample):
     if kind == Kind.POSITION:
         left_n, left_e, _ = position.difference(mem, r, at, body_to_level(mem, r), sample)
         receiver.learn(mem, r, at, left_n, left_e)
+        learn_drift(mem, r)
 
 
 @njit(_nrt=False)
@@ -242,24 +244,19 @@ def constrain(mem, r, sample, dt):
     """
     still = mem[sample + Sample.STILL] != 0.0 and mem[Head.ZERO_VELOCITY_SIGMA] > 0.0
     if not still and mem[Head.LATERAL_SIGMA] == 0.0:
-        mem[r + Nav.STOOD] = 0.0
         return
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
     h = p + n * n
     at = h + 6 * n  # a record for the time being
-    since, mem[r + Nav.CONSTRAINT_TIME] = mem[r + Nav.CONSTRAINT_TIME], 0.0
+    mem[r + Nav.CONSTRAINT_TIME] = 0.0
     load_covariance(mem, r, n_navigation, m, mem, p)
     if still:  # a smooth road at speed must not pass for a standstill
         k = planar.State.V_N if mem[Head.MECHANIZATION] == PLANAR else strapdown.State.V_N
         variance = mem[p + n * k + k] + mem[p + n * (k + 1) + k + 1]
         squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
         still = squared < STILL_SPEED**2 + 9.0 * variance and not _turns(mem, r, sample, n_navigation, n)
-    if not still:
-        mem[r + Nav.STOOD] = 0.0
     if still:
-        if mem[Head.ADAPT_DRIFT] != 0.0:
-            standstill.learn_drift(mem, r, since)
         _clear(mem, h, n)
         dimensions = standstill.observe_velocity(mem, r, at, h, n)
         update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0)

@@ -416,7 +416,9 @@ class FusionFilter(Intake):
         layout = self.config.layout
         at = state_at(memory, int(memory[Head.SAMPLES]))
         row = memory[at:at + int(memory[Head.WIDTH])]
-        sigma = np.sqrt(variance_factor(row, 0) * np.diag(covariance(row, layout)))
+        variances = variance_factor(row, 0) * np.diag(covariance(row, layout))
+        variances[:2] += row[Nav.LASTING]
+        sigma = np.sqrt(variances)
         values |= {'position sigma, m': float(math.hypot(sigma[0], sigma[1])),
                    'heading sigma, deg': math.degrees(sigma[layout.n_navigation - 1])}
         if self._memory is None:
@@ -424,7 +426,8 @@ class FusionFilter(Intake):
         values |= {'age of the last fix used, s': (self._now - self._newest_fix) * 1e-9,
                    'realised over claimed sigma of the fixes': math.sqrt(row[Nav.GNSS_RATIO]),
                    'realised over expected sigma of the innovations': math.sqrt(row[Nav.VARIANCE_FACTOR]),
-                   'realised over assumed drift of the gyroscopes': math.sqrt(row[Nav.DRIFT_RATIO])}
+                   'realised over assumed drift of the accelerometers': math.sqrt(row[Nav.DRIFT_RATIO]),
+                   'realised over assumed drift of the gyroscopes': math.sqrt(row[Nav.DRIFT_RATIO + 1])}
         for i, name in enumerate(layout.names[layout.n_navigation:], start=layout.n_navigation):
             values[name] = float(row[NAV + i])
             values[f'{name} sigma'] = float(sigma[i])

@@ -58,6 +58,8 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
     packed_full = np.empty(n * n)
     load_covariance(memory, r, n_navigation, m, packed_full, 0)
     full = variance_factor(memory, r) * packed_full.reshape((n, n))
+    for i in range(2):
+        full[i, i] += memory[r + Nav.LASTING]
     latitude, longitude, height, v_n, v_e, v_d, q = corrected(memory, r, is_planar, memory[Head.OPEN_LOOP] != 0.0)
     geodetic[0], geodetic[1], geodetic[2] = latitude, longitude, height
     north, east, down = to_local(latitude, longitude, height, datum)

@@ -98,10 +98,10 @@ class Run:
 
 def columns(layout: StateLayout) -> np.ndarray:
     """What of each state is kept: navigation solution, x, the covariance's diagonal and its north-east element,
-    and the factor on these."""
+    and what the filter knows of these: the factor on them, and the receiver's errors that last."""
     pairs = [(i, i) for i in range(layout.n)] + [(0, 1)]
     kept = [*range(Nav.RADII_LATITUDE), Nav.NORTH_SCALE, Nav.EAST_SCALE, Nav.VARIANCE_FACTOR,
-            *range(NAV, NAV + layout.n)]
+            Nav.LASTING, *range(NAV, NAV + layout.n)]
     kept += [covariance_index(i, j, layout) for i, j in pairs]
     return np.array(kept, dtype=np.uint64)  # unsigned: the kernel need not look for negative ones
 
@@ -110,13 +110,14 @@ def result(config: FilterConfig, stamp, index, states, measured: Measured, **mor
     """A `Run` from the columns `states` (k, c) of the states at the samples `index` (k,) with `stamp` (k,)."""
     layout = config.layout
     rows = np.zeros((len(states), NAV + layout.n))
-    kept = columns(layout)[:Nav.RADII_LATITUDE + 3 + layout.n].astype(np.int64)
+    kept = columns(layout)[:Nav.RADII_LATITUDE + 4 + layout.n].astype(np.int64)
     rows[:, kept] = states[:, :len(kept)]
     solution = _solution(rows, config.mechanization == PLANAR, config.open_loop)
     x = rows[:, NAV:]
     first, p = layout.n_navigation, layout.order
     at = len(kept)
     variances = states[:, at:at + layout.n + 1] * np.maximum(rows[:, Nav.VARIANCE_FACTOR], 1.0)[:, None]
+    variances[:, :2] += rows[:, [Nav.LASTING]]
     return Run(config=config, stamp=stamp, index=index, latitude=solution[:, 0], longitude=solution[:, 1],
                height=solution[:, 2], velocity=solution[:, 3:6], roll=solution[:, 6], pitch=solution[:, 7],
                yaw=solution[:, 8], sensor_errors=x[:, first:first + layout.n_sensor:p],
