@@ -1,6 +1,6 @@
 """What the worst outages have that the others have not: by whether the vehicle turned or stopped meanwhile.
 
-    python studies/outage_tails.py [--seeds 6] [--minutes 20] [--output FILE.md]
+    python studies/outage_tails.py [--seeds 6] [--minutes 20] [--processes 2] [--output FILE.md]
 
 The realistic drives of studies/vehicle.py with fixes of 1.5 m, 60 s without fixes every 50 s, with the default noise
 parameters and with those that the sensors were simulated with: error and the filter's own sigma at the end,
@@ -8,10 +8,8 @@ median / 95 %.
 """
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-
 import numpy as np
+import over_drives
 from vehicle import FIXES, simulated
 
 from mems_ins_fusion.evaluation.comparison import samples_to_keep, truth_of
@@ -48,31 +46,25 @@ def is_straight(reference, stamp) -> bool:
     return bool(np.ptp(yaw) < TURN and np.hypot(*during.velocity[:, :2].T).min() > SLOW)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--seeds', type=int, default=6)
-    parser.add_argument('--first-seed', type=int, default=1000)
-    parser.add_argument('--minutes', type=float, default=20.0)
-    parser.add_argument('--output', type=Path)
-    options = parser.parse_args()
-    found: dict = {}
-    for seed in range(options.first_seed, options.first_seed + options.seeds):
-        recording = simulated(seed, options.minutes, FIXES['1.5 m'])
-        for name, values in SETTINGS.items():
-            for duration, rows in zip(DURATIONS, outages_of(recording, values)):
-                found.setdefault((duration, name), []).append(rows)
-    lines = ['| without fixes | noise | outages | number | error, m | sigma, m | in 95 % |', f'|{"---|" * 7}']
-    for (duration, name), rows in sorted(found.items()):
-        rows = np.concatenate(rows)
+def of_drive(seed: int, minutes: float):
+    """((duration, noise), rows of `outages_of`) of one drive."""
+    recording = simulated(seed, minutes, FIXES['1.5 m'])
+    return [((duration, name), rows) for name, values in SETTINGS.items()
+            for duration, rows in zip(DURATIONS, outages_of(recording, values))]
+
+
+def lines(results: dict, drives: int):
+    """A line for all outages, those with a turn or a stop, and those without."""
+    yield '| without fixes | noise | outages | number | error, m | sigma, m | in 95 % |'
+    yield f'|{"---|" * 7}'
+    for (duration, name), found in sorted(results.items()):
+        rows = np.concatenate(found)
         for kind, part in (('all', rows), ('with a turn or a stop', rows[rows[:, 3] == 0]),
                            ('straight on', rows[rows[:, 3] == 1])):
             error, sigma = (np.percentile(part[:, i], [50, 95]) for i in range(2))
-            lines.append(f'| {duration:g} s | {name} | {kind} | {len(part)} | {error[0]:.1f} / {error[1]:.0f} | '
-                         f'{sigma[0]:.1f} / {sigma[1]:.0f} | {100 * part[:, 2].mean():.0f} % |')
-    print('\n'.join(lines))
-    if options.output:
-        options.output.write_text('\n'.join(lines) + '\n')
+            yield (f'| {duration:g} s | {name} | {kind} | {len(part)} | {error[0]:.1f} / {error[1]:.0f} | '
+                   f'{sigma[0]:.1f} / {sigma[1]:.0f} | {100 * part[:, 2].mean():.0f} % |')
 
 
 if __name__ == '__main__':
-    main()
+    over_drives.main(__doc__, of_drive, lines, seeds=6)

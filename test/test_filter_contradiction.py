@@ -12,12 +12,11 @@ from mems_ins_fusion.filter.contradiction import (
     UNSETTLED_TIME,
     disputed,
     loosen,
-    published_covariance,
     slides,
     unsettle,
 )
 from mems_ins_fusion.filter.layout import Head, Nav, covariance, state_at
-from mems_ins_fusion.filter.odometry import POSE_COVARIANCE, SIZE, odometry
+from mems_ins_fusion.filter.odometry import POSE_COVARIANCE, SIZE, odometry, published_covariance
 from mems_ins_fusion.filter.vehicle_check import vehicle_says
 from mems_ins_fusion.navigation.earth import gravity, radii
 

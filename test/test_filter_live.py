@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from filter_support import MODELS, configure, newest
 
-from mems_ins_fusion.filter.contradiction import published_covariance
 from mems_ins_fusion.filter.layout import NAV, Kind, Verdict
 from mems_ins_fusion.filter.live import FusionFilter
+from mems_ins_fusion.filter.odometry import published_covariance
 from mems_ins_fusion.filter.publish import published as would_publish
 from mems_ins_fusion.filter.replay import Aiding, run
 from mems_ins_fusion.navigation.frames import wrap

@@ -52,7 +52,8 @@ class Receiver:
                          attitude=(0.0, 0.0, yaw), p=p)
         views(memory)[2][0, [Nav.LATITUDE, Nav.LONGITUDE]] += np.array(offset) / SCALE
         records = np.array([fix_record(t, LATITUDE + north / SCALE[0], LONGITUDE + east / SCALE[1],
-                                       r=sigma**2 * np.eye(2)) for t, (north, east) in zip(self.time, self.position)])
+                                       r=s**2 * np.eye(2)) for t, (north, east), s in
+                            zip(self.time, self.position, np.broadcast_to(sigma, len(self.time)))])
         states, records = take_all(memory, self.samples, records, [Nav.LATITUDE, Nav.LONGITUDE])
         error = (states - [LATITUDE, LONGITUDE]) * SCALE - true_position(self.samples[:, 0])
         return config, memory, error, records
@@ -271,21 +272,64 @@ def test_one_fix_far_off_is_no_filter_that_is_too_sure():
     assert newest(memory)[Nav.VARIANCE_FACTOR] < 1.7
 
 
+def published(config, memory, **columns_of_row):
+    """Variances that leave the filter with these columns of its newest row: position, velocity and others."""
+    row = views(memory)[2][int(views(memory)[0][Head.SAMPLES]) % config.capacity]
+    for name, value in columns_of_row.items():
+        row[getattr(Nav, name)] = value
+    out, covariance_enu = np.zeros(SIZE), np.zeros(9)
+    odometry(memory, np.array([LATITUDE, LONGITUDE, HEIGHT]), 2.0, out, np.zeros(3), covariance_enu)
+    states = row[columns(config.layout).astype(np.int64)][None]
+    run = result(config, np.zeros(1, np.int64), np.zeros(1, np.int64), states,
+                 Measured(*np.zeros((3, 0), np.int64), np.zeros((0, Event.SIZE))), start=None, notices=[],
+                 memory=memory, filter_seconds=0.0)
+    position = [*out[POSE_COVARIANCE:][[0, 7]], *covariance_enu[[0, 4]], *run.sigma[0, :2] ** 2]
+    others = [out[POSE_COVARIANCE + 35], out[POSE_COVARIANCE + 1], out[TWIST_COVARIANCE], *run.sigma[0, 2:] ** 2,
+              *run.covariance_ne, *learned(config, memory).covariance.diagonal()]
+    return np.array(position), np.array(others)
+
+
 @BOTH
 def test_the_factor_is_in_all_that_is_published(mechanization):
     config, memory, _, _ = Receiver(30.0).through(mechanization=mechanization, **{'gnss.adapt_covariance': True})
-    published = []
-    for factor in (1.0, 4.0):
-        row = views(memory)[2][int(views(memory)[0][Head.SAMPLES]) % config.capacity]
-        row[Nav.VARIANCE_FACTOR] = factor
-        row[Nav.DRAWN_N:Nav.LEFT_E + 1] = 0.0  # published besides, see test_filter_contradiction.py
-        out, covariance_enu = np.zeros(SIZE), np.zeros(9)
-        odometry(memory, np.array([LATITUDE, LONGITUDE, HEIGHT]), 2.0, out, np.zeros(3), covariance_enu)
-        states = row[columns(config.layout).astype(np.int64)][None]
-        run = result(config, np.zeros(1, np.int64), np.zeros(1, np.int64), states,
-                     Measured(*np.zeros((3, 0), np.int64), np.zeros((0, Event.SIZE))), start=None, notices=[],
-                     memory=memory, filter_seconds=0.0)
-        known = [0, 7, 35]  # east, north and yaw of the pose
-        published.append([*out[POSE_COVARIANCE:][known], out[TWIST_COVARIANCE], covariance_enu[0], *run.sigma[0] ** 2,
-                          *run.covariance_ne, *learned(config, memory).covariance.diagonal()])
-    np.testing.assert_allclose(published[1], 4.0 * np.array(published[0]), rtol=1e-9)
+    nothing_besides = dict.fromkeys(('LASTING', 'DRAWN_N', 'DRAWN_E', 'DRAWN_V_N', 'DRAWN_V_E', 'LEFT_N', 'LEFT_E'), 0.0)
+    for one, four in zip(published(config, memory, VARIANCE_FACTOR=1.0, **nothing_besides),
+                         published(config, memory, VARIANCE_FACTOR=4.0)):
+        np.testing.assert_allclose(four, 4.0 * one, rtol=1e-9)
+
+
+@BOTH
+def test_what_fixes_claim_and_do_not_scatter_is_taken_for_errors_that_last(mechanization):
+    # given a receiver that is white, and one that claims the same, of which an error that lasts is the larger part
+    share, white, tau = {'white': [], 'lasting': []}, 0.6, 40.0
+    for seed in range(3):
+        for kind, found in share.items():
+            receiver = Receiver(300.0, seed=seed)
+            if kind == 'lasting':
+                slow = lasting(receiver, tau) - true_position(receiver.time)
+                receiver.position = (true_position(receiver.time) + math.sqrt(1 - white**2) * slow
+                                     + white * SIGMA * receiver.rng.standard_normal((len(receiver.time), 2)))
+            (_, memory, error, _), (_, without, same, _) = [receiver.through(mechanization=mechanization, **{
+                'gnss.adapt_covariance': adapts}) for adapts in (True, False)]
+            found.append(newest(memory)[Nav.LASTING] / SIGMA**2)
+            # then no estimate has moved
+            assert np.array_equal(error, same) and newest(without)[Nav.LASTING] == 0.0
+    # of what is claimed, what two fixes a second apart do not show
+    unseen = (1 - white**2) * math.exp(-1.0 / tau)
+    assert np.mean(share['white']) < 0.2 and 0.7 * unseen < np.mean(share['lasting']) < 1.3 * unseen, share
+
+
+def test_errors_that_last_are_those_of_the_fixes_that_count():
+    # given a receiver that scatters by 0.3 of what it claims, and now and then claims ten times as much
+    receiver = Receiver(200.0, scatter=0.3 * SIGMA)
+    claims = np.where(np.arange(len(receiver.time)) % 10 == 9, 10.0, 1.0)
+    _, memory, _, _ = receiver.through(mechanization='strapdown', sigma=claims, **{'gnss.adapt_covariance': True})
+    assert 0.6 * SIGMA**2 < newest(memory)[Nav.LASTING] < 1.3 * SIGMA**2
+
+
+@BOTH
+def test_errors_that_last_are_in_the_position_that_is_published(mechanization):
+    config, memory, _, _ = Receiver(30.0).through(mechanization=mechanization, **{'gnss.adapt_covariance': True})
+    (position, others), (more, same) = [published(config, memory, LASTING=v) for v in (0.0, 2.5)]
+    np.testing.assert_allclose(more, position + 2.5, rtol=1e-9)
+    np.testing.assert_array_equal(same, others)

@@ -373,4 +373,5 @@ def _vehicle(values: dict) -> VehicleSettings:
         sideslip_sigma=values['vehicle.sideslip_sigma'],
         axle=FLU_TO_FRD @ np.asarray(values['vehicle.rear_axle'], dtype=float),
         still_acceleration=values['vehicle.still_acceleration'], still_rate=values['vehicle.still_rate'],
-        learn_drift=values['vehicle.learn_drift'])
+        learn_drift=(values['vehicle.learn_drift'] and values['mechanization'] == 'strapdown'
+                     and values['sensor_error_model'] != 'autoregressive'))

@@ -13,12 +13,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
-from .layout import NAV, PLANAR, Event, Head, Nav, StateLayout, Verdict, covariance, place, variance_factor
+from .layout import NAV, PLANAR, Event, Head, Nav, Verdict
 
 #: s over which the normalized innovation squared (NIS) of the lateral constraint is averaged, and what is usual of it
 NOW, USUALLY = 1.0, 30.0
@@ -130,20 +128,3 @@ def disputed(row, r):
     v_n, v_e = DISPUTED * row[r + Nav.DRAWN_V_N], DISPUTED * row[r + Nav.DRAWN_V_E]
     return ((DISPUTED * row[r + Nav.DRAWN_N] + since * v_n, DISPUTED * row[r + Nav.DRAWN_E] + since * v_e, v_n, v_e),
             (DISPUTED * row[r + Nav.LEFT_N], DISPUTED * row[r + Nav.LEFT_E], 0.0, 0.0))
-
-
-@njit(_nrt=False)
-def widen(full, at, n, first, row, r):
-    """Add what is `disputed` of the state at r in `row` to its covariance (n, n) at full[at]; first: state of v_n."""
-    where = (0, 1, first, first + 1)
-    for vector in disputed(row, r):
-        for i in range(4):
-            for j in range(4):
-                full[place(at + n * where[i] + where[j])] += vector[i] * vector[j]
-
-
-def published_covariance(row: np.ndarray, layout: StateLayout) -> np.ndarray:
-    """The covariance (n, n) that the state in `row` is published with."""
-    full = variance_factor(row, 0) * covariance(row, layout)
-    widen(full.ravel(), 0, layout.n, layout.index('v_n'), row, 0)  # of its own memory
-    return full

@@ -11,6 +11,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
 from . import contradiction, history, receiver
+from .drift import learn_drift
 from .layout import (
     NAV,
     PLANAR,
@@ -246,6 +247,7 @@ def apply_event(mem, r, at, sample):
         left_n, left_e, _ = position.difference(mem, r, at, body_to_level(mem, r), sample)
         contradiction.dispute(mem, r, at, before, left_n, left_e)
         receiver.learn(mem, r, at, left_n, left_e)
+        learn_drift(mem, r)
 
 
 @njit(_nrt=False)
@@ -256,7 +258,6 @@ def constrain(mem, r, sample, dt):
     """
     still = mem[sample + Sample.STILL] != 0.0 and mem[Head.ZERO_VELOCITY_SIGMA] > 0.0
     if not still and mem[Head.LATERAL_SIGMA] == 0.0:
-        mem[r + Nav.STOOD] = 0.0
         return
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
@@ -271,11 +272,7 @@ def constrain(mem, r, sample, dt):
         variance = mem[p + n * k + k] + mem[p + n * (k + 1) + k + 1]
         squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
         still = squared < STILL_SPEED**2 + 9.0 * variance and not _turns(mem, r, sample, n_navigation, n)
-    if not still:
-        mem[r + Nav.STOOD] = 0.0
     if still:
-        if mem[Head.ADAPT_DRIFT] != 0.0:
-            standstill.learn_drift(mem, r, since)
         _clear(mem, h, n)
         dimensions = standstill.observe_velocity(mem, r, at, h, n)
         update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0)

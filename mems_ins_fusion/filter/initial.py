@@ -44,7 +44,7 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
         start.time, start.latitude, start.longitude, start.height)
     row[Nav.V_N], row[Nav.V_E] = start.velocity
     row[Nav.USUAL_SLIDING] = FIRST_USUAL
-    row[Nav.GNSS_RATIO] = row[Nav.VARIANCE_FACTOR] = row[Nav.DRIFT_RATIO] = 1.0
+    row[[Nav.GNSS_RATIO, Nav.VARIANCE_FACTOR, Nav.DRIFT_RATIO, Nav.DRIFT_RATIO + 1]] = 1.0
     full = np.zeros((layout.n, layout.n))
     full[layout.n_navigation:, layout.n_navigation:] = covariance
     mounting = layout.index('mounting_yaw') - layout.n_navigation

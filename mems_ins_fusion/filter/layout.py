@@ -80,26 +80,28 @@ class _Nav(NamedTuple):
     SLOW_VARIANCE: int = 48
     FACTOR_TIME: int = 49  # s that went into it
     VARIANCE_FACTOR: int = 50  # realised over expected variance of them; below 1 it counts as 1
-    # what standstills show of the gyroscopes' drift, see standstill.py of the measurements
-    STOOD: int = 51  # s that the vehicle has stood
-    STOPS: int = 52  # standstills that have lasted
-    BIAS: int = 53  # estimates of the gyroscopes' errors when it stopped, three,
-    BIAS_VARIANCE: int = 56  # and their variances, three
-    DRIFT_RATIO: int = 59  # realised over assumed variance of their drift
-    DRIFT_SUM: int = 60  # of what went into that
-    DRIFT_SEEN: int = 61  # and its weight
+    UNSEEN: int = 51  # share of the variance that fixes claim which they do not scatter, a mean
+    INFORMATION: int = 52  # mean inverse of the claimed variance, 1/m^2
+    LASTING: int = 53  # variance of the receiver's errors that last, m^2: the position has them, too
+    # what the estimates show of the sensors' drift, see drift.py; accelerometers, gyroscopes
+    DRIFT_TIME: int = 54  # s, of the estimates that the next are compared with; 0: none
+    BIAS: int = 55  # these, six,
+    BIAS_VARIANCE: int = 61  # and their variances, six
+    DRIFT_RATIO: int = 67  # realised over assumed variance, two
+    DRIFT_SUM: int = 69  # of what went into that, two
+    DRIFT_SEEN: int = 71  # and its weight, two
     # who is right, fixes or IMU, see contradiction.py
-    SLIDING: int = 62  # NIS of the lateral constraint lately, and as is usual for this vehicle
-    USUAL_SLIDING: int = 63
-    UNSETTLED: int = 64  # s for which the fixes are still to decide
-    DRAWN_N: int = 65  # by what fixes in dispute have changed position, m, and velocity, m/s, until the last fix
-    DRAWN_E: int = 66
-    DRAWN_V_N: int = 67
-    DRAWN_V_E: int = 68
-    LEFT_N: int = 69  # m: and how far they still are from it
-    LEFT_E: int = 70
-    IN_DISPUTE: int = 71  # s for which whatever fixes change still counts
-    SIZE: int = 72
+    SLIDING: int = 73  # NIS of the lateral constraint lately, and as is usual for this vehicle
+    USUAL_SLIDING: int = 74
+    UNSETTLED: int = 75  # s for which the fixes are still to decide
+    DRAWN_N: int = 76  # by what fixes in dispute have changed position, m, and velocity, m/s, until the last fix
+    DRAWN_E: int = 77
+    DRAWN_V_N: int = 78
+    DRAWN_V_E: int = 79
+    LEFT_N: int = 80  # m: and how far they still are from it
+    LEFT_E: int = 81
+    IN_DISPUTE: int = 82  # s for which whatever fixes change still counts
+    SIZE: int = 83
 
 
 Nav = _Nav()
@@ -328,7 +330,7 @@ class _Head(NamedTuple):
     CHANGED: int = 137  # how often each of the six numbers was another one than before
     SIDEWAYS: int = 143  # s in which the vehicle did not keep to the non-holonomic constraint
     COVARIANCE_FACTOR: int = 144  # whether the covariance is scaled by what the innovations show
-    ADAPT_DRIFT: int = 145  # whether the gyroscopes' drift is learned from standstills
+    ADAPT_DRIFT: int = 145  # whether the sensors' drift is learned from how their estimates move
     UNSETTLED: int = 146  # s in which a slide showed that the IMU misled the filter
     SIZE: int = 147
 

@@ -12,13 +12,12 @@ from ..samples import Fixes, Headings, Speeds, Velocities
 from . import kernel
 from .alignment import STANDING_SIGMA, Alignment, start_covariance
 from .config import FilterConfig
-from .contradiction import published_covariance
 from .imu_faults import FAULTS, Fault
 from .initial import initialize, learned
 from .intake import JUMPED, NAMES, Intake, corrected
 from .kernel import TAKEN
 from .layout import NAV, Event, Head, Kind, Nav, Verdict, state_at, views
-from .odometry import LINEAR, SIZE, TWIST_COVARIANCE, odometry
+from .odometry import LINEAR, SIZE, TWIST_COVARIANCE, odometry, published_covariance
 from .results import columns
 from .snapshot import made, recalled
 from .start import Start
@@ -425,7 +424,8 @@ class FusionFilter(Intake):
         values |= {'age of the last fix used, s': (self._now - self._newest_fix) * 1e-9,
                    'realised over claimed sigma of the fixes': math.sqrt(row[Nav.GNSS_RATIO]),
                    'realised over expected sigma of the innovations': math.sqrt(row[Nav.VARIANCE_FACTOR]),
-                   'realised over assumed drift of the gyroscopes': math.sqrt(row[Nav.DRIFT_RATIO])}
+                   'realised over assumed drift of the accelerometers': math.sqrt(row[Nav.DRIFT_RATIO]),
+                   'realised over assumed drift of the gyroscopes': math.sqrt(row[Nav.DRIFT_RATIO + 1])}
         for i, name in enumerate(layout.names[layout.n_navigation:], start=layout.n_navigation):
             values[name] = float(row[NAV + i])
             values[f'{name} sigma'] = float(sigma[i])

@@ -9,8 +9,21 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
 from ..navigation.earth import to_local
-from .contradiction import widen
-from .layout import NAV, PLANAR, Head, Nav, Sample, load_covariance, sample_at, state_at, variance_factor
+from .contradiction import disputed
+from .layout import (
+    NAV,
+    PLANAR,
+    Head,
+    Nav,
+    Sample,
+    StateLayout,
+    covariance,
+    load_covariance,
+    place,
+    sample_at,
+    state_at,
+    variance_factor,
+)
 
 #: where each part stands in the vector that `odometry` fills
 POSITION, ORIENTATION, POSE_COVARIANCE, LINEAR, ANGULAR, TWIST_COVARIANCE, SIZE = 0, 3, 7, 43, 46, 49, 85
@@ -42,6 +55,28 @@ def corrected(row, r, is_planar, open_loop):
             v_n, v_e, v_d = v_n - row[x + t.V_N], v_e - row[x + t.V_E], v_d - row[x + t.V_D]
             q = strapdown.correct_attitude(q, row[x + t.PHI_N], row[x + t.PHI_E], row[x + t.PHI_D])
     return latitude, longitude, height, v_n, v_e, v_d, q
+
+
+@njit(_nrt=False)
+def widen(full, at, n, first, row, r):
+    """Add to the covariance (n, n) at full[at] of the state at r in `row` what is published besides; first: state of v_n.
+
+    That are errors of the receiver that last (receiver.py) and what is in dispute (contradiction.py).
+    """
+    for i in range(2):
+        full[place(at + (n + 1) * i)] += row[r + Nav.LASTING]
+    where = (0, 1, first, first + 1)
+    for vector in disputed(row, r):
+        for i in range(4):
+            for j in range(4):
+                full[place(at + n * where[i] + where[j])] += vector[i] * vector[j]
+
+
+def published_covariance(row: np.ndarray, layout: StateLayout) -> np.ndarray:
+    """The covariance (n, n) that the state in `row` is published with."""
+    full = variance_factor(row, 0) * covariance(row, layout)
+    widen(full.ravel(), 0, layout.n, layout.index('v_n'), row, 0)  # of its own memory
+    return full
 
 
 @njit

@@ -243,8 +243,8 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
     x = NAV + size
     b = x + m + size * (size + 1) // 2
     e = b + size * m
-    first, last = (2 * p, 3 * p) if size == 5 else (3 * p, 6 * p)  # the gyroscopes' states
     decays = place(int(mem[Head.SCRATCH_AT]))
+    learned = 0 if mem[Head.ADAPT_DRIFT] == 0.0 else 6  # three accelerometers, three gyroscopes
     for j in range(m):
         mem[decays + j] = _decay(dt * mem[Head.SIZE + 6 + j])
     for j in range(m):
@@ -254,7 +254,7 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
             mem[column + i] *= decay
         for i in range(m):  # both halves are the same bits, as they were before
             mem[row + i] = decay * mem[decays + i] * mem[before + i]
-        drift = mem[src + Nav.DRIFT_RATIO] if first <= j < last else 1.0
+        drift = mem[src + Nav.DRIFT_RATIO + (j > 2)] if j < learned else 1.0
         mem[row + j] += drift * (mem[Head.SIZE + 6 + m + j] * dt
                                  + mem[Head.SIZE + 6 + 2 * m + j] * (1.0 - decay * decay))
     if mem[Head.HISTORY_AT] > 0.0:
@@ -275,14 +275,13 @@ def _autoregressive(mem, src, dst, dt, size, m, p):
         mem[dst + phase] = mem[src + phase] + dt
         while mem[dst + phase] > interval * (1.0 - 1e-6):
             mem[dst + phase] -= interval
-            drift = mem[src + Nav.DRIFT_RATIO] if sensor else 1.0
             for channel in range(first, last):
-                _step_channel(mem, dst, size, m, p, channel, channels, drift)
+                _step_channel(mem, dst, size, m, p, channel, channels)
 
 
 @njit(inline='always')
-def _step_channel(mem, dst, size, m, p, channel, channels, drift):
-    """One step of one channel's AR(p): companion matrix on x, on both sides of P, and b0^2 times `drift`."""
+def _step_channel(mem, dst, size, m, p, channel, channels):
+    """One step of one channel's AR(p): companion matrix on x, on both sides of P, and b0^2."""
     x = NAV + size
     b = x + m + size * (size + 1) // 2
     e = b + size * m
@@ -303,7 +302,7 @@ def _step_channel(mem, dst, size, m, p, channel, channels, drift):
         n = size + m
         for k in range(n):
             _companion(mem, int(mem[Head.HISTORY_AT]) + n * (size + start) + k, n, p, a)
-    mem[dst + e + (m + 1) * start] += drift * mem[Head.SIZE + 6 + 3 * m + channels * p + channel]
+    mem[dst + e + (m + 1) * start] += mem[Head.SIZE + 6 + 3 * m + channels * p + channel]
 
 
 @njit(inline='always')

@@ -70,6 +70,9 @@ FACTOR_MEMORY, FACTOR_PRIOR = 100.0, 20.0
 FACTOR_STEP = 1.0
 #: a larger normalized innovation counts as this: one fix far off is not a filter that is too sure
 LARGEST_INNOVATION = 4.0
+#: of what fixes claim, the share that counts as errors that last whatever they scatter; what they do not scatter is a
+#: mean over so many fixes, before the first of which it is worth so many that are white
+LASTING_SHARE, LASTING_MEMORY, LASTING_PRIOR = 0.05, 100.0, 20.0
 #: median of a chi-square distribution with 2 degrees of freedom, over its mean
 MEDIAN = math.log(2.0)
 
@@ -124,6 +127,7 @@ def learn(mem, r, at, left_n, left_e):
     interval = time - mem[r + Nav.RESIDUAL_TIME]
     paired = 0.0 < interval < LONGEST_PAIR
     _judge_covariance(mem, r, at)
+    _judge_lasting(mem, r, at)
     _prove(mem, r, at, interval)
     mem[r + Nav.RESIDUAL_TIME] = time
     mem[r + Nav.RESIDUAL_N], mem[r + Nav.RESIDUAL_E] = left_n - mem[r + NAV], left_e - mem[r + NAV + 1]
@@ -197,6 +201,26 @@ def _judge_covariance(mem, r, at):
     mem[r + Nav.FACTOR_TIME] += step
     gain = step / min(FACTOR_MEMORY, FACTOR_PRIOR + mem[r + Nav.FACTOR_TIME])
     mem[r + Nav.VARIANCE_FACTOR] += gain * (squared - mem[r + Nav.VARIANCE_FACTOR])
+
+
+@njit(_nrt=False)
+def _judge_lasting(mem, r, at):
+    """Variance of the receiver's errors that last, from the fix at `at`: what it claims and fixes do not scatter.
+
+    A receiver states how far off it may be, and the difference of two fixes shows of that what changes between them
+    (`_scatter`). The rest are errors of orbits, atmosphere and multipath: the filter follows them, its innovations stay
+    white, and its position is as far off. No receiver is without; a share of what it claims always counts as such. The
+    filter follows the fixes by their weights: so the claims are averaged as their inverses.
+    """
+    if mem[Head.COVARIANCE_FACTOR] == 0.0:
+        return
+    information = 2.0 / (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    if mem[r + Nav.INFORMATION] == 0.0:
+        mem[r + Nav.INFORMATION] = information
+    gain = 1.0 / min(LASTING_MEMORY, LASTING_PRIOR + mem[r + Nav.GNSS_SEEN])
+    mem[r + Nav.UNSEEN] += gain * (max(1.0 - mem[r + Nav.GNSS_RATIO], -1.0) - mem[r + Nav.UNSEEN])
+    mem[r + Nav.INFORMATION] += gain * (information - mem[r + Nav.INFORMATION])
+    mem[r + Nav.LASTING] = max(mem[r + Nav.UNSEEN], LASTING_SHARE) / mem[r + Nav.INFORMATION]
 
 
 @njit(_nrt=False)
@@ -274,6 +298,7 @@ def start_anew(mem, r, at):
         never = 0.0 <= mem[r + Nav.PROVEN] <= PROOF
         mem[r + Nav.STRAYED] = max(mem[r + Nav.STRAYED] + 1.0 if again else 1.0, 2.0 if never else 1.0)
         mem[r + Nav.STRAYED_TIME], mem[r + Nav.PROVEN] = mem[at + Event.TIME], 0.0 if never else LOST
+    mem[r + Nav.DRIFT_TIME] = 0.0
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
     for i in range(n):

@@ -17,7 +17,8 @@ from .start import Start
 
 
 #: besides solution and covariance: what makes metres of angles, and of P what is published
-_SCALES = (Nav.NORTH_SCALE, Nav.EAST_SCALE, Nav.VARIANCE_FACTOR, Nav.FIX_TIME, *range(Nav.DRAWN_N, Nav.LEFT_E + 1))
+_SCALES = (Nav.NORTH_SCALE, Nav.EAST_SCALE, Nav.VARIANCE_FACTOR, Nav.LASTING, Nav.FIX_TIME,
+           *range(Nav.DRAWN_N, Nav.LEFT_E + 1))
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ class Run:
 
 def columns(layout: StateLayout) -> np.ndarray:
     """What of each state is kept: navigation solution, x, the covariance's diagonal and its north-east element,
-    and the factor on these."""
+    and what the filter knows of these: the factor on them, and the receiver's errors that last."""
     pairs = [(i, i) for i in range(layout.n)] + [(0, 1)]
     kept = [*range(Nav.RADII_LATITUDE), *_SCALES, *range(NAV, NAV + layout.n)]
     kept += [covariance_index(i, j, layout) for i, j in pairs]
@@ -146,9 +147,11 @@ def _solution(rows, is_planar, open_loop):
 
 @njit
 def _widen(variances, velocity, rows):
-    """As `contradiction.widen`, of variances and the covariance of r_n and r_e behind them; velocity: state of v_n."""
+    """As `odometry.widen`, of variances and the covariance of r_n and r_e behind them; velocity: state of v_n."""
     where = (0, 1, velocity, velocity + 1)
     for k in range(len(rows)):
+        for i in range(2):
+            variances[k, i] += rows[k, Nav.LASTING]
         for vector in disputed(rows[k], 0):
             for i in range(4):
                 variances[k, where[i]] += vector[i] * vector[i]

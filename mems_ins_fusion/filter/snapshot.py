@@ -14,10 +14,9 @@ import numpy as np
 from ..navigation.strapdown import to_euler
 from .alignment import Remembered
 from .config import FilterConfig
-from .contradiction import published_covariance
 from .initial import aged, learned
 from .layout import NAV, PLANAR, Head, state_at
-from .odometry import corrected
+from .odometry import corrected, published_covariance
 from .start import SensorErrors
 
 #: a vehicle that was faster when the snapshot was made has gone on after it, m/s

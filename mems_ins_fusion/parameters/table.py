@@ -117,7 +117,8 @@ FILTER = (
     Parameter('gnss.adapt_sigma', True, '-', 'Raise the sigma of the fixes to what they are seen to scatter '
               '(strapdown).'),
     Parameter('gnss.adapt_covariance', True, '-', 'Raise the covariance of the estimate to what the innovations of the '
-              'fixes show of it when they last; no estimate changes.'),
+              'fixes show of it when they last, and that of the position to what fixes claim and do not scatter; no '
+              'estimate changes.'),
     Parameter('gnss.outage_after', 2.5, 's', 'Without a fix for this long the node reports an outage.', positive=True,
               maximum=86400.0),
     Parameter('gnss.coloured_noise.sigma', 0.0, 'm', 'Standard deviation of a first-order Gauss-Markov position '
@@ -150,8 +151,8 @@ FILTER = (
               'this (standard deviation of an axis).', positive=True, maximum=100.0),
     Parameter('vehicle.still_rate', 0.05, 'rad/s', 'The same for the gyroscopes; their mean must be smaller, too.',
               positive=True, maximum=100.0),
-    Parameter('vehicle.learn_drift', True, '-', 'Learn from standstills how far the gyroscopes drift, as a multiple of '
-              'what their sensor error model says (vehicle.zero_velocity).'),
+    Parameter('vehicle.learn_drift', True, '-', 'Learn how far accelerometers and gyroscopes drift, as a multiple of '
+              'what their sensor error model says (strapdown; not AR).'),
     Parameter('vehicle.non_holonomic', True, '-', 'A land vehicle does not move sideways (nor, strapdown, up).'),
     Parameter('vehicle.non_holonomic_sigma', 0.3, 'm/s', 'Standard deviation of that sideways velocity.',
               positive=True, maximum=100.0),

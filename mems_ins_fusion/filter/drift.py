@@ -1,0 +1,67 @@
+"""How far the sensors drift, as a multiple of what is assumed: learned from how the estimates of their errors move.
+
+Over a WINDOW the estimate of an error moves by d, beside what its model lets it decay. The filter expects of d^2 what
+the measurements have taken of the variance: decay^2 (P before) + Q - (P after). A sensor that drifts by more than is
+assumed moves its estimate by more, one that drifts by less moves it by less, whatever it is that tells: fixes,
+constraints, standstills. The mean of d^2 over that multiplies Q, so that the mean becomes 1 (covariance matching, R. K.
+Mehra, "Approaches to adaptive filtering", IEEE Trans. Automatic Control 17, 1972). A bias that a sensor was switched on
+with has no state of its own and does not decay: d is the smaller one of with and without. Strapdown with random walk or
+Gauss-Markov; the steps of AR(p) are as configured, and what the planar filter calls drift are slopes.
+"""
+from __future__ import annotations
+
+import math
+
+from mems_ins_fusion.compiled import njit
+
+from .layout import NAV, Head, Nav
+
+#: estimates are compared over so long, s, and over no more than that: in an outage nothing tells
+WINDOW, LONGEST = 30.0, 60.0
+#: where that has taken so much of the variance away, and no more than so many times Q: the first minutes show the bias
+#: that the sensor was switched on with, too
+TOLD, SETTLED = 0.1, 2.0
+#: a drift squared, over its variance, counts no more than this: one fault must not ruin the rest
+LARGEST_DRIFT = 9.0
+#: the assumed drift is worth so many, and no more than so many are remembered; one for each axis and window
+DRIFT_PRIOR, DRIFT_MEMORY = 3.0, 60.0
+#: the realised variance is believed between these multiples of the assumed one
+SMALLEST_RATIO, LARGEST_RATIO = 0.01, 100.0
+
+
+@njit(_nrt=False)
+def learn_drift(mem, r):
+    """Realised over assumed variance of the drift of accelerometers and gyroscopes; r: of a state with its fix."""
+    if mem[Head.ADAPT_DRIFT] == 0.0:
+        return
+    begin, time = mem[r + Nav.DRIFT_TIME], mem[r + Nav.TIME]
+    since = time - begin
+    if begin != 0.0 and since < WINDOW:
+        return
+    mem[r + Nav.DRIFT_TIME] = time
+    judged = begin != 0.0 and since < LONGEST
+    n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
+    x = r + NAV + n_navigation
+    e = x + m + n_navigation * (n_navigation + 1) // 2 + m * n_navigation
+    for k in range(6):
+        sensor = 0 if k < 3 else 1
+        error, variance, ratio = mem[x + k], mem[e + (m + 1) * k], mem[r + Nav.DRIFT_RATIO + sensor]
+        if judged:
+            decay = math.exp(-since * mem[Head.SIZE + 6 + k])
+            driving = ratio * (mem[Head.SIZE + 6 + m + k] * since
+                               + mem[Head.SIZE + 6 + 2 * m + k] * (1.0 - decay * decay))
+            before = decay * decay * mem[r + Nav.BIAS_VARIANCE + k]
+            told = before + driving - variance
+            if TOLD * before < told < SETTLED * driving:
+                bias = mem[r + Nav.BIAS + k]
+                moved = min((error - decay * bias) ** 2, (error - bias) ** 2)
+                mem[r + Nav.DRIFT_SUM + sensor] += ratio * min(moved / told, LARGEST_DRIFT)
+                mem[r + Nav.DRIFT_SEEN + sensor] += 1.0
+        mem[r + Nav.BIAS + k], mem[r + Nav.BIAS_VARIANCE + k] = error, variance
+    for sensor in range(2):
+        seen = mem[r + Nav.DRIFT_SEEN + sensor]
+        if seen > DRIFT_MEMORY:
+            mem[r + Nav.DRIFT_SUM + sensor] *= DRIFT_MEMORY / seen
+            seen = mem[r + Nav.DRIFT_SEEN + sensor] = DRIFT_MEMORY
+        ratio = (DRIFT_PRIOR + mem[r + Nav.DRIFT_SUM + sensor]) / (DRIFT_PRIOR + seen)
+        mem[r + Nav.DRIFT_RATIO + sensor] = min(max(ratio, SMALLEST_RATIO), LARGEST_RATIO)
