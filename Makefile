@@ -6,8 +6,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 OLDEST := .venv-oldest/bin
-# one process for each core; what the tests of a file share is made once, in one of them. By name, since the last files are
-# short ones: else one core would wait for the other
+# one process for each core; what the tests of a file share is made once, in one of them. By name, since the last files
+# are short ones: else one core would wait for the other
 PYTEST := -m pytest -q -n auto --dist loadfile --no-loadscope-reorder
 PIP := -m pip install --quiet --disable-pip-version-check
 
@@ -22,8 +22,8 @@ demo: .venv/ros
 test: compiled
 	$(BIN)/python $(PYTEST) test
 
-# what numba, NumPy, SciPy, matplotlib and rosbags do for the filter, the nodes and replay; not what the system does with
-# files and signals, which is the same
+# what numba, NumPy, SciPy, matplotlib and rosbags do for the filter, the nodes and replay; not what the system does
+# with files and signals, which is the same
 test-oldest: compiled-oldest
 	$(OLDEST)/python $(PYTEST) -k 'not killed and not interrupted and not overwritten' $(wildcard \
 	    test/test_replay*.py test/test_compiled.py test/test_fusion_node*.py test/test_node*.py test/test_evaluation*.py \

@@ -6,8 +6,8 @@ A folder that cannot be read or written costs time and nothing else. While numba
 wait for the end of a step of the compiler: inside of one, an exception can end in a traceback, or be lost.
 
 numba by itself also makes every function ready to be called from Python, and optimises it, down to machine code,
-together with all that it calls: what stands at the bottom of the filter goes through LLVM once for each floor above it.
-Here that is done for what Python calls; what compiled code calls is a part of it, see `_Compiled`. That halves the time.
+together with all that it calls: what stands at the bottom of the filter goes through LLVM once for each floor above
+it. Here that is done for what Python calls; what compiled code calls is a part of it, see `_Compiled`: half the time.
 """
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 from numba.core.typing import make_concrete_template
 
-# numba looks whether there is `scipy.linalg` when it loads its array functions, for np.cov and np.corrcoef, which nothing
-# compiled here has: a third of the time in which the node becomes ready
+# numba looks for `scipy.linalg` when it loads its array functions, for products within a few of them, which it can also
+# do without: that would be a quarter of the time until the filter is ready
 _unwanted = 'scipy.linalg.cython_blas'
 if _unwanted not in sys.modules:
     sys.modules[_unwanted] = None

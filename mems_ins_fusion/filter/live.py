@@ -111,7 +111,8 @@ class FusionFilter(Intake):
             return config
         if config.parameters['vehicle.non_holonomic']:
             raise ParameterError("parameter 'vehicle.non_holonomic' cannot be switched on while the filter runs: it "
-                                 'brings states (mounting, axle) that were not there at the start; start the node with it')
+                                 'brings states (mounting, axle) that were not there at the start; start the node '
+                                 'with it')
         return replace(config, extras=self.config.extras)  # the states that it does not need any more stay
 
     def adopt(self, config: FilterConfig) -> None:
@@ -291,8 +292,8 @@ class FusionFilter(Intake):
     def set_start(self, latitude, longitude, height, yaw, covariance) -> None:
         """Be there now. rad, m; yaw clockwise from north; covariance (4, 4) of north, east, down (m), yaw.
 
-        The speed, along the yaw, is what the filter had, or zero where the vehicle is seen to stand; where nothing tells,
-        zero with UNKNOWN_SPEED_SIGMA. What the filter had learned of the sensors stays.
+        The speed, along the yaw, is what the filter had, or zero where the vehicle is seen to stand; where nothing
+        tells, zero with UNKNOWN_SPEED_SIGMA. What the filter had learned of the sensors stays.
         """
         if self._epoch is None:
             self.say('warning', 'start pose: no IMU sample yet, nothing to start from')
@@ -357,8 +358,8 @@ class FusionFilter(Intake):
         elif verdict == Verdict.AHEAD:
             missing = f'IMU samples are missing, {self._last_gap:.1f} s of them' if self._last_gap else (
                 'IMU samples come late, as on a busy machine')
-            self.say('warning', f'{topic}: fix stamped {(stamp - self._now) * 1e-9:.1f} s after the IMU sample that came '
-                                f'next: {missing}, or the clocks differ (gnss.time_offset); refused')
+            self.say('warning', f'{topic}: fix stamped {(stamp - self._now) * 1e-9:.1f} s after the IMU sample that '
+                                f'came next: {missing}, or the clocks differ (gnss.time_offset); refused')
         elif verdict == Verdict.RECOVERED:
             self._last_recovery = stamp * 1e-9
             self.say('warning', f'{topic}: the fixes refused for {self.config.gnss.recovery_time:.0f} s agree with '
@@ -395,8 +396,8 @@ class FusionFilter(Intake):
     def _say_gap(self, seconds: float) -> None:
         self._last_gap = seconds
         self._count('imu', 'gaps')
-        self.say('warning', f'{self.config.imu.topic}: no sample for {seconds:.2f} s (imu.max_gap): samples are missing, '
-                            'bridged')
+        self.say('warning', f'{self.config.imu.topic}: no sample for {seconds:.2f} s (imu.max_gap): samples are '
+                            'missing, bridged')
 
     def _count(self, what: str, outcome: str) -> None:
         key = f'{what} {outcome}'

@@ -172,8 +172,8 @@ def _orientation(q, out):
 
 @njit
 def _angular(memory, newest, r, sample, interval, full, out):
-    """Angular velocity of the sample, sensor errors removed, and its variance with the sample's white noise; zero before
-    the first sample. full: position of the covariance (n, n) in the memory."""
+    """Angular velocity of the sample, sensor errors removed, and its variance with the sample's white noise; zero
+    before the first sample. full: position of the covariance (n, n) in the memory."""
     n_navigation, p = int(memory[Head.N_NAVIGATION]), int(memory[Head.ORDER])
     n = n_navigation + int(memory[Head.N_AUGMENTED])
     is_planar = memory[Head.MECHANIZATION] == PLANAR
