@@ -319,12 +319,16 @@ def test_what_fixes_claim_and_do_not_scatter_is_taken_for_errors_that_last(mecha
     assert np.mean(share['white']) < 0.2 and 0.7 * unseen < np.mean(share['lasting']) < 1.3 * unseen, share
 
 
-def test_errors_that_last_are_those_of_the_fixes_that_count():
-    # given a receiver that scatters by 0.3 of what it claims, and now and then claims ten times as much
-    receiver = Receiver(200.0, scatter=0.3 * SIGMA)
-    claims = np.where(np.arange(len(receiver.time)) % 10 == 9, 10.0, 1.0)
-    _, memory, _, _ = receiver.through(mechanization='strapdown', sigma=claims, **{'gnss.adapt_covariance': True})
-    assert 0.6 * SIGMA**2 < newest(memory)[Nav.LASTING] < 1.3 * SIGMA**2
+def test_errors_that_last_go_with_what_is_claimed_now():
+    # given a receiver that scatters by 0.3 of what it claims, now and then claims ten times as much
+    receiver = Receiver(300.0, scatter=0.3 * SIGMA)
+    adapts = {'mechanization': 'strapdown', 'gnss.adapt_covariance': True}
+    claims = np.where(np.arange(len(receiver.time)) % 10 == 5, 10.0 * SIGMA, SIGMA)
+    seldom = newest(receiver.through(sigma=claims, **adapts)[1])[Nav.LASTING]
+    # and one that after four minutes has lost what made it a hundred times as good, and is as smooth
+    receiver, claims = Receiver(300.0, scatter=0.003 * SIGMA), np.where(receiver.time < 240.0, 0.01 * SIGMA, SIGMA)
+    lost = newest(receiver.through(sigma=claims, **adapts)[1])[Nav.LASTING]
+    assert 0.7 * SIGMA**2 < seldom < 2.0 * SIGMA**2 and 0.7 * SIGMA**2 < lost < 1.1 * SIGMA**2, (seldom, lost)
 
 
 @BOTH

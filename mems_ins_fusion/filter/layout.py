@@ -81,7 +81,7 @@ class _Nav(NamedTuple):
     FACTOR_TIME: int = 49  # s that went into it
     VARIANCE_FACTOR: int = 50  # realised over expected variance of them; below 1 it counts as 1
     UNSEEN: int = 51  # share of the variance that fixes claim which they do not scatter, a mean
-    INFORMATION: int = 52  # mean inverse of the claimed variance, 1/m^2
+    CLAIM_LEVEL: int = 52  # mean logarithm of the claimed variance, m^2
     LASTING: int = 53  # variance of the receiver's errors that last, m^2: the position has them, too
     # what the estimates show of the sensors' drift, see drift.py; accelerometers, gyroscopes
     DRIFT_TIME: int = 54  # s, of the estimates that the next are compared with; 0: none

@@ -73,6 +73,8 @@ LARGEST_INNOVATION = 4.0
 #: of what fixes claim, the share that counts as errors that last whatever they scatter; what they do not scatter is a
 #: mean over so many fixes, before the first of which it is worth so many that are white
 LASTING_SHARE, LASTING_MEMORY, LASTING_PRIOR = 0.05, 100.0, 20.0
+#: and of the logarithm of what they claim over so many
+CLAIM_MEMORY = 10.0
 #: median of a chi-square distribution with 2 degrees of freedom, over its mean
 MEDIAN = math.log(2.0)
 
@@ -209,18 +211,18 @@ def _judge_lasting(mem, r, at):
 
     A receiver states how far off it may be, and the difference of two fixes shows of that what changes between them
     (`_scatter`). The rest are errors of orbits, atmosphere and multipath: the filter follows them, its innovations stay
-    white, and its position is as far off. No receiver is without; a share of what it claims always counts as such. The
-    filter follows the fixes by their weights: so the claims are averaged as their inverses.
+    white, and its position is as far off. No receiver is without; a share of what it claims always counts as such. Claims
+    that change are averaged as logarithms, for about as long as the position remembers a fix.
     """
     if mem[Head.COVARIANCE_FACTOR] == 0.0:
         return
-    information = 2.0 / (mem[at + Event.R_NN] + mem[at + Event.R_EE])
-    if mem[r + Nav.INFORMATION] == 0.0:
-        mem[r + Nav.INFORMATION] = information
+    level = math.log(0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
+    if mem[r + Nav.LASTING] == 0.0:
+        mem[r + Nav.CLAIM_LEVEL] = level
     gain = 1.0 / min(LASTING_MEMORY, LASTING_PRIOR + mem[r + Nav.GNSS_SEEN])
     mem[r + Nav.UNSEEN] += gain * (max(1.0 - mem[r + Nav.GNSS_RATIO], -1.0) - mem[r + Nav.UNSEEN])
-    mem[r + Nav.INFORMATION] += gain * (information - mem[r + Nav.INFORMATION])
-    mem[r + Nav.LASTING] = max(mem[r + Nav.UNSEEN], LASTING_SHARE) / mem[r + Nav.INFORMATION]
+    mem[r + Nav.CLAIM_LEVEL] += (level - mem[r + Nav.CLAIM_LEVEL]) / CLAIM_MEMORY
+    mem[r + Nav.LASTING] = max(mem[r + Nav.UNSEEN], LASTING_SHARE) * math.exp(mem[r + Nav.CLAIM_LEVEL])
 
 
 @njit(_nrt=False)
