@@ -12,12 +12,11 @@ from scipy.stats import chi2
 
 from mems_ins_fusion.characterization.autocorrelation import ljung_box
 from mems_ins_fusion.diagnosis.detection import detect
-from mems_ins_fusion.diagnosis.diagnose import improves
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.levels import choose, multiplied
 from mems_ins_fusion.diagnosis.outliers import isolated
 from mems_ins_fusion.diagnosis.plausible import implausible
-from mems_ins_fusion.diagnosis.proof import HeldOut, harm, objection, parts
+from mems_ins_fusion.diagnosis.proof import HeldOut, harm, objection, parts, unproven
 from mems_ins_fusion.diagnosis.residuals import Residual, Scores, _scores, _whiten_matrix, lasting, tempered
 from mems_ins_fusion.diagnosis.tracing import Candidate, _test, effect_unknowns, group
 from mems_ins_fusion.effects.base import Effect, EffectParameter
@@ -239,6 +238,10 @@ def row(before, after, p=0.5, rms=(0.0, 0.0), within=(1.0, 1.0), count=20, decid
             'count': count, 'decides': decides}
 
 
+def proven(rows, effects=False):
+    return not unproven(rows, effects)
+
+
 def test_what_speaks_against_an_effect():
     better, worse, alike = row(4.0, 2.0, 0.001), row(10.0, 12.0, 0.001), row(4.0, 4.05)
     sure, weak, none = (HeldOut(gain, p, []) for gain, p in ((20.0, 0.001), (5.0, 0.4), (-1.0, 0.6)))
@@ -252,7 +255,10 @@ def test_what_speaks_against_an_effect():
     assert objection(sure, [row(4.0, 4.3, within=(0.6, 0.61))]) and objection(sure, [row(1.0, 1.3, within=(0.6, 0.9))])
     # nor does an ellipse speak against an error that is plainly smaller: that is a matter of noise levels
     assert objection(sure, [row(4.0, 1.5, within=(0.97, 0.74))]) == ''
-    assert 'ellipse' in objection(sure, [row(4.0, 3.2, within=(0.97, 0.74))])
+    likely = HeldOut(20.0, 0.1, [])
+    assert 'ellipse' in objection(likely, [row(4.0, 3.2, within=(0.97, 0.74))])
+    # nor against an effect that is certain
+    assert objection(sure, [row(4.0, 3.2, within=(0.97, 0.74))]) == ''
     assert harm([row(4.0, 1.5, within=(0.97, 0.74))])
     assert objection(weak, [alike]).startswith('no gain on data it was not fitted to (log likelihood +5.0, p 0.4)')
     assert objection(none, [better]).startswith('no gain')
@@ -274,7 +280,7 @@ def test_what_speaks_against_an_effect():
 ])
 def test_what_is_harm(rows, harmed):
     assert bool(harm(rows)) == harmed
-    assert not (harmed and improves(rows))
+    assert not (harmed and proven(rows))
 
 
 def test_an_effect_that_the_likelihood_has_proven_may_scatter_as_few_outages_do():
@@ -283,8 +289,18 @@ def test_an_effect_that_the_likelihood_has_proven_may_scatter_as_few_outages_do(
 
 
 def test_better_are_smaller_errors_or_ellipses_that_hold_the_truth_again():
-    assert improves([row(10.0, 8.5)]) and not improves([row(10.0, 9.5)]) and improves([row(10.0, 9.4)], effects=True)
-    assert improves([row(10.0, 9.9, within=(0.5, 0.95))]) and not improves([row(10.0, 10.2, within=(0.5, 0.95))])
+    assert proven([row(10.0, 8.5)]) and not proven([row(10.0, 9.5)])
+    assert proven([row(10.0, 9.9, within=(0.5, 0.95))]) and not proven([row(10.0, 10.2, within=(0.5, 0.95))])
+
+
+def test_errors_must_not_grow_with_an_effect_that_the_likelihood_has_proven():
+    # the fixes that are the truth may have it, too, so that errors do not shrink; but they must not grow
+    assert proven([row(10.0, 10.0)], effects=True) and not proven([row(10.0, 10.5)], effects=True)
+    # an ellipse counts for less where errors are plainly smaller
+    assert not proven([row(10.0, 9.0, within=(1.0, 0.8))], effects=True)
+    assert proven([row(10.0, 1.0, within=(1.0, 0.8))], effects=True)
+    assert not proven([row(10.0, 1.0, within=(1.0, 0.6))], effects=True)
+    assert not proven([row(10.0, 1.0, within=(1.0, 0.8))])
 
 
 def test_a_fix_that_is_far_off_counts_by_its_logarithm():

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -16,12 +17,12 @@ from ..recordings.several import one_after_another
 from ..samples import Recording
 from . import learned
 from .agreement import by_drive, contradicted, plainest_in_one, said
-from .clock import in_its_clock
+from .clock import whose
 from .detection import Detection, detect
 from .drives import Drives, part, problems
 from .estimate import Estimate
 from .levels import choose, multiplied
-from .outliers import isolated
+from .outliers import isolated, without_far_off
 from .plausible import implausible
 from .proof import (
     HeldOut,
@@ -31,13 +32,13 @@ from .proof import (
     gain_of,
     harm,
     held_out,
-    honest,
     measure,
     objection,
     of_all,
     parts,
     saved,
     together,
+    unproven,
     which_part,
 )
 from .residuals import (
@@ -92,11 +93,6 @@ PLAIN, SHOWN = 3.0, 2.0
 MOUNTING = 'mounting_rotation'
 #: what lasts, and what changes and so can do all that it does: the plainer one is tried first
 VARIED = {'gnss_time_offset': 'gnss_latency'}
-#: other noise levels alone are better where the errors are this part of those before, all in all; and
-#: effects, which the likelihood has proven
-BETTER, BETTER_EFFECTS = 0.9, 0.95
-#: fewer outages do not prove noise levels
-FEWEST_OUTAGES = 5
 #: decisions are made on about so many outages, so far apart, s
 FEW_OUTAGES, CLOSEST_OUTAGES = 40, 10.0
 
@@ -196,6 +192,11 @@ class Bench:
     offset_sigma: float
     measured: dict[str, Measured] = field(default_factory=dict)  # by the filters asked for
 
+    @cached_property
+    def judging(self) -> tuple[Recording, ...]:
+        """The recordings for the truth: where that are the fixes, a fix that is far off is none."""
+        return tuple(replace(r, gnss=without_far_off(r.gnss)) for r in self.recordings)
+
     def enough(self, share: float = 1.0) -> bool:
         """Whether this share of the work of a search is done."""
         return self.done > share
@@ -228,12 +229,13 @@ class Bench:
     def _measured(self, models: list[dict], full: bool) -> Measured:
         judged = parts(self.origin) if len(models) > 1 else [self.origin.mask]
         found = {}
-        for recording, problem, where in zip(self.recordings, self.origin.each, self.origin.slices):
+        for recording, judging, problem, where in zip(self.recordings, self.judging, self.origin.each,
+                                                      self.origin.slices):
             seconds = float(np.ptp(problem.stamp[problem.mask])) * 1e-9
             mine = [(values, mask[where]) for values, mask in zip(models, judged) if mask[where].any()]
             spacing = self.spacing if full else max(CLOSEST_OUTAGES, seconds / FEW_OUTAGES)
             found[recording.name] = measure(
-                problem, recording, (problem.full if full else problem.drive).imu, [values for values, _ in mine],
+                problem, judging, (problem.full if full else problem.drive).imu, [values for values, _ in mine],
                 fitting(self.durations, problem), spacing, [mask for _, mask in mine])
         return together(found)
 
@@ -287,13 +289,13 @@ def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress
     """
     progress(0.02, 'filtering')
     given = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    timed = [in_its_clock(_thinned(r), values['reference_clock']) for r in one_after_another(given)]
-    found, left_out = problems([r for r, _ in timed], values, FEWEST_FIXES)
-    timed = [(r, clock) for r, clock in timed if r.name not in left_out]
-    for problem, (_, clock) in zip(found, timed):
-        problem.reference_with_fixes = clock.with_fixes
+    thinned = [_thinned(recording) for recording in one_after_another(given)]
+    found, left_out = problems(thinned, values, FEWEST_FIXES)
+    thinned = [recording for recording in thinned if recording.name not in left_out]
+    for problem, recording in zip(found, thinned):
+        problem.reference_clock = whose(recording, values['reference_clock']).name
     library = tuple(effects if effects is not None else EFFECTS.values())
-    bench = Bench(tuple(r for r, _ in timed), Drives(found), library, tuple(durations), spacing, progress,
+    bench = Bench(tuple(thinned), Drives(found), library, tuple(durations), spacing, progress,
                   values['gnss.time_offset_sigma'])
     known = first = begin(bench)
     for _ in range(MOST_ROUNDS):
@@ -664,19 +666,23 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
     given = bench.origin.given
     configured = Correction(given, [given], {}, False)
     fitted = _levelled(configured, bench)
-    corrections = _settled(known, first, fitted, configured, bench)
+    corrections, against = _settled(known, first, fitted, configured, bench)
     bench.tell(MEASURING, 'measuring errors')
     before, noise_only = (bench.errors(models, full=True) for models in ([given], fitted.by_part))
     for correction in corrections:  # the last one is what was given
         better = correction.values != given
         after = bench.errors(correction.by_part, full=True) if better else before
         comparison = compared(before, after)
-        if not better or improves(comparison, correction.effects):
+        worse = unproven(comparison, correction.effects) if better else ''
+        if not worse:
             break
+        if correction.effects:
+            against = worse
     hidden = _not_shown(known, correction.settings)
     # a finding is added only where corrected.yaml holds it
     findings = _final(known, hidden, correction.values, given, bench.library)
-    findings = [*(findings if correction.effects else map(_only_told, findings)), *correction.settings]
+    findings = [*(findings if correction.effects else (_only_told(f, against) for f in findings)),
+                *correction.settings]
     model, origin = known.model, bench.origin
     drives = origin.each
     residuals = {'before': origin.before, 'fitted': origin.observed(fitted.values),
@@ -712,9 +718,11 @@ def _in_drive(whole: Diagnosis, k: int, rest: list[GoesWith], remarks: list[str]
         comparison=[row for row in whole.comparison if row.get('drive') == recording.name])
 
 
-def _settled(known: Known, first: Known, fitted: Correction, configured: Correction, bench: Bench) -> list[Correction]:
-    """What is proven together, the best first: effects with or without other noise levels, these alone, nothing."""
-    options = [fitted]
+def _settled(known: Known, first: Known, fitted: Correction, configured: Correction,
+             bench: Bench) -> tuple[list[Correction], str]:
+    """What is proven together, the best first: effects with or without other noise levels, these alone, nothing. And
+    what speaks against effects that are not."""
+    options, against = [fitted], ''
     effects = configured
     if any(f.added for f in known.findings):
         effects = Correction(known.corrected(), known.by_part(), {}, True)
@@ -727,16 +735,18 @@ def _settled(known: Known, first: Known, fitted: Correction, configured: Correct
         if option.values == configured.values:
             continue
         errors = bench.errors(option.by_part)
-        if _merit(errors) > _merit(first.errors) and improves(compared(first.errors, errors), option.effects):
+        worse = unproven(compared(first.errors, errors), option.effects)
+        if not worse and _merit(errors) > _merit(first.errors):
             proven.append((_merit(errors), option))
+        elif option.effects:
+            against = worse or 'positions are predicted less well with it'
     proven = [option for _, option in sorted(proven, key=lambda found: -found[0])]
-    return [option if option.settings else replace(option, settings=tuple(map(_only_told, told)))
-            for option in (*proven, configured)]
+    return [option if option.settings else replace(option, settings=tuple(_only_told(f, against) for f in told))
+            for option in (*proven, configured)], against
 
 
-def _only_told(finding: Finding) -> Finding:
-    reason = finding.reason or 'the errors do not shrink with it'
-    return replace(finding, added=False, changes={}, reason=reason)
+def _only_told(finding: Finding, against: str) -> Finding:
+    return replace(finding, added=False, changes={}, reason=finding.reason or against or 'errors do not shrink with it')
 
 
 def _with_settings(correction: Correction, bench: Bench) -> Correction:
@@ -761,7 +771,7 @@ def _with_settings(correction: Correction, bench: Bench) -> Correction:
             finding = replace(finding, reason='the settings are made for it already')
         else:
             before, after = bench.errors(correction.by_part), bench.errors(further[1:])
-            if improves(compared(before, after)):
+            if not unproven(compared(before, after)):
                 changes = {n: v for n, v in further[0].items() if v != correction.values[n]}
                 finding = replace(finding, added=True, changes=changes, saves=saved(before, after))
                 correction = replace(correction, values=further[0], by_part=further[1:])
@@ -798,7 +808,7 @@ def _with_mounting(correction: Correction, bench: Bench) -> Correction:
     finding = replace(finding, saves=saved(before, after))
     reason = implausible(MOUNTING, found.plain) or found.contradicted or harm(compared(before, after))
     if reason:
-        return replace(correction, settings=(*correction.settings, _only_told(replace(finding, reason=reason))))
+        return replace(correction, settings=(*correction.settings, _only_told(finding, reason)))
     return replace(correction, values=values, by_part=by_part, settings=(*correction.settings, finding))
 
 
@@ -816,19 +826,6 @@ def _levelled(correction: Correction, bench: Bench) -> Correction:
 def _merit(measured: Measured) -> float:
     """Mean log likelihood of what was predicted, all horizons alike."""
     return float(np.mean([score.mean() for _, score in measured.scores() if len(score)]))
-
-
-def improves(comparison: Sequence[dict], effects: bool = False) -> bool:
-    """Whether errors shrink, or the ellipses hold the truth where they did not, and nothing becomes worse.
-
-    effects: there are effects in it, which the likelihood of held-out data has proven already.
-    """
-    if harm(comparison, effects):
-        return False
-    rows = [row for row in of_all(comparison) if effects or row['count'] >= FEWEST_OUTAGES]
-    if not rows:
-        return False
-    return all_in_all(rows) < (BETTER_EFFECTS if effects else BETTER) or honest(rows) and all_in_all(rows) <= 1.0
 
 
 def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence[Effect]) -> list[Finding]:

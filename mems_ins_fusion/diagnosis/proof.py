@@ -21,6 +21,7 @@ from ..evaluation.outages import summary as outage_summary
 from ..filter.config import FilterConfig
 from ..filter.replay import run, run_with_outages
 from ..samples import ImuSamples, Recording
+from .clock import GNSS, OWN, earlier, lateness_against
 from .drives import Drives
 from .residuals import Model, Problem, Residual, on_all_cores, tempered
 
@@ -38,8 +39,10 @@ CERTAIN = 0.01
 GROWN, NOTICED, LARGER = 0.03, 0.1, 1.1
 #: over the root of their number, the part by which the mean of the largest errors of outages scatters
 SCATTER = 0.5
-#: errors that are this part of those before have shrunk plainly
-PLAINLY = 0.7
+#: errors that are this part of those before have shrunk plainly; noise levels alone are better from this part on
+PLAINLY, BETTER = 0.7, 0.9
+#: fewer outages do not prove noise levels
+FEWEST_OUTAGES = 5
 #: 95 % ellipses shall hold the truth in this part of the outages
 COVERED, LESS_HELD = 0.9, 0.15
 #: errors in outages count as they are up to so many sigma: who is in one wants to be told of the large ones
@@ -235,23 +238,31 @@ def _joined(found: Sequence[Measured]) -> Measured:
 def _run(problem: Problem, recording: Recording, imu: ImuSamples, values: dict, durations,
          begins: np.ndarray) -> tuple[Errors, list[Outages], np.ndarray]:
     """One filter through the recording: errors with the fixes used, in outages, and the likelihood of each fix (f,)."""
-    config = FilterConfig.from_parameters(values)
-    truth, delay = truth_of(recording, values), round(values['gnss.time_offset'] * 1e9)
-    if recording.reference is not None and problem.reference_with_fixes:
-        truth = replace(truth, reference=replace(truth.reference, stamp=truth.reference.stamp - delay))
+    config, delay = FilterConfig.from_parameters(values), round(values['gnss.time_offset'] * 1e9)
+    truth = truth_of(recording, values)
+    if recording.reference is not None and problem.reference_clock == GNSS:
+        truth = earlier(truth, delay)
     keep = samples_to_keep(imu, truth.reference.stamp)
-    outages, result = [], None
+    coasting = None
     if durations:
         result, coasting = run_with_outages(config, imu, problem.full.gnss, begins - delay, max(durations),
                                             aiding_of(recording), keep)
-        outages = outages_of(result, coasting, truth, durations, config.imu.restart_gap)
     else:
         result = run(config, imu, problem.full.gnss, aiding_of(recording), keep=keep)
+    # by the truth's own stamps in the end, so that the same epochs are compared whatever a model says of the clocks
+    shift = delay if problem.reference_clock == GNSS else 0
+    if problem.reference_clock == OWN:
+        shift = round(lateness_against(result, truth) * 1e9)
+        truth = earlier(truth, shift)
+    outages = outages_of(result, coasting, truth, durations, config.imu.restart_gap) if coasting else []
     errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
-    if problem.reference_with_fixes:
-        errors = replace(errors, stamp=errors.stamp + delay)
-    return (errors, [replace(o, begin=o.begin + delay) for o in outages],
+    return (_later(errors, shift),
+            [replace(o, begin=o.begin + delay, errors=[_later(e, shift) for e in o.errors]) for o in outages],
             problem.innovations(result).log_likelihood())
+
+
+def _later(errors: Errors, shift: int) -> Errors:
+    return replace(errors, stamp=errors.stamp + shift)
 
 
 def _in_mask(stamp: np.ndarray, problem: Problem, mask: np.ndarray) -> np.ndarray:
@@ -315,14 +326,14 @@ def _compared(before: Measured, after: Measured) -> list[dict]:
     return rows
 
 
-def harm(comparison: Sequence[dict], effects: bool = False, ellipses: bool = True) -> str:
-    """What becomes worse, and by how much; empty where nothing does. ellipses: whether these count, too.
+def harm(comparison: Sequence[dict], effects: bool = False, floor: float = COVERED) -> str:
+    """What becomes worse, and by how much; empty where nothing does.
 
     An error grows where it is larger for certain and noticeably (GROWN, NOTICED), or where its mean or its root mean
     square is larger by LARGER, certain or not; effects: by as much as so many outages can tell (SCATTER), as the
     likelihood of held-out data has proven the effect already; so, too, in single drives, as all together have to be
-    better. An ellipse that held the truth in COVERED still has to, or one outage less; one that did not must not hold
-    it in LESS_HELD less.
+    better. An ellipse that held the truth in COVERED has to hold it in `floor`, or one outage less; one that did not
+    must not hold it in LESS_HELD less, unless it holds it in `floor` still.
     """
     for row in comparison:
         if not (row.get('before') and row.get('after') and row['decides']):
@@ -339,9 +350,8 @@ def harm(comparison: Sequence[dict], effects: bool = False, ellipses: bool = Tru
                 return (f"the error grows: {where}{which}{row['what']}, {_plain(old, squared)} before, "
                         f'{_plain(new, squared)} after')
         held, holds = row.get('within_before'), row.get('within_after')
-        if not ellipses or held is None:
-            continue
-        if holds < (COVERED - 1.0 / row['count'] if held >= COVERED else held - LESS_HELD):
+        if held is not None and holds < (floor - 1.0 / row['count'] if held >= COVERED
+                                         else min(held - LESS_HELD, floor)):
             which = row['what'].split(',')[0]
             return (f'{where}{which}: the 95 % ellipse held the truth in {100 * held:.0f} % before, '
                     f'in {100 * holds:.0f} % after')
@@ -358,11 +368,12 @@ def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
     comparison: errors with the effect and without, of parts that it was not fitted to. A likelihood that gains, but
     not for certain, is no objection where an error shrinks for certain. Nor is an error that is the same, where the
     ellipses come to hold it: errors that last are in the withheld fixes, too, so these never favour who models them.
-    Nor are ellipses that hold a far smaller error less often: what else is wrong shows only now, and noise levels,
-    which decide on ellipses, are chosen at the end.
+    Nor are ellipses that hold a far smaller error less often, or one with an effect that is certain: what else is
+    wrong shows only now, and noise levels, which decide on ellipses, are chosen at the end.
     """
     change = all_in_all(comparison)
-    worse = harm(comparison, proof.helps, ellipses=change == 0.0 or change > PLAINLY)
+    settled = 0.0 < change <= PLAINLY or proof.helps and proof.p < CERTAIN
+    worse = harm(comparison, proof.helps, 0.0 if settled else COVERED)
     if worse:
         return worse
     for name, (gain, p) in proof.drives.items():
@@ -371,9 +382,33 @@ def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
     shrinks = any(row.get('p', 1.0) < CERTAIN and row['after'] < row['before'] for row in of_all(comparison))
     if not (proof.helps or (proof.gain > 0 and shrinks)):
         return f'no gain on data it was not fitted to (log likelihood {proof.gain:+.1f}, p {proof.p:.2g})'
+    return _larger(comparison)
+
+
+def _larger(comparison: Sequence[dict]) -> str:
+    """An objection to errors that are larger all in all; empty where they are not."""
+    change = all_in_all(comparison)
     if change <= 1 + GROWN or (change <= LARGER and honest(of_all(comparison))):
         return ''
     return f'the error does not shrink: all in all it is {change:.2f} times that before'
+
+
+def unproven(comparison: Sequence[dict], effects: bool = False) -> str:
+    """What speaks against another configuration; empty where it is proven to be better.
+
+    effects: what is new in it has been proven by the likelihood of held-out data already (`objection`), so errors
+    must not grow. Whether they shrink the fixes that are the truth as a rule cannot say: who stamps them late, or
+    stands elsewhere, has the withheld ones late and elsewhere, too. Noise levels alone have no such proof: with them
+    errors have to shrink, or the ellipses to hold the truth where they did not.
+    """
+    rows = [row for row in of_all(comparison) if effects or row['count'] >= FEWEST_OUTAGES]
+    change = all_in_all(rows)
+    worse = harm(comparison, effects, COVERED - LESS_HELD if effects and 0.0 < change <= PLAINLY else COVERED)
+    if worse or effects:
+        return worse or _larger(comparison)
+    if rows and (change < BETTER or honest(rows) and change <= 1.0):
+        return ''
+    return 'the errors do not shrink with it'
 
 
 def honest(rows: Sequence[dict]) -> bool:

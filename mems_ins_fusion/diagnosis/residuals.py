@@ -27,6 +27,7 @@ from ..filter.replay import Constrained, run, run_with_constraints
 from ..filter.results import Run
 from ..filter.start import transferred
 from ..samples import Fixes, ImuSamples, Recording
+from .clock import GNSS, IMU
 
 #: innovations of the first seconds after the start belong to the alignment
 SETTLING = 20.0
@@ -221,11 +222,11 @@ class Problem:
     given: the parameters as given; values: those of the filter that is looked through. full: the recording with the
     fixes used; drive: the same with averaged samples; recording: as `drive`, as that filter sees it - covariances
     spelled out, fixes that the filter as given refuses left out. stamp (f,) ns of the fixes; mask (f,): which count.
-    reference_with_fixes: whether the truth runs in the clock of the fixes.
+    reference_clock: the clock in which the truth runs (`clock.whose`).
     """
 
     def __init__(self, recording: Recording, values: dict, interval: float = UPDATE_INTERVAL):
-        self.reference_with_fixes = recording.reference is None
+        self.reference_clock = GNSS if recording.reference is None else IMU
         self.given = {**values, 'gnss.time_offset_sigma': 0.0}
         self.values = looked_through(values)
         given = FilterConfig.from_parameters(self.given)
