@@ -284,8 +284,15 @@ def test_what_is_harm(rows, harmed):
 
 
 def test_an_effect_that_the_likelihood_has_proven_may_scatter_as_few_outages_do():
-    assert harm([row(30.0, 34.0, 0.4, count=9)]) and not harm([row(30.0, 34.0, 0.4, count=9)], effects=True)
-    assert harm([row(30.0, 36.0, 0.4, count=9)], effects=True) and harm([row(30.0, 34.0, 0.4, count=90)], effects=True)
+    # given errors that are larger by a seventh, which chance gives in two of five cases, in one of ten, in one of 200
+    for p, harmed in ((0.4, False), (0.1, True), (0.005, True)):
+        assert harm([row(30.0, 34.0, p)]) and bool(harm([row(30.0, 34.0, p)], effects=True)) == harmed
+        tails = row(30.0, 30.0, rms=(50.0, 60.0)) | {'rms_p': p}
+        assert harm([tails]) and bool(harm([tails], effects=True)) == harmed
+    # where there are too few of them for a probability, their number tells
+    few = row(30.0, 34.0, None, count=9)
+    assert not harm([few], effects=True) and harm([few | {'count': 90}], effects=True)
+    assert harm([row(30.0, 36.0, None, count=9)], effects=True)
 
 
 def test_better_are_smaller_errors_or_ellipses_that_hold_the_truth_again():

@@ -37,8 +37,9 @@ SUPPORT = 0.95
 CERTAIN = 0.01
 #: an error has grown noticeably beyond this part and this much, m; by this factor it has grown, certain or not
 GROWN, NOTICED, LARGER = 0.03, 0.1, 1.1
-#: over the root of their number, the part by which the mean of the largest errors of outages scatters
-SCATTER = 0.5
+#: such a growth is one with a proven effect, too, if chance gives it more rarely than this; where there are too few
+#: outages to say, if it is larger than this part over the root of their number
+LIKELY, SCATTER = 0.2, 0.5
 #: errors that are this part of those before have shrunk plainly; noise levels alone are better from this part on
 PLAINLY, BETTER = 0.7, 0.9
 #: fewer outages do not prove noise levels
@@ -320,8 +321,8 @@ def _compared(before: Measured, after: Measured) -> list[dict]:
         row = _row(f'outages of {old.duration:g} s, mean largest error in m', old.begin, new.begin, old.max_error,
                    new.max_error)
         if row['count']:
-            row |= {'rms_before': metrics.rms(old.max_error), 'rms_after': metrics.rms(new.max_error),
-                    'within_before': float(old.within.mean()), 'within_after': float(new.within.mean())}
+            row |= _tails(old.begin, new.begin, old.max_error, new.max_error) | {
+                'within_before': float(old.within.mean()), 'within_after': float(new.within.mean())}
         rows.append(row | {'decides': True})
     return rows
 
@@ -330,9 +331,9 @@ def harm(comparison: Sequence[dict], effects: bool = False, floor: float = COVER
     """What becomes worse, and by how much; empty where nothing does.
 
     An error grows where it is larger for certain and noticeably (GROWN, NOTICED), or where its mean or its root mean
-    square is larger by LARGER, certain or not; effects: by as much as so many outages can tell (SCATTER), as the
-    likelihood of held-out data has proven the effect already; so, too, in single drives, as all together have to be
-    better. An ellipse that held the truth in COVERED has to hold it in `floor`, or one outage less; one that did not
+    square is larger by LARGER, certain or not; effects: if that is LIKELY, as the largest errors of a few dozen
+    outages scatter by more and the likelihood of held-out data has proven the effect already; so, too, in single
+    drives, as all together have to be better. An ellipse that held the truth in COVERED has to hold it in `floor`, or one outage less; one that did not
     must not hold it in LESS_HELD less, unless it holds it in `floor` still.
     """
     for row in comparison:
@@ -340,12 +341,16 @@ def harm(comparison: Sequence[dict], effects: bool = False, floor: float = COVER
             continue
         squared = 'mean square' in row['what']
         tolerant = effects or 'drive' in row
-        larger = max(LARGER, 1 + SCATTER / np.sqrt(row['count'])) if tolerant else LARGER
         where = f"in {row['drive']} " if 'drive' in row else ''
-        pairs = [(row['before'], row['after']), (row.get('rms_before', 0.0), row.get('rms_after', 0.0))]
-        for i, (old, new) in enumerate(np.sqrt(pairs) if squared else pairs):
-            grown = new > (1 + GROWN) * old + NOTICED
-            if grown and (new > larger * old + NOTICED or (i == 0 and row.get('p', 1.0) < CERTAIN)):
+        pairs = [(row['before'], row['after'], row.get('p')),
+                 (row.get('rms_before', 0.0), row.get('rms_after', 0.0), row.get('rms_p'))]
+        for i, (old, new, p) in enumerate(pairs):
+            old, new = (np.sqrt(old), np.sqrt(new)) if squared else (old, new)
+            larger = new > LARGER * old + NOTICED
+            if tolerant and larger:
+                larger = p < LIKELY if p is not None else new > (1 + SCATTER / np.sqrt(row['count'])) * old + NOTICED
+            certain = i == 0 and p is not None and p < CERTAIN
+            if larger or certain and new > (1 + GROWN) * old + NOTICED:
                 which = 'root mean square of the ' if i else ''
                 return (f"the error grows: {where}{which}{row['what']}, {_plain(old, squared)} before, "
                         f'{_plain(new, squared)} after')
@@ -441,3 +446,10 @@ def _row(what: str, stamp, new_stamp, old, new) -> dict:
     if difference is not None:
         row |= {'difference': difference.mean, 'low': difference.low, 'high': difference.high, 'p': difference.p}
     return row
+
+
+def _tails(stamp, new_stamp, old, new) -> dict:
+    """Root mean squares before and after, and p that they are the same."""
+    row = _row('', stamp, new_stamp, old**2, new**2)
+    return {'rms_before': row['before']**0.5, 'rms_after': row['after']**0.5} | (
+        {'rms_p': row['p']} if 'p' in row else {})
