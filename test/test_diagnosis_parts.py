@@ -10,7 +10,7 @@ import pytest
 from mems_ins_fusion.diagnosis.clock import lateness, lateness_against, whose
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.learned import angles
-from mems_ins_fusion.diagnosis.proof import measure
+from mems_ins_fusion.diagnosis.proof import compared, fairly, harm, measure
 from mems_ins_fusion.diagnosis.residuals import FLOOR, Problem, believed, looked_through, stated
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.comparison import truth_of
@@ -49,7 +49,7 @@ def test_how_late_the_reference_is_against_the_fixes(late):
     assert abs(value) < 4 * sigma < 0.1
 
 
-@pytest.mark.parametrize('name, shared, alone', [('auto', 'gnss', 'own'), ('imu', 'imu', 'imu'),
+@pytest.mark.parametrize('name, shared, alone', [('auto', 'gnss', 'auto'), ('imu', 'imu', 'imu'),
                                                  ('gnss', 'gnss', 'gnss'), ('own', 'own', 'own')])
 def test_whose_clock_the_reference_runs_in(late, name, shared, alone):
     # given a reference in the receiver's clock, one in the IMU's, and fixes that are too few to tell
@@ -78,6 +78,24 @@ def test_a_reference_of_its_own_clock_judges_all_but_time(late, clock, offset):
     track = run(config, late.imu, late.gnss)
     assert lateness_against(track, truth_of(replace(late, reference=off), values)) == pytest.approx(
         clock - (OFFSET - offset), abs=0.05)
+
+
+@pytest.mark.parametrize('clock, veto', [(0.0, False), (OFFSET, True), (-1.0, False), (0.5, True)])
+def test_no_offset_is_vetoed_by_the_clock_of_a_reference(late, clock, veto):
+    # given a reference whose clock is late by `clock`, known to be the IMU's or not known, and the right offset
+    recording = replace(late, reference=replace(late.reference, stamp=late.reference.stamp + round(clock * 1e9)))
+    found = {}
+    for name in ('imu', 'auto'):
+        problem = Problem(recording, table.check({}))
+        problem.reference_clock = name
+        found[name] = [measure(problem, recording, late.imu, [table.check({'gnss.time_offset': offset})], [], 20.0)
+                       for offset in (0.0, OFFSET)]
+    # then a clock that is not known does not speak against it, even where errors with that clock taken for the IMU's do
+    assert bool(harm(compared(*found['imu']))) == veto
+    assert not harm(compared(*found['auto']))
+    # and where they do not, it speaks for it
+    before, after = found['auto']
+    assert fairly(before, after) == ((before.timeless, after.timeless) if veto else (before, after))
 
 
 @pytest.mark.parametrize('pitch, yaw', [(0.0, 0.1), (0.05, -0.08)])

@@ -255,13 +255,14 @@ def test_what_speaks_against_an_effect():
     assert objection(sure, [row(4.0, 4.3, within=(0.6, 0.61))]) and objection(sure, [row(1.0, 1.3, within=(0.6, 0.9))])
     # nor does an ellipse speak against an error that is plainly smaller: that is a matter of noise levels
     assert objection(sure, [row(4.0, 1.5, within=(0.97, 0.74))]) == ''
-    likely = HeldOut(20.0, 0.1, [])
+    likely, little = HeldOut(20.0, 0.1, []), HeldOut(10.0, 0.1, [])
     assert 'ellipse' in objection(likely, [row(4.0, 3.2, within=(0.97, 0.74))])
     # nor against an effect that is certain
     assert objection(sure, [row(4.0, 3.2, within=(0.97, 0.74))]) == ''
     assert harm([row(4.0, 1.5, within=(0.97, 0.74))])
     assert objection(weak, [alike]).startswith('no gain on data it was not fitted to (log likelihood +5.0, p 0.4)')
-    assert objection(none, [better]).startswith('no gain')
+    assert objection(little, [alike]).startswith("no gain") and objection(likely, [alike]) == ""
+    assert objection(none, [better]).startswith("no gain")
 
 
 @pytest.mark.parametrize('rows, harmed', [

@@ -2,8 +2,9 @@
 
 Reference and fixes are positions of the same vehicle, so how late one is against the other shows without any filter.
 Where they agree in time, the reference goes with the fixes: whatever offset is found for these is its, too, and it
-neither speaks for one nor against it. Where they do not, or nobody can tell, the reference has a clock of its own, and
-errors are measured with the difference that suits each track best: it judges all but time.
+neither speaks for one nor against it. A reference with a clock of its own judges all but time: errors are measured with
+the difference that suits each track best. Where they do not agree, or nobody can tell, it is taken for one in the IMU's
+clock as long as it agrees with what is found, and for one with its own where it does not.
 """
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ from ..filter.results import Run
 from ..navigation.earth import radii
 from ..samples import Fixes, Recording, Reference
 
-IMU, GNSS, OWN = 'imu', 'gnss', 'own'
+IMU, GNSS, OWN, AUTO = 'imu', 'gnss', 'own', 'auto'
 
 #: clocks that differ by less, s, are the same, as far as so many sigma can tell; a larger sigma, s, tells nothing
 SAME, SIGMAS, UNKNOWN = 0.02, 2.0, 0.03
@@ -30,7 +31,7 @@ ITERATIONS = 3
 
 @dataclass(frozen=True)
 class Clock:
-    """name: IMU, GNSS or OWN. late, sigma: s, by which the stamps of the reference are later than those of the fixes;
+    """name: IMU, GNSS, OWN, or AUTO where it may be either of IMU and OWN. late, sigma: s, by which the stamps of the reference are later than those of the fixes;
     NaN where that does not show."""
 
     name: str
@@ -43,10 +44,8 @@ def whose(recording: Recording, name: str) -> Clock:
     if recording.reference is None or recording.gnss is None:
         return Clock(GNSS, 0.0, 0.0)
     late, sigma = lateness(recording.reference, recording.gnss)
-    if name == 'auto':
-        same = np.isfinite(late) and sigma < UNKNOWN and abs(late) < SAME + SIGMAS * sigma
-        name = GNSS if same else OWN
-    return Clock(name, late, sigma)
+    same = np.isfinite(late) and sigma < UNKNOWN and abs(late) < SAME + SIGMAS * sigma
+    return Clock(GNSS if name == AUTO and same else name, late, sigma)
 
 
 def lateness(reference: Reference, fixes: Fixes) -> tuple[float, float]:

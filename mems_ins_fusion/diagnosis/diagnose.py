@@ -20,11 +20,12 @@ from .agreement import by_drive, contradicted, plainest_in_one, said
 from .clock import whose
 from .detection import Detection, detect
 from .drives import Drives, part, problems
-from .estimate import Estimate
+from .estimate import Estimate, widened
 from .levels import choose, multiplied
 from .outliers import isolated, without_far_off
 from .plausible import implausible
 from .proof import (
+    CERTAIN,
     HeldOut,
     Measured,
     all_in_all,
@@ -297,9 +298,12 @@ def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress
     library = tuple(effects if effects is not None else EFFECTS.values())
     bench = Bench(tuple(thinned), Drives(found), library, tuple(durations), spacing, progress,
                   values['gnss.time_offset_sigma'])
-    known = first = begin(bench)
+    first = begin(bench)
+    known = replaced(first, bench)
     for _ in range(MOST_ROUNDS):
         further = add_best(known, bench)
+        if len(further.chosen) == len(known.chosen):
+            further = replaced(further, bench)
         found_none = len(further.chosen) == len(known.chosen)
         known = further
         if found_none or bench.enough():
@@ -388,6 +392,30 @@ def add_best(known: Known, bench: Bench) -> Known:
     names = list(dict.fromkeys(names))[:MOST_TRIED]
     bench.searching(f'adding {" or ".join(names)}')
     return _tried(known, [best[name] for name in names], candidates, bench)
+
+
+def replaced(known: Known, bench: Bench) -> Known:
+    """With what another mechanization takes out, if that one predicts better for certain.
+
+    Nothing of it is fitted to the data, so it needs no score test, which a planar filter on hills may fail: the slopes
+    are in its noise levels then.
+    """
+    for effect in known.effects:
+        for fixed in effect.tried:
+            unknowns = effect_unknowns(effect, fixed, known.problem.attitude)
+            candidate = Candidate(effect, unknowns, np.ones(len(unknowns)), np.full(len(unknowns), np.inf), 0.0, 1.0,
+                                  None, [], fixed)
+            if not effect.replaces_model(candidate.values()):
+                continue
+            bench.searching(f'trying {effect.name}')
+            judged = _judged(known, candidate, _with(known, candidate, known.model.x, bench), bench)
+            if judged.against or judged.proof.p > CERTAIN:
+                continue
+            candidate = replace(candidate, gain=2 * judged.proof.gain, p=judged.proof.p, p_adjusted=judged.proof.p)
+            finding = Finding(effect.name, [effect.name], judged.parameters, candidate.gain, candidate.p, True,
+                              judged.proof, saves=saved(known.errors, judged.errors))
+            return _taken(replace(known, rounds=(*known.rounds, [candidate])), judged, finding, [])
+    return known
 
 
 def starts(known: Known) -> list[np.ndarray]:
@@ -501,8 +529,7 @@ def _judged(known: Known, candidate: Candidate, model: Model, bench: Bench) -> J
         proof = gain_of(known.problem, known.model.residual, model.residual)
         alone = fit(known.problem.moved(known.model.unknowns, known.model.x), candidate.unknowns, candidate.theta)
         diluted = max(p.diluted for p in known.problem.each)
-        parameters = {name: replace(e, sigma=float(np.hypot(e.sigma, diluted * e.value))) if e.known else e
-                      for name, e in _estimates(candidate, alone, 0).items()}
+        parameters = {name: _diluted(e, diluted) for name, e in _estimates(candidate, alone, 0).items()}
         errors = bench.errors([model.problem.corrected(model.unknowns, model.x)])
         against = objection(proof, compared(known.errors, errors))
         return Judged(candidate, model, parameters, {}, proof, errors, against)
@@ -527,6 +554,16 @@ def _judged(known: Known, candidate: Candidate, model: Model, bench: Bench) -> J
     return Judged(candidate, model, parameters, hidden, proof, errors, against, drives, apart)
 
 
+def _diluted(estimate: Estimate, part: float) -> Estimate:
+    """With what a regression on something that is not exact lacks in its sigma; what is less than SHOWN was tried."""
+    if not estimate.known:
+        return estimate
+    sigma = float(np.hypot(estimate.sigma, part * estimate.value))
+    if abs(estimate.value) < SHOWN * sigma:
+        return Estimate(1.0, None, estimate.unit)
+    return replace(estimate, sigma=sigma)
+
+
 def _by_drive(model: Model, effect: Effect, noise: int, own: Sequence[int]):
     """What each of several drives says of the unknowns `own` (indices), and whether they contradict each other."""
     units = {p.name: p.unit for p in effect.traced}
@@ -539,7 +576,7 @@ def _by_drive(model: Model, effect: Effect, noise: int, own: Sequence[int]):
 def _small(model: Model, first: int) -> str:
     """An objection to an effect none of whose parameters is PLAIN; empty where one is."""
     sigma = model.sigma()
-    plain = [u.variance or u.factor_on is not None or abs(x) >= PLAIN * s
+    plain = [u.variance or u.factor_on is None and abs(x) >= PLAIN * s
              for u, x, s in zip(model.unknowns[first:], model.x[first:], sigma[first:])]
     return '' if any(plain) else f'less than {PLAIN:g} sigma'
 
@@ -600,7 +637,7 @@ def _estimates(best: Candidate, model: Model, first: int) -> dict[str, Estimate]
     sigma = model.sigma()
     for unknown, x, s in zip(model.unknowns[first:], model.x[first:], sigma[first:]):
         found[unknown.parameter] = Estimate(*unknown.meant(x, s), units[unknown.parameter])
-    return found
+    return widened(found)
 
 
 # when all rounds are over
@@ -771,12 +808,14 @@ def _with_settings(correction: Correction, bench: Bench) -> Correction:
             finding = replace(finding, reason='the settings are made for it already')
         else:
             before, after = bench.errors(correction.by_part), bench.errors(further[1:])
-            if not unproven(compared(before, after)):
+            # what was counted in the samples needs no error that shrinks for a proof
+            worse = unproven(compared(before, after), effects=True)
+            if not worse:
                 changes = {n: v for n, v in further[0].items() if v != correction.values[n]}
                 finding = replace(finding, added=True, changes=changes, saves=saved(before, after))
-                correction = replace(correction, values=further[0], by_part=further[1:])
+                correction = replace(correction, values=further[0], by_part=further[1:], effects=True)
             else:
-                finding = replace(finding, reason='the errors do not shrink with other settings')
+                finding = replace(finding, reason=f'with the settings against it {worse}')
         correction = replace(correction, settings=(*correction.settings, finding))
     return correction
 
@@ -833,9 +872,9 @@ def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence
     model, sigma, found = known.model, known.model.sigma(), []
     effects = {e.name: e for e in library}
     for finding in known.findings:
-        own = {u.parameter: Estimate(*u.meant(x, s), finding.parameters[u.parameter].unit)
-               for u, x, s in zip(model.unknowns, model.x, sigma)
-               if u.effect == finding.name and not u.noise and u.parameter in finding.parameters}
+        own = widened({u.parameter: Estimate(*u.meant(x, s), finding.parameters[u.parameter].unit)
+                       for u, x, s in zip(model.unknowns, model.x, sigma)
+                       if u.effect == finding.name and not u.noise and u.parameter in finding.parameters})
         parameters = finding.parameters
         if finding.added and own:
             parameters = {n: own.get(n, e) for n, e in parameters.items() if n in own or e.sigma is None}

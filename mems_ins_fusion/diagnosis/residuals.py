@@ -54,6 +54,8 @@ BESIDE = ('height', 'sideways', 'upwards', 'north at rest', 'east at rest', 'dow
 FEWEST_SAID, FEWEST_LASTING, LASTING = 3, 50, 30
 #: length of a block over which scores may go together, s; longer ones count where there are so many
 BLOCK, LONG_BLOCK, FEWEST_BLOCKS = 20.0, 60.0, 10
+#: a standard deviation counts what goes together over such a part of a drive, too
+LONGEST_PART = 8
 
 
 class DiagnosisError(ValueError):
@@ -535,7 +537,8 @@ class Model:
         The latter holds where innovations follow each other, too (P. J. Huber, 1967; W. K. Newey, K. D. West, 1987).
         """
         variance, score = np.diag(self.covariance), self.scores.score[self.problem.mask]
-        for begins in blocks(self.problem):
+        seconds = np.ptp(self.problem.stamp[self.problem.mask]) * 1e-9
+        for begins in (*blocks(self.problem), block_begins(self.problem, max(seconds / LONGEST_PART, BLOCK))):
             sums = np.add.reduceat(score, begins)
             variance = np.maximum(variance, np.diag(self.covariance @ (sums.T @ sums) @ self.covariance))
         return np.sqrt(variance)
