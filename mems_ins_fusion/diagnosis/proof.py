@@ -399,7 +399,7 @@ def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
     """What speaks against an effect, empty where nothing does: no gain of likelihood, or an error that grows.
 
     comparison: errors with the effect and without, of parts that it was not fitted to. A likelihood that gains, but
-    not for certain, is no objection where an error shrinks for certain. Nor is an error that is the same, where the
+    not for certain, is no objection where an error shrinks for certain and plainly. Nor is an error that is the same, where the
     ellipses come to hold it: errors that last are in the withheld fixes, too, so these never favour who models them.
     Nor are ellipses that hold a far smaller error less often, or one with an effect that is certain: what else is
     wrong shows only now, and noise levels, which decide on ellipses, are chosen at the end.
@@ -412,7 +412,7 @@ def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
     for name, (gain, p) in proof.drives.items():
         if p < CERTAIN:
             return f'{name} speaks against it (log likelihood {gain:+.1f} there, p {p:.2g})'
-    shrinks = any(row.get('p', 1.0) < CERTAIN and row['after'] < row['before'] for row in of_all(comparison))
+    shrinks = any(row.get('p', 1.0) < CERTAIN and row['after'] < PLAINLY * row['before'] for row in of_all(comparison))
     if not (proof.helps or (proof.gain > 0 and shrinks)):
         return f'no gain on data it was not fitted to (log likelihood {proof.gain:+.1f}, p {proof.p:.2g})'
     return _larger(comparison)
