@@ -31,8 +31,8 @@ ITERATIONS = 3
 
 @dataclass(frozen=True)
 class Clock:
-    """name: IMU, GNSS, OWN, or AUTO where it may be either of IMU and OWN. late, sigma: s, by which the stamps of the reference are later than those of the fixes;
-    NaN where that does not show."""
+    """name: IMU, GNSS, OWN, or AUTO where it may be either of IMU and OWN. late, sigma: s, by which the stamps of the
+    reference are later than those of the fixes; NaN where that does not show."""
 
     name: str
     late: float

@@ -361,8 +361,8 @@ def harm(comparison: Sequence[dict], effects: bool = False, floor: float = COVER
     An error grows where it is larger for certain and noticeably (GROWN, NOTICED), or where its mean or its root mean
     square is larger by LARGER, certain or not; effects: if that is LIKELY, as the largest errors of a few dozen
     outages scatter by more and the likelihood of held-out data has proven the effect already; so, too, in single
-    drives, as all together have to be better. An ellipse that held the truth in COVERED has to hold it in `floor`, or one outage less; one that did not
-    must not hold it in LESS_HELD less, unless it holds it in `floor` still.
+    drives, as all together have to be better. An ellipse that held the truth in COVERED has to hold it in `floor`, or
+    one outage less; one that did not must not hold it in LESS_HELD less, unless it holds it in `floor` still.
     """
     for row in comparison:
         if not (row.get('before') and row.get('after') and row['decides']):
@@ -399,10 +399,10 @@ def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
     """What speaks against an effect, empty where nothing does: no gain of likelihood, or an error that grows.
 
     comparison: errors with the effect and without, of parts that it was not fitted to. A likelihood that gains, but
-    not for certain, is no objection where an error shrinks for certain and plainly. Nor is an error that is the same, where the
-    ellipses come to hold it: errors that last are in the withheld fixes, too, so these never favour who models them.
-    Nor are ellipses that hold a far smaller error less often, or one with an effect that is certain: what else is
-    wrong shows only now, and noise levels, which decide on ellipses, are chosen at the end.
+    not for certain, is no objection where an error shrinks for certain and plainly. Nor is an error that is the same,
+    where the ellipses come to hold it: errors that last are in the withheld fixes, too, so these never favour who
+    models them. Nor are ellipses that hold a far smaller error less often, or one with an effect that is certain: what
+    else is wrong shows only now, and noise levels, which decide on ellipses, are chosen at the end.
     """
     change = all_in_all(comparison)
     settled = 0.0 < change <= PLAINLY or proof.helps and proof.p < CERTAIN

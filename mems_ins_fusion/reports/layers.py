@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..diagnosis.diagnose import Diagnosis
+from ..diagnosis.findings import Diagnosis
 from ..diagnosis.proof import Measured
 from ..evaluation.comparison import Comparison, truth_of
 from ..evaluation.metrics import Errors, lever_arm_north_east
