@@ -12,12 +12,12 @@ from scipy.stats import chi2
 
 from mems_ins_fusion.characterization.autocorrelation import ljung_box
 from mems_ins_fusion.diagnosis.detection import detect
-from mems_ins_fusion.diagnosis.estimate import Estimate
+from mems_ins_fusion.diagnosis.estimate import Estimate, widened
 from mems_ins_fusion.diagnosis.levels import choose, multiplied
 from mems_ins_fusion.diagnosis.outliers import isolated
 from mems_ins_fusion.diagnosis.plausible import implausible
 from mems_ins_fusion.diagnosis.proof import HeldOut, harm, objection, parts, unproven
-from mems_ins_fusion.diagnosis.residuals import Residual, Scores, _scores, _whiten_matrix, lasting, tempered
+from mems_ins_fusion.diagnosis.residuals import Residual, Scores, Unknown, _scores, _whiten_matrix, lasting, tempered
 from mems_ins_fusion.diagnosis.tracing import Candidate, _test, effect_unknowns, group
 from mems_ins_fusion.effects.base import Effect, EffectParameter
 from mems_ins_fusion.parameters import table
@@ -361,6 +361,30 @@ def test_what_cannot_be_is_told_with_what_it_stands_for():
     assert said.startswith('z of -20.2 \N{PLUS-MINUS SIGN} 2.3 m is more than any vehicle')
     assert 'time offset' in implausible('gnss_lever_arm', arm)
     assert implausible('gnss_lever_arm', {'x': arm['x']}) == implausible('of_nobody', arm) == ''
+    # what lasts for less than the time between fixes is no coloured noise
+    assert 'white' in implausible('gnss_coloured_noise', {'tau': Estimate(0.5, 0.2, 's')})
+    assert implausible('gnss_coloured_noise', {'tau': Estimate(1.5, 0.2, 's')}) == ''
+    assert implausible('gnss_coloured_noise', {'sigma': Estimate(0.5, 0.2, 'm')}) == ''
+
+
+def test_a_sigma_holds_what_no_model_of_a_car_knows():
+    # given an arm known to a centimetre by the innovations, and a ratio that was only tried
+    arm = {'x': Estimate(3.0, 0.01, 'm'), 'y': Estimate(-4.0, 0.01, 'm'), 'scale': Estimate(0.1, None, '-')}
+    found = widened(arm)
+    # then each axis is uncertain by a part of its length, 5 m; what is large already stays
+    assert found['x'].sigma == found['y'].sigma == pytest.approx(np.hypot(0.01, 0.25))
+    assert found['scale'] == arm['scale'] and found['x'].value == 3.0
+    assert widened({'x': Estimate(0.1, 1.0, 'm')})['x'].sigma == pytest.approx(1.0, rel=1e-3)
+
+
+def test_what_is_refitted_to_a_part_stays_near_where_it_stands_for_a_size():
+    variance = Unknown('receiver.sigma', None, 0.0, 0.1, 10.0, variance=True)
+    factor = Unknown('receiver.tau', None, 0.0, 0.1, 1.5, factor_on=40.0)
+    # half and twice the size: a quarter and four times its square; by what a factor's logarithm is
+    assert np.allclose(variance.meant(np.array(variance.near(2.0))[1], 0.0)[0], 2 * np.sqrt(2.0))
+    assert np.allclose(variance.near(2.0), (0.5, 8.0)) and variance.near(0.0) == (-np.inf, np.inf)
+    assert np.allclose(np.exp(factor.near(0.3)), np.exp(0.3) * np.array([0.5, 2.0]))
+    assert replace(variance, variance=False).near(2.0) == (-np.inf, np.inf)
 
 
 def test_an_estimate_says_no_more_digits_than_it_knows():

@@ -11,18 +11,20 @@ from . import learned
 from .bench import CHOOSING, LOOKING, MEASURING, Bench
 from .detection import detect
 from .drives import Drives, part
-from .estimate import Estimate, widened
+from .estimate import SYSTEMATIC, Estimate, widened
 from .findings import Diagnosis, Finding
 from .levels import choose, multiplied
 from .plausible import implausible
 from .proof import HeldOut, Measured, compared, harm, parts, saved, unproven, which_part
-from .residuals import LARGEST_FACTOR, Problem
+from .residuals import LARGEST_FACTOR, Model, Problem
 from .rest import GoesWith, goes_with
 from .search import PLAIN, Known, by_drive_of
 
 #: a recording has turns, and changes of speed, where these happen: rad/s and m/s^2 (root mean square)
 TURNING, SPEEDING = 0.03, 0.15
 MOUNTING = 'mounting_rotation'
+#: s; a receiver smooths over no longer
+LONGEST_SMOOTHING = 10.0
 
 
 @dataclass(frozen=True)
@@ -215,6 +217,8 @@ def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence
         own = widened({u.parameter: Estimate(*u.meant(x, s), finding.parameters[u.parameter].unit)
                        for u, x, s in zip(model.unknowns, model.x, sigma)
                        if u.effect == finding.name and not u.noise and u.parameter in finding.parameters})
+        if finding.name == 'gnss_time_offset':
+            own = {n: replace(e, sigma=float(np.hypot(e.sigma, SYSTEMATIC * _smoothed(model)))) for n, e in own.items()}
         parameters = finding.parameters
         if finding.added and own:
             parameters = {n: own.get(n, e) for n, e in parameters.items() if n in own or e.sigma is None}
@@ -234,6 +238,13 @@ def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence
             finding = replace(finding, drives=by_drive_of(model, effect, known.noise, own)[0])
         found.append(replace(finding, parameters=parameters, changes=changes))
     return found
+
+
+def _smoothed(model: Model) -> float:
+    """Over how long the receiver smooths its positions, s, as far as its errors tell: for so long they last. To who
+    brakes or turns meanwhile that is a delay of its own. 0 where they last for longer than a receiver's filter."""
+    lasting = [u.meant(x, 0.0)[0] for u, x in zip(model.unknowns, model.x) if u.name == 'gnss_coloured_noise.tau']
+    return lasting[0] if lasting and lasting[0] < LONGEST_SMOOTHING else 0.0
 
 
 def _not_shown(known: Known, settings: Sequence[Finding]) -> dict[str, str]:

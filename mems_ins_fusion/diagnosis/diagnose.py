@@ -45,10 +45,9 @@ def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress
     known = replaced(first, bench)
     for _ in range(MOST_ROUNDS):
         further = add_best(known, bench)
-        if len(further.chosen) == len(known.chosen):
-            further = replaced(further, bench)
         found_none = len(further.chosen) == len(known.chosen)
-        known = further
+        # what was in the way of another mechanization may be out of it now
+        known = replaced(further, bench) if further.model is not known.model else further
         if found_none or bench.enough():
             break
     known = without_undetermined(without_superseded(known, bench), bench)

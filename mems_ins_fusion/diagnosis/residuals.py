@@ -201,6 +201,12 @@ class Unknown:
         """The name of that parameter."""
         return self.name.split('.')[1]
 
+    def near(self, x: float) -> tuple[float, float]:
+        """Between which values it may be that is about `x`, where it stands for a size: half and twice that."""
+        if self.factor_on is not None:
+            return x - np.log(2.0), x + np.log(2.0)
+        return (0.25 * x, 4.0 * x) if self.variance and x > 0 else (-np.inf, np.inf)
+
     def meant(self, x: float, sigma: float) -> tuple[float, float]:
         """Value and sigma of what it is named after."""
         if self.factor_on is not None:
@@ -559,7 +565,9 @@ class Model:
         x, covariance = self.x.copy(), np.zeros_like(information)
         covariance[free, free] = np.linalg.inv(information[free, free])
         x[free] += np.clip(covariance[free, free] @ gradient[free], -prior[free], prior[free])
-        return x, covariance
+        # one step tells no more of what is a size
+        low, high = np.array([u.near(at) for u, at in zip(self.unknowns, self.x)]).T
+        return np.clip(x, low, high), covariance
 
 
 def _priors(unknowns: Sequence[Unknown]) -> tuple[np.ndarray, np.ndarray]:

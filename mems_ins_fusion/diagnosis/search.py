@@ -59,7 +59,7 @@ SAME_START = 0.7
 #: an effect is one from so many sigma on, and a parameter of it has a value
 PLAIN, SHOWN = 3.0, 2.0
 #: what lasts, and what changes and so can do all that it does: the plainer one is tried first
-VARIED = {'gnss_time_offset': 'gnss_latency'}
+VARIED = {'gnss_time_offset': ('gnss_latency', 'gnss_coloured_noise')}
 
 
 @dataclass(frozen=True)
@@ -231,11 +231,11 @@ def _tried(known: Known, significant, candidates: list[Candidate], bench: Bench)
     comparable = all(model.problem is known.problem for model in models.values())
     merit = {name: float(np.nansum((m.residual if comparable else m.residual.of_fixes).log_likelihood()[mask]))
              - len(chosen[name].theta) for name, m in models.items()}
-    order = sorted(models, key=lambda name: (max(merit[name], merit.get(VARIED.get(name), -np.inf)), name in VARIED),
-                   reverse=True)
+    order = sorted(models, key=lambda name: (max(merit.get(n, -np.inf) for n in (name, *VARIED.get(name, ()))),
+                                             name in VARIED), reverse=True)
     failed: list[Finding] = []
     for name in order:
-        alike = [e.name for e in known.effects if e.name in merit and merit[e.name] > merit[name] - CLOSE
+        alike = [e.name for e in known.effects if e.name in merit and abs(merit[e.name] - merit[name]) < CLOSE
                  and e.name not in {f.name for f in failed}]
         same = [n for n in group(chosen[alike[0]], candidates, known.problem.mask) if n not in alike]
         names = [*alike, *same]
