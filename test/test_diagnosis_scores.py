@@ -13,11 +13,13 @@ from scipy.stats import chi2
 from mems_ins_fusion.characterization.autocorrelation import ljung_box
 from mems_ins_fusion.diagnosis.detection import detect
 from mems_ins_fusion.diagnosis.estimate import Estimate, widened
+from mems_ins_fusion.diagnosis.fit import Scores, _scores
 from mems_ins_fusion.diagnosis.levels import choose, multiplied
 from mems_ins_fusion.diagnosis.outliers import isolated
 from mems_ins_fusion.diagnosis.plausible import implausible
+from mems_ins_fusion.diagnosis.problem import Unknown
 from mems_ins_fusion.diagnosis.proof import HeldOut, harm, objection, parts, unproven
-from mems_ins_fusion.diagnosis.residuals import Residual, Scores, Unknown, _scores, _whiten_matrix, lasting, tempered
+from mems_ins_fusion.diagnosis.residuals import Residual, lasting, tempered, whiten_matrix
 from mems_ins_fusion.diagnosis.tracing import Candidate, _test, effect_unknowns, group
 from mems_ins_fusion.effects.base import Effect, EffectParameter
 from mems_ins_fusion.parameters import table
@@ -54,7 +56,7 @@ def test_whitening_is_by_cholesky_factors():
     inverse = np.linalg.inv(np.linalg.cholesky(s))
     assert np.allclose(residual.whitened(), np.einsum('fij,fj->fi', inverse, residual.z), rtol=1e-9, atol=1e-9)
     dense = inverse @ change @ inverse.transpose(0, 2, 1)
-    assert np.allclose(_whiten_matrix(residual.factors(), packed(change)), packed(dense), rtol=1e-8, atol=1e-8)
+    assert np.allclose(whiten_matrix(residual.factors(), packed(change)), packed(dense), rtol=1e-8, atol=1e-8)
     nis = [z @ np.linalg.solve(m, z) for z, m in zip(residual.z, s)]
     assert np.allclose(residual.nis(), nis, rtol=1e-8)
     counted = [n if n < 9 else 9 * (1 + np.log(n / 9)) for n in nis]
@@ -361,6 +363,9 @@ def test_what_cannot_be_is_told_with_what_it_stands_for():
     assert said.startswith('z of -20.2 \N{PLUS-MINUS SIGN} 2.3 m is more than any vehicle')
     assert 'time offset' in implausible('gnss_lever_arm', arm)
     assert implausible('gnss_lever_arm', {'x': arm['x']}) == implausible('of_nobody', arm) == ''
+    # an arm of 3 m can be, one that may be 3 m, too
+    assert implausible('gnss_lever_arm', {'y': Estimate(-3.3, 0.2, 'm')})
+    assert implausible('gnss_lever_arm', {'y': Estimate(-3.3, 0.8, 'm')}) == ''
     # what lasts for less than the time between fixes is no coloured noise
     assert 'white' in implausible('gnss_coloured_noise', {'tau': Estimate(0.5, 0.2, 's')})
     assert implausible('gnss_coloured_noise', {'tau': Estimate(1.5, 0.2, 's')}) == ''

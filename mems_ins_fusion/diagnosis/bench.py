@@ -11,8 +11,8 @@ from ..effects.base import Effect
 from ..samples import Recording
 from .drives import Drives
 from .outliers import without_far_off
+from .problem import Problem, on_all_cores
 from .proof import Measured, measure, parts, together
-from .residuals import Problem, on_all_cores
 
 #: a search that has filtered so many IMU samples is content with what it has: half a minute on two cores, whatever the
 #: recording, and the same result on each machine

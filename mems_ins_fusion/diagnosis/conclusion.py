@@ -13,10 +13,12 @@ from .detection import detect
 from .drives import Drives, part
 from .estimate import SYSTEMATIC, Estimate, widened
 from .findings import Diagnosis, Finding
+from .fit import Model
 from .levels import choose, multiplied
+from .noise import LARGEST_FACTOR
 from .plausible import implausible
+from .problem import Problem
 from .proof import HeldOut, Measured, compared, harm, parts, saved, unproven, which_part
-from .residuals import LARGEST_FACTOR, Model, Problem
 from .rest import GoesWith, goes_with
 from .search import PLAIN, Known, by_drive_of
 

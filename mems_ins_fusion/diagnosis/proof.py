@@ -23,7 +23,9 @@ from ..filter.replay import run, run_with_outages
 from ..samples import ImuSamples, Recording
 from .clock import GNSS, IMU, OWN, earlier, lateness_against
 from .drives import Drives
-from .residuals import Model, Problem, Residual, on_all_cores, tempered
+from .fit import Model
+from .problem import Problem, on_all_cores
+from .residuals import Residual, tempered
 
 #: parts of the recording, each held out in turn; blocks of each part; a block is not shorter than this, s
 PARTS, BLOCKS, SHORTEST_BLOCK = 4, 2, 30.0

@@ -17,8 +17,11 @@ from .bench import Bench
 from .drives import Drives
 from .estimate import Estimate, widened
 from .findings import Finding
+from .fit import Model, fit, refined, scores
+from .noise import calibrated, noise_unknowns
 from .outliers import isolated
 from .plausible import implausible
+from .problem import Problem
 from .proof import (
     CERTAIN,
     HeldOut,
@@ -31,7 +34,6 @@ from .proof import (
     parts,
     saved,
 )
-from .residuals import Model, Problem, calibrated, fit, noise_unknowns, refined, scores
 from .tracing import (
     SIGNIFICANCE,
     Candidate,
