@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import diagnosis_on_roads as roads  # noqa: E402
 
 from mems_ins_fusion.diagnosis.diagnose import diagnose  # noqa: E402
-from mems_ins_fusion.diagnosis.residuals import averaged  # noqa: E402
+from mems_ins_fusion.diagnosis.problem import averaged  # noqa: E402
 from mems_ins_fusion.effects.registry import EFFECTS  # noqa: E402
 from mems_ins_fusion.parameters import table  # noqa: E402
 from mems_ins_fusion.samples import Recording  # noqa: E402

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from mems_ins_fusion.diagnosis.residuals import Problem
+from mems_ins_fusion.diagnosis.problem import Problem
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording

@@ -7,12 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mems_ins_fusion.diagnosis.clock import in_its_clock, lateness
+from mems_ins_fusion.diagnosis.clock import lateness, lateness_against, whose
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.learned import angles
-from mems_ins_fusion.diagnosis.residuals import FLOOR, Problem, believed, looked_through, stated
+from mems_ins_fusion.diagnosis.problem import FLOOR, Problem, believed, looked_through, stated
+from mems_ins_fusion.diagnosis.proof import compared, fairly, harm, measure
 from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.evaluation.comparison import truth_of
 from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.replay import run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.reports.effect_words import size
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -46,16 +49,53 @@ def test_how_late_the_reference_is_against_the_fixes(late):
     assert abs(value) < 4 * sigma < 0.1
 
 
-@pytest.mark.parametrize('name, shared, alone', [('auto', True, False), ('imu', False, False), ('gnss', True, True),
-                                                 ('own', True, True)])
+@pytest.mark.parametrize('name, shared, alone', [('auto', 'gnss', 'auto'), ('imu', 'imu', 'imu'),
+                                                 ('gnss', 'gnss', 'gnss'), ('own', 'own', 'own')])
 def test_whose_clock_the_reference_runs_in(late, name, shared, alone):
-    # given a reference in the receiver's clock, and one in the IMU's
-    assert in_its_clock(in_receivers_clock(late), name)[1].with_fixes == shared
-    moved, clock = in_its_clock(late, name)
-    assert clock.with_fixes == alone
-    # its own clock is taken to that of the fixes, any other is left
-    shift = (moved.reference.stamp - late.reference.stamp) * 1e-9
-    assert np.allclose(shift, OFFSET if name == 'own' else 0.0, atol=0.03)
+    # given a reference in the receiver's clock, one in the IMU's, and fixes that are too few to tell
+    assert whose(in_receivers_clock(late), name).name == shared
+    assert whose(late, name).name == alone
+    few = replace(in_receivers_clock(late), gnss=late.gnss.select(slice(0, 10)))
+    assert whose(few, name).name == alone
+    # without a reference the fixes are the truth
+    assert whose(replace(late, reference=None), name).name == 'gnss'
+
+
+@pytest.mark.parametrize('clock', [0.0, 0.4, -3.0])
+@pytest.mark.parametrize('offset', [0.0, OFFSET])
+def test_a_reference_of_its_own_clock_judges_all_but_time(late, clock, offset):
+    # given filters with and without the right offset, and a reference whose clock differs by any amount
+    values = table.check({'gnss.time_offset': offset, 'vehicle.zero_velocity': False})
+    off = replace(late.reference, stamp=late.reference.stamp + round(clock * 1e9))
+    problem = Problem(replace(late, reference=off), values)
+    problem.reference_clock = 'own'
+    found = measure(problem, replace(late, reference=off), late.imu, [values], [10.0], 20.0)
+    # then the errors are as small as if both ran in one clock, and their stamps are those of the reference
+    assert np.isin(found.continuous.stamp, off.stamp).all()
+    assert np.sqrt(np.mean(found.continuous.horizontal**2)) < 1.0
+    # and what the clock of the track differs by is the filter's offset and the reference's
+    config = FilterConfig.from_parameters(values)
+    track = run(config, late.imu, late.gnss)
+    assert lateness_against(track, truth_of(replace(late, reference=off), values)) == pytest.approx(
+        clock - (OFFSET - offset), abs=0.05)
+
+
+@pytest.mark.parametrize('clock, veto', [(0.0, False), (OFFSET, True), (-1.0, False), (0.5, True)])
+def test_no_offset_is_vetoed_by_the_clock_of_a_reference(late, clock, veto):
+    # given a reference whose clock is late by `clock`, known to be the IMU's or not known, and the right offset
+    recording = replace(late, reference=replace(late.reference, stamp=late.reference.stamp + round(clock * 1e9)))
+    found = {}
+    for name in ('imu', 'auto'):
+        problem = Problem(recording, table.check({}))
+        problem.reference_clock = name
+        found[name] = [measure(problem, recording, late.imu, [table.check({'gnss.time_offset': offset})], [], 20.0)
+                       for offset in (0.0, OFFSET)]
+    # then a clock that is not known does not speak against it, even where errors with that clock taken for the IMU's do
+    assert bool(harm(compared(*found['imu']))) == veto
+    assert not harm(compared(*found['auto']))
+    # and where they do not, it speaks for it
+    before, after = found['auto']
+    assert fairly(before, after) == ((before.timeless, after.timeless) if veto else (before, after))
 
 
 @pytest.mark.parametrize('pitch, yaw', [(0.0, 0.1), (0.05, -0.08)])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from filter_support import PAPER, configure
 
-from mems_ins_fusion.diagnosis.residuals import averaged
+from mems_ins_fusion.diagnosis.problem import averaged
 from mems_ins_fusion.effects.gnss_outliers import far_off
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter import replay as filter_replay

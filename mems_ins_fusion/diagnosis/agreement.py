@@ -8,7 +8,8 @@ import numpy as np
 
 from .drives import Drives, part
 from .estimate import Estimate
-from .residuals import Model, blocks
+from .fit import Model
+from .problem import blocks
 from .tracing import Candidate, significance
 
 #: a drive, or all others, would rather have no effect than that of the other side: twice the log likelihood

@@ -2,7 +2,9 @@
 
 Reference and fixes are positions of the same vehicle, so how late one is against the other shows without any filter.
 Where they agree in time, the reference goes with the fixes: whatever offset is found for these is its, too, and it
-neither speaks for one nor against it.
+neither speaks for one nor against it. A reference with a clock of its own judges all but time: errors are measured with
+the difference that suits each track best. Where they do not agree, or nobody can tell, it is taken for one in the IMU's
+clock as long as it agrees with what is found, and for one with its own where it does not.
 """
 from __future__ import annotations
 
@@ -10,8 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..evaluation.metrics import Truth, position_errors
+from ..filter.results import Run
 from ..navigation.earth import radii
 from ..samples import Fixes, Recording, Reference
+
+IMU, GNSS, OWN, AUTO = 'imu', 'gnss', 'own', 'auto'
 
 #: clocks that differ by less, s, are the same, as far as so many sigma can tell; a larger sigma, s, tells nothing
 SAME, SIGMAS, UNKNOWN = 0.02, 2.0, 0.03
@@ -19,29 +25,27 @@ SAME, SIGMAS, UNKNOWN = 0.02, 2.0, 0.03
 BLOCK = 20.0
 #: who is slower shows no time, m/s
 SLOWEST = 1.0
+#: times that a track's lateness is looked for about the one before
+ITERATIONS = 3
 
 
 @dataclass(frozen=True)
 class Clock:
-    """with_fixes: whether the reference runs in the clock of the fixes. late, sigma: s, by which its stamps are later
-    than those of the fixes; NaN where that does not show."""
+    """name: IMU, GNSS, OWN, or AUTO where it may be either of IMU and OWN. late, sigma: s, by which the stamps of the
+    reference are later than those of the fixes; NaN where that does not show."""
 
-    with_fixes: bool
+    name: str
     late: float
     sigma: float
 
 
-def in_its_clock(recording: Recording, name: str) -> tuple[Recording, Clock]:
-    """The recording with its reference in the clock `name` (of `reference_clock`), and that clock."""
+def whose(recording: Recording, name: str) -> Clock:
+    """The clock of the reference, `name` by `reference_clock`; without a reference the truth are the fixes."""
     if recording.reference is None or recording.gnss is None:
-        return recording, Clock(True, 0.0, 0.0)
+        return Clock(GNSS, 0.0, 0.0)
     late, sigma = lateness(recording.reference, recording.gnss)
     same = np.isfinite(late) and sigma < UNKNOWN and abs(late) < SAME + SIGMAS * sigma
-    clock = Clock(name in ('gnss', 'own') or (name == 'auto' and same), late, sigma)
-    if name == 'own' and np.isfinite(late):
-        moved = replace(recording.reference, stamp=recording.reference.stamp - round(late * 1e9))
-        recording = replace(recording, reference=moved)
-    return recording, clock
+    return Clock(GNSS if name == AUTO and same else name, late, sigma)
 
 
 def lateness(reference: Reference, fixes: Fixes) -> tuple[float, float]:
@@ -66,13 +70,40 @@ def lateness(reference: Reference, fixes: Fixes) -> tuple[float, float]:
     there = np.column_stack([np.interp(at, time, axis) for axis in path.T])
     speed = np.column_stack([np.interp(at, time, axis) for axis in velocity.T])
     off = (np.column_stack([fixes.latitude, fixes.longitude])[inside] - origin) * scale - there
-    distance = np.linalg.norm(off - np.median(off, axis=0), axis=1)
-    good = gap & (np.linalg.norm(speed, axis=1) > SLOWEST) & (distance < 5 * np.median(distance) + 1.0)
+    return _along(at[gap], off[gap], speed[gap])
+
+
+def lateness_against(track: Run, truth: Truth) -> float:
+    """By how much the stamps of the truth are later than those of a filter's track, s; 0 where that does not show."""
+    late = 0.0
+    for _ in range(ITERATIONS):  # the longer it is, the less a velocity tells of the way
+        errors = position_errors(track, earlier(truth, round(late * 1e9)), np.zeros(len(truth), dtype=bool))
+        if not len(errors):
+            return late
+        at, time = ((stamp - track.stamp[0]) * 1e-9 for stamp in (errors.stamp, track.stamp))
+        velocity = np.column_stack([np.interp(at, time, axis) for axis in track.velocity.T[:2]])
+        more, _ = _along(at, np.column_stack([errors.north, errors.east]), velocity)
+        late += more if np.isfinite(more) else 0.0
+    return late
+
+
+def earlier(truth: Truth, shift: int) -> Truth:
+    """`truth` with stamps that are earlier by `shift`, ns."""
+    return replace(truth, reference=replace(truth.reference, stamp=truth.reference.stamp - shift))
+
+
+def _along(at: np.ndarray, off: np.ndarray, velocity: np.ndarray) -> tuple[float, float]:
+    """The time, s, that multiplied by the `velocity` (m, 2) is `off` (m, 2), and sigma; NaN where little moves.
+
+    at: s. What lies apart from the others does not count.
+    """
+    distance = np.linalg.norm(off - np.median(off, axis=0), axis=1) if len(off) else np.zeros(0)
+    good = (np.linalg.norm(velocity, axis=1) > SLOWEST) & (distance < 5 * np.median(distance) + 1.0)
     if good.sum() < 20:
-        return nan
+        return float('nan'), float('nan')
     # about their means: an antenna elsewhere, or another map, is no time
-    off, speed = (v[good] - v[good].mean(axis=0) for v in (off, speed))
+    off, velocity = (v[good] - v[good].mean(axis=0) for v in (off, velocity))
     block = np.unique((at[good] // BLOCK).astype(int), return_inverse=True)[1]
-    share, weight = (np.bincount(block, (speed * v).sum(axis=1)) for v in (off, speed))
+    share, weight = (np.bincount(block, (velocity * v).sum(axis=1)) for v in (off, velocity))
     late = share.sum() / weight.sum()
     return float(late), float(np.sqrt(((share - late * weight) ** 2).sum()) / weight.sum())

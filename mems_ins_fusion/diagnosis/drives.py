@@ -11,7 +11,8 @@ from dataclasses import fields, replace
 import numpy as np
 
 from ..samples import Recording
-from .residuals import DiagnosisError, Problem, Residual, Unknown, on_all_cores
+from .problem import DiagnosisError, Problem, Unknown, on_all_cores
+from .residuals import Residual
 
 
 class Drives:

@@ -2,7 +2,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+#: no model of a car is right to a few per cent: what is in no effect of the library (a body that rolls in bends, axes
+#: that are not at right angles, what else is in the car and too small to be found) moves what is estimated by this part
+SYSTEMATIC = 0.05
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,17 @@ class Estimate:
             return f'{low:.2g} to {high:.2g}{unit}'
         said = rounded(self.value, self.sigma) + (f' \N{PLUS-MINUS SIGN} {self.sigma:.2g}' if self.known else '') + unit
         return f'{said}, {math.degrees(self.value):.3g} deg' if self.unit == 'rad' else said
+
+
+def widened(parameters: Mapping[str, Estimate]) -> dict[str, Estimate]:
+    """The parameters of one effect with SYSTEMATIC in their sigmas: a part of the length of those of the same unit, as
+    axes that are a little turned make one of the other."""
+    lengths: dict[str, float] = {}
+    for estimate in parameters.values():
+        if estimate.known:
+            lengths[estimate.unit] = math.hypot(lengths.get(estimate.unit, 0.0), estimate.value)
+    return {name: replace(e, sigma=math.hypot(e.sigma, SYSTEMATIC * lengths[e.unit])) if e.known else e
+            for name, e in parameters.items()}
 
 
 def rounded(value: float, sigma: float | None) -> str:

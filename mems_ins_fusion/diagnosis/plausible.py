@@ -4,6 +4,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from .estimate import Estimate
+from .problem import UPDATE_INTERVAL
 
 _ARM = 'an error that turns with the vehicle: a time offset, an IMU that is turned or tilted, positions that the ' \
        'receiver smooths'
@@ -26,9 +27,26 @@ _LARGEST: dict[str, tuple[dict[str, float], str]] = {
 }
 
 
+#: by effect: the smallest size that is what it says, and what a smaller one is
+_SMALLEST: dict[str, tuple[dict[str, float], str]] = {
+    'gnss_coloured_noise': ({'tau': UPDATE_INTERVAL}, 'white noise, as it does not last from one fix to the next'),
+}
+
+
 def implausible(effect: str, parameters: Mapping[str, Estimate]) -> str:
     """Why these sizes cannot be, and what they usually stand for; empty where they can."""
     largest, stands_for = _LARGEST.get(effect, ({}, ''))
     beyond = [f'{name} of {estimate.text()}' for name, estimate in parameters.items()
-              if estimate.value is not None and abs(estimate.value) > largest.get(name, float('inf'))]
-    return f'{" and ".join(beyond)} is more than any vehicle has; it usually stands for {stands_for}' if beyond else ''
+              if estimate.value is not None and _within(estimate)[0] > largest.get(name, float('inf'))]
+    if beyond:
+        return f'{" and ".join(beyond)} is more than any vehicle has; it usually stands for {stands_for}'
+    smallest, is_rather = _SMALLEST.get(effect, ({}, ''))
+    below = [f'{name} of {estimate.text()}' for name, estimate in parameters.items()
+             if estimate.value is not None and _within(estimate)[1] < smallest.get(name, 0.0)]
+    return f'{" and ".join(below)} is {is_rather}' if below else ''
+
+
+def _within(estimate: Estimate) -> tuple[float, float]:
+    """Between which sizes it is, by a sigma: what may be possible is not impossible."""
+    sigma = estimate.sigma if estimate.known else 0.0
+    return abs(estimate.value) - sigma, abs(estimate.value) + sigma

@@ -5,7 +5,7 @@ recordings; an estimate uses the innovations of all parts but one and is judged 
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,31 +15,38 @@ from scipy.stats import t as student
 from ..evaluation import metrics
 from ..evaluation.bootstrap import paired
 from ..evaluation.comparison import aiding_of, samples_to_keep, truth_of
-from ..evaluation.metrics import Errors, position_errors
+from ..evaluation.metrics import Errors, Truth, position_errors
 from ..evaluation.outages import Outages, outage_begins, outages_of
 from ..evaluation.outages import summary as outage_summary
 from ..filter.config import FilterConfig
 from ..filter.replay import run, run_with_outages
 from ..samples import ImuSamples, Recording
+from .clock import GNSS, IMU, OWN, earlier, lateness_against
 from .drives import Drives
-from .residuals import Model, Problem, Residual, on_all_cores, tempered
+from .fit import Model
+from .problem import Problem, on_all_cores
+from .residuals import Residual, tempered
 
 #: parts of the recording, each held out in turn; blocks of each part; a block is not shorter than this, s
 PARTS, BLOCKS, SHORTEST_BLOCK = 4, 2, 30.0
 #: of so many drives and more, each is held out as a whole
 FEWEST_DRIVES = 3
-#: a held-out gain counts when chance would give it this rarely: the tests that led to the effect were far stricter
-SIGNIFICANCE = 0.2
+#: a held-out gain counts when chance would give it this rarely, and where it is so large (five sigma): in real cars
+#: something small is always wrong, and what can bend most gains a little by it; a smaller one where it is CERTAIN
+SIGNIFICANCE, CLEAR = 0.2, 12.5
 #: what is new is supported by a part of the data where it is no chance at this level
 SUPPORT = 0.95
 #: an error is larger or smaller for certain when chance would give that this rarely
 CERTAIN = 0.01
 #: an error has grown noticeably beyond this part and this much, m; by this factor it has grown, certain or not
 GROWN, NOTICED, LARGER = 0.03, 0.1, 1.1
-#: over the root of their number, the part by which the mean of the largest errors of outages scatters
-SCATTER = 0.5
-#: errors that are this part of those before have shrunk plainly
-PLAINLY = 0.7
+#: such a growth is one with a proven effect, too, if chance gives it more rarely than this; where there are too few
+#: outages to say, if it is larger than this part over the root of their number
+LIKELY, SCATTER = 0.2, 0.5
+#: errors that are this part of those before have shrunk plainly; noise levels alone are better from this part on
+PLAINLY, BETTER = 0.7, 0.9
+#: fewer outages do not prove noise levels
+FEWEST_OUTAGES = 5
 #: 95 % ellipses shall hold the truth in this part of the outages
 COVERED, LESS_HELD = 0.9, 0.15
 #: errors in outages count as they are up to so many sigma: who is in one wants to be told of the large ones
@@ -96,7 +103,7 @@ class HeldOut:
 
     @property
     def helps(self) -> bool:
-        return self.gain > 0 and self.p < SIGNIFICANCE
+        return self.gain > 0 and (self.p < CERTAIN or self.gain > CLEAR and self.p < SIGNIFICANCE)
 
 
 def held_out(longer: Model, shorter: Model, noise: int) -> HeldOut:
@@ -158,7 +165,9 @@ class Measured:
     """Errors of one model: at the truth's epochs with the fixes used, in outages, and the innovations of its filter.
 
     independent: whether the truth is more than the fixes that the filter was given. stamp, likelihood (k,): of the
-    fixes that count, ns, and how well each was predicted. drives: those of each of several drives, by name.
+    fixes that count, ns, and how well each was predicted. drives: those of each of several drives, by name. late: s,
+    by which the truth's clock is later than that of the tracks, as far as it is not known; timeless: the same with that
+    taken out, where the truth may have a clock of its own.
     """
 
     continuous: Errors
@@ -167,6 +176,14 @@ class Measured:
     stamp: np.ndarray
     likelihood: np.ndarray
     drives: dict[str, Measured] = field(default_factory=dict)
+    late: float = 0.0
+    timeless: Measured | None = None
+
+    def select(self, epochs: Callable, fixes: np.ndarray) -> Measured:
+        """With those epochs of the truth for which `epochs` says so of their stamps, and those `fixes` (k,)."""
+        return replace(self, continuous=self.continuous.select(epochs(self.continuous.stamp)), stamp=self.stamp[fixes],
+                       likelihood=self.likelihood[fixes],
+                       timeless=self.timeless and self.timeless.select(epochs, fixes))
 
     def summary(self) -> dict:
         """The numbers for `report.json`."""
@@ -178,7 +195,8 @@ class Measured:
 
         A likelihood counts both: how far off, and how far off the filter thought that it may be.
         """
-        ends = [(o.begin, _end_scores(o)) for o in self.outages if len(o.begin)]
+        outages = (self.timeless or self).outages
+        ends = [(o.begin, _end_scores(o)) for o in outages if len(o.begin)]
         return [(self.stamp, self.likelihood), *ends]
 
 
@@ -207,11 +225,10 @@ def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Seq
 
     def one(model):
         values, part = model
-        errors, outages, innovations = _run(problem, recording, imu, values, durations,
-                                            begins if whole else begins[_in_mask(begins, problem, part)])
-        seen = np.isfinite(innovations) & part
-        errors = errors.select((whole | _in_mask(errors.stamp, problem, part)) & (errors.stamp >= first))
-        return Measured(errors, outages, recording.reference is not None, problem.stamp[seen], innovations[seen])
+        found = _run(problem, recording, imu, values, durations,
+                     begins if whole else begins[_in_mask(begins, problem, part)])
+        return found.select(lambda stamp: (whole | _in_mask(stamp, problem, part)) & (stamp >= first),
+                            np.isfinite(found.likelihood) & part)
     return _joined(on_all_cores(one, zip(models, judged)))
 
 
@@ -228,30 +245,46 @@ def _joined(found: Sequence[Measured]) -> Measured:
     order = np.argsort(stamp, kind='stable')
     durations = sorted({o.duration for m in found for o in m.outages})
     outages = [_joined_outages([o for m in found for o in m.outages if o.duration == d]) for d in durations]
+    timeless = [m.timeless or m for m in found] if any(m.timeless for m in found) else []
     return Measured(_joined_errors([m.continuous for m in found]), outages, all(m.independent for m in found),
-                    stamp[order], likelihood[order])
+                    stamp[order], likelihood[order], late=float(np.mean([m.late for m in found])),
+                    timeless=_joined(timeless) if timeless else None)
 
 
 def _run(problem: Problem, recording: Recording, imu: ImuSamples, values: dict, durations,
-         begins: np.ndarray) -> tuple[Errors, list[Outages], np.ndarray]:
+         begins: np.ndarray) -> Measured:
     """One filter through the recording: errors with the fixes used, in outages, and the likelihood of each fix (f,)."""
-    config = FilterConfig.from_parameters(values)
-    truth, delay = truth_of(recording, values), round(values['gnss.time_offset'] * 1e9)
-    if recording.reference is not None and problem.reference_with_fixes:
-        truth = replace(truth, reference=replace(truth.reference, stamp=truth.reference.stamp - delay))
+    config, delay = FilterConfig.from_parameters(values), round(values['gnss.time_offset'] * 1e9)
+    truth, clock = truth_of(recording, values), problem.reference_clock
+    if recording.reference is not None and clock == GNSS:
+        truth = earlier(truth, delay)
     keep = samples_to_keep(imu, truth.reference.stamp)
-    outages, result = [], None
+    coasting = None
     if durations:
         result, coasting = run_with_outages(config, imu, problem.full.gnss, begins - delay, max(durations),
                                             aiding_of(recording), keep)
-        outages = outages_of(result, coasting, truth, durations, config.imu.restart_gap)
     else:
         result = run(config, imu, problem.full.gnss, aiding_of(recording), keep=keep)
-    errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
-    if problem.reference_with_fixes:
-        errors = replace(errors, stamp=errors.stamp + delay)
-    return (errors, [replace(o, begin=o.begin + delay) for o in outages],
-            problem.innovations(result).log_likelihood())
+    likelihood = problem.innovations(result).log_likelihood()
+
+    def against(truth: Truth, shift: int) -> Measured:
+        """`truth` has stamps that are earlier by `shift` than its own, by which different models are compared."""
+        outages = outages_of(result, coasting, truth, durations, config.imu.restart_gap) if coasting else []
+        errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
+        return Measured(_later(errors, shift), [
+            replace(o, begin=o.begin + delay, errors=[_later(e, shift) for e in o.errors]) for o in outages],
+            recording.reference is not None, problem.stamp, likelihood)
+
+    if clock in (IMU, GNSS):
+        return against(truth, delay if clock == GNSS else 0)
+    late = lateness_against(result, truth)
+    shift = round(late * 1e9)
+    timeless = against(earlier(truth, shift), shift)
+    return timeless if clock == OWN else replace(against(truth, 0), late=late, timeless=timeless)
+
+
+def _later(errors: Errors, shift: int) -> Errors:
+    return replace(errors, stamp=errors.stamp + shift)
 
 
 def _in_mask(stamp: np.ndarray, problem: Problem, mask: np.ndarray) -> np.ndarray:
@@ -282,10 +315,18 @@ def nearest(measured: Measured, duration: float = 30.0) -> Outages | None:
 
 def saved(before: Measured, after: Measured) -> tuple[float, float, float] | None:
     """Duration of outages, s, and the median of the largest error in them before and after, m; None without any."""
-    one, other = nearest(before), nearest(after)
+    one, other = map(nearest, fairly(before, after))
     if one is None or other is None or one.duration != other.duration:
         return None
     return one.duration, float(np.median(one.max_error)), float(np.median(other.max_error))
+
+
+def fairly(before: Measured, after: Measured) -> tuple[Measured, Measured]:
+    """Both without what the truth says of time, if it may have a clock of its own and what is new takes the track away
+    from it: that would be a veto by a clock."""
+    if before.timeless and after.timeless and abs(after.late) > abs(before.late):
+        return before.timeless, after.timeless
+    return before, after
 
 
 def compared(before: Measured, after: Measured) -> list[dict]:
@@ -295,9 +336,10 @@ def compared(before: Measured, after: Measured) -> list[dict]:
     decides: not where the truth is the fixes that the filter was given, which only shows how closely it follows them.
     drive: its name in the rows of each of several drives, which come last; else there is none.
     """
-    rows = _compared(before, after)
+    rows = _compared(*fairly(before, after))
     for name in before.drives:
-        rows += [row | {'drive': name} for row in _compared(before.drives[name], after.drives[name])]
+        both = fairly(before.drives[name], after.drives[name])
+        rows += [row | {'drive': name} for row in _compared(*both)]
     return rows
 
 
@@ -309,39 +351,42 @@ def _compared(before: Measured, after: Measured) -> list[dict]:
         row = _row(f'outages of {old.duration:g} s, mean largest error in m', old.begin, new.begin, old.max_error,
                    new.max_error)
         if row['count']:
-            row |= {'rms_before': metrics.rms(old.max_error), 'rms_after': metrics.rms(new.max_error),
-                    'within_before': float(old.within.mean()), 'within_after': float(new.within.mean())}
+            row |= _tails(old.begin, new.begin, old.max_error, new.max_error) | {
+                'within_before': float(old.within.mean()), 'within_after': float(new.within.mean())}
         rows.append(row | {'decides': True})
     return rows
 
 
-def harm(comparison: Sequence[dict], effects: bool = False, ellipses: bool = True) -> str:
-    """What becomes worse, and by how much; empty where nothing does. ellipses: whether these count, too.
+def harm(comparison: Sequence[dict], effects: bool = False, floor: float = COVERED) -> str:
+    """What becomes worse, and by how much; empty where nothing does.
 
     An error grows where it is larger for certain and noticeably (GROWN, NOTICED), or where its mean or its root mean
-    square is larger by LARGER, certain or not; effects: by as much as so many outages can tell (SCATTER), as the
-    likelihood of held-out data has proven the effect already; so, too, in single drives, as all together have to be
-    better. An ellipse that held the truth in COVERED still has to, or one outage less; one that did not must not hold
-    it in LESS_HELD less.
+    square is larger by LARGER, certain or not; effects: if that is LIKELY, as the largest errors of a few dozen
+    outages scatter by more and the likelihood of held-out data has proven the effect already; so, too, in single
+    drives, as all together have to be better. An ellipse that held the truth in COVERED has to hold it in `floor`, or
+    one outage less; one that did not must not hold it in LESS_HELD less, unless it holds it in `floor` still.
     """
     for row in comparison:
         if not (row.get('before') and row.get('after') and row['decides']):
             continue
         squared = 'mean square' in row['what']
         tolerant = effects or 'drive' in row
-        larger = max(LARGER, 1 + SCATTER / np.sqrt(row['count'])) if tolerant else LARGER
         where = f"in {row['drive']} " if 'drive' in row else ''
-        pairs = [(row['before'], row['after']), (row.get('rms_before', 0.0), row.get('rms_after', 0.0))]
-        for i, (old, new) in enumerate(np.sqrt(pairs) if squared else pairs):
-            grown = new > (1 + GROWN) * old + NOTICED
-            if grown and (new > larger * old + NOTICED or (i == 0 and row.get('p', 1.0) < CERTAIN)):
+        pairs = [(row['before'], row['after'], row.get('p')),
+                 (row.get('rms_before', 0.0), row.get('rms_after', 0.0), row.get('rms_p'))]
+        for i, (old, new, p) in enumerate(pairs):
+            old, new = (np.sqrt(old), np.sqrt(new)) if squared else (old, new)
+            larger = new > LARGER * old + NOTICED
+            if tolerant and larger:
+                larger = p < LIKELY if p is not None else new > (1 + SCATTER / np.sqrt(row['count'])) * old + NOTICED
+            certain = i == 0 and p is not None and p < CERTAIN
+            if larger or certain and new > (1 + GROWN) * old + NOTICED:
                 which = 'root mean square of the ' if i else ''
                 return (f"the error grows: {where}{which}{row['what']}, {_plain(old, squared)} before, "
                         f'{_plain(new, squared)} after')
         held, holds = row.get('within_before'), row.get('within_after')
-        if not ellipses or held is None:
-            continue
-        if holds < (COVERED - 1.0 / row['count'] if held >= COVERED else held - LESS_HELD):
+        if held is not None and holds < (floor - 1.0 / row['count'] if held >= COVERED
+                                         else min(held - LESS_HELD, floor)):
             which = row['what'].split(',')[0]
             return (f'{where}{which}: the 95 % ellipse held the truth in {100 * held:.0f} % before, '
                     f'in {100 * holds:.0f} % after')
@@ -356,24 +401,49 @@ def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
     """What speaks against an effect, empty where nothing does: no gain of likelihood, or an error that grows.
 
     comparison: errors with the effect and without, of parts that it was not fitted to. A likelihood that gains, but
-    not for certain, is no objection where an error shrinks for certain. Nor is an error that is the same, where the
-    ellipses come to hold it: errors that last are in the withheld fixes, too, so these never favour who models them.
-    Nor are ellipses that hold a far smaller error less often: what else is wrong shows only now, and noise levels,
-    which decide on ellipses, are chosen at the end.
+    not for certain, is no objection where an error shrinks for certain and plainly. Nor is an error that is the same,
+    where the ellipses come to hold it: errors that last are in the withheld fixes, too, so these never favour who
+    models them. Nor are ellipses that hold a far smaller error less often, or one with an effect that is certain: what
+    else is wrong shows only now, and noise levels, which decide on ellipses, are chosen at the end.
     """
     change = all_in_all(comparison)
-    worse = harm(comparison, proof.helps, ellipses=change == 0.0 or change > PLAINLY)
+    settled = 0.0 < change <= PLAINLY or proof.helps and proof.p < CERTAIN
+    worse = harm(comparison, proof.helps, 0.0 if settled else COVERED)
     if worse:
         return worse
     for name, (gain, p) in proof.drives.items():
         if p < CERTAIN:
             return f'{name} speaks against it (log likelihood {gain:+.1f} there, p {p:.2g})'
-    shrinks = any(row.get('p', 1.0) < CERTAIN and row['after'] < row['before'] for row in of_all(comparison))
+    shrinks = any(row.get('p', 1.0) < CERTAIN and row['after'] < PLAINLY * row['before'] for row in of_all(comparison))
     if not (proof.helps or (proof.gain > 0 and shrinks)):
         return f'no gain on data it was not fitted to (log likelihood {proof.gain:+.1f}, p {proof.p:.2g})'
+    return _larger(comparison)
+
+
+def _larger(comparison: Sequence[dict]) -> str:
+    """An objection to errors that are larger all in all; empty where they are not."""
+    change = all_in_all(comparison)
     if change <= 1 + GROWN or (change <= LARGER and honest(of_all(comparison))):
         return ''
     return f'the error does not shrink: all in all it is {change:.2f} times that before'
+
+
+def unproven(comparison: Sequence[dict], effects: bool = False) -> str:
+    """What speaks against another configuration; empty where it is proven to be better.
+
+    effects: what is new in it has been proven by the likelihood of held-out data already (`objection`), so errors
+    must not grow. Whether they shrink the fixes that are the truth as a rule cannot say: who stamps them late, or
+    stands elsewhere, has the withheld ones late and elsewhere, too. Noise levels alone have no such proof: with them
+    errors have to shrink, or the ellipses to hold the truth where they did not.
+    """
+    rows = [row for row in of_all(comparison) if effects or row['count'] >= FEWEST_OUTAGES]
+    change = all_in_all(rows)
+    worse = harm(comparison, effects, COVERED - LESS_HELD if effects and 0.0 < change <= PLAINLY else COVERED)
+    if worse or effects:
+        return worse or _larger(comparison)
+    if rows and (change < BETTER or honest(rows) and change <= 1.0):
+        return ''
+    return 'the errors do not shrink with it'
 
 
 def honest(rows: Sequence[dict]) -> bool:
@@ -406,3 +476,10 @@ def _row(what: str, stamp, new_stamp, old, new) -> dict:
     if difference is not None:
         row |= {'difference': difference.mean, 'low': difference.low, 'high': difference.high, 'p': difference.p}
     return row
+
+
+def _tails(stamp, new_stamp, old, new) -> dict:
+    """Root mean squares before and after, and p that they are the same."""
+    row = _row('', stamp, new_stamp, old**2, new**2)
+    return {'rms_before': row['before']**0.5, 'rms_after': row['after']**0.5} | (
+        {'rms_p': row['p']} if 'p' in row else {})

@@ -14,7 +14,9 @@ from ..evaluation.bootstrap import holm
 from ..navigation.earth import radii
 from ..navigation.frames import mounting
 from ..samples import Recording
-from .residuals import Problem, Residual, Scores, Unknown, scores
+from .fit import Scores, scores
+from .problem import Problem, Unknown
+from .residuals import Residual
 from .tracing import SIGNIFICANCE, efficient, significance
 
 #: rotations and specific forces are averaged over about this long before they are squared or multiplied, s

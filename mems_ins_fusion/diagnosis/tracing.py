@@ -15,7 +15,9 @@ from scipy.stats import chi2
 
 from ..effects.base import Effect
 from ..evaluation.bootstrap import holm
-from .residuals import Problem, Residual, Scores, Unknown, blocks, scores
+from .fit import Scores, scores
+from .problem import Problem, Unknown, blocks
+from .residuals import Residual
 
 #: family-wise error of one round of tests
 SIGNIFICANCE = 0.01

@@ -39,7 +39,9 @@ class ImuJitter(Effect):
         if scatter < SMALLEST * interval:
             return None
         sigma = scatter / np.sqrt(2)
-        return Sighting({'sigma': (float(sigma), float(sigma / np.sqrt(len(step))))},
+        # samples come in order: a late one holds back those after it, and intervals scatter by less than delays
+        held_back = 0.5 * (sigma / interval)**2
+        return Sighting({'sigma': (float(sigma), float(sigma * np.hypot(held_back, len(step)**-0.5)))},
                         f'the intervals between IMU samples, {1e3 * interval:.3g} ms, scatter by '
                         f'{1e3 * scatter:.2g} ms: they are stamped on arrival. Let the driver stamp with the clock '
                         'of the sensor; till then all other sensors seem early by about as much',

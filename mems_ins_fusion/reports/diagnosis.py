@@ -8,8 +8,8 @@ from dataclasses import asdict
 
 import numpy as np
 
-from ..diagnosis.diagnose import Diagnosis, Finding
 from ..diagnosis.estimate import Estimate, rounded
+from ..diagnosis.findings import Diagnosis, Finding
 from ..diagnosis.proof import nearest
 from ..diagnosis.tracing import Candidate
 from ..evaluation.outages import Outages

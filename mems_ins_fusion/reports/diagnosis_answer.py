@@ -5,8 +5,9 @@ import shlex
 
 import numpy as np
 
+from ..diagnosis.conclusion import MOUNTING
 from ..diagnosis.detection import COLOURED, Detection
-from ..diagnosis.diagnose import MOUNTING, Diagnosis, Finding
+from ..diagnosis.findings import Diagnosis, Finding
 from ..diagnosis.proof import FEWEST_DRIVES, nearest
 from ..parameters.params_file import yaml_value
 from ..recordings.checker import INFO

@@ -4,9 +4,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..diagnosis.detection import COMPONENTS, LAGS
-from ..diagnosis.tracing import SIGNIFICANCE
-from ..diagnosis.diagnose import Diagnosis
+from ..diagnosis.findings import Diagnosis
 from ..diagnosis.proof import Measured
+from ..diagnosis.tracing import SIGNIFICANCE
 from .colours import AFTER, BEFORE, FITTED
 from .layers import diagnosis_layers
 

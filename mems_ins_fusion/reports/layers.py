@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..diagnosis.diagnose import Diagnosis
+from ..diagnosis.findings import Diagnosis
 from ..diagnosis.proof import Measured
 from ..evaluation.comparison import Comparison, truth_of
 from ..evaluation.metrics import Errors, lever_arm_north_east
@@ -30,9 +30,9 @@ class Ground:
         north, east, _ = to_local(track.latitude, track.longitude, track.height, self.datum)
         return north, east
 
-    def of(self, errors: Errors, delay: int = 0):
-        """North and east where a run was, by its errors. delay: ns, from the errors' stamps to the truth's."""
-        at = _nearest(self.stamp, errors.stamp + delay)
+    def of(self, errors: Errors):
+        """North and east where a run was, by its errors."""
+        at = _nearest(self.stamp, errors.stamp)
         return self.north[at] + errors.north, self.east[at] + errors.east
 
     def antenna(self, run: Run, lever_arm: np.ndarray):
@@ -73,7 +73,7 @@ def replay_layers(comparison: Comparison, best: str, names: dict[str, str]) -> l
     longest = max((r.outages.duration for r in comparison.outages if len(r.outages.begin)), default=None)
     for result in comparison.outages:
         if result.outages.duration == longest:
-            layers.append(_outages(ground, result.outages.errors, origin, 0, colours.OUTAGE if result.model == best
+            layers.append(_outages(ground, result.outages.errors, origin, colours.OUTAGE if result.model == best
                                    else colours.MODELS[result.model], shown=result.model == best,
                                    name=f'{longest:g} s without fixes, {names[result.model]}'))
     return layers
@@ -91,9 +91,9 @@ def diagnosis_layers(diagnosis: Diagnosis) -> list[Layer]:
         north, east = ground(fixes)
         layers.append(Layer('fixes', colours.FIX, _seconds(fixes.stamp, origin), east, north, {}, points=2.0,
                             shown=False))
-    stages = (('before', 'as configured', d.before, d.values, colours.BEFORE),
-              ('after', 'with corrected.yaml', d.after, d.corrected, colours.AFTER))
-    for stage, name, measured, _, colour in stages:
+    stages = (('before', 'as configured', d.before, colours.BEFORE),
+              ('after', 'with corrected.yaml', d.after, colours.AFTER))
+    for stage, name, measured, colour in stages:
         errors = measured.continuous
         north, east = ground.of(errors)
         nis = (d.residuals[stage].whitened()**2).sum(axis=1)
@@ -101,11 +101,10 @@ def diagnosis_layers(diagnosis: Diagnosis) -> list[Layer]:
                   'nis': _latest(problem.stamp, nis, errors.stamp), 'speed': _speed(ground, errors.stamp)}
         layers.append(Layer(f'{name}, all fixes', colour, _seconds(errors.stamp, origin), east, north, values,
                             3.0 if stage == 'before' else 1.8))
-    for stage, name, measured, values, colour in stages:
+    for _, name, measured, colour in stages:
         longest = _longest(measured)
         if longest is not None:
-            delay = round(values['gnss.time_offset'] * 1e9) if problem.reference_with_fixes else 0
-            layers.append(_outages(ground, longest.errors, origin, delay, colour,
+            layers.append(_outages(ground, longest.errors, origin, colour,
                                    f'{longest.duration:g} s without fixes, {name}', (5, 3)))
     return layers
 
@@ -134,17 +133,17 @@ def _fixes(ground: Ground, comparison: Comparison, run: Run, origin: int) -> lis
             if which.any()]
 
 
-def _outages(ground: Ground, errors: list[Errors], origin: int, delay: int, colour: str, name: str, dash=(),
+def _outages(ground: Ground, errors: list[Errors], origin: int, colour: str, name: str, dash=(),
              shown: bool = True) -> Layer:
     """One piece for each outage, and at its end where the vehicle was."""
     errors = [e for e in errors if len(e)]
-    north, east = (np.concatenate(parts) for parts in zip(*(ground.of(e, delay) for e in errors)))
+    north, east = (np.concatenate(parts) for parts in zip(*(ground.of(e) for e in errors)))
     count = np.array([len(e) for e in errors])
     last = np.cumsum(count) - 1
     joined = {name: np.concatenate([getattr(e, name) for e in errors]) for name in ('stamp', 'north', 'east', 'sigma')}
     stamp = joined['stamp']
     values = {'error': np.hypot(joined['north'], joined['east']), 'sigma': joined['sigma'],
-              'speed': _speed(ground, stamp + delay)}
+              'speed': _speed(ground, stamp)}
     ends = np.column_stack([east[last], north[last], east[last] - joined['east'][last],
                             north[last] - joined['north'][last]])
     return Layer(name, colour, _seconds(stamp, origin), east, north, values, 2.0, shown, last - count + 1, ends,

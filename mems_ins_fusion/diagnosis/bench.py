@@ -1,0 +1,102 @@
+"""The recordings on the bench: what errors a filter makes in them, and how far the work is."""
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..effects.base import Effect
+from ..samples import Recording
+from .drives import Drives
+from .outliers import without_far_off
+from .problem import Problem, on_all_cores
+from .proof import Measured, measure, parts, together
+
+#: a search that has filtered so many IMU samples is content with what it has: half a minute on two cores, whatever the
+#: recording, and the same result on each machine
+ENOUGH = 6_000_000
+#: decisions are made on about so many outages, so far apart, s
+FEW_OUTAGES, CLOSEST_OUTAGES = 40, 10.0
+#: the parts of the work, by the time they usually take: where they begin, and how many choices there are among levels
+SEARCHING, CHOOSING, MEASURING, LOOKING, USUAL_CHOICES = 0.05, 0.72, 0.88, 0.95, 15
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Bench:
+    """The recordings on the bench: what errors a filter makes in them.
+
+    recordings: with all fixes, as many as the problem has drives. offset_sigma: gnss.time_offset_sigma as given, which
+    the search does without.
+    """
+
+    recordings: tuple[Recording, ...]
+    origin: Drives
+    library: tuple[Effect, ...]
+    durations: tuple[float, ...]
+    spacing: float
+    tell: Progress
+    offset_sigma: float
+    measured: dict[str, Measured] = field(default_factory=dict)  # by the filters asked for
+
+    @cached_property
+    def judging(self) -> tuple[Recording, ...]:
+        """The recordings for the truth: where that are the fixes, a fix that is far off is none."""
+        return tuple(replace(r, gnss=without_far_off(r.gnss)) for r in self.recordings)
+
+    def enough(self, share: float = 1.0) -> bool:
+        """Whether this share of the work of a search is done."""
+        return self.done > share
+
+    @property
+    def done(self) -> float:
+        """The share of the most that there may be to do that is done."""
+        return self.origin.work / (ENOUGH * len(self.recordings))
+
+    def searching(self, what: str) -> None:
+        """Tell what is being done, now and after each batch of work."""
+        def tell():
+            self.tell(SEARCHING + (CHOOSING - SEARCHING) * min(1.0, self.done), what)
+        tell()
+        self.origin.watched(tell)
+
+    def errors(self, models: Sequence[dict], full: bool = False) -> Measured:
+        """Of one filter, or of those fitted to all parts but one, in these parts.
+
+        full: with all IMU samples, by the protocol that is reported; else for decisions. These look at the covariance
+        as the model has it: scaled by what innovations show, it would hold the truth whatever the model lacks.
+        """
+        decides = {} if full else {'gnss.adapt_covariance': False}
+        models = [{**values, 'gnss.time_offset_sigma': self.offset_sigma, **decides} for values in models]
+        asked = repr((full, [sorted(values.items()) for values in models]))
+        if asked not in self.measured:
+            self.measured[asked] = self._measured(models, full)
+        return self.measured[asked]
+
+    def _measured(self, models: list[dict], full: bool) -> Measured:
+        judged = parts(self.origin) if len(models) > 1 else [self.origin.mask]
+        found = {}
+        for recording, judging, problem, where in zip(self.recordings, self.judging, self.origin.each,
+                                                      self.origin.slices):
+            seconds = float(np.ptp(problem.stamp[problem.mask])) * 1e-9
+            mine = [(values, mask[where]) for values, mask in zip(models, judged) if mask[where].any()]
+            spacing = self.spacing if full else max(CLOSEST_OUTAGES, seconds / FEW_OUTAGES)
+            found[recording.name] = measure(
+                problem, judging, (problem.full if full else problem.drive).imu, [values for values, _ in mine],
+                fitting(self.durations, problem), spacing, [mask for _, mask in mine])
+        return together(found)
+
+    def each(self, configurations: Sequence[dict]) -> list[Measured]:
+        """Of several filters, for the choice of noise levels."""
+        found = on_all_cores(lambda values: self.errors([values]), configurations)
+        count = len(self.measured)
+        self.tell(CHOOSING + (MEASURING - CHOOSING) * count / (count + USUAL_CHOICES), 'choosing noise levels')
+        return found
+
+
+def fitting(durations: Sequence[float], problem: Problem) -> tuple[float, ...]:
+    """The durations of outages, s, of which a drive holds enough."""
+    return tuple(d for d in durations if d < 0.3 * (problem.stamp[-1] - problem.stamp[0]) * 1e-9)

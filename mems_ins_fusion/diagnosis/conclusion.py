@@ -1,0 +1,285 @@
+"""What a search has found, made into parameters: which corrections are proven together, and what a user is told."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..effects.base import Effect
+from . import learned
+from .bench import CHOOSING, LOOKING, MEASURING, Bench
+from .detection import detect
+from .drives import Drives, part
+from .estimate import SYSTEMATIC, Estimate, widened
+from .findings import Diagnosis, Finding
+from .fit import Model
+from .levels import choose, multiplied
+from .noise import LARGEST_FACTOR
+from .plausible import implausible
+from .problem import Problem
+from .proof import HeldOut, Measured, compared, harm, parts, saved, unproven, which_part
+from .rest import GoesWith, goes_with
+from .search import PLAIN, Known, by_drive_of
+
+#: a recording has turns, and changes of speed, where these happen: rad/s and m/s^2 (root mean square)
+TURNING, SPEEDING = 0.03, 0.15
+MOUNTING = 'mounting_rotation'
+#: s; a receiver smooths over no longer
+LONGEST_SMOOTHING = 10.0
+
+
+@dataclass(frozen=True)
+class Correction:
+    """One way to correct the parameters: for the whole drive, and by the part that is held out."""
+
+    values: dict
+    by_part: list[dict]
+    factors: dict[str, float]
+    effects: bool
+    settings: tuple[Finding, ...] = ()
+
+
+def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
+    """The corrections that are proven, and the errors before and after."""
+    bench.origin.watched(None)
+    bench.tell(CHOOSING, 'choosing noise levels')
+    given = bench.origin.given
+    configured = Correction(given, [given], {}, False)
+    fitted = _levelled(configured, bench)
+    corrections, against = _settled(known, first, fitted, configured, bench)
+    bench.tell(MEASURING, 'measuring errors')
+    before, noise_only = (bench.errors(models, full=True) for models in ([given], fitted.by_part))
+    for correction in corrections:  # the last one is what was given
+        better = correction.values != given
+        after = bench.errors(correction.by_part, full=True) if better else before
+        comparison = compared(before, after)
+        worse = unproven(comparison, correction.effects) if better else ''
+        if not worse:
+            break
+        if correction.effects:
+            against = worse
+    hidden = _not_shown(known, correction.settings)
+    # a finding is added only where corrected.yaml holds it
+    findings = _final(known, hidden, correction.values, given, bench.library)
+    findings = [*(findings if correction.effects else (_only_told(f, against) for f in findings)),
+                *correction.settings]
+    model, origin = known.model, bench.origin
+    drives = origin.each
+    residuals = {'before': origin.before, 'fitted': origin.observed(fitted.values),
+                 'after': origin.observed(correction.values), 'search': model.residual}
+    bench.tell(LOOKING, 'looking at what is left')
+    rests = [goes_with(moved, part(model.scores, where), part(model.residual, where))
+             for moved, where in zip(model.moved().each, origin.slices)]
+    explained = {u.name: float(np.exp(x)) for u, x in zip(model.unknowns, model.x) if u.noise}
+    remarks = [_remarks(p) for p in drives]
+    whole = Diagnosis(
+        recordings=bench.recordings, values=given, problem=origin, residuals=residuals,
+        detections={stage: detect(r, origin.mask) for stage, r in residuals.items()}, noise=correction.factors,
+        explained=explained, rounds=list(known.rounds), chosen=list(known.chosen), findings=findings,
+        hidden=hidden, corrected=correction.values,
+        better=better, before=before, fitted=noise_only, after=after, comparison=comparison,
+        rest=[rest for found in rests for rest in found],
+        remarks=[said for said in remarks[0] if all(said in other for other in remarks)]
+        + _noise_remarks(explained | correction.factors))
+    if len(drives) < 2:
+        return whole
+    return replace(whole, drives=[_in_drive(whole, k, rests[k], remarks[k]) for k in range(len(drives))])
+
+
+def _in_drive(whole: Diagnosis, k: int, rest: list[GoesWith], remarks: list[str]) -> Diagnosis:
+    """The diagnosis of several drives as it looks in the k-th."""
+    problem, recording, where = whole.problem.each[k], whole.recordings[k], whole.problem.slices[k]
+    residuals = {stage: part(r, where) for stage, r in whole.residuals.items()}
+    return replace(
+        whole, recordings=(recording,), problem=Drives([problem]), residuals=residuals, rest=rest, remarks=remarks,
+        detections={stage: detect(r, problem.mask) for stage, r in residuals.items()},
+        before=whole.before.drives[recording.name], fitted=whole.fitted.drives[recording.name],
+        after=whole.after.drives[recording.name],
+        comparison=[row for row in whole.comparison if row.get('drive') == recording.name])
+
+
+def _settled(known: Known, first: Known, fitted: Correction, configured: Correction,
+             bench: Bench) -> tuple[list[Correction], str]:
+    """What is proven together, the best first: effects with or without other noise levels, these alone, nothing. And
+    what speaks against effects that are not."""
+    options, against = [fitted], ''
+    effects = configured
+    if any(f.added for f in known.findings):
+        effects = Correction(known.corrected(), known.by_part(), {}, True)
+    effects = _with_mounting(_with_settings(effects, bench), bench)
+    told = effects.settings
+    if effects.values != configured.values:
+        options += [_levelled(replace(effects, factors=fitted.factors), bench), effects]
+    proven = []
+    for option in options:
+        if option.values == configured.values:
+            continue
+        errors = bench.errors(option.by_part)
+        worse = unproven(compared(first.errors, errors), option.effects)
+        if not worse and _merit(errors) > _merit(first.errors):
+            proven.append((_merit(errors), option))
+        elif option.effects:
+            against = worse or 'positions are predicted less well with it'
+    proven = [option for _, option in sorted(proven, key=lambda found: -found[0])]
+    return [option if option.settings else replace(option, settings=tuple(_only_told(f, against) for f in told))
+            for option in (*proven, configured)], against
+
+
+def _only_told(finding: Finding, against: str) -> Finding:
+    return replace(finding, added=False, changes={}, reason=finding.reason or against or 'errors do not shrink with it')
+
+
+def _with_settings(correction: Correction, bench: Bench) -> Correction:
+    """With what a direct look at the recording shows, and the settings against it where these help."""
+    for effect in bench.library:
+        sightings = {p.recording.name: effect.seen(bench.origin.given, p.full) for p in bench.origin.each}
+        sightings = {name: sighting for name, sighting in sightings.items() if sighting is not None}
+        if not sightings:
+            continue
+        units = {p.name: p.unit for p in effect.parameters}
+        drives = {name: {n: Estimate(v, s, units[n]) for n, (v, s) in sighting.parameters.items()}
+                  for name, sighting in sightings.items()}
+        # the settings against it are those for the drive that has most of it
+        most = max(sightings, key=lambda name: drives[name][effect.principal].value)
+        sighting, several = sightings[most], len(bench.origin.each) > 1
+        rest = [name for name in sightings if name != most]
+        text = sighting.text + (f' (in {most}{"; also in " if rest else ""}{", ".join(rest)})' if several else '')
+        finding = Finding(effect.name, [effect.name], drives[most], 0.0, 0.0, False, HeldOut(0.0, 1.0, []), seen=text,
+                          drives=drives if several else {})
+        further = [{**values, **sighting.helps} for values in (correction.values, *correction.by_part)]
+        if further[0] == correction.values:
+            finding = replace(finding, reason='the settings are made for it already')
+        else:
+            before, after = bench.errors(correction.by_part), bench.errors(further[1:])
+            # what was counted in the samples needs no error that shrinks for a proof
+            worse = unproven(compared(before, after), effects=True)
+            if not worse:
+                changes = {n: v for n, v in further[0].items() if v != correction.values[n]}
+                finding = replace(finding, added=True, changes=changes, saves=saved(before, after))
+                correction = replace(correction, values=further[0], by_part=further[1:], effects=True)
+            else:
+                finding = replace(finding, reason=f'with the settings against it {worse}')
+        correction = replace(correction, settings=(*correction.settings, finding))
+    return correction
+
+
+def _with_mounting(correction: Correction, bench: Bench) -> Correction:
+    """With the mounting's angles as the filter has learned them, where they are there and do no harm."""
+    if MOUNTING not in {e.name for e in bench.library}:
+        return correction
+    found = learned.together([learned.angles(p.full, correction.values) for p in bench.origin.each])
+    if found is None or not found.plain:
+        return correction
+    effect = next(e for e in bench.library if e.name == MOUNTING)
+
+    def turned(values, angles):
+        return effect.adjusted(values, {'roll': 0.0, **{n: angles[n] if n in found.plain else 0.0
+                                                        for n in learned.STATES}})
+
+    whole = {name: e.value for name, e in found.whole.items()}
+    parted = correction.by_part * (len(parts(bench.origin)) if len(correction.by_part) == 1 else 1)
+    # each part in turn with angles of other data, or of one half of them, so that their scatter is in the errors
+    halves = found.halves or [whole]
+    by_part = [turned(values, halves[k % len(halves)]) for k, values in enumerate(parted)]
+    values = turned(correction.values, {n: whole.get(n, 0.0) for n in learned.STATES})
+    finding = Finding(MOUNTING, [MOUNTING], found.plain, 0.0, 0.0, True, HeldOut(0.0, 1.0, []),
+                      changes={'imu.mounting_rpy': values['imu.mounting_rpy']},
+                      seen='the filter finds it itself in each drive, within a minute or two of it',
+                      drives={p.recording.name: own for p, own in zip(bench.origin.each, found.drives)})
+    before, after = bench.errors(correction.by_part), bench.errors(by_part)
+    finding = replace(finding, saves=saved(before, after))
+    reason = implausible(MOUNTING, found.plain) or found.contradicted or harm(compared(before, after))
+    if reason:
+        return replace(correction, settings=(*correction.settings, _only_told(finding, reason)))
+    return replace(correction, values=values, by_part=by_part, settings=(*correction.settings, finding))
+
+
+def _levelled(correction: Correction, bench: Bench) -> Correction:
+    """`correction` with the noise levels that predict best; its factors are where the search begins, too."""
+    claimed = float(np.median(np.sqrt(bench.origin.claimed[:, 0, 0])))
+    levels = choose(correction.values, bench.each, which_part(bench.origin), len(parts(bench.origin)), claimed,
+                    correction.factors)
+    factors = {name: factor for name, factor in levels.factors.items() if factor != 1.0}
+    by_part = correction.by_part * (len(levels.by_part) if len(correction.by_part) == 1 else 1)
+    return replace(correction, values=multiplied(correction.values, factors, claimed), factors=factors,
+                   by_part=[multiplied(values, chosen, claimed) for values, chosen in zip(by_part, levels.by_part)])
+
+
+def _merit(measured: Measured) -> float:
+    """Mean log likelihood of what was predicted, all horizons alike."""
+    return float(np.mean([score.mean() for _, score in measured.scores() if len(score)]))
+
+
+def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence[Effect]) -> list[Finding]:
+    """All findings with the estimates of the last joint fit, and what each has changed in `corrected`."""
+    model, sigma, found = known.model, known.model.sigma(), []
+    effects = {e.name: e for e in library}
+    for finding in known.findings:
+        own = widened({u.parameter: Estimate(*u.meant(x, s), finding.parameters[u.parameter].unit)
+                       for u, x, s in zip(model.unknowns, model.x, sigma)
+                       if u.effect == finding.name and not u.noise and u.parameter in finding.parameters})
+        if finding.name == 'gnss_time_offset':
+            own = {n: replace(e, sigma=float(np.hypot(e.sigma, SYSTEMATIC * _smoothed(model)))) for n, e in own.items()}
+        parameters = finding.parameters
+        if finding.added and own:
+            parameters = {n: own.get(n, e) for n, e in parameters.items() if n in own or e.sigma is None}
+        parameters = {n: e for n, e in parameters.items() if f'{finding.name}.{n}' not in hidden}
+        if not finding.added:  # what is less than PLAIN is no news
+            parameters = {n: e for n, e in parameters.items() if not e.known or abs(e.value) >= PLAIN * e.sigma}
+            if not finding.apart and (not parameters or finding.held_out.gain <= 0):
+                continue
+        changes = {}
+        if finding.added:
+            effect = effects[finding.name]
+            theta = {p.name: 0.0 for p in (*effect.parameters, *effect.traced)}
+            theta |= {n: e.value for n, e in finding.parameters.items()}
+            moved = effect.adjusted(given, theta)
+            changes = {n: corrected[n] for n in given if moved[n] != given[n]}
+            own = [i for i, u in enumerate(model.unknowns) if u.effect == finding.name and not u.noise]
+            finding = replace(finding, drives=by_drive_of(model, effect, known.noise, own)[0])
+        found.append(replace(finding, parameters=parameters, changes=changes))
+    return found
+
+
+def _smoothed(model: Model) -> float:
+    """Over how long the receiver smooths its positions, s, as far as its errors tell: for so long they last. To who
+    brakes or turns meanwhile that is a delay of its own. 0 where they last for longer than a receiver's filter."""
+    lasting = [u.meant(x, 0.0)[0] for u, x in zip(model.unknowns, model.x) if u.name == 'gnss_coloured_noise.tau']
+    return lasting[0] if lasting and lasting[0] < LONGEST_SMOOTHING else 0.0
+
+
+def _not_shown(known: Known, settings: Sequence[Finding]) -> dict[str, str]:
+    """Effects and parameters of which nothing can be said, and why: as each effect was tested last."""
+    estimated = {u.name for u in known.model.unknowns}
+    last = {c.name: c for candidates in known.rounds for c in candidates}
+    undetermined = {f'{c.name}.{name}': 'not determined by this recording' for c in last.values()
+                    for name in c.undetermined if f'{c.name}.{name}' not in estimated}
+    found = {f.name for f in known.findings if f.added} | {f.name for f in settings}
+    return {name: why for name, why in {**known.hidden, **undetermined}.items() if name not in found}
+
+
+def _noise_remarks(factors: dict[str, float]) -> list[str]:
+    """Noise levels that are none: wrong settings, or something that is in no effect of the library."""
+    return [f'{name} would have to be {factor:.0f} times as large as configured to explain this drive: no sensor is so '
+            'much noisier than its settings, so this stands for something that is not in the library (vibration of the '
+            'mount, samples that repeat, a scale or an axis that is not what it says).'
+            for name, factor in factors.items() if name != 'gnss.sigma' and factor > 0.95 * LARGEST_FACTOR]
+
+
+def _remarks(problem: Problem) -> list[str]:
+    """What the recording lacks, and what recording would show more."""
+    said, mask, seconds = [], problem.mask, (problem.stamp - problem.stamp[0]) * 1e-9
+    turn = np.gradient(np.unwrap(problem.base.yaw), seconds)
+    acceleration = np.gradient(np.hypot(*problem.base.velocity.T), seconds)
+    if np.sqrt(np.mean(turn[mask] ** 2)) < TURNING:
+        said.append('There are hardly any turns: lever arms, the gyroscope\'s scale and a mounting rotation need some '
+                    'bends to both sides.')
+    if np.sqrt(np.mean(acceleration[mask] ** 2)) < SPEEDING:
+        said.append('The speed hardly changes: a time offset, scale factors and a mounting rotation need some braking '
+                    'and speeding up.')
+    gaps = np.diff(seconds)
+    if len(gaps) and gaps.max() > 30:
+        said.append(f'There are no fixes for {gaps.max():.0f} s in a part of the recording: it says little of that '
+                    'part.')
+    return said

@@ -1,0 +1,339 @@
+"""A recording and the parameters it is filtered with: what may be assumed, and the innovations under it.
+
+Whatever is assumed - noise levels, effects - the filter is run again and its innovations are the residual. The filter
+that is looked through is not quite the one of the user: what adapts to a misfit - fixes weighted down, refused, or
+believed less the worse they fit - hides that misfit (`looked_through`).
+"""
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from ..evaluation.comparison import aiding_of, samples_to_keep, thin
+from ..filter.config import FilterConfig
+from ..filter.layout import PLANAR, Event, Kind, Verdict
+from ..filter.replay import Constrained, run, run_with_constraints
+from ..filter.results import Run
+from ..filter.start import transferred
+from ..samples import Fixes, ImuSamples, Recording
+from .clock import GNSS, IMU
+from .residuals import Residual, lasting
+
+#: innovations of the first seconds after the start belong to the alignment
+SETTLING = 20.0
+#: s between the fixes used; what comes more often is withheld and serves as the truth
+UPDATE_INTERVAL = 1.0
+#: the many runs of a diagnosis take IMU samples at no more than this rate, Hz, in a long recording at a lower one, but
+#: not below the other; errors are measured at the full rate
+FASTEST_RATE, SLOWEST_RATE, MANY_SAMPLES = 12.5, 5.0, 20_000
+#: samples among which the start is looked for to the sample, later only to a tenth of a second
+_ALIGNING = 100_000
+#: what is added to each fix, m: a diagnosis looks for metres, and no model of a car is right to a centimetre
+FLOOR = 0.1
+#: more outliers than this part of the fixes are none
+MOST_OUTLIERS = 0.2
+#: what is measured beside the position of a fix: its height, and what the constraints say
+BESIDE = ('height', 'sideways', 'upwards', 'north at rest', 'east at rest', 'down at rest')
+#: constraints since the last fix that make a mean
+FEWEST_SAID = 3
+#: length of a block over which scores may go together, s; longer ones count where there are so many
+BLOCK, LONG_BLOCK, FEWEST_BLOCKS = 20.0, 60.0, 10
+
+
+class DiagnosisError(ValueError):
+    """A recording that cannot be diagnosed: one line that says why, and what recording it takes."""
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One number that is assumed and can be varied.
+
+    apply(values, recording, x) gives the parameters and the recording with it at x; `base` is its value as configured
+    and `step` a difference over which the innovations change linearly. prior: standard deviation of what is plausible;
+    usual: a size that would surprise nobody. one_sided: forward differences only, at a bound or where they are good
+    enough. variance: it stands for the square of what it is named after. factor_on: it is the logarithm of a factor on
+    this, or None.
+    """
+
+    name: str
+    apply: Callable
+    base: float
+    step: float
+    prior: float
+    usual: float = 1.0
+    one_sided: bool = False
+    variance: bool = False
+    factor_on: float | None = None
+    bounds: tuple[float, float] = (-np.inf, np.inf)
+    noise: bool = False
+
+    @property
+    def effect(self) -> str:
+        """The effect whose parameter it is, the first part of its name."""
+        return self.name.split('.')[0]
+
+    @property
+    def parameter(self) -> str:
+        """The name of that parameter."""
+        return self.name.split('.')[1]
+
+    def near(self, x: float) -> tuple[float, float]:
+        """Between which values it may be that is about `x`, where it stands for a size: half and twice that."""
+        if self.factor_on is not None:
+            return x - np.log(2.0), x + np.log(2.0)
+        return (0.25 * x, 4.0 * x) if self.variance and x > 0 else (-np.inf, np.inf)
+
+    def meant(self, x: float, sigma: float) -> tuple[float, float]:
+        """Value and sigma of what it is named after."""
+        if self.factor_on is not None:
+            value = self.factor_on * float(np.exp(x))
+            return value, value * float(sigma)
+        if not self.variance:
+            return float(x), float(sigma)
+        root = float(np.sqrt(max(x, 0.0)))
+        return root, float(sigma / (2 * root)) if root > 0 else float(np.sqrt(sigma))
+
+
+class Problem:
+    """A recording and the parameters it is filtered with; runs of it that differ by what is assumed alone.
+
+    given: the parameters as given; values: those of the filter that is looked through. full: the recording with the
+    fixes used; drive: the same with averaged samples; recording: as `drive`, as that filter sees it - covariances
+    spelled out, fixes that the filter as given refuses left out. stamp (f,) ns of the fixes; mask (f,): which count.
+    reference_clock: the clock in which the truth runs (`clock.whose`).
+    """
+
+    def __init__(self, recording: Recording, values: dict, interval: float = UPDATE_INTERVAL):
+        self.reference_clock = GNSS if recording.reference is None else IMU
+        self.given = {**values, 'gnss.time_offset_sigma': 0.0}
+        self.values = looked_through(values)
+        given = FilterConfig.from_parameters(self.given)
+        keep = samples_to_keep(recording.imu, recording.imu.stamp[:_ALIGNING])
+        first = run(given, recording.imu, recording.gnss, aiding_of(recording), keep=keep)
+        if first.start is None:
+            reason = first.notices[-1].text if first.notices else 'no fixes'
+            raise DiagnosisError(f'{recording.name}: {reason}')
+        began = int(first.stamp[0])
+        self.used = thin(recording.gnss, interval, began)
+        self.full = replace(recording, gnss=recording.gnss.select(self.used))
+        seconds = max((recording.imu.stamp[-1] - recording.imu.stamp[0]) * 1e-9, 1.0)
+        rate = float(np.clip(MANY_SAMPLES / seconds, SLOWEST_RATE, FASTEST_RATE))
+        self.drive = replace(self.full, imu=averaged(recording.imu, rate))
+        self.stamp = self.drive.gnss.stamp
+        watched = run(given, self.drive.imu, self.drive.gnss, aiding_of(recording),
+                      keep=np.zeros(len(self.drive.imu), dtype=bool))
+        self.before = self.innovations(watched)
+        self.claimed = stated(self.drive.gnss, self.given)
+        self.outlying = _refused(watched, len(self.stamp))
+        self.recording = replace(self.drive, gnss=believed(self.drive.gnss, self.claimed, 0.0, self.outlying))
+        self.config = FilterConfig.from_parameters(self.values)
+        self.start = run(self.config, self.recording.imu, self.recording.gnss, aiding_of(recording),
+                         keep=np.zeros(len(self.recording.imu), dtype=bool)).start
+        if self.start is None:
+            raise DiagnosisError(f'{recording.name}: the filter starts only with fixes that it does not believe later')
+        self._attitude = cache(self._strapdown_attitude)
+        self.runs: list[int] = []  # IMU samples of each run, of this problem and those made from it
+        self.lasting = np.ones(len(BESIDE))
+        self.base = self.residual(self.values, self.recording)
+        settled = self.stamp > began + round(SETTLING * 1e9)
+        self.mask = settled & np.isfinite(self.base.z[:, 0])
+        self.lasting = lasting(self.base.beside, self.mask)
+        self.base.beside[:, 1] *= self.lasting
+
+    def without(self, outlying: np.ndarray) -> Problem:
+        """The same problem with the fixes `outlying` (f,) left out, too."""
+        other = copy.copy(self)
+        other.outlying = self.outlying | outlying
+        other.recording = replace(self.recording, gnss=believed(self.drive.gnss, self.claimed, 0.0, other.outlying))
+        other.base = other.residual(other.values, other.recording)
+        other.mask = self.mask & np.isfinite(other.base.z[:, 0])
+        return other
+
+    def observed(self, values: dict) -> Residual:
+        """The innovations of the filter of a user with these parameters, whatever it makes of its fixes."""
+        config = FilterConfig.from_parameters(values)
+        return self.innovations(run(config, self.drive.imu, self.drive.gnss, aiding_of(self.drive),
+                                     keep=np.zeros(len(self.drive.imu), dtype=bool)))
+
+    def filtered(self, values: dict, recording: Recording, keep: np.ndarray | None = None, through: Callable = run):
+        """A run under other parameters or with another recording, from the same start: what `through` makes of it.
+
+        keep: the samples whose states are kept, (n,) bool; all where None. through: `run`, or `run_with_constraints`.
+        """
+        config = FilterConfig.from_parameters(values)
+        self.runs.append(len(recording.imu))
+        return through(config, recording.imu, recording.gnss, aiding_of(recording),
+                       transferred(self.start, self.config, config), keep)
+
+    def residual(self, values: dict, recording: Recording) -> Residual:
+        """The innovations under other parameters or with another recording (of the same fixes)."""
+        found, said = self.filtered(values, recording, np.zeros(len(recording.imu), dtype=bool), run_with_constraints)
+        return replace(self.innovations(found), beside=self.beside(found, said))
+
+    def beside(self, of: Run, said: Constrained) -> np.ndarray:
+        """Heights and constraints of a run, (f, 2, b): means over the time since the fix before.
+
+        What lasts longer than that is worth less than it seems: variances are multiplied by `self.lasting` (b,).
+        """
+        innovations, n = of.innovations, len(self.stamp)
+        found = np.full((n, 2, len(BESIDE)), np.nan)
+        if len(innovations.index) and of.config.mechanization != PLANAR:
+            found[innovations.index, 0, 0], found[innovations.index, 1, 0] = innovations.z_down, innovations.s_down
+        # the fix that comes next; a run may differ from others by which constraint it applied when
+        slot = np.searchsorted(self.stamp, self.recording.imu.stamp[said.index])
+        for kind, first, count in ((Kind.NON_HOLONOMIC, 1, 2), (Kind.ZERO_VELOCITY, 3, 3)):
+            mine = (said.kind == kind) & (slot < n)
+            times = np.bincount(slot[mine], minlength=n)
+            for k in range(count):
+                z = np.bincount(slot[mine], said.z[mine, k], n)
+                s = np.bincount(slot[mine], said.s[mine, k], n)
+                with np.errstate(invalid='ignore', divide='ignore'):
+                    found[:, :, first + k] = np.where(times >= FEWEST_SAID, [z / times, s / times], np.nan).T
+        found[:, 1][found[:, 1] <= 0] = np.nan
+        found[:, 1] *= self.lasting
+        return found
+
+    def innovations(self, of: Run) -> Residual:
+        """The innovations of a run that was given these fixes."""
+        innovations, n = of.innovations, len(self.stamp)
+        z, s, yaw, velocity = np.full((n, 2), np.nan), np.full((n, 3), np.nan), np.zeros(n), np.zeros((n, 2))
+        z[innovations.index], s[innovations.index] = innovations.z, innovations.s
+        yaw[innovations.index], velocity[innovations.index] = innovations.yaw, innovations.velocity
+        return Residual(z, s, yaw, velocity)
+
+    @property
+    def each(self) -> tuple[Problem, ...]:
+        """The problem of each drive: of one drive itself (see `drives.Drives`)."""
+        return (self,)
+
+    def of(self, recording: Recording) -> Problem:
+        """The problem of the drive that `recording` was made from."""
+        return self
+
+    def attitude(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+        """Roll and pitch, rad, at each IMU sample of `recording`, which was made from this drive."""
+        return self._attitude()[:2]
+
+    @property
+    def diluted(self) -> float:
+        """By what part a regression on that attitude may come out too small, as it is not exact: the variance of its
+        errors, as far as it knows them, over that of roll and pitch (C. Spearman, 1904)."""
+        return self._attitude()[2]
+
+    def _strapdown_attitude(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Roll and pitch, rad, at each IMU sample by a strapdown run of what was configured; 0 before its start. And
+        `diluted`."""
+        imu, config = self.recording.imu, FilterConfig.from_parameters({**self.values, 'mechanization': 'strapdown'})
+        result = run(config, imu, self.recording.gnss, aiding_of(self.recording))
+        roll, pitch = np.zeros((2, len(imu)))
+        roll[result.index], pitch[result.index] = result.roll, result.pitch
+        first = result.config.layout.index('phi_n')
+        signal = result.roll.var() + result.pitch.var()
+        error = float((result.sigma[:, first:first + 2] ** 2).sum(axis=1).mean())
+        return roll, pitch, min(error / signal, 1.0) if signal > 0 else 1.0
+
+    def assume(self, unknowns: Sequence[Unknown], x) -> tuple[dict, Recording]:
+        """Parameters and recording with `unknowns` at `x`."""
+        values, recording = self.values, self.recording
+        for unknown, value in zip(unknowns, x):
+            values, recording = unknown.apply(values, recording, float(value))
+        return values, recording
+
+    def moved(self, unknowns: Sequence[Unknown], x) -> Problem:
+        """The same problem with `unknowns` at `x` as what is assumed."""
+        other = copy.copy(self)
+        other.values, other.recording = self.assume(unknowns, x)
+        return other
+
+    def corrected(self, unknowns: Sequence[Unknown], x) -> dict:
+        """The parameters as given with the effects among `unknowns` at `x`; noise levels are not an effect."""
+        values = self.given
+        for unknown, value in zip(unknowns, x):
+            if not unknown.noise:
+                values, _ = unknown.apply(values, self.recording, float(value))
+        return values
+
+    def residuals(self, unknowns: Sequence[Unknown], points) -> list[Residual]:
+        """The innovations at several `points`, on all cores."""
+        def one(x):
+            return self.residual(*self.assume(unknowns, x))
+
+        return on_all_cores(one, points)
+
+
+def looked_through(values: dict) -> dict:
+    """`values` for the filter that a diagnosis looks through: each fix believed as stated, nothing that adapts."""
+    return {**values, 'gnss.sigma': 0.0, 'gnss.adapt_sigma': False, 'gnss.gate_probability': 1.0,
+            'gnss.robust_sigma': 0.0, 'gnss.time_offset_sigma': 0.0, 'vehicle.learn_drift': False}
+
+
+def averaged(imu: ImuSamples, rate: float) -> ImuSamples:
+    """Samples averaged to no more than about `rate` Hz, for speed: each stands for its interval, so do their means.
+
+    No mean reaches over a gap. In a bend at 0.3 rad/s the axes turn by 3 degrees within 0.2 s, which makes the mean
+    specific force smaller by 1e-4.
+    """
+    step = np.diff(imu.stamp)
+    count = int(round(1e9 / rate / max(np.median(step), 1))) if len(step) else 1
+    if count < 2:
+        return imu
+    breaks = np.flatnonzero((step <= 0) | (step > 3 * np.median(step))) + 1
+    edges = np.concatenate([[0], breaks, [len(imu)]])
+    starts = np.concatenate([np.arange(a, b, count) for a, b in zip(edges[:-1], edges[1:])])
+    length = np.diff(np.append(starts, len(imu)))
+    last = starts + length - 1
+    return replace(imu.select(last), specific_force=np.add.reduceat(imu.specific_force, starts) / length[:, None],
+                   angular_rate=np.add.reduceat(imu.angular_rate, starts) / length[:, None])
+
+
+def stated(fixes: Fixes, values: dict) -> np.ndarray:
+    """Covariances (f, 3, 3) m^2, east-north-up, that the filter takes `fixes` to have."""
+    covariance = np.array(fixes.covariance, dtype=float)
+    diagonal = np.einsum('fii->fi', covariance)
+    told = (fixes.covariance_type > 0) & np.isfinite(diagonal).all(axis=1) & (diagonal[:, :2] > 0).all(axis=1)
+    covariance[~told] = values['gnss.default_sigma'] ** 2 * np.diag([1.0, 1.0, 4.0])
+    covariance[diagonal[:, 2] <= 0, 2, 2] = 4 * diagonal[diagonal[:, 2] <= 0, :2].max(axis=1)
+    if values['gnss.sigma'] > 0:
+        covariance[:, :2, :2] = values['gnss.sigma'] ** 2 * np.eye(2)
+        covariance[:, 2, 2] = np.maximum(covariance[:, 2, 2], values['gnss.sigma'] ** 2)
+    covariance[:, :2, 2] = covariance[:, 2, :2] = 0.0
+    return covariance
+
+
+def believed(fixes: Fixes, claimed: np.ndarray, x: float, outlying: np.ndarray) -> Fixes:
+    """`fixes` with exp(x) times the standard deviations `claimed`, and FLOOR; those `outlying` (f,) are none."""
+    covariance = np.exp(2 * x) * claimed + FLOOR**2 * np.eye(3)
+    return replace(fixes, covariance=covariance, covariance_type=np.full(len(fixes), 3, dtype=np.uint8),
+                   status=np.where(outlying, np.int8(-1), fixes.status))
+
+
+def _refused(of: Run, count: int) -> np.ndarray:
+    """Which of `count` fixes the filter refused, (f,): where it refuses many, it is the one that is wrong."""
+    refused = np.zeros(count, dtype=bool)
+    mine = (of.measured.kind == Kind.POSITION) & (of.measured.record[:, Event.VERDICT] == Verdict.REFUSED)
+    refused[of.measured.index[mine]] = True
+    return refused if refused.mean() < MOST_OUTLIERS else np.zeros(count, dtype=bool)
+
+
+def on_all_cores(work: Callable, items: Iterable) -> list:
+    """What `work` makes of each of `items`: a filter runs without the interpreter's lock."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(work, items))
+
+
+def block_begins(problem: Problem, length: float = BLOCK) -> np.ndarray:
+    """Where blocks of `length` seconds begin among the fixes that count."""
+    block = (problem.stamp[problem.mask] - problem.stamp[0]) // round(length * 1e9)
+    return np.unique(block, return_index=True)[1]
+
+
+def blocks(problem: Problem) -> list[np.ndarray]:
+    """The same for each length over which scores may go together: a receiver's errors last for minutes."""
+    long = block_begins(problem, LONG_BLOCK)
+    return [block_begins(problem), *([long] if len(long) >= FEWEST_BLOCKS else [])]
