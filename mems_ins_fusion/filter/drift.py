@@ -25,8 +25,9 @@ TOLD, SETTLED = 0.1, 2.0
 LARGEST_DRIFT = 9.0
 #: the assumed drift is worth so many, and no more than so many are remembered; one for each axis and window
 DRIFT_PRIOR, DRIFT_MEMORY = 3.0, 60.0
-#: the realised variance is believed between these multiples of the assumed one
-SMALLEST_RATIO, LARGEST_RATIO = 0.01, 100.0
+#: the realised variance is believed between these multiples of the assumed one, of accelerometers and gyroscopes: a
+#: small error of an accelerometer, which shows together with the tilt, is not told well enough to count on it
+SMALLEST_RATIO, LARGEST_RATIO = (1.0, 0.01), 100.0
 
 
 @njit(_nrt=False)
@@ -64,4 +65,4 @@ def learn_drift(mem, r):
             mem[r + Nav.DRIFT_SUM + sensor] *= DRIFT_MEMORY / seen
             seen = mem[r + Nav.DRIFT_SEEN + sensor] = DRIFT_MEMORY
         ratio = (DRIFT_PRIOR + mem[r + Nav.DRIFT_SUM + sensor]) / (DRIFT_PRIOR + seen)
-        mem[r + Nav.DRIFT_RATIO + sensor] = min(max(ratio, SMALLEST_RATIO), LARGEST_RATIO)
+        mem[r + Nav.DRIFT_RATIO + sensor] = min(max(ratio, SMALLEST_RATIO[sensor]), LARGEST_RATIO)
