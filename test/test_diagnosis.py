@@ -17,6 +17,7 @@ from mems_ins_fusion.effects.base import Effect, EffectParameter
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.navigation.frames import mounting
 from mems_ins_fusion.parameters import table
+from mems_ins_fusion.simulation.scene import REALISTIC
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 DURATION, RATE = 480.0, 25.0
@@ -280,3 +281,21 @@ def test_an_offset_and_a_mount_that_is_turned_are_found_together(wrong):
     assert abs(yaw.value - np.radians(7.0)) < np.radians(1.0)
     assert result.better
     assert result.after.outages[0].max_error.mean() < 0.65 * result.before.outages[0].max_error.mean()
+
+
+def test_slopes_are_found_where_no_score_shows_them():
+    # given hills, a consumer's IMU that is a little crooked, and a planar filter whose noise levels hold the slopes
+    drive = replace(REALISTIC, mounting_error=0.0).drive(DURATION, 30_013)
+    sensors = SensorErrors.from_parameters(table.check({}), 'gauss_markov')
+    crooked = [(EFFECTS['mounting_rotation'], {'roll': 0.01, 'pitch': -0.015})]
+    recording = replace(simulate_recording(drive, sensors, GnssNoise(sigma=1.5), crooked, seed=13).recording,
+                        reference=None)
+    values = table.check({'mechanization': 'planar', 'vehicle.zero_velocity': False, 'vehicle.non_holonomic': False,
+                          'reference_lever_arm': [0.0, 0.0, 0.0]})
+    result = diagnose(recording, values, effects=[EFFECTS['tilt']], durations=(10.0, 30.0), spacing=30.0)
+    # then the strapdown mechanization is proposed, for certain on held-out data, and errors are far smaller
+    [finding] = added(result)
+    assert finding.name == 'tilt' and finding.held_out.p < 0.01
+    assert result.corrected['mechanization'] == 'strapdown'
+    before, after = (np.mean(m.outages[0].max_error) for m in (result.before, result.after))
+    assert after < 0.8 * before

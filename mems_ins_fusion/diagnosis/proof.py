@@ -416,7 +416,8 @@ def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
             return f'{name} speaks against it (log likelihood {gain:+.1f} there, p {p:.2g})'
     shrinks = any(row.get('p', 1.0) < CERTAIN and row['after'] < PLAINLY * row['before'] for row in of_all(comparison))
     if not (proof.helps or (proof.gain > 0 and shrinks)):
-        return f'no gain on data it was not fitted to (log likelihood {proof.gain:+.1f}, p {proof.p:.2g})'
+        what = 'too small a gain' if proof.gain > 0 else 'no gain'
+        return f'{what} on data it was not fitted to (log likelihood {proof.gain:+.1f}, p {proof.p:.2g})'
     return _larger(comparison)
 
 
