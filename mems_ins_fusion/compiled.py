@@ -5,9 +5,7 @@ file, it would go on with the old one. Here the folder of the compiled code is n
 A folder that cannot be read or written costs time and nothing else. While numba compiles, the user is told, and signals
 wait for the end of a step of the compiler: inside of one, an exception can end in a traceback, or be lost.
 
-numba by itself also makes every function ready to be called from Python, and optimises it, down to machine code,
-together with all that it calls: what stands at the bottom of the filter goes through LLVM once for each floor above
-it. Here that is done for what Python calls; what compiled code calls is a part of it, see `_Compiled`: half the time.
+Where numba is one whose inside is known, it compiles in half the time: see compiled_parts.py.
 """
 from __future__ import annotations
 
@@ -24,20 +22,21 @@ from pathlib import Path
 
 import numba
 import numpy as np
-from numba.core import compiler, event, sigutils, types
+from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler_lock import global_compiler_lock
-from numba.core.registry import CPUDispatcher
-from numba.core.typing import make_concrete_template
 
+#: versions of numba whose inside `compiled_parts` has been tried with; any other compiles as numba does by itself
+_TRIED = (0, 59), (0, 68)
+_IS_TRIED = _TRIED[0] <= tuple(numba.version_info[:2]) <= _TRIED[1]
 # numba looks for `scipy.linalg` when it loads its array functions, for products within a few of them, which it can also
 # do without: that would be a quarter of the time until the filter is ready
 _unwanted = 'scipy.linalg.cython_blas'
-if _unwanted not in sys.modules:
+if _IS_TRIED and _unwanted not in sys.modules:
     sys.modules[_unwanted] = None
     import numba.np.arraymath  # noqa: E402, F401
     del sys.modules[_unwanted]
+if _IS_TRIED:
+    from .compiled_parts import compile_in_parts
 
 #: while numba compiles: it makes many small objects that stay, through which Python else looks again and again
 _GARBAGE_THRESHOLDS = 20_000, 20, 20
@@ -72,7 +71,7 @@ def njit(function=None, **options):
         return lambda function: njit(function, **options)
     if numba.config.DISABLE_JIT:
         return function
-    compiled = _Compiled(function, targetoptions={'nopython': True, 'boundscheck': None, **options})
+    compiled = compile_in_parts(function, options) if _IS_TRIED else numba.njit(**options)(function)
     compiled._cache = _Cache(function)
     return compiled
 
@@ -80,53 +79,6 @@ def njit(function=None, **options):
 def tell(say) -> None:
     """`say(text)` is how the user hears from now on that, and how long, numba compiles; at first a line on stderr."""
     _compilation.say = say
-
-
-class _Compiled(CPUDispatcher):
-    """numba's function, of which what compiled code calls (a part) is compiled apart from what Python calls.
-
-    A part has no entry for Python, is not kept by itself, and is one for all values of its arguments that the caller
-    knows: where that helps, LLVM makes use of them in the caller.
-    """
-
-    def __init__(self, function, **options):
-        super().__init__(function, **options)
-        self._parts: dict[tuple, compiler.CompileResult] = {}
-
-    def get_call_template(self, args, kws):
-        """What numba asks where compiled code calls this function with arguments of these types."""
-        signature, args = self._compiler.fold_argument_types(args, kws)
-        args = tuple(types.unliteral(kind) for kind in args)
-        if args not in self._parts:
-            details = {'dispatcher': self, 'args': args, 'return_type': None}
-            with global_compiler_lock, event.trigger_event('numba:compile', data=details):
-                self._parts[args] = self._compile_part(args)
-        name, signatures = self.py_func.__name__, [part.signature for part in self._parts.values()]
-        return make_concrete_template(name, name, signatures), signature, args, {}
-
-    def get_overload(self, sig):
-        """What numba then knows the called part by."""
-        return self._parts[tuple(sigutils.normalize_signature(sig)[0])].entry_point
-
-    def _compile_part(self, args):
-        flags = compiler.Flags()
-        self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
-        flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
-        library = _Part(self.targetctx.codegen(), self.py_func.__qualname__)
-        part = compiler.compile_extra(self.typingctx, self.targetctx, self.py_func, args, None, flags, {}, library)
-        part = part._replace(entry_point=object())
-        self.targetctx.insert_user_function(part.entry_point, part.fndesc, [library])
-        return part
-
-
-class _Part(JITCodeLibrary):
-    """LLVM's code of a part and its parts, to be linked into what Python calls, optimised and translated there."""
-
-    def _optimize_final_module(self):
-        pass
-
-    def _finalize_final_module(self):
-        self._finalized = True
 
 
 class _Locator(_CacheLocator):

@@ -58,6 +58,23 @@ def probe(tmp_path):
     return run
 
 
+@pytest.mark.parametrize(('version', 'in_parts'), [((0, 59, 1), True), ((0, 99, 0), False)])
+def test_a_numba_that_nobody_tried_compiles_as_it_does_by_itself(tmp_path, version, in_parts):
+    # given one that says it is another version than it is
+    script = tmp_path / 'probe.py'
+    script.write_text(f"""
+import sys
+import numba
+numba.version_info = {version}
+{PROBE.replace("values[sys.argv[1]]", "2.5")}
+print('mems_ins_fusion.compiled_parts' in sys.modules)
+""")
+    environment = {**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path / 'cache'), 'PYTHONPATH': str(PACKAGE.parent)}
+    done = subprocess.run([sys.executable, script], env=environment, text=True, capture_output=True)
+    # then its inside is let alone, and what is compiled is right
+    assert (done.returncode, done.stdout) == (0, f'right\n{in_parts}\n'), done.stderr
+
+
 def test_the_user_hears_that_it_compiles_and_how_long_it_took_the_last_time(probe):
     assert f'{SAYS_THAT_IT_COMPILES}, once for each version of it (about a minute)' in probe()
     assert probe() == ''
