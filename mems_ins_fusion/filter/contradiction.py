@@ -15,8 +15,7 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..navigation import planar, strapdown
-from .layout import NAV, PLANAR, Event, Head, Nav, Verdict
+from .layout import NAV, Event, Head, Nav, Verdict, velocity_state, yaw_state
 
 #: s over which the normalized innovation squared (NIS) of the lateral constraint is averaged, and what is usual of it
 NOW, USUALLY = 1.0, 30.0
@@ -62,9 +61,7 @@ def unsettle(mem, r, n, innovation, since):
     """Velocity and heading of P in the scratch less certain by a slide of `innovation`, m/s."""
     p, squared = int(mem[Head.SCRATCH_AT]), innovation * innovation
     speed = max(math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]), SLOWEST)
-    first, yaw = planar.State.V_N, planar.State.YAW
-    if mem[Head.MECHANIZATION] != PLANAR:
-        first, yaw = strapdown.State.V_N, strapdown.State.PHI_D
+    first, yaw = velocity_state(mem), yaw_state(mem)
     for i in range(first, first + 2):
         mem[p + (n + 1) * i] += squared
     mem[p + (n + 1) * yaw] += squared / (speed * speed)
@@ -87,7 +84,7 @@ def loosen(mem, r, n, nis):
 @njit(_nrt=False)
 def estimate(mem, r):
     """Latitude, longitude (rad), north and east velocity (m/s) of the state at r, x taken out."""
-    x, k = r + NAV, planar.State.V_N if mem[Head.MECHANIZATION] == PLANAR else strapdown.State.V_N
+    x, k = r + NAV, velocity_state(mem)
     return (mem[r + Nav.LATITUDE] - mem[x] * mem[r + Nav.NORTH_SCALE],
             mem[r + Nav.LONGITUDE] - mem[x + 1] * mem[r + Nav.EAST_SCALE],
             mem[r + Nav.V_N] - mem[x + k], mem[r + Nav.V_E] - mem[x + k + 1])

@@ -24,6 +24,8 @@ from .layout import (
     load_covariance,
     place,
     store_covariance,
+    velocity_variance,
+    yaw_state,
 )
 from .measurements import heading, non_holonomic, position, speed, standstill, velocity
 from .measurements.geometry import angular_rate, body_to_level, vehicle_to_level
@@ -265,11 +267,9 @@ def constrain(mem, r, sample, dt):
     at = h + 6 * n  # a record for the time being
     since, mem[r + Nav.CONSTRAINT_TIME] = mem[r + Nav.CONSTRAINT_TIME], 0.0
     load_covariance(mem, r, n_navigation, m, mem, p)
-    k, yaw = strapdown.State.V_N, strapdown.State.PHI_D
-    if mem[Head.MECHANIZATION] == PLANAR:
-        k, yaw = planar.State.V_N, planar.State.YAW
+    yaw = yaw_state(mem)
     if still:  # a smooth road at speed must not pass for a standstill
-        variance = mem[p + n * k + k] + mem[p + n * (k + 1) + k + 1]
+        variance = velocity_variance(mem, r)
         squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
         still = squared < STILL_SPEED**2 + 9.0 * variance and not _turns(mem, r, sample, n_navigation, n)
     if still:

@@ -7,7 +7,6 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-from ..samples import ImuSamples
 from .config import FilterConfig
 from .kernel import TOO_LATE
 from .layout import Event, Kind

@@ -16,12 +16,26 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-from ..navigation import planar, strapdown
+from ..navigation import planar
 from ..navigation.earth import gravity
 from . import history, imu_faults
 from .correction import CONSTRAINT_INTERVAL, apply_event, constrain
 from .imu_faults import Fault
-from .layout import NAV, PLANAR, Event, Head, Nav, Sample, Verdict, event_at, packed, place, sample_at, state_at
+from .layout import (
+    NAV,
+    PLANAR,
+    Event,
+    Head,
+    Nav,
+    Sample,
+    Verdict,
+    event_at,
+    packed,
+    place,
+    sample_at,
+    state_at,
+    velocity_variance,
+)
 from .measurements.geometry import body_to_level
 from .prediction import predict
 from .standstill import is_still
@@ -176,11 +190,8 @@ def _coast(memory, sample, r):
 def _certain_speed(memory, r):
     """The speed that the vehicle certainly has in the state at r, m/s: less two sigma."""
     r = place(r)
-    n_navigation = int(memory[Head.N_NAVIGATION])
-    v = planar.State.V_N if n_navigation == planar.State.SIZE else strapdown.State.V_N
-    a = place(r + NAV + n_navigation + int(memory[Head.N_AUGMENTED]))
-    variance = memory[a + packed(v, v, n_navigation)] + memory[a + packed(v + 1, v + 1, n_navigation)]
-    return max(math.hypot(memory[r + Nav.V_N], memory[r + Nav.V_E]) - 2.0 * math.sqrt(variance), 0.0)
+    sigma = math.sqrt(velocity_variance(memory, r))
+    return max(math.hypot(memory[r + Nav.V_N], memory[r + Nav.V_E]) - 2.0 * sigma, 0.0)
 
 
 @njit(inline='always')  # as above

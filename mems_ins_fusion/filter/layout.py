@@ -221,6 +221,26 @@ def store_covariance(full, at, n_navigation, n_augmented, row, r):
 
 
 @njit(_nrt=False)
+def velocity_state(mem):
+    """Index of the north velocity's error among the states; east stands behind it."""
+    return planar.State.V_N if mem[Head.MECHANIZATION] == PLANAR else strapdown.State.V_N
+
+
+@njit(_nrt=False)
+def yaw_state(mem):
+    """Index of the heading's error among the states."""
+    return planar.State.YAW if mem[Head.MECHANIZATION] == PLANAR else strapdown.State.PHI_D
+
+
+@njit(_nrt=False)
+def velocity_variance(mem, r):
+    """Of the two horizontal components of the state at r together, m^2/s^2."""
+    v, n_navigation = velocity_state(mem), int(mem[Head.N_NAVIGATION])
+    k = place(r + NAV + n_navigation + int(mem[Head.N_AUGMENTED]))
+    return mem[k + packed(v, v, n_navigation)] + mem[k + packed(v + 1, v + 1, n_navigation)]
+
+
+@njit(_nrt=False)
 def variance_factor(row, r):
     """By what the covariance of the state at `r` in `row` is to be multiplied before anybody believes it.
 

@@ -10,10 +10,10 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..navigation import planar, strapdown
+from ..navigation import strapdown
 from ..navigation.strapdown import from_euler, to_euler
 from .history import forget
-from .layout import NAV, PLANAR, Event, Head, Nav, Verdict, packed
+from .layout import NAV, PLANAR, Event, Head, Nav, Verdict, velocity_state, velocity_variance, yaw_state
 from .prediction import GAP_ACCELERATION, UNKNOWN_YAW_SIGMA
 
 #: fixes further apart say nothing of the receiver's scatter, s: the inertial sensors drift between them
@@ -86,12 +86,8 @@ def is_frozen(mem, r, at):
             and mem[at + Event.LONGITUDE] == mem[r + Nav.FIX_LONGITUDE])
     mem[r + Nav.FROZEN] = mem[r + Nav.FROZEN] + 1.0 if same else 0.0
     speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
-    k = NAV + int(mem[Head.N_NAVIGATION]) + int(mem[Head.N_AUGMENTED])
-    if mem[Head.MECHANIZATION] == PLANAR:
-        variance = mem[r + k + packed(2, 2, 5)] + mem[r + k + packed(3, 3, 5)]
-    else:
-        variance = mem[r + k + packed(3, 3, 9)] + mem[r + k + packed(4, 4, 9)]
-    frozen = mem[Head.GATE] > 0.0 and same and speed > FROZEN_SPEED + 2.0 * math.sqrt(variance)
+    sigma = math.sqrt(velocity_variance(mem, r))
+    frozen = mem[Head.GATE] > 0.0 and same and speed > FROZEN_SPEED + 2.0 * sigma
     if frozen and mem[at + Event.TIME] - mem[r + Nav.FIX_TIME] > LONG_FROZEN:
         mem[r + Nav.DOUBT] = max(mem[r + Nav.DOUBT], 2.0 * FEWEST_DOUBT)
     return frozen
@@ -226,15 +222,6 @@ def _judge_lasting(mem, r, at):
 
 
 @njit(_nrt=False)
-def _velocity_variance(mem, r):
-    """Of the two horizontal components together, m^2/s^2."""
-    k = r + NAV + int(mem[Head.N_NAVIGATION]) + int(mem[Head.N_AUGMENTED])
-    if mem[Head.MECHANIZATION] == PLANAR:
-        return mem[k + packed(2, 2, 5)] + mem[k + packed(3, 3, 5)]
-    return mem[k + packed(3, 3, 9)] + mem[k + packed(4, 4, 9)]
-
-
-@njit(_nrt=False)
 def _scatter(mem, r, at, z_n, z_e):
     """Realised over claimed variance, from this fix and the one before it.
 
@@ -248,7 +235,7 @@ def _scatter(mem, r, at, z_n, z_e):
         mem[r + Nav.GNSS_SEEN] = 0.0
     if not (0.0 < interval < LONGEST_PAIR and mem[r + Nav.FIX_TIME] != 0.0):
         return
-    drift = interval * interval * _velocity_variance(mem, r)
+    drift = interval * interval * velocity_variance(mem, r)
     squared = (z_n - mem[r + Nav.RESIDUAL_N]) ** 2 + (z_e - mem[r + Nav.RESIDUAL_E]) ** 2
     gain = max(STEADY_GAIN, FIRST_GAIN / (mem[r + Nav.GNSS_SEEN] + 2.0 * FIRST_GAIN))
     more = squared > MEDIAN * (2.0 * mem[r + Nav.GNSS_RATIO] * claimed + drift)
@@ -318,7 +305,7 @@ def start_anew(mem, r, at):
     arm = mem[Head.LEVER_X] ** 2 + mem[Head.LEVER_Y] ** 2 + mem[Head.LEVER_Z] ** 2
     for i in range(2):
         mem[p + (n + 1) * i] = variance + arm
-    first = planar.State.V_N if mem[Head.MECHANIZATION] == PLANAR else strapdown.State.V_N
+    first = velocity_state(mem)
     for i in range(2):
         mem[p + (n + 1) * (first + i)] = drift
     if mem[Head.MECHANIZATION] != PLANAR:
@@ -364,7 +351,7 @@ def _strayed(mem, r, at):
 def _prove(mem, r, at, interval):
     """Remember the change of velocity since the last fix, where the fix at `at` confirms it."""
     change = math.hypot(mem[r + Nav.V_N] - mem[r + Nav.PROVEN_N], mem[r + Nav.V_E] - mem[r + Nav.PROVEN_E])
-    sigma = math.sqrt(_velocity_variance(mem, r))
+    sigma = math.sqrt(velocity_variance(mem, r))
     change -= BRISK * interval + sigma
     fits = mem[at + Event.NIS] < FITTING and mem[r + Nav.BRIDGED] == 0.0 and sigma < CERTAIN
     if 0.0 < interval < LONGEST_PAIR and fits:
@@ -380,7 +367,7 @@ def take_course(mem, r, v_n, v_e, drift):
     """
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
-    k = planar.State.YAW if mem[Head.MECHANIZATION] == PLANAR else strapdown.State.PHI_D
+    k = yaw_state(mem)
     for i in range(n):
         mem[p + n * k + i] = mem[p + n * i + k] = 0.0
     forget(mem, k, n)
@@ -406,7 +393,7 @@ def finds_course(mem, r, at):
     """Whether the heading is unknown and the way since the last fix tells it: the velocity then, else zeros."""
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
-    k = planar.State.YAW if mem[Head.MECHANIZATION] == PLANAR else strapdown.State.PHI_D
+    k = yaw_state(mem)
     interval = mem[at + Event.TIME] - mem[r + Nav.FIX_TIME]
     if (mem[Head.GATE] == 0.0 or mem[p + (n + 1) * k] < LARGEST_YAW_SIGMA**2 or mem[r + Nav.FIX_TIME] == 0.0
             or not 0.0 < interval < LONGEST_PAIR):

@@ -4,7 +4,7 @@ from __future__ import annotations
 from mems_ins_fusion.compiled import njit
 
 from ...navigation import planar, strapdown
-from ..layout import NAV, PLANAR, Event, Head, Nav, Sample
+from ..layout import PLANAR, Event, Head, Nav, Sample
 
 
 @njit(_nrt=False)
