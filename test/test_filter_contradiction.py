@@ -15,7 +15,17 @@ from mems_ins_fusion.filter.contradiction import (
     slides,
     unsettle,
 )
-from mems_ins_fusion.filter.layout import Head, Nav, covariance, state_at
+from mems_ins_fusion.filter.layout import (
+    Event,
+    Head,
+    Kind,
+    Nav,
+    Sample,
+    covariance,
+    sample_at,
+    set_covariance,
+    state_at,
+)
 from mems_ins_fusion.filter.odometry import POSE_COVARIANCE, SIZE, odometry, published_covariance
 from mems_ins_fusion.filter.vehicle_check import vehicle_says
 from mems_ins_fusion.navigation.earth import gravity, radii
@@ -199,3 +209,23 @@ def test_fixes_that_drift_away_widen_what_is_published(mechanization):
     later = slice(round(36.0 * 50), round(41.0 * 50))
     assert np.abs(error[later, 0]).max() > 10.0
     assert (np.abs(error[later, 0]) < 2.45 * sigma[later, 0] + 2.0).mean() > 0.9
+
+
+@pytest.mark.parametrize('heading_sigma, since_fix, is_applied', [(0.3, 1.0, True), (0.7, 1.0, False), (0.7, 20.0, True)])
+@BOTH
+def test_no_constraint_on_an_unknown_heading_that_fixes_will_find(mechanization, heading_sigma, since_fix, is_applied):
+    # given a vehicle in motion, its heading more or less known, the last fix some time ago
+    config, memory, r = a_state(mechanization)
+    row = memory[r:r + int(memory[Head.WIDTH])]
+    p = 1e-4 * np.eye(config.layout.n)
+    p[config.layout.n_navigation - 1] *= heading_sigma**2 / 1e-4
+    set_covariance(row, config.layout, p)
+    row[Nav.FIX_TIME] = -since_fix
+    # when the constraint's turn comes
+    samples = np.zeros((10, 7))
+    samples[:, 0] = np.arange(1, 11) / 50.0
+    samples[:, 3] = -gravity(LATITUDE, 480.0)
+    take_all(memory, samples, np.zeros((0, Event.SIZE)), [Nav.TIME])
+    # then it is applied where it is linear, or where nothing else holds the vehicle
+    applied = [memory[sample_at(memory, k) + Sample.CONSTRAINT] == Kind.NON_HOLONOMIC for k in range(1, 11)]
+    assert any(applied) == is_applied

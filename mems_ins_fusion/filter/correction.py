@@ -280,7 +280,7 @@ def constrain(mem, r, sample, dt):
         _clear(mem, h, n)
         dimensions = standstill.observe_rate(mem, r, at, h, n, sample, dt)
         update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0)
-    elif mem[Head.LATERAL_SIGMA] > 0.0 and mem[p + (n + 1) * yaw] < receiver.LARGEST_YAW_SIGMA**2:
+    elif mem[Head.LATERAL_SIGMA] > 0.0 and not _fixes_tell_the_heading(mem, r, mem[p + (n + 1) * yaw]):
         _clear(mem, h, n)
         c = body_to_level(mem, r)
         dimensions = non_holonomic.observe(mem, r, at, h, n, c, sample)
@@ -291,6 +291,16 @@ def constrain(mem, r, sample, dt):
     store_covariance(mem, p, n_navigation, m, mem, r)
     feed_back(mem, r)
     set_radii(mem, r)
+
+
+@njit(_nrt=False)
+def _fixes_tell_the_heading(mem, r, variance):
+    """Whether the heading is too uncertain for the constraint, which is linear in its error, and fixes will find it.
+
+    Without them the constraint is all there is against drifting away.
+    """
+    since = mem[r + Nav.TIME] - mem[r + Nav.FIX_TIME]
+    return variance > receiver.LARGEST_YAW_SIGMA**2 and since < receiver.LONGEST_PAIR
 
 
 @njit(_nrt=False)
