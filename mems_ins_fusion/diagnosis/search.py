@@ -162,6 +162,8 @@ def add_best(known: Known, bench: Bench) -> Known:
     # each from the start where it explains most, those first that are first at some start
     names = [c.name for _, c, _ in sorted(significant, key=lambda found: (found[0], best[found[1].name][0].p))]
     names = list(dict.fromkeys(names))[:MOST_TRIED]
+    names += [plain for plain, varied in VARIED.items() if plain not in names and any(n in names for n in varied)
+              and plain in best and best[plain][0].p_adjusted <= SIGNIFICANCE]
     bench.searching(f'adding {" or ".join(names)}')
     return _tried(known, [best[name] for name in names], candidates, bench)
 
