@@ -3,7 +3,7 @@
 *A witness.* An IMU that is finite, in range and wrong (axes swapped, a gyroscope off by degrees per second, noise of a
 loose mount) leads the filter astray, and the fixes look like the ones to blame. The non-holonomic constraint tells: by
 such an IMU the vehicle slides. Not by how much the constraint's sigma allows, which is a bound for every car and road,
-but beside what is usual for this one. Then velocity and attitude are as uncertain as the slide is large, and for a while
+but beside what is usual for this one. Then velocity and heading are as uncertain as the slide is large, and for a while
 the fixes are believed as they are.
 
 *No witness.* Where fixes contradict the prediction more from one to the next, either may be wrong. The filter follows
