@@ -95,7 +95,7 @@ def test_after_a_slide_velocity_and_heading_are_as_uncertain_as_it_is_large(mech
     expected[[names.index('v_n'), names.index('v_e')]] = 1.5**2
     expected[names.index('yaw' if mechanization == 'planar' else 'phi_d')] = 0.15**2
     np.testing.assert_allclose(added, np.diag(expected), atol=1e-12)
-    assert memory[r + Nav.UNSETTLED] == UNSETTLED_TIME and memory[Head.UNSETTLED] == STEP
+    assert memory[r + Nav.UNSETTLED] == UNSETTLED_TIME and memory[Head.SLID] == STEP
 
 
 @BOTH
@@ -183,7 +183,7 @@ class Drive:
 @BOTH
 def test_nothing_is_in_dispute_where_all_is_right(mechanization):
     config, memory, error, sigma, records = Drive().through(mechanization)
-    assert memory[Head.UNSETTLED] == 0.0
+    assert memory[Head.SLID] == 0.0
     assert np.hypot(*sigma.T).max() < 1.0 and np.hypot(*error.T).max() < 2.0
     assert not any('sideways' in text for text in vehicle_says(memory, config, records))
 
@@ -194,7 +194,7 @@ def test_a_gyroscope_that_turns_away_is_seen_and_said():
     drive.samples[1500:2000, 6] += math.radians(5.0)
     config, memory, error, _, records = drive.through('planar')
     # then the fixes decide: by the IMU and the constraint it would be v w t^2 / 2 = 44 m off
-    assert memory[Head.UNSETTLED] > 1.0
+    assert memory[Head.SLID] > 1.0
     assert np.hypot(*error.T).max() < 6.0 and np.hypot(*error[-500:].T).max() < 2.0
     assert any('sideways' in text for text in vehicle_says(memory, config, records))
 

@@ -66,7 +66,7 @@ def unsettle(mem, r, n, innovation, since):
         mem[p + (n + 1) * i] += squared
     mem[p + (n + 1) * yaw] += squared / (speed * speed)
     mem[r + Nav.UNSETTLED] = UNSETTLED_TIME
-    mem[Head.UNSETTLED] += since
+    mem[Head.SLID] += since
 
 
 @njit(_nrt=False)

@@ -86,6 +86,12 @@ def _scalar(mem, r, n, h, column, z, s):
 
 
 @njit(_nrt=False)
+def _normalized(a, b, s_nn, s_ne, s_ee):
+    """Normalized square of the innovation (a, b) with the covariance s."""
+    return (s_ee * a * a - 2.0 * s_ne * a * b + s_nn * b * b) / (s_nn * s_ee - s_ne * s_ne)
+
+
+@njit(_nrt=False)
 def update(mem, r, at, n, dimensions, factor, robust, gate):
     """Correct the state at r with the record at `at`, whose rows of H stand behind P in the scratch.
 
@@ -109,7 +115,7 @@ def update(mem, r, at, n, dimensions, factor, robust, gate):
     else:
         s_ne = r_ne + _product(mem, n, h + n, column)
         s_ee = r_ee + _project(mem, n, h + n, column)
-        nis = (s_ee * a * a - 2.0 * s_ne * a * b + s_nn * b * b) / (s_nn * s_ee - s_ne * s_ne)
+        nis = _normalized(a, b, s_nn, s_ne, s_ee)
     mem[at + Event.S_NN], mem[at + Event.S_NE], mem[at + Event.S_EE] = s_nn, s_ne, s_ee
     mem[at + Event.NIS], mem[at + Event.WEIGHT] = nis, 1.0
     verdict = Verdict.USED
@@ -158,7 +164,7 @@ def _misfit(mem, r, at, n, factor):
     a, b = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
     s_nn, s_ne = mem[p] + factor * mem[at + Event.R_NN], mem[p + 1] + factor * mem[at + Event.R_NE]
     s_ee = mem[p + n + 1] + factor * mem[at + Event.R_EE]
-    return (s_ee * a * a - 2.0 * s_ne * a * b + s_nn * b * b) / (s_nn * s_ee - s_ne * s_ne)
+    return _normalized(a, b, s_nn, s_ne, s_ee)
 
 
 @njit(_nrt=False)

@@ -351,7 +351,7 @@ class _Head(NamedTuple):
     SIDEWAYS: int = 143  # s in which the vehicle did not keep to the non-holonomic constraint
     COVARIANCE_FACTOR: int = 144  # whether the covariance is scaled by what the innovations show
     ADAPT_DRIFT: int = 145  # whether the sensors' drift is learned from how their estimates move
-    UNSETTLED: int = 146  # s in which a slide showed that the IMU misled the filter
+    SLID: int = 146  # s in which a slide showed that the IMU misled the filter
     SIZE: int = 147
 
 

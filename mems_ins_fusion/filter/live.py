@@ -427,7 +427,7 @@ class FusionFilter(Intake):
                    'realised over expected sigma of the innovations': math.sqrt(row[Nav.VARIANCE_FACTOR]),
                    'realised over assumed drift of the accelerometers': math.sqrt(row[Nav.DRIFT_RATIO]),
                    'realised over assumed drift of the gyroscopes': math.sqrt(row[Nav.DRIFT_RATIO + 1]),
-                   'contradicted by the constraint, s': float(memory[Head.UNSETTLED])}
+                   'contradicted by the constraint, s': float(memory[Head.SLID])}
         for i, name in enumerate(layout.names[layout.n_navigation:], start=layout.n_navigation):
             values[name] = float(row[NAV + i])
             values[f'{name} sigma'] = float(sigma[i])

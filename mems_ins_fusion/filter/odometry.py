@@ -23,6 +23,7 @@ from .layout import (
     sample_at,
     state_at,
     variance_factor,
+    velocity_state,
 )
 
 #: where each part stands in the vector that `odometry` fills
@@ -58,18 +59,22 @@ def corrected(row, r, is_planar, open_loop):
 
 
 @njit(_nrt=False)
-def widen(full, at, n, first, row, r):
-    """Add to the covariance (n, n) at full[at] of the state at r in `row` what is published besides; first: state of v_n.
-
-    That are errors of the receiver that last (receiver.py) and what is in dispute (contradiction.py).
+def besides(row, r, i, j):
+    """What element (i, j) of the covariance of position and velocity (n, e; n, e) of the state at r in `row` is
+    published with besides P: errors of the receiver that last (receiver.py), and what is in dispute (contradiction.py).
     """
-    for i in range(2):
-        full[place(at + (n + 1) * i)] += row[r + Nav.LASTING]
+    drawn, left = disputed(row, r)
+    lasting = row[r + Nav.LASTING] if i == j and i < 2 else 0.0
+    return lasting + drawn[i] * drawn[j] + left[i] * left[j]
+
+
+@njit(_nrt=False)
+def widen(full, at, n, first, row, r):
+    """Add what is `besides` it to the covariance (n, n) at full[at] of the state at r in `row`; first: state of v_n."""
     where = (0, 1, first, first + 1)
-    for vector in disputed(row, r):
-        for i in range(4):
-            for j in range(4):
-                full[place(at + n * where[i] + where[j])] += vector[i] * vector[j]
+    for i in range(4):
+        for j in range(4):
+            full[place(at + n * where[i] + where[j])] += besides(row, r, i, j)
 
 
 def published_covariance(row: np.ndarray, layout: StateLayout) -> np.ndarray:
@@ -96,7 +101,7 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
     factor = variance_factor(memory, r)
     for k in range(full, full + n * n):
         memory[k] *= factor
-    widen(memory, full, n, planar.State.V_N if is_planar else strapdown.State.V_N, memory, r)
+    widen(memory, full, n, velocity_state(memory), memory, r)
     latitude, longitude, height, v_n, v_e, v_d, q = corrected(memory, r, is_planar, memory[Head.OPEN_LOOP] != 0.0)
     geodetic[0], geodetic[1], geodetic[2] = latitude, longitude, height
     north, east, down = to_local(latitude, longitude, height, datum)

@@ -9,10 +9,9 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation.strapdown import to_euler
 from .config import FilterConfig
-from .contradiction import disputed
 from .intake import Notice
 from .layout import NAV, PLANAR, Event, Kind, Nav, StateLayout, Verdict, covariance_index
-from .odometry import corrected
+from .odometry import besides, corrected
 from .start import Start
 
 
@@ -150,12 +149,9 @@ def _widen(variances, velocity, rows):
     """As `odometry.widen`, of variances and the covariance of r_n and r_e behind them; velocity: state of v_n."""
     where = (0, 1, velocity, velocity + 1)
     for k in range(len(rows)):
-        for i in range(2):
-            variances[k, i] += rows[k, Nav.LASTING]
-        for vector in disputed(rows[k], 0):
-            for i in range(4):
-                variances[k, where[i]] += vector[i] * vector[i]
-            variances[k, -1] += vector[0] * vector[1]
+        for i in range(4):
+            variances[k, where[i]] += besides(rows[k], 0, i, i)
+        variances[k, -1] += besides(rows[k], 0, 0, 1)
 
 
 def _innovations(measured: Measured) -> Innovations:

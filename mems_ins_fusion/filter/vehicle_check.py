@@ -45,8 +45,8 @@ def vehicle_says(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray) ->
     if memory[Head.SIDEWAYS] > LONGEST_SIDEWAYS:
         texts.append(f'the vehicle went sideways for {memory[Head.SIDEWAYS]:.0f} s, against vehicle.non_holonomic, which '
                      'was not used then: a boat needs config/boat.yaml, a robot that turns on the spot config/robot.yaml')
-    if memory[Head.UNSETTLED] > LONGEST_UNSETTLED:
-        texts.append(f'{topic}: for {memory[Head.UNSETTLED]:.1f} s it showed a motion sideways that is not usual for this '
+    if memory[Head.SLID] > LONGEST_UNSETTLED:
+        texts.append(f'{topic}: for {memory[Head.SLID]:.1f} s it showed a motion sideways that is not usual for this '
                      'vehicle: it slid, or the IMU was not right; the fixes decided then')
     return texts
 
