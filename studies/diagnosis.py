@@ -19,9 +19,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from mems_ins_fusion.diagnosis.diagnose import diagnose  # noqa: E402
 from mems_ins_fusion.diagnosis.fit import fit, scores  # noqa: E402
+from mems_ins_fusion.diagnosis.measured import Measured, measure
 from mems_ins_fusion.diagnosis.noise import noise_unknowns  # noqa: E402
 from mems_ins_fusion.diagnosis.problem import Problem  # noqa: E402
-from mems_ins_fusion.diagnosis.proof import Measured, measure  # noqa: E402
 from mems_ins_fusion.diagnosis.tracing import trace  # noqa: E402
 from mems_ins_fusion.effects.base import Effect, EffectParameter  # noqa: E402
 from mems_ins_fusion.effects.registry import EFFECTS  # noqa: E402

@@ -291,7 +291,7 @@ def judged(fault: Fault, seed: int) -> tuple[Outcome, Outcome, Outcome]:
 def row(fault: Fault, found: list[tuple[Outcome, Outcome, Outcome]]) -> str:
     """A line of the table from what was `judged` for each seed."""
     def largest(outcomes):
-        return max((o.error[(o.time >= 0) & (o.time <= fault.duration + 1.0)].max(initial=0.0) for o in outcomes))
+        return max(o.error[(o.time >= 0) & (o.time <= fault.duration + 1.0)].max(initial=0.0) for o in outcomes)
 
     faulty, _, dark = zip(*found)
     later = [rms(np.concatenate([o.error[np.abs(o.time - fault.duration - 20.0) < 2.5] for o in outcomes]))

@@ -9,9 +9,10 @@ import pytest
 
 from mems_ins_fusion.diagnosis.clock import lateness, lateness_against, whose
 from mems_ins_fusion.diagnosis.estimate import Estimate
+from mems_ins_fusion.diagnosis.judgement import compared, harm
 from mems_ins_fusion.diagnosis.learned import angles
+from mems_ins_fusion.diagnosis.measured import fairly, measure
 from mems_ins_fusion.diagnosis.problem import FLOOR, Problem, believed, looked_through, stated
-from mems_ins_fusion.diagnosis.proof import compared, fairly, harm, measure
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.comparison import truth_of
 from mems_ins_fusion.filter.config import FilterConfig

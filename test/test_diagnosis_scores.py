@@ -14,11 +14,13 @@ from mems_ins_fusion.characterization.autocorrelation import ljung_box
 from mems_ins_fusion.diagnosis.detection import detect
 from mems_ins_fusion.diagnosis.estimate import Estimate, widened
 from mems_ins_fusion.diagnosis.fit import Scores, _scores
+from mems_ins_fusion.diagnosis.held_out import HeldOut
+from mems_ins_fusion.diagnosis.judgement import harm, objection, unproven
 from mems_ins_fusion.diagnosis.levels import choose, multiplied
 from mems_ins_fusion.diagnosis.outliers import isolated
+from mems_ins_fusion.diagnosis.parts import parts
 from mems_ins_fusion.diagnosis.plausible import implausible
 from mems_ins_fusion.diagnosis.problem import Unknown
-from mems_ins_fusion.diagnosis.proof import HeldOut, harm, objection, parts, unproven
 from mems_ins_fusion.diagnosis.residuals import Residual, lasting, tempered, whiten_matrix
 from mems_ins_fusion.diagnosis.tracing import Candidate, _test, effect_unknowns, group
 from mems_ins_fusion.effects.base import Effect, EffectParameter

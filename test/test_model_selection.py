@@ -2,8 +2,8 @@
 import numpy as np
 import pytest
 
-from mems_ins_fusion.characterization.likelihood import Averages
 from mems_ins_fusion.characterization.autocorrelation import ljung_box
+from mems_ins_fusion.characterization.likelihood import Averages
 from mems_ins_fusion.characterization.selection import overall, predict, recommend
 from mems_ins_fusion.sensor_errors.models import Autoregressive, GaussMarkov, RandomWalk, simulate
 

@@ -10,9 +10,10 @@ import numpy as np
 from ..effects.base import Effect
 from ..samples import Recording
 from .drives import Drives
+from .measured import Measured, measure, together
 from .outliers import without_far_off
+from .parts import parts
 from .problem import Problem, on_all_cores
-from .proof import Measured, measure, parts, together
 
 #: a search that has filtered so many IMU samples is content with what it has: half a minute on two cores, whatever the
 #: recording, and the same result on each machine

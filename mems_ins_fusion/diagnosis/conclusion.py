@@ -14,11 +14,14 @@ from .drives import Drives, part
 from .estimate import SYSTEMATIC, Estimate, widened
 from .findings import Diagnosis, Finding
 from .fit import Model
+from .held_out import HeldOut
+from .judgement import compared, harm, unproven
 from .levels import choose, multiplied
+from .measured import Measured, saved
 from .noise import LARGEST_FACTOR
+from .parts import parts, which_part
 from .plausible import implausible
 from .problem import Problem
-from .proof import HeldOut, Measured, compared, harm, parts, saved, unproven, which_part
 from .rest import GoesWith, goes_with
 from .search import PLAIN, Known, by_drive_of
 

@@ -7,7 +7,8 @@ from ..samples import Recording
 from .detection import Detection
 from .drives import Drives
 from .estimate import Estimate
-from .proof import HeldOut, Measured
+from .held_out import HeldOut
+from .measured import Measured
 from .residuals import Residual
 from .rest import GoesWith
 from .tracing import Candidate

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .measured import Measured
 from .noise import LARGEST_FACTOR, MODEL_NOISE, scaled
-from .proof import Measured
 
 #: factors are tried in steps of this
 STEP = float(np.sqrt(10.0))

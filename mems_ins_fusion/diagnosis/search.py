@@ -18,22 +18,14 @@ from .drives import Drives
 from .estimate import Estimate, widened
 from .findings import Finding
 from .fit import Model, fit, refined, scores
+from .held_out import CERTAIN, HeldOut, gain_of, held_out
+from .judgement import all_in_all, compared, objection
+from .measured import Measured, saved
 from .noise import calibrated, noise_unknowns
 from .outliers import isolated
+from .parts import parts
 from .plausible import implausible
 from .problem import Problem
-from .proof import (
-    CERTAIN,
-    HeldOut,
-    Measured,
-    all_in_all,
-    compared,
-    gain_of,
-    held_out,
-    objection,
-    parts,
-    saved,
-)
 from .tracing import (
     SIGNIFICANCE,
     Candidate,

@@ -14,7 +14,6 @@ from .layout import NAV, PLANAR, Event, Kind, Nav, StateLayout, Verdict, covaria
 from .odometry import besides, corrected
 from .start import Start
 
-
 #: besides solution and covariance: what makes metres of angles, and of P what is published
 _SCALES = (Nav.NORTH_SCALE, Nav.EAST_SCALE, Nav.VARIANCE_FACTOR, Nav.LASTING, Nav.FIX_TIME,
            *range(Nav.DRAWN_N, Nav.LEFT_E + 1))

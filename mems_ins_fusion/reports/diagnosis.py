@@ -10,7 +10,7 @@ import numpy as np
 
 from ..diagnosis.estimate import Estimate, rounded
 from ..diagnosis.findings import Diagnosis, Finding
-from ..diagnosis.proof import nearest
+from ..diagnosis.measured import nearest
 from ..diagnosis.tracing import Candidate
 from ..evaluation.outages import Outages
 from ..parameters.params_file import yaml_value

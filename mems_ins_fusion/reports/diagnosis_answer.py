@@ -8,7 +8,8 @@ import numpy as np
 from ..diagnosis.conclusion import MOUNTING
 from ..diagnosis.detection import COLOURED, Detection
 from ..diagnosis.findings import Diagnosis, Finding
-from ..diagnosis.proof import FEWEST_DRIVES, nearest
+from ..diagnosis.measured import nearest
+from ..diagnosis.parts import FEWEST_DRIVES
 from ..parameters.params_file import yaml_value
 from ..recordings.checker import INFO
 from ..recordings.checker import Finding as Checked

@@ -5,7 +5,7 @@ import numpy as np
 
 from ..diagnosis.detection import COMPONENTS, LAGS
 from ..diagnosis.findings import Diagnosis
-from ..diagnosis.proof import Measured
+from ..diagnosis.measured import Measured
 from ..diagnosis.tracing import SIGNIFICANCE
 from .colours import AFTER, BEFORE, FITTED
 from .layers import diagnosis_layers

@@ -4,7 +4,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..diagnosis.findings import Diagnosis
-from ..diagnosis.proof import Measured
+from ..diagnosis.measured import Measured
 from ..evaluation.comparison import Comparison, truth_of
 from ..evaluation.metrics import Errors, lever_arm_north_east
 from ..filter.results import Run

@@ -1,0 +1,179 @@
+"""Whether errors before and after differ, and whether a change is proven by them."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..evaluation.bootstrap import paired
+from .held_out import CERTAIN, HeldOut
+from .measured import Measured, fairly
+
+#: an error has grown noticeably beyond this part and this much, m; by this factor it has grown, certain or not
+GROWN, NOTICED, LARGER = 0.03, 0.1, 1.1
+#: such a growth is one with a proven effect, too, if chance gives it more rarely than this; where there are too few
+#: outages to say, if it is larger than this part over the root of their number
+LIKELY, SCATTER = 0.2, 0.5
+#: errors that are this part of those before have shrunk plainly; noise levels alone are better from this part on
+PLAINLY, BETTER = 0.7, 0.9
+#: fewer outages do not prove noise levels
+FEWEST_OUTAGES = 5
+#: 95 % ellipses shall hold the truth in this part of the outages
+COVERED, LESS_HELD = 0.9, 0.15
+
+
+def compared(before: Measured, after: Measured) -> list[dict]:
+    """Whether the errors differ, by what is measured: mean, root mean square (for the tails), and how often the 95 %
+    ellipse held the truth; mean square with the fixes used, mean of the largest error in outages.
+
+    decides: not where the truth is the fixes that the filter was given, which only shows how closely it follows them.
+    drive: its name in the rows of each of several drives, which come last; else there is none.
+    """
+    rows = _compared(*fairly(before, after))
+    for name in before.drives:
+        both = fairly(before.drives[name], after.drives[name])
+        rows += [row | {'drive': name} for row in _compared(*both)]
+    return rows
+
+
+def _compared(before: Measured, after: Measured) -> list[dict]:
+    rows = [_row('with all fixes used, mean square error in m^2', before.continuous.stamp, after.continuous.stamp,
+                 before.continuous.horizontal**2, after.continuous.horizontal**2)
+            | {'decides': before.independent}]
+    for old, new in zip(before.outages, after.outages):
+        row = _row(f'outages of {old.duration:g} s, mean largest error in m', old.begin, new.begin, old.max_error,
+                   new.max_error)
+        if row['count']:
+            row |= _tails(old.begin, new.begin, old.max_error, new.max_error) | {
+                'within_before': float(old.within.mean()), 'within_after': float(new.within.mean())}
+        rows.append(row | {'decides': True})
+    return rows
+
+
+def harm(comparison: Sequence[dict], effects: bool = False, floor: float = COVERED) -> str:
+    """What becomes worse, and by how much; empty where nothing does.
+
+    An error grows where it is larger for certain and noticeably (GROWN, NOTICED), or where its mean or its root mean
+    square is larger by LARGER, certain or not; effects: if that is LIKELY, as the largest errors of a few dozen
+    outages scatter by more and the likelihood of held-out data has proven the effect already; so, too, in single
+    drives, as all together have to be better. An ellipse that held the truth in COVERED has to hold it in `floor`, or
+    one outage less; one that did not must not hold it in LESS_HELD less, unless it holds it in `floor` still.
+    """
+    for row in comparison:
+        if not (row.get('before') and row.get('after') and row['decides']):
+            continue
+        squared = 'mean square' in row['what']
+        tolerant = effects or 'drive' in row
+        where = f"in {row['drive']} " if 'drive' in row else ''
+        pairs = [(row['before'], row['after'], row.get('p')),
+                 (row.get('rms_before', 0.0), row.get('rms_after', 0.0), row.get('rms_p'))]
+        for i, (old, new, p) in enumerate(pairs):
+            old, new = (np.sqrt(old), np.sqrt(new)) if squared else (old, new)
+            larger = new > LARGER * old + NOTICED
+            if tolerant and larger:
+                larger = p < LIKELY if p is not None else new > (1 + SCATTER / np.sqrt(row['count'])) * old + NOTICED
+            certain = i == 0 and p is not None and p < CERTAIN
+            if larger or certain and new > (1 + GROWN) * old + NOTICED:
+                which = 'root mean square of the ' if i else ''
+                return (f"the error grows: {where}{which}{row['what']}, {_plain(old, squared)} before, "
+                        f'{_plain(new, squared)} after')
+        held, holds = row.get('within_before'), row.get('within_after')
+        if held is not None and holds < (floor - 1.0 / row['count'] if held >= COVERED
+                                         else min(held - LESS_HELD, floor)):
+            which = row['what'].split(',')[0]
+            return (f'{where}{which}: the 95 % ellipse held the truth in {100 * held:.0f} % before, '
+                    f'in {100 * holds:.0f} % after')
+    return ''
+
+
+def _plain(value: float, squared: bool) -> str:
+    return f'{value**2 if squared else value:.3g}'
+
+
+def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
+    """What speaks against an effect, empty where nothing does: no gain of likelihood, or an error that grows.
+
+    comparison: errors with the effect and without, of parts that it was not fitted to. A likelihood that gains, but
+    not for certain, is no objection where an error shrinks for certain and plainly. Nor is an error that is the same,
+    where the ellipses come to hold it: errors that last are in the withheld fixes, too, so these never favour who
+    models them. Nor are ellipses that hold a far smaller error less often, or one with an effect that is certain: what
+    else is wrong shows only now, and noise levels, which decide on ellipses, are chosen at the end.
+    """
+    change = all_in_all(comparison)
+    settled = 0.0 < change <= PLAINLY or proof.helps and proof.p < CERTAIN
+    worse = harm(comparison, proof.helps, 0.0 if settled else COVERED)
+    if worse:
+        return worse
+    for name, (gain, p) in proof.drives.items():
+        if p < CERTAIN:
+            return f'{name} speaks against it (log likelihood {gain:+.1f} there, p {p:.2g})'
+    shrinks = any(row.get('p', 1.0) < CERTAIN and row['after'] < PLAINLY * row['before'] for row in of_all(comparison))
+    if not (proof.helps or (proof.gain > 0 and shrinks)):
+        what = 'too small a gain' if proof.gain > 0 else 'no gain'
+        return f'{what} on data it was not fitted to (log likelihood {proof.gain:+.1f}, p {proof.p:.2g})'
+    return _larger(comparison)
+
+
+def _larger(comparison: Sequence[dict]) -> str:
+    """An objection to errors that are larger all in all; empty where they are not."""
+    change = all_in_all(comparison)
+    if change <= 1 + GROWN or (change <= LARGER and honest(of_all(comparison))):
+        return ''
+    return f'the error does not shrink: all in all it is {change:.2f} times that before'
+
+
+def unproven(comparison: Sequence[dict], effects: bool = False) -> str:
+    """What speaks against another configuration; empty where it is proven to be better.
+
+    effects: what is new in it has been proven by the likelihood of held-out data already (`objection`), so errors
+    must not grow. Whether they shrink the fixes that are the truth as a rule cannot say: who stamps them late, or
+    stands elsewhere, has the withheld ones late and elsewhere, too. Noise levels alone have no such proof: with them
+    errors have to shrink, or the ellipses to hold the truth where they did not.
+    """
+    rows = [row for row in of_all(comparison) if effects or row['count'] >= FEWEST_OUTAGES]
+    change = all_in_all(rows)
+    worse = harm(comparison, effects, COVERED - LESS_HELD if effects and 0.0 < change <= PLAINLY else COVERED)
+    if worse or effects:
+        return worse or _larger(comparison)
+    if rows and (change < BETTER or honest(rows) and change <= 1.0):
+        return ''
+    return 'the errors do not shrink with it'
+
+
+def honest(rows: Sequence[dict]) -> bool:
+    """Whether ellipses that did not hold the truth hold it more often, by two outages or more."""
+    return any(row['within_before'] < COVERED and row['within_after'] >= row['within_before'] + 2 / row['count']
+               for row in rows if 'within_before' in row)
+
+
+def all_in_all(comparison: Sequence[dict]) -> float:
+    """Errors after over those before, the geometric mean of all rows that decide; 0 where nothing was measured."""
+    ratios = [row['after'] / row['before'] for row in of_all(comparison)]
+    return float(np.exp(np.mean(np.log(ratios)))) if ratios else 0.0
+
+
+def of_all(comparison: Sequence[dict]) -> list[dict]:
+    """The rows that decide and were measured, of all drives together."""
+    return [row for row in comparison if row['decides'] and row.get('before') and row.get('after')
+            and 'drive' not in row]
+
+
+def _row(what: str, stamp, new_stamp, old, new) -> dict:
+    """Means before and after over the epochs of both, with the 95 % interval of the difference by block bootstrap."""
+    _, a, b = np.intersect1d(stamp, new_stamp, return_indices=True)
+    row = {'what': what, 'count': len(a)}
+    if not len(a):
+        return row
+    old, new = old[a], new[b]
+    row |= {'before': float(old.mean()), 'after': float(new.mean())}
+    difference = paired(new, old)
+    if difference is not None:
+        row |= {'difference': difference.mean, 'low': difference.low, 'high': difference.high, 'p': difference.p}
+    return row
+
+
+def _tails(stamp, new_stamp, old, new) -> dict:
+    """Root mean squares before and after, and p that they are the same."""
+    row = _row('', stamp, new_stamp, old**2, new**2)
+    return {'rms_before': row['before']**0.5, 'rms_after': row['after']**0.5} | (
+        {'rms_p': row['p']} if 'p' in row else {})

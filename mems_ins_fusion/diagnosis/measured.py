@@ -1,0 +1,188 @@
+"""Errors of a filter where it was not fitted: with all fixes, and in outages."""
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..evaluation import metrics
+from ..evaluation.comparison import aiding_of, samples_to_keep, truth_of
+from ..evaluation.metrics import Errors, Truth, position_errors
+from ..evaluation.outages import Outages, outage_begins, outages_of
+from ..evaluation.outages import summary as outage_summary
+from ..filter.config import FilterConfig
+from ..filter.replay import run, run_with_outages
+from ..samples import ImuSamples, Recording
+from .clock import GNSS, IMU, OWN, earlier, lateness_against
+from .parts import in_mask, parts
+from .problem import Problem, on_all_cores
+from .residuals import tempered
+
+#: errors in outages count as they are up to so many sigma: who is in one wants to be told of the large ones
+END_TAIL = 6.0
+#: a predicted error smaller than this is none, m
+SMALLEST_ERROR = 0.1
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Errors of one model: at the truth's epochs with the fixes used, in outages, and the innovations of its filter.
+
+    independent: whether the truth is more than the fixes that the filter was given. stamp, likelihood (k,): of the
+    fixes that count, ns, and how well each was predicted. drives: those of each of several drives, by name. late: s,
+    by which the truth's clock is later than that of the tracks, as far as it is not known; timeless: the same with that
+    taken out, where the truth may have a clock of its own.
+    """
+
+    continuous: Errors
+    outages: list[Outages]
+    independent: bool
+    stamp: np.ndarray
+    likelihood: np.ndarray
+    drives: dict[str, Measured] = field(default_factory=dict)
+    late: float = 0.0
+    timeless: Measured | None = None
+
+    def select(self, epochs: Callable, fixes: np.ndarray) -> Measured:
+        """With those epochs of the truth for which `epochs` says so of their stamps, and those `fixes` (k,)."""
+        return replace(self, continuous=self.continuous.select(epochs(self.continuous.stamp)), stamp=self.stamp[fixes],
+                       likelihood=self.likelihood[fixes],
+                       timeless=self.timeless and self.timeless.select(epochs, fixes))
+
+    def summary(self) -> dict:
+        """The numbers for `report.json`."""
+        return {'horizontal_rmse_m': metrics.rms(self.continuous.horizontal),
+                'outages': [outage_summary(outages) for outages in self.outages]}
+
+    def scores(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Stamps and log likelihoods of what was predicted: fix by fix, and at the end of the outages of each duration.
+
+        A likelihood counts both: how far off, and how far off the filter thought that it may be.
+        """
+        outages = (self.timeless or self).outages
+        ends = [(o.begin, _end_scores(o)) for o in outages if len(o.begin)]
+        return [(self.stamp, self.likelihood), *ends]
+
+
+def _end_scores(outages: Outages) -> np.ndarray:
+    """Log likelihood of the error at the end of each outage, (o,): the covariance as that of a circle."""
+    error = np.array([e.horizontal[-1] for e in outages.errors])
+    variance = np.maximum(0.5 * np.array([e.sigma[-1] for e in outages.errors]) ** 2, SMALLEST_ERROR**2)
+    return -0.5 * (2 * np.log(variance) + tempered(error**2 / variance, END_TAIL))
+
+
+def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Sequence[dict], durations,
+            spacing: float, judged: Sequence[np.ndarray] | None = None) -> Measured:
+    """Errors in one drive of a model with parameters `models`: one set, or one for each part, fitted to the others.
+
+    recording: with all fixes, for the truth; imu: the samples that the filter gets. judged: masks of the parts, those
+    of `parts` by default.
+    """
+    first = int(problem.stamp[problem.mask][0])
+    # by the fixes' own stamps, so that the same outages are compared whatever a model says of the clocks
+    begins = outage_begins(first, problem.full.gnss, 0.0, spacing, min(durations, default=0.0))
+    if len(models) == 1:
+        judged = [problem.mask]
+    elif judged is None:
+        judged = parts(problem)
+    whole = len(models) == 1
+
+    def one(model):
+        values, part = model
+        found = _run(problem, recording, imu, values, durations,
+                     begins if whole else begins[in_mask(begins, problem, part)])
+        return found.select(lambda stamp: (whole | in_mask(stamp, problem, part)) & (stamp >= first),
+                            np.isfinite(found.likelihood) & part)
+    return _joined(on_all_cores(one, zip(models, judged)))
+
+
+def together(drives: dict[str, Measured]) -> Measured:
+    """The errors in several drives, by name, as those of one; of one, these."""
+    return replace(_joined(list(drives.values())), drives=drives if len(drives) > 1 else {})
+
+
+def _joined(found: Sequence[Measured]) -> Measured:
+    """What was measured in parts of a drive, or in drives on one time axis, in the order of time."""
+    if len(found) == 1:
+        return found[0]
+    stamp, likelihood = (np.concatenate([getattr(m, name) for m in found]) for name in ('stamp', 'likelihood'))
+    order = np.argsort(stamp, kind='stable')
+    durations = sorted({o.duration for m in found for o in m.outages})
+    outages = [_joined_outages([o for m in found for o in m.outages if o.duration == d]) for d in durations]
+    timeless = [m.timeless or m for m in found] if any(m.timeless for m in found) else []
+    return Measured(_joined_errors([m.continuous for m in found]), outages, all(m.independent for m in found),
+                    stamp[order], likelihood[order], late=float(np.mean([m.late for m in found])),
+                    timeless=_joined(timeless) if timeless else None)
+
+
+def _run(problem: Problem, recording: Recording, imu: ImuSamples, values: dict, durations,
+         begins: np.ndarray) -> Measured:
+    """One filter through the recording: errors with the fixes used, in outages, and the likelihood of each fix (f,)."""
+    config, delay = FilterConfig.from_parameters(values), round(values['gnss.time_offset'] * 1e9)
+    truth, clock = truth_of(recording, values), problem.reference_clock
+    if recording.reference is not None and clock == GNSS:
+        truth = earlier(truth, delay)
+    keep = samples_to_keep(imu, truth.reference.stamp)
+    coasting = None
+    if durations:
+        result, coasting = run_with_outages(config, imu, problem.full.gnss, begins - delay, max(durations),
+                                            aiding_of(recording), keep)
+    else:
+        result = run(config, imu, problem.full.gnss, aiding_of(recording), keep=keep)
+    likelihood = problem.innovations(result).log_likelihood()
+
+    def against(truth: Truth, shift: int) -> Measured:
+        """`truth` has stamps that are earlier by `shift` than its own, by which different models are compared."""
+        outages = outages_of(result, coasting, truth, durations, config.imu.restart_gap) if coasting else []
+        errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
+        return Measured(_later(errors, shift), [
+            replace(o, begin=o.begin + delay, errors=[_later(e, shift) for e in o.errors]) for o in outages],
+            recording.reference is not None, problem.stamp, likelihood)
+
+    if clock in (IMU, GNSS):
+        return against(truth, delay if clock == GNSS else 0)
+    late = lateness_against(result, truth)
+    shift = round(late * 1e9)
+    timeless = against(earlier(truth, shift), shift)
+    return timeless if clock == OWN else replace(against(truth, 0), late=late, timeless=timeless)
+
+
+def _later(errors: Errors, shift: int) -> Errors:
+    return replace(errors, stamp=errors.stamp + shift)
+
+
+def _joined_errors(parts: list[Errors]) -> Errors:
+    order = np.argsort(np.concatenate([e.stamp for e in parts]), kind='stable')
+    return Errors(**{name: np.concatenate([getattr(e, name) for e in parts])[order]
+                     for name in Errors.__dataclass_fields__})
+
+
+def _joined_outages(parts: list[Outages]) -> Outages:
+    order = np.argsort(np.concatenate([o.begin for o in parts]), kind='stable')
+    joined = {name: np.concatenate([getattr(o, name) for o in parts])[order]
+              for name in ('begin', 'max_error', 'distance', 'within', 'growth', 'sigma')}
+    errors = [e for o in parts for e in o.errors]
+    return Outages(duration=parts[0].duration, time=parts[0].time, errors=[errors[i] for i in order], **joined)
+
+
+def nearest(measured: Measured, duration: float = 30.0) -> Outages | None:
+    """Its outages of about `duration` s, None where there are none."""
+    there = [outages for outages in measured.outages if len(outages.begin)]
+    return min(there, key=lambda o: abs(o.duration - duration)) if there else None
+
+
+def saved(before: Measured, after: Measured) -> tuple[float, float, float] | None:
+    """Duration of outages, s, and the median of the largest error in them before and after, m; None without any."""
+    one, other = map(nearest, fairly(before, after))
+    if one is None or other is None or one.duration != other.duration:
+        return None
+    return one.duration, float(np.median(one.max_error)), float(np.median(other.max_error))
+
+
+def fairly(before: Measured, after: Measured) -> tuple[Measured, Measured]:
+    """Both without what the truth says of time, if it may have a clock of its own and what is new takes the track away
+    from it: that would be a veto by a clock."""
+    if before.timeless and after.timeless and abs(after.late) > abs(before.late):
+        return before.timeless, after.timeless
+    return before, after
