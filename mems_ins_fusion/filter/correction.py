@@ -333,7 +333,8 @@ def _constrain_motion(mem, r, at, n, h, c, dimensions, since):
         innovation = z - _product(mem, n, h + n * k, r + NAV)
         s = variance + _project(mem, n, h + n * k, column)
         nis = innovation * innovation / s
-        if k == 0 and contradiction.slides(mem, r, c, innovation, s, since):
+        # where each fix is believed in any case there is nothing to decide
+        if k == 0 and mem[Head.GATE] > 0.0 and contradiction.slides(mem, r, c, innovation, s, since):
             contradiction.unsettle(mem, r, n, innovation, since)
             s = variance + _project(mem, n, h + n * k, column)
             nis = innovation * innovation / s
