@@ -239,7 +239,7 @@ def test_the_score_test_is_careful_where_innovations_follow_each_other():
 def row(before, after, p=0.5, rms=(0.0, 0.0), within=(1.0, 1.0), count=20, decides=True):
     return {'what': 'outages of 30 s, mean largest error in m', 'before': before, 'after': after, 'p': p,
             'rms_before': rms[0], 'rms_after': rms[1], 'within_before': within[0], 'within_after': within[1],
-            'count': count, 'decides': decides}
+            'count': count, 'apart': count, 'decides': decides}
 
 
 def proven(rows, effects=False):

@@ -27,7 +27,8 @@ def compared(before: Measured, after: Measured) -> list[dict]:
     ellipse held the truth; mean square with the fixes used, mean of the largest error in outages.
 
     decides: not where the truth is the fixes that the filter was given, which only shows how closely it follows them.
-    drive: its name in the rows of each of several drives, which come last; else there is none.
+    apart: how many of `count` outages do not overlap: what ends within one goes together. drive: its name in the rows
+    of each of several drives, which come last; else there is none.
     """
     rows = _compared(*fairly(before, after))
     for name in before.drives:
@@ -45,7 +46,8 @@ def _compared(before: Measured, after: Measured) -> list[dict]:
                    new.max_error)
         if row['count']:
             row |= _tails(old.begin, new.begin, old.max_error, new.max_error) | {
-                'within_before': float(old.within.mean()), 'within_after': float(new.within.mean())}
+                'within_before': float(old.within.mean()), 'within_after': float(new.within.mean()),
+                'apart': len(np.unique((old.begin - old.begin[0]) // round(old.duration * 1e9)))}
         rows.append(row | {'decides': True})
     return rows
 
@@ -57,7 +59,8 @@ def harm(comparison: Sequence[dict], effects: bool = False, floor: float = COVER
     square is larger by LARGER, certain or not; effects: if that is LIKELY, as the largest errors of a few dozen
     outages scatter by more and the likelihood of held-out data has proven the effect already; so, too, in single
     drives, as all together have to be better. An ellipse that held the truth in COVERED has to hold it in `floor`, or
-    one outage less; one that did not must not hold it in LESS_HELD less, unless it holds it in `floor` still.
+    one outage less, of those that do not overlap; one that did not must not hold it in LESS_HELD less, unless it holds
+    it in `floor` still.
     """
     for row in comparison:
         if not (row.get('before') and row.get('after') and row['decides']):
@@ -78,7 +81,7 @@ def harm(comparison: Sequence[dict], effects: bool = False, floor: float = COVER
                 return (f"the error grows: {where}{which}{row['what']}, {_plain(old, squared)} before, "
                         f'{_plain(new, squared)} after')
         held, holds = row.get('within_before'), row.get('within_after')
-        if held is not None and holds < (floor - 1.0 / row['count'] if held >= COVERED
+        if held is not None and holds < (floor - 1.0 / row['apart'] if held >= COVERED
                                          else min(held - LESS_HELD, floor)):
             which = row['what'].split(',')[0]
             return (f'{where}{which}: the 95 % ellipse held the truth in {100 * held:.0f} % before, '
@@ -141,8 +144,8 @@ def unproven(comparison: Sequence[dict], effects: bool = False) -> str:
 
 
 def honest(rows: Sequence[dict]) -> bool:
-    """Whether ellipses that did not hold the truth hold it more often, by two outages or more."""
-    return any(row['within_before'] < COVERED and row['within_after'] >= row['within_before'] + 2 / row['count']
+    """Whether ellipses that did not hold the truth hold it more often, by two outages or more that do not overlap."""
+    return any(row['within_before'] < COVERED and row['within_after'] >= row['within_before'] + 2 / row['apart']
                for row in rows if 'within_before' in row)
 
 

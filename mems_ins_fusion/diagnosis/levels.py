@@ -20,8 +20,8 @@ STEP = float(np.sqrt(10.0))
 WORTH = 3.0
 #: times that all levels are gone through
 SWEEPS = 2
-#: a constraint is no better or worse than configured by more steps, and no sensor is better
-MOST_STEPS, MOST_STEPS_DOWN = {'vehicle.non_holonomic_sigma': 1}, 1
+#: a constraint is no better or worse than configured by more steps; sensors up to LARGEST_FACTOR
+MOST_STEPS = {'vehicle.non_holonomic_sigma': 1}
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def _along(best, i, limit: int, merits, tried):
         return (*best[:i], best[i] + by, *best[i + 1:])
 
     def allowed(by):
-        return -MOST_STEPS_DOWN <= best[i] + by <= limit
+        return abs(best[i] + by) <= limit
 
     steps = [by for by in (1, -1) if allowed(by)]
     found = merits([moved(by) for by in steps])
