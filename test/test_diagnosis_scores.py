@@ -15,8 +15,9 @@ from mems_ins_fusion.diagnosis.detection import detect
 from mems_ins_fusion.diagnosis.estimate import Estimate, widened
 from mems_ins_fusion.diagnosis.fit import Scores, _scores
 from mems_ins_fusion.diagnosis.held_out import HeldOut
-from mems_ins_fusion.diagnosis.judgement import harm, objection, unproven
+from mems_ins_fusion.diagnosis.judgement import compared, harm, objection, unproven
 from mems_ins_fusion.diagnosis.levels import choose, multiplied
+from mems_ins_fusion.diagnosis.measured import Measured
 from mems_ins_fusion.diagnosis.outliers import isolated
 from mems_ins_fusion.diagnosis.parts import parts
 from mems_ins_fusion.diagnosis.plausible import implausible
@@ -24,6 +25,8 @@ from mems_ins_fusion.diagnosis.problem import Unknown
 from mems_ins_fusion.diagnosis.residuals import Residual, lasting, tempered, whiten_matrix
 from mems_ins_fusion.diagnosis.tracing import Candidate, _test, effect_unknowns, group
 from mems_ins_fusion.effects.base import Effect, EffectParameter
+from mems_ins_fusion.evaluation.metrics import Errors
+from mems_ins_fusion.evaluation.outages import Outages
 from mems_ins_fusion.parameters import table
 
 N = 400
@@ -291,6 +294,31 @@ def test_what_is_harm(rows, harmed):
     assert not (harmed and proven(rows))
 
 
+def test_outages_that_overlap_are_not_each_a_proof():
+    # given ellipses that miss five of 36 outages, these all apart, or of 60 s and begun every 20 s
+    held = row(40.0, 30.0, within=(1.0, 31 / 36), count=36)
+    assert 'ellipse' in harm([held]) and not harm([held | {'apart': 12}])
+    # and where the same errors come to be held in three of ten outages more, which may be one stretch of road
+    healed = row(40.0, 38.0, within=(0.6, 0.9), count=10)
+    assert proven([healed]) and not proven([healed | {'apart': 3}])
+
+
+def overlapping(duration, spacing, count):
+    begin = np.arange(count) * round(spacing * 1e9)
+    there = np.ones(count)
+    return Measured(
+        Errors(**dict.fromkeys(Errors.__dataclass_fields__, np.zeros(0))),
+        [Outages(duration=duration, time=np.zeros(0), errors=[], begin=begin, max_error=there, distance=there,
+                 within=there > 0, growth=there, sigma=there)], True, np.zeros(0), np.zeros(0))
+
+
+def test_outages_apart_are_counted():
+    one = overlapping(60.0, 20.0, 36)
+    row = next(row for row in compared(one, one) if 'outages' in row['what'])
+    assert row['count'] == 36 and row['apart'] == 12
+    assert next(r for r in compared(*[overlapping(10.0, 20.0, 36)] * 2) if 'outages' in r['what'])['apart'] == 36
+
+
 def test_an_effect_that_the_likelihood_has_proven_may_scatter_as_few_outages_do():
     # given errors that are larger by a seventh, which chance gives in two of five cases, in one of ten, in one of 200
     for p, harmed in ((0.4, False), (0.1, True), (0.005, True)):
@@ -352,6 +380,19 @@ def test_noise_levels_are_chosen_by_predictions_of_parts_that_do_not_judge_them(
     assert all(factor == 1.0 for name, factor in found.factors.items() if name != 'gyroscope.noise_density')
     moved = multiplied(values, {'gnss.sigma': 3.16}, 0.5)
     assert moved['gnss.sigma'] == pytest.approx(1.58) and values['gnss.sigma'] == 0
+
+
+def test_sensors_may_be_a_tenth_as_noisy_as_configured():
+    # given predictions that are best with a thirtieth of the gyroscope's drift
+    values = table.check({'vehicle.non_holonomic': False})
+
+    def likelihood(configuration):
+        k = np.log10(configuration['gyroscope.gauss_markov.sigma'][0] / values['gyroscope.gauss_markov.sigma'][0])
+        return lambda stamp: 0.0 * stamp - 3 * (k + 1.5) ** 2
+    found = choose(values, lambda all_of: [measured_with(likelihood(v)) for v in all_of], lambda stamp: stamp // 10, 4,
+                   1.0)
+    # then less than a tenth is not believed
+    assert found.factors['gyroscope.gauss_markov.sigma'] == pytest.approx(0.1)
 
 
 def test_a_level_that_makes_no_difference_stays_as_configured():

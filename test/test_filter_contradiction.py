@@ -160,9 +160,9 @@ class Drive:
         self.position = np.stack([10.0 * self.time, np.zeros(len(self.time))], axis=1)
         self.position += 0.5 * rng.standard_normal((len(self.time), 2))
 
-    def through(self, mechanization):
+    def through(self, mechanization, **more):
         """Configuration, memory, and at each fix after the first: error (k, 2), m, and `disputed` sigmas (k, 2), m."""
-        config = configure(CAR, mechanization=mechanization)
+        config = configure({**CAR, **more}, mechanization=mechanization)
         n, first = config.layout.n, config.layout.n_navigation
         p = np.diag(np.concatenate([np.square([1, 1, .2, .2, .02] if first == 5 else
                                               [1, 1, 1, .2, .2, .2, .005, .005, .02]), np.full(n - first, 1e-6)]))
@@ -197,6 +197,15 @@ def test_a_gyroscope_that_turns_away_is_seen_and_said():
     assert memory[Head.SLID] > 1.0
     assert np.hypot(*error.T).max() < 6.0 and np.hypot(*error[-500:].T).max() < 2.0
     assert any('sideways' in text for text in vehicle_says(memory, config, records))
+
+
+def test_where_each_fix_is_believed_nothing_is_decided_against_the_imu():
+    # given the same gyroscope, and the filter that a diagnosis looks through
+    drive = Drive()
+    drive.samples[1500:2000, 6] += math.radians(5.0)
+    _, memory, error, _, _ = drive.through('planar', **{'gnss.gate_probability': 1.0, 'gnss.robust_sigma': 0.0})
+    # then the misfit stays in what it measures: what adapted to it would hide its cause
+    assert memory[Head.SLID] == 0.0 and np.hypot(*error.T).max() > 3.0
 
 
 @BOTH
