@@ -27,8 +27,8 @@ def compared(before: Measured, after: Measured) -> list[dict]:
     ellipse held the truth; mean square with the fixes used, mean of the largest error in outages.
 
     decides: not where the truth is the fixes that the filter was given, which only shows how closely it follows them.
-    apart: how many of `count` outages do not overlap: what ends within one goes together. drive: its name in the rows
-    of each of several drives, which come last; else there is none.
+    apart: how many of `count` outages do not overlap. drive: its name in the rows of each of several drives, which come
+    last; else there is none.
     """
     rows = _compared(*fairly(before, after))
     for name in before.drives:
@@ -47,7 +47,7 @@ def _compared(before: Measured, after: Measured) -> list[dict]:
         if row['count']:
             row |= _tails(old.begin, new.begin, old.max_error, new.max_error) | {
                 'within_before': float(old.within.mean()), 'within_after': float(new.within.mean()),
-                'apart': len(np.unique((old.begin - old.begin[0]) // round(old.duration * 1e9)))}
+                'apart': old.apart}
         rows.append(row | {'decides': True})
     return rows
 

@@ -16,7 +16,7 @@ from .noise import LARGEST_FACTOR, MODEL_NOISE, scaled
 
 #: factors are tried in steps of this
 STEP = float(np.sqrt(10.0))
-#: how much better all predictions together have to be, in log likelihood, for each level that is moved by a step
+#: how much better the predictions of one horizon have to be, in log likelihood, for each level that is moved by a step
 WORTH = 3.0
 #: times that all levels are gone through
 SWEEPS = 2
@@ -67,8 +67,9 @@ def choose(values: dict, errors: Callable[[Sequence[dict]], list[Measured]], par
         new = [p for p in dict.fromkeys(points) if p not in tried]
         found = errors([multiplied(values, _factors(names, p), claimed) for p in new])
         for point, measured in zip(new, found):
-            predictions = sum(len(o.begin) for o in measured.outages)
-            tried[point] = _merit(measured, part_of, count) - WORTH * np.abs(point).sum() / max(predictions, 1)
+            # what begins with the same fix goes together, however long it lasts
+            predictions = max([1, *(o.apart for o in measured.outages)])
+            tried[point] = _merit(measured, part_of, count) - WORTH * np.abs(point).sum() / predictions
         return [tried[p][-1] for p in points]
 
     most = round(np.log(LARGEST_FACTOR) / np.log(STEP))

@@ -38,6 +38,11 @@ class Outages:
     sigma: np.ndarray
     errors: list[Errors]
 
+    @property
+    def apart(self) -> int:
+        """How many of them do not overlap, about: what goes wrong in one goes wrong in all that hold its time."""
+        return len(np.unique((self.begin - self.begin[0]) // round(self.duration * 1e9))) if len(self.begin) else 0
+
     def select(self, index: np.ndarray) -> Outages:
         """Some of the outages; index: (o,) bool."""
         return Outages(self.duration, self.begin[index], self.max_error[index], self.distance[index],
