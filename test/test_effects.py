@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lsim
 from filter_support import PAPER, configure
 
 from mems_ins_fusion.diagnosis.problem import averaged
@@ -68,8 +69,8 @@ def test_a_declared_effect_does_no_harm(drive, name, mounting_rpy):
     ignorant = horizontal_error(configure(values), disturbed)
     knowing = horizontal_error(configure(effect.adjusted(values, effect.as_traced(theta))), disturbed)
     clean = horizontal_error(configure(values), recorded(drive, (), mounting_rpy))
-    # then knowing it is as good as not having it
-    assert knowing < 1.15 * clean
+    # then knowing it is as good as not having it, but that a fix which is late is of a place left since
+    assert knowing < 1.17 * clean
     assert ignorant > 1.4 * clean
 
 
@@ -255,19 +256,20 @@ def test_a_filter_that_knows_how_late_fixes_are_takes_them(drive, offset):
 
 
 @pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
-def test_a_lag_is_as_far_behind_as_the_acceleration_says(mechanization):
-    # given perfect sensors (on a hill for the filter that knows hills), and fixes behind by 0.5 s^2 times the second
-    # difference of the true positions
-    lag, step = 0.5, 0.02
+@pytest.mark.parametrize('lag', [0.5, 1.0])
+def test_a_lag_is_as_far_behind_as_a_tracking_filter(mechanization, lag):
+    # given perfect sensors (on a hill for the filter that knows hills), and fixes behind by what a tracking filter of
+    # the time constant sqrt(0.5) s has not followed of the true positions (its transfer function by scipy)
     drive = simulate_drive(120.0, 4, 100.0, hills=mechanization == 'strapdown')
     recording = simulate_recording(drive, None, GnssNoise(sigma=0.0)).recording
     fixes, time = recording.gnss, (recording.gnss.stamp - START_STAMP) * 1e-9
-    before, now, after = (drive.at(time + k * step).position for k in (-1, 0, 1))
-    north, east, _ = -lag * (before - 2 * now + after).T / step**2
+    transfer = [lag, 0.0, 0.0], [lag, 2 * np.sqrt(lag), 1.0]
+    north, east, _ = (np.interp(time, drive.time, -lsim(transfer, axis - axis[0], drive.time)[1])
+                      for axis in drive.position.T)
     meridian, prime_vertical = radii(fixes.latitude)
     behind = replace(fixes, latitude=fixes.latitude + north / (meridian + fixes.height),
                      longitude=fixes.longitude + east / ((prime_vertical + fixes.height) * np.cos(fixes.latitude)))
-    assert np.hypot(north, east).max() > 1.0
+    assert np.hypot(north, east).max() > 0.7
     values = {'mechanization': mechanization, 'gnss.sigma': 1.0}
     largest = {}
     for what, used, seen in (('none', {}, fixes), ('known', {'gnss.lag_per_acceleration': lag}, behind),

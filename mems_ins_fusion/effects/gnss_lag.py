@@ -13,16 +13,18 @@ class GnssLag(Effect):
 
     To second order every smoothing receiver says p(t - delay) - lag a(t): a low pass has the delay tau and the lag
     -tau^2/2 (1/(1 + tau s) against exp(-tau s)), one that tracks the velocity (critically damped) no delay and the lag
-    tau^2. The delay is a time offset and is traced as one; the lag is what is traced here.
+    tau^2. The delay is a time offset and is traced as one; the lag is what is traced here. It lasts for as long as the
+    acceleration and the receiver's filter do (`filter.prediction.follow`).
     """
 
     name = 'gnss_lag'
-    signature = ('innovations along the track in proportion to the acceleration, across it in bends; what is late at '
-                 'constant speed, too, is a time offset')
+    signature = ('innovations along the track behind accelerations, across it in bends; what is late at constant speed, '
+                 'too, is a time offset')
     parameters = (EffectParameter('tau', 's', 0.5),)
     traced = (EffectParameter('lag', 's^2', 0.25),)
     settings = (Parameter('gnss.lag_per_acceleration', 0.0, 's^2', 'A receiver that smooths its positions: by how much '
-                          'they stay behind, m for each m/s^2, beside gnss.time_offset.', minimum=-10.0,
+                          'they stay behind, m for each m/s^2 that lasts, beside gnss.time_offset; the square of its '
+                          'time constant.', minimum=-10.0,
                           maximum=10.0),)
 
     def as_traced(self, values):

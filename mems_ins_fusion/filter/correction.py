@@ -231,7 +231,7 @@ def apply_event(mem, r, at, sample):
     factor, robust, gate = 1.0, OTHER_ROBUST, OTHER_GATE
     height = 0.0
     if kind == Kind.POSITION:
-        dimensions = position.observe(mem, r, at, h, n, c, sample)
+        dimensions = position.observe(mem, r, at, h, n, c)
         height = mem[at + Event.Z_D] + mem[r + Nav.HEIGHT]  # of the planar filter, which has no state for it
         factor, robust, gate = receiver.trust(mem, r, at)
         if mem[r + Nav.UNSETTLED] > 0.0:
@@ -252,7 +252,7 @@ def apply_event(mem, r, at, sample):
             mem[r + Nav.HEIGHT] = height
         set_radii(mem, r)
     if kind == Kind.POSITION:
-        left_n, left_e, _ = position.difference(mem, r, at, body_to_level(mem, r), sample)
+        left_n, left_e, _ = position.difference(mem, r, at, body_to_level(mem, r))
         contradiction.dispute(mem, r, at, before, left_n, left_e)
         receiver.learn(mem, r, at, left_n, left_e)
         learn_drift(mem, r)

@@ -101,7 +101,10 @@ class _Nav(NamedTuple):
     LEFT_N: int = 80  # m: and how far they still are from it
     LEFT_E: int = 81
     IN_DISPUTE: int = 82  # s for which whatever fixes change still counts
-    SIZE: int = 83
+    # changes of velocity that a receiver which smooths has not followed yet, see prediction.py: m/s, three each
+    FRESH: int = 83  # behind its filter's first pole,
+    UNFOLLOWED: int = 86  # and behind its second
+    SIZE: int = 89
 
 
 Nav = _Nav()
@@ -299,7 +302,7 @@ class _Head(NamedTuple):
     AXLE: int = 18
     SPEED_SCALE: int = 19
     TIME_OFFSET: int = 132  # of the receiver's stamps, beyond gnss.time_offset
-    LAG: int = 135  # s^2: by how much a fix stays behind for each m/s^2
+    LAG: int = 135  # s^2: by how much a fix stays behind for each m/s^2 that lasts
     ACCELEROMETER_INTERVAL: int = 20  # s, of the autoregressive model; 0: another model
     GYROSCOPE_INTERVAL: int = 21
     MAX_GAP: int = 22
@@ -352,7 +355,8 @@ class _Head(NamedTuple):
     COVARIANCE_FACTOR: int = 144  # whether the covariance is scaled by what the innovations show
     ADAPT_DRIFT: int = 145  # whether the sensors' drift is learned from how their estimates move
     SLID: int = 146  # s in which a slide showed that the IMU misled the filter
-    SIZE: int = 147
+    LAG_TIME: int = 147  # s: time constant of the receiver's filter; 0: it has none
+    SIZE: int = 148
 
 
 Head = _Head()

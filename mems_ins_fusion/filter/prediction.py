@@ -43,10 +43,27 @@ def predict(mem, src, dst, sample, dt):
         _step_planar(mem, src, dst, sample, dt, m, p)
     for k in range(Nav.MEMORY, NAV):
         mem[dst + k] = mem[src + k]
+    if mem[Head.LAG_TIME] > 0.0:
+        follow(mem, src, dst, dt)
     if dt > mem[Head.MAX_GAP] or mem[sample + Sample.FAULT] != 0.0:
         _bridge(mem, dst, dt, m, mem[sample + Sample.FAULT])
     else:
         mem[dst + Nav.BRIDGED] = 0.0
+
+
+@njit(_nrt=False)
+def follow(mem, src, dst, dt):
+    """Of the velocity's change from src to dst and before, what a receiver that smooths has not followed yet.
+
+    A tracking filter that takes the velocity for constant, critically damped (alpha-beta filter; Y. Bar-Shalom et al.,
+    *Estimation with Applications to Tracking and Navigation*, 2001, 6.5), follows the position but for tau^2 s^2 /
+    (1 + tau s)^2 of it: tau times this velocity. tau^2 is its `gnss.lag_per_acceleration`.
+    """
+    keep = math.exp(-dt / mem[Head.LAG_TIME])
+    for k in range(3):
+        fresh = keep * mem[src + Nav.FRESH + k] + mem[dst + Nav.V_N + k] - mem[src + Nav.V_N + k]
+        mem[dst + Nav.FRESH + k] = fresh
+        mem[dst + Nav.UNFOLLOWED + k] = fresh + keep * (mem[src + Nav.UNFOLLOWED + k] - fresh)
 
 
 @njit(_nrt=False)

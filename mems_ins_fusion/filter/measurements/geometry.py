@@ -6,7 +6,6 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ...navigation import planar, strapdown
-from ...navigation.earth import gravity
 from ..layout import NAV, PLANAR, Head, Nav, Sample
 
 
@@ -120,14 +119,3 @@ def angular_rate(mem, r, sample):
         return 0.0, 0.0, mem[sample + Sample.W_Z] - mem[x + 2 * p]
     return (mem[sample + Sample.W_X] - mem[x + 3 * p], mem[sample + Sample.W_Y] - mem[x + 4 * p],
             mem[sample + Sample.W_Z] - mem[x + 5 * p])
-
-
-@njit(_nrt=False)
-def acceleration(mem, r, c, sample):
-    """Acceleration by the sample at `sample` less the accelerometer errors estimated at r, m/s^2, body axes."""
-    x, p = r + Nav.SIZE + int(mem[Head.N_NAVIGATION]), int(mem[Head.ORDER])
-    a_x, a_y = mem[sample + Sample.F_X] - mem[x], mem[sample + Sample.F_Y] - mem[x + p]
-    if mem[Head.MECHANIZATION] == PLANAR:
-        return a_x, a_y, 0.0
-    g = gravity(mem[r + Nav.LATITUDE], mem[r + Nav.HEIGHT])
-    return a_x + g * c[6], a_y + g * c[7], mem[sample + Sample.F_Z] - mem[x + 2 * p] + g * c[8]

@@ -9,35 +9,36 @@ from mems_ins_fusion.compiled import njit
 
 from ...navigation import strapdown
 from ..layout import PLANAR, Event, Head, Kind, Nav
-from .geometry import acceleration, turned
+from .geometry import turned
 from .records import empty, refuse
 
 
 @njit(_nrt=False)
-def arm_in_level(mem, r, c, sample):
-    """From the IMU to where the receiver sees its antenna, in n; c: rotation from b to n."""
+def arm_in_level(mem, c):
+    """From the IMU to the antenna in n, m; c: rotation from b to n."""
     x, y, z = mem[Head.LEVER_X], mem[Head.LEVER_Y], mem[Head.LEVER_Z]
-    lag = mem[Head.LAG]
-    if lag != 0.0:  # a receiver that smooths stays behind, in proportion to the acceleration
-        a_x, a_y, a_z = acceleration(mem, r, c, sample)
-        x, y, z = x - lag * a_x, y - lag * a_y, z - lag * a_z
     return c[0] * x + c[1] * y + c[2] * z, c[3] * x + c[4] * y + c[5] * z, c[6] * x + c[7] * y + c[8] * z
 
 
 @njit(_nrt=False)
-def difference(mem, r, at, c, sample):
-    """Predicted minus measured position of the antenna, north, east and down, m."""
-    north, east, down = arm_in_level(mem, r, c, sample)
+def difference(mem, r, at, c):
+    """Predicted minus measured position of the antenna, north, east and down, m; c: rotation from b to n."""
+    north, east, down = arm_in_level(mem, c)
+    if mem[Head.LAG_TIME] > 0.0:  # a receiver that smooths stays behind
+        behind = mem[Head.LAG] / mem[Head.LAG_TIME]
+        north -= behind * mem[r + Nav.UNFOLLOWED]
+        east -= behind * mem[r + Nav.UNFOLLOWED + 1]
+        down -= behind * mem[r + Nav.UNFOLLOWED + 2]
     return ((mem[r + Nav.LATITUDE] - mem[at + Event.LATITUDE]) / mem[r + Nav.NORTH_SCALE] + north,
             (mem[r + Nav.LONGITUDE] - mem[at + Event.LONGITUDE]) / mem[r + Nav.EAST_SCALE] + east,
             mem[at + Event.HEIGHT] - mem[r + Nav.HEIGHT] + down)
 
 
 @njit(_nrt=False)
-def observe(mem, r, at, h, n, c, sample):
+def observe(mem, r, at, h, n, c):
     """`difference` and its rows of H; the number of components: the planar filter has no height."""
-    mem[at + Event.Z_N], mem[at + Event.Z_E], mem[at + Event.Z_D] = difference(mem, r, at, c, sample)
-    north, east, down = arm_in_level(mem, r, c, sample)
+    mem[at + Event.Z_N], mem[at + Event.Z_E], mem[at + Event.Z_D] = difference(mem, r, at, c)
+    north, east, down = arm_in_level(mem, c)
     mem[h] = mem[h + n + 1] = 1.0
     turned(mem, h, n, north, east, down)  # an error of attitude swings the antenna
     coloured = int(mem[Head.COLOURED])
