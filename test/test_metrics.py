@@ -19,7 +19,8 @@ DATUM = (0.84, 0.2, 480.0)
 SECOND = 10**9
 
 
-def make_run(time, north, east, *, yaw=0.0, roll=0.0, pitch=0.0, v_n=0.0, v_e=0.0, p=(1.0, 1.0, 0.0), datum=DATUM):
+def make_run(time, north, east, *, yaw=0.0, roll=0.0, pitch=0.0, v_n=0.0, v_e=0.0, p=(1.0, 1.0, 0.0),
+             behind=(0.0, 0.0), datum=DATUM):
     """A run at times (n,) s with positions in m at `datum`; p: P_nn, P_ee, P_ne."""
     n = len(time)
     latitude, longitude, height = from_local(np.asarray(north, float), np.asarray(east, float), np.zeros(n), datum)
@@ -28,7 +29,8 @@ def make_run(time, north, east, *, yaw=0.0, roll=0.0, pitch=0.0, v_n=0.0, v_e=0.
                latitude=latitude, longitude=longitude, height=height,
                velocity=np.column_stack([full[3], full[4], np.zeros(n)]), roll=full[0], pitch=full[1], yaw=full[2],
                sensor_errors=np.empty((n, 0)), sigma=np.sqrt(np.tile([p[0], p[1]], (n, 1))),
-               extras=np.empty((n, 0)), covariance_ne=np.full(n, p[2]), innovations=None, measured=None, start=None,
+               extras=np.empty((n, 0)), covariance_ne=np.full(n, p[2]), behind=np.tile(behind, (n, 1)),
+               innovations=None, measured=None, start=None,
                notices=[], memory=None, filter_seconds=0.0)
 
 
@@ -42,6 +44,17 @@ def make_truth(time, north, east, *, velocity=None, yaw=None, lever_arm=(0.0, 0.
 
 def errors_of(run, truth, longest_gap=10.0):
     return position_errors(run, truth, np.zeros(len(truth), dtype=bool), longest_gap)
+
+
+def test_a_receiver_that_is_behind_is_no_error_of_who_knows_by_how_much():
+    # given positions that are right, and fixes that stay 2 m south and 1 m east of them
+    time = np.arange(5.0)
+    run = make_run(time, 10.0 * time, 0.0 * time, behind=(2.0, -1.0))
+    said = make_truth(time, 10.0 * time - 2.0, 0.0 * time + 1.0)
+    # then that is what the run expects of such fixes; beside a reference it would be an error
+    assert np.allclose(errors_of(run, replace(said, behind=True)).horizontal, 0.0, atol=1e-6)
+    assert np.allclose(errors_of(run, said).horizontal, np.hypot(2.0, 1.0), atol=1e-6)
+
 
 
 TIME = np.arange(5.0)

@@ -53,7 +53,7 @@ SAME_START = 0.7
 #: an effect is one from so many sigma on, and a parameter of it has a value
 PLAIN, SHOWN = 3.0, 2.0
 #: what lasts, and what changes and so can do all that it does: the plainer one is tried first
-VARIED = {'gnss_time_offset': ('gnss_latency', 'gnss_coloured_noise')}
+VARIED = dict.fromkeys(('gnss_time_offset', 'gnss_lag'), ('gnss_latency', 'gnss_coloured_noise'))
 
 
 @dataclass(frozen=True)

@@ -73,7 +73,8 @@ def effect_unknowns(effect: Effect, fixed: dict[str, float], attitude: Callable 
 
     def unknown(p):
         size = p.prior_scale**2 if p.variance else p.prior_scale
-        return Unknown(f'{effect.name}.{p.name}', varied(p), 0.0, 0.1 * size, 10 * size, size, p.variance, p.variance)
+        step = p.step or 0.1 * size
+        return Unknown(f'{effect.name}.{p.name}', varied(p), 0.0, step, 10 * size, size, p.variance, p.variance)
 
     return [unknown(p) for p in effect.traced if p.name not in fixed]
 

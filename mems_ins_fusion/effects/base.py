@@ -10,7 +10,8 @@ class EffectParameter:
 
     unit: SI, '-' for a ratio. prior_scale: a size that would surprise nobody in the field, in that unit.
     default: its value in a simulation that names only other parameters of the effect. variance: a standard deviation,
-    which shows in the innovations by its square.
+    which shows in the innovations by its square. step: over which the innovations change about linearly, a tenth of
+    prior_scale where it is 0.
     """
 
     name: str
@@ -18,6 +19,7 @@ class EffectParameter:
     prior_scale: float
     default: float = 0.0
     variance: bool = False
+    step: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,8 @@ class GnssLag(Effect):
     signature = ('innovations along the track behind accelerations, across it in bends; what is late at constant speed, '
                  'too, is a time offset')
     parameters = (EffectParameter('tau', 's', 0.5),)
-    traced = (EffectParameter('lag', 's^2', 0.25),)
+    # how long it lasts changes with its size: that of a second is looked for, not of an instant
+    traced = (EffectParameter('lag', 's^2', 0.25, step=1.0),)
     settings = (Parameter('gnss.lag_per_acceleration', 0.0, 's^2', 'A receiver that smooths its positions: by how much '
                           'they stay behind, m for each m/s^2 that lasts, beside gnss.time_offset; the square of its '
                           'time constant.', minimum=-10.0,

@@ -5,7 +5,7 @@ run's position is moved there by the lever arm. Trajectories are never aligned t
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -33,19 +33,21 @@ class Truth:
     """What errors are measured against.
 
     reference: positions of the point `lever_arm` (3,) m from the IMU, body axes forward-right-down. variance (m,): of
-    its north and of its east position, m^2 (0: taken as exact). source: in words.
+    its north and of its east position, m^2 (0: taken as exact). source: in words. behind: whether it is what the
+    receiver said, which may smooth: that the filter knows by how much is no error of it.
     """
 
     reference: Reference
     lever_arm: np.ndarray
     variance: np.ndarray
     source: str
+    behind: bool = False
 
     def __len__(self) -> int:
         return len(self.reference)
 
     def select(self, index) -> Truth:
-        return Truth(self.reference.select(index), self.lever_arm, self.variance[index], self.source)
+        return replace(self, reference=self.reference.select(index), variance=self.variance[index])
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,8 @@ def position_errors(run: Run, truth: Truth, turning: np.ndarray, longest_gap: fl
     north = (latitude - reference.latitude) * (meridian + reference.height) + arm_n
     east = (wrap(longitude - reference.longitude) * (prime_vertical + reference.height) * np.cos(reference.latitude)
             + arm_e)
+    if truth.behind:
+        north, east = north - at(run.behind[:, 0]), east - at(run.behind[:, 1])
     heading = yaw if reference.yaw is None else reference.yaw
     cos, sin = np.cos(heading), np.sin(heading)
     p_nn, p_ee, p_ne = at(run.sigma[:, 0])**2, at(run.sigma[:, 1])**2, at(run.covariance_ne)
@@ -177,7 +181,7 @@ def truth_from_fixes(fixes: Fixes, lever_arm, time_offset: float, source: str) -
     variance = 0.5 * (fixes.covariance[:, 0, 0] + fixes.covariance[:, 1, 1])
     known = (fixes.covariance_type > 0) & np.isfinite(variance) & (variance > 0)
     return Truth(Reference(fixes.stamp - round(time_offset * 1e9), fixes.latitude, fixes.longitude, fixes.height),
-                 np.asarray(lever_arm, dtype=float), np.where(known, variance, 0.0), source)
+                 np.asarray(lever_arm, dtype=float), np.where(known, variance, 0.0), source, behind=True)
 
 
 def rms(values) -> float:

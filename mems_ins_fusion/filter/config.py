@@ -79,6 +79,11 @@ class GnssSettings:
         whose lag is its square; or of a low pass of tau s, lag -tau^2 / 2, which is tau / 3, right to third order."""
         return math.sqrt(self.lag if self.lag >= 0.0 else -2.0 * self.lag / 9.0)
 
+    @property
+    def lag_gain(self) -> float:
+        """By how much a fix stays behind for each m/s that the receiver's filter has not followed, s."""
+        return self.lag / self.lag_time if self.lag else 0.0
+
 
 @dataclass(frozen=True)
 class SensorSettings:
@@ -237,7 +242,7 @@ class FilterConfig:
             Head.GYROSCOPE_INTERVAL: self.models[-1].interval if autoregressive else 0,
             Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: gnss.max_delay, Head.ROBUST_SIGMA: gnss.robust_sigma,
             Head.GATE: gnss.gate, Head.RECOVERY_TIME: gnss.recovery_time, Head.ADAPT: gnss.adapt_sigma,
-            Head.LAG: gnss.lag, Head.LAG_TIME: gnss.lag_time, Head.COVARIANCE_FACTOR: gnss.adapt_covariance,
+            Head.LAG_GAIN: gnss.lag_gain, Head.LAG_TIME: gnss.lag_time, Head.COVARIANCE_FACTOR: gnss.adapt_covariance,
             Head.ADAPT_DRIFT: vehicle.learn_drift,
             Head.LEVER_X: gnss.lever_arm[0], Head.LEVER_Y: gnss.lever_arm[1], Head.LEVER_Z: gnss.lever_arm[2],
             Head.AXLE_X: vehicle.axle[0], Head.AXLE_Y: vehicle.axle[1], Head.AXLE_Z: vehicle.axle[2],

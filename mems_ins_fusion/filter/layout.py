@@ -302,7 +302,7 @@ class _Head(NamedTuple):
     AXLE: int = 18
     SPEED_SCALE: int = 19
     TIME_OFFSET: int = 132  # of the receiver's stamps, beyond gnss.time_offset
-    LAG: int = 135  # s^2: by how much a fix stays behind for each m/s^2 that lasts
+    LAG_GAIN: int = 135  # s: by how much a fix stays behind for each m/s that the receiver's filter has not followed
     ACCELEROMETER_INTERVAL: int = 20  # s, of the autoregressive model; 0: another model
     GYROSCOPE_INTERVAL: int = 21
     MAX_GAP: int = 22

@@ -14,9 +14,9 @@ from .layout import NAV, PLANAR, Event, Kind, Nav, StateLayout, Verdict, covaria
 from .odometry import besides, corrected
 from .start import Start
 
-#: besides solution and covariance: what makes metres of angles, and of P what is published
+#: besides solution and covariance: what makes metres of angles, and of P what is published; what a receiver lacks
 _SCALES = (Nav.NORTH_SCALE, Nav.EAST_SCALE, Nav.VARIANCE_FACTOR, Nav.LASTING, Nav.FIX_TIME,
-           *range(Nav.DRAWN_N, Nav.LEFT_E + 1))
+           *range(Nav.DRAWN_N, Nav.LEFT_E + 1), Nav.UNFOLLOWED, Nav.UNFOLLOWED + 1)
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,8 @@ class Run:
     stamp (k,) ns. index (k,): of each in the `ImuSamples` given. latitude, longitude (k,) rad, height (k,) m, velocity
     (k, 3) m/s in `n`, roll, pitch, yaw (k,) rad. sensor_errors (k, channels): estimates. sigma (k, n): square roots of
     the covariance's diagonal, in the order of `config.layout.names`. extras (k, e): the optional states. covariance_ne
-    (k,): of north and east position error, m^2. memory: the kernel's memory at the end. filter_seconds: CPU time of the
+    (k,): of north and east position error, m^2. behind (k, 2): m north and east, by which a receiver that smooths
+    (gnss.lag_per_acceleration) has not followed. memory: the kernel's memory at the end. filter_seconds: CPU time of the
     filter alone.
     """
 
@@ -85,6 +86,7 @@ class Run:
     sigma: np.ndarray
     extras: np.ndarray
     covariance_ne: np.ndarray
+    behind: np.ndarray
     innovations: Innovations
     measured: Measured
     start: Start | None
@@ -95,7 +97,7 @@ class Run:
     def states(self, index) -> Run:
         """The run at some of its samples; index: a slice or positions."""
         names = ('stamp', 'index', 'latitude', 'longitude', 'height', 'velocity', 'roll', 'pitch', 'yaw',
-                 'sensor_errors', 'sigma', 'extras', 'covariance_ne')
+                 'sensor_errors', 'sigma', 'extras', 'covariance_ne', 'behind')
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         return Run(**{**values, **{name: values[name][index] for name in names}})
 
@@ -125,7 +127,9 @@ def result(config: FilterConfig, stamp, index, states, measured: Measured, **mor
                height=solution[:, 2], velocity=solution[:, 3:6], roll=solution[:, 6], pitch=solution[:, 7],
                yaw=solution[:, 8], sensor_errors=x[:, first:first + layout.n_sensor:p],
                sigma=np.sqrt(variances[:, :-1]), extras=x[:, first + layout.n_sensor:],
-               covariance_ne=variances[:, -1], innovations=_innovations(measured), measured=measured, **more)
+               covariance_ne=variances[:, -1],
+               behind=config.gnss.lag_gain * rows[:, [Nav.UNFOLLOWED, Nav.UNFOLLOWED + 1]],
+               innovations=_innovations(measured), measured=measured, **more)
 
 
 @njit

@@ -24,11 +24,10 @@ def arm_in_level(mem, c):
 def difference(mem, r, at, c):
     """Predicted minus measured position of the antenna, north, east and down, m; c: rotation from b to n."""
     north, east, down = arm_in_level(mem, c)
-    if mem[Head.LAG_TIME] > 0.0:  # a receiver that smooths stays behind
-        behind = mem[Head.LAG] / mem[Head.LAG_TIME]
-        north -= behind * mem[r + Nav.UNFOLLOWED]
-        east -= behind * mem[r + Nav.UNFOLLOWED + 1]
-        down -= behind * mem[r + Nav.UNFOLLOWED + 2]
+    behind = mem[Head.LAG_GAIN]  # a receiver that smooths
+    north -= behind * mem[r + Nav.UNFOLLOWED]
+    east -= behind * mem[r + Nav.UNFOLLOWED + 1]
+    down -= behind * mem[r + Nav.UNFOLLOWED + 2]
     return ((mem[r + Nav.LATITUDE] - mem[at + Event.LATITUDE]) / mem[r + Nav.NORTH_SCALE] + north,
             (mem[r + Nav.LONGITUDE] - mem[at + Event.LONGITUDE]) / mem[r + Nav.EAST_SCALE] + east,
             mem[at + Event.HEIGHT] - mem[r + Nav.HEIGHT] + down)
