@@ -16,7 +16,7 @@ from .findings import Diagnosis, Finding
 from .fit import Model
 from .held_out import HeldOut
 from .judgement import compared, harm, unproven
-from .levels import choose, multiplied
+from .levels import WORTH, choose, multiplied, predictions
 from .measured import Measured, saved
 from .noise import LARGEST_FACTOR
 from .parts import parts, which_part
@@ -120,7 +120,9 @@ def _settled(known: Known, first: Known, fitted: Correction, configured: Correct
             continue
         errors = bench.errors(option.by_part)
         worse = unproven(compared(first.errors, errors), option.effects)
-        if not worse and _merit(errors) > _merit(first.errors):
+        # what effects are proven by is the likelihood of held-out data; their predictions need not be better by chance
+        chance = WORTH / predictions(errors) if option.effects else 0.0
+        if not worse and _merit(errors) > _merit(first.errors) - chance:
             proven.append((_merit(errors), option))
         elif option.effects:
             against = worse or 'positions are predicted less well with it'

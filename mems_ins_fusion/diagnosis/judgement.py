@@ -13,7 +13,7 @@ from .measured import Measured, fairly
 GROWN, NOTICED, LARGER = 0.03, 0.1, 1.1
 #: such a growth is one with a proven effect, too, if chance gives it more rarely than this; where there are too few
 #: outages to say, if it is larger than this part over the root of their number
-LIKELY, SCATTER = 0.2, 0.5
+LIKELY, SCATTER = 0.05, 0.5
 #: errors that are this part of those before have shrunk plainly; noise levels alone are better from this part on
 PLAINLY, BETTER = 0.7, 0.9
 #: fewer outages do not prove noise levels
@@ -114,13 +114,16 @@ def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
     if not (proof.helps or (proof.gain > 0 and shrinks)):
         what = 'too small a gain' if proof.gain > 0 else 'no gain'
         return f'{what} on data it was not fitted to (log likelihood {proof.gain:+.1f}, p {proof.p:.2g})'
-    return _larger(comparison)
+    return _larger(comparison, settled)
 
 
-def _larger(comparison: Sequence[dict]) -> str:
-    """An objection to errors that are larger all in all; empty where they are not."""
+def _larger(comparison: Sequence[dict], settled: bool = False) -> str:
+    """An objection to errors that are larger all in all; empty where they are not.
+
+    settled: what is new is certain, and errors of a few dozen outages scatter by as much as LARGER.
+    """
     change = all_in_all(comparison)
-    if change <= 1 + GROWN or (change <= LARGER and honest(of_all(comparison))):
+    if change <= 1 + GROWN or (change <= LARGER and (settled or honest(of_all(comparison)))):
         return ''
     return f'the error does not shrink: all in all it is {change:.2f} times that before'
 

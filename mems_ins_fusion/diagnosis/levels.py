@@ -20,8 +20,10 @@ STEP = float(np.sqrt(10.0))
 WORTH = 3.0
 #: times that all levels are gone through
 SWEEPS = 2
-#: a constraint is no better or worse than configured by more steps; sensors up to LARGEST_FACTOR
-MOST_STEPS = {'vehicle.non_holonomic_sigma': 1}
+#: sensors are better or worse by LARGEST_FACTOR at most, in steps; a constraint's sigma is a bound for every road: one
+#: drive that kept to it more closely says nothing of the next
+MOST_STEPS = round(np.log(LARGEST_FACTOR) / np.log(STEP))
+STEPS = {'vehicle.non_holonomic_sigma': (0, 1)}
 
 
 @dataclass(frozen=True)
@@ -67,12 +69,9 @@ def choose(values: dict, errors: Callable[[Sequence[dict]], list[Measured]], par
         new = [p for p in dict.fromkeys(points) if p not in tried]
         found = errors([multiplied(values, _factors(names, p), claimed) for p in new])
         for point, measured in zip(new, found):
-            # what begins with the same fix goes together, however long it lasts
-            predictions = max([1, *(o.apart for o in measured.outages)])
-            tried[point] = _merit(measured, part_of, count) - WORTH * np.abs(point).sum() / predictions
+            tried[point] = _merit(measured, part_of, count) - WORTH * np.abs(point).sum() / predictions(measured)
         return [tried[p][-1] for p in points]
 
-    most = round(np.log(LARGEST_FACTOR) / np.log(STEP))
     begins = [tuple(0 for _ in names)]
     if start:
         begins.append(tuple(round(np.log(start.get(name, 1.0)) / np.log(STEP)) for name in names))
@@ -81,7 +80,7 @@ def choose(values: dict, errors: Callable[[Sequence[dict]], list[Measured]], par
     for _ in range(SWEEPS):
         before = best
         for i in range(len(names)):
-            best = _along(best, i, MOST_STEPS.get(names[i], most), merits, tried)
+            best = _along(best, i, STEPS.get(names[i], (-MOST_STEPS, MOST_STEPS)), merits, tried)
         if best == before:
             break
     points = list(tried)
@@ -90,14 +89,14 @@ def choose(values: dict, errors: Callable[[Sequence[dict]], list[Measured]], par
     return Levels(_factors(names, chosen[-1]), [_factors(names, p) for p in chosen[:-1]])
 
 
-def _along(best, i, limit: int, merits, tried):
-    """The best point on the line through `best` along axis i: steps as long as they help, up or down, to `limit`."""
+def _along(best, i, limits: tuple[int, int], merits, tried):
+    """The best point on the line through `best` along axis i: steps as long as they help, up or down, to `limits`."""
 
     def moved(by):
         return (*best[:i], best[i] + by, *best[i + 1:])
 
     def allowed(by):
-        return abs(best[i] + by) <= limit
+        return limits[0] <= best[i] + by <= limits[1]
 
     steps = [by for by in (1, -1) if allowed(by)]
     found = merits([moved(by) for by in steps])
@@ -109,6 +108,11 @@ def _along(best, i, limit: int, merits, tried):
     while allowed(by) and merits([moved(by)])[0] > tried[best][-1]:
         best = moved(by)
     return best
+
+
+def predictions(measured: Measured) -> int:
+    """How many predictions stand alone: outages that begin with the same fix go together, however long they last."""
+    return max([1, *(o.apart for o in measured.outages)])
 
 
 def _factors(names, point) -> dict[str, float]:
