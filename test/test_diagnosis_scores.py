@@ -256,13 +256,16 @@ def test_what_speaks_against_an_effect():
     # nothing measured is no objection either
     assert objection(sure, []) == objection(sure, [{'what': 'outages of 60 s', 'count': 0, 'decides': True}]) == ''
     assert objection(sure, [better, worse]).startswith('the error grows: outages of 30 s, mean largest error in m, 10')
-    assert 'all in all it is 1.07 times' in objection(sure, [row(4.0, 4.3)])
+    # what is certain may grow by what a few dozen outages scatter by, what is likely may not
+    likely, little = HeldOut(20.0, 0.1, []), HeldOut(10.0, 0.1, [])
+    assert objection(sure, [row(4.0, 4.3)]) == '' and 'all in all it is 1.15 times' in objection(sure, [row(4.0, 4.6)])
+    assert 'all in all it is 1.07 times' in objection(likely, [row(4.0, 4.3)])
     # the same error is none where the ellipse comes to hold it, a larger one is
-    assert objection(sure, [row(4.0, 4.3, within=(0.6, 0.8))]) == ''
-    assert objection(sure, [row(4.0, 4.3, within=(0.6, 0.61))]) and objection(sure, [row(1.0, 1.3, within=(0.6, 0.9))])
+    assert objection(likely, [row(4.0, 4.3, within=(0.6, 0.8))]) == ''
+    assert objection(likely, [row(4.0, 4.3, within=(0.6, 0.61))])
+    assert objection(sure, [row(1.0, 1.3, within=(0.6, 0.9))])
     # nor does an ellipse speak against an error that is plainly smaller: that is a matter of noise levels
     assert objection(sure, [row(4.0, 1.5, within=(0.97, 0.74))]) == ''
-    likely, little = HeldOut(20.0, 0.1, []), HeldOut(10.0, 0.1, [])
     assert 'ellipse' in objection(likely, [row(4.0, 3.2, within=(0.97, 0.74))])
     # nor against an effect that is certain
     assert objection(sure, [row(4.0, 3.2, within=(0.97, 0.74))]) == ''
@@ -320,8 +323,8 @@ def test_outages_apart_are_counted():
 
 
 def test_an_effect_that_the_likelihood_has_proven_may_scatter_as_few_outages_do():
-    # given errors that are larger by a seventh, which chance gives in two of five cases, in one of ten, in one of 200
-    for p, harmed in ((0.4, False), (0.1, True), (0.005, True)):
+    # given errors that are larger by a seventh, which chance gives in two of five cases, in one of ten, in one of 50
+    for p, harmed in ((0.4, False), (0.1, False), (0.02, True)):
         assert harm([row(30.0, 34.0, p)]) and bool(harm([row(30.0, 34.0, p)], effects=True)) == harmed
         tails = row(30.0, 30.0, rms=(50.0, 60.0)) | {'rms_p': p}
         assert harm([tails]) and bool(harm([tails], effects=True)) == harmed
@@ -393,6 +396,16 @@ def test_sensors_may_be_a_tenth_as_noisy_as_configured():
                    1.0)
     # then less than a tenth is not believed
     assert found.factors['gyroscope.gauss_markov.sigma'] == pytest.approx(0.1)
+
+
+def test_a_constraint_is_never_stricter_than_configured():
+    # given a drive that keeps to its lane three times as closely as the constraint asks
+    def likelihood(configuration):
+        k = np.log10(configuration['vehicle.non_holonomic_sigma'] / table.defaults()['vehicle.non_holonomic_sigma'])
+        return lambda stamp: 0.0 * stamp - 12 * (k + 0.5) ** 2
+    found = choose(table.defaults(), lambda all_of: [measured_with(likelihood(v)) for v in all_of],
+                   lambda stamp: stamp // 10, 4, 1.0)
+    assert set(found.factors.values()) == {1.0}
 
 
 def test_a_level_that_makes_no_difference_stays_as_configured():
