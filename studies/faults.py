@@ -4,9 +4,9 @@
 
 Each fault begins at 200 s of a drive of 360 s (100 Hz, fixes of 1.5 m each second, simulation/scene.py REALISTIC). The
 table holds the largest error from its begin to its end, the error 20 s after its end (RMS of 5 s, over all seeds)
-beside that of the same filter without the fault and of one that coasts: it has no fixes while a fault of theirs lasts, or
-is told of each sample of a faulty IMU that it is wrong. Then how often the 95 % ellipse held the truth from the begin to
-60 s after the end, and what was said. The figure shows the error of the first
+beside that of the same filter without the fault and of one that coasts: it has no fixes while a fault of theirs lasts,
+or is told of each sample of a faulty IMU that it is wrong. Then how often the 95 % ellipse held the truth from the
+begin to 60 s after the end, and what was said. The figure shows the error of the first
 seed over time, for each fault, and how large the 95 % ellipse was in its direction.
 """
 from __future__ import annotations

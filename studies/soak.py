@@ -4,7 +4,8 @@
 
 One realistic simulated drive of that many hours (100 Hz, fixes of 1.5 m each second, parameters at their defaults), one
 filter from its begin to its end. Every 2 to 8 minutes comes a fault of studies/faults.py, or one of those below, for as
-long as it lasts there; one of them is a restart of the node while it drives, with the snapshot that the filter left. The table says for each hour what the error was (m) away from faults (from 60 s after the end of each) and at all,
+long as it lasts there; one of them is a restart of the node while it drives, with the snapshot that the filter left.
+The table says for each hour what the error was (m) away from faults (from 60 s after the end of each) and at all,
 how often the 95 % ellipse held the truth, how often the filter began anew, and how much the memory of the process has
 grown since the first hour began.
 """
@@ -54,7 +55,7 @@ DRAWN = tuple(fault for fault in FAULTS if fault.name != 'nothing') + MORE
 
 
 def stretches(recording: Recording, rng) -> Iterator[tuple[Recording, int, int, Fault]]:
-    """The recording in parts with one fault each, drawn at random: the part, begin and end (ns) of the fault, and it."""
+    """The recording in parts with one fault each, drawn at random: the part, the fault's begin and end (ns), and it."""
     imu, gnss, truth = recording.imu, recording.gnss, recording.reference
     begin, time = int(imu.stamp[0]), int(imu.stamp[0]) + 60 * SECOND
     while True:
@@ -153,8 +154,8 @@ def main() -> None:
     options = parser.parse_args()
     rng = np.random.default_rng(options.seed)
     fusion = FusionFilter(FilterConfig.from_parameters(table.defaults()))
-    lines = ['| hour | faults | RMSE away from faults, m | largest | largest at all, m | in 95 % | during faults and 60 s '
-             'after | without an estimate, s | began anew | memory grown, MB |', '|' + '---|' * 10]
+    lines = ['| hour | faults | RMSE away from faults, m | largest | largest at all, m | in 95 % | during faults and '
+             '60 s after | without an estimate, s | began anew | memory grown, MB |', '|' + '---|' * 10]
     print(*lines, sep='\n', flush=True)
     recording = simulated(options.seed, 60.0 * options.hours, FIXES['1.5 m'])
     first, lost, hour, number, memory = int(recording.imu.stamp[0]), 0, Hour(), 1, 0.0
@@ -162,7 +163,7 @@ def main() -> None:
         drive(fusion, part, begin if fault is RESTART else None, begin, hour)
         hour.faults += 1
         memory = memory or megabytes()
-        if part.imu.stamp[-1] - first < min(number, options.hours - 0.2) * 3600 * SECOND:  # there is no fault at the end
+        if part.imu.stamp[-1] - first < min(number, options.hours - 0.2) * 3600 * SECOND:  # no fault at the end
             continue
         line, away = row(number, hour, memory)
         lines.append(line)

@@ -309,7 +309,8 @@ def _use_parameters(values: dict) -> None:
 #: options of each tool, each with values that it takes: a part of the command lines is to be carried out
 _OPTIONS = {
     'simulate': {'--duration': '3|0.5', '--rate': '20|200', '--seed': '0|7', '--gnss-rate': '1|5',
-                 '--gnss-sigma': '0|3', '--gnss-latency': '0|0.4', '--reference-rate': '1|20', '--standstill': '0|2', '--outage': '1:2|0:9',
+                 '--gnss-sigma': '0|3', '--gnss-latency': '0|0.4', '--reference-rate': '1|20', '--standstill': '0|2',
+                 '--outage': '1:2|0:9',
                  '--effect': 'tilt=1|gnss_time_offset=0.2|gyroscope_scale.z=0.01', '--storage': 'mcap|sqlite3',
                  '--model': 'random_walk|autoregressive', '--params-file': 'good.yaml', '--static': '',
                  '--drive': 'realistic|flat', '--gnss-outliers': '0.5|1', '--gnss-smoothing': '0|2', '--aiding': '',

@@ -263,7 +263,7 @@ def test_a_recording_that_is_too_short_says_what_is_needed(duration, needed):
 @pytest.mark.parametrize('wrong', [{}, {'gyroscope.noise_density': [2e-3], 'accelerometer.noise_density': [1e-3],
                                         'gnss.sigma': 2.0}])
 def test_an_offset_and_a_mount_that_is_turned_are_found_together(wrong):
-    # given fixes 0.6 s late, an IMU turned by 7 deg, and the settings of the README, also with noise levels that are off
+    # given fixes 0.6 s late, an IMU turned by 7 deg, and the settings of the README, or noise levels that are off
     drive = simulate_drive(DURATION, 3, RATE)
     sensors = SensorErrors.from_parameters(VALUES, 'gauss_markov')
     effects = [(EFFECTS['gnss_time_offset'], {'time_offset': 0.6}),

@@ -364,7 +364,8 @@ def test_fixes_that_are_off_alone_are_told_from_a_lasting_misfit():
 def measured_with(score):
     """A `Measured` as the search of noise levels sees it: 40 outages whose predictions have this likelihood."""
     stamp = np.arange(40)
-    return SimpleNamespace(outages=[SimpleNamespace(begin=stamp, apart=len(stamp))], scores=lambda: [(stamp, score(stamp))])
+    outages = SimpleNamespace(begin=stamp, apart=len(stamp))
+    return SimpleNamespace(outages=[outages], scores=lambda: [(stamp, score(stamp))])
 
 
 def test_noise_levels_are_chosen_by_predictions_of_parts_that_do_not_judge_them():

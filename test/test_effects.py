@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lsim
 from filter_support import PAPER, configure
+from scipy.signal import lsim
 
 from mems_ins_fusion.diagnosis.problem import averaged
 from mems_ins_fusion.effects.gnss_outliers import far_off

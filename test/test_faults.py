@@ -13,8 +13,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'studies'))
 from faults import FAULTS, judged  # noqa: E402
 
 SEED = 2001
-#: quiet ones: a claim of sigma is not refused but outgrown, a height is refused alone, a frozen IMU may be at rest, fewer
-#: samples and later fixes are no fault to speak of
+#: quiet ones: a claim of sigma is not refused but outgrown, a height is refused alone, a frozen IMU may be at rest,
+#: fewer samples and later fixes are no fault to speak of
 UNSAID = {'nothing', 'claimed sigma a tenth of the true one', 'altitude 1000 m off for 10 s', 'IMU frozen for 5 s',
           'altitude 300 m more for 20 s', 'claimed covariance a millionth for 20 s',
           'claimed covariance a million times for 20 s', 'gyroscope z stuck for 10 s', 'accelerometer x stuck for 10 s',

@@ -126,7 +126,7 @@ def test_one_that_fits_loosens_nothing(mechanization):
 
 @BOTH
 def test_what_is_published_holds_both_sides_of_a_dispute(mechanization):
-    # given a state that fixes have drawn by 6 m and 1 m/s to the east, until 3 s ago, and that they want 4 m further north
+    # given a state that fixes have drawn by 6 m and 1 m/s to the east, until 3 s ago, and want 4 m further north
     config, memory, r = a_state(mechanization)
     memory[r + Nav.TIME], memory[r + Nav.FIX_TIME] = 13.0, 10.0
     memory[r + Nav.DRAWN_E], memory[r + Nav.DRAWN_V_E], memory[r + Nav.LEFT_N] = 6.0, 1.0, 4.0
@@ -220,7 +220,8 @@ def test_fixes_that_drift_away_widen_what_is_published(mechanization):
     assert (np.abs(error[later, 0]) < 2.45 * sigma[later, 0] + 2.0).mean() > 0.9
 
 
-@pytest.mark.parametrize('heading_sigma, since_fix, is_applied', [(0.3, 1.0, True), (0.7, 1.0, False), (0.7, 20.0, True)])
+@pytest.mark.parametrize('heading_sigma, since_fix, is_applied',
+                         [(0.3, 1.0, True), (0.7, 1.0, False), (0.7, 20.0, True)])
 @BOTH
 def test_no_constraint_on_an_unknown_heading_that_fixes_will_find(mechanization, heading_sigma, since_fix, is_applied):
     # given a vehicle in motion, its heading more or less known, the last fix some time ago

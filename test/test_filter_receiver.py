@@ -292,7 +292,8 @@ def published(config, memory, **columns_of_row):
 @BOTH
 def test_the_factor_is_in_all_that_is_published(mechanization):
     config, memory, _, _ = Receiver(30.0).through(mechanization=mechanization, **{'gnss.adapt_covariance': True})
-    nothing_besides = dict.fromkeys(('LASTING', 'DRAWN_N', 'DRAWN_E', 'DRAWN_V_N', 'DRAWN_V_E', 'LEFT_N', 'LEFT_E'), 0.0)
+    nothing_besides = dict.fromkeys(
+        ('LASTING', 'DRAWN_N', 'DRAWN_E', 'DRAWN_V_N', 'DRAWN_V_E', 'LEFT_N', 'LEFT_E'), 0.0)
     for one, four in zip(published(config, memory, VARIANCE_FACTOR=1.0, **nothing_besides),
                          published(config, memory, VARIANCE_FACTOR=4.0)):
         np.testing.assert_allclose(four, 4.0 * one, rtol=1e-9)

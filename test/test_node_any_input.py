@@ -128,7 +128,8 @@ def assert_covariance(p):
 
 
 @settings(derandomize=True, max_examples=60, deadline=None, database=None,
-          phases=[Phase.explicit, Phase.generate], suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+          phases=[Phase.explicit, Phase.generate],
+          suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(events, st.sampled_from([{}, {'mechanization': 'planar'}, {'sensor_error_model': 'random_walk'}]))
 def test_nothing_that_comes_makes_the_filter_raise_or_lose_itself(drawn, values):
     fed = Fed(values)

@@ -149,7 +149,8 @@ def test_a_restart_where_it_stood_takes_heading_and_sensor_errors(before):
     # what the standstill does not show is what it was, with less certainty: the IMU may have been off
     assert state['mounting_pitch'][0] == pytest.approx(0.02, abs=1e-3)
     assert state['f_x'][0] + 0.0 == pytest.approx(0.1, abs=0.02)
-    assert 1e-3 < state['f_x'][1] < drive_state(restarted({**before, 'errors': {**before['errors'], 'names': []}})[0])['f_x'][1]
+    nothing_learned = {**before, 'errors': {**before['errors'], 'names': []}}
+    assert 1e-3 < state['f_x'][1] < drive_state(restarted(nothing_learned)[0])['f_x'][1]
 
 
 def test_the_attitude_of_a_restart_knows_the_accelerometers_error(before):
@@ -226,7 +227,8 @@ def test_parameters_that_change_while_it_runs_reach_the_filter():
     feed(fusion, imu, fixes)
     fusion.set_start(*HERE, 1.0, np.diag([1.0, 1.0, 4.0, 0.01]))
     states = fusion.config.layout.names
-    fusion.adopt(fusion.changed({'gnss.robust_sigma': 5.0, 'gnss.gate_probability': 1.0, 'vehicle.non_holonomic': False}))
+    fusion.adopt(fusion.changed({'gnss.robust_sigma': 5.0, 'gnss.gate_probability': 1.0,
+                                 'vehicle.non_holonomic': False}))
     assert fusion._memory[Head.ROBUST_SIGMA] == 5.0 and fusion._memory[Head.GATE] == 0.0
     assert fusion._memory[Head.LATERAL_SIGMA] == 0.0 and fusion.config.layout.names == states
     fusion.adopt(fusion.changed({'gnss.recovery_time': 7.0}))  # and another one after it

@@ -55,7 +55,8 @@ class FusionNode(Node):
 
     def __init__(self, argv: list[str], stop: Stop):
         super().__init__(NAME)
-        self._values = values = declare(self, argv, (*FILTER, *FUSION), changeable=frozenset({*CHANGEABLE, 'odometry_rate'}))
+        changeable = frozenset({*CHANGEABLE, 'odometry_rate'})
+        self._values = values = declare(self, argv, (*FILTER, *FUSION), changeable=changeable)
         check_together(values, self.resolve_topic_name)
         if values['publish_tf']:
             tf_message()  # what is missing is said before anything takes time

@@ -21,9 +21,9 @@ _SECOND = 10**9  # ns
 class MountingCheck:
     """Collects samples and fixes, SI units in sensor axes, and looks at them now and then until LOOKS are through.
 
-    add_sample and add_fix are lists' own `append`: stamp (ns), specific force and angular rate; stamp, latitude, longitude
-    (rad), height (m), nine of the covariance (m^2), status, covariance type. max_force, max_rate: beyond them a sample is
-    not believed, m/s^2 and rad/s.
+    add_sample and add_fix are lists' own `append`: stamp (ns), specific force and angular rate; stamp, latitude,
+    longitude (rad), height (m), nine of the covariance (m^2), status, covariance type. max_force, max_rate: beyond them
+    a sample is not believed, m/s^2 and rad/s.
     """
 
     def __init__(self, mounting_rpy: Sequence[float], time_offset: float, max_force: float, max_rate: float):
@@ -51,7 +51,7 @@ class MountingCheck:
         self._first = None
 
     def look(self) -> tuple[str, str] | None:
-        """Take in what has come; where it was time for a look that has found something, ('error' or 'warning', text)."""
+        """Take in what has come; where a look was due and has found something, ('error' or 'warning', text)."""
         if self.done:
             self._samples.clear()
             return None
