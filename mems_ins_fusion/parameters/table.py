@@ -235,8 +235,8 @@ REPLAY = (
               'withheld fixes are the truth.'),
     Parameter('reference_clock', 'auto', 'text', 'Whose clock the reference is stamped by, for a diagnosis: that of '
               'the imu, that of the gnss receiver (gnss.time_offset applies to it, too), its own; auto: the '
-              'receiver\'s where both say the same at the same time, else the IMU\'s as long as that agrees with what is '
-              'found.',
+              'receiver\'s where both say the same at the same time, else the IMU\'s as long as that agrees with what '
+              'is found.',
               choices=('auto', 'imu', 'gnss', 'own')),
     Parameter('reference_lever_arm', [], 'm', 'From the IMU to the point whose position the reference is, base_link '
               '(forward-left-up); empty: the antenna, gnss.lever_arm.', lengths=(0, 3), minimum=-50.0, maximum=50.0),
