@@ -322,6 +322,23 @@ def test_outages_apart_are_counted():
     assert next(r for r in compared(*[overlapping(10.0, 20.0, 36)] * 2) if 'outages' in r['what'])['apart'] == 36
 
 
+def test_a_prediction_is_not_better_than_the_fix_it_is_judged_by():
+    # given a filter that is right to a decimetre, and outages at whose end a fix of 1.5 m says where the vehicle is
+    rng, count = np.random.default_rng(8), 300
+    one = overlapping(10.0, 20.0, count)
+    off = 1.5 * rng.standard_normal((count, 2))
+
+    def merit(sigma):
+        end = dict.fromkeys(Errors.__dataclass_fields__, np.zeros(1))
+        errors = [Errors(**end | {'north': n, 'east': e, 'variance': np.array([sigma**2 + 1.5**2])})
+                  for n, e in off[:, :, None]]
+        found = replace(one, outages=[replace(one.outages[0], errors=errors)])
+        return found.scores()[1][1].mean()
+    # then who says so predicts as well as can be: the entropy of the fix, and worse who says a metre
+    assert merit(0.1) == pytest.approx(-2 * np.log(1.5) - 1.0, abs=0.1)
+    assert merit(0.1) > merit(1.0) > merit(3.0)
+
+
 def test_an_effect_that_the_likelihood_has_proven_may_scatter_as_few_outages_do():
     # given errors that are larger by a seventh, which chance gives in two of five cases, in one of ten, in one of 50
     for p, harmed in ((0.4, False), (0.1, False), (0.02, True)):

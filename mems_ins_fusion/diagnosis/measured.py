@@ -66,9 +66,10 @@ class Measured:
 
 
 def _end_scores(outages: Outages) -> np.ndarray:
-    """Log likelihood of the error at the end of each outage, (o,): the covariance as that of a circle."""
+    """Log likelihood of the error at the end of each outage, (o,): the covariance as that of a circle, with that of the
+    truth, as fixes that are the truth err as well."""
     error = np.array([e.horizontal[-1] for e in outages.errors])
-    variance = np.maximum(0.5 * np.array([e.sigma[-1] for e in outages.errors]) ** 2, SMALLEST_ERROR**2)
+    variance = np.maximum([e.variance[-1] for e in outages.errors], SMALLEST_ERROR**2)
     return -0.5 * (2 * np.log(variance) + tempered(error**2 / variance, END_TAIL))
 
 

@@ -55,8 +55,9 @@ class Errors:
     """Errors of one run, (m,) each, at the epochs of the truth within the run.
 
     stamp: ns. north, east, along, cross: m, along and across the heading. sigma: m, the filter's horizontal standard
-    deviation, sqrt(P_nn + P_ee). nees: normalized error squared of the horizontal position. heading: rad, and speed:
-    m/s, NaN where the truth has none. turning: bool, in a manoeuvre.
+    deviation, sqrt(P_nn + P_ee). variance: m^2, expected of the error on each axis, the truth's own in it. nees:
+    normalized error squared of the horizontal position. heading: rad, and speed: m/s, NaN where the truth has none.
+    turning: bool, in a manoeuvre.
     """
 
     stamp: np.ndarray
@@ -65,6 +66,7 @@ class Errors:
     along: np.ndarray
     cross: np.ndarray
     sigma: np.ndarray
+    variance: np.ndarray
     nees: np.ndarray
     heading: np.ndarray
     speed: np.ndarray
@@ -105,7 +107,8 @@ def position_errors(run: Run, truth: Truth, turning: np.ndarray, longest_gap: fl
     missing = np.full(len(reference), np.nan)
     return Errors(
         stamp=reference.stamp, north=north, east=east, along=cos * north + sin * east, cross=cos * east - sin * north,
-        sigma=np.sqrt(p_nn + p_ee), nees=_nees(north, east, p_nn + truth.variance, p_ee + truth.variance, p_ne),
+        sigma=np.sqrt(p_nn + p_ee), variance=0.5 * (p_nn + p_ee) + truth.variance,
+        nees=_nees(north, east, p_nn + truth.variance, p_ee + truth.variance, p_ne),
         heading=missing if reference.yaw is None else wrap(yaw - reference.yaw),
         speed=missing if reference.velocity is None else
         np.hypot(at(run.velocity[:, 0]), at(run.velocity[:, 1])) - np.hypot(*reference.velocity.T[:2]),
