@@ -270,7 +270,8 @@ class Problem:
 def looked_through(values: dict) -> dict:
     """`values` for the filter that a diagnosis looks through: each fix believed as stated, nothing that adapts."""
     return {**values, 'gnss.sigma': 0.0, 'gnss.adapt_sigma': False, 'gnss.gate_probability': 1.0,
-            'gnss.robust_sigma': 0.0, 'gnss.time_offset_sigma': 0.0, 'vehicle.learn_drift': False}
+            'gnss.robust_sigma': 0.0, 'gnss.time_offset_sigma': 0.0, 'vehicle.learn_drift': False,
+            'imu.adapt_noise': False}
 
 
 def averaged(imu: ImuSamples, rate: float) -> ImuSamples:

@@ -46,6 +46,7 @@ class ImuSettings:
     restart_gap: float
     max_specific_force: float
     max_angular_rate: float
+    adapt_noise: bool
 
     @property
     def mounting(self) -> np.ndarray:
@@ -243,7 +244,7 @@ class FilterConfig:
             Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: gnss.max_delay, Head.ROBUST_SIGMA: gnss.robust_sigma,
             Head.GATE: gnss.gate, Head.RECOVERY_TIME: gnss.recovery_time, Head.ADAPT: gnss.adapt_sigma,
             Head.LAG_GAIN: gnss.lag_gain, Head.LAG_TIME: gnss.lag_time, Head.COVARIANCE_FACTOR: gnss.adapt_covariance,
-            Head.ADAPT_DRIFT: vehicle.learn_drift,
+            Head.ADAPT_DRIFT: vehicle.learn_drift, Head.ADAPT_NOISE: self.imu.adapt_noise,
             Head.LEVER_X: gnss.lever_arm[0], Head.LEVER_Y: gnss.lever_arm[1], Head.LEVER_Z: gnss.lever_arm[2],
             Head.AXLE_X: vehicle.axle[0], Head.AXLE_Y: vehicle.axle[1], Head.AXLE_Z: vehicle.axle[2],
             Head.CONSTRAINTS: vehicle.zero_velocity_sigma > 0 or vehicle.lateral_sigma > 0,
@@ -345,7 +346,9 @@ def _coloured(values: dict) -> GaussMarkov | None:
 def _imu(values: dict) -> ImuSettings:
     return ImuSettings(values['imu_topic'], values['temperature_topic'], tuple(values['imu.mounting_rpy']),
                        values['imu.max_gap'], values['imu.restart_gap'], values['imu.max_specific_force'],
-                       values['imu.max_angular_rate'])
+                       values['imu.max_angular_rate'],
+                       # the planar filter's white noise may hold the slopes
+                       values['imu.adapt_noise'] and values['mechanization'] == 'strapdown')
 
 
 def _gnss(values: dict) -> GnssSettings:

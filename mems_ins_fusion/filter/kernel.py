@@ -39,6 +39,7 @@ from .layout import (
 from .measurements.geometry import body_to_level
 from .prediction import predict
 from .standstill import is_still
+from .white_noise import show_noise
 
 #: what the answers to an event mean
 TAKEN, BEFORE_START, TOO_LATE = 0, 1, 2
@@ -138,6 +139,7 @@ def _take_sample(memory, samples, i):
         last = place(sample_at(memory, k - 1))
         for j in range(6):
             memory[sample + Sample.F_X + j] = 0.5 * (memory[sample + Sample.F_X + j] + memory[last + Sample.F_X + j])
+    show_noise(memory, k, dt)
     memory[sample + Sample.STILL] = 0.0
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
         bridged = memory[place(sample_at(memory, k - 1)) + Sample.FAULT] != Fault.NONE or dt > memory[Head.MAX_GAP]

@@ -356,7 +356,8 @@ class _Head(NamedTuple):
     ADAPT_DRIFT: int = 145  # whether the sensors' drift is learned from how their estimates move
     SLID: int = 146  # s in which a slide showed that the IMU misled the filter
     LAG_TIME: int = 147  # s: time constant of the receiver's filter; 0: it has none
-    SIZE: int = 148
+    ADAPT_NOISE: int = 148  # whether the sensors' white noise is what their samples show, where that is more
+    SIZE: int = 149
 
 
 Head = _Head()
@@ -378,7 +379,8 @@ class _Sample(NamedTuple):
     Z: int = 10  # its innovation, three
     S: int = 13  # and the variances of that, three
     COASTED: int = 16  # 1: not measured, but made so that the vehicle goes straight on
-    SIZE: int = 17
+    WHITE: int = 17  # noise density squared that the samples show lately, six
+    SIZE: int = 23
 
 
 Sample = _Sample()

@@ -17,6 +17,7 @@ from ..navigation import planar, strapdown
 from ..navigation.earth import gravity, radii
 from .imu_faults import LONGEST_WHIRL, Fault
 from .layout import NAV, PLANAR, Head, Nav, Sample, packed, place
+from .white_noise import density
 
 #: what a land vehicle may do unseen while the IMU is silent (one sigma): the covariance of a bridged gap
 GAP_ACCELERATION = 1.5  # m/s^2
@@ -404,7 +405,7 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
     h = 0.5 * dt
     for axis in range(3):
         k, q = place(dst + b + 9 * p * axis), place(u + 9 * axis)
-        white_f, white_w = mem[Head.SIZE + axis], mem[Head.SIZE + 3 + axis]
+        white_f, white_w = density(mem, sample, axis), density(mem, sample, 3 + axis)
         x, y, z = strapdown.column(c, axis)
         turned = h * (y * f_level[2] - z * f_level[1]), h * (z * f_level[0] - x * f_level[2]), h * (
             x * f_level[1] - y * f_level[0])

@@ -1,0 +1,52 @@
+"""The white noise that the samples of an IMU show themselves, where it is more than its parameters say.
+
+A vehicle shakes its IMU faster than many sample: what is not filtered out before the samples are taken is folded down,
+as white noise, and is in the integrals of the samples what the sensor's own noise is, often ten times as large. A motion
+that the samples do show is smooth from one to the next. So a high difference of samples in a row is noise: that of order
+n has `binomial(2 n, n)` times the variance of one sample, and that times the sampling interval is the noise density
+squared.
+"""
+from __future__ import annotations
+
+import math
+
+from mems_ins_fusion.compiled import njit
+
+from .layout import Head, Sample, place, sample_at
+
+#: s over which the squared differences are averaged: the noise changes with the road and the engine
+MEMORY = 3.0
+#: of the difference: a motion at a quarter of the sampling rate counts 2^n / binomial(2 n, n) of its variance
+ORDER = 6
+#: samples are evenly spaced where no interval is longer or shorter than the last by this factor
+EVEN = 1.5
+_WEIGHTS = tuple((-1) ** j * math.comb(ORDER, j) / math.sqrt(math.comb(2 * ORDER, ORDER)) for j in range(ORDER + 1))
+
+
+@njit(_nrt=False)
+def show_noise(mem, k, dt):
+    """Noise density squared of each axis, beside sample k, dt s after the one before it; what is known of that, where
+    one of those that the difference needs is missing or not believed."""
+    at, last = place(sample_at(mem, k)), place(sample_at(mem, k - 1))
+    for i in range(6):
+        mem[at + Sample.WHITE + i] = mem[last + Sample.WHITE + i]
+    if mem[Head.ADAPT_NOISE] == 0.0 or k <= ORDER:
+        return
+    for j in range(ORDER):
+        later, earlier = place(sample_at(mem, k - j)), place(sample_at(mem, k - j - 1))
+        interval = mem[later + Sample.TIME] - mem[earlier + Sample.TIME]
+        if mem[later + Sample.FAULT] != 0.0 or mem[earlier + Sample.FAULT] != 0.0 or (
+                interval > EVEN * dt or dt > EVEN * interval):
+            return
+    for i in range(6):
+        difference = 0.0
+        for j in range(ORDER + 1):
+            difference += _WEIGHTS[j] * mem[sample_at(mem, k - j) + Sample.F_X + i]
+        white = at + Sample.WHITE + i
+        mem[white] += min(dt / MEMORY, 1.0) * (dt * difference * difference - mem[white])
+
+
+@njit(_nrt=False)
+def density(mem, sample, axis):
+    """Noise density squared of an axis at the sample at `sample`: as assumed, or as it shows itself."""
+    return max(mem[Head.SIZE + axis], mem[sample + Sample.WHITE + axis])

@@ -1,0 +1,94 @@
+"""The white noise that samples show themselves: an IMU in a vehicle that shakes it, by plain formulas."""
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from filter_support import configure, started, take_all, take_sample
+
+from mems_ins_fusion.filter.layout import Head, Sample, covariance_index, sample_at
+from mems_ins_fusion.navigation.strapdown import State
+
+RATE = 20.0
+STRAPDOWN = {'mechanization': 'strapdown', 'imu.adapt_noise': True}
+#: rad/s/sqrt(Hz) and m/s^2/sqrt(Hz): assumed by the filter
+ASSUMED = {'gyroscope.noise_density': [3e-4], 'accelerometer.noise_density': [0.01]}
+
+
+def samples(seconds, gyroscope=0.0, accelerometer=0.0, motion=None, seed=0):
+    """(k, 7): a level vehicle at rest, white noise of these densities; motion(time) rad/s about the vertical axis."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(1, round(seconds * RATE) + 1) / RATE
+    noise = np.sqrt(RATE) * rng.standard_normal((len(time), 6))
+    values = noise * np.repeat([accelerometer, gyroscope], 3) + [0.0, 0.0, 9.81, 0.0, 0.0, 0.0]
+    if motion is not None:
+        values[:, 5] += motion(time)
+    return np.column_stack([time, values])
+
+
+def brisk(t):
+    return np.sin(np.pi * t)
+
+
+def shown(memory):
+    """Noise densities (6,) beside the newest sample."""
+    at = sample_at(memory, int(memory[Head.SAMPLES])) + Sample.WHITE
+    return np.sqrt(memory[at:at + 6])
+
+
+def after(rows, **values):
+    config = configure({**STRAPDOWN, **ASSUMED, **values})
+    memory = started(config, velocity=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0))
+    take_all(memory, rows, np.zeros((0, 23)), [0])
+    return config, memory
+
+
+def heading_variance(config, memory):
+    at = int(memory[Head.ROWS_AT]) + (int(memory[Head.SAMPLES]) % int(memory[Head.CAPACITY])) * int(memory[Head.WIDTH])
+    return memory[at + covariance_index(State.PHI_D, State.PHI_D, config.layout)]
+
+
+def test_white_noise_is_shown():
+    # given samples with ten and three times the noise that is assumed
+    found = [shown(after(samples(60.0, 3e-3, 0.03, seed=seed))[1]) for seed in range(8)]
+    # then that is what they show, on each axis
+    assert np.sqrt(np.mean(np.square(found), axis=0)) == pytest.approx([0.03] * 3 + [3e-3] * 3, rel=0.15)
+
+
+def test_a_motion_is_no_noise():
+    # given a vehicle that turns to and fro within a second, and in two
+    _, memory = after(samples(60.0, motion=lambda t: 0.3 * np.sin(2 * np.pi * t) + brisk(t)))
+    assert shown(memory)[5] < 1e-4
+
+
+@pytest.mark.parametrize(('real', 'factor'), [(3e-3, 100.0), (1e-4, 1.0)])
+def test_the_heading_is_as_uncertain_as_the_samples_make_it(real, factor):
+    # given a heading that is known at first, and no other error of the gyroscopes
+    exact = {'gyroscope.gauss_markov.sigma': [1e-9], 'gyroscope.initial_sigma': [1e-9]}
+    grown = {}
+    for adapts in (True, False):
+        config, memory = after(samples(100.0, real), **{**exact, 'imu.adapt_noise': adapts})
+        grown[adapts] = heading_variance(config, memory) - 1.0
+    # then its variance grows with the noise that there is, where that is more than assumed, and never with less
+    assert grown[False] == pytest.approx(100.0 * 3e-4**2, rel=0.01)
+    assert grown[True] == pytest.approx(factor * grown[False], rel=0.15)
+
+
+@pytest.mark.parametrize('spoil', ['lost', 'out of range'])
+def test_samples_that_are_missing_or_not_believed_show_nothing(spoil):
+    # given a motion that is smooth, in which samples are lost now and then, or replaced by what was before
+    rows = samples(60.0, motion=brisk)
+    hit = np.arange(len(rows)) % 45 == 20
+    if spoil == 'lost':
+        rows = rows[~hit]
+    else:
+        rows[hit, 6] = 1e3
+    # then the steps that this makes are no noise
+    assert shown(after(rows)[1])[5] < 1e-4
+
+
+def test_the_planar_filter_keeps_to_its_parameters():
+    config = configure({'mechanization': 'planar', 'imu.adapt_noise': True, **ASSUMED})
+    memory = started(config)
+    for row in samples(5.0, 3e-3):
+        take_sample(memory, *row)
+    assert not shown(memory).any()
