@@ -130,7 +130,7 @@ def test_what_is_published_holds_both_sides_of_a_dispute(mechanization):
     config, memory, r = a_state(mechanization)
     memory[r + Nav.TIME], memory[r + Nav.FIX_TIME] = 13.0, 10.0
     memory[r + Nav.DRAWN_E], memory[r + Nav.DRAWN_V_E], memory[r + Nav.LEFT_N] = 6.0, 1.0, 4.0
-    memory[r + Nav.VARIANCE_FACTOR] = 2.0
+    memory[r + Nav.VARIANCE_FACTOR], memory[r + Nav.CONTESTED] = 2.0, 1.0
     row = memory[r:r + int(memory[Head.WIDTH])]
     # then the truth is as likely there as here: half the squares, 9 m by now
     added = published_covariance(row, config.layout) - 2.0 * covariance(row, config.layout)
@@ -170,7 +170,7 @@ class Drive:
         scale = np.array([radii(LATITUDE)[0] + 480.0, (radii(LATITUDE)[1] + 480.0) * math.cos(LATITUDE)])
         records = np.array([fix_record(t, LATITUDE + north / scale[0], LONGITUDE + east / scale[1], r=0.25 * np.eye(2))
                             for t, (north, east) in zip(self.time, self.position)])
-        kept = [Nav.TIME, Nav.LATITUDE, Nav.LONGITUDE, Nav.FIX_TIME, *range(Nav.DRAWN_N, Nav.LEFT_E + 1)]
+        kept = [Nav.TIME, Nav.LATITUDE, Nav.LONGITUDE, Nav.FIX_TIME, *range(Nav.DRAWN_N, Nav.LEFT_E + 1), Nav.CONTESTED]
         states, records = take_all(memory, self.samples, records, kept)
         rows = np.zeros((len(states), Nav.SIZE))
         rows[:, kept] = states
@@ -186,6 +186,21 @@ def test_nothing_is_in_dispute_where_all_is_right(mechanization):
     assert memory[Head.SLID] == 0.0
     assert np.hypot(*sigma.T).max() < 1.0 and np.hypot(*error.T).max() < 2.0
     assert not any('sideways' in text for text in vehicle_says(memory, config, records))
+
+
+@pytest.mark.parametrize('after, is_chance', [(None, True), (15, True), (4, False)])
+@BOTH
+def test_one_fix_that_does_not_fit_is_no_dispute(mechanization, after, is_chance):
+    # given one fix that is weighted down, and none, or another one, so many fixes after it
+    drive = Drive()
+    drive.position[30, 1] += 4.5
+    if after is not None:
+        drive.position[30 + after, 1] += 4.5
+    _, _, error, sigma, records = drive.through(mechanization)
+    assert records[30, Event.WEIGHT] < 1.0
+    # then what is published is as sure as it was, but where the other came too soon for a chance
+    assert np.hypot(*error.T).max() < 2.0
+    assert (np.hypot(*sigma.T).max() == 0.0) == is_chance
 
 
 def test_a_gyroscope_that_turns_away_is_seen_and_said():

@@ -35,8 +35,12 @@ LOOSENED = 2.0
 DISPUTED = math.sqrt(0.5)
 #: fixes that did not fit may be followed, s, by wrong ones that seem to, or by right ones that draw back
 DISPUTE_TIME = 10.0
-#: s in which what they have drawn is forgotten after that
-FORGIVEN = 30.0
+#: s in which what they have drawn is forgotten after that, and what is left of it when it is no dispute any more
+FORGIVEN, FORGOTTEN = 30.0, 0.1
+#: one fix in a hundred does not fit by chance: it is contested where another of the ten before it did not, counted in a
+#: mean that forgets as fast
+LATEST = 10.0
+NO_CHANCE = 1.0 + (1.0 - 1.0 / LATEST) ** LATEST
 
 
 @njit(_nrt=False)
@@ -100,9 +104,12 @@ def dispute(mem, r, at, before, left_n, left_e):
     mem[r + Nav.DRAWN_N] += mem[r + Nav.DRAWN_V_N] * interval
     mem[r + Nav.DRAWN_E] += mem[r + Nav.DRAWN_V_E] * interval
     verdict, robust = mem[at + Event.VERDICT], mem[Head.ROBUST_SIGMA]
+    misfit = verdict == Verdict.RECOVERED or robust > 0.0 and mem[at + Event.NIS] > robust * robust
+    mem[r + Nav.MISFITS] += (1.0 if misfit else 0.0) - mem[r + Nav.MISFITS] / LATEST
     if verdict == Verdict.REFUSED:
         return
-    misfit = verdict == Verdict.RECOVERED or robust > 0.0 and mem[at + Event.NIS] > robust * robust
+    if misfit and mem[r + Nav.MISFITS] >= NO_CHANCE or verdict == Verdict.RECOVERED:
+        mem[r + Nav.CONTESTED] = 1.0
     mem[r + Nav.IN_DISPUTE] = DISPUTE_TIME if misfit else max(mem[r + Nav.IN_DISPUTE] - interval, 0.0)
     if mem[r + Nav.IN_DISPUTE] > 0.0:
         latitude, longitude, v_n, v_e = estimate(mem, r)
@@ -111,7 +118,8 @@ def dispute(mem, r, at, before, left_n, left_e):
         mem[r + Nav.DRAWN_V_N] += v_n - before[2]
         mem[r + Nav.DRAWN_V_E] += v_e - before[3]
     else:
-        keep = math.exp(-interval / FORGIVEN)
+        keep = math.exp(-interval / FORGIVEN) if mem[r + Nav.CONTESTED] > FORGOTTEN else 0.0
+        mem[r + Nav.CONTESTED] *= keep
         for i in range(Nav.DRAWN_N, Nav.DRAWN_V_E + 1):
             mem[r + i] *= keep
     mem[r + Nav.LEFT_N], mem[r + Nav.LEFT_E] = (left_n, left_e) if misfit else (0.0, 0.0)
@@ -121,6 +129,8 @@ def dispute(mem, r, at, before, left_n, left_e):
 def disputed(row, r):
     """One sigma of what the state at r in `row` is published with besides P: twice a vector of position (n, e; m) and
     velocity (n, e; m/s). First where the state has been drawn from by now, then where the fixes would have it."""
+    if row[r + Nav.CONTESTED] == 0.0:
+        return (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
     since = row[r + Nav.TIME] - row[r + Nav.FIX_TIME]
     v_n, v_e = DISPUTED * row[r + Nav.DRAWN_V_N], DISPUTED * row[r + Nav.DRAWN_V_E]
     return ((DISPUTED * row[r + Nav.DRAWN_N] + since * v_n, DISPUTED * row[r + Nav.DRAWN_E] + since * v_e, v_n, v_e),

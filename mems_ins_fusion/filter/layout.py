@@ -104,7 +104,9 @@ class _Nav(NamedTuple):
     # changes of velocity that a receiver which smooths has not followed yet, see prediction.py: m/s, three each
     FRESH: int = 83  # behind its filter's first pole,
     UNFOLLOWED: int = 86  # and behind its second
-    SIZE: int = 89
+    MISFITS: int = 89  # how many of the latest fixes did not fit
+    CONTESTED: int = 90  # above 0: so many that it was no chance; fades with what they have drawn
+    SIZE: int = 91
 
 
 Nav = _Nav()

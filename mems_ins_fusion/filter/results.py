@@ -16,7 +16,7 @@ from .start import Start
 
 #: besides solution and covariance: what makes metres of angles, and of P what is published; what a receiver lacks
 _SCALES = (Nav.NORTH_SCALE, Nav.EAST_SCALE, Nav.VARIANCE_FACTOR, Nav.LASTING, Nav.FIX_TIME,
-           *range(Nav.DRAWN_N, Nav.LEFT_E + 1), Nav.UNFOLLOWED, Nav.UNFOLLOWED + 1)
+           *range(Nav.DRAWN_N, Nav.LEFT_E + 1), Nav.CONTESTED, Nav.UNFOLLOWED, Nav.UNFOLLOWED + 1)
 
 
 @dataclass(frozen=True)
