@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from filter_support import configure, newest
+from filter_support import configure, newest, started
 
 from mems_ins_fusion.filter import replay
-from mems_ins_fusion.filter.drift import DRIFT_MEMORY, DRIFT_PRIOR, SMALLEST_RATIO
-from mems_ins_fusion.filter.layout import Nav
+from mems_ins_fusion.filter.drift import DRIFT_MEMORY, DRIFT_PRIOR, SMALLEST_RATIO, WINDOW, learn_drift
+from mems_ins_fusion.filter.layout import NAV, Head, Nav
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
@@ -95,3 +95,26 @@ def test_the_bias_that_a_sensor_was_switched_on_with_is_no_drift():
 def test_without_it_the_noise_is_as_configured(values, why):
     row = ended(4.0, **values)
     assert row[Nav.DRIFT_RATIO] == row[GYROSCOPES] == 1.0 and not row[Nav.DRIFT_SEEN:Nav.DRIFT_SEEN + 2].any(), why
+
+
+@pytest.mark.parametrize(('constraints', 'factor', 'moved', 'ratio'), [
+    (False, 1.0, 4.0, 2.5),  # innovations are white: the sensors
+    (False, 4.0, 4.0, 1.0),  # as much as the receiver explains
+    (False, 2.0, 4.0, 1.5),  # more than that
+    (False, 4.0, 0.25, 0.625),  # and less than expected is less, whoever errs
+    (True, 4.0, 4.0, 2.5)])  # who stands still, or does not slip, is not moved by a receiver
+def test_what_a_receiver_may_have_moved_is_no_drift(constraints, factor, moved, ratio):
+    # given one window of estimates that have moved by so much more in square than fixes have told
+    config = configure({**CAR, 'sensor_error_model': 'random_walk', 'gyroscope.random_walk.q': [1e-5],
+                        'vehicle.zero_velocity': constraints})
+    memory = started(config)
+    r, x, e = int(memory[Head.ROWS_AT]), NAV + 9, NAV + 15 + 45 + 54
+    told = 0.5 * WINDOW * 1e-10
+    memory[r + Nav.TIME], memory[r + Nav.DRIFT_TIME], memory[r + Nav.VARIANCE_FACTOR] = 1.0 + WINDOW, 1.0, factor
+    for k in range(3, 6):
+        memory[r + Nav.BIAS_VARIANCE + k] = memory[r + Nav.BIAS + k] = 1e-9
+        memory[r + x + k] = 1e-9 + np.sqrt(moved * told)
+        memory[r + e + 7 * k] = 1e-9 + told
+    # when it has ended
+    learn_drift(memory, r)
+    assert memory[r + Nav.DRIFT_RATIO + 1] == pytest.approx(ratio)

@@ -7,6 +7,11 @@ constraints, standstills. The mean of d^2 over that multiplies Q, so that the me
 Mehra, "Approaches to adaptive filtering", IEEE Trans. Automatic Control 17, 1972). A bias that a sensor was switched on
 with has no state of its own and does not decay: d is the smaller one of with and without. Strapdown with random walk or
 Gauss-Markov; the steps of AR(p) are as configured, and what the planar filter calls drift are slopes.
+
+A receiver whose errors last (a time offset) moves the estimates, too, and with nothing but fixes nobody can say that it is
+not the sensors: where the innovations last, the squares are larger than expected by `variance_factor` with sensors that
+are as assumed. The ratio is then the one nearest to 1 between both, all of that the receiver's or none. Constraints and
+standstills hold the estimates against it.
 """
 from __future__ import annotations
 
@@ -14,7 +19,7 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from .layout import NAV, Head, Nav
+from .layout import NAV, Head, Nav, variance_factor
 
 #: estimates are compared over so long, s, and over no more than that: in an outage nothing tells
 WINDOW, LONGEST = 30.0, 60.0
@@ -41,6 +46,7 @@ def learn_drift(mem, r):
         return
     mem[r + Nav.DRIFT_TIME] = time
     judged = begin != 0.0 and since < LONGEST
+    lasting = variance_factor(mem, r) if mem[Head.CONSTRAINTS] == 0.0 else 1.0
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     x = r + NAV + n_navigation
     e = x + m + n_navigation * (n_navigation + 1) // 2 + m * n_navigation
@@ -57,12 +63,16 @@ def learn_drift(mem, r):
                 bias = mem[r + Nav.BIAS + k]
                 moved = min((error - decay * bias) ** 2, (error - bias) ** 2)
                 mem[r + Nav.DRIFT_SUM + sensor] += ratio * min(moved / told, LARGEST_DRIFT)
+                mem[r + Nav.DRIFT_LEAST + sensor] += ratio * min(moved / (lasting * told), LARGEST_DRIFT)
                 mem[r + Nav.DRIFT_SEEN + sensor] += 1.0
         mem[r + Nav.BIAS + k], mem[r + Nav.BIAS_VARIANCE + k] = error, variance
     for sensor in range(2):
         seen = mem[r + Nav.DRIFT_SEEN + sensor]
         if seen > DRIFT_MEMORY:
             mem[r + Nav.DRIFT_SUM + sensor] *= DRIFT_MEMORY / seen
+            mem[r + Nav.DRIFT_LEAST + sensor] *= DRIFT_MEMORY / seen
             seen = mem[r + Nav.DRIFT_SEEN + sensor] = DRIFT_MEMORY
-        ratio = (DRIFT_PRIOR + mem[r + Nav.DRIFT_SUM + sensor]) / (DRIFT_PRIOR + seen)
+        least = (DRIFT_PRIOR + mem[r + Nav.DRIFT_LEAST + sensor]) / (DRIFT_PRIOR + seen)
+        most = (DRIFT_PRIOR + mem[r + Nav.DRIFT_SUM + sensor]) / (DRIFT_PRIOR + seen)
+        ratio = min(max(least, 1.0), most)
         mem[r + Nav.DRIFT_RATIO + sensor] = min(max(ratio, SMALLEST_RATIO[sensor]), LARGEST_RATIO)

@@ -90,23 +90,24 @@ class _Nav(NamedTuple):
     DRIFT_RATIO: int = 67  # realised over assumed variance, two
     DRIFT_SUM: int = 69  # of what went into that, two
     DRIFT_SEEN: int = 71  # and its weight, two
+    DRIFT_LEAST: int = 73  # the sum if what lasts of the innovations is the receiver's, two
     # who is right, fixes or IMU, see contradiction.py
-    SLIDING: int = 73  # NIS of the lateral constraint lately, and as is usual for this vehicle
-    USUAL_SLIDING: int = 74
-    UNSETTLED: int = 75  # s for which the fixes are still to decide
-    DRAWN_N: int = 76  # by what fixes in dispute have changed position, m, and velocity, m/s, until the last fix
-    DRAWN_E: int = 77
-    DRAWN_V_N: int = 78
-    DRAWN_V_E: int = 79
-    LEFT_N: int = 80  # m: and how far they still are from it
-    LEFT_E: int = 81
-    IN_DISPUTE: int = 82  # s for which whatever fixes change still counts
+    SLIDING: int = 75  # NIS of the lateral constraint lately, and as is usual for this vehicle
+    USUAL_SLIDING: int = 76
+    UNSETTLED: int = 77  # s for which the fixes are still to decide
+    DRAWN_N: int = 78  # by what fixes in dispute have changed position, m, and velocity, m/s, until the last fix
+    DRAWN_E: int = 79
+    DRAWN_V_N: int = 80
+    DRAWN_V_E: int = 81
+    LEFT_N: int = 82  # m: and how far they still are from it
+    LEFT_E: int = 83
+    IN_DISPUTE: int = 84  # s for which whatever fixes change still counts
+    MISFITS: int = 85  # how many of the latest fixes did not fit
+    CONTESTED: int = 86  # above 0: so many that it was no chance; fades with what they have drawn
     # changes of velocity that a receiver which smooths has not followed yet, see prediction.py: m/s, three each
-    FRESH: int = 83  # behind its filter's first pole,
-    UNFOLLOWED: int = 86  # and behind its second
-    MISFITS: int = 89  # how many of the latest fixes did not fit
-    CONTESTED: int = 90  # above 0: so many that it was no chance; fades with what they have drawn
-    SIZE: int = 91
+    FRESH: int = 87  # behind its filter's first pole,
+    UNFOLLOWED: int = 90  # and behind its second
+    SIZE: int = 93
 
 
 Nav = _Nav()
