@@ -68,9 +68,10 @@ class Bench:
         """Of one filter, or of those fitted to all parts but one, in these parts.
 
         full: with all IMU samples, by the protocol that is reported; else for decisions. These look at the covariance
-        as the model has it: scaled by what innovations show, it would hold the truth whatever the model lacks.
+        as the model has it: scaled by what innovations show, it would hold the truth whatever the model lacks; and the
+        samples are means, between which a motion is not smooth enough to tell noise from it.
         """
-        decides = {} if full else {'gnss.adapt_covariance': False}
+        decides = {} if full else {'gnss.adapt_covariance': False, 'imu.adapt_noise': False}
         models = [{**values, 'gnss.time_offset_sigma': self.offset_sigma, **decides} for values in models]
         asked = repr((full, [sorted(values.items()) for values in models]))
         if asked not in self.measured:
