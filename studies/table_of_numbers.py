@@ -34,7 +34,8 @@ RELATIVE, ABSOLUTE = 1e-9, 1e-11
 PAPER = {'mechanization': 'planar', 'vehicle.zero_velocity': False, 'vehicle.non_holonomic': False,
          'vehicle.tilt_sigma': 0.0, 'gnss.gate_probability': 1.0, 'gnss.adapt_sigma': False,
          'gnss.adapt_covariance': False, 'gnss.robust_sigma': 0.0, 'vehicle.learn_drift': False,
-         'imu.adapt_noise': False, 'vehicle.non_holonomic_sigma': 0.2, 'vehicle.non_holonomic_vertical_sigma': 0.2, 'imu.mounting_sigma': 0.0,
+         'imu.adapt_noise': False,
+         'vehicle.non_holonomic_sigma': 0.2, 'vehicle.non_holonomic_vertical_sigma': 0.2, 'imu.mounting_sigma': 0.0,
          'vehicle.rear_axle_sigma': 0.0}
 CONSTRAINTS = {'vehicle.zero_velocity': True, 'vehicle.non_holonomic': True}
 #: and the defaults

@@ -27,7 +27,8 @@ from mems_ins_fusion.parameters import table
 PAPER = {'mechanization': 'planar', 'vehicle.zero_velocity': False, 'vehicle.non_holonomic': False,
          'vehicle.tilt_sigma': 0.0, 'gnss.gate_probability': 1.0, 'gnss.adapt_sigma': False,
          'gnss.adapt_covariance': False, 'gnss.robust_sigma': 0.0, 'vehicle.learn_drift': False,
-         'imu.adapt_noise': False, 'vehicle.non_holonomic_sigma': 0.2, 'vehicle.non_holonomic_vertical_sigma': 0.2, 'imu.mounting_sigma': 0.0,
+         'imu.adapt_noise': False,
+         'vehicle.non_holonomic_sigma': 0.2, 'vehicle.non_holonomic_vertical_sigma': 0.2, 'imu.mounting_sigma': 0.0,
          'vehicle.rear_axle_sigma': 0.0}
 MODELS = ('random_walk', 'gauss_markov', 'autoregressive')
 #: models with states of their own size, as parameters; AR(1) to AR(3) step at every sample of 0.01 s

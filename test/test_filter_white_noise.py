@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 from filter_support import configure, started, take_all, take_sample
 
-from mems_ins_fusion.filter.layout import Head, Sample, covariance_index, sample_at
+from mems_ins_fusion.filter import white_noise
+from mems_ins_fusion.filter.layout import Event, Head, Sample, covariance_index, sample_at
+from mems_ins_fusion.filter.vehicle_check import LONGEST_SHAKEN, vehicle_says
 from mems_ins_fusion.navigation.strapdown import State
 
 RATE = 20.0
@@ -52,6 +54,18 @@ def test_white_noise_is_shown():
     found = [shown(after(samples(60.0, 3e-3, 0.03, seed=seed))[1]) for seed in range(8)]
     # then that is what they show, on each axis
     assert np.sqrt(np.mean(np.square(found), axis=0)) == pytest.approx([0.03] * 3 + [3e-3] * 3, rel=0.15)
+
+
+def test_who_is_shaken_for_long_is_told_so():
+    # given an IMU with ten times the noise that is assumed, for one and for two minutes
+    for seconds, told in ((50.0, False), (120.0, True)):
+        config, memory = after(samples(seconds, 3e-3))
+        assert any('shakes it' in text for text in vehicle_says(memory, config, np.zeros((0, Event.SIZE)))) == told
+        assert seconds < LONGEST_SHAKEN or memory[Head.SHAKEN] == pytest.approx(seconds, abs=5.0)
+    # and who has the noise that is assumed is not
+    config, memory = after(samples(120.0, 3e-4, 0.01))
+    newest = sample_at(memory, int(memory[Head.SAMPLES]))
+    assert memory[Head.SHAKEN] == 0.0 and white_noise.shown(memory, newest, 3) < 4.0
 
 
 def test_a_motion_is_no_noise():

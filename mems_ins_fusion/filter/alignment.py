@@ -258,7 +258,8 @@ class Alignment:
         rate = tumbling_rate(self._samples, positions, self.config)
         if rate:
             raise Refused(f'a believable turn rate on {topic}: angular_velocity is {rate:.3f} rad/s at rest, about an '
-                          "axis about which no vehicle turns; if the driver delivers deg/s, set imu.rate_unit to 'deg/s'")
+                          'axis about which no vehicle turns; if the driver delivers deg/s, set imu.rate_unit to '
+                          "'deg/s'")
         if not self.config.vehicle.lateral_sigma:
             return  # who may go sideways drives off as he likes
         standstill = latest_standstill(self._samples, positions, self.config)
@@ -267,8 +268,8 @@ class Alignment:
             angle, speed = found
             self._turned = ''
             if abs(angle) > math.pi - SIDEWAYS and speed > FASTEST_REVERSE:
-                self._turned = (f'the vehicle to drive forwards: it drives off backwards at {speed:.1f} m/s; if it does not, '
-                                'the IMU is mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
+                self._turned = (f'the vehicle to drive forwards: it drives off backwards at {speed:.1f} m/s; if it '
+                                'does not, the IMU is mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
             elif SIDEWAYS < abs(angle) < math.pi - SIDEWAYS:
                 self._turned = (f'an IMU that is mounted as imu.mounting_rpy says: the vehicle drives off '
                                 f'{abs(math.degrees(angle)):.0f} deg to the {"right" if angle > 0 else "left"} of its '

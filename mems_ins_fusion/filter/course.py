@@ -221,8 +221,8 @@ def _of_chord(imu, chord, time, now, noise, standstill, config, between=None) ->
     if abs(speed) > FASTEST:
         raise Refused(f'believable fixes: they move at {abs(speed):.0f} m/s')
     if way < 0 and abs(last) > FASTEST_REVERSE:
-        raise Refused(f'the vehicle to drive forwards: it seems to go backwards at {abs(last):.1f} m/s; if it does not, '
-                      'the IMU is mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
+        raise Refused(f'the vehicle to drive forwards: it seems to go backwards at {abs(last):.1f} m/s; if it does '
+                      'not, the IMU is mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
     if abs(last) < SLOWEST_START or yaw_sigma > LARGEST_YAW_SIGMA:
         return None
     yaw = math.atan2(chord[1], chord[0]) - math.atan2(motion.moved[1], forward)

@@ -8,10 +8,10 @@ Mehra, "Approaches to adaptive filtering", IEEE Trans. Automatic Control 17, 197
 with has no state of its own and does not decay: d is the smaller one of with and without. Strapdown with random walk or
 Gauss-Markov; the steps of AR(p) are as configured, and what the planar filter calls drift are slopes.
 
-A receiver whose errors last (a time offset) moves the estimates, too, and with nothing but fixes nobody can say that it is
-not the sensors: where the innovations last, the squares are larger than expected by `variance_factor` with sensors that
-are as assumed. The ratio is then the one nearest to 1 between both, all of that the receiver's or none. Constraints and
-standstills hold the estimates against it.
+A receiver whose errors last (a time offset) moves the estimates, too, and with nothing but fixes nobody can say that it
+is not the sensors: where the innovations last, the squares are larger than expected by `variance_factor` with sensors
+that are as assumed. The ratio is then the one nearest to 1 between both, all of that the receiver's or none.
+Constraints and standstills hold the estimates against it.
 """
 from __future__ import annotations
 

@@ -51,8 +51,8 @@ FEWEST_STUCK, ALWAYS = 5.0, 0.9
 FASTEST_WHIRL = 50.0
 #: so long it may last in all, s, before the sensor is not believed any more; it is forgotten at this rate, s/s
 LONGEST_WHIRL, FORGET_WHIRL, MOST_WHIRL = 0.5, 0.01, 3.0
-#: a filter that has strayed twice from fixes that were right does not believe the IMU for so long, s, twice as long each
-#: time up to so many times
+#: a filter that has strayed twice from fixes that were right does not believe the IMU for so long, s, twice as long
+#: each time up to so many times
 DOUBT_TIME, MOST_STRAYED = 60.0, 8.0
 
 
@@ -81,8 +81,8 @@ def _whirls(mem, speed, dt):
 def check(mem, samples, k, dt, speed, doubted):
     """What is wrong with sample k, a `Fault`; it, and what it shows, is remembered in the head of `mem`.
 
-    samples (n, 7): time (s), specific force and angular rate in sensor axes. dt: s since the one before. speed: that the
-    vehicle certainly has, m/s. doubted: whether the IMU is not believed at this time.
+    samples (n, 7): time (s), specific force and angular rate in sensor axes. dt: s since the one before. speed: that
+    the vehicle certainly has, m/s. doubted: whether the IMU is not believed at this time.
     """
     moving = speed > MOVING_SPEED
     time = samples[k, 0]

@@ -117,7 +117,8 @@ def aged(config: FilterConfig, errors: SensorErrors, age: float) -> SensorErrors
     transition, noise = np.zeros((m, m)), np.zeros((m, m))
     parts = [(model, slice(k * p, (k + 1) * p), turn_on)
              for k, (model, turn_on) in enumerate(zip(config.models, config.turn_on_sigma))]
-    parts += [(extra.model, slice(k, k + 1), 0.0) for k, extra in enumerate(config.extras, start=config.layout.n_sensor)]
+    parts += [(extra.model, slice(k, k + 1), 0.0)
+              for k, extra in enumerate(config.extras, start=config.layout.n_sensor)]
     for model, block, turn_on in parts:
         interval = model.interval or age
         transition[block, block], noise[block, block] = _repeated(

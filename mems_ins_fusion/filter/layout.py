@@ -360,7 +360,8 @@ class _Head(NamedTuple):
     SLID: int = 146  # s in which a slide showed that the IMU misled the filter
     LAG_TIME: int = 147  # s: time constant of the receiver's filter; 0: it has none
     ADAPT_NOISE: int = 148  # whether the sensors' white noise is what their samples show, where that is more
-    SIZE: int = 149
+    SHAKEN: int = 149  # s in which they showed far more
+    SIZE: int = 150
 
 
 Head = _Head()

@@ -9,14 +9,14 @@ import numpy as np
 
 from ..parameters.parameter import ParameterError
 from ..samples import Fixes, Headings, Speeds, Velocities
-from . import kernel
+from . import kernel, white_noise
 from .alignment import STANDING_SIGMA, Alignment, start_covariance
 from .config import FilterConfig
 from .imu_faults import FAULTS, Fault
 from .initial import initialize, learned
 from .intake import JUMPED, NAMES, Intake, corrected
 from .kernel import TAKEN
-from .layout import NAV, Event, Head, Kind, Nav, Verdict, state_at, views
+from .layout import NAV, Event, Head, Kind, Nav, Verdict, sample_at, state_at, views
 from .odometry import LINEAR, SIZE, TWIST_COVARIANCE, odometry, published_covariance
 from .results import columns
 from .snapshot import made, recalled
@@ -422,11 +422,14 @@ class FusionFilter(Intake):
                    'heading sigma, deg': math.degrees(sigma[layout.n_navigation - 1])}
         if self._memory is None:
             return values
+        sample = sample_at(memory, int(memory[Head.SAMPLES]))
         values |= {'age of the last fix used, s': (self._now - self._newest_fix) * 1e-9,
                    'realised over claimed sigma of the fixes': math.sqrt(row[Nav.GNSS_RATIO]),
                    'realised over expected sigma of the innovations': math.sqrt(row[Nav.VARIANCE_FACTOR]),
                    'realised over assumed drift of the accelerometers': math.sqrt(row[Nav.DRIFT_RATIO]),
                    'realised over assumed drift of the gyroscopes': math.sqrt(row[Nav.DRIFT_RATIO + 1]),
+                   'shown over assumed noise of the accelerometers': math.sqrt(white_noise.shown(memory, sample, 0)),
+                   'shown over assumed noise of the gyroscopes': math.sqrt(white_noise.shown(memory, sample, 3)),
                    'contradicted by the constraint, s': float(memory[Head.SLID])}
         for i, name in enumerate(layout.names[layout.n_navigation:], start=layout.n_navigation):
             values[name] = float(row[NAV + i])

@@ -46,11 +46,11 @@ LONGEST_WEIGHTED = 4.0
 #: what grows from fix to fix is the filter's own error; fixes further apart do not show that, s
 LONGEST_GROWTH = 10.0
 GROWTH = 0.5  # m/s^2: by a tilt that is three degrees wrong
-#: the filter has strayed where the refused innovations grew by so much of their size, and faster than that, m/s; another
-#: time soon is within s
+#: the filter has strayed where the refused innovations grew by so much of their size, and faster than that, m/s;
+#: another time soon is within s
 STRAYED_PART, STRAYED_SLOPE, SOON = 0.5, 2.0, 300.0
-#: an IMU is proven by so many m/s of changes of velocity that fixes confirm, as far as they are faster than that, m/s^2;
-#: before that fixes from which the filter strays win over it after s, after that in more
+#: an IMU is proven by so many m/s of changes of velocity that fixes confirm, as far as they are faster than that,
+#: m/s^2; before that fixes from which the filter strays win over it after s, after that in more
 PROOF, BRISK, UNPROVEN_TIME, PROVEN_TIME = 20.0, 0.3, 4.0, 10.0
 #: while the velocity is less certain, m/s, it changes by what fixes say
 CERTAIN = 1.0
@@ -207,8 +207,8 @@ def _judge_lasting(mem, r, at):
 
     A receiver states how far off it may be, and the difference of two fixes shows of that what changes between them
     (`_scatter`). The rest are errors of orbits, atmosphere and multipath: the filter follows them, its innovations stay
-    white, and its position is as far off. No receiver is without; a share of what it claims always counts as such. Claims
-    that change are averaged as logarithms, for about as long as the position remembers a fix.
+    white, and its position is as far off. No receiver is without; a share of what it claims always counts as such.
+    Claims that change are averaged as logarithms, for about as long as the position remembers a fix.
     """
     if mem[Head.COVARIANCE_FACTOR] == 0.0:
         return
@@ -231,7 +231,8 @@ def _scatter(mem, r, at, z_n, z_e):
     interval, claimed = mem[at + Event.TIME] - mem[r + Nav.RESIDUAL_TIME], mem[at + Event.R_NN] + mem[at + Event.R_EE]
     before, mem[r + Nav.CLAIMED] = mem[r + Nav.CLAIMED], claimed
     if before > 0.0 and (claimed * CLAIM_CHANGE < before or claimed > CLAIM_CHANGE * before):
-        mem[r + Nav.GNSS_RATIO] = min(max(mem[r + Nav.GNSS_RATIO] * before / claimed, 1.0 / LARGEST_RATIO), LARGEST_RATIO)
+        ratio = mem[r + Nav.GNSS_RATIO] * before / claimed
+        mem[r + Nav.GNSS_RATIO] = min(max(ratio, 1.0 / LARGEST_RATIO), LARGEST_RATIO)
         mem[r + Nav.GNSS_SEEN] = 0.0
     if not (0.0 < interval < LONGEST_PAIR and mem[r + Nav.FIX_TIME] != 0.0):
         return

@@ -68,8 +68,8 @@ class Run:
     (k, 3) m/s in `n`, roll, pitch, yaw (k,) rad. sensor_errors (k, channels): estimates. sigma (k, n): square roots of
     the covariance's diagonal, in the order of `config.layout.names`. extras (k, e): the optional states. covariance_ne
     (k,): of north and east position error, m^2. behind (k, 2): m north and east, by which a receiver that smooths
-    (gnss.lag_per_acceleration) has not followed. memory: the kernel's memory at the end. filter_seconds: CPU time of the
-    filter alone.
+    (gnss.lag_per_acceleration) has not followed. memory: the kernel's memory at the end. filter_seconds: CPU time of
+    the filter alone.
     """
 
     config: FilterConfig

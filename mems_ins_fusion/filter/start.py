@@ -22,8 +22,8 @@ class Standstill:
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """What an earlier filter with the same states had learned. estimate (m,), covariance (m, m) of the states behind the
-    navigation errors; constant (channels,): the part of each sensor's error that has no state."""
+    """What an earlier filter with the same states had learned. estimate (m,), covariance (m, m) of the states behind
+    the navigation errors; constant (channels,): the part of each sensor's error that has no state."""
 
     estimate: np.ndarray
     covariance: np.ndarray

@@ -1,10 +1,10 @@
 """The white noise that the samples of an IMU show themselves, where it is more than its parameters say.
 
-A vehicle shakes its IMU faster than many sample: what is not filtered out before the samples are taken is folded down,
-as white noise, and is in the integrals of the samples what the sensor's own noise is, often ten times as large. A motion
-that the samples do show is smooth from one to the next. So a high difference of samples in a row is noise: that of order
-n has `binomial(2 n, n)` times the variance of one sample, and that times the sampling interval is the noise density
-squared.
+A vehicle shakes its IMU faster than many sample: what is not filtered out before the samples are taken is folded
+down, as white noise, and is in the integrals of the samples what the sensor's own noise is, often ten times as large. A
+motion that the samples do show is smooth from one to the next. So a high difference of samples in a row is noise: that
+of order n has `binomial(2 n, n)` times the variance of one sample, and that times the sampling interval is the noise
+density squared.
 """
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from .layout import Head, Sample, place, sample_at
 MEMORY = 3.0
 #: of the difference: a motion at a quarter of the sampling rate counts 2^n / binomial(2 n, n) of its variance
 ORDER = 6
+#: a gyroscope that shows so many times the noise density assumed is worth a word
+FAR_MORE = 5.0
 #: samples are evenly spaced where no interval is longer or shorter than the last by this factor
 EVEN = 1.5
 _WEIGHTS = tuple((-1) ** j * math.comb(ORDER, j) / math.sqrt(math.comb(2 * ORDER, ORDER)) for j in range(ORDER + 1))
@@ -44,9 +46,24 @@ def show_noise(mem, k, dt):
             difference += _WEIGHTS[j] * mem[sample_at(mem, k - j) + Sample.F_X + i]
         white = at + Sample.WHITE + i
         mem[white] += min(dt / MEMORY, 1.0) * (dt * difference * difference - mem[white])
+    if shown(mem, at, 3) > FAR_MORE**2:
+        mem[Head.SHAKEN] += dt
 
 
 @njit(_nrt=False)
 def density(mem, sample, axis):
     """Noise density squared of an axis at the sample at `sample`: as assumed, or as it shows itself."""
     return max(mem[Head.SIZE + axis], mem[sample + Sample.WHITE + axis])
+
+
+@njit(_nrt=False)
+def shown(mem, sample, first):
+    """Noise density squared used of a sensor over that assumed, of its noisiest axis at the sample at `sample`.
+
+    first: its first axis, 0 of the accelerometers, 3 of the gyroscopes.
+    """
+    largest = 1.0
+    for axis in range(first, first + 3):
+        if mem[Head.SIZE + axis] > 0.0:
+            largest = max(largest, density(mem, sample, axis) / mem[Head.SIZE + axis])
+    return largest
