@@ -1,7 +1,7 @@
 """What a search has found, made into parameters: which corrections are proven together, and what a user is told."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,9 +53,8 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
     corrections, against = _settled(known, first, fitted, configured, bench)
     bench.tell(MEASURING, 'measuring errors')
     before, noise_only = (bench.errors(models, full=True) for models in ([given], fitted.by_part))
-    for correction in corrections:  # the last one is what was given
+    for correction, after in _as_measured(corrections, bench):  # the last one is what was given
         better = correction.values != given
-        after = bench.errors(correction.by_part, full=True) if better else before
         comparison = compared(before, after)
         worse = unproven(comparison, correction.effects) if better else ''
         if not worse:
@@ -84,7 +83,7 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
         better=better, before=before, fitted=noise_only, after=after, comparison=comparison,
         rest=[rest for found in rests for rest in found],
         remarks=[said for said in remarks[0] if all(said in other for other in remarks)]
-        + _noise_remarks(explained | correction.factors))
+        + _noise_remarks(explained | correction.factors) + _scatter_remarks(given, correction.values))
     if len(drives) < 2:
         return whole
     return replace(whole, drives=[_in_drive(whole, k, rests[k], remarks[k]) for k in range(len(drives))])
@@ -129,6 +128,19 @@ def _settled(known: Known, first: Known, fitted: Correction, configured: Correct
     proven = [option for _, option in sorted(proven, key=lambda found: -found[0])]
     return [option if option.settings else replace(option, settings=tuple(_only_told(f, against) for f in told))
             for option in (*proven, configured)], against
+
+
+def _as_measured(corrections: Sequence[Correction], bench: Bench) -> Iterator[tuple[Correction, Measured]]:
+    """The corrections with their errors at the full rate, each also without noise from the samples' scatter if it
+    predicts better so: what a sensor filters before it samples, and what swings about a mean, adds up to nothing."""
+    for correction in corrections:
+        after = bench.errors(correction.by_part, full=True)
+        if correction.values['imu.adapt_noise'] and correction.values['mechanization'] == 'strapdown':
+            values, *by_part = ({**v, 'imu.adapt_noise': False} for v in (correction.values, *correction.by_part))
+            without = bench.errors(by_part, full=True)
+            if _merit(without) > _merit(after) + WORTH / predictions(after):
+                yield replace(correction, values=values, by_part=by_part), without
+        yield correction, after
 
 
 def _only_told(finding: Finding, against: str) -> Finding:
@@ -270,6 +282,13 @@ def _noise_remarks(factors: dict[str, float]) -> list[str]:
             'much noisier than its settings, so this stands for something that is not in the library (vibration of the '
             'mount, samples that repeat, a scale or an axis that is not what it says).'
             for name, factor in factors.items() if name != 'gnss.sigma' and factor > 0.95 * LARGEST_FACTOR]
+
+
+def _scatter_remarks(given: dict, corrected: dict) -> list[str]:
+    if given['imu.adapt_noise'] == corrected['imu.adapt_noise']:
+        return []
+    return ['What the IMU scatters from one sample to the next is no noise that adds up: positions are predicted better '
+            'with imu.adapt_noise: false.']
 
 
 def _remarks(problem: Problem) -> list[str]:

@@ -269,7 +269,8 @@ class Alignment:
             self._turned = ''
             if abs(angle) > math.pi - SIDEWAYS and speed > FASTEST_REVERSE:
                 self._turned = (f'the vehicle to drive forwards: it drives off backwards at {speed:.1f} m/s; if it '
-                                'does not, the IMU is mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
+                                'does not, the IMU is mounted the other way round: turn the yaw of '
+                                'imu.mounting_rpy by pi')
             elif SIDEWAYS < abs(angle) < math.pi - SIDEWAYS:
                 self._turned = (f'an IMU that is mounted as imu.mounting_rpy says: the vehicle drives off '
                                 f'{abs(math.degrees(angle)):.0f} deg to the {"right" if angle > 0 else "left"} of its '
