@@ -113,8 +113,9 @@ class Car:
         recording: what is seen in the data is seen there.
         """
         # who knows the noise does not take vibration for it, which swings about its mean
-        known = {'imu.adapt_noise': False} | {name: self.given[name] for name in ('vehicle.non_holonomic', 'vehicle.zero_velocity', 'speed_topic',
-                                                     'speed.scale_sigma', 'vehicle.rear_axle_sigma')}
+        known = {'imu.adapt_noise': False} | {name: self.given[name] for name in (
+            'vehicle.non_holonomic', 'vehicle.zero_velocity', 'speed_topic', 'speed.scale_sigma',
+            'vehicle.rear_axle_sigma')}
         axle = GIVEN['rear_axle']['vehicle.rear_axle']
         values = table.check({**GRADES[self.grade], **known, 'vehicle.rear_axle': axle, **TRUTH})
         body = {'sideslip': {'angle_per_acceleration': SIDESLIP}}

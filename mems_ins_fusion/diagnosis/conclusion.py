@@ -287,8 +287,8 @@ def _noise_remarks(factors: dict[str, float]) -> list[str]:
 def _scatter_remarks(given: dict, corrected: dict) -> list[str]:
     if given['imu.adapt_noise'] == corrected['imu.adapt_noise']:
         return []
-    return ['What the IMU scatters from one sample to the next is no noise that adds up: positions are predicted better '
-            'with imu.adapt_noise: false.']
+    return ['What the IMU scatters from one sample to the next is no noise that adds up: positions are predicted '
+            'better with imu.adapt_noise: false.']
 
 
 def _remarks(problem: Problem) -> list[str]:
