@@ -6,6 +6,10 @@ such an IMU the vehicle slides. Not by how much the constraint's sigma allows, w
 but beside what is usual for this one. Then velocity and heading are as uncertain as the slide is large, and for a while
 the fixes are believed as they are.
 
+*A wrong standstill.* Who creeps as smoothly as he stands is taken for standing; his brakes then leave a velocity that
+goes back, and the standstill that follows contradicts it. A velocity against the one that a standstill took away
+shortly before, by that much, is not the vehicle's: the earlier one was none, the later one is.
+
 *No witness.* Where fixes contradict the prediction more from one to the next, either may be wrong. The filter follows
 them step by step; what is published covers both: where it has been drawn from, and where the fixes would have it.
 """
@@ -15,7 +19,9 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from .layout import NAV, Event, Head, Nav, Verdict, velocity_state, yaw_state
+from ..navigation import strapdown
+from ..navigation.earth import gravity
+from .layout import NAV, PLANAR, Event, Head, Nav, Verdict, velocity_state, yaw_state
 
 #: s over which the normalized innovation squared (NIS) of the lateral constraint is averaged, and what is usual of it
 NOW, USUALLY = 1.0, 30.0
@@ -31,6 +37,9 @@ UNSETTLED_TIME = 20.0
 SLOWEST = 1.0
 #: normalized innovation squared of a fix, 2 degrees of freedom, to which an unsettled state is loosened
 LOOSENED = 2.0
+#: a velocity that goes back along what a standstill took away: m/s taken at least, within s, cosine of the angle, and
+#: how large, as part of what was taken and m/s more
+SMALLEST_TAKEN, LATELY, BACK, AS_LARGE = 0.3, 30.0, 0.8, (2.0, 0.5)
 #: the fixes are as likely right as wrong: half the square of how far the truth then is off
 DISPUTED = math.sqrt(0.5)
 #: fixes that did not fit may be followed, s, by wrong ones that seem to, or by right ones that draw back
@@ -83,6 +92,45 @@ def loosen(mem, r, n, nis):
         for j in range(n):
             mem[p + n * i + j] *= factor
             mem[p + n * j + i] *= factor
+
+
+@njit(_nrt=False)
+def stood(mem, r, v_n, v_e):
+    """Remember what a standstill took away from the velocity at r, which was v_n, v_e before, m/s."""
+    if mem[r + Nav.TIME] - mem[r + Nav.STOOD] > NOW:
+        mem[r + Nav.TAKEN_N] = mem[r + Nav.TAKEN_E] = 0.0
+    mem[r + Nav.STOOD] = mem[r + Nav.TIME]
+    mem[r + Nav.TAKEN_N] += v_n - mem[r + Nav.V_N]
+    mem[r + Nav.TAKEN_E] += v_e - mem[r + Nav.V_E]
+
+
+@njit(_nrt=False)
+def goes_back(mem, r):
+    """Whether the velocity at r is against what a standstill took away lately, and about as large."""
+    taken = math.hypot(mem[r + Nav.TAKEN_N], mem[r + Nav.TAKEN_E])
+    if taken < SMALLEST_TAKEN or mem[r + Nav.TIME] - mem[r + Nav.STOOD] > LATELY:
+        return False
+    speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
+    along = (mem[r + Nav.V_N] * mem[r + Nav.TAKEN_N] + mem[r + Nav.V_E] * mem[r + Nav.TAKEN_E]) / taken
+    return -along > BACK * speed and speed < AS_LARGE[0] * taken + AS_LARGE[1]
+
+
+@njit(_nrt=False)
+def admit(mem, r, n):
+    """P in the scratch as uncertain as a state is whose velocity goes back: that is wrong altogether, the position by
+    what was taken since then, the tilt by what the velocity has changed besides."""
+    p, first = int(mem[Head.SCRATCH_AT]), velocity_state(mem)
+    elapsed = mem[r + Nav.TIME] - mem[r + Nav.STOOD]
+    besides = 0.0
+    for i in range(2):
+        velocity, taken = mem[r + Nav.V_N + i], mem[r + Nav.TAKEN_N + i]
+        mem[p + (n + 1) * i] += (taken * elapsed) ** 2
+        mem[p + (n + 1) * (first + i)] += velocity * velocity
+        besides += (velocity + taken) ** 2
+    if mem[Head.MECHANIZATION] != PLANAR:
+        tilt = besides / (gravity(mem[r + Nav.LATITUDE], mem[r + Nav.HEIGHT]) * elapsed) ** 2
+        for i in range(strapdown.State.PHI_N, strapdown.State.PHI_E + 1):
+            mem[p + (n + 1) * i] += tilt
 
 
 @njit(_nrt=False)

@@ -277,8 +277,12 @@ def constrain(mem, r, sample, dt):
     if still:  # a smooth road at speed must not pass for a standstill
         variance = velocity_variance(mem, r)
         squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
-        still = squared < STILL_SPEED**2 + 9.0 * variance and not _turns(mem, r, sample, n_navigation, n)
+        agrees = squared < STILL_SPEED**2 + 9.0 * variance
+        still = (agrees or contradiction.goes_back(mem, r)) and not _turns(mem, r, sample, n_navigation, n)
+        if still and not agrees:
+            contradiction.admit(mem, r, n)
     if still:
+        v_n, v_e = mem[r + Nav.V_N], mem[r + Nav.V_E]
         _clear(mem, h, n)
         dimensions = standstill.observe_velocity(mem, r, at, h, n)
         update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0)
@@ -296,6 +300,8 @@ def constrain(mem, r, sample, dt):
         return
     store_covariance(mem, p, n_navigation, m, mem, r)
     feed_back(mem, r)
+    if still:
+        contradiction.stood(mem, r, v_n, v_e)
     set_radii(mem, r)
 
 

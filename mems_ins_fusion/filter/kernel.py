@@ -18,7 +18,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar
 from ..navigation.earth import gravity
-from . import history, imu_faults
+from . import contradiction, history, imu_faults
 from .correction import CONSTRAINT_INTERVAL, apply_event, constrain
 from .imu_faults import Fault
 from .layout import (
@@ -143,7 +143,8 @@ def _take_sample(memory, samples, i):
     memory[sample + Sample.STILL] = 0.0
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
         bridged = memory[place(sample_at(memory, k - 1)) + Sample.FAULT] != Fault.NONE or dt > memory[Head.MAX_GAP]
-        memory[sample + Sample.STILL] = is_still(memory, sample, dt, speed > imu_faults.MOVING_SPEED, bridged)
+        moving = speed > imu_faults.MOVING_SPEED and not contradiction.goes_back(memory, before)
+        memory[sample + Sample.STILL] = is_still(memory, sample, dt, moving, bridged)
         if imu_faults.is_stuck(memory, dt):  # it would not show a motion
             memory[sample + Sample.STILL] = 0.0
     _refuse_ahead(memory, time)

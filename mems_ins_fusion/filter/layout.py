@@ -107,7 +107,10 @@ class _Nav(NamedTuple):
     # changes of velocity that a receiver which smooths has not followed yet, see prediction.py: m/s, three each
     FRESH: int = 87  # behind its filter's first pole,
     UNFOLLOWED: int = 90  # and behind its second
-    SIZE: int = 93
+    STOOD: int = 93  # time of the latest standstill, and the velocity that it took away, m/s
+    TAKEN_N: int = 94
+    TAKEN_E: int = 95
+    SIZE: int = 96
 
 
 Nav = _Nav()
