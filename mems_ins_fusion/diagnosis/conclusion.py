@@ -1,7 +1,7 @@
 """What a search has found, made into parameters: which corrections are proven together, and what a user is told."""
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,7 +53,7 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
     corrections, against = _settled(known, first, fitted, configured, bench)
     bench.tell(MEASURING, 'measuring errors')
     before, noise_only = (bench.errors(models, full=True) for models in ([given], fitted.by_part))
-    for correction, after in _as_measured(corrections, bench):  # the last one is what was given
+    for correction, after in _as_measured(corrections, bench):
         better = correction.values != given
         comparison = compared(before, after)
         worse = unproven(comparison, correction.effects) if better else ''
@@ -130,17 +130,20 @@ def _settled(known: Known, first: Known, fitted: Correction, configured: Correct
             for option in (*proven, configured)], against
 
 
-def _as_measured(corrections: Sequence[Correction], bench: Bench) -> Iterator[tuple[Correction, Measured]]:
-    """The corrections with their errors at the full rate, each also without noise from the samples' scatter if it
-    predicts better so: what a sensor filters before it samples, and what swings about a mean, adds up to nothing."""
+def _as_measured(corrections: Sequence[Correction], bench: Bench) -> list[tuple[Correction, Measured]]:
+    """The corrections with their errors at the full rate, what predicts best there first, what was given last. Each is
+    tried without noise from the samples' scatter, too: what a sensor filters before it samples, and what swings about a
+    mean, adds up to nothing."""
+    configured, found = corrections[-1], []
     for correction in corrections:
-        after = bench.errors(correction.by_part, full=True)
+        if correction is not configured:
+            found.append((correction, 0, bench.errors(correction.by_part, full=True)))
         if correction.values['imu.adapt_noise'] and correction.values['mechanization'] == 'strapdown':
             values, *by_part = ({**v, 'imu.adapt_noise': False} for v in (correction.values, *correction.by_part))
-            without = bench.errors(by_part, full=True)
-            if _merit(without) > _merit(after) + WORTH / predictions(after):
-                yield replace(correction, values=values, by_part=by_part), without
-        yield correction, after
+            found.append((replace(correction, values=values, by_part=by_part), 1, bench.errors(by_part, full=True)))
+    found.sort(key=lambda option: _merit(option[2]) - option[1] * WORTH / predictions(option[2]), reverse=True)
+    return [*((correction, errors) for correction, _, errors in found),
+            (configured, bench.errors(configured.by_part, full=True))]
 
 
 def _only_told(finding: Finding, against: str) -> Finding:
