@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from mems_ins_fusion.characterization.autocorrelation import ljung_box
+from mems_ins_fusion.diagnosis.conclusion import Correction, _as_measured, _scatter_remarks
 from mems_ins_fusion.diagnosis.detection import detect
 from mems_ins_fusion.diagnosis.estimate import Estimate, widened
 from mems_ins_fusion.diagnosis.fit import Scores, _scores
@@ -430,6 +431,22 @@ def test_a_level_that_makes_no_difference_stays_as_configured():
     found = choose(table.check({}), lambda all_of: [measured_with(lambda stamp: 0.0 * stamp) for _ in all_of],
                    lambda stamp: stamp // 10, 4, 1.0)
     assert set(found.factors.values()) == {1.0}
+
+
+@pytest.mark.parametrize('without, first', [(-1.5, False), (-2.95, True), (-4.0, True)])
+def test_noise_from_scatter_is_given_up_only_where_that_predicts_better(without, first):
+    # given what was configured, an effect that predicts better, and how well it does so without noise from the samples
+    given = table.check({})
+    correction = Correction({**given, 'gnss.time_offset': 0.3}, [{**given, 'gnss.time_offset': 0.3}], {}, True)
+
+    def errors(models, full):
+        merit = -5.0 if models[0]['gnss.time_offset'] == 0.0 else -3.0 if models[0]['imu.adapt_noise'] else without
+        return measured_with(lambda stamp: 0.0 * stamp + merit)
+    found = _as_measured([correction, Correction(given, [given], {}, False)], SimpleNamespace(errors=errors))
+    # then what predicts best stands first, if it is better by more than chance, and what was given last
+    assert found[0][0].values['gnss.time_offset'] == 0.3 and found[0][0].values['imu.adapt_noise'] == first
+    assert found[-1][0].values == given
+    assert bool(_scatter_remarks(given, found[0][0].values)) != first
 
 
 def test_what_cannot_be_is_told_with_what_it_stands_for():
