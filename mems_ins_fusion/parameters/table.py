@@ -87,7 +87,8 @@ FILTER = (
               positive=True, maximum=1e5),
     Parameter('imu.max_angular_rate', 20.0, 'rad/s', 'The same for the gyroscopes.', positive=True, maximum=1e4),
     Parameter('imu.adapt_noise', True, '-', 'Raise the white noise of accelerometers and gyroscopes to what their '
-              'samples show, which in a vehicle that shakes is more than at rest (strapdown).'),
+              'samples show, which in a vehicle that shakes is more than at rest (strapdown); false where the IMU '
+              'filters before it samples, which diagnose tells.'),
     Parameter('imu.acceleration_unit', 'm/s^2', 'text', 'Unit of Imu.linear_acceleration as the driver delivers it; '
               'every other parameter stays in SI units.', choices=('m/s^2', 'g')),
     Parameter('imu.rate_unit', 'rad/s', 'text', 'The same for Imu.angular_velocity.', choices=('rad/s', 'deg/s')),
