@@ -15,9 +15,9 @@ from .outliers import without_far_off
 from .parts import parts
 from .problem import Problem, on_all_cores
 
-#: a search that has filtered so many IMU samples is content with what it has: half a minute on two cores, whatever the
+#: a search that has filtered so many IMU samples begins no further round: less than a minute on two cores, whatever the
 #: recording, and the same result on each machine
-ENOUGH = 6_000_000
+ENOUGH = 9_000_000
 #: decisions are made on about so many outages, so far apart, s
 FEW_OUTAGES, CLOSEST_OUTAGES = 40, 10.0
 #: the parts of the work, by the time they usually take: where they begin, and how many choices there are among levels
