@@ -269,3 +269,16 @@ def test_open_loop_is_closed_loop_to_first_order(drive, mechanization):
     yaw = 4 if mechanization == 'planar' else 8
     assert np.abs(closed.yaw - opened.yaw)[n].max() < 0.15 * closed.sigma[n, yaw].mean()
     assert np.abs(np.log(opened.sigma[n] / closed.sigma[n])).max() < 0.05
+
+
+def test_what_goes_on_is_said_once():
+    # given an IMU with twenty times the noise that is assumed, for four minutes
+    drive = simulate_drive(240.0, 8, RATE, standstill=12.0)
+    imu, fixes = recorded(drive, 'gauss_markov')
+    noise = 20 * 3e-4 * math.sqrt(RATE) * np.random.default_rng(1).standard_normal(imu.angular_rate.shape)
+    shaken = replace(imu, angular_rate=imu.angular_rate + noise)
+    config = configure({'imu.adapt_noise': True, 'vehicle.non_holonomic': True, 'vehicle.zero_velocity': True, **TRUST},
+                       mechanization='strapdown')
+    # then it is told so after a minute of that, and not again
+    _, notices = live(config, shaken, fixes)
+    assert sum('shakes it' in notice.text for notice in notices) == 1

@@ -99,6 +99,7 @@ class FusionFilter(Intake):
         self._refused_in_a_row = 0
         self._recent: deque[np.ndarray] = deque(maxlen=ADRIFT)  # records of fixes
         self._looked = -_LOOK_PERIOD  # ns: when the vehicle was last said to be another than the parameters tell
+        self._said: list[str] = []  # of it, at the last look
 
     def changed(self, values: dict) -> FilterConfig:
         """The configuration with those of `values` (checked, by name) that are CHANGEABLE.
@@ -369,7 +370,9 @@ class FusionFilter(Intake):
             said = vehicle_says(self._memory, self.config, np.array(self._recent))
             self._looked = stamp if said else self._looked
             for text in said:
-                self.say('warning', text)
+                if text not in self._said:  # what goes on is said once
+                    self.say('warning', text)
+            self._said = said
         if not used:
             return
         self._newest_fix = max(self._newest_fix, stamp)

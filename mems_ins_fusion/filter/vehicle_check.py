@@ -53,8 +53,8 @@ def vehicle_says(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray) ->
         texts.append(f'{topic}: for {memory[Head.SLID]:.1f} s it showed a motion sideways that is not usual for this '
                      'vehicle: it slid, or the IMU was not right; the fixes decided then')
     if memory[Head.SHAKEN] > LONGEST_SHAKEN:
-        texts.append(f'{topic}: for {memory[Head.SHAKEN]:.0f} s its gyroscopes scattered from one sample to the next '
-                     f'by more than {FAR_MORE:g} times gyroscope.noise_density: the vehicle shakes it faster than it '
+        texts.append(f'{topic}: the gyroscopes scatter from one sample to the next for minutes by more than '
+                     f'{FAR_MORE:g} times gyroscope.noise_density: the vehicle shakes it faster than it '
                      'samples. That counts as noise (imu.adapt_noise); a soft mount, a faster rate or the low pass of '
                      'the IMU make it less')
     return texts
