@@ -134,16 +134,18 @@ def _as_measured(corrections: Sequence[Correction], bench: Bench) -> list[tuple[
     """The corrections with their errors at the full rate, what predicts best there first, what was given last. Each is
     tried without noise from the samples' scatter, too: what a sensor filters before it samples, and what swings about a
     mean, adds up to nothing."""
-    configured, found = corrections[-1], []
+    configured, options = corrections[-1], list(corrections[:-1])
     for correction in corrections:
-        if correction is not configured:
-            found.append((correction, 0, bench.errors(correction.by_part, full=True)))
         if correction.values['imu.adapt_noise'] and correction.values['mechanization'] == 'strapdown':
             values, *by_part = ({**v, 'imu.adapt_noise': False} for v in (correction.values, *correction.by_part))
-            found.append((replace(correction, values=values, by_part=by_part), 1, bench.errors(by_part, full=True)))
-    found.sort(key=lambda option: _merit(option[2]) - option[1] * WORTH / predictions(option[2]), reverse=True)
-    return [*((correction, errors) for correction, _, errors in found),
-            (configured, bench.errors(configured.by_part, full=True))]
+            options.append(replace(correction, values=values, by_part=by_part))
+
+    def merit(measured):
+        correction, errors = measured
+        changed = correction.values['imu.adapt_noise'] != configured.values['imu.adapt_noise']
+        return _merit(errors) - changed * WORTH / predictions(errors)
+    found = [(option, bench.errors(option.by_part, full=True)) for option in options]
+    return [*sorted(found, key=merit, reverse=True), (configured, bench.errors(configured.by_part, full=True))]
 
 
 def _only_told(finding: Finding, against: str) -> Finding:

@@ -29,10 +29,12 @@ _WEIGHTS = tuple((-1) ** j * math.comb(ORDER, j) / math.sqrt(math.comb(2 * ORDER
 def show_noise(mem, k, dt):
     """Noise density squared of each axis, beside sample k, dt s after the one before it; what is known of that, where
     one of those that the difference needs is missing or not believed."""
+    if mem[Head.ADAPT_NOISE] == 0.0:
+        return
     at, last = place(sample_at(mem, k)), place(sample_at(mem, k - 1))
     for i in range(6):
         mem[at + Sample.WHITE + i] = mem[last + Sample.WHITE + i]
-    if mem[Head.ADAPT_NOISE] == 0.0 or k <= ORDER:
+    if k <= ORDER:
         return
     for j in range(ORDER):
         later, earlier = place(sample_at(mem, k - j)), place(sample_at(mem, k - j - 1))
