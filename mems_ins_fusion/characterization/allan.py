@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import InputError
 from ..samples import runs
 
 #: sigma of flicker noise at the flat minimum is this times the bias instability B (IEEE 952, C.1.2)
@@ -59,12 +60,12 @@ def allan_deviation(parts, rate: float, per_octave: int = 4) -> AllanCurve:
 
     parts: one array, or several (stretches between which the sensor was moved); unit of the sensor, NaN where a
     sample is missing. rate: Hz. Averaging times run from one sample to a quarter of the longest part.
-    Raises ValueError for fewer than 16 samples.
+    Raises InputError for fewer than 16 samples.
     """
     parts = [np.asarray(p, float) for p in (parts if isinstance(parts, (list, tuple)) else [parts])]
     longest = max((len(p) for p in parts), default=0)
     if longest < 16:
-        raise ValueError(f'an Allan deviation needs at least 16 samples in a row, got {longest}')
+        raise InputError(f'an Allan deviation needs at least 16 samples in a row, got {longest}')
     sizes = np.unique(np.round(2 ** np.arange(0, math.log2(longest / 4) + 1e-9, 1 / per_octave)).astype(int))
     squares = np.zeros(len(sizes))
     pairs = np.zeros(len(sizes))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import InputError
 from ..sensor_errors.models import GaussMarkov, simulate
 from .fitting import Estimate
 from .likelihood import Averages
@@ -75,7 +76,7 @@ def fit_gauss_markov_autocorrelation(data: Averages) -> AutocorrelationFit:
     longest = max(len(p) for p in parts)
     max_lag = longest // 4
     if max_lag < 10:
-        raise ValueError(f'{longest} averages are too few for an autocorrelation; 40 are needed')
+        raise InputError(f'{longest} averages are too few for an autocorrelation; 40 are needed')
     values = autocorrelation(parts, max_lag)
     lags = np.unique(np.round(np.geomspace(1, max_lag, 150)).astype(int))
     duration = longest * data.interval

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import InputError
 from ..samples import runs
 
 
@@ -58,7 +59,7 @@ def segments(x) -> list[np.ndarray]:
 def yule_walker(x, order: int) -> ArFit:
     """From the biased autocorrelation (always stable where no sample is missing; biased on short records).
 
-    x: zero-mean series, or several whose samples are pooled; NaN where missing. Raises ValueError where fewer than
+    x: zero-mean series, or several whose samples are pooled; NaN where missing. Raises InputError where fewer than
     order + 1 samples follow each other, as do the two other methods.
     """
     from scipy.linalg import solve_toeplitz
@@ -119,10 +120,10 @@ METHODS = {'yule_walker': yule_walker, 'covariance': covariance, 'burg': burg}
 
 def _long_enough(x, order):
     if order < 1:
-        raise ValueError(f'the order of an autoregressive model must be at least 1, got {order}')
+        raise InputError(f'the order of an autoregressive model must be at least 1, got {order}')
     runs = [r for r in segments(x) if len(r) > 2 * order]
     if not runs:
-        raise ValueError(f'no {2 * order + 1} samples follow each other: too few for an AR({order}) model')
+        raise InputError(f'no {2 * order + 1} samples follow each other: too few for an AR({order}) model')
     return runs
 
 
@@ -133,7 +134,7 @@ def prediction_rmse(fit: ArFit, x) -> float:
     order = len(fit.coefficients)
     errors = [lfilter([1.0, *fit.coefficients], [1.0], run)[order:] for run in segments(x) if len(run) > order]
     if not errors:
-        raise ValueError(f'no {order + 1} samples follow each other: nothing to predict')
+        raise InputError(f'no {order + 1} samples follow each other: nothing to predict')
     return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
 
 

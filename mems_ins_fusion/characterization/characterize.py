@@ -7,7 +7,6 @@ interval the three models are fitted together with the white noise, and compared
 from __future__ import annotations
 
 import math
-import os
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from threading import Lock
 
 import numpy as np
 
+from ..threads import threads
 from . import autoregressive as ar
 from .allan import AllanCurve, AllanParameters, allan_deviation, allan_parameters
 from .autocorrelation import AutocorrelationFit, fit_gauss_markov_autocorrelation
@@ -119,7 +119,7 @@ def characterize(name: str, grid: Grid, temperature=None, orders=(1, 2, 3), prog
     rest = find_rest(grid)
     steps = _Progress(progress, 6 * 3)
     # the axes share the processors: likelihoods and transforms release the interpreter
-    with ThreadPoolExecutor(min(6, os.cpu_count() or 1)) as pool:
+    with ThreadPoolExecutor(min(6, threads())) as pool:
         def each(function, label, *arguments):
             def run(k, *values):
                 result = function(*values)
@@ -308,4 +308,4 @@ def read_npz(path) -> Grid:
 
 
 def _is_real(array: np.ndarray) -> bool:
-    return np.issubdtype(array.dtype, np.integer) or np.issubdtype(array.dtype, np.floating)
+    return array.dtype.kind in 'iuf'  # a span of time is a whole number to np.issubdtype

@@ -12,6 +12,7 @@ from functools import cache
 
 import numpy as np
 
+from ..errors import InputError
 from ..sensor_errors.models import Autoregressive, GaussMarkov, Model, RandomWalk
 from .likelihood import Averages, autoregressive_space, log_likelihood, relative_likelihood, scaled, state_space
 
@@ -79,7 +80,7 @@ def fit_white(data: Averages) -> Fit:
 def fit_random_walk(data: Averages, intervals: bool = True) -> Fit:
     """White noise plus random walk: noise_density and q.
 
-    intervals: whether to work out the 95 % intervals too. Raises ValueError for fewer than 20 averages, as do the
+    intervals: whether to work out the 95 % intervals too. Raises InputError for fewer than 20 averages, as do the
     other fits.
     """
     _check(data)
@@ -372,4 +373,4 @@ def _present(data):
 
 def _check(data):
     if _present(data) < 20:
-        raise ValueError(f'{_present(data)} averages over {data.interval:g} s are too few for a fit; 20 are needed')
+        raise InputError(f'{_present(data)} averages over {data.interval:g} s are too few for a fit; 20 are needed')

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import InputError
 from ..samples import runs
 
 #: a longer gap in the stamps begins a new part, s
@@ -26,7 +27,7 @@ _LONG = 10.0
 _SHIFT_SIDE = 30
 
 
-class StationaryError(ValueError):
+class StationaryError(InputError):
     """A recording that cannot be characterized: one line saying why."""
 
 
@@ -72,6 +73,8 @@ def to_grid(stamp: np.ndarray, values: np.ndarray) -> Grid:
     samples in one burst are late, not missing. What counts is how far behind even the punctual samples are.
     Raises StationaryError for fewer than 100 samples.
     """
+    if not len(stamp):
+        raise StationaryError('there is no sample that could be used to characterize a sensor')
     forward = np.concatenate([[True], stamp[1:] > np.maximum.accumulate(stamp)[:-1]])
     rejected = int(np.count_nonzero(~forward))
     time = (stamp[forward] - stamp[0]) * 1e-9

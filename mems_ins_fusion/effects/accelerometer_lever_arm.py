@@ -17,6 +17,15 @@ class AccelerometerLeverArm(Effect):
 
     name = 'accelerometer_lever_arm'
     signature = ('the same as a lever arm of the antenna, with the opposite sign')
+    in_words = 'the IMU is far from the axle about which the vehicle turns'
+    to_check = 'the place of the IMU seen from the middle of the rear axle'
+    looks_the_same = 'tyres that slip in bends look nearly the same'
+    sizes = {'x': ('the IMU is {} further forward', 'the IMU is {} further back'),
+             'y': ('{} further left', '{} further right'),
+             'z': ('{} higher', '{} lower')}
+    largest = {'x': 3.0, 'y': 2.0, 'z': 2.0}
+    larger_is = ('an error that turns with the vehicle: a time offset, an IMU that is turned or tilted, positions '
+                 'that the receiver smooths')
     parameters = tuple(EffectParameter(axis, 'm', 0.5) for axis in 'xyz')
     settings = (Parameter('imu.lever_arm', [0.0, 0.0, 0.0], 'm', 'From the point that the track describes to the '
                           'accelerometers, base_link (forward-left-up).', lengths=(3,), minimum=-20.0, maximum=20.0),)

@@ -13,6 +13,13 @@ class AccelerometerScale(Effect):
     name = 'accelerometer_scale'
     signature = ('along-track innovations after each change of speed, of its sign; across in bends; a body '
                  'that pitches and rolls with the acceleration looks the same to f_x and f_y')
+    in_words = 'the accelerometers measure too much or too little'
+    to_check = 'the range setting and unit conversion of the accelerometers'
+    looks_the_same = 'a body that leans on its springs, or an IMU that is not level, looks nearly the same'
+    sizes = {'x': ('forward {} too much', 'forward {} too little'),
+             'y': ('sideways {} too much', 'sideways {} too little')}
+    largest = {'x': 0.15, 'y': 0.15, 'z': 0.15}
+    larger_is = 'a wrong unit or range setting, an IMU that is turned, slopes, or positions that the receiver smooths'
     parameters = (EffectParameter('x', '-', 0.02), EffectParameter('y', '-', 0.02))
 
     def distort_imu(self, drive, specific_force, angular_rate, values, rng):

@@ -1,7 +1,10 @@
 """What an effect is: something that real vehicles and sensors do and that the filter's model may lack."""
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+
+from mems_ins_fusion.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,19 @@ class Effect:
     settings: tuple = ()
     #: for a reader of the report: what the residual shows, and what else shows the same
     signature: str = ''
+    #: for the people who build vehicles: what is wrong, what to check on the vehicle, and what a single drive may not
+    #: tell from it; without words it goes by its name
+    in_words: str = ''
+    to_check: str = ''
+    looks_the_same: str = ''
+    #: the size of a parameter in words, {} for the number: where it is above zero, and where below
+    sizes: Mapping[str, tuple[str, str]] = {}
+    #: the largest size of each parameter that somebody has built, in its unit, and what a larger one stands for
+    largest: Mapping[str, float] = {}
+    larger_is: str = ''
+    #: the smallest size that is what it says, and what a smaller one is
+    smallest: Mapping[str, float] = {}
+    smaller_is: str = ''
     #: sets of parameters that a diagnosis does not estimate but tries at these values; the best set is kept
     tried: tuple[dict, ...] = ({},)
     #: names of tried parameters that are estimated, too, once the effect is in the model
@@ -72,11 +88,11 @@ class Effect:
         return self.parameters[0].name
 
     def complete(self, values: dict) -> dict:
-        """`values` with the defaults of the parameters it lacks; ValueError for an unknown one."""
+        """`values` with the defaults of the parameters it lacks; InputError for an unknown one."""
         known = {p.name: p.default for p in self.parameters}
         for name in values:
             if name not in known:
-                raise ValueError(f"effect {self.name} has no parameter '{name}', only {', '.join(known)}")
+                raise InputError(f"effect {self.name} has no parameter '{name}', only {', '.join(known)}")
         return {**known, **values}
 
     def alter_drive(self, drive, values):

@@ -13,6 +13,10 @@ class GSensitivity(Effect):
     name = 'g_sensitivity'
     signature = ('across-track innovations after changes of speed (x) and in bends (y), where a gyroscope '
                  'scale looks alike')
+    in_words = 'the gyroscopes react to acceleration'
+    to_check = 'the data sheet of the gyroscopes; vibration at the mount'
+    largest = {'x': 0.01, 'y': 0.01, 'z': 0.01}
+    larger_is = 'an IMU that is turned, or gyroscopes that are not at right angles to the accelerometers'
     parameters = (EffectParameter('x', '(rad/s)/(m/s^2)', 5e-4), EffectParameter('y', '(rad/s)/(m/s^2)', 5e-4))
     settings = (Parameter('gyroscope.g_sensitivity', [0.0, 0.0], '(rad/s)/(m/s^2)', 'What f_x and f_y (body axes) add '
                           'to the vertical angular rate.', lengths=(2,), minimum=-0.1, maximum=0.1),)

@@ -12,6 +12,13 @@ class GnssColouredNoise(Effect):
     name = 'gnss_coloured_noise'
     signature = ('innovations that keep their sign for longer than the filter needs to follow, whatever the '
                  'vehicle does, standing still, too; small slow sensor errors look alike')
+    in_words = 'the receiver\'s errors last for seconds to minutes'
+    to_check = 'whether the receiver could have corrections (RTK, SBAS)'
+    looks_the_same = 'several bad fixes in a row look the same'
+    largest = {'sigma': 20.0}
+    larger_is = 'fixes that are far off, or positions that the receiver smooths'
+    smallest = {'tau': 1.0}
+    smaller_is = 'white noise, as it does not last from one fix to the next'
     parameters = (EffectParameter('sigma', 'm', 1.0, variance=True), EffectParameter('tau', 's', 60.0, default=60.0))
 
     tried = ({'tau': 10.0}, {'tau': 40.0}, {'tau': 160.0})

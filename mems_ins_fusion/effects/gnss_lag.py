@@ -20,6 +20,9 @@ class GnssLag(Effect):
     name = 'gnss_lag'
     signature = ('innovations along the track behind accelerations, across it in bends; what is late at constant '
                  'speed, too, is a time offset')
+    in_words = 'the receiver smooths its positions'
+    to_check = 'the navigation filter setting of the receiver (dynamic model, position averaging, static hold)'
+    looks_the_same = 'a receiver whose stamps are late looks nearly the same'
     parameters = (EffectParameter('tau', 's', 0.5),)
     # how long it lasts changes with its size: that of a second is looked for, not of an instant
     traced = (EffectParameter('lag', 's^2', 0.25, step=1.0),)

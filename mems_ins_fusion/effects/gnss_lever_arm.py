@@ -12,6 +12,14 @@ class GnssLeverArm(Effect):
     name = 'gnss_lever_arm'
     signature = ('innovations that keep their size in the vehicle and turn with it: seen in bends and at '
                  'changes of heading; the same as accelerometers that stand elsewhere')
+    in_words = 'the antenna is not where the parameters say'
+    to_check = 'the place of the antenna seen from the IMU, with a tape measure: forward, left, up'
+    sizes = {'x': ('the antenna is {} further forward', 'the antenna is {} further back'),
+             'y': ('{} further left', '{} further right'),
+             'z': ('{} higher', '{} lower')}
+    largest = {'x': 5.0, 'y': 3.0, 'z': 3.5}
+    larger_is = ('an error that turns with the vehicle: a time offset, an IMU that is turned or tilted, positions '
+                 'that the receiver smooths')
     parameters = tuple(EffectParameter(axis, 'm', 1.0) for axis in 'xyz')
 
     def distort_fixes(self, drive, time, position, values, rng):

@@ -20,6 +20,8 @@ class GnssOutliers(Effect):
     name = 'gnss_outliers'
     signature = ('single innovations many times as large as the others; a filter that believes them has jumps in its '
                  'track and errors that come and go slowly')
+    in_words = 'some fixes are far off (multipath)'
+    to_check = 'the view of the sky and the ground plane of the antenna'
     parameters = (EffectParameter('share', '-', 0.02), EffectParameter('sigma', 'm', 20.0, default=20.0))
     traced = ()
 

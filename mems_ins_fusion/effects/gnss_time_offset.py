@@ -13,6 +13,13 @@ class GnssTimeOffset(Effect):
     name = 'gnss_time_offset'
     signature = ('innovations along the track in proportion to speed, across it in proportion to speed times '
                  'turn rate; at constant speed a lever arm along the vehicle looks the same')
+    in_words = 'the clocks of receiver and IMU disagree'
+    to_check = ('whether the receiver\'s driver stamps a fix with the time of its measurement (GPS time, PPS) or of '
+                'its arrival')
+    sizes = {'time_offset': ('fixes are stamped {} too late', 'fixes are stamped {} too early')}
+    largest = {'time_offset': 2.0}
+    larger_is = ('stamps of another clock (UTC and GPS time, a clock that was set), or positions that the receiver '
+                 'smooths')
     parameters = (EffectParameter('time_offset', 's', 0.1),)
 
     def fix_times(self, time, values):

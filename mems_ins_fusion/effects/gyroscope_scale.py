@@ -12,6 +12,11 @@ class GyroscopeScale(Effect):
 
     name = 'gyroscope_scale'
     signature = ('across-track innovations after each bend, of the sign of the bend')
+    in_words = 'the gyroscopes measure too much or too little'
+    to_check = 'the range setting and unit conversion of the gyroscopes'
+    sizes = {'z': ('in bends {} too much', 'in bends {} too little')}
+    largest = {'z': 0.15}
+    larger_is = 'a wrong unit or range setting, an IMU that is turned, slopes, or positions that the receiver smooths'
     parameters = (EffectParameter('z', '-', 0.02),)
 
     def distort_imu(self, drive, specific_force, angular_rate, values, rng):

@@ -13,6 +13,9 @@ class GyroscopeWarmUp(Effect):
     name = 'gyroscope_warm_up'
     signature = ('a drift of the estimated bias of the vertical gyroscope, fast at first, slow later; any slow error '
                  'of the gyroscope looks alike')
+    in_words = 'the vertical gyroscope drifts in the first minutes, as one that warms up'
+    to_check = 'whether a recording that begins some minutes after the IMU was switched on has it, too'
+    looks_the_same = 'a heading or biases that the filter had to find first look the same'
     parameters = (EffectParameter('z', 'rad/s', 2e-3), EffectParameter('tau', 's', 300.0, default=300.0))
     tried = ({'tau': 60.0}, {'tau': 300.0}, {'tau': 1200.0})
     refined = ('tau',)

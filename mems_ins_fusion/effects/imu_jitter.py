@@ -19,6 +19,8 @@ class ImuJitter(Effect):
     name = 'imu_jitter'
     signature = ('none that stands out: the sensors are noisier than characterized; fixes seem early by the mean '
                  'delay')
+    in_words = 'IMU samples are stamped unevenly'
+    to_check = 'whether the driver can stamp with the sensor\'s own clock'
     parameters = (EffectParameter('sigma', 's', 5e-3),)
     traced = ()
 

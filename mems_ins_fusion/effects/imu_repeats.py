@@ -16,6 +16,8 @@ class ImuRepeats(Effect):
 
     name = 'imu_repeats'
     signature = 'none that stands out: the sensors are noisier than characterized'
+    in_words = 'IMU samples come twice'
+    to_check = 'the rate of the IMU\'s driver and that at which the sensor measures'
     parameters = (EffectParameter('share', '-', 0.2),)
     traced = ()
 

@@ -10,6 +10,13 @@ class MountingRotation(Effect):
     name = 'mounting_rotation'
     signature = ('across-track innovations after each change of speed, along-track ones in bends: f_x and f_y '
                  'are mixed')
+    in_words = 'the IMU is turned against the vehicle'
+    to_check = 'how the IMU is mounted: imu.mounting_rpy, and whether its bracket is loose'
+    sizes = {'roll': ('it is tilted {} more to the right', 'it is tilted {} more to the left'),
+             'pitch': ('it is tilted {} more forward', 'it is tilted {} more backward'),
+             'yaw': ('it is turned {} more to the left', 'it is turned {} more to the right')}
+    largest = {'roll': 0.5, 'pitch': 0.5, 'yaw': 0.8}
+    larger_is = 'sensor axes that are not as imu.mounting_rpy says: let `configure` find them'
     parameters = tuple(EffectParameter(angle, 'rad', 0.05) for angle in ('roll', 'pitch', 'yaw'))
     principal = 'yaw'
 

@@ -10,6 +10,9 @@ class RearAxle(Effect):
     name = 'rear_axle'
     signature = ('a sideways velocity of the IMU in proportion to the turn rate: with the non-holonomic constraint '
                  'across-track innovations in bends')
+    in_words = 'the rear axle is not where the parameters say'
+    to_check = 'the place of the rear axle seen from the IMU, with a tape measure (vehicle.rear_axle)'
+    sizes = {'x': ('it is {} further forward', 'it is {} further back')}
     parameters = (EffectParameter('x', 'm', 1.0),)
 
     def alter_drive(self, drive, values):

@@ -11,6 +11,11 @@ class Sideslip(Effect):
     name = 'sideslip'
     signature = ('a heading that differs from the course in bends; only the non-holonomic constraint takes the '
                  'course for it')
+    in_words = 'the vehicle moves sideways in bends'
+    to_check = 'tyres and load; whether the IMU points straight ahead'
+    looks_the_same = 'an IMU far from the rear axle looks nearly the same'
+    largest = {'angle_per_acceleration': 0.03}
+    larger_is = 'an IMU that is turned, or one far from the rear axle'
     parameters = (EffectParameter('angle_per_acceleration', 'rad/(m/s^2)', 0.01),)
     settings = (Parameter('vehicle.sideslip_per_acceleration', 0.0, 'rad/(m/s^2)', 'Angle from the forward axis to the '
                           'velocity, clockwise, per lateral acceleration to the right (non-holonomic constraint).',

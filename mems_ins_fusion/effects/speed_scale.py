@@ -10,6 +10,9 @@ class SpeedScale(Effect):
     name = 'speed_scale'
     signature = ('in every gap between fixes the track comes out too long or too short; innovations along the track in '
                  'proportion to speed, where a time offset looks alike')
+    in_words = 'the wheels measure too much or too little'
+    to_check = 'the size and pressure of the tyres'
+    sizes = {'scale': ('{} too much', '{} too little')}
     parameters = (EffectParameter('scale', '-', 0.02),)
 
     def distort_speeds(self, speed, values):

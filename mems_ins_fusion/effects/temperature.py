@@ -15,6 +15,8 @@ class Temperature(Effect):
     name = 'temperature'
     signature = ('a drift of the estimated sensor errors with the temperature; slow sensor errors of other '
                  'origin look alike')
+    in_words = 'the bias follows the temperature'
+    to_check = 'the place of the IMU (sun, engine), and its warm-up time'
     parameters = (EffectParameter('accelerometer_x', 'm/s^2/K', 5e-3),
                   EffectParameter('accelerometer_y', 'm/s^2/K', 5e-3),
                   EffectParameter('gyroscope_z', 'rad/s/K', 1e-4))

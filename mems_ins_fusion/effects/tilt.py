@@ -28,6 +28,9 @@ class Tilt(Effect):
     name = 'tilt'
     signature = ('along-track innovations on slopes, across-track ones on banked roads, up to g times the angle; where '
                  'only the suspension tilts, scale factors of the accelerometers look the same')
+    in_words = 'gravity leaks into the accelerometers on slopes or when the body leans'
+    largest = {'pitch_per_acceleration': 0.03, 'roll_per_acceleration': 0.03}
+    larger_is = 'slopes, or a scale factor'
     parameters = tuple(EffectParameter(name, 'rad/(m/s^2)', 0.01) for name in SUSPENSION)
     traced = (*parameters, EffectParameter('compensation', '-', 0.3))
     tried = (dict.fromkeys(SUSPENSION, 0.0), {'compensation': 0.0})

@@ -10,25 +10,39 @@ from ..effects.registry import EFFECTS
 from ..navigation.earth import STANDARD_GRAVITY
 from ..navigation.frames import FLU_TO_FRD, mounting
 from ..sensor_errors.from_parameters import error_models, per_axis
-from ..sensor_errors.models import Autoregressive, GaussMarkov, Model, RandomWalk
+from ..sensor_errors.models import GaussMarkov, Model, RandomWalk
 from .history import history_size
-from .layout import (
+from .kernel import LATEST
+from .measurements.base import SensorSettings
+from .measurements.registry import AIDING, MEASUREMENTS
+from .memory import (
+    HEAD,
     MECHANIZATIONS,
     PLANAR,
     STRAPDOWN,
+    Error,
     Event,
     Head,
+    Kind,
     Sample,
     StateLayout,
     noise_size,
     row_width,
     scratch_size,
 )
+from .trust.drift import DriftSettings
+from .trust.imu_faults import Imu
+from .trust.lag import LagSettings
+from .trust.white_noise import White
 
 #: the fastest IMU for which all of gnss.max_delay is remembered, Hz
 FASTEST_IMU = 1000
-EVENT_CAPACITY = 256
+#: and the most measurements a second, of all inputs together: of speed, velocity and heading at 100 Hz with a fix at
+#: 20, and some more
+MOST_MEASUREMENTS = 400
 SENSORS = ('accelerometer', 'gyroscope')
+#: of an IMU that is switched off and on: how far its errors move, as a part of what they are for one never seen
+REPEATED_TURN_ON = 0.3
 #: an estimated mounting angle may wander by this much of its prior sigma in an hour
 MOUNTING_WANDER = 0.05
 #: the planar filter's tilt goes with the road: correlation time, s
@@ -87,18 +101,6 @@ class GnssSettings:
 
 
 @dataclass(frozen=True)
-class SensorSettings:
-    """Of a further measurement. sigma: 0 takes what the message says, default_sigma where it says nothing. offset: of a
-    heading, rad, or scale of a speed; subtracted. offset_sigma: estimated with this prior; 0: exact."""
-
-    topic: str
-    sigma: float
-    default_sigma: float
-    offset: float = 0.0
-    offset_sigma: float = 0.0
-
-
-@dataclass(frozen=True)
 class AlignmentSettings:
     """heading: course, orientation or parameter. level: the planar filter's standstill takes the tilt out."""
 
@@ -148,9 +150,7 @@ class FilterConfig:
     extras: tuple[Extra, ...]
     imu: ImuSettings
     gnss: GnssSettings
-    speed: SensorSettings
-    velocity: SensorSettings
-    heading: SensorSettings
+    sensors: dict[str, SensorSettings]  # of the measurements besides the fixes, by name
     alignment: AlignmentSettings
     vehicle: VehicleSettings
     datum: np.ndarray | None  # rad, rad, m
@@ -172,7 +172,7 @@ class FilterConfig:
         by_sensor_axis = [model for sensor in SENSORS for model in error_models(values, sensor, kind)]
         models = tuple(by_sensor_axis[along[i]] for i in axes)
         turn_on = sensors('initial_sigma')
-        constant = [0.0 if isinstance(model, RandomWalk) else turn_on[along[i]] for i, model in zip(axes, models)]
+        constant = [0.0 if model.holds_turn_on else turn_on[along[i]] for i, model in zip(axes, models)]
         conditioning = mixing / (1.0 + sensors('scale'))
         for effect in EFFECTS.values():
             correction = effect.conditioning(values)
@@ -186,14 +186,24 @@ class FilterConfig:
             mechanization=mechanization, open_loop=values['feedback'] == 'open', models=_equal_order(models),
             white=white, turn_on_sigma=np.array(constant), conditioning=conditioning,
             offset=-conditioning @ sensors('bias'), extras=_extras(values, mechanization), imu=_imu(values),
-            gnss=_gnss(values), speed=_sensor(values, 'speed', 'scale'), velocity=_sensor(values, 'velocity'),
-            heading=_sensor(values, 'heading', 'offset'), alignment=_alignment(values), vehicle=_vehicle(values),
+            gnss=_gnss(values), sensors={measurement.name: measurement.settings(values) for measurement in AIDING},
+            alignment=_alignment(values), vehicle=_vehicle(values),
             datum=np.array([math.radians(datum[0]), math.radians(datum[1]), datum[2]]) if datum else None,
             parameters=values)
+
+    def settings_of(self, kind: int) -> GnssSettings | SensorSettings:
+        """Of the measurement with this number."""
+        return self.gnss if kind == Kind.POSITION else self.sensors[MEASUREMENTS[kind].name]
 
     @property
     def layout(self) -> StateLayout:
         return StateLayout(self.mechanization, self.models[0].order, tuple(extra.name for extra in self.extras))
+
+    @property
+    def first_variance(self) -> np.ndarray:
+        """Of each channel's error (channels,) when it is switched on, of a sensor never seen before."""
+        return np.array([model.initial_covariance()[0, 0] + turn_on**2
+                         for model, turn_on in zip(self.models, self.turn_on_sigma)])
 
     @property
     def channel_axes(self) -> list[int]:
@@ -204,6 +214,12 @@ class FilterConfig:
     def capacity(self) -> int:
         """States and samples remembered for fixes that come late: a power of two, small enough for the cache."""
         return 2 ** math.ceil(math.log2(self.gnss.max_delay * FASTEST_IMU + 16))
+
+    @property
+    def event_capacity(self) -> int:
+        """Measurements remembered: twice those of gnss.max_delay, as the older half is forgotten at once, and of those
+        that come before the IMU's samples of their time as well."""
+        return 2 * math.ceil(MOST_MEASUREMENTS * (self.gnss.max_delay + LATEST))
 
     def correctors(self) -> list:
         """What takes the effects that the parameters declare out of samples in sensor axes, in order."""
@@ -217,101 +233,80 @@ class FilterConfig:
         rows = Head.SIZE + noise_size(layout)
         ring = rows + (self.capacity + 2) * width  # two rows more, for states between samples
         events = ring + self.capacity * Sample.SIZE
-        scratch = events + EVENT_CAPACITY * Event.SIZE
+        scratch = events + self.event_capacity * Event.SIZE
         end = scratch + scratch_size(layout.n)
         memory = np.zeros(end + (history_size(layout.n) if history else 0))
+        HEAD.begin(memory)
         self._write_head(memory, width)
         for column, at in ((Head.ROWS_AT, rows), (Head.RING_AT, ring), (Head.EVENTS_AT, events),
                            (Head.SCRATCH_AT, scratch), (Head.HISTORY_AT, end if history else 0)):
             memory[column] = at
-        memory[Head.SIZE:rows] = self._noise()
+        memory[Head.SIZE:rows], memory[Head.FORGOTTEN] = self._noise(), -math.inf
         return memory
 
     def _write_head(self, head: np.ndarray, width: int) -> None:
         layout, gnss, vehicle = self.layout, self.gnss, self.vehicle
-        autoregressive = isinstance(self.models[0], Autoregressive)
         settings = {
             Head.MECHANIZATION: self.mechanization, Head.OPEN_LOOP: self.open_loop,
             Head.N_NAVIGATION: layout.n_navigation, Head.N_AUGMENTED: layout.n_augmented, Head.ORDER: layout.order,
             Head.CHANNELS: len(self.models), Head.WIDTH: width, Head.CAPACITY: self.capacity,
-            Head.EVENT_CAPACITY: EVENT_CAPACITY,
+            Head.EVENT_CAPACITY: self.event_capacity,
             Head.COLOURED: layout.index('coloured_n'), Head.MOUNTING_PITCH: layout.index('mounting_pitch'),
             Head.MOUNTING_YAW: layout.index('mounting_yaw'), Head.AXLE: layout.index('axle_x'),
             Head.AXLE_ACROSS: layout.index('axle_y'), Head.SPEED_SCALE: layout.index('speed_scale'),
             Head.TIME_OFFSET: layout.index('time_offset'),
-            Head.ACCELEROMETER_INTERVAL: self.models[0].interval if autoregressive else 0,
-            Head.GYROSCOPE_INTERVAL: self.models[-1].interval if autoregressive else 0,
+            Head.ACCELEROMETER_INTERVAL: self.models[0].interval or 0.0,
+            Head.GYROSCOPE_INTERVAL: self.models[-1].interval or 0.0,
             Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: gnss.max_delay, Head.ROBUST_SIGMA: gnss.robust_sigma,
             Head.GATE: gnss.gate, Head.RECOVERY_TIME: gnss.recovery_time, Head.ADAPT: gnss.adapt_sigma,
-            Head.LAG_GAIN: gnss.lag_gain, Head.LAG_TIME: gnss.lag_time, Head.COVARIANCE_FACTOR: gnss.adapt_covariance,
-            Head.ADAPT_DRIFT: vehicle.learn_drift, Head.ADAPT_NOISE: self.imu.adapt_noise,
+            LagSettings.GAIN: gnss.lag_gain, LagSettings.TIME: gnss.lag_time,
+            Head.COVARIANCE_FACTOR: gnss.adapt_covariance,
+            DriftSettings.LEARNED: vehicle.learn_drift, White.ADAPT: self.imu.adapt_noise,
             Head.LEVER_X: gnss.lever_arm[0], Head.LEVER_Y: gnss.lever_arm[1], Head.LEVER_Z: gnss.lever_arm[2],
             Head.AXLE_X: vehicle.axle[0], Head.AXLE_Y: vehicle.axle[1], Head.AXLE_Z: vehicle.axle[2],
             Head.CONSTRAINTS: vehicle.zero_velocity_sigma > 0 or vehicle.lateral_sigma > 0,
             Head.ZERO_VELOCITY_SIGMA: vehicle.zero_velocity_sigma, Head.LATERAL_SIGMA: vehicle.lateral_sigma,
             Head.VERTICAL_SIGMA: vehicle.vertical_sigma, Head.ANGLE_SIGMA: vehicle.angle_sigma,
             Head.SIDESLIP: vehicle.sideslip, Head.SLIP_SIGMA: vehicle.sideslip_sigma,
-            Head.MAX_FORCE: self.imu.max_specific_force, Head.MAX_RATE: self.imu.max_angular_rate,
+            Imu.MAX_FORCE: self.imu.max_specific_force, Imu.MAX_RATE: self.imu.max_angular_rate,
         }
         for column, value in settings.items():
             head[column] = value
         head[Head.CONDITIONING:Head.CONDITIONING + 36] = self.conditioning.ravel()
         head[Head.OFFSET:Head.OFFSET + 6] = self.offset
+        head[Head.ROWS:Head.ROWS + Error.SIZE] = layout.rows
+        head[Head.CHANNEL:Head.CHANNEL + 6] = layout.axes
 
     def _noise(self) -> np.ndarray:
         layout = self.layout
         decay, walk, variance = np.zeros((3, layout.n_augmented))
         coefficients = np.zeros((len(self.models), layout.order))
-        driving = np.zeros(len(self.models))
+        driving = np.array([model.b0**2 for model in self.models])
+        states = [channel * layout.order for channel in range(len(self.models))]
         for channel, model in enumerate(self.models):
-            _set_noise(model, channel * layout.order, decay, walk, variance)
-            if isinstance(model, Autoregressive):
-                coefficients[channel] = model.coefficients
-                driving[channel] = model.b0**2
-        for state, extra in enumerate(self.extras, start=layout.n_sensor):
-            _set_noise(extra.model, state, decay, walk, variance)
-        return np.concatenate([self.white, decay, walk, variance, coefficients.ravel(), driving])
-
-
-def _set_noise(model: Model, state: int, decay, walk, variance) -> None:
-    if isinstance(model, RandomWalk):
-        walk[state] = model.q**2
-    elif isinstance(model, GaussMarkov):
-        decay[state] = 1 / model.tau
-        variance[state] = model.sigma**2
+            coefficients[channel, :len(model.coefficients)] = model.coefficients
+        for state, model in zip([*states, *range(layout.n_sensor, layout.n_augmented)],
+                                [*self.models, *(extra.model for extra in self.extras)]):
+            decay[state], walk[state], variance[state] = model.decay, model.walk, model.variance
+        return np.concatenate([self.white, decay, walk, variance, coefficients.ravel(), driving,
+                               REPEATED_TURN_ON**2 * self.first_variance])
 
 
 def _equal_order(models: tuple[Model, ...]) -> tuple[Model, ...]:
-    """Autoregressive models of different order, filled up with zeros: the kernel has one p for all channels."""
+    """Models of different order, filled up with zeros: the kernel has one p for all channels."""
     order = max(model.order for model in models)
-    return tuple(model if model.order == order else
-                 Autoregressive((*model.coefficients, *[0.0] * (order - model.order)), model.b0, model.interval)
-                 for model in models)
+    return tuple(model if model.order == order else model.of_order(order) for model in models)
 
 
 def _with_tilt(models: tuple[Model, ...], white: np.ndarray, sigma: float) -> tuple[tuple[Model, ...], np.ndarray]:
     """Models and white noise with what gravity adds on a road that is not level: sigma m/s^2 on f_x and f_y.
 
-    The planar filter has no state for it. A Gauss-Markov channel takes it in; a random walk grows to it in TILT_TIME;
-    beside an autoregressive model it is white noise that moves the velocity as far in ten seconds.
+    The planar filter has no state for it. A model takes it in as far as it can (`Model.with_tilt`).
     """
     if sigma == 0:
         return models, white
-
-    def tilted(model):
-        if isinstance(model, GaussMarkov):
-            total = math.hypot(model.sigma, sigma)
-            share = (sigma / total) ** 2  # of the two correlation times, by their part of the variance
-            return GaussMarkov(total, math.exp(share * math.log(TILT_TIME) + (1 - share) * math.log(model.tau)))
-        if isinstance(model, RandomWalk):
-            return RandomWalk(math.hypot(model.q, sigma * math.sqrt(2 / TILT_TIME)),
-                              math.hypot(model.initial_sigma, sigma))
-        return model
-
-    white = white.copy()
-    if isinstance(models[0], Autoregressive):
-        white[:2] += 10.0 * sigma**2
-    return (*(tilted(model) for model in models[:2]), models[2]), white
+    tilted, more = zip(*(model.with_tilt(sigma, TILT_TIME) for model in models[:2]))
+    return (*tilted, models[2]), white + [*more, 0.0, 0.0, 0.0, 0.0]
 
 
 def _extras(values: dict, mechanization: int) -> tuple[Extra, ...]:
@@ -327,14 +322,15 @@ def _extras(values: dict, mechanization: int) -> tuple[Extra, ...]:
             extras.append(Extra(name, RandomWalk(walk, sigma), sigma))
 
     if values['vehicle.non_holonomic']:
-        if mechanization != PLANAR:
+        if mechanization == STRAPDOWN:
             slow('mounting_pitch', values['imu.mounting_sigma'])
         slow('mounting_yaw', values['imu.mounting_sigma'])
         slow('axle_x', values['vehicle.rear_axle_sigma'])
     slow('time_offset', values['gnss.time_offset_sigma'], values['gnss.time_offset_walk'])
-    if values['speed_topic']:
-        slow('speed_scale', values['speed.scale_sigma'])
-        slow('axle_y', values['vehicle.rear_axle_sigma'])  # in a bend the wheels' speed is not the IMU's
+    for measurement in AIDING:
+        if values[measurement.topic]:
+            for name, sigma in measurement.states(values).items():
+                slow(name, sigma)
     return tuple(extras)
 
 
@@ -365,11 +361,6 @@ def _gnss(values: dict) -> GnssSettings:
         adapt_sigma=values['gnss.adapt_sigma'] and values['mechanization'] == 'strapdown',
         adapt_covariance=values['gnss.adapt_covariance'], outage_after=values['gnss.outage_after'],
         coloured=_coloured(values))
-
-
-def _sensor(values: dict, name: str, offset: str = '') -> SensorSettings:
-    return SensorSettings(values[f'{name}_topic'], values[f'{name}.sigma'], values[f'{name}.default_sigma'],
-                          values[f'{name}.{offset}'] if offset else 0.0, values.get(f'{name}.{offset}_sigma', 0.0))
 
 
 def _alignment(values: dict) -> AlignmentSettings:

@@ -16,7 +16,7 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from .layout import Head
+from .memory import Head
 
 
 def history_size(n: int) -> int:

@@ -1,7 +1,7 @@
 """The compiled filter: one error-state Kalman filter for the live node and for the replay of whole recordings.
 
 All of it lives in one flat array of floats (`FilterConfig.memory` lays it out): a head with sizes and settings, the
-noise of each state, a ring of the latest states (rows, see layout.py), a ring of the IMU samples between them, and the
+noise of each state, a ring of the latest states (rows, see memory.py), a ring of the IMU samples between them, and the
 measurements of the same time. Because the ring remembers, a measurement that comes late is applied at its own time:
 back to the state before it and forward again. A copy of the memory is a second filter (outages are branched off so).
 
@@ -16,39 +16,48 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-from ..navigation import planar
 from ..navigation.earth import gravity
-from . import contradiction, history, imu_faults
-from .correction import CONSTRAINT_INTERVAL, apply_event, constrain
-from .imu_faults import Fault
-from .layout import (
+from . import history
+from .measurements.geometry import body_to_level
+from .memory import (
     NAV,
-    PLANAR,
+    Error,
     Event,
     Head,
+    Kind,
     Nav,
     Sample,
     Verdict,
+    channel_of,
     event_at,
     packed,
     place,
+    row_of,
     sample_at,
     state_at,
     velocity_variance,
 )
-from .measurements.geometry import body_to_level
-from .prediction import predict
-from .standstill import is_still
-from .white_noise import show_noise
+from .prediction import free_sensors, predict
+from .trust import contradiction, imu_faults
+from .trust.imu_faults import Fault, Imu
+from .trust.standstill import is_still
+from .trust.straight_on import Wrong
+from .trust.white_noise import show_noise
+from .update import CONSTRAINT_INTERVAL, apply_event, constrain
 
 #: what the answers to an event mean
-TAKEN, BEFORE_START, TOO_LATE = 0, 1, 2
+TAKEN, BEFORE_START, TOO_LATE, FORGOTTEN = 0, 1, 2, 3
+#: an IMU that has said nothing believable for longer, s, may come back with other errors: one that is switched off and
+#: on, or whose driver starts anew, needs as long at least
+SHORTEST_RESTART = 1.5
 #: so long a sample that is not believed is replaced by what the vehicle did before it, s; after that by no motion
 HELD = 0.3
 #: a measurement that came before an IMU sample may be this much later than it, s
 LATEST = 1.0
-#: what is added to the sigmas of velocity and attitude where a state was not finite and the one before it is taken
-RESTART_VELOCITY, RESTART_ATTITUDE = 1.0, 0.05  # m/s, rad
+#: m/s: what is added to the sigma of the velocity where a state was not finite and the one before it is taken
+RESTART_VELOCITY = 1.0
+#: rad: and to that of the attitude
+RESTART_ATTITUDE = 0.05
 
 
 @njit(_nrt=False)
@@ -80,8 +89,11 @@ def _advance(memory, k):
         for i in range(width):
             memory[dst + i] = memory[src + i]
     memory[dst + Nav.TIME] = end
-    if memory[Head.CONSTRAINTS] != 0.0 and memory[dst + Nav.CONSTRAINT_TIME] > CONSTRAINT_INTERVAL:
-        constrain(memory, dst, sample, end - begin)
+    if memory[first_row + Nav.BRIDGED] > SHORTEST_RESTART and memory[dst + Nav.BRIDGED] == 0.0:
+        free_sensors(memory, dst)  # the first sample that is believed again
+    due = CONSTRAINT_INTERVAL - 0.5 * memory[sample + Sample.INTERVAL]  # at the nearest sample
+    if memory[Head.CONSTRAINTS] != 0.0 and memory[dst + Nav.CONSTRAINT_TIME] > due:
+        constrain(memory, dst, sample)
     if not _is_finite(memory, dst):
         _restore(memory, first_row, dst, end)
 
@@ -108,13 +120,13 @@ def _restore(memory, good, r, time):
     memory[r + Nav.TIME] = time
     n_navigation = int(memory[Head.N_NAVIGATION])
     a = r + NAV + n_navigation + int(memory[Head.N_AUGMENTED])
-    velocity, attitude = (2, 4) if n_navigation == planar.State.SIZE else (3, 6)
-    for i in range(velocity, attitude):
-        memory[a + packed(i, i, n_navigation)] += RESTART_VELOCITY**2
-    for i in range(attitude, n_navigation):
-        memory[a + packed(i, i, n_navigation)] += RESTART_ATTITUDE**2
+    for error in range(Error.V_N, Error.SIZE):
+        i = row_of(memory, error)
+        if i >= 0:
+            sigma = RESTART_VELOCITY if error <= Error.V_D else RESTART_ATTITUDE
+            memory[a + packed(i, i, n_navigation)] += sigma**2
     history.lose(memory, n_navigation + int(memory[Head.N_AUGMENTED]))
-    memory[Head.RESTARTS] += 1.0
+    memory[r + Nav.RESTARTS] += 1.0
 
 
 @njit(inline='always')  # in its one caller: what it calls is then compiled once less
@@ -125,14 +137,14 @@ def _take_sample(memory, samples, i):
     sample, before = place(sample_at(memory, k)), place(state_at(memory, k - 1))
     time = samples[i, 0]
     dt = time - memory[place(sample_at(memory, k - 1)) + Sample.TIME]
-    memory[sample + Sample.TIME] = time
+    memory[sample + Sample.TIME], memory[sample + Sample.INTERVAL] = time, dt
     speed = _certain_speed(memory, before)
     fault = imu_faults.check(memory, samples, i, dt, speed, imu_faults.is_doubted(memory, before, time))
     memory[sample + Sample.FAULT], memory[sample + Sample.COASTED] = fault, 0.0
     if fault == Fault.NONE:
-        _condition(memory, sample, Head.RAW)
+        _condition(memory, sample, Imu.RAW)
     elif fault < Fault.WHIRL and memory[before + Nav.BRIDGED] < HELD:
-        _condition(memory, sample, Head.CENTRE)
+        _condition(memory, sample, Imu.CENTRE)
     else:
         _coast(memory, sample, before)
     if dt > memory[Head.MAX_GAP] and k > 1:  # nobody knows what was in between: the mean of both ends is the best guess
@@ -150,6 +162,8 @@ def _take_sample(memory, samples, i):
     _refuse_ahead(memory, time)
     _advance(memory, k)
     memory[Head.SAMPLES] = k
+    if memory[Wrong.SINCE] != 0.0:
+        _withdraw(memory, k)
 
 
 @njit(_nrt=False)
@@ -176,17 +190,13 @@ def _condition(memory, sample, raw):
 def _coast(memory, sample, r):
     """The sample of a vehicle that goes straight on at its speed, from the state at r."""
     memory[sample + Sample.COASTED] = 1.0
-    x, p = r + NAV + int(memory[Head.N_NAVIGATION]), int(memory[Head.ORDER])
     c = body_to_level(memory, r)
     g = gravity(memory[r + Nav.LATITUDE], memory[r + Nav.HEIGHT])
-    level = memory[Head.MECHANIZATION] == PLANAR
-    for i in range(3):
+    for axis in range(6):
         # gravity's reaction and the estimated errors, which the prediction takes out again
-        channel = (i if i < 2 else -1) if level else i
-        error = memory[x + channel * p] if channel >= 0 else 0.0
-        memory[sample + Sample.F_X + i] = error - g * c[6 + i]
-        channel = (2 if i == 2 else -1) if level else 3 + i
-        memory[sample + Sample.W_X + i] = memory[x + channel * p] if channel >= 0 else 0.0
+        state = channel_of(memory, axis)
+        error = memory[r + NAV + state] if state >= 0 else 0.0
+        memory[sample + Sample.F_X + axis] = error - g * c[6 + axis] if axis < 3 else error
 
 
 @njit(_nrt=False)
@@ -207,9 +217,15 @@ def _take_event(memory, events, i):
         return BEFORE_START if oldest == 0 else TOO_LATE
     if now - time > memory[Head.MAX_DELAY]:
         return TOO_LATE
+    k = newest  # the state before it
+    while memory[state_at(memory, k) + Nav.TIME] >= time:
+        k -= 1
+    if memory[state_at(memory, k) + Nav.TIME] < memory[Head.FORGOTTEN]:
+        return FORGOTTEN
     count = int(memory[Head.EVENTS])
     if count == int(memory[Head.EVENT_CAPACITY]):  # forget the older half
         half = count // 2
+        memory[Head.FORGOTTEN] = memory[event_at(memory, half - 1) + Event.TIME]
         for j in range(half, count):
             _copy(memory, event_at(memory, j - half), event_at(memory, j))
         count -= half
@@ -221,13 +237,42 @@ def _take_event(memory, events, i):
     for c in range(Event.SIZE):
         memory[at + c] = events[i, c]
     memory[Head.EVENTS] = count + 1
-    if time <= now:  # late: back to the state before it and forward again
-        k = newest
-        while memory[state_at(memory, k) + Nav.TIME] >= time:
-            k -= 1
-        for j in range(k + 1, newest + 1):
-            _advance(memory, j)
+    for j in range(k + 1, newest + 1):  # late: back to the state before it and forward again
+        _advance(memory, j)
+    if memory[Wrong.SINCE] != 0.0:
+        _withdraw(memory, newest)
     return TAKEN
+
+
+@njit(_nrt=False)
+def _withdraw(memory, newest):
+    """Back to the state before fixes that have turned out to be wrong, and forward again without them.
+
+    Not where that is longer ago than is remembered, nor for a smoother, whose history goes forward only.
+    """
+    since, memory[Wrong.SINCE] = memory[Wrong.SINCE], 0.0
+    k, oldest = newest, max(0, newest - int(memory[Head.CAPACITY]) + 1)
+    while k > oldest and memory[state_at(memory, k) + Nav.TIME] >= since:
+        k -= 1
+    time = memory[state_at(memory, k) + Nav.TIME]
+    if time >= since or time < memory[Head.FORGOTTEN] or memory[Head.HISTORY_AT] > 0.0:
+        return
+    for i in range(int(memory[Head.EVENTS])):
+        at = event_at(memory, i)
+        verdict = memory[at + Event.VERDICT]
+        if memory[at + Event.KIND] == Kind.POSITION and memory[at + Event.TIME] >= since and verdict != 0.0:
+            memory[at + Event.WITHDRAWN] = 1.0
+    for j in range(k + 1, newest + 1):
+        _advance(memory, j)
+
+
+@njit(_nrt=False)
+def find_event(memory, identity):
+    """Position of the measurement with this Event.ID, the newest first; -1: it is not remembered."""
+    for i in range(int(memory[Head.EVENTS]) - 1, -1, -1):
+        if memory[event_at(memory, i) + Event.ID] == identity:
+            return event_at(memory, i)
+    return -1
 
 
 @njit(_nrt=False)

@@ -15,15 +15,35 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
 from ..navigation.earth import gravity, radii
-from .imu_faults import LONGEST_WHIRL, Fault
-from .layout import NAV, PLANAR, Head, Nav, Sample, packed, place
-from .white_noise import density
+from .memory import (
+    NAV,
+    PLANAR,
+    WHITE,
+    Error,
+    Head,
+    Nav,
+    Sample,
+    coefficients_at,
+    decay_at,
+    driving_at,
+    packed,
+    place,
+    restart_at,
+    row_of,
+    variance_at,
+    walk_at,
+)
+from .trust.drift import Drift, DriftSettings
+from .trust.imu_faults import LONGEST_WHIRL, Fault
+from .trust.lag import LagSettings, fall_behind
+from .trust.white_noise import density
 
 #: what a land vehicle may do unseen while the IMU is silent (one sigma): the covariance of a bridged gap
 GAP_ACCELERATION = 1.5  # m/s^2
 GAP_TURN_RATE = 0.3  # rad/s
 GAP_TILT = 0.1  # rad: roads are not steeper, however long it lasts
 UNKNOWN_YAW_SIGMA = math.pi / math.sqrt(3.0)  # rad, of a heading that nothing tells
+COASTING_DENSITY = 3.0  # m^2/s^3: white acceleration of a vehicle that is followed by its fixes alone
 LONGEST_BRIDGE = 2.0  # s: after that they are others
 #: the radii are computed anew after this much latitude, rad (13 m): the scale is then good to 2e-6
 RADII_STEP = 2e-6
@@ -44,27 +64,12 @@ def predict(mem, src, dst, sample, dt):
         _step_planar(mem, src, dst, sample, dt, m, p)
     for k in range(Nav.MEMORY, NAV):
         mem[dst + k] = mem[src + k]
-    if mem[Head.LAG_TIME] > 0.0:
-        follow(mem, src, dst, dt)
-    if dt > mem[Head.MAX_GAP] or mem[sample + Sample.FAULT] != 0.0:
+    if mem[LagSettings.TIME] > 0.0:
+        fall_behind(mem, src, dst, dt)
+    if mem[sample + Sample.INTERVAL] > mem[Head.MAX_GAP] or mem[sample + Sample.FAULT] != 0.0:
         _bridge(mem, dst, dt, m, mem[sample + Sample.FAULT])
     else:
         mem[dst + Nav.BRIDGED] = 0.0
-
-
-@njit(_nrt=False)
-def follow(mem, src, dst, dt):
-    """Of the velocity's change from src to dst and before, what a receiver that smooths has not followed yet.
-
-    A tracking filter that takes the velocity for constant, critically damped (alpha-beta filter; Y. Bar-Shalom et al.,
-    *Estimation with Applications to Tracking and Navigation*, 2001, 6.5), follows the position but for tau^2 s^2 /
-    (1 + tau s)^2 of it: tau times this velocity. tau^2 is its `gnss.lag_per_acceleration`.
-    """
-    keep = math.exp(-dt / mem[Head.LAG_TIME])
-    for k in range(3):
-        fresh = keep * mem[src + Nav.FRESH + k] + mem[dst + Nav.V_N + k] - mem[src + Nav.V_N + k]
-        mem[dst + Nav.FRESH + k] = fresh
-        mem[dst + Nav.UNFOLLOWED + k] = fresh + keep * (mem[src + Nav.UNFOLLOWED + k] - fresh)
 
 
 @njit(_nrt=False)
@@ -78,11 +83,12 @@ def set_radii(mem, r):
 
 
 @njit(_nrt=False)
-def _move(mem, src, dst, north, east):
+def _move(mem, src, dst, north, east, down):
     """Position of row dst: that of src moved by a displacement in m."""
     src, dst = place(src), place(dst)
     mem[dst + Nav.LATITUDE] = mem[src + Nav.LATITUDE] + north * mem[src + Nav.NORTH_SCALE]
     mem[dst + Nav.LONGITUDE] = mem[src + Nav.LONGITUDE] + east * mem[src + Nav.EAST_SCALE]
+    mem[dst + Nav.HEIGHT] = mem[src + Nav.HEIGHT] - down
     mem[dst + Nav.RADII_LATITUDE] = mem[src + Nav.RADII_LATITUDE]
     mem[dst + Nav.NORTH_SCALE] = mem[src + Nav.NORTH_SCALE]
     mem[dst + Nav.EAST_SCALE] = mem[src + Nav.EAST_SCALE]
@@ -110,8 +116,7 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
     north, east, v_n, v_e, yaw = planar.mechanize(mem[src + Nav.V_N], mem[src + Nav.V_E], yaw, f_x, f_y, w_z, dt)
     if mem[sample + Sample.COASTED] != 0.0:  # straight on whatever the heading and the sensors' errors are
         f_n = f_e = c = s = 0.0
-    _move(mem, src, dst, north, east)
-    mem[dst + Nav.HEIGHT] = mem[src + Nav.HEIGHT]
+    _move(mem, src, dst, north, east, 0.0)
     mem[dst + Nav.V_N] = v_n
     mem[dst + Nav.V_E] = v_e
     mem[dst + Nav.YAW] = yaw
@@ -151,7 +156,7 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
 
     # (Phi P) Phi^T, row by row; the sensors' white noise enters like an error that lasts one interval
     h = 0.5 * dt
-    nx, ny, nw = mem[Head.SIZE + 0], mem[Head.SIZE + 1], mem[Head.SIZE + 5]
+    nx, ny, nw = mem[WHITE], mem[WHITE + 1], mem[WHITE + 5]
     x, y, w = dst + bx, dst + by, dst + bw
     a00, a01, a02, a03, a04 = planar.error_step(
         dt, f_n, f_e, c, s, g00, g01, g02, g03, g04,
@@ -206,7 +211,7 @@ def _carry_sensors(mem, dt, size, m):
     """The rows behind the navigation errors."""
     n = size + m
     for j in range(m):
-        decay, at = _decay(dt * mem[Head.SIZE + 6 + j]), int(mem[Head.HISTORY_AT]) + n * (size + j)
+        decay, at = _decay(dt * mem[decay_at(m, j)]), int(mem[Head.HISTORY_AT]) + n * (size + j)
         for k in range(at, at + n):
             mem[k] *= decay
 
@@ -224,26 +229,37 @@ def _bridge(mem, r, dt, m, fault):
     squares = after**2 - before**2
     velocity, turn = GAP_ACCELERATION**2 * squares, GAP_TURN_RATE**2 * squares
     position = 0.25 * GAP_ACCELERATION**2 * (after**4 - before**4)
+    if fault == Fault.DOUBTED:
+        position, velocity = 0.0, COASTING_DENSITY * dt
     if fault == Fault.WHIRL:
         part = dt / LONGEST_WHIRL
         turn += part * UNKNOWN_YAW_SIGMA**2
         velocity += part * (mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2)
-    if mem[Head.MECHANIZATION] == PLANAR:
-        a = r + NAV + 5 + m
-        for i in range(2):
-            mem[a + packed(i, i, 5)] += position
-            mem[a + packed(2 + i, 2 + i, 5)] += velocity
-        mem[a + packed(4, 4, 5)] += turn
-        return
-    a = r + NAV + 9 + m
-    for i in range(3):
-        mem[a + packed(i, i, 9)] += position
-        mem[a + packed(3 + i, 3 + i, 9)] += velocity
-        tilt = 6 + i
-        if i == 2:
-            mem[a + packed(tilt, tilt, 9)] += turn
+    n = int(mem[Head.N_NAVIGATION])
+    a = r + NAV + n + m
+    for error in range(Error.SIZE):
+        i = row_of(mem, error)
+        if i < 0:
+            continue
+        at = a + packed(i, i, n)
+        if error <= Error.R_D:
+            mem[at] += position
+        elif error <= Error.V_D:
+            mem[at] += velocity
+        elif error <= Error.PHI_E:
+            mem[at] += min(0.1 * turn, max(GAP_TILT**2 - mem[at], 0.0))
         else:
-            mem[a + packed(tilt, tilt, 9)] += min(0.1 * turn, max(GAP_TILT**2 - mem[a + packed(tilt, tilt, 9)], 0.0))
+            mem[at] += turn
+
+
+@njit(_nrt=False)
+def free_sensors(mem, r):
+    """Add to the covariance of row r what a restart may do to the sensors' errors (`config.REPEATED_TURN_ON`)."""
+    n_navigation, m, p = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), int(mem[Head.ORDER])
+    channels = int(mem[Head.CHANNELS])
+    e = r + NAV + n_navigation + m + n_navigation * (n_navigation + 1) // 2 + m * n_navigation
+    for channel in range(channels):
+        mem[e + (m + 1) * channel * p] += mem[restart_at(m, p, channels, channel)]
 
 
 @njit
@@ -262,9 +278,9 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
     b = x + m + size * (size + 1) // 2
     e = b + size * m
     decays = place(int(mem[Head.SCRATCH_AT]))
-    learned = 0 if mem[Head.ADAPT_DRIFT] == 0.0 else 6  # three accelerometers, three gyroscopes
+    learned = 0 if mem[DriftSettings.LEARNED] == 0.0 else 6  # three accelerometers, three gyroscopes
     for j in range(m):
-        mem[decays + j] = _decay(dt * mem[Head.SIZE + 6 + j])
+        mem[decays + j] = _decay(dt * mem[decay_at(m, j)])
     for j in range(m):
         decay, column, before, row = mem[decays + j], dst + b + size * j, src + e + m * j, dst + e + m * j
         mem[dst + x + j] = decay * mem[src + x + j]
@@ -272,9 +288,9 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
             mem[column + i] *= decay
         for i in range(m):  # both halves are the same bits, as they were before
             mem[row + i] = decay * mem[decays + i] * mem[before + i]
-        drift = mem[src + Nav.DRIFT_RATIO + (j > 2)] if j < learned else 1.0
-        mem[row + j] += drift * (mem[Head.SIZE + 6 + m + j] * dt
-                                 + mem[Head.SIZE + 6 + 2 * m + j] * (1.0 - decay * decay))
+        drift = mem[src + Drift.RATIO + (j > 2)] if j < learned else 1.0
+        mem[row + j] += drift * (mem[walk_at(m, j)] * dt
+                                 + mem[variance_at(m, j)] * (1.0 - decay * decay))
     if mem[Head.HISTORY_AT] > 0.0:
         _carry_sensors(mem, dt, place(size), place(m))
     if mem[Head.ACCELEROMETER_INTERVAL] > 0.0:
@@ -303,7 +319,7 @@ def _step_channel(mem, dst, size, m, p, channel, channels):
     x = NAV + size
     b = x + m + size * (size + 1) // 2
     e = b + size * m
-    start, a = channel * p, 6 + 3 * m + channel * p
+    start, a = channel * p, coefficients_at(m, p, channel)
     _companion(mem, dst + x + start, 1, p, a)
     for i in range(size):
         _companion(mem, place(dst + b + size * start + i), size, p, a)
@@ -320,7 +336,7 @@ def _step_channel(mem, dst, size, m, p, channel, channels):
         n = size + m
         for k in range(n):
             _companion(mem, int(mem[Head.HISTORY_AT]) + n * (size + start) + k, n, p, a)
-    mem[dst + e + (m + 1) * start] += mem[Head.SIZE + 6 + 3 * m + channels * p + channel]
+    mem[dst + e + (m + 1) * start] += mem[driving_at(m, p, channels, channel)]
 
 
 @njit(inline='always')
@@ -328,12 +344,12 @@ def _companion(mem, at, stride, p, a):
     """y = -a_1 v_1 - ... - a_p v_p in front, the rest moves back: p elements of a row, `stride` apart."""
     if p == 2:  # the usual one, without a loop
         first = mem[at]
-        mem[at] = -mem[Head.SIZE + a + 1] * mem[at + stride] - mem[Head.SIZE + a] * first
+        mem[at] = -mem[a + 1] * mem[at + stride] - mem[a] * first
         mem[at + stride] = first
         return
     y = 0.0
     for k in range(p - 1, -1, -1):
-        y -= mem[Head.SIZE + a + k] * mem[at + k * stride]
+        y -= mem[a + k] * mem[at + k * stride]
         if k > 0:
             mem[at + k * stride] = mem[at + (k - 1) * stride]
     mem[at] = y
@@ -364,8 +380,7 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
     step = strapdown.transition(dt, c, f_level)
     if mem[Head.HISTORY_AT] > 0.0:
         _carry_strapdown(mem, step, m, p)
-    _move(mem, src, dst, moved[0], moved[1])
-    mem[dst + Nav.HEIGHT] = height - moved[2]
+    _move(mem, src, dst, moved[0], moved[1], moved[2])
     mem[dst + Nav.V_N], mem[dst + Nav.V_E], mem[dst + Nav.V_D] = velocity
     mem[dst + Nav.Q_W], mem[dst + Nav.Q_X], mem[dst + Nav.Q_Y], mem[dst + Nav.Q_Z] = attitude
 

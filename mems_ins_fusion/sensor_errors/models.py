@@ -7,13 +7,52 @@ White noise of the sensor (angle and velocity random walk) is no part of them: i
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from mems_ins_fusion.errors import InputError
+
+from ..parameters.parameter import ParameterError
+
+
+def per_axis(parameters: Mapping, name: str) -> list[float]:
+    """The values of a parameter that holds one value for all axes or three, as three: sensor axes x, y, z."""
+    values = parameters[name]
+    return list(values) * 3 if len(values) == 1 else list(values)
+
+
+class Model:
+    """One sensor error model: a class with the methods of those below, and a line in MODELS.
+
+    What the filter's compiled prediction needs of each state of a model stands here: the state decays by
+    exp(-decay dt) and is driven by walk dt + variance (1 - exp(-2 decay dt)); or, with an interval, it makes an
+    autoregressive step with coefficients and b0 for each interval.
+    """
+
+    order = 1
+    #: s; None: continuous in time
+    interval: float | None = None
+    decay = walk = variance = b0 = 0.0
+    coefficients: tuple[float, ...] = ()
+    #: whether it begins with the turn-on bias; else that is a constant beside it
+    holds_turn_on = False
+    #: its parameter, behind the sensor's name, that says how large it is
+    level = ''
+
+    def of_order(self, order: int) -> Model:
+        """The same process with `order` states."""
+        return self
+
+    def with_tilt(self, sigma: float, time: float) -> tuple[Model, float]:
+        """It with another error of `sigma` that lasts for `time` s taken in; and what of that is to be white noise
+        beside it, density squared."""
+        return self, 10.0 * sigma**2  # it moves the velocity as far in ten seconds
+
 
 @dataclass(frozen=True)
-class RandomWalk:
+class RandomWalk(Model):
     """Random walk, Eq. 11 and 12: the bias wanders without bound.
 
     q: driving noise, unit of the sensor per sqrt(s). initial_sigma: standard deviation at the start.
@@ -21,8 +60,20 @@ class RandomWalk:
 
     q: float
     initial_sigma: float
-    order = 1
-    interval = None  #: continuous in time
+    holds_turn_on = True
+    level = 'random_walk.q'
+
+    @classmethod
+    def from_parameters(cls, parameters: Mapping, sensor: str) -> list[RandomWalk]:
+        sigma = per_axis(parameters, f'{sensor}.initial_sigma')
+        return [cls(q, s) for q, s in zip(per_axis(parameters, f'{sensor}.random_walk.q'), sigma)]
+
+    @property
+    def walk(self) -> float:
+        return self.q**2
+
+    def with_tilt(self, sigma, time):
+        return RandomWalk(math.hypot(self.q, sigma * math.sqrt(2 / time)), math.hypot(self.initial_sigma, sigma)), 0.0
 
     def transition(self, dt: float) -> np.ndarray:
         return np.ones((1, 1))
@@ -35,7 +86,7 @@ class RandomWalk:
 
 
 @dataclass(frozen=True)
-class GaussMarkov:
+class GaussMarkov(Model):
     """First-order Gauss-Markov process, Eq. 13 and 14: autocorrelation sigma^2 exp(-|t| / tau).
 
     sigma: standard deviation, unit of the sensor. tau: correlation time, s.
@@ -43,8 +94,25 @@ class GaussMarkov:
 
     sigma: float
     tau: float
-    order = 1
-    interval = None  #: continuous in time
+    level = 'gauss_markov.sigma'
+
+    @classmethod
+    def from_parameters(cls, parameters: Mapping, sensor: str) -> list[GaussMarkov]:
+        tau = per_axis(parameters, f'{sensor}.gauss_markov.tau')
+        return [cls(s, t) for s, t in zip(per_axis(parameters, f'{sensor}.gauss_markov.sigma'), tau)]
+
+    @property
+    def decay(self) -> float:
+        return 1 / self.tau
+
+    @property
+    def variance(self) -> float:
+        return self.sigma**2
+
+    def with_tilt(self, sigma, time):
+        total = math.hypot(self.sigma, sigma)
+        share = (sigma / total) ** 2  # of the two correlation times, by their part of the variance
+        return GaussMarkov(total, math.exp(share * math.log(time) + (1 - share) * math.log(self.tau))), 0.0
 
     def transition(self, dt: float) -> np.ndarray:
         return np.full((1, 1), math.exp(-dt / self.tau))
@@ -57,24 +125,45 @@ class GaussMarkov:
 
 
 @dataclass(frozen=True)
-class Autoregressive:
+class Autoregressive(Model):
     """Autoregressive process AR(p), Eq. 15: y(n) = -a_1 y(n-1) - ... - a_p y(n-p) + b0 w(n).
 
     coefficients: (a_1, ..., a_p), signs as in Eq. 15. b0: driving noise, unit of the sensor.
     interval: the sampling interval T_s the model belongs to, s; it steps once per interval and holds in between.
-    State: y(n), y(n-1), ..., y(n-p+1). Raises ValueError for a model that is not stable.
+    State: y(n), y(n-1), ..., y(n-p+1). Raises InputError for a model that is not stable.
     """
 
     coefficients: tuple[float, ...]
     b0: float
     interval: float
+    level = 'autoregressive.b0'
+
+    @classmethod
+    def from_parameters(cls, parameters: Mapping, sensor: str) -> list[Autoregressive]:
+        """ParameterError for a model that is not stable or has no clear order."""
+        name = f'{sensor}.autoregressive.coefficients'
+        values = parameters[name]
+        order = parameters[f'{sensor}.autoregressive.order'] or len(values)
+        if len(values) not in (order, 3 * order):
+            raise ParameterError(f"parameter '{name}' must have {order} or {3 * order} values for order {order}, got "
+                                 f'{len(values)}')
+        values = values * 3 if len(values) == order else values
+        b0 = per_axis(parameters, f'{sensor}.autoregressive.b0')
+        interval = parameters[f'{sensor}.autoregressive.interval']
+        try:
+            return [cls(tuple(values[i * order:(i + 1) * order]), b0[i], interval) for i in range(3)]
+        except ValueError as error:
+            raise ParameterError(f"parameter '{name}': {error}") from None
+
+    def of_order(self, order):
+        return Autoregressive((*self.coefficients, *[0.0] * (order - self.order)), self.b0, self.interval)
 
     def __post_init__(self):
         if self.order == 0:
-            raise ValueError('an autoregressive model needs at least one coefficient')
+            raise InputError('an autoregressive model needs at least one coefficient')
         radius = np.abs(self.poles()).max()
         if radius >= 1:
-            raise ValueError(f'the autoregressive model with coefficients {list(self.coefficients)} is not stable: '
+            raise InputError(f'the autoregressive model with coefficients {list(self.coefficients)} is not stable: '
                              f'a pole at radius {radius:.6g}')
 
     @property
@@ -104,7 +193,9 @@ class Autoregressive:
         return stacked.reshape(p, p)
 
 
-Model = RandomWalk | GaussMarkov | Autoregressive
+#: by the name of the parameter `sensor_error_model`
+MODELS: dict[str, type[Model]] = {'random_walk': RandomWalk, 'gauss_markov': GaussMarkov,
+                                  'autoregressive': Autoregressive}
 
 
 def simulate(model: Model, n: int, dt: float, rng: np.random.Generator) -> np.ndarray:

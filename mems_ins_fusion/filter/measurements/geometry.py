@@ -5,8 +5,8 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ...navigation import planar, strapdown
-from ..layout import NAV, PLANAR, Head, Nav, Sample
+from ...navigation import strapdown
+from ..memory import NAV, PLANAR, Error, Head, Nav, Sample, channel_of, row_of
 
 
 @njit(_nrt=False)
@@ -37,19 +37,23 @@ def vehicle_to_level(mem, r, c):
 
 
 @njit(_nrt=False)
+def add(mem, h, error, value):
+    """Add to the row of H at `h` the derivative by one of the nine navigation errors, if the mechanization has it."""
+    state = row_of(mem, error)
+    if state >= 0:
+        mem[h + state] += value
+
+
+@njit(_nrt=False)
 def turned(mem, h, n, u_n, u_e, u_d):
     """Add to three rows of H (north, east, down) what an error of attitude does to the vector u of the body, in n."""
-    if mem[Head.MECHANIZATION] == PLANAR:
-        mem[h + planar.State.YAW] -= u_e
-        mem[h + n + planar.State.YAW] += u_n
-        return
     # phi x u
-    mem[h + strapdown.State.PHI_E] += u_d
-    mem[h + strapdown.State.PHI_D] -= u_e
-    mem[h + n + strapdown.State.PHI_N] -= u_d
-    mem[h + n + strapdown.State.PHI_D] += u_n
-    mem[h + 2 * n + strapdown.State.PHI_N] += u_e
-    mem[h + 2 * n + strapdown.State.PHI_E] -= u_n
+    add(mem, h, Error.PHI_E, u_d)
+    add(mem, h, Error.PHI_D, -u_e)
+    add(mem, h + n, Error.PHI_N, -u_d)
+    add(mem, h + n, Error.PHI_D, u_n)
+    add(mem, h + 2 * n, Error.PHI_N, u_e)
+    add(mem, h + 2 * n, Error.PHI_E, -u_n)
 
 
 @njit(_nrt=False)
@@ -66,26 +70,24 @@ def add_body_velocity(mem, r, h, c, axis, scale):
     """
     x, y, z = scale * c[axis], scale * c[3 + axis], scale * c[6 + axis]
     v_n, v_e, v_d = mem[r + Nav.V_N], mem[r + Nav.V_E], mem[r + Nav.V_D]
-    if mem[Head.MECHANIZATION] == PLANAR:
-        mem[h + planar.State.V_N] += x
-        mem[h + planar.State.V_E] += y
-        mem[h + planar.State.YAW] += x * v_e - y * v_n
-        return
-    mem[h + strapdown.State.V_N] += x
-    mem[h + strapdown.State.V_E] += y
-    mem[h + strapdown.State.V_D] += z
-    mem[h + strapdown.State.PHI_N] += y * v_d - z * v_e
-    mem[h + strapdown.State.PHI_E] += z * v_n - x * v_d
-    mem[h + strapdown.State.PHI_D] += x * v_e - y * v_n
+    add(mem, h, Error.V_N, x)
+    add(mem, h, Error.V_E, y)
+    add(mem, h, Error.V_D, z)
+    add(mem, h, Error.PHI_N, y * v_d - z * v_e)
+    add(mem, h, Error.PHI_E, z * v_n - x * v_d)
+    add(mem, h, Error.PHI_D, x * v_e - y * v_n)
 
 
 @njit(_nrt=False)
-def _along(mem, p, n, k, c, axis):
-    """Variance of the vector whose errors in n are the states from k on, along a body axis; p: position of P (n, n)."""
+def _along(mem, p, n, first, c, axis):
+    """Variance along a body axis of the vector of errors in n that begins with `first` (V_N or PHI_N), as far as the
+    mechanization has them; p: position of P (n, n)."""
     total = 0.0
     for i in range(3):
         for j in range(3):
-            total += c[3 * i + axis] * mem[p + n * (k + i) + k + j] * c[3 * j + axis]
+            row, column = row_of(mem, first + i), row_of(mem, first + j)
+            if row >= 0 and column >= 0:
+                total += c[3 * i + axis] * mem[p + n * row + column] * c[3 * j + axis]
     return total
 
 
@@ -98,14 +100,8 @@ def second_order(mem, n, c, axis, mounting):
     "Stochastic Models, Estimation, and Control", vol. 2, 1982, ch. 12).
     """
     p = int(mem[Head.SCRATCH_AT])
-    if mem[Head.MECHANIZATION] == PLANAR:
-        s, a, b = planar.State, c[0], c[3]
-        v = p + n * s.V_N + s.V_N
-        speed = a * a * mem[v] + 2.0 * a * b * mem[v + 1] + b * b * mem[v + n + 1]
-        angle = mem[p + (n + 1) * s.YAW]
-    else:
-        speed = _along(mem, p, n, strapdown.State.V_N, c, 0)
-        angle = _along(mem, p, n, strapdown.State.PHI_N, c, axis)
+    speed = _along(mem, p, n, Error.V_N, c, 0)
+    angle = _along(mem, p, n, Error.PHI_N, c, axis)
     if mounting >= 0:
         angle += mem[p + (n + 1) * mounting]
     return speed * angle
@@ -114,8 +110,11 @@ def second_order(mem, n, c, axis, mounting):
 @njit(_nrt=False)
 def angular_rate(mem, r, sample):
     """Angular rate of the sample at `sample` less the gyroscope errors estimated at r, rad/s, body axes."""
-    x, p = r + Nav.SIZE + int(mem[Head.N_NAVIGATION]), int(mem[Head.ORDER])
-    if mem[Head.MECHANIZATION] == PLANAR:
-        return 0.0, 0.0, mem[sample + Sample.W_Z] - mem[x + 2 * p]
-    return (mem[sample + Sample.W_X] - mem[x + 3 * p], mem[sample + Sample.W_Y] - mem[x + 4 * p],
-            mem[sample + Sample.W_Z] - mem[x + 5 * p])
+    return (_rate(mem, r, sample, 0), _rate(mem, r, sample, 1), _rate(mem, r, sample, 2))
+
+
+@njit(_nrt=False)
+def _rate(mem, r, sample, axis):
+    """Zero about an axis about which the mechanization does not turn."""
+    state = channel_of(mem, 3 + axis)
+    return mem[sample + Sample.W_X + axis] - mem[r + NAV + state] if state >= 0 else 0.0

@@ -7,8 +7,12 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-from ...navigation import planar, strapdown
-from ..layout import NAV, PLANAR, Event, Head, Kind
+from ...navigation.frames import wrap, yaw_from_enu, yaw_of_quaternion
+from ...parameters.parameter import Parameter
+from ...samples import Headings
+from ..memory import NAV, Error, Event, Head, Kind
+from .base import IMU, POSE, Measurement
+from .geometry import add
 from .records import empty, refuse, stated_or
 
 
@@ -19,13 +23,10 @@ def observe(mem, r, at, h, n, c):
     mounting = mem[r + NAV + yaw] if yaw >= 0 else 0.0  # the vehicle is turned by that in the body's axes
     difference = math.atan2(c[3], c[0]) + mounting - mem[at + Event.VALUE]
     mem[at + Event.Z_N] = math.atan2(math.sin(difference), math.cos(difference)) - mounting
-    if mem[Head.MECHANIZATION] == PLANAR:
-        mem[h + planar.State.YAW] = 1.0
-    else:  # of atan2(c_21, c_11), where the column turns by phi x c
-        level = c[0] * c[0] + c[3] * c[3]
-        mem[h + strapdown.State.PHI_D] = 1.0
-        mem[h + strapdown.State.PHI_N] = -c[6] * c[0] / level
-        mem[h + strapdown.State.PHI_E] = -c[6] * c[3] / level
+    level = c[0] * c[0] + c[3] * c[3]  # of atan2(c_21, c_11), where the column turns by phi x c
+    add(mem, h, Error.PHI_D, 1.0)
+    add(mem, h, Error.PHI_N, -c[6] * c[0] / level)
+    add(mem, h, Error.PHI_E, -c[6] * c[3] / level)
     if yaw >= 0:
         mem[h + yaw] = -1.0
     return 1
@@ -35,14 +36,68 @@ def observe(mem, r, at, h, n, c):
 SMALLEST_SIGMA = 0.001
 
 
-def records(settings, headings):
-    """Records of `headings` (`samples.Headings`), why each cannot be used ('' where it can), and no warnings.
+#: first element of a covariance in sensor_msgs/Imu where the quantity is not there
+UNKNOWN = -1.0
 
-    settings: `SensorSettings`; its offset, rad clockwise, is subtracted.
-    """
-    n = len(headings)
-    r, reasons = empty(Kind.HEADING, n), np.full(n, '', dtype=object)
-    refuse(reasons, ~(np.abs(headings.yaw) < 100.0), lambda i: f'heading {headings.yaw[i]:g} rad: dropped')
-    r[:, Event.VALUE] = headings.yaw - settings.offset
-    r[:, Event.R_NN] = stated_or(headings.variance, settings, SMALLEST_SIGMA)
-    return r, reasons, np.full(n, '', dtype=object)
+
+class Heading(Measurement):
+    kind, name, samples, unit, default_sigma = Kind.HEADING, 'heading', Headings, 'rad', 0.05
+    topic_text = ('Topic of the heading of base_link (two antennas or a compass): yaw of sensor_msgs/Imu.orientation '
+                  'or geometry_msgs/PoseWithCovarianceStamped, counter-clockwise from east')
+    offset = 'offset'
+    messages = {IMU: ('orientation', 'orientation_covariance'), POSE: ('pose.pose.orientation', 'pose.covariance')}
+    written_to = '/gps/heading'
+    from_satellites = True  # it may be that of two antennas
+    #: rad, white
+    simulated_with = {'heading_rate': 0.0, 'heading_sigma': 0.02}
+
+    def parameters(self):
+        return (
+            *super().parameters(),
+            Parameter('heading.offset', 0.0, 'rad', 'Of the heading measured to that of base_link, clockwise; '
+                      'subtracted.', minimum=-2 * math.pi, maximum=2 * math.pi))
+
+    def records(self, settings, headings):
+        n = len(headings)
+        r, reasons = empty(Kind.HEADING, n), np.full(n, '', dtype=object)
+        refuse(reasons, ~(np.abs(headings.yaw) < 100.0), lambda i: f'heading {headings.yaw[i]:g} rad: dropped')
+        r[:, Event.VALUE] = headings.yaw - settings.offset
+        r[:, Event.R_NN] = stated_or(headings.variance, settings, SMALLEST_SIGMA)
+        return r, reasons, np.full(n, '', dtype=object)
+
+    def off(self, measured, innovation):
+        return (f'heading {math.degrees(measured) % 360:.1f} deg, {math.degrees(abs(innovation[0])):.1f} deg off what '
+                'was expected')
+
+    def read(self, fields, message):
+        """Yaws; NaN in messages that say they have no orientation (sensor_msgs/Imu), and for a zero quaternion."""
+        if message == IMU:
+            orientation, variance = fields['orientation'], fields['orientation_covariance'][:, 1].copy()
+            absent = fields['orientation_covariance'][:, 0] == UNKNOWN
+        else:
+            orientation, variance = fields['pose.pose.orientation'], fields['pose.covariance'][:, 0]
+            absent = np.zeros(len(orientation), bool)
+        with np.errstate(invalid='ignore'):
+            unit = orientation / np.linalg.norm(orientation, axis=1, keepdims=True)
+        yaw = yaw_from_enu(yaw_of_quaternion(*unit.T))
+        yaw[absent] = np.nan
+        return Headings(stamp=fields['stamp'], received=fields['received'], yaw=yaw, variance=variance)
+
+    def written(self, headings):
+        """The orientation of an Imu that has nothing else."""
+        half = 0.5 * yaw_from_enu(headings.yaw)
+        absent = np.isnan(headings.yaw)
+        orientation = np.column_stack([np.zeros((len(headings), 2)), np.sin(half), np.cos(half)])
+        covariance = np.zeros((len(headings), 9))
+        covariance[:, [0, 4]] = np.pi**2  # roll and pitch are not known
+        covariance[:, 8] = headings.variance
+        covariance[absent, 0] = UNKNOWN
+        nothing = (UNKNOWN, *[0.0] * 8)
+        return {'orientation': np.where(absent[:, None], (0.0, 0.0, 0.0, 1.0), orientation),
+                'orientation_covariance': covariance, 'angular_velocity_covariance': nothing,
+                'linear_acceleration_covariance': nothing}
+
+    def simulated(self, drive, errors, effects, rng, instants):
+        time, stamp = instants(errors['heading_rate'], 0.0053)
+        yaw = wrap(drive.at(time).yaw + errors['heading_sigma'] * rng.standard_normal(len(time)))
+        return Headings(stamp, stamp.copy(), yaw, np.full(len(time), errors['heading_sigma'] ** 2))

@@ -10,7 +10,7 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..layout import NAV, PLANAR, Event, Head, Sample
+from ..memory import NAV, Error, Event, Head, Sample, row_of
 from .geometry import add_body_velocity, angular_rate, body_velocity, second_order, vehicle_to_level
 
 
@@ -44,7 +44,7 @@ def observe(mem, r, at, h, n, c, sample):
                             + (mem[Head.SLIP_SIGMA] * acceleration * forward) ** 2
                             + second_order(mem, n, c, 2, yaw))
     mem[at + Event.R_NE] = 0.0
-    if mem[Head.MECHANIZATION] == PLANAR:
+    if row_of(mem, Error.V_D) < 0:
         return 1
     vertical = body_velocity(mem, r, c, 2) + w_x * mem[Head.AXLE_Y] - w_y * mem[Head.AXLE_X]
     add_body_velocity(mem, r, h + n, c, 2, 1.0)

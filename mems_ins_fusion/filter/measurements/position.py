@@ -7,9 +7,11 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-from ...navigation import strapdown
-from ..layout import PLANAR, Event, Head, Kind, Nav
-from .geometry import turned
+from ...samples import Fixes
+from ..memory import Error, Event, Head, Kind, Nav, row_of
+from ..trust.lag import behind
+from .base import Measurement
+from .geometry import add, turned
 from .records import empty, refuse
 
 
@@ -24,10 +26,8 @@ def arm_in_level(mem, c):
 def difference(mem, r, at, c):
     """Predicted minus measured position of the antenna, north, east and down, m; c: rotation from b to n."""
     north, east, down = arm_in_level(mem, c)
-    behind = mem[Head.LAG_GAIN]  # a receiver that smooths
-    north -= behind * mem[r + Nav.UNFOLLOWED]
-    east -= behind * mem[r + Nav.UNFOLLOWED + 1]
-    down -= behind * mem[r + Nav.UNFOLLOWED + 2]
+    # a receiver that smooths
+    north, east, down = north - behind(mem, r, 0), east - behind(mem, r, 1), down - behind(mem, r, 2)
     return ((mem[r + Nav.LATITUDE] - mem[at + Event.LATITUDE]) / mem[r + Nav.NORTH_SCALE] + north,
             (mem[r + Nav.LONGITUDE] - mem[at + Event.LONGITUDE]) / mem[r + Nav.EAST_SCALE] + east,
             mem[at + Event.HEIGHT] - mem[r + Nav.HEIGHT] + down)
@@ -38,7 +38,8 @@ def observe(mem, r, at, h, n, c):
     """`difference` and its rows of H; the number of components: the planar filter has no height."""
     mem[at + Event.Z_N], mem[at + Event.Z_E], mem[at + Event.Z_D] = difference(mem, r, at, c)
     north, east, down = arm_in_level(mem, c)
-    mem[h] = mem[h + n + 1] = 1.0
+    add(mem, h, Error.R_N, 1.0)
+    add(mem, h + n, Error.R_E, 1.0)
     turned(mem, h, n, north, east, down)  # an error of attitude swings the antenna
     coloured = int(mem[Head.COLOURED])
     if coloured >= 0:
@@ -47,16 +48,26 @@ def observe(mem, r, at, h, n, c):
     if offset >= 0:  # the fix is of so much earlier than its stamp says
         mem[h + offset], mem[h + n + offset] = mem[r + Nav.V_N], mem[r + Nav.V_E]
         mem[h + 2 * n + offset] = mem[r + Nav.V_D]
-    if mem[Head.MECHANIZATION] == PLANAR:
-        return 2
-    mem[h + 2 * n + strapdown.State.R_D] = 1.0
-    return 3
+    add(mem, h + 2 * n, Error.R_D, 1.0)
+    return 3 if row_of(mem, Error.R_D) >= 0 else 2
 
 
 #: a position is not better than this, m
 SMALLEST_SIGMA = 0.001
 #: where land vehicles are, m above the ellipsoid
 LOWEST, HIGHEST = -1000.0, 10000.0
+
+
+def is_place(latitude: np.ndarray, longitude: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """(n,) which positions, rad and m, can be a land vehicle's; not those with NaN."""
+    return ((np.abs(latitude) <= math.pi / 2) & (np.abs(longitude) <= 2 * math.pi) & (height >= LOWEST)
+            & (height <= HIGHEST))
+
+
+def is_fix(fixes) -> np.ndarray:
+    """(n,) which of `fixes` have a position; 0, 0 is what receivers without one send."""
+    there = (fixes.latitude != 0) | (fixes.longitude != 0)
+    return is_place(fixes.latitude, fixes.longitude, fixes.height) & there & (fixes.status >= 0)
 
 
 def records(settings, fixes):
@@ -102,3 +113,17 @@ def records(settings, fixes):
         r[:, Event.R_NE] = 0.0
         r[:, Event.R_DD] = np.maximum(r[:, Event.R_DD], settings.sigma**2)
     return r, reasons, warnings
+
+
+class Fix(Measurement):
+    """What it has in common with the other measurements; its settings are `GnssSettings`."""
+
+    kind, name, samples, unit = Kind.POSITION, 'fix', Fixes, 'm'
+    components = 2
+    of_antenna = from_satellites = True
+
+    def off(self, measured, innovation):
+        return f'fix {math.hypot(*innovation):.1f} m off'
+
+    def records(self, settings, fixes):
+        return records(settings, fixes)

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..layout import Event
+from ..memory import Event
 
 
 def empty(kind: int, n: int) -> np.ndarray:

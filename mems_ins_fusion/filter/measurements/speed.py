@@ -5,7 +5,10 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-from ..layout import Event, Head, Kind
+from ...parameters.parameter import Parameter
+from ...samples import Speeds
+from ..memory import Event, Head, Kind
+from .base import ODOMETRY, TWIST, Measurement, covariance36
 from .geometry import add_body_velocity, angular_rate, body_velocity, vehicle_to_level
 from .records import empty, refuse, stated_or
 
@@ -33,14 +36,53 @@ FASTEST = 150.0
 SMALLEST_SIGMA = 0.001
 
 
-def records(settings, speeds):
-    """Records of `speeds` (`samples.Speeds`), why each cannot be used ('' where it can), and no warnings.
+class Speed(Measurement):
+    kind, name, samples, unit, default_sigma = Kind.SPEED, 'speed', Speeds, 'm/s', 0.1
+    topic_text = ('Topic of the speed at the rear axle, m/s, forward positive: '
+                  'geometry_msgs/TwistWithCovarianceStamped or nav_msgs/Odometry, twist.linear.x')
+    offset = 'scale'
+    messages = {TWIST: ('twist.twist.linear', 'twist.covariance'), ODOMETRY: ('twist.twist.linear', 'twist.covariance')}
+    written_to = '/wheel/speed'
+    #: m/s, white, of the rear wheels' speed; standard deviation of its scale factor error, drawn for each seed
+    simulated_with = {'speed_rate': 0.0, 'speed_sigma': 0.05, 'speed_scale': 0.01}
 
-    settings: `SensorSettings`; its offset is the scale error that is known.
-    """
-    n = len(speeds)
-    r, reasons = empty(Kind.SPEED, n), np.full(n, '', dtype=object)
-    refuse(reasons, ~(np.abs(speeds.speed) < FASTEST), lambda i: f'speed {speeds.speed[i]:g} m/s: dropped')
-    r[:, Event.VALUE] = speeds.speed / (1.0 + settings.offset)
-    r[:, Event.R_NN] = stated_or(speeds.variance, settings, SMALLEST_SIGMA)
-    return r, reasons, np.full(n, '', dtype=object)
+    def parameters(self):
+        return (
+            *super().parameters(),
+            Parameter('speed.factor', 1.0, '-', 'Makes m/s, positive forwards, of what the messages on speed_topic '
+                      'say: 0.27778 for km/h, -1 where forwards is negative.', minimum=-1e4, maximum=1e4),
+            Parameter('speed.scale', 0.0, '-', 'Scale factor error of the speed: measured = (1 + scale) true.',
+                      minimum=-0.5, maximum=0.5),
+            Parameter('speed.scale_sigma', 0.02, '-', 'Its standard deviation, with which it is estimated; 0: it is '
+                      'exact.', minimum=0.0, maximum=0.5))
+
+    def states(self, values):
+        # in a bend the wheels' speed is not the IMU's
+        return {'speed_scale': values['speed.scale_sigma'], 'axle_y': values['vehicle.rear_axle_sigma']}
+
+    def records(self, settings, speeds):
+        n, speed = len(speeds), settings.factor * speeds.speed
+        r, reasons = empty(Kind.SPEED, n), np.full(n, '', dtype=object)
+        refuse(reasons, ~(np.abs(speed) < FASTEST), lambda i: f'speed {speed[i]:g} m/s: dropped')
+        r[:, Event.VALUE] = speed / (1.0 + settings.offset)
+        r[:, Event.R_NN] = stated_or(settings.factor**2 * speeds.variance, settings, SMALLEST_SIGMA)
+        return r, reasons, np.full(n, '', dtype=object)
+
+    def off(self, measured, innovation):
+        return f'speed {measured:.2f} m/s where {measured + innovation[0]:.2f} m/s was expected'
+
+    def read(self, fields, message):
+        return Speeds(stamp=fields['stamp'], received=fields['received'],
+                      speed=fields['twist.twist.linear'][:, 0].copy(), variance=fields['twist.covariance'][:, 0].copy())
+
+    def written(self, speeds):
+        return {'twist.twist.linear': speeds.speed[:, None] * [1.0, 0.0, 0.0],
+                'twist.covariance': covariance36({0: speeds.variance}, len(speeds))}
+
+    def simulated(self, drive, errors, effects, rng, instants):
+        time, stamp = instants(errors['speed_rate'], 0.0021)
+        speed = (1 + errors['speed_scale'] * rng.standard_normal()) * drive.path.wheel_speed(time)
+        for effect, values in effects:
+            speed = effect.distort_speeds(speed, values)
+        speed = speed + errors['speed_sigma'] * rng.standard_normal(len(time))
+        return Speeds(stamp, stamp.copy(), speed, np.full(len(time), errors['speed_sigma'] ** 2))

@@ -5,9 +5,11 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-from ...navigation import planar, strapdown
-from ..layout import PLANAR, Event, Head, Kind, Nav
-from .geometry import angular_rate, turned
+from ...navigation.frames import ned_covariance_from_enu, ned_from_enu
+from ...samples import Velocities
+from ..memory import Error, Event, Head, Kind, Nav, row_of
+from .base import TWIST, Measurement, covariance36
+from .geometry import add, angular_rate, turned
 from .records import empty, refuse, stated_or
 
 
@@ -24,14 +26,9 @@ def observe(mem, r, at, h, n, c, sample):
     mem[at + Event.Z_E] = mem[r + Nav.V_E] + east - mem[at + Event.VALUE + 1]
     mem[at + Event.Z_D] = mem[r + Nav.V_D] + down - mem[at + Event.VALUE + 2]
     turned(mem, h, n, north, east, down)
-    if mem[Head.MECHANIZATION] == PLANAR:
-        mem[h + planar.State.V_N] += 1.0
-        mem[h + n + planar.State.V_E] += 1.0
-        return 2
-    mem[h + strapdown.State.V_N] += 1.0
-    mem[h + n + strapdown.State.V_E] += 1.0
-    mem[h + 2 * n + strapdown.State.V_D] += 1.0
-    return 3
+    for k in range(3):
+        add(mem, h + n * k, Error.V_N + k, 1.0)
+    return 3 if row_of(mem, Error.V_D) >= 0 else 2
 
 
 #: faster is no land vehicle, m/s
@@ -40,17 +37,55 @@ FASTEST = 150.0
 SMALLEST_SIGMA = 0.001
 
 
-def records(settings, velocities):
-    """Records of `velocities` (`samples.Velocities`), why each cannot be used ('' where it can), and no warnings.
+#: s, of the differences that give a simulated antenna's velocity
+STEP = 1e-3
 
-    settings: `SensorSettings`.
-    """
-    n, v = len(velocities), velocities.velocity
-    r, reasons = empty(Kind.VELOCITY, n), np.full(n, '', dtype=object)
-    with np.errstate(over='ignore', invalid='ignore'):
-        refuse(reasons, ~(np.linalg.norm(v, axis=1) < FASTEST),
-               lambda i: f'velocity {v[i, 0]:g}, {v[i, 1]:g}, {v[i, 2]:g} m/s (north, east, down): dropped')
-    r[:, Event.VALUE:Event.VALUE + 3] = v
-    for column, axis in ((Event.R_NN, 0), (Event.R_EE, 1), (Event.R_DD, 2)):
-        r[:, column] = stated_or(velocities.covariance[:, axis, axis], settings, SMALLEST_SIGMA)
-    return r, reasons, np.full(n, '', dtype=object)
+
+class Velocity(Measurement):
+    kind, name, samples, unit, default_sigma = Kind.VELOCITY, 'velocity', Velocities, 'm/s', 0.2
+    topic_text = ("Topic of the antenna's velocity, m/s east-north-up: geometry_msgs/TwistWithCovarianceStamped, "
+                  'twist.linear')
+    components = 2
+    messages = {TWIST: ('twist.twist.linear', 'twist.covariance')}
+    written_to = '/gps/velocity'
+    of_antenna = from_satellites = True
+    #: m/s, white, north and east; down is 1.5 times that
+    simulated_with = {'velocity_rate': 0.0, 'velocity_sigma': 0.1}
+
+    def records(self, settings, velocities):
+        n, v = len(velocities), velocities.velocity
+        r, reasons = empty(Kind.VELOCITY, n), np.full(n, '', dtype=object)
+        with np.errstate(over='ignore', invalid='ignore'):
+            refuse(reasons, ~(np.linalg.norm(v, axis=1) < FASTEST),
+                   lambda i: f'velocity {v[i, 0]:g}, {v[i, 1]:g}, {v[i, 2]:g} m/s (north, east, down): dropped')
+        r[:, Event.VALUE:Event.VALUE + 3] = v
+        for column, axis in ((Event.R_NN, 0), (Event.R_EE, 1), (Event.R_DD, 2)):
+            r[:, column] = stated_or(velocities.covariance[:, axis, axis], settings, SMALLEST_SIGMA)
+        return r, reasons, np.full(n, '', dtype=object)
+
+    def read(self, fields, message):
+        covariance = fields['twist.covariance'].reshape(-1, 3, 3)
+        return Velocities(stamp=fields['stamp'], received=fields['received'],
+                          velocity=ned_from_enu(fields['twist.twist.linear']),
+                          covariance=ned_covariance_from_enu(covariance))
+
+    def written(self, velocities):
+        covariance = ned_covariance_from_enu(velocities.covariance)
+        return {'twist.twist.linear': ned_from_enu(velocities.velocity),
+                'twist.covariance': covariance36({6 * i + j: covariance[:, i, j] for i in range(3) for j in range(3)},
+                                                 len(velocities))}
+
+    def simulated(self, drive, errors, effects, rng, instants):
+        # at the time that the receiver's fixes of the same stamp describe
+        time, stamp = instants(errors['velocity_rate'], None)
+        antenna = np.zeros(3)  # body, forward-right-down
+        for effect, values in effects:
+            time = effect.fix_times(time, values)
+            antenna += [values['x'], -values['y'], -values['z']] if effect.name == 'gnss_lever_arm' else 0.0
+        velocity = drive.at(time).velocity
+        if antenna.any():
+            before, after = (drive.at(time + step).attitude.apply(antenna) for step in (-STEP, STEP))
+            velocity = velocity + (after - before) / (2 * STEP)
+        sigma = errors['velocity_sigma'] * np.array([1.0, 1.0, 1.5])
+        return Velocities(stamp, stamp.copy(), velocity + sigma * rng.standard_normal((len(time), 3)),
+                          np.tile(np.diag(sigma**2), (len(time), 1, 1)))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from mems_ins_fusion.compiled import njit
 
-from .layout import Head, Nav
+from ..memory import HEAD, Head, Nav
 
 
 class _Fault(NamedTuple):
@@ -33,33 +33,65 @@ FAULTS = ('', 'out of range', 'spike', 'saturated', 'frozen', 'all zero',
           'a turn that is too fast for the speed (imu.rate_unit?)',
           'contradicted by the fixes (units? imu.mounting_rpy?)')
 
+#: settings, and what has been seen of the samples as they came, sensor axes
+Imu = HEAD.place(
+    'Imu',
+    MAX_FORCE=1,  # m/s^2
+    MAX_RATE=1,  # rad/s
+    RAW=6,  # the last six numbers
+    SAME=6,  # how often each came again one after the other
+    CHANGED=6,  # and how often it was another one than before
+    CENTRE=6,  # running mean of what was believed
+    SPREAD=2,  # and its running variance, of f and of w
+    VARIED=1,  # samples that differ from the one before
+    SPIKE_SINCE=1,  # s
+    BELIEVED=1,  # samples believed so far
+    FAULTS=Fault.SIZE,  # samples not believed, by reason
+    WHIRLED=1)  # s of turns too fast for the speed, lately
+
 #: the vehicle certainly moves above this speed, m/s
 MOVING_SPEED = 1.0
 #: time constant of the running mean that neighbours are told by, s
 NEIGHBOURHOOD = 0.2
-#: a sample this far from it, plus so many sigma, is a spike, unless it lasts
-JUMP_FORCE, JUMP_RATE, JUMP_SIGMAS = 30.0, 2.0, 8.0  # m/s^2, rad/s
-LONGEST_SPIKE = 0.25  # s
-#: values that a vehicle reaches, but does not keep to the last digit
-LARGE_FORCE, LARGE_RATE = 15.0, 1.5  # m/s^2, rad/s
-#: so many equal values are no chance where the sensor's noise shows in its last digit
+#: m/s^2: a specific force further from that mean, besides JUMP_SIGMAS of its scatter, is a spike: a pothole is less
+JUMP_FORCE = 30.0
+#: rad/s: the same of a turn rate: no vehicle begins to turn so fast from one sample to the next
+JUMP_RATE = 2.0
+#: sigmas: of the scatter that is usual
+JUMP_SIGMAS = 8.0
+#: s: what lasts for longer is no spike
+LONGEST_SPIKE = 0.25
+#: m/s^2: what a vehicle reaches, but does not keep to the last digit: an axis that does is saturated
+LARGE_FORCE = 15.0
+#: rad/s: the same of a turn rate
+LARGE_RATE = 1.5
+#: samples: so many equal values are no chance where the sensor's noise shows in its last digit
 FEWEST_EQUAL = 2
-FROZEN_TIME = 0.3  # s
-#: and of one axis so many, where it has changed with so much of the samples: the digits of others are coarse
-FEWEST_STUCK, ALWAYS = 5.0, 0.9
-#: speed times turn rate that no vehicle reaches, m/s^2
+#: s: for how long all axes must have been equal to be frozen
+FROZEN_TIME = 0.3
+#: samples: so many equal values of one axis alone are no chance, if it has changed with ALWAYS of the samples
+FEWEST_STUCK = 5.0
+#: share of the samples: the digits of axes that change more rarely are coarse
+ALWAYS = 0.9
+#: m/s^2: speed times turn rate, the lateral acceleration, that no wheels hold
 FASTEST_WHIRL = 50.0
-#: so long it may last in all, s, before the sensor is not believed any more; it is forgotten at this rate, s/s
-LONGEST_WHIRL, FORGET_WHIRL, MOST_WHIRL = 0.5, 0.01, 3.0
-#: a filter that has strayed twice from fixes that were right does not believe the IMU for so long, s, twice as long
-#: each time up to so many times
-DOUBT_TIME, MOST_STRAYED = 60.0, 8.0
+#: s: it may last for so long in all before the sensor is not believed any more
+LONGEST_WHIRL = 0.5
+#: s/s: so fast it is forgotten: some minutes
+FORGET_WHIRL = 0.01
+#: s: and so much of it is remembered at most
+MOST_WHIRL = 3.0
+#: s: a filter that has strayed twice from fixes that were right does not believe the IMU for so long, twice as long
+#: each further time
+DOUBT_TIME = 60.0
+#: times: beyond which that does not get longer
+MOST_STRAYED = 8.0
 
 
 @njit(_nrt=False)
 def is_doubted(mem, r, time):
     """Whether what the fixes have shown till the state at r speaks against the IMU at `time`."""
-    if mem[Head.WHIRLED] > LONGEST_WHIRL:
+    if mem[Imu.WHIRLED] > LONGEST_WHIRL:
         return True
     lasts = DOUBT_TIME * 2.0 ** (min(mem[r + Nav.STRAYED], MOST_STRAYED) - 2.0)
     return mem[r + Nav.STRAYED] >= 2.0 and time - mem[r + Nav.STRAYED_TIME] < lasts
@@ -70,10 +102,10 @@ def _whirls(mem, speed, dt):
     """Whether the vehicle would have to turn faster than it can at this speed, m/s; how long it has is remembered."""
     turn = mem[Head.OFFSET + 5]
     for j in range(6):
-        turn += mem[Head.CONDITIONING + 30 + j] * mem[Head.RAW + j]
+        turn += mem[Head.CONDITIONING + 30 + j] * mem[Imu.RAW + j]
     whirls = speed * abs(turn) > FASTEST_WHIRL
-    mem[Head.WHIRLED] = min(mem[Head.WHIRLED] + dt, MOST_WHIRL) if whirls else max(
-        mem[Head.WHIRLED] - FORGET_WHIRL * dt, 0.0)
+    mem[Imu.WHIRLED] = min(mem[Imu.WHIRLED] + dt, MOST_WHIRL) if whirls else max(
+        mem[Imu.WHIRLED] - FORGET_WHIRL * dt, 0.0)
     return whirls
 
 
@@ -87,16 +119,16 @@ def check(mem, samples, k, dt, speed, doubted):
     moving = speed > MOVING_SPEED
     time = samples[k, 0]
     equal, zero, out, saturated, stuck = 1e9, True, False, False, 0
-    lively = mem[Head.VARIED] > 0.5 * mem[Head.BELIEVED] and mem[Head.BELIEVED] > 10.0
+    lively = mem[Imu.VARIED] > 0.5 * mem[Imu.BELIEVED] and mem[Imu.BELIEVED] > 10.0
     for i in range(6):
         value = samples[k, 1 + i]
-        mem[Head.SAME + i] = mem[Head.SAME + i] + 1.0 if value == mem[Head.RAW + i] else 0.0
-        mem[Head.RAW + i] = value
-        equal = min(equal, mem[Head.SAME + i])
+        mem[Imu.SAME + i] = mem[Imu.SAME + i] + 1.0 if value == mem[Imu.RAW + i] else 0.0
+        mem[Imu.RAW + i] = value
+        equal = min(equal, mem[Imu.SAME + i])
         zero = zero and value == 0.0
-        out = out or abs(value) > mem[Head.MAX_FORCE + (i >= 3)]
+        out = out or abs(value) > mem[Imu.MAX_FORCE + (i >= 3)]
         large = abs(value) > (LARGE_FORCE if i < 3 else LARGE_RATE)
-        saturated = saturated or (large and mem[Head.SAME + i] >= FEWEST_EQUAL)
+        saturated = saturated or (large and mem[Imu.SAME + i] >= FEWEST_EQUAL)
         stuck += 1 if _stays(mem, i, dt) else 0
     fault = Fault.NONE
     if out:
@@ -114,15 +146,15 @@ def check(mem, samples, k, dt, speed, doubted):
     elif doubted:
         fault = Fault.DOUBTED
     if fault != Fault.NONE:
-        mem[Head.FAULTS + fault] += 1.0
+        mem[Imu.FAULTS + fault] += 1.0
         return fault
-    mem[Head.SPIKE_SINCE] = time
-    mem[Head.BELIEVED] += 1.0
+    mem[Imu.SPIKE_SINCE] = time
+    mem[Imu.BELIEVED] += 1.0
     if equal == 0.0:
-        mem[Head.VARIED] += 1.0
+        mem[Imu.VARIED] += 1.0
     for i in range(6):
-        if mem[Head.SAME + i] == 0.0:
-            mem[Head.CHANGED + i] += 1.0
+        if mem[Imu.SAME + i] == 0.0:
+            mem[Imu.CHANGED + i] += 1.0
     _remember(mem, dt)
     return fault
 
@@ -130,8 +162,8 @@ def check(mem, samples, k, dt, speed, doubted):
 @njit(_nrt=False)
 def _stays(mem, i, dt):
     """Whether number i of the samples, which always changes, has repeated itself for too long."""
-    return (mem[Head.SAME + i] >= FEWEST_STUCK and mem[Head.SAME + i] * dt > FROZEN_TIME
-            and mem[Head.CHANGED + i] > ALWAYS * mem[Head.BELIEVED])
+    return (mem[Imu.SAME + i] >= FEWEST_STUCK and mem[Imu.SAME + i] * dt > FROZEN_TIME
+            and mem[Imu.CHANGED + i] > ALWAYS * mem[Imu.BELIEVED])
 
 
 @njit(_nrt=False)
@@ -142,12 +174,12 @@ def is_stuck(mem, dt):
 
 @njit(_nrt=False)
 def _is_spike(mem, time):
-    if mem[Head.BELIEVED] < 10.0 or time - mem[Head.SPIKE_SINCE] > LONGEST_SPIKE:
+    if mem[Imu.BELIEVED] < 10.0 or time - mem[Imu.SPIKE_SINCE] > LONGEST_SPIKE:
         return False
-    force = JUMP_FORCE + JUMP_SIGMAS * math.sqrt(mem[Head.SPREAD])
-    rate = JUMP_RATE + JUMP_SIGMAS * math.sqrt(mem[Head.SPREAD + 1])
+    force = JUMP_FORCE + JUMP_SIGMAS * math.sqrt(mem[Imu.SPREAD])
+    rate = JUMP_RATE + JUMP_SIGMAS * math.sqrt(mem[Imu.SPREAD + 1])
     for i in range(6):
-        if abs(mem[Head.RAW + i] - mem[Head.CENTRE + i]) > (force if i < 3 else rate):
+        if abs(mem[Imu.RAW + i] - mem[Imu.CENTRE + i]) > (force if i < 3 else rate):
             return True
     return False
 
@@ -155,11 +187,11 @@ def _is_spike(mem, time):
 @njit(_nrt=False)
 def _remember(mem, dt):
     """Running mean and variance of what was believed."""
-    weight = 1.0 if mem[Head.BELIEVED] == 1.0 else min(1.0, dt / NEIGHBOURHOOD)
+    weight = 1.0 if mem[Imu.BELIEVED] == 1.0 else min(1.0, dt / NEIGHBOURHOOD)
     for half in range(2):
         squared = 0.0
         for i in range(3 * half, 3 * half + 3):
-            deviation = mem[Head.RAW + i] - mem[Head.CENTRE + i]
-            mem[Head.CENTRE + i] += weight * deviation
+            deviation = mem[Imu.RAW + i] - mem[Imu.CENTRE + i]
+            mem[Imu.CENTRE + i] += weight * deviation
             squared = max(squared, deviation * deviation)
-        mem[Head.SPREAD + half] += min(weight, 0.5) * ((squared if weight < 1.0 else 0.0) - mem[Head.SPREAD + half])
+        mem[Imu.SPREAD + half] += min(weight, 0.5) * ((squared if weight < 1.0 else 0.0) - mem[Imu.SPREAD + half])

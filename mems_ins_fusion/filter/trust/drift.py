@@ -19,17 +19,35 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from .layout import NAV, Head, Nav, variance_factor
+from ..memory import HEAD, NAV, ROW, Head, Nav, decay_at, variance_at, variance_factor, walk_at
 
-#: estimates are compared over so long, s, and over no more than that: in an outage nothing tells
-WINDOW, LONGEST = 30.0, 60.0
-#: where that has taken so much of the variance away, and no more than so many times Q: the first minutes show the bias
-#: that the sensor was switched on with, too
-TOLD, SETTLED = 0.1, 2.0
+#: whether the drift is learned
+DriftSettings = HEAD.place('DriftSettings', LEARNED=1)
+#: of a state; pairs are of accelerometers and gyroscopes
+Drift = ROW.place(
+    'Drift',
+    TIME=1,  # s, of the estimates that the next are compared with; 0: none
+    BIAS=6,  # these,
+    BIAS_VARIANCE=6,  # and their variances
+    RATIO=(2, 1.0),  # realised over assumed variance
+    SUM=2,  # of what went into that,
+    SEEN=2,  # its weight,
+    LEAST=2)  # and the sum if what lasts of the innovations is the receiver's
+
+#: s: estimates are compared over so long; over less they hardly move
+WINDOW = 30.0
+#: s: and over no more than that: in an outage nothing tells
+LONGEST = 60.0
+#: share of the variance: where measurements have taken less of it away they say nothing
+TOLD = 0.1
+#: times Q: where they have taken more they show the bias that the sensor was switched on with
+SETTLED = 2.0
 #: a drift squared, over its variance, counts no more than this: one fault must not ruin the rest
 LARGEST_DRIFT = 9.0
-#: the assumed drift is worth so many, and no more than so many are remembered; one for each axis and window
-DRIFT_PRIOR, DRIFT_MEMORY = 3.0, 60.0
+#: comparisons, one for each axis and window: the assumed drift is worth so many
+DRIFT_PRIOR = 3.0
+#: comparisons: no more than so many are remembered, ten minutes
+DRIFT_MEMORY = 60.0
 #: the realised variance is believed between these multiples of the assumed one, of accelerometers and gyroscopes: a
 #: small error of an accelerometer, which shows together with the tilt, is not told well enough to count on it
 SMALLEST_RATIO, LARGEST_RATIO = (1.0, 0.01), 100.0
@@ -38,13 +56,13 @@ SMALLEST_RATIO, LARGEST_RATIO = (1.0, 0.01), 100.0
 @njit(_nrt=False)
 def learn_drift(mem, r):
     """Realised over assumed variance of the drift of accelerometers and gyroscopes; r: of a state with its fix."""
-    if mem[Head.ADAPT_DRIFT] == 0.0:
+    if mem[DriftSettings.LEARNED] == 0.0:
         return
-    begin, time = mem[r + Nav.DRIFT_TIME], mem[r + Nav.TIME]
+    begin, time = mem[r + Drift.TIME], mem[r + Nav.TIME]
     since = time - begin
     if begin != 0.0 and since < WINDOW:
         return
-    mem[r + Nav.DRIFT_TIME] = time
+    mem[r + Drift.TIME] = time
     judged = begin != 0.0 and since < LONGEST
     lasting = variance_factor(mem, r) if mem[Head.CONSTRAINTS] == 0.0 else 1.0
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
@@ -52,27 +70,27 @@ def learn_drift(mem, r):
     e = x + m + n_navigation * (n_navigation + 1) // 2 + m * n_navigation
     for k in range(6):
         sensor = 0 if k < 3 else 1
-        error, variance, ratio = mem[x + k], mem[e + (m + 1) * k], mem[r + Nav.DRIFT_RATIO + sensor]
+        error, variance, ratio = mem[x + k], mem[e + (m + 1) * k], mem[r + Drift.RATIO + sensor]
         if judged:
-            decay = math.exp(-since * mem[Head.SIZE + 6 + k])
-            driving = ratio * (mem[Head.SIZE + 6 + m + k] * since
-                               + mem[Head.SIZE + 6 + 2 * m + k] * (1.0 - decay * decay))
-            before = decay * decay * mem[r + Nav.BIAS_VARIANCE + k]
+            decay = math.exp(-since * mem[decay_at(m, k)])
+            driving = ratio * (mem[walk_at(m, k)] * since
+                               + mem[variance_at(m, k)] * (1.0 - decay * decay))
+            before = decay * decay * mem[r + Drift.BIAS_VARIANCE + k]
             told = before + driving - variance
             if TOLD * before < told < SETTLED * driving:
-                bias = mem[r + Nav.BIAS + k]
+                bias = mem[r + Drift.BIAS + k]
                 moved = min((error - decay * bias) ** 2, (error - bias) ** 2)
-                mem[r + Nav.DRIFT_SUM + sensor] += ratio * min(moved / told, LARGEST_DRIFT)
-                mem[r + Nav.DRIFT_LEAST + sensor] += ratio * min(moved / (lasting * told), LARGEST_DRIFT)
-                mem[r + Nav.DRIFT_SEEN + sensor] += 1.0
-        mem[r + Nav.BIAS + k], mem[r + Nav.BIAS_VARIANCE + k] = error, variance
+                mem[r + Drift.SUM + sensor] += ratio * min(moved / told, LARGEST_DRIFT)
+                mem[r + Drift.LEAST + sensor] += ratio * min(moved / (lasting * told), LARGEST_DRIFT)
+                mem[r + Drift.SEEN + sensor] += 1.0
+        mem[r + Drift.BIAS + k], mem[r + Drift.BIAS_VARIANCE + k] = error, variance
     for sensor in range(2):
-        seen = mem[r + Nav.DRIFT_SEEN + sensor]
+        seen = mem[r + Drift.SEEN + sensor]
         if seen > DRIFT_MEMORY:
-            mem[r + Nav.DRIFT_SUM + sensor] *= DRIFT_MEMORY / seen
-            mem[r + Nav.DRIFT_LEAST + sensor] *= DRIFT_MEMORY / seen
-            seen = mem[r + Nav.DRIFT_SEEN + sensor] = DRIFT_MEMORY
-        least = (DRIFT_PRIOR + mem[r + Nav.DRIFT_LEAST + sensor]) / (DRIFT_PRIOR + seen)
-        most = (DRIFT_PRIOR + mem[r + Nav.DRIFT_SUM + sensor]) / (DRIFT_PRIOR + seen)
+            mem[r + Drift.SUM + sensor] *= DRIFT_MEMORY / seen
+            mem[r + Drift.LEAST + sensor] *= DRIFT_MEMORY / seen
+            seen = mem[r + Drift.SEEN + sensor] = DRIFT_MEMORY
+        least = (DRIFT_PRIOR + mem[r + Drift.LEAST + sensor]) / (DRIFT_PRIOR + seen)
+        most = (DRIFT_PRIOR + mem[r + Drift.SUM + sensor]) / (DRIFT_PRIOR + seen)
         ratio = min(max(least, 1.0), most)
-        mem[r + Nav.DRIFT_RATIO + sensor] = min(max(ratio, SMALLEST_RATIO[sensor]), LARGEST_RATIO)
+        mem[r + Drift.RATIO + sensor] = min(max(ratio, SMALLEST_RATIO[sensor]), LARGEST_RATIO)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .config import FilterConfig
+from ..config import FilterConfig
 from .start import Standstill
 
 COURSE_SIGMA = 0.1  # rad: straightness of course that is good enough to start
@@ -40,6 +40,10 @@ class Course(NamedTuple):
 
 class Refused(ValueError):
     """The fixes show a course that cannot be; says what is waited for."""
+
+
+class Contradicted(Refused):
+    """What comes is not what the parameters say it is, and waiting will not change that."""
 
 
 class _Motion(NamedTuple):
@@ -190,7 +194,7 @@ def driven_off(imu: np.ndarray, positions: np.ndarray, standstill: Standstill,
         return None
     begin, found = way_driven[0, 1:3], None
     for time, north, east, sigma in way_driven[1:]:
-        motion, interval = _inertial_motion(imu, standstill.end, time, standstill, config), time - standstill.end
+        motion, interval = inertial_motion(imu, standstill.end, time, standstill, config), time - standstill.end
         if motion is None or abs(motion.turn) > LARGEST_START_TURN:
             continue
         way = math.hypot(north - begin[0], east - begin[1])
@@ -203,7 +207,7 @@ def driven_off(imu: np.ndarray, positions: np.ndarray, standstill: Standstill,
 
 def _of_chord(imu, chord, time, now, noise, standstill, config, between=None) -> Course | None:
     """between: fixes as rows of time, north, east from the chord's begin, sigma, where they have to agree."""
-    motion = _inertial_motion(imu, time, now, standstill, config)
+    motion = inertial_motion(imu, time, now, standstill, config)
     distance, interval = float(np.hypot(*chord)), now - time
     if motion is None or abs(motion.turn) > LARGEST_TURN or abs(motion.moved[1]) > 0.5 * distance:
         return None
@@ -219,10 +223,10 @@ def _of_chord(imu, chord, time, now, noise, standstill, config, between=None) ->
     yaw_sigma = math.sqrt((noise / distance) ** 2 + (motion.bias_w * interval / 2) ** 2
                           + (0.5 * motion.bias_f * interval**2 / distance) ** 2 + SIDESLIP_SIGMA**2)
     if abs(speed) > FASTEST:
-        raise Refused(f'believable fixes: they move at {abs(speed):.0f} m/s')
+        raise Contradicted(f'believable fixes: they move at {abs(speed):.0f} m/s')
     if way < 0 and abs(last) > FASTEST_REVERSE:
-        raise Refused(f'the vehicle to drive forwards: it seems to go backwards at {abs(last):.1f} m/s; if it does '
-                      'not, the IMU is mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
+        raise Contradicted(f'the vehicle to drive forwards: it seems to go backwards at {abs(last):.1f} m/s; if it '
+                           'does not, the IMU is mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
     if abs(last) < SLOWEST_START or yaw_sigma > LARGEST_YAW_SIGMA:
         return None
     yaw = math.atan2(chord[1], chord[0]) - math.atan2(motion.moved[1], forward)
@@ -238,7 +242,7 @@ def _on_the_way(imu, between, time, now, yaw, speed, noise, config) -> bool:
         return False
     agreeing = 0
     for at, north, east, sigma in between:
-        motion = _inertial_motion(imu, time, at, None, config)
+        motion = inertial_motion(imu, time, at, None, config)
         moved = np.array([speed * (at - time), 0.0]) + (motion.moved if motion is not None else 0.0)
         c, s = math.cos(yaw), math.sin(yaw)
         off = math.hypot(north - c * moved[0] + s * moved[1], east - s * moved[0] - c * moved[1])
@@ -259,7 +263,7 @@ def _way(imu, time, standstill, forwards, backwards, sigma, config) -> int:
     if standstill is None:
         return 1
     since = time - standstill.end
-    motion = _inertial_motion(imu, standstill.end, time, standstill, config)
+    motion = inertial_motion(imu, standstill.end, time, standstill, config)
     expected = 0.0
     if motion is not None:
         expected = math.cos(motion.turn) * motion.gained[0] + math.sin(motion.turn) * motion.gained[1]
@@ -273,7 +277,8 @@ def _way(imu, time, standstill, forwards, backwards, sigma, config) -> int:
     return 1 if difference < 0 else -1
 
 
-def _inertial_motion(imu, begin, end, standstill, config) -> _Motion | None:
+def inertial_motion(imu, begin, end, standstill, config) -> _Motion | None:
+    """What samples (n, 7 or more: time, f, w in body axes) saw between two times; None where there are too few."""
     part = imu[(imu[:, 0] > begin) & (imu[:, 0] <= end)]
     if len(part) < 3:
         return None

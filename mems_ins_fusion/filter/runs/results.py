@@ -7,16 +7,17 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-from ..navigation.strapdown import to_euler
-from .config import FilterConfig
+from ...navigation.strapdown import to_euler
+from ..config import FilterConfig
+from ..memory import NAV, Event, Kind, Nav, StateLayout, Verdict, covariance_index
+from ..start.start import Start
+from ..trust.lag import Lag
 from .intake import Notice
-from .layout import NAV, PLANAR, Event, Kind, Nav, StateLayout, Verdict, covariance_index
 from .odometry import besides, corrected
-from .start import Start
 
 #: besides solution and covariance: what makes metres of angles, and of P what is published; what a receiver lacks
 _SCALES = (Nav.NORTH_SCALE, Nav.EAST_SCALE, Nav.VARIANCE_FACTOR, Nav.LASTING, Nav.FIX_TIME,
-           *range(Nav.DRAWN_N, Nav.LEFT_E + 1), Nav.CONTESTED, Nav.UNFOLLOWED, Nav.UNFOLLOWED + 1)
+           *range(Nav.DRAWN_N, Nav.LEFT_E + 1), Nav.CONTESTED, Lag.UNFOLLOWED, Lag.UNFOLLOWED + 1)
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ def result(config: FilterConfig, stamp, index, states, measured: Measured, **mor
     rows = np.zeros((len(states), NAV + layout.n))
     kept = columns(layout)[:Nav.RADII_LATITUDE + len(_SCALES) + layout.n].astype(np.int64)
     rows[:, kept] = states[:, :len(kept)]
-    solution = _solution(rows, config.mechanization == PLANAR, config.open_loop)
+    solution = _solution(rows, config.layout.is_level, config.open_loop)
     x = rows[:, NAV:]
     first, p = layout.n_navigation, layout.order
     at = len(kept)
@@ -128,7 +129,7 @@ def result(config: FilterConfig, stamp, index, states, measured: Measured, **mor
                yaw=solution[:, 8], sensor_errors=x[:, first:first + layout.n_sensor:p],
                sigma=np.sqrt(variances[:, :-1]), extras=x[:, first + layout.n_sensor:],
                covariance_ne=variances[:, -1],
-               behind=config.gnss.lag_gain * rows[:, [Nav.UNFOLLOWED, Nav.UNFOLLOWED + 1]],
+               behind=config.gnss.lag_gain * rows[:, [Lag.UNFOLLOWED, Lag.UNFOLLOWED + 1]],
                innovations=_innovations(measured), measured=measured, **more)
 
 

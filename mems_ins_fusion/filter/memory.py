@@ -20,6 +20,7 @@ import numpy as np
 from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
+from .columns import Part
 
 
 class _Nav(NamedTuple):
@@ -51,72 +52,82 @@ class _Nav(NamedTuple):
     RESIDUAL_TIME: int = 20  # of the last fix used, and what it left: updated minus measured position, m
     RESIDUAL_N: int = 21
     RESIDUAL_E: int = 22
-    GNSS_RATIO: int = 23  # realised over claimed variance of the fixes
-    GNSS_SEEN: int = 24  # how many pairs of fixes went into that
-    REFUSED: int = 25  # fixes refused one after the other, and sums over them for the line their innovations lie on
-    REFUSED_SINCE: int = 26
-    SUM_T: int = 27
-    SUM_TT: int = 28
-    SUM_N: int = 29
-    SUM_TN: int = 30
-    SUM_E: int = 31
-    SUM_TE: int = 32
-    SUM_SQUARE: int = 33
-    FROZEN: int = 34  # fixes at the very same place one after the other
-    LATERAL_NIS: int = 35  # running mean of what the constraints say against the state
-    VERTICAL_NIS: int = 36
-    BRIDGED: int = 37  # s, within the last minute or so, without a believable IMU sample
-    DOUBT: int = 38  # fixes refused lately less those that fitted well
-    WEIGHTED: int = 39  # fixes that did not fit one after the other, the first of them weighted down
-    STRAYED: int = 40  # resets to refused fixes from which the filter had strayed, soon after each other,
-    STRAYED_TIME: int = 41  # and when the last one was
-    PROVEN: int = 42  # m/s: changes of velocity in which fixes have confirmed the IMU; below 0: no more
-    PROVEN_N: int = 43  # the velocity at the last fix
-    PROVEN_E: int = 44
-    CLAIMED: int = 45  # variance of the last fix, as it says
-    # what the innovations show of the covariance, see receiver.py
-    SLOW_N: int = 46  # low-passed whitened innovations of the fixes, and the variance they have when white
-    SLOW_E: int = 47
-    SLOW_VARIANCE: int = 48
-    FACTOR_TIME: int = 49  # s that went into it
-    VARIANCE_FACTOR: int = 50  # realised over expected variance of them; below 1 it counts as 1
-    UNSEEN: int = 51  # share of the variance that fixes claim which they do not scatter, a mean
-    CLAIM_LEVEL: int = 52  # mean logarithm of the claimed variance, m^2
-    LASTING: int = 53  # variance of the receiver's errors that last, m^2: the position has them, too
-    # what the estimates show of the sensors' drift, see drift.py; accelerometers, gyroscopes
-    DRIFT_TIME: int = 54  # s, of the estimates that the next are compared with; 0: none
-    BIAS: int = 55  # these, six,
-    BIAS_VARIANCE: int = 61  # and their variances, six
-    DRIFT_RATIO: int = 67  # realised over assumed variance, two
-    DRIFT_SUM: int = 69  # of what went into that, two
-    DRIFT_SEEN: int = 71  # and its weight, two
-    DRIFT_LEAST: int = 73  # the sum if what lasts of the innovations is the receiver's, two
-    # who is right, fixes or IMU, see contradiction.py
-    SLIDING: int = 75  # NIS of the lateral constraint lately, and as is usual for this vehicle
-    USUAL_SLIDING: int = 76
-    UNSETTLED: int = 77  # s for which the fixes are still to decide
-    DRAWN_N: int = 78  # by what fixes in dispute have changed position, m, and velocity, m/s, until the last fix
-    DRAWN_E: int = 79
-    DRAWN_V_N: int = 80
-    DRAWN_V_E: int = 81
-    LEFT_N: int = 82  # m: and how far they still are from it
-    LEFT_E: int = 83
-    IN_DISPUTE: int = 84  # s for which whatever fixes change still counts
-    MISFITS: int = 85  # how many of the latest fixes did not fit
-    CONTESTED: int = 86  # above 0: so many that it was no chance; fades with what they have drawn
-    # changes of velocity that a receiver which smooths has not followed yet, see prediction.py: m/s, three each
-    FRESH: int = 87  # behind its filter's first pole,
-    UNFOLLOWED: int = 90  # and behind its second
-    STOOD: int = 93  # time of the latest standstill, and the velocity that it took away, m/s
-    TAKEN_N: int = 94
-    TAKEN_E: int = 95
-    SIZE: int = 96
+    REFUSED: int = 23  # fixes refused one after the other, and sums over them for the line their innovations lie on
+    REFUSED_SINCE: int = 24
+    SUM_T: int = 25
+    SUM_TT: int = 26
+    SUM_N: int = 27
+    SUM_TN: int = 28
+    SUM_E: int = 29
+    SUM_TE: int = 30
+    SUM_SQUARE: int = 31
+    FROZEN: int = 32  # fixes at the very same place one after the other
+    LATERAL_NIS: int = 33  # running mean of what the constraints say against the state
+    VERTICAL_NIS: int = 34
+    BRIDGED: int = 35  # s, within the last minute or so, without a believable IMU sample
+    DOUBT: int = 36  # fixes refused lately less those that fitted well
+    WEIGHTED: int = 37  # fixes that did not fit one after the other, the first of them weighted down
+    STRAYED: int = 38  # resets to refused fixes from which the filter had strayed, soon after each other,
+    STRAYED_TIME: int = 39  # and when the last one was
+    PROVEN: int = 40  # m/s: changes of velocity in which fixes have confirmed the IMU; below 0: no more
+    PROVEN_N: int = 41  # the velocity at the last fix
+    PROVEN_E: int = 42
+    # what the innovations show of the covariance, see trust/receiver.py
+    SLOW_N: int = 43  # low-passed whitened innovations of the fixes, and the variance they have when white
+    SLOW_E: int = 44
+    SLOW_VARIANCE: int = 45
+    VARIANCE_FACTOR: int = 46  # realised over expected variance of them; below 1 it counts as 1
+    CLAIM_LEVEL: int = 47  # mean logarithm of the claimed variance, m^2
+    LASTING: int = 48  # variance of the receiver's errors that last, m^2: the position has them, too
+    # who is right, fixes or IMU, see trust/contradiction.py
+    SLIDING: int = 49  # NIS of the lateral constraint lately, and as is usual for this vehicle
+    USUAL_SLIDING: int = 50
+    UNSETTLED: int = 51  # s for which the fixes are still to decide
+    DRAWN_N: int = 52  # by what fixes in dispute have changed position, m, and velocity, m/s, until the last fix
+    DRAWN_E: int = 53
+    DRAWN_V_N: int = 54
+    DRAWN_V_E: int = 55
+    LEFT_N: int = 56  # m: and how far they still are from it
+    LEFT_E: int = 57
+    IN_DISPUTE: int = 58  # s for which whatever fixes change still counts
+    MISFITS: int = 59  # how many of the latest fixes did not fit
+    CONTESTED: int = 60  # above 0: so many that it was no chance; fades with what they have drawn
+    STOOD: int = 61  # time of the latest standstill, and the velocity that it took away, m/s
+    TAKEN_N: int = 62
+    TAKEN_E: int = 63
+    # what has happened to this state, for who wants to say it
+    SIDEWAYS: int = 64  # s in which the vehicle did not keep to the non-holonomic constraint
+    SLID: int = 65  # s in which a slide showed that the IMU misled the filter
+    RESTARTS: int = 66  # states that were not finite and were taken back
+    RECOVERIES: int = 67  # resets to fixes that had been refused
+    MECHANISMS: int = 68  # the first of those that the mechanisms ask for (`ROW`), and room for them
+    SIZE: int = 152
 
 
 Nav = _Nav()
 NAV = Nav.SIZE
+#: what mechanisms remember of a state: taken back with it
+ROW = Part('a state', Nav.MECHANISMS, Nav.SIZE)
 PLANAR, STRAPDOWN = 0, 1
 MECHANIZATIONS = {PLANAR: planar, STRAPDOWN: strapdown}
+
+
+class _Error(NamedTuple):
+    """The nine errors of position, velocity and attitude, of which a mechanization has all or some."""
+
+    R_N: int = 0
+    R_E: int = 1
+    R_D: int = 2
+    V_N: int = 3
+    V_E: int = 4
+    V_D: int = 5
+    PHI_N: int = 6
+    PHI_E: int = 7
+    PHI_D: int = 8  # a planar heading, too
+    SIZE: int = 9
+
+
+Error = _Error()
 
 
 @dataclass(frozen=True)
@@ -132,6 +143,22 @@ class StateLayout:
     def channels(self) -> tuple[str, ...]:
         """Names of the sensor channels the mechanization uses."""
         return MECHANIZATIONS[self.mechanization].CHANNELS
+
+    @property
+    def rows(self) -> list[int]:
+        """Index of each of the nine navigation errors (`Error`) among the states, -1 where it is not there."""
+        names = ['phi_d' if name == 'yaw' else name for name in MECHANIZATIONS[self.mechanization].STATES]
+        return [names.index(name.lower()) if name.lower() in names else -1 for name in Error._fields[:Error.SIZE]]
+
+    @property
+    def axes(self) -> list[int]:
+        """Number of the channel of each of f_x, f_y, f_z, w_x, w_y, w_z, -1 where it is not used."""
+        return [self.channels.index(name) if name in self.channels else -1 for name in strapdown.CHANNELS]
+
+    @property
+    def is_level(self) -> bool:
+        """Whether it has neither height nor tilt: the road is taken for level."""
+        return self.rows[Error.PHI_N] < 0
 
     @property
     def n_navigation(self) -> int:
@@ -230,15 +257,28 @@ def store_covariance(full, at, n_navigation, n_augmented, row, r):
 
 
 @njit(_nrt=False)
+def row_of(mem, error):
+    """Index of one of the nine navigation errors (`Error`) among the states; -1: the mechanization has it not."""
+    return int(mem[Head.ROWS + error])
+
+
+@njit(_nrt=False)
+def channel_of(mem, axis):
+    """Index of the state that is the error of f_x, f_y, f_z, w_x, w_y or w_z (axis 0 to 5); -1: it is not used."""
+    channel = int(mem[Head.CHANNEL + axis])
+    return int(mem[Head.N_NAVIGATION]) + channel * int(mem[Head.ORDER]) if channel >= 0 else -1
+
+
+@njit(_nrt=False)
 def velocity_state(mem):
     """Index of the north velocity's error among the states; east stands behind it."""
-    return planar.State.V_N if mem[Head.MECHANIZATION] == PLANAR else strapdown.State.V_N
+    return row_of(mem, Error.V_N)
 
 
 @njit(_nrt=False)
 def yaw_state(mem):
     """Index of the heading's error among the states."""
-    return planar.State.YAW if mem[Head.MECHANIZATION] == PLANAR else strapdown.State.PHI_D
+    return row_of(mem, Error.PHI_D)
 
 
 @njit(_nrt=False)
@@ -307,67 +347,43 @@ class _Head(NamedTuple):
     MOUNTING_YAW: int = 17
     AXLE: int = 18
     SPEED_SCALE: int = 19
-    TIME_OFFSET: int = 132  # of the receiver's stamps, beyond gnss.time_offset
-    LAG_GAIN: int = 135  # s: by how much a fix stays behind for each m/s that the receiver's filter has not followed
-    ACCELEROMETER_INTERVAL: int = 20  # s, of the autoregressive model; 0: another model
-    GYROSCOPE_INTERVAL: int = 21
-    MAX_GAP: int = 22
-    MAX_DELAY: int = 23
-    LEVER_X: int = 24  # of the antenna, body axes forward-right-down, m
-    LEVER_Y: int = 25
-    LEVER_Z: int = 26
-    AXLE_X: int = 27  # from the IMU to the point that does not slip, body axes, m
-    AXLE_Y: int = 28
-    AXLE_Z: int = 29
-    ROBUST_SIGMA: int = 30
-    GATE: int = 31  # normalized innovation above which a fix is refused; 0: none
-    RECOVERY_TIME: int = 32  # s
-    ADAPT: int = 33  # whether the realised sigma of the fixes is used
-    CONSTRAINTS: int = 34  # whether there is any vehicle knowledge to apply
-    ZERO_VELOCITY_SIGMA: int = 35  # 0: not used
-    LATERAL_SIGMA: int = 36  # 0: not used
-    VERTICAL_SIGMA: int = 37
-    SIDESLIP: int = 38  # rad per m/s^2 of lateral acceleration
-    SLIP_SIGMA: int = 39  # sigma of that, rad per m/s^2
-    ANGLE_SIGMA: int = 40  # rad: sigma of the direction of motion in the vehicle
-    MAX_FORCE: int = 41  # m/s^2
-    MAX_RATE: int = 42  # rad/s
-    CONDITIONING: int = 43  # 6 x 6: body-axis sample = matrix (raw sample) + offset
-    OFFSET: int = 79  # six
-    # what the detector of standstills remembers, see standstill.py
-    STILL_FIRST: int = 85  # specific force low-passed once, three
-    STILL_SECOND: int = 88  # and twice, three
-    STILL_MEAN: int = 91  # running mean of that, three
-    STILL_ENERGY: int = 94  # running mean square of what is left
-    STILL_MOTION: int = 95  # logarithm of the least of it in motion
-    STILL_REST: int = 96  # and of what is usual at rest
-    STILL_SINCE: int = 97  # s for which it has been quiet
-    # what the checks of the IMU remember, see imu_faults.py
-    RAW: int = 99  # the last six numbers as they came
-    SAME: int = 105  # how often each came again one after the other, six
-    CENTRE: int = 111  # running mean of what was believed, six
-    SPREAD: int = 117  # and its running variance, of f and of w
-    VARIED: int = 119  # samples that differ from the one before
-    SPIKE_SINCE: int = 120
-    BELIEVED: int = 121  # samples believed so far
-    FAULTS: int = 122  # samples not believed, by reason: as many as `Fault` has
-    RESTARTS: int = 130  # states that were not finite and were taken back
-    RECOVERIES: int = 131  # resets to fixes that had been refused
-    HISTORY_AT: int = 133  # where a smoother's history begins, see history.py; 0: none
-    AXLE_ACROSS: int = 134  # index of the optional state axle_y
-    WHIRLED: int = 136  # s of turns too fast for the speed, lately
-    CHANGED: int = 137  # how often each of the six numbers was another one than before
-    SIDEWAYS: int = 143  # s in which the vehicle did not keep to the non-holonomic constraint
-    COVARIANCE_FACTOR: int = 144  # whether the covariance is scaled by what the innovations show
-    ADAPT_DRIFT: int = 145  # whether the sensors' drift is learned from how their estimates move
-    SLID: int = 146  # s in which a slide showed that the IMU misled the filter
-    LAG_TIME: int = 147  # s: time constant of the receiver's filter; 0: it has none
-    ADAPT_NOISE: int = 148  # whether the sensors' white noise is what their samples show, where that is more
-    SHAKEN: int = 149  # s in which they showed far more
-    SIZE: int = 150
+    TIME_OFFSET: int = 20  # of the receiver's stamps, beyond gnss.time_offset
+    ACCELEROMETER_INTERVAL: int = 21  # s, of the autoregressive model; 0: another model
+    GYROSCOPE_INTERVAL: int = 22
+    MAX_GAP: int = 23
+    MAX_DELAY: int = 24
+    LEVER_X: int = 25  # of the antenna, body axes forward-right-down, m
+    LEVER_Y: int = 26
+    LEVER_Z: int = 27
+    AXLE_X: int = 28  # from the IMU to the point that does not slip, body axes, m
+    AXLE_Y: int = 29
+    AXLE_Z: int = 30
+    ROBUST_SIGMA: int = 31
+    GATE: int = 32  # normalized innovation above which a fix is refused; 0: none
+    RECOVERY_TIME: int = 33  # s
+    ADAPT: int = 34  # whether the realised sigma of the fixes is used
+    CONSTRAINTS: int = 35  # whether there is any vehicle knowledge to apply
+    ZERO_VELOCITY_SIGMA: int = 36  # 0: not used
+    LATERAL_SIGMA: int = 37  # 0: not used
+    VERTICAL_SIGMA: int = 38
+    SIDESLIP: int = 39  # rad per m/s^2 of lateral acceleration
+    SLIP_SIGMA: int = 40  # sigma of that, rad per m/s^2
+    ANGLE_SIGMA: int = 41  # rad: sigma of the direction of motion in the vehicle
+    CONDITIONING: int = 42  # 6 x 6: body-axis sample = matrix (raw sample) + offset
+    OFFSET: int = 78  # six
+    HISTORY_AT: int = 84  # where a smoother's history begins, see history.py; 0: none
+    AXLE_ACROSS: int = 85  # index of the optional state axle_y
+    COVARIANCE_FACTOR: int = 86  # whether the covariance is scaled by what the innovations show
+    FORGOTTEN: int = 87  # time of the latest measurement that is not remembered any more: no state goes back behind it
+    ROWS: int = 88  # index of each of the nine navigation errors (`Error`) among the states, -1: not there
+    CHANNEL: int = 97  # number of the channel of each of f_x, f_y, f_z, w_x, w_y, w_z, -1: not used
+    MECHANISMS: int = 103  # the first of those that the mechanisms ask for (`HEAD`), and room for them
+    SIZE: int = 173
 
 
 Head = _Head()
+#: settings of mechanisms, and what they remember of the samples, which are not gone back to
+HEAD = Part('the head', Head.MECHANISMS, Head.SIZE)
 
 
 class _Sample(NamedTuple):
@@ -381,16 +397,19 @@ class _Sample(NamedTuple):
     W_Y: int = 5
     W_Z: int = 6
     STILL: int = 7  # 1 at rest
-    FAULT: int = 8  # why it was not believed (see imu_faults.py); 0: it was
+    FAULT: int = 8  # why it was not believed (see trust/imu_faults.py); 0: it was
     CONSTRAINT: int = 9  # kind of the constraint that was applied; 0: none
     Z: int = 10  # its innovation, three
     S: int = 13  # and the variances of that, three
     COASTED: int = 16  # 1: not measured, but made so that the vehicle goes straight on
-    WHITE: int = 17  # noise density squared that the samples show lately, six
-    SIZE: int = 23
+    INTERVAL: int = 17  # s since the sample before it
+    MECHANISMS: int = 18  # the first of those that the mechanisms ask for (`SAMPLE`), and room for them
+    SIZE: int = 26
 
 
 Sample = _Sample()
+#: what mechanisms remember beside a sample
+SAMPLE = Part('a sample', Sample.MECHANISMS, Sample.SIZE)
 
 
 class _Kind(NamedTuple):
@@ -438,7 +457,8 @@ class _Event(NamedTuple):
     YAW: int = 20  # of the prediction, to see innovations along and across track
     V_N: int = 21
     V_E: int = 22
-    SIZE: int = 23
+    WITHDRAWN: int = 23  # 1: it has turned out to be wrong by what came after it
+    SIZE: int = 24
 
 
 Event = _Event()
@@ -454,14 +474,57 @@ class _Verdict(NamedTuple):
     FROZEN: int = 4  # the receiver repeats a position while the vehicle moves
     RECOVERED: int = 5  # used for a new start: it agrees with those refused before it
     AHEAD: int = 6  # of a time that the IMU's clock has not come to: the clocks differ
+    STRAIGHT_ON: int = 7  # the receiver goes straight on without satellites
 
 
 Verdict = _Verdict()
 
 
+#: the noise stands behind the head: the density squared of the six axes as assumed,
+WHITE = Head.SIZE
+#: and what drives the states behind the navigation errors, the parts of it one behind the other
+_STATES = WHITE + 6
+
+
+@njit(inline='always')
+def decay_at(m, state):
+    """Where 1/tau of an augmented state stands; m: how many there are."""
+    return _STATES + state
+
+
+@njit(inline='always')
+def walk_at(m, state):
+    """Variance that a state gains in a second."""
+    return _STATES + m + state
+
+
+@njit(inline='always')
+def variance_at(m, state):
+    """Variance that a state which decays keeps."""
+    return _STATES + 2 * m + state
+
+
+@njit(inline='always')
+def coefficients_at(m, order, channel):
+    """The coefficients of a channel's autoregressive model."""
+    return _STATES + 3 * m + order * channel
+
+
+@njit(inline='always')
+def driving_at(m, order, channels, channel):
+    """And b0 squared."""
+    return _STATES + 3 * m + order * channels + channel
+
+
+@njit(inline='always')
+def restart_at(m, order, channels, channel):
+    """Variance that a restart of the sensor adds to a channel."""
+    return _STATES + 3 * m + (order + 1) * channels + channel
+
+
 def noise_size(layout: StateLayout) -> int:
-    """Floats of the noise section: white (6) | 1/tau, walk, variance (m each) | AR coefficients | b0 squared."""
-    return 6 + 3 * layout.n_augmented + len(layout.channels) * (layout.order + 1)
+    """Floats of all of that."""
+    return 6 + 3 * layout.n_augmented + len(layout.channels) * (layout.order + 2)
 
 
 def scratch_size(n: int) -> int:

@@ -7,24 +7,28 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-from ..navigation import planar, strapdown
-from ..navigation.earth import to_local
-from .contradiction import disputed
-from .layout import (
+from ...navigation import planar, strapdown
+from ...navigation.earth import to_local
+from ..memory import (
     NAV,
     PLANAR,
+    Error,
     Head,
     Nav,
     Sample,
     StateLayout,
+    channel_of,
     covariance,
     load_covariance,
     place,
+    row_of,
     sample_at,
     state_at,
     variance_factor,
     velocity_state,
 )
+from ..trust.contradiction import disputed
+from ..trust.white_noise import density
 
 #: where each part stands in the vector that `odometry` fills
 POSITION, ORIENTATION, POSE_COVARIANCE, LINEAR, ANGULAR, TWIST_COVARIANCE, SIZE = 0, 3, 7, 43, 46, 49, 85
@@ -61,7 +65,8 @@ def corrected(row, r, is_planar, open_loop):
 @njit(_nrt=False)
 def besides(row, r, i, j):
     """What element (i, j) of the covariance of position and velocity (n, e; n, e) of the state at r in `row` is
-    published with besides P: errors of the receiver that last (receiver.py), and what is in dispute (contradiction.py).
+    published with besides P: errors of the receiver that last (trust/receiver.py), and what is in dispute
+    (trust/contradiction.py).
     """
     drawn, left = disputed(row, r)
     lasting = row[r + Nav.LASTING] if i == j and i < 2 else 0.0
@@ -111,12 +116,16 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
 
     # errors of position (n, e, d), velocity (n, e, d) and attitude (n, e, d) as one 9 x 9 covariance
     nine = np.zeros(81)
-    for i in range(n_navigation):
-        for j in range(n_navigation):
-            nine[9 * _among_nine(i, is_planar) + _among_nine(j, is_planar)] = memory[full + n * i + j]
-    if is_planar:
-        nine[20], nine[50] = height_sigma**2, PLANAR_VERTICAL_SIGMA**2
-        nine[60] = nine[70] = PLANAR_TILT_SIGMA**2
+    for i in range(9):
+        row = row_of(memory, i)
+        if row < 0:
+            sigma = height_sigma if i == Error.R_D else PLANAR_VERTICAL_SIGMA if i == Error.V_D else PLANAR_TILT_SIGMA
+            nine[10 * i] = sigma**2
+            continue
+        for j in range(9):
+            column = row_of(memory, j)
+            if column >= 0:
+                nine[9 * i + j] = memory[full + n * row + column]
     for i in range(6):
         for j in range(6):
             a, sign_a = _enu(i)
@@ -143,17 +152,8 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
                 for other in range(3, 9):
                     total += jacobian[9 * i + k] * nine[9 * k + other] * jacobian[9 * j + other]
             out[TWIST_COVARIANCE + 6 * i + j] = total
-    interval = memory[sample + Sample.TIME] - memory[sample_at(memory, newest - 1) + Sample.TIME]
-    _angular(memory, newest, r, sample, interval, full, out)
+    _angular(memory, newest, r, sample, full, out)
     return memory[r + Nav.TIME]
-
-
-@njit
-def _among_nine(i, is_planar):
-    """Where navigation error i stands among the nine of position, velocity and attitude."""
-    if not is_planar or i < 2:
-        return i
-    return 8 if i == planar.State.YAW else i + 1
 
 
 @njit
@@ -176,19 +176,17 @@ def _orientation(q, out):
 
 
 @njit
-def _angular(memory, newest, r, sample, interval, full, out):
+def _angular(memory, newest, r, sample, full, out):
     """Angular velocity of the sample, sensor errors removed, and its variance with the sample's white noise; zero
     before the first sample. full: position of the covariance (n, n) in the memory."""
-    n_navigation, p = int(memory[Head.N_NAVIGATION]), int(memory[Head.ORDER])
-    n = n_navigation + int(memory[Head.N_AUGMENTED])
-    is_planar = memory[Head.MECHANIZATION] == PLANAR
+    n = int(memory[Head.N_NAVIGATION]) + int(memory[Head.N_AUGMENTED])
     for k in range(3):
         sign = 1.0 if k == 0 else -1.0
         at = TWIST_COVARIANCE + 6 * (3 + k) + 3 + k
-        if is_planar and k < 2 or newest == 0:  # a planar vehicle neither rolls nor pitches
+        state = channel_of(memory, 3 + k)
+        if state < 0 or newest == 0:  # a planar vehicle neither rolls nor pitches
             out[ANGULAR + k] = 0.0
             out[at] = PLANAR_TILT_SIGMA**2
             continue
-        state = n_navigation + (2 * p if is_planar else (3 + k) * p)
         out[ANGULAR + k] = sign * (memory[sample + Sample.W_X + k] - memory[r + NAV + state])
-        out[at] = memory[Head.SIZE + 3 + k] / interval + memory[full + (n + 1) * state]
+        out[at] = density(memory, sample, 3 + k) / memory[sample + Sample.INTERVAL] + memory[full + (n + 1) * state]

@@ -12,7 +12,12 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from .layout import Head, Sample, place, sample_at
+from ..memory import HEAD, SAMPLE, WHITE, Sample, place, sample_at
+
+#: whether it is used; s in which the samples showed far more than is assumed
+White = HEAD.place('White', ADAPT=1, SHAKEN=1)
+#: beside a sample: noise density squared of each axis that the samples show lately
+Shown = SAMPLE.place('Shown', WHITE=6)
 
 #: s over which the squared differences are averaged: the noise changes with the road and the engine
 MEMORY = 3.0
@@ -29,16 +34,16 @@ _WEIGHTS = tuple((-1) ** j * math.comb(ORDER, j) / math.sqrt(math.comb(2 * ORDER
 def show_noise(mem, k, dt):
     """Noise density squared of each axis, beside sample k, dt s after the one before it; what is known of that, where
     one of those that the difference needs is missing or not believed."""
-    if mem[Head.ADAPT_NOISE] == 0.0:
+    if mem[White.ADAPT] == 0.0:
         return
     at, last = place(sample_at(mem, k)), place(sample_at(mem, k - 1))
     for i in range(6):
-        mem[at + Sample.WHITE + i] = mem[last + Sample.WHITE + i]
+        mem[at + Shown.WHITE + i] = mem[last + Shown.WHITE + i]
     if k <= ORDER:
         return
     for j in range(ORDER):
         later, earlier = place(sample_at(mem, k - j)), place(sample_at(mem, k - j - 1))
-        interval = mem[later + Sample.TIME] - mem[earlier + Sample.TIME]
+        interval = mem[later + Sample.INTERVAL]
         if mem[later + Sample.FAULT] != 0.0 or mem[earlier + Sample.FAULT] != 0.0 or (
                 interval > EVEN * dt or dt > EVEN * interval):
             return
@@ -46,16 +51,16 @@ def show_noise(mem, k, dt):
         difference = 0.0
         for j in range(ORDER + 1):
             difference += _WEIGHTS[j] * mem[sample_at(mem, k - j) + Sample.F_X + i]
-        white = at + Sample.WHITE + i
+        white = at + Shown.WHITE + i
         mem[white] += min(dt / MEMORY, 1.0) * (dt * difference * difference - mem[white])
     if shown(mem, at, 3) > FAR_MORE**2:
-        mem[Head.SHAKEN] += dt
+        mem[White.SHAKEN] += dt
 
 
 @njit(_nrt=False)
 def density(mem, sample, axis):
     """Noise density squared of an axis at the sample at `sample`: as assumed, or as it shows itself."""
-    return max(mem[Head.SIZE + axis], mem[sample + Sample.WHITE + axis])
+    return max(mem[WHITE + axis], mem[sample + Shown.WHITE + axis])
 
 
 @njit(_nrt=False)
@@ -66,6 +71,6 @@ def shown(mem, sample, first):
     """
     largest = 1.0
     for axis in range(first, first + 3):
-        if mem[Head.SIZE + axis] > 0.0:
-            largest = max(largest, density(mem, sample, axis) / mem[Head.SIZE + axis])
+        if mem[WHITE + axis] > 0.0:
+            largest = max(largest, density(mem, sample, axis) / mem[WHITE + axis])
     return largest

@@ -10,18 +10,32 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..navigation import strapdown
-from ..navigation.strapdown import from_euler, to_euler
-from .history import forget
-from .layout import NAV, PLANAR, Event, Head, Nav, Verdict, velocity_state, velocity_variance, yaw_state
-from .prediction import GAP_ACCELERATION, UNKNOWN_YAW_SIGMA
+from ...navigation import strapdown
+from ...navigation.strapdown import from_euler, to_euler
+from ..history import forget
+from ..memory import NAV, PLANAR, ROW, Event, Head, Nav, Verdict, velocity_state, velocity_variance, yaw_state
+from ..prediction import GAP_ACCELERATION, UNKNOWN_YAW_SIGMA
+from .drift import Drift
+from .scale import Scale, reopen, scale
+from .scale import learn as learn_scale
 
-#: fixes further apart say nothing of the receiver's scatter, s: the inertial sensors drift between them
+#: of a state
+Receiver = ROW.place(
+    'Receiver',
+    CLAIMED=1,  # variance of the last fix, as it says, m^2
+    PAIR_TIME=1,  # of the fix from which on the receiver's error is followed, 0: none,
+    PAIR_CLAIMED=1,  # the variance it claimed, m^2,
+    PAIR=2,  # and how the error has changed since then, north and east, m
+    SCALE=Scale.SIZE,  # realised over claimed variance of the fixes,
+    LASTING_SCALE=Scale.SIZE,  # of what of it lasts over what is expected of that,
+    INNOVATION_SCALE=Scale.SIZE)  # and of the innovations behind a low pass
+
+#: fixes further apart say nothing of the course, s: the vehicle may have turned between them
 LONGEST_PAIR = 3.0
-#: of the logarithm of the realised over the claimed variance: gain at first, then steadily
-FIRST_GAIN, STEADY_GAIN = 4.0, 0.08
-#: the realised variance is believed between these multiples of the claimed one
-LARGEST_RATIO = 1e6
+#: the receiver's scatter is seen in how its error changes over this time, s: over less than that errors are alike
+SHORTEST_PAIR = 0.9
+#: m/s^2, by which the inertial sensors are wrong in between where the filter does not know: half a degree of tilt
+UNSEEN_ACCELERATION = 0.1
 #: a fix nearer than this is never refused, only weighted down, m
 GATE_FLOOR = 5.0
 #: after so many refused fixes those that come into reach again are weighted down beyond DOUBTED sigma, until as many
@@ -58,25 +72,23 @@ CERTAIN = 1.0
 LOST = -1.0
 #: where the claimed variance changes by more at once, the realised one is as it was until the fixes show more
 CLAIM_CHANGE = 10.0
-#: of the logarithm of the realised over the claimed variance, by a fix that was weighted down
-WEIGHTED_GAIN = 0.25
 #: normalized innovation squared of a fix that fits well
 FITTING = 4.0
 #: innovations are judged by their mean over this time, s: what lasts for shorter averages out
 SLOW = 10.0
-#: s over which their variance is a mean, and for how long an expected one is as good as a realised one
-FACTOR_MEMORY, FACTOR_PRIOR = 100.0, 20.0
-#: fixes closer together tell no more of it than one a second, s
-FACTOR_STEP = 1.0
 #: a larger normalized innovation counts as this: one fix far off is not a filter that is too sure
 LARGEST_INNOVATION = 4.0
-#: of what fixes claim, the share that counts as errors that last whatever they scatter; what they do not scatter is a
-#: mean over so many fixes, before the first of which it is worth so many that are white
-LASTING_SHARE, LASTING_MEMORY, LASTING_PRIOR = 0.05, 100.0, 20.0
-#: and of the logarithm of what they claim over so many
+#: of the variance of fixes, the share that counts as errors that last before any have been seen, whatever they scatter
+LASTING_SHARE = 0.05
+#: s: how long such errors last, by multipath and atmosphere
+LASTING_TIME = 60.0
+#: of the variance of one that lasts, no more than so much shows in SLOW
+LARGEST_SHOWN = 0.3
+#: of the variance that fixes claim and that nothing shows, so much stays in what is published: half of the sigma may be
+#: of errors that last for hours
+NEVER_SHOWN = 0.25
+#: the logarithm of what fixes claim is a mean over so many
 CLAIM_MEMORY = 10.0
-#: median of a chi-square distribution with 2 degrees of freedom, over its mean
-MEDIAN = math.log(2.0)
 
 
 @njit(_nrt=False)
@@ -101,7 +113,7 @@ def trust(mem, r, at):
     """
     z_n, z_e = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
     _scatter(mem, r, at, z_n, z_e)
-    factor = max(1.0, mem[r + Nav.GNSS_RATIO]) if mem[Head.ADAPT] > 0.0 else 1.0
+    factor = _factor(mem, r)
     # refused only if it is off by something that matters, and has become so at once: what grows from fix to fix is the
     # filter's own error
     interval = mem[at + Event.TIME] - mem[r + Nav.RESIDUAL_TIME]
@@ -119,29 +131,36 @@ def trust(mem, r, at):
 
 
 @njit(_nrt=False)
+def _factor(mem, r):
+    """Factor on the covariance that a fix claims: as fixes scatter, where that is more than they claim.
+
+    Not less where they scatter less: what they have in common does not show between them (Kingston's receiver, believed
+    by its scatter alone, made the position worse by a quarter).
+    """
+    return max(scale(mem, r + Receiver.SCALE), 1.0) if mem[Head.ADAPT] != 0.0 else 1.0
+
+
+@njit(_nrt=False)
 def learn(mem, r, at, left_n, left_e):
     """Remember the fix at `at`, which has been judged; left_n, left_e: predicted minus measured position after that."""
     time = mem[at + Event.TIME]
     interval = time - mem[r + Nav.RESIDUAL_TIME]
-    paired = 0.0 < interval < LONGEST_PAIR
-    _judge_covariance(mem, r, at)
-    _judge_lasting(mem, r, at)
+    verdict = mem[at + Event.VERDICT]
+    if mem[Head.COVARIANCE_FACTOR] > 0.0 or mem[Head.ADAPT] > 0.0:
+        if mem[r + Nav.FIX_TIME] != 0.0 and (verdict == Verdict.USED or verdict == Verdict.WEIGHTED):
+            _judge_covariance(mem, r, at, interval)
+        _judge_lasting(mem, r, at, interval, verdict)
     _prove(mem, r, at, interval)
     mem[r + Nav.RESIDUAL_TIME] = time
     mem[r + Nav.RESIDUAL_N], mem[r + Nav.RESIDUAL_E] = left_n - mem[r + NAV], left_e - mem[r + NAV + 1]
     mem[r + Nav.FIX_TIME] = time
     mem[r + Nav.FIX_LATITUDE], mem[r + Nav.FIX_LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
-    verdict = mem[at + Event.VERDICT]
     if verdict == Verdict.WEIGHTED or mem[r + Nav.WEIGHTED] > 0.0 and mem[at + Event.NIS] > mem[Head.ROBUST_SIGMA] ** 2:
         mem[r + Nav.WEIGHTED] += 1.0
     else:
         mem[r + Nav.WEIGHTED] = 0.0
     if mem[r + Nav.WEIGHTED] * interval > LONGEST_WEIGHTED and mem[r + Nav.PROVEN] > PROOF:
         mem[r + Nav.PROVEN] = LOST
-    if verdict == Verdict.WEIGHTED and paired and mem[Head.ADAPT] > 0.0 and mem[r + Nav.DOUBT] <= FEWEST_DOUBT:
-        # errors that last do not show between two fixes (a time offset), but here; not where pairs are too far apart:
-        # nothing would bring the ratio down again, and a filter that is too sure would blame the fixes
-        mem[r + Nav.GNSS_RATIO] = min(mem[r + Nav.GNSS_RATIO] * math.exp(WEIGHTED_GAIN), LARGEST_RATIO)
     if verdict == Verdict.REFUSED:
         mem[r + Nav.DOUBT] = min(mem[r + Nav.DOUBT] + 1.0, MOST_DOUBT)
     elif verdict == Verdict.RECOVERED:
@@ -166,7 +185,7 @@ def learn(mem, r, at, left_n, left_e):
 
 
 @njit(_nrt=False)
-def _judge_covariance(mem, r, at):
+def _judge_covariance(mem, r, at, interval):
     """Realised over expected variance of the innovations, at low frequency: the a posteriori variance factor.
 
     Innovations of a filter that is right are white with covariance S. Receivers whose errors last and filters whose
@@ -177,72 +196,77 @@ def _judge_covariance(mem, r, at):
     the two it is, and need not: the whole covariance is scaled, no gain changes. Errors slower than what the inertial
     sensors hold do not show.
     """
-    verdict = mem[at + Event.VERDICT]
-    if mem[Head.COVARIANCE_FACTOR] == 0.0 or (verdict != Verdict.USED and verdict != Verdict.WEIGHTED):
-        return
-    interval = FACTOR_STEP
-    if mem[r + Nav.FIX_TIME] != 0.0:
-        interval = max(mem[at + Event.TIME] - mem[r + Nav.RESIDUAL_TIME], 0.0)
     l_nn = math.sqrt(mem[at + Event.S_NN])
     l_en = mem[at + Event.S_NE] / l_nn
     u_n = mem[at + Event.Z_N] / l_nn
     u_e = (mem[at + Event.Z_E] - l_en * u_n) / math.sqrt(mem[at + Event.S_EE] - l_en * l_en)
-    scale = min(1.0, LARGEST_INNOVATION / max(math.hypot(u_n, u_e), 1.0))
+    counted = min(1.0, LARGEST_INNOVATION / max(math.hypot(u_n, u_e), 1.0))
     keep = math.exp(-interval / SLOW)
-    mem[r + Nav.SLOW_N] += (1.0 - keep) * (scale * u_n - mem[r + Nav.SLOW_N])
-    mem[r + Nav.SLOW_E] += (1.0 - keep) * (scale * u_e - mem[r + Nav.SLOW_E])
+    mem[r + Nav.SLOW_N] += (1.0 - keep) * (counted * u_n - mem[r + Nav.SLOW_N])
+    mem[r + Nav.SLOW_E] += (1.0 - keep) * (counted * u_e - mem[r + Nav.SLOW_E])
     mem[r + Nav.SLOW_VARIANCE] = keep**2 * mem[r + Nav.SLOW_VARIANCE] + (1.0 - keep) ** 2
     if mem[r + Nav.SLOW_VARIANCE] == 0.0:
         return
     squared = 0.5 * (mem[r + Nav.SLOW_N] ** 2 + mem[r + Nav.SLOW_E] ** 2) / mem[r + Nav.SLOW_VARIANCE]
-    step = min(interval, FACTOR_STEP)
-    mem[r + Nav.FACTOR_TIME] += step
-    gain = step / min(FACTOR_MEMORY, FACTOR_PRIOR + mem[r + Nav.FACTOR_TIME])
-    mem[r + Nav.VARIANCE_FACTOR] += gain * (squared - mem[r + Nav.VARIANCE_FACTOR])
+    learn_scale(mem, r + Receiver.INNOVATION_SCALE, mem[at + Event.TIME], squared, 1.0, 0.0, 2,
+                min(interval / (2.0 * SLOW), 1.0))
+    if mem[Head.COVARIANCE_FACTOR] > 0.0:
+        mem[r + Nav.VARIANCE_FACTOR] = scale(mem, r + Receiver.INNOVATION_SCALE)
 
 
 @njit(_nrt=False)
-def _judge_lasting(mem, r, at):
+def _judge_lasting(mem, r, at, interval, verdict):
     """Variance of the receiver's errors that last, from the fix at `at`: what it claims and fixes do not scatter.
 
-    A receiver states how far off it may be, and the difference of two fixes shows of that what changes between them
-    (`_scatter`). The rest are errors of orbits, atmosphere and multipath: the filter follows them, its innovations stay
-    white, and its position is as far off. No receiver is without; a share of what it claims always counts as such.
-    Claims that change are averaged as logarithms, for about as long as the position remembers a fix.
+    A receiver states how far off it may be, and fixes show of that what changes between them (`_scatter`). The rest are
+    errors of orbits, atmosphere and multipath: the filter follows them, its innovations stay white, and its position is
+    as far off. No receiver is without; a share counts as such. Claims that change are averaged as logarithms, for about
+    as long as the position remembers a fix.
+
+    Such errors do change within a minute, and where the filter does not follow them at once the low-passed innovations
+    show it, at rest above all. Of a first-order Gauss-Markov process a filter that follows it within tau_f leaves
+    SLOW / (LASTING_TIME f (1 + f)) of the variance there, f = SLOW / tau_f; the rest in them is white.
     """
-    if mem[Head.COVARIANCE_FACTOR] == 0.0:
-        return
     level = math.log(0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
-    if mem[r + Nav.LASTING] == 0.0:
+    if mem[r + Nav.FIX_TIME] == 0.0:
         mem[r + Nav.CLAIM_LEVEL] = level
-    gain = 1.0 / min(LASTING_MEMORY, LASTING_PRIOR + mem[r + Nav.GNSS_SEEN])
-    mem[r + Nav.UNSEEN] += gain * (max(1.0 - mem[r + Nav.GNSS_RATIO], -1.0) - mem[r + Nav.UNSEEN])
     mem[r + Nav.CLAIM_LEVEL] += (level - mem[r + Nav.CLAIM_LEVEL]) / CLAIM_MEMORY
-    mem[r + Nav.LASTING] = max(mem[r + Nav.UNSEEN], LASTING_SHARE) * math.exp(mem[r + Nav.CLAIM_LEVEL])
+    realised = scale(mem, r + Receiver.SCALE)
+    lasting = max(1.0 - realised, LASTING_SHARE * realised) * math.exp(mem[r + Nav.CLAIM_LEVEL])
+    if mem[r + Nav.SLOW_VARIANCE] != 0.0 and (verdict == Verdict.USED or verdict == Verdict.WEIGHTED):
+        variance = 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
+        used = _factor(mem, r) * math.exp(level)
+        follows = max(1.0 - used / variance, 0.0) * SLOW / max(interval, 1e-3)
+        shown = min(SLOW / (LASTING_TIME * max(follows * (1.0 + follows), 1e-3)), LARGEST_SHOWN)
+        squared = 0.5 * (mem[r + Nav.SLOW_N] ** 2 + mem[r + Nav.SLOW_E] ** 2)
+        learn_scale(mem, r + Receiver.LASTING_SCALE, mem[at + Event.TIME], squared * variance, shown * lasting,
+                    variance * mem[r + Nav.SLOW_VARIANCE], 2, min(interval / (2.0 * SLOW), 1.0))
+    if mem[Head.COVARIANCE_FACTOR] > 0.0:
+        mem[r + Nav.LASTING] = max(scale(mem, r + Receiver.LASTING_SCALE), NEVER_SHOWN) * lasting
 
 
 @njit(_nrt=False)
 def _scatter(mem, r, at, z_n, z_e):
-    """Realised over claimed variance, from this fix and the one before it.
+    """Realised over claimed variance, from how the receiver's error has changed since a fix of about a second ago.
 
-    The second innovation less what the first fix left is the difference of two errors of the receiver, as far as the
-    inertial sensors are right in between. A running median: it moves by its gain towards each value, however large.
+    An innovation less what the fix before it left is the difference of the receiver's errors, as far as the inertial
+    sensors saw the way in between; the sum of these over several fixes is that of the first and the last.
     """
-    interval, claimed = mem[at + Event.TIME] - mem[r + Nav.RESIDUAL_TIME], mem[at + Event.R_NN] + mem[at + Event.R_EE]
-    before, mem[r + Nav.CLAIMED] = mem[r + Nav.CLAIMED], claimed
+    time, claimed = mem[at + Event.TIME], 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    before, mem[r + Receiver.CLAIMED] = mem[r + Receiver.CLAIMED], claimed
     if before > 0.0 and (claimed * CLAIM_CHANGE < before or claimed > CLAIM_CHANGE * before):
-        ratio = mem[r + Nav.GNSS_RATIO] * before / claimed
-        mem[r + Nav.GNSS_RATIO] = min(max(ratio, 1.0 / LARGEST_RATIO), LARGEST_RATIO)
-        mem[r + Nav.GNSS_SEEN] = 0.0
-    if not (0.0 < interval < LONGEST_PAIR and mem[r + Nav.FIX_TIME] != 0.0):
-        return
-    drift = interval * interval * velocity_variance(mem, r)
-    squared = (z_n - mem[r + Nav.RESIDUAL_N]) ** 2 + (z_e - mem[r + Nav.RESIDUAL_E]) ** 2
-    gain = max(STEADY_GAIN, FIRST_GAIN / (mem[r + Nav.GNSS_SEEN] + 2.0 * FIRST_GAIN))
-    more = squared > MEDIAN * (2.0 * mem[r + Nav.GNSS_RATIO] * claimed + drift)
-    ratio = mem[r + Nav.GNSS_RATIO] * math.exp(gain if more else -gain)
-    mem[r + Nav.GNSS_RATIO] = min(max(ratio, 1.0 / LARGEST_RATIO), LARGEST_RATIO)
-    mem[r + Nav.GNSS_SEEN] += 1.0
+        reopen(mem, r + Receiver.SCALE, claimed / before)
+    begun, since = mem[r + Receiver.PAIR_TIME] != 0.0, time - mem[r + Receiver.PAIR_TIME]
+    if begun:
+        mem[r + Receiver.PAIR] += z_n - mem[r + Nav.RESIDUAL_N]
+        mem[r + Receiver.PAIR + 1] += z_e - mem[r + Nav.RESIDUAL_E]
+        if since < SHORTEST_PAIR:
+            return
+        squared = 0.5 * (mem[r + Receiver.PAIR] ** 2 + mem[r + Receiver.PAIR + 1] ** 2)
+        unseen = 0.5 * since * since * velocity_variance(mem, r) + (0.5 * UNSEEN_ACCELERATION * since * since) ** 2
+        learn_scale(mem, r + Receiver.SCALE, time, squared, claimed + mem[r + Receiver.PAIR_CLAIMED], unseen, 2)
+    mem[r + Receiver.PAIR_TIME], mem[r + Receiver.PAIR_CLAIMED] = time, claimed
+    mem[r + Receiver.PAIR] = mem[r + Receiver.PAIR + 1] = 0.0
 
 
 @njit(_nrt=False)
@@ -258,7 +282,7 @@ def agreed(mem, r, at):
         return False
     _, _, spread = _line(mem, r)
     size = math.sqrt(mem[r + Nav.SUM_SQUARE] / count)
-    sigma = math.sqrt(max(1.0, mem[r + Nav.GNSS_RATIO]) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
+    sigma = math.sqrt(max(1.0, scale(mem, r + Receiver.SCALE)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
     return math.sqrt(spread) < AGREEMENT * (sigma + AGREEMENT_FLOOR) + AGREEMENT_PART * size
 
 
@@ -288,7 +312,7 @@ def start_anew(mem, r, at):
         never = 0.0 <= mem[r + Nav.PROVEN] <= PROOF
         mem[r + Nav.STRAYED] = max(mem[r + Nav.STRAYED] + 1.0 if again else 1.0, 2.0 if never else 1.0)
         mem[r + Nav.STRAYED_TIME], mem[r + Nav.PROVEN] = mem[at + Event.TIME], 0.0 if never else LOST
-    mem[r + Nav.DRIFT_TIME] = 0.0
+    mem[r + Drift.TIME] = mem[r + Receiver.PAIR_TIME] = 0.0
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
     for i in range(n):
@@ -302,7 +326,7 @@ def start_anew(mem, r, at):
         forget(mem, i, n)
     mem[r + Nav.LATITUDE], mem[r + Nav.LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
     mem[r + Nav.V_N], mem[r + Nav.V_E] = v_n, v_e
-    variance = max(1.0, mem[r + Nav.GNSS_RATIO]) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    variance = max(1.0, scale(mem, r + Receiver.SCALE)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     arm = mem[Head.LEVER_X] ** 2 + mem[Head.LEVER_Y] ** 2 + mem[Head.LEVER_Z] ** 2
     for i in range(2):
         mem[p + (n + 1) * i] = variance + arm
@@ -316,7 +340,7 @@ def start_anew(mem, r, at):
         mem[p + (n + 1) * s.V_D] = 0.25
         mem[p + (n + 1) * s.PHI_N] = mem[p + (n + 1) * s.PHI_E] = NEW_TILT_SIGMA**2
     take_course(mem, r, v_n, v_e, drift)
-    mem[Head.RECOVERIES] += 1.0
+    mem[r + Nav.RECOVERIES] += 1.0
 
 
 @njit(_nrt=False)
@@ -331,7 +355,7 @@ def _velocity_of_fixes(mem, r, at, strayed):
                 NEW_VELOCITY_SIGMA**2 + spread / max(mem[r + Nav.REFUSED] * t, 1e-6))
     north = (mem[at + Event.LATITUDE] - mem[r + Nav.FIX_LATITUDE]) / mem[r + Nav.NORTH_SCALE]
     east = (mem[at + Event.LONGITUDE] - mem[r + Nav.FIX_LONGITUDE]) / mem[r + Nav.EAST_SCALE]
-    variance = max(1.0, mem[r + Nav.GNSS_RATIO]) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    variance = max(1.0, scale(mem, r + Receiver.SCALE)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     return (north / interval, east / interval,
             NEW_VELOCITY_SIGMA**2 + (GAP_ACCELERATION * interval) ** 2 + variance / interval**2)
 
@@ -401,7 +425,7 @@ def finds_course(mem, r, at):
         return 0.0, 0.0
     north = (mem[at + Event.LATITUDE] - mem[r + Nav.FIX_LATITUDE]) / mem[r + Nav.NORTH_SCALE]
     east = (mem[at + Event.LONGITUDE] - mem[r + Nav.FIX_LONGITUDE]) / mem[r + Nav.EAST_SCALE]
-    sigma = math.sqrt(2.0 * max(1.0, mem[r + Nav.GNSS_RATIO]) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
+    sigma = math.sqrt(2.0 * max(1.0, scale(mem, r + Receiver.SCALE)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
     if math.hypot(north, east) < sigma / COURSE_SIGMA:
         return 0.0, 0.0
     return north / interval, east / interval

@@ -3,15 +3,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..samples import Fixes, ImuSamples
-from .alignment import Alignment
-from .config import FilterConfig
-from .initial import initialize
-from .layout import Event, Kind
+from ...samples import Aiding, Fixes, ImuSamples
+from ..config import FilterConfig
+from ..memory import Event, Kind
+from ..start.alignment import Alignment
+from ..start.initial import initialize
+from ..start.start import Start
+from ..start.unheaded import spread
 from .odometry import SIZE, odometry
-from .replay import Aiding, Events, Progress, Replay
-from .start import Start
-from .unheaded import spread
+from .replay import Events, Progress, Replay
 
 
 def published(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aiding, datum,
@@ -69,8 +69,8 @@ class _Publishing(Replay):
         self._waiting = _Waiting(self.config)
         return self._waiting
 
-    def _align(self, kept, samples, events: Events) -> tuple[Start | None, int]:
-        start, first = super()._align(kept, samples, events)
+    def _align(self, kept, samples, events: Events, remembered) -> tuple[Start | None, int]:
+        start, first = super()._align(kept, samples, events, remembered)
         found = self._waiting.found
         self._aligned = self._waiting.fed
         if start is None:

@@ -11,13 +11,14 @@ import math
 
 import numpy as np
 
-from ..navigation.strapdown import to_euler
-from .alignment import Remembered
-from .config import FilterConfig
-from .initial import aged, learned
-from .layout import NAV, PLANAR, Head, state_at
+from ...errors import InputError
+from ...navigation.strapdown import to_euler
+from ..config import FilterConfig
+from ..memory import NAV, Head, state_at
+from ..start.alignment import Remembered
+from ..start.initial import aged, learned
+from ..start.start import SensorErrors
 from .odometry import corrected, published_covariance
-from .start import SensorErrors
 
 #: a vehicle that was faster when the snapshot was made has gone on after it, m/s
 AT_REST = 0.5
@@ -28,10 +29,22 @@ PARKED_YAW_SIGMA = 0.02
 def made(config: FilterConfig, memory: np.ndarray, stamp: int) -> dict:
     """The snapshot of a filter with this memory, whose newest sample has `stamp` (ns)."""
     layout, at = config.layout, state_at(memory, int(memory[Head.SAMPLES]))
-    latitude, longitude, height, v_n, v_e, _, q = corrected(memory, at, config.mechanization == PLANAR,
+    latitude, longitude, height, v_n, v_e, _, _ = corrected(memory, at, config.layout.is_level,
                                                             config.open_loop)
+    yaw, yaw_sigma = vehicle_heading(config, memory)
+    errors = learned(config, memory)
+    return {'stamp': int(stamp), 'latitude': latitude, 'longitude': longitude, 'height': height,
+            'speed': math.hypot(v_n, v_e), 'yaw': yaw, 'yaw_sigma': yaw_sigma,
+            'errors': {'names': list(layout.names[layout.n_navigation:]), 'estimate': errors.estimate.tolist(),
+                       'covariance': errors.covariance.tolist(), 'constant': errors.constant.tolist(),
+                       'conditioning': config.conditioning.tolist()}}
+
+
+def vehicle_heading(config: FilterConfig, memory: np.ndarray) -> tuple[float, float]:
+    """Yaw of the vehicle, the body's and the mounting's, rad clockwise from north, and its sigma."""
+    layout, at = config.layout, state_at(memory, int(memory[Head.SAMPLES]))
+    q = corrected(memory, at, config.layout.is_level, config.open_loop)[-1]
     p = published_covariance(memory[at:at + int(memory[Head.WIDTH])], layout)
-    # the vehicle's heading is the body's and the mounting's yaw
     row, turned = layout.n_navigation - 1, layout.index('mounting_yaw')
     direction = np.zeros(layout.n)
     direction[row] = 1.0
@@ -39,25 +52,28 @@ def made(config: FilterConfig, memory: np.ndarray, stamp: int) -> dict:
     if turned >= 0:
         yaw += memory[at + NAV + turned]
         direction[turned] = -1.0
-    errors = learned(config, memory)
-    return {'stamp': int(stamp), 'latitude': latitude, 'longitude': longitude, 'height': height,
-            'speed': math.hypot(v_n, v_e), 'yaw': yaw, 'yaw_sigma': math.sqrt(max(direction @ p @ direction, 0.0)),
-            'errors': {'names': list(layout.names[layout.n_navigation:]), 'estimate': errors.estimate.tolist(),
-                       'covariance': errors.covariance.tolist(), 'constant': errors.constant.tolist(),
-                       'conditioning': config.conditioning.tolist()}}
+    return yaw, math.sqrt(max(direction @ p @ direction, 0.0))
+
+
+def after_jump(config: FilterConfig, memory: np.ndarray, before: int, now: int) -> Remembered:
+    """What a filter with this memory can begin anew with where the stamps of the samples jump from `before` to `now`
+    (ns): a clock that was set, or a recording that begins again. Where they jump back nobody knows how much later it
+    is; it is taken as no time."""
+    snapshot = {**made(config, memory, before), 'stamp': min(before, now)}
+    return recalled(config, snapshot, now, config.parameters['state_file_max_distance'])[0]
 
 
 def recalled(config: FilterConfig, snapshot: dict, now: int, max_distance: float) -> tuple[Remembered, str]:
-    """What `snapshot` tells a filter with `config` at `now` (ns), and that in words. ValueError where it is not one."""
+    """What `snapshot` tells a filter with `config` at `now` (ns), and that in words. InputError where it is not one."""
     try:
         age = (now - snapshot['stamp']) * 1e-9
         place = tuple(float(snapshot[name]) for name in ('latitude', 'longitude', 'height'))
         speed, yaw, sigma = (float(snapshot[name]) for name in ('speed', 'yaw', 'yaw_sigma'))
         errors = _errors(config, snapshot['errors'])
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f'not a state of the filter: {" ".join(str(error).split())}') from None
+        raise InputError(f'not a state of the filter: {" ".join(str(error).split())}') from None
     if not (all(map(math.isfinite, (*place, speed, yaw, sigma, age))) and sigma >= 0.0 and age >= 0.0):
-        raise ValueError('not a state of the filter: numbers that are not finite or below zero')
+        raise InputError('not a state of the filter: numbers that are not finite or below zero')
     if speed > AT_REST:
         sigma, heading = math.inf, f'no heading, it ended at {speed:.1f} m/s'
     else:
@@ -78,9 +94,9 @@ def _errors(config: FilterConfig, values: dict) -> SensorErrors | None:
     m = layout.n_augmented
     if (errors.estimate.shape, errors.covariance.shape, errors.constant.shape) != (
             (m,), (m, m), (len(config.models),)):
-        raise ValueError('arrays of another size than their names')
+        raise InputError('arrays of another size than their names')
     total = errors.estimate.sum() + errors.covariance.sum() + errors.constant.sum()
     if not (math.isfinite(total) and np.allclose(errors.covariance, errors.covariance.T)
             and np.linalg.eigvalsh(errors.covariance).min() > -1e-9 * np.abs(errors.covariance).max()):
-        raise ValueError('a covariance that is none')
+        raise InputError('a covariance that is none')
     return errors

@@ -1,30 +1,28 @@
 """Which events are good, for one live event and for a whole recording alike, and what is said of the others."""
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-from .config import FilterConfig
-from .kernel import TOO_LATE
-from .layout import Event, Kind
-from .measurements import heading, position, speed, velocity
+from ...samples import Fixes, ImuSamples
+from ..config import FilterConfig
+from ..kernel import FORGOTTEN, TOO_LATE
+from ..measurements.registry import MEASUREMENTS, NAMES
+from ..memory import Event, Kind
+from ..start.start import DATUM_FIXES, first_place
 
+#: what two refusals for the same reason may differ in
+_NUMBER = re.compile(r'[-+]?\b(?:nan|inf|\d[\d.]*(?:e[-+]?\d+)?)\b')
 #: samples in a row whose stamps do not follow, after which the clock is believed to have jumped
 JUMP_COUNT = 5
 #: a measurement stamped this much after the newest IMU sample is not of the same clock, s; the kernel looks closer
 LATEST = 5.0
 #: what `follow` makes of a sample
 GOOD, NOT_FINITE, NOT_FOLLOWING, JUMPED = 0, 1, 2, 3
-
-#: by kind: the file of the measurement, and its settings in `FilterConfig`
-SOURCES = {Kind.POSITION: (position, 'gnss'), Kind.VELOCITY: (velocity, 'velocity'), Kind.SPEED: (speed, 'speed'),
-           Kind.HEADING: (heading, 'heading')}
-NAMES = {Kind.POSITION: 'fix', Kind.VELOCITY: 'velocity', Kind.SPEED: 'speed', Kind.HEADING: 'heading'}
-#: what comes with the receiver's stamps
-OF_RECEIVER = (Kind.POSITION, Kind.VELOCITY)
 
 
 @dataclass(frozen=True)
@@ -36,11 +34,13 @@ class Notice:
 
 
 @njit
-def follow(state, stamp, values, restart_gap, codes):
+def follow(state, stamp, values, restart_gap, step_back, codes):
     """Which IMU samples are numbers and follow each other: codes (n,).
 
     state (3,) int64: the last good stamp, that of a jump and how many have followed it; kept from call to call, and -1
-    at first. stamp (n,) ns. values (n, 6). restart_gap: ns. JUMPED: good, but all must begin anew.
+    at first. stamp (n,) ns. values (n, 6). restart_gap: ns. step_back: ns; a clock that is set back by no more, as NTP
+    and PTP do, is waited for: the samples are dropped until their stamps pass the last good one. JUMPED: good, but all
+    must begin anew.
     """
     for i in range(len(stamp)):
         total = 0.0
@@ -52,6 +52,10 @@ def follow(state, stamp, values, restart_gap, codes):
         if state[0] == -1 or 0 < stamp[i] - state[0] <= restart_gap:
             state[0], state[2] = stamp[i], 0
             codes[i] = GOOD
+            continue
+        if -step_back <= stamp[i] - state[0] <= 0:
+            state[2] = 0
+            codes[i] = NOT_FOLLOWING
             continue
         state[2] = state[2] + 1 if state[2] > 0 and stamp[i] > state[1] else 1
         state[1] = stamp[i]
@@ -67,9 +71,15 @@ class Intake:
     def __init__(self, config: FilterConfig):
         self.config = config
         self._follow = np.full(3, -1, dtype=np.int64)
-        self._last = dict.fromkeys(SOURCES, None)  # stamps of the last good measurement, ns
+        self._last = dict.fromkeys(MEASUREMENTS, None)  # stamps of the last good measurement, ns
         self._notices: list[Notice] = []
         self._restart_gap = round(config.imu.restart_gap * 1e9)
+        self._step_back = round(config.imu.max_gap * 1e9)
+        self._ahead = dict.fromkeys(MEASUREMENTS, (0, 0))  # stamps of the last one ahead, and of the sample before
+        #: why the newest measurement that `measured` refused was refused, without numbers
+        self.refusal = ''
+        #: how much later than the quickest ones the newest message came, s: how long it waited in queues
+        self.waited = 0.0
         self._offset = round(config.gnss.time_offset * 1e9)
 
     def notices(self) -> list[Notice]:
@@ -81,13 +91,13 @@ class Intake:
         self._notices.append(Notice(level, text))
 
     def topic(self, kind: int) -> str:
-        return getattr(self.config, SOURCES[kind][1]).topic
+        return self.config.settings_of(kind).topic
 
     def follow(self, stamp: np.ndarray, values: np.ndarray) -> np.ndarray:
         """`follow` for these samples, stamp (n,) ns and values (n, 6); what is wrong is said."""
         codes = np.zeros(len(stamp), dtype=np.int64)
         last = int(self._follow[0])
-        follow(self._follow, stamp, values, self._restart_gap, codes)
+        follow(self._follow, stamp, values, self._restart_gap, self._step_back, codes)
         flagged = np.flatnonzero(codes)
         if not len(flagged):
             return codes
@@ -114,24 +124,33 @@ class Intake:
 
         newest (n,): ns, the stamp of the IMU sample before each. epoch: ns, of the filter's time.
         """
-        file, name = SOURCES[kind]
-        settings = getattr(self.config, name)
-        records, reasons, warnings = file.records(settings, samples)
-        stamp = samples.stamp - (self._offset if kind in OF_RECEIVER else 0)
+        measurement, settings = MEASUREMENTS[kind], self.config.settings_of(kind)
+        records, reasons, warnings = measurement.records(settings, samples)
+        stamp = samples.stamp - (self._offset if measurement.of_antenna else 0)
         self._refuse_twins(kind, samples.stamp, reasons)
         for i in np.flatnonzero((reasons != '') | (warnings != '')):
             self.say('warning', f'{settings.topic}: {reasons[i] or warnings[i]}')
         good = reasons == ''
+        if not good.all():
+            self.refusal = _NUMBER.sub('#', reasons[np.flatnonzero(~good)[-1]])
         ahead = (stamp - newest) * 1e-9
         for i in np.flatnonzero(good & ((-ahead > self.config.gnss.max_delay) | (ahead > LATEST))):
-            good[i] = False
+            good[i], self.refusal = False, 'stamped ahead of the IMU' if ahead[i] > 0 else 'too late'
             if ahead[i] > 0:
-                self.say('warning', f'{settings.topic}: {NAMES[kind]} stamped {ahead[i]:.1f} s after the newest IMU '
-                                    'sample: the clocks differ (gnss.time_offset); dropped')
+                self._say_ahead(kind, ahead[i], int(stamp[i]), int(newest[i]))
             else:
                 self.say_not_taken(kind, TOO_LATE, int(stamp[i]), int(newest[i]))
         records[:, Event.TIME] = (stamp - epoch) * 1e-9
         return np.flatnonzero(good), records[good]
+
+    def _say_ahead(self, kind: int, ahead: float, stamp: int, newest: int) -> None:
+        before, sample = self._ahead[kind]
+        self._ahead[kind] = stamp, newest
+        why = 'the clocks differ (gnss.time_offset)'
+        if sample == newest and stamp > before:  # measurements go on, samples do not
+            why = f'nothing has come on {self.config.imu.topic} since'
+        self.say('warning', f'{self.topic(kind)}: {NAMES[kind]} stamped {ahead:.1f} s after the newest IMU sample: '
+                            f'{why}; dropped')
 
     def _refuse_twins(self, kind: int, stamp: np.ndarray, reasons: np.ndarray) -> None:
         """A stamp that comes twice is a message that came twice."""
@@ -144,10 +163,33 @@ class Intake:
         self._last[kind] = int(stamp[good[-1]])
 
     def say_not_taken(self, kind: int, answer: int, stamp: int, newest: int) -> None:
+        late, why = (newest - stamp) * 1e-9, ''
         if answer == TOO_LATE:
-            self.say('warning', f'{self.topic(kind)}: {NAMES[kind]} stamped {stamp * 1e-9:.3f} s came '
-                                f'{(newest - stamp) * 1e-9:.2f} s after the IMU samples of its time: later than '
-                                'gnss.max_delay, or the clocks differ (gnss.time_offset); dropped')
+            why = 'later than gnss.max_delay, or the clocks differ (gnss.time_offset)'
+            if self.waited > 0.5 * late:
+                why = f'it waited {self.waited:.2f} s in queues: the machine is busy'
+        elif answer == FORGOTTEN:
+            why = f'more than {self.config.event_capacity // 2} measurements have come since'
+        if why:
+            self.say('warning', f'{self.topic(kind)}: {NAMES[kind]} stamped {stamp * 1e-9:.3f} s came {late:.2f} s '
+                                f'after the IMU samples of its time: {why}; dropped')
+
+
+def first_datum(config: FilterConfig, imu: ImuSamples, fixes: Fixes) -> np.ndarray | None:
+    """The origin (rad, rad, m) that a live filter would have taken for its local frame; None where no fix is good."""
+    if config.datum is not None:
+        return config.datum
+    order = np.argsort(fixes.received, kind='stable')
+    arrival = np.searchsorted(imu.received, fixes.received[order], side='right')
+    fixes, newest = fixes.select(order[arrival > 0]), imu.stamp[arrival[arrival > 0] - 1]
+    found: list[tuple[float, float, float]] = []
+    intake = Intake(config)
+    for i in range(len(fixes)):
+        used, records = intake.measured(Kind.POSITION, fixes.select(slice(i, i + 1)), newest[i:i + 1], 0)
+        found += [tuple(record[[Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT]].tolist()) for record in records]
+        if len(found) == DATUM_FIXES:
+            break
+    return first_place(found) if found else None
 
 
 def corrected(correctors: list, stamp, values, celsius) -> np.ndarray:

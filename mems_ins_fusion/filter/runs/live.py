@@ -7,30 +7,39 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..parameters.parameter import ParameterError
-from ..samples import Fixes, Headings, Speeds, Velocities
-from . import kernel, white_noise
-from .alignment import STANDING_SIGMA, Alignment, start_covariance
-from .config import FilterConfig
-from .imu_faults import FAULTS, Fault
-from .initial import initialize, learned
-from .intake import JUMPED, NAMES, Intake, corrected
-from .kernel import TAKEN
-from .layout import NAV, Event, Head, Kind, Nav, Verdict, sample_at, state_at, views
+from ...parameters.parameter import ParameterError
+from ...samples import Fixes
+from .. import kernel
+from ..config import FilterConfig
+from ..kernel import TAKEN
+from ..measurements.registry import AIDING, MEASUREMENTS, NAMES
+from ..memory import NAV, Event, Head, Kind, Nav, Verdict, sample_at, state_at
+from ..start.alignment import STANDING_SIGMA, Alignment, start_covariance
+from ..start.initial import initialize, learned
+from ..start.start import DATUM_FIXES, Start, first_place
+from ..start.unheaded import spread
+from ..trust import white_noise
+from ..trust.drift import Drift
+from ..trust.imu_faults import FAULTS, Fault, Imu
+from ..trust.receiver import Receiver
+from ..trust.scale import scale
+from .intake import JUMPED, NOT_FINITE, Intake, corrected
 from .odometry import LINEAR, SIZE, TWIST_COVARIANCE, odometry, published_covariance
 from .results import columns
-from .snapshot import made, recalled
-from .start import Start
-from .unheaded import spread
-from .vehicle_check import ADRIFT, vehicle_says
+from .snapshot import after_jump, made, recalled, vehicle_heading
+from .tally import Tally
+from .vehicle_check import ADRIFT, found_mounting, vehicle_says
 
 #: the verdicts in words
 VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down', Verdict.REFUSED: 'beyond the gate',
-            Verdict.FROZEN: 'position repeats while moving', Verdict.AHEAD: 'stamped ahead of the IMU',
+            Verdict.FROZEN: 'position repeats while moving',
+            Verdict.STRAIGHT_ON: 'goes straight on as without satellites', Verdict.AHEAD: 'stamped ahead of the IMU',
             Verdict.RECOVERED: 'the filter started anew from it'}
 #: what a fault leaves behind shows for so long, s
 _DEGRADED, _RECOVERING = 5.0, 10.0
-_STEADY_REFUSED = 3
+#: innovations so many times as large as expected are no chance: without a fault they are at most 1.1 times so, with
+#: fixes stamped 0.8 s early 1.6 to 3.4 times
+STRAINED = 1.5
 #: what the vehicle shows against the parameters is said so often, ns
 _LOOK_PERIOD = 60 * 10**9
 #: of a speed that nobody has told, m/s
@@ -66,6 +75,7 @@ class FusionFilter(Intake):
         self.geodetic = np.zeros(3)
         self.position_covariance_enu = np.zeros(9)
         self.datum = config.datum
+        self._first_places: list[tuple[float, float, float]] = []  # of good fixes, until there is a datum
         self._height_sigma = config.gnss.default_sigma
         self._outage_after = round(config.gnss.outage_after * 1e9)
         self._correctors = config.correctors()
@@ -92,14 +102,16 @@ class FusionFilter(Intake):
         self._pending: dict[int, tuple[int, int]] = {}
         self._judged: list[Judged] = []
         self._ids = 0
-        self._counts: dict[str, int] = {}
-        self._said_faults = bytes(8 * (Head.RECOVERIES + 1 - Head.FAULTS))  # the counts, quick to compare
-        self._last_gap = 0.0
+        self.tallies = {name: Tally() for name in ('imu', *NAMES.values())}
+        self._said_faults = bytes(8 * Fault.SIZE)  # the counts, quick to compare
+        self._restarts = 0.0
+        self._last_gap, self.gaps = 0.0, 0
         self._last_fault = self._last_recovery = -math.inf
-        self._refused_in_a_row = 0
+        self._fault = ''
         self._recent: deque[np.ndarray] = deque(maxlen=ADRIFT)  # records of fixes
         self._looked = -_LOOK_PERIOD  # ns: when the vehicle was last said to be another than the parameters tell
         self._said: list[str] = []  # of it, at the last look
+        self._said_mounting = False
 
     def changed(self, values: dict) -> FilterConfig:
         """The configuration with those of `values` (checked, by name) that are CHANGEABLE.
@@ -134,27 +146,64 @@ class FusionFilter(Intake):
         return self._memory is not None
 
     @property
+    def has_estimate(self) -> bool:
+        """Whether there is one, be it of the position alone."""
+        return self._estimating is not None
+
+    @property
     def status(self) -> str:
         """What the filter is doing, in a few words."""
         if self._memory is None:
+            tally = self.tallies['fix']
+            if tally.steadily(tally.last, patient=False):
+                return f'waiting for a fix that can be used: the last {tally.row} were refused ({tally.reason})'
             return f'waiting for {self._alignment.waiting_for}'
         if self._outage:
             return f'outage for {(self._now - self._newest_fix) * 1e-9:.1f} s'
-        return 'running'
+        return '; '.join(self.reasons) or 'running'
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the filter waits for what will not come by itself: what comes is not what the parameters say."""
+        if self._memory is not None:
+            return False
+        tally = self.tallies['fix']
+        refused = tally.steadily(tally.last, patient=False) and 'without a fix' not in tally.reason and (
+            'no fix' not in tally.reason)  # that comes by itself
+        return self._alignment.contradicted or refused
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why the filter is degraded, each in words; none where nothing is wrong."""
+        if self._memory is None:
+            return []
+        now, found = self._now, []
+        if now * 1e-9 - self._last_fault < _DEGRADED:
+            found.append(f'samples on {self.config.imu.topic} not believed: {self._fault}')
+        for kind, name in NAMES.items():
+            tally = self.tallies[name]
+            if tally.steadily(now, patient=kind != Kind.POSITION):
+                found.append(f'the last {tally.row} messages on {self.topic(kind)} refused: {tally.reason}')
+        strain = self._strain()
+        if strain > STRAINED:
+            found.append(f'innovations {strain:.1f} times as large as expected: a wrong gnss.time_offset, '
+                         'gnss.lever_arm or noise (`diagnose` finds which)')
+        return found
+
+    def _strain(self) -> float:
+        """Realised over expected sigma of the innovations."""
+        return math.sqrt(self._memory[state_at(self._memory, int(self._memory[Head.SAMPLES])) + Nav.VARIANCE_FACTOR])
 
     @property
     def state(self) -> str:
         """waiting, aligning, fusing, coasting, degraded or recovering."""
         if self._memory is None:
             return 'aligning' if self._last[Kind.POSITION] is not None else 'waiting'
-        now = self._now * 1e-9
-        if now - self._last_recovery < _RECOVERING:
+        if self._now * 1e-9 - self._last_recovery < _RECOVERING:
             return 'recovering'
         if self._outage:
             return 'coasting'
-        if now - self._last_fault < _DEGRADED or self._refused_in_a_row >= _STEADY_REFUSED:
-            return 'degraded'
-        return 'fusing'
+        return 'degraded' if self.reasons else 'fusing'
 
     @property
     def _now(self) -> int:
@@ -176,8 +225,12 @@ class FusionFilter(Intake):
         else:
             code = self.follow(self._stamp, sample[:, 1:])[0]
             if code == JUMPED:
+                kept = None if self._memory is None else after_jump(self.config, self._memory, last, stamp)
                 self.reset()
+                if kept is not None:
+                    self._alignment.remember(kept)
             elif code:
+                self.tallies['imu'].refuse(stamp, 'not a number' if code == NOT_FINITE else 'its stamp does not follow')
                 return False
         if self._correctors:
             sample[:, 1:] = corrected(self._correctors, self._stamp, sample[:, 1:], np.array([self._celsius]))
@@ -194,8 +247,9 @@ class FusionFilter(Intake):
             self._filter(self._provisional, sample, self._log, self._none)
             return True
         self._filter(self._memory, sample, self._log, self._none)
-        if self._memory[Head.FAULTS:Head.RECOVERIES + 1].tobytes() != self._said_faults:
+        if self._memory[Imu.FAULTS:Imu.FAULTS + Fault.SIZE].tobytes() != self._said_faults:
             self._say_faults(stamp)
+        self._say_restarts(stamp)
         if self._pending:
             self._judge()
         if stamp - self._newest_fix > self._outage_after and not self._outage:
@@ -230,34 +284,39 @@ class FusionFilter(Intake):
                                            np.reshape(np.asarray(covariance, dtype=float), (1, 3, 3)),
                                            np.array([status]), np.array([covariance_type])))
 
+    def add(self, name: str, stamp: int, *numbers) -> None:
+        """One measurement besides the fixes; numbers: those of its samples (`samples`), in their order."""
+        measurement = next(m for m in AIDING if m.name == name)
+        if self._using_fixes or not measurement.of_antenna:
+            stamps = np.array([stamp], dtype=np.int64)
+            self._add(measurement.kind, measurement.samples(stamps, stamps, *_ones(*numbers)))
+
     def add_velocity(self, stamp: int, velocity, covariance) -> None:
         """Velocity of the antenna, (3,) m/s north-east-down, and its covariance (3, 3)."""
-        if self._using_fixes:
-            stamps = np.array([stamp], dtype=np.int64)
-            self._add(Kind.VELOCITY, Velocities(stamps, stamps, np.reshape(np.asarray(velocity, dtype=float), (1, 3)),
-                                                np.reshape(np.asarray(covariance, dtype=float), (1, 3, 3))))
+        self.add('velocity', stamp, velocity, covariance)
 
     def add_speed(self, stamp: int, speed: float, variance: float) -> None:
         """Speed at the rear axle, m/s forward, and its variance."""
-        stamps = np.array([stamp], dtype=np.int64)
-        self._add(Kind.SPEED, Speeds(stamps, stamps, *_ones(speed, variance)))
+        self.add('speed', stamp, speed, variance)
 
     def add_heading(self, stamp: int, yaw: float, variance: float) -> None:
         """Heading of the vehicle, rad clockwise from north, and its variance."""
-        stamps = np.array([stamp], dtype=np.int64)
-        self._add(Kind.HEADING, Headings(stamps, stamps, *_ones(yaw, variance)))
+        self.add('heading', stamp, yaw, variance)
 
     def _add(self, kind: int, samples) -> None:
+        stamp = int(samples.stamp[0])
         if self._epoch is None:  # nothing to compare it with yet
             return
         used, records = self.measured(kind, samples, np.array([self._now]), self._epoch)
+        tally = self.tallies[NAMES[kind]]
         if not len(used):
-            self._count(NAMES[kind], 'unusable')
+            tally.refuse(stamp, self.refusal)
             return
         record = records[0]
         stamp = self._epoch + round(record[Event.TIME] * 1e9)
         if kind == Kind.POSITION:
             self._height_sigma = math.sqrt(record[Event.R_DD])
+            self._find_datum(record)
         if self._memory is None:
             if kind == Kind.POSITION:
                 start = self._alignment.add_record(record, self.say)
@@ -272,7 +331,7 @@ class FusionFilter(Intake):
         answer = self._filter(self._memory, self._sample[:0], records, self._before)
         if answer != TAKEN:
             self.say_not_taken(kind, answer, stamp, self._now)
-            self._count(NAMES[kind], 'late')
+            tally.refuse(stamp, 'too late')
             return
         self._pending[self._ids - 1] = kind, stamp
         self._judge()
@@ -281,12 +340,19 @@ class FusionFilter(Intake):
         self._memory, self._newest_fix = self._started(start), stamp
         self._provisional = None
 
+    def _find_datum(self, record) -> None:
+        """The origin of the local frame, where no parameter gives it, from the first good fixes."""
+        if self.datum is None:
+            self._first_places.append(tuple(record[[Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT]].tolist()))
+            if len(self._first_places) == DATUM_FIXES:
+                self.datum = first_place(self._first_places)
+
     def _started(self, start: Start) -> np.ndarray:
         """The memory of a filter that began with `start` and has seen all samples since."""
         memory = self.config.memory()
         initialize(memory, self.config, start)
         if self.datum is None:
-            self.datum = np.array([start.latitude, start.longitude, start.height])
+            self.datum = first_place(self._first_places or [(start.latitude, start.longitude, start.height)])
         self._filter(memory, np.ascontiguousarray(self._alignment.samples_after(start.time)), self._log, self._none)
         return memory
 
@@ -333,38 +399,52 @@ class FusionFilter(Intake):
 
     def _judge(self) -> None:
         """What the filter has done with the measurements it had still to come to."""
-        records = views(self._memory)[4][:int(self._memory[Head.EVENTS])]
-        for record in records[np.isin(records[:, Event.ID], list(self._pending))]:
+        for identity, (kind, stamp) in list(self._pending.items()):
+            at = kernel.find_event(self._memory, identity)
+            if at < 0:  # more than are remembered wait for the IMU
+                del self._pending[identity]
+                continue
+            record = self._memory[at:at + Event.SIZE]
             verdict = int(record[Event.VERDICT])
             if verdict == Verdict.PENDING:
                 continue
-            kind, stamp = self._pending.pop(int(record[Event.ID]))
+            del self._pending[identity]
             used = verdict in (Verdict.USED, Verdict.WEIGHTED, Verdict.RECOVERED)
-            dimensions = {Kind.POSITION: 2, Kind.VELOCITY: 2}.get(kind, 1)
+            dimensions = MEASUREMENTS[kind].components
             self._judged.append(Judged(stamp, NAMES[kind], used, float(record[Event.WEIGHT]), VERDICTS[verdict],
                                        tuple(record[Event.Z_N:Event.Z_N + dimensions].tolist()),
                                        float(record[Event.NIS])))
-            self._count(NAMES[kind], VERDICTS[verdict])
+            tally, misfit = self.tallies[NAMES[kind]], float(record[Event.NIS]) / dimensions
+            if verdict == Verdict.RECOVERED:
+                self._last_recovery = stamp * 1e-9
+                lasted = (stamp - tally.since) * 1e-9
+                self.say('warning', f'{self.topic(kind)}: the fixes refused for {lasted:.0f} s agree with each other: '
+                                    'position, velocity and heading start anew from them')
+            if used:
+                tally.use(misfit)
+            else:
+                tally.refuse(stamp, VERDICTS[verdict], misfit if verdict == Verdict.REFUSED else math.nan)
+                self.say('warning', f'{self.topic(kind)}: {self._refusal(kind, verdict, stamp, record)}')
             if kind == Kind.POSITION:
-                self._fix_judged(verdict, used, stamp, record)
+                self._fix_judged(used, stamp, record)
 
-    def _fix_judged(self, verdict: int, used: bool, stamp: int, record) -> None:
-        topic = self.config.gnss.topic
-        self._refused_in_a_row = 0 if used else self._refused_in_a_row + 1
-        off = math.hypot(record[Event.Z_N], record[Event.Z_E])
-        if verdict == Verdict.REFUSED:
-            self.say('warning', f'{topic}: fix {off:.1f} m off, {math.sqrt(record[Event.NIS]):.0f} sigma: refused')
-        elif verdict == Verdict.FROZEN:
-            self.say('warning', f'{topic}: the same position again while the vehicle moves: fix refused')
-        elif verdict == Verdict.AHEAD:
+    def _refusal(self, kind: int, verdict: int, stamp: int, record) -> str:
+        """Why a measurement was refused, in words and numbers."""
+        if verdict == Verdict.FROZEN:
+            return 'the same position again while the vehicle moves: fix refused'
+        if verdict == Verdict.STRAIGHT_ON:
+            return 'fixes on a straight line, as of a receiver that goes on without satellites: fix refused'
+        if verdict == Verdict.AHEAD:
             missing = f'IMU samples are missing, {self._last_gap:.1f} s of them' if self._last_gap else (
                 'IMU samples come late, as on a busy machine')
-            self.say('warning', f'{topic}: fix stamped {(stamp - self._now) * 1e-9:.1f} s after the IMU sample that '
-                                f'came next: {missing}, or the clocks differ (gnss.time_offset); refused')
-        elif verdict == Verdict.RECOVERED:
-            self._last_recovery = stamp * 1e-9
-            self.say('warning', f'{topic}: the fixes refused for {self.config.gnss.recovery_time:.0f} s agree with '
-                                'each other: position, velocity and heading start anew from them')
+            return (f'{NAMES[kind]} stamped {(stamp - self._now) * 1e-9:.1f} s after the IMU sample that came next: '
+                    f'{missing}, or the clocks differ (gnss.time_offset); refused')
+        measurement = MEASUREMENTS[kind]
+        innovation = record[Event.Z_N:Event.Z_N + measurement.components]
+        return f'{measurement.off(record[Event.VALUE], innovation)}, {math.sqrt(record[Event.NIS]):.0f} sigma: refused'
+
+    def _fix_judged(self, used: bool, stamp: int, record) -> None:
+        topic = self.config.gnss.topic
         self._recent.append(record.copy())
         if stamp - self._looked > _LOOK_PERIOD:
             said = vehicle_says(self._memory, self.config, np.array(self._recent))
@@ -373,6 +453,9 @@ class FusionFilter(Intake):
                 if text not in self._said:  # what goes on is said once
                     self.say('warning', text)
             self._said = said
+            if not self._said_mounting and (found := found_mounting(self._memory, self.config)):
+                self._said_mounting = True
+                self.say('warning', f'{self.config.imu.topic}: {found}')
         if not used:
             return
         self._newest_fix = max(self._newest_fix, stamp)
@@ -381,7 +464,7 @@ class FusionFilter(Intake):
             self.say('info', f'fixes on {topic} again')
 
     def _say_faults(self, stamp: int) -> None:
-        counts = self._memory[Head.FAULTS:Head.RECOVERIES + 1].copy()
+        counts = self._memory[Imu.FAULTS:Imu.FAULTS + Fault.SIZE].copy()
         new = counts - np.frombuffer(self._said_faults)
         self._said_faults = counts.tobytes()
         for fault in range(1, Fault.SIZE):
@@ -389,22 +472,23 @@ class FusionFilter(Intake):
                 self._last_fault = stamp * 1e-9
                 f = ', '.join(f'{v:.4g}' for v in self._sample[0, 1:4])
                 w = ', '.join(f'{v:.4g}' for v in self._sample[0, 4:7])
-                self._count('imu', FAULTS[fault])
+                self._fault = FAULTS[fault]
+                self.tallies['imu'].refuse(stamp, self._fault)
                 self.say('warning', f'{self.config.imu.topic}: linear_acceleration ({f}), angular_velocity ({w}): '
                                     f'{FAULTS[fault]}: sample not believed, bridged')
-        if new[Head.RESTARTS - Head.FAULTS] > 0:
+
+    def _say_restarts(self, stamp: int) -> None:
+        restarts = float(self._memory[state_at(self._memory, int(self._memory[Head.SAMPLES])) + Nav.RESTARTS])
+        if restarts > self._restarts:
             self._last_recovery = stamp * 1e-9
             self.say('error', 'the state was not finite: the filter went back to the last good one')
+        self._restarts = restarts
 
     def _say_gap(self, seconds: float) -> None:
         self._last_gap = seconds
-        self._count('imu', 'gaps')
+        self.gaps += 1
         self.say('warning', f'{self.config.imu.topic}: no sample for {seconds:.2f} s (imu.max_gap): samples are '
                             'missing, bridged')
-
-    def _count(self, what: str, outcome: str) -> None:
-        key = f'{what} {outcome}'
-        self._counts[key] = self._counts.get(key, 0) + 1
 
     def verdicts(self) -> list[Judged]:
         """What was done with each measurement since the last call."""
@@ -413,7 +497,10 @@ class FusionFilter(Intake):
 
     def health(self) -> dict:
         """Numbers and words for a diagnosis of the running filter, by name with the unit."""
-        values: dict = {'state': self.state, 'status': self.status, **self._counts}
+        values: dict = {'state': self.state, 'status': self.status, 'gaps between IMU samples': self.gaps}
+        for name, tally in self.tallies.items():
+            values |= {f'{name} used': tally.used} if tally.used else {}
+            values |= {f'{name} refused, {reason}': count for reason, count in tally.refused.items()}
         memory = self._estimating
         if memory is None:
             return values
@@ -422,18 +509,22 @@ class FusionFilter(Intake):
         row = memory[at:at + int(memory[Head.WIDTH])]
         sigma = np.sqrt(np.diag(published_covariance(row, layout)))
         values |= {'position sigma, m': float(math.hypot(sigma[0], sigma[1])),
-                   'heading sigma, deg': math.degrees(sigma[layout.n_navigation - 1])}
+                   'heading sigma, deg': math.degrees(sigma[layout.n_navigation - 1]),
+                   'speed, m/s': math.hypot(row[Nav.V_N], row[Nav.V_E]),
+                   'speed sigma, m/s': math.sqrt(sigma[layout.index('v_n')]**2 + sigma[layout.index('v_e')]**2)}
         if self._memory is None:
             return values
+        values['heading sigma of the vehicle, deg'] = math.degrees(vehicle_heading(self.config, memory)[1])
+        values['mounting found'] = found_mounting(memory, self.config) or 'nothing against imu.mounting_rpy'
         sample = sample_at(memory, int(memory[Head.SAMPLES]))
         values |= {'age of the last fix used, s': (self._now - self._newest_fix) * 1e-9,
-                   'realised over claimed sigma of the fixes': math.sqrt(row[Nav.GNSS_RATIO]),
-                   'realised over expected sigma of the innovations': math.sqrt(row[Nav.VARIANCE_FACTOR]),
-                   'realised over assumed drift of the accelerometers': math.sqrt(row[Nav.DRIFT_RATIO]),
-                   'realised over assumed drift of the gyroscopes': math.sqrt(row[Nav.DRIFT_RATIO + 1]),
+                   'realised over claimed sigma of the fixes': math.sqrt(scale(row, Receiver.SCALE)),
+                   'realised over expected sigma of the innovations': self._strain(),
+                   'realised over assumed drift of the accelerometers': math.sqrt(row[Drift.RATIO]),
+                   'realised over assumed drift of the gyroscopes': math.sqrt(row[Drift.RATIO + 1]),
                    'shown over assumed noise of the accelerometers': math.sqrt(white_noise.shown(memory, sample, 0)),
                    'shown over assumed noise of the gyroscopes': math.sqrt(white_noise.shown(memory, sample, 3)),
-                   'contradicted by the constraint, s': float(memory[Head.SLID])}
+                   'contradicted by the constraint, s': float(row[Nav.SLID])}
         for i, name in enumerate(layout.names[layout.n_navigation:], start=layout.n_navigation):
             values[name] = float(row[NAV + i])
             values[f'{name} sigma'] = float(sigma[i])
@@ -450,6 +541,18 @@ class FusionFilter(Intake):
             spread(self._unheaded, self.datum, self.odometry, self.geodetic, self.position_covariance_enu)
         return self._now
 
+    def vehicle_axes(self) -> tuple[float, float, float | None]:
+        """The vehicle's axes in those that imu.mounting_rpy gives: turned to the right, then up, rad.
+
+        And the sigma of the vehicle's heading, None before there is one.
+        """
+        if self._memory is None:
+            return 0.0, 0.0, None
+        states = (self.config.layout.index(name) for name in ('mounting_yaw', 'mounting_pitch'))
+        at = state_at(self._memory, int(self._memory[Head.SAMPLES])) + NAV
+        yaw, pitch = (float(self._memory[at + state]) if state >= 0 else 0.0 for state in states)
+        return yaw, pitch, vehicle_heading(self.config, self._memory)[1]
+
     def warm_up(self) -> None:
         """Compile or load the kernel now, so that the first message is not late."""
         memory = self.config.memory()
@@ -461,6 +564,9 @@ class FusionFilter(Intake):
         sample = np.array([[0.01, 0.0, 0.0, -9.8, 0.0, 0.0, 0.0]])
         kernel.run(memory, sample, event, self._before, self._answer.copy(), self._columns, self._none, self._states,
                    self._log)
+        kernel.find_event(memory, 0)
+        at = state_at(memory, 0)
+        published_covariance(memory[at:at + int(memory[Head.WIDTH])], self.config.layout)
         filled = self.odometry.copy(), self.geodetic.copy(), self.position_covariance_enu.copy()
         odometry(memory, datum, 1.0, *filled)
         spread(start, datum, *filled)
@@ -470,4 +576,4 @@ class FusionFilter(Intake):
 
 
 def _ones(*values) -> tuple[np.ndarray, ...]:
-    return tuple(np.array([float(value)]) for value in values)
+    return tuple(np.asarray(value, dtype=float)[None] for value in values)

@@ -9,40 +9,51 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..navigation import planar, strapdown
-from . import contradiction, history, receiver
-from .drift import learn_drift
-from .layout import (
+from ..navigation import strapdown
+from . import history
+from .measurements import heading, non_holonomic, position, speed, standstill, velocity
+from .measurements.geometry import angular_rate, body_to_level, vehicle_to_level
+from .memory import (
     NAV,
     PLANAR,
+    Error,
     Event,
     Head,
     Kind,
     Nav,
     Sample,
     Verdict,
+    channel_of,
     load_covariance,
     place,
+    row_of,
     store_covariance,
     velocity_variance,
     yaw_state,
 )
-from .measurements import heading, non_holonomic, position, speed, standstill, velocity
-from .measurements.geometry import angular_rate, body_to_level, vehicle_to_level
 from .prediction import set_radii
+from .trust import contradiction, receiver, straight_on
+from .trust.drift import learn_drift
+from .trust.imu_faults import Imu
+from .trust.scale import KINDS, Kinds, Scale, learn, scale
 
-#: standstill and non-holonomic constraints are applied this often, s: their errors are not white from sample to sample
+#: standstill and non-holonomic constraints are applied this often, s: their errors last about as long
 CONSTRAINT_INTERVAL = 0.1
+#: where samples are no more often than that, each non-holonomic one has a smaller variance, so that a second tells as
+#: much; but none tells more than this many
+MOST_TOLD = 2.0
 #: what the inertial sensors call a standstill is one only below this speed plus three sigma
 STILL_SPEED = 0.3  # m/s
 #: and below this turn rate plus three sigma: who turns on the spot over the IMU stands still by the accelerometers
 STILL_RATE = 0.05  # rad/s
-#: a constraint that fits worse than this many sigma is weighted down to it
-CONSTRAINT_ROBUST = 3.0
-#: running mean of the constraint's NIS, over so many of them; above OFF it is not used, until it is below ON again
-CONSTRAINT_MEMORY, CONSTRAINT_OFF, CONSTRAINT_ON = 100.0, 6.0, 3.0
-#: speeds and headings are weighted down beyond this, and refused beyond that
-OTHER_ROBUST, OTHER_GATE = 3.0, 6.0
+#: what fits worse than this many sigma is weighted down to it; of fixes it is a parameter
+ROBUST = 3.0
+#: s over which the constraint's NIS is averaged
+CONSTRAINT_MEMORY = 10.0
+#: a mean NIS above which the constraint is not used, until it is below the other again
+CONSTRAINT_OFF, CONSTRAINT_ON = 6.0, 3.0
+#: s without a fix after which none speaks for the velocity
+NO_FIX = 10.0
 
 
 @njit(_nrt=False)
@@ -158,6 +169,37 @@ def update(mem, r, at, n, dimensions, factor, robust, gate):
 
 
 @njit(_nrt=False)
+def _judge(mem, r, at, n, dimensions):
+    """Factor on the covariance of the speed, velocity or heading at `at`, learned from its innovation, too.
+
+    One that does not fit is wrong, or the state is. What its variance is raised by, that of the state is raised by,
+    too, along what is measured, unless fixes speak for the state, as they do for its velocity: so a filter that is sure
+    of something wrong comes to where both agree, and the other measurements decide.
+    """
+    p, kind = int(mem[Head.SCRATCH_AT]), int(mem[at + Event.KIND])
+    h, scale_at = p + n * n, r + Kinds.SCALE + Scale.SIZE * (kind % KINDS)
+    column, dimensions = h + 3 * n, min(dimensions, 2)
+    squared, claimed, variance = 0.0, mem[at + Event.R_NN], 0.0
+    for k in range(dimensions):
+        squared += (mem[at + Event.Z_N + k] - _product(mem, n, h + n * k, r + NAV)) ** 2 / dimensions
+        variance += _project(mem, n, h + n * k, column) / dimensions
+    if dimensions > 1:
+        claimed = 0.5 * (claimed + mem[at + Event.R_EE])
+    before = max(scale(mem, scale_at), 1.0)
+    learn(mem, scale_at, mem[at + Event.TIME], squared, claimed, variance, dimensions)
+    factor = max(scale(mem, scale_at), 1.0)
+    confirmed = kind != Kind.HEADING and mem[at + Event.TIME] - mem[r + Nav.FIX_TIME] < NO_FIX
+    if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * claimed + variance):
+        return factor
+    for k in range(dimensions):
+        raised = (factor - before) * claimed / _project(mem, n, h + n * k, column) ** 2
+        for i in range(n):
+            for j in range(n):
+                mem[p + n * i + j] += raised * mem[column + i] * mem[column + j]
+    return factor
+
+
+@njit(_nrt=False)
 def _misfit(mem, r, at, n, factor):
     """Normalized innovation squared of the fix at `at` before its correction, the antenna's arm taken for exact."""
     p = int(mem[Head.SCRATCH_AT])
@@ -172,35 +214,41 @@ def feed_back(mem, r):
     """Closed loop: the estimated navigation errors go into the solution, and x is zero there again."""
     if mem[Head.OPEN_LOOP] != 0.0:
         return
-    x = r + NAV
+    x, size = r + NAV, int(mem[Head.N_NAVIGATION])
+    mem[r + Nav.LATITUDE] -= _error(mem, x, Error.R_N) * mem[r + Nav.NORTH_SCALE]
+    mem[r + Nav.LONGITUDE] -= _error(mem, x, Error.R_E) * mem[r + Nav.EAST_SCALE]
+    mem[r + Nav.HEIGHT] += _error(mem, x, Error.R_D)
+    for k in range(3):
+        mem[r + Nav.V_N + k] -= _error(mem, x, Error.V_N + k)
     if mem[Head.MECHANIZATION] == PLANAR:
-        s = planar.State
-        mem[r + Nav.LATITUDE] -= mem[x + s.R_N] * mem[r + Nav.NORTH_SCALE]
-        mem[r + Nav.LONGITUDE] -= mem[x + s.R_E] * mem[r + Nav.EAST_SCALE]
-        mem[r + Nav.V_N] -= mem[x + s.V_N]
-        mem[r + Nav.V_E] -= mem[x + s.V_E]
-        mem[r + Nav.YAW] -= mem[x + s.YAW]
-        for i in range(s.SIZE):
-            mem[x + i] = 0.0
-        return
-    t = strapdown.State
-    mem[r + Nav.LATITUDE] -= mem[x + t.R_N] * mem[r + Nav.NORTH_SCALE]
-    mem[r + Nav.LONGITUDE] -= mem[x + t.R_E] * mem[r + Nav.EAST_SCALE]
-    mem[r + Nav.HEIGHT] += mem[x + t.R_D]
-    mem[r + Nav.V_N] -= mem[x + t.V_N]
-    mem[r + Nav.V_E] -= mem[x + t.V_E]
-    mem[r + Nav.V_D] -= mem[x + t.V_D]
-    q = strapdown.correct_attitude((mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z]),
-                                   mem[x + t.PHI_N], mem[x + t.PHI_E], mem[x + t.PHI_D])
-    mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z] = q
-    for i in range(t.SIZE):
+        mem[r + Nav.YAW] -= _error(mem, x, Error.PHI_D)
+    else:
+        q = strapdown.correct_attitude((mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z]),
+                                       _error(mem, x, Error.PHI_N), _error(mem, x, Error.PHI_E),
+                                       _error(mem, x, Error.PHI_D))
+        mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z] = q
+    for i in range(size):
         mem[x + i] = 0.0
+
+
+@njit(_nrt=False)
+def _error(mem, x, error):
+    """The estimate of one of the nine navigation errors, zero where the mechanization has it not; x: of position 0."""
+    state = row_of(mem, error)
+    return mem[x + state] if state >= 0 else 0.0
 
 
 @njit(_nrt=False)
 def _clear(mem, h, n):
     for i in range(3 * n):
         mem[h + i] = 0.0
+
+
+@njit(_nrt=False)
+def _goes_straight_on(mem, r, at):
+    """Whether the fix at `at` is one of a receiver without satellites that goes straight on."""
+    north, east, _ = position.difference(mem, r, at, body_to_level(mem, r))
+    return straight_on.goes_straight_on(mem, r, at, north - mem[r + NAV], east - mem[r + NAV + 1])
 
 
 @njit(_nrt=False)
@@ -213,6 +261,9 @@ def apply_event(mem, r, at, sample):
         return
     if kind == Kind.POSITION and receiver.is_frozen(mem, r, at):
         mem[at + Event.VERDICT], mem[at + Event.WEIGHT] = Verdict.FROZEN, 0.0
+        return
+    if kind == Kind.POSITION and _goes_straight_on(mem, r, at):
+        straight_on.refuse(mem, r, at)
         return
     load_covariance(mem, r, n_navigation, m, mem, p)
     recovered, before = False, contradiction.estimate(mem, r)
@@ -228,8 +279,7 @@ def apply_event(mem, r, at, sample):
     c = body_to_level(mem, r)
     mem[at + Event.YAW] = math.atan2(c[3], c[0])
     mem[at + Event.V_N], mem[at + Event.V_E] = mem[r + Nav.V_N], mem[r + Nav.V_E]
-    factor, robust, gate = 1.0, OTHER_ROBUST, OTHER_GATE
-    height = 0.0
+    factor, robust, gate, height = 1.0, 0.0, 0.0, 0.0
     if kind == Kind.POSITION:
         dimensions = position.observe(mem, r, at, h, n, c)
         height = mem[at + Event.Z_D] + mem[r + Nav.HEIGHT]  # of the planar filter, which has no state for it
@@ -243,26 +293,29 @@ def apply_event(mem, r, at, sample):
         dimensions = speed.observe(mem, r, at, h, n, c, sample)
     else:
         dimensions = heading.observe(mem, r, at, h, n, c)
+    if kind != Kind.POSITION:
+        factor, robust, gate = _judge(mem, r, at, n, dimensions), ROBUST, 0.0
     verdict = update(mem, r, at, n, dimensions, factor, robust, gate)
     mem[at + Event.VERDICT] = Verdict.RECOVERED if recovered else verdict
     if verdict != Verdict.REFUSED:
         store_covariance(mem, p, n_navigation, m, mem, r)
         feed_back(mem, r)
-        if kind == Kind.POSITION and mem[Head.MECHANIZATION] == PLANAR:
+        if kind == Kind.POSITION and row_of(mem, Error.R_D) < 0:
             mem[r + Nav.HEIGHT] = height
         set_radii(mem, r)
     if kind == Kind.POSITION:
         left_n, left_e, _ = position.difference(mem, r, at, body_to_level(mem, r))
+        straight_on.pull(mem, r, before, contradiction.estimate(mem, r))
         contradiction.dispute(mem, r, at, before, left_n, left_e)
         receiver.learn(mem, r, at, left_n, left_e)
         learn_drift(mem, r)
 
 
 @njit(_nrt=False)
-def constrain(mem, r, sample, dt):
+def constrain(mem, r, sample):
     """What is known of a land vehicle: at standstill no velocity and no rotation, else no sideways velocity.
 
-    r: position of the state, sample: of the sample that led to it, dt: its interval, s.
+    r: position of the state, sample: of the sample that led to it.
     """
     still = mem[sample + Sample.STILL] != 0.0 and mem[Head.ZERO_VELOCITY_SIGMA] > 0.0
     if not still and mem[Head.LATERAL_SIGMA] == 0.0:
@@ -278,7 +331,7 @@ def constrain(mem, r, sample, dt):
         variance = velocity_variance(mem, r)
         squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
         agrees = squared < STILL_SPEED**2 + 9.0 * variance
-        still = (agrees or contradiction.goes_back(mem, r)) and not _turns(mem, r, sample, n_navigation, n)
+        still = (agrees or contradiction.goes_back(mem, r)) and not _turns(mem, r, sample, n)
         if still and not agrees:
             contradiction.admit(mem, r, n)
     if still:
@@ -288,7 +341,7 @@ def constrain(mem, r, sample, dt):
         update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0)
         _note(mem, sample, at, Kind.ZERO_VELOCITY, dimensions)
         _clear(mem, h, n)
-        dimensions = standstill.observe_rate(mem, r, at, h, n, sample, dt)
+        dimensions = standstill.observe_rate(mem, r, at, h, n, sample)
         update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0)
     elif mem[Head.LATERAL_SIGMA] > 0.0 and not _fixes_tell_the_heading(mem, r, mem[p + (n + 1) * yaw]):
         _clear(mem, h, n)
@@ -306,6 +359,12 @@ def constrain(mem, r, sample, dt):
 
 
 @njit(_nrt=False)
+def _share(since):
+    """Factor on the variance of the non-holonomic constraint `since` s after the last: its errors are a density."""
+    return max(CONSTRAINT_INTERVAL / since, 1.0 / MOST_TOLD)
+
+
+@njit(_nrt=False)
 def _fixes_tell_the_heading(mem, r, variance):
     """Whether the heading is too uncertain for the constraint, which is linear in its error, and fixes will find it.
 
@@ -316,14 +375,14 @@ def _fixes_tell_the_heading(mem, r, variance):
 
 
 @njit(_nrt=False)
-def _turns(mem, r, sample, n_navigation, n):
+def _turns(mem, r, sample, n):
     """Whether the gyroscopes certainly turn at the sample; P stands in the scratch."""
     w_x, w_y, w_z = angular_rate(mem, r, sample)
-    p, order = int(mem[Head.SCRATCH_AT]), int(mem[Head.ORDER])
-    first, last = (2, 3) if mem[Head.MECHANIZATION] == PLANAR else (3, 6)
-    variance = mem[Head.SPREAD + 1]
-    for channel in range(first, last):
-        variance += mem[p + (n + 1) * (n_navigation + channel * order)]
+    p, variance = int(mem[Head.SCRATCH_AT]), mem[Imu.SPREAD + 1]
+    for axis in range(3, 6):
+        state = channel_of(mem, axis)
+        if state >= 0:
+            variance += mem[p + (n + 1) * state]
     return w_x * w_x + w_y * w_y + w_z * w_z > STILL_RATE**2 + 9.0 * variance
 
 
@@ -331,7 +390,8 @@ def _turns(mem, r, sample, n_navigation, n):
 def _constrain_motion(mem, r, at, n, h, c, dimensions, since):
     """The components of the non-holonomic constraint one by one, each unless the vehicle does not keep to it.
 
-    c: rotation from the vehicle's axes to n.
+    c: rotation from the vehicle's axes to n. since: s from the one before. Each is judged by the variance as it is, so
+    that a slow IMU's is judged as a fast one's, and used with that for its interval.
     """
     for k in range(dimensions):
         z, variance = mem[at + Event.Z_N + k], mem[at + (Event.R_NN if k == 0 else Event.R_EE)]
@@ -349,15 +409,15 @@ def _constrain_motion(mem, r, at, n, h, c, dimensions, since):
         running = Nav.LATERAL_NIS if k == 0 else Nav.VERTICAL_NIS
         before = mem[r + running]
         off = before < 0.0  # the sign tells that it is off
-        mean = abs(before) + (min(nis, 25.0) - abs(before)) / CONSTRAINT_MEMORY
+        mean = abs(before) + (min(nis, 25.0) - abs(before)) * min(since / CONSTRAINT_MEMORY, 1.0)
         off = mean > (CONSTRAINT_ON if off else CONSTRAINT_OFF)
         mem[r + running] = -mean if off else mean
         if off:
-            mem[Head.SIDEWAYS] += CONSTRAINT_INTERVAL if k == 0 else 0.0
+            mem[r + Nav.SIDEWAYS] += since if k == 0 else 0.0
             continue
-        if nis > CONSTRAINT_ROBUST**2:
-            s *= nis / CONSTRAINT_ROBUST**2  # so much more noise
-        _scalar(mem, r, n, h + n * k, column, z, s)
+        if nis > ROBUST**2:
+            s *= nis / ROBUST**2  # so much more noise
+        _scalar(mem, r, n, h + n * k, column, z, s - (1.0 - _share(since)) * variance)
 
 
 @njit(_nrt=False)

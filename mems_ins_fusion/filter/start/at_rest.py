@@ -8,10 +8,9 @@ import math
 
 import numpy as np
 
-from ..navigation.earth import gravity
-from ..samples import runs
-from .config import FilterConfig
-from .layout import PLANAR
+from ...navigation.earth import gravity
+from ...samples import runs
+from ..config import FilterConfig
 from .start import Standstill
 
 STILL_BLOCK = 1.0  # s; a standstill is made of such blocks
@@ -20,6 +19,7 @@ STEADY_ACCELERATION = 0.06  # m/s^2: between the mean of a block and the standst
 STEADY_RATE = 0.005  # rad/s
 FEWEST_BLOCKS = 10  # that tell whether a turn rate wanders: who has just driven off is quiet, too
 RECEIVER_DRIFT = 0.3  # m/s: positions wander this fast at rest; who is as slow and as quiet shows the same biases
+WANDERING = 4.0  # times how far fixes are off a straight line: by less than that they have not moved
 MEDIAN_SIGMA = math.sqrt(math.pi / 2)  # of a median over that of a mean, normal errors
 GRAVITY_TOLERANCE = 0.1  # of gravity: more is no sensor's error at rest
 
@@ -88,8 +88,9 @@ def _longest_steady(mean: np.ndarray) -> slice:
 def _stays(positions: np.ndarray, begin: float, end: float) -> bool:
     """No motion between two times as far as the fixes can tell: at least two of them, first and last halves agree.
 
-    Receivers wander by more than they say: what goes slowly enough for that does not speak against a standstill; nor
-    does one fix that is far off, which a median does not see.
+    Receivers wander by more than they say: what goes slowly enough for that does not speak against a standstill, nor
+    what does not go as straight as a vehicle whose sensors show no change; nor does one fix that is far off, which a
+    median does not see.
     """
     inside = positions[(positions[:, 0] >= begin - 0.5) & (positions[:, 0] <= end + 0.5)]
     if len(inside) < 2:
@@ -98,7 +99,11 @@ def _stays(positions: np.ndarray, begin: float, end: float) -> bool:
     moved = np.hypot(*(np.median(inside[half:, 1:3], axis=0) - np.median(inside[:half, 1:3], axis=0)))
     sigma = MEDIAN_SIGMA * inside[:, 3].mean() * math.sqrt(1 / half + 1 / (len(inside) - half))
     interval = max(0.5 * (inside[-1, 0] - inside[0, 0]), 1e-3)
-    return moved < 4 * sigma + max(0.1, RECEIVER_DRIFT * interval) and moved < 2.0 * interval
+    time, place = inside[:, 0] - inside[:, 0].mean(), inside[:, 1:3] - inside[:, 1:3].mean(axis=0)
+    straight = np.outer(time, time @ place / max(time @ time, 1e-9))
+    off = math.sqrt(((place - straight) ** 2).sum() / max(len(inside) - 2, 1))
+    return moved < 2.0 * interval and moved < max(
+        4 * sigma + max(0.1, RECEIVER_DRIFT * interval), WANDERING * off if len(inside) >= FEWEST_BLOCKS else 0.0)
 
 
 def note_standstill(standstill: Standstill | None, latitude: float, height: float,
@@ -109,7 +114,7 @@ def note_standstill(standstill: Standstill | None, latitude: float, height: floa
     size = float(np.linalg.norm(standstill.specific_force))
     tilt = math.degrees(math.acos(min(1.0, max(-1.0, -standstill.specific_force[2] / size)))) if size else math.nan
     bias = ', '.join(f'{math.degrees(w):.3f}' for w in standstill.angular_rate)
-    removed = ' (removed)' if config.alignment.level and config.mechanization == PLANAR else ''
+    removed = ' (removed)' if config.alignment.level and config.layout.is_level else ''
     expected = gravity(latitude, height)
     text = (f'standstill of {standstill.duration:.1f} s: gyroscope bias {bias} deg/s (forward, right, down), '
             f'tilt {tilt:.1f} deg{removed}, specific force {size:.3f} m/s^2 '

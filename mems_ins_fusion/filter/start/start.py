@@ -2,12 +2,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..navigation.earth import radii
-from .config import FilterConfig
+from ...navigation.earth import radii
+from ..config import FilterConfig
+from ..trust.scale import Scale
+
+#: the local frame begins at the median of so many fixes, the first good ones: of three, one may be wrong
+DATUM_FIXES = 3
+
+
+def first_place(fixes: Sequence[tuple[float, float, float]]) -> np.ndarray:
+    """The origin (3,) of the local frame that no parameter gives: latitude, longitude (rad), height (m).
+
+    fixes: the first good ones, the same three numbers each; DATUM_FIXES of them, or as many as there are at the start.
+    """
+    return np.median(np.array(fixes[:DATUM_FIXES]), axis=0)
 
 
 @dataclass
@@ -44,6 +57,7 @@ class Start:
     standstill: Standstill | None
     notes: list[tuple[str, str]] = field(default_factory=list)  # level and text
     errors: SensorErrors | None = None
+    gnss_scale: np.ndarray = field(default_factory=lambda: np.zeros(Scale.SIZE))  # of the fixes, see trust/scale.py
 
 
 def transferred(start: Start, old: FilterConfig, new: FilterConfig) -> Start:

@@ -20,12 +20,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..samples import Fixes, ImuSamples, Reference
-from . import history
-from .config import FilterConfig
-from .correction import feed_back
-from .layout import NAV, Event, Head, Nav, StateLayout, covariance, covariance_index, row_width, state_at
-from .replay import WITHHELD, Aiding, Coasting, Events, Progress, Replay, Stretch
+from ...samples import Aiding, Fixes, ImuSamples, Reference
+from .. import history
+from ..config import FilterConfig
+from ..memory import NAV, Event, Head, Nav, StateLayout, covariance, covariance_index, row_width, state_at
+from ..update import feed_back
+from .replay import WITHHELD, Coasting, Events, Progress, Replay, Stretch
 from .results import Run
 
 #: rows in memory at a time

@@ -5,21 +5,21 @@ import math
 
 import numpy as np
 
-from ..navigation.earth import gravity
-from ..navigation.frames import leveling
-from ..navigation.strapdown import from_euler, matrix
-from .config import FilterConfig
-from .contradiction import FIRST_USUAL
-from .layout import NAV, PLANAR, Head, Nav, Sample, set_covariance, state_at, variance_factor, views
-from .layout import covariance as covariance_of
-from .prediction import set_radii
+from ...navigation.earth import gravity
+from ...navigation.frames import leveling
+from ...navigation.strapdown import from_euler, matrix
+from ..config import REPEATED_TURN_ON, FilterConfig
+from ..memory import NAV, PLANAR, ROW, Head, Nav, Sample, set_covariance, state_at, variance_factor, views
+from ..memory import covariance as covariance_of
+from ..prediction import set_radii
+from ..trust.contradiction import FIRST_USUAL
+from ..trust.receiver import Receiver
+from ..trust.scale import Scale
 from .start import SensorErrors, Standstill, Start
 
 UNKNOWN_TILT_SIGMA = 0.05  # rad, roll and pitch where no standstill showed them
 #: of the tilt that a standstill takes out: on a parking place nobody has surveyed
 TILT_SIGMA = 0.3  # m/s^2, 2 deg times gravity
-#: of an IMU that is switched off and on: how far its errors move, as a part of what they are for one never seen
-REPEATED_TURN_ON = 0.3
 STILL_STEPS = 1024  # in which a process that is continuous in time is followed through a standstill
 
 
@@ -29,7 +29,7 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
     conditioning, offset = config.conditioning, config.offset
     still = start.standstill
     # the planar filter has no attitude: what the standstill shows of it is taken out of the samples
-    level = config.alignment.level and still is not None and config.mechanization == PLANAR
+    level = config.alignment.level and still is not None and config.layout.is_level
     if level:
         conditioning, offset = leveled(config, still)
     estimate, covariance, constant = _sensor_errors(config, start, level)
@@ -44,7 +44,9 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
         start.time, start.latitude, start.longitude, start.height)
     row[Nav.V_N], row[Nav.V_E] = start.velocity
     row[Nav.USUAL_SLIDING] = FIRST_USUAL
-    row[[Nav.GNSS_RATIO, Nav.VARIANCE_FACTOR, Nav.DRIFT_RATIO, Nav.DRIFT_RATIO + 1]] = 1.0
+    row[Nav.VARIANCE_FACTOR] = 1.0
+    ROW.begin(row)
+    row[Receiver.SCALE:Receiver.SCALE + Scale.SIZE] = start.gnss_scale
     full = np.zeros((layout.n, layout.n))
     full[layout.n_navigation:, layout.n_navigation:] = covariance
     mounting = layout.index('mounting_yaw') - layout.n_navigation
@@ -81,12 +83,12 @@ def _sensor_errors(config: FilterConfig, start: Start, level: bool):
     for channel, (model, axis) in enumerate(zip(config.models, config.channel_axes)):
         block = slice(channel * p, (channel + 1) * p)
         mean, sigma = _shown(config, start, axis, level), config.turn_on_sigma[channel]
-        if axis < 2 and config.mechanization != PLANAR:
+        if axis < 2 and not config.layout.is_level:
             mean = None  # tilt and bias stay one: see _strapdown_attitude
         elif axis < 2 and level:
             sigma = math.hypot(sigma, TILT_SIGMA)
         # a planar filter's accelerometers feel the slope of where it started, which is not that of another place
-        unseen[block] = mean is None and not (axis < 2 and config.mechanization == PLANAR)
+        unseen[block] = mean is None and not (axis < 2 and config.layout.is_level)
         estimate[block], covariance[block, block], constant[channel] = channel_prior(
             model, sigma, config.white[axis], mean, *span)
     for state, extra in enumerate(config.extras, start=config.layout.n_sensor):
@@ -115,17 +117,15 @@ def aged(config: FilterConfig, errors: SensorErrors, age: float) -> SensorErrors
     """`errors` after `age` s, in which each has gone on as its model says and the IMU may have been switched off."""
     p, m = config.layout.order, config.layout.n_augmented
     transition, noise = np.zeros((m, m)), np.zeros((m, m))
-    parts = [(model, slice(k * p, (k + 1) * p), turn_on)
-             for k, (model, turn_on) in enumerate(zip(config.models, config.turn_on_sigma))]
+    parts = [(model, slice(k * p, (k + 1) * p), REPEATED_TURN_ON**2 * first)
+             for k, (model, first) in enumerate(zip(config.models, config.first_variance))]
     parts += [(extra.model, slice(k, k + 1), 0.0)
               for k, extra in enumerate(config.extras, start=config.layout.n_sensor)]
-    for model, block, turn_on in parts:
+    for model, block, switched in parts:
         interval = model.interval or age
         transition[block, block], noise[block, block] = _repeated(
             model.transition(interval), model.process_noise(interval), round(age / interval) if age else 0)
-        if block.start < config.layout.n_sensor:
-            first = model.initial_covariance()[0, 0] + turn_on**2
-            noise[block.start, block.start] += REPEATED_TURN_ON**2 * first
+        noise[block.start, block.start] += switched
     covariance = transition @ errors.covariance @ transition.T + noise
     return SensorErrors(transition @ errors.estimate, 0.5 * (covariance + covariance.T), errors.constant)
 

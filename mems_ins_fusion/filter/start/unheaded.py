@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 
-from ..navigation.earth import to_local
-from .odometry import POSE_COVARIANCE
+from ...navigation.earth import to_local
+from ..runs.odometry import POSE_COVARIANCE
 from .start import Start
 
 

@@ -12,31 +12,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..samples import Fixes, Headings, ImuSamples, Speeds, Velocities
-from . import kernel
-from .alignment import Alignment
-from .config import FilterConfig
-from .imu_faults import FAULTS
-from .initial import initialize
+from ...samples import Aiding, Fixes, ImuSamples
+from .. import kernel
+from ..config import FilterConfig
+from ..kernel import TAKEN
+from ..measurements.registry import MEASUREMENTS
+from ..memory import Event, Head, Kind, Nav, Sample, Verdict, state_at
+from ..start.alignment import Alignment, Remembered
+from ..start.initial import initialize
+from ..start.start import Start, retaken
+from ..trust.imu_faults import FAULTS, Imu
 from .intake import GOOD, JUMPED, Intake, corrected
-from .kernel import TAKEN
-from .layout import Event, Head, Kind, Sample, Verdict
 from .results import Measured, Run, columns, result
-from .start import Start, retaken
+from .snapshot import after_jump
 from .vehicle_check import vehicle_says
 
-#: what comes from satellites and is withheld in an outage: a heading may be that of two antennas
-WITHHELD = (Kind.POSITION, Kind.VELOCITY, Kind.HEADING)
+#: kinds of what comes from satellites and is withheld in an outage
+WITHHELD = tuple(kind for kind, measurement in MEASUREMENTS.items() if measurement.from_satellites)
 _NOTHING = np.empty((0, Event.SIZE))
-
-
-@dataclass(frozen=True)
-class Aiding:
-    """What may be measured besides the fixes; None where the vehicle has no such sensor."""
-
-    speed: Speeds | None = None
-    velocity: Velocities | None = None
-    heading: Headings | None = None
 
 
 @dataclass(frozen=True)
@@ -124,8 +117,8 @@ class Replay(Intake):
         self.imu, self.given = imu, given
         self.keep = np.ones(len(imu), dtype=bool) if keep is None else keep
         self.begin, self.duration = begin, duration
-        self.inputs = {Kind.POSITION: fixes, Kind.VELOCITY: aiding.velocity, Kind.SPEED: aiding.speed,
-                       Kind.HEADING: aiding.heading}
+        self.inputs = {kind: fixes if kind == Kind.POSITION else aiding.get(measurement.name)
+                       for kind, measurement in MEASUREMENTS.items()}
         # what arrived together with a sample comes after it
         self.arrival = {kind: np.searchsorted(imu.received, samples.received, side='right')
                         for kind, samples in self.inputs.items() if samples is not None}
@@ -140,6 +133,7 @@ class Replay(Intake):
 
     def run(self) -> Run:
         segments = self._segments()
+        self.kept: Remembered | None = None  # of the stretch before
         ends = [kept[0] for kept in segments[1:]] + [np.iinfo(np.int64).max]
         correctors = self.config.correctors()
         for kept, end in zip(segments, ends):
@@ -155,6 +149,7 @@ class Replay(Intake):
 
     def _run_segment(self, kept: np.ndarray, end: int, correctors: list) -> None:
         """Align on the samples `kept` and run the rest; `end`: the index of the sample with which the next begins."""
+        remembered, self.kept = self.kept, None
         epoch = int(self.imu.stamp[kept[0]])
         time = (self.imu.stamp[kept] - epoch) * 1e-9
         samples = np.empty((len(kept), 7))  # one array, and no copies beside it: hours are hundreds of megabytes
@@ -164,7 +159,7 @@ class Replay(Intake):
             celsius = np.full(len(kept), np.nan) if self.imu.temperature is None else self.imu.temperature[kept]
             samples[:, 1:] = corrected(correctors, self.imu.stamp[kept], samples[:, 1:].copy(), celsius)
         events = self._events(kept, end, epoch)
-        start, first = self._align(kept, samples, events)
+        start, first = self._align(kept, samples, events, remembered)
         if start is None:
             return
         self.start = self.start or start
@@ -176,6 +171,8 @@ class Replay(Intake):
         self._filter(memory, samples[skip:], kept[skip:], events, epoch)
         self.seconds += clock.thread_time() - began
         self.memory = memory
+        if end < len(self.imu):
+            self.kept = after_jump(self.config, memory, int(self.imu.stamp[kept[-1]]), int(self.imu.stamp[end]))
         for i in np.flatnonzero(events.answer != TAKEN):
             last = max(events.arrival[i] + skip - 1, 0)
             self.say_not_taken(int(events.kind[i]), int(events.answer[i]),
@@ -204,14 +201,16 @@ class Replay(Intake):
         return Events(kind[order], index[order], arrival[order].astype(np.int64), record,
                        np.zeros(len(order), dtype=np.int64))
 
-    def _align(self, kept, samples, events: Events) -> tuple[Start | None, int]:
-        """The start, and how many events went into it or came before it."""
+    def _align(self, kept, samples, events: Events, remembered: Remembered | None) -> tuple[Start | None, int]:
+        """The start, and how many events went into it or came before it. remembered: of the stretch before."""
         fixes = np.flatnonzero(events.kind == Kind.POSITION)
         if self.given is not None and self.start is None:
             start = retaken(self.given, self.config, samples)
             first = int(np.searchsorted(events.record[fixes, Event.TIME], start.time + 1e-6, side='right'))
             return start, int(fixes[first]) if first < len(fixes) else len(events.kind)
         alignment, fed = self._alignment(), 0
+        if remembered is not None:
+            alignment.remember(remembered)
         for i in fixes:
             upto = events.arrival[i]
             orientation = None if self.imu.orientation is None else self.imu.orientation[kept[fed:upto]]
@@ -220,7 +219,8 @@ class Replay(Intake):
             start = alignment.add_record(events.record[i], self.say)
             if start is not None:
                 return start, i + 1
-        self.say('error', f'the filter did not start: waiting for {alignment.waiting_for}')
+        missing = alignment.waiting_for if len(fixes) else f'a usable fix on {self.config.gnss.topic}'
+        self.say('error', f'the filter did not start: waiting for {missing}')
         return None, len(events.kind)
 
     def _alignment(self) -> Alignment:
@@ -289,6 +289,7 @@ class Replay(Intake):
             total = sum(counts.values())
             for verdict, why in ((Verdict.REFUSED, 'refused: they do not fit what the filter expects'),
                                  (Verdict.FROZEN, 'refused: the receiver repeats a position while the vehicle moves'),
+                                 (Verdict.STRAIGHT_ON, 'refused: the receiver goes straight on as without satellites'),
                                  (Verdict.AHEAD, 'refused: stamped ahead of the IMU, the clocks differ '
                                                  '(gnss.time_offset)'),
                                  (Verdict.RECOVERED, 'had the filter start anew: those refused before it agree')):
@@ -378,9 +379,10 @@ class Progress:
 
 def kernel_says(memory: np.ndarray, topic: str) -> list[str]:
     """What the kernel counted of samples it did not believe, in words."""
-    texts = [f'{topic}: {memory[Head.FAULTS + i]:.0f} samples not believed: {name}'
-             for i, name in enumerate(FAULTS) if i and memory[Head.FAULTS + i]]
-    if memory[Head.RESTARTS]:
-        texts.append(f'{memory[Head.RESTARTS]:.0f} states were not finite: the filter went back to the last good one')
+    texts = [f'{topic}: {memory[Imu.FAULTS + i]:.0f} samples not believed: {name}'
+             for i, name in enumerate(FAULTS) if i and memory[Imu.FAULTS + i]]
+    restarts = memory[state_at(memory, int(memory[Head.SAMPLES])) + Nav.RESTARTS]
+    if restarts:
+        texts.append(f'{restarts:.0f} states were not finite: the filter went back to the last good one')
     return texts
 

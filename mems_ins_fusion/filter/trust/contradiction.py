@@ -19,9 +19,9 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..navigation import strapdown
-from ..navigation.earth import gravity
-from .layout import NAV, PLANAR, Event, Head, Nav, Verdict, velocity_state, yaw_state
+from ...navigation import strapdown
+from ...navigation.earth import gravity
+from ..memory import NAV, PLANAR, Event, Head, Nav, Verdict, velocity_state, yaw_state
 
 #: s over which the normalized innovation squared (NIS) of the lateral constraint is averaged, and what is usual of it
 NOW, USUALLY = 1.0, 30.0
@@ -79,7 +79,7 @@ def unsettle(mem, r, n, innovation, since):
         mem[p + (n + 1) * i] += squared
     mem[p + (n + 1) * yaw] += squared / (speed * speed)
     mem[r + Nav.UNSETTLED] = UNSETTLED_TIME
-    mem[Head.SLID] += since
+    mem[r + Nav.SLID] += since
 
 
 @njit(_nrt=False)

@@ -5,9 +5,11 @@ import math
 
 import numpy as np
 
-from .config import FilterConfig
-from .layout import NAV, Event, Head, Verdict, state_at
-from .white_noise import FAR_MORE
+from ...navigation.frames import FLU_TO_FRD, rotation_from_rpy
+from ..config import FilterConfig
+from ..memory import NAV, Event, Head, Nav, Verdict, state_at
+from ..trust.white_noise import FAR_MORE, White
+from .odometry import published_covariance
 
 #: faster no car goes backwards, m/s
 FASTEST_BACKWARDS = 8.0
@@ -15,6 +17,8 @@ FASTEST_BACKWARDS = 8.0
 AT_REST = 0.3
 #: a mounting found further from that of the parameters than so many sigma, and than this, rad, is worth a word
 MOUNTING_SIGMAS, SMALL_ANGLE = 3.0, 0.2
+#: a mounting known better than this, and found further off, is worth setting, rad
+WORTH_SETTING = math.radians(0.5)
 #: a vehicle that goes sideways for longer in all is none that rolls, s
 LONGEST_SIDEWAYS = 5.0
 #: s of a slide that are worth a word
@@ -45,19 +49,46 @@ def vehicle_says(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray) ->
         if fastest > FASTEST_BACKWARDS:
             texts.append(f'{topic}: the vehicle seems to go backwards at {fastest:.1f} m/s: if it does not, the IMU is '
                          'mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
-    if memory[Head.SIDEWAYS] > LONGEST_SIDEWAYS:
-        texts.append(f'the vehicle went sideways for {memory[Head.SIDEWAYS]:.0f} s, against vehicle.non_holonomic, '
+    row = state_at(memory, int(memory[Head.SAMPLES]))
+    sideways, slid = float(memory[row + Nav.SIDEWAYS]), float(memory[row + Nav.SLID])
+    if sideways > LONGEST_SIDEWAYS:
+        texts.append(f'the vehicle went sideways for {sideways:.0f} s, against vehicle.non_holonomic, '
                      'which was not used then: a boat needs config/boat.yaml, a robot that turns on the spot '
                      'config/robot.yaml')
-    if memory[Head.SLID] > LONGEST_UNSETTLED:
-        texts.append(f'{topic}: for {memory[Head.SLID]:.1f} s it showed a motion sideways that is not usual for this '
+    if slid > LONGEST_UNSETTLED:
+        texts.append(f'{topic}: for {slid:.1f} s it showed a motion sideways that is not usual for this '
                      'vehicle: it slid, or the IMU was not right; the fixes decided then')
-    if memory[Head.SHAKEN] > LONGEST_SHAKEN:
+    if memory[White.SHAKEN] > LONGEST_SHAKEN:
         texts.append(f'{topic}: the gyroscopes scatter from one sample to the next for minutes by more than '
                      f'{FAR_MORE:g} times gyroscope.noise_density: the vehicle shakes it faster than it '
                      'samples. That counts as noise (imu.adapt_noise); a soft mount, a faster rate or the low pass of '
                      'the IMU make it less')
     return texts
+
+
+def found_mounting(memory: np.ndarray, config: FilterConfig) -> str:
+    """Where the filter has found the IMU to sit other than `imu.mounting_rpy` says, and the line to set; '' where it
+    has not, or is not sure."""
+    layout, at = config.layout, state_at(memory, int(memory[Head.SAMPLES]))
+    row = memory[at:at + int(memory[Head.WIDTH])]
+    states = [layout.index(name) for name in ('mounting_yaw', 'mounting_pitch')]
+    if states[0] < 0:
+        return ''
+    sigma = np.sqrt(np.diag(published_covariance(row, layout)))
+    yaw, pitch = (float(row[NAV + state]) if state >= 0 else 0.0 for state in states)
+    sigmas = [float(sigma[state]) if state >= 0 else 0.0 for state in states]
+    if not any(abs(angle) > max(MOUNTING_SIGMAS * s, WORTH_SETTING) and s < WORTH_SETTING
+               for angle, s in zip((yaw, pitch), sigmas)):
+        return ''
+    from scipy.spatial.transform import Rotation  # takes a while to load, and most never need it
+
+    turned = FLU_TO_FRD @ Rotation.from_euler('ZY', [yaw, pitch]).as_matrix().T @ FLU_TO_FRD
+    declared = rotation_from_rpy(*config.imu.mounting_rpy)
+    rpy = [round(float(angle), 4) for angle in Rotation.from_matrix(turned @ declared).as_euler('xyz')]
+    parts = [f'{abs(math.degrees(angle)):.1f} +- {math.degrees(s):.1f} deg {sides[angle > 0]}'
+             for angle, s, sides in zip((yaw, pitch), sigmas, (('to the left', 'to the right'), ('down', 'up'))) if s]
+    return (f'the vehicle points {" and ".join(parts)} of the forward axis that imu.mounting_rpy gives it; pose and '
+            f'twist are those of that axis: set imu.mounting_rpy: [{", ".join(map(str, rpy))}], or vehicle_axes: true')
 
 
 def _is_adrift(fixes: np.ndarray) -> bool:

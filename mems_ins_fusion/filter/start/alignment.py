@@ -6,14 +6,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..navigation.earth import radii, to_local
-from ..navigation.frames import wrap, yaw_from_enu, yaw_of_quaternion
+from ...navigation.earth import radii, to_local
+from ...navigation.frames import wrap, yaw_from_enu, yaw_of_quaternion
+from ..config import FilterConfig
+from ..memory import Event
+from ..trust.receiver import SHORTEST_PAIR, UNKNOWN_YAW_SIGMA
+from ..trust.scale import Scale, learn, scale
 from .at_rest import SHORTEST_STILL, STILL_BLOCK, latest_standstill, note_standstill, tumbling_rate
-from .config import FilterConfig
-from .course import FASTEST_REVERSE, SIDESLIP_SIGMA, Refused, driven_off, find_course, has_moved
-from .layout import PLANAR, Event
-from .receiver import UNKNOWN_YAW_SIGMA
-from .start import SensorErrors, Standstill, Start
+from .course import (
+    FASTEST_REVERSE,
+    LONGEST_COURSE_TIME,
+    SIDESLIP_SIGMA,
+    Contradicted,
+    Refused,
+    driven_off,
+    find_course,
+    has_moved,
+    inertial_motion,
+)
+from .start import DATUM_FIXES, SensorErrors, Standstill, Start
 
 MEMORY = 300.0  # s of samples kept while waiting
 LATEST_FIX = 1.0  # s after the newest sample
@@ -24,6 +35,8 @@ MOST_G = 2.0  # of a mean specific force in g
 SIDEWAYS = math.radians(45.0)  # from straight on: no wheels drive off that way
 RECENT = 10.0  # s: what tells whether the vehicle stands now
 STANDING_SIGMA = 0.05  # m/s, of a velocity of zero at rest
+FEWEST_SHOWN = 3  # second differences of fixes: before that a claim that is too small passes for a drive
+OVERLAP = 0.5  # of what it tells: each fix is in three second differences
 #: a node that starts this late after the IMU came to rest may have been driven before, s
 SEEN_FROM_BEGIN = 2.0
 #: who has not come to rest with a heading remembered by then has driven off, s
@@ -48,13 +61,18 @@ class Alignment:
     def __init__(self, config: FilterConfig):
         self.config = config
         self.waiting_for = 'IMU samples'
+        self.contradicted = False  # whether that cannot come by itself: what comes is not what the parameters say
         self._imu = np.empty((1024, 13))  # time, body-axis f and w, raw f and w
         self._count = 0
         self._orientation: np.ndarray | None = None
         self._fixes: list[tuple] = []
         self._first: float | None = None
         self._remembered: Remembered | None = None
+        self._scale = np.zeros(Scale.SIZE)  # realised over claimed variance of the fixes
+        self._track: list[tuple] = []  # the latest three of them that are apart, which show how far they scatter,
+        self._shown = 0  # and how often they have
         self._turned = ''  # what driving off has shown of the mounting, empty: nothing that is wrong
+        self._backwards = False  # whether that is that it drove off backwards
 
     def remember(self, remembered: Remembered) -> None:
         """What an earlier run knew: its heading holds if the vehicle has been at rest ever since the first sample."""
@@ -112,9 +130,11 @@ class Alignment:
             return None
         self._forget(time - MEMORY)
         variance = float(0.5 * (covariance[0, 0] + covariance[1, 1]))
+        self._learn_scatter(time, latitude, longitude, height, variance)
         self._fixes.append((time, latitude, longitude, variance, height, covariance))
         self._fixes.sort(key=lambda fix: fix[0])
         ahead = time - self._samples[-1, 0]
+        self.contradicted = ahead > LATEST_FIX
         if ahead > LATEST_FIX:
             self.waiting_for = (f'fixes whose stamps agree with those of {self.config.imu.topic}: they are '
                                 f'{ahead:.1f} s ahead (gnss.time_offset)')
@@ -122,7 +142,7 @@ class Alignment:
             return None
         problem = self._problem()
         if problem:
-            self.waiting_for = problem
+            self.waiting_for, self.contradicted = problem, True
             return None
         positions = self._positions()
         source = self.config.alignment.heading
@@ -132,18 +152,19 @@ class Alignment:
                 self._start_from_course(positions) if source == 'course' else
                 self._start_with_heading(source, positions))
         except Refused as reason:
-            self.waiting_for = str(reason)
+            self.waiting_for, self.contradicted = str(reason), isinstance(reason, Contradicted)
             return None
 
     def provisional(self) -> Start | None:
         """Where the vehicle is while its heading is unknown: the newest fix, at rest or at an unknown velocity.
 
-        None before the second good fix, and while the samples are not what the configuration says they are. The yaw,
-        east, has the sigma of any heading being as likely as any other.
+        None before there are as many good fixes as make a datum, and while the samples are not what the configuration
+        says they are. The yaw, east, has the sigma of any heading being as likely as any other.
         """
-        if len(self._fixes) < 2 or self._fixes[-1][0] > self._samples[-1, 0] + LATEST_FIX or self._problem():
+        if len(self._fixes) < DATUM_FIXES or self._fixes[-1][0] > self._samples[-1, 0] + LATEST_FIX or self._problem():
             return None
         time, latitude, longitude, _, height, r = self._fixes[-1]
+        r = self._realised * r
         positions, imu = self._positions(), self._samples
         still = latest_standstill(imu[imu[:, 0] > imu[-1, 0] - RECENT], positions, self.config)
         speed = STANDING_SIGMA
@@ -157,7 +178,8 @@ class Alignment:
         covariance = np.zeros((5, 5))
         covariance[:2, :2] = position
         covariance[[2, 3, 4], [2, 3, 4]] = speed**2, speed**2, UNKNOWN_YAW_SIGMA**2
-        return Start(time - ahead, latitude, longitude, height + arm[2], np.zeros(2), math.pi / 2, covariance, still)
+        return Start(time - ahead, latitude, longitude, height + arm[2], np.zeros(2), math.pi / 2, covariance, still,
+                     gnss_scale=self._scale.copy())
 
     def _problem(self) -> str:
         """Why the samples cannot be what the configuration says they are; empty if they can."""
@@ -169,7 +191,7 @@ class Alignment:
                     "driver delivers deg/s, set imu.rate_unit to 'deg/s'")
         mean = recent[:, 1:4].mean(axis=0)
         size = float(np.linalg.norm(mean))
-        level = self.config.mechanization == PLANAR  # it may be given no vertical axis
+        level = self.config.layout.is_level  # it may be given no vertical axis
         if imu[-1, 0] - imu[0, 0] > 1.0 and not LEAST_GRAVITY < size < MOST_GRAVITY and (
                 not level or abs(size - 1.0) < 0.1):
             unit = "in g; set imu.acceleration_unit to 'g'" if 1.0 / MOST_G < size < MOST_G else 'a wrong unit or scale'
@@ -199,8 +221,35 @@ class Alignment:
         positions = np.array([fix[:4] for fix in self._fixes])
         positions[:, 1] = (positions[:, 1] - latitude) * (north + height)
         positions[:, 2] = (positions[:, 2] - longitude) * (east + height) * math.cos(latitude)
-        positions[:, 3] = np.sqrt(positions[:, 3])
+        positions[:, 3] = np.sqrt(self._realised * positions[:, 3])
         return positions
+
+    @property
+    def _realised(self) -> float:
+        """Realised over claimed variance of the fixes: what they claim and do not scatter may last."""
+        return max(scale(self._scale, 0), 1.0)
+
+    def _learn_scatter(self, *fix) -> None:
+        """How far a new fix (time, latitude, longitude, height, variance) is from the track that two before it show.
+
+        The second difference of three fixes is that of their errors and of the way by which the speed changed, which
+        the inertial sensors bound, whatever the heading.
+        """
+        if self._track and fix[0] - self._track[-1][0] < SHORTEST_PAIR:
+            return
+        self._track = [*self._track[-2:], fix]
+        if len(self._track) < 3:
+            return
+        (t_1, *first), (t_2, *second), (t_3, *third) = self._track
+        motion = inertial_motion(self._samples, t_1, t_3, None, self.config)
+        if motion is None:
+            return
+        ahead, ratio = t_3 - t_2, (t_3 - t_2) / (t_2 - t_1)
+        to, back = (np.array(to_local(*place[:3], second[:3])[:2]) for place in (third, first))
+        self._shown += 1
+        changed = 0.5 * ahead * (math.hypot(*motion.gained) + motion.bias_f * (t_3 - t_1))
+        learn(self._scale, 0, t_3, 0.5 * float(np.sum((to + ratio * back) ** 2)),
+              third[3] + (1.0 + ratio) ** 2 * second[3] + ratio**2 * first[3], 0.5 * changed**2, 2, OVERLAP)
 
     def standing(self) -> Standstill | None:
         """The standstill that still lasts, None where the vehicle moves or nothing tells that it does not."""
@@ -257,17 +306,18 @@ class Alignment:
         topic = self.config.imu.topic
         rate = tumbling_rate(self._samples, positions, self.config)
         if rate:
-            raise Refused(f'a believable turn rate on {topic}: angular_velocity is {rate:.3f} rad/s at rest, about an '
-                          'axis about which no vehicle turns; if the driver delivers deg/s, set imu.rate_unit to '
-                          "'deg/s'")
+            raise Contradicted(f'a believable turn rate on {topic}: angular_velocity is {rate:.3f} rad/s at rest, '
+                               'about an axis about which no vehicle turns; if the driver delivers deg/s, set '
+                               "imu.rate_unit to 'deg/s'")
         if not self.config.vehicle.lateral_sigma:
             return  # who may go sideways drives off as he likes
         standstill = latest_standstill(self._samples, positions, self.config)
-        found = None if standstill is None else driven_off(self._samples, positions, standstill, self.config)
+        claimed = positions / [1.0, 1.0, 1.0, math.sqrt(self._realised)]  # the inertial sensors show it, fixes that it was
+        found = None if standstill is None else driven_off(self._samples, claimed, standstill, self.config)
         if found is not None:
             angle, speed = found
-            self._turned = ''
-            if abs(angle) > math.pi - SIDEWAYS and speed > FASTEST_REVERSE:
+            self._turned, self._backwards = '', abs(angle) > math.pi - SIDEWAYS
+            if self._backwards and speed > FASTEST_REVERSE:
                 self._turned = (f'the vehicle to drive forwards: it drives off backwards at {speed:.1f} m/s; if it '
                                 'does not, the IMU is mounted the other way round: turn the yaw of '
                                 'imu.mounting_rpy by pi')
@@ -275,12 +325,22 @@ class Alignment:
                 self._turned = (f'an IMU that is mounted as imu.mounting_rpy says: the vehicle drives off '
                                 f'{abs(math.degrees(angle)):.0f} deg to the {"right" if angle > 0 else "left"} of its '
                                 f'forward axis: add {angle:.2f} to the yaw of imu.mounting_rpy')
-        if self._turned:
-            raise Refused(self._turned)
+        if self._turned and not (self._backwards and self._has_reversed(positions, standstill)):
+            raise Contradicted(self._turned)
+
+    def _has_reversed(self, positions, standstill) -> bool:
+        """Whether who drove off backwards goes forwards by now, as a vehicle does whose IMU is not turned round."""
+        if standstill is None or self._samples[-1, 0] - standstill.end > LONGEST_COURSE_TIME:
+            return False
+        try:
+            course = find_course(self._samples, positions, standstill, self.config)
+        except Refused:
+            return False
+        return course is not None and course.speed > FASTEST_REVERSE
 
     def _start_from_course(self, positions) -> Start | None:
         course = None
-        if has_moved(positions):  # else do not look through all samples
+        if has_moved(positions) and self._shown >= FEWEST_SHOWN:  # else do not look through all samples
             standstill = latest_standstill(self._samples, positions, self.config)
             course = find_course(self._samples, positions, standstill, self.config)
         if course is None:
@@ -290,6 +350,7 @@ class Alignment:
 
     def _start(self, yaw, yaw_sigma, speed, speed_sigma, standstill, source) -> Start:
         time, latitude, longitude, _, height, r = self._fixes[-1]
+        r = self._realised * r
         course = np.array([math.cos(yaw), math.sin(yaw)])
         across = np.array([-course[1], course[0]])
         covariance = start_covariance(r, yaw, yaw_sigma, speed, speed_sigma)
@@ -303,7 +364,7 @@ class Alignment:
         return Start(time, latitude + north / (meridian + height),
                      longitude + east / ((prime_vertical + height) * math.cos(latitude)), height + arm[2],
                      speed * course, float(wrap(yaw)), covariance, standstill, notes,
-                     self._remembered.errors if self._remembered else None)
+                     self._remembered.errors if self._remembered else None, self._scale.copy())
 
 
 def start_covariance(r: np.ndarray, yaw: float, yaw_sigma: float, speed: float, speed_sigma: float) -> np.ndarray:

@@ -1,0 +1,115 @@
+"""What a measurement declares in its file of this folder, for whoever needs to know it."""
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...parameters.parameter import Parameter
+
+TWIST = 'geometry_msgs/msg/TwistWithCovarianceStamped'
+ODOMETRY = 'nav_msgs/msg/Odometry'
+POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
+IMU = 'sensor_msgs/msg/Imu'
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """Of a measurement besides the fixes. sigma: 0 takes what the message says, default_sigma where it says nothing.
+    offset: what is known of its constant error (`Measurement.offset`). factor: makes SI units of what messages say."""
+
+    topic: str
+    sigma: float
+    default_sigma: float
+    offset: float = 0.0
+    factor: float = 1.0
+
+
+class Measurement:
+    """One kind of measurement besides the fixes. Its file has `observe`, the compiled half, too (see `__init__`).
+
+    kind: its number, one of its own. name: of its parameters (`NAME_topic`, `NAME.sigma`) and of its samples in a
+    recording. samples: their class. unit: of the values. topic_text: description of `NAME_topic`. default_sigma: of
+    what messages do not tell. offset: parameter `NAME.offset` that the samples' constant error is known by, '' without.
+    components: of the innovation that are judged together. messages: ROS types that carry it, each with the fields
+    that `read` needs, the first one being that which is written. layouts: of message types that no other part of the
+    package reads: (field, NumPy type of an element, number of elements) behind the header. written_to: topic in
+    recordings that are made here. of_antenna: whether it is of the GNSS antenna, and its stamps are the receiver's.
+    from_satellites: whether an outage withholds it. simulated_with: rate (Hz; 0: not there) and errors of a simulated
+    one, by the names of `simulation.Aiding`.
+    """
+
+    kind: int
+    name: str
+    samples: type
+    unit: str
+    topic_text: str
+    default_sigma: float
+    offset = ''
+    components = 1
+    messages: Mapping[str, Sequence[str]]
+    layouts: Mapping[str, Sequence[tuple[str, str, int]]] = {}
+    written_to: str
+    of_antenna = False
+    from_satellites = False
+    simulated_with: Mapping[str, float] = {}
+
+    @property
+    def topic(self) -> str:
+        """Name of the parameter with its topic."""
+        return f'{self.name}_topic'
+
+    @property
+    def topic_parameter(self) -> Parameter:
+        return Parameter(self.topic, '', 'text', f'{self.topic_text}; empty: none.')
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Those beside its topic."""
+        return (
+            Parameter(f'{self.name}.sigma', 0.0, self.unit, f'Standard deviation of the {self.name}; 0 takes what the '
+                      'message says.', minimum=0.0, maximum=1000.0),
+            Parameter(f'{self.name}.default_sigma', self.default_sigma, self.unit, 'Used where the message does not '
+                      'tell.', positive=True, maximum=1000.0))
+
+    def settings(self, values: Mapping) -> SensorSettings:
+        """From checked parameters."""
+        return SensorSettings(values[self.topic], values[f'{self.name}.sigma'], values[f'{self.name}.default_sigma'],
+                              values[f'{self.name}.{self.offset}'] if self.offset else 0.0,
+                              values.get(f'{self.name}.factor', 1.0))
+
+    def states(self, values: Mapping) -> dict[str, float]:
+        """Optional states that it needs, and the standard deviation that each starts with; 0: it is left out."""
+        return {}
+
+    def records(self, settings: SensorSettings, samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Records (n, Event.SIZE) of `samples`, why each cannot be used ('' where it can), and warnings."""
+        raise NotImplementedError
+
+    def off(self, measured: float, innovation: np.ndarray) -> str:
+        """How far a measurement was from what was expected, in words; innovation: expected minus measured."""
+        return f'{self.name} {np.hypot(*innovation):.2f} {self.unit} off'
+
+    def read(self, fields: Mapping[str, np.ndarray], message: str):
+        """The samples of messages of the type `message`; fields: arrays over messages, and `stamp` and `received`."""
+        raise NotImplementedError
+
+    def written(self, samples) -> dict[str, np.ndarray]:
+        """The fields of messages of the first of `messages`."""
+        raise NotImplementedError
+
+    def simulated(self, drive, errors: Mapping[str, float], effects, rng, instants):
+        """The samples of a simulated drive (`simulation.drive.Drive`).
+
+        errors: values of `simulated_with`. effects: pairs of effect and its values. instants: called with a rate, Hz,
+        and a phase, s (None: that of the receiver's fixes); times (n,) s and stamps (n,) ns.
+        """
+        raise NotImplementedError
+
+
+def covariance36(elements: dict, count: int) -> np.ndarray:
+    """(count, 36) with the elements given by their place, zero elsewhere."""
+    covariance = np.zeros((count, 36))
+    for place, values in elements.items():
+        covariance[:, place] = values
+    return covariance

@@ -1,0 +1,84 @@
+"""Whether the vehicle stands, as the accelerometers show it: the filter's one detector, which learns from the vehicle.
+
+The scatter of samples does not separate an idling engine from a smooth road. What does is what is left of the specific
+force below a hertz or so: no road is so even and no driver so steady that pitch, grade, bank and speed keep still, and
+an engine shakes faster. How much there is in motion and at rest is learned, as every vehicle and every mount has its
+own: the quietest motion while the filter is certain that the vehicle moves, and the level at rest well below it.
+studies/standstill.py compares this with fixed thresholds and counts false and missed seconds.
+"""
+from __future__ import annotations
+
+import math
+
+from mems_ins_fusion.compiled import njit
+
+from ..memory import HEAD, Sample
+
+#: what the detector remembers
+Still = HEAD.place(
+    'Still',
+    FIRST=3,  # specific force low-passed once, m/s^2
+    SECOND=3,  # and twice
+    MEAN=3,  # running mean of that
+    ENERGY=1,  # running mean square of what is left
+    MOTION=1,  # logarithm of the least of it in motion
+    REST=1,  # and of what is usual at rest
+    SINCE=1)  # s for which it has been quiet
+
+#: s: time constant of each of the two low passes; an engine shakes faster than what they leave
+LOW_PASS = 0.2
+#: s: time constant of the running mean that is taken out of it, tilt and bias
+MEAN_TIME = 0.5
+#: s: time constant of the mean square of the rest; a shorter one sees each bump, a longer one the start too late
+ENERGY_TIME = 0.7
+#: s: for how long it must have been quiet; between two gears a vehicle is as quiet for a moment
+DURATION = 1.0
+#: a standstill is quieter than the quietest motion by this factor, and may be louder than other standstills by the same
+SEPARATION = 2.0
+#: s: time constant with which the quietest motion is forgotten; roads and loads change in minutes
+FORGET = 600.0
+#: s: the level at rest is a mean over this
+REST = 5.0
+#: m/s^2: the quietest motion of a vehicle of which nothing is known yet; it is learned within a minute
+EXPECTED_MOTION = 0.05
+#: m/s^2: and its level at rest
+EXPECTED_REST = 0.01
+#: a single sample that is louder than the threshold by this factor ends a standstill at once
+JUMP = 4.0
+
+
+@njit(_nrt=False)
+def is_still(mem, sample, dt, moving, anew):
+    """1 when the sample at `sample`, dt s after the one before, is one of a standstill; its state is in the head.
+
+    moving: whether the filter is certain that the vehicle moves. anew: whether nothing is known of the time before the
+    sample, so that a change of its specific force since then says nothing.
+    """
+    low, slow, energy = min(1.0, dt / LOW_PASS), min(1.0, dt / MEAN_TIME), 0.0
+    first = mem[Still.ENERGY] == 0.0
+    for i in range(3):
+        f = mem[sample + Sample.F_X + i]
+        if first or anew:
+            mem[Still.FIRST + i] = mem[Still.SECOND + i] = mem[Still.MEAN + i] = f
+        mem[Still.FIRST + i] += low * (f - mem[Still.FIRST + i])
+        mem[Still.SECOND + i] += low * (mem[Still.FIRST + i] - mem[Still.SECOND + i])
+        deviation = mem[Still.SECOND + i] - mem[Still.MEAN + i]
+        mem[Still.MEAN + i] += slow * deviation
+        energy += deviation * deviation
+    if first:
+        mem[Still.ENERGY] = EXPECTED_MOTION**2
+        mem[Still.MOTION], mem[Still.REST] = math.log(EXPECTED_MOTION), math.log(EXPECTED_REST)
+    elif anew:  # it may stand by now: as loud as the quietest motion, till it shows more
+        mem[Still.ENERGY] = min(mem[Still.ENERGY], math.exp(2.0 * mem[Still.MOTION]))
+    mem[Still.ENERGY] += min(1.0, dt / ENERGY_TIME) * (energy - mem[Still.ENERGY])
+    level, separation = 0.5 * math.log(max(mem[Still.ENERGY], 1e-12)), math.log(SEPARATION)
+    motion, rest = mem[Still.MOTION], mem[Still.REST]
+    if moving:  # the least there is: down at once, though not by one sample alone, and up slowly
+        motion = min(motion + dt / FORGET, max(level, motion - 2.0 * dt))
+    elif level < motion - separation:
+        rest += min(1.0, dt / REST) * (level - rest)
+    mem[Still.MOTION], mem[Still.REST] = motion, rest
+    threshold = min(max(0.5 * (motion + rest), rest + separation), motion - separation)
+    quiet = level < threshold and energy < JUMP**2 * math.exp(2.0 * threshold) and not moving
+    mem[Still.SINCE] = mem[Still.SINCE] + dt if quiet else 0.0
+    return 1.0 if mem[Still.SINCE] >= DURATION else 0.0
