@@ -6,10 +6,11 @@ from collections.abc import Callable
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.validate_topic_name import validate_topic_name
 
+from ..filter.measurements.registry import AIDING
 from ..parameters.parameter import ParameterError
 
 #: parameters that name a topic the node listens to, and those it speaks on
-INPUTS = ('imu_topic', 'gnss_topic', 'temperature_topic', 'speed_topic', 'velocity_topic', 'heading_topic',
+INPUTS = ('imu_topic', 'gnss_topic', 'temperature_topic', *(measurement.topic for measurement in AIDING),
           'initial_pose_topic')
 OUTPUTS = ('odometry_topic', 'fix_topic', 'pose_topic')
 
@@ -18,8 +19,6 @@ def check_together(values: dict, resolve: Callable[[str], str]) -> None:
     """ParameterError where `values` contradict each other. resolve: a topic's full name, with remappings."""
     _check_topics(values, resolve)
     _check_frames(values)
-    _check_datum('datum', values['datum'])
-    _check_datum('start_pose', values['start_pose'])
     if values['predict_to_now'] and not values['odometry_rate']:
         raise ParameterError("parameter 'predict_to_now' needs an 'odometry_rate' above 0, at which to publish")
 
@@ -51,9 +50,3 @@ def _check_frames(values):
         if frame in frames:
             raise ParameterError(f"parameters '{frames[frame]}' and '{name}' are the same frame, '{frame}'")
         frames[frame] = name
-
-
-def _check_datum(name, place):
-    if place and not (abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0 and abs(place[2]) < 1e5):
-        raise ParameterError(f"parameter '{name}' must be a place on earth: latitude -90 to 90 deg, longitude -180 to "
-                             f'180 deg, height in m; got {place}')

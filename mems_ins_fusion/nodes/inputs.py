@@ -1,22 +1,34 @@
-"""Messages of speed, velocity and heading as numbers for the filter, whichever of the accepted types they come in."""
+"""What the node listens to: messages as numbers for the filter, whichever of the accepted types they come in."""
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
+from dataclasses import fields as dataclass_fields
+from importlib import import_module
+from operator import attrgetter
 
 import numpy as np
-from geometry_msgs.msg import PoseWithCovarianceStamped, TwistWithCovarianceStamped
-from nav_msgs.msg import Odometry
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from sensor_msgs.msg import Imu
 
-from ..navigation.frames import yaw_from_enu, yaw_of_quaternion
-from .log import Watch
+from ..filter.measurements.base import Measurement
+from ..filter.measurements.registry import AIDING
+from ..recordings.reading import thinned
+from .traffic import Traffic
 
-#: east-north-up to north-east-down, and back
-_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+#: a measurement this much later than the newest sample may have overtaken others, ns; the filter refuses one that is a
+#: second ahead
+OVERTAKEN = 500_000_000
+#: one that is this much later than the quickest of its topic shows that the machine has stalled, s
+STALLED = 0.3
+#: so long messages are served before timers and services have their turn, s
+AT_ONCE = 0.05
+#: where no sample has come for so long, those before such a measurement will not, s
+HOLD = 2.0
+#: what a queue holds of a sensor of up to 100 Hz while the machine is busy, messages
+_DEPTH = 200
 
 
 def stamp_of(message) -> int:
@@ -24,77 +36,189 @@ def stamp_of(message) -> int:
     return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
 
-def speed_of(message) -> tuple[float, float]:
-    """Speed along base_link's x axis, m/s, and its variance, of a twist or an odometry."""
-    return message.twist.twist.linear.x, float(message.twist.covariance[0])
+def numbers_of(measurement: Measurement, message) -> tuple:
+    """The numbers of one sample that a message holds, as `measurement.read` makes them of a recording's."""
+    kind = _name(type(message))
+    fields = {path: thinned(path, _row(attrgetter(path)(message))) for path in measurement.messages[kind]}
+    fields['stamp'] = fields['received'] = np.zeros(1, dtype=np.int64)
+    samples = measurement.read(fields, kind)
+    return tuple(getattr(samples, field.name)[0] for field in dataclass_fields(samples)[2:])
 
 
-def velocity_of(message) -> tuple[np.ndarray, np.ndarray]:
-    """Velocity (3,) m/s and covariance (3, 3), north-east-down, of a twist that is east-north-up."""
-    linear = message.twist.twist.linear
-    covariance = np.reshape(message.twist.covariance, (6, 6))[:3, :3]
-    return _NED @ [linear.x, linear.y, linear.z], _NED @ covariance @ _NED
+def _row(value) -> np.ndarray:
+    """A field of a message as a recording has those of many: (1, k), or (1,) where it is one number."""
+    if hasattr(value, 'x'):
+        value = [getattr(value, name) for name in 'xyzw' if hasattr(value, name)]
+    return np.asarray(value, dtype=float)[None]
 
 
-def heading_of(message) -> tuple[float, float]:
-    """Yaw clockwise from north, rad, and its variance; NaN where the message has no orientation."""
-    if isinstance(message, Imu):
-        q, variance = message.orientation, message.orientation_covariance[8]
-        absent = message.orientation_covariance[0] == -1.0  # REP 145
-    else:
-        q, variance = message.pose.pose.orientation, message.pose.covariance[35]
-        absent = False
-    if absent or q.x == q.y == q.z == q.w == 0.0:
-        return np.nan, float(variance)
-    return float(yaw_from_enu(yaw_of_quaternion(q.x, q.y, q.z, q.w))), float(variance)
+class Queue:
+    """The messages that wait on all inputs, as one queue in the order in which they were sent.
 
+    DDS keeps a queue for each topic, and rclpy's executor, which builds its wait set anew for each round, takes one
+    message of each. Where they queue up, as on a busy machine, fixes would come before samples that were sent earlier,
+    and the wait set would cost more than the work.
+    """
 
-def subscribe(node: Node, kind, topic: str, callback, depth: int):
-    """Best effort also hears reliable drivers; a reliable subscription would not hear best-effort ones."""
-    return node.create_subscription(
-        kind, topic, callback, QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT),
-        event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
-        qos_overriding_options=QoSOverridingOptions.with_default_policies())
+    def __init__(self, node: Node):
+        self.inputs: list[Input] = []
+        self._waiting: list[tuple] = []  # when sent, input, message, rclpy's information on it
+        self._held: list[tuple] = []  # those that overtook samples
+        self._deadline: float | None = None  # for those held, steady clock
+        self._again = node.create_guard_condition(self._serve)
+
+    def serve(self, first: Input, message, info: dict) -> None:
+        """A message, and those that wait by now; timers and services have their turn after AT_ONCE."""
+        self._waiting.append((info['source_timestamp'], first, message, info))
+        self._serve()
+
+    def release(self) -> None:
+        """Those held whose time is over, though no message comes: once a second."""
+        if self._held:
+            self._serve()
+
+    def _serve(self) -> None:
+        waiting = self._waiting
+        if len(waiting) <= 1:  # else what comes stays in its own queue
+            waiting += self._held
+            self._held = []
+            for told in self.inputs:
+                while (taken := told.take()) is not None:
+                    waiting.append((taken[1]['source_timestamp'], told, *taken))
+        if len(waiting) > 1:
+            waiting.sort(key=lambda one: one[0])
+        begun, done = time.monotonic(), 0
+        for one in waiting:
+            _, told, message, info = one
+            if told.name != 'imu' and self._overtook(told, message, info):
+                self._held.append(one)
+            else:
+                told.on_message(message, info)
+                if told.name == 'imu':  # they still come
+                    self._deadline = None
+            done += 1
+            if time.monotonic() - begun > AT_ONCE:
+                break
+        del waiting[:done]
+        if waiting:
+            self._again.trigger()
+        elif not self._held:
+            self._deadline = None
+
+    def _overtook(self, told: Input, message, info: dict) -> bool:
+        """Whether samples of before a message are still on their way: it is late itself, and its stamp far ahead of
+        theirs. After a stall messages come topic by topic. Where it is not late, it has a stamp of another clock."""
+        newest = next((other.traffic.stamp for other in self.inputs if other.name == 'imu'), 0)
+        if not newest or stamp_of(message) - newest <= OVERTAKEN or told.traffic.waited(info) <= STALLED:
+            return False
+        if self._deadline is None:
+            self._deadline = time.monotonic() + HOLD
+        return time.monotonic() < self._deadline
 
 
 class Input:
-    """A topic that may carry one of several types: subscribed once a publisher shows which. `watch` counts messages.
+    """A topic that the node listens to, by its `name` in the words of the filter (imu, fix, speed, ...).
 
-    take: called with the stamp (ns) and the numbers that `convert` makes of a message.
+    Of several types that it may carry it is subscribed once a publisher shows which. queue: of the node. on_message:
+    called with a message and rclpy's information on it. depth: of its own queue. patience: s without a message that are
+    no silence yet.
     """
 
-    def __init__(self, node: Node, topic: str, kinds: tuple, convert: Callable, take: Callable, patience: float = 3.0):
-        self.topic_name = node.resolve_topic_name(topic)
-        self.watch = Watch(patience)
-        self.kind = ' or '.join(_name(kind) for kind in kinds)
-        self._node, self._topic, self._convert, self._take = node, topic, convert, take
+    def __init__(self, node: Node, queue: Queue, name: str, topic: str, kinds: tuple, on_message: Callable,
+                 depth: int = _DEPTH, patience: float = 3.0):
+        self.name, self.topic_name = name, node.resolve_topic_name(topic)
+        self.traffic = Traffic(patience, lambda: node.get_clock().now().nanoseconds)
+        self._node, self._queue, self._topic, self.on_message, self._depth = node, queue, topic, on_message, depth
         self._kinds = {_name(kind): kind for kind in kinds}
         self._subscription = None
+        queue.inputs.append(self)
+        if len(kinds) == 1:
+            self._subscribe(kinds[0])
         self.look()
+
+    @property
+    def kind(self) -> str:
+        """The types that it may carry, in words."""
+        return ' or '.join(self._kinds)
 
     def look(self) -> None:
         """Subscribe where there is a publisher by now."""
-        if self._subscription is not None:
-            return
-        for info in self._node.get_publishers_info_by_topic(self.topic_name):
-            if info.topic_type in self._kinds:
-                self._subscription = subscribe(self._node, self._kinds[info.topic_type], self._topic, self._on_message,
-                                               50)
-                return
+        if self._subscription is None:
+            for info in self._node.get_publishers_info_by_topic(self.topic_name):
+                if info.topic_type in self._kinds:
+                    self._subscribe(self._kinds[info.topic_type])
+                    return
 
-    def _on_message(self, message):
-        self.watch.count += 1
-        self._take(stamp_of(message), *self._convert(message))
+    def _subscribe(self, kind):
+        # best effort also hears reliable drivers; a reliable subscription would not hear best-effort ones
+        self._subscription = self._node.create_subscription(
+            kind, self._topic, self._on_first,
+            QoSProfile(depth=self._depth, reliability=ReliabilityPolicy.BEST_EFFORT),
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+
+    def take(self):
+        """The next message that waits, with rclpy's information on it; None where there is none."""
+        if self._subscription is None:
+            return None
+        return self._subscription.handle.take_message(self._subscription.msg_type, False)
+
+    def _on_first(self, message, info):
+        self._queue.serve(self, message, info)
+
+    def publishers(self) -> int:
+        return self._node.count_publishers(self.topic_name)
+
+    def why_silent(self) -> str:
+        """What keeps messages away, as far as ROS knows."""
+        infos = self._node.get_publishers_info_by_topic(self.topic_name)
+        own = {publisher.topic_name for publisher in self._node.publishers}
+        if any(info.topic_type in self._kinds for info in infos):
+            return self.qos_problem() or 'it has a publisher, but nothing arrives'
+        kinds = sorted({info.topic_type for info in infos})
+        reason = f"it carries {', '.join(kinds)}" if kinds else 'nobody publishes it'
+        same = sorted(name for name, carried in self._node.get_topic_names_and_types()
+                      if set(self._kinds) & set(carried) and self._node.count_publishers(name) and name not in own)
+        return f"{reason}; topics of this type: {', '.join(same) or 'none'}"
+
+    def qos_problem(self) -> str:
+        """Which publisher this subscription cannot hear for its quality of service, and what to set; '' where none."""
+        if self._subscription is None:
+            return ''
+        for info in self._node.get_publishers_info_by_topic(self.topic_name):
+            compatible, reason = qos_check_compatible(info.qos_profile, self._subscription.qos_profile)
+            if compatible == QoSCompatibility.ERROR:
+                return (f'the quality of service of its publisher {info.node_name} does not fit: '
+                        f'{" ".join(reason.split())} (qos_overrides.{self.topic_name}.subscription.*)')
+        return ''
 
 
 def _name(kind) -> str:
     return f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
 
 
-def aiding_inputs(node: Node, values: dict, fusion) -> list[Input]:
-    """The inputs of speed, velocity and heading that `values` ask for, into the filter `fusion`."""
-    inputs = (('speed_topic', (TwistWithCovarianceStamped, Odometry), speed_of, fusion.add_speed),
-              ('velocity_topic', (TwistWithCovarianceStamped,), velocity_of, fusion.add_velocity),
-              ('heading_topic', (Imu, PoseWithCovarianceStamped), heading_of, fusion.add_heading))
-    return [Input(node, values[name], kinds, convert, take) for name, kinds, convert, take in inputs
-            if values.get(name)]
+def aiding_inputs(node: Node, queue: Queue, values: dict, fusion, before: Callable[[str, int, tuple], None]
+                  ) -> list[Input]:
+    """The inputs of measurements besides the fixes that `values` ask for, into the filter `fusion`.
+
+    before: called with name, stamp (ns) and numbers of each before the filter has them.
+    """
+    return [_aiding(node, queue, measurement, values[measurement.topic], fusion, before) for measurement in AIDING
+            if values.get(measurement.topic)]
+
+
+def _aiding(node, queue, measurement, topic, fusion, before) -> Input:
+    def on_message(message, info):
+        fusion.waited = told.traffic.take(message.header, info)
+        stamp, numbers = told.traffic.stamp, numbers_of(measurement, message)
+        before(measurement.name, stamp, numbers)
+        fusion.add(measurement.name, stamp, *numbers)
+
+    told = Input(node, queue, measurement.name, topic, tuple(_class(kind) for kind in measurement.messages), on_message)
+    return told
+
+
+def _class(kind: str):
+    """Of a message type, package/msg/Name."""
+    package, _, name = kind.split('/')
+    return getattr(import_module(f'{package}.msg'), name)

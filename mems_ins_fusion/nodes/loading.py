@@ -12,8 +12,8 @@ import time
 
 from ..compiled import FOLDER
 from ..filter.config import FilterConfig
-from ..filter.live import FusionFilter
-from ..filter.odometry import ORIENTATION, POSE_COVARIANCE
+from ..filter.runs.live import FusionFilter
+from ..filter.runs.odometry import ORIENTATION, POSE_COVARIANCE
 from ..parameters import table
 from .output import Prediction, SmoothFrame
 from .run import Stop

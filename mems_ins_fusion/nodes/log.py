@@ -1,6 +1,7 @@
 """What a node tells its user, without flooding."""
 from __future__ import annotations
 
+import math
 import re
 import time
 from collections.abc import Callable
@@ -9,26 +10,32 @@ from collections.abc import Callable
 _NUMBERS = re.compile(r'\b(nan|inf)\b|[-+]?\d[\d.]*(e[-+]?\d+)?', re.IGNORECASE)
 
 
+#: a line that keeps on coming is let through ever more seldom, down to once in so long, s
+LONGEST_HOLD = 80.0
+
+
 class Throttle:
     """Lets a line through once in `period` seconds; the next one let through tells how many were held back.
 
-    Lines that differ only in their numbers count as one and the same.
+    Lines that differ only in their numbers count as one and the same. One that keeps on coming has to wait twice as
+    long each time, up to LONGEST_HOLD; it begins anew when it has not come for that long.
     """
 
     def __init__(self, period: float, clock: Callable[[], float] = time.monotonic):
         self._period = period
         self._clock = clock
-        self._last: dict[str, tuple[float, int]] = {}
+        self._last: dict[str, tuple[float, float, int]] = {}  # when, how long to hold, how many held
 
     def pass_on(self, text: str) -> str | None:
         """`text`, with the number of those held back before; None where it is held back itself."""
         key = _NUMBERS.sub('#', text)
         now = self._clock()
-        last, held_back = self._last.get(key, (-self._period, 0))
-        if now - last < self._period and key in self._last:
-            self._last[key] = (last, held_back + 1)
+        last, hold, held_back = self._last.get(key, (-math.inf, 0.0, 0))
+        if now - last < hold:
+            self._last[key] = (last, hold, held_back + 1)
             return None
-        self._last[key] = (now, 0)
+        again = now - last < hold + LONGEST_HOLD
+        self._last[key] = (now, min(2.0 * hold, LONGEST_HOLD) if again else self._period, 0)
         return f'{text} ({held_back} more like this before)' if held_back else text
 
 
@@ -80,17 +87,22 @@ class StateLog:
                  clock: Callable[[], float] = time.monotonic):
         self._period, self._quiet, self._clock = period, quiet, clock
         self._state: str | None = None
+        self._level = None
         self._since = self._said = clock()
 
-    def look(self, state: str, status: str) -> tuple[float, str | None]:
-        """Seconds that `state` has lasted, and the line to log, with more words on it (`status`), or None."""
+    def look(self, state: str, status: str, level=None) -> tuple[float, str | None]:
+        """Seconds that `state` has lasted, and the line to log, with more words on it (`status`), or None.
+
+        level: how bad that is; the same state is said again where this changes.
+        """
         now = self._clock()
+        changed, self._level = level != self._level, level
         if state != self._state:
             before = f' after {self._state} for {now - self._since:.0f} s' if self._state else ''
             self._state, self._since, self._said = state, now, now
             return 0.0, f'state: {state}{before} ({status})'
         lasted = now - self._since
-        if state in self._quiet or now - self._said < self._period:
+        if (state in self._quiet or now - self._said < self._period) and not (changed and lasted > 0.0):
             return lasted, None
         self._said = now
         return lasted, f'state: still {state}, for {lasted:.0f} s ({status})'

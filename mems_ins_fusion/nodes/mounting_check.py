@@ -2,11 +2,10 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 
 import numpy as np
 
-from ..configuration.check import mounting_findings
+from ..configuration.check import LARGE, mounting_findings
 from ..recordings.checker import ERROR
 from ..samples import Fixes, ImuSamples
 
@@ -15,6 +14,8 @@ RATE, MEMORY = 20.0, 240.0
 #: after so many seconds of samples it is looked at; each look takes some 50 ms
 LOOKS = (30.0, 60.0, 120.0, 240.0, 480.0, 960.0)
 LONGEST_GAP = 5.0  # s
+#: so many looks in a row have to find the same: of the second the vehicle has driven twice as long
+CERTAIN_LOOKS = 2
 _SECOND = 10**9  # ns
 
 
@@ -22,13 +23,12 @@ class MountingCheck:
     """Collects samples and fixes, SI units in sensor axes, and looks at them now and then until LOOKS are through.
 
     add_sample and add_fix are lists' own `append`: stamp (ns), specific force and angular rate; stamp, latitude,
-    longitude (rad), height (m), nine of the covariance (m^2), status, covariance type. max_force, max_rate: beyond them
-    a sample is not believed, m/s^2 and rad/s.
+    longitude (rad), height (m), nine of the covariance (m^2), status, covariance type. values: checked parameters.
     """
 
-    def __init__(self, mounting_rpy: Sequence[float], time_offset: float, max_force: float, max_rate: float):
-        self._mounting, self._lag = mounting_rpy, time_offset
-        self._limits = np.repeat([max_force, max_rate], 3)
+    def __init__(self, values: dict):
+        self._values = values
+        self._limits = np.repeat([values['imu.max_specific_force'], values['imu.max_angular_rate']], 3)
         self._samples: list[tuple] = []
         self.add_sample = self._samples.append
         self._fixes: deque[tuple] = deque(maxlen=round(20 * MEMORY))
@@ -39,11 +39,23 @@ class MountingCheck:
         self._looks = list(LOOKS)
         self.found = 'not looked at yet'
         self.is_wrong = False
+        self._times_certain = 0
+
+    @property
+    def is_certainly_wrong(self) -> bool:
+        """Whether look after look has found a mounting that cannot be, and not a vehicle that reverses: who fuses with
+        it is wrong."""
+        return self._times_certain >= CERTAIN_LOOKS
 
     @property
     def done(self) -> bool:
         """Whether there will be no other look."""
         return not self._looks
+
+    def force(self) -> np.ndarray | None:
+        """Mean specific force of the last second, (3,) m/s^2 in sensor axes; None where there is none."""
+        rows = list(self._means)[-round(RATE):] or [(0.0, *sample[1:]) for sample in self._samples]
+        return np.mean(np.array(rows)[:, 1:4], axis=0) if rows else None
 
     def _restart(self) -> None:
         """Forget the samples: those to come do not follow them. Fixes of before are not used any more."""
@@ -85,10 +97,14 @@ class MountingCheck:
     def _judge(self) -> tuple[str, str] | None:
         try:
             with np.errstate(all='ignore'):
-                findings = mounting_findings(self._imu(), self._received(), self._mounting, self._lag)
+                findings = mounting_findings(self._imu(), self._received(), self._values['imu.mounting_rpy'],
+                                             self._values['gnss.time_offset'])
         except (ValueError, ArithmeticError, np.linalg.LinAlgError):  # numbers that no vehicle gives: no reason to stop
             return None
         self.is_wrong = bool(findings)
+        certain = bool(findings) and findings[0].values['certain'] and (
+            findings[0].values['tilt'] > LARGE or self._values['vehicle.non_holonomic'])  # others may drive sideways
+        self._times_certain = self._times_certain + 1 if certain else 0
         self.found = findings[0].message if findings else 'nothing speaks against imu.mounting_rpy'
         return ('error' if findings[0].severity == ERROR else 'warning', self.found) if findings else None
 

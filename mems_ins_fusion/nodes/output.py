@@ -13,7 +13,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import NavSatFix, NavSatStatus
 
-from ..filter.odometry import (
+from ..filter.runs.odometry import (
     ANGULAR,
     LINEAR,
     ORIENTATION,
@@ -31,6 +31,8 @@ _SECOND = 10**9  # ns
 LEVEL_TIME = 2.0
 #: a longer step between two estimates is not integrated, s
 LONGEST_STEP = 1.0
+#: of what a vehicle in the plane does not do, m^2 and rad^2: who inverts the covariance needs more than zero
+FLAT_VARIANCE = 1e-6
 _EARTH = 6.37e6  # m, good enough for the way of a few milliseconds
 
 
@@ -131,6 +133,57 @@ class Prediction:
         latitude, longitude, height = source.geodetic.tolist()
         self.geodetic[:] = (latitude + step[1] / _EARTH, longitude + step[0] / (_EARTH * math.cos(latitude)),
                             height + step[2])
+
+
+class VehicleAxes:
+    """The odometry of `fusion`, a FusionFilter, in the vehicle's own axes, as the estimated mounting tells them.
+
+    The filter's are those that imu.mounting_rpy gives, to which the transforms of all other sensors lead.
+    """
+
+    def __init__(self, fusion):
+        self._fusion = fusion
+
+    def turn(self) -> None:
+        """Turn the newest odometry, in place."""
+        yaw, pitch, sigma = self._fusion.vehicle_axes()
+        out = self._fusion.odometry
+        # forward-left-up: both angles are the other way round
+        mounting = rotation_from_rpy(0.0, -pitch, -yaw)
+        half_yaw, half_pitch = -0.5 * yaw, -0.5 * pitch
+        q_m = multiply((math.cos(half_yaw), 0.0, 0.0, math.sin(half_yaw)),
+                       (math.cos(half_pitch), 0.0, math.sin(half_pitch), 0.0))
+        x, y, z, w = out[ORIENTATION:POSE_COVARIANCE].tolist()
+        q = multiply((w, x, y, z), q_m)
+        out[ORIENTATION:POSE_COVARIANCE] = (*q[1:], q[0])
+        _turn_twist(out, mounting.T)
+        p = out[POSE_COVARIANCE:LINEAR].reshape(6, 6)
+        if sigma is not None and p[5, 5] > 0.0:  # the same correlations: it stays a covariance
+            ratio = sigma / math.sqrt(p[5, 5])
+            p[5] *= ratio
+            p[:, 5] *= ratio
+
+
+def flatten(out: np.ndarray) -> None:
+    """Take height, roll, pitch and what goes with them out of an odometry (85,), in place."""
+    x, y, z, w = out[ORIENTATION:POSE_COVARIANCE].tolist()
+    yaw = yaw_of_quaternion(x, y, z, w)
+    level = rotation_from_rpy(0.0, 0.0, -yaw) @ np.array(matrix((w, x, y, z))).reshape(3, 3)
+    _turn_twist(out, level)
+    out[POSITION + 2] = out[LINEAR + 2] = out[ANGULAR] = out[ANGULAR + 1] = 0.0
+    out[ORIENTATION:POSE_COVARIANCE] = (0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw))
+    for first, last in ((POSE_COVARIANCE, LINEAR), (TWIST_COVARIANCE, SIZE)):
+        p = out[first:last].reshape(6, 6)
+        p[2:5] = p[:, 2:5] = 0.0
+        p[[2, 3, 4], [2, 3, 4]] = FLAT_VARIANCE
+
+
+def _turn_twist(out: np.ndarray, turn: np.ndarray) -> None:
+    """The twist of an odometry (85,) and its covariance in axes to which `turn` (3, 3) leads, in place."""
+    out[LINEAR:ANGULAR] = turn @ out[LINEAR:ANGULAR]
+    out[ANGULAR:TWIST_COVARIANCE] = turn @ out[ANGULAR:TWIST_COVARIANCE]
+    both, p = np.kron(np.eye(2), turn), out[TWIST_COVARIANCE:SIZE].reshape(6, 6)
+    p[:] = both @ p @ both.T
 
 
 def _inverse(q):

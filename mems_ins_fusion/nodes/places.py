@@ -4,8 +4,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from geometry_msgs.msg import Point
 from rclpy.node import Node
 
+from ..errors import InputError
 from ..navigation.earth import from_local, to_local
 from ..navigation.frames import yaw_from_enu, yaw_of_quaternion
 
@@ -21,30 +23,37 @@ def start_from_parameters(values: dict) -> tuple:
 def start_from_pose(message, datum, frame_id: str) -> tuple:
     """Arguments of `set_start` of a PoseWithCovarianceStamped in the frame east-north-up at `datum` (rad, rad, m).
 
-    Raises ValueError with what is wrong with it.
+    Raises InputError with what is wrong with it.
     """
     frame = message.header.frame_id
     if frame != frame_id:
-        raise ValueError(f"header.frame_id '{frame}' is not '{frame_id}'")
+        raise InputError(f"header.frame_id '{frame}' is not '{frame_id}'")
     if datum is None:
-        raise ValueError("there is no datum yet: set the parameter 'datum', or wait for the first fix")
+        raise InputError("there is no datum yet: set the parameter 'datum', or wait for the first fix")
     position, q = message.pose.pose.position, message.pose.pose.orientation
     covariance = np.reshape(message.pose.covariance, (6, 6))[np.ix_([1, 0, 2, 5], [1, 0, 2, 5])]
     sign = np.diag([1.0, 1.0, -1.0, -1.0])
     numbers = np.array([position.x, position.y, position.z, q.x, q.y, q.z, q.w, *covariance.ravel()])
     if not np.isfinite(numbers).all() or not any((q.x, q.y, q.z, q.w)):
-        raise ValueError('pose or covariance is not finite, or its orientation is all zeros')
+        raise InputError('pose or covariance is not finite, or its orientation is all zeros')
     if min(covariance[0, 0], covariance[1, 1], covariance[3, 3]) <= 0.0:
-        raise ValueError(f'covariance of x, y, yaw must be above 0, got {covariance[1, 1]:g}, {covariance[0, 0]:g}, '
+        raise InputError(f'covariance of x, y, yaw must be above 0, got {covariance[1, 1]:g}, {covariance[0, 0]:g}, '
                          f'{covariance[3, 3]:g}')
     if np.linalg.eigvalsh(covariance[np.ix_([0, 1, 3], [0, 1, 3])]).min() <= 0.0:
-        raise ValueError('covariance of x, y, yaw is none: it is not positive definite')
+        raise InputError('covariance of x, y, yaw is none: it is not positive definite')
     # a two-dimensional tool says nothing of the height
     height_variance = covariance[2, 2] if covariance[2, 2] > 0.0 else 100.0
     covariance[2, 2] = height_variance
     place = from_local(position.y, position.x, -position.z, datum)
     yaw = float(yaw_from_enu(yaw_of_quaternion(q.x, q.y, q.z, q.w)))
     return (*place, yaw, sign @ covariance @ sign)
+
+
+def to_local_point(message, datum) -> Point:
+    """The position of a NavSatFix in the frame east-north-up at `datum` (rad, rad, m)."""
+    north, east, down = to_local(math.radians(message.latitude), math.radians(message.longitude), message.altitude,
+                                 datum)
+    return Point(x=float(east), y=float(north), z=float(-down))
 
 
 class GeographicServices:

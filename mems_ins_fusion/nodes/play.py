@@ -15,6 +15,7 @@ from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock
 
 from ..cli.command import Parser
+from ..errors import InputError
 from ..guard import refuse
 from ..hints import did_you_mean
 from ..progress import Progress
@@ -75,7 +76,7 @@ class Player:
         """Publish from `start` seconds on, `rate` times as fast as recorded; how many messages. tell: as Progress."""
         first = int(np.searchsorted(self._times, self._times[0] + round(start * _SECOND)))
         if first == len(self._times):
-            raise ValueError(f'--start {start:g} is after the end of the recording, which is {self.seconds:.1f} s long')
+            raise InputError(f'--start {start:g} is after the end of the recording, which is {self.seconds:.1f} s long')
         began, origin = time.monotonic(), int(self._times[first])
         for sent, i in enumerate(range(first, len(self._times))):
             stamp = int(self._times[i])
@@ -129,11 +130,11 @@ def _wait_for_listeners(player: Player, seconds: float, stop: Stop) -> None:
 
 
 def play(node: Node, options: argparse.Namespace, stop: Stop) -> None:
-    """Do what `options` ask for until the end, or a signal. RecordingError and ValueError for what is wrong."""
+    """Do what `options` ask for until the end, or a signal. RecordingError and InputError for what is wrong."""
     if not 1e-3 <= options.rate <= 1e3:
-        raise ValueError(f'--rate must be from 0.001 to 1000, got {options.rate:g}')
+        raise InputError(f'--rate must be from 0.001 to 1000, got {options.rate:g}')
     if not 0 <= options.start < 1e9:
-        raise ValueError(f'--start must be at least 0 s, got {options.start:g}')
+        raise InputError(f'--start must be at least 0 s, got {options.start:g}')
     with Bag(options.bag) as bag:
         player = Player(node, bag, _topics(bag, options.topics), Memory(options.memory_limit, *_MEMORY))
         for line in bag.damage():
@@ -158,7 +159,7 @@ def main(argv: list[str]) -> int:
     node = Node(NAME)
     try:
         play(node, options, stop)
-    except ValueError as error:
+    except InputError as error:
         return refuse(NAME, error)
     finally:
         node.destroy_node()

@@ -8,6 +8,7 @@ import sys
 
 from rclpy.node import Node
 
+from ..errors import InputError
 from ..guard import INTERRUPTED, refuse
 from ..parameters.parameter import ParameterError
 from ..parameters.table import FILTER, REPLAY
@@ -36,8 +37,8 @@ class ReplayNode(Node):
         try:
             with Progress(NAME) as tell:
                 result = replay_recordings(self._values, _interruptible(tell, stop))
-            _tell(result)
-        except ValueError as error:
+            _tell(result, self._values['verbose'])
+        except InputError as error:
             return refuse(NAME, error)
         except KeyboardInterrupt:
             print(f'{NAME}: interrupted, nothing was written', file=sys.stderr)
@@ -62,8 +63,8 @@ class ReplayNode(Node):
                  self._values['child_frame_id'])
 
 
-def _tell(result) -> None:
-    """Print the answer, the errors, what they say of the models, and where the results are."""
+def _tell(result, verbose: bool) -> None:
+    """Print the answer and where the results are; verbose: also the errors, and what they say of the models."""
     from ..reports.report import summary_table
 
     for recording in result.content['recordings']:
@@ -71,13 +72,15 @@ def _tell(result) -> None:
         for warning in (*recording['warnings'], *errors):
             print(f'{NAME}: {warning}', file=sys.stderr)
     for name, answer in result.answers.items():
-        print(*([f'{name}:'] if len(result.answers) > 1 else []), *answer.lines(), sep='\n')
-    print(f'\n{summary_table(result.content)}')
-    for sentences in result.content['verdict'].values():
-        print(*sentences, sep='\n')
+        lines = answer.lines() if verbose else answer.short()
+        print(*([f'{name}:'] if len(result.answers) > 1 else []), *lines, sep='\n')
+    if verbose:
+        print(f'\n{summary_table(result.content)}')
+        for sentences in result.content['sentences'].values():
+            print(*sentences, sep='\n')
+        for picture in sorted(result.folder.glob('*track.png')):
+            print(f'track: {picture}')
     print(f'report: {result.folder / "report.html"}')
-    for picture in sorted(result.folder.glob('*track.png')):
-        print(f'track: {picture}')
 
 
 def _interruptible(tell: Progress, stop: Stop):

@@ -70,16 +70,20 @@ def _constraints(parameter):
     if parameter.choices:
         constraints.append('one of ' + ', '.join(parameter.choices))
     if parameter.positive:
-        constraints.append('above 0')
+        constraints.append('not empty' if parameter.unit == 'text' else 'above 0')
     if parameter.lengths is not None:
         constraints.append(f'{parameter.length_text} values')
     return '; '.join(constraints)
 
 
-def refuse_unused_qos_overrides(node: Node) -> None:
-    """ParameterError for an override of the QoS of a topic that `node`, complete by now, does not use."""
+def refuse_unused_qos_overrides(node: Node, later: Iterable[str] = ()) -> None:
+    """ParameterError for an override of the QoS of a topic that `node`, complete by now, does not use.
+
+    later: topics that it will subscribe when a publisher shows their type.
+    """
+    known = tuple(f'qos_overrides.{topic}.subscription.' for topic in later)
     for name in node._parameter_overrides:
-        if name.startswith('qos_overrides.') and not node.has_parameter(name):
+        if name.startswith('qos_overrides.') and not (node.has_parameter(name) or name.startswith(known)):
             known = sorted(n for n in node._parameters if n.startswith('qos_overrides.'))
             raise ParameterError(f"unknown parameter '{name}'; there are {', '.join(known)}")
 
@@ -93,7 +97,8 @@ def _refuse_files_for_others(node: Node, argv: list[str]) -> None:
     """ParameterError for a params file without a section for `node`: ROS ignores such a file silently."""
     name = node.get_fully_qualified_name()
     for path in params_files(argv):
-        sections = list(_sections(read_yaml(path) or {}))
+        content = read_yaml(path)
+        sections = list(_sections(content)) if isinstance(content, dict) else []
         if not any(_matches(section, name) for section in sections):
             raise ParameterError(f"params file {path} holds nothing for the node '{name}', "
                                  f"only for {', '.join(sections) or 'none'}")

@@ -1,12 +1,13 @@
 """From the command line to a spinning node and to a clean exit: the same for each node of the package."""
 from __future__ import annotations
 
+import errno
+import os
 import re
 import signal
 import sys
 import textwrap
-import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
@@ -18,6 +19,7 @@ from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from ..errors import InputError
 from ..hints import VERSION
 from ..parameters.parameter import Parameter, ParameterError
 from ..parameters.params_file import load_yaml, yaml_value
@@ -26,10 +28,7 @@ from .ros_parameters import params_files
 #: ROS arguments, for who leaves out --ros-args
 _ROS_OPTIONS = ('--params-file', '-p', '--param', '-r', '--remap', '--log-level')
 #: what a user got wrong, as opposed to a defect of the program
-_USER_ERRORS = (ValueError, ParameterException, NameValidationException, InvalidQosOverridesError)
-
-#: what is not urgent is looked at this often, s
-PATIENCE = 0.05
+_USER_ERRORS = (InputError, ParameterException, NameValidationException, InvalidQosOverridesError)
 
 
 class Stop:
@@ -52,38 +51,12 @@ class Stop:
             raise KeyboardInterrupt
 
 
-class _Executor(SingleThreadedExecutor):
-    """One that mostly waits for `urgent` entities alone.
-
-    rclpy builds its wait set anew for each message, at some microseconds for each entity of the node: services, timers
-    and parameters of a node would cost as much as its work.
-    """
-
-    def __init__(self, urgent: Collection):
-        super().__init__()
-        self.urgent, self.everything = urgent, True
-
-    def can_execute(self, entity) -> bool:
-        return (self.everything or entity in self.urgent) and super().can_execute(entity)
-
-
-def spin(node: Node, stop: Stop, urgent: Collection = ()) -> None:
-    """Serve the callbacks of `node` until `stop` is requested; a steady timer must wake it now and then.
-
-    urgent: subscriptions and timers that are served at once, that timer among them; the others are looked at every
-    PATIENCE s. Without any, all are urgent.
-    """
-    executor = _Executor(urgent)
+def spin(node: Node, stop: Stop) -> None:
+    """Serve the callbacks of `node` until `stop` is requested; a steady timer must wake it now and then."""
+    executor = SingleThreadedExecutor()
     executor.add_node(node)
-    looked = time.monotonic()
     while not stop.requested:
-        now = time.monotonic()
-        executor.everything = not executor.urgent or now - looked > PATIENCE
-        if executor.urgent and executor.everything:
-            looked = now
-            executor.spin_once(timeout_sec=0)
-        else:
-            executor.spin_once()
+        executor.spin_once()
 
 
 def run(name: str, make_node: Callable[[list[str], Stop], Node], argv: list[str],
@@ -135,6 +108,10 @@ def usage(name: str, tables: tuple[tuple[Parameter, ...], ...]) -> str:
 def _initialize(name, argv):
     """rclpy.init, with what is wrong in `argv` as a ParameterError."""
     set_logger_level('rcl', LoggingSeverity.FATAL)  # it would log the same error in its own words
+    for path in params_files(argv):
+        if path.exists() and not path.is_file():  # rcl would wait for ever for what comes out of a pipe
+            raise ParameterError(f'params file {path} is not a file')
+    _check_log_folder()
     try:
         others = remove_ros_args(argv)
         if others and others[0] in _ROS_OPTIONS:
@@ -149,6 +126,19 @@ def _initialize(name, argv):
         raise ParameterError(_explain(error, argv)) from None
     if get_logger_level('rcl') == LoggingSeverity.FATAL:
         set_logger_level('rcl', LoggingSeverity.UNSET)
+
+
+def _check_log_folder() -> None:
+    """ParameterError where ROS cannot write its log: rclpy.init would fail, and then wait for ever at the end."""
+    home = os.environ.get('ROS_HOME') or os.path.join('~', '.ros')
+    folder = os.path.expanduser(os.environ.get('ROS_LOG_DIR') or os.path.join(home, 'log'))
+    try:
+        os.makedirs(folder, exist_ok=True)
+        if not os.access(folder, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    except OSError as error:
+        raise ParameterError(f'ROS cannot write its log to {folder}: {error.strerror}; set ROS_LOG_DIR to a folder that '
+                             'can be written') from None
 
 
 def _explain(error, argv) -> str:

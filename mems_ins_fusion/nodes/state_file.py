@@ -25,6 +25,8 @@ class StateFile:
 
     def read(self) -> str | None:
         """Read the file, for `fitting`; what is wrong with it, None where nothing is or there is none yet."""
+        if self._path.exists() and not self._path.is_file():  # a pipe would be waited for, for ever
+            return f'state file {self._path}: cannot be used (it is not a file); starting without'
         try:
             content = json.loads(self._path.read_text())
             if content['version'] != _VERSION:

@@ -1,32 +1,115 @@
-"""How the filter is, for people and their tools: diagnostic_msgs/DiagnosticArray once a second and for each fix."""
+"""How filter and inputs are, for people and their tools: diagnostic_msgs/DiagnosticArray, once a second."""
 from __future__ import annotations
+
+import math
+from collections import deque
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from ..filter.runs.tally import Tally
+from .inputs import Input
+
 _SECOND = 10**9  # ns
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 #: states of the filter in which all is as it should be
 GOOD_STATES = ('aligning', 'fusing')
 #: those without an estimate
 BEFORE_START = ('waiting', 'aligning')
+#: the node's own: the samples have stopped, so that there is no estimate any more
+SILENT = 'silent'
+_BAD_STATES = ('recovering', SILENT)
+#: a start that cannot be is a warning after so long, and an error after so long, s
+CANNOT_START_WARNING, CANNOT_START_ERROR = 5.0, 30.0
+#: of the messages of the last so many seconds a larger part refused is worth a warning
+RECENT, MUCH = 10, 0.1
+#: how fast a vehicle that nobody watches may change its speed, m/s^2, one sigma
+_UNKNOWN_ACCELERATION = 1.0
 _COMPONENTS = dict.fromkeys(('fix', 'velocity'), ('innovation_north', 'innovation_east'))
 
 
-def level_of(state: str) -> bytes:
-    """OK, WARN or ERROR for a state of the filter."""
-    if state in GOOD_STATES:
-        return DiagnosticStatus.OK
-    return DiagnosticStatus.ERROR if state == 'recovering' else DiagnosticStatus.WARN
+def level_of(state: str, cannot_start: float = 0.0) -> bytes:
+    """OK, WARN or ERROR for a state of the filter. cannot_start: s for which it has waited for what will not come."""
+    if state in _BAD_STATES or cannot_start > CANNOT_START_ERROR:
+        return ERROR
+    return OK if state in GOOD_STATES and cannot_start <= CANNOT_START_WARNING else WARN
 
 
-def diagnostics(stamp: int, name: str, state: str, since: float, health: dict, problem: str = '') -> DiagnosticArray:
-    """The filter's state for /diagnostics. stamp: ns. since: s that `state` has lasted. health: of the filter. problem:
-    what is wrong whatever the state."""
-    why = f": {health['status']}" if state in BEFORE_START else ''
-    why += f'; {problem}' if problem else ''
-    level = max(level_of(state), DiagnosticStatus.WARN if problem else DiagnosticStatus.OK)
-    status = DiagnosticStatus(level=level, name=f'{name}: filter', message=f'{state} for {since:.0f} s{why}',
-                              hardware_id=name, values=_key_values({**health, 'state for, s': since}))
-    return _array(stamp, [status])
+def filter_status(name: str, state: str, level: bytes, since: float, reasons: list[str], health: dict
+                  ) -> DiagnosticStatus:
+    """Of the filter. since: s that `state` has lasted. reasons: what there is to say of it, in words."""
+    lasted = f' for {since:.0f} s' if since >= 1.0 else ''
+    message = f"{state}{lasted}{': ' if reasons else ''}{'; '.join(reasons)}"
+    return DiagnosticStatus(level=level, name=f'{name}: filter', message=message, hardware_id=name,
+                            values=_key_values({**health, 'state': state, 'state for, s': since}))
+
+
+def by_the_clock(health: dict, silence: float) -> dict:
+    """`health` of a filter whose newest sample came `silence` s ago: what is older and less sure by now.
+
+    The vehicle goes on, at a speed that nobody watches.
+    """
+    grown = dict(health)
+    if 'age of the last fix used, s' in grown:
+        grown['age of the last fix used, s'] += silence
+    if 'position sigma, m' in grown:
+        grown['position sigma, m'] = math.hypot(grown['position sigma, m'], grown['speed sigma, m/s'] * silence,
+                                                0.5 * _UNKNOWN_ACCELERATION * silence**2)
+    return grown
+
+
+class InputStatus:
+    """The status of one input on /diagnostics, `look` once a second."""
+
+    def __init__(self, told: Input):
+        self.input, self.lost, self.waited = told, 0, 0.0
+        self._recent: deque[tuple[int, int]] = deque(maxlen=RECENT)
+        self._before = 0, 0
+
+    def look(self, tally: Tally) -> None:
+        """Take in what has come since the last call."""
+        total = self._used(tally), sum(tally.refused.values())
+        used, refused = (now - before for now, before in zip(total, self._before))
+        self._before = total
+        self._recent.append((used, refused) if used >= 0 and refused >= 0 else (0, 0))  # the filter began anew
+        self.lost, self.waited = self.input.traffic.look(self.input.publishers())
+
+    def _used(self, tally: Tally) -> int:
+        """The filter does not count the samples of the IMU, of which it takes nearly all."""
+        return self.input.traffic.count - sum(tally.refused.values()) if self.input.name == 'imu' else tally.used
+
+    def status(self, name: str, tally: Tally, problem: tuple[str, str] | None, more: dict) -> DiagnosticStatus:
+        """problem: level ('warning' or 'error') and text of what is wrong with it for certain."""
+        traffic = self.input.traffic
+        level, message = self._verdict(tally, problem)
+        values = {'topic': self.input.topic_name, 'type': self.input.kind, 'frame': traffic.frame_id,
+                  'messages': traffic.count, 'rate, Hz': traffic.hertz, 'silent for, s': traffic.silence,
+                  'delay, s': traffic.delay, 'lost': traffic.lost, 'waited in the queue, s': self.waited,
+                  'used': self._used(tally), **{f'refused, {reason}': n for reason, n in tally.refused.items()},
+                  'realised over claimed': tally.misfit, **more}
+        return DiagnosticStatus(level=level, name=f'{name}: {self.input.name}', message=message,
+                                hardware_id=self.input.topic_name, values=_key_values(values))
+
+    def _verdict(self, tally, problem) -> tuple[bytes, str]:
+        traffic = self.input.traffic
+        if traffic.is_stale:
+            return ERROR, (f'no message for {traffic.silence:.0f} s' if traffic.count else
+                           f'no message yet: {self.input.why_silent()}')
+        if not traffic.count:
+            return WARN, 'no message yet'
+        used, refused = (sum(column) for column in zip(*self._recent))
+        steadily = refused > 2 and not used
+        said = [f'{tally.reason}: all of the last {refused} refused'] if steadily else []
+        level = ERROR if steadily else OK
+        if not steadily and refused > MUCH * (used + refused):
+            said.append(f'{refused} of the last {used + refused} refused, the last one: {tally.reason}')
+            level = WARN
+        if self.lost:
+            said.append(f'{self.lost} messages lost in the last second')
+            level = max(level, WARN)
+        if problem is not None:
+            said.insert(0, problem[1])
+            level = max(level, ERROR if problem[0] == 'error' else WARN)
+        return level, '; '.join(said) or f'{traffic.hertz:.1f} Hz'
 
 
 def verdict(name: str, judged) -> DiagnosticArray:
@@ -38,17 +121,18 @@ def verdict(name: str, judged) -> DiagnosticArray:
     names = _COMPONENTS.get(judged.kind, ('innovation',))
     numbers = {'used': int(judged.used), 'weight': judged.weight, 'nis': judged.nis,
                **dict(zip(names, judged.innovation))}
-    level = DiagnosticStatus.OK if judged.used and judged.weight == 1.0 else DiagnosticStatus.WARN
+    level = OK if judged.used and judged.weight == 1.0 else WARN
     message = judged.reason if judged.used else f'refused: {judged.reason}'
     status = DiagnosticStatus(level=level, name=f'{name}: {judged.kind}', message=message, hardware_id=name,
                               values=_key_values(numbers))
-    return _array(judged.stamp, [status])
+    return array(judged.stamp, [status])
 
 
-def _array(stamp, statuses):
-    array = DiagnosticArray(status=statuses)
-    array.header.stamp.sec, array.header.stamp.nanosec = divmod(int(stamp), _SECOND)
-    return array
+def array(stamp: int, statuses: list[DiagnosticStatus]) -> DiagnosticArray:
+    """The message of `statuses`; stamp: ns."""
+    message = DiagnosticArray(status=statuses)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(stamp), _SECOND)
+    return message
 
 
 def _key_values(values):

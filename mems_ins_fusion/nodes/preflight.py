@@ -1,0 +1,84 @@
+"""One block of lines soon after the start: what comes in, how, and whether it is what the parameters say it is."""
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..navigation.earth import STANDARD_GRAVITY
+from ..navigation.frames import rotation_from_rpy
+from .inputs import Input
+
+#: the block comes so long after the first sample, where a fix has come, too, and so long after the start in any case, s
+AFTER_SAMPLE, AT_THE_LATEST = 5.0, 12.0
+#: stamps further from the node's clock are of another clock, s
+_OTHER_CLOCK = 1.0
+#: by how much gravity may differ from what an accelerometer shows, m/s^2, and from the vertical, rad: a slope, a turn
+_GRAVITY, _TILT = 1.5, math.radians(15.0)
+
+
+class Preflight:
+    """Says once what there is. inputs: of the node, the IMU and the fixes first."""
+
+    def __init__(self, inputs: Sequence[Input], values: dict):
+        self._inputs, self._values = inputs, values
+        self._began, self._sampled = time.monotonic(), None
+        self._done = False
+
+    def look(self, force: np.ndarray | None) -> tuple[str, str] | None:
+        """Once: level and text. force: (3,) mean specific force of the last second, m/s^2, sensor axes."""
+        now, (imu, fix) = time.monotonic(), self._inputs[:2]
+        if self._sampled is None and imu.traffic.count:
+            self._sampled = now
+        ripe = self._sampled is not None and fix.traffic.count and now - self._sampled > AFTER_SAMPLE
+        if self._done or not (ripe or now - self._began > AT_THE_LATEST):
+            return None
+        self._done = True
+        lines = [(f'{i.topic_name} ({i.name})', *self._input(i)) for i in self._inputs]
+        if force is not None:
+            lines += [('units', *_units(force)), ('mounting', *self._mounting(force))]
+        lines.append(('clocks', *self._clocks()))
+        width = max(len(line[0]) for line in lines)
+        text = '\n'.join(f'  {what:{width}s}  {seen}: {advice or "fine"}' for what, seen, advice in lines)
+        wrong = sum(bool(advice) for *_, advice in lines)
+        return ('warning' if wrong else 'info',
+                f'what comes in ({f"{wrong} to look at" if wrong else "all fine"}):\n{text}')
+
+    def _input(self, told: Input) -> tuple[str, str]:
+        traffic = told.traffic
+        if not traffic.count:
+            return told.kind, f'no message: {told.why_silent()}'
+        seen = f"{told.kind}, {traffic.hertz:.1f} Hz, frame '{traffic.frame_id}', stamps {traffic.delay:.3f} s old"
+        if told.name == 'imu' and traffic.hertz < 20.0:
+            return seen, 'an IMU needs 20 Hz or more'
+        return seen, told.qos_problem()
+
+    def _mounting(self, force) -> tuple[str, str]:
+        declared = self._values['imu.mounting_rpy']
+        up = rotation_from_rpy(*declared)[2] @ force / np.linalg.norm(force)
+        tilt = math.acos(max(-1.0, min(1.0, float(up))))
+        return (f'imu.mounting_rpy {declared}, gravity {math.degrees(tilt):.0f} deg from the vertical',
+                'set imu.mounting_rpy (`configure` finds it from a recording)' if tilt > _TILT else '')
+
+    def _clocks(self) -> tuple[str, str]:
+        imu, fix = (told.traffic.delay for told in self._inputs[:2])
+        if math.isnan(imu) or math.isnan(fix):
+            return 'nothing to compare', 'no samples, or no fixes'
+        difference = fix - imu + self._values['gnss.time_offset']
+        seen = f"stamps of the fixes are {difference:.3f} s older than the IMU's when they arrive"
+        if not -0.1 < difference < self._values['gnss.max_delay']:
+            return seen, 'the clocks differ: set gnss.time_offset (`configure` finds it), or synchronize them'
+        if abs(imu) > _OTHER_CLOCK:
+            seen += f"; all are {abs(imu):.3g} s {'behind' if imu > 0 else 'ahead of'} the node's own clock"
+            if self._values['predict_to_now']:
+                return seen, 'predict_to_now needs stamps of the node\'s clock (use_sim_time with a recording)'
+        return seen, ''
+
+
+def _units(force) -> tuple[str, str]:
+    size = float(np.linalg.norm(force))
+    advice = '' if abs(size - STANDARD_GRAVITY) < _GRAVITY else (
+        "set imu.acceleration_unit to 'g'" if abs(size - 1.0) < 0.2 else 'a wrong unit, or a scale error')
+    return f'linear_acceleration is {size:.2f} m/s^2, gravity included', advice
