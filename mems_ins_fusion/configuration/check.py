@@ -1,4 +1,7 @@
-"""Whether an IMU sits as the parameters say: what a wrong mounting looks like, in plain words."""
+"""Whether a recording fits the parameters it is to be filtered with: mounting, time offset, antenna.
+
+The same estimates as those of `configure`, for whoever reads a recording, and for the live node.
+"""
 from __future__ import annotations
 
 import math
@@ -6,24 +9,43 @@ import math
 import numpy as np
 
 from mems_ins_fusion.configuration.mounting import Mounting, estimate_mounting
+from mems_ins_fusion.configuration.offset import Offset
+from mems_ins_fusion.filter.runs.usable import usable_fixes, usable_samples
 from mems_ins_fusion.navigation.earth import gravity
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters.params_file import yaml_value
-from mems_ins_fusion.recordings.checker import ERROR, WARNING, Finding
-from mems_ins_fusion.recordings.motion import valid_fixes
+from mems_ins_fusion.recordings.checker import ERROR, INFO, WARNING, Finding, check_recording
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
 SURE = 4.0  # sigmas
+LOOKED_AT = 1200.0  # s: how an IMU is mounted shows in this part of a drive
 _SMALL_YAW, _SMALL_TILT = math.radians(3.0), math.radians(5.0)  # less is for the filter to find
-_LARGE = math.radians(30.0)
+LARGE = math.radians(30.0)  # a mounting that is off by more is an error
+_BACKWARDS = math.radians(150.0)
+FASTEST_IN_REVERSE = 8.0  # m/s: a vehicle that goes faster than this goes forwards
+_SMALL_OFFSET, _SMALL_ARM = 0.05, 0.3  # s, m
+_VAGUE_ARM = 0.3  # m: an arm with a larger sigma says nothing
 
 
-def check_mounting(recording: Recording, values: dict) -> list[Finding]:
-    """What speaks against `imu.mounting_rpy` in `recording` (SI units): no finding, or one that says what to set.
+def check(recording: Recording, values: dict) -> list[Finding]:
+    """All that is wrong or remarkable with `recording` (SI units): by itself, and against the checked parameters
+    `values`. An ERROR says that the recording gives no sensible result with these parameters."""
+    findings = check_recording(recording, values)
+    if any(finding.severity == ERROR for finding in findings):
+        return findings  # mounting and offset stand on sensors that are right
+    return [*findings, *check_setup(recording, values)]
 
-    values: checked parameters. Where the recording shows too little, nothing is said.
+
+def check_setup(recording: Recording, values: dict) -> list[Finding]:
+    """Mounting, time offset and antenna that `recording` shows, beside what `values` say of them.
+
+    Where the recording shows too little of something, nothing is said of it.
     """
-    return mounting_findings(recording.imu, recording.gnss, values['imu.mounting_rpy'])
+    imu, fixes = _usable(recording, values)
+    if fixes is None or len(imu) < 2:
+        return _mounting(imu, fixes, values['imu.mounting_rpy'])[0]
+    findings, found = _mounting(imu, fixes, values['imu.mounting_rpy'])
+    return [*findings, *_check_offset(found, values)]
 
 
 def mounting_findings(imu: ImuSamples, fixes: Fixes | None, mounting_rpy, lag: float | None = None) -> list[Finding]:
@@ -33,14 +55,64 @@ def mounting_findings(imu: ImuSamples, fixes: Fixes | None, mounting_rpy, lag: f
     With a lag, two minutes at 100 Hz take about 50 ms of CPU: for now and then, not for each fix. Tells an IMU that is
     not upright from gravity alone, a wrong yaw only after some turns or changes of speed, and is silent till then.
     """
+    return _mounting(imu, fixes, mounting_rpy, lag)[0]
+
+
+def _usable(recording: Recording, values: dict) -> tuple[ImuSamples, Fixes | None]:
+    """The samples and fixes of the first LOOKED_AT that can be looked at; None without such fixes."""
+    imu = usable_samples(recording.imu, values['imu.max_specific_force'], values['imu.max_angular_rate'])
+    if recording.gnss is None or not len(imu):
+        return imu, None
+    fixes, end = usable_fixes(recording.gnss), imu.stamp[0] + round(LOOKED_AT * 1e9)
+    fixes = fixes.select(fixes.stamp < end)
+    overlap = len(fixes) > 1 and imu.stamp[-1] > fixes.stamp[0] and imu.stamp[0] < fixes.stamp[-1]
+    return imu.select(imu.stamp < end), fixes if overlap else None
+
+
+def _mounting(imu, fixes, mounting_rpy, lag=None) -> tuple[list[Finding], Mounting | None]:
+    imu = usable_samples(imu)
     if fixes is not None:
-        fixes = fixes.select(valid_fixes(fixes))
+        fixes = usable_fixes(fixes)
     if len(imu) < 2:
-        return []
+        return [], None
     there = {} if fixes is None or not len(fixes) else {
         'gravity': float(gravity(fixes.latitude[0], fixes.height[0]))}
     found = estimate_mounting(imu, fixes, lag=lag, **there)
-    return [] if found is None else _compare(found, rotation_from_rpy(*mounting_rpy))
+    return ([], None) if found is None else (_compare(found, rotation_from_rpy(*mounting_rpy)), found)
+
+
+def _check_offset(found: Mounting | None, values: dict):
+    """What the parameters leave of time offset and arm."""
+    offset = found.offset if found is not None else None
+    if offset is None or not offset.shown:
+        yield Finding(INFO, 'imu/gnss', 'turns and changes of speed too few, or fixes too noisy, to see an offset of '
+                      'the clocks')
+        return
+    declared = values['gnss.time_offset']
+    left = offset.lag - declared
+    seen = {'lag_s': offset.lag, 'sigma_s': offset.lag_sigma, 'left_s': left, 'arm_m': offset.arm.tolist(),
+            'arm_sigma_m': offset.arm_sigma.tolist(), 'rivals_s': list(offset.rivals)}
+    size = f'{abs(left):.3f} s {"late" if left > 0 else "early"} (sigma {offset.lag_sigma:.3f} s)'
+    beside = f' beside gnss.time_offset {declared:g} s' if declared else ''
+    if abs(left) > max(SURE * offset.lag_sigma, _SMALL_OFFSET):
+        yield Finding(WARNING, 'imu/gnss', f'against the IMU the fixes are {size}{beside}: a clock offset, see '
+                      f'gnss.time_offset, which would be {offset.lag:.2f}', seen)
+    else:
+        what = f'what is left of the time offset{beside}: {left:.3f} +- {offset.lag_sigma:.3f} s' if declared else \
+            f'no clock offset to be seen: {left:.3f} +- {offset.lag_sigma:.3f} s'
+        yield Finding(INFO, 'imu/gnss', what, seen)
+    yield from _check_arm(offset, np.asarray(values['gnss.lever_arm'], dtype=float))
+
+
+def _check_arm(offset: Offset, declared: np.ndarray):
+    known = offset.arm_sigma < _VAGUE_ARM
+    away = np.abs(offset.arm - declared)
+    if (known & (away > np.maximum(SURE * offset.arm_sigma, _SMALL_ARM))).any():
+        words = ', '.join(f'{arm:.2f} +- {sigma:.2f} m {name}' for arm, sigma, name, there in zip(
+            offset.arm, offset.arm_sigma, ('forward', 'left', 'up'), known) if there)
+        yield Finding(WARNING, 'gnss', f'from the IMU to the antenna it is {words}, where gnss.lever_arm says '
+                      f'{yaml_value([float(x) for x in declared])}',
+                      {'arm_m': offset.arm.tolist(), 'arm_sigma_m': offset.arm_sigma.tolist()})
 
 
 def _compare(found: Mounting, declared: np.ndarray) -> list[Finding]:
@@ -58,10 +130,18 @@ def _compare(found: Mounting, declared: np.ndarray) -> list[Finding]:
         [_yaw_in_words(yaw, float(found.sigma[2]))] if turned else [])
     known = '' if found.yaw_known else ' (yaw 0: too few turns and changes of speed to see it)'
     advice = f'set imu.mounting_rpy to {yaml_value([round(float(angle), 4) for angle in found.rpy])}{known}'
-    severity = ERROR if (tilted and tilt > _LARGE) or (turned and abs(yaw) > _LARGE) else WARNING
+    severity = ERROR if (tilted and tilt > LARGE) or (turned and abs(yaw) > LARGE) else WARNING
     return [Finding(severity, 'imu', f'the IMU seems to be mounted {" and ".join(words)}: {advice}',
                     {'tilt': tilt, 'tilt_sigma': tilt_sigma, 'yaw': yaw if found.yaw_known else None,
-                     'yaw_sigma': float(found.sigma[2]), 'mounting_rpy': found.rpy.tolist()})]
+                     'yaw_sigma': float(found.sigma[2]), 'mounting_rpy': found.rpy.tolist(),
+                     'certain': severity == ERROR and (tilt > LARGE or not _may_reverse(found, yaw))})]
+
+
+def _may_reverse(found: Mounting, yaw: float) -> bool:
+    """Whether a nose that points backwards may be that of a vehicle that goes backwards: it was never faster than one
+    does that."""
+    return abs(yaw) > _BACKWARDS and (found.spans is None or float(
+        np.percentile(np.abs(found.spans.speed), 95)) < FASTEST_IN_REVERSE)
 
 
 def _tilt_in_words(tilt, sigma) -> str:
@@ -74,7 +154,7 @@ def _tilt_in_words(tilt, sigma) -> str:
 
 
 def _yaw_in_words(yaw, sigma) -> str:
-    if abs(yaw) > math.radians(150.0):
+    if abs(yaw) > _BACKWARDS:
         return 'backwards'
     side = 'left' if yaw > 0 else 'right'
     return (f'turned to the {side} by {abs(math.degrees(yaw)):.0f} +- {math.degrees(sigma):.1f} deg against what '

@@ -2,27 +2,34 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from mems_ins_fusion.configuration.mounting import BIAS_SIGMA, SHOWN, UNKNOWN, Mounting, deviation, estimate_mounting
 from mems_ins_fusion.configuration.noise import Noise, find_noise
+from mems_ins_fusion.configuration.offset import together
 from mems_ins_fusion.configuration.receiver import Receiver, assess_receiver
+from mems_ins_fusion.configuration.regression import weighted
 from mems_ins_fusion.configuration.topics import Candidate, Topics, find_topics
 from mems_ins_fusion.configuration.units import Units, find_units
 from mems_ins_fusion.configuration.vehicle import Vehicle, assess_vehicle
+from mems_ins_fusion.filter.runs.usable import usable
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.navigation.earth import gravity as gravity_at
-from mems_ins_fusion.parameters.table import defaults
+from mems_ins_fusion.parameters.parameter import ParameterError
+from mems_ins_fusion.parameters.table import ALL, defaults
 from mems_ins_fusion.recordings.checker import INFO, Finding, check_recording
 from mems_ins_fusion.recordings.errors import RecordingError
-from mems_ins_fusion.recordings.motion import find_standstill, valid_fixes
+from mems_ins_fusion.recordings.motion import find_standstill
 from mems_ins_fusion.recordings.several import refuse_twice
+from mems_ins_fusion.recordings.sketch import sketch
 from mems_ins_fusion.recordings.units import in_si
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
-_SIGNIFICANT = 3.0  # sigmas of a time offset that is worth correcting
+_SIGNIFICANT = 2.0  # sigmas: a smaller value is not set
+_READY_OFFSET, _READY_ANGLE = 0.1, math.radians(3.0)  # s, rad: who may be off by more is not ready to drive
 _TOO_SURE = 2.0  # times its stated sigma: a receiver that is not believed
 _OUTLIERS = 0.002  # part of the fixes
 _ROBUST = 3.0  # gnss.robust_sigma where there are outliers
@@ -78,7 +85,7 @@ def configure(paths, progress=lambda part, what: None) -> Configuration:
 
     The topics are those of the first recording. RecordingError where one cannot be used.
     """
-    topics, drives = None, []
+    topics, drives, fixes = None, [], []
     for i, path in enumerate(paths):
         progress(i / len(paths), 'reading')
         found = find_topics(path)
@@ -86,13 +93,35 @@ def configure(paths, progress=lambda part, what: None) -> Configuration:
         imu = _same(found.imu, topics.imu[0].topic, path)
         gnss = _same(found.gnss, topics.gnss[0].topic, path) if topics.gnss else None
         progress((i + 0.5) / len(paths), 'looking')
-        drives.append(_look(path, imu.samples, gnss.samples if gnss else None))
+        fixes.append(gnss.samples if gnss else None)
+        drives.append(look(path, imu.samples, fixes[-1]))
         for other in drives[:-1]:
             refuse_twice(drives[-1], other)
-    mounting = _together([drive.mounting for drive in drives if drive.mounting is not None])
     progress(1.0, 'done')
-    return Configuration(tuple(_settings(topics, drives, mounting)), topics, tuple(drives), mounting,
-                         tuple(_missing(topics, drives, mounting)), tuple(_wrong(drives)))
+    return configured(topics, drives, fixes)
+
+
+def configured(topics: Topics, drives: Sequence[Drive], fixes: Sequence[Fixes | None]) -> Configuration:
+    """The parameters of the vehicle that `drives` show together. fixes: of each, as recorded."""
+    mounting = _together([drive.mounting for drive in drives if drive.mounting is not None])
+    settings, beyond = _possible([*_settings(topics, drives, mounting),
+                                  Setting('fitted_to', sketch(fixes),
+                                          ['hashes of the recordings that the values are from'])])
+    return Configuration(tuple(settings), topics, tuple(drives), mounting,
+                         tuple(_missing(topics, drives, mounting)), (*_wrong(drives), *beyond))
+
+
+def _possible(found: Iterable[Setting]) -> tuple[list[Setting], list[str]]:
+    """The settings that can be set, and what is wrong with the others: a recording may show what no vehicle does."""
+    settings, beyond = [], []
+    for setting in found:
+        try:
+            ALL[setting.name].check(setting.value)
+        except ParameterError as error:
+            beyond.append(f'{error}; not set')
+        else:
+            settings.append(setting)
+    return settings, beyond
 
 
 def _same(candidates, topic, path) -> Candidate:
@@ -103,15 +132,15 @@ def _same(candidates, topic, path) -> Candidate:
     return match[0]
 
 
-def _look(path, imu: ImuSamples, fixes: Fixes | None) -> Drive:
+def look(path, imu: ImuSamples, fixes: Fixes | None) -> Drive:
     """All that one recording shows."""
     name = str(path)
-    good = fixes.select(valid_fixes(fixes)) if fixes is not None else None
-    good = good.select(np.argsort(good.stamp, kind='stable')) if good is not None and len(good) > 1 else None
-    finite = np.isfinite(imu.specific_force).all(axis=1) & np.isfinite(imu.angular_rate).all(axis=1)
-    if finite.sum() < 2 or np.ptp(imu.stamp) <= 0:
-        raise RecordingError(f'{name}: the IMU has no samples that could be used (numbers with advancing stamps)')
-    whole, imu = imu, imu.select(finite)
+    seen = usable(Recording(name, imu, fixes))
+    good = seen.gnss if seen.gnss is not None and len(seen.gnss) > 1 else None
+    if len(seen.imu) < 2:
+        raise RecordingError(f'{name}: the IMU has no samples that could be used (numbers '
+                             'within range, gyroscopes that show more than zero, advancing stamps)')
+    whole, imu = imu, seen.imu
     seconds = float(np.ptp(imu.stamp)) * 1e-9
     gravity = float(gravity_at(good.latitude[0], good.height[0])) if good is not None else STANDARD_GRAVITY
     units = find_units(imu, good, gravity)
@@ -119,7 +148,7 @@ def _look(path, imu: ImuSamples, fixes: Fixes | None) -> Drive:
     findings = check_recording(Recording(name, in_si(whole, units.acceleration, units.rate), fixes))
     still = find_standstill(imu, good)
     found = estimate_mounting(imu, good, gravity)
-    receiver = assess_receiver(fixes, imu, still, found) if good is not None else None
+    receiver = assess_receiver(good, imu, still, found) if good is not None else None
     noise = receiver.realised if receiver is not None else None
     vehicle = assess_vehicle(imu, still, found, noise or 1.0)
     return Drive(name, imu, good, still, seconds, units, found, find_noise(imu, still), receiver, vehicle,
@@ -135,24 +164,15 @@ def _together(found: list[Mounting]) -> Mounting | None:
                      else np.zeros(3) for mounting in found])
     sigma = np.array([mounting.sigma for mounting in found])
     sigma[:, 2] = np.where(sigma[:, 2] < SHOWN, sigma[:, 2], 1e3)
-    rotation, rotation_sigma = _weighted(away, sigma)
+    rotation, rotation_sigma = weighted(away, sigma)
     from scipy.spatial.transform import Rotation
 
-    lag, lag_sigma = _weighted(np.array([m.lag for m in found]), np.array([min(m.lag_sigma, 1e3) for m in found]))
-    arms = {name: _weighted(np.array([getattr(m, name)[0] for m in found]),
-                            np.array([min(getattr(m, name)[1], 1e3) for m in found])) for name in ('antenna', 'imu')}
-    bias, bias_sigma = _weighted(np.array([m.bias for m in found]), np.array([[m.bias_sigma] * 3 for m in found]))
+    bias, bias_sigma = weighted(np.array([m.bias for m in found]), np.array([[m.bias_sigma] * 3 for m in found]))
     rotation_sigma[2] = min(rotation_sigma[2], UNKNOWN)
     return replace(best, rotation=Rotation.from_rotvec(rotation).as_matrix() @ best.rotation, sigma=rotation_sigma,
-                   lag=float(lag), lag_sigma=float(lag_sigma), bias=bias, bias_sigma=float(bias_sigma.max()),
-                   **{name: (float(arm), float(sigma)) for name, (arm, sigma) in arms.items()})
-
-
-def _weighted(values, sigmas):
-    information = 1.0 / np.maximum(sigmas, 1e-6) ** 2
-    mean = (information * values).sum(axis=0) / information.sum(axis=0)
-    spread = (information * (values - mean) ** 2).sum(axis=0) / (len(values) - 1)
-    return mean, np.sqrt(np.maximum(spread, 1.0) / information.sum(axis=0))
+                   offset=together([m.offset for m in found if m.offset is not None]), bias=bias,
+                   bias_sigma=float(bias_sigma.max()), imu=tuple(float(x) for x in weighted(
+                       np.array([m.imu[0] for m in found]), np.array([min(m.imu[1], 1e3) for m in found]))))
 
 
 def _settings(topics: Topics, drives, mounting):
@@ -217,20 +237,32 @@ def _degrees(angle, sigma) -> str:
 
 
 def _offset_settings(found: Mounting):
-    if found.lag_sigma < 0.3:
-        shown = abs(found.lag) > _SIGNIFICANT * found.lag_sigma
-        seen = f'by changes of speed and turns {found.lag:.3f} +- {found.lag_sigma:.3f} s'
-        yield Setting('gnss.time_offset', round(found.lag, 3) if shown else 0.0,
-                      (seen if shown else f'{seen}: not significant, left at zero',))
+    offset = found.offset
+    if offset is None or not offset.shown:
+        why = 'not shown' if offset is None else f'{offset.lag:.1f} +- {offset.lag_sigma:.1f} s: as good as not shown'
+        yield Setting('gnss.time_offset', 0.0, (why,))
     else:
-        yield Setting('gnss.time_offset', 0.0, ('not shown',))
-    ahead, sigma = found.antenna[0] - found.imu[0], math.hypot(found.antenna[1], found.imu[1])
-    known = sigma < _ARM_SHOWN
-    seen = (f'forward: antenna {found.antenna[0]:.1f} +- {found.antenna[1]:.1f} m, IMU {found.imu[0]:.1f} +- '
-            f'{found.imu[1]:.1f} m ahead of the rear axle') if math.isfinite(sigma) else 'not shown'
-    yield Setting('gnss.lever_arm', [round(ahead, 1) + 0.0 if known else 0.0, 0.0, 0.0],
-                  (seen + ('' if known or not math.isfinite(sigma) else ': too vague, left at zero'),
-                   'measure it with a tape; left and up are not shown'))
+        seen = f'by the track between fixes {offset.lag:.3f} +- {offset.lag_sigma:.3f} s, with the arm unknown'
+        if offset.rivals:
+            seen += f'; {" or ".join(f"{rival:g}" for rival in offset.rivals)} s would fit nearly as well'
+        sure = _is_sure(offset.lag, offset.lag_sigma)
+        yield Setting('gnss.time_offset', round(offset.lag, 3) if sure else 0.0,
+                      (seen if sure else f'{seen}: less than {_SIGNIFICANT:g} sigma, left at zero',))
+    if offset is None:
+        yield Setting('gnss.lever_arm', [0.0, 0.0, 0.0], ('not shown; measure it with a tape',))
+        return
+    known = [sigma < _ARM_SHOWN and _is_sure(arm, sigma) for arm, sigma in zip(offset.arm, offset.arm_sigma)]
+    seen = ', '.join(f'{arm:.2f} +- {sigma:.2f}' for arm, sigma in zip(offset.arm, offset.arm_sigma))
+    left = '' if all(known) else (f'; what is not known to {_ARM_SHOWN:g} m, or less than {_SIGNIFICANT:g} sigma, is '
+                                  'left at zero')
+    arm = [round(float(part), 2) + 0.0 if there else 0.0 for part, there in zip(offset.arm, known)]
+    yield Setting('gnss.lever_arm', arm, (
+        f'from the IMU to the antenna {seen} m forward, left, up{left}', 'a tape is better'))
+
+
+def _is_sure(value: float, sigma: float) -> bool:
+    """Whether a value is better than zero for certain."""
+    return bool(abs(value) > _SIGNIFICANT * sigma)
 
 
 def _receiver_settings(receivers: list[Receiver]):
@@ -315,22 +347,28 @@ def _missing(topics, drives, mounting):
     if mounting is None or not mounting.yaw_known:
         yield ('the yaw of the mounting is not shown: record a drive with a right-angled turn, some braking and '
                'some speeding up')
-    elif math.degrees(mounting.sigma[2]) > 3.0:
-        yield (f'the yaw of the mounting is known to {math.degrees(mounting.sigma[2]):.0f} deg only: more turns and '
-               'changes of speed would tell')
+    elif 2.0 * mounting.sigma.max() > _READY_ANGLE:
+        axis = int(np.argmax(mounting.sigma))
+        yield (f'the {("roll", "pitch", "yaw")[axis]} of the mounting is known to '
+               f'{math.degrees(mounting.sigma[axis]):.1f} deg only: more turns and changes of speed would tell')
     if mounting is not None and not any(drive.still.any() for drive in drives):
         yield 'no standstill: noise is an upper limit, and the gyroscopes\' biases are left at zero'
     if all(drive.units.steering is None for drive in drives):
         yield f'no turn tells the unit of the gyroscopes; {drives[0].units.rate} is taken'
-    if mounting is not None and mounting.lag_sigma >= 0.3:
+    offset = mounting.offset if mounting is not None else None
+    if offset is None or not offset.shown:
         yield 'the time offset between IMU and fixes is not shown'
+    else:
+        sure = _is_sure(offset.lag, offset.lag_sigma)
+        if (0.0 if sure else abs(offset.lag)) + 2.0 * offset.lag_sigma > _READY_OFFSET:
+            yield (f'the time offset between IMU and fixes is {offset.lag:.2f} +- {offset.lag_sigma:.2f} s'
+                   + ('' if sure else ', set to zero') + ': more turns and changes of speed, or diagnose, would tell')
 
 
 def _wrong(drives):
     """What is wrong with the recordings, each once."""
     said = [doubt for drive in drives for doubt in drive.units.doubts]
-    said += [f'{finding.topic}: {finding.message}' for drive in drives for finding in drive.findings
-             if 'gnss.time_offset' not in finding.message]
+    said += [f'{finding.topic}: {finding.message}' for drive in drives for finding in drive.findings]
     units = {(drive.units.acceleration, drive.units.rate) for drive in drives}
     if len(units) > 1:
         said.append('the recordings are in different units; those of the first are written')

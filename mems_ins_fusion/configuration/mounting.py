@@ -10,7 +10,7 @@ The equations: docs/configure.md.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,28 +22,24 @@ from mems_ins_fusion.configuration.kinematics import (
     fix_intervals,
     spans,
 )
-from mems_ins_fusion.configuration.regression import Fit, blocks, fit, jackknife, ratio
+from mems_ins_fusion.configuration.offset import LARGEST, Offset, estimate_offset
+from mems_ins_fusion.configuration.regression import Fit, blocks, fit, jackknife, weighted
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.motion import find_standstill, robust_sigma
 from mems_ins_fusion.samples import Fixes, ImuSamples, runs
 
-LARGEST_LAG = 1.0  # s between the clocks of IMU and fixes, searched on both sides
 BIAS_SIGMA = 0.2  # m/s^2: a consumer accelerometer's turn-on bias, which tilts gravity
 SLOPE_SIGMA = math.radians(1.5)  # of the place where a vehicle stands
 TURN_TILT_SIGMA = math.radians(1.5)  # by how much a road's tilt changes over a right-angled turn
 AXES_SIGMA = math.radians(0.3)  # to which the axes of a MEMS sensor are at right angles
 UNKNOWN = math.pi / math.sqrt(3.0)  # standard deviation of an angle that may be anything
 SHOWN = math.radians(20.0)  # a larger sigma of the yaw is none
-_ARM_SIGMA = 1.5  # m: how far IMU and antenna are from the rear axle, before anything is known
-_SIDEWAYS = 0.1  # m/s: what a sideways velocity is good to, for seconds
-_SLIP = 0.01  # rad per m/s^2: sideslip
-_NUDGE = 0.05  # s, of the lag
+_ARM_SIGMA = 1.5  # m: how far the IMU is from the rear axle, before anything is known
+_ROUGH = 0.4  # s: steps of a first search for the time offset, less than a change of speed takes
 _HARDEST = 8.0  # m/s^2: spans with more are errors of the receiver
 _QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # turns right into forward
 _SLOWEST = 0.5  # m/s: what counts as driving
 _FEWEST_SPANS = 15
-LAG_FLOOR = 0.03  # s: suspension and tyres follow what the fixes and the gyroscopes show, with a delay
-LAG_SHOWN = 0.3  # s: a larger sigma of the time offset is none
 _SMALLEST_GAIN = 0.6  # specific force per change of speed
 _LARGEST_GAIN = 1.5
 _USABLE = 0.6  # rad: a way to the yaw with a larger sigma is none
@@ -67,8 +63,8 @@ class Mounting:
 
     rotation: (3, 3). sigma: (3,) rad, of small rotations about forward, left and up; UNKNOWN where nothing shows it.
     level, heading: the evidence for the up axis (angles about forward and left) and for the yaw (about up).
-    lag, lag_sigma: s, as `gnss.time_offset`; infinite sigma where the drive does not show it.
-    antenna: m, (value, sigma) of its distance ahead of the rear axle. imu: the same of the IMU.
+    offset: time offset and antenna; None where the drive shows nothing of them, or where the offset was given.
+    imu: m, (value, sigma) of its distance ahead of the rear axle.
     bias: (3,) m/s^2, of the accelerometers in sensor axes, beyond what tilt explains, and bias_sigma.
     gain: specific force per change of speed or speed times turn rate: one, and some suspension. driven: s in motion.
     turned: rad, sum of the turns. spans: what the estimate was made of, or None.
@@ -78,9 +74,7 @@ class Mounting:
     sigma: np.ndarray
     level: tuple[Evidence, ...] = ()
     heading: tuple[Evidence, ...] = ()
-    lag: float = 0.0
-    lag_sigma: float = math.inf
-    antenna: tuple[float, float] = (0.0, math.inf)
+    offset: Offset | None = None
     imu: tuple[float, float] = (0.0, math.inf)
     bias: np.ndarray = field(default_factory=lambda: np.zeros(3))
     bias_sigma: float = math.inf
@@ -88,6 +82,15 @@ class Mounting:
     driven: float = 0.0
     turned: float = 0.0
     spans: Spans | None = None
+
+    @property
+    def lag(self) -> float:
+        """The time offset, s; 0 where it is not shown."""
+        return self.offset.lag if self.offset is not None and self.offset.shown else 0.0
+
+    @property
+    def lag_sigma(self) -> float:
+        return self.offset.lag_sigma if self.offset is not None else math.inf
 
     @property
     def rpy(self) -> np.ndarray:
@@ -132,14 +135,30 @@ def estimate_mounting(imu: ImuSamples, fixes: Fixes | None = None, gravity: floa
     rests = _rests(imu, find_standstill(imu, fixes))
     while intervals is not None:
         level = _levelled(inertial, intervals, up)
-        offset = _best_lag(inertial, intervals, level) if lag is None else (lag, 0.0, (0.0, math.inf))
-        motion = _explain(inertial, intervals, level, offset[0])
+        at = _rough_lag(inertial, intervals, level) if lag is None else lag
+        motion = _explain(inertial, intervals, level, at)
         longer = 2.0 * intervals.length
         if motion is not None and (motion.gain > _SMALLEST_GAIN or longer > LONGEST):
-            return _assemble(motion, rests, level, gravity, *offset)
+            found = _assemble(motion, rests, level, gravity)
+            if lag is not None or not found.yaw_known:
+                return found
+            offset = estimate_offset(imu, fixes, found.rotation)
+            if offset is None or not offset.shown:
+                return replace(found, offset=offset)
+
+            def mounted(lag, level=level, intervals=intervals):
+                motion = _explain(inertial, intervals, level, lag)
+                return _assemble(motion, rests, level, gravity) if motion is not None else found
+            return _with_offset(mounted(offset.lag), mounted(offset.lag + offset.lag_sigma), offset)
         # in longer intervals the receiver's noise hides less of the changes of speed
         intervals = fix_intervals(fixes, longer) if longer < 2.0 * LONGEST else None
     return _at_rest(rests, up, gravity)
+
+
+def _with_offset(found: Mounting, later: Mounting, offset: Offset) -> Mounting:
+    """`found` with the sigma of the time offset in its own: by how much it turns where that is a sigma `later`."""
+    turned = deviation(later.rotation, found.rotation) if later.yaw_known and found.yaw_known else np.zeros(3)
+    return replace(found, sigma=np.hypot(found.sigma, turned), offset=offset)
 
 
 def _first_up(inertial: InertialIntegrals, intervals: FixIntervals | None, gravity) -> np.ndarray | None:
@@ -207,21 +226,10 @@ def _levelled(inertial, intervals, up):
     return up
 
 
-def _best_lag(inertial, intervals, up):
-    """Time offset and sigma that explain specific force and course best, and the arm of the antenna with its sigma."""
-    lags = np.arange(-LARGEST_LAG, LARGEST_LAG + 0.01, 0.2)
-    lag = float(lags[np.argmin([_cost(_explain(inertial, intervals, up, lag)) for lag in lags])])
-    sigma, antenna = math.inf, (0.0, math.inf)
-    for _ in range(3):
-        around = [_explain(inertial, intervals, up, lag + shift) for shift in (-_NUDGE, 0.0, _NUDGE)]
-        if any(motion is None for motion in around):
-            return 0.0, math.inf, antenna
-        steered, antenna = _steering(around[1])
-        steps = np.array([_forced_lag(*around), steered])
-        steps[:, 1] = np.hypot(steps[:, 1], LAG_FLOOR)
-        step, sigma = _combine(*steps.T)
-        lag = float(np.clip(lag + np.clip(step, -0.2, 0.2), -1.2 * LARGEST_LAG, 1.2 * LARGEST_LAG))
-    return (lag if sigma < LAG_SHOWN else 0.0), float(sigma), antenna
+def _rough_lag(inertial, intervals, up) -> float:
+    """The time offset that explains the specific force best, to some tenths of a second."""
+    lags = np.arange(-LARGEST, LARGEST + 0.01, _ROUGH)
+    return float(lags[np.argmin([_cost(_explain(inertial, intervals, up, lag)) for lag in lags])])
 
 
 def _cost(motion: _Motion | None) -> float:
@@ -229,34 +237,6 @@ def _cost(motion: _Motion | None) -> float:
     if motion is None:
         return math.inf
     return float(motion.fit.weight @ (motion.fit.residual**2).sum(axis=1) / motion.fit.weight.sum())
-
-
-def _forced_lag(before: _Motion, here: _Motion, after: _Motion) -> tuple[float, float]:
-    """What to add to the lag by the specific force, and its sigma: a Gauss-Newton step between two nudges."""
-    stamps = [motion.spans.stamp[motion.moving] for motion in (before, here, after)]
-    common = stamps[1][np.isin(stamps[1], stamps[0]) & np.isin(stamps[1], stamps[2])]
-    at = [np.searchsorted(stamp, common) for stamp in stamps]
-    slope = (after.fit.residual[at[2]] - before.fit.residual[at[0]]) / (2.0 * _NUDGE)
-    projected = here.fit.weight[at[1], None] * slope @ np.linalg.inv(here.fit.covariance)
-    step, sigma = ratio((projected * here.fit.residual[at[1]]).sum(axis=1), (projected * slope).sum(axis=1),
-                        here.block[at[1]])
-    return -step, sigma
-
-
-def _steering(motion: _Motion):
-    """What to add to the lag by the course, with sigma, and how far the antenna is ahead of the rear axle, with sigma.
-
-    A lag moves the antenna sideways by speed times turn rate, an arm by the turn rate.
-    """
-    drive = motion.spans
-    design = np.column_stack([drive.speed * drive.turn, drive.turn, drive.speed * drive.centripetal,
-                              np.ones(len(drive.time))])[motion.moving]
-    prior = np.array([LARGEST_LAG, _ARM_SIGMA, _SLIP, 1e4]) / _SIDEWAYS
-    found = fit(design, drive.sideways[motion.moving, None], prior, motion.block)
-    # what the prior decides, the stretches agree upon
-    sigma = np.hypot(jackknife(found.left_out)[:, 0], _SIDEWAYS * found.posterior)
-    arm = 1.0 / math.hypot(1.0 / max(sigma[1], 1e-3), 1.0 / _ARM_SIGMA)
-    return (-float(found.solution[0, 0]), float(sigma[0])), (float(found.solution[1, 0]), arm)
 
 
 def _rests(imu: ImuSamples, still: np.ndarray) -> np.ndarray:
@@ -274,7 +254,7 @@ def _at_rest(rests, up, gravity) -> Mounting:
                     bias=_bias(rests.mean(axis=0) if len(rests) else gravity * up, up, gravity), bias_sigma=BIAS_SIGMA)
 
 
-def _assemble(motion: _Motion, rests, up, gravity, lag, lag_sigma, antenna) -> Mounting:
+def _assemble(motion: _Motion, rests, up, gravity) -> Mounting:
     """All evidence together."""
     axes = _axes(up, _default_heading(up)[0])
     for _ in range(3):  # angles are small about the axes found before
@@ -289,8 +269,7 @@ def _assemble(motion: _Motion, rests, up, gravity, lag, lag_sigma, antenna) -> M
         rotation=axes, sigma=np.array([up_sigma[1], up_sigma[0], yaw_sigma]), level=tuple(level),
         heading=tuple(heading), bias=_bias(force, axes[2], gravity), bias_sigma=gravity * float(up_sigma.max()),
         imu=_imu_arm(motion, axes), gain=motion.gain,
-        driven=float(np.ptp(motion.spans.time[motion.moving])), turned=_turned(motion), lag=lag, lag_sigma=lag_sigma,
-        antenna=antenna, spans=motion.spans)
+        driven=float(np.ptp(motion.spans.time[motion.moving])), turned=_turned(motion), spans=motion.spans)
 
 
 def _axes(up: np.ndarray, forward: np.ndarray) -> np.ndarray:
@@ -304,14 +283,6 @@ def _axes(up: np.ndarray, forward: np.ndarray) -> np.ndarray:
 def _default_heading(up: np.ndarray) -> np.ndarray:
     """The rotation with that up axis and yaw 0: the sensor's x axis forward, or its z axis where x is upright."""
     return _axes(up, np.eye(3)[0] if abs(up[0]) < 0.99 else np.eye(3)[2] * -np.sign(up[0]))
-
-
-def _combine(angles, sigmas):
-    """Weighted mean of (k, ...) angles and its standard deviation; larger where they contradict each other."""
-    information = 1.0 / np.asarray(sigmas) ** 2
-    mean = (information * angles).sum(axis=0) / information.sum(axis=0)
-    contradiction = (information * (angles - mean) ** 2).sum(axis=0) / max(len(information) - 1, 1)
-    return mean, np.sqrt(np.maximum(contradiction, 1.0) / information.sum(axis=0))
 
 
 def _heading(motion: _Motion, axes):
@@ -333,7 +304,7 @@ def _heading(motion: _Motion, axes):
         return ways, 0.0, math.inf
     best = min(ways, key=lambda way: way.sigma).angle[0]
     away = np.array([math.remainder(way.angle[0] - best, 2 * math.pi) for way in ways])
-    yaw, sigma = _combine(away, [way.sigma[0] for way in ways])
+    yaw, sigma = weighted(away, np.array([way.sigma[0] for way in ways]))
     return ways, best + float(yaw), float(sigma)
 
 
@@ -351,7 +322,7 @@ def _level(motion: _Motion, rests, axes, gravity):
         if len(rests):
             sigma = SLOPE_SIGMA / math.sqrt(len(rests))
             ways.append(Evidence('gravity at rest', tuple(np.mean([tilt(r) for r in rests], axis=0)), (sigma, sigma)))
-        mean, sigma = _combine(np.array([way.angle for way in ways]), np.array([way.sigma for way in ways]))
+        mean, sigma = weighted(np.array([way.angle for way in ways]), np.array([way.sigma for way in ways]))
         gravitational = mean, np.hypot(sigma, BIAS_SIGMA / gravity)
     else:
         gravitational = np.zeros(2), np.full(2, UNKNOWN)
@@ -376,7 +347,8 @@ def _axis_of_turns(motion: _Motion, axes):
     turns = fit(design, rate[:, :2], np.array([1e6, 1e6]), motion.block)
     grade = np.nan_to_num(motion.spans.grade[motion.moving])
     squared = weight * rate[:, 2] ** 2
-    climbing = float(squared @ grade / squared.sum())  # on a winding climb the vertical lies ahead of the up axis
+    # on a winding climb the vertical lies ahead of the up axis; gyroscopes without noise may show no turn at all
+    climbing = float(squared @ grade / max(squared.sum(), np.finfo(float).tiny))
     angles = _turned(motion) / (math.pi / 2)
     sigma = np.hypot(jackknife(turns.left_out)[0], math.hypot(AXES_SIGMA, TURN_TILT_SIGMA / math.sqrt(
         max(angles, 1e-3))))
@@ -399,5 +371,5 @@ def _imu_arm(motion: _Motion, axes) -> tuple[float, float]:
     ways = [(-axes[1], _TURN_CHANGE), (-axes[0], _TURN_SQUARED)]
     arms = [axis @ motion.fit.solution[index] for axis, index in ways]
     sigmas = [math.hypot(float(motion.sigma(lambda vectors: axis @ vectors[index])), 0.05) for axis, index in ways]
-    arm, sigma = _combine(np.array(arms), np.array(sigmas))
+    arm, sigma = weighted(np.array(arms), np.array(sigmas))
     return float(arm), float(min(sigma, _ARM_SIGMA))

@@ -40,12 +40,6 @@ class Fit:
                                     right - weighted[rows].T @ self.values[rows]))
         return np.array(solutions)
 
-    @property
-    def posterior(self) -> np.ndarray:
-        """(k,) standard deviations of the solution in units of a row's noise, were it white."""
-        normal, _ = _normal(self.design * self.weight[:, None], self.design, self.values, self.prior)
-        return np.sqrt(np.diag(np.linalg.pinv(normal, hermitian=True)))
-
 
 def blocks(time: np.ndarray) -> np.ndarray:
     """Number of the stretch of the recording that each of `time`, s, ascending, belongs to."""
@@ -78,15 +72,6 @@ def _solve(normal, right):
     return np.linalg.lstsq(normal, right, rcond=None)[0]
 
 
-def ratio(numerator: np.ndarray, denominator: np.ndarray, block: np.ndarray) -> tuple[float, float]:
-    """Sum of (n,) `numerator` over that of `denominator`, and its standard deviation by leaving out blocks."""
-    above, below = (np.bincount(block, terms) for terms in (numerator, denominator))
-    rest = below.sum() - below
-    if not len(rest) or rest.min() <= 0.0:
-        return 0.0, math.inf
-    return float(above.sum() / below.sum()), float(jackknife((above.sum() - above) / rest))
-
-
 def jackknife(values: np.ndarray) -> np.ndarray:
     """Standard deviation of an estimate from its values (b, ...), each with one of b blocks left out.
 
@@ -98,3 +83,12 @@ def jackknife(values: np.ndarray) -> np.ndarray:
         return np.full(values.shape[1:], math.inf)
     spread = ((values - values.mean(axis=0)) ** 2).sum(axis=0)
     return np.sqrt((count - 1) / count * spread * (count - 1) / (count - 3))
+
+
+def weighted(values: np.ndarray, sigmas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of (k, ...) `values` weighted by their `sigmas`, and its standard deviation; larger where they contradict
+    each other."""
+    information = 1.0 / np.clip(sigmas, 1e-6, 1e3) ** 2  # what is not shown has an infinite sigma
+    mean = (information * values).sum(axis=0) / information.sum(axis=0)
+    contradiction = (information * (values - mean) ** 2).sum(axis=0) / max(len(values) - 1, 1)
+    return mean, np.sqrt(np.maximum(contradiction, 1.0) / information.sum(axis=0))

@@ -8,6 +8,7 @@ import numpy as np
 
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.errors import RecordingError
+from mems_ins_fusion.recordings.findings import count_of
 from mems_ins_fusion.recordings.messages import IMU, NAV_SAT_FIX, TEMPERATURE
 from mems_ins_fusion.recordings.motion import robust_sigma, sigmas, valid_fixes
 from mems_ins_fusion.recordings.reading import read_recording
@@ -62,8 +63,10 @@ def find_topics(path) -> Topics:
     named = {kind: sorted(name for name, k in kinds.items() if k == kind and counts[name] > 1)
              for kind in (IMU, NAV_SAT_FIX, TEMPERATURE)}
     if not named[IMU]:
-        there = ', '.join(f'{name} ({kind})' for name, kind in sorted(kinds.items()))
-        raise RecordingError(f'{path} has no topic with messages of type {IMU}, only {there or "nothing"}')
+        there = ', '.join(f'{name} ({kind}, {count_of(counts[name], "message")})'
+                          for name, kind in sorted(kinds.items()))
+        raise RecordingError(f'{path} has no topic with two or more messages of type {IMU}'
+                             f'{f", only {there}" if there else ""}')
     imu = tuple(sorted((_imu(path, name) for name in named[IMU]), key=_imu_rank))
     gnss = tuple(sorted((_gnss(path, name, named[IMU][0]) for name in named[NAV_SAT_FIX]), key=_gnss_rank))
     return Topics(imu, gnss, tuple(named[TEMPERATURE]))

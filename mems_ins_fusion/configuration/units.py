@@ -48,7 +48,7 @@ def find_units(imu: ImuSamples, fixes: Fixes | None, gravity: float) -> Units:
 
 def _rate_unit(imu, fixes, up):
     steering = compare_steering(imu, fixes, up) if fixes is not None and len(fixes) > 1 else None
-    if steering is None or steering.explained < 0.3 or abs(steering.scale) < 5.0 * steering.scale_sigma:
+    if steering is None or not steering.tells:
         largest = float(np.nanpercentile(np.abs(imu.angular_rate), 99.9))
         rate = 'deg/s' if largest > _FASTEST_TURN else 'rad/s'
         return rate, f'no turn tells; the largest rates are {largest:.2g}', None, ()

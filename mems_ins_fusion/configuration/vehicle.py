@@ -10,6 +10,7 @@ from mems_ins_fusion.recordings.motion import robust_sigma
 from mems_ins_fusion.samples import ImuSamples
 
 _SIDEWAYS = 0.5  # m/s: robust standard deviation of a vehicle with wheels, arm of the antenna included
+_ARM_KNOWN = 1.0  # m: an arm with a larger sigma is none
 _BLOCK = 1.0  # s, as the filter judges rest
 
 
@@ -36,10 +37,16 @@ def assess_vehicle(imu: ImuSamples, still: np.ndarray, found: Mounting | None, f
         drive = found.spans
         moving = np.abs(drive.speed) > max(1.0, 0.3 * np.percentile(np.abs(drive.speed), 90))
         if moving.sum() > 20 and found.turned > 1.0:
-            sideways = robust_sigma(drive.sideways[moving] - found.antenna[0] * drive.turn[moving])
+            sideways = robust_sigma(drive.sideways[moving] - _ahead(found) * drive.turn[moving])
             noise = float(fix_sigma / np.sqrt(2.0) / drive.length)
             wheels = bool(np.sqrt(max(sideways**2 - noise**2, 0.0)) < _SIDEWAYS)
     return Vehicle(sideways, noise, wheels, *_scatter(imu, still))
+
+
+def _ahead(found: Mounting) -> float:
+    """How far the antenna is ahead of the rear axle, m, as far as that is known."""
+    arm = found.offset.arm[0] if found.offset is not None and found.offset.arm_sigma[0] < _ARM_KNOWN else 0.0
+    return float(found.imu[0] + arm)
 
 
 def _scatter(imu, still):

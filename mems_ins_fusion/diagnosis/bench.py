@@ -7,9 +7,14 @@ from functools import cached_property
 
 import numpy as np
 
+from ..configuration.regression import weighted
 from ..effects.base import Effect
+from ..filter.runs.usable import usable
+from ..navigation.frames import mounting
+from ..recordings.motion import compare_steering
 from ..samples import Recording
 from .drives import Drives
+from .estimate import Estimate
 from .measured import Measured, measure, together
 from .outliers import without_far_off
 from .parts import parts
@@ -31,7 +36,7 @@ class Bench:
     """The recordings on the bench: what errors a filter makes in them.
 
     recordings: with all fixes, as many as the problem has drives. offset_sigma: gnss.time_offset_sigma as given, which
-    the search does without.
+    the search does without. starts: sizes of effects, by name, from which they are fitted, too.
     """
 
     recordings: tuple[Recording, ...]
@@ -41,12 +46,27 @@ class Bench:
     spacing: float
     tell: Progress
     offset_sigma: float
+    starts: dict[str, list[dict[str, float]]] = field(default_factory=dict)
     measured: dict[str, Measured] = field(default_factory=dict)  # by the filters asked for
 
     @cached_property
     def judging(self) -> tuple[Recording, ...]:
         """The recordings for the truth: where that are the fixes, a fix that is far off is none."""
         return tuple(replace(r, gnss=without_far_off(r.gnss)) for r in self.recordings)
+
+    @cached_property
+    def turned(self) -> Estimate | None:
+        """By which part the gyroscopes turn further than the course of the fixes, beyond the scale in the parameters;
+        None where no turn tells."""
+        up = -mounting(self.origin.given['imu.mounting_rpy'])[2]
+        seen = [usable(recording) for recording in self.judging]
+        found = [compare_steering(recording.imu, recording.gnss, up) for recording in seen if len(recording.gnss) > 1]
+        found = [steering for steering in found if steering is not None and steering.tells and steering.scale > 0.0]
+        if not found or any(self.origin.given['gyroscope.scale']):
+            return None
+        value, sigma = weighted(np.array([1.0 / steering.scale - 1.0 for steering in found]),
+                                np.array([steering.scale_sigma for steering in found]))
+        return Estimate(float(value), float(sigma), '-')
 
     def enough(self, share: float = 1.0) -> bool:
         """Whether this share of the work of a search is done."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..evaluation.metrics import Truth, position_errors
-from ..filter.results import Run
+from ..filter.runs.results import Run
 from ..navigation.earth import radii
 from ..samples import Fixes, Recording, Reference
 

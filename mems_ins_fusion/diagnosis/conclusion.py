@@ -1,12 +1,15 @@
 """What a search has found, made into parameters: which corrections are proven together, and what a user is told."""
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..configuration.offset import FLOOR
 from ..effects.base import Effect
+from ..evaluation.verdict import BETTER, WORSE, Verdict
 from . import learned
 from .bench import CHOOSING, LOOKING, MEASURING, Bench
 from .detection import detect
@@ -15,7 +18,7 @@ from .estimate import SYSTEMATIC, Estimate, widened
 from .findings import Diagnosis, Finding
 from .fit import Model
 from .held_out import HeldOut
-from .judgement import compared, harm, unproven
+from .judgement import compared, judged, unproven
 from .levels import WORTH, choose, multiplied, predictions
 from .measured import Measured, saved
 from .noise import LARGEST_FACTOR
@@ -28,6 +31,8 @@ from .search import PLAIN, Known, by_drive_of
 #: a recording has turns, and changes of speed, where these happen: rad/s and m/s^2 (root mean square)
 TURNING, SPEEDING = 0.03, 0.15
 MOUNTING = 'mounting_rotation'
+#: why what was found is told and not added
+NO_PROOF = 'no smaller error is proven with it'
 #: s; a receiver smooths over no longer
 LONGEST_SMOOTHING = 10.0
 
@@ -53,14 +58,10 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
     corrections, against = _settled(known, first, fitted, configured, bench)
     bench.tell(MEASURING, 'measuring errors')
     before, noise_only = (bench.errors(models, full=True) for models in ([given], fitted.by_part))
-    for correction, after in _as_measured(corrections, bench):
-        better = correction.values != given
-        comparison = compared(before, after)
-        worse = unproven(comparison, correction.effects) if better else ''
-        if not worse:
-            break
-        if correction.effects:
-            against = worse
+    correction, after, verdict = _chosen([
+        (option, after, judged(before, after, option.effects))
+        for option, after in _as_measured(corrections, bench)], before, given)
+    against = against or NO_PROOF
     hidden = _not_shown(known, correction.settings)
     # a finding is added only where corrected.yaml holds it
     findings = _final(known, hidden, correction.values, given, bench.library)
@@ -80,13 +81,31 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
         detections={stage: detect(r, origin.mask) for stage, r in residuals.items()}, noise=correction.factors,
         explained=explained, rounds=list(known.rounds), chosen=list(known.chosen), findings=findings,
         hidden=hidden, corrected=correction.values,
-        better=better, before=before, fitted=noise_only, after=after, comparison=comparison,
+        verdict=verdict, before=before, fitted=noise_only, after=after, comparison=compared(before, after),
         rest=[rest for found in rests for rest in found],
         remarks=[said for said in remarks[0] if all(said in other for other in remarks)]
         + _noise_remarks(explained | correction.factors) + _scatter_remarks(given, correction.values))
     if len(drives) < 2:
         return whole
     return replace(whole, drives=[_in_drive(whole, k, rests[k], remarks[k]) for k in range(len(drives))])
+
+
+def _chosen(tried: list[tuple[Correction, Measured, Verdict]], before: Measured,
+            given: dict) -> tuple[Correction, Measured, Verdict]:
+    """Of the corrections tried, what predicts best first and what was given last, the one for corrected.yaml.
+
+    Effects first, as other noise levels hide them: where errors are smaller for certain, or where the likelihood of
+    held-out data has proven them, alone, and no error grows: who stamps fixes late has the withheld ones late as well,
+    so that errors against these need not tell. Noise levels have no such proof: only where errors are smaller for
+    certain. Else what was given, with the verdict on the best of what was tried.
+    """
+    for option, after, verdict in sorted(tried, key=lambda found: not found[0].effects):
+        alone = not option.factors and option.values['imu.adapt_noise'] == given['imu.adapt_noise']
+        proven = option.effects and alone and verdict.answer != WORSE and not unproven(
+            compared(before, after), effects=True)
+        if verdict.answer == BETTER or proven:
+            return option, after, verdict
+    return (*tried[-1][:2], tried[0][2])
 
 
 def _in_drive(whole: Diagnosis, k: int, rest: list[GoesWith], remarks: list[str]) -> Diagnosis:
@@ -149,7 +168,7 @@ def _as_measured(corrections: Sequence[Correction], bench: Bench) -> list[tuple[
 
 
 def _only_told(finding: Finding, against: str) -> Finding:
-    return replace(finding, added=False, changes={}, reason=finding.reason or against or 'errors do not shrink with it')
+    return replace(finding, added=False, changes={}, reason=finding.reason or against or NO_PROOF)
 
 
 def _with_settings(correction: Correction, bench: Bench) -> Correction:
@@ -174,14 +193,12 @@ def _with_settings(correction: Correction, bench: Bench) -> Correction:
             finding = replace(finding, reason='the settings are made for it already')
         else:
             before, after = bench.errors(correction.by_part), bench.errors(further[1:])
-            # what was counted in the samples needs no error that shrinks for a proof
-            worse = unproven(compared(before, after), effects=True)
-            if not worse:
-                changes = {n: v for n, v in further[0].items() if v != correction.values[n]}
-                finding = replace(finding, added=True, changes=changes, saves=saved(before, after))
+            if judged(before, after, effects=True).answer == BETTER:
+                sets = {n: v for n, v in further[0].items() if v != correction.values[n]}
+                finding = replace(finding, added=True, changes=sets, saves=saved(before, after))
                 correction = replace(correction, values=further[0], by_part=further[1:], effects=True)
             else:
-                finding = replace(finding, reason=f'with the settings against it {worse}')
+                finding = replace(finding, reason='no smaller error is proven with the settings against it')
         correction = replace(correction, settings=(*correction.settings, finding))
     return correction
 
@@ -211,7 +228,8 @@ def _with_mounting(correction: Correction, bench: Bench) -> Correction:
                       drives={p.recording.name: own for p, own in zip(bench.origin.each, found.drives)})
     before, after = bench.errors(correction.by_part), bench.errors(by_part)
     finding = replace(finding, saves=saved(before, after))
-    reason = implausible(MOUNTING, found.plain) or found.contradicted or harm(compared(before, after))
+    reason = implausible(MOUNTING, found.plain) or found.contradicted
+    reason = reason or unproven(compared(before, after), effects=True)  # the filter's own states have proven it
     if reason:
         return replace(correction, settings=(*correction.settings, _only_told(finding, reason)))
     return replace(correction, values=values, by_part=by_part, settings=(*correction.settings, finding))
@@ -242,7 +260,8 @@ def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence
                        for u, x, s in zip(model.unknowns, model.x, sigma)
                        if u.effect == finding.name and not u.noise and u.parameter in finding.parameters})
         if finding.name == 'gnss_time_offset':
-            own = {n: replace(e, sigma=float(np.hypot(e.sigma, SYSTEMATIC * _smoothed(model)))) for n, e in own.items()}
+            further = math.hypot(SYSTEMATIC * _smoothed(model), FLOOR)
+            own = {n: replace(e, sigma=math.hypot(e.sigma, further)) for n, e in own.items()}
         parameters = finding.parameters
         if finding.added and own:
             parameters = {n: own.get(n, e) for n, e in parameters.items() if n in own or e.sigma is None}

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..effects.base import Effect
 from ..effects.registry import EFFECTS
+from ..filter.runs.usable import usable
 from ..recordings.several import one_after_another
 from ..samples import Recording
 from .bench import Bench, Progress
@@ -15,7 +16,9 @@ from .clock import whose
 from .conclusion import concluded
 from .drives import Drives, problems
 from .findings import Diagnosis
+from .problem import DiagnosisError
 from .search import add_best, begin, replaced, without_superseded, without_undetermined
+from .starts import TIME_OFFSET, other_starts
 
 #: fewer innovations than this decide nothing
 FEWEST_FIXES = 60
@@ -33,14 +36,21 @@ def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress
     """
     progress(0.02, 'filtering')
     given = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    given = [usable(r, values['imu.max_specific_force'], values['imu.max_angular_rate']) for r in given]
+    for recording in given:
+        if len(recording.imu) < 2 or not len(recording.gnss):
+            raise DiagnosisError(f'{recording.name}: no {"fix" if len(recording.imu) > 1 else "IMU sample"} that could '
+                                 'be used')
     thinned = [_thinned(recording) for recording in one_after_another(given)]
-    found, left_out = problems(thinned, values, FEWEST_FIXES)
+    others = other_starts(thinned, values)
+    found, left_out = problems(thinned, values, FEWEST_FIXES, others)
     thinned = [recording for recording in thinned if recording.name not in left_out]
     for problem, recording in zip(found, thinned):
         problem.reference_clock = whose(recording, values['reference_clock']).name
     library = tuple(effects if effects is not None else EFFECTS.values())
     bench = Bench(tuple(thinned), Drives(found), library, tuple(durations), spacing, progress,
-                  values['gnss.time_offset_sigma'])
+                  values['gnss.time_offset_sigma'], {'gnss_time_offset': [
+                      {'time_offset': other[TIME_OFFSET] - values[TIME_OFFSET]} for other in others]})
     first = begin(bench)
     known = replaced(first, bench)
     for _ in range(MOST_ROUNDS):

@@ -100,15 +100,16 @@ def part(of, where: slice):
     return replace(of, **{name: None if array is None else array[where] for name, array in arrays.items()})
 
 
-def problems(recordings: Sequence[Recording], values: dict, fewest: int) -> tuple[list[Problem], dict[str, str]]:
+def problems(recordings: Sequence[Recording], values: dict, fewest: int,
+             others: Sequence[dict] = ()) -> tuple[list[Problem], dict[str, str]]:
     """The problem of each drive, and why others have none: they do not start, or have fewer than `fewest` fixes.
 
-    Raises DiagnosisError where there is none.
+    others: as of `Problem`. Raises DiagnosisError where there is none.
     """
     found, left_out = [], {}
     for recording in recordings:
         try:
-            problem = Problem(recording, values)
+            problem = Problem(recording, values, others=others)
             count = int(problem.mask.sum())
             if count < fewest:
                 raise DiagnosisError(f'{recording.name}: {count} fixes while the filter runs, at least {fewest} are '

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from ..evaluation.verdict import BETTER, Trust, Verdict
 from ..samples import Recording
 from .detection import Detection
 from .drives import Drives
@@ -62,7 +63,7 @@ class Diagnosis:
     findings: list[Finding]
     hidden: dict[str, str]  # effects and parameters that the data cannot show, and why
     corrected: dict
-    better: bool  # whether `corrected` is proven; else it is `values`
+    verdict: Verdict  # on `corrected`; where that is `values`, on the best of what was tried
     before: Measured
     fitted: Measured
     after: Measured
@@ -81,6 +82,21 @@ class Diagnosis:
     def recording(self) -> Recording:
         """The recording of a diagnosis of one drive, the first one of several."""
         return self.recordings[0]
+
+    @property
+    def better(self) -> bool:
+        """Whether errors are proven to be smaller with `corrected`."""
+        return self.verdict.answer == BETTER
+
+    @property
+    def changed(self) -> bool:
+        """Whether `corrected` differs from `values`: it holds effects that held-out data prove, or is better."""
+        return self.corrected != self.values
+
+    @property
+    def trust(self) -> Trust:
+        """Whether the sigmas of the filter with `corrected` can be trusted."""
+        return self.after.trust(self.residuals['after'].nis()[self.problem.mask])
 
     @property
     def unexplained(self) -> bool:

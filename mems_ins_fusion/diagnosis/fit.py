@@ -14,6 +14,8 @@ import numpy as np
 from .problem import BLOCK, Problem, Unknown, block_begins, blocks
 from .residuals import TAIL, Residual, whiten, whiten_matrix
 
+#: an innovation, or its slope, of more sigma is the filter's that has left the earth; its square is a number still
+LARGEST = 1e100
 #: a fit ends when a step gains less than this in log likelihood
 ENOUGH_GAIN = 0.2
 #: a model must let the filter see this part of the fixes
@@ -69,12 +71,18 @@ def scores(problem: Problem, unknowns: Sequence[Unknown], x, at: Residual | None
     return at, _scores(at, pairs, problem.mask)
 
 
+def _finite(values: np.ndarray) -> np.ndarray:
+    """`values`, zero where they are no numbers or so large that their squares are none: such an innovation says
+    nothing of a slope."""
+    return np.where(np.abs(values) < LARGEST, values, 0.0)
+
+
 def _scores(at: Residual, pairs, mask) -> Scores:
     """d log L = -tr(S^-1 dS) / 2 + z' S^-1 dS S^-1 z / 2 - dz' S^-1 z, with information tr(S^-1 dS S^-1 dS) / 2 +
     dz' S^-1 dz; pairs: residuals on both sides and the distance between them."""
-    factors, u = at.factors(), np.nan_to_num(at.whitened())
-    shifts = [np.nan_to_num(whiten(factors, (plus.z - minus.z) / step)) for plus, minus, step in pairs]
-    shapes = [np.nan_to_num(whiten_matrix(factors, (plus.s - minus.s) / step)) for plus, minus, step in pairs]
+    factors, u = at.factors(), _finite(at.whitened())
+    shifts = [_finite(whiten(factors, (plus.z - minus.z) / step)) for plus, minus, step in pairs]
+    shapes = [_finite(whiten_matrix(factors, (plus.s - minus.s) / step)) for plus, minus, step in pairs]
     d, m = np.stack(shifts, axis=1), np.stack(shapes, axis=1)
     weight = TAIL**2 / np.maximum((u**2).sum(axis=1), TAIL**2)  # the slope of rho
     squares = np.stack([weight * u[:, 0] ** 2 - 1, 2 * weight * u[:, 0] * u[:, 1], weight * u[:, 1] ** 2 - 1], axis=1)
@@ -89,9 +97,9 @@ def _scores(at: Residual, pairs, mask) -> Scores:
 def _scores_beside(at: Residual, pairs) -> Scores:
     """The same of the innovations that are numbers of their own."""
     z, s = at.beside[:, 0], at.beside[:, 1]
-    u = np.nan_to_num(z / np.sqrt(s))
+    u = _finite(z / np.sqrt(s))
     change = np.stack([(plus.beside - minus.beside) / step for plus, minus, step in pairs], axis=1)  # (f, p, 2, b)
-    d, m = np.nan_to_num(change[:, :, 0] / np.sqrt(s)[:, None]), np.nan_to_num(change[:, :, 1] / s[:, None])
+    d, m = _finite(change[:, :, 0] / np.sqrt(s)[:, None]), _finite(change[:, :, 1] / s[:, None])
     weight = TAIL**2 / np.maximum(u**2, TAIL**2)
     score = (0.5 * m * (weight * u**2 - 1)[:, None] - d * (weight * u)[:, None]).sum(axis=2)
     weight = np.tile(np.sqrt(weight), 2)[:, None]

@@ -2,10 +2,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from ..evaluation.bootstrap import paired
+from ..evaluation.intervals import paired
+from ..evaluation.verdict import BETTER, CANNOT_TELL, Change, Verdict, change_in_outages, change_with_fixes, decide
 from .held_out import CERTAIN, HeldOut
 from .measured import Measured, fairly
 
@@ -15,11 +17,37 @@ GROWN, NOTICED, LARGER = 0.03, 0.1, 1.1
 #: outages to say, if it is larger than this part over the root of their number
 LIKELY, SCATTER = 0.05, 0.5
 #: errors that are this part of those before have shrunk plainly; noise levels alone are better from this part on
-PLAINLY, BETTER = 0.7, 0.9
+PLAINLY, SMALLER = 0.7, 0.9
 #: fewer outages do not prove noise levels
 FEWEST_OUTAGES = 5
+#: with a correction the filter runs in more than this part of what it did before: one that never starts errs nowhere
+RUNS = 0.5
 #: 95 % ellipses shall hold the truth in this part of the outages
 COVERED, LESS_HELD = 0.9, 0.15
+
+
+def changes(before: Measured, after: Measured) -> list[Change]:
+    """What changes for who drives with it, for the verdict: errors in the same outages, and with fixes where the truth
+    is more than these; of all drives together."""
+    before, after = fairly(before, after)
+    found = []
+    if before.independent:
+        _, a, b = np.intersect1d(before.continuous.stamp, after.continuous.stamp, return_indices=True)
+        if len(a):
+            found.append(change_with_fixes(before.continuous.horizontal[a], after.continuous.horizontal[b]))
+    for old, new in zip(before.outages, after.outages):
+        _, a, b = np.intersect1d(old.begin, new.begin, return_indices=True)
+        if len(a):
+            found.append(change_in_outages(old.duration, old.max_error[a], new.max_error[b], old.apart))
+    return found
+
+
+def judged(before: Measured, after: Measured, effects: bool = False) -> Verdict:
+    """Whether to use another configuration. It is no better, either, where an ellipse comes to lie, or where a single
+    drive has the cost of what the others gain."""
+    verdict = decide(changes(before, after))
+    against = harm(compared(before, after), effects) if verdict.answer == BETTER else ''
+    return replace(verdict, answer=CANNOT_TELL, why=(against,)) if against else verdict
 
 
 def compared(before: Measured, after: Measured) -> list[dict]:
@@ -43,9 +71,9 @@ def _compared(before: Measured, after: Measured) -> list[dict]:
             | {'decides': before.independent}]
     for old, new in zip(before.outages, after.outages):
         row = _row(f'outages of {old.duration:g} s, mean largest error in m', old.begin, new.begin, old.max_error,
-                   new.max_error)
+                   new.max_error, old.apart)
         if row['count']:
-            row |= _tails(old.begin, new.begin, old.max_error, new.max_error) | {
+            row |= _tails(old.begin, new.begin, old.max_error, new.max_error, old.apart) | {
                 'within_before': float(old.within.mean()), 'within_after': float(new.within.mean()),
                 'apart': old.apart}
         rows.append(row | {'decides': True})
@@ -63,6 +91,8 @@ def harm(comparison: Sequence[dict], effects: bool = False, floor: float = COVER
     it in `floor` still.
     """
     for row in comparison:
+        if row.get('kept', 1.0) < RUNS:
+            return f"the filter runs in {100 * row['kept']:.0f} % only of what it did before: {row['what']}"
         if not (row.get('before') and row.get('after') and row['decides']):
             continue
         squared = 'mean square' in row['what']
@@ -141,7 +171,7 @@ def unproven(comparison: Sequence[dict], effects: bool = False) -> str:
     worse = harm(comparison, effects, COVERED - LESS_HELD if effects and 0.0 < change <= PLAINLY else COVERED)
     if worse or effects:
         return worse or _larger(comparison)
-    if rows and (change < BETTER or honest(rows) and change <= 1.0):
+    if rows and (change < SMALLER or honest(rows) and change <= 1.0):
         return ''
     return 'the errors do not shrink with it'
 
@@ -164,22 +194,23 @@ def of_all(comparison: Sequence[dict]) -> list[dict]:
             and 'drive' not in row]
 
 
-def _row(what: str, stamp, new_stamp, old, new) -> dict:
-    """Means before and after over the epochs of both, with the 95 % interval of the difference by block bootstrap."""
+def _row(what: str, stamp, new_stamp, old, new, apart: float = np.inf) -> dict:
+    """Means before and after over the epochs of both (kept: their part of those before), with the 95 % interval of the
+    paired difference."""
     _, a, b = np.intersect1d(stamp, new_stamp, return_indices=True)
-    row = {'what': what, 'count': len(a)}
+    row = {'what': what, 'count': len(a), 'kept': len(a) / len(stamp) if len(stamp) else 1.0}
     if not len(a):
         return row
     old, new = old[a], new[b]
     row |= {'before': float(old.mean()), 'after': float(new.mean())}
-    difference = paired(new, old)
+    difference = paired(new, old, apart)
     if difference is not None:
         row |= {'difference': difference.mean, 'low': difference.low, 'high': difference.high, 'p': difference.p}
     return row
 
 
-def _tails(stamp, new_stamp, old, new) -> dict:
+def _tails(stamp, new_stamp, old, new, apart: float) -> dict:
     """Root mean squares before and after, and p that they are the same."""
-    row = _row('', stamp, new_stamp, old**2, new**2)
+    row = _row('', stamp, new_stamp, old**2, new**2, apart)
     return {'rms_before': row['before']**0.5, 'rms_after': row['after']**0.5} | (
         {'rms_p': row['p']} if 'p' in row else {})

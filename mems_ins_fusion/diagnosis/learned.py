@@ -13,7 +13,7 @@ import numpy as np
 
 from ..evaluation.comparison import aiding_of
 from ..filter.config import FilterConfig
-from ..filter.replay import run
+from ..filter.runs.replay import run
 from ..samples import Recording
 from .estimate import Estimate
 

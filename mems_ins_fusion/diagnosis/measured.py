@@ -11,8 +11,9 @@ from ..evaluation.comparison import aiding_of, samples_to_keep, truth_of
 from ..evaluation.metrics import Errors, Truth, position_errors
 from ..evaluation.outages import Outages, outage_begins, outages_of
 from ..evaluation.outages import summary as outage_summary
+from ..evaluation.verdict import Consistency, Trust, trusted
 from ..filter.config import FilterConfig
-from ..filter.replay import run, run_with_outages
+from ..filter.runs.replay import run, run_with_outages
 from ..samples import ImuSamples, Recording
 from .clock import GNSS, IMU, OWN, earlier, lateness_against
 from .parts import in_mask, parts
@@ -54,6 +55,12 @@ class Measured:
         """The numbers for `report.json`."""
         return {'horizontal_rmse_m': metrics.rms(self.continuous.horizontal),
                 'outages': [outage_summary(outages) for outages in self.outages]}
+
+    def trust(self, nis: np.ndarray) -> Trust:
+        """Whether the filter's sigmas can be trusted. nis (f,): of its innovations, which speak for errors with fixes
+        where the truth is these same fixes; NaN where there is none."""
+        nees = self.continuous.nees if self.independent else nis[np.isfinite(nis)]
+        return trusted([Consistency(None, nees), *(o.consistency for o in self.outages)])
 
     def scores(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Stamps and log likelihoods of what was predicted: fix by fix, and at the end of the outages of each duration.
@@ -162,7 +169,7 @@ def _joined_errors(parts: list[Errors]) -> Errors:
 def _joined_outages(parts: list[Outages]) -> Outages:
     order = np.argsort(np.concatenate([o.begin for o in parts]), kind='stable')
     joined = {name: np.concatenate([getattr(o, name) for o in parts])[order]
-              for name in ('begin', 'max_error', 'distance', 'within', 'growth', 'sigma')}
+              for name in ('begin', 'max_error', 'distance', 'within', 'growth', 'sigma', 'kept')}
     errors = [e for o in parts for e in o.errors]
     return Outages(duration=parts[0].duration, time=parts[0].time, errors=[errors[i] for i in order], **joined)
 
@@ -174,11 +181,11 @@ def nearest(measured: Measured, duration: float = 30.0) -> Outages | None:
 
 
 def saved(before: Measured, after: Measured) -> tuple[float, float, float] | None:
-    """Duration of outages, s, and the median of the largest error in them before and after, m; None without any."""
+    """Duration of outages, s, and the mean of the largest error in them before and after, m; None without any."""
     one, other = map(nearest, fairly(before, after))
     if one is None or other is None or one.duration != other.duration:
         return None
-    return one.duration, float(np.median(one.max_error)), float(np.median(other.max_error))
+    return one.duration, float(one.max_error.mean()), float(other.max_error.mean())
 
 
 def fairly(before: Measured, after: Measured) -> tuple[Measured, Measured]:

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from ..filter.config import SENSORS
+from ..sensor_errors.models import MODELS
 from .fit import objective_of, priors
 from .problem import Problem, Unknown, believed
 
 #: the parameters that say how noisy the sensors are, by model
-MODEL_NOISE = {'random_walk': 'random_walk.q', 'gauss_markov': 'gauss_markov.sigma',
-                'autoregressive': 'autoregressive.b0'}
+MODEL_NOISE = {name: model.level for name, model in MODELS.items()}
 #: how far a fit may take a noise level, natural logarithm: what is usual, and what is no noise of that sensor any more
 NOISE_PRIOR, RECEIVER_PRIOR = 1.0, 1.5
 SMALLEST_FACTOR, LARGEST_FACTOR, LARGEST_RECEIVER = 3.0, 10.0, 100.0

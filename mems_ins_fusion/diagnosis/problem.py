@@ -7,7 +7,6 @@ believed less the worse they fit - hides that misfit (`looked_through`).
 from __future__ import annotations
 
 import copy
-import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -15,13 +14,16 @@ from functools import cache
 
 import numpy as np
 
+from ..errors import InputError
 from ..evaluation.comparison import aiding_of, samples_to_keep, thin
 from ..filter.config import FilterConfig
-from ..filter.layout import PLANAR, Event, Kind, Verdict
-from ..filter.replay import Constrained, run, run_with_constraints
-from ..filter.results import Run
-from ..filter.start import transferred
+from ..filter.measurements.position import records
+from ..filter.memory import PLANAR, Event, Kind, Verdict
+from ..filter.runs.replay import Constrained, run, run_with_constraints
+from ..filter.runs.results import Run
+from ..filter.start.start import transferred
 from ..samples import Fixes, ImuSamples, Recording
+from ..threads import threads
 from .clock import GNSS, IMU
 from .residuals import Residual, lasting
 
@@ -46,7 +48,7 @@ FEWEST_SAID = 3
 BLOCK, LONG_BLOCK, FEWEST_BLOCKS = 20.0, 60.0, 10
 
 
-class DiagnosisError(ValueError):
+class DiagnosisError(InputError):
     """A recording that cannot be diagnosed: one line that says why, and what recording it takes."""
 
 
@@ -106,17 +108,19 @@ class Problem:
     given: the parameters as given; values: those of the filter that is looked through. full: the recording with the
     fixes used; drive: the same with averaged samples; recording: as `drive`, as that filter sees it - covariances
     spelled out, fixes that the filter as given refuses left out. stamp (f,) ns of the fixes; mask (f,): which count.
-    reference_clock: the clock in which the truth runs (`clock.whose`).
+    reference_clock: the clock in which the truth runs (`clock.whose`). others: parameters that a search may start from,
+    too (`starts.other_starts`).
     """
 
-    def __init__(self, recording: Recording, values: dict, interval: float = UPDATE_INTERVAL):
+    def __init__(self, recording: Recording, values: dict, interval: float = UPDATE_INTERVAL,
+                 others: Sequence[dict] = ()):
         self.reference_clock = GNSS if recording.reference is None else IMU
         self.given = {**values, 'gnss.time_offset_sigma': 0.0}
         self.values = looked_through(values)
         given = FilterConfig.from_parameters(self.given)
         keep = samples_to_keep(recording.imu, recording.imu.stamp[:_ALIGNING])
         first = run(given, recording.imu, recording.gnss, aiding_of(recording), keep=keep)
-        if first.start is None:
+        if not len(first.stamp):
             reason = first.notices[-1].text if first.notices else 'no fixes'
             raise DiagnosisError(f'{recording.name}: {reason}')
         began = int(first.stamp[0])
@@ -131,6 +135,10 @@ class Problem:
         self.before = self.innovations(watched)
         self.claimed = stated(self.drive.gnss, self.given)
         self.outlying = _refused(watched, len(self.stamp))
+        for other in others:  # a fix that one start explains is no outlier
+            self.outlying &= _refused(run(
+                FilterConfig.from_parameters({**other, 'gnss.time_offset_sigma': 0.0}), self.drive.imu, self.drive.gnss,
+                aiding_of(recording), keep=np.zeros(len(self.drive.imu), dtype=bool)), len(self.stamp))
         self.recording = replace(self.drive, gnss=believed(self.drive.gnss, self.claimed, 0.0, self.outlying))
         self.config = FilterConfig.from_parameters(self.values)
         self.start = run(self.config, self.recording.imu, self.recording.gnss, aiding_of(recording),
@@ -295,15 +303,11 @@ def averaged(imu: ImuSamples, rate: float) -> ImuSamples:
 
 def stated(fixes: Fixes, values: dict) -> np.ndarray:
     """Covariances (f, 3, 3) m^2, east-north-up, that the filter takes `fixes` to have."""
-    covariance = np.array(fixes.covariance, dtype=float)
-    diagonal = np.einsum('fii->fi', covariance)
-    told = (fixes.covariance_type > 0) & np.isfinite(diagonal).all(axis=1) & (diagonal[:, :2] > 0).all(axis=1)
-    covariance[~told] = values['gnss.default_sigma'] ** 2 * np.diag([1.0, 1.0, 4.0])
-    covariance[diagonal[:, 2] <= 0, 2, 2] = 4 * diagonal[diagonal[:, 2] <= 0, :2].max(axis=1)
-    if values['gnss.sigma'] > 0:
-        covariance[:, :2, :2] = values['gnss.sigma'] ** 2 * np.eye(2)
-        covariance[:, 2, 2] = np.maximum(covariance[:, 2, 2], values['gnss.sigma'] ** 2)
-    covariance[:, :2, 2] = covariance[:, 2, :2] = 0.0
+    record, _, _ = records(FilterConfig.from_parameters(values).gnss, fixes)
+    covariance = np.zeros((len(fixes), 3, 3))
+    for (i, j), column in (((0, 0), Event.R_EE), ((0, 1), Event.R_NE), ((1, 0), Event.R_NE), ((1, 1), Event.R_NN),
+                           ((2, 2), Event.R_DD)):
+        covariance[:, i, j] = record[:, column]
     return covariance
 
 
@@ -324,7 +328,7 @@ def _refused(of: Run, count: int) -> np.ndarray:
 
 def on_all_cores(work: Callable, items: Iterable) -> list:
     """What `work` makes of each of `items`: a filter runs without the interpreter's lock."""
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(threads()) as pool:
         return list(pool.map(work, items))
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..evaluation.bootstrap import holm
+from ..evaluation.intervals import holm
 from ..navigation.earth import radii
 from ..navigation.frames import mounting
 from ..samples import Recording

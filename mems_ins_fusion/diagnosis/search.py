@@ -156,6 +156,9 @@ def add_best(known: Known, bench: Bench) -> Known:
     names = list(dict.fromkeys(names))[:MOST_TRIED]
     names += [plain for plain, varied in VARIED.items() if plain not in names and any(n in names for n in varied)
               and plain in best and best[plain][0].p_adjusted <= SIGNIFICANCE]
+    if not known.rounds[:-1]:  # what is far off need not show where the search begins
+        names += [name for name, sizes in bench.starts.items() if sizes and name not in names and name in best
+                  and best[name][0].scores is not None]
     bench.searching(f'adding {" or ".join(names)}')
     return _tried(known, [best[name] for name in names], candidates, bench)
 
@@ -283,7 +286,11 @@ def _with(known: Known, candidate: Candidate, view: np.ndarray, bench: Bench) ->
         return fit(problem, [*noise, *kept], x, COMPARED)
     begin = [max(t, u.step) if u.variance else np.clip(t, -u.prior / 5, u.prior / 5)
              for t, u in zip(candidate.theta, candidate.unknowns)]
-    return fit(known.problem, [*model.unknowns, *candidate.unknowns], np.concatenate([view, begin]), COMPARED)
+    begins = [begin, *([sizes[u.parameter] for u in candidate.unknowns]
+                       for sizes in bench.starts.get(candidate.name, ()))]
+    fits = [fit(known.problem, [*model.unknowns, *candidate.unknowns], np.concatenate([view, start]), COMPARED)
+            for start in begins]
+    return max(fits, key=lambda m: m.likelihood(known.problem.mask))
 
 
 def _judged(known: Known, candidate: Candidate, model: Model, bench: Bench) -> Judged:
@@ -315,7 +322,7 @@ def _judged(known: Known, candidate: Candidate, model: Model, bench: Bench) -> J
     shorter = max(known.model, shorter, key=lambda m: m.likelihood(mask))
     proof = held_out(model, shorter, known.noise)
     errors = bench.errors([known.problem.corrected(model.unknowns, x) for x in proof.estimates])
-    against = (implausible(candidate.name, parameters) or contradiction or _small(model, first)
+    against = (implausible(candidate.name, parameters, bench.turned) or contradiction or _small(model, first)
                or objection(proof, compared(known.errors, errors)))
     return Judged(candidate, model, parameters, hidden, proof, errors, against, drives, apart)
 
@@ -370,17 +377,20 @@ def _completed(known: Known, candidate: Candidate, trial: Model) -> tuple[Model,
     if more:
         first, start = len(trial.unknowns), np.append(trial.x, np.zeros(len(more)))
         trial = _pruned(fit(trial.problem, [*trial.unknowns, *more], start, REFITTED), first)
-    return _refined(known, candidate.effect, trial) if candidate.effect.refined else (trial, {})
+    own = len(trial.unknowns) > len(known.model.unknowns)
+    return _refined(known, candidate.effect, trial) if candidate.effect.refined and own else (trial, {})
 
 
 def _refined(known: Known, effect: Effect, trial: Model) -> tuple[Model, dict[str, str]]:
     """`trial` with the parameters that were tried estimated, too, from each start: where these end as good ones at
     other values, the data do not determine the effect's parameters."""
     first = len(known.model.unknowns)
+    kept = {u.name for u in trial.unknowns[first:]}
     fits = []
     for fixed in effect.tried:
         factors = refined_unknowns(effect, fixed)
-        unknowns = [*known.model.unknowns, *effect_unknowns(effect, fixed, known.problem.attitude), *factors]
+        own = [u for u in effect_unknowns(effect, fixed, known.problem.attitude) if u.name in kept]
+        unknowns = [*known.model.unknowns, *own, *factors]
         fits.append(fit(trial.problem, unknowns, np.append(trial.x, np.zeros(len(factors))), REFITTED))
     mask = trial.problem.mask
     best = max(fits, key=lambda m: m.likelihood(mask))

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from ..effects.base import Effect
-from ..evaluation.bootstrap import holm
+from ..evaluation.intervals import holm
 from .fit import Scores, scores
 from .problem import Problem, Unknown, blocks
 from .residuals import Residual

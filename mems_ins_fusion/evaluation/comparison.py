@@ -1,7 +1,6 @@
 """One recording through the filter with each sensor error model, at each update interval, and in outages."""
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -11,17 +10,20 @@ from queue import Empty, SimpleQueue
 
 import numpy as np
 
+from ..errors import InputError
 from ..filter.config import FilterConfig
-from ..filter.replay import Aiding
-from ..filter.replay import run as replay
-from ..filter.results import Run
-from ..filter.smoothing import smoothed
+from ..filter.measurements.registry import AIDING
+from ..filter.runs.replay import run as replay
+from ..filter.runs.results import Run
+from ..filter.runs.smoothing import smoothed
+from ..filter.runs.usable import usable_samples
 from ..navigation.earth import to_local
 from ..navigation.frames import FLU_TO_FRD
 from ..recordings.motion import plausible
-from ..samples import Fixes, ImuSamples, Recording
+from ..samples import Aiding, Fixes, ImuSamples, Recording
+from ..threads import threads
 from . import metrics
-from .bootstrap import Difference, holm, paired
+from .intervals import Difference, holm, paired
 from .metrics import Errors, Truth, position_errors, truth_from_fixes, turning_at
 from .outages import Distance, Outages, outage_begins, run_outages, smooth_outages
 from .outages import summary as outage_summary
@@ -36,7 +38,7 @@ _BACK, _MOST_BREAKS = 1, 100
 SIGNIFICANCE = 0.05
 
 
-class ReplayError(ValueError):
+class ReplayError(InputError):
     """A recording that cannot be replayed as asked: one line that says why."""
 
 
@@ -122,15 +124,16 @@ class Comparison:
 
 def cut(recording: Recording, start: float, stop: float) -> Recording:
     """The part of `recording` from `start` to `stop` s after its first IMU sample; stop 0: to its end."""
-    origin = int(recording.imu.stamp[0])
+    if not start and not stop:
+        return recording
+    seen = usable_samples(recording.imu)
+    origin = int((seen if len(seen) else recording.imu).stamp[0])
     last = origin + round(stop * 1e9) if stop else np.iinfo(np.int64).max
 
     def part(samples):
-        return None if samples is None else samples.select(
-            (samples.stamp >= origin + round(start * 1e9)) & (samples.stamp <= last))
+        return samples.select((samples.stamp >= origin + round(start * 1e9)) & (samples.stamp <= last))
 
-    streams = ('imu', 'gnss', 'reference', 'temperature', 'speed', 'velocity', 'heading')
-    shorter = replace(recording, **{name: part(getattr(recording, name)) for name in streams})
+    shorter = recording.having({name: part(samples) for name, samples in recording.streams().items()})
     for name, samples in (('IMU sample', shorter.imu), ('fix', shorter.gnss)):
         if not len(samples):
             raise ReplayError(f'{recording.name}: no {name} between start {start:g} s and stop {stop:g} s')
@@ -154,7 +157,8 @@ def add_noise(fixes: Fixes, sigma: float, seed: int) -> Fixes:
 
 def aiding_of(recording: Recording) -> Aiding:
     """What the filter may use of `recording` besides its fixes."""
-    return Aiding(recording.speed, recording.velocity, recording.heading)
+    streams = recording.streams()
+    return Aiding({m.name: streams[m.name] for m in AIDING if m.name in streams})
 
 
 def thin(fixes: Fixes, interval: float, start: int = 0) -> np.ndarray:
@@ -291,7 +295,7 @@ class _Work:
 
     def in_threads(self, function, tasks, progress):
         """function(*task) for each task on all cores (the kernel holds no lock), in the order of `tasks`."""
-        with ThreadPoolExecutor(len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else None) as pool:
+        with ThreadPoolExecutor(threads()) as pool:
             done = SimpleQueue()  # in C: a signal cannot leave one of its locks behind, as it can those of `wait`
             futures = [pool.submit(function, *task) for task in tasks]
             try:
@@ -450,6 +454,7 @@ def run_row(result: RunResult, mechanization: str, name: str) -> dict:
     return {'recording': name, 'model': result.model, 'mechanization': mechanization,
             'update_interval_s': result.interval, **result.summary,
             'nis_mean': float(run.innovations.nis.mean()) if len(run.innovations.nis) else None,
+            'independent_truth': result.independent,
             'imu_samples': result.samples, 'fixes_used': len(run.innovations.nis),
             'filter_seconds': run.filter_seconds}
 

@@ -9,12 +9,13 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from ..filter.results import Run
+from ..filter.runs.results import Run
+from ..filter.runs.usable import usable_samples
 from ..navigation.earth import radii
 from ..navigation.frames import wrap
 from ..recordings.motion import plausible
 from ..samples import Fixes, ImuSamples, Reference
-from .bootstrap import interval_of_mean
+from .intervals import interval_of_mean
 
 #: a vehicle that turns faster than this is in a manoeuvre, rad/s, and for a while before and after, s
 TURN_RATE, TURN_MARGIN = np.radians(5.0), 2.0
@@ -161,11 +162,11 @@ def turning_at(imu: ImuSamples, conditioning: np.ndarray, stamp: np.ndarray) -> 
 
     From the gyroscopes, so that all models are judged by the same manoeuvres. conditioning: (6, 6), `FilterConfig`'s.
     """
-    finite = np.isfinite(imu.angular_rate).all(axis=1)
-    if finite.sum() < 2:
+    imu = usable_samples(imu)
+    if len(imu) < 2:
         return np.zeros(len(stamp), dtype=bool)
-    time = np.maximum.accumulate((imu.stamp[finite] - imu.stamp[0]) * 1e-9)
-    rate = imu.angular_rate[finite] @ conditioning[5, 3:]
+    time = (imu.stamp - imu.stamp[0]) * 1e-9
+    rate = imu.angular_rate @ conditioning[5, 3:]
     yaw = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))])
     # only where there are samples: a clock that is set meanwhile makes the recording decades long
     grid = np.unique(np.floor(10.0 * time)) / 10.0
@@ -201,7 +202,7 @@ def summary(errors: Errors) -> dict:
                 for name, q in (('median', 50), ('p95', 95), ('max', 100))}
     numbers = {
         'horizontal_rmse_m': rms(horizontal),
-        'horizontal_rmse_interval_m': [float(np.sqrt(low)), float(np.sqrt(high))] if np.isfinite(low) else None,
+        'horizontal_rmse_interval_m': np.sqrt(np.maximum([low, high], 0.0)).tolist() if np.isfinite(low) else None,
         **{f'horizontal_{name}_m': value for name, value in quantile.items()},
         'cep50_m': quantile['median'], 'cep95_m': quantile['p95'],
         'along_track_rmse_m': rms(errors.along), 'cross_track_rmse_m': rms(errors.cross),

@@ -1,16 +1,18 @@
 """Errors while fixes are withheld: the protocol of docs/metrics.md."""
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..filter.config import FilterConfig
-from ..filter.replay import Aiding, Coasting, run_with_outages
-from ..filter.results import Run
-from ..filter.smoothing import smoothed_outages
-from ..samples import Fixes, ImuSamples
+from ..filter.runs.replay import Coasting, run_with_outages
+from ..filter.runs.results import Run
+from ..filter.runs.smoothing import smoothed_outages
+from ..navigation.earth import radii
+from ..samples import Aiding, Fixes, ImuSamples
 from .metrics import NEES_95, Errors, Truth, position_errors, rms
+from .verdict import Consistency
 
 #: the filter has run for this long before the first outage, s
 SETTLING = 30.0
@@ -25,7 +27,8 @@ class Outages:
     begin: ns, of the last fix used. max_error: m, the largest horizontal error. distance: m, driven meanwhile.
     within: whether the error at the end (smoothed: in the middle) is inside the filter's own 95 % ellipse. time (g,): s
     after the begin; growth (o, g): horizontal error then, m; sigma (o, g): the filter's horizontal standard deviation,
-    m. errors: of each.
+    m. errors: of each. kept: m, the largest error had the vehicle kept the velocity that the filter knew at the begin:
+    what one has without an IMU.
     """
 
     duration: float
@@ -37,6 +40,7 @@ class Outages:
     growth: np.ndarray
     sigma: np.ndarray
     errors: list[Errors]
+    kept: np.ndarray
 
     @property
     def apart(self) -> int:
@@ -47,7 +51,12 @@ class Outages:
         """Some of the outages; index: (o,) bool."""
         return Outages(self.duration, self.begin[index], self.max_error[index], self.distance[index],
                        self.within[index], self.time, self.growth[index], self.sigma[index],
-                       [errors for errors, wanted in zip(self.errors, index) if wanted])
+                       [errors for errors, wanted in zip(self.errors, index) if wanted], self.kept[index])
+
+    @property
+    def consistency(self) -> Consistency:
+        """The errors against the filter's own sigmas."""
+        return Consistency(self.duration, np.array([e.nees.mean() for e in self.errors]), self.within, self.apart)
 
 
 def outage_begins(first: int, fixes: Fixes, time_offset: float, spacing: float, shortest: float) -> np.ndarray:
@@ -85,7 +94,10 @@ def outages_of(run: Run, coasting: Coasting, truth: Truth, durations, longest_ga
     an outage `within` looks."""
     durations = sorted(durations)
     driven = Distance(run)
-    errors = [_errors(coasting, i, truth, durations[-1], longest_gap) for i in range(len(coasting.begin))]
+    rows = [slice(first, last) for first, last in zip(coasting.first[:-1], coasting.first[1:])]
+    errors = [tuple(_errors(states, begin, truth, durations[-1], longest_gap)
+                    for states in (coasting.run.states(mine), _kept(coasting.run.states(mine))))
+              for mine, begin in zip(rows, coasting.begin)]
     return [_measure(duration, _fitting(duration, coasting, errors, truth, run), driven, judged)
             for duration in durations]
 
@@ -102,19 +114,33 @@ def smooth_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: T
 
 def _fitting(duration: float, coasting: Coasting, errors: list[Errors], truth: Truth, run: Run):
     """Begin and errors of those outages that end before the recording does."""
+    if not len(run.stamp):  # a filter that never starts
+        return []
     length, last = round(duration * 1e9), min(truth.reference.stamp[-1] if len(truth) else 0, run.stamp[-1])
     return [(b, e) for b, e in zip(coasting.begin.tolist(), errors)
-            if b + length <= last and (e.stamp <= b + length).any()]
+            if b + length <= last and (e[0].stamp <= b + length).any()]
 
 
-def _errors(coasting: Coasting, i: int, truth: Truth, duration: float, longest_gap: float) -> Errors:
-    rows = slice(coasting.first[i], coasting.first[i + 1])
-    run, begin = coasting.run, coasting.begin[i]
+def _kept(states: Run) -> Run:
+    """`states` with the velocity and the attitude of the first one kept."""
+    if not len(states.stamp):
+        return states
+    seconds, (north, east) = (states.stamp - states.stamp[0]) * 1e-9, states.velocity[0, :2]
+    meridian, prime_vertical = radii(states.latitude[0])
+    cos = np.cos(states.latitude[0])
+    attitude = {name: np.full_like(angle, angle[0]) for name in ('roll', 'pitch', 'yaw')
+                for angle in (getattr(states, name),)}
+    return replace(states, latitude=states.latitude[0] + north * seconds / (meridian + states.height[0]),
+                   longitude=states.longitude[0] + east * seconds / ((prime_vertical + states.height[0]) * cos),
+                   **attitude)
+
+
+def _errors(run: Run, begin: int, truth: Truth, duration: float, longest_gap: float) -> Errors:
     stamp = truth.reference.stamp
     within = slice(np.searchsorted(stamp, begin, side='right'),
                    np.searchsorted(stamp, begin + round(duration * 1e9), side='right'))
     truth = truth.select(within)
-    return position_errors(run.states(rows), truth, np.zeros(len(truth), dtype=bool), longest_gap)
+    return position_errors(run, truth, np.zeros(len(truth), dtype=bool), longest_gap)
 
 
 class Distance:
@@ -134,9 +160,10 @@ class Distance:
 def _measure(duration, fits, driven, judged: float) -> Outages:
     length = round(duration * 1e9)
     time = np.linspace(0.0, duration, max(int(np.ceil(duration)), 2) + 1)[1:]
-    maxima, distance, within, growth, sigma = [], [], [], [], []
-    fits = [(begin, errors.select(errors.stamp <= begin + length)) for begin, errors in fits]
-    for begin, errors in fits:
+    maxima, distance, within, growth, sigma, kept = [], [], [], [], [], []
+    fits = [(begin, *(errors.select(errors.stamp <= begin + length) for errors in both)) for begin, both in fits]
+    for begin, errors, without_imu in fits:
+        kept.append(without_imu.horizontal.max())
         horizontal, after = errors.horizontal, (errors.stamp - begin) * 1e-9
         maxima.append(horizontal.max())
         distance.append(float(driven.at(begin + length) - driven.at(begin)))
@@ -144,9 +171,9 @@ def _measure(duration, fits, driven, judged: float) -> Outages:
         growth.append(np.interp(time, after, horizontal))
         sigma.append(np.interp(time, after, errors.sigma))
     shape = (len(fits), len(time))
-    return Outages(duration, np.array([b for b, _ in fits], dtype=np.int64), np.array(maxima), np.array(distance),
+    return Outages(duration, np.array([b for b, *_ in fits], dtype=np.int64), np.array(maxima), np.array(distance),
                    np.array(within, dtype=bool), time, np.reshape(growth, shape), np.reshape(sigma, shape),
-                   [errors for _, errors in fits])
+                   [errors for _, errors, _ in fits], np.array(kept))
 
 
 def summary(outages: Outages) -> dict:
@@ -154,10 +181,13 @@ def summary(outages: Outages) -> dict:
     error = outages.max_error
     numbers = {'duration_s': outages.duration, 'count': len(error)}
     if not len(error):
-        return {**numbers, **dict.fromkeys(('max_error_rms_m', 'max_error_median_m', 'max_error_p95_m',
-                                            'percent_of_distance', 'within_95_percent'))}
+        return {**numbers, **dict.fromkeys(('max_error_rms_m', 'max_error_mean_m', 'max_error_median_m',
+                                            'max_error_p95_m', 'percent_of_distance', 'within_95_percent',
+                                            'velocity_kept_mean_m'))}
     distance = outages.distance.sum()
-    return {**numbers, 'max_error_rms_m': rms(error), 'max_error_median_m': float(np.median(error)),
+    return {**numbers, 'max_error_rms_m': rms(error), 'max_error_mean_m': float(error.mean()),
+            'max_error_median_m': float(np.median(error)),
             'max_error_p95_m': float(np.percentile(error, 95)),
             'percent_of_distance': float(100 * error.sum() / distance) if distance > 1.0 else None,
-            'within_95_percent': float(100 * outages.within.mean())}
+            'within_95_percent': float(100 * outages.within.mean()),
+            'velocity_kept_mean_m': float(outages.kept.mean())}

@@ -1,17 +1,21 @@
 """What is wrong or remarkable with a recording, before a filter sees it.
 
 `check_recording` looks at each stream by itself (rate, gaps, stamps, values) and then at what they say about each
-other: units and axes of the sensors, and the offset between their clocks.
+other. What needs an estimate of mounting and clocks is in `configuration.check`.
 """
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import numpy as np
 
+from mems_ins_fusion.filter.measurements.registry import AIDING
+from mems_ins_fusion.filter.runs.usable import LARGEST_IN_ANY_UNIT, usable
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY, gravity
 from mems_ins_fusion.recordings.aiding import check_heading, check_speed, check_velocity
 from mems_ins_fusion.recordings.findings import ERROR, INFO, WARNING, Finding, count_of
 from mems_ins_fusion.recordings.motion import (
-    Steering,
     compare_steering,
     find_standstill,
     positions,
@@ -28,37 +32,42 @@ HARDEST = 12.0  # m/s^2: its strongest acceleration
 GAP = 2.5  # in intervals
 _AXES = np.array(['x', 'y', 'z'])
 _UNITS = {'g': 1.0 / STANDARD_GRAVITY, 'mg': 1000.0 / STANDARD_GRAVITY}  # per m/s^2
-_AIDING = {'speed': check_speed, 'velocity': check_velocity, 'heading': check_heading}
+_AGAINST_FIXES = {'speed': check_speed, 'velocity': check_velocity, 'heading': check_heading}
+_DEGREES_PER_RADIAN = 180.0 / np.pi
 _STRAIGHT = np.cos(np.radians(20.0))  # an axis within 20 degrees of the vertical is said to point up
 
 
-def check_recording(recording: Recording) -> list[Finding]:
-    """The findings on `recording`: for each stream, then for both together. Nothing is changed."""
-    imu, fixes = recording.imu, recording.gnss
+def check_recording(recording: Recording, values: Mapping = MappingProxyType({})) -> list[Finding]:
+    """The findings on `recording`: for each stream, then for both together. Nothing is changed.
+
+    values: parameters, where there are some: what they say already is not said again. What a recording shows of the
+    mounting, the clocks and the antenna, `configuration.check` compares with them.
+    """
+    imu, fixes, seen = recording.imu, recording.gnss, usable(recording)
     findings = [*_check_stamps('imu', imu), *_check_values(imu)]
     good = None
     if fixes is not None:
         findings += _check_stamps('gnss', fixes)
         findings += _check_fixes_present(fixes)
-        valid = fixes.select(valid_fixes(fixes))
-        good = valid.select(np.argsort(valid.stamp, kind='stable')) if len(valid) > 1 else None
+        good = seen.gnss if len(seen.gnss) > 1 else None
     if recording.temperature is not None:
         findings += _check_stamps('temperature', recording.temperature)
-    for name, check in _AIDING.items():
-        samples = getattr(recording, name)
-        if samples is not None:
-            findings += [*_check_stamps(name, samples), *check(samples, good)]
-    finite = np.isfinite(imu.specific_force).all(axis=1) & np.isfinite(imu.angular_rate).all(axis=1)
-    imu = imu if finite.all() else imu.select(finite)
+    streams = recording.streams()
+    for name in (measurement.name for measurement in AIDING if measurement.name in streams):
+        findings += _check_stamps(name, streams[name])
+        if name in _AGAINST_FIXES:
+            findings += _AGAINST_FIXES[name](streams[name], good)
+    imu = seen.imu
     if len(imu) < 2:
         return findings
     if good is not None and (imu.stamp.max() < good.stamp[0] or imu.stamp.min() > good.stamp[-1]):
         return [*findings, _no_overlap(imu, good)]
     still = find_standstill(imu, good)
-    findings += _check_gravity(imu, still, good)
+    findings += _check_gravity(imu, still, good, values.get('mechanization'))
     if good is not None:
-        findings += [*_check_frozen(good, imu, still), *_check_jumps(good), *_check_sigma(good, imu, still)]
-        findings += _check_clocks(imu, good, still)
+        findings += [*_check_frozen(good, imu, still), *_check_jumps(good),
+                     *_check_sigma(good, imu, still, values.get('gnss.sigma', 0.0)),
+                     *_check_turns(imu, good, still)]
     return findings
 
 
@@ -138,6 +147,15 @@ def _check_values(imu: ImuSamples):
         count = int(broken.sum())
         yield Finding(ERROR if broken.all() else WARNING, 'imu', f'{count_of(count, "sample")} not finite (NaN or '
                       f'infinite), the first {first:.1f} s after the start', {'count': count, 'first_s': float(first)})
+    with np.errstate(invalid='ignore'):
+        beyond = ~broken & ((np.abs(both) > LARGEST_IN_ANY_UNIT).any(axis=1) | ~both[:, :3].any(axis=1))
+    if beyond.any():
+        count, largest = int(beyond.sum()), float(np.abs(both[beyond]).max())
+        beyond_any = largest > LARGEST_IN_ANY_UNIT
+        words = f'beyond what an IMU delivers (up to {largest:.3g})' if beyond_any else 'with a specific force of zero'
+        yield Finding(ERROR if (broken | beyond).all() else WARNING, 'imu', f'{count_of(count, "sample")} {words}',
+                      {'count': count, 'largest': largest})
+    broken |= beyond
     if broken.all() or len(imu) < 2:
         return
     for columns, name in ((slice(0, 3), 'accelerometer'), (slice(3, 6), 'gyroscope')):
@@ -177,7 +195,7 @@ def _no_overlap(imu, fixes):
                    'IMU by their stamps', {'offset_s': offset})
 
 
-def _check_gravity(imu, still, fixes):
+def _check_gravity(imu, still, fixes, mechanization):
     """Magnitude and direction of the specific force: the accelerometers' unit, and which axis points up."""
     up, magnitude = up_axis(imu, still)
     expected = float(gravity(fixes.latitude[0], fixes.height[0])) if fixes is not None else STANDARD_GRAVITY
@@ -190,7 +208,8 @@ def _check_gravity(imu, still, fixes):
         yield Finding(ERROR, 'imu', f'{text}: the accelerometers seem to be in {unit} instead of m/s^2 (see '
                       'imu.acceleration_unit)', values)
     elif magnitude < 0.2 * expected:
-        yield Finding(ERROR, 'imu', f'{text}: gravity seems to be removed from it, or the unit is wrong', values)
+        severity = INFO if mechanization == 'planar' else ERROR  # it works without
+        yield Finding(severity, 'imu', f'{text}: gravity seems to be removed from it, or the unit is wrong', values)
     elif abs(magnitude / expected - 1) > 0.15:
         yield Finding(ERROR, 'imu', f'{text}: unit or scale is wrong', values)
     else:
@@ -200,12 +219,9 @@ def _check_gravity(imu, still, fixes):
     axis = int(np.argmax(np.abs(up)))
     name = f'{"+" if up[axis] > 0 else "-"}{_AXES[axis]}'
     tilt = float(np.degrees(np.arccos(min(abs(up[axis]), 1.0))))
-    if abs(up[axis]) > _STRAIGHT:
-        yield Finding(INFO, 'imu', f'sensor axis {name} points up, {tilt:.1f} deg off',
-                      {'axis': name, 'tilt_deg': tilt})
-    else:
-        yield Finding(WARNING, 'imu', f'no sensor axis points up: {name} is nearest, {tilt:.0f} deg off; state '
-                      'imu.mounting_rpy', {'axis': name, 'tilt_deg': tilt})
+    upright = abs(up[axis]) > _STRAIGHT
+    points = f'sensor axis {name} points up' if upright else f'no sensor axis points up: {name} is nearest'
+    yield Finding(INFO, 'imu', f'{points}, {tilt:.1f} deg off', {'axis': name, 'tilt_deg': tilt})
     if still.any():
         bias = imu.angular_rate[still].mean(axis=0)
         if np.abs(bias).max() > 0.05:
@@ -256,12 +272,13 @@ def _check_jumps(fixes):
                       {'count': count, 'largest_m': float(size.max()), 'first_s': float(time[1:][jump][0])})
 
 
-def _check_sigma(fixes, imu, still):
-    """The stated sigma against the scatter at rest, or against the roughness of the track, which bounds white noise."""
+def _check_sigma(fixes, imu, still, declared):
+    """The stated sigma, or the `declared` one, m, against the scatter at rest, or against the roughness of the track,
+    which bounds white noise."""
     stated = sigmas(fixes)
     if np.isnan(stated).all():
         return
-    stated = float(np.nanmedian(stated))
+    stated = declared or float(np.nanmedian(stated))
     path = positions(fixes)
     scatter, basis = scatter_at_rest(fixes, imu, still), 'at rest'
     if scatter is None:
@@ -283,34 +300,20 @@ def _check_sigma(fixes, imu, still):
         yield Finding(INFO, 'gnss', text, values)
 
 
-def _check_clocks(imu, fixes, still):
-    """Unit and sign of the gyroscopes, and the clock offset, from the turns in the course of the fixes."""
+def _check_turns(imu, fixes, still):
+    """Unit and sign of the gyroscopes, from the turns in the course of the fixes."""
     up, _ = up_axis(imu, still)
     steering = compare_steering(imu, fixes, up)
-    if steering is None or steering.explained < 0.3 or abs(steering.scale) < 5.0 * steering.scale_sigma:
+    if steering is None or not steering.tells:
         yield Finding(INFO, 'imu/gnss', 'no turns clear enough to compare the gyroscopes with the course of the fixes')
         return
-    yield from _check_turns(steering)
-    values = {'lag_s': steering.lag, 'sigma_s': steering.lag_sigma, 'arm_m': steering.arm,
-              'arm_sigma_m': steering.arm_sigma, 'intervals': steering.intervals}
-    when, where = 'late' if steering.lag > 0 else 'early', 'ahead of' if steering.arm > 0 else 'behind'
-    text = (f'by its turns the course of the fixes is {abs(steering.lag):.3f} s {when} '
-            f'(sigma {steering.lag_sigma:.3f} s), the antenna {abs(steering.arm):.2f} m {where} the rear axle '
-            f'(sigma {steering.arm_sigma:.2f} m)')
-    if abs(steering.lag) > max(4.0 * steering.lag_sigma, 0.05):
-        yield Finding(WARNING, 'imu/gnss', f'{text}: a clock offset, see gnss.time_offset', values)
-    elif steering.lag_sigma < 0.3:
-        yield Finding(INFO, 'imu/gnss', f'{text}: no clock offset to be seen', values)
-    else:
-        yield Finding(INFO, 'imu/gnss', 'turns too few, or fixes too noisy, to see an offset of the clocks', values)
-
-
-def _check_turns(steering: Steering):
     turned = 1.0 / steering.scale
     values = {'ratio': turned, 'sigma': steering.scale_sigma * turned**2}
     text = f'the gyroscopes turn through {turned:.3g} times the angle of the course'
-    if abs(abs(steering.scale) * 180 / np.pi - 1) < 0.3:
+    if abs(abs(steering.scale) * _DEGREES_PER_RADIAN - 1) < 0.3:
         yield Finding(ERROR, 'imu', f'{text}: they seem to be in deg/s instead of rad/s (see imu.rate_unit)', values)
+    elif abs(abs(steering.scale) / _DEGREES_PER_RADIAN - 1) < 0.3:
+        yield Finding(ERROR, 'imu', f'{text}: they seem to be in rad/s, not in deg/s (see imu.rate_unit)', values)
     elif steering.scale < 0:
         yield Finding(ERROR, 'imu', f'{text}: their sign does not fit the accelerometers; the axes are not '
                       'right-handed, or the specific force has the wrong sign', values)

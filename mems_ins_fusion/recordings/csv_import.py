@@ -1,17 +1,23 @@
 """IMU and GNSS logs in CSV to samples, in the axes and units of the ROS messages."""
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.errors import RecordingError
-from mems_ins_fusion.recordings.tables import Table, read_table, unit_in_name
+from mems_ins_fusion.recordings.gps_time import utc_of_week
+from mems_ins_fusion.recordings.nmea import read_nmea
+from mems_ins_fusion.recordings.tables import Table, read_table, read_text, unit_in_name
 from mems_ins_fusion.samples import Fixes, ImuSamples, Speeds, Temperatures, Velocities
 
 ACCELERATION_UNITS = {'m/s^2': 1.0, 'g': STANDARD_GRAVITY, 'mg': STANDARD_GRAVITY / 1000.0}
 GYRO_UNITS = {'rad/s': 1.0, 'deg/s': np.pi / 180.0}
-SPEED_UNITS = {'m/s': 1.0, 'km/h': 1 / 3.6, 'mph': 0.44704, 'knots': 1852 / 3600}
-ANGLE_UNITS = {'deg': np.pi / 180.0, 'rad': 1.0}
+SPEED_UNITS = {'m/s': 1.0, 'km/h': 1 / 3.6, 'mph': 0.44704, 'knots': 1852 / 3600, 'mm/s': 1e-3, 'cm/s': 1e-2}
+#: whole numbers of 1e-7 deg are what u-blox, MAVLink and PX4 send, with heights in mm
+ANGLE_UNITS = {'deg': np.pi / 180.0, 'rad': 1.0, '1e-7 deg': 1e-7 * np.pi / 180.0}
+LENGTH_UNITS = {'m': 1.0, 'cm': 1e-2, 'mm': 1e-3}
 #: how people write the units in the names of columns
 _SPELLINGS = {**dict.fromkeys(('m/s2', 'm s^-2', 'm/s²', 'm/s/s', 'mps2', 'm_s2'), 'm/s^2'),
               **dict.fromkeys(('rad s^-1', 'rad_s', 'radps'), 'rad/s'),
@@ -20,6 +26,10 @@ _SPELLINGS = {**dict.fromkeys(('m/s2', 'm s^-2', 'm/s²', 'm/s/s', 'mps2', 'm_s2
               **dict.fromkeys(('kn', 'kt', 'kts', 'knot'), 'knots'),
               **dict.fromkeys(('°', 'degree', 'degrees'), 'deg'), **dict.fromkeys(('radian', 'radians'), 'rad')}
 _LONGEST_IMU_INTERVAL = 0.2  # s
+#: what three columns must be near to, to be proposed as accelerometers: the logarithm of the ratio to gravity
+_NEAR_GRAVITY = 0.15
+#: and as gyroscopes: a median below this is a vehicle's in deg/s, and rates beyond this are not in rad/s
+_FASTEST_DEG, _FASTEST_RAD = 100.0, 4.0
 
 #: forward-left-up directions
 DIRECTIONS = {'forward': (1, 0, 0), 'back': (-1, 0, 0), 'left': (0, 1, 0), 'right': (0, -1, 0), 'up': (0, 0, 1),
@@ -27,13 +37,18 @@ DIRECTIONS = {'forward': (1, 0, 0), 'back': (-1, 0, 0), 'left': (0, 1, 0), 'righ
 _ACCELEROMETER = ('a', 'acc', 'accel', 'accelerometer', 'acceleration', 'linearacceleration', 'specificforce', 'f',
                   'accelerometers', 'arss')
 _GYROSCOPE = ('w', 'g', 'gyr', 'gyro', 'gyroscope', 'omega', 'angularvelocity', 'angularrate', 'rate', 'wrss')
-TIME = ('time', 't', 'timestamp', 'stamp', 'sec', 'seconds', 'unixtime', 'utc', 'epoch', 'headerstamp', 'rostime')
+TIME = ('time', 'timeus', 'timems', 'timens', 't', 'timestamp', 'stamp', 'sec', 'seconds', 'unixtime', 'utc', 'epoch',
+        'headerstamp', 'rostime')
 
 
 def _axis_aliases(prefixes, axis):
     return tuple(f'{prefix}{axis}' for prefix in prefixes) + tuple(f'{axis}{prefix}' for prefix in prefixes)
 
 
+#: time in two columns, week and seconds (or ms, GMS) of GPS time, or in six, a date
+_WEEK = ('week', 'gpsweek', 'gwk', 'wn')
+_INTO_WEEK = ('tow', 'sow', 'seconds', 'secondsofweek', 'itow', 'gms', 'gpstow')
+_DATE = (('year',), ('month',), ('day',), ('hour',), ('min', 'minute'), ('sec', 'second', 'seconds'))
 #: usual names of columns, as `tables.plain` leaves them
 IMU_COLUMNS = {'time': TIME,
                **{f'a{axis}': _axis_aliases(_ACCELEROMETER, axis) for axis in 'xyz'},
@@ -41,8 +56,10 @@ IMU_COLUMNS = {'time': TIME,
                'temperature': ('temperature', 'temp', 'imutemperature', 'imutemp')}
 GNSS_COLUMNS = {'time': TIME, 'latitude': ('latitude', 'lat', 'latdeg', 'phi'),
                 'longitude': ('longitude', 'lon', 'lng', 'long', 'londeg', 'lambda'),
-                'height': ('height', 'altitude', 'alt', 'h', 'hgt', 'ellipsoidalheight'),
-                'sigma': ('sigma', 'hacc', 'horizontalaccuracy', 'accuracy', 'std'),
+                'height': ('ellipsoidalheight', 'altellipsoid', 'height', 'altitude', 'alt', 'h', 'hgt'),
+                'sigma': ('sigma', 'hacc', 'horizontalaccuracy', 'eph', 'hrms', 'accuracy', 'std'),
+                'vertical_sigma': ('verticalsigma', 'vacc', 'verticalaccuracy', 'epv', 'vrms'),
+                'hdop': ('hdop',), 'status': ('status', 'fixtype', 'fixquality', 'quality', 'gpsstatus', 'fix'),
                 **{wanted: (f'v{wanted[0]}', f'vel{wanted[0]}', f'{wanted[0]}vel', f'vel{wanted}', f'{wanted}vel',
                             f'velocity{wanted}', f'{wanted}velocity') for wanted in ('north', 'east', 'down')},
                 'velocity_sigma': ('velocitysigma', 'sacc', 'speedaccuracy', 'velocityaccuracy')}
@@ -81,77 +98,171 @@ def axes_rotation(text: str) -> np.ndarray:
 
 
 def read_imu(path, columns: dict[str, str] | None = None, axes: str = 'forward left up', time_unit=None,
-             acceleration_unit=None, gyro_unit=None) -> tuple[ImuSamples, Temperatures | None, str]:
+             acceleration_unit=None, gyro_unit=None, *, increments: bool = False, rows: tuple[str, str] | None = None,
+             gyro=None) -> tuple[ImuSamples, Temperatures | None, str]:
     """Samples turned to forward-left-up, temperatures where there is such a column, and what was taken for what.
 
-    columns: those whose names are not usual, by the keys of IMU_COLUMNS. Units that are None are taken from brackets in
-    the columns' names, else m/s^2 and rad/s; time's also from its intervals. Raises RecordingError.
+    columns: those whose names are not usual, by the keys of IMU_COLUMNS, `NAME [unit]` states a unit, `A|B` is the
+    first that is there. Units that are None are taken from brackets in the columns' names, else m/s^2 and rad/s; time's
+    also from its intervals. increments: of velocity and angle since the sample before, instead of rates. rows: (column,
+    value) of those to take. gyro: a file of its own with the angular rates, which are interpolated to the times of the
+    specific force. Raises RecordingError; what is missing is named all at once, with the options that would fit.
     """
-    rotation = axes_rotation(axes)
-    table, columns = read_table(path), columns or {}
-    names = {wanted: table.require(wanted, IMU_COLUMNS[wanted], columns)
-             for wanted in ('time', 'ax', 'ay', 'az', 'wx', 'wy', 'wz')}
-    stamp, time_unit = table.times(names['time'], time_unit, _LONGEST_IMU_INTERVAL)
-    acceleration_unit = acceleration_unit or _unit(names['ax'], ACCELERATION_UNITS)
-    gyro_unit = gyro_unit or _unit(names['wx'], GYRO_UNITS)
-    force, rate = (np.column_stack([table.numbers(names[f'{sensor}{axis}']) for axis in 'xyz']) for sensor in 'aw')
-    force, rate = force * ACCELERATION_UNITS[acceleration_unit], rate * GYRO_UNITS[gyro_unit]
+    rotation, columns = axes_rotation(axes), columns or {}
+    table = _chosen(read_table(path), rows)
+    sensors = ('ax', 'ay', 'az') if gyro else ('ax', 'ay', 'az', 'wx', 'wy', 'wz')
+    # of a file with one sensor alone the axes need no further name
+    names = _require(table, sensors, IMU_COLUMNS, columns, {f'a{axis}': (axis,) for axis in 'xyz'} if gyro else {})
+    stamp, time_unit = _times(table, columns, time_unit, _LONGEST_IMU_INTERVAL, names)
+    acceleration_unit = acceleration_unit or _unit(table, names['ax'], ACCELERATION_UNITS)
+    force = _columns(table, names, ('ax', 'ay', 'az')) * ACCELERATION_UNITS[acceleration_unit]
+    if gyro:
+        turning = read_table(gyro)
+        own = _require(turning, ('wx', 'wy', 'wz'), IMU_COLUMNS, columns, {f'w{axis}': (axis,) for axis in 'xyz'})
+        at, _ = _times(turning, columns, time_unit if time_unit != 'date' else None, _LONGEST_IMU_INTERVAL, own)
+        gyro_unit = gyro_unit or _unit(turning, own['wx'], GYRO_UNITS)
+        inside = (stamp >= at.min()) & (stamp <= at.max())
+        if not inside.any():
+            raise RecordingError(f'{path} and {gyro} do not overlap in time')
+        table, stamp, force = table.select(inside), stamp[inside], force[inside]
+        order = np.argsort(at, kind='stable')
+        values = _columns(turning, own, ('wx', 'wy', 'wz'))[order] * GYRO_UNITS[gyro_unit]
+        rate = np.column_stack([np.interp(stamp - at[order[0]], at[order] - at[order[0]], v) for v in values.T])
+        names |= {name: f'{turning.path.name}: {own[name]}' for name in ('wx', 'wy', 'wz')}
+    else:
+        gyro_unit = gyro_unit or _unit(table, names['wx'], GYRO_UNITS)
+        rate = _columns(table, names, ('wx', 'wy', 'wz')) * GYRO_UNITS[gyro_unit]
+    if increments:
+        if len(stamp) < 2:
+            raise RecordingError(f'{path}: increments of a single sample are no rates')
+        step = np.diff(stamp, prepend=2 * stamp[0] - stamp[1])[:, None] * 1e-9
+        force, rate = (np.where(step > 0, v / np.where(step > 0, step, 1.0), np.nan) for v in (force, rate))
     received = np.maximum.accumulate(stamp)
     imu = ImuSamples(stamp, received, force @ rotation.T, rate @ rotation.T)
-    warm = table.find('temperature', IMU_COLUMNS['temperature'], columns)
-    temperature = Temperatures(stamp, received, table.numbers(warm)) if warm else None
-    return imu, temperature, _summary(table, names, len(stamp), (time_unit, acceleration_unit, gyro_unit))
+    warm = _find(table, 'temperature', IMU_COLUMNS, columns)
+    temperature = Temperatures(stamp, received, table.numbers(warm[0])) if warm else None
+    units = (time_unit, acceleration_unit, gyro_unit, *(['increments'] if increments else []))
+    return imu, temperature, _summary(table, names, len(stamp), units)
 
 
 def read_gnss(path, columns: dict[str, str] | None = None, time_unit=None, angle_unit=None,
-              sigma: float = 2.5) -> tuple[Fixes, str]:
+              sigma: float = 2.5, *, rows: tuple[str, str] | None = None) -> tuple[Fixes, str]:
     """Fixes, and what was taken for what.
 
-    columns, units: as for `read_imu`, with the keys of GNSS_COLUMNS; angles are in degrees without a unit.
-    sigma: horizontal standard deviation, m, where the file has no column for it; the vertical is twice that. Without a
-    height it is zero. Rows with an empty or impossible position become messages without a fix. Raises RecordingError.
+    path: CSV, or NMEA. columns, units, rows: as for `read_imu`, with the keys of GNSS_COLUMNS; angles are in degrees
+    without a unit, or in 1e-7 deg where they are beyond 360.
+    sigma: horizontal standard deviation, m, where the file has no column for it; times HDOP where it has that. The
+    vertical is twice that without a column. Without a height it is zero. Rows with an empty or impossible position, or
+    a status that says so, become messages without a fix. Raises RecordingError.
     """
     if not 0 < sigma < np.inf:
         raise RecordingError(f'the sigma of fixes must be above 0, got {sigma:g}')
-    table, columns = read_table(path), columns or {}
-    names = {wanted: table.require(wanted, GNSS_COLUMNS[wanted], columns)
-             for wanted in ('time', 'latitude', 'longitude')}
-    for wanted in ('height', 'sigma'):
-        found = table.find(wanted, GNSS_COLUMNS[wanted], columns)
-        if found:
-            names[wanted] = found
-    stamp, time_unit = table.times(names['time'], time_unit)
-    angle_unit = angle_unit or _unit(names['latitude'], ANGLE_UNITS)
-    latitude, longitude = (table.numbers(names[name]) * ANGLE_UNITS[angle_unit] for name in ('latitude', 'longitude'))
-    height = table.numbers(names['height']) if 'height' in names else np.zeros(len(stamp))
+    if read_text(path, 'utf-8', 'replace').lstrip()[:1] == '$':
+        return _nmea_fixes(path, sigma)
+    table, columns = _chosen(read_table(path), rows), columns or {}
+    names = _require(table, ('latitude', 'longitude'), GNSS_COLUMNS, columns)
+    found = {wanted: _find(table, wanted, GNSS_COLUMNS, columns)
+             for wanted in ('height', 'sigma', 'vertical_sigma', 'hdop', 'status')}
+    stamp, time_unit = _times(table, columns, time_unit, 20.0, names)
+    latitude, longitude = (table.numbers(names[name]) for name in ('latitude', 'longitude'))
+    largest = np.nanmax(np.abs(latitude), initial=0.0)
+    guess = '1e-7 deg' if 360.0 < largest < 1e10 and (latitude == np.round(latitude))[np.isfinite(latitude)].all() \
+        else None
+    angle_unit = angle_unit or guess or _unit(table, names['latitude'], ANGLE_UNITS)
+    latitude, longitude = latitude * ANGLE_UNITS[angle_unit], longitude * ANGLE_UNITS[angle_unit]
     if np.nanmax(np.abs(latitude), initial=0.0) > np.pi / 2 or np.nanmax(np.abs(longitude), initial=0.0) > 2 * np.pi:
         raise RecordingError(f"{path}: latitudes and longitudes beyond 90 and 360 deg: are they in {angle_unit}?")
-    stated = table.numbers(names['sigma']) if 'sigma' in names else np.full(len(stamp), sigma)
-    variance = np.where(stated > 0, stated, sigma) ** 2
-    covariance = variance[:, None, None] * np.diag([1.0, 1.0, 4.0])
+    lengths = {'height': 'mm' if angle_unit == '1e-7 deg' else 'm'}
+
+    def column(wanted):
+        """The column in metres (HDOP: as it is), None where there is none."""
+        if not found[wanted]:
+            return None
+        name, unit = found[wanted]
+        names[wanted] = name
+        unit = unit or _unit(table, name, {lengths.get(wanted, 'm'): 1.0, **LENGTH_UNITS})
+        return table.numbers(name) * (1.0 if wanted == 'hdop' else LENGTH_UNITS[unit])
+
+    height = column('height')
+    height = np.zeros(len(stamp)) if height is None else height
+    horizontal, vertical, hdop = column('sigma'), column('vertical_sigma'), column('hdop')
+    covariance = _covariance(horizontal, vertical, hdop, sigma, len(stamp))
+    status = np.zeros(len(stamp), np.int8)
+    if found['status']:
+        names['status'] = found['status'][0]
+        status = _statuses(table, names['status'])
     present = np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(height)
+    kind = 2 if horizontal is not None and vertical is not None else 1  # diagonal known, or approximated
     fixes = Fixes(stamp, np.maximum.accumulate(stamp), latitude, longitude, height, covariance,
-                  np.where(present, 0, -1).astype(np.int8), np.full(len(stamp), 1, np.uint8))  # 1: approximated
+                  np.where(present, status, -1).astype(np.int8), np.full(len(stamp), kind, np.uint8))
     return fixes, _summary(table, names, len(stamp), (time_unit, angle_unit))
 
 
-def read_velocity(path, columns: dict[str, str] | None = None, time_unit=None) -> tuple[Velocities, str] | None:
+def _nmea_fixes(path, sigma: float) -> tuple[Fixes, str]:
+    found = read_nmea(path)
+    order = np.argsort(found.stamp, kind='stable')
+    stamp, count = found.stamp[order], len(found.stamp)
+    status = np.array([_QUALITY.get(q, 0) for q in found.quality[order]], np.int8)
+    fixes = Fixes(stamp, stamp.copy(), found.latitude[order], found.longitude[order], found.height[order],
+                  _covariance(None, None, found.hdop[order], sigma, count), status, np.full(count, 1, np.uint8))
+    return fixes, f'{path}: {count} NMEA positions; sigma {sigma:g} m times HDOP'
+
+
+def _covariance(horizontal, vertical, hdop, sigma: float, count: int) -> np.ndarray:
+    """(n, 3, 3) m^2, east-north-up, of what the file states, (n,) each or None."""
+    fallback = np.full(count, sigma)
+    if hdop is not None:
+        fallback = np.where(hdop > 0, sigma * np.where(hdop > 0, hdop, 1.0), sigma)
+    flat = fallback if horizontal is None else np.where(horizontal > 0, horizontal, fallback)
+    up = 2.0 * flat if vertical is None else np.where(vertical > 0, vertical, 2.0 * flat)
+    covariance = np.zeros((count, 3, 3))
+    covariance[:, 0, 0] = covariance[:, 1, 1] = flat**2
+    covariance[:, 2, 2] = up**2
+    return covariance
+
+
+#: quality of a GGA sentence, and the fix type of u-blox, PX4 and ArduPilot, as `NavSatStatus.status`
+_QUALITY = {0: -1, 1: 0, 2: 1, 3: 0, 4: 2, 5: 2, 6: -1, 7: 0, 8: -1}
+_FIX_TYPE = {0: -1, 1: -1, 2: 0, 3: 0, 4: 1, 5: 2, 6: 2}
+_WORDS = {'': -1, 'a': 0, 'v': -1, 'none': -1, 'no fix': -1, 'nofix': -1, 'invalid': -1, '2d': 0, '3d': 0, 'gps': 0,
+          'single': 0, 'dgps': 1, 'dgnss': 1, 'sbas': 1, 'float': 2, 'fixed': 2, 'rtk': 2, 'fix': 0}
+
+
+def _statuses(table: Table, name: str) -> np.ndarray:
+    """(n,) `NavSatStatus.status` of a column: words, NMEA's quality, fix types, or the status of ROS itself."""
+    cells = [cell.strip().lower() for cell in table.columns[table.names.index(name)]]
+    if any(cell in _WORDS and cell for cell in cells):
+        return np.array([_WORDS.get(cell, 0) for cell in cells], np.int8)
+    numbers = table.numbers(name)
+    codes = np.where(np.isfinite(numbers), numbers, 0).astype(int)
+    known = _QUALITY if 'qual' in name.lower() else _FIX_TYPE
+    status = np.array([known.get(code, 0) for code in codes], np.int8)
+    if (codes < 0).any() or (status < 0).all():  # ROS: -1 is no fix, 0 is one
+        status = np.clip(codes, -1, 2).astype(np.int8)
+    return status
+
+
+def read_velocity(path, columns: dict[str, str] | None = None, time_unit=None, *,
+                  rows: tuple[str, str] | None = None) -> tuple[Velocities, str] | None:
     """The receiver's velocities in the file of the fixes, and what was taken for what; None without such columns.
 
     columns: as for `read_gnss`. In the unit in brackets, else m/s. Without a column `down` the vertical velocity is
     NaN; without one for the standard deviation the covariance is NaN. Raises RecordingError.
     """
-    table, columns = read_table(path), columns or {}
-    names = {wanted: table.find(wanted, GNSS_COLUMNS[wanted], columns)
-             for wanted in ('time', 'north', 'east', 'down', 'velocity_sigma')}
-    if names['north'] is None or names['east'] is None:
+    if read_text(path, 'utf-8', 'replace').lstrip()[:1] == '$':
         return None
-    stamp, time_unit = table.times(names['time'], time_unit)
-    unit, nothing = _unit(names['north'], SPEED_UNITS), np.full(len(stamp), np.nan)
-    north, east, down, sigma = (nothing if names[wanted] is None else SPEED_UNITS[unit] * table.numbers(names[wanted])
+    table, columns = _chosen(read_table(path), rows), columns or {}
+    there = {wanted: _find(table, wanted, GNSS_COLUMNS, columns)
+             for wanted in ('north', 'east', 'down', 'velocity_sigma')}
+    if there['north'] is None or there['east'] is None:
+        return None
+    found: dict[str, str] = {}
+    stamp, time_unit = _times(table, columns, time_unit, 20.0, found)
+    found |= {wanted: name for wanted, (name, _) in ((w, f) for w, f in there.items() if f)}
+    unit, nothing = there['north'][1] or _unit(table, found['north'], SPEED_UNITS), np.full(len(stamp), np.nan)
+    north, east, down, sigma = (SPEED_UNITS[unit] * table.numbers(found[wanted]) if wanted in found else nothing
                                 for wanted in ('north', 'east', 'down', 'velocity_sigma'))
     covariance = np.square(sigma)[:, None, None] * np.eye(3)
-    found = {wanted: name for wanted, name in names.items() if name}
     return (Velocities(stamp, np.maximum.accumulate(stamp), np.column_stack([north, east, down]), covariance),
             _summary(table, found, len(stamp), (time_unit, unit)))
 
@@ -163,17 +274,200 @@ def read_speed(path, columns: dict[str, str] | None = None, time_unit=None) -> t
     column `sigma` the variance is NaN. Raises RecordingError.
     """
     table, columns = read_table(path), columns or {}
-    names = {wanted: table.require(wanted, SPEED_COLUMNS[wanted], columns) for wanted in ('time', 'speed')}
+    names = _require(table, ('speed',), SPEED_COLUMNS, columns)
     stated = table.find('sigma', SPEED_COLUMNS['sigma'], columns)
-    stamp, time_unit = table.times(names['time'], time_unit)
-    unit = _unit(names['speed'], SPEED_UNITS)
+    stamp, time_unit = _times(table, columns, time_unit, 20.0, names)
+    unit = _unit(table, names['speed'], SPEED_UNITS)
     scale = SPEED_UNITS[unit]
     variance = np.square(scale * table.numbers(stated)) if stated else np.full(len(stamp), np.nan)
     speeds = Speeds(stamp, np.maximum.accumulate(stamp), scale * table.numbers(names['speed']), variance)
     return speeds, _summary(table, {**names, **({'sigma': stated} if stated else {})}, len(stamp), (time_unit, unit))
 
 
-def _unit(name, units) -> str:
+def _chosen(table: Table, rows: tuple[str, str] | None) -> Table:
+    """The rows of `table` in which a column has a value, by (column, value); all where it has no such column."""
+    if rows is None or rows[0] not in table.names:
+        return table
+    cells = table.columns[table.names.index(rows[0])]
+    kept = np.array([cell.strip() == rows[1] for cell in cells])
+    if not kept.any():
+        raise RecordingError(f"{table.path} has no row with {rows[1]} in column '{rows[0]}'")
+    return table.select(kept)
+
+
+def _find(table: Table, wanted: str, known: dict, columns: dict[str, str]) -> tuple[str, str | None] | None:
+    """Name of the column for `wanted` and the unit that was stated with it, or None: see `read_imu`.
+
+    RecordingError where one is given that is not there, unless it ends in `|`.
+    """
+    given = columns.get(wanted)
+    if given is None:
+        name = table.find(wanted, known[wanted], {})
+        return (name, None) if name else None
+    found = _match(table, given)
+    if found is None and not given.endswith('|'):
+        raise RecordingError(f"{table.path} has no column '{given}' for {wanted}; {table.listing()}")
+    return found
+
+
+def _match(table: Table, given: str) -> tuple[str, str | None] | None:
+    """The first of the columns `A|B [unit]` that `table` has, and its unit; None where it has none."""
+    for name in (given, *given.split('|')):
+        if name in table.names:
+            return name, None
+        plain, unit = re.fullmatch(r'(.*?)\s*(?:\[([^][]*)\])?', name, re.DOTALL).groups()
+        if plain in table.names:
+            return plain, unit
+    return None
+
+
+def _require(table: Table, wanted, known: dict, columns: dict[str, str], alone: dict | None = None) -> dict[str, str]:
+    """Names of the columns for each of `wanted`; RecordingError that names all that are missing, and what would fit.
+
+    alone: further names that are usual in this file.
+    """
+    known = {name: (*aliases, *(alone or {}).get(name, ())) for name, aliases in known.items()}
+    found = {name: _match(table, columns[name]) if name in columns else _find(table, name, known, {})
+             for name in wanted}
+    missing = [name for name in wanted if found[name] is None]
+    if missing:
+        missing += ['time'] if _time_source(table, columns) is None else []
+        named = [f"{name} ('{columns[name]}' is not there)" if name in columns else name for name in missing]
+        columns_look = 'columns that look' if len(missing) > 1 else 'column that looks'
+        raise RecordingError(f'{table.path} has no {columns_look} like {", ".join(named)}; {table.listing()}'
+                             f'{_proposal(table, wanted, found, columns)}')
+    return {name: column for name, (column, _) in found.items()}
+
+
+def _time_source(table: Table, columns: dict[str, str]) -> tuple[str, ...] | None:
+    """The columns of time: one, week and seconds of GPS time, or six of a date; None where there are none."""
+    if 'time' in columns:
+        found = _match(table, columns['time'])
+        return (found[0],) if found else None
+    date = tuple(table.find('', aliases, {}) for aliases in _DATE)
+    week, into = (table.find('', aliases, {}) for aliases in (_WEEK, _INTO_WEEK))
+    name = table.find('', TIME, {})
+    return (date if all(date) else (name,) if name else (week, into) if week and into else (into,) if into else None)
+
+
+def _times(table: Table, columns: dict[str, str], unit, longest: float, names: dict[str, str]):
+    """Stamps (n,) ns, UTC, and their unit; adds to `names` which columns they are from.
+
+    RecordingError where there is none.
+    """
+    source = _time_source(table, columns)
+    if source is None:
+        if 'time' in columns:
+            raise RecordingError(f"{table.path} has no column '{columns['time']}' for time; {table.listing()}")
+        hint = f"; time={_ascending(table)}, which ascends?" if _ascending(table) else ''
+        raise RecordingError(f'{table.path} has no column that looks like time; {table.listing()}{hint}')
+    names['time'] = ' '.join(source)
+    if len(source) == len(_DATE):
+        cells = tuple(_date(row) for row in zip(*(table.columns[table.names.index(name)] for name in source)))
+        stamp, _ = Table(table.path, ['date'], [cells], table.lines).times('date')
+        nano = table.find('', ('nano',), {})
+        return stamp + (0 if nano is None else table.numbers(nano).astype(np.int64)), 'date'
+    name = source[-1]
+    stated = _match(table, columns['time'])[1] if 'time' in columns else None
+    # TimeUS, iTOW
+    suffix = re.search('(us|ms|ns)$', name, re.IGNORECASE)
+    spelled = suffix.group(1).lower() if suffix else 'ms' if name.lower() in ('itow', 'gms') else None
+    stamp, unit = table.times(name, stated or unit or spelled, longest)
+    if len(source) == 2:
+        return utc_of_week(table.numbers(source[0]), stamp), f'GPS weeks and {unit}'
+    return stamp, unit
+
+
+def _date(row) -> str:
+    """ISO 8601 of year, month, day, hour, minute, second; what is none is left to who reads it."""
+    try:
+        year, month, day, hour, minute, second = (float(cell) for cell in row)
+        return f'{year:04.0f}-{month:02.0f}-{day:02.0f}T{hour:02.0f}:{minute:02.0f}:{second:09.6f}'
+    except ValueError:
+        return ':'.join(row)
+
+
+def _numeric(table: Table) -> dict[str, np.ndarray]:
+    """The columns that are numbers throughout."""
+    found = {}
+    for name in table.names:
+        try:
+            values = table.numbers(name)
+        except RecordingError:
+            continue
+        if np.isfinite(values).all():
+            found[name] = values
+    return found
+
+
+def _ascending(table: Table) -> str | None:
+    """The first column that ascends, as a time does."""
+    for name, values in _numeric(table).items():
+        step = np.diff(values)
+        if len(step) and (step >= 0).all() and (step > 0).mean() > 0.5:
+            return name
+    return None
+
+
+def _proposal(table: Table, wanted, found, given: dict[str, str]) -> str:
+    """The whole line of options that would fit by what the columns hold: time ascends, gravity is in three of them."""
+    columns = {name: f[0] for name, f in found.items() if f}
+    time = _time_source(table, given) or (_ascending(table),)
+    if len(time) == 1:
+        columns['time'] = time[0]
+    if 'ax' in wanted and _holds_increments(table):
+        return '; as it seems: --preset kf-gins'
+    option, units = '--gnss-columns' if 'latitude' in wanted else '--speed-columns', ''
+    if 'ax' in wanted:
+        option = '--imu-columns'
+        numbers = {name: v for name, v in _numeric(table).items() if name not in columns.values()}
+        for triple, unit in _triples(numbers):
+            sensor = 'a' if unit in ACCELERATION_UNITS else 'w'
+            if f'{sensor}x' in wanted and f'{sensor}x' not in columns:
+                columns |= {f'{sensor}{axis}': name for axis, name in zip('xyz', triple)}
+                units += f' --{"acceleration" if sensor == "a" else "gyro"}-unit {unit}'
+    asked = ('time', *wanted) if len(time) == 1 else wanted
+    line = ','.join(f'{name}={columns.get(name) or "?"}' for name in asked)
+    return f'; as it seems: {option} "{line}"{units}'
+
+
+def _holds_increments(table: Table) -> bool:
+    """Whether seven columns without names are time and increments of angle and velocity, as KF-GINS has them."""
+    if table.names != [str(i) for i in range(1, 8)] or len(table.lines) < 2 or len(_numeric(table)) < 7:
+        return False
+    step = np.median(np.diff(table.numbers('1')))
+    gained = np.median(np.linalg.norm(_columns(table, dict(zip('xyz', '567')), 'xyz'), axis=1))
+    return bool(step > 0 and abs(np.log(max(gained / step, 1e-9) / STANDARD_GRAVITY)) < _NEAR_GRAVITY)
+
+
+def _triples(numbers: dict[str, np.ndarray]):
+    """Yield neighbouring columns that may be the axes of a sensor, with its unit: accelerometers hold gravity, and of
+    the rest what is near zero may be gyroscopes."""
+    names = list(numbers)
+    triples = [tuple(names[i:i + 3]) for i in range(len(names) - 2)]
+    # one axis of a sensor beside two of another that are near zero has the same size: who is called x, y, z or 1, 2, 3,
+    # or stands third by third, goes first
+    triples.sort(key=lambda t: (not re.fullmatch('xyz|123|012', ''.join(n[-1:] for n in t).lower()),
+                                names.index(t[0]) % 3))
+    size = {t: np.linalg.norm([numbers[n] for n in t], axis=0) for t in triples}
+    taken: set[str] = set()
+    near = ((t, unit) for t, s in size.items() for unit, per in ACCELERATION_UNITS.items()
+            if abs(np.log(max(np.median(s), 1e-9) * per / STANDARD_GRAVITY)) < _NEAR_GRAVITY)
+    for triple, unit in near:
+        taken |= set(triple)
+        yield triple, unit
+        break
+    for triple, s in size.items():
+        if not taken & set(triple) and 0 < np.median(s) < _FASTEST_DEG:
+            yield triple, 'deg/s' if np.percentile(s, 99) > _FASTEST_RAD else 'rad/s'
+            return
+
+
+def _columns(table: Table, names: dict[str, str], wanted) -> np.ndarray:
+    return np.column_stack([table.numbers(names[name]) for name in wanted])
+
+
+def _unit(table: Table, name: str, units) -> str:
     """The unit in a column's name, or the first of `units`."""
     spelled = unit_in_name(name, {*units, *_SPELLINGS})
     unit = _SPELLINGS.get(spelled, spelled)
@@ -181,5 +475,5 @@ def _unit(name, units) -> str:
 
 
 def _summary(table: Table, names, count, units) -> str:
-    columns = ', '.join(f'{wanted}={name}' for wanted, name in names.items())
+    columns = ', '.join(f'{wanted}={names[wanted]}' for wanted in sorted(names, key=lambda wanted: wanted != 'time'))
     return f'{table.path}: {count} rows; {columns}; in {", ".join(units)}'

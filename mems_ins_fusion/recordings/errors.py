@@ -3,8 +3,10 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 
+from mems_ins_fusion.errors import InputError
 
-class RecordingError(ValueError):
+
+class RecordingError(InputError):
     """A recording that cannot be used: one line that names the file and what is wrong with it."""
 
 

@@ -11,6 +11,7 @@ from functools import reduce
 
 import numpy as np
 
+from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.recordings.errors import needs_rosbags
 
 IMU = 'sensor_msgs/msg/Imu'
@@ -41,6 +42,7 @@ FIELDS = {
     POSE_STAMPED: (*_HEADER, ('pose.position', '<f8', 3), ('pose.orientation', '<f8', 4)),
     POSE_WITH_COVARIANCE_STAMPED: (*_HEADER, *_POSE),
     TWIST_WITH_COVARIANCE_STAMPED: (*_HEADER, *_TWIST),
+    **{kind: (*_HEADER, *fields) for measurement in AIDING for kind, fields in measurement.layouts.items()},
 }
 _LITTLE_ENDIAN_CDR = 0x0001
 _MAX_PADDING = 8  # bytes that a middleware may append

@@ -8,34 +8,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
+# what is a fix, the filter's intake says
+from mems_ins_fusion.filter.measurements.position import is_fix as valid_fixes
+from mems_ins_fusion.filter.measurements.position import is_place as plausible
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
+__all__ = ['Steering', 'compare_steering', 'find_standstill', 'plausible', 'positions', 'robust_sigma',
+           'scatter_at_rest', 'sigmas', 'up_axis', 'valid_fixes']
+
 QUIET = 0.03  # spread of the specific force at rest, as a part of gravity: a running engine stays below
 CREEP = 0.15  # m/s: what counts as rest
-HIGHEST = 1e5  # m: no vehicle is higher or lower
 _SHORTEST_COURSE = 5.0  # in sigmas of a fix: below, a displacement has no direction
 _SLIP = 0.01  # rad: scatter of the course about the heading that no receiver is to blame for
 _LARGEST_LAG = 2.0  # s
 _STEPS = 4  # of Gauss-Newton
 _FEWEST_CHANGES = 12
+_EXPLAINED, _CLEAR = 0.3, 5.0  # part of the variance, and sigmas of the scale, from which on turns tell something
 
 
 def robust_sigma(values: np.ndarray) -> float:
     """Standard deviation of `values` from the median of their absolute deviations: outliers do not count."""
     return 1.4826 * float(np.median(np.abs(values - np.median(values))))
-
-
-def plausible(latitude: np.ndarray, longitude: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """(n,) which positions, rad and m, can be a land vehicle's; not those with NaN."""
-    return ((np.abs(latitude) <= np.pi / 2) & (np.abs(longitude) <= 2 * np.pi) & (np.abs(height) < HIGHEST))
-
-
-def valid_fixes(fixes: Fixes) -> np.ndarray:
-    """(n,) which fixes have a position; 0, 0 is what receivers without one send."""
-    place = (fixes.latitude != 0) | (fixes.longitude != 0)
-    return plausible(fixes.latitude, fixes.longitude, fixes.height) & place & (fixes.status >= 0)
 
 
 def positions(fixes: Fixes) -> np.ndarray:
@@ -57,10 +52,10 @@ def find_standstill(imu: ImuSamples, fixes: Fixes | None = None) -> np.ndarray:
     Judged second by second. Without fixes, quiet accelerometers alone decide.
 
     Who asks for a standstill elsewhere knows other things, and is harmed by another error. Here nothing is known yet of
-    the sensors, not even their unit. `filter.at_rest` has the parameters' thresholds and wants the means of one
-    standstill, as biases: a slow start must not get in. `filter.standstill` judges each sample while the filter runs,
-    which tells it what certainly is motion, and learns from that. `characterization.stationary` looks for hours of a
-    sensor that nobody touches, by what is usual in them, and leaves out single knocks.
+    the sensors, not even their unit. `filter.start.at_rest` has the parameters' thresholds and wants the means of one
+    standstill, as biases: a slow start must not get in. `filter.trust.standstill` judges each sample while the filter
+    runs, which tells it what certainly is motion, and learns from that. `characterization.stationary` looks for hours
+    of a sensor that nobody touches, by what is usual in them, and leaves out single knocks.
     """
     force = imu.specific_force
     interval = np.median(np.diff(imu.stamp)) * 1e-9 if len(imu) > 1 else 0.0
@@ -122,29 +117,29 @@ def up_axis(imu: ImuSamples, still: np.ndarray) -> tuple[np.ndarray, float]:
 
 @dataclass(frozen=True)
 class Steering:
-    """What the turns of gyroscopes and fixes say about each other, each with its standard deviation.
-
-    lag: s, a fix stamped t fits the gyroscopes at t - lag (as `gnss.time_offset`). arm: m, how far the antenna is ahead
-    of the point of the vehicle that does not slip sideways (of a car: the rear axle). scale: course turned per angle
-    that the gyroscopes turned. explained: part of the course's variance, 0 to 1. intervals: course changes compared.
+    """What the turns of gyroscopes and fixes say about each other. scale: course turned per angle that the gyroscopes
+    turned, with its standard deviation. explained: part of the course's variance, 0 to 1. intervals: course changes
+    compared.
     """
 
-    lag: float
-    lag_sigma: float
-    arm: float
-    arm_sigma: float
     scale: float
     scale_sigma: float
     explained: float
     intervals: int
+
+    @property
+    def tells(self) -> bool:
+        """Whether there are turns that say something of the gyroscopes."""
+        return self.explained >= _EXPLAINED and abs(self.scale) >= _CLEAR * self.scale_sigma
 
 
 def compare_steering(imu: ImuSamples, fixes: Fixes, up: np.ndarray) -> Steering | None:
     """Fit the course between fixes with the heading that the gyroscopes turn through; None where nothing moves.
 
     Changes of the mean heading from one interval to the next are compared, so that a gyroscope's slow drift is a
-    constant. To first order, with heading psi, its rate w, speed v, lag T and arm L, the course of a chord is the mean
-    over its interval of psi(t - T) + L w / v. Weighted least squares; T by a search, then by Gauss-Newton.
+    constant. To first order, with heading psi, its rate w, speed v, time offset T and arm L, the course of a chord is
+    the mean over its interval of psi(t - T) + L w / v. Weighted least squares; T by a search, then by Gauss-Newton.
+    T and L are in it for the scale's sake: `configuration.offset` knows them better.
     """
     course = _course_changes(fixes)
     if course is None:
@@ -178,9 +173,7 @@ def compare_steering(imu: ImuSamples, fixes: Fixes, up: np.ndarray) -> Steering 
     scale = float(solution[0])
     sigma = np.sqrt(np.diag(covariance) * max(cost / max(kept.sum() - 4, 1), 1.0))
     total = float((weight * change**2)[kept].sum())
-    return Steering(lag, float(sigma[3] / abs(scale)) if scale else np.inf,
-                    float(solution[2] / scale) if scale else 0.0, float(sigma[2] / abs(scale)) if scale else np.inf,
-                    scale, float(sigma[0]), 1.0 - cost / total if total else 0.0, int(kept.sum()))
+    return Steering(scale, float(sigma[0]), 1.0 - cost / total if total else 0.0, int(kept.sum()))
 
 
 def _solve(design, values, weight):

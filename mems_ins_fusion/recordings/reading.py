@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.navigation.earth import from_local
-from mems_ins_fusion.navigation.frames import ned_covariance_from_enu, ned_from_enu, yaw_from_enu, yaw_of_quaternion
+from mems_ins_fusion.navigation.frames import ned_from_enu, yaw_from_enu, yaw_of_quaternion
 from mems_ins_fusion.recordings import messages
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.errors import RecordingError, RecordingWarning
@@ -19,28 +20,19 @@ from mems_ins_fusion.recordings.messages import (
     NAV_SAT_FIX,
     ODOMETRY,
     POSE_STAMPED,
-    POSE_WITH_COVARIANCE_STAMPED,
     TEMPERATURE,
-    TWIST_WITH_COVARIANCE_STAMPED,
 )
 from mems_ins_fusion.recordings.motion import plausible
 from mems_ins_fusion.samples import (
     Fixes,
-    Headings,
     ImuSamples,
     Recording,
     Reference,
-    Speeds,
     Temperatures,
-    Velocities,
 )
 
 #: what a reference may be
 REFERENCE_TYPES = (NAV_SAT_FIX, ODOMETRY, POSE_STAMPED)
-#: and what may tell speed, velocity and heading
-SPEED_TYPES = (TWIST_WITH_COVARIANCE_STAMPED, ODOMETRY)
-VELOCITY_TYPES = (TWIST_WITH_COVARIANCE_STAMPED,)
-HEADING_TYPES = (IMU, POSE_WITH_COVARIANCE_STAMPED)
 _NO_FIX = -1  # NavSatStatus.STATUS_NO_FIX
 _LATEST = 2**63  # ns
 
@@ -52,9 +44,10 @@ _KEPT = {
     TEMPERATURE: ('temperature',),
     ODOMETRY: ('pose.pose.position', 'pose.pose.orientation', 'twist.twist.linear', 'twist.covariance'),
     POSE_STAMPED: ('pose.position', 'pose.orientation'),
-    POSE_WITH_COVARIANCE_STAMPED: ('pose.pose.orientation', 'pose.covariance'),
-    TWIST_WITH_COVARIANCE_STAMPED: ('twist.twist.linear', 'twist.covariance'),
 }
+for _measurement in AIDING:
+    for _message, _fields in _measurement.messages.items():
+        _KEPT[_message] = tuple(dict.fromkeys((*_KEPT.get(_message, ()), *_fields)))
 #: what a recording is looked at for
 READABLE = frozenset(_KEPT)
 #: of a 6 x 6 covariance: the elements of the velocity, or that of the yaw; of the orientation's: whether there is one
@@ -81,17 +74,15 @@ class Memory:
 
 
 def read_recording(path, imu_topic, gnss_topic=None, reference_topic=None, temperature_topic=None, progress=None,
-                   datum=None, memory: Memory | None = None, *, speed_topic=None, velocity_topic=None,
-                   heading_topic=None) -> Recording:
+                   datum=None, memory: Memory | None = None, **aiding_topics) -> Recording:
     """Read a bag, once, into arrays.
 
     path: rosbag2 folder, .mcap, .db3 or ROS 1 .bag. Topics that are None or empty are not read.
     reference_topic: NavSatFix, or Odometry or PoseStamped with a pose in a local east-north-up frame, whose origin is
     `datum`: latitude, longitude (rad), height (m). Without it the first fix of `gnss_topic` is taken, with a warning.
     progress: called with the part of the recording that is read, 0 to 1. memory: what the tool may take for it; a
-    longer recording is refused before it is read to its end. speed_topic: TwistWithCovarianceStamped or Odometry,
-    twist.linear.x. velocity_topic: TwistWithCovarianceStamped, east-north-up. heading_topic: Imu or
-    PoseWithCovarianceStamped, the orientation of base_link in east-north-up; no mounting is applied.
+    longer recording is refused before it is read to its end. aiding_topics: of the measurements besides the
+    fixes, by the name of their parameter (`speed_topic`), see `filter.measurements`; no mounting is applied.
 
     The samples are in the order of arrival (log time), all that were recorded, also those with NaN. Of a reference,
     messages without a fix or with NaN are left out, and it is in the order of its stamps.
@@ -99,8 +90,8 @@ def read_recording(path, imu_topic, gnss_topic=None, reference_topic=None, tempe
     """
     wanted = [(topic, types) for topic, types in (
         (imu_topic, (IMU,)), (gnss_topic, (NAV_SAT_FIX,)), (reference_topic, REFERENCE_TYPES),
-        (temperature_topic, (TEMPERATURE,)), (speed_topic, SPEED_TYPES), (velocity_topic, VELOCITY_TYPES),
-        (heading_topic, HEADING_TYPES)) if topic]
+        (temperature_topic, (TEMPERATURE,)),
+        *((aiding_topics.get(m.topic), tuple(m.messages)) for m in AIDING)) if topic]
     with Bag(path) as bag:
         for topic, types in wanted:
             if bag.topics.get(topic) not in types:
@@ -115,10 +106,8 @@ def read_recording(path, imu_topic, gnss_topic=None, reference_topic=None, tempe
         gnss=gnss,
         reference=_reference(arrays[reference_topic], bag.topics[reference_topic], datum, gnss, reference_topic)
         if reference_topic else None,
-        temperature=temperature,
-        speed=_speeds(arrays[speed_topic]) if speed_topic else None,
-        velocity=_velocities(arrays[velocity_topic]) if velocity_topic else None,
-        heading=_headings(arrays[heading_topic], bag.topics[heading_topic]) if heading_topic else None)
+        temperature=temperature).having({m.name: m.read(arrays[topic], bag.topics[topic]) for m in AIDING
+                                         if (topic := aiding_topics.get(m.topic))})
 
 
 def _name(path: Path) -> str:
@@ -156,7 +145,7 @@ def _read_arrays(bag: Bag, topics, progress, memory: Memory | None) -> tuple[dic
             keep = dated[valid]
             lost[topic] += len(raw) - int(keep.sum())
             received = np.array([time for time, good in zip(times, valid & dated) if good], np.int64)
-            block = {name: _thinned(name, array[name][keep]) for name in _KEPT[bag.topics[topic]]}
+            block = {name: thinned(name, array[name][keep]) for name in _KEPT[bag.topics[topic]]}
             blocks[topic].append({**block, 'stamp': messages.stamps(array)[keep], 'received': received})
             count += len(received)
             if memory is not None:
@@ -166,7 +155,7 @@ def _read_arrays(bag: Bag, topics, progress, memory: Memory | None) -> tuple[dic
     return {topic: _join(found) for topic, found in blocks.items()}, lost
 
 
-def _thinned(name: str, array: np.ndarray) -> np.ndarray:
+def thinned(name: str, array: np.ndarray) -> np.ndarray:
     """A copy of what is kept of a field."""
     return array[:, _COLUMNS[name]] if name in _COLUMNS else array.copy()
 
@@ -237,31 +226,6 @@ def _fixes(array) -> Fixes:
 
 def _temperatures(array) -> Temperatures:
     return Temperatures(stamp=array['stamp'], received=array['received'], celsius=array['temperature'])
-
-
-def _speeds(array) -> Speeds:
-    return Speeds(stamp=array['stamp'], received=array['received'], speed=array['twist.twist.linear'][:, 0].copy(),
-                  variance=array['twist.covariance'][:, 0].copy())
-
-
-def _velocities(array) -> Velocities:
-    covariance = array['twist.covariance'].reshape(-1, 3, 3)
-    return Velocities(stamp=array['stamp'], received=array['received'],
-                      velocity=ned_from_enu(array['twist.twist.linear']),
-                      covariance=ned_covariance_from_enu(covariance))
-
-
-def _headings(array, msgtype) -> Headings:
-    """Yaws; NaN in messages that say they have no orientation, as in `_orientation`, and for a zero quaternion."""
-    if msgtype == IMU:
-        orientation, variance = array['orientation'], array['orientation_covariance'][:, 1].copy()
-        absent = array['orientation_covariance'][:, 0] == -1
-    else:
-        orientation, variance = array['pose.pose.orientation'], array['pose.covariance'][:, 0]
-        absent = np.zeros(len(orientation), bool)
-    yaw = yaw_from_enu(yaw_of_quaternion(*_unit(orientation).T))
-    yaw[absent] = np.nan
-    return Headings(stamp=array['stamp'], received=array['received'], yaw=yaw, variance=variance)
 
 
 def _unit(quaternion) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""Reference trajectories from files: CSV, TUM, NMEA 0183 and RTKLIB .pos."""
+"""Reference trajectories from files: CSV, TUM, KF-GINS, NMEA 0183 and RTKLIB .pos."""
 from __future__ import annotations
 
-from datetime import datetime, timedelta
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -10,18 +10,14 @@ from mems_ins_fusion.navigation.earth import from_local
 from mems_ins_fusion.navigation.frames import yaw_from_enu, yaw_of_quaternion
 from mems_ins_fusion.recordings.csv_import import GNSS_COLUMNS
 from mems_ins_fusion.recordings.errors import RecordingError
+from mems_ins_fusion.recordings.gps_time import EPOCH, SECOND, WEEK, leap_seconds
 from mems_ins_fusion.recordings.motion import plausible
+from mems_ins_fusion.recordings.nmea import epoch_seconds, read_nmea, time_of_day
 from mems_ins_fusion.recordings.tables import LATEST, Table, read_table, read_text, unit_in_name
 from mems_ins_fusion.samples import Reference
 
-_SECOND = 10**9
-_GPS_EPOCH = 315_964_800  # s: 6 January 1980
-_WEEK = 604_800
-_DAY = 86_400 * _SECOND
-#: GPS minus UTC, s, from this date on (IERS Bulletin C)
-_LEAP_SECONDS = ((datetime(1999, 1, 1), 13), (datetime(2006, 1, 1), 14), (datetime(2009, 1, 1), 15),
-                 (datetime(2012, 7, 1), 16), (datetime(2015, 7, 1), 17), (datetime(2017, 1, 1), 18))
-
+#: columns of a navigation result of KF-GINS: s, deg, m, m/s north-east-down, deg
+KF_GINS_NAVIGATION = ('week', 'seconds', 'latitude', 'longitude', 'height', 'vn', 've', 'vd', 'roll', 'pitch', 'yaw')
 _LOCAL = {'east': ('east', 'e', 'x', 'positionx', 'px'), 'north': ('north', 'n', 'y', 'positiony', 'py'),
           'up': ('up', 'u', 'z', 'positionz', 'pz')}
 _OPTIONAL = {'velocity north': ('vn', 'velocitynorth', 'velnorth', 'vnorth', 'northvelocity'),
@@ -37,6 +33,8 @@ def read_reference(path, datum=None) -> Reference:
     - CSV: columns as for import_csv (time, latitude, longitude, height; degrees unless the name says rad), or east,
       north, up at `datum`; if there vn, ve, vd or vu (m/s), and yaw or heading (clockwise from north, as the angles).
     - TUM: time x y z qx qy qz qw, east-north-up at `datum` (forward-left-up axes), with yaw.
+    - KF-GINS (i2Nav): week, seconds, latitude, longitude (deg), height, velocity north-east-down, roll, pitch, yaw
+      (deg), without names; stamps are the seconds of the week alone, as in the files beside it.
     - NMEA: GGA with the date of RMC or ZDA; without GGA the positions of RMC, height 0. Heights above the ellipsoid.
     - RTKLIB .pos: latitude, longitude, height; velocity if there; GPS time is turned into UTC.
 
@@ -46,11 +44,14 @@ def read_reference(path, datum=None) -> Reference:
     path = Path(path)
     first = _first_line(path)
     if first.startswith('$'):
-        reference = _read_nmea(path)
+        fixes = read_nmea(path)
+        reference = Reference(fixes.stamp, fixes.latitude, fixes.longitude, fixes.height)
     elif first.startswith('%') or path.suffix == '.pos':
         reference = _read_rtklib(path)
-    elif path.suffix == '.tum' or _is_tum(first):
+    elif path.suffix == '.tum' or _numbers_in(first) == 8:
         reference = _read_tum(path, datum)
+    elif _numbers_in(first) == len(KF_GINS_NAVIGATION):
+        reference = _read_kf_gins(path)
     else:
         reference = _read_csv(path, datum)
     reference = reference.select(plausible(reference.latitude, reference.longitude, reference.height))
@@ -68,12 +69,12 @@ def _first_line(path: Path) -> str:
     return next((line for line in lines if not line.startswith('#')), lines[0])
 
 
-def _is_tum(line: str) -> bool:
-    cells = line.split()
+def _numbers_in(line: str) -> int:
+    """How many numbers, separated by blanks, the line is made of; 0 where it is made of something else."""
     try:
-        return len([float(cell) for cell in cells]) == 8
+        return len([float(cell) for cell in line.split()])
     except ValueError:
-        return False
+        return 0
 
 
 def _geodetic(east, north, up, datum, path):
@@ -97,6 +98,17 @@ def _read_tum(path, datum) -> Reference:
         return Reference(stamp, latitude, longitude, height)
     return Reference(stamp, latitude, longitude, height, None,
                      yaw_from_enu(yaw_of_quaternion(x / size, y / size, z / size, w / size)))
+
+
+def _read_kf_gins(path) -> Reference:
+    """A navigation result of KF-GINS, as the truth of the data sets of the i2Nav group is: eleven columns."""
+    table = read_table(path)
+    columns = Table(path, list(KF_GINS_NAVIGATION), table.columns, table.lines)
+    # the IMU and GNSS files beside it count the seconds of the week alone
+    stamp, _ = columns.times('seconds', 's')
+    latitude, longitude, height, yaw = (columns.numbers(n) for n in ('latitude', 'longitude', 'height', 'yaw'))
+    velocity = np.column_stack([columns.numbers(name) for name in ('vn', 've', 'vd')])
+    return Reference(stamp, np.radians(latitude), np.radians(longitude), height, velocity, np.radians(yaw))
 
 
 def _read_csv(path, datum) -> Reference:
@@ -151,7 +163,7 @@ def _read_rtklib(path) -> Reference:
     table = Table(path, names, list(zip(*(row for _, row in rows))), [line for line, _ in rows])
     stamp = np.array([_rtklib_stamp(path, line, row) for line, row in rows], np.int64)
     if names[0].upper() != 'UTC':
-        stamp -= _leap_seconds(int(stamp[0])) * _SECOND
+        stamp -= leap_seconds(int(stamp[0])) * SECOND
     latitude, longitude, height = (table.numbers(table.require(wanted, (wanted,), {}))
                                    for wanted in ('latitude', 'longitude', 'height'))
     return Reference(stamp, np.radians(latitude), np.radians(longitude), height, _velocity(table))
@@ -162,94 +174,11 @@ def _rtklib_stamp(path, line, row) -> int:
     try:
         if '/' in row[0]:
             day = datetime.strptime(row[0], '%Y/%m/%d')
-            stamp = _epoch_seconds(day) * _SECOND + _time_of_day(row[1].replace(':', ''))
+            stamp = epoch_seconds(day) * SECOND + time_of_day(row[1].replace(':', ''))
         else:
-            stamp = (_GPS_EPOCH + int(row[0]) * _WEEK) * _SECOND + round(float(row[1]) * 1e6) * 1000
-        if not _GPS_EPOCH * _SECOND <= stamp < LATEST:
+            stamp = (EPOCH + int(row[0]) * WEEK) * SECOND + round(float(row[1]) * 1e6) * 1000
+        if not EPOCH * SECOND <= stamp < LATEST:
             raise ValueError
         return stamp
     except (ValueError, OverflowError):
         raise RecordingError(f"{path}, line {line}: '{row[0]} {row[1]}' is not a time") from None
-
-
-def _leap_seconds(stamp: int) -> int:
-    when = datetime(1970, 1, 1) + timedelta(seconds=stamp // _SECOND)
-    return next((seconds for since, seconds in reversed(_LEAP_SECONDS) if when >= since), 0)
-
-
-def _read_nmea(path) -> Reference:
-    """Positions of GGA sentences (of RMC without any), dated by RMC or ZDA. What has a wrong checksum is left out."""
-    fixes: dict[str, list] = {'GGA': [], 'RMC': []}
-    day = first_day = None
-    for line in read_text(path, 'ascii', 'replace').splitlines():
-        fields = _nmea_fields(line)
-        kind = fields[0][-3:] if fields else ''
-        try:
-            if kind == 'RMC' and len(fields) > 9 and fields[9]:
-                day = _plausible_day(datetime.strptime(fields[9], '%d%m%y'))
-                if fields[2] == 'A':
-                    fixes['RMC'].append((day, _time_of_day(fields[1]), *_nmea_position(fields[3:7]), 0.0))
-            elif kind == 'ZDA' and len(fields) > 4 and fields[4]:
-                day = _plausible_day(datetime(int(fields[4]), int(fields[3]), int(fields[2])))
-            elif kind == 'GGA' and len(fields) > 11 and fields[6] not in ('', '0'):
-                height = float(fields[9] or 0.0) + float(fields[11] or 0.0)
-                fixes['GGA'].append((day, _time_of_day(fields[1]), *_nmea_position(fields[2:6]), height))
-        except ValueError:
-            continue  # a garbled sentence
-        first_day = first_day or day
-    found = fixes['GGA'] or fixes['RMC']
-    if not found:
-        raise RecordingError(f'{path} holds no GGA or RMC sentence with a position')
-    if first_day is None:
-        raise RecordingError(f'{path} holds no date: GGA sentences need RMC or ZDA beside them')
-    stamps = _nmea_stamps([(fix[0] or first_day, fix[1]) for fix in found])
-    latitude, longitude, height = np.array([fix[2:] for fix in found]).T
-    return Reference(stamps, np.radians(latitude), np.radians(longitude), height)
-
-
-def _plausible_day(day: datetime) -> datetime:
-    if not 1980 <= day.year < 2038:
-        raise ValueError
-    return day
-
-
-def _nmea_fields(line) -> list[str]:
-    """The fields of a sentence; none where its checksum is wrong."""
-    body, star, checksum = line.strip().lstrip('$').partition('*')
-    if star:
-        expected = 0
-        for byte in body.encode():
-            expected ^= byte
-        if checksum[:2].upper() != f'{expected:02X}':
-            return []
-    return body.split(',')
-
-
-def _nmea_position(fields):
-    """Latitude and longitude, degrees, of ddmm.mmm, N or S, dddmm.mmm, E or W."""
-    latitude = int(fields[0][:2]) + float(fields[0][2:]) / 60
-    longitude = int(fields[2][:3]) + float(fields[2][3:]) / 60
-    return -latitude if fields[1] == 'S' else latitude, -longitude if fields[3] == 'W' else longitude
-
-
-def _nmea_stamps(times) -> np.ndarray:
-    """Stamps of (day, time of day). The day is that of an earlier sentence: midnight may lie between."""
-    stamps: list[int] = []
-    for day, time in times:
-        stamp = _epoch_seconds(day) * _SECOND + time
-        if stamps:
-            days = -((stamp - stamps[-1] + _DAY // 2) // _DAY)
-            stamp += max(days, 0) * _DAY
-        stamps.append(stamp)
-    return np.array(stamps, np.int64)
-
-
-def _time_of_day(text) -> int:
-    """ns since midnight of hhmmss.sss."""
-    whole, _, fraction = text.partition('.')
-    seconds = int(whole[:2]) * 3600 + int(whole[2:4]) * 60 + int(whole[4:6])
-    return seconds * _SECOND + int((fraction + '0' * 9)[:9])
-
-
-def _epoch_seconds(day: datetime) -> int:
-    return (day - datetime(1970, 1, 1)).days * 86400

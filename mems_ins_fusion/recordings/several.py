@@ -6,6 +6,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from ..filter.runs.usable import usable_samples
 from ..samples import Recording
 from .errors import RecordingError
 
@@ -13,7 +14,6 @@ from .errors import RecordingError
 BETWEEN = 120.0
 #: IMUs of one vehicle have rates that differ by no more than this factor, and gravity no further apart, rad
 SAME_RATE, SAME_UP = 1.25, np.radians(30.0)
-_STREAMS = ('imu', 'gnss', 'reference', 'temperature', 'speed', 'velocity', 'heading')
 
 
 def one_after_another(recordings: Sequence[Recording]) -> list[Recording]:
@@ -33,20 +33,17 @@ def one_after_another(recordings: Sequence[Recording]) -> list[Recording]:
 
 def _samples(recording: Recording) -> list:
     # a reference may hold more than the drive
-    found = [getattr(recording, name) for name in _STREAMS if name != 'reference']
-    return [samples for samples in found if samples is not None and len(samples)]
+    return [samples for name, samples in recording.streams().items() if name != 'reference' and len(samples)]
 
 
 def later(recording: Recording, shift: int) -> Recording:
     """The recording with all stamps later by `shift` ns."""
     moved = {}
-    for name in _STREAMS:
-        samples = getattr(recording, name)
-        if samples is not None:
-            stamps = {f.name: getattr(samples, f.name) + shift for f in fields(samples)
-                      if f.name in ('stamp', 'received')}
-            moved[name] = replace(samples, **stamps)
-    return replace(recording, **moved)
+    for name, samples in recording.streams().items():
+        stamps = {f.name: getattr(samples, f.name) + shift for f in fields(samples)
+                  if f.name in ('stamp', 'received')}
+        moved[name] = replace(samples, **stamps)
+    return recording.having(moved)
 
 
 def refuse_other_vehicles(recordings: Sequence[Recording]) -> None:
@@ -86,13 +83,11 @@ def _refuse_another(recording: Recording, first: Recording) -> None:
 
 
 def _rate(recording: Recording) -> float:
-    step = np.diff(recording.imu.stamp)
-    step = step[step > 0]
+    step = np.diff(usable_samples(recording.imu).stamp)
     return float(1e9 / np.median(step)) if len(step) else float('nan')
 
 
 def _up(recording: Recording) -> np.ndarray:
     """The mean direction of specific force in sensor axes, (3,)."""
-    force = recording.imu.specific_force
-    mean = force[np.isfinite(force).all(axis=1)].mean(axis=0)
+    mean = usable_samples(recording.imu).specific_force.sum(axis=0)
     return mean / max(np.linalg.norm(mean), 1e-12)

@@ -20,6 +20,7 @@ LATEST = 2**31 * 10**9
 _DATE = re.compile(r'\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d*)?)?\s*[Zz]?\s*')
 _LARGEST_FILE = 2 * 10**9  # bytes; a table takes some ten times its size in memory
 _COMMENT = '#%'
+_LISTED = 40  # names of columns in a message
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,12 @@ class Table:
     names: list[str]
     columns: list[tuple[str, ...]]
     lines: list[int]
+
+    def select(self, rows: np.ndarray) -> Table:
+        """The rows of which `rows`, (n,) bool, says so."""
+        kept = np.flatnonzero(rows).tolist()
+        return Table(self.path, self.names, [tuple(column[i] for i in kept) for column in self.columns],
+                     [self.lines[i] for i in kept])
 
     def numbers(self, name: str) -> np.ndarray:
         """Column `name` as (n,) float64; empty cells are NaN. RecordingError for a cell that is no number."""
@@ -114,7 +121,9 @@ class Table:
         return name
 
     def listing(self) -> str:
-        return f'its columns are {", ".join(self.names)}'
+        shown = [name if len(name) <= 40 else f'{name[:40]}..' for name in self.names[:_LISTED]]
+        more = len(self.names) - len(shown)
+        return f'its columns are {", ".join(shown)}' + (f' and {more} more' if more else '')
 
 
 def read_table(path) -> Table:
@@ -144,8 +153,9 @@ def read_table(path) -> Table:
     return Table(path, names, *_rows(path, body, delimiter, len(names)))
 
 
-def read_text(path: Path, encoding: str = 'utf-8-sig', errors: str = 'strict') -> str:
+def read_text(path, encoding: str = 'utf-8-sig', errors: str = 'strict') -> str:
     """The contents of a text file. RecordingError where it cannot be read or is too large."""
+    path = Path(path)
     try:
         if path.exists() and not path.is_file():  # a pipe that nobody fills would be waited for, for ever
             raise RecordingError(f'{path} is not a file')

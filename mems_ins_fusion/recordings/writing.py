@@ -8,20 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
+from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.navigation.earth import to_local
-from mems_ins_fusion.navigation.frames import FLU_TO_FRD, ned_covariance_from_enu, ned_from_enu, yaw_from_enu
+from mems_ins_fusion.navigation.frames import FLU_TO_FRD, ned_from_enu
 from mems_ins_fusion.recordings import messages
 from mems_ins_fusion.recordings.errors import RecordingError, needs_rosbags
 from mems_ins_fusion.results import ResultError, result_folder
 from mems_ins_fusion.samples import (
     Fixes,
-    Headings,
     ImuSamples,
     Recording,
     Reference,
-    Speeds,
     Temperatures,
-    Velocities,
 )
 
 STORAGES = ('mcap', 'sqlite3')
@@ -69,14 +67,14 @@ def odometry_from_reference(reference: Reference, datum, roll=0.0, pitch=0.0, re
 
 def write_recording(recording: Recording, path, storage='mcap', *, imu_topic='/imu/data', gnss_topic='/gps/fix',
                     reference_topic='/reference/fix', temperature_topic='/imu/temperature',
-                    speed_topic='/wheel/speed', velocity_topic='/gps/velocity', heading_topic='/gps/heading',
                     odometry: dict[str, OdometrySamples] | None = None, imu_frame='imu', gnss_frame='gnss',
-                    odometry_frame='odom', base_frame='base_link', overwrite=False) -> None:
+                    odometry_frame='odom', base_frame='base_link', overwrite=False, **aiding_topics) -> None:
     """Write the parts that `recording` has, and odometry by topic, as the rosbag2 folder `path`.
 
     storage: mcap or sqlite3. A reference is written as NavSatFix, logged at its stamps; its velocity and yaw only
-    through `odometry` (see `odometry_from_reference`). Speed and velocity are written as TwistWithCovarianceStamped,
-    heading as the orientation of an Imu that has nothing else. Messages are logged in the order of `received`.
+    through `odometry` (see `odometry_from_reference`). aiding_topics: of the measurements besides the fixes, by the
+    name of their parameter (`speed_topic`); else each goes to its own (`Measurement.written_to`). Messages are logged
+    in the order of `received`.
     The folder has its name only when it is complete. Raises ValueError (ResultError) where `path` is taken and
     `overwrite` is false, RecordingError where rosbags is absent or the storage unknown.
     """
@@ -90,12 +88,13 @@ def write_recording(recording: Recording, path, storage='mcap', *, imu_topic='/i
     if recording.temperature is not None:
         topics.append((temperature_topic, messages.TEMPERATURE, recording.temperature, _temperature_fields,
                        {'header.frame_id': imu_frame}))
-    for topic, kind, samples, fields, frame in (
-            (speed_topic, messages.TWIST_WITH_COVARIANCE_STAMPED, recording.speed, _speed_fields, base_frame),
-            (velocity_topic, messages.TWIST_WITH_COVARIANCE_STAMPED, recording.velocity, _velocity_fields, gnss_frame),
-            (heading_topic, messages.IMU, recording.heading, _heading_fields, base_frame)):
-        if samples is not None:
-            topics.append((topic, kind, samples, fields, {'header.frame_id': frame}))
+    streams = recording.streams()
+    for measurement in AIDING:
+        if measurement.name in streams:
+            topic = aiding_topics.get(measurement.topic, measurement.written_to)
+            topics.append((topic, next(iter(measurement.messages)),
+                           streams[measurement.name], measurement.written,
+                           {'header.frame_id': gnss_frame if measurement.of_antenna else base_frame}))
     for topic, samples in (odometry or {}).items():
         topics.append((topic, messages.ODOMETRY, samples, _odometry_fields,
                        {'header.frame_id': odometry_frame, 'child_frame_id': base_frame}))
@@ -146,40 +145,6 @@ def _reference_fields(reference: Reference) -> dict:
 
 def _temperature_fields(temperatures: Temperatures) -> dict:
     return {'temperature': temperatures.celsius}
-
-
-def _speed_fields(speeds: Speeds) -> dict:
-    return {'twist.twist.linear': speeds.speed[:, None] * [1.0, 0.0, 0.0],
-            'twist.covariance': _covariance({0: speeds.variance}, len(speeds))}
-
-
-def _velocity_fields(velocities: Velocities) -> dict:
-    covariance = ned_covariance_from_enu(velocities.covariance)
-    return {'twist.twist.linear': ned_from_enu(velocities.velocity),
-            'twist.covariance': _covariance({6 * i + j: covariance[:, i, j] for i in range(3) for j in range(3)},
-                                            len(velocities))}
-
-
-def _heading_fields(headings: Headings) -> dict:
-    half = 0.5 * yaw_from_enu(headings.yaw)
-    absent = np.isnan(headings.yaw)
-    orientation = np.column_stack([np.zeros((len(headings), 2)), np.sin(half), np.cos(half)])
-    covariance = np.zeros((len(headings), 9))
-    covariance[:, [0, 4]] = np.pi**2  # roll and pitch are not known
-    covariance[:, 8] = headings.variance
-    covariance[absent, 0] = _UNKNOWN
-    nothing = (_UNKNOWN, *[0.0] * 8)
-    return {'orientation': np.where(absent[:, None], (0.0, 0.0, 0.0, 1.0), orientation),
-            'orientation_covariance': covariance, 'angular_velocity_covariance': nothing,
-            'linear_acceleration_covariance': nothing}
-
-
-def _covariance(elements: dict, count: int) -> np.ndarray:
-    """(count, 36) with the elements given by their place, zero elsewhere."""
-    covariance = np.zeros((count, 36))
-    for place, values in elements.items():
-        covariance[:, place] = values
-    return covariance
 
 
 def _odometry_fields(odometry: OdometrySamples) -> dict:

@@ -1,12 +1,15 @@
 """The answer that stands first: on a page, on the console and in report.json, in the same words."""
 from __future__ import annotations
 
+import textwrap
 from dataclasses import dataclass, field
 
 from ..recordings.checker import Finding
-from .html import Html, bullets, command, number, paragraph
+from .html import Html, bullets, command, folded, paragraph
 
 GOOD, WARNING, BAD = 'good', 'warning', 'bad'
+#: characters of a line on a console
+WIDTH = 100
 
 
 @dataclass(frozen=True)
@@ -22,7 +25,8 @@ class Answer:
     """What a person wants to know of a result.
 
     grade: GOOD, WARNING or BAD. headline: one sentence. wrong: what is wrong. cost: in metres without fixes. steps:
-    what to do next. trust: whether to believe the filter's own sigmas. remains: what is left of it all.
+    what to do next. trust: whether to believe the filter's own sigmas. remains: what is left of it all. why: what the
+    headline stands on.
     """
 
     grade: str
@@ -32,37 +36,68 @@ class Answer:
     steps: list[Step] = field(default_factory=list)
     trust: str = ''
     remains: list[str] = field(default_factory=list)
+    why: list[str] = field(default_factory=list)
+
+    def short(self) -> list[str]:
+        """For the console, in five lines of WIDTH: the answer, what is wrong most, trust, and what to do next."""
+        wrong = [shorten(f'wrong: {self.wrong[0]}', _more(len(self.wrong) - 1))] if self.wrong else []
+        trust = [shorten(f'trust: {self.trust}')] if self.trust else []
+        # a command is never cut
+        steps = [f'next: {s.command}' if s.command else shorten(f'next: {s.what}') for s in self.first]
+        head = textwrap.wrap(self.headline, WIDTH)
+        return [*head[:1], *([shorten(' '.join(head[1:]))] if head[1:] else []), *wrong, *trust, *steps]
 
     def lines(self) -> list[str]:
-        """For the console."""
-        parts = [('wrong', self.wrong), ('cost', self.cost), ('trust', [self.trust] if self.trust else []),
-                 ('remains', self.remains)]
+        """For the console, all of it."""
+        parts = [('why', self.why), ('wrong', self.wrong), ('cost', self.cost),
+                 ('trust', [self.trust] if self.trust else []), ('remains', self.remains)]
         said = [self.headline, *(f'{name}: {text}' for name, texts in parts for text in texts)]
         for step in self.steps:
             said += [f'next: {step.what}', *([f'    {step.command}'] if step.command else [])]
         return said
 
     def html(self) -> Html:
-        """For the page."""
-        parts = [_part('What is wrong', self.wrong), _part('What it costs without fixes', self.cost),
-                 _part('Can its own uncertainty be trusted?', [self.trust] if self.trust else []),
-                 _part('What remains', self.remains), self._steps()]
+        """For the page, first of all: as on the console."""
+        parts = [('wrong', self.wrong[:1]), ('cost', self.cost[len(self.cost) // 2:][:1]),
+                 ('trust', [self.trust] if self.trust else [])]
+        lines = ''.join(f'<p><b>{name}:</b> {paragraph(text)[3:-4]}</p>' for name, texts in parts for text in texts)
         headline = Html(paragraph(self.headline).replace('<p>', '<p class="headline">', 1))
-        return Html(f'<section id="answer" class="answer {self.grade}">\n' + '\n'.join([headline, *filter(None, parts)])
-                    + '\n</section>')
+        return Html(f'<section id="answer" class="answer {self.grade}">\n{headline}\n{lines}{self._steps(self.first)}\n'
+                    '</section>')
 
-    def _steps(self) -> str:
-        if not self.steps:
+    def evidence(self) -> Html:
+        """For the page, folded away: all that the answer holds."""
+        parts = [_part('Why', self.why), _part('What is wrong', self.wrong),
+                 _part('What it costs without fixes', self.cost),
+                 _part('Can its own uncertainty be trusted?', [self.trust] if self.trust else []),
+                 _part('What remains', self.remains), self._steps(self.steps)]
+        return folded('The answer in full', *(Html(part) for part in parts if part))
+
+    @property
+    def first(self) -> list[Step]:
+        """The next thing to do: the first that can be typed."""
+        return [s for s in self.steps if s.command][:1] or self.steps[:1]
+
+    def _steps(self, steps: list[Step]) -> str:
+        if not steps:
             return ''
-        items = ''.join(f'<li>{paragraph(s.what)}{command(s.command) if s.command else ""}</li>'
-                        for s in self.steps)
-        return f'<h3>What to do next</h3><ol>{items}</ol>'
+        items = ''.join(f'<li>{paragraph(s.what)}{command(s.command) if s.command else ""}</li>' for s in steps)
+        return f'<h3>What to do next</h3><ol>{items}</ol>' if len(steps) > 1 else f'<ol>{items}</ol>'
 
     def json(self) -> dict:
         """For report.json."""
         return {'grade': self.grade, 'headline': self.headline, 'wrong': self.wrong, 'cost': self.cost,
-                'trust': self.trust, 'remains': self.remains,
+                'trust': self.trust, 'remains': self.remains, 'why': self.why,
                 'steps': [{'what': s.what, 'command': s.command} for s in self.steps]}
+
+
+def shorten(text: str, ending: str = '') -> str:
+    """`text` in one line of WIDTH, cut between words, with `ending`."""
+    return textwrap.shorten(text, WIDTH - len(ending), placeholder=' ...') + ending
+
+
+def _more(count: int) -> str:
+    return f' (and {count} more)' if count else ''
 
 
 def _part(title: str, texts: list[str]) -> str:
@@ -75,11 +110,6 @@ def checked_text(finding: Finding, topics: dict[str, str]) -> str:
     """A finding of the checker with the topic it is about. topics: of `imu`, `gnss` and `temperature`."""
     names = ' and '.join(topics.get(part) or part for part in finding.topic.split('/'))
     return f'{names}: {finding.message}'
-
-
-def held_text(share: float) -> str:
-    """How often an ellipse held the truth, of outages of which at least `share` %."""
-    return 'in all outages' if share == 100 else f'in at least {number(share, 2)} % of the outages'
 
 
 def topics_of(values: dict) -> dict[str, str]:

@@ -78,6 +78,7 @@ def report_html(c: Characterization, answered: Answer, images: dict[str, tuple[b
 
     sections = [
         html.section('What is in imu.yaml?', answered.html(), *show('horizons'), *_result(c)),
+        answered.evidence(),
         html.folded('imu.yaml', 'The parameters, as the filter loads them.', html.preformatted(parameters_yaml(c))),
         html.folded('The recording', *_recording(c), *show('overview')),
         html.folded('Allan deviation', *_allan(c), *show(*(f'allan_{s}' for s in SENSORS))),

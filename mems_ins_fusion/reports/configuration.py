@@ -44,7 +44,7 @@ def story(result: Configuration) -> list[str]:
         yaw = f'{angles[2]:.1f} +- {sigma[2]:.1f}' if found.yaw_known else 'not shown'
         lines.append(f'mounting: roll {angles[0]:.1f} +- {sigma[0]:.1f} deg, pitch {angles[1]:.1f} +- {sigma[1]:.1f} '
                      f'deg, yaw {yaw}{" deg" if found.yaw_known else ""}')
-        if found.lag_sigma < 0.3:
+        if found.offset is not None and found.offset.shown:
             lines.append(f'fixes against the IMU\'s clock: {found.lag:.3f} +- {found.lag_sigma:.3f} s')
     return lines
 
@@ -54,10 +54,10 @@ def answer(result: Configuration, bags: list[str], output: str) -> Answer:
     of the recordings and of the file, for the commands."""
     found = result.mounting
     path, name = shlex.quote(output), PurePath(output).name
-    steps = [Step('Look at how good it is on this recording:', f'python -m mems_ins_fusion replay_node --ros-args '
-                  f'--params-file {path} -p bag:={shlex.quote(bags[0])} -p output_dir:=replay'),
-             Step('Find what is missing in it:', f'python -m mems_ins_fusion diagnose --bag {shlex.quote(bags[0])} '
+    steps = [Step('Find what is missing in it:', f'python -m mems_ins_fusion diagnose --bag {shlex.quote(bags[0])} '
                   f'--params-file {path} --output diagnosis'),
+             Step('Look at how good it is on this recording:', f'python -m mems_ins_fusion replay_node --ros-args '
+                  f'--params-file {path} -p bag:={shlex.quote(bags[0])} -p output_dir:=replay'),
              Step('Drive with it:', f'python -m mems_ins_fusion fusion_node --ros-args --params-file {path}')]
     if found is None or not found.yaw_known:
         headline = f'{name} is not complete: the recording does not show how the IMU sits.'
@@ -76,7 +76,7 @@ def configuration_page(result: Configuration, yaml_text: str, answered: Answer) 
     summary = f'{", ".join(drive.name for drive in result.drives)}: {"; ".join(story(result))}'
     return html.page('What the recording says about the vehicle', [
         section('Is the file ready?', answered.html(), *_figure(result), _settings(result)),
-        folded('Why', _evidence(result)), *_mounting(result), _sensors(result),
+        answered.evidence(), folded('Why', _evidence(result)), *_mounting(result), _sensors(result),
         folded('The file', preformatted(yaml_text)), _explanation()], summary.replace('+-', '\N{PLUS-MINUS SIGN}'))
 
 

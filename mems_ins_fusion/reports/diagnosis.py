@@ -1,7 +1,6 @@
 """A diagnosis for a person (the answer, HTML), for a program (JSON), and for the filter (YAML)."""
 from __future__ import annotations
 
-import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -10,16 +9,22 @@ import numpy as np
 
 from ..diagnosis.estimate import Estimate, rounded
 from ..diagnosis.findings import Diagnosis, Finding
+from ..diagnosis.judgement import changes
 from ..diagnosis.measured import nearest
 from ..diagnosis.tracing import Candidate
-from ..evaluation.outages import Outages
+from ..evaluation.verdict import Verdict
 from ..parameters.params_file import yaml_value
 from ..parameters.table import ALL
+from ..recordings.sketch import sketch
+from ..results import plain
 from . import diagnosis_figures as plots
 from . import html
 from .answer import Answer, checked_text, topics_of
+from .charts import charts
 from .layers import diagnosis_layers
+from .series import diagnosis_charts
 from .track import script, track
+from .verdict import change_text, held_text, verdict_json
 
 
 def report(diagnosis: Diagnosis, answered: Answer, checked=(), warned=()) -> dict:
@@ -27,13 +32,13 @@ def report(diagnosis: Diagnosis, answered: Answer, checked=(), warned=()) -> dic
     what the checker found. warned: what reading said."""
     d = diagnosis
     model, mechanization = d.values['sensor_error_model'], d.values['mechanization']
-    return _plain({
+    return plain({
         'recording': d.name,
         'drives': [_drive(d, drive) for drive in d.drives],
         'left_out': d.left_out,
         'answer': answered.json(),
-        'findings': [{'severity': f.severity, 'topic': f.topic, 'message': f.message,
-                      'text': checked_text(f, topics_of(d.values))} for f in checked],
+        'verdict': verdict_json(d.verdict, d.trust),
+        'findings': _findings(checked, d.values),
         'model': model,
         'mechanization': mechanization,
         'effects': [_effect(f) for f in d.findings],
@@ -55,6 +60,27 @@ def report(diagnosis: Diagnosis, answered: Answer, checked=(), warned=()) -> dic
     })
 
 
+def not_usable_report(names: Sequence[str], values: dict, verdict: Verdict, answered: Answer, checked, warned) -> dict:
+    """The content of `report.json` where the recordings `names` cannot be diagnosed as they are: no effect, no errors.
+    """
+    return plain({
+        'recording': ', '.join(names), 'answer': answered.json(), 'verdict': verdict_json(verdict),
+        'findings': _findings(checked, values), 'model': values['sensor_error_model'],
+        'mechanization': values['mechanization'], 'effects': [], 'use_corrected': False, 'warnings': list(warned)})
+
+
+def not_usable_page(names: Sequence[str], answered: Answer, checked, values: dict) -> str:
+    """The content of `report.html` there."""
+    return html.page(f'Diagnosis of {", ".join(names)}', [
+        html.section('Use corrected.yaml?', answered.html()), answered.evidence(),
+        html.folded('Recording', html.bullets(f['text'] for f in _findings(checked, values)))])
+
+
+def _findings(checked, values: dict) -> list[dict]:
+    return [{'severity': f.severity, 'topic': f.topic, 'message': f.message,
+             'text': checked_text(f, topics_of(values))} for f in checked]
+
+
 def _effect(finding: Finding) -> dict:
     return {
         'name': finding.name,
@@ -68,7 +94,7 @@ def _effect(finding: Finding) -> dict:
         'reason': finding.reason,
         'changes': finding.changes,
         'outages_without_and_with_it': finding.saves and dict(
-            zip(('duration_s', 'max_error_median_without_m', 'max_error_median_with_m'), finding.saves)),
+            zip(('duration_s', 'max_error_mean_without_m', 'max_error_mean_with_m'), finding.saves)),
         'seen': finding.seen,
         'drives': {name: {p: asdict(estimate) for p, estimate in found.items()}
                    for name, found in finding.drives.items()},
@@ -152,11 +178,14 @@ def corrected_yaml(diagnosis: Diagnosis, given: dict) -> str:
     """
     d = diagnosis
     new = changed(d)
+    if d.changed:
+        new['fitted_to'] = sorted({*given.get('fitted_to', ()), *sketch(r.gnss for r in d.recordings)})
     checked = {name: ALL[name].check(value) for name, value in given.items()}
     found = '; '.join(parameters_text(f) for f in d.findings if f.added) or 'none'
-    said = f'Corrected by diagnose from {d.name}. Effects added: {found}.' if d.better else (
-        f'As given: diagnose found nothing in {d.name} that would make the filter better for certain.')
-    lines = [*_comment(said, ''), *(['# Other parameters are as they were given.'] if d.better else []), '/**:',
+    shown = d.verdict.shown
+    said = (f'Corrected by diagnose from {d.name}: {change_text(shown, d.verdict.level)}. Effects added: {found}.'
+            if d.changed else f'As given: no gain is proven for what diagnose found in {d.name}.')
+    lines = [*_comment(said, ''), *(['# Other parameters are as they were given.'] if d.changed else []), '/**:',
              '  ros__parameters:']
     for name, value in {**checked, **new}.items():
         if name in new:
@@ -169,6 +198,8 @@ def corrected_yaml(diagnosis: Diagnosis, given: dict) -> str:
 
 def _origin(d: Diagnosis, name: str) -> str:
     """Where the changed value of parameter `name` comes from."""
+    if name == 'fitted_to':
+        return 'hashes of the recordings that the values were fitted to'
     before = yaml_value(rounded_value(d.values[name]))
     if name in d.noise:
         return f'noise level with which this drive is predicted best: {d.noise[name]:.3g} times as configured, {before}'
@@ -191,14 +222,14 @@ def parameters_text(finding: Finding) -> str:
 
 
 def story(diagnosis: Diagnosis, answered: Answer) -> list[str]:
-    """The diagnosis in a few lines: the answer, then how it came about."""
+    """The diagnosis in words: all of the answer, then how it came about."""
     d = diagnosis
     lines = [*answered.lines(), '', f'{d.name}: {d.detections["before"].count} innovations', 'As configured: '
              + ' '.join(d.detections['before'].words())]
     lines += [f'Effect: {finding_text(f)}' for f in d.findings] or ['No effect was found.']
     before, after = (html.number(m.summary()['horizontal_rmse_m'], 3) for m in (d.before, d.after))
     lines.append(f'Error with the fixes used: RMS {before} m before, {after} m after.')
-    if d.better:
+    if d.changed:
         lines.append(f'{plots.STAGES["after"].capitalize()}: {" ".join(d.detections["after"].words())}')
     if hidden := not_identifiable(d):
         lines.append(f'Cannot be seen in {this(d)}: {_hidden_text(hidden)}.')
@@ -240,46 +271,17 @@ def unexplained_text(d: Diagnosis) -> str:
         f'{r.where} that goes with {r.what} ({rounded(abs(r.rms), r.sigma)} {r.unit} RMS)' for r in d.rest[:3]) + '.'
 
 
-#: means and medians that differ by more than this factor tell of a few large errors
-TAILS = 1.5
-
-
 def cost(d: Diagnosis) -> list[str]:
-    """What an outage costs: median, and mean where that says something else; as configured, and with corrected.yaml."""
-    return [f'{old.duration:g} s: {_cost(old, new if d.better else None)}'
-            for old, new in zip(d.before.outages, d.after.outages) if len(old.begin) and len(new.begin)]
-
-
-def _cost(old: Outages, new: Outages | None) -> str:
-    stages = [old] if new is None else [old, new]
-    medians, means = ([f'{html.number(float(middle(o.max_error)), 2)} m' for o in stages]
-                      for middle in (np.median, np.mean))
-    held = [f'{html.number(100 * float(o.within.mean()), 2)} %' for o in stages]
-    said = f'{" as configured, ".join(medians)}{" with corrected.yaml" if new else " as configured"} (median of the ' \
-           f'largest error in {len(stages[-1].begin)} outages'
-    if tailed(stages):
-        said += f'; mean {" and ".join(means)}, as a few are much larger'
-    return said + f'); its own 95 % ellipse held the truth in {" before, ".join(held)}{" after" if new else ""}'
-
-
-def tailed(stages: Sequence[Outages]) -> bool:
-    """Whether means and medians of the largest errors disagree."""
-    return any(o.max_error.mean() > TAILS * np.median(o.max_error) for o in stages)
-
-
-def _plain(value):
-    """`value` in types of JSON; None for numbers that are not finite."""
-    if isinstance(value, dict):
-        return {str(key): _plain(v) for key, v in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(v) for v in value]
-    if isinstance(value, (bool, np.bool_)):
-        return bool(value)
-    if isinstance(value, (int, np.integer)):
-        return int(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return value
+    """What an outage costs, as configured and with corrected.yaml, in words; and how often its ellipse held the truth.
+    """
+    held = {h.duration: held_text(h) for h in d.trust.held}
+    if d.changed:
+        said = {c.duration: change_text(c, d.verdict.level) for c in changes(d.before, d.after)}
+        said.pop(None, None)
+    else:
+        means = {o.duration: html.number(float(o.max_error.mean()), 2) for o in d.before.outages if len(o.begin)}
+        said = {duration: f'{duration:g} s without fixes {mean} m as configured' for duration, mean in means.items()}
+    return [f'{text}; {held[duration]}' if duration in held else text for duration, text in said.items()]
 
 
 def report_html(diagnosis: Diagnosis, given: dict, answered: Answer, checked=(), warned=()) -> str:
@@ -287,11 +289,12 @@ def report_html(diagnosis: Diagnosis, given: dict, answered: Answer, checked=(),
     `corrected_yaml`."""
     d = diagnosis
     count = d.detections['before'].count
-    evidence = [_in_drive(drive) for drive in d.drives] or [_residual(d)]
+    evidence = [part for drive in d.drives for part in (_in_drive(drive), _over_time(drive, f' ({drive.name})'))] or [
+        _residual(d), _over_time(d)]
     yaml = html.folded('corrected.yaml', 'With --params-file of every tool, the filter runs as here.',
                        html.preformatted(corrected_yaml(d, given)))
     return html.page(f'Diagnosis of {d.name}', [
-        _answered(d, answered), _errors(d), _added(d), yaml, _unexplained(d), *evidence, _noise(d),
+        _answered(d, answered), answered.evidence(), _errors(d), _added(d), yaml, _unexplained(d), *evidence, _noise(d),
         _recording(d, checked, warned), _candidates(d)],
         f'{d.values["mechanization"]} mechanization, {d.values["sensor_error_model"].replace("_", " ")} sensor errors, '
         f'{count} innovations', script())
@@ -301,13 +304,17 @@ def _answered(d: Diagnosis, answered: Answer) -> html.Html:
     shown = _drives(d) if d.drives else _track(d)
     return html.section('Use corrected.yaml?', answered.html(), shown, html.figure(
         plots.errors(d), 'Horizontal position error before and after, to the left with the fixes used, to the right '
-        'against the time without fixes.'))
+        'against the time without fixes: median, and half of the outages.'))
 
 
 def _track(d: Diagnosis) -> html.Html:
     return track(diagnosis_layers(d), html.figure(
         plots.track(d), 'The drive from above, as configured and with corrected.yaml, with all fixes and in the '
         'longest outages, each ending at x.'))
+
+
+def _over_time(d: Diagnosis, of: str = '') -> html.Html:
+    return html.folded(f'Over time{of}', charts(diagnosis_charts(d), 'errors, innovations and signals over time'))
 
 
 def _drives(d: Diagnosis) -> html.Html:
@@ -318,20 +325,21 @@ def _drives(d: Diagnosis) -> html.Html:
         minutes = float(np.ptp(problem.stamp[problem.mask])) * 1e-9 / 60
         before, after = (nearest(m) for m in (drive.before, drive.after))
         numbers = [None] * 5 if before is None or after is None else [
-            before.duration, *(float(np.median(o.max_error)) for o in (before, after)),
+            before.duration, *(float(o.max_error.mean()) for o in (before, after)),
             *(100 * float(o.within.mean()) for o in (before, after))]
         rows.append((drive.name, minutes, drive.detections['before'].count, *numbers))
-    columns = ('drive', 'minutes', 'fixes', 'without fixes, s', 'largest error, median: before, m', 'after, m',
+    columns = ('drive', 'minutes', 'fixes', 'without fixes, s', 'largest error, mean: before, m', 'after, m',
                'inside 95 % ellipse: before, %', 'after, %')
     said = [(f.name, drive.name, _sizes(f.drives.get(drive.name, {})) or 'nothing')
             for f in d.findings if f.drives for drive in d.drives]
     of_effects = html.table(('effect', 'drive', 'what it says alone'), said, 'A drive alone is less sure than all '
                             'together; one in which an effect does not show says nothing against it.')
-    return html.Html(html.table(columns, rows, 'Each drive.', 3) + (of_effects if said else ''))
+    tracks = ''.join(f'<h3>{html.paragraph(drive.name)[3:-4]}</h3>{_track(drive)}' for drive in d.drives)
+    return html.Html(html.table(columns, rows, 'Each drive.', 3) + (of_effects if said else '') + tracks)
 
 
 def _in_drive(drive: Diagnosis) -> html.Html:
-    return html.folded(f'Drive {drive.name}', html.bullets([*cost(drive), *drive.remarks]), _track(drive),
+    return html.folded(f'Drive {drive.name}', html.bullets([*cost(drive), *drive.remarks]),
                        *_innovations(drive))
 
 
@@ -390,7 +398,9 @@ def _candidates(d: Diagnosis) -> html.Html:
     return html.folded(
         'Candidates and their evidence', 'The score test: how much better each effect would explain the innovations, '
         'with the share of noise levels and of effects added before taken out. Coloured: significant after counting '
-        'all tests; dark: the one chosen.',
+        'all tests; dark: the one chosen. That need not be the one with the largest gain: of the first ones, at '
+        'several noise levels, each is fitted together with all that was found before, and the largest likelihood then '
+        'counts; a plain cause goes before one that changes with time and so can do all that the plain one does.',
         html.figure(plots.evidence(d), 'Evidence for each candidate, round by round.'), *tables,
         'What this recording cannot show:', hidden)
 
@@ -420,10 +430,10 @@ def _errors(d: Diagnosis) -> html.Html:
              *map(c.get, ('count', 'before', 'after', 'difference')), _interval(c), _p(c['p']) if 'p' in c else '')
             for c in d.comparison]
     summaries = {plots.STAGES[stage]: measured.summary() for stage, measured in plots.measured_stages(d).items()}
-    columns = ('filter', 'RMS with fixes, m', 'without fixes, s', 'outages', 'largest error: median, m', 'RMS, m',
+    columns = ('filter', 'RMS with fixes, m', 'without fixes, s', 'outages', 'largest error: mean, m', 'RMS, m',
                '95 % below, m',
                '% of distance', 'inside 95 % ellipse, %')
-    table = [(name, s['horizontal_rmse_m'] if i == 0 else None, o['duration_s'], o['count'], o['max_error_median_m'],
+    table = [(name, s['horizontal_rmse_m'] if i == 0 else None, o['duration_s'], o['count'], o['max_error_mean_m'],
               o['max_error_rms_m'], o['max_error_p95_m'], o['percent_of_distance'],
               o['within_95_percent'])
              for name, s in summaries.items() for i, o in enumerate(s['outages'])]
@@ -432,7 +442,7 @@ def _errors(d: Diagnosis) -> html.Html:
         'recording, unless no effect was added.',
         html.table(columns, table, digits=3),
         html.table(('what', 'count', 'before', 'after', 'difference', '95 % interval', 'p of no difference'), rows,
-                   'Paired differences, after minus before, by block bootstrap.', 3))
+                   'Paired differences, after minus before.', 3))
 
 
 def _interval(row: dict) -> str:

@@ -8,18 +8,16 @@ import numpy as np
 from ..diagnosis.conclusion import MOUNTING
 from ..diagnosis.detection import COLOURED, Detection
 from ..diagnosis.findings import Diagnosis, Finding
-from ..diagnosis.measured import nearest
-from ..diagnosis.parts import FEWEST_DRIVES
+from ..evaluation.verdict import BETTER, CANNOT_TELL, NO, NOT_USABLE, SAME, WORSE, Verdict
 from ..parameters.params_file import yaml_value
 from ..recordings.checker import INFO
 from ..recordings.checker import Finding as Checked
 from . import html
-from .answer import BAD, GOOD, WARNING, Answer, Step, checked_text, held_text, topics_of
-from .diagnosis import capital, changed, cost, rounded_value, tailed, this, unexplained_text
+from .answer import BAD, GOOD, WARNING, Answer, Step, checked_text, topics_of
+from .diagnosis import capital, changed, cost, rounded_value, this, unexplained_text
 from .effect_words import check, looks_the_same, size, what
+from .verdict import because, change_text, trust_text
 
-#: 95 % ellipses that hold the truth less often than this, %, are too small; said of so many outages
-COVERED, FEWEST_OUTAGES = 85.0, 5
 #: seen, not fitted, and with a size that the text of what is seen does not have
 WITH_SIZE = {MOUNTING}
 
@@ -30,20 +28,33 @@ def answer(diagnosis: Diagnosis, checked: list[Checked], output: str) -> Answer:
     checked: what the checker found. output: folder of the results, for the command.
     """
     d = diagnosis
-    measured = d.after if d.better else d.before
-    shares = {o['duration_s']: o['within_95_percent'] for o in measured.summary()['outages']
-              if o['count'] >= FEWEST_OUTAGES}
-    consistent = not d.detections['after' if d.better else 'before'].lacking
-    covered = not shares or min(shares.values()) >= COVERED
-    grade = GOOD if consistent and covered else WARNING if d.better else BAD
     out = [f'{name} was left out: {why}' for name, why in d.left_out.items()]
     found = [found_text(f, d) for f in d.findings if f.added]
     shown = [shown_text(d.detections['before'])] if d.detections['before'].lacking else []
-    said = [checked_text(f, topics_of(d.values)) for f in checked if f.severity != INFO]
+    # what is corrected needs no warning
+    mounted = 'imu.mounting_rpy' in changed(d)
+    said = [checked_text(f, topics_of(d.values)) for f in checked
+            if f.severity != INFO and not (mounted and 'mounting_rpy' in f.values)]
     tried = [tried_text(f) for f in d.findings if not f.added]
     left = [unexplained_text(d)] if d.unexplained else []
-    return Answer(grade, _headline(d), [*out, *found, *shown, *said], cost(d), _steps(d, output),
-                  _trust(d.better, consistent, shares), [*tried, *left, *d.remarks])
+    trust = d.trust
+    lacking = d.detections['after' if d.changed else 'before'].lacking
+    grade = BAD if trust.answer == NO and not d.better else WARNING if trust.answer == NO or lacking and not d.better \
+        else GOOD
+    return Answer(grade, headline(d.verdict, d.changed), [*out, *found, *shown, *said], cost(d), _steps(d, output),
+                  trust_text(trust, 'With corrected.yaml, ' if d.changed else 'As configured, '),
+                  [*tried, *left, *d.remarks], because(d.verdict))
+
+
+def not_usable(found: list[Checked], values: dict) -> tuple[Verdict, Answer]:
+    """The answer where something in the recording is certainly wrong, so that no effect can be estimated from it.
+
+    found: of severity error. values: parameters.
+    """
+    said = [checked_text(f, topics_of(values)) for f in found]
+    verdict = Verdict(NOT_USABLE, why=tuple(said))
+    return verdict, Answer(BAD, headline(verdict), said, [], [
+        Step('Set this in the params file (or let configure write one), and diagnose again.')])
 
 
 def found_text(f: Finding, d: Diagnosis) -> str:
@@ -51,7 +62,7 @@ def found_text(f: Finding, d: Diagnosis) -> str:
     others = [what(name) for name in f.group if name != f.name]
     group = f' ({capital(this(d))} cannot tell it from: {"; ".join(others)}.)' if others else ''
     also = f' {capital(looks_the_same(f.name))}.' if looks_the_same(f.name) and f.parameters else ''
-    return f'{capital(what(f.name))} ({f.name}): {_size(f)}.{group}{also}{_change(f, d)}{_saves(f)}'
+    return f'{f.name}: {_size(f)}: {what(f.name)}.{group}{also}{_change(f, d)}{_saves(f)}'
 
 
 def _size(f: Finding) -> str:
@@ -73,13 +84,13 @@ def _change(f: Finding, d: Diagnosis) -> str:
 
 
 def _saves(f: Finding) -> str:
-    """What it gains in metres."""
+    """What it gains in metres, beside what was found before it."""
     if f.saves is None:
         return ''
     duration, before, after = f.saves
     one, other = (html.number(v, 2) for v in (before, after))
-    gain = f'goes from {one} m to {other} m' if one != other else f'stays at {one} m'
-    return f' With it the error {gain} (median of the largest in {duration:g} s without fixes).'
+    return (f' When it was added: {other} m instead of {one} m (mean of the largest error in {duration:g} s without '
+            'fixes).')
 
 
 def shown_text(detection: Detection) -> str:
@@ -101,54 +112,32 @@ def tried_text(f: Finding) -> str:
     return f'Looked at, and left alone: {what(f.name)} ({f.name}{f", {sizes}" if sizes else ""}): {f.reason}.'
 
 
-def _headline(d: Diagnosis) -> str:
-    if d.better:
-        return f'Use corrected.yaml: {_proof(d)}.'
-    tried = [f for f in d.findings if not f.added]
-    also = ' Something was found that does not help; see below.' if tried else ''
-    return ('Keep your parameters: nothing was found that makes the filter better here for certain, and corrected.yaml '
-            f'holds them as they are.{also}')
-
-
-def _proof(d: Diagnosis) -> str:
-    """The error before and after in one clause: of the outages nearest to 30 s, or of all where there are none."""
-    where = ('on parts of the drives that' if d.drives else 'on parts of the drive that') + ' the estimate did not use'
-    if len(d.drives) >= FEWEST_DRIVES:
-        where = 'in each drive, with what the others say'
-    before, after = d.before.summary(), d.after.summary()
-    old, new = nearest(d.before), nearest(d.after)
-    if old is None or new is None:
-        old, new = (html.number(s['horizontal_rmse_m'], 2) for s in (before, after))
-        return f'{where}, the position error goes from {old} m to {new} m RMS'
-    was, now = (html.number(float(np.median(o.max_error)), 2) for o in (old, new))
-    said = (f'{where}, the largest error in {old.duration:g} s without fixes goes from {was} m to {now} m (median of '
-            f'{len(new.begin)} outages')
-    if tailed([old, new]):
-        means = [float(o.max_error.mean()) for o in (old, new)]
-        said += f'; mean {html.number(means[0], 2)} m to {html.number(means[1], 2)} m, as a few are much larger'
-    return said + ')'
-
-
-def _trust(better: bool, consistent: bool, shares: dict[float, float]) -> str:
-    which = 'With corrected.yaml' if better else 'As configured'
-    if shares and min(shares.values()) < COVERED:
-        worst = min(shares, key=shares.get)
-        return (f'{which}, no: after {worst:g} s without fixes its 95 % ellipse held the truth in only '
-                f'{html.number(shares[worst], 2)} %.')
-    held = (f'yes: its 95 % ellipse held the truth {held_text(min(shares.values()))}' if shares
-            else 'for outages this recording is too short to say')
-    if consistent:
-        return f'{which}, {held}.'
-    return f'{which}, without fixes {held}. From fix to fix not quite: the innovations are not as it expects.'
+def headline(verdict: Verdict, changed: bool = False) -> str:
+    """Whether to use what was found, with the interval that says so. changed: corrected.yaml holds effects."""
+    if verdict.answer == NOT_USABLE:
+        return f'Not usable: {verdict.why[0]}'
+    if verdict.shown is None:
+        return 'Keep your parameters: nothing was found that makes the filter better.'
+    proof = change_text(verdict.shown, verdict.level)
+    if verdict.why:
+        return f'Keep your parameters: {verdict.why[0]}; {proof}.'
+    if changed and verdict.answer != BETTER:
+        what_of_it = 'makes no difference' if verdict.answer == SAME else 'is not proven to make errors smaller'
+        return f'corrected.yaml {what_of_it}: {proof}.'
+    return {BETTER: f'Use corrected.yaml: {proof}.',
+            SAME: f'Keep your parameters, what was found makes no difference: {proof}.',
+            WORSE: f'Keep your parameters, what was found makes it worse: {proof}.',
+            CANNOT_TELL: f'Keep your parameters, no gain is proven: {proof}.'}[verdict.answer]
 
 
 def _steps(d: Diagnosis, output: str) -> list[Step]:
     steps = []
     if d.better:
-        steps.append(Step('Drive on with it:', 'python -m mems_ins_fusion fusion_node --ros-args --params-file '
+        but = ', but do not believe its sigmas' if d.trust.answer == NO else ''
+        steps.append(Step(f'Drive on with it{but}:', 'python -m mems_ins_fusion fusion_node --ros-args --params-file '
                           + shlex.quote(f'{output}/corrected.yaml')))
     new = changed(d)
-    for f in d.findings if d.better else ():
+    for f in d.findings if d.changed else ():
         values = ', '.join(f'{name}: {yaml_value(new[name])}' for name in f.changes if name in new)
         if f.added and check(f.name):
             steps.append(Step(f'Check on the vehicle: {check(f.name)}' + (f' (corrected.yaml has {values}).' if values
@@ -156,6 +145,12 @@ def _steps(d: Diagnosis, output: str) -> list[Step]:
     if any(f.apart for f in d.findings):
         steps.append(Step('The drives contradict each other in what is left alone above: find out what was changed '
                           'between them, and diagnose them apart.'))
+    if d.changed and not d.better:
+        steps.append(Step('What it corrects is certain, and errors are no larger. Compare both on another drive:',
+                          'python -m mems_ins_fusion compare YOUR_FILE.yaml '
+                          f'{shlex.quote(f"{output}/corrected.yaml")} --bag ANOTHER_DRIVE --output compared'))
+    if not d.changed and d.verdict.answer == CANNOT_TELL and d.verdict.changes:
+        steps.append(Step('Record a longer drive, with bends to both sides, stops and braking: it may tell.'))
     if d.better and not any(f.added for f in d.findings):
         steps.append(Step('No effect was added, only noise levels were chosen: record another drive with bends to both '
                           'sides, stops and braking before you rely on them.'))

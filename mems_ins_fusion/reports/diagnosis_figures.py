@@ -7,6 +7,7 @@ from ..diagnosis.detection import COMPONENTS, LAGS
 from ..diagnosis.findings import Diagnosis
 from ..diagnosis.measured import Measured
 from ..diagnosis.tracing import SIGNIFICANCE
+from ..evaluation.outages import Outages
 from .colours import AFTER, BEFORE, FITTED
 from .layers import diagnosis_layers
 
@@ -94,17 +95,18 @@ def errors(diagnosis: Diagnosis):
     """Horizontal error before and after: against time with the fixes used, and since the last fix in outages."""
     figure = _figure(11, 4)
     time, outage = figure.subplots(1, 2, width_ratios=(1.6, 1))
-    origin = diagnosis.problem.stamp[0]
-    for stage, measured in measured_stages(diagnosis).items():
+    origin, stages = diagnosis.problem.stamp[0], measured_stages(diagnosis)
+    longest = _same({stage: _longest(measured) for stage, measured in stages.items()})
+    for stage, measured in stages.items():
         continuous = measured.continuous
         time.plot((continuous.stamp - origin) * 1e-9 / 60, continuous.horizontal, '.', markersize=2,
                   color=COLOURS[stage], label=STAGES[stage])
-        _growth(outage, measured, stage)
+        _growth(outage, longest.get(stage), stage)
     time.set(xlabel='time, min; one drive after the other' if diagnosis.drives else 'time, min',
              ylabel='horizontal error, m', yscale='log')
     time.set_title('with the fixes used', fontsize=9)
     outage.set(xlabel='since the last fix, s', ylabel='horizontal error, m', xlim=(0, None), ylim=(0, None))
-    outage.set_title('without fixes: median, and half of the outages', fontsize=9)
+    outage.set_title('without fixes', fontsize=9)
     time.legend(fontsize=8, markerscale=4)
     return figure
 
@@ -112,11 +114,21 @@ def errors(diagnosis: Diagnosis):
 def measured_stages(diagnosis: Diagnosis) -> dict[str, Measured]:
     """The errors measured, by stage; no stage after where nothing is better."""
     stages = {'before': diagnosis.before, 'fitted': diagnosis.fitted}
-    return stages | ({'after': diagnosis.after} if diagnosis.better else {})
+    return stages | ({'after': diagnosis.after} if diagnosis.changed else {})
 
 
-def _growth(axes, measured: Measured, stage: str) -> None:
-    longest = next((o for o in reversed(measured.outages) if len(o.growth)), None)
+def _longest(measured: Measured) -> Outages | None:
+    return next((o for o in reversed(measured.outages) if len(o.growth)), None)
+
+
+def _same(found: dict[str, Outages | None]) -> dict[str, Outages]:
+    """Of each the outages that all have."""
+    there = {stage: outages for stage, outages in found.items() if outages is not None}
+    begins = set.intersection(*(set(o.begin.tolist()) for o in there.values())) if there else set()
+    return {stage: o.select(np.isin(o.begin, list(begins))) for stage, o in there.items()} if begins else {}
+
+
+def _growth(axes, longest: Outages | None, stage: str) -> None:
     if longest is None:
         return
     low, middle, high = (np.concatenate([[0.0], q]) for q in np.percentile(longest.growth, [25, 50, 75], axis=0))

@@ -21,6 +21,8 @@ class Html(str):
     """Text that is HTML already. A plain str given in its place is escaped."""
 
 
+#: width of a phone's screen on which 10 points are as large as on paper
+PHONE = 4.2
 _STYLE = (Path(__file__).parent / 'page.css').read_text(encoding='ascii')
 
 
@@ -95,16 +97,21 @@ def table(columns, rows, caption: str = '', digits: int = 4) -> Html:
     return Html(f'<table>{title}\n<thead><tr>{heading}</tr></thead>\n<tbody>\n{body}\n</tbody></table>')
 
 
-def figure(drawing, caption: str = '', image: str = 'png', dpi: int = 120) -> Html:
+def figure(drawing, caption: str = '', image: str = 'png', dpi: int = 120, narrow: bytes = b'') -> Html:
     """A Matplotlib figure or the bytes of an image, embedded.
 
-    image: 'png', or 'svg' for a drawing of few points. The caption is the image's text alternative too.
+    image: 'png', or 'svg' for a drawing of few points. narrow: the PNG for phones (`narrow_bytes`), where `drawing` is
+    bytes. The caption is the image's text alternative too.
     """
     mime = {'png': 'image/png', 'svg': 'image/svg+xml'}[image]
     data = drawing if isinstance(drawing, bytes) else image_bytes(drawing, image, dpi)
     encoded = base64.b64encode(data).decode('ascii')
     label = f'<figcaption>{_text(caption)}</figcaption>' if caption else ''
-    return Html(f'<figure><img src="data:{mime};base64,{encoded}" alt="{_text(caption)}">{label}</figure>')
+    small = narrow if narrow or isinstance(drawing, bytes) else narrow_bytes(drawing)
+    phone = (f'<source media="(max-width: 40rem)" srcset="data:image/png;base64,'
+             f'{base64.b64encode(small).decode("ascii")}">') if small else ''
+    return Html(f'<figure><picture>{phone}<img src="data:{mime};base64,{encoded}" alt="{_text(caption)}"></picture>'
+                f'{label}</figure>')
 
 
 def image_bytes(drawing, image: str = 'png', dpi: int = 120) -> bytes:
@@ -114,6 +121,15 @@ def image_bytes(drawing, image: str = 'png', dpi: int = 120) -> bytes:
     crop = None if drawing.get_layout_engine() else 'tight'  # which draws twice
     drawing.savefig(buffer, format=image, dpi=dpi, bbox_inches=crop, metadata=metadata)
     return buffer.getvalue()
+
+
+def narrow_bytes(drawing) -> bytes:
+    """A Matplotlib figure as PNG for a screen of PHONE inches, where letters keep their size."""
+    width, height = drawing.get_size_inches()
+    drawing.set_size_inches(PHONE, min(max(1.4 * PHONE * height / width, 3.0), 7.0))
+    image = image_bytes(drawing, dpi=110)
+    drawing.set_size_inches(width, height)
+    return image
 
 
 def number(value, digits: int = 4) -> str:

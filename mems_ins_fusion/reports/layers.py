@@ -7,7 +7,7 @@ from ..diagnosis.findings import Diagnosis
 from ..diagnosis.measured import Measured
 from ..evaluation.comparison import Comparison, truth_of
 from ..evaluation.metrics import Errors, lever_arm_north_east
-from ..filter.results import Run
+from ..filter.runs.results import Run
 from ..navigation.earth import to_local
 from ..samples import Fixes, Reference
 from . import colours

@@ -54,6 +54,10 @@ def track(comparison: Comparison):
         north, east = ground.of(comparison.run_of(model, interval).errors)
         axes.plot(east, north, **_style(model), zorder=2,
                   label=f'{model_name(comparison, model)}, fixes each {interval:g} s')
+    for result in comparison.smoothed[:1]:
+        north, east = ground.of(result.errors)
+        axes.plot(east, north, color=colours.SMOOTHED, linewidth=1.0, zorder=2,
+                  label=f'{model_name(comparison, result.model)}, smoothed')
     _mark_outages(axes, comparison, ground)
     axes.plot(ground.east[0], ground.north[0], marker='o', color='k', markersize=6, linestyle='', zorder=5,
               label='start')

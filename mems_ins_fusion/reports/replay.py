@@ -11,13 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from ..configuration.check import check_mounting
+from ..configuration.check import check
 from ..evaluation.comparison import Comparison, compare, cut
+from ..filter.config import FilterConfig
+from ..filter.measurements.registry import AIDING
+from ..filter.runs.intake import first_datum
 from ..parameters.parameter import ParameterError
 from ..parameters.params_file import yaml_value
 from ..parameters.table import FILTER
 from ..parameters.table import defaults as default_parameters
-from ..recordings.checker import check_recording
 from ..recordings.errors import RecordingWarning
 from ..recordings.reading import Memory, read_recording
 from ..recordings.reference_files import read_reference
@@ -26,8 +28,8 @@ from ..results import result_folder
 from ..samples import Recording
 from . import trajectories
 from .answer import Answer
+from .replay_answer import answer, best_model
 from .report import FIGURES, draw_figures, report, report_page, write_report
-from .verdict import answer, best_model
 
 #: the parameters of the replay, for the next command
 PARAMS_FILE = 'parameters.yaml'
@@ -67,7 +69,7 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
             name = _free_name(recording.name, comparisons)
             said[name] = texts
             with _timed(timing, 'checking'):
-                findings[name] = [*check_recording(recording), *check_mounting(recording, values)]
+                findings[name] = check(recording, values)
             with _timed(timing, 'filter and errors'):
                 comparisons[name] = compare(recording, values, lambda done: part(0.25 + 0.3 * done, 'filtering'))
         content, answers = _write(folder, comparisons, findings, said, values, timing, progress,
@@ -91,6 +93,8 @@ def read_part(path, values: dict, progress: Callable[[float], None]) -> tuple[Re
     """
     if values['stop'] and values['stop'] <= values['start']:
         raise ParameterError(f"parameter 'stop' must be after start {values['start']:g} s, got {values['stop']:g}")
+    if not values['gnss_topic']:
+        raise ParameterError("parameter 'gnss_topic' is empty: without fixes there is nothing to fuse or to measure")
     if values['reference_topic'] and values['reference_file']:
         raise ParameterError("parameters 'reference_topic' and 'reference_file' are both given: choose one")
     with warnings.catch_warnings(record=True) as caught:
@@ -105,8 +109,8 @@ def _read_whole(path, values: dict, progress) -> Recording:
     datum = _datum(values)
     recording = read_recording(path, values['imu_topic'], values['gnss_topic'], values['reference_topic'] or None,
                                values['temperature_topic'] or None, progress, datum,
-                               Memory(values['memory_limit'], *_MEMORY), speed_topic=values['speed_topic'],
-                               velocity_topic=values['velocity_topic'], heading_topic=values['heading_topic'])
+                               Memory(values['memory_limit'], *_MEMORY),
+                               **{measurement.topic: values[measurement.topic] for measurement in AIDING})
     if values['reference_file']:
         recording = replace(recording, reference=read_reference(values['reference_file'], datum))
     return recording
@@ -205,7 +209,7 @@ def _write_trajectories(folder: Path, prefix: str, comparison: Comparison, value
 
 
 #: columns of outages.csv, a row for each outage
-OUTAGE_COLUMNS = ('model', 'duration_s', 'begin_ns', 'max_error_m', 'distance_m', 'within_95')
+OUTAGE_COLUMNS = ('model', 'duration_s', 'begin_ns', 'max_error_m', 'distance_m', 'within_95', 'nees')
 
 
 def _write_outages(path: Path, comparison: Comparison) -> None:
@@ -213,11 +217,13 @@ def _write_outages(path: Path, comparison: Comparison) -> None:
         file.write(','.join(OUTAGE_COLUMNS) + '\n')
         for result in comparison.outages:
             o = result.outages
-            file.writelines(f'{result.model},{o.duration:g},{begin},{error:.4f},{distance:.2f},{int(within)}\n'
-                            for begin, error, distance, within in zip(o.begin, o.max_error, o.distance, o.within))
+            file.writelines(f'{result.model},{o.duration:g},{begin},{error:.4f},{distance:.2f},{int(within)},{nees:.4g}\n'
+                            for begin, error, distance, within, nees in zip(
+                                o.begin, o.max_error, o.distance, o.within, o.consistency.nees))
 
 
 def origin(comparison: Comparison, values: dict) -> np.ndarray:
-    """Origin of the trajectories: the parameter `datum`, or the first position of the truth; rad, rad, m."""
-    reference = comparison.truth.reference
-    return np.array(_datum(values) or (reference.latitude[0], reference.longitude[0], reference.height[0]))
+    """Origin of the trajectories, that of the live node: the parameter `datum`, or the first fixes; rad, rad, m."""
+    recording, truth = comparison.recording, comparison.truth.reference
+    found = first_datum(FilterConfig.from_parameters(values), recording.imu, recording.gnss)
+    return np.array([truth.latitude[0], truth.longitude[0], truth.height[0]]) if found is None else found

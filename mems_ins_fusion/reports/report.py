@@ -1,21 +1,27 @@
 """The results of a replay as `report.json`, `report.html` and figures."""
 from __future__ import annotations
 
-import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from .. import __version__
 from ..evaluation.comparison import Comparison, outage_row, run_row
+from ..evaluation.verdict import NOT_USABLE, decide, trusted
 from ..parameters.table import defaults as default_parameters
+from ..recordings.sketch import fitted_to
+from ..results import json_text
 from . import html, plots
 from .answer import Answer, checked_text, topics_of
+from .charts import charts
 from .html import bullets, figure, folded, image_bytes, number, paragraph, section, table
 from .layers import replay_layers
 from .plots import model_name
+from .replay_answer import best_model, consistencies, judged, sentences
+from .series import replay_charts
 from .track import script, track
-from .verdict import best_model, verdict
+from .verdict import verdict_json
 
 #: file name, drawing and caption of each figure
 FIGURES = (
@@ -45,7 +51,8 @@ def report(comparisons: dict[str, Comparison], values: dict, findings: dict[str,
         'smoothed': [run_row(r, c.mechanization, name) for name, c in comparisons.items() for r in c.smoothed],
         'comparisons': [_pair(p, name) for name, c in comparisons.items() for p in c.pairs],
         'answer': {name: a.json() for name, a in answers.items()},
-        'verdict': {name: verdict(c) for name, c in comparisons.items()},
+        'verdict': _verdict(comparisons, values, findings),
+        'sentences': {name: sentences(c) for name, c in comparisons.items()},
         'parameters': {name: value for name, value in values.items() if value != defaults[name]},
         'seconds': timing,
     }
@@ -56,9 +63,21 @@ def _recording(name: str, comparison: Comparison, findings: list, said: list[str
     return {'name': name, 'duration_s': float((imu.stamp[-1] - imu.stamp[0]) * 1e-9), 'imu_samples': len(imu),
             'fixes': len(gnss), 'truth': comparison.truth.source, 'truth_positions': len(comparison.truth),
             'truth_sigma_m': float(np.sqrt(np.median(comparison.truth.variance))),
+            'fitted_to_it': fitted_to(comparison.recording, values['fitted_to']),
             'warnings': said, 'notices': _notices(comparison),
             'findings': [{'severity': f.severity, 'topic': f.topic, 'message': f.message,
                           'text': checked_text(f, topics_of(values))} for f in findings]}
+
+
+def _verdict(comparisons: dict[str, Comparison], values: dict, findings: dict[str, list]) -> dict:
+    """Of all recordings together."""
+    several = len(comparisons) > 1
+    each = [judged(c, findings[name], values, name if several else '') for name, c in comparisons.items()]
+    verdict = decide(change for v in each for change in v.changes)
+    verdict = replace(verdict, fitted_here=any(v.fitted_here for v in each))
+    why = tuple(text for v in each for text in v.why)
+    verdict = replace(verdict, answer=NOT_USABLE, why=why) if why else verdict
+    return verdict_json(verdict, trusted([c for of in comparisons.values() for c in consistencies(of, values)]))
 
 
 def _notices(comparison: Comparison) -> list[str]:
@@ -76,15 +95,15 @@ def _pair(pair, name: str) -> dict:
             'p_adjusted': pair.p_adjusted, 'significant': pair.significant}
 
 
-def draw_figures(name: str, comparison: Comparison, folder: Path, progress=lambda: None) -> list[tuple[bytes, str]]:
-    """PNG and caption of each figure, also written to `folder`. progress: called after each."""
+def draw_figures(name: str, comparison: Comparison, folder: Path, progress=lambda: None) -> list[html.Html]:
+    """The figures for the page, each also written to `folder` as PNG. progress: called after each."""
     drawn = []
     for file, draw, caption in FIGURES:
         drawing = draw(comparison)
         if drawing is not None:
             png = image_bytes(drawing)
             (folder / f'{name}{file}.png').write_bytes(png)
-            drawn.append((png, caption))
+            drawn.append(figure(png, caption, narrow=html.narrow_bytes(drawing)))
         progress()
     return drawn
 
@@ -95,14 +114,16 @@ def report_page(comparisons: dict[str, Comparison], values: dict, content: dict,
     sections = []
     for name, comparison in comparisons.items():
         of = f' ({name})' if len(comparisons) > 1 else ''
-        still, *others = (figure(png, caption) for png, caption in figures[name])
+        still, *others = figures[name]
         best = best_model(comparison, values['sensor_error_model'])
         names = {model: model_name(comparison, model) for model in comparison.models}
         sections += [
             section(f'Is the filter good here?{of}', answers[name].html(),
                     track(replay_layers(comparison, best, names), still),
                     _glance(comparison, content, name)),
-            folded(f'Which sensor error model is best?{of}', bullets(verdict(comparison))),
+            answers[name].evidence(),
+            folded(f'Over time{of}', charts(replay_charts(comparison, best), 'estimates and signals over time')),
+            folded(f'Which sensor error model is best?{of}', bullets(sentences(comparison))),
             folded(f'Position errors{of}', *_run_tables(comparison, content, name), *others[:3]),
             folded(f'Outages{of}', _outage_table(comparison, content, name), *others[3:]),
             _recording_section(f'Recording{of}', content, name, values)]
@@ -125,11 +146,11 @@ def _glance(comparison: Comparison, content: dict, name: str):
                    and r['update_interval_s'] == comparison.intervals[0])
         outages = [r for r in content['outages'] if r['recording'] == name and r['model'] == model]
         rows.append([model_name(comparison, model), run['horizontal_rmse_m'],
-                     *(None if r['count'] == 0 else f'{number(r["max_error_median_m"], 3)} m '
+                     *(None if r['count'] == 0 else f'{number(r["max_error_mean_m"], 3)} m '
                        f'({number(r["within_95_percent"], 2)} %)' for r in outages)])
     columns = ['model', f'RMS, fixes each {comparison.intervals[0]:g} s, m',
                *(f'{d:g} s without fixes' for d in comparison.durations)]
-    return table(columns, rows, 'Horizontal position error. Without fixes: the median of the largest error, and in '
+    return table(columns, rows, 'Horizontal position error. Without fixes: the mean of the largest error, and in '
                  'brackets how often the filter\'s own 95 % ellipse held the truth.' if comparison.durations else '',
                  digits=3)
 
@@ -189,7 +210,7 @@ def _recording_section(title: str, content: dict, name: str, values: dict):
     rows = [[r['duration_s'], r['imu_samples'], r['fixes'], r['truth'], r['truth_positions']]]
     found = [f"{f['severity']}: {f['text']}" for f in r['findings']]
     parts = (('The reader said:', r['warnings']), ('The checker found:', found), ('The filter said:', r['notices']))
-    return folded(title, table(['duration, s', 'IMU samples', 'fixes', 'truth', 'positions of it'], rows, digits=6),
+    return folded(title, table(['duration, s', 'IMU samples', 'fixes', 'truth', 'positions of it'], rows, digits=3),
                   *(part for head, lines in parts if lines for part in (paragraph(head), bullets(lines))))
 
 
@@ -215,12 +236,12 @@ def _explanation():
         'NIS, the normalized innovation squared, compares each fix with the filter\'s prediction and its covariance. '
         'Its mean is 2 for a filter that judges itself rightly.',
         'Outages: each is a run of its own in which fixes are withheld once; the error counts from the last fix used.',
-        'A difference between models is called significant when a block bootstrap of the paired differences gives an '
+        'A difference between models is called significant when the paired differences give an '
         'adjusted p below 5 % (Holm, over all comparisons on the recording).']))
 
 
 def write_report(folder: Path, content: dict, page: str) -> None:
-    (folder / 'report.json').write_text(json.dumps(content, indent=1, allow_nan=False) + '\n', encoding='utf-8')
+    (folder / 'report.json').write_text(json_text(content, indent=1) + '\n', encoding='utf-8')
     (folder / 'report.html').write_text(page, encoding='utf-8')
 
 

@@ -3,57 +3,75 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from .. import __version__
-from ..evaluation.bootstrap import Difference, holm, paired
-from ..evaluation.comparison import SIGNIFICANCE
+from ..errors import InputError
 from ..evaluation.metrics import rms
+from ..evaluation.verdict import (
+    BETTER,
+    CANNOT_TELL,
+    SAME,
+    WORSE,
+    Change,
+    Consistency,
+    Trust,
+    Verdict,
+    change_in_outages,
+    change_with_fixes,
+    decide,
+    trusted,
+)
 from . import colours, html
-from .answer import GOOD, WARNING, Answer, Step, held_text
+from .answer import GOOD, WARNING, Answer, Step
 from .html import number
 from .track import Layer, script, track
-
-#: 95 % ellipses that hold the truth less often than this, %, are too small
-COVERED = 85.0
-#: differences smaller than this part are of no practical meaning, however significant
-PRACTICAL = 0.02
+from .verdict import because, change_text, span_text, trust_text, verdict_json
 
 
-class CompareError(ValueError):
+class CompareError(InputError):
     """Two results that cannot be compared: one line that says why."""
 
 
 @dataclass(frozen=True)
 class Series:
-    """Errors by time: stamp (n,) ns, error (n,) m, and east and north of truth and estimate, (n, 2) m each; of outages
-    the begin and the largest error, and whether the 95 % ellipse held the truth, (n,)."""
+    """Errors by time: stamp (n,) ns, error (n,) m, and east and north of truth and estimate, (n, 2) m; independent: the
+    truth is more than the fixes that the filter was given. Of outages the begin and the largest error, whether the
+    95 % ellipse held the truth, and the mean normalized squared error, (n,)."""
 
     stamp: np.ndarray
     error: np.ndarray
     truth: np.ndarray | None = None
     estimate: np.ndarray | None = None
     within: np.ndarray | None = None
+    nees: np.ndarray | None = None
+    independent: bool = True
+
+    def apart(self, duration: float) -> int:
+        """How many of these outages of `duration` s do not overlap."""
+        return len(np.unique((self.stamp - self.stamp[0]) // round(duration * 1e9))) if len(self.stamp) else 0
 
 
 @dataclass(frozen=True)
 class Result:
-    """One replay. runs: by (recording, model, interval); outages: by (recording, model, duration)."""
+    """One replay. runs: by (recording, model, interval); outages: by (recording, model, duration). fitted_here: the
+    recordings that its parameters were fitted to."""
 
     name: str
     recordings: list[str]
     models: list[str]
     runs: dict[tuple, Series]
     outages: dict[tuple, Series]
+    fitted_here: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Row:
-    """One quantity of both. duration: of outages, s, else None. paired: over the epochs that both have, count of them;
-    p: of no difference, all rows counted, None where they share too few epochs."""
+    """One quantity of both. duration: of outages, s, else None. count: of epochs that both have, 0 where they share too
+    few; change: of the second against the first there; decides: not where the truth is what the filters were given."""
 
     recording: str
     models: tuple[str, str]
@@ -63,16 +81,8 @@ class Row:
     median: tuple[float, float]
     within: tuple[float | None, float | None]
     count: int
-    difference: Difference | None
-    p: float | None
-
-    @property
-    def better(self) -> int | None:
-        """0 or 1 for the one that is better for certain and by more than nobody would notice, else None."""
-        low, high = sorted(self.rms)
-        if self.p is None or self.p >= SIGNIFICANCE or high <= (1 + PRACTICAL) * low:
-            return None
-        return int(self.difference.mean > 0)
+    change: Change | None
+    decides: bool
 
 
 def read_result(folder, name: str) -> Result:
@@ -96,12 +106,13 @@ def read_result(folder, name: str) -> Result:
             for run in (r for r in content['runs'] if r['recording'] == recording):
                 model, interval = run['model'], run['update_interval_s']
                 estimate = _tum(folder / f'{prefix}{model}_{interval:g}s.tum')
-                runs[recording, model, interval] = _series(truth, estimate, delay)
+                runs[recording, model, interval] = _series(truth, estimate, delay, run['independent_truth'])
             for (model, duration), series in _outages(folder / f'{prefix}outages.csv', offset).items():
                 outages[recording, model, duration] = series
     except (OSError, ValueError, KeyError) as error:
         raise CompareError(f'{folder}: {error}; replay the recording again with this version') from None
-    return Result(name, recordings, list(dict.fromkeys(r['model'] for r in content['runs'])), runs, outages)
+    fitted = tuple(r['name'] for r in content['recordings'] if r.get('fitted_to_it'))
+    return Result(name, recordings, list(dict.fromkeys(r['model'] for r in content['runs'])), runs, outages, fitted)
 
 
 def _tum(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -117,10 +128,10 @@ def _tum(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return np.array(stamps, dtype=np.int64), np.array(positions).reshape(-1, 2)
 
 
-def _series(truth, estimate, delay: int) -> Series:
+def _series(truth, estimate, delay: int, independent: bool) -> Series:
     stamp, a, b = np.intersect1d(truth[0], estimate[0], return_indices=True)
     positions = truth[1][a], estimate[1][b]
-    return Series(stamp + delay, np.hypot(*(positions[1] - positions[0]).T), *positions)
+    return Series(stamp + delay, np.hypot(*(positions[1] - positions[0]).T), *positions, independent=independent)
 
 
 def _outages(path: Path, offset: int) -> dict[tuple, Series]:
@@ -128,9 +139,10 @@ def _outages(path: Path, offset: int) -> dict[tuple, Series]:
     with open(path, encoding='ascii', newline='') as file:
         for row in csv.DictReader(file):
             found.setdefault((row['model'], float(row['duration_s'])), []).append(
-                (int(row['begin_ns']) + offset, float(row['max_error_m']), row['within_95'] == '1'))
+                (int(row['begin_ns']) + offset, float(row['max_error_m']), row['within_95'] == '1', float(row['nees'])))
     return {key: Series(np.array([r[0] for r in rows], dtype=np.int64), np.array([r[1] for r in rows]),
-                        within=np.array([r[2] for r in rows])) for key, rows in found.items()}
+                        within=np.array([r[2] for r in rows]), nees=np.array([r[3] for r in rows]))
+            for key, rows in found.items()}
 
 
 def rows_of(first: Result, second: Result) -> list[Row]:
@@ -151,9 +163,7 @@ def rows_of(first: Result, second: Result) -> list[Row]:
     found = [row for row in found if row is not None]
     if not found:
         raise CompareError(f'{first.name} and {second.name} have no update interval or outage in common')
-    tested = [row for row in found if row.difference is not None]
-    adjusted = dict(zip(map(id, tested), holm([row.difference.p for row in tested])))
-    return [Row(**{**vars(row), 'p': adjusted.get(id(row))}) for row in found]
+    return found
 
 
 def _row(recording, models, kind, size, mine: Series, theirs: Series) -> Row | None:
@@ -165,43 +175,64 @@ def _row(recording, models, kind, size, mine: Series, theirs: Series) -> Row | N
     outage = kind == 'outages'
     within = tuple(100 * float(s.within[i if enough else slice(None)].mean()) if outage else None
                    for s, i in ((mine, a), (theirs, b)))
-    difference = (paired(x, y) if outage else paired(x**2, y**2)) if enough else None
+    decides = mine.independent and theirs.independent
+    change = None
+    if enough:
+        change = change_in_outages(size, x, y, mine.apart(size), where=recording) if outage else \
+            change_with_fixes(x, y, where=recording, every=size)
     return Row(recording, models, 0.0 if outage else size, size if outage else None, (rms(x), rms(y)),
-               (float(np.median(x)), float(np.median(y))), within, len(a) if enough else 0, difference, None)
+               (float(np.median(x)), float(np.median(y))), within, len(a) if enough else 0, change, decides)
+
+
+def judged(first: Result, second: Result, rows: list[Row]) -> Verdict:
+    """Whether the second is better than the first."""
+    several = len(first.recordings) > 1
+    changes = [row.change if several else replace(row.change, where='') for row in rows
+               if row.change is not None and row.decides]
+    verdict = decide(changes)
+    # who was fitted to these very data proves nothing by being better
+    winner = {BETTER: second, WORSE: first}.get(verdict.answer)
+    return replace(verdict, answer=CANNOT_TELL, fitted_here=True) if winner and winner.fitted_here else verdict
+
+
+def trust_of(result: Result) -> Trust:
+    """Whether the sigmas of a replay can be trusted, by its outages."""
+    model = result.models[0]
+    return trusted([Consistency(duration, s.nees, s.within, s.apart(duration))
+                    for (recording, name, duration), s in result.outages.items()
+                    if name == model and recording == result.recordings[0]])
 
 
 def answer(first: Result, second: Result, rows: list[Row]) -> Answer:
-    """Which of the two is better, and by how much without fixes."""
+    """Which of the two is better, with the interval that says so."""
     names = first.name, second.name
-    better = {row.better for row in rows} - {None}
+    verdict = judged(first, second, rows)
     unpaired = [row for row in rows if not row.count]
     wrong = ['The two share too few epochs for paired statistics: the errors stand side by side, and a difference may '
              'be one of the drives.'] if unpaired else []
-    trust = ''
-    if len(better) == 1:
-        best = better.pop()
-        held = min((row.within[best] for row in rows if row.within[best] is not None), default=None)
-        if held is not None:
-            whether = 'That of' if held >= COVERED else 'Not even that of'
-            trust = f'{whether} {names[best]}, whose 95 % ellipse held the truth {held_text(held)}.'
-        certain = sum(row.better is not None for row in rows)
-        headline = (f'{names[best]} is better: {_headline_row(rows, best, names)}; certain in {certain} of {len(rows)} '
-                    'comparisons, and in none is the other.')
-        steps = [Step(f'Use {names[best]}.')]
-    elif better:
-        headline = 'Each is better at something: see the table.'
-        steps = [Step('Decide by what the vehicle needs: the rows with fixes, or those of the outages that it meets.')]
-    else:
-        headline = f'No certain difference between {names[0]} and {names[1]}.'
-        steps = [Step('Take the simpler one, or compare them on a longer recording.')]
-    return Answer(GOOD if len({row.better for row in rows} - {None}) == 1 else WARNING, headline, wrong,
-                  [_cost(row, names) for row in rows if row.duration is not None], steps, trust)
+    wrong += [f'{r.name} was fitted to this recording: that it is better there is no proof. Compare on another drive.'
+              for r in (first, second) if r.fitted_here]
+    best = {BETTER: second, WORSE: first}.get(verdict.answer)
+    trust = '' if best is None else f'{best.name}: {trust_text(trust_of(best))}'
+    step = Step(f'Use {best.name}.' if best is not None else 'Compare them on another drive, or a longer one.')
+    return Answer(GOOD if best is not None else WARNING, _headline(verdict, names), wrong, [], [step], trust,
+                  why=because(verdict))
 
 
-def _headline_row(rows: list[Row], best: int, names) -> str:
-    row = max((r for r in rows if r.better == best), key=lambda r: (r.duration is not None, max(r.rms) / min(r.rms)))
-    errors = [number(value, 3) for value in row.rms]
-    return f'{_what(row)}, {errors[best]} m instead of {errors[1 - best]} m RMS'
+def _headline(verdict: Verdict, names) -> str:
+    if verdict.shown is None:
+        return f'Cannot tell {names[1]} from {names[0]}: too little was measured by both.'
+    proof, turned = (change_text(change, verdict.level) for change in (verdict.shown, verdict.shown.turned))
+    if verdict.answer in (BETTER, WORSE):
+        return f'{names[1]} is better: {proof}.' if verdict.answer == BETTER else f'{names[0]} is better: {turned}.'
+    if verdict.answer == SAME:
+        return f'No difference between {names[0]} and {names[1]}: {proof}.'
+    if verdict.fitted_here:
+        name, proof = (names[1], proof) if verdict.gains else (names[0], turned)
+        return f'No proof that {name} is better, as it was fitted to this recording: {proof}.'
+    if verdict.gains and verdict.losses:
+        return f'Each is better at something: {names[1]} has {proof}; see the table.'
+    return f'Cannot tell which is better: {names[1]} has {proof}.'
 
 
 def _what(row: Row) -> str:
@@ -210,45 +241,59 @@ def _what(row: Row) -> str:
     return f'error with fixes each {row.interval:g} s' if row.interval else 'error with all fixes'
 
 
-def _cost(row: Row, names) -> str:
-    texts = [f'{name} {number(median, 2)} m (its 95 % ellipse held the truth in {number(within, 2)} %)'
-             for name, median, within in zip(names, row.median, row.within)]
-    of = f' of {row.count} outages' if row.count else ''
-    model = f', {colours.MODEL_NAMES[row.models[0]]}' if row.models[0] == row.models[1] else ''
-    return f'{row.duration:g} s{model}: {texts[0]}, {texts[1]}; median{of}'
-
-
 def report(first: Result, second: Result, rows: list[Row], answered: Answer) -> dict:
     """The content of `report.json`."""
+    level = judged(first, second, rows).level
     return {'tool': 'compare', 'version': __version__, 'first': first.name, 'second': second.name,
-            'answer': answered.json(),
+            'answer': answered.json(), 'verdict': verdict_json(judged(first, second, rows)),
             'rows': [{'recording': r.recording, 'models': list(r.models), 'update_interval_s': r.interval or None,
                       'outage_duration_s': r.duration, 'paired': r.count, 'rms_m': list(r.rms),
                       'median_m': list(r.median), 'within_95_percent': list(r.within),
-                      'p_adjusted': r.p, 'better': None if r.better is None else (first, second)[r.better].name}
-                     for r in rows]}
+                      'interval_m': r.change and r.change.interval(level), 'better': _better(r, level, first, second),
+                      'independent_truth': r.decides} for r in rows]}
+
+
+def _better(row: Row, level: float, first: Result, second: Result) -> str | None:
+    """The name of the one that is better for certain."""
+    sign = 0 if row.change is None else row.change.sign(level)
+    return {-1: second.name, 1: first.name}.get(sign)
 
 
 def report_page(first: Result, second: Result, rows: list[Row], answered: Answer) -> str:
     """The content of `report.html`."""
     names = first.name, second.name
+    level = judged(first, second, rows).level
     table = html.table(
-        ('recording and model', 'error', 'compared', 'A, RMS m', 'B, RMS m', 'A, median m', 'B, median m',
-         'inside 95 % ellipse, A / B, %', 'p', 'better'),
+        ('recording and model', 'error', 'compared', 'A, m', 'B, m', 'B against A, 95 %', 'A, median m', 'B, median m',
+         'inside 95 % ellipse, A / B, %'),
         [(f'{r.recording}, ' + ' / '.join(dict.fromkeys(colours.MODEL_NAMES[m] for m in r.models)), _what(r),
-          r.count or None, *r.rms, *r.median,
-          '–' if None in r.within else ' / '.join(number(share, 2) for share in r.within), _p(r.p),
-          '–' if r.better is None else 'AB'[r.better]) for r in rows],
-        f'A: {names[0]}. B: {names[1]}. Over the epochs, or outages, that both have.', 3)
+          r.count or None, *_numbers(r), _span(r, level), *r.median,
+          '–' if None in r.within else ' / '.join(number(share, 2) for share in r.within)) for r in rows],
+        f'A: {names[0]}. B: {names[1]}. Over the epochs (root mean square), or outages (mean of the largest error), '
+        'that both have.', 3)
     drawn = layers(first, second, rows)
     return html.page(f'{names[0]} against {names[1]}', [
         html.section('Which is better?', answered.html(), *([track(drawn, _still(drawn))] if drawn else []), table),
+        answered.evidence(),
         html.folded('How to read this', html.bullets([
             'Both went through the same protocol; errors are estimate minus truth at the same epochs, outages those '
             'that begin at the same fix.',
-            'p: that of no difference, by a block bootstrap of the paired differences (squared errors, or largest '
-            'errors of outages), adjusted for all rows (Holm). Better means p below 5 % and more than 2 %.']))],
+            'B against A: in 95 of 100 cases all true differences lie between these, by the paired differences of '
+            'squared errors, or of the largest errors of outages. Better means that this is below zero for one of them '
+            'and above zero for none.']))],
         script=script())
+
+
+def _numbers(row: Row) -> tuple[float, float]:
+    """The errors of both, m: as in the headline where they are paired."""
+    return row.rms if row.change is None else (row.change.before, row.change.after)
+
+
+def _span(row: Row, level: float) -> str:
+    interval = None if row.change is None else row.change.interval(level)
+    if interval is None:
+        return 'too few'
+    return span_text(*interval) + ('' if row.decides else ' (fixes that both were given)')
 
 
 def layers(first: Result, second: Result, rows: list[Row]) -> list[Layer]:
@@ -283,18 +328,12 @@ def _still(drawn: list[Layer]) -> html.Html:
     return html.figure(figure, 'The drive from above.')
 
 
-def _p(value: float | None) -> str:
-    """A p value, as people write it."""
-    return '–' if value is None else '< 0.001' if value < 0.001 else number(value, 2)
-
-
 def table_text(first: Result, second: Result, rows: list[Row]) -> str:
     """The rows as text for a terminal."""
-    lines = [f'A: {first.name}', f'B: {second.name}', f"{'error':<46}{'A, RMS':>11}{'B, RMS':>11}{'p':>9}  better"]
+    level = judged(first, second, rows).level
+    lines = [f'A: {first.name}', f'B: {second.name}', f"{'error':<46}{'A':>11}{'B':>11}  B against A, 95 %"]
     for r in rows:
         model = ' / '.join(dict.fromkeys(r.models))
-        p = _p(r.p)
         lines.append(f'{_what(r).replace("largest error in ", "")}, {model}'.ljust(46)
-                     + ''.join(f'{number(v, 3):>9} m' for v in r.rms)
-                     + f"{p:>9}  {'-' if r.better is None else 'AB'[r.better]}")
+                     + ''.join(f'{number(v, 3):>9} m' for v in _numbers(r)) + f'  {_span(r, level)}')
     return '\n'.join(lines)

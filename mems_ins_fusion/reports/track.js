@@ -1,17 +1,17 @@
 'use strict';
-// The interactive track: a map to scale above, the error against time below, one cursor for both. No library, no network.
+// The interactive track: a map to scale above, the error against time below (uPlot), one cursor for both. No network.
 // Data: track.py. All lengths in metres, times in seconds.
 document.querySelectorAll('.track').forEach(function (root) {
-  const {layers, notes} = JSON.parse(root.querySelector('script[type="application/json"]').textContent);
-  const map = root.querySelector('canvas.map'), strip = root.querySelector('canvas.time');
-  const said = root.querySelector('.said');
+  const {layers} = JSON.parse(root.querySelector('script[type="application/json"]').textContent);
+  const map = root.querySelector('canvas.map'), strip = root.querySelector('.time');
+  const said = root.querySelector('.said'), scaleText = root.querySelector('.scale');
   const lines = layers.filter(l => l.error);
   const home = extent(layers.filter(l => l.shown));
-  const span = [Math.min(...lines.map(l => l.t[0])), Math.max(...lines.map(l => l.t[l.t.length - 1]))];
   let view = null;           // of the map: middle east, middle north, pixels per metre
   let moved = false;         // by a person: then a change of size leaves the view as it is
-  let range = span.slice();  // of the strip, s
   let at = null;             // under the cursor: {layer, i}
+  let by = '';               // the value that colours lines, '' for their own colours
+  let chart = null, log = false, following = false;
 
   root.classList.add('interactive');
   layers.forEach(function (layer) {
@@ -19,7 +19,7 @@ document.querySelectorAll('.track').forEach(function (root) {
     const swatch = document.createElement('i');
     box.type = 'checkbox';
     box.checked = layer.shown;
-    box.onchange = () => { layer.shown = box.checked; at = null; draw(); };
+    box.onchange = () => { layer.shown = box.checked; at = null; makeStrip(); draw(); };
     swatch.style.background = layer.colour;
     label.append(box, swatch, layer.name);
     root.querySelector('.layers').append(label);
@@ -38,7 +38,6 @@ document.querySelectorAll('.track').forEach(function (root) {
     const scale = 0.9 * Math.min(map.clientWidth / Math.max(home[2] - home[0], 1),
                                  map.clientHeight / Math.max(home[3] - home[1], 1));
     view = [(home[0] + home[2]) / 2, (home[1] + home[3]) / 2, scale];
-    range = span.slice();
     moved = false;
   }
 
@@ -63,7 +62,6 @@ document.querySelectorAll('.track').forEach(function (root) {
     if (!map.clientWidth) return;
     if (!moved) fit();
     drawMap();
-    drawStrip();
     say();
   }
 
@@ -82,8 +80,29 @@ document.querySelectorAll('.track').forEach(function (root) {
     c.setLineDash([]);
   }
 
+  // from dark blue over green to yellow, which those who see few colours can tell apart, too (viridis)
+  const VIRIDIS = ['#440154', '#3b528b', '#21918c', '#5ec962', '#fde725'];
+
+  // where the scale of a value ends: 19 of 20 points lie below
+  function most(name) {
+    const all = layers.filter(l => l.shown && l[name]).flatMap(l => l[name].filter(v => v !== null)).sort((a, b) => a - b);
+    return all.length ? all[Math.floor(0.95 * (all.length - 1))] || 1 : 1;
+  }
+
+  function coloured(c, l) {
+    const top = most(by);
+    c.lineWidth = l.width + 1.5;
+    for (const [from, to] of pieces(l)) for (let i = from + 1; i < to; i++) {
+      if (l[by][i] === null) continue;
+      c.strokeStyle = VIRIDIS[Math.min(Math.floor(l[by][i] / top * VIRIDIS.length), VIRIDIS.length - 1)];
+      c.beginPath();
+      c.moveTo(toX(l.x[i - 1]), toY(l.y[i - 1])); c.lineTo(toX(l.x[i]), toY(l.y[i]));
+      c.stroke();
+    }
+  }
+
   function drawMap() {
-    const c = context(map);
+    const c = context(map), ink = getComputedStyle(map).color;
     for (const l of layers.filter(l => l.shown)) {
       if (l.points) {
         c.strokeStyle = c.fillStyle = l.colour;
@@ -92,7 +111,8 @@ document.querySelectorAll('.track').forEach(function (root) {
           c.arc(toX(l.x[i]), toY(l.y[i]), l.points, 0, 7);
           if (l.hollow) c.stroke(); else c.fill();
         }
-      } else path(c, l, i => toX(l.x[i]), i => toY(l.y[i]));
+      } else if (by && l[by]) coloured(c, l);
+      else path(c, l, i => toX(l.x[i]), i => toY(l.y[i]));
       for (const [x, y, trueX, trueY] of l.ends || []) {
         c.lineWidth = 1.5;
         c.setLineDash([2, 3]);
@@ -105,12 +125,12 @@ document.querySelectorAll('.track').forEach(function (root) {
       }
     }
     if (at) {
-      c.strokeStyle = '#000';
+      c.strokeStyle = ink;
       c.lineWidth = 2;
       c.beginPath(); c.arc(toX(at.layer.x[at.i]), toY(at.layer.y[at.i]), 6, 0, 7); c.stroke();
     }
     const length = nice(110 / view[2]), bottom = map.clientHeight - 14;
-    c.fillStyle = c.strokeStyle = '#1c2024';
+    c.fillStyle = c.strokeStyle = ink;
     c.lineWidth = 2;
     c.beginPath();
     c.moveTo(12, bottom - 5); c.lineTo(12, bottom); c.lineTo(12 + length * view[2], bottom);
@@ -125,40 +145,45 @@ document.querySelectorAll('.track').forEach(function (root) {
     return +([5, 2, 1].find(k => k * power <= most) * power).toPrecision(1);
   }
 
-  const left = 46, bottom = 18;
-  const toTime = t => left + (t - range[0]) / (range[1] - range[0]) * (strip.clientWidth - left - 6);
+  // uPlot wants times that ascend: outages that overlap become lines of their own
+  function rising(l) {
+    const found = [];
+    for (const [from, to] of pieces(l)) {
+      let line = found.find(f => f.t[f.t.length - 1] < l.t[from]);
+      if (!line) found.push(line = {...l, t: [], y: [], s: []});
+      for (let i = from; i < to; i++) { line.t.push(l.t[i]); line.y.push(l.error[i]); line.s.push(l.sigma ? 2 * l.sigma[i] : null); }
+      line.t.push(l.t[to - 1] + 0.001); line.y.push(null); line.s.push(null);  // where the line breaks
+    }
+    return found;
+  }
 
-  function drawStrip() {
-    const c = context(strip), shown = lines.filter(l => l.shown), height = strip.clientHeight - bottom;
-    let top = 0;
-    for (const l of shown) for (let i = 0; i < l.t.length; i++)
-      if (l.t[i] >= range[0] && l.t[i] <= range[1]) top = Math.max(top, l.error[i]);
-    top = top * 1.08 || 1;
-    const toError = e => height - e / top * (height - 6);
-    c.fillStyle = '#57606a';
-    c.strokeStyle = '#e4e8ec';
-    const grid = nice(top / 2);
-    for (let e = 0; e <= top; e += grid) {
-      c.beginPath(); c.moveTo(left, toError(e)); c.lineTo(strip.clientWidth, toError(e)); c.stroke();
-      c.fillText(+e.toPrecision(3) + ' m', 4, Math.max(toError(e) + 4, 10));
+  function makeStrip() {
+    const shown = lines.filter(l => l.shown);
+    if (chart) { chart.destroy(); chart = null; }
+    if (!shown.length || !strip.clientWidth) return;
+    const drawn = shown.flatMap(rising), tables = drawn.map(l => [l.t, l.y]), plain = shown.find(l => !l.first && l.sigma);
+    const series = drawn.map(l => ({name: l.name, colour: l.colour, width: Math.min(l.width, 1.5), dash: l.dash}));
+    if (plain) {  // twice the filter's own sigma of the first line
+      tables.push([plain.t, plain.sigma.map(v => v === null ? null : 2 * v)]);
+      series.push({name: '2 sigma', colour: plain.colour, width: 1, dash: [3, 3]});
     }
-    const step = nice((range[1] - range[0]) / 2.5);
-    for (let t = Math.ceil(range[0] / step) * step; t <= range[1]; t += step)
-      c.fillText(+t.toPrecision(6) + ' s', Math.min(toTime(t), strip.clientWidth - 40), strip.clientHeight - 4);
-    c.fillText('horizontal error', left + 30, 12);
-    c.save();
-    c.beginPath(); c.rect(left, 0, strip.clientWidth - left, height); c.clip();
-    for (const l of shown) {
-      path(c, {...l, width: Math.min(l.width, 1.5)}, i => toTime(l.t[i]), i => toError(l.error[i]));
-      if (at && at.layer === l && l.sigma)  // twice the filter's own sigma of the line under the cursor
-        path(c, {...l, width: 1, dash: [3, 3]}, i => toTime(l.t[i]), i => toError(2 * l.sigma[i]));
-    }
-    if (at) {
-      const x = toTime(at.layer.t[at.i]);
-      c.strokeStyle = '#000';
-      c.beginPath(); c.moveTo(x, 0); c.lineTo(x, height); c.stroke();
-    }
-    c.restore();
+    const [x, ...ys] = uPlot.join(tables);
+    const options = chartOptions(strip.clientWidth, strip.clientWidth < 600 ? 150 : 180, 'm', series,
+      {log, hooks: {setCursor: [u => {
+        if (following || u.cursor.left < 0) return;
+        at = nearestTime(u.posToVal(u.cursor.left, 'x'));
+        drawMap();
+        say();
+      }]}});
+    options.legend = {show: false};
+    chart = new uPlot(options, [x, ...drawable(ys, log)], strip);
+  }
+
+  function follow() {  // the cursor of the strip goes where that of the map is
+    if (!chart || !at) return;
+    following = true;
+    chart.setCursor({left: chart.valToPos(at.layer.t[at.i], 'x'), top: 0});
+    following = false;
   }
 
   // index of the time next to t, among those from `from` on and before `to`
@@ -175,10 +200,15 @@ document.querySelectorAll('.track').forEach(function (root) {
 
   function say() {
     said.textContent = '';
-    if (!at) { said.textContent = notes; return; }
-    const t = at.layer.t[at.i];
-    const rows = [at, ...lines.filter(l => l.shown && l !== at.layer && !l.first)
-      .map(layer => ({layer, i: nextTo(layer.t, t, 0, layer.t.length)})).filter(p => Math.abs(p.layer.t[p.i] - t) < 2)];
+    said.hidden = !at;
+    if (!at) return;
+    const t = at.layer.t[at.i], others = [];
+    for (const layer of lines.filter(l => l.shown && l !== at.layer))
+      for (const [from, to] of pieces(layer)) {  // of outages each that lasts then
+        const i = nextTo(layer.t, t, from, to);
+        if (Math.abs(layer.t[i] - t) < (layer.first ? 1 : 2)) { others.push({layer, i}); if (layer.first) break; }
+      }
+    const rows = [at, ...others];
     const head = document.createElement('b');
     head.textContent = t + ' s after the start';
     said.append(head);
@@ -200,8 +230,7 @@ document.querySelectorAll('.track').forEach(function (root) {
     return best;
   }
 
-  function nearestTime(x, y) {
-    const t = range[0] + (x - left) / (strip.clientWidth - left - 6) * (range[1] - range[0]);
+  function nearestTime(t) {
     let best = null, closest = 3;
     for (const layer of lines.filter(l => l.shown)) for (const [from, to] of pieces(layer)) {
       const i = nextTo(layer.t, t, from, to), d = Math.abs(layer.t[i] - t) + (layer.first ? 0.5 : 0);
@@ -218,13 +247,6 @@ document.querySelectorAll('.track').forEach(function (root) {
     moved = true;
   }
 
-  function zoomStrip(factor, x) {
-    const t = range[0] + (x - left) / (strip.clientWidth - left - 6) * (range[1] - range[0]);
-    range = range.map(edge => t + (edge - t) / factor);
-    range = [Math.max(range[0], span[0]), Math.min(range[1], span[1])];
-    moved = true;
-  }
-
   // drag to pan, wheel or two fingers to zoom, hover or tap to read
   function listen(canvas, pan, zoom, find) {
     const fingers = new Map();
@@ -233,6 +255,7 @@ document.querySelectorAll('.track').forEach(function (root) {
       fingers.set(e.pointerId, place(e));
       canvas.setPointerCapture(e.pointerId);
       at = find(...place(e));
+      follow();
       draw();
     });
     canvas.addEventListener('pointermove', e => {
@@ -244,7 +267,7 @@ document.querySelectorAll('.track').forEach(function (root) {
           zoom(apart(now) / apart(before), other[0], other[1]);
         } else pan(now[0] - before[0], now[1] - before[1]);
         fingers.set(e.pointerId, now);
-      } else at = find(...now);
+      } else { at = find(...now); follow(); }
       draw();
     });
     for (const name of ['pointerup', 'pointercancel']) canvas.addEventListener(name, e => fingers.delete(e.pointerId));
@@ -260,14 +283,7 @@ document.querySelectorAll('.track').forEach(function (root) {
     view[1] += dy / view[2];
     moved = true;
   }
-  function panStrip(dx) {
-    const by = -dx / (strip.clientWidth - left - 6) * (range[1] - range[0]);
-    const kept = Math.max(Math.min(by, span[1] - range[1]), span[0] - range[0]);
-    range = range.map(edge => edge + kept);
-    moved = true;
-  }
   listen(map, panMap, zoomMap, nearest);
-  listen(strip, panStrip, zoomStrip, nearestTime);
   map.addEventListener('keydown', e => {
     const step = {ArrowLeft: [40, 0], ArrowRight: [-40, 0], ArrowUp: [0, 40], ArrowDown: [0, -40]}[e.key];
     const factor = {'+': 1.4, '-': 1 / 1.4}[e.key];
@@ -279,10 +295,21 @@ document.querySelectorAll('.track').forEach(function (root) {
   root.querySelectorAll('button').forEach(button => {
     button.onclick = () => {
       const factor = {in: 1.6, out: 1 / 1.6}[button.dataset.zoom];
-      if (factor) zoomMap(factor, map.clientWidth / 2, map.clientHeight / 2); else fit();
+      if (button.dataset.zoom === 'log') { log = !log; button.textContent = log ? 'error: linear' : 'error: logarithmic'; makeStrip(); }
+      else if (factor) zoomMap(factor, map.clientWidth / 2, map.clientHeight / 2);
+      else { fit(); makeStrip(); }
       draw();
     };
   });
-  new ResizeObserver(draw).observe(root);
-  draw();
+  root.querySelector('select').onchange = e => {
+    by = e.target.value;
+    const unit = by === 'speed' ? ' m/s' : ' m';
+    scaleText.textContent = by ? '0 to ' + +most(by).toPrecision(2) + unit + ' and more, dark to light' : '';
+    draw();
+  };
+  let width = 0;
+  new ResizeObserver(() => {
+    if (strip.clientWidth !== width) { width = strip.clientWidth; makeStrip(); }
+    draw();
+  }).observe(root);
 });

@@ -1,22 +1,23 @@
 """The interactive track of a page: layers of positions with what the cursor reads there, drawn by `track.js`.
 
-To scale, with the error against time below it, without a library or network. Where scripts do not run, and on paper, a
-still figure stands in its place.
+To scale, with the error against time below it (a chart of `charts.py`), without a network. Where scripts do not run,
+and on paper, a still figure stands in its place.
 """
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from ..results import json_text
+from .charts import library
 from .html import Html, _text
 
 #: points of a layer, at most
 POINTS = 2500
 _HINT = ('Drag to move, wheel or two fingers to zoom, point at a line to read time, speed, error, sigma and NIS there. '
-         'Click a name to hide or show it.')
+         'Click a name to hide or show it. Below: drag to zoom, double click for all.')
 
 
 @dataclass
@@ -74,19 +75,25 @@ def _rounded(values, digits: int) -> list:
 
 def track(layers: list[Layer], still: Html) -> Html:
     """The interactive track. still: what stands there without scripts, and on paper."""
-    content = json.dumps({'layers': [layer.content() for layer in layers if len(layer.time)], 'notes': _HINT},
-                         allow_nan=False, separators=(',', ':')).replace('<', '\\u003c')
+    content = json_text({'layers': [layer.content() for layer in layers if len(layer.time)]},
+                        separators=(',', ':')).replace('<', '\\u003c')
     return Html(f'<div class="track">\n<div class="still">{still}</div>\n<div class="live">\n'
-                '<div class="layers"></div>\n<canvas class="map" tabindex="0" role="img" aria-label="Track from above">'
-                '</canvas>\n<canvas class="time" role="img" aria-label="Error against time"></canvas>\n'
-                '<div class="tools"><button type="button" data-zoom="in">+</button>'
+                '<div class="layers"></div>\n<div class="ground"><canvas class="map" tabindex="0" role="img" '
+                'aria-label="Track from above"></canvas>\n'
+                '<div class="said" aria-live="polite" hidden></div></div>\n'
+                '<div class="time" role="img" aria-label="Error against time"></div>\n<div class="tools">'
+                '<label>colour <select><option value="">by line</option><option value="error">by error</option>'
+                '<option value="speed">by speed</option><option value="sigma">by sigma</option></select></label>'
+                '<span class="scale"></span>'
+                '<button type="button" data-zoom="in">+</button>'
                 '<button type="button" data-zoom="out">\N{MINUS SIGN}</button>'
-                '<button type="button" data-zoom="all">whole track</button></div>\n'
-                f'<div class="said" aria-live="polite">{_text(_HINT)}</div>\n</div>\n'
+                '<button type="button" data-zoom="all">whole track</button>'
+                '<button type="button" data-zoom="log">error: logarithmic</button></div>\n'
+                f'<p class="hint">{_text(_HINT)}</p>\n</div>\n'
                 f'<script type="application/json">{content}</script>\n</div>')
 
 
 def script() -> Html:
-    """What draws the tracks of a page; once, at its end."""
+    """What draws the tracks and the charts of a page; once, at its end."""
     source = (Path(__file__).parent / 'track.js').read_text(encoding='utf-8')
-    return Html(f'<script>\n{source}</script>')
+    return Html(f'{library()}<script>\n{source}</script>')

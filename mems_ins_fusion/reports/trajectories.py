@@ -12,10 +12,10 @@ import numpy as np
 
 from ..evaluation.comparison import RunResult, aiding_of
 from ..evaluation.metrics import Errors
-from ..filter.layout import PLANAR
-from ..filter.odometry import ANGULAR, LINEAR, ORIENTATION, POSE_COVARIANCE, TWIST_COVARIANCE
-from ..filter.publish import published
-from ..filter.results import Run
+from ..filter.memory import PLANAR
+from ..filter.runs.odometry import ANGULAR, LINEAR, ORIENTATION, POSE_COVARIANCE, TWIST_COVARIANCE
+from ..filter.runs.publish import published
+from ..filter.runs.results import Run
 from ..navigation.earth import to_local
 from ..recordings.writing import OdometrySamples, write_recording
 from ..samples import Recording, Reference

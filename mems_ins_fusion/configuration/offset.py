@@ -1,0 +1,412 @@
+"""The time offset between fixes and IMU, together with the place of the antenna: no constraint, no filter.
+
+The gyroscopes carry the attitude through a piece of the drive, the accelerometers twice integrated its shape; where it
+began, with which velocity, attitude and biases, is unknown in each piece anew. What the fixes deviate from that shape
+is linear in these unknowns, and in those that all pieces share: the offset (along the velocity), the arm from IMU to
+antenna (turns with the vehicle), a receiver that smooths (along the acceleration) and a bias of the accelerometers.
+So each is estimated with all the others unknown: its sigma is the marginal one, and what a drive cannot tell apart is
+vague. Noise of the fixes, its part that lasts, and that of the sensors are chosen by their likelihood. Sigmas are the
+larger of that model's and the jackknife's over the pieces. Equations: docs/configure.md, "Time offset and antenna".
+
+Source: T. Lupton, S. Sukkarieh, "Visual-inertial-aided navigation for high-dynamic motion in built environments without
+initial conditions", IEEE Trans. Robotics 28 (2012), for integrals that know nothing of where they begin.
+"""
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mems_ins_fusion.configuration.kinematics import LONGEST_GAP, fix_sigma, integral
+from mems_ins_fusion.configuration.regression import jackknife, weighted
+from mems_ins_fusion.effects.gnss_outliers import far_off
+from mems_ins_fusion.recordings.motion import find_standstill, positions, valid_fixes
+from mems_ins_fusion.samples import Fixes, ImuSamples
+
+LARGEST = 2.0  # s: offsets are looked for on both sides
+SHOWN = 0.3  # s: an offset with a larger sigma is none
+FLOOR = 0.01  # s: to which samples' filters and interpolation leave an offset open
+_STEP = 0.2  # s, of the search
+_STEPS = 5  # of Gauss-Newton from there
+_SHORTEST, _LONGEST = 15.0, 60.0  # s, of a piece: longer ones gain little with consumer sensors
+_PIECES = 8  # that a short drive is divided into, as few as a jackknife can take
+_MOST_PIECES = 60
+_MOST_FIXES = 60  # of a piece
+_FEWEST_FIXES = 8
+_FEWEST_PIECES = 4
+_FINEST = 25.0  # Hz: what is kept of the samples
+_LASTING = 20.0  # s: for so long the part of the receiver's errors lasts that lasts
+_OTHER = 0.3  # s: offsets further from the best than this are other minima
+_FAR = 3.0  # robust standard deviations: fixes further off count less
+# standard deviations before anything is known: of what all pieces share - offset (s), arm (m), smoothing (s^2), bias of
+# the accelerometers (m/s^2) - and of each piece: tilt and heading (rad), the gyroscopes' biases (rad/s)
+_SHARED = np.array([3.0, 1.5, 1.0, 1.0, 1.0, 0.2, 0.2, 0.2])
+_TILT, _HEADING = 0.05, 0.2
+_RATE_AT_REST, _RATE = 3e-4, 1e-2
+# variances in units of that of a fix's white noise: of the accelerometers' white noise (1/s^3), of that of the
+# gyroscopes times gravity (1/s^5), of the part of the receiver's errors that lasts
+_NOISE = tuple((force, 0.1 * force, lasting) for lasting in (0.0, 1.0, 10.0)
+               for force in (1e-6, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 1e2))
+
+
+@dataclass(frozen=True)
+class Offset:
+    """lag, lag_sigma: s, as `gnss.time_offset`. arm, arm_sigma: (3,) m, from the IMU to the antenna, forward-left-up.
+    smoothing, smoothing_sigma: s^2, as `gnss.lag_per_acceleration`. rivals: s, other offsets that fit nearly as well.
+    """
+
+    lag: float
+    lag_sigma: float
+    arm: np.ndarray
+    arm_sigma: np.ndarray
+    smoothing: float
+    smoothing_sigma: float
+    rivals: tuple[float, ...] = ()
+
+    @property
+    def shown(self) -> bool:
+        return self.lag_sigma < SHOWN
+
+
+def estimate_offset(imu: ImuSamples, fixes: Fixes, rotation: np.ndarray) -> Offset | None:
+    """The time offset and the antenna's arm that `imu` (SI units) and `fixes` show; None with too little motion.
+
+    rotation: (3, 3) from sensor axes to base_link, to about ten degrees. None, too, for numbers that no vehicle gives.
+    """
+    with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
+        try:
+            pieces = _pieces(imu, fixes, rotation)
+            found = _estimated(pieces) if pieces is not None else None
+        except np.linalg.LinAlgError:
+            return None
+    return found if found is not None and math.isfinite(found.lag + found.lag_sigma) else None
+
+
+def _estimated(pieces: _Pieces) -> Offset:
+    lags = np.arange(-LARGEST, LARGEST + 0.01, _STEP)
+    noise, lag = pieces.noise(0.0), 0.0
+    for _ in range(2):
+        costs = np.array([pieces.solved(lag, noise, free=False).cost for lag in lags])
+        lag = float(lags[np.argmin(costs)])
+        noise = pieces.noise(lag)
+    scale = max(costs.min() / pieces.freedom, 1e-12)
+    for step in range(_STEPS):
+        found = pieces.solved(lag, noise)
+        lag += float(np.clip(found.solution[0], -_STEP, _STEP))
+        if step:
+            pieces = pieces.weighted(found)
+    found = pieces.solved(lag, noise)
+    lag += float(np.clip(found.solution[0], -_STEP, _STEP))
+    by_model = np.sqrt(np.diag(np.linalg.inv(found.normal)) * found.cost / pieces.freedom)
+    sigma = np.maximum(by_model, jackknife(found.left_out()))
+    # other minima count by their likelihood, tempered where the jackknife does not believe the model's noise
+    temper = scale * (sigma[0] / max(by_model[0], 1e-9)) ** 2
+    other = np.abs(lags - lag) > _OTHER
+    likely = np.exp(-0.5 * (costs - costs.min()) / temper) * other
+    share = likely / max(likely.sum() + np.exp(-0.5 * (costs - costs.min()) / temper)[~other].sum(), 1e-300)
+    apart = float(np.sqrt(share @ (lags - lag) ** 2))
+    rivals = tuple(round(float(at), 1) for at in lags[_minima(costs) & other & (share > 0.05)])
+    return Offset(lag, math.hypot(float(sigma[0]), apart, FLOOR), found.solution[1:4], sigma[1:4],
+                  float(found.solution[4]), float(sigma[4]), rivals)
+
+
+def together(found: Sequence[Offset]) -> Offset | None:
+    """One offset and arm of several drives; None of none."""
+    if len(found) < 2:
+        return found[0] if found else None
+    parts = {}
+    for name in ('lag', 'arm', 'smoothing'):
+        values, sigmas = (np.array([getattr(offset, part) for offset in found]) for part in (name, f'{name}_sigma'))
+        parts[name], parts[f'{name}_sigma'] = weighted(values, sigmas)
+    return Offset(**parts)
+
+
+def _minima(costs):
+    padded = np.concatenate([[np.inf], costs, [np.inf]])
+    return (costs <= padded[:-2]) & (costs <= padded[2:])
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """Least squares of all pieces. solution: of what is shared (offset first, as a change). cost: weighted squares.
+    each: (w, k, k) of the pieces, what is left of [values, shared] where their own unknowns are free."""
+
+    solution: np.ndarray
+    cost: float
+    normal: np.ndarray
+    each: np.ndarray
+    prior: np.ndarray
+    residual: np.ndarray | None = None
+
+    def left_out(self) -> np.ndarray:
+        """(w, s) solutions, each without one piece."""
+        rest = self.each.sum(axis=0) - self.each
+        return np.linalg.solve(rest[:, 1:, 1:] + np.diag(self.prior), rest[:, 1:, :1])[..., 0]
+
+
+class _Track:
+    """Running integrals of samples in a frame that the gyroscopes keep, to be asked at any time; s after `origin`.
+
+    rotation: (n, 3, 3) from sensor axes. force: (n, 3) specific force, velocity, place: its integrals. by_force:
+    (n, 3, 3) derivative of the place by the specific force, turned: integral of the rotation, by_rate: (n, 3, 3)
+    derivative of the place by an error of the rate, of which each piece takes its part.
+    """
+
+    def __init__(self, imu: ImuSamples, origin: int, bias: np.ndarray):
+        finite = np.isfinite(imu.specific_force).all(axis=1) & np.isfinite(imu.angular_rate).all(axis=1)
+        stamp = imu.stamp[finite]
+        advancing = np.diff(np.maximum.accumulate(stamp), prepend=stamp[:1] - 1) > 0
+        time = (stamp[advancing] - origin) * 1e-9
+        step = float(np.median(np.diff(time)))
+        self.gap_end = time[1:][np.diff(time) > max(LONGEST_GAP, 3.0 * step)]
+        some = slice(None, None, max(round(1.0 / (_FINEST * step)), 1))
+        self.time = time[some]
+        turn = np.diff(integral(time, imu.angular_rate[finite][advancing] - bias)[some], axis=0)
+        push = np.diff(integral(time, imu.specific_force[finite][advancing])[some], axis=0)
+        length = np.diff(self.time)
+        self.rotation = _rotations(turn)
+        middle = self.rotation[:-1] @ (np.eye(3) + 0.5 * _cross(turn))
+        push = np.einsum('nij,nj->ni', middle, push)
+        self.force = np.vstack([push / length[:, None], push[-1:] / length[-1]])
+        self.velocity, self.place = self._integrals(push)
+        _, self.by_force = self._integrals(middle * length[:, None, None])
+        self.turned = integral(self.time, self.rotation.reshape(-1, 9)).reshape(-1, 3, 3)
+        _, self.by_rate = self._integrals(-_cross(push) @ (0.5 * (self.turned[1:] + self.turned[:-1])))
+
+    def _integrals(self, increments):
+        first = np.concatenate([np.zeros_like(increments[:1]), np.cumsum(increments, axis=0)])
+        length = np.diff(self.time).reshape((-1,) + (1,) * (increments.ndim - 1))
+        return first, np.concatenate([np.zeros_like(increments[:1]),
+                                      np.cumsum(0.5 * (first[1:] + first[:-1]) * length, axis=0)])
+
+    def covers(self, begin: float, end: float) -> bool:
+        return (begin >= self.time[0] and end <= self.time[-1]
+                and not ((self.gap_end > begin) & (self.gap_end < end + LONGEST_GAP)).any())
+
+    def at(self, values: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """`values` (n, ...) at `times`, of any shape, linear in between."""
+        flat = times.ravel()
+        left = np.clip(np.searchsorted(self.time, flat) - 1, 0, len(self.time) - 2)
+        part = (flat - self.time[left]) / (self.time[left + 1] - self.time[left])
+        part = part.reshape((-1,) + (1,) * (values.ndim - 1))
+        found = values[left] * (1.0 - part) + values[left + 1] * part
+        return found.reshape(times.shape + values.shape[1:])
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """The pieces of a drive, `w` of up to `m` fixes.
+
+    time: (w, m) s. place: (w, m, 2) m, north and west. used: (w, m) bool, which are fixes and not padding. weight:
+    (w, m). lasting: (3, w, m, m) covariances of what lasts, for a variance of 1. own: (10,) information on what each
+    piece has of its own: place, velocity, attitude, rate.
+    """
+
+    track: _Track
+    rotation: np.ndarray
+    sigma: float
+    time: np.ndarray
+    place: np.ndarray
+    used: np.ndarray
+    weight: np.ndarray
+    lasting: np.ndarray
+    own: np.ndarray
+
+    @property
+    def freedom(self) -> int:
+        return max(int(2 * self.used.sum() - 4 * len(self.used)), 1)
+
+    def weighted(self, found: _Solved) -> _Pieces:
+        """With less weight on fixes that are far off."""
+        size = np.linalg.norm(found.residual, axis=-1)
+        typical = np.median(size[self.used]) / 1.18  # of a two-dimensional normal distribution
+        weight = self.used * np.minimum(1.0, _FAR * typical / np.maximum(size, 1e-9)) ** 2
+        return _Pieces(self.track, self.rotation, self.sigma, self.time, self.place, self.used, weight, self.lasting,
+                       self.own)
+
+    def noise(self, lag: float) -> tuple[float, float, float]:
+        """The noise that is likeliest at that offset."""
+        design = self._design(lag)
+        return min(_NOISE, key=lambda noise: self._unlikely(design, noise))
+
+    def _unlikely(self, design, noise) -> float:
+        roots, logarithm = self._whitening(noise)
+        each, _, more = self._reduced(design, roots)
+        cost = self._together(each, free=False)[1]
+        return self.freedom * math.log(max(cost, 1e-300) / self.freedom) + logarithm + more
+
+    def solved(self, lag: float, noise, free: bool = True) -> _Solved:
+        """Least squares about `lag`. free: whether the offset is a change of it, too; else it is exact."""
+        design = self._design(lag)
+        roots, _ = self._whitening(noise)
+        each, back, _ = self._reduced(design, roots)
+        solution, cost, normal, prior = self._together(each, free)
+        residual = None
+        if free:
+            values, shared, own = design
+            left = values - shared @ solution
+            residual = left - np.einsum('wmik,wk->wmi', own, back @ np.concatenate([[1.0], -solution]))
+        return _Solved(solution, cost, normal, each, prior, residual)
+
+    def _together(self, each, free):
+        total, first = each.sum(axis=0), 0 if free else 1
+        # priors are in metres and seconds, the rest in sigmas of a fix as it turns out
+        scale = max(float(total[0, 0]) / (2.0 * self.used.sum()), 1e-9)
+        prior = scale / _SHARED**2
+        normal = (total[1:, 1:] + np.diag(prior))[first:, first:]
+        solution = np.linalg.solve(normal, total[1 + first:, 0])
+        return solution, float(total[0, 0] - total[1 + first:, 0] @ solution), normal, prior
+
+    def _whitening(self, noise):
+        """(w, m, m) inverses of the roots of the fixes' covariances, and the logarithm of their determinants."""
+        covariance = self.sigma**2 * np.einsum('k,kwij->wij', noise, self.lasting)
+        covariance *= self.used[:, :, None] & self.used[:, None, :]
+        diagonal = np.arange(self.time.shape[1])
+        covariance[:, diagonal, diagonal] += np.where(self.used, self.sigma**2 / np.maximum(self.weight, 1e-3), 1.0)
+        root = np.linalg.cholesky(covariance)
+        size = np.where(self.used, root[:, diagonal, diagonal], 1.0)
+        return np.linalg.inv(root), 4.0 * float(np.log(size).sum())
+
+    def _reduced(self, design, roots):
+        """(w, s, s) products of [values, shared] with a piece's own unknowns free, what these are of each, and the
+        logarithm of the determinants that belong to it."""
+        values, shared, own = design
+        columns = np.concatenate([values[..., None], shared, own], axis=-1) * self.used[..., None, None]
+        count = columns.shape[-1]
+        white = (roots[:, None] @ columns.transpose(0, 2, 1, 3)).reshape(len(columns), -1, count)
+        products = white.transpose(0, 2, 1) @ white
+        first = 1 + shared.shape[-1]
+        normal = products[:, first:, first:] + np.diag(self.own)
+        back = np.linalg.solve(normal, products[:, first:, :first])
+        each = products[:, :first, :first] - products[:, :first, first:] @ back
+        return each, back, float(np.linalg.slogdet(normal)[1].sum())
+
+    def _design(self, lag: float):
+        """What the fixes deviate from the shape, (w, m, 2), and its derivatives by what is shared and by the rest."""
+        track, times, weight = self.track, self.time - lag, self.used[..., None]
+        rotation = track.at(track.rotation, times)
+        level = self._attitude(rotation)
+        mean = (self.time * self.used).sum(axis=1) / self.used.sum(axis=1)
+        since = (self.time - mean[:, None]) * self.used
+        line = np.stack([np.ones_like(since), since], axis=-1) * weight
+        inverse = np.linalg.pinv(line)
+
+        def shape(values, horizontal=True):
+            """In the frame of the earth, without a line over time, which place and velocity stand for."""
+            flat = values.reshape(*values.shape[:2], -1) * weight
+            left = (flat - line @ (inverse @ flat)).reshape(values.shape)
+            turned = np.einsum('wij,wmj...->wmi...', level, left)
+            return turned[:, :, :2] if horizontal else turned
+
+        place, turned = track.at(track.place, times), track.at(track.turned, mean - lag)
+        way = shape(place, horizontal=False)
+        arm = np.einsum('wij,wmjk,lk->wmil', level, rotation, self.rotation)[:, :, :2]
+        shared = np.concatenate([
+            -np.einsum('wij,wmj->wmi', level, track.at(track.velocity, times))[:, :, :2, None], arm,
+            -np.einsum('wij,wmj->wmi', level, track.at(track.force, times))[:, :, :2, None],
+            -shape(track.at(track.by_force, times))], axis=-1)
+        own = np.zeros((*self.place.shape, len(self.own)))
+        own[:, :, 0, 0] = own[:, :, 1, 1] = 1.0
+        own[:, :, 0, 2] = own[:, :, 1, 3] = since
+        own[..., 4:7] = -_cross(way)[:, :, :2]
+        own[..., 7:] = shape(track.at(track.by_rate, times) + _cross(place) @ turned[:, None])
+        return self.place - way[:, :, :2], shared, own
+
+    def _attitude(self, rotation):
+        """(w, 3, 3) from the frame of the gyroscopes to north-west-up in each piece: level on average, and headed so
+        that the vehicle goes where it points."""
+        used = self.used[..., None]
+        up = ((rotation @ self.rotation[2]) * used).sum(axis=1)
+        up /= np.linalg.norm(up, axis=1)[:, None]
+        nose = rotation @ self.rotation[0]
+        nose = nose[:, 1:] + nose[:, :-1]
+        some = np.where(np.abs(up[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+        first = np.cross(some, up)
+        first /= np.linalg.norm(first, axis=1)[:, None]
+        second = np.cross(up, first)
+        step = np.diff(self.place, axis=1) * used[:, 1:]
+        pointing = np.einsum('wmj,wj->wm', nose, first) + 1j * np.einsum('wmj,wj->wm', nose, second)
+        gone = ((step[..., 0] + 1j * step[..., 1]) * pointing.conj() / np.maximum(np.abs(pointing), 1e-9)).sum(axis=1)
+        direction = gone / np.maximum(np.abs(gone), 1e-9)
+        cosine, sine = direction.real[:, None], direction.imag[:, None]
+        return np.stack([cosine * first - sine * second, sine * first + cosine * second, up], axis=1)
+
+
+def _pieces(imu: ImuSamples, fixes: Fixes, rotation) -> _Pieces | None:
+    """The pieces of the drive in which there are samples and the vehicle moves; None with too few."""
+    fixes = fixes.select(valid_fixes(fixes))
+    fixes = fixes.select(np.argsort(fixes.stamp, kind='stable'))
+    if len(fixes) < _FEWEST_PIECES * _FEWEST_FIXES or len(imu) < 100:
+        return None
+    fixes = fixes.select(np.diff(fixes.stamp, prepend=fixes.stamp[0] - 1) > 0)
+    off = np.zeros(len(fixes), dtype=bool)
+    off[far_off(fixes)[0]] = True
+    fixes = fixes.select(~off)
+    if len(fixes) < _FEWEST_PIECES * _FEWEST_FIXES:
+        return None
+    place = positions(fixes) * [1.0, -1.0]
+    sigma, time = fix_sigma(fixes, place), (fixes.stamp - fixes.stamp[0]) * 1e-9
+    still = find_standstill(imu, fixes)
+    still &= np.isfinite(imu.angular_rate).all(axis=1)
+    bias = imu.angular_rate[still].mean(axis=0) if still.any() else np.zeros(3)
+    track = _Track(imu, int(fixes.stamp[0]), bias)
+    length = float(np.clip(time[-1] / _PIECES, _SHORTEST, _LONGEST))
+    interval = float(np.median(np.diff(time)))
+    every = max(math.ceil(length / interval / _MOST_FIXES - 1e-6), 1)
+    number = (time // length).astype(int)
+    chosen = []
+    for k in np.unique(number):
+        piece = np.flatnonzero(number == k)[::every]
+        if (len(piece) >= _FEWEST_FIXES and track.covers(time[piece[0]] - LARGEST - _STEP,
+                                                         time[piece[-1]] + LARGEST + _STEP)
+                and np.ptp(place[piece], axis=0).max() > 5.0 * sigma):
+            chosen.append(piece[:_MOST_FIXES])
+    if len(chosen) < _FEWEST_PIECES:
+        return None
+    if len(chosen) > _MOST_PIECES:
+        chosen = [chosen[i] for i in np.linspace(0, len(chosen) - 1, _MOST_PIECES).astype(int)]
+    most = max(len(piece) for piece in chosen)
+    used = np.array([np.arange(most) < len(piece) for piece in chosen])
+    at = np.array([np.append(piece, np.full(most - len(piece), piece[-1])) for piece in chosen])
+    times = time[at]
+    since = times - times[:, :1]
+    low, high = np.minimum(since[:, :, None], since[:, None]), np.maximum(since[:, :, None], since[:, None])
+    # covariances of white noise integrated twice, and three times; of a first-order Gauss-Markov process
+    lasting = np.stack([low**2 * (3.0 * high - low) / 6.0,
+                        low**3 * (10.0 * high**2 - 5.0 * low * high + low**2) / 120.0,
+                        np.exp((low - high) / _LASTING)])
+    rate = _RATE_AT_REST if still.any() else _RATE
+    own = np.concatenate([np.full(4, 1e-12), np.array([_TILT, _TILT, _HEADING]) ** -2.0, np.full(3, rate**-2.0)])
+    return _Pieces(track, rotation, sigma, times, place[at], used, used.astype(float), lasting, own)
+
+
+def _cross(vectors: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) matrices that multiply by (..., 3) `vectors` from the left, as cross product."""
+    matrix = np.zeros((*vectors.shape, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        matrix[..., i, j], matrix[..., j, i] = -vectors[..., k], vectors[..., k]
+    return matrix
+
+
+def _rotations(turns: np.ndarray) -> np.ndarray:
+    """(n + 1, 3, 3) rotations to the first frame that successive small `turns`, (n, 3) rad, lead to."""
+    half = 0.5 * np.vstack([np.zeros((1, 3)), turns])
+    size = np.linalg.norm(half, axis=1)
+    quaternion = np.column_stack([np.cos(size), half * np.sinc(size / np.pi)[:, None]])
+    reach = 1
+    while reach < len(quaternion):  # products of 1, 2, 4, ... in a row: Hillis and Steele's scan
+        quaternion = np.vstack([quaternion[:reach], _product(quaternion[:-reach], quaternion[reach:])])
+        quaternion /= np.linalg.norm(quaternion, axis=1)[:, None]
+        reach *= 2
+    w, x, y, z = quaternion.T
+    return np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), 2 * (x * y + w * z),
+                     1 - 2 * (x * x + z * z), 2 * (y * z - w * x), 2 * (x * z - w * y), 2 * (y * z + w * x),
+                     1 - 2 * (x * x + y * y)], axis=1).reshape(-1, 3, 3)
+
+
+def _product(one, other):
+    (a, b, c, d), (w, x, y, z) = one.T, other.T
+    return np.column_stack([a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y,
+                            a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w])

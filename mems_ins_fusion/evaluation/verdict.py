@@ -1,0 +1,227 @@
+"""What was measured decides: whether a filter is better than another one, and whether its sigmas can be trusted.
+
+Every tool takes its decision from here; the words are those of `reports.verdict`.
+"""
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .intervals import LEVEL, Difference, interval_of_share, of_mean, p_of_so_few, paired
+from .metrics import rms
+
+BETTER, SAME, WORSE, CANNOT_TELL, NOT_USABLE = 'better', 'same', 'worse', 'cannot_tell', 'not_usable'
+#: a difference that is certain and below this part of the error, or below this many metres, is felt by nobody
+FELT_PART, FELT = 0.03, 0.01
+#: errors are the same where the interval leaves no room for a difference beyond this part, or beyond this many metres
+ALIKE_PART, ALIKE = 0.1, 0.05
+
+YES, NO, TOO_CAREFUL = 'yes', 'no', 'too_careful'
+#: share of errors that shall lie in the ellipse called 95 %
+NOMINAL = 0.95
+#: sigmas can be trusted where the ellipse is known to hold the truth in this part: they are 1.6 times too small at most
+HELD = 0.7
+#: errors that are for certain so many times as large as the sigmas say, or as small a part of it, are not as said
+TOO_LARGE, TOO_SMALL = 1.2, 0.67
+#: normalized squared errors of two components have this mean where sigmas are right
+RIGHT = 2.0
+
+
+@dataclass(frozen=True)
+class Change:
+    """One error that a user feels, of two filters at the same epochs or in the same outages.
+
+    duration: s without fixes; None: with fixes. before, after: m, the mean of the largest errors of `count` outages, or
+    the root mean square at `count` epochs. difference: after minus before, m, of squares in m^2; None where there are
+    too few to say. where: in which recording. every: s between fixes, 0 for all there are.
+    """
+
+    duration: float | None
+    before: float
+    after: float
+    count: int
+    difference: Difference | None
+    where: str = ''
+    every: float = 0.0
+
+    def interval(self, level: float = LEVEL) -> tuple[float, float] | None:
+        """The confidence interval of after minus before, m; None where there are too few to say."""
+        if self.difference is None:
+            return None
+        low, high = self.difference.interval(level)
+        if self.duration is None:
+            low, high = (float(np.sqrt(max(self.before**2 + d, 0.0))) - self.before for d in (low, high))
+        return low, high
+
+    @property
+    def turned(self) -> Change:
+        """The same the other way round: before instead of after."""
+        difference = self.difference and replace(self.difference, mean=-self.difference.mean)
+        return replace(self, before=self.after, after=self.before, difference=difference)
+
+    def sign(self, level: float = LEVEL) -> int:
+        """-1 where the error is smaller for certain, and by more than nobody would feel; 1 where larger; else 0."""
+        interval, felt = self.interval(level), max(FELT_PART * self.before, FELT)
+        if interval is None or abs(self.after - self.before) <= felt:
+            return 0
+        return int(interval[0] > 0) - int(interval[1] < 0)
+
+    def alike(self, level: float = LEVEL) -> bool:
+        """Whether the interval leaves no room for a difference that matters."""
+        interval = self.interval(level)
+        return interval is not None and max(map(abs, interval)) <= max(ALIKE_PART * self.before, ALIKE)
+
+
+def change_in_outages(duration: float, before: np.ndarray, after: np.ndarray, apart: float, **known) -> Change:
+    """before, after: (o,) m, the largest errors of the same outages, of which `apart` do not overlap."""
+    return Change(duration, float(before.mean()), float(after.mean()), len(before), paired(after, before, apart),
+                  **known)
+
+
+def change_with_fixes(before: np.ndarray, after: np.ndarray, **known) -> Change:
+    """before, after: (m,) m, errors at the same epochs."""
+    return Change(None, rms(before), rms(after), len(before), paired(after**2, before**2), **known)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a filter is better than the one before.
+
+    answer: BETTER, SAME, WORSE, CANNOT_TELL, or NOT_USABLE where the data are wrong. changes: all of them; level: of
+    their intervals, so that all together hold in 95 of 100 cases. fitted_here: the new one was fitted to these very
+    data, which then prove no gain. why: what makes the data unusable.
+    """
+
+    answer: str
+    changes: tuple[Change, ...] = ()
+    level: float = LEVEL
+    fitted_here: bool = False
+    why: tuple[str, ...] = ()
+
+    @property
+    def gains(self) -> list[Change]:
+        return [c for c in self.changes if c.sign(self.level) < 0]
+
+    @property
+    def losses(self) -> list[Change]:
+        return [c for c in self.changes if c.sign(self.level) > 0]
+
+    @property
+    def shown(self) -> Change | None:
+        """The change for a headline: of what decided, else of all, the outages of about 30 s; errors with fixes last.
+        """
+        decided = {BETTER: self.gains, WORSE: self.losses}.get(self.answer) or self.gains or self.changes
+        known = [c for c in decided if c.difference is not None]
+        return min(known or decided, key=lambda c: np.inf if c.duration is None else abs(np.log(c.duration / 30.0)),
+                   default=None)
+
+
+def decide(changes: Iterable[Change]) -> Verdict:
+    """BETTER where an error that a user feels is smaller for certain and none is larger; WORSE the other way round;
+    SAME where none can have changed by what matters."""
+    changes = tuple(changes)
+    tested = [c for c in changes if c.difference is not None]
+    level = 1 - (1 - LEVEL) / max(len(tested), 1)
+    signs = {c.sign(level) for c in tested}
+    if signs >= {-1, 1} or not tested:
+        answer = CANNOT_TELL
+    elif -1 in signs:
+        answer = BETTER
+    elif 1 in signs:
+        answer = WORSE
+    else:
+        answer = SAME if all(c.alike(level) for c in tested) else CANNOT_TELL
+    return Verdict(answer, changes, level)
+
+
+# whether sigmas can be trusted
+
+@dataclass(frozen=True)
+class Consistency:
+    """Errors against sigmas. duration: s without fixes; None: with fixes. nees: (n,) normalized squared errors over
+    time, or their means over each outage. within: (n,) bool, whether each outage ends in the ellipse; None with fixes.
+    apart: how many of them share no time."""
+
+    duration: float | None
+    nees: np.ndarray
+    within: np.ndarray | None = None
+    apart: float = np.inf
+
+
+@dataclass(frozen=True)
+class Held:
+    """How often the 95 % ellipse held the truth at the end of outages of `duration` s: held of count. low, high: 95 %
+    interval of the share. p: how often so few are held by honest sigmas."""
+
+    duration: float
+    held: int
+    count: int
+    low: float
+    high: float
+    p: float
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How many times as large as the sigmas say errors are, over time. duration: s without fixes; None: with fixes.
+    low, high: its 95 % interval; least: that with all tests counted."""
+
+    duration: float | None
+    value: float
+    low: float
+    high: float
+    least: float
+
+
+@dataclass(frozen=True)
+class Trust:
+    """Whether sigmas can be trusted. answer: YES, NO, TOO_CAREFUL, or CANNOT_TELL."""
+
+    answer: str
+    held: tuple[Held, ...] = ()
+    scales: tuple[Scale, ...] = ()
+
+    @property
+    def scale(self) -> Scale | None:
+        """The scale that speaks most against the sigmas."""
+        key = {TOO_CAREFUL: lambda s: -s.high}.get(self.answer, lambda s: s.low)
+        return max(self.scales, key=key, default=None)
+
+    @property
+    def shown(self) -> Held | None:
+        """The outages for a headline: where sigmas are too small those that show it most, else those known best."""
+        return min(self.held, key=lambda h: h.p) if self.answer == NO and self.held else \
+            max(self.held, key=lambda h: (h.low, h.duration), default=None)
+
+
+def trusted(said: Sequence[Consistency]) -> Trust:
+    """Whether sigmas can be trusted, from counts with binomial intervals and from normalized errors over time.
+
+    NO where a count, or errors over time, can hardly be by chance, all tests counted; YES where an ellipse is known to
+    hold the truth in HELD at least, and nothing speaks against it.
+    """
+    said = [one for one in said if len(one.nees)]
+    tests = max(sum(1 + (one.within is not None) for one in said), 1)
+    held, scales = [], []
+    for one in said:
+        if one.within is not None:
+            apart = min(one.apart, len(one.within))
+            inside = float(one.within.mean()) * apart
+            held.append(Held(one.duration, int(one.within.sum()), len(one.within), *interval_of_share(inside, apart),
+                             p_of_so_few(inside, apart, NOMINAL)))
+        mean = of_mean(one.nees, one.apart)
+        if mean is not None:
+            ends = (mean.mean, *mean.interval(), mean.interval(1 - (1 - LEVEL) / tests)[0])
+            scales.append(Scale(one.duration, *(float(np.sqrt(max(value, 0.0) / RIGHT)) for value in ends)))
+    return Trust(_whether(held, scales, (1 - LEVEL) / tests), tuple(held), tuple(scales))
+
+
+def _whether(held: Sequence[Held], scales: Sequence[Scale], chance: float) -> str:
+    if any(h.p < chance for h in held) or any(s.least > TOO_LARGE for s in scales):
+        return NO
+    if scales and all(s.high < TOO_SMALL for s in scales):
+        return TOO_CAREFUL
+    doubtful = any(h.p < 1 - LEVEL for h in held) or any(s.low > TOO_LARGE for s in scales)
+    return YES if any(h.low >= HELD for h in held) and not doubtful else CANNOT_TELL
