@@ -9,7 +9,7 @@ import sys
 import numpy as np
 
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.live import FusionFilter
+from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.parameters import params_file, table
 from mems_ins_fusion.recordings.reading import read_recording
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.live import FusionFilter
-from mems_ins_fusion.filter.odometry import LINEAR
+from mems_ins_fusion.filter.runs.live import FusionFilter
+from mems_ins_fusion.filter.runs.odometry import LINEAR
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.drive import simulate_drive

@@ -9,7 +9,7 @@ import sys
 from matplotlib.figure import Figure
 
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.replay import run
+from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.reading import read_recording

@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mems_ins_fusion.cli.command import Parser, run
+from mems_ins_fusion.errors import InputError
 from mems_ins_fusion.parameters import params_file, table
 from mems_ins_fusion.progress import Progress
 
@@ -28,7 +28,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def characterize(options: argparse.Namespace) -> str:
-    """Read, characterize and write the results; lines for the user. ValueError for bad options or input."""
+    """Read, characterize and write the results; lines for the user. InputError for bad options or input."""
     from mems_ins_fusion.characterization import characterize as work
     from mems_ins_fusion.characterization.parameter_file import parameters_yaml
     from mems_ins_fusion.recordings.errors import RecordingWarning
@@ -36,10 +36,10 @@ def characterize(options: argparse.Namespace) -> str:
     from mems_ins_fusion.reports.characterization_answer import answer
     from mems_ins_fusion.reports.characterization_figures import figures
     from mems_ins_fusion.reports.html import image_bytes
-    from mems_ins_fusion.results import result_folder
+    from mems_ins_fusion.results import json_text, result_folder
 
     if min(options.orders) < 1 or max(options.orders) > 20:
-        raise ValueError(f'--orders must be from 1 to 20, got {" ".join(map(str, options.orders))}')
+        raise InputError(f'--orders must be from 1 to 20, got {" ".join(map(str, options.orders))}')
     with result_folder(options.output, options.overwrite) as folder:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter('always', RecordingWarning)
@@ -50,8 +50,7 @@ def characterize(options: argparse.Namespace) -> str:
                                        lambda done, total, what: tell(done / total, what))
         answered = answer(result, checked, topics, options.output)
         (folder / 'imu.yaml').write_text(parameters_yaml(result), encoding='utf-8')
-        (folder / 'report.json').write_text(json.dumps({**report(result, answered), 'warnings': said}, indent=1,
-                                                       allow_nan=False),
+        (folder / 'report.json').write_text(json_text({**report(result, answered), 'warnings': said}, indent=1),
                                             encoding='utf-8')
         (folder / 'figures').mkdir()
         images = {}
@@ -59,16 +58,18 @@ def characterize(options: argparse.Namespace) -> str:
             images[title] = image_bytes(drawing), caption
             (folder / 'figures' / f'{title}.png').write_bytes(images[title][0])
         (folder / 'report.html').write_text(report_html(result, answered, images), encoding='utf-8')
+    sheet, place = data_sheet_text(result), f'report: {options.output}/report.html'
+    if not options.verbose:
+        return '\n'.join([*answered.short(), *sheet, place])
     return '\n'.join([*said, *answered.lines(), '', f'{name}: {result.duration:.0f} s at rest, {len(result.rest.cuts)} '
                       'disturbances cut out', *(f'{axis.name}: {axis.recommendation.text}' for axis in result.axes),
-                      f'recommended for all axes: {result.model}', '', *data_sheet_text(result), '',
-                      f'results in {options.output}'])
+                      f'recommended for all axes: {result.model}', '', *sheet, '', place])
 
 
 def _read(options):
     """Name, grid and temperature of the recording, its topics, and what the checker found.
 
-    ValueError where it cannot be used.
+    InputError where it cannot be used.
     """
     from mems_ins_fusion.characterization.characterize import read_npz
     from mems_ins_fusion.characterization.stationary import to_grid
@@ -76,8 +77,9 @@ def _read(options):
     path = Path(options.bag)
     if path.suffix == '.npz':
         if not path.is_file():
-            raise ValueError(f'{path} is not a file')
+            raise InputError(f'{path} is not a file')
         return path.stem, read_npz(path), None, {}, []
+    from mems_ins_fusion.filter.runs.usable import usable_samples
     from mems_ins_fusion.recordings.checker import check_recording
     from mems_ins_fusion.recordings.reading import Memory, read_recording
     from mems_ins_fusion.recordings.units import in_si
@@ -90,9 +92,10 @@ def _read(options):
                                    memory=Memory(values['memory_limit'], *_MEMORY))
     imu = in_si(recording.imu, values['imu.acceleration_unit'], values['imu.rate_unit'])
     temperature = recording.temperature
-    grid = to_grid(imu.stamp, np.hstack([imu.specific_force, imu.angular_rate]))
+    seen = usable_samples(imu, values['imu.max_specific_force'], values['imu.max_angular_rate'])
+    grid = to_grid(seen.stamp, np.hstack([seen.specific_force, seen.angular_rate]))
     if temperature is not None:
-        temperature = (temperature.stamp - imu.stamp[0]) * 1e-9, temperature.celsius
+        temperature = (temperature.stamp - seen.stamp[0]) * 1e-9, temperature.celsius
     topics = {'imu': options.imu_topic or values['imu_topic'],
               'temperature': options.temperature_topic or values['temperature_topic']}
     return recording.name, grid, temperature, topics, check_recording(replace(recording, imu=imu))
@@ -110,4 +113,5 @@ def _parser():
     add('--orders', type=int, nargs='+', default=[1, 2, 3], metavar='P',
         help='orders of the autoregressive model to try (default 1 2 3)')
     parser.add_overwrite()
+    parser.add_verbose()
     return parser

@@ -5,6 +5,7 @@ import argparse
 import sys
 from collections.abc import Callable
 
+from mems_ins_fusion.errors import InputError
 from mems_ins_fusion.guard import one_line, refuse
 from mems_ins_fusion.hints import VERSION, did_you_mean
 
@@ -35,6 +36,10 @@ class Parser(argparse.ArgumentParser):
         self.add_argument('--params-file', action='append', default=[], metavar='FILE',
                           help=f'YAML with {what}, as for the nodes; repeatable, the later one counts')
 
+    def add_verbose(self) -> None:
+        """--verbose."""
+        self.add_argument('--verbose', action='store_true', help='print all that was found, as on the page')
+
     def add_overwrite(self) -> None:
         """--overwrite."""
         self.add_argument('--overwrite', action='store_true', help='replace an existing result')
@@ -43,11 +48,11 @@ class Parser(argparse.ArgumentParser):
 def run(parser: Parser, work: Callable[[argparse.Namespace], str], argv: list[str] | None) -> int:
     """Parse `argv` (None: the command line), print what `work` returns; the exit status.
 
-    A ValueError of `work` says in one line what is wrong with the options or the input.
+    An InputError of `work` says in one line what is wrong with the options or the input.
     """
     options = parser.parse_args(argv)
     try:
         print(work(options))
-    except ValueError as error:
+    except InputError as error:
         return refuse(parser.tool, error)
     return 0

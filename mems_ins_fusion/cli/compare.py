@@ -2,10 +2,10 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from mems_ins_fusion.cli.command import Parser, run
+from mems_ins_fusion.errors import InputError
 from mems_ins_fusion.parameters import params_file, table
 
 DESCRIPTION = """\
@@ -24,16 +24,16 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def compare(options: argparse.Namespace) -> str:
-    """Read or replay both, compare and write the results; lines for the user. ValueError for bad options or input."""
+    """Read or replay both, compare and write the results; lines for the user. InputError for bad options or input."""
     from mems_ins_fusion.reports import side_by_side
-    from mems_ins_fusion.results import result_folder
+    from mems_ins_fusion.results import json_text, result_folder
 
     paths = [options.first, options.second]
     kinds = [_kind(path) for path in paths]
     if kinds[0] != kinds[1]:
-        raise ValueError(f'{paths[0]} is a {kinds[0]}, {paths[1]} a {kinds[1]}: compare two of the same kind')
+        raise InputError(f'{paths[0]} is a {kinds[0]}, {paths[1]} a {kinds[1]}: compare two of the same kind')
     if kinds[0] == 'params file' and not options.bag:
-        raise ValueError('two params files are compared on a recording: give --bag')
+        raise InputError('two params files are compared on a recording: give --bag')
     names = _names(paths)
     with result_folder(options.output, options.overwrite) as folder:
         if kinds[0] != 'result':
@@ -43,18 +43,18 @@ def compare(options: argparse.Namespace) -> str:
         results = [side_by_side.read_result(path, name) for path, name in zip(paths, names)]
         rows = side_by_side.rows_of(*results)
         answered = side_by_side.answer(*results, rows)
-        content = json.dumps(side_by_side.report(*results, rows, answered), indent=1, allow_nan=False)
+        content = json_text(side_by_side.report(*results, rows, answered), indent=1)
         (folder / 'report.json').write_text(content + '\n', encoding='utf-8')
         (folder / 'report.html').write_text(side_by_side.report_page(*results, rows, answered), encoding='utf-8')
-    return '\n'.join([*answered.lines(), '', side_by_side.table_text(*results, rows),
-                      f'report: {options.output}/report.html'])
+    said = [*answered.lines(), '', side_by_side.table_text(*results, rows)] if options.verbose else answered.short()
+    return '\n'.join([*said, f'report: {options.output}/report.html'])
 
 
 def _kind(path: str) -> str:
     """What `path` is: a result of replay_node, a params file or a recording."""
     folder = Path(path)
     if not folder.exists():
-        raise ValueError(f'{path} does not exist')
+        raise InputError(f'{path} does not exist')
     if folder.suffix in ('.yaml', '.yml') or (folder / 'corrected.yaml').is_file():
         return 'params file'
     return 'result' if (folder / 'report.json').is_file() else 'recording'
@@ -99,4 +99,5 @@ def _parser():
         'else withheld fixes)')
     add('--reference-file', metavar='FILE', help='the truth as CSV, TUM, NMEA or RTKLIB .pos')
     parser.add_overwrite()
+    parser.add_verbose()
     return parser

@@ -29,7 +29,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _live():
     from mems_ins_fusion.filter.config import FilterConfig
-    from mems_ins_fusion.filter.live import FusionFilter
+    from mems_ins_fusion.filter.runs.live import FusionFilter
     from mems_ins_fusion.parameters import table
 
     FusionFilter(FilterConfig.from_parameters(table.defaults())).warm_up()
@@ -47,7 +47,7 @@ def _replay():
 
 def _effects():
     from mems_ins_fusion.filter.config import FilterConfig
-    from mems_ins_fusion.filter.replay import run
+    from mems_ins_fusion.filter.runs.replay import run
     from mems_ins_fusion.parameters import table
 
     recording = _drive()

@@ -6,6 +6,7 @@ import warnings
 from pathlib import Path
 
 from mems_ins_fusion.cli.command import Parser, run
+from mems_ins_fusion.errors import InputError
 
 DESCRIPTION = """\
 Write the params file of a vehicle from a recording of a drive: which topics, in which units, how the IMU is mounted,
@@ -21,7 +22,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def configure(options: argparse.Namespace) -> str:
-    """Read, look and write; what was found, for the user. ValueError for bad options or input."""
+    """Read, look and write; what was found, for the user. InputError for bad options or input."""
     from mems_ins_fusion.configuration.configure import configure as work
     from mems_ins_fusion.parameters import table
     from mems_ins_fusion.recordings.errors import RecordingWarning
@@ -30,7 +31,7 @@ def configure(options: argparse.Namespace) -> str:
 
     output = Path(options.output)
     if output.suffix not in ('.yaml', '.yml'):
-        raise ValueError(f'--output must be a .yaml file, got {output}')
+        raise InputError(f'--output must be a .yaml file, got {output}')
     page = output.with_suffix('.html')
     check_files_free([output, page], options.overwrite)
     with warnings.catch_warnings(record=True) as caught:
@@ -41,7 +42,8 @@ def configure(options: argparse.Namespace) -> str:
     answered = answer(result, options.bag, options.output)
     write_files({output: text, page: configuration_page(result, text, answered)}, options.overwrite)
     said = dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, RecordingWarning))
-    return '\n'.join([*answered.lines(), '', *story(result), *said, f'{output}; what it stands on: {page}'])
+    told = [*answered.lines(), '', *story(result), *said] if options.verbose else [*answered.short(), *story(result)]
+    return '\n'.join([*told, f'{output}; what it stands on: {page}'])
 
 
 def _parser():
@@ -51,4 +53,5 @@ def _parser():
         'one vehicle')
     add('--output', required=True, metavar='FILE.yaml', help='the params file to write')
     parser.add_overwrite()
+    parser.add_verbose()
     return parser

@@ -2,12 +2,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mems_ins_fusion.cli.command import Parser, run
+from mems_ins_fusion.errors import InputError
 from mems_ins_fusion.parameters import params_file, table
 from mems_ins_fusion.progress import Progress
 
@@ -24,9 +24,6 @@ Several recordings of one vehicle are diagnosed together: what is found is one f
 parts of drives, that did not find it.
 The method: docs/closing_the_loop.md; the effects: docs/effects.md."""
 
-#: how an IMU is mounted shows in this part of a drive, s
-MOUNTING_SHOWN = 1200.0
-
 
 def main(argv: list[str] | None = None) -> int:
     """Run the tool with `argv` (default: the command line); its exit status."""
@@ -34,53 +31,58 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def diagnose(options: argparse.Namespace) -> str:
-    """Read, diagnose and write the results; the story for the user. ValueError for bad options or input."""
+    """Read, diagnose and write the results; the story for the user. InputError for bad options or input."""
     from mems_ins_fusion.diagnosis.diagnose import diagnose as work
+    from mems_ins_fusion.diagnosis.problem import DiagnosisError
     from mems_ins_fusion.recordings.several import refuse_other_vehicles
-    from mems_ins_fusion.reports.diagnosis import changed, corrected_yaml, report, report_html, story
-    from mems_ins_fusion.reports.diagnosis_answer import answer
-    from mems_ins_fusion.results import result_folder
+    from mems_ins_fusion.reports import diagnosis as reports
+    from mems_ins_fusion.reports.diagnosis_answer import answer, not_usable
+    from mems_ins_fusion.reports.verdict import certainly_wrong
+    from mems_ins_fusion.results import json_text, result_folder
 
     kept = params_file.load_files(options.params_file)
     values = table.check(_parameters(options, kept))
     with result_folder(options.output, options.overwrite) as folder:
         with Progress('diagnose') as bar:
-            recordings, checked, warned, mounted = _read(options.bag, values, lambda part: bar(0.2 * part, 'reading'))
+            recordings, checked, warned = _read(options.bag, values, lambda part: bar(0.2 * part, 'reading'))
             refuse_other_vehicles(recordings)
-            result = work(recordings, values, lambda part, what: bar(0.2 + 0.75 * part, what))
+            wrong = certainly_wrong(checked, values)
+            if wrong:  # no effect is estimated from such data
+                names = [recording.name for recording in recordings]
+                verdict, answered = not_usable(wrong, values)
+                content = reports.not_usable_report(names, values, verdict, answered, checked, warned)
+                page = reports.not_usable_page(names, answered, checked, values)
+            else:
+                result = work(recordings, values, lambda part, what: bar(0.2 + 0.75 * part, what))
+                answered = answer(result, checked, options.output)
+                content = reports.report(result, answered, checked, warned)
+                page = reports.report_html(result, kept, answered, checked, warned)
+                corrected = reports.corrected_yaml(result, kept)
+                (folder / 'corrected.yaml').write_text(corrected, encoding='utf-8')
             bar(0.95, 'writing')
-            # what is corrected needs no warning
-            warned += [] if 'imu.mounting_rpy' in changed(result) else mounted
-            answered = answer(result, checked, options.output)
-            (folder / 'corrected.yaml').write_text(corrected_yaml(result, kept), encoding='utf-8')
-            content = json.dumps(report(result, answered, checked, warned), indent=1, allow_nan=False)
-            (folder / 'report.json').write_text(content, encoding='utf-8')
-            page = report_html(result, kept, answered, checked, warned)
+            (folder / 'report.json').write_text(json_text(content, indent=1), encoding='utf-8')
             (folder / 'report.html').write_text(page, encoding='utf-8')
             bar(1.0, 'done')
-    return '\n'.join([*story(result, answered), *warned, f'The whole story: {options.output}/report.html'])
+    if wrong:
+        raise DiagnosisError(answered.headline)
+    said = [*reports.story(result, answered), *warned] if options.verbose else answered.short()
+    return '\n'.join([*said, f'report: {options.output}/report.html'])
 
 
-def _read(paths: list[str], values: dict, progress) -> tuple[list[Recording], list[Finding], list[str], list[str]]:
-    """The recordings, what the checker found, and what is to be said of reading them, and of their mounting."""
-    from mems_ins_fusion.configuration.check import check_mounting
-    from mems_ins_fusion.evaluation.comparison import cut
-    from mems_ins_fusion.recordings.checker import check_recording
+def _read(paths: list[str], values: dict, progress) -> tuple[list[Recording], list[Finding], list[str]]:
+    """The recordings, what was found in them and of their mounting, and what is to be said of reading them."""
+    from mems_ins_fusion.configuration.check import check
     from mems_ins_fusion.reports.replay import read_part
 
-    recordings, checked, warned, mounted = [], [], [], []
+    recordings, checked, warned = [], [], []
     for i, path in enumerate(paths):
         recording, texts = read_part(Path(path).expanduser(), values,
                                      lambda part, i=i: progress((i + part) / len(paths)))
-        if recording.gnss is None:
-            raise ValueError('gnss_topic is empty: a diagnosis needs fixes')
-        shown = check_mounting(cut(recording, 0.0, MOUNTING_SHOWN), values)
         of = f'{recording.name}: ' if len(paths) > 1 else ''
         warned += [f'{of}{text}' for text in texts]
-        mounted += [f'{of}{finding.message}' for finding in shown]
-        checked += [replace(found, message=f'{of}{found.message}') for found in check_recording(recording)]
+        checked += [replace(found, message=f'{of}{found.message}') for found in check(recording, values)]
         recordings.append(recording)
-    return recordings, checked, warned, mounted
+    return recordings, checked, warned
 
 
 def _parameters(options, kept: dict) -> dict:
@@ -93,7 +95,7 @@ def _parameters(options, kept: dict) -> dict:
     if options.reference_file:
         given.pop('reference_topic', None)
     if options.reference_topic and options.reference_file:
-        raise ValueError('--reference-topic and --reference-file are both given: choose one')
+        raise InputError('--reference-topic and --reference-file are both given: choose one')
     return given | {name: value for name, value in asked.items() if value is not None}
 
 
@@ -110,4 +112,5 @@ def _parser():
     add('--start', type=float, metavar='S', help='skip this much of the recording')
     add('--stop', type=float, metavar='S', help="stop this long after the recording's start")
     parser.add_overwrite()
+    parser.add_verbose()
     return parser

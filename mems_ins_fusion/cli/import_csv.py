@@ -2,16 +2,24 @@
 from __future__ import annotations
 
 import argparse
+import math
+from pathlib import Path
+
+import numpy as np
 
 from mems_ins_fusion.cli.command import Parser, run
+from mems_ins_fusion.errors import InputError
+from mems_ins_fusion.recordings.log_formats import FORMATS
 from mems_ins_fusion.recordings.tables import TIME_UNITS
 
 DESCRIPTION = """\
-Turn an IMU log and a GNSS log in CSV into a rosbag2 that every tool here reads.
+Turn an IMU log and a GNSS log into a rosbag2 that every tool here reads: CSV, NMEA, the exports of ArduPilot, PX4,
+phyphox and Sensor Logger, the text files of KF-GINS.
 
 Columns are found by their usual names (time, ax, acc_x, accel_x, ..., wx, gyro_x, ..., latitude, lat, ...); others are
 named with --imu-columns and --gnss-columns, in files without names by their numbers from 1. Units stand in brackets in
-the names (acc_x [g]) or are given as options. Times of both files must be of one clock.
+the names (acc_x [g]) or are given as options. Times of both files must be of one clock. What is missing is named all at
+once, with the options that would fit.
 
 Samples are turned to base_link (forward, left, up), so that imu.mounting_rpy is 0."""
 
@@ -23,25 +31,32 @@ def main(argv: list[str] | None = None) -> int:
 
 def import_csv(options: argparse.Namespace):
     """Do what `options` ask for; yields lines that say what was done and what the bag checker found."""
+    from mems_ins_fusion.configuration.check import check
+    from mems_ins_fusion.parameters import table
     from mems_ins_fusion.recordings import csv_import
-    from mems_ins_fusion.recordings.checker import INFO, check_recording
+    from mems_ins_fusion.recordings.checker import INFO
     from mems_ins_fusion.recordings.reference_files import read_reference
     from mems_ins_fusion.recordings.writing import write_recording
     from mems_ins_fusion.samples import Recording
 
+    formats = _formats(options)
+    for name in dict.fromkeys(filter(None, formats.values())):
+        yield f'read as {name} ({FORMATS[name].about}); --preset none: not so'
+    imu_options, gnss_options = (_with_preset(options, kind, formats[kind]) for kind in ('imu', 'gnss'))
     imu, temperature, text = csv_import.read_imu(
-        options.imu, csv_import.parse_columns(options.imu_columns, csv_import.IMU_COLUMNS), options.imu_axes,
-        options.imu_time_unit, options.acceleration_unit, options.gyro_unit)
+        options.imu, imu_options['columns'], options.imu_axes or imu_options.get('axes', 'forward left up'),
+        options.imu_time_unit, options.acceleration_unit, options.gyro_unit,
+        increments=options.increments or imu_options.get('increments', False), rows=imu_options.get('rows'),
+        gyro=options.gyro)
     yield text
     fixes = velocity = speed = None
     if options.gnss:
         fixes, text = csv_import.read_gnss(
-            options.gnss, csv_import.parse_columns(options.gnss_columns, csv_import.GNSS_COLUMNS),
-            options.gnss_time_unit, options.angle_unit, options.gnss_sigma)
+            options.gnss, gnss_options['columns'], options.gnss_time_unit, options.angle_unit, options.gnss_sigma,
+            rows=gnss_options.get('rows'))
         yield text
-        velocity = csv_import.read_velocity(
-            options.gnss, csv_import.parse_columns(options.gnss_columns, csv_import.GNSS_COLUMNS),
-            options.gnss_time_unit)
+        velocity = csv_import.read_velocity(options.gnss, gnss_options['columns'], options.gnss_time_unit,
+                                            rows=gnss_options.get('rows'))
         if velocity is not None:
             velocity, text = velocity
             yield text
@@ -50,11 +65,12 @@ def import_csv(options: argparse.Namespace):
             options.speed, csv_import.parse_columns(options.speed_columns, csv_import.SPEED_COLUMNS),
             options.speed_time_unit)
         yield text
-    reference = read_reference(options.reference) if options.reference else None
+    reference = read_reference(options.reference, _datum(options, fixes)) if options.reference else None
     recording = Recording('imported', imu, fixes, reference, temperature, speed, velocity)
-    findings = [finding for finding in check_recording(recording) if finding.severity != INFO]
-    if any('do not overlap' in finding.message for finding in findings):
-        raise ValueError(f'{options.imu} and {options.gnss}: {findings[-1].message}')
+    findings = [finding for finding in check(recording, table.defaults()) if finding.severity != INFO]
+    for finding in findings:
+        if 'do not overlap' in finding.message:
+            raise InputError(f'{options.imu} and {options.gnss}: {finding.message}')
     write_recording(recording, options.output, options.storage, imu_topic=options.imu_topic,
                     gnss_topic=options.gnss_topic, imu_frame='base_link', overwrite=options.overwrite)
     yield f'{options.output}: written, ' + ', '.join(
@@ -65,31 +81,96 @@ def import_csv(options: argparse.Namespace):
         yield f'{finding.severity}: {finding.topic}: {finding.message}'
 
 
+def _formats(options) -> dict[str, str | None]:
+    """The preset of the IMU's and of the receiver's file: that which is asked for, or which the files show.
+
+    Where --imu is the folder of an export, its files take their places in `options`.
+    """
+    from mems_ins_fusion.recordings.log_formats import files_in, recognised
+    from mems_ins_fusion.recordings.tables import read_table, read_text
+
+    name = options.preset
+    if name == 'none':
+        return {'imu': None, 'gnss': None}
+    if Path(options.imu).is_dir():
+        name, paths = files_in(Path(options.imu), name)
+        options.imu = str(paths['imu'])
+        for option in ('gyro', 'gnss'):
+            if getattr(options, option) is None and option in paths:
+                setattr(options, option, str(paths[option]))
+    if name is not None:
+        return {'imu': name, 'gnss': name}
+    found: dict[str, str | None] = {}
+    for kind in ('imu', 'gnss'):
+        path = getattr(options, kind)
+        named = path is None or getattr(options, f'{kind}_columns')
+        found[kind] = None if named or read_text(path, 'utf-8', 'replace')[:1] == '$' else recognised(read_table(path).names)
+    return found
+
+
+def _with_preset(options, kind: str, preset: str | None) -> dict:
+    """The options of the file `kind`, imu or gnss: those of the preset, and over them those that are given."""
+    from mems_ins_fusion.recordings import csv_import
+
+    found = dict(getattr(FORMATS[preset], kind)) if preset else {}
+    names = {'imu': csv_import.IMU_COLUMNS, 'gnss': csv_import.GNSS_COLUMNS}[kind]
+    given = csv_import.parse_columns(getattr(options, f'{kind}_columns'), names)
+    rows = getattr(options, f'{kind}_rows')
+    if rows is not None:
+        column, equals, value = rows.partition('=')
+        if not equals:
+            raise InputError(f"--{kind}-rows must be COLUMN=VALUE, got '{rows}'")
+        found['rows'] = column, value
+    return {**found, 'columns': {**found.get('columns', {}), **given}}
+
+
+def _datum(options, fixes) -> tuple[float, float, float] | None:
+    """Origin of a reference in local coordinates: --datum, else the first fix; rad, rad, m."""
+    if options.datum:
+        latitude, longitude, height = options.datum
+        return math.radians(latitude), math.radians(longitude), height
+    valid = np.flatnonzero(fixes.status >= 0) if fixes is not None else ()
+    if not len(valid):
+        return None
+    first = valid[0]
+    return float(fixes.latitude[first]), float(fixes.longitude[first]), float(fixes.height[first])
+
+
 def _parser() -> Parser:
     parser = Parser('import_csv', DESCRIPTION)
     add = parser.add_argument
-    add('--imu', required=True, metavar='FILE', help='CSV with time, specific force and angular rate')
-    add('--gnss', metavar='FILE', help='CSV with time, latitude, longitude and, if there, height and sigma')
+    add('--imu', required=True, metavar='FILE', help='CSV with time, specific force and angular rate; or the folder of '
+        'an export of phyphox or Sensor Logger')
+    add('--gyro', metavar='FILE', help='CSV with time and angular rate, where they have a file of their own')
+    add('--gnss', metavar='FILE', help='CSV with time, latitude, longitude and, if there, height, sigma or HDOP, '
+        'status, velocity; or NMEA')
+    add('--preset', choices=(*FORMATS, 'none'), help='what wrote the files (default: by the names of their columns)')
     add('--speed', metavar='FILE', help='CSV with time and speed of the rear axle, to /wheel/speed')
-    add('--reference', metavar='FILE', help='reference trajectory: CSV, NMEA or RTKLIB .pos, to /reference/fix')
+    add('--reference', metavar='FILE', help='reference trajectory: CSV, TUM, KF-GINS, NMEA or RTKLIB .pos, to '
+        '/reference/fix')
+    add('--datum', type=float, nargs=3, metavar=('LAT', 'LON', 'H'), help='deg, deg, m: origin of a reference in local '
+        'coordinates (default: the first fix)')
     add('--output', required=True, metavar='BAG', help='folder of the rosbag2 to write')
     parser.add_overwrite()
     add('--storage', choices=('mcap', 'sqlite3'), default='mcap')
-    add('--imu-axes', default='forward left up', metavar='"X Y Z"',
-        help='where the sensor\'s x, y and z point: three of forward, back, left, right, up, down '
-        '(default "%(default)s")')
+    add('--imu-axes', metavar='"X Y Z"', help='where the sensor\'s x, y and z point: three of forward, back, left, '
+        'right, up, down (default: that of the preset, else "forward left up")')
     add('--imu-columns', default='', metavar='NAME=COLUMN,...',
         help='names: time, ax, ay, az, wx, wy, wz, temperature')
     add('--gnss-columns', default='', metavar='NAME=COLUMN,...',
-        help='names: time, latitude, longitude, height, sigma; north, east, down (velocity, to /gps/velocity), '
-        'velocity_sigma')
+        help='names: time, latitude, longitude, height, sigma, vertical_sigma, hdop, status; north, east, down '
+        '(velocity, to /gps/velocity), velocity_sigma')
+    add('--imu-rows', metavar='COLUMN=VALUE', help='only these rows, such as I=0 of several IMUs')
+    add('--gnss-rows', metavar='COLUMN=VALUE', help='only these rows')
+    add('--increments', action='store_true', help='the columns are increments of velocity and angle')
     add('--speed-columns', default='', metavar='NAME=COLUMN,...', help='names: time, speed, sigma')
     add('--imu-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
     add('--gnss-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
     add('--speed-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
     add('--acceleration-unit', choices=('m/s^2', 'g', 'mg'), help='default: by name, else m/s^2')
     add('--gyro-unit', choices=('rad/s', 'deg/s'), help='default: by name, else rad/s')
-    add('--angle-unit', choices=('deg', 'rad'), help='of latitude and longitude (default: by name, else deg)')
+    add('--angle-unit', choices=('deg', 'rad', '1e-7 deg'), help='of latitude and longitude (default: by name, else '
+        'deg, or 1e-7 deg where they are beyond 360)')
     add('--gnss-sigma', type=float, default=2.5, metavar='M',
         help='horizontal standard deviation of a fix where no column states it (default %(default)g)')
     add('--imu-topic', default='/imu/data', metavar='TOPIC')

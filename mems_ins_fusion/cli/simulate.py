@@ -8,10 +8,10 @@ import numpy as np
 
 from mems_ins_fusion.cli.command import Parser, run
 from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.errors import InputError
 from mems_ins_fusion.hints import did_you_mean
 from mems_ins_fusion.parameters import params_file, table
 
-_NAMED_TOPICS = ('temperature_topic', 'speed_topic', 'velocity_topic', 'heading_topic')
 #: what options may be: lowest, highest, unit
 _RANGES = {'duration': (0.1, 1e7, ' s'), 'rate': (1.0, 1e4, ' Hz'), 'gnss_rate': (1e-4, 1e3, ' Hz'),
            'gnss_sigma': (0.0, 1e3, ' m'), 'gnss_latency': (0.0, 60.0, ' s'), 'reference_rate': (1e-3, 1e4, ' Hz'),
@@ -24,7 +24,7 @@ Write a rosbag2 of a simulated land vehicle: a standstill, then straights, bends
 2-20 m/s. Topics: /imu/data and /gps/fix (or imu_topic and gnss_topic of the params file), and the truth as
 /reference/fix and /reference/odometry: position and velocity of the IMU (base_link, not the antenna), attitude of the
 body. The odometry's origin is the first fix. The effect `temperature` adds /imu/temperature, --aiding /wheel/speed
-(of the rear axle), /gps/velocity and /gps/heading (or speed_topic, velocity_topic, heading_topic).
+(of the rear axle), /gps/velocity and /gps/heading, or where the parameters say.
 
 --drive realistic is a drive for judging filters, with everything that the options below offer: a car on its springs on
 a road with grade and bank, an IMU that shakes and whose mounting is off by up to 5 deg (each seed another), turn-on
@@ -41,7 +41,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def simulate(options: argparse.Namespace) -> str:
-    """Simulate and write what `options` ask for; a line that says what was written. ValueError for bad options."""
+    """Simulate and write what `options` ask for; a line that says what was written. InputError for bad options."""
     from mems_ins_fusion.recordings.reading import Memory
     from mems_ins_fusion.results import check_free
     from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_recording
@@ -49,7 +49,7 @@ def simulate(options: argparse.Namespace) -> str:
     for name, (low, high, unit) in _RANGES.items():
         value = getattr(options, name)
         if value is not None and not low <= value <= high:
-            raise ValueError(f"--{name.replace('_', '-')} must be from {low:g} to {high:g}{unit}, got {value!s:.20}")
+            raise InputError(f"--{name.replace('_', '-')} must be from {low:g} to {high:g}{unit}, got {value!s:.20}")
     effects = parse_effects(options.effect)
     scene = _scene(options)
     values = table.check({**scene.imu, **params_file.load_files(options.params_file)})
@@ -65,7 +65,7 @@ def simulate(options: argparse.Namespace) -> str:
     drive = scene.drive(options.duration, options.seed, options.rate, hills=options.hills,
                         standstill=options.duration if options.static else options.standstill)
     if not len(gnss.times(drive.time[-1])):
-        raise ValueError('the outages leave no fix in the recording')
+        raise InputError('the outages leave no fix in the recording')
     distortions = scene.distortions(options.seed)
     effects = [*distortions.pop('effects'), *effects]
     simulation = simulate_recording(drive, SensorErrors.from_parameters(values, model), gnss,
@@ -81,6 +81,7 @@ def simulate(options: argparse.Namespace) -> str:
 
 def _scene(options):
     """The scene of --drive with what other options change in it."""
+    from mems_ins_fusion.filter.measurements.registry import AIDING
     from mems_ins_fusion.simulation.scene import SCENES
     from mems_ins_fusion.simulation.simulation import Aiding
 
@@ -93,17 +94,19 @@ def _scene(options):
         if getattr(options, name) is not None:
             given[name] = np.radians(getattr(options, name))
     if options.aiding:
-        given['aiding'] = Aiding(speed_rate=10.0, velocity_rate=options.gnss_rate, heading_rate=options.gnss_rate)
+        given['aiding'] = Aiding(**{f'{m.name}_rate': options.gnss_rate if m.from_satellites else 10.0
+                                    for m in AIDING if m.simulated_with})
     return replace(scene, **given)
 
 
 def _write(simulation, options, values):
+    from mems_ins_fusion.filter.measurements.registry import AIDING
     from mems_ins_fusion.navigation.frames import FLU_TO_FRD
     from mems_ins_fusion.recordings.writing import odometry_from_reference, write_recording
 
     recording, drive = simulation.recording, simulation.drive
     if not len(recording.gnss):
-        raise ValueError('the outages leave no fix in the recording')
+        raise InputError('the outages leave no fix in the recording')
     thinned = slice(None, None, max(round(options.rate / options.reference_rate), 1))
     reference = recording.reference.select(thinned)
     datum = recording.gnss.latitude[0], recording.gnss.longitude[0], recording.gnss.height[0]
@@ -112,7 +115,8 @@ def _write(simulation, options, values):
     write_recording(replace(recording, reference=reference), options.output, options.storage,
                     overwrite=options.overwrite, odometry={'/reference/odometry': odometry},
                     imu_topic=values['imu_topic'], gnss_topic=values['gnss_topic'],
-                    **{name: values[name] for name in _NAMED_TOPICS if values[name]})
+                    **{name: values[name] for name in ('temperature_topic', *(m.topic for m in AIDING))
+                       if values[name]})
 
 
 def parse_effects(texts: list[str]) -> list[tuple]:
@@ -125,10 +129,10 @@ def parse_effects(texts: list[str]) -> list[tuple]:
         key, equals, number = text.partition('=')
         name, _, parameter = key.partition('.')
         if not equals:
-            raise ValueError(f"--effect must be NAME=VALUE or NAME.PARAM=VALUE, got '{text}'")
+            raise InputError(f"--effect must be NAME=VALUE or NAME.PARAM=VALUE, got '{text}'")
         if name not in EFFECTS:
             hint = did_you_mean(name, EFFECTS) or f"; there are {', '.join(EFFECTS)}"
-            raise ValueError(f"no effect is named '{name}'{hint}")
+            raise InputError(f"no effect is named '{name}'{hint}")
         values.setdefault(name, {})[parameter or EFFECTS[name].principal] = _number('--effect', text, number)
     return [(EFFECTS[name], EFFECTS[name].complete(given)) for name, given in values.items()]
 
@@ -137,7 +141,7 @@ def parse_outage(text: str) -> tuple[float, float]:
     """START:STOP as two numbers, s."""
     start, colon, stop = text.partition(':')
     if not colon:
-        raise ValueError(f"--outage must be START:STOP in seconds, got '{text}'")
+        raise InputError(f"--outage must be START:STOP in seconds, got '{text}'")
     return _number('--outage', text, start), _number('--outage', text, stop)
 
 
@@ -147,7 +151,7 @@ def _number(option, text, number):
     except ValueError:
         value = np.nan
     if not np.isfinite(value):
-        raise ValueError(f"{option} {text}: '{number}' is not a number")
+        raise InputError(f"{option} {text}: '{number}' is not a number")
     return value
 
 

@@ -1,0 +1,249 @@
+"""Who does the jobs: processes on this machine, or the workers of a Dask cluster. Both give the same results.
+
+An engine is a context manager with `each(function, items)`, which yields (item, what `function` made of it), or
+(item, DIED) where a worker ended while it had the item, twice, in the order in which they are done.
+"""
+from __future__ import annotations
+
+import ctypes
+import multiprocessing
+import os
+import signal
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import wait
+
+from ..errors import InputError
+
+#: a worker that ended while it had an item; what an item is tried again
+DIED = object()
+#: how often an item is given to a worker before it is given up
+TRIES = 2
+#: a worker keeps one core busy: its neighbours have the others
+_ONE_THREAD = dict.fromkeys(('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'), '1')
+#: PR_SET_PDEATHSIG of linux/prctl.h
+_END_WITH_PARENT = 1
+#: how long a worker may take to end by itself, s
+_PATIENCE = 0.5
+
+
+class EngineError(InputError):
+    """An engine that cannot be had: one line that says why."""
+
+
+def engine(scheduler: str, workers: int):
+    """The engine that `scheduler` names: 'local', or the address of a Dask scheduler."""
+    if scheduler == 'local':
+        return local_cluster(workers) if _has_dask() else Pool(workers)
+    if '://' not in scheduler:
+        raise EngineError(f"--scheduler must be local or an address such as tcp://host:8786, got '{scheduler}'")
+    if not _has_dask():
+        raise EngineError(f'--scheduler {scheduler}: Dask is not installed; pip install "mems_ins_fusion[fleet]"')
+    return cluster(scheduler)
+
+
+def _has_dask() -> bool:
+    try:
+        import distributed  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+class Pool:
+    """Processes on this machine, one thread each. One that ends is replaced; others go on.
+
+    Not `concurrent.futures`, whose pool breaks as a whole when one of its processes ends.
+    """
+
+    def __init__(self, workers: int):
+        self._size = workers
+        self._context = multiprocessing.get_context('spawn')
+        self._workers: list[_Worker] = []
+
+    def __enter__(self) -> Pool:
+        return self
+
+    def __exit__(self, *exception) -> None:
+        for worker in self._workers:
+            worker.dismiss()
+        for worker in self._workers:
+            worker.end()
+
+    def each(self, function: Callable, items: Iterable) -> Iterator[tuple]:
+        left = deque((item, 1) for item in items)
+        while left or any(worker.busy for worker in self._workers):
+            self._give(function, left)
+            for ready in wait([end for w in self._workers if w.busy for end in (w.pipe, w.process.sentinel)]):
+                worker = next((w for w in self._workers if w.busy and ready in (w.pipe, w.process.sentinel)), None)
+                if worker is None:  # the other of its two ends was ready, too
+                    continue
+                item, tries = worker.has
+                try:
+                    answer = worker.take()
+                except EOFError:
+                    self._workers.remove(worker)
+                    worker.end()
+                    if tries < TRIES:
+                        left.appendleft((item, tries + 1))
+                        continue
+                    answer = DIED
+                yield item, answer
+
+    def _give(self, function, left) -> None:
+        while left and (free := self._free()) is not None:
+            free.give(function, *left.popleft())
+
+    def _free(self) -> _Worker | None:
+        for worker in self._workers:
+            if not worker.busy:
+                return worker
+        if len(self._workers) < self._size:
+            self._workers.append(_Worker(self._context))
+            return self._workers[-1]
+        return None
+
+
+class _Worker:
+    """One process and what it has to do. has: the item and the number of the try."""
+
+    def __init__(self, context):
+        self.pipe, theirs = context.Pipe()
+        self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        with _environment_of_one_thread():
+            self.process.start()
+        theirs.close()
+        self.has = None
+
+    @property
+    def busy(self) -> bool:
+        return self.has is not None
+
+    def give(self, function, item, tries: int) -> None:
+        self.has = item, tries
+        with suppress(OSError):  # it ended: `take` sees that
+            self.pipe.send((function, item))
+
+    def take(self):
+        try:
+            answer = self.pipe.recv()
+        except OSError:
+            raise EOFError from None
+        self.has = None
+        if isinstance(answer, BaseException):
+            raise answer
+        return answer
+
+    def dismiss(self) -> None:
+        """Let the process end: at once where it has something to do, which then is not done."""
+        self.pipe.close()
+        if self.has is not None:
+            self.process.kill()
+
+    def end(self) -> None:
+        self.dismiss()
+        self.process.join(_PATIENCE)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+        self.has = None
+
+
+@contextmanager
+def _environment_of_one_thread() -> Iterator[None]:
+    """What a child inherits: NumPy reads it when it is imported."""
+    former = dict(os.environ)
+    os.environ.update(_ONE_THREAD)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(former)
+
+
+def _serve(pipe) -> None:
+    """The life of a worker: until its pipe is closed, or who started it has ended. Interruptions are that one's business.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with suppress(AttributeError, OSError):  # Linux only: elsewhere it ends when it has done what it has
+        ctypes.CDLL(None).prctl(_END_WITH_PARENT, signal.SIGKILL)
+    while True:
+        try:
+            function, item = pipe.recv()
+        except (EOFError, OSError):
+            return
+        try:
+            answer = function(item)
+        except Exception as error:  # noqa: BLE001 raised again by who asked
+            answer = error
+        pipe.send(answer)
+
+
+@contextmanager
+def local_cluster(workers: int) -> Iterator[_Dask]:
+    """Dask on this machine: a scheduler in this process, workers in processes of their own, one thread each."""
+    import dask
+    from distributed import Client, LocalCluster
+
+    settings = {'distributed.scheduler.allowed-failures': TRIES - 1, 'distributed.logging.distributed': 'critical',
+                'distributed.nanny.pre-spawn-environ': _ONE_THREAD}
+    with dask.config.set(settings):
+        local = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=':0',
+                             memory_limit=None, silence_logs='CRITICAL', scheduler_kwargs={'dashboard': False})
+        client = Client(local, set_as_default=False)
+        patience = 30.0
+        try:
+            yield _Dask(client)
+        except BaseException:  # an interrupted user does not wait until all has been put in order
+            patience = _PATIENCE
+            for nanny in local.workers.values():
+                with suppress(Exception):
+                    nanny.process.process._process.kill()
+            raise
+        finally:
+            for end in (client, local):
+                with suppress(Exception):  # what is late ends with this process
+                    end.close(timeout=patience)
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[_Dask]:
+    """The workers of the Dask scheduler at `address`. EngineError where nobody answers there."""
+    from distributed import Client
+
+    try:
+        client = Client(address, timeout=10, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise EngineError(f'--scheduler {address}: no Dask scheduler answers ({type(error).__name__})') from None
+    try:
+        if not client.scheduler_info(n_workers=-1)['workers']:
+            raise EngineError(f'--scheduler {address}: the scheduler has no workers; start some with: '
+                              f'dask worker {address} --nthreads 1')
+        yield _Dask(client)
+    finally:
+        with suppress(Exception):
+            client.close(timeout=_PATIENCE)
+
+
+class _Dask:
+    """`each` by the workers of a cluster, which start again what was on a worker that ended."""
+
+    def __init__(self, client):
+        self._client = client
+
+    def each(self, function: Callable, items: Iterable) -> Iterator[tuple]:
+        from distributed import KilledWorker, as_completed
+
+        items = list(items)
+        if not items:
+            return
+        futures = {f.key: (f, item) for f, item in
+                   zip(self._client.map(function, items, pure=False, retries=0), items)}
+        for future in as_completed([f for f, _ in futures.values()], loop=self._client.loop):
+            _, item = futures.pop(future.key)
+            try:
+                yield item, future.result()
+            except KilledWorker:
+                yield item, DIED
+            future.release()

@@ -1,0 +1,190 @@
+"""What holds of vehicles, from what was measured on their recordings: the vehicle is the unit.
+
+A hundred recordings of one car say how that car fares, not how cars do. So each vehicle counts once, with the mean over
+its recordings, and intervals are Student's t over vehicles: means of vehicles are what a linear mixed model with a
+random effect for each vehicle weighs alike where vehicles differ more than recordings of one (J. C. Pinheiro, D. M.
+Bates, "Mixed-Effects Models in S and S-PLUS", 2000, chapter 1). Where there is one vehicle, or there are two, a
+statement on vehicles is not to be had: then recordings are the unit, and that is said.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..evaluation.intervals import FEWEST, Difference
+from ..evaluation.verdict import Change, Verdict, decide
+
+VEHICLES, RECORDINGS = 'vehicles', 'recordings'
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What is compared: a sensor error model, with a params file where several were tried on one recording, else ''."""
+
+    params_file: str
+    model: str
+
+    def words(self, several_files: bool) -> str:
+        name = self.model.replace('_', ' ')
+        return f'{self.params_file or "defaults"}: {name}' if several_files else name
+
+
+@dataclass(frozen=True, order=True)
+class Where:
+    """A quantity that is compared. without: s without fixes, 0 with them; interval: s between the fixes given."""
+
+    without: float
+    interval: float
+
+    def words(self) -> str:
+        return f'{self.without:g} s without fixes' if self.without else f'fixes each {self.interval:g} s'
+
+
+#: by quantity, candidate and (vehicle, recording): m, the RMS error with fixes, or of the largest errors without
+Errors = dict[Where, dict[Candidate, dict[tuple[str, str], float]]]
+
+
+def errors_of(results: Sequence[dict], outages: Sequence[dict]) -> Errors:
+    """What the tables `results` and `outages` hold of errors."""
+    found: Errors = {}
+    numbers = [(row, Where(0.0, row['update_interval_s'] or 0.0), row['horizontal_rmse_m']) for row in results]
+    numbers += [(row, Where(row['duration_s'], row['update_interval_s'] or 0.0), row['max_error_rms_m'])
+                for row in outages]
+    files: dict[str, set[str]] = {}
+    for row, _, _ in numbers:
+        files.setdefault(row['recording_id'], set()).add(row['params_file'] or '')
+    # each vehicle may have a params file of its own: that is no choice
+    choice = any(len(names) > 1 for names in files.values())
+    for row, where, error in numbers:
+        if error is not None and row['recording_id'] and not row['stage']:
+            candidate = Candidate((row['params_file'] or '') if choice else '', row['model'])
+            found.setdefault(where, {}).setdefault(candidate, {})[row['vehicle'], row['recording_id']] = error
+    return dict(sorted(found.items()))
+
+
+def over_vehicles(values: dict[tuple[str, str], float]) -> tuple[np.ndarray, str]:
+    """The means over the recordings of each vehicle, or, where there are too few vehicles, each recording; and which.
+
+    values: by vehicle and recording.
+    """
+    groups: dict[str, list[float]] = {}
+    for (vehicle, _), value in sorted(values.items()):
+        groups.setdefault(vehicle, []).append(value)
+    if len(groups) >= FEWEST:
+        return np.array([np.mean(some) for some in groups.values()]), VEHICLES
+    return np.array([value for _, value in sorted(values.items())]), RECORDINGS
+
+
+def mean_of(values: np.ndarray) -> Difference | None:
+    """The mean of independent `values` (n,), with its standard error; None of too few."""
+    if len(values) < FEWEST:
+        return None
+    return Difference(float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values))), float(len(values)))
+
+
+def change(where: Where, before: dict, after: dict) -> tuple[Change, str] | None:
+    """The change from one candidate to another at the recordings that both have, and its unit; None without any.
+
+    before, after: m, by vehicle and recording.
+    """
+    both = sorted(before.keys() & after.keys())
+    if not both:
+        return None
+    power = 1 if where.without else 2  # mean square errors have a mean, their roots have not
+    differences, unit = over_vehicles({key: after[key]**power - before[key]**power for key in both})
+    means = [float(np.mean(over_vehicles({key: e[key]**power for key in both})[0]))**(1 / power)
+             for e in (before, after)]
+    return Change(where.without or None, *means, len(differences), mean_of(differences), where.words()), unit
+
+
+def compared(before: Errors, after: Errors) -> tuple[Verdict, str]:
+    """The verdict on two fleets at the recordings that both have, over all quantities, and the unit.
+
+    Models are matched by name; where they share none, the first of each.
+    """
+    changes, units = [], []
+    for where in sorted(before.keys() & after.keys()):
+        first, second = before[where], after[where]
+        pairs = [(c, c) for c in first if c in second] or [(next(iter(first)), next(iter(second)))]
+        for a, b in pairs:
+            found = change(where, first[a], second[b])
+            if found is not None:
+                changes.append(found[0])
+                units.append(found[1])
+    return decide(changes), VEHICLES if VEHICLES in units else RECORDINGS
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How a candidate fares at a quantity. mean: m, of the unit's means; low, high: its 95 % interval or None. count:
+    of `unit`. answer: of the verdict on it against the best one; '' for the best."""
+
+    where: Where
+    candidate: Candidate
+    mean: float
+    low: float | None
+    high: float | None
+    count: int
+    unit: str
+    answer: str
+
+
+def standings(errors: Errors) -> list[Standing]:
+    """Which candidate wins where: for each quantity all candidates, the best first."""
+    found = []
+    for where, candidates in errors.items():
+        means = {c: over_vehicles(e) for c, e in candidates.items()}
+        best, *others = sorted(candidates, key=lambda c: (float(means[c][0].mean()), c.model, c.params_file))
+        for candidate in (best, *others):
+            values, unit = means[candidate]
+            mean = mean_of(values)
+            low, high = mean.interval() if mean else (None, None)
+            against = change(where, candidates[best], candidates[candidate]) if candidate != best else None
+            found.append(Standing(where, candidate, float(values.mean()), low, high, len(values), unit,
+                                  decide([against[0]]).answer if against else ''))
+    return found
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A vehicle that is not as the others. value: of it; middle: of all; distance: in robust standard deviations."""
+
+    vehicle: str
+    what: str
+    value: float
+    middle: float
+    unit: str
+    distance: float
+
+
+#: a vehicle further from the median of all than this, in standard deviations by the median deviation, is named
+FAR = 4.0
+#: of fewer vehicles nobody is an outlier
+FEWEST_VEHICLES = 5
+
+
+def by_effect(effects: Sequence[dict]) -> dict[tuple[str, str, str, str], dict[str, float]]:
+    """Median over the recordings of each vehicle, of each parameter of each effect: by source, effect, parameter and
+    unit, then by vehicle."""
+    found: dict[tuple, dict[str, list]] = {}
+    for row in effects:
+        if row['value'] is not None and row['recording_id']:
+            key = (row['source'], row['effect'], row['parameter'], row['unit'] or '')
+            found.setdefault(key, {}).setdefault(row['vehicle'], []).append(row['value'])
+    return {key: {vehicle: float(np.median(values)) for vehicle, values in sorted(vehicles.items())}
+            for key, vehicles in sorted(found.items())}
+
+
+def outliers(values: dict[str, float], what: str, unit: str) -> list[Outlier]:
+    """Vehicles whose value is far from those of the others. values: by vehicle."""
+    numbers = np.array(list(values.values()))
+    if len(numbers) < FEWEST_VEHICLES:
+        return []
+    middle = float(np.median(numbers))
+    sigma = 1.4826 * float(np.median(np.abs(numbers - middle)))
+    if sigma == 0.0:
+        return []
+    return [Outlier(vehicle, what, value, middle, unit, abs(value - middle) / sigma)
+            for vehicle, value in values.items() if abs(value - middle) > FAR * sigma]

@@ -1,0 +1,294 @@
+"""A fleet from its source to tables, histories and a page: what is done already is not done again."""
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+from .. import __version__
+from ..results import ResultError, write_files
+from . import history, tables, watchman
+from .engines import DIED, engine
+from .failures import PASSING
+from .jobs import TASKS, TOGETHER, Job, as_dict, by_vehicle, job
+from .sources import Entry, SourceError, find_entries, is_state_file, size_and_time
+from .work import RESULT, RESULTS, died, do, identify
+
+#: tells a folder of ours, and what is in it
+MARKER = 'fleet.json'
+#: which contents have been read already, by shard
+_CONTENTS = 'contents'
+#: done of a recording: `recordings.status`
+DONE, FAILED, DUPLICATE, OPEN = 'done', 'failed', 'duplicate', 'open'
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a user asks for. params_file: of recordings whose table names none. workers: processes on this machine.
+    memory: GB for each. shard: (i, n), the i-th of n parts; (1, 1): all. pages: whether to write those of recordings.
+    """
+
+    source: str
+    task: str
+    output: Path
+    vehicle_from: str = ''
+    params_file: str = ''
+    scheduler: str = 'local'
+    workers: int = 1
+    memory: float = 1.0
+    shard: tuple[int, int] = (1, 1)
+    pages: bool = True
+
+
+@dataclass
+class Fleet:
+    """What came out. rows: by name of the table; said: what a person is to be told; interrupted: not all was done."""
+
+    asked: Asked
+    rows: dict[str, list[dict]]
+    changes: list[watchman.Change]
+    said: list[str] = field(default_factory=list)
+    interrupted: bool = False
+
+    def count(self, status: str) -> int:
+        return sum(row['status'] == status for row in self.rows['recordings'])
+
+
+def run(asked: Asked, progress: Callable[[float, str], None] = lambda part, what: None) -> Fleet:
+    """Do what is left to do and write tables, histories and page; of a shard only the work is done.
+
+    progress: called with the part done and what is being done. An interruption ends the work, not the writing.
+    Raises SourceError, EngineError, ResultError.
+    """
+    entries, states = _entries(asked)
+    _claim(asked)
+    known = _Known(asked)
+    interrupted = False
+    tables.ready()
+    try:
+        with engine(asked.scheduler, asked.workers) as workers:
+            known.read(entries, workers, lambda part: progress(0.05 * part, 'looking what there is'))
+            _all(workers, known.alone(entries), known, asked, lambda part, what: progress(0.05 + 0.55 * part, what))
+            _all(workers, known.together(entries), known, asked, lambda part, what: progress(0.6 + 0.4 * part, what))
+    except KeyboardInterrupt:
+        interrupted = True
+    progress(1.0, 'done')
+    if asked.shard != (1, 1):
+        rows = {'recordings': known.recordings(entries)}
+        return Fleet(asked, rows, [], [], interrupted)
+    return _written(asked, known, entries, states, interrupted)
+
+
+def _entries(asked: Asked) -> tuple[list[Entry], list[Entry]]:
+    """The recordings of the asked shard, and the state files."""
+    found = find_entries(asked.source, asked.vehicle_from)
+    states = [entry for entry in found if is_state_file(entry.recording)]
+    entries = [replace(e, params_file=e.params_file or asked.params_file) for e in found if e not in states]
+    i, n = asked.shard
+    if asked.task in TOGETHER:  # all of a vehicle's are in one shard
+        vehicles = sorted({entry.vehicle for entry in entries})
+        entries = [entry for entry in entries if vehicles.index(entry.vehicle) % n == i - 1]
+    else:
+        entries = entries[i - 1::n]
+    return entries, states
+
+
+def _claim(asked: Asked) -> None:
+    """Make the output folder. ResultError where it is somebody else's, or of another task."""
+    output = asked.output
+    marker = output / MARKER
+    if marker.is_file():
+        task = ''
+        with suppress(OSError, ValueError, KeyError, TypeError):
+            task = json.loads(marker.read_text(encoding='utf-8'))['task']
+        if task != asked.task:
+            raise ResultError(f'{output} holds a fleet with --task {task or "that is not readable"}; choose another '
+                              'output')
+        return
+    if output.exists() and (not output.is_dir() or any(output.iterdir())):
+        raise ResultError(f'{output} holds other files than results of fleet; choose another output')
+    (output / RESULTS).mkdir(parents=True, exist_ok=True)
+    write_files({marker: json.dumps({'tool': 'fleet', 'task': asked.task, 'version': __version__}) + '\n'},
+                overwrite=True)
+
+
+class _Known:
+    """What has been read of recordings, and which results are there."""
+
+    def __init__(self, asked: Asked):
+        self._asked = asked
+        self._options = {'pages': asked.pages, 'memory_gb': asked.memory}
+        self._contents = self._remembered()
+        self._new: dict[str, tuple[str, int, str]] = {}
+        self._read: dict[str, str] = {}
+
+    def _remembered(self) -> dict[str, tuple[str, int, str]]:
+        found = {}
+        for path in sorted((self._asked.output / _CONTENTS).glob('*.csv')):
+            with open(path, encoding='utf-8', newline='') as file:
+                found.update({place: (content, int(size), time) for place, content, size, time in csv.reader(file)})
+        return found
+
+    def read(self, entries: Sequence[Entry], workers, progress: Callable[[float], None]) -> None:
+        """Read what tells recordings from each other, where that is not known from an earlier run."""
+        places = sorted({p for e in entries for p in (e.recording, e.params_file, e.reference) if p})
+        unread = [place for place in places if not self._is_known(place)]
+        for done, (place, found) in enumerate(workers.each(identify, unread), 1):
+            if found is not None and found is not DIED:
+                self._contents[place] = found
+            progress(done / len(unread))
+        self._read = {place: self._contents[place][0] for place in places if place in self._contents}
+        text = io.StringIO()
+        csv.writer(text, lineterminator='\n').writerows([p, *self._contents[p]] for p in places if p in self._contents)
+        i, n = self._asked.shard
+        write_files({self._asked.output / _CONTENTS / f'{i}_of_{n}.csv': text.getvalue()}, overwrite=True)
+
+    def _is_known(self, place: str) -> bool:
+        with suppress(OSError, SourceError):
+            return place in self._contents and self._contents[place][1:] == size_and_time(place)
+        return False
+
+    def content(self, entry: Entry) -> str:
+        """What tells the recording from others; where it could not be read, its name."""
+        return self._read.get(entry.recording, entry.recording)
+
+    def size(self, work: Job) -> int:
+        """Bytes of its recordings."""
+        return sum(self._contents[place][1] for place in work.recordings if place in self._contents)
+
+    def firsts(self, entries: Sequence[Entry]) -> dict[tuple, Entry]:
+        """The first of the recordings that are the same, by what they are."""
+        found: dict[tuple, Entry] = {}
+        for entry in entries:
+            found.setdefault(self._key(entry), entry)
+        return found
+
+    def _key(self, entry: Entry) -> tuple:
+        return self.content(entry), self._read.get(entry.params_file, ''), self._read.get(entry.reference, '')
+
+    def alone(self, entries: Sequence[Entry]) -> dict[Entry, Job]:
+        """The job of each recording; of the same recordings of the first one only."""
+        return {entry: job(TASKS[self._asked.task], [(entry, self.content(entry))], self._read, self._options)
+                for entry in self.firsts(entries).values()}
+
+    def together(self, entries: Sequence[Entry]) -> dict[tuple[Entry, ...], Job]:
+        """The jobs on all recordings of a vehicle that can be used."""
+        if self._asked.task not in TOGETHER:
+            return {}
+        usable = [(entry, self.content(entry)) for entry, alone in self.alone(entries).items()
+                  if self._is_usable(result(self._asked.output, alone))]
+        return {tuple(entry for entry, _ in group): job(self._asked.task, group, self._read, self._options)
+                for group in by_vehicle(usable)}
+
+    def _is_usable(self, found: dict | None) -> bool:
+        """Whether a recording may be taken together with others: no effect is estimated from data that are wrong."""
+        if found is None or found['status'] != DONE:
+            return False
+        return self._asked.task != 'diagnose' or all(f['severity'] != 'error' for f in found['rows']['findings'])
+
+    def recordings(self, entries: Sequence[Entry]) -> list[dict]:
+        """The rows of the table `recordings`."""
+        jobs, firsts = self.alone(entries), self.firsts(entries)
+        return [self._recording(entry, firsts[self._key(entry)], jobs) for entry in entries]
+
+    def _recording(self, entry: Entry, first: Entry, jobs: dict[Entry, Job]) -> dict:
+        row = {'vehicle': entry.vehicle, 'recording': entry.recording, 'recording_id': self.content(entry),
+               'task': self._asked.task, 'error_id': '', 'reason': '', 'same_as': '', 'page': '',
+               'params_file': entry.params_file, 'reference': entry.reference}
+        if entry != first:
+            return row | {'status': DUPLICATE, 'same_as': first.recording}
+        found = result(self._asked.output, jobs[entry])
+        if found is None:
+            return row | {'status': OPEN}
+        page = found.get('page', '')
+        return row | {name: found[name] for name in ('status', 'error_id', 'reason')} | found.get('recording', {}) | {
+            'page': f'{RESULTS}/{jobs[entry].id}/{page}' if page else ''}
+
+
+def result(output: Path, work: Job) -> dict | None:
+    """The result of a job, None where there is none or a new try may go better."""
+    try:
+        found = json.loads((output / RESULTS / work.id / RESULT).read_text(encoding='utf-8'))
+    except (OSError, ValueError):
+        return None
+    return found
+
+
+def _all(workers, jobs: dict, known: _Known, asked: Asked, progress: Callable[[float, str], None]) -> None:
+    """Do those of `jobs` that have no result, the largest first: a long one begun last would keep all waiting.
+
+    Source: R. L. Graham, "Bounds on multiprocessing timing anomalies", 1969.
+    """
+    by_size = sorted(jobs.values(), key=lambda work: (-known.size(work), work.id))
+    left = {work.id: as_dict(work) for work in by_size if _is_open(result(asked.output, work))}
+    here, count = partial(do, output=str(asked.output)), len(left)
+    progress(0.0, '')
+    for done, (values, answer) in enumerate(_compiled_first(workers, here, list(left.values()), asked), 1):
+        if answer is DIED:
+            died(values, str(asked.output))
+        progress(done / count, f'{done} of {count} {"vehicles" if len(values["recordings"]) > 1 else "recordings"}')
+
+
+def _is_open(found: dict | None) -> bool:
+    return found is None or found['error_id'] in PASSING
+
+
+def _compiled_first(workers, function, items: list, asked: Asked) -> Iterator[tuple]:
+    """`workers.each`, but until the filter is compiled one after the other: else each process would compile it."""
+    from ..compiled import FOLDER
+
+    while items and asked.scheduler == 'local' and not FOLDER.exists():
+        yield from workers.each(function, items[:1])
+        items = items[1:]
+    if items:
+        yield from workers.each(function, items)
+
+
+def _written(asked: Asked, known: _Known, entries, states, interrupted: bool) -> Fleet:
+    """Tables of all that is finished; histories, changes and page where nobody waits for the end."""
+    rows = _rows(asked, known, entries)
+    if interrupted:
+        said = [text for text in [tables.write(asked.output, rows)] if text]
+        return Fleet(asked, rows, [], said, interrupted)
+    from .page import page
+
+    said = []
+    begins = {row['recording_id']: row.get('begin_ns') for row in rows['recordings']}
+    seen = []
+    for entry in states:
+        found, why = history.read_state_file(entry.recording)
+        seen += [{'vehicle': entry.vehicle, **row} for row in found]
+        said += [why] if why else []
+    estimates = history.estimates(rows['effects'], begins, seen)
+    changes = watchman.watch(watchman.series_of(estimates))
+    rows['findings'] += [{'vehicle': c.vehicle, 'recording_id': '', 'params_file': '', 'task': asked.task,
+                          'source': 'watchman', 'severity': 'warning', 'topic': f'{c.quantity.effect}.'
+                          f'{c.quantity.parameter}', 'message': c.words()} for c in changes]
+    rows = {name: tables.complete(name, some) for name, some in rows.items()}
+    history.write(asked.output, estimates)
+    said += [text for text in [tables.write(asked.output, rows)] if text]
+    fleet = Fleet(asked, rows, changes, said, interrupted)
+    write_files({asked.output / 'fleet.html': page(fleet, estimates)}, overwrite=True)
+    return fleet
+
+
+def _rows(asked: Asked, known: _Known, entries: Sequence[Entry]) -> dict[str, list[dict]]:
+    """The rows of all tables, from the results that are there."""
+    rows: dict[str, list[dict]] = {name: [] for name in tables.TABLES}
+    rows['recordings'] = known.recordings(entries)
+    jobs = [((entry,), work) for entry, work in known.alone(entries).items()] + list(known.together(entries).items())
+    for group, work in jobs:
+        found = result(asked.output, work) or {}
+        about = {'vehicle': group[0].vehicle, 'params_file': group[0].params_file, 'task': work.task,
+                 'recording_id': known.content(group[0]) if len(group) == 1 else ''}
+        if found.get('status') == FAILED and work.task in TOGETHER:
+            rows['findings'].append(about | {'source': work.task, 'severity': 'error', 'topic': '',
+                                             'message': f'{found["error_id"]}: {found["reason"]}'})
+        for name, some in found.get('rows', {}).items():
+            rows[name] += [about | row for row in some]
+    return rows

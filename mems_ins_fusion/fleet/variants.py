@@ -1,0 +1,145 @@
+"""Recordings made from one: with fixes withheld, for filters that cannot be branched, and changed in ways that a
+filter's answers must follow, which needs no truth.
+
+Source of the second idea: T. Y. Chen, S. C. Cheung, S. M. Yiu, "Metamorphic testing: a new approach for generating next
+test cases", 1998.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..navigation.earth import from_local, to_local
+from ..navigation.frames import mounting
+from ..samples import Recording
+
+#: all stamps are moved by this, ns
+SHIFT = 1000
+#: of the body's axes forward, right, down: what a mirror that swaps left and right makes of a vector
+_MIRROR = np.diag([1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way to change a recording. make: (recording, values of the parameters, datum) -> the changed recording. back:
+    (north, east) m of an answer to it -> those in the first world; shift: ns, by which its stamps are later.
+    parameters: of this package's filter for it. words: what is changed.
+    """
+
+    words: str
+    make: Callable[[Recording, dict, tuple], Recording]
+    back: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+    parameters: Callable[[dict], dict] = lambda values: values
+    shift: int = 0
+
+
+def shifted(recording: Recording, values: dict, datum: tuple) -> Recording:
+    """All stamps a microsecond later."""
+    def later(samples):
+        if samples is None:
+            return None
+        moved = {name: getattr(samples, name) + SHIFT for name in ('stamp', 'received') if hasattr(samples, name)}
+        return replace(samples, **moved)
+
+    names = ('imu', 'gnss', 'temperature', 'speed', 'velocity', 'heading')
+    return replace(recording, **{name: later(getattr(recording, name)) for name in names})
+
+
+def turned(recording: Recording, values: dict, datum: tuple) -> Recording:
+    """The world turned clockwise by 90 degrees: what was north is east."""
+    return _world(recording, datum, np.array([[0.0, -1.0], [1.0, 0.0]]), lambda yaw: yaw + np.pi / 2)
+
+
+def mirrored(recording: Recording, values: dict, datum: tuple) -> Recording:
+    """East and west swapped, and left and right of the vehicle: its sensors measure what they would in that world."""
+    to_body = mounting(values['imu.mounting_rpy'])
+    reflect = to_body.T @ _MIRROR @ to_body  # in the sensor's axes
+    imu = recording.imu
+    # a rate is an axial vector: it turns the other way
+    imu = replace(imu, specific_force=imu.specific_force @ reflect.T, angular_rate=-imu.angular_rate @ reflect.T)
+    return _world(replace(recording, imu=imu), datum, np.diag([1.0, -1.0]), lambda yaw: -yaw)
+
+
+def halved(recording: Recording, values: dict, datum: tuple) -> Recording:
+    """Half the rate of the IMU: each two samples one, their mean at the time of the later one."""
+    imu, n = recording.imu, len(recording.imu) // 2 * 2
+
+    def pairs(array):
+        return None if array is None else array[:n].reshape(n // 2, 2, *array.shape[1:]).mean(axis=1)
+
+    later = imu.select(slice(1, n, 2))
+    return replace(recording, imu=replace(later, specific_force=pairs(imu.specific_force),
+                                          angular_rate=pairs(imu.angular_rate)))
+
+
+def _world(recording: Recording, datum: tuple, turn: np.ndarray, yaw: Callable) -> Recording:
+    """Positions, velocities and headings in another world. turn: (2, 2) of north and east. The orientation that an IMU
+    tells is left out: it would be of the first one."""
+    gnss, axes = recording.gnss, np.eye(3)
+    north, east, down = to_local(gnss.latitude, gnss.longitude, gnss.height, datum)
+    latitude, longitude, height = from_local(*(turn @ [north, east]), down, datum)
+    axes[:2, :2] = turn[::-1, ::-1]  # a NavSatFix has east first
+    gnss = replace(gnss, latitude=latitude, longitude=longitude, height=height,
+                   covariance=axes @ gnss.covariance @ axes.T)
+    velocity, heading = recording.velocity, recording.heading
+    if velocity is not None:
+        three = np.eye(3)
+        three[:2, :2] = turn
+        velocity = replace(velocity, velocity=velocity.velocity @ three.T,
+                           covariance=three @ velocity.covariance @ three.T)
+    if heading is not None:
+        heading = replace(heading, yaw=(yaw(heading.yaw) + np.pi) % (2 * np.pi) - np.pi)
+    return replace(recording, imu=replace(recording.imu, orientation=None), gnss=gnss, velocity=velocity,
+                   heading=heading, reference=None)
+
+
+def _mirrored_parameters(values: dict) -> dict:
+    """Those of the mirrored vehicle."""
+    to_body = mounting(values['imu.mounting_rpy'])
+    reflect = to_body.T @ _MIRROR @ to_body
+    arm = values['gnss.lever_arm']
+    changed = {'gnss.lever_arm': [arm[0], -arm[1] + 0.0, arm[2]]}
+    for sensor, sign in (('accelerometer', 1.0), ('gyroscope', -1.0)):
+        bias = np.broadcast_to(values[f'{sensor}.bias'], 3)
+        changed[f'{sensor}.bias'] = (sign * reflect @ bias).tolist()
+    return values | changed
+
+
+#: by name; an answer to each is turned back and held against the answer to the recording as it is
+VARIANTS = {
+    'shifted': Variant('stamps a microsecond later', shifted, lambda n, e: (n, e), shift=SHIFT),
+    'turned': Variant('the world turned by 90 degrees', turned, lambda n, e: (e, -n)),
+    'mirrored': Variant('the world and the vehicle mirrored', mirrored, lambda n, e: (n, -e), _mirrored_parameters),
+    'halved': Variant('half the rate of the IMU', halved, lambda n, e: (n, e))}
+
+
+def withheld(recording: Recording, begins: np.ndarray, duration: float, time_offset: float = 0.0) -> Recording:
+    """`recording` without the fixes, and what else the receiver says, of the `duration` s after each of `begins` (ns).
+
+    A fix at a begin is the last one before the outage. time_offset: s, as `gnss.time_offset`.
+    """
+    def outside(samples):
+        if samples is None:
+            return None
+        stamp = samples.stamp - round(time_offset * 1e9)
+        last = np.searchsorted(begins, stamp, side='left') - 1  # the last begin before each
+        after = stamp - np.append(begins, np.iinfo(np.int64).max)[last]
+        return samples.select(~((last >= 0) & (after <= round(duration * 1e9))))
+
+    return replace(recording, **{name: outside(getattr(recording, name)) for name in ('gnss', 'velocity', 'heading')})
+
+
+def interleaved(fixes: np.ndarray, first: int, spacing: float, duration: float, recovery: float) -> list[np.ndarray]:
+    """Begins of outages, ns, in as few recordings as leave `recovery` s with fixes between two of them.
+
+    fixes: (n,) ns, stamps of the fixes, ascending. Outages begin at the first fix at or after `first`, `first` +
+    spacing, ...: those of all recordings together are those of a replay.
+    """
+    wanted = np.arange(first, fixes[-1] - round(duration * 1e9) + 1, round(spacing * 1e9))
+    begins = np.unique(fixes[np.searchsorted(fixes, wanted)])
+    apart = max(int(np.ceil((duration + recovery) / spacing)), 1)
+    return [begins[i::apart] for i in range(min(apart, len(begins)))]
+
+

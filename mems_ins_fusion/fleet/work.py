@@ -1,0 +1,343 @@
+"""One job, done in a process of its own: from recordings to a folder with `result.json`, and pages."""
+from __future__ import annotations
+
+import json
+import math
+import traceback
+import warnings
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..parameters import params_file, table
+from ..recordings.errors import RecordingWarning
+from ..results import ResultBusy, json_text, plain, result_folder
+from .failures import OTHER_VERSION, WORKER_DIED, error_id, is_ours, reason
+from .jobs import Job, code, from_dict
+from .sources import content_id, local_copy, size_and_time
+
+#: the file of a result that is complete, and where the results stand below the output folder
+RESULT, RESULTS = 'result.json', 'results'
+
+
+def identify(place: str) -> tuple[str, int, str] | None:
+    """Content, size and time of change of what `place` names; None where it cannot be read."""
+    try:
+        size, time = size_and_time(place)
+        with local_copy(place) as path:
+            return content_id(path), size, time
+    except (OSError, ValueError):
+        return None
+
+
+def do(values: dict, output: str) -> str:
+    """Do the job `values` (see `jobs.as_dict`) and write its result below `output`; its id.
+
+    Whatever goes wrong becomes a result that says so: nothing is raised but what ends the process.
+    """
+    work = from_dict(values)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore', RuntimeWarning)  # NumPy on values that no sensor delivers
+            _do(work, Path(output) / RESULTS / work.id)
+    except ResultBusy:  # another shard has the same recording
+        pass
+    return work.id
+
+
+def _do(work: Job, known_as: Path) -> None:
+    with result_folder(known_as, overwrite=True, marker=RESULT) as folder:
+        with ExitStack() as opened:
+            try:
+                if work.code != code():
+                    raise _OtherVersion('the worker has another version of the package than the one who asks')
+                paths = [opened.enter_context(local_copy(place)) for place in work.recordings]
+                result = {'status': 'done', 'error_id': '', 'reason': '', **_run(work, paths, opened, folder, known_as)}
+            except Exception as error:  # noqa: BLE001 one broken recording stops nobody
+                names = [n for place in work.recordings for n in (place, Path(place).name, Path(place).stem)]
+                found = OTHER_VERSION if isinstance(error, _OtherVersion) else error_id(error, names)
+                result = failed(found, reason(error))
+                if not is_ours(error):
+                    (folder / 'traceback.txt').write_text(traceback.format_exc(), encoding='utf-8')
+        write(folder, result)
+
+
+class _OtherVersion(InputError):
+    pass
+
+
+def died(values: dict, output: str) -> str:
+    """Write the result of a job whose worker ended, twice; its id."""
+    work = from_dict(values)
+    with result_folder(Path(output) / RESULTS / work.id, overwrite=True, marker=RESULT) as folder:
+        write(folder, failed(WORKER_DIED, 'the worker process ended while it had this recording, twice (out of memory, '
+                             'killed, or a crash)'))
+    return work.id
+
+
+def failed(error: str, why: str) -> dict:
+    return {'status': 'failed', 'error_id': error, 'reason': why}
+
+
+def write(folder: Path, result: dict) -> None:
+    (folder / RESULT).write_text(json.dumps(plain(result), indent=1, sort_keys=True) + '\n', encoding='utf-8')
+
+
+def _run(work: Job, paths: list[Path], opened: ExitStack, folder: Path, known_as: Path) -> dict:
+    """The rows of the tables that `work` adds, and what is known of its recording."""
+    given = params_file.load_files([opened.enter_context(local_copy(work.params_file))] if work.params_file else [])
+    references = [str(opened.enter_context(local_copy(r))) if r else '' for r in work.references]
+    given = given | {'memory_limit': work.options['memory_gb']}
+    run = {'look': _look, 'replay': _replay, 'characterize': _characterize, 'configure': _configure,
+           'diagnose': _diagnose}[work.task]
+    return run(work, paths, references, given, folder, known_as)
+
+
+def _replay(work: Job, paths, references, given, folder: Path, known_as: Path) -> dict:
+    from ..evaluation.comparison import outage_row, run_row
+
+    [path], [reference] = paths, references
+    given = given | {'bag': [str(path)], 'output_dir': str(folder / 'replay'), 'publish': False, 'overwrite': False}
+    if reference:
+        given = given | {'reference_file': reference, 'reference_topic': ''}
+    values = table.check(given)
+    comparison, findings, said = (_replayed_with_pages if work.options['pages'] else _replayed)(values, known_as)
+    notices = dict.fromkeys(n.text for r in comparison.runs for n in r.run.notices if n.level != 'info')
+    rows = {
+        'results': [_run_row(run_row(r, comparison.mechanization, '')) for r in comparison.runs],
+        'outages': [_without(outage_row(r, comparison.mechanization, ''), 'recording', 'smoothed')
+                    for r in comparison.outages],
+        'findings': [*findings, *_said('reader', said), *_said('filter', notices)],
+        'effects': _shown_by_recording(comparison.recording)}
+    return {'recording': _about(comparison.recording), 'rows': rows,
+            'page': 'replay/report.html' if work.options['pages'] else ''}
+
+
+def _replayed(values: dict, known_as: Path):
+    """The comparison, what the checker found and what the reader said."""
+    from ..configuration.check import check
+    from ..evaluation.comparison import compare
+    from ..reports.replay import read_part
+
+    for name in ('models', 'update_intervals'):
+        if not values[name]:
+            raise InputError(f"parameter '{name}' is empty")
+    recording, said = read_part(values['bag'][0], values, lambda part: None)
+    found = check(recording, values)
+    return compare(recording, values), [_finding('checker', f.severity, f.topic, f.message) for f in found], said
+
+
+def _replayed_with_pages(values: dict, known_as: Path):
+    from ..reports.replay import replay_recordings
+
+    done = replay_recordings(values, known_as=known_as / 'replay')
+    [comparison], [about] = done.comparisons.values(), done.content['recordings']
+    found = [_finding('checker', f['severity'], f['topic'], f['message']) for f in about['findings']]
+    return comparison, found, about['warnings']
+
+
+def _run_row(row: dict) -> dict:
+    """A row of `results`: no interval as a pair, and no times, which differ from run to run."""
+    low, high = row['horizontal_rmse_interval_m'] or (None, None)
+    return _without(row, 'recording', 'filter_seconds', 'horizontal_rmse_interval_m') | {
+        'horizontal_rmse_low_m': low, 'horizontal_rmse_high_m': high}
+
+
+def _shown_by_recording(recording) -> list[dict]:
+    """What a recording shows of its vehicle; nothing where `configure` could not use it."""
+    from ..configuration.configure import look
+    from ..recordings.errors import RecordingError
+
+    try:
+        return shown_by(look(recording.name, recording.imu, recording.gnss))
+    except RecordingError:
+        return []
+
+
+def _look(work: Job, paths, references, given, folder: Path, known_as: Path) -> dict:
+    """What the recording alone shows of its vehicle."""
+    result, said = _configured(paths)
+    [drive] = result.drives
+    rows = {'effects': shown_by(drive), 'results': [], 'outages': [],
+            'findings': [_finding('checker', f.severity, f.topic, f.message) for f in drive.findings]
+            + _said('reader', said) + [_finding('configure', 'info', '', text) for text in result.missing]}
+    stamp = drive.imu.stamp
+    return {'rows': rows, 'page': '', 'recording': {
+        'begin_ns': int(stamp.min()), 'duration_s': drive.seconds, 'imu_samples': len(stamp),
+        'fixes': 0 if drive.fixes is None else len(drive.fixes)}}
+
+
+def shown_by(drive) -> list[dict]:
+    """What one drive, as `configure` looked at it, shows of the vehicle, as rows of `effects`."""
+    rows, found = [], drive.mounting
+    if found is not None:
+        known = [True, True, found.yaw_known]
+        rows += [effect_row('configure', 'mounting_rotation', name, value, sigma, 'rad')
+                 for name, value, sigma, seen in zip(('roll', 'pitch', 'yaw'), found.rpy, found.sigma, known) if seen]
+        if found.offset is not None and found.offset.shown:
+            rows.append(effect_row('configure', 'gnss_time_offset', 'time_offset', found.offset.lag,
+                                   found.offset.lag_sigma, 's'))
+        if found.offset is not None:
+            rows += [effect_row('configure', 'gnss_lever_arm', axis, float(value), float(sigma), 'm')
+                     for axis, value, sigma in zip('xyz', found.offset.arm, found.offset.arm_sigma)
+                     if math.isfinite(sigma)]
+    noise = drive.noise
+    if noise is not None and noise.seconds:
+        for sensor, density, unit in (('accelerometer', noise.force_density, 'm/s^2/sqrt(Hz)'),
+                                      ('gyroscope', noise.rate_density, 'rad/s/sqrt(Hz)')):
+            value = float(np.sqrt(np.mean(np.square(density))))
+            rows.append(effect_row('configure', f'{sensor}_noise', 'density', value, value * noise.part, unit))
+    if drive.receiver is not None and drive.receiver.realised:
+        rows.append(effect_row('configure', 'receiver', 'scatter', drive.receiver.realised, None, 'm'))
+    return rows
+
+
+def _configure(work: Job, paths, references, given, folder: Path, known_as: Path) -> dict:
+    from ..reports.configuration import answer, configuration_page, configuration_yaml
+
+    result, said = _configured(paths)
+    text = configuration_yaml(result)
+    (folder / 'params.yaml').write_text(text, encoding='utf-8')
+    if work.options['pages']:
+        answered = answer(result, list(work.recordings), str(known_as / 'params.yaml'))
+        (folder / 'params.html').write_text(configuration_page(result, text, answered), encoding='utf-8')
+    rows = [effect_row('params_file', *parameter, None, '') for parameter in _parameters(result.values)]
+    return {'rows': {'effects': rows, 'results': [], 'outages': [],
+                     'findings': [_finding('configure', 'warning', '', text) for text in (*result.wrong,
+                                                                                           *result.missing)]},
+            'page': 'params.html' if work.options['pages'] else '', 'params_file': 'params.yaml'}
+
+
+def _configured(paths):
+    """What `configure` makes of the recordings, and what the reader said."""
+    from ..configuration.configure import configure
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter('always', RecordingWarning)
+        result = configure(paths)
+    return result, list(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, RecordingWarning)))
+
+
+def _diagnose(work: Job, paths, references, given, folder: Path, known_as: Path) -> dict:
+    from ..configuration.check import check
+    from ..diagnosis.diagnose import diagnose
+    from ..recordings.several import refuse_other_vehicles
+    from ..reports.diagnosis import corrected_yaml, report, report_html
+    from ..reports.diagnosis_answer import answer
+    from ..reports.replay import read_part
+
+    recordings, said, checked = [], [], []
+    values = table.check(given)
+    for path, reference in zip(paths, references):
+        own = values | {'reference_file': reference, 'reference_topic': ''} if reference else values
+        recording, texts = read_part(path, own, lambda part: None)
+        recordings.append(recording)
+        said += texts
+        checked += check(recording, values)
+    refuse_other_vehicles(recordings)
+    result = diagnose(recordings, values)
+    answered = answer(result, checked, str(known_as))
+    (folder / 'corrected.yaml').write_text(corrected_yaml(result, given), encoding='utf-8')
+    content = report(result, answered, checked, said)
+    (folder / 'report.json').write_text(json_text(content, indent=1), encoding='utf-8')
+    if work.options['pages']:
+        (folder / 'report.html').write_text(report_html(result, given, answered, checked, said), encoding='utf-8')
+    return {'rows': diagnosed(content, {r.name: c for r, c in zip(recordings, work.contents)}),
+            'page': 'report.html' if work.options['pages'] else '', 'params_file': 'corrected.yaml'}
+
+
+def diagnosed(content: dict, contents: dict[str, str]) -> dict:
+    """Rows of the tables from the `report.json` of a diagnosis. contents: by the names of the drives; a row of one
+    drive carries its content as `recording_id`."""
+    effects = []
+    for effect in content['effects']:
+        about = {'added': effect['added'], 'p_value': effect['p_value'], 'gain': effect['log_likelihood_gain'],
+                 'cannot_be_told_from': ' '.join(n for n in effect['group'] if n != effect['name'])}
+        for recording_id, parameters in [('', effect['parameters']), *(
+                (contents.get(name, name), found) for name, found in effect['drives'].items())]:
+            effects += [effect_row('diagnose', effect['name'], name, e['value'], e['sigma'], e['unit'], **about)
+                        | {'recording_id': recording_id} for name, e in parameters.items()]
+    common = {'model': content['model'], 'mechanization': content['mechanization']}
+    stages = ('before', 'after')
+    numbers = ('horizontal_rmse_m', 'horizontal_p95_m', 'nis_mean')
+    results = [common | {'stage': stage} | {name: content[stage].get(name) for name in numbers} for stage in stages]
+    outages = [row | {'stage': stage} for stage in stages for row in content[stage]['outages']]
+    findings = []  # what the checker found stands beside each recording alone
+    if content['unexplained']:
+        findings.append(_finding('diagnose', 'warning', '', 'a part of the innovations stays unexplained'))
+    verdict = content['verdict']
+    findings.append(_finding('diagnose', 'info', 'verdict', f'{verdict["answer"]}: {"; ".join(verdict["because"])}'))
+    findings += _said('diagnose', content['remarks']) + _said('reader', content['warnings'])
+    return {'effects': effects, 'results': results, 'outages': outages, 'findings': findings}
+
+
+def _characterize(work: Job, paths, references, given, folder: Path, known_as: Path) -> dict:
+    from ..characterization.characterize import characterize, read_npz
+    from ..characterization.parameter_file import parameters_yaml
+    from ..characterization.stationary import to_grid
+    from ..recordings.reading import Memory, read_recording
+    from ..recordings.units import in_si
+    from ..reports.characterization import report, report_html
+    from ..reports.characterization_answer import answer
+    from ..reports.characterization_figures import figures
+    from ..reports.html import image_bytes
+
+    [path], values, temperature, begin = paths, table.check(given), None, None
+    if path.suffix == '.npz':
+        name, grid = path.stem, read_npz(path)
+    else:
+        recording = read_recording(path, values['imu_topic'], temperature_topic=values['temperature_topic'] or None,
+                                   memory=Memory(values['memory_limit'], 0.3, 500.0))
+        imu = in_si(recording.imu, values['imu.acceleration_unit'], values['imu.rate_unit'])
+        name, grid, begin = recording.name, to_grid(imu.stamp, np.hstack([imu.specific_force, imu.angular_rate])), imu
+        if recording.temperature is not None:
+            temperature = (recording.temperature.stamp - imu.stamp[0]) * 1e-9, recording.temperature.celsius
+    result = characterize(name, grid, temperature, [1, 2, 3])
+    (folder / 'imu.yaml').write_text(parameters_yaml(result), encoding='utf-8')
+    if work.options['pages']:
+        answered = answer(result, [], {}, str(known_as))
+        images = {title: (image_bytes(drawing), caption) for title, (drawing, caption) in figures(result).items()}
+        (folder / 'report.html').write_text(report_html(result, answered, images), encoding='utf-8')
+        (folder / 'report.json').write_text(json_text(report(result, answered), indent=1), encoding='utf-8')
+    rows = [effect_row('characterize', *parameter, None, '')
+            for parameter in _parameters(params_file.load_yaml(folder / 'imu.yaml'))]
+    about = {'begin_ns': None if begin is None else int(begin.stamp.min()), 'duration_s': float(result.duration),
+             'imu_samples': None if begin is None else len(begin), 'fixes': None}
+    return {'recording': about, 'rows': {'effects': rows, 'results': [], 'outages': [], 'findings': []},
+            'page': 'report.html' if work.options['pages'] else '', 'params_file': 'imu.yaml'}
+
+
+def _parameters(values: dict):
+    """(effect, parameter, value) of each number among parameters; vectors one by one."""
+    for name, value in values.items():
+        head, _, tail = name.rpartition('.')
+        numbers = value if isinstance(value, list) else [value]
+        for i, number in enumerate(numbers):
+            if isinstance(number, (int, float)) and not isinstance(number, bool):
+                yield head or name, f'{tail}[{i}]' if isinstance(value, list) else tail, float(number)
+
+
+def effect_row(source: str, effect: str, parameter: str, value: float, sigma: float | None, unit: str,
+               **others) -> dict:
+    return {'source': source, 'effect': effect, 'parameter': parameter, 'value': value, 'sigma': sigma, 'unit': unit,
+            **others}
+
+
+def _finding(source: str, severity: str, topic: str, message: str) -> dict:
+    return {'source': source, 'severity': severity, 'topic': topic, 'message': message}
+
+
+def _said(source: str, texts) -> list[dict]:
+    return [_finding(source, 'warning', '', text) for text in texts]
+
+
+def _about(recording) -> dict:
+    stamp = recording.imu.stamp
+    return {'begin_ns': int(stamp.min()), 'duration_s': float(stamp.max() - stamp.min()) * 1e-9,
+            'imu_samples': len(stamp), 'fixes': len(recording.gnss)}
+
+
+def _without(row: dict, *names: str) -> dict:
+    return {name: value for name, value in row.items() if name not in names}
