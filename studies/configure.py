@@ -1,9 +1,13 @@
 """How well `configure` finds mountings: simulated short drives, and measured recordings turned in every way.
 
+    python studies/configure.py drives RESULTS.csv [--drives 100] [--first 0] [--diagnose]
     python studies/configure.py simulated [--drives 100]
     python studies/configure.py measured DATA
     python studies/configure.py evidence DATA
 
+drives: cars on roads, receivers that smooth, rovers at walking speed, phones of 10 Hz whose samples alias; offsets,
+arms and mountings drawn at random: what `configure` writes, and with --diagnose what `diagnose` makes of it, and of the
+mounting by hand; each against the truth. A line of RESULTS.csv each; those that are there are not run again.
 simulated: two minutes with a standstill, one right-angled turn and one stop, on hilly roads, in cars with suspension,
 IMUs in arbitrary positions, five receivers; the error of the mounting over its sigma. measured: each recording with its
 IMU turned by the 24 right-angled rotations and 20 arbitrary ones, in g and deg/s. evidence: whether a
@@ -13,24 +17,32 @@ docs/configure.md holds the results.
 from __future__ import annotations
 
 import argparse
+import csv
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import permutations, product
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from mems_ins_fusion.configuration.configure import configured, look
 from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting, rpy
+from mems_ins_fusion.configuration.topics import Candidate, Topics
 from mems_ins_fusion.configuration.units import find_units
+from mems_ins_fusion.diagnosis.diagnose import diagnose
+from mems_ins_fusion.diagnosis.problem import DiagnosisError
+from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
-from mems_ins_fusion.navigation.frames import wrap
+from mems_ins_fusion.navigation.frames import rotation_from_rpy, wrap
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.units import in_si
+from mems_ins_fusion.samples import Recording
 from mems_ins_fusion.simulation import drive
 from mems_ins_fusion.simulation.drive import MARGIN, _random_hills, _sample, stream
 from mems_ins_fusion.simulation.manoeuvres import Segment, _speed_change
+from mems_ins_fusion.simulation.scene import REALISTIC
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_recording
 
 #: receivers: sigma of a fix, m, and fixes per second
@@ -101,6 +113,158 @@ MEASURED = (('longmont_rtk_drive/bag', '/gps/fix', (0, 0, 180)), ('karlsruhe_hil
             ('kingston_span/bag', '/gps/fix', (0, 0, -90)), ('kingston_span/bag', '/reference/fix', (0, 0, -90)))
 
 
+PARTS = 'error', 'sigma'
+KINDS = ('car', 'car, RTK', 'car, smoothing', 'rover', 'phone')
+#: receivers of the rovers
+ROVER_FIXES = GnssNoise(0.02, 5.0), GnssNoise(0.3, 1.0)
+LARGEST_OFFSET, FELT_OFFSET, FELT_ANGLE = 1.0, 0.1, 3.0  # s, s, deg
+
+
+@dataclass(frozen=True)
+class Case:
+    """One drive of the study `drives`, and the truth of it: time offset, s, mounting (3, 3), arm (3,) m."""
+
+    kind: str
+    recording: Recording
+    offset: float
+    rotation: np.ndarray
+    arm: np.ndarray
+
+
+def case(number: int) -> Case:
+    kind, draw = KINDS[number % len(KINDS)], stream(number, 'estimator')
+    offset = float(draw.uniform(-LARGEST_OFFSET, LARGEST_OFFSET))
+    arm = np.array([draw.uniform(-1.5, 1.5), draw.uniform(-0.5, 0.5), draw.uniform(0.2, 1.5)])
+    rotation = Rotation.random(random_state=number).as_matrix()
+    sensors = SensorErrors.from_parameters(table.check({} if kind == 'phone' else REALISTIC.imu), 'gauss_markov')
+    vibration = REALISTIC.distortions(number)['vibration']
+    receiver = {'car': GnssNoise(1.5, 1.0), 'car, RTK': GnssNoise(0.02, 5.0),
+                'car, smoothing': GnssNoise(1.5, 1.0, smoothing=float(draw.uniform(0.6, 1.5)), coloured_sigma=1.0,
+                                            outliers=0.01),
+                'rover': ROVER_FIXES[number // len(KINDS) % 2],
+                'phone': GnssNoise(2.0, 1.0, coloured_sigma=2.0)}[kind]
+    if kind == 'rover':
+        motion, vibration, arm = rover(number), None, 0.3 * arm
+    else:
+        motion = replace(REALISTIC, mounting_error=0.0).drive(400.0 if kind == 'car, RTK' else 600.0, number)
+    effects = [(EFFECTS['gnss_time_offset'], {'time_offset': offset}),
+               (EFFECTS['gnss_lever_arm'], dict(zip('xyz', arm.tolist())))]
+    made = simulate_recording(motion, sensors, receiver, effects, rpy(rotation), number, vibration=vibration,
+                              name=f'drive {number}').recording
+    if kind == 'phone':  # each tenth sample as it is: what shakes faster than 5 Hz aliases
+        made = replace(made, imu=made.imu.select(slice(0, None, 10)))
+    return Case(kind, replace(made, reference=None, speed=None, velocity=None, heading=None), offset, rotation, arm)
+
+
+def rover(seed: int, duration: float = 400.0):
+    """A drive at walking speed."""
+    draw = stream(seed, 'rover')
+    segments, speed = [Segment(15.0)], 0.0
+    while sum(segment.duration for segment in segments) < duration + MARGIN:
+        kind = draw.integers(4)
+        if kind == 0:
+            new = [_speed_change(speed, draw.uniform(0.4, 1.5), 0.4), Segment(round(draw.uniform(2, 10), 1))]
+        elif kind == 1 and speed > 0.2:
+            new = [Segment(round(draw.uniform(3, 6), 1), 0.0, draw.uniform(0.3, 2.0) * draw.choice([-1, 1])),
+                   Segment(round(draw.uniform(2, 6), 1))]
+        elif kind == 2 and speed > 0.2:
+            new = [_speed_change(speed, 0.0, 0.4), Segment(round(draw.uniform(3, 10), 1)),
+                   _speed_change(0.0, draw.uniform(0.5, 1.3), 0.4)]
+        else:
+            new = [Segment(round(draw.uniform(2, 8), 1))]
+        segments += new
+        speed += sum(segment.speed_change for segment in new)
+    hills, banks = (drive._random_waves(share, lengths, False, stream(seed, name)) for share, lengths, name in (
+        (0.03, (190.0, 70.0, 26.0), 'grade'), (0.02, (110.0, 37.0, 13.0), 'bank')))
+    path = drive.Path(tuple(segments), course=draw.uniform(-np.pi, np.pi), hills=hills, banks=banks,
+                      axle_to_imu=(0.3, 0.0, -0.2), rotating_earth=True)
+    return _sample(path, duration, 50.0)
+
+
+def one_case(task) -> list[dict]:
+    """What `configure` says of a drive, and `diagnose` after it and by hand; a row each."""
+    number, diagnosed = task
+    of = case(number)
+    imu, fixes = of.recording.imu, of.recording.gnss
+    topics = Topics(*((Candidate(topic, len(samples), 1.0, 0.0, 1.0, False, samples),)
+                      for topic, samples in (('/imu/data', imu), ('/gps/fix', fixes))), ())
+    found = configured(topics, [look(of.recording.name, imu, fixes)], [fixes])
+    offset = found.mounting.offset
+    shown = offset is not None and offset.shown
+    rows = [row(of, number, 'configure', found.values, offset.lag if shown else 0.0,
+                offset.lag_sigma if shown else np.inf, sigmas=np.degrees(found.mounting.sigma),
+                ready=not found.missing and not found.wrong,
+                arm=offset.arm - of.arm if shown else np.full(3, np.nan),
+                arm_sigma=offset.arm_sigma if shown else np.full(3, np.nan))]
+    by_hand = table.check({'imu.mounting_rpy': np.radians(np.round(np.degrees(rpy(of.rotation)))).tolist()})
+    for way, values in (('configure, diagnose', table.check(found.values)), ('by hand, diagnose', by_hand)):
+        if not diagnosed:
+            continue
+        try:
+            result = diagnose(of.recording, values)
+        except DiagnosisError as error:
+            print(f'drive {number}, {way}: {error}')
+            continue
+        told = [f.parameters['time_offset'] for f in result.findings
+                if f.name == 'gnss_time_offset' and f.added and 'time_offset' in f.parameters]
+        rows.append(row(of, number, way, result.corrected, result.corrected['gnss.time_offset'],
+                        told[0].sigma if told and told[0].known else np.nan, ready=result.better))
+    return rows
+
+
+def row(of: Case, number, way, values, lag, lag_sigma, sigmas=(np.nan,) * 3, ready=False, arm=(np.nan,) * 3,
+        arm_sigma=(np.nan,) * 3) -> dict:
+    away = np.degrees(deviation(rotation_from_rpy(*values['imu.mounting_rpy']), of.rotation))
+    return {'number': number, 'kind': of.kind, 'way': way, 'offset': of.offset, 'error': lag - of.offset,
+            'sigma': lag_sigma, 'set_error': values['gnss.time_offset'] - of.offset, 'ready': ready,
+            **{f'{name}_error': error for name, error in zip(('roll', 'pitch', 'yaw'), away)},
+            **{f'{name}_sigma': sigma for name, sigma in zip(('roll', 'pitch', 'yaw'), sigmas)},
+            **{f'arm_{name}_error': error for name, error in zip('xyz', arm)},
+            **{f'arm_{name}_sigma': sigma for name, sigma in zip('xyz', arm_sigma)}}
+
+
+def drives(path: Path, count: int, first: int, diagnosed: bool):
+    there = list(csv.DictReader(path.open())) if path.exists() else []
+    known = {int(line['number']) for line in there}
+    tasks = [(number, diagnosed) for number in range(first, first + count) if number not in known]
+    with ProcessPoolExecutor(2) as pool, path.open('a', newline='') as file:
+        for rows in pool.map(one_case, tasks):
+            writer = csv.DictWriter(file, list(rows[0]))
+            if file.tell() == 0:
+                writer.writeheader()
+            writer.writerows(rows)
+            file.flush()
+    summary(list(csv.DictReader(path.open())))
+
+
+def summary(rows: list[dict]):
+    """The table of docs/configure.md: what is within two sigma, and what is ready and off by more than is felt."""
+    for way in dict.fromkeys(r['way'] for r in rows):
+        for kind in (*KINDS, 'all'):
+            chosen = [r for r in rows if r['way'] == way and kind in (r['kind'], 'all')]
+            number = {name: np.array([float(r[name]) for r in chosen]) for name in chosen[0]
+                      if name.endswith(('error', 'sigma'))} if chosen else {}
+            if not chosen:
+                continue
+            ready = np.array([r['ready'] == 'True' for r in chosen])
+            turned = np.stack([number[f'{axis}_error'] for axis in ('roll', 'pitch', 'yaw')])
+            off = (np.abs(number['set_error']) > FELT_OFFSET) | (np.abs(turned) > FELT_ANGLE).any(axis=0)
+            print(f"| {way} | {kind} | {len(chosen)} | {held(number['error'], number['sigma'])} | "
+                  f"{held(turned, np.stack([number[f'{axis}_sigma'] for axis in ('roll', 'pitch', 'yaw')]))} | "
+                  f"{held(*(np.stack([number[f'arm_{axis}_{part}'] for axis in 'xyz']) for part in PARTS))} | "
+                  f"{np.median(np.abs(number['set_error'])):.3f} | {np.abs(number['set_error']).max():.2f} | "
+                  f'{ready.sum()} | {(ready & off).sum()} |')
+
+
+def held(error, sigma) -> str:
+    """How many of the errors lie within two sigma, and the root mean square of their ratio."""
+    known = np.isfinite(sigma)
+    if not known.any():
+        return '-'
+    score = error[known] / sigma[known]
+    return f'{(np.abs(score) < 2.0).mean():.0%}, {np.sqrt((score**2).mean()):.2f}'
+
+
 def turns() -> list[np.ndarray]:
     """The 24 right-angled rotations and 20 arbitrary ones."""
     right = [np.array([[sign[i] * (j == order[i]) for j in range(3)] for i in range(3)], float)
@@ -148,7 +312,7 @@ def measured(data: Path):
 def evidence(data: Path):
     """Attitude of a strapdown filter that is told the mounting but no constraint, against course and grade."""
     from mems_ins_fusion.filter.config import FilterConfig
-    from mems_ins_fusion.filter.replay import run
+    from mems_ins_fusion.filter.runs.replay import run
 
     for name, topic, _ in MEASURED:
         recording = read_recording(data / name, '/imu/data', topic)
@@ -170,11 +334,15 @@ def evidence(data: Path):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('what', choices=('simulated', 'measured', 'evidence'))
-    parser.add_argument('data', nargs='?', type=Path, help='folder of the measured recordings')
+    parser.add_argument('what', choices=('drives', 'simulated', 'measured', 'evidence'))
+    parser.add_argument('data', nargs='?', type=Path, help='folder of the measured recordings, or RESULTS.csv')
+    parser.add_argument('--first', type=int, default=0)
+    parser.add_argument('--diagnose', action='store_true')
     parser.add_argument('--drives', type=int, default=100)
     options = parser.parse_args()
-    if options.what == 'simulated':
+    if options.what == 'drives':
+        drives(options.data, options.drives, options.first, options.diagnose)
+    elif options.what == 'simulated':
         simulated(options.drives)
     else:
         {'measured': measured, 'evidence': evidence}[options.what](options.data)

@@ -32,12 +32,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from mems_ins_fusion.diagnosis.diagnose import diagnose  # noqa: E402
 from mems_ins_fusion.effects.registry import EFFECTS  # noqa: E402
-from mems_ins_fusion.evaluation.bootstrap import paired  # noqa: E402
 from mems_ins_fusion.evaluation.comparison import aiding_of, samples_to_keep, truth_of  # noqa: E402
+from mems_ins_fusion.evaluation.intervals import paired  # noqa: E402
 from mems_ins_fusion.evaluation.metrics import position_errors  # noqa: E402
 from mems_ins_fusion.evaluation.outages import outage_begins, run_outages  # noqa: E402
 from mems_ins_fusion.filter.config import FilterConfig  # noqa: E402
-from mems_ins_fusion.filter.replay import run  # noqa: E402
+from mems_ins_fusion.filter.runs.replay import run  # noqa: E402
 from mems_ins_fusion.parameters import table  # noqa: E402
 from mems_ins_fusion.samples import Recording  # noqa: E402
 from mems_ins_fusion.simulation.drive import stream  # noqa: E402

@@ -2,8 +2,8 @@
 
     python studies/independent_evidence.py DATA
 
-DATA: folder of the recordings. Prints the lag between course and gyroscopes, and how the pitch of a strapdown run that
-is given no heights goes with the grade that the heights of the truth show.
+DATA: folder of the recordings. Prints the time offset and the antenna's arm that the track between fixes shows, and how
+the pitch of a strapdown run that is given no heights goes with the grade that the heights of the truth show.
 """
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
+from mems_ins_fusion.configuration.mounting import estimate_mounting
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.replay import run
+from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.recordings.motion import compare_steering, find_standstill, positions, up_axis
+from mems_ins_fusion.recordings.motion import positions
 from mems_ins_fusion.recordings.reading import read_recording
 
 RECORDINGS = (('longmont_rtk_drive', '/gps/fix', None, [0.0, 0.0, np.pi], -0.265),
@@ -54,8 +55,8 @@ def grade_and_pitch(truth, stamp, pitch):
 def main():
     for name, topic, reference, mounting_rpy, offset in RECORDINGS:
         recording = read_recording(Path(sys.argv[1]) / name / 'bag', '/imu/data', topic, reference)
-        up, _ = up_axis(recording.imu, find_standstill(recording.imu, recording.gnss))
-        print(name, compare_steering(recording.imu, recording.gnss, up))
+        found = estimate_mounting(recording.imu, recording.gnss)
+        print(name, found.offset if found is not None else None)
         truth = recording.reference if reference else recording.gnss
         grade, pitch = grade_and_pitch(truth, *pitch_run(recording, mounting_rpy, offset))
         if len(grade) < 20:

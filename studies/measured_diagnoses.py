@@ -11,8 +11,6 @@ import json
 import sys
 from pathlib import Path
 
-import numpy as np
-
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from mems_ins_fusion.cli.diagnose import main as diagnose  # noqa: E402
@@ -54,7 +52,7 @@ def effects(content: dict) -> str:
     noise = ', '.join(f'{name} x {number(factor, 2)}' for name, factor in content['noise_factors'].items())
     others = ', '.join(f'`{e["name"]}`' for e in content['effects'] if not e['added'])
     said = [text for text in (added, noise, f'not added: {others}' if others else '') if text]
-    return '; '.join(said) if content['use_corrected'] else f'kept as given{f" ({others})" if others else ""}'
+    return '; '.join(said) if content['changed_parameters'] else f'kept as given{f" ({others})" if others else ""}'
 
 
 def _effect(e: dict) -> str:
@@ -88,7 +86,7 @@ def main() -> None:
              for old, new in zip(content['before']['outages'], content['after']['outages'])
              if old['count'] and new['max_error_rms_m'] > 1.1 * old['max_error_rms_m']]
     print(f'\nLarger by a tenth after: {", ".join(dict.fromkeys(worse)) or "none"}; '
-          f'{len(found)} diagnoses, {np.sum([c["use_corrected"] for c in found.values()])} changed something.')
+          f'{len(found)} diagnoses, {sum(bool(c["changed_parameters"]) for c in found.values())} changed something.')
 
 
 if __name__ == '__main__':

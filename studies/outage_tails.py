@@ -16,7 +16,7 @@ from mems_ins_fusion.evaluation.comparison import samples_to_keep, truth_of
 from mems_ins_fusion.evaluation.metrics import NEES_95
 from mems_ins_fusion.evaluation.outages import outage_begins, run_outages
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.replay import run
+from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.scene import REALISTIC
 

@@ -17,9 +17,10 @@ from mems_ins_fusion.evaluation.comparison import samples_to_keep, thin, truth_o
 from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors, rms
 from mems_ins_fusion.evaluation.outages import outage_begins, run_outages, smooth_outages
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.replay import Aiding, run
-from mems_ins_fusion.filter.smoothing import smoothed
+from mems_ins_fusion.filter.runs.replay import run
+from mems_ins_fusion.filter.runs.smoothing import smoothed
 from mems_ins_fusion.parameters import table
+from mems_ins_fusion.samples import Aiding
 
 SPACING = 60.0
 

@@ -23,7 +23,7 @@ from vehicle import FIXES, simulated
 
 from mems_ins_fusion.evaluation.metrics import NEES_95, rms
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.live import FusionFilter
+from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.navigation.frames import ned_covariance_from_enu
 from mems_ins_fusion.parameters import table

@@ -36,8 +36,8 @@ import numpy as np
 from vehicle import MEASURED, Measured, sensors
 
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.layout import Sample, sample_at
-from mems_ins_fusion.filter.standstill import is_still
+from mems_ins_fusion.filter.memory import Sample, sample_at
+from mems_ins_fusion.filter.trust.standstill import is_still
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.navigation.frames import mounting
 from mems_ins_fusion.parameters import table

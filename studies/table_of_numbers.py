@@ -18,11 +18,11 @@ import numpy as np
 from mems_ins_fusion.evaluation.metrics import Truth, position_errors, summary
 from mems_ins_fusion.evaluation.outages import outage_begins, run_outages
 from mems_ins_fusion.evaluation.outages import summary as outage_summary
-from mems_ins_fusion.filter import replay
 from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.runs import replay
 from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.samples import Fixes, ImuSamples, Reference
+from mems_ins_fusion.samples import Aiding, Fixes, Headings, ImuSamples, Reference, Speeds, Velocities
 
 TABLE = Path(__file__).resolve().parents[1] / 'test' / 'numbers.csv'
 EPOCH = 1_700_000_000 * 10**9
@@ -71,7 +71,19 @@ CASES = {
     'car_outliers': (CAR, {'outliers': 30.0}),
     'car_late_gap': (CAR, {'delay': 0.9, 'gaps': ((50.0, 50.3), (70.0, 71.2))}),
     'strapdown_lever_arm': ({'mechanization': 'strapdown', 'gnss.lever_arm': ARM}, {'lever_arm': ARM}),
+    'car_0.2_hz': (CAR, {'interval': 5.0}),
+    'car_5_hz': (CAR, {'interval': 0.2}),
+    'car_10_hz': (CAR, {'interval': 0.1}),
+    'car_10_hz_gap': (CAR, {'interval': 0.1, 'gaps': ((50.0, 50.3), (70.0, 74.0))}),
+    'car_speed': ({**CAR, 'speed_topic': '/speed'}, {'aiding': ('speed',)}),
+    'car_velocity': ({**CAR, 'velocity_topic': '/velocity'}, {'aiding': ('velocity',)}),
+    'car_heading': ({**CAR, 'heading_topic': '/heading'}, {'aiding': ('heading',)}),
+    'car_10_hz_all': ({**CAR, 'speed_topic': '/speed', 'velocity_topic': '/velocity', 'heading_topic': '/heading'},
+                      {'interval': 0.1, 'aiding': ('speed', 'velocity', 'heading')}),
+    'planar_speed': ({**CONSTRAINTS, 'speed_topic': '/speed'}, {'aiding': ('speed',)}),
 }
+#: rates of the sensors besides, Hz, and their sigmas: m/s, m/s, rad
+AIDING = {'speed': (20.0, 0.1), 'velocity': (5.0, 0.1), 'heading': (2.0, 0.02)}
 
 
 def _ramp(t, begin, end):
@@ -129,12 +141,12 @@ def _correlated(rng, shape, sigma, tau, dt):
 
 
 def recording(drive: Drive, seed: int, rotating_earth=False, delay=0.0, coloured=0.0, time_offset=0.0, outliers=0.0,
-              phase=0.0, gaps=(), lever_arm=(0.0, 0.0, 0.0), sigma=1.5) -> tuple[ImuSamples, Fixes]:
-    """What sensors forward-left-up and a receiver (1 Hz) would have delivered.
+              phase=0.0, gaps=(), lever_arm=(0.0, 0.0, 0.0), sigma=1.5, interval=1.0) -> tuple[ImuSamples, Fixes]:
+    """What sensors forward-left-up and a receiver would have delivered.
 
     delay: s, the latest that a fix arrives after its stamp. coloured: m, of the receiver's slow error. outliers: m,
     added to every ninth fix. phase: s, of the fixes' stamps after the samples'. gaps: s, in the IMU's samples.
-    lever_arm: forward-left-up, m.
+    lever_arm: forward-left-up, m. interval: s between fixes.
     """
     rng = np.random.default_rng(seed)
     t, dt = drive.time, drive.time[1] - drive.time[0]
@@ -149,10 +161,10 @@ def recording(drive: Drive, seed: int, rotating_earth=False, delay=0.0, coloured
     flu = np.array([1.0, -1.0, -1.0])
     imu = ImuSamples(stamp[kept], stamp[kept], force[kept] * flu, rate[kept] * flu)
 
-    at = np.arange(0.0, t[-1] - 0.5, 1.0) + phase
+    at = np.arange(0.0, t[-1] - 0.5, interval) + phase
     yaw = np.interp(at, t, drive.yaw)
     arm_x, arm_y, arm_z = np.array(lever_arm) * flu
-    noise = sigma * rng.standard_normal((len(at), 3)) + _correlated(rng, (len(at), 3), coloured, 20.0, 1.0)
+    noise = sigma * rng.standard_normal((len(at), 3)) + _correlated(rng, (len(at), 3), coloured, 20.0, interval)
     noise[40::9, 0] += outliers
     noise += np.column_stack([np.cos(yaw) * arm_x - np.sin(yaw) * arm_y, np.sin(yaw) * arm_x + np.cos(yaw) * arm_y,
                               np.full(len(at), arm_z)])
@@ -168,6 +180,25 @@ def recording(drive: Drive, seed: int, rotating_earth=False, delay=0.0, coloured
     return imu, fixes.select(order)
 
 
+def aided(drive: Drive, seed: int, names: tuple[str, ...]) -> Aiding:
+    """What the sensors `names` of AIDING would have delivered: wheel speed, velocity (Doppler), heading."""
+    rng, made = np.random.default_rng([seed, 1]), {}
+    for name in names:
+        rate, sigma = AIDING[name]
+        at = np.arange(0.0, drive.time[-1] - 0.5, 1.0 / rate) + 0.003
+        stamp = EPOCH + np.round(at * 1e9).astype(np.int64)
+        noise, variance = sigma * rng.standard_normal((len(at), 3)), np.full(len(at), sigma**2)
+        speed, yaw = np.interp(at, drive.time, drive.speed), np.interp(at, drive.time, drive.yaw)
+        if name == 'speed':
+            made[name] = Speeds(stamp, stamp, speed + noise[:, 0], variance)
+        elif name == 'velocity':
+            level = np.column_stack([speed * np.cos(yaw), speed * np.sin(yaw), 0 * yaw])
+            made[name] = Velocities(stamp, stamp, level + noise, variance[:, None, None] * np.eye(3))
+        else:
+            made[name] = Headings(stamp, stamp, yaw + noise[:, 0], variance)
+    return Aiding(**made)
+
+
 def truth_of(drive: Drive) -> Truth:
     """Where the IMU was, ten times a second."""
     step = slice(0, None, max(1, round(0.1 / (drive.time[1] - drive.time[0]))))
@@ -181,11 +212,13 @@ def truth_of(drive: Drive) -> Truth:
 def numbers_of(name: str) -> dict[str, float]:
     """The numbers of one case."""
     (values, special), seed = CASES[name], list(CASES).index(name)
+    special = dict(special)
     drive = Drive()
     config = FilterConfig.from_parameters(table.check({**PAPER, **values}))
+    aiding = aided(drive, seed, special.pop('aiding', ()))
     imu, fixes = recording(drive, seed, values.get('mechanization') == 'strapdown', **special)
     truth = truth_of(drive)
-    run = replay.run(config, imu, fixes)
+    run = replay.run(config, imu, fixes, aiding)
     errors = summary(position_errors(run, truth, np.zeros(len(truth), dtype=bool)))
     numbers = {key: errors[key] for key in ('horizontal_rmse_m', 'horizontal_p95_m', 'heading_rmse_deg',
                                             'speed_rmse_mps', 'within_95_percent')}
@@ -200,7 +233,7 @@ def numbers_of(name: str) -> dict[str, float]:
         numbers[f'sigma_{channel}_end'] = run.sigma[-1, layout.n_navigation + i * layout.order]
     begin = outage_begins(int(run.stamp[0]), fixes.select(np.argsort(fixes.stamp)), config.gnss.time_offset,
                           15.0, 10.0)
-    for outages in run_outages(config, imu, fixes, truth, [10.0, 30.0], begin):
+    for outages in run_outages(config, imu, fixes, truth, [10.0, 30.0], begin, aiding):
         row = outage_summary(outages)
         for key in ('count', 'max_error_rms_m', 'max_error_p95_m', 'within_95_percent'):
             numbers[f'outage_{outages.duration:.0f}_s_{key}'] = row[key]

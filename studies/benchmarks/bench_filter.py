@@ -18,10 +18,10 @@ import numpy as np
 from numba import njit
 
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.initial import initialize
 from mems_ins_fusion.filter.kernel import run
-from mems_ins_fusion.filter.layout import NAV, PLANAR, Event, Kind
-from mems_ins_fusion.filter.start import Start
+from mems_ins_fusion.filter.memory import NAV, PLANAR, Event, Kind
+from mems_ins_fusion.filter.start.initial import initialize
+from mems_ins_fusion.filter.start.start import Start
 from mems_ins_fusion.parameters import table
 
 RATE = 100
@@ -168,7 +168,7 @@ def clock_overhead(count: int = 20000) -> float:
 def import_seconds(repeats: int) -> tuple[float, float]:
     """CPU seconds of a new process that makes a filter ready for its first message, and of one that imports NumPy."""
     ready = ('from mems_ins_fusion.parameters import table; from mems_ins_fusion.filter.config import FilterConfig; '
-             'from mems_ins_fusion.filter.live import FusionFilter; '
+             'from mems_ins_fusion.filter.runs.live import FusionFilter; '
              'FusionFilter(FilterConfig.from_parameters(table.check({}))).warm_up()')
     measure = 'import time; {}; print(time.process_time())'
     taken = [[float(subprocess.run([sys.executable, '-c', measure.format(code)], capture_output=True, check=True,

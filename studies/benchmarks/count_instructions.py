@@ -21,7 +21,7 @@ import numpy as np
 from bench_filter import CASES, NO_EVENTS, recording, started
 
 from mems_ins_fusion.filter.kernel import run
-from mems_ins_fusion.filter.results import columns
+from mems_ins_fusion.filter.runs.results import columns
 
 #: samples before the count, and in it
 WARM, COUNTED = 1000, 3000

@@ -1,0 +1,91 @@
+"""A year of a fleet that is known: does the watchman find what changed, and nothing else?
+
+    python studies/fleet.py --task diagnose             # the whole proof: about an hour on two cores
+    python studies/fleet.py --task configure --duration 300
+
+Eight vehicles, five drives each over a year, simulated: in car_2 the receiver's stamps are 0.3 s off from the beginning,
+in car_4 the antenna is 0.8 m ahead of where the parameters have it, in car_6 it is moved by --moved m after the third
+drive. One recording breaks off; beside them are an empty file, one that is no recording, and a copy. Printed: what the
+watchman says, and the estimates of the three vehicles.
+"""
+from __future__ import annotations
+
+import argparse
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.fleet import tables
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.recordings.several import later
+from mems_ins_fusion.recordings.writing import write_recording
+from mems_ins_fusion.simulation.simulation import SensorErrors, simulate_drive, simulate_recording
+
+DAY = 86_400 * 10**9
+VEHICLES, DRIVES, BETWEEN = 8, 5, 73 * DAY
+TIME_OFFSET, ARM = 0.3, 0.8  # s, m
+
+
+def effects_of(vehicle: int, drive: int, moved: float) -> list:
+    """What is in a drive that no parameter knows of."""
+    def effect(name, **given):
+        return [(EFFECTS[name], EFFECTS[name].complete(given))]
+
+    if vehicle == 2:
+        return effect('gnss_time_offset', time_offset=TIME_OFFSET)
+    if vehicle == 4:
+        return effect('gnss_lever_arm', x=ARM)
+    if vehicle == 6 and drive >= 3:
+        return effect('gnss_lever_arm', x=moved)
+    return []
+
+
+def write(folder: Path, duration: float, rate: float, moved: float) -> None:
+    """The recordings, below folder/logs."""
+    sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
+    for vehicle in range(VEHICLES):
+        for drive in range(DRIVES):
+            seed = 1000 + 100 * vehicle + drive
+            made = simulate_recording(simulate_drive(duration, seed=seed, rate=rate), sensors,
+                                      effects=effects_of(vehicle, drive, moved), seed=seed).recording
+            made = replace(later(made, drive * BETWEEN), reference=None)
+            write_recording(made, folder / 'logs' / f'car_{vehicle}' / f'drive_{drive}')
+    broken = next((folder / 'logs/car_1/drive_3').glob('*.mcap'))
+    broken.write_bytes(broken.read_bytes()[:int(0.6 * broken.stat().st_size)])
+    (folder / 'logs/car_1/empty.mcap').touch()
+    (folder / 'logs/car_1/letter.mcap').write_text('this is no recording')
+    shutil.copytree(folder / 'logs/car_0/drive_1', folder / 'logs/car_5/copy_of_another')
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--task', choices=('configure', 'diagnose'), default='configure')
+    parser.add_argument('--duration', type=float, default=600.0)
+    parser.add_argument('--rate', type=float, default=50.0)
+    parser.add_argument('--moved', type=float, default=0.6)
+    parser.add_argument('--workers', default='2')
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write(folder, options.duration, options.rate, options.moved)
+        subprocess.run([sys.executable, '-m', 'mems_ins_fusion', 'fleet', 'logs', '--task', options.task, '--no-pages',
+                        '--workers', options.workers, '--output', 'out'], cwd=folder, check=True)
+        begins = {r['recording_id']: r['begin_ns'] for r in tables.read(folder / 'out', 'recordings')}
+        for row in tables.read(folder / 'out', 'findings'):
+            if row['source'] == 'watchman':
+                print(row['vehicle'], row['message'])
+        for row in tables.read(folder / 'out', 'effects'):
+            told = (row['effect'], row['parameter']) in (('gnss_time_offset', 'time_offset'), ('gnss_lever_arm', 'x'))
+            if row['vehicle'] in ('car_2', 'car_4', 'car_6') and told:
+                day = '' if begins.get(row['recording_id']) is None else (begins[row['recording_id']] // DAY) % 1000
+                sigma = 0.0 if row['sigma'] is None else row['sigma']
+                print(f"{row['vehicle']} day {day!s:>4} {row['source']:<10} {row['effect']:<17} {row['value']:>7.3f} "
+                      f'+- {sigma:.3f}')
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,107 @@
+"""What the filter makes of receivers that claim another sigma than their own: realistic drives, parameters at defaults.
+
+    python studies/receiver_claims.py [--seeds 3] [--minutes 20] [--processes 2] [--output FILE.md]
+
+The drives of studies/vehicle.py, fixes that scatter by 1.5 m. Each row is a rate and by how much the claim is larger
+than the scatter: RMSE and largest error from the first estimate on, both also as a multiple of those with the right
+claim at that rate, and how often the 95 % ellipse held the truth. In the rows *wanders* an error of 2 m with a
+correlation time of 60 s, of which the receiver says nothing, comes on top; *early* are fixes stamped 0.8 s before
+their time.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import over_drives
+from vehicle import drive_of, simulated
+
+from mems_ins_fusion.evaluation.comparison import truth_of
+from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors, rms
+from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.runs.replay import run
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.samples import Recording
+from mems_ins_fusion.simulation.simulation import GnssNoise
+
+RATES = (0.2, 1.0, 5.0, 10.0)
+CLAIMS = (1.0, 1 / 3, 1 / 10, 1 / 75, 3.0, 10.0)
+SCATTER = 1.5  # m
+FASTEST = 10.0  # Hz: the others are every so many fixes of that
+EARLY = 0.8  # s
+RECEIVERS = {'white': GnssNoise(SCATTER, rate=FASTEST),
+             'wanders': GnssNoise(SCATTER, rate=FASTEST, coloured_sigma=2.0, coloured_tau=60.0)}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Errors of one drive: error (m,) m, inside (m,) the 95 % ellipse; both empty where the filter did not start."""
+
+    error: np.ndarray
+    inside: np.ndarray
+
+
+def recordings(seed: int, minutes: float) -> dict[str, Recording]:
+    """One drive as each of RECEIVERS records it at FASTEST."""
+    drive = drive_of(seed, minutes)
+    return {name: simulated(seed, minutes, noise, drive) for name, noise in RECEIVERS.items()}
+
+
+def with_claim(recording: Recording, rate: float, claim: float) -> Recording:
+    """Its fixes at `rate`, Hz, claiming `claim` times SCATTER."""
+    gnss = recording.gnss.select(slice(None, None, round(FASTEST / rate)))
+    factor = (claim * SCATTER) ** 2 / gnss.covariance[0, 0, 0]
+    return replace(recording, gnss=replace(gnss, covariance=factor * gnss.covariance))
+
+
+def early(recording: Recording) -> Recording:
+    """Its fixes stamped EARLY."""
+    return replace(recording, gnss=replace(recording.gnss, stamp=recording.gnss.stamp - round(EARLY * 1e9)))
+
+
+def outcome(recording: Recording) -> Outcome:
+    values = table.check({'reference_lever_arm': [0.0, 0.0, 0.0]})
+    truth = truth_of(recording, values)
+    result = run(FilterConfig.from_parameters(values), recording.imu, recording.gnss)
+    if not len(result.stamp):
+        return Outcome(np.empty(0), np.empty(0))
+    errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
+    return Outcome(errors.horizontal, errors.nees < NEES_95)
+
+
+def of_recordings(found: dict[str, Recording], rates=RATES, claims=CLAIMS):
+    """((rate, what is special), outcome) of one drive."""
+    results = []
+    for rate in rates:
+        results += [((rate, f'claims {claim:.3g} of it'), outcome(with_claim(found['white'], rate, claim)))
+                    for claim in claims]
+        results += [((rate, 'wanders'), outcome(with_claim(found['wanders'], rate, 1.0))),
+                    ((rate, 'early'), outcome(early(with_claim(found['white'], rate, 1.0))))]
+    return results
+
+
+def of_drive(seed: int, minutes: float):
+    return of_recordings(recordings(seed, minutes))
+
+
+def lines(results: dict, drives: int):
+    """The table. results: by (rate, what is special) the outcomes of each drive."""
+    yield f'| {drives} drives | fixes | RMSE, m | x right | largest, m | x right | in 95 % | of the worst drive |'
+    yield '|---|---|---|---|---|---|---|---|'
+    for (rate, special), found in results.items():
+        rmse, largest = _size(found)
+        right = _size(results[(rate, 'claims 1 of it')])
+        held = [100 * o.inside.mean() if len(o.inside) else 0.0 for o in found]
+        yield (f'| {rate:g} Hz | {special} | {rmse:.2f} | {rmse / right[0]:.2f} | {largest:.1f} | '
+               f'{largest / right[1]:.1f} | {np.mean(held):.0f} % | {min(held):.0f} % |')
+
+
+def _size(found) -> tuple[float, float]:
+    """RMSE and largest error of all drives, m; infinite where the filter did not start in one."""
+    if not all(len(o.error) for o in found):
+        return np.inf, np.inf
+    return rms(np.concatenate([o.error for o in found])), max(o.error.max() for o in found)
+
+
+if __name__ == '__main__':
+    over_drives.main(__doc__, of_drive, lines, seeds=3)
