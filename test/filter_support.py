@@ -6,8 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.filter import kernel
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.initial import initialize
-from mems_ins_fusion.filter.layout import (
+from mems_ins_fusion.filter.memory import (
     NAV,
     PLANAR,
     Event,
@@ -18,7 +17,8 @@ from mems_ins_fusion.filter.layout import (
     set_covariance,
     views,
 )
-from mems_ins_fusion.filter.start import Start
+from mems_ins_fusion.filter.start.initial import initialize
+from mems_ins_fusion.filter.start.start import Start
 from mems_ins_fusion.navigation.strapdown import from_euler
 from mems_ins_fusion.parameters import table
 

@@ -18,10 +18,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from fuzz_recordings import LONGEST as LONGEST_OF
+from fuzz_recordings import TOOLS, recording_case
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from mems_ins_fusion.errors import InputError
 from mems_ins_fusion.guard import guarded, refuse
 
 #: what small input may take: GB of the whole process, and s of processor time
@@ -39,8 +42,8 @@ class Outcome:
     seconds: float
     memory: float  # GB, most that was resident
 
-    def complaint(self) -> str:
-        """What is wrong with it; empty where nothing is."""
+    def complaint(self, longest: float = LONGEST) -> str:
+        """What is wrong with it; empty where nothing is. longest: s of processor time that it may take."""
         if self.status not in (0, 2):
             return f'status {self.status}: {self.said[-300:]}'
         if 'Traceback' in self.said or 'a defect of the program' in self.said:
@@ -50,17 +53,17 @@ class Outcome:
             return 'refused without a word'
         if self.memory > MOST_MEMORY:
             return f'{self.memory:.1f} GB: {self.said[-300:]}'
-        return f'{self.seconds:.0f} s: {self.said[-300:]}' if self.seconds > LONGEST else ''
+        return f'{self.seconds:.0f} s: {self.said[-300:]}' if self.seconds > longest else ''
 
 
-def outcome(work: Callable[[], object]) -> Outcome:
-    """`work` as a tool does it, in a child process."""
+def outcome(work: Callable[[], object], longest: float = LONGEST) -> Outcome:
+    """`work` as a tool does it, in a child process that ends by force after twice `longest` s of processor time."""
     with tempfile.TemporaryFile() as said:
         sys.stdout.flush()
         sys.stderr.flush()
         child = os.fork()
         if child == 0:
-            os._exit(_child(work, said.fileno()))
+            os._exit(_child(work, said.fileno(), longest))
         _, status, usage = os.wait4(child, 0)
         said.seek(0)
         text = said.read().decode(errors='replace')
@@ -68,13 +71,13 @@ def outcome(work: Callable[[], object]) -> Outcome:
                    usage.ru_maxrss * 1024 / 1e9)
 
 
-def _child(work, said) -> int:
+def _child(work, said, longest: float) -> int:
     try:
         os.dup2(said, 1)
         os.dup2(said, 2)
         sys.stdout, sys.stderr = os.fdopen(1, 'w', closefd=False), os.fdopen(2, 'w', closefd=False)
-        resource.setrlimit(resource.RLIMIT_CPU, (2 * LONGEST, resource.RLIM_INFINITY))
-        signal.alarm(20 * LONGEST)  # its default action ends the process: nothing waits for ever
+        resource.setrlimit(resource.RLIMIT_CPU, (round(2 * longest), resource.RLIM_INFINITY))
+        signal.alarm(round(20 * longest))  # its default action ends the process: nothing waits for ever
         room = 4 * 2**30  # the machine survives what is not refused
         used = int(Path('/proc/self/statm').read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (used + room, resource.RLIM_INFINITY))
@@ -92,7 +95,7 @@ def _tool(work) -> int:
     try:
         status = work()
         return status if isinstance(status, int) else 0
-    except ValueError as error:
+    except InputError as error:
         return refuse('fuzz', error)
     except SystemExit as error:  # argparse
         return error.code or 0
@@ -226,6 +229,14 @@ def spoiled_text(text: str, rng: random.Random) -> bytes:
 
 # -- what is tried ----------------------------------------------------------------------------------------------------
 
+def recordings(folder: Path, seed: int) -> Iterator[tuple[str, Callable[[], object], float]]:
+    """Endless (tool, content and seed, work to be judged, s it may take): `fuzz_recordings` through every tool."""
+    for number in range(seed, sys.maxsize):
+        tool = TOOLS[number % len(TOOLS)]
+        what, work = recording_case(folder, random.Random(number), tool)
+        yield f'{tool}, {what}, seed {number}', work, LONGEST_OF[tool]
+
+
 def cases(folder: Path, seed: int) -> Iterator[tuple[str, Callable[[], object]]]:
     """Endless (reader and seed, work to be judged); the input stands in `folder`, so that it can be looked at."""
     bags = good_bags(folder)
@@ -355,7 +366,7 @@ def _command_line(folder: Path, rng) -> Callable[[], object]:
 
 def _values(rng) -> Callable[[], object]:
     """Samples that no sensor delivers: what checker and the measuring of errors make of them."""
-    from mems_ins_fusion.evaluation.bootstrap import interval_of_mean
+    from mems_ins_fusion.evaluation.intervals import interval_of_mean
     from mems_ins_fusion.evaluation.metrics import turning_at
     from mems_ins_fusion.recordings.checker import check_recording
     from mems_ins_fusion.samples import Fixes, ImuSamples, Recording

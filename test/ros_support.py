@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Quaternion, Vector3
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
@@ -201,6 +202,42 @@ class Peer:
                 self.send_imu(imu, last)
                 node.wait_for(f'header.stamp {imu.stamp[last] * 1e-9:.6f} s does not follow')
                 self.send_fix(recording.gnss, index)
+
+
+class Diagnostics:
+    """What a node says on /diagnostics, heard by `peer`: the newest status by its name, without that of the node."""
+
+    def __init__(self, peer: Peer):
+        self._peer, self.statuses, self.count = peer, {}, 0
+        self._subscription = peer.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_message, 100)
+
+    def _on_message(self, message):
+        self.count += 1
+        self.statuses.update({status.name.partition(': ')[2]: status for status in message.status})
+
+    def level(self, name: str) -> int:
+        """0, 1, 2 for OK, WARN, ERROR; -1 before it was heard."""
+        return self.statuses[name].level[0] if name in self.statuses else -1
+
+    def message(self, name: str) -> str:
+        return self.statuses[name].message if name in self.statuses else ''
+
+    def values(self, name: str) -> dict[str, str]:
+        return {pair.key: pair.value for pair in self.statuses[name].values} if name in self.statuses else {}
+
+    def wait(self, condition, timeout: float = PATIENCE) -> None:
+        """Until a message from now on fulfils `condition(self)`."""
+        count = self.count
+        self._peer.spin_until(lambda: self.count > count and condition(self), timeout)
+
+
+def call(peer: Peer, kind, name: str, request):
+    """The answer of a service."""
+    client = peer.node.create_client(kind, name)
+    peer.spin_until(client.service_is_ready)
+    answer = client.call_async(request)
+    peer.spin_until(answer.done)
+    return answer.result()
 
 
 def arrivals(recording) -> list[tuple[str, int]]:

@@ -15,7 +15,7 @@ from mems_ins_fusion.characterization.characterize import characterize
 from mems_ins_fusion.characterization.stationary import Grid
 from mems_ins_fusion.cli.characterize import main
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.replay import run
+from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import params_file, table
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.samples import ImuSamples, Recording, Temperatures

@@ -137,8 +137,8 @@ with event.install_recorder('numba:compile') as compiled:
     from mems_ins_fusion.effects.registry import EFFECTS
     from mems_ins_fusion.evaluation.comparison import compare
     from mems_ins_fusion.filter.config import FilterConfig
-    from mems_ins_fusion.filter.live import FusionFilter
-    from mems_ins_fusion.filter.replay import run
+    from mems_ins_fusion.filter.runs.live import FusionFilter
+    from mems_ins_fusion.filter.runs.replay import run
     from mems_ins_fusion.parameters import table
     from mems_ins_fusion.simulation.simulation import simulate_drive, simulate_recording
     fit_gauss_markov(average([np.random.default_rng(1).standard_normal(2000)], 5, 0.02))

@@ -11,9 +11,10 @@ from conftest import shared_data
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.__main__ import main
-from mems_ins_fusion.configuration.check import check_mounting, mounting_findings
+from mems_ins_fusion.configuration.check import check, check_setup, mounting_findings
 from mems_ins_fusion.configuration.configure import configure
 from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting, rpy
+from mems_ins_fusion.configuration.offset import estimate_offset
 from mems_ins_fusion.configuration.units import find_units
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
@@ -36,6 +37,11 @@ SHORT = (Segment(15.0), Segment(8.0, 10.0), Segment(15.0), Segment(4.0, -4.0), S
          Segment(4.0, 5.0), Segment(15.0), Segment(9.0, -11.0), Segment(8.0), Segment(9.0, 12.0),
          Segment(27.0 + MARGIN))
 STRAIGHT = (Segment(10.0), Segment(10.0, 12.0), Segment(100.0 + MARGIN))
+
+
+def check_mounting(made, values):
+    """What is said against the mounting."""
+    return [finding for finding in check_setup(made, values) if 'mounting_rpy' in finding.values]
 
 
 def recording(segments=SHORT, mounting=(0.0, 0.0, 0.0), seed=0, sensors=None, sigma=0.5, rate=5.0, effects=(),
@@ -103,6 +109,80 @@ def test_the_time_offset_is_found_with_the_mounting(offset):
     found = estimate_mounting(made.imu, made.gnss)
     assert found.lag == pytest.approx(offset, abs=max(3.0 * found.lag_sigma, 0.05)) and found.lag_sigma < 0.1
     assert abs(errors(found, [0.0, 0.0, 1.0])[2]) < math.radians(2.0)
+
+
+@pytest.fixture(scope='module')
+def late():
+    """Four minutes in a car with springs, antenna and clock somewhere else, the IMU lying anyhow."""
+    effects = [(EFFECTS['gnss_time_offset'], {'time_offset': -0.6}),
+               (EFFECTS['gnss_lever_arm'], {'x': -0.8, 'y': 0.4, 'z': 0.5})]
+    drive = simulate_drive(240.0, 3, 50.0, grade=0.03, bank=0.02, suspension=1.2, pitch_per_acceleration=0.006,
+                           roll_per_acceleration=0.007)
+    sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
+    return simulate_recording(drive, sensors, GnssNoise(0.02, 5.0), effects, [0.0, 0.0, 2.0], 3).recording
+
+
+def test_time_offset_and_antenna_are_found_together_with_honest_sigmas(late):
+    # given where both are unknown, as is the mounting
+    offset = estimate_mounting(late.imu, late.gnss).offset
+    # then both are right within their sigmas, and these are small
+    assert offset.lag == pytest.approx(-0.6, abs=3.0 * offset.lag_sigma) and offset.lag_sigma < 0.03
+    assert np.all(np.abs(offset.arm - [-0.8, 0.4, 0.5]) < 3.0 * offset.arm_sigma)
+    assert np.all(offset.arm_sigma[:2] < 0.3) and offset.rivals == ()
+
+
+def test_sigmas_of_the_time_offset_are_honest():
+    scores = []
+    for seed in range(6):
+        truth = float(np.random.default_rng(seed).uniform(-1.0, 1.0))
+        drive = simulate_drive(300.0, seed, 25.0, grade=0.03, bank=0.02)
+        sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
+        made = simulate_recording(drive, sensors, GnssNoise(1.5, 1.0), [
+            (EFFECTS['gnss_time_offset'], {'time_offset': truth})], seed=seed).recording
+        offset = estimate_offset(made.imu, made.gnss, np.eye(3))
+        scores.append((offset.lag - truth) / offset.lag_sigma)
+    assert 0.3 < np.sqrt(np.mean(np.square(scores))) < 1.6, scores
+    assert np.abs(scores).max() < 3.0
+
+
+def test_fixes_that_are_far_off_and_a_receiver_that_smooths_move_no_offset():
+    effect = (EFFECTS['gnss_time_offset'], {'time_offset': 0.3})
+    drive = simulate_drive(400.0, 1, 25.0, grade=0.03)
+    sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
+    receiver = GnssNoise(1.0, 1.0, smoothing=1.0, outliers=0.03)
+    made = simulate_recording(drive, sensors, receiver, [effect], seed=1).recording
+    offset = estimate_offset(made.imu, made.gnss, np.eye(3))
+    assert offset.lag == pytest.approx(0.3, abs=3.0 * offset.lag_sigma) and offset.lag_sigma < 0.3
+
+
+def test_what_the_parameters_say_is_not_said_again(late):
+    def said(**values):
+        found = check(late, table.check({'imu.mounting_rpy': [0.0, 0.0, 2.0], **values}))
+        return {f.severity: f.message for f in found if f.topic == 'imu/gnss'}, found
+
+    # given nothing: the offset is named; given a wrong one: what is left of it
+    nothing, _ = said()
+    assert 'early' in nothing['warning'] and 'see gnss.time_offset' in nothing['warning']
+    wrong, _ = said(**{'gnss.time_offset': -0.2})
+    assert 'beside gnss.time_offset -0.2 s' in wrong['warning']
+    # given the right ones there is no warning on it
+    right, found = said(**{'gnss.time_offset': -0.6, 'gnss.lever_arm': [-0.8, 0.4, 0.5]})
+    assert set(right) == {'info'} and 'what is left of the time offset' in right['info']
+    assert not [f for f in found if 'lever_arm' in f.message]
+
+
+def test_a_file_is_ready_only_when_what_it_sets_is_certain(late, tmp_path):
+    # given the same drive with good fixes, and with fixes of which each says little
+    write_recording(late, tmp_path / 'good', imu_topic='/imu/data', gnss_topic='/gps/fix')
+    noise = np.random.default_rng(0).normal(0.0, 4.0, (2, len(late.gnss))) / 6.4e6
+    noisy = replace(late.gnss, latitude=late.gnss.latitude + noise[0], longitude=late.gnss.longitude + noise[1],
+                    covariance=late.gnss.covariance * 200.0**2).select(slice(0, None, 10))
+    write_recording(replace(late, gnss=noisy), tmp_path / 'poor', imu_topic='/imu/data', gnss_topic='/gps/fix')
+    good, poor = (configure([tmp_path / name]) for name in ('good', 'poor'))
+    # then one is complete, and the other says what is not known
+    assert good.missing == () and good.values['gnss.time_offset'] == pytest.approx(-0.6, abs=0.05)
+    assert good.values['gnss.lever_arm'][:2] == pytest.approx([-0.8, 0.4], abs=0.2)
+    assert any('time offset' in text for text in poor.missing)
 
 
 def test_a_level_road_straight_on_at_constant_speed_shows_no_yaw():
@@ -256,14 +336,14 @@ def test_a_recording_without_an_imu_says_what_there_is(tmp_path, capsys):
     made = recording()
     write_recording(replace(made, imu=None), tmp_path / 'bag')
     assert main(['configure', '--bag', str(tmp_path / 'bag'), '--output', str(tmp_path / 'car.yaml')]) == 2
-    assert 'has no topic with messages of type sensor_msgs/msg/Imu, only /gps/fix' in capsys.readouterr().err
+    assert 'has no topic with two or more messages of type sensor_msgs/msg/Imu, only /gps/fix' in capsys.readouterr().err
 
 
 def test_a_recording_at_rest_says_what_it_does_not_show():
     made = recording((Segment(120.0 + MARGIN),), sigma=0.02)
     found = estimate_mounting(made.imu, made.gnss)
     assert not found.yaw_known and np.all(found.sigma[:2] > math.radians(1.0))
-    assert found.lag == 0.0 and found.lag_sigma == math.inf
+    assert found.lag == 0.0 and found.lag_sigma == math.inf and found.offset is None
 
 
 #: axes as the README of the recordings tells them, and what they are turned by

@@ -143,7 +143,7 @@ def test_nothing_is_found_where_nothing_is(plain):
     assert not added(result) and not result.unexplained
     assert result.detections['after'].consistent
     # and nothing is changed, and it says so
-    assert not result.better and result.corrected == result.values and not result.noise
+    assert not result.better and not result.changed and not result.noise
     # the receiver's level, which each fix shows, is what was simulated: 450 fixes of two components, and FLOOR
     assert abs(np.log(result.explained['gnss.sigma'])) < 0.03 + 4 / np.sqrt(2 * 900)
     parts = [part for part, _ in progress]
@@ -279,7 +279,7 @@ def test_an_offset_and_a_mount_that_is_turned_are_found_together(wrong):
     offset, yaw = found['gnss_time_offset']['time_offset'], found['mounting_rotation']['yaw']
     assert abs(offset.value - 0.6) < max(3 * offset.sigma, 0.02) and offset.sigma < 0.05
     assert abs(yaw.value - np.radians(7.0)) < np.radians(1.0)
-    assert result.better
+    assert result.changed
     assert result.after.outages[0].max_error.mean() < 0.7 * result.before.outages[0].max_error.mean()
 
 

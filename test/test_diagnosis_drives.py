@@ -135,7 +135,7 @@ def test_an_effect_that_is_weak_in_each_drive_is_found_in_all_together():
         assert own['time_offset'].sigma > offset.sigma
         assert abs(own['time_offset'].value - 0.2) < 3.5 * own['time_offset'].sigma
     # and it is judged in each drive and in all
-    assert result.better and result.corrected['gnss.time_offset'] == pytest.approx(offset.value)
+    assert result.changed and result.corrected['gnss.time_offset'] == pytest.approx(offset.value)
     assert [d.name for d in result.drives] == ['drive_1', 'drive_2', 'drive_3']
     rows = {row.get('drive') for row in result.comparison}
     assert rows == {None, 'drive_1', 'drive_2', 'drive_3'}

@@ -3,12 +3,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mems_ins_fusion.diagnosis.clock import lateness, lateness_against, whose
 from mems_ins_fusion.diagnosis.estimate import Estimate
+from mems_ins_fusion.diagnosis.held_out import held_out
 from mems_ins_fusion.diagnosis.judgement import compared, harm
 from mems_ins_fusion.diagnosis.learned import angles
 from mems_ins_fusion.diagnosis.measured import fairly, measure
@@ -16,7 +18,7 @@ from mems_ins_fusion.diagnosis.problem import FLOOR, Problem, believed, looked_t
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.comparison import truth_of
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.replay import run
+from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.reports.effect_words import size
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -60,6 +62,19 @@ def test_whose_clock_the_reference_runs_in(late, name, shared, alone):
     assert whose(few, name).name == alone
     # without a reference the fixes are the truth
     assert whose(replace(late, reference=None), name).name == 'gnss'
+
+
+def test_a_reference_in_the_receivers_clock_is_as_late_as_the_fixes(late):
+    # given the filter that knows by how much the fixes are late, and a truth that is as late
+    values = table.check({'gnss.time_offset': OFFSET, 'vehicle.zero_velocity': False})
+    recording = in_receivers_clock(late)
+    problem = Problem(recording, values)
+    problem.reference_clock = 'gnss'
+    found = measure(problem, recording, recording.imu, [values], [10.0], 20.0)
+    # then it is as good as it is; with twice the offset between them it would be 2 v OFFSET = 8 m off
+    assert np.sqrt(np.mean(found.continuous.horizontal**2)) < 1.0
+    # and the stamps are those of the truth given, by which models with other offsets are compared
+    assert np.isin(found.continuous.stamp, recording.reference.stamp).all()
 
 
 @pytest.mark.parametrize('clock', [0.0, 0.4, -3.0])
@@ -153,10 +168,36 @@ def test_the_size_of_an_effect_in_words(effect, parameter, value, sigma, unit, s
     assert said in size(effect, parameter, Estimate(value, sigma, unit))
 
 
-def test_the_words_for_an_effect_are_of_effects_that_are_there():
-    from mems_ins_fusion.reports import effect_words
+@pytest.mark.parametrize('name', EFFECTS)
+def test_the_words_for_an_effect_are_of_parameters_that_it_has(name):
+    effect = EFFECTS[name]
+    assert effect.in_words
+    assert {*effect.sizes, *effect.largest} <= {p.name for p in (*effect.traced, *effect.parameters)} | {'z', 'tau'}
+    assert bool(effect.largest) == bool(effect.larger_is) and bool(effect.smallest) == bool(effect.smaller_is)
 
-    for name in (*effect_words._WORDS, *effect_words._OR, *(name for name, _ in effect_words._SIZES)):
-        assert name in EFFECTS
-    for name, parameter in effect_words._SIZES:
-        assert parameter in {p.name for p in EFFECTS[name].traced}
+
+@pytest.mark.parametrize('sigmas, supported', [(1.5, False), (2.5, True)])
+def test_what_the_other_parts_do_not_support_is_not_held_against_a_part(sigmas, supported):
+    # given an effect that the other parts of the data show with so many sigma, and that gains 1 at each fix
+    stamp = np.arange(300) * 10**9
+
+    class Alike:
+        """A residual of whose fixes each has a likelihood that grows with the effect's estimate."""
+
+        def __init__(self, x):
+            self.x = x
+
+        def log_likelihood(self):
+            return np.full(len(stamp), 10.0 * self.x)
+
+    problem = SimpleNamespace(stamp=stamp, mask=np.ones(len(stamp), dtype=bool),
+                              residuals=lambda unknowns, found: [Alike(x[-1] if len(x) > 1 else 0.0) for x in found])
+    problem.each = [problem]
+    noise, effect = SimpleNamespace(name='noise'), SimpleNamespace(name='effect')
+    longer = SimpleNamespace(problem=problem, unknowns=[noise, effect], refitted=lambda mask, count: (
+        np.array([0.0, 0.1]), np.diag([1.0, (0.1 / sigmas) ** 2])))
+    shorter = SimpleNamespace(unknowns=[noise], refitted=lambda mask, count: (np.zeros(1), np.eye(1)))
+    proof = held_out(longer, shorter, 1)
+    # then it gains where they support it (5 % by chance: 1.96 sigma), and is left out where they do not
+    assert proof.gain == pytest.approx(len(stamp) if supported else 0.0)
+    assert all(x[1] == (0.1 if supported else 0.0) for x in proof.estimates)

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from mems_ins_fusion.characterization.autocorrelation import ljung_box
-from mems_ins_fusion.diagnosis.conclusion import Correction, _as_measured, _scatter_remarks
+from mems_ins_fusion.diagnosis.conclusion import Correction, _as_measured, _chosen, _scatter_remarks
 from mems_ins_fusion.diagnosis.detection import detect
 from mems_ins_fusion.diagnosis.estimate import Estimate, widened
 from mems_ins_fusion.diagnosis.fit import Scores, _scores
@@ -28,6 +28,7 @@ from mems_ins_fusion.diagnosis.tracing import Candidate, _test, effect_unknowns,
 from mems_ins_fusion.effects.base import Effect, EffectParameter
 from mems_ins_fusion.evaluation.metrics import Errors
 from mems_ins_fusion.evaluation.outages import Outages
+from mems_ins_fusion.evaluation.verdict import Verdict
 from mems_ins_fusion.parameters import table
 
 N = 400
@@ -313,7 +314,7 @@ def overlapping(duration, spacing, count):
     return Measured(
         Errors(**dict.fromkeys(Errors.__dataclass_fields__, np.zeros(0))),
         [Outages(duration=duration, time=np.zeros(0), errors=[], begin=begin, max_error=there, distance=there,
-                 within=there > 0, growth=there, sigma=there)], True, np.zeros(0), np.zeros(0))
+                 within=there > 0, growth=there, sigma=there, kept=there)], True, np.zeros(0), np.zeros(0))
 
 
 def test_outages_apart_are_counted():
@@ -447,6 +448,23 @@ def test_noise_from_scatter_is_given_up_only_where_that_predicts_better(without,
     assert found[0][0].values['gnss.time_offset'] == 0.3 and found[0][0].values['imu.adapt_noise'] == first
     assert found[-1][0].values == given
     assert bool(_scatter_remarks(given, found[0][0].values)) != first
+
+
+@pytest.mark.parametrize('answers, chosen', [
+    (['cannot_tell', 'better', 'same'], 1),  # errors that are smaller for certain come first
+    (['cannot_tell', 'cannot_tell', 'same'], 0),  # else effects alone, whose likelihood is proven
+    (['worse', 'cannot_tell', 'same'], 2),  # not where an error grows, and no noise levels: what was given
+])
+def test_what_corrected_yaml_holds(answers, chosen):
+    # given effects alone, noise levels, and what was given, the best by prediction first; errors that are the same
+    given, one = table.check({}), overlapping(10.0, 20.0, 36)
+    effects, noise = {**given, 'gnss.time_offset': 0.2}, {**given, 'gnss.sigma': 2.0}
+    tried = [(Correction(effects, [effects], {}, True), one, Verdict(answers[0])),
+             (Correction(noise, [noise], {'gnss.sigma': 2.0}, False), one, Verdict(answers[1])),
+             (Correction(given, [given], {}, False), one, Verdict(answers[2]))]
+    correction, _, verdict = _chosen(tried, one, given)
+    assert correction is tried[chosen][0]
+    assert verdict.answer == answers[0 if chosen == 2 else chosen]  # or that on the best of what was tried
 
 
 def test_what_cannot_be_is_told_with_what_it_stands_for():

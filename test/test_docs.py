@@ -19,6 +19,7 @@ from mems_ins_fusion.parameters.table import FILTER, FUSION, REPLAY, check
 from mems_ins_fusion.tools import TOOLS
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(REPOSITORY / 'studies'))
 PAGES = [REPOSITORY / 'README.md', *sorted((REPOSITORY / 'docs').glob('*.md'))]
 OF_NODE = {'fusion_node': (*FILTER, *FUSION), 'replay_node': (*FILTER, *REPLAY)}
 #: commands that no test looks into, and why
@@ -112,9 +113,11 @@ def check_tool(name, argv):
     assert name in TOOLS
     ros = argv.index('--ros-args') if '--ros-args' in argv else len(argv)
     if name not in OF_NODE:
-        parser = import_module(f'mems_ins_fusion.{TOOLS[name][0]}.{name}')._parser()
+        module = import_module(f'mems_ins_fusion.{TOOLS[name][0]}.{name}')
+        # of some tools the first word chooses what they do
+        parser, rest = module._parser_of(argv) if hasattr(module, '_parser_of') else (module._parser(), argv[:ros])
         if '--help' not in argv:
-            options = parser.parse_args(argv[:ros])
+            options = parser.parse_args(rest)
             check_files(getattr(options, 'params_file', []))
         return
     assert not argv[:ros] or argv == ['--help']
@@ -190,8 +193,6 @@ def played(tmp_path_factory):
     for number, words in commands(REPOSITORY / 'docs/tutorial.md'):
         if words[:3] != ['python', '-m', 'mems_ins_fusion'] or words[3] not in RUN:
             continue
-        if words[3] == 'simulate':  # short; of what is given twice the last counts
-            words = [*words, '--duration', '300', '--rate', '50']
         process = subprocess.run([sys.executable, *words[1:]], cwd=folder, capture_output=True, text=True,
                                  env={**os.environ, 'PYTHONPATH': str(REPOSITORY)})
         said.append(SimpleNamespace(tool=words[3], words=words, process=process))
@@ -208,10 +209,41 @@ def test_the_commands_of_the_tutorial_run_one_after_the_other(played):
         assert (folder / name).is_file()
 
 
+def numbers_and_words(text: str) -> tuple[list[float], str]:
+    """The numbers in a text, and the text without them and without its line breaks."""
+    plain = ' '.join(text.split())
+    return [float(n) for n in re.findall(r'\d+(?:\.\d+)?', plain)], re.sub(r'\d+(?:\.\d+)?', '#', plain)
+
+
+def test_the_tutorial_says_what_its_commands_print(played):
+    """On the same seed; `python studies/pages_from_commands.py WORK tutorial` writes it anew."""
+    from pages_from_commands import blocks
+
+    printed = {step.tool: step.process.stdout for step in played[1]}
+    pages = blocks((REPOSITORY / 'docs/tutorial.md').read_text(encoding='utf-8'))
+    assert set(pages) == {'configure', 'replay_node', 'diagnose', 'compare'}
+    for name, text in pages.items():
+        (numbers, words), (now, said) = numbers_and_words(text), numbers_and_words(printed[name])
+        assert said == words, f'{name}: the page has other words'
+        # machines round differently, and a filter adds that up; what a person reads stays
+        assert now == pytest.approx(numbers, rel=0.1, abs=0.02), name
+
+
+def test_the_page_is_written_as_the_test_reads_it():
+    from pages_from_commands import block, blocks, written
+
+    page = 'Before.\n\n<!-- printed by: compare -->\n```text\nold 1\n```\n\nAfter `compare`.\n'
+    new = written(page, {'compare': 'B is better: 2.0 m. ' * 9 + '\n  next\n', 'diagnose': 'nothing'})
+    assert new.startswith('Before.') and new.endswith('After `compare`.\n') and 'old' not in new
+    assert numbers_and_words(blocks(new)['compare']) == numbers_and_words('B is better: 2.0 m. ' * 9 + 'next')
+    assert max(map(len, block('word ' * 60).splitlines())) <= 120
+    assert written(new, {}) == new
+
+
 def test_what_a_tool_says_to_type_next_can_be_typed(played):
     folder, said = played
-    next_ones = [shlex.split(line) for step in said for line in step.process.stdout.splitlines()
-                 if line.strip().startswith('python -m mems_ins_fusion')]
+    lines = [line.strip().removeprefix('next: ') for step in said for line in step.process.stdout.splitlines()]
+    next_ones = [shlex.split(line) for line in lines if line.startswith('python -m mems_ins_fusion')]
     assert next_ones
     for words in next_ones:
         check_tool(words[3], words[4:])

@@ -11,10 +11,10 @@ from scipy.signal import lsim
 from mems_ins_fusion.diagnosis.problem import averaged
 from mems_ins_fusion.effects.gnss_outliers import far_off
 from mems_ins_fusion.effects.registry import EFFECTS
-from mems_ins_fusion.filter import replay as filter_replay
-from mems_ins_fusion.filter.live import FusionFilter
-from mems_ins_fusion.filter.replay import run
-from mems_ins_fusion.filter.start import transferred
+from mems_ins_fusion.filter.runs import replay as filter_replay
+from mems_ins_fusion.filter.runs.live import FusionFilter
+from mems_ins_fusion.filter.runs.replay import run
+from mems_ins_fusion.filter.start.start import transferred
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.navigation.frames import mounting
 from mems_ins_fusion.parameters import table

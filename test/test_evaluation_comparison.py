@@ -9,7 +9,7 @@ from mems_ins_fusion.evaluation import metrics
 from mems_ins_fusion.evaluation.comparison import ReplayError, add_noise, compare, cut, thin
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.reports.verdict import verdict
+from mems_ins_fusion.reports.replay_answer import sentences
 from mems_ins_fusion.sensor_errors.models import Autoregressive
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
@@ -99,10 +99,10 @@ def test_without_a_reference_only_withheld_fixes_are_the_truth():
     assert not each.independent and third.independent
     assert not np.isin(third.errors.stamp, third.run.innovations.stamp).any()
     assert len(third.errors) == pytest.approx(len(each.errors) * 5 / 6, abs=2)
-    assert any('agreement, not accuracy' in sentence and 'At 0 s' in sentence for sentence in verdict(result))
+    assert any('agreement, not accuracy' in sentence and 'At 0 s' in sentence for sentence in sentences(result))
     # and the errors hold those of the truth: 1.5 m north and east, which the verdict mentions
     assert third.summary['horizontal_rmse_m'] > 1.5
-    assert any('uncertain by 1.5 m' in sentence for sentence in verdict(result))
+    assert any('uncertain by 1.5 m' in sentence for sentence in sentences(result))
 
 
 def test_noise_makes_every_fix_a_truth():
@@ -129,7 +129,7 @@ def test_errors_are_those_of_a_run_with_all_its_samples(recording):
     """That only some states are kept changes nothing."""
     from mems_ins_fusion.evaluation.comparison import truth_of
     from mems_ins_fusion.filter.config import FilterConfig
-    from mems_ins_fusion.filter.replay import run
+    from mems_ins_fusion.filter.runs.replay import run
 
     given = values(update_intervals=[3.0], models=['random_walk'])
     result = compare(recording, given).runs[0]
@@ -180,7 +180,7 @@ def test_the_verdict_names_the_model_that_is_right():
     recording = simulated(900.0, sigma=0.5, seed=8, model='autoregressive', values=models)
     result = compare(recording, values(update_intervals=[6.0], models=['gauss_markov', 'autoregressive'],
                                        outage_durations=[30.0], outage_spacing=20.0, **models))
-    text = verdict(result)
+    text = sentences(result)
     assert any(s.startswith('With fixes each 6 s AR(2) is significantly better than Gauss-Markov') for s in text), text
     assert any('outages of 30 s (largest error) AR(2) is significantly better' in s for s in text), text
     # and the numbers say the same
@@ -200,5 +200,5 @@ def test_the_verdict_declares_no_winner_between_equal_models(recording):
     result = compare(recording, values(update_intervals=[3.0], models=['gauss_markov', 'autoregressive'], **same))
     one, other = (r.summary['horizontal_rmse_m'] for r in result.runs)
     assert one == pytest.approx(other, rel=1e-3)
-    text = ' '.join(verdict(result))
+    text = ' '.join(sentences(result))
     assert 'no model is certainly better' in text or 'nobody will notice' in text

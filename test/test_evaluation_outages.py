@@ -8,7 +8,7 @@ from filter_support import PAPER
 from mems_ins_fusion.evaluation.metrics import Truth, position_errors, rms
 from mems_ins_fusion.evaluation.outages import outage_begins, run_outages, summary
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.replay import run, run_with_outages
+from mems_ins_fusion.filter.runs.replay import run, run_with_outages
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 

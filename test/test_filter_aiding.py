@@ -6,9 +6,12 @@ import math
 import numpy as np
 import pytest
 from filter_support import (
+    LATITUDE,
+    LONGITUDE,
     attitude_of,
     central_difference,
     configure,
+    fix_record,
     newest,
     random_covariance,
     second_order_variance,
@@ -21,7 +24,8 @@ from filter_support import (
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.filter.kernel import TAKEN
-from mems_ins_fusion.filter.layout import NAV, PLANAR, Event, Head, Kind, Verdict, views
+from mems_ins_fusion.filter.memory import NAV, PLANAR, Event, Head, Kind, Nav, Verdict, views
+from mems_ins_fusion.filter.trust.scale import KINDS, PRIOR, Kinds, Scale, scale
 
 DT = 0.01
 FLU = np.array([1.0, -1.0, -1.0])
@@ -138,7 +142,8 @@ SENSORS = {Kind.SPEED: ('speed', [0.04]), Kind.VELOCITY: ('antenna_velocity', [0
 
 
 @EACH
-@pytest.mark.parametrize(('sigmas', 'verdict'), [(0.8, Verdict.USED), (4.5, Verdict.WEIGHTED), (7.0, Verdict.REFUSED)])
+@pytest.mark.parametrize(('sigmas', 'verdict'), [(0.8, Verdict.USED), (4.5, Verdict.WEIGHTED),
+                                                 (12.0, Verdict.WEIGHTED)])
 @pytest.mark.parametrize('kind', SENSORS, ids=['speed', 'velocity', 'heading'])
 def test_a_measurement_corrects_as_the_dense_kalman_update(kind, sigmas, verdict, mechanization, feedback, model):
     config = configure(STATES, mechanization=mechanization, feedback=feedback, sensor_error_model=model)
@@ -146,6 +151,8 @@ def test_a_measurement_corrects_as_the_dense_kalman_update(kind, sigmas, verdict
         {'mounting_pitch'} if mechanization == 'planar' else set())
     start = start_of(config, np.random.default_rng(8), feedback, (11.0, 0.8, -0.4))
     before, after = started(config, **start), started(config, **start)
+    scales = views(after)[2][0][Kinds.SCALE:Kinds.SCALE + KINDS * Scale.SIZE].reshape(KINDS, Scale.SIZE)
+    scales[:, [Scale.KNOWN, Scale.TIME]] = PRIOR, DT  # one deviation tells nothing new
     take_sample(before, DT, *SAMPLE)
     # given a value that is so many sigmas of the innovation away from what is expected
     x0, p0 = state_and_covariance(config, before)
@@ -173,9 +180,6 @@ def test_a_measurement_corrects_as_the_dense_kalman_update(kind, sigmas, verdict
     assert kept[Event.VERDICT] == verdict
     assert kept[Event.Z_N:Event.Z_N + k] == pytest.approx(away, abs=1e-6)
     assert kept[Event.NIS] == pytest.approx(sigmas**2, rel=1e-6)
-    if verdict == Verdict.REFUSED:
-        assert np.array_equal(newest(before)[NAV:], newest(after)[NAV:]) and kept[Event.WEIGHT] == 0.0
-        return
     # and so is the correction; one that fits badly has just so much noise that it is three sigmas away
     if verdict == Verdict.WEIGHTED:
         r[:judged, :judged] += (sigmas**2 / 9 - 1) * s[:judged, :judged]
@@ -220,3 +224,47 @@ def test_the_constraint_with_its_states_corrects_as_the_dense_kalman_update(mech
         s = h @ p0 @ h.T + r
     gain = p0 @ h.T @ np.linalg.inv(s)
     assert_corrected(config, before, after, x0 + gain @ z, p0 - gain @ s @ gain.T)
+
+
+def through(kind, value, r, seconds, rate=1.0, fixes=False, velocity=(0.0, 0.0, 0.0), yaw=0.7, sigma_yaw=0.02):
+    """Memory after `seconds` of a vehicle that goes straight on, with a measurement of `value` each 1 / rate s."""
+    config = configure({'gnss.gate_probability': 0.999999, 'gnss.robust_sigma': 3.0})
+    p = np.diag([1.0, 1.0, 0.01, 0.01, sigma_yaw**2, 1e-4, 1e-4, 1e-8])
+    memory = started(config, velocity=velocity, attitude=(0.0, 0.0, yaw), p=p)
+    north, east = 1.0 / newest(memory)[[Nav.NORTH_SCALE, Nav.EAST_SCALE]]
+    for k in range(round(20 * seconds)):
+        time = (k + 1) / 20.0
+        if (k + 1) % round(20 / rate) == 0:
+            record = np.zeros(Event.SIZE)
+            record[[Event.TIME, Event.KIND, Event.VALUE, Event.R_NN]] = time, kind, value, r
+            take_event(memory, record)
+        if fixes and (k + 1) % 20 == 10:
+            take_event(memory, fix_record(time, LATITUDE + velocity[0] * time / north,
+                                          LONGITUDE + velocity[1] * time / east))
+        take_sample(memory, time, 0.0, 0.0, 9.81, 0.0, 0.0, 0.0)
+    return config, memory
+
+
+@pytest.mark.parametrize('off', [0.5, 1.5, 3.0])
+def test_headings_bring_back_a_filter_that_is_sure_of_a_wrong_one(off):
+    # given a filter whose heading is wrong by many sigma, and sixty headings that agree with each other
+    config, memory = through(Kind.HEADING, 0.7 + off, 0.03**2, 60.0)
+    error = math.remainder(newest(memory)[Nav.YAW] - 0.7 - off, 2 * math.pi)
+    sigma = math.sqrt(state_and_covariance(config, memory)[1][4, 4])
+    # then it has come to them, or says that it does not know
+    assert abs(error) < 0.7 * off and abs(error) < 2.5 * sigma, (error, sigma)
+
+
+def test_headings_that_fit_leave_their_scale_as_it_is():
+    config, memory = through(Kind.HEADING, 0.7, 0.03**2, 60.0)
+    assert scale(newest(memory), Kinds.SCALE + Scale.SIZE * Kind.HEADING) <= 1.0
+    assert math.sqrt(state_and_covariance(config, memory)[1][4, 4]) < 0.02
+
+
+def test_a_wheel_speed_in_kilometres_an_hour_does_not_move_a_velocity_that_fixes_confirm():
+    velocity = 10.0 * math.cos(0.7), 10.0 * math.sin(0.7), 0.0
+    _, memory = through(Kind.SPEED, 36.0, 0.05**2, 60.0, rate=10.0, fixes=True, velocity=velocity)
+    row = newest(memory)
+    assert math.hypot(row[Nav.V_N] - velocity[0], row[Nav.V_E] - velocity[1]) < 0.3
+    # and it is seen how far off it is
+    assert scale(row, Kinds.SCALE + Scale.SIZE * Kind.SPEED) > 100.0

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from filter_support import configure
 
-from mems_ins_fusion.filter.layout import Event, views
-from mems_ins_fusion.filter.live import FusionFilter
-from mems_ins_fusion.filter.replay import run
+from mems_ins_fusion.filter.memory import Event, views
+from mems_ins_fusion.filter.runs.live import FusionFilter
+from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 

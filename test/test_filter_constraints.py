@@ -7,22 +7,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 from filter_support import (
+    LONGITUDE,
     MODEL_VALUES,
     attitude_of,
     central_difference,
     configure,
+    fix_record,
+    newest,
     random_covariance,
     second_order_variance,
     started,
     state_and_covariance,
+    take_event,
     take_sample,
     velocity_of,
 )
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.evaluation.metrics import position_errors, rms
-from mems_ins_fusion.filter import replay
-from mems_ins_fusion.filter.layout import Head, Kind, views
+from mems_ins_fusion.filter.memory import Kind, Nav, views
+from mems_ins_fusion.filter.runs import replay
+from mems_ins_fusion.filter.trust.standstill import Still
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'studies'))
 from table_of_numbers import Drive, recording, truth_of  # noqa: E402
@@ -33,6 +38,9 @@ DENSITY = np.array([1e-5, 2e-5, 3e-5])  # rad/s/sqrt(Hz), gyroscope x, y, z: ano
 VELOCITY_SIGMA, SIDEWAYS_SIGMA = 0.03, 0.4
 NON_HOLONOMIC = {'vehicle.non_holonomic': True, 'vehicle.non_holonomic_sigma': SIDEWAYS_SIGMA,
                  'vehicle.non_holonomic_vertical_sigma': SIDEWAYS_SIGMA}
+#: an IMU that adds nothing
+GOOD = {'accelerometer.noise_density': [1e-6], 'accelerometer.gauss_markov.sigma': [1e-8],
+        'gyroscope.gauss_markov.sigma': [1e-8]}
 STANDSTILL = {'vehicle.zero_velocity': True, 'vehicle.zero_velocity_sigma': VELOCITY_SIGMA}
 
 
@@ -97,9 +105,9 @@ def until_corrected(models, mechanization, feedback, constraint, sample, **start
     memories = [started(config, **start) for config in configs]
     for memory in memories:  # it has been so for long: the low passes show this, nothing scatters
         head, seen = views(memory)[0], np.array(sample[:3]) * FLU
-        for at in (Head.STILL_FIRST, Head.STILL_SECOND, Head.STILL_MEAN):
+        for at in (Still.FIRST, Still.SECOND, Still.MEAN):
             head[at:at + 3] = seen
-        head[Head.STILL_ENERGY], head[[Head.STILL_MOTION, Head.STILL_REST]] = 1e-6, np.log([0.05, 0.01])
+        head[Still.ENERGY], head[[Still.MOTION, Still.REST]] = 1e-6, np.log([0.05, 0.01])
     for k in range(1, 1000):
         for memory in memories:
             take_sample(memory, k * DT, *sample)
@@ -219,3 +227,42 @@ def test_what_the_constraints_said_of_a_whole_recording():
     assert said.s[moving, :2] == pytest.approx(1e4, rel=1e-2)
     assert set(said.kind) == {Kind.NON_HOLONOMIC, Kind.ZERO_VELOCITY}
     assert np.abs(said.z[~moving]).max() < 1.0
+
+
+@pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+def test_a_second_of_constraint_tells_as_much_at_any_rate_of_the_imu(mechanization):
+    # given velocities that the constraint alone tells, and IMUs of 5 to 200 Hz
+    found = {}
+    for rate in (200, 100, 50, 12, 8, 5):
+        config = made('GM', mechanization, 'closed', {**NON_HOLONOMIC, **GOOD,
+                                                      'vehicle.non_holonomic_angle_sigma': 0.0})
+        n = config.layout.n_navigation
+        scale = [1e-3, 1e-3, 2.0, 2.0, 1e-5] if n == 5 else [1e-3] * 3 + [2.0] * 3 + [1e-5] * 3
+        p = np.diag(np.square([*scale, *[1e-6] * config.layout.n_augmented]))
+        memory = started(config, velocity=(10.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=p)
+        for k in range(1, 10 * rate + 1):
+            take_sample(memory, k / rate, 0.0, 0.0, 9.81, 0.0, 0.0, 0.0)
+        east = first_velocity(config)[0] + 1
+        found[rate] = state_and_covariance(config, memory)[1][east, east]
+    # then each of the 100 tenths of a second is worth one with its sigma
+    for rate, variance in found.items():
+        assert variance == pytest.approx(SIDEWAYS_SIGMA**2 / 100, rel=0.05), rate
+
+
+@pytest.mark.parametrize('rate', [100, 5])
+def test_how_long_a_vehicle_goes_sideways_is_counted_once_whatever_comes_late(rate):
+    # given a boat that drifts with 3 m/s for 20 s, and fixes of it in time and late
+    config = made('GM', 'planar', 'closed', {**NON_HOLONOMIC, **GOOD})
+    p = np.diag(np.square([1.0, 1.0, 0.1, 0.1, 1e-4, *[1e-6] * config.layout.n_augmented]))
+    counted = []
+    for late in (0.0, 0.6):
+        memory = started(config, velocity=(0.0, 3.0, 0.0), attitude=(0.0, 0.0, 0.0), p=p)
+        for k in range(1, 20 * rate + 1):
+            time = k / rate
+            take_sample(memory, time, 0.0, 0.0, 9.81, 0.0, 0.0, 0.0)
+            if k % rate == 0 and time - late > 0.0:
+                take_event(memory, fix_record(time - late, longitude=LONGITUDE + (time - late) * 3.0 / 4.26e6,
+                                              r=1e-4 * np.eye(2)))
+        counted.append(newest(memory)[Nav.SIDEWAYS])
+    # then it is the time that it was so
+    assert 10.0 < counted[0] <= 20.0 and counted[1] == pytest.approx(counted[0], abs=1.0)

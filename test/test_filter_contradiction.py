@@ -5,18 +5,18 @@ import math
 
 import numpy as np
 import pytest
-from filter_support import LATITUDE, LONGITUDE, configure, fix_record, random_covariance, started, take_all
-
-from mems_ins_fusion.filter.contradiction import (
-    LOOSENED,
-    UNSETTLED_TIME,
-    disputed,
-    goes_back,
-    loosen,
-    slides,
-    unsettle,
+from filter_support import (
+    LATITUDE,
+    LONGITUDE,
+    configure,
+    fix_record,
+    newest,
+    random_covariance,
+    started,
+    take_all,
 )
-from mems_ins_fusion.filter.layout import (
+
+from mems_ins_fusion.filter.memory import (
     Event,
     Head,
     Kind,
@@ -27,8 +27,17 @@ from mems_ins_fusion.filter.layout import (
     set_covariance,
     state_at,
 )
-from mems_ins_fusion.filter.odometry import POSE_COVARIANCE, SIZE, odometry, published_covariance
-from mems_ins_fusion.filter.vehicle_check import vehicle_says
+from mems_ins_fusion.filter.runs.odometry import POSE_COVARIANCE, SIZE, odometry, published_covariance
+from mems_ins_fusion.filter.runs.vehicle_check import vehicle_says
+from mems_ins_fusion.filter.trust.contradiction import (
+    LOOSENED,
+    UNSETTLED_TIME,
+    disputed,
+    goes_back,
+    loosen,
+    slides,
+    unsettle,
+)
 from mems_ins_fusion.navigation.earth import gravity, radii
 
 BOTH = pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
@@ -96,7 +105,7 @@ def test_after_a_slide_velocity_and_heading_are_as_uncertain_as_it_is_large(mech
     expected[[names.index('v_n'), names.index('v_e')]] = 1.5**2
     expected[names.index('yaw' if mechanization == 'planar' else 'phi_d')] = 0.15**2
     np.testing.assert_allclose(added, np.diag(expected), atol=1e-12)
-    assert memory[r + Nav.UNSETTLED] == UNSETTLED_TIME and memory[Head.SLID] == STEP
+    assert memory[r + Nav.UNSETTLED] == UNSETTLED_TIME and memory[r + Nav.SLID] == STEP
 
 
 @BOTH
@@ -184,7 +193,7 @@ class Drive:
 @BOTH
 def test_nothing_is_in_dispute_where_all_is_right(mechanization):
     config, memory, error, sigma, records = Drive().through(mechanization)
-    assert memory[Head.SLID] == 0.0
+    assert newest(memory)[Nav.SLID] == 0.0
     assert np.hypot(*sigma.T).max() < 1.0 and np.hypot(*error.T).max() < 2.0
     assert not any('sideways' in text for text in vehicle_says(memory, config, records))
 
@@ -210,7 +219,7 @@ def test_a_gyroscope_that_turns_away_is_seen_and_said():
     drive.samples[1500:2000, 6] += math.radians(5.0)
     config, memory, error, _, records = drive.through('planar')
     # then the fixes decide: by the IMU and the constraint it would be v w t^2 / 2 = 44 m off
-    assert memory[Head.SLID] > 1.0
+    assert newest(memory)[Nav.SLID] > 1.0
     assert np.hypot(*error.T).max() < 6.0 and np.hypot(*error[-500:].T).max() < 2.0
     assert any('sideways' in text for text in vehicle_says(memory, config, records))
 
@@ -221,7 +230,7 @@ def test_where_each_fix_is_believed_nothing_is_decided_against_the_imu():
     drive.samples[1500:2000, 6] += math.radians(5.0)
     _, memory, *_ = drive.through('planar', **{'gnss.gate_probability': 1.0, 'gnss.robust_sigma': 0.0})
     # then the misfit stays in what it measures: what adapted to it would hide its cause
-    assert memory[Head.SLID] == 0.0
+    assert newest(memory)[Nav.SLID] == 0.0
 
 
 def crept(seconds):

@@ -7,9 +7,16 @@ import numpy as np
 import pytest
 from filter_support import configure, newest, started
 
-from mems_ins_fusion.filter import replay
-from mems_ins_fusion.filter.drift import DRIFT_MEMORY, DRIFT_PRIOR, SMALLEST_RATIO, WINDOW, learn_drift
-from mems_ins_fusion.filter.layout import NAV, Head, Nav
+from mems_ins_fusion.filter.memory import NAV, Head, Nav
+from mems_ins_fusion.filter.runs import replay
+from mems_ins_fusion.filter.trust.drift import (
+    DRIFT_MEMORY,
+    DRIFT_PRIOR,
+    SMALLEST_RATIO,
+    WINDOW,
+    Drift,
+    learn_drift,
+)
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
@@ -20,7 +27,7 @@ CAR = {'mechanization': 'strapdown', 'vehicle.zero_velocity': True, 'vehicle.lea
        'gyroscope.gauss_markov.tau': [TAU], 'gyroscope.noise_density': [5e-5],
        'accelerometer.gauss_markov.sigma': [ASSUMED_FORCE], 'accelerometer.gauss_markov.tau': [TAU],
        'accelerometer.initial_sigma': [0.05]}
-GYROSCOPES = Nav.DRIFT_RATIO + 1
+GYROSCOPES = Drift.RATIO + 1
 
 
 def stop_and_go(factor, seed=0, force_factor=1.0):
@@ -72,7 +79,7 @@ def test_the_drift_is_learned(model):
 
 def test_that_of_the_accelerometers_is_learned_beside_it():
     rows = {factor: ended(1.0, force_factor=factor) for factor in (0.2, 1.0, 4.0)}
-    ratio = {factor: row[Nav.DRIFT_RATIO] for factor, row in rows.items()}
+    ratio = {factor: row[Drift.RATIO] for factor, row in rows.items()}
     # then a better one never counts as better than assumed
     assert ratio[0.2] == 1.0 <= ratio[1.0] < 2.0 and ratio[4.0] > 4.0 * ratio[1.0], ratio
     # and the gyroscopes are not blamed for it
@@ -94,7 +101,7 @@ def test_the_bias_that_a_sensor_was_switched_on_with_is_no_drift():
                                              ({'mechanization': 'planar'}, 'slopes are no drift')])
 def test_without_it_the_noise_is_as_configured(values, why):
     row = ended(4.0, **values)
-    assert row[Nav.DRIFT_RATIO] == row[GYROSCOPES] == 1.0 and not row[Nav.DRIFT_SEEN:Nav.DRIFT_SEEN + 2].any(), why
+    assert row[Drift.RATIO] == row[GYROSCOPES] == 1.0 and not row[Drift.SEEN:Drift.SEEN + 2].any(), why
 
 
 @pytest.mark.parametrize(('constraints', 'factor', 'moved', 'ratio'), [
@@ -110,11 +117,11 @@ def test_what_a_receiver_may_have_moved_is_no_drift(constraints, factor, moved, 
     memory = started(config)
     r, x, e = int(memory[Head.ROWS_AT]), NAV + 9, NAV + 15 + 45 + 54
     told = 0.5 * WINDOW * 1e-10
-    memory[r + Nav.TIME], memory[r + Nav.DRIFT_TIME], memory[r + Nav.VARIANCE_FACTOR] = 1.0 + WINDOW, 1.0, factor
+    memory[r + Nav.TIME], memory[r + Drift.TIME], memory[r + Nav.VARIANCE_FACTOR] = 1.0 + WINDOW, 1.0, factor
     for k in range(3, 6):
-        memory[r + Nav.BIAS_VARIANCE + k] = memory[r + Nav.BIAS + k] = 1e-9
+        memory[r + Drift.BIAS_VARIANCE + k] = memory[r + Drift.BIAS + k] = 1e-9
         memory[r + x + k] = 1e-9 + np.sqrt(moved * told)
         memory[r + e + 7 * k] = 1e-9 + told
     # when it has ended
     learn_drift(memory, r)
-    assert memory[r + Nav.DRIFT_RATIO + 1] == pytest.approx(ratio)
+    assert memory[r + Drift.RATIO + 1] == pytest.approx(ratio)

@@ -5,10 +5,10 @@ import math
 
 import numpy as np
 import pytest
-from filter_support import HEIGHT, LATITUDE, configure, newest, started, take_all
+from filter_support import HEIGHT, LATITUDE, configure, fix_record, newest, started, take_all
 
-from mems_ins_fusion.filter.imu_faults import Fault
-from mems_ins_fusion.filter.layout import Event, Head, Nav, Sample, covariance, views
+from mems_ins_fusion.filter.memory import Event, Head, Nav, Sample, covariance, views
+from mems_ins_fusion.filter.trust.imu_faults import Fault, Imu
 from mems_ins_fusion.navigation.earth import gravity
 
 RATE, SPEED = 50.0, 12.0
@@ -62,7 +62,7 @@ FAULTS = pytest.mark.parametrize(('change', 'fault', 'least', 'most'), [
 def test_a_fault_is_seen_for_what_it_is_and_bridged(mechanization, change, fault, least, most):
     config, memory, velocity = driven(mechanization, change)
     head = views(memory)[0]
-    counts = head[Head.FAULTS:Head.FAULTS + Fault.SIZE]
+    counts = head[Imu.FAULTS:Imu.FAULTS + Fault.SIZE]
     assert least <= counts[fault] <= most and counts.sum() == counts[fault]
     # then it goes on as it did, and the covariance knows more of the bridge than the error
     error = np.hypot(velocity[-1, 0] - SPEED, velocity[-1, 1])
@@ -76,7 +76,7 @@ def test_a_fault_is_seen_for_what_it_is_and_bridged(mechanization, change, fault
 @BOTH
 def test_honest_samples_are_believed(mechanization):
     _, memory, velocity = driven(mechanization, lambda samples: None)
-    assert not views(memory)[0][Head.FAULTS:Head.FAULTS + Fault.SIZE].any()
+    assert not views(memory)[0][Imu.FAULTS:Imu.FAULTS + Fault.SIZE].any()
     assert np.hypot(velocity[-1, 0] - SPEED, velocity[-1, 1]) < 0.3
 
 
@@ -98,7 +98,7 @@ def test_a_sensor_that_always_repeats_itself_at_rest_is_believed():
         samples[100:, 1:] = samples[99, 1:]
 
     _, memory, _ = driven('planar', constant, speed=0.0)
-    assert not views(memory)[0][Head.FAULTS:Head.FAULTS + Fault.SIZE].any()
+    assert not views(memory)[0][Imu.FAULTS:Imu.FAULTS + Fault.SIZE].any()
 
 
 def flags_at_rest(change, speed=0.0, count=800):
@@ -148,8 +148,57 @@ def test_a_state_that_is_not_finite_is_taken_back(mechanization):
     sample = np.array([[time, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0]])
     states, _ = take_all(memory, sample, np.zeros((0, Event.SIZE)), [Nav.V_N])
     after = newest(memory)
-    assert np.isfinite(after[:Sample.SIZE]).all() and head[Head.RESTARTS] == 1
+    assert np.isfinite(after[:Sample.SIZE]).all() and after[Nav.RESTARTS] == 1
     assert after[Nav.TIME] == pytest.approx(time) and after[Nav.V_N] == before[Nav.V_N]
     first = 2 if mechanization == 'planar' else 3
     change = covariance(after, config.layout) - covariance(before, config.layout)
     assert change[first, first] == pytest.approx(1.0) and change[-1, -1] == 0.0
+
+
+def with_a_gap(mechanization, seconds, fixes=0.0):
+    """A filter on a steady way north behind a gap of `seconds`, with fixes that tell nothing, so far apart, in it."""
+    config = configure({'imu.max_gap': 0.5}, mechanization=mechanization)
+    n = config.layout.n_navigation
+    p = 1e-6 * np.eye(config.layout.n)
+    p[:n, :n] = np.diag(np.square([1, 1, .1, .1, .01] if n == 5 else [1, 1, 1, .1, .1, .1, .003, .003, .01]))
+    memory = started(config, velocity=(SPEED, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=p)
+    time = np.concatenate([np.arange(1, 51) / RATE, 1.0 + seconds + np.arange(5) / RATE])
+    samples = np.column_stack([time, np.zeros((len(time), 6))])
+    samples[:, 3] = gravity(LATITUDE, HEIGHT)
+    at = np.arange(1.0 + fixes, 1.0 + seconds, fixes) if fixes else np.zeros(0)
+    records = np.array([fix_record(t, LATITUDE + SPEED * t / 6.37e6, r=1e8 * np.eye(2), down=1e8) for t in at])
+    take_all(memory, samples, records.reshape(-1, Event.SIZE), [Nav.V_N])
+    return config, memory
+
+
+@BOTH
+@pytest.mark.parametrize('apart', [0.4, 0.1])
+def test_a_gap_is_bridged_as_long_as_it_is_whatever_falls_into_it(mechanization, apart):
+    # given a gap of 2 s, and the same with fixes in it that tell nothing
+    config, memory = with_a_gap(mechanization, 2.0)
+    p = covariance(newest(memory), config.layout)
+    first = 2 if mechanization == 'planar' else 3
+    assert math.sqrt(p[first, first]) > 2.0
+    _, memory = with_a_gap(mechanization, 2.0, apart)
+    # then velocity and heading are as uncertain
+    parted = covariance(newest(memory), config.layout)
+    last = config.layout.n_navigation - 1
+    for i in (first, first + 1, last):
+        assert parted[i, i] == pytest.approx(p[i, i], rel=0.2)  # gravity leaks through the tilt of parts of it
+
+
+@BOTH
+@pytest.mark.parametrize('model', ['random_walk', 'gauss_markov', 'autoregressive'])
+def test_behind_a_gap_in_which_the_imu_may_have_restarted_its_errors_are_free(mechanization, model):
+    config = configure({'sensor_error_model': model, 'imu.max_gap': 0.5}, mechanization=mechanization)
+    first = [m.initial_covariance()[0, 0] + t**2 for m, t in zip(config.models, config.turn_on_sigma)]
+    states = config.layout.n_navigation + config.layout.order * np.arange(len(config.models))
+    sample = [0.0, 0.0, gravity(LATITUDE, HEIGHT), 0.0, 0.0, 0.0]
+    for seconds, share in ((0.9, 0.0), (2.0, 0.3)):
+        memory = started(config, p=1e-10 * np.eye(config.layout.n))
+        times = 0.02, 0.02 + seconds, 0.04 + seconds
+        take_all(memory, np.array([[t, *sample] for t in times]), np.zeros((0, Event.SIZE)), [0])
+        after = np.diag(covariance(newest(memory), config.layout))[states]
+        # then by three tenths of what one is uncertain by that was never seen; else by what its model says
+        drift = [m.process_noise(0.04 + seconds)[0, 0] if model != 'autoregressive' else 0.0 for m in config.models]
+        assert after == pytest.approx(share**2 * np.array(first) + drift, abs=2e-4 * min(first), rel=0.01)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from filter_support import MODELS, configure, newest
 
-from mems_ins_fusion.filter.layout import NAV, Kind, Verdict
-from mems_ins_fusion.filter.live import FusionFilter
-from mems_ins_fusion.filter.odometry import published_covariance
-from mems_ins_fusion.filter.publish import published as would_publish
-from mems_ins_fusion.filter.replay import Aiding, run
+from mems_ins_fusion.filter.memory import NAV, Event, Kind, Verdict
+from mems_ins_fusion.filter.runs.live import FusionFilter
+from mems_ins_fusion.filter.runs.odometry import published_covariance
+from mems_ins_fusion.filter.runs.publish import published as would_publish
+from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.navigation.frames import wrap
-from mems_ins_fusion.samples import Fixes, Headings, ImuSamples, Speeds, Velocities
+from mems_ins_fusion.samples import Aiding, Fixes, Headings, ImuSamples, Speeds, Velocities
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 RATE = 50.0
@@ -87,7 +87,7 @@ def aided(drive, seed=4, latency=0.3) -> Aiding:
     time, stamp, received = at(1.3, 0.23)
     yaw = np.interp(time, drive.time, np.unwrap(drive.yaw)) + 0.03 * rng.standard_normal(len(time))
     headings = Headings(stamp, received, wrap(yaw), np.full(len(time), 0.03**2))
-    return Aiding(by_arrival(speeds), by_arrival(velocities), by_arrival(headings))
+    return Aiding(speed=by_arrival(speeds), velocity=by_arrival(velocities), heading=by_arrival(headings))
 
 
 def in_order(imu, fixes, aiding):
@@ -96,9 +96,9 @@ def in_order(imu, fixes, aiding):
     for order, (name, samples, arguments) in enumerate((
             ('add_fix', fixes, lambda s, i: (float(s.latitude[i]), float(s.longitude[i]), float(s.height[i]),
                                              s.covariance[i].ravel(), int(s.status[i]), int(s.covariance_type[i]))),
-            ('add_velocity', aiding.velocity, lambda s, i: (s.velocity[i], s.covariance[i])),
-            ('add_speed', aiding.speed, lambda s, i: (float(s.speed[i]), float(s.variance[i]))),
-            ('add_heading', aiding.heading, lambda s, i: (float(s.yaw[i]), float(s.variance[i]))))):
+            ('add_speed', aiding.get('speed'), lambda s, i: (float(s.speed[i]), float(s.variance[i]))),
+            ('add_velocity', aiding.get('velocity'), lambda s, i: (s.velocity[i], s.covariance[i])),
+            ('add_heading', aiding.get('heading'), lambda s, i: (float(s.yaw[i]), float(s.variance[i]))))):
         if samples is not None:
             after = np.searchsorted(imu.received, samples.received, side='right')
             events += [((after[i], samples.received[i], order, i), name, int(samples.stamp[i]), arguments(samples, i))
@@ -184,6 +184,31 @@ def test_live_and_replay_give_the_same_bits_with_all_that_can_be_measured(drive,
     # and each of them has been used
     for kind in (Kind.POSITION, Kind.SPEED, Kind.VELOCITY, Kind.HEADING):
         assert replayed.measured.verdicts(kind)[Verdict.USED] > 20
+
+
+@pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+def test_live_and_replay_give_the_same_bits_where_fixes_are_withdrawn(drive, mechanization):
+    # given a receiver whose fixes come late, and that goes straight on for 5 s while the vehicle is fast
+    config = configure(TRUST, mechanization=mechanization)
+    imu, fixes = recorded(drive, 'gauss_markov', latency=0.2)
+    speed = np.interp(fixes.stamp, drive.stamp, np.hypot(*drive.velocity.T[:2]))
+    begin = next(i for i in range(240, len(fixes)) if speed[i - 40:i + 20].min() > 6.0)
+    gone = np.arange(1, 21)
+    for values in (fixes.latitude, fixes.longitude):
+        values[begin:begin + 20] = values[begin - 1] + gone * (values[begin - 1] - values[begin - 21]) / 20
+    fixes.latitude[begin:begin + 20] += gone * 0.5 / 6.37e6  # by 2 m/s off, so that they do depart
+    published, _ = live(config, imu, fixes)
+    replayed = run(config, imu, fixes)
+    # then all of them are refused in the end, the first ones too
+    verdicts = replayed.measured.record[np.isin(replayed.measured.index, begin + np.arange(20)), Event.VERDICT]
+    assert len(verdicts) == 20 and (verdicts == Verdict.STRAIGHT_ON).all()
+    # and what was published meanwhile is the same
+    index = np.array([p[0] for p in published])
+    at = np.searchsorted(replayed.index, index)
+    assert np.array_equal(replayed.index[at], index)
+    assert np.array_equal(np.column_stack([replayed.latitude, replayed.longitude, replayed.height])[at],
+                          np.array([p[2:5] for p in published]))
+    assert np.array_equal(newest(replayed.memory), published[-1][-1])
 
 
 @pytest.mark.parametrize(('mechanization', 'feedback'), [('planar', 'closed'), ('planar', 'open'),

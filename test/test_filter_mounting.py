@@ -22,9 +22,9 @@ from test_filter_constraints import NON_HOLONOMIC, SIDEWAYS_SIGMA, true_motion
 
 from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.layout import Event, Head, Nav, Verdict, views
-from mems_ins_fusion.filter.replay import run
-from mems_ins_fusion.filter.vehicle_check import vehicle_says
+from mems_ins_fusion.filter.memory import Event, Head, Nav, Verdict, state_at, views
+from mems_ins_fusion.filter.runs.replay import run
+from mems_ins_fusion.filter.runs.vehicle_check import vehicle_says
 from mems_ins_fusion.navigation.frames import rotation_from_rpy, wrap
 from mems_ins_fusion.parameters import table
 
@@ -48,7 +48,7 @@ def test_no_sideways_velocity_is_linearised_where_the_mounting_is_estimated(mech
     velocity = Rotation.from_euler('z', 0.7 + turn + 0.05).apply((13.0, 0.0, -0.3 if k == 2 else 0.0))
     before, after = (started(config, attitude=attitude, velocity=velocity, x=x,
                              p=random_covariance(n, np.random.default_rng(5), scale)) for _ in range(2))
-    for memory, since in ((before, 0.0), (after, 1.0)):  # s since the last constraint: one of them is due
+    for memory, since in ((before, 0.0), (after, 0.09)):  # s since the last constraint: one of them is due
         views(memory)[2][0, Nav.CONSTRAINT_TIME] = since
         take_sample(memory, 0.01, *sample)
     x, p = state_and_covariance(config, before)
@@ -125,7 +125,7 @@ def test_what_no_car_does_is_said_with_the_parameters_that_are_its():
     assert not any('config/boat.yaml' in n.text or 'imu.mounting_rpy' in n.text for n in result.notices)
     # when it has gone sideways for so long, as the kernel counts
     memory, fixes = result.memory.copy(), np.zeros((20, Event.SIZE))
-    memory[Head.SIDEWAYS] = 20.0
+    memory[state_at(memory, int(memory[Head.SAMPLES])) + Nav.SIDEWAYS] = 20.0
     said, = vehicle_says(memory, result.config, fixes)
     assert 'went sideways for 20 s' in said and 'config/boat.yaml' in said
     # or fixes are refused that go on while the IMU shows a standstill

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from filter_support import (
+    HEIGHT,
     MODEL_VALUES,
     central_difference,
     configure,
@@ -18,7 +19,7 @@ from filter_support import (
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from mems_ins_fusion.filter.layout import PLANAR, Nav
+from mems_ins_fusion.filter.memory import PLANAR, Nav, views
 from mems_ins_fusion.navigation import planar, strapdown
 from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.parameters.table import ALL
@@ -194,6 +195,20 @@ def test_a_long_gap_adds_what_a_vehicle_may_do_unseen():
     assert sigmas[0][2] < 0.05 and sigmas[0][4] < 0.01
     assert sigmas[2][2] == pytest.approx(3.0, rel=0.01) and sigmas[2][4] == pytest.approx(0.6, rel=0.01)
     assert sigmas[1][2] == pytest.approx(1.5 * 0.51, rel=0.01)
+
+
+def test_the_radii_are_those_of_the_height_that_belongs_to_them():
+    # given a vehicle that climbs steeply while it moves so far that they are computed anew, and rows of other heights
+    config = configure({'mechanization': 'strapdown', 'imu.max_gap': 9.0})
+    memory = started(config, velocity=(15.0, 5.0, -8.0))
+    views(memory)[2][1:, Nav.HEIGHT] = 9000.0
+    take_sample(memory, 2.0, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0)
+    row = newest(memory)
+    assert row[Nav.HEIGHT] == pytest.approx(HEIGHT + 16.0, abs=1.0)
+    meridian, prime_vertical = radii(row[Nav.LATITUDE])
+    assert 1.0 / row[Nav.NORTH_SCALE] == pytest.approx(meridian + row[Nav.HEIGHT], rel=1e-12)
+    assert 1.0 / row[Nav.EAST_SCALE] == pytest.approx(
+        (prime_vertical + row[Nav.HEIGHT]) * np.cos(row[Nav.LATITUDE]), rel=1e-12)
 
 
 def stepped(name, steps, more=(), x=None, dt=DT):

@@ -6,10 +6,10 @@ import pytest
 from filter_support import HEIGHT, LATITUDE, LONGITUDE, configure, newest, take_all
 
 from mems_ins_fusion.evaluation.metrics import NEES_95, Truth, position_errors, rms
-from mems_ins_fusion.filter import replay, smoothing
-from mems_ins_fusion.filter.alignment import Start
-from mems_ins_fusion.filter.initial import initialize
-from mems_ins_fusion.filter.layout import NAV, STRAPDOWN, Event, Head, Verdict, covariance, views
+from mems_ins_fusion.filter.memory import NAV, STRAPDOWN, Event, Head, Verdict, covariance, views
+from mems_ins_fusion.filter.runs import replay, smoothing
+from mems_ins_fusion.filter.start.alignment import Start
+from mems_ins_fusion.filter.start.initial import initialize
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Fixes, ImuSamples, Velocities
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording

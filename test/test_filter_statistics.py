@@ -14,8 +14,8 @@ from filter_support import MODELS, configure, fix_record, started, take_all
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from mems_ins_fusion.filter import replay
-from mems_ins_fusion.filter.layout import NAV, PLANAR, Event, Head, Nav, covariance, views
+from mems_ins_fusion.filter.memory import NAV, PLANAR, Event, Head, Nav, covariance, views
+from mems_ins_fusion.filter.runs import replay
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording

@@ -23,8 +23,8 @@ from filter_support import (
 )
 from scipy.spatial.transform import Rotation
 
-from mems_ins_fusion.filter.kernel import BEFORE_START, TAKEN, TOO_LATE
-from mems_ins_fusion.filter.layout import NAV, PLANAR, Event, Head, Nav, Verdict, views
+from mems_ins_fusion.filter.kernel import BEFORE_START, FORGOTTEN, TAKEN, TOO_LATE
+from mems_ins_fusion.filter.memory import NAV, PLANAR, Event, Head, Kind, Nav, Verdict, views
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.simulation.drive import simulate_drive
 
@@ -42,7 +42,8 @@ def made(model, mechanization, feedback, **more):
 def scale_of(config):
     navigation = [2, 2, .3, .3, .05] if config.mechanization == PLANAR else [2, 2, 3, .3, .3, .3, .03, .03, .05]
     channels = [.1 if axis < 3 else .01 for axis in config.channel_axes for _ in range(config.layout.order)]
-    return np.array(navigation + channels + ([.8, .8] if config.gnss.coloured else []))
+    return np.array(navigation + channels + ([.8, .8] if config.gnss.coloured else [])
+                    + ([.2] if 'time_offset' in config.layout.names else []))
 
 
 def antenna(config, row, error):
@@ -72,6 +73,9 @@ def textbook(config, row, x, p, r, down):
     h[:, :navigation] = -central_difference(lambda e: antenna(config, row, e)[:dimensions], navigation, 1e-6)
     if config.gnss.coloured:  # measured = true + coloured noise + white
         h[0, n - 2] = h[1, n - 1] = -1
+    if config.layout.index('time_offset') == n - 1:  # it is of so much earlier: the vehicle has gone on since
+        velocity = row[[Nav.V_N, Nav.V_E, Nav.V_D]][:dimensions]
+        h[:, -1] = velocity
     noise = np.zeros((dimensions, dimensions))
     noise[:2, :2] = r
     if dimensions == 3:
@@ -84,10 +88,11 @@ def textbook(config, row, x, p, r, down):
 
 @pytest.mark.parametrize('feedback', ['closed', 'open'])
 @pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
-@pytest.mark.parametrize('model', ['GM', 'AR(2)'])
-def test_a_fix_corrects_as_the_dense_joint_kalman_update(model, mechanization, feedback):
-    # given lever arm, coloured noise, a correlated R and a fix on a sample's stamp
-    config = made(model, mechanization, feedback, **COLOURED)
+@pytest.mark.parametrize(('model', 'optional'), [('GM', COLOURED), ('AR(2)', COLOURED),
+                                                 ('GM', {'gnss.time_offset_sigma': 0.2})])
+def test_a_fix_corrects_as_the_dense_joint_kalman_update(model, optional, mechanization, feedback):
+    # given lever arm, coloured noise or a time offset, a correlated R and a fix on a sample's stamp
+    config = made(model, mechanization, feedback, **optional)
     rng, navigation = np.random.default_rng(4), config.layout.n_navigation
     scale = scale_of(config)
     p0, x0 = random_covariance(len(scale), rng, scale), np.zeros(len(scale))
@@ -156,6 +161,37 @@ def test_robust_weighting_brings_an_outlier_to_its_limit_and_leaves_others_alone
         assert np.diag(got)[index] == pytest.approx(np.diag(expected)[index], rel=1e-6)
         z = views(memory)[4][0, [Event.Z_N, Event.Z_E]]
         assert z @ np.linalg.solve(p[:2, :2] + inflated, z) == pytest.approx(9.0, rel=1e-6)
+
+
+@pytest.mark.parametrize('gate, corrected', [(0.999999, False), (1.0, True)])
+def test_a_height_that_cannot_be_is_not_used_and_the_rest_of_the_fix_is(gate, corrected):
+    # given a height of which the filter is certain to 3 m, and a fix 30 m north, where it may be, and 100 m above
+    config = configure({**MODEL_VALUES['GM'], 'mechanization': 'strapdown', 'gnss.gate_probability': gate})
+    heights, sigmas = [], []
+    for height in (HEIGHT, HEIGHT + 100.0):
+        p = np.diag(np.concatenate([[20.0, 20.0], scale_of(config)[2:]]) ** 2)
+        memory = started(config, velocity=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=p)
+        take_event(memory, fix_record(DT, latitude=LATITUDE + 30.0 / 6.4e6, height=height, down=1.0))
+        take_sample(memory, DT, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0)
+        assert views(memory)[4][0, Event.VERDICT] == Verdict.USED
+        heights.append(newest(memory)[Nav.HEIGHT])
+        sigmas.append(np.sqrt(np.diag(state_and_covariance(config, memory)[1]))[:3])
+    assert heights[0] == pytest.approx(HEIGHT, abs=0.1)
+    assert heights[1] == pytest.approx(HEIGHT + (90.0 if corrected else 0.0), abs=0.1)
+    # then its sigma stays, too, and north and east are corrected
+    assert sigmas[1] == pytest.approx([1.0, 1.0, 0.9**0.5 if corrected else 3.0], rel=0.01)
+
+
+def test_a_height_that_fits_badly_is_weighted_down_to_the_limit():
+    # given a height certain to 3 m, and a fix 30 m above, certain to 1 m: of nis 90
+    config = configure({**MODEL_VALUES['GM'], 'mechanization': 'strapdown', 'gnss.robust_sigma': 3.0})
+    memory = started(config, velocity=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=np.diag(scale_of(config) ** 2))
+    take_event(memory, fix_record(DT, height=HEIGHT + 30.0, down=1.0))
+    take_sample(memory, DT, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0)
+    # then R grows until S is ten times as large, nis 9: gain 9 / 100
+    assert views(memory)[4][0, Event.VERDICT] == Verdict.USED and views(memory)[4][0, Event.WEIGHT] == 1.0
+    assert newest(memory)[Nav.HEIGHT] == pytest.approx(HEIGHT + 2.7, abs=0.02)
+    assert state_and_covariance(config, memory)[1][2, 2] == pytest.approx(9.0 - 0.81, rel=0.01)
 
 
 @pytest.mark.parametrize('model', ['RW', 'GM', 'AR(3)'])
@@ -229,6 +265,43 @@ def test_late_fixes_give_bit_for_bit_what_fixes_in_time_give(model, mechanizatio
         assert np.array_equal(views(late)[2][15:60], views(in_order)[2][15:60])
     without, _ = driven(config, samples)
     assert not np.array_equal(newest(without), newest(in_order))
+
+
+def test_a_late_fix_loses_nothing_of_a_fast_sensor_beside_it():
+    # given a wheel speed at 100 Hz, and a fix that comes 4 s late, within the delay
+    config = made('GM', 'planar', 'closed', **{'gnss.max_delay': 5.0, 'speed_topic': '/speed'})
+    times = np.round(0.01 * np.arange(1, 601), 9)
+
+    def played(fix_after):
+        memory = started(config, p=0.01 * np.eye(config.layout.n))
+        for time in times:
+            speed = np.zeros(Event.SIZE)
+            speed[[Event.TIME, Event.KIND, Event.VALUE, Event.R_NN]] = time - 0.005, Kind.SPEED, 13.0, 0.01
+            assert take_event(memory, speed) == TAKEN
+            take_sample(memory, time, *SAMPLE)
+            if time == fix_after:
+                assert take_event(memory, fix_record(1.505, r=R)) == TAKEN
+        return memory
+
+    # then nothing is lost by it
+    assert np.array_equal(newest(played(5.5)), newest(played(1.5)))
+
+
+def test_what_cannot_be_gone_back_behind_is_refused():
+    # given more measurements than are remembered, within the delay
+    config = made('GM', 'planar', 'closed', **{'gnss.max_delay': 10.0, 'speed_topic': '/speed'})
+    memory, count = started(config, p=0.01 * np.eye(config.layout.n)), config.event_capacity + 1
+    take_sample(memory, 0.01, *SAMPLE)
+    for time in np.linspace(0.02, 5.0, count):
+        speed = np.zeros(Event.SIZE)
+        speed[[Event.TIME, Event.KIND, Event.VALUE, Event.R_NN]] = time, Kind.SPEED, 13.0, 0.01
+        assert take_event(memory, speed) == TAKEN
+        take_sample(memory, time + 1e-4, *SAMPLE)
+    before = newest(memory)
+    # then a fix from among those that are not is, and one behind them is taken
+    assert take_event(memory, fix_record(2.0, r=R)) == FORGOTTEN
+    assert np.array_equal(newest(memory), before)
+    assert take_event(memory, fix_record(4.0, r=R)) == TAKEN
 
 
 def test_a_fix_at_a_sample_stamp_acts_after_that_sample():

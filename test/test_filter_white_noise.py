@@ -5,9 +5,19 @@ import numpy as np
 import pytest
 from filter_support import configure, started, take_all, take_sample
 
-from mems_ins_fusion.filter import white_noise
-from mems_ins_fusion.filter.layout import Event, Head, Sample, covariance_index, sample_at
-from mems_ins_fusion.filter.vehicle_check import LONGEST_SHAKEN, vehicle_says
+from mems_ins_fusion.filter.memory import (
+    Event,
+    Head,
+    covariance,
+    covariance_index,
+    row_width,
+    sample_at,
+    state_at,
+)
+from mems_ins_fusion.filter.runs.odometry import SIZE, TWIST_COVARIANCE, odometry
+from mems_ins_fusion.filter.runs.vehicle_check import LONGEST_SHAKEN, vehicle_says
+from mems_ins_fusion.filter.trust import white_noise
+from mems_ins_fusion.filter.trust.white_noise import Shown, White
 from mems_ins_fusion.navigation.strapdown import State
 
 RATE = 20.0
@@ -33,14 +43,14 @@ def brisk(t):
 
 def shown(memory):
     """Noise densities (6,) beside the newest sample."""
-    at = sample_at(memory, int(memory[Head.SAMPLES])) + Sample.WHITE
+    at = sample_at(memory, int(memory[Head.SAMPLES])) + Shown.WHITE
     return np.sqrt(memory[at:at + 6])
 
 
 def after(rows, **values):
     config = configure({**STRAPDOWN, **ASSUMED, **values})
     memory = started(config, velocity=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0))
-    take_all(memory, rows, np.zeros((0, 23)), [0])
+    take_all(memory, rows, np.zeros((0, Event.SIZE)), [0])
     return config, memory
 
 
@@ -61,11 +71,11 @@ def test_who_is_shaken_for_long_is_told_so():
     for seconds, told in ((50.0, False), (120.0, True)):
         config, memory = after(samples(seconds, 3e-3))
         assert any('shakes it' in text for text in vehicle_says(memory, config, np.zeros((0, Event.SIZE)))) == told
-        assert seconds < LONGEST_SHAKEN or memory[Head.SHAKEN] == pytest.approx(seconds, abs=5.0)
+        assert seconds < LONGEST_SHAKEN or memory[White.SHAKEN] == pytest.approx(seconds, abs=5.0)
     # and who has the noise that is assumed is not
     config, memory = after(samples(120.0, 3e-4, 0.01))
     newest = sample_at(memory, int(memory[Head.SAMPLES]))
-    assert memory[Head.SHAKEN] == 0.0 and white_noise.shown(memory, newest, 3) < 4.0
+    assert memory[White.SHAKEN] == 0.0 and white_noise.shown(memory, newest, 3) < 4.0
 
 
 def test_a_motion_is_no_noise():
@@ -106,3 +116,16 @@ def test_the_planar_filter_keeps_to_its_parameters():
     for row in samples(5.0, 3e-3):
         take_sample(memory, *row)
     assert not shown(memory).any()
+
+
+@pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
+def test_the_variance_of_the_angular_rate_that_is_published_is_that_of_the_samples(mechanization):
+    # given gyroscopes with ten times the noise that is assumed
+    config, memory = after(samples(60.0, 3e-3), mechanization=mechanization)
+    out = np.zeros(SIZE)
+    odometry(memory, np.zeros(3), 1.0, out, np.zeros(3), np.zeros(9))
+    density = shown(memory)[5] if mechanization == 'strapdown' else 3e-4  # the planar filter does not look
+    row = memory[state_at(memory, int(memory[Head.SAMPLES])):][:row_width(config.layout)]
+    error = covariance(row, config.layout)[config.layout.index('w_z'), config.layout.index('w_z')]
+    # then the sample's own variance, and that of the error taken out of it
+    assert out[TWIST_COVARIANCE + 35] == pytest.approx(density**2 * RATE + error, rel=1e-9)

@@ -11,7 +11,7 @@ from rclpy.parameter import Parameter
 from ros_support import PLAYABLE, NodeProcess, Peer, arrivals, imu_message
 
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.live import FusionFilter
+from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 

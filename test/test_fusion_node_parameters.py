@@ -94,7 +94,7 @@ def test_transforms_without_tf2_msgs_are_refused(refusal, monkeypatch):
      "parameters 'frame_id' and 'map_frame_id' are the same frame, 'odom'"),
     (['child_frame_id:=/car'], "parameter 'child_frame_id' must be a frame without a slash in front, got '/car'"),
     (['datum:=[95.0, 11.0, 0.0]'], "parameter 'datum' must have a latitude from -90 to 90, got 95"),
-    (['start_pose:=[48.0, 200.0, 0.0, 0.0]'], "parameter 'start_pose' must be a place on earth"),
+    (['start_pose:=[48.0, 400.0, 0.0, 0.0]'], "parameter 'start_pose' must have a longitude from -360 to 360, got 400"),
     (['predict_to_now:=true'], "parameter 'predict_to_now' needs an 'odometry_rate' above 0"),
     (['state_file:=/absent/state.json'], "parameter 'state_file': there is no folder /absent"),
     (['mounting_from_tf:=true'], "parameter 'mounting_from_tf' needs the ROS package tf2_ros"),

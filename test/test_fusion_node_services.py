@@ -15,7 +15,7 @@ from ros_support import PLAYABLE, NodeProcess, Peer, imu_message
 from sensor_msgs.msg import NavSatFix
 from std_srvs.srv import SetBool, Trigger
 
-from mems_ins_fusion.nodes.inputs import aiding_inputs, stamp_of
+from mems_ins_fusion.nodes.inputs import Queue, aiding_inputs, stamp_of
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
@@ -171,7 +171,7 @@ def test_output_by_the_clock_goes_on_between_samples_from_a_start_pose(recording
 
 def test_a_speed_is_heard_in_whichever_type_it_comes():
     heard = []
-    fusion = SimpleNamespace(add_speed=lambda *told: heard.append(told), add_velocity=None, add_heading=None)
+    fusion = SimpleNamespace(add=lambda *told: heard.append(told))
     context = Context()
     rclpy.init(context=context)
     node = rclpy.create_node('listener', context=context)
@@ -179,7 +179,7 @@ def test_a_speed_is_heard_in_whichever_type_it_comes():
     executor.add_node(node)
     try:
         # given a speed topic that nobody publishes yet
-        speed, = aiding_inputs(node, {'speed_topic': '/speed'}, fusion)
+        speed, = aiding_inputs(node, Queue(node), {'speed_topic': '/speed'}, fusion, lambda *_: None)
         # when a publisher of one of the two types comes
         publisher = node.create_publisher(TwistWithCovarianceStamped, '/speed', 10)
         message = TwistWithCovarianceStamped()
@@ -190,8 +190,8 @@ def test_a_speed_is_heard_in_whichever_type_it_comes():
             executor.spin_once(timeout_sec=0.1)
             if heard:
                 break
-        assert heard[0] == (7 * 10**9, 3.5, 0.04)
-        assert speed.watch.count == len(heard)
+        assert heard[0] == ('speed', 7 * 10**9, 3.5, 0.04)
+        assert speed.traffic.count == len(heard)
     finally:
         executor.shutdown()
         node.destroy_node()

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import bz2
+import errno
 import os
 import resource
 import signal
@@ -22,6 +23,8 @@ from test_recordings import drive, write_bag
 from mems_ins_fusion import guard
 from mems_ins_fusion.characterization.characterize import read_npz
 from mems_ins_fusion.cli import simulate
+from mems_ins_fusion.cli.command import Parser
+from mems_ins_fusion.cli.command import run as run_tool
 from mems_ins_fusion.evaluation.metrics import turning_at
 from mems_ins_fusion.evaluation.outages import outage_begins
 from mems_ins_fusion.parameters import params_file, table
@@ -384,17 +387,114 @@ def test_a_defect_is_said_in_one_line_with_its_traceback_in_a_file(capsys, tmp_p
     monkeypatch.setattr('tempfile.tempdir', str(tmp_path))
     assert guard.guarded('simulate', ['--seed', '1'], lambda: {}['absent']) == 2
     said = capsys.readouterr().err
-    assert said.count('\n') == 1 and guard.REPORT_TO in said and '--seed 1' in said and 'KeyError' in said
+    assert said.count('\n') == 1 and 'number' in said and '--seed 1' in said and 'KeyError' in said
     [file] = tmp_path.iterdir()
     assert str(file) in said and 'Traceback' in file.read_text()
-    assert guard.REPORT_TO in (REPOSITORY / 'package.xml').read_text()
+
+
+def defect(work) -> str:
+    """The number of the defect that `work` ends in."""
+    with pytest.raises(Exception) as caught:
+        work()
+    return guard.identity(caught.value)
+
+
+def test_the_number_of_a_defect_is_that_of_its_place_not_of_the_data():
+    one, same = (defect(lambda wrong=wrong: csv_import.axes_rotation(wrong)) for wrong in (5, 7.0))
+    assert one == same and len(one) == 6
+    assert one != defect(lambda: csv_import.parse_columns(5, {}))
 
 
 def test_errors_of_libraries_are_not_told_as_the_users(capsys):
-    with pytest.raises(np.linalg.LinAlgError):
-        guard.refuse('diagnose', np.linalg.LinAlgError('Eigenvalues did not converge'))
-    assert guard.refuse('diagnose', RecordingError('a\nb \x1b[31m')) == 2
+    def work(error):
+        def fails(options):
+            raise error
+        return run_tool(Parser('diagnose', 'x'), fails, [])
+
+    for error in (np.linalg.LinAlgError('Eigenvalues did not converge'), ValueError('operands could not be broadcast'),
+                  UnicodeDecodeError('utf-8', b'x', 0, 1, 'invalid')):
+        assert guard.guarded('diagnose', [], lambda: work(error)) == 2
+        assert 'a defect of the program' in capsys.readouterr().err
+    assert guard.guarded('diagnose', [], lambda: work(RecordingError('a\nb \x1b[31m'))) == 2
     assert capsys.readouterr().err == 'diagnose: a b \\x1b[31m\n'
+
+
+@pytest.mark.parametrize('error, said', [
+    (OSError(errno.EMFILE, 'Too many open files', 'x.png'), 'ulimit -n'),
+    (ImportError('libx.so: cannot open shared object file: Too many open files'), 'ulimit -n'),
+    (RuntimeError("can't start new thread"), 'ulimit -u'),
+    (BlockingIOError(errno.EAGAIN, 'Resource temporarily unavailable'), 'ulimit -u'),
+    (ImportError('libx.so: failed to map segment from shared object'), 'no memory left'),
+    (PermissionError(errno.EACCES, 'Permission denied', '/log/x'), '/log/x: Permission denied'),
+    (OSError(errno.EROFS, 'Read-only file system', '/log/x'), '/log/x: Read-only file system')])
+def test_what_the_system_has_too_little_of_is_no_defect(capsys, error, said):
+    def work():
+        raise error
+
+    assert guard.guarded('diagnose', [], work) == 2
+    found = capsys.readouterr().err
+    assert said in found and 'defect' not in found and found.count('\n') == 1
+
+
+def test_few_open_files_and_names_that_are_not_utf8(tmp_path):
+    environment = {**os.environ, 'PYTHONPATH': str(REPOSITORY)}
+    simulate = [sys.executable, '-m', 'mems_ins_fusion', 'simulate', '--duration', '3', '--output']
+    found = subprocess.run(['sh', '-c', 'ulimit -n 6; exec "$@"', 'sh', *simulate, str(tmp_path / 'bag')],
+                           capture_output=True, text=True, env=environment)
+    assert found.returncode == 2 and 'open' in found.stderr and 'defect' not in found.stderr, found.stderr
+    name = os.fsencode(tmp_path) + b'/\xff'
+    found = subprocess.run([*simulate, name], capture_output=True, text=True, env=environment)
+    assert found.returncode == 2 and 'is not UTF-8' in found.stderr and found.stderr.count('\n') == 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize('work', [
+    lambda path: params_file.load_yaml(path), lambda path: read_recording(path, '/imu/data'),
+    lambda path: csv_import.read_imu(path), lambda path: read_reference(path)])
+@pytest.mark.parametrize('suffix', ['.yaml', '.mcap', '.csv'])
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path, work, suffix):
+    path = tmp_path / f'pipe{suffix}'
+    os.mkfifo(path)
+    assert str(path) in refused(lambda: work(path))
+
+
+@pytest.mark.parametrize('tool', ['replay_node', 'fusion_node'])
+def test_a_node_waits_neither_for_a_pipe_nor_for_a_log_that_cannot_be_written(tmp_path, tool):
+    pytest.importorskip('rclpy')
+    node = [sys.executable, '-m', 'mems_ins_fusion', tool, '--ros-args']
+    os.mkfifo(tmp_path / 'pipe.yaml')
+    for arguments, changed, expected in (
+            (['--params-file', str(tmp_path / 'pipe.yaml')], {}, 'pipe.yaml is not a file'),
+            (['-p', 'imu_topic:=/x'], {'ROS_LOG_DIR': '/proc/nothing'}, 'set ROS_LOG_DIR')):
+        found = subprocess.run([*node, *arguments], capture_output=True, text=True,
+                               env={**os.environ, 'PYTHONPATH': str(REPOSITORY), **changed})
+        assert found.returncode == 2 and expected in found.stderr and found.stderr.count('\n') == 1, found.stderr
+
+
+DEAF = """
+import sys
+import numpy as np
+from mems_ins_fusion import guard
+
+def work():
+    print('begun', flush=True)
+    np.linalg.svd(np.random.default_rng(0).normal(size=(2500, 2500)))
+    print('ended')
+
+guard.GRACE = 0.1
+sys.exit(guard.guarded('tool', [], work))
+"""
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_tool_in_a_long_computation_of_a_library_is_not_deaf(number):
+    tool = subprocess.Popen([sys.executable, '-c', DEAF], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                            env={**os.environ, 'PYTHONPATH': str(REPOSITORY)})
+    assert tool.stdout.readline() == 'begun\n'
+    time.sleep(0.2)  # into the computation
+    tool.send_signal(number)
+    out, said = tool.communicate()
+    assert tool.returncode == 130 and out == '' and said == 'tool: interrupted, nothing was written\n'
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])

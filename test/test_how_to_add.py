@@ -17,11 +17,12 @@ def test_the_files_are_there(name):
 
 @pytest.mark.parametrize(('file', 'names'), [
     ('effects/registry.py', ['EFFECTS']), ('effects/base.py', ['Effect', 'applied', 'attitude']),
-    ('filter/layout.py', ['Kind', 'Head', 'MECHANIZATIONS', 'Nav']),
-    ('filter/correction.py', ['apply_event', 'feed_back']),
-    ('filter/intake.py', ['SOURCES', 'NAMES']), ('filter/config.py', ['_extras', '_write_head', '_set_noise']),
-    ('filter/replay.py', ['Aiding', 'WITHHELD']), ('parameters/table.py', ['MODELS', '_sensor']),
-    ('filter/odometry.py', ['corrected']), ('navigation/planar.py', ['STATES', 'State', 'CHANNELS', 'mechanize']),
+    ('filter/memory.py', ['Head', 'MECHANIZATIONS', 'Nav']),
+    ('filter/update.py', ['apply_event', 'feed_back']),
+    ('filter/measurements/registry.py', ['AIDING']), ('filter/measurements/base.py', ['Measurement', 'records']),
+    ('recordings/checker.py', ['_AGAINST_FIXES']), ('filter/config.py', ['_write_head']),
+    ('sensor_errors/models.py', ['MODELS', 'Model']), ('parameters/table.py', ['_sensor']),
+    ('filter/runs/odometry.py', ['corrected']), ('navigation/planar.py', ['STATES', 'State', 'CHANNELS', 'mechanize']),
     ('navigation/strapdown.py', ['STATES', 'State', 'CHANNELS', 'mechanize', 'error_step'])])
 def test_what_is_named_is_in_them(file, names):
     text = (ROOT / 'mems_ins_fusion' / file).read_text(encoding='utf-8')

@@ -24,12 +24,12 @@ BEGIN = """
 import json
 import numpy as np
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.layout import Event
-from mems_ins_fusion.filter.replay import Aiding, run
-from mems_ins_fusion.filter.start import Start
+from mems_ins_fusion.filter.memory import Event
+from mems_ins_fusion.filter.runs.replay import run
+from mems_ins_fusion.filter.start.start import Start
 from mems_ins_fusion.navigation.earth import gravity
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.samples import Fixes, ImuSamples
+from mems_ins_fusion.samples import Aiding, Fixes, ImuSamples
 
 RATE, SECOND, LATITUDE, HEIGHT = 25, 10**9, 0.8, 100.0
 PAPER = {'vehicle.zero_velocity': False, 'vehicle.non_holonomic': False, 'imu.mounting_sigma': 0.0,
@@ -97,6 +97,8 @@ from mems_ins_fusion.parameters.parameter import Parameter
 class GyroscopeSquare(Effect):
     name = 'gyroscope_square'
     signature = 'across-track innovations after bends, of the same sign to both sides'
+    in_words, to_check = 'the gyroscope is not linear', 'its data sheet'
+    largest, larger_is = {'k': 0.2}, 'a scale'
     parameters = (EffectParameter('k', 's/rad', 0.02),)
     settings = (Parameter('gyroscope.square', 0.0, 's/rad', 'What w_z squared adds to w_z.', minimum=-1.0, maximum=1.0),)
 
@@ -129,11 +131,7 @@ def test_an_effect(copy):
         'effects/registry.py': [
             after('from mems_ins_fusion.effects.gyroscope_scale import GyroscopeScale\n',
                   'from mems_ins_fusion.effects.gyroscope_square import GyroscopeSquare\n'),
-            ('(\n    GnssTimeOffset(),', '(\n    GyroscopeSquare(), GnssTimeOffset(),')],
-        'reports/effect_words.py': [("    'g_sensitivity': (", "    'gyroscope_square': ('the gyroscope is not linear', "
-                                     "'its data sheet'),\n    'g_sensitivity': (")],
-        'diagnosis/plausible.py': [("    'g_sensitivity': (", "    'gyroscope_square': ({'k': 0.2}, 'a scale'),\n"
-                                    "    'g_sensitivity': (")]}
+            ('(\n    GnssTimeOffset(),', '(\n    GyroscopeSquare(), GnssTimeOffset(),')]}
     # when: filters that know of different k are asked how well their innovations fit
     fits = copy('An effect', edits, """
 from mems_ins_fusion.effects.registry import EFFECTS
@@ -160,13 +158,16 @@ print(json.dumps(fits))
 def test_a_sensor_error_model(copy):
     # given: a bias that never changes, as a model of its own
     edits = {
-        'sensor_errors/models.py': [('@dataclass(frozen=True)\nclass GaussMarkov:', '''@dataclass(frozen=True)
-class RandomConstant:
+        'sensor_errors/models.py': [('#: by the name of the parameter `sensor_error_model`\n', '''@dataclass(frozen=True)
+class RandomConstant(Model):
     """A bias that is not known and does not change. initial_sigma: its standard deviation."""
 
     initial_sigma: float
-    order = 1
-    interval = None
+    holds_turn_on = True
+
+    @classmethod
+    def from_parameters(cls, parameters, sensor):
+        return [cls(s) for s in per_axis(parameters, f'{sensor}.initial_sigma')]
 
     def transition(self, dt: float) -> np.ndarray:
         return np.ones((1, 1))
@@ -178,14 +179,8 @@ class RandomConstant:
         return np.full((1, 1), self.initial_sigma**2)
 
 
-@dataclass(frozen=True)
-class GaussMarkov:''')],
-        'sensor_errors/from_parameters.py': [
-            ('import Autoregressive, GaussMarkov, Model, RandomWalk', 'import (\n    Autoregressive, GaussMarkov, Model, '
-             'RandomConstant, RandomWalk)'),
-            ("    if model == 'gauss_markov':\n", "    if model == 'random_constant':\n        return [RandomConstant(s) for "
-             "s in per_axis(parameters, f'{sensor}.initial_sigma')]\n    if model == 'gauss_markov':\n")],
-        'parameters/table.py': [("MODELS = ('random_walk',", "MODELS = ('random_constant', 'random_walk',")]}
+#: by the name of the parameter `sensor_error_model`
+'''), ("= {'random_walk': RandomWalk,", "= {'random_constant': RandomConstant, 'random_walk': RandomWalk,")]}
     # when: a sensor with a bias of 0.02 m/s^2 stands for 20 s, and then none is seen for 4 s
     forward, sigma = copy('A sensor error model', edits, """
 imu = at_rest(24, force=(0.02, 0.0, 0.0))
@@ -202,13 +197,19 @@ print(json.dumps([result.sensor_errors[-1, 0], [result.sigma[20 * RATE + 5, at],
 
 ALTITUDE = """from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
 from ...navigation import strapdown
-from ..layout import Event, Kind, Nav
+from ...samples import _Samples
+from ..memory import Event, Nav
+from .base import Measurement
 from .records import empty, stated_or
+
+KIND = 8
 
 
 @njit(_nrt=False)
@@ -218,19 +219,7 @@ def observe(mem, r, at, h):
     return 1
 
 
-def records(settings, altitudes):
-    n = len(altitudes)
-    r = empty(Kind.ALTITUDE, n)
-    r[:, Event.VALUE] = altitudes.altitude
-    r[:, Event.R_NN] = stated_or(altitudes.variance, settings, 0.01)
-    return r, np.full(n, '', dtype=object), np.full(n, '', dtype=object)
-"""
-
-
-def test_a_measurement(copy):
-    # given: a barometer, whose altitude is a measurement of the strapdown filter's height
-    edits = {
-        'samples.py': [('@dataclass(frozen=True)\nclass Recording:', '''@dataclass(frozen=True)
+@dataclass(frozen=True)
 class Altitudes(_Samples):
     stamp: np.ndarray
     received: np.ndarray
@@ -238,47 +227,91 @@ class Altitudes(_Samples):
     variance: np.ndarray
 
 
-@dataclass(frozen=True)
-class Recording:'''), after('    heading: Headings | None = None\n', '    altitude: Altitudes | None = None\n')],
-        'filter/layout.py': [after('    NON_HOLONOMIC: int = 7\n', '    ALTITUDE: int = 8\n')],
+class Altitude(Measurement):
+    kind, name, samples, unit, default_sigma = KIND, 'altitude', Altitudes, 'm', 1.0
+    topic_text = 'Topic of the altitude, toy_msgs/Altitude'
+    messages = {'toy_msgs/msg/Altitude': ('altitude', 'variance')}
+    layouts = {'toy_msgs/msg/Altitude': (('altitude', '<f8', 1), ('variance', '<f8', 1))}
+    written_to = '/altitude'
+    simulated_with = {'altitude_rate': 0.0, 'altitude_sigma': 0.1}
+
+    def records(self, settings, altitudes):
+        n = len(altitudes)
+        r = empty(KIND, n)
+        r[:, Event.VALUE] = altitudes.altitude
+        r[:, Event.R_NN] = stated_or(altitudes.variance, settings, 0.01)
+        return r, np.full(n, '', dtype=object), np.full(n, '', dtype=object)
+
+    def read(self, fields, message):
+        return Altitudes(fields['stamp'], fields['received'], fields['altitude'], fields['variance'])
+
+    def written(self, altitudes):
+        return {'altitude': altitudes.altitude, 'variance': altitudes.variance}
+
+    def simulated(self, drive, errors, effects, rng, instants):
+        time, stamp = instants(errors['altitude_rate'], 0.0)
+        height = np.interp(time, drive.time, drive.height) + errors['altitude_sigma'] * rng.standard_normal(len(time))
+        return Altitudes(stamp, stamp.copy(), height, np.full(len(time), errors['altitude_sigma'] ** 2))
+"""
+
+
+def test_a_measurement(copy):
+    # given: a barometer, whose altitude is a measurement of the strapdown filter's height: its file, its line in the
+    # registry, and its branch in compiled code
+    edits = {
         'filter/measurements/altitude.py': ALTITUDE,
-        'filter/correction.py': [
+        'filter/measurements/registry.py': [
+            after('from __future__ import annotations\n\n', 'from .altitude import Altitude\n'),
+            ('Velocity(), Heading())', 'Velocity(), Heading(), Altitude())')],
+        'filter/update.py': [
             ('from .measurements import heading,', 'from .measurements import altitude, heading,'),
-            ('    elif kind == Kind.SPEED:\n', '    elif kind == Kind.ALTITUDE:\n        dimensions = '
-             'altitude.observe(mem, r, at, h)\n    elif kind == Kind.SPEED:\n')],
-        'filter/intake.py': [
-            ('from .measurements import heading,', 'from .measurements import altitude, heading,'),
-            ("Kind.HEADING: (heading, 'heading')}", "Kind.HEADING: (heading, 'heading'), Kind.ALTITUDE: (altitude, "
-             "'altitude')}"),
-            ("Kind.HEADING: 'heading'}", "Kind.HEADING: 'heading', Kind.ALTITUDE: 'altitude'}")],
-        'filter/config.py': [
-            after('    heading: SensorSettings\n', '    altitude: SensorSettings\n'),
-            ("heading=_sensor(values, 'heading', 'offset'),", "heading=_sensor(values, 'heading', 'offset'), "
-             "altitude=_sensor(values, 'altitude'),")],
-        'filter/replay.py': [
-            ('import Fixes, Headings,', 'import Altitudes, Fixes, Headings,'),
-            after('    heading: Headings | None = None\n', '    altitude: Altitudes | None = None\n'),
-            ('Kind.HEADING: aiding.heading}', 'Kind.HEADING: aiding.heading, Kind.ALTITUDE: aiding.altitude}')],
-        'parameters/table.py': [
-            ("    *_aiding('heading', 'rad', 0.05),\n", "    *_aiding('heading', 'rad', 0.05),\n    *_aiding('altitude', "
-             "'m', 1.0),\n"),
-            ("    Parameter('heading_topic',", "    Parameter('altitude_topic', '', 'text', 'Topic of the altitude.'),\n"
-             "    Parameter('heading_topic',")]}
+            ('    elif kind == Kind.SPEED:\n', '    elif kind == altitude.KIND:\n        dimensions = '
+             'altitude.observe(mem, r, at, h)\n    elif kind == Kind.SPEED:\n')]}
+    assert len(edits) == 3
     # when: it says 107 m where fixes of 10 m say 100 m; and fixes of 10 m alone
-    (alone, alone_sigma), (height, sigma) = copy('A measurement', edits, """
-from mems_ins_fusion.samples import Altitudes
+    found = copy('A measurement', edits, """
+from dataclasses import replace
+from mems_ins_fusion.evaluation.comparison import aiding_of, cut
+from mems_ins_fusion.filter.measurements.altitude import Altitudes
+from mems_ins_fusion.filter.runs.live import FusionFilter
+from mems_ins_fusion.recordings import messages
+from mems_ins_fusion.recordings.checker import check_recording
+from mems_ins_fusion.recordings.several import later
+from mems_ins_fusion.simulation.drive import simulate_drive
+from mems_ins_fusion.simulation.simulation import Aiding as Simulated, simulate_recording
 imu, fixes = at_rest(8), fixes_at(range(8), 10.0)
 stamp = np.arange(1, 8) * SECOND + SECOND // 2
 altitudes = Altitudes(stamp, stamp, np.full(len(stamp), HEIGHT + 7.0), np.full(len(stamp), 0.01))
-found = []
-for aiding in (Aiding(), Aiding(altitude=altitudes)):
+found = {}
+for name, aiding in (('alone', Aiding()), ('with it', Aiding(altitude=altitudes))):
     result = replay({'gnss.adapt_sigma': False}, imu, fixes, aiding)
-    found.append([result.height[-1], result.sigma[-1, 2]])
+    found[name] = [result.height[-1], result.sigma[-1, 2]]
+# and it is on its way everywhere else
+values = table.check({'altitude_topic': '/altitude', 'altitude.sigma': 0.2})
+drive = simulate_drive(20.0, 3, RATE, standstill=10.0)
+recording = simulate_recording(drive, aiding=Simulated(altitude_rate=5.0)).recording
+found['simulated'] = len(recording.streams()['altitude'])
+found['cut'] = len(aiding_of(later(cut(recording, 0.0, 10.0), SECOND))['altitude'])
+found['checked'] = sorted({finding.topic for finding in check_recording(recording)})
+kind = 'toy_msgs/msg/Altitude'
+from mems_ins_fusion.filter.measurements.registry import MEASUREMENTS
+written = {**messages.stamp_fields(altitudes.stamp), **MEASUREMENTS[8].written(altitudes)}
+array, _ = messages.decode([bytes(m) for m in messages.encode(kind, written, {'header.frame_id': 'b'})], kind)
+read = MEASUREMENTS[8].read({'stamp': messages.stamps(array), 'received': stamp, 'altitude': array['altitude'],
+                             'variance': array['variance']}, kind)
+found['read'] = [bool(np.array_equal(getattr(read, n), getattr(altitudes, n))) for n in ('stamp', 'altitude')]
+live = FusionFilter(FilterConfig.from_parameters(values))
+live.add_imu(SECOND, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0)
+live.add('altitude', SECOND, float('nan'), 1.0)
+found['live'] = live.health()
 print(json.dumps(found))
 """)
     # then: the height is the barometer's, and known as well as that says
+    (alone, alone_sigma), (height, sigma) = found['alone'], found['with it']
     assert height == pytest.approx(107.0, abs=0.2) and sigma < 0.2
     assert alone == pytest.approx(100.0, abs=0.5) and alone_sigma > 1.0
+    assert found['simulated'] == 101 and found['cut'] == 51 and found['read'] == [True, True]
+    assert found['live']['state'] == 'waiting'
 
 
 NOT_TURNING = '''"""As strapdown, on an earth that does not turn: for gyroscopes that are far from seeing it."""
@@ -299,13 +332,13 @@ def test_a_mechanization(copy):
     # given: a strapdown mechanization that knows nothing of the earth's rotation
     edits = {
         'navigation/not_turning.py': NOT_TURNING,
-        'filter/layout.py': [
+        'filter/memory.py': [
             ('import planar, strapdown', 'import not_turning, planar, strapdown'),
             ('PLANAR, STRAPDOWN = 0, 1', 'PLANAR, STRAPDOWN, NOT_TURNING = 0, 1, 2'),
             ('STRAPDOWN: strapdown}', 'STRAPDOWN: strapdown, NOT_TURNING: not_turning}')],
         'filter/prediction.py': [
             ('import planar, strapdown', 'import not_turning, planar, strapdown'),
-            ('from .layout import NAV,', 'from .layout import NAV, NOT_TURNING,'),
+            ('    PLANAR,\n    WHITE,', '    NOT_TURNING,\n    PLANAR,\n    WHITE,'),
             ('    attitude, c, f_level, moved, velocity = strapdown.mechanize(',
              '    if mem[Head.MECHANIZATION] == NOT_TURNING:\n        rates = not_turning.frame_rates(latitude, '
              'mem[src + Nav.V_N], mem[src + Nav.V_E], 1.0 / mem[src + Nav.NORTH_SCALE], 1e7)\n'

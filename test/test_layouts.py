@@ -8,13 +8,16 @@ from pathlib import Path
 
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PointStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import NavSatFix
 
 from mems_ins_fusion.parameters.table import defaults
 
 FOLDER = Path(__file__).resolve().parents[1] / 'config' / 'layouts'
-TOPICS = {defaults()['odometry_topic']: Odometry, defaults()['fix_topic']: NavSatFix, '/diagnostics': DiagnosticArray}
+REFUSED = {'/fusion_node/refused_fixes': NavSatFix, '/fusion_node/refused_points': PointStamped}
+TOPICS = {defaults()['odometry_topic']: Odometry, defaults()['fix_topic']: NavSatFix, '/diagnostics': DiagnosticArray,
+          **REFUSED}
 
 
 def resolved(path, separator):
@@ -37,6 +40,7 @@ def test_plotjuggler_draws_fields_that_there_are():
         names = [curve.get('curve_x'), curve.get('curve_y')] if curve.get('curve_x') else [curve.get('name')]
         assert all(isinstance(resolved(name, '/'), float) for name in names)
     assert len(curves) > 4
+    assert any('/fusion_node/refused_points' in curve.get('name') for curve in curves)
 
 
 def panels(layout):
@@ -55,12 +59,15 @@ def test_foxglove_shows_each_panel_and_fields_that_there_are():
         assert all(isinstance(resolved(path['value'], '.'), float) for path in config.get('paths', ()))
         named = {config.get('followTopic'), config.get('topicToRender'), *config.get('topics', {})} - {None}
         assert named <= TOPICS.keys()
+    shown = {topic for config in content['configById'].values() for topic in config.get('topics', {})}
+    assert shown >= REFUSED.keys()
 
 
 def test_rviz_shows_the_odometry_in_its_frame_and_sends_the_start_pose():
     content = yaml.safe_load((FOLDER / 'fusion.rviz').read_text())['Visualization Manager']
     shown = {display['Class']: display for display in content['Displays']}
     assert shown['rviz_default_plugins/Odometry']['Topic']['Value'] == defaults()['odometry_topic']
+    assert shown['rviz_default_plugins/PointStamped']['Topic']['Value'] == '/fusion_node/refused_points'
     assert content['Global Options']['Fixed Frame'] == defaults()['frame_id']
     assert content['Views']['Current']['Target Frame'] == defaults()['child_frame_id']
     tools = {tool['Class']: tool for tool in content['Tools']}

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mems_ins_fusion.evaluation import bootstrap, metrics
+from mems_ins_fusion.evaluation import intervals, metrics
 from mems_ins_fusion.evaluation.metrics import Truth, position_errors
-from mems_ins_fusion.filter.results import Run
+from mems_ins_fusion.filter.runs.results import Run
 from mems_ins_fusion.navigation.earth import from_local
 from mems_ins_fusion.reports.trajectories import write_judged, write_truth
 from mems_ins_fusion.samples import Fixes, ImuSamples, Reference
@@ -173,7 +173,8 @@ def test_turns_are_those_of_the_gyroscope_with_a_margin():
     time = np.arange(0.0, 60.0, 0.01)
     rate = np.radians(1.0) + np.where((time >= 20) & (time < 30), np.radians(10.0), 0.0)
     stamp = np.round(time * SECOND).astype(np.int64)
-    imu = ImuSamples(stamp, stamp, np.zeros((len(time), 3)), np.column_stack([0 * rate, 0 * rate, rate]))
+    imu = ImuSamples(stamp, stamp, np.tile([0.0, 0.0, 9.81], (len(time), 1)),
+                     np.column_stack([0 * rate, 0 * rate, rate]))
     conditioning = np.kron(np.eye(2), np.diag([1.0, -1.0, -1.0]))
     epochs = np.array([5.0, 17.0, 18.6, 25.0, 31.4, 33.0, 55.0])
     turning = metrics.turning_at(imu, conditioning, np.round(epochs * SECOND).astype(np.int64))
@@ -201,19 +202,19 @@ def autoregressive_series(rng, n, rho=0.9):
 
 def test_correlation_length_of_an_ar1_series_is_its_integrated_autocorrelation():
     rng = np.random.default_rng(0)
-    lengths = [bootstrap.correlation_length(autoregressive_series(rng, 20000)) for _ in range(10)]
+    lengths = [intervals.correlation_length(autoregressive_series(rng, 20000)) for _ in range(10)]
     assert np.mean(lengths) == pytest.approx((1 + 0.9) / (1 - 0.9), rel=0.15)
-    assert bootstrap.correlation_length(rng.standard_normal(20000)) == pytest.approx(1.0, abs=0.1)
+    assert intervals.correlation_length(rng.standard_normal(20000)) == pytest.approx(1.0, abs=0.1)
 
 
-def test_block_bootstrap_covers_the_mean_of_a_correlated_series():
+def test_an_interval_covers_the_mean_of_a_correlated_series():
     # given 150 series of known mean 0; independent draws would cover it in 35 % of them
     rng = np.random.default_rng(2)
     covered = 0
     for _ in range(150):
-        low, high = bootstrap.interval_of_mean(autoregressive_series(rng, 3000))
+        low, high = intervals.interval_of_mean(autoregressive_series(rng, 3000))
         covered += low < 0 < high
-    # then about 95 % of the 95 % intervals hold it (binomial: 0.95 +- 0.018; blocks of finite length cost a little)
+    # then about 95 % of the 95 % intervals hold it (binomial: 0.95 +- 0.018; the estimated correlation costs a little)
     assert 0.87 < covered / 150 < 0.995
 
 
@@ -223,28 +224,28 @@ def test_a_paired_comparison_finds_a_difference_and_none_where_there_is_none():
     for _ in range(100):
         common = autoregressive_series(rng, 1500)
         a, b = (common + 0.3 * autoregressive_series(rng, 1500) for _ in range(2))
-        false_alarms += bootstrap.paired(a, b).p < 0.05
-    assert false_alarms <= 14  # binomial, 5 expected; 14 leave room for blocks of finite length
+        false_alarms += intervals.paired(a, b).p < 0.05
+    assert false_alarms <= 14  # binomial, 5 expected; 14 leave room for chance
     # when one is larger by less than what both share scatters, then the pairing shows it (sigma of the mean: 0.05)
-    difference = bootstrap.paired(a + 0.3, b)
+    difference = intervals.paired(a + 0.3, b)
     assert difference.p < 0.01 and difference.low < difference.mean < difference.high
     assert difference.mean == pytest.approx(np.mean(a + 0.3 - b))
 
 
 def test_too_few_values_say_nothing():
-    assert bootstrap.paired(np.arange(3.0), np.zeros(3)) is None
-    assert np.isnan(bootstrap.interval_of_mean(np.arange(4.0))).all()
+    assert intervals.paired(np.arange(3.0), np.zeros(3)) is None
+    assert np.isnan(intervals.interval_of_mean(np.arange(4.0))).all()
 
 
 def test_equal_series_do_not_differ():
-    assert bootstrap.paired(np.ones(100), np.ones(100)).p == 1.0
+    assert intervals.paired(np.ones(100), np.ones(100)).p == 1.0
 
 
 def test_holm_is_that_of_statsmodels():
     multitest = pytest.importorskip('statsmodels.stats.multitest')
     p = [0.04, 0.001, 0.03, 0.8, 0.012]
-    assert bootstrap.holm(p) == pytest.approx(multitest.multipletests(p, method='holm')[1].tolist())
-    assert bootstrap.holm([]) == []
+    assert intervals.holm(p) == pytest.approx(multitest.multipletests(p, method='holm')[1].tolist())
+    assert intervals.holm([]) == []
 
 
 def kitti_development_kit(truth, estimate, lengths=range(100, 900, 100), step=1):

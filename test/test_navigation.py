@@ -8,8 +8,8 @@ import pytest
 from filter_support import configure, started, take_sample
 from scipy.spatial.transform import Rotation
 
-from mems_ins_fusion.filter.layout import PLANAR, Sample, views
-from mems_ins_fusion.filter.odometry import (
+from mems_ins_fusion.filter.memory import PLANAR, Sample, views
+from mems_ins_fusion.filter.runs.odometry import (
     ANGULAR,
     LINEAR,
     ORIENTATION,

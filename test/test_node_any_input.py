@@ -8,9 +8,9 @@ from filter_support import configure
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from mems_ins_fusion.filter.layout import Head, covariance, state_at
-from mems_ins_fusion.filter.live import FusionFilter
-from mems_ins_fusion.filter.odometry import POSE_COVARIANCE, TWIST_COVARIANCE
+from mems_ins_fusion.filter.memory import Head, covariance, state_at
+from mems_ins_fusion.filter.runs.live import FusionFilter
+from mems_ins_fusion.filter.runs.odometry import POSE_COVARIANCE, TWIST_COVARIANCE
 from mems_ins_fusion.parameters import table
 
 SECOND, BEGIN = 10**9, 1_700_000_000 * 10**9

@@ -1,7 +1,11 @@
-"""The parts of the nodes that need no ROS: what is logged, and when a topic counts as silent."""
+"""The parts of the nodes that need no ROS: what is logged, when a topic counts as silent, what is lost."""
+import time
+from types import SimpleNamespace
+
 import pytest
 
-from mems_ins_fusion.nodes.log import StateLog, Throttle, Watch
+from mems_ins_fusion.nodes.log import LONGEST_HOLD, StateLog, Throttle, Watch
+from mems_ins_fusion.nodes.traffic import Traffic
 
 
 class Clock:
@@ -84,3 +88,57 @@ def test_a_state_that_lasts_is_said_again_but_for_the_good_one(clock):
                     30: 'state: still waiting, for 30 s (waiting for a fix on /gps/fix)',
                     60: 'state: still waiting, for 60 s (waiting for a fix on /gps/fix)',
                     70: 'state: fusing after waiting for 70 s (running)'}
+
+
+def test_what_keeps_on_coming_is_let_through_ever_more_seldom(clock):
+    throttle, passed = Throttle(5.0, clock), []
+    for k in range(6000):  # ten minutes
+        clock.now = 100.0 + k / 10
+        if throttle.pass_on(f'waiting for the vehicle to move: {k}'):
+            passed.append(k / 10)
+    assert len(passed) < 15 and max(b - a for a, b in zip(passed, passed[1:])) == pytest.approx(LONGEST_HOLD)
+    # and one that was away for long is said at once, and soon again
+    clock.now += 3 * LONGEST_HOLD
+    assert throttle.pass_on('waiting for the vehicle to move: 1')
+    clock.now += 5.0
+    assert throttle.pass_on('waiting for the vehicle to move: 2')
+
+
+def header(stamp):
+    return SimpleNamespace(stamp=SimpleNamespace(sec=stamp, nanosec=0), frame_id='imu')
+
+
+def test_what_is_missing_between_the_numbers_of_a_publisher_is_lost(clock):
+    traffic = Traffic(3.0, now=lambda: 12 * 10**9, clock=clock)
+    now = time.time_ns()
+    for number in (7, 8, 9, 15, 16):
+        traffic.take(header(10), {'publication_sequence_number': number, 'source_timestamp': now})
+    missing, _ = traffic.look(1)
+    assert missing == traffic.lost == 5 and traffic.count == 5
+    assert traffic.delay == pytest.approx(2.0) and traffic.frame_id == 'imu'
+    # the numbers of another publisher, or of two, say nothing
+    for number in (3, 4, 900, 5, 901):
+        traffic.take(header(11), {'publication_sequence_number': number, 'source_timestamp': now})
+    assert traffic.look(2)[0] == 0 and traffic.lost == 5
+    # nor where there are none
+    traffic.take(header(11), {'publication_sequence_number': None, 'source_timestamp': now})
+    assert traffic.look(1)[0] == 0
+
+
+def test_how_late_a_message_is_does_not_depend_on_the_clock_of_its_publisher(clock):
+    traffic, hour = Traffic(3.0, now=lambda: 0, clock=clock), 3600 * 10**9
+    traffic.take(header(10), {'publication_sequence_number': 1, 'source_timestamp': time.time_ns() + hour})
+    waited = traffic.take(header(10), {'publication_sequence_number': 2,
+                                       'source_timestamp': time.time_ns() + hour - 700_000_000})
+    assert 0.69 < waited < 5.0
+    assert traffic.look(1)[1] == pytest.approx(waited)
+
+
+def test_a_state_that_gets_worse_is_said_at_once(clock):
+    log, said = StateLog(period=30.0, clock=clock), {}
+    for second in range(40):
+        clock.now = 100.0 + second
+        line = log.look('aligning', 'waiting for units', 0 if second < 6 else 1 if second < 20 else 2)[1]
+        if line:
+            said[second] = line
+    assert list(said) == [0, 6, 20]

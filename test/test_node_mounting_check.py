@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,9 +10,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from ros_support import PLAYABLE, NodeProcess, Peer
 
 from mems_ins_fusion.nodes.mounting_check import LOOKS, MEMORY, RATE, MountingCheck
+from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
-LIMITS = 160.0, 40.0
+
+def parameters(mounting_rpy):
+    return {**table.defaults(), 'imu.mounting_rpy': mounting_rpy}
 
 
 @pytest.fixture(scope='module')
@@ -24,7 +28,7 @@ def recording():
 
 def looked(recording, mounting_rpy):
     """What is found when it looks once a second, and the check."""
-    check, found = MountingCheck(mounting_rpy, 0.0, *LIMITS), []
+    check, found = MountingCheck(parameters(mounting_rpy)), []
     imu, gnss, next_fix = recording.imu, recording.gnss, 0
     for k in range(len(imu)):
         check.add_sample((int(imu.stamp[k]), *imu.specific_force[k].tolist(), *imu.angular_rate[k].tolist()))
@@ -46,6 +50,21 @@ def test_a_wrong_mounting_is_named_with_the_angles_to_set(recording):
     assert yaw == pytest.approx(math.pi / 2, abs=math.radians(5.0))
 
 
+def test_what_is_found_twice_is_certain_and_a_start_in_reverse_is_not(recording):
+    # given a car that drives as cars do: the first look may be wrong, the second is not any more
+    _, check = looked(recording, [0.0, 0.0, 0.0])
+    assert check.is_certainly_wrong
+    _, right = looked(recording, [0.0, 0.0, math.pi / 2])
+    assert not right.is_certainly_wrong
+    # given one that does nothing but reverse, at the speed at which one does that: it looks as if mounted backwards
+    drive = simulate_drive(140.0, seed=5, rate=50.0, standstill=10.0)
+    slow = tuple(replace(s, speed_change=-0.3 * s.speed_change) for s in drive.path.segments)
+    reversing = simulate_recording(drive.altered(segments=slow), SensorErrors(), GnssNoise(sigma=0.1, rate=1.0),
+                                   seed=5).recording
+    found, check = looked(reversing, [0.0, 0.0, 0.0])
+    assert 'backwards' in found[-1][1] and check.is_wrong and not check.is_certainly_wrong
+
+
 def test_the_right_one_is_not_contradicted_and_memory_is_bounded(recording):
     found, check = looked(recording, [0.0, 0.0, math.pi / 2])
     assert found == [] and not check.is_wrong and check.found == 'nothing speaks against imu.mounting_rpy'
@@ -59,7 +78,7 @@ def test_the_right_one_is_not_contradicted_and_memory_is_bounded(recording):
 
 
 def test_samples_of_another_clock_and_of_no_vehicle_do_not_end_it(recording):
-    check = MountingCheck([0.0, 0.0, 0.0], 0.0, *LIMITS)
+    check = MountingCheck(parameters([0.0, 0.0, 0.0]))
     for stamp, value in ((10**18, 1.0), (10**18 + 10**7, 1e300), (5, 2.0), (2 * 10**18, -1e300), (2 * 10**18 + 1, 3.0)):
         check.add_sample((stamp, *[value] * 6))
         check.look()
@@ -86,5 +105,8 @@ def test_the_node_says_it_in_its_log_and_on_diagnostics(recording):
         status = heard[-1].status[0]
         assert status.level != b'\x00'
         assert 'set imu.mounting_rpy' in {pair.key: pair.value for pair in status.values}['mounting']
+        # and after the second look nothing is published with it
+        peer.spin_until(lambda: heard[-1].status[0].level == b'\x02')
+        assert any('nothing is published with a mounting that is certainly wrong' in line for line in node.lines)
     peer.node.destroy_subscription(subscription)
     peer.close()

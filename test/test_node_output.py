@@ -9,7 +9,7 @@ import pytest
 import ros_support  # noqa: F401  a ROS domain for the tests
 from scipy.spatial.transform import Rotation
 
-from mems_ins_fusion.nodes.output import MapOutput, Output, Prediction, SmoothFrame
+from mems_ins_fusion.nodes.output import MapOutput, Output, Prediction, SmoothFrame, VehicleAxes, flatten
 
 DT = 10_000_000  # ns
 
@@ -170,3 +170,41 @@ def test_the_transforms_make_a_chain(monkeypatch):
     assert in_map.pose.header.frame_id == 'map'
     assert [best.pose.position.x, best.pose.position.y, best.pose.position.z] == estimate.odometry[:3].tolist()
     assert np.array_equal(best.covariance, estimate.odometry[7:43])
+
+
+def test_in_the_axes_of_the_vehicle_it_points_where_it_goes():
+    # given a vehicle whose forward axis lies 4 deg to the right of the one declared, and 2 deg up, driving straight
+    yaw, pitch = np.radians([4.0, 2.0])
+    fusion = Estimate()
+    fusion.vehicle_axes = lambda: (yaw, pitch, 0.01)
+    vehicle = Rotation.from_euler('ZYX', [1.0, -0.1, 0.05])  # forward-left-up in east-north-up
+    # to the right and up are both negative about the axes left and up
+    declared = vehicle * Rotation.from_euler('ZY', [-yaw, -pitch]).inv()
+    speed, turn = np.array([10.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.3])
+    fusion.set(np.zeros(3), declared, declared.inv().apply(vehicle.apply(speed)),
+               declared.inv().apply(vehicle.apply(turn)))
+    VehicleAxes(fusion).turn()
+    # then attitude, velocity and rate are the vehicle's, and the variance of the yaw is
+    out = fusion.odometry
+    assert (Rotation.from_quat(out[3:7]) * vehicle.inv()).magnitude() < 1e-12
+    assert np.allclose(out[43:46], speed) and np.allclose(out[46:49], turn)
+    p = out[7:43].reshape(6, 6)
+    assert p[5, 5] == pytest.approx(1e-4) and np.linalg.eigvalsh(p).min() > 0.0
+    # and the uncertainty of the velocity is the same, turned
+    assert np.trace(out[49:85].reshape(6, 6)) == pytest.approx(0.04 + 0.04 + 0.25 + 3e-4)
+
+
+def test_in_two_dimensions_the_way_over_ground_stays():
+    estimate = Estimate()
+    attitude = Rotation.from_euler('ZYX', [2.0, -0.2, 0.1])
+    over_ground = np.array([8.0, -3.0, 0.0])
+    velocity = attitude.inv().apply(over_ground + [0.0, 0.0, 1.5])
+    estimate.set((5.0, 6.0, 7.0), attitude, velocity, attitude.inv().apply([0.0, 0.0, 0.4]))
+    flatten(estimate.odometry)
+    out = estimate.odometry
+    flat = Rotation.from_quat(out[3:7])
+    assert np.allclose(flat.apply(out[43:46]), over_ground) and np.allclose(out[:3], (5.0, 6.0, 0.0))
+    assert np.allclose(out[46:49], (0.0, 0.0, 0.4)) and flat.as_rotvec() == pytest.approx([0.0, 0.0, 2.0])
+    for first, last in ((7, 43), (49, 85)):
+        p = out[first:last].reshape(6, 6)
+        assert np.allclose(p, p.T) and np.linalg.eigvalsh(p).min() > 0.0 and p[2, 2] == p[3, 3] == p[4, 4] == 1e-6

@@ -12,8 +12,9 @@ import ros_support  # noqa: F401  a ROS domain for the tests
 from geometry_msgs.msg import PoseWithCovarianceStamped, TwistWithCovarianceStamped
 from sensor_msgs.msg import Imu
 
+from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.navigation.earth import to_local
-from mems_ins_fusion.nodes.inputs import heading_of, speed_of, velocity_of
+from mems_ins_fusion.nodes.inputs import numbers_of
 from mems_ins_fusion.nodes.places import geographic_services, start_from_parameters, start_from_pose
 
 DATUM = np.array([0.84, 0.2, 480.0])
@@ -97,15 +98,16 @@ def test_speed_velocity_and_heading_become_the_filters():
     twist.twist.twist.linear.x, twist.twist.twist.linear.y, twist.twist.twist.linear.z = 3.0, 4.0, 0.5
     p = np.arange(36.0).reshape(6, 6)
     twist.twist.covariance = (p + p.T).ravel()
-    assert speed_of(twist) == (3.0, 0.0)
-    velocity, covariance = velocity_of(twist)
+    speed, velocity, heading = AIDING
+    assert numbers_of(speed, twist) == (3.0, 0.0)
+    velocity, covariance = numbers_of(velocity, twist)
     assert velocity.tolist() == [4.0, 3.0, -0.5]
     signed = np.diag([1.0, 1.0, -1.0]) @ (p + p.T)[np.ix_([1, 0, 2], [1, 0, 2])] @ np.diag([1.0, 1.0, -1.0])
     assert covariance == pytest.approx(signed)
-    assert heading_of(pose(yaw=0.5)) == pytest.approx((math.pi / 2 - 0.5, 0.09))
+    assert numbers_of(heading, pose(yaw=0.5)) == pytest.approx((math.pi / 2 - 0.5, 0.09))
     imu = Imu()
     imu.orientation.z, imu.orientation.w = math.sin(-0.6), math.cos(-0.6)
     imu.orientation_covariance[8] = 0.02
-    assert heading_of(imu) == pytest.approx((math.pi / 2 + 1.2, 0.02))
+    assert numbers_of(heading, imu) == pytest.approx((math.pi / 2 + 1.2, 0.02))
     imu.orientation_covariance[0] = -1.0  # the driver has none
-    assert math.isnan(heading_of(imu)[0])
+    assert math.isnan(numbers_of(heading, imu)[0])

@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 from filter_support import configure
 
-from mems_ins_fusion.filter.layout import NAV, Head, covariance, state_at
-from mems_ins_fusion.filter.live import FusionFilter
-from mems_ins_fusion.filter.odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, TWIST_COVARIANCE
-from mems_ins_fusion.filter.publish import published
-from mems_ins_fusion.filter.receiver import UNKNOWN_YAW_SIGMA
-from mems_ins_fusion.filter.replay import Aiding
-from mems_ins_fusion.filter.snapshot import made
+from mems_ins_fusion.filter.memory import NAV, Head, covariance, state_at
+from mems_ins_fusion.filter.runs.live import FusionFilter
+from mems_ins_fusion.filter.runs.odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, TWIST_COVARIANCE
+from mems_ins_fusion.filter.runs.publish import published
+from mems_ins_fusion.filter.runs.snapshot import made
+from mems_ins_fusion.filter.trust.receiver import UNKNOWN_YAW_SIGMA
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.parameters.parameter import ParameterError
-from mems_ins_fusion.samples import Fixes, ImuSamples
+from mems_ins_fusion.samples import Aiding, Fixes, ImuSamples
 
 RATE, SECOND, BEGIN = 50, 10**9, 1_700_000_000 * 10**9
 HERE = (0.84, 0.2, 480.0)
@@ -68,14 +67,14 @@ def test_while_parked_the_position_is_told_and_that_the_heading_is_not_known(mec
     imu, fixes = parked(12.0)
     fusion = FusionFilter(config)
     stamps, rows = feed(fusion, imu, fixes)
-    # then there is an estimate from the second fix on, though the filter is not aligned
+    # then there is an estimate from the third fix on, of which the datum is the median, though the filter is not aligned
     assert not fusion.aligned and fusion.state == 'aligning'
-    assert stamps[0] <= fixes.stamp[1] + SECOND // RATE * 2 and len(stamps) > 11 * RATE
+    assert stamps[0] <= fixes.stamp[2] + SECOND // RATE * 2 and len(stamps) > 10 * RATE
     # its position is that of the fixes, its sigma theirs and that of an arm in an unknown direction
     pose = rows[:, POSE_COVARIANCE:LINEAR].reshape(-1, 6, 6)
     assert np.abs(rows[-1, :2]).max() < 4 * SIGMA
     assert rows[-1, 2] == pytest.approx(-1.5, abs=0.1)
-    assert SIGMA**2 + 0.5 <= pose[-1, 0, 0] < 1.2 * (SIGMA**2 + 0.5)
+    assert SIGMA**2 + 0.5 <= pose[-1, 0, 0] < 1.5 * (SIGMA**2 + 0.5)  # a dozen fixes tell their scatter to that
     # its heading is any, its velocity none
     assert np.all(pose[:, 5, 5] > 0.98 * UNKNOWN_YAW_SIGMA**2)
     assert np.abs(rows[5 * RATE:, LINEAR:LINEAR + 3]).max() < 0.1

@@ -30,7 +30,7 @@ MODULES = {
 #: decompression: requirements of rosbags, or (compression) of the standard library of Python 3.14
 BROUGHT_BY_ROSBAGS = {'backports', 'compression', 'lz4'}
 #: imported only by who asks for it, and said in one line where it is missing
-OPTIONAL = {'robot_localization'}
+OPTIONAL = {'robot_localization', 'dask', 'distributed', 'fsspec', 'pyarrow'}
 
 
 @pytest.fixture(scope='module')
@@ -89,6 +89,12 @@ def test_everything_imported_is_declared():
 def install_requires():
     required = re.search(r'install_requires=(\[.+?\])', (REPOSITORY / 'setup.py').read_text(), re.DOTALL).group(1)
     return ast.literal_eval(required)
+
+
+def test_what_the_extra_fleet_brings_is_imported_there_only():
+    for path in (REPOSITORY / 'mems_ins_fusion').rglob('*.py'):
+        if path.parent.name != 'fleet':
+            assert not re.search(r'^\s*(import|from) (dask|distributed|fsspec|pyarrow)\b', path.read_text(), re.MULTILINE)
 
 
 def test_the_lowest_versions_are_those_that_make_test_oldest_installs():

@@ -12,7 +12,7 @@ from ros_support import PLAYABLE, NodeProcess, Peer
 
 from mems_ins_fusion.evaluation.comparison import cut
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.replay import run
+from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.reading import read_recording
 

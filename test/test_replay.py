@@ -18,6 +18,8 @@ from filter_support import PAPER
 from terminal_support import Terminal
 
 from mems_ins_fusion.__main__ import main as tool
+from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.runs.intake import first_datum
 from mems_ins_fusion.parameters import params_file, table
 from mems_ins_fusion.parameters.params_file import yaml_value
 from mems_ins_fusion.recordings import messages
@@ -56,7 +58,8 @@ def bag(tmp_path_factory):
 def result(bag, tmp_path_factory):
     """Everything at its default but the truth, and a bag of the odometry."""
     folder = tmp_path_factory.mktemp('replay') / 'result'
-    process = replay(bag=bag, output_dir=folder, reference_topic='/reference/odometry', write_bag='true')
+    process = replay(bag=bag, output_dir=folder, reference_topic='/reference/odometry', write_bag='true',
+                     verbose='true')
     assert process.returncode == 0, process.stderr
     return folder, process
 
@@ -83,7 +86,7 @@ def test_terminal_shows_the_errors_and_where_the_results_are(result):
     for named in ('report: ', 'track: '):
         path, = (line.removeprefix(named) for line in process.stdout.splitlines() if line.startswith(named))
         assert Path(path).is_file()
-    assert all(sentence in process.stdout for sentence in report['verdict']['drive'])
+    assert all(sentence in process.stdout for sentence in report['sentences']['drive'])
     assert '%|' not in process.stderr  # a bar is for a terminal; a slow machine says now and then how far it is
     assert 'replay_node: reference topic' in process.stderr  # its datum is not given: that is said
     assert 'RecordingWarning' not in process.stderr
@@ -92,8 +95,8 @@ def test_terminal_shows_the_errors_and_where_the_results_are(result):
 def test_page_holds_its_figures(result):
     page = (result[0] / 'report.html').read_text()
     report = json.loads((result[0] / 'report.json').read_text())
-    assert page.count('data:image/png;base64,') == 5
-    assert all(sentence.split(' (')[0] in page for sentence in report['verdict']['drive'])
+    assert page.count('<img src="data:image/png;base64,') == 5
+    assert all(sentence.split(' (')[0] in page for sentence in report['sentences']['drive'])
     # the answer before the evidence
     answer = report['answer']['drive']
     assert page.index(answer['headline']) < page.index('<canvas') < page.index('<details>')
@@ -173,7 +176,7 @@ def test_map_and_odometry_bag(result, bag):
 def test_smoothed_trajectory_and_outages(bag, tmp_path):
     folder = tmp_path / 'smoothed'
     process = replay("models:=['gauss_markov']", 'update_intervals:=[1.0]', bag=bag, output_dir=folder,
-                     smoothing='true', reference_topic='/reference/odometry')
+                     smoothing='true', reference_topic='/reference/odometry', verbose='true')
     assert process.returncode == 0, process.stderr
     report = json.loads((folder / 'report.json').read_text())
     run, smoothed = report['runs'][0], report['smoothed'][0]
@@ -193,7 +196,7 @@ def test_smoothed_trajectory_and_outages(bag, tmp_path):
 def test_dead_reckoning_counts_errors_without_fixes(bag, tmp_path):
     folder = tmp_path / 'dead'
     process = replay("models:=['gauss_markov']", 'update_intervals:=[1.0]', 'outage_durations:=[]', bag=bag,
-                     output_dir=folder, fixes_until='90.0', reference_topic='/reference/odometry')
+                     output_dir=folder, fixes_until='90.0', reference_topic='/reference/odometry', verbose='true')
     assert process.returncode == 0, process.stderr
     run, = json.loads((folder / 'report.json').read_text())['runs']
     assert run['fixes_used'] <= 90 and run['relative_translation_percent'] > 0
@@ -218,9 +221,9 @@ def test_several_recordings_stand_side_by_side(bag, tmp_path):
 def test_a_reference_file_is_as_good_as_a_topic(bag, result, tmp_path):
     # given the truth as a TUM file at the datum of the first result
     with pytest.warns(RecordingWarning, match='first fix'):
-        truth = read_recording(bag, '/imu/data', '/gps/fix', '/reference/odometry').reference
-    datum = ', '.join(repr(float(v)) for v in (np.degrees(truth.latitude[0]), np.degrees(truth.longitude[0]),
-                                               truth.height[0]))
+        recording = read_recording(bag, '/imu/data', '/gps/fix', '/reference/odometry')
+    place = first_datum(FilterConfig.from_parameters(table.defaults()), recording.imu, recording.gnss)
+    datum = ', '.join(repr(float(v)) for v in (*np.degrees(place[:2]), place[2]))
     process = replay('models:=[gauss_markov]', 'update_intervals:=[3.0]', 'outage_durations:=[10.0]', bag=bag,
                      output_dir=tmp_path / 'r', reference_file=result[0] / 'truth.tum', datum=f'[{datum}]')
     assert process.returncode == 0, process.stderr

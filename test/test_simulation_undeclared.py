@@ -8,7 +8,7 @@ from filter_support import configure
 
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.comparison import cut
-from mems_ins_fusion.filter.replay import run
+from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.simulation.simulation import GnssNoise, simulate_drive, simulate_recording

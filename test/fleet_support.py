@@ -1,0 +1,125 @@
+"""What the tests of the fleet share: recordings of a year, and functions for workers, which import this file."""
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.recordings.several import later
+from mems_ins_fusion.recordings.writing import write_recording
+from mems_ins_fusion.simulation.simulation import SensorErrors, simulate_drive, simulate_recording
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+DAY = 86_400 * 10**9
+SENSORS = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
+PARAMS = """\
+/**:
+  ros__parameters:
+    models: [gauss_markov]
+    update_intervals: [1.0]
+    outage_durations: [10.0]
+    reference_topic: /reference/fix
+"""
+
+
+def write_year(folder: Path, vehicles: int = 8, drives: int = 5) -> None:
+    """Recordings of a year of some vehicles: folder/logs/car_N/drive_N, 75 s at 25 Hz each, and params.yaml. One of
+    them breaks off; beside them stand an empty file, one that is no recording, and a copy."""
+    logs = folder / 'logs'
+    for vehicle in range(vehicles):
+        for drive in range(drives):
+            seed = 100 * vehicle + drive
+            driven = simulate_drive(75.0, seed=seed, rate=25.0, standstill=8.0)
+            recording = simulate_recording(driven, SENSORS, seed=seed).recording
+            reference = recording.reference.select(slice(None, None, 5))
+            moved = later(recording, 70 * drive * DAY)
+            reference = replace(reference, stamp=reference.stamp + 70 * drive * DAY)
+            write_recording(replace(moved, reference=reference), logs / f'car_{vehicle}' / f'drive_{drive}')
+    broken = next((logs / 'car_1' / 'drive_3').glob('*.mcap'))
+    os.truncate(broken, int(0.6 * broken.stat().st_size))
+    (logs / 'car_1' / 'empty.mcap').touch()
+    (logs / 'car_1' / 'letter.mcap').write_text('this is no recording')
+    shutil.copytree(logs / 'car_0' / 'drive_1', logs / 'car_0' / 'moved' / 'drive_1')
+    (folder / 'params.yaml').write_text(PARAMS)
+
+
+def command(*words, dask: bool = False) -> list[str]:
+    """What starts `fleet` in a process of its own, by Dask or by a pool of processes as where Dask is not installed."""
+    hide = '' if dask else 'sys.modules["distributed"] = None; '
+    code = f'import sys; {hide}from mems_ins_fusion.__main__ import main; sys.exit(main(sys.argv[1:]))'
+    return [sys.executable, '-c', code, 'fleet', *map(str, words)]
+
+
+def environment() -> dict[str, str]:
+    return {**os.environ, 'PYTHONPATH': f'{REPOSITORY}:{REPOSITORY / "test"}'}
+
+
+def run(folder: Path, *words, dask: bool = False) -> subprocess.CompletedProcess:
+    return subprocess.run(command(*words, dask=dask), cwd=folder, capture_output=True, text=True, env=environment(),
+                          timeout=600)
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """What is in a folder, by path."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob('*')) if path.is_file()}
+
+
+# for workers
+
+def double(value):
+    return 2 * value
+
+
+def refuse(value):
+    raise ValueError(f'{value} is refused')
+
+
+def die(value):
+    """Ends the process for the item 'die'."""
+    if value == 'die':
+        os.kill(os.getpid(), signal.SIGKILL)
+    return value
+
+
+def die_once(path):
+    """Ends the process as long as there is no file `path`."""
+    if not Path(path).exists():
+        Path(path).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 'done'
+
+
+def wait_for_long(path):
+    """Tells the number of its process in the file `path` and goes on for minutes."""
+    Path(path).write_text(str(os.getpid()))
+    time.sleep(300)
+
+
+def core_count(_):
+    from mems_ins_fusion.threads import threads
+
+    return threads()
+
+
+def estimates(rng: np.random.Generator, vehicles: int, drives: int, sigma: float, realised: float = 1.0,
+              step: tuple[int, int, float] | None = None) -> list[dict]:
+    """Rows of a history: the antenna's place by many drives, each `realised` times as far off as its sigma says. step:
+    vehicle, first drive after it, m."""
+    rows = []
+    for vehicle in range(vehicles):
+        place = rng.normal(0.0, 1.0)
+        for drive in range(drives):
+            moved = step[2] if step and vehicle == step[0] and drive >= step[1] else 0.0
+            rows.append({'vehicle': f'car_{vehicle}', 'source': 'diagnose', 'effect': 'gnss_lever_arm',
+                         'parameter': 'x', 'sigma': sigma,
+                         'stamp_ns': drive * 7 * DAY,
+                         'value': place + moved + realised * sigma * rng.standard_normal()})
+    return rows

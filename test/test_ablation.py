@@ -1,0 +1,35 @@
+"""The ablation study changes constants by name, in each module that has them, and finds them all."""
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def said(script):
+    environment = {**os.environ, 'PYTHONPATH': f"{ROOT}:{ROOT / 'studies'}", 'NUMBA_DISABLE_JIT': '1'}
+    return subprocess.run([sys.executable, '-c', script], env=environment, capture_output=True, text=True,
+                          check=True).stdout.split()
+
+
+def test_a_constant_is_changed_wherever_it_is_used():
+    # given one that another module has imported, and one of a tuple
+    assert said("""
+from mems_ins_fusion.filter import prediction
+from mems_ins_fusion.filter.trust import drift, receiver
+from ablation import lay_over
+lay_over({'prediction.GAP_ACCELERATION': 9.0, 'trust.drift.SMALLEST_RATIO[1]': 0.5})
+print(prediction.GAP_ACCELERATION, receiver.GAP_ACCELERATION, *drift.SMALLEST_RATIO)
+""") == ['9.0', '9.0', '1.0', '0.5']
+
+
+def test_what_is_compared_with_the_filter_as_it_is():
+    assert said("""
+from ablation import summary
+rows = [{'change': c, 'row': 'r', 'rate_hz': '1.0', 'error_m': e, 'within_95_percent': '95'}
+        for c, e in (('as it is', '5.0'), ('a x 4', '5.01'), ('b x 4', '7.0'))]
+print(summary(rows)[-1].replace(' ', '_'), len(summary(rows)))
+""") == ['move_nothing:_a_x_4', '2']

@@ -1,0 +1,57 @@
+"""A diagnosis leaves a wrong start value again, whichever way it has come into the parameters."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from mems_ins_fusion.diagnosis.bench import Bench
+from mems_ins_fusion.diagnosis.diagnose import diagnose
+from mems_ins_fusion.diagnosis.drives import Drives
+from mems_ins_fusion.diagnosis.estimate import Estimate
+from mems_ins_fusion.diagnosis.plausible import implausible
+from mems_ins_fusion.diagnosis.problem import Problem
+from mems_ins_fusion.diagnosis.starts import TIME_OFFSET, other_starts
+from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+
+OFFSET = 0.5
+
+
+@pytest.fixture(scope='module')
+def late():
+    """Five minutes whose fixes are stamped 0.5 s late."""
+    sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
+    effect = (EFFECTS['gnss_time_offset'], {'time_offset': OFFSET})
+    return simulate_recording(simulate_drive(300.0, 4, 50.0, grade=0.02), sensors, GnssNoise(0.3, 1.0), [effect],
+                              seed=4).recording
+
+
+def test_a_search_starts_from_what_is_given_from_what_the_recording_shows_and_from_nothing(late):
+    shown, nothing = other_starts([late], table.check({TIME_OFFSET: -0.8}))
+    assert shown[TIME_OFFSET] == pytest.approx(OFFSET, abs=0.1) and nothing[TIME_OFFSET] == 0.0
+    # and what is the same start is none of its own
+    alone, = other_starts([late], table.check({TIME_OFFSET: shown[TIME_OFFSET]}))
+    assert alone[TIME_OFFSET] == 0.0
+
+
+def test_a_wrong_time_offset_is_left_again(late):
+    # given parameters that are off by 1.3 s, and no other effect to explain it
+    found = diagnose(late, table.check({TIME_OFFSET: OFFSET - 1.3}), effects=[EFFECTS['gnss_time_offset']],
+                     durations=(10.0,))
+    # then the offset is right within its sigma
+    estimate = next(f for f in found.findings if f.name == 'gnss_time_offset').parameters['time_offset']
+    assert estimate.value == pytest.approx(1.3, abs=3.0 * estimate.sigma) and estimate.sigma < 0.1
+    assert found.corrected[TIME_OFFSET] == pytest.approx(OFFSET, abs=0.05)
+
+
+def test_a_scale_of_the_gyroscopes_that_the_course_contradicts_is_none(late):
+    # given gyroscopes that turn as far as the course does, as a bench sees it
+    problem = Problem(late, table.check({TIME_OFFSET: OFFSET}))
+    turned = Bench((late,), Drives([problem]), (), (10.0,), 30.0, lambda part, what: None, 0.0).turned
+    assert turned.value == pytest.approx(0.0, abs=3.0 * turned.sigma)
+    # then, where that is seen well enough, a scale that is far from it cannot be, and one that is not can
+    seen = replace(turned, value=0.0, sigma=0.01)
+    assert 'contradicts' in implausible('gyroscope_scale', {'z': Estimate(0.12, 0.01, '-')}, seen)
+    assert implausible('gyroscope_scale', {'z': Estimate(0.02, 0.005, '-')}, seen) == ''

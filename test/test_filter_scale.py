@@ -1,0 +1,78 @@
+"""The one estimator of realised over assumed variance: against numbers drawn with a known variance."""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from mems_ins_fusion.filter.trust import scale as judged
+from mems_ins_fusion.filter.trust.scale import Scale, learn, reopen, scale
+
+
+def learned(realised, count=400, dimensions=2, rest=0.0, interval=1.0, outliers=0.0, seed=1, part=1.0):
+    """A scale after `count` deviations of variance realised * part + rest, and the generator."""
+    rng, at = np.random.default_rng(seed), np.zeros(Scale.SIZE)
+    for k in range(count):
+        deviation = math.sqrt(realised * part + rest) * rng.standard_normal(dimensions)
+        if rng.random() < outliers:
+            deviation += 1000.0
+        learn(at, 0, k * interval, float(np.mean(deviation**2)), part, rest, dimensions)
+    return at
+
+
+@pytest.mark.parametrize('dimensions', [1, 2])
+def test_the_moments_of_the_logarithm_are_those_of_a_chi_square_variable(dimensions):
+    logarithm = [chi2(dimensions).expect(lambda x, k=k: np.log(x / dimensions)**k) for k in (1, 2)]
+    assert judged.LOG_MEAN[dimensions - 1] == pytest.approx(logarithm[0], abs=1e-3)
+    assert judged.LOG_VARIANCE[dimensions - 1] == pytest.approx(logarithm[1] - logarithm[0]**2, abs=1e-3)
+
+
+@pytest.mark.parametrize('realised', [75.0**2, 9.0, 1.0, 1 / 9, 1 / 100])
+@pytest.mark.parametrize('dimensions', [1, 2])
+@pytest.mark.parametrize('interval', [0.1, 1.0, 10.0])
+def test_it_finds_the_realised_variance_upwards_and_downwards_at_any_rate(realised, dimensions, interval):
+    found = [scale(learned(realised, 200, dimensions, interval=interval, seed=seed), 0) for seed in range(5)]
+    assert 0.6 < np.exp(np.mean(np.log(found))) / realised < 2.5  # what is less than claimed counts when it is certain
+
+
+@pytest.mark.parametrize('realised', [75.0**2, 1 / 100])
+def test_ten_deviations_are_enough_to_be_near(realised):
+    found = [scale(learned(realised, 10, seed=seed), 0) for seed in range(20)]
+    assert 1 / 3 < np.median(found) / realised < 3.0
+
+
+def test_the_claim_stands_until_the_contrary_is_seen():
+    assert scale(np.zeros(Scale.SIZE), 0) == 1.0
+    # a single small deviation is chance
+    at = np.zeros(Scale.SIZE)
+    learn(at, 0, 0.0, 0.05, 1.0, 0.0, 2)
+    assert scale(at, 0) > 0.3
+
+
+def test_deviations_that_are_mostly_something_else_teach_little():
+    # given errors of variance 1 behind a way that is uncertain by ten times that, and is so
+    unseen, seen = (learned(9.0, 30, rest=rest) for rest in (1000.0, 0.0))
+    assert unseen[Scale.KNOWN] < 0.1 < 4.0 < seen[Scale.KNOWN]
+    assert scale(unseen, 0) == pytest.approx(1.0, abs=0.3)
+
+
+def test_wild_deviations_count_little():
+    assert scale(learned(1.0, outliers=0.15), 0) < 3.0 < 1e5 * 0.15
+
+
+def test_what_was_seen_long_ago_is_forgotten():
+    at = learned(9.0, 100)
+    before = at[Scale.LOG]
+    learn(at, 0, 4000.0, 9.0 * math.exp(1.0), 1.0, 0.0, 2)
+    assert at[Scale.KNOWN] == pytest.approx(judged.PRIOR**2 / (judged.PRIOR + judged.LOG_VARIANCE[1]))
+    assert at[Scale.LOG] > before
+
+
+@pytest.mark.parametrize(('factor', 'expected'), [(0.01, 100.0), (100.0, 1.0)])
+def test_a_claim_that_jumps_leaves_the_larger_of_both(factor, expected):
+    # a receiver that scattered as it claimed, and claims a hundredth or a hundred times of it from now on
+    at = np.zeros(Scale.SIZE)
+    reopen(at, 0, factor)
+    assert scale(at, 0) == pytest.approx(expected) and at[Scale.KNOWN] == 0.0

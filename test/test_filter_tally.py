@@ -1,0 +1,80 @@
+"""What becomes of the measurements of one input, and a filter's words on what it cannot use."""
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filter_support import configure
+
+from mems_ins_fusion.filter.runs.intake import first_datum
+from mems_ins_fusion.filter.runs.live import FusionFilter
+from mems_ins_fusion.filter.runs.tally import Tally
+from mems_ins_fusion.simulation.simulation import GnssNoise, simulate_drive, simulate_recording
+
+SECOND = 10**9  # ns
+
+
+def test_refusals_in_a_row_tell_from_when_and_why():
+    tally = Tally()
+    tally.use(4.0)
+    for k in range(5):
+        tally.refuse(k * SECOND, 'beyond the gate', 16.0)
+    assert (tally.used, tally.refused) == (1, {'beyond the gate': 5})
+    assert (tally.row, tally.since, tally.last) == (5, 0, 4 * SECOND)
+    assert tally.misfit == pytest.approx(math.sqrt((4.0 + 5 * 16.0) / 6))
+    assert tally.steadily(5 * SECOND, patient=True) and not tally.steadily(60 * SECOND, patient=True)
+    tally.use(1.0)
+    assert tally.row == 0 and not tally.steadily(5 * SECOND, patient=False)
+
+
+def test_three_of_a_fast_sensor_are_an_instant():
+    tally = Tally()
+    for k in range(3):
+        tally.refuse(k * SECOND // 100, 'beyond the gate')
+    assert tally.steadily(SECOND, patient=False) and not tally.steadily(SECOND, patient=True)
+    assert math.isnan(tally.misfit)
+
+
+@pytest.fixture(scope='module')
+def recording():
+    return simulate_recording(simulate_drive(20.0, seed=2, rate=50.0, standstill=12.0), None,
+                              GnssNoise(sigma=0.5, rate=2.0), seed=2).recording
+
+
+def fed(config, imu, fixes, upto):
+    """A filter after the first `upto` samples, with the fixes of the same time."""
+    fusion, arrival = FusionFilter(config), np.searchsorted(imu.received, fixes.received, side='right')
+    for k in range(upto):
+        for i in np.flatnonzero(arrival == k):
+            fusion.add_fix(int(fixes.stamp[i]), fixes.latitude[i], fixes.longitude[i], fixes.height[i],
+                           fixes.covariance[i].ravel(), int(fixes.status[i]), 2)
+        fusion.add_imu(int(imu.stamp[k]), *imu.specific_force[k].tolist(), *imu.angular_rate[k].tolist())
+    return fusion
+
+
+@pytest.mark.parametrize('wrong', [0, 1, 2])
+def test_the_datum_is_the_same_live_and_replayed_and_one_wrong_fix_does_not_make_it(recording, wrong):
+    fixes = recording.gnss
+    latitude = fixes.latitude.copy()
+    latitude[wrong] += 1e-4  # 640 m
+    altered = replace(fixes, latitude=latitude)
+    config = configure(mechanization='strapdown')
+    live = fed(config, recording.imu, altered, 300).datum
+    assert np.array_equal(live, first_datum(config, recording.imu, altered))
+    assert abs(live[0] - fixes.latitude[0]) * 6.4e6 < 5.0
+
+
+def test_a_start_that_cannot_be_is_told_from_one_that_waits(recording):
+    config, imu, fixes = configure(mechanization='strapdown'), recording.imu, recording.gnss
+    waiting = fed(config, imu, fixes, 300)
+    assert waiting.state == 'aligning' and not waiting.contradicted
+    in_g = replace(imu, specific_force=imu.specific_force / 9.80665)
+    wrong = fed(config, in_g, fixes, 300)
+    assert wrong.contradicted and "imu.acceleration_unit to 'g'" in wrong.status
+    # fixes that are all refused cannot start it, but a receiver that has none yet will have one
+    refused = fed(config, imu, replace(fixes, height=fixes.height + 2e4), 300)
+    assert refused.contradicted and 'altitude #' in refused.status
+    garage = fed(config, imu, replace(fixes, status=np.full(len(fixes), -1, np.int8)), 300)
+    assert not garage.contradicted and 'status #: no fix' in garage.status

@@ -1,0 +1,183 @@
+"""Verdicts: right as often as they say, silent where chance does as well, and the same words everywhere."""
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mems_ins_fusion.evaluation.intervals import interval_of_share, of_mean, p_of_so_few, paired
+from mems_ins_fusion.evaluation.verdict import (
+    BETTER,
+    CANNOT_TELL,
+    NO,
+    SAME,
+    TOO_CAREFUL,
+    WORSE,
+    YES,
+    Consistency,
+    change_in_outages,
+    change_with_fixes,
+    decide,
+    trusted,
+)
+from mems_ins_fusion.reports.verdict import because, change_text, span_text, trust_text, verdict_json
+
+
+def outages(rng, n, overlap=1, tail=4.0):
+    """Largest errors (n,) of outages, of which each shares its time with the `overlap` - 1 next ones."""
+    each = np.exp(0.6 * rng.standard_t(tail, n + overlap))
+    return 5.0 * np.array([each[i:i + overlap].mean() for i in range(n)])
+
+
+def drive(rng, factor=1.0, n=17):
+    """The changes of one drive: outages of 10, 30 and 60 s each 30 s, and errors with fixes."""
+    found = []
+    for duration, overlap in ((10.0, 1), (30.0, 1), (60.0, 2)):
+        before = outages(rng, n, overlap)
+        after = factor * before * np.exp(0.3 * rng.standard_normal(n))
+        found.append(change_in_outages(duration, before, after, n // overlap))
+    before = np.abs(rng.standard_normal(400)) + 0.1
+    return [*found, change_with_fixes(before, before * np.exp(0.05 * rng.standard_normal(400)))]
+
+
+@pytest.mark.parametrize('n, overlap', [(8, 1), (17, 1), (17, 2), (50, 6)])
+def test_an_interval_holds_the_mean_of_a_few_outages_that_overlap(n, overlap):
+    # given 400 drives of n outages; the mean that each estimates is 0
+    rng = np.random.default_rng(n + overlap)
+    held = 0
+    for _ in range(400):
+        each = rng.standard_normal(n + overlap)
+        found = of_mean(np.array([each[i:i + overlap].mean() for i in range(n)]), n // overlap)
+        held += found is None or found.low < 0 < found.high
+    # then 95 % of the intervals hold it, by four binomial sigmas; a block bootstrap's held it in 78 to 88 %
+    assert held / 400 > 0.95 - 4 * np.sqrt(0.95 * 0.05 / 400)
+
+
+def test_nothing_that_changed_is_called_better_in_one_of_twenty_drives_at_most():
+    rng = np.random.default_rng(1)
+    answers = [decide(drive(rng)).answer for _ in range(300)]
+    assert answers.count(BETTER) + answers.count(WORSE) <= 15 + 4 * np.sqrt(15)
+    assert BETTER in [decide(drive(rng, 0.4)).answer for _ in range(3)]
+
+
+def test_better_is_for_certain_and_worse_in_nothing():
+    rng = np.random.default_rng(2)
+    good, bad = decide(drive(rng, 0.3)), decide(drive(rng, 3.0))
+    assert (good.answer, bad.answer) == (BETTER, WORSE)
+    assert good.shown.duration == 30.0 and good.shown.after < good.shown.before
+    # one thing better and another one worse is no recommendation
+    both = decide([*drive(rng, 0.3)[:2], *drive(rng, 3.0)[2:]])
+    assert both.answer == CANNOT_TELL and both.gains and both.losses
+
+
+def test_the_same_numbers_are_the_same_and_too_few_say_nothing():
+    error = np.random.default_rng(3).permutation(np.linspace(1.0, 9.0, 20))
+    assert decide([change_in_outages(30.0, error, error.copy(), 20)]).answer == SAME
+    # what is certain and felt by nobody is not better
+    assert decide([change_in_outages(30.0, error, 0.99 * error, 20)]).answer == SAME
+    assert decide([change_in_outages(30.0, error[:2], 0.1 * error[:2], 2)]).answer == CANNOT_TELL
+    assert decide([]).answer == CANNOT_TELL
+
+
+def test_a_mean_that_grows_while_the_median_shrinks_is_no_gain():
+    # given outages as on Longmont: most a little smaller, a few much larger
+    before = np.array([4.0] * 12 + [9.0, 12.0, 20.0])
+    after = np.array([3.5] * 12 + [13.0, 15.0, 26.0])
+    verdict = decide([change_in_outages(30.0, before, after, 15)])
+    assert np.median(after) < np.median(before) and verdict.answer == CANNOT_TELL
+    assert 'm less to' in because(verdict)[0] and because(verdict)[0].startswith('no certain difference')
+
+
+def test_the_interval_of_a_share_and_its_p_are_those_of_the_binomial_distribution():
+    from scipy.stats import binom, binomtest
+
+    for k, n in ((5, 6), (17, 17), (0, 4), (14, 18)):
+        expected = binomtest(k, n).proportion_ci(0.95, 'exact')
+        assert interval_of_share(k, n) == pytest.approx((expected.low, expected.high), abs=1e-9)
+        assert p_of_so_few(k, n, 0.95) == pytest.approx(binom.cdf(k, n, 0.95), abs=1e-12)
+
+
+def consistent(rng, held, of, scale=1.0):
+    within = np.arange(of) < held
+    return Consistency(30.0, scale**2 * rng.chisquare(2, of), within, of)
+
+
+@pytest.mark.parametrize('held, of, answer', [(5, 6, CANNOT_TELL), (15, 17, CANNOT_TELL), (17, 17, YES), (16, 17, YES),
+                                              (9, 17, NO), (4, 4, CANNOT_TELL)])
+def test_trust_is_not_given_or_taken_by_chance(held, of, answer):
+    # given errors that are as large as the sigmas say, and counts of outages in the ellipse
+    rng = np.random.default_rng(held)
+    assert trusted([consistent(rng, held, of), Consistency(None, rng.chisquare(2, 500))]).answer == answer
+
+
+def test_sigmas_that_are_honest_are_called_too_small_in_one_of_twenty_drives_at_most():
+    rng = np.random.default_rng(5)
+    answers = []
+    for _ in range(300):
+        ends = rng.chisquare(2, (3, 17))
+        answers.append(trusted([Consistency(duration, nees, nees < 5.99, apart) for duration, nees, apart in
+                                zip((10.0, 30.0, 60.0), ends, (17, 17, 9))]).answer)
+    assert answers.count(NO) <= 15 + 4 * np.sqrt(15)
+
+
+def test_sigmas_that_are_not_honest_are_told_by_their_size_over_time():
+    rng = np.random.default_rng(6)
+    small = trusted([consistent(rng, 17, 17), Consistency(None, 4.0 * rng.chisquare(2, 500))])
+    assert small.answer == NO and 1.8 < small.scale.value < 2.2 and 'too small' in trust_text(small)
+    large = trusted([consistent(rng, 17, 17, 0.4), Consistency(None, 0.16 * rng.chisquare(2, 500))])
+    assert large.answer == TOO_CAREFUL and 'larger than need be' in trust_text(large)
+    assert trusted([]).answer == CANNOT_TELL and 'too short' in trust_text(trusted([]))
+
+
+def test_the_words_hold_the_interval_and_its_unit():
+    change = change_in_outages(30.0, np.array([6.0, 7.0, 8.0, 9.0]), np.array([4.0, 5.5, 5.0, 6.5]), 4)
+    text = change_text(change, 0.95)
+    assert text.startswith('30 s without fixes 5.2 m instead of 7.5 m (95 %: ') and text.endswith(' m less)')
+    low, high = paired([4.0, 5.5, 5.0, 6.5], [6.0, 7.0, 8.0, 9.0], 4).interval(0.95)
+    assert f'{-high:.2g}' in text and f'{-low:.2g}' in text
+    assert span_text(-1.0, 2.0) == '1 m less to 2 m more' and span_text(0.5, 1.5) == '0.50 to 1.5 m more'
+    assert change.turned.before == change.after and change.turned.interval() == pytest.approx((-high, -low))
+    content = verdict_json(decide([change]))
+    assert content['answer'] in ('better', 'cannot_tell') and content['because']
+
+
+def test_what_is_certainly_wrong_makes_a_recording_not_usable():
+    from mems_ins_fusion.recordings.checker import Finding
+    from mems_ins_fusion.reports.diagnosis_answer import not_usable
+    from mems_ins_fusion.reports.verdict import certainly_wrong
+
+    values = {'mechanization': 'strapdown', 'imu_topic': '/imu', 'gnss_topic': '/fix', 'temperature_topic': ''}
+    backwards = Finding('error', 'imu', 'the IMU seems to be mounted backwards: set imu.mounting_rpy to [0.0, 0.0, 3]')
+    dead = Finding('error', 'imu', 'rotation rate x: the same value in every sample', {'axes': 'x'})
+    found = [backwards, dead, Finding('warning', 'gnss', 'gaps')]
+    assert certainly_wrong(found, values) == [backwards, dead]
+    # a planar filter does without three of the axes
+    assert certainly_wrong(found, values | {'mechanization': 'planar'}) == [backwards]
+    verdict, answer = not_usable([backwards], values)
+    assert verdict_json(verdict)['answer'] == 'not_usable' and 'set imu.mounting_rpy' in answer.headline
+    assert answer.grade == 'bad' and answer.headline.startswith('Not usable')
+
+
+def test_what_parameters_were_fitted_to_is_known_by_its_content(tmp_path):
+    from dataclasses import replace
+
+    from mems_ins_fusion.parameters import table
+    from mems_ins_fusion.recordings.reading import read_recording
+    from mems_ins_fusion.recordings.sketch import fitted_to, sketch
+    from mems_ins_fusion.recordings.writing import write_recording
+    from mems_ins_fusion.samples import Recording
+    from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+
+    def drive(seed) -> Recording:
+        sensors = SensorErrors.from_parameters(table.check({}), 'gauss_markov')
+        return simulate_recording(simulate_drive(60.0, seed, rate=10.0), sensors, GnssNoise(1.0), seed=seed).recording
+    one, other = drive(1), drive(2)
+    known = sketch([one.gnss])
+    assert len(known) == 8 and fitted_to(one, known) and not fitted_to(other, known) and not fitted_to(one, [])
+    # in another file, under other topics, without its first half or its second
+    write_recording(one, tmp_path / 'renamed', imu_topic='/a', gnss_topic='/b')
+    again = read_recording(tmp_path / 'renamed', '/a', '/b')
+    assert fitted_to(again, known)
+    half = len(one.gnss) // 2
+    parts = [replace(again, gnss=again.gnss.select(part)) for part in (slice(0, half), slice(half, None))]
+    assert any(fitted_to(part, known) for part in parts)
+    assert fitted_to(other, sketch([one.gnss, other.gnss]))
