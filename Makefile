@@ -15,7 +15,7 @@ PIP := -m pip install --quiet --disable-pip-version-check
 
 demo: .venv/ros
 	$(BIN)/python -m mems_ins_fusion compile
-	$(BIN)/python -m mems_ins_fusion simulate --output demo/drive --duration 600 --seed 1 --overwrite
+	$(BIN)/python -m mems_ins_fusion simulate --output demo/drive --duration 600 --seed 1 --aiding --overwrite
 	$(BIN)/python -m mems_ins_fusion replay_node --ros-args -p bag:=demo/drive -p output_dir:=demo/replay \
 	    -p reference_topic:=/reference/fix -p overwrite:=true
 

@@ -4,6 +4,8 @@
 """
 from __future__ import annotations
 
+import errno
+import hashlib
 import os
 import platform
 import signal
@@ -13,18 +15,36 @@ import threading
 import traceback
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 
-#: where defects are to be reported; the maintainer of package.xml
-REPORT_TO = 'maintainers@mems-ins-fusion.example'
+from mems_ins_fusion.errors import InputError
+
 BAD_INPUT, INTERRUPTED = 2, 130
+#: s after a signal in which a tool may clean up; after them it ends all the same: whatever a library does, Ctrl-C works
+GRACE = 10.0
 _AGAIN = 0.05  # s until a lost interruption is repeated
+_PACKAGE = Path(__file__).parent
+_INTERRUPTED = 'interrupted, nothing was written'
+#: what the system has too little of: part of an error's text, or its number, and how a user has more of it
+_LIMITS = (
+    ((errno.EMFILE, errno.ENFILE, 'Too many open files'),
+     'too many files are open at once: raise that limit of this shell (ulimit -n)'),
+    ((errno.EAGAIN, "can't start new thread", 'Resource temporarily unavailable'),
+     'no further process or thread may be started: raise that limit of this user (ulimit -u, or pids of a container)'),
+    ((errno.ENOMEM, 'failed to map segment', 'annot allocate memory'),
+     'there is no memory left: raise its limit (ulimit -v, or that of the container)'))
 
 
 def guarded(tool: str, argv: list[str], work: Callable[[], int | None]) -> int:
     """The exit status of `work`, or that of what stopped it, which is then said in one line on standard error."""
-    interruption = _Interruption()
+    interruption = _Interruption(tool)
     warnings.simplefilter('ignore', RuntimeWarning)  # NumPy on values that no sensor delivers
     warnings.formatwarning = lambda message, *_, **__: f'{tool}: {one_line(message)}\n'
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, 'reconfigure'):  # what a terminal cannot show is no reason to end
+            stream.reconfigure(errors='backslashreplace')
+    if wrong := [word for word in argv if not _is_utf8(word)]:  # it could not stand in any result
+        return _say(tool, f'the name {os.fsencode(wrong[0])!r} is not UTF-8; rename it')
     try:
         with interruption:
             status = work() or 0
@@ -34,20 +54,15 @@ def guarded(tool: str, argv: list[str], work: Callable[[], int | None]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except KeyboardInterrupt:
-        return _say(tool, 'interrupted, nothing was written', INTERRUPTED)
+        return _say(tool, _INTERRUPTED, INTERRUPTED)
     except Exception as error:
         if interruption.requested:  # libraries turn it into errors of their own
-            return _say(tool, 'interrupted, nothing was written', INTERRUPTED)
+            return _say(tool, _INTERRUPTED, INTERRUPTED)
         return _say(tool, _reason(tool, argv, error))
 
 
-def refuse(tool: str, error: ValueError) -> int:
-    """Say what is wrong with the input, as one of the package's own errors puts it; the exit status.
-
-    Raises `error` again where it is a library's: that is a defect, and its text tells a user nothing.
-    """
-    if type(error) is not ValueError and not type(error).__module__.startswith('mems_ins_fusion'):
-        raise error
+def refuse(tool: str, error: InputError) -> int:
+    """Say what is wrong with what was given; the exit status."""
     return _say(tool, one_line(error))
 
 
@@ -55,6 +70,20 @@ def one_line(error) -> str:
     """The text of an exception or a warning as one line without control characters, its type where it has none."""
     text = ' '.join(str(error).split()) or type(error).__name__
     return ''.join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
+def identity(error: BaseException) -> str:
+    """A short name for the defect behind `error`: the same wherever it shows, in other data and other versions.
+
+    Of the type of the exception and the two innermost functions of the package that it went through, without lines.
+    """
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if _PACKAGE in Path(frame.filename).parents]
+    where = [f'{Path(frame.filename).stem}.{frame.name}' for frame in frames[-2:]]
+    return hashlib.blake2b(' '.join([type(error).__name__, *where]).encode(), digest_size=3).hexdigest().upper()
+
+
+def _is_utf8(word: str) -> bool:
+    return not any('\ud800' <= c <= '\udfff' for c in word)
 
 
 def _say(tool: str, text: str, status: int = BAD_INPUT) -> int:
@@ -66,12 +95,18 @@ def _say(tool: str, text: str, status: int = BAD_INPUT) -> int:
 
 
 def _reason(tool: str, argv: list[str], error: Exception) -> str:
+    if isinstance(error, InputError):
+        return one_line(error)
     if isinstance(error, MemoryError):
         return f'out of memory with {" ".join(argv)}; use a part of the recording (start, stop)'
+    for signs, text in _LIMITS:
+        if any(sign in str(error) if isinstance(sign, str) else sign == getattr(error, 'errno', None)
+               for sign in signs):
+            return text
     if isinstance(error, OSError) and error.strerror:
         return f'{error.filename}: {error.strerror}' if error.filename else error.strerror
-    return (f'a defect of the program, not of yours: {type(error).__name__}: {one_line(error)}; called with: '
-            f'{one_line(" ".join(argv))}; please report it to {REPORT_TO}{_written(tool, argv)}')
+    return (f'a defect of the program, not of yours, number {identity(error)}: {type(error).__name__}: '
+            f'{one_line(error)}; called with: {one_line(" ".join(argv))}{_written(tool, argv)}')
 
 
 def _written(tool: str, argv: list[str]) -> str:
@@ -82,28 +117,57 @@ def _written(tool: str, argv: list[str]) -> str:
             file.write(f'{tool} {argv!r}\nPython {sys.version}\n{platform.platform()}\n\n{traceback.format_exc()}')
     except OSError:
         return ''
-    return f' with the file {file.name}'
+    return f'; what is needed to find it is in {file.name}'
 
 
 class _Interruption:
     """SIGINT and SIGTERM as one KeyboardInterrupt while the block runs; further signals do nothing.
 
-    An exception in a destructor or in a library's callback is lost; that one is repeated.
+    An exception in a destructor or in a library's callback is lost; that one is repeated. Where the main thread does
+    not come back to Python within GRACE, out of a long computation of a library, another thread ends the process.
     """
 
     requested = False
 
+    def __init__(self, tool: str):
+        self._tool = tool
+        self._done = threading.Event()
+
     def __enter__(self):
         self._former = {}
+        self._pipe = None
         if threading.current_thread() is threading.main_thread():
             self._former = {number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)}
+            self._watch()
         self._hook, sys.unraisablehook = sys.unraisablehook, self._lost
         return self
 
     def __exit__(self, *exception):
         sys.unraisablehook = self._hook
+        self._done.set()
+        if self._pipe is not None:
+            signal.set_wakeup_fd(-1)
+            os.close(self._pipe)  # ends the thread
         for number, handler in self._former.items():
             signal.signal(number, handler)
+
+    def _watch(self):
+        """Begin to wait for signals in a thread of its own: the handlers of Python run in the main thread only."""
+        incoming, self._pipe = os.pipe()
+        os.set_blocking(self._pipe, False)
+        # nodes handle signals in their own way, which this does not touch
+        signal.set_wakeup_fd(self._pipe, warn_on_full_buffer=False)
+        try:
+            threading.Thread(target=self._wait_for_signal, args=(incoming,), daemon=True).start()
+        except RuntimeError:  # no thread may be started: then the main thread alone hears signals
+            signal.set_wakeup_fd(-1)
+
+    def _wait_for_signal(self, incoming: int):
+        while heard := os.read(incoming, 1):
+            if heard[0] in (signal.SIGINT, signal.SIGTERM) and not self._done.wait(GRACE):
+                _say(self._tool, _INTERRUPTED)
+                os._exit(INTERRUPTED)
+        os.close(incoming)
 
     def _handle(self, number, frame):
         if not self.requested:

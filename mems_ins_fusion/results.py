@@ -5,12 +5,16 @@ from __future__ import annotations
 import ctypes
 import errno
 import fcntl
+import json
+import math
 import os
 import re
 import shutil
 import tempfile
 from contextlib import contextmanager
 from pathlib import Path
+
+from mems_ins_fusion.errors import InputError
 
 #: ends of the names of unfinished results, and of one that is being replaced
 _UNFINISHED, _FORMER = '.unfinished', '.former'
@@ -20,8 +24,16 @@ _HERE, _EXCHANGE = -100, 2
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 
-class ResultError(ValueError):
+#: what is said of a name that is taken
+_TAKEN = 'exists already; choose another output, or replace it with --overwrite (replay_node: -p overwrite:=true)'
+
+
+class ResultError(InputError):
     """A result that cannot be written: one line that names the path."""
+
+
+class ResultBusy(ResultError):
+    """A result that another run is writing at this moment."""
 
 
 @contextmanager
@@ -64,7 +76,7 @@ def check_free(path, overwrite: bool = False, marker: str = 'report.json') -> No
         if not (path / marker).is_file():
             raise ResultError(f'{path} holds other files than results (no {marker}); choose another output')
         if not overwrite:
-            raise ResultError(f'{path} exists already; choose another output or ask for it to be overwritten')
+            raise ResultError(f'{path} {_TAKEN}')
 
 
 @contextmanager
@@ -128,7 +140,7 @@ def _remove_left_over(folder: Path, path: Path) -> None:
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise ResultError(f'another run is writing {path} at this moment; wait for it or choose another output') \
+        raise ResultBusy(f'another run is writing {path} at this moment; wait for it or choose another output') \
             from None
     else:
         shutil.rmtree(folder, ignore_errors=True)
@@ -155,13 +167,31 @@ def _exchange(path: Path, other: Path) -> bool:
     return rename is not None and rename(_HERE, os.fsencode(path), _HERE, os.fsencode(other), _EXCHANGE) == 0
 
 
+def json_text(content, **layout) -> str:
+    """`content` as JSON; a number that is none, such as an error beyond all numbers, is null: JSON has no other word.
+
+    layout: of `json.dumps`.
+    """
+    return json.dumps(plain(content), allow_nan=False, **layout)
+
+
+def plain(content):
+    """`content` in types of JSON, arrays and numbers of NumPy as well; None for numbers that are not finite."""
+    if isinstance(content, dict):
+        return {str(name): plain(value) for name, value in content.items()}
+    content = content.tolist() if hasattr(content, 'tolist') else content
+    if isinstance(content, (list, tuple)):
+        return [plain(value) for value in content]
+    return None if isinstance(content, float) and not math.isfinite(content) else content
+
+
 def check_files_free(paths, overwrite: bool = False) -> None:
     """ResultError where one of the files `paths` exists and `overwrite` is false, or is a folder."""
     for path in map(Path, paths):
         if path.is_dir():
             raise ResultError(f'{path} is a folder, not a file')
         if path.exists() and not overwrite:
-            raise ResultError(f'{path} exists already; choose another output or ask for it to be overwritten')
+            raise ResultError(f'{path} {_TAKEN}')
 
 
 def write_files(texts: dict, overwrite: bool = False) -> None:

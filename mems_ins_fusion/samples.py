@@ -5,7 +5,8 @@ message arrived (the log time of a bag), which decides the order in which a live
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -138,9 +139,13 @@ class Headings(_Samples):
     variance: np.ndarray
 
 
+class Aiding(dict):
+    """What is measured besides the fixes, samples by the name of the measurement (`filter.measurements`)."""
+
+
 @dataclass(frozen=True)
 class Recording:
-    """One recording, read once. Absent parts are None."""
+    """One recording, read once. Absent parts are None. others: samples by name, of what has no field here."""
 
     name: str
     imu: ImuSamples
@@ -150,3 +155,15 @@ class Recording:
     speed: Speeds | None = None
     velocity: Velocities | None = None
     heading: Headings | None = None
+    others: Mapping[str, _Samples] = field(default_factory=dict)
+
+    def streams(self) -> dict[str, _Samples]:
+        """Its parts that are there, by name."""
+        parts = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ('name', 'others')}
+        return {name: samples for name, samples in (parts | dict(self.others)).items() if samples is not None}
+
+    def having(self, streams: Mapping[str, _Samples]) -> Recording:
+        """The recording with these parts in place of those of the same name."""
+        own = {name: samples for name, samples in streams.items() if name in {f.name for f in fields(self)}}
+        others = {name: samples for name, samples in streams.items() if name not in own}
+        return replace(self, **own, others={**self.others, **others})

@@ -42,7 +42,10 @@ def _allowed(p: Parameter) -> str:
     """The range of `p` in words; empty where anything goes or the description says it."""
     if p.choices:
         return ', '.join(p.choices)
-    bounds = ['above 0'] if p.positive else [f'from {p.minimum:g}'] if p.minimum > -math.inf else []
+    if p.positive:
+        bounds = ['not empty' if p.unit == 'text' else 'above 0']
+    else:
+        bounds = [f'from {p.minimum:g}'] if p.minimum > -math.inf else []
     if p.maximum < math.inf:
         bounds.append(f'to {p.maximum:g}')
     return ' '.join(bounds)

@@ -6,8 +6,10 @@ import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from mems_ins_fusion.errors import InputError
 
-class ParameterError(ValueError):
+
+class ParameterError(InputError):
     """A parameter that cannot be used: one line that names it, its value and what was expected."""
 
 
@@ -24,6 +26,7 @@ class Parameter:
     choices: tuple[str, ...] = ()
     lengths: Sequence[int] | None = None  # of a list, a tuple or a range; None allows any
     positive: bool = False  # excludes zero, and the empty text
+    elements: tuple[tuple[str, float], ...] = ()  # of a list: what each is, and its largest magnitude
 
     @property
     def length_text(self) -> str:
@@ -48,7 +51,12 @@ class Parameter:
         if self.lengths is not None and len(value) not in self.lengths:
             raise ParameterError(f"parameter '{self.name}' must have {self.length_text} values, got {len(value)}: "
                                  f'{reprlib.repr(value)}')
-        return [self._check_scalar(v, kind) for v in value]
+        value = [self._check_scalar(v, kind) for v in value]
+        for element, (what, largest) in zip(value, self.elements):
+            if abs(element) > largest:
+                raise ParameterError(f"parameter '{self.name}' must have a {what} from -{largest:g} to {largest:g}, "
+                                     f'got {element:g}')
+        return value
 
     def _element_type(self):
         if self.default:

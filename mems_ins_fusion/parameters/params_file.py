@@ -7,13 +7,15 @@ from pathlib import Path
 
 import yaml
 
+from mems_ins_fusion.errors import InputError
+
 from .parameter import ParameterError
 
 #: files that people and recorders write are far smaller and flatter
 _LARGEST, _DEEPEST = 1_000_000, 20  # bytes, levels
 
 
-class YamlError(ValueError):
+class YamlError(InputError):
     """Text that is no YAML, or none that is read here: one line that says why."""
 
 
@@ -37,6 +39,8 @@ class _Loader(yaml.SafeLoader):
 
 def read_yaml(path):
     """The one document in the YAML file `path`. OSError where it cannot be read, YamlError where it is not usable."""
+    if Path(path).exists() and not Path(path).is_file():  # a pipe that nobody fills would be waited for, for ever
+        raise YamlError('it is not a file')
     with Path(path).open('rb') as file:
         data = file.read(_LARGEST + 1)
     if len(data) > _LARGEST:

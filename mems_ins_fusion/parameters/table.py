@@ -8,7 +8,9 @@ from __future__ import annotations
 import math
 
 from ..effects.registry import EFFECTS
+from ..filter.measurements.registry import AIDING
 from ..hints import did_you_mean
+from ..sensor_errors.models import MODELS as SENSOR_MODELS
 from .parameter import Parameter, ParameterError
 
 
@@ -49,30 +51,16 @@ def _sensor(sensor, unit, noise_density, initial_sigma, random_walk, sigma, driv
     )
 
 
-def _aiding(name, unit, default_sigma):
-    """The parameters that speed, velocity and heading share."""
-    return (
-        Parameter(f'{name}.sigma', 0.0, unit, f'Standard deviation of the {name}; 0 takes what the message says.',
-                  minimum=0.0, maximum=1000.0),
-        Parameter(f'{name}.default_sigma', default_sigma, unit, 'Used where the message does not tell.',
-                  positive=True, maximum=1000.0),
-    )
-
-
-MODELS = ('random_walk', 'gauss_markov', 'autoregressive')
+MODELS = tuple(SENSOR_MODELS)
+#: what a place consists of, and the largest magnitude of each, deg, deg, m
+PLACE = (('latitude', 90.0), ('longitude', 360.0), ('height', 1e5))
 
 #: what the filter needs, whoever runs it
 FILTER = (
     Parameter('imu_topic', '/imu/data', 'text', 'Topic of sensor_msgs/Imu.', positive=True),
     Parameter('gnss_topic', '/gps/fix', 'text', 'Topic of sensor_msgs/NavSatFix.'),
     Parameter('temperature_topic', '', 'text', 'Topic of sensor_msgs/Temperature of the IMU; empty: none.'),
-    Parameter('speed_topic', '', 'text', 'Topic of the speed at the rear axle, m/s, forward positive: '
-              'geometry_msgs/TwistWithCovarianceStamped or nav_msgs/Odometry, twist.linear.x; empty: none.'),
-    Parameter('velocity_topic', '', 'text', 'Topic of the antenna\'s velocity, m/s east-north-up: '
-              'geometry_msgs/TwistWithCovarianceStamped, twist.linear; empty: none.'),
-    Parameter('heading_topic', '', 'text', 'Topic of the heading of base_link (two antennas or a compass): yaw of '
-              'sensor_msgs/Imu.orientation or geometry_msgs/PoseWithCovarianceStamped, counter-clockwise from east; '
-              'empty: none.'),
+    *(measurement.topic_parameter for measurement in AIDING),
     Parameter('mechanization', 'strapdown', 'text', 'planar: the paper\'s, f_x, f_y and w_z on a level road. '
               'strapdown: three-dimensional, all six sensors.', choices=('planar', 'strapdown')),
     Parameter('sensor_error_model', 'gauss_markov', 'text', 'Model of the sensor errors.', choices=MODELS),
@@ -117,25 +105,17 @@ FILTER = (
               positive=True, maximum=1.0),
     Parameter('gnss.recovery_time', 30.0, 's', 'Fixes refused for this long that agree with each other were right: '
               'the filter starts anew from them.', positive=True, maximum=86400.0),
-    Parameter('gnss.adapt_sigma', True, '-', 'Raise the sigma of the fixes to what they are seen to scatter '
-              '(strapdown).'),
+    Parameter('gnss.adapt_sigma', True, '-', 'Take the sigma of the fixes for what they are seen to scatter, '
+              'and where that is less than they claim for what of the claim may last, too (strapdown).'),
     Parameter('gnss.adapt_covariance', True, '-', 'Raise the covariance of the estimate to what the innovations of the '
-              'fixes show of it when they last, and that of the position to what fixes claim and do not scatter; no '
+              'fixes show of it when they last, and that of the position to the errors of the receiver that last; no '
               'estimate changes.'),
     Parameter('gnss.outage_after', 2.5, 's', 'Without a fix for this long the node reports an outage.', positive=True,
               maximum=86400.0),
     Parameter('gnss.coloured_noise.sigma', 0.0, 'm', 'Standard deviation of a first-order Gauss-Markov position '
               'error of the receiver, north and east; 0: none.', minimum=0.0, maximum=1000.0),
     Parameter('gnss.coloured_noise.tau', 60.0, 's', 'Its correlation time.', positive=True, maximum=1e9),
-    *_aiding('speed', 'm/s', 0.1),
-    Parameter('speed.scale', 0.0, '-', 'Scale factor error of the speed: measured = (1 + scale) true.',
-              minimum=-0.5, maximum=0.5),
-    Parameter('speed.scale_sigma', 0.02, '-', 'Its standard deviation, with which it is estimated; 0: it is exact.',
-              minimum=0.0, maximum=0.5),
-    *_aiding('velocity', 'm/s', 0.2),
-    *_aiding('heading', 'rad', 0.05),
-    Parameter('heading.offset', 0.0, 'rad', 'Of the heading measured to that of base_link, clockwise; subtracted.',
-              minimum=-2 * math.pi, maximum=2 * math.pi),
+    *(parameter for measurement in AIDING for parameter in measurement.parameters()),
     # the three models describe the same sensor: q = sigma sqrt(2 / tau)
     *_sensor('accelerometer', 'm/s^2', 0.01, 0.2, 4.1e-3, 0.05, 0.001165),
     *_sensor('gyroscope', 'rad/s', 3e-4, 0.01, 8.2e-5, 1e-3, 2.33e-5),
@@ -174,7 +154,7 @@ FILTER = (
     Parameter('vehicle.tilt_sigma', 0.05, 'rad', 'Slopes and body roll that the planar mechanization does not know, '
               'one sigma; strapdown does.', minimum=0.0, maximum=0.3),
     Parameter('datum', [], 'deg, deg, m', 'Latitude, longitude and height of the local frame\'s origin; empty: the '
-              'first fix used.', lengths=(0, 3)),
+              'median of the first three good fixes.', lengths=(0, 3), elements=PLACE),
 )
 
 #: the live node's own
@@ -188,6 +168,10 @@ FUSION = (
     Parameter('frames', 'single', 'text', 'single: the odometry is the best estimate, in frame_id, and jumps a little '
               'with each fix. map_odom (REP 105): the odometry in frame_id never jumps, and map_frame_id -> frame_id '
               'takes up what fixes correct; the best estimate is on pose_topic.', choices=('single', 'map_odom')),
+    Parameter('two_d', False, '-', 'Publish pose and twist of a vehicle in the plane: z, roll, pitch and what goes with '
+              'them are zero.'),
+    Parameter('vehicle_axes', False, '-', 'Publish pose and twist of the vehicle\'s own axes, as the estimated mounting '
+              'tells them, not of those that imu.mounting_rpy gives.'),
     Parameter('frame_id', 'odom', 'text', 'Frame of the odometry\'s pose: east-north-up at the datum.'),
     Parameter('child_frame_id', 'base_link', 'text', 'Frame of the twist: forward-left-up.'),
     Parameter('map_frame_id', 'map', 'text', 'With frames map_odom: frame of the best estimate, east-north-up at the '
@@ -201,7 +185,7 @@ FUSION = (
     Parameter('initial_pose_topic', '/initialpose', 'text', 'Topic of a start pose, '
               'geometry_msgs/PoseWithCovarianceStamped as RViz sends it; empty: none.'),
     Parameter('start_pose', [], 'deg, deg, m, rad', 'Latitude, longitude, height and heading (clockwise from north) of '
-              'the vehicle at rest when the node starts; empty: what the fixes show.', lengths=(0, 4)),
+              'the vehicle at rest when the node starts; empty: what the fixes show.', lengths=(0, 4), elements=PLACE),
     Parameter('start_pose_sigma', [5.0, 0.1], 'm, rad', 'Standard deviation of the start pose: position, heading.',
               lengths=(2,), positive=True),
     Parameter('state_file', '', 'text', 'File in which position, heading and sensor errors are kept for the next '
@@ -244,6 +228,10 @@ REPLAY = (
     Parameter('reference_lever_arm', [], 'm', 'From the IMU to the point whose position the reference is, base_link '
               '(forward-left-up); empty: the antenna, gnss.lever_arm.', lengths=(0, 3), minimum=-50.0, maximum=50.0),
     Parameter('reference_file', '', 'text', 'Reference trajectory as a file: CSV, TUM, NMEA or RTKLIB .pos.'),
+    Parameter('verbose', False, '-', 'Print all that the page says, not only the answer.'),
+    Parameter('fitted_to', [], 'text', 'Which recordings the values were fitted to, as hashes of their content: '
+              'written by configure and diagnose, so that replay and compare can tell a proof from a fit. The filter '
+              'does not read it.'),
     Parameter('memory_limit', 2.0, 'GB', 'A tool refuses a recording that would take more memory than this; about '
               '0.8 GB are enough for three hours at 100 Hz.', minimum=0.5, maximum=1e6),
     Parameter('write_bag', False, '-', 'Also write a rosbag2 with one Odometry topic per model.'),
@@ -268,15 +256,7 @@ def check(values: dict) -> dict:
         if name not in ALL:
             raise ParameterError(unknown(name))
         checked[name] = ALL[name].check(value)
-    _check_datum(checked['datum'])
     return checked
-
-
-def _check_datum(datum: list[float]) -> None:
-    """Its three elements have ranges of their own."""
-    for value, limit, what in zip(datum, (90.0, 360.0, 1e5), ('latitude', 'longitude', 'height')):
-        if abs(value) > limit:
-            raise ParameterError(f"parameter 'datum' must have a {what} from -{limit:g} to {limit:g}, got {value:g}")
 
 
 def unknown(name: str) -> str:

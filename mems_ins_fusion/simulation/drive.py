@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline, PPoly
 from scipy.signal import cont2discrete, lfilter
 from scipy.spatial.transform import Rotation
 
+from mems_ins_fusion.errors import InputError
 from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.navigation.strapdown import EARTH_RATE
 from mems_ins_fusion.simulation.manoeuvres import CITY, Segment, plan
@@ -119,7 +120,7 @@ class Path:
         """
         time = np.atleast_1d(np.asarray(time, float))
         if time.size and time.max() > self._speed.x[-1]:
-            raise ValueError(f'the simulated drive ends at {self._speed.x[-1]:g} s; asked for {time.max():g} s')
+            raise InputError(f'the simulated drive ends at {self._speed.x[-1]:g} s; asked for {time.max():g} s')
         t = np.maximum(time, 0.0)
         start, latitude, longitude, height, *plane = self._cells
         cell = np.minimum((t / _CELL).astype(int), len(start) - 1)
@@ -296,9 +297,9 @@ def simulate_drive(duration: float, seed: int = 0, rate: float = 100.0, *, stand
     is not positive, a negative standstill.
     """
     if not (0 < duration < np.inf and 0 < rate < np.inf):
-        raise ValueError(f'duration and rate must be positive, got {duration:g} s and {rate:g} Hz')
+        raise InputError(f'duration and rate must be positive, got {duration:g} s and {rate:g} Hz')
     if not standstill >= 0:
-        raise ValueError(f'the standstill at the start must not be negative, got {standstill:g} s')
+        raise InputError(f'the standstill at the start must not be negative, got {standstill:g} s')
     rng = stream(seed, 'drive')
     course = rng.uniform(-np.pi, np.pi)
     segments = tuple(plan(duration + MARGIN, standstill if standstill < duration else duration + MARGIN, rng,

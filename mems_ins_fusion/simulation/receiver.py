@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mems_ins_fusion.errors import InputError
+
 _DROPOUT = (3.0, 40.0)  # s, between which the lengths of drop-outs are drawn
 
 
@@ -37,16 +39,16 @@ class GnssNoise:
 
     def __post_init__(self):
         if self.rate <= 0 or self.sigma < 0:
-            raise ValueError(f'the receiver needs a positive rate and a sigma of 0 or more, '
+            raise InputError(f'the receiver needs a positive rate and a sigma of 0 or more, '
                              f'got {self.rate:g} Hz and {self.sigma:g} m')
         for start, stop in self.outages:
             if not start < stop:
-                raise ValueError(f'an outage must end after it starts, got {start:g} to {stop:g} s')
+                raise InputError(f'an outage must end after it starts, got {start:g} to {stop:g} s')
         for name in ('coloured_sigma', 'outliers', 'smoothing', 'dropouts'):
             if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"the receiver's {name} must be 0 or more, got {getattr(self, name):g}")
+                raise InputError(f"the receiver's {name} must be 0 or more, got {getattr(self, name):g}")
         if self.outliers > 1 or self.coloured_tau <= 0:
-            raise ValueError('the receiver needs a share of outliers of at most 1, and a positive coloured_tau, '
+            raise InputError('the receiver needs a share of outliers of at most 1, and a positive coloured_tau, '
                              f'got {self.outliers:g} and {self.coloured_tau:g} s')
 
     def times(self, duration: float) -> np.ndarray:

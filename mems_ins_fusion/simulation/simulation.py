@@ -7,23 +7,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.effects.base import Effect
+from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.navigation.frames import FLU_TO_FRD, rotation_from_rpy, wrap
-from mems_ins_fusion.samples import (
-    Fixes,
-    Headings,
-    ImuSamples,
-    Recording,
-    Reference,
-    Speeds,
-    Temperatures,
-    Velocities,
-)
+from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, Reference, Temperatures
 from mems_ins_fusion.sensor_errors.from_parameters import error_models, per_axis
 from mems_ins_fusion.sensor_errors.models import Model
 from mems_ins_fusion.sensor_errors.models import simulate as simulate_errors
@@ -37,7 +30,6 @@ __all__ = ['Aiding', 'GnssNoise', 'SensorErrors', 'Simulation', 'Vibration', 'si
 _FLIP = FLU_TO_FRD.diagonal()  # its own inverse
 _COVARIANCE_TYPE_DIAGONAL_KNOWN = 2  # sensor_msgs/NavSatFix
 _STATUS_FIX = 0  # sensor_msgs/NavSatStatus
-_STEP = 1e-3  # s, of the differences that give the antenna's velocity
 
 
 @dataclass(frozen=True)
@@ -77,22 +69,15 @@ class SensorErrors:
         return cls(**per_sensor)
 
 
-@dataclass(frozen=True)
-class Aiding:
-    """Further sensors; a rate, Hz, of 0 leaves one out.
+class Aiding(dict):
+    """Rates, Hz, and errors of further sensors, by the names of `simulated_with` of their measurements; the rate of one
+    that is not there is 0."""
 
-    speed_sigma: m/s, white, of the rear wheels' speed. speed_scale: standard deviation of its scale factor error, drawn
-    for each seed. velocity_sigma: m/s, white, of the antenna's velocity, north and east; down is 1.5 times that.
-    heading_sigma: rad, white.
-    """
-
-    speed_rate: float = 0.0
-    speed_sigma: float = 0.05
-    speed_scale: float = 0.01
-    velocity_rate: float = 0.0
-    velocity_sigma: float = 0.1
-    heading_rate: float = 0.0
-    heading_sigma: float = 0.02
+    def __init__(self, **given: float):
+        known = {name: value for measurement in AIDING for name, value in measurement.simulated_with.items()}
+        if given.keys() - known.keys():
+            raise ValueError(f"no errors of a simulated sensor: {', '.join(sorted(given.keys() - known.keys()))}")
+        super().__init__({**known, **given})
 
 
 @dataclass(frozen=True)
@@ -133,7 +118,7 @@ def simulate_recording(drive: Drive, sensors: SensorErrors | None = None, gnss: 
         imu = effect.distort_samples(imu, values, stream(seed, effect.name))
     temperatures = _temperatures(drive, effects, seed)
     recording = Recording(name, imu.with_temperature(temperatures), _fixes(drive, gnss, effects, seed), reference,
-                          temperatures, *(_aided(drive, aiding, effects, seed) if aiding else ()))
+                          temperatures).having(_aided(drive, aiding, effects, seed) if aiding else {})
     return Simulation(recording, drive, slow_errors, {effect.name: values for effect, values in effects})
 
 
@@ -191,46 +176,16 @@ def _fixes(drive, gnss, effects, seed) -> Fixes:
                  covariance_type=np.full(len(stamp), _COVARIANCE_TYPE_DIAGONAL_KNOWN, np.uint8))
 
 
-def _aided(drive, aiding, effects, seed):
-    """What wheels, receiver and compass say: speeds, velocities, headings, None for what is not there."""
-    return (_speeds(drive, aiding, effects, stream(seed, 'speed')) if aiding.speed_rate else None,
-            _velocities(drive, aiding, effects, stream(seed, 'velocity')) if aiding.velocity_rate else None,
-            _headings(drive, aiding, stream(seed, 'heading')) if aiding.heading_rate else None)
-
-
-def _speeds(drive, aiding, effects, rng) -> Speeds:
-    time, stamp = _instants(drive, aiding.speed_rate, 0.0021)
-    speed = (1 + aiding.speed_scale * rng.standard_normal()) * drive.path.wheel_speed(time)
-    for effect, values in effects:
-        speed = effect.distort_speeds(speed, values)
-    speed = speed + aiding.speed_sigma * rng.standard_normal(len(time))
-    return Speeds(stamp, stamp.copy(), speed, np.full(len(time), aiding.speed_sigma**2))
-
-
-def _velocities(drive, aiding, effects, rng) -> Velocities:
-    """Of the antenna, at the time that the receiver's fixes of the same stamp describe."""
-    time, stamp = _instants(drive, aiding.velocity_rate, GnssNoise.phase)
-    antenna = np.zeros(3)  # body, forward-right-down
-    for effect, values in effects:
-        time = effect.fix_times(time, values)
-        antenna += [values['x'], -values['y'], -values['z']] if effect.name == 'gnss_lever_arm' else 0.0
-    velocity = drive.at(time).velocity
-    if antenna.any():
-        before, after = (drive.at(time + step).attitude.apply(antenna) for step in (-_STEP, _STEP))
-        velocity = velocity + (after - before) / (2 * _STEP)
-    sigma = aiding.velocity_sigma * np.array([1.0, 1.0, 1.5])
-    return Velocities(stamp, stamp.copy(), velocity + sigma * rng.standard_normal((len(time), 3)),
-                      np.tile(np.diag(sigma**2), (len(time), 1, 1)))
-
-
-def _headings(drive, aiding, rng) -> Headings:
-    time, stamp = _instants(drive, aiding.heading_rate, 0.0053)
-    yaw = wrap(drive.at(time).yaw + aiding.heading_sigma * rng.standard_normal(len(time)))
-    return Headings(stamp, stamp.copy(), yaw, np.full(len(time), aiding.heading_sigma**2))
+def _aided(drive, aiding, effects, seed) -> dict:
+    """What the further sensors say, by name."""
+    return {measurement.name: measurement.simulated(drive, aiding, effects, stream(seed, measurement.name),
+                                                    partial(_instants, drive))
+            for measurement in AIDING if aiding.get(f'{measurement.name}_rate')}
 
 
 def _instants(drive, rate, phase):
-    """Times, s after the start, and stamps of measurements at `rate` Hz."""
+    """Times, s after the start, and stamps of measurements at `rate` Hz; phase: s, None as the receiver's."""
+    phase = GnssNoise.phase if phase is None else phase
     time = phase + np.arange(math.floor((drive.time[-1] - phase) * rate + 1e-9) + 1) / rate
     return time, START_STAMP + np.round(time * 1e9).astype(np.int64)
 
