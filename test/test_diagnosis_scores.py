@@ -451,9 +451,10 @@ def test_noise_from_scatter_is_given_up_only_where_that_predicts_better(without,
 
 
 @pytest.mark.parametrize('answers, chosen', [
-    (['cannot_tell', 'better', 'same'], 1),  # errors that are smaller for certain come first
-    (['cannot_tell', 'cannot_tell', 'same'], 0),  # else effects alone, whose likelihood is proven
-    (['worse', 'cannot_tell', 'same'], 2),  # not where an error grows, and no noise levels: what was given
+    (['cannot_tell', 'better', 'same'], 0),  # effects alone, whose likelihood is proven: noise levels would hide them
+    (['cannot_tell', 'cannot_tell', 'same'], 0),
+    (['worse', 'better', 'same'], 1),  # not where an error grows: noise levels, if they make errors smaller for certain
+    (['worse', 'cannot_tell', 'same'], 2),  # else what was given
 ])
 def test_what_corrected_yaml_holds(answers, chosen):
     # given effects alone, noise levels, and what was given, the best by prediction first; errors that are the same
