@@ -8,6 +8,8 @@ from filter_support import configure, started, take_all, take_sample
 from mems_ins_fusion.filter.memory import (
     Event,
     Head,
+    Kind,
+    Sample,
     covariance,
     covariance_index,
     row_width,
@@ -64,6 +66,17 @@ def test_white_noise_is_shown():
     found = [shown(after(samples(60.0, 3e-3, 0.03, seed=seed))[1]) for seed in range(8)]
     # then that is what they show, on each axis
     assert np.sqrt(np.mean(np.square(found), axis=0)) == pytest.approx([0.03] * 3 + [3e-3] * 3, rel=0.15)
+
+
+def test_noise_that_hides_turns_takes_the_constraint_away():
+    # given a vehicle that goes on for two minutes with an IMU that scatters by less and by more than the sideways sigma
+    # of 0.3 m/s within a second
+    for density, hidden in ((0.1, False), (0.6, True)):
+        config, memory = after(samples(120.0, 3e-4, density), **{'vehicle.non_holonomic': True})
+        newest = sample_at(memory, int(memory[Head.SAMPLES]))
+        assert white_noise.hides_turns(memory, newest) == hidden
+    # then the constraint says nothing from then on
+    assert (memory[newest + Sample.CONSTRAINT] == Kind.NON_HOLONOMIC) == (not hidden)
 
 
 def test_who_is_shaken_for_long_is_told_so():

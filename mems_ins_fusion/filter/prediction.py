@@ -15,6 +15,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
 from ..navigation.earth import gravity, radii
+from .measurements import acceleration
 from .memory import (
     NAV,
     PLANAR,
@@ -43,7 +44,6 @@ GAP_ACCELERATION = 1.5  # m/s^2
 GAP_TURN_RATE = 0.3  # rad/s
 GAP_TILT = 0.1  # rad: roads are not steeper, however long it lasts
 UNKNOWN_YAW_SIGMA = math.pi / math.sqrt(3.0)  # rad, of a heading that nothing tells
-COASTING_DENSITY = 3.0  # m^2/s^3: white acceleration of a vehicle that is followed by its fixes alone
 LONGEST_BRIDGE = 2.0  # s: after that they are others
 #: the radii are computed anew after this much latitude, rad (13 m): the scale is then good to 2e-6
 RADII_STEP = 2e-6
@@ -230,7 +230,7 @@ def _bridge(mem, r, dt, m, fault):
     velocity, turn = GAP_ACCELERATION**2 * squares, GAP_TURN_RATE**2 * squares
     position = 0.25 * GAP_ACCELERATION**2 * (after**4 - before**4)
     if fault == Fault.DOUBTED:
-        position, velocity = 0.0, COASTING_DENSITY * dt
+        position, velocity = 0.0, acceleration.DENSITY * dt
     if fault == Fault.WHIRL:
         part = dt / LONGEST_WHIRL
         turn += part * UNKNOWN_YAW_SIGMA**2

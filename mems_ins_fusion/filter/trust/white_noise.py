@@ -12,15 +12,20 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import HEAD, SAMPLE, WHITE, Sample, place, sample_at
+from ..memory import HEAD, SAMPLE, WHITE, Head, Sample, place, sample_at
 
 #: whether it is used; s in which the samples showed far more than is assumed
 White = HEAD.place('White', ADAPT=1, SHAKEN=1)
-#: beside a sample: noise density squared of each axis that the samples show lately
-Shown = SAMPLE.place('Shown', WHITE=6)
+#: beside a sample: noise density squared of each axis that the samples show lately, and of the sideways one for longer
+Shown = SAMPLE.place('Shown', WHITE=6, SIDEWAYS=1)
 
 #: s over which the squared differences are averaged: the noise changes with the road and the engine
 MEMORY = 3.0
+#: s over which that of the sideways accelerometer is averaged again: whether the vehicle shakes the IMU altogether
+LONG_MEMORY = 60.0
+#: s in which a velocity that is integrated from samples is compared with a constraint on it: one that the noise moves by
+#: more than the constraint's sigma within a second takes noise for turns, and the speed for what goes with them
+TOLD_WITHIN = 1.0
 #: of the difference: a motion at a quarter of the sampling rate counts 2^n / binomial(2 n, n) of its variance
 ORDER = 6
 #: a gyroscope that shows so many times the noise density assumed is worth a word
@@ -37,7 +42,7 @@ def show_noise(mem, k, dt):
     if mem[White.ADAPT] == 0.0:
         return
     at, last = place(sample_at(mem, k)), place(sample_at(mem, k - 1))
-    for i in range(6):
+    for i in range(7):
         mem[at + Shown.WHITE + i] = mem[last + Shown.WHITE + i]
     if k <= ORDER:
         return
@@ -53,6 +58,7 @@ def show_noise(mem, k, dt):
             difference += _WEIGHTS[j] * mem[sample_at(mem, k - j) + Sample.F_X + i]
         white = at + Shown.WHITE + i
         mem[white] += min(dt / MEMORY, 1.0) * (dt * difference * difference - mem[white])
+    mem[at + Shown.SIDEWAYS] += min(dt / LONG_MEMORY, 1.0) * (mem[at + Shown.WHITE + 1] - mem[at + Shown.SIDEWAYS])
     if shown(mem, at, 3) > FAR_MORE**2:
         mem[White.SHAKEN] += dt
 
@@ -61,6 +67,12 @@ def show_noise(mem, k, dt):
 def density(mem, sample, axis):
     """Noise density squared of an axis at the sample at `sample`: as assumed, or as it shows itself."""
     return max(mem[WHITE + axis], mem[sample + Shown.WHITE + axis])
+
+
+@njit(_nrt=False)
+def hides_turns(mem, sample):
+    """Whether the noise at the sample at `sample` is too large for a constraint on the velocity sideways."""
+    return TOLD_WITHIN * mem[sample + Shown.SIDEWAYS] > mem[Head.LATERAL_SIGMA] ** 2
 
 
 @njit(_nrt=False)
