@@ -1,17 +1,21 @@
 """What the tests of the fleet share: recordings of a year, and functions for workers, which import this file."""
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from mems_ins_fusion.__main__ import main
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.several import later
 from mems_ins_fusion.recordings.writing import write_recording
@@ -65,6 +69,30 @@ def environment() -> dict[str, str]:
 def run(folder: Path, *words, dask: bool = False) -> subprocess.CompletedProcess:
     return subprocess.run(command(*words, dask=dask), cwd=folder, capture_output=True, text=True, env=environment(),
                           timeout=600)
+
+
+class Here:
+    """An engine that does the work in this process, for tests of what is done and not of who does it."""
+
+    def __enter__(self) -> Here:
+        return self
+
+    def __exit__(self, *exception) -> None:
+        pass
+
+    def each(self, function, items):
+        for item in list(items):
+            yield item, function(item)
+
+
+def run_here(folder: Path, *words) -> tuple[int, str, str]:
+    """`fleet` in this process, started in `folder`: its exit status and what it said."""
+    out, err = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.chdir(folder)
+        patch.setattr('mems_ins_fusion.fleet.run.engine', lambda *_: Here())
+        status = main(['fleet', *map(str, words)])
+    return status, out.getvalue(), err.getvalue()
 
 
 def files(folder: Path) -> dict[str, bytes]:

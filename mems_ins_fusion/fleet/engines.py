@@ -163,8 +163,7 @@ def _environment_of_one_thread() -> Iterator[None]:
 
 
 def _serve(pipe) -> None:
-    """The life of a worker: until its pipe is closed, or who started it has ended. Interruptions are that one's business.
-    """
+    """The life of a worker: until its pipe is closed, or who started it has ended, whose business interruptions are."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with suppress(AttributeError, OSError):  # Linux only: elsewhere it ends when it has done what it has
         ctypes.CDLL(None).prctl(_END_WITH_PARENT, signal.SIGKILL)

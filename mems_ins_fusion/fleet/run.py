@@ -177,19 +177,13 @@ class _Known:
                 for entry in self.firsts(entries).values()}
 
     def together(self, entries: Sequence[Entry]) -> dict[tuple[Entry, ...], Job]:
-        """The jobs on all recordings of a vehicle that can be used."""
+        """The jobs on all recordings of a vehicle that could be read."""
         if self._asked.task not in TOGETHER:
             return {}
-        usable = [(entry, self.content(entry)) for entry, alone in self.alone(entries).items()
-                  if self._is_usable(result(self._asked.output, alone))]
+        read = [(entry, self.content(entry)) for entry, alone in self.alone(entries).items()
+                if (result(self._asked.output, alone) or {}).get('status') == DONE]
         return {tuple(entry for entry, _ in group): job(self._asked.task, group, self._read, self._options)
-                for group in by_vehicle(usable)}
-
-    def _is_usable(self, found: dict | None) -> bool:
-        """Whether a recording may be taken together with others: no effect is estimated from data that are wrong."""
-        if found is None or found['status'] != DONE:
-            return False
-        return self._asked.task != 'diagnose' or all(f['severity'] != 'error' for f in found['rows']['findings'])
+                for group in by_vehicle(read)}
 
     def recordings(self, entries: Sequence[Entry]) -> list[dict]:
         """The rows of the table `recordings`."""
@@ -211,12 +205,11 @@ class _Known:
 
 
 def result(output: Path, work: Job) -> dict | None:
-    """The result of a job, None where there is none or a new try may go better."""
+    """The result of a job; None where there is none."""
     try:
-        found = json.loads((output / RESULTS / work.id / RESULT).read_text(encoding='utf-8'))
+        return json.loads((output / RESULTS / work.id / RESULT).read_text(encoding='utf-8'))
     except (OSError, ValueError):
         return None
-    return found
 
 
 def _all(workers, jobs: dict, known: _Known, asked: Asked, progress: Callable[[float, str], None]) -> None:
