@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..evaluation.verdict import NOT_USABLE
 from ..parameters import params_file, table
 from ..recordings.errors import RecordingWarning
+from ..recordings.findings import ERROR, WARNING
 from ..results import ResultBusy, plain, result_folder
 from .failures import OTHER_VERSION, WORKER_DIED, error_id, is_ours, reason
 from .jobs import Job, code, from_dict
@@ -126,8 +127,7 @@ def _replayed(values: dict, known_as: Path):
         if not values[name]:
             raise InputError(f"parameter '{name}' is empty")
     recording, said = read_part(values['bag'][0], values, lambda part: None)
-    found = check(recording, values)
-    return compare(recording, values), [_finding('checker', f.severity, f.topic, f.message) for f in found], said
+    return compare(recording, values), _checked(check(recording, values), values), said
 
 
 def _replayed_with_pages(values: dict, known_as: Path):
@@ -135,8 +135,17 @@ def _replayed_with_pages(values: dict, known_as: Path):
 
     done = replay_recordings(values, known_as=known_as / 'replay')
     [comparison], [about] = done.comparisons.values(), done.content['recordings']
-    found = [_finding('checker', f['severity'], f['topic'], f['message']) for f in about['findings']]
-    return comparison, found, about['warnings']
+    [found] = done.findings.values()
+    return comparison, _checked(found, values), about['warnings']
+
+
+def _checked(found, values: dict) -> list[dict]:
+    """What the checker found, as rows; of severity error only what makes the recording not usable with `values`."""
+    from ..reports.verdict import certainly_wrong
+
+    wrong = [id(f) for f in certainly_wrong(found, values)]
+    return [_finding('checker', WARNING if f.severity == ERROR and id(f) not in wrong else f.severity, f.topic,
+                     f.message) for f in found]
 
 
 def _run_row(row: dict) -> dict:
