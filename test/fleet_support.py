@@ -1,24 +1,32 @@
 """What the tests of the fleet share: recordings of a year, and functions for workers, which import this file."""
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from mems_ins_fusion.__main__ import main
+from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.several import later
 from mems_ins_fusion.recordings.writing import write_recording
-from mems_ins_fusion.simulation.simulation import SensorErrors, simulate_drive, simulate_recording
+from mems_ins_fusion.samples import ImuSamples, Recording
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DAY = 86_400 * 10**9
+LATE = 0.3  # s
+REST_SAMPLES, REST_DENSITY = 4000, 0.002  # of write_at_rest; m/s^2/sqrt(Hz)
 SENSORS = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
 PARAMS = """\
 /**:
@@ -51,6 +59,28 @@ def write_year(folder: Path, vehicles: int = 8, drives: int = 5) -> None:
     (folder / 'params.yaml').write_text(PARAMS)
 
 
+def write_late(path: Path, seed: int, backwards: bool = False) -> None:
+    """A drive of 150 s with good fixes that are LATE; backwards: by an IMU that is mounted so."""
+    drive = simulate_drive(150.0, seed=seed, rate=25.0, standstill=8.0)
+    recording = simulate_recording(
+        drive, SENSORS, GnssNoise(sigma=0.5), [(EFFECTS['gnss_time_offset'], {'time_offset': LATE})],
+        [0.0, 0.0, np.pi] if backwards else [0.0, 0.0, 0.0], seed=seed).recording
+    write_recording(replace(later(recording, seed * DAY), reference=None), path)
+
+
+def write_at_rest(path: Path, day: int, factor: float = 1.0) -> None:
+    """200 s at rest, as a bag or .npz; factor: on the noise of the accelerometers."""
+    rng, rate, count = np.random.default_rng(day), 20.0, REST_SAMPLES
+    force = factor * REST_DENSITY * np.sqrt(rate) * rng.standard_normal((count, 3)) + [0.0, 0.0, 9.81]
+    turn = 1e-3 * rng.standard_normal((count, 3))
+    if path.suffix == '.npz':
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(path, acc_mps2=force, gyro_radps=turn, rate_hz=rate)
+        return
+    stamp = 1_700_000_000 * 10**9 + day * DAY + np.arange(count) * round(1e9 / rate)
+    write_recording(Recording(path.name, ImuSamples(stamp, stamp, force, turn)), path)
+
+
 def command(*words, dask: bool = False) -> list[str]:
     """What starts `fleet` in a process of its own, by Dask or by a pool of processes as where Dask is not installed."""
     hide = '' if dask else 'sys.modules["distributed"] = None; '
@@ -65,6 +95,30 @@ def environment() -> dict[str, str]:
 def run(folder: Path, *words, dask: bool = False) -> subprocess.CompletedProcess:
     return subprocess.run(command(*words, dask=dask), cwd=folder, capture_output=True, text=True, env=environment(),
                           timeout=600)
+
+
+class Here:
+    """An engine that does the work in this process, for tests of what is done and not of who does it."""
+
+    def __enter__(self) -> Here:
+        return self
+
+    def __exit__(self, *exception) -> None:
+        pass
+
+    def each(self, function, items):
+        for item in list(items):
+            yield item, function(item)
+
+
+def run_here(folder: Path, *words) -> tuple[int, str, str]:
+    """`fleet` in this process, started in `folder`: its exit status and what it said."""
+    out, err = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.chdir(folder)
+        patch.setattr('mems_ins_fusion.fleet.run.engine', lambda *_: Here())
+        status = main(['fleet', *map(str, words)])
+    return status, out.getvalue(), err.getvalue()
 
 
 def files(folder: Path) -> dict[str, bytes]:

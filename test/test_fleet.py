@@ -3,16 +3,31 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
 import signal
 import subprocess
 import time
+from functools import partial
+from pathlib import Path
 
 import pytest
-from fleet_support import command, environment, files, run, write_year
+from fleet_support import (
+    LATE,
+    REST_DENSITY,
+    REST_SAMPLES,
+    command,
+    environment,
+    files,
+    run,
+    run_here,
+    write_at_rest,
+    write_late,
+    write_year,
+)
 
 from mems_ins_fusion.__main__ import main as tool
-from mems_ins_fusion.fleet import tables
+from mems_ins_fusion.fleet import engines, tables
 from mems_ins_fusion.parameters import params_file
 from mems_ins_fusion.parameters.table import check
 
@@ -43,27 +58,47 @@ def started(year, output, enough):
 
 @pytest.fixture(scope='module')
 def whole(year):
-    """All recordings: killed in the middle, interrupted in the middle, and continued; (output, of the interrupted run:
-    status, what it said, its table of recordings; of the last one what it said)."""
+    """All recordings: killed in the middle, interrupted in the middle, and continued; (output, the interrupted run, of
+    the last one what it said)."""
     output = year / 'whole'
     killed = started(year, output, 5)
     killed.kill()
     killed.communicate()
-    stopped = started(year, output, len(results(output)) + 5)
-    stopped.send_signal(signal.SIGINT)
-    said = stopped.communicate(timeout=60)
-    between = tables.read(output, 'recordings')
+    interrupted = Interrupted(started(year, output, len(results(output)) + 5), output)
     last = run(year, 'logs', *TASK, '--output', output)
     assert last.returncode == 0, last.stderr
-    return output, (stopped.returncode, *said, between), last
+    return output, interrupted, last
+
+
+class Interrupted:
+    """A run that was interrupted. rows: of its table of recordings. cpu: s of the process, without its workers, from
+    the signal to its end, which do not depend on what else the machine does."""
+
+    def __init__(self, process, output):
+        before = cpu_of(process.pid)
+        process.send_signal(signal.SIGINT)
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+        self.cpu = cpu_of(process.pid) - before
+        self.out, self.err = process.communicate()
+        self.status, self.rows = process.returncode, tables.read(output, 'recordings')
+
+
+def cpu_of(pid):
+    """CPU seconds of a process so far, also of one that has ended and is not yet waited for."""
+    fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
 
 
 def test_an_interrupted_run_says_so_and_has_what_was_finished_in_its_tables(whole):
-    status, out, err, rows = whole[1]
-    assert status == 130 and 'interrupted' in out and 'Traceback' not in err
-    done = {row['recording'] for row in rows if row['status'] in ('done', 'failed')}
-    left = {row['recording'] for row in rows if row['status'] == 'open'}
+    stopped = whole[1]
+    assert stopped.status == 130 and 'interrupted' in stopped.out and 'Traceback' not in stopped.err
+    done = {row['recording'] for row in stopped.rows if row['status'] in ('done', 'failed')}
+    left = {row['recording'] for row in stopped.rows if row['status'] == 'open'}
     assert len(done) >= 10 and left
+
+
+def test_an_interruption_takes_no_two_seconds(whole):
+    assert whole[1].cpu + engines.PATIENCE < 2.0  # all that it waits for is the end of its workers
 
 
 def test_each_recording_is_one_row_with_its_vehicle_and_what_became_of_it(whole):
@@ -129,63 +164,125 @@ def test_killed_continued_and_by_whatever_engine_the_tables_are_the_same_bit_for
 def test_what_is_done_is_not_done_again(year, some):
     before = {path: path.stat().st_mtime_ns for path in results(some[0])}
     tables_before = files(some[0] / 'tables')
-    process = run(year, 'logs/car_[01]/*', *TASK, '--output', 'some')
-    assert process.returncode == 0, process.stderr
+    assert run_here(year, 'logs/car_[01]/*', *TASK, '--output', 'some')[0] == 0
     assert {path: path.stat().st_mtime_ns for path in results(some[0])} == before
     assert files(some[0] / 'tables') == tables_before
 
 
-def test_a_moved_recording_is_not_done_twice(year, some):
-    (year / 'elsewhere').mkdir()
-    shutil.copytree(year / 'logs/car_0/drive_2', year / 'elsewhere/car_0/renamed')
-    count = len(results(some[0]))
-    process = run(year, 'elsewhere', *TASK, '--output', 'some')
-    assert process.returncode == 0, process.stderr
-    [row] = tables.read(some[0], 'recordings')
-    assert row['status'] == 'done' and row['recording'] == 'elsewhere/car_0/renamed' and len(results(some[0])) == count
-    run(year, 'logs/car_[01]/*', *TASK, '--output', 'some')
+@pytest.fixture
+def copy(some, tmp_path):
+    """An output in which `some` is done already."""
+    shutil.copytree(some[0], tmp_path / 'copy')
+    return tmp_path / 'copy'
 
 
-def test_shards_merged_are_one_run(year, some):
+def test_a_moved_recording_is_not_done_twice(year, copy, tmp_path):
+    shutil.copytree(year / 'logs/car_0/drive_2', tmp_path / 'car_0/renamed')
+    count = len(results(copy))
+    assert run_here(year, tmp_path / 'car_0', *TASK, '--output', copy)[0] == 0
+    [row] = tables.read(copy, 'recordings')
+    assert row['status'] == 'done' and row['recording'].endswith('car_0/renamed') and len(results(copy)) == count
+
+
+def test_shards_merged_are_one_run(year, copy, tmp_path):
+    fleet = 'logs/car_0/**/drive_[0-2]', *TASK
     for shard in ('2/2', '1/2'):
-        process = run(year, 'logs/car_[01]/*', *TASK, '--output', 'shards', '--shard', shard)
-        assert process.returncode == 0 and 'without --shard' in process.stdout, process.stderr
-        assert not (year / 'shards/tables').exists()
-    done = {path: path.stat().st_mtime_ns for path in results(year / 'shards')}
-    process = run(year, 'logs/car_[01]/*', *TASK, '--output', 'shards')
-    assert process.returncode == 0, process.stderr
-    assert {path: path.stat().st_mtime_ns for path in results(year / 'shards')} == done
-    assert files(year / 'shards/tables') == files(some[0] / 'tables')
-    assert files(year / 'shards/history') == files(some[0] / 'history')
+        status, out, _ = run_here(year, *fleet, '--output', tmp_path / 'shards', '--shard', shard)
+        assert status == 0 and 'without --shard' in out
+        assert not (tmp_path / 'shards/tables').exists()
+    done = {path: path.stat().st_mtime_ns for path in results(tmp_path / 'shards')}
+    assert run_here(year, *fleet, '--output', tmp_path / 'shards')[0] == 0
+    assert {path: path.stat().st_mtime_ns for path in results(tmp_path / 'shards')} == done and len(done) == 3
+    assert run_here(year, *fleet, '--output', copy)[0] == 0
+    for folder in ('tables', 'history'):
+        assert files(tmp_path / 'shards' / folder) == {
+            path: content for path, content in files(copy / folder).items() if path != 'car_1.csv'}
 
 
-def test_recordings_behind_a_url_are_the_same_ones(year, some):
+def test_recordings_behind_a_url_are_the_same_ones(year, some, tmp_path):
     pytest.importorskip('fsspec')
-    process = run(year, f'file://{year}/logs/car_0/*', *TASK, '--output', 'url', '--vehicle-from', 'logs/{vehicle}/*')
-    assert process.returncode == 0, process.stderr
-    rows = tables.read(year / 'url', 'recordings')
-    assert {row['vehicle'] for row in rows} == {'car_0'} and all(r['recording'].startswith('file://') for r in rows)
-    assert [row['status'] for row in rows].count('done') == 5
-    lines = [line for line in (some[0] / 'tables/results.csv').read_text().splitlines() if line.startswith('car_0,')]
-    assert lines == (year / 'url/tables/results.csv').read_text().splitlines()[1:]
+    status, _, err = run_here(year, f'file://{year}/logs/car_0/drive_[01]', *TASK, '--output', tmp_path / 'url',
+                              '--vehicle-from', 'logs/{vehicle}/*')
+    assert status == 0, err
+    rows = tables.read(tmp_path / 'url', 'recordings')
+    assert [(row['vehicle'], row['recording'], row['status']) for row in rows] == [
+        ('car_0', f'file://{year}/logs/car_0/drive_{i}', 'done') for i in (0, 1)]
+    lines = (some[0] / 'tables/results.csv').read_text().splitlines()
+    mine = (tmp_path / 'url/tables/results.csv').read_text().splitlines()
+    assert len(mine) == 3 and set(mine) <= set(lines)
 
 
-def test_configure_takes_the_recordings_of_a_vehicle_together_that_can_be_used(year):
+def test_configure_takes_the_recordings_of_a_vehicle_together_that_can_be_used(year, tmp_path):
     """Two good ones and one that is empty."""
-    process = run(year, 'logs/car_1/*[0-1y]*', '--task', 'configure', '--output', 'configured', '--no-pages',
-                  '--workers', '1', '--vehicle-from', 'logs/{vehicle}/*')
-    assert process.returncode == 0, process.stderr
-    rows = tables.read(year / 'configured', 'recordings')
+    output = tmp_path / 'configured'
+    status, _, err = run_here(year, 'logs/car_1/*[0-1y]*', '--task', 'configure', '--output', output, '--no-pages',
+                              '--vehicle-from', 'logs/{vehicle}/*')
+    assert status == 0, err
+    rows = tables.read(output, 'recordings')
     assert sorted((row['recording'].rpartition('/')[2], row['status']) for row in rows) == [
         ('drive_0', 'done'), ('drive_1', 'done'), ('empty.mcap', 'failed')]
-    [written] = (year / 'configured/results').glob('*/params.yaml')
+    [written] = (output / 'results').glob('*/params.yaml')
     values = check(params_file.load_yaml(written))
     assert 'drive_0' in written.read_text() and 'drive_1' in written.read_text()
-    together = {row['parameter']: row['value'] for row in tables.read(year / 'configured', 'effects')
+    together = {row['parameter']: row['value'] for row in tables.read(output, 'effects')
                 if row['source'] == 'params_file' and row['effect'] == 'imu'}
     assert together['mounting_rpy[2]'] == values['imu.mounting_rpy'][2]
-    alone = [row for row in tables.read(year / 'configured', 'effects') if row['source'] == 'configure']
+    alone = [row for row in tables.read(output, 'effects') if row['source'] == 'configure']
     assert {row['recording_id'] for row in alone} == {row['recording_id'] for row in rows if row['status'] == 'done'}
+
+
+@pytest.fixture
+def quick_diagnosis(monkeypatch):
+    """The diagnosis with one candidate and outages of one length: a tenth of the time."""
+    from mems_ins_fusion.diagnosis.diagnose import diagnose
+    from mems_ins_fusion.effects.registry import EFFECTS
+
+    monkeypatch.setattr('mems_ins_fusion.reports.diagnosing.diagnose', partial(
+        diagnose, effects=[EFFECTS['gnss_time_offset']], durations=(10.0,)))
+
+
+def test_diagnose_takes_a_vehicle_together_and_leaves_out_what_is_certainly_wrong(year, tmp_path, quick_diagnosis):
+    """Three drives: in the third one the IMU is the other way round. Another vehicle has all of its drives so."""
+    for vehicle, drive, backwards in (('good', 0, False), ('good', 1, False), ('good', 2, True), ('wrong', 3, True)):
+        write_late(tmp_path / 'logs' / vehicle / f'drive_{drive}', seed=drive, backwards=backwards)
+    (tmp_path / 'params.yaml').write_text('/**:\n  ros__parameters: {gnss.sigma: 0.5}\n')
+    status, out, err = run_here(tmp_path, 'logs', '--task', 'diagnose', '--params-file', 'params.yaml', '--output',
+                                'out')
+    assert status == 0, err
+    ids = {row['recording']: row['recording_id'] for row in tables.read(tmp_path / 'out', 'recordings')}
+    found = [row for row in tables.read(tmp_path / 'out', 'effects') if row['source'] == 'diagnose']
+    assert {row['vehicle'] for row in found} == {'good'}
+    offsets = {row['recording_id']: row for row in found if row['effect'] == 'gnss_time_offset'}
+    # all together, and each by itself
+    assert set(offsets) == {'', ids['logs/good/drive_0'], ids['logs/good/drive_1']}
+    assert abs(offsets['']['value'] - LATE) < 4 * offsets['']['sigma'] < 0.2 and offsets['']['added']
+    wrong = [row for row in tables.read(tmp_path / 'out', 'findings') if row['severity'] == 'error']
+    assert {(row['vehicle'], row['recording_id']) for row in wrong if 'backwards' in row['message']} >= {
+        ('good', ids['logs/good/drive_2']), ('wrong', ids['logs/wrong/drive_3'])}
+    [verdict] = [row for row in wrong if row['topic'] == 'verdict']
+    assert verdict['vehicle'] == 'wrong' and verdict['message'].startswith('not_usable')
+    # with what the single tool writes of such data: a page and no corrected.yaml
+    written = [{path.name for path in folder.parent.iterdir()} for folder in (tmp_path / 'out').glob('**/report.json')]
+    assert sorted('corrected.yaml' in names for names in written) == [False, True]
+    assert all('report.html' in names for names in written)
+    assert 'wrong' in (tmp_path / 'out/fleet.html').read_text() and 'backwards' in out
+
+
+def test_characterize_measures_recordings_at_rest(tmp_path):
+    """An .npz and two bags of one vehicle; in the last one the accelerometers are twice as noisy."""
+    for name, day, factor in (('a.npz', 0, 1.0), ('b', 1, 1.0), ('c', 2, 2.0)):
+        write_at_rest(tmp_path / 'logs/car' / name, day, factor)
+    status, _, err = run_here(tmp_path, 'logs', '--task', 'characterize', '--output', 'out', '--no-pages')
+    assert status == 0, err
+    rows = tables.read(tmp_path / 'out', 'recordings')
+    assert [(row['status'], row['imu_samples']) for row in rows] == 3 * [('done', REST_SAMPLES)]
+    written = [check(params_file.load_yaml(path)) for path in (tmp_path / 'out').glob('results/*/imu.yaml')]
+    found = sorted(values['accelerometer.noise_density'][0] for values in written)
+    assert found == pytest.approx([REST_DENSITY, REST_DENSITY, 2 * REST_DENSITY], rel=0.15)
+    # an .npz has no date
+    with open(tmp_path / 'out/history/car.csv', newline='') as file:
+        noise = [float(row['value']) for row in csv.DictReader(file) if row['effect'] == 'accelerometer_noise']
+    assert noise == pytest.approx([REST_DENSITY, 2 * REST_DENSITY], rel=0.1)
 
 
 @pytest.mark.parametrize(['words', 'told'], [

@@ -41,7 +41,7 @@ def parameters(c: Characterization) -> dict:
     for sensor in SENSORS:
         axes = c.of(sensor)
         models = [axis_models(a, c.duration) for a in axes]
-        values[f'{sensor}.noise_density'] = [_white(a, c.model).value for a in axes]
+        values[f'{sensor}.noise_density'] = [white_noise(a, c.model).value for a in axes]
         if sensor == 'gyroscope':
             values[f'{sensor}.bias'] = [a.mean.value for a in axes]
         values[f'{sensor}.initial_sigma'] = [initial_sigma(c, sensor)]
@@ -56,7 +56,7 @@ def parameters(c: Characterization) -> dict:
     return values
 
 
-def _white(axis, model):
+def white_noise(axis, model):
     """The white noise beside the recommended model; beside a random walk where there is no slow error."""
     fit = axis.fits[model]
     return (fit if fit.estimates else axis.fits['random_walk']).estimates['noise_density']
@@ -98,7 +98,7 @@ def _origin(c, sensor, unit, axes, name):
     quiet = [a.name[-1] for a in axes if not a.significant]
     note = [f'no slow error was seen on {", ".join(quiet)}: there, the upper limit of what could be'] if quiet else []
     if name == 'noise_density':
-        noise = [_white(a, c.model) for a in axes]
+        noise = [white_noise(a, c.model) for a in axes]
         return [f'{unit}/sqrt(Hz), beside {c.model.replace("_", " ")}: {_ranges(noise)}',
                 *_data_sheet(data_sheet.white_noise, sensor, [e.value for e in noise])]
     if name == 'bias':

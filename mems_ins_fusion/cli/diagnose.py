@@ -2,18 +2,12 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mems_ins_fusion.cli.command import Parser, run
 from mems_ins_fusion.errors import InputError
 from mems_ins_fusion.parameters import params_file, table
 from mems_ins_fusion.progress import Progress
-
-if TYPE_CHECKING:
-    from mems_ins_fusion.recordings.findings import Finding
-    from mems_ins_fusion.samples import Recording
 
 DESCRIPTION = """\
 Diagnose a drive: run the filter as configured, find what it cannot explain, trace that to a physical effect the model
@@ -32,57 +26,25 @@ def main(argv: list[str] | None = None) -> int:
 
 def diagnose(options: argparse.Namespace) -> str:
     """Read, diagnose and write the results; the story for the user. InputError for bad options or input."""
-    from mems_ins_fusion.diagnosis.diagnose import diagnose as work
     from mems_ins_fusion.diagnosis.problem import DiagnosisError
-    from mems_ins_fusion.recordings.several import refuse_other_vehicles
-    from mems_ins_fusion.reports import diagnosis as reports
-    from mems_ins_fusion.reports.diagnosis_answer import answer, not_usable
-    from mems_ins_fusion.reports.verdict import certainly_wrong
-    from mems_ins_fusion.results import json_text, result_folder
+    from mems_ins_fusion.reports.diagnosing import diagnose_drives, read_drive
+    from mems_ins_fusion.reports.diagnosis import story
+    from mems_ins_fusion.results import result_folder
 
     kept = params_file.load_files(options.params_file)
     values = table.check(_parameters(options, kept))
-    with result_folder(options.output, options.overwrite) as folder:
-        with Progress('diagnose') as bar:
-            recordings, checked, warned = _read(options.bag, values, lambda part: bar(0.2 * part, 'reading'))
-            refuse_other_vehicles(recordings)
-            wrong = certainly_wrong(checked, values)
-            if wrong:  # no effect is estimated from such data
-                names = [recording.name for recording in recordings]
-                verdict, answered = not_usable(wrong, values)
-                content = reports.not_usable_report(names, values, verdict, answered, checked, warned)
-                page = reports.not_usable_page(names, answered, checked, values)
-            else:
-                result = work(recordings, values, lambda part, what: bar(0.2 + 0.75 * part, what))
-                answered = answer(result, checked, options.output)
-                content = reports.report(result, answered, checked, warned)
-                page = reports.report_html(result, kept, answered, checked, warned)
-                corrected = reports.corrected_yaml(result, kept)
-                (folder / 'corrected.yaml').write_text(corrected, encoding='utf-8')
-            bar(0.95, 'writing')
-            (folder / 'report.json').write_text(json_text(content, indent=1), encoding='utf-8')
-            (folder / 'report.html').write_text(page, encoding='utf-8')
-            bar(1.0, 'done')
-    if wrong:
-        raise DiagnosisError(answered.headline)
-    said = [*reports.story(result, answered), *warned] if options.verbose else answered.short()
+    with result_folder(options.output, options.overwrite) as folder, Progress('diagnose') as bar:
+        count = len(options.bag)
+        drives = [read_drive(Path(path).expanduser(), values,
+                             lambda part, i=i: bar(0.2 * (i + part) / count, 'reading'))
+                  for i, path in enumerate(options.bag)]
+        done = diagnose_drives(drives, values, kept, folder, options.output,
+                               progress=lambda part, what: bar(0.2 + 0.75 * part, what))
+        bar(1.0, 'done')
+    if done.result is None:
+        raise DiagnosisError(done.answer.headline)
+    said = [*story(done.result, done.answer), *done.said] if options.verbose else done.answer.short()
     return '\n'.join([*said, f'report: {options.output}/report.html'])
-
-
-def _read(paths: list[str], values: dict, progress) -> tuple[list[Recording], list[Finding], list[str]]:
-    """The recordings, what was found in them and of their mounting, and what is to be said of reading them."""
-    from mems_ins_fusion.configuration.check import check
-    from mems_ins_fusion.reports.replay import read_part
-
-    recordings, checked, warned = [], [], []
-    for i, path in enumerate(paths):
-        recording, texts = read_part(Path(path).expanduser(), values,
-                                     lambda part, i=i: progress((i + part) / len(paths)))
-        of = f'{recording.name}: ' if len(paths) > 1 else ''
-        warned += [f'{of}{text}' for text in texts]
-        checked += [replace(found, message=f'{of}{found.message}') for found in check(recording, values)]
-        recordings.append(recording)
-    return recordings, checked, warned
 
 
 def _parameters(options, kept: dict) -> dict:

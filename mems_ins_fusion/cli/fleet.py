@@ -10,6 +10,8 @@ from mems_ins_fusion.errors import InputError
 from mems_ins_fusion.guard import INTERRUPTED
 
 TASKS = ('replay', 'configure', 'diagnose', 'characterize')
+#: lines of one kind on a terminal; all are in the tables
+MOST = 10
 #: exit status of `fleet compare` where the second one is worse for certain
 WORSE = 1
 
@@ -62,16 +64,23 @@ def fleet(options: argparse.Namespace, status: list[int]) -> str:
 
 
 def _lines(result, output: str) -> list[str]:
+    from mems_ins_fusion.recordings.findings import count_of
+
     done, failed, left = (result.count(status) for status in ('done', 'failed', 'open'))
     counts = f'{done} recordings done, {failed} failed, {result.count("duplicate")} twice, {left} left to do'
-    lines = [f'interrupted; {counts}; the same command goes on' if result.interrupted else counts, *result.said]
+    if result.interrupted:
+        return [f'interrupted; {counts}; the same command goes on',
+                f'what is done: {output}/tables/*.csv; Parquet, histories and page wait for a run that ends by itself']
+    lines = [counts, *result.said]
     lines += [f'{change.vehicle}: {change.words()}' for change in result.changes]
+    lines += [f'{vehicle}: {count_of(len(wrong), "recording")} not usable with these parameters: '
+              + next(iter(wrong.values())) for vehicle, wrong in list(result.not_usable().items())[:MOST]]
     if result.asked.shard != (1, 1):
         return [*lines, 'when all shards are done, the same command without --shard merges them']
     failures = dict.fromkeys(f'{r["recording"]}: {r["error_id"]}: {r["reason"]}' for r in result.rows['recordings']
                              if r['status'] == 'failed')
-    more = [f'and {len(failures) - 10} more: {output}/tables/recordings.csv'] if len(failures) > 10 else []
-    return [*lines, *list(failures)[:10], *more, f'page: {output}/fleet.html']
+    more = [f'and {len(failures) - MOST} more: {output}/tables/recordings.csv'] if len(failures) > MOST else []
+    return [*lines, *list(failures)[:MOST], *more, f'page: {output}/fleet.html']
 
 
 def parse_shard(text: str) -> tuple[int, int]:

@@ -25,7 +25,7 @@ _ONE_THREAD = dict.fromkeys(('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM
 #: PR_SET_PDEATHSIG of linux/prctl.h
 _END_WITH_PARENT = 1
 #: how long a worker may take to end by itself, s
-_PATIENCE = 0.5
+PATIENCE = 0.5
 
 
 class EngineError(InputError):
@@ -143,7 +143,7 @@ class _Worker:
 
     def end(self) -> None:
         self.dismiss()
-        self.process.join(_PATIENCE)
+        self.process.join(PATIENCE)
         if self.process.is_alive():
             self.process.kill()
             self.process.join()
@@ -163,8 +163,7 @@ def _environment_of_one_thread() -> Iterator[None]:
 
 
 def _serve(pipe) -> None:
-    """The life of a worker: until its pipe is closed, or who started it has ended. Interruptions are that one's business.
-    """
+    """The life of a worker: until its pipe is closed, or who started it has ended, whose business interruptions are."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with suppress(AttributeError, OSError):  # Linux only: elsewhere it ends when it has done what it has
         ctypes.CDLL(None).prctl(_END_WITH_PARENT, signal.SIGKILL)
@@ -196,7 +195,7 @@ def local_cluster(workers: int) -> Iterator[_Dask]:
         try:
             yield _Dask(client)
         except BaseException:  # an interrupted user does not wait until all has been put in order
-            patience = _PATIENCE
+            patience = PATIENCE
             for nanny in local.workers.values():
                 with suppress(Exception):
                     nanny.process.process._process.kill()
@@ -223,7 +222,7 @@ def cluster(address: str) -> Iterator[_Dask]:
         yield _Dask(client)
     finally:
         with suppress(Exception):
-            client.close(timeout=_PATIENCE)
+            client.close(timeout=PATIENCE)
 
 
 class _Dask:

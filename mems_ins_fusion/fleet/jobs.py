@@ -19,12 +19,13 @@ TOGETHER = ('configure', 'diagnose')
 
 @dataclass(frozen=True)
 class Job:
-    """One piece of work. recordings: where they are; contents: what tells each from others. params_file and reference:
-    '' where there is none; references are as many as recordings. options: `pages`, `memory_gb`. id: the name of its
-    result, made of all that decides what the result is, and of nothing else.
+    """One piece of work. vehicle: whose recordings they are. recordings: where they are; contents: what tells each from
+    others. params_file and references: '' where there is none; references are as many as recordings. options: `pages`,
+    `memory_gb`. id: the name of its result, made of all that decides what the result is, and of nothing else.
     """
 
     task: str
+    vehicle: str
     recordings: tuple[str, ...]
     contents: tuple[str, ...]
     params_file: str
@@ -41,7 +42,7 @@ def job(task: str, recordings: Sequence[tuple[Entry, str]], read: dict[str, str]
     params_file = entries[0].params_file
     decides = [task, contents, read.get(params_file, ''), [read.get(e.reference, '') for e in entries], options, code()]
     digest = hashlib.blake2b(json.dumps(decides).encode(), digest_size=12).hexdigest()
-    return Job(task, tuple(e.recording for e in entries), tuple(contents), params_file,
+    return Job(task, entries[0].vehicle, tuple(e.recording for e in entries), tuple(contents), params_file,
                tuple(e.reference for e in entries), options, code(), digest)
 
 

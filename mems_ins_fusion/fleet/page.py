@@ -20,6 +20,8 @@ _SCRIPT = (Path(__file__).parent / 'fleet.js').read_text(encoding='ascii')
 _COLUMNS = ('vehicle', 'begin', 'recording', 'status', 'length, min', 'error, m', 'reason')
 #: more lines of one kind than this are counted, not shown
 _MOST = 200
+#: of one kind in the answer, which stands first
+_MOST_SAID = 20
 #: vehicles in a figure, at most
 _MOST_DRAWN = 60
 
@@ -27,7 +29,10 @@ _MOST_DRAWN = 60
 def page(fleet, estimates: list[dict]) -> str:
     """The page. estimates: what is known of each vehicle over time, as `history.estimates`."""
     rows, asked = fleet.rows, fleet.asked
-    errors = population.errors_of(rows['results'], rows['outages'])
+    wrong = fleet.not_usable()
+    ids = {recording_id for some in wrong.values() for recording_id in some}
+    errors = population.errors_of(*([row for row in rows[name] if row['recording_id'] not in ids]
+                                    for name in ('results', 'outages')))
     standings = population.standings(errors)
     effects = population.by_effect(rows['effects'])
     strange = _strange(errors, effects)
@@ -36,6 +41,8 @@ def page(fleet, estimates: list[dict]) -> str:
     parts = [section('How is the fleet?', answered.html(), *map(note, fleet.said), _counts(fleet))]
     if fleet.changes:
         parts.append(section('What changed, and when', _changes(fleet)))
+    if wrong:
+        parts.append(section('Not usable with these parameters', _not_usable(wrong)))
     if standings:
         parts.append(section('Which model wins where', *_standings(standings)))
     if strange:
@@ -53,9 +60,11 @@ def answer(fleet, standings, strange) -> Answer:
     """What a person wants to know first."""
     done, failed, left = (fleet.count(status) for status in ('done', 'failed', 'open'))
     changed = sorted({c.vehicle for c in fleet.changes})
-    wrong = [f'{c.vehicle}: {c.words()}'.replace('+-', '\N{PLUS-MINUS SIGN}') for c in fleet.changes[:20]]
+    wrong = [f'{c.vehicle}: {c.words()}'.replace('+-', '\N{PLUS-MINUS SIGN}') for c in fleet.changes[:_MOST_SAID]]
     wrong += [f'{o.vehicle} is not as the others: {o.what} {number(o.value, 3)} {o.unit}, median of all '
-              f'{number(o.middle, 3)}' for o in strange[:20]]
+              f'{number(o.middle, 3)}' for o in strange[:_MOST_SAID]]
+    wrong += [f'{vehicle}: {count_of(len(some), "recording")} not usable: {next(iter(some.values()))}'
+              for vehicle, some in list(fleet.not_usable().items())[:_MOST_SAID]]
     wrong += [f'{count_of(failed, "recording")} without a result; see below why.'] if failed else []
     said = [f'{count_of(len(changed), "vehicle")} changed'] if changed else ['no vehicle changed']
     if failed or left:
@@ -78,6 +87,12 @@ def _changes(fleet) -> Html:
              f'{c.drives[0]} and {c.drives[1]}', c.p] for c in fleet.changes[:_MOST]]
     return table(['vehicle', 'what', 'by', '\N{PLUS-MINUS SIGN}', 'unit', 'last drive before', 'first drive after',
                   'drives before and after', 'p'], rows, 'Steps in what the drives show, all places counted.', 3)
+
+
+def _not_usable(wrong: dict[str, dict[str, str]]) -> Html:
+    rows = [[vehicle, len(some), next(iter(some.values()))] for vehicle, some in wrong.items()]
+    return table(['vehicle', 'recordings', 'for example'], rows[:_MOST],
+                 'Their errors do not count below: what a wrong mounting makes of them is no property of a model.')
 
 
 def _standings(standings) -> list[Html]:

@@ -58,6 +58,14 @@ class Fleet:
     def count(self, status: str) -> int:
         return sum(row['status'] == status for row in self.rows['recordings'])
 
+    def not_usable(self) -> dict[str, dict[str, str]]:
+        """What is certainly wrong with recordings: by vehicle and `recording_id`, the first that was found."""
+        found: dict[str, dict[str, str]] = {}
+        for row in self.rows.get('findings', ()):
+            if row['severity'] == 'error' and row['recording_id']:
+                found.setdefault(row['vehicle'], {}).setdefault(row['recording_id'], row['message'])
+        return found
+
 
 def run(asked: Asked, progress: Callable[[float, str], None] = lambda part, what: None) -> Fleet:
     """Do what is left to do and write tables, histories and page; of a shard only the work is done.
@@ -68,20 +76,21 @@ def run(asked: Asked, progress: Callable[[float, str], None] = lambda part, what
     entries, states = _entries(asked)
     _claim(asked)
     known = _Known(asked)
-    interrupted = False
-    tables.ready()
     try:
         with engine(asked.scheduler, asked.workers) as workers:
             known.read(entries, workers, lambda part: progress(0.05 * part, 'looking what there is'))
-            _all(workers, known.alone(entries), known, asked, lambda part, what: progress(0.05 + 0.55 * part, what))
-            _all(workers, known.together(entries), known, asked, lambda part, what: progress(0.6 + 0.4 * part, what))
+            known.load(entries)
+            alone = 0.6 if asked.task in TOGETHER else 1.0
+            _all(workers, known.alone(entries), known, asked, lambda part, what: progress(
+                0.05 + (alone - 0.05) * part, what))
+            _all(workers, known.together(entries), known, asked, lambda part, what: progress(
+                alone + (1.0 - alone) * part, what))
     except KeyboardInterrupt:
-        interrupted = True
+        return _interrupted(asked, known, entries)
     progress(1.0, 'done')
     if asked.shard != (1, 1):
-        rows = {'recordings': known.recordings(entries)}
-        return Fleet(asked, rows, [], [], interrupted)
-    return _written(asked, known, entries, states, interrupted)
+        return Fleet(asked, {'recordings': known.recordings(entries)}, [])
+    return _written(asked, known, entries, states)
 
 
 def _entries(asked: Asked) -> tuple[list[Entry], list[Entry]]:
@@ -124,8 +133,11 @@ class _Known:
         self._asked = asked
         self._options = {'pages': asked.pages, 'memory_gb': asked.memory}
         self._contents = self._remembered()
-        self._new: dict[str, tuple[str, int, str]] = {}
         self._read: dict[str, str] = {}
+        #: of the results that are there: what the table `recordings` says of them, by the id of the job, and the other
+        #: tables; None as long as it is not known what is there
+        self._results: dict[str, dict] = {}
+        self.texts: tables.Texts | None = None
 
     def _remembered(self) -> dict[str, tuple[str, int, str]]:
         found = {}
@@ -171,25 +183,41 @@ class _Known:
     def _key(self, entry: Entry) -> tuple:
         return self.content(entry), self._read.get(entry.params_file, ''), self._read.get(entry.reference, '')
 
+    def load(self, entries: Sequence[Entry]) -> None:
+        """Look up what is done of all jobs."""
+        self.texts = tables.Texts()
+        for work in self.alone(entries).values():
+            self.look_up(work)
+        for work in self.together(entries).values():
+            self.look_up(work)
+
+    def look_up(self, work: Job) -> None:
+        """Take in the result of a job, where there is one."""
+        found = result(self._asked.output, work)
+        if found is not None:
+            self._results[work.id] = {name: found[name] for name in ('status', 'error_id', 'reason')} | {
+                'page': found.get('page', ''), 'recording': found.get('recording', {})}
+            for name, rows in rows_of(work, found).items():
+                self.texts.add(name, tables.complete(name, rows))
+
+    def is_open(self, work: Job) -> bool:
+        """Whether a job is to be done: it has no result, or one that a new try may change."""
+        found = self._results.get(work.id)
+        return found is None or found['error_id'] in PASSING
+
     def alone(self, entries: Sequence[Entry]) -> dict[Entry, Job]:
         """The job of each recording; of the same recordings of the first one only."""
         return {entry: job(TASKS[self._asked.task], [(entry, self.content(entry))], self._read, self._options)
                 for entry in self.firsts(entries).values()}
 
     def together(self, entries: Sequence[Entry]) -> dict[tuple[Entry, ...], Job]:
-        """The jobs on all recordings of a vehicle that can be used."""
+        """The jobs on all recordings of a vehicle that could be read."""
         if self._asked.task not in TOGETHER:
             return {}
-        usable = [(entry, self.content(entry)) for entry, alone in self.alone(entries).items()
-                  if self._is_usable(result(self._asked.output, alone))]
+        read = [(entry, self.content(entry)) for entry, alone in self.alone(entries).items()
+                if self._results.get(alone.id, {}).get('status') == DONE]
         return {tuple(entry for entry, _ in group): job(self._asked.task, group, self._read, self._options)
-                for group in by_vehicle(usable)}
-
-    def _is_usable(self, found: dict | None) -> bool:
-        """Whether a recording may be taken together with others: no effect is estimated from data that are wrong."""
-        if found is None or found['status'] != DONE:
-            return False
-        return self._asked.task != 'diagnose' or all(f['severity'] != 'error' for f in found['rows']['findings'])
+                for group in by_vehicle(read)}
 
     def recordings(self, entries: Sequence[Entry]) -> list[dict]:
         """The rows of the table `recordings`."""
@@ -202,21 +230,20 @@ class _Known:
                'params_file': entry.params_file, 'reference': entry.reference}
         if entry != first:
             return row | {'status': DUPLICATE, 'same_as': first.recording}
-        found = result(self._asked.output, jobs[entry])
+        found = self._results.get(jobs[entry].id)
         if found is None:
             return row | {'status': OPEN}
-        page = found.get('page', '')
-        return row | {name: found[name] for name in ('status', 'error_id', 'reason')} | found.get('recording', {}) | {
-            'page': f'{RESULTS}/{jobs[entry].id}/{page}' if page else ''}
+        page = f'{RESULTS}/{jobs[entry].id}/{found["page"]}' if found['page'] else ''
+        return row | {name: found[name] for name in ('status', 'error_id', 'reason')} | found['recording'] | {
+            'page': page}
 
 
 def result(output: Path, work: Job) -> dict | None:
-    """The result of a job, None where there is none or a new try may go better."""
+    """The result of a job; None where there is none."""
     try:
-        found = json.loads((output / RESULTS / work.id / RESULT).read_text(encoding='utf-8'))
+        return json.loads((output / RESULTS / work.id / RESULT).read_text(encoding='utf-8'))
     except (OSError, ValueError):
         return None
-    return found
 
 
 def _all(workers, jobs: dict, known: _Known, asked: Asked, progress: Callable[[float, str], None]) -> None:
@@ -225,17 +252,15 @@ def _all(workers, jobs: dict, known: _Known, asked: Asked, progress: Callable[[f
     Source: R. L. Graham, "Bounds on multiprocessing timing anomalies", 1969.
     """
     by_size = sorted(jobs.values(), key=lambda work: (-known.size(work), work.id))
-    left = {work.id: as_dict(work) for work in by_size if _is_open(result(asked.output, work))}
+    left = {work.id: work for work in by_size if known.is_open(work)}
     here, count = partial(do, output=str(asked.output)), len(left)
     progress(0.0, '')
-    for done, (values, answer) in enumerate(_compiled_first(workers, here, list(left.values()), asked), 1):
+    given = [as_dict(work) for work in left.values()]
+    for done, (values, answer) in enumerate(_compiled_first(workers, here, given, asked), 1):
         if answer is DIED:
             died(values, str(asked.output))
+        known.look_up(left[values['id']])
         progress(done / count, f'{done} of {count} {"vehicles" if len(values["recordings"]) > 1 else "recordings"}')
-
-
-def _is_open(found: dict | None) -> bool:
-    return found is None or found['error_id'] in PASSING
 
 
 def _compiled_first(workers, function, items: list, asked: Asked) -> Iterator[tuple]:
@@ -249,14 +274,20 @@ def _compiled_first(workers, function, items: list, asked: Asked) -> Iterator[tu
         yield from workers.each(function, items)
 
 
-def _written(asked: Asked, known: _Known, entries, states, interrupted: bool) -> Fleet:
-    """Tables of all that is finished; histories, changes and page where nobody waits for the end."""
-    rows = _rows(asked, known, entries)
-    if interrupted:
-        said = [text for text in [tables.write(asked.output, rows)] if text]
-        return Fleet(asked, rows, [], said, interrupted)
+def _interrupted(asked: Asked, known: _Known, entries) -> Fleet:
+    """The CSV tables of what is finished, which is done at once: nobody waits for the rest."""
+    rows = {'recordings': known.recordings(entries)}
+    if known.texts is not None and asked.shard == (1, 1):
+        known.texts.add('recordings', tables.complete('recordings', rows['recordings']))
+        write_files(known.texts.files(asked.output / tables.FOLDER), overwrite=True)
+    return Fleet(asked, rows, [], interrupted=True)
+
+
+def _written(asked: Asked, known: _Known, entries, states) -> Fleet:
+    """Tables, histories, changes and page."""
     from .page import page
 
+    rows = _rows(asked, known, entries)
     said = []
     begins = {row['recording_id']: row.get('begin_ns') for row in rows['recordings']}
     seen = []
@@ -272,7 +303,7 @@ def _written(asked: Asked, known: _Known, entries, states, interrupted: bool) ->
     rows = {name: tables.complete(name, some) for name, some in rows.items()}
     history.write(asked.output, estimates)
     said += [text for text in [tables.write(asked.output, rows)] if text]
-    fleet = Fleet(asked, rows, changes, said, interrupted)
+    fleet = Fleet(asked, rows, changes, said)
     write_files({asked.output / 'fleet.html': page(fleet, estimates)}, overwrite=True)
     return fleet
 
@@ -281,14 +312,19 @@ def _rows(asked: Asked, known: _Known, entries: Sequence[Entry]) -> dict[str, li
     """The rows of all tables, from the results that are there."""
     rows: dict[str, list[dict]] = {name: [] for name in tables.TABLES}
     rows['recordings'] = known.recordings(entries)
-    jobs = [((entry,), work) for entry, work in known.alone(entries).items()] + list(known.together(entries).items())
-    for group, work in jobs:
-        found = result(asked.output, work) or {}
-        about = {'vehicle': group[0].vehicle, 'params_file': group[0].params_file, 'task': work.task,
-                 'recording_id': known.content(group[0]) if len(group) == 1 else ''}
-        if found.get('status') == FAILED and work.task in TOGETHER:
-            rows['findings'].append(about | {'source': work.task, 'severity': 'error', 'topic': '',
-                                             'message': f'{found["error_id"]}: {found["reason"]}'})
-        for name, some in found.get('rows', {}).items():
-            rows[name] += [about | row for row in some]
+    for work in (*known.alone(entries).values(), *known.together(entries).values()):
+        for name, some in rows_of(work, result(asked.output, work) or {}).items():
+            rows[name] += some
+    return rows
+
+
+def rows_of(work: Job, found: dict) -> dict[str, list[dict]]:
+    """The rows of the tables that the result `found` of a job adds."""
+    about = {'vehicle': work.vehicle, 'params_file': work.params_file, 'task': work.task,
+             'recording_id': work.contents[0] if len(work.contents) == 1 else ''}
+    rows = {name: [about | row for row in some] for name, some in found.get('rows', {}).items()}
+    if found.get('status') == FAILED and work.task in TOGETHER:  # else the table of recordings tells it
+        rows.setdefault('findings', []).append(about | {
+            'source': work.task, 'severity': 'error', 'topic': '',
+            'message': f'{found["error_id"]}: {found["reason"]}'})
     return rows

@@ -6,13 +6,13 @@ what order the work was done. A column is the same in each fleet, also where not
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from urllib.parse import quote
 
 from ..errors import InputError
-from ..results import result_folder
+from ..results import result_folder, write_files
 
 #: where the tables stand below the output folder
 FOLDER = 'tables'
@@ -52,34 +52,57 @@ def complete(table: str, rows: Iterable[dict]) -> list[dict]:
 
 
 def _order(row: dict) -> tuple:
-    return tuple((value is not None, str(value) if isinstance(value, str) else '', 0.0 if value is None or isinstance(
-        value, str) else float(value)) for value in row.values())
+    """What is not known comes first."""
+    return tuple([(value is not None, value) for value in row.values()])
 
 
 def ready() -> bool:
-    """Whether Parquet can be written. Importing what writes it takes its time, which an interrupted user has not: so
-    this is asked before the work begins."""
+    """Whether Parquet can be written."""
     try:
-        import pyarrow.parquet  # noqa: F401
+        import pyarrow.dataset  # noqa: F401
     except ImportError:
         return False
     return True
 
 
-def write(output: Path, tables: dict[str, list[dict]]) -> str:
+class Texts:
+    """The tables as text, which grow with each result: what is finished can be written at once.
+
+    Rows of one result stand together in the sorted table, for no other result has the same in the columns that all
+    tables begin with.
+    """
+
+    def __init__(self):
+        self._parts: dict[str, dict[tuple, str]] = {name: {} for name in TABLES}
+
+    def add(self, name: str, rows: list[dict]) -> None:
+        """Complete rows of the table `name`: those of a result, or of all results."""
+        found: dict[tuple, list[list[str]]] = {}
+        for row in rows:
+            cells = [_text(value) for value in row.values()]
+            found.setdefault(tuple(cells[:len(_ABOUT)]), []).append(cells)
+        for key, lines in found.items():
+            text = io.StringIO()
+            csv.writer(text, lineterminator='\n').writerows(lines)
+            self._parts[name][key] = self._parts[name].get(key, '') + text.getvalue()
+
+    def files(self, folder: Path) -> dict[Path, str]:
+        """The CSV files of the tables in `folder`, with their contents."""
+        return {folder / f'{name}.csv': ','.join(TABLES[name]) + '\n' + ''.join(parts[key] for key in sorted(parts))
+                for name, parts in self._parts.items()}
+
+
+def write(output: Path, rows: dict[str, list[dict]]) -> str:
     """Replace the tables in `output` (rows by name of the table); what is to be said of that, or ''."""
+    texts, both = Texts(), ready()
     with result_folder(Path(output) / FOLDER, overwrite=True, marker='recordings.csv') as folder:
         for name in TABLES:
-            rows = complete(name, tables.get(name, ()))
-            with open(folder / f'{name}.csv', 'w', encoding='utf-8', newline='') as file:
-                writer = csv.writer(file, lineterminator='\n')
-                writer.writerow(TABLES[name])
-                writer.writerows([_text(value) for value in row.values()] for row in rows)
-        if not ready():
-            return 'tables are written as CSV only: pip install "mems_ins_fusion[fleet]" writes Parquet, too'
-        for name in TABLES:
-            _write_parquet(folder / name, name, complete(name, tables.get(name, ())))
-    return ''
+            some = complete(name, rows.get(name, ()))
+            texts.add(name, some)
+            if both:
+                _write_parquet(folder / name, name, some)
+        write_files(texts.files(folder), overwrite=True)
+    return '' if both else 'tables are written as CSV only: pip install "mems_ins_fusion[fleet]" writes Parquet, too'
 
 
 def _text(value) -> str:
@@ -94,19 +117,19 @@ def _text(value) -> str:
 def _write_parquet(folder: Path, name: str, rows: list[dict]) -> None:
     """One file for each vehicle, in a folder that tells it, as Hive, Spark, DuckDB and pandas read it."""
     import pyarrow
-    from pyarrow import parquet
+    from pyarrow import dataset
 
+    if not rows:
+        return
     types = {TEXT: pyarrow.string(), NUMBER: pyarrow.float64(), COUNT: pyarrow.int64(), FLAG: pyarrow.bool_()}
-    # the vehicle is told by the folder
-    schema = pyarrow.schema([(column, types[kind]) for column, kind in TABLES[name].items() if column != 'vehicle'])
-    by_vehicle: dict[str, list] = {}
-    for row in rows:
-        by_vehicle.setdefault(row['vehicle'] or '', []).append(row)
-    for vehicle, some in by_vehicle.items():
-        part = folder / f'vehicle={quote(vehicle, safe="")}'
-        part.mkdir(parents=True)
-        columns = {column: [row[column] for row in some] for column in schema.names}
-        parquet.write_table(pyarrow.table(columns, schema), part / 'part-0.parquet', store_schema=False)
+    schema = pyarrow.schema([(column, types[kind]) for column, kind in TABLES[name].items()])
+    columns = {column: [row[column] for row in rows] for column in schema.names}
+    columns['vehicle'] = [vehicle or '' for vehicle in columns['vehicle']]
+    by_vehicle = dataset.partitioning(pyarrow.schema([('vehicle', pyarrow.string())]), flavor='hive')
+    vehicles = len(set(columns['vehicle']))
+    dataset.write_dataset(pyarrow.table(columns, schema), folder, format='parquet', partitioning=by_vehicle,
+                          basename_template='part-{i}.parquet', use_threads=False, max_partitions=vehicles,
+                          max_rows_per_file=0, existing_data_behavior='error')
 
 
 def read(output: Path, name: str) -> list[dict]:

@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from ..evaluation.verdict import NOT_USABLE
 from ..parameters import params_file, table
 from ..recordings.errors import RecordingWarning
-from ..results import ResultBusy, json_text, plain, result_folder
+from ..recordings.findings import ERROR, WARNING
+from ..results import ResultBusy, plain, result_folder
 from .failures import OTHER_VERSION, WORKER_DIED, error_id, is_ours, reason
 from .jobs import Job, code, from_dict
 from .sources import content_id, local_copy, size_and_time
@@ -125,8 +127,7 @@ def _replayed(values: dict, known_as: Path):
         if not values[name]:
             raise InputError(f"parameter '{name}' is empty")
     recording, said = read_part(values['bag'][0], values, lambda part: None)
-    found = check(recording, values)
-    return compare(recording, values), [_finding('checker', f.severity, f.topic, f.message) for f in found], said
+    return compare(recording, values), _checked(check(recording, values), values), said
 
 
 def _replayed_with_pages(values: dict, known_as: Path):
@@ -134,8 +135,17 @@ def _replayed_with_pages(values: dict, known_as: Path):
 
     done = replay_recordings(values, known_as=known_as / 'replay')
     [comparison], [about] = done.comparisons.values(), done.content['recordings']
-    found = [_finding('checker', f['severity'], f['topic'], f['message']) for f in about['findings']]
-    return comparison, found, about['warnings']
+    [found] = done.findings.values()
+    return comparison, _checked(found, values), about['warnings']
+
+
+def _checked(found, values: dict) -> list[dict]:
+    """What the checker found, as rows; of severity error only what makes the recording not usable with `values`."""
+    from ..reports.verdict import certainly_wrong
+
+    wrong = [id(f) for f in certainly_wrong(found, values)]
+    return [_finding('checker', WARNING if f.severity == ERROR and id(f) not in wrong else f.severity, f.topic,
+                     f.message) for f in found]
 
 
 def _run_row(row: dict) -> dict:
@@ -185,13 +195,18 @@ def shown_by(drive) -> list[dict]:
                      if math.isfinite(sigma)]
     noise = drive.noise
     if noise is not None and noise.seconds:
-        for sensor, density, unit in (('accelerometer', noise.force_density, 'm/s^2/sqrt(Hz)'),
-                                      ('gyroscope', noise.rate_density, 'rad/s/sqrt(Hz)')):
-            value = float(np.sqrt(np.mean(np.square(density))))
-            rows.append(effect_row('configure', f'{sensor}_noise', 'density', value, value * noise.part, unit))
+        for sensor, density in (('accelerometer', noise.force_density), ('gyroscope', noise.rate_density)):
+            rows.append(_noise_row('configure', sensor, density, noise.part))
     if drive.receiver is not None and drive.receiver.realised:
         rows.append(effect_row('configure', 'receiver', 'scatter', drive.receiver.realised, None, 'm'))
     return rows
+
+
+def _noise_row(source: str, sensor: str, density, part: float) -> dict:
+    """The noise density of a sensor, the RMS of its axes (3,). part: its standard deviation, relative."""
+    value = float(np.sqrt(np.mean(np.square(density))))
+    return effect_row(source, f'{sensor}_noise', 'density', value, value * part if math.isfinite(part) else None,
+                      {'accelerometer': 'm/s^2/sqrt(Hz)', 'gyroscope': 'rad/s/sqrt(Hz)'}[sensor])
 
 
 def _configure(work: Job, paths, references, given, folder: Path, known_as: Path) -> dict:
@@ -207,7 +222,7 @@ def _configure(work: Job, paths, references, given, folder: Path, known_as: Path
     return {'rows': {'effects': rows, 'results': [], 'outages': [],
                      'findings': [_finding('configure', 'warning', '', text) for text in (*result.wrong,
                                                                                            *result.missing)]},
-            'page': 'params.html' if work.options['pages'] else '', 'params_file': 'params.yaml'}
+            'page': 'params.html' if work.options['pages'] else ''}
 
 
 def _configured(paths):
@@ -221,31 +236,37 @@ def _configured(paths):
 
 
 def _diagnose(work: Job, paths, references, given, folder: Path, known_as: Path) -> dict:
-    from ..configuration.check import check
-    from ..diagnosis.diagnose import diagnose
-    from ..recordings.several import refuse_other_vehicles
-    from ..reports.diagnosis import corrected_yaml, report, report_html
-    from ..reports.diagnosis_answer import answer
-    from ..reports.replay import read_part
+    from ..recordings.several import one_after_another
+    from ..reports.diagnosing import diagnose_drives
 
-    recordings, said, checked = [], [], []
     values = table.check(given)
-    for path, reference in zip(paths, references):
+    drives, findings = _drives(work, paths, references, values)
+    done = diagnose_drives(list(drives.values()), values, given, folder, str(known_as), work.options['pages'])
+    names = [recording.name for recording in one_after_another([drive.recording for drive in drives.values()])]
+    rows = diagnosed(done.content, dict(zip(names, drives)))
+    rows['findings'] += findings
+    return {'rows': rows, 'page': 'report.html' if work.options['pages'] else ''}
+
+
+def _drives(work: Job, paths, references, values: dict):
+    """The drives to be diagnosed, by content, and what is wrong with the others: those that cannot be read as the
+    parameters say, and those that are certainly wrong. Where no drive is good, all that could be read."""
+    from ..reports.diagnosing import read_drive
+
+    drives, findings, failed = {}, [], None
+    for content, path, reference in zip(work.contents, paths, references):
         own = values | {'reference_file': reference, 'reference_topic': ''} if reference else values
-        recording, texts = read_part(path, own, lambda part: None)
-        recordings.append(recording)
-        said += texts
-        checked += check(recording, values)
-    refuse_other_vehicles(recordings)
-    result = diagnose(recordings, values)
-    answered = answer(result, checked, str(known_as))
-    (folder / 'corrected.yaml').write_text(corrected_yaml(result, given), encoding='utf-8')
-    content = report(result, answered, checked, said)
-    (folder / 'report.json').write_text(json_text(content, indent=1), encoding='utf-8')
-    if work.options['pages']:
-        (folder / 'report.html').write_text(report_html(result, given, answered, checked, said), encoding='utf-8')
-    return {'rows': diagnosed(content, {r.name: c for r, c in zip(recordings, work.contents)}),
-            'page': 'report.html' if work.options['pages'] else '', 'params_file': 'corrected.yaml'}
+        try:
+            drives[content] = read_drive(path, own)
+        except InputError as error:
+            failed = failed or error
+            findings.append(_finding('diagnose', 'error', '', reason(error)) | {'recording_id': content})
+            continue
+        findings += [_finding('diagnose', f.severity, f.topic, f.message) | {'recording_id': content}
+                     for f in drives[content].wrong]
+    if not drives:
+        raise failed
+    return {content: drive for content, drive in drives.items() if not drive.wrong} or drives, findings
 
 
 def diagnosed(content: dict, contents: dict[str, str]) -> dict:
@@ -260,53 +281,42 @@ def diagnosed(content: dict, contents: dict[str, str]) -> dict:
             effects += [effect_row('diagnose', effect['name'], name, e['value'], e['sigma'], e['unit'], **about)
                         | {'recording_id': recording_id} for name, e in parameters.items()]
     common = {'model': content['model'], 'mechanization': content['mechanization']}
-    stages = ('before', 'after')
+    stages = [stage for stage in ('before', 'after') if stage in content]  # none of data that are not usable
     numbers = ('horizontal_rmse_m', 'horizontal_p95_m', 'nis_mean')
     results = [common | {'stage': stage} | {name: content[stage].get(name) for name in numbers} for stage in stages]
     outages = [row | {'stage': stage} for stage in stages for row in content[stage]['outages']]
     findings = []  # what the checker found stands beside each recording alone
-    if content['unexplained']:
+    if content.get('unexplained'):
         findings.append(_finding('diagnose', 'warning', '', 'a part of the innovations stays unexplained'))
     verdict = content['verdict']
-    findings.append(_finding('diagnose', 'info', 'verdict', f'{verdict["answer"]}: {"; ".join(verdict["because"])}'))
-    findings += _said('diagnose', content['remarks']) + _said('reader', content['warnings'])
+    severity = 'error' if verdict['answer'] == NOT_USABLE else 'info'
+    findings.append(_finding('diagnose', severity, 'verdict', f'{verdict["answer"]}: {"; ".join(verdict["because"])}'))
+    findings += _said('diagnose', content.get('remarks', ())) + _said('reader', content['warnings'])
     return {'effects': effects, 'results': results, 'outages': outages, 'findings': findings}
 
 
 def _characterize(work: Job, paths, references, given, folder: Path, known_as: Path) -> dict:
-    from ..characterization.characterize import characterize, read_npz
-    from ..characterization.parameter_file import parameters_yaml
-    from ..characterization.stationary import to_grid
-    from ..recordings.reading import Memory, read_recording
-    from ..recordings.units import in_si
-    from ..reports.characterization import report, report_html
-    from ..reports.characterization_answer import answer
-    from ..reports.characterization_figures import figures
-    from ..reports.html import image_bytes
+    from ..characterization.characterize import SENSORS, characterize
+    from ..characterization.parameter_file import white_noise
+    from ..reports.characterizing import read_at_rest, write_characterization
 
-    [path], values, temperature, begin = paths, table.check(given), None, None
-    if path.suffix == '.npz':
-        name, grid = path.stem, read_npz(path)
-    else:
-        recording = read_recording(path, values['imu_topic'], temperature_topic=values['temperature_topic'] or None,
-                                   memory=Memory(values['memory_limit'], 0.3, 500.0))
-        imu = in_si(recording.imu, values['imu.acceleration_unit'], values['imu.rate_unit'])
-        name, grid, begin = recording.name, to_grid(imu.stamp, np.hstack([imu.specific_force, imu.angular_rate])), imu
-        if recording.temperature is not None:
-            temperature = (recording.temperature.stamp - imu.stamp[0]) * 1e-9, recording.temperature.celsius
-    result = characterize(name, grid, temperature, [1, 2, 3])
-    (folder / 'imu.yaml').write_text(parameters_yaml(result), encoding='utf-8')
-    if work.options['pages']:
-        answered = answer(result, [], {}, str(known_as))
-        images = {title: (image_bytes(drawing), caption) for title, (drawing, caption) in figures(result).items()}
-        (folder / 'report.html').write_text(report_html(result, answered, images), encoding='utf-8')
-        (folder / 'report.json').write_text(json_text(report(result, answered), indent=1), encoding='utf-8')
+    [path], values = paths, table.check(given)
+    read = read_at_rest(path, values)
+    result = characterize(read.name, read.grid, read.temperature)
+    write_characterization(result, read, values, folder, str(known_as), work.options['pages'])
     rows = [effect_row('characterize', *parameter, None, '')
             for parameter in _parameters(params_file.load_yaml(folder / 'imu.yaml'))]
-    about = {'begin_ns': None if begin is None else int(begin.stamp.min()), 'duration_s': float(result.duration),
-             'imu_samples': None if begin is None else len(begin), 'fixes': None}
-    return {'recording': about, 'rows': {'effects': rows, 'results': [], 'outages': [], 'findings': []},
-            'page': 'report.html' if work.options['pages'] else '', 'params_file': 'imu.yaml'}
+    for sensor in SENSORS:
+        white = [white_noise(axis, result.model) for axis in result.of(sensor)]
+        density = np.array([w.value for w in white])
+        # each axis was fitted alone: their errors are independent
+        part = float(np.linalg.norm([w.value * w.sigma for w in white])) / max(float(density @ density), 1e-30)
+        rows.append(_noise_row('characterize', sensor, density, part))
+    findings = [_finding('checker', f.severity, f.topic, f.message) for f in read.found] + _said('reader', read.said)
+    about = {'begin_ns': read.begin, 'duration_s': float(result.duration),
+             'imu_samples': len(read.grid.values), 'fixes': None}
+    return {'recording': about, 'rows': {'effects': rows, 'results': [], 'outages': [], 'findings': findings},
+            'page': 'report.html' if work.options['pages'] else ''}
 
 
 def _parameters(values: dict):

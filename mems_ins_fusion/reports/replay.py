@@ -21,6 +21,7 @@ from ..parameters.params_file import yaml_value
 from ..parameters.table import FILTER
 from ..parameters.table import defaults as default_parameters
 from ..recordings.errors import RecordingWarning
+from ..recordings.findings import Finding
 from ..recordings.reading import Memory, read_recording
 from ..recordings.reference_files import read_reference
 from ..recordings.units import in_si
@@ -42,13 +43,14 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Replay:
-    """What a replay left behind. folder: of the results. content: of report.json. comparisons, answers: by
-    recording."""
+    """What a replay left behind. folder: of the results. content: of report.json. comparisons, answers, and findings of
+    the checker: by recording."""
 
     folder: Path
     content: dict
     comparisons: dict[str, Comparison]
     answers: dict[str, Answer]
+    findings: dict[str, list[Finding]]
 
 
 def replay_recordings(values: dict, progress: Progress = lambda part, what: None, known_as=None) -> Replay:
@@ -74,7 +76,7 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
                 comparisons[name] = compare(recording, values, lambda done: part(0.25 + 0.3 * done, 'filtering'))
         content, answers = _write(folder, comparisons, findings, said, values, timing, progress,
                                   Path(known_as or values['output_dir']))
-    return Replay(Path(values['output_dir']), content, comparisons, answers)
+    return Replay(Path(values['output_dir']), content, comparisons, answers, findings)
 
 
 def _check(values: dict) -> None:

@@ -1,0 +1,83 @@
+"""A recording at rest in, a folder of results out: everything `characterize` does but the command line."""
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..characterization.characterize import Characterization, read_npz
+from ..characterization.parameter_file import parameters_yaml
+from ..characterization.stationary import Grid, to_grid
+from ..errors import InputError
+from ..filter.runs.usable import usable_samples
+from ..recordings.checker import check_recording
+from ..recordings.errors import RecordingWarning
+from ..recordings.findings import Finding
+from ..recordings.reading import Memory, read_recording
+from ..recordings.units import in_si
+from ..results import json_text
+from .characterization import report, report_html
+from .characterization_answer import answer
+from .characterization_figures import figures
+from .html import image_bytes
+
+#: GB at the start, bytes for each sample
+_MEMORY = 0.3, 500.0
+
+
+@dataclass(frozen=True)
+class AtRest:
+    """A recording at rest as it was read. temperature: s and degrees Celsius, or None. begin: ns, of its first sample,
+    None where it has no stamps. found: by the checker; said: what reading it warned of."""
+
+    name: str
+    grid: Grid
+    temperature: tuple[np.ndarray, np.ndarray] | None
+    begin: int | None
+    found: list[Finding]
+    said: list[str]
+
+
+def read_at_rest(path, values: dict, progress: Callable[[float], None] = lambda part: None) -> AtRest:
+    """Read a bag by the topics of the checked parameters `values`, or an .npz. Raises InputError."""
+    path = Path(path)
+    if path.suffix == '.npz':
+        if not path.is_file():
+            raise InputError(f'{path} is not a file')
+        return AtRest(path.stem, read_npz(path), None, None, [], [])
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter('always', RecordingWarning)
+        recording = read_recording(path, values['imu_topic'], temperature_topic=values['temperature_topic'] or None,
+                                   progress=progress, memory=Memory(values['memory_limit'], *_MEMORY))
+    imu = in_si(recording.imu, values['imu.acceleration_unit'], values['imu.rate_unit'])
+    seen = usable_samples(imu, values['imu.max_specific_force'], values['imu.max_angular_rate'])
+    grid = to_grid(seen.stamp, np.hstack([seen.specific_force, seen.angular_rate]))
+    temperature = recording.temperature
+    if temperature is not None:
+        temperature = (temperature.stamp - seen.stamp[0]) * 1e-9, temperature.celsius
+    return AtRest(recording.name, grid, temperature, int(seen.stamp[0]), check_recording(replace(recording, imu=imu)),
+                  [str(w.message) for w in caught if issubclass(w.category, RecordingWarning)])
+
+
+def write_characterization(result: Characterization, given: AtRest, values: dict, folder: Path, known_as: str,
+                           pages: bool = True):
+    """Write imu.yaml into `folder`, and report.json, report.html and figures where `pages` are wanted; the answer.
+
+    known_as: the folder that the page names.
+    """
+    topics = {name: values[f'{name}_topic'] for name in ('imu', 'temperature')}
+    answered = answer(result, given.found, topics, known_as)
+    (folder / 'imu.yaml').write_text(parameters_yaml(result), encoding='utf-8')
+    if pages:
+        content = {**report(result, answered), 'warnings': given.said}
+        (folder / 'report.json').write_text(json_text(content, indent=1), encoding='utf-8')
+        (folder / 'figures').mkdir()
+        images = {}
+        for title, (drawing, caption) in figures(result).items():
+            images[title] = image_bytes(drawing), caption
+            (folder / 'figures' / f'{title}.png').write_bytes(images[title][0])
+        (folder / 'report.html').write_text(report_html(result, answered, images), encoding='utf-8')
+    return answered

@@ -1,0 +1,82 @@
+"""Drives in, a folder of results out: everything `diagnose` does but the command line."""
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ..configuration.check import check
+from ..diagnosis.diagnose import diagnose
+from ..diagnosis.findings import Diagnosis
+from ..recordings.findings import Finding
+from ..recordings.several import refuse_other_vehicles
+from ..results import json_text
+from ..samples import Recording
+from . import diagnosis as reports
+from .answer import Answer
+from .diagnosis_answer import answer, not_usable
+from .replay import read_part
+from .verdict import certainly_wrong
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A recording as it was read. found: by the checker. wrong: those of `found` that make it not usable. said: what
+    reading it warned of."""
+
+    recording: Recording
+    found: list[Finding]
+    wrong: list[Finding]
+    said: list[str]
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """What became of some drives. result: None where the data are certainly wrong; content: of report.json."""
+
+    result: Diagnosis | None
+    answer: Answer
+    content: dict
+    said: list[str]
+
+
+def read_drive(path, values: dict, progress: Callable[[float], None] = lambda part: None) -> Drive:
+    """The part of the recording `path` that the checked parameters `values` ask for. Errors as `read_part`."""
+    recording, said = read_part(path, values, progress)
+    found = check(recording, values)
+    return Drive(recording, found, certainly_wrong(found, values), said)
+
+
+def diagnose_drives(drives: Sequence[Drive], values: dict, kept: dict, folder: Path, known_as: str, pages: bool = True,
+                    progress: Callable[[float, str], None] = lambda part, what: None) -> Diagnosed:
+    """Diagnose the drives of one vehicle together and write the results into `folder`: report.json, report.html where
+    `pages` are wanted, and, where the data can be used, corrected.yaml.
+
+    values: checked parameters; kept: those given, by full name, which corrected.yaml keeps. known_as: the folder that
+    the page names. Raises RecordingError where the drives are not of one vehicle, and DiagnosisError.
+    """
+    recordings = [drive.recording for drive in drives]
+    refuse_other_vehicles(recordings)
+    said = [f'{_of(drive, drives)}{text}' for drive in drives for text in drive.said]
+    found, wrong = ([replace(f, message=f'{_of(drive, drives)}{f.message}') for drive in drives
+                     for f in getattr(drive, name)] for name in ('found', 'wrong'))
+    if wrong:  # no effect is estimated from such data
+        names = [recording.name for recording in recordings]
+        verdict, answered = not_usable(wrong, values)
+        done = Diagnosed(None, answered, reports.not_usable_report(names, values, verdict, answered, found, said), said)
+    else:
+        result = diagnose(recordings, values, progress)
+        answered = answer(result, found, known_as)
+        done = Diagnosed(result, answered, reports.report(result, answered, found, said), said)
+        (folder / 'corrected.yaml').write_text(reports.corrected_yaml(result, kept), encoding='utf-8')
+    (folder / 'report.json').write_text(json_text(done.content, indent=1), encoding='utf-8')
+    if pages:
+        page = reports.not_usable_page(names, answered, found, values) if wrong else \
+            reports.report_html(done.result, kept, answered, found, said)
+        (folder / 'report.html').write_text(page, encoding='utf-8')
+    return done
+
+
+def _of(drive: Drive, drives: Sequence[Drive]) -> str:
+    """Which drive is meant, where there are several."""
+    return f'{drive.recording.name}: ' if len(drives) > 1 else ''
