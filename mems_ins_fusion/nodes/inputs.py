@@ -141,6 +141,11 @@ class Input:
         """The types that it may carry, in words."""
         return ' or '.join(self._kinds)
 
+    @property
+    def is_subscribed(self) -> bool:
+        """Whether its type is known."""
+        return self._subscription is not None
+
     def look(self) -> None:
         """Subscribe where there is a publisher by now."""
         if self._subscription is None:
