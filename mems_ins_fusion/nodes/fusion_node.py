@@ -44,12 +44,8 @@ _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _SAVE_PERIOD = 10.0
 #: what the filter says is looked at this often where no message brings it out, s
 _REPORT_PERIOD = 0.2
-#: of the IMU's queue: a stall of 2.5 s at 400 Hz
-_IMU_DEPTH = 1000
-#: of the queue of the fixes: a stall of 5 s at 20 Hz
-_FIX_DEPTH = 100
-#: of the queue of temperatures, which come once a second or less often, and how long without one is no silence, s
-_TEMPERATURE_DEPTH, _TEMPERATURE_PATIENCE = 50, 30.0
+#: temperatures come once a second or less often: so long without one is no silence, s
+_TEMPERATURE_PATIENCE = 30.0
 
 
 class FusionNode(Node):
@@ -116,13 +112,13 @@ class FusionNode(Node):
     def _subscribe(self, values) -> list[Input]:
         """All inputs, the IMU and the fixes first."""
         self._queue = queue = Queue(self)
-        self._imu = Input(self, queue, 'imu', values['imu_topic'], (Imu,), self._on_imu, _IMU_DEPTH)
-        self._fix = Input(self, queue, 'fix', values['gnss_topic'], (NavSatFix,), self._on_fix, _FIX_DEPTH,
+        self._imu = Input(self, queue, 'imu', values['imu_topic'], (Imu,), self._on_imu)
+        self._fix = Input(self, queue, 'fix', values['gnss_topic'], (NavSatFix,), self._on_fix,
                           patience=2 * values['gnss.outage_after'])
         inputs = [self._imu, self._fix, *aiding_inputs(self, queue, values, self._filter, self._before_aiding)]
         if values['temperature_topic']:
             self._temperature = Input(self, queue, 'temperature', values['temperature_topic'], (Temperature,),
-                                      self._on_temperature, _TEMPERATURE_DEPTH, patience=_TEMPERATURE_PATIENCE)
+                                      self._on_temperature, patience=_TEMPERATURE_PATIENCE)
             inputs.append(self._temperature)
         if values['initial_pose_topic']:
             self.create_subscription(PoseWithCovarianceStamped, values['initial_pose_topic'], self._on_start_pose, 10)
