@@ -3,11 +3,12 @@ from __future__ import annotations
 
 import signal
 import time
+from itertools import count
 
 import pytest
 from rcl_interfaces.srv import GetParameters
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from ros_support import PLAYABLE, SECOND, Diagnostics, NodeProcess, Player, call, fix_of, hears
+from ros_support import PLAYABLE, SECOND, Diagnostics, NodeProcess, Player, call, fix_of, hears, imu_message
 from sensor_msgs.msg import NavSatFix
 from std_srvs.srv import Trigger
 
@@ -40,10 +41,11 @@ def test_everything_arrives_and_services_answer_while_a_clock_of_a_thousand_hert
         node.wait_until_ready()
         heard, player = Diagnostics(peer), Player(peer, node, recording, clock=True)
         player.connect(*AIDING)
+        player.skip(3.0)  # it stands
         # when it is played, services and parameters are asked for in the middle of it
         answers = 0
         while not player.done:
-            player.play(answers + 1.0)
+            player.play(4.0 + answers)
             answers += call(peer, GetParameters, '/fusion_node/get_parameters',
                             GetParameters.Request(names=['imu_topic'])).values[0].string_value == '/imu/data'
         assert call(peer, Trigger, '/fusion_node/set_datum', Trigger.Request()).success
@@ -52,9 +54,10 @@ def test_everything_arrives_and_services_answer_while_a_clock_of_a_thousand_hert
         heard.wait(lambda d: all(int(d.values(name)['messages']) == player.sent[name] for name in AIDING))
         for name in AIDING:
             values = heard.values(name)
-            assert values['lost'] == '0' and int(values['used']) > 0.5 * player.sent[name]  # not before the start
-            assert heard.level(name) == 0 and float(values['realised over claimed']) < 2.0
-            assert float(values['rate, Hz']) >= 0.0 and 'delay, s' in values
+            assert values['lost'] == '0' and int(values['used']) > 100  # not before the start
+            assert sum(int(values.get(key, 0)) for key in LATE) < 10  # those of before the fix that it started from
+            assert float(values['realised over claimed']) < 2.0
+            assert {'rate, Hz', 'delay, s'} <= values.keys()
 
 
 def test_fixes_and_speeds_that_overtake_the_samples_wait_for_them(recording, peer):
@@ -82,25 +85,24 @@ def test_what_a_busy_machine_loses_is_called_that(recording, peer):
     # given a node with a queue of five samples
     with NodeProcess('fusion_node', '-p', 'qos_overrides./imu/data.subscription.depth:=5') as node:
         node.wait_until_ready()
-        heard, rows = Diagnostics(peer), iter(range(len(recording.imu)))
+        heard, stamps = Diagnostics(peer), count(int(recording.imu.stamp[0]), SECOND // 400)
 
         def send():
-            peer.send_imu(recording.imu, next(rows))
-            time.sleep(0.005)
+            peer.imu.publish(imu_message(next(stamps), recording.imu.specific_force[0], recording.imu.angular_rate[0]))
         while int(heard.values('imu').get('messages', 0)) < 10:  # a publisher's first messages may be lost
             send()
-            peer.spin_some(0.0)
+            peer.spin_some(0.005)
         # when it stands still while 400 come
         node.send(signal.SIGSTOP)
         for _ in range(400):
-            peer.send_imu(recording.imu, next(rows))
+            send()
         time.sleep(0.5)  # longer than a message is late on a machine with nothing else to do
         node.send(signal.SIGCONT)
         # then it says how many it has lost, and why
         lost = int(heard.values('imu')['lost'])
-        while not heard.statuses or int(heard.values('imu')['lost']) < lost + 300:
+        while int(heard.values('imu')['lost']) < lost + 300:
             send()
-            peer.spin_some(0.0)
+            peer.spin_some(0.005)
         line = node.wait_for('messages lost in the last second')
         while int(line.split('/imu/data: ')[1].split()[0]) < 300:
             line = node.wait_for('messages lost in the last second')
