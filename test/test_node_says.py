@@ -111,16 +111,16 @@ def test_a_clock_of_the_imu_that_is_set_and_one_that_stops(recording, peer):
         assert any('header.stamp jumped by +60.' in line and 'the filter aligns anew' in line for line in node.lines)
 
 
-def test_a_wrong_first_fix_does_not_make_the_datum_and_refused_ones_are_shown(recording, peer):
+def test_a_wrong_first_fix_makes_no_datum_and_refused_ones_are_shown_until_they_agree(recording, peer):
     shown, points = [], []
     subscriptions = [peer.node.create_subscription(NavSatFix, '/fusion_node/refused_fixes', shown.append, 50),
                      peer.node.create_subscription(PointStamped, '/fusion_node/refused_points', points.append, 50)]
 
     def far(name, i, message):
-        if name == 'fix' and i in (0, 60):  # 300 m east
+        if name == 'fix' and (i in (0, 60) or i >= 84):  # 300 m east
             message.longitude += 300.0 / 111e3 / math.cos(math.radians(message.latitude))
 
-    with NodeProcess('fusion_node', *PLAYABLE) as node:
+    with NodeProcess('fusion_node', *PLAYABLE, '-p', 'gnss.recovery_time:=5.0') as node:
         node.wait_until_ready()
         heard, player = Diagnostics(peer), Player(peer, node, recording, far)
         player.connect()
@@ -153,6 +153,13 @@ def test_a_wrong_first_fix_does_not_make_the_datum_and_refused_ones_are_shown(re
         request.parameters[0].value.double_array_value = [148.0, 11.0, 500.0]
         refused = call(peer, SetParameters, '/fusion_node/set_parameters', request).results[0]
         assert not refused.successful and 'datum' in refused.reason
+        # when fixes are far off for good, the log says for how long they were refused
+        player.play(60.0)
+        heard.wait(lambda d: True)
+        said, = (line for line in node.lines if 'agree with each other' in line)
+        row = [stamp for message in shown if (stamp := stamp_of(message)) >= recording.gnss.stamp[84]]
+        believed = recording.gnss.stamp[84 + len(row)]
+        assert float(said.split('refused for ')[1].split()[0]) == pytest.approx((believed - row[0]) / SECOND, abs=0.6)
     for subscription in subscriptions:
         peer.node.destroy_subscription(subscription)
 

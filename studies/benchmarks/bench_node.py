@@ -4,8 +4,8 @@
 
 Three processes: a driver (Imu at `rate`, NavSatFix at 5 Hz, stamped with the time they are sent at), the node, and a
 listener. CPU is that of the node's process per IMU message; latency is from the driver's stamp to the listener. Both
-nodes run one after the other, repeatedly; what is printed are medians of the repeats. *heard* is what the node itself has
-got of the driver's Imu messages, *received* what the listener has got of its odometry.
+nodes run one after the other, repeatedly; what is printed are medians of the repeats. *heard* is what the node itself
+has got of the driver's Imu messages, *received* what the listener has got of its odometry.
 """
 from __future__ import annotations
 
@@ -192,11 +192,11 @@ def main() -> None:
             results.append(measure(kind, arguments.rate, arguments.seconds, arguments.p))
     medians = {kind: {name: statistics.median(r[name] for r in results) for name in results[0]}
                for kind, results in runs.items()}
-    print(f'{"":12s} {"sent":>6s} {"heard":>6s} {"received":>9s} {"CPU us/sample":>14s} {"p50 us":>7s} {"p99 us":>7s} {"MB":>6s} '
-          f'{"grown MB":>9s}')
+    print(f'{"":12s} {"sent":>6s} {"heard":>6s} {"received":>9s} {"CPU us/sample":>14s} {"p50 us":>7s} '
+          f'{"p99 us":>7s} {"MB":>6s} {"grown MB":>9s}')
     for kind, m in medians.items():
-        print(f'{kind:12s} {m["sent"]:6.0f} {m["heard"]:6.0f} {m["received"]:9.0f} {m["cpu_us"]:14.0f} {m["p50_us"]:7.0f} '
-              f'{m["p99_us"]:7.0f} {m["memory_mb"]:6.0f} {m["grown_mb"]:9.2f}')
+        print(f'{kind:12s} {m["sent"]:6.0f} {m["heard"]:6.0f} {m["received"]:9.0f} {m["cpu_us"]:14.0f} '
+              f'{m["p50_us"]:7.0f} {m["p99_us"]:7.0f} {m["memory_mb"]:6.0f} {m["grown_mb"]:9.2f}')
     bare_, fusion = medians.values()
     print(f'CPU ratio {fusion["cpu_us"] / bare_["cpu_us"]:.2f}; latency added: '
           f'{fusion["p50_us"] - bare_["p50_us"]:.0f} us at 50 %, '
