@@ -7,7 +7,7 @@ A simulated drive is published with the timing it has: Imu, NavSatFix at 5 Hz, w
 rates asked for (Hz), and /clock, in whose time the node lives (0: no /clock, and the node lives in the computer's).
 Once a second a service of the node is called, `~/use_fixes` and `get_parameters` in turn. Each minute a line tells, for
 each input, how many messages the node has lost, how many the filter did not take, the slowest answer of a service, the
-node's CPU, and its memory.
+node's CPU, the machine's load, and the node's memory.
 
 Publisher and listener are processes of their own; what the node got is told by its own /diagnostics.
 """
@@ -79,7 +79,7 @@ def drive(options: argparse.Namespace) -> None:
     while not publishers['imu'].get_subscription_count():
         time.sleep(0.05)
     time.sleep(SETTLE)
-    sent, told, tick, next_tick = dict.fromkeys(names, 0), 0.0, round(_SECOND / max(options.clock, 1.0)), 0
+    sent, told, tick, next_tick = dict.fromkeys([*names, 'clock'], 0), 0.0, round(_SECOND / max(options.clock, 1.0)), 0
     origin, began, ticks = due[0], time.monotonic(), Clock()
     for k in range(len(due)):
         while True:
@@ -88,6 +88,7 @@ def drive(options: argparse.Namespace) -> None:
             if options.clock and now >= next_tick:
                 ticks.clock.sec, ticks.clock.nanosec = divmod(now, _SECOND)
                 clock.publish(ticks)
+                sent['clock'] += 1
                 next_tick = now + tick
             if ahead <= 0:
                 break
@@ -221,8 +222,7 @@ def main() -> None:
                              *(part for value in parameters for part in ('-p', value))],
                             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     driver = subprocess.Popen([sys.executable, *sys.argv, '--drive'], stdout=subprocess.PIPE)
-    lines = ['| minute | sent (imu, fix, others) | lost | not taken | slowest answer, s | CPU, % | MB |',
-             '|' + '---|' * 7]
+    lines = ['| minute | sent | lost | not taken | slowest answer, s | CPU, % | load | MB |', '|' + '---|' * 8]
     print(*lines, sep='\n', flush=True)
     try:
         soak(options, node, driver, lines)
@@ -242,7 +242,7 @@ def newest(driver: subprocess.Popen) -> dict[str, int] | None:
 
 def soak(options, node, driver, lines: list[str]) -> None:
     """Listen until the driver has ended; a line each minute into `lines`."""
-    listener, sent, minute = Listener(), {}, 0
+    listener, sent, minute, called = Listener(), {}, 0, 0
     os.set_blocking(driver.stdout.fileno(), False)
     before, then = usage(node.pid)[0], time.monotonic()
     while driver.poll() is None:
@@ -259,17 +259,20 @@ def soak(options, node, driver, lines: list[str]) -> None:
         cpu, memory = usage(node.pid)
         minute, share = minute + 1, 100 * (cpu - before) / (time.monotonic() - then)
         before, then = cpu, time.monotonic()
-        heard = {name: listener.statuses.get(name, {}) for name in sent}
+        heard = {name: listener.statuses.get(name, {}) for name in sent if name != 'clock'}
         lost = ', '.join(f"{name} {values.get('lost', '?')}" for name, values in heard.items())
         refused = ', '.join(f'{name} {not_taken(values)}' for name, values in heard.items())
-        line = (f"| {minute} | {', '.join(str(n) for n in sent.values())} | {lost} | {refused} | "
-                f'{max(listener.answers[-60:], default=0.0):.3f} | {share:.0f} | {memory:.1f} |')
+        answers, called = listener.answers[called:], len(listener.answers)
+        line = (f"| {minute} | {', '.join(f'{name} {n}' for name, n in sent.items())} | {lost} | {refused} | "
+                f'{max(answers, default=0.0):.3f} | {share:.0f} | {os.getloadavg()[0]:.1f} | {memory:.1f} |')
         lines.append(line)
         print(line, flush=True)
     got = {name: int(values.get('messages', 0)) for name, values in heard.items()}
-    said = (f'Sent {sum(sent.values())}, heard {sum(got.values())}: '
-            + ', '.join(f'{name} {sent[name] - got[name]} of {sent[name]} not heard' for name in sent)
-            + f'. {len(listener.answers)} calls of services, the slowest answered after {max(listener.answers):.3f} s.')
+    half, most, longest = np.quantile(listener.answers, (0.5, 0.99, 1.0))
+    said = (f'Sent {sum(sent[name] for name in got)}, heard {sum(got.values())}: '
+            + ', '.join(f'{name} {sent[name] - n} of {sent[name]} not heard' for name, n in got.items())
+            + f". {sent['clock']} messages on /clock. {len(listener.answers)} calls of services: half were answered "
+            f'within {half:.3f} s, 99 % within {most:.3f}, the slowest after {longest:.3f} s.')
     lines += ['', said]
     print(said)
 

@@ -20,6 +20,16 @@ def shared_data(name: str) -> Path:
     return path
 
 
+@pytest.fixture
+def peer():
+    """The test's side of the topics of a node, over real ROS 2."""
+    from ros_support import Peer
+
+    peer = Peer()
+    yield peer
+    peer.close()
+
+
 @pytest.fixture(scope='session')
 def browser():
     """A headless Chromium; skips where it, or its driver, is not installed."""

@@ -18,23 +18,40 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Quaternion, Vector3
+from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion, TwistWithCovarianceStamped, Vector3
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, NavSatFix
+
+from mems_ins_fusion.filter.measurements.registry import AIDING
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 #: s, for what a machine with nothing else to do answers at once: two busy cores have needed 20
 PATIENCE = 120.0
+SECOND = 10**9  # ns
+#: messages that a queue holds: more than a drive of a test has
+DEPTH = 20000
+#: topics of a drive that is played
+TOPICS = {'imu': '/imu/data', 'fix': '/gps/fix', **{m.name: m.written_to for m in AIDING}}
+
+
+def hears(*names: str) -> tuple[str, ...]:
+    """Arguments of a node that listens to these inputs of TOPICS, besides IMU and fixes, and loses nothing."""
+    return tuple(part for name in names for part in (
+        '-p', f'{name}_topic:={TOPICS[name]}', '-p', f'qos_overrides.{TOPICS[name]}.subscription.reliability:=reliable',
+        '-p', f'qos_overrides.{TOPICS[name]}.subscription.depth:={DEPTH}'))
+
+
 #: for a node that a recording is played to: no message is lost, no complaint held back
 PLAYABLE = ('--log-level', 'fusion_node:=debug',
             '-p', 'qos_overrides./imu/data.subscription.reliability:=reliable',
-            '-p', 'qos_overrides./imu/data.subscription.depth:=20000',
+            '-p', f'qos_overrides./imu/data.subscription.depth:={DEPTH}',
             '-p', 'qos_overrides./gps/fix.subscription.reliability:=reliable',
-            '-p', 'qos_overrides./odometry/fused.publisher.depth:=20000',
-            '-p', 'qos_overrides./fix/fused.publisher.depth:=20000')
+            '-p', f'qos_overrides./odometry/fused.publisher.depth:={DEPTH}',
+            '-p', f'qos_overrides./fix/fused.publisher.depth:={DEPTH}')
 
 
 def _reserve_domain():
@@ -131,7 +148,7 @@ class Peer:
         self.node = rclpy.create_node('peer', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
-        qos = QoSProfile(depth=20000)
+        qos = QoSProfile(depth=DEPTH)
         self.imu = self.node.create_publisher(Imu, '/imu/data', qos)
         self.gnss = self.node.create_publisher(NavSatFix, '/gps/fix', qos)
         self.odometry: list[Odometry] = []
@@ -178,12 +195,10 @@ class Peer:
         raise AssertionError(f'the node does not hear {publisher.topic_name}')
 
     def send_imu(self, samples, index) -> None:
-        self.imu.publish(imu_message(samples.stamp[index], samples.specific_force[index], samples.angular_rate[index]))
+        self.imu.publish(imu_of(samples, index))
 
     def send_fix(self, fixes, index) -> None:
-        self.gnss.publish(fix_message(
-            fixes.stamp[index], fixes.latitude[index], fixes.longitude[index], fixes.height[index],
-            fixes.covariance[index], fixes.status[index], fixes.covariance_type[index]))
+        self.gnss.publish(fix_of(fixes, index))
 
     def play(self, node: NodeProcess, recording) -> None:
         """Publish the rest of `recording` to a node that is PLAYABLE, as fast as the node takes it.
@@ -202,6 +217,108 @@ class Peer:
                 self.send_imu(imu, last)
                 node.wait_for(f'header.stamp {imu.stamp[last] * 1e-9:.6f} s does not follow')
                 self.send_fix(recording.gnss, index)
+
+
+class Player:
+    """Plays all that a recording holds to a node that is PLAYABLE and `hears` it, in the order of the stamps, as fast
+    as the node takes it; with the `connect` of `peer` it begins behind the first sample.
+
+    change: called with name (imu, fix, speed, ...), index and message before that is sent. clock: whether /clock ticks
+    each millisecond of the recording's time. later: ns, by which the recording is stamped later than it is.
+    """
+
+    #: of the recording's time the node is at most so far behind, s: what is a second ahead of the samples is refused
+    STEP = 0.5
+
+    def __init__(self, peer: Peer, node: NodeProcess, recording, change=None, clock=False, later=0):
+        self._peer, self._node, self._change, self.later = peer, node, change, later
+        self.recording, self.sent = recording, dict.fromkeys(TOPICS, 0)
+        self.parts = {'imu': recording.imu, 'fix': recording.gnss, **{
+            m.name: part for m in AIDING if (part := getattr(recording, m.name)) is not None}}
+        kinds = {'speed': TwistWithCovarianceStamped, 'velocity': TwistWithCovarianceStamped,
+                 'heading': PoseWithCovarianceStamped}
+        self.publishers = {'imu': peer.imu, 'fix': peer.gnss} | {
+            name: peer.node.create_publisher(kind, TOPICS[name], QoSProfile(depth=DEPTH))
+            for name, kind in kinds.items() if name in self.parts}
+        rows = [(int(stamp), order, name, i) for order, (name, part) in enumerate(self.parts.items(), start=1)
+                for i, stamp in enumerate(part.stamp)]
+        self.begin, end = int(recording.imu.stamp[0]), int(recording.imu.stamp[-1])
+        if clock:
+            self.publishers['clock'] = peer.node.create_publisher(Clock, '/clock', 10)
+            rows += [(stamp, 0, 'clock', stamp) for stamp in range(self.begin, end, SECOND // 1000)]
+        self._rows = sorted(rows)
+        self._next, self._last = self._rows.index((self.begin, 1, 'imu', 0)) + 1, None
+
+    def connect(self, *names: str) -> None:
+        """Until the node hears the inputs `names`, and IMU and fixes."""
+        self._peer.connect(self._node, self.recording)
+        for name in names:
+            self._peer.spin_until(self.publishers[name].get_subscription_count)
+
+    @property
+    def done(self) -> bool:
+        return self._next == len(self._rows)
+
+    def skip(self, until: float) -> None:
+        """Leave out what there is before `until`, s after the first sample."""
+        while not self.done and self._rows[self._next][0] < self.begin + until * SECOND:
+            self._next += 1
+
+    def play(self, until: float = 1e9, in_step: bool = True) -> None:
+        """What has not been played of before `until`, s after the first sample. in_step: else the node is not waited
+        for."""
+        follow = None
+        while not self.done and (row := self._rows[self._next])[0] < self.begin + until * SECOND:
+            stamp, _, name, i = row
+            if in_step and (name == 'fix' or follow is not None and stamp > follow):
+                self.follow()
+                follow = stamp + round(self.STEP * SECOND)
+            self._send(name, i)
+            self._next += 1
+        if in_step:
+            self.follow()
+
+    def follow(self) -> None:
+        """Until the node has seen the last sample: it complains when that comes again."""
+        if self._last is not None:
+            self.publishers['imu'].publish(self._last)
+            self._node.wait_for(f'header.stamp {stamp_of(self._last) * 1e-9:.6f} s does not follow')
+            self._peer.spin_some(0.001)
+
+    def _send(self, name, i):
+        if name == 'clock':
+            message = Clock()
+            message.clock.sec, message.clock.nanosec = divmod(i + self.later, SECOND)
+        else:
+            message = _MESSAGES[name](self.parts[name], i)
+            _stamped(message, int(self.parts[name].stamp[i]) + self.later, name)
+            if self._change:
+                self._change(name, i, message)
+            self.sent[name] += 1
+        self.publishers[name].publish(message)
+        if name == 'imu':
+            self._last = message
+
+
+def _speed_message(speeds, i):
+    message = TwistWithCovarianceStamped()
+    message.twist.twist.linear.x = float(speeds.speed[i])
+    message.twist.covariance[0] = float(speeds.variance[i])
+    return message
+
+
+def _velocity_message(velocities, i):
+    message, (north, east, down) = TwistWithCovarianceStamped(), velocities.velocity[i].tolist()
+    message.twist.twist.linear = Vector3(x=east, y=north, z=-down)
+    message.twist.covariance[[0, 7, 14]] = velocities.covariance[i].diagonal()[[1, 0, 2]]
+    return message
+
+
+def _heading_message(headings, i):
+    message, yaw = PoseWithCovarianceStamped(), np.pi / 2 - float(headings.yaw[i])
+    message.pose.pose.orientation = Quaternion(z=float(np.sin(yaw / 2)), w=float(np.cos(yaw / 2)))
+    message.pose.covariance[35] = float(headings.variance[i])
+    return message
 
 
 class Diagnostics:
@@ -265,11 +382,29 @@ def fix_message(stamp, latitude, longitude, height, covariance, status, covarian
     return _stamped(message, stamp, 'gps')
 
 
+def imu_of(samples, index) -> Imu:
+    return imu_message(samples.stamp[index], samples.specific_force[index], samples.angular_rate[index])
+
+
+def fix_of(fixes, index) -> NavSatFix:
+    return fix_message(*(getattr(fixes, column)[index] for column in (
+        'stamp', 'latitude', 'longitude', 'height', 'covariance', 'status', 'covariance_type')))
+
+
+def stamp_of(message) -> int:
+    """ns."""
+    return message.header.stamp.sec * SECOND + message.header.stamp.nanosec
+
+
+_MESSAGES = {'imu': imu_of, 'fix': fix_of, 'speed': _speed_message, 'velocity': _velocity_message,
+             'heading': _heading_message}
+
+
 def _xyz(vector):
     return dict(zip('xyz', map(float, vector)))
 
 
 def _stamped(message, stamp, frame_id):
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(stamp), 10**9)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(stamp), SECOND)
     message.header.frame_id = frame_id
     return message

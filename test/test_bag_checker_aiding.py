@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -39,13 +40,13 @@ def altered(recording, part, **arrays):
     return replace(recording, **{part: replace(getattr(recording, part), **arrays)})
 
 
-def findings(recording, severity):
-    return [f for f in check_recording(recording) if f.topic in AIDING and f.severity == severity]
+def findings(recording, severity, values=MappingProxyType({})):
+    return [f for f in check_recording(recording, values) if f.topic in AIDING and f.severity == severity]
 
 
-def the_one(recording, severity):
+def the_one(recording, severity, values=MappingProxyType({})):
     """The one finding above information on the three."""
-    found = findings(recording, WARNING) + findings(recording, ERROR)
+    found = findings(recording, WARNING, values) + findings(recording, ERROR, values)
     assert len(found) == 1, [(f.severity, f.topic, f.message) for f in found]
     assert found[0].severity == severity
     return found[0]
@@ -72,6 +73,27 @@ def test_a_speed_that_is_wrong(sound):
     assert 'forward has to be positive' in the_one(altered(sound, 'speed', speed=-sound.speed.speed), ERROR).message
     slow = the_one(altered(sound, 'speed', speed=0.7 * sound.speed.speed), WARNING)
     assert 'wrong scale' in slow.message and slow.values['ratio'] == pytest.approx(0.7, rel=0.03)
+
+
+@pytest.mark.parametrize('factor', [3.6, -1.0, 0.01, -0.5])
+def test_a_factor_of_the_speed_is_named_until_the_params_file_has_it(sound, factor):
+    wrong = altered(sound, 'speed', speed=factor * sound.speed.speed, variance=factor**2 * sound.speed.variance)
+    found = [f for f in findings(wrong, WARNING) + findings(wrong, ERROR) if 'speed.factor' in f.message]
+    assert len(found) == 1
+    told = float(found[0].message.split('set speed.factor to ')[1])
+    assert told == pytest.approx(1.0 / factor, rel=0.05)
+    # when it is declared, nothing is left to say, nor where a constant scale error is
+    for values in ({'speed.factor': told}, {'speed.factor': told / 2.0, 'speed.scale': -0.5}):
+        left = check_recording(wrong, values)
+        assert not [f for f in left if f.topic == 'speed' and f.severity != INFO]
+
+
+def test_a_heading_that_is_turned_is_named_until_the_params_file_has_it(sound):
+    turned = altered(sound, 'heading', yaw=wrap(sound.heading.yaw + 2.0))
+    told = float(the_one(turned, ERROR).message.split('set heading.offset to ')[1])
+    assert told == pytest.approx(2.0, abs=0.03)
+    assert not [f for f in check_recording(turned, {'heading.offset': told})
+                if f.topic == 'heading' and f.severity != INFO]
 
 
 @pytest.mark.parametrize('columns, signs, text', [

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from ros_support import PLAYABLE, NodeProcess, Peer, arrivals, imu_message
+from ros_support import PLAYABLE, NodeProcess, Peer, arrivals, imu_message, stamp_of
 
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs.live import FusionFilter
@@ -24,17 +24,6 @@ def recording():
     sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
     gnss = GnssNoise(sigma=1.0, rate=2.0, outages=(OUTAGE,))
     return simulate_recording(simulate_drive(45.0, seed=3, standstill=10.0), sensors, gnss, seed=3).recording
-
-
-@pytest.fixture
-def peer():
-    peer = Peer()
-    yield peer
-    peer.close()
-
-
-def stamp_of(message) -> int:
-    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
 
 def expected_outputs(recording):

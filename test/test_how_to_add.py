@@ -20,7 +20,7 @@ def test_the_files_are_there(name):
     ('filter/memory.py', ['Head', 'MECHANIZATIONS', 'Nav']),
     ('filter/update.py', ['apply_event', 'feed_back']),
     ('filter/measurements/registry.py', ['AIDING']), ('filter/measurements/base.py', ['Measurement', 'records']),
-    ('recordings/checker.py', ['_AGAINST_FIXES']), ('filter/config.py', ['_write_head']),
+    ('recordings/aiding.py', ['_CHECKS']), ('filter/config.py', ['_write_head']),
     ('sensor_errors/models.py', ['MODELS', 'Model']), ('parameters/table.py', ['_sensor']),
     ('filter/runs/odometry.py', ['corrected']), ('navigation/planar.py', ['STATES', 'State', 'CHANNELS', 'mechanize']),
     ('navigation/strapdown.py', ['STATES', 'State', 'CHANNELS', 'mechanize', 'error_step'])])

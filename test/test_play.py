@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import ros_support
 from nav_msgs.msg import Odometry
+from rcl_interfaces.srv import GetParameters
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
@@ -23,10 +24,10 @@ SECONDS = 60
 
 @pytest.fixture(scope='module')
 def bag(tmp_path_factory):
-    """A drive at 50 Hz that begins soon."""
+    """A drive at 50 Hz that begins soon, with wheel speed."""
     path = tmp_path_factory.mktemp('play') / 'drive'
     assert tool(['simulate', '--output', str(path), '--duration', str(SECONDS), '--rate', '50', '--seed', '4',
-                 '--standstill', '8']) == 0
+                 '--standstill', '8', '--aiding']) == 0
     return path
 
 
@@ -35,9 +36,9 @@ class Playing:
 
     def __init__(self, *arguments, topics=(('/imu/data', Imu), ('/gps/fix', NavSatFix), ('/clock', Clock))):
         self._arguments = arguments
-        self._peer = ros_support.Peer()
+        self.peer = ros_support.Peer()
         self.heard: dict[str, list] = {topic: [] for topic, _ in topics}
-        self._subscriptions = [self._peer.node.create_subscription(kind, topic, self.heard[topic].append,
+        self._subscriptions = [self.peer.node.create_subscription(kind, topic, self.heard[topic].append,
                                                                    QoSProfile(depth=20000)) for topic, kind in topics]
 
     def __enter__(self):
@@ -50,15 +51,15 @@ class Playing:
         if self.process.poll() is None:
             self.process.kill()
             self.process.wait()
-        self._peer.close()
+        self.peer.close()
 
     def until(self, condition):
-        self._peer.spin_until(condition)
+        self.peer.spin_until(condition)
 
     def to_the_end(self):
         """Standard output of the player, which has ended well."""
         self.until(lambda: self.process.poll() is not None)
-        self._peer.spin_some()
+        self.peer.spin_some()
         output, error = self.process.communicate()
         assert self.process.returncode == 0 and error == ''
         return output
@@ -109,14 +110,22 @@ def test_a_topic_can_be_renamed(bag):
     assert len(playing.heard['/other']) > 400 and not playing.heard['/imu/data']
 
 
-def test_the_live_node_runs_on_a_recording_in_its_time(bag):
+def test_the_live_node_runs_on_a_recording_in_its_time_as_the_readme_has_it(bag):
     with Bag(bag) as recorded:
         last = max(time for _, times, _, _ in recorded.read(['/imu/data']) for time in times)
-    with ros_support.NodeProcess('fusion_node', '-p', 'use_sim_time:=true') as node:
+    # given the two commands of the README
+    with ros_support.NodeProcess('fusion_node', '-p', 'use_sim_time:=true', '-p', 'speed_topic:=/wheel/speed') as node:
         node.wait_until_ready()
         with Playing(bag, '--rate', 5, topics=[('/odometry/fused', Odometry)]) as playing:
-            odometry = playing.heard['/odometry/fused']
-            playing.until(lambda: odometry and stamps(odometry[-1:])[0] > last - 10**8)
+            heard, answers, odometry = ros_support.Diagnostics(playing.peer), 0, playing.heard['/odometry/fused']
+            # when services are called while it plays
+            while not odometry or stamps(odometry[-1:])[0] < last - 10**8:
+                answers += ros_support.call(playing.peer, GetParameters, '/fusion_node/get_parameters',
+                                            GetParameters.Request(names=['imu_topic'])).values[0].string_value != ''
+                playing.peer.spin_some(0.5)
+            # then they answer, and the wheel speed is used
+            assert answers > 3
+            heard.wait(lambda d: int(d.values('speed').get('used', 0)) > 100)
         node.wait_for('state: fusing')
         node.send(signal.SIGINT)
         assert node.wait() == 0

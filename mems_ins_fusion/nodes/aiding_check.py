@@ -3,38 +3,34 @@ and with the code, of the checks that a recording passes."""
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 
 import numpy as np
 
-from ..recordings.aiding import check_heading, check_speed, check_velocity
-from ..recordings.findings import INFO, Finding
+from ..filter.measurements.registry import AIDING
+from ..recordings.aiding import COMPARED, check_aiding
+from ..recordings.findings import INFO
 from ..recordings.motion import valid_fixes
-from ..samples import Fixes, Headings, Speeds, Velocities
+from ..samples import Fixes
 
 #: so many of each are kept a second, and for so long, s
 RATE, MEMORY = 10.0, 240.0
 #: it is looked at so often, s, until so many looks have found something to compare with
 PERIOD, LOOKS = 5.0, 12
-#: a speed that is never more is none, m/s
-_ZERO = 0.02
 _SECOND = 10**9  # ns
-_KINDS = {'speed': (Speeds, check_speed), 'velocity': (Velocities, check_velocity),
-          'heading': (Headings, check_heading)}
-#: what a finding's values hold where there was something to compare with
-_COMPARED = {'ratio', 'offset_rad', 'cosine', 'concentration'}
 
 
 class AidingCheck:
-    """Collects what the inputs `names` and the fixes say, and compares them now and then until LOOKS are through.
+    """Collects what the inputs with a topic in `values` (checked parameters) and the fixes say, and compares them now
+    and then until LOOKS are through.
 
     found: by name, the finding of the newest look that is worth a word, as (level, text).
     """
 
-    def __init__(self, names: Sequence[str], values: dict):
-        self._rows: dict[str, deque] = {name: deque(maxlen=round(RATE * MEMORY)) for name in names}
+    def __init__(self, values: dict):
+        self._measurements = {measurement.name: measurement for measurement in AIDING if values.get(measurement.topic)}
+        self._rows: dict[str, deque] = {name: deque(maxlen=round(RATE * MEMORY)) for name in self._measurements}
         self._fixes: deque[tuple] = deque(maxlen=round(RATE * MEMORY))
-        self._looks = dict.fromkeys(names, LOOKS)
+        self._looks = dict.fromkeys(self._measurements, LOOKS)
         self._values, self._due = values, 0
         self.found: dict[str, tuple[str, str]] = {}
 
@@ -70,33 +66,15 @@ class AidingCheck:
         return said
 
     def _judge(self, name) -> tuple[bool, tuple[str, str] | None]:
-        kind, check = _KINDS[name]
-        columns = [np.array(column) for column in zip(*self._rows[name])]
-        stamp = columns[0].astype(np.int64)
-        factor = self._values['speed.factor'] if name == 'speed' else 1.0
-        samples = kind(stamp, stamp, factor * columns[1], factor**2 * columns[2])
-        if name == 'heading':
-            samples = Headings(stamp, stamp, columns[1] - self._values['heading.offset'], columns[2])
-        fixes = self._received()
-        findings = list(check(samples, fixes.select(valid_fixes(fixes))))
-        compared = any(finding.values.keys() & _COMPARED for finding in findings)
-        worth = [f for f in findings if f.severity != INFO and 'count' not in f.values and 'chords' not in f.values]
-        if not worth or not compared:
-            return compared, None
-        return True, (worth[0].severity, worth[0].message + self._advice(name, worth, factor * columns[1]))
-
-    def _advice(self, name: str, findings: list[Finding], value) -> str:
-        """The parameter to set."""
-        ratio = next((f.values['ratio'] for f in findings if 'ratio' in f.values), 1.0)
-        if name == 'speed' and np.abs(value).max() < _ZERO:
-            return ': it stays at zero while the vehicle drives; leave speed_topic empty until its sensor works'
-        if name == 'speed' and any({'ratio', 'negative'} & f.values.keys() for f in findings):
-            sign = -1.0 if any('negative' in f.values for f in findings) else 1.0
-            return f": set speed.factor to {sign * self._values['speed.factor'] / ratio:.5g}"
-        offset = findings[0].values.get('offset_rad')
-        if name == 'heading' and offset is not None:
-            return f": set heading.offset to {self._values['heading.offset'] + offset:.4f}"
-        return ''
+        measurement = self._measurements[name]
+        stamp, *columns = (np.array(column) for column in zip(*self._rows[name]))
+        stamp, fixes = stamp.astype(np.int64), self._received()
+        findings = check_aiding(measurement, measurement.samples(stamp, stamp, *columns),
+                                fixes.select(valid_fixes(fixes)), measurement.settings(self._values))
+        if not any(COMPARED & finding.values.keys() for finding in findings):
+            return False, None
+        worth = [f for f in findings if f.severity != INFO and 'count' not in f.values]
+        return True, (worth[0].severity, worth[0].message) if worth else None
 
     def _received(self) -> Fixes:
         rows = list(self._fixes)

@@ -27,8 +27,8 @@ STALLED = 0.3
 AT_ONCE = 0.05
 #: where no sample has come for so long, those before such a measurement will not, s
 HOLD = 2.0
-#: what a queue holds of a sensor of up to 100 Hz while the machine is busy, messages
-_DEPTH = 200
+#: messages that a queue holds while the machine is busy: 2.5 s of an IMU of 400 Hz, 10 s of a wheel speed of 100 Hz
+_DEPTH = 1000
 
 
 def stamp_of(message) -> int:
@@ -120,15 +120,14 @@ class Input:
     """A topic that the node listens to, by its `name` in the words of the filter (imu, fix, speed, ...).
 
     Of several types that it may carry it is subscribed once a publisher shows which. queue: of the node. on_message:
-    called with a message and rclpy's information on it. depth: of its own queue. patience: s without a message that are
-    no silence yet.
+    called with a message and rclpy's information on it. patience: s without a message that are no silence yet.
     """
 
     def __init__(self, node: Node, queue: Queue, name: str, topic: str, kinds: tuple, on_message: Callable,
-                 depth: int = _DEPTH, patience: float = 3.0):
+                 patience: float = 3.0):
         self.name, self.topic_name = name, node.resolve_topic_name(topic)
         self.traffic = Traffic(patience, lambda: node.get_clock().now().nanoseconds)
-        self._node, self._queue, self._topic, self.on_message, self._depth = node, queue, topic, on_message, depth
+        self._node, self._queue, self._topic, self.on_message = node, queue, topic, on_message
         self._kinds = {_name(kind): kind for kind in kinds}
         self._subscription = None
         queue.inputs.append(self)
@@ -140,6 +139,11 @@ class Input:
     def kind(self) -> str:
         """The types that it may carry, in words."""
         return ' or '.join(self._kinds)
+
+    @property
+    def is_subscribed(self) -> bool:
+        """Whether its type is known."""
+        return self._subscription is not None
 
     def look(self) -> None:
         """Subscribe where there is a publisher by now."""
@@ -153,7 +157,7 @@ class Input:
         # best effort also hears reliable drivers; a reliable subscription would not hear best-effort ones
         self._subscription = self._node.create_subscription(
             kind, self._topic, self._on_first,
-            QoSProfile(depth=self._depth, reliability=ReliabilityPolicy.BEST_EFFORT),
+            QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT),
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
 

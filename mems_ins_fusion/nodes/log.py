@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 #: numbers, whatever their form: two lines that differ only there say the same
 _NUMBERS = re.compile(r'\b(nan|inf)\b|[-+]?\d[\d.]*(e[-+]?\d+)?', re.IGNORECASE)
-
-
-#: a line that keeps on coming is let through ever more seldom, down to once in so long, s
+#: a line that comes again is held back for so long at first: who looks at the log now and then sees it, s
+FIRST_HOLD = 5.0
+#: one that keeps on coming is let through ever more seldom, down to once in so long, s
 LONGEST_HOLD = 80.0
 
 
@@ -37,6 +37,29 @@ class Throttle:
         again = now - last < hold + LONGEST_HOLD
         self._last[key] = (now, min(2.0 * hold, LONGEST_HOLD) if again else self._period, 0)
         return f'{text} ({held_back} more like this before)' if held_back else text
+
+
+class Log:
+    """The log of a node. `logger` is rclpy's."""
+
+    def __init__(self, logger):
+        self._logger, self._throttle = logger, Throttle(FIRST_HOLD)
+
+    def say(self, level: str, line: str) -> None:
+        """A line that may come often (debug, info, warning or error); what is held back is for who debugs."""
+        text = self._throttle.pass_on(line)
+        self.tell('debug' if text is None else level, text or line)
+
+    def tell(self, level: str, line: str) -> None:
+        """A line that comes seldom. rclpy wants a line of source of its own for each severity."""
+        if level == 'debug':
+            self._logger.debug(line)
+        elif level == 'info':
+            self._logger.info(line)
+        elif level == 'warning':
+            self._logger.warning(line)
+        else:
+            self._logger.error(line)
 
 
 class Watch:

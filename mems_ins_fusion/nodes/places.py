@@ -12,6 +12,11 @@ from ..navigation.earth import from_local, to_local
 from ..navigation.frames import yaw_from_enu, yaw_of_quaternion
 
 
+def world_frame(values: dict) -> str:
+    """The frame east-north-up at the datum, by the node's parameters `values`."""
+    return values['map_frame_id' if values['frames'] == 'map_odom' else 'frame_id']
+
+
 def start_from_parameters(values: dict) -> tuple:
     """Arguments of the filter's `set_start` of the parameters start_pose and start_pose_sigma."""
     latitude, longitude, height, yaw = values['start_pose']

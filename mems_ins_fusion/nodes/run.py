@@ -137,8 +137,8 @@ def _check_log_folder() -> None:
         if not os.access(folder, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     except OSError as error:
-        raise ParameterError(f'ROS cannot write its log to {folder}: {error.strerror}; set ROS_LOG_DIR to a folder that '
-                             'can be written') from None
+        raise ParameterError(f'ROS cannot write its log to {folder}: {error.strerror}; set ROS_LOG_DIR to a folder '
+                             'that can be written') from None
 
 
 def _explain(error, argv) -> str:

@@ -5,10 +5,11 @@ Each is averaged over chords between fixes that are long enough to have a direct
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mems_ins_fusion.filter.measurements.base import Measurement, SensorSettings
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.recordings.findings import ERROR, INFO, WARNING, Finding, count_of
 from mems_ins_fusion.recordings.motion import positions, robust_sigma, sigmas
@@ -22,6 +23,7 @@ _SLOWEST = 1.0  # m/s, of a vehicle whose course means something
 _FEWEST = 12  # chords for a verdict
 _OVERSURE = 3.0  # times the stated sigma
 _ALIGNED = 0.9  # cosine
+_ZERO = 0.02  # m/s: a speed that is never more is none
 _CURVE = 0.03  # rad: by which courses of chords differ from headings in bends, whatever the receiver
 #: what a horizontal velocity north-east turns into where the message is not east-north-up
 _MISTAKES = {
@@ -54,6 +56,37 @@ class _Chords:
 
     def select(self, index) -> _Chords:
         return _Chords(self.begin[index], self.end[index], self.velocity[index], self.climb[index], self.sigma[index])
+
+
+def check_aiding(measurement: Measurement, samples, fixes: Fixes | None, settings: SensorSettings) -> list[Finding]:
+    """What `samples`, as the messages have them, say against the fixes once the `settings` are applied to them.
+
+    The first finding that a parameter would remove names it with its value. fixes: valid ones in the order of their
+    stamps, or None. Empty for a measurement that nothing here compares with fixes.
+    """
+    if measurement.name not in _CHECKS:
+        return []
+    declared = measurement.declared(settings, samples)
+    findings = list(_CHECKS[measurement.name](declared, fixes))
+    advice = _advice(measurement.name, findings, declared, settings)
+    for k, finding in enumerate(findings):
+        if advice and finding.severity != INFO and COMPARED & finding.values.keys():
+            findings[k] = replace(finding, message=f'{finding.message}: {advice}')
+            break
+    return findings
+
+
+def _advice(name: str, findings: list[Finding], declared, settings: SensorSettings) -> str:
+    """The parameter to set; '' where none helps."""
+    shown = {key: value for finding in findings for key, value in finding.values.items()}
+    if name == 'speed' and 'ratio' in shown:
+        if not shown['ratio'] or np.nanmax(np.abs(declared.speed)) < _ZERO:
+            return 'it stays at zero while the vehicle drives; leave speed_topic empty until its sensor works'
+        sign = -1.0 if 'negative' in shown else 1.0
+        return f"set speed.factor to {sign * settings.factor / shown['ratio']:.5g}"
+    if name == 'heading' and 'offset_rad' in shown:
+        return f"set heading.offset to {float(wrap(settings.offset + shown['offset_rad'])):.4f}"
+    return ''
 
 
 def check_speed(speeds: Speeds, fixes: Fixes | None) -> Iterator[Finding]:
@@ -141,6 +174,11 @@ def check_heading(headings: Headings, fixes: Fixes | None) -> Iterator[Finding]:
     else:
         yield Finding(INFO, 'heading', text, values)
     yield from _check_sigma('heading', 'rad', residual, noise, headings.variance)
+
+
+_CHECKS = {'speed': check_speed, 'velocity': check_velocity, 'heading': check_heading}
+#: what the values of a finding hold where there were fixes to compare with
+COMPARED = {'ratio', 'negative', 'cosine', 'offset_rad', 'concentration'}
 
 
 def _check_present(topic, samples, value, variance):

@@ -13,7 +13,8 @@ import numpy as np
 from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.filter.runs.usable import LARGEST_IN_ANY_UNIT, usable
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY, gravity
-from mems_ins_fusion.recordings.aiding import check_heading, check_speed, check_velocity
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.recordings.aiding import check_aiding
 from mems_ins_fusion.recordings.findings import ERROR, INFO, WARNING, Finding, count_of
 from mems_ins_fusion.recordings.motion import (
     compare_steering,
@@ -32,7 +33,6 @@ HARDEST = 12.0  # m/s^2: its strongest acceleration
 GAP = 2.5  # in intervals
 _AXES = np.array(['x', 'y', 'z'])
 _UNITS = {'g': 1.0 / STANDARD_GRAVITY, 'mg': 1000.0 / STANDARD_GRAVITY}  # per m/s^2
-_AGAINST_FIXES = {'speed': check_speed, 'velocity': check_velocity, 'heading': check_heading}
 _DEGREES_PER_RADIAN = 180.0 / np.pi
 _STRAIGHT = np.cos(np.radians(20.0))  # an axis within 20 degrees of the vertical is said to point up
 
@@ -40,8 +40,8 @@ _STRAIGHT = np.cos(np.radians(20.0))  # an axis within 20 degrees of the vertica
 def check_recording(recording: Recording, values: Mapping = MappingProxyType({})) -> list[Finding]:
     """The findings on `recording`: for each stream, then for both together. Nothing is changed.
 
-    values: parameters, where there are some: what they say already is not said again. What a recording shows of the
-    mounting, the clocks and the antenna, `configuration.check` compares with them.
+    values: parameters, where there are some: what they say already, such as a factor of the speed, is not said again.
+    What a recording shows of the mounting, the clocks and the antenna, `configuration.check` compares with them.
     """
     imu, fixes, seen = recording.imu, recording.gnss, usable(recording)
     findings = [*_check_stamps('imu', imu), *_check_values(imu)]
@@ -53,10 +53,10 @@ def check_recording(recording: Recording, values: Mapping = MappingProxyType({})
     if recording.temperature is not None:
         findings += _check_stamps('temperature', recording.temperature)
     streams = recording.streams()
-    for name in (measurement.name for measurement in AIDING if measurement.name in streams):
-        findings += _check_stamps(name, streams[name])
-        if name in _AGAINST_FIXES:
-            findings += _AGAINST_FIXES[name](streams[name], good)
+    for measurement in (measurement for measurement in AIDING if measurement.name in streams):
+        samples = streams[measurement.name]
+        findings += _check_stamps(measurement.name, samples)
+        findings += check_aiding(measurement, samples, good, measurement.settings({**table.defaults(), **values}))
     imu = seen.imu
     if len(imu) < 2:
         return findings

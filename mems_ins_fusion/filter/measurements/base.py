@@ -82,6 +82,10 @@ class Measurement:
         """Optional states that it needs, and the standard deviation that each starts with; 0: it is left out."""
         return {}
 
+    def declared(self, settings: SensorSettings, samples):
+        """`samples` in SI units and of base_link, as the `settings` make them of what the messages say."""
+        return samples
+
     def records(self, settings: SensorSettings, samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Records (n, Event.SIZE) of `samples`, why each cannot be used ('' where it can), and warnings."""
         raise NotImplementedError

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -57,11 +58,15 @@ class Heading(Measurement):
             Parameter('heading.offset', 0.0, 'rad', 'Of the heading measured to that of base_link, clockwise; '
                       'subtracted.', minimum=-2 * math.pi, maximum=2 * math.pi))
 
+    def declared(self, settings, headings):
+        return replace(headings, yaw=headings.yaw - settings.offset)
+
     def records(self, settings, headings):
+        headings = self.declared(settings, headings)
         n = len(headings)
         r, reasons = empty(Kind.HEADING, n), np.full(n, '', dtype=object)
         refuse(reasons, ~(np.abs(headings.yaw) < 100.0), lambda i: f'heading {headings.yaw[i]:g} rad: dropped')
-        r[:, Event.VALUE] = headings.yaw - settings.offset
+        r[:, Event.VALUE] = headings.yaw
         r[:, Event.R_NN] = stated_or(headings.variance, settings, SMALLEST_SIGMA)
         return r, reasons, np.full(n, '', dtype=object)
 

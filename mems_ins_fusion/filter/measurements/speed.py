@@ -1,6 +1,8 @@
 """Speed over ground along the vehicle, from its wheels: at the axle whose wheels are counted, with a scale error."""
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from mems_ins_fusion.compiled import njit
@@ -60,12 +62,17 @@ class Speed(Measurement):
         # in a bend the wheels' speed is not the IMU's
         return {'speed_scale': values['speed.scale_sigma'], 'axle_y': values['vehicle.rear_axle_sigma']}
 
+    def declared(self, settings, speeds):
+        return replace(speeds, speed=settings.factor * speeds.speed / (1.0 + settings.offset),
+                       variance=settings.factor**2 * speeds.variance)
+
     def records(self, settings, speeds):
-        n, speed = len(speeds), settings.factor * speeds.speed
+        speeds = self.declared(settings, speeds)
+        n, speed = len(speeds), speeds.speed
         r, reasons = empty(Kind.SPEED, n), np.full(n, '', dtype=object)
         refuse(reasons, ~(np.abs(speed) < FASTEST), lambda i: f'speed {speed[i]:g} m/s: dropped')
-        r[:, Event.VALUE] = speed / (1.0 + settings.offset)
-        r[:, Event.R_NN] = stated_or(settings.factor**2 * speeds.variance, settings, SMALLEST_SIGMA)
+        r[:, Event.VALUE] = speed
+        r[:, Event.R_NN] = stated_or(speeds.variance, settings, SMALLEST_SIGMA)
         return r, reasons, np.full(n, '', dtype=object)
 
     def off(self, measured, innovation):

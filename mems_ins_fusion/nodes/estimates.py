@@ -1,0 +1,116 @@
+"""The filter's newest estimate on its topics: in the frames, axes and dimensions, and at the rate, asked for."""
+from __future__ import annotations
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import NavSatFix
+
+from ..filter.runs.live import FusionFilter
+from .log import Log
+from .output import MapOutput, Output, Prediction, SmoothFrame, VehicleAxes, flatten
+
+_SECOND = 10**9  # ns
+#: so many messages are kept for a listener that is slow: an odometry that is older than ten samples helps nobody
+_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+#: of /tf, as tf2's broadcasters have it
+_TF_QOS = QoSProfile(depth=100)
+#: events: the executor would ask after each of them at each sample; the other side reports them, too
+NO_EVENTS = {'event_callbacks': PublisherEventCallbacks(use_default_callbacks=False)}
+
+
+class Estimates:
+    """Publishes what `fusion` estimates, as `values` (checked parameters of the node) ask for it."""
+
+    def __init__(self, node: Node, fusion: FusionFilter, values: dict, log: Log):
+        self._node, self._fusion, self._values, self._log = node, fusion, values, log
+        self._newest: int | None = None  # stamp of the newest estimate, ns
+        self._last_slot, self._timer = None, None
+        self._vehicle = VehicleAxes(fusion) if values['vehicle_axes'] else None
+        self._flat = values['two_d']
+        self._smooth = SmoothFrame(fusion) if values['frames'] == 'map_odom' else None
+        estimate = self._smooth or fusion
+        self._prediction = Prediction(estimate) if values['predict_to_now'] else None
+        self._publish(Output(self._prediction or estimate, values['frame_id'], values['child_frame_id']))
+        self.set_rate(values['odometry_rate'])
+
+    def _publish(self, output: Output) -> None:
+        node, values = self._node, self._values
+        options = {'qos_overriding_options': QoSOverridingOptions.with_default_policies(), **NO_EVENTS}
+        odometry = node.create_publisher(Odometry, values['odometry_topic'], _QOS, **options)
+        fix = node.create_publisher(NavSatFix, values['fix_topic'], _QOS, **options)
+        self.topic_name = odometry.topic_name
+        self._fill = [output.fill]
+        self._send = [(odometry.publish, output.odometry), (fix.publish, output.fix)]
+        transforms = [output.add_transform()] if values['publish_tf'] else []
+        if self._smooth:
+            in_map = MapOutput(self._fusion, self._smooth, values['map_frame_id'], values['frame_id'])
+            publisher = node.create_publisher(PoseWithCovarianceStamped, values['pose_topic'], _QOS, **options)
+            self._fill.append(in_map.fill)
+            self._send.append((publisher.publish, in_map.pose))
+            transforms += [in_map.transform()] if values['publish_tf'] else []
+        if transforms:
+            publisher = node.create_publisher(type(transforms[0]), '/tf', _TF_QOS)
+            self._send += [(publisher.publish, transform) for transform in transforms]
+
+    def set_rate(self, rate: float) -> None:
+        """Messages at `rate`, Hz, from now on; 0: one for each sample."""
+        self._period = round(_SECOND / rate) if rate else 0
+        if self._prediction:
+            if self._timer is not None:
+                self._node.destroy_timer(self._timer)
+            self._timer = self._node.create_timer(1.0 / rate, self._send_prediction)
+
+    def on_sample(self, now: int) -> None:
+        """The filter has an estimate from a sample with the stamp `now`, ns."""
+        if self._smooth or self._prediction:
+            self._newest = self._update()
+            if self._smooth:
+                self._smooth.advance(self._newest)
+                if not self._fusion.aligned:  # by as much as a heading that nobody knows is wrong nothing has drifted
+                    self._smooth.settle()
+            if self._prediction:  # published by the clock
+                return
+        if self._period:
+            # one message in each slot of a period, however the stamps jitter
+            slot = now // self._period
+            if slot == self._last_slot:
+                return
+            self._last_slot = slot
+        self._send_all(self._newest or self._update())
+
+    def stop(self) -> None:
+        """There is no estimate any more."""
+        self._newest = None
+
+    def _update(self) -> int:
+        """The newest estimate in the filter's arrays, in the axes and with the dimensions asked for; its stamp, ns."""
+        stamp = self._fusion.update_odometry()
+        if self._vehicle:
+            self._vehicle.turn()
+        if self._flat:
+            flatten(self._fusion.odometry)
+        return stamp
+
+    def _send_all(self, stamp: int) -> None:
+        for fill in self._fill:
+            fill(stamp)
+        for publish, output in self._send:
+            publish(output)
+
+    def _send_prediction(self) -> None:
+        """The newest estimate, predicted to now: by the clock, whenever samples come."""
+        if self._newest is None:
+            return
+        now = self._node.get_clock().now().nanoseconds
+        ahead = (now - self._newest) * 1e-9
+        if not 0.0 <= ahead <= self._values['imu.max_gap']:
+            topic = self._node.resolve_topic_name(self._values['imu_topic'])
+            self._log.say('warning', f'{topic}: the newest sample is stamped {ahead:.3f} s before now, not 0 to '
+                                     f"{self._values['imu.max_gap']:g} s (imu.max_gap): nothing is published")
+            return
+        self._prediction.advance(ahead)
+        self._send_all(now)

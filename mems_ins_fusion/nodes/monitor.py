@@ -1,0 +1,149 @@
+"""What the node says once a second, by the clock, of filter and inputs: in the log and on /diagnostics."""
+from __future__ import annotations
+
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
+
+from ..filter.runs.live import FusionFilter
+from ..filter.runs.tally import Tally
+from .aiding_check import AidingCheck
+from .estimates import NO_EVENTS
+from .inputs import Input
+from .log import Log, StateLog
+from .mounting_check import MountingCheck
+from .preflight import Preflight
+from .status import BEFORE_START, ERROR, SILENT, WARN, InputStatus, array, by_the_clock, filter_status, level_of
+from .verdicts import Verdicts
+
+#: how often, s
+PERIOD = 1.0
+#: messages that are later than others by more show that the machine is busy, s
+_LONG_WAIT = 0.1
+#: the logger's level by that of a status
+_LOG_LEVELS = {b'\x00': 'info', b'\x01': 'warning', b'\x02': 'error'}
+
+
+class Monitor:
+    """Looks at `fusion` and `inputs` (the IMU and the fixes first). values: checked parameters of the node.
+
+    mounting, aiding: the checks that are fed with what comes in.
+    """
+
+    def __init__(self, node: Node, fusion: FusionFilter, inputs: list[Input], verdicts: Verdicts, values: dict,
+                 log: Log):
+        self._node, self._fusion, self._inputs, self._verdicts, self._log = node, fusion, inputs, verdicts, log
+        self._imu = inputs[0]
+        self.mounting, self.aiding = MountingCheck(values), AidingCheck(values)
+        self._statuses = [InputStatus(told) for told in inputs]
+        self._preflight = Preflight(inputs, values)
+        self._state_log = StateLog()
+        self._cannot_start: int | None = None  # since which sample, ns
+        self._looked, self._stalled = time.monotonic(), 0.0
+        self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10, **NO_EVENTS)
+
+    def look(self) -> None:
+        """Once in PERIOD."""
+        now = time.monotonic()
+        self._stalled, self._looked = now - self._looked - PERIOD, now
+        for told in self._inputs:
+            told.look()
+        for status in self._statuses:
+            status.look(self._tally(status.input))
+            self._say_lost(status)
+        self._look_at_mounting()
+        for name, level, text in self.aiding.look():
+            topic = next(told.topic_name for told in self._inputs if told.name == name)
+            self._log.tell(level, f'{topic}: {text}')
+        self._say_silent()
+        self._diagnose()
+        found = self._preflight.look(self.mounting.force())
+        if found:
+            self._log.tell(*found)
+
+    def _tally(self, told: Input) -> Tally:
+        return self._fusion.tallies.get(told.name) or Tally()
+
+    def _say_lost(self, status: InputStatus) -> None:
+        if status.lost:
+            waited = max(status.waited, self._stalled)
+            why = (f'others came up to {waited:.1f} s late: the machine is busy' if waited > _LONG_WAIT
+                   else 'on their way: the network or the publisher is busy')
+            self._log.say('warning', f'{status.input.topic_name}: {status.lost} messages lost in the last second, '
+                                     f'{why}')
+
+    def _look_at_mounting(self) -> None:
+        found = self.mounting.look()
+        if found:
+            level, text = found
+            self._log.tell(level, f'{self._imu.topic_name}: {text}')
+            if self.mounting.is_certainly_wrong:
+                self._fusion.reset()
+                self._log.tell(level, f'{self._imu.topic_name}: nothing is published with a mounting that is certainly '
+                                      'wrong')
+
+    def _say_silent(self) -> None:
+        for told in self._inputs:
+            found = told.traffic.check()
+            if found is None:
+                continue
+            silent, seconds = found
+            if silent:
+                self._log.tell('warning', f'no message on {told.topic_name} ({told.kind}) for {seconds:.0f} s: '
+                                          f'{told.why_silent()}')
+            else:
+                self._log.tell('info', f'messages on {told.topic_name} again after {seconds:.0f} s')
+
+    def _diagnose(self) -> None:
+        """State, reasons and numbers, for the log and /diagnostics."""
+        state, reasons, health = self._judge()
+        level = level_of(state, self._cannot_start_for())
+        since, said = self._state_log.look(state, '; '.join(reasons) or health['status'], level)
+        if said:
+            self._log.tell(_LOG_LEVELS[level], said)
+        for told in self._inputs:
+            if told.name in self.aiding.found:
+                reasons, level = [*reasons, f'{told.topic_name}: {self.aiding.found[told.name][1]}'], max(level, WARN)
+        if self.mounting.is_wrong:
+            certain = self.mounting.is_certainly_wrong
+            reasons, level = [*reasons, self.mounting.found], max(level, ERROR if certain else WARN)
+        if self._verdicts.mean_nis is not None:
+            health['mean NIS'] = self._verdicts.mean_nis
+        health['mounting'] = self.mounting.found
+        for told in self._inputs:
+            health[f'messages on {told.topic_name}, Hz'] = told.traffic.hertz
+        name = self._node.get_name()
+        statuses = [filter_status(name, state, level, since, reasons, health),
+                    *(self._input_status(name, status, health) for status in self._statuses)]
+        self._diagnostics.publish(array(self._node.get_clock().now().nanoseconds, statuses))
+
+    def _judge(self) -> tuple[str, list[str], dict]:
+        """State, reasons and numbers of the filter, by the clock."""
+        state, health, reasons = self._fusion.state, self._fusion.health(), self._fusion.reasons
+        imu = self._imu.traffic
+        if imu.is_stale and imu.count:
+            return (SILENT, [f'no sample on {self._imu.topic_name} for {imu.silence:.0f} s, nothing is published'],
+                    by_the_clock(health, imu.silence))
+        if state in BEFORE_START:
+            reasons = [health['status']]
+        elif state == 'coasting':
+            reasons = [f"no fix used for {health['age of the last fix used, s']:.0f} s", *reasons]
+        return state, reasons, health
+
+    def _input_status(self, name: str, status: InputStatus, health: dict) -> DiagnosticStatus:
+        told, more = status.input, {}
+        if told.name == 'imu':
+            more = {'gaps': self._fusion.gaps}
+        elif told.name == 'fix':
+            more = {key: health[key] for key in ('age of the last fix used, s',) if key in health}
+        return status.status(name, self._tally(told), self.aiding.found.get(told.name), more)
+
+    def _cannot_start_for(self) -> float:
+        """For how long, by the samples' stamps, the filter has waited for what will not come by itself, s."""
+        now = self._imu.traffic.stamp
+        if not self._fusion.contradicted:
+            self._cannot_start = None
+        elif self._cannot_start is None or now < self._cannot_start:  # the clock was set back
+            self._cannot_start = now
+        return 0.0 if self._cannot_start is None else (now - self._cannot_start) * 1e-9
