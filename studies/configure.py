@@ -29,7 +29,6 @@ from scipy.spatial.transform import Rotation
 from mems_ins_fusion.configuration.configure import configured, look
 from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting, rpy
 from mems_ins_fusion.configuration.topics import Candidate, Topics
-from mems_ins_fusion.configuration.units import find_units
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.problem import DiagnosisError
 from mems_ins_fusion.effects.registry import EFFECTS
@@ -37,7 +36,8 @@ from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.navigation.frames import rotation_from_rpy, wrap
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.reading import read_recording
-from mems_ins_fusion.recordings.units import in_si
+from mems_ins_fusion.recordings.units import find_units, in_si
+from mems_ins_fusion.reports.configuration import doubts
 from mems_ins_fusion.samples import Recording
 from mems_ins_fusion.simulation import drive
 from mems_ins_fusion.simulation.drive import MARGIN, _random_hills, _sample, stream
@@ -193,7 +193,7 @@ def one_case(task) -> list[dict]:
     shown = offset is not None and offset.shown
     rows = [row(of, number, 'configure', found.values, offset.lag if shown else 0.0,
                 offset.lag_sigma if shown else np.inf, sigmas=np.degrees(found.mounting.sigma),
-                ready=not found.missing and not found.wrong,
+                ready=not doubts(found),
                 arm=offset.arm - of.arm if shown else np.full(3, np.nan),
                 arm_sigma=offset.arm_sigma if shown else np.full(3, np.nan))]
     by_hand = table.check({'imu.mounting_rpy': np.radians(np.round(np.degrees(rpy(of.rotation)))).tolist()})

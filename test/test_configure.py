@@ -15,16 +15,15 @@ from mems_ins_fusion.configuration.check import check, check_setup, mounting_fin
 from mems_ins_fusion.configuration.configure import configure
 from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting, rpy
 from mems_ins_fusion.configuration.offset import estimate_offset
-from mems_ins_fusion.configuration.units import find_units
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.parameters.params_file import load_yaml
-from mems_ins_fusion.recordings.checker import ERROR
+from mems_ins_fusion.recordings.checker import ERROR, check_recording
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.reading import read_recording
-from mems_ins_fusion.recordings.units import in_si
+from mems_ins_fusion.recordings.units import find_units, in_si
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.simulation.drive import MARGIN, Path, _sample
 from mems_ins_fusion.simulation.manoeuvres import Segment
@@ -251,7 +250,7 @@ def test_accelerometers_without_gravity_are_told_and_still_show_the_mounting():
 
 def test_gyroscopes_that_are_mirrored_are_no_mounting():
     made = altered(recording(sigma=0.02), rate=-1.0)
-    assert any('mirrored' in doubt for doubt in find_units(made.imu, made.gnss, STANDARD_GRAVITY).doubts)
+    assert [finding.severity for finding in check_recording(made) if 'mirrored' in finding.message] == [ERROR]
 
 
 @pytest.fixture(scope='module')
