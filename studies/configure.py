@@ -118,6 +118,7 @@ KINDS = ('car', 'car, RTK', 'car, smoothing', 'rover', 'phone')
 #: receivers of the rovers
 ROVER_FIXES = GnssNoise(0.02, 5.0), GnssNoise(0.3, 1.0)
 LARGEST_OFFSET, FELT_OFFSET, FELT_ANGLE = 1.0, 0.1, 3.0  # s, s, deg
+UPRIGHT = 6.0  # deg, about each axis: a box that somebody has put in a car
 
 
 @dataclass(frozen=True)
@@ -131,11 +132,13 @@ class Case:
     arm: np.ndarray
 
 
-def case(number: int) -> Case:
+def case(number: int, upright: bool = False) -> Case:
+    """upright: the IMU sits about as its axes say, off by some degrees; else anyhow."""
     kind, draw = KINDS[number % len(KINDS)], stream(number, 'estimator')
     offset = float(draw.uniform(-LARGEST_OFFSET, LARGEST_OFFSET))
     arm = np.array([draw.uniform(-1.5, 1.5), draw.uniform(-0.5, 0.5), draw.uniform(0.2, 1.5)])
-    rotation = Rotation.random(random_state=number).as_matrix()
+    rotation = (Rotation.from_euler('xyz', stream(number, 'upright').uniform(-UPRIGHT, UPRIGHT, 3), degrees=True)
+                if upright else Rotation.random(random_state=number)).as_matrix()
     sensors = SensorErrors.from_parameters(table.check({} if kind == 'phone' else REALISTIC.imu), 'gauss_markov')
     vibration = REALISTIC.distortions(number)['vibration']
     receiver = {'car': GnssNoise(1.5, 1.0), 'car, RTK': GnssNoise(0.02, 5.0),

@@ -29,6 +29,7 @@ from mems_ins_fusion.recordings.units import RATE, Units, find_units, in_si
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
 _SIGNIFICANT = 2.0  # sigmas: a smaller value is not set
+_AT_ZERO = f': less than {_SIGNIFICANT:g} sigma, left at zero'
 _TOO_SURE = 2.0  # times its stated sigma: a receiver that is not believed
 _OUTLIERS = 0.002  # part of the fixes
 _ROBUST = 3.0  # gnss.robust_sigma where there are outliers
@@ -263,7 +264,7 @@ def _offset_settings(found: Mounting):
             seen += f'; {" or ".join(f"{rival:g}" for rival in offset.rivals)} s would fit nearly as well'
         sure = _is_sure(offset.lag, offset.lag_sigma)
         yield Setting('gnss.time_offset', round(offset.lag, 3) if sure else 0.0,
-                      (seen if sure else f'{seen}: less than {_SIGNIFICANT:g} sigma, left at zero',))
+                      (seen if sure else f'{seen}{_AT_ZERO}',))
     if offset is None:
         yield Setting('gnss.lever_arm', [0.0, 0.0, 0.0], ('not shown; measure it with a tape',))
         return
@@ -317,8 +318,10 @@ def _noise_settings(drives, mounting):
         yield Setting('gyroscope.bias', _significant(best.bias), (
             f'mean over {best.seconds:.0f} s at rest, sigma {sigma} rad/s; the next start has another one',))
     if mounting is not None and mounting.spans is not None:
-        yield Setting('accelerometer.bias', _significant(mounting.bias, 2), (
-            f'what gravity leaves beside the up axis; sigma {mounting.bias_sigma:.2g} m/s^2',))
+        sure = _is_sure(float(np.linalg.norm(mounting.bias)), mounting.bias_sigma)
+        yield Setting('accelerometer.bias', _significant(mounting.bias, 2) if sure else [0.0], (
+            f'what gravity leaves beside the up axis: {np.linalg.norm(mounting.bias):.2g} +- {mounting.bias_sigma:.2g} '
+            f'm/s^2{"" if sure else _AT_ZERO}',))
 
 
 def _vehicle_settings(drives, mounting):
