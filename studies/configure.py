@@ -132,8 +132,8 @@ class Case:
     arm: np.ndarray
 
 
-def case(number: int, upright: bool = False) -> Case:
-    """upright: the IMU sits about as its axes say, off by some degrees; else anyhow."""
+def case(number: int, upright: bool = False, duration: float = 600.0) -> Case:
+    """upright: the IMU sits about as its axes say, off by some degrees; else anyhow. duration: s, at most."""
     kind, draw = KINDS[number % len(KINDS)], stream(number, 'estimator')
     offset = float(draw.uniform(-LARGEST_OFFSET, LARGEST_OFFSET))
     arm = np.array([draw.uniform(-1.5, 1.5), draw.uniform(-0.5, 0.5), draw.uniform(0.2, 1.5)])
@@ -147,9 +147,10 @@ def case(number: int, upright: bool = False) -> Case:
                 'rover': ROVER_FIXES[number // len(KINDS) % 2],
                 'phone': GnssNoise(2.0, 1.0, coloured_sigma=2.0)}[kind]
     if kind == 'rover':
-        motion, vibration, arm = rover(number), None, 0.3 * arm
+        motion, vibration, arm = rover(number, min(duration, 400.0)), None, 0.3 * arm
     else:
-        motion = replace(REALISTIC, mounting_error=0.0).drive(400.0 if kind == 'car, RTK' else 600.0, number)
+        seconds = min(duration, 400.0 if kind == 'car, RTK' else 600.0)
+        motion = replace(REALISTIC, mounting_error=0.0).drive(seconds, number)
     effects = [(EFFECTS['gnss_time_offset'], {'time_offset': offset}),
                (EFFECTS['gnss_lever_arm'], dict(zip('xyz', arm.tolist())))]
     made = simulate_recording(motion, sensors, receiver, effects, rpy(rotation), number, vibration=vibration,

@@ -43,7 +43,8 @@ RECORDINGS = {
     'husky_wheel_speed': ('', 'speed_topic: /wheel/speed'),
 }
 #: what is no setting of the vehicle: given in all ways
-TRUTH = {name: line for name, (_, given) in RECORDINGS.items() for line in given.split('\n') if 'reference' in line}
+TRUTH = {name: line.strip() for name, (_, given) in RECORDINGS.items() for line in given.split('\n')
+         if 'reference' in line}
 _PLAIN = ('vehicle.zero_velocity: false\n    vehicle.non_holonomic: false\n    gnss.gate_probability: 1.0\n'
           '    gnss.adapt_sigma: false\n    gnss.robust_sigma: 0.0')
 #: the defaults; and what was before them, with nothing known of the vehicle and each fix believed
@@ -89,14 +90,16 @@ def outage(o: dict) -> str:
 # -- three ways --------------------------------------------------------------------------------------------------------
 
 TOPICS, CONFIGURED, BY_HAND = 'topics only', "configure's file", 'by hand'
-WAYED = ('longmont_rtk_drive', 'karlsruhe_hills', 'kingston_span', 'dresden_hobby_imu', 'husky_wheel_speed')
+WAYED = ('husky_wheel_speed', 'dresden_hobby_imu', 'longmont_rtk_drive', 'karlsruhe_hills', 'kingston_span')
 #: simulated drives, by number of `configure.case`, whose kind goes with it; who writes a file by hand sees the mounting
 #: to this, deg, and has a tape, m
-SIMULATED = tuple(range(200, 220))
-SEEN, TAPE = 5.0, 0.1
+SIMULATED = (201, 203, 204, 205, 200, 208, 209, *range(210, 220))
+SEEN, TAPE, SECONDS = 5.0, 0.1, 300.0
+#: parts of long recordings: lines of params files
+PARTS = {'kingston_span': 'stop: 900.0'}
 #: of these with gaps: s without samples, s without fixes, each minute
 GAPS = {205: (1.5, 20.0), 213: (0.8, 15.0)}
-DURATIONS = 10.0, 30.0, 60.0
+WAY_DURATIONS = 10.0, 30.0, 60.0
 
 
 @dataclass(frozen=True)
@@ -113,7 +116,7 @@ class Way:
 
 def simulated_bag(number: int, output: Path) -> tuple[Path, configure.Case]:
     """A simulated drive as a bag, and its truth."""
-    of, bag = configure.case(number, upright=True), output / f'drive_{number}'
+    of, bag = configure.case(number, upright=True, duration=SECONDS), output / f'drive_{number}'
     made = of.recording
     if number in GAPS:
         part = [(samples.stamp - made.imu.stamp[0]) % 60_000_000_000 * 1e-9 for samples in (made.imu, made.gnss)]
@@ -137,12 +140,17 @@ def three_ways(name: str, bag: Path, topics: str, by_hand: str, output: Path) ->
         files[CONFIGURED].write_text(f'{configuration_yaml(found)}    {topics}\n')
     known = {CONFIGURED: json.loads(sigmas.read_text())}
     found = {}
-    for i, (way, file) in enumerate(files.items()):
-        folder = output / f'{name}_{i}'
+    for way, file in files.items():
+        # who has nothing to write by hand starts from the topics
+        folder = output / f'{name}_{[f.read_text() for f in files.values()].index(file.read_text())}'
         if not (folder / 'report.json').exists():
             diagnose(['--bag', str(bag), '--params-file', str(file), '--output', str(folder), '--overwrite'])
         found[way] = ended(folder, file, known.get(way))
     return found
+
+
+def _lines(*lines: str) -> str:
+    return '\n    '.join(filter(None, lines))
 
 
 def ended(folder: Path, file: Path, sigma: float | None) -> Way:
@@ -153,7 +161,7 @@ def ended(folder: Path, file: Path, sigma: float | None) -> Way:
     told = [e['parameters']['time_offset'] for e in content.get('effects', []) if e['name'] == 'gnss_time_offset'
             and e['added'] and 'time_offset' in e['parameters']]
     rows = {row['what']: (row['before'], row['after']) for row in content.get('comparison', []) if row.get('before')}
-    errors = {duration: both for duration in DURATIONS for what, both in rows.items()
+    errors = {duration: both for duration in WAY_DURATIONS for what, both in rows.items()
               if what.startswith(f'outages of {duration:g} s')}
     return Way(content.get('verdict', {}).get('answer', 'none'),
                (values['gnss.time_offset'], told[0]['sigma'] if told else sigma), values['gnss.lever_arm'],
@@ -172,8 +180,8 @@ def agree(found: dict[str, Way]) -> str:
 def way_row(title: str, way: str, end: Way) -> str:
     offset, sigma = end.offset
     shown = f'{offset:.3f}' + ('' if sigma is None else f' ± {sigma:.3f}')
-    errors = ' / '.join(number(end.errors[d][1], 2) if d in end.errors else '-' for d in DURATIONS)
-    before = ' / '.join(number(end.errors[d][0], 2) if d in end.errors else '-' for d in DURATIONS)
+    errors = ' / '.join(number(end.errors[d][1], 2) if d in end.errors else '-' for d in WAY_DURATIONS)
+    before = ' / '.join(number(end.errors[d][0], 2) if d in end.errors else '-' for d in WAY_DURATIONS)
     return (f'| {title} | {way} | {shown} | {", ".join(f"{a:.2f}" for a in end.arm)} | '
             f'{", ".join(f"{a:.1f}" for a in end.mounting)} | {before} | {errors} | {end.verdict} |')
 
@@ -189,7 +197,9 @@ def ways(data: Path, output: Path, wanted: list[str]) -> None:
         title = name
         if name in RECORDINGS:
             folder, given = RECORDINGS[name]
-            found = three_ways(name, data / name / folder, TRUTH.get(name, ''), given, output)
+            part = PARTS.get(name, '')
+            topics = _lines(TRUTH.get(name, ''), part)
+            found = three_ways(name, data / name / folder, topics, _lines(given, part), output)
         else:
             bag, of = simulated_bag(int(name.split()[1]), output)
             kind = f'{of.kind}, gaps' if int(name.split()[1]) in GAPS else of.kind
