@@ -83,7 +83,7 @@ class Configuration:
     @property
     def left(self) -> tuple[Left, ...]:
         """What the recordings leave of the values: by what these may still be off."""
-        return left_of(self.mounting, self.values)
+        return left_of(self.mounting, {**defaults(), **self.values})
 
 
 def configure(paths, progress=lambda part, what: None) -> Configuration:
