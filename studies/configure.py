@@ -29,7 +29,6 @@ from scipy.spatial.transform import Rotation
 from mems_ins_fusion.configuration.configure import configured, look
 from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting, rpy
 from mems_ins_fusion.configuration.topics import Candidate, Topics
-from mems_ins_fusion.configuration.units import find_units
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.problem import DiagnosisError
 from mems_ins_fusion.effects.registry import EFFECTS
@@ -37,7 +36,8 @@ from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.navigation.frames import rotation_from_rpy, wrap
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.reading import read_recording
-from mems_ins_fusion.recordings.units import in_si
+from mems_ins_fusion.recordings.units import find_units, in_si
+from mems_ins_fusion.reports.configuration import doubts
 from mems_ins_fusion.samples import Recording
 from mems_ins_fusion.simulation import drive
 from mems_ins_fusion.simulation.drive import MARGIN, _random_hills, _sample, stream
@@ -118,6 +118,7 @@ KINDS = ('car', 'car, RTK', 'car, smoothing', 'rover', 'phone')
 #: receivers of the rovers
 ROVER_FIXES = GnssNoise(0.02, 5.0), GnssNoise(0.3, 1.0)
 LARGEST_OFFSET, FELT_OFFSET, FELT_ANGLE = 1.0, 0.1, 3.0  # s, s, deg
+UPRIGHT = 6.0  # deg, about each axis: a box that somebody has put in a car
 
 
 @dataclass(frozen=True)
@@ -131,11 +132,13 @@ class Case:
     arm: np.ndarray
 
 
-def case(number: int) -> Case:
+def case(number: int, upright: bool = False, duration: float = 600.0) -> Case:
+    """upright: the IMU sits about as its axes say, off by some degrees; else anyhow. duration: s, at most."""
     kind, draw = KINDS[number % len(KINDS)], stream(number, 'estimator')
     offset = float(draw.uniform(-LARGEST_OFFSET, LARGEST_OFFSET))
     arm = np.array([draw.uniform(-1.5, 1.5), draw.uniform(-0.5, 0.5), draw.uniform(0.2, 1.5)])
-    rotation = Rotation.random(random_state=number).as_matrix()
+    rotation = (Rotation.from_euler('xyz', stream(number, 'upright').uniform(-UPRIGHT, UPRIGHT, 3), degrees=True)
+                if upright else Rotation.random(random_state=number)).as_matrix()
     sensors = SensorErrors.from_parameters(table.check({} if kind == 'phone' else REALISTIC.imu), 'gauss_markov')
     vibration = REALISTIC.distortions(number)['vibration']
     receiver = {'car': GnssNoise(1.5, 1.0), 'car, RTK': GnssNoise(0.02, 5.0),
@@ -144,9 +147,10 @@ def case(number: int) -> Case:
                 'rover': ROVER_FIXES[number // len(KINDS) % 2],
                 'phone': GnssNoise(2.0, 1.0, coloured_sigma=2.0)}[kind]
     if kind == 'rover':
-        motion, vibration, arm = rover(number), None, 0.3 * arm
+        motion, vibration, arm = rover(number, min(duration, 400.0)), None, 0.3 * arm
     else:
-        motion = replace(REALISTIC, mounting_error=0.0).drive(400.0 if kind == 'car, RTK' else 600.0, number)
+        seconds = min(duration, 400.0 if kind == 'car, RTK' else 600.0)
+        motion = replace(REALISTIC, mounting_error=0.0).drive(seconds, number)
     effects = [(EFFECTS['gnss_time_offset'], {'time_offset': offset}),
                (EFFECTS['gnss_lever_arm'], dict(zip('xyz', arm.tolist())))]
     made = simulate_recording(motion, sensors, receiver, effects, rpy(rotation), number, vibration=vibration,
@@ -193,7 +197,7 @@ def one_case(task) -> list[dict]:
     shown = offset is not None and offset.shown
     rows = [row(of, number, 'configure', found.values, offset.lag if shown else 0.0,
                 offset.lag_sigma if shown else np.inf, sigmas=np.degrees(found.mounting.sigma),
-                ready=not found.missing and not found.wrong,
+                ready=not doubts(found),
                 arm=offset.arm - of.arm if shown else np.full(3, np.nan),
                 arm_sigma=offset.arm_sigma if shown else np.full(3, np.nan))]
     by_hand = table.check({'imu.mounting_rpy': np.radians(np.round(np.degrees(rpy(of.rotation)))).tolist()})

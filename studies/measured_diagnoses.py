@@ -1,20 +1,35 @@
 """Diagnose the measured recordings and print the tables of docs/closing_the_loop.md.
 
-    python studies/measured_diagnoses.py DATA OUTPUT [RECORDING ..]
+    python studies/measured_diagnoses.py settings DATA OUTPUT [RECORDING ..]
+    python studies/measured_diagnoses.py ways DATA OUTPUT [RECORDING ..]
 
 DATA: folder of the recordings. OUTPUT: for the params files and results; a recording whose result is there already is
 not diagnosed again. RECORDING: only these, by the first letters of `recording, settings`.
+settings: with the defaults, and with what was before them. ways: from nothing but the topics, from the file that
+`configure` writes, and from one by hand; of the recordings and of simulated drives, whose truth is known. Do the three
+end alike?
 """
 from __future__ import annotations
 
 import json
+import math
 import sys
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import configure  # noqa: E402
+import numpy as np
 
 from mems_ins_fusion.cli.diagnose import main as diagnose  # noqa: E402
+from mems_ins_fusion.configuration.configure import configure as look_at  # noqa: E402
+from mems_ins_fusion.configuration.mounting import rpy  # noqa: E402
 from mems_ins_fusion.diagnosis.estimate import Estimate  # noqa: E402
+from mems_ins_fusion.parameters import params_file, table  # noqa: E402
+from mems_ins_fusion.recordings.writing import write_recording  # noqa: E402
+from mems_ins_fusion.reports.configuration import configuration_yaml  # noqa: E402
 from mems_ins_fusion.reports.html import number  # noqa: E402
 
 #: bag, and what a user has to say
@@ -24,7 +39,12 @@ RECORDINGS = {
     'incheon_square_ros2': ('bag', 'imu.mounting_rpy: [3.141593, 0.0, 0.0]\n    gnss_topic: /fix'),
     'incheon_park_ros2': ('bag_0.db3', 'gnss_topic: /fix'),
     'kingston_span': ('bag', 'imu.mounting_rpy: [0.0, 0.0, -1.570796]\n    reference_topic: /reference/fix'),
+    'dresden_hobby_imu': ('', 'imu.mounting_rpy: [0.0, 0.1, 0.0]'),
+    'husky_wheel_speed': ('', 'speed_topic: /wheel/speed'),
 }
+#: what is no setting of the vehicle: given in all ways
+TRUTH = {name: line.strip() for name, (_, given) in RECORDINGS.items() for line in given.split('\n')
+         if 'reference' in line}
 _PLAIN = ('vehicle.zero_velocity: false\n    vehicle.non_holonomic: false\n    gnss.gate_probability: 1.0\n'
           '    gnss.adapt_sigma: false\n    gnss.robust_sigma: 0.0')
 #: the defaults; and what was before them, with nothing known of the vehicle and each fix believed
@@ -67,11 +87,143 @@ def outage(o: dict) -> str:
             f'{number(o["within_95_percent"], 2)} %')
 
 
+# -- three ways --------------------------------------------------------------------------------------------------------
+
+TOPICS, CONFIGURED, BY_HAND = 'topics only', "configure's file", 'by hand'
+WAYED = ('husky_wheel_speed', 'dresden_hobby_imu', 'longmont_rtk_drive', 'karlsruhe_hills', 'kingston_span')
+#: simulated drives, by number of `configure.case`, whose kind goes with it; who writes a file by hand sees the mounting
+#: to this, deg, and has a tape, m
+SIMULATED = (201, 203, 204, 205, 200, 208, 209, *range(210, 220))
+SEEN, TAPE, SECONDS = 5.0, 0.1, 300.0
+#: parts of long recordings: lines of params files
+PARTS = {'kingston_span': 'stop: 900.0'}
+#: of these with gaps: s without samples, s without fixes, each minute
+GAPS = {205: (1.5, 20.0), 213: (0.8, 15.0)}
+WAY_DURATIONS = 10.0, 30.0, 60.0
+
+
+@dataclass(frozen=True)
+class Way:
+    """Where one way ended. verdict: its word. offset, arm, mounting: as in corrected.yaml (deg), with sigma, None where
+    it is as given. errors: mean of the largest in outages, m, before and after, by duration."""
+
+    verdict: str
+    offset: tuple[float, float | None]
+    arm: list[float]
+    mounting: list[float]
+    errors: dict[float, tuple[float, float]]
+
+
+def simulated_bag(number: int, output: Path) -> tuple[Path, configure.Case]:
+    """A simulated drive as a bag, and its truth."""
+    of, bag = configure.case(number, upright=True, duration=SECONDS), output / f'drive_{number}'
+    made = of.recording
+    if number in GAPS:
+        part = [(samples.stamp - made.imu.stamp[0]) % 60_000_000_000 * 1e-9 for samples in (made.imu, made.gnss)]
+        made = replace(made, imu=made.imu.select(part[0] > GAPS[number][0]),
+                       gnss=made.gnss.select((part[1] < 30.0) | (part[1] > 30.0 + GAPS[number][1])))
+    if not bag.exists():
+        write_recording(made, bag)
+    return bag, of
+
+
+def three_ways(name: str, bag: Path, topics: str, by_hand: str, output: Path) -> dict[str, Way]:
+    """topics, by_hand: lines of params files."""
+    files = {way: output / f'{name}_{i}.yaml' for i, way in enumerate((TOPICS, CONFIGURED, BY_HAND))}
+    files[TOPICS].write_text(f'/**:\n  ros__parameters:\n    imu_topic: /imu/data\n    {topics}\n')
+    files[BY_HAND].write_text(f'/**:\n  ros__parameters:\n    imu_topic: /imu/data\n    {by_hand}\n')
+    sigmas = output / f'{name}_sigma.json'
+    if not files[CONFIGURED].exists():
+        found = look_at([bag])
+        offset = found.mounting.offset if found.mounting is not None else None
+        sigmas.write_text(json.dumps(offset.lag_sigma if offset is not None and offset.shown else None))
+        files[CONFIGURED].write_text(f'{configuration_yaml(found)}    {topics}\n')
+    known = {CONFIGURED: json.loads(sigmas.read_text())}
+    found = {}
+    for way, file in files.items():
+        # who has nothing to write by hand starts from the topics
+        folder = output / f'{name}_{[f.read_text() for f in files.values()].index(file.read_text())}'
+        if not (folder / 'report.json').exists():
+            diagnose(['--bag', str(bag), '--params-file', str(file), '--output', str(folder), '--overwrite'])
+        found[way] = ended(folder, file, known.get(way))
+    return found
+
+
+def _lines(*lines: str) -> str:
+    return '\n    '.join(filter(None, lines))
+
+
+def ended(folder: Path, file: Path, sigma: float | None) -> Way:
+    """sigma: of the time offset in `file`, where that has one."""
+    content = json.loads((folder / 'report.json').read_text()) if (folder / 'report.json').exists() else {}
+    there = folder / 'corrected.yaml'
+    values = table.check(params_file.load_yaml(there if there.exists() else file))
+    told = [e['parameters']['time_offset'] for e in content.get('effects', []) if e['name'] == 'gnss_time_offset'
+            and e['added'] and 'time_offset' in e['parameters']]
+    rows = {row['what']: (row['before'], row['after']) for row in content.get('comparison', []) if row.get('before')}
+    errors = {duration: both for duration in WAY_DURATIONS for what, both in rows.items()
+              if what.startswith(f'outages of {duration:g} s')}
+    return Way(content.get('verdict', {}).get('answer', 'none'),
+               (values['gnss.time_offset'], told[0]['sigma'] if told else sigma), values['gnss.lever_arm'],
+               [math.degrees(a) for a in values['imu.mounting_rpy']], errors)
+
+
+def agree(found: dict[str, Way]) -> str:
+    """Whether the offsets of the ways that ended lie within two sigma of each other; what is without sigma is none."""
+    ends = [way.offset for way in found.values() if way.verdict not in ('not_usable', 'none')]
+    known = [(offset, sigma) for offset, sigma in ends if sigma is not None]
+    apart = [abs(a - b) / math.hypot(s, t) for k, (a, s) in enumerate(known) for b, t in known[:k]]
+    open_ = '' if len(known) == len(ends) else f', {len(ends) - len(known)} without an offset'
+    return ('-' if not apart else f'{"yes" if max(apart) < 2.0 else "no"} ({max(apart):.1f} sigma)') + open_
+
+
+def way_row(title: str, way: str, end: Way) -> str:
+    offset, sigma = end.offset
+    shown = f'{offset:.3f}' + ('' if sigma is None else f' ± {sigma:.3f}')
+    errors = ' / '.join(number(end.errors[d][1], 2) if d in end.errors else '-' for d in WAY_DURATIONS)
+    before = ' / '.join(number(end.errors[d][0], 2) if d in end.errors else '-' for d in WAY_DURATIONS)
+    return (f'| {title} | {way} | {shown} | {", ".join(f"{a:.2f}" for a in end.arm)} | '
+            f'{", ".join(f"{a:.1f}" for a in end.mounting)} | {before} | {errors} | {end.verdict} |')
+
+
+def ways(data: Path, output: Path, wanted: list[str]) -> None:
+    """Each line is printed as it is known: a diagnosis takes minutes."""
+    output.mkdir(parents=True, exist_ok=True)
+    print('| drive | way | time offset, s | arm, m | mounting, deg | 10 / 30 / 60 s without fixes, before, m | '
+          'after, m | verdict |\n|---|---|---|---|---|---|---|---|')
+    names = [*WAYED, *(f'drive {number}' for number in SIMULATED)]
+    agreed = {}
+    for name in [n for n in names if not wanted or any(n.startswith(w) for w in wanted)]:
+        title = name
+        if name in RECORDINGS:
+            folder, given = RECORDINGS[name]
+            part = PARTS.get(name, '')
+            topics = _lines(TRUTH.get(name, ''), part)
+            found = three_ways(name, data / name / folder, topics, _lines(given, part), output)
+        else:
+            bag, of = simulated_bag(int(name.split()[1]), output)
+            kind = f'{of.kind}, gaps' if int(name.split()[1]) in GAPS else of.kind
+            mounting = np.degrees(rpy(of.rotation))
+            title = (f'{name} ({kind}; truth {of.offset:.3f} s, {", ".join(f"{a:.2f}" for a in of.arm)} m, '
+                     f'{", ".join(f"{a:.1f}" for a in mounting)} deg)')
+            seen = np.radians(SEEN * np.round(mounting / SEEN)).round(4).tolist()
+            found = three_ways(name.replace(' ', '_'), bag, '', f'imu.mounting_rpy: {seen}\n    gnss.lever_arm: '
+                               f'{(TAPE * np.round(of.arm / TAPE)).round(2).tolist()}', output)
+        for way, end in found.items():
+            print(way_row(title, way, end), flush=True)
+        agreed[name] = agree(found)
+    print('\n| drive | do the offsets agree |\n|---|---|')
+    for name, said in agreed.items():
+        print(f'| {name} | {said} |')
+
+
 def main() -> None:
-    data, output = Path(sys.argv[1]), Path(sys.argv[2])
+    what, data, output, wanted = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3]), sys.argv[4:]
+    if what == 'ways':
+        return ways(data, output, wanted)
     titles = {f'{name}, {settings}': (name, settings) for name in RECORDINGS for settings in SETTINGS}
     chosen = {title: which for title, which in titles.items()
-              if not sys.argv[3:] or any(title.startswith(wanted) for wanted in sys.argv[3:])}
+              if not wanted or any(title.startswith(w) for w in wanted)}
     found = {title: result(data, output, *which) for title, which in chosen.items()}
     print('| recording, settings | found | left unexplained |\n|---|---|---|')
     for title, content in found.items():

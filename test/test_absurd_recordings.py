@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import fuzz_recordings
@@ -10,14 +11,17 @@ import pytest
 from fuzz_support import outcome
 
 from mems_ins_fusion.configuration.check import mounting_findings
-from mems_ins_fusion.configuration.configure import Setting, _possible
+from mems_ins_fusion.configuration.configure import Setting, _possible, look
+from mems_ins_fusion.configuration.mounting import deviation
 from mems_ins_fusion.diagnosis import search
 from mems_ins_fusion.diagnosis.fit import Model, _finite
 from mems_ins_fusion.diagnosis.judgement import harm
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.metrics import summary, turning_at
 from mems_ins_fusion.evaluation.outages import _fitting
-from mems_ins_fusion.parameters import params_file
+from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.runs.replay import run
+from mems_ins_fusion.parameters import params_file, table
 from mems_ins_fusion.recordings.checker import ERROR, check_recording
 from mems_ins_fusion.results import json_text
 
@@ -63,6 +67,21 @@ def test_configure(tmp_path, good, content, status):
         assert params_file.load_yaml(tmp_path / 'found.yaml')['imu_topic'] == '/imu/data'
     else:
         assert 'has no samples that could be used' in found.said
+
+
+def test_gaps_of_imu_and_fixes_in_turn_are_no_mounting(good):
+    # given 12 s of samples, and fixes of which a few are among them, in turn
+    imu, gnss = good.imu, good.gnss
+    part, part_fix = ((samples.stamp - imu.stamp[0]) % (24 * 10**9) / 24e9 for samples in (imu, gnss))
+    left = replace(good, imu=imu.select(part < 0.5), gnss=gnss.select(part_fix > 0.25))
+    # then what is told of the mounting is near to what the whole drive tells, or nothing is told
+    whole, found = (look(r.name, r.imu, r.gnss).mounting for r in (good, left))
+    assert whole.yaw_known
+    away = deviation(found.rotation, whole.rotation)[:3 if found.yaw_known else 2]
+    assert np.all(np.abs(away) < 3.0 * np.hypot(found.sigma, whole.sigma)[:len(away)])
+    # and a filter with that starts
+    values = table.check({'imu.mounting_rpy': found.rpy.tolist()})
+    assert len(run(FilterConfig.from_parameters(values), left.imu, left.gnss).stamp) > 100
 
 
 def test_configure_sets_nothing_that_no_vehicle_has():

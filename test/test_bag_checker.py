@@ -8,10 +8,14 @@ import pytest
 from conftest import shared_data
 
 from mems_ins_fusion.navigation.earth import from_local, gravity
+from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.checker import ERROR, INFO, WARNING, check_recording
-from mems_ins_fusion.recordings.motion import find_standstill, up_axis
+from mems_ins_fusion.recordings.motion import compare_steering, find_standstill, up_axis
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
+from mems_ins_fusion.simulation.drive import MARGIN, Path, _sample
+from mems_ins_fusion.simulation.manoeuvres import Segment
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_recording
 
 START = 1_700_000_000_000_000_000
 DATUM = (0.8, 0.2, 300.0)
@@ -171,6 +175,39 @@ def test_gyroscopes_in_degrees_or_mirrored(sound):
     assert finding(degrees, 'deg/s instead of rad/s', ERROR).values['ratio'] == pytest.approx(57.3, rel=0.02)
     assert finding(with_imu(sound, angular_rate=-sound.imu.angular_rate), 'not right-handed', ERROR)
     assert finding(with_imu(sound, angular_rate=1.2 * sound.imu.angular_rate), 'a wrong scale')
+
+
+def test_noise_of_the_gyroscopes_is_no_scale():
+    # given a phone on a motorway, whose samples at 10 Hz alias what shakes it
+    rng, segments = np.random.default_rng(0), [Segment(10.0), Segment(20.0, 30.0)]
+    for turn in rng.uniform(-0.35, 0.35, 18):
+        segments += [Segment(12.0, 0.0, turn), Segment(4.0)]
+    drive = _sample(Path((*segments, Segment(60.0 + MARGIN)), course=0.7), 300.0, 10.0)
+    made = simulate_recording(drive, SensorErrors(), GnssNoise(2.0, 1.0), seed=0).recording
+    shaken = with_imu(made, angular_rate=made.imu.angular_rate + rng.normal(0.0, 0.1, (len(made.imu), 3)))
+    found = compare_steering(shaken.imu, shaken.gnss, np.array([0.0, 0.0, 1.0]))
+    # then course and gyroscopes disagree, by more than scatter explains, and the sigma knows why
+    turned, sigma = found.turned
+    assert turned - 1.0 > max(2.0 * found.scale_sigma * turned**2, 0.4)
+    assert turned - 1.0 < sigma
+    assert not [f for f in check_recording(shaken) if 'times the angle' in f.message and f.severity != INFO]
+
+
+def test_what_the_parameters_say_is_not_said_again(sound):
+    # given sensors with faults that the params file states
+    values = table.check({'gyroscope.bias': [0.0, 0.2, 0.0], 'gyroscope.scale': [0.2], 'gnss.sigma': 0.02,
+                          'accelerometer.bias': [0.0, 0.0, 0.5], 'imu.mounting_rpy': [0.0, 0.0, 1.0],
+                          'imu.acceleration_unit': 'g', 'imu.rate_unit': 'deg/s'})
+    wrong = with_imu(sound, angular_rate=1.2 * sound.imu.angular_rate + [0.0, 0.2, 0.0],
+                     specific_force=sound.imu.specific_force + [0.0, 0.0, 0.5])
+    unknown = replace(wrong, gnss=replace(wrong.gnss, covariance_type=np.zeros(len(wrong.gnss), np.uint8)))
+    # then nothing of it is said, of units or of the axis that points up either
+    assert len([f for f in check_recording(unknown) if f.severity != INFO]) >= 4
+    said = check_recording(unknown, values)
+    assert not [f for f in said if f.severity != INFO or 'points up' in f.message]
+    # but what is not as they say
+    right = check_recording(sound, values)
+    assert all([f for f in right if text in f.message] for text in ('at rest: a large bias', 'wrong scale'))
 
 
 def test_a_gyroscope_bias_too_large_to_be_one(sound):

@@ -14,18 +14,21 @@ from mems_ins_fusion.__main__ import main
 from mems_ins_fusion.configuration.check import check, check_setup, mounting_findings
 from mems_ins_fusion.configuration.configure import configure
 from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting, rpy
+from mems_ins_fusion.configuration.noise import find_noise
 from mems_ins_fusion.configuration.offset import estimate_offset
-from mems_ins_fusion.configuration.units import find_units
 from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.evaluation.verdict import unsettled
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.parameters.params_file import load_yaml
-from mems_ins_fusion.recordings.checker import ERROR
+from mems_ins_fusion.recordings.checker import ERROR, check_recording
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.reading import read_recording
-from mems_ins_fusion.recordings.units import in_si
+from mems_ins_fusion.recordings.units import find_units, in_si
 from mems_ins_fusion.recordings.writing import write_recording
+from mems_ins_fusion.reports.configuration import doubts
+from mems_ins_fusion.samples import ImuSamples
 from mems_ins_fusion.simulation.drive import MARGIN, Path, _sample
 from mems_ins_fusion.simulation.manoeuvres import Segment
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -180,9 +183,16 @@ def test_a_file_is_ready_only_when_what_it_sets_is_certain(late, tmp_path):
     write_recording(replace(late, gnss=noisy), tmp_path / 'poor', imu_topic='/imu/data', gnss_topic='/gps/fix')
     good, poor = (configure([tmp_path / name]) for name in ('good', 'poor'))
     # then one is complete, and the other says what is not known
-    assert good.missing == () and good.values['gnss.time_offset'] == pytest.approx(-0.6, abs=0.05)
+    assert doubts(good) == [] and good.values['gnss.time_offset'] == pytest.approx(-0.6, abs=0.05)
     assert good.values['gnss.lever_arm'][:2] == pytest.approx([-0.8, 0.4], abs=0.2)
-    assert any('time offset' in text for text in poor.missing)
+    assert any('time offset' in text for text in doubts(poor))
+    # and so does one whose values are off, or not known: what may be left decides, not how well it is known
+    off = replace(good, settings=tuple(replace(s, value=-0.45) if s.name == 'gnss.time_offset' else s
+                                       for s in good.settings))
+    assert [left.name for left in unsettled(off.left)] == ['time offset']
+    vague = replace(good, mounting=replace(good.mounting, sigma=np.radians([0.5, 0.5, 2.0])))
+    assert [left.name for left in unsettled(vague.left)] == ['yaw']
+    assert 'yaw of the mounting is known to 2.0 deg' in doubts(vague)[0]
 
 
 def test_a_level_road_straight_on_at_constant_speed_shows_no_yaw():
@@ -226,10 +236,10 @@ def test_a_right_mounting_is_not_contradicted_and_the_check_needs_no_search_for_
     assert mounting_findings(made.imu, None, [0.0, 0.0, 0.0]) == []
 
 
-@pytest.mark.parametrize('acceleration, rate', [('m/s^2', 'rad/s'), ('g', 'deg/s'), ('g', 'rad/s')])
+@pytest.mark.parametrize('acceleration, rate', [('m/s^2', 'rad/s'), ('g', 'deg/s'), ('mg', 'rad/s')])
 def test_units_are_found(acceleration, rate):
     made = recording(sigma=0.1)
-    force = 1.0 if acceleration == 'm/s^2' else 1.0 / STANDARD_GRAVITY
+    force = {'m/s^2': 1.0, 'g': 1.0 / STANDARD_GRAVITY, 'mg': 1000.0 / STANDARD_GRAVITY}[acceleration]
     made = altered(made, force=force, rate=1.0 if rate == 'rad/s' else 180.0 / math.pi)
     units = find_units(made.imu, made.gnss, STANDARD_GRAVITY)
     assert (units.acceleration, units.rate, units.gravity) == (acceleration, rate, True)
@@ -251,7 +261,7 @@ def test_accelerometers_without_gravity_are_told_and_still_show_the_mounting():
 
 def test_gyroscopes_that_are_mirrored_are_no_mounting():
     made = altered(recording(sigma=0.02), rate=-1.0)
-    assert any('mirrored' in doubt for doubt in find_units(made.imu, made.gnss, STANDARD_GRAVITY).doubts)
+    assert [finding.severity for finding in check_recording(made) if 'mirrored' in finding.message] == [ERROR]
 
 
 @pytest.fixture(scope='module')
@@ -303,6 +313,26 @@ def test_noise_and_biases_at_rest_are_those_simulated(bag):
     truth = recording(mounting=[0.0, 0.0, QUARTER], sigma=0.05).imu.angular_rate[:1400].mean(axis=0)
     # the bias wanders by that, to the second stop
     assert result.values['gyroscope.bias'] == pytest.approx(truth, abs=1e-3)
+
+
+@pytest.mark.parametrize('shake', ['engine', 'knock'])
+def test_what_shakes_a_parked_vehicle_is_no_noise_of_the_sensors(shake):
+    # given a minute at rest, sensors of known noise, and a body that rocks on its springs, an engine whose shaking
+    # aliases, or a door that slams
+    rng, rate, density = np.random.default_rng(2), 100.0, np.repeat([2e-3, 1e-4], 3)
+    time = np.arange(6000) / rate
+    values = rng.normal(0.0, 1.0, (6000, 6)) * density * math.sqrt(rate) + [0, 0, STANDARD_GRAVITY, 0, 0, 0]
+    if shake == 'engine':
+        values[:, 3] += 4e-3 * np.sin(2 * math.pi * 1.3 * time)
+        values[:, 4] += 2e-2 * np.sin(2 * math.pi * 98.7 * time) + 4e-3 * np.sin(2 * math.pi * 1.3 * time)
+        values[:, :2] += 0.05 * np.sin(2 * math.pi * 1.3 * time)[:, None]
+    else:
+        values[3000:3050] += rng.normal(0.0, 1.0, (50, 6)) * [1, 1, 1, 0.1, 0.1, 0.1]
+    stamp = np.round(time * 1e9).astype(np.int64)
+    found = find_noise(ImuSamples(stamp, stamp, values[:, :3], values[:, 3:]), np.ones(6000, bool))
+    # then the noise of a second and more is that of the sensors
+    assert found.force_density == pytest.approx(density[:3], rel=0.35)
+    assert found.rate_density == pytest.approx(density[3:], rel=0.35)
 
 
 def test_several_drives_are_taken_together(bag, tmp_path):

@@ -53,6 +53,22 @@ def plain():
 
 
 @pytest.fixture(scope='module')
+def undisturbed(plain):
+    """The diagnosis of a drive without effects, with all effects as candidates, and what its progress was."""
+    progress = []
+    result = diagnose(plain, VALUES, lambda part, what: progress.append((part, what)),
+                      [*EFFECTS.values(), Placebo()], **OUTAGES)
+    return result, progress
+
+
+@pytest.fixture(scope='module')
+def scaled():
+    """A drive with scale factors, and its diagnosis."""
+    recording = recorded('accelerometer_scale', x=0.06, y=-0.06)
+    return recording, diagnose(recording, VALUES, effects=FEW, **OUTAGES)
+
+
+@pytest.fixture(scope='module')
 def problem(plain):
     return Problem(plain, VALUES)
 
@@ -100,7 +116,7 @@ def test_what_moves_nothing_leaves_the_innovations_as_they_are(problem):
     assert np.allclose(same.z, problem.base.z, rtol=0, atol=1e-9, equal_nan=True)
 
 
-def test_a_time_offset_is_found_with_its_value_and_taken_out(plain):
+def test_a_time_offset_is_found_with_its_value_and_taken_out(undisturbed):
     # given a receiver whose stamps are 0.2 s late, and all effects as candidates, a placebo among them
     recording = recorded('gnss_time_offset', time_offset=0.2)
     result = diagnose(recording, VALUES, effects=[*EFFECTS.values(), Placebo()], **OUTAGES)
@@ -113,7 +129,7 @@ def test_a_time_offset_is_found_with_its_value_and_taken_out(plain):
     assert finding.changes == {'gnss.time_offset': result.corrected['gnss.time_offset']}
     assert finding.held_out.helps
     # the error is that without the effect and what 3 sigma (of half the data: sqrt 2 more) are at this speed
-    clean = rms(diagnose(plain, VALUES, effects=[], **OUTAGES).before)
+    clean = rms(undisturbed[0].before)
     speed = np.sqrt((recording.reference.velocity[:, :2] ** 2).sum(axis=1).mean())
     assert rms(result.after) < np.hypot(1.05 * clean, 3 * np.sqrt(2) * sigma * speed)
     assert rms(result.after) < 0.5 * rms(result.before)
@@ -126,9 +142,8 @@ def test_a_time_offset_is_found_with_its_value_and_taken_out(plain):
     assert checked['gnss.time_offset'] == pytest.approx(value)
 
 
-def test_a_scale_factor_is_found_and_grouped_with_the_suspension_that_looks_the_same():
-    recording = recorded('accelerometer_scale', x=0.06, y=-0.06)
-    [finding] = added(diagnose(recording, VALUES, effects=FEW, **OUTAGES))
+def test_a_scale_factor_is_found_and_grouped_with_the_suspension_that_looks_the_same(scaled):
+    [finding] = added(scaled[1])
     assert {'accelerometer_scale', 'tilt'} == set(finding.group)
     if finding.name == 'accelerometer_scale':
         for name, true in (('x', 0.06), ('y', -0.06)):
@@ -136,10 +151,8 @@ def test_a_scale_factor_is_found_and_grouped_with_the_suspension_that_looks_the_
             assert abs(estimate.value - true) < 3 * estimate.sigma < 0.06
 
 
-def test_nothing_is_found_where_nothing_is(plain):
-    progress = []
-    result = diagnose(plain, VALUES, lambda part, what: progress.append((part, what)),
-                      [*EFFECTS.values(), Placebo()], **OUTAGES)
+def test_nothing_is_found_where_nothing_is(undisturbed):
+    result, progress = undisturbed
     assert not added(result) and not result.unexplained
     assert result.detections['after'].consistent
     # and nothing is changed, and it says so
@@ -220,7 +233,7 @@ def test_coloured_noise_is_found_and_only_what_is_determined_gets_a_number():
             assert low < 1.5 * true and high > true / 1.5
 
 
-def test_position_errors_decide_between_effects_that_explain_the_same():
+def test_position_errors_decide_between_effects_that_explain_the_same(undisturbed):
     # given accelerometers that stand elsewhere, which fixes cannot tell from an antenna that does, and a reference at
     # the IMU's point that can
     recording = recorded('accelerometer_lever_arm', x=2.0, y=1.0)
@@ -231,7 +244,7 @@ def test_position_errors_decide_between_effects_that_explain_the_same():
     for name, true in (('x', 2.0), ('y', 1.0)):
         estimate = finding.parameters[name]
         assert abs(estimate.value - true) < 3 * estimate.sigma
-    assert rms(result.after) < 1.2 * rms(diagnose(recorded(), VALUES, effects=[], **OUTAGES).before)
+    assert rms(result.after) < 1.2 * rms(undisturbed[0].before)
     # and without that reference neither is preferred: withheld fixes are of the same antenna
     without = diagnose(replace(recording, reference=None), VALUES, effects=arms, **OUTAGES)
     assert {frozenset(f.group) for f in added(without)} == {frozenset(e.name for e in arms)}
@@ -243,9 +256,9 @@ def test_a_receiver_that_wanders_at_rest_does_not_hide_the_standstill():
     assert Problem(recording, VALUES).start.standstill.duration > 20
 
 
-def test_the_same_recording_gives_the_same_result():
-    recording = recorded('gyroscope_scale', z=0.08)
-    first, second = (diagnose(recording, VALUES, effects=FEW, **OUTAGES) for _ in range(2))
+def test_the_same_recording_gives_the_same_result(scaled):
+    recording, first = scaled
+    second = diagnose(recording, VALUES, effects=FEW, **OUTAGES)
     assert [(f.name, f.parameters) for f in first.findings] == [(f.name, f.parameters) for f in second.findings]
     assert added(first) and first.corrected == second.corrected and first.noise == second.noise
     assert np.array_equal(first.residuals['after'].z, second.residuals['after'].z, equal_nan=True)
@@ -260,17 +273,17 @@ def test_a_recording_that_is_too_short_says_what_is_needed(duration, needed):
     assert text.startswith('simulation: ') and '\n' not in text and needed in text and len(text) > 20
 
 
-@pytest.mark.parametrize('wrong', [{}, {'gyroscope.noise_density': [2e-3], 'accelerometer.noise_density': [1e-3],
-                                        'gnss.sigma': 2.0}])
-def test_an_offset_and_a_mount_that_is_turned_are_found_together(wrong):
-    # given fixes 0.6 s late, an IMU turned by 7 deg, and the settings of the README, or noise levels that are off
+def test_an_offset_and_a_mount_that_is_turned_are_found_together():
+    # given fixes 0.6 s late, an IMU turned by 7 deg, and noise levels that are off (test_diagnosis_measured.py: both
+    # with the defaults)
     drive = simulate_drive(DURATION, 3, RATE)
     sensors = SensorErrors.from_parameters(VALUES, 'gauss_markov')
     effects = [(EFFECTS['gnss_time_offset'], {'time_offset': 0.6}),
                (EFFECTS['mounting_rotation'], {'yaw': np.radians(7.0)})]
     recording = replace(simulate_recording(drive, sensors, GnssNoise(sigma=0.5), effects, seed=3).recording,
                         reference=None)
-    values = table.check({'reference_lever_arm': [0.0, 0.0, 0.0], **wrong})
+    values = table.check({'reference_lever_arm': [0.0, 0.0, 0.0], 'gnss.sigma': 2.0,
+                          'gyroscope.noise_density': [2e-3], 'accelerometer.noise_density': [1e-3]})
     effects = [EFFECTS[name] for name in ('gnss_time_offset', 'mounting_rotation', 'gnss_lever_arm', 'sideslip')]
     result = diagnose(recording, values, effects=effects, **OUTAGES)
     # then both are found with their sizes, and nothing else

@@ -79,7 +79,7 @@ def allan_deviation(parts, rate: float, per_octave: int = 4) -> AllanCurve:
     slope = _slopes(tau, deviation, per_octave)
     samples = sum(np.isfinite(p).sum() for p in parts)
     degrees = np.array([degrees_of_freedom(samples + 1, m, s) for m, s in zip(sizes, slope)])
-    lower, upper = _bounds(deviation, degrees)
+    lower, upper = bounds(deviation, degrees)
     return AllanCurve(tau, deviation, lower, upper, degrees, slope)
 
 
@@ -142,7 +142,8 @@ def degrees_of_freedom(points: int, m: int, slope: float) -> float:
     return max(value, 1.0)
 
 
-def _bounds(deviation, degrees, confidence=0.95):
+def bounds(deviation, degrees, confidence=0.95):
+    """The central interval of deviations (k,), lower and upper, from their equivalent degrees of freedom (k,)."""
     from scipy.stats import chi2
 
     tail = (1 - confidence) / 2

@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
+from mems_ins_fusion.configuration.left import ARM, TIME_OFFSET, left_of
 from mems_ins_fusion.configuration.mounting import Mounting, estimate_mounting
-from mems_ins_fusion.configuration.offset import Offset
 from mems_ins_fusion.filter.runs.usable import usable_fixes, usable_samples
 from mems_ins_fusion.navigation.earth import gravity
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
@@ -88,30 +88,24 @@ def _check_offset(found: Mounting | None, values: dict):
         yield Finding(INFO, 'imu/gnss', 'turns and changes of speed too few, or fixes too noisy, to see an offset of '
                       'the clocks')
         return
-    declared = values['gnss.time_offset']
-    left = offset.lag - declared
-    seen = {'lag_s': offset.lag, 'sigma_s': offset.lag_sigma, 'left_s': left, 'arm_m': offset.arm.tolist(),
+    left = {one.name: one for one in left_of(found, values)}
+    lag, declared = left[TIME_OFFSET], values['gnss.time_offset']
+    seen = {'lag_s': offset.lag, 'sigma_s': offset.lag_sigma, 'left_s': lag.value, 'arm_m': offset.arm.tolist(),
             'arm_sigma_m': offset.arm_sigma.tolist(), 'rivals_s': list(offset.rivals)}
-    size = f'{abs(left):.3f} s {"late" if left > 0 else "early"} (sigma {offset.lag_sigma:.3f} s)'
     beside = f' beside gnss.time_offset {declared:g} s' if declared else ''
-    if abs(left) > max(SURE * offset.lag_sigma, _SMALL_OFFSET):
+    if lag.certain(_SMALL_OFFSET, SURE):
+        size = f'{abs(lag.value):.3f} s {"late" if lag.value > 0 else "early"} (sigma {lag.sigma:.3f} s)'
         yield Finding(WARNING, 'imu/gnss', f'against the IMU the fixes are {size}{beside}: a clock offset, see '
                       f'gnss.time_offset, which would be {offset.lag:.2f}', seen)
     else:
-        what = f'what is left of the time offset{beside}: {left:.3f} +- {offset.lag_sigma:.3f} s' if declared else \
-            f'no clock offset to be seen: {left:.3f} +- {offset.lag_sigma:.3f} s'
-        yield Finding(INFO, 'imu/gnss', what, seen)
-    yield from _check_arm(offset, np.asarray(values['gnss.lever_arm'], dtype=float))
-
-
-def _check_arm(offset: Offset, declared: np.ndarray):
-    known = offset.arm_sigma < _VAGUE_ARM
-    away = np.abs(offset.arm - declared)
-    if (known & (away > np.maximum(SURE * offset.arm_sigma, _SMALL_ARM))).any():
-        words = ', '.join(f'{arm:.2f} +- {sigma:.2f} m {name}' for arm, sigma, name, there in zip(
-            offset.arm, offset.arm_sigma, ('forward', 'left', 'up'), known) if there)
+        what = f'what is left of the time offset{beside}' if declared else 'no clock offset to be seen'
+        yield Finding(INFO, 'imu/gnss', f'{what}: {lag.value:.3f} +- {lag.sigma:.3f} s', seen)
+    arm = [left[name] for name in ARM if left[name].sigma < _VAGUE_ARM]
+    if any(part.certain(_SMALL_ARM, SURE) for part in arm):
+        words = ', '.join(f'{seen:.2f} +- {sigma:.2f} m {name}' for seen, sigma, name in zip(
+            offset.arm, offset.arm_sigma, ARM) if sigma < _VAGUE_ARM)
         yield Finding(WARNING, 'gnss', f'from the IMU to the antenna it is {words}, where gnss.lever_arm says '
-                      f'{yaml_value([float(x) for x in declared])}',
+                      f'{yaml_value([float(x) for x in values["gnss.lever_arm"]])}',
                       {'arm_m': offset.arm.tolist(), 'arm_sigma_m': offset.arm_sigma.tolist()})
 
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from mems_ins_fusion.configuration.left import Left, left_of
 from mems_ins_fusion.configuration.mounting import BIAS_SIGMA, SHOWN, UNKNOWN, Mounting, deviation, estimate_mounting
 from mems_ins_fusion.configuration.noise import Noise, find_noise
 from mems_ins_fusion.configuration.offset import together
 from mems_ins_fusion.configuration.receiver import Receiver, assess_receiver
 from mems_ins_fusion.configuration.regression import weighted
 from mems_ins_fusion.configuration.topics import Candidate, Topics, find_topics
-from mems_ins_fusion.configuration.units import Units, find_units
 from mems_ins_fusion.configuration.vehicle import Vehicle, assess_vehicle
 from mems_ins_fusion.filter.runs.usable import usable
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
@@ -25,15 +25,16 @@ from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.motion import find_standstill
 from mems_ins_fusion.recordings.several import refuse_twice
 from mems_ins_fusion.recordings.sketch import sketch
-from mems_ins_fusion.recordings.units import in_si
+from mems_ins_fusion.recordings.units import RATE, Units, find_units, in_si
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
 _SIGNIFICANT = 2.0  # sigmas: a smaller value is not set
-_READY_OFFSET, _READY_ANGLE = 0.1, math.radians(3.0)  # s, rad: who may be off by more is not ready to drive
+_AT_ZERO = f': less than {_SIGNIFICANT:g} sigma, left at zero'
 _TOO_SURE = 2.0  # times its stated sigma: a receiver that is not believed
 _OUTLIERS = 0.002  # part of the fixes
 _ROBUST = 3.0  # gnss.robust_sigma where there are outliers
 _ARM_SHOWN = 0.3  # m
+_MOUNTING_SIGMA = 0.01, 0.1  # rad: axes of a body flex by the one; the other is the default of imu.mounting_sigma
 _CONSTRAINT_YAW = math.radians(6.0)  # a larger sigma of the yaw takes the sense out of the constraint
 
 
@@ -78,6 +79,11 @@ class Configuration:
     @property
     def values(self) -> dict:
         return {setting.name: setting.value for setting in self.settings}
+
+    @property
+    def left(self) -> tuple[Left, ...]:
+        """What the recordings leave of the values: by what these may still be off."""
+        return left_of(self.mounting, {**defaults(), **self.values})
 
 
 def configure(paths, progress=lambda part, what: None) -> Configuration:
@@ -182,6 +188,9 @@ def _settings(topics: Topics, drives, mounting):
     yield _mechanization(drives, mounting)
     if mounting is not None:
         yield _mounting_setting(mounting)
+        if mounting.yaw_known:
+            yield Setting('imu.mounting_sigma', round(float(np.clip(mounting.sigma[1:].max(), *_MOUNTING_SIGMA)), 3), (
+                'of pitch and yaw, the larger one: the filter estimates what is left of them',))
         yield from _offset_settings(mounting)
     yield from _receiver_settings([drive.receiver for drive in drives if drive.receiver is not None])
     yield from _noise_settings(drives, mounting)
@@ -202,8 +211,16 @@ def _topic_settings(topics):
 
 
 def _unit_settings(units: Units):
-    yield Setting('imu.acceleration_unit', units.acceleration, (units.why_acceleration,))
-    yield Setting('imu.rate_unit', units.rate, (units.why_rate,))
+    where = 'at rest' if units.at_rest else 'on average'
+    yield Setting('imu.acceleration_unit', units.acceleration, (
+        f'{units.magnitude:.4g} {units.acceleration} {where}'
+        + (', which is gravity' if units.gravity else ': no gravity in it, taken to be m/s^2'),))
+    if units.steering is None:
+        why = f'no turn tells; the largest rates are {units.largest:.2g}'
+    else:
+        turned, sigma = (RATE[units.rate] * value for value in units.steering.turned)
+        why = f'the gyroscopes turn by {turned:.3g} +- {max(sigma, 0.001):.1g} of the angle of the course'
+    yield Setting('imu.rate_unit', units.rate, (why,))
 
 
 def _mechanization(drives, mounting) -> Setting:
@@ -247,7 +264,7 @@ def _offset_settings(found: Mounting):
             seen += f'; {" or ".join(f"{rival:g}" for rival in offset.rivals)} s would fit nearly as well'
         sure = _is_sure(offset.lag, offset.lag_sigma)
         yield Setting('gnss.time_offset', round(offset.lag, 3) if sure else 0.0,
-                      (seen if sure else f'{seen}: less than {_SIGNIFICANT:g} sigma, left at zero',))
+                      (seen if sure else f'{seen}{_AT_ZERO}',))
     if offset is None:
         yield Setting('gnss.lever_arm', [0.0, 0.0, 0.0], ('not shown; measure it with a tape',))
         return
@@ -291,23 +308,20 @@ def _receiver_settings(receivers: list[Receiver]):
 
 
 def _noise_settings(drives, mounting):
-    found = [drive.noise for drive in drives if drive.noise is not None]
-    if not found:
-        return
-    best = max(found, key=lambda noise: noise.seconds)
-    if best.seconds:
-        why = f'{best.seconds:.0f} s at rest; each to {best.part:.0%}'
-    else:
-        why = 'no standstill: from the quietest seconds of the drive, an upper limit'
-    for sensor, density in (('accelerometer', best.force_density), ('gyroscope', best.rate_density)):
-        yield Setting(f'{sensor}.noise_density', _significant(density), (why,))
-        if sensor == 'accelerometer' and mounting is not None and mounting.spans is not None:
-            yield Setting('accelerometer.bias', _significant(mounting.bias, 2), (
-                f'what gravity leaves beside the up axis; sigma {mounting.bias_sigma:.2g} m/s^2',))
-        if sensor == 'gyroscope' and best.bias is not None:
-            sigma = ', '.join(f'{s:.1g}' for s in best.bias_sigma)
-            yield Setting('gyroscope.bias', _significant(best.bias), (
-                f'mean over {best.seconds:.0f} s at rest, sigma {sigma} rad/s; the next start has another one',))
+    best = max((drive.noise for drive in drives if drive.noise is not None), key=lambda noise: noise.seconds,
+               default=None)
+    if best is not None:
+        why = f'{best.seconds:.0f} s at rest, the quietest axis; to {best.part:.0%}'
+        for sensor, density in (('accelerometer', best.force_density), ('gyroscope', best.rate_density)):
+            yield Setting(f'{sensor}.noise_density', _significant(density), (why,))
+        sigma = ', '.join(f'{s:.1g}' for s in best.bias_sigma)
+        yield Setting('gyroscope.bias', _significant(best.bias), (
+            f'mean over {best.seconds:.0f} s at rest, sigma {sigma} rad/s; the next start has another one',))
+    if mounting is not None and mounting.spans is not None:
+        sure = _is_sure(float(np.linalg.norm(mounting.bias)), mounting.bias_sigma)
+        yield Setting('accelerometer.bias', _significant(mounting.bias, 2) if sure else [0.0], (
+            f'what gravity leaves beside the up axis: {np.linalg.norm(mounting.bias):.2g} +- {mounting.bias_sigma:.2g} '
+            f'm/s^2{"" if sure else _AT_ZERO}',))
 
 
 def _vehicle_settings(drives, mounting):
@@ -347,28 +361,17 @@ def _missing(topics, drives, mounting):
     if mounting is None or not mounting.yaw_known:
         yield ('the yaw of the mounting is not shown: record a drive with a right-angled turn, some braking and '
                'some speeding up')
-    elif 2.0 * mounting.sigma.max() > _READY_ANGLE:
-        axis = int(np.argmax(mounting.sigma))
-        yield (f'the {("roll", "pitch", "yaw")[axis]} of the mounting is known to '
-               f'{math.degrees(mounting.sigma[axis]):.1f} deg only: more turns and changes of speed would tell')
     if mounting is not None and not any(drive.still.any() for drive in drives):
-        yield 'no standstill: noise is an upper limit, and the gyroscopes\' biases are left at zero'
+        yield 'no standstill: the noise of the sensors is left at its default, their biases at zero'
     if all(drive.units.steering is None for drive in drives):
         yield f'no turn tells the unit of the gyroscopes; {drives[0].units.rate} is taken'
-    offset = mounting.offset if mounting is not None else None
-    if offset is None or not offset.shown:
+    if mounting is None or mounting.offset is None or not mounting.offset.shown:
         yield 'the time offset between IMU and fixes is not shown'
-    else:
-        sure = _is_sure(offset.lag, offset.lag_sigma)
-        if (0.0 if sure else abs(offset.lag)) + 2.0 * offset.lag_sigma > _READY_OFFSET:
-            yield (f'the time offset between IMU and fixes is {offset.lag:.2f} +- {offset.lag_sigma:.2f} s'
-                   + ('' if sure else ', set to zero') + ': more turns and changes of speed, or diagnose, would tell')
 
 
 def _wrong(drives):
     """What is wrong with the recordings, each once."""
-    said = [doubt for drive in drives for doubt in drive.units.doubts]
-    said += [f'{finding.topic}: {finding.message}' for drive in drives for finding in drive.findings]
+    said = [f'{finding.topic}: {finding.message}' for drive in drives for finding in drive.findings]
     units = {(drive.units.acceleration, drive.units.rate) for drive in drives}
     if len(units) > 1:
         said.append('the recordings are in different units; those of the first are written')

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mems_ins_fusion.recordings.motion import positions, robust_sigma, sigmas, valid_fixes
+from mems_ins_fusion.recordings.motion import positions, robust_sigma, scatter_of_track, sigmas, valid_fixes
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
 COURSE_WINDOW = 20.0  # s on each side, over which the gyroscopes carry the course
@@ -107,8 +107,7 @@ def fix_sigma(fixes: Fixes, path: np.ndarray) -> float:
     """What a fix deviates from its neighbours, m: as stated, or less where the track is smoother than that."""
     stated = sigmas(fixes)
     stated = float(np.nanmedian(stated)) if np.isfinite(stated).any() else 3.0
-    rough = max(robust_sigma(axis) for axis in np.diff(path, 2, axis=0).T) / np.sqrt(6.0)
-    return float(np.clip(rough, 0.005, max(stated, 0.005)))
+    return float(np.clip(scatter_of_track(path), 0.005, max(stated, 0.005)))
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ _HARDEST = 8.0  # m/s^2: spans with more are errors of the receiver
 _QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # turns right into forward
 _SLOWEST = 0.5  # m/s: what counts as driving
 _FEWEST_SPANS = 15
+_GRAVITY_ELSEWHERE = 0.1  # part of gravity that may be in what explains the motion
 _SMALLEST_GAIN = 0.6  # specific force per change of speed
 _LARGEST_GAIN = 1.5
 _USABLE = 0.6  # rad: a way to the yaw with a larger sigma is none
@@ -212,7 +213,12 @@ def _explain(inertial, intervals, up, lag) -> _Motion | None:
     design = np.column_stack([motion.acceleration, motion.centripetal, STANDARD_GRAVITY * np.sin(grade),
                               np.ones(len(grade)), motion.turn_change, motion.turn_squared])[moving]
     block = blocks(motion.time[moving])
-    return _Motion(motion, moving, block, fit(design, motion.force[moving], _PRIOR, block))
+    explained = fit(design, motion.force[moving], _PRIOR, block)
+    mean = float(np.linalg.norm(motion.force[moving].mean(axis=0)))
+    kept = float(np.linalg.norm(explained.solution[_UP]))
+    if mean > 0.5 * STANDARD_GRAVITY and abs(kept / mean - 1.0) > _GRAVITY_ELSEWHERE:
+        return None  # so few spans, or spans so alike, that gravity may be anything else
+    return _Motion(motion, moving, block, explained)
 
 
 def _levelled(inertial, intervals, up):

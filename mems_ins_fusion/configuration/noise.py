@@ -1,59 +1,80 @@
-"""White noise and biases of an IMU from what standstills there are; where there is none, from the quietest seconds."""
+"""White noise and biases of an IMU from what standstills there are."""
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from mems_ins_fusion.samples import ImuSamples
+from mems_ins_fusion.characterization.allan import bounds, degrees_of_freedom
+from mems_ins_fusion.recordings.motion import robust_sigma
+from mems_ins_fusion.samples import ImuSamples, runs
 
-_INTERVAL = 0.5  # s that are averaged: long enough for an internal filter, short enough for a short stop
-_QUIETEST = 5.0  # percent of the seconds of a recording without a standstill
+_SHORTEST, _LONGEST = 0.5, 16.0  # s, averaging times: longer than an internal filter, shorter than a drift of the bias
+_EDGE = 1.0  # s, at both ends of a standstill, that may belong to the motion
+_FEWEST = 6  # differences of means that show noise
+_OF_MEDIANS = 0.37  # degrees of freedom of a variance by medians, as part of those of a mean square
 
 
 @dataclass(frozen=True)
 class Noise:
-    """force_density, rate_density: (3,) m/s^2/sqrt(Hz) and rad/s/sqrt(Hz). seconds: of the standstills they are from;
-    0: from the quietest seconds of the drive, an upper limit. part: standard deviation of the densities, relative.
-    bias, bias_sigma: (3,) rad/s of the gyroscopes at rest, or None."""
+    """force_density, rate_density: (3,) m/s^2/sqrt(Hz) and rad/s/sqrt(Hz). seconds: of the standstills they are from.
+    part: standard deviation of the densities, relative. bias, bias_sigma: (3,) rad/s of the gyroscopes at rest."""
 
     force_density: np.ndarray
     rate_density: np.ndarray
     seconds: float
     part: float
-    bias: np.ndarray | None
-    bias_sigma: np.ndarray | None
+    bias: np.ndarray
+    bias_sigma: np.ndarray
 
 
 def find_noise(imu: ImuSamples, still: np.ndarray) -> Noise | None:
-    """Noise of `imu` (SI units) in its standstills `still`, (n,) bool; None where there are too few samples."""
+    """Noise of `imu` (SI units) in its standstills `still`, (n,) bool; None where there are too few samples.
+
+    What a filter integrates is the noise of means, over a second and more: the Allan deviation. An engine that runs,
+    and people who get in, rock the vehicle on its springs, which is a rotation and adds up to nothing: white noise is
+    what all averaging times show at least. Of these the one counts that gives the smallest upper bound. One chip has
+    alike sensors for its axes, and the rocking is not about all of them: densities are those of the quietest axis.
+    By medians, as a knock is no noise.
+    """
     interval = float(np.median(np.diff(imu.stamp))) * 1e-9 if len(imu) > 1 else 0.0
     if interval <= 0.0:
         return None
-    size = max(round(_INTERVAL / interval), 1)
-    both = np.hstack([imu.specific_force, imu.angular_rate])
-    steps, means = [], []
-    for rest in np.split(both, np.flatnonzero(np.diff(still)) + 1)[0 if still[0] else 1::2]:
-        blocks = rest[:len(rest) // size * size].reshape(-1, size, 6).mean(axis=1)
-        steps.append(np.diff(blocks, axis=0))
-        means.append(blocks)
-    steps = np.concatenate(steps) if steps else np.empty((0, 6))
-    if len(steps) < 6:
-        return _quietest(both, interval)
-    # by medians: a standstill's first and last second may belong to the motion
-    density = 1.4826 * np.median(np.abs(steps), axis=0) * np.sqrt(size * interval / 2.0)
-    bias = np.concatenate(means)[:, 3:]
-    scatter = 1.4826 * np.median(np.abs(bias - np.median(bias, axis=0)), axis=0)
-    scatter = np.maximum(scatter, density[3:] / np.sqrt(size * interval)) * np.sqrt(np.pi / 2.0 / len(bias))
-    return Noise(density[:3], density[3:], float(still.sum() * interval), float(np.sqrt(1.36 / len(steps))),
-                 np.median(bias, axis=0), scatter)
-
-
-def _quietest(both, interval) -> Noise | None:
-    size = max(round(1.0 / interval), 4)
-    count = len(both) // size
-    if count < 20:
+    both, edge = np.hstack([imu.specific_force, imu.angular_rate]), round(_EDGE / interval)
+    rests = [both[a + edge:b - edge] for a, b in runs(still) if b - a > 2 * edge]
+    found = [_density(rests, size, interval) for size in _sizes(rests, interval)]
+    found = [one for one in found if one is not None]
+    if not found:
         return None
-    steps = np.diff(both[:count * size].reshape(count, size, 6), axis=1)
-    density = np.sqrt(np.nanpercentile((steps**2).mean(axis=1), _QUIETEST, axis=0) / 2.0 * interval)
-    return Noise(density[:3], density[3:], 0.0, float(np.sqrt(1.0 / count)), None, None)
+    densities, bounds, degrees = (np.array(values) for values in zip(*found))
+    best = np.argmin(bounds, axis=0)
+    least = [3 * k + int(np.argmin(bounds[best, range(6)][3 * k:3 * k + 3])) for k in range(2)]
+    force, rate = (np.full(3, densities[best[axis], axis]) for axis in least)
+    part = float((2.0 * degrees[best[least]].min()) ** -0.5)
+    rates = np.concatenate([rest[:, 3:] for rest in rests])
+    means = np.array([rest[:, 3:].mean(axis=0) for rest in rests])
+    weight = np.array([len(rest) for rest in rests]) / len(rates)
+    # of standstills that do not agree the bias wanders between, or the vehicle creeps in one
+    scatter = np.sqrt(weight @ (means - np.median(rates, axis=0)) ** 2 / len(rests))
+    return Noise(force, rate, float(still.sum() * interval), part, np.median(rates, axis=0),
+                 np.maximum(scatter, rate / np.sqrt(len(rates) * interval)))
+
+
+def _sizes(rests, interval) -> list[int]:
+    """Averaging times of means to compare, in samples: each twice the one before."""
+    longest = min(max((len(rest) for rest in rests), default=0) // 3, round(_LONGEST / interval))
+    shortest = max(round(_SHORTEST / interval), 1)
+    return [shortest * 2**k for k in range(16) if shortest * 2**k <= longest]
+
+
+def _density(rests, size: int, interval: float):
+    """Of means over `size` samples: noise densities (6,), their upper bounds, and degrees of freedom; None of too few.
+    """
+    sums = [np.cumsum(np.vstack([np.zeros(6), rest]), axis=0) for rest in rests]
+    steps = np.concatenate([(s[2 * size:] - 2.0 * s[size:-size] + s[:-2 * size]) / size for s in sums
+                            if len(s) > 2 * size])
+    if len(steps) < _FEWEST * size:
+        return None
+    density = np.array([robust_sigma(step) for step in steps.T]) * np.sqrt(size * interval / 2.0)
+    degrees = max(_OF_MEDIANS * degrees_of_freedom(len(steps) + 2 * size, size, -0.5), 1.0)
+    return density, bounds(density, np.full(6, degrees))[1], degrees

@@ -64,9 +64,8 @@ class Bench:
         found = [steering for steering in found if steering is not None and steering.tells and steering.scale > 0.0]
         if not found or any(self.origin.given['gyroscope.scale']):
             return None
-        value, sigma = weighted(np.array([1.0 / steering.scale - 1.0 for steering in found]),
-                                np.array([steering.scale_sigma for steering in found]))
-        return Estimate(float(value), float(sigma), '-')
+        value, sigma = weighted(*np.array([steering.turned for steering in found]).T)
+        return Estimate(float(value) - 1.0, float(sigma), '-')
 
     def enough(self, share: float = 1.0) -> bool:
         """Whether this share of the work of a search is done."""

@@ -8,7 +8,7 @@ from ..effects.registry import EFFECTS
 from .estimate import Estimate
 
 #: by effect: the parameter that the course of the fixes shows without a filter, too; so many sigma, and this much at
-#: least, are a contradiction
+#: least, are a contradiction, and so is more than this where the course shows nothing
 _SHOWN_BY_COURSE = {'gyroscope_scale': 'z'}
 _CONTRADICTED, _ALIKE = 4.0, 0.05
 
@@ -21,8 +21,10 @@ def implausible(effect: str, parameters: Mapping[str, Estimate], turned: Estimat
     own = parameters.get(_SHOWN_BY_COURSE.get(effect, ''))
     if turned is not None and own is not None and own.value is not None:
         apart = abs(own.value - turned.value)
-        if apart > max(_CONTRADICTED * turned.sigma, _ALIKE):
-            return f'the gyroscopes turn by {1 + turned.value:.3g} times the angle of the course, which contradicts it'
+        contradicted = apart > max(_CONTRADICTED * turned.sigma, _ALIKE)
+        if contradicted or abs(own.value) > _ALIKE and abs(turned.value) <= turned.sigma:
+            return (f'the gyroscopes turn by {1 + turned.value:.3g} +- {turned.sigma:.1g} times the angle of the course, '
+                    f'which {"contradicts it" if contradicted else "shows none of it"}')
     known = EFFECTS.get(effect) or Effect()
     beyond = [f'{name} of {estimate.text()}' for name, estimate in parameters.items()
               if estimate.value is not None and _within(estimate)[0] > known.largest.get(name, float('inf'))]

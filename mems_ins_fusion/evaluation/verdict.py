@@ -4,11 +4,13 @@ Every tool takes its decision from here; the words are those of `reports.verdict
 """
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..configuration.left import ANGLES, TIME_OFFSET, Left
 from .intervals import LEVEL, Difference, interval_of_share, of_mean, p_of_so_few, paired
 from .metrics import rms
 
@@ -134,6 +136,18 @@ def decide(changes: Iterable[Change]) -> Verdict:
     else:
         answer = SAME if all(c.alike(level) for c in tested) else CANNOT_TELL
     return Verdict(answer, changes, level)
+
+
+# whether a params file can be driven with
+
+#: who may be off by more than this, at two sigma, is not ready: s; rad; the antenna's place is the user's to measure
+READY_OFFSET, READY_ANGLE = 0.1, math.radians(3.0)
+
+
+def unsettled(left: Iterable[Left]) -> list[Left]:
+    """Of what recordings leave of the parameters: what keeps a file from being ready to drive with."""
+    most = {TIME_OFFSET: READY_OFFSET, **dict.fromkeys(ANGLES, READY_ANGLE)}
+    return [one for one in left if not one.settled(most.get(one.name, math.inf))]
 
 
 # whether sigmas can be trusted

@@ -210,7 +210,7 @@ def _noise_row(source: str, sensor: str, density, part: float) -> dict:
 
 
 def _configure(work: Job, paths, references, given, folder: Path, known_as: Path) -> dict:
-    from ..reports.configuration import answer, configuration_page, configuration_yaml
+    from ..reports.configuration import answer, configuration_page, configuration_yaml, doubts
 
     result, said = _configured(paths)
     text = configuration_yaml(result)
@@ -220,8 +220,7 @@ def _configure(work: Job, paths, references, given, folder: Path, known_as: Path
         (folder / 'params.html').write_text(configuration_page(result, text, answered), encoding='utf-8')
     rows = [effect_row('params_file', *parameter, None, '') for parameter in _parameters(result.values)]
     return {'rows': {'effects': rows, 'results': [], 'outages': [],
-                     'findings': [_finding('configure', 'warning', '', text) for text in (*result.wrong,
-                                                                                           *result.missing)]},
+                     'findings': [_finding('configure', 'warning', '', text) for text in doubts(result)]},
             'page': 'params.html' if work.options['pages'] else ''}
 
 

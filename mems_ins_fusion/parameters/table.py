@@ -78,7 +78,7 @@ FILTER = (
               'samples show, which in a vehicle that shakes is more than at rest (strapdown); false where the IMU '
               'filters before it samples, which diagnose tells.'),
     Parameter('imu.acceleration_unit', 'm/s^2', 'text', 'Unit of Imu.linear_acceleration as the driver delivers it; '
-              'every other parameter stays in SI units.', choices=('m/s^2', 'g')),
+              'every other parameter stays in SI units.', choices=('m/s^2', 'g', 'mg')),
     Parameter('imu.rate_unit', 'rad/s', 'text', 'The same for Imu.angular_velocity.', choices=('rad/s', 'deg/s')),
     Parameter('imu.max_gap', 0.5, 's', 'A longer gap between samples is bridged with the mean of the samples '
               'before and after it, and with a covariance that says so.', positive=True, maximum=60.0),

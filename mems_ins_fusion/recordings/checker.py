@@ -6,6 +6,7 @@ other. What needs an estimate of mounting and clocks is in `configuration.check`
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -17,24 +18,28 @@ from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.aiding import check_aiding
 from mems_ins_fusion.recordings.findings import ERROR, INFO, WARNING, Finding, count_of
 from mems_ins_fusion.recordings.motion import (
-    compare_steering,
     find_standstill,
     positions,
     robust_sigma,
     scatter_at_rest,
+    scatter_of_track,
     sigmas,
     up_axis,
     valid_fixes,
 )
+from mems_ins_fusion.recordings.units import RATE, Units, as_delivered, find_units
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, runs
+from mems_ins_fusion.sensor_errors.models import per_axis
 
 FASTEST = 70.0  # m/s: of a land vehicle
 HARDEST = 12.0  # m/s^2: its strongest acceleration
 GAP = 2.5  # in intervals
 _AXES = np.array(['x', 'y', 'z'])
-_UNITS = {'g': 1.0 / STANDARD_GRAVITY, 'mg': 1000.0 / STANDARD_GRAVITY}  # per m/s^2
-_DEGREES_PER_RADIAN = 180.0 / np.pi
 _STRAIGHT = np.cos(np.radians(20.0))  # an axis within 20 degrees of the vertical is said to point up
+_SCALE = 0.1  # part of a turn: gyroscopes that are off by more have a wrong scale
+_SURE = 4.0  # sigmas
+#: what the parameters say of units where there are none
+_UNITS = {'imu.acceleration_unit': 'm/s^2', 'imu.rate_unit': 'rad/s'}
 
 
 def check_recording(recording: Recording, values: Mapping = MappingProxyType({})) -> list[Finding]:
@@ -48,7 +53,7 @@ def check_recording(recording: Recording, values: Mapping = MappingProxyType({})
     good = None
     if fixes is not None:
         findings += _check_stamps('gnss', fixes)
-        findings += _check_fixes_present(fixes)
+        findings += _check_fixes_present(fixes, values.get('gnss.sigma', 0.0))
         good = seen.gnss if len(seen.gnss) > 1 else None
     if recording.temperature is not None:
         findings += _check_stamps('temperature', recording.temperature)
@@ -62,13 +67,29 @@ def check_recording(recording: Recording, values: Mapping = MappingProxyType({})
         return findings
     if good is not None and (imu.stamp.max() < good.stamp[0] or imu.stamp.min() > good.stamp[-1]):
         return [*findings, _no_overlap(imu, good)]
-    still = find_standstill(imu, good)
-    findings += _check_gravity(imu, still, good, values.get('mechanization'))
+    imu, still = _as_declared(imu, values), find_standstill(imu, good)
+    declared = [values.get(name, unit) for name, unit in _UNITS.items()]
+    expected = float(gravity(good.latitude[0], good.height[0])) if good is not None else STANDARD_GRAVITY
+    units = find_units(as_delivered(imu, *declared), good, expected)
+    findings += [*_check_gravity(imu, still, expected, units, declared[0], values), *_check_rest(imu, still)]
     if good is not None:
-        findings += [*_check_frozen(good, imu, still), *_check_jumps(good),
-                     *_check_sigma(good, imu, still, values.get('gnss.sigma', 0.0)),
-                     *_check_turns(imu, good, still)]
+        findings += [*_check_frozen(good, imu, still), *_check_jumps(good, values.get('gnss.robust_sigma', 0.0)),
+                     *_check_sigma(good, imu, still, values.get('gnss.sigma', 0.0),
+                                   values.get('gnss.adapt_sigma', False)),
+                     *_check_turns(units, declared[1])]
     return findings
+
+
+def _as_declared(imu: ImuSamples, values: Mapping) -> ImuSamples:
+    """`imu` without the biases and scale errors that the parameters `values` state."""
+    if 'gyroscope.bias' not in values:
+        return imu
+
+    def right(sensor, samples):
+        bias, scale = (np.array(per_axis(values, f'{sensor}.{name}')) for name in ('bias', 'scale'))
+        return (samples - bias) / (1.0 + scale)
+    return replace(imu, specific_force=right('accelerometer', imu.specific_force),
+                   angular_rate=right('gyroscope', imu.angular_rate))
 
 
 def _check_stamps(topic, samples):
@@ -171,7 +192,8 @@ def _check_values(imu: ImuSamples):
                       {'count': count, 'part': float(same.mean())})
 
 
-def _check_fixes_present(fixes: Fixes):
+def _check_fixes_present(fixes: Fixes, declared: float):
+    """Fixes that are none, and sigmas that are not there and not `declared`, m, either."""
     without = fixes.status < 0
     null = ~without & (fixes.latitude == 0) & (fixes.longitude == 0)
     broken = ~without & ~null & ~valid_fixes(fixes)
@@ -183,7 +205,7 @@ def _check_fixes_present(fixes: Fixes):
             yield Finding(ERROR if mask.all() else WARNING, 'gnss', f'{count_of(count, "message")} {text}',
                           {'count': count})
     unknown = np.isnan(sigmas(fixes)) & valid_fixes(fixes)
-    if unknown.any():
+    if unknown.any() and not declared:
         count = int(unknown.sum())
         yield Finding(WARNING, 'gnss', f'{count_of(count, "fix" if count == 1 else "fixe")} with an unknown or zero '
                       'covariance: gnss.default_sigma will be used', {'count': count})
@@ -195,33 +217,41 @@ def _no_overlap(imu, fixes):
                    'IMU by their stamps', {'offset_s': offset})
 
 
-def _check_gravity(imu, still, fixes, mechanization):
-    """Magnitude and direction of the specific force: the accelerometers' unit, and which axis points up."""
+def _check_gravity(imu, still, expected, units: Units, declared, values):
+    """Magnitude and direction of the specific force: the accelerometers' unit, and which axis points up.
+
+    expected: m/s^2, gravity there. declared: `imu.acceleration_unit`. values: parameters.
+    """
     up, magnitude = up_axis(imu, still)
-    expected = float(gravity(fixes.latitude[0], fixes.height[0])) if fixes is not None else STANDARD_GRAVITY
     where = 'at rest' if still.any() else 'on average (the recording shows no standstill)'
-    values = {'magnitude': magnitude, 'expected': expected, 'up': up.tolist(), 'standstill_s': float(
+    seen = {'magnitude': magnitude, 'expected': expected, 'up': up.tolist(), 'standstill_s': float(
         still.mean() * (imu.stamp.max() - imu.stamp.min()) * 1e-9)}
-    unit = next((name for name, per in _UNITS.items() if abs(magnitude / (per * expected) - 1) < 0.15), None)
     text = f'the specific force is {magnitude:.4g} m/s^2 {where}, gravity there is {expected:.4g} m/s^2'
-    if unit is not None:
-        yield Finding(ERROR, 'imu', f'{text}: the accelerometers seem to be in {unit} instead of m/s^2 (see '
-                      'imu.acceleration_unit)', values)
-    elif magnitude < 0.2 * expected:
-        severity = INFO if mechanization == 'planar' else ERROR  # it works without
-        yield Finding(severity, 'imu', f'{text}: gravity seems to be removed from it, or the unit is wrong', values)
-    elif abs(magnitude / expected - 1) > 0.15:
-        yield Finding(ERROR, 'imu', f'{text}: unit or scale is wrong', values)
-    else:
+    if units.gravity and units.acceleration != declared:
+        yield Finding(ERROR, 'imu', f'{text}: the accelerometers seem to be in {units.acceleration} instead of '
+                      f'{declared} (see imu.acceleration_unit)', seen)
+    elif units.gravity:
         doubtful = abs(magnitude - expected) > 0.3
         text += ': a large bias or scale error' if doubtful else ''
-        yield Finding(WARNING if doubtful else INFO, 'imu', text, values)
+        yield Finding(WARNING if doubtful else INFO, 'imu', text, seen)
+    elif magnitude < 0.2 * expected:
+        severity = INFO if values.get('mechanization') == 'planar' else ERROR  # it works without
+        yield Finding(severity, 'imu', f'{text}: gravity seems to be removed from it, or the unit is wrong', seen)
+    else:
+        yield Finding(ERROR, 'imu', f'{text}: unit or scale is wrong', seen)
+    mounting = values.get('imu.mounting_rpy')
+    if mounting is not None and any(mounting):  # which axis points up is said by it
+        return
     axis = int(np.argmax(np.abs(up)))
     name = f'{"+" if up[axis] > 0 else "-"}{_AXES[axis]}'
     tilt = float(np.degrees(np.arccos(min(abs(up[axis]), 1.0))))
     upright = abs(up[axis]) > _STRAIGHT
     points = f'sensor axis {name} points up' if upright else f'no sensor axis points up: {name} is nearest'
     yield Finding(INFO, 'imu', f'{points}, {tilt:.1f} deg off', {'axis': name, 'tilt_deg': tilt})
+
+
+def _check_rest(imu, still):
+    """Biases of the gyroscopes, where there is a standstill."""
     if still.any():
         bias = imu.angular_rate[still].mean(axis=0)
         if np.abs(bias).max() > 0.05:
@@ -248,8 +278,8 @@ def _check_frozen(fixes, imu, still):
                       f'up to {seconds:.1f} s', {'count': count, 'longest_s': float(seconds)})
 
 
-def _check_jumps(fixes):
-    """Steps that no land vehicle makes, beyond five sigma of the receiver."""
+def _check_jumps(fixes, robust_sigma):
+    """Steps that no land vehicle makes, beyond five sigma of the receiver. robust_sigma: as the parameter."""
     stated = sigmas(fixes)
     stated = np.where(np.isnan(stated), 3.0, stated)
     time = (fixes.stamp - fixes.stamp[0]) * 1e-9
@@ -267,57 +297,56 @@ def _check_jumps(fixes):
         # an outlier is two jumps, there and back
         size = np.linalg.norm(step, axis=1)[jump]
         count = int(jump.sum())
-        yield Finding(WARNING, 'gnss', f'the position jumps {count_of(count, "time")}, by up to {size.max():.3g} m, '
-                      'which neither the vehicle nor the stated sigma explains (see gnss.robust_sigma)',
+        advice = '; gnss.robust_sigma weighs such fixes down' if robust_sigma else ' (see gnss.robust_sigma)'
+        yield Finding(INFO if robust_sigma else WARNING, 'gnss', f'the position jumps {count_of(count, "time")}, by up '
+                      f'to {size.max():.3g} m, which neither the vehicle nor the stated sigma explains{advice}',
                       {'count': count, 'largest_m': float(size.max()), 'first_s': float(time[1:][jump][0])})
 
 
-def _check_sigma(fixes, imu, still, declared):
+def _check_sigma(fixes, imu, still, declared, adapted):
     """The stated sigma, or the `declared` one, m, against the scatter at rest, or against the roughness of the track,
-    which bounds white noise."""
+    which bounds white noise. adapted: whether the filter takes sigmas for what it sees (`gnss.adapt_sigma`)."""
     stated = sigmas(fixes)
     if np.isnan(stated).all():
         return
     stated = declared or float(np.nanmedian(stated))
-    path = positions(fixes)
     scatter, basis = scatter_at_rest(fixes, imu, still), 'at rest'
     if scatter is None:
         if len(fixes) < 20:
             return
         interval = np.median(np.diff(fixes.stamp)) * 1e-9
         basis = 'from fix to fix'
-        scatter = max(robust_sigma(axis) for axis in np.diff(path, 2, axis=0).T) / np.sqrt(6.0)
+        scatter = scatter_of_track(positions(fixes))
         if scatter > stated and interval > 0.3:
             return  # that may be the vehicle's own acceleration
     values = {'stated_m': stated, 'scatter_m': scatter}
-    text = f'stated sigma {stated:.3g} m, scatter {basis} {scatter:.3g} m'
+    text = f'{"gnss.sigma" if declared else "stated sigma"} {stated:.3g} m, scatter {basis} {scatter:.3g} m'
+    doubt, advice = '', 'set gnss.sigma'
     if scatter > 3.0 * stated:
-        yield Finding(WARNING, 'gnss', f'{text}: the receiver is too sure of itself; set gnss.sigma', values)
+        doubt = ': the receiver is too sure of itself'
     elif scatter < 0.05 * stated:
-        yield Finding(WARNING, 'gnss', f'{text}: the receiver is far better than it says, or its fixes are smoothed',
-                      values)
+        doubt, advice = ': the receiver is far better than it says, or its fixes are smoothed', ''
+    if doubt and not adapted:
+        yield Finding(WARNING, 'gnss', '; '.join(filter(None, (f'{text}{doubt}', advice))), values)
     else:
         yield Finding(INFO, 'gnss', text, values)
 
 
-def _check_turns(imu, fixes, still):
-    """Unit and sign of the gyroscopes, from the turns in the course of the fixes."""
-    up, _ = up_axis(imu, still)
-    steering = compare_steering(imu, fixes, up)
-    if steering is None or not steering.tells:
+def _check_turns(units: Units, declared: str):
+    """Unit and sign of the gyroscopes, from the turns in the course of the fixes. declared: `imu.rate_unit`."""
+    if units.steering is None:
         yield Finding(INFO, 'imu/gnss', 'no turns clear enough to compare the gyroscopes with the course of the fixes')
         return
-    turned = 1.0 / steering.scale
-    values = {'ratio': turned, 'sigma': steering.scale_sigma * turned**2}
+    turned, sigma = (RATE[declared] * value for value in units.steering.turned)
+    values = {'ratio': turned, 'sigma': sigma}
     text = f'the gyroscopes turn through {turned:.3g} times the angle of the course'
-    if abs(abs(steering.scale) * _DEGREES_PER_RADIAN - 1) < 0.3:
-        yield Finding(ERROR, 'imu', f'{text}: they seem to be in deg/s instead of rad/s (see imu.rate_unit)', values)
-    elif abs(abs(steering.scale) / _DEGREES_PER_RADIAN - 1) < 0.3:
-        yield Finding(ERROR, 'imu', f'{text}: they seem to be in rad/s, not in deg/s (see imu.rate_unit)', values)
-    elif steering.scale < 0:
-        yield Finding(ERROR, 'imu', f'{text}: their sign does not fit the accelerometers; the axes are not '
-                      'right-handed, or the specific force has the wrong sign', values)
-    elif abs(turned - 1) > max(0.1, 4 * values['sigma']):
+    if units.rate != declared:
+        yield Finding(ERROR, 'imu', f'{text}: they seem to be in {units.rate} instead of {declared} (see '
+                      'imu.rate_unit)', values)
+    elif units.steering.scale < 0:
+        yield Finding(ERROR, 'imu', f'{text}: their sign does not fit the accelerometers; the axes are mirrored (not '
+                      'right-handed), or the specific force has the wrong sign', values)
+    elif abs(turned - 1) > max(_SCALE, _SURE * sigma):
         yield Finding(WARNING, 'imu', f'{text}: a wrong scale', values)
     else:
         yield Finding(INFO, 'imu', text, values)

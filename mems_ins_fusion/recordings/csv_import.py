@@ -10,10 +10,9 @@ from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.gps_time import utc_of_week
 from mems_ins_fusion.recordings.nmea import read_nmea
 from mems_ins_fusion.recordings.tables import Table, read_table, read_text, unit_in_name
+from mems_ins_fusion.recordings.units import ACCELERATION, RATE
 from mems_ins_fusion.samples import Fixes, ImuSamples, Speeds, Temperatures, Velocities
 
-ACCELERATION_UNITS = {'m/s^2': 1.0, 'g': STANDARD_GRAVITY, 'mg': STANDARD_GRAVITY / 1000.0}
-GYRO_UNITS = {'rad/s': 1.0, 'deg/s': np.pi / 180.0}
 SPEED_UNITS = {'m/s': 1.0, 'km/h': 1 / 3.6, 'mph': 0.44704, 'knots': 1852 / 3600, 'mm/s': 1e-3, 'cm/s': 1e-2}
 #: whole numbers of 1e-7 deg are what u-blox, MAVLink and PX4 send, with heights in mm
 ANGLE_UNITS = {'deg': np.pi / 180.0, 'rad': 1.0, '1e-7 deg': 1e-7 * np.pi / 180.0}
@@ -114,24 +113,24 @@ def read_imu(path, columns: dict[str, str] | None = None, axes: str = 'forward l
     # of a file with one sensor alone the axes need no further name
     names = _require(table, sensors, IMU_COLUMNS, columns, {f'a{axis}': (axis,) for axis in 'xyz'} if gyro else {})
     stamp, time_unit = _times(table, columns, time_unit, _LONGEST_IMU_INTERVAL, names)
-    acceleration_unit = acceleration_unit or _unit(table, names['ax'], ACCELERATION_UNITS)
-    force = _columns(table, names, ('ax', 'ay', 'az')) * ACCELERATION_UNITS[acceleration_unit]
+    acceleration_unit = acceleration_unit or _unit(table, names['ax'], ACCELERATION)
+    force = _columns(table, names, ('ax', 'ay', 'az')) * ACCELERATION[acceleration_unit]
     if gyro:
         turning = read_table(gyro)
         own = _require(turning, ('wx', 'wy', 'wz'), IMU_COLUMNS, columns, {f'w{axis}': (axis,) for axis in 'xyz'})
         at, _ = _times(turning, columns, time_unit if time_unit != 'date' else None, _LONGEST_IMU_INTERVAL, own)
-        gyro_unit = gyro_unit or _unit(turning, own['wx'], GYRO_UNITS)
+        gyro_unit = gyro_unit or _unit(turning, own['wx'], RATE)
         inside = (stamp >= at.min()) & (stamp <= at.max())
         if not inside.any():
             raise RecordingError(f'{path} and {gyro} do not overlap in time')
         table, stamp, force = table.select(inside), stamp[inside], force[inside]
         order = np.argsort(at, kind='stable')
-        values = _columns(turning, own, ('wx', 'wy', 'wz'))[order] * GYRO_UNITS[gyro_unit]
+        values = _columns(turning, own, ('wx', 'wy', 'wz'))[order] * RATE[gyro_unit]
         rate = np.column_stack([np.interp(stamp - at[order[0]], at[order] - at[order[0]], v) for v in values.T])
         names |= {name: f'{turning.path.name}: {own[name]}' for name in ('wx', 'wy', 'wz')}
     else:
-        gyro_unit = gyro_unit or _unit(table, names['wx'], GYRO_UNITS)
-        rate = _columns(table, names, ('wx', 'wy', 'wz')) * GYRO_UNITS[gyro_unit]
+        gyro_unit = gyro_unit or _unit(table, names['wx'], RATE)
+        rate = _columns(table, names, ('wx', 'wy', 'wz')) * RATE[gyro_unit]
     if increments:
         if len(stamp) < 2:
             raise RecordingError(f'{path}: increments of a single sample are no rates')
@@ -422,7 +421,7 @@ def _proposal(table: Table, wanted, found, given: dict[str, str]) -> str:
         option = '--imu-columns'
         numbers = {name: v for name, v in _numeric(table).items() if name not in columns.values()}
         for triple, unit in _triples(numbers):
-            sensor = 'a' if unit in ACCELERATION_UNITS else 'w'
+            sensor = 'a' if unit in ACCELERATION else 'w'
             if f'{sensor}x' in wanted and f'{sensor}x' not in columns:
                 columns |= {f'{sensor}{axis}': name for axis, name in zip('xyz', triple)}
                 units += f' --{"acceleration" if sensor == "a" else "gyro"}-unit {unit}'
@@ -451,7 +450,7 @@ def _triples(numbers: dict[str, np.ndarray]):
                                 names.index(t[0]) % 3))
     size = {t: np.linalg.norm([numbers[n] for n in t], axis=0) for t in triples}
     taken: set[str] = set()
-    near = ((t, unit) for t, s in size.items() for unit, per in ACCELERATION_UNITS.items()
+    near = ((t, unit) for t, s in size.items() for unit, per in ACCELERATION.items()
             if abs(np.log(max(np.median(s), 1e-9) * per / STANDARD_GRAVITY)) < _NEAR_GRAVITY)
     for triple, unit in near:
         taken |= set(triple)

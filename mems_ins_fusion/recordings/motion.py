@@ -16,7 +16,7 @@ from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
 __all__ = ['Steering', 'compare_steering', 'find_standstill', 'plausible', 'positions', 'robust_sigma',
-           'scatter_at_rest', 'sigmas', 'up_axis', 'valid_fixes']
+           'scatter_at_rest', 'scatter_of_track', 'sigmas', 'up_axis', 'valid_fixes']
 
 QUIET = 0.03  # spread of the specific force at rest, as a part of gravity: a running engine stays below
 CREEP = 0.15  # m/s: what counts as rest
@@ -107,6 +107,12 @@ def scatter_at_rest(fixes: Fixes, imu: ImuSamples, still: np.ndarray) -> float |
     return np.sqrt(squares / freedom) if freedom else None
 
 
+def scatter_of_track(track: np.ndarray) -> float:
+    """Standard deviation per axis of white noise of fixes, m, at most: from the second differences of `track` (n, 2) m,
+    in which a steady motion does not show. The vehicle's own acceleration is in it where fixes are seldom."""
+    return max(robust_sigma(axis) for axis in np.diff(track, 2, axis=0).T) / np.sqrt(6.0)
+
+
 def up_axis(imu: ImuSamples, still: np.ndarray) -> tuple[np.ndarray, float]:
     """Unit vector up in sensor axes, and the mean magnitude of the specific force; at rest if there is a rest."""
     chosen = still if still.any() else np.isfinite(imu.specific_force).all(axis=1)
@@ -119,13 +125,21 @@ def up_axis(imu: ImuSamples, still: np.ndarray) -> tuple[np.ndarray, float]:
 class Steering:
     """What the turns of gyroscopes and fixes say about each other. scale: course turned per angle that the gyroscopes
     turned, with its standard deviation. explained: part of the course's variance, 0 to 1. intervals: course changes
-    compared.
+    compared. diluted: part of the scale that may be missing, as noise of the gyroscopes makes it too small.
     """
 
     scale: float
     scale_sigma: float
     explained: float
     intervals: int
+    diluted: float = 0.0
+
+    @property
+    def turned(self) -> tuple[float, float]:
+        """How many times the angle of the course the gyroscopes turn through, without sign, and its standard
+        deviation."""
+        turned = 1.0 / abs(self.scale)
+        return turned, turned * float(np.hypot(self.scale_sigma * turned, self.diluted))
 
     @property
     def tells(self) -> bool:
@@ -140,6 +154,10 @@ def compare_steering(imu: ImuSamples, fixes: Fixes, up: np.ndarray) -> Steering 
     constant. To first order, with heading psi, its rate w, speed v, time offset T and arm L, the course of a chord is
     the mean over its interval of psi(t - T) + L w / v. Weighted least squares; T by a search, then by Gauss-Newton.
     T and L are in it for the scale's sake: `configuration.offset` knows them better.
+
+    Noise of the gyroscopes - samples that alias what shakes the vehicle - is noise of the regressor, which makes the
+    scale too small: by the part of what it explains that the residual has beyond the noise of the fixes, at most.
+    (W. A. Fuller, "Measurement Error Models", section 1.1.)
     """
     course = _course_changes(fixes)
     if course is None:
@@ -173,7 +191,8 @@ def compare_steering(imu: ImuSamples, fixes: Fixes, up: np.ndarray) -> Steering 
     scale = float(solution[0])
     sigma = np.sqrt(np.diag(covariance) * max(cost / max(kept.sum() - 4, 1), 1.0))
     total = float((weight * change**2)[kept].sum())
-    return Steering(scale, float(sigma[0]), 1.0 - cost / total if total else 0.0, int(kept.sum()))
+    beyond = max(cost - kept.sum(), 0.0) / max(total - cost, np.finfo(float).tiny)
+    return Steering(scale, float(sigma[0]), 1.0 - cost / total if total else 0.0, int(kept.sum()), float(beyond))
 
 
 def _solve(design, values, weight):

@@ -9,13 +9,21 @@ from pathlib import PurePath
 import numpy as np
 
 from ..configuration.configure import Configuration
+from ..evaluation.verdict import unsettled
 from ..parameters.params_file import yaml_value
 from . import html
 from .answer import GOOD, WARNING, Answer, Step
 from .html import bullets, figure, folded, paragraph, preformatted, section, table
+from .verdict import unsettled_text
 
 _WIDTH = 116
 _POINTS = 4000
+
+
+def doubts(result: Configuration) -> list[str]:
+    """Why the file is not ready to drive with: what is wrong, what the recordings do not show, and what may be off."""
+    said = [unsettled_text(left) for left in unsettled(result.left) if math.isfinite(left.sigma)]
+    return [*result.wrong, *result.missing, *said]
 
 
 def configuration_yaml(result: Configuration) -> str:
@@ -23,7 +31,7 @@ def configuration_yaml(result: Configuration) -> str:
     names = ', '.join(drive.name for drive in result.drives)
     lines = [*textwrap.wrap(f'Written by configure from {names}.', _WIDTH, initial_indent='# ', subsequent_indent='# '),
              '# Each value with what it stands on; +- and sigma: one standard deviation.',
-             *(line for text in (*result.missing, *result.wrong) for line in textwrap.wrap(
+             *(line for text in doubts(result) for line in textwrap.wrap(
                  f'! {text}', _WIDTH, initial_indent='# ', subsequent_indent='#   ')),
              '/**:', '  ros__parameters:']
     for setting in result.settings:
@@ -52,7 +60,7 @@ def story(result: Configuration) -> list[str]:
 def answer(result: Configuration, bags: list[str], output: str) -> Answer:
     """Whether the file can be driven with, what is not right or not known, and what to type next. bags, output: paths
     of the recordings and of the file, for the commands."""
-    found = result.mounting
+    found, wrong = result.mounting, doubts(result)
     path, name = shlex.quote(output), PurePath(output).name
     steps = [Step('Find what is missing in it:', f'python -m mems_ins_fusion diagnose --bag {shlex.quote(bags[0])} '
                   f'--params-file {path} --output diagnosis'),
@@ -63,11 +71,10 @@ def answer(result: Configuration, bags: list[str], output: str) -> Answer:
         headline = f'{name} is not complete: the recording does not show how the IMU sits.'
         steps = [Step('Record a drive with a standstill, right-angled turns and braking, and run configure again; or '
                       'set imu.mounting_rpy by hand.')]
-    elif result.wrong or result.missing:
+    elif wrong:
         headline = f'{name} can be used; see below what is not right or not known.'
     else:
         headline = f'{name} is ready to drive with.'
-    wrong = [*result.wrong, *(f'Not shown by the recording: {text}' for text in result.missing)]
     return Answer(WARNING if wrong or found is None or not found.yaw_known else GOOD, headline, wrong, [], steps)
 
 

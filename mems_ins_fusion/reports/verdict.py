@@ -1,8 +1,10 @@
 """The words of a verdict, the same in every tool: what `evaluation.verdict` decided, in sentences and for JSON."""
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
+from ..configuration.left import TIME_OFFSET, Left
 from ..evaluation.verdict import NO, TOO_CAREFUL, YES, Change, Held, Scale, Trust, Verdict
 from ..recordings.findings import ERROR, Finding
 from .html import number
@@ -13,6 +15,17 @@ def certainly_wrong(findings: Sequence[Finding], values: dict) -> list[Finding]:
     # a planar filter needs three of the six axes
     return [f for f in findings if f.severity == ERROR and not (values['mechanization'] == 'planar'
                                                                 and 'axes' in f.values)]
+
+
+def unsettled_text(left: Left) -> str:
+    """Why a params file is not ready: what may still be left of a quantity. Angles in degrees."""
+    if not math.isfinite(left.sigma):
+        return f'the {left.name} is not shown'
+    what, unit, digits = (('time offset between IMU and fixes', 's', 2) if left.name == TIME_OFFSET else
+                          (f'{left.name} of the mounting', 'deg', 1))
+    value, sigma = (left.value, left.sigma) if unit == 's' else map(math.degrees, (left.value, left.sigma))
+    known = f'off by {value:.{digits}f} +- ' if left.certain(0.0, 0.5) else 'known to '
+    return f'the {what} is {known}{sigma:.{digits}f} {unit}: more turns and changes of speed, or diagnose, would tell'
 
 
 def where_text(change: Change) -> str:

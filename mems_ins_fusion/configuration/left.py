@@ -1,0 +1,50 @@
+"""What a recording leaves of the parameters: how far its estimates are from what a params file says, with their sigma.
+
+The checker says it of any file, and whether a file that `configure` wrote is ready stands on the same numbers.
+"""
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from mems_ins_fusion.configuration.mounting import UNKNOWN, Mounting, deviation
+from mems_ins_fusion.navigation.frames import rotation_from_rpy
+
+TIME_OFFSET = 'time offset'
+ANGLES = 'roll', 'pitch', 'yaw'
+ARM = 'forward', 'left', 'up'
+
+
+@dataclass(frozen=True)
+class Left:
+    """What is left of one quantity: `value`, the estimate less what the file says, and its standard deviation, infinite
+    where the recording does not show it. name: TIME_OFFSET (s), one of ANGLES (rad, about forward, left and up), or one
+    of ARM (m)."""
+
+    name: str
+    value: float
+    sigma: float
+
+    def settled(self, most: float, sigmas: float = 2.0) -> bool:
+        """Whether no more than `most` can be left."""
+        return abs(self.value) + sigmas * self.sigma <= most
+
+    def certain(self, least: float, sigmas: float) -> bool:
+        """Whether more than `least` is left, and not by chance."""
+        return abs(self.value) > max(least, sigmas * self.sigma)
+
+
+def left_of(found: Mounting | None, values: Mapping) -> tuple[Left, ...]:
+    """What the estimates `found` leave of the parameters `values`: the angles, the time offset, the arm."""
+    if found is None:
+        return tuple(Left(name, 0.0, math.inf) for name in (*ANGLES, TIME_OFFSET, *ARM))
+    turned = deviation(found.rotation, rotation_from_rpy(*values['imu.mounting_rpy']))
+    angles = [Left(name, float(angle), float(sigma) if sigma < UNKNOWN else math.inf)
+              for name, angle, sigma in zip(ANGLES, turned, found.sigma)]
+    offset = found.offset
+    if offset is None or not offset.shown:
+        return (*angles, *(Left(name, 0.0, math.inf) for name in (TIME_OFFSET, *ARM)))
+    arm = [Left(name, float(seen - said), float(sigma)) for name, seen, said, sigma in zip(
+        ARM, offset.arm, values['gnss.lever_arm'], offset.arm_sigma)]
+    return (*angles, Left(TIME_OFFSET, offset.lag - values['gnss.time_offset'], offset.lag_sigma), *arm)
