@@ -3,7 +3,7 @@
     python studies/fleet.py --task diagnose             # the whole proof: about an hour on two cores
     python studies/fleet.py --task configure --duration 300
 
-Eight vehicles, five drives each over a year, simulated: in car_2 the receiver's stamps are 0.3 s off from the beginning,
+Eight vehicles, five drives each over a year, simulated: in car_2 the receiver's stamps are 0.3 s off from the begin,
 in car_4 the antenna is 0.8 m ahead of where the parameters have it, in car_6 it is moved by --moved m after the third
 drive. One recording breaks off; beside them are an empty file, one that is no recording, and a copy. Printed: what the
 watchman says, and the estimates of the three vehicles.

@@ -7,8 +7,8 @@ A member is a copy of the filter's memory whose own checks are off (no gate, no 
 not believe since t0: nobody (*nominal*), the *fixes*, or the *IMU*; or that the state had *strayed*, and began anew
 from a line through the latest fixes. Its score is the logarithm of the prior (rates below) and of the likelihood of all
 that has come since: fixes, lateral constraints, standstills. In an undisturbed drive there is one member. A fix that
-fits it too badly, fixes that go straight on to the centimetre, or constraints that do not fit open a dispute; who agrees
-with a better one or has lost by DROPPED goes. What is published is the best member, with the covariance of the mixture
+fits it too badly, fixes that go straight on to the centimetre, or constraints that do not fit open a dispute; who
+agrees with a better one or has lost by DROPPED goes. What is published is the best member, with the covariance of the mixture
 about it (D. T. Magill, "Optimal adaptive estimation of sampled stochastic processes", IEEE Trans. Automatic Control 10,
 1965; H. A. P. Blom and Y. Bar-Shalom, "The interacting multiple model algorithm", the same 33, 1988).
 
@@ -68,7 +68,7 @@ RANGE = math.log(1000.0)
 STRAIGHT = 0.15
 #: 1/s: those that are wrong change the way in which they are
 CHANGES = 0.02
-#: variances that the offset of wrong fixes gathers: m^2/s of one that stays and of one that drifts, m^2/s^3 of its drift
+#: variances that the offset of wrong fixes gathers: m^2/s where it stays and where it drifts, m^2/s^3 of its drift
 STAYS, WANDERS, TURNS = 0.0004, 0.01, 0.02
 #: m/s: sigma of the drift of wrong fixes
 DRIFT = 3.0
@@ -275,8 +275,8 @@ class Bank(replay.Replay):
             return 0.0
         kept = _NO_INDEX if states is None else np.arange(stop - begin)
         states = np.zeros((0, len(self.columns))) if states is None else states
-        kernel.run(member.memory, self.samples[begin:stop], _NO_EVENTS, _NO_INDEX, _NO_INDEX, self.columns, kept, states,
-                   _NO_EVENTS)
+        kernel.run(member.memory, self.samples[begin:stop], _NO_EVENTS, _NO_INDEX, _NO_INDEX, self.columns, kept,
+                   states, _NO_EVENTS)
         if member.imu_wrong:
             return 0.0
         memory, capacity = member.memory, int(member.memory[Head.CAPACITY])
@@ -436,7 +436,8 @@ class Bank(replay.Replay):
     def without_fixes(self, member: Member) -> list[Member]:
         found = []
         for past in self._begins(member):
-            child = Member(f'fixes wrong since {past.time:.0f}', past.memory.copy(), past.score + _rate(FIXES_WRONG, past.time - member.fixes_ended),
+            child = Member(f'fixes wrong since {past.time:.0f}', past.memory.copy(),
+                           past.score + _rate(FIXES_WRONG, past.time - member.fixes_ended),
                            Wrong(), last=past.time, tried=past.time, usual=member.usual,
                            imu_ended=member.imu_ended)
             at = past.place
@@ -451,7 +452,8 @@ class Bank(replay.Replay):
     def without_imu(self, member: Member, with_newest: bool = False) -> list[Member]:
         found = []
         for past in self._begins(member)[:2]:
-            child = Member(f'IMU wrong since {past.time:.0f}', past.memory.copy(), past.score + _rate(IMU_WRONG, past.time - member.imu_ended),
+            child = Member(f'IMU wrong since {past.time:.0f}', past.memory.copy(),
+                           past.score + _rate(IMU_WRONG, past.time - member.imu_ended),
                            imu_wrong=True, last=past.time, tried=self.samples[self.place - 1, 0], usual=member.usual,
                            fixes_ended=member.fixes_ended)
             child.row[[Nav.STRAYED, Nav.STRAYED_TIME]] = 10.0, child.row[Nav.TIME]  # prediction goes straight on

@@ -366,7 +366,8 @@ def test_a_recording_without_an_imu_says_what_there_is(tmp_path, capsys):
     made = recording()
     write_recording(replace(made, imu=None), tmp_path / 'bag')
     assert main(['configure', '--bag', str(tmp_path / 'bag'), '--output', str(tmp_path / 'car.yaml')]) == 2
-    assert 'has no topic with two or more messages of type sensor_msgs/msg/Imu, only /gps/fix' in capsys.readouterr().err
+    told = 'has no topic with two or more messages of type sensor_msgs/msg/Imu, only /gps/fix'
+    assert told in capsys.readouterr().err
 
 
 def test_a_recording_at_rest_says_what_it_does_not_show():

@@ -18,7 +18,8 @@ SEED = 2001
 UNSAID = {'nothing', 'claimed sigma a tenth of the true one', 'altitude 1000 m off for 10 s', 'IMU frozen for 5 s',
           'altitude 300 m more for 20 s', 'claimed covariance a millionth for 20 s',
           'claimed covariance a million times for 20 s', 'gyroscope z stuck for 10 s', 'accelerometer x stuck for 10 s',
-          'IMU at half its rate for 20 s', 'half of the IMU samples lost for 20 s', 'fixes drift away by 3 m/s for 20 s',
+          'IMU at half its rate for 20 s', 'half of the IMU samples lost for 20 s',
+          'fixes drift away by 3 m/s for 20 s',
           'fixes 6 m off for 20 s',
           # weighted down by their scale, never refused; the live node names them (test_node_says.py)
           'heading 90 deg wrong for 20 s', 'wheel speed in km/h for 20 s', 'wheels that slip by 3 m/s for 5 s'}

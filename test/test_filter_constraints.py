@@ -185,7 +185,7 @@ def test_no_sideways_velocity_corrects_as_the_dense_kalman_update(model, mechani
 
 @EACH
 def test_a_velocity_that_lasts_corrects_as_the_dense_kalman_update(model, mechanization, feedback):
-    # given a vehicle whose attitude and accelerometers are known so badly that its acceleration is not, and which may go
+    # given a vehicle whose attitude and accelerometers are known too badly to tell its acceleration, and which may go
     # sideways as it likes
     config = made(model, mechanization, feedback)
     start = drawn(config, scale_of(config, attitude=0.1, force=1.0), np.random.default_rng(7), feedback)

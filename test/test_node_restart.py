@@ -67,7 +67,7 @@ def test_while_parked_the_position_is_told_and_that_the_heading_is_not_known(mec
     imu, fixes = parked(12.0)
     fusion = FusionFilter(config)
     stamps, rows = feed(fusion, imu, fixes)
-    # then there is an estimate from the third fix on, of which the datum is the median, though the filter is not aligned
+    # then there is an estimate from the third fix on, of which the datum is the median, before the filter is aligned
     assert not fusion.aligned and fusion.state == 'aligning'
     assert stamps[0] <= fixes.stamp[2] + SECOND // RATE * 2 and len(stamps) > 10 * RATE
     # its position is that of the fixes, its sigma theirs and that of an arm in an unknown direction

@@ -104,7 +104,8 @@ def _formats(options) -> dict[str, str | None]:
     for kind in ('imu', 'gnss'):
         path = getattr(options, kind)
         named = path is None or getattr(options, f'{kind}_columns')
-        found[kind] = None if named or read_text(path, 'utf-8', 'replace')[:1] == '$' else recognised(read_table(path).names)
+        told = named or read_text(path, 'utf-8', 'replace')[:1] == '$'
+        found[kind] = None if told else recognised(read_table(path).names)
     return found
 
 

@@ -23,8 +23,8 @@ def implausible(effect: str, parameters: Mapping[str, Estimate], turned: Estimat
         apart = abs(own.value - turned.value)
         contradicted = apart > max(_CONTRADICTED * turned.sigma, _ALIKE)
         if contradicted or abs(own.value) > _ALIKE and abs(turned.value) <= turned.sigma:
-            return (f'the gyroscopes turn by {1 + turned.value:.3g} +- {turned.sigma:.1g} times the angle of the course, '
-                    f'which {"contradicts it" if contradicted else "shows none of it"}')
+            return (f'the gyroscopes turn by {1 + turned.value:.3g} +- {turned.sigma:.1g} times the angle of the '
+                    f'course, which {"contradicts it" if contradicted else "shows none of it"}')
     known = EFFECTS.get(effect) or Effect()
     beyond = [f'{name} of {estimate.text()}' for name, estimate in parameters.items()
               if estimate.value is not None and _within(estimate)[0] > known.largest.get(name, float('inf'))]

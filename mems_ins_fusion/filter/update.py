@@ -53,7 +53,7 @@ ROBUST = 3.0
 CONSTRAINT_MEMORY = 10.0
 #: a mean NIS above which the constraint is not used, until it is below the other again
 CONSTRAINT_OFF, CONSTRAINT_ON = 6.0, 3.0
-#: m/s^2: the solution's own acceleration is better known than a vehicle's where its sigma is below this (0.6 deg of tilt)
+#: m/s^2: the solution's acceleration is better known than a vehicle's where its sigma is below this (0.6 deg of tilt)
 LEAST_ACCELERATION = 0.1
 #: s without a fix after which none speaks for the velocity
 NO_FIX = 10.0

@@ -168,10 +168,10 @@ FUSION = (
     Parameter('frames', 'single', 'text', 'single: the odometry is the best estimate, in frame_id, and jumps a little '
               'with each fix. map_odom (REP 105): the odometry in frame_id never jumps, and map_frame_id -> frame_id '
               'takes up what fixes correct; the best estimate is on pose_topic.', choices=('single', 'map_odom')),
-    Parameter('two_d', False, '-', 'Publish pose and twist of a vehicle in the plane: z, roll, pitch and what goes with '
-              'them are zero.'),
-    Parameter('vehicle_axes', False, '-', 'Publish pose and twist of the vehicle\'s own axes, as the estimated mounting '
-              'tells them, not of those that imu.mounting_rpy gives.'),
+    Parameter('two_d', False, '-', 'Publish pose and twist of a vehicle in the plane: z, roll, pitch and what goes '
+              'with them are zero.'),
+    Parameter('vehicle_axes', False, '-', 'Publish pose and twist of the vehicle\'s own axes, as the estimated '
+              'mounting tells them, not of those that imu.mounting_rpy gives.'),
     Parameter('frame_id', 'odom', 'text', 'Frame of the odometry\'s pose: east-north-up at the datum.'),
     Parameter('child_frame_id', 'base_link', 'text', 'Frame of the twist: forward-left-up.'),
     Parameter('map_frame_id', 'map', 'text', 'With frames map_odom: frame of the best estimate, east-north-up at the '

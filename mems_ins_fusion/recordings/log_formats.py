@@ -47,7 +47,8 @@ FORMATS = {
         gnss={'columns': {'time': 'timestamp [us]', 'latitude': 'latitude_deg|lat', 'longitude': 'longitude_deg|lon',
                           'height': 'altitude_ellipsoid_m|alt_ellipsoid|altitude_msl_m|alt', 'sigma': 'eph [m]|',
                           'vertical_sigma': 'epv [m]|', 'status': 'fix_type|', 'north': 'vel_n_m_s [m/s]|',
-                          'east': 'vel_e_m_s [m/s]|', 'down': 'vel_d_m_s [m/s]|', 'velocity_sigma': 's_variance_m_s [m/s]|'}},
+                          'east': 'vel_e_m_s [m/s]|', 'down': 'vel_d_m_s [m/s]|',
+                          'velocity_sigma': 's_variance_m_s [m/s]|'}},
         signs=(('timestamp', 'gyro_rad[0]', 'accelerometer_m_s2[0]'), ('timestamp', 'fix_type', 'eph', 'vel_n_m_s'))),
     'phyphox': LogFormat(
         'phyphox, exported as CSV (comma or tabulator, decimal point): the folder with Accelerometer.csv, '

@@ -33,8 +33,8 @@ def usable(recording: Recording, largest_force: float = LARGEST_IN_ANY_UNIT,
 
 def usable_samples(imu: ImuSamples, largest_force: float = LARGEST_IN_ANY_UNIT,
                    largest_rate: float = LARGEST_IN_ANY_UNIT) -> ImuSamples:
-    """The samples of `imu` that are numbers, within range, with a specific force that is not zero (gravity never is), and
-    whose stamps ascend: perhaps none, and none of an IMU whose gyroscopes say nothing but zero.
+    """The samples of `imu` that are numbers, within range, with a specific force that is not zero (gravity never is),
+    and whose stamps ascend: perhaps none, and none of an IMU whose gyroscopes say nothing but zero.
 
     largest_force, largest_rate: of a component, in the unit of the samples. Where stamps jump from one clock to
     another, those of the clock that most samples have. The same object where all are good.

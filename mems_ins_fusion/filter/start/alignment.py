@@ -312,7 +312,8 @@ class Alignment:
         if not self.config.vehicle.lateral_sigma:
             return  # who may go sideways drives off as he likes
         standstill = latest_standstill(self._samples, positions, self.config)
-        claimed = positions / [1.0, 1.0, 1.0, math.sqrt(self._realised)]  # the inertial sensors show it, fixes that it was
+        # the inertial sensors show it, fixes only that it was
+        claimed = positions / [1.0, 1.0, 1.0, math.sqrt(self._realised)]
         found = None if standstill is None else driven_off(self._samples, claimed, standstill, self.config)
         if found is not None:
             angle, speed = found

@@ -2,8 +2,8 @@
 
 Where the vehicle goes straight on, too, such fixes fit; where it brakes or turns, the filter has the choice between
 them and the IMU. But fixes that are measured scatter, and these follow from those before them to the centimetre. A test
-of two hypotheses against each other, fix by fix: extrapolated, and measured (E. S. Page, "Continuous inspection schemes",
-Biometrika 41, 1954; A. Wald, *Sequential Analysis*, 1947). Where the fixes then depart from the way that the inertial
+of two hypotheses against each other, fix by fix: extrapolated, and measured (E. S. Page, "Continuous inspection
+schemes", Biometrika 41, 1954; A. Wald, *Sequential Analysis*, 1947). Where the fixes then depart from the way that the inertial
 sensors see, those on the line are refused, and those that have been believed by then are withdrawn: a receiver that
 smooths follows a line, too, but with the vehicle.
 """
@@ -111,7 +111,7 @@ def pull(mem, r, before, after):
 
 @njit(_nrt=False)
 def _evidence(mem, r, at, changed):
-    """Logarithm of the density of the fix at `at` for a receiver that goes straight on, less that for one that measures.
+    """Logarithm of the density of the fix at `at` for a receiver that goes straight on, less that for a measuring one.
 
     changed: square of what `_changed` says, m^2.
     """

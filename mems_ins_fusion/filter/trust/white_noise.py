@@ -16,15 +16,15 @@ from ..memory import HEAD, SAMPLE, WHITE, Head, Sample, place, sample_at
 
 #: whether it is used; s in which the samples showed far more than is assumed
 White = HEAD.place('White', ADAPT=1, SHAKEN=1)
-#: beside a sample: noise density squared of each axis that the samples show lately, and of the sideways one for longer
+#: beside a sample: noise density squared of each axis that the samples show lately, and of f_y over LONG_MEMORY
 Shown = SAMPLE.place('Shown', WHITE=6, SIDEWAYS=1)
 
 #: s over which the squared differences are averaged: the noise changes with the road and the engine
 MEMORY = 3.0
 #: s over which that of the sideways accelerometer is averaged again: whether the vehicle shakes the IMU altogether
 LONG_MEMORY = 60.0
-#: s in which a velocity that is integrated from samples is compared with a constraint on it: one that the noise moves by
-#: more than the constraint's sigma within a second takes noise for turns, and the speed for what goes with them
+#: s in which a velocity that is integrated from samples is compared with a constraint on it: where the noise moves it by
+#: more than the constraint's sigma in that, noise passes for turns, and the speed for what goes with turns
 TOLD_WITHIN = 1.0
 #: of the difference: a motion at a quarter of the sampling rate counts 2^n / binomial(2 n, n) of its variance
 ORDER = 6
