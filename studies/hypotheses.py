@@ -5,12 +5,13 @@
 
 A member is a copy of the filter's memory whose own checks are off (no gate, no Huber weights), and says whom it does
 not believe since t0: nobody (*nominal*), the *fixes*, or the *IMU*; or that the state had *strayed*, and began anew
-from a line through the latest fixes. Its score is the logarithm of the prior (rates below) and of the likelihood of all
-that has come since: fixes, lateral constraints, standstills. In an undisturbed drive there is one member. A fix that
-fits it too badly, fixes that go straight on to the centimetre, or constraints that do not fit open a dispute; who
-agrees with a better one or has lost by DROPPED goes. What is published is the best member, with the covariance of the mixture
-about it (D. T. Magill, "Optimal adaptive estimation of sampled stochastic processes", IEEE Trans. Automatic Control 10,
-1965; H. A. P. Blom and Y. Bar-Shalom, "The interacting multiple model algorithm", the same 33, 1988).
+from a line through the latest fixes. Its score is the logarithm of the prior (rates below) and of the likelihood of
+all that has come since: fixes, lateral constraints, standstills. In an undisturbed drive there is one member. A fix
+that fits it too badly, fixes that go straight on to the centimetre, or constraints that do not fit open a dispute;
+who agrees with a better one or has lost by DROPPED goes. What is published is the best member, with the covariance of
+the mixture about it (D. T. Magill, "Optimal adaptive estimation of sampled stochastic processes", IEEE Trans.
+Automatic Control 10, 1965; H. A. P. Blom and Y. Bar-Shalom, "The interacting multiple model algorithm", the same 33,
+1988).
 
 It is a prototype over `kernel.run`, for replays of simulated drives: fixes in time, no outages, no further sensors. The
 table holds for each drive the largest error from the fault's begin to 60 s after its end, the error (RMS of 5 s) 20 and

@@ -1,11 +1,11 @@
 """A receiver without satellites that goes on at its last velocity: its fixes lie on a straight line, evenly spaced.
 
 Where the vehicle goes straight on, too, such fixes fit; where it brakes or turns, the filter has the choice between
-them and the IMU. But fixes that are measured scatter, and these follow from those before them to the centimetre. A test
-of two hypotheses against each other, fix by fix: extrapolated, and measured (E. S. Page, "Continuous inspection
-schemes", Biometrika 41, 1954; A. Wald, *Sequential Analysis*, 1947). Where the fixes then depart from the way that the inertial
-sensors see, those on the line are refused, and those that have been believed by then are withdrawn: a receiver that
-smooths follows a line, too, but with the vehicle.
+them and the IMU. But fixes that are measured scatter, and these follow from those before them to the centimetre. A
+test of two hypotheses against each other, fix by fix: extrapolated, and measured (E. S. Page, "Continuous inspection
+schemes", Biometrika 41, 1954; A. Wald, *Sequential Analysis*, 1947). Where the fixes then depart from the way that
+the inertial sensors see, those on the line are refused, and those that have been believed by then are withdrawn: a
+receiver that smooths follows a line, too, but with the vehicle.
 """
 from __future__ import annotations
 

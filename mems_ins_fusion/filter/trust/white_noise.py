@@ -23,7 +23,7 @@ Shown = SAMPLE.place('Shown', WHITE=6, SIDEWAYS=1)
 MEMORY = 3.0
 #: s over which that of the sideways accelerometer is averaged again: whether the vehicle shakes the IMU altogether
 LONG_MEMORY = 60.0
-#: s in which a velocity that is integrated from samples is compared with a constraint on it: where the noise moves it by
+#: s in which the velocity integrated from samples is compared with a constraint on it: where the noise moves it by
 #: more than the constraint's sigma in that, noise passes for turns, and the speed for what goes with turns
 TOLD_WITHIN = 1.0
 #: of the difference: a motion at a quarter of the sampling rate counts 2^n / binomial(2 n, n) of its variance
