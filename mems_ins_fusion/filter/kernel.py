@@ -178,7 +178,7 @@ def _take_told_speed(memory, k):
     r = place(state_at(memory, k))
     before = math.hypot(memory[r + Nav.V_N], memory[r + Nav.V_E])
     take_told_speed(memory, r, sample_at(memory, k))
-    follow(memory, math.hypot(memory[r + Nav.V_N], memory[r + Nav.V_E]) - before)
+    follow(memory, r, math.hypot(memory[r + Nav.V_N], memory[r + Nav.V_E]) - before)
 
 
 @njit(_nrt=False)
