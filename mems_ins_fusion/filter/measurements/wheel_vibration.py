@@ -10,9 +10,9 @@ where `on` and `off` are the means of q that the channel has shown on the line a
 `spread` its variance beside it: the discriminant of two normal distributions, zero for a channel that shows no line.
 The likelihood of x, relative to no line at all, is
 
-    NONE + (1 - NONE) exp(STRENGTH T(x)):
+    NONE + (1 - NONE) exp(strength T(x)):
 
-any window may be one without a line, and neither channels nor windows are independent of each other. Where it has not
+any window may be one without a line, and neither channels nor windows are independent of each other (strength < 1). Where it has not
 predicted better than nothing for certain, each window before anything was learned of it, nothing is told.
 
 While fixes come, the windows tell the circumference: first a comb (C at which the lines of all windows add up), then a
@@ -52,10 +52,10 @@ SLOWEST = 4.0
 FASTEST_TURN = 0.1
 #: s: time constant of the turn rate that is compared with it
 TURN_TIME = 0.5
-HARMONICS = 3
+HARMONICS = 4
 CHANNELS = AXES * HARMONICS
-#: of the grid of x: at 40 m/s a line of the third harmonic is 0.5 % wide
-STEP = 0.003
+#: of the grid of x
+STEP = 0.003  # at 40 m/s a line of the third harmonic is 0.5 % wide
 HALF = 85  # grid points to either side of x = 0
 GRID = 2 * HALF + 1
 #: m: middle of the circumferences that are looked for, 1.5 to 2.5: cars and vans
@@ -78,15 +78,19 @@ COMB_WINDOWS = 15.0
 COMB_MEMORY = 300.0
 #: sigma of ln C as the comb finds it, and what it may change by in a second: 0.1 % in ten minutes, as a tyre warms up
 COMB_SIGMA, DRIFT = 0.01, 0.001**2 / 600.0
+#: sigma of what it may be else after the vehicle was parked: pressure and load
+PARKED = 0.003
 #: further from C the comb must be to have found another wheel
 OTHER = 0.02
 #: the larger variance of each look at C for errors of the fixes that last longer than a hop
 LASTING = 2.0
 #: ln C is good enough for telling a speed at this sigma
 CALIBRATED = 0.005
-#: exponent of the likelihood: what is no line of the wheels shows in several channels and windows in a row. Of measured
-#: drives, sums over four windows were right wherever they were certain with 0.2, with 0.5 in 94 %
+#: exponent of the likelihood of windows in a row: what is no line of the wheels shows in several channels, and in the
+#: next window again. Sums over four windows of measured drives were right wherever they were certain, with 0.5 in 94 %
 STRENGTH = 0.2
+#: and of one by itself, as the circumference has them, one drive long: only channels share their errors
+ALONE = 0.5
 #: windows before which nothing is told, and the sigmas by which they must have predicted better than nothing
 FEWEST, PROVEN = 20.0, 3.0
 #: part of the windows that are without a line even so
@@ -155,9 +159,48 @@ def begin(memory: np.ndarray, at: int, used: bool) -> None:
 
 
 def learned(memory: np.ndarray) -> np.ndarray | None:
-    """What the filter with this memory knows of the wheels; None where nobody listens."""
+    """What the filter with this memory knows of the wheels, for `remember`; None where it knows nothing."""
     at = int(memory[Wheels.AT])
-    return memory[at + Ear.KEPT:at + Ear.KEPT_END].copy() if at else None
+    known = at and memory[at + Ear.VARIANCE_C] > 0.0
+    return memory[at + Ear.KEPT:at + Ear.KEPT_END].copy() if known else None
+
+
+def aged(kept: np.ndarray) -> np.ndarray:
+    """What a filter has `learned`, for the next start: tyres may be cold or full by then. ValueError where it is not
+    that."""
+    kept = np.array(kept, dtype=float)
+    if kept.shape != (Ear.KEPT_END - Ear.KEPT,) or not np.isfinite(kept).all() or kept[1] <= 0.0 or (
+            (kept[[2, *range(Ear.SPREAD - Ear.KEPT, Ear.SCORE - Ear.KEPT)]] < 0.0).any() or abs(kept[0] - math.log(MIDDLE)) > 2.0 * HALF * STEP):
+        raise ValueError('not what a filter has learned of wheels')
+    kept[1] += PARKED**2
+    return kept
+
+
+def summary(memory: np.ndarray) -> dict | None:
+    """Circumference and its sigma, m, None while it is unknown, and the share of the time with a line, percent; None
+    where nobody listens."""
+    at = int(memory[Wheels.AT])
+    if not at:
+        return None
+    sigma, elapsed = math.sqrt(memory[at + Ear.VARIANCE_C]), memory[at + Ear.ELAPSED]
+    c = math.exp(memory[at + Ear.LOG_C]) if sigma else None
+    return {'circumference_m': c, 'sigma_m': c and c * sigma,
+            'share_of_time_percent': float(100.0 * memory[at + Ear.HEARD] / max(elapsed, HOP))}
+
+
+def told(memory: np.ndarray, now: float) -> dict[str, float]:
+    """Numbers for a diagnosis, by name with the unit; now: s, the time of the newest sample."""
+    found, at = summary(memory), int(memory[Wheels.AT])
+    if found is None or found['circumference_m'] is None:
+        return {}
+    numbers = {'circumference of the wheels, m': found['circumference_m'],
+               'circumference of the wheels sigma, m': found['sigma_m'],
+               'share of the time in which the wheels are heard, %': found['share_of_time_percent']}
+    if memory[at + Ear.VARIANCE] > 0.0:
+        numbers |= {'speed by the wheels, m/s': float(memory[at + Ear.SPEED]),
+                    'speed by the wheels sigma, m/s': math.sqrt(memory[at + Ear.VARIANCE]),
+                    'age of the speed by the wheels, s': now - float(memory[at + Ear.TOLD])}
+    return numbers
 
 
 def remember(memory: np.ndarray, kept: np.ndarray | None) -> None:
@@ -258,7 +301,7 @@ def _hear(mem, at, r, sample, speed):
     else:
         _carry_density(mem, at, filtered - mem[at + Ear.FILTERED])
     mem[at + Ear.FILTERED] = filtered
-    middle, spread, heard = _weigh(mem, at, mean)
+    middle, spread, heard = _weigh(mem, at, mean, ALONE if fixes_come else STRENGTH)
     used = False
     if _is_proven(mem, at) and heard > 1.0 and mem[at + Ear.VARIANCE_C] < CALIBRATED**2:
         mem[at + Ear.HEARD] += HOP
@@ -317,7 +360,7 @@ def _carry_density(mem, at, variance):
 
 
 @njit(_nrt=False)
-def _weigh(mem, at, speed):
+def _weigh(mem, at, speed, strength):
     """Multiply the density with the likelihood of a window of this mean speed: mean and variance of the error, and the
     likelihood of the window over that of no line."""
     density, total, first, second, before = at + Ear.DENSITY, 0.0, 0.0, 0.0, 0.0
@@ -328,7 +371,7 @@ def _weigh(mem, at, speed):
         if place >= 0.0 and j + 1 < GRID:
             told = mem[at + Ear.TOTAL + j] + (place - j) * (mem[at + Ear.TOTAL + j + 1] - mem[at + Ear.TOTAL + j])
         before += mem[density + i]
-        mem[density + i] *= _likelihood(told)
+        mem[density + i] *= _likelihood(strength * told)
         total += mem[density + i]
         first += mem[density + i] * error
         second += mem[density + i] * error * error
@@ -339,8 +382,8 @@ def _weigh(mem, at, speed):
 
 @njit(_nrt=False)
 def _likelihood(told):
-    """Of T over that of no line."""
-    return NONE + (1.0 - NONE) * math.exp(STRENGTH * told)
+    """Of strength times T over that of no line."""
+    return NONE + (1.0 - NONE) * math.exp(told)
 
 
 @njit(_nrt=False)
@@ -419,7 +462,7 @@ def _score(mem, at):
     """How much better than nothing the window has predicted where the line is."""
     n, near, everywhere = min(mem[at + Ear.LEARNED] + 1.0, MEMORY), 0.0, 0.0
     for i in range(GRID):
-        value = _likelihood(mem[at + Ear.TOTAL + i])
+        value = _likelihood(STRENGTH * mem[at + Ear.TOTAL + i])
         everywhere += value / GRID
         if abs(i - HALF) <= NEAR:
             near += value / (2 * NEAR + 1)
