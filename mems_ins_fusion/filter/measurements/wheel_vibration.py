@@ -85,7 +85,7 @@ OTHER = 0.02
 #: the larger variance of each look at C for errors of the fixes that last longer than a hop
 LASTING = 2.0
 #: ln C is good enough for telling a speed at this sigma
-CALIBRATED = 0.005
+CALIBRATED = 0.01
 #: exponent of the likelihood of windows in a row: what is no line of the wheels shows in several channels, and in the
 #: next window again. Sums over four windows of measured drives were right wherever they were certain, with 0.5 in 94 %
 STRENGTH = 0.2
