@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,7 +25,7 @@ import numpy as np
 
 from mems_ins_fusion.evaluation.intervals import paired
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.measurements.wheel_vibration import Ear, Wheels
+from mems_ins_fusion.filter.measurements.wheel_vibration import Ear, Wheels, summary
 from mems_ins_fusion.filter.memory import Event
 from mems_ins_fusion.filter.runs.replay import Progress, Replay, Stretch, run, run_with_outages
 from mems_ins_fusion.filter.runs.results import Run
@@ -186,6 +187,7 @@ def of_simulated(car: str, rate: float, seed: int, minutes: float):
             speed = np.interp(time, (reference.stamp - recording.imu.stamp[0]) * 1e-9,
                               np.linalg.norm(reference.velocity, axis=1))
             told = np.column_stack([work.told.speed - speed, work.told.sigma])[alone]
+            print(f'{car}, {rate:g} Hz, seed {seed}: {summary(found.memory)}', file=sys.stderr)
     return errors, told, wrong, minutes / 60.0
 
 

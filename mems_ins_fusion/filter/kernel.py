@@ -19,7 +19,7 @@ from mems_ins_fusion.compiled import njit
 from ..navigation.earth import gravity
 from . import history
 from .measurements.geometry import body_to_level
-from .measurements.wheel_vibration import Told, Wheels, follow, listen
+from .measurements.wheel_vibration import Told, Wheels, follow, listen, speed_of
 from .memory import (
     NAV,
     Error,
@@ -176,9 +176,9 @@ def _take_sample(memory, samples, i):
 def _take_told_speed(memory, k):
     """Correct state k with what the wheels have just told; what is listened to next knows of it."""
     r = place(state_at(memory, k))
-    before = math.hypot(memory[r + Nav.V_N], memory[r + Nav.V_E])
+    before = speed_of(memory, r)
     take_told_speed(memory, r, sample_at(memory, k))
-    follow(memory, r, math.hypot(memory[r + Nav.V_N], memory[r + Nav.V_E]) - before)
+    follow(memory, r, speed_of(memory, r) - before)
 
 
 @njit(_nrt=False)

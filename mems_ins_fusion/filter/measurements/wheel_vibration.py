@@ -29,7 +29,22 @@ import numpy as np
 from mems_ins_fusion.compiled import njit
 
 from ...parameters.parameter import Parameter
-from ..memory import HEAD, NAV, SAMPLE, Event, Head, Nav, Sample, packed, place, sample_at, state_at, velocity_state
+from ..memory import (
+    HEAD,
+    NAV,
+    SAMPLE,
+    Error,
+    Event,
+    Head,
+    Nav,
+    Sample,
+    packed,
+    place,
+    row_of,
+    sample_at,
+    state_at,
+    velocity_state,
+)
 from .geometry import angular_rate
 from .speed import rolling
 from .wheel_spectrum import AXES, BINS, POINTS, SHORTEST, WINDOW, Row, Spectrum, look
@@ -54,8 +69,8 @@ FASTEST_TURN = 0.1
 TURN_TIME = 0.5
 HARMONICS = 4
 CHANNELS = AXES * HARMONICS
-#: of the grid of x
-STEP = 0.003  # at 40 m/s a line of the third harmonic is 0.5 % wide
+#: of the grid of x: at 40 m/s a line of the third harmonic is 0.5 % wide
+STEP = 0.003
 HALF = 85  # grid points to either side of x = 0
 GRID = 2 * HALF + 1
 #: m: middle of the circumferences that are looked for, 1.5 to 2.5: cars and vans
@@ -70,6 +85,10 @@ LINE = 17
 NEAR = 2
 #: windows over which what a channel shows is averaged: five minutes
 MEMORY = 150.0
+#: and of how well the windows predict, two minutes: a wheel that is another all of a sudden is found out so soon
+SCORE_MEMORY = 60.0
+#: variance of the logarithm of the power of a channel: noise has 1.6
+LEAST_SPREAD = 0.1
 #: sigmas of the comb: of some twenty independent circumferences one is above it once in millions of drives
 COMB_SIGMAS = 6.0
 #: windows before which no comb is believed: half a minute
@@ -105,6 +124,8 @@ SPEED_HALF = 80
 SPEEDS = 2 * SPEED_HALF + 1
 #: m/s: sigma of the filter's speed above which no window tells it, half of the grid
 LOST = 2.0
+#: of the density: no speed is impossible
+NEVER = 1e-12
 #: part of the filter's variance: a posterior that is larger tells nothing
 TELLS = 0.8
 #: s over which an error of the circumference is the same: with independent errors of the speeds told the position's
@@ -169,10 +190,13 @@ def aged(kept: np.ndarray) -> np.ndarray:
     """What a filter has `learned`, for the next start: tyres may be cold or full by then. ValueError where it is not
     that."""
     kept = np.array(kept, dtype=float)
-    if kept.shape != (Ear.KEPT_END - Ear.KEPT,) or not np.isfinite(kept).all() or kept[1] <= 0.0 or (
-            (kept[[2, *range(Ear.SPREAD - Ear.KEPT, Ear.SCORE - Ear.KEPT)]] < 0.0).any() or abs(kept[0] - math.log(MIDDLE)) > 2.0 * HALF * STEP):
+    if kept.shape != (Ear.KEPT_END - Ear.KEPT,) or not np.isfinite(kept).all():
         raise ValueError('not what a filter has learned of wheels')
-    kept[1] += PARKED**2
+    c, variance, windows = kept[[Ear.LOG_C - Ear.KEPT, Ear.VARIANCE_C - Ear.KEPT, Ear.LEARNED - Ear.KEPT]]
+    spread = kept[Ear.SPREAD - Ear.KEPT:Ear.SCORE - Ear.KEPT]
+    if abs(c - math.log(MIDDLE)) > 2 * HALF * STEP or variance <= 0.0 or windows < 0.0 or (spread < 0.0).any():
+        raise ValueError('not what a filter can have learned of wheels')
+    kept[Ear.VARIANCE_C - Ear.KEPT] += PARKED**2
     return kept
 
 
@@ -224,7 +248,7 @@ def listen(mem, k):
     """Take in sample k, and at the end of a window tell the speed beside it; whether that is to be used."""
     at, sample, r = int(mem[Wheels.AT]), place(sample_at(mem, k)), place(state_at(mem, k))
     dt, time = mem[sample + Sample.INTERVAL], mem[sample + Sample.TIME]
-    speed = math.sqrt(mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2 + mem[r + Nav.V_D] ** 2)
+    speed = speed_of(mem, r)
     mem[at + Ear.ELAPSED] += dt
     mem[at + Ear.TURN] += min(dt / TURN_TIME, 1.0) * (angular_rate(mem, r, sample)[2] - mem[at + Ear.TURN])
     if speed < SLOWEST or abs(mem[at + Ear.TURN]) > FASTEST_TURN or dt > mem[Head.MAX_GAP] or (
@@ -271,6 +295,17 @@ def follow(mem, r, change):
 
 
 @njit(_nrt=False)
+def speed_of(mem, r):
+    """Speed of the state at r, m/s, without its estimated error."""
+    total = 0.0
+    for i in range(3):
+        state = row_of(mem, Error.V_N + i)
+        v = mem[r + Nav.V_N + i] - (mem[r + NAV + state] if state >= 0 else 0.0)
+        total += v * v
+    return math.sqrt(total)
+
+
+@njit(_nrt=False)
 def along_variance(mem, r):
     """Variance of the speed over ground of the state at r, m^2/s^2."""
     v, n_navigation = velocity_state(mem), int(mem[Head.N_NAVIGATION])
@@ -305,7 +340,8 @@ def _hear(mem, at, r, sample, speed):
     used = False
     if _is_proven(mem, at) and heard > 1.0 and mem[at + Ear.VARIANCE_C] < CALIBRATED**2:
         mem[at + Ear.HEARD] += HOP
-        mem[at + Ear.SPEED], mem[at + Ear.VARIANCE], mem[at + Ear.TOLD] = speed + middle, spread, now
+        mem[at + Ear.SPEED], mem[at + Ear.TOLD] = speed + middle, now
+        mem[at + Ear.VARIANCE] = spread + mem[at + Ear.VARIANCE_C] * mean * mean
         used = not fixes_come and mem[Wheels.USED] > 0.0 and spread < TELLS * filtered and filtered < LOST**2
     if used:
         noise = 1.0 / (1.0 / spread - 1.0 / filtered)
@@ -366,30 +402,32 @@ def _weigh(mem, at, speed, strength):
     density, total, first, second, before = at + Ear.DENSITY, 0.0, 0.0, 0.0, 0.0
     for i in range(SPEEDS):
         error = SPEED_STEP * (i - SPEED_HALF)
-        place = HALF + math.log(max(1.0 + error / speed, 0.1)) / STEP
-        told, j = 0.0, int(place)
-        if place >= 0.0 and j + 1 < GRID:
-            told = mem[at + Ear.TOTAL + j] + (place - j) * (mem[at + Ear.TOTAL + j + 1] - mem[at + Ear.TOTAL + j])
+        x = HALF + math.log(max(1.0 + error / speed, 0.1)) / STEP
+        score, j = 0.0, int(x)
+        if x >= 0.0 and j + 1 < GRID:
+            score = mem[at + Ear.TOTAL + j] + (x - j) * (mem[at + Ear.TOTAL + j + 1] - mem[at + Ear.TOTAL + j])
+        mem[density + i] += NEVER
         before += mem[density + i]
-        mem[density + i] *= _likelihood(strength * told)
+        mem[density + i] *= _likelihood(strength * score)
         total += mem[density + i]
         first += mem[density + i] * error
         second += mem[density + i] * error * error
     for i in range(SPEEDS):
         mem[density + i] /= total
-    return first / total - mem[at + Ear.MOVED], second / total - (first / total) ** 2, total / before
+    variance = max(second / total - (first / total) ** 2, (0.5 * SPEED_STEP) ** 2)
+    return first / total - mem[at + Ear.MOVED], variance, total / before
 
 
 @njit(_nrt=False)
-def _likelihood(told):
-    """Of strength times T over that of no line."""
-    return NONE + (1.0 - NONE) * math.exp(told)
+def _likelihood(score):
+    """Of `score`, strength times T, over that of no line."""
+    return NONE + (1.0 - NONE) * math.exp(score)
 
 
 @njit(_nrt=False)
 def _is_proven(mem, at):
     """Whether the windows have predicted better than nothing for certain."""
-    n, score = mem[at + Ear.LEARNED], mem[at + Ear.SCORE]
+    n, score = min(mem[at + Ear.LEARNED], SCORE_MEMORY), mem[at + Ear.SCORE]
     return n >= FEWEST and score > PROVEN * math.sqrt(max(mem[at + Ear.SQUARE] - score * score, 0.0) / n)
 
 
@@ -398,16 +436,16 @@ def _channels(mem, at, way, last, log_c):
     """Power of each channel on the grid of x for the circumference exp(log_c)."""
     power, ratio = at + Ear.SPECTRUM + Spectrum.POWER, math.exp(STEP)
     for h in range(HARMONICS):
-        place = 2.0 * (h + 1) * way * math.exp(-log_c - HALF * STEP)
+        line = 2.0 * (h + 1) * way * math.exp(-log_c - HALF * STEP)  # bin
         for i in range(GRID):
-            j = int(place)
-            share = place - j
+            j = int(line)
+            share = line - j
             for axis in range(AXES):
                 value = NOTHING
                 if j < last:
                     value = (1.0 - share) * mem[power + BINS * axis + j] + share * mem[power + BINS * axis + j + 1]
                 mem[at + Ear.CHANNEL + GRID * (AXES * h + axis) + i] = value
-            place *= ratio
+            line *= ratio
 
 
 @njit(_nrt=False)
@@ -431,8 +469,8 @@ def _comb(mem, at, way, last):
             best = i
     mem[at + Ear.COMB_SEEN] = forget * mem[at + Ear.COMB_SEEN] + 1.0
     mem[at + Ear.COMB_VARIANCE] = forget**2 * mem[at + Ear.COMB_VARIANCE] + square
-    sigmas = mem[at + Ear.COMB + best] / math.sqrt(mem[at + Ear.COMB_VARIANCE])
-    if mem[at + Ear.COMB_SEEN] < COMB_WINDOWS or sigmas < COMB_SIGMAS:
+    if mem[at + Ear.COMB_SEEN] < COMB_WINDOWS or (
+            mem[at + Ear.COMB + best] <= COMB_SIGMAS * math.sqrt(mem[at + Ear.COMB_VARIANCE])):
         return
     log_c = math.log(MIDDLE) - (best - HALF) * STEP
     if mem[at + Ear.VARIANCE_C] == 0.0 or abs(log_c - mem[at + Ear.LOG_C]) > OTHER:
@@ -460,7 +498,7 @@ def _discriminate(mem, at):
 @njit(_nrt=False)
 def _score(mem, at):
     """How much better than nothing the window has predicted where the line is."""
-    n, near, everywhere = min(mem[at + Ear.LEARNED] + 1.0, MEMORY), 0.0, 0.0
+    n, near, everywhere = min(mem[at + Ear.LEARNED] + 1.0, SCORE_MEMORY), 0.0, 0.0
     for i in range(GRID):
         value = _likelihood(STRENGTH * mem[at + Ear.TOTAL + i])
         everywhere += value / GRID
@@ -487,5 +525,5 @@ def _learn(mem, at):
                 square += mem[values + i] ** 2 / count
         mem[at + Ear.ON + channel] += (mem[values + HALF] - mem[at + Ear.ON + channel]) / n
         mem[at + Ear.OFF + channel] += (beside - mem[at + Ear.OFF + channel]) / n
-        variance = square - beside * beside
+        variance = max(square - beside * beside, LEAST_SPREAD)
         mem[at + Ear.SPREAD + channel] += (variance - mem[at + Ear.SPREAD + channel]) / n
