@@ -97,6 +97,11 @@ COMB_WINDOWS = 15.0
 COMB_MEMORY = 300.0
 #: sigma of ln C as the comb finds it, and what it may change by in a second: 0.1 % in ten minutes, as a tyre warms up
 COMB_SIGMA, DRIFT = 0.01, 0.001**2 / 600.0
+#: and never less: engine orders that go with the wheels in one gear pull it
+LEAST_SIGMA = 0.003
+#: windows over which what the looks at ln C say against it is averaged, and sigmas of that mean beyond which it is
+#: another wheel's, or no wheel's: it then has the sigma of one that has hardly been seen, with which nothing is told
+AGAINST_MEMORY, AGAINST, REOPENED = 20.0, 4.0, 0.015
 #: sigma of what it may be else after the vehicle was parked: pressure and load
 PARKED = 0.003
 #: further from C the comb must be to have found another wheel
@@ -147,9 +152,10 @@ class _Ear(NamedTuple):
     SPEED: int = 13  # told last, m/s, and its variance and time
     VARIANCE: int = 14
     TOLD: int = 15
-    COMB_SEEN: int = 16
-    COMB_VARIANCE: int = 17
-    COMB: int = 18
+    AGAINST: int = 16  # mean of what the looks at ln C say against it, sigmas
+    COMB_SEEN: int = 17
+    COMB_VARIANCE: int = 18
+    COMB: int = 19
     KEPT: int = COMB + GRID
     LOG_C: int = KEPT
     VARIANCE_C: int = KEPT + 1  # 0: unknown
@@ -358,11 +364,16 @@ def _hear(mem, at, r, sample, speed):
 def _learn_circumference(mem, at, variance, middle, spread):
     """ln C from mean and variance of x after a window, where the filter's speed has `variance` of x."""
     prior = variance + mem[at + Ear.VARIANCE_C]
-    if spread < 0.999 * prior:
-        noise = 1.0 / (1.0 / spread - 1.0 / prior)
-        gain = mem[at + Ear.VARIANCE_C] / (mem[at + Ear.VARIANCE_C] + LASTING * (variance + noise))
-        mem[at + Ear.LOG_C] -= gain * middle * (prior + noise) / prior
-        mem[at + Ear.VARIANCE_C] *= 1.0 - gain
+    if spread > 0.999 * prior:
+        return
+    noise = 1.0 / (1.0 / spread - 1.0 / prior)
+    innovation, s = middle * (prior + noise) / prior, mem[at + Ear.VARIANCE_C] + LASTING * (variance + noise)
+    gain = mem[at + Ear.VARIANCE_C] / s
+    mem[at + Ear.LOG_C] -= gain * innovation
+    mem[at + Ear.VARIANCE_C] = max(mem[at + Ear.VARIANCE_C] * (1.0 - gain), LEAST_SIGMA**2)
+    mem[at + Ear.AGAINST] += (innovation / math.sqrt(s) - mem[at + Ear.AGAINST]) / AGAINST_MEMORY
+    if abs(mem[at + Ear.AGAINST]) > AGAINST / math.sqrt(2.0 * AGAINST_MEMORY - 1.0):
+        mem[at + Ear.VARIANCE_C], mem[at + Ear.AGAINST] = REOPENED**2, 0.0
 
 
 @njit(_nrt=False)
