@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..filter.config import FilterConfig
+from ..filter.measurements import wheel_vibration
 from ..filter.measurements.registry import AIDING
 from ..filter.runs.replay import run as replay
 from ..filter.runs.results import Run
@@ -451,12 +452,13 @@ def _pairs(runs: list[RunResult], outages: list[OutageResult]) -> list[PairResul
 def run_row(result: RunResult, mechanization: str, name: str) -> dict:
     """One entry of `runs`, or of `smoothed`, in `report.json`."""
     run = result.run
+    heard = None if run.memory is None else wheel_vibration.summary(run.memory)
     return {'recording': name, 'model': result.model, 'mechanization': mechanization,
             'update_interval_s': result.interval, **result.summary,
             'nis_mean': float(run.innovations.nis.mean()) if len(run.innovations.nis) else None,
             'independent_truth': result.independent,
             'imu_samples': result.samples, 'fixes_used': len(run.innovations.nis),
-            'filter_seconds': run.filter_seconds}
+            **({'wheel_vibration': heard} if heard else {}), 'filter_seconds': run.filter_seconds}
 
 
 def outage_row(result: OutageResult, mechanization: str, name: str) -> dict:

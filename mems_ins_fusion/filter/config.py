@@ -15,6 +15,8 @@ from .history import history_size
 from .kernel import LATEST
 from .measurements.base import SensorSettings
 from .measurements.registry import AIDING, MEASUREMENTS
+from .measurements.wheel_vibration import Ear
+from .measurements.wheel_vibration import begin as begin_listening
 from .memory import (
     HEAD,
     MECHANIZATIONS,
@@ -153,6 +155,7 @@ class FilterConfig:
     sensors: dict[str, SensorSettings]  # of the measurements besides the fixes, by name
     alignment: AlignmentSettings
     vehicle: VehicleSettings
+    wheel_vibration: str  # off, report or on
     datum: np.ndarray | None  # rad, rad, m
     parameters: dict  # as given; for the effects' correctors
 
@@ -188,6 +191,7 @@ class FilterConfig:
             offset=-conditioning @ sensors('bias'), extras=_extras(values, mechanization), imu=_imu(values),
             gnss=_gnss(values), sensors={measurement.name: measurement.settings(values) for measurement in AIDING},
             alignment=_alignment(values), vehicle=_vehicle(values),
+            wheel_vibration=values['wheel_vibration'],
             datum=np.array([math.radians(datum[0]), math.radians(datum[1]), datum[2]]) if datum else None,
             parameters=values)
 
@@ -234,7 +238,8 @@ class FilterConfig:
         ring = rows + (self.capacity + 2) * width  # two rows more, for states between samples
         events = ring + self.capacity * Sample.SIZE
         scratch = events + self.event_capacity * Event.SIZE
-        end = scratch + scratch_size(layout.n)
+        wheels = scratch + scratch_size(layout.n)
+        end = wheels + (0 if self.wheel_vibration == 'off' else Ear.SIZE)
         memory = np.zeros(end + (history_size(layout.n) if history else 0))
         HEAD.begin(memory)
         self._write_head(memory, width)
@@ -242,6 +247,8 @@ class FilterConfig:
                            (Head.SCRATCH_AT, scratch), (Head.HISTORY_AT, end if history else 0)):
             memory[column] = at
         memory[Head.SIZE:rows], memory[Head.FORGOTTEN] = self._noise(), -math.inf
+        if wheels < end:
+            begin_listening(memory, wheels, self.wheel_vibration == 'on')
         return memory
 
     def _write_head(self, head: np.ndarray, width: int) -> None:

@@ -422,6 +422,7 @@ class _Kind(NamedTuple):
     ZERO_VELOCITY: int = 5
     ZERO_RATE: int = 6
     NON_HOLONOMIC: int = 7
+    WHEEL_VIBRATION: int = 8
 
 
 Kind = _Kind()

@@ -15,6 +15,10 @@ _WHEELS = (4.0, 25.0)  # Hz: what of the road reaches the body through springs a
 _SURFACES = (830.0, 310.0, 97.0)  # m: over which the surface changes
 _AXES = np.array([0.5, 0.6, 1.0])  # part of the shaking along each body axis
 _TURN = 0.06  # rad/s of rotation with each m/s^2 of shaking
+_HARMONICS = (1.0, 0.6, 0.4, 0.3)  # of the wheels: imbalance, tyre and tread
+_WHEEL_SPEED = 10.0  # m/s at which their shaking is as given; an imbalance pulls with the square of the speed,
+_FASTEST_WHEEL = 20.0  # m/s, up to where the springs give way
+_LINES = (11.3, 14.1)  # Hz: what of the suspension and the mount swings by itself
 
 
 @dataclass(frozen=True)
@@ -22,6 +26,10 @@ class Vibration:
     """idle: m/s^2 RMS of the engine on the vertical axis. engine_off: share of the stops with the engine off.
     road: m/s^2 RMS of the road on the vertical axis at 10 m/s, in proportion to the speed. smoothness: how much the
     surface varies along the road: its roughness is lognormal about the mean, with this standard deviation.
+    wheels: m/s^2 RMS of the first harmonic of each of four wheels that are out of balance, at 10 m/s.
+    circumference: m, of them all, within 0.1 %. changed: s after which it is 3 % less; 0: never. lines: m/s^2 RMS of
+    each of two lines that stand in Hz while the vehicle moves. gears: ratios of the engine's second order to the wheels,
+    which shakes with `idle` then instead of firing as it does at rest.
 
     The other axes shake somewhat less, and the body turns with it. Faster parts than the IMU's samples show appear
     folded, as without an anti-aliasing filter.
@@ -31,12 +39,19 @@ class Vibration:
     road: float = 0.0
     engine_off: float = 0.5
     smoothness: float = 0.7
+    wheels: float = 0.0
+    circumference: float = 1.95
+    changed: float = 0.0
+    lines: float = 0.0
+    gears: tuple[float, ...] = ()
 
     def shake(self, drive, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Added specific force (n, 3) m/s^2 and angular rate (n, 3) rad/s, body axes, at the samples of `drive`."""
         speed = np.abs(drive.path.wheel_speed(drive.time))
         engine = np.random.default_rng(rng.integers(2**63))
         force = self._road(drive, speed, rng) + self._engine(drive, speed, engine)
+        if self.wheels or self.lines:
+            force += self._wheels(drive, speed, np.random.default_rng(engine.integers(2**63)))
         return force * _AXES, _TURN * force[:, [1, 2, 0]] * _AXES[[2, 2, 0]]
 
     def _engine(self, drive, speed, rng):
@@ -45,9 +60,28 @@ class Vibration:
         number = np.cumsum(np.diff(standing.astype(int), prepend=0) > 0)
         off = rng.uniform(size=number[-1] + 1)[number] < self.engine_off
         frequency = _FIRING + _FIRING_PER_SPEED * (speed % _GEAR)
+        if self.gears:
+            gear = np.minimum((speed / _GEAR * len(self.gears)).astype(int), len(self.gears) - 1)
+            frequency = np.where(speed > 2.0, np.array(self.gears)[gear] * speed / self.circumference, _FIRING)
         phase = 2 * math.pi * np.cumsum(frequency / drive.rate * (1 + 0.01 * rng.standard_normal(len(speed))))
         shaking = math.sqrt(2) * self.idle * np.sin(phase[:, None] + rng.uniform(0, 2 * math.pi, 3))
         return shaking * ~(standing & off)[:, None]
+
+    def _wheels(self, drive, speed, rng):
+        """Four wheels that are not quite the same, and lines that stand in Hz."""
+        circumference = self.circumference * np.where(self.changed and drive.time > self.changed, 0.97, 1.0)
+        turned = 2 * math.pi * np.cumsum(speed / circumference) / drive.rate
+        force = np.zeros((len(speed), 3))
+        strength = math.sqrt(2) * self.wheels * (np.minimum(speed, _FASTEST_WHEEL) / _WHEEL_SPEED) ** 2
+        for _ in range(4):
+            phase = turned * (1.0 + 0.001 * rng.standard_normal())
+            for number, part in enumerate(_HARMONICS, 1):
+                begin = rng.uniform(0, 2 * math.pi, 3)
+                force += part * strength[:, None] * np.sin(number * phase[:, None] + begin)
+        for frequency in _LINES:
+            swing = 2 * math.pi * np.cumsum(frequency * (1 + 0.2 * rng.standard_normal(len(speed)))) / drive.rate
+            force += math.sqrt(2) * self.lines * ((speed > 0.1) * np.sin(swing))[:, None]
+        return force
 
     def _road(self, drive, speed, rng):
         every = max(math.ceil(_FASTEST / drive.rate), 1)

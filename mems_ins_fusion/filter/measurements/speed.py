@@ -16,19 +16,25 @@ from .records import empty, refuse, stated_or
 
 
 @njit(_nrt=False)
-def observe(mem, r, at, h, n, c, sample):
-    """Predicted minus measured speed, positive forwards; one component. measured = (1 + scale) true."""
+def rolling(mem, r, at, h, n, c, sample):
+    """The speed with which the wheels roll, positive forwards, into Z_N, and its derivative."""
     _, w_y, w_z = angular_rate(mem, r, sample)
     c = vehicle_to_level(mem, r, c)
-    forward = body_velocity(mem, r, c, 0) + w_y * mem[Head.AXLE_Z] - w_z * mem[Head.AXLE_Y]
     add_body_velocity(mem, r, h, c, 0, 1.0)
-    mem[at + Event.Z_N] = forward - mem[at + Event.VALUE]
-    scale = int(mem[Head.SPEED_SCALE])
-    if scale >= 0:
-        mem[h + scale] = -forward
+    mem[at + Event.Z_N] = body_velocity(mem, r, c, 0) + w_y * mem[Head.AXLE_Z] - w_z * mem[Head.AXLE_Y]
     across = int(mem[Head.AXLE_ACROSS])
     if across >= 0:
         mem[h + across] = w_z
+
+
+@njit(_nrt=False)
+def observe(mem, r, at, h, n, c, sample):
+    """Predicted minus measured speed, positive forwards; one component. measured = (1 + scale) true."""
+    rolling(mem, r, at, h, n, c, sample)
+    scale = int(mem[Head.SPEED_SCALE])
+    if scale >= 0:
+        mem[h + scale] = -mem[at + Event.Z_N]
+    mem[at + Event.Z_N] -= mem[at + Event.VALUE]
     return 1
 
 

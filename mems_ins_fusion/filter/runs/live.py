@@ -12,8 +12,9 @@ from ...samples import Fixes
 from .. import kernel
 from ..config import FilterConfig
 from ..kernel import TAKEN
+from ..measurements import wheel_vibration
 from ..measurements.registry import AIDING, MEASUREMENTS, NAMES
-from ..memory import NAV, Event, Head, Kind, Nav, Verdict, sample_at, state_at
+from ..memory import NAV, Event, Head, Kind, Nav, Sample, Verdict, sample_at, state_at
 from ..start.alignment import STANDING_SIGMA, Alignment, start_covariance
 from ..start.initial import initialize, learned
 from ..start.start import DATUM_FIXES, Start, first_place
@@ -367,10 +368,11 @@ class FusionFilter(Intake):
             self.say('warning', 'start pose: no IMU sample yet, nothing to start from')
             return
         speed, speed_sigma, still, errors = 0.0, UNKNOWN_SPEED_SIGMA, self._alignment.standing(), None
+        wheels = None
         if self._memory is not None:
             self.update_odometry()
             speed, speed_sigma = float(self.odometry[LINEAR]), math.sqrt(self.odometry[TWIST_COVARIANCE])
-            errors = learned(self.config, self._memory)
+            errors, wheels = learned(self.config, self._memory), wheel_vibration.learned(self._memory)
         elif still is not None:
             speed_sigma = STANDING_SIGMA
             still.end -= (self._now - self._epoch) * 1e-9
@@ -381,7 +383,8 @@ class FusionFilter(Intake):
         p = start_covariance(np.eye(2), yaw, math.sqrt(given[2, 2]), speed, speed_sigma)
         p[np.ix_([0, 1, 4], [0, 1, 4])] = given
         velocity = speed * np.array([math.cos(yaw), math.sin(yaw)])
-        self._begin(Start(0.0, latitude, longitude, height, velocity, float(yaw), p, still, errors=errors), epoch)
+        self._begin(Start(0.0, latitude, longitude, height, velocity, float(yaw), p, still, errors=errors, wheels=wheels),
+                    epoch)
 
     def snapshot(self) -> dict | None:
         """What a restart can begin with, in plain numbers (see snapshot.py); None while there is no heading."""
@@ -526,6 +529,7 @@ class FusionFilter(Intake):
                    'shown over assumed noise of the accelerometers': math.sqrt(white_noise.shown(memory, sample, 0)),
                    'shown over assumed noise of the gyroscopes': math.sqrt(white_noise.shown(memory, sample, 3)),
                    'contradicted by the constraint, s': float(row[Nav.SLID])}
+        values |= wheel_vibration.told(memory, memory[sample + Sample.TIME])
         for i, name in enumerate(layout.names[layout.n_navigation:], start=layout.n_navigation):
             values[name] = float(row[NAV + i])
             values[f'{name} sigma'] = float(sigma[i])

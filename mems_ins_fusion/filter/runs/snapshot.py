@@ -3,7 +3,7 @@
 A snapshot is a dict that JSON can hold: stamp (ns), latitude, longitude (rad), height (m), speed (m/s), yaw of the
 vehicle (rad, clockwise from north) and yaw_sigma, and errors: names of the states behind the navigation errors, their
 estimate, covariance and constant parts (see `start.SensorErrors`), and the conditioning of the samples that they belong
-to.
+to; wheels: what has been learned of them, where that is asked for and known.
 """
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import numpy as np
 from ...errors import InputError
 from ...navigation.strapdown import to_euler
 from ..config import FilterConfig
+from ..measurements import wheel_vibration
 from ..memory import NAV, Head, state_at
 from ..start.alignment import Remembered
 from ..start.initial import aged, learned
@@ -32,12 +33,13 @@ def made(config: FilterConfig, memory: np.ndarray, stamp: int) -> dict:
     latitude, longitude, height, v_n, v_e, _, _ = corrected(memory, at, config.layout.is_level,
                                                             config.open_loop)
     yaw, yaw_sigma = vehicle_heading(config, memory)
-    errors = learned(config, memory)
+    errors, wheels = learned(config, memory), wheel_vibration.learned(memory)
     return {'stamp': int(stamp), 'latitude': latitude, 'longitude': longitude, 'height': height,
             'speed': math.hypot(v_n, v_e), 'yaw': yaw, 'yaw_sigma': yaw_sigma,
             'errors': {'names': list(layout.names[layout.n_navigation:]), 'estimate': errors.estimate.tolist(),
                        'covariance': errors.covariance.tolist(), 'constant': errors.constant.tolist(),
-                       'conditioning': config.conditioning.tolist()}}
+                       'conditioning': config.conditioning.tolist()},
+            **({} if wheels is None else {'wheels': wheels.tolist()})}
 
 
 def vehicle_heading(config: FilterConfig, memory: np.ndarray) -> tuple[float, float]:
@@ -70,6 +72,7 @@ def recalled(config: FilterConfig, snapshot: dict, now: int, max_distance: float
         place = tuple(float(snapshot[name]) for name in ('latitude', 'longitude', 'height'))
         speed, yaw, sigma = (float(snapshot[name]) for name in ('speed', 'yaw', 'yaw_sigma'))
         errors = _errors(config, snapshot['errors'])
+        wheels = wheel_vibration.aged(snapshot['wheels']) if 'wheels' in snapshot else None
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f'not a state of the filter: {" ".join(str(error).split())}') from None
     if not (all(map(math.isfinite, (*place, speed, yaw, sigma, age))) and sigma >= 0.0 and age >= 0.0):
@@ -80,7 +83,8 @@ def recalled(config: FilterConfig, snapshot: dict, now: int, max_distance: float
         sigma = math.hypot(sigma, PARKED_YAW_SIGMA)
         heading = f'heading {math.degrees(yaw) % 360:.1f} +- {math.degrees(sigma):.1f} deg'
     said = f"{heading}; {'sensor errors' if errors else 'no sensor errors, they are of other parameters'}"
-    return Remembered(place, yaw, sigma, max_distance, aged(config, errors, age) if errors else None), said
+    return Remembered(place, yaw, sigma, max_distance, aged(config, errors, age) if errors else None,
+                      wheels), said
 
 
 def _errors(config: FilterConfig, values: dict) -> SensorErrors | None:

@@ -46,13 +46,15 @@ LONGEST_REMEMBERED = 30.0
 @dataclass(frozen=True)
 class Remembered:
     """What an earlier run knew when it ended at rest: place (rad, rad, m), heading of the vehicle (rad) with its sigma,
-    how far away a fix may be (m), and the sensor errors, None where they are of another configuration."""
+    how far away a fix may be (m), the sensor errors, None where they are of another configuration, and the wheels, None
+    where they are not known (`wheel_vibration`)."""
 
     place: tuple[float, float, float]
     yaw: float
     yaw_sigma: float
     max_distance: float
     errors: SensorErrors | None
+    wheels: np.ndarray | None = None
 
 
 class Alignment:
@@ -365,7 +367,8 @@ class Alignment:
         return Start(time, latitude + north / (meridian + height),
                      longitude + east / ((prime_vertical + height) * math.cos(latitude)), height + arm[2],
                      speed * course, float(wrap(yaw)), covariance, standstill, notes,
-                     self._remembered.errors if self._remembered else None, self._scale.copy())
+                     self._remembered.errors if self._remembered else None, self._scale.copy(),
+                     self._remembered.wheels if self._remembered else None)
 
 
 def start_covariance(r: np.ndarray, yaw: float, yaw_sigma: float, speed: float, speed_sigma: float) -> np.ndarray:

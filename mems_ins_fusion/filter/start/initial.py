@@ -9,6 +9,7 @@ from ...navigation.earth import gravity
 from ...navigation.frames import leveling
 from ...navigation.strapdown import from_euler, matrix
 from ..config import REPEATED_TURN_ON, FilterConfig
+from ..measurements import wheel_vibration
 from ..memory import NAV, PLANAR, ROW, Head, Nav, Sample, set_covariance, state_at, variance_factor, views
 from ..memory import covariance as covariance_of
 from ..prediction import set_radii
@@ -61,6 +62,7 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
     set_covariance(row, layout, full)
     set_radii(memory, int(head[Head.ROWS_AT]))
     ring[0, Sample.TIME] = start.time
+    wheel_vibration.remember(memory, start.wheels)
 
 
 def _turn_into_vehicle(config: FilterConfig, full: np.ndarray) -> None:

@@ -58,6 +58,7 @@ class Start:
     notes: list[tuple[str, str]] = field(default_factory=list)  # level and text
     errors: SensorErrors | None = None
     gnss_scale: np.ndarray = field(default_factory=lambda: np.zeros(Scale.SIZE))  # of the fixes, see trust/scale.py
+    wheels: np.ndarray | None = None  # what an earlier filter had learned of them, see measurements/wheel_vibration.py
 
 
 def transferred(start: Start, old: FilterConfig, new: FilterConfig) -> Start:

@@ -1,0 +1,223 @@
+"""Speed from the vibration of the wheels: the spectrum over the way, the circumference, the speed told and its use."""
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filter_support import configure, newest
+from test_filter_live import live
+
+from mems_ins_fusion.errors import InputError
+from mems_ins_fusion.filter.measurements import wheel_spectrum, wheel_vibration
+from mems_ins_fusion.filter.measurements.wheel_spectrum import AXES, BINS, POINTS, SHORTEST, WINDOW, Row, Spectrum
+from mems_ins_fusion.filter.measurements.wheel_vibration import Ear, Told, Wheels
+from mems_ins_fusion.filter.memory import Sample, views
+from mems_ins_fusion.filter.runs.live import FusionFilter
+from mems_ins_fusion.filter.runs.replay import run, run_with_outages
+from mems_ins_fusion.filter.runs.snapshot import made, recalled
+from mems_ins_fusion.navigation.earth import to_local
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.simulation.drive import Drive
+from mems_ins_fusion.simulation.manoeuvres import _straight
+from mems_ins_fusion.simulation.simulation import (
+    GnssNoise,
+    SensorErrors,
+    Simulation,
+    Vibration,
+    simulate_drive,
+    simulate_recording,
+)
+
+CIRCUMFERENCE = 1.87
+#: a car with default parameters, as users have it
+CAR = {'mechanization': 'strapdown', 'vehicle.zero_velocity': True, 'vehicle.non_holonomic': True}
+SHAKEN = Vibration(0.02, 0.05, wheels=0.03, circumference=CIRCUMFERENCE)
+
+
+@pytest.fixture(scope='module')
+def drive() -> Drive:
+    return simulate_drive(240.0, 5, 100.0, standstill=10.0, manoeuvres=(_straight,))
+
+
+def recorded(drive, vibration=SHAKEN) -> Simulation:
+    values = configure(CAR).parameters
+    return simulate_recording(drive, SensorErrors.from_parameters(values, 'gauss_markov'), GnssNoise(0.3, 2.0), seed=3,
+                              vibration=vibration)
+
+
+@pytest.fixture(scope='module')
+def simulated(drive) -> Simulation:
+    return recorded(drive)
+
+
+@pytest.fixture(scope='module')
+def heard(simulated):
+    """The same fixes through the filter that does not listen, that reports, and that uses what it is told."""
+    recording = simulated.recording
+    return {mode: run(configure({**CAR, 'wheel_vibration': mode}), recording.imu, recording.gnss)
+            for mode in ('off', 'report', 'on')}
+
+
+def test_the_transform_is_the_fourier_transform():
+    # given two series
+    rng, part = np.random.default_rng(1), np.zeros(Spectrum.SIZE)
+    wheel_spectrum.begin(part)
+    series = rng.standard_normal((AXES, POINTS))
+    part[Spectrum.SERIES:Spectrum.SERIES + AXES * POINTS] = series.ravel()
+    wheel_spectrum._transform(part, 0, 1)
+    found = part[Spectrum.REAL:][:2 * POINTS] + 1j * part[Spectrum.IMAGINARY:][:2 * POINTS]
+    assert np.allclose(found, np.fft.fft(series[2] + 1j * series[3], 2 * POINTS), atol=1e-9)
+
+
+def test_a_line_in_cycles_per_metre_is_sharp_while_the_speed_changes():
+    # given a vehicle that brakes from 18 to 10 m/s, with 0.9 cycles per metre on one axis beside white noise
+    rng, part = np.random.default_rng(2), np.zeros(Spectrum.SIZE)
+    wheel_spectrum.begin(part)
+    n = 400
+    speed = np.linspace(18.0, 10.0, n)
+    way = np.cumsum(speed) * 0.01 - 0.5 * 0.01 * speed
+    rows = part[Spectrum.RING:Spectrum.TAPER].reshape(POINTS, Row.SIZE)
+    rows[:n, Row.TIME], rows[:n, Row.SPEED] = 0.01, speed
+    rows[:n, Row.VALUES:] = 0.3 * rng.standard_normal((n, AXES))
+    rows[:n, Row.VALUES + 2] += np.sin(2 * math.pi * 0.9 * way)
+    part[Spectrum.COUNT] = n
+    time, length, last = wheel_spectrum.look(part, 0, 2.5)
+    assert (time, length) == pytest.approx((4.0, 56.0), rel=1e-6)
+    power = part[Spectrum.POWER:Spectrum.POWER + AXES * BINS].reshape(AXES, BINS)[:, :last]
+    # then it is one line, on that axis alone, where a line of steady speed would be
+    assert np.argmax(power[2]) / (2 * length) == pytest.approx(0.9, abs=0.5 / length)
+    assert power[2].max() == pytest.approx(wheel_spectrum.MOST) and np.sum(power[2] > 2.5) <= 8
+    assert np.all(np.delete(power, 2, axis=0).mean(axis=1) < 0.3)
+
+
+def test_what_stands_in_hz_is_no_line_any_more():
+    # given a line at 12 Hz on one axis, at another speed in each of forty windows
+    rng, part = np.random.default_rng(3), np.zeros(Spectrum.SIZE)
+    wheel_spectrum.begin(part)
+    rows, shown = part[Spectrum.RING:Spectrum.TAPER].reshape(POINTS, Row.SIZE), []
+    for _ in range(40):
+        rows[:400, Row.TIME], rows[:400, Row.SPEED] = 0.01, rng.uniform(8.0, 20.0)
+        rows[:400, Row.VALUES:] = rng.standard_normal((400, AXES))
+        rows[:400, Row.VALUES] += np.sin(2 * math.pi * 12.0 * 0.01 * np.arange(400))
+        part[Spectrum.COUNT] = 400
+        wheel_spectrum.look(part, 0, 2.5)
+        shown.append(part[Spectrum.POWER + round(2 * 12.0 * WINDOW)])
+    assert shown[0] > 2.5 and abs(np.mean(shown[20:])) < 0.5
+
+
+def test_the_circumference_is_found_while_fixes_come(heard):
+    found = wheel_vibration.summary(heard['report'].memory)
+    assert abs(found['circumference_m'] - CIRCUMFERENCE) < 2 * found['sigma_m'] < 0.015
+    assert found['share_of_time_percent'] > 30.0
+
+
+def test_a_report_changes_no_bit(heard):
+    for name in ('latitude', 'longitude', 'velocity', 'sigma', 'sensor_errors'):
+        assert np.array_equal(getattr(heard['report'], name), getattr(heard['off'], name))
+
+
+def test_nothing_is_told_while_fixes_come(heard):
+    # and so nothing changes where they always do
+    assert np.array_equal(heard['on'].latitude, heard['off'].latitude)
+    assert np.array_equal(heard['on'].sigma, heard['off'].sigma)
+
+
+def outages(simulated, mode, begins, duration=30.0):
+    """Errors (o,), m, at the end of outages, and the filter's sigma of them."""
+    recording = simulated.recording
+    _, coasting = run_with_outages(configure({**CAR, 'wheel_vibration': mode}), recording.imu, recording.gnss, begins,
+                                   duration)
+    errors, sigmas = [], []
+    for i in range(len(coasting.begin)):
+        state = coasting.run.states(slice(coasting.first[i + 1] - 1, coasting.first[i + 1]))
+        j = int(np.searchsorted(recording.reference.stamp, state.stamp[0]))
+        truth = tuple(float(getattr(recording.reference, name)[j]) for name in ('latitude', 'longitude', 'height'))
+        north, east, _ = to_local(state.latitude[0], state.longitude[0], state.height[0], truth)
+        errors.append(math.hypot(north, east))
+        sigmas.append(math.hypot(*state.sigma[0, :2]))
+    return np.array(errors), np.array(sigmas)
+
+
+def test_outages_are_shorter_with_it_and_sigmas_hold(simulated):
+    begins = simulated.recording.imu.stamp[0] + (np.arange(140, 206, 10) * 10**9)
+    off, _ = outages(simulated, 'off', begins)
+    on, sigma = outages(simulated, 'on', begins)
+    assert np.median(on) < 0.5 * np.median(off) and np.percentile(on, 95) < np.percentile(off, 95)
+    assert np.mean(on < 2.0 * sigma) >= 0.85
+
+
+def test_without_a_line_nothing_changes(drive):
+    # given a car on a rough road whose wheels are in balance
+    simulated = recorded(drive, Vibration(0.0, 0.1))
+    begins = simulated.recording.imu.stamp[0] + (np.array([150, 190]) * 10**9)
+    off, on = outages(simulated, 'off', begins), outages(simulated, 'on', begins)
+    assert np.array_equal(off, on)
+
+
+@pytest.mark.parametrize('feedback', ['closed', 'open'])
+def test_live_and_replay_give_the_same_bits(simulated, feedback):
+    # given fixes that come 0.4 s late until 40 s before the end
+    recording = simulated.recording
+    fixes = replace(recording.gnss, received=recording.gnss.received + 400_000_000)
+    fixes = fixes.select(fixes.stamp < recording.imu.stamp[-1] - 40 * 10**9)
+    config = configure({**CAR, 'wheel_vibration': 'on'}, feedback=feedback)
+    published, _ = live(config, recording.imu, fixes)
+    replayed = run(config, recording.imu, fixes)
+    at = np.searchsorted(replayed.index, [p[0] for p in published])
+    assert np.array_equal(np.column_stack([replayed.latitude, replayed.longitude, replayed.height])[at],
+                          np.array([p[2:5] for p in published]))
+    assert np.array_equal(newest(replayed.memory), published[-1][-1])
+    # and a speed was told and used
+    ring = views(replayed.memory)[3]
+    assert np.any(ring[:, Told.VARIANCE] > 0.0) and Sample.MECHANISMS <= Told.SPEED < Sample.SIZE
+
+
+def test_it_is_kept_for_the_next_start(heard):
+    config, memory = configure({**CAR, 'wheel_vibration': 'on'}), heard['on'].memory
+    stamp = int(heard['on'].stamp[-1])
+    kept = json.loads(json.dumps(made(config, memory, stamp)))
+    remembered, _ = recalled(config, kept, stamp + 10**9, 20.0)
+    fresh = config.memory()
+    wheel_vibration.remember(fresh, remembered.wheels)
+    before, after = wheel_vibration.summary(memory), wheel_vibration.summary(fresh)
+    # the same circumference, less sure of it: pressure and load
+    assert after['circumference_m'] == before['circumference_m'] and after['sigma_m'] > before['sigma_m']
+    with pytest.raises(InputError):
+        recalled(config, {**kept, 'wheels': [1.0, 2.0]}, stamp + 10**9, 20.0)
+    with pytest.raises(InputError):
+        recalled(config, {**kept, 'wheels': [99.0, *kept['wheels'][1:]]}, stamp + 10**9, 20.0)
+    assert 'wheels' not in made(configure(CAR), heard['off'].memory, stamp)
+
+
+def test_health_tells_it(heard, simulated):
+    recording = simulated.recording
+    fusion = FusionFilter(configure({**CAR, 'wheel_vibration': 'report'}))
+    fusion._memory = heard['report'].memory.copy()
+    fusion._epoch = int(recording.imu.stamp[0])
+    told = fusion.health()
+    assert told['circumference of the wheels, m'] == pytest.approx(CIRCUMFERENCE, rel=0.01)
+    reference = recording.reference
+    then = (reference.stamp[-1] - reference.stamp[0]) * 1e-9 - told['age of the speed by the wheels, s']
+    true = np.interp(then, (reference.stamp - reference.stamp[0]) * 1e-9, np.linalg.norm(reference.velocity, axis=1))
+    assert abs(told['speed by the wheels, m/s'] - true) < 3 * told['speed by the wheels sigma, m/s'] < 1.0
+
+
+@pytest.mark.parametrize(('given', 'meant'), [(True, 'on'), (False, 'off'), ('report', 'report')])
+def test_on_and_off_need_no_quotes(given, meant):
+    # given what YAML and ROS make of on and off
+    assert table.check({'wheel_vibration': given})['wheel_vibration'] == meant
+
+
+def test_samples_that_never_change_tell_nothing():
+    # given a memory that hears the same numbers over and over at 10 m/s
+    memory = configure({**CAR, 'wheel_vibration': 'on'}).memory()
+    at, ring = int(memory[Wheels.AT]), int(memory[Wheels.AT]) + Ear.SPECTRUM
+    rows = memory[ring + Spectrum.RING:ring + Spectrum.TAPER].reshape(POINTS, Row.SIZE)
+    rows[:, Row.TIME], rows[:, Row.SPEED], memory[ring + Spectrum.COUNT] = SHORTEST, 10.0, POINTS
+    for _ in range(30):
+        _, way, last = wheel_spectrum.look(memory, ring, wheel_vibration.HIGHEST)
+        wheel_vibration._comb(memory, at, way, last)
+    assert memory[at + Ear.VARIANCE_C] == 0.0
