@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from mems_ins_fusion.nodes.inputs import Queue, stamp_of
 from mems_ins_fusion.nodes.log import LONGEST_HOLD, StateLog, Throttle, Watch
 from mems_ins_fusion.nodes.traffic import Traffic
 
@@ -142,3 +143,43 @@ def test_a_state_that_gets_worse_is_said_at_once(clock):
         if line:
             said[second] = line
     assert list(said) == [0, 6, 20]
+
+
+class Topic:
+    """An input of a queue: `wait` what has not been taken yet, `got` names and stamps of what was served, ns."""
+
+    def __init__(self, name, got):
+        self.name, self.wait, self.got = name, [], got
+        self.traffic = SimpleNamespace(stamp=0, waited=lambda info: info['late'])
+
+    def take(self):
+        return self.wait.pop(0) if self.wait else None
+
+    def on_message(self, message, info):
+        self.traffic.stamp = stamp_of(message)
+        self.got.append((self.name, self.traffic.stamp))
+
+
+def sent(stamp, late):
+    """A message that was sent at its stamp, ns, and has come `late` s later than others."""
+    message = SimpleNamespace(header=header(0))
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
+    return message, {'source_timestamp': stamp, 'late': late}
+
+
+def test_what_waits_is_served_in_the_order_in_which_it_was_sent_and_what_overtook_samples_waits_with_all_after_it():
+    queue, got, tenth = Queue(SimpleNamespace(create_guard_condition=lambda callback: None)), [], 10**8
+    imu, fix = Topic('imu', got), Topic('fix', got)
+    queue.inputs += [imu, fix]
+    # when a message is served, all that wait go with it
+    imu.wait, fix.wait = [sent(k * tenth, 3.0) for k in (102, 104, 105)], [sent(103 * tenth, 3.0)]
+    queue.serve(imu, *sent(101 * tenth, 3.0))
+    assert got == [(name, k * tenth) for name, k in zip(('imu', 'imu', 'fix', 'imu', 'imu'), range(101, 106))]
+    # when two fixes come without the samples of before them, the first of them late
+    fix.wait = [sent(130 * tenth, 0.0)]
+    queue.serve(fix, *sent(120 * tenth, 3.0))
+    assert got[5:] == []
+    # then they are served in their order behind those
+    imu.wait = [sent(119 * tenth, 3.0), sent(131 * tenth, 0.0)]
+    queue.release()
+    assert got[5:] == [(name, k * tenth) for name, k in (('imu', 119), ('fix', 120), ('fix', 130), ('imu', 131))]

@@ -25,7 +25,7 @@ PAGE = os.sysconf('SC_PAGE_SIZE')
 #: until all have found each other, s
 SETTLE = 3.0
 #: of the queue of each subscription, the node's own
-DEPTH = 1000
+DEPTH = 4000
 START = '[48.0, 11.0, 500.0, 0.0]'
 
 
