@@ -2,8 +2,9 @@
 
     python studies/fleet.py --task diagnose             # the whole proof: about an hour on two cores
     python studies/fleet.py --task configure --duration 300
-    python studies/fleet.py --task diagnose --duration 300 --rate 25 --moved 2.5 --vehicles 6
+    python studies/fleet.py --estimates --duration 300 --rate 25 --moved 2.5 --vehicles 0 1 6 --drives 20
 
+--estimates: without bags and the tool, only what `configure` sees in each drive and what the watchman makes of that.
 Eight vehicles, five drives each over a year, simulated: in car_2 the receiver's stamps are 0.3 s off from the start, in
 car_4 the antenna is 0.8 m ahead of where the parameters have it, in car_6 it is moved by --moved m after 3 of 5 drives.
 One recording breaks off; beside them are an empty file, one that is no recording, and a copy. Printed: what the
@@ -19,8 +20,11 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+from mems_ins_fusion.configuration.configure import look
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.fleet import tables
+from mems_ins_fusion.fleet.watchman import series_of, watch
+from mems_ins_fusion.fleet.work import shown_by
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.several import later
 from mems_ins_fusion.recordings.writing import write_recording
@@ -46,16 +50,34 @@ def effects_of(vehicle: int, part: float, moved: float) -> list:
     return []
 
 
-def write(folder: Path, vehicles: list[int], drives: int, duration: float, rate: float, moved: float) -> None:
-    """The recordings, below folder/logs, and what is wrong among them where all vehicles are there."""
+def drives(vehicles: list[int], count: int, duration: float, rate: float, moved: float):
+    """(vehicle, number, recording) of each drive, without a reference."""
     sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
     for vehicle in vehicles:
-        for drive in range(drives):
+        for drive in range(count):
             seed = 1000 + 100 * vehicle + drive
             made = simulate_recording(simulate_drive(duration, seed=seed, rate=rate), sensors,
-                                      effects=effects_of(vehicle, drive / drives, moved), seed=seed).recording
-            made = replace(later(made, drive * BETWEEN), reference=None)
-            write_recording(made, folder / 'logs' / f'car_{vehicle}' / f'drive_{drive}')
+                                      effects=effects_of(vehicle, drive / count, moved), seed=seed).recording
+            yield vehicle, drive, replace(later(made, drive * BETWEEN), reference=None)
+
+
+def watch_estimates(options) -> None:
+    """What `configure` sees of the antenna in each drive, and what the watchman says of that."""
+    rows = []
+    for vehicle, drive, recording in drives(options.vehicles, options.drives, options.duration, options.rate,
+                                            options.moved):
+        seen = shown_by(look(recording.name, recording.imu, recording.gnss))
+        rows += [row | {'vehicle': f'car_{vehicle}', 'stamp_ns': int(recording.imu.stamp[0])} for row in seen]
+        print(f'car_{vehicle} drive {drive}:', *(f"{row['parameter']} {row['value']:.2f} +- {row['sigma']:.2f} m"
+                                                 for row in seen if row['effect'] == 'gnss_lever_arm'), flush=True)
+    for change in watch(series_of(rows)):
+        print(change.vehicle, change.words(), f'p {change.p:.1g}')
+
+
+def write(folder: Path, vehicles: list[int], count: int, duration: float, rate: float, moved: float) -> None:
+    """The recordings, below folder/logs, and what is wrong among them where all vehicles are there."""
+    for vehicle, drive, recording in drives(vehicles, count, duration, rate, moved):
+        write_recording(recording, folder / 'logs' / f'car_{vehicle}' / f'drive_{drive}')
     if vehicles != ALL:
         return
     broken = next((folder / 'logs/car_1/drive_3').glob('*.mcap'))
@@ -74,7 +96,11 @@ def main() -> None:
     parser.add_argument('--vehicles', type=int, nargs='+', default=ALL)
     parser.add_argument('--drives', type=int, default=5)
     parser.add_argument('--workers', default='2')
+    parser.add_argument('--estimates', action='store_true')
     options = parser.parse_args()
+    if options.estimates:
+        watch_estimates(options)
+        return
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write(folder, options.vehicles, options.drives, options.duration, options.rate, options.moved)

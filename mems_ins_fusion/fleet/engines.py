@@ -16,7 +16,7 @@ from multiprocessing.connection import wait
 
 from ..errors import InputError
 
-#: a worker that ended while it had an item; what an item is tried again
+#: the answer of a worker that ended while it had an item
 DIED = object()
 #: how often an item is given to a worker before it is given up
 TRIES = 2
