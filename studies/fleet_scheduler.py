@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import heapq
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -52,27 +53,35 @@ def simulate(recordings: int, workers: int, seed: int = 0) -> tuple[float, float
     return end, float(seconds.sum() / workers), float(seconds.max())
 
 
-def measure(logs: str, params: str) -> None:
-    """Wall-clock ratio of one process to two, on an idle machine."""
-    spent = {}
-    for workers in (1, 2):
-        with tempfile.TemporaryDirectory() as folder:
-            began = time.monotonic()
-            subprocess.run([sys.executable, '-m', 'mems_ins_fusion', 'fleet', logs, '--task', 'replay', '--no-pages',
-                            '--params-file', params, '--workers', str(workers), '--output',
-                            f'{folder}/out'], check=True)
-            spent[workers] = time.monotonic() - began
-    print(f'{spent[1]:.1f} s on one process, {spent[2]:.1f} s on two: {2 * spent[2] / spent[1]:.2f} N/k times one; '
-          f'load of the machine: {os.getloadavg()[0]:.1f}')
+def measure(logs: str, params: str, rounds: int) -> None:
+    """One process against two, in turns: wall-clock time on an idle machine, and CPU time on one that is not."""
+    wall: dict[int, list[float]] = {1: [], 2: []}
+    cpu: dict[int, list[float]] = {1: [], 2: []}
+    for _ in range(rounds):
+        for workers in (1, 2):
+            with tempfile.TemporaryDirectory() as folder:
+                began, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
+                subprocess.run([sys.executable, '-m', 'mems_ins_fusion', 'fleet', logs, '--task', 'replay',
+                                '--no-pages', '--params-file', params, '--workers', str(workers), '--output',
+                                f'{folder}/out'], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+                after = resource.getrusage(resource.RUSAGE_CHILDREN)
+            wall[workers].append(time.monotonic() - began)
+            cpu[workers].append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+            print(f'{workers} processes: {wall[workers][-1]:.1f} s, {cpu[workers][-1]:.1f} s of CPU; load of the '
+                  f'machine {os.getloadavg()[0]:.1f}', flush=True)
+    ratio = 2 * min(wall[2]) / min(wall[1])
+    print(f'two processes take {ratio:.2f} N/k times one (wall-clock, the shortest of each); all their CPU is '
+          f'{min(cpu[2]) / min(cpu[1]):.2f} of that of one')
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--measure', nargs=2, metavar=('LOGS', 'PARAMS'))
+    parser.add_argument('--rounds', type=int, default=3)
     parser.add_argument('--recordings', type=int, default=10_000)
     options = parser.parse_args()
     if options.measure:
-        measure(*options.measure)
+        measure(*options.measure, options.rounds)
         return
     print(f"{'workers':>8}{'hours':>9}{'N/k times one, h':>18}{'ratio':>8}{'longest recording, h':>22}")
     for workers in (1, 10, 100, 1000):

@@ -1,13 +1,11 @@
-"""What the tests of the fleet share: recordings of a year, and functions for workers, which import this file."""
+"""What the tests of the fleet share: recordings of a year, drives, and ways to run the tool."""
 from __future__ import annotations
 
 import io
 import os
 import shutil
-import signal
 import subprocess
 import sys
-import time
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
@@ -39,13 +37,13 @@ PARAMS = """\
 
 
 def write_year(folder: Path, vehicles: int = 8, drives: int = 5) -> None:
-    """Recordings of a year of some vehicles: folder/logs/car_N/drive_N, 75 s at 25 Hz each, and params.yaml. One of
+    """Recordings of a year of some vehicles: folder/logs/car_N/drive_N, 60 s at 20 Hz each, and params.yaml. One of
     them breaks off; beside them stand an empty file, one that is no recording, and a copy."""
     logs = folder / 'logs'
     for vehicle in range(vehicles):
         for drive in range(drives):
             seed = 100 * vehicle + drive
-            driven = simulate_drive(75.0, seed=seed, rate=25.0, standstill=8.0)
+            driven = simulate_drive(60.0, seed=seed, rate=20.0, standstill=5.0)
             recording = simulate_recording(driven, SENSORS, seed=seed).recording
             reference = recording.reference.select(slice(None, None, 5))
             moved = later(recording, 70 * drive * DAY)
@@ -60,8 +58,8 @@ def write_year(folder: Path, vehicles: int = 8, drives: int = 5) -> None:
 
 
 def write_late(path: Path, seed: int, backwards: bool = False) -> None:
-    """A drive of 150 s with good fixes that are LATE; backwards: by an IMU that is mounted so."""
-    drive = simulate_drive(150.0, seed=seed, rate=25.0, standstill=8.0)
+    """A drive of 120 s with good fixes that are LATE; backwards: by an IMU that is mounted so."""
+    drive = simulate_drive(120.0, seed=seed, rate=20.0, standstill=5.0)
     recording = simulate_recording(
         drive, SENSORS, GnssNoise(sigma=0.5), [(EFFECTS['gnss_time_offset'], {'time_offset': LATE})],
         [0.0, 0.0, np.pi] if backwards else [0.0, 0.0, 0.0], seed=seed).recording
@@ -124,43 +122,6 @@ def run_here(folder: Path, *words) -> tuple[int, str, str]:
 def files(folder: Path) -> dict[str, bytes]:
     """What is in a folder, by path."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob('*')) if path.is_file()}
-
-
-# for workers
-
-def double(value):
-    return 2 * value
-
-
-def refuse(value):
-    raise ValueError(f'{value} is refused')
-
-
-def die(value):
-    """Ends the process for the item 'die'."""
-    if value == 'die':
-        os.kill(os.getpid(), signal.SIGKILL)
-    return value
-
-
-def die_once(path):
-    """Ends the process as long as there is no file `path`."""
-    if not Path(path).exists():
-        Path(path).touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return 'done'
-
-
-def wait_for_long(path):
-    """Tells the number of its process in the file `path` and goes on for minutes."""
-    Path(path).write_text(str(os.getpid()))
-    time.sleep(300)
-
-
-def core_count(_):
-    from mems_ins_fusion.threads import threads
-
-    return threads()
 
 
 def estimates(rng: np.random.Generator, vehicles: int, drives: int, sigma: float, realised: float = 1.0,

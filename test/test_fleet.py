@@ -114,7 +114,7 @@ def test_each_recording_is_one_row_with_its_vehicle_and_what_became_of_it(whole)
     assert copy['recording_id'] == rows['logs/car_0/drive_1']['recording_id']
     others = [row for path, row in rows.items() if path not in wrong and row is not copy]
     assert len(others) == 40 and {row['status'] for row in others} == {'done'}
-    assert all(row['duration_s'] == pytest.approx(75.0, abs=0.1) for row in others
+    assert all(row['duration_s'] == pytest.approx(60.0, abs=0.1) for row in others
                if row['recording'] != 'logs/car_1/drive_3')
 
 
@@ -122,7 +122,7 @@ def test_what_is_left_of_a_truncated_recording_is_used_and_told(whole):
     row = next(r for r in tables.read(whole[0], 'recordings') if r['recording'] == 'logs/car_1/drive_3')
     told = [f['message'] for f in tables.read(whole[0], 'findings')
             if f['recording_id'] == row['recording_id'] and f['source'] == 'reader']
-    assert row['duration_s'] < 70 and len(told) == 1 and 'readable' in told[0]
+    assert row['duration_s'] < 50 and len(told) == 1 and 'readable' in told[0]
 
 
 def test_results_are_in_tidy_tables(whole):
@@ -148,8 +148,8 @@ def test_the_history_of_a_vehicle_is_in_the_order_of_time(whole):
 
 @pytest.fixture(scope='module')
 def some(year):
-    """Two vehicles, without any interruption, by Dask where that is installed."""
-    process = run(year, 'logs/car_[01]/*', *TASK, '--output', 'some', dask=True)
+    """One vehicle, without any interruption, by Dask where that is installed."""
+    process = run(year, 'logs/car_1/*', *TASK, '--output', 'some', dask=True)
     assert process.returncode == 0, process.stderr
     return year / 'some', process
 
@@ -157,14 +157,14 @@ def some(year):
 def test_killed_continued_and_by_whatever_engine_the_tables_are_the_same_bit_for_bit(whole, some):
     for name in ('results', 'outages', 'effects', 'findings'):
         lines = [(output / f'tables/{name}.csv').read_text().splitlines() for output in (whole[0], some[0])]
-        mine = [line for line in lines[0] if line.startswith(('vehicle,', 'car_0,', 'car_1,'))]
+        mine = [line for line in lines[0] if line.startswith(('vehicle,', 'car_1,'))]
         assert mine == lines[1] and len(mine) > 3
 
 
 def test_what_is_done_is_not_done_again(year, some):
     before = {path: path.stat().st_mtime_ns for path in results(some[0])}
     tables_before = files(some[0] / 'tables')
-    assert run_here(year, 'logs/car_[01]/*', *TASK, '--output', 'some')[0] == 0
+    assert run_here(year, 'logs/car_1/*', *TASK, '--output', 'some')[0] == 0
     assert {path: path.stat().st_mtime_ns for path in results(some[0])} == before
     assert files(some[0] / 'tables') == tables_before
 
@@ -177,36 +177,35 @@ def copy(some, tmp_path):
 
 
 def test_a_moved_recording_is_not_done_twice(year, copy, tmp_path):
-    shutil.copytree(year / 'logs/car_0/drive_2', tmp_path / 'car_0/renamed')
+    shutil.copytree(year / 'logs/car_1/drive_2', tmp_path / 'car_1/renamed')
     count = len(results(copy))
-    assert run_here(year, tmp_path / 'car_0', *TASK, '--output', copy)[0] == 0
+    assert run_here(year, tmp_path / 'car_1', *TASK, '--output', copy)[0] == 0
     [row] = tables.read(copy, 'recordings')
-    assert row['status'] == 'done' and row['recording'].endswith('car_0/renamed') and len(results(copy)) == count
+    assert row['status'] == 'done' and row['recording'].endswith('car_1/renamed') and len(results(copy)) == count
 
 
 def test_shards_merged_are_one_run(year, copy, tmp_path):
-    fleet = 'logs/car_0/**/drive_[0-2]', *TASK
+    fleet = 'logs/car_1/*[0-2y]*', *TASK  # three drives and one that is empty
     for shard in ('2/2', '1/2'):
         status, out, _ = run_here(year, *fleet, '--output', tmp_path / 'shards', '--shard', shard)
         assert status == 0 and 'without --shard' in out
         assert not (tmp_path / 'shards/tables').exists()
     done = {path: path.stat().st_mtime_ns for path in results(tmp_path / 'shards')}
     assert run_here(year, *fleet, '--output', tmp_path / 'shards')[0] == 0
-    assert {path: path.stat().st_mtime_ns for path in results(tmp_path / 'shards')} == done and len(done) == 3
+    assert {path: path.stat().st_mtime_ns for path in results(tmp_path / 'shards')} == done and len(done) == 4
     assert run_here(year, *fleet, '--output', copy)[0] == 0
     for folder in ('tables', 'history'):
-        assert files(tmp_path / 'shards' / folder) == {
-            path: content for path, content in files(copy / folder).items() if path != 'car_1.csv'}
+        assert files(tmp_path / 'shards' / folder) == files(copy / folder)
 
 
 def test_recordings_behind_a_url_are_the_same_ones(year, some, tmp_path):
     pytest.importorskip('fsspec')
-    status, _, err = run_here(year, f'file://{year}/logs/car_0/drive_[01]', *TASK, '--output', tmp_path / 'url',
+    status, _, err = run_here(year, f'file://{year}/logs/car_1/drive_[01]', *TASK, '--output', tmp_path / 'url',
                               '--vehicle-from', 'logs/{vehicle}/*')
     assert status == 0, err
     rows = tables.read(tmp_path / 'url', 'recordings')
     assert [(row['vehicle'], row['recording'], row['status']) for row in rows] == [
-        ('car_0', f'file://{year}/logs/car_0/drive_{i}', 'done') for i in (0, 1)]
+        ('car_1', f'file://{year}/logs/car_1/drive_{i}', 'done') for i in (0, 1)]
     lines = (some[0] / 'tables/results.csv').read_text().splitlines()
     mine = (tmp_path / 'url/tables/results.csv').read_text().splitlines()
     assert len(mine) == 3 and set(mine) <= set(lines)

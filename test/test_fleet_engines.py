@@ -8,7 +8,8 @@ import time
 from pathlib import Path
 
 import pytest
-from fleet_support import core_count, die, die_once, double, environment, refuse
+from fleet_support import environment
+from worker_support import core_count, die, die_once, double, refuse
 
 from mems_ins_fusion.fleet import engines
 
@@ -59,7 +60,7 @@ def test_a_pool_ends_with_the_block():
 
 
 def test_a_worker_ends_with_who_started_it(tmp_path):
-    code = ('import sys; from fleet_support import wait_for_long; from mems_ins_fusion.fleet.engines import Pool\n'
+    code = ('import sys; from worker_support import wait_for_long; from mems_ins_fusion.fleet.engines import Pool\n'
             'with Pool(1) as pool:\n    list(pool.each(wait_for_long, sys.argv[1:]))')
     parent = subprocess.Popen([sys.executable, '-c', code, str(tmp_path / 'pid')], env=environment())
     try:

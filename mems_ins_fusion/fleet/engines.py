@@ -16,7 +16,7 @@ from multiprocessing.connection import wait
 
 from ..errors import InputError
 
-#: a worker that ended while it had an item; what an item is tried again
+#: the answer of a worker that ended while it had an item
 DIED = object()
 #: how often an item is given to a worker before it is given up
 TRIES = 2
@@ -185,7 +185,8 @@ def local_cluster(workers: int) -> Iterator[_Dask]:
     import dask
     from distributed import Client, LocalCluster
 
-    settings = {'distributed.scheduler.allowed-failures': TRIES - 1, 'distributed.logging.distributed': 'critical',
+    # what is tried once more, and when, is for `_Dask` to say
+    settings = {'distributed.scheduler.allowed-failures': 0, 'distributed.logging.distributed': 'critical',
                 'distributed.nanny.pre-spawn-environ': _ONE_THREAD}
     with dask.config.set(settings):
         local = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=':0',
@@ -226,23 +227,38 @@ def cluster(address: str) -> Iterator[_Dask]:
 
 
 class _Dask:
-    """`each` by the workers of a cluster, which start again what was on a worker that ended."""
+    """`each` by the workers of a cluster.
+
+    Dask holds what waits on a worker that ended as suspect as what ran there. So each of them is tried once more, with
+    a worker of its own: whose fault it was is known then.
+    """
 
     def __init__(self, client):
         self._client = client
 
     def each(self, function: Callable, items: Iterable) -> Iterator[tuple]:
+        items, suspects = list(items), []
+        if items:
+            yield from self._done(self._client.map(function, items, pure=False), items, suspects)
+        while suspects:
+            self._client.wait_for_workers(1)
+            places = list(self._client.scheduler_info(n_workers=-1)['workers'])
+            some, suspects = suspects[:len(places)], suspects[len(places):]
+            died: list = []
+            yield from self._done([self._client.submit(function, item, pure=False, workers=[place],
+                                                       allow_other_workers=True)
+                                   for item, place in zip(some, places)], some, died)
+            yield from ((item, DIED) for item in died)
+
+    def _done(self, futures: list, items: list, lost: list) -> Iterator[tuple]:
+        """(item, answer) in the order in which they are done; `lost` gets the items whose worker ended."""
         from distributed import KilledWorker, as_completed
 
-        items = list(items)
-        if not items:
-            return
-        futures = {f.key: (f, item) for f, item in
-                   zip(self._client.map(function, items, pure=False, retries=0), items)}
-        for future in as_completed([f for f, _ in futures.values()], loop=self._client.loop):
-            _, item = futures.pop(future.key)
+        left = {future.key: (future, item) for future, item in zip(futures, items)}
+        for future in as_completed(futures, loop=self._client.loop):
+            _, item = left.pop(future.key)
             try:
                 yield item, future.result()
             except KilledWorker:
-                yield item, DIED
+                lost.append(item)
             future.release()

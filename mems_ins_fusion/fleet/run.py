@@ -23,6 +23,8 @@ from .work import RESULT, RESULTS, died, do, identify
 MARKER = 'fleet.json'
 #: which contents have been read already, by shard
 _CONTENTS = 'contents'
+#: how far the work is, of 1, when all is known that is there, and when each recording was looked at alone
+_READ, _ALONE = 0.05, 0.6
 #: done of a recording: `recordings.status`
 DONE, FAILED, DUPLICATE, OPEN = 'done', 'failed', 'duplicate', 'open'
 
@@ -78,11 +80,11 @@ def run(asked: Asked, progress: Callable[[float, str], None] = lambda part, what
     known = _Known(asked)
     try:
         with engine(asked.scheduler, asked.workers) as workers:
-            known.read(entries, workers, lambda part: progress(0.05 * part, 'looking what there is'))
+            known.read(entries, workers, lambda part: progress(_READ * part, 'looking what there is'))
             known.load(entries)
-            alone = 0.6 if asked.task in TOGETHER else 1.0
+            alone = _ALONE if asked.task in TOGETHER else 1.0
             _all(workers, known.alone(entries), known, asked, lambda part, what: progress(
-                0.05 + (alone - 0.05) * part, what))
+                _READ + (alone - _READ) * part, what))
             _all(workers, known.together(entries), known, asked, lambda part, what: progress(
                 alone + (1.0 - alone) * part, what))
     except KeyboardInterrupt:
@@ -135,9 +137,10 @@ class _Known:
         self._contents = self._remembered()
         self._read: dict[str, str] = {}
         #: of the results that are there: what the table `recordings` says of them, by the id of the job, and the other
-        #: tables; None as long as it is not known what is there
+        #: tables; loaded: they hold all that earlier runs did
         self._results: dict[str, dict] = {}
-        self.texts: tables.Texts | None = None
+        self.texts = tables.Texts()
+        self.loaded = False
 
     def _remembered(self) -> dict[str, tuple[str, int, str]]:
         found = {}
@@ -185,11 +188,11 @@ class _Known:
 
     def load(self, entries: Sequence[Entry]) -> None:
         """Look up what is done of all jobs."""
-        self.texts = tables.Texts()
         for work in self.alone(entries).values():
             self.look_up(work)
         for work in self.together(entries).values():
             self.look_up(work)
+        self.loaded = True
 
     def look_up(self, work: Job) -> None:
         """Take in the result of a job, where there is one."""
@@ -198,7 +201,7 @@ class _Known:
             self._results[work.id] = {name: found[name] for name in ('status', 'error_id', 'reason')} | {
                 'page': found.get('page', ''), 'recording': found.get('recording', {})}
             for name, rows in rows_of(work, found).items():
-                self.texts.add(name, tables.complete(name, rows))
+                self.texts.add(name, tables.complete(name, rows), work.id)
 
     def is_open(self, work: Job) -> bool:
         """Whether a job is to be done: it has no result, or one that a new try may change."""
@@ -277,7 +280,7 @@ def _compiled_first(workers, function, items: list, asked: Asked) -> Iterator[tu
 def _interrupted(asked: Asked, known: _Known, entries) -> Fleet:
     """The CSV tables of what is finished, which is done at once: nobody waits for the rest."""
     rows = {'recordings': known.recordings(entries)}
-    if known.texts is not None and asked.shard == (1, 1):
+    if known.loaded and asked.shard == (1, 1):
         known.texts.add('recordings', tables.complete('recordings', rows['recordings']))
         write_files(known.texts.files(asked.output / tables.FOLDER), overwrite=True)
     return Fleet(asked, rows, [], interrupted=True)

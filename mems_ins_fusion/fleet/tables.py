@@ -68,23 +68,22 @@ def ready() -> bool:
 class Texts:
     """The tables as text, which grow with each result: what is finished can be written at once.
 
-    Rows of one result stand together in the sorted table, for no other result has the same in the columns that all
-    tables begin with.
+    Rows stand in the order of the columns that all tables begin with, which are the same in the rows of one result.
     """
 
     def __init__(self):
         self._parts: dict[str, dict[tuple, str]] = {name: {} for name in TABLES}
 
-    def add(self, name: str, rows: list[dict]) -> None:
-        """Complete rows of the table `name`: those of a result, or of all results."""
+    def add(self, name: str, rows: list[dict], of: str = '') -> None:
+        """Complete rows of the table `name`, instead of those that were there `of` the same result."""
         found: dict[tuple, list[list[str]]] = {}
         for row in rows:
             cells = [_text(value) for value in row.values()]
-            found.setdefault(tuple(cells[:len(_ABOUT)]), []).append(cells)
+            found.setdefault((*cells[:len(_ABOUT)], of), []).append(cells)
         for key, lines in found.items():
             text = io.StringIO()
             csv.writer(text, lineterminator='\n').writerows(lines)
-            self._parts[name][key] = self._parts[name].get(key, '') + text.getvalue()
+            self._parts[name][key] = text.getvalue()
 
     def files(self, folder: Path) -> dict[Path, str]:
         """The CSV files of the tables in `folder`, with their contents."""
