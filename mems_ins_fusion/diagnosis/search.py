@@ -322,7 +322,7 @@ def _judged(known: Known, candidate: Candidate, model: Model, bench: Bench) -> J
     shorter = max(known.model, shorter, key=lambda m: m.likelihood(mask))
     proof = held_out(model, shorter, known.noise)
     errors = bench.errors([known.problem.corrected(model.unknowns, x) for x in proof.estimates])
-    against = (implausible(candidate.name, parameters, bench.turned) or contradiction or _small(model, first)
+    against = (implausible(candidate.name, parameters, bench.shown) or contradiction or _small(model, first)
                or objection(proof, compared(known.errors, errors)))
     return Judged(candidate, model, parameters, hidden, proof, errors, against, drives, apart)
 
