@@ -7,8 +7,8 @@ from ..effects.base import Effect
 from ..effects.registry import EFFECTS
 from .estimate import Estimate
 
-#: what recordings show without a filter, too: in words, and how large a difference is one. Of receivers that smooth over
-#: a second the track shows a lag that is too small by up to 0.8 s^2, beyond its sigma
+#: what recordings show without a filter, too: in words, and how large a difference is one. Of receivers that smooth
+#: over a second the track shows a lag that is too small by up to 0.8 s^2, beyond its sigma
 _SHOWN = {'gyroscope_scale.z': ('the angle of the course shows a scale', 0.05),
           'gnss_lag.lag': ('the track between fixes shows a lag', 2.0)}
 #: so many sigma are a contradiction
