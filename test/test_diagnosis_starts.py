@@ -54,6 +54,10 @@ def test_a_scale_of_the_gyroscopes_that_the_course_contradicts_is_none(late):
     track = Offset(OFFSET, 0.02, np.zeros(3), np.ones(3), 0.01, 0.05)
     shown = Bench((late,), Drives([problem]), (), (10.0,), 30.0, lambda part, what: None, 0.0, {}, track).shown
     turned = shown['gyroscope_scale.z']
+    # an offset that is in the parameters is none that has to be tried first; one that is not, is
+    early = Problem(late, table.check({}))
+    assert [Bench((late,), Drives([p]), (), (10.0,), 30.0, lambda part, what: None, 0.0, {}, track).certain
+            for p in (problem, early)] == [(), ('gnss_time_offset',)]
     assert turned.value == pytest.approx(0.0, abs=3.0 * turned.sigma)
     # then, where that is seen well enough, a scale that is far from it cannot be, and one that is not can
     seen = {'gyroscope_scale.z': replace(turned, value=0.0, sigma=0.01)}

@@ -7,6 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
+from ..configuration.check import SMALL_OFFSET, SURE
+from ..configuration.left import TIME_OFFSET, Left
 from ..configuration.offset import Offset
 from ..configuration.regression import weighted
 from ..effects.base import Effect
@@ -66,6 +68,14 @@ class Bench:
             lag = self.track.smoothing - self.origin.given['gnss.lag_per_acceleration']
             found['gnss_lag.lag'] = Estimate(lag, self.track.smoothing_sigma, 's^2')
         return found
+
+    @property
+    def certain(self) -> tuple[str, ...]:
+        """Effects that the tracks between fixes show for certain beside the parameters as given."""
+        if self.track is None or not self.track.shown:
+            return ()
+        left = Left(TIME_OFFSET, self.track.lag - self.origin.given['gnss.time_offset'], self.track.lag_sigma)
+        return ('gnss_time_offset',) if left.certain(SMALL_OFFSET, SURE) else ()
 
     @cached_property
     def turned(self) -> Estimate | None:
