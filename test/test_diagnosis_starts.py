@@ -3,15 +3,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from mems_ins_fusion.configuration.offset import Offset
 from mems_ins_fusion.diagnosis.bench import Bench
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.drives import Drives
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.plausible import implausible
 from mems_ins_fusion.diagnosis.problem import Problem
-from mems_ins_fusion.diagnosis.starts import TIME_OFFSET, other_starts
+from mems_ins_fusion.diagnosis.starts import TIME_OFFSET, other_starts, shown_by_track
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -29,10 +31,10 @@ def late():
 
 
 def test_a_search_starts_from_what_is_given_from_what_the_recording_shows_and_from_nothing(late):
-    shown, nothing = other_starts([late], table.check({TIME_OFFSET: -0.8}))
+    shown, nothing = other_starts(track := shown_by_track([late]), table.check({TIME_OFFSET: -0.8}))
     assert shown[TIME_OFFSET] == pytest.approx(OFFSET, abs=0.1) and nothing[TIME_OFFSET] == 0.0
     # and what is the same start is none of its own
-    alone, = other_starts([late], table.check({TIME_OFFSET: shown[TIME_OFFSET]}))
+    alone, = other_starts(track, table.check({TIME_OFFSET: shown[TIME_OFFSET]}))
     assert alone[TIME_OFFSET] == 0.0
 
 
@@ -49,9 +51,21 @@ def test_a_wrong_time_offset_is_left_again(late):
 def test_a_scale_of_the_gyroscopes_that_the_course_contradicts_is_none(late):
     # given gyroscopes that turn as far as the course does, as a bench sees it
     problem = Problem(late, table.check({TIME_OFFSET: OFFSET}))
-    turned = Bench((late,), Drives([problem]), (), (10.0,), 30.0, lambda part, what: None, 0.0).turned
+    track = Offset(OFFSET, 0.02, np.zeros(3), np.ones(3), 0.01, 0.05)
+    shown = Bench((late,), Drives([problem]), (), (10.0,), 30.0, lambda part, what: None, 0.0, {}, track).shown
+    turned = shown['gyroscope_scale.z']
+    # an offset that is in the parameters is none that has to be tried first; one that is not, is
+    early = Problem(late, table.check({}))
+    assert [Bench((late,), Drives([p]), (), (10.0,), 30.0, lambda part, what: None, 0.0, {}, track).certain
+            for p in (problem, early)] == [(), ('gnss_time_offset',)]
     assert turned.value == pytest.approx(0.0, abs=3.0 * turned.sigma)
     # then, where that is seen well enough, a scale that is far from it cannot be, and one that is not can
-    seen = replace(turned, value=0.0, sigma=0.01)
+    seen = {'gyroscope_scale.z': replace(turned, value=0.0, sigma=0.01)}
     assert 'contradicts' in implausible('gyroscope_scale', {'z': Estimate(0.12, 0.01, '-')}, seen)
     assert implausible('gyroscope_scale', {'z': Estimate(0.02, 0.005, '-')}, seen) == ''
+    # nor, where samples alias and all is vague, one that nothing is seen of
+    vague = {'gyroscope_scale.z': replace(turned, value=0.2, sigma=0.3)}
+    assert 'is none' in implausible('gyroscope_scale', {'z': Estimate(0.12, 0.01, '-')}, vague)
+    # nor a receiver that smooths over seconds, of which the track between fixes knows nothing
+    assert 'contradicts' in implausible('gnss_lag', {'lag': Estimate(4.9, 1.1, 's^2')}, shown)
+    assert implausible('gnss_lag', {'lag': Estimate(0.9, 0.1, 's^2')}, shown) == ''

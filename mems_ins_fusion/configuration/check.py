@@ -23,7 +23,7 @@ _SMALL_YAW, _SMALL_TILT = math.radians(3.0), math.radians(5.0)  # less is for th
 LARGE = math.radians(30.0)  # a mounting that is off by more is an error
 _BACKWARDS = math.radians(150.0)
 FASTEST_IN_REVERSE = 8.0  # m/s: a vehicle that goes faster than this goes forwards
-_SMALL_OFFSET, _SMALL_ARM = 0.05, 0.3  # s, m
+SMALL_OFFSET, _SMALL_ARM = 0.05, 0.3  # s, m
 _VAGUE_ARM = 0.3  # m: an arm with a larger sigma says nothing
 
 
@@ -93,7 +93,7 @@ def _check_offset(found: Mounting | None, values: dict):
     seen = {'lag_s': offset.lag, 'sigma_s': offset.lag_sigma, 'left_s': lag.value, 'arm_m': offset.arm.tolist(),
             'arm_sigma_m': offset.arm_sigma.tolist(), 'rivals_s': list(offset.rivals)}
     beside = f' beside gnss.time_offset {declared:g} s' if declared else ''
-    if lag.certain(_SMALL_OFFSET, SURE):
+    if lag.certain(SMALL_OFFSET, SURE):
         size = f'{abs(lag.value):.3f} s {"late" if lag.value > 0 else "early"} (sigma {lag.sigma:.3f} s)'
         yield Finding(WARNING, 'imu/gnss', f'against the IMU the fixes are {size}{beside}: a clock offset, see '
                       f'gnss.time_offset, which would be {offset.lag:.2f}', seen)

@@ -7,6 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
+from ..configuration.check import SMALL_OFFSET, SURE
+from ..configuration.left import TIME_OFFSET, Left
+from ..configuration.offset import Offset
 from ..configuration.regression import weighted
 from ..effects.base import Effect
 from ..filter.runs.usable import usable
@@ -36,7 +39,8 @@ class Bench:
     """The recordings on the bench: what errors a filter makes in them.
 
     recordings: with all fixes, as many as the problem has drives. offset_sigma: gnss.time_offset_sigma as given, which
-    the search does without. starts: sizes of effects, by name, from which they are fitted, too.
+    the search does without. starts: sizes of effects, by name, from which they are fitted, too. track: what the tracks
+    between fixes show without a filter.
     """
 
     recordings: tuple[Recording, ...]
@@ -47,12 +51,31 @@ class Bench:
     tell: Progress
     offset_sigma: float
     starts: dict[str, list[dict[str, float]]] = field(default_factory=dict)
+    track: Offset | None = None
     measured: dict[str, Measured] = field(default_factory=dict)  # by the filters asked for
 
     @cached_property
     def judging(self) -> tuple[Recording, ...]:
         """The recordings for the truth: where that are the fixes, a fix that is far off is none."""
         return tuple(replace(r, gnss=without_far_off(r.gnss)) for r in self.recordings)
+
+    @cached_property
+    def shown(self) -> dict[str, Estimate]:
+        """What the recordings show without a filter of parameters of effects, `effect.parameter`, beyond the parameters
+        as given."""
+        found = {} if self.turned is None else {'gyroscope_scale.z': self.turned}
+        if self.track is not None and self.track.shown:
+            lag = self.track.smoothing - self.origin.given['gnss.lag_per_acceleration']
+            found['gnss_lag.lag'] = Estimate(lag, self.track.smoothing_sigma, 's^2')
+        return found
+
+    @property
+    def certain(self) -> tuple[str, ...]:
+        """Effects that the tracks between fixes show for certain beside the parameters as given."""
+        if self.track is None or not self.track.shown:
+            return ()
+        left = Left(TIME_OFFSET, self.track.lag - self.origin.given['gnss.time_offset'], self.track.lag_sigma)
+        return ('gnss_time_offset',) if left.certain(SMALL_OFFSET, SURE) else ()
 
     @cached_property
     def turned(self) -> Estimate | None:

@@ -18,7 +18,7 @@ from .drives import Drives, problems
 from .findings import Diagnosis
 from .problem import DiagnosisError
 from .search import add_best, begin, replaced, without_superseded, without_undetermined
-from .starts import TIME_OFFSET, other_starts
+from .starts import TIME_OFFSET, other_starts, shown_by_track
 
 #: fewer innovations than this decide nothing
 FEWEST_FIXES = 60
@@ -42,7 +42,8 @@ def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress
             raise DiagnosisError(f'{recording.name}: no {"fix" if len(recording.imu) > 1 else "IMU sample"} that could '
                                  'be used')
     thinned = [_thinned(recording) for recording in one_after_another(given)]
-    others = other_starts(thinned, values)
+    track = shown_by_track(thinned)
+    others = other_starts(track, values)
     found, left_out = problems(thinned, values, FEWEST_FIXES, others)
     thinned = [recording for recording in thinned if recording.name not in left_out]
     for problem, recording in zip(found, thinned):
@@ -50,7 +51,7 @@ def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress
     library = tuple(effects if effects is not None else EFFECTS.values())
     bench = Bench(tuple(thinned), Drives(found), library, tuple(durations), spacing, progress,
                   values['gnss.time_offset_sigma'], {'gnss_time_offset': [
-                      {'time_offset': other[TIME_OFFSET] - values[TIME_OFFSET]} for other in others]})
+                      {'time_offset': other[TIME_OFFSET] - values[TIME_OFFSET]} for other in others]}, track)
     first = begin(bench)
     known = replaced(first, bench)
     for _ in range(MOST_ROUNDS):

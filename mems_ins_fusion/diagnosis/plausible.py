@@ -7,24 +7,27 @@ from ..effects.base import Effect
 from ..effects.registry import EFFECTS
 from .estimate import Estimate
 
-#: by effect: the parameter that the course of the fixes shows without a filter, too; so many sigma, and this much at
-#: least, are a contradiction, and so is more than this where the course shows nothing
-_SHOWN_BY_COURSE = {'gyroscope_scale': 'z'}
-_CONTRADICTED, _ALIKE = 4.0, 0.05
+#: what recordings show without a filter, too: in words, and how large a difference is one. Of receivers that smooth
+#: over a second the track shows a lag that is too small by up to 0.8 s^2, beyond its sigma
+_SHOWN = {'gyroscope_scale.z': ('the angle of the course shows a scale', 0.05),
+          'gnss_lag.lag': ('the track between fixes shows a lag', 2.0)}
+#: so many sigma are a contradiction
+_CONTRADICTED = 4.0
 
 
-def implausible(effect: str, parameters: Mapping[str, Estimate], turned: Estimate | None = None) -> str:
+def implausible(effect: str, parameters: Mapping[str, Estimate], shown: Mapping[str, Estimate] | None = None) -> str:
     """Why these sizes cannot be, and what they usually stand for; empty where they can.
 
-    turned: part by which the gyroscopes turn further than the course does (`Bench.turned`).
+    shown: what the recordings show of them without a filter (`Bench.shown`). What is far from that, or is large where
+    nothing of it is shown, is none.
     """
-    own = parameters.get(_SHOWN_BY_COURSE.get(effect, ''))
-    if turned is not None and own is not None and own.value is not None:
-        apart = abs(own.value - turned.value)
-        contradicted = apart > max(_CONTRADICTED * turned.sigma, _ALIKE)
-        if contradicted or abs(own.value) > _ALIKE and abs(turned.value) <= turned.sigma:
-            return (f'the gyroscopes turn by {1 + turned.value:.3g} +- {turned.sigma:.1g} times the angle of the '
-                    f'course, which {"contradicts it" if contradicted else "shows none of it"}')
+    for name, (words, alike) in _SHOWN.items():
+        own, seen = parameters.get(name.removeprefix(f'{effect}.')), (shown or {}).get(name)
+        if seen is None or own is None or own.value is None:
+            continue
+        contradicted = abs(own.value - seen.value) > max(_CONTRADICTED * seen.sigma, alike)
+        if contradicted or abs(own.value) > alike and abs(seen.value) <= seen.sigma:
+            return f'{words} of {seen.text()}, which {"contradicts it" if contradicted else "is none"}'
     known = EFFECTS.get(effect) or Effect()
     beyond = [f'{name} of {estimate.text()}' for name, estimate in parameters.items()
               if estimate.value is not None and _within(estimate)[0] > known.largest.get(name, float('inf'))]

@@ -221,7 +221,7 @@ def _tried(known: Known, significant, candidates: list[Candidate], bench: Bench)
     """With the best of the significant candidates in the model, if it helps on held-out data.
 
     Of those that explain the same, the position errors decide where these differ: a reference may know more. What
-    cannot be is told and makes room for the next.
+    cannot be is told and makes room for the next. What the recordings show for certain without a filter goes first.
     """
     chosen = {candidate.name: candidate for candidate, _ in significant}
     models = {candidate.name: _with(known, candidate, view, bench) for candidate, view in significant}
@@ -232,6 +232,7 @@ def _tried(known: Known, significant, candidates: list[Candidate], bench: Bench)
              - len(chosen[name].theta) for name, m in models.items()}
     order = sorted(models, key=lambda name: (max(merit.get(n, -np.inf) for n in (name, *VARIED.get(name, ()))),
                                              name in VARIED), reverse=True)
+    order.sort(key=lambda name: name not in bench.certain)
     failed: list[Finding] = []
     for name in order:
         alike = [e.name for e in known.effects if e.name in merit and abs(merit[e.name] - merit[name]) < CLOSE
@@ -322,7 +323,7 @@ def _judged(known: Known, candidate: Candidate, model: Model, bench: Bench) -> J
     shorter = max(known.model, shorter, key=lambda m: m.likelihood(mask))
     proof = held_out(model, shorter, known.noise)
     errors = bench.errors([known.problem.corrected(model.unknowns, x) for x in proof.estimates])
-    against = (implausible(candidate.name, parameters, bench.turned) or contradiction or _small(model, first)
+    against = (implausible(candidate.name, parameters, bench.shown) or contradiction or _small(model, first)
                or objection(proof, compared(known.errors, errors)))
     return Judged(candidate, model, parameters, hidden, proof, errors, against, drives, apart)
 
