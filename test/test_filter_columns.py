@@ -24,7 +24,7 @@ def test_columns_are_placed_behind_one_another_and_begin_with_their_first_values
 def test_a_part_that_is_full_says_who_found_no_room():
     part = Part('a part', 0, 3)
     part.place('First', A=2)
-    with pytest.raises(MemoryError, match='a part: no room for Second, 1 floats too few'):
+    with pytest.raises(IndexError, match='a part: no room for Second, 1 floats too few'):
         part.place('Second', A=2)
 
 

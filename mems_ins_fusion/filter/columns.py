@@ -29,7 +29,7 @@ class Part:
                 self.first_values += [(self.next + i, first) for i in range(size)]
             self.next += size
         if self.next > self.end:
-            raise MemoryError(f'{self.name}: no room for {owner}, {self.next - self.end} floats too few')
+            raise IndexError(f'{self.name}: no room for {owner}, {self.next - self.end} floats too few')
         return namedtuple(owner, columns)(*positions)
 
     def begin(self, part) -> None:

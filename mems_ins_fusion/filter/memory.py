@@ -404,7 +404,7 @@ class _Sample(NamedTuple):
     COASTED: int = 16  # 1: not measured, but made so that the vehicle goes straight on
     INTERVAL: int = 17  # s since the sample before it
     MECHANISMS: int = 18  # the first of those that the mechanisms ask for (`SAMPLE`), and room for them
-    SIZE: int = 26
+    SIZE: int = 28
 
 
 Sample = _Sample()
