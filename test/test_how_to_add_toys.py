@@ -264,7 +264,7 @@ def test_a_measurement(copy):
             after('from __future__ import annotations\n\n', 'from .altitude import Altitude\n'),
             ('Velocity(), Heading())', 'Velocity(), Heading(), Altitude())')],
         'filter/update.py': [
-            ('from .measurements import heading,', 'from .measurements import altitude, heading,'),
+            ('from .measurements import acceleration,', 'from .measurements import acceleration, altitude,'),
             ('    elif kind == Kind.SPEED:\n', '    elif kind == altitude.KIND:\n        dimensions = '
              'altitude.observe(mem, r, at, h)\n    elif kind == Kind.SPEED:\n')]}
     assert len(edits) == 3
