@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from fleet_support import DAY, estimates
 
+from mems_ins_fusion.configuration.offset import Offset
 from mems_ins_fusion.fleet import history
 from mems_ins_fusion.fleet.watchman import WATCHED, series_of, watch
 
@@ -127,3 +128,12 @@ def test_a_state_file_of_the_node_feeds_the_history(tmp_path):
     assert yaw['sigma'] == pytest.approx(result.sigma[-1, at], rel=0.05)
     path.write_text(json.dumps({'version': 2}))
     assert history.read_state_file(str(path))[1].startswith(f'{path} is not a state file')
+
+
+def test_an_arm_is_not_drawn_to_zero_in_a_history():
+    """Given what a drive measures and what is assumed before, joined as independent values of normal distributions."""
+    measured, sigma, before = np.array([2.5, -0.4, 3.0]), np.array([1.0, 0.3, 50.0]), np.array([1.5, 1.0, 1.0])
+    joined = 1 / (1 / sigma**2 + 1 / before**2)
+    found, found_sigma = Offset(0.0, 0.1, joined * measured / sigma**2, np.sqrt(joined), 0.0, 1.0).arm_alone()
+    assert found[:2] == pytest.approx(measured[:2]) and found_sigma[:2] == pytest.approx(sigma[:2])
+    assert np.isinf(found_sigma[2])  # the drive shows nothing of it

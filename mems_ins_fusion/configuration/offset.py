@@ -43,6 +43,8 @@ _FAR = 3.0  # robust standard deviations: fixes further off count less
 # standard deviations before anything is known: of what all pieces share - offset (s), arm (m), smoothing (s^2), bias of
 # the accelerometers (m/s^2) - and of each piece: tilt and heading (rad), the gyroscopes' biases (rad/s)
 _SHARED = np.array([3.0, 1.5, 1.0, 1.0, 1.0, 0.2, 0.2, 0.2])
+# share of what is known in the end that a drive must have shown by itself: with less the assumption speaks
+_LEAST_OWN = 0.1
 _TILT, _HEADING = 0.05, 0.2
 _RATE_AT_REST, _RATE = 3e-4, 1e-2
 # variances in units of that of a fix's white noise: of the accelerometers' white noise (1/s^3), of that of the
@@ -68,6 +70,16 @@ class Offset:
     @property
     def shown(self) -> bool:
         return self.lag_sigma < SHOWN
+
+    def arm_alone(self) -> tuple[np.ndarray, np.ndarray]:
+        """The arm and its sigma, (3,) m each, by this drive alone, without what was assumed before, which draws `arm`
+        to zero: for whoever holds drives against each other. Infinite and zero where the drive shows hardly more."""
+        known = 1.0 / self.arm_sigma**2
+        own = known - 1.0 / _SHARED[1:4]**2
+        shown = own > _LEAST_OWN * known
+        with np.errstate(divide='ignore'):
+            own = np.where(shown, own, 0.0)
+            return np.where(shown, self.arm * known / np.where(shown, own, 1.0), 0.0), 1.0 / np.sqrt(own)
 
 
 def estimate_offset(imu: ImuSamples, fixes: Fixes, rotation: np.ndarray) -> Offset | None:

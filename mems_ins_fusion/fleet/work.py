@@ -191,7 +191,7 @@ def shown_by(drive) -> list[dict]:
                                    found.offset.lag_sigma, 's'))
         if found.offset is not None:
             rows += [effect_row('configure', 'gnss_lever_arm', axis, float(value), float(sigma), 'm')
-                     for axis, value, sigma in zip('xyz', found.offset.arm, found.offset.arm_sigma)
+                     for axis, value, sigma in zip('xyz', *found.offset.arm_alone())
                      if math.isfinite(sigma)]
     noise = drive.noise
     if noise is not None and noise.seconds:
