@@ -132,11 +132,11 @@ class Monitor:
         return state, reasons, health
 
     def _input_status(self, name: str, status: InputStatus, health: dict) -> DiagnosticStatus:
-        told, more = status.input, {}
+        told, age, more = status.input, 'age of the last fix used, s', {}
         if told.name == 'imu':
             more = {'gaps': self._fusion.gaps}
-        elif told.name == 'fix':
-            more = {key: health[key] for key in ('age of the last fix used, s',) if key in health}
+        elif told.name == 'fix' and age in health:
+            more = {age: health[age]}
         return status.status(name, self._tally(told), self.aiding.found.get(told.name), more)
 
     def _cannot_start_for(self) -> float:
