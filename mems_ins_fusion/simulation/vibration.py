@@ -28,8 +28,8 @@ class Vibration:
     surface varies along the road: its roughness is lognormal about the mean, with this standard deviation.
     wheels: m/s^2 RMS of the first harmonic of each of four wheels that are out of balance, at 10 m/s.
     circumference: m, of them all, within 0.1 %. changed: s after which it is 3 % less; 0: never. lines: m/s^2 RMS of
-    each of two lines that stand in Hz while the vehicle moves. gears: ratios of the engine's second order to the wheels,
-    which shakes with `idle` then instead of firing as it does at rest.
+    each of two lines that stand in Hz while the vehicle moves. gears: ratios of the engine's second order to the
+    wheels, which shakes with `idle` then instead of firing as it does at rest.
 
     The other axes shake somewhat less, and the body turns with it. Faster parts than the IMU's samples show appear
     folded, as without an anti-aliasing filter.

@@ -15,7 +15,7 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-#: s of samples that are looked at together: a line is then 0.5 Hz wide, which is 1 m/s at the first harmonic, 0.3 m/s at
+#: s of samples that are looked at together: a line is then 0.5 Hz wide, which is 1 m/s at the first harmonic, 0.3 at
 #: the third; in a longer one a speed that is not known smears the lines
 WINDOW = 4.0
 #: steps of the way in a window: at 40 m/s each 0.3 m, where the third harmonic has two to a cycle

@@ -12,8 +12,9 @@ The likelihood of x, relative to no line at all, is
 
     NONE + (1 - NONE) exp(strength T(x)):
 
-any window may be one without a line, and neither channels nor windows are independent of each other (strength < 1). Where it has not
-predicted better than nothing for certain, each window before anything was learned of it, nothing is told.
+any window may be one without a line, and neither channels nor windows are independent of each other (strength < 1).
+Where it has not predicted better than nothing for certain, each window before anything was learned of it, nothing is
+told.
 
 While fixes come, the windows tell the circumference: first a comb (C at which the lines of all windows add up), then a
 Kalman filter of ln C. When none come they tell the speed: its density on a grid goes from window to window, several

@@ -383,8 +383,8 @@ class FusionFilter(Intake):
         p = start_covariance(np.eye(2), yaw, math.sqrt(given[2, 2]), speed, speed_sigma)
         p[np.ix_([0, 1, 4], [0, 1, 4])] = given
         velocity = speed * np.array([math.cos(yaw), math.sin(yaw)])
-        self._begin(Start(0.0, latitude, longitude, height, velocity, float(yaw), p, still, errors=errors, wheels=wheels),
-                    epoch)
+        start = Start(0.0, latitude, longitude, height, velocity, float(yaw), p, still, errors=errors, wheels=wheels)
+        self._begin(start, epoch)
 
     def snapshot(self) -> dict | None:
         """What a restart can begin with, in plain numbers (see snapshot.py); None while there is no heading."""
