@@ -53,8 +53,6 @@ ROBUST = 3.0
 CONSTRAINT_MEMORY = 10.0
 #: a mean NIS above which the constraint is not used, until it is below the other again
 CONSTRAINT_OFF, CONSTRAINT_ON = 6.0, 3.0
-#: m/s^2: the solution's acceleration is better known than a vehicle's where its sigma is below this (0.6 deg of tilt)
-LEAST_ACCELERATION = 0.1
 #: s without a fix after which none speaks for the velocity
 NO_FIX = 10.0
 
@@ -349,12 +347,13 @@ def constrain(mem, r, sample):
     elif mem[Head.LATERAL_SIGMA] > 0.0 and not _fixes_tell_the_heading(mem, r, mem[p + (n + 1) * yaw]):
         _clear(mem, h, n)
         c = body_to_level(mem, r)
-        dimensions = non_holonomic.observe(mem, r, at, h, n, c, sample)
-        if not hides_turns(mem, sample):
+        if hides_turns(mem, sample):
+            dimensions = acceleration.observe(mem, at, h, n, c, sample, since)
+            update(mem, r, at, n, dimensions, 1.0, ROBUST, 0.0)
+        else:
+            dimensions = non_holonomic.observe(mem, r, at, h, n, c, sample)
             _constrain_motion(mem, r, at, n, h, vehicle_to_level(mem, r, c), dimensions, since)
             _note(mem, sample, at, Kind.NON_HOLONOMIC, dimensions)
-        _clear(mem, h, n)
-        _keep_velocity(mem, r, n, h, acceleration.observe(mem, at, h, n, c, sample, since), at)
     else:
         return
     store_covariance(mem, p, n_navigation, m, mem, r)
@@ -440,18 +439,6 @@ def _constrain_motion(mem, r, at, n, h, c, dimensions, since):
         if nis > ROBUST**2:
             s *= nis / ROBUST**2  # so much more noise
         _scalar(mem, r, n, h + n * k, column, z, s - (1.0 - _share(since)) * variance)
-
-
-@njit(_nrt=False)
-def _keep_velocity(mem, r, n, h, dimensions, at):
-    """The components of the acceleration one by one, each where it tells anything."""
-    for k in range(dimensions):
-        column, variance = h + (3 + k) * n, mem[at + Event.R_NN]
-        known = _project(mem, n, h + n * k, column)
-        if known > LEAST_ACCELERATION**2:
-            z = mem[at + Event.Z_N + k]
-            nis = (z - _product(mem, n, h + n * k, r + NAV)) ** 2 / (known + variance)
-            _scalar(mem, r, n, h + n * k, column, z, (known + variance) * max(nis / ROBUST**2, 1.0))
 
 
 @njit(_nrt=False)

@@ -1,9 +1,8 @@
 """A land vehicle keeps its velocity, by and large: its acceleration is zero but for white noise.
 
-Inertial sensors measure the acceleration much better than that - unless their noise has tilted the solution so far that
-what is left of gravity is larger than what vehicles do. Then, without fixes, going straight on at the last speed is
-nearer to the truth than integrating, and both together are nearer than either: the constraint is that knowledge, with
-the variance that it deserves.
+Inertial sensors measure the acceleration much better than that - unless they are shaken so much that their noise tilts
+the solution within seconds, and what is left of gravity is larger than what vehicles do. Then, without fixes, going
+straight on at the last speed is nearer to the truth than integrating, and both together are nearer than either.
 """
 from __future__ import annotations
 
@@ -12,7 +11,8 @@ from mems_ins_fusion.compiled import njit
 from ..memory import Event, Sample, channel_of
 from .geometry import turned
 
-#: m^2/s^3, density of a land vehicle's acceleration, taken for white: in 30 s its velocity changes by 9.5 m/s (1 sigma)
+#: m^2/s^3, density of a land vehicle's acceleration, taken for white: in 30 s its velocity changes by 9.5 m/s (1 sigma).
+#: Of the changes of velocity over 5 to 60 s in measured drives: 0.1 to 4.2
 DENSITY = 3.0
 
 
