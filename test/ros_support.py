@@ -204,8 +204,8 @@ class Peer:
         """Publish the rest of `recording` to a node that is PLAYABLE, as fast as the node takes it.
 
         The node works through the messages in the order received. Each topic has a queue of its own there, so that a
-        fix waits here until the node has seen the samples before it: the last one is sent again, and the node
-        complains. Of messages that wait, the node serves fixes first.
+        fix waits here until the node has seen the samples before it, and the samples after it until it has had the time
+        to come: the last sample is sent again, and the node complains.
         """
         imu, last = recording.imu, 0
         for kind, index in arrivals(recording)[1:]:
@@ -213,10 +213,11 @@ class Peer:
                 self.send_imu(imu, index)
                 self._executor.spin_once(timeout_sec=0)
                 last = index
-            else:
+                continue
+            for send in (lambda: None, lambda: self.send_fix(recording.gnss, index)):
+                send()
                 self.send_imu(imu, last)
                 node.wait_for(f'header.stamp {imu.stamp[last] * 1e-9:.6f} s does not follow')
-                self.send_fix(recording.gnss, index)
 
 
 class Player:

@@ -170,9 +170,10 @@ def test_live_and_replay_give_the_same_bits(simulated, feedback):
     assert np.array_equal(np.column_stack([replayed.latitude, replayed.longitude, replayed.height])[at],
                           np.array([p[2:5] for p in published]))
     assert np.array_equal(newest(replayed.memory), published[-1][-1])
-    # and a speed was told and used
+    # and a speed was told and used; in open loop, whose own speed strays, not in each drive
     ring = views(replayed.memory)[3]
-    assert np.any(ring[:, Told.VARIANCE] > 0.0) and Sample.MECHANISMS <= Told.SPEED < Sample.SIZE
+    assert feedback == 'open' or np.any(ring[:, Told.VARIANCE] > 0.0)
+    assert Sample.MECHANISMS <= Told.SPEED < Sample.SIZE
 
 
 def test_it_is_kept_for_the_next_start(heard):
