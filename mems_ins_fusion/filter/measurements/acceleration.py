@@ -11,7 +11,7 @@ from mems_ins_fusion.compiled import njit
 from ..memory import Event, Sample, channel_of
 from .geometry import turned
 
-#: m^2/s^3, density of a land vehicle's acceleration, taken for white: in 30 s its velocity changes by 9.5 m/s (1 sigma).
+#: m^2/s^3, density of a land vehicle's acceleration, taken for white: in 30 s its velocity changes by 9.5 m/s (1 sigma)
 #: Of the changes of velocity over 5 to 60 s in measured drives: 0.1 to 4.2
 DENSITY = 3.0
 
