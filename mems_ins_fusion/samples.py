@@ -139,6 +139,20 @@ class Headings(_Samples):
     variance: np.ndarray
 
 
+@dataclass(frozen=True)
+class Pressures(_Samples):
+    """Pressure of the air.
+
+    stamp, received: (n,) int64 ns. pressure: (n,) Pa. variance: (n,) Pa^2, NaN or not above zero where the message does
+    not tell.
+    """
+
+    stamp: np.ndarray
+    received: np.ndarray
+    pressure: np.ndarray
+    variance: np.ndarray
+
+
 class Aiding(dict):
     """What is measured besides the fixes, samples by the name of the measurement (`filter.measurements`)."""
 

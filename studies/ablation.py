@@ -4,11 +4,11 @@
     python studies/ablation.py [--only NAME ...] [--rows faults|vehicle|all] [--faults TEXT ...]
                                [--rates 0.2 1 10] [--seeds 2] [--processes 2] [--output FILE.csv]
 
-Mechanisms are switched off by their parameters. A constant is changed by its name, `file.NAME`, or `file.NAME[1]` for
-one of a tuple: all of `filter/trust`, `filter/update.py`, `filter/kernel.py` and `filter/prediction.py`. No file is
-changed: a process of its own lays the value over the modules before anything is compiled, and keeps what it compiles
-in a folder of its own. That costs half a minute of CPU for each change; what is written already in FILE.csv is not
-done again, so the study can be stopped and gone on with.
+Mechanisms are switched off by their parameters, or by a constant with which they never act. A constant is changed by
+its name, `file.NAME`, or `file.NAME[1]` for one of a tuple: all of `filter/trust`, `filter/update.py`,
+`filter/kernel.py` and `filter/prediction.py`. No file is changed: a process of its own lays the value over the modules
+before anything is compiled, and keeps what it compiles in a folder of its own. That costs half a minute of CPU for each
+change; what is written already in FILE.csv is not done again, so the study can be stopped and gone on with.
 
 Each line of the table: the change, the row (a fault of faults.py, or a setting of vehicle.py), the rate of the fixes,
 the error and how often the 95 % ellipse held the truth. The error is the largest of a fault and the minute after it,
@@ -44,6 +44,32 @@ MECHANISMS = {
     'adapt_noise': {'imu.adapt_noise': False}, 'learn_drift': {'vehicle.learn_drift': False},
     'standstill': {'vehicle.zero_velocity': False}, 'non_holonomic': {'vehicle.non_holonomic': False},
     'mounting': {'imu.mounting_sigma': 0.0}, 'rear_axle': {'vehicle.rear_axle_sigma': 0.0}}
+#: others have no parameter: a value of a constant with which they never act
+NEVER = {
+    'end of weighting': {'trust.receiver.LONGEST_WEIGHTED': 1e9},
+    'start anew where the filter strayed': {'trust.receiver.STRAYED_SLOPE': 1e9},
+    'floor of the gate': {'trust.receiver.GATE_FLOOR': 0.0},
+    'growth from fix to fix': {'trust.receiver.LONGEST_GROWTH': 0.0},
+    'frozen fixes': {'trust.receiver.FROZEN_SPEED': 1e9},
+    'claims that change': {'trust.receiver.CLAIM_CHANGE': 1e9},
+    'errors that last, always': {'trust.receiver.LASTING_SHARE': 0.0},
+    'claims that nothing shows': {'trust.receiver.NEVER_SHOWN': 0.0},
+    'acceleration unseen between fixes': {'trust.receiver.UNSEEN_ACCELERATION': 0.0},
+    'slides': {'trust.contradiction.SLIDE': 1e9},
+    'state loosened after a slide': {'trust.contradiction.LOOSENED': 1e9},
+    'wrong standstills': {'trust.contradiction.LATELY': 0.0},
+    'what contested fixes have moved': {'trust.contradiction.NO_CHANCE': 1e9},
+    'receivers that go straight on': {'trust.straight_on.KNOWN': 1e9},
+    'IMU doubted after straying': {'trust.imu_faults.DOUBT_TIME': 0.0},
+    'turns too fast for the speed': {'trust.imu_faults.FASTEST_WHIRL': 1e9},
+    'spikes': {'trust.imu_faults.LONGEST_SPIKE': 0.0},
+    'frozen samples': {'trust.imu_faults.FROZEN_TIME': 1e9},
+    'sensors freed after a restart': {'kernel.SHORTEST_RESTART': 1e9},
+    'samples held before coasting': {'kernel.HELD': 0.0},
+    'constraint left out where it is not kept': {'update.CONSTRAINT_OFF': 1e9},
+    'standstill denied by speed': {'update.STILL_SPEED': 1e3},
+    'standstill denied by turning': {'update.STILL_RATE': 1e3},
+    'engine at a standstill': {'trust.standstill.JUMP': 1e9}}
 #: settings of vehicle.py that are tried beside the faults
 SETTINGS = ('car', 'car + speed')
 #: what moves no row by more than this, m and percent, moves nothing
@@ -138,6 +164,7 @@ def jobs(arguments) -> list[dict]:
             'seeds': arguments.seeds}
     made = [{**base, 'change': 'as it is'}]
     made += [{**base, 'change': f'without {name}', 'values': values} for name, values in MECHANISMS.items()]
+    made += [{**base, 'change': f'without {name}', 'constants': values} for name, values in NEVER.items()]
     made += [{**base, 'change': f'{name} x {factor:g}', 'constants': {name: factor * value}}
              for name, value in constants().items() for factor in FACTORS]
     if arguments.only:

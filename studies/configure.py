@@ -324,7 +324,8 @@ def evidence(data: Path):
         if not found.yaw_known:
             continue
         values = table.check({'mechanization': 'strapdown', 'imu.mounting_rpy': found.rpy.tolist(),
-                              'gnss.time_offset': found.lag, 'gnss.robust_sigma': 3.0})
+                              'gnss.time_offset': found.lag, 'gnss.robust_sigma': 3.0,
+                              'vehicle.non_holonomic': False, 'vehicle.zero_velocity': False})
         result = run(FilterConfig.from_parameters(values), recording.imu, recording.gnss)
         time = (result.stamp - result.stamp[0]) * 1e-9
         steady = np.abs(np.gradient(np.unwrap(result.yaw), time)) < 0.03

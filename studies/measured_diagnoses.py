@@ -24,12 +24,14 @@ import configure  # noqa: E402
 import numpy as np
 
 from mems_ins_fusion.cli.diagnose import main as diagnose  # noqa: E402
+from mems_ins_fusion.configuration.configure import Configuration  # noqa: E402
 from mems_ins_fusion.configuration.configure import configure as look_at  # noqa: E402
-from mems_ins_fusion.configuration.mounting import rpy  # noqa: E402
+from mems_ins_fusion.configuration.mounting import deviation, rpy  # noqa: E402
 from mems_ins_fusion.diagnosis.estimate import Estimate  # noqa: E402
+from mems_ins_fusion.navigation.frames import rotation_from_rpy  # noqa: E402
 from mems_ins_fusion.parameters import params_file, table  # noqa: E402
 from mems_ins_fusion.recordings.writing import write_recording  # noqa: E402
-from mems_ins_fusion.reports.configuration import configuration_yaml  # noqa: E402
+from mems_ins_fusion.reports.configuration import configuration_yaml, doubts  # noqa: E402
 from mems_ins_fusion.reports.html import number  # noqa: E402
 
 #: bag, and what a user has to say
@@ -93,24 +95,28 @@ TOPICS, CONFIGURED, BY_HAND = 'topics only', "configure's file", 'by hand'
 WAYED = ('husky_wheel_speed', 'dresden_hobby_imu', 'longmont_rtk_drive', 'karlsruhe_hills', 'kingston_span')
 #: simulated drives, by number of `configure.case`, whose kind goes with it; who writes a file by hand sees the mounting
 #: to this, deg, and has a tape, m
-SIMULATED = (201, 203, 204, 205, 200, 208, 209, *range(210, 220))
+SIMULATED = (201, 203, 204, 205, 213, 214, 200, 202, 206, 207, 208, 209, 210, 211, 212, 215, 216, 217, 218, 219)
 SEEN, TAPE, SECONDS = 5.0, 0.1, 300.0
 #: parts of long recordings: lines of params files
 PARTS = {'kingston_span': 'stop: 900.0'}
 #: of these with gaps: s without samples, s without fixes, each minute
-GAPS = {205: (1.5, 20.0), 213: (0.8, 15.0)}
+GAPS = {205: (1.5, 20.0), 213: (0.8, 15.0), 214: (0.8, 15.0)}
 WAY_DURATIONS = 10.0, 30.0, 60.0
+#: a file that says it is ready is off by no more: s, deg
+READY_OFFSET, READY_ANGLE = 0.1, 3.0
 
 
 @dataclass(frozen=True)
 class Way:
-    """Where one way ended. verdict: its word. offset, arm, mounting: as in corrected.yaml (deg), with sigma, None where
-    it is as given. errors: mean of the largest in outages, m, before and after, by duration."""
+    """Where one way ended. verdict: its word. offset: s, what it tells, set or only told, with sigma; None where it
+    tells none. arm, mounting: as in corrected.yaml (deg). is_set: whether corrected.yaml has the offset that is told.
+    errors: mean of the largest in outages, m, before and after, by duration."""
 
     verdict: str
     offset: tuple[float, float | None]
     arm: list[float]
     mounting: list[float]
+    is_set: bool
     errors: dict[float, tuple[float, float]]
 
 
@@ -132,40 +138,59 @@ def three_ways(name: str, bag: Path, topics: str, by_hand: str, output: Path) ->
     files = {way: output / f'{name}_{i}.yaml' for i, way in enumerate((TOPICS, CONFIGURED, BY_HAND))}
     files[TOPICS].write_text(f'/**:\n  ros__parameters:\n    imu_topic: /imu/data\n    {topics}\n')
     files[BY_HAND].write_text(f'/**:\n  ros__parameters:\n    imu_topic: /imu/data\n    {by_hand}\n')
-    sigmas = output / f'{name}_sigma.json'
     if not files[CONFIGURED].exists():
         found = look_at([bag])
-        offset = found.mounting.offset if found.mounting is not None else None
-        sigmas.write_text(json.dumps(offset.lag_sigma if offset is not None and offset.shown else None))
+        (output / f'{name}_found.json').write_text(json.dumps(seen_by(found)))
         files[CONFIGURED].write_text(f'{configuration_yaml(found)}    {topics}\n')
-    known = {CONFIGURED: json.loads(sigmas.read_text())}
+    known = {CONFIGURED: looked(name, output)['offset']}
     found = {}
     for way, file in files.items():
         # who has nothing to write by hand starts from the topics
         folder = output / f'{name}_{[f.read_text() for f in files.values()].index(file.read_text())}'
         if not (folder / 'report.json').exists():
             diagnose(['--bag', str(bag), '--params-file', str(file), '--output', str(folder), '--overwrite'])
-        found[way] = ended(folder, file, known.get(way))
+        found[way] = ended(folder, file, *known.get(way, (0.0, None)))
     return found
+
+
+def seen_by(found: Configuration) -> dict:
+    """What `configure` says: [value, sigma] of the offset, s, arm, m, and mounting (values in the file, deg), sigma
+    None where nothing is shown; whether the file is ready."""
+    mounting = found.mounting
+    offset = mounting.offset if mounting is not None and mounting.offset is not None and mounting.offset.shown else None
+    angles = found.values.get('imu.mounting_rpy', [0.0, 0.0, 0.0])
+    return {'offset': [offset.lag, offset.lag_sigma] if offset is not None else [0.0, None],
+            'arm': [offset.arm.tolist(), offset.arm_sigma.tolist()] if offset is not None else [[0.0] * 3, None],
+            'mounting': [angles, mounting.sigma.tolist() if mounting is not None else None],
+            'set': found.values['gnss.time_offset'], 'ready': not doubts(found)}
+
+
+def looked(name: str, output: Path) -> dict:
+    return json.loads((output / f'{name}_found.json').read_text())
 
 
 def _lines(*lines: str) -> str:
     return '\n    '.join(filter(None, lines))
 
 
-def ended(folder: Path, file: Path, sigma: float | None) -> Way:
-    """sigma: of the time offset in `file`, where that has one."""
+def ended(folder: Path, file: Path, seen: float, sigma: float | None) -> Way:
+    """seen, sigma: the time offset by `configure`, which `file` has where it is more than two sigma; None: none."""
     content = json.loads((folder / 'report.json').read_text()) if (folder / 'report.json').exists() else {}
     there = folder / 'corrected.yaml'
     values = table.check(params_file.load_yaml(there if there.exists() else file))
-    told = [e['parameters']['time_offset'] for e in content.get('effects', []) if e['name'] == 'gnss_time_offset'
-            and e['added'] and 'time_offset' in e['parameters']]
+    given = table.check(params_file.load_yaml(file))['gnss.time_offset']
+    told = [(e['parameters']['time_offset'], e['added']) for e in content.get('effects', [])
+            if e['name'] == 'gnss_time_offset' and 'time_offset' in e['parameters']]
+    told = [(value, is_set) for value, is_set in told if value['value'] is not None and value['sigma'] is not None]
     rows = {row['what']: (row['before'], row['after']) for row in content.get('comparison', []) if row.get('before')}
     errors = {duration: both for duration in WAY_DURATIONS for what, both in rows.items()
               if what.startswith(f'outages of {duration:g} s')}
-    return Way(content.get('verdict', {}).get('answer', 'none'),
-               (values['gnss.time_offset'], told[0]['sigma'] if told else sigma), values['gnss.lever_arm'],
-               [math.degrees(a) for a in values['imu.mounting_rpy']], errors)
+    offset, is_set = (values['gnss.time_offset'] if sigma is None else seen, sigma), sigma is None or bool(given)
+    if told:
+        value, is_set = told[0]
+        offset = values['gnss.time_offset'] if is_set else given + value['value'], value['sigma']
+    return Way(content.get('verdict', {}).get('answer', 'none'), offset, values['gnss.lever_arm'],
+               [math.degrees(a) for a in values['imu.mounting_rpy']], is_set, errors)
 
 
 def agree(found: dict[str, Way]) -> str:
@@ -179,7 +204,7 @@ def agree(found: dict[str, Way]) -> str:
 
 def way_row(title: str, way: str, end: Way) -> str:
     offset, sigma = end.offset
-    shown = f'{offset:.3f}' + ('' if sigma is None else f' ± {sigma:.3f}')
+    shown = f'{offset:.3f}' + ('' if sigma is None else f' ± {sigma:.3f}') + ('' if end.is_set else ' (told)')
     errors = ' / '.join(number(end.errors[d][1], 2) if d in end.errors else '-' for d in WAY_DURATIONS)
     before = ' / '.join(number(end.errors[d][0], 2) if d in end.errors else '-' for d in WAY_DURATIONS)
     return (f'| {title} | {way} | {shown} | {", ".join(f"{a:.2f}" for a in end.arm)} | '
@@ -192,7 +217,7 @@ def ways(data: Path, output: Path, wanted: list[str]) -> None:
     print('| drive | way | time offset, s | arm, m | mounting, deg | 10 / 30 / 60 s without fixes, before, m | '
           'after, m | verdict |\n|---|---|---|---|---|---|---|---|')
     names = [*WAYED, *(f'drive {number}' for number in SIMULATED)]
-    agreed = {}
+    agreed, judged = {}, []
     for name in [n for n in names if not wanted or any(n.startswith(w) for w in wanted)]:
         title = name
         if name in RECORDINGS:
@@ -207,14 +232,44 @@ def ways(data: Path, output: Path, wanted: list[str]) -> None:
             title = (f'{name} ({kind}; truth {of.offset:.3f} s, {", ".join(f"{a:.2f}" for a in of.arm)} m, '
                      f'{", ".join(f"{a:.1f}" for a in mounting)} deg)')
             seen = np.radians(SEEN * np.round(mounting / SEEN)).round(4).tolist()
-            found = three_ways(name.replace(' ', '_'), bag, '', f'imu.mounting_rpy: {seen}\n    gnss.lever_arm: '
+            found = three_ways(file := name.replace(' ', '_'), bag, '', f'imu.mounting_rpy: {seen}\n    '
+                               'gnss.lever_arm: '
                                f'{(TAPE * np.round(of.arm / TAPE)).round(2).tolist()}', output)
+            judged.append(against_truth(of, looked(file, output), found))
         for way, end in found.items():
             print(way_row(title, way, end), flush=True)
         agreed[name] = agree(found)
     print('\n| drive | do the offsets agree |\n|---|---|')
     for name, said in agreed.items():
         print(f'| {name} | {said} |')
+    if judged:
+        summary(judged)
+
+
+def against_truth(of: configure.Case, seen: dict, found: dict[str, Way]) -> dict:
+    """Errors over sigma, (k,) each: of the offset, arm and mounting of configure, and of the offset that each way
+    tells; and how ready a file is that is off."""
+    def scores(errors, sigmas):
+        return np.atleast_1d(np.asarray(errors) / np.asarray(sigmas)) if sigmas is not None else np.zeros(0)
+
+    away = deviation(rotation_from_rpy(*seen['mounting'][0]), of.rotation)
+    off = abs(seen['set'] - of.offset) > READY_OFFSET or np.degrees(np.abs(away)).max() > READY_ANGLE
+    return {'configure, offset': scores(seen['offset'][0] - of.offset, seen['offset'][1]),
+            'configure, arm': scores(seen['arm'][0] - of.arm, seen['arm'][1]),
+            'configure, mounting': scores(away, seen['mounting'][1]),
+            **{f'diagnose, {way}, offset': scores(end.offset[0] - of.offset, end.offset[1])
+               for way, end in found.items() if end.verdict not in ('not_usable', 'none')},
+            'ready': seen['ready'], 'ready and off': seen['ready'] and off}
+
+
+def summary(judged: list[dict]) -> None:
+    print('\n| simulated drives | count | within two sigma | RMS of error over sigma |\n|---|---|---|---|')
+    for what in dict.fromkeys(key for row in judged for key in row if 'ready' not in key):
+        score = np.concatenate([row[what] for row in judged if what in row])
+        if len(score):
+            print(f'| {what} | {len(score)} | {(np.abs(score) < 2.0).mean():.0%} | {np.sqrt((score**2).mean()):.2f} |')
+    print(f"\n{len(judged)} files, {sum(row['ready'] for row in judged)} ready, of these off by more than "
+          f"{READY_OFFSET:g} s or {READY_ANGLE:g} deg: {sum(row['ready and off'] for row in judged)}")
 
 
 def main() -> None:

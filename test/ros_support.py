@@ -5,6 +5,7 @@ Importing this module prepares the environment, for this process and its childre
 from __future__ import annotations
 
 import fcntl
+import functools
 import os
 import queue
 import signal
@@ -16,6 +17,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion, TwistWithCovarianceStamped, Vector3
@@ -24,7 +26,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import Imu, NavSatFix
+from sensor_msgs.msg import FluidPressure, Imu, NavSatFix
 
 from mems_ins_fusion.filter.measurements.registry import AIDING
 
@@ -70,6 +72,24 @@ def _reserve_domain():
 _DOMAIN, _LOCK = _reserve_domain()
 os.environ.update(ROS_DOMAIN_ID=str(_DOMAIN), ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
 os.environ.setdefault('ROS_LOG_DIR', tempfile.mkdtemp(prefix='mems_ins_fusion_ros_log_'))
+
+
+def attempts(times: int):
+    """A test that may fail where the machine is busy: what it sends then waits, or is lost, outside of the node."""
+    def wrap(test):
+        @functools.wraps(test)
+        def several(*arguments, **named):
+            for left in range(times - 1, -1, -1):
+                try:
+                    return test(*arguments, **named)
+                except AssertionError:
+                    if left:
+                        continue
+                    if os.getloadavg()[0] > 0.75 * (os.cpu_count() or 1):
+                        pytest.skip('the machine is busy: what was lost or late says nothing of the node')
+                    raise
+        return several
+    return wrap
 
 
 class NodeProcess:
@@ -235,9 +255,9 @@ class Player:
         self._peer, self._node, self._change, self.later = peer, node, change, later
         self.recording, self.sent = recording, dict.fromkeys(TOPICS, 0)
         self.parts = {'imu': recording.imu, 'fix': recording.gnss, **{
-            m.name: part for m in AIDING if (part := getattr(recording, m.name)) is not None}}
+            m.name: part for m in AIDING if (part := recording.streams().get(m.name)) is not None}}
         kinds = {'speed': TwistWithCovarianceStamped, 'velocity': TwistWithCovarianceStamped,
-                 'heading': PoseWithCovarianceStamped}
+                 'heading': PoseWithCovarianceStamped, 'pressure': FluidPressure}
         self.publishers = {'imu': peer.imu, 'fix': peer.gnss} | {
             name: peer.node.create_publisher(kind, TOPICS[name], QoSProfile(depth=DEPTH))
             for name, kind in kinds.items() if name in self.parts}
@@ -322,6 +342,10 @@ def _heading_message(headings, i):
     return message
 
 
+def _pressure_message(pressures, i):
+    return FluidPressure(fluid_pressure=float(pressures.pressure[i]), variance=float(pressures.variance[i]))
+
+
 class Diagnostics:
     """What a node says on /diagnostics, heard by `peer`: the newest status by its name, without that of the node."""
 
@@ -398,7 +422,7 @@ def stamp_of(message) -> int:
 
 
 _MESSAGES = {'imu': imu_of, 'fix': fix_of, 'speed': _speed_message, 'velocity': _velocity_message,
-             'heading': _heading_message}
+             'heading': _heading_message, 'pressure': _pressure_message}
 
 
 def _xyz(vector):

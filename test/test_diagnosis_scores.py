@@ -303,6 +303,9 @@ def test_outages_that_overlap_are_not_each_a_proof():
     # given ellipses that miss five of 36 outages, these all apart, or of 60 s and begun every 20 s
     held = row(40.0, 30.0, within=(1.0, 31 / 36), count=36)
     assert 'ellipse' in harm([held]) and not harm([held | {'apart': 12}])
+    # nor is one of five that is missed once more where two were missed already
+    missed = row(40.0, 30.0, within=(0.6, 0.4), count=5)
+    assert not harm([missed]) and 'ellipse' in harm([missed | {'within_after': 0.2}])
     # and where the same errors come to be held in three of ten outages more, which may be one stretch of road
     healed = row(40.0, 38.0, within=(0.6, 0.9), count=10)
     assert proven([healed]) and not proven([healed | {'apart': 3}])
@@ -314,7 +317,8 @@ def overlapping(duration, spacing, count):
     return Measured(
         Errors(**dict.fromkeys(Errors.__dataclass_fields__, np.zeros(0))),
         [Outages(duration=duration, time=np.zeros(0), errors=[], begin=begin, max_error=there, distance=there,
-                 within=there > 0, growth=there, sigma=there, kept=there)], True, np.zeros(0), np.zeros(0))
+                 within=there > 0, growth=there, sigma=there, kept=there, announced=there, crossed=there)], True,
+        np.zeros(0), np.zeros(0))
 
 
 def test_outages_apart_are_counted():
@@ -349,7 +353,8 @@ def test_an_effect_that_the_likelihood_has_proven_may_scatter_as_few_outages_do(
         assert harm([tails]) and bool(harm([tails], effects=True)) == harmed
     # where there are too few of them for a probability, their number tells
     few = row(30.0, 34.0, None, count=9)
-    assert not harm([few], effects=True) and harm([few | {'count': 90}], effects=True)
+    assert not harm([few], effects=True) and harm([few | {'count': 90, 'apart': 90}], effects=True)
+    assert not harm([few | {'count': 90}], effects=True)  # most of the 90 overlap
     assert harm([row(30.0, 36.0, None, count=9)], effects=True)
 
 

@@ -2,18 +2,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import MethodType, SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mems_ins_fusion.configuration.offset import Offset
+from mems_ins_fusion.diagnosis import search
 from mems_ins_fusion.diagnosis.bench import Bench
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.drives import Drives
 from mems_ins_fusion.diagnosis.estimate import Estimate
+from mems_ins_fusion.diagnosis.held_out import HeldOut
 from mems_ins_fusion.diagnosis.plausible import implausible
 from mems_ins_fusion.diagnosis.problem import Problem
+from mems_ins_fusion.diagnosis.search import Judged, Known
 from mems_ins_fusion.diagnosis.starts import TIME_OFFSET, other_starts, shown_by_track
+from mems_ins_fusion.diagnosis.tracing import Candidate
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -69,3 +74,29 @@ def test_a_scale_of_the_gyroscopes_that_the_course_contradicts_is_none(late):
     # nor a receiver that smooths over seconds, of which the track between fixes knows nothing
     assert 'contradicts' in implausible('gnss_lag', {'lag': Estimate(4.9, 1.1, 's^2')}, shown)
     assert implausible('gnss_lag', {'lag': Estimate(0.9, 0.1, 's^2')}, shown) == ''
+
+
+def test_nothing_stands_for_an_offset_that_the_track_shows_for_certain(late, monkeypatch):
+    # given an offset and coloured noise, which explain as much, errors that do not shrink with the offset, and a track
+    # that shows it
+    names = 'gnss_coloured_noise', 'gnss_time_offset'
+    candidates = [Candidate(EFFECTS[name], [], np.ones(1), np.ones(1), 20.0, 1e-6, None, [], {}) for name in names]
+    problem = SimpleNamespace(mask=np.ones(1, dtype=bool), recording=late)
+    residual = SimpleNamespace(log_likelihood=lambda: np.zeros(1))
+    known = Known(problem, None, None, tuple(c.effect for c in candidates))
+    monkeypatch.setattr(search, '_with', lambda *given: SimpleNamespace(problem=problem, residual=residual))
+    monkeypatch.setattr(search, '_judged', lambda known, candidate, model, bench: Judged(
+        candidate, model, {'time_offset': Estimate(0.9, 0.05, 's')}, {}, HeldOut(1.0, 0.5, []), None,
+        'the error grows'))
+    monkeypatch.setattr(search, 'compared', lambda *measured: [])
+    monkeypatch.setattr(search, 'saved', lambda *measured: None)
+    monkeypatch.setattr(search, 'group', lambda winner, others, mask: [winner.name])
+    told = {}
+    for certain in ((), ('gnss_time_offset',)):
+        bench = SimpleNamespace(certain=certain, enough=lambda share: True,
+                                shown={'gnss_time_offset.time_offset': Estimate(0.6, 0.1, 's')})
+        bench.told = MethodType(Bench.told, bench)
+        told[certain] = search._tried(known, [(c, np.zeros(0)) for c in candidates], candidates, bench).findings[0]
+    # then it is told by its name, where else the other one would be, and with the size that the track shows
+    assert [f.name for f in told.values()] == ['gnss_coloured_noise', 'gnss_time_offset']
+    assert [f.parameters['time_offset'].value for f in told.values()] == [0.9, 0.6]

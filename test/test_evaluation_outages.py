@@ -14,6 +14,8 @@ from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simul
 
 SECOND = 10**9
 MODELS = table.MODELS
+#: m, of the trust horizon
+LIMIT = 3.0
 
 
 def config(**values):
@@ -90,7 +92,7 @@ def test_a_fix_of_before_the_outage_counts_though_it_comes_after_its_begin(recor
 
 
 def test_the_largest_error_is_that_against_the_truth(recording):
-    settings, truth = config(), truth_of(recording)
+    settings, truth = config(**{'horizon.limit': LIMIT}), truth_of(recording)
     begin = recording.gnss.stamp[[80, 120]]
     short, long = run_outages(settings, recording.imu, recording.gnss, truth, [20.0, 10.0], begin)
     assert (short.duration, long.duration) == (10.0, 20.0)
@@ -102,6 +104,9 @@ def test_the_largest_error_is_that_against_the_truth(recording):
             errors = position_errors(alone, truth, np.zeros(len(truth), dtype=bool))
             inside = (errors.stamp > b) & (errors.stamp <= end)
             assert outages.max_error[i] == pytest.approx(errors.horizontal[inside].max(), rel=1e-12)
+            # and it crosses the limit when one of these is larger for the first time
+            over = errors.stamp[inside][errors.horizontal[inside] > LIMIT]
+            assert outages.crossed[i] == (pytest.approx((over[0] - b) * 1e-9) if len(over) else np.inf)
             # and the distance is that of the truth, within what a filter with fixes gets wrong
             rows = (truth.reference.stamp >= b) & (truth.reference.stamp <= end)
             speed = np.hypot(*truth.reference.velocity[rows].T[:2])

@@ -1,4 +1,4 @@
-"""Who is right where fixes, IMU and the vehicle's constraint contradict each other: a slide, and what is in dispute."""
+"""Fixes, IMU and the vehicle's constraint contradict each other: a slide, and what nothing decides."""
 from __future__ import annotations
 
 import math
@@ -32,10 +32,10 @@ from mems_ins_fusion.filter.runs.vehicle_check import vehicle_says
 from mems_ins_fusion.filter.trust.contradiction import (
     LOOSENED,
     UNSETTLED_TIME,
-    disputed,
     goes_back,
     loosen,
     slides,
+    undecided,
     unsettle,
 )
 from mems_ins_fusion.navigation.earth import gravity, radii
@@ -79,12 +79,12 @@ def test_who_always_slides_is_not_told_of_it():
     assert not any(slid(memory, r, noise(2.0, 120.0, seed=2)))
 
 
-@pytest.mark.parametrize('drawn, is_one', [(2.0, False), (-2.0, True), (0.0, True)])
-def test_what_fixes_have_drawn_sideways_is_not_the_imus_slide(drawn, is_one):
+@pytest.mark.parametrize('moved, is_one', [(2.0, False), (-2.0, True), (0.0, True)])
+def test_what_fixes_have_moved_sideways_is_not_the_imus_slide(moved, is_one):
     _, memory, r = a_state()
     slid(memory, r, noise(0.05, 60.0))
-    # given a fix that has drawn the velocity to the east, which is to the right
-    memory[r + Nav.DRAWN_V_E] = drawn
+    # given a fix that has moved the velocity to the east, which is to the right
+    memory[r + Nav.MOVED_V_E] = moved
     # then a motion to the right by as much is its doing
     assert any(slid(memory, r, np.full(20, 2.0))) == is_one
 
@@ -135,12 +135,12 @@ def test_one_that_fits_loosens_nothing(mechanization):
 
 
 @BOTH
-def test_what_is_published_holds_both_sides_of_a_dispute(mechanization):
-    # given a state that fixes have drawn by 6 m and 1 m/s to the east, until 3 s ago, and want 4 m further north
+def test_what_is_published_holds_both_explanations(mechanization):
+    # given a state that fixes have moved by 6 m and 1 m/s to the east, until 3 s ago, and want 4 m further north
     config, memory, r = a_state(mechanization)
     memory[r + Nav.TIME], memory[r + Nav.FIX_TIME] = 13.0, 10.0
-    memory[r + Nav.DRAWN_E], memory[r + Nav.DRAWN_V_E], memory[r + Nav.LEFT_N] = 6.0, 1.0, 4.0
-    memory[r + Nav.VARIANCE_FACTOR], memory[r + Nav.CONTESTED] = 2.0, 1.0
+    memory[r + Nav.MOVED_E], memory[r + Nav.MOVED_V_E], memory[r + Nav.LEFT_N] = 6.0, 1.0, 4.0
+    memory[r + Nav.VARIANCE_FACTOR], memory[r + Nav.UNDECIDED] = 2.0, 1.0
     row = memory[r:r + int(memory[Head.WIDTH])]
     # then the truth is as likely there as here: half the squares, 9 m by now
     added = published_covariance(row, config.layout) - 2.0 * covariance(row, config.layout)
@@ -171,7 +171,7 @@ class Drive:
         self.position += 0.5 * rng.standard_normal((len(self.time), 2))
 
     def through(self, mechanization, **more):
-        """Configuration, memory, and at each fix after the first: error (k, 2), m, and `disputed` sigmas (k, 2), m."""
+        """Configuration, memory, and at each fix after the first: error (k, 2), m, and `undecided` sigmas (k, 2), m."""
         config = configure({**CAR, **more}, mechanization=mechanization)
         n, first = config.layout.n, config.layout.n_navigation
         p = np.diag(np.concatenate([np.square([1, 1, .2, .2, .02] if first == 5 else
@@ -180,18 +180,18 @@ class Drive:
         scale = np.array([radii(LATITUDE)[0] + 480.0, (radii(LATITUDE)[1] + 480.0) * math.cos(LATITUDE)])
         records = np.array([fix_record(t, LATITUDE + north / scale[0], LONGITUDE + east / scale[1], r=0.25 * np.eye(2))
                             for t, (north, east) in zip(self.time, self.position)])
-        kept = [Nav.TIME, Nav.LATITUDE, Nav.LONGITUDE, Nav.FIX_TIME, *range(Nav.DRAWN_N, Nav.LEFT_E + 1), Nav.CONTESTED]
+        kept = [Nav.TIME, Nav.LATITUDE, Nav.LONGITUDE, Nav.FIX_TIME, *range(Nav.MOVED_N, Nav.LEFT_E + 1), Nav.UNDECIDED]
         states, records = take_all(memory, self.samples, records, kept)
         rows = np.zeros((len(states), Nav.SIZE))
         rows[:, kept] = states
         truth = np.stack([10.0 * rows[:, Nav.TIME], np.zeros(len(rows))], axis=1)
         error = (rows[:, [Nav.LATITUDE, Nav.LONGITUDE]] - [LATITUDE, LONGITUDE]) * scale - truth
-        sigma = np.array([np.hypot(*np.array(disputed(row, 0))[:, :2]) for row in rows])
+        sigma = np.array([np.hypot(*np.array(undecided(row, 0))[:, :2]) for row in rows])
         return config, memory, error, sigma, records
 
 
 @BOTH
-def test_nothing_is_in_dispute_where_all_is_right(mechanization):
+def test_nothing_is_undecided_where_all_is_right(mechanization):
     config, memory, error, sigma, records = Drive().through(mechanization)
     assert newest(memory)[Nav.SLID] == 0.0
     assert np.hypot(*sigma.T).max() < 1.0 and np.hypot(*error.T).max() < 2.0
@@ -200,7 +200,7 @@ def test_nothing_is_in_dispute_where_all_is_right(mechanization):
 
 @pytest.mark.parametrize('after, is_chance', [(None, True), (15, True), (4, False)])
 @BOTH
-def test_one_fix_that_does_not_fit_is_no_dispute(mechanization, after, is_chance):
+def test_one_fix_that_does_not_fit_is_chance(mechanization, after, is_chance):
     # given one fix that is weighted down, and none, or another one, so many fixes after it
     drive = Drive()
     drive.position[30, 1] += 4.5
@@ -238,7 +238,7 @@ def crept(seconds):
     a second from 4 s on, and stands until `seconds`."""
     samples = np.zeros((round(50 * seconds), 7))
     samples[:, 0] = np.arange(1, len(samples) + 1) / 50.0
-    samples[:, 3] = -gravity(LATITUDE, 480.0)
+    samples[:, 3] = gravity(LATITUDE, 480.0)
     samples[:, 1:] += np.random.default_rng(2).standard_normal((len(samples), 6)) * np.repeat([5e-3, 2e-4], 3)
     samples[200:250, 1] -= 1.0
     return samples
@@ -278,7 +278,7 @@ def test_fixes_that_drift_away_widen_what_is_published(mechanization):
     drive = Drive()
     drive.position[:, 0] += 4.0 * np.clip(drive.time - 30.0, 0.0, 10.0)
     _, memory, error, sigma, _ = drive.through(mechanization)
-    # then where it has been drawn from is within the 95 % ellipse of what is published, but for its first seconds
+    # then where it has been moved from is within the 95 % ellipse of what is published, but for its first seconds
     later = slice(round(36.0 * 50), round(41.0 * 50))
     assert np.abs(error[later, 0]).max() > 10.0
     assert (np.abs(error[later, 0]) < 2.45 * sigma[later, 0] + 2.0).mean() > 0.9
@@ -298,7 +298,7 @@ def test_no_constraint_on_an_unknown_heading_that_fixes_will_find(mechanization,
     # when the constraint's turn comes
     samples = np.zeros((10, 7))
     samples[:, 0] = np.arange(1, 11) / 50.0
-    samples[:, 3] = -gravity(LATITUDE, 480.0)
+    samples[:, 3] = gravity(LATITUDE, 480.0)
     take_all(memory, samples, np.zeros((0, Event.SIZE)), [Nav.TIME])
     # then it is applied where it is linear, or where nothing else holds the vehicle
     applied = [memory[sample_at(memory, k) + Sample.CONSTRAINT] == Kind.NON_HOLONOMIC for k in range(1, 11)]

@@ -262,9 +262,9 @@ def test_a_measurement(copy):
         'filter/measurements/altitude.py': ALTITUDE,
         'filter/measurements/registry.py': [
             after('from __future__ import annotations\n\n', 'from .altitude import Altitude\n'),
-            ('Velocity(), Heading())', 'Velocity(), Heading(), Altitude())')],
+            ('Heading(), Pressure())', 'Heading(), Pressure(), Altitude())')],
         'filter/update.py': [
-            ('from .measurements import acceleration,', 'from .measurements import acceleration, altitude,'),
+            ('from .measurements import (\n', 'from .measurements import (\n    altitude,\n'),
             ('    elif kind == Kind.SPEED:\n', '    elif kind == altitude.KIND:\n        dimensions = '
              'altitude.observe(mem, r, at, h)\n    elif kind == Kind.SPEED:\n')]}
     assert len(edits) == 3

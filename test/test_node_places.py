@@ -98,7 +98,7 @@ def test_speed_velocity_and_heading_become_the_filters():
     twist.twist.twist.linear.x, twist.twist.twist.linear.y, twist.twist.twist.linear.z = 3.0, 4.0, 0.5
     p = np.arange(36.0).reshape(6, 6)
     twist.twist.covariance = (p + p.T).ravel()
-    speed, velocity, heading = AIDING
+    speed, velocity, heading, *_ = AIDING
     assert numbers_of(speed, twist) == (3.0, 0.0)
     velocity, covariance = numbers_of(velocity, twist)
     assert velocity.tolist() == [4.0, 3.0, -0.5]

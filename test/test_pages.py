@@ -135,6 +135,9 @@ def test_findings_of_the_checker_are_in_the_answer_with_their_topic(folder):
     assert f'/imu/data: 9.8 is not {STANDARD_GRAVITY}' in answer.wrong
     assert '/imu/data and /gps/fix: the clocks differ' in answer.wrong
     assert not any('all is well' in text for text in answer.wrong)
+    # diagnose refuses what is certainly wrong: what to type is configure
+    step, = answer.steps
+    assert step.command == 'python -m mems_ins_fusion configure --bag drive --output configured.yaml'
 
 
 # the pages

@@ -26,7 +26,7 @@ def configure(options: argparse.Namespace) -> str:
     from mems_ins_fusion.configuration.configure import configure as work
     from mems_ins_fusion.parameters import table
     from mems_ins_fusion.recordings.errors import RecordingWarning
-    from mems_ins_fusion.reports.configuration import answer, configuration_page, configuration_yaml, story
+    from mems_ins_fusion.reports.configuration import answer, configuration_page, configuration_yaml, in_short, story
     from mems_ins_fusion.results import check_files_free, write_files
 
     output = Path(options.output)
@@ -42,8 +42,8 @@ def configure(options: argparse.Namespace) -> str:
     answered = answer(result, options.bag, options.output)
     write_files({output: text, page: configuration_page(result, text, answered)}, options.overwrite)
     said = dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, RecordingWarning))
-    told = [*answered.lines(), '', *story(result), *said] if options.verbose else [*answered.short(), *story(result)]
-    return '\n'.join([*told, f'{output}; what it stands on: {page}'])
+    told = [*answered.lines(), '', *story(result), *said] if options.verbose else [*answered.short(), in_short(result)]
+    return '\n'.join([*told, f'report: {page}'])
 
 
 def _parser():

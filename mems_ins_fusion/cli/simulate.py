@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from mems_ins_fusion.cli.command import Parser, run
+from mems_ins_fusion.effects.aiding_time_offset import TIME_OFFSETS
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.errors import InputError
 from mems_ins_fusion.hints import did_you_mean
@@ -42,6 +43,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def simulate(options: argparse.Namespace) -> str:
     """Simulate and write what `options` ask for; a line that says what was written. InputError for bad options."""
+    from mems_ins_fusion.filter.measurements.registry import aiding
     from mems_ins_fusion.recordings.reading import Memory
     from mems_ins_fusion.results import check_free
     from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_recording
@@ -66,7 +68,7 @@ def simulate(options: argparse.Namespace) -> str:
                         standstill=options.duration if options.static else options.standstill)
     if not len(gnss.times(drive.time[-1])):
         raise InputError('the outages leave no fix in the recording')
-    distortions = scene.distortions(options.seed)
+    distortions = {**scene.distortions(options.seed), 'named': [m for m in aiding(values) if not m.is_plain]}
     effects = [*distortions.pop('effects'), *effects]
     simulation = simulate_recording(drive, SensorErrors.from_parameters(values, model), gnss,
                                     [*_declared(values), *effects], values['imu.mounting_rpy'], options.seed,
@@ -100,7 +102,7 @@ def _scene(options):
 
 
 def _write(simulation, options, values):
-    from mems_ins_fusion.filter.measurements.registry import AIDING
+    from mems_ins_fusion.filter.measurements.registry import aiding
     from mems_ins_fusion.navigation.frames import FLU_TO_FRD
     from mems_ins_fusion.recordings.writing import odometry_from_reference, write_recording
 
@@ -115,7 +117,8 @@ def _write(simulation, options, values):
     write_recording(replace(recording, reference=reference), options.output, options.storage,
                     overwrite=options.overwrite, odometry={'/reference/odometry': odometry},
                     imu_topic=values['imu_topic'], gnss_topic=values['gnss_topic'],
-                    **{name: values[name] for name in ('temperature_topic', *(m.topic for m in AIDING))
+                    inputs=aiding(values), **{name: values[name] for name in (
+                        'temperature_topic', *(m.topic for m in aiding(values)))
                        if values[name]})
 
 
@@ -160,7 +163,8 @@ def _declared(values):
     arm = dict(zip('xyz', values['gnss.lever_arm']))
     coloured = {name: values[f'gnss.coloured_noise.{name}'] for name in ('sigma', 'tau')}
     return [(EFFECTS['gnss_time_offset'], {'time_offset': values['gnss.time_offset']}),
-            (EFFECTS['gnss_lever_arm'], arm), (EFFECTS['gnss_coloured_noise'], coloured)]
+            (EFFECTS['gnss_lever_arm'], arm), (EFFECTS['gnss_coloured_noise'], coloured),
+            *((effect, {'time_offset': values[f'{effect.of}.time_offset']}) for effect in TIME_OFFSETS)]
 
 
 def _parser():

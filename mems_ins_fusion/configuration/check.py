@@ -10,6 +10,8 @@ import numpy as np
 
 from mems_ins_fusion.configuration.left import ARM, TIME_OFFSET, left_of
 from mems_ins_fusion.configuration.mounting import Mounting, estimate_mounting
+from mems_ins_fusion.configuration.speed_offset import estimate_speed_offset
+from mems_ins_fusion.filter.measurements.speed import Speed
 from mems_ins_fusion.filter.runs.usable import usable_fixes, usable_samples
 from mems_ins_fusion.navigation.earth import gravity
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
@@ -17,6 +19,7 @@ from mems_ins_fusion.parameters.params_file import yaml_value
 from mems_ins_fusion.recordings.checker import ERROR, INFO, WARNING, Finding, check_recording
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
+_SPEED = Speed()
 SURE = 4.0  # sigmas
 LOOKED_AT = 1200.0  # s: how an IMU is mounted shows in this part of a drive
 _SMALL_YAW, _SMALL_TILT = math.radians(3.0), math.radians(5.0)  # less is for the filter to find
@@ -45,7 +48,7 @@ def check_setup(recording: Recording, values: dict) -> list[Finding]:
     if fixes is None or len(imu) < 2:
         return _mounting(imu, fixes, values['imu.mounting_rpy'])[0]
     findings, found = _mounting(imu, fixes, values['imu.mounting_rpy'])
-    return [*findings, *_check_offset(found, values)]
+    return [*findings, *_check_offset(found, values), *_check_speed(recording, imu, found, values)]
 
 
 def mounting_findings(imu: ImuSamples, fixes: Fixes | None, mounting_rpy, lag: float | None = None) -> list[Finding]:
@@ -96,7 +99,7 @@ def _check_offset(found: Mounting | None, values: dict):
     if lag.certain(SMALL_OFFSET, SURE):
         size = f'{abs(lag.value):.3f} s {"late" if lag.value > 0 else "early"} (sigma {lag.sigma:.3f} s)'
         yield Finding(WARNING, 'imu/gnss', f'against the IMU the fixes are {size}{beside}: a clock offset, see '
-                      f'gnss.time_offset, which would be {offset.lag:.2f}', seen)
+                      f'gnss.time_offset, which would be {offset.lag:.2f}', seen, ('gnss.time_offset',))
     else:
         what = f'what is left of the time offset{beside}' if declared else 'no clock offset to be seen'
         yield Finding(INFO, 'imu/gnss', f'{what}: {lag.value:.3f} +- {lag.sigma:.3f} s', seen)
@@ -106,7 +109,29 @@ def _check_offset(found: Mounting | None, values: dict):
             offset.arm, offset.arm_sigma, ARM) if sigma < _VAGUE_ARM)
         yield Finding(WARNING, 'gnss', f'from the IMU to the antenna it is {words}, where gnss.lever_arm says '
                       f'{yaml_value([float(x) for x in values["gnss.lever_arm"]])}',
-                      {'arm_m': offset.arm.tolist(), 'arm_sigma_m': offset.arm_sigma.tolist()})
+                      {'arm_m': offset.arm.tolist(), 'arm_sigma_m': offset.arm_sigma.tolist()}, ('gnss.lever_arm',))
+
+
+def _check_speed(recording: Recording, imu: ImuSamples, found: Mounting | None, values: dict):
+    """What the parameters leave of the time offset of a speed."""
+    if recording.speed is None or not values[_SPEED.topic] or found is None or not found.yaw_known:
+        return
+    speeds = _SPEED.declared(_SPEED.settings(values), recording.speed)
+    seen = estimate_speed_offset(imu, speeds.select(speeds.stamp < imu.stamp[-1]), found.rotation)
+    if seen is None or not seen.shown:
+        yield Finding(INFO, 'imu/speed', 'changes of speed too few, or a road too rough, to see how late the speed is')
+        return
+    declared = values['speed.time_offset']
+    left = seen.lag - declared
+    shown = {'speed_lag_s': seen.lag, 'sigma_s': seen.sigma, 'left_s': left}
+    beside = f' beside speed.time_offset {declared:g} s' if declared else ''
+    if abs(left) > max(SMALL_OFFSET, SURE * seen.sigma):
+        yield Finding(WARNING, 'imu/speed', f'against the IMU the speed is {abs(left):.3f} s '
+                      f'{"late" if left > 0 else "early"} (sigma {seen.sigma:.3f} s){beside}: set speed.time_offset to '
+                      f'{seen.lag:.2f}', shown)
+    else:
+        yield Finding(INFO, 'imu/speed', f'the speed is of the time of its stamps{beside}: {left:.3f} +- '
+                      f'{seen.sigma:.3f} s', shown)
 
 
 def _compare(found: Mounting, declared: np.ndarray) -> list[Finding]:
@@ -128,7 +153,8 @@ def _compare(found: Mounting, declared: np.ndarray) -> list[Finding]:
     return [Finding(severity, 'imu', f'the IMU seems to be mounted {" and ".join(words)}: {advice}',
                     {'tilt': tilt, 'tilt_sigma': tilt_sigma, 'yaw': yaw if found.yaw_known else None,
                      'yaw_sigma': float(found.sigma[2]), 'mounting_rpy': found.rpy.tolist(),
-                     'certain': severity == ERROR and (tilt > LARGE or not _may_reverse(found, yaw))})]
+                     'certain': severity == ERROR and (tilt > LARGE or not _may_reverse(found, yaw))},
+                    ('imu.mounting_rpy',))]
 
 
 def _may_reverse(found: Mounting, yaw: float) -> bool:

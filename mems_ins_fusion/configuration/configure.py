@@ -2,8 +2,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -13,20 +14,22 @@ from mems_ins_fusion.configuration.noise import Noise, find_noise
 from mems_ins_fusion.configuration.offset import together
 from mems_ins_fusion.configuration.receiver import Receiver, assess_receiver
 from mems_ins_fusion.configuration.regression import weighted
-from mems_ins_fusion.configuration.topics import Candidate, Topics, find_topics
+from mems_ins_fusion.configuration.speed_offset import SpeedOffset, estimate_speed_offset
+from mems_ins_fusion.configuration.topics import WHEELS, Candidate, Topics, find_topics
 from mems_ins_fusion.configuration.vehicle import Vehicle, assess_vehicle
 from mems_ins_fusion.filter.runs.usable import usable
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.navigation.earth import gravity as gravity_at
 from mems_ins_fusion.parameters.parameter import ParameterError
 from mems_ins_fusion.parameters.table import ALL, defaults
+from mems_ins_fusion.recordings.aiding import pressure_factor, speed_factor
 from mems_ins_fusion.recordings.checker import INFO, Finding, check_recording
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.motion import find_standstill
 from mems_ins_fusion.recordings.several import refuse_twice
 from mems_ins_fusion.recordings.sketch import sketch
 from mems_ins_fusion.recordings.units import RATE, Units, find_units, in_si
-from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
+from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, Speeds
 
 _SIGNIFICANT = 2.0  # sigmas: a smaller value is not set
 _AT_ZERO = f': less than {_SIGNIFICANT:g} sigma, left at zero'
@@ -35,7 +38,6 @@ _OUTLIERS = 0.002  # part of the fixes
 _ROBUST = 3.0  # gnss.robust_sigma where there are outliers
 _ARM_SHOWN = 0.3  # m
 _MOUNTING_SIGMA = 0.01, 0.1  # rad: axes of a body flex by the one; the other is the default of imu.mounting_sigma
-_CONSTRAINT_YAW = math.radians(6.0)  # a larger sigma of the yaw takes the sense out of the constraint
 
 
 @dataclass(frozen=True)
@@ -48,8 +50,21 @@ class Setting:
 
 
 @dataclass(frozen=True)
+class Wheels:
+    """What one recording shows of a speed. topic: of it. compared: whether with
+    fixes. factor: makes m/s of it, as `speed.factor`. offset: None where
+    it is not shown."""
+
+    topic: str
+    compared: bool
+    factor: float
+    offset: SpeedOffset | None
+
+
+@dataclass(frozen=True)
 class Drive:
-    """One recording and what it shows. imu: in SI units. still: (n,) its samples at rest. seconds: its length."""
+    """One recording and what it shows. imu: in SI units. still: (n,) its samples at rest. seconds: its length. wheels:
+    None without a speed that goes with that of the fixes."""
 
     name: str
     imu: ImuSamples
@@ -62,6 +77,7 @@ class Drive:
     receiver: Receiver | None
     vehicle: Vehicle
     findings: tuple[Finding, ...] = ()
+    wheels: Wheels | None = None
 
 
 @dataclass(frozen=True)
@@ -100,7 +116,7 @@ def configure(paths, progress=lambda part, what: None) -> Configuration:
         gnss = _same(found.gnss, topics.gnss[0].topic, path) if topics.gnss else None
         progress((i + 0.5) / len(paths), 'looking')
         fixes.append(gnss.samples if gnss else None)
-        drives.append(look(path, imu.samples, fixes[-1]))
+        drives.append(look(path, imu.samples, fixes[-1], {one.topic: one.samples for one in found.speed}))
         for other in drives[:-1]:
             refuse_twice(drives[-1], other)
     progress(1.0, 'done')
@@ -138,8 +154,8 @@ def _same(candidates, topic, path) -> Candidate:
     return match[0]
 
 
-def look(path, imu: ImuSamples, fixes: Fixes | None) -> Drive:
-    """All that one recording shows."""
+def look(path, imu: ImuSamples, fixes: Fixes | None, speeds: Mapping[str, Speeds] = MappingProxyType({})) -> Drive:
+    """All that one recording shows. speeds: by topic, what may be the speed of wheels, as recorded."""
     name = str(path)
     seen = usable(Recording(name, imu, fixes))
     good = seen.gnss if seen.gnss is not None and len(seen.gnss) > 1 else None
@@ -158,7 +174,20 @@ def look(path, imu: ImuSamples, fixes: Fixes | None) -> Drive:
     noise = receiver.realised if receiver is not None else None
     vehicle = assess_vehicle(imu, still, found, noise or 1.0)
     return Drive(name, imu, good, still, seconds, units, found, find_noise(imu, still), receiver, vehicle,
-                 tuple(finding for finding in findings if finding.severity != INFO))
+                 tuple(finding for finding in findings if finding.severity != INFO), _wheels(imu, good, found, speeds))
+
+
+def _wheels(imu, fixes, mounting, speeds) -> Wheels | None:
+    """The first of `speeds` that goes with the speed of the fixes, or is one by its name, and how late it is."""
+    for topic, samples in speeds.items():
+        factor = speed_factor(samples, fixes)
+        if factor is not None and (math.isfinite(factor) or WHEELS.search(topic)):
+            compared, factor = math.isfinite(factor), factor if math.isfinite(factor) else 1.0
+            samples = replace(samples, speed=factor * samples.speed)
+            known = mounting is not None and mounting.yaw_known
+            offset = estimate_speed_offset(imu, samples, mounting.rotation) if known else None
+            return Wheels(topic, compared, factor, offset)
+    return None
 
 
 def _together(found: list[Mounting]) -> Mounting | None:
@@ -185,7 +214,10 @@ def _settings(topics: Topics, drives, mounting):
     first = drives[0]
     yield from _topic_settings(topics)
     yield from _unit_settings(first.units)
-    yield _mechanization(drives, mounting)
+    mechanization = _mechanization(drives, mounting)
+    yield mechanization
+    if mechanization.value == 'strapdown':
+        yield from _pressure_settings(topics)
     if mounting is not None:
         yield _mounting_setting(mounting)
         if mounting.yaw_known:
@@ -193,8 +225,9 @@ def _settings(topics: Topics, drives, mounting):
                 'of pitch and yaw, the larger one: the filter estimates what is left of them',))
         yield from _offset_settings(mounting)
     yield from _receiver_settings([drive.receiver for drive in drives if drive.receiver is not None])
+    yield from _speed_settings([drive.wheels for drive in drives if drive.wheels is not None])
     yield from _noise_settings(drives, mounting)
-    yield from _vehicle_settings(drives, mounting)
+    yield from _vehicle_settings(drives)
 
 
 def _topic_settings(topics):
@@ -307,6 +340,38 @@ def _receiver_settings(receivers: list[Receiver]):
                       (f'fixes arrive up to {max(delays):.2f} s (99 %) after the IMU samples of their time',))
 
 
+def _pressure_settings(topics):
+    """The first that is a pressure of the air in some unit."""
+    for candidate in topics.pressure:
+        factor = pressure_factor(candidate.samples)
+        if factor is not None:
+            yield Setting('pressure_topic', candidate.topic, (candidate.describe(),))
+            if factor != 1.0:
+                yield Setting('pressure.factor', factor, ('makes Pa of it',))
+            return
+
+
+def _speed_settings(found: list[Wheels]):
+    """Of the topic of the first drive's."""
+    if not found:
+        return
+    found = [wheels for wheels in found if wheels.topic == found[0].topic]
+    factor = float(np.median([wheels.factor for wheels in found]))
+    yield Setting('speed_topic', found[0].topic, (
+        'it goes with the speed of the fixes' if found[0].compared else
+        'by its name: no fixes in motion to compare it with, its unit is taken to be m/s',))
+    if factor != 1.0:
+        yield Setting('speed.factor', float(f'{factor:.5g}'), (f'it is {1.0 / factor:.4g} times that of the fixes',))
+    offsets = [wheels.offset for wheels in found if wheels.offset is not None and wheels.offset.shown]
+    if not offsets:
+        yield Setting('speed.time_offset', 0.0, ('not shown: too few changes of speed, or a road too rough',))
+        return
+    lag, sigma = (float(x) for x in weighted(np.array([o.lag for o in offsets]), np.array([o.sigma for o in offsets])))
+    sure = _is_sure(lag, sigma)
+    yield Setting('speed.time_offset', round(lag, 3) if sure else 0.0, (
+        f'against the accelerometers {lag:.3f} +- {sigma:.3f} s{"" if sure else _AT_ZERO}',))
+
+
 def _noise_settings(drives, mounting):
     best = max((drive.noise for drive in drives if drive.noise is not None), key=lambda noise: noise.seconds,
                default=None)
@@ -324,15 +389,14 @@ def _noise_settings(drives, mounting):
             f'm/s^2{"" if sure else _AT_ZERO}',))
 
 
-def _vehicle_settings(drives, mounting):
+def _vehicle_settings(drives):
     vehicles = [drive.vehicle for drive in drives]
-    wheels = [vehicle for vehicle in vehicles if vehicle.wheels is not None]
-    fits = bool(wheels) and all(vehicle.wheels for vehicle in wheels)
-    known = mounting is not None and mounting.sigma[2] < _CONSTRAINT_YAW
-    seen = (f'velocity across the nose scatters by {max(v.sideways for v in wheels):.2f} m/s, '
-            f'{max(v.noise for v in wheels):.2f} m/s of it by the fixes' if wheels else 'too few turns to see it')
-    yield Setting('vehicle.non_holonomic', bool(fits and known), (
-        seen + ('' if known else '; the yaw of the mounting is not known well enough'),))
+    seen = [vehicle for vehicle in vehicles if vehicle.wheels is not None]
+    # the filter's heading is that of the course at the start, so the constraint holds whatever the yaw of the mounting
+    yield Setting('vehicle.non_holonomic', all(vehicle.wheels for vehicle in seen), (
+        f'velocity across the nose scatters by {max(v.sideways for v in seen):.2f} m/s, '
+        f'{max(v.noise for v in seen):.2f} m/s of it by the fixes' if seen else
+        'too few turns to see it; the default is that of vehicles on wheels',))
     rest = [vehicle for vehicle in vehicles if vehicle.rest_force is not None]
     if not rest:
         yield Setting('vehicle.zero_velocity', False, ('no standstill beside motion shows how to tell them apart',))

@@ -48,9 +48,10 @@ _LEAST_OWN = 0.1
 _TILT, _HEADING = 0.05, 0.2
 _RATE_AT_REST, _RATE = 3e-4, 1e-2
 # variances in units of that of a fix's white noise: of the accelerometers' white noise (1/s^3), of that of the
-# gyroscopes times gravity (1/s^5), of the part of the receiver's errors that lasts
-_NOISE = tuple((force, 0.1 * force, lasting) for lasting in (0.0, 1.0, 10.0)
-               for force in (1e-6, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 1e2))
+# gyroscopes times gravity (1/s^5), of the part of the receiver's errors that lasts: metres, where a receiver that
+# smooths leaves centimetres of white noise
+_NOISE = tuple((force, 0.1 * force, lasting) for lasting in (0.0, 1.0, 10.0, 100.0, 1000.0)
+               for force in (1e-6, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0, 1e2, 1e3))
 
 
 @dataclass(frozen=True)
@@ -158,12 +159,13 @@ class _Solved:
         return np.linalg.solve(rest[:, 1:, 1:] + np.diag(self.prior), rest[:, 1:, :1])[..., 0]
 
 
-class _Track:
+class Track:
     """Running integrals of samples in a frame that the gyroscopes keep, to be asked at any time; s after `origin`.
 
     rotation: (n, 3, 3) from sensor axes. force: (n, 3) specific force, velocity, place: its integrals. by_force:
     (n, 3, 3) derivative of the place by the specific force, turned: integral of the rotation, by_rate: (n, 3, 3)
-    derivative of the place by an error of the rate, of which each piece takes its part.
+    derivative of the place by an error of the rate, of which each piece takes its part. stretches: (k, 2) s, begin and
+    end of samples without a gap.
     """
 
     def __init__(self, imu: ImuSamples, origin: int, bias: np.ndarray):
@@ -172,7 +174,8 @@ class _Track:
         advancing = np.diff(np.maximum.accumulate(stamp), prepend=stamp[:1] - 1) > 0
         time = (stamp[advancing] - origin) * 1e-9
         step = float(np.median(np.diff(time)))
-        self.gap_end = time[1:][np.diff(time) > max(LONGEST_GAP, 3.0 * step)]
+        gap = np.diff(time) > max(LONGEST_GAP, 3.0 * step)
+        self.stretches = np.column_stack([np.append(time[0], time[1:][gap]), np.append(time[:-1][gap], time[-1])])
         some = slice(None, None, max(round(1.0 / (_FINEST * step)), 1))
         self.time = time[some]
         turn = np.diff(integral(time, imu.angular_rate[finite][advancing] - bias)[some], axis=0)
@@ -187,15 +190,15 @@ class _Track:
         self.turned = integral(self.time, self.rotation.reshape(-1, 9)).reshape(-1, 3, 3)
         _, self.by_rate = self._integrals(-_cross(push) @ (0.5 * (self.turned[1:] + self.turned[:-1])))
 
+    def covers(self, begin: float, end: float) -> bool:
+        """Whether there are samples without a gap from `begin` to `end`, s."""
+        return bool(((self.stretches[:, 0] <= begin) & (end <= self.stretches[:, 1])).any())
+
     def _integrals(self, increments):
         first = np.concatenate([np.zeros_like(increments[:1]), np.cumsum(increments, axis=0)])
         length = np.diff(self.time).reshape((-1,) + (1,) * (increments.ndim - 1))
         return first, np.concatenate([np.zeros_like(increments[:1]),
                                       np.cumsum(0.5 * (first[1:] + first[:-1]) * length, axis=0)])
-
-    def covers(self, begin: float, end: float) -> bool:
-        return (begin >= self.time[0] and end <= self.time[-1]
-                and not ((self.gap_end > begin) & (self.gap_end < end + LONGEST_GAP)).any())
 
     def at(self, values: np.ndarray, times: np.ndarray) -> np.ndarray:
         """`values` (n, ...) at `times`, of any shape, linear in between."""
@@ -216,7 +219,7 @@ class _Pieces:
     piece has of its own: place, velocity, attitude, rate.
     """
 
-    track: _Track
+    track: Track
     rotation: np.ndarray
     sigma: float
     time: np.ndarray
@@ -363,18 +366,11 @@ def _pieces(imu: ImuSamples, fixes: Fixes, rotation) -> _Pieces | None:
     still = find_standstill(imu, fixes)
     still &= np.isfinite(imu.angular_rate).all(axis=1)
     bias = imu.angular_rate[still].mean(axis=0) if still.any() else np.zeros(3)
-    track = _Track(imu, int(fixes.stamp[0]), bias)
+    track = Track(imu, int(fixes.stamp[0]), bias)
     length = float(np.clip(time[-1] / _PIECES, _SHORTEST, _LONGEST))
-    interval = float(np.median(np.diff(time)))
-    every = max(math.ceil(length / interval / _MOST_FIXES - 1e-6), 1)
-    number = (time // length).astype(int)
-    chosen = []
-    for k in np.unique(number):
-        piece = np.flatnonzero(number == k)[::every]
-        if (len(piece) >= _FEWEST_FIXES and track.covers(time[piece[0]] - LARGEST - _STEP,
-                                                         time[piece[-1]] + LARGEST + _STEP)
-                and np.ptp(place[piece], axis=0).max() > 5.0 * sigma):
-            chosen.append(piece[:_MOST_FIXES])
+    chosen = [piece for begin, end in track.stretches + [[LARGEST + _STEP, -LARGEST - _STEP]]
+              for piece in _divided(np.flatnonzero((time >= begin) & (time <= end)), time, length)
+              if len(piece) >= _FEWEST_FIXES and np.ptp(place[piece], axis=0).max() > 5.0 * sigma]
     if len(chosen) < _FEWEST_PIECES:
         return None
     if len(chosen) > _MOST_PIECES:
@@ -392,6 +388,18 @@ def _pieces(imu: ImuSamples, fixes: Fixes, rotation) -> _Pieces | None:
     rate = _RATE_AT_REST if still.any() else _RATE
     own = np.concatenate([np.full(4, 1e-12), np.array([_TILT, _TILT, _HEADING]) ** -2.0, np.full(3, rate**-2.0)])
     return _Pieces(track, rotation, sigma, times, place[at], used, used.astype(float), lasting, own)
+
+
+def _divided(stretch: np.ndarray, time: np.ndarray, length: float) -> list[np.ndarray]:
+    """Indices of the fixes of a `stretch`, in pieces of about `length` s, alike; of more than _MOST_FIXES every second,
+    third ... is taken."""
+    if len(stretch) < _FEWEST_FIXES:
+        return []
+    since = time[stretch] - time[stretch[0]]
+    count = max(round(since[-1] / length), 1)
+    number = np.minimum(since / since[-1] * count, count - 1).astype(int)
+    pieces = [stretch[number == k] for k in range(count)]
+    return [piece[::-(-len(piece) // _MOST_FIXES)] for piece in pieces if len(piece)]
 
 
 def _cross(vectors: np.ndarray) -> np.ndarray:

@@ -6,22 +6,31 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mems_ins_fusion.filter.measurements.pressure import Pressure
+from mems_ins_fusion.filter.measurements.speed import Speed
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.findings import count_of
 from mems_ins_fusion.recordings.messages import IMU, NAV_SAT_FIX, TEMPERATURE
 from mems_ins_fusion.recordings.motion import robust_sigma, sigmas, valid_fixes
 from mems_ins_fusion.recordings.reading import read_recording
-from mems_ins_fusion.samples import Fixes, ImuSamples
+from mems_ins_fusion.samples import Fixes, ImuSamples, Pressures, Speeds
 
+_SPEED, _PRESSURE = Speed(), Pressure()
 #: names that say: not a sensor's own measurement
 _DERIVED = re.compile(r'reference|truth|fused|filter|ekf|odom|estimate|gt($|/)', re.IGNORECASE)
+
+
+#: and which of these are a sensor's nevertheless
+WHEELS = re.compile(r'wheel|vehicle|(^|/|_)can($|/|_)', re.IGNORECASE)
+#: names of a velocity that is the receiver's
+_RECEIVER = re.compile(r'gps|gnss|fix', re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class Candidate:
     """A topic that could be the one. rate: Hz. jitter: part of an interval. usable: part of its messages.
-    derived: whether its name says that it is a result or a reference. samples: ImuSamples or Fixes. sigma: m, as a
+    derived: whether its name says that it is a result or a reference. samples: those read. sigma: m, as a
     receiver states it, or NaN."""
 
     topic: str
@@ -30,7 +39,7 @@ class Candidate:
     jitter: float
     usable: float
     derived: bool
-    samples: ImuSamples | Fixes = field(repr=False)
+    samples: ImuSamples | Fixes | Speeds | Pressures = field(repr=False)
     sigma: float = np.nan
 
     def describe(self) -> str:
@@ -49,11 +58,14 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Topics:
-    """The topics chosen, or None, each first in the list of its kind."""
+    """The topics chosen, or None, each first in the list of its kind. speed: those that may be the speed of wheels, by
+    type and name. pressure: of the air."""
 
     imu: tuple[Candidate, ...]
     gnss: tuple[Candidate, ...]
     temperature: tuple[str, ...]
+    speed: tuple[Candidate, ...] = ()
+    pressure: tuple[Candidate, ...] = ()
 
 
 def find_topics(path) -> Topics:
@@ -61,7 +73,7 @@ def find_topics(path) -> Topics:
     with Bag(path) as bag:
         kinds, counts = bag.topics, bag.counts()
     named = {kind: sorted(name for name, k in kinds.items() if k == kind and counts[name] > 1)
-             for kind in (IMU, NAV_SAT_FIX, TEMPERATURE)}
+             for kind in (IMU, NAV_SAT_FIX, TEMPERATURE, *_SPEED.messages, *_PRESSURE.messages)}
     if not named[IMU]:
         there = ', '.join(f'{name} ({kind}, {count_of(counts[name], "message")})'
                           for name, kind in sorted(kinds.items()))
@@ -69,7 +81,12 @@ def find_topics(path) -> Topics:
                              f'{f", only {there}" if there else ""}')
     imu = tuple(sorted((_imu(path, name) for name in named[IMU]), key=_imu_rank))
     gnss = tuple(sorted((_gnss(path, name, named[IMU][0]) for name in named[NAV_SAT_FIX]), key=_gnss_rank))
-    return Topics(imu, gnss, tuple(named[TEMPERATURE]))
+    wheels = [name for kind in _SPEED.messages for name in named[kind]
+              if WHEELS.search(name) or not (_DERIVED.search(name) or _RECEIVER.search(name))]
+    return Topics(imu, gnss, tuple(named[TEMPERATURE]),
+                  tuple(_aiding(_SPEED, path, name, named[IMU][0]) for name in wheels),
+                  tuple(_aiding(_PRESSURE, path, name, named[IMU][0]) for kind in _PRESSURE.messages
+                        for name in named[kind]))
 
 
 def _imu(path, topic) -> Candidate:
@@ -88,6 +105,13 @@ def _gnss(path, topic, imu_topic) -> Candidate:
     return Candidate(topic, len(fixes), *_stamps(fixes), usable=float(valid.mean()),
                      derived=bool(_DERIVED.search(topic)), samples=fixes,
                      sigma=float(np.nanmedian(stated)) if np.isfinite(stated).any() else np.nan)
+
+
+def _aiding(measurement, path, topic, imu_topic) -> Candidate:
+    samples = read_recording(path, imu_topic, **{measurement.topic: topic}).streams()[measurement.name]
+    return Candidate(topic, len(samples), *_stamps(samples),
+                     usable=float(np.isfinite(getattr(samples, measurement.name)).mean()), derived=False,
+                     samples=samples)
 
 
 def _stamps(samples):

@@ -67,15 +67,24 @@ class Bench:
         if self.track is not None and self.track.shown:
             lag = self.track.smoothing - self.origin.given['gnss.lag_per_acceleration']
             found['gnss_lag.lag'] = Estimate(lag, self.track.smoothing_sigma, 's^2')
+            found['gnss_time_offset.time_offset'] = Estimate(self._left.value, self._left.sigma, 's')
         return found
+
+    @property
+    def _left(self) -> Left:
+        """What the tracks leave of the time offset."""
+        return Left(TIME_OFFSET, self.track.lag - self.origin.given['gnss.time_offset'], self.track.lag_sigma)
 
     @property
     def certain(self) -> tuple[str, ...]:
         """Effects that the tracks between fixes show for certain beside the parameters as given."""
         if self.track is None or not self.track.shown:
             return ()
-        left = Left(TIME_OFFSET, self.track.lag - self.origin.given['gnss.time_offset'], self.track.lag_sigma)
-        return ('gnss_time_offset',) if left.certain(SMALL_OFFSET, SURE) else ()
+        return ('gnss_time_offset',) if self._left.certain(SMALL_OFFSET, SURE) else ()
+
+    def told(self, name: str, sizes: dict[str, Estimate]) -> dict[str, Estimate]:
+        """The `sizes` of an effect that is not added: what the recordings show for certain has one size everywhere."""
+        return {n: self.shown.get(f'{name}.{n}', e) for n, e in sizes.items()} if name in self.certain else sizes
 
     @cached_property
     def turned(self) -> Estimate | None:

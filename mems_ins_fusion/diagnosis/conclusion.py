@@ -65,7 +65,8 @@ def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
     hidden = _not_shown(known, correction.settings)
     # a finding is added only where corrected.yaml holds it
     findings = _final(known, hidden, correction.values, given, bench.library)
-    findings = [*(findings if correction.effects else (_only_told(f, against) for f in findings)),
+    findings = [*(findings if correction.effects else (
+        replace(_only_told(f, against), parameters=bench.told(f.name, f.parameters)) for f in findings)),
                 *correction.settings]
     model, origin = known.model, bench.origin
     drives = origin.each
@@ -143,7 +144,7 @@ def _settled(known: Known, first: Known, fitted: Correction, configured: Correct
         if not worse and _merit(errors) > _merit(first.errors) - chance:
             proven.append((_merit(errors), option))
         elif option.effects:
-            against = worse or 'positions are predicted less well with it'
+            against = worse or 'errors and sigmas together predict positions less well with it'
     proven = [option for _, option in sorted(proven, key=lambda found: -found[0])]
     return [option if option.settings else replace(option, settings=tuple(_only_told(f, against) for f in told))
             for option in (*proven, configured)], against

@@ -14,7 +14,7 @@ from .measured import Measured, fairly
 #: an error has grown noticeably beyond this part and this much, m; by this factor it has grown, certain or not
 GROWN, NOTICED, LARGER = 0.03, 0.1, 1.1
 #: such a growth is one with a proven effect, too, if chance gives it more rarely than this; where there are too few
-#: outages to say, if it is larger than this part over the root of their number
+#: outages to say, if it is larger than this part over the root of the number of those that do not overlap
 LIKELY, SCATTER = 0.05, 0.5
 #: errors that are this part of those before have shrunk plainly; noise levels alone are better from this part on
 PLAINLY, SMALLER = 0.7, 0.9
@@ -104,7 +104,8 @@ def harm(comparison: Sequence[dict], effects: bool = False, floor: float = COVER
             old, new = (np.sqrt(old), np.sqrt(new)) if squared else (old, new)
             larger = new > LARGER * old + NOTICED
             if tolerant and larger:
-                larger = p < LIKELY if p is not None else new > (1 + SCATTER / np.sqrt(row['count'])) * old + NOTICED
+                larger = p < LIKELY if p is not None else new > (1 + SCATTER / np.sqrt(row.get('apart', row['count']))
+                                                                 ) * old + NOTICED
             certain = i == 0 and p is not None and p < CERTAIN
             if larger or certain and new > (1 + GROWN) * old + NOTICED:
                 which = 'root mean square of the ' if i else ''
@@ -112,7 +113,7 @@ def harm(comparison: Sequence[dict], effects: bool = False, floor: float = COVER
                         f'{_plain(new, squared)} after')
         held, holds = row.get('within_before'), row.get('within_after')
         if held is not None and holds < (floor - 1.0 / row['apart'] if held >= COVERED
-                                         else min(held - LESS_HELD, floor)):
+                                         else min(held - max(LESS_HELD, 1.0 / row['apart']), floor)):
             which = row['what'].split(',')[0]
             return (f'{where}{which}: the 95 % ellipse held the truth in {100 * held:.0f} % before, '
                     f'in {100 * holds:.0f} % after')

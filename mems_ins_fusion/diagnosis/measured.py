@@ -169,7 +169,8 @@ def _joined_errors(parts: list[Errors]) -> Errors:
 def _joined_outages(parts: list[Outages]) -> Outages:
     order = np.argsort(np.concatenate([o.begin for o in parts]), kind='stable')
     joined = {name: np.concatenate([getattr(o, name) for o in parts])[order]
-              for name in ('begin', 'max_error', 'distance', 'within', 'growth', 'sigma', 'kept')}
+              for name in ('begin', 'max_error', 'distance', 'within', 'growth', 'sigma', 'kept', 'announced',
+                           'crossed')}
     errors = [e for o in parts for e in o.errors]
     return Outages(duration=parts[0].duration, time=parts[0].time, errors=[errors[i] for i in order], **joined)
 

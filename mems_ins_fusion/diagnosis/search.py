@@ -235,9 +235,12 @@ def _tried(known: Known, significant, candidates: list[Candidate], bench: Bench)
     order.sort(key=lambda name: name not in bench.certain)
     failed: list[Finding] = []
     for name in order:
-        alike = [e.name for e in known.effects if e.name in merit and abs(merit[e.name] - merit[name]) < CLOSE
-                 and e.name not in {f.name for f in failed}]
-        same = [n for n in group(chosen[alike[0]], candidates, known.problem.mask) if n not in alike]
+        # nothing stands for what the recordings show for certain
+        alike = [name] if name in bench.certain else [
+            e.name for e in known.effects if e.name in merit and abs(merit[e.name] - merit[name]) < CLOSE
+            and e.name not in {f.name for f in failed}]
+        same = [] if name in bench.certain else [
+            n for n in group(chosen[alike[0]], candidates, known.problem.mask) if n not in alike]
         names = [*alike, *same]
         judged = {n: _judged(known, chosen[n], models[n], bench) for n in names if n in models}
         best = judged[names[0]]
@@ -247,7 +250,8 @@ def _tried(known: Known, significant, candidates: list[Candidate], bench: Bench)
                 best = judged[n]
         others = [n for n in names if n != best.candidate.name and (
             n not in judged or all_in_all(compared(best.errors, judged[n].errors)) < DIFFERENT)]
-        finding = Finding(best.candidate.name, [best.candidate.name, *others], best.parameters, best.candidate.gain,
+        sizes = bench.told(name, best.parameters) if best.against else best.parameters
+        finding = Finding(best.candidate.name, [best.candidate.name, *others], sizes, best.candidate.gain,
                           best.candidate.p_adjusted, not best.against, best.proof, best.against, drives=best.drives,
                           apart=best.apart, saves=saved(known.errors, best.errors))
         if not best.against:

@@ -107,6 +107,10 @@ class Effect:
         """The times that fixes stamped `time`, (m,) s, describe."""
         return time
 
+    def measured_times(self, name, time, values):
+        """The times that measurements of the input `name` besides the fixes, stamped `time`, (m,) s, describe."""
+        return time
+
     def distort_fixes(self, drive, time, position, values, rng):
         """What the receiver measures before its white noise: `position`, (m, 3) m in `n`, described at `time`."""
         return position

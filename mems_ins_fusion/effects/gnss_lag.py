@@ -4,7 +4,6 @@ from __future__ import annotations
 import numpy as np
 
 from mems_ins_fusion.effects.base import Effect, EffectParameter, added
-from mems_ins_fusion.effects.gnss_time_offset import later
 from mems_ins_fusion.parameters.parameter import Parameter
 
 
@@ -47,5 +46,5 @@ class GnssLag(Effect):
         return position + np.column_stack([np.interp(time, drive.time, axis) for axis in behind.T])
 
     def adjusted(self, values, theta):
-        values = later(values, theta.get('delay', 0.0))
+        values = added(values, 'gnss.time_offset', None, theta.get('delay', 0.0))
         return added(values, 'gnss.lag_per_acceleration', None, theta['lag'])

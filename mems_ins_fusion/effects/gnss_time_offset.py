@@ -3,9 +3,6 @@ from __future__ import annotations
 
 from mems_ins_fusion.effects.base import Effect, EffectParameter, added
 
-#: s from a fix's stamp to its arrival, which a filter has to remember beside the offset; and all that it can
-ARRIVAL, LONGEST = 0.5, 10.0
-
 
 class GnssTimeOffset(Effect):
     """A fix stamped t describes the vehicle when the IMU's clock read t - time_offset."""
@@ -26,11 +23,4 @@ class GnssTimeOffset(Effect):
         return time - values['time_offset']
 
     def adjusted(self, values, theta):
-        return later(values, theta['time_offset'])
-
-
-def later(values: dict, delay: float) -> dict:
-    """The parameters with fixes that describe a time `delay` s earlier still, and none of them too late for that."""
-    values = added(values, 'gnss.time_offset', None, delay)
-    needed = min(values['gnss.time_offset'] + ARRIVAL, LONGEST)
-    return {**values, 'gnss.max_delay': needed} if needed > values['gnss.max_delay'] else values
+        return added(values, 'gnss.time_offset', None, theta['time_offset'])

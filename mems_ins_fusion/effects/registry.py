@@ -3,6 +3,7 @@ from __future__ import annotations
 
 from mems_ins_fusion.effects.accelerometer_lever_arm import AccelerometerLeverArm
 from mems_ins_fusion.effects.accelerometer_scale import AccelerometerScale
+from mems_ins_fusion.effects.aiding_time_offset import TIME_OFFSETS
 from mems_ins_fusion.effects.base import Effect
 from mems_ins_fusion.effects.g_sensitivity import GSensitivity
 from mems_ins_fusion.effects.gnss_coloured_noise import GnssColouredNoise
@@ -25,5 +26,6 @@ from mems_ins_fusion.effects.tilt import Tilt
 EFFECTS: dict[str, Effect] = {effect.name: effect for effect in (
     GnssTimeOffset(), GnssLeverArm(), GnssColouredNoise(), AccelerometerScale(), GyroscopeScale(), MountingRotation(),
     Tilt(), GSensitivity(), Temperature(), AccelerometerLeverArm(), Sideslip(),
-    GnssLag(), GnssLatency(), RearAxle(), SpeedScale(), GyroscopeWarmUp(), GnssOutliers(), ImuRepeats(), ImuJitter(),
+    GnssLag(), GnssLatency(), RearAxle(), SpeedScale(), *TIME_OFFSETS, GyroscopeWarmUp(), GnssOutliers(),
+    ImuRepeats(), ImuJitter(),
 )}

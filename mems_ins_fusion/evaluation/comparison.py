@@ -13,7 +13,6 @@ import numpy as np
 from ..errors import InputError
 from ..filter.config import FilterConfig
 from ..filter.measurements import wheel_vibration
-from ..filter.measurements.registry import AIDING
 from ..filter.runs.replay import run as replay
 from ..filter.runs.results import Run
 from ..filter.runs.smoothing import smoothed
@@ -158,8 +157,8 @@ def add_noise(fixes: Fixes, sigma: float, seed: int) -> Fixes:
 
 def aiding_of(recording: Recording) -> Aiding:
     """What the filter may use of `recording` besides its fixes."""
-    streams = recording.streams()
-    return Aiding({m.name: streams[m.name] for m in AIDING if m.name in streams})
+    return Aiding({name: samples for name, samples in recording.streams().items()
+                   if name not in ('imu', 'gnss', 'reference', 'temperature')})
 
 
 def thin(fixes: Fixes, interval: float, start: int = 0) -> np.ndarray:

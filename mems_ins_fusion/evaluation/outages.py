@@ -28,7 +28,8 @@ class Outages:
     within: whether the error at the end (smoothed: in the middle) is inside the filter's own 95 % ellipse. time (g,): s
     after the begin; growth (o, g): horizontal error then, m; sigma (o, g): the filter's horizontal standard deviation,
     m. errors: of each. kept: m, the largest error had the vehicle kept the velocity that the filter knew at the begin:
-    what one has without an IMU.
+    what one has without an IMU. announced: s, for which the filter said at the begin that its error stays below
+    `horizon.limit` (NaN of smoothed ones); crossed: s, after which it was larger, inf where it never was.
     """
 
     duration: float
@@ -41,6 +42,8 @@ class Outages:
     sigma: np.ndarray
     errors: list[Errors]
     kept: np.ndarray
+    announced: np.ndarray
+    crossed: np.ndarray
 
     @property
     def apart(self) -> int:
@@ -51,7 +54,8 @@ class Outages:
         """Some of the outages; index: (o,) bool."""
         return Outages(self.duration, self.begin[index], self.max_error[index], self.distance[index],
                        self.within[index], self.time, self.growth[index], self.sigma[index],
-                       [errors for errors, wanted in zip(self.errors, index) if wanted], self.kept[index])
+                       [errors for errors, wanted in zip(self.errors, index) if wanted], self.kept[index],
+                       self.announced[index], self.crossed[index])
 
     @property
     def consistency(self) -> Consistency:
@@ -95,10 +99,11 @@ def outages_of(run: Run, coasting: Coasting, truth: Truth, durations, longest_ga
     durations = sorted(durations)
     driven = Distance(run)
     rows = [slice(first, last) for first, last in zip(coasting.first[:-1], coasting.first[1:])]
+    limit = coasting.run.config.parameters['horizon.limit']
     errors = [tuple(_errors(states, begin, truth, durations[-1], longest_gap)
                     for states in (coasting.run.states(mine), _kept(coasting.run.states(mine))))
               for mine, begin in zip(rows, coasting.begin)]
-    return [_measure(duration, _fitting(duration, coasting, errors, truth, run), driven, judged)
+    return [_measure(duration, _fitting(duration, coasting, errors, truth, run), driven, judged, limit)
             for duration in durations]
 
 
@@ -113,11 +118,11 @@ def smooth_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: T
 
 
 def _fitting(duration: float, coasting: Coasting, errors: list[Errors], truth: Truth, run: Run):
-    """Begin and errors of those outages that end before the recording does."""
+    """Begin, announced time and errors of those outages that end before the recording does."""
     if not len(run.stamp):  # a filter that never starts
         return []
     length, last = round(duration * 1e9), min(truth.reference.stamp[-1] if len(truth) else 0, run.stamp[-1])
-    return [(b, e) for b, e in zip(coasting.begin.tolist(), errors)
+    return [(b, a, e) for b, a, e in zip(coasting.begin.tolist(), coasting.announced.tolist(), errors)
             if b + length <= last and (e[0].stamp <= b + length).any()]
 
 
@@ -157,15 +162,17 @@ class Distance:
         return np.interp(stamp - self.stamp[0], self.stamp - self.stamp[0], self.driven)
 
 
-def _measure(duration, fits, driven, judged: float) -> Outages:
+def _measure(duration, fits, driven, judged: float, limit: float) -> Outages:
     length = round(duration * 1e9)
     time = np.linspace(0.0, duration, max(int(np.ceil(duration)), 2) + 1)[1:]
-    maxima, distance, within, growth, sigma, kept = [], [], [], [], [], []
-    fits = [(begin, *(errors.select(errors.stamp <= begin + length) for errors in both)) for begin, both in fits]
-    for begin, errors, without_imu in fits:
+    maxima, distance, within, growth, sigma, kept, crossed = [], [], [], [], [], [], []
+    fits = [(begin, announced, *(errors.select(errors.stamp <= begin + length) for errors in both))
+            for begin, announced, both in fits]
+    for begin, _, errors, without_imu in fits:
         kept.append(without_imu.horizontal.max())
         horizontal, after = errors.horizontal, (errors.stamp - begin) * 1e-9
         maxima.append(horizontal.max())
+        crossed.append(np.min(after[horizontal > limit], initial=np.inf))
         distance.append(float(driven.at(begin + length) - driven.at(begin)))
         within.append(errors.nees[min(int(judged * len(errors)), len(errors) - 1)] < NEES_95)
         growth.append(np.interp(time, after, horizontal))
@@ -173,7 +180,8 @@ def _measure(duration, fits, driven, judged: float) -> Outages:
     shape = (len(fits), len(time))
     return Outages(duration, np.array([b for b, *_ in fits], dtype=np.int64), np.array(maxima), np.array(distance),
                    np.array(within, dtype=bool), time, np.reshape(growth, shape), np.reshape(sigma, shape),
-                   [errors for _, errors, _ in fits], np.array(kept))
+                   [errors for _, _, errors, _ in fits], np.array(kept), np.array([a for _, a, *_ in fits]),
+                   np.array(crossed))
 
 
 def summary(outages: Outages) -> dict:
@@ -183,11 +191,20 @@ def summary(outages: Outages) -> dict:
     if not len(error):
         return {**numbers, **dict.fromkeys(('max_error_rms_m', 'max_error_mean_m', 'max_error_median_m',
                                             'max_error_p95_m', 'percent_of_distance', 'within_95_percent',
-                                            'velocity_kept_mean_m'))}
+                                            'velocity_kept_mean_m', 'announced_s', 'crossed_s',
+                                            'crossed_early_percent'))}
     distance = outages.distance.sum()
     return {**numbers, 'max_error_rms_m': rms(error), 'max_error_mean_m': float(error.mean()),
             'max_error_median_m': float(np.median(error)),
             'max_error_p95_m': float(np.percentile(error, 95)),
             'percent_of_distance': float(100 * error.sum() / distance) if distance > 1.0 else None,
             'within_95_percent': float(100 * outages.within.mean()),
-            'velocity_kept_mean_m': float(outages.kept.mean())}
+            'velocity_kept_mean_m': float(outages.kept.mean()), **_horizon(outages)}
+
+
+def _horizon(outages: Outages) -> dict:
+    """Medians of what was announced and of when the limit was crossed; None where it is not known, or most did not."""
+    announced, crossed = float(np.median(outages.announced)), float(np.median(outages.crossed))
+    known = not np.isnan(announced)
+    return {'announced_s': announced if known else None, 'crossed_s': crossed if np.isfinite(crossed) else None,
+            'crossed_early_percent': float(100 * np.mean(outages.crossed < outages.announced)) if known else None}

@@ -9,12 +9,13 @@ import numpy as np
 from ..effects.registry import EFFECTS
 from ..navigation.earth import STANDARD_GRAVITY
 from ..navigation.frames import FLU_TO_FRD, mounting
+from ..parameters.parameter import ParameterError
 from ..sensor_errors.from_parameters import error_models, per_axis
 from ..sensor_errors.models import GaussMarkov, Model, RandomWalk
 from .history import history_size
-from .kernel import LATEST
-from .measurements.base import SensorSettings
-from .measurements.registry import AIDING, MEASUREMENTS
+from .measurements.base import Measurement, SensorSettings
+from .measurements.pressure import Barometer
+from .measurements.registry import aiding, inputs
 from .measurements.wheel_vibration import Ear
 from .measurements.wheel_vibration import begin as begin_listening
 from .memory import (
@@ -35,8 +36,11 @@ from .memory import (
 from .trust.drift import DriftSettings
 from .trust.imu_faults import Imu
 from .trust.lag import LagSettings
+from .trust.scale import Inputs
 from .trust.white_noise import White
 
+#: a measurement may come this much before the IMU samples of its time, s: who is further ahead has another clock
+AHEAD = 1.0
 #: the fastest IMU for which all of gnss.max_delay is remembered, Hz
 FASTEST_IMU = 1000
 #: and the most measurements a second, of all inputs together: of speed, velocity and heading at 100 Hz with a fix at
@@ -152,7 +156,8 @@ class FilterConfig:
     extras: tuple[Extra, ...]
     imu: ImuSettings
     gnss: GnssSettings
-    sensors: dict[str, SensorSettings]  # of the measurements besides the fixes, by name
+    inputs: dict[int, Measurement]  # by number
+    sensors: dict[int, SensorSettings]  # of those besides the fixes, by number
     alignment: AlignmentSettings
     vehicle: VehicleSettings
     wheel_vibration: str  # off, report or on
@@ -163,6 +168,10 @@ class FilterConfig:
     def from_parameters(cls, values: dict) -> FilterConfig:
         """From checked parameters (`parameters.table.check`). Raises ParameterError where they do not fit together."""
         mechanization = STRAPDOWN if values['mechanization'] == 'strapdown' else PLANAR
+        for measurement in aiding(values) if mechanization == PLANAR else ():
+            if measurement.kind == Kind.PRESSURE and values[measurement.topic]:
+                raise ParameterError(f"parameter '{measurement.topic}' needs mechanization strapdown: planar has no "
+                                     'height')
         rotation = mounting(values['imu.mounting_rpy'])
         mixing = np.kron(np.eye(2), rotation)
         along = np.abs(mixing).argmax(axis=1)  # the sensor axis that lies along each body axis
@@ -189,19 +198,37 @@ class FilterConfig:
             mechanization=mechanization, open_loop=values['feedback'] == 'open', models=_equal_order(models),
             white=white, turn_on_sigma=np.array(constant), conditioning=conditioning,
             offset=-conditioning @ sensors('bias'), extras=_extras(values, mechanization), imu=_imu(values),
-            gnss=_gnss(values), sensors={measurement.name: measurement.settings(values) for measurement in AIDING},
+            gnss=_gnss(values), inputs=inputs(values),
+            sensors={measurement.number: measurement.settings(values) for measurement in aiding(values)},
             alignment=_alignment(values), vehicle=_vehicle(values),
             wheel_vibration=values['wheel_vibration'],
             datum=np.array([math.radians(datum[0]), math.radians(datum[1]), datum[2]]) if datum else None,
             parameters=values)
 
-    def settings_of(self, kind: int) -> GnssSettings | SensorSettings:
-        """Of the measurement with this number."""
-        return self.gnss if kind == Kind.POSITION else self.sensors[MEASUREMENTS[kind].name]
+    def settings_of(self, number: int) -> GnssSettings | SensorSettings:
+        """Of the input with this number."""
+        return self.gnss if number == Kind.POSITION else self.sensors[number]
+
+    def time_offset_of(self, number: int) -> float:
+        """s, by which the stamps of the input with this number are late against the IMU's clock."""
+        measurement, own = self.inputs[number], self.settings_of(number).time_offset
+        of_receiver = measurement.of_antenna and measurement.is_plain and measurement.kind != Kind.POSITION
+        return own + (self.gnss.time_offset if of_receiver else 0.0)
+
+    @property
+    def latest(self) -> float:
+        """s: a measurement may arrive this much later than the IMU samples of its time; by a declared offset all do."""
+        return self.gnss.max_delay + max(0.0, *map(self.time_offset_of, self.inputs))
+
+    @property
+    def ahead(self) -> float:
+        """s: and this much before them."""
+        return AHEAD + max(0.0, *(-self.time_offset_of(number) for number in self.inputs))
 
     @property
     def layout(self) -> StateLayout:
-        return StateLayout(self.mechanization, self.models[0].order, tuple(extra.name for extra in self.extras))
+        return StateLayout(self.mechanization, self.models[0].order, tuple(extra.name for extra in self.extras),
+                           sum(not measurement.is_plain for measurement in self.inputs.values()))
 
     @property
     def first_variance(self) -> np.ndarray:
@@ -217,13 +244,13 @@ class FilterConfig:
     @property
     def capacity(self) -> int:
         """States and samples remembered for fixes that come late: a power of two, small enough for the cache."""
-        return 2 ** math.ceil(math.log2(self.gnss.max_delay * FASTEST_IMU + 16))
+        return 2 ** math.ceil(math.log2(self.latest * FASTEST_IMU + 16))
 
     @property
     def event_capacity(self) -> int:
         """Measurements remembered: twice those of gnss.max_delay, as the older half is forgotten at once, and of those
         that come before the IMU's samples of their time as well."""
-        return 2 * math.ceil(MOST_MEASUREMENTS * (self.gnss.max_delay + LATEST))
+        return 2 * math.ceil(MOST_MEASUREMENTS * (self.latest + self.ahead))
 
     def correctors(self) -> list:
         """What takes the effects that the parameters declare out of samples in sensor axes, in order."""
@@ -261,10 +288,11 @@ class FilterConfig:
             Head.COLOURED: layout.index('coloured_n'), Head.MOUNTING_PITCH: layout.index('mounting_pitch'),
             Head.MOUNTING_YAW: layout.index('mounting_yaw'), Head.AXLE: layout.index('axle_x'),
             Head.AXLE_ACROSS: layout.index('axle_y'), Head.SPEED_SCALE: layout.index('speed_scale'),
-            Head.TIME_OFFSET: layout.index('time_offset'),
+            Head.TIME_OFFSET: layout.index('time_offset'), Barometer.BIAS: layout.index('pressure_bias'),
             Head.ACCELEROMETER_INTERVAL: self.models[0].interval or 0.0,
             Head.GYROSCOPE_INTERVAL: self.models[-1].interval or 0.0,
-            Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: gnss.max_delay, Head.ROBUST_SIGMA: gnss.robust_sigma,
+            Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: self.latest, Head.AHEAD: self.ahead,
+            Head.ROBUST_SIGMA: gnss.robust_sigma,
             Head.GATE: gnss.gate, Head.RECOVERY_TIME: gnss.recovery_time, Head.ADAPT: gnss.adapt_sigma,
             LagSettings.GAIN: gnss.lag_gain, LagSettings.TIME: gnss.lag_time,
             Head.COVARIANCE_FACTOR: gnss.adapt_covariance,
@@ -275,6 +303,7 @@ class FilterConfig:
             Head.ZERO_VELOCITY_SIGMA: vehicle.zero_velocity_sigma, Head.LATERAL_SIGMA: vehicle.lateral_sigma,
             Head.VERTICAL_SIGMA: vehicle.vertical_sigma, Head.ANGLE_SIGMA: vehicle.angle_sigma,
             Head.SIDESLIP: vehicle.sideslip, Head.SLIP_SIGMA: vehicle.sideslip_sigma,
+            Inputs.COUNT: layout.inputs,
             Imu.MAX_FORCE: self.imu.max_specific_force, Imu.MAX_RATE: self.imu.max_angular_rate,
         }
         for column, value in settings.items():
@@ -334,10 +363,10 @@ def _extras(values: dict, mechanization: int) -> tuple[Extra, ...]:
         slow('mounting_yaw', values['imu.mounting_sigma'])
         slow('axle_x', values['vehicle.rear_axle_sigma'])
     slow('time_offset', values['gnss.time_offset_sigma'], values['gnss.time_offset_walk'])
-    for measurement in AIDING:
+    for measurement in aiding(values):
         if values[measurement.topic]:
-            for name, sigma in measurement.states(values).items():
-                slow(name, sigma)
+            for name, (sigma, walk) in measurement.states(values).items():
+                slow(name, sigma, walk)
     return tuple(extras)
 
 

@@ -53,8 +53,6 @@ TAKEN, BEFORE_START, TOO_LATE, FORGOTTEN = 0, 1, 2, 3
 SHORTEST_RESTART = 1.5
 #: so long a sample that is not believed is replaced by what the vehicle did before it, s; after that by no motion
 HELD = 0.3
-#: a measurement that came before an IMU sample may be this much later than it, s
-LATEST = 1.0
 #: m/s: what is added to the sigma of the velocity where a state was not finite and the one before it is taken
 RESTART_VELOCITY = 1.0
 #: rad: and to that of the attitude
@@ -149,7 +147,7 @@ def _take_sample(memory, samples, i):
     elif fault < Fault.WHIRL and memory[before + Nav.BRIDGED] < HELD:
         _condition(memory, sample, Imu.CENTRE)
     else:
-        _coast(memory, sample, before)
+        coast(memory, sample, before)
     if dt > memory[Head.MAX_GAP] and k > 1:  # nobody knows what was in between: the mean of both ends is the best guess
         last = place(sample_at(memory, k - 1))
         for j in range(6):
@@ -185,7 +183,7 @@ def _take_told_speed(memory, k):
 def _refuse_ahead(memory, time):
     """A measurement that came before this sample is not of a time long after it, unless the clocks differ."""
     i = int(memory[Head.EVENTS]) - 1
-    while i >= 0 and memory[event_at(memory, i) + Event.TIME] > time + LATEST:
+    while i >= 0 and memory[event_at(memory, i) + Event.TIME] > time + memory[Head.AHEAD]:
         memory[event_at(memory, i) + Event.VERDICT] = Verdict.AHEAD
         i -= 1
 
@@ -202,7 +200,7 @@ def _condition(memory, sample, raw):
 
 
 @njit(_nrt=False)
-def _coast(memory, sample, r):
+def coast(memory, sample, r):
     """The sample of a vehicle that goes straight on at its speed, from the state at r."""
     memory[sample + Sample.COASTED] = 1.0
     c = body_to_level(memory, r)

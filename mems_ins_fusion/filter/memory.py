@@ -3,6 +3,7 @@
 One row of floats is one state of the filter: navigation solution, estimated errors x, covariance P.
 
     nav (NAV) | x (n) | P: navigation block, packed upper triangle | cross block (m, N) | augmented block (m, m)
+    | scales of the named inputs
 
 The N navigation error states (5 planar, 9 strapdown) are followed by m augmented states: the sensor error models, one
 block of p states for each channel, then the optional states that the configuration asks for. n = N + m.
@@ -65,43 +66,39 @@ class _Nav(NamedTuple):
     LATERAL_NIS: int = 33  # running mean of what the constraints say against the state
     VERTICAL_NIS: int = 34
     BRIDGED: int = 35  # s, within the last minute or so, without a believable IMU sample
-    DOUBT: int = 36  # fixes refused lately less those that fitted well
-    WEIGHTED: int = 37  # fixes that did not fit one after the other, the first of them weighted down
-    STRAYED: int = 38  # resets to refused fixes from which the filter had strayed, soon after each other,
-    STRAYED_TIME: int = 39  # and when the last one was
-    PROVEN: int = 40  # m/s: changes of velocity in which fixes have confirmed the IMU; below 0: no more
-    PROVEN_N: int = 41  # the velocity at the last fix
-    PROVEN_E: int = 42
+    WEIGHTED: int = 36  # fixes that did not fit one after the other, the first of them weighted down
+    STRAYED: int = 37  # resets to refused fixes from which the filter had strayed, soon after each other,
+    STRAYED_TIME: int = 38  # and when the last one was
     # what the innovations show of the covariance, see trust/receiver.py
-    SLOW_N: int = 43  # low-passed whitened innovations of the fixes, and the variance they have when white
-    SLOW_E: int = 44
-    SLOW_VARIANCE: int = 45
-    VARIANCE_FACTOR: int = 46  # realised over expected variance of them; below 1 it counts as 1
-    CLAIM_LEVEL: int = 47  # mean logarithm of the claimed variance, m^2
-    LASTING: int = 48  # variance of the receiver's errors that last, m^2: the position has them, too
+    SLOW_N: int = 39  # low-passed whitened innovations of the fixes, and the variance they have when white
+    SLOW_E: int = 40
+    SLOW_VARIANCE: int = 41
+    VARIANCE_FACTOR: int = 42  # realised over expected variance of them; below 1 it counts as 1
+    CLAIM_LEVEL: int = 43  # mean logarithm of the claimed variance, m^2
+    LASTING: int = 44  # variance of the receiver's errors that last, m^2: the position has them, too
     # who is right, fixes or IMU, see trust/contradiction.py
-    SLIDING: int = 49  # NIS of the lateral constraint lately, and as is usual for this vehicle
-    USUAL_SLIDING: int = 50
-    UNSETTLED: int = 51  # s for which the fixes are still to decide
-    DRAWN_N: int = 52  # by what fixes in dispute have changed position, m, and velocity, m/s, until the last fix
-    DRAWN_E: int = 53
-    DRAWN_V_N: int = 54
-    DRAWN_V_E: int = 55
-    LEFT_N: int = 56  # m: and how far they still are from it
-    LEFT_E: int = 57
-    IN_DISPUTE: int = 58  # s for which whatever fixes change still counts
-    MISFITS: int = 59  # how many of the latest fixes did not fit
-    CONTESTED: int = 60  # above 0: so many that it was no chance; fades with what they have drawn
-    STOOD: int = 61  # time of the latest standstill, and the velocity that it took away, m/s
-    TAKEN_N: int = 62
-    TAKEN_E: int = 63
+    SLIDING: int = 45  # NIS of the lateral constraint lately, and as is usual for this vehicle
+    USUAL_SLIDING: int = 46
+    UNSETTLED: int = 47  # s for which the fixes are still to decide
+    MOVED_N: int = 48  # by what fixes that do not fit have moved position, m, and velocity, m/s, until the last fix
+    MOVED_E: int = 49
+    MOVED_V_N: int = 50
+    MOVED_V_E: int = 51
+    LEFT_N: int = 52  # m: and how far they still are from it
+    LEFT_E: int = 53
+    MISFIT_FOR: int = 54  # s for which whatever fixes change still counts
+    MISFITS: int = 55  # how many of the latest fixes did not fit
+    UNDECIDED: int = 56  # above 0: too many fixes did not fit for chance; fades with how far they have moved the state
+    STOOD: int = 57  # time of the latest standstill, and the velocity that it took away, m/s
+    TAKEN_N: int = 58
+    TAKEN_E: int = 59
     # what has happened to this state, for who wants to say it
-    SIDEWAYS: int = 64  # s in which the vehicle did not keep to the non-holonomic constraint
-    SLID: int = 65  # s in which a slide showed that the IMU misled the filter
-    RESTARTS: int = 66  # states that were not finite and were taken back
-    RECOVERIES: int = 67  # resets to fixes that had been refused
-    MECHANISMS: int = 68  # the first of those that the mechanisms ask for (`ROW`), and room for them
-    SIZE: int = 152
+    SIDEWAYS: int = 60  # s in which the vehicle did not keep to the non-holonomic constraint
+    SLID: int = 61  # s in which a slide showed that the IMU misled the filter
+    RESTARTS: int = 62  # states that were not finite and were taken back
+    RECOVERIES: int = 63  # resets to fixes that had been refused
+    MECHANISMS: int = 64  # the first of those that the mechanisms ask for (`ROW`), and room for them
+    SIZE: int = 148
 
 
 Nav = _Nav()
@@ -133,11 +130,12 @@ Error = _Error()
 @dataclass(frozen=True)
 class StateLayout:
     """Which state stands where. mechanization: PLANAR or STRAPDOWN. order: states of each sensor channel, p. extras:
-    names of the optional states, in order."""
+    names of the optional states, in order. inputs: how many have a name, each with a scale at the end of a row."""
 
     mechanization: int
     order: int
     extras: tuple[str, ...] = ()
+    inputs: int = 0
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -206,10 +204,14 @@ def packed(i, j, size):
     return i * size - i * (i - 1) // 2 + j - i
 
 
+#: floats of a named input at the end of a row: its `Scale`
+INPUT_SIZE = 3
+
+
 def row_width(layout: StateLayout) -> int:
     """Floats in one row."""
     n, m = layout.n_navigation, layout.n_augmented
-    return NAV + n + m + n * (n + 1) // 2 + m * (n + m)
+    return NAV + n + m + n * (n + 1) // 2 + m * (n + m) + INPUT_SIZE * layout.inputs
 
 
 @njit(_nrt=False)
@@ -377,8 +379,9 @@ class _Head(NamedTuple):
     FORGOTTEN: int = 87  # time of the latest measurement that is not remembered any more: no state goes back behind it
     ROWS: int = 88  # index of each of the nine navigation errors (`Error`) among the states, -1: not there
     CHANNEL: int = 97  # number of the channel of each of f_x, f_y, f_z, w_x, w_y, w_z, -1: not used
-    MECHANISMS: int = 103  # the first of those that the mechanisms ask for (`HEAD`), and room for them
-    SIZE: int = 173
+    AHEAD: int = 103  # s: a measurement that came before an IMU sample may be this much later than it
+    MECHANISMS: int = 104  # the first of those that the mechanisms ask for (`HEAD`), and room for them
+    SIZE: int = 174
 
 
 Head = _Head()
@@ -423,6 +426,8 @@ class _Kind(NamedTuple):
     ZERO_RATE: int = 6
     NON_HOLONOMIC: int = 7
     WHEEL_VIBRATION: int = 8
+    PRESSURE: int = 9
+    PLACE: int = 10  # a fix of a further receiver
 
 
 Kind = _Kind()
@@ -459,7 +464,10 @@ class _Event(NamedTuple):
     V_N: int = 21
     V_E: int = 22
     WITHDRAWN: int = 23  # 1: it has turned out to be wrong by what came after it
-    SIZE: int = 24
+    INPUT: int = 24  # number of the named input that it is from, from 1 on; 0: the plain one, of which the head knows
+    STATE: int = 25  # of a named input: index of its own optional state among all n; -1: none
+    ARM: int = 26  # and three, from the IMU to where it is measured, body axes, m
+    SIZE: int = 29
 
 
 Event = _Event()

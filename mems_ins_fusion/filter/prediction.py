@@ -17,6 +17,7 @@ from ..navigation import planar, strapdown
 from ..navigation.earth import gravity, radii
 from .measurements import acceleration
 from .memory import (
+    INPUT_SIZE,
     NAV,
     PLANAR,
     WHITE,
@@ -37,6 +38,7 @@ from .memory import (
 from .trust.drift import Drift, DriftSettings
 from .trust.imu_faults import LONGEST_WHIRL, Fault
 from .trust.lag import LagSettings, fall_behind
+from .trust.scale import Inputs
 from .trust.white_noise import density
 
 #: what a land vehicle may do unseen while the IMU is silent (one sigma): the covariance of a bridged gap
@@ -63,6 +65,9 @@ def predict(mem, src, dst, sample, dt):
     else:
         _step_planar(mem, src, dst, sample, dt, m, p)
     for k in range(Nav.MEMORY, NAV):
+        mem[dst + k] = mem[src + k]
+    width = place(int(mem[Head.WIDTH]))
+    for k in range(width - INPUT_SIZE * int(mem[Inputs.COUNT]), width):
         mem[dst + k] = mem[src + k]
     if mem[LagSettings.TIME] > 0.0:
         fall_behind(mem, src, dst, dt)

@@ -11,7 +11,17 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation import strapdown
 from . import history
-from .measurements import acceleration, heading, non_holonomic, position, speed, standstill, velocity, wheel_vibration
+from .measurements import (
+    acceleration,
+    heading,
+    non_holonomic,
+    position,
+    pressure,
+    speed,
+    standstill,
+    velocity,
+    wheel_vibration,
+)
 from .measurements.geometry import angular_rate, body_to_level, vehicle_to_level
 from .memory import (
     NAV,
@@ -35,7 +45,7 @@ from .prediction import set_radii
 from .trust import contradiction, receiver, straight_on
 from .trust.drift import learn_drift
 from .trust.imu_faults import Imu
-from .trust.scale import KINDS, Kinds, Scale, learn, scale
+from .trust.scale import learn, scale, scale_at
 from .trust.white_noise import hides_turns
 
 #: standstill and non-holonomic constraints are applied this often, s: their errors last about as long
@@ -178,7 +188,7 @@ def _judge(mem, r, at, n, dimensions):
     of something wrong comes to where both agree, and the other measurements decide.
     """
     p, kind = int(mem[Head.SCRATCH_AT]), int(mem[at + Event.KIND])
-    h, scale_at = p + n * n, r + Kinds.SCALE + Scale.SIZE * (kind % KINDS)
+    h, own = p + n * n, scale_at(mem, r, at)
     column, dimensions = h + 3 * n, min(dimensions, 2)
     squared, claimed, variance = 0.0, mem[at + Event.R_NN], 0.0
     for k in range(dimensions):
@@ -186,9 +196,9 @@ def _judge(mem, r, at, n, dimensions):
         variance += _project(mem, n, h + n * k, column) / dimensions
     if dimensions > 1:
         claimed = 0.5 * (claimed + mem[at + Event.R_EE])
-    before = max(scale(mem, scale_at), 1.0)
-    learn(mem, scale_at, mem[at + Event.TIME], squared, claimed, variance, dimensions)
-    factor = max(scale(mem, scale_at), 1.0)
+    before = max(scale(mem, own), 1.0)
+    learn(mem, own, mem[at + Event.TIME], squared, claimed, variance, dimensions)
+    factor = max(scale(mem, own), 1.0)
     confirmed = kind != Kind.HEADING and mem[at + Event.TIME] - mem[r + Nav.FIX_TIME] < NO_FIX
     if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * claimed + variance):
         return factor
@@ -292,6 +302,10 @@ def apply_event(mem, r, at, sample):
         dimensions = velocity.observe(mem, r, at, h, n, c, sample)
     elif kind == Kind.SPEED:
         dimensions = speed.observe(mem, r, at, h, n, c, sample)
+    elif kind == Kind.PRESSURE:
+        dimensions = pressure.observe(mem, r, at, h)
+    elif kind == Kind.PLACE:
+        dimensions = position.observe_place(mem, r, at, h, n, c)
     else:
         dimensions = heading.observe(mem, r, at, h, n, c)
     if kind != Kind.POSITION:
@@ -307,7 +321,7 @@ def apply_event(mem, r, at, sample):
     if kind == Kind.POSITION:
         left_n, left_e, _ = position.difference(mem, r, at, body_to_level(mem, r))
         straight_on.pull(mem, r, before, contradiction.estimate(mem, r))
-        contradiction.dispute(mem, r, at, before, left_n, left_e)
+        contradiction.note_misfit(mem, r, at, before, left_n, left_e)
         receiver.learn(mem, r, at, left_n, left_e)
         learn_drift(mem, r)
 

@@ -19,7 +19,7 @@ from ..evaluation.comparison import aiding_of, samples_to_keep, thin, truth_of
 from ..evaluation.metrics import NEES_95, Truth, position_errors
 from ..evaluation.outages import SETTLING, Distance, outage_begins
 from ..filter.config import FilterConfig
-from ..filter.measurements.registry import AIDING
+from ..filter.measurements.registry import aiding
 from ..filter.runs.replay import run as replay
 from ..navigation.earth import to_local
 from ..navigation.frames import FLU_TO_FRD, mounting
@@ -113,15 +113,15 @@ _OF_RECORDING = ('bag', 'output_dir', 'reference_topic', 'reference_file', 'star
 
 def _not_default(values: dict) -> dict:
     defaults = table.defaults()
-    return {name: value for name, value in values.items() if value != defaults[name] and name not in _OF_RECORDING}
+    return {name: value for name, value in values.items() if value != defaults.get(name) and name not in _OF_RECORDING}
 
 
 def _write(recording: Recording, path: Path, values: dict) -> None:
-    topics = {name: values[name] for name in ('temperature_topic', *(measurement.topic for measurement in AIDING))
+    topics = {name: values[name] for name in ('temperature_topic', *(one.topic for one in aiding(values)))
               if values[name]}
     # a filter that is given the truth is no filter
     write_recording(replace(recording, reference=None), path, imu_topic=values['imu_topic'],
-                    gnss_topic=values['gnss_topic'], **topics)
+                    gnss_topic=values['gnss_topic'], inputs=aiding(values), **topics)
 
 
 #: KF-GINS starts where it is told; so long after this package's filter has started, s, it is told where

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..filter.measurements.registry import MEASUREMENTS
 from ..navigation.earth import from_local, to_local
 from ..navigation.frames import mounting
 from ..samples import Recording
@@ -38,13 +39,11 @@ class Variant:
 def shifted(recording: Recording, values: dict, datum: tuple) -> Recording:
     """All stamps a microsecond later."""
     def later(samples):
-        if samples is None:
-            return None
         moved = {name: getattr(samples, name) + SHIFT for name in ('stamp', 'received') if hasattr(samples, name)}
         return replace(samples, **moved)
 
-    names = ('imu', 'gnss', 'temperature', 'speed', 'velocity', 'heading')
-    return replace(recording, **{name: later(getattr(recording, name)) for name in names})
+    return recording.having({name: later(samples) for name, samples in recording.streams().items()
+                             if name != 'reference'})
 
 
 def turned(recording: Recording, values: dict, datum: tuple) -> Recording:
@@ -121,14 +120,14 @@ def withheld(recording: Recording, begins: np.ndarray, duration: float, time_off
     A fix at a begin is the last one before the outage. time_offset: s, as `gnss.time_offset`.
     """
     def outside(samples):
-        if samples is None:
-            return None
         stamp = samples.stamp - round(time_offset * 1e9)
         last = np.searchsorted(begins, stamp, side='left') - 1  # the last begin before each
         after = stamp - np.append(begins, np.iinfo(np.int64).max)[last]
         return samples.select(~((last >= 0) & (after <= round(duration * 1e9))))
 
-    return replace(recording, **{name: outside(getattr(recording, name)) for name in ('gnss', 'velocity', 'heading')})
+    told = tuple(measurement.samples for measurement in MEASUREMENTS.values() if measurement.from_satellites)
+    return recording.having({name: outside(samples) for name, samples in recording.streams().items()
+                             if isinstance(samples, told)})
 
 
 def interleaved(fixes: np.ndarray, first: int, spacing: float, duration: float, recovery: float) -> list[np.ndarray]:

@@ -6,7 +6,7 @@ from collections import deque
 
 import numpy as np
 
-from ..filter.measurements.registry import AIDING
+from ..filter.measurements.registry import aiding
 from ..recordings.aiding import COMPARED, check_aiding
 from ..recordings.findings import INFO
 from ..recordings.motion import valid_fixes
@@ -27,7 +27,7 @@ class AidingCheck:
     """
 
     def __init__(self, values: dict):
-        self._measurements = {measurement.name: measurement for measurement in AIDING if values.get(measurement.topic)}
+        self._measurements = {one.name: one for one in aiding(values) if values.get(one.topic)}
         self._rows: dict[str, deque] = {name: deque(maxlen=round(RATE * MEMORY)) for name in self._measurements}
         self._fixes: deque[tuple] = deque(maxlen=round(RATE * MEMORY))
         self._looks = dict.fromkeys(self._measurements, LOOKS)

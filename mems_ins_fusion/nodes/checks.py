@@ -6,12 +6,11 @@ from collections.abc import Callable
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.validate_topic_name import validate_topic_name
 
-from ..filter.measurements.registry import AIDING
+from ..filter.measurements.registry import aiding
 from ..parameters.parameter import ParameterError
 
 #: parameters that name a topic the node listens to, and those it speaks on
-INPUTS = ('imu_topic', 'gnss_topic', 'temperature_topic', *(measurement.topic for measurement in AIDING),
-          'initial_pose_topic')
+INPUTS = ('imu_topic', 'gnss_topic', 'temperature_topic', 'initial_pose_topic')
 OUTPUTS = ('odometry_topic', 'fix_topic', 'pose_topic')
 
 
@@ -25,7 +24,7 @@ def check_together(values: dict, resolve: Callable[[str], str]) -> None:
 
 def _check_topics(values, resolve):
     purposes: dict[str, str] = {}
-    for name in (*INPUTS, *OUTPUTS):
+    for name in (*INPUTS, *(measurement.topic for measurement in aiding(values)), *OUTPUTS):
         if not values.get(name):
             if name in ('imu_topic', 'gnss_topic', 'odometry_topic', 'fix_topic', 'pose_topic'):
                 raise ParameterError(f"parameter '{name}' must name a topic, got ''")

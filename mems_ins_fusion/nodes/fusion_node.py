@@ -25,11 +25,13 @@ from ..parameters.table import ALL, FILTER, FUSION
 from ..recordings.units import ACCELERATION, RATE
 from .checks import check_together
 from .estimates import NO_EVENTS, Estimates
+from .horizon import HorizonOutput
 from .inputs import Input, Queue, aiding_inputs
 from .loading import load
 from .log import Log
 from .monitor import PERIOD, Monitor
 from .mounting import mounting_from_tf
+from .online import OnlineDiagnosis
 from .output import tf_message
 from .places import geographic_services, start_from_parameters, start_from_pose, world_frame
 from .ros_parameters import declare, refuse_unused_qos_overrides
@@ -72,10 +74,12 @@ class FusionNode(Node):
         self._start = start_from_parameters(values) if values['start_pose'] else None
         self._datum = None
         self._estimates = Estimates(self, self._filter, values, self._log)
+        self._horizon = HorizonOutput(self, self._filter, values)
         self._verdicts = Verdicts(self, self._filter, values)
         self._datum_publisher = self.create_publisher(NavSatFix, '~/datum', _LATCHED, **NO_EVENTS)
         inputs = self._subscribe(values)
-        self._monitor = Monitor(self, self._filter, inputs, self._verdicts, values, self._log)
+        self._online = OnlineDiagnosis(self, values, self._log) if values['diagnosis.online'] != 'off' else None
+        self._monitor = Monitor(self, self._filter, inputs, self._verdicts, values, self._log, self._online)
         self._serve()
         refuse_unused_qos_overrides(self, [told.topic_name for told in inputs if not told.is_subscribed])
         self.add_on_set_parameters_callback(self._check_changes)
@@ -92,7 +96,11 @@ class FusionNode(Node):
     def serve(self, stop: Stop) -> None:
         """Work until `stop` is requested."""
         self.get_logger().info(self._ready)
-        spin(self, stop)
+        try:
+            spin(self, stop)
+        finally:
+            if self._online:
+                self._online.close()
         if self._state_file:
             self._save()
 
@@ -137,11 +145,15 @@ class FusionNode(Node):
         sample = (now, force.x * force_unit, force.y * force_unit, force.z * force_unit,
                   rate.x * rate_unit, rate.y * rate_unit, rate.z * rate_unit)
         self._monitor.mounting.add_sample(sample)
+        if self._online:
+            self._online.add_sample(sample)
         if self._filter.add_imu(*sample, x, y, z, w):
             self._estimates.on_sample(now)
+            self._horizon.on_sample(now)
             return
         if self._filter.state in BEFORE_START:
             self._estimates.stop()
+            self._horizon.stop(now)
             if not self._monitor.mounting.is_certainly_wrong:
                 self._begin()
         self.report()  # why there is no estimate
@@ -157,12 +169,16 @@ class FusionNode(Node):
                message.position_covariance_type)
         self._monitor.mounting.add_fix(fix)
         self._monitor.aiding.add_fix(fix)
+        if self._online:
+            self._online.add_fix(fix)
         if not self._monitor.mounting.is_certainly_wrong:  # without a fix the filter does not start again
             self._filter.add_fix(*fix)
         self.report()
 
     def _before_aiding(self, name, stamp, numbers):
         self._monitor.aiding.add(name, stamp, numbers)
+        if self._online:
+            self._online.add(name, stamp, numbers)
 
     def _on_temperature(self, message, info):
         self._temperature.traffic.take(message.header, info)

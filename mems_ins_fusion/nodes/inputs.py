@@ -14,7 +14,7 @@ from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from ..filter.measurements.base import Measurement
-from ..filter.measurements.registry import AIDING
+from ..filter.measurements.registry import aiding
 from ..recordings.reading import thinned
 from .traffic import Traffic
 
@@ -208,8 +208,8 @@ def aiding_inputs(node: Node, queue: Queue, values: dict, fusion, before: Callab
 
     before: called with name, stamp (ns) and numbers of each before the filter has them.
     """
-    return [_aiding(node, queue, measurement, values[measurement.topic], fusion, before) for measurement in AIDING
-            if values.get(measurement.topic)]
+    return [_aiding(node, queue, one, values[one.topic], fusion, before) for one in aiding(values)
+            if values.get(one.topic)]
 
 
 def _aiding(node, queue, measurement, topic, fusion, before) -> Input:

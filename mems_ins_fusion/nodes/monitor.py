@@ -13,6 +13,7 @@ from .estimates import NO_EVENTS
 from .inputs import Input
 from .log import Log, StateLog
 from .mounting_check import MountingCheck
+from .online import OnlineDiagnosis
 from .preflight import Preflight
 from .status import BEFORE_START, ERROR, SILENT, WARN, InputStatus, array, by_the_clock, filter_status, level_of
 from .verdicts import Verdicts
@@ -32,9 +33,9 @@ class Monitor:
     """
 
     def __init__(self, node: Node, fusion: FusionFilter, inputs: list[Input], verdicts: Verdicts, values: dict,
-                 log: Log):
+                 log: Log, online: OnlineDiagnosis | None = None):
         self._node, self._fusion, self._inputs, self._verdicts, self._log = node, fusion, inputs, verdicts, log
-        self._imu = inputs[0]
+        self._imu, self._online = inputs[0], online
         self.mounting, self.aiding = MountingCheck(values), AidingCheck(values)
         self._statuses = [InputStatus(told) for told in inputs]
         self._preflight = Preflight(inputs, values)
@@ -115,7 +116,8 @@ class Monitor:
             health[f'messages on {told.topic_name}, Hz'] = told.traffic.hertz
         name = self._node.get_name()
         statuses = [filter_status(name, state, level, since, reasons, health),
-                    *(self._input_status(name, status, health) for status in self._statuses)]
+                    *(self._input_status(name, status, health) for status in self._statuses),
+                    *(self._online.look() if self._online else [])]
         self._diagnostics.publish(array(self._node.get_clock().now().nanoseconds, statuses))
 
     def _judge(self) -> tuple[str, list[str], dict]:
@@ -128,8 +130,15 @@ class Monitor:
         if state in BEFORE_START:
             reasons = [health['status']]
         elif state == 'coasting':
-            reasons = [f"no fix used for {health['age of the last fix used, s']:.0f} s", *reasons]
+            reasons = [f"no fix used for {health['age of the last fix used, s']:.0f} s", *self._left(health), *reasons]
         return state, reasons, health
+
+    @staticmethod
+    def _left(health: dict) -> list[str]:
+        """The countdown of an outage."""
+        left, limit = health['trust horizon, s'], health['trust horizon to, m']
+        return [f'the error stays below {limit:g} m for {left:.0f} s more' if left > 0.0 else
+                f'the error may be larger than {limit:g} m']
 
     def _input_status(self, name: str, status: InputStatus, health: dict) -> DiagnosticStatus:
         told, age, more = status.input, 'age of the last fix used, s', {}

@@ -68,7 +68,8 @@ class Preflight:
             return 'nothing to compare', 'no samples, or no fixes'
         difference = fix - imu + self._values['gnss.time_offset']
         seen = f"stamps of the fixes are {difference:.3f} s older than the IMU's when they arrive"
-        if not -0.1 < difference < self._values['gnss.max_delay']:
+        beside = max(self._values['gnss.time_offset'], 0.0)
+        if not -0.1 < difference < self._values['gnss.max_delay'] + beside:
             return seen, 'the clocks differ: set gnss.time_offset (`configure` finds it), or synchronize them'
         if abs(imu) > _OTHER_CLOCK:
             seen += f"; all are {abs(imu):.3g} s {'behind' if imu > 0 else 'ahead of'} the node's own clock"

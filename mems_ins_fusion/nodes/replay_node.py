@@ -68,8 +68,7 @@ def _tell(result, verbose: bool) -> None:
     from ..reports.report import summary_table
 
     for recording in result.content['recordings']:
-        errors = [finding['message'] for finding in recording['findings'] if finding['severity'] == 'error']
-        for warning in (*recording['warnings'], *errors):
+        for warning in recording['warnings']:
             print(f'{NAME}: {warning}', file=sys.stderr)
     for name, answer in result.answers.items():
         lines = answer.lines() if verbose else answer.short()

@@ -10,9 +10,10 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
+from ..filter.measurements.registry import named_parameters
 from ..parameters.parameter import Parameter, ParameterError
 from ..parameters.params_file import read_yaml
-from ..parameters.table import check
+from ..parameters.table import ALL, check
 
 
 def declare(node: Node, argv: list[str], table: Iterable[Parameter],
@@ -25,7 +26,7 @@ def declare(node: Node, argv: list[str], table: Iterable[Parameter],
     """
     _refuse_files_for_others(node, argv)
     values = check(_given(node))
-    for parameter in table:
+    for parameter in (*table, *named_parameters(values, ALL).values()):
         _declare_one(node, parameter, values[parameter.name], parameter.name not in changeable)
     return values
 

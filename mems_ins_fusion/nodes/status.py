@@ -6,6 +6,8 @@ from collections import deque
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from ..diagnosis.quantity import FINE, SUSPECT, Quantity
+from ..filter.runs.horizon import Horizon
 from ..filter.runs.tally import Tally
 from .inputs import Input
 
@@ -24,7 +26,7 @@ CANNOT_START_WARNING, CANNOT_START_ERROR = 5.0, 30.0
 RECENT, MUCH = 10, 0.1
 #: how fast a vehicle that nobody watches may change its speed, m/s^2, one sigma
 _UNKNOWN_ACCELERATION = 1.0
-_COMPONENTS = dict.fromkeys(('fix', 'velocity'), ('innovation_north', 'innovation_east'))
+_COMPONENTS = {1: ('innovation',), 2: ('innovation_north', 'innovation_east')}
 
 
 def level_of(state: str, cannot_start: float = 0.0) -> bytes:
@@ -51,6 +53,8 @@ def by_the_clock(health: dict, silence: float) -> dict:
     grown = dict(health)
     if 'age of the last fix used, s' in grown:
         grown['age of the last fix used, s'] += silence
+    if 'trust horizon, s' in grown:
+        grown['trust horizon, s'] = max(grown['trust horizon, s'] - silence, 0.0)
     if 'position sigma, m' in grown:
         grown['position sigma, m'] = math.hypot(grown['position sigma, m'], grown['speed sigma, m/s'] * silence,
                                                 0.5 * _UNKNOWN_ACCELERATION * silence**2)
@@ -118,7 +122,7 @@ def verdict(name: str, judged) -> DiagnosticArray:
     A DiagnosticArray carries a stamp, numbers and a reason in one standard message: used (0, 1), weight, nis and the
     innovation's components.
     """
-    names = _COMPONENTS.get(judged.kind, ('innovation',))
+    names = _COMPONENTS[len(judged.innovation)]
     numbers = {'used': int(judged.used), 'weight': judged.weight, 'nis': judged.nis,
                **dict(zip(names, judged.innovation))}
     level = OK if judged.used and judged.weight == 1.0 else WARN
@@ -126,6 +130,31 @@ def verdict(name: str, judged) -> DiagnosticArray:
     status = DiagnosticStatus(level=level, name=f'{name}: {judged.kind}', message=message, hardware_id=name,
                               values=_key_values(numbers))
     return array(judged.stamp, [status])
+
+
+def horizon_status(name: str, horizon: Horizon | None, limit: float) -> DiagnosticStatus:
+    """The trust horizon to `limit`, m; None where nothing is trusted: there is no estimate with a heading."""
+    seconds, metres = horizon or (0.0, 0.0)
+    said = f'without fixes the error stays below {limit:g} m for {horizon.in_words}' if seconds > 0.0 else (
+        f'the error may be larger than {limit:g} m now' if horizon else 'no estimate with a heading')
+    return DiagnosticStatus(level=OK if seconds > 0.0 else WARN, name=f'{name}: horizon', message=f'{said} (95 %)',
+                            hardware_id=name, values=_key_values({'seconds': seconds, 'metres': metres,
+                                                                  'limit, m': limit}))
+
+
+def quantity_status(name: str, quantity: Quantity) -> DiagnosticStatus:
+    """What the diagnosis while driving knows of one thing."""
+    values: dict = {'state': quantity.state}
+    for parameter, estimate in quantity.parameters.items():
+        unit = '' if estimate.unit == '-' else f', {estimate.unit}'
+        values |= {f'{parameter}{unit}': estimate.value, f'{parameter} sigma{unit}': estimate.sigma}
+    for duration, (without, with_it, count) in quantity.better.items():
+        said = f'error after {duration:g} s without fixes, m'
+        values |= {f'{said}, without it': without, f'{said}, with it': with_it, f'{said}, times': count}
+    values |= {f'set {i}': line for i, line in enumerate(quantity.sets, 1)}
+    level = WARN if quantity.state in (FINE, SUSPECT) else OK
+    return DiagnosticStatus(level=level, name=f'{name}: calibration: {quantity.name}', hardware_id=name,
+                            message=f'{quantity.state}: {quantity.text}', values=_key_values(values))
 
 
 def array(stamp: int, statuses: list[DiagnosticStatus]) -> DiagnosticArray:

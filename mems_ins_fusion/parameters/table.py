@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from ..effects.registry import EFFECTS
-from ..filter.measurements.registry import AIDING, HEARD
+from ..filter.measurements.registry import AIDING, HEARD, INPUTS, named_parameters
 from ..hints import did_you_mean
 from ..sensor_errors.models import MODELS as SENSOR_MODELS
 from .parameter import Parameter, ParameterError
@@ -61,6 +61,7 @@ FILTER = (
     Parameter('gnss_topic', '/gps/fix', 'text', 'Topic of sensor_msgs/NavSatFix.'),
     Parameter('temperature_topic', '', 'text', 'Topic of sensor_msgs/Temperature of the IMU; empty: none.'),
     *(measurement.topic_parameter for measurement in AIDING),
+    INPUTS,
     Parameter('mechanization', 'strapdown', 'text', 'planar: the paper\'s, f_x, f_y and w_z on a level road. '
               'strapdown: three-dimensional, all six sensors.', choices=('planar', 'strapdown')),
     Parameter('sensor_error_model', 'gauss_markov', 'text', 'Model of the sensor errors.', choices=MODELS),
@@ -96,8 +97,8 @@ FILTER = (
               'message.', minimum=0.0, maximum=1000.0),
     Parameter('gnss.default_sigma', 3.0, 'm', 'Used where the message\'s covariance is unknown or zero.',
               positive=True, maximum=1000.0),
-    Parameter('gnss.max_delay', 1.0, 's', 'A fix may arrive this much later than the IMU samples of its time; '
-              'later ones are dropped.', minimum=0.0, maximum=10.0),
+    Parameter('gnss.max_delay', 1.0, 's', 'A fix may arrive this much later than the IMU samples of its time, '
+              'beside gnss.time_offset; later ones are dropped.', minimum=0.0, maximum=10.0),
     Parameter('gnss.robust_sigma', 3.0, 'sigma', 'A fix whose normalized innovation is larger is weighted down to '
               'this value (Huber); 0 trusts every fix.', minimum=0.0, maximum=1e6),
     Parameter('gnss.gate_probability', 0.999999, '-', 'A fix is refused when its innovation lies outside the region '
@@ -154,6 +155,15 @@ FILTER = (
               minimum=0.0, maximum=10.0),
     Parameter('vehicle.tilt_sigma', 0.05, 'rad', 'Slopes and body roll that the planar mechanization does not know, '
               'one sigma; strapdown does.', minimum=0.0, maximum=0.3),
+    Parameter('horizon.limit', 5.0, 'm', 'Of the trust horizon: for how many seconds and metres without fixes the '
+              'horizontal error stays below this with 95 %.', positive=True, maximum=1e6),
+    Parameter('horizon.speed', 10.0, 'm/s', 'Speed to which a vehicle that stands, or is slower, is taken to '
+              'accelerate meanwhile; 0: it goes on at the speed that it has.', minimum=0.0, maximum=150.0),
+    Parameter('diagnosis.online', 'off', 'text', 'Diagnose while driving. report: what `diagnose` finds in the last '
+              'minutes is tried on what comes after, and told with the parameters to set; nothing is changed.',
+              choices=('off', 'report')),
+    Parameter('diagnosis.window', 1200.0, 's', 'Of that: so much of the past is kept for it.', minimum=120.0,
+              maximum=7200.0),
     Parameter('datum', [], 'deg, deg, m', 'Latitude, longitude and height of the local frame\'s origin; empty: the '
               'median of the first three good fixes.', lengths=(0, 3), elements=PLACE),
 )
@@ -189,6 +199,8 @@ FUSION = (
               'the vehicle at rest when the node starts; empty: what the fixes show.', lengths=(0, 4), elements=PLACE),
     Parameter('start_pose_sigma', [5.0, 0.1], 'm, rad', 'Standard deviation of the start pose: position, heading.',
               lengths=(2,), positive=True),
+    Parameter('diagnosis.share', 0.1, '-', 'Share of a core that diagnosis.online takes at most, in a process of its '
+              'own.', positive=True, maximum=1.0),
     Parameter('state_file', '', 'text', 'File in which position, heading and sensor errors are kept for the next '
               'start; empty: none.'),
     Parameter('state_file_max_age', 86400.0, 's', 'An older state file is not used.', positive=True),
@@ -233,8 +245,8 @@ REPLAY = (
     Parameter('fitted_to', [], 'text', 'Which recordings the values were fitted to, as hashes of their content: '
               'written by configure and diagnose, so that replay and compare can tell a proof from a fit. The filter '
               'does not read it.'),
-    Parameter('memory_limit', 2.0, 'GB', 'A tool refuses a recording that would take more memory than this; about '
-              '0.8 GB are enough for three hours at 100 Hz.', minimum=0.5, maximum=1e6),
+    Parameter('memory_limit', 2.0, 'GB', 'A tool refuses a recording that would take more memory than this; a replay '
+              'with pages takes 0.9 GB for an hour at 100 Hz, 2.2 GB for eight.', minimum=0.5, maximum=1e6),
     Parameter('write_bag', False, '-', 'Also write a rosbag2 with one Odometry topic per model.'),
     Parameter('publish', False, '-', 'Publish the replayed odometry on topics, with /clock.'),
     Parameter('rate', 1.0, '-', 'Speed of that publishing; 2 is twice as fast as recorded.', minimum=1e-3, maximum=1e6),
@@ -252,12 +264,18 @@ def defaults() -> dict:
 
 def check(values: dict) -> dict:
     """The defaults with `values` laid over them; ParameterError for an unknown name or a value that does not fit."""
-    checked = defaults()
+    known, checked = parameters_of(values), defaults()
+    checked |= {name: parameter.default for name, parameter in known.items() if name not in ALL}
     for name, value in values.items():
-        if name not in ALL:
+        if name not in known:
             raise ParameterError(unknown(name))
-        checked[name] = ALL[name].check(value)
+        checked[name] = known[name].check(value)
     return checked
+
+
+def parameters_of(values: dict) -> dict[str, Parameter]:
+    """ALL, and those of the inputs that `values`, unchecked, name."""
+    return {**ALL, **named_parameters(values, ALL)}
 
 
 def unknown(name: str) -> str:

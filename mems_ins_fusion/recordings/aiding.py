@@ -1,4 +1,4 @@
-"""What speed, velocity and heading say against the fixes: units, signs, frames, and the sigma they state.
+"""What speed, velocity, heading and pressure say against the fixes: units, signs, frames, and the sigma they state.
 
 Each is averaged over chords between fixes that are long enough to have a direction.
 """
@@ -10,11 +10,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mems_ins_fusion.filter.measurements.base import Measurement, SensorSettings
+from mems_ins_fusion.filter.measurements.pressure import HIGHEST, LOWEST, SEA_LEVEL, height_of
+from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.recordings.findings import ERROR, INFO, WARNING, Finding, count_of
 from mems_ins_fusion.recordings.motion import positions, robust_sigma, sigmas
-from mems_ins_fusion.samples import Fixes, Headings, Speeds, Velocities
+from mems_ins_fusion.samples import Fixes, Headings, Pressures, Speeds, Velocities
 
+#: Pa each
+_PRESSURES = {'hPa': 100.0, 'kPa': 1000.0, 'bar': 1e5, 'psi': 6894.76, 'mmHg': 133.322}
+_CLIMB = 10.0  # m, standard deviation of heights that tell something against those of fixes
 _UNITS = {'km/h': 3.6, 'mph': 2.23694, 'knots': 1.94384}  # per m/s
 _SAME_UNIT = 0.07
 _LONGEST_CHORD = 10.0  # s
@@ -23,6 +28,7 @@ _SLOWEST = 1.0  # m/s, of a vehicle whose course means something
 _FEWEST = 12  # chords for a verdict
 _OVERSURE = 3.0  # times the stated sigma
 _ALIGNED = 0.9  # cosine
+_PROPORTIONAL = 0.2  # scatter of a speed's ratio to that of the fixes, as a part of it; of an east velocity it is 1
 _ZERO = 0.02  # m/s: a speed that is never more is none
 _CURVE = 0.03  # rad: by which courses of chords differ from headings in bends, whatever the receiver
 #: what a horizontal velocity north-east turns into where the message is not east-north-up
@@ -64,11 +70,12 @@ def check_aiding(measurement: Measurement, samples, fixes: Fixes | None, setting
     The first finding that a parameter would remove names it with its value. fixes: valid ones in the order of their
     stamps, or None. Empty for a measurement that nothing here compares with fixes.
     """
-    if measurement.name not in _CHECKS:
+    kind = NAMES.get(measurement.kind)
+    if kind not in _CHECKS:
         return []
     declared = measurement.declared(settings, samples)
-    findings = list(_CHECKS[measurement.name](declared, fixes))
-    advice = _advice(measurement.name, findings, declared, settings)
+    findings = [replace(finding, topic=measurement.name) for finding in _CHECKS[kind](declared, fixes)]
+    advice = _advice(measurement, findings, declared, settings)
     for k, finding in enumerate(findings):
         if advice and finding.severity != INFO and COMPARED & finding.values.keys():
             findings[k] = replace(finding, message=f'{finding.message}: {advice}')
@@ -76,16 +83,21 @@ def check_aiding(measurement: Measurement, samples, fixes: Fixes | None, setting
     return findings
 
 
-def _advice(name: str, findings: list[Finding], declared, settings: SensorSettings) -> str:
+def _advice(measurement: Measurement, findings: list[Finding], declared, settings: SensorSettings) -> str:
     """The parameter to set; '' where none helps."""
+    name = NAMES[measurement.kind]
     shown = {key: value for finding in findings for key, value in finding.values.items()}
     if name == 'speed' and 'ratio' in shown:
         if not shown['ratio'] or np.nanmax(np.abs(declared.speed)) < _ZERO:
-            return 'it stays at zero while the vehicle drives; leave speed_topic empty until its sensor works'
+            return f'it stays at zero while the vehicle drives; leave {measurement.topic} empty until its sensor works'
         sign = -1.0 if 'negative' in shown else 1.0
-        return f"set speed.factor to {sign * settings.factor / shown['ratio']:.5g}"
+        return f"set {measurement.name}.factor to {sign * settings.factor / shown['ratio']:.5g}"
+    if name == 'pressure' and 'ratio' in shown:
+        middle = shown['ratio'] * SEA_LEVEL
+        per = next((per for per in _PRESSURES.values() if LOWEST <= middle * per <= HIGHEST), None)
+        return f'set {measurement.name}.factor to {settings.factor * per:g}' if per else ''
     if name == 'heading' and 'offset_rad' in shown:
-        return f"set heading.offset to {float(wrap(settings.offset + shown['offset_rad'])):.4f}"
+        return f"set {measurement.name}.offset to {float(wrap(settings.offset + shown['offset_rad'])):.4f}"
     return ''
 
 
@@ -104,6 +116,23 @@ def check_speed(speeds: Speeds, fixes: Fixes | None) -> Iterator[Finding]:
                       'unless all of it was in reverse', {'negative': float((ratio < 0).mean())})
     yield from _check_sigma('speed', 'm/s', mean - np.median(ratio) * chords.speed,
                             abs(np.median(ratio)) * chords.sigma, speeds.variance)
+
+
+def speed_factor(speeds: Speeds, fixes: Fixes | None) -> float | None:
+    """What makes m/s, positive forwards, of `speeds`: 1 where `check_speed` would not say a word about their size.
+
+    None where they do not go with the speed of the fixes, NaN where no fixes in motion tell. fixes: as there.
+    """
+    compared = _compare('speed', speeds, speeds.speed, fixes)
+    if isinstance(compared, Finding):
+        return np.nan if compared.severity == INFO else None
+    mean, chords = compared
+    ratio = mean / chords.speed
+    middle = float(np.median(ratio))
+    if not abs(middle) > 0 or robust_sigma(ratio) > _PROPORTIONAL * abs(middle):
+        return None
+    shown = next(_check_ratio('speed', np.abs(ratio)))
+    return (-1.0 if middle < 0 else 1.0) * (1.0 if shown.severity == INFO else 1.0 / abs(middle))
 
 
 def check_velocity(velocities: Velocities, fixes: Fixes | None) -> Iterator[Finding]:
@@ -176,9 +205,51 @@ def check_heading(headings: Headings, fixes: Fixes | None) -> Iterator[Finding]:
     yield from _check_sigma('heading', 'rad', residual, noise, headings.variance)
 
 
-_CHECKS = {'speed': check_speed, 'velocity': check_velocity, 'heading': check_heading}
+def pressure_factor(pressures: Pressures) -> float | None:
+    """What makes Pa of `pressures`; None where no unit does."""
+    middle = float(np.nanmedian(pressures.pressure)) if np.isfinite(pressures.pressure).any() else 0.0
+    return next((per for per in (1.0, *_PRESSURES.values()) if LOWEST <= middle * per <= HIGHEST), None)
+
+
+def check_pressure(pressures: Pressures, fixes: Fixes | None) -> Iterator[Finding]:
+    """Unit of the pressure, and whether its heights go up where those of the fixes do. fixes: valid ones in the order
+    of their stamps, or None."""
+    yield from _check_present('pressure', pressures, pressures.pressure, pressures.variance)
+    finite = np.sort(pressures.pressure[np.isfinite(pressures.pressure)])
+    if not len(finite):
+        return
+    middle = float(finite[len(finite) // 2])
+    if not LOWEST <= middle <= HIGHEST:
+        unit = next((unit for unit, per in _PRESSURES.items() if LOWEST <= middle * per <= HIGHEST), None)
+        seems = f'it seems to be in {unit} instead of Pa' if unit else 'it is none of the air'
+        yield Finding(ERROR, 'pressure', f'the pressure is {middle:.4g} Pa: {seems}', {'ratio': middle / SEA_LEVEL})
+        return
+    if finite[0] == finite[-1]:
+        yield Finding(WARNING, 'pressure', 'the pressure is the same in every message', {'count': len(finite)})
+        return
+    told = replace(pressures, pressure=height_of(np.clip(pressures.pressure, LOWEST, HIGHEST)))
+    compared = _compare('pressure', told, told.pressure, fixes)
+    if isinstance(compared, Finding):
+        yield compared
+        return
+    mean, chords = compared
+    middle = 0.5 * (chords.begin - fixes.stamp[0] + chords.end - fixes.stamp[0])
+    height = np.interp(middle, fixes.stamp - fixes.stamp[0], fixes.height)
+    if np.std(height) < _CLIMB:
+        yield Finding(INFO, 'pressure', 'no climbs to compare the pressure with')
+        return
+    ratio = float(np.cov(mean, height)[0, 1] / np.var(height, ddof=1))
+    text = f'by the pressure the vehicle climbs {ratio:.2f} times as much as by the fixes'
+    doubtful = not 0.5 < ratio < 1.5
+    yield Finding(WARNING if doubtful else INFO, 'pressure', text + (': it is not that of the air outside' if doubtful
+                  else ''), {'climb': ratio})
+
+
+_CHECKS = {'pressure': check_pressure, 'speed': check_speed, 'velocity': check_velocity, 'heading': check_heading}
+#: names of the kinds
+NAMES = {measurement.kind: measurement.name for measurement in AIDING}
 #: what the values of a finding hold where there were fixes to compare with
-COMPARED = {'ratio', 'negative', 'cosine', 'offset_rad', 'concentration'}
+COMPARED = {'climb', 'ratio', 'negative', 'cosine', 'offset_rad', 'concentration'}
 
 
 def _check_present(topic, samples, value, variance):

@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from mems_ins_fusion.filter.measurements.registry import AIDING
+from mems_ins_fusion.filter.measurements.registry import aiding
 from mems_ins_fusion.filter.runs.usable import LARGEST_IN_ANY_UNIT, usable
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY, gravity
 from mems_ins_fusion.parameters import table
@@ -58,7 +58,7 @@ def check_recording(recording: Recording, values: Mapping = MappingProxyType({})
     if recording.temperature is not None:
         findings += _check_stamps('temperature', recording.temperature)
     streams = recording.streams()
-    for measurement in (measurement for measurement in AIDING if measurement.name in streams):
+    for measurement in (measurement for measurement in aiding(values) if measurement.name in streams):
         samples = streams[measurement.name]
         findings += _check_stamps(measurement.name, samples)
         findings += check_aiding(measurement, samples, good, measurement.settings({**table.defaults(), **values}))

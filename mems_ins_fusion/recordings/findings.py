@@ -11,13 +11,14 @@ class Finding:
     """One remark. severity: info, warning or error (the recording gives no sensible result as it is).
 
     topic: imu, gnss, temperature, speed, velocity or heading, or imu/gnss for what concerns both.
-    values: the numbers in the message, SI.
+    values: the numbers in the message, SI. settings: names of the parameters that are to be set otherwise.
     """
 
     severity: str
     topic: str
     message: str
     values: dict = field(default_factory=dict)
+    settings: tuple[str, ...] = ()
 
 
 def count_of(number: int, thing: str) -> str:

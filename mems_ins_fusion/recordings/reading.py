@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mems_ins_fusion.filter.measurements.registry import AIDING
+from mems_ins_fusion.filter.measurements.registry import AIDING, MEASUREMENTS
+from mems_ins_fusion.filter.memory import Kind
 from mems_ins_fusion.navigation.earth import from_local
 from mems_ins_fusion.navigation.frames import ned_from_enu, yaw_from_enu, yaw_of_quaternion
 from mems_ins_fusion.recordings import messages
@@ -74,15 +75,15 @@ class Memory:
 
 
 def read_recording(path, imu_topic, gnss_topic=None, reference_topic=None, temperature_topic=None, progress=None,
-                   datum=None, memory: Memory | None = None, **aiding_topics) -> Recording:
+                   datum=None, memory: Memory | None = None, inputs=AIDING, **aiding_topics) -> Recording:
     """Read a bag, once, into arrays.
 
     path: rosbag2 folder, .mcap, .db3 or ROS 1 .bag. Topics that are None or empty are not read.
     reference_topic: NavSatFix, or Odometry or PoseStamped with a pose in a local east-north-up frame, whose origin is
     `datum`: latitude, longitude (rad), height (m). Without it the first fix of `gnss_topic` is taken, with a warning.
     progress: called with the part of the recording that is read, 0 to 1. memory: what the tool may take for it; a
-    longer recording is refused before it is read to its end. aiding_topics: of the measurements besides the
-    fixes, by the name of their parameter (`speed_topic`), see `filter.measurements`; no mounting is applied.
+    longer recording is refused before it is read to its end. inputs: measurements besides the fixes; aiding_topics:
+    of these, by the name of their parameter (`speed_topic`), see `filter.measurements`; no mounting is applied.
 
     The samples are in the order of arrival (log time), all that were recorded, also those with NaN. Of a reference,
     messages without a fix or with NaN are left out, and it is in the order of its stamps.
@@ -91,7 +92,7 @@ def read_recording(path, imu_topic, gnss_topic=None, reference_topic=None, tempe
     wanted = [(topic, types) for topic, types in (
         (imu_topic, (IMU,)), (gnss_topic, (NAV_SAT_FIX,)), (reference_topic, REFERENCE_TYPES),
         (temperature_topic, (TEMPERATURE,)),
-        *((aiding_topics.get(m.topic), tuple(m.messages)) for m in AIDING)) if topic]
+        *((aiding_topics.get(m.topic), tuple(m.messages)) for m in inputs)) if topic]
     with Bag(path) as bag:
         for topic, types in wanted:
             if bag.topics.get(topic) not in types:
@@ -106,7 +107,7 @@ def read_recording(path, imu_topic, gnss_topic=None, reference_topic=None, tempe
         gnss=gnss,
         reference=_reference(arrays[reference_topic], bag.topics[reference_topic], datum, gnss, reference_topic)
         if reference_topic else None,
-        temperature=temperature).having({m.name: m.read(arrays[topic], bag.topics[topic]) for m in AIDING
+        temperature=temperature).having({m.name: m.read(arrays[topic], bag.topics[topic]) for m in inputs
                                          if (topic := aiding_topics.get(m.topic))})
 
 
@@ -218,10 +219,7 @@ def _orientation(array) -> np.ndarray | None:
 
 
 def _fixes(array) -> Fixes:
-    return Fixes(stamp=array['stamp'], received=array['received'], latitude=np.radians(array['latitude']),
-                 longitude=np.radians(array['longitude']), height=array['altitude'],
-                 covariance=array['position_covariance'].reshape(-1, 3, 3), status=array['status.status'],
-                 covariance_type=array['position_covariance_type'])
+    return MEASUREMENTS[Kind.POSITION].read(array, NAV_SAT_FIX)
 
 
 def _temperatures(array) -> Temperatures:

@@ -59,7 +59,7 @@ def refuse_other_vehicles(recordings: Sequence[Recording]) -> None:
 
 
 def refuse_twice(recording, other) -> None:
-    """RecordingError where `recording` has the samples of `other`: what they show is no second witness.
+    """RecordingError where `recording` has the samples of `other`: what they show is not told twice as surely.
 
     Both have `name` and `imu`.
     """

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mems_ins_fusion.filter.measurements.registry import AIDING
+from mems_ins_fusion.filter.measurements.registry import AIDING, MEASUREMENTS
+from mems_ins_fusion.filter.memory import Kind
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.navigation.frames import FLU_TO_FRD, ned_from_enu
 from mems_ins_fusion.recordings import messages
@@ -68,13 +69,14 @@ def odometry_from_reference(reference: Reference, datum, roll=0.0, pitch=0.0, re
 def write_recording(recording: Recording, path, storage='mcap', *, imu_topic='/imu/data', gnss_topic='/gps/fix',
                     reference_topic='/reference/fix', temperature_topic='/imu/temperature',
                     odometry: dict[str, OdometrySamples] | None = None, imu_frame='imu', gnss_frame='gnss',
-                    odometry_frame='odom', base_frame='base_link', overwrite=False, **aiding_topics) -> None:
+                    odometry_frame='odom', base_frame='base_link', overwrite=False, inputs=AIDING,
+                    **aiding_topics) -> None:
     """Write the parts that `recording` has, and odometry by topic, as the rosbag2 folder `path`.
 
     storage: mcap or sqlite3. A reference is written as NavSatFix, logged at its stamps; its velocity and yaw only
-    through `odometry` (see `odometry_from_reference`). aiding_topics: of the measurements besides the fixes, by the
-    name of their parameter (`speed_topic`); else each goes to its own (`Measurement.written_to`). Messages are logged
-    in the order of `received`.
+    through `odometry` (see `odometry_from_reference`). inputs: measurements besides the fixes; aiding_topics: of these,
+    by the name of their parameter (`speed_topic`); else each goes to its own (`Measurement.written_to`). Messages are
+    logged in the order of `received`.
     The folder has its name only when it is complete. Raises ValueError (ResultError) where `path` is taken and
     `overwrite` is false, RecordingError where rosbags is absent or the storage unknown.
     """
@@ -89,7 +91,7 @@ def write_recording(recording: Recording, path, storage='mcap', *, imu_topic='/i
         topics.append((temperature_topic, messages.TEMPERATURE, recording.temperature, _temperature_fields,
                        {'header.frame_id': imu_frame}))
     streams = recording.streams()
-    for measurement in AIDING:
+    for measurement in inputs:
         if measurement.name in streams:
             topic = aiding_topics.get(measurement.topic, measurement.written_to)
             topics.append((topic, next(iter(measurement.messages)),
@@ -133,9 +135,7 @@ def _imu_fields(imu: ImuSamples) -> dict:
 
 
 def _fix_fields(fixes: Fixes) -> dict:
-    return {'latitude': np.degrees(fixes.latitude), 'longitude': np.degrees(fixes.longitude),
-            'altitude': fixes.height, 'status.status': fixes.status, 'status.service': 1,  # GPS
-            'position_covariance': fixes.covariance.reshape(-1, 9), 'position_covariance_type': fixes.covariance_type}
+    return MEASUREMENTS[Kind.POSITION].written(fixes)
 
 
 def _reference_fields(reference: Reference) -> dict:

@@ -12,7 +12,7 @@ from ..configuration.configure import Configuration
 from ..evaluation.verdict import unsettled
 from ..parameters.params_file import yaml_value
 from . import html
-from .answer import GOOD, WARNING, Answer, Step
+from .answer import GOOD, WARNING, Answer, Step, shorten
 from .html import bullets, figure, folded, paragraph, preformatted, section, table
 from .verdict import unsettled_text
 
@@ -55,6 +55,17 @@ def story(result: Configuration) -> list[str]:
         if found.offset is not None and found.offset.shown:
             lines.append(f'fixes against the IMU\'s clock: {found.lag:.3f} +- {found.lag_sigma:.3f} s')
     return lines
+
+
+def in_short(result: Configuration) -> str:
+    """The same in a line of a console: units, angles, time offset."""
+    said, found = f'{result.values["imu.acceleration_unit"]} and {result.values["imu.rate_unit"]}', result.mounting
+    if found is not None:
+        roll, pitch, yaw = (f'{angle:.1f}' if abs(angle) < 100.0 else f'{angle:.0f}' for angle in np.degrees(found.rpy))
+        said += f', roll {roll}, pitch {pitch}, yaw ' + (f'{yaw} deg' if found.yaw_known else 'not shown')
+        if found.offset is not None and found.offset.shown:
+            said += f'; fixes {found.lag:.3f} +- {found.lag_sigma:.3f} s'
+    return shorten(f'found: IMU in {said}')
 
 
 def answer(result: Configuration, bags: list[str], output: str) -> Answer:

@@ -14,7 +14,7 @@ from ..diagnosis.measured import nearest
 from ..diagnosis.tracing import Candidate
 from ..evaluation.verdict import Verdict
 from ..parameters.params_file import yaml_value
-from ..parameters.table import ALL
+from ..parameters.table import parameters_of
 from ..recordings.sketch import sketch
 from ..results import plain
 from . import diagnosis_figures as plots
@@ -180,7 +180,8 @@ def corrected_yaml(diagnosis: Diagnosis, given: dict) -> str:
     new = changed(d)
     if d.changed:
         new['fitted_to'] = sorted({*given.get('fitted_to', ()), *sketch(r.gnss for r in d.recordings)})
-    checked = {name: ALL[name].check(value) for name, value in given.items()}
+    known = parameters_of(given)
+    checked = {name: known[name].check(value) for name, value in given.items()}
     found = '; '.join(parameters_text(f) for f in d.findings if f.added) or 'none'
     shown = d.verdict.shown
     said = (f'Corrected by diagnose from {d.name}: {change_text(shown, d.verdict.level)}. Effects added: {found}.'

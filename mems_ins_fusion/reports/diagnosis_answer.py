@@ -31,17 +31,19 @@ def answer(diagnosis: Diagnosis, checked: list[Checked], output: str) -> Answer:
     out = [f'{name} was left out: {why}' for name, why in d.left_out.items()]
     found = [found_text(f, d) for f in d.findings if f.added]
     shown = [shown_text(d.detections['before'])] if d.detections['before'].lacking else []
-    # what is corrected needs no warning
-    mounted = 'imu.mounting_rpy' in changed(d)
-    said = [checked_text(f, topics_of(d.values)) for f in checked
-            if f.severity != INFO and not (mounted and 'mounting_rpy' in f.values)]
+    # what is corrected needs no warning; what names a parameter says more than what innovations show
+    said = [f for f in checked if f.severity != INFO and not set(f.settings) & set(changed(d))]
+    to_set, said = ([checked_text(f, topics_of(d.values)) for f in said if bool(f.settings) == wanted]
+                    for wanted in (True, False))
     tried = [tried_text(f) for f in d.findings if not f.added]
     left = [unexplained_text(d)] if d.unexplained else []
     trust = d.trust
     lacking = d.detections['after' if d.changed else 'before'].lacking
     grade = BAD if trust.answer == NO and not d.better else WARNING if trust.answer == NO or lacking and not d.better \
         else GOOD
-    return Answer(grade, headline(d.verdict, d.changed), [*out, *found, *shown, *said], cost(d), _steps(d, output),
+    settings = [name for f in checked if f.severity != INFO for name in f.settings if name not in changed(d)]
+    return Answer(grade, headline(d.verdict, d.changed), [*out, *found, *to_set, *shown, *said], cost(d),
+                  _steps(d, output, settings),
                   trust_text(trust, 'With corrected.yaml, ' if d.changed else 'As configured, '),
                   [*tried, *left, *d.remarks], because(d.verdict))
 
@@ -130,7 +132,8 @@ def headline(verdict: Verdict, changed: bool = False) -> str:
             CANNOT_TELL: f'Keep your parameters, no gain is proven: {proof}.'}[verdict.answer]
 
 
-def _steps(d: Diagnosis, output: str) -> list[Step]:
+def _steps(d: Diagnosis, output: str, settings: list[str]) -> list[Step]:
+    """settings: names of parameters that the recording contradicts."""
     steps = []
     if d.better:
         but = ', but do not believe its sigmas' if d.trust.answer == NO else ''
@@ -149,7 +152,10 @@ def _steps(d: Diagnosis, output: str) -> list[Step]:
         steps.append(Step('What it corrects is certain, and errors are no larger. Compare both on another drive:',
                           'python -m mems_ins_fusion compare YOUR_FILE.yaml '
                           f'{shlex.quote(f"{output}/corrected.yaml")} --bag ANOTHER_DRIVE --output compared'))
-    if not d.changed and d.verdict.answer == CANNOT_TELL and d.verdict.changes:
+    if settings and not d.better:
+        steps.append(Step(f'Set {" and ".join(settings)} as configure writes {"them" if settings[1:] else "it"}, and '
+                          'diagnose again.'))
+    elif not d.changed and d.verdict.answer == CANNOT_TELL and d.verdict.changes:
         steps.append(Step('Record a longer drive, with bends to both sides, stops and braking: it may tell.'))
     if d.better and not any(f.added for f in d.findings):
         steps.append(Step('No effect was added, only noise levels were chosen: record another drive with bends to both '

@@ -15,6 +15,8 @@ COLOURS = {'before': BEFORE, 'fitted': FITTED, 'after': AFTER}
 STAGES = {'before': 'as configured', 'fitted': 'other noise levels alone', 'after': 'with corrected.yaml'}
 #: lags of the autocorrelation shown, and half the width of the histogram in sigma
 SHOWN_LAGS, WIDEST = 3 * LAGS, 5.0
+#: candidates of a round in a figure, those with the largest gains: all are in the table beside it
+MOST_SHOWN = 8
 
 
 def _figure(width: float, height: float):
@@ -73,21 +75,20 @@ def _histogram(axes, values, colour) -> None:
 
 
 def evidence(diagnosis: Diagnosis):
-    """The gain of every candidate in every round; None where nothing was tested."""
+    """The gain of the candidates in every round, one below the other; None where nothing was tested."""
     if not diagnosis.rounds:
         return None
-    count = max(len(r) for r in diagnosis.rounds)
-    figure = _figure(11, 1.0 + 0.24 * count)
-    for axes, (i, candidates) in zip(np.atleast_1d(figure.subplots(1, len(diagnosis.rounds))),
-                                     enumerate(diagnosis.rounds)):
-        ranked = sorted(candidates, key=lambda c: c.gain)
+    shown = [sorted(candidates, key=lambda c: c.gain)[-MOST_SHOWN:] for candidates in diagnosis.rounds]
+    figure = _figure(8, 0.5 + sum(0.6 + 0.2 * len(ranked) for ranked in shown))
+    for i, (axes, ranked) in enumerate(zip(np.atleast_1d(figure.subplots(
+            len(shown), 1, height_ratios=[3 + len(ranked) for ranked in shown])), shown)):
         chosen = diagnosis.chosen[i:i + 1]
         axes.barh([c.name for c in ranked], [c.gain for c in ranked],
                   color=[AFTER if c.name in chosen else '#9fcbe6' if c.p_adjusted <= SIGNIFICANCE else '0.85'
                          for c in ranked])
         axes.tick_params(labelsize=7)
         axes.set_title(f'round {i + 1}', fontsize=9)
-        axes.set_xlabel('gain', fontsize=8)
+    axes.set_xlabel('gain', fontsize=8)
     return figure
 
 

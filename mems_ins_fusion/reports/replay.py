@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from ..configuration.check import check
+from ..diagnosis.online import watched
 from ..evaluation.comparison import Comparison, compare, cut
 from ..filter.config import FilterConfig
-from ..filter.measurements.registry import AIDING
+from ..filter.measurements.registry import aiding, named_parameters
 from ..filter.runs.intake import first_datum
 from ..parameters.parameter import ParameterError
 from ..parameters.params_file import yaml_value
@@ -30,13 +31,13 @@ from ..samples import Recording
 from . import trajectories
 from .answer import Answer
 from .replay_answer import answer, best_model
-from .report import FIGURES, draw_figures, report, report_page, write_report
+from .report import FIGURES, draw_figures, online_row, report, report_page, write_report
 
 #: the parameters of the replay, for the next command
 PARAMS_FILE = 'parameters.yaml'
 
 #: of replay and diagnosis: GB without a recording, bytes for each message read
-_MEMORY = 0.7, 380.0
+_MEMORY = 0.75, 500.0
 #: called with the part of all work that is done, 0 to 1, and what is being done; what it raises ends the work
 Progress = Callable[[float, str], None]
 
@@ -63,7 +64,7 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
     _check(values)
     timing: dict[str, float] = {}
     with result_folder(values['output_dir'], values['overwrite']) as folder:
-        comparisons, findings, said = {}, {}, {}
+        comparisons, findings, said, online = {}, {}, {}, []
         for i, path in enumerate(values['bag']):
             part = _Part(progress, i / len(values['bag']), 1 / len(values['bag']))
             with _timed(timing, 'reading'):
@@ -74,7 +75,11 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
                 findings[name] = check(recording, values)
             with _timed(timing, 'filter and errors'):
                 comparisons[name] = compare(recording, values, lambda done: part(0.25 + 0.3 * done, 'filtering'))
-        content, answers = _write(folder, comparisons, findings, said, values, timing, progress,
+            if values['diagnosis.online'] != 'off':
+                with _timed(timing, 'diagnosis.online'):
+                    told = watched(recording, values, lambda done: part(0.55 + 0.05 * done, 'diagnosing'))
+                online += [online_row(quantity, name, int(recording.imu.stamp[0])) for quantity in told]
+        content, answers = _write(folder, comparisons, findings, said, online, values, timing, progress,
                                   Path(known_as or values['output_dir']))
     return Replay(Path(values['output_dir']), content, comparisons, answers, findings)
 
@@ -112,7 +117,7 @@ def _read_whole(path, values: dict, progress) -> Recording:
     recording = read_recording(path, values['imu_topic'], values['gnss_topic'], values['reference_topic'] or None,
                                values['temperature_topic'] or None, progress, datum,
                                Memory(values['memory_limit'], *_MEMORY),
-                               **{measurement.topic: values[measurement.topic] for measurement in AIDING})
+                               aiding(values), **{one.topic: values[one.topic] for one in aiding(values)})
     if values['reference_file']:
         recording = replace(recording, reference=read_reference(values['reference_file'], datum))
     return recording
@@ -145,7 +150,8 @@ def _timed(timing: dict, what: str) -> Iterator[None]:
 def parameters_yaml(comparisons: dict[str, Comparison], values: dict) -> str:
     """The params file of the filter that was replayed: what is not at its default, and the model that was best."""
     given = default_parameters()
-    names = [p.name for p in FILTER if values[p.name] != given[p.name] and p.name != 'sensor_error_model']
+    names = [p.name for p in (*FILTER, *named_parameters(values, given).values())
+             if values[p.name] != given.get(p.name) and p.name != 'sensor_error_model']
     model = best_model(next(iter(comparisons.values())), values['sensor_error_model'])
     lines = ['# Parameters of a replay that are not at their default; sensor_error_model: the best of those replayed.',
              '/**:', '  ros__parameters:', f'    sensor_error_model: {model}',
@@ -158,7 +164,7 @@ def _free_name(name: str, taken) -> str:
     return next(n for n in names if n not in taken)
 
 
-def _write(folder: Path, comparisons, findings, said, values, timing, progress,
+def _write(folder: Path, comparisons, findings, said, online, values, timing, progress,
            known_as: Path) -> tuple[dict, dict[str, Answer]]:
     several = len(comparisons) > 1
     with _timed(timing, 'trajectories'):
@@ -175,7 +181,7 @@ def _write(folder: Path, comparisons, findings, said, values, timing, progress,
     (folder / PARAMS_FILE).write_text(parameters_yaml(comparisons, values), encoding='utf-8')
     answers = {name: answer(c, findings[name], values, path, str(params_file))
                for (name, c), path in zip(comparisons.items(), values['bag'])}
-    content = report(comparisons, values, findings, said, answers, timing)
+    content = report(comparisons, values, findings, said, online, answers, timing)
     write_report(folder, content, report_page(comparisons, values, content, figures, answers))
     progress(1.0, 'done')
     return content, answers
@@ -211,7 +217,8 @@ def _write_trajectories(folder: Path, prefix: str, comparison: Comparison, value
 
 
 #: columns of outages.csv, a row for each outage
-OUTAGE_COLUMNS = ('model', 'duration_s', 'begin_ns', 'max_error_m', 'distance_m', 'within_95', 'nees')
+OUTAGE_COLUMNS = ('model', 'duration_s', 'begin_ns', 'max_error_m', 'distance_m', 'within_95', 'nees', 'announced_s',
+                  'crossed_s')
 
 
 def _write_outages(path: Path, comparison: Comparison) -> None:
@@ -219,9 +226,10 @@ def _write_outages(path: Path, comparison: Comparison) -> None:
         file.write(','.join(OUTAGE_COLUMNS) + '\n')
         for result in comparison.outages:
             o = result.outages
-            file.writelines(f'{result.model},{o.duration:g},{begin},{error:.4f},{distance:.2f},{int(within)},{nees:.4g}\n'
-                            for begin, error, distance, within, nees in zip(
-                                o.begin, o.max_error, o.distance, o.within, o.consistency.nees))
+            file.writelines(f'{result.model},{o.duration:g},{begin},{error:.4f},{distance:.2f},{int(within)},{nees:.4g},'
+                            f"{announced:.1f},{f'{crossed:.1f}' if crossed < np.inf else ''}\n"
+                            for begin, error, distance, within, nees, announced, crossed in zip(
+                                o.begin, o.max_error, o.distance, o.within, o.consistency.nees, o.announced, o.crossed))
 
 
 def origin(comparison: Comparison, values: dict) -> np.ndarray:

@@ -88,13 +88,14 @@ def answer(comparison: Comparison, findings: list[Finding], values: dict, bag: s
     said = [checked_text(f, topics_of(values)) for f in findings if f.severity != INFO]
     verdict, trust = judged(comparison, findings, values), trusted(consistencies(comparison, values))
     wrong = [*said, *_refused(comparison, best)]
-    if trust.answer == NO and trust.scale is not None:
+    if trust.answer == NO and trust.scale is not None and verdict.answer != NOT_USABLE:
         wrong.insert(0, f'Its sigmas are too small: {scale_text(trust.scale)}.')
     if verdict.fitted_here:
         wrong.append('The parameters were fitted to this very recording: on another drive errors will be larger.')
     grade = _grade(verdict, trust)
     accuracy = _accuracy(comparison, best, values['fixes_until'])
     return Answer(grade, _headline(verdict, trust, accuracy), wrong, [*accuracy, *_cost(outages)],
+                  [_configure(bag)] if verdict.answer == NOT_USABLE else
                   _steps(grade, comparison, best, values, bag, params_file), trust_text(trust))
 
 
@@ -157,6 +158,12 @@ def _cost(outages: list[OutageResult]) -> list[str]:
                     f'outages; one in twenty is worse than {worst} m); its 95 % ellipse held the truth in '
                     f'{int(within.sum())} of {len(within)}')
     return said
+
+
+def _configure(bag: str) -> Step:
+    """What to do where the parameters are certainly wrong: diagnose would refuse them, too."""
+    return Step('Let configure write a params file, or set this by hand:',
+                f'python -m mems_ins_fusion configure --bag {shlex.quote(bag)} --output configured.yaml')
 
 
 def _steps(grade: str, comparison: Comparison, best: str, values: dict, bag: str, params_file: str) -> list[Step]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import __version__
+from ..diagnosis.quantity import Quantity
 from ..evaluation.comparison import Comparison, outage_row, run_row
 from ..evaluation.verdict import NOT_USABLE, decide, trusted
 from ..parameters.table import defaults as default_parameters
@@ -39,9 +40,9 @@ FIGURES = (
 
 
 def report(comparisons: dict[str, Comparison], values: dict, findings: dict[str, list], said: dict[str, list[str]],
-           answers: dict[str, Answer], timing: dict) -> dict:
+           online: list[dict], answers: dict[str, Answer], timing: dict) -> dict:
     """The content of `report.json`. comparisons, findings of the checker, what reading said, answers: by name of the
-    recording. timing: name -> s."""
+    recording. online: rows of `online_row`. timing: name -> s."""
     defaults = default_parameters()
     return {
         'tool': 'replay_node', 'version': __version__,
@@ -49,13 +50,22 @@ def report(comparisons: dict[str, Comparison], values: dict, findings: dict[str,
         'runs': [run_row(r, c.mechanization, name) for name, c in comparisons.items() for r in c.runs],
         'outages': [outage_row(r, c.mechanization, name) for name, c in comparisons.items() for r in c.outages],
         'smoothed': [run_row(r, c.mechanization, name) for name, c in comparisons.items() for r in c.smoothed],
+        'online': online,
         'comparisons': [_pair(p, name) for name, c in comparisons.items() for p in c.pairs],
         'answer': {name: a.json() for name, a in answers.items()},
         'verdict': _verdict(comparisons, values, findings),
         'sentences': {name: sentences(c) for name, c in comparisons.items()},
-        'parameters': {name: value for name, value in values.items() if value != defaults[name]},
+        'parameters': {name: value for name, value in values.items() if value != defaults.get(name)},
         'seconds': timing,
     }
+
+
+def online_row(quantity: Quantity, name: str, begin: int) -> dict:
+    """One entry of `online` in `report.json`: what was known of one thing when that was news. begin: ns."""
+    return {'recording': name, 'time_s': (quantity.time - begin) * 1e-9, 'name': quantity.name, 'state': quantity.state,
+            'parameters': {n: {'value': e.value, 'sigma': e.sigma, 'unit': e.unit}
+                           for n, e in quantity.parameters.items()},
+            'set': list(quantity.sets), 'applied': False, 'text': quantity.text}
 
 
 def _recording(name: str, comparison: Comparison, findings: list, said: list[str], values: dict) -> dict:
@@ -125,8 +135,12 @@ def report_page(comparisons: dict[str, Comparison], values: dict, content: dict,
             folded(f'Over time{of}', charts(replay_charts(comparison, best), 'estimates and signals over time')),
             folded(f'Which sensor error model is best?{of}', bullets(sentences(comparison))),
             folded(f'Position errors{of}', *_run_tables(comparison, content, name), *others[:3]),
-            folded(f'Outages{of}', _outage_table(comparison, content, name), *others[3:]),
+            folded(f'Outages{of}', *_outage_tables(comparison, content, name), *others[3:]),
             _recording_section(f'Recording{of}', content, name, values)]
+        told = [f"{r['time_s']:.0f} s: {r['name']} {r['state']}: {r['text']}" for r in content['online']
+                if r['recording'] == name]
+        if told:
+            sections.append(folded(f'Diagnosed while driving{of}', bullets(told)))
     sections += [_settings(values, content), _explanation()]
     names = ', '.join(comparisons)
     return html.page(f'Replay of {names}', sections,
@@ -188,21 +202,25 @@ def _interval(bounds) -> str | None:
     return None if bounds is None else f'{number(bounds[0], 3)} to {number(bounds[1], 3)}'
 
 
-def _outage_table(comparison: Comparison, content: dict, name: str):
+def _outage_tables(comparison: Comparison, content: dict, name: str) -> list[html.Html]:
+    found = [r for r in content['outages'] if r['recording'] == name]
+    if not found:
+        return [paragraph('No outages were asked for.')]
     rows = [[model_name(comparison, r['model']), r['duration_s'], r['count'], r['max_error_rms_m'],
              r['max_error_median_m'], r['max_error_p95_m'], r['percent_of_distance'], r['within_95_percent']]
-            for r in content['outages'] if r['recording'] == name]
-    if not rows:
-        return paragraph('No outages were asked for.')
+            for r in found]
     columns, caption = ['model', 'without fixes, s', 'outages', 'RMS, m', 'median, m', '95 % below, m', '% of distance',
                         'inside 95 % ellipse, %'], 'Largest horizontal error in each outage.'
-    smoothed = [r['smoothed'] for r in content['outages'] if r['recording'] == name and 'smoothed' in r]
-    if smoothed:
+    if any('smoothed' in r for r in found):
         columns += ['smoothed: median, m', '95 % below, m', 'inside, %']
         caption += ' Smoothed: with the fixes that come after the outage; inside the ellipse in its middle.'
         rows = [[*row, s['max_error_median_m'], s['max_error_p95_m'], s['within_95_percent']]
-                for row, s in zip(rows, smoothed)]
-    return table(columns, rows, caption, digits=3)
+                for row, s in zip(rows, (r['smoothed'] for r in found if 'smoothed' in r))]
+    horizon = [[*row[:2], r['announced_s'], r['crossed_s'], r['crossed_early_percent']] for row, r in zip(rows, found)]
+    return [table(columns, rows, caption, digits=3), table(
+        ['model', 'without fixes, s', 'announced, s', 'crossed, s', 'crossed early, %'], horizon,
+        'Announced: for how long the filter said, at the begin, that its error stays below horizon.limit with 95 %; '
+        'crossed: when it did not (medians; empty: fewer than half did).', digits=3)]
 
 
 def _recording_section(title: str, content: dict, name: str, values: dict):

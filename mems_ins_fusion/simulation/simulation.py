@@ -13,7 +13,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.effects.base import Effect
-from mems_ins_fusion.filter.measurements.registry import AIDING
+from mems_ins_fusion.filter.measurements.base import Measurement
+from mems_ins_fusion.filter.measurements.registry import AIDING, MEASUREMENTS
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.navigation.frames import FLU_TO_FRD, rotation_from_rpy, wrap
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, Reference, Temperatures
@@ -74,7 +75,7 @@ class Aiding(dict):
     that is not there is 0."""
 
     def __init__(self, **given: float):
-        known = {name: value for measurement in AIDING for name, value in measurement.simulated_with.items()}
+        known = {name: value for one in MEASUREMENTS.values() for name, value in one.simulated_with.items()}
         if given.keys() - known.keys():
             raise ValueError(f"no errors of a simulated sensor: {', '.join(sorted(given.keys() - known.keys()))}")
         super().__init__({**known, **given})
@@ -98,12 +99,13 @@ class Simulation:
 def simulate_recording(drive: Drive, sensors: SensorErrors | None = None, gnss: GnssNoise | None = None,
                        effects: Sequence[tuple[Effect, dict[str, float]]] = (), mounting_rpy=(0.0, 0.0, 0.0),
                        seed: int = 0, name: str = 'simulation', vibration: Vibration | None = None,
-                       aiding: Aiding | None = None) -> Simulation:
+                       aiding: Aiding | None = None, named: Sequence[Measurement] = ()) -> Simulation:
     """What the sensors of `drive` record.
 
     sensors, gnss: perfect sensors and the default receiver where None. effects: in the order in which they act, each
     with its parameters (those left out take their defaults). mounting_rpy: roll, pitch, yaw (rad) of the rotation from
-    sensor axes to base_link (forward-left-up), as declared. vibration, aiding: none where None.
+    sensor axes to base_link (forward-left-up), as declared. vibration, aiding: none where None. named: inputs with a
+    name (`Measurement.named`), each with the errors of its kind in `aiding`, 10 Hz (a fix 1 Hz) without a rate there.
     The reference is the true position of the IMU, the velocity
     there and the yaw of the body, at each IMU sample. ValueError for an unknown parameter of an effect.
     """
@@ -118,7 +120,7 @@ def simulate_recording(drive: Drive, sensors: SensorErrors | None = None, gnss: 
         imu = effect.distort_samples(imu, values, stream(seed, effect.name))
     temperatures = _temperatures(drive, effects, seed)
     recording = Recording(name, imu.with_temperature(temperatures), _fixes(drive, gnss, effects, seed), reference,
-                          temperatures).having(_aided(drive, aiding, effects, seed) if aiding else {})
+                          temperatures).having(_aided(drive, aiding, effects, seed, named) if aiding or named else {})
     return Simulation(recording, drive, slow_errors, {effect.name: values for effect, values in effects})
 
 
@@ -176,18 +178,28 @@ def _fixes(drive, gnss, effects, seed) -> Fixes:
                  covariance_type=np.full(len(stamp), _COVARIANCE_TYPE_DIAGONAL_KNOWN, np.uint8))
 
 
-def _aided(drive, aiding, effects, seed) -> dict:
+def _aided(drive, aiding, effects, seed, named) -> dict:
     """What the further sensors say, by name."""
-    return {measurement.name: measurement.simulated(drive, aiding, effects, stream(seed, measurement.name),
-                                                    partial(_instants, drive))
-            for measurement in AIDING if aiding.get(f'{measurement.name}_rate')}
+    errors = {**Aiding(), **(aiding or {})}
+    wanted = [measurement for measurement in AIDING if errors[f'{measurement.name}_rate']]
+    said = {}
+    for measurement in (*wanted, *named):
+        rate = f'{MEASUREMENTS[measurement.kind].name}_rate'
+        own = {**errors, rate: errors[rate] or (1.0 if measurement.from_satellites else 10.0)}
+        said[measurement.name] = measurement.simulated(drive, own, effects, stream(seed, measurement.name),
+                                                       partial(_instants, drive, effects, measurement.name))
+    return said
 
 
-def _instants(drive, rate, phase):
-    """Times, s after the start, and stamps of measurements at `rate` Hz; phase: s, None as the receiver's."""
+def _instants(drive, effects, name, rate, phase):
+    """Times, s after the start, and stamps of measurements of the input `name` at `rate` Hz; phase: s, None as the
+    receiver's."""
     phase = GnssNoise.phase if phase is None else phase
     time = phase + np.arange(math.floor((drive.time[-1] - phase) * rate + 1e-9) + 1) / rate
-    return time, START_STAMP + np.round(time * 1e9).astype(np.int64)
+    stamp = START_STAMP + np.round(time * 1e9).astype(np.int64)
+    for effect, values in effects:
+        time = effect.measured_times(name, time, values)
+    return time, stamp
 
 
 def _temperatures(drive, effects, seed) -> Temperatures | None:

@@ -6,7 +6,7 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ...navigation import strapdown
-from ..memory import NAV, PLANAR, Error, Head, Nav, Sample, channel_of, row_of
+from ..memory import NAV, PLANAR, Error, Event, Head, Nav, Sample, channel_of, row_of
 
 
 @njit(_nrt=False)
@@ -42,6 +42,22 @@ def add(mem, h, error, value):
     state = row_of(mem, error)
     if state >= 0:
         mem[h + state] += value
+
+
+@njit(_nrt=False)
+def arm_of(mem, at, plain):
+    """From the IMU to where the record at `at` was measured, body axes, m; plain: where that of the input without a
+    name stands."""
+    if mem[at + Event.INPUT] > 0.0:
+        plain = at + Event.ARM
+    return mem[plain], mem[plain + 1], mem[plain + 2]
+
+
+@njit(_nrt=False)
+def own_state(mem, at, plain):
+    """Index of the optional state of the record's input, -1: none; plain: where that of the one without a name
+    stands."""
+    return int(mem[at + Event.STATE]) if mem[at + Event.INPUT] > 0.0 else int(mem[plain])
 
 
 @njit(_nrt=False)

@@ -55,7 +55,7 @@ class Heading(Measurement):
     def parameters(self):
         return (
             *super().parameters(),
-            Parameter('heading.offset', 0.0, 'rad', 'Of the heading measured to that of base_link, clockwise; '
+            Parameter(f'{self.name}.offset', 0.0, 'rad', 'Of the heading measured to that of base_link, clockwise; '
                       'subtracted.', minimum=-2 * math.pi, maximum=2 * math.pi))
 
     def declared(self, settings, headings):

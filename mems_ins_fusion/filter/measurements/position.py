@@ -7,11 +7,12 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
+from ...navigation.earth import radii
 from ...samples import Fixes
 from ..memory import Error, Event, Head, Kind, Nav, row_of
 from ..trust.lag import behind
-from .base import Measurement
-from .geometry import add, turned
+from .base import NAV_SAT_FIX, Measurement
+from .geometry import add, arm_of, turned
 from .records import empty, refuse
 
 
@@ -49,6 +50,22 @@ def observe(mem, r, at, h, n, c):
         mem[h + offset], mem[h + n + offset] = mem[r + Nav.V_N], mem[r + Nav.V_E]
         mem[h + 2 * n + offset] = mem[r + Nav.V_D]
     add(mem, h + 2 * n, Error.R_D, 1.0)
+    return 3 if row_of(mem, Error.R_D) >= 0 else 2
+
+
+@njit(_nrt=False)
+def observe_place(mem, r, at, h, n, c):
+    """Of a further receiver: predicted minus measured position of its antenna, and the rows of H; the number of
+    components. What is told of the first one's errors - coloured noise, smoothing, clock - is not of this one."""
+    x, y, z = arm_of(mem, at, Head.LEVER_X)
+    north, east, down = (c[0] * x + c[1] * y + c[2] * z, c[3] * x + c[4] * y + c[5] * z,
+                         c[6] * x + c[7] * y + c[8] * z)
+    mem[at + Event.Z_N] = (mem[r + Nav.LATITUDE] - mem[at + Event.LATITUDE]) / mem[r + Nav.NORTH_SCALE] + north
+    mem[at + Event.Z_E] = (mem[r + Nav.LONGITUDE] - mem[at + Event.LONGITUDE]) / mem[r + Nav.EAST_SCALE] + east
+    mem[at + Event.Z_D] = mem[at + Event.HEIGHT] - mem[r + Nav.HEIGHT] + down
+    turned(mem, h, n, north, east, down)
+    for k in range(3):
+        add(mem, h + n * k, Error.R_N + k, 1.0)
     return 3 if row_of(mem, Error.R_D) >= 0 else 2
 
 
@@ -116,14 +133,45 @@ def records(settings, fixes):
 
 
 class Fix(Measurement):
-    """What it has in common with the other measurements; its settings are `GnssSettings`."""
+    """The fixes that the filter starts from and is reset to, whose settings are `GnssSettings`; with a name, those of a
+    further receiver, which are judged as all other measurements are."""
 
-    kind, name, samples, unit = Kind.POSITION, 'fix', Fixes, 'm'
+    kind, name, samples, unit, default_sigma = Kind.POSITION, 'fix', Fixes, 'm', 3.0
+    topic_text = 'Topic of the position of an antenna: sensor_msgs/NavSatFix'
     components = 2
-    of_antenna = from_satellites = True
+    messages = {NAV_SAT_FIX: ('status.status', 'latitude', 'longitude', 'altitude', 'position_covariance',
+                              'position_covariance_type')}
+    written_to = '/gps/fix'
+    of_antenna = from_satellites = has_arm = True
+    #: m, white, north and east; down is 1.5 times that
+    simulated_with = {'fix_rate': 0.0, 'fix_sigma': 1.5}
 
     def off(self, measured, innovation):
         return f'fix {math.hypot(*innovation):.1f} m off'
 
     def records(self, settings, fixes):
-        return records(settings, fixes)
+        found, reasons, warnings = records(settings, fixes)
+        found[:, Event.KIND] = Kind.POSITION if self.is_plain else Kind.PLACE
+        return found, reasons, warnings
+
+    def read(self, fields, message):
+        return Fixes(stamp=fields['stamp'], received=fields['received'], latitude=np.radians(fields['latitude']),
+                     longitude=np.radians(fields['longitude']), height=fields['altitude'],
+                     covariance=fields['position_covariance'].reshape(-1, 3, 3), status=fields['status.status'],
+                     covariance_type=fields['position_covariance_type'])
+
+    def written(self, fixes):
+        return {'latitude': np.degrees(fixes.latitude), 'longitude': np.degrees(fixes.longitude),
+                'altitude': fixes.height, 'status.status': fixes.status, 'status.service': 1,  # GPS
+                'position_covariance': fixes.covariance.reshape(-1, 9),
+                'position_covariance_type': fixes.covariance_type}
+
+    def simulated(self, drive, errors, effects, rng, instants):
+        time, stamp = instants(errors['fix_rate'], None)
+        at, sigma = drive.at(time), errors['fix_sigma'] * np.array([1.0, 1.0, 1.5])
+        north, east, down = (at.attitude.apply(self.arm) + sigma * rng.standard_normal((len(time), 3))).T
+        meridian, prime_vertical = radii(at.latitude)
+        n = len(time)
+        return Fixes(stamp, stamp.copy(), at.latitude + north / (meridian + at.height),
+                     at.longitude + east / ((prime_vertical + at.height) * np.cos(at.latitude)), at.height - down,
+                     np.tile(np.diag(sigma**2), (n, 1, 1)), np.zeros(n, np.int8), np.full(n, 2, np.uint8))

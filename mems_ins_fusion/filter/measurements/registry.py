@@ -1,19 +1,69 @@
 """All measurements there are: who needs them asks here."""
 from __future__ import annotations
 
-from ...parameters.parameter import Parameter
+import re
+from collections.abc import Mapping
+
+from ...parameters.parameter import Parameter, ParameterError
+from ..memory import Kind
 from . import wheel_vibration
 from .base import Measurement
 from .heading import Heading
 from .position import Fix
+from .pressure import Pressure
 from .speed import Speed
 from .velocity import Velocity
 
 #: those besides the fixes, in the order in which their parameters are written
-AIDING: tuple[Measurement, ...] = (Speed(), Velocity(), Heading())
+AIDING: tuple[Measurement, ...] = (Speed(), Velocity(), Heading(), Pressure())
 #: all, by their number
 MEASUREMENTS: dict[int, Measurement] = {measurement.kind: measurement for measurement in (Fix(), *AIDING)}
 #: parameters of what the samples of the IMU tell besides motion: no message brings it
 HEARD: tuple[Parameter, ...] = (wheel_vibration.PARAMETER,)
-NAMES = {kind: measurement.name for kind, measurement in MEASUREMENTS.items()}
 assert len(MEASUREMENTS) == 1 + len(AIDING), 'two measurements with one number'
+#: what an input with a name may measure, by `NAME.type`
+TYPES = {measurement.name: measurement for measurement in MEASUREMENTS.values()}
+#: inputs with a name are numbered from here on
+FIRST_NAMED = 100
+INPUTS = Parameter('inputs', [], 'text', 'Names of further inputs, any number, each with NAME.type '
+                   f'({", ".join(sorted(TYPES))}), NAME.topic, NAME.time_offset, NAME.sigma and what else its type '
+                   'has; NAME.lever_arm of a fix, velocity or speed. The parameters without a name are of one more of '
+                   'each.')
+#: of a name
+_NAME = re.compile(r'[a-z][a-z0-9_]*')
+
+
+def named_parameters(values: Mapping, taken: Mapping) -> dict[str, Parameter]:
+    """The parameters of the inputs that `values`, unchecked, name; taken: those that there are already.
+
+    ParameterError where an input is not one.
+    """
+    found: dict[str, Parameter] = {}
+    names = INPUTS.check(values.get('inputs', []))
+    for name in names:
+        if not _NAME.fullmatch(name) or names.count(name) > 1:
+            raise ParameterError(f"parameter 'inputs' must have different names of small letters, digits and _, got "
+                                 f"'{name}'")
+        if name in ('imu', 'temperature', *TYPES) or any(one.startswith(f'{name}.') for one in taken):
+            raise ParameterError(f"parameter 'inputs': '{name}' is what other parameters are called, give it another "
+                                 'name')
+        for needed in ('type', 'topic'):
+            if not values.get(f'{name}.{needed}'):
+                raise ParameterError(f"parameter '{name}.{needed}' is missing: 'inputs' has '{name}'")
+        if values[f'{name}.type'] not in TYPES:
+            raise ParameterError(f"parameter '{name}.type' must be one of {', '.join(sorted(TYPES))}; got "
+                                 f"'{values[f'{name}.type']}'")
+        found |= {p.name: p for p in TYPES[values[f'{name}.type']].named(name, 0).named_parameters()}
+    return found
+
+
+def aiding(values: Mapping) -> tuple[Measurement, ...]:
+    """All inputs besides the fixes: those of AIDING, and those that the checked parameters `values` name."""
+    names = enumerate(values.get('inputs', ()), start=FIRST_NAMED)
+    return (*AIDING, *(TYPES[values[f'{name}.type']].named(name, number, values.get(f'{name}.lever_arm', (0.0,) * 3))
+                       for number, name in names))
+
+
+def inputs(values: Mapping) -> dict[int, Measurement]:
+    """All inputs, the fixes too, by number."""
+    return {measurement.number: measurement for measurement in (MEASUREMENTS[Kind.POSITION], *aiding(values))}

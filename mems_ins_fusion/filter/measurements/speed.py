@@ -9,31 +9,38 @@ from mems_ins_fusion.compiled import njit
 
 from ...parameters.parameter import Parameter
 from ...samples import Speeds
-from ..memory import Event, Head, Kind
+from ..memory import NAV, Event, Head, Kind, channel_of
 from .base import ODOMETRY, TWIST, Measurement, covariance36
-from .geometry import add_body_velocity, angular_rate, body_velocity, vehicle_to_level
+from .geometry import add_body_velocity, angular_rate, arm_of, body_velocity, own_state, vehicle_to_level
+from .motion import velocity_at
 from .records import empty, refuse, stated_or
 
 
 @njit(_nrt=False)
-def rolling(mem, r, at, h, n, c, sample):
-    """The speed with which the wheels roll, positive forwards, into Z_N, and its derivative."""
+def rolling(mem, r, at, h, n, c, sample, y, z):
+    """The speed with which the wheels roll, positive forwards, into Z_N, and its derivative; y, z: m, their place."""
     _, w_y, w_z = angular_rate(mem, r, sample)
     c = vehicle_to_level(mem, r, c)
     add_body_velocity(mem, r, h, c, 0, 1.0)
-    mem[at + Event.Z_N] = body_velocity(mem, r, c, 0) + w_y * mem[Head.AXLE_Z] - w_z * mem[Head.AXLE_Y]
-    across = int(mem[Head.AXLE_ACROSS])
-    if across >= 0:
-        mem[h + across] = w_z
+    mem[at + Event.Z_N] = body_velocity(mem, r, c, 0) + w_y * z - w_z * y
+    return w_z
 
 
 @njit(_nrt=False)
 def observe(mem, r, at, h, n, c, sample):
     """Predicted minus measured speed, positive forwards; one component. measured = (1 + scale) true."""
-    rolling(mem, r, at, h, n, c, sample)
-    scale = int(mem[Head.SPEED_SCALE])
+    _, y, z = arm_of(mem, at, Head.AXLE_X)
+    w_z = rolling(mem, r, at, h, n, c, sample, y, z)
+    across, gyroscope = int(mem[Head.AXLE_ACROSS]), channel_of(mem, 5)
+    scale = own_state(mem, at, Head.SPEED_SCALE)
     if scale >= 0:
         mem[h + scale] = -mem[at + Event.Z_N]
+    if mem[at + Event.INPUT] == 0.0:
+        if across >= 0:
+            mem[h + across] = w_z
+    elif gyroscope >= 0:  # two wheels of an axle tell the turn rate; `update` takes H times the estimate out of z
+        mem[h + gyroscope] = -y
+        mem[at + Event.Z_N] -= y * mem[r + NAV + gyroscope]
     mem[at + Event.Z_N] -= mem[at + Event.VALUE]
     return 1
 
@@ -49,6 +56,7 @@ class Speed(Measurement):
     topic_text = ('Topic of the speed at the rear axle, m/s, forward positive: '
                   'geometry_msgs/TwistWithCovarianceStamped or nav_msgs/Odometry, twist.linear.x')
     offset = 'scale'
+    has_arm = True
     messages = {TWIST: ('twist.twist.linear', 'twist.covariance'), ODOMETRY: ('twist.twist.linear', 'twist.covariance')}
     written_to = '/wheel/speed'
     #: m/s, white, of the rear wheels' speed; standard deviation of its scale factor error, drawn for each seed
@@ -57,16 +65,21 @@ class Speed(Measurement):
     def parameters(self):
         return (
             *super().parameters(),
-            Parameter('speed.factor', 1.0, '-', 'Makes m/s, positive forwards, of what the messages on speed_topic '
-                      'say: 0.27778 for km/h, -1 where forwards is negative.', minimum=-1e4, maximum=1e4),
-            Parameter('speed.scale', 0.0, '-', 'Scale factor error of the speed: measured = (1 + scale) true.',
+            Parameter(f'{self.name}.factor', 1.0, '-', f'Makes m/s, positive forwards, of what the messages on '
+                      f'{self.topic} say: 0.27778 for km/h, -1 where forwards is negative.', minimum=-1e4, maximum=1e4),
+            Parameter(f'{self.name}.scale', 0.0, '-', 'Scale factor error of the speed: measured = (1 + scale) true.',
                       minimum=-0.5, maximum=0.5),
-            Parameter('speed.scale_sigma', 0.02, '-', 'Its standard deviation, with which it is estimated; 0: it is '
-                      'exact.', minimum=0.0, maximum=0.5))
+            Parameter(f'{self.name}.scale_sigma', 0.02, '-', 'Its standard deviation, with which it is estimated; 0: '
+                      'it is exact.', minimum=0.0, maximum=0.5))
 
     def states(self, values):
         # in a bend the wheels' speed is not the IMU's
-        return {'speed_scale': values['speed.scale_sigma'], 'axle_y': values['vehicle.rear_axle_sigma']}
+        across = {'axle_y': (values['vehicle.rear_axle_sigma'], 0.0)} if self.is_plain else {}
+        return {self.state: (values[f'{self.name}.scale_sigma'], 0.0), **across}
+
+    @property
+    def state(self):
+        return f'{self.name}_scale'
 
     def declared(self, settings, speeds):
         return replace(speeds, speed=settings.factor * speeds.speed / (1.0 + settings.offset),
@@ -94,8 +107,14 @@ class Speed(Measurement):
 
     def simulated(self, drive, errors, effects, rng, instants):
         time, stamp = instants(errors['speed_rate'], 0.0021)
-        speed = (1 + errors['speed_scale'] * rng.standard_normal()) * drive.path.wheel_speed(time)
+        speed = (1 + errors['speed_scale'] * rng.standard_normal()) * self._true(drive, time)
         for effect, values in effects:
             speed = effect.distort_speeds(speed, values)
         speed = speed + errors['speed_sigma'] * rng.standard_normal(len(time))
         return Speeds(stamp, stamp.copy(), speed, np.full(len(time), errors['speed_sigma'] ** 2))
+
+    def _true(self, drive, time):
+        """Of the rear axle, or along the vehicle at the arm of a named input."""
+        if self.is_plain:
+            return drive.path.wheel_speed(time)
+        return np.einsum('ki,ki->k', velocity_at(drive, time, self.arm), drive.at(time).attitude.as_matrix()[:, :, 0])

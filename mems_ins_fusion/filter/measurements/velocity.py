@@ -9,7 +9,8 @@ from ...navigation.frames import ned_covariance_from_enu, ned_from_enu
 from ...samples import Velocities
 from ..memory import Error, Event, Head, Kind, Nav, row_of
 from .base import TWIST, Measurement, covariance36
-from .geometry import add, angular_rate, turned
+from .geometry import add, angular_rate, arm_of, turned
+from .motion import velocity_at
 from .records import empty, refuse, stated_or
 
 
@@ -17,7 +18,7 @@ from .records import empty, refuse, stated_or
 def observe(mem, r, at, h, n, c, sample):
     """Predicted minus measured velocity of the antenna; the number of components."""
     w_x, w_y, w_z = angular_rate(mem, r, sample)
-    x, y, z = mem[Head.LEVER_X], mem[Head.LEVER_Y], mem[Head.LEVER_Z]
+    x, y, z = arm_of(mem, at, Head.LEVER_X)
     # the antenna goes round the IMU: w x arm
     u_x, u_y, u_z = w_y * z - w_z * y, w_z * x - w_x * z, w_x * y - w_y * x
     north, east, down = (c[0] * u_x + c[1] * u_y + c[2] * u_z, c[3] * u_x + c[4] * u_y + c[5] * u_z,
@@ -37,10 +38,6 @@ FASTEST = 150.0
 SMALLEST_SIGMA = 0.001
 
 
-#: s, of the differences that give a simulated antenna's velocity
-STEP = 1e-3
-
-
 class Velocity(Measurement):
     kind, name, samples, unit, default_sigma = Kind.VELOCITY, 'velocity', Velocities, 'm/s', 0.2
     topic_text = ("Topic of the antenna's velocity, m/s east-north-up: geometry_msgs/TwistWithCovarianceStamped, "
@@ -48,7 +45,7 @@ class Velocity(Measurement):
     components = 2
     messages = {TWIST: ('twist.twist.linear', 'twist.covariance')}
     written_to = '/gps/velocity'
-    of_antenna = from_satellites = True
+    of_antenna = from_satellites = has_arm = True
     #: m/s, white, north and east; down is 1.5 times that
     simulated_with = {'velocity_rate': 0.0, 'velocity_sigma': 0.1}
 
@@ -78,14 +75,12 @@ class Velocity(Measurement):
     def simulated(self, drive, errors, effects, rng, instants):
         # at the time that the receiver's fixes of the same stamp describe
         time, stamp = instants(errors['velocity_rate'], None)
-        antenna = np.zeros(3)  # body, forward-right-down
+        antenna = self.arm.copy()  # body, forward-right-down
         for effect, values in effects:
-            time = effect.fix_times(time, values)
-            antenna += [values['x'], -values['y'], -values['z']] if effect.name == 'gnss_lever_arm' else 0.0
-        velocity = drive.at(time).velocity
-        if antenna.any():
-            before, after = (drive.at(time + step).attitude.apply(antenna) for step in (-STEP, STEP))
-            velocity = velocity + (after - before) / (2 * STEP)
+            time = effect.fix_times(time, values) if self.is_plain else time
+            if effect.name == 'gnss_lever_arm' and self.is_plain:
+                antenna += [values['x'], -values['y'], -values['z']]
+        velocity = velocity_at(drive, time, antenna)
         sigma = errors['velocity_sigma'] * np.array([1.0, 1.0, 1.5])
         return Velocities(stamp, stamp.copy(), velocity + sigma * rng.standard_normal((len(time), 3)),
                           np.tile(np.diag(sigma**2), (len(time), 1, 1)))

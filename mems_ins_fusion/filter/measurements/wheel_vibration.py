@@ -244,7 +244,9 @@ def remember(memory: np.ndarray, kept: np.ndarray | None) -> None:
 @njit(_nrt=False)
 def observe(mem, r, at, h, n, c, sample):
     """Predicted minus told speed; one component. It has no sign, and is that of the middle of the car."""
-    rolling(mem, r, at, h, n, c, sample)
+    w_z, across = rolling(mem, r, at, h, n, c, sample, mem[Head.AXLE_Y], mem[Head.AXLE_Z]), int(mem[Head.AXLE_ACROSS])
+    if across >= 0:
+        mem[h + across] = w_z
     mem[at + Event.R_NN] = mem[sample + Told.VARIANCE]
     mem[at + Event.Z_N] -= math.copysign(mem[sample + Told.SPEED], mem[at + Event.Z_N])
     return 1

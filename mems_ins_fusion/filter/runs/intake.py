@@ -11,7 +11,7 @@ from mems_ins_fusion.compiled import njit
 from ...samples import Fixes, ImuSamples
 from ..config import FilterConfig
 from ..kernel import FORGOTTEN, TOO_LATE
-from ..measurements.registry import MEASUREMENTS, NAMES
+from ..measurements.registry import FIRST_NAMED
 from ..memory import Event, Kind
 from ..start.start import DATUM_FIXES, first_place
 
@@ -71,16 +71,15 @@ class Intake:
     def __init__(self, config: FilterConfig):
         self.config = config
         self._follow = np.full(3, -1, dtype=np.int64)
-        self._last = dict.fromkeys(MEASUREMENTS, None)  # stamps of the last good measurement, ns
+        self._last = dict.fromkeys(config.inputs, None)  # stamps of the last good measurement, ns
         self._notices: list[Notice] = []
         self._restart_gap = round(config.imu.restart_gap * 1e9)
         self._step_back = round(config.imu.max_gap * 1e9)
-        self._ahead = dict.fromkeys(MEASUREMENTS, (0, 0))  # stamps of the last one ahead, and of the sample before
+        self._ahead = dict.fromkeys(config.inputs, (0, 0))  # stamps of the last one ahead, and of the sample before
         #: why the newest measurement that `measured` refused was refused, without numbers
         self.refusal = ''
         #: how much later than the quickest ones the newest message came, s: how long it waited in queues
         self.waited = 0.0
-        self._offset = round(config.gnss.time_offset * 1e9)
 
     def notices(self) -> list[Notice]:
         """What has happened since the last call."""
@@ -119,14 +118,20 @@ class Intake:
                                     'sample dropped')
         return codes
 
+    def name(self, kind: int) -> str:
+        return self.config.inputs[kind].name
+
     def measured(self, kind: int, samples, newest: np.ndarray, epoch: int) -> tuple[np.ndarray, np.ndarray]:
-        """Records of the good ones among `samples` of one kind, in the order of their arrival: indices and records.
+        """Records of the good ones among `samples` of one input, in the order of their arrival: indices and records.
+
+        kind: number of the input, `Kind` of one without a name.
 
         newest (n,): ns, the stamp of the IMU sample before each. epoch: ns, of the filter's time.
         """
-        measurement, settings = MEASUREMENTS[kind], self.config.settings_of(kind)
+        measurement, settings = self.config.inputs[kind], self.config.settings_of(kind)
         records, reasons, warnings = measurement.records(settings, samples)
-        stamp = samples.stamp - (self._offset if measurement.of_antenna else 0)
+        offset = self.config.time_offset_of(kind)
+        stamp = samples.stamp - round(offset * 1e9)
         self._refuse_twins(kind, samples.stamp, reasons)
         for i in np.flatnonzero((reasons != '') | (warnings != '')):
             self.say('warning', f'{settings.topic}: {reasons[i] or warnings[i]}')
@@ -134,13 +139,17 @@ class Intake:
         if not good.all():
             self.refusal = _NUMBER.sub('#', reasons[np.flatnonzero(~good)[-1]])
         ahead = (stamp - newest) * 1e-9
-        for i in np.flatnonzero(good & ((-ahead > self.config.gnss.max_delay) | (ahead > LATEST))):
+        for i in np.flatnonzero(good & ((-ahead > self.config.latest) | (ahead > LATEST + max(-offset, 0.0)))):
             good[i], self.refusal = False, 'stamped ahead of the IMU' if ahead[i] > 0 else 'too late'
             if ahead[i] > 0:
                 self._say_ahead(kind, ahead[i], int(stamp[i]), int(newest[i]))
             else:
                 self.say_not_taken(kind, TOO_LATE, int(stamp[i]), int(newest[i]))
         records[:, Event.TIME] = (stamp - epoch) * 1e-9
+        if not measurement.is_plain:
+            records[:, Event.INPUT] = kind - FIRST_NAMED + 1
+            records[:, Event.STATE] = self.config.layout.index(measurement.state)
+            records[:, Event.ARM:Event.ARM + 3] = measurement.arm
         return np.flatnonzero(good), records[good]
 
     def _say_ahead(self, kind: int, ahead: float, stamp: int, newest: int) -> None:
@@ -149,7 +158,7 @@ class Intake:
         why = 'the clocks differ (gnss.time_offset)'
         if sample == newest and stamp > before:  # measurements go on, samples do not
             why = f'nothing has come on {self.config.imu.topic} since'
-        self.say('warning', f'{self.topic(kind)}: {NAMES[kind]} stamped {ahead:.1f} s after the newest IMU sample: '
+        self.say('warning', f'{self.topic(kind)}: {self.name(kind)} stamped {ahead:.1f} s after the newest IMU sample: '
                             f'{why}; dropped')
 
     def _refuse_twins(self, kind: int, stamp: np.ndarray, reasons: np.ndarray) -> None:
@@ -159,7 +168,7 @@ class Intake:
             return
         before = np.concatenate([[self._last[kind]], stamp[good[:-1]]])
         for i in good[stamp[good] == before]:
-            reasons[i] = f'header.stamp {stamp[i] * 1e-9:.6f} s came twice: second {NAMES[kind]} dropped'
+            reasons[i] = f'header.stamp {stamp[i] * 1e-9:.6f} s came twice: second {self.name(kind)} dropped'
         self._last[kind] = int(stamp[good[-1]])
 
     def say_not_taken(self, kind: int, answer: int, stamp: int, newest: int) -> None:
@@ -171,7 +180,7 @@ class Intake:
         elif answer == FORGOTTEN:
             why = f'more than {self.config.event_capacity // 2} measurements have come since'
         if why:
-            self.say('warning', f'{self.topic(kind)}: {NAMES[kind]} stamped {stamp * 1e-9:.3f} s came {late:.2f} s '
+            self.say('warning', f'{self.topic(kind)}: {self.name(kind)} stamped {stamp * 1e-9:.3f} s came {late:.2f} s '
                                 f'after the IMU samples of its time: {why}; dropped')
 
 

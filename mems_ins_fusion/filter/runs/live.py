@@ -13,17 +13,17 @@ from .. import kernel
 from ..config import FilterConfig
 from ..kernel import TAKEN
 from ..measurements import wheel_vibration
-from ..measurements.registry import AIDING, MEASUREMENTS, NAMES
 from ..memory import NAV, Event, Head, Kind, Nav, Sample, Verdict, sample_at, state_at
 from ..start.alignment import STANDING_SIGMA, Alignment, start_covariance
 from ..start.initial import initialize, learned
 from ..start.start import DATUM_FIXES, Start, first_place
-from ..start.unheaded import spread
+from ..start.without_heading import spread
 from ..trust import white_noise
 from ..trust.drift import Drift
 from ..trust.imu_faults import FAULTS, Fault, Imu
 from ..trust.receiver import Receiver
 from ..trust.scale import scale
+from .horizon import Horizon, Lookout
 from .intake import JUMPED, NOT_FINITE, Intake, corrected
 from .odometry import LINEAR, SIZE, TWIST_COVARIANCE, odometry, published_covariance
 from .results import columns
@@ -89,6 +89,7 @@ class FusionFilter(Intake):
         self._answer, self._before = np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int64)
         self._using_fixes = True
         self._max_gap = round(config.imu.max_gap * 1e9)
+        self._lookout = Lookout(config)
         self.reset()
 
     def reset(self) -> None:
@@ -96,7 +97,7 @@ class FusionFilter(Intake):
         self._alignment = Alignment(self.config)
         self._memory: np.ndarray | None = None
         self._provisional: np.ndarray | None = None  # a filter that does not know its heading yet,
-        self._unheaded: Start | None = None  # and where it began
+        self._without_heading: Start | None = None  # and where it began
         self._epoch: int | None = None
         self._newest_fix = 0
         self._outage = False
@@ -104,7 +105,7 @@ class FusionFilter(Intake):
         self._pending: dict[int, tuple[int, int]] = {}
         self._judged: list[Judged] = []
         self._ids = 0
-        self.tallies = {name: Tally() for name in ('imu', *NAMES.values())}
+        self.tallies = {name: Tally() for name in ('imu', *(one.name for one in self.config.inputs.values()))}
         self._said_faults = bytes(8 * Fault.SIZE)  # the counts, quick to compare
         self._restarts = 0.0
         self._last_gap, self.gaps = 0.0, 0
@@ -182,8 +183,8 @@ class FusionFilter(Intake):
         now, found = self._now, []
         if now * 1e-9 - self._last_fault < _DEGRADED:
             found.append(f'samples on {self.config.imu.topic} not believed: {self._fault}')
-        for kind, name in NAMES.items():
-            tally = self.tallies[name]
+        for kind, measurement in self.config.inputs.items():
+            tally = self.tallies[measurement.name]
             if tally.steadily(now, patient=kind != Kind.POSITION):
                 found.append(f'the last {tally.row} messages on {self.topic(kind)} refused: {tally.reason}')
         strain = self._strain()
@@ -288,10 +289,10 @@ class FusionFilter(Intake):
 
     def add(self, name: str, stamp: int, *numbers) -> None:
         """One measurement besides the fixes; numbers: those of its samples (`samples`), in their order."""
-        measurement = next(m for m in AIDING if m.name == name)
+        measurement = next(m for m in self.config.inputs.values() if m.name == name)
         if self._using_fixes or not measurement.of_antenna:
             stamps = np.array([stamp], dtype=np.int64)
-            self._add(measurement.kind, measurement.samples(stamps, stamps, *_ones(*numbers)))
+            self._add(measurement.number, measurement.samples(stamps, stamps, *_ones(*numbers)))
 
     def add_velocity(self, stamp: int, velocity, covariance) -> None:
         """Velocity of the antenna, (3,) m/s north-east-down, and its covariance (3, 3)."""
@@ -310,7 +311,7 @@ class FusionFilter(Intake):
         if self._epoch is None:  # nothing to compare it with yet
             return
         used, records = self.measured(kind, samples, np.array([self._now]), self._epoch)
-        tally = self.tallies[NAMES[kind]]
+        tally = self.tallies[self.name(kind)]
         if not len(used):
             tally.refuse(stamp, self.refusal)
             return
@@ -325,8 +326,8 @@ class FusionFilter(Intake):
                 if start is not None:
                     self._begin(start, stamp)
                 else:
-                    self._unheaded = self._alignment.provisional()
-                    self._provisional = None if self._unheaded is None else self._started(self._unheaded)
+                    self._without_heading = self._alignment.provisional()
+                    self._provisional = None if self._without_heading is None else self._started(self._without_heading)
             return
         record[Event.ID] = self._ids
         self._ids += 1
@@ -414,11 +415,11 @@ class FusionFilter(Intake):
                 continue
             del self._pending[identity]
             used = verdict in (Verdict.USED, Verdict.WEIGHTED, Verdict.RECOVERED)
-            dimensions = MEASUREMENTS[kind].components
-            self._judged.append(Judged(stamp, NAMES[kind], used, float(record[Event.WEIGHT]), VERDICTS[verdict],
+            dimensions = self.config.inputs[kind].components
+            self._judged.append(Judged(stamp, self.name(kind), used, float(record[Event.WEIGHT]), VERDICTS[verdict],
                                        tuple(record[Event.Z_N:Event.Z_N + dimensions].tolist()),
                                        float(record[Event.NIS])))
-            tally, misfit = self.tallies[NAMES[kind]], float(record[Event.NIS]) / dimensions
+            tally, misfit = self.tallies[self.name(kind)], float(record[Event.NIS]) / dimensions
             if verdict == Verdict.RECOVERED:
                 self._last_recovery = stamp * 1e-9
                 lasted = (stamp - tally.since) * 1e-9
@@ -441,9 +442,9 @@ class FusionFilter(Intake):
         if verdict == Verdict.AHEAD:
             missing = f'IMU samples are missing, {self._last_gap:.1f} s of them' if self._last_gap else (
                 'IMU samples come late, as on a busy machine')
-            return (f'{NAMES[kind]} stamped {(stamp - self._now) * 1e-9:.1f} s after the IMU sample that came next: '
-                    f'{missing}, or the clocks differ (gnss.time_offset); refused')
-        measurement = MEASUREMENTS[kind]
+            return (f'{self.name(kind)} stamped {(stamp - self._now) * 1e-9:.1f} s after the IMU sample that came '
+                    f'next: {missing}, or the clocks differ (gnss.time_offset); refused')
+        measurement = self.config.inputs[kind]
         innovation = record[Event.Z_N:Event.Z_N + measurement.components]
         return f'{measurement.off(record[Event.VALUE], innovation)}, {math.sqrt(record[Event.NIS]):.0f} sigma: refused'
 
@@ -518,6 +519,9 @@ class FusionFilter(Intake):
                    'speed sigma, m/s': math.sqrt(sigma[layout.index('v_n')]**2 + sigma[layout.index('v_e')]**2)}
         if self._memory is None:
             return values
+        horizon = self._lookout.look(memory)
+        values |= {'trust horizon, s': horizon.seconds, 'trust horizon, m': horizon.metres,
+                   'trust horizon to, m': self.config.parameters['horizon.limit']}
         values['heading sigma of the vehicle, deg'] = math.degrees(vehicle_heading(self.config, memory)[1])
         values['mounting found'] = found_mounting(memory, self.config) or 'nothing against imu.mounting_rpy'
         sample = sample_at(memory, int(memory[Head.SAMPLES]))
@@ -538,12 +542,16 @@ class FusionFilter(Intake):
             values['datum'] = f'{latitude:.8f}, {longitude:.8f}, {self.datum[2]:.3f}'
         return values
 
+    def horizon(self) -> Horizon | None:
+        """For how long and how far the estimate can be trusted without fixes; None before the heading is known."""
+        return None if self._memory is None else self._lookout.look(self._memory)
+
     def update_odometry(self) -> int:
         """Fill `odometry`, `geodetic` and `position_covariance_enu` for the newest estimate; its stamp in ns."""
         odometry(self._estimating, self.datum, self._height_sigma, self.odometry, self.geodetic,
                  self.position_covariance_enu)
         if self._memory is None:
-            spread(self._unheaded, self.datum, self.odometry, self.geodetic, self.position_covariance_enu)
+            spread(self._without_heading, self.datum, self.odometry, self.geodetic, self.position_covariance_enu)
         return self._now
 
     def vehicle_axes(self) -> tuple[float, float, float | None]:
@@ -575,6 +583,7 @@ class FusionFilter(Intake):
         filled = self.odometry.copy(), self.geodetic.copy(), self.position_covariance_enu.copy()
         odometry(memory, datum, 1.0, *filled)
         spread(start, datum, *filled)
+        self._lookout.look(memory)
         follow = self._follow.copy()
         self.follow(np.array([0], dtype=np.int64), sample[:, 1:])
         self._follow[:] = follow

@@ -27,7 +27,7 @@ from ..memory import (
     variance_factor,
     velocity_state,
 )
-from ..trust.contradiction import disputed
+from ..trust.contradiction import undecided
 from ..trust.white_noise import density
 
 #: where each part stands in the vector that `odometry` fills
@@ -65,12 +65,12 @@ def corrected(row, r, is_planar, open_loop):
 @njit(_nrt=False)
 def besides(row, r, i, j):
     """What element (i, j) of the covariance of position and velocity (n, e; n, e) of the state at r in `row` is
-    published with besides P: errors of the receiver that last (trust/receiver.py), and what is in dispute
+    published with besides P: errors of the receiver that last (trust/receiver.py), and fixes that do not fit
     (trust/contradiction.py).
     """
-    drawn, left = disputed(row, r)
+    moved, left = undecided(row, r)
     lasting = row[r + Nav.LASTING] if i == j and i < 2 else 0.0
-    return lasting + drawn[i] * drawn[j] + left[i] * left[j]
+    return lasting + moved[i] * moved[j] + left[i] * left[j]
 
 
 @njit(_nrt=False)

@@ -9,7 +9,7 @@ from ..memory import Event, Kind
 from ..start.alignment import Alignment
 from ..start.initial import initialize
 from ..start.start import Start
-from ..start.unheaded import spread
+from ..start.without_heading import spread
 from .odometry import SIZE, odometry
 from .replay import Events, Progress, Replay
 
@@ -91,9 +91,9 @@ class _Publishing(Replay):
         self.height_sigma = np.append(self._heights[1], self.height_sigma)[len(self._heights[0]) - 1]
 
     def _ask(self, memory, samples, index, events: Events, first: int, silent: int = 0,
-             unheaded: Start | None = None) -> Progress:
+             without_heading: Start | None = None) -> Progress:
         """`samples` with these indices, that numbered `first` first, through the kernel; the odometry after each that
-        is kept, but for the `silent` first ones. unheaded: where a filter without a heading began."""
+        is kept, but for the `silent` first ones. without_heading: where a filter without a heading began."""
         kept = np.flatnonzero(self.keep[index])
         kept = kept[kept >= silent]
         rows, geodetic, covariance = np.zeros((len(kept), SIZE)), np.empty(3), np.empty(9)
@@ -105,7 +105,7 @@ class _Publishing(Replay):
         for i, k in enumerate(kept.tolist()):
             work.advance(memory, k + 1)
             odometry(memory, self.datum, sigma[latest[i]], rows[i], geodetic, covariance)
-            if unheaded is not None:
-                spread(unheaded, self.datum, rows[i], geodetic, covariance)
+            if without_heading is not None:
+                spread(without_heading, self.datum, rows[i], geodetic, covariance)
         self.published.append((index[kept], rows))
         return work

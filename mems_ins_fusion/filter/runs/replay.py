@@ -16,19 +16,17 @@ from ...samples import Aiding, Fixes, ImuSamples
 from .. import kernel
 from ..config import FilterConfig
 from ..kernel import TAKEN
-from ..measurements.registry import MEASUREMENTS
 from ..memory import Event, Head, Kind, Nav, Sample, Verdict, state_at
 from ..start.alignment import Alignment, Remembered
 from ..start.initial import initialize
 from ..start.start import Start, retaken
 from ..trust.imu_faults import FAULTS, Imu
+from .horizon import Lookout
 from .intake import GOOD, JUMPED, Intake, corrected
 from .results import Measured, Run, columns, result
 from .snapshot import after_jump
 from .vehicle_check import vehicle_says
 
-#: kinds of what comes from satellites and is withheld in an outage
-WITHHELD = tuple(kind for kind, measurement in MEASUREMENTS.items() if measurement.from_satellites)
 _NOTHING = np.empty((0, Event.SIZE))
 
 
@@ -37,12 +35,14 @@ class Coasting:
     """Outages of one filter.
 
     begin (o,): ns, the IMU's clock: fixes later than this are withheld. first (o + 1,): outage i has the rows first[i]
-    to first[i + 1] of `run`, from the last sample kept at or before its begin.
+    to first[i + 1] of `run`, from the last sample kept at or before its begin. announced (o,): s from the begin, for
+    which the filter then said that its error stays below `horizon.limit` (`horizon.py`).
     """
 
     begin: np.ndarray
     first: np.ndarray
     run: Run
+    announced: np.ndarray
 
 
 def run(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aiding = Aiding(), start: Start | None = None,
@@ -92,16 +92,18 @@ def run_with_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin:
     lengths = [len(branch.samples) for branch in work.branches]
     first = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
     return whole, Coasting(np.array([branch.begin for branch in work.branches], dtype=np.int64), first,
-                           work.result(work.branches))
+                           work.result(work.branches), np.array([branch.announced for branch in work.branches]))
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Between two restarts, or one outage: the samples (indices) whose states are kept, and these."""
+    """Between two restarts, or one outage: the samples (indices) whose states are kept, and these. Of an outage: its
+    begin, ns, and for how long it was then announced to be endured, s."""
 
     samples: np.ndarray
     states: np.ndarray
     begin: int = 0
+    announced: float = np.nan
 
 
 class Replay(Intake):
@@ -118,7 +120,9 @@ class Replay(Intake):
         self.keep = np.ones(len(imu), dtype=bool) if keep is None else keep
         self.begin, self.duration = begin, duration
         self.inputs = {kind: fixes if kind == Kind.POSITION else aiding.get(measurement.name)
-                       for kind, measurement in MEASUREMENTS.items()}
+                       for kind, measurement in config.inputs.items()}
+        #: numbers of what comes from satellites and is withheld in an outage
+        self.withheld = [kind for kind, measurement in config.inputs.items() if measurement.from_satellites]
         # what arrived together with a sample comes after it
         self.arrival = {kind: np.searchsorted(imu.received, samples.received, side='right')
                         for kind, samples in self.inputs.items() if samples is not None}
@@ -232,24 +236,25 @@ class Replay(Intake):
         states = np.empty((len(kept), len(self.columns)))
         time = samples[:, 0]
         begin = [b for b in self.begin if len(kept) and time[kept[0]] <= (b - epoch) * 1e-9 <= time[-1]]
-        withheld = np.isin(events.kind, WITHHELD)
+        withheld = np.isin(events.kind, self.withheld)
         forks = []
         for b in begin:
             later = withheld & (events.record[:, Event.TIME] > (b - epoch) * 1e-9)
             forks.append(int(events.arrival[later].min()) if later.any() else len(samples))
         events.record[:, Event.ID] = np.arange(len(events.kind))
         work = Progress(samples, events, self.columns, kept, states)
-        branches = {}
+        branches, lookout = {}, Lookout(self.config)
         for i in np.argsort(forks, kind='stable'):
             work.advance(memory, forks[i])
-            branches[int(i)] = self._branch(memory, work, (begin[i] - epoch) * 1e-9, withheld)
+            since = (begin[i] - epoch) * 1e-9
+            branches[int(i)] = *self._branch(memory, work, since, withheld), _announced(lookout, memory, since)
         if self.said is not None:
             self._listen(memory, work, index)
         work.advance(memory, len(samples))
         work.finish(memory)
         for i, b in enumerate(begin):
-            rows, coasted = branches[i]
-            self.branches.append(Stretch(index[kept[rows]], coasted, b))
+            rows, coasted, announced = branches[i]
+            self.branches.append(Stretch(index[kept[rows]], coasted, b, announced))
         self.stretches.append(Stretch(index[kept], states))
 
     def _listen(self, memory, work: Progress, index) -> None:
@@ -318,8 +323,8 @@ class Replay(Intake):
 
 @dataclass(frozen=True)
 class Events:
-    """Measurements in the order of their arrival: kind, index among those of its kind, how many samples came before,
-    records as the kernel takes them, and its answers."""
+    """Measurements in the order of their arrival: kind (number of the input), index among its samples, how many
+    of the IMU came before, records as the kernel takes them, and its answers."""
 
     kind: np.ndarray
     index: np.ndarray
@@ -375,6 +380,13 @@ class Progress:
         kernel.run(memory, self.samples[:0], self.events.record[part].copy(), self.events.arrival[part] * 0,
                    self.events.answer[part], self.columns, self.kept[:0], self.states[:0], self.log)
         kernel.collect(memory, self.log)
+
+
+def _announced(lookout: Lookout, memory: np.ndarray, begin: float) -> float:
+    """For how long after `begin`, s, a filter with this memory trusts itself without fixes, s; 0 where it does not."""
+    seconds = lookout.look(memory).seconds
+    now = float(memory[state_at(memory, int(memory[Head.SAMPLES])) + Nav.TIME])
+    return now - begin + seconds if seconds > 0.0 else 0.0
 
 
 def kernel_says(memory: np.ndarray, topic: str) -> list[str]:

@@ -17,7 +17,7 @@ from .odometry import besides, corrected
 
 #: besides solution and covariance: what makes metres of angles, and of P what is published; what a receiver lacks
 _SCALES = (Nav.NORTH_SCALE, Nav.EAST_SCALE, Nav.VARIANCE_FACTOR, Nav.LASTING, Nav.FIX_TIME,
-           *range(Nav.DRAWN_N, Nav.LEFT_E + 1), Nav.CONTESTED, Lag.UNFOLLOWED, Lag.UNFOLLOWED + 1)
+           *range(Nav.MOVED_N, Nav.LEFT_E + 1), Nav.UNDECIDED, Lag.UNFOLLOWED, Lag.UNFOLLOWED + 1)
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class Innovations:
 
 @dataclass(frozen=True)
 class Measured:
-    """What became of every measurement given to the kernel: kind (k,), index (k,) among the samples of its kind, stamp
-    (k,) ns, and its record (k, Event.SIZE)."""
+    """What became of every measurement given to the kernel: kind (k,), number of its input; index (k,) among the
+    samples of that; stamp (k,) ns, and its record (k, Event.SIZE)."""
 
     kind: np.ndarray
     index: np.ndarray

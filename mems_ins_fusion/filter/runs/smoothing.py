@@ -25,7 +25,7 @@ from .. import history
 from ..config import FilterConfig
 from ..memory import NAV, Event, Head, Nav, StateLayout, covariance, covariance_index, row_width, state_at
 from ..update import feed_back
-from .replay import WITHHELD, Coasting, Events, Progress, Replay, Stretch
+from .replay import Coasting, Events, Progress, Replay, Stretch
 from .results import Run
 
 #: rows in memory at a time
@@ -54,7 +54,7 @@ def smoothed_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin:
     work.run()
     first = np.concatenate([[0], np.cumsum([len(branch.samples) for branch in work.branches])]).astype(np.int64)
     return Coasting(np.array([branch.begin for branch in work.branches], dtype=np.int64), first,
-                    work.result(work.branches))
+                    work.result(work.branches), np.full(len(first) - 1, np.nan))
 
 
 def as_reference(run: Run) -> Reference:
@@ -136,7 +136,7 @@ class _Smoothing(Replay):
             state[NAV:NAV + n] += p @ told
             feed_back(memory, at)
             left = p - p @ information @ p
-            state[Nav.CONTESTED] = 0.0  # what came later has settled it
+            state[Nav.UNDECIDED] = 0.0  # what came later has settled it
             state[diagonal] = [*np.maximum(np.diag(left), 0.0), left[0, 1]]
             states[i] = state[columns]
             transition, g, more = _parts(row, layout)
@@ -150,7 +150,7 @@ class _SmoothedOutages(_Smoothing):
 
     def _smooth(self, memory, samples, index, events: Events, epoch: int) -> None:
         kept, time = np.flatnonzero(self.keep[index]), samples[:, 0]
-        work, withheld = self._work(samples, events), np.isin(events.kind, WITHHELD)
+        work, withheld = self._work(samples, events), np.isin(events.kind, self.withheld)
         for b in self.begin:
             begin = (b - epoch) * 1e-9
             if not len(kept) or not time[kept[0]] <= begin <= time[-1]:

@@ -12,7 +12,7 @@ from ..config import FilterConfig
 from ..memory import Event
 from ..trust.receiver import SHORTEST_PAIR, UNKNOWN_YAW_SIGMA
 from ..trust.scale import Scale, learn, scale
-from .at_rest import SHORTEST_STILL, STILL_BLOCK, latest_standstill, note_standstill, tumbling_rate
+from .at_rest import SHORTEST_STILL, STILL_BLOCK, is_quiet, latest_standstill, note_standstill, tumbling_rate
 from .course import (
     FASTEST_REVERSE,
     LONGEST_COURSE_TIME,
@@ -27,7 +27,6 @@ from .course import (
 from .start import DATUM_FIXES, SensorErrors, Standstill, Start
 
 MEMORY = 300.0  # s of samples kept while waiting
-LATEST_FIX = 1.0  # s after the newest sample
 LARGEST_TILT = math.radians(40.0)  # of an IMU whose mounting is as configured, on any road
 FASTEST_TURN = 3.0  # rad/s: of the vehicle's mean turn over a second
 LEAST_GRAVITY, MOST_GRAVITY = 6.0, 14.0  # m/s^2: what an accelerometer may show of it
@@ -136,11 +135,11 @@ class Alignment:
         self._fixes.append((time, latitude, longitude, variance, height, covariance))
         self._fixes.sort(key=lambda fix: fix[0])
         ahead = time - self._samples[-1, 0]
-        self.contradicted = ahead > LATEST_FIX
-        if ahead > LATEST_FIX:
+        self.contradicted = ahead > self.config.ahead
+        if self.contradicted:
             self.waiting_for = (f'fixes whose stamps agree with those of {self.config.imu.topic}: they are '
                                 f'{ahead:.1f} s ahead (gnss.time_offset)')
-        if self._fixes[-1][0] > time or not self._imu[0, 0] < time <= self._samples[-1, 0] + LATEST_FIX:
+        if self._fixes[-1][0] > time or self.contradicted or time <= self._imu[0, 0]:
             return None
         problem = self._problem()
         if problem:
@@ -163,7 +162,8 @@ class Alignment:
         None before there are as many good fixes as make a datum, and while the samples are not what the configuration
         says they are. The yaw, east, has the sigma of any heading being as likely as any other.
         """
-        if len(self._fixes) < DATUM_FIXES or self._fixes[-1][0] > self._samples[-1, 0] + LATEST_FIX or self._problem():
+        latest = self._samples[-1, 0] + self.config.ahead
+        if len(self._fixes) < DATUM_FIXES or self._fixes[-1][0] > latest or self._problem():
             return None
         time, latitude, longitude, _, height, r = self._fixes[-1]
         r = self._realised * r
@@ -249,7 +249,9 @@ class Alignment:
         ahead, ratio = t_3 - t_2, (t_3 - t_2) / (t_2 - t_1)
         to, back = (np.array(to_local(*place[:3], second[:3])[:2]) for place in (third, first))
         self._shown += 1
-        changed = 0.5 * ahead * (math.hypot(*motion.gained) + motion.bias_f * (t_3 - t_1))
+        first_sample, last_sample = np.searchsorted(self._samples[:, 0], [t_1, t_3])
+        changed = 0.0 if is_quiet(self._samples[first_sample:last_sample], self.config) else (
+            0.5 * ahead * (math.hypot(*motion.gained) + motion.bias_f * (t_3 - t_1)))
         learn(self._scale, 0, t_3, 0.5 * float(np.sum((to + ratio * back) ** 2)),
               third[3] + (1.0 + ratio) ** 2 * second[3] + ratio**2 * first[3], 0.5 * changed**2, 2, OVERLAP)
 

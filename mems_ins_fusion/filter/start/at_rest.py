@@ -46,6 +46,17 @@ def latest_standstill(imu: np.ndarray, positions: np.ndarray, config: FilterConf
     return None
 
 
+def is_quiet(imu: np.ndarray, config: FilterConfig) -> bool:
+    """Whether the sensors are quiet and steady throughout `imu` (n, 7 or more): the velocity does not change."""
+    mean, scatter, _, length = _blocks(imu)
+    mean, scatter = mean[length > 2], scatter[length > 2]
+    if not len(mean):
+        return False
+    steady = _longest_steady(mean)
+    return (scatter[:, :3].max() < config.vehicle.still_acceleration
+            and scatter[:, 3:].max() < config.vehicle.still_rate and steady.stop - steady.start == len(mean))
+
+
 def tumbling_rate(imu: np.ndarray, positions: np.ndarray, config: FilterConfig) -> float:
     """The turn rate, rad/s, that gyroscopes show about an axis about which no vehicle turns for seconds, forward or
     right, while the accelerometers are quiet and the fixes stay in place; 0 where they show none."""

@@ -1,17 +1,18 @@
 """When what the filter believes is contradicted, and nothing in it says by whom it is misled.
 
-*A witness.* An IMU that is finite, in range and wrong (axes swapped, a gyroscope off by degrees per second, noise of a
-loose mount) leads the filter astray, and the fixes look like the ones to blame. The non-holonomic constraint tells: by
-such an IMU the vehicle slides. Not by how much the constraint's sigma allows, which is a bound for every car and road,
-but beside what is usual for this one. Then velocity and heading are as uncertain as the slide is large, and for a while
-the fixes are believed as they are.
+*The IMU is wrong* although its samples are finite and in range (axes swapped, a gyroscope off by degrees per second,
+noise of a loose mount). The fixes then do not fit, which looks as if they were wrong. The non-holonomic constraint
+tells the two apart: with such an IMU the vehicle seems to slide sideways, more than is usual for this vehicle (the
+constraint's sigma is a bound for every car and road). Velocity and heading are then made as uncertain as the slide is
+large, and for UNSETTLED_TIME fixes are believed whatever their innovation.
 
-*A wrong standstill.* Who creeps as smoothly as he stands is taken for standing; his brakes then leave a velocity that
-goes back, and the standstill that follows contradicts it. A velocity against the one that a standstill took away
-shortly before, by that much, is not the vehicle's: the earlier one was none, the later one is.
+*A standstill was none*: a vehicle that creeps very smoothly is taken for one at rest, and its velocity is set to zero.
+When it then brakes, the estimated velocity points backwards by about what the standstill took away. Such a velocity
+does not keep the next standstill from being applied.
 
-*No witness.* Where fixes contradict the prediction more from one to the next, either may be wrong. The filter follows
-them step by step; what is published covers both: where it has been drawn from, and where the fixes would have it.
+*Nothing decides* where fixes fit worse from one to the next: the fixes or the prediction may be wrong. The filter
+follows the fixes within its limits, and the published covariance covers both: where the state was before these fixes
+moved it, and where they are.
 """
 from __future__ import annotations
 
@@ -40,14 +41,14 @@ LOOSENED = 2.0
 #: a velocity that goes back along what a standstill took away: m/s taken at least, within s, cosine of the angle, and
 #: how large, as part of what was taken and m/s more
 SMALLEST_TAKEN, LATELY, BACK, AS_LARGE = 0.3, 30.0, 0.8, (2.0, 0.5)
-#: the fixes are as likely right as wrong: half the square of how far the truth then is off
-DISPUTED = math.sqrt(0.5)
-#: fixes that did not fit may be followed, s, by wrong ones that seem to, or by right ones that draw back
-DISPUTE_TIME = 10.0
-#: s in which what they have drawn is forgotten after that, and what is left of it when it is no dispute any more
+#: where fixes and prediction are as likely right, the mean square error is half the square of how far they are apart
+EQUALLY_LIKELY = math.sqrt(0.5)
+#: s: fixes that fit so soon after ones that did not may still be wrong, or bring the state back: what they move counts
+MISFIT_TIME = 10.0
+#: s, time constant of forgetting how far they have moved the state after that, and the part of it that is forgotten
 FORGIVEN, FORGOTTEN = 30.0, 0.1
-#: one fix in a hundred does not fit by chance: it is contested where another of the ten before it did not, counted in a
-#: mean that forgets as fast
+#: one fix in a hundred does not fit by chance: it is none where another of the ten before it did not fit, either,
+#: counted in a mean that forgets as fast
 LATEST = 10.0
 NO_CHANCE = 1.0 + (1.0 - 1.0 / LATEST) ** LATEST
 
@@ -57,10 +58,10 @@ def slides(mem, r, c, innovation, s, since):
     """Whether the IMU has the vehicle slide as it does not usually.
 
     c: rotation from the vehicle's axes to n. innovation, s: of the lateral constraint, m/s, and its variance. since: s
-    from the one before. What fixes have drawn sideways is not the IMU's.
+    from the one before. A velocity sideways that comes from fixes which do not fit is not the IMU's.
     """
-    drawn = c[1] * mem[r + Nav.DRAWN_V_N] + c[4] * mem[r + Nav.DRAWN_V_E]
-    nis = min(innovation * innovation, (innovation - drawn) ** 2) / s
+    moved = c[1] * mem[r + Nav.MOVED_V_N] + c[4] * mem[r + Nav.MOVED_V_E]
+    nis = min(innovation * innovation, (innovation - moved) ** 2) / s
     usual = mem[r + Nav.USUAL_SLIDING]
     mem[r + Nav.SLIDING] += (nis - mem[r + Nav.SLIDING]) * min(since / NOW, 1.0)
     mem[r + Nav.USUAL_SLIDING] += (min(nis, LARGEST_LESSON * usual) - usual) * min(since / USUALLY, 1.0)
@@ -143,43 +144,44 @@ def estimate(mem, r):
 
 
 @njit(_nrt=False)
-def dispute(mem, r, at, before, left_n, left_e):
-    """Remember what the fix at `at`, which has been judged, did to the `estimate` before it, in a dispute.
+def note_misfit(mem, r, at, before, left_n, left_e):
+    """Remember how far the fix at `at`, which has been judged, moved the `estimate` before it, where it did not fit.
 
     left: updated minus measured position, m.
     """
     interval = max(mem[at + Event.TIME] - mem[r + Nav.FIX_TIME], 0.0)
-    mem[r + Nav.DRAWN_N] += mem[r + Nav.DRAWN_V_N] * interval
-    mem[r + Nav.DRAWN_E] += mem[r + Nav.DRAWN_V_E] * interval
+    mem[r + Nav.MOVED_N] += mem[r + Nav.MOVED_V_N] * interval
+    mem[r + Nav.MOVED_E] += mem[r + Nav.MOVED_V_E] * interval
     verdict, robust = mem[at + Event.VERDICT], mem[Head.ROBUST_SIGMA]
     misfit = verdict == Verdict.RECOVERED or robust > 0.0 and mem[at + Event.NIS] > robust * robust
     mem[r + Nav.MISFITS] += (1.0 if misfit else 0.0) - mem[r + Nav.MISFITS] / LATEST
     if verdict == Verdict.REFUSED:
         return
     if misfit and mem[r + Nav.MISFITS] >= NO_CHANCE or verdict == Verdict.RECOVERED:
-        mem[r + Nav.CONTESTED] = 1.0
-    mem[r + Nav.IN_DISPUTE] = DISPUTE_TIME if misfit else max(mem[r + Nav.IN_DISPUTE] - interval, 0.0)
-    if mem[r + Nav.IN_DISPUTE] > 0.0:
+        mem[r + Nav.UNDECIDED] = 1.0
+    mem[r + Nav.MISFIT_FOR] = MISFIT_TIME if misfit else max(mem[r + Nav.MISFIT_FOR] - interval, 0.0)
+    if mem[r + Nav.MISFIT_FOR] > 0.0:
         latitude, longitude, v_n, v_e = estimate(mem, r)
-        mem[r + Nav.DRAWN_N] += (latitude - before[0]) / mem[r + Nav.NORTH_SCALE]
-        mem[r + Nav.DRAWN_E] += (longitude - before[1]) / mem[r + Nav.EAST_SCALE]
-        mem[r + Nav.DRAWN_V_N] += v_n - before[2]
-        mem[r + Nav.DRAWN_V_E] += v_e - before[3]
+        mem[r + Nav.MOVED_N] += (latitude - before[0]) / mem[r + Nav.NORTH_SCALE]
+        mem[r + Nav.MOVED_E] += (longitude - before[1]) / mem[r + Nav.EAST_SCALE]
+        mem[r + Nav.MOVED_V_N] += v_n - before[2]
+        mem[r + Nav.MOVED_V_E] += v_e - before[3]
     else:
-        keep = math.exp(-interval / FORGIVEN) if mem[r + Nav.CONTESTED] > FORGOTTEN else 0.0
-        mem[r + Nav.CONTESTED] *= keep
-        for i in range(Nav.DRAWN_N, Nav.DRAWN_V_E + 1):
+        keep = math.exp(-interval / FORGIVEN) if mem[r + Nav.UNDECIDED] > FORGOTTEN else 0.0
+        mem[r + Nav.UNDECIDED] *= keep
+        for i in range(Nav.MOVED_N, Nav.MOVED_V_E + 1):
             mem[r + i] *= keep
     mem[r + Nav.LEFT_N], mem[r + Nav.LEFT_E] = (left_n, left_e) if misfit else (0.0, 0.0)
 
 
 @njit(_nrt=False)
-def disputed(row, r):
+def undecided(row, r):
     """One sigma of what the state at r in `row` is published with besides P: twice a vector of position (n, e; m) and
-    velocity (n, e; m/s). First where the state has been drawn from by now, then where the fixes would have it."""
-    if row[r + Nav.CONTESTED] == 0.0:
+    velocity (n, e; m/s). First from where fixes that did not fit have moved the state, then where the last one is."""
+    if row[r + Nav.UNDECIDED] == 0.0:
         return (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
     since = row[r + Nav.TIME] - row[r + Nav.FIX_TIME]
-    v_n, v_e = DISPUTED * row[r + Nav.DRAWN_V_N], DISPUTED * row[r + Nav.DRAWN_V_E]
-    return ((DISPUTED * row[r + Nav.DRAWN_N] + since * v_n, DISPUTED * row[r + Nav.DRAWN_E] + since * v_e, v_n, v_e),
-            (DISPUTED * row[r + Nav.LEFT_N], DISPUTED * row[r + Nav.LEFT_E], 0.0, 0.0))
+    v_n, v_e = EQUALLY_LIKELY * row[r + Nav.MOVED_V_N], EQUALLY_LIKELY * row[r + Nav.MOVED_V_E]
+    north, east = EQUALLY_LIKELY * row[r + Nav.MOVED_N], EQUALLY_LIKELY * row[r + Nav.MOVED_E]
+    return ((north + since * v_n, east + since * v_e, v_n, v_e),
+            (EQUALLY_LIKELY * row[r + Nav.LEFT_N], EQUALLY_LIKELY * row[r + Nav.LEFT_E], 0.0, 0.0))

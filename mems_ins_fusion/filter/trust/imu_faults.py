@@ -81,8 +81,8 @@ LONGEST_WHIRL = 0.5
 FORGET_WHIRL = 0.01
 #: s: and so much of it is remembered at most
 MOST_WHIRL = 3.0
-#: s: a filter that has strayed twice from fixes that were right does not believe the IMU for so long, twice as long
-#: each further time
+#: s: a filter that has strayed from fixes that were right does not believe the IMU for so long, twice as long each
+#: further time
 DOUBT_TIME = 60.0
 #: times: beyond which that does not get longer
 MOST_STRAYED = 8.0
@@ -93,8 +93,8 @@ def is_doubted(mem, r, time):
     """Whether what the fixes have shown till the state at r speaks against the IMU at `time`."""
     if mem[Imu.WHIRLED] > LONGEST_WHIRL:
         return True
-    lasts = DOUBT_TIME * 2.0 ** (min(mem[r + Nav.STRAYED], MOST_STRAYED) - 2.0)
-    return mem[r + Nav.STRAYED] >= 2.0 and time - mem[r + Nav.STRAYED_TIME] < lasts
+    lasts = DOUBT_TIME * 2.0 ** (min(mem[r + Nav.STRAYED], MOST_STRAYED) - 1.0)
+    return mem[r + Nav.STRAYED] >= 1.0 and time - mem[r + Nav.STRAYED_TIME] < lasts
 
 
 @njit(_nrt=False)

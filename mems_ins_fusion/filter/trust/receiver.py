@@ -38,11 +38,6 @@ SHORTEST_PAIR = 0.9
 UNSEEN_ACCELERATION = 0.1
 #: a fix nearer than this is never refused, only weighted down, m
 GATE_FLOOR = 5.0
-#: after so many refused fixes those that come into reach again are weighted down beyond DOUBTED sigma, until as many
-#: have fitted: wrong ones come into reach, too, when the filter has coasted for long enough
-MOST_DOUBT, FEWEST_DOUBT, DOUBTED = 20.0, 2.0, 1.0
-#: a receiver that has repeated itself for so long is doubted when it goes on: it may not have its satellites back, s
-LONG_FROZEN = 1.5
 #: slower than this a receiver may rightly repeat a position, m/s
 FROZEN_SPEED = 1.0
 #: fixes refused one after the other must be so many before they can win
@@ -57,23 +52,17 @@ AGREEMENT, AGREEMENT_FLOOR, AGREEMENT_PART = 2.0, 1.0, 0.3
 NEW_VELOCITY_SIGMA, NEW_TILT_SIGMA = 0.5, 0.05  # m/s, rad
 #: no receiver errs for so long, s: then it is the filter, and fixes are believed as they are until they fit again
 LONGEST_WEIGHTED = 4.0
-#: what grows from fix to fix is the filter's own error; fixes further apart do not show that, s
+#: s: what grows from fix to fix is the filter's own error; fixes further apart do not show that
 LONGEST_GROWTH = 10.0
-GROWTH = 0.5  # m/s^2: by a tilt that is three degrees wrong
+#: m/s^2: as fast at most, by a tilt that is three degrees wrong
+GROWTH = 0.5
 #: the filter has strayed where the refused innovations grew by so much of their size, and faster than that, m/s;
 #: another time soon is within s
 STRAYED_PART, STRAYED_SLOPE, SOON = 0.5, 2.0, 300.0
-#: an IMU is proven by so many m/s of changes of velocity that fixes confirm, as far as they are faster than that,
-#: m/s^2; before that fixes from which the filter strays win over it after s, after that in more
-PROOF, BRISK, UNPROVEN_TIME, PROVEN_TIME = 20.0, 0.3, 4.0, 10.0
-#: while the velocity is less certain, m/s, it changes by what fixes say
-CERTAIN = 1.0
-#: what is left of the proof where the filter has strayed, or has not fitted for longer than a receiver errs
-LOST = -1.0
+#: s: fixes from which the filter strays win over it after that
+STRAYED_AFTER = 4.0
 #: where the claimed variance changes by more at once, the realised one is as it was until the fixes show more
 CLAIM_CHANGE = 10.0
-#: normalized innovation squared of a fix that fits well
-FITTING = 4.0
 #: innovations are judged by their mean over this time, s: what lasts for shorter averages out
 SLOW = 10.0
 #: a larger normalized innovation counts as this: one fix far off is not a filter that is too sure
@@ -99,10 +88,7 @@ def is_frozen(mem, r, at):
     mem[r + Nav.FROZEN] = mem[r + Nav.FROZEN] + 1.0 if same else 0.0
     speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
     sigma = math.sqrt(velocity_variance(mem, r))
-    frozen = mem[Head.GATE] > 0.0 and same and speed > FROZEN_SPEED + 2.0 * sigma
-    if frozen and mem[at + Event.TIME] - mem[r + Nav.FIX_TIME] > LONG_FROZEN:
-        mem[r + Nav.DOUBT] = max(mem[r + Nav.DOUBT], 2.0 * FEWEST_DOUBT)
-    return frozen
+    return mem[Head.GATE] > 0.0 and same and speed > FROZEN_SPEED + 2.0 * sigma
 
 
 @njit(_nrt=False)
@@ -113,7 +99,6 @@ def trust(mem, r, at):
     """
     z_n, z_e = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
     _scatter(mem, r, at, z_n, z_e)
-    factor = _factor(mem, r)
     # refused only if it is off by something that matters, and has become so at once: what grows from fix to fix is the
     # filter's own error
     interval = mem[at + Event.TIME] - mem[r + Nav.RESIDUAL_TIME]
@@ -123,11 +108,9 @@ def trust(mem, r, at):
         floor += 0.5 * GROWTH * interval * interval
     gate = mem[Head.GATE] if jump > floor else 0.0
     robust = mem[Head.ROBUST_SIGMA]
-    if robust > 0.0 and mem[r + Nav.DOUBT] > FEWEST_DOUBT:
-        robust = min(robust, DOUBTED)
-    elif mem[r + Nav.WEIGHTED] >= max(1.0, LONGEST_WEIGHTED / max(interval, 1e-3)):
+    if mem[r + Nav.WEIGHTED] >= max(1.0, LONGEST_WEIGHTED / max(interval, 1e-3)):
         robust = 0.0
-    return factor, robust, gate
+    return _factor(mem, r), robust, gate
 
 
 @njit(_nrt=False)
@@ -150,7 +133,6 @@ def learn(mem, r, at, left_n, left_e):
         if mem[r + Nav.FIX_TIME] != 0.0 and (verdict == Verdict.USED or verdict == Verdict.WEIGHTED):
             _judge_covariance(mem, r, at, interval)
         _judge_lasting(mem, r, at, interval, verdict)
-    _prove(mem, r, at, interval)
     mem[r + Nav.RESIDUAL_TIME] = time
     mem[r + Nav.RESIDUAL_N], mem[r + Nav.RESIDUAL_E] = left_n - mem[r + NAV], left_e - mem[r + NAV + 1]
     mem[r + Nav.FIX_TIME] = time
@@ -159,14 +141,6 @@ def learn(mem, r, at, left_n, left_e):
         mem[r + Nav.WEIGHTED] += 1.0
     else:
         mem[r + Nav.WEIGHTED] = 0.0
-    if mem[r + Nav.WEIGHTED] * interval > LONGEST_WEIGHTED and mem[r + Nav.PROVEN] > PROOF:
-        mem[r + Nav.PROVEN] = LOST
-    if verdict == Verdict.REFUSED:
-        mem[r + Nav.DOUBT] = min(mem[r + Nav.DOUBT] + 1.0, MOST_DOUBT)
-    elif verdict == Verdict.RECOVERED:
-        mem[r + Nav.DOUBT] = 0.0
-    elif mem[at + Event.NIS] < FITTING:
-        mem[r + Nav.DOUBT] = max(mem[r + Nav.DOUBT] - 1.0, 0.0)
     if verdict != Verdict.REFUSED:
         for i in range(Nav.REFUSED, Nav.SUM_SQUARE + 1):
             mem[r + i] = 0.0
@@ -275,8 +249,7 @@ def agreed(mem, r, at):
     a line as the error of a position and a velocity would."""
     count = mem[r + Nav.REFUSED]
     lasted = mem[at + Event.TIME] - mem[r + Nav.REFUSED_SINCE]
-    soon = PROVEN_TIME if mem[r + Nav.PROVEN] > PROOF else UNPROVEN_TIME
-    if count < FEWEST_REFUSED or lasted < min(soon, mem[Head.RECOVERY_TIME]):
+    if count < FEWEST_REFUSED or lasted < min(STRAYED_AFTER, mem[Head.RECOVERY_TIME]):
         return False
     if lasted < mem[Head.RECOVERY_TIME] and not _strayed(mem, r, at):
         return False
@@ -309,9 +282,8 @@ def start_anew(mem, r, at):
     v_n, v_e, drift = _velocity_of_fixes(mem, r, at, strayed)
     if strayed:
         again = mem[r + Nav.STRAYED] > 0.0 and mem[at + Event.TIME] - mem[r + Nav.STRAYED_TIME] < SOON
-        never = 0.0 <= mem[r + Nav.PROVEN] <= PROOF
-        mem[r + Nav.STRAYED] = max(mem[r + Nav.STRAYED] + 1.0 if again else 1.0, 2.0 if never else 1.0)
-        mem[r + Nav.STRAYED_TIME], mem[r + Nav.PROVEN] = mem[at + Event.TIME], 0.0 if never else LOST
+        mem[r + Nav.STRAYED] = mem[r + Nav.STRAYED] + 1.0 if again else 1.0
+        mem[r + Nav.STRAYED_TIME] = mem[at + Event.TIME]
     mem[r + Drift.TIME] = mem[r + Receiver.PAIR_TIME] = 0.0
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
@@ -370,18 +342,6 @@ def _strayed(mem, r, at):
         return False  # who hardly moves cannot stray
     size = math.sqrt(mem[r + Nav.SUM_SQUARE] / mem[r + Nav.REFUSED])
     return slope > STRAYED_SLOPE and slope * (mem[at + Event.TIME] - mem[r + Nav.REFUSED_SINCE]) > STRAYED_PART * size
-
-
-@njit(_nrt=False)
-def _prove(mem, r, at, interval):
-    """Remember the change of velocity since the last fix, where the fix at `at` confirms it."""
-    change = math.hypot(mem[r + Nav.V_N] - mem[r + Nav.PROVEN_N], mem[r + Nav.V_E] - mem[r + Nav.PROVEN_E])
-    sigma = math.sqrt(velocity_variance(mem, r))
-    change -= BRISK * interval + sigma
-    fits = mem[at + Event.NIS] < FITTING and mem[r + Nav.BRIDGED] == 0.0 and sigma < CERTAIN
-    if 0.0 < interval < LONGEST_PAIR and fits:
-        mem[r + Nav.PROVEN] = min(mem[r + Nav.PROVEN] + max(change, 0.0), 2.0 * PROOF)
-    mem[r + Nav.PROVEN_N], mem[r + Nav.PROVEN_E] = mem[r + Nav.V_N], mem[r + Nav.V_E]
 
 
 @njit(_nrt=False)

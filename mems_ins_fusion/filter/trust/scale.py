@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import ROW
+from ..memory import HEAD, INPUT_SIZE, ROW, Event, Head
 
 
 class _Scale(NamedTuple):
@@ -36,6 +36,9 @@ Scale = _Scale()
 #: of a state: a scale for each kind of measurement but the fixes, by its number modulo this
 KINDS = 8
 Kinds = ROW.place('Kinds', SCALE=Scale.SIZE * KINDS)
+assert Scale.SIZE == INPUT_SIZE
+#: how many inputs have a name
+Inputs = HEAD.place('Inputs', COUNT=1)
 #: variance of the logarithm before anything is seen: a claimed sigma is off by a factor of three, one sigma
 PRIOR = 4.8
 #: 1/s, by which that variance grows: a scale may change by a factor of e within ten minutes
@@ -48,6 +51,15 @@ LOG_MEAN = (-1.2704, -0.5772)
 LOG_VARIANCE = (4.9348, 1.6449)
 #: a deviation beyond so many sigma of the logarithm counts as that
 LARGEST_SURPRISE = 2.0
+
+
+@njit(_nrt=False)
+def scale_at(mem, r, at):
+    """Position of the scale of the input that the record at `at` is from, in the state at r."""
+    number = int(mem[at + Event.INPUT])
+    if number == 0:
+        return r + Kinds.SCALE + Scale.SIZE * (int(mem[at + Event.KIND]) % KINDS)
+    return r + int(mem[Head.WIDTH]) - Scale.SIZE * (int(mem[Inputs.COUNT]) - number + 1)
 
 
 @njit(_nrt=False)

@@ -1,0 +1,220 @@
+"""The time offset between the speed of wheels and the IMU: no fix, no filter.
+
+Along the nose the accelerometers, less what gravity has there as the vehicle pitches by the gyroscopes, integrate to
+the change of the speed. In each piece of the drive the first speed, the direction of gravity and the biases are unknown
+anew; all pieces share the offset, the scale of the speed and the place of the axle whose wheels are counted, where the
+speed in bends is another than the IMU's. So the offset is estimated with all of these unknown, and its sigma is the
+larger of the least squares' own and the jackknife's over the pieces. A piece in which wheels slip fits worse than the
+others and counts less. Equations: docs/configure.md, "Wheel speed".
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from mems_ins_fusion.configuration.kinematics import InertialIntegrals, integral
+from mems_ins_fusion.configuration.offset import FLOOR, LARGEST, Track
+from mems_ins_fusion.configuration.regression import jackknife
+from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
+from mems_ins_fusion.recordings.motion import find_standstill
+from mems_ins_fusion.samples import ImuSamples, Speeds
+
+SHOWN = 0.1  # s: an offset with a larger sigma is none
+_STEP = 0.1  # s, of the search
+_STEPS = 4  # of Gauss-Newton from there, and again so many with weights
+_PIECE = 15.0  # s: longer ones gain little, as the accelerometers of a rough road drift by then
+_FEWEST_PIECES, _MOST_PIECES = 4, 80
+_DENSEST = 8.0  # Hz: speeds that are used
+_FEWEST = 30  # of a piece
+_MOVED = 0.5  # m/s: by which the speed changes in a piece that tells something
+_APART = 0.1  # s, of the differences that give the derivative by the offset: shorter ones show vibration
+_SLIPPING = 3.0  # mean squares over the usual one: pieces that fit worse than that count less
+# standard deviations before anything is known, and what is expected, of what all pieces share: offset (s), measured
+# over true speed, place of the axle across and along (m), yaw that the mounting lacks (rad)
+_SHARED, _EXPECTED = np.array([3.0, 0.3, 2.0, 3.0, 0.1]), np.array([0.0, 1.0, 0.0, 0.0, 0.0])
+# and of what is each piece's own: speed where it begins (m/s), bias along the nose (m/s^2), direction of gravity
+# (m/s^2, three), bias of the gyroscope in pitch (rad/s)
+_OWN = np.array([1e3, 0.2, 0.5, 0.5, 0.5, 3e-3])
+# variance of what the accelerometers add up to in a second over that of a speed, 1/s
+_NOISE = 0.05**2  # m^2/s^2, of a speed before more is known
+_WALKS = (1e-2, 1e-1, 1.0, 10.0, 100.0)
+
+
+@dataclass(frozen=True)
+class SpeedOffset:
+    """lag, sigma: s, as `speed.time_offset`. scale, scale_sigma: measured over true speed, by the accelerometers."""
+
+    lag: float
+    sigma: float
+    scale: float
+    scale_sigma: float
+
+    @property
+    def shown(self) -> bool:
+        return self.sigma < SHOWN
+
+
+def estimate_speed_offset(imu: ImuSamples, speeds: Speeds, rotation: np.ndarray) -> SpeedOffset | None:
+    """The time offset that `imu` (SI units) and `speeds` (m/s, positive forwards) show; None with too little motion.
+
+    rotation: (3, 3) from sensor axes to base_link, to about ten degrees. None, too, for numbers that no vehicle gives.
+    """
+    with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
+        try:
+            pieces = _pieces(imu, speeds, rotation)
+            found = _estimated(pieces) if pieces is not None else None
+        except np.linalg.LinAlgError:
+            return None
+    return found if found is not None and math.isfinite(found.lag + found.sigma) else None
+
+
+def _estimated(pieces: _Pieces) -> SpeedOffset:
+    lags = np.arange(-LARGEST, LARGEST + 0.01, _STEP)
+    walk, lag = 1.0, 0.0
+    for _ in range(2):
+        costs = np.array([pieces.solved(at, walk, free=False).cost for at in lags])
+        lag = float(lags[np.argmin(costs)])
+        walk = min(_WALKS, key=lambda one: pieces.unlikely(lag, one))
+        pieces = replace(pieces, noise=pieces.solved(lag, walk, free=False).noise)
+    for step in range(2 * _STEPS):
+        found = pieces.solved(lag, walk)
+        lag += float(np.clip(found.solution[0], -_STEP, _STEP))
+        pieces = pieces.weighted(found) if step >= _STEPS else replace(pieces, noise=found.noise)
+    found = pieces.solved(lag, walk)
+    lag += float(found.solution[0])
+    by_model = np.sqrt(np.diag(np.linalg.inv(found.normal)) * found.noise)
+    sigma = np.maximum(by_model, jackknife(found.left_out()))
+    costs = np.array([pieces.solved(at, walk, free=False).cost for at in lags])
+    # every offset counts by its likelihood, tempered where the jackknife does not believe the least squares' own noise
+    likely = np.exp(-0.5 * (costs - costs.min()) / (found.noise * (sigma[0] / max(by_model[0], 1e-9)) ** 2))
+    spread = math.sqrt(float(likely @ (lags - lag) ** 2 / likely.sum()))
+    # as much as one step of the search shows of a single minimum is no rival
+    apart = spread if spread > _STEP + float(sigma[0]) else 0.0
+    return SpeedOffset(lag, math.hypot(float(sigma[0]), apart, FLOOR), float(found.solution[1]), float(sigma[1]))
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """Least squares of all pieces. solution: of what is shared, the offset as a change. cost: weighted squares,
+    noise: their mean. each: (w, k, k) products of
+    [speed, shared] of the pieces, their own unknowns free, weighted."""
+
+    solution: np.ndarray
+    cost: float
+    noise: float
+    normal: np.ndarray
+    each: np.ndarray
+    prior: np.ndarray
+
+    def left_out(self) -> np.ndarray:
+        """(w, s) solutions, each without one piece."""
+        rest = self.each.sum(axis=0) - self.each
+        right = rest[:, 1:, 0] + self.prior * _EXPECTED
+        return np.linalg.solve(rest[:, 1:, 1:] + np.diag(self.prior), right[..., None])[..., 0]
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """The pieces of a drive. track: of the samples. pushed: (n, 3) m/s, integral of the specific force along nose,
+    left and up, whose directions in the sensor's axes are `axes` (3, 3). turn: (n,) rad/s about the up axis. squared:
+    (n,) its square's integral. times: s after the track's origin, and speeds: m/s, of each piece. weight: (w,) of each.
+    noise: variance of a speed, m^2/s^2."""
+
+    track: Track
+    pushed: np.ndarray
+    turn: np.ndarray
+    squared: np.ndarray
+    axes: np.ndarray
+    times: tuple[np.ndarray, ...]
+    speeds: tuple[np.ndarray, ...]
+    weight: np.ndarray
+    noise: float = _NOISE
+
+    @cached_property
+    def freedom(self) -> np.ndarray:
+        """(w,) measurements of each piece beyond its own unknowns."""
+        return np.array([max(len(time) - len(_OWN), 1) for time in self.times])
+
+    def solved(self, lag: float, walk: float, free: bool = True) -> _Solved:
+        """Least squares about `lag`. free: whether the offset is a change of it; else it is exact. walk: of _WALKS."""
+        each = self.weight[:, None, None] * np.array([part for part, _ in self._reduced(lag, walk)])
+        total, first = each.sum(axis=0), 0 if free else 1
+        freedom = float(self.weight @ self.freedom)
+        prior = self.noise / _SHARED**2
+        normal, right = total[1:, 1:] + np.diag(prior), total[1:, 0] + prior * _EXPECTED
+        solution = np.linalg.solve(normal[first:, first:], right[first:])
+        cost = float(total[0, 0] + prior @ _EXPECTED**2 - right[first:] @ solution)
+        return _Solved(solution, cost, cost / freedom, normal, each, prior)
+
+    def unlikely(self, lag: float, walk: float) -> float:
+        """Minus twice the logarithm of the likelihood of `walk` at that offset."""
+        more = sum(more for _, more in self._reduced(lag, walk))
+        return float(self.freedom.sum()) * math.log(self.solved(lag, walk, free=False).noise) + more
+
+    def weighted(self, found: _Solved) -> _Pieces:
+        """With less weight on the pieces that fit worse than most."""
+        left = np.concatenate([[1.0], -found.solution])
+        squares = np.einsum('i,wij,j->w', left, found.each, left) / self.weight / self.freedom
+        usual = _SLIPPING * np.median(squares)
+        return replace(self, noise=found.noise, weight=np.minimum(1.0, usual / np.maximum(squares, 1e-12)))
+
+    def _reduced(self, lag: float, walk: float):
+        """Of each piece the products of [speed, shared] with its own unknowns free, and the logarithms of the
+        determinants of its noise and of these."""
+        for time, speed in zip(self.times, self.speeds):
+            nose = self._integrated(time - lag, 0)
+            value, left = nose[0], self._integrated(time - lag, 1)[0]
+            later, sooner = (self._integrated(time - lag + apart, 0)[0] for apart in (_APART, -_APART))
+            turn, squared = (self.track.at(column, time - lag) for column in (self.turn, self.squared))
+            shared = np.column_stack([(sooner - later) / (2.0 * _APART), value, turn, squared - squared[0], left])
+            since = time - time[0]
+            root = np.linalg.cholesky(np.eye(len(time)) + walk * np.minimum(since[:, None], since))
+            white = np.linalg.solve(root, np.column_stack([speed, shared, nose[1]]))
+            products, first = white.T @ white, 1 + shared.shape[1]
+            normal = products[first:, first:] + np.diag(self.noise / _OWN**2)
+            back = np.linalg.solve(normal, products[first:, :first])
+            more = 2.0 * float(np.log(np.diag(root)).sum()) + float(np.linalg.slogdet(normal)[1])
+            yield products[:first, :first] - products[:first, first:] @ back, more
+
+    def _integrated(self, time, axis):
+        """Change of the speed along nose or left (axis 0, 1) since the first of `time`, m/s, and its derivatives by
+        what is the piece's own."""
+        track, since = self.track, time - time[0]
+        pushed, direction = track.at(self.pushed[:, axis], time), track.at(track.turned, time) @ self.axes[axis]
+        up = (track.at(track.rotation, time) @ self.axes[2]).mean(axis=0)
+        direction = direction - direction[0]
+        value = pushed - pushed[0] - STANDARD_GRAVITY * direction @ (up / np.linalg.norm(up))
+        return value, np.column_stack([np.ones(len(time)), since, direction, 0.5 * STANDARD_GRAVITY * since**2])
+
+
+def _pieces(imu: ImuSamples, speeds: Speeds, rotation: np.ndarray) -> _Pieces | None:
+    """The pieces of the drive in which there are samples and the speed changes; None with too few."""
+    good = np.flatnonzero(np.isfinite(speeds.speed))
+    good = good[np.argsort(speeds.stamp[good], kind='stable')]
+    good = good[np.diff(speeds.stamp[good], prepend=-1) > 0]
+    if len(good) < _FEWEST_PIECES * _FEWEST or len(imu) < 100:
+        return None
+    origin = int(imu.stamp[0])
+    time, speed = (speeds.stamp[good] - origin) * 1e-9, speeds.speed[good]
+    some = slice(None, None, max(math.ceil(1.0 / (_DENSEST * float(np.median(np.diff(time)))) - 1e-6), 1))
+    time, speed = time[some], speed[some]
+    still = find_standstill(imu)
+    bias = imu.angular_rate[still].mean(axis=0) if still.any() else np.zeros(3)
+    track = Track(imu, origin, bias)
+    inertial = InertialIntegrals(imu, origin)
+    columns = np.column_stack([inertial.velocity @ rotation.T, (inertial.rate - bias) @ rotation[2]])
+    at = np.column_stack([np.interp(track.time, inertial.time, column) for column in columns.T])
+    number = (time // _PIECE).astype(int)
+    chosen = [piece for k in np.unique(number) if len(piece := np.flatnonzero(number == k)) >= _FEWEST
+              and track.covers(time[piece[0]] - LARGEST - _STEP - _APART, time[piece[-1]] + LARGEST + _STEP + _APART)
+              and np.ptp(speed[piece]) > _MOVED]
+    if len(chosen) < _FEWEST_PIECES:
+        return None
+    if len(chosen) > _MOST_PIECES:
+        chosen = [chosen[i] for i in np.linspace(0, len(chosen) - 1, _MOST_PIECES).astype(int)]
+    return _Pieces(track, at[:, :3], at[:, 3], integral(track.time, at[:, 3] ** 2), rotation,
+                   tuple(time[piece] for piece in chosen), tuple(speed[piece] for piece in chosen),
+                   np.ones(len(chosen)))

@@ -1,0 +1,284 @@
+"""The diagnosis of a vehicle while it drives: what `diagnose` finds in the last minutes, proven on what comes after.
+
+The samples come in chunks (`gathering.py`), of which each ends at a stamp of the IMU: what is said after a chunk
+depends on nothing but the samples until then, live and in a replay. What an analysis finds is on trial from then on:
+two filters, with the parameters as they are and with the finding, go without fixes for 10 and 30 s again and again
+through samples that neither the estimate nor the analysis has seen. An outage says
+
+    x = ((1 - MARGIN) e - e') / (e + e'),    -1 <= x < 1,
+
+e and e' being how far the fixes at its end are from the two. Whatever the errors are distributed like, a finding that
+makes them smaller by no more than MARGIN has E x <= 0, and a wealth that bets the part l of it on each outage, times
+1 + l x, does not grow in the mean: it comes to 1 / a with a probability of a at most, whenever one looks (J. Ville,
+"Etude critique de la notion de collectif", 1939; I. Waudby-Smith and A. Ramdas, "Estimating means of bounded random
+variables by betting", J. Royal Statistical Society B 86, 2024). The same with the two filters changed over says that a
+finding does harm. No sigma is asked, neither of the estimate nor of the filters.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+from ..errors import InputError
+from ..evaluation.comparison import aiding_of, samples_to_keep, truth_of
+from ..evaluation.metrics import Errors
+from ..evaluation.outages import run_outages
+from ..filter.config import FilterConfig
+from ..filter.runs.usable import usable
+from ..parameters.params_file import yaml_value
+from ..samples import Recording
+from .diagnose import diagnose
+from .findings import Finding
+from .gathering import JUMP, chunks
+from .quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, SUSPECT, Quantity
+
+#: s of samples before the first analysis; the next ones come when there are twice as many, then each window
+FIRST = 240.0
+#: s before a chunk, for two filters to find their state in
+SETTLING = 180.0
+#: s without fixes, and the part of it at whose end the fixes are compared with the prediction: their mean
+OUTAGES, JUDGED = (10.0, 30.0), 0.3
+#: m: an outage in which less was driven says nothing
+DRIVEN = 20.0
+#: a finding that makes errors smaller by less is not worth a change
+MARGIN = 0.05
+#: parts of the wealth that are bet; a part of all of it lies on each
+BETS = (0.1, 0.3, 0.5, 0.7, 0.9)
+#: probability that anything is called FINE by chance, in all the time that a filter runs: of the k-th trial it is
+#: 6 / (pi k)^2 of that
+FALSE_ALARMS = 0.01
+#: sigmas that two estimates of the same are apart, which are two values
+APART = 3.0
+#: s: a chunk that is shorter is of samples with wild stamps
+SHORTEST = 1.0
+#: part of the samples before an analysis that are there: the first stamp of a chunk is not the last of the one before
+NEARLY = 0.99
+
+
+@dataclass
+class Trial:
+    """A finding on trial. sets: parameters as it would have them. needed: wealth with which it is proven.
+
+    seen: whether the last analysis found it, too. errors: by duration, m, of present and other in each outage. logs: of
+    the wealth for it and against it, by duration and bet.
+    """
+
+    finding: Finding
+    sets: dict
+    needed: float
+    proven: bool = False
+    seen: bool = True
+    errors: dict[float, list[tuple[float, float]]] = field(default_factory=lambda: {d: [] for d in OUTAGES})
+    logs: np.ndarray = field(default_factory=lambda: np.zeros((2, len(OUTAGES), len(BETS))))
+
+    @property
+    def wealth(self) -> float:
+        """For the finding: of the bets on each duration, in equal parts."""
+        return float(np.exp(self.logs[0]).mean())
+
+    @property
+    def harm(self) -> float:
+        """Against it."""
+        return float(np.exp(self.logs[1]).mean())
+
+    @property
+    def rejected(self) -> bool:
+        return not self.proven and self.harm >= self.needed
+
+    @property
+    def state(self) -> str:
+        if self.proven:
+            return FINE if self.seen else SUSPECT
+        return SUSPECT if self.rejected or not self.seen else COARSE
+
+    def take(self, errors: dict[float, list[tuple[float, float]]]) -> None:
+        """What the outages of one more chunk say, by duration."""
+        for k, duration in enumerate(OUTAGES):
+            for present, other in errors[duration]:
+                self.errors[duration].append((present, other))
+                for log, worse, better in ((self.logs[0, k], present, other), (self.logs[1, k], other, present)):
+                    log += np.log1p(np.array(BETS) * ((1.0 - MARGIN) * worse - better) / (worse + better))
+                self.proven = self.proven or self.wealth >= self.needed
+
+    def differs(self, finding: Finding) -> bool:
+        """Whether `finding`, of the same effect, has other values."""
+        own = self.finding.parameters
+        return any(e.known and name in own and own[name].known and abs(e.value - own[name].value) > APART * np.hypot(
+            e.sigma, own[name].sigma) for name, e in finding.parameters.items())
+
+
+class Online:
+    """The diagnosis of a vehicle whose filter has the checked parameters `values`.
+
+    find: an analysis, recording and parameters to findings; by default what `diagnose` would add.
+    """
+
+    def __init__(self, values: dict, find: Callable[[Recording, dict], list[Finding]] | None = None):
+        self._values, self._find = {**values, 'bag': []}, find or found
+        self._length = values['diagnosis.window']
+        self._window: Recording | None = None
+        self._due = min(FIRST, self._length)
+        self._since = 0.0  # s of samples since the last analysis
+        self.trials: dict[str, Trial] = {}
+        self._begun = self._analyses = 0
+        self._why = ''
+
+    def take(self, chunk: Recording) -> list[Quantity]:
+        """What is known after `chunk`, the samples since the one before it."""
+        chunk = usable(chunk, self._values['imu.max_specific_force'], self._values['imu.max_angular_rate'])
+        if _seconds(chunk) < SHORTEST:
+            return self.quantities()
+        if self._window is not None and _jumps(self._window, chunk):
+            self._window, self._since = None, 0.0
+        before, self._window = self._window, _cut(_joined(self._window, chunk), self._length)
+        self._since += _seconds(chunk)
+        if before is not None:
+            self._try(chunk)
+        if self._since >= NEARLY * self._due:
+            self._analyse()
+        return self.quantities()
+
+    def _analyse(self) -> None:
+        self._analyses, self._since = self._analyses + 1, 0.0
+        self._due = min(FIRST * 2.0 ** (self._analyses - 1), self._length)
+        try:
+            findings, self._why = self._find(self._window, self._values), ''
+        except InputError as error:
+            findings, self._why = [], str(error)
+        names = {finding.name for finding in findings}
+        for name, trial in self.trials.items():
+            trial.seen = name in names
+        for finding in findings:
+            trial = self.trials.get(finding.name)
+            if trial is None or trial.differs(finding) or trial.rejected:
+                self._begun += 1
+                self.trials[finding.name] = Trial(finding, finding.changes,
+                                                  (np.pi * self._begun) ** 2 / (6.0 * FALSE_ALARMS))
+
+    def _try(self, chunk: Recording) -> None:
+        """The outages of `chunk` through the present filter, and through that of each trial."""
+        running = [trial for trial in self.trials.values() if not trial.rejected]
+        if not running or not len(chunk.gnss):
+            return
+        part = _cut(self._window, SETTLING + _seconds(chunk))
+        present = predicted(part, self._values, chunk)
+        for trial in running:
+            trial.take(_pairs(present, predicted(part, {**self._values, **trial.sets}, chunk)))
+
+    def quantities(self) -> list[Quantity]:
+        """What is known now, one for each finding; one of the name `all` before the first analysis."""
+        if self._window is None:
+            return []
+        now = int(self._window.imu.stamp[-1])
+        if not self._analyses:
+            return [Quantity(now, ALL, INITIALISING, {}, text=f'{self._since:.0f} of {self._due:.0f} s of samples '
+                             'for a first analysis')]
+        if not self.trials:
+            return [Quantity(now, ALL, NOTHING, {}, text=f'nothing found in {self._analyses} analyses'
+                             f"{f' ({self._why})' if self._why else ''}")]
+        return [_quantity(now, name, trial) for name, trial in self.trials.items()]
+
+
+def found(recording: Recording, values: dict, progress: Callable = lambda part, what: None) -> list[Finding]:
+    """What `diagnose` finds in `recording`, proves there, and has parameters against."""
+    return [f for f in diagnose(recording, values, progress, durations=OUTAGES).findings if f.added and f.changes]
+
+
+def predicted(part: Recording, values: dict, chunk: Recording) -> dict[float, dict[int, tuple[float, float]]]:
+    """By duration and begin (ns, as fixes are stamped): how far the fixes at the end of an outage are from where the
+    filter with `values` is, m, and the distance driven. Outages begin and end in `chunk`, at the end of `part`, and do
+    not overlap."""
+    delay = round(values['gnss.time_offset'] * 1e9)
+    config, truth = FilterConfig.from_parameters(values), truth_of(part, values)
+    keep = samples_to_keep(part.imu, truth.reference.stamp)
+    first, last = (int(chunk.gnss.stamp[i]) for i in (0, -1))
+    results = {}
+    for duration in OUTAGES:
+        length = round(duration * 1e9)
+        begin = np.arange(first, last - length + 1, length)
+        stamps = np.unique(part.gnss.stamp)
+        begin = np.unique(stamps[np.searchsorted(stamps, begin)])
+        outages, = run_outages(config, part.imu, part.gnss, truth, [duration], begin - delay, aiding_of(part), keep)
+        results[duration] = {b + delay: (_misfit(errors, b + round((1.0 - JUDGED) * length)), distance) for
+                             b, errors, distance in zip(outages.begin.tolist(), outages.errors, outages.distance)}
+    return results
+
+
+def _misfit(errors: Errors, begin: int) -> float:
+    """Length of the mean error from `begin` on, ns; NaN where there is none."""
+    late = errors.stamp >= begin
+    return float(np.hypot(errors.north[late].mean(), errors.east[late].mean())) if late.any() else np.nan
+
+
+def _pairs(present: dict, other: dict) -> dict[float, list[tuple[float, float]]]:
+    """By duration, the errors of the same outages of two filters in which the vehicle was driven."""
+    found = {}
+    for duration in OUTAGES:
+        a, b = present[duration], other[duration]
+        pairs = [(a[begin][0], b[begin][0]) for begin in sorted(a.keys() & b.keys()) if a[begin][1] > DRIVEN]
+        found[duration] = [pair for pair in pairs if np.isfinite(sum(pair)) and sum(pair) > 0.0]
+    return found
+
+
+def _quantity(now: int, name: str, trial: Trial) -> Quantity:
+    better = {d: (*np.mean(pairs, axis=0).tolist(), len(pairs)) for d, pairs in trial.errors.items() if pairs}
+    lines = tuple(f'{parameter}: {yaml_value(value)}' for parameter, value in trial.sets.items())
+    said = ', '.join(f'{parameter} {e.text()}' for parameter, e in trial.finding.parameters.items())
+    gain = ''.join(f'; {d:g} s without fixes {a:.2f} m without it and {b:.2f} m with it, {n} times'
+                   for d, (a, b, n) in better.items())
+    why = ('' if trial.seen else '; not found in the last minutes') + (
+        '; predictions are worse with it' if trial.rejected else '')
+    return Quantity(now, name, trial.state, trial.finding.parameters, lines, better,
+                    f"{said}{gain}{why}; to set: {'; '.join(lines)}")
+
+
+def _seconds(recording: Recording) -> float:
+    return float(recording.imu.stamp[-1] - recording.imu.stamp[0]) * 1e-9 if len(recording.imu) else 0.0
+
+
+def _jumps(before: Recording, after: Recording) -> bool:
+    """Whether the stamps of two recordings in a row jump."""
+    return not 0 < int(after.imu.stamp[0]) - int(before.imu.stamp[-1]) <= JUMP
+
+
+def _joined(before: Recording | None, after: Recording) -> Recording:
+    """Two recordings in a row as one."""
+    if before is None:
+        return after
+    streams, later = before.streams(), after.streams()
+    for name, samples in later.items():
+        if name in streams:
+            own = {f.name: (getattr(streams[name], f.name), getattr(samples, f.name)) for f in fields(samples)}
+            streams[name] = type(samples)(**{n: None if b is None else np.concatenate([a, b])
+                                             for n, (a, b) in own.items()})
+        else:
+            streams[name] = samples
+    return before.having(streams)
+
+
+def _cut(recording: Recording, seconds: float) -> Recording:
+    """The last `seconds` of a recording."""
+    begin = int(recording.imu.stamp[-1]) - round(seconds * 1e9)
+    return recording.having({name: samples.select(samples.stamp > begin)
+                             for name, samples in recording.streams().items()})
+
+
+def watched(recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None
+            ) -> list[Quantity]:
+    """What is said of `recording` as a live node says it: each quantity when it is news.
+
+    progress: called from time to time with the part that is done; what it raises ends all.
+    """
+    said, told, done = [], {}, 0.0
+    work = Online(values, lambda part, given: found(part, given, lambda _, what: progress(done)))
+    end, begin = int(recording.imu.stamp[-1]), int(recording.imu.stamp[0])
+    for chunk in chunks(recording):
+        progress(done)
+        done = (int(chunk.imu.stamp[-1]) - begin) / max(end - begin, 1)
+        for quantity in work.take(chunk):
+            if told.get(quantity.name) != quantity.said:
+                said.append(quantity)
+            told[quantity.name] = quantity.said
+    return said

@@ -1,0 +1,31 @@
+"""What the diagnosis while driving says of one thing, in the words of receivers that calibrate themselves."""
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from .estimate import Estimate
+
+#: too little has come in to say anything; found, and on trial; proven on what came after; proven, or found, but not any
+#: more
+INITIALISING, COARSE, FINE, SUSPECT = 'INITIALISING', 'COARSE', 'FINE', 'SUSPECT'
+#: of an analysis that has found nothing, and of which quantity that and INITIALISING are said
+NOTHING, ALL = 'NOTHING FOUND', 'all'
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What is known of one thing. time: ns, stamp of the newest sample. sets: lines of a params file. better: by
+    duration, mean error m without and with it, and of how many outages. text: in words."""
+
+    time: int
+    name: str
+    state: str
+    parameters: dict[str, Estimate]
+    sets: tuple[str, ...] = ()
+    better: dict[float, tuple[float, float, int]] = field(default_factory=dict)
+    text: str = ''
+
+    @property
+    def said(self) -> tuple:
+        """What is news when it changes."""
+        return self.name, self.state, self.sets

@@ -1,0 +1,74 @@
+"""`online.Online` in a process of its own, at a bounded share of a core: `python -m mems_ins_fusion.diagnosis.worker`.
+
+Arguments: share of a core, pid of who wants to know. Pickles on standard input: parameters, then chunks; on standard
+output: what is known after each. A second process works, at the lowest priority and with one thread; the first one lets
+it run for that share of each PERIOD and stops it for the rest, and ends it when its own parent has gone, however that
+went. Nothing heavy is imported before there are two.
+"""
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import sys
+import time
+
+#: s: long against a switch between processes, short against what a vehicle's computer is late by anyway
+PERIOD = 0.5
+
+
+def supervise(worker: int, share: float, parent: int) -> int:
+    """Let the process `worker` have `share` of a core until it ends, or the process `parent` has; its exit status."""
+    def end(*_):
+        os.kill(worker, signal.SIGKILL)
+    signal.signal(signal.SIGTERM, end)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    while True:
+        ended, status = os.waitpid(worker, os.WNOHANG)
+        if ended:
+            return os.waitstatus_to_exitcode(status) & 0xFF
+        if os.getppid() != parent:
+            end()
+        if share >= 1.0:
+            time.sleep(PERIOD)
+            continue
+        os.kill(worker, signal.SIGCONT)
+        time.sleep(share * PERIOD)
+        os.kill(worker, signal.SIGSTOP)
+        time.sleep((1.0 - share) * PERIOD)
+
+
+def work(source, sink) -> None:
+    """Chunks from `source` and what is known to `sink`, files, until the first ends."""
+    os.nice(19)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    from .online import Online
+
+    online = Online(pickle.load(source))
+    while True:
+        try:
+            chunk = pickle.load(source)
+        except EOFError:
+            return
+        pickle.dump(online.take(chunk), sink)
+        sink.flush()
+
+
+def main(arguments: list[str]) -> int:
+    """Work until standard input ends; the exit status."""
+    share, parent = float(arguments[0]), int(arguments[1])
+    worker = os.fork()
+    if worker:
+        sys.stdin.close()
+        return supervise(worker, share, parent)
+    sink = os.fdopen(os.dup(1), 'wb')
+    os.dup2(2, 1)  # what is printed is no pickle
+    try:
+        work(sys.stdin.buffer, sink)
+    except BrokenPipeError:
+        pass
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,16 @@
+"""How a point of a simulated vehicle moves."""
+from __future__ import annotations
+
+import numpy as np
+
+#: s, of the differences that give its velocity
+STEP = 1e-3
+
+
+def velocity_at(drive, time: np.ndarray, arm: np.ndarray) -> np.ndarray:
+    """(m, 3) m/s in n at `time` (m,) s, of the point at `arm` (3,) m from the IMU, body axes."""
+    velocity = drive.at(time).velocity
+    if not np.any(arm):
+        return velocity
+    before, after = (drive.at(time + step).attitude.apply(arm) for step in (-STEP, STEP))
+    return velocity + (after - before) / (2 * STEP)

@@ -1,0 +1,121 @@
+"""Height from the pressure of the air, by the standard atmosphere: its changes, as weather and place have a slow bias.
+
+Source: U.S. Standard Atmosphere, 1976 (NOAA-S/T 76-1562), eq. 33a: the layer up to 11 km, in geopotential height, which
+differs from height by 1 m in 2500 m.
+"""
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mems_ins_fusion.compiled import njit
+
+from ...parameters.parameter import Parameter
+from ...samples import Pressures
+from ..memory import HEAD, Error, Event, Kind, Nav
+from .base import Measurement
+from .geometry import add, own_state
+from .records import empty, refuse, stated_or
+
+#: index of the optional state pressure_bias among all n, m: the height that pressure tells less the true one; -1: none
+Barometer = HEAD.place('Barometer', BIAS=1)
+
+
+@njit(_nrt=False)
+def observe(mem, r, at, h):
+    """Predicted minus measured height, up; one component."""
+    mem[at + Event.Z_N] = mem[r + Nav.HEIGHT] - mem[at + Event.VALUE]
+    add(mem, h, Error.R_D, -1.0)
+    bias = own_state(mem, at, Barometer.BIAS)
+    if bias >= 0:
+        mem[h + bias] = -1.0
+    return 1
+
+
+#: of the standard atmosphere at sea level: pressure, Pa, and temperature over its lapse, m
+SEA_LEVEL, SCALE_HEIGHT = 101325.0, 288.15 / 0.0065
+#: gas constant times lapse over gravity and molar mass
+EXPONENT = 8.31432 * 0.0065 / (9.80665 * 0.0289644)
+#: on earth there are no others, Pa: the highest road is at 5900 m, the lowest pit 500 m below the sea
+LOWEST, HIGHEST = 40000.0, 115000.0
+#: not better than this, Pa
+SMALLEST_SIGMA = 0.1
+
+
+def height_of(pressure: np.ndarray) -> np.ndarray:
+    """Height, m, that the standard atmosphere has `pressure` (n,), Pa, at."""
+    return SCALE_HEIGHT * (1.0 - (pressure / SEA_LEVEL) ** EXPONENT)
+
+
+def pressure_at(height: np.ndarray) -> np.ndarray:
+    """Inverse of `height_of`."""
+    return SEA_LEVEL * (1.0 - height / SCALE_HEIGHT) ** (1.0 / EXPONENT)
+
+
+def metres_per_pascal(pressure: np.ndarray) -> np.ndarray:
+    """How many metres a pascal less is, at `pressure` (n,), Pa."""
+    return SCALE_HEIGHT * EXPONENT / SEA_LEVEL * (pressure / SEA_LEVEL) ** (EXPONENT - 1.0)
+
+
+class Pressure(Measurement):
+    kind, name, samples, unit, default_sigma = Kind.PRESSURE, 'pressure', Pressures, 'Pa', 12.0
+    topic_text = 'Topic of the pressure of the air, Pa: sensor_msgs/FluidPressure (strapdown)'
+    messages = {'sensor_msgs/msg/FluidPressure': ('fluid_pressure', 'variance')}
+    layouts = {'sensor_msgs/msg/FluidPressure': (('fluid_pressure', '<f8', 1), ('variance', '<f8', 1))}
+    written_to = '/pressure'
+    #: Pa, white; m, by which the weather's height is off, drawn for each seed; m/sqrt(s), by which that wanders
+    simulated_with = {'pressure_rate': 0.0, 'pressure_sigma': 5.0, 'pressure_bias': 80.0, 'pressure_walk': 0.05}
+
+    def parameters(self):
+        return (
+            *super().parameters(),
+            Parameter(f'{self.name}.factor', 1.0, '-', f'Makes Pa of what the messages on {self.topic} say: 100 for '
+                      'hPa.', minimum=-1e6, maximum=1e6),
+            Parameter(f'{self.name}.bias_sigma', 300.0, 'm', 'Standard deviation of the height that pressure tells '
+                      'before anything is known: weather, and that of the geoid.', minimum=1.0, maximum=1e4),
+            Parameter(f'{self.name}.bias_walk', 0.1, 'm/sqrt(s)', 'How that wanders: weather, temperature and the '
+                      'ventilation of the vehicle.', minimum=0.0, maximum=100.0))
+
+    def states(self, values):
+        return {self.state: (values[f'{self.name}.bias_sigma'], values[f'{self.name}.bias_walk'])}
+
+    @property
+    def state(self):
+        return f'{self.name}_bias'
+
+    def declared(self, settings, pressures):
+        return replace(pressures, pressure=settings.factor * pressures.pressure,
+                       variance=settings.factor**2 * pressures.variance)
+
+    def records(self, settings, pressures):
+        pressures = self.declared(settings, pressures)
+        n, pressure = len(pressures), pressures.pressure
+        r, reasons = empty(Kind.PRESSURE, n), np.full(n, '', dtype=object)
+        possible = (pressure >= LOWEST) & (pressure <= HIGHEST)
+        refuse(reasons, ~possible, lambda i: f'pressure {pressure[i]:g} Pa is none of the air: dropped '
+               f'({self.name}.factor makes Pa of others)')
+        there = np.where(possible, pressure, SEA_LEVEL)
+        r[:, Event.VALUE] = height_of(there)
+        r[:, Event.R_NN] = stated_or(pressures.variance, settings, SMALLEST_SIGMA) * metres_per_pascal(there) ** 2
+        return r, reasons, np.full(n, '', dtype=object)
+
+    def off(self, measured, innovation):
+        return f'pressure of a height that is {abs(innovation[0]):.1f} m off'
+
+    def read(self, fields, message):
+        return Pressures(stamp=fields['stamp'], received=fields['received'], pressure=fields['fluid_pressure'],
+                         variance=fields['variance'])
+
+    def written(self, pressures):
+        return {'fluid_pressure': pressures.pressure, 'variance': pressures.variance}
+
+    def simulated(self, drive, errors, effects, rng, instants):
+        time, stamp = instants(errors['pressure_rate'], 0.0037)
+        steps = rng.standard_normal(len(time))
+        bias = errors['pressure_bias'] * rng.standard_normal() + errors['pressure_walk'] * np.cumsum(
+            steps * np.sqrt(np.diff(time, prepend=time[:1])))
+        pressure = pressure_at(np.interp(time, drive.time, drive.height) + bias)
+        sigma = errors['pressure_sigma']
+        return Pressures(stamp, stamp.copy(), pressure + sigma * rng.standard_normal(len(time)),
+                         np.full(len(time), sigma**2))

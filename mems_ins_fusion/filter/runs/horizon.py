@@ -1,0 +1,193 @@
+"""For how long, and how far, the position can be trusted without fixes: the filter's own prediction, run ahead.
+
+A small copy of the memory - the newest state, the newest sample, room to work - goes on without fixes, in steps, as a
+vehicle that goes straight on: at its speed, or where it is slower (or stands) accelerating to `horizon.speed`. The
+vehicle's constraints are applied, and the wheel speed that has been told lately, with no innovation: nothing but the
+covariance moves. Standstills are not: nobody knows whether there will be one. The horizon is where the horizontal error
+is larger than `horizon.limit` with more than 5 %, by the covariance as it is published.
+"""
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from mems_ins_fusion.compiled import njit
+
+from ..config import FilterConfig
+from ..kernel import coast
+from ..measurements import speed
+from ..measurements.geometry import body_to_level
+from ..measurements.wheel_vibration import Told, Wheels
+from ..memory import (
+    NAV,
+    Event,
+    Head,
+    Kind,
+    Nav,
+    Sample,
+    load_covariance,
+    place,
+    sample_at,
+    scratch_size,
+    state_at,
+    store_covariance,
+    variance_factor,
+    views,
+)
+from ..prediction import predict
+from ..trust.scale import KINDS, Kinds, Scale, scale
+from ..update import constrain, feed_back, update
+from .odometry import besides
+
+#: s, of one step: so often the constraints count as much as each CONSTRAINT_INTERVAL (`update.MOST_TOLD`)
+STEP = 0.2
+#: s: further is not looked, it costs time, and an error of minutes depends on what the vehicle does until then
+LONGEST = 120.0
+#: share of the errors that may be larger than the limit
+EXCEEDED = 0.05
+#: m/s^2: so a vehicle that is slower than `horizon.speed` drives off
+DRIVING_OFF = 2.0
+#: directions over a quarter of a turn at which the probability is taken: good to 1e-3 for a line, else better
+_DIRECTIONS = 16
+#: s: a speed that was not told for longer will not be told
+SPEED_PATIENCE = 1.0
+
+
+class Horizon(NamedTuple):
+    """seconds: for which the horizontal error stays below the limit with 95 %, LONGEST at most. metres: of the way
+    until then."""
+
+    seconds: float
+    metres: float
+
+    @property
+    def in_words(self) -> str:
+        """As it is said."""
+        more = 'more than ' if self.seconds >= LONGEST else ''
+        return f'{more}{self.seconds:.1f} s, {self.metres:.0f} m'
+
+
+class Lookout:
+    """Looks ahead from the memory of a filter with `config` (parameters `horizon.limit`, m, and `horizon.speed`, m/s).
+    """
+
+    def __init__(self, config: FilterConfig):
+        self._limit, self._speed = config.parameters['horizon.limit'], config.parameters['horizon.speed']
+        memory = config.memory()
+        self._width, self._rows = int(memory[Head.WIDTH]), int(memory[Head.ROWS_AT])
+        # three rows: two to go on in, and one that keeps what the filter has seen of its inputs
+        self._ring = self._rows + 3 * self._width
+        self._events = self._ring + Sample.SIZE
+        scratch = self._events + Event.SIZE
+        self._copy = np.zeros(scratch + scratch_size(config.layout.n))
+        self._head = {Head.CAPACITY: 1, Head.EVENT_CAPACITY: 1, Head.EVENTS: 0, Head.RING_AT: self._ring,
+                      Head.EVENTS_AT: self._events, Head.SCRATCH_AT: scratch, Head.HISTORY_AT: 0, Wheels.AT: 0,
+                      Head.MAX_GAP: math.inf}
+
+    def look(self, memory: np.ndarray) -> Horizon:
+        """From the newest state of `memory`, which is left as it is."""
+        copy, newest, width = self._copy, int(memory[Head.SAMPLES]), self._width
+        state, sample = state_at(memory, newest), sample_at(memory, newest)
+        copy[:self._rows] = memory[:self._rows]
+        for row in (0, 2):
+            copy[self._rows + row * width:][:width] = memory[state:state + width]
+        copy[self._ring:self._events] = memory[sample:sample + Sample.SIZE]
+        told, interval = _told_speed(memory, memory[state + Nav.TIME])
+        copy[self._events:][:Event.SIZE] = told
+        for column, value in self._head.items():
+            copy[column] = value
+        return Horizon(*_look(copy, self._limit, self._speed, interval))
+
+
+def _told_speed(memory: np.ndarray, now: float) -> tuple[np.ndarray, float]:
+    """The newest speed that was told, as a record, and the interval between them, s; 0: none is."""
+    records = views(memory)[-1][:int(memory[Head.EVENTS])]
+    speeds = records[records[:, Event.KIND] == Kind.SPEED]
+    time = speeds[:, Event.TIME]
+    if len(speeds) < 2 or now - time[-1] > SPEED_PATIENCE:
+        return np.zeros(Event.SIZE), 0.0
+    return speeds[-1], (time[-1] - time[0]) / (len(time) - 1)
+
+
+@njit(_nrt=False)
+def _look(mem, limit, wanted, interval):
+    """Seconds and metres until the error is larger than `limit`, m, with more than EXCEEDED.
+
+    mem: as `Lookout` makes it. wanted: m/s, that the vehicle drives at least. interval: s between the speeds that are
+    told, with the record in the memory; 0: none.
+    """
+    first, width, sample = place(state_at(mem, 0)), int(mem[Head.WIDTH]), place(sample_at(mem, 0))
+    src, dst, seen = first, place(first + width), place(first + 2 * width)
+    mem[sample + Sample.INTERVAL], mem[sample + Sample.FAULT], mem[sample + Sample.STILL] = STEP, 0.0, 0.0
+    mem[sample + Told.VARIANCE] = 0.0
+    metres = 0.0
+    for k in range(round(LONGEST / STEP)):
+        if outside(mem, src, limit) > EXCEEDED:
+            return k * STEP, metres
+        speed_now = math.hypot(mem[src + Nav.V_N], mem[src + Nav.V_E])
+        coast(mem, sample, src)
+        mem[sample + Sample.COASTED] = 0.0  # the errors of sensors and attitude do count
+        if speed_now < wanted:
+            _accelerate(mem, src, sample)
+        predict(mem, src, dst, sample, STEP)
+        mem[dst + Nav.TIME], mem[dst + Nav.CONSTRAINT_TIME] = mem[src + Nav.TIME] + STEP, STEP
+        if mem[Head.CONSTRAINTS] != 0.0:
+            constrain(mem, dst, sample)
+        if interval > 0.0:
+            _take_speed(mem, dst, sample, interval)
+        for i in range(Nav.MEMORY, NAV):  # agreement that is made here shows nothing
+            mem[dst + i] = mem[seen + i]
+        metres += 0.5 * STEP * (speed_now + math.hypot(mem[dst + Nav.V_N], mem[dst + Nav.V_E]))
+        src, dst = dst, src
+    return LONGEST, metres
+
+
+@njit(_nrt=False)
+def _accelerate(mem, r, sample):
+    """The sample at `sample`, of a vehicle that keeps its speed, as of one that accelerates: along its own axis."""
+    yaw = int(mem[Head.MOUNTING_YAW])
+    turn = mem[r + NAV + yaw] if yaw >= 0 else 0.0
+    mem[sample + Sample.F_X] += DRIVING_OFF * math.cos(turn)
+    mem[sample + Sample.F_Y] += DRIVING_OFF * math.sin(turn)
+
+
+@njit(_nrt=False)
+def _take_speed(mem, r, sample, interval):
+    """Correct the state at r with the speeds of a step, told as they are expected."""
+    n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
+    n, p, at = n_navigation + m, int(mem[Head.SCRATCH_AT]), int(mem[Head.EVENTS_AT])
+    h = p + n * n
+    load_covariance(mem, r, n_navigation, m, mem, p)
+    for i in range(3 * n):
+        mem[h + i] = 0.0
+    dimensions = speed.observe(mem, r, at, h, n, body_to_level(mem, r), sample)
+    mem[at + Event.Z_N] = 0.0
+    for i in range(n):
+        mem[at + Event.Z_N] += mem[h + i] * mem[r + NAV + i]
+    factor = max(scale(mem, r + Kinds.SCALE + Scale.SIZE * (int(Kind.SPEED) % KINDS)), 1.0)
+    update(mem, r, at, n, dimensions, factor * interval / STEP, 0.0, 0.0)
+    store_covariance(mem, p, n_navigation, m, mem, r)
+    feed_back(mem, r)
+
+
+@njit(_nrt=False)
+def outside(mem, r, limit):
+    """Probability that the horizontal error of the state at r is larger than `limit`, m.
+
+    In units of the ellipse's axes the error has a Rayleigh distribution in each direction phi:
+    the mean over phi of exp(-limit^2 / (2 (a cos(phi)^2 + b sin(phi)^2))), a and b the variances along the axes.
+    """
+    n_navigation = int(mem[Head.N_NAVIGATION])
+    at = r + NAV + n_navigation + int(mem[Head.N_AUGMENTED])
+    factor = variance_factor(mem, r)
+    nn = factor * mem[at] + besides(mem, r, 0, 0)
+    ne = factor * mem[at + 1] + besides(mem, r, 0, 1)
+    ee = factor * mem[at + n_navigation] + besides(mem, r, 1, 1)
+    mean, half = 0.5 * (nn + ee), math.hypot(0.5 * (nn - ee), ne)
+    total = 0.0
+    for k in range(_DIRECTIONS):
+        c = math.cos((2 * k + 1) * math.pi / (2 * _DIRECTIONS))  # of 2 phi
+        total += math.exp(-0.5 * limit * limit / (mean + half * c))
+    return total / _DIRECTIONS

@@ -1,0 +1,40 @@
+"""For how long and how far the position can be trusted without fixes: on ~/horizon, latched, each second."""
+from __future__ import annotations
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from ..filter.runs.horizon import Horizon
+from ..filter.runs.live import FusionFilter
+from .estimates import NO_EVENTS
+from .status import array, horizon_status
+
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+#: ns, from one message to the next, of the samples' stamps: a replay at any speed has the same
+_PERIOD = 10**9
+
+
+class HorizonOutput:
+    """Publishes the trust horizon of `fusion`. values: checked parameters of the node."""
+
+    def __init__(self, node: Node, fusion: FusionFilter, values: dict):
+        self._name, self._fusion, self._limit = node.get_name(), fusion, values['horizon.limit']
+        self._publisher = node.create_publisher(DiagnosticArray, '~/horizon', _LATCHED, **NO_EVENTS)
+        self._slot, self._trusted = None, False  # of the newest message, and whether it tells a horizon
+
+    def on_sample(self, now: int) -> None:
+        """The filter has an estimate from a sample with the stamp `now`, ns."""
+        slot = now // _PERIOD
+        if slot != self._slot:
+            self._slot = slot
+            self._say(now, self._fusion.horizon())
+
+    def stop(self, now: int) -> None:
+        """There is no estimate any more at `now`, ns: what was said last does not hold."""
+        if self._trusted:
+            self._say(now, None)
+
+    def _say(self, now: int, horizon: Horizon | None) -> None:
+        self._publisher.publish(array(now, [horizon_status(self._name, horizon, self._limit)]))
+        self._trusted = horizon is not None

@@ -1,0 +1,105 @@
+"""The trust horizon against what happens: does the error cross the limit later than announced, and by how much?
+
+    python studies/horizon.py [--seeds 5] [--minutes 20] [--limit 5] [--data ../shared/data] [--processes 2]
+
+Realistic simulated drives of each receiver of studies/vehicle.py, with and without a wheel speed, and the measured ones
+(mounting given to the nearest right angle; longmont also with its time offset). Fixes are withheld for 120 s from each
+20 s on; what the filter announces at the begin is compared with when its horizontal error is larger than the limit for
+the first time. `later`: share of outages in which that is later than announced, with the 95 % interval of drives drawn
+anew (of a single drive: of its outages, blocks of 120 s). `announced / true`: the median; an outage in which the error
+does not cross counts as one that crosses at its end, so that the ratio is at most that. `best possible`: the same for
+an announcement that knows the distribution of the true times of its row, 5 % of which are earlier, and nothing else.
+"""
+from __future__ import annotations
+
+import argparse
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+from vehicle import FIXES, MEASURED, measured, simulated
+
+from mems_ins_fusion.evaluation.comparison import samples_to_keep, truth_of
+from mems_ins_fusion.evaluation.outages import outage_begins, run_outages
+from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.runs.horizon import LONGEST
+from mems_ins_fusion.filter.runs.replay import run
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.samples import Aiding
+
+#: s, of an outage, which is as far as is looked ahead, and from one begin to the next
+DURATION, SPACING = LONGEST, 20.0
+#: the time offset of longmont (docs/closing_the_loop.md), s
+OFFSET = {'gnss.time_offset': -0.26}
+#: drawn anew for an interval
+DRAWS = 2000
+
+
+def outages_of(recording, values: dict) -> np.ndarray:
+    """(o, 3): announced, crossed (inf: not), and how long it was looked, s."""
+    values = table.check(values)
+    config, truth = FilterConfig.from_parameters(values), truth_of(recording, values)
+    keep = samples_to_keep(recording.imu, truth.reference.stamp)
+    aiding = Aiding(speed=recording.speed) if values['speed_topic'] else Aiding()
+    started = run(config, recording.imu, recording.gnss, aiding, keep=keep).stamp
+    begin = outage_begins(int(started[0]), recording.gnss, values['gnss.time_offset'], SPACING, DURATION)
+    found, = run_outages(config, recording.imu, recording.gnss, truth, [DURATION], begin, aiding, keep)
+    return np.column_stack([np.minimum(found.announced, DURATION), found.crossed,
+                            np.minimum(found.crossed, DURATION)])
+
+
+def of_row(kind: str, name: str, seed: int, minutes: float, limit: float, data: Path):
+    """(row of the table, outages) of one drive."""
+    values = {'horizon.limit': limit}
+    if kind == 'simulated':
+        receiver, _, speed = name.partition(', ')
+        return name, outages_of(simulated(seed, minutes, FIXES[receiver]),
+                                values | ({'speed_topic': '/wheel/speed'} if speed else {}))
+    folder, _, offset = name.partition(', ')
+    return name, outages_of(measured(folder, data), {**values, **MEASURED[folder].values, **(OFFSET if offset else {})})
+
+
+def line(name: str, drives: list[np.ndarray]) -> str:
+    """Of the table: outages by drive."""
+    blocks = drives if len(drives) > 1 else np.array_split(drives[0], max(len(drives[0]) * SPACING // DURATION, 1))
+    announced, crossed, seen = np.concatenate(drives).T
+    later = crossed >= announced
+    rng = np.random.default_rng(0)
+    shares = [[np.sum(b[:, 1] >= b[:, 0]), len(b)] for b in blocks]
+    drawn = np.array(shares)[rng.integers(0, len(shares), (DRAWS, len(shares)))].sum(axis=1)
+    low, high = np.percentile(100 * drawn[:, 0] / drawn[:, 1], [2.5, 97.5])
+    best = np.quantile(seen, 0.05) / np.median(seen)
+    return (f'| {name} | {len(seen)} | {100 * np.mean(np.isfinite(crossed)):.0f} % | {np.median(announced):.1f} | '
+            f'{np.median(seen):.1f} | {100 * later.mean():.1f} % ({low:.0f} to {high:.0f}) | '
+            f'{np.median(announced / seen):.2f} | {best:.2f} |')
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--seeds', type=int, default=5)
+    parser.add_argument('--first-seed', type=int, default=3000)
+    parser.add_argument('--minutes', type=float, default=20.0)
+    parser.add_argument('--limit', type=float, default=5.0)
+    parser.add_argument('--data', type=Path, default=Path('../shared/data'))
+    parser.add_argument('--processes', type=int, default=2)
+    options = parser.parse_args()
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    work = [('simulated', name, seed) for name in (*FIXES, '1.5 m, wheel speed', 'RTK, wheel speed') for seed in seeds]
+    if options.data.is_dir():
+        work += [('measured', name, 0) for name in (*MEASURED, 'longmont_rtk_drive, time offset given')]
+    results: dict[str, list[np.ndarray]] = {}
+    with ProcessPoolExecutor(options.processes) as pool:
+        rest = options.minutes, options.limit, options.data
+        for name, rows in pool.map(of_row, *zip(*((*w, *rest) for w in work))):
+            results.setdefault(name, []).extend([rows] if len(rows) else [])
+    print('| drive | outages | crossed | announced, s | true, s | later | announced / true | best possible |')
+    print(f'|{"---|" * 8}')
+    for name, drives in results.items():
+        if drives:
+            print(line(name, drives))
+    everything = [rows for drives in results.values() for rows in drives]
+    print(line('all', everything))
+
+
+if __name__ == '__main__':
+    main()

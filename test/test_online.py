@@ -1,0 +1,265 @@
+"""The diagnosis while driving: bets that chance does not win, the same chunks live as replayed, and over real ROS 2."""
+from __future__ import annotations
+
+import math
+import os
+import signal
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_support import PLAYABLE, Diagnostics, NodeProcess, Player, stamp_of
+
+from mems_ins_fusion.diagnosis import online, worker
+from mems_ins_fusion.diagnosis.estimate import Estimate
+from mems_ins_fusion.diagnosis.findings import Finding
+from mems_ins_fusion.diagnosis.gathering import CHUNK, Gathering, chunks
+from mems_ins_fusion.diagnosis.held_out import HeldOut
+from mems_ins_fusion.diagnosis.online import FALSE_ALARMS, MARGIN, OUTAGES, Online, Trial
+from mems_ins_fusion.diagnosis.quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, SUSPECT
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_drive, simulate_recording
+
+SECOND = 10**9
+OFFSET = 0.4
+
+
+def finding(value=OFFSET, sigma=0.02):
+    """A time offset as `diagnose` has it."""
+    return Finding('gnss_time_offset', ['gnss_time_offset'], {'time_offset': Estimate(value, sigma, 's')}, 50.0, 1e-9,
+                   True, HeldOut(20.0, 1e-6, []), changes={'gnss.time_offset': value})
+
+
+def trial(needed=1.0 / FALSE_ALARMS):
+    return Trial(finding(), {}, needed)
+
+
+def taken(errors, needed=1.0 / FALSE_ALARMS):
+    """A trial after outages with these errors (k, 2), of each duration."""
+    one = trial(needed)
+    for pair in errors:
+        one.take({duration: [tuple(pair)] for duration in OUTAGES})
+        if one.proven:
+            break
+    return one
+
+
+def test_chance_does_not_prove():
+    # given 400 trials of two filters that are equally good: 200 outages each, errors of any size and heavy tails
+    rng = np.random.default_rng(7)
+    proven = sum(taken(np.exp(rng.standard_normal((200, 2)))).proven for _ in range(400))
+    # then not more of them are ever proven than may be (1 % of 400 is 4: ten or more have p = 0.008)
+    assert proven < 10
+    # nor where the other is better by less than is worth a change
+    same = np.abs(rng.standard_normal((100, 1))) + 0.1
+    assert not taken(np.hstack([same, (1.0 - MARGIN) * same])).proven
+
+
+def test_what_is_better_is_proven_and_what_is_worse_rejected():
+    # given errors that are halved: x = (0.95 - 0.5) / 1.5 = 0.3 each time
+    better = taken([(2.0, 1.0)] * 60)
+    assert better.proven and better.state == FINE
+    # then as many are needed as the bets say
+    count = len(better.errors[OUTAGES[0]])
+    wealth = [np.mean([(1.0 + bet * 0.3) ** k for bet in online.BETS]) for k in range(1, 61)]
+    assert count == 1 + int(np.argmax(np.array(wealth) >= 1.0 / FALSE_ALARMS))
+    # and the other way round it is rejected
+    worse = taken([(1.0, 2.0)] * 60)
+    assert worse.rejected and worse.state == SUSPECT and not worse.proven
+
+
+@pytest.fixture(scope='module')
+def drive():
+    """Eleven minutes at 20 Hz, fixes stamped OFFSET late."""
+    sensors = SensorErrors(accelerometer_noise_density=[1e-3] * 3, gyroscope_noise_density=[1e-4] * 3)
+    recording = simulate_recording(simulate_drive(670.0, seed=5, rate=20.0), sensors, GnssNoise(0.1, rate=2.0), seed=5,
+                                   aiding=Aiding(speed_rate=5.0)).recording
+    gnss = recording.gnss
+    stamp, received = gnss.stamp + round(OFFSET * SECOND), gnss.received + round(OFFSET * SECOND)
+    return replace(recording, gnss=replace(gnss, stamp=stamp, received=received))
+
+
+def given_live(recording):
+    """The chunks that a node gathers, each message in the order in which it was received."""
+    gathering, made = Gathering(), []
+    imu, gnss, speed = recording.imu, recording.gnss, recording.speed
+    rows = sorted([*((int(t), 2, i) for i, t in enumerate(imu.received)),
+                   *((int(t), 3, i) for i, t in enumerate(gnss.received)),
+                   *((int(t), 4, i) for i, t in enumerate(speed.received))])
+    for _, kind, i in rows:
+        if kind == 2:
+            full = gathering.add_sample((int(imu.stamp[i]), *imu.specific_force[i].tolist(),
+                                         *imu.angular_rate[i].tolist()))
+            made += [full.recording()] if full else []
+        elif kind == 3:
+            gathering.add_fix((int(gnss.stamp[i]), gnss.latitude[i], gnss.longitude[i], gnss.height[i],
+                               gnss.covariance[i].ravel(), gnss.status[i], gnss.covariance_type[i]))
+        else:
+            gathering.add('speed', int(speed.stamp[i]), (speed.speed[i], speed.variance[i]))
+    return made
+
+
+def same(a, b):
+    """Bit for bit, with the same types."""
+    assert a.streams().keys() == b.streams().keys()
+    for name, samples in a.streams().items():
+        for column, values in vars(samples).items():
+            other = getattr(b.streams()[name], column)
+            assert (values is None and other is None) or (
+                np.array_equal(values, other) and values.dtype == other.dtype), (name, column)
+
+
+def test_live_has_the_chunks_of_the_recording(drive):
+    replayed, live = list(chunks(drive)), given_live(drive)
+    assert len(replayed) == len(live) == 11
+    for a, b in zip(replayed, live):
+        same(a, b)
+        assert CHUNK - 0.2 < (a.imu.stamp[-1] - a.imu.stamp[0]) / SECOND < CHUNK
+    # and nothing is lost between them
+    assert np.array_equal(np.concatenate([c.imu.stamp for c in replayed]), drive.imu.stamp[:11 * 1200])
+    fixes = np.concatenate([c.gnss.stamp for c in replayed])
+    assert np.array_equal(fixes, drive.gnss.stamp[:len(fixes)]) and len(fixes) >= 22 * 60 - 3
+
+
+def test_wild_samples_cost_nothing(drive):
+    # given samples that are not numbers, and one stamped an hour ahead
+    imu = drive.imu
+    stamp, force = imu.stamp.copy(), imu.specific_force.copy()
+    force[100:103] = np.nan
+    stamp[2000] += 3600 * SECOND
+    wild = replace(drive, imu=replace(imu, stamp=stamp, specific_force=force))
+    replayed, live = list(chunks(wild)), given_live(wild)
+    assert len(replayed) == len(live) == 12
+    for a, b in zip(replayed, live):
+        same(a, b)
+    # then the chunk that it cuts goes on behind it
+    work = Online(table.check({}), lambda recording, values: [])
+    for chunk in replayed:
+        said = work.take(chunk)
+    assert said[0].state == NOTHING
+    assert (work._window.imu.stamp[-1] - work._window.imu.stamp[0]) / SECOND > 590.0
+
+
+def followed(drive, answers, window=240.0):
+    """What is said after each chunk, where the analyses find what `answers` gives one after the other."""
+    asked = iter(answers)
+    work = Online(table.check({'diagnosis.window': window}), lambda recording, values: next(asked))
+    return [work.take(chunk) for chunk in chunks(drive)], work
+
+
+def test_a_finding_is_proven_on_what_comes_after(drive, monkeypatch):
+    # given analyses of which the second finds what there is, and something that is not
+    monkeypatch.setattr(online, 'FIRST', CHUNK)
+    monkeypatch.setattr(online, 'FALSE_ALARMS', 0.1)  # less is needed, of a short drive
+    wrong = replace(finding(-0.3), name='gnss_latency', changes={'gnss.time_offset': -0.3})
+    said, work = followed(drive, [[], [finding(), wrong], [finding(), wrong], [finding()], [finding()]])
+    states = [{quantity.name: quantity.state for quantity in quantities} for quantities in said]
+    assert states[0] == {ALL: NOTHING}
+    # then both are on trial, and in the end the one is proven, and the other is not
+    assert states[2] == {'gnss_time_offset': COARSE, 'gnss_latency': COARSE}
+    assert states[-1] == {'gnss_time_offset': FINE, 'gnss_latency': SUSPECT}
+    told = next(q for q in said[-1] if q.name == 'gnss_time_offset')
+    assert told.sets == (f'gnss.time_offset: {OFFSET}',) and told.time == int(list(chunks(drive))[-1].imu.stamp[-1])
+    for duration, (without, with_it, count) in told.better.items():
+        assert with_it < 0.6 * without and count >= 5, duration
+    # the outages were all after the analysis, and did not overlap
+    assert len(work.trials['gnss_time_offset'].errors[10.0]) <= 9 * 6
+
+
+def test_a_value_that_has_changed_begins_anew(monkeypatch, drive):
+    monkeypatch.setattr(online, 'FIRST', CHUNK)
+    said, work = followed(drive, [[finding(0.1)], [finding(0.12)], [finding()], [], []])
+    needed = [(np.pi * k) ** 2 / (6 * FALSE_ALARMS) for k in (1, 2)]
+    assert said[2][0].sets == ('gnss.time_offset: 0.1',)  # not apart from what is on trial
+    assert said[4][0].sets == (f'gnss.time_offset: {OFFSET}',)
+    # a second trial needs more, so that all together are false as seldom
+    assert work.trials['gnss_time_offset'].needed == pytest.approx(needed[1])
+    assert sum(1 / ((np.pi * k) ** 2 / 6) for k in range(1, 10_000)) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_the_process_has_its_share_and_goes_when_its_parent_does(tmp_path):
+    # given a process that works for ever, at a tenth of a core
+    began = time.monotonic()
+    child = os.fork()
+    if not child:
+        busy = os.fork()
+        if not busy:
+            while True:
+                pass
+        (tmp_path / 'pid').write_text(str(busy))
+        os._exit(worker.supervise(busy, 0.1, os.getppid()))
+    try:
+        time.sleep(4.0)
+        busy = int((tmp_path / 'pid').read_text())
+        ticks = open(f'/proc/{busy}/stat').read().rsplit(')', 1)[1].split()[11]
+        used = int(ticks) / os.sysconf('SC_CLK_TCK')
+        # then it has had no more than that,
+        assert 0.0 < used < 0.15 * (time.monotonic() - began)
+        os.kill(child, signal.SIGTERM)
+        os.waitpid(child, 0)
+        # and is gone with who asked for it
+        assert not os.path.exists(f'/proc/{busy}')
+    finally:
+        try:
+            os.kill(child, signal.SIGKILL)
+        except ProcessLookupError:
+            pass
+
+
+def test_the_process_does_not_outlive_who_asked(tmp_path):
+    # given one whose parent is not there any more, as after kill -9
+    child = os.fork()
+    if not child:
+        busy = os.fork()
+        if not busy:
+            time.sleep(600.0)
+            os._exit(0)
+        (tmp_path / 'pid').write_text(str(busy))
+        os._exit(worker.supervise(busy, 0.5, os.getpid()))  # which is not its parent
+    _, status = os.waitpid(child, 0)
+    assert os.waitstatus_to_exitcode(status) == -signal.SIGKILL & 0xFF
+    assert not os.path.exists(f"/proc/{(tmp_path / 'pid').read_text()}")
+
+
+def test_the_node_tells_it_as_the_replay_does(drive, peer):
+    # given the first minutes of a drive, with the bits of its messages, and a process that may have all of a core
+    recording = drive.having({name: s.select(s.stamp < drive.imu.stamp[0] + 183 * SECOND)
+                              for name, s in drive.streams().items()})
+    places = {name: np.array([math.radians(degrees) for degrees in np.degrees(getattr(recording.gnss, name))])
+              for name in ('latitude', 'longitude')}
+    recording = replace(recording, gnss=replace(recording.gnss, **places), speed=None)
+    latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    settings = {'diagnosis.online': 'report', 'diagnosis.window': 120.0}
+    arguments = [part for name, value in {**settings, 'diagnosis.share': 1.0}.items()
+                 for part in ('-p', f'{name}:={value}')]
+    with NodeProcess('fusion_node', *PLAYABLE, *arguments) as node:
+        node.wait_until_ready()
+        told: list[DiagnosticArray] = []
+        peer.node.create_subscription(DiagnosticArray, '/fusion_node/calibration', told.append, latched)
+        heard, player = Diagnostics(peer), Player(peer, node, recording)
+        player.connect()
+        player.play(70.0)
+        peer.spin_until(lambda: told)
+        assert told[0].status[0].name == f'fusion_node: calibration: {ALL}'
+        assert told[0].status[0].message.startswith(INITIALISING)
+        player.play()
+        peer.spin_until(lambda: len(told) >= 3)
+        # then what it says after each chunk is what a replay says, and on /diagnostics
+        expected = Online(table.check(settings))
+        for message, chunk in zip(told, chunks(recording)):
+            quantities = expected.take(chunk)
+            assert stamp_of(message) == quantities[0].time
+            assert [s.name for s in message.status] == [f'fusion_node: calibration: {q.name}' for q in quantities]
+            assert [s.message.split(':')[0] for s in message.status] == [q.state for q in quantities]
+        values = {v.key: v.value for s in told[-1].status for v in s.values if 'time_offset' in s.name}
+        assert float(values['time_offset, s']) == pytest.approx(OFFSET, abs=0.05)
+        offset = float(values['set 1'].removeprefix('gnss.time_offset: '))
+        # linear algebra with another number of threads rounds otherwise
+        assert offset == pytest.approx(expected.trials['gnss_time_offset'].sets['gnss.time_offset'], rel=1e-6)
+        node.wait_for('diagnosis.online: gnss_time_offset COARSE')
+        heard.wait(lambda d: 'time_offset' in d.message('calibration: gnss_time_offset'))
+        node.send(signal.SIGINT)
+        assert node.wait() == 0

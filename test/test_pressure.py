@@ -1,0 +1,139 @@
+"""Height from the pressure of the air: its formula, what it gives the filter, what is said where it is wrong."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mems_ins_fusion.configuration.configure import configure
+from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.measurements.pressure import height_of, metres_per_pascal, pressure_at
+from mems_ins_fusion.filter.memory import Kind, Verdict
+from mems_ins_fusion.filter.runs.live import FusionFilter
+from mems_ins_fusion.filter.runs.replay import run, run_with_outages
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.parameters.parameter import ParameterError
+from mems_ins_fusion.recordings.checker import check_recording
+from mems_ins_fusion.recordings.reading import read_recording
+from mems_ins_fusion.recordings.writing import write_recording
+from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.simulation.drive import simulate_drive
+from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
+
+
+def made(seed=5, duration=240.0, rate=50.0, vertical=4.0, **errors):
+    """A hilly drive with a barometer of 10 Hz, and fixes whose heights are poor."""
+    drive = simulate_drive(duration, seed, rate, standstill=10.0, hills=True)
+    sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
+    return simulate_recording(drive, sensors, GnssNoise(1.5, 1.0, vertical_sigma=vertical), seed=seed,
+                              aiding=Aiding(pressure_rate=10.0, **errors)).recording
+
+
+def config(**values):
+    return FilterConfig.from_parameters(table.check({'pressure_topic': '/pressure', **values}))
+
+
+def height_error(recording, result):
+    return result.height - np.interp(result.stamp, recording.reference.stamp, recording.reference.height)
+
+
+@pytest.mark.parametrize(('height', 'pressure'), [(-500.0, 107477.0), (0.0, 101325.0), (1000.0, 89876.3),
+                                                  (3000.0, 70121.2)])
+def test_the_standard_atmosphere_is_that_of_its_tables(height, pressure):
+    # geometric height and Pa: U.S. Standard Atmosphere, 1976, table I; geopotential height is less by h^2 / 6.357e6 m
+    geopotential = height - height**2 / 6356766.0
+    assert height_of(pressure) == pytest.approx(geopotential, abs=0.2)
+    assert pressure_at(geopotential) == pytest.approx(pressure, abs=2.0)
+    step = height_of(pressure - 0.5) - height_of(pressure + 0.5)
+    assert metres_per_pascal(pressure) == pytest.approx(step, rel=1e-6)
+
+
+def test_it_knows_the_height_where_fixes_do_not_and_in_an_outage():
+    # given fixes with heights of 4 m, 60 s without any of them, weather that is 80 m off and wanders
+    recording = made()
+    begin = recording.imu.stamp[0] + np.array([100, 160]) * 10**9
+    error, lost = {}, {}
+    for name, aiding in (('without', Measured()), ('with', Measured(pressure=recording.others['pressure']))):
+        values = {} if name == 'with' else {'pressure_topic': ''}
+        whole, outages = run_with_outages(config(**values), recording.imu, recording.gnss, begin, 60.0, aiding)
+        settled = whole.stamp > recording.imu.stamp[0] + 60 * 10**9
+        away = height_error(recording, whole)[settled]
+        error[name], lost[name] = np.sqrt(np.mean(away**2)), np.abs(height_error(recording, outages.run)).max()
+        assert np.sqrt(np.mean((away / whole.sigma[settled, 2]) ** 2)) < 1.7
+    # then heights are the better for it, and its bias is a state whose sigma holds
+    assert error['with'] < 0.8 * error['without'] and lost['with'] < max(0.7 * lost['without'], 4.0)
+    assert whole.config.layout.names[-1] == 'pressure_bias'
+    assert whole.sigma[-1, -1] < 3.0
+
+
+def test_a_window_that_opens_is_weighted_down():
+    # given 3 hPa less for five seconds, 25 m
+    recording = made()
+    pressure = recording.others['pressure']
+    at = (pressure.stamp - pressure.stamp[0]) * 1e-9
+    gust = replace(pressure, pressure=pressure.pressure - 300.0 * ((at > 150.0) & (at < 155.0)))
+    found = {}
+    for name, samples in (('calm', pressure), ('gust', gust)):
+        result = run(config(), recording.imu, recording.gnss, Measured(pressure=samples))
+        found[name] = result
+    assert found['gust'].measured.verdicts(Kind.PRESSURE)[Verdict.WEIGHTED] > 20
+    assert np.abs(found['gust'].height - found['calm'].height).max() < 6.0
+
+
+def test_live_and_replay_give_the_same_bits():
+    recording = made(duration=100.0)
+    pressure = recording.others['pressure']
+    replayed = run(config(), recording.imu, recording.gnss, Measured(pressure=pressure))
+    fusion, heights = FusionFilter(config()), {}
+    rows = sorted([(t, 0, i) for i, t in enumerate(recording.imu.received)]
+                  + [(t, 1, i) for i, t in enumerate(recording.gnss.received)]
+                  + [(t, 2, i) for i, t in enumerate(pressure.received)])
+    for _, what, i in rows:
+        if what == 0:
+            if fusion.add_imu(int(recording.imu.stamp[i]), *recording.imu.specific_force[i].tolist(),
+                              *recording.imu.angular_rate[i].tolist()) and fusion.aligned:
+                fusion.update_odometry()
+                heights[i] = float(fusion.geodetic[2])
+        elif what == 1:
+            g = recording.gnss
+            fusion.add_fix(int(g.stamp[i]), g.latitude[i], g.longitude[i], g.height[i], g.covariance[i].ravel(),
+                           int(g.status[i]), int(g.covariance_type[i]))
+        else:
+            fusion.add('pressure', int(pressure.stamp[i]), pressure.pressure[i], pressure.variance[i])
+    both = np.intersect1d(replayed.index, list(heights))
+    assert len(both) > 2000
+    assert np.array_equal(replayed.height[np.isin(replayed.index, both)], [heights[i] for i in both])
+    health = fusion.health()
+    assert 'pressure_bias' in health and health['pressure_bias sigma'] < 10.0 and health['pressure used'] > 500
+
+
+def test_a_bag_keeps_it_and_configure_and_the_checker_know_its_unit(tmp_path):
+    # given a bag with hPa
+    recording = made(duration=120.0)
+    pressure = recording.others['pressure']
+    in_hpa = replace(pressure, pressure=0.01 * pressure.pressure, variance=1e-4 * pressure.variance)
+    write_recording(recording.having({'pressure': in_hpa}), tmp_path / 'bag', pressure_topic='/baro')
+    read = read_recording(tmp_path / 'bag', '/imu/data', '/gps/fix', pressure_topic='/baro')
+    assert np.array_equal(read.others['pressure'].pressure, in_hpa.pressure)
+    # then the checker names the factor, and with it says nothing; configure sets it
+    worse = [f for f in check_recording(read, table.defaults()) if f.topic == 'pressure' and f.severity == 'error']
+    assert len(worse) == 1 and 'set pressure.factor to 100' in worse[0].message
+    values = table.check({'pressure_topic': '/baro', 'pressure.factor': 100.0})
+    assert all(f.severity == 'info' for f in check_recording(read, values) if f.topic == 'pressure')
+    found = configure([tmp_path / 'bag']).values
+    assert (found['pressure_topic'], found['pressure.factor']) == ('/baro', 100.0)
+
+
+def test_what_cannot_be_is_said():
+    # given hPa where Pa is expected, and no number
+    recording = made(duration=30.0)
+    pressure = recording.others['pressure']
+    wrong = replace(pressure, pressure=np.where(np.arange(len(pressure)) % 2, 1013.0, np.nan))
+    result = run(config(), recording.imu, recording.gnss, Measured(pressure=wrong))
+    assert not (result.measured.kind == Kind.PRESSURE).any()
+    assert any('/pressure: pressure 1013 Pa is none of the air: dropped (pressure.factor' in notice.text
+               for notice in result.notices)
+    # and a filter without a height says that it has none
+    with pytest.raises(ParameterError, match="'pressure_topic' needs mechanization strapdown"):
+        config(mechanization='planar')

@@ -1,0 +1,121 @@
+"""How late a wheel speed is: found against the IMU, known to the filter, set by `configure`, said by the checker."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mems_ins_fusion.configuration.check import check_setup
+from mems_ins_fusion.configuration.configure import configure
+from mems_ins_fusion.configuration.speed_offset import estimate_speed_offset
+from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.memory import Event, Kind
+from mems_ins_fusion.filter.runs.replay import run
+from mems_ins_fusion.navigation.frames import rotation_from_rpy
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.recordings.writing import write_recording
+from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.samples import Speeds
+from mems_ins_fusion.simulation.drive import simulate_drive
+from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
+
+MOUNTING = (0.0, 0.05, 0.4)
+
+
+def drive_with_wheels(offset=0.0, seed=4, duration=200.0, velocity_rate=0.0):
+    drive = simulate_drive(duration, seed, 100.0, standstill=10.0, hills=True, pitch_per_acceleration=0.005,
+                           axle_to_imu=(1.5, 0.3, 0.0))
+    sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
+    effects = [(EFFECTS['speed_time_offset'], {'time_offset': offset})]
+    return simulate_recording(drive, sensors, GnssNoise(0.02, 5.0), effects, MOUNTING, seed,
+                              aiding=Aiding(speed_rate=10.0, velocity_rate=velocity_rate)).recording
+
+
+@pytest.mark.parametrize('offset', [-0.2, 0.0, 0.35])
+def test_a_late_speed_is_found_with_a_sigma_that_holds(offset):
+    # given hills, a body that pitches, an IMU in front of the axle, a mounting known to a degree, wheels of 1 % scale
+    made = drive_with_wheels(offset)
+    found = estimate_speed_offset(made.imu, made.speed, rotation_from_rpy(0.01, 0.06, 0.38))
+    # then
+    assert found.shown and abs(found.lag - offset) < min(3.0 * found.sigma, 0.05)
+    assert found.scale == pytest.approx(1.0, abs=0.05)
+
+
+def test_what_shows_nothing_is_told_as_nothing():
+    made = drive_with_wheels()
+    # given a speed that never changes, noise in place of a speed, too few, and no number among them
+    constant = replace(made.speed, speed=np.full(len(made.speed), 8.0))
+    noise = replace(made.speed, speed=np.random.default_rng(0).standard_normal(len(made.speed)))
+    rotation = rotation_from_rpy(*MOUNTING)
+    assert estimate_speed_offset(made.imu, constant, rotation) is None
+    assert estimate_speed_offset(made.imu, made.speed.select(slice(0, 50)), rotation) is None
+    assert estimate_speed_offset(made.imu, replace(constant, speed=np.full(len(constant), np.nan)), rotation) is None
+    found = estimate_speed_offset(made.imu, noise, rotation)
+    assert found is None or not found.shown
+
+
+def test_the_filter_takes_each_input_at_its_own_time():
+    # given
+    made, late = drive_with_wheels(0.0, velocity_rate=5.0), 0.3
+    aiding = Measured(speed=made.speed, velocity=made.velocity)
+    given = {'speed_topic': '/speed', 'velocity_topic': '/velocity', 'imu.mounting_rpy': list(MOUNTING),
+             'gnss.time_offset': 0.05, 'velocity.time_offset': 0.02, 'speed.time_offset': late}
+    # when
+    result = run(FilterConfig.from_parameters(table.check(given)), made.imu, made.gnss, aiding)
+    # then each is of its stamp less its own offset, what the antenna measures less the receiver's, too
+    for kind, samples, offset in ((Kind.SPEED, made.speed, late), (Kind.VELOCITY, made.velocity, 0.07),
+                                  (Kind.POSITION, made.gnss, 0.05)):
+        mine = result.measured.select(result.measured.kind == kind)
+        assert len(mine.stamp) > 100
+        assert np.abs(mine.stamp - (samples.stamp[mine.index] - round(offset * 1e9))).max() < 1000
+
+
+def test_with_the_offset_told_innovations_of_the_speed_are_those_of_one_in_time():
+    # given a speed that is 0.35 s late; m/s, RMS of its innovations
+    made = drive_with_wheels(0.35)
+    spread = {}
+    for told in (0.0, 0.35):
+        values = table.check({'speed_topic': '/speed', 'imu.mounting_rpy': list(MOUNTING), 'speed.time_offset': told})
+        found = run(FilterConfig.from_parameters(values), made.imu, made.gnss, Measured(speed=made.speed)).measured
+        spread[told] = np.sqrt(np.mean(found.record[found.kind == Kind.SPEED, Event.Z_N] ** 2))
+    # then: its noise is 0.05 m/s, and what is left of its scale of 1 % before it is found
+    assert spread[0.35] < 0.08 < 0.15 < spread[0.0]
+
+
+def test_configure_sets_topic_unit_and_offset_of_a_can_speed_and_the_checker_agrees(tmp_path):
+    # given a bag with a speed in km/h, 0.35 s late, beside a velocity of the receiver and the odometry of a filter
+    made = drive_with_wheels(0.35, velocity_rate=5.0)
+    made = replace(made, speed=replace(made.speed, speed=3.6 * made.speed.speed))
+    write_recording(made, tmp_path / 'bag', speed_topic='/can/speed', velocity_topic='/gps/velocity')
+    # when
+    result = configure([tmp_path / 'bag'])
+    # then
+    assert result.values['speed_topic'] == '/can/speed'
+    assert result.values['speed.factor'] == pytest.approx(1 / 3.6, rel=0.03)
+    assert result.values['speed.time_offset'] == pytest.approx(0.35, abs=0.05)
+    # and the checker has nothing to say of the file, but names the value where it is missing
+    values = table.check(result.values)
+    said = [f for f in check_setup(made, values) if f.topic == 'imu/speed']
+    assert [f.severity for f in said] == ['info']
+    said = [f for f in check_setup(made, {**values, 'speed.time_offset': 0.0}) if f.topic == 'imu/speed']
+    assert [f.severity for f in said] == ['warning'] and 'set speed.time_offset to 0.3' in said[0].message
+
+
+def test_a_velocity_is_not_taken_for_the_speed_of_wheels(tmp_path):
+    # given a bag whose only twist is the receiver's velocity, on a topic whose name does not say so
+    made = drive_with_wheels(0.0, velocity_rate=5.0)
+    write_recording(replace(made, speed=None), tmp_path / 'bag', velocity_topic='/vel')
+    # then
+    assert 'speed_topic' not in configure([tmp_path / 'bag']).values
+
+
+def test_an_offset_moves_the_simulated_samples_and_not_their_stamps():
+    plain, late = drive_with_wheels(0.0), drive_with_wheels(0.4)
+    assert isinstance(late.speed, Speeds) and np.array_equal(plain.speed.stamp, late.speed.stamp)
+    # what is stamped t is of t - 0.4 s: four samples of 10 Hz; both have the same noise
+    noise = np.diff(late.speed.speed[4:] - plain.speed.speed[4:])
+    assert np.abs(np.convolve(noise, np.ones(10), 'valid')).max() > 0.3
+    shifted = plain.speed.speed[:-4] - late.speed.speed[4:]
+    assert np.std(shifted) < 0.09
