@@ -5,7 +5,6 @@ Importing this module prepares the environment, for this process and its childre
 from __future__ import annotations
 
 import fcntl
-import functools
 import os
 import queue
 import signal
@@ -17,7 +16,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion, TwistWithCovarianceStamped, Vector3
@@ -72,24 +70,6 @@ def _reserve_domain():
 _DOMAIN, _LOCK = _reserve_domain()
 os.environ.update(ROS_DOMAIN_ID=str(_DOMAIN), ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
 os.environ.setdefault('ROS_LOG_DIR', tempfile.mkdtemp(prefix='mems_ins_fusion_ros_log_'))
-
-
-def attempts(times: int):
-    """A test that may fail where the machine is busy: what it sends then waits, or is lost, outside of the node."""
-    def wrap(test):
-        @functools.wraps(test)
-        def several(*arguments, **named):
-            for left in range(times - 1, -1, -1):
-                try:
-                    return test(*arguments, **named)
-                except AssertionError:
-                    if left:
-                        continue
-                    if os.getloadavg()[0] > 0.75 * (os.cpu_count() or 1):
-                        pytest.skip('the machine is busy: what was lost or late says nothing of the node')
-                    raise
-        return several
-    return wrap
 
 
 class NodeProcess:
@@ -298,6 +278,13 @@ class Player:
             self._next += 1
         if in_step:
             self.follow()
+
+    def send_between(self, begin: float, end: float, *names: str) -> None:
+        """What `names` have in this time, s after the first sample, one after the other; the node is not waited for."""
+        for name in names:
+            seconds = (self.parts[name].stamp - self.begin) / SECOND
+            for i in np.flatnonzero((seconds >= begin) & (seconds < end)):
+                self._send(name, i)
 
     def follow(self) -> None:
         """Until the node has seen the last sample: it complains when that comes again."""

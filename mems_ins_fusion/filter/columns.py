@@ -7,6 +7,19 @@ is why `filter/__init__.py` imports the mechanisms, always in one order.
 from __future__ import annotations
 
 from collections import namedtuple
+from collections.abc import Callable
+
+
+def numbered() -> Callable[..., int]:
+    """Numbers columns one behind the other: `column(3)` is the first of the next three, `column(0)` another name of the
+    next one."""
+    end = 0
+
+    def column(size: int = 1) -> int:
+        nonlocal end
+        first, end = end, end + size
+        return first
+    return column
 
 
 class Part:

@@ -21,84 +21,85 @@ import numpy as np
 from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
-from .columns import Part
+from .columns import Part, numbered
+
+column = numbered()
 
 
 class _Nav(NamedTuple):
     """Columns of the navigation solution in a row."""
 
-    TIME: int = 0  # s since the filter's epoch
-    LATITUDE: int = 1
-    LONGITUDE: int = 2
-    HEIGHT: int = 3
-    V_N: int = 4
-    V_E: int = 5
-    V_D: int = 6
-    YAW: int = 7  # planar
-    Q_W: int = 7  # strapdown: quaternion from b to n
-    Q_X: int = 8
-    Q_Y: int = 9
-    Q_Z: int = 10
-    RADII_LATITUDE: int = 11  # where the two scales were computed
-    NORTH_SCALE: int = 12  # rad of latitude per metre
-    EAST_SCALE: int = 13  # rad of longitude per metre
-    ACCELEROMETER_PHASE: int = 14  # s since the autoregressive model's last step
-    GYROSCOPE_PHASE: int = 15
-    CONSTRAINT_TIME: int = 16  # s since the last vehicle constraint
+    TIME: int = column()  # s since the filter's epoch
+    LATITUDE: int = column()
+    LONGITUDE: int = column()
+    HEIGHT: int = column()
+    V_N: int = column()
+    V_E: int = column()
+    V_D: int = column()
+    YAW: int = column(0)  # planar
+    Q_W: int = column()  # strapdown: quaternion from b to n
+    Q_X: int = column()
+    Q_Y: int = column()
+    Q_Z: int = column()
+    RADII_LATITUDE: int = column()  # where the two scales were computed
+    NORTH_SCALE: int = column()  # rad of latitude per metre
+    EAST_SCALE: int = column()  # rad of longitude per metre
+    ACCELEROMETER_PHASE: int = column()  # s since the autoregressive model's last step
+    GYROSCOPE_PHASE: int = column()
+    CONSTRAINT_TIME: int = column()  # s since the last vehicle constraint
     # what the filter has seen of its inputs stands in the row, too: who goes back for a late fix takes it back
-    MEMORY: int = 17  # the first of these columns, which a prediction only copies
-    FIX_TIME: int = 17  # of the last fix, used or refused
-    FIX_LATITUDE: int = 18
-    FIX_LONGITUDE: int = 19
-    RESIDUAL_TIME: int = 20  # of the last fix used, and what it left: updated minus measured position, m
-    RESIDUAL_N: int = 21
-    RESIDUAL_E: int = 22
-    REFUSED: int = 23  # fixes refused one after the other, and sums over them for the line their innovations lie on
-    REFUSED_SINCE: int = 24
-    SUM_T: int = 25
-    SUM_TT: int = 26
-    SUM_N: int = 27
-    SUM_TN: int = 28
-    SUM_E: int = 29
-    SUM_TE: int = 30
-    SUM_SQUARE: int = 31
-    FROZEN: int = 32  # fixes at the very same place one after the other
-    LATERAL_NIS: int = 33  # running mean of what the constraints say against the state
-    VERTICAL_NIS: int = 34
-    BRIDGED: int = 35  # s, within the last minute or so, without a believable IMU sample
-    WEIGHTED: int = 36  # fixes that did not fit one after the other, the first of them weighted down
-    STRAYED: int = 37  # resets to refused fixes from which the filter had strayed, soon after each other,
-    STRAYED_TIME: int = 38  # and when the last one was
+    MEMORY: int = column(0)  # the first of these columns, which a prediction only copies
+    FIX_TIME: int = column()  # of the last fix, used or refused
+    FIX_LATITUDE: int = column()
+    FIX_LONGITUDE: int = column()
+    RESIDUAL_TIME: int = column()  # of the last fix used, and what it left: updated minus measured position, m
+    RESIDUAL_N: int = column()
+    RESIDUAL_E: int = column()
+    REFUSED: int = column()  # fixes refused in a row, and sums over them for the line their innovations lie on
+    REFUSED_SINCE: int = column()
+    SUM_T: int = column()
+    SUM_TT: int = column()
+    SUM_N: int = column()
+    SUM_TN: int = column()
+    SUM_E: int = column()
+    SUM_TE: int = column()
+    SUM_SQUARE: int = column()
+    LATERAL_NIS: int = column()  # running mean of what the constraints say against the state
+    VERTICAL_NIS: int = column()
+    BRIDGED: int = column()  # s, within the last minute or so, without a believable IMU sample
+    WEIGHTED: int = column()  # fixes that did not fit one after the other, the first of them weighted down
+    STRAYED: int = column()  # resets to refused fixes from which the filter had strayed, soon after each other,
+    STRAYED_TIME: int = column()  # and when the last one was
     # what the innovations show of the covariance, see trust/receiver.py
-    SLOW_N: int = 39  # low-passed whitened innovations of the fixes, and the variance they have when white
-    SLOW_E: int = 40
-    SLOW_VARIANCE: int = 41
-    VARIANCE_FACTOR: int = 42  # realised over expected variance of them; below 1 it counts as 1
-    CLAIM_LEVEL: int = 43  # mean logarithm of the claimed variance, m^2
-    LASTING: int = 44  # variance of the receiver's errors that last, m^2: the position has them, too
+    SLOW_N: int = column()  # low-passed whitened innovations of the fixes, and the variance they have when white
+    SLOW_E: int = column()
+    SLOW_VARIANCE: int = column()
+    VARIANCE_FACTOR: int = column()  # realised over expected variance of them; below 1 it counts as 1
+    CLAIM_LEVEL: int = column()  # mean logarithm of the claimed variance, m^2
+    LASTING: int = column()  # variance of the receiver's errors that last, m^2: the position has them, too
     # who is right, fixes or IMU, see trust/contradiction.py
-    SLIDING: int = 45  # NIS of the lateral constraint lately, and as is usual for this vehicle
-    USUAL_SLIDING: int = 46
-    UNSETTLED: int = 47  # s for which the fixes are still to decide
-    MOVED_N: int = 48  # by what fixes that do not fit have moved position, m, and velocity, m/s, until the last fix
-    MOVED_E: int = 49
-    MOVED_V_N: int = 50
-    MOVED_V_E: int = 51
-    LEFT_N: int = 52  # m: and how far they still are from it
-    LEFT_E: int = 53
-    MISFIT_FOR: int = 54  # s for which whatever fixes change still counts
-    MISFITS: int = 55  # how many of the latest fixes did not fit
-    UNDECIDED: int = 56  # above 0: too many fixes did not fit for chance; fades with how far they have moved the state
-    STOOD: int = 57  # time of the latest standstill, and the velocity that it took away, m/s
-    TAKEN_N: int = 58
-    TAKEN_E: int = 59
+    SLIDING: int = column()  # NIS of the lateral constraint lately, and as is usual for this vehicle
+    USUAL_SLIDING: int = column()
+    UNSETTLED: int = column()  # s for which the fixes are still to decide
+    MOVED_N: int = column()  # by what fixes that do not fit have moved position, m, and velocity, m/s, so far
+    MOVED_E: int = column()
+    MOVED_V_N: int = column()
+    MOVED_V_E: int = column()
+    LEFT_N: int = column()  # m: and how far they still are from it
+    LEFT_E: int = column()
+    MISFIT_FOR: int = column()  # s for which whatever fixes change still counts
+    MISFITS: int = column()  # how many of the latest fixes did not fit
+    UNDECIDED: int = column()  # above 0: too many fixes do not fit for chance; fades with how far they moved the state
+    STOOD: int = column()  # time of the latest standstill, and the velocity that it took away, m/s
+    TAKEN_N: int = column()
+    TAKEN_E: int = column()
     # what has happened to this state, for who wants to say it
-    SIDEWAYS: int = 60  # s in which the vehicle did not keep to the non-holonomic constraint
-    SLID: int = 61  # s in which a slide showed that the IMU misled the filter
-    RESTARTS: int = 62  # states that were not finite and were taken back
-    RECOVERIES: int = 63  # resets to fixes that had been refused
-    MECHANISMS: int = 64  # the first of those that the mechanisms ask for (`ROW`), and room for them
-    SIZE: int = 148
+    SIDEWAYS: int = column()  # s in which the vehicle did not keep to the non-holonomic constraint
+    SLID: int = column()  # s in which a slide showed that the IMU misled the filter
+    RESTARTS: int = column()  # states that were not finite and were taken back
+    RECOVERIES: int = column()  # resets to fixes that had been refused
+    MECHANISMS: int = column(84)  # the first of those that the mechanisms ask for (`ROW`), and room for them
+    SIZE: int = column(0)
 
 
 Nav = _Nav()
@@ -325,63 +326,66 @@ def set_covariance(row: np.ndarray, layout: StateLayout, full: np.ndarray) -> No
     store_covariance(np.ascontiguousarray(full).ravel(), 0, layout.n_navigation, layout.n_augmented, row, 0)
 
 
+column = numbered()
+
+
 class _Head(NamedTuple):
     """Sizes, settings and what runs on from sample to sample, at the start of the filter's memory."""
 
-    MECHANIZATION: int = 0
-    OPEN_LOOP: int = 1
-    N_NAVIGATION: int = 2  # N
-    N_AUGMENTED: int = 3  # m
-    ORDER: int = 4  # states per sensor channel, p
-    CHANNELS: int = 5
-    WIDTH: int = 6  # floats in a row
-    CAPACITY: int = 7  # rows in the ring
-    EVENT_CAPACITY: int = 8
-    SAMPLES: int = 9  # IMU samples taken in so far: the newest state is that of row SAMPLES modulo CAPACITY
-    EVENTS: int = 10  # measurements remembered
-    ROWS_AT: int = 11  # where the parts of the memory begin: states,
-    RING_AT: int = 12  # samples,
-    EVENTS_AT: int = 13  # measurements,
-    SCRATCH_AT: int = 14  # and room to work
+    MECHANIZATION: int = column()
+    OPEN_LOOP: int = column()
+    N_NAVIGATION: int = column()  # N
+    N_AUGMENTED: int = column()  # m
+    ORDER: int = column()  # states per sensor channel, p
+    CHANNELS: int = column()
+    WIDTH: int = column()  # floats in a row
+    CAPACITY: int = column()  # rows in the ring
+    EVENT_CAPACITY: int = column()
+    SAMPLES: int = column()  # IMU samples taken in so far: the newest state is that of row SAMPLES modulo CAPACITY
+    EVENTS: int = column()  # measurements remembered
+    ROWS_AT: int = column()  # where the parts of the memory begin: states,
+    RING_AT: int = column()  # samples,
+    EVENTS_AT: int = column()  # measurements,
+    SCRATCH_AT: int = column()  # and room to work
     # indices of the optional states among all n; -1: none
-    COLOURED: int = 15  # north, and east behind it
-    MOUNTING_PITCH: int = 16
-    MOUNTING_YAW: int = 17
-    AXLE: int = 18
-    SPEED_SCALE: int = 19
-    TIME_OFFSET: int = 20  # of the receiver's stamps, beyond gnss.time_offset
-    ACCELEROMETER_INTERVAL: int = 21  # s, of the autoregressive model; 0: another model
-    GYROSCOPE_INTERVAL: int = 22
-    MAX_GAP: int = 23
-    MAX_DELAY: int = 24
-    LEVER_X: int = 25  # of the antenna, body axes forward-right-down, m
-    LEVER_Y: int = 26
-    LEVER_Z: int = 27
-    AXLE_X: int = 28  # from the IMU to the point that does not slip, body axes, m
-    AXLE_Y: int = 29
-    AXLE_Z: int = 30
-    ROBUST_SIGMA: int = 31
-    GATE: int = 32  # normalized innovation above which a fix is refused; 0: none
-    RECOVERY_TIME: int = 33  # s
-    ADAPT: int = 34  # whether the realised sigma of the fixes is used
-    CONSTRAINTS: int = 35  # whether there is any vehicle knowledge to apply
-    ZERO_VELOCITY_SIGMA: int = 36  # 0: not used
-    LATERAL_SIGMA: int = 37  # 0: not used
-    VERTICAL_SIGMA: int = 38
-    SIDESLIP: int = 39  # rad per m/s^2 of lateral acceleration
-    SLIP_SIGMA: int = 40  # sigma of that, rad per m/s^2
-    ANGLE_SIGMA: int = 41  # rad: sigma of the direction of motion in the vehicle
-    CONDITIONING: int = 42  # 6 x 6: body-axis sample = matrix (raw sample) + offset
-    OFFSET: int = 78  # six
-    HISTORY_AT: int = 84  # where a smoother's history begins, see history.py; 0: none
-    AXLE_ACROSS: int = 85  # index of the optional state axle_y
-    COVARIANCE_FACTOR: int = 86  # whether the covariance is scaled by what the innovations show
-    FORGOTTEN: int = 87  # time of the latest measurement that is not remembered any more: no state goes back behind it
-    ROWS: int = 88  # index of each of the nine navigation errors (`Error`) among the states, -1: not there
-    CHANNEL: int = 97  # number of the channel of each of f_x, f_y, f_z, w_x, w_y, w_z, -1: not used
-    AHEAD: int = 103  # s: a measurement that came before an IMU sample may be this much later than it
-    MECHANISMS: int = 104  # the first of those that the mechanisms ask for (`HEAD`), and room for them
-    SIZE: int = 174
+    COLOURED: int = column()  # north, and east behind it
+    MOUNTING_PITCH: int = column()
+    MOUNTING_YAW: int = column()
+    AXLE: int = column()
+    SPEED_SCALE: int = column()
+    TIME_OFFSET: int = column()  # of the receiver's stamps, beyond gnss.time_offset
+    ACCELEROMETER_INTERVAL: int = column()  # s, of the autoregressive model; 0: another model
+    GYROSCOPE_INTERVAL: int = column()
+    MAX_GAP: int = column()
+    MAX_DELAY: int = column()
+    LEVER_X: int = column()  # of the antenna, body axes forward-right-down, m
+    LEVER_Y: int = column()
+    LEVER_Z: int = column()
+    AXLE_X: int = column()  # from the IMU to the point that does not slip, body axes, m
+    AXLE_Y: int = column()
+    AXLE_Z: int = column()
+    ROBUST_SIGMA: int = column()
+    GATE: int = column()  # normalized innovation above which a fix is refused; 0: none
+    RECOVERY_TIME: int = column()  # s
+    ADAPT: int = column()  # whether the realised sigma of the fixes is used
+    CONSTRAINTS: int = column()  # whether there is any vehicle knowledge to apply
+    ZERO_VELOCITY_SIGMA: int = column()  # 0: not used
+    LATERAL_SIGMA: int = column()  # 0: not used
+    VERTICAL_SIGMA: int = column()
+    SIDESLIP: int = column()  # rad per m/s^2 of lateral acceleration
+    SLIP_SIGMA: int = column()  # sigma of that, rad per m/s^2
+    ANGLE_SIGMA: int = column()  # rad: sigma of the direction of motion in the vehicle
+    CONDITIONING: int = column(36)  # 6 x 6: body-axis sample = matrix (raw sample) + offset
+    OFFSET: int = column(6)  # six
+    HISTORY_AT: int = column()  # where a smoother's history begins, see history.py; 0: none
+    AXLE_ACROSS: int = column()  # index of the optional state axle_y
+    COVARIANCE_FACTOR: int = column()  # whether the covariance is scaled by what the innovations show
+    FORGOTTEN: int = column()  # time of the latest measurement that is not kept any more: no state goes back behind it
+    ROWS: int = column(9)  # index of each of the nine navigation errors (`Error`) among the states, -1: not there
+    CHANNEL: int = column(6)  # number of the channel of each of f_x, f_y, f_z, w_x, w_y, w_z, -1: not used
+    AHEAD: int = column()  # s: a measurement that came before an IMU sample may be this much later than it
+    MECHANISMS: int = column(70)  # the first of those that the mechanisms ask for (`HEAD`), and room for them
+    SIZE: int = column(0)
 
 
 Head = _Head()
@@ -389,25 +393,28 @@ Head = _Head()
 HEAD = Part('the head', Head.MECHANISMS, Head.SIZE)
 
 
+column = numbered()
+
+
 class _Sample(NamedTuple):
     """One IMU sample as the kernel takes it, body axes forward-right-down, and what the constraints said at it."""
 
-    TIME: int = 0
-    F_X: int = 1
-    F_Y: int = 2
-    F_Z: int = 3
-    W_X: int = 4
-    W_Y: int = 5
-    W_Z: int = 6
-    STILL: int = 7  # 1 at rest
-    FAULT: int = 8  # why it was not believed (see trust/imu_faults.py); 0: it was
-    CONSTRAINT: int = 9  # kind of the constraint that was applied; 0: none
-    Z: int = 10  # its innovation, three
-    S: int = 13  # and the variances of that, three
-    COASTED: int = 16  # 1: not measured, but made so that the vehicle goes straight on
-    INTERVAL: int = 17  # s since the sample before it
-    MECHANISMS: int = 18  # the first of those that the mechanisms ask for (`SAMPLE`), and room for them
-    SIZE: int = 28
+    TIME: int = column()
+    F_X: int = column()
+    F_Y: int = column()
+    F_Z: int = column()
+    W_X: int = column()
+    W_Y: int = column()
+    W_Z: int = column()
+    STILL: int = column()  # 1 at rest
+    FAULT: int = column()  # why it was not believed (see trust/imu_faults.py); 0: it was
+    CONSTRAINT: int = column()  # kind of the constraint that was applied; 0: none
+    Z: int = column(3)  # its innovation, three
+    S: int = column(3)  # and the variances of that, three
+    COASTED: int = column()  # 1: not measured, but made so that the vehicle goes straight on
+    INTERVAL: int = column()  # s since the sample before it
+    MECHANISMS: int = column(10)  # the first of those that the mechanisms ask for (`SAMPLE`), and room for them
+    SIZE: int = column(0)
 
 
 Sample = _Sample()
@@ -433,41 +440,44 @@ class _Kind(NamedTuple):
 Kind = _Kind()
 
 
+column = numbered()
+
+
 class _Event(NamedTuple):
     """One measurement as the kernel takes it, and what came of it.
 
     Up to three components: the first two may be correlated, the third stands alone.
     """
 
-    TIME: int = 0  # at which it describes the vehicle
-    KIND: int = 1
-    VALUE: int = 2  # three
-    LATITUDE: int = 2  # of a position
-    LONGITUDE: int = 3
-    HEIGHT: int = 4
-    R_NN: int = 5  # variances of the components, the covariance of the first two in between
-    R_NE: int = 6
-    R_EE: int = 7
-    R_DD: int = 8
-    ID: int = 9  # counts the measurements given to the kernel
-    Z_N: int = 10  # innovation, predicted minus measured
-    Z_E: int = 11
-    Z_D: int = 12
-    S_NN: int = 13  # its covariance
-    S_NE: int = 14
-    S_EE: int = 15
-    S_DD: int = 16
-    NIS: int = 17  # of the first two components
-    VERDICT: int = 18  # what the filter did with it, one of `Verdict`
-    WEIGHT: int = 19  # 1: as it claims; less: its covariance was raised
-    YAW: int = 20  # of the prediction, to see innovations along and across track
-    V_N: int = 21
-    V_E: int = 22
-    WITHDRAWN: int = 23  # 1: it has turned out to be wrong by what came after it
-    INPUT: int = 24  # number of the named input that it is from, from 1 on; 0: the plain one, of which the head knows
-    STATE: int = 25  # of a named input: index of its own optional state among all n; -1: none
-    ARM: int = 26  # and three, from the IMU to where it is measured, body axes, m
-    SIZE: int = 29
+    TIME: int = column()  # at which it describes the vehicle
+    KIND: int = column()
+    VALUE: int = column(0)  # three
+    LATITUDE: int = column()  # of a position
+    LONGITUDE: int = column()
+    HEIGHT: int = column()
+    R_NN: int = column()  # variances of the components, the covariance of the first two in between
+    R_NE: int = column()
+    R_EE: int = column()
+    R_DD: int = column()
+    ID: int = column()  # counts the measurements given to the kernel
+    Z_N: int = column()  # innovation, predicted minus measured
+    Z_E: int = column()
+    Z_D: int = column()
+    S_NN: int = column()  # its covariance
+    S_NE: int = column()
+    S_EE: int = column()
+    S_DD: int = column()
+    NIS: int = column()  # of the first two components
+    VERDICT: int = column()  # what the filter did with it, one of `Verdict`
+    WEIGHT: int = column()  # 1: as it claims; less: its covariance was raised
+    YAW: int = column()  # of the prediction, to see innovations along and across track
+    V_N: int = column()
+    V_E: int = column()
+    WITHDRAWN: int = column()  # 1: it has turned out to be wrong by what came after it
+    INPUT: int = column()  # number of the named input that it is from, from 1 on; 0: that of the settings in the head
+    STATE: int = column()  # of a named input: index of its own optional state among all n; -1: none
+    ARM: int = column(3)  # and three, from the IMU to where it is measured, body axes, m
+    SIZE: int = column(0)
 
 
 Event = _Event()

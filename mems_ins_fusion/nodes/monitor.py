@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
@@ -41,13 +42,16 @@ class Monitor:
         self._preflight = Preflight(inputs, values)
         self._state_log = StateLog()
         self._cannot_start: int | None = None  # since which sample, ns
-        self._looked, self._stalled = time.monotonic(), 0.0
+        self._looked = time.monotonic()
+        # by how much the last two looks came late, s: what is lost in a stall shows in the messages after it
+        self._stalled = deque([0.0], maxlen=2)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10, **NO_EVENTS)
 
     def look(self) -> None:
         """Once in PERIOD."""
         now = time.monotonic()
-        self._stalled, self._looked = now - self._looked - PERIOD, now
+        self._stalled.append(now - self._looked - PERIOD)
+        self._looked = now
         for told in self._inputs:
             told.look()
         for status in self._statuses:
@@ -68,7 +72,7 @@ class Monitor:
 
     def _say_lost(self, status: InputStatus) -> None:
         if status.lost:
-            waited = max(status.waited, self._stalled)
+            waited = max(status.waited, *self._stalled)
             why = (f'others came up to {waited:.1f} s late: the machine is busy' if waited > _LONG_WAIT
                    else 'on their way: the network or the publisher is busy')
             self._log.say('warning', f'{status.input.topic_name}: {status.lost} messages lost in the last second, '

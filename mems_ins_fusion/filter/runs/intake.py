@@ -75,6 +75,8 @@ class Intake:
         self._notices: list[Notice] = []
         self._restart_gap = round(config.imu.restart_gap * 1e9)
         self._step_back = round(config.imu.max_gap * 1e9)
+        # the configuration computes these anew each time, which is too slow for each message
+        self._latest, self._offsets = config.latest, {kind: config.time_offset_of(kind) for kind in config.inputs}
         self._ahead = dict.fromkeys(config.inputs, (0, 0))  # stamps of the last one ahead, and of the sample before
         #: why the newest measurement that `measured` refused was refused, without numbers
         self.refusal = ''
@@ -130,7 +132,7 @@ class Intake:
         """
         measurement, settings = self.config.inputs[kind], self.config.settings_of(kind)
         records, reasons, warnings = measurement.records(settings, samples)
-        offset = self.config.time_offset_of(kind)
+        offset = self._offsets[kind]
         stamp = samples.stamp - round(offset * 1e9)
         self._refuse_twins(kind, samples.stamp, reasons)
         for i in np.flatnonzero((reasons != '') | (warnings != '')):
@@ -139,7 +141,7 @@ class Intake:
         if not good.all():
             self.refusal = _NUMBER.sub('#', reasons[np.flatnonzero(~good)[-1]])
         ahead = (stamp - newest) * 1e-9
-        for i in np.flatnonzero(good & ((-ahead > self.config.latest) | (ahead > LATEST + max(-offset, 0.0)))):
+        for i in np.flatnonzero(good & ((-ahead > self._latest) | (ahead > LATEST + max(-offset, 0.0)))):
             good[i], self.refusal = False, 'stamped ahead of the IMU' if ahead[i] > 0 else 'too late'
             if ahead[i] > 0:
                 self._say_ahead(kind, ahead[i], int(stamp[i]), int(newest[i]))

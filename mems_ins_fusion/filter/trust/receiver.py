@@ -85,7 +85,6 @@ def is_frozen(mem, r, at):
     """Whether the fix at `at` repeats the last one although the vehicle moves."""
     same = (mem[at + Event.LATITUDE] == mem[r + Nav.FIX_LATITUDE]
             and mem[at + Event.LONGITUDE] == mem[r + Nav.FIX_LONGITUDE])
-    mem[r + Nav.FROZEN] = mem[r + Nav.FROZEN] + 1.0 if same else 0.0
     speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
     sigma = math.sqrt(velocity_variance(mem, r))
     return mem[Head.GATE] > 0.0 and same and speed > FROZEN_SPEED + 2.0 * sigma
