@@ -61,8 +61,10 @@ STILL_RATE = 0.05  # rad/s
 ROBUST = 3.0
 #: s over which the constraint's NIS is averaged
 CONSTRAINT_MEMORY = 10.0
-#: a mean NIS above which the constraint is not used, until it is below the other again
-CONSTRAINT_OFF, CONSTRAINT_ON = 6.0, 3.0
+#: mean NIS above which the constraint is not used: it is 1 of a vehicle that keeps to it
+CONSTRAINT_OFF = 6.0
+#: and below which it is used again: half, so that it does not come and go
+CONSTRAINT_ON = 3.0
 #: s without a fix after which none speaks for the velocity
 NO_FIX = 10.0
 

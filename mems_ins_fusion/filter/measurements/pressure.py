@@ -33,8 +33,10 @@ def observe(mem, r, at, h):
     return 1
 
 
-#: of the standard atmosphere at sea level: pressure, Pa, and temperature over its lapse, m
-SEA_LEVEL, SCALE_HEIGHT = 101325.0, 288.15 / 0.0065
+#: Pa, of the standard atmosphere at sea level
+SEA_LEVEL = 101325.0
+#: m: temperature at sea level over its lapse
+SCALE_HEIGHT = 288.15 / 0.0065
 #: gas constant times lapse over gravity and molar mass
 EXPONENT = 8.31432 * 0.0065 / (9.80665 * 0.0289644)
 #: on earth there are no others, Pa: the highest road is at 5900 m, the lowest pit 500 m below the sea

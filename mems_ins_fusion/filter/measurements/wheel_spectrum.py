@@ -27,8 +27,10 @@ AXES = 6
 NEIGHBOURHOOD = 16
 #: parts of half the sampling rate above which nothing is looked at: what was interpolated is not power
 HIGHEST = 0.9
-#: bounds of the logarithm of the power over its neighbourhood: no single bin says more
-LEAST, MOST = -1.5, 3.5
+#: least logarithm of the power over its neighbourhood that counts: no single bin says more against a line,
+LEAST = -1.5
+#: and the largest: nor for one
+MOST = 3.5
 #: windows over which what stands in Hz is averaged: five minutes
 STANDING_MEMORY = 150.0
 BINS = POINTS + 1

@@ -96,13 +96,18 @@ COMB_SIGMAS = 6.0
 COMB_WINDOWS = 15.0
 #: windows over which the comb forgets, ten minutes: a tyre may be changed
 COMB_MEMORY = 300.0
-#: sigma of ln C as the comb finds it, and what it may change by in a second: 0.1 % in ten minutes, as a tyre warms up
-COMB_SIGMA, DRIFT = 0.01, 0.001**2 / 600.0
+#: sigma of ln C as the comb finds it
+COMB_SIGMA = 0.01
+#: variance that ln C gains in a second: 0.1 % in ten minutes, as a tyre warms up
+DRIFT = 0.001**2 / 600.0
 #: and never less: engine orders that go with the wheels in one gear pull it
 LEAST_SIGMA = 0.003
-#: windows over which what the looks at ln C say against it is averaged, and sigmas of that mean beyond which it is
-#: another wheel's, or no wheel's: it then has the sigma of one that has hardly been seen, with which nothing is told
-AGAINST_MEMORY, AGAINST, REOPENED = 20.0, 4.0, 0.015
+#: windows over which what the looks at ln C say against it is averaged
+AGAINST_MEMORY = 20.0
+#: sigmas of that mean beyond which it is another wheel's, or no wheel's
+AGAINST = 4.0
+#: the sigma of ln C then: of one that has hardly been seen, with which nothing is told
+REOPENED = 0.015
 #: sigma of what it may be else after the vehicle was parked: pressure and load
 PARKED = 0.003
 #: further from C the comb must be to have found another wheel
@@ -116,8 +121,10 @@ CALIBRATED = 0.01
 STRENGTH = 0.2
 #: and of one by itself, as the circumference has them, one drive long: only channels share their errors
 ALONE = 0.5
-#: windows before which nothing is told, and the sigmas by which they must have predicted better than nothing
-FEWEST, PROVEN = 20.0, 3.0
+#: windows before which nothing is told: 40 s of straight driving
+FEWEST = 20.0
+#: sigmas by which they must have predicted better than nothing
+PROVEN = 3.0
 #: part of the windows that are without a line even so
 NONE = 0.3
 #: s after a fix until which fixes come

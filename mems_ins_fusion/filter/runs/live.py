@@ -36,8 +36,10 @@ VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down', Verdict.REF
             Verdict.FROZEN: 'position repeats while moving',
             Verdict.STRAIGHT_ON: 'goes straight on as without satellites', Verdict.AHEAD: 'stamped ahead of the IMU',
             Verdict.RECOVERED: 'the filter started anew from it'}
-#: what a fault leaves behind shows for so long, s
-_DEGRADED, _RECOVERING = 5.0, 10.0
+#: s for which samples that were not believed show in the state
+_DEGRADED = 5.0
+#: s for which a new start from refused fixes does: the heading is found again in about that time
+_RECOVERING = 10.0
 #: innovations so many times as large as expected are no chance: of 180 drives of 10 minutes on which nothing is wrong
 #: the largest was 1.72, and 2 % of them were above 1.5; with fixes stamped 0.8 s early each is above
 #: (studies/strain.py)

@@ -32,8 +32,10 @@ from ..trust.white_noise import density
 
 #: where each part stands in the vector that `odometry` fills
 POSITION, ORIENTATION, POSE_COVARIANCE, LINEAR, ANGULAR, TWIST_COVARIANCE, SIZE = 0, 3, 7, 43, 46, 49, 85
-#: what the planar mechanization does not estimate: road slope (rad) and vertical velocity (m/s), one sigma
-PLANAR_TILT_SIGMA, PLANAR_VERTICAL_SIGMA = 0.05, 0.5
+#: rad, sigma of the tilt, which the planar mechanization does not estimate: road slopes
+PLANAR_TILT_SIGMA = 0.05
+#: m/s, and of its vertical velocity
+PLANAR_VERTICAL_SIGMA = 0.5
 
 
 @njit

@@ -6,8 +6,10 @@ from collections import deque
 
 #: measurements whose misfit is averaged
 RECENT = 100
-#: refused ones in a row that tell of more than chance, and for how long those of a fast sensor have to go on, s
-STEADY, STEADY_TIME = 3, 1.0
+#: refused ones in a row that tell of more than chance
+STEADY = 3
+#: s, for which those of a fast sensor have to go on
+STEADY_TIME = 1.0
 #: what was refused longer ago does not tell of now, s
 FORGOTTEN = 5.0
 

@@ -19,9 +19,10 @@ from .intake import GOOD, JUMPED, LATEST, follow
 LARGEST_IN_ANY_UNIT = 1e5
 #: a longer gap between samples begins another recording, s: nobody leaves a logger running on a pause of an hour
 LONGEST_PAUSE = 3600.0
-#: as the parameters `imu.restart_gap` and `imu.max_gap` are by default, s: a clock that steps back by less than the
-#: latter is waited for
-_RESTART_GAP, _STEP_BACK = 10.0, 0.5
+#: s, as `imu.restart_gap` is by default: after a longer gap all begins anew
+_RESTART_GAP = 10.0
+#: s, as `imu.max_gap` is by default: a clock that steps back by less is waited for
+_STEP_BACK = 0.5
 
 
 def usable(recording: Recording, largest_force: float = LARGEST_IN_ANY_UNIT,

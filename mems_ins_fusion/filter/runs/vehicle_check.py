@@ -15,8 +15,10 @@ from .odometry import published_covariance
 FASTEST_BACKWARDS = 8.0
 #: slower it stands, m/s
 AT_REST = 0.3
-#: a mounting found further from that of the parameters than so many sigma, and than this, rad, is worth a word
-MOUNTING_SIGMAS, SMALL_ANGLE = 3.0, 0.2
+#: sigmas by which a mounting that is found is off that of the parameters where it is worth a word
+MOUNTING_SIGMAS = 3.0
+#: rad, by which it is off at least: who measures by hand is off by a few degrees
+SMALL_ANGLE = 0.2
 #: a mounting known better than this, and found further off, is worth setting, rad
 WORTH_SETTING = math.radians(0.5)
 #: a vehicle that goes sideways for longer in all is none that rolls, s
@@ -25,8 +27,10 @@ LONGEST_SIDEWAYS = 5.0
 LONGEST_UNSETTLED = 0.5
 #: and of far more noise than is assumed
 LONGEST_SHAKEN = 60.0
-#: refused fixes in a row that go on while the IMU is seen at rest, and how far, m, in that time
-ADRIFT, FARTHEST_ADRIFT = 10, 10.0
+#: refused fixes in a row that go on while the IMU is seen at rest: as a boat's do, and no receiver's that jumps
+ADRIFT = 10
+#: m, by which they go on in that time at least: fixes of a parked vehicle wander by less
+FARTHEST_ADRIFT = 10.0
 
 
 def vehicle_says(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray) -> list[str]:

@@ -29,7 +29,8 @@ from .start import DATUM_FIXES, SensorErrors, Standstill, Start
 MEMORY = 300.0  # s of samples kept while waiting
 LARGEST_TILT = math.radians(40.0)  # of an IMU whose mounting is as configured, on any road
 FASTEST_TURN = 3.0  # rad/s: of the vehicle's mean turn over a second
-LEAST_GRAVITY, MOST_GRAVITY = 6.0, 14.0  # m/s^2: what an accelerometer may show of it
+LEAST_GRAVITY = 6.0  # m/s^2: what accelerometers show at least in a second's mean, biased, braking or in g
+MOST_GRAVITY = 14.0  # m/s^2: and at most
 MOST_G = 2.0  # of a mean specific force in g
 SIDEWAYS = math.radians(45.0)  # from straight on: no wheels drive off that way
 RECENT = 10.0  # s: what tells whether the vehicle stands now

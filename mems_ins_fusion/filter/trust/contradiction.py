@@ -24,32 +24,49 @@ from ...navigation import strapdown
 from ...navigation.earth import gravity
 from ..memory import NAV, PLANAR, Event, Head, Nav, Verdict, velocity_state, yaw_state
 
-#: s over which the normalized innovation squared (NIS) of the lateral constraint is averaged, and what is usual of it
-NOW, USUALLY = 1.0, 30.0
-#: what is usual before any has been seen: the constraint's sigma is a bound
+#: s over which the normalized innovation squared (NIS) of the lateral constraint is averaged: its errors last about as
+#: long
+NOW = 1.0
+#: s over which the usual NIS of a vehicle is averaged: some bends and some straights
+USUALLY = 30.0
+#: usual NIS before any has been seen: half a sigma, as the constraint's sigma is a bound for all vehicles
 FIRST_USUAL = 0.25
-#: one beyond so many times the usual teaches no more than that
+#: a NIS of more than this many times the usual counts as that: one slide must not become the usual
 LARGEST_LESSON = 10.0
-#: a slide is so many times the usual (measured drives stay below 29), and this at least; and while unsettled
-SLIDE, SMALLEST_SLIDE, SLIDE_AGAIN = 40.0, 0.2, 10.0
-#: after a slide the fixes decide for s
+#: a slide is a mean NIS of this many times the usual: measured drives stay below 29
+SLIDE = 40.0
+#: and this mean NIS at least: below half a sigma there is nothing to explain, however quiet the vehicle usually is
+SMALLEST_SLIDE = 0.2
+#: times the usual, while unsettled: who slid a moment ago does so again more easily
+SLIDE_AGAIN = 10.0
+#: s for which the fixes decide after a slide: in that time a heading is found again from them
 UNSETTLED_TIME = 20.0
-#: slower than this a slide says nothing of the heading, m/s
+#: m/s, speed below which a slide tells no more of the heading than at it: the ratio of the two would be without bound
 SLOWEST = 1.0
 #: normalized innovation squared of a fix, 2 degrees of freedom, to which an unsettled state is loosened
 LOOSENED = 2.0
-#: a velocity that goes back along what a standstill took away: m/s taken at least, within s, cosine of the angle, and
-#: how large, as part of what was taken and m/s more
-SMALLEST_TAKEN, LATELY, BACK, AS_LARGE = 0.3, 30.0, 0.8, (2.0, 0.5)
+#: m/s that a wrong standstill takes away at least: less is within what a standstill corrects rightly
+SMALLEST_TAKEN = 0.3
+#: s since the standstill, after which the velocity is no consequence of it: a creep in traffic ends sooner
+LATELY = 30.0
+#: cosine of the angle between the velocity and what was taken, reversed: 37 deg, as the vehicle may have turned since
+BACK = 0.8
+#: size of the velocity at most, over what was taken: the vehicle may brake from a little more than it crept at
+AS_LARGE = 2.0
+#: m/s more, for the noise of a small velocity
+AS_LARGE_FLOOR = 0.5
 #: where fixes and prediction are as likely right, the mean square error is half the square of how far they are apart
 EQUALLY_LIKELY = math.sqrt(0.5)
 #: s: fixes that fit so soon after ones that did not may still be wrong, or bring the state back: what they move counts
 MISFIT_TIME = 10.0
-#: s, time constant of forgetting how far they have moved the state after that, and the part of it that is forgotten
-FORGIVEN, FORGOTTEN = 30.0, 0.1
-#: one fix in a hundred does not fit by chance: it is none where another of the ten before it did not fit, either,
-#: counted in a mean that forgets as fast
+#: s, time constant of forgetting how far they have moved the state after that: errors of receivers last about as long
+FORGIVEN = 30.0
+#: of what was undecided, the share below which it is forgotten wholly
+FORGOTTEN = 0.1
+#: fixes over which those that do not fit are counted, in a mean that forgets as fast: one in a hundred does not by
+#: chance, two of ten do not by chance once in two hundred
 LATEST = 10.0
+#: of that count, what one at the begin of the last ten and one at its end make
 NO_CHANCE = 1.0 + (1.0 - 1.0 / LATEST) ** LATEST
 
 
@@ -113,7 +130,7 @@ def goes_back(mem, r):
         return False
     speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
     along = (mem[r + Nav.V_N] * mem[r + Nav.TAKEN_N] + mem[r + Nav.V_E] * mem[r + Nav.TAKEN_E]) / taken
-    return -along > BACK * speed and speed < AS_LARGE[0] * taken + AS_LARGE[1]
+    return -along > BACK * speed and speed < AS_LARGE * taken + AS_LARGE_FLOOR
 
 
 @njit(_nrt=False)

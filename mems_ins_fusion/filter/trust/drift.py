@@ -48,9 +48,11 @@ LARGEST_DRIFT = 9.0
 DRIFT_PRIOR = 3.0
 #: comparisons: no more than so many are remembered, ten minutes
 DRIFT_MEMORY = 60.0
-#: the realised variance is believed between these multiples of the assumed one, of accelerometers and gyroscopes: a
-#: small error of an accelerometer, which shows together with the tilt, is not told well enough to count on it
-SMALLEST_RATIO, LARGEST_RATIO = (1.0, 0.01), 100.0
+#: multiples of the assumed variance that are believed at least, of accelerometers and gyroscopes: a small error of an
+#: accelerometer, which shows together with the tilt, is not told well enough to count on it
+SMALLEST_RATIO = (1.0, 0.01)
+#: and at most, of both: ten times the assumed drift is another sensor's
+LARGEST_RATIO = 100.0
 
 
 @njit(_nrt=False)

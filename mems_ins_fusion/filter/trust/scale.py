@@ -43,9 +43,10 @@ Inputs = HEAD.place('Inputs', COUNT=1)
 PRIOR = 4.8
 #: 1/s, by which that variance grows: a scale may change by a factor of e within ten minutes
 CHANGES = 1.0 / 600.0
-#: the variance is believed between these multiples of the assumed one: a sigma that is a hundred times the claimed one
-#: is another receiver's, one that is a tenth of it is as much as anybody claims too much
-SMALLEST, LARGEST = 0.01, 1e6
+#: multiple of the assumed variance that is believed at least: a tenth of the sigma, as much as anybody claims too much
+SMALLEST = 0.01
+#: and at most: a thousand times the sigma
+LARGEST = 1e6
 #: mean and variance of the logarithm of a mean square of normal numbers with expectation 1, of one and of two
 LOG_MEAN = (-1.2704, -0.5772)
 LOG_VARIANCE = (4.9348, 1.6449)

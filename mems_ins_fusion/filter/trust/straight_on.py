@@ -41,8 +41,10 @@ MOST_OF_ONE = 5.0
 USUALLY = 3600.0
 #: nats above which no more are gathered: one fix off the line ends it in any case
 MOST = 15.0
-#: fixes by which the scatter is known, and over how many it is a mean
-KNOWN, MEMORY = 30.0, 100.0
+#: fixes by which the scatter of the receiver is known to a fifth
+KNOWN = 30.0
+#: fixes over which it is a mean: to a tenth, and what a receiver does for some minutes
+MEMORY = 100.0
 #: a square counts as so many times the mean at most: one jump is not the scatter
 LARGEST = 4.0
 #: fixes depart from the vehicle where they are off by so many sigma of what they claim
