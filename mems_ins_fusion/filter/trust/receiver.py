@@ -27,6 +27,7 @@ Receiver = ROW.place(
     PAIR_CLAIMED=1,  # the variance it claimed, m^2,
     PAIR=2,  # and how the error has changed since then, north and east, m
     SCALE=Scale.SIZE,  # realised over claimed variance of the fixes,
+    SLOW_SCALE=Scale.SIZE,  # the same as the innovations behind a low pass show it,
     LASTING_SCALE=Scale.SIZE,  # of what of it lasts over what is expected of that,
     INNOVATION_SCALE=Scale.SIZE)  # and of the innovations behind a low pass
 
@@ -132,10 +133,14 @@ def trust(mem, r, at):
 def _factor(mem, r):
     """Factor on the covariance that a fix claims: as fixes scatter, where that is more than they claim.
 
-    Not less where they scatter less: what they have in common does not show between them (Kingston's receiver, believed
-    by its scatter alone, made the position worse by a quarter).
+    Where they scatter less, what they have in common does not show between them (Kingston's receiver, believed by its
+    scatter alone, made the position worse by a quarter). It shows in the innovations behind a low pass, which are of
+    what the filter averages over: the larger of both is believed.
     """
-    return max(scale(mem, r + Receiver.SCALE), 1.0) if mem[Head.ADAPT] != 0.0 else 1.0
+    if mem[Head.ADAPT] == 0.0:
+        return 1.0
+    realised = scale(mem, r + Receiver.SCALE)
+    return realised if realised > 1.0 else min(max(realised, scale(mem, r + Receiver.SLOW_SCALE)), 1.0)
 
 
 @njit(_nrt=False)
@@ -197,8 +202,12 @@ def _judge_covariance(mem, r, at, interval):
     if mem[r + Nav.SLOW_VARIANCE] == 0.0:
         return
     squared = 0.5 * (mem[r + Nav.SLOW_N] ** 2 + mem[r + Nav.SLOW_E] ** 2) / mem[r + Nav.SLOW_VARIANCE]
-    learn_scale(mem, r + Receiver.INNOVATION_SCALE, mem[at + Event.TIME], squared, 1.0, 0.0, 2,
-                min(interval / (2.0 * SLOW), 1.0))
+    time, weight = mem[at + Event.TIME], min(interval / (2.0 * SLOW), 1.0)
+    variance = 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
+    claimed = 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    state = max(variance - _factor(mem, r) * claimed, 0.0)
+    learn_scale(mem, r + Receiver.SLOW_SCALE, time, squared * variance, claimed, state, 2, weight)
+    learn_scale(mem, r + Receiver.INNOVATION_SCALE, time, squared, 1.0, 0.0, 2, weight)
     if mem[Head.COVARIANCE_FACTOR] > 0.0:
         mem[r + Nav.VARIANCE_FACTOR] = scale(mem, r + Receiver.INNOVATION_SCALE)
 
@@ -245,6 +254,7 @@ def _scatter(mem, r, at, z_n, z_e):
     before, mem[r + Receiver.CLAIMED] = mem[r + Receiver.CLAIMED], claimed
     if before > 0.0 and (claimed * CLAIM_CHANGE < before or claimed > CLAIM_CHANGE * before):
         reopen(mem, r + Receiver.SCALE, claimed / before)
+        reopen(mem, r + Receiver.SLOW_SCALE, claimed / before)
     begun, since = mem[r + Receiver.PAIR_TIME] != 0.0, time - mem[r + Receiver.PAIR_TIME]
     if begun:
         mem[r + Receiver.PAIR] += z_n - mem[r + Nav.RESIDUAL_N]
