@@ -228,6 +228,11 @@ class Alignment:
         return positions
 
     @property
+    def _white(self) -> float:
+        """Share of the variance of the fixes by which they scatter."""
+        return min(scale(self._scale, 0), 1.0)
+
+    @property
     def _realised(self) -> float:
         """Realised over claimed variance of the fixes: what they claim and do not scatter may last."""
         return max(scale(self._scale, 0), 1.0)
@@ -292,7 +297,7 @@ class Alignment:
         standstill = latest_standstill(self._samples, positions, self.config)
         speed, speed_sigma = 0.0, STANDING_SIGMA
         if not self._still_standing(standstill):
-            course = find_course(self._samples, positions, standstill, self.config)
+            course = find_course(self._samples, positions, standstill, self.config, self._white)
             if course is None:
                 raise Refused(f'{SHORTEST_STILL:.0f} s at rest or motion')
             speed, speed_sigma = course.speed, course.speed_sigma
@@ -339,16 +344,16 @@ class Alignment:
         if standstill is None or self._samples[-1, 0] - standstill.end > LONGEST_COURSE_TIME:
             return False
         try:
-            course = find_course(self._samples, positions, standstill, self.config)
+            course = find_course(self._samples, positions, standstill, self.config, self._white)
         except Refused:
             return False
         return course is not None and course.speed > FASTEST_REVERSE
 
     def _start_from_course(self, positions) -> Start | None:
         course = None
-        if has_moved(positions) and self._shown >= FEWEST_SHOWN:  # else do not look through all samples
+        if has_moved(positions, self._white) and self._shown >= FEWEST_SHOWN:  # else do not look through all samples
             standstill = latest_standstill(self._samples, positions, self.config)
-            course = find_course(self._samples, positions, standstill, self.config)
+            course = find_course(self._samples, positions, standstill, self.config, self._white)
         if course is None:
             raise Refused('the vehicle to move straight on: the heading comes from the course of the fixes')
         return self._start(course.yaw, course.yaw_sigma, course.speed, course.speed_sigma, standstill,

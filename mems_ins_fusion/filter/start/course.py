@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..config import FilterConfig
+from ..trust.receiver import LASTING_TIME
 from .start import Standstill
 
 COURSE_SIGMA = 0.1  # rad: straightness of course that is good enough to start
@@ -57,15 +58,17 @@ class _Motion(NamedTuple):
     bias_w: float
 
 
-def has_moved(positions: np.ndarray) -> bool:
-    """Whether the fixes (k, 4: time, north, east, sigma) are far enough apart for a course, before all is looked at."""
+def has_moved(positions: np.ndarray, white: float = 1.0) -> bool:
+    """Whether the fixes (k, 4: time, north, east, sigma) are far enough apart for a course, before all is looked at.
+
+    white: as for `find_course`."""
     recent = positions[positions[:, 0] > positions[-1, 0] - LONGEST_COURSE_TIME]
     moved = np.hypot(*(recent[:, 1:3] - recent[-1, 1:3]).T).max()
-    return moved > max(SHORTEST_COURSE, BENT * recent[-1, 3] / COURSE_SIGMA)
+    return moved > max(SHORTEST_COURSE, BENT * math.sqrt(white) * recent[-1, 3] / COURSE_SIGMA)
 
 
 def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill | None,
-                config: FilterConfig) -> Course | None:
+                config: FilterConfig, white: float = 1.0) -> Course | None:
     """The course from the chord of the newest fix to an earlier one; None if not yet. Raises Refused.
 
     imu, positions as for `at_rest.latest_standstill`. The inertial sensors tell how the vehicle turned and changed
@@ -84,7 +87,8 @@ def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill |
         distance, interval = float(np.hypot(*chord)), now - time
         if interval <= 0:
             continue
-        noise = math.sqrt(sigma**2 + s**2 + _wandered(config, interval))
+        variance = white * (sigma**2 + s**2) + _wandered(config, interval)
+        noise = math.sqrt(variance - (1.0 - white) * (sigma**2 + s**2) * math.expm1(-interval / LASTING_TIME))
         if distance >= max(SHORTEST_COURSE, noise / COURSE_SIGMA):
             if standstill is not None:
                 return (_of_chord(imu, chord, time, now, noise, standstill, config)
