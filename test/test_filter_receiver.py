@@ -5,18 +5,25 @@ A vehicle goes straight on at a constant speed: what is true is known by constru
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from filter_support import HEIGHT, LATITUDE, LONGITUDE, configure, fix_record, newest, started, take_all
 
+from mems_ins_fusion.evaluation.comparison import truth_of
+from mems_ins_fusion.evaluation.metrics import position_errors
+from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import Event, Head, Nav, Verdict, covariance, variance_factor, views
 from mems_ins_fusion.filter.runs.odometry import POSE_COVARIANCE, SIZE, TWIST_COVARIANCE, odometry
+from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.filter.runs.results import Measured, columns, result
 from mems_ins_fusion.filter.start.initial import learned
 from mems_ins_fusion.filter.trust.receiver import Receiver as OfReceiver
 from mems_ins_fusion.filter.trust.scale import scale
 from mems_ins_fusion.navigation.earth import gravity, radii
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 RATE, SPEED, COURSE, SIGMA = 20.0, 12.0, 0.6, 1.0
 TRUST = {'gnss.gate_probability': 0.999999, 'gnss.adapt_sigma': True, 'gnss.robust_sigma': 3.0,
@@ -228,11 +235,45 @@ def test_the_realised_sigma_of_the_receiver_is_learned(mechanization, factor, ap
     # then the filter's NIS is that of the real one, or that of one whose errors may last, and it is as good as if told
     if factor >= 1.0:
         assert np.median(records[60:, Event.NIS]) == pytest.approx(2 * math.log(2), rel=0.6)
-    late = len(error) // 3
-    # one that scatters less than it claims is believed as it claims: what its fixes have in common shows nowhere
-    judge = {'sigma': SIGMA} if factor >= 1.0 else {'sigma': SIGMA / factor, 'gnss.adapt_sigma': False}
-    told = receiver.through(mechanization=mechanization, **judge)[2]
-    assert np.sqrt(np.mean(error[late:]**2)) < 1.3 * np.sqrt(np.mean(told[late:]**2))
+        late = len(error) // 3
+        told = receiver.through(SIGMA, mechanization)[2]
+        assert np.sqrt(np.mean(error[late:]**2)) < 1.3 * np.sqrt(np.mean(told[late:]**2))
+
+
+def test_a_claim_that_is_too_large_is_left_where_the_errors_are_white():
+    # given a drive with the sensors that the parameters describe, and a receiver that claims ten times what it scatters
+    sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
+    rms = {'left': [], 'believed': [], 'right': []}
+    for seed in (3, 4):
+        drive = simulate_drive(900.0, seed, standstill=20.0)
+        drive = simulate_recording(drive, sensors, GnssNoise(1.5), seed=seed).recording
+        large = replace(drive.gnss, covariance=100.0 * drive.gnss.covariance)
+        for how, fixes, adapts in (('left', large, True), ('believed', large, False), ('right', drive.gnss, True)):
+            config = FilterConfig.from_parameters(table.check({'gnss.adapt_sigma': adapts}))
+            truth = truth_of(drive, config.parameters)
+            errors = position_errors(run(config, drive.imu, fixes), truth, np.zeros(len(truth), dtype=bool))
+            rms[how].append(np.sqrt(np.mean(errors.horizontal[len(errors.horizontal) // 2:]**2)))
+    rms = {how: np.mean(found) for how, found in rms.items()}
+    # then it is nearly as good as one that claims what is right; believed it is three times as far off
+    assert rms['left'] < 1.5 * rms['right'] and rms['believed'] > 3.0 * rms['right'], rms
+
+
+def test_a_claim_that_is_too_large_for_the_scatter_is_believed_where_the_errors_last():
+    # given a receiver that is off by what it claims for tens of seconds, and scatters by a tenth of that
+    believed, scattered, worse = [], [], []
+    for seed in range(4):
+        receiver = Receiver(500.0, seed=seed)
+        scatter = 0.1 * SIGMA * receiver.rng.standard_normal((len(receiver.time), 2))
+        receiver.position = lasting(receiver, 15.0) + scatter
+        _, memory, error, _ = receiver.through(SIGMA, 'strapdown')
+        as_claimed = receiver.through(SIGMA, 'strapdown', **{'gnss.adapt_sigma': False})[2]
+        worse.append(np.sqrt(np.mean(error**2) / np.mean(as_claimed**2)))
+        believed.append(scale(newest(memory), OfReceiver.SLOW_SCALE))
+        scattered.append(scale(newest(memory), OfReceiver.SCALE))
+    # then it counts with more than what differs from one second to the next, of which half is the scatter
+    changes = 1.0 - math.exp(-1.0 / 15.0) + 0.1**2
+    assert np.mean(scattered) == pytest.approx(changes, rel=0.5) and min(believed) > 3.0 * changes, believed
+    assert np.mean(worse) < 1.1, worse
 
 
 @pytest.mark.parametrize('apart', [1, 4, 6])
