@@ -3,11 +3,10 @@
     python studies/never_worse.py [--seeds 2] [--minutes 10] [--rate 1] [--only NAME] [--faults] [--data ../shared/data]
                                   [--set NAME=VALUE ...] [--output FILE.md]
 
-With fixes the filter's RMSE is held against that of the fixes themselves, at the fixes' stamps and at the samples behind
-them. Without fixes
-for 10, 30 and 60 s, each 100 s, the largest error (median over the outages) against that of a point that goes straight
-on from the last fix, at the velocity between it and the one a second or more before. A filter is worth its name where
-the first ratio is at most 1.1 and the second at most 1; what exceeds that is marked.
+With fixes the filter's RMSE is held against that of the fixes themselves, at the fixes' stamps and at the samples
+behind them. Without fixes for 10, 30 and 60 s, each 100 s, the largest error (median over the outages) against that of
+a point that goes straight on from the last fix, at the velocity between it and the one a second or more before. A
+filter is worth its name where the first ratio is at most 1.1 and the second at most 1; what exceeds that is marked.
 
 The drives: REALISTIC ones with the receivers of studies/vehicle.py, a motorway with a phone on the dash (an IMU of
 10 Hz without anti-aliasing filter that the vehicle shakes, 36 m/s, fixes of 4 m, smoothed and stamped a second late),

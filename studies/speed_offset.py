@@ -49,8 +49,8 @@ def main(drives: int) -> None:
         if seen is None:
             print(f'drive {seed}: not shown')
             continue
-        print(f'drive {seed}: {offset:.3f} s, found {seen.lag:.3f} +- {seen.sigma:.3f} s')
-        found.append((seen.lag - offset, seen.sigma, seen.shown))
+        print(f'drive {seed}: {offset:.3f} s, found {seen.lag:.3f} +- {seen.lag_sigma:.3f} s')
+        found.append((seen.lag - offset, seen.lag_sigma, seen.shown))
     error, sigma, shown = (np.array(column) for column in zip(*found))
     print(f'{len(found)} of {drives} drives, {shown.sum()} with sigma below 0.1 s')
     error, sigma = error[shown], sigma[shown]

@@ -11,6 +11,7 @@ from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.fit import fit, scores
 from mems_ins_fusion.diagnosis.held_out import held_out
 from mems_ins_fusion.diagnosis.noise import noise_unknowns
+from mems_ins_fusion.diagnosis.parts import parts
 from mems_ins_fusion.diagnosis.problem import DiagnosisError, Problem
 from mems_ins_fusion.diagnosis.tracing import effect_unknowns
 from mems_ins_fusion.effects.base import Effect, EffectParameter
@@ -170,6 +171,12 @@ def test_a_placebo_does_not_help_on_data_it_was_not_fitted_to(seed):
     unknowns = [*noise_unknowns(problem)[:1], *effect_unknowns(Placebo(), {})]
     proof = held_out(fit(problem, unknowns, np.zeros(2)), fit(problem, unknowns[:1], np.zeros(1)), 1)
     assert not proof.helps
+    # and a part that does not show it, within 1.96 sigma, would not have led to it: there it is left out
+    longer = fit(problem, unknowns, np.zeros(2))
+    for part, estimate in zip(parts(problem), proof.estimates, strict=True):
+        x, covariance = longer.refitted(problem.mask & ~part, 1)
+        assert (estimate[1] == 0.0) == (abs(x[1]) < 1.96 * np.sqrt(covariance[1, 1]))
+    assert any(estimate[1] == 0.0 for estimate in proof.estimates)
     # while a real effect does: twice the wave that the placebo would take out
     _, disturbed = Placebo().applied(VALUES, problem.recording, {'size': -0.3})
     real = Problem(disturbed, VALUES)

@@ -39,7 +39,7 @@ def test_a_late_speed_is_found_with_a_sigma_that_holds(offset):
     made = drive_with_wheels(offset)
     found = estimate_speed_offset(made.imu, made.speed, rotation_from_rpy(0.01, 0.06, 0.38))
     # then
-    assert found.shown and abs(found.lag - offset) < min(3.0 * found.sigma, 0.05)
+    assert found.shown and abs(found.lag - offset) < min(3.0 * found.lag_sigma, 0.05)
     assert found.scale == pytest.approx(1.0, abs=0.05)
 
 

@@ -123,15 +123,16 @@ def _check_speed(recording: Recording, imu: ImuSamples, found: Mounting | None, 
         return
     declared = values['speed.time_offset']
     left = seen.lag - declared
-    shown = {'speed_lag_s': seen.lag, 'sigma_s': seen.sigma, 'left_s': left}
+    shown = {'speed_lag_s': seen.lag, 'sigma_s': seen.lag_sigma, 'left_s': left}
     beside = f' beside speed.time_offset {declared:g} s' if declared else ''
-    if abs(left) > max(SMALL_OFFSET, SURE * seen.sigma):
+    if abs(left) > max(SMALL_OFFSET, SURE * seen.lag_sigma):
         yield Finding(WARNING, 'imu/speed', f'against the IMU the speed is {abs(left):.3f} s '
-                      f'{"late" if left > 0 else "early"} (sigma {seen.sigma:.3f} s){beside}: set speed.time_offset to '
+                      f'{"late" if left > 0 else "early"} (sigma {seen.lag_sigma:.3f} s){beside}: set '
+                      f'speed.time_offset to '
                       f'{seen.lag:.2f}', shown)
     else:
         yield Finding(INFO, 'imu/speed', f'the speed is of the time of its stamps{beside}: {left:.3f} +- '
-                      f'{seen.sigma:.3f} s', shown)
+                      f'{seen.lag_sigma:.3f} s', shown)
 
 
 def _compare(found: Mounting, declared: np.ndarray) -> list[Finding]:

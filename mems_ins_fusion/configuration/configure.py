@@ -366,7 +366,8 @@ def _speed_settings(found: list[Wheels]):
     if not offsets:
         yield Setting('speed.time_offset', 0.0, ('not shown: too few changes of speed, or a road too rough',))
         return
-    lag, sigma = (float(x) for x in weighted(np.array([o.lag for o in offsets]), np.array([o.sigma for o in offsets])))
+    lags, sigmas = (np.array([getattr(offset, name) for offset in offsets]) for name in ('lag', 'lag_sigma'))
+    lag, sigma = (float(x) for x in weighted(lags, sigmas))
     sure = _is_sure(lag, sigma)
     yield Setting('speed.time_offset', round(lag, 3) if sure else 0.0, (
         f'against the accelerometers {lag:.3f} +- {sigma:.3f} s{"" if sure else _AT_ZERO}',))

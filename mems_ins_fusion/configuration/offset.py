@@ -14,7 +14,7 @@ initial conditions", IEEE Trans. Robotics 28 (2012), for integrals that know not
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,10 +88,16 @@ def estimate_offset(imu: ImuSamples, fixes: Fixes, rotation: np.ndarray) -> Offs
 
     rotation: (3, 3) from sensor axes to base_link, to about ten degrees. None, too, for numbers that no vehicle gives.
     """
+    return attempted(_estimated, lambda: _pieces(imu, fixes, rotation))
+
+
+def attempted(estimate: Callable, pieces_of: Callable):
+    """What `estimate` (an object with lag and lag_sigma) makes of the pieces of a drive; None where there are none, or
+    where numbers that no vehicle gives leave nothing finite."""
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
         try:
-            pieces = _pieces(imu, fixes, rotation)
-            found = _estimated(pieces) if pieces is not None else None
+            pieces = pieces_of()
+            found = estimate(pieces) if pieces is not None else None
         except np.linalg.LinAlgError:
             return None
     return found if found is not None and math.isfinite(found.lag + found.lag_sigma) else None

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from mems_ins_fusion.configuration.kinematics import InertialIntegrals, integral
-from mems_ins_fusion.configuration.offset import FLOOR, LARGEST, Track
+from mems_ins_fusion.configuration.offset import FLOOR, LARGEST, Track, attempted
 from mems_ins_fusion.configuration.regression import jackknife
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.motion import find_standstill
@@ -45,16 +45,16 @@ _WALKS = (1e-2, 1e-1, 1.0, 10.0, 100.0)
 
 @dataclass(frozen=True)
 class SpeedOffset:
-    """lag, sigma: s, as `speed.time_offset`. scale, scale_sigma: measured over true speed, by the accelerometers."""
+    """lag, lag_sigma: s, as `speed.time_offset`. scale, scale_sigma: measured over true speed, by the IMU."""
 
     lag: float
-    sigma: float
+    lag_sigma: float
     scale: float
     scale_sigma: float
 
     @property
     def shown(self) -> bool:
-        return self.sigma < SHOWN
+        return self.lag_sigma < SHOWN
 
 
 def estimate_speed_offset(imu: ImuSamples, speeds: Speeds, rotation: np.ndarray) -> SpeedOffset | None:
@@ -62,13 +62,7 @@ def estimate_speed_offset(imu: ImuSamples, speeds: Speeds, rotation: np.ndarray)
 
     rotation: (3, 3) from sensor axes to base_link, to about ten degrees. None, too, for numbers that no vehicle gives.
     """
-    with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
-        try:
-            pieces = _pieces(imu, speeds, rotation)
-            found = _estimated(pieces) if pieces is not None else None
-        except np.linalg.LinAlgError:
-            return None
-    return found if found is not None and math.isfinite(found.lag + found.sigma) else None
+    return attempted(_estimated, lambda: _pieces(imu, speeds, rotation))
 
 
 def _estimated(pieces: _Pieces) -> SpeedOffset:
