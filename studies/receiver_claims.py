@@ -1,6 +1,6 @@
 """What the filter makes of receivers that claim another sigma than their own: realistic drives, parameters at defaults.
 
-    python studies/receiver_claims.py [--seeds 3] [--minutes 20] [--processes 2] [--output FILE.md]
+    python studies/receiver_claims.py [--seeds 3] [--first-seed 1000] [--minutes 20] [--processes 2] [--output FILE.md]
 
 The drives of studies/vehicle.py, fixes that scatter by 1.5 m. Each row is a rate and by how much the claim is larger
 than the scatter: RMSE and largest error from the first estimate on, both also as a multiple of those with the right

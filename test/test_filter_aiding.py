@@ -150,7 +150,7 @@ SENSORS = {Kind.SPEED: ('speed', [0.04]), Kind.VELOCITY: ('antenna_velocity', [0
 
 @EACH
 @pytest.mark.parametrize(('sigmas', 'verdict'), [(0.8, Verdict.USED), (4.5, Verdict.WEIGHTED),
-                                                 (12.0, Verdict.WEIGHTED)])
+                                                 (9.0, Verdict.WEIGHTED)])
 @pytest.mark.parametrize('kind', SENSORS, ids=['speed', 'velocity', 'heading'])
 def test_a_measurement_corrects_as_the_dense_kalman_update(kind, sigmas, verdict, mechanization, feedback, model):
     config = configure(STATES, mechanization=mechanization, feedback=feedback, sensor_error_model=model)
@@ -195,6 +195,32 @@ def test_a_measurement_corrects_as_the_dense_kalman_update(kind, sigmas, verdict
         assert kept[Event.WEIGHT] == pytest.approx(9 / sigmas**2)
     gain = p0 @ h.T @ np.linalg.inv(s)
     assert_corrected(config, before, after, x0 + gain @ away, p0 - gain @ s @ gain.T)
+
+
+@pytest.mark.parametrize(('kind', 'last_fix', 'verdict'), [
+    (Kind.SPEED, 1.0, Verdict.REFUSED), (Kind.VELOCITY, 1.0, Verdict.REFUSED), (Kind.HEADING, 1.0, Verdict.WEIGHTED),
+    (Kind.SPEED, 20.0, Verdict.WEIGHTED), (Kind.VELOCITY, 20.0, Verdict.WEIGHTED)])
+def test_what_is_far_from_what_fixes_say_changes_nothing(kind, last_fix, verdict):
+    # given a filter that is sure of its velocity and heading, by a fix of so many seconds ago
+    config = configure({})
+    n = config.layout.n
+    memory = started(config, p=np.diag([1e-4] * n), velocity=(10.0, 0.0, 0.0))
+    views(memory)[2][0][Nav.FIX_TIME] = DT - last_fix
+    views(memory)[2][0][Kinds.SCALE:Kinds.SCALE + KINDS * Scale.SIZE].reshape(KINDS, Scale.SIZE)[:, [
+        Scale.KNOWN, Scale.TIME]] = PRIOR, DT
+    without = memory.copy()
+    take_sample(without, DT, *SAMPLE)
+    # when wheels spin, or something else is far off
+    record = np.zeros(Event.SIZE)
+    record[[Event.TIME, Event.KIND]] = DT, kind
+    record[Event.VALUE:Event.VALUE + 3] = (2.0, 0.0, 0.0) if kind == Kind.HEADING else (36.0, 0.0, 0.0)
+    record[[Event.R_NN, Event.R_EE, Event.R_DD]] = 0.01
+    assert take_event(memory, record) == TAKEN
+    take_sample(memory, DT, *SAMPLE)
+    # then it is refused while fixes come; without them nobody knows who is right
+    assert views(memory)[4][0][Event.VERDICT] == verdict
+    same = np.array_equal(state_and_covariance(config, memory)[1], state_and_covariance(config, without)[1])
+    assert same == (verdict == Verdict.REFUSED)
 
 
 @pytest.mark.parametrize(('mechanization', 'feedback', 'model', 'sideways'), [

@@ -59,6 +59,9 @@ STILL_SPEED = 0.3  # m/s
 STILL_RATE = 0.05  # rad/s
 #: what fits worse than this many sigma is weighted down to it; of fixes it is a parameter
 ROBUST = 3.0
+#: sigmas beyond which a speed or velocity is refused while fixes speak for the state: wheels that slip, another unit.
+#: Weighted down it would still pull, each time. If it goes on, its scale grows until it is within
+FAR = 10.0
 #: s over which the constraint's NIS is averaged
 CONSTRAINT_MEMORY = 10.0
 #: mean NIS above which the constraint is not used: it is 1 of a vehicle that keeps to it
@@ -183,7 +186,8 @@ def update(mem, r, at, n, dimensions, factor, robust, gate):
 
 @njit(_nrt=False)
 def _judge(mem, r, at, n, dimensions):
-    """Factor on the covariance of the speed, velocity or heading at `at`, learned from its innovation, too.
+    """Factor on the covariance of the speed, velocity or heading at `at`, learned from its innovation, too, and the
+    sigmas beyond which it is refused; 0: none.
 
     One that does not fit is wrong, or the state is. What its variance is raised by, that of the state is raised by,
     too, along what is measured, unless fixes speak for the state, as they do for its velocity: so a filter that is sure
@@ -202,14 +206,16 @@ def _judge(mem, r, at, n, dimensions):
     learn(mem, own, mem[at + Event.TIME], squared, claimed, variance, dimensions)
     factor = max(scale(mem, own), 1.0)
     confirmed = kind != Kind.HEADING and mem[at + Event.TIME] - mem[r + Nav.FIX_TIME] < NO_FIX
+    if confirmed and kind in (Kind.SPEED, Kind.VELOCITY):
+        return factor, FAR
     if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * claimed + variance):
-        return factor
+        return factor, 0.0
     for k in range(dimensions):
         raised = (factor - before) * claimed / _project(mem, n, h + n * k, column) ** 2
         for i in range(n):
             for j in range(n):
                 mem[p + n * i + j] += raised * mem[column + i] * mem[column + j]
-    return factor
+    return factor, 0.0
 
 
 @njit(_nrt=False)
@@ -311,7 +317,8 @@ def apply_event(mem, r, at, sample):
     else:
         dimensions = heading.observe(mem, r, at, h, n, c)
     if kind != Kind.POSITION:
-        factor, robust, gate = _judge(mem, r, at, n, dimensions), ROBUST, 0.0
+        factor, gate = _judge(mem, r, at, n, dimensions)
+        robust = ROBUST
     verdict = update(mem, r, at, n, dimensions, factor, robust, gate)
     mem[at + Event.VERDICT] = Verdict.RECOVERED if recovered else verdict
     if verdict != Verdict.REFUSED:
