@@ -9,9 +9,9 @@ from filter_support import PAPER
 
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.fit import fit, scores
+from mems_ins_fusion.diagnosis.folds import parts
 from mems_ins_fusion.diagnosis.held_out import held_out
 from mems_ins_fusion.diagnosis.noise import noise_unknowns
-from mems_ins_fusion.diagnosis.parts import parts
 from mems_ins_fusion.diagnosis.problem import DiagnosisError, Problem
 from mems_ins_fusion.diagnosis.tracing import effect_unknowns
 from mems_ins_fusion.effects.base import Effect, EffectParameter

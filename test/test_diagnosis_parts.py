@@ -12,7 +12,7 @@ from mems_ins_fusion.diagnosis.clock import lateness, lateness_against, whose
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.held_out import held_out
 from mems_ins_fusion.diagnosis.judgement import compared, harm
-from mems_ins_fusion.diagnosis.learned import angles
+from mems_ins_fusion.diagnosis.learned_mounting import angles
 from mems_ins_fusion.diagnosis.measured import fairly, measure
 from mems_ins_fusion.diagnosis.problem import FLOOR, Problem, believed, looked_through, stated
 from mems_ins_fusion.effects.registry import EFFECTS

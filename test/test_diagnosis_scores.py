@@ -15,12 +15,12 @@ from mems_ins_fusion.diagnosis.conclusion import Correction, _as_measured, _chos
 from mems_ins_fusion.diagnosis.detection import detect
 from mems_ins_fusion.diagnosis.estimate import Estimate, widened
 from mems_ins_fusion.diagnosis.fit import Scores, _scores
+from mems_ins_fusion.diagnosis.folds import parts
 from mems_ins_fusion.diagnosis.held_out import HeldOut
 from mems_ins_fusion.diagnosis.judgement import compared, harm, objection, unproven
-from mems_ins_fusion.diagnosis.levels import choose, multiplied
 from mems_ins_fusion.diagnosis.measured import Measured
+from mems_ins_fusion.diagnosis.noise_levels import choose, multiplied
 from mems_ins_fusion.diagnosis.outliers import isolated
-from mems_ins_fusion.diagnosis.parts import parts
 from mems_ins_fusion.diagnosis.plausible import implausible
 from mems_ins_fusion.diagnosis.problem import Unknown
 from mems_ins_fusion.diagnosis.residuals import Residual, lasting, tempered, whiten_matrix

@@ -9,7 +9,6 @@ import pytest
 
 from mems_ins_fusion.configuration.offset import Offset
 from mems_ins_fusion.diagnosis import search
-from mems_ins_fusion.diagnosis.bench import Bench
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.drives import Drives
 from mems_ins_fusion.diagnosis.estimate import Estimate
@@ -19,6 +18,7 @@ from mems_ins_fusion.diagnosis.problem import Problem
 from mems_ins_fusion.diagnosis.search import Judged, Known
 from mems_ins_fusion.diagnosis.starts import TIME_OFFSET, other_starts, shown_by_track
 from mems_ins_fusion.diagnosis.tracing import Candidate
+from mems_ins_fusion.diagnosis.trial_runs import TrialRuns
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -57,11 +57,11 @@ def test_a_scale_of_the_gyroscopes_that_the_course_contradicts_is_none(late):
     # given gyroscopes that turn as far as the course does, as a bench sees it
     problem = Problem(late, table.check({TIME_OFFSET: OFFSET}))
     track = Offset(OFFSET, 0.02, np.zeros(3), np.ones(3), 0.01, 0.05)
-    shown = Bench((late,), Drives([problem]), (), (10.0,), 30.0, lambda part, what: None, 0.0, {}, track).shown
+    shown = TrialRuns((late,), Drives([problem]), (), (10.0,), 30.0, lambda part, what: None, 0.0, {}, track).shown
     turned = shown['gyroscope_scale.z']
     # an offset that is in the parameters is none that has to be tried first; one that is not, is
     early = Problem(late, table.check({}))
-    assert [Bench((late,), Drives([p]), (), (10.0,), 30.0, lambda part, what: None, 0.0, {}, track).certain
+    assert [TrialRuns((late,), Drives([p]), (), (10.0,), 30.0, lambda part, what: None, 0.0, {}, track).certain
             for p in (problem, early)] == [(), ('gnss_time_offset',)]
     assert turned.value == pytest.approx(0.0, abs=3.0 * turned.sigma)
     # then, where that is seen well enough, a scale that is far from it cannot be, and one that is not can
@@ -95,7 +95,7 @@ def test_nothing_stands_for_an_offset_that_the_track_shows_for_certain(late, mon
     for certain in ((), ('gnss_time_offset',)):
         bench = SimpleNamespace(certain=certain, enough=lambda share: True,
                                 shown={'gnss_time_offset.time_offset': Estimate(0.6, 0.1, 's')})
-        bench.told = MethodType(Bench.told, bench)
+        bench.told = MethodType(TrialRuns.told, bench)
         told[certain] = search._tried(known, [(c, np.zeros(0)) for c in candidates], candidates, bench).findings[0]
     # then it is told by its name, where else the other one would be, and with the size that the track shows
     assert [f.name for f in told.values()] == ['gnss_coloured_noise', 'gnss_time_offset']

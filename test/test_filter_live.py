@@ -10,8 +10,8 @@ from filter_support import MODELS, configure, newest
 
 from mems_ins_fusion.filter.memory import NAV, Event, Kind, Verdict
 from mems_ins_fusion.filter.runs.live import FusionFilter
+from mems_ins_fusion.filter.runs.live_output import published as would_publish
 from mems_ins_fusion.filter.runs.odometry import published_covariance
-from mems_ins_fusion.filter.runs.publish import published as would_publish
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.samples import Aiding, Fixes, Headings, ImuSamples, Speeds, Velocities

@@ -11,8 +11,8 @@ from filter_support import configure
 
 from mems_ins_fusion.filter.memory import NAV, Head, covariance, state_at
 from mems_ins_fusion.filter.runs.live import FusionFilter
+from mems_ins_fusion.filter.runs.live_output import published
 from mems_ins_fusion.filter.runs.odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, TWIST_COVARIANCE
-from mems_ins_fusion.filter.runs.publish import published
 from mems_ins_fusion.filter.runs.snapshot import made
 from mems_ins_fusion.filter.trust.receiver import UNKNOWN_YAW_SIGMA
 from mems_ins_fusion.navigation.earth import to_local

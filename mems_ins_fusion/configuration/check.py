@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from mems_ins_fusion.configuration.left import ARM, TIME_OFFSET, left_of
 from mems_ins_fusion.configuration.mounting import Mounting, estimate_mounting
+from mems_ins_fusion.configuration.remaining import ARM, TIME_OFFSET, remaining_of
 from mems_ins_fusion.configuration.speed_offset import estimate_speed_offset
 from mems_ins_fusion.filter.measurements.speed import Speed
 from mems_ins_fusion.filter.runs.usable import usable_fixes, usable_samples
@@ -91,7 +91,7 @@ def _check_offset(found: Mounting | None, values: dict):
         yield Finding(INFO, 'imu/gnss', 'turns and changes of speed too few, or fixes too noisy, to see an offset of '
                       'the clocks')
         return
-    left = {one.name: one for one in left_of(found, values)}
+    left = {one.name: one for one in remaining_of(found, values)}
     lag, declared = left[TIME_OFFSET], values['gnss.time_offset']
     seen = {'lag_s': offset.lag, 'sigma_s': offset.lag_sigma, 'left_s': lag.value, 'arm_m': offset.arm.tolist(),
             'arm_sigma_m': offset.arm_sigma.tolist(), 'rivals_s': list(offset.rivals)}

@@ -8,12 +8,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from mems_ins_fusion.configuration.left import Left, left_of
 from mems_ins_fusion.configuration.mounting import BIAS_SIGMA, SHOWN, UNKNOWN, Mounting, deviation, estimate_mounting
 from mems_ins_fusion.configuration.noise import Noise, find_noise
 from mems_ins_fusion.configuration.offset import together
 from mems_ins_fusion.configuration.receiver import Receiver, assess_receiver
 from mems_ins_fusion.configuration.regression import weighted
+from mems_ins_fusion.configuration.remaining import Remaining, remaining_of
 from mems_ins_fusion.configuration.speed_offset import SpeedOffset, estimate_speed_offset
 from mems_ins_fusion.configuration.topics import WHEELS, Candidate, Topics, find_topics
 from mems_ins_fusion.configuration.vehicle import Vehicle, assess_vehicle
@@ -97,9 +97,9 @@ class Configuration:
         return {setting.name: setting.value for setting in self.settings}
 
     @property
-    def left(self) -> tuple[Left, ...]:
+    def left(self) -> tuple[Remaining, ...]:
         """What the recordings leave of the values: by what these may still be off."""
-        return left_of(self.mounting, {**defaults(), **self.values})
+        return remaining_of(self.mounting, {**defaults(), **self.values})
 
 
 def configure(paths, progress=lambda part, what: None) -> Configuration:

@@ -10,23 +10,23 @@ import numpy as np
 from ..configuration.offset import FLOOR
 from ..effects.base import Effect
 from ..evaluation.verdict import BETTER, WORSE, Verdict
-from . import learned
-from .bench import CHOOSING, LOOKING, MEASURING, Bench
+from . import learned_mounting
 from .detection import detect
 from .drives import Drives, part
 from .estimate import SYSTEMATIC, Estimate, widened
 from .findings import Diagnosis, Finding
 from .fit import Model
+from .folds import parts, which_part
 from .held_out import HeldOut
 from .judgement import compared, judged, unproven
-from .levels import WORTH, choose, multiplied, predictions
 from .measured import Measured, saved
 from .noise import LARGEST_FACTOR
-from .parts import parts, which_part
+from .noise_levels import WORTH, choose, multiplied, predictions
 from .plausible import implausible
 from .problem import Problem
-from .rest import GoesWith, goes_with
 from .search import PLAIN, Known, by_drive_of
+from .trial_runs import CHOOSING, LOOKING, MEASURING, TrialRuns
+from .unexplained import GoesWith, goes_with
 
 #: a recording has turns, and changes of speed, where these happen: rad/s and m/s^2 (root mean square)
 TURNING, SPEEDING = 0.03, 0.15
@@ -48,37 +48,37 @@ class Correction:
     settings: tuple[Finding, ...] = ()
 
 
-def concluded(known: Known, first: Known, bench: Bench) -> Diagnosis:
+def concluded(known: Known, first: Known, trials: TrialRuns) -> Diagnosis:
     """The corrections that are proven, and the errors before and after."""
-    bench.origin.watched(None)
-    bench.tell(CHOOSING, 'choosing noise levels')
-    given = bench.origin.given
+    trials.origin.watched(None)
+    trials.tell(CHOOSING, 'choosing noise levels')
+    given = trials.origin.given
     configured = Correction(given, [given], {}, False)
-    fitted = _levelled(configured, bench)
-    corrections, against = _settled(known, first, fitted, configured, bench)
-    bench.tell(MEASURING, 'measuring errors')
-    before, noise_only = (bench.errors(models, full=True) for models in ([given], fitted.by_part))
+    fitted = _levelled(configured, trials)
+    corrections, against = _settled(known, first, fitted, configured, trials)
+    trials.tell(MEASURING, 'measuring errors')
+    before, noise_only = (trials.errors(models, full=True) for models in ([given], fitted.by_part))
     correction, after, verdict = _chosen([
         (option, after, judged(before, after, option.effects))
-        for option, after in _as_measured(corrections, bench)], before, given)
+        for option, after in _as_measured(corrections, trials)], before, given)
     against = against or NO_PROOF
     hidden = _not_shown(known, correction.settings)
     # a finding is added only where corrected.yaml holds it
-    findings = _final(known, hidden, correction.values, given, bench.library)
+    findings = _final(known, hidden, correction.values, given, trials.library)
     findings = [*(findings if correction.effects else (
-        replace(_only_told(f, against), parameters=bench.told(f.name, f.parameters)) for f in findings)),
+        replace(_only_told(f, against), parameters=trials.told(f.name, f.parameters)) for f in findings)),
                 *correction.settings]
-    model, origin = known.model, bench.origin
+    model, origin = known.model, trials.origin
     drives = origin.each
     residuals = {'before': origin.before, 'fitted': origin.observed(fitted.values),
                  'after': origin.observed(correction.values), 'search': model.residual}
-    bench.tell(LOOKING, 'looking at what is left')
+    trials.tell(LOOKING, 'looking at what is left')
     rests = [goes_with(moved, part(model.scores, where), part(model.residual, where))
              for moved, where in zip(model.moved().each, origin.slices)]
     explained = {u.name: float(np.exp(x)) for u, x in zip(model.unknowns, model.x) if u.noise}
     remarks = [_remarks(p) for p in drives]
     whole = Diagnosis(
-        recordings=bench.recordings, values=given, problem=origin, residuals=residuals,
+        recordings=trials.recordings, values=given, problem=origin, residuals=residuals,
         detections={stage: detect(r, origin.mask) for stage, r in residuals.items()}, noise=correction.factors,
         explained=explained, rounds=list(known.rounds), chosen=list(known.chosen), findings=findings,
         hidden=hidden, corrected=correction.values,
@@ -122,22 +122,22 @@ def _in_drive(whole: Diagnosis, k: int, rest: list[GoesWith], remarks: list[str]
 
 
 def _settled(known: Known, first: Known, fitted: Correction, configured: Correction,
-             bench: Bench) -> tuple[list[Correction], str]:
+             trials: TrialRuns) -> tuple[list[Correction], str]:
     """What is proven together, the best first: effects with or without other noise levels, these alone, nothing. And
     what speaks against effects that are not."""
     options, against = [fitted], ''
     effects = configured
     if any(f.added for f in known.findings):
         effects = Correction(known.corrected(), known.by_part(), {}, True)
-    effects = _with_mounting(_with_settings(effects, bench), bench)
+    effects = _with_mounting(_with_settings(effects, trials), trials)
     told = effects.settings
     if effects.values != configured.values:
-        options += [_levelled(replace(effects, factors=fitted.factors), bench), effects]
+        options += [_levelled(replace(effects, factors=fitted.factors), trials), effects]
     proven = []
     for option in options:
         if option.values == configured.values:
             continue
-        errors = bench.errors(option.by_part)
+        errors = trials.errors(option.by_part)
         worse = unproven(compared(first.errors, errors), option.effects)
         # what effects are proven by is the likelihood of held-out data; their predictions need not be better by chance
         chance = WORTH / predictions(errors) if option.effects else 0.0
@@ -150,7 +150,7 @@ def _settled(known: Known, first: Known, fitted: Correction, configured: Correct
             for option in (*proven, configured)], against
 
 
-def _as_measured(corrections: Sequence[Correction], bench: Bench) -> list[tuple[Correction, Measured]]:
+def _as_measured(corrections: Sequence[Correction], trials: TrialRuns) -> list[tuple[Correction, Measured]]:
     """The corrections with their errors at the full rate, what predicts best there first, what was given last. Each is
     tried without noise from the samples' scatter, too: what a sensor filters before it samples, and what swings about a
     mean, adds up to nothing."""
@@ -164,18 +164,18 @@ def _as_measured(corrections: Sequence[Correction], bench: Bench) -> list[tuple[
         correction, errors = measured
         changed = correction.values['imu.adapt_noise'] != configured.values['imu.adapt_noise']
         return _merit(errors) - changed * WORTH / predictions(errors)
-    found = [(option, bench.errors(option.by_part, full=True)) for option in options]
-    return [*sorted(found, key=merit, reverse=True), (configured, bench.errors(configured.by_part, full=True))]
+    found = [(option, trials.errors(option.by_part, full=True)) for option in options]
+    return [*sorted(found, key=merit, reverse=True), (configured, trials.errors(configured.by_part, full=True))]
 
 
 def _only_told(finding: Finding, against: str) -> Finding:
     return replace(finding, added=False, changes={}, reason=finding.reason or against or NO_PROOF)
 
 
-def _with_settings(correction: Correction, bench: Bench) -> Correction:
+def _with_settings(correction: Correction, trials: TrialRuns) -> Correction:
     """With what a direct look at the recording shows, and the settings against it where these help."""
-    for effect in bench.library:
-        sightings = {p.recording.name: effect.seen(bench.origin.given, p.full) for p in bench.origin.each}
+    for effect in trials.library:
+        sightings = {p.recording.name: effect.seen(trials.origin.given, p.full) for p in trials.origin.each}
         sightings = {name: sighting for name, sighting in sightings.items() if sighting is not None}
         if not sightings:
             continue
@@ -184,7 +184,7 @@ def _with_settings(correction: Correction, bench: Bench) -> Correction:
                   for name, sighting in sightings.items()}
         # the settings against it are those for the drive that has most of it
         most = max(sightings, key=lambda name: drives[name][effect.principal].value)
-        sighting, several = sightings[most], len(bench.origin.each) > 1
+        sighting, several = sightings[most], len(trials.origin.each) > 1
         rest = [name for name in sightings if name != most]
         text = sighting.text + (f' (in {most}{"; also in " if rest else ""}{", ".join(rest)})' if several else '')
         finding = Finding(effect.name, [effect.name], drives[most], 0.0, 0.0, False, HeldOut(0.0, 1.0, []), seen=text,
@@ -193,7 +193,7 @@ def _with_settings(correction: Correction, bench: Bench) -> Correction:
         if further[0] == correction.values:
             finding = replace(finding, reason='the settings are made for it already')
         else:
-            before, after = bench.errors(correction.by_part), bench.errors(further[1:])
+            before, after = trials.errors(correction.by_part), trials.errors(further[1:])
             if judged(before, after, effects=True).answer == BETTER:
                 sets = {n: v for n, v in further[0].items() if v != correction.values[n]}
                 finding = replace(finding, added=True, changes=sets, saves=saved(before, after))
@@ -204,30 +204,30 @@ def _with_settings(correction: Correction, bench: Bench) -> Correction:
     return correction
 
 
-def _with_mounting(correction: Correction, bench: Bench) -> Correction:
+def _with_mounting(correction: Correction, trials: TrialRuns) -> Correction:
     """With the mounting's angles as the filter has learned them, where they are there and do no harm."""
-    if MOUNTING not in {e.name for e in bench.library}:
+    if MOUNTING not in {e.name for e in trials.library}:
         return correction
-    found = learned.together([learned.angles(p.full, correction.values) for p in bench.origin.each])
+    found = learned_mounting.together([learned_mounting.angles(p.full, correction.values) for p in trials.origin.each])
     if found is None or not found.plain:
         return correction
-    effect = next(e for e in bench.library if e.name == MOUNTING)
+    effect = next(e for e in trials.library if e.name == MOUNTING)
 
     def turned(values, angles):
         return effect.adjusted(values, {'roll': 0.0, **{n: angles[n] if n in found.plain else 0.0
-                                                        for n in learned.STATES}})
+                                                        for n in learned_mounting.STATES}})
 
     whole = {name: e.value for name, e in found.whole.items()}
-    parted = correction.by_part * (len(parts(bench.origin)) if len(correction.by_part) == 1 else 1)
+    parted = correction.by_part * (len(parts(trials.origin)) if len(correction.by_part) == 1 else 1)
     # each part in turn with angles of other data, or of one half of them, so that their scatter is in the errors
     halves = found.halves or [whole]
     by_part = [turned(values, halves[k % len(halves)]) for k, values in enumerate(parted)]
-    values = turned(correction.values, {n: whole.get(n, 0.0) for n in learned.STATES})
+    values = turned(correction.values, {n: whole.get(n, 0.0) for n in learned_mounting.STATES})
     finding = Finding(MOUNTING, [MOUNTING], found.plain, 0.0, 0.0, True, HeldOut(0.0, 1.0, []),
                       changes={'imu.mounting_rpy': values['imu.mounting_rpy']},
                       seen='the filter finds it itself in each drive, within a minute or two of it',
-                      drives={p.recording.name: own for p, own in zip(bench.origin.each, found.drives)})
-    before, after = bench.errors(correction.by_part), bench.errors(by_part)
+                      drives={p.recording.name: own for p, own in zip(trials.origin.each, found.drives)})
+    before, after = trials.errors(correction.by_part), trials.errors(by_part)
     finding = replace(finding, saves=saved(before, after))
     reason = implausible(MOUNTING, found.plain) or found.contradicted
     reason = reason or unproven(compared(before, after), effects=True)  # the filter's own states have proven it
@@ -236,10 +236,10 @@ def _with_mounting(correction: Correction, bench: Bench) -> Correction:
     return replace(correction, values=values, by_part=by_part, settings=(*correction.settings, finding))
 
 
-def _levelled(correction: Correction, bench: Bench) -> Correction:
+def _levelled(correction: Correction, trials: TrialRuns) -> Correction:
     """`correction` with the noise levels that predict best; its factors are where the search begins, too."""
-    claimed = float(np.median(np.sqrt(bench.origin.claimed[:, 0, 0])))
-    levels = choose(correction.values, bench.each, which_part(bench.origin), len(parts(bench.origin)), claimed,
+    claimed = float(np.median(np.sqrt(trials.origin.claimed[:, 0, 0])))
+    levels = choose(correction.values, trials.each, which_part(trials.origin), len(parts(trials.origin)), claimed,
                     correction.factors)
     factors = {name: factor for name, factor in levels.factors.items() if factor != 1.0}
     by_part = correction.by_part * (len(levels.by_part) if len(correction.by_part) == 1 else 1)

@@ -11,7 +11,6 @@ from ..effects.registry import EFFECTS
 from ..filter.runs.usable import usable
 from ..recordings.several import one_after_another
 from ..samples import Recording
-from .bench import Bench, Progress
 from .clock import whose
 from .conclusion import concluded
 from .drives import Drives, problems
@@ -19,6 +18,7 @@ from .findings import Diagnosis
 from .problem import DiagnosisError
 from .search import add_best, begin, replaced, without_superseded, without_undetermined
 from .starts import TIME_OFFSET, other_starts, shown_by_track
+from .trial_runs import Progress, TrialRuns
 
 #: fewer innovations than this decide nothing
 FEWEST_FIXES = 60
@@ -49,20 +49,20 @@ def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress
     for problem, recording in zip(found, thinned):
         problem.reference_clock = whose(recording, values['reference_clock']).name
     library = tuple(effects if effects is not None else EFFECTS.values())
-    bench = Bench(tuple(thinned), Drives(found), library, tuple(durations), spacing, progress,
+    trials = TrialRuns(tuple(thinned), Drives(found), library, tuple(durations), spacing, progress,
                   values['gnss.time_offset_sigma'], {'gnss_time_offset': [
                       {'time_offset': other[TIME_OFFSET] - values[TIME_OFFSET]} for other in others]}, track)
-    first = begin(bench)
-    known = replaced(first, bench)
+    first = begin(trials)
+    known = replaced(first, trials)
     for _ in range(MOST_ROUNDS):
-        further = add_best(known, bench)
+        further = add_best(known, trials)
         found_none = len(further.chosen) == len(known.chosen)
         # what was in the way of another mechanization may be out of it now
-        known = replaced(further, bench) if further.model is not known.model else further
-        if found_none or bench.enough():
+        known = replaced(further, trials) if further.model is not known.model else further
+        if found_none or trials.enough():
             break
-    known = without_undetermined(without_superseded(known, bench), bench)
-    return replace(concluded(known, first, bench), left_out=left_out)
+    known = without_undetermined(without_superseded(known, trials), trials)
+    return replace(concluded(known, first, trials), left_out=left_out)
 
 
 def _thinned(recording: Recording) -> Recording:

@@ -11,8 +11,8 @@ from .estimate import Estimate
 from .held_out import HeldOut
 from .measured import Measured
 from .residuals import Residual
-from .rest import GoesWith
 from .tracing import Candidate
+from .unexplained import GoesWith
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from scipy.stats import t as student
 
 from .drives import Drives
 from .fit import Model
-from .parts import SHORTEST_BLOCK, parts
+from .folds import SHORTEST_BLOCK, parts
 from .problem import Problem
 from .residuals import Residual
 

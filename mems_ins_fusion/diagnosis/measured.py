@@ -16,7 +16,7 @@ from ..filter.config import FilterConfig
 from ..filter.runs.replay import run, run_with_outages
 from ..samples import ImuSamples, Recording
 from .clock import GNSS, IMU, OWN, earlier, lateness_against
-from .parts import in_mask, parts
+from .folds import in_mask, parts
 from .problem import Problem, on_all_cores
 from .residuals import tempered
 

@@ -18,8 +18,8 @@ _CONTRADICTED = 4.0
 def implausible(effect: str, parameters: Mapping[str, Estimate], shown: Mapping[str, Estimate] | None = None) -> str:
     """Why these sizes cannot be, and what they usually stand for; empty where they can.
 
-    shown: what the recordings show of them without a filter (`Bench.shown`). What is far from that, or is large where
-    nothing of it is shown, is none.
+    shown: what the recordings show of them without a filter (`TrialRuns.shown`). What is far from that, or is large
+    where nothing of it is shown, is none.
     """
     for name, (words, alike) in _SHOWN.items():
         own, seen = parameters.get(name.removeprefix(f'{effect}.')), (shown or {}).get(name)

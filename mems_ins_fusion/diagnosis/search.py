@@ -11,19 +11,18 @@ import numpy as np
 
 from ..effects.base import Effect
 from ..effects.gnss_outliers import far_off
-from . import learned
+from . import learned_mounting
 from .agreement import by_drive, contradicted, plainest_in_one, said
-from .bench import Bench
 from .drives import Drives
 from .estimate import Estimate, widened
 from .findings import Finding
 from .fit import Model, fit, refined, scores
+from .folds import parts
 from .held_out import CERTAIN, HeldOut, gain_of, held_out
 from .judgement import all_in_all, compared, objection
 from .measured import Measured, saved
 from .noise import calibrated, noise_unknowns
 from .outliers import isolated
-from .parts import parts
 from .plausible import implausible
 from .problem import Problem
 from .tracing import (
@@ -36,6 +35,7 @@ from .tracing import (
     refined_unknowns,
     trace,
 )
+from .trial_runs import TrialRuns
 
 #: candidates of one round that are fitted to see which explains most, if their gain is this part of the largest, and
 #: how close in log likelihood equals come
@@ -89,16 +89,16 @@ class Known:
         return [self.problem.corrected(self.model.unknowns, x) for x in self.estimates] or [self.corrected()]
 
 
-def begin(bench: Bench) -> Known:
+def begin(trials: TrialRuns) -> Known:
     """The model without effects: fixes that are off alone set aside, noise levels fitted."""
-    bench.searching('fitting noise levels')
-    problem = bench.origin
+    trials.searching('fitting noise levels')
+    problem = trials.origin
     noise = noise_unknowns(problem)
     [at] = problem.residuals(noise, [calibrated(problem, noise)])
     problem = problem.without(isolated(at, problem.mask) | _far_off(problem))
     noise = noise_unknowns(problem)
     model = fit(problem, noise, calibrated(problem, noise))
-    return _hidden(Known(problem, model, bench.errors([bench.origin.given]), bench.library))
+    return _hidden(Known(problem, model, trials.errors([trials.origin.given]), trials.library))
 
 
 def _far_off(problem: Drives) -> np.ndarray:
@@ -115,7 +115,7 @@ def _hidden(known: Known) -> Known:
     for e in known.effects:
         own = [e.hidden(known.problem.given, p.recording) for p in known.problem.each]
         reasons[e.name] = own[0] if all(own) else ''
-    reasons |= {name: why for name, why in learned.hides(known.problem.given).items() if name in reasons}
+    reasons |= {name: why for name, why in learned_mounting.hides(known.problem.given).items() if name in reasons}
     fitted = {e.name for e in known.effects if e.traced}
     hidden = {name: why for name, why in reasons.items() if why and name in fitted}
     return replace(known, hidden=known.hidden | hidden,
@@ -124,14 +124,14 @@ def _hidden(known: Known) -> Known:
 
 # one round: trace, try, judge
 
-def add_best(known: Known, bench: Bench) -> Known:
+def add_best(known: Known, trials: TrialRuns) -> Known:
     """Trace from several starts, and add the best candidate that helps on held-out data.
 
     A `Known` without a further choice where nothing is significant."""
     if not known.effects:
         return known
-    bench.searching('testing effects')
-    views = starts(known)[:1 if bench.enough(0.6) else None]
+    trials.searching('testing effects')
+    views = starts(known)[:1 if trials.enough(0.6) else None]
     best: dict[str, tuple[Candidate, np.ndarray]] = {}
     significant: list[tuple[int, Candidate, np.ndarray]] = []
     for view in views:
@@ -157,13 +157,13 @@ def add_best(known: Known, bench: Bench) -> Known:
     names += [plain for plain, varied in VARIED.items() if plain not in names and any(n in names for n in varied)
               and plain in best and best[plain][0].p_adjusted <= SIGNIFICANCE]
     if not known.rounds[:-1]:  # what is far off need not show where the search begins
-        names += [name for name, sizes in bench.starts.items() if sizes and name not in names and name in best
+        names += [name for name, sizes in trials.starts.items() if sizes and name not in names and name in best
                   and best[name][0].scores is not None]
-    bench.searching(f'adding {" or ".join(names)}')
-    return _tried(known, [best[name] for name in names], candidates, bench)
+    trials.searching(f'adding {" or ".join(names)}')
+    return _tried(known, [best[name] for name in names], candidates, trials)
 
 
-def replaced(known: Known, bench: Bench) -> Known:
+def replaced(known: Known, trials: TrialRuns) -> Known:
     """With what another mechanization takes out, if that one predicts better for certain.
 
     Nothing of it is fitted to the data, so it needs no score test, which a planar filter on hills may fail: the slopes
@@ -176,8 +176,8 @@ def replaced(known: Known, bench: Bench) -> Known:
                                   None, [], fixed)
             if not effect.replaces_model(candidate.values()):
                 continue
-            bench.searching(f'trying {effect.name}')
-            judged = _judged(known, candidate, _with(known, candidate, known.model.x, bench), bench)
+            trials.searching(f'trying {effect.name}')
+            judged = _judged(known, candidate, _with(known, candidate, known.model.x, trials), trials)
             if judged.against or judged.proof.p > CERTAIN:
                 continue
             candidate = replace(candidate, gain=2 * judged.proof.gain, p=judged.proof.p, p_adjusted=judged.proof.p)
@@ -217,14 +217,14 @@ class Judged:
     apart: bool = False
 
 
-def _tried(known: Known, significant, candidates: list[Candidate], bench: Bench) -> Known:
+def _tried(known: Known, significant, candidates: list[Candidate], trials: TrialRuns) -> Known:
     """With the best of the significant candidates in the model, if it helps on held-out data.
 
     Of those that explain the same, the position errors decide where these differ: a reference may know more. What
     cannot be is told and makes room for the next. What the recordings show for certain without a filter goes first.
     """
     chosen = {candidate.name: candidate for candidate, _ in significant}
-    models = {candidate.name: _with(known, candidate, view, bench) for candidate, view in significant}
+    models = {candidate.name: _with(known, candidate, view, trials) for candidate, view in significant}
     mask = np.logical_and.reduce([model.problem.mask for model in models.values()])
     # another mechanization measures other things beside the fixes
     comparable = all(model.problem is known.problem for model in models.values())
@@ -232,17 +232,17 @@ def _tried(known: Known, significant, candidates: list[Candidate], bench: Bench)
              - len(chosen[name].theta) for name, m in models.items()}
     order = sorted(models, key=lambda name: (max(merit.get(n, -np.inf) for n in (name, *VARIED.get(name, ()))),
                                              name in VARIED), reverse=True)
-    order.sort(key=lambda name: name not in bench.certain)
+    order.sort(key=lambda name: name not in trials.certain)
     failed: list[Finding] = []
     for name in order:
         # nothing stands for what the recordings show for certain
-        alike = [name] if name in bench.certain else [
+        alike = [name] if name in trials.certain else [
             e.name for e in known.effects if e.name in merit and abs(merit[e.name] - merit[name]) < CLOSE
             and e.name not in {f.name for f in failed}]
-        same = [] if name in bench.certain else [
+        same = [] if name in trials.certain else [
             n for n in group(chosen[alike[0]], candidates, known.problem.mask) if n not in alike]
         names = [*alike, *same]
-        judged = {n: _judged(known, chosen[n], models[n], bench) for n in names if n in models}
+        judged = {n: _judged(known, chosen[n], models[n], trials) for n in names if n in models}
         best = judged[names[0]]
         for n in names[1:]:
             if n in judged and not judged[n].against and (
@@ -250,14 +250,14 @@ def _tried(known: Known, significant, candidates: list[Candidate], bench: Bench)
                 best = judged[n]
         others = [n for n in names if n != best.candidate.name and (
             n not in judged or all_in_all(compared(best.errors, judged[n].errors)) < DIFFERENT)]
-        sizes = bench.told(name, best.parameters) if best.against else best.parameters
+        sizes = trials.told(name, best.parameters) if best.against else best.parameters
         finding = Finding(best.candidate.name, [best.candidate.name, *others], sizes, best.candidate.gain,
                           best.candidate.p_adjusted, not best.against, best.proof, best.against, drives=best.drives,
                           apart=best.apart, saves=saved(known.errors, best.errors))
         if not best.against:
             return _taken(known, best, finding, failed)
         failed.append(finding)
-        if bench.enough(0.8):
+        if trials.enough(0.8):
             break
     names = {f.name for f in failed}
     return replace(known, findings=_with_findings(known.findings, failed), chosen=(*known.chosen, order[0]),
@@ -279,11 +279,11 @@ def _taken(known: Known, best: Judged, finding: Finding, failed: list[Finding]) 
         effects=effects, rejected=(), hidden=known.hidden | best.hidden))
 
 
-def _with(known: Known, candidate: Candidate, view: np.ndarray, bench: Bench) -> Model:
+def _with(known: Known, candidate: Candidate, view: np.ndarray, trials: TrialRuns) -> Model:
     """The present model with one candidate added and all fitted again from `view`, well enough to compare."""
     model = known.model
     if candidate.effect.replaces_model(candidate.values()):
-        problem = known.problem.configured(bench.recordings,
+        problem = known.problem.configured(trials.recordings,
                                            candidate.effect.adjusted(known.problem.given, candidate.values()))
         noise = noise_unknowns(problem)
         kept = [u for u in model.unknowns if not u.noise]
@@ -292,13 +292,13 @@ def _with(known: Known, candidate: Candidate, view: np.ndarray, bench: Bench) ->
     begin = [max(t, u.step) if u.variance else np.clip(t, -u.prior / 5, u.prior / 5)
              for t, u in zip(candidate.theta, candidate.unknowns)]
     begins = [begin, *([sizes[u.parameter] for u in candidate.unknowns]
-                       for sizes in bench.starts.get(candidate.name, ()))]
+                       for sizes in trials.starts.get(candidate.name, ()))]
     fits = [fit(known.problem, [*model.unknowns, *candidate.unknowns], np.concatenate([view, start]), COMPARED)
             for start in begins]
     return max(fits, key=lambda m: m.likelihood(known.problem.mask))
 
 
-def _judged(known: Known, candidate: Candidate, model: Model, bench: Bench) -> Judged:
+def _judged(known: Known, candidate: Candidate, model: Model, trials: TrialRuns) -> Judged:
     """What `candidate`, fitted as `model`, comes to on data it was not fitted to."""
     first = len(known.model.unknowns)
     if model.problem is not known.problem:
@@ -308,7 +308,7 @@ def _judged(known: Known, candidate: Candidate, model: Model, bench: Bench) -> J
         alone = fit(known.problem.moved(known.model.unknowns, known.model.x), candidate.unknowns, candidate.theta)
         diluted = max(p.diluted for p in known.problem.each)
         parameters = {name: _diluted(e, diluted) for name, e in _estimates(candidate, alone, 0).items()}
-        errors = bench.errors([model.problem.corrected(model.unknowns, model.x)])
+        errors = trials.errors([model.problem.corrected(model.unknowns, model.x)])
         against = objection(proof, compared(known.errors, errors))
         return Judged(candidate, model, parameters, {}, proof, errors, against)
     model = refined(model)
@@ -326,8 +326,8 @@ def _judged(known: Known, candidate: Candidate, model: Model, bench: Bench) -> J
     mask = known.problem.mask
     shorter = max(known.model, shorter, key=lambda m: m.likelihood(mask))
     proof = held_out(model, shorter, known.noise)
-    errors = bench.errors([known.problem.corrected(model.unknowns, x) for x in proof.estimates])
-    against = (implausible(candidate.name, parameters, bench.shown) or contradiction or _small(model, first)
+    errors = trials.errors([known.problem.corrected(model.unknowns, x) for x in proof.estimates])
+    against = (implausible(candidate.name, parameters, trials.shown) or contradiction or _small(model, first)
                or objection(proof, compared(known.errors, errors)))
     return Judged(candidate, model, parameters, hidden, proof, errors, against, drives, apart)
 
@@ -423,7 +423,7 @@ def _estimates(best: Candidate, model: Model, first: int) -> dict[str, Estimate]
 
 # when all rounds are over
 
-def without_superseded(known: Known, bench: Bench) -> Known:
+def without_superseded(known: Known, trials: TrialRuns) -> Known:
     """Without what an effect that was added later has made superfluous."""
     for finding in [f for f in known.findings if f.added][:-1]:
         model = known.model
@@ -433,7 +433,7 @@ def without_superseded(known: Known, bench: Bench) -> Known:
         without = fit(known.problem, [model.unknowns[i] for i in kept], model.x[kept], COMPARED)
         proof = held_out(model, without, known.noise)
         estimates = _by_part(without, known.noise)
-        errors = bench.errors([known.problem.corrected(without.unknowns, x) for x in estimates])
+        errors = trials.errors([known.problem.corrected(without.unknowns, x) for x in estimates])
         against = objection(proof, compared(errors, known.errors))
         if against:
             dropped = replace(finding, added=False, held_out=proof,
@@ -443,7 +443,7 @@ def without_superseded(known: Known, bench: Bench) -> Known:
     return known
 
 
-def without_undetermined(known: Known, bench: Bench) -> Known:
+def without_undetermined(known: Known, trials: TrialRuns) -> Known:
     """Without the parameters that effects added later have left undetermined."""
     pruned = _pruned(known.model, known.noise)
     if pruned is known.model:
@@ -458,7 +458,7 @@ def without_undetermined(known: Known, bench: Bench) -> Known:
         findings.append(finding)
     estimates = tuple(_by_part(pruned, known.noise))
     known = replace(known, model=pruned, estimates=estimates, findings=tuple(findings), hidden=known.hidden | gone)
-    return replace(known, errors=bench.errors(known.by_part()))
+    return replace(known, errors=trials.errors(known.by_part()))
 
 
 def _by_part(model: Model, noise: int) -> list[np.ndarray]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..configuration.left import ANGLES, TIME_OFFSET, Left
+from ..configuration.remaining import ANGLES, TIME_OFFSET, Remaining
 from .intervals import LEVEL, Difference, interval_of_share, of_mean, p_of_so_few, paired
 from .metrics import rms
 
@@ -144,7 +144,7 @@ def decide(changes: Iterable[Change]) -> Verdict:
 READY_OFFSET, READY_ANGLE = 0.1, math.radians(3.0)
 
 
-def unsettled(left: Iterable[Left]) -> list[Left]:
+def unsettled(left: Iterable[Remaining]) -> list[Remaining]:
     """Of what recordings leave of the parameters: what keeps a file from being ready to drive with."""
     most = {TIME_OFFSET: READY_OFFSET, **dict.fromkeys(ANGLES, READY_ANGLE)}
     return [one for one in left if not one.settled(most.get(one.name, math.inf))]

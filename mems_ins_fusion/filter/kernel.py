@@ -31,8 +31,8 @@ from .memory import (
     Verdict,
     channel_of,
     event_at,
+    nonnegative,
     packed,
-    place,
     row_of,
     sample_at,
     state_at,
@@ -62,8 +62,8 @@ RESTART_ATTITUDE = 0.05
 @njit(_nrt=False)
 def _advance(memory, k):
     """State k from state k - 1 and sample k: the interval is split at each measurement in it."""
-    first_row, dst = place(state_at(memory, k - 1)), place(state_at(memory, k))
-    sample = place(sample_at(memory, k))
+    first_row, dst = nonnegative(state_at(memory, k - 1)), nonnegative(state_at(memory, k))
+    sample = nonnegative(sample_at(memory, k))
     src = first_row
     begin, end = memory[src + Nav.TIME], memory[sample + Sample.TIME]
     count = int(memory[Head.EVENTS])
@@ -102,7 +102,7 @@ def _advance(memory, k):
 @njit(_nrt=False, forceinline=True)
 def _is_finite(memory, r):
     """Whether navigation solution and variances of row r are numbers."""
-    r, n_navigation, m = place(r), int(memory[Head.N_NAVIGATION]), int(memory[Head.N_AUGMENTED])
+    r, n_navigation, m = nonnegative(r), int(memory[Head.N_NAVIGATION]), int(memory[Head.N_AUGMENTED])
     total = 0.0
     for i in range(Nav.MEMORY):
         total += memory[r + i]
@@ -134,10 +134,10 @@ def _restore(memory, good, r, time):
 def _take_sample(memory, samples, i):
     """Predict to the time of sample i (time, specific force and angular rate in sensor axes), with what was measured
     till then."""
-    i, k = place(i), int(memory[Head.SAMPLES]) + 1
-    sample, before = place(sample_at(memory, k)), place(state_at(memory, k - 1))
+    i, k = nonnegative(i), int(memory[Head.SAMPLES]) + 1
+    sample, before = nonnegative(sample_at(memory, k)), nonnegative(state_at(memory, k - 1))
     time = samples[i, 0]
-    dt = time - memory[place(sample_at(memory, k - 1)) + Sample.TIME]
+    dt = time - memory[nonnegative(sample_at(memory, k - 1)) + Sample.TIME]
     memory[sample + Sample.TIME], memory[sample + Sample.INTERVAL] = time, dt
     speed = _certain_speed(memory, before)
     fault = imu_faults.check(memory, samples, i, dt, speed, imu_faults.is_doubted(memory, before, time))
@@ -149,13 +149,14 @@ def _take_sample(memory, samples, i):
     else:
         coast(memory, sample, before)
     if dt > memory[Head.MAX_GAP] and k > 1:  # nobody knows what was in between: the mean of both ends is the best guess
-        last = place(sample_at(memory, k - 1))
+        last = nonnegative(sample_at(memory, k - 1))
         for j in range(6):
             memory[sample + Sample.F_X + j] = 0.5 * (memory[sample + Sample.F_X + j] + memory[last + Sample.F_X + j])
     show_noise(memory, k, dt)
     memory[sample + Sample.STILL] = 0.0
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
-        bridged = memory[place(sample_at(memory, k - 1)) + Sample.FAULT] != Fault.NONE or dt > memory[Head.MAX_GAP]
+        before_fault = memory[nonnegative(sample_at(memory, k - 1)) + Sample.FAULT]
+        bridged = before_fault != Fault.NONE or dt > memory[Head.MAX_GAP]
         moving = speed > imu_faults.MOVING_SPEED and not contradiction.goes_back(memory, before)
         memory[sample + Sample.STILL] = is_still(memory, sample, dt, moving, bridged)
         if imu_faults.is_stuck(memory, dt):  # it would not show a motion
@@ -173,7 +174,7 @@ def _take_sample(memory, samples, i):
 @njit(_nrt=False)
 def _take_told_speed(memory, k):
     """Correct state k with what the wheels have just told; what is listened to next knows of it."""
-    r = place(state_at(memory, k))
+    r = nonnegative(state_at(memory, k))
     before = speed_of(memory, r)
     take_told_speed(memory, r, sample_at(memory, k))
     follow(memory, r, speed_of(memory, r) - before)
@@ -191,7 +192,7 @@ def _refuse_ahead(memory, time):
 @njit(_nrt=False, fastmath={'contract'}, forceinline=True)
 def _condition(memory, sample, raw):
     """The six numbers at `raw`, in sensor axes, to body axes, with the corrections of the configuration."""
-    sample, raw = place(sample), place(raw)
+    sample, raw = nonnegative(sample), nonnegative(raw)
     for i in range(6):
         total = memory[Head.OFFSET + i]
         for j in range(6):
@@ -215,7 +216,7 @@ def coast(memory, sample, r):
 @njit(_nrt=False)
 def _certain_speed(memory, r):
     """The speed that the vehicle certainly has in the state at r, m/s: less two sigma."""
-    r = place(r)
+    r = nonnegative(r)
     sigma = math.sqrt(velocity_variance(memory, r))
     return max(math.hypot(memory[r + Nav.V_N], memory[r + Nav.V_E]) - 2.0 * sigma, 0.0)
 

@@ -191,7 +191,7 @@ class StateLayout:
 
 
 @njit(_nrt=False)
-def place(position):
+def nonnegative(position):
     """`position`, of which the compiler then knows that it does not count from the end.
 
     It else looks at that wherever the position is used, which is a third of the filter's time.
@@ -218,45 +218,45 @@ def row_width(layout: StateLayout) -> int:
 @njit(_nrt=False)
 def load_covariance(row, r, n_navigation, n_augmented, full, at):
     """The covariance of the state at `r` in the array `row`, as a full symmetric matrix (n, n) from full[at] on."""
-    n_navigation, n_augmented = place(n_navigation), place(n_augmented)
+    n_navigation, n_augmented = nonnegative(n_navigation), nonnegative(n_augmented)
     n = n_navigation + n_augmented
-    k = place(r + NAV + n)
+    k = nonnegative(r + NAV + n)
     for i in range(n_navigation):
         for j in range(i, n_navigation):
-            full[place(at + n * i + j)] = full[place(at + n * j + i)] = row[k]
-            k = place(k + 1)
+            full[nonnegative(at + n * i + j)] = full[nonnegative(at + n * j + i)] = row[k]
+            k = nonnegative(k + 1)
     for j in range(n_navigation, n):
-        line = place(at + n * j)
+        line = nonnegative(at + n * j)
         for i in range(n_navigation):
-            full[line + i] = full[place(at + n * i + j)] = row[k + i]
-        k = place(k + n_navigation)
+            full[line + i] = full[nonnegative(at + n * i + j)] = row[k + i]
+        k = nonnegative(k + n_navigation)
     for i in range(n_navigation, n):
-        line = place(at + n * i + n_navigation)
+        line = nonnegative(at + n * i + n_navigation)
         for j in range(n_augmented):
             full[line + j] = row[k + j]
-        k = place(k + n_augmented)
+        k = nonnegative(k + n_augmented)
 
 
 @njit(_nrt=False)
 def store_covariance(full, at, n_navigation, n_augmented, row, r):
     """Inverse of `load_covariance`."""
-    n_navigation, n_augmented = place(n_navigation), place(n_augmented)
+    n_navigation, n_augmented = nonnegative(n_navigation), nonnegative(n_augmented)
     n = n_navigation + n_augmented
-    k = place(r + NAV + n)
+    k = nonnegative(r + NAV + n)
     for i in range(n_navigation):
         for j in range(i, n_navigation):
-            row[k] = full[place(at + n * i + j)]
-            k = place(k + 1)
+            row[k] = full[nonnegative(at + n * i + j)]
+            k = nonnegative(k + 1)
     for j in range(n_navigation, n):
-        line = place(at + n * j)
+        line = nonnegative(at + n * j)
         for i in range(n_navigation):
             row[k + i] = full[line + i]
-        k = place(k + n_navigation)
+        k = nonnegative(k + n_navigation)
     for i in range(n_navigation, n):
-        line = place(at + n * i + n_navigation)
+        line = nonnegative(at + n * i + n_navigation)
         for j in range(n_augmented):
             row[k + j] = full[line + j]
-        k = place(k + n_augmented)
+        k = nonnegative(k + n_augmented)
 
 
 @njit(_nrt=False)
@@ -288,7 +288,7 @@ def yaw_state(mem):
 def velocity_variance(mem, r):
     """Of the two horizontal components of the state at r together, m^2/s^2."""
     v, n_navigation = velocity_state(mem), int(mem[Head.N_NAVIGATION])
-    k = place(r + NAV + n_navigation + int(mem[Head.N_AUGMENTED]))
+    k = nonnegative(r + NAV + n_navigation + int(mem[Head.N_AUGMENTED]))
     return mem[k + packed(v, v, n_navigation)] + mem[k + packed(v + 1, v + 1, n_navigation)]
 
 

@@ -28,8 +28,8 @@ from .memory import (
     coefficients_at,
     decay_at,
     driving_at,
+    nonnegative,
     packed,
-    place,
     restart_at,
     row_of,
     variance_at,
@@ -54,8 +54,8 @@ RADII_STEP = 2e-6
 @njit(_nrt=False, fastmath={'contract'})
 def predict(mem, src, dst, sample, dt):
     """State dst = state src, predicted over dt with one IMU sample; its TIME is left to the caller, who knows it."""
-    src, dst, sample = place(src), place(dst), place(sample)
-    m, p = place(int(mem[Head.N_AUGMENTED])), place(int(mem[Head.ORDER]))
+    src, dst, sample = nonnegative(src), nonnegative(dst), nonnegative(sample)
+    m, p = nonnegative(int(mem[Head.N_AUGMENTED])), nonnegative(int(mem[Head.ORDER]))
     if mem[Head.MECHANIZATION] != PLANAR:
         _step_strapdown(mem, src, dst, sample, dt, m, p)
     elif m == 3 and p == 1:  # the paper's filters, with their sizes known to the compiler: a quarter faster
@@ -66,7 +66,7 @@ def predict(mem, src, dst, sample, dt):
         _step_planar(mem, src, dst, sample, dt, m, p)
     for k in range(Nav.MEMORY, NAV):
         mem[dst + k] = mem[src + k]
-    width = place(int(mem[Head.WIDTH]))
+    width = nonnegative(int(mem[Head.WIDTH]))
     for k in range(width - INPUT_SIZE * int(mem[Inputs.COUNT]), width):
         mem[dst + k] = mem[src + k]
     if mem[LagSettings.TIME] > 0.0:
@@ -90,7 +90,7 @@ def set_radii(mem, r):
 @njit(_nrt=False)
 def _move(mem, src, dst, north, east, down):
     """Position of row dst: that of src moved by a displacement in m."""
-    src, dst = place(src), place(dst)
+    src, dst = nonnegative(src), nonnegative(dst)
     mem[dst + Nav.LATITUDE] = mem[src + Nav.LATITUDE] + north * mem[src + Nav.NORTH_SCALE]
     mem[dst + Nav.LONGITUDE] = mem[src + Nav.LONGITUDE] + east * mem[src + Nav.EAST_SCALE]
     mem[dst + Nav.HEIGHT] = mem[src + Nav.HEIGHT] - down
@@ -104,7 +104,7 @@ def _move(mem, src, dst, north, east, down):
 @njit(_nrt=False, fastmath={'contract'}, forceinline=True)
 def _step_planar(mem, src, dst, sample, dt, m, p):
     """One interval of the planar mechanization with m states behind the navigation errors, p for each channel."""
-    src, dst, sample, m, p = place(src), place(dst), place(sample), place(m), place(p)
+    src, dst, sample, m, p = nonnegative(src), nonnegative(dst), nonnegative(sample), nonnegative(m), nonnegative(p)
     x = NAV + 5
     # columns of the blocks of P: navigation a, cross b, and in it the errors of f_x, f_y, w_z
     a = x + m
@@ -136,7 +136,7 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
             mem[src + NAV + 4], mem[src + x], mem[src + x + p], mem[src + x + 2 * p])
 
     if mem[Head.HISTORY_AT] > 0.0:
-        _carry_planar(mem, dt, f_n, f_e, c, s, place(m), place(p))
+        _carry_planar(mem, dt, f_n, f_e, c, s, nonnegative(m), nonnegative(p))
     # Phi P, column by column
     for j in range(m):
         k, e = b + 5 * j, b + 5 * m + j
@@ -282,7 +282,7 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
     x = NAV + size
     b = x + m + size * (size + 1) // 2
     e = b + size * m
-    decays = place(int(mem[Head.SCRATCH_AT]))
+    decays = nonnegative(int(mem[Head.SCRATCH_AT]))
     learned = 0 if mem[DriftSettings.LEARNED] == 0.0 else 6  # three accelerometers, three gyroscopes
     for j in range(m):
         mem[decays + j] = _decay(dt * mem[decay_at(m, j)])
@@ -297,7 +297,7 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
         mem[row + j] += drift * (mem[walk_at(m, j)] * dt
                                  + mem[variance_at(m, j)] * (1.0 - decay * decay))
     if mem[Head.HISTORY_AT] > 0.0:
-        _carry_sensors(mem, dt, place(size), place(m))
+        _carry_sensors(mem, dt, nonnegative(size), nonnegative(m))
     if mem[Head.ACCELEROMETER_INTERVAL] > 0.0:
         _autoregressive(mem, src, dst, dt, size, m, p)
     mem[dst + Nav.CONSTRAINT_TIME] = mem[src + Nav.CONSTRAINT_TIME] + dt
@@ -306,7 +306,7 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
 @njit(_nrt=False, fastmath={'contract'})
 def _autoregressive(mem, src, dst, dt, size, m, p):
     """Step the companion blocks of accelerometers and gyroscopes, each once for every T_s that has passed (Eq. 22)."""
-    src, dst, size, m, p = place(src), place(dst), place(size), place(m), place(p)
+    src, dst, size, m, p = nonnegative(src), nonnegative(dst), nonnegative(size), nonnegative(m), nonnegative(p)
     accelerometers, channels = (2, 3) if size == 5 else (3, 6)
     for sensor in range(2):
         phase, interval = Nav.ACCELEROMETER_PHASE + sensor, mem[Head.ACCELEROMETER_INTERVAL + sensor]
@@ -327,16 +327,16 @@ def _step_channel(mem, dst, size, m, p, channel, channels):
     start, a = channel * p, coefficients_at(m, p, channel)
     _companion(mem, dst + x + start, 1, p, a)
     for i in range(size):
-        _companion(mem, place(dst + b + size * start + i), size, p, a)
+        _companion(mem, nonnegative(dst + b + size * start + i), size, p, a)
     for j in range(m):
-        _companion(mem, place(dst + e + m * start + j), m, p, a)
+        _companion(mem, nonnegative(dst + e + m * start + j), m, p, a)
     for i in range(m):
-        row = place(dst + e + m * i + start)
+        row = nonnegative(dst + e + m * i + start)
         if start <= i < start + p:
             _companion(mem, row, 1, p, a)
         else:  # the mirror image of what was done to the rows
             for k in range(p):
-                mem[row + k] = mem[place(dst + e + m * (start + k) + i)]
+                mem[row + k] = mem[nonnegative(dst + e + m * (start + k) + i)]
     if mem[Head.HISTORY_AT] > 0.0:
         n = size + m
         for k in range(n):
@@ -363,7 +363,7 @@ def _companion(mem, at, stride, p, a):
 @njit(_nrt=False, fastmath={'contract'})
 def _step_strapdown(mem, src, dst, sample, dt, m, p):
     """One interval of the strapdown mechanization."""
-    src, dst, sample, m, p = place(src), place(dst), place(sample), place(m), place(p)
+    src, dst, sample, m, p = nonnegative(src), nonnegative(dst), nonnegative(sample), nonnegative(m), nonnegative(p)
     x = NAV + 9
     a = x + m
     b = a + 45
@@ -401,7 +401,7 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
             (mem[src + x], mem[src + x + p], mem[src + x + 2 * p]),
             (mem[src + x + 3 * p], mem[src + x + 4 * p], mem[src + x + 5 * p])))
     for j in range(m):
-        k, q, r = place(src + b + 9 * j), place(src + e + j), dst + b + 9 * j
+        k, q, r = nonnegative(src + b + 9 * j), nonnegative(src + e + j), dst + b + 9 * j
         _store(mem, r, strapdown.error_step(
             step, (mem[k], mem[k + 1], mem[k + 2]), (mem[k + 3], mem[k + 4], mem[k + 5]),
             (mem[k + 6], mem[k + 7], mem[k + 8]), (mem[q], mem[q + m * p], mem[q + 2 * m * p]),
@@ -409,22 +409,22 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
 
     # Phi P, column by column, then (Phi P) Phi^T, row by row; scratch: P_nn at s, the transpose of Phi P at g, and at u
     # the columns of the six sensors, with their white noise: it enters like an error that lasts one interval
-    s = place(int(mem[Head.SCRATCH_AT]))
+    s = nonnegative(int(mem[Head.SCRATCH_AT]))
     g, u = s + 81, s + 162
-    column = place(src + a)
+    column = nonnegative(src + a)
     for i in range(9):
         for j in range(i, 9):
             mem[s + 9 * i + j] = mem[s + 9 * j + i] = mem[column]
             column += 1
     for j in range(9):
-        k, q = place(src + b + j), place(s + 9 * j)
+        k, q = nonnegative(src + b + j), nonnegative(s + 9 * j)
         _store(mem, g + 9 * j, strapdown.error_step(
             step, (mem[q], mem[q + 1], mem[q + 2]), (mem[q + 3], mem[q + 4], mem[q + 5]),
             (mem[q + 6], mem[q + 7], mem[q + 8]), (mem[k], mem[k + 9 * p], mem[k + 18 * p]),
             (mem[k + 27 * p], mem[k + 36 * p], mem[k + 45 * p])))
     h = 0.5 * dt
     for axis in range(3):
-        k, q = place(dst + b + 9 * p * axis), place(u + 9 * axis)
+        k, q = nonnegative(dst + b + 9 * p * axis), nonnegative(u + 9 * axis)
         white_f, white_w = density(mem, sample, axis), density(mem, sample, 3 + axis)
         x, y, z = strapdown.column(c, axis)
         turned = h * (y * f_level[2] - z * f_level[1]), h * (z * f_level[0] - x * f_level[2]), h * (
@@ -432,9 +432,9 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
         _add(mem, q, k, white_f, (h * x, h * y, h * z, x, y, z, 0.0, 0.0, 0.0))
         _add(mem, q + 27, k + 27 * p, white_w, (
             h * turned[0], h * turned[1], h * turned[2], turned[0], turned[1], turned[2], x, y, z))
-    column = place(dst + a)
+    column = nonnegative(dst + a)
     for i in range(9):
-        k, q = place(u + i), place(g + i)
+        k, q = nonnegative(u + i), nonnegative(g + i)
         _store(mem, s, strapdown.error_step(
             step, (mem[q], mem[q + 9], mem[q + 18]), (mem[q + 27], mem[q + 36], mem[q + 45]),
             (mem[q + 54], mem[q + 63], mem[q + 72]), (mem[k], mem[k + 9], mem[k + 18]),

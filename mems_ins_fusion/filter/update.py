@@ -35,7 +35,7 @@ from .memory import (
     Verdict,
     channel_of,
     load_covariance,
-    place,
+    nonnegative,
     row_of,
     store_covariance,
     velocity_variance,
@@ -75,11 +75,11 @@ NO_FIX = 10.0
 @njit(_nrt=False)
 def _project(mem, n, h, column):
     """P H^T of the row H at `h` into `column` (n,); P stands at the begin of the scratch. H P H^T."""
-    p, h, column = place(int(mem[Head.SCRATCH_AT])), place(h), place(column)
+    p, h, column = nonnegative(int(mem[Head.SCRATCH_AT])), nonnegative(h), nonnegative(column)
     for i in range(n):
         mem[column + i] = 0.0
     for j in range(n):
-        factor, row = mem[h + j], place(p + n * j)
+        factor, row = mem[h + j], nonnegative(p + n * j)
         if factor != 0.0:
             for i in range(n):
                 mem[column + i] += factor * mem[row + i]
@@ -89,7 +89,7 @@ def _project(mem, n, h, column):
 @njit(_nrt=False)
 def _product(mem, n, h, column):
     """The row H at `h` times a column."""
-    h, column, total = place(h), place(column), 0.0
+    h, column, total = nonnegative(h), nonnegative(column), 0.0
     for i in range(n):
         total += mem[h + i] * mem[column + i]
     return total
@@ -101,10 +101,10 @@ def _scalar(mem, r, n, h, column, z, s):
 
     P - K H P, of which both halves are the same bits: symmetric by construction.
     """
-    p, x, h, column = place(int(mem[Head.SCRATCH_AT])), place(r + NAV), place(h), place(column)
+    p, x, h, column = nonnegative(int(mem[Head.SCRATCH_AT])), nonnegative(r + NAV), nonnegative(h), nonnegative(column)
     residual, inverse = z - _product(mem, n, h, x), 1.0 / s
     for i in range(n):
-        element, row = mem[column + i], place(p + n * i)
+        element, row = mem[column + i], nonnegative(p + n * i)
         mem[x + i] += element * inverse * residual
         for j in range(n):
             mem[row + j] -= element * mem[column + j] * inverse

@@ -13,8 +13,8 @@ import numpy as np
 from ..evaluation.comparison import RunResult, aiding_of
 from ..evaluation.metrics import Errors
 from ..filter.memory import PLANAR
+from ..filter.runs.live_output import published
 from ..filter.runs.odometry import ANGULAR, LINEAR, ORIENTATION, POSE_COVARIANCE, TWIST_COVARIANCE
-from ..filter.runs.publish import published
 from ..filter.runs.results import Run
 from ..navigation.earth import to_local
 from ..recordings.writing import OdometrySamples, write_recording

@@ -4,7 +4,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ..configuration.left import TIME_OFFSET, Left
+from ..configuration.remaining import TIME_OFFSET, Remaining
 from ..evaluation.verdict import NO, TOO_CAREFUL, YES, Change, Held, Scale, Trust, Verdict
 from ..recordings.findings import ERROR, Finding
 from .html import number
@@ -17,7 +17,7 @@ def certainly_wrong(findings: Sequence[Finding], values: dict) -> list[Finding]:
                                                                 and 'axes' in f.values)]
 
 
-def unsettled_text(left: Left) -> str:
+def unsettled_text(left: Remaining) -> str:
     """Why a params file is not ready: what may still be left of a quantity. Angles in degrees."""
     if not math.isfinite(left.sigma):
         return f'the {left.name} is not shown'

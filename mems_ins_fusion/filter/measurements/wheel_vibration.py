@@ -39,8 +39,8 @@ from ..memory import (
     Head,
     Nav,
     Sample,
+    nonnegative,
     packed,
-    place,
     row_of,
     sample_at,
     state_at,
@@ -262,7 +262,7 @@ def observe(mem, r, at, h, n, c, sample):
 @njit(_nrt=False)
 def listen(mem, k):
     """Take in sample k, and at the end of a window tell the speed beside it; whether that is to be used."""
-    at, sample, r = int(mem[Wheels.AT]), place(sample_at(mem, k)), place(state_at(mem, k))
+    at, sample, r = int(mem[Wheels.AT]), nonnegative(sample_at(mem, k)), nonnegative(state_at(mem, k))
     dt, time = mem[sample + Sample.INTERVAL], mem[sample + Sample.TIME]
     speed = speed_of(mem, r)
     mem[at + Ear.ELAPSED] += dt
@@ -325,7 +325,7 @@ def speed_of(mem, r):
 def along_variance(mem, r):
     """Variance of the speed over ground of the state at r, m^2/s^2."""
     v, n_navigation = velocity_state(mem), int(mem[Head.N_NAVIGATION])
-    p = place(r + NAV + n_navigation + int(mem[Head.N_AUGMENTED]))
+    p = nonnegative(r + NAV + n_navigation + int(mem[Head.N_AUGMENTED]))
     v_n, v_e = mem[r + Nav.V_N], mem[r + Nav.V_E]
     total = (v_n * v_n * mem[p + packed(v, v, n_navigation)] + v_e * v_e * mem[p + packed(v + 1, v + 1, n_navigation)]
              + 2.0 * v_n * v_e * mem[p + packed(v, v + 1, n_navigation)])

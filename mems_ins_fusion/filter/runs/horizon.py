@@ -28,7 +28,7 @@ from ..memory import (
     Nav,
     Sample,
     load_covariance,
-    place,
+    nonnegative,
     sample_at,
     scratch_size,
     state_at,
@@ -118,8 +118,8 @@ def _look(mem, limit, wanted, interval):
     mem: as `Lookout` makes it. wanted: m/s, that the vehicle drives at least. interval: s between the speeds that are
     told, with the record in the memory; 0: none.
     """
-    first, width, sample = place(state_at(mem, 0)), int(mem[Head.WIDTH]), place(sample_at(mem, 0))
-    src, dst, seen = first, place(first + width), place(first + 2 * width)
+    first, width, sample = nonnegative(state_at(mem, 0)), int(mem[Head.WIDTH]), nonnegative(sample_at(mem, 0))
+    src, dst, seen = first, nonnegative(first + width), nonnegative(first + 2 * width)
     mem[sample + Sample.INTERVAL], mem[sample + Sample.FAULT], mem[sample + Sample.STILL] = STEP, 0.0, 0.0
     mem[sample + Told.VARIANCE] = 0.0
     metres = 0.0

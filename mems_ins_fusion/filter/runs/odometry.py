@@ -20,7 +20,7 @@ from ..memory import (
     channel_of,
     covariance,
     load_covariance,
-    place,
+    nonnegative,
     row_of,
     sample_at,
     state_at,
@@ -81,7 +81,7 @@ def widen(full, at, n, first, row, r):
     where = (0, 1, first, first + 1)
     for i in range(4):
         for j in range(4):
-            full[place(at + n * where[i] + where[j])] += besides(row, r, i, j)
+            full[nonnegative(at + n * where[i] + where[j])] += besides(row, r, i, j)
 
 
 def published_covariance(row: np.ndarray, layout: StateLayout) -> np.ndarray:

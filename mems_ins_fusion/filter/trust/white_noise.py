@@ -12,7 +12,7 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import HEAD, SAMPLE, WHITE, Head, Sample, place, sample_at
+from ..memory import HEAD, SAMPLE, WHITE, Head, Sample, nonnegative, sample_at
 
 #: whether it is used; s in which the samples showed far more than is assumed
 White = HEAD.place('White', ADAPT=1, SHAKEN=1)
@@ -41,13 +41,13 @@ def show_noise(mem, k, dt):
     one of those that the difference needs is missing or not believed."""
     if mem[White.ADAPT] == 0.0:
         return
-    at, last = place(sample_at(mem, k)), place(sample_at(mem, k - 1))
+    at, last = nonnegative(sample_at(mem, k)), nonnegative(sample_at(mem, k - 1))
     for i in range(7):
         mem[at + Shown.WHITE + i] = mem[last + Shown.WHITE + i]
     if k <= ORDER:
         return
     for j in range(ORDER):
-        later, earlier = place(sample_at(mem, k - j)), place(sample_at(mem, k - j - 1))
+        later, earlier = nonnegative(sample_at(mem, k - j)), nonnegative(sample_at(mem, k - j - 1))
         interval = mem[later + Sample.INTERVAL]
         if mem[later + Sample.FAULT] != 0.0 or mem[earlier + Sample.FAULT] != 0.0 or (
                 interval > EVEN * dt or dt > EVEN * interval):

@@ -1,4 +1,4 @@
-"""The recordings on the bench: what errors a filter makes in them, and how far the work is."""
+"""Trial runs of filters over the recordings: what errors they make, and how far the work is."""
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from ..configuration.check import SMALL_OFFSET, SURE
-from ..configuration.left import TIME_OFFSET, Left
 from ..configuration.offset import Offset
 from ..configuration.regression import weighted
+from ..configuration.remaining import TIME_OFFSET, Remaining
 from ..effects.base import Effect
 from ..filter.runs.usable import usable
 from ..navigation.frames import mounting
@@ -18,9 +18,9 @@ from ..recordings.motion import compare_steering
 from ..samples import Recording
 from .drives import Drives
 from .estimate import Estimate
+from .folds import parts
 from .measured import Measured, measure, together
 from .outliers import without_far_off
-from .parts import parts
 from .problem import Problem, on_all_cores
 
 #: a search that has filtered so many IMU samples begins no further round: less than a minute on two cores, whatever the
@@ -35,8 +35,8 @@ Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)
-class Bench:
-    """The recordings on the bench: what errors a filter makes in them.
+class TrialRuns:
+    """Trial runs of filters over the recordings: what errors they make.
 
     recordings: with all fixes, as many as the problem has drives. offset_sigma: gnss.time_offset_sigma as given, which
     the search does without. starts: sizes of effects, by name, from which they are fitted, too. track: what the tracks
@@ -71,9 +71,9 @@ class Bench:
         return found
 
     @property
-    def _left(self) -> Left:
+    def _left(self) -> Remaining:
         """What the tracks leave of the time offset."""
-        return Left(TIME_OFFSET, self.track.lag - self.origin.given['gnss.time_offset'], self.track.lag_sigma)
+        return Remaining(TIME_OFFSET, self.track.lag - self.origin.given['gnss.time_offset'], self.track.lag_sigma)
 
     @property
     def certain(self) -> tuple[str, ...]:

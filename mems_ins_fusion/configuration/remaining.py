@@ -17,7 +17,7 @@ ARM = 'forward', 'left', 'up'
 
 
 @dataclass(frozen=True)
-class Left:
+class Remaining:
     """What is left of one quantity: `value`, the estimate less what the file says, and its standard deviation, infinite
     where the recording does not show it. name: TIME_OFFSET (s), one of ANGLES (rad, about forward, left and up), or one
     of ARM (m)."""
@@ -35,16 +35,16 @@ class Left:
         return abs(self.value) > max(least, sigmas * self.sigma)
 
 
-def left_of(found: Mounting | None, values: Mapping) -> tuple[Left, ...]:
+def remaining_of(found: Mounting | None, values: Mapping) -> tuple[Remaining, ...]:
     """What the estimates `found` leave of the parameters `values`: the angles, the time offset, the arm."""
     if found is None:
-        return tuple(Left(name, 0.0, math.inf) for name in (*ANGLES, TIME_OFFSET, *ARM))
+        return tuple(Remaining(name, 0.0, math.inf) for name in (*ANGLES, TIME_OFFSET, *ARM))
     turned = deviation(found.rotation, rotation_from_rpy(*values['imu.mounting_rpy']))
-    angles = [Left(name, float(angle), float(sigma) if sigma < UNKNOWN else math.inf)
+    angles = [Remaining(name, float(angle), float(sigma) if sigma < UNKNOWN else math.inf)
               for name, angle, sigma in zip(ANGLES, turned, found.sigma)]
     offset = found.offset
     if offset is None or not offset.shown:
-        return (*angles, *(Left(name, 0.0, math.inf) for name in (TIME_OFFSET, *ARM)))
-    arm = [Left(name, float(seen - said), float(sigma)) for name, seen, said, sigma in zip(
+        return (*angles, *(Remaining(name, 0.0, math.inf) for name in (TIME_OFFSET, *ARM)))
+    arm = [Remaining(name, float(seen - said), float(sigma)) for name, seen, said, sigma in zip(
         ARM, offset.arm, values['gnss.lever_arm'], offset.arm_sigma)]
-    return (*angles, Left(TIME_OFFSET, offset.lag - values['gnss.time_offset'], offset.lag_sigma), *arm)
+    return (*angles, Remaining(TIME_OFFSET, offset.lag - values['gnss.time_offset'], offset.lag_sigma), *arm)
