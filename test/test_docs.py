@@ -105,6 +105,8 @@ def test_a_command_names_what_there_is(words):
     else:
         assert program.startswith('python')
         script = (REPOSITORY / words[1]).read_text(encoding='utf-8')
+        if 'import over_drives' in script:  # where the options are that such studies share
+            script += (REPOSITORY / 'studies/over_drives.py').read_text(encoding='utf-8')
         assert all(f"'{word}'" in script for word in words[2:] if word.startswith('--'))
 
 
