@@ -67,7 +67,8 @@ class Preflight:
         if math.isnan(imu) or math.isnan(fix):
             return 'nothing to compare', 'no samples, or no fixes'
         difference = fix - imu + self._values['gnss.time_offset']
-        seen = f"stamps of the fixes are {difference:.3f} s older than the IMU's when they arrive"
+        which = 'older' if difference >= 0.0 else 'newer'
+        seen = f"stamps of the fixes are {abs(difference):.3f} s {which} than the IMU's when they arrive"
         beside = max(self._values['gnss.time_offset'], 0.0)
         if not -0.1 < difference < self._values['gnss.max_delay'] + beside:
             return seen, 'the clocks differ: set gnss.time_offset (`configure` finds it), or synchronize them'
