@@ -37,7 +37,7 @@ _TOO_SURE = 2.0  # times its stated sigma: a receiver that is not believed
 _OUTLIERS = 0.002  # part of the fixes
 _ROBUST = 3.0  # gnss.robust_sigma where there are outliers
 _ARM_SHOWN = 0.3  # m
-_MOUNTING_SIGMA = 0.01, 0.1  # rad: axes of a body flex by the one; the other is the default of imu.mounting_sigma
+_LEAST_MOUNTING_SIGMA = 0.01  # rad: by as much a body and a bracket flex while driving
 
 
 @dataclass(frozen=True)
@@ -221,7 +221,7 @@ def _settings(topics: Topics, drives, mounting):
     if mounting is not None:
         yield _mounting_setting(mounting)
         if mounting.yaw_known:
-            yield Setting('imu.mounting_sigma', round(float(np.clip(mounting.sigma[1:].max(), *_MOUNTING_SIGMA)), 3), (
+            yield Setting('imu.mounting_sigma', round(float(max(_LEAST_MOUNTING_SIGMA, mounting.sigma[1:].max())), 3), (
                 'of pitch and yaw, the larger one: the filter estimates what is left of them',))
         yield from _offset_settings(mounting)
     yield from _receiver_settings([drive.receiver for drive in drives if drive.receiver is not None])
