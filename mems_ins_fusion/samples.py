@@ -153,6 +153,20 @@ class Pressures(_Samples):
     variance: np.ndarray
 
 
+@dataclass(frozen=True)
+class Twists(_Samples):
+    """Velocity and turn rate of the vehicle in its own axes, forward-right-down, from odometry.
+
+    stamp, received: (n,) int64 ns. twist: (n, 3) m/s forwards, m/s to the right, rad/s clockwise. variance: (n, 3) of
+    these, NaN or not above zero where the message does not tell.
+    """
+
+    stamp: np.ndarray
+    received: np.ndarray
+    twist: np.ndarray
+    variance: np.ndarray
+
+
 class Aiding(dict):
     """What is measured besides the fixes, samples by the name of the measurement (`filter.measurements`)."""
 

@@ -237,7 +237,7 @@ class Player:
         self.parts = {'imu': recording.imu, 'fix': recording.gnss, **{
             m.name: part for m in AIDING if (part := recording.streams().get(m.name)) is not None}}
         kinds = {'speed': TwistWithCovarianceStamped, 'velocity': TwistWithCovarianceStamped,
-                 'heading': PoseWithCovarianceStamped, 'pressure': FluidPressure}
+                 'heading': PoseWithCovarianceStamped, 'pressure': FluidPressure, 'twist': Odometry}
         self.publishers = {'imu': peer.imu, 'fix': peer.gnss} | {
             name: peer.node.create_publisher(kind, TOPICS[name], QoSProfile(depth=DEPTH))
             for name, kind in kinds.items() if name in self.parts}
@@ -333,6 +333,16 @@ def _pressure_message(pressures, i):
     return FluidPressure(fluid_pressure=float(pressures.pressure[i]), variance=float(pressures.variance[i]))
 
 
+def _twist_message(twists, i):
+    message, (forward, right, clockwise) = Odometry(), map(float, twists.twist[i])
+    message.twist.twist.linear = Vector3(x=forward, y=-right)
+    message.twist.twist.angular.z = -clockwise
+    message.twist.covariance[[0, 7, 35]] = twists.variance[i]
+    # a pose that nobody may take for a position
+    message.pose.pose.position.x = 1e6
+    return message
+
+
 class Diagnostics:
     """What a node says on /diagnostics, heard by `peer`: the newest status by its name, without that of the node."""
 
@@ -409,7 +419,7 @@ def stamp_of(message) -> int:
 
 
 _MESSAGES = {'imu': imu_of, 'fix': fix_of, 'speed': _speed_message, 'velocity': _velocity_message,
-             'heading': _heading_message, 'pressure': _pressure_message}
+             'heading': _heading_message, 'pressure': _pressure_message, 'twist': _twist_message}
 
 
 def _xyz(vector):

@@ -25,17 +25,19 @@ from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.filter.kernel import TAKEN
 from mems_ins_fusion.filter.memory import NAV, PLANAR, Event, Head, Kind, Nav, Verdict, views
-from mems_ins_fusion.filter.trust.scale import KINDS, PRIOR, Kinds, Scale, scale
+from mems_ins_fusion.filter.trust import way
+from mems_ins_fusion.filter.trust.scale import KINDS, PRIOR, Kinds, Scale, Seen, scale
 
 DT = 0.01
 FLU = np.array([1.0, -1.0, -1.0])
 SAMPLE = 0.3, 1.0, 9.7, 0.02, -0.03, 0.2  # sensor axes, forward-left-up
 #: all optional states there are
 STATES = {'imu.mounting_sigma': 0.03, 'vehicle.rear_axle_sigma': 0.4, 'speed.scale_sigma': 0.02,
-          'speed_topic': '/speed', 'vehicle.non_holonomic': True, 'vehicle.non_holonomic_angle_sigma': 0.01,
+          'speed_topic': '/speed', 'twist_topic': '/twist', 'twist.scale_sigma': 0.02, 'twist.turn_scale_sigma': 0.1,
+          'vehicle.non_holonomic': True, 'vehicle.non_holonomic_angle_sigma': 0.01,
           'gnss.coloured_noise.sigma': 0.8, 'gnss.lever_arm': [1.2, -0.7, 1.5], 'vehicle.rear_axle': [-1.1, 0.3, -0.6]}
 OPTIONAL = {'coloured_n': 0.8, 'coloured_e': 0.8, 'mounting_pitch': 0.03, 'mounting_yaw': 0.03, 'axle_x': 0.4,
-            'speed_scale': 0.02, 'axle_y': 0.4}
+            'speed_scale': 0.02, 'axle_y': 0.4, 'twist_scale': 0.02, 'twist_turn_scale': 0.1}
 ARM, AXLE = FLU * STATES['gnss.lever_arm'], FLU * STATES['vehicle.rear_axle']
 ATTITUDE = (0.05, -0.08, 0.7)
 
@@ -57,7 +59,7 @@ class Model:
             self.rate = np.array([0.0, 0.0, self.rate[2] - x[gyroscopes[0]]])
         else:
             self.rate = self.rate - x[gyroscopes]
-        self.sits = self.vehicle(x)
+        self.sits, self.estimate, self.gyroscope = self.vehicle(x), x, gyroscopes[-1]
 
     def of(self, e, name):
         return e[self.layout.index(name)] if self.layout.index(name) >= 0 else 0.0
@@ -80,6 +82,17 @@ class Model:
         # along the vehicle's axis as it is estimated: across it nothing moves that an error of that could turn in
         at_axle = (attitude * self.sits).inv().apply(velocity) + np.cross(self.rate, arm)
         return (1 + self.of(e, 'speed_scale')) * at_axle[:1]
+
+    def twist(self, e):
+        velocity, attitude = self.true(e)
+        axle = AXLE + np.array([self.of(e, 'axle_x'), 0.0, 0.0])
+        at_axle = (attitude * self.sits).inv().apply(velocity) + np.cross(self.rate, axle)
+
+        def turn_rate(state):  # of which the scale may be large, and is one with the gyroscope's error
+            return np.array([(1 + self.of(state, 'twist_turn_scale')) * (FLU[2] * SAMPLE[5] - state[self.gyroscope])])
+        slope = central_difference(lambda away: turn_rate(self.estimate + away), len(e), 1e-5)
+        linear = turn_rate(self.estimate) + slope @ (e - self.estimate)
+        return np.append((1 + self.of(e, 'twist_scale')) * at_axle[:2], linear)
 
     def antenna_velocity(self, e):
         velocity, attitude = self.true(e)
@@ -145,21 +158,26 @@ EACH = pytest.mark.parametrize(('mechanization', 'feedback', 'model'), [
     (mechanization, feedback, model) for mechanization in ('planar', 'strapdown')
     for feedback, model in (('closed', 'gauss_markov'), ('open', 'autoregressive'))])
 SENSORS = {Kind.SPEED: ('speed', [0.04]), Kind.VELOCITY: ('antenna_velocity', [0.09, 0.04, 0.25]),
-           Kind.HEADING: ('heading', [0.02**2])}
+           Kind.HEADING: ('heading', [0.02**2]), Kind.TWIST: ('twist', [0.04, 0.09, 0.01])}
+
+
+def one_deviation_tells_nothing_new(memory):
+    """Scales are known, and ways have been compared with those of fixes."""
+    seen = views(memory)[2][0][Kinds.SEEN:Kinds.SEEN + KINDS * Seen.SIZE].reshape(KINDS, Seen.SIZE)
+    seen[:, [Seen.SCALE + Scale.KNOWN, Seen.SCALE + Scale.TIME, Seen.KNOWN]] = PRIOR, DT, way.PRIOR
 
 
 @EACH
 @pytest.mark.parametrize(('sigmas', 'verdict'), [(0.8, Verdict.USED), (4.5, Verdict.WEIGHTED),
                                                  (9.0, Verdict.WEIGHTED)])
-@pytest.mark.parametrize('kind', SENSORS, ids=['speed', 'velocity', 'heading'])
+@pytest.mark.parametrize('kind', SENSORS, ids=['speed', 'velocity', 'heading', 'twist'])
 def test_a_measurement_corrects_as_the_dense_kalman_update(kind, sigmas, verdict, mechanization, feedback, model):
     config = configure(STATES, mechanization=mechanization, feedback=feedback, sensor_error_model=model)
     assert set(config.layout.names[-len(config.extras):]) == set(OPTIONAL) - (
         {'mounting_pitch'} if mechanization == 'planar' else set())
     start = start_of(config, np.random.default_rng(8), feedback, (11.0, 0.8, -0.4))
     before, after = started(config, **start), started(config, **start)
-    scales = views(after)[2][0][Kinds.SCALE:Kinds.SCALE + KINDS * Scale.SIZE].reshape(KINDS, Scale.SIZE)
-    scales[:, [Scale.KNOWN, Scale.TIME]] = PRIOR, DT  # one deviation tells nothing new
+    one_deviation_tells_nothing_new(after)
     take_sample(before, DT, *SAMPLE)
     # given a value that is so many sigmas of the innovation away from what is expected
     x0, p0 = state_and_covariance(config, before)
@@ -206,8 +224,7 @@ def test_what_is_far_from_what_fixes_say_changes_nothing(kind, last_fix, verdict
     n = config.layout.n
     memory = started(config, p=np.diag([1e-4] * n), velocity=(10.0, 0.0, 0.0))
     views(memory)[2][0][Nav.FIX_TIME] = DT - last_fix
-    views(memory)[2][0][Kinds.SCALE:Kinds.SCALE + KINDS * Scale.SIZE].reshape(KINDS, Scale.SIZE)[:, [
-        Scale.KNOWN, Scale.TIME]] = PRIOR, DT
+    one_deviation_tells_nothing_new(memory)
     without = memory.copy()
     take_sample(without, DT, *SAMPLE)
     # when wheels spin, or something else is far off
@@ -299,7 +316,7 @@ def test_headings_bring_back_a_filter_that_is_sure_of_a_wrong_one(off):
 
 def test_headings_that_fit_leave_their_scale_as_it_is():
     config, memory = through(Kind.HEADING, 0.7, 0.03**2, 60.0)
-    assert scale(newest(memory), Kinds.SCALE + Scale.SIZE * Kind.HEADING) <= 1.0
+    assert scale(newest(memory), Kinds.SEEN + Seen.SIZE * Kind.HEADING) <= 1.0
     assert math.sqrt(state_and_covariance(config, memory)[1][4, 4]) < 0.02
 
 
@@ -308,5 +325,6 @@ def test_a_wheel_speed_in_kilometres_an_hour_does_not_move_a_velocity_that_fixes
     _, memory = through(Kind.SPEED, 36.0, 0.05**2, 60.0, rate=10.0, fixes=True, velocity=velocity)
     row = newest(memory)
     assert math.hypot(row[Nav.V_N] - velocity[0], row[Nav.V_E] - velocity[1]) < 0.3
-    # and it is seen how far off it is
-    assert scale(row, Kinds.SCALE + Scale.SIZE * Kind.SPEED) > 100.0
+    # and it is seen how far off it is: all but 10 of 36 m/s
+    assert way.is_contradicted(row, Kinds.SEEN + Seen.SIZE * Kind.SPEED)
+    assert row[Kinds.SEEN + Seen.SIZE * Kind.SPEED + Seen.MORE] == pytest.approx(1.0 - 10.0 / 36.0, abs=0.05)

@@ -35,6 +35,9 @@ TIME_OFFSETS = (
     AidingTimeOffset('velocity', 'innovations along and across the track in proportion to the acceleration',
                      "the receiver's velocity is of another time than its fixes",
                      'whether the receiver smooths its velocity, and what its driver stamps'),
+    AidingTimeOffset('twist', 'innovations along the track at each change of speed, in proportion to the acceleration',
+                     'the odometry comes late',
+                     'what the driver of the odometry stamps, and over how long it computes'),
     AidingTimeOffset('heading', 'a heading that is off in proportion to the turn rate', 'the heading comes late',
                      'whether the compass or the receiver smooths its heading, and what its driver stamps'),
 )

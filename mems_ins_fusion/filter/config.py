@@ -16,6 +16,7 @@ from .history import history_size
 from .measurements.base import Measurement, SensorSettings
 from .measurements.pressure import Barometer
 from .measurements.registry import aiding, inputs
+from .measurements.twist import Scales
 from .measurements.wheel_vibration import Ear
 from .measurements.wheel_vibration import begin as begin_listening
 from .memory import (
@@ -289,6 +290,7 @@ class FilterConfig:
             Head.MOUNTING_YAW: layout.index('mounting_yaw'), Head.AXLE: layout.index('axle_x'),
             Head.AXLE_ACROSS: layout.index('axle_y'), Head.SPEED_SCALE: layout.index('speed_scale'),
             Head.TIME_OFFSET: layout.index('time_offset'), Barometer.BIAS: layout.index('pressure_bias'),
+            Scales.TWIST: layout.index('twist_scale'),
             Head.ACCELEROMETER_INTERVAL: self.models[0].interval or 0.0,
             Head.GYROSCOPE_INTERVAL: self.models[-1].interval or 0.0,
             Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: self.latest, Head.AHEAD: self.ahead,

@@ -98,7 +98,7 @@ class _Nav(NamedTuple):
     SLID: int = column()  # s in which a slide showed that the IMU misled the filter
     RESTARTS: int = column()  # states that were not finite and were taken back
     RECOVERIES: int = column()  # resets to fixes that had been refused
-    MECHANISMS: int = column(87)  # the first of those that the mechanisms ask for (`ROW`), and room for them
+    MECHANISMS: int = column(129)  # the first of those that the mechanisms ask for (`ROW`), and room for them
     SIZE: int = column(0)
 
 
@@ -131,7 +131,7 @@ Error = _Error()
 @dataclass(frozen=True)
 class StateLayout:
     """Which state stands where. mechanization: PLANAR or STRAPDOWN. order: states of each sensor channel, p. extras:
-    names of the optional states, in order. inputs: how many have a name, each with a scale at the end of a row."""
+    names of the optional states, in order. inputs: how many have a name, with columns of their own at a row's end."""
 
     mechanization: int
     order: int
@@ -205,8 +205,8 @@ def packed(i, j, size):
     return i * size - i * (i - 1) // 2 + j - i
 
 
-#: floats of a named input at the end of a row: its `Scale`
-INPUT_SIZE = 3
+#: floats of a named input at the end of a row: what is seen of it (trust/scale.py)
+INPUT_SIZE = 11
 
 
 def row_width(layout: StateLayout) -> int:
@@ -429,12 +429,13 @@ class _Kind(NamedTuple):
     SPEED: int = 2
     VELOCITY: int = 3
     HEADING: int = 4
-    ZERO_VELOCITY: int = 5
-    ZERO_RATE: int = 6
-    NON_HOLONOMIC: int = 7
-    WHEEL_VIBRATION: int = 8
-    PRESSURE: int = 9
-    PLACE: int = 10  # a fix of a further receiver
+    PRESSURE: int = 5
+    TWIST: int = 6
+    PLACE: int = 7  # a fix of a further receiver
+    ZERO_VELOCITY: int = 8
+    ZERO_RATE: int = 9
+    NON_HOLONOMIC: int = 10
+    WHEEL_VIBRATION: int = 11
 
 
 Kind = _Kind()
@@ -494,6 +495,8 @@ class _Verdict(NamedTuple):
     RECOVERED: int = 5  # used for a new start: it agrees with those refused before it
     AHEAD: int = 6  # of a time that the IMU's clock has not come to: the clocks differ
     STRAIGHT_ON: int = 7  # the receiver goes straight on without satellites
+    CONTRADICTED: int = 8  # a speed that makes up another way than the one between the fixes
+    AWAITED: int = 9  # one of which no way has been compared with the fixes yet
 
 
 Verdict = _Verdict()

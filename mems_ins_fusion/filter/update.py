@@ -19,6 +19,7 @@ from .measurements import (
     pressure,
     speed,
     standstill,
+    twist,
     velocity,
     wheel_vibration,
 )
@@ -42,10 +43,10 @@ from .memory import (
     yaw_state,
 )
 from .prediction import set_radii
-from .trust import contradiction, receiver, straight_on
+from .trust import contradiction, receiver, straight_on, way
 from .trust.drift import learn_drift
 from .trust.imu_faults import Imu
-from .trust.scale import learn, scale, scale_at
+from .trust.scale import learn, scale, seen_of
 from .trust.white_noise import hides_turns
 
 #: standstill and non-holonomic constraints are applied this often, s: their errors last about as long
@@ -62,6 +63,12 @@ ROBUST = 3.0
 #: sigmas beyond which a speed or velocity is refused while fixes speak for the state: wheels that slip, another unit.
 #: Weighted down it would still pull, each time. If it goes on, its scale grows until it is within
 FAR = 10.0
+#: fixes refused in a row that may all be wrong: no way ends there
+SINGLE = 2.0
+#: sigmas beyond which an input is refused that is contradicted: none is used
+NEVER = 1e-9
+#: and one that fixes are still to be compared with: another number, for another verdict
+AWAITED = 1e-10
 #: s over which the constraint's NIS is averaged
 CONSTRAINT_MEMORY = 10.0
 #: mean NIS above which the constraint is not used: it is 1 of a vehicle that keeps to it
@@ -187,15 +194,22 @@ def update(mem, r, at, n, dimensions, factor, robust, gate):
 @njit(_nrt=False)
 def _judge(mem, r, at, n, dimensions):
     """Factor on the covariance of the speed, velocity or heading at `at`, learned from its innovation, too, and the
-    sigmas beyond which it is refused; 0: none.
+    sigmas beyond which it is refused; 0: none. dimensions: of the components that are judged together, 1 or 2.
 
     One that does not fit is wrong, or the state is. What its variance is raised by, that of the state is raised by,
     too, along what is measured, unless fixes speak for the state, as they do for its velocity: so a filter that is sure
     of something wrong comes to where both agree, and the other measurements decide.
     """
     p, kind = int(mem[Head.SCRATCH_AT]), int(mem[at + Event.KIND])
-    h, own = p + n * n, scale_at(mem, r, at)
-    column, dimensions = h + 3 * n, min(dimensions, 2)
+    h, own = p + n * n, seen_of(mem, r, at)
+    time = mem[at + Event.TIME]
+    speaks = kind == Kind.SPEED or kind == Kind.VELOCITY or kind == Kind.TWIST
+    if speaks and way.is_contradicted(mem, own):
+        return 1.0, NEVER
+    awaited = mem[r + Nav.FIX_TIME] == 0.0 or time - mem[r + Nav.FIX_TIME] < NO_FIX
+    if speaks and awaited and not way.is_compared(mem, own):
+        return 1.0, AWAITED
+    column = h + 3 * n
     squared, claimed, variance = 0.0, mem[at + Event.R_NN], 0.0
     for k in range(dimensions):
         squared += (mem[at + Event.Z_N + k] - _product(mem, n, h + n * k, r + NAV)) ** 2 / dimensions
@@ -203,10 +217,10 @@ def _judge(mem, r, at, n, dimensions):
     if dimensions > 1:
         claimed = 0.5 * (claimed + mem[at + Event.R_EE])
     before = max(scale(mem, own), 1.0)
-    learn(mem, own, mem[at + Event.TIME], squared, claimed, variance, dimensions)
+    learn(mem, own, time, squared, claimed, variance, dimensions)
     factor = max(scale(mem, own), 1.0)
-    confirmed = kind != Kind.HEADING and mem[at + Event.TIME] - mem[r + Nav.FIX_TIME] < NO_FIX
-    if confirmed and kind in (Kind.SPEED, Kind.VELOCITY):
+    confirmed = kind != Kind.HEADING and time - mem[r + Nav.FIX_TIME] < NO_FIX
+    if confirmed and speaks:
         return factor, FAR
     if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * claimed + variance):
         return factor, 0.0
@@ -216,6 +230,34 @@ def _judge(mem, r, at, n, dimensions):
             for j in range(n):
                 mem[p + n * i + j] += raised * mem[column + i] * mem[column + j]
     return factor, 0.0
+
+
+@njit(_nrt=False)
+def _travel(mem, r, at, n, c):
+    """Add the speed, velocity or twist at `at` to the way of its input; c: rotation from b to n."""
+    kind, yaw = mem[at + Event.KIND], yaw_state(mem)
+    yaw_variance = mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * yaw]
+    v_n, v_e = mem[at + Event.VALUE], mem[at + Event.VALUE + 1]
+    if kind == Kind.VELOCITY:
+        yaw_variance = 0.0  # it has directions of its own
+    elif kind == Kind.SPEED or kind == Kind.TWIST:
+        c = vehicle_to_level(mem, r, c)
+        v_n, v_e = c[0] * mem[at + Event.VALUE], c[3] * mem[at + Event.VALUE]
+    else:
+        return
+    way.travel(mem, seen_of(mem, r, at), mem[at + Event.TIME], v_n, v_e, yaw_variance)
+
+
+@njit(_nrt=False)
+def _leave_out_turn_rate(mem, r, at, n):
+    """Leave out the turn rate of the record at `at`, its third component, where it does not fit: at any instant
+    gyroscopes know it better than wheels, of which it may have the wrong sign, track or clock."""
+    h = int(mem[Head.SCRATCH_AT]) + n * n + 2 * n
+    innovation = mem[at + Event.Z_D] - _product(mem, n, h, r + NAV)
+    if innovation**2 > ROBUST**2 * (mem[at + Event.R_DD] + _project(mem, n, h, h + n)):
+        mem[at + Event.Z_D] = 0.0
+        for i in range(n):
+            mem[h + i] = 0.0
 
 
 @njit(_nrt=False)
@@ -310,6 +352,8 @@ def apply_event(mem, r, at, sample):
         dimensions = velocity.observe(mem, r, at, h, n, c, sample)
     elif kind == Kind.SPEED:
         dimensions = speed.observe(mem, r, at, h, n, c, sample)
+    elif kind == Kind.TWIST:
+        dimensions = twist.observe(mem, r, at, h, n, c, sample)
     elif kind == Kind.PRESSURE:
         dimensions = pressure.observe(mem, r, at, h)
     elif kind == Kind.PLACE:
@@ -317,10 +361,19 @@ def apply_event(mem, r, at, sample):
     else:
         dimensions = heading.observe(mem, r, at, h, n, c)
     if kind != Kind.POSITION:
-        factor, gate = _judge(mem, r, at, n, dimensions)
+        _travel(mem, r, at, n, c)
+        judged = min(dimensions, 2)
+        if kind == Kind.TWIST:
+            judged = 2 if twist.measures_sideways(mem, at) else 1
+            _leave_out_turn_rate(mem, r, at, n)
+        factor, gate = _judge(mem, r, at, n, judged)
         robust = ROBUST
     verdict = update(mem, r, at, n, dimensions, factor, robust, gate)
     mem[at + Event.VERDICT] = Verdict.RECOVERED if recovered else verdict
+    if gate == NEVER:
+        mem[at + Event.VERDICT] = Verdict.CONTRADICTED
+    elif gate == AWAITED:
+        mem[at + Event.VERDICT] = Verdict.AWAITED
     if verdict != Verdict.REFUSED:
         store_covariance(mem, p, n_navigation, m, mem, r)
         feed_back(mem, r)
@@ -329,6 +382,8 @@ def apply_event(mem, r, at, sample):
         set_radii(mem, r)
     if kind == Kind.POSITION:
         left_n, left_e, _ = position.difference(mem, r, at, body_to_level(mem, r))
+        if verdict != Verdict.REFUSED or mem[r + Nav.REFUSED] > SINGLE:
+            way.compare(mem, r, at, receiver.realised_variance(mem, r, at))
         straight_on.pull(mem, r, before, contradiction.estimate(mem, r))
         contradiction.note_misfit(mem, r, at, before, left_n, left_e)
         receiver.learn(mem, r, at, left_n, left_e)

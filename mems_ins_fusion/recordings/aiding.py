@@ -1,4 +1,4 @@
-"""What speed, velocity, heading and pressure say against the fixes: units, signs, frames, and the sigma they state.
+"""What speed, velocity, heading, pressure and twist say against the fixes: units, signs, frames, the sigma they state.
 
 Each is averaged over chords between fixes that are long enough to have a direction.
 """
@@ -15,7 +15,7 @@ from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.recordings.findings import ERROR, INFO, WARNING, Finding, count_of
 from mems_ins_fusion.recordings.motion import positions, robust_sigma, sigmas
-from mems_ins_fusion.samples import Fixes, Headings, Pressures, Speeds, Velocities
+from mems_ins_fusion.samples import Fixes, Headings, Pressures, Speeds, Twists, Velocities
 
 #: Pa each
 _PRESSURES = {'hPa': 100.0, 'kPa': 1000.0, 'bar': 1e5, 'psi': 6894.76, 'mmHg': 133.322}
@@ -87,8 +87,9 @@ def _advice(measurement: Measurement, findings: list[Finding], declared, setting
     """The parameter to set; '' where none helps."""
     name = NAMES[measurement.kind]
     shown = {key: value for finding in findings for key, value in finding.values.items()}
-    if name == 'speed' and 'ratio' in shown:
-        if not shown['ratio'] or np.nanmax(np.abs(declared.speed)) < _ZERO:
+    if name in ('speed', 'twist') and 'ratio' in shown:
+        forward = declared.speed if name == 'speed' else declared.twist[:, 0]
+        if not shown['ratio'] or np.nanmax(np.abs(forward)) < _ZERO:
             return f'it stays at zero while the vehicle drives; leave {measurement.topic} empty until its sensor works'
         sign = -1.0 if 'negative' in shown else 1.0
         return f"set {measurement.name}.factor to {sign * settings.factor / shown['ratio']:.5g}"
@@ -103,18 +104,28 @@ def _advice(measurement: Measurement, findings: list[Finding], declared, setting
 
 def check_speed(speeds: Speeds, fixes: Fixes | None) -> Iterator[Finding]:
     """Unit, sign and scale of the speed. fixes: valid ones in the order of their stamps, or None."""
-    yield from _check_present('speed', speeds, speeds.speed, speeds.variance)
-    compared = _compare('speed', speeds, speeds.speed, fixes)
+    yield from _check_forward('speed', speeds, fixes)
+
+
+def check_twist(twists: Twists, fixes: Fixes | None) -> Iterator[Finding]:
+    """The same of the velocity forwards of an odometry."""
+    yield from _check_forward('twist', Speeds(twists.stamp, twists.received, twists.twist[:, 0], twists.variance[:, 0]),
+                              fixes)
+
+
+def _check_forward(topic, speeds, fixes):
+    yield from _check_present(topic, speeds, speeds.speed, speeds.variance)
+    compared = _compare(topic, speeds, speeds.speed, fixes)
     if isinstance(compared, Finding):
         yield compared
         return
     mean, chords = compared
     ratio = mean / chords.speed
-    yield from _check_ratio('speed', ratio)
+    yield from _check_ratio(topic, ratio)
     if np.median(ratio) < 0:
-        yield Finding(ERROR, 'speed', 'the speed is negative while the vehicle drives: forward has to be positive, '
+        yield Finding(ERROR, topic, f'the {topic} is negative while the vehicle drives: forward has to be positive, '
                       'unless all of it was in reverse', {'negative': float((ratio < 0).mean())})
-    yield from _check_sigma('speed', 'm/s', mean - np.median(ratio) * chords.speed,
+    yield from _check_sigma(topic, 'm/s', mean - np.median(ratio) * chords.speed,
                             abs(np.median(ratio)) * chords.sigma, speeds.variance)
 
 
@@ -245,7 +256,8 @@ def check_pressure(pressures: Pressures, fixes: Fixes | None) -> Iterator[Findin
                   else ''), {'climb': ratio})
 
 
-_CHECKS = {'pressure': check_pressure, 'speed': check_speed, 'velocity': check_velocity, 'heading': check_heading}
+_CHECKS = {'pressure': check_pressure, 'speed': check_speed, 'velocity': check_velocity, 'heading': check_heading,
+           'twist': check_twist}
 #: names of the kinds
 NAMES = {measurement.kind: measurement.name for measurement in AIDING}
 #: what the values of a finding hold where there were fixes to compare with

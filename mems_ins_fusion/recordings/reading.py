@@ -51,8 +51,8 @@ for _measurement in AIDING:
         _KEPT[_message] = tuple(dict.fromkeys((*_KEPT.get(_message, ()), *_fields)))
 #: what a recording is looked at for
 READABLE = frozenset(_KEPT)
-#: of a 6 x 6 covariance: the elements of the velocity, or that of the yaw; of the orientation's: whether there is one
-_COLUMNS = {'orientation_covariance': [0, 8], 'twist.covariance': [0, 1, 2, 6, 7, 8, 12, 13, 14],
+#: of a 6 x 6 covariance: elements of velocity and turn rate, or of the yaw; of the orientation's: whether there is one
+_COLUMNS = {'orientation_covariance': [0, 8], 'twist.covariance': [0, 1, 2, 6, 7, 8, 12, 13, 14, 35],
             'pose.covariance': [35]}
 
 

@@ -96,7 +96,8 @@ def write_recording(recording: Recording, path, storage='mcap', *, imu_topic='/i
             topic = aiding_topics.get(measurement.topic, measurement.written_to)
             topics.append((topic, next(iter(measurement.messages)),
                            streams[measurement.name], measurement.written,
-                           {'header.frame_id': gnss_frame if measurement.of_antenna else base_frame}))
+                           {'header.frame_id': gnss_frame if measurement.of_antenna else base_frame,
+                            'child_frame_id': base_frame}))
     for topic, samples in (odometry or {}).items():
         topics.append((topic, messages.ODOMETRY, samples, _odometry_fields,
                        {'header.frame_id': odometry_frame, 'child_frame_id': base_frame}))

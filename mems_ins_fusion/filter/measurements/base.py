@@ -22,6 +22,7 @@ class SensorSettings:
     """Of a measurement besides the fixes. sigma: 0 takes what the message says, default_sigma where it says nothing.
     offset: what is known of its constant error (`Measurement.offset`). factor: makes SI units of what messages say.
     time_offset: s, by which stamps are late against the IMU's clock, of what is of the antenna beside gnss.time_offset.
+    turn: those of its turn rate, None where it has none.
     """
 
     topic: str
@@ -30,6 +31,7 @@ class SensorSettings:
     offset: float = 0.0
     factor: float = 1.0
     time_offset: float = 0.0
+    turn: SensorSettings | None = None
 
 
 class Measurement:

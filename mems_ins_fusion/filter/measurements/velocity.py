@@ -61,7 +61,7 @@ class Velocity(Measurement):
         return r, reasons, np.full(n, '', dtype=object)
 
     def read(self, fields, message):
-        covariance = fields['twist.covariance'].reshape(-1, 3, 3)
+        covariance = fields['twist.covariance'][:, :9].reshape(-1, 3, 3)
         return Velocities(stamp=fields['stamp'], received=fields['received'],
                           velocity=ned_from_enu(fields['twist.twist.linear']),
                           covariance=ned_covariance_from_enu(covariance))

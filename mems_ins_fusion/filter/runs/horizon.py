@@ -37,7 +37,7 @@ from ..memory import (
     views,
 )
 from ..prediction import predict
-from ..trust.scale import KINDS, Kinds, Scale, scale
+from ..trust.scale import KINDS, Kinds, Seen, scale
 from ..update import constrain, feed_back, update
 from .odometry import besides
 
@@ -166,7 +166,7 @@ def _take_speed(mem, r, sample, interval):
     mem[at + Event.Z_N] = 0.0
     for i in range(n):
         mem[at + Event.Z_N] += mem[h + i] * mem[r + NAV + i]
-    factor = max(scale(mem, r + Kinds.SCALE + Scale.SIZE * (int(Kind.SPEED) % KINDS)), 1.0)
+    factor = max(scale(mem, r + Kinds.SEEN + Seen.SIZE * (int(Kind.SPEED) % KINDS)), 1.0)
     update(mem, r, at, n, dimensions, factor * interval / STEP, 0.0, 0.0)
     store_covariance(mem, p, n_navigation, m, mem, r)
     feed_back(mem, r)

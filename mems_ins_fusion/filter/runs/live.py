@@ -35,6 +35,8 @@ from .vehicle_check import ADRIFT, found_mounting, vehicle_says
 VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down', Verdict.REFUSED: 'beyond the gate',
             Verdict.FROZEN: 'position repeats while moving',
             Verdict.STRAIGHT_ON: 'goes straight on as without satellites', Verdict.AHEAD: 'stamped ahead of the IMU',
+            Verdict.CONTRADICTED: 'not the way between the fixes',
+            Verdict.AWAITED: 'its way is not compared with that of the fixes yet',
             Verdict.RECOVERED: 'the filter started anew from it'}
 #: s for which samples that were not believed show in the state
 _DEGRADED = 5.0
@@ -429,7 +431,7 @@ class FusionFilter(Intake):
                                     'position, velocity and heading start anew from them')
             if used:
                 tally.use(misfit)
-            else:
+            elif verdict != Verdict.AWAITED:  # for the first ways of each drive, as it should be
                 tally.refuse(stamp, VERDICTS[verdict], misfit if verdict == Verdict.REFUSED else math.nan)
                 self.say('warning', f'{self.topic(kind)}: {self._refusal(kind, verdict, stamp, record)}')
             if kind == Kind.POSITION:
@@ -441,6 +443,9 @@ class FusionFilter(Intake):
             return 'the same position again while the vehicle moves: fix refused'
         if verdict == Verdict.STRAIGHT_ON:
             return 'fixes on a straight line, as of a receiver that goes on without satellites: fix refused'
+        if verdict == Verdict.CONTRADICTED:
+            return (f'{self.name(kind)} makes up another way than the one between the fixes, as with a wrong unit, '
+                    'sign or axes, or a dead sensor: refused')
         if verdict == Verdict.AHEAD:
             missing = f'IMU samples are missing, {self._last_gap:.1f} s of them' if self._last_gap else (
                 'IMU samples come late, as on a busy machine')

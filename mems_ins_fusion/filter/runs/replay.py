@@ -295,6 +295,8 @@ class Replay(Intake):
             for verdict, why in ((Verdict.REFUSED, 'refused: they do not fit what the filter expects'),
                                  (Verdict.FROZEN, 'refused: the receiver repeats a position while the vehicle moves'),
                                  (Verdict.STRAIGHT_ON, 'refused: the receiver goes straight on as without satellites'),
+                                 (Verdict.CONTRADICTED, 'refused: they make up another way than the one between the '
+                                                        'fixes (a wrong unit, sign or axes, or a dead sensor)'),
                                  (Verdict.AHEAD, 'refused: stamped ahead of the IMU, the clocks differ '
                                                  '(gnss.time_offset)'),
                                  (Verdict.RECOVERED, 'had the filter start anew: those refused before it agree')):

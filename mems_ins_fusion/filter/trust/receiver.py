@@ -144,6 +144,12 @@ def _factor(mem, r):
 
 
 @njit(_nrt=False)
+def realised_variance(mem, r, at):
+    """Of a component of the fix at `at`, m^2: as it claims, or more where fixes scatter more."""
+    return max(1.0, scale(mem, r + Receiver.SCALE)) * 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+
+
+@njit(_nrt=False)
 def learn(mem, r, at, left_n, left_e):
     """Remember the fix at `at`, which has been judged; left_n, left_e: predicted minus measured position after that."""
     time = mem[at + Event.TIME]

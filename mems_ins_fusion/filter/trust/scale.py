@@ -33,10 +33,25 @@ class _Scale(NamedTuple):
 
 
 Scale = _Scale()
-#: of a state: a scale for each kind of measurement but the fixes, by its number modulo this
-KINDS = 8
-Kinds = ROW.place('Kinds', SCALE=Scale.SIZE * KINDS)
-assert Scale.SIZE == INPUT_SIZE
+
+
+class _Seen(NamedTuple):
+    """Columns of what is seen of one input besides the fixes."""
+
+    SCALE: int = 0  # a `Scale`
+    WAY: int = 3  # m, north and east, that its speeds make up since the fix START, see trust/way.py,
+    WAY_TIME: int = 5  # s, till when; 0: it is no speed
+    START: int = 6  # time, s, latitude and longitude, rad, of that fix; time 0: none
+    MORE: int = 9  # share by which that way is longer than the one of the fixes,
+    KNOWN: int = 10  # and how much of `way.PRIOR` its variance has lost
+    SIZE: int = 11
+
+
+Seen = _Seen()
+#: of a state: what is seen of each kind of measurement but the fixes, by its number modulo this
+KINDS = 6
+Kinds = ROW.place('Kinds', SEEN=Seen.SIZE * KINDS)
+assert Seen.SIZE == INPUT_SIZE
 #: how many inputs have a name
 Inputs = HEAD.place('Inputs', COUNT=1)
 #: variance of the logarithm before anything is seen: a claimed sigma is off by a factor of three, one sigma
@@ -55,12 +70,12 @@ LARGEST_SURPRISE = 2.0
 
 
 @njit(_nrt=False)
-def scale_at(mem, r, at):
-    """Position of the scale of the input that the record at `at` is from, in the state at r."""
+def seen_of(mem, r, at):
+    """Position of what is seen (`Seen`) of the input that the record at `at` is from, in the state at r."""
     number = int(mem[at + Event.INPUT])
     if number == 0:
-        return r + Kinds.SCALE + Scale.SIZE * (int(mem[at + Event.KIND]) % KINDS)
-    return r + int(mem[Head.WIDTH]) - Scale.SIZE * (int(mem[Inputs.COUNT]) - number + 1)
+        return r + Kinds.SEEN + Seen.SIZE * (int(mem[at + Event.KIND]) % KINDS)
+    return r + int(mem[Head.WIDTH]) - Seen.SIZE * (int(mem[Inputs.COUNT]) - number + 1)
 
 
 @njit(_nrt=False)

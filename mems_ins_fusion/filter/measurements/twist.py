@@ -1,0 +1,167 @@
+"""Odometry of others - wheels, lidar, vision: velocity of a point of the vehicle along its axes, and turn rate.
+
+Only the twist is taken, never the pose as a position: it drifts, and so would a filter that has it for a position.
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from mems_ins_fusion.compiled import njit
+
+from ...navigation.frames import FLU_TO_FRD
+from ...parameters.parameter import Parameter
+from ...samples import Twists
+from ..memory import HEAD, NAV, Event, Head, Kind, channel_of
+from .base import ODOMETRY, TWIST, Measurement, SensorSettings, covariance36
+from .geometry import add_body_velocity, angular_rate, arm_of, body_velocity, own_state, vehicle_to_level
+from .motion import STEP, velocity_at
+from .records import empty, refuse, stated_or
+
+#: index of the optional state twist_scale among all n, behind which twist_turn_scale stands; -1: neither
+Scales = HEAD.place('Scales', TWIST=1)
+
+
+@njit(_nrt=False)
+def observe(mem, r, at, h, n, c, sample):
+    """Predicted minus measured velocity forwards and to the right, and turn rate clockwise; three components.
+
+    measured = (1 + scale) true. A component that was not measured, NaN in the record, has a row of zeros.
+    """
+    w_x, w_y, w_z = angular_rate(mem, r, sample)
+    x, y, z = arm_of(mem, at, Head.AXLE_X)
+    c = vehicle_to_level(mem, r, c)
+    scale, gyroscope = own_state(mem, at, Scales.TWIST), channel_of(mem, 5)
+    forward = body_velocity(mem, r, c, 0) + w_y * z - w_z * y
+    right = body_velocity(mem, r, c, 1) + w_z * x - w_x * z
+    mem[at + Event.Z_N] = forward - mem[at + Event.VALUE]
+    add_body_velocity(mem, r, h, c, 0, 1.0)
+    if scale >= 0:
+        mem[h + scale] = -forward
+    mem[at + Event.Z_E] = mem[at + Event.Z_D] = 0.0
+    if measures_sideways(mem, at):
+        mem[at + Event.Z_E] = right - mem[at + Event.VALUE + 1]
+        add_body_velocity(mem, r, h + n, c, 1, 1.0)
+        if scale >= 0:
+            mem[h + n + scale] = -right
+        axle = int(mem[Head.AXLE])
+        if axle >= 0 and mem[at + Event.INPUT] == 0.0:
+            mem[h + n + axle] = -w_z
+    if gyroscope >= 0 and not math.isnan(mem[at + Event.VALUE + 2]):
+        turn_scale = mem[r + NAV + scale + 1] if scale >= 0 else 0.0
+        # measured = (1 + scale) (reading - error): both may be large, and z is linear where they are. `update` takes H
+        # times the estimate out of it, so that the gyroscope's error counts from what it reads
+        error = mem[r + NAV + gyroscope]
+        mem[at + Event.Z_D] = w_z + error + turn_scale * error - mem[at + Event.VALUE + 2]
+        mem[h + 2 * n + gyroscope] = 1.0 + turn_scale
+        if scale >= 0:
+            mem[h + 2 * n + scale + 1] = -w_z
+    return 3
+
+
+@njit(_nrt=False)
+def measures_sideways(mem, at):
+    """Whether the record at `at` has a velocity to the right."""
+    return not math.isnan(mem[at + Event.VALUE + 1])
+
+
+#: faster is no land vehicle, m/s
+FASTEST = 150.0
+#: not better than this, m/s and rad/s
+SMALLEST_SIGMA = 0.001
+
+
+class Twist(Measurement):
+    kind, name, samples, unit, default_sigma = Kind.TWIST, 'twist', Twists, 'm/s', 0.1
+    topic_text = ('Topic of the odometry of wheels, a lidar or a camera, base_link: twist of nav_msgs/Odometry or '
+                  'geometry_msgs/TwistWithCovarianceStamped; not of one that has seen the fixes')
+    components = 2
+    has_arm = True
+    messages = {ODOMETRY: ('twist.twist.linear', 'twist.twist.angular', 'twist.covariance'),
+                TWIST: ('twist.twist.linear', 'twist.twist.angular', 'twist.covariance')}
+    written_to = '/wheel/odometry'
+    #: m/s, white, forwards; m/s, white, to the right, 0: not measured; rad/s, white; standard deviations of the two
+    #: scale factor errors, drawn for each seed
+    simulated_with = {'twist_rate': 0.0, 'twist_sigma': 0.05, 'twist_lateral_sigma': 0.0,
+                      'twist_turn_sigma': 0.01, 'twist_scale': 0.01, 'twist_turn_scale': 0.03}
+
+    def parameters(self):
+        return (
+            *super().parameters(),
+            Parameter(f'{self.name}.turn_sigma', 0.0, 'rad/s', 'Standard deviation of its turn rate; 0 takes what the '
+                      'message says.', minimum=0.0, maximum=1000.0),
+            Parameter(f'{self.name}.default_turn_sigma', 0.05, 'rad/s', 'Used where the message does not tell.',
+                      positive=True, maximum=1000.0),
+            Parameter(f'{self.name}.factor', 1.0, '-', f'Makes m/s, positive forwards, of what the messages on '
+                      f'{self.topic} say: 0.01 for cm/s, -1 where forwards is negative.', minimum=-1e4, maximum=1e4),
+            Parameter(f'{self.name}.scale_sigma', 0.02, '-', 'Standard deviation of the scale factor error of the '
+                      'velocity, with which it is estimated: measured = (1 + scale) true.', minimum=1e-6, maximum=0.5),
+            Parameter(f'{self.name}.turn_scale_sigma', 1.0, '-', 'The same of the turn rate: the track of the wheels '
+                      'is not known, wheels that are skid-steered slip sideways, and some count turns to the right.',
+                      minimum=1e-6, maximum=10.0))
+
+    def states(self, values):
+        return {self.state: (values[f'{self.name}.scale_sigma'], 0.0),
+                f'{self.name}_turn_scale': (values[f'{self.name}.turn_scale_sigma'], 0.0)}
+
+    @property
+    def state(self):
+        return f'{self.name}_scale'
+
+    def settings(self, values):
+        turn = SensorSettings(values[self.topic], values[f'{self.name}.turn_sigma'],
+                              values[f'{self.name}.default_turn_sigma'])
+        return replace(super().settings(values), turn=turn)
+
+    def declared(self, settings, twists):
+        factor = np.array([settings.factor, settings.factor, 1.0])
+        return replace(twists, twist=factor * twists.twist, variance=factor**2 * twists.variance)
+
+    def records(self, settings, twists):
+        twists = self.declared(settings, twists)
+        n, twist = len(twists), twists.twist.copy()
+        r, reasons = empty(Kind.TWIST, n), np.full(n, '', dtype=object)
+        with np.errstate(invalid='ignore'):
+            refuse(reasons, ~(np.abs(twist).max(axis=1) < FASTEST), lambda i: f'odometry {twist[i, 0]:g} m/s forwards, '
+                   f'{-twist[i, 1]:g} m/s to the left, {-twist[i, 2]:g} rad/s: dropped')
+        # who does not measure something says that it is zero, and with that a small sigma
+        twist[:, 1:][twist[:, 1:] == 0.0] = np.nan
+        r[:, Event.VALUE:Event.VALUE + 3] = twist
+        for column, axis, of in ((Event.R_NN, 0, settings), (Event.R_EE, 1, settings), (Event.R_DD, 2, settings.turn)):
+            r[:, column] = stated_or(twists.variance[:, axis], of, SMALLEST_SIGMA)
+        return r, reasons, np.full(n, '', dtype=object)
+
+    def off(self, measured, innovation):
+        return f'odometry {measured:.2f} m/s forwards where {measured + innovation[0]:.2f} m/s was expected'
+
+    def read(self, fields, message):
+        covariance = fields['twist.covariance']
+        linear, angular = fields['twist.twist.linear'] @ FLU_TO_FRD, fields['twist.twist.angular'] @ FLU_TO_FRD
+        return Twists(stamp=fields['stamp'], received=fields['received'],
+                      twist=np.column_stack([linear[:, :2], angular[:, 2]]), variance=covariance[:, [0, 4, 9]])
+
+    def written(self, twists):
+        forward, right, turn = twists.twist.T
+        zero = np.zeros(len(twists))
+        return {'twist.twist.linear': np.column_stack([forward, -right, zero]),
+                'twist.twist.angular': np.column_stack([zero, zero, -turn]),
+                'twist.covariance': covariance36(dict(zip((0, 7, 35), twists.variance.T)), len(twists))}
+
+    def simulated(self, drive, errors, effects, rng, instants):
+        time, stamp = instants(errors['twist_rate'], 0.0043)
+        scale, turn_scale = errors['twist_scale'], errors['twist_turn_scale']
+        scale, turn_scale = 1.0 + np.array([scale, turn_scale]) * rng.standard_normal(2)
+        velocity = np.einsum('kij,ki->kj', drive.at(time).attitude.as_matrix(), velocity_at(drive, time, self.arm))
+        before, after = (np.unwrap(drive.at(time + step).yaw) for step in (-STEP, STEP))
+        turn = np.arctan2(np.sin(after - before), np.cos(after - before)) / (2.0 * STEP)
+        if self.is_plain:  # where the wheels roll
+            velocity[:, 0], velocity[:, 1] = drive.path.wheel_speed(time), 0.0
+        sideways = errors['twist_lateral_sigma']
+        sigma = np.array([errors['twist_sigma'], sideways, errors['twist_turn_sigma']])
+        twist = np.column_stack([scale * velocity[:, :2], turn_scale * turn])
+        twist += sigma * rng.standard_normal(twist.shape)
+        if not sideways:
+            twist[:, 1] = 0.0
+        return Twists(stamp, stamp.copy(), twist, np.tile(sigma**2, (len(time), 1)))

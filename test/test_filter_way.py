@@ -1,0 +1,123 @@
+"""A speed that is not the vehicle's is found out by the way between fixes, and is worth nothing, and costs nothing."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.memory import Event, Kind, Verdict
+from mems_ins_fusion.filter.runs.replay import run, run_with_outages
+from mems_ins_fusion.filter.trust import way
+from mems_ins_fusion.filter.trust.scale import Seen
+from mems_ins_fusion.navigation.earth import radii
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.simulation.drive import simulate_drive
+from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
+
+SECOND = 10**9
+KINDS = {'speed': Kind.SPEED, 'velocity': Kind.VELOCITY, 'twist': Kind.TWIST}
+
+
+def drive(seed, rate=1.0, outliers=0.0, speed_rate=20.0):
+    made = simulate_recording(simulate_drive(200.0, seed, 50.0, standstill=10.0, hills=True),
+                              SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(1.5, rate),
+                              seed=seed, aiding=Aiding(speed_rate=speed_rate, velocity_rate=5.0, twist_rate=20.0))
+    recording, rng = made.recording, np.random.default_rng(seed)
+    off = (rng.random(len(recording.gnss)) < outliers) * 50e-7
+    return replace(recording, gnss=replace(recording.gnss, latitude=recording.gnss.latitude + off))
+
+
+def config(*names):
+    return FilterConfig.from_parameters(table.check({f'{name}_topic': f'/{name}' for name in names}))
+
+
+def largest_errors(recording, measured, begins=(90.0, 150.0), duration=40.0):
+    """Of the position, m, in outages that begin at so many s."""
+    begin = recording.imu.stamp[0] + (np.array(begins) * SECOND).astype(np.int64)
+    _, outages = run_with_outages(config(*measured), recording.imu, recording.gnss, begin, duration, Measured(measured))
+    result, true = outages.run, recording.reference
+    north, east = radii(result.latitude)
+    off = np.hypot((result.latitude - np.interp(result.stamp, true.stamp, true.latitude)) * north,
+                   (result.longitude - np.interp(result.stamp, true.stamp, true.longitude)) * east
+                   * np.cos(result.latitude))
+    return np.array([off[(result.stamp >= b) & (result.stamp <= b + duration * SECOND)].max() for b in begin])
+
+
+def turned(name, samples, matrix):
+    values = {'speed': 'speed', 'velocity': 'velocity', 'twist': 'twist'}[name]
+    return replace(samples, **{values: getattr(samples, values) @ matrix if name != 'speed'
+                               else matrix * samples.speed})
+
+
+SWAPPED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+WRONG = {'km/h': ('speed', 3.6), 'mph': ('speed', 2.23694), 'backwards': ('speed', -1.0), 'dead': ('speed', 0.0),
+         'mph taken for km/h': ('speed', 1.0 / 1.609), 'a hundredth': ('speed', 0.01),
+         'east and north exchanged': ('velocity', SWAPPED), 'velocity in km/h': ('velocity', 3.6 * np.eye(3)),
+         'odometry in km/h': ('twist', np.diag([3.6, 3.6, 1.0])), 'odometry backwards': ('twist', -np.eye(3))}
+
+
+@pytest.mark.parametrize('wrong', WRONG)
+def test_a_speed_that_is_not_the_vehicles_is_as_none(wrong):
+    # given a measurement that is wrong for the whole drive
+    name, matrix = WRONG[wrong]
+    without, with_it = [], []
+    for seed in (2, 3):
+        recording = drive(seed)
+        bad = turned(name, recording.streams()[name], matrix)
+        without.append(largest_errors(recording, {}))
+        with_it.append(largest_errors(recording, {name: bad}))
+    # then outages are as they are without it, which with km/h were a kilometre
+    assert np.mean(with_it) < 1.15 * np.mean(without) + 1.0, (with_it, without)
+    # and most of it has been refused, in words that say so
+    result = run(config(name), recording.imu, recording.gnss, Measured({name: bad}))
+    counts = result.measured.verdicts(KINDS[name])
+    driven = len(bad) * 0.8
+    assert counts.get(Verdict.CONTRADICTED, 0) > 0.7 * driven, counts
+    assert any('another way than the one between the fixes' in notice.text for notice in result.notices)
+
+
+@pytest.mark.parametrize(('rate', 'outliers'), [(0.2, 0.0), (1.0, 0.0), (1.0, 0.1), (10.0, 0.0), (10.0, 0.1)])
+def test_a_right_one_is_never_contradicted(rate, outliers):
+    for seed in (2, 3):
+        recording = drive(seed, rate, outliers)
+        for name, kind in KINDS.items():
+            result = run(config(name), recording.imu, recording.gnss, Measured({name: recording.streams()[name]}))
+            counts = result.measured.verdicts(kind)
+            assert counts.get(Verdict.CONTRADICTED, 0) < 0.02 * sum(counts.values()), (name, counts)
+
+
+def test_it_is_used_again_when_its_ways_fit():
+    # given a wheel speed in km/h for a minute, and right before and after
+    recording = drive(3)
+    speed = recording.speed
+    at = (speed.stamp - speed.stamp[0]) / SECOND
+    result = run(config('speed'), recording.imu, recording.gnss, Measured(speed=replace(
+        speed, speed=speed.speed * np.where((at > 60.0) & (at < 120.0), 3.6, 1.0))))
+    contradicted = result.measured.record[:, Event.VERDICT] == Verdict.CONTRADICTED
+    refused = (result.measured.stamp[contradicted] - speed.stamp[0]) / SECOND
+    assert 60.0 < refused.min() < 75.0
+    assert 118.0 < refused.max() < 150.0
+
+
+def test_the_share_and_its_variance_are_those_of_a_kalman_filter():
+    # given ways that are 4 % too long, each known to a tenth, by the scalar equations written down
+    mem, mean, variance = np.zeros(Seen.SIZE), 0.0, way.PRIOR
+    for k in range(60):
+        noise = 0.01
+        way._learn(mem, 0, 0.04 + 0.05 * (-1) ** k, noise)
+        variance = min(variance + way.FORGOTTEN * noise, way.PRIOR)
+        gain = variance / (variance + noise)
+        mean += gain * (0.04 + 0.05 * (-1) ** k - mean)
+        variance *= 1.0 - gain
+    assert mem[Seen.MORE] == pytest.approx(mean)
+    assert way.PRIOR - mem[Seen.KNOWN] == pytest.approx(variance)
+    assert not way.is_contradicted(mem, 0)
+    # a gain that remembers some ten ways, and twice the way is certain after two of them
+    assert 0.1 < gain < 0.4
+    mem[:] = 0.0
+    for k in range(2):
+        way._learn(mem, 0, 0.5, 0.01)
+    assert way.is_contradicted(mem, 0)

@@ -1,0 +1,110 @@
+"""Odometry of others: what its twist gives the filter, live and replayed, and what wrong parts of it cost."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_filter_way import drive, largest_errors
+
+from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.memory import Kind, Verdict
+from mems_ins_fusion.filter.runs.live import FusionFilter
+from mems_ins_fusion.filter.runs.replay import run
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.recordings.checker import check_recording
+from mems_ins_fusion.recordings.reading import read_recording
+from mems_ins_fusion.recordings.writing import write_recording
+from mems_ins_fusion.samples import Aiding as Measured
+
+
+def config(**values):
+    return FilterConfig.from_parameters(table.check({'twist_topic': '/odom', **values}))
+
+
+def test_turn_rate_and_speed_hold_a_position_better_than_the_speed_alone():
+    errors = {name: np.concatenate([largest_errors(recording, {name: recording.streams()[name]} if name else {})
+                                    for recording in map(drive, (1, 2, 3))]) for name in ('', 'speed', 'twist')}
+    assert errors['twist'].mean() < 0.9 * errors['speed'].mean() < 0.8 * errors[''].mean()
+
+
+@pytest.mark.parametrize(('turn', 'scale'), [(1.0, 0.0), (-1.0, -2.0), (1.5, 0.5)])
+def test_the_turn_rate_may_count_the_other_way_or_have_a_track_that_is_not_known(turn, scale):
+    # given a turn rate that is right, of the wrong sign, or half as much again, as of wheels that are skid-steered
+    recording = drive(2)
+    right = recording.others['twist']
+    other = replace(right, twist=right.twist * [1, 1, turn])
+    result = run(config(), recording.imu, recording.gnss, Measured(twist=other))
+    # then its scale is found, and within its sigma; the simulator's own is 3 %
+    found, sigma = result.extras[-1, -1], result.sigma[-1, -1]
+    assert result.config.layout.names[-2:] == ('twist_scale', 'twist_turn_scale')
+    own = run(config(), recording.imu, recording.gnss, Measured(twist=right)).extras[-1, -1]
+    assert found == pytest.approx((1.0 + own) * turn - 1.0, abs=4.0 * sigma) and sigma < 0.03
+    assert found == pytest.approx(scale, abs=0.1 * abs(turn) + 4.0 * sigma)
+    # and the gyroscope's bias is the same
+    assert result.sensor_errors[-1, 5] == pytest.approx(run(config(), recording.imu, recording.gnss, Measured(
+        twist=right)).sensor_errors[-1, 5], abs=3.0 * result.sigma[-1, result.config.layout.index('w_z')])
+
+
+def test_what_it_does_not_measure_is_not_taken_for_zero():
+    # given an odometry that knows no turn rate, and one whose sideways velocity is measured
+    recording = drive(2)
+    right = recording.others['twist']
+    assert not right.twist[:, 1].any()
+    still = replace(right, twist=right.twist * [1.0, 1.0, 0.0], variance=np.full_like(right.variance, 1e-6))
+    speed = largest_errors(recording, {'speed': recording.speed})
+    # then that is as a wheel speed
+    assert largest_errors(recording, {'twist': still}).mean() < 1.5 * speed.mean() + 1.0
+    result = run(config(), recording.imu, recording.gnss, Measured(twist=still))
+    assert result.measured.verdicts(Kind.TWIST).get(Verdict.REFUSED, 0) < 0.05 * len(right)
+
+
+def test_live_and_replay_give_the_same_bits():
+    recording = drive(2)
+    twist, given = recording.others['twist'], config()
+    replayed = run(given, recording.imu, recording.gnss, Measured(twist=twist))
+    fusion, places = FusionFilter(given), {}
+    rows = sorted([(t, 0, i) for i, t in enumerate(recording.imu.received[:3000])]
+                  + [(t, 1, i) for i, t in enumerate(recording.gnss.received[:55])]
+                  + [(t, 2, i) for i, t in enumerate(twist.received[:1150])])
+    for _, what, i in rows:
+        if what == 0:
+            if fusion.add_imu(int(recording.imu.stamp[i]), *recording.imu.specific_force[i].tolist(),
+                              *recording.imu.angular_rate[i].tolist()) and fusion.aligned:
+                fusion.update_odometry()
+                places[i] = float(fusion.geodetic[0])
+        elif what == 1:
+            g = recording.gnss
+            fusion.add_fix(int(g.stamp[i]), g.latitude[i], g.longitude[i], g.height[i], g.covariance[i].ravel(),
+                           int(g.status[i]), int(g.covariance_type[i]))
+        else:
+            fusion.add('twist', int(twist.stamp[i]), twist.twist[i], twist.variance[i])
+    both = [i for i in np.intersect1d(replayed.index, list(places)) if i < 2700]
+    assert len(both) > 1500
+    assert np.array_equal(replayed.latitude[np.isin(replayed.index, both)], [places[i] for i in both])
+
+
+def test_a_bag_keeps_it_and_the_checker_names_the_factor(tmp_path):
+    recording = drive(2)
+    twist = recording.others['twist']
+    in_cm = replace(twist, twist=twist.twist * [100.0, 100.0, 1.0], variance=twist.variance * [1e4, 1e4, 1.0])
+    write_recording(recording.having({'twist': in_cm}), tmp_path / 'bag')
+    read = read_recording(tmp_path / 'bag', '/imu/data', '/gps/fix', twist_topic='/wheel/odometry')
+    assert np.array_equal(read.others['twist'].twist, in_cm.twist)
+    assert np.array_equal(read.others['twist'].variance, in_cm.variance)
+    worse = [f.message for f in check_recording(read, table.defaults()) if f.topic == 'twist' and f.severity == 'error']
+    assert not worse or 'set twist.factor to 0.01' in worse[0]
+    said = [f.message for f in check_recording(read, table.defaults()) if f.topic == 'twist']
+    assert any('set twist.factor to 0.01' in message for message in said)
+    assert not [f for f in check_recording(read, table.check({'twist.factor': 0.01}))
+                if f.topic == 'twist' and f.severity in ('warning', 'error')]
+
+
+def test_a_twist_that_is_none_is_dropped_with_its_numbers():
+    fusion, recording = FusionFilter(config()), drive(2)
+    for i in range(600):
+        fusion.add_imu(int(recording.imu.stamp[i]), *recording.imu.specific_force[i].tolist(),
+                       *recording.imu.angular_rate[i].tolist())
+    for value in ([np.nan, 0.0, 0.0], [1e300, 0.0, 0.0], [1.0, np.inf, 0.0]):
+        fusion.add('twist', int(recording.imu.stamp[599]), np.array(value), np.zeros(3))
+        assert any('dropped' in notice.text and '/odom' in notice.text for notice in fusion.notices())
