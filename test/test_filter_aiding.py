@@ -162,9 +162,9 @@ SENSORS = {Kind.SPEED: ('speed', [0.04]), Kind.VELOCITY: ('antenna_velocity', [0
 
 
 def one_deviation_tells_nothing_new(memory):
-    """Scales are known, and ways have been compared with those of fixes."""
+    """Scales are known, ways have been compared with those of fixes, and the last message was long ago."""
     seen = views(memory)[2][0][Kinds.SEEN:Kinds.SEEN + KINDS * Seen.SIZE].reshape(KINDS, Seen.SIZE)
-    seen[:, [Seen.SCALE + Scale.KNOWN, Seen.SCALE + Scale.TIME, Seen.KNOWN]] = PRIOR, DT, way.PRIOR
+    seen[:, [Scale.LOG, Scale.KNOWN, Scale.TIME, Seen.COMPARED]] = -0.5, PRIOR, DT - 10.0, 1.0
 
 
 @EACH

@@ -111,8 +111,8 @@ def test_two_wheels_of_an_axle_tell_the_turn_rate():
         error[names] = abs(result.sensor_errors[after, 5] - 0.01)
         sigma[names] = result.sigma[after, result.config.layout.index('w_z')]
     # then after twenty seconds, of which half went by until fixes of 3 m had shown that their ways fit, they know it
-    # four times better than the fixes do, and as well as they say
-    assert sigma['left', 'right'] < 0.25 * sigma[()] and sigma['left', 'right'] < 1e-3
+    # better than the fixes do, and as well as they say. (Ten speeds a second tell no more than one: their errors last)
+    assert sigma['left', 'right'] < 0.6 * sigma[()] and sigma['left', 'right'] < 2e-3
     assert error['left', 'right'] < 3.0 * sigma['left', 'right']
 
 

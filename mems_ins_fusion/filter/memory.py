@@ -98,7 +98,7 @@ class _Nav(NamedTuple):
     SLID: int = column()  # s in which a slide showed that the IMU misled the filter
     RESTARTS: int = column()  # states that were not finite and were taken back
     RECOVERIES: int = column()  # resets to fixes that had been refused
-    MECHANISMS: int = column(129)  # the first of those that the mechanisms ask for (`ROW`), and room for them
+    MECHANISMS: int = column(135)  # the first of those that the mechanisms ask for (`ROW`), and room for them
     SIZE: int = column(0)
 
 
@@ -206,7 +206,7 @@ def packed(i, j, size):
 
 
 #: floats of a named input at the end of a row: what is seen of it (trust/scale.py)
-INPUT_SIZE = 11
+INPUT_SIZE = 12
 
 
 def row_width(layout: StateLayout) -> int:
@@ -496,7 +496,7 @@ class _Verdict(NamedTuple):
     AHEAD: int = 6  # of a time that the IMU's clock has not come to: the clocks differ
     STRAIGHT_ON: int = 7  # the receiver goes straight on without satellites
     CONTRADICTED: int = 8  # a speed that makes up another way than the one between the fixes
-    AWAITED: int = 9  # one of which no way has been compared with the fixes yet
+    AWAITED: int = 9  # one that does not fit before its way has been compared with that of the fixes
 
 
 Verdict = _Verdict()

@@ -46,7 +46,7 @@ from .prediction import set_radii
 from .trust import contradiction, receiver, straight_on, way
 from .trust.drift import learn_drift
 from .trust.imu_faults import Imu
-from .trust.scale import learn, scale, seen_of
+from .trust.scale import Scale, learn, scale, seen_of
 from .trust.white_noise import hides_turns
 
 #: standstill and non-holonomic constraints are applied this often, s: their errors last about as long
@@ -65,10 +65,15 @@ ROBUST = 3.0
 FAR = 10.0
 #: fixes refused in a row that may all be wrong: no way ends there
 SINGLE = 2.0
-#: sigmas beyond which an input is refused that is contradicted: none is used
+#: m/s, that a speed is believed at most before its way has been compared with that of the fixes, whatever it claims
+FIRST_SIGMA = 0.1
+#: sigmas beyond which an input is refused of which none is used
 NEVER = 1e-9
-#: and one that fixes are still to be compared with: another number, for another verdict
-AWAITED = 1e-10
+#: s for which errors of a speed or odometry last, as do manoeuvres in which wheels slip and late stamps show: all of
+#: that time tell no more than one (0.3 s late, 60 s without fixes: 6 m, 32 m if white; studies/wrong_speeds.py)
+SPEED_LASTS = 1.0
+#: and those of a receiver's velocity, which it smooths for so long
+VELOCITY_LASTS = 1.0
 #: s over which the constraint's NIS is averaged
 CONSTRAINT_MEMORY = 10.0
 #: mean NIS above which the constraint is not used: it is 1 of a vehicle that keeps to it
@@ -193,8 +198,9 @@ def update(mem, r, at, n, dimensions, factor, robust, gate):
 
 @njit(_nrt=False)
 def _judge(mem, r, at, n, dimensions):
-    """Factor on the covariance of the speed, velocity or heading at `at`, learned from its innovation, too, and the
-    sigmas beyond which it is refused; 0: none. dimensions: of the components that are judged together, 1 or 2.
+    """Factor on the covariance of the speed, velocity or heading at `at`, learned from its innovation, too, and for as
+    many as tell no more than one; and the sigmas beyond which it is refused, 0: none. dimensions: of the components
+    that are judged together, 1 or 2.
 
     One that does not fit is wrong, or the state is. What its variance is raised by, that of the state is raised by,
     too, along what is measured, unless fixes speak for the state, as they do for its velocity: so a filter that is sure
@@ -206,9 +212,15 @@ def _judge(mem, r, at, n, dimensions):
     speaks = kind == Kind.SPEED or kind == Kind.VELOCITY or kind == Kind.TWIST
     if speaks and way.is_contradicted(mem, own):
         return 1.0, NEVER
-    awaited = mem[r + Nav.FIX_TIME] == 0.0 or time - mem[r + Nav.FIX_TIME] < NO_FIX
-    if speaks and awaited and not way.is_compared(mem, own):
-        return 1.0, AWAITED
+    # of the start, too, after which the first has still to come
+    fix = max(mem[r + Nav.FIX_TIME], mem[r + receiver.Receiver.SCALE + Scale.TIME])
+    lasts = VELOCITY_LASTS if kind == Kind.VELOCITY else SPEED_LASTS
+    density = max(1.0, lasts / max(time - mem[own + Scale.TIME], 1e-3)) if speaks else 1.0
+    if speaks and fix != 0.0 and time - fix < NO_FIX and not way.is_compared(mem, own):
+        mem[own + Scale.TIME] = time
+        # a velocity may fit by its size and point elsewhere
+        gate = NEVER if kind == Kind.VELOCITY else ROBUST
+        return density * max(1.0, FIRST_SIGMA**2 / mem[at + Event.R_NN]), gate
     column = h + 3 * n
     squared, claimed, variance = 0.0, mem[at + Event.R_NN], 0.0
     for k in range(dimensions):
@@ -221,15 +233,15 @@ def _judge(mem, r, at, n, dimensions):
     factor = max(scale(mem, own), 1.0)
     confirmed = kind != Kind.HEADING and time - mem[r + Nav.FIX_TIME] < NO_FIX
     if confirmed and speaks:
-        return factor, FAR
+        return density * factor, FAR
     if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * claimed + variance):
-        return factor, 0.0
+        return density * factor, 0.0
     for k in range(dimensions):
         raised = (factor - before) * claimed / _project(mem, n, h + n * k, column) ** 2
         for i in range(n):
             for j in range(n):
                 mem[p + n * i + j] += raised * mem[column + i] * mem[column + j]
-    return factor, 0.0
+    return density * factor, 0.0
 
 
 @njit(_nrt=False)
@@ -370,10 +382,9 @@ def apply_event(mem, r, at, sample):
         robust = ROBUST
     verdict = update(mem, r, at, n, dimensions, factor, robust, gate)
     mem[at + Event.VERDICT] = Verdict.RECOVERED if recovered else verdict
-    if gate == NEVER:
-        mem[at + Event.VERDICT] = Verdict.CONTRADICTED
-    elif gate == AWAITED:
-        mem[at + Event.VERDICT] = Verdict.AWAITED
+    if kind != Kind.POSITION and verdict == Verdict.REFUSED and gate < FAR:
+        contradicted = way.is_contradicted(mem, seen_of(mem, r, at))
+        mem[at + Event.VERDICT] = Verdict.CONTRADICTED if contradicted else Verdict.AWAITED
     if verdict != Verdict.REFUSED:
         store_covariance(mem, p, n_navigation, m, mem, r)
         feed_back(mem, r)

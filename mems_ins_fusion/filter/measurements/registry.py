@@ -16,7 +16,7 @@ from .twist import Twist
 from .velocity import Velocity
 
 #: those besides the fixes, in the order in which their parameters are written
-AIDING: tuple[Measurement, ...] = (Speed(), Velocity(), Heading(), Pressure(), Twist())
+AIDING: tuple[Measurement, ...] = (Speed(), Velocity(), Twist(), Heading(), Pressure())
 #: all, by their number
 MEASUREMENTS: dict[int, Measurement] = {measurement.kind: measurement for measurement in (Fix(), *AIDING)}
 #: parameters of what the samples of the IMU tell besides motion: no message brings it

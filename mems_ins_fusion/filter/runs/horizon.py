@@ -38,7 +38,7 @@ from ..memory import (
 )
 from ..prediction import predict
 from ..trust.scale import KINDS, Kinds, Seen, scale
-from ..update import constrain, feed_back, update
+from ..update import SPEED_LASTS, constrain, feed_back, update
 from .odometry import besides
 
 #: s, of one step: so often the constraints count as much as each CONSTRAINT_INTERVAL (`update.MOST_TOLD`)
@@ -167,7 +167,7 @@ def _take_speed(mem, r, sample, interval):
     for i in range(n):
         mem[at + Event.Z_N] += mem[h + i] * mem[r + NAV + i]
     factor = max(scale(mem, r + Kinds.SEEN + Seen.SIZE * (int(Kind.SPEED) % KINDS)), 1.0)
-    update(mem, r, at, n, dimensions, factor * interval / STEP, 0.0, 0.0)
+    update(mem, r, at, n, dimensions, factor * max(interval, SPEED_LASTS) / STEP, 0.0, 0.0)
     store_covariance(mem, p, n_navigation, m, mem, r)
     feed_back(mem, r)
 

@@ -145,8 +145,8 @@ def _factor(mem, r):
 
 @njit(_nrt=False)
 def realised_variance(mem, r, at):
-    """Of a component of the fix at `at`, m^2: as it claims, or more where fixes scatter more."""
-    return max(1.0, scale(mem, r + Receiver.SCALE)) * 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    """Of a component of the fix at `at`, m^2, as fixes have been seen to scatter."""
+    return _factor(mem, r) * 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
 
 
 @njit(_nrt=False)

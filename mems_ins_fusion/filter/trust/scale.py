@@ -43,8 +43,9 @@ class _Seen(NamedTuple):
     WAY_TIME: int = 5  # s, till when; 0: it is no speed
     START: int = 6  # time, s, latitude and longitude, rad, of that fix; time 0: none
     MORE: int = 9  # share by which that way is longer than the one of the fixes,
-    KNOWN: int = 10  # and how much of `way.PRIOR` its variance has lost
-    SIZE: int = 11
+    KNOWN: int = 10  # and how much of `way.PRIOR` its variance has lost,
+    COMPARED: int = 11  # 1: enough of it at some time
+    SIZE: int = 12
 
 
 Seen = _Seen()

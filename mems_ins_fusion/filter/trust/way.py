@@ -25,7 +25,7 @@ FORGOTTEN = 0.05
 #: share of the way by the speeds below which that of the fixes has no direction of its own
 NO_DIRECTION = 0.3
 #: a way tells something where it is so many sigmas of the fixes
-FEWEST_SIGMAS = 10.0
+FEWEST_SIGMAS = 8.0
 #: one that differs by more sigmas counts as that: a fix that is far off is not the speed's
 LARGEST_SURPRISE = 2.0
 #: s: an input that pauses for longer has made a way that nobody knows
@@ -38,8 +38,8 @@ LARGEST_YAW_SIGMA = 0.3
 TOLERATED = 0.2
 #: sigmas beyond which more than that is certain
 CERTAIN = 3.0
-#: sigma of the share below which ways have been compared: after some three of them, twice that is certain
-COMPARED = 0.07
+#: sigma of the share below which ways have been compared: after two of them, and twice that is certain
+COMPARED = 0.09
 
 
 @njit(_nrt=False)
@@ -77,7 +77,7 @@ def _compare(mem, r, at, own, variance):
         if not enough and time - mem[own + Seen.START] < LONGEST_WAY:
             return
         if not enough:  # nothing speaks against it, and a robot may never go further
-            mem[own + Seen.KNOWN] = max(mem[own + Seen.KNOWN], PRIOR - 0.9 * COMPARED**2)
+            mem[own + Seen.COMPARED] = 1.0
         else:
             more = common / fixes - fixes if fixes > NO_DIRECTION * speeds else speeds - common / speeds
             _learn(mem, own, more / longer, 2.0 * variance / longer**2 + UNEVEN**2)
@@ -97,12 +97,14 @@ def _learn(mem, own, more, noise):
     gain = variance / (variance + noise)
     mem[own + Seen.MORE] += gain * surprise
     mem[own + Seen.KNOWN] = PRIOR - (1.0 - gain) * variance
+    if (1.0 - gain) * variance < COMPARED**2:
+        mem[own + Seen.COMPARED] = 1.0
 
 
 @njit(_nrt=False)
 def is_compared(mem, own):
-    """Whether the ways of an input are known well enough to be contradicted, were they wrong."""
-    return PRIOR - mem[own + Seen.KNOWN] < COMPARED**2
+    """Whether the ways of an input have been known well enough to be contradicted, were they wrong."""
+    return mem[own + Seen.COMPARED] != 0.0
 
 
 @njit(_nrt=False)
