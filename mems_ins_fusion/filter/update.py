@@ -197,6 +197,12 @@ def update(mem, r, at, n, dimensions, factor, robust, gate):
 
 
 @njit(_nrt=False)
+def is_of_velocity(kind):
+    """Whether a measurement of this kind is of the velocity."""
+    return kind == Kind.SPEED or kind == Kind.VELOCITY or kind == Kind.TWIST
+
+
+@njit(_nrt=False)
 def _judge(mem, r, at, n, dimensions):
     """Factor on the covariance of the speed, velocity or heading at `at`, learned from its innovation, too, and for as
     many as tell no more than one; and the sigmas beyond which it is refused, 0: none. dimensions: of the components
@@ -209,14 +215,14 @@ def _judge(mem, r, at, n, dimensions):
     p, kind = int(mem[Head.SCRATCH_AT]), int(mem[at + Event.KIND])
     h, own = p + n * n, seen_of(mem, r, at)
     time = mem[at + Event.TIME]
-    speaks = kind == Kind.SPEED or kind == Kind.VELOCITY or kind == Kind.TWIST
-    if speaks and way.is_contradicted(mem, own):
+    of_velocity = is_of_velocity(kind)
+    if of_velocity and way.is_contradicted(mem, own):
         return 1.0, NEVER
     # of the start, too, after which the first has still to come
     fix = max(mem[r + Nav.FIX_TIME], mem[r + receiver.Receiver.SCALE + Scale.TIME])
     lasts = VELOCITY_LASTS if kind == Kind.VELOCITY else SPEED_LASTS
-    density = max(1.0, lasts / max(time - mem[own + Scale.TIME], 1e-3)) if speaks else 1.0
-    if speaks and fix != 0.0 and time - fix < NO_FIX and not way.is_compared(mem, own):
+    density = max(1.0, lasts / max(time - mem[own + Scale.TIME], 1e-3)) if of_velocity else 1.0
+    if of_velocity and fix != 0.0 and time - fix < NO_FIX and not way.is_compared(mem, own):
         mem[own + Scale.TIME] = time
         # a velocity may fit by its size and point elsewhere
         gate = NEVER if kind == Kind.VELOCITY else ROBUST
@@ -232,8 +238,9 @@ def _judge(mem, r, at, n, dimensions):
     learn(mem, own, time, squared, claimed, variance, dimensions)
     factor = max(scale(mem, own), 1.0)
     confirmed = kind != Kind.HEADING and time - mem[r + Nav.FIX_TIME] < NO_FIX
-    if confirmed and speaks:
-        return density * factor, FAR
+    if confirmed and of_velocity:  # one by one each is judged by what it claims itself
+        alone = (variance + factor * claimed) / (variance + density * factor * claimed)
+        return density * factor, FAR * math.sqrt(alone)
     if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * claimed + variance):
         return density * factor, 0.0
     for k in range(dimensions):
@@ -382,9 +389,12 @@ def apply_event(mem, r, at, sample):
         robust = ROBUST
     verdict = update(mem, r, at, n, dimensions, factor, robust, gate)
     mem[at + Event.VERDICT] = Verdict.RECOVERED if recovered else verdict
-    if kind != Kind.POSITION and verdict == Verdict.REFUSED and gate < FAR:
-        contradicted = way.is_contradicted(mem, seen_of(mem, r, at))
-        mem[at + Event.VERDICT] = Verdict.CONTRADICTED if contradicted else Verdict.AWAITED
+    if is_of_velocity(kind) and verdict == Verdict.REFUSED:
+        own = seen_of(mem, r, at)
+        if way.is_contradicted(mem, own):
+            mem[at + Event.VERDICT] = Verdict.CONTRADICTED
+        elif not way.is_compared(mem, own):
+            mem[at + Event.VERDICT] = Verdict.AWAITED
     if verdict != Verdict.REFUSED:
         store_covariance(mem, p, n_navigation, m, mem, r)
         feed_back(mem, r)
