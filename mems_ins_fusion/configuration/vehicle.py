@@ -19,7 +19,8 @@ class Vehicle:
     """sideways: m/s, robust standard deviation of the velocity across the nose, noise of the fixes included, or None.
     noise: m/s, of it by the receiver alone. wheels: whether that is how a vehicle with wheels moves, None unknown.
     rest_force, rest_rate: what axes scatter by at rest (95 % of the seconds stay below), m/s^2 and rad/s, or None.
-    drive_force, drive_rate: what they scatter by in motion (95 % of the seconds stay above)."""
+    drive_force, drive_rate: what they scatter by in motion (95 % of the seconds stay above). alike: share of the
+    seconds in motion that stay below rest_force and rest_rate, both."""
 
     sideways: float | None
     noise: float
@@ -28,6 +29,7 @@ class Vehicle:
     rest_rate: float | None = None
     drive_force: float | None = None
     drive_rate: float | None = None
+    alike: float | None = None
 
 
 def assess_vehicle(imu: ImuSamples, still: np.ndarray, found: Mounting | None, fix_sigma: float) -> Vehicle:
@@ -54,11 +56,14 @@ def _scatter(imu, still):
     size = max(round(_BLOCK / interval), 4)
     count = len(imu) // size
     if not count:
-        return None, None, None, None
+        return [None] * 5
     both = np.hstack([imu.specific_force, imu.angular_rate])[:count * size].reshape(count, size, 6).std(axis=1)
     part = still[:count * size].reshape(count, size).mean(axis=1)
     rest, drive = both[part == 1.0], both[part == 0.0]
     if len(rest) < 3 or len(drive) < 10:
-        return None, None, None, None
-    return (*(float(np.percentile(rest[:, s].max(axis=1), 95)) for s in (slice(0, 3), slice(3, 6))),
-            *(float(np.percentile(drive[:, s].max(axis=1), 5)) for s in (slice(0, 3), slice(3, 6))))
+        return [None] * 5
+    sensors = slice(0, 3), slice(3, 6)
+    most = [np.percentile(rest[:, axes].max(axis=1), 95) for axes in sensors]
+    alike = np.all([drive[:, axes].max(axis=1) < limit for axes, limit in zip(sensors, most)], axis=0)
+    return [*map(float, most), *(float(np.percentile(drive[:, axes].max(axis=1), 5)) for axes in sensors),
+            float(alike.mean())]
