@@ -4,6 +4,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,11 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.__main__ import main
 from mems_ins_fusion.configuration.check import check, check_setup, mounting_findings
-from mems_ins_fusion.configuration.configure import configure, configured, look
+from mems_ins_fusion.configuration.configure import _vehicle_settings, configure, configured, look
 from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting, rpy
 from mems_ins_fusion.configuration.noise import find_noise
 from mems_ins_fusion.configuration.offset import estimate_offset
 from mems_ins_fusion.configuration.topics import Candidate, Topics
+from mems_ins_fusion.configuration.vehicle import assess_vehicle
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.verdict import unsettled
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
@@ -458,3 +460,22 @@ def test_longmont_with_yaw_0_is_said_to_be_backwards():
     made = read_recording(shared_data('longmont_rtk_drive') / 'bag', '/imu/data', '/gps/fix')
     found, = check_mounting(made, table.defaults())
     assert 'backwards' in found.message and found.severity == ERROR
+
+
+@pytest.mark.parametrize(('quiet', 'told'), [(0.0, True), (0.08, True), (0.5, False), (0.9, False)])
+def test_standstills_are_used_unless_much_of_the_motion_is_as_quiet_as_rest(quiet, told):
+    # given a minute at rest, then five minutes of motion of which some seconds are as quiet: a smooth road, or a robot
+    rng = np.random.default_rng(4)
+    rate, seconds = 50, 360
+    moving = np.arange(seconds) >= 60
+    shaken = moving & (rng.random(seconds) >= quiet)
+    scatter = np.repeat(np.where(shaken, 10.0, np.where(moving, 0.9, 1.0)), rate)[:, None]
+    stamp = np.arange(seconds * rate) * (10**9 // rate)
+    imu = ImuSamples(stamp, stamp, 0.02 * scatter * rng.standard_normal((len(stamp), 3)) + [0.0, 0.0, STANDARD_GRAVITY],
+                     0.001 * scatter * rng.standard_normal((len(stamp), 3)))
+    vehicle = assess_vehicle(imu, ~np.repeat(moving, rate), None, 1.0)
+    # then they are told apart by both sensors together
+    assert vehicle.alike == pytest.approx(quiet, abs=0.1)
+    settings = {setting.name: setting.value for setting in _vehicle_settings([SimpleNamespace(vehicle=vehicle)])}
+    assert settings['vehicle.zero_velocity'] is told
+    assert ('vehicle.still_rate' in settings) is told

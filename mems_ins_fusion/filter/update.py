@@ -74,6 +74,10 @@ NEVER = 1e-9
 SPEED_LASTS = 1.0
 #: and those of a receiver's velocity, which it smooths for so long
 VELOCITY_LASTS = 1.0
+#: m/s, and multiple of the claimed variance: noise of a speed that has been seen to be larger is slip or another fault,
+#: and makes none fit
+LARGEST_NOISE = 0.2
+LARGEST_CLAIM = 9.0
 #: s over which the constraint's NIS is averaged
 CONSTRAINT_MEMORY = 10.0
 #: mean NIS above which the constraint is not used: it is 1 of a vehicle that keeps to it
@@ -239,7 +243,8 @@ def _judge(mem, r, at, n, dimensions):
     factor = max(scale(mem, own), 1.0)
     confirmed = kind != Kind.HEADING and time - mem[r + Nav.FIX_TIME] < NO_FIX
     if confirmed and of_velocity:  # one by one each is judged by what it claims itself
-        alone = (variance + factor * claimed) / (variance + density * factor * claimed)
+        noise = min(factor * claimed, max(LARGEST_CLAIM * claimed, LARGEST_NOISE**2))
+        alone = (variance + noise) / (variance + density * factor * claimed)
         return density * factor, FAR * math.sqrt(alone)
     if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * claimed + variance):
         return density * factor, 0.0
