@@ -89,6 +89,26 @@ def test_a_right_one_is_never_contradicted(rate, outliers):
             assert counts.get(Verdict.CONTRADICTED, 0) < 0.02 * sum(counts.values()), (name, counts)
 
 
+def test_one_that_is_too_slow_to_make_a_way_is_used():
+    # given fixes and velocities each 5 s
+    recording = drive(2, 0.2)
+    velocity = recording.velocity.select(slice(None, None, 25))
+    counts = run(config('velocity'), recording.imu, recording.gnss, Measured(velocity=velocity)).measured.verdicts(
+        Kind.VELOCITY)
+    assert counts.get(Verdict.AWAITED, 0) <= 1 and counts[Verdict.USED] > 20, counts
+
+
+def test_a_velocity_waits_for_the_first_ways_and_a_speed_that_fits_does_not():
+    recording = drive(2)
+    for name, waits in (('velocity', True), ('speed', False)):
+        samples = Measured({name: recording.streams()[name]})
+        measured = run(config(name), recording.imu, recording.gnss, samples).measured
+        record = measured.record[measured.kind == KINDS[name]]
+        first = record[:40 if waits else 160, Event.VERDICT] == Verdict.AWAITED  # eight seconds
+        assert first[:10].all() if waits else first.mean() < 0.1
+        assert not (record[150 if waits else 600:, Event.VERDICT] == Verdict.AWAITED).any()
+
+
 def test_it_is_used_again_when_its_ways_fit():
     # given a wheel speed in km/h for a minute, and right before and after
     recording = drive(3)

@@ -45,7 +45,10 @@ COMPARED = 0.09
 @njit(_nrt=False)
 def travel(mem, own, time, v_n, v_e, yaw_variance):
     """Add what an input says at `time`, s, to its way; v_n, v_e: m/s. own: position of its `Seen`."""
-    since, mem[own + Seen.WAY_TIME] = time - mem[own + Seen.WAY_TIME], time
+    before, mem[own + Seen.WAY_TIME] = mem[own + Seen.WAY_TIME], time
+    since = time - before
+    if before != 0.0 and since > LONGEST_PAUSE:  # one so slow makes no way, and nothing can speak against it
+        mem[own + Seen.COMPARED] = 1.0
     if not 0.0 < since <= LONGEST_PAUSE or yaw_variance > LARGEST_YAW_SIGMA**2:
         mem[own + Seen.START] = 0.0
     mem[own + Seen.WAY] += v_n * since
