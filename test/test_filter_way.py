@@ -109,6 +109,29 @@ def test_a_velocity_waits_for_the_first_ways_and_a_speed_that_fits_does_not():
         assert not (record[150 if waits else 600:, Event.VERDICT] == Verdict.AWAITED).any()
 
 
+@pytest.mark.parametrize('name', ['speed', 'twist'])
+@pytest.mark.parametrize('more', [3.0, -4.0])
+def test_wheels_that_slip_without_fixes_are_refused_at_once_and_used_again(name, more):
+    # given 40 s without fixes, in the middle of which the wheels turn for 3 s by 3 m/s more, or less, than they roll
+    errors = {'rolls': [], 'slips': []}
+    for seed in (2, 3):
+        recording = drive(seed)
+        right = recording.streams()[name]
+        at = (right.stamp - recording.imu.stamp[0]) / SECOND
+        slip = more * ((at > 110.0) & (at < 113.0))
+        slipping = replace(right, speed=right.speed + slip) if name == 'speed' else replace(
+            right, twist=right.twist + np.column_stack([slip, 0 * slip, 0 * slip]))
+        for case, samples in (('rolls', right), ('slips', slipping)):
+            errors[case].append(largest_errors(recording, {name: samples}, (90.0,)))
+        result = run(config(name), recording.imu, recording.gnss, Measured({name: slipping}))
+        record = result.measured.record[result.measured.kind == KINDS[name]]
+        since = (result.measured.stamp[result.measured.kind == KINDS[name]] - recording.imu.stamp[0]) / SECOND
+        refused = since[record[:, Event.VERDICT] == Verdict.REFUSED]
+        # then with fixes, too, it is those that slip, from the first on, and few others
+        assert ((refused > 109.9) & (refused < 113.1)).sum() > 55 and len(refused) < 70
+    assert np.max(errors['slips']) < np.max(errors['rolls']) + 1.5, errors
+
+
 def test_it_is_used_again_when_its_ways_fit():
     # given a wheel speed in km/h for a minute, and right before and after
     recording = drive(3)

@@ -98,7 +98,7 @@ class _Nav(NamedTuple):
     SLID: int = column()  # s in which a slide showed that the IMU misled the filter
     RESTARTS: int = column()  # states that were not finite and were taken back
     RECOVERIES: int = column()  # resets to fixes that had been refused
-    MECHANISMS: int = column(135)  # the first of those that the mechanisms ask for (`ROW`), and room for them
+    MECHANISMS: int = column(141)  # the first of those that the mechanisms ask for (`ROW`), and room for them
     SIZE: int = column(0)
 
 
@@ -206,7 +206,7 @@ def packed(i, j, size):
 
 
 #: floats of a named input at the end of a row: what is seen of it (trust/scale.py)
-INPUT_SIZE = 12
+INPUT_SIZE = 13
 
 
 def row_width(layout: StateLayout) -> int:

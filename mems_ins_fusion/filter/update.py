@@ -46,7 +46,7 @@ from .prediction import set_radii
 from .trust import contradiction, receiver, straight_on, way
 from .trust.drift import learn_drift
 from .trust.imu_faults import Imu
-from .trust.scale import Scale, learn, scale, seen_of
+from .trust.scale import Scale, Seen, learn, scale, seen_of
 from .trust.white_noise import hides_turns
 
 #: standstill and non-holonomic constraints are applied this often, s: their errors last about as long
@@ -74,6 +74,9 @@ NEVER = 1e-9
 SPEED_LASTS = 1.0
 #: and those of a receiver's velocity, which it smooths for so long
 VELOCITY_LASTS = 1.0
+#: s for which a speed that has fitted and then is far off is one of wheels that slip, without fixes, too; what lasts
+#: for longer may be right, and the state wrong
+LONGEST_SLIP = 5.0
 #: m/s, and multiple of the claimed variance: noise of a speed that has been seen to be larger is slip or another fault,
 #: and makes none fit
 LARGEST_NOISE = 0.2
@@ -242,10 +245,14 @@ def _judge(mem, r, at, n, dimensions):
     learn(mem, own, time, squared, claimed, variance, dimensions)
     factor = max(scale(mem, own), 1.0)
     confirmed = kind != Kind.HEADING and time - mem[r + Nav.FIX_TIME] < NO_FIX
-    if confirmed and of_velocity:  # one by one each is judged by what it claims itself
-        noise = min(factor * claimed, max(LARGEST_CLAIM * claimed, LARGEST_NOISE**2))
-        alone = (variance + noise) / (variance + density * factor * claimed)
-        return density * factor, FAR * math.sqrt(alone)
+    if of_velocity:  # one by one each is judged by what it claims itself
+        expected = variance + min(factor * claimed, max(LARGEST_CLAIM * claimed, LARGEST_NOISE**2))
+        # so soon no IMU is wrong by as much
+        slips = mem[own + Seen.FITTED] != 0.0 and time - mem[own + Seen.FITTED] < LONGEST_SLIP
+        if squared < ROBUST * ROBUST * expected:
+            mem[own + Seen.FITTED] = time
+        if confirmed or slips:
+            return density * factor, FAR * math.sqrt(expected / (variance + density * factor * claimed))
     if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * claimed + variance):
         return density * factor, 0.0
     for k in range(dimensions):

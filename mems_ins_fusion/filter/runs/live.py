@@ -453,7 +453,8 @@ class FusionFilter(Intake):
                     f'next: {missing}, or the clocks differ (gnss.time_offset); refused')
         measurement = self.config.inputs[kind]
         innovation = record[Event.Z_N:Event.Z_N + measurement.components]
-        return f'{measurement.off(record[Event.VALUE], innovation)}, {math.sqrt(record[Event.NIS]):.0f} sigma: refused'
+        said = f'{measurement.off(record[Event.VALUE], innovation)}, {math.sqrt(record[Event.NIS]):.0f} sigma: refused'
+        return f'{said}, as of wheels that slip' if measurement.kind in (Kind.SPEED, Kind.TWIST) else said
 
     def _fix_judged(self, used: bool, stamp: int, record) -> None:
         topic = self.config.gnss.topic

@@ -45,7 +45,8 @@ class _Seen(NamedTuple):
     MORE: int = 9  # share by which that way is longer than the one of the fixes,
     KNOWN: int = 10  # and how much of `way.PRIOR` its variance has lost,
     COMPARED: int = 11  # 1: enough of it at some time
-    SIZE: int = 12
+    FITTED: int = 12  # time, s, of the latest speed that fitted
+    SIZE: int = 13
 
 
 Seen = _Seen()
