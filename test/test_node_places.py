@@ -98,8 +98,13 @@ def test_speed_velocity_and_heading_become_the_filters():
     twist.twist.twist.linear.x, twist.twist.twist.linear.y, twist.twist.twist.linear.z = 3.0, 4.0, 0.5
     p = np.arange(36.0).reshape(6, 6)
     twist.twist.covariance = (p + p.T).ravel()
-    speed, velocity, heading, *_ = AIDING
+    named = {measurement.name: measurement for measurement in AIDING}
+    speed, velocity, heading = (named[name] for name in ('speed', 'velocity', 'heading'))
     assert numbers_of(speed, twist) == (3.0, 0.0)
+    twist.twist.twist.angular.z = 0.2
+    forward_right_clockwise, variance = numbers_of(named['twist'], twist)
+    assert forward_right_clockwise.tolist() == [3.0, -4.0, -0.2]
+    assert variance.tolist() == [(p + p.T)[i, i] for i in (0, 1, 5)]
     velocity, covariance = numbers_of(velocity, twist)
     assert velocity.tolist() == [4.0, 3.0, -0.5]
     signed = np.diag([1.0, 1.0, -1.0]) @ (p + p.T)[np.ix_([1, 0, 2], [1, 0, 2])] @ np.diag([1.0, 1.0, -1.0])
