@@ -21,10 +21,10 @@ SECOND = 10**9
 KINDS = {'speed': Kind.SPEED, 'velocity': Kind.VELOCITY, 'twist': Kind.TWIST}
 
 
-def drive(seed, rate=1.0, outliers=0.0, speed_rate=20.0):
+def drive(seed, rate=1.0, outliers=0.0):
     made = simulate_recording(simulate_drive(200.0, seed, 50.0, standstill=10.0, hills=True),
                               SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(1.5, rate),
-                              seed=seed, aiding=Aiding(speed_rate=speed_rate, velocity_rate=5.0, twist_rate=20.0))
+                              seed=seed, aiding=Aiding(speed_rate=20.0, velocity_rate=5.0, twist_rate=20.0))
     recording, rng = made.recording, np.random.default_rng(seed)
     off = (rng.random(len(recording.gnss)) < outliers) * 50e-7
     return replace(recording, gnss=replace(recording.gnss, latitude=recording.gnss.latitude + off))
@@ -47,9 +47,7 @@ def largest_errors(recording, measured, begins=(90.0, 150.0), duration=40.0):
 
 
 def turned(name, samples, matrix):
-    values = {'speed': 'speed', 'velocity': 'velocity', 'twist': 'twist'}[name]
-    return replace(samples, **{values: getattr(samples, values) @ matrix if name != 'speed'
-                               else matrix * samples.speed})
+    return replace(samples, **{name: matrix * samples.speed if name == 'speed' else getattr(samples, name) @ matrix})
 
 
 SWAPPED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

@@ -61,7 +61,7 @@ STILL_RATE = 0.05  # rad/s
 #: what fits worse than this many sigma is weighted down to it; of fixes it is a parameter
 ROBUST = 3.0
 #: sigmas beyond which a speed or velocity is refused while fixes speak for the state: wheels that slip, another unit.
-#: Weighted down it would still pull, each time. If it goes on, its scale grows until it is within
+#: Weighted down it would still pull, each time
 FAR = 10.0
 #: fixes refused in a row that may all be wrong: no way ends there
 SINGLE = 2.0
@@ -69,18 +69,17 @@ SINGLE = 2.0
 FIRST_SIGMA = 0.1
 #: sigmas beyond which an input is refused of which none is used
 NEVER = 1e-9
-#: s for which errors of a speed or odometry last, as do manoeuvres in which wheels slip and late stamps show: all of
-#: that time tell no more than one (0.3 s late, 60 s without fixes: 6 m, 32 m if white; studies/wrong_speeds.py)
+#: s for which errors of a speed, velocity or odometry last: manoeuvres in which wheels slip and late stamps show, the
+#: smoothing of receivers. All of that time tell no more than one (0.3 s late, 60 s without fixes: 7 m, 28 m if white)
 SPEED_LASTS = 1.0
-#: and those of a receiver's velocity, which it smooths for so long
-VELOCITY_LASTS = 1.0
 #: s for which a speed that has fitted and then is far off is one of wheels that slip, without fixes, too; what lasts
 #: for longer may be right, and the state wrong
 LONGEST_SLIP = 5.0
-#: m/s, and multiple of the claimed variance: noise of a speed that has been seen to be larger is slip or another fault,
-#: and makes none fit
-LARGEST_NOISE = 0.2
+#: multiple of the claimed variance that counts as noise where FAR is judged, however large it has been seen to be:
+#: three times the sigma, as the prior of a scale has it. More is slip or another fault, and makes none fit
 LARGEST_CLAIM = 9.0
+#: m/s, sigma that counts as noise there in any case: wheels that claim millimetres are not known better
+LARGEST_NOISE = 0.2
 #: s over which the constraint's NIS is averaged
 CONSTRAINT_MEMORY = 10.0
 #: mean NIS above which the constraint is not used: it is 1 of a vehicle that keeps to it
@@ -227,8 +226,7 @@ def _judge(mem, r, at, n, dimensions):
         return 1.0, NEVER
     # of the start, too, after which the first has still to come
     fix = max(mem[r + Nav.FIX_TIME], mem[r + receiver.Receiver.SCALE + Scale.TIME])
-    lasts = VELOCITY_LASTS if kind == Kind.VELOCITY else SPEED_LASTS
-    density = max(1.0, lasts / max(time - mem[own + Scale.TIME], 1e-3)) if of_velocity else 1.0
+    density = max(1.0, SPEED_LASTS / max(time - mem[own + Scale.TIME], 1e-3)) if of_velocity else 1.0
     if of_velocity and fix != 0.0 and time - fix < NO_FIX and not way.is_compared(mem, own):
         mem[own + Scale.TIME] = time
         # a velocity may fit by its size and point elsewhere
@@ -266,16 +264,12 @@ def _judge(mem, r, at, n, dimensions):
 @njit(_nrt=False)
 def _travel(mem, r, at, n, c):
     """Add the speed, velocity or twist at `at` to the way of its input; c: rotation from b to n."""
-    kind, yaw = mem[at + Event.KIND], yaw_state(mem)
-    yaw_variance = mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * yaw]
-    v_n, v_e = mem[at + Event.VALUE], mem[at + Event.VALUE + 1]
-    if kind == Kind.VELOCITY:
-        yaw_variance = 0.0  # it has directions of its own
-    elif kind == Kind.SPEED or kind == Kind.TWIST:
+    if mem[at + Event.KIND] == Kind.VELOCITY:  # it has directions of its own
+        v_n, v_e, yaw_variance = mem[at + Event.VALUE], mem[at + Event.VALUE + 1], 0.0
+    else:
         c = vehicle_to_level(mem, r, c)
         v_n, v_e = c[0] * mem[at + Event.VALUE], c[3] * mem[at + Event.VALUE]
-    else:
-        return
+        yaw_variance = mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * yaw_state(mem)]
     way.travel(mem, seen_of(mem, r, at), mem[at + Event.TIME], v_n, v_e, yaw_variance)
 
 
@@ -392,7 +386,8 @@ def apply_event(mem, r, at, sample):
     else:
         dimensions = heading.observe(mem, r, at, h, n, c)
     if kind != Kind.POSITION:
-        _travel(mem, r, at, n, c)
+        if is_of_velocity(kind):
+            _travel(mem, r, at, n, c)
         judged = min(dimensions, 2)
         if kind == Kind.TWIST:
             judged = 2 if twist.measures_sideways(mem, at) else 1
