@@ -16,7 +16,7 @@ from mems_ins_fusion.diagnosis.held_out import HeldOut
 from mems_ins_fusion.diagnosis.plausible import implausible
 from mems_ins_fusion.diagnosis.problem import Problem
 from mems_ins_fusion.diagnosis.search import Judged, Known
-from mems_ins_fusion.diagnosis.starts import TIME_OFFSET, other_starts, shown_by_track
+from mems_ins_fusion.diagnosis.starts import TIME_OFFSET, Shown, other_starts, shown_without_filter
 from mems_ins_fusion.diagnosis.tracing import Candidate
 from mems_ins_fusion.diagnosis.trial_runs import TrialRuns
 from mems_ins_fusion.effects.registry import EFFECTS
@@ -36,7 +36,8 @@ def late():
 
 
 def test_a_search_starts_from_what_is_given_from_what_the_recording_shows_and_from_nothing(late):
-    shown, nothing = other_starts(track := shown_by_track([late]), table.check({TIME_OFFSET: -0.8}))
+    shown, nothing = other_starts(track := shown_without_filter([late], table.check({})).track,
+                                  table.check({TIME_OFFSET: -0.8}))
     assert shown[TIME_OFFSET] == pytest.approx(OFFSET, abs=0.1) and nothing[TIME_OFFSET] == 0.0
     # and what is the same start is none of its own
     alone, = other_starts(track, table.check({TIME_OFFSET: shown[TIME_OFFSET]}))
@@ -57,11 +58,12 @@ def test_a_scale_of_the_gyroscopes_that_the_course_contradicts_is_none(late):
     # given gyroscopes that turn as far as the course does, as a bench sees it
     problem = Problem(late, table.check({TIME_OFFSET: OFFSET}))
     track = Offset(OFFSET, 0.02, np.zeros(3), np.ones(3), 0.01, 0.05)
-    shown = TrialRuns((late,), Drives([problem]), (), (10.0,), 30.0, lambda part, what: None, 0.0, {}, track).shown
+    given = (10.0,), 30.0, lambda part, what: None, 0.0, {}, Shown(track)
+    shown = TrialRuns((late,), Drives([problem]), (), *given).shown
     turned = shown['gyroscope_scale.z']
     # an offset that is in the parameters is none that has to be tried first; one that is not, is
     early = Problem(late, table.check({}))
-    assert [TrialRuns((late,), Drives([p]), (), (10.0,), 30.0, lambda part, what: None, 0.0, {}, track).certain
+    assert [TrialRuns((late,), Drives([p]), (), *given).certain
             for p in (problem, early)] == [(), ('gnss_time_offset',)]
     assert turned.value == pytest.approx(0.0, abs=3.0 * turned.sigma)
     # then, where that is seen well enough, a scale that is far from it cannot be, and one that is not can

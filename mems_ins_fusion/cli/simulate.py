@@ -2,13 +2,15 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from mems_ins_fusion.cli.command import Parser, run
-from mems_ins_fusion.effects.aiding_time_offset import TIME_OFFSETS
-from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.effects.aiding_time_offset import AidingTimeOffset
+from mems_ins_fusion.effects.base import Effect
+from mems_ins_fusion.effects.registry import EFFECTS, effects_of
 from mems_ins_fusion.errors import InputError
 from mems_ins_fusion.hints import did_you_mean
 from mems_ins_fusion.parameters import params_file, table
@@ -52,9 +54,9 @@ def simulate(options: argparse.Namespace) -> str:
         value = getattr(options, name)
         if value is not None and not low <= value <= high:
             raise InputError(f"--{name.replace('_', '-')} must be from {low:g} to {high:g}{unit}, got {value!s:.20}")
-    effects = parse_effects(options.effect)
     scene = _scene(options)
     values = table.check({**scene.imu, **params_file.load_files(options.params_file)})
+    effects = parse_effects(options.effect, {effect.name: effect for effect in effects_of(values)})
     model = options.model or values['sensor_error_model']
     sigma = 0.02 if options.rtk else values['gnss.sigma'] or 1.5
     sigma = sigma if options.gnss_sigma is None else options.gnss_sigma
@@ -122,10 +124,10 @@ def _write(simulation, options, values):
                        if values[name]})
 
 
-def parse_effects(texts: list[str]) -> list[tuple]:
+def parse_effects(texts: list[str], known: Mapping[str, Effect] = EFFECTS) -> list[tuple]:
     """The effects that NAME=VALUE and NAME.PARAM=VALUE texts ask for, each with all its parameters.
 
-    NAME=VALUE sets the effect's principal parameter. ValueError names what is not known.
+    NAME=VALUE sets the effect's principal parameter. known: the effects there are. ValueError names what is not known.
     """
     values: dict[str, dict[str, float]] = {}
     for text in texts:
@@ -133,11 +135,11 @@ def parse_effects(texts: list[str]) -> list[tuple]:
         name, _, parameter = key.partition('.')
         if not equals:
             raise InputError(f"--effect must be NAME=VALUE or NAME.PARAM=VALUE, got '{text}'")
-        if name not in EFFECTS:
-            hint = did_you_mean(name, EFFECTS) or f"; there are {', '.join(EFFECTS)}"
+        if name not in known:
+            hint = did_you_mean(name, known) or f"; there are {', '.join(known)}"
             raise InputError(f"no effect is named '{name}'{hint}")
-        values.setdefault(name, {})[parameter or EFFECTS[name].principal] = _number('--effect', text, number)
-    return [(EFFECTS[name], EFFECTS[name].complete(given)) for name, given in values.items()]
+        values.setdefault(name, {})[parameter or known[name].principal] = _number('--effect', text, number)
+    return [(known[name], known[name].complete(given)) for name, given in values.items()]
 
 
 def parse_outage(text: str) -> tuple[float, float]:
@@ -164,7 +166,8 @@ def _declared(values):
     coloured = {name: values[f'gnss.coloured_noise.{name}'] for name in ('sigma', 'tau')}
     return [(EFFECTS['gnss_time_offset'], {'time_offset': values['gnss.time_offset']}),
             (EFFECTS['gnss_lever_arm'], arm), (EFFECTS['gnss_coloured_noise'], coloured),
-            *((effect, {'time_offset': values[f'{effect.of}.time_offset']}) for effect in TIME_OFFSETS)]
+            *((effect, {'time_offset': values[f'{effect.of}.time_offset']}) for effect in effects_of(values)
+              if isinstance(effect, AidingTimeOffset))]
 
 
 def _parser():

@@ -8,18 +8,18 @@ import math
 
 import numpy as np
 
+from mems_ins_fusion.configuration.inputs import WHEELED, wheel_clock
 from mems_ins_fusion.configuration.mounting import Mounting, estimate_mounting
-from mems_ins_fusion.configuration.remaining import ARM, TIME_OFFSET, remaining_of
-from mems_ins_fusion.configuration.speed_offset import estimate_speed_offset
-from mems_ins_fusion.filter.measurements.speed import Speed
+from mems_ins_fusion.configuration.remaining import ARM, TIME_OFFSET, Remaining, remaining_of
+from mems_ins_fusion.filter.measurements.registry import MEASUREMENTS, aiding
 from mems_ins_fusion.filter.runs.usable import usable_fixes, usable_samples
 from mems_ins_fusion.navigation.earth import gravity
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters.params_file import yaml_value
+from mems_ins_fusion.recordings.aiding import forwards
 from mems_ins_fusion.recordings.checker import ERROR, INFO, WARNING, Finding, check_recording
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
-_SPEED = Speed()
 SURE = 4.0  # sigmas
 LOOKED_AT = 1200.0  # s: how an IMU is mounted shows in this part of a drive
 _SMALL_YAW, _SMALL_TILT = math.radians(3.0), math.radians(5.0)  # less is for the filter to find
@@ -48,7 +48,7 @@ def check_setup(recording: Recording, values: dict) -> list[Finding]:
     if fixes is None or len(imu) < 2:
         return _mounting(imu, fixes, values['imu.mounting_rpy'])[0]
     findings, found = _mounting(imu, fixes, values['imu.mounting_rpy'])
-    return [*findings, *_check_offset(found, values), *_check_speed(recording, imu, found, values)]
+    return [*findings, *_check_offset(found, values), *_check_wheels(recording, imu, found, values)]
 
 
 def mounting_findings(imu: ImuSamples, fixes: Fixes | None, mounting_rpy, lag: float | None = None) -> list[Finding]:
@@ -112,27 +112,41 @@ def _check_offset(found: Mounting | None, values: dict):
                       {'arm_m': offset.arm.tolist(), 'arm_sigma_m': offset.arm_sigma.tolist()}, ('gnss.lever_arm',))
 
 
-def _check_speed(recording: Recording, imu: ImuSamples, found: Mounting | None, values: dict):
-    """What the parameters leave of the time offset of a speed."""
-    if recording.speed is None or not values[_SPEED.topic] or found is None or not found.yaw_known:
-        return
-    speeds = _SPEED.declared(_SPEED.settings(values), recording.speed)
-    seen = estimate_speed_offset(imu, speeds.select(speeds.stamp < imu.stamp[-1]), found.rotation)
-    if seen is None or not seen.shown:
-        yield Finding(INFO, 'imu/speed', 'changes of speed too few, or a road too rough, to see how late the speed is')
-        return
-    declared = values['speed.time_offset']
-    left = seen.lag - declared
-    shown = {'speed_lag_s': seen.lag, 'sigma_s': seen.lag_sigma, 'left_s': left}
-    beside = f' beside speed.time_offset {declared:g} s' if declared else ''
-    if abs(left) > max(SMALL_OFFSET, SURE * seen.lag_sigma):
-        yield Finding(WARNING, 'imu/speed', f'against the IMU the speed is {abs(left):.3f} s '
-                      f'{"late" if left > 0 else "early"} (sigma {seen.lag_sigma:.3f} s){beside}: set '
-                      f'speed.time_offset to '
-                      f'{seen.lag:.2f}', shown)
-    else:
-        yield Finding(INFO, 'imu/speed', f'the speed is of the time of its stamps{beside}: {left:.3f} +- '
-                      f'{seen.lag_sigma:.3f} s', shown)
+def _check_wheels(recording: Recording, imu: ImuSamples, found: Mounting | None, values: dict):
+    """What the parameters leave of the time offset of each speed and odometry."""
+    for name, left in clocks_left(recording, imu, found, values).items():
+        yield _clock_finding(name, left, values[f'{name}.time_offset'])
+
+
+def clocks_left(recording: Recording, imu: ImuSamples, found: Mounting | None, values: dict) -> dict[str, Remaining]:
+    """What the checked parameters `values` leave of the time offset of each speed and odometry, by the input's name, as
+    `recording` shows it without fixes; imu: its usable samples. Empty where the yaw of the mounting is not shown."""
+    if found is None or not found.yaw_known:
+        return {}
+    left, streams = {}, recording.streams()
+    for measurement in aiding(values):
+        kind = MEASUREMENTS[measurement.kind].name
+        if kind in WHEELED and values[measurement.topic] and measurement.name in streams:
+            samples = measurement.declared(measurement.settings(values), streams[measurement.name])
+            samples = samples.select(samples.stamp < imu.stamp[-1])
+            lag, _ = wheel_clock(imu, forwards(samples), samples if kind == 'twist' else None, found.rotation)
+            lag, sigma = lag or (0.0, math.inf)
+            left[measurement.name] = Remaining(TIME_OFFSET, lag - values[f'{measurement.name}.time_offset'], sigma)
+    return left
+
+
+def _clock_finding(name: str, left: Remaining, declared: float) -> Finding:
+    if not math.isfinite(left.sigma):
+        return Finding(INFO, f'imu/{name}', 'changes of speed too few, or a road too rough, to see how late the '
+                       f'{name} is')
+    shown = {'lag_s': declared + left.value, 'sigma_s': left.sigma, 'left_s': left.value}
+    beside = f' beside {name}.time_offset {declared:g} s' if declared else ''
+    if left.certain(SMALL_OFFSET, SURE):
+        return Finding(WARNING, f'imu/{name}', f'against the IMU the {name} is {abs(left.value):.3f} s '
+                       f'{"late" if left.value > 0 else "early"} (sigma {left.sigma:.3f} s){beside}: set '
+                       f'{name}.time_offset to {declared + left.value:.2f}', shown)
+    return Finding(INFO, f'imu/{name}', f'the {name} is of the time of its stamps{beside}: {left.value:.3f} +- '
+                   f'{left.sigma:.3f} s', shown)
 
 
 def _compare(found: Mounting, declared: np.ndarray) -> list[Finding]:

@@ -2,38 +2,41 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain, count
 from types import MappingProxyType
 
 import numpy as np
 
+from mems_ins_fusion.configuration.inputs import WHEELED, InputShown, LeftOut, shown_inputs
 from mems_ins_fusion.configuration.mounting import BIAS_SIGMA, SHOWN, UNKNOWN, Mounting, deviation, estimate_mounting
 from mems_ins_fusion.configuration.noise import Noise, find_noise
 from mems_ins_fusion.configuration.offset import together
-from mems_ins_fusion.configuration.receiver import Receiver, assess_receiver
+from mems_ins_fusion.configuration.receiver import TOO_SURE, Receiver, assess_receiver
 from mems_ins_fusion.configuration.regression import weighted
-from mems_ins_fusion.configuration.remaining import Remaining, remaining_of
-from mems_ins_fusion.configuration.speed_offset import SpeedOffset, estimate_speed_offset
-from mems_ins_fusion.configuration.topics import WHEELS, Candidate, Topics, find_topics
+from mems_ins_fusion.configuration.remaining import ARM, Remaining, remaining_of
+from mems_ins_fusion.configuration.topics import Candidate, Topics, find_topics
 from mems_ins_fusion.configuration.vehicle import Vehicle, assess_vehicle
+from mems_ins_fusion.filter.measurements.registry import TYPES
 from mems_ins_fusion.filter.runs.usable import usable
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.navigation.earth import gravity as gravity_at
 from mems_ins_fusion.parameters.parameter import ParameterError
-from mems_ins_fusion.parameters.table import ALL, defaults
-from mems_ins_fusion.recordings.aiding import pressure_factor, speed_factor
+from mems_ins_fusion.parameters.table import ALL, defaults, parameters_of
 from mems_ins_fusion.recordings.checker import INFO, Finding, check_recording
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.motion import find_standstill
 from mems_ins_fusion.recordings.several import refuse_twice
 from mems_ins_fusion.recordings.sketch import sketch
 from mems_ins_fusion.recordings.units import RATE, Units, find_units, in_si
-from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, Speeds
+from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
 _SIGNIFICANT = 2.0  # sigmas: a smaller value is not set
 _AT_ZERO = f': less than {_SIGNIFICANT:g} sigma, left at zero'
-_TOO_SURE = 2.0  # times its stated sigma: a receiver that is not believed
+_LEAST_ARM_SIGMA = 0.01  # m: of the centre of phase of an antenna
+_ASIDE = 4.0  # sigmas: a wheel that is further to a side is not the middle of the axle
 _OUTLIERS = 0.002  # part of the fixes
 _ROBUST = 3.0  # gnss.robust_sigma where there are outliers
 _ARM_SHOWN = 0.3  # m
@@ -53,21 +56,9 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Wheels:
-    """What one recording shows of a speed. topic: of it. compared: whether with
-    fixes. factor: makes m/s of it, as `speed.factor`. offset: None where
-    it is not shown."""
-
-    topic: str
-    compared: bool
-    factor: float
-    offset: SpeedOffset | None
-
-
-@dataclass(frozen=True)
 class Drive:
-    """One recording and what it shows. imu: in SI units. still: (n,) its samples at rest. seconds: its length. wheels:
-    None without a speed that goes with that of the fixes."""
+    """One recording and what it shows. imu: in SI units. still: (n,) its samples at rest. seconds: its length. inputs:
+    what its other topics measure, and which are not used."""
 
     name: str
     imu: ImuSamples
@@ -80,7 +71,7 @@ class Drive:
     receiver: Receiver | None
     vehicle: Vehicle
     findings: tuple[Finding, ...] = ()
-    wheels: Wheels | None = None
+    inputs: tuple[InputShown | LeftOut, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -119,7 +110,9 @@ def configure(paths, progress=lambda part, what: None) -> Configuration:
         gnss = _same(found.gnss, topics.gnss[0].topic, path) if topics.gnss else None
         progress((i + 0.5) / len(paths), 'looking')
         fixes.append(gnss.samples if gnss else None)
-        drives.append(look(path, imu.samples, fixes[-1], {one.topic: one.samples for one in found.speed}))
+        receivers = {**found.receivers, **({found.gnss[0].topic: found.gnss[0].samples} if found.gnss else {})}
+        receivers.pop(topics.gnss[0].topic if topics.gnss else '', None)
+        drives.append(look(path, imu.samples, fixes[-1], found.others, receivers))
         for other in drives[:-1]:
             refuse_twice(drives[-1], other)
     progress(1.0, 'done')
@@ -138,10 +131,12 @@ def configured(topics: Topics, drives: Sequence[Drive], fixes: Sequence[Fixes | 
 
 def _possible(found: Iterable[Setting]) -> tuple[list[Setting], list[str]]:
     """The settings that can be set, and what is wrong with the others: a recording may show what no vehicle does."""
+    found = list(found)
+    known = parameters_of({setting.name: setting.value for setting in found})
     settings, beyond = [], []
     for setting in found:
         try:
-            ALL[setting.name].check(setting.value)
+            known[setting.name].check(setting.value)
         except ParameterError as error:
             beyond.append(f'{error}; not set')
         else:
@@ -157,8 +152,9 @@ def _same(candidates, topic, path) -> Candidate:
     return match[0]
 
 
-def look(path, imu: ImuSamples, fixes: Fixes | None, speeds: Mapping[str, Speeds] = MappingProxyType({})) -> Drive:
-    """All that one recording shows. speeds: by topic, what may be the speed of wheels, as recorded."""
+def look(path, imu: ImuSamples, fixes: Fixes | None, others: Mapping[str, Mapping[str, object]] = MappingProxyType({}),
+         receivers: Mapping[str, Fixes] = MappingProxyType({})) -> Drive:
+    """All that one recording shows. others, receivers: by topic, as recorded, see `shown_inputs`."""
     name = str(path)
     seen = usable(Recording(name, imu, fixes))
     good = seen.gnss if seen.gnss is not None and len(seen.gnss) > 1 else None
@@ -177,20 +173,8 @@ def look(path, imu: ImuSamples, fixes: Fixes | None, speeds: Mapping[str, Speeds
     noise = receiver.realised if receiver is not None else None
     vehicle = assess_vehicle(imu, still, found, noise or 1.0)
     return Drive(name, imu, good, still, seconds, units, found, find_noise(imu, still), receiver, vehicle,
-                 tuple(finding for finding in findings if finding.severity != INFO), _wheels(imu, good, found, speeds))
-
-
-def _wheels(imu, fixes, mounting, speeds) -> Wheels | None:
-    """The first of `speeds` that goes with the speed of the fixes, or is one by its name, and how late it is."""
-    for topic, samples in speeds.items():
-        factor = speed_factor(samples, fixes)
-        if factor is not None and (math.isfinite(factor) or WHEELS.search(topic)):
-            compared, factor = math.isfinite(factor), factor if math.isfinite(factor) else 1.0
-            samples = replace(samples, speed=factor * samples.speed)
-            known = mounting is not None and mounting.yaw_known
-            offset = estimate_speed_offset(imu, samples, mounting.rotation) if known else None
-            return Wheels(topic, compared, factor, offset)
-    return None
+                 tuple(finding for finding in findings if finding.severity != INFO),
+                 tuple(shown_inputs(others, receivers, imu, good, still, found)))
 
 
 def _together(found: list[Mounting]) -> Mounting | None:
@@ -219,8 +203,6 @@ def _settings(topics: Topics, drives, mounting):
     yield from _unit_settings(first.units)
     mechanization = _mechanization(drives, mounting)
     yield mechanization
-    if mechanization.value == 'strapdown':
-        yield from _pressure_settings(topics)
     if mounting is not None:
         yield _mounting_setting(mounting)
         if mounting.yaw_known:
@@ -228,7 +210,8 @@ def _settings(topics: Topics, drives, mounting):
                 'of pitch and yaw, the larger one: the filter estimates what is left of them',))
         yield from _offset_settings(mounting)
     yield from _receiver_settings([drive.receiver for drive in drives if drive.receiver is not None])
-    yield from _speed_settings([drive.wheels for drive in drives if drive.wheels is not None])
+    offset = {setting.name: setting.value for setting in _offset_settings(mounting)} if mounting is not None else {}
+    yield from _input_settings([drive.inputs for drive in drives], mechanization.value, offset)
     yield from _noise_settings(drives, mounting)
     yield from _vehicle_settings(drives)
 
@@ -328,7 +311,7 @@ def _receiver_settings(receivers: list[Receiver]):
         ('stated', stated), ('scatter at rest', [r.at_rest for r in receivers if r.at_rest is not None]),
         ('white noise in motion about', [r.in_motion for r in receivers if r.in_motion is not None])) if values)
     if stated:
-        too_sure = realised is not None and realised > _TOO_SURE * max(stated)
+        too_sure = realised is not None and realised > TOO_SURE * max(stated)
         yield Setting('gnss.sigma', float(f'{realised:.2g}') if too_sure else 0.0,
                       (text, 'the receiver is too sure of itself' if too_sure else 'the stated sigma is used'))
     else:
@@ -343,37 +326,92 @@ def _receiver_settings(receivers: list[Receiver]):
                       (f'fixes arrive up to {max(delays):.2f} s (99 %) after the IMU samples of their time',))
 
 
-def _pressure_settings(topics):
-    """The first that is a pressure of the air in some unit."""
-    for candidate in topics.pressure:
-        factor = pressure_factor(candidate.samples)
-        if factor is not None:
-            yield Setting('pressure_topic', candidate.topic, (candidate.describe(),))
-            if factor != 1.0:
-                yield Setting('pressure.factor', factor, ('makes Pa of it',))
-            return
+def _input_settings(drives: Sequence[Sequence[InputShown | LeftOut]], mechanization: str, first: Mapping):
+    """Of the topics of the first drive. first: what is set of the first receiver. The first topic of each kind has the
+    parameters without a name; others, and further receivers, are named after their topics."""
+    used = [one for one in drives[0] if isinstance(one, InputShown)
+            and not (one.measurement.name == 'pressure' and mechanization != 'strapdown')]
+    plain = {}
+    for one in used:
+        if one.measurement.name != 'fix' and not _is_aside(one):
+            plain.setdefault(one.measurement.name, one.topic)
+    names = _names([one.topic for one in used if plain.get(one.measurement.name) != one.topic])
+    left_out = tuple(f'{one.topic} is not used: {one.why}' for one in drives[0] if isinstance(one, LeftOut))
+    if names or left_out:
+        why = (*(f'{name}: {topic}' for topic, name in names.items()), *left_out)
+        yield Setting('inputs', list(names.values()), why)
+    for one in used:
+        seen = [other for inputs in drives for other in inputs if isinstance(other, InputShown)
+                and other.topic == one.topic and other.measurement is one.measurement]
+        name = names.get(one.topic, one.measurement.name)
+        if one.topic in names:
+            yield Setting(f'{name}.type', one.measurement.name, ())
+            yield Setting(f'{name}.topic', one.topic, (one.why,))
+            yield from _place_settings(name, one.measurement.name, seen, first)
+        else:
+            yield Setting(one.measurement.topic, one.topic, (one.why,))
+        yield from _value_settings(name, seen, first)
 
 
-def _speed_settings(found: list[Wheels]):
-    """Of the topic of the first drive's."""
-    if not found:
+def _is_aside(one: InputShown) -> bool:
+    """Whether it is measured to the left or right of the IMU for certain, as by one wheel."""
+    across, sigma = one.arm[0][1], one.arm[1][1]
+    return bool(abs(across) > max(_ARM_SHOWN, _ASIDE * sigma))
+
+
+def _names(topics: Sequence[str]) -> dict[str, str]:
+    """A name for the input of each topic, none of which parameters or other inputs have."""
+    names: dict[str, str] = {}
+    taken = {name.split('.')[0] for name in ALL} | set(TYPES)
+    for topic in topics:
+        base = re.sub(r'[^a-z0-9]+', '_', topic.lower()).strip('_') or 'input'
+        base = base if base[0].isalpha() else f'input_{base}'
+        names[topic] = next(name for name in chain([base], (f'{base}_{k}' for k in count(2)))
+                            if name not in taken and name not in names.values())
+    return names
+
+
+def _place_settings(name: str, kind: str, seen: Sequence[InputShown], first: Mapping):
+    """Where in the vehicle a named input is measured, where that is shown."""
+    arms, sigmas = (np.array([one.arm[k] for one in seen]) for k in (0, 1))
+    arm, sigma = weighted(arms, sigmas)
+    known = np.isfinite(sigmas).any(axis=0) & (kind == 'fix' or sigma < _ARM_SHOWN)
+    if not known.any():
         return
-    found = [wheels for wheels in found if wheels.topic == found[0].topic]
-    factor = float(np.median([wheels.factor for wheels in found]))
-    yield Setting('speed_topic', found[0].topic, (
-        'it goes with the speed of the fixes' if found[0].compared else
-        'by its name: no fixes in motion to compare it with, its unit is taken to be m/s',))
+    text = ', '.join(f'{value:.2f} +- {s:.2f} m {axis}' for value, s, axis, k in zip(arm, sigma, ARM, known) if k)
+    whence = 'the antenna of gnss_topic' if kind == 'fix' else 'the IMU'
+    begin = np.array(first.get('gnss.lever_arm', [0.0] * 3)) if kind == 'fix' else np.zeros(3)
+    yield Setting(f'{name}.lever_arm', _rounded(begin + np.where(known, arm, 0.0), 2), (
+        f'from {whence} {text}', 'a tape is better'))
+    if kind == 'fix':
+        yield Setting(f'{name}.lever_arm_sigma', round(float(max(sigma[:2].max(), _LEAST_ARM_SIGMA)), 3),
+                      ('of forward and left, the larger one: the filter estimates what is left of them',))
+
+
+def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
+    """Unit, zero, noise and clock of an input."""
+    kind = seen[0].measurement.name
+    factor = float(np.median([one.factor for one in seen]))
     if factor != 1.0:
-        yield Setting('speed.factor', float(f'{factor:.5g}'), (f'it is {1.0 / factor:.4g} times that of the fixes',))
-    offsets = [wheels.offset for wheels in found if wheels.offset is not None and wheels.offset.shown]
-    if not offsets:
-        yield Setting('speed.time_offset', 0.0, ('not shown: too few changes of speed, or a road too rough',))
-        return
-    lags, sigmas = (np.array([getattr(offset, name) for offset in offsets]) for name in ('lag', 'lag_sigma'))
-    lag, sigma = (float(x) for x in weighted(lags, sigmas))
-    sure = _is_sure(lag, sigma)
-    yield Setting('speed.time_offset', round(lag, 3) if sure else 0.0, (
-        f'against the accelerometers {lag:.3f} +- {sigma:.3f} s{"" if sure else _AT_ZERO}',))
+        yield Setting(f'{name}.factor', float(f'{factor:.5g}'), (
+            'makes Pa of it' if kind == 'pressure' else f'it is {1.0 / factor:.4g} times the speed of the fixes',))
+    if seen[0].turned:
+        turned = float(np.median([one.turned for one in seen]))
+        yield Setting(f'{name}.offset', round(turned, 4), (f'it is {math.degrees(turned):.1f} deg clockwise from the '
+                                                           'course of the fixes',))
+    noise = [one.sigma for one in seen if one.sigma is not None]
+    if noise:
+        yield Setting(f'{name}.sigma', float(f'{max(noise):.2g}'), (
+            f'it scatters by {max(noise):.2g} m at rest, more than {TOO_SURE:g} times what it states',))
+    lags = [one.lag for one in seen if one.lag is not None]
+    if lags:
+        lag, sigma = (float(x) for x in weighted(*(np.array(part) for part in zip(*lags))))
+        sure = _is_sure(lag, sigma)
+        begin, what = (first.get('gnss.time_offset', 0.0), 'gnss_topic') if kind == 'fix' else (0.0, 'the IMU')
+        yield Setting(f'{name}.time_offset', round(begin + (lag if sure else 0.0), 3) + 0.0, (
+            f'against {what} {lag:.3f} +- {sigma:.3f} s{"" if sure else _AT_ZERO}',))
+    elif kind in WHEELED:
+        yield Setting(f'{name}.time_offset', 0.0, ('not shown: too few changes of speed, or a road too rough',))
 
 
 def _noise_settings(drives, mounting):

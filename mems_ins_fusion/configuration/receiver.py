@@ -12,6 +12,7 @@ from mems_ins_fusion.samples import Fixes, ImuSamples
 
 _OUTLIER = 6.0  # robust standard deviations
 _ROUGHNESS = 0.06  # m/s^2 over the square root of six: misfit of specific force and motion on ordinary roads
+TOO_SURE = 2.0  # times its stated sigma: a receiver that is not believed
 _CLOCKS = 2.0  # s: more between stamp and arrival is no delay
 
 

@@ -2,29 +2,28 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from mems_ins_fusion.filter.measurements.pressure import Pressure
-from mems_ins_fusion.filter.measurements.speed import Speed
+from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.findings import count_of
 from mems_ins_fusion.recordings.messages import IMU, NAV_SAT_FIX, TEMPERATURE
 from mems_ins_fusion.recordings.motion import robust_sigma, sigmas, valid_fixes
 from mems_ins_fusion.recordings.reading import read_recording
-from mems_ins_fusion.samples import Fixes, ImuSamples, Pressures, Speeds
+from mems_ins_fusion.samples import Fixes, ImuSamples
 
-_SPEED, _PRESSURE = Speed(), Pressure()
 #: names that say: not a sensor's own measurement
 _DERIVED = re.compile(r'reference|truth|fused|filter|ekf|odom|estimate|gt($|/)', re.IGNORECASE)
-
-
-#: and which of these are a sensor's nevertheless
-WHEELS = re.compile(r'wheel|vehicle|(^|/|_)can($|/|_)', re.IGNORECASE)
-#: names of a velocity that is the receiver's
-_RECEIVER = re.compile(r'gps|gnss|fix', re.IGNORECASE)
+#: what messages may be of besides samples and fixes, by their type
+_AIDING = {kind: tuple(one for one in AIDING if kind in one.messages)
+           for kind in dict.fromkeys(kind for one in AIDING for kind in one.messages)}
+#: those that are no samples of an IMU, whose orientation is no heading of its own
+_OTHERS = [kind for kind in _AIDING if kind != IMU]
+_LEAST_USABLE = 0.5  # part of the messages and axes: with less it is no IMU
 
 
 @dataclass(frozen=True)
@@ -39,7 +38,7 @@ class Candidate:
     jitter: float
     usable: float
     derived: bool
-    samples: ImuSamples | Fixes | Speeds | Pressures = field(repr=False)
+    samples: ImuSamples | Fixes = field(repr=False)
     sigma: float = np.nan
 
     def describe(self) -> str:
@@ -58,14 +57,18 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Topics:
-    """The topics chosen, or None, each first in the list of its kind. speed: those that may be the speed of wheels, by
-    type and name. pressure: of the air."""
+    """Each first in its tuple is the one chosen. others: by topic, the samples that its messages are, by the name of
+    each measurement that they may be of."""
 
     imu: tuple[Candidate, ...]
     gnss: tuple[Candidate, ...]
     temperature: tuple[str, ...]
-    speed: tuple[Candidate, ...] = ()
-    pressure: tuple[Candidate, ...] = ()
+    others: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
+
+    @property
+    def receivers(self) -> dict[str, Fixes]:
+        """The fixes of further receivers, by topic; not of what is a result by its name."""
+        return {one.topic: one.samples for one in self.gnss[1:] if not one.derived}
 
 
 def find_topics(path) -> Topics:
@@ -73,7 +76,7 @@ def find_topics(path) -> Topics:
     with Bag(path) as bag:
         kinds, counts = bag.topics, bag.counts()
     named = {kind: sorted(name for name, k in kinds.items() if k == kind and counts[name] > 1)
-             for kind in (IMU, NAV_SAT_FIX, TEMPERATURE, *_SPEED.messages, *_PRESSURE.messages)}
+             for kind in (IMU, NAV_SAT_FIX, TEMPERATURE, *_OTHERS)}
     if not named[IMU]:
         there = ', '.join(f'{name} ({kind}, {count_of(counts[name], "message")})'
                           for name, kind in sorted(kinds.items()))
@@ -81,12 +84,10 @@ def find_topics(path) -> Topics:
                              f'{f", only {there}" if there else ""}')
     imu = tuple(sorted((_imu(path, name) for name in named[IMU]), key=_imu_rank))
     gnss = tuple(sorted((_gnss(path, name, named[IMU][0]) for name in named[NAV_SAT_FIX]), key=_gnss_rank))
-    wheels = [name for kind in _SPEED.messages for name in named[kind]
-              if WHEELS.search(name) or not (_DERIVED.search(name) or _RECEIVER.search(name))]
-    return Topics(imu, gnss, tuple(named[TEMPERATURE]),
-                  tuple(_aiding(_SPEED, path, name, named[IMU][0]) for name in wheels),
-                  tuple(_aiding(_PRESSURE, path, name, named[IMU][0]) for kind in _PRESSURE.messages
-                        for name in named[kind]))
+    others = {name: _read(path, name, kind, named[IMU][0]) for kind in _OTHERS for name in named[kind]}
+    # a heading of two antennas comes as an Imu without rates and forces
+    others |= {one.topic: _read(path, one.topic, IMU, named[IMU][0]) for one in imu[1:] if one.usable < _LEAST_USABLE}
+    return Topics(imu, gnss, tuple(named[TEMPERATURE]), others)
 
 
 def _imu(path, topic) -> Candidate:
@@ -107,11 +108,10 @@ def _gnss(path, topic, imu_topic) -> Candidate:
                      sigma=float(np.nanmedian(stated)) if np.isfinite(stated).any() else np.nan)
 
 
-def _aiding(measurement, path, topic, imu_topic) -> Candidate:
-    samples = read_recording(path, imu_topic, **{measurement.topic: topic}).streams()[measurement.name]
-    return Candidate(topic, len(samples), *_stamps(samples),
-                     usable=float(np.isfinite(getattr(samples, measurement.name)).mean()), derived=False,
-                     samples=samples)
+def _read(path, topic, kind, imu_topic) -> dict[str, object]:
+    """The samples that the messages of `topic`, of the type `kind`, are, by the name of each measurement."""
+    read = read_recording(path, imu_topic, **{one.topic: topic for one in _AIDING[kind]}).streams()
+    return {one.name: read[one.name] for one in _AIDING[kind]}
 
 
 def _stamps(samples):

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..effects.aiding_time_offset import SeveralTimeOffsets
 from ..effects.base import Effect
-from ..effects.registry import EFFECTS
+from ..effects.registry import effects_of
 from ..filter.runs.usable import usable
 from ..recordings.several import one_after_another
 from ..samples import Recording
@@ -17,7 +18,7 @@ from .drives import Drives, problems
 from .findings import Diagnosis
 from .problem import DiagnosisError
 from .search import add_best, begin, replaced, without_superseded, without_undetermined
-from .starts import TIME_OFFSET, other_starts, shown_by_track
+from .starts import TIME_OFFSET, other_starts, shown_without_filter
 from .trial_runs import Progress, TrialRuns
 
 #: fewer innovations than this decide nothing
@@ -31,8 +32,8 @@ def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress
              effects: Sequence[Effect] | None = None, durations=(10.0, 30.0, 60.0), spacing: float = 30.0) -> Diagnosis:
     """Diagnose `recordings`, one or several of one vehicle, as filtered with `values` (checked parameters).
 
-    effects: the candidates, by default all of the registry. Raises DiagnosisError where no recording can be diagnosed
-    at all. `progress` is called with the part of the work done and what is being done.
+    effects: the candidates, by default all there are, those of named inputs too. Raises DiagnosisError where no
+    recording can be diagnosed at all. `progress` is called with the part of the work done and what is being done.
     """
     progress(0.02, 'filtering')
     given = [recordings] if isinstance(recordings, Recording) else list(recordings)
@@ -42,16 +43,19 @@ def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress
             raise DiagnosisError(f'{recording.name}: no {"fix" if len(recording.imu) > 1 else "IMU sample"} that could '
                                  'be used')
     thinned = [_thinned(recording) for recording in one_after_another(given)]
-    track = shown_by_track(thinned)
-    others = other_starts(track, values)
+    shown = shown_without_filter(thinned, values)
+    others = other_starts(shown.track, values)
     found, left_out = problems(thinned, values, FEWEST_FIXES, others)
     thinned = [recording for recording in thinned if recording.name not in left_out]
     for problem, recording in zip(found, thinned):
         problem.reference_clock = whose(recording, values['reference_clock']).name
-    library = tuple(effects if effects is not None else EFFECTS.values())
+    late = SeveralTimeOffsets(shown.late) if len(shown.late) > 1 else None
+    library = tuple(effects if effects is not None else (*effects_of(values), *([late] if late else [])))
+    sizes = {'gnss_time_offset': [{'time_offset': other[TIME_OFFSET] - values[TIME_OFFSET]} for other in others],
+             **{f'{name}_time_offset': [{'time_offset': left.value}] for name, left in shown.clocks.items()},
+             **({late.name: [{'share': 1.0}]} if late else {})}
     trials = TrialRuns(tuple(thinned), Drives(found), library, tuple(durations), spacing, progress,
-                  values['gnss.time_offset_sigma'], {'gnss_time_offset': [
-                      {'time_offset': other[TIME_OFFSET] - values[TIME_OFFSET]} for other in others]}, track)
+                       values['gnss.time_offset_sigma'], sizes, shown)
     first = begin(trials)
     known = replaced(first, trials)
     for _ in range(MOST_ROUNDS):

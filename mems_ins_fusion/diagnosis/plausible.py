@@ -3,8 +3,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ..effects.base import Effect
-from ..effects.registry import EFFECTS
+from ..effects.registry import effect_called
 from .estimate import Estimate
 
 #: what recordings show without a filter, too: in words, and how large a difference is one. Of receivers that smooth
@@ -28,7 +27,7 @@ def implausible(effect: str, parameters: Mapping[str, Estimate], shown: Mapping[
         contradicted = abs(own.value - seen.value) > max(_CONTRADICTED * seen.sigma, alike)
         if contradicted or abs(own.value) > alike and abs(seen.value) <= seen.sigma:
             return f'{words} of {seen.text()}, which {"contradicts it" if contradicted else "is none"}'
-    known = EFFECTS.get(effect) or Effect()
+    known = effect_called(effect)
     beyond = [f'{name} of {estimate.text()}' for name, estimate in parameters.items()
               if estimate.value is not None and _within(estimate)[0] > known.largest.get(name, float('inf'))]
     if beyond:

@@ -52,6 +52,8 @@ REFITTED = 4
 SAME_START = 0.7
 #: an effect is one from so many sigma on, and a parameter of it has a value
 PLAIN, SHOWN = 3.0, 2.0
+#: effects that make fixes seem of another time
+OF_FIXES = 'gnss_time_offset', 'gnss_latency', 'gnss_lag'
 #: what lasts, and what changes and so can do all that it does: the plainer one is tried first
 VARIED = dict.fromkeys(('gnss_time_offset', 'gnss_lag'), ('gnss_latency', 'gnss_coloured_noise'))
 
@@ -156,9 +158,9 @@ def add_best(known: Known, trials: TrialRuns) -> Known:
     names = list(dict.fromkeys(names))[:MOST_TRIED]
     names += [plain for plain, varied in VARIED.items() if plain not in names and any(n in names for n in varied)
               and plain in best and best[plain][0].p_adjusted <= SIGNIFICANCE]
-    if not known.rounds[:-1]:  # what is far off need not show where the search begins
-        names += [name for name, sizes in trials.starts.items() if sizes and name not in names and name in best
-                  and best[name][0].scores is not None]
+    # what is far off need not show where the search begins
+    names += [name for name, sizes in trials.starts.items() if sizes and name not in names and name in best
+              and best[name][0].scores is not None and (name in trials.certain or not known.rounds[:-1])]
     trials.searching(f'adding {" or ".join(names)}')
     return _tried(known, [best[name] for name in names], candidates, trials)
 
@@ -232,7 +234,8 @@ def _tried(known: Known, significant, candidates: list[Candidate], trials: Trial
              - len(chosen[name].theta) for name, m in models.items()}
     order = sorted(models, key=lambda name: (max(merit.get(n, -np.inf) for n in (name, *VARIED.get(name, ()))),
                                              name in VARIED), reverse=True)
-    order.sort(key=lambda name: name not in trials.certain)
+    first = [*trials.certain, *(name for name in order if name not in trials.certain)]
+    order.sort(key=first.index)
     failed: list[Finding] = []
     for name in order:
         # nothing stands for what the recordings show for certain
@@ -327,9 +330,17 @@ def _judged(known: Known, candidate: Candidate, model: Model, trials: TrialRuns)
     shorter = max(known.model, shorter, key=lambda m: m.likelihood(mask))
     proof = held_out(model, shorter, known.noise)
     errors = trials.errors([known.problem.corrected(model.unknowns, x) for x in proof.estimates])
-    against = (implausible(candidate.name, parameters, trials.shown) or contradiction or _small(model, first)
-               or objection(proof, compared(known.errors, errors)))
+    against = (implausible(candidate.name, parameters, trials.shown) or _of_another_clock(known, candidate, trials)
+               or contradiction or _small(model, first) or objection(proof, compared(known.errors, errors)))
     return Judged(candidate, model, parameters, hidden, proof, errors, against, drives, apart)
+
+
+def _of_another_clock(known: Known, candidate: Candidate, trials: TrialRuns) -> str:
+    """Why an offset of the fixes cannot be believed: a speed that comes late makes them seem early."""
+    added = [finding.name for finding in known.findings if finding.added]
+    late = trials.unset(added) if candidate.name in OF_FIXES else ()
+    return f'{" and ".join(late)} {"come" if len(late) > 1 else "comes"} late for certain, which has to be set first' \
+        if late else ''
 
 
 def _diluted(estimate: Estimate, part: float) -> Estimate:
@@ -424,8 +435,8 @@ def _estimates(best: Candidate, model: Model, first: int) -> dict[str, Estimate]
 # when all rounds are over
 
 def without_superseded(known: Known, trials: TrialRuns) -> Known:
-    """Without what an effect that was added later has made superfluous."""
-    for finding in [f for f in known.findings if f.added][:-1]:
+    """Without what an effect that was added later has made superfluous, unless it is shown without a filter."""
+    for finding in [f for f in known.findings if f.added and f.name not in trials.certain][:-1]:
         model = known.model
         kept = [i for i, u in enumerate(model.unknowns) if u.effect != finding.name or u.noise]
         if len(kept) == len(model.unknowns):

@@ -2,10 +2,17 @@
 that is wrong must be left again."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
+import numpy as np
+
+from ..configuration.check import SMALL_OFFSET, SURE, clocks_left
 from ..configuration.mounting import estimate_mounting
 from ..configuration.offset import Offset, together
+from ..configuration.regression import weighted
+from ..configuration.remaining import Remaining
 from ..samples import Recording
 
 #: s: time offsets that are closer than this lead to the same maximum
@@ -13,10 +20,32 @@ SAME = 0.05
 TIME_OFFSET = 'gnss.time_offset'
 
 
-def shown_by_track(recordings: Sequence[Recording]) -> Offset | None:
-    """Time offset, arm and smoothing that the tracks between fixes show together; None where they show nothing."""
+@dataclass(frozen=True)
+class Shown:
+    """What recordings show together without a filter. track: time offset, arm and smoothing of the receiver, None where
+    the fixes show nothing. clocks: by the name of a speed or an odometry, what the parameters leave of its time offset.
+    """
+
+    track: Offset | None = None
+    clocks: Mapping[str, Remaining] = field(default_factory=dict)
+
+    @property
+    def late(self) -> dict[str, float]:
+        """The inputs whose clocks are off for certain, and by how much, s."""
+        return {name: left.value for name, left in self.clocks.items() if left.certain(SMALL_OFFSET, SURE)}
+
+
+def shown_without_filter(recordings: Sequence[Recording], values: dict) -> Shown:
+    """What the recordings show beside the checked parameters `values`."""
     found = [estimate_mounting(recording.imu, recording.gnss) for recording in recordings]
-    return together([mounting.offset for mounting in found if mounting is not None and mounting.offset is not None])
+    each = [clocks_left(recording, recording.imu, mounting, values) for recording, mounting in zip(recordings, found)]
+    clocks = {}
+    for name in dict.fromkeys(name for one in each for name in one):
+        parts = [one[name] for one in each if name in one and math.isfinite(one[name].sigma)]
+        if parts:
+            value, sigma = weighted(np.array([p.value for p in parts]), np.array([p.sigma for p in parts]))
+            clocks[name] = Remaining(parts[0].name, float(value), float(sigma))
+    return Shown(together([m.offset for m in found if m is not None and m.offset is not None]), clocks)
 
 
 def other_starts(offset: Offset | None, values: dict) -> list[dict]:

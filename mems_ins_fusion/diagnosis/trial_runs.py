@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from ..configuration.check import SMALL_OFFSET, SURE
-from ..configuration.offset import Offset
 from ..configuration.regression import weighted
 from ..configuration.remaining import TIME_OFFSET, Remaining
+from ..effects.aiding_time_offset import SeveralTimeOffsets
 from ..effects.base import Effect
 from ..filter.runs.usable import usable
 from ..navigation.frames import mounting
@@ -22,6 +22,7 @@ from .folds import parts
 from .measured import Measured, measure, together
 from .outliers import without_far_off
 from .problem import Problem, on_all_cores
+from .starts import Shown
 
 #: a search that has filtered so many IMU samples begins no further round: less than a minute on two cores, whatever the
 #: recording, and the same result on each machine
@@ -39,8 +40,8 @@ class TrialRuns:
     """Trial runs of filters over the recordings: what errors they make.
 
     recordings: with all fixes, as many as the problem has drives. offset_sigma: gnss.time_offset_sigma as given, which
-    the search does without. starts: sizes of effects, by name, from which they are fitted, too. track: what the tracks
-    between fixes show without a filter.
+    the search does without. starts: sizes of effects, by name, from which they are fitted, too. beside: what the
+    recordings show without a filter.
     """
 
     recordings: tuple[Recording, ...]
@@ -51,7 +52,7 @@ class TrialRuns:
     tell: Progress
     offset_sigma: float
     starts: dict[str, list[dict[str, float]]] = field(default_factory=dict)
-    track: Offset | None = None
+    beside: Shown = Shown()
     measured: dict[str, Measured] = field(default_factory=dict)  # by the filters asked for
 
     @cached_property
@@ -64,27 +65,39 @@ class TrialRuns:
         """What the recordings show without a filter of parameters of effects, `effect.parameter`, beyond the parameters
         as given."""
         found = {} if self.turned is None else {'gyroscope_scale.z': self.turned}
-        if self.track is not None and self.track.shown:
-            lag = self.track.smoothing - self.origin.given['gnss.lag_per_acceleration']
-            found['gnss_lag.lag'] = Estimate(lag, self.track.smoothing_sigma, 's^2')
-            found['gnss_time_offset.time_offset'] = Estimate(self._left.value, self._left.sigma, 's')
-        return found
+        track = self.beside.track
+        if track is not None and track.shown:
+            lag = track.smoothing - self.origin.given['gnss.lag_per_acceleration']
+            found['gnss_lag.lag'] = Estimate(lag, track.smoothing_sigma, 's^2')
+        left = {f'{name}.time_offset': one for name, one in self._left.items()}
+        return found | {name: Estimate(one.value, one.sigma, 's') for name, one in left.items()}
 
     @property
-    def _left(self) -> Remaining:
-        """What the tracks leave of the time offset."""
-        return Remaining(TIME_OFFSET, self.track.lag - self.origin.given['gnss.time_offset'], self.track.lag_sigma)
+    def _left(self) -> dict[str, Remaining]:
+        """What the parameters as given leave of each time offset that is shown, by its effect."""
+        left = {f'{name}_time_offset': clock for name, clock in self.beside.clocks.items()}
+        track = self.beside.track
+        if track is not None and track.shown:
+            lag = track.lag - self.origin.given['gnss.time_offset']
+            left['gnss_time_offset'] = Remaining(TIME_OFFSET, lag, track.lag_sigma)
+        return left
 
     @property
     def certain(self) -> tuple[str, ...]:
-        """Effects that the tracks between fixes show for certain beside the parameters as given."""
-        if self.track is None or not self.track.shown:
-            return ()
-        return ('gnss_time_offset',) if self._left.certain(SMALL_OFFSET, SURE) else ()
+        """Time offsets that the recordings show for certain without a filter, beside the parameters as given: those of
+        several inputs together first."""
+        together = [effect.name for effect in self.library if isinstance(effect, SeveralTimeOffsets)]
+        return (*together, *(name for name, left in self._left.items() if left.certain(SMALL_OFFSET, SURE)))
 
     def told(self, name: str, sizes: dict[str, Estimate]) -> dict[str, Estimate]:
         """The `sizes` of an effect that is not added: what the recordings show for certain has one size everywhere."""
         return {n: self.shown.get(f'{name}.{n}', e) for n, e in sizes.items()} if name in self.certain else sizes
+
+    def unset(self, added: Sequence[str]) -> tuple[str, ...]:
+        """The inputs besides the fixes whose clocks are off for certain and which none of the effects `added` sets."""
+        several = {name for effect in self.library if isinstance(effect, SeveralTimeOffsets) and effect.name in added
+                   for name in effect.known}
+        return tuple(name for name in self.beside.late if name not in several and f'{name}_time_offset' not in added)
 
     @cached_property
     def turned(self) -> Estimate | None:

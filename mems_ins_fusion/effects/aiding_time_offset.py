@@ -1,7 +1,13 @@
 """Time offset of what is measured besides the fixes: wheels that report late, a velocity of another clock."""
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+
+
+#: between the names of several inputs
+AND = '_and_'
 
 
 class AidingTimeOffset(Effect):
@@ -20,11 +26,35 @@ class AidingTimeOffset(Effect):
         return time - values['time_offset'] if name == self.of else time
 
     def hidden(self, values, recording):
-        there = self.of in recording.streams() and values[f'{self.of}_topic']
+        there = self.of in recording.streams() and (
+            values.get(f'{self.of}_topic') or values.get(f'{self.of}.topic'))
         return '' if there else f'no {self.of} in the recording ({self.of}_topic)'
 
     def adjusted(self, values, theta):
         return added(values, f'{self.of}.time_offset', None, theta['time_offset'])
+
+
+class SeveralTimeOffsets(Effect):
+    """Those of several inputs that are known beside any filter, set together: of two wheels that are both late, one
+    alone cannot be right. Estimated is only the share of the known sizes, 1 where they are right."""
+
+    signature = 'innovations along the track at each change of speed, in proportion to the acceleration'
+    in_words = 'several inputs are of another time than their stamps say'
+    to_check = 'what the drivers of these inputs stamp, and over how long they average'
+    sizes = {'share': ('{} of what the IMU shows', '{} the other way than the IMU shows')}
+    parameters = (EffectParameter('share', '-', 1.0),)
+
+    def __init__(self, sizes: Mapping[str, float]):
+        """sizes: s, by the inputs' names."""
+        self.known, self.name = dict(sizes), f'{AND.join(sizes)}_time_offset'
+
+    def hidden(self, values, recording):
+        return next((why for name in self.known if (why := time_offset_of(name).hidden(values, recording))), '')
+
+    def adjusted(self, values, theta):
+        for name, size in self.known.items():
+            values = added(values, f'{name}.time_offset', None, theta['share'] * size)
+        return values
 
 
 TIME_OFFSETS = (
@@ -41,3 +71,10 @@ TIME_OFFSETS = (
     AidingTimeOffset('heading', 'a heading that is off in proportion to the turn rate', 'the heading comes late',
                      'whether the compass or the receiver smooths its heading, and what its driver stamps'),
 )
+
+
+def time_offset_of(name: str) -> AidingTimeOffset:
+    """That of the input called `name` in a params file."""
+    return AidingTimeOffset(name, 'innovations in proportion to how fast what it measures changes',
+                            f"the input '{name}' is of another time than its stamps say",
+                            f"what the driver of the input '{name}' stamps, and over how long it averages")

@@ -1,9 +1,11 @@
 """All effects by name: a new one is one new module and one line here."""
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from mems_ins_fusion.effects.accelerometer_lever_arm import AccelerometerLeverArm
 from mems_ins_fusion.effects.accelerometer_scale import AccelerometerScale
-from mems_ins_fusion.effects.aiding_time_offset import TIME_OFFSETS
+from mems_ins_fusion.effects.aiding_time_offset import AND, TIME_OFFSETS, SeveralTimeOffsets, time_offset_of
 from mems_ins_fusion.effects.base import Effect
 from mems_ins_fusion.effects.g_sensitivity import GSensitivity
 from mems_ins_fusion.effects.gnss_coloured_noise import GnssColouredNoise
@@ -29,3 +31,17 @@ EFFECTS: dict[str, Effect] = {effect.name: effect for effect in (
     GnssLag(), GnssLatency(), RearAxle(), SpeedScale(), *TIME_OFFSETS, GyroscopeWarmUp(), GnssOutliers(),
     ImuRepeats(), ImuJitter(),
 )}
+_OF_INPUT = '_time_offset'
+
+
+def effects_of(values: Mapping) -> tuple[Effect, ...]:
+    """All, and those of the inputs that the checked parameters `values` name."""
+    return (*EFFECTS.values(), *(time_offset_of(name) for name in values.get('inputs', ())))
+
+
+def effect_called(name: str) -> Effect:
+    """The effect `name`; one without words where there is none of that name."""
+    if name in EFFECTS or not name.endswith(_OF_INPUT):
+        return EFFECTS.get(name) or Effect()
+    inputs = name.removesuffix(_OF_INPUT).split(AND)
+    return time_offset_of(*inputs) if len(inputs) == 1 else SeveralTimeOffsets(dict.fromkeys(inputs, 0.0))

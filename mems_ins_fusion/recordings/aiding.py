@@ -88,8 +88,7 @@ def _advice(measurement: Measurement, findings: list[Finding], declared, setting
     name = NAMES[measurement.kind]
     shown = {key: value for finding in findings for key, value in finding.values.items()}
     if name in ('speed', 'twist') and 'ratio' in shown:
-        forward = declared.speed if name == 'speed' else declared.twist[:, 0]
-        if not shown['ratio'] or np.nanmax(np.abs(forward)) < _ZERO:
+        if not shown['ratio'] or np.nanmax(np.abs(forwards(declared).speed)) < _ZERO:
             return f'it stays at zero while the vehicle drives; leave {measurement.topic} empty until its sensor works'
         sign = -1.0 if 'negative' in shown else 1.0
         return f"set {measurement.name}.factor to {sign * settings.factor / shown['ratio']:.5g}"
@@ -109,8 +108,14 @@ def check_speed(speeds: Speeds, fixes: Fixes | None) -> Iterator[Finding]:
 
 def check_twist(twists: Twists, fixes: Fixes | None) -> Iterator[Finding]:
     """The same of the velocity forwards of an odometry."""
-    yield from _check_forward('twist', Speeds(twists.stamp, twists.received, twists.twist[:, 0], twists.variance[:, 0]),
-                              fixes)
+    yield from _check_forward('twist', forwards(twists), fixes)
+
+
+def forwards(samples: Speeds | Twists) -> Speeds:
+    """The velocity along the nose."""
+    if isinstance(samples, Speeds):
+        return samples
+    return Speeds(samples.stamp, samples.received, samples.twist[:, 0], samples.variance[:, 0])
 
 
 def _check_forward(topic, speeds, fixes):

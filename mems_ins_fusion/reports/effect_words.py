@@ -7,28 +7,27 @@ from __future__ import annotations
 import math
 
 from ..diagnosis.estimate import Estimate, rounded
-from ..effects.base import Effect
-from ..effects.registry import EFFECTS
+from ..effects.registry import effect_called
 
 
 def what(name: str) -> str:
     """The effect `name` in words."""
-    return _effect(name).in_words or name.replace('_', ' ')
+    return effect_called(name).in_words or name.replace('_', ' ')
 
 
 def check(name: str) -> str:
     """What to check on the vehicle for the effect `name`; empty where nothing is known."""
-    return _effect(name).to_check
+    return effect_called(name).to_check
 
 
 def looks_the_same(name: str) -> str:
     """What else may look as the effect `name` does; empty where nothing is known."""
-    return _effect(name).looks_the_same
+    return effect_called(name).looks_the_same
 
 
 def size(name: str, parameter: str, estimate: Estimate) -> str:
     """The size of a parameter of the effect `name` in words, angles in degrees and ratios in percent."""
-    words = _effect(name).sizes.get(parameter)
+    words = effect_called(name).sizes.get(parameter)
     if words is None or estimate.value is None:
         return f'{parameter} {estimate.text()}'
     shown = {'rad': (math.degrees(1.0), ' deg'), '-': (100.0, ' %')}
@@ -37,7 +36,3 @@ def size(name: str, parameter: str, estimate: Estimate) -> str:
     said = rounded(value, sigma) + (f' \N{PLUS-MINUS SIGN} {sigma:.2g}' if sigma is not None else '') + unit
     return words[estimate.value < 0].format(said)
 
-
-def _effect(name: str) -> Effect:
-    """The effect `name`; one without words where there is none of that name."""
-    return EFFECTS.get(name) or Effect()

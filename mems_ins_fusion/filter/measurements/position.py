@@ -8,8 +8,9 @@ import numpy as np
 from mems_ins_fusion.compiled import njit
 
 from ...navigation.earth import radii
+from ...parameters.parameter import Parameter
 from ...samples import Fixes
-from ..memory import Error, Event, Head, Kind, Nav, row_of
+from ..memory import NAV, Error, Event, Head, Kind, Nav, row_of
 from ..trust.lag import behind
 from .base import NAV_SAT_FIX, Measurement
 from .geometry import add, arm_of, turned
@@ -56,8 +57,12 @@ def observe(mem, r, at, h, n, c):
 @njit(_nrt=False)
 def observe_place(mem, r, at, h, n, c):
     """Of a further receiver: predicted minus measured position of its antenna, and the rows of H; the number of
-    components. What is told of the first one's errors - coloured noise, smoothing, clock - is not of this one."""
+    components. What is told of the first one's errors - coloured noise, smoothing, clock - is not of this one. Its arm
+    forwards and to the right is two optional states, what is left of the one that is set."""
     x, y, z = arm_of(mem, at, Head.LEVER_X)
+    along = int(mem[at + Event.STATE])
+    if along >= 0:
+        x, y = x + mem[r + NAV + along], y + mem[r + NAV + along + 1]
     north, east, down = (c[0] * x + c[1] * y + c[2] * z, c[3] * x + c[4] * y + c[5] * z,
                          c[6] * x + c[7] * y + c[8] * z)
     mem[at + Event.Z_N] = (mem[r + Nav.LATITUDE] - mem[at + Event.LATITUDE]) / mem[r + Nav.NORTH_SCALE] + north
@@ -66,6 +71,8 @@ def observe_place(mem, r, at, h, n, c):
     turned(mem, h, n, north, east, down)
     for k in range(3):
         add(mem, h + n * k, Error.R_N + k, 1.0)
+        if along >= 0:
+            mem[h + n * k + along], mem[h + n * k + along + 1] = c[3 * k], c[3 * k + 1]
     return 3 if row_of(mem, Error.R_D) >= 0 else 2
 
 
@@ -145,6 +152,20 @@ class Fix(Measurement):
     of_antenna = from_satellites = has_arm = True
     #: m, white, north and east; down is 1.5 times that
     simulated_with = {'fix_rate': 0.0, 'fix_sigma': 1.5}
+
+    def named_parameters(self):
+        return (*super().named_parameters(), Parameter(
+            f'{self.name}.lever_arm_sigma', 0.02, 'm', 'Standard deviation of the arm forwards and to the left, with '
+            'which what is left of it is estimated: that of a tape. 0: it is exact, and so is the heading that two '
+            'receivers tell.', minimum=0.0, maximum=10.0))
+
+    @property
+    def state(self):
+        return '' if self.is_plain else f'{self.name}_arm'
+
+    def states(self, values):
+        sigma = 0.0 if self.is_plain else values[f'{self.name}.lever_arm_sigma']
+        return {self.state: (sigma, 0.0), f'{self.state}_right': (sigma, 0.0)}
 
     def off(self, measured, innovation):
         return f'fix {math.hypot(*innovation):.1f} m off'

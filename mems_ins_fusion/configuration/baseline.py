@@ -1,0 +1,75 @@
+"""From one antenna to another: where the second one is in the vehicle, and how late its fixes are against the first's.
+
+What the fixes differ by is the vector between the antennas, turned with the vehicle, and the way that it went between
+two stamps of one moment: p2 - p1 = R(course) b - v T. Linear in b and T; no IMU, no filter. The course is that of the
+first antenna, between fixes that are not in the difference, while the vehicle moves.
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mems_ins_fusion.configuration.kinematics import fix_sigma
+from mems_ins_fusion.configuration.regression import jackknife
+from mems_ins_fusion.navigation.earth import to_local
+from mems_ins_fusion.samples import Fixes
+
+_CHORD = 3.0  # s: of a course; longer ones cut bends
+_SHARP = 10.0  # sigmas of a fix: a way that has a direction
+_SLOWEST = 1.0  # m/s
+_BLOCKS = 20  # of the drive, for the jackknife
+_FEWEST = 40  # fixes of both in motion
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """arm, arm_sigma: (3,) m, from the first antenna to the second, forward-left-up. late, late_sigma: s, by which the
+    second one's stamps are late against the first one's."""
+
+    arm: np.ndarray
+    arm_sigma: np.ndarray
+    late: float
+    late_sigma: float
+
+
+def estimate_baseline(first: Fixes, second: Fixes) -> Baseline | None:
+    """What usable fixes of two receivers, in the order of their stamps, show; None with too little motion."""
+    datum = float(first.latitude[0]), float(first.longitude[0]), float(first.height[0])
+    if len(first) < _FEWEST or len(second) < _FEWEST:
+        return None
+    both = first, second
+    one, two = (np.column_stack(to_local(part.latitude, part.longitude, part.height, datum)) for part in both)
+    at, time = ((part.stamp - first.stamp[0]) * 1e-9 for part in both)
+    step = max(1, round(0.5 * _CHORD / float(np.median(np.diff(at)))))
+    begin, middle, end = one[:-2 * step], slice(step, -step), one[2 * step:]
+    length = at[2 * step:] - at[:-2 * step]
+    way = (end - begin)[:, :2]
+    speed = np.linalg.norm(way, axis=1) / length
+    # a gap of the second one is not bridged
+    gap = np.interp(at[middle], 0.5 * (time[1:] + time[:-1]), np.diff(time)) > 2.0 * np.median(np.diff(time))
+    shortest = _SHARP * fix_sigma(first, one[:, :2])
+    good = ((speed > _SLOWEST) & (speed * length > shortest) & (length < 2.0 * _CHORD) & ~gap
+            & (at[middle] > time[0]) & (at[middle] < time[-1]))
+    if np.count_nonzero(good) < _FEWEST:
+        return None
+    there = np.column_stack([np.interp(at[middle][good], time, part) for part in two.T])
+    difference = there - one[middle][good]
+    velocity, nose = (way / length[:, None])[good], (way / np.linalg.norm(way, axis=1, keepdims=True))[good]
+    left = np.column_stack([nose[:, 1], -nose[:, 0]])
+    design = np.stack([nose, left, -velocity], axis=2)
+    blocks = (np.arange(len(nose)) * _BLOCKS) // len(nose)
+    normal = np.array([np.einsum('nij,nik->jk', design[blocks == k], design[blocks == k]) for k in range(_BLOCKS)])
+    right = np.array([np.einsum('nij,ni->j', design[blocks == k], difference[blocks == k, :2]) for k in range(_BLOCKS)])
+    if np.linalg.matrix_rank(normal.sum(axis=0)) < 3:
+        return None
+    solution = np.linalg.solve(normal.sum(axis=0), right.sum(axis=0))
+    try:
+        left_out = np.linalg.solve(normal.sum(axis=0) - normal, (right.sum(axis=0) - right)[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        return None
+    sigma = jackknife(left_out)
+    up = np.array([-difference[blocks == k, 2].mean() for k in range(_BLOCKS)])
+    return Baseline(np.append(solution[:2], up.mean()), np.append(sigma[:2], up.std() / math.sqrt(_BLOCKS - 1)),
+                    float(solution[2]), float(sigma[2]))

@@ -1,0 +1,220 @@
+"""What a recording has besides the IMU and its first receiver: what each topic measures, its unit, place and clock.
+
+A type of message does not tell: geometry_msgs/TwistWithCovarianceStamped is a wheel speed, a receiver's velocity or an
+odometry. What it goes with does: the speed of the fixes along one axis, their velocity north and east, the turn rate of
+the gyroscopes. What none of these shows is left to its name, and what the name does not tell either is not used.
+"""
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mems_ins_fusion.configuration.baseline import estimate_baseline
+from mems_ins_fusion.configuration.mounting import Mounting
+from mems_ins_fusion.configuration.offset import FLOOR
+from mems_ins_fusion.configuration.receiver import TOO_SURE
+from mems_ins_fusion.configuration.speed_offset import SHOWN, estimate_speed_offset
+from mems_ins_fusion.configuration.turn_offset import TurnOffset, estimate_turn_offset
+from mems_ins_fusion.filter.measurements.base import Measurement
+from mems_ins_fusion.filter.measurements.registry import TYPES
+from mems_ins_fusion.filter.runs.usable import usable_fixes
+from mems_ins_fusion.recordings.aiding import check_heading, check_velocity, pressure_factor, speed_factor
+from mems_ins_fusion.recordings.findings import INFO
+from mems_ins_fusion.recordings.motion import scatter_at_rest, sigmas
+from mems_ins_fusion.samples import Fixes, ImuSamples, Speeds, Twists
+
+#: kinds that tell a speed along the nose
+WHEELED = 'speed', 'twist'
+#: names that say that wheels measure it; that another sensor does
+WHEELS = re.compile(r'wheel|vehicle|(^|/|_)can($|/|_)', re.IGNORECASE)
+OTHER_SENSORS = re.compile(r'lidar|laser|vision|visual|camera|vio', re.IGNORECASE)
+#: that it is the receiver's; that it is a heading
+_RECEIVER = re.compile(r'gps|gnss|fix', re.IGNORECASE)
+_HEADING = re.compile(r'heading|yaw|compass|gps|gnss|antenna', re.IGNORECASE)
+#: that it is a result, which has seen the fixes, or a reference
+RESULT = re.compile(r'reference|truth|fused|filter|ekf|estimate|initial|gt($|/)', re.IGNORECASE)
+_TURNING = 0.9  # correlation of a turn rate with that of the gyroscopes, in size: less is no turn rate
+_SIGNIFICANT = 4.0  # sigmas: places that are further apart are two for certain
+# of the scatter that two receivers have against each other if each has its own errors: with less they are the same
+_IN_COMMON = 0.7
+_LEAST_APART = 0.1  # m: antennas of one place, each with a centre of phase of its own
+_ARM_KNOWN = 0.3  # m: where the second antenna is has to be known to this, or to the noise of its fixes
+
+
+@dataclass(frozen=True)
+class InputShown:
+    """What one recording shows of a topic. measurement: the plain one of its kind. why: how that is known. factor:
+    makes SI units of it. turned: rad, by which a heading is off clockwise. lag: s, and sigma, None where not shown: as
+    its time offset, of a further receiver against the first one. arm: (3,) m, forward-left-up, and sigma (3,), infinite
+    where not shown: from the IMU, of a further receiver from the first antenna. sigma: m, white, of a receiver that
+    states less.
+    """
+
+    topic: str
+    measurement: Measurement
+    why: str
+    factor: float = 1.0
+    turned: float = 0.0
+    lag: tuple[float, float] | None = None
+    arm: tuple[np.ndarray, np.ndarray] = (np.zeros(3), np.full(3, np.inf))
+    sigma: float | None = None
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A topic that is not used, and why."""
+
+    topic: str
+    why: str
+
+
+def shown_inputs(readings: Mapping[str, Mapping[str, object]], receivers: Mapping[str, Fixes], imu: ImuSamples,
+                 fixes: Fixes | None, still: np.ndarray, mounting: Mounting | None) -> list[InputShown | LeftOut]:
+    """What one recording shows of each topic, in their order.
+
+    readings: by topic and name of a measurement, the samples if it is one of that. receivers: by topic, the fixes of
+    further receivers. imu: SI units. fixes: usable ones of the first receiver, None without. still: (n,) samples at
+    rest.
+    """
+    rotation = mounting.rotation if mounting is not None and mounting.yaw_known else None
+    found = [_receiver(topic, others, imu, fixes, still) for topic, others in receivers.items()]
+    for topic, read in readings.items():
+        kind = _kind(topic, read, imu, fixes, rotation)
+        found.append(kind if isinstance(kind, LeftOut) else _timed(kind, read, imu, rotation))
+    return _without_repeats(found)
+
+
+def _kind(topic, read, imu, fixes, rotation) -> InputShown | LeftOut:
+    """What the topic measures."""
+    if RESULT.search(topic):
+        return LeftOut(topic, 'a result or a reference by its name')
+    if 'pressure' in read:
+        factor = pressure_factor(read['pressure'])
+        return LeftOut(topic, 'no pressure of the air in any unit') if factor is None else InputShown(
+            topic, TYPES['pressure'], 'of the air by its size', factor)
+    if 'heading' in read:
+        return _heading(topic, read['heading'], fixes)
+    factor = speed_factor(read['speed'], fixes)
+    forwards = factor is not None and math.isfinite(factor)
+    if 'velocity' in read and _points_along(read['velocity'], fixes) and (not forwards or _RECEIVER.search(topic)):
+        return InputShown(topic, TYPES['velocity'], 'it points along the track of the fixes')
+    if not forwards and not (factor is not None and WHEELS.search(topic)):
+        return LeftOut(topic, 'it goes neither with the speed of the fixes nor with their velocity' if factor is None
+                       else 'no fixes in motion to tell what it is, nor does its name')
+    why = 'it goes with the speed of the fixes' if forwards else (
+        'by its name: no fixes in motion to compare it with, its unit is taken to be m/s')
+    if 'twist' in read and rotation is not None and _turning(imu, read['twist'], rotation) is not None:
+        kind, why = 'twist', f'{why}, its turn rate with the gyroscopes'
+    else:
+        kind = 'speed'
+    return InputShown(topic, TYPES[kind], why, factor if forwards else 1.0)
+
+
+def _heading(topic, headings, fixes):
+    if not _HEADING.search(topic):
+        return LeftOut(topic, 'no heading of antennas or a compass by its name')
+    findings = list(check_heading(headings, fixes)) if fixes is not None else []
+    turned = next((finding.values for finding in findings if 'offset_rad' in finding.values), None)
+    if turned is None:
+        return LeftOut(topic, next((finding.message for finding in findings), 'no fixes to compare it with'))
+    sure = abs(turned['offset_rad']) > _SIGNIFICANT * turned['sigma_rad']
+    return InputShown(topic, TYPES['heading'], 'it follows the course of the fixes',
+                      turned=turned['offset_rad'] if sure else 0.0)
+
+
+def _points_along(velocities, fixes) -> bool:
+    """Whether the velocity is that of the fixes, in size and direction."""
+    findings = list(check_velocity(velocities, fixes))
+    shown = [finding for finding in findings if finding.values.keys() & {'ratio', 'cosine', 'correlation'}]
+    return bool(shown) and all(finding.severity == INFO for finding in shown)
+
+
+def _timed(shown: InputShown, read, imu, rotation) -> InputShown:
+    """With its clock and, of wheels, their place."""
+    name = shown.measurement.name
+    if rotation is None or name not in WHEELED:
+        return shown
+    speeds = replace(read['speed'], speed=shown.factor * read['speed'].speed)
+    lag, left = wheel_clock(imu, speeds, read['twist'] if name == 'twist' else None, rotation)
+    if left is None:
+        return replace(shown, lag=lag)
+    return replace(shown, lag=lag, arm=(np.array([0.0, left[0], 0.0]), np.array([np.inf, left[1], np.inf])))
+
+
+def wheel_clock(imu: ImuSamples, speeds: Speeds, twists: Twists | None, rotation: np.ndarray):
+    """How late a speed along the nose is, and the turn rate beside it if there is one: the better known of the two, s,
+    with its sigma, None where neither is shown; and how far to the left of the IMU it is measured, m, with its sigma,
+    or None. imu: SI units. speeds: m/s, positive forwards. rotation: (3, 3) from sensor axes to base_link."""
+    offset = estimate_speed_offset(imu, speeds, rotation)
+    turn = _turning(imu, twists, rotation) if twists is not None else None
+    lags = [(one.lag, one.lag_sigma) for one in (offset, turn) if one is not None and one.lag_sigma < SHOWN]
+    return min(lags, key=lambda lag: lag[1], default=None), offset.left if offset is not None else None
+
+
+def _turning(imu, twists, rotation) -> TurnOffset | None:
+    """None where the turn rate is not that of the gyroscopes, in either sense."""
+    turn = estimate_turn_offset(imu, twists, rotation)
+    return turn if turn is not None and abs(turn.correlation) > _TURNING else None
+
+
+def _receiver(topic, others: Fixes, imu, fixes, still) -> InputShown | LeftOut:
+    """A further receiver, where its antenna is known and its errors are not those of the first one."""
+    others = usable_fixes(others)
+    baseline = estimate_baseline(fixes, others) if fixes is not None and len(others) > 1 else None
+    if baseline is None:
+        return LeftOut(topic, 'too little motion, or too noisy, to see where its antenna is')
+    first, second = (scatter_at_rest(one, imu, still) for one in (fixes, others))
+    between = scatter_at_rest(_less(fixes, others, baseline.late), imu, still)
+    apart = bool((np.abs(baseline.arm[:2]) > np.maximum(_LEAST_APART, _SIGNIFICANT * baseline.arm_sigma[:2])).any())
+    own = None not in (first, second, between) and between > _IN_COMMON * math.hypot(first, second)
+    if not apart and not own:
+        return LeftOut(topic, 'neither another place nor errors of its own are shown: it may be the same receiver '
+                       'twice')
+    stated = float(np.nanmedian(sigmas(others))) if np.isfinite(sigmas(others)).any() else 0.0
+    needed = max(_ARM_KNOWN, stated, second or 0.0)
+    if baseline.arm_sigma[:2].max() > needed:
+        return LeftOut(topic, f'the place of its antenna is not known to {needed:.2g} m: set it by hand')
+    why = 'a receiver at another place' if apart else (
+        f'a receiver with errors of its own: {second:.2g} m at rest, {between:.2g} m against the first')
+    return InputShown(topic, TYPES['fix'], why, lag=(baseline.late, math.hypot(baseline.late_sigma, FLOOR)),
+                      arm=(baseline.arm, baseline.arm_sigma),
+                      sigma=second if second is not None and stated and second > TOO_SURE * stated else None)
+
+
+def _less(first: Fixes, second: Fixes, late: float) -> Fixes:
+    """`first` moved by what `second` is off its own first fix: what scatters of it is the difference. late: s, the
+    second ones' stamps against the first ones'."""
+    at, time = first.stamp - first.stamp[0], second.stamp - first.stamp[0] - round(late * 1e9)
+    both = (at >= time[0]) & (at <= time[-1])
+    moved = {name: getattr(first, name)[both] - np.interp(at[both], time, getattr(second, name))
+             + getattr(second, name)[0] for name in ('latitude', 'longitude')}
+    return replace(first.select(both), **moved)
+
+
+def _without_repeats(found: list[InputShown | LeftOut]) -> list[InputShown | LeftOut]:
+    """With those left out that measure what another one measures already: the same wheels, receiver or air."""
+    kept: list[InputShown | LeftOut] = []
+    for one in found:
+        same = next((other for other in kept if isinstance(other, InputShown) and isinstance(one, InputShown)
+                     and _same_source(other, one)), None)
+        kept.append(one if same is None else LeftOut(one.topic, f'it is not shown to measure anything but what '
+                                                     f'{same.topic} does'))
+    return kept
+
+
+def _same_source(one: InputShown, other: InputShown) -> bool:
+    """Whether two inputs may be the same sensor twice: of one kind, a speed and an odometry too, and at no two places.
+    Of receivers that has been judged."""
+    kinds = {one.measurement.name, other.measurement.name}
+    if kinds == {'fix'} or len(kinds) > 1 and kinds != set(WHEELED):
+        return False
+    if bool(OTHER_SENSORS.search(one.topic)) != bool(OTHER_SENSORS.search(other.topic)):
+        return False
+    places, sigmas = zip(one.arm, other.arm)
+    with np.errstate(invalid='ignore'):
+        apart = np.abs(places[0] - places[1]) > _SIGNIFICANT * np.hypot(*sigmas)
+    return not apart.any()
