@@ -10,7 +10,7 @@ from mems_ins_fusion.cli.simulate import main as simulate
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.measurements.registry import FIRST_NAMED, aiding
-from mems_ins_fusion.filter.memory import Event, Head, state_at
+from mems_ins_fusion.filter.memory import NAV, Event, Head, state_at
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.replay import run, run_with_outages
 from mems_ins_fusion.filter.trust.scale import Seen, scale
@@ -58,7 +58,8 @@ def yaw_error(recording, result):
 
 def test_two_receivers_give_the_heading_at_a_standstill_better_than_one():
     # given a car that stands for two minutes, a heading known to 5.7 degrees, receivers of 2 cm that are 1.6 m apart
-    values = given(**{**REAR, 'alignment.heading': 'parameter', 'alignment.yaw_sigma': 0.1, 'gnss.adapt_sigma': False})
+    values = given(**{**REAR, 'alignment.heading': 'parameter', 'alignment.yaw_sigma': 0.1, 'gnss.adapt_sigma': False,
+                      'rear.lever_arm_sigma': 0.0})
     error, sigma = {}, {}
     for seed in range(3):
         recording = recorded(values, seed=seed, duration=125.0, standstill=120.0)
@@ -72,6 +73,21 @@ def test_two_receivers_give_the_heading_at_a_standstill_better_than_one():
     assert np.median(error[()]) > 0.05 and sigma[()] > 4.0 * sigma['rear',]
     assert max(error['rear',]) < np.radians(0.5) and sigma['rear',] < np.radians(0.5)
     assert max(error['rear',]) < 3.5 * sigma['rear',]
+
+
+def test_an_antenna_that_is_not_where_it_is_said_to_be_is_found_and_the_heading_says_how_sure_it_is():
+    # given the second antenna 0.2 m further to the right than the parameters say, known to 0.2 m
+    values = given(**{**REAR, 'rear.lever_arm_sigma': 0.2})
+    recording = recorded(given(**{**REAR, 'rear.lever_arm': [-0.8, -0.2, 1.0]}), duration=240.0, standstill=30.0)
+    result = through(values, recording)
+    arm = result.config.layout.index('rear_arm_right')
+    left = result.memory[state_at(result.memory, int(result.memory[Head.SAMPLES])) + NAV + arm]
+    sigma = result.sigma[-1, arm]
+    # then it is found, and the heading is right within its sigma, which the place of the antenna does not make small
+    assert left == pytest.approx(0.2, abs=3.0 * sigma) and sigma < 0.1
+    exact = through({**values, 'rear.lever_arm_sigma': 0.0}, recording)
+    wrong, right = (abs(yaw_error(recording, run)[-1]) for run in (exact, result))
+    assert right < 3.0 * result.sigma[-1, 8] and right < 0.3 * wrong
 
 
 def test_each_receiver_has_its_arm_clock_and_scale():

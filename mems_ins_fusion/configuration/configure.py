@@ -345,11 +345,11 @@ def _input_settings(drives: Sequence[Sequence[InputShown | LeftOut]], mechanizat
                 and other.topic == one.topic and other.measurement is one.measurement]
         name = names.get(one.topic, one.measurement.name)
         if one.topic in names:
-            yield Setting(f'{name}.type', one.measurement.name, ())
-            yield Setting(f'{name}.topic', one.topic, (one.why,))
+            yield Setting(f'{name}.type', one.measurement.name, (one.why,))
+            yield Setting(f'{name}.topic', one.topic, (one.messages,))
             yield from _place_settings(name, one.measurement.name, seen, first)
         else:
-            yield Setting(one.measurement.topic, one.topic, (one.why,))
+            yield Setting(one.measurement.topic, one.topic, (f'{one.messages}; {one.why}',))
         yield from _value_settings(name, seen, first)
 
 

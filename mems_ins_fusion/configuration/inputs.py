@@ -51,7 +51,7 @@ class InputShown:
     makes SI units of it. turned: rad, by which a heading is off clockwise. lag: s, and sigma, None where not shown: as
     its time offset, of a further receiver against the first one. arm: (3,) m, forward-left-up, and sigma (3,), infinite
     where not shown: from the IMU, of a further receiver from the first antenna. sigma: m, white, of a receiver that
-    states less.
+    states less. messages: how many, and how often.
     """
 
     topic: str
@@ -62,6 +62,7 @@ class InputShown:
     lag: tuple[float, float] | None = None
     arm: tuple[np.ndarray, np.ndarray] = (np.zeros(3), np.full(3, np.inf))
     sigma: float | None = None
+    messages: str = ''
 
 
 @dataclass(frozen=True)
@@ -81,11 +82,19 @@ def shown_inputs(readings: Mapping[str, Mapping[str, object]], receivers: Mappin
     rest.
     """
     rotation = mounting.rotation if mounting is not None and mounting.yaw_known else None
-    found = [_receiver(topic, others, imu, fixes, still) for topic, others in receivers.items()]
+    found = [_counted(_receiver(topic, others, imu, fixes, still), others) for topic, others in receivers.items()]
     for topic, read in readings.items():
         kind = _kind(topic, read, imu, fixes, rotation)
-        found.append(kind if isinstance(kind, LeftOut) else _timed(kind, read, imu, rotation))
+        timed = kind if isinstance(kind, LeftOut) else _timed(kind, read, imu, rotation)
+        found.append(_counted(timed, next(iter(read.values()))))
     return _without_repeats(found)
+
+
+def _counted(shown: InputShown | LeftOut, samples) -> InputShown | LeftOut:
+    if isinstance(shown, LeftOut):
+        return shown
+    interval = float(np.median(np.diff(samples.stamp))) * 1e-9
+    return replace(shown, messages=f'{len(samples)} messages' + (f', {1.0 / interval:.3g} Hz' if interval > 0 else ''))
 
 
 def _kind(topic, read, imu, fixes, rotation) -> InputShown | LeftOut:

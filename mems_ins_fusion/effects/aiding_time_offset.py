@@ -5,7 +5,6 @@ from collections.abc import Mapping
 
 from mems_ins_fusion.effects.base import Effect, EffectParameter, added
 
-
 #: between the names of several inputs
 AND = '_and_'
 

@@ -10,7 +10,7 @@ from mems_ins_fusion.compiled import njit
 from ...navigation.earth import radii
 from ...parameters.parameter import Parameter
 from ...samples import Fixes
-from ..memory import NAV, Error, Event, Head, Kind, Nav, row_of
+from ..memory import Error, Event, Head, Kind, Nav, row_of
 from ..trust.lag import behind
 from .base import NAV_SAT_FIX, Measurement
 from .geometry import add, arm_of, turned
@@ -61,8 +61,6 @@ def observe_place(mem, r, at, h, n, c):
     forwards and to the right is two optional states, what is left of the one that is set."""
     x, y, z = arm_of(mem, at, Head.LEVER_X)
     along = int(mem[at + Event.STATE])
-    if along >= 0:
-        x, y = x + mem[r + NAV + along], y + mem[r + NAV + along + 1]
     north, east, down = (c[0] * x + c[1] * y + c[2] * z, c[3] * x + c[4] * y + c[5] * z,
                          c[6] * x + c[7] * y + c[8] * z)
     mem[at + Event.Z_N] = (mem[r + Nav.LATITUDE] - mem[at + Event.LATITUDE]) / mem[r + Nav.NORTH_SCALE] + north
@@ -72,7 +70,7 @@ def observe_place(mem, r, at, h, n, c):
     for k in range(3):
         add(mem, h + n * k, Error.R_N + k, 1.0)
         if along >= 0:
-            mem[h + n * k + along], mem[h + n * k + along + 1] = c[3 * k], c[3 * k + 1]
+            mem[h + n * k + along], mem[h + n * k + along + 1] = -c[3 * k], -c[3 * k + 1]
     return 3 if row_of(mem, Error.R_D) >= 0 else 2
 
 
