@@ -24,6 +24,7 @@ from vehicle import simulated
 from mems_ins_fusion.evaluation.comparison import truth_of
 from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors, rms
 from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.measurements.registry import aiding as inputs
 from mems_ins_fusion.filter.runs.replay import Aiding, run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Recording
@@ -330,7 +331,8 @@ class Outcome:
 
 def outcome(recording: Recording, truth, values: dict, begin: float, filtered: Callable = run) -> Outcome:
     """What `filtered`, called as `replay.run`, makes of the recording, in which a fault begins at `begin` s."""
-    aiding = Aiding(**{kind: getattr(recording, kind) for kind in ('speed', 'heading') if values[f'{kind}_topic']})
+    there = recording.streams()
+    aiding = Aiding({one.name: there[one.name] for one in inputs(values) if values[one.topic]})
     result = filtered(FilterConfig.from_parameters(values), recording.imu, recording.gnss, aiding)
     errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
     time = (errors.stamp - recording.imu.stamp[0]) * 1e-9 - begin
@@ -360,9 +362,11 @@ def altered(fault: Fault, clean: Recording, seed: int) -> Recording:
     return fault.alter(clean, *_where(fault, clean, seed))
 
 
-def judged(fault: Fault, seed: int, rate: float = 1.0, given: dict | None = None) -> tuple[Outcome, Outcome, Outcome]:
-    """With the fault, without it, and coasting through it. rate: of the fixes, Hz. given: parameters."""
-    clean = clean_drive(seed, rate)
+def judged(fault: Fault, seed: int, rate: float = 1.0, given: dict | None = None,
+           drive: Callable = clean_drive) -> tuple[Outcome, Outcome, Outcome]:
+    """With the fault, without it, and coasting through it. rate: of the fixes, Hz. given: parameters. drive: called with
+    seed and rate, the recording without fault."""
+    clean = drive(seed, rate)
     values = table.check({'reference_lever_arm': [0.0, 0.0, 0.0], **fault.values, **(given or {})})
     truth, where, begin = truth_of(clean, values), _where(fault, clean, seed), fault.begin(clean)
     recordings = fault.alter(clean, *where), clean, fault.coast(clean, *where)

@@ -23,7 +23,7 @@ from .measurements import (
     velocity,
     wheel_vibration,
 )
-from .measurements.geometry import angular_rate, body_to_level, vehicle_to_level
+from .measurements.geometry import angular_rate, body_to_level, body_velocity, vehicle_to_level
 from .memory import (
     NAV,
     PLANAR,
@@ -209,6 +209,12 @@ def is_of_velocity(kind):
 
 
 @njit(_nrt=False)
+def makes_way(kind):
+    """Whether measurements of this kind make up a way, or its direction."""
+    return is_of_velocity(kind) or kind == Kind.HEADING
+
+
+@njit(_nrt=False)
 def _judge(mem, r, at, n, dimensions):
     """Factor on the covariance of the speed, velocity or heading at `at`, learned from its innovation, too, and for as
     many as tell no more than one; and the sigmas beyond which it is refused, 0: none. dimensions: of the components
@@ -222,7 +228,7 @@ def _judge(mem, r, at, n, dimensions):
     h, own = p + n * n, seen_of(mem, r, at)
     time = mem[at + Event.TIME]
     of_velocity = is_of_velocity(kind)
-    if of_velocity and way.is_contradicted(mem, own):
+    if makes_way(kind) and way.is_contradicted(mem, own):
         return 1.0, NEVER
     # of the start, too, after which the first has still to come
     fix = max(mem[r + Nav.FIX_TIME], mem[r + receiver.Receiver.SCALE + Scale.TIME])
@@ -263,9 +269,12 @@ def _judge(mem, r, at, n, dimensions):
 
 @njit(_nrt=False)
 def _travel(mem, r, at, n, c):
-    """Add the speed, velocity or twist at `at` to the way of its input; c: rotation from b to n."""
+    """Add the speed, velocity, twist or heading at `at` to the way of its input; c: rotation from b to n."""
     if mem[at + Event.KIND] == Kind.VELOCITY:  # it has directions of its own
         v_n, v_e, yaw_variance = mem[at + Event.VALUE], mem[at + Event.VALUE + 1], 0.0
+    elif mem[at + Event.KIND] == Kind.HEADING:  # a way that the nose leads along
+        forward, yaw_variance = body_velocity(mem, r, vehicle_to_level(mem, r, c), 0), 0.0
+        v_n, v_e = math.cos(mem[at + Event.VALUE]) * forward, math.sin(mem[at + Event.VALUE]) * forward
     else:
         c = vehicle_to_level(mem, r, c)
         v_n, v_e = c[0] * mem[at + Event.VALUE], c[3] * mem[at + Event.VALUE]
@@ -386,7 +395,7 @@ def apply_event(mem, r, at, sample):
     else:
         dimensions = heading.observe(mem, r, at, h, n, c)
     if kind != Kind.POSITION:
-        if is_of_velocity(kind):
+        if makes_way(kind):
             _travel(mem, r, at, n, c)
         judged = min(dimensions, 2)
         if kind == Kind.TWIST:
@@ -396,7 +405,7 @@ def apply_event(mem, r, at, sample):
         robust = ROBUST
     verdict = update(mem, r, at, n, dimensions, factor, robust, gate)
     mem[at + Event.VERDICT] = Verdict.RECOVERED if recovered else verdict
-    if is_of_velocity(kind) and verdict == Verdict.REFUSED:
+    if makes_way(kind) and verdict == Verdict.REFUSED:
         own = seen_of(mem, r, at)
         if way.is_contradicted(mem, own):
             mem[at + Event.VERDICT] = Verdict.CONTRADICTED

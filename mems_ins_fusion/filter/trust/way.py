@@ -25,7 +25,7 @@ FORGOTTEN = 0.05
 #: share of the way by the speeds below which that of the fixes has no direction of its own
 NO_DIRECTION = 0.3
 #: a way tells something where it is so many sigmas of the fixes
-FEWEST_SIGMAS = 8.0
+FEWEST_SIGMAS = 16.0
 #: one that differs by more sigmas counts as that: a fix that is far off is not the speed's
 LARGEST_SURPRISE = 2.0
 #: s: an input that pauses for longer has made a way that nobody knows
@@ -35,7 +35,7 @@ LONGEST_WAY = 60.0
 #: rad: nor are they with a heading that is less known
 LARGEST_YAW_SIGMA = 0.3
 #: a speed may be off by this share: tyres and gears that nobody declared, slip
-TOLERATED = 0.2
+TOLERATED = 0.05
 #: sigmas beyond which more than that is certain
 CERTAIN = 3.0
 #: sigma of the share below which ways have been compared: after two of them, and twice that is certain

@@ -1,0 +1,142 @@
+"""What faults of the further inputs cost: each input missing, late, wrong, doubled and dead, with fixes and without.
+
+    python studies/input_faults.py [--seeds 6] [--rate 1] [--only TEXT,TEXT] [--set NAME=VALUE ...] [--output FILE.md]
+
+The drives of faults.py with one input more: speed, velocity, odometry, heading, pressure or a second receiver 1.6 m
+behind the first. The fault lasts for a minute from 200 s on. Each row twice: with fixes all the time, and without any in
+the second half of that minute. *without it*: the same filter that does not have the input while the fault lasts. The
+other columns are those of faults.py.
+
+missing: nothing comes. late: stamps of half a second later. doubled: each message twice. dead: it stays at the value it
+has as the fault begins. wrong: WRONG below.
+"""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import yaml
+from faults import BEGIN, METRE, MINUTES, Fault, judged, row
+from vehicle import drive_of, sensors
+
+from mems_ins_fusion.filter.measurements.registry import aiding
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.samples import Recording
+from mems_ins_fusion.simulation.scene import REALISTIC
+from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, simulate_recording
+
+DURATION = 60.0
+WITHOUT_FIXES = 30.0, 60.0  # s of the fault
+REAR = {'inputs': ['rear'], 'rear.type': 'fix', 'rear.topic': '/rear', 'rear.lever_arm': [-1.6, 0.0, 0.0]}
+#: parameters of each input
+INPUTS = {**{name: {f'{name}_topic': f'/{name}'} for name in ('speed', 'velocity', 'twist', 'heading', 'pressure')},
+          'rear': REAR}
+#: in words, and what it does to samples
+WRONG: dict[str, tuple[str, Callable]] = {
+    'speed': ('in km/h', lambda s: replace(s, speed=3.6 * s.speed)),
+    'velocity': ('north and east exchanged', lambda s: replace(s, velocity=s.velocity[:, [1, 0, 2]])),
+    'twist': ('in km/h, turns the other way', lambda s: replace(s, twist=s.twist * [3.6, 3.6, -1.0])),
+    'heading': ('90 deg off', lambda s: replace(s, yaw=s.yaw + 0.5 * np.pi)),
+    'pressure': ('5 hPa off', lambda s: replace(s, pressure=s.pressure + 500.0)),
+    'rear': ('30 m off', lambda s: replace(s, latitude=s.latitude + 30.0 * METRE)),
+}
+#: which arrays of its samples an input measures
+_VALUES = {'rear': ('latitude', 'longitude', 'height'), 'heading': ('yaw',)}
+
+
+@cache
+def clean(seed: int, rate: float) -> Recording:
+    """A realistic drive with all inputs."""
+    aided = Aiding(speed_rate=10.0, velocity_rate=rate, twist_rate=20.0, heading_rate=5.0, pressure_rate=10.0,
+                   fix_rate=rate, fix_sigma=1.5)
+    named = [one for one in aiding(table.check(REAR)) if not one.is_plain]
+    recording = simulate_recording(drive_of(seed, MINUTES), sensors(), GnssNoise(1.5, rate=rate), seed=seed, named=named,
+                                   **{**REALISTIC.distortions(seed), 'aiding': aided}).recording
+    return replace(recording, reference=recording.reference.select(slice(None, None, 10)))
+
+
+def _dead(name, samples, inside):
+    first, found = np.flatnonzero(inside)[0], {}
+    for part in _VALUES.get(name, (name,)):
+        values = getattr(samples, part).copy()
+        values[inside] = values[first]
+        found[part] = values
+    return replace(samples, **found)
+
+
+def _partly(samples, changed, inside):
+    """`changed` inside, `samples` elsewhere."""
+    values = {name: np.where(inside.reshape(-1, *[1] * (np.ndim(part) - 1)), getattr(changed, name), part)
+              for name, part in vars(samples).items() if part is not None}
+    return replace(samples, **values)
+
+
+def _late(samples, inside):
+    by = np.where(inside, 500_000_000, 0)
+    moved = replace(samples, stamp=samples.stamp + by, received=samples.received + by)
+    return moved.select(np.argsort(moved.stamp, kind='stable'))
+
+
+def changes(name: str) -> dict[str, Callable]:
+    """What happens to the input, by the words for it: changed(samples, inside)."""
+    words, wrong = WRONG[name]
+    return {'missing': lambda samples, inside: samples.select(~inside),
+            'stamped 0.5 s late': _late,
+            words: lambda samples, inside: _partly(samples, wrong(samples), inside),
+            'doubled': lambda samples, inside: samples.select(np.repeat(np.arange(len(samples)), 1 + inside)),
+            'dead': lambda samples, inside: _dead(name, samples, inside)}
+
+
+def fault_of(name: str, words: str, change: Callable, fixes: bool) -> Fault:
+    """The fault of the input `name`; fixes: whether they come all the time."""
+    def within(recording):
+        samples = recording.streams()[name]
+        time = (samples.stamp - recording.imu.stamp[0]) * 1e-9 - BEGIN
+        return samples, (time >= 0.0) & (time < DURATION)
+
+    def with_fixes(recording):
+        time = (recording.gnss.stamp - recording.imu.stamp[0]) * 1e-9 - BEGIN
+        kept = fixes | (time < WITHOUT_FIXES[0]) | (time >= WITHOUT_FIXES[1])
+        return replace(recording, gnss=recording.gnss.select(kept))
+
+    def alter(recording, *_):
+        return with_fixes(recording).having({name: change(*within(recording))})
+
+    def coast(recording, *_):
+        samples, inside = within(recording)
+        return with_fixes(recording).having({name: samples.select(~inside)})
+    return Fault(f'{name} {words}{"" if fixes else ", no fixes"}', DURATION, alter, coast, INPUTS[name])
+
+
+FAULTS = tuple(fault_of(name, words, change, fixes) for name in INPUTS for words, change in changes(name).items()
+               for fixes in (True, False))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--seeds', type=int, default=6)
+    parser.add_argument('--first-seed', type=int, default=2001)
+    parser.add_argument('--rate', type=float, default=1.0, help='of the fixes, Hz')
+    parser.add_argument('--only', default='', help='faults with one of these in their name, separated by commas')
+    parser.add_argument('--set', nargs='+', default=[], metavar='NAME=VALUE', help='parameters')
+    parser.add_argument('--output', type=Path)
+    options = parser.parse_args()
+    given = {name: yaml.safe_load(value) for name, _, value in (text.partition('=') for text in options.set)}
+    lines = ['| fault | largest, m | without it, m | 20 s after, m | without fault | after without it | in 95 % | said |',
+             '|---|---|---|---|---|---|---|---|']
+    print(*lines, sep='\n')
+    for fault in FAULTS:
+        if any(part in fault.name for part in options.only.split(',')):
+            lines.append(row(fault, [judged(fault, seed, options.rate, given, clean) for seed in range(
+                options.first_seed, options.first_seed + options.seeds)]))
+            print(lines[-1], flush=True)
+    if options.output:
+        options.output.write_text('\n'.join(lines) + '\n')
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,166 @@
+"""`configure` finds what a recording has besides IMU and receiver: kind, unit, place and clock of each topic."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mems_ins_fusion.configuration.baseline import estimate_baseline
+from mems_ins_fusion.configuration.configure import configure
+from mems_ins_fusion.configuration.turn_offset import estimate_turn_offset
+from mems_ins_fusion.effects.aiding_time_offset import time_offset_of
+from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.measurements.registry import aiding
+from mems_ins_fusion.filter.runs.replay import run
+from mems_ins_fusion.navigation.frames import rotation_from_rpy
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.recordings.reading import read_recording
+from mems_ins_fusion.recordings.writing import write_recording
+from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.simulation.drive import simulate_drive
+from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
+
+MOUNTING = (0.02, 0.05, 0.4)
+FRONT, REAR = [0.8, 0.0, 1.0], [-0.8, 0.3, 1.0]
+TWO_RECEIVERS = {'inputs': ['rear'], 'rear.type': 'fix', 'rear.topic': '/rear/fix', 'rear.lever_arm': REAR}
+TWO_WHEELS = {'inputs': ['left', 'right'], 'left.type': 'speed', 'left.topic': '/wheels/left',
+              'left.lever_arm': [0.0, 0.75, -0.5], 'right.type': 'speed', 'right.topic': '/wheels/right',
+              'right.lever_arm': [0.0, -0.75, -0.5]}
+
+
+def recorded(given, late=None, seed=3, sigma=0.5, **errors):
+    """A drive of five minutes with the inputs of `given`. late: s, by input."""
+    values = table.check({'gnss.lever_arm': FRONT, **given})
+    drive = simulate_drive(300.0, seed, 50.0, standstill=20.0, hills=True, pitch_per_acceleration=0.005,
+                           axle_to_imu=(1.0, 0.0, 0.0))
+    effects = [(EFFECTS['gnss_lever_arm'], dict(zip('xyz', FRONT))),
+               *((time_offset_of(name), {'time_offset': seconds}) for name, seconds in (late or {}).items())]
+    made = simulate_recording(drive, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'),
+                              GnssNoise(sigma, 2.0), effects, MOUNTING, seed,
+                              aiding=Aiding(fix_rate=2.0, fix_sigma=sigma, **errors),
+                              named=[one for one in aiding(values) if not one.is_plain])
+    return made.recording, values
+
+
+def written(recording, values, path, **topics):
+    named = {one.topic: values[one.topic] for one in aiding(values) if values[one.topic]}
+    write_recording(recording, path, imu_topic='/imu/data', gnss_topic='/front/fix', inputs=aiding(values),
+                    **{**named, **topics})
+    return path
+
+
+def settings_of(path):
+    found = configure([path])
+    assert table.check(found.values)
+    return found.values, {setting.name: ' '.join(setting.why) for setting in found.settings}
+
+
+@pytest.fixture(scope='module')
+def robot(tmp_path_factory):
+    """Two receivers 1.6 m apart, wheel odometry 0.2 s late, a pressure in hPa, and what is not to be used."""
+    made, values = recorded(TWO_RECEIVERS, {'twist': 0.2}, twist_rate=20.0, pressure_rate=10.0)
+    pressure = made.streams()['pressure']
+    made = made.having({'pressure': replace(pressure, pressure=pressure.pressure / 100.0)})
+    return written(made, values, tmp_path_factory.mktemp('bags') / 'robot', twist_topic='/wheel/odometry',
+                   pressure_topic='/baro')
+
+
+def test_a_robot_with_two_receivers_odometry_and_pressure_is_set_up_from_a_bag(robot):
+    values, why = settings_of(robot)
+    # then the second receiver is an input with a name, its antenna where it is from the first one
+    assert values['inputs'] == ['rear_fix'] and values['rear_fix.type'] == 'fix'
+    off = np.array(values['rear_fix.lever_arm']) - values['gnss.lever_arm'] - np.subtract(REAR, FRONT)
+    assert np.abs(off[:2]).max() < 3.0 * values['rear_fix.lever_arm_sigma'] < 0.5
+    assert values['rear_fix.time_offset'] == pytest.approx(values['gnss.time_offset'], abs=0.05)
+    # and the odometry is one, with its clock; the pressure is in Pa once it is multiplied
+    assert values['twist_topic'] == '/wheel/odometry' and values['twist.time_offset'] == pytest.approx(0.2, abs=0.03)
+    assert values['pressure_topic'] == '/baro' and values['pressure.factor'] == 100.0
+    assert 'speed_topic' not in values and 'velocity_topic' not in values
+    # and the reference is left alone
+    assert '/reference/fix' not in values.values()
+
+
+def test_what_configure_writes_is_better_than_the_first_receiver_alone(robot):
+    values, _ = settings_of(robot)
+    checked = table.check(values)
+    topics = {one.topic: checked[one.topic] for one in aiding(checked) if checked[one.topic]}
+    recording = read_recording(robot, '/imu/data', '/front/fix', '/reference/fix', inputs=aiding(checked), **topics)
+    alone = table.check({name: value for name, value in values.items() if name.split('.')[0] not in (
+        'inputs', 'rear_fix', 'twist_topic', 'twist', 'pressure_topic', 'pressure')})
+
+    def error(of, samples):
+        result = run(FilterConfig.from_parameters(of), recording.imu, recording.gnss, samples)
+        time = recording.reference.stamp
+        at = np.searchsorted(result.stamp, time[time > time[0] + 60 * 10**9])
+        inside = at < len(result.stamp)
+        north = (result.latitude[at[inside]] - recording.reference.latitude[-len(at):][inside]) * 6.37e6
+        east = (result.longitude[at[inside]] - recording.reference.longitude[-len(at):][inside]) * 6.37e6 * np.cos(
+            recording.reference.latitude[0])
+        # the arm of the first antenna is not shown, and moves all of it alike
+        return float(np.hypot(np.std(north), np.std(east)))
+
+    assert error(checked, Measured(recording.streams())) < error(alone, Measured())
+
+
+@pytest.mark.parametrize('per', [3.6, -1.0])
+def test_a_car_with_a_speed_a_velocity_and_a_heading_is_set_up_from_a_bag(per, tmp_path):
+    # given a speed in km/h or of the other sign, 0.3 s late, a velocity of the receiver, a heading of two antennas
+    made, values = recorded({}, {'speed': 0.3}, speed_rate=20.0, velocity_rate=5.0, heading_rate=5.0)
+    speed, heading = made.streams()['speed'], made.streams()['heading']
+    made = made.having({'speed': replace(speed, speed=per * speed.speed),
+                        'heading': replace(heading, yaw=heading.yaw + 1.0)})
+    path = written(made, values, tmp_path / 'car', speed_topic='/can/speed', velocity_topic='/receiver/vel',
+                   heading_topic='/gps/heading')
+    found, _ = settings_of(path)
+    # then each is what it is, though speed and velocity have one type of message
+    assert found['speed_topic'] == '/can/speed' and found['velocity_topic'] == '/receiver/vel'
+    assert found['speed.factor'] == pytest.approx(1.0 / per, rel=0.03)
+    assert found['speed.time_offset'] == pytest.approx(0.3, abs=0.05)
+    assert found['heading_topic'] == '/gps/heading' and found['heading.offset'] == pytest.approx(1.0, abs=0.03)
+
+
+def test_the_wheels_of_both_sides_have_names_and_places(tmp_path):
+    made, values = recorded(TWO_WHEELS)
+    found, _ = settings_of(written(made, values, tmp_path / 'wheels'))
+    assert found['inputs'] == ['wheels_left', 'wheels_right'] and 'speed_topic' not in found
+    for name, true in (('wheels_left', 0.75), ('wheels_right', -0.75)):
+        assert found[f'{name}.type'] == 'speed' and found[f'{name}.lever_arm'][1] == pytest.approx(true, abs=0.3)
+
+
+def test_what_is_a_result_or_the_same_sensor_twice_is_not_used(tmp_path):
+    # given the same receiver on another topic, with the last digits rounded, the same wheels again, a fused odometry
+    made, values = recorded({**TWO_WHEELS, 'inputs': ['rear', 'left', 'right'], 'rear.type': 'fix',
+                             'rear.topic': '/nmea/fix', 'left.topic': '/wheels/speed', 'right.topic': '/can/speed',
+                             'left.lever_arm': [0.0] * 3, 'right.lever_arm': [0.0] * 3})
+    again = replace(made.gnss, latitude=np.round(made.gnss.latitude, 8), longitude=np.round(made.gnss.longitude, 8))
+    made = made.having({'rear': again, 'right': made.streams()['left']})
+    path = written(made, values, tmp_path / 'twice')
+    found, why = settings_of(path)
+    assert found['inputs'] == [] and found['speed_topic'] == '/can/speed'
+    assert '/nmea/fix is not used: neither another place' in why['inputs']
+    assert '/wheels/speed is not used: it is not shown to measure anything but what /can/speed does' in why['inputs']
+
+
+def test_the_baseline_of_two_antennas_has_an_honest_sigma():
+    errors = []
+    for seed in range(8):
+        made, _ = recorded(TWO_RECEIVERS, {'rear': 0.15}, seed=seed, sigma=0.3)
+        found = estimate_baseline(made.gnss, made.others['rear'])
+        errors += list(((found.arm - np.subtract(REAR, FRONT)) / found.arm_sigma)[:2])
+        errors.append((found.late - 0.15) / found.late_sigma)
+    # then root mean square 1, within the bounds of a chi-square distribution with 24 degrees of freedom, 0.1 %
+    assert 0.55 < np.sqrt(np.mean(np.square(errors))) < 1.5
+
+
+@pytest.mark.parametrize('sense', [1.0, -0.7])
+def test_a_turn_rate_tells_its_clock_in_either_sense(sense):
+    made, _ = recorded({}, {'twist': -0.12}, twist_rate=10.0)
+    twist = made.streams()['twist']
+    twist = replace(twist, twist=twist.twist * [1.0, 1.0, sense])
+    found = estimate_turn_offset(made.imu, twist, rotation_from_rpy(*MOUNTING))
+    assert found.lag == pytest.approx(-0.12, abs=3.0 * found.lag_sigma) and found.lag_sigma < 0.03
+    assert np.sign(found.correlation) == np.sign(sense) and abs(found.correlation) > 0.9
+    # and a turn rate that never is one tells nothing
+    assert estimate_turn_offset(made.imu, replace(twist, twist=0.0 * twist.twist), np.eye(3)) is None
