@@ -50,7 +50,7 @@ NEVER = {
     'start anew where the filter strayed': {'trust.receiver.STRAYED_SLOPE': 1e9},
     'floor of the gate': {'trust.receiver.GATE_FLOOR': 0.0},
     'growth from fix to fix': {'trust.receiver.LONGEST_GROWTH': 0.0},
-    'frozen fixes': {'trust.receiver.FROZEN_SPEED': 1e9},
+    'inputs that repeat themselves': {'trust.repeats.SLOWEST': 1e9, 'trust.repeats.ROUNDED_SPEED': 1e9, 'trust.repeats.ROUNDED_HEADING': 1e9},
     'claims that change': {'trust.receiver.CLAIM_CHANGE': 1e9},
     'errors that last, always': {'trust.receiver.LASTING_SHARE': 0.0},
     'claims that nothing shows': {'trust.receiver.NEVER_SHOWN': 0.0},

@@ -364,8 +364,8 @@ def altered(fault: Fault, clean: Recording, seed: int) -> Recording:
 
 def judged(fault: Fault, seed: int, rate: float = 1.0, given: dict | None = None,
            drive: Callable = clean_drive) -> tuple[Outcome, Outcome, Outcome]:
-    """With the fault, without it, and coasting through it. rate: of the fixes, Hz. given: parameters. drive: called with
-    seed and rate, the recording without fault."""
+    """With the fault, without it, and coasting through it. rate: of the fixes, Hz. given: parameters. drive: the
+    recording without the fault, called with seed and rate."""
     clean = drive(seed, rate)
     values = table.check({'reference_lever_arm': [0.0, 0.0, 0.0], **fault.values, **(given or {})})
     truth, where, begin = truth_of(clean, values), _where(fault, clean, seed), fault.begin(clean)

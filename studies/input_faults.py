@@ -3,8 +3,8 @@
     python studies/input_faults.py [--seeds 6] [--rate 1] [--only TEXT,TEXT] [--set NAME=VALUE ...] [--output FILE.md]
 
 The drives of faults.py with one input more: speed, velocity, odometry, heading, pressure or a second receiver 1.6 m
-behind the first. The fault lasts for a minute from 200 s on. Each row twice: with fixes all the time, and without any in
-the second half of that minute. *without it*: the same filter that does not have the input while the fault lasts. The
+behind the first. The fault lasts for a minute from 200 s on. Each row twice: with fixes all the time, and without any
+in the second half of that minute. *without it*: the same filter that does not have the input while the fault lasts. The
 other columns are those of faults.py.
 
 missing: nothing comes. late: stamps of half a second later. doubled: each message twice. dead: it stays at the value it
@@ -54,8 +54,8 @@ def clean(seed: int, rate: float) -> Recording:
     aided = Aiding(speed_rate=10.0, velocity_rate=rate, twist_rate=20.0, heading_rate=5.0, pressure_rate=10.0,
                    fix_rate=rate, fix_sigma=1.5)
     named = [one for one in aiding(table.check(REAR)) if not one.is_plain]
-    recording = simulate_recording(drive_of(seed, MINUTES), sensors(), GnssNoise(1.5, rate=rate), seed=seed, named=named,
-                                   **{**REALISTIC.distortions(seed), 'aiding': aided}).recording
+    recording = simulate_recording(drive_of(seed, MINUTES), sensors(), GnssNoise(1.5, rate=rate), seed=seed,
+                                   **{**REALISTIC.distortions(seed), 'aiding': aided, 'named': named}).recording
     return replace(recording, reference=recording.reference.select(slice(None, None, 10)))
 
 
@@ -126,7 +126,7 @@ def main() -> None:
     parser.add_argument('--output', type=Path)
     options = parser.parse_args()
     given = {name: yaml.safe_load(value) for name, _, value in (text.partition('=') for text in options.set)}
-    lines = ['| fault | largest, m | without it, m | 20 s after, m | without fault | after without it | in 95 % | said |',
+    lines = ['| fault | largest, m | without it | 20 s after, m | without fault | after without it | in 95 % | said |',
              '|---|---|---|---|---|---|---|---|']
     print(*lines, sep='\n')
     for fault in FAULTS:

@@ -24,7 +24,8 @@ KINDS = {'speed': Kind.SPEED, 'velocity': Kind.VELOCITY, 'twist': Kind.TWIST}
 def drive(seed, rate=1.0, outliers=0.0):
     made = simulate_recording(simulate_drive(200.0, seed, 50.0, standstill=10.0, hills=True),
                               SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(1.5, rate),
-                              seed=seed, aiding=Aiding(speed_rate=20.0, velocity_rate=5.0, twist_rate=20.0))
+                              seed=seed, aiding=Aiding(speed_rate=20.0, velocity_rate=5.0, twist_rate=20.0,
+                                                       heading_rate=5.0))
     recording, rng = made.recording, np.random.default_rng(seed)
     off = (rng.random(len(recording.gnss)) < outliers) * 50e-7
     return replace(recording, gnss=replace(recording.gnss, latitude=recording.gnss.latitude + off))
@@ -73,8 +74,55 @@ def test_a_speed_that_is_not_the_vehicles_is_as_none(wrong):
     result = run(config(name), recording.imu, recording.gnss, Measured({name: bad}))
     counts = result.measured.verdicts(KINDS[name])
     driven = len(bad) * 0.8
-    assert counts.get(Verdict.CONTRADICTED, 0) > 0.7 * driven, counts
-    assert any('another way than the one between the fixes' in notice.text for notice in result.notices)
+    # one that always says zero repeats itself before it has made up a way
+    verdict = Verdict.FROZEN if wrong == 'dead' else Verdict.CONTRADICTED
+    assert counts.get(verdict, 0) > 0.7 * driven, counts
+    text = 'repeat themselves' if wrong == 'dead' else 'another way than the one between the fixes'
+    assert any(text in notice.text for notice in result.notices)
+
+
+def test_a_heading_that_points_elsewhere_is_as_none():
+    # given a heading that is right for a minute and 90 deg off from then on
+    recording = drive(2)
+    heading = recording.heading
+    later = heading.stamp > heading.stamp[0] + 60 * SECOND
+    bad = replace(heading, yaw=heading.yaw + 0.5 * np.pi * later)
+    # then outages are as without it, and it is said why
+    assert np.mean(largest_errors(recording, {'heading': bad})) < 1.15 * np.mean(largest_errors(recording, {})) + 1.0
+    result = run(config('heading'), recording.imu, recording.gnss, Measured(heading=bad))
+    counts = result.measured.verdicts(Kind.HEADING)
+    assert counts[Verdict.CONTRADICTED] > 0.7 * np.count_nonzero(later), counts
+
+
+STUCK = {'speed': ('speed',), 'velocity': ('velocity',), 'twist': ('twist',), 'heading': ('yaw',)}
+
+
+@pytest.mark.parametrize('name', STUCK)
+def test_an_input_that_goes_on_with_its_last_value_is_not_believed(name):
+    errors = {}
+    for seed in (2, 3):
+        recording = drive(seed)
+        samples = recording.streams()[name]
+        stuck = samples.stamp > samples.stamp[0] + 80 * SECOND
+        value = {part: getattr(samples, part).copy() for part in STUCK[name]}
+        for part in value.values():
+            part[stuck] = part[np.flatnonzero(stuck)[0]]
+        dead = replace(samples, **value)
+        errors.setdefault('dead', []).append(largest_errors(recording, {name: dead}))
+        errors.setdefault('none', []).append(largest_errors(recording, {name: samples.select(~stuck)}))
+    assert np.mean(errors['dead']) < 1.3 * np.mean(errors['none']) + 2.0, errors
+
+
+def test_a_speed_in_whole_kilometres_an_hour_is_worth_nearly_as_much():
+    # given steps of 0.28 m/s, in which a steady speed does not change for seconds
+    exact, rounded = [], []
+    for seed in (2, 3):
+        recording = drive(seed)
+        speed = recording.speed
+        steps = replace(speed, speed=np.round(3.6 * speed.speed) / 3.6)
+        exact.append(largest_errors(recording, {'speed': speed}))
+        rounded.append(largest_errors(recording, {'speed': steps}))
+    assert np.mean(rounded) < 1.3 * np.mean(exact) + 0.5, (exact, rounded)
 
 
 @pytest.mark.parametrize(('rate', 'outliers'), [(0.2, 0.0), (1.0, 0.0), (1.0, 0.1), (10.0, 0.0), (10.0, 0.1)])

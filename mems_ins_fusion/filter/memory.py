@@ -98,7 +98,7 @@ class _Nav(NamedTuple):
     SLID: int = column()  # s in which a slide showed that the IMU misled the filter
     RESTARTS: int = column()  # states that were not finite and were taken back
     RECOVERIES: int = column()  # resets to fixes that had been refused
-    MECHANISMS: int = column(141)  # the first of those that the mechanisms ask for (`ROW`), and room for them
+    MECHANISMS: int = column(177)  # the first of those that the mechanisms ask for (`ROW`), and room for them
     SIZE: int = column(0)
 
 
@@ -206,7 +206,7 @@ def packed(i, j, size):
 
 
 #: floats of a named input at the end of a row: what is seen of it (trust/scale.py)
-INPUT_SIZE = 13
+INPUT_SIZE = 19
 
 
 def row_width(layout: StateLayout) -> int:
@@ -491,7 +491,7 @@ class _Verdict(NamedTuple):
     USED: int = 1
     WEIGHTED: int = 2  # used with a larger covariance: it does not fit well
     REFUSED: int = 3  # its innovation is beyond the gate
-    FROZEN: int = 4  # the receiver repeats a position while the vehicle moves
+    FROZEN: int = 4  # it repeats itself although what it measures changes
     RECOVERED: int = 5  # used for a new start: it agrees with those refused before it
     AHEAD: int = 6  # of a time that the IMU's clock has not come to: the clocks differ
     STRAIGHT_ON: int = 7  # the receiver goes straight on without satellites

@@ -23,7 +23,7 @@ from .measurements import (
     velocity,
     wheel_vibration,
 )
-from .measurements.geometry import angular_rate, body_to_level, body_velocity, vehicle_to_level
+from .measurements.geometry import angular_rate, body_to_level, body_velocity, own_state, vehicle_to_level
 from .memory import (
     NAV,
     PLANAR,
@@ -43,7 +43,7 @@ from .memory import (
     yaw_state,
 )
 from .prediction import set_radii
-from .trust import contradiction, receiver, straight_on, way
+from .trust import contradiction, receiver, repeats, straight_on, way
 from .trust.drift import learn_drift
 from .trust.imu_faults import Imu
 from .trust.scale import Scale, Seen, learn, scale, seen_of
@@ -248,6 +248,8 @@ def _judge(mem, r, at, n, dimensions):
     before = max(scale(mem, own), 1.0)
     learn(mem, own, time, squared, claimed, variance, dimensions)
     factor = max(scale(mem, own), 1.0)
+    if of_velocity and kind != Kind.VELOCITY:
+        factor += repeats.unknown(mem, own, time) / claimed
     confirmed = kind != Kind.HEADING and time - mem[r + Nav.FIX_TIME] < NO_FIX
     if of_velocity:  # one by one each is judged by what it claims itself
         expected = variance + min(factor * claimed, max(LARGEST_CLAIM * claimed, LARGEST_NOISE**2))
@@ -292,6 +294,16 @@ def _leave_out_turn_rate(mem, r, at, n):
         mem[at + Event.Z_D] = 0.0
         for i in range(n):
             mem[h + i] = 0.0
+
+
+@njit(_nrt=False)
+def _take_step(mem, r, at, n):
+    """A pressure that is far off at once is another air - a door, a fan, a tunnel - and not another height: its bias
+    takes what it is off by."""
+    bias, h = own_state(mem, at, pressure.Barometer.BIAS), int(mem[Head.SCRATCH_AT]) + n * n
+    innovation = mem[at + Event.Z_N] - _product(mem, n, h, r + NAV)
+    if bias >= 0 and innovation**2 > FAR**2 * (mem[at + Event.R_NN] + _project(mem, n, h, h + 3 * n)):
+        mem[r + NAV + bias] -= innovation
 
 
 @njit(_nrt=False)
@@ -354,8 +366,9 @@ def apply_event(mem, r, at, sample):
     h = p + n * n
     if mem[at + Event.VERDICT] == Verdict.AHEAD:
         return
-    if kind == Kind.POSITION and receiver.is_frozen(mem, r, at):
+    if repeats.is_stuck(mem, r, at):
         mem[at + Event.VERDICT], mem[at + Event.WEIGHT] = Verdict.FROZEN, 0.0
+        repeats.note(mem, r, at)
         return
     if kind == Kind.POSITION and _goes_straight_on(mem, r, at):
         straight_on.refuse(mem, r, at)
@@ -390,6 +403,7 @@ def apply_event(mem, r, at, sample):
         dimensions = twist.observe(mem, r, at, h, n, c, sample)
     elif kind == Kind.PRESSURE:
         dimensions = pressure.observe(mem, r, at, h)
+        _take_step(mem, r, at, n)
     elif kind == Kind.PLACE:
         dimensions = position.observe_place(mem, r, at, h, n, c)
     else:
@@ -417,6 +431,7 @@ def apply_event(mem, r, at, sample):
         if kind == Kind.POSITION and row_of(mem, Error.R_D) < 0:
             mem[r + Nav.HEIGHT] = height
         set_radii(mem, r)
+    repeats.note(mem, r, at)
     if kind == Kind.POSITION:
         left_n, left_e, _ = position.difference(mem, r, at, body_to_level(mem, r))
         if verdict != Verdict.REFUSED or mem[r + Nav.REFUSED] > SINGLE:

@@ -33,7 +33,7 @@ from .vehicle_check import ADRIFT, found_mounting, vehicle_says
 
 #: the verdicts in words
 VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down', Verdict.REFUSED: 'beyond the gate',
-            Verdict.FROZEN: 'position repeats while moving',
+            Verdict.FROZEN: 'repeats itself while the vehicle moves',
             Verdict.STRAIGHT_ON: 'goes straight on as without satellites', Verdict.AHEAD: 'stamped ahead of the IMU',
             Verdict.CONTRADICTED: 'not the way between the fixes',
             Verdict.AWAITED: 'its way is not compared with that of the fixes yet',
@@ -440,7 +440,7 @@ class FusionFilter(Intake):
     def _refusal(self, kind: int, verdict: int, stamp: int, record) -> str:
         """Why a measurement was refused, in words and numbers."""
         if verdict == Verdict.FROZEN:
-            return 'the same position again while the vehicle moves: fix refused'
+            return f'the same {self.name(kind)} again while the vehicle moves: {self.name(kind)} refused'
         if verdict == Verdict.STRAIGHT_ON:
             return 'fixes on a straight line, as of a receiver that goes on without satellites: fix refused'
         if verdict == Verdict.CONTRADICTED:

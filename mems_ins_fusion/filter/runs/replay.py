@@ -293,7 +293,7 @@ class Replay(Intake):
             counts = measured.verdicts(kind)
             total = sum(counts.values())
             for verdict, why in ((Verdict.REFUSED, 'refused: they do not fit what the filter expects'),
-                                 (Verdict.FROZEN, 'refused: the receiver repeats a position while the vehicle moves'),
+                                 (Verdict.FROZEN, 'refused: they repeat themselves while the vehicle moves'),
                                  (Verdict.STRAIGHT_ON, 'refused: the receiver goes straight on as without satellites'),
                                  (Verdict.CONTRADICTED, 'refused: they make up another way than the one between the '
                                                         'fixes (a wrong unit, sign or axes, or a dead sensor)'),

@@ -40,8 +40,6 @@ UNSEEN_ACCELERATION = 0.1
 #: m: a fix nearer than this is never refused, only weighted down. A filter that is off by so much without knowing it,
 #: as with an unknown time offset at 20 m/s, else refuses right fixes (Longmont: RMSE 0.26 m with it, 4.6 m without)
 GATE_FLOOR = 5.0
-#: m/s: slower than this a receiver that rounds to decimetres may rightly repeat a position
-FROZEN_SPEED = 1.0
 #: fixes refused in a row before they can win: a line through fewer fits anything
 FEWEST_REFUSED = 5
 #: m/s above which a course is a heading: slower, errors of the velocity turn it too far
@@ -95,16 +93,6 @@ LARGEST_SHOWN = 0.3
 NEVER_SHOWN = 0.25
 #: fixes over which the logarithm of what they claim is averaged: about as many as the position remembers
 CLAIM_MEMORY = 10.0
-
-
-@njit(_nrt=False)
-def is_frozen(mem, r, at):
-    """Whether the fix at `at` repeats the last one although the vehicle moves."""
-    same = (mem[at + Event.LATITUDE] == mem[r + Nav.FIX_LATITUDE]
-            and mem[at + Event.LONGITUDE] == mem[r + Nav.FIX_LONGITUDE])
-    speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
-    sigma = math.sqrt(velocity_variance(mem, r))
-    return mem[Head.GATE] > 0.0 and same and speed > FROZEN_SPEED + 2.0 * sigma
 
 
 @njit(_nrt=False)

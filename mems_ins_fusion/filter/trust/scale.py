@@ -46,7 +46,12 @@ class _Seen(NamedTuple):
     KNOWN: int = 10  # and how much of `way.PRIOR` its variance has lost,
     COMPARED: int = 11  # 1: enough of it at some time
     FITTED: int = 12  # time, s, of the latest speed that fitted
-    SIZE: int = 13
+    LATEST: int = 13  # two values of the latest message, see trust/repeats.py,
+    SAID: int = 15  # time of it, s,
+    GAINED: int = 16  # by how much the state has changed since it says that, between messages, m/s or rad,
+    LEFT: int = 17  # and what it was after the latest,
+    SINCE: int = 18  # time, s, since which it says that
+    SIZE: int = 19
 
 
 Seen = _Seen()

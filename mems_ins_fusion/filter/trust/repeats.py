@@ -1,0 +1,90 @@
+"""Whether an input repeats itself: a sensor or a driver that has stopped and goes on sending its last value.
+
+A receiver that moves never says the same position or velocity twice. A speed in whole kilometres an hour or a heading
+in whole degrees may stay as it is for a minute, but not while the inertial sensors see more of a change than their
+errors explain: what the state has gained of it between the messages since it has that value, in the last seconds. What
+is too slow for them to see makes a speed that does not change less known by the second.
+"""
+from __future__ import annotations
+
+import math
+
+from mems_ins_fusion.compiled import njit
+
+from ..measurements.geometry import body_to_level, body_velocity
+from ..memory import Event, Head, Kind, Nav, velocity_variance
+from .scale import Seen, seen_of
+
+#: m/s: slower than this a receiver that rounds to decimetres may rightly repeat a position
+SLOWEST = 1.0
+#: changes that rounding leaves unsaid: of a speed, m/s, and of a heading, rad, some steps of the coarsest there are
+ROUNDED_SPEED, ROUNDED_HEADING = 1.0, 0.1
+#: and of what the inertial sensors may be wrong by: m/s^2, a tilt of two degrees, and rad/s
+UNSEEN_ACCELERATION, UNSEEN_RATE = 0.3, 0.005
+#: s over which that is added up: shorter than a car takes to gain what rounding hides, or errors would pass for it
+MEMORY = 5.0
+#: s for which a speed in steps may stay as it is, and m/s^2, by which it is less known from then on
+STEADY, AGEING = 2.0, 0.1
+
+
+@njit(_nrt=False)
+def is_stuck(mem, r, at):
+    """Whether the record at `at`, of any input, repeats the one before although the state at r has changed."""
+    if mem[Head.GATE] == 0.0:
+        return False
+    kind = int(mem[at + Event.KIND])
+    if kind == Kind.POSITION:
+        return _repeats(mem, at, r + Nav.FIX_LATITUDE) and _moves(mem, r)
+    own = seen_of(mem, r, at)
+    first, same = mem[at + Event.VALUE] == mem[own + Seen.LATEST], _repeats(mem, at, own + Seen.LATEST)
+    mem[own + Seen.LATEST], mem[own + Seen.LATEST + 1] = mem[at + Event.VALUE], mem[at + Event.VALUE + 1]
+    if kind == Kind.PLACE or kind == Kind.VELOCITY:
+        return same and _moves(mem, r)
+    if kind == Kind.PRESSURE:
+        return False
+    since, mem[own + Seen.SAID] = mem[at + Event.TIME] - mem[own + Seen.SAID], mem[at + Event.TIME]
+    if not first:
+        mem[own + Seen.SINCE], mem[own + Seen.GAINED] = mem[at + Event.TIME], 0.0
+        return False
+    gained, explained = _told(mem, r, kind) - mem[own + Seen.LEFT], ROUNDED_SPEED + UNSEEN_ACCELERATION * MEMORY
+    if kind == Kind.HEADING:
+        gained, explained = math.atan2(math.sin(gained), math.cos(gained)), ROUNDED_HEADING + UNSEEN_RATE * MEMORY
+    mem[own + Seen.GAINED] = mem[own + Seen.GAINED] * math.exp(-max(since, 0.0) / MEMORY) + gained
+    if abs(mem[own + Seen.GAINED]) > explained:
+        mem[own + Seen.GAINED] = math.inf  # until it says something else
+    return mem[own + Seen.GAINED] == math.inf
+
+
+@njit(_nrt=False)
+def unknown(mem, own, time):
+    """Variance, m^2/s^2, of a speed or an odometry that has not changed at all for so long: it may be that of then. One
+    of zero is usual: vehicles stand."""
+    if mem[own + Seen.LATEST] == 0.0:
+        return 0.0
+    return (AGEING * max(time - mem[own + Seen.SINCE] - STEADY, 0.0)) ** 2
+
+
+@njit(_nrt=False)
+def note(mem, r, at):
+    """Remember what the state at r says of what the record at `at` measures, after its correction."""
+    kind = int(mem[at + Event.KIND])
+    if kind == Kind.SPEED or kind == Kind.TWIST or kind == Kind.HEADING:
+        mem[seen_of(mem, r, at) + Seen.LEFT] = _told(mem, r, kind)
+
+
+@njit(_nrt=False)
+def _repeats(mem, at, latest):
+    return mem[at + Event.VALUE] == mem[latest] and mem[at + Event.VALUE + 1] == mem[latest + 1]
+
+
+@njit(_nrt=False)
+def _moves(mem, r):
+    """Whether the vehicle certainly does."""
+    return math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]) > SLOWEST + 2.0 * math.sqrt(velocity_variance(mem, r))
+
+
+@njit(_nrt=False)
+def _told(mem, r, kind):
+    """What the state says of a heading, rad, or a speed, m/s."""
+    c = body_to_level(mem, r)
+    return math.atan2(c[3], c[0]) if kind == Kind.HEADING else body_velocity(mem, r, c, 0)
