@@ -80,6 +80,8 @@ LONGEST_SLIP = 5.0
 LARGEST_CLAIM = 9.0
 #: m/s, sigma that counts as noise there in any case: wheels that claim millimetres are not known better
 LARGEST_NOISE = 0.2
+#: the same of a heading: rad, and s for which one that has fitted and then is far off is wrong: gyroscopes know better
+LARGEST_HEADING_NOISE, LONGEST_JUMP = 0.05, 60.0
 #: s over which the constraint's NIS is averaged
 CONSTRAINT_MEMORY = 10.0
 #: mean NIS above which the constraint is not used: it is 1 of a vehicle that keeps to it
@@ -251,10 +253,11 @@ def _judge(mem, r, at, n, dimensions):
     if of_velocity and kind != Kind.VELOCITY:
         factor += repeats.unknown(mem, own, time) / claimed
     confirmed = kind != Kind.HEADING and time - mem[r + Nav.FIX_TIME] < NO_FIX
-    if of_velocity:  # one by one each is judged by what it claims itself
-        expected = variance + min(factor * claimed, max(LARGEST_CLAIM * claimed, LARGEST_NOISE**2))
+    if makes_way(kind):  # one by one each is judged by what it claims itself
+        noise, longest = (LARGEST_NOISE, LONGEST_SLIP) if of_velocity else (LARGEST_HEADING_NOISE, LONGEST_JUMP)
+        expected = variance + min(factor * claimed, max(LARGEST_CLAIM * claimed, noise**2))
         # so soon no IMU is wrong by as much
-        slips = mem[own + Seen.FITTED] != 0.0 and time - mem[own + Seen.FITTED] < LONGEST_SLIP
+        slips = mem[own + Seen.FITTED] != 0.0 and time - mem[own + Seen.FITTED] < longest
         if squared < ROBUST * ROBUST * expected:
             mem[own + Seen.FITTED] = time
         if confirmed or slips:

@@ -38,10 +38,10 @@ def is_stuck(mem, r, at):
     own = seen_of(mem, r, at)
     first, same = mem[at + Event.VALUE] == mem[own + Seen.LATEST], _repeats(mem, at, own + Seen.LATEST)
     mem[own + Seen.LATEST], mem[own + Seen.LATEST + 1] = mem[at + Event.VALUE], mem[at + Event.VALUE + 1]
-    if kind == Kind.PLACE or kind == Kind.VELOCITY:
-        return same and _moves(mem, r)
     if kind == Kind.PRESSURE:
         return False
+    if same and (kind == Kind.PLACE or kind == Kind.VELOCITY) and _moves(mem, r):
+        return True
     since, mem[own + Seen.SAID] = mem[at + Event.TIME] - mem[own + Seen.SAID], mem[at + Event.TIME]
     if not first:
         mem[own + Seen.SINCE], mem[own + Seen.GAINED] = mem[at + Event.TIME], 0.0
@@ -68,7 +68,7 @@ def unknown(mem, own, time):
 def note(mem, r, at):
     """Remember what the state at r says of what the record at `at` measures, after its correction."""
     kind = int(mem[at + Event.KIND])
-    if kind == Kind.SPEED or kind == Kind.TWIST or kind == Kind.HEADING:
+    if kind != Kind.POSITION and kind != Kind.PRESSURE:
         mem[seen_of(mem, r, at) + Seen.LEFT] = _told(mem, r, kind)
 
 
