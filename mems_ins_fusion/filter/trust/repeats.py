@@ -23,6 +23,8 @@ ROUNDED_SPEED, ROUNDED_HEADING = 1.0, 0.1
 UNSEEN_ACCELERATION, UNSEEN_RATE = 0.3, 0.005
 #: s over which that is added up: shorter than a car takes to gain what rounding hides, or errors would pass for it
 MEMORY = 5.0
+#: stands for more than is explained
+STUCK = 1e6
 #: s for which a speed in steps may stay as it is, and m/s^2, by which it is less known from then on
 STEADY, AGEING = 2.0, 0.1
 
@@ -49,10 +51,11 @@ def is_stuck(mem, r, at):
     gained, explained = _told(mem, r, kind) - mem[own + Seen.LEFT], ROUNDED_SPEED + UNSEEN_ACCELERATION * MEMORY
     if kind == Kind.HEADING:
         gained, explained = math.atan2(math.sin(gained), math.cos(gained)), ROUNDED_HEADING + UNSEEN_RATE * MEMORY
-    mem[own + Seen.GAINED] = mem[own + Seen.GAINED] * math.exp(-max(since, 0.0) / MEMORY) + gained
-    if abs(mem[own + Seen.GAINED]) > explained:
-        mem[own + Seen.GAINED] = math.inf  # until it says something else
-    return mem[own + Seen.GAINED] == math.inf
+    if mem[own + Seen.GAINED] != STUCK:  # until it says something else
+        mem[own + Seen.GAINED] = mem[own + Seen.GAINED] * math.exp(-max(since, 0.0) / MEMORY) + gained
+        if abs(mem[own + Seen.GAINED]) > explained:
+            mem[own + Seen.GAINED] = STUCK
+    return mem[own + Seen.GAINED] == STUCK
 
 
 @njit(_nrt=False)

@@ -5,7 +5,7 @@ measurements with much noise, and twenty of them a second are more than a fix of
 But whatever the filter thinks of its velocity, the way between two fixes is known to some metres. By what share the
 way that the speeds make up is longer or shorter, along that of the fixes, is estimated from each way that is long
 enough to tell, with a Kalman filter of one state. An input whose ways are certainly wrong is refused, also when fixes
-end, until its ways fit again.
+end, until its ways fit again. A heading makes up a way as well: the one that the nose leads along.
 """
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ UNEVEN = 0.05
 FORGOTTEN = 0.05
 #: share of the way by the speeds below which that of the fixes has no direction of its own
 NO_DIRECTION = 0.3
-#: a way tells something where it is so many sigmas of the fixes
+#: a way tells something where it is so many sigmas of the fixes: of half as long ones UNEVEN and the fixes hide a third
 FEWEST_SIGMAS = 16.0
 #: one that differs by more sigmas counts as that: a fix that is far off is not the speed's
 LARGEST_SURPRISE = 2.0
@@ -34,11 +34,11 @@ LONGEST_PAUSE = 1.5
 LONGEST_WAY = 60.0
 #: rad: nor are they with a heading that is less known
 LARGEST_YAW_SIGMA = 0.3
-#: a speed may be off by this share: tyres and gears that nobody declared, slip
+#: a speed may be off by this share: tyres that nobody declared, which is about what the filter can estimate
 TOLERATED = 0.05
 #: sigmas beyond which more than that is certain
 CERTAIN = 3.0
-#: sigma of the share below which ways have been compared: after two of them, and twice that is certain
+#: sigma of the share below which ways have been compared: after one, mostly, and three times that is certain
 COMPARED = 0.09
 
 
