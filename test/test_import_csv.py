@@ -8,7 +8,14 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from mems_ins_fusion.cli.import_csv import main
-from mems_ins_fusion.recordings.csv_import import axes_rotation, read_gnss, read_imu, read_speed, read_velocity
+from mems_ins_fusion.recordings.csv_import import (
+    axes_rotation,
+    read_gnss,
+    read_imu,
+    read_pressure,
+    read_speed,
+    read_velocity,
+)
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.reading import read_recording
 
@@ -266,6 +273,32 @@ def test_velocities_stand_in_the_file_of_the_fixes(tmp_path):
 def test_speeds_have_their_unit(tmp_path, name, factor):
     speeds, _ = read_speed(write(tmp_path / 'speed.csv', f'time,{name}', [(T0, -2.0), (T0 + 1, 36.0)]))
     assert speeds.speed == pytest.approx(factor * np.array([-2.0, 36.0])) and np.isnan(speeds.variance).all()
+
+
+@pytest.mark.parametrize('name, factor', [('pressure', 1.0), ('pressure [hPa]', 100.0), ('p (mbar)', 100.0),
+                                          ('Pressure [kPa]', 1000.0)])
+def test_pressures_have_their_unit(tmp_path, name, factor):
+    pressures, said = read_pressure(write(tmp_path / 'p.csv', f'time,{name}', [(T0, 1e5 / factor),
+                                                                               (T0 + 1, 9e4 / factor)]))
+    assert pressures.pressure == pytest.approx([1e5, 9e4])
+    # and without a name of it by its size
+    unnamed, said = read_pressure(write(tmp_path / 'u.csv', 'time,baro', [(T0, 1e5 / factor), (T0 + 1, 9e4 / factor)]))
+    assert unnamed.pressure == pytest.approx([1e5, 9e4])
+    with pytest.raises(RecordingError, match='is no pressure of the air'):
+        read_pressure(write(tmp_path / 'n.csv', 'time,baro', [(T0, 5.0), (T0 + 1, 5.0)]))
+
+
+def test_a_speed_with_a_turn_rate_is_an_odometry_and_a_pressure_reaches_the_recording(files, tmp_path):
+    imu, gnss, bag = files
+    speed = write(tmp_path / 'speed.csv', 'time,speed [km/h],yaw_rate [deg/s]', [
+        (T0 + 0.1 * i, 36.0, 90.0) for i in range(20)])
+    pressure = write(tmp_path / 'baro.csv', 'time,pressure [hPa]', [(T0 + 0.1 * i, 1000.0) for i in range(20)])
+    assert run(files, '--speed', str(speed), '--pressure', str(pressure)) == 0
+    streams = read_recording(bag, '/imu/data', '/gps/fix', twist_topic='/wheel/odometry',
+                             pressure_topic='/pressure').streams()
+    # then forwards, to the right, clockwise
+    assert streams['twist'].twist == pytest.approx(np.tile([10.0, 0.0, -0.5 * np.pi], (20, 1)))
+    assert streams['pressure'].pressure == pytest.approx(np.full(20, 1e5))
 
 
 def test_speed_and_velocity_reach_the_recording(files, tmp_path):

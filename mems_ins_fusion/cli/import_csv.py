@@ -32,12 +32,13 @@ def main(argv: list[str] | None = None) -> int:
 def import_csv(options: argparse.Namespace):
     """Do what `options` ask for; yields lines that say what was done and what the bag checker found."""
     from mems_ins_fusion.configuration.check import check
+    from mems_ins_fusion.filter.measurements.registry import TYPES
     from mems_ins_fusion.parameters import table
     from mems_ins_fusion.recordings import csv_import
     from mems_ins_fusion.recordings.checker import INFO
     from mems_ins_fusion.recordings.reference_files import read_reference
     from mems_ins_fusion.recordings.writing import write_recording
-    from mems_ins_fusion.samples import Recording
+    from mems_ins_fusion.samples import Recording, Twists
 
     formats = _formats(options)
     for name in dict.fromkeys(filter(None, formats.values())):
@@ -49,7 +50,7 @@ def import_csv(options: argparse.Namespace):
         increments=options.increments or imu_options.get('increments', False), rows=imu_options.get('rows'),
         gyro=options.gyro)
     yield text
-    fixes = velocity = speed = None
+    fixes, aided = None, {}
     if options.gnss:
         fixes, text = csv_import.read_gnss(
             options.gnss, gnss_options['columns'], options.gnss_time_unit, options.angle_unit, options.gnss_sigma,
@@ -58,15 +59,21 @@ def import_csv(options: argparse.Namespace):
         velocity = csv_import.read_velocity(options.gnss, gnss_options['columns'], options.gnss_time_unit,
                                             rows=gnss_options.get('rows'))
         if velocity is not None:
-            velocity, text = velocity
+            aided['velocity'], text = velocity
             yield text
     if options.speed:
         speed, text = csv_import.read_speed(
             options.speed, csv_import.parse_columns(options.speed_columns, csv_import.SPEED_COLUMNS),
             options.speed_time_unit)
+        aided['twist' if isinstance(speed, Twists) else 'speed'] = speed
+        yield text
+    if options.pressure:
+        aided['pressure'], text = csv_import.read_pressure(
+            options.pressure, csv_import.parse_columns(options.pressure_columns, csv_import.PRESSURE_COLUMNS),
+            options.pressure_time_unit)
         yield text
     reference = read_reference(options.reference, _datum(options, fixes)) if options.reference else None
-    recording = Recording('imported', imu, fixes, reference, temperature, speed, velocity)
+    recording = Recording('imported', imu, fixes, reference, temperature).having(aided)
     findings = [finding for finding in check(recording, table.defaults()) if finding.severity != INFO]
     for finding in findings:
         if 'do not overlap' in finding.message:
@@ -75,7 +82,8 @@ def import_csv(options: argparse.Namespace):
                     gnss_topic=options.gnss_topic, imu_frame='base_link', overwrite=options.overwrite)
     yield f'{options.output}: written, ' + ', '.join(
         f'{len(samples)} on {topic}' for topic, samples in (
-            (options.imu_topic, imu), (options.gnss_topic, fixes), ('/wheel/speed', speed), ('/gps/velocity', velocity))
+            (options.imu_topic, imu), (options.gnss_topic, fixes),
+            *((TYPES[name].written_to, samples) for name, samples in aided.items()))
         if samples is not None)
     for finding in findings:
         yield f'{finding.severity}: {finding.topic}: {finding.message}'
@@ -146,7 +154,9 @@ def _parser() -> Parser:
     add('--gnss', metavar='FILE', help='CSV with time, latitude, longitude and, if there, height, sigma or HDOP, '
         'status, velocity; or NMEA')
     add('--preset', choices=(*FORMATS, 'none'), help='what wrote the files (default: by the names of their columns)')
-    add('--speed', metavar='FILE', help='CSV with time and speed of the rear axle, to /wheel/speed')
+    add('--speed', metavar='FILE', help='CSV with time and speed of the rear axle, to /wheel/speed; with a turn rate, '
+        'left positive, to /wheel/odometry')
+    add('--pressure', metavar='FILE', help='CSV with time and pressure of the air, to /pressure')
     add('--reference', metavar='FILE', help='reference trajectory: CSV, TUM, KF-GINS, NMEA or RTKLIB .pos, to '
         '/reference/fix')
     add('--datum', type=float, nargs=3, metavar=('LAT', 'LON', 'H'), help='deg, deg, m: origin of a reference in local '
@@ -164,10 +174,12 @@ def _parser() -> Parser:
     add('--imu-rows', metavar='COLUMN=VALUE', help='only these rows, such as I=0 of several IMUs')
     add('--gnss-rows', metavar='COLUMN=VALUE', help='only these rows')
     add('--increments', action='store_true', help='the columns are increments of velocity and angle')
-    add('--speed-columns', default='', metavar='NAME=COLUMN,...', help='names: time, speed, sigma')
+    add('--speed-columns', default='', metavar='NAME=COLUMN,...', help='names: time, speed, turn_rate, sigma')
+    add('--pressure-columns', default='', metavar='NAME=COLUMN,...', help='names: time, pressure')
     add('--imu-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
     add('--gnss-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
     add('--speed-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
+    add('--pressure-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
     add('--acceleration-unit', choices=('m/s^2', 'g', 'mg'), help='default: by name, else m/s^2')
     add('--gyro-unit', choices=('rad/s', 'deg/s'), help='default: by name, else rad/s')
     add('--angle-unit', choices=('deg', 'rad', '1e-7 deg'), help='of latitude and longitude (default: by name, else '

@@ -18,7 +18,7 @@ from mems_ins_fusion.recordings.motion import positions, robust_sigma, sigmas
 from mems_ins_fusion.samples import Fixes, Headings, Pressures, Speeds, Twists, Velocities
 
 #: Pa each
-_PRESSURES = {'hPa': 100.0, 'kPa': 1000.0, 'bar': 1e5, 'psi': 6894.76, 'mmHg': 133.322}
+PRESSURES = {'Pa': 1.0, 'hPa': 100.0, 'kPa': 1000.0, 'bar': 1e5, 'psi': 6894.76, 'mmHg': 133.322}
 _CLIMB = 10.0  # m, standard deviation of heights that tell something against those of fixes
 _UNITS = {'km/h': 3.6, 'mph': 2.23694, 'knots': 1.94384}  # per m/s
 _SAME_UNIT = 0.07
@@ -94,7 +94,7 @@ def _advice(measurement: Measurement, findings: list[Finding], declared, setting
         return f"set {measurement.name}.factor to {sign * settings.factor / shown['ratio']:.5g}"
     if name == 'pressure' and 'ratio' in shown:
         middle = shown['ratio'] * SEA_LEVEL
-        per = next((per for per in _PRESSURES.values() if LOWEST <= middle * per <= HIGHEST), None)
+        per = next((per for per in PRESSURES.values() if LOWEST <= middle * per <= HIGHEST), None)
         return f'set {measurement.name}.factor to {settings.factor * per:g}' if per else ''
     if name == 'heading' and 'offset_rad' in shown:
         return f"set {measurement.name}.offset to {float(wrap(settings.offset + shown['offset_rad'])):.4f}"
@@ -224,7 +224,7 @@ def check_heading(headings: Headings, fixes: Fixes | None) -> Iterator[Finding]:
 def pressure_factor(pressures: Pressures) -> float | None:
     """What makes Pa of `pressures`; None where no unit does."""
     middle = float(np.nanmedian(pressures.pressure)) if np.isfinite(pressures.pressure).any() else 0.0
-    return next((per for per in (1.0, *_PRESSURES.values()) if LOWEST <= middle * per <= HIGHEST), None)
+    return next((per for per in PRESSURES.values() if LOWEST <= middle * per <= HIGHEST), None)
 
 
 def check_pressure(pressures: Pressures, fixes: Fixes | None) -> Iterator[Finding]:
@@ -236,7 +236,7 @@ def check_pressure(pressures: Pressures, fixes: Fixes | None) -> Iterator[Findin
         return
     middle = float(finite[len(finite) // 2])
     if not LOWEST <= middle <= HIGHEST:
-        unit = next((unit for unit, per in _PRESSURES.items() if LOWEST <= middle * per <= HIGHEST), None)
+        unit = next((unit for unit, per in PRESSURES.items() if LOWEST <= middle * per <= HIGHEST), None)
         seems = f'it seems to be in {unit} instead of Pa' if unit else 'it is none of the air'
         yield Finding(ERROR, 'pressure', f'the pressure is {middle:.4g} Pa: {seems}', {'ratio': middle / SEA_LEVEL})
         return

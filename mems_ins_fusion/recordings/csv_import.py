@@ -2,16 +2,18 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
+from mems_ins_fusion.recordings.aiding import PRESSURES, pressure_factor
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.gps_time import utc_of_week
 from mems_ins_fusion.recordings.nmea import read_nmea
 from mems_ins_fusion.recordings.tables import Table, read_table, read_text, unit_in_name
 from mems_ins_fusion.recordings.units import ACCELERATION, RATE
-from mems_ins_fusion.samples import Fixes, ImuSamples, Speeds, Temperatures, Velocities
+from mems_ins_fusion.samples import Fixes, ImuSamples, Pressures, Speeds, Temperatures, Twists, Velocities
 
 SPEED_UNITS = {'m/s': 1.0, 'km/h': 1 / 3.6, 'mph': 0.44704, 'knots': 1852 / 3600, 'mm/s': 1e-3, 'cm/s': 1e-2}
 #: whole numbers of 1e-7 deg are what u-blox, MAVLink and PX4 send, with heights in mm
@@ -23,6 +25,7 @@ _SPELLINGS = {**dict.fromkeys(('m/s2', 'm s^-2', 'm/s²', 'm/s/s', 'mps2', 'm_s2
               **dict.fromkeys(('deg s^-1', 'deg_s', 'degps', 'dps', '°/s'), 'deg/s'),
               **dict.fromkeys(('m s^-1', 'm_s', 'mps'), 'm/s'), **dict.fromkeys(('kmh', 'kph', 'km h^-1'), 'km/h'),
               **dict.fromkeys(('kn', 'kt', 'kts', 'knot'), 'knots'),
+              **dict.fromkeys(('mbar', 'millibar', 'hectopascal'), 'hPa'),
               **dict.fromkeys(('°', 'degree', 'degrees'), 'deg'), **dict.fromkeys(('radian', 'radians'), 'rad')}
 _LONGEST_IMU_INTERVAL = 0.2  # s
 #: what three columns must be near to, to be proposed as accelerometers: the logarithm of the ratio to gravity
@@ -63,7 +66,9 @@ GNSS_COLUMNS = {'time': TIME, 'latitude': ('latitude', 'lat', 'latdeg', 'phi'),
                             f'velocity{wanted}', f'{wanted}velocity') for wanted in ('north', 'east', 'down')},
                 'velocity_sigma': ('velocitysigma', 'sacc', 'speedaccuracy', 'velocityaccuracy')}
 SPEED_COLUMNS = {'time': TIME, 'speed': ('speed', 'v', 'velocity', 'wheelspeed', 'vehiclespeed', 'odometerspeed'),
+                 'turn_rate': ('turnrate', 'yawrate', 'angularvelocity', 'angularrate', 'omega', 'wz'),
                  'sigma': ('sigma', 'std', 'speedsigma', 'accuracy')}
+PRESSURE_COLUMNS = {'time': TIME, 'pressure': ('pressure', 'airpressure', 'press', 'p', 'baro', 'barometer')}
 
 
 def parse_columns(text: str, known) -> dict[str, str]:
@@ -266,21 +271,49 @@ def read_velocity(path, columns: dict[str, str] | None = None, time_unit=None, *
             _summary(table, found, len(stamp), (time_unit, unit)))
 
 
-def read_speed(path, columns: dict[str, str] | None = None, time_unit=None) -> tuple[Speeds, str]:
-    """Speeds of the rear axle, forward positive, and what was taken for what.
+def read_speed(path, columns: dict[str, str] | None = None, time_unit=None) -> tuple[Speeds | Twists, str]:
+    """Speeds of the rear axle, forward positive, and what was taken for what; with a turn rate, left positive, they are
+    an odometry.
 
-    columns: those whose names are not usual, by the keys of SPEED_COLUMNS. In the unit in brackets, else m/s; without a
-    column `sigma` the variance is NaN. Raises RecordingError.
+    columns: those whose names are not usual, by the keys of SPEED_COLUMNS. In the units in brackets, else m/s and
+    rad/s; without a column `sigma` the variance is NaN. Raises RecordingError.
     """
     table, columns = read_table(path), columns or {}
     names = _require(table, ('speed',), SPEED_COLUMNS, columns)
-    stated = table.find('sigma', SPEED_COLUMNS['sigma'], columns)
+    further = {wanted: name for wanted in ('sigma', 'turn_rate')
+               if (name := table.find(wanted, SPEED_COLUMNS[wanted], columns))}
     stamp, time_unit = _times(table, columns, time_unit, 20.0, names)
     unit = _unit(table, names['speed'], SPEED_UNITS)
-    scale = SPEED_UNITS[unit]
-    variance = np.square(scale * table.numbers(stated)) if stated else np.full(len(stamp), np.nan)
-    speeds = Speeds(stamp, np.maximum.accumulate(stamp), scale * table.numbers(names['speed']), variance)
-    return speeds, _summary(table, {**names, **({'sigma': stated} if stated else {})}, len(stamp), (time_unit, unit))
+    scale, nothing = SPEED_UNITS[unit], np.full(len(stamp), np.nan)
+    speed, received = scale * table.numbers(names['speed']), np.maximum.accumulate(stamp)
+    variance = np.square(scale * table.numbers(further['sigma'])) if 'sigma' in further else nothing
+    samples: Speeds | Twists = Speeds(stamp, received, speed, variance)
+    if 'turn_rate' in further:
+        turn = RATE[_unit(table, further['turn_rate'], RATE)] * table.numbers(further['turn_rate'])
+        samples = Twists(stamp, received, np.column_stack([speed, np.zeros(len(stamp)), -turn]),
+                         np.column_stack([variance, nothing, nothing]))
+    return samples, _summary(table, {**names, **further}, len(stamp), (time_unit, unit))
+
+
+def read_pressure(path, columns: dict[str, str] | None = None, time_unit=None) -> tuple[Pressures, str]:
+    """Pressures of the air, Pa, and what was taken for what.
+
+    columns: those whose names are not usual, by the keys of PRESSURE_COLUMNS. In the unit in brackets, else in the one
+    in which they are pressures of the air. Raises RecordingError.
+    """
+    table, columns = read_table(path), columns or {}
+    names = _require(table, ('pressure',), PRESSURE_COLUMNS, columns)
+    stamp, time_unit = _times(table, columns, time_unit, 20.0, names)
+    nothing = np.full(len(stamp), np.nan)
+    samples = Pressures(stamp, np.maximum.accumulate(stamp), table.numbers(names['pressure']), nothing)
+    spelled = unit_in_name(names['pressure'], {*PRESSURES, *_SPELLINGS})
+    factor = pressure_factor(samples)
+    unit = _SPELLINGS.get(spelled, spelled) or next((unit for unit, per in PRESSURES.items() if per == factor), '')
+    if unit not in PRESSURES:
+        raise RecordingError(f"{path}: column '{names['pressure']}' is no pressure of the air in "
+                             f"{', '.join(PRESSURES)}")
+    pressure = PRESSURES[unit] * samples.pressure
+    return replace(samples, pressure=pressure), _summary(table, names, len(stamp), (time_unit, unit))
 
 
 def _chosen(table: Table, rows: tuple[str, str] | None) -> Table:
@@ -416,7 +449,8 @@ def _proposal(table: Table, wanted, found, given: dict[str, str]) -> str:
         columns['time'] = time[0]
     if 'ax' in wanted and _holds_increments(table):
         return '; as it seems: --preset kf-gins'
-    option, units = '--gnss-columns' if 'latitude' in wanted else '--speed-columns', ''
+    kind = next((kind for kind in ('pressure', 'speed') if kind in wanted), 'gnss')
+    option, units = f'--{kind}-columns', ''
     if 'ax' in wanted:
         option = '--imu-columns'
         numbers = {name: v for name, v in _numeric(table).items() if name not in columns.values()}

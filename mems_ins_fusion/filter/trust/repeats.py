@@ -37,15 +37,18 @@ def is_stuck(mem, r, at):
     kind = int(mem[at + Event.KIND])
     if kind == Kind.POSITION:
         return _repeats(mem, at, r + Nav.FIX_LATITUDE) and _moves(mem, r)
-    own = seen_of(mem, r, at)
-    first, same = mem[at + Event.VALUE] == mem[own + Seen.LATEST], _repeats(mem, at, own + Seen.LATEST)
-    mem[own + Seen.LATEST], mem[own + Seen.LATEST + 1] = mem[at + Event.VALUE], mem[at + Event.VALUE + 1]
     if kind == Kind.PRESSURE:
         return False
-    if same and (kind == Kind.PLACE or kind == Kind.VELOCITY) and _moves(mem, r):
-        return True
+    own = seen_of(mem, r, at)
+    same = mem[at + Event.VALUE] == mem[own + Seen.LATEST]
+    if kind == Kind.PLACE or kind == Kind.VELOCITY:
+        same = _repeats(mem, at, own + Seen.LATEST)
+        mem[own + Seen.LATEST + 1] = mem[at + Event.VALUE + 1]
+        if same and _moves(mem, r):
+            return True
+    mem[own + Seen.LATEST] = mem[at + Event.VALUE]
     since, mem[own + Seen.SAID] = mem[at + Event.TIME] - mem[own + Seen.SAID], mem[at + Event.TIME]
-    if not first:
+    if not same:
         mem[own + Seen.SINCE], mem[own + Seen.GAINED] = mem[at + Event.TIME], 0.0
         return False
     gained, explained = _told(mem, r, kind) - mem[own + Seen.LEFT], ROUNDED_SPEED + UNSEEN_ACCELERATION * MEMORY
