@@ -106,8 +106,10 @@ def test_what_configure_writes_is_better_than_the_first_receiver_alone(robot):
 
 @pytest.mark.parametrize('per', [3.6, -1.0])
 def test_a_car_with_a_speed_a_velocity_and_a_heading_is_set_up_from_a_bag(per, tmp_path):
-    # given a speed in km/h or of the other sign, 0.3 s late, a velocity of the receiver, a heading of two antennas
-    made, values = recorded({}, {'speed': 0.3}, speed_rate=20.0, velocity_rate=5.0, heading_rate=5.0)
+    # given a speed in km/h or of the other sign, 0.3 s late, a velocity of the receiver and a heading of two antennas
+    # that are 0.5 and 0.4 s late
+    late = {'speed': 0.3, 'velocity': 0.5, 'heading': 0.4}
+    made, values = recorded({}, late, speed_rate=20.0, velocity_rate=5.0, heading_rate=5.0)
     speed, heading = made.streams()['speed'], made.streams()['heading']
     made = made.having({'speed': replace(speed, speed=per * speed.speed),
                         'heading': replace(heading, yaw=heading.yaw + 1.0)})
@@ -118,7 +120,9 @@ def test_a_car_with_a_speed_a_velocity_and_a_heading_is_set_up_from_a_bag(per, t
     assert found['speed_topic'] == '/can/speed' and found['velocity_topic'] == '/receiver/vel'
     assert found['speed.factor'] == pytest.approx(1.0 / per, rel=0.03)
     assert found['speed.time_offset'] == pytest.approx(0.3, abs=0.05)
-    assert found['heading_topic'] == '/gps/heading' and found['heading.offset'] == pytest.approx(1.0, abs=0.03)
+    assert found['velocity.time_offset'] == pytest.approx(0.5, abs=0.1)
+    assert found['heading_topic'] == '/gps/heading' and found['heading.offset'] == pytest.approx(1.0, abs=0.05)
+    assert found['heading.time_offset'] == pytest.approx(0.4, abs=0.05)
 
 
 def test_the_wheels_of_both_sides_have_names_and_places(tmp_path):

@@ -407,7 +407,8 @@ def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
     if lags:
         lag, sigma = (float(x) for x in weighted(*(np.array(part) for part in zip(*lags))))
         sure = _is_sure(lag, sigma)
-        begin, what = (first.get('gnss.time_offset', 0.0), 'gnss_topic') if kind == 'fix' else (0.0, 'the IMU')
+        begin, what = first.get('gnss.time_offset', 0.0) if kind == 'fix' else 0.0, (
+            'gnss_topic' if kind in ('fix', 'velocity') else 'the IMU')
         yield Setting(f'{name}.time_offset', round(begin + (lag if sure else 0.0), 3) + 0.0, (
             f'against {what} {lag:.3f} +- {sigma:.3f} s{"" if sure else _AT_ZERO}',))
     elif kind in WHEELED:

@@ -18,7 +18,8 @@ from mems_ins_fusion.configuration.mounting import Mounting
 from mems_ins_fusion.configuration.offset import FLOOR
 from mems_ins_fusion.configuration.receiver import TOO_SURE
 from mems_ins_fusion.configuration.speed_offset import SHOWN, estimate_speed_offset
-from mems_ins_fusion.configuration.turn_offset import TurnOffset, estimate_turn_offset
+from mems_ins_fusion.configuration.turn_offset import TurnOffset, estimate_turn_offset, turning_of
+from mems_ins_fusion.configuration.velocity_offset import estimate_velocity_offset
 from mems_ins_fusion.filter.measurements.base import Measurement
 from mems_ins_fusion.filter.measurements.registry import TYPES
 from mems_ins_fusion.filter.runs.usable import usable_fixes
@@ -38,6 +39,7 @@ _HEADING = re.compile(r'heading|yaw|compass|gps|gnss|antenna', re.IGNORECASE)
 #: that it is a result, which has seen the fixes, or a reference
 RESULT = re.compile(r'reference|truth|fused|filter|ekf|estimate|initial|gt($|/)', re.IGNORECASE)
 _TURNING = 0.9  # correlation of a turn rate with that of the gyroscopes, in size: less is no turn rate
+_HEADING_TURNS = 0.5  # the same of one that follows the course, from whose noise the rate is computed
 _SIGNIFICANT = 4.0  # sigmas: places that are further apart are two for certain
 # of the scatter that two receivers have against each other if each has its own errors: with less they are the same
 _IN_COMMON = 0.7
@@ -85,7 +87,7 @@ def shown_inputs(readings: Mapping[str, Mapping[str, object]], receivers: Mappin
     found = [_counted(_receiver(topic, others, imu, fixes, still), others) for topic, others in receivers.items()]
     for topic, read in readings.items():
         kind = _kind(topic, read, imu, fixes, rotation)
-        timed = kind if isinstance(kind, LeftOut) else _timed(kind, read, imu, rotation)
+        timed = kind if isinstance(kind, LeftOut) else _timed(kind, read, imu, fixes, rotation)
         found.append(_counted(timed, next(iter(read.values()))))
     return _without_repeats(found)
 
@@ -142,10 +144,19 @@ def _points_along(velocities, fixes) -> bool:
     return bool(shown) and all(finding.severity == INFO for finding in shown)
 
 
-def _timed(shown: InputShown, read, imu, rotation) -> InputShown:
+def _timed(shown: InputShown, read, imu, fixes, rotation) -> InputShown:
     """With its clock and, of wheels, their place."""
     name = shown.measurement.name
-    if rotation is None or name not in WHEELED:
+    if name == 'velocity':
+        offset = estimate_velocity_offset(read['velocity'], fixes)
+        known = offset is not None and offset.lag_sigma < SHOWN
+        return replace(shown, lag=(offset.lag, offset.lag_sigma) if known else None)
+    if rotation is None:
+        return shown
+    if name == 'heading':
+        turn = _turning(imu, turning_of(read['heading']), rotation, _HEADING_TURNS)
+        return replace(shown, lag=(turn.lag, turn.lag_sigma) if turn is not None and turn.lag_sigma < SHOWN else None)
+    if name not in WHEELED:
         return shown
     speeds = replace(read['speed'], speed=shown.factor * read['speed'].speed)
     lag, left = wheel_clock(imu, speeds, read['twist'] if name == 'twist' else None, rotation)
@@ -164,10 +175,10 @@ def wheel_clock(imu: ImuSamples, speeds: Speeds, twists: Twists | None, rotation
     return min(lags, key=lambda lag: lag[1], default=None), offset.left if offset is not None else None
 
 
-def _turning(imu, twists, rotation) -> TurnOffset | None:
+def _turning(imu, twists, rotation, least=_TURNING) -> TurnOffset | None:
     """None where the turn rate is not that of the gyroscopes, in either sense."""
     turn = estimate_turn_offset(imu, twists, rotation)
-    return turn if turn is not None and abs(turn.correlation) > _TURNING else None
+    return turn if turn is not None and abs(turn.correlation) > least else None
 
 
 def _receiver(topic, others: Fixes, imu, fixes, still) -> InputShown | LeftOut:

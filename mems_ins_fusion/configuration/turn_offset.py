@@ -13,7 +13,7 @@ import numpy as np
 from mems_ins_fusion.configuration.kinematics import InertialIntegrals
 from mems_ins_fusion.configuration.offset import FLOOR, LARGEST
 from mems_ins_fusion.configuration.regression import jackknife
-from mems_ins_fusion.samples import ImuSamples, Twists
+from mems_ins_fusion.samples import Headings, ImuSamples, Twists
 
 _STEP = 0.02  # s, of the grid
 _BLOCKS = 20  # of the drive, for the jackknife
@@ -59,6 +59,17 @@ def estimate_turn_offset(imu: ImuSamples, twists: Twists, rotation: np.ndarray) 
     lag, best = _best(lags, whole)
     left_out = np.array([_best(lags, whole - sums[:, block])[0] for block in range(_BLOCKS)])
     return TurnOffset(lag, math.hypot(float(jackknife(left_out)), FLOOR), best)
+
+
+def turning_of(headings: Headings) -> Twists:
+    """The turn rate that `headings` show, each between two of them."""
+    good = np.flatnonzero(np.isfinite(headings.yaw))
+    good = good[np.argsort(headings.stamp[good], kind='stable')]
+    good = good[np.diff(headings.stamp[good], prepend=-1) > 0]
+    step = np.diff(headings.stamp[good])
+    turn = np.diff(np.unwrap(headings.yaw[good])) / (step * 1e-9)
+    middle, nothing = headings.stamp[good][:-1] + step // 2, np.full(len(turn), np.nan)
+    return Twists(middle, middle, np.column_stack([nothing, nothing, turn]), np.full((len(turn), 3), np.nan))
 
 
 def _mean(time, integrated, at):

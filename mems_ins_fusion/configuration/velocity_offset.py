@@ -1,0 +1,74 @@
+"""The time offset between a receiver's velocities and its fixes: no IMU, no filter.
+
+The way between two fixes is the integral of the velocity over as long, stamped later by the offset: on a grid of
+offsets the squares of what all ways differ by, then a parabola about the least. Ways over which the velocity does not
+change differ alike at each offset, and so tell nothing.
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mems_ins_fusion.configuration.offset import FLOOR, LARGEST
+from mems_ins_fusion.configuration.regression import jackknife
+from mems_ins_fusion.recordings.motion import positions
+from mems_ins_fusion.samples import Fixes, Velocities
+
+_STEP = 0.05  # s, of the grid
+_WAY = 2.0  # s: of a way, in which a car changes its velocity by as much as it does, and fixes of metres still tell
+_BLOCKS = 20  # of the drive, for the jackknife
+_FEWEST = 40  # ways
+_FAR = 3.0  # times the median: a way that differs by more counts as that, as a fix that is far off
+
+
+@dataclass(frozen=True)
+class VelocityOffset:
+    """lag, lag_sigma: s, by which the velocities are stamped late against the fixes."""
+
+    lag: float
+    lag_sigma: float
+
+
+def estimate_velocity_offset(velocities: Velocities, fixes: Fixes) -> VelocityOffset | None:
+    """What usable `fixes`, in the order of their stamps, and `velocities` show; None with too little of either."""
+    good = np.flatnonzero(np.isfinite(velocities.velocity[:, :2]).all(axis=1))
+    good = good[np.argsort(velocities.stamp[good], kind='stable')]
+    good = good[np.diff(velocities.stamp[good], prepend=-1) > 0]
+    if len(good) < _FEWEST or len(fixes) < _FEWEST:
+        return None
+    origin = fixes.stamp[0]
+    at, time = (fixes.stamp - origin) * 1e-9, (velocities.stamp[good] - origin) * 1e-9
+    v = velocities.velocity[good, :2]
+    way = np.vstack([np.zeros(2), np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(time)[:, None], axis=0)])
+    step = max(1, round(_WAY / float(np.median(np.diff(at)))))
+    begin, end = at[:-step], at[step:]
+    gap = np.concatenate([[0.0], np.cumsum(np.diff(time) > 3.0 * np.median(np.diff(time)))])
+    whole = np.interp(end + LARGEST, time, gap) == np.interp(begin - LARGEST, time, gap)
+    kept = (whole & (end - begin < 2.0 * _WAY) & (begin - LARGEST > time[0]) & (end + LARGEST < time[-1]))
+    if np.count_nonzero(kept) < _FEWEST:
+        return None
+    begin, end, gone = begin[kept], end[kept], (positions(fixes)[step:] - positions(fixes)[:-step])[kept]
+    lags = np.arange(-LARGEST, LARGEST + 0.5 * _STEP, _STEP)
+    squares = np.array([np.square(gone - _between(time, way, begin + lag, end + lag)).sum(axis=1) for lag in lags])
+    squares = np.minimum(squares, _FAR**2 * np.median(squares.min(axis=0)))
+    blocks = (np.arange(len(begin)) * _BLOCKS) // len(begin)
+    costs = np.array([squares[:, blocks == block].sum(axis=1) for block in range(_BLOCKS)])
+    whole_cost = costs.sum(axis=0)
+    lag = float(_least(lags, whole_cost))
+    sigma = float(jackknife(np.array([_least(lags, whole_cost - cost) for cost in costs])))
+    return VelocityOffset(lag, math.hypot(sigma, FLOOR))
+
+
+def _between(time, way, begin, end):
+    return np.column_stack([np.interp(end, time, part) - np.interp(begin, time, part) for part in way.T])
+
+
+def _least(lags, cost) -> float:
+    at = int(np.argmin(cost))
+    if not 0 < at < len(lags) - 1:
+        return float(lags[at])
+    before, here, after = cost[at - 1:at + 2]
+    bend = before - 2.0 * here + after
+    return float(lags[at]) + (0.5 * _STEP * (before - after) / bend if bend > 0.0 else 0.0)
