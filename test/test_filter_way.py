@@ -210,3 +210,21 @@ def test_the_share_and_its_variance_are_those_of_a_kalman_filter():
     for k in range(2):
         way._learn(mem, 0, 0.5, 0.01)
     assert way.is_contradicted(mem, 0)
+
+
+@pytest.mark.parametrize('down', [np.nan, 0.0])
+def test_a_velocity_without_a_vertical_one_is_used(down):
+    # given a receiver that says no vertical velocity, or always that it is zero, on hills
+    recordings = [drive(seed) for seed in (2, 3)]
+    errors = {}
+    for recording in recordings:
+        flat = recording.velocity.velocity.copy()
+        flat[:, 2] = down
+        velocity = replace(recording.velocity, velocity=flat)
+        errors.setdefault('flat', []).append(largest_errors(recording, {'velocity': velocity}))
+        errors.setdefault('all', []).append(largest_errors(recording, {'velocity': recording.velocity}))
+        counts = run(config('velocity'), recording.imu, recording.gnss, Measured(velocity=velocity)).measured.verdicts(
+            Kind.VELOCITY)
+        assert counts[Verdict.USED] > 0.8 * len(velocity), counts
+    # then what it says is worth about as much
+    assert np.mean(errors['flat']) < 1.3 * np.mean(errors['all']) + 1.0, errors

@@ -1,6 +1,8 @@
 """Velocity of the GNSS antenna over ground, north, east and down, as receivers measure it by Doppler shift."""
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mems_ins_fusion.compiled import njit
@@ -16,7 +18,8 @@ from .records import empty, refuse, stated_or
 
 @njit(_nrt=False)
 def observe(mem, r, at, h, n, c, sample):
-    """Predicted minus measured velocity of the antenna; the number of components."""
+    """Predicted minus measured velocity of the antenna; the number of components: two where no vertical one was
+    measured, NaN in the record."""
     w_x, w_y, w_z = angular_rate(mem, r, sample)
     x, y, z = arm_of(mem, at, Head.LEVER_X)
     # the antenna goes round the IMU: w x arm
@@ -25,11 +28,12 @@ def observe(mem, r, at, h, n, c, sample):
                          c[6] * u_x + c[7] * u_y + c[8] * u_z)
     mem[at + Event.Z_N] = mem[r + Nav.V_N] + north - mem[at + Event.VALUE]
     mem[at + Event.Z_E] = mem[r + Nav.V_E] + east - mem[at + Event.VALUE + 1]
-    mem[at + Event.Z_D] = mem[r + Nav.V_D] + down - mem[at + Event.VALUE + 2]
+    vertical = not math.isnan(mem[at + Event.VALUE + 2])
+    mem[at + Event.Z_D] = mem[r + Nav.V_D] + down - mem[at + Event.VALUE + 2] if vertical else 0.0
     turned(mem, h, n, north, east, down)
     for k in range(3):
         add(mem, h + n * k, Error.V_N + k, 1.0)
-    return 3 if row_of(mem, Error.V_D) >= 0 else 2
+    return 3 if vertical and row_of(mem, Error.V_D) >= 0 else 2
 
 
 #: faster is no land vehicle, m/s
@@ -50,11 +54,14 @@ class Velocity(Measurement):
     simulated_with = {'velocity_rate': 0.0, 'velocity_sigma': 0.1}
 
     def records(self, settings, velocities):
-        n, v = len(velocities), velocities.velocity
+        n, v = len(velocities), velocities.velocity.copy()
         r, reasons = empty(Kind.VELOCITY, n), np.full(n, '', dtype=object)
         with np.errstate(over='ignore', invalid='ignore'):
-            refuse(reasons, ~(np.linalg.norm(v, axis=1) < FASTEST),
+            vertical = np.where(np.isnan(v[:, 2]), 0.0, v[:, 2])
+            refuse(reasons, ~(np.hypot(np.hypot(v[:, 0], v[:, 1]), vertical) < FASTEST),
                    lambda i: f'velocity {v[i, 0]:g}, {v[i, 1]:g}, {v[i, 2]:g} m/s (north, east, down): dropped')
+        # a receiver without a vertical one says NaN, or always zero
+        v[:, 2][v[:, 2] == 0.0] = np.nan
         r[:, Event.VALUE:Event.VALUE + 3] = v
         for column, axis in ((Event.R_NN, 0), (Event.R_EE, 1), (Event.R_DD, 2)):
             r[:, column] = stated_or(velocities.covariance[:, axis, axis], settings, SMALLEST_SIGMA)
