@@ -59,16 +59,17 @@ def settings_of(path):
 
 @pytest.fixture(scope='module')
 def robot(tmp_path_factory):
-    """Two receivers 1.6 m apart, wheel odometry 0.2 s late, a pressure in hPa, and what is not to be used."""
+    """Two receivers 1.6 m apart, wheel odometry 0.2 s late and a pressure in hPa: the bag, and what configure finds."""
     made, values = recorded(TWO_RECEIVERS, {'twist': 0.2}, twist_rate=20.0, pressure_rate=10.0)
     pressure = made.streams()['pressure']
     made = made.having({'pressure': replace(pressure, pressure=pressure.pressure / 100.0)})
-    return written(made, values, tmp_path_factory.mktemp('bags') / 'robot', twist_topic='/wheel/odometry',
+    path = written(made, values, tmp_path_factory.mktemp('bags') / 'robot', twist_topic='/wheel/odometry',
                    pressure_topic='/baro')
+    return path, settings_of(path)[0]
 
 
 def test_a_robot_with_two_receivers_odometry_and_pressure_is_set_up_from_a_bag(robot):
-    values, why = settings_of(robot)
+    _, values = robot
     # then the second receiver is an input with a name, its antenna where it is from the first one
     assert values['inputs'] == ['rear_fix'] and values['rear_fix.type'] == 'fix'
     off = np.array(values['rear_fix.lever_arm']) - values['gnss.lever_arm'] - np.subtract(REAR, FRONT)
@@ -83,10 +84,10 @@ def test_a_robot_with_two_receivers_odometry_and_pressure_is_set_up_from_a_bag(r
 
 
 def test_what_configure_writes_is_better_than_the_first_receiver_alone(robot):
-    values, _ = settings_of(robot)
+    path, values = robot
     checked = table.check(values)
     topics = {one.topic: checked[one.topic] for one in aiding(checked) if checked[one.topic]}
-    recording = read_recording(robot, '/imu/data', '/front/fix', '/reference/fix', inputs=aiding(checked), **topics)
+    recording = read_recording(path, '/imu/data', '/front/fix', '/reference/fix', inputs=aiding(checked), **topics)
     alone = table.check({name: value for name, value in values.items() if name.split('.')[0] not in (
         'inputs', 'rear_fix', 'twist_topic', 'twist', 'pressure_topic', 'pressure')})
 
