@@ -14,12 +14,13 @@ from filter_support import HEIGHT, LATITUDE, LONGITUDE, configure, fix_record, n
 from mems_ins_fusion.evaluation.comparison import truth_of
 from mems_ins_fusion.evaluation.metrics import position_errors
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.memory import Event, Head, Nav, Verdict, covariance, variance_factor, views
+from mems_ins_fusion.filter.memory import Event, Head, Nav, Verdict, covariance, state_at, variance_factor, views
 from mems_ins_fusion.filter.runs.odometry import POSE_COVARIANCE, SIZE, TWIST_COVARIANCE, odometry
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.filter.runs.results import Measured, columns, result
 from mems_ins_fusion.filter.start.initial import learned
 from mems_ins_fusion.filter.trust.receiver import Receiver as OfReceiver
+from mems_ins_fusion.filter.trust.receiver import start_anew
 from mems_ins_fusion.filter.trust.scale import scale
 from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.parameters import table
@@ -204,6 +205,20 @@ def test_fixes_that_agree_are_believed_after_the_stated_time(mechanization, jump
     assert np.isin(got[first + 1:], [Verdict.USED, Verdict.WEIGHTED]).all()
     p = covariance(newest(memory), config.layout)
     assert error[-1] @ np.linalg.solve(p[:2, :2], error[-1]) < 14.0
+
+
+def test_a_new_start_forgets_how_large_the_innovations_of_the_old_state_were():
+    # given a filter whose innovations have been ten times as large as expected
+    receiver = Receiver()
+    _, memory, _, _ = receiver.through()
+    at = state_at(memory, int(memory[Head.SAMPLES]))
+    level = at + OfReceiver.INNOVATION_SCALE
+    memory[at + Nav.VARIANCE_FACTOR], memory[level] = 100.0, math.log(100.0)
+    # when it starts anew from two fixes that it had refused, a second apart
+    memory[at + Nav.REFUSED], memory[at + Nav.SUM_T], memory[at + Nav.SUM_TT] = 2.0, 1.0, 1.0
+    start_anew(memory, at, int(memory[Head.EVENTS_AT]))
+    # then its sigmas are those of the new state
+    assert memory[at + Nav.VARIANCE_FACTOR] == 1.0 and memory[level] == 0.0
 
 
 def test_refused_fixes_that_do_not_agree_do_not_win():

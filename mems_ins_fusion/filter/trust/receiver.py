@@ -16,7 +16,7 @@ from ..history import forget
 from ..memory import NAV, PLANAR, ROW, Event, Head, Nav, Verdict, velocity_state, velocity_variance, yaw_state
 from ..prediction import GAP_ACCELERATION, UNKNOWN_YAW_SIGMA
 from .drift import Drift
-from .scale import Scale, reopen, scale
+from .scale import Scale, begin_scale, reopen, scale
 from .scale import learn as learn_scale
 
 #: of a state
@@ -304,6 +304,10 @@ def start_anew(mem, r, at):
         mem[r + Nav.STRAYED] = mem[r + Nav.STRAYED] + 1.0 if again else 1.0
         mem[r + Nav.STRAYED_TIME] = mem[at + Event.TIME]
     mem[r + Drift.TIME] = mem[r + Receiver.PAIR_TIME] = 0.0
+    # the innovations until now were those of a state that was wrong
+    begin_scale(mem, r + Receiver.INNOVATION_SCALE)
+    mem[r + Nav.SLOW_N] = mem[r + Nav.SLOW_E] = mem[r + Nav.SLOW_VARIANCE] = 0.0
+    mem[r + Nav.VARIANCE_FACTOR] = 1.0
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
     for i in range(n):

@@ -111,6 +111,12 @@ def learn(mem, at, time, squared, part, rest, dimensions, weight=1.0):
 
 
 @njit(_nrt=False)
+def begin_scale(mem, at):
+    """Nothing is known of it but the prior."""
+    mem[at + Scale.LOG] = mem[at + Scale.KNOWN] = 0.0
+
+
+@njit(_nrt=False)
 def reopen(mem, at, factor):
     """The assumed variance is `factor` times what it was: the realised one stays where it is the larger of both, and
     may be any other."""
