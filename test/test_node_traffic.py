@@ -4,7 +4,9 @@ from __future__ import annotations
 import signal
 import time
 from itertools import count
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from rcl_interfaces.srv import GetParameters
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -12,6 +14,7 @@ from ros_support import PLAYABLE, SECOND, Diagnostics, NodeProcess, Player, call
 from sensor_msgs.msg import NavSatFix
 from std_srvs.srv import Trigger
 
+from mems_ins_fusion.nodes.inputs import Queue, stamp_of
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import (
     Aiding,
@@ -60,27 +63,67 @@ def test_everything_arrives_and_services_answer_while_a_clock_of_a_thousand_hert
             assert {'rate, Hz', 'delay, s'} <= values.keys()
 
 
-def test_fixes_and_speeds_that_overtake_the_samples_wait_for_them(recording, peer):
+@pytest.mark.parametrize('samples', ['while it is stopped', 'later'])
+def test_fixes_and_speeds_that_overtake_the_samples_wait_for_them(recording, peer, samples):
     # given a node that fuses
     with NodeProcess('fusion_node', *PLAYABLE, *hears('speed')) as node:
         node.wait_until_ready()
         heard, player = Diagnostics(peer), Player(peer, node, recording)
         player.connect('speed')
         player.play(12.0)
-        heard.wait(lambda d: d.values('filter').get('state') == 'fusing')
+        heard.wait(lambda d: d.values('filter').get('state') == 'fusing'
+                   and int(d.values('speed')['messages']) == player.sent['speed'])  # those of before the start, too
         before = {name: heard.values(name) for name in ('fix', 'speed')}
         # when it stands still for the machine's sake, and what comes after that comes topic by topic, the samples last
         node.send(signal.SIGSTOP)
         player.send_between(12.0, 13.8, 'fix', 'speed')
         time.sleep(0.5)  # longer than a message is late on a machine with nothing else to do
-        node.send(signal.SIGCONT)
-        time.sleep(0.5)
+        if samples == 'later':
+            node.send(signal.SIGCONT)
+            time.sleep(0.5)
         player.send_between(12.0, 13.8, 'imu')
+        node.send(signal.SIGCONT)
         # then each of the fixes is used, and none is called one of another clock
         heard.wait(lambda d: int(d.values('fix')['used']) >= int(before['fix']['used']) + 8)
         assert not any('the clocks differ' in line or 'stamped ahead' in line for line in node.lines)
         for name, values in before.items():
             assert {key: heard.values(name).get(key) for key in LATE} == {key: values.get(key) for key in LATE}
+
+
+class StalledTopic:
+    """In place of an `Input`: messages at `stamps` (s) that all waited for half a second; tells `order` what it passes
+    on, by name and stamp."""
+
+    def __init__(self, name, stamps, order):
+        self.name, self.order, self.traffic = name, order, SimpleNamespace(stamp=0, waited=lambda info: 0.5)
+        self._messages = [imu_message(round(stamp * SECOND), np.zeros(3), np.zeros(3)) for stamp in stamps]
+
+    def take(self):
+        return (self._messages.pop(0), {'source_timestamp': 0}) if self._messages else None
+
+    def on_message(self, message, info):
+        self.traffic.stamp = stamp_of(message)
+        self.order.append((self.name, self.traffic.stamp / SECOND))
+
+
+def test_what_overtook_samples_is_passed_on_as_soon_as_they_have_caught_up():
+    # given fixes that come before the samples, all in one go, after a first sample
+    order = []
+    queue = Queue(SimpleNamespace(create_guard_condition=lambda serve: SimpleNamespace(trigger=lambda: None)))
+    samples, fixes = StalledTopic('imu', [10.0], order), StalledTopic('fix', [10.2, 11.0, 12.0, 13.0], order)
+    queue.inputs = [samples]
+    queue.serve(samples, *samples.take())
+    # when they are served
+    queue.inputs = [fixes, StalledTopic('imu', np.arange(101, 140) / 10, order)]
+    queue.inputs[1].traffic = samples.traffic
+    queue.serve(fixes, *fixes.take())
+    # then each fix is passed on when the samples are half a second before it
+    newest = 10.0
+    for name, stamp in order:
+        if name == 'fix' and stamp > 10.5:
+            assert stamp - newest == pytest.approx(0.5)
+        newest = stamp if name == 'imu' else newest
+    assert [stamp for name, stamp in order if name == 'fix'] == [10.2, 11.0, 12.0, 13.0] and len(order) == 44
 
 
 def test_what_a_busy_machine_loses_is_called_that(recording, peer):

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import time
+from collections import defaultdict, deque
 from collections.abc import Callable
 from dataclasses import fields as dataclass_fields
 from importlib import import_module
@@ -64,7 +65,7 @@ class Queue:
     def __init__(self, node: Node):
         self.inputs: list[Input] = []
         self._waiting: list[tuple] = []  # when sent, input, message, rclpy's information on it
-        self._held: list[tuple] = []  # those that overtook samples
+        self._held: dict[Input, deque] = defaultdict(deque)  # those that overtook samples
         self._deadline: float | None = None  # for those held, steady clock
         self._again = node.create_guard_condition(self._serve)
 
@@ -80,31 +81,37 @@ class Queue:
 
     def _serve(self) -> None:
         waiting = self._waiting
-        waiting += self._held
-        self._held = []
         for told in self.inputs:  # a node that cannot keep up leaves the rest in the queues of the topics
             while len(waiting) < _DEPTH and (taken := told.take()) is not None:
                 waiting.append((taken[1]['source_timestamp'], told, *taken))
         if len(waiting) > 1:
             waiting.sort(key=lambda one: one[0])
-        begun, done, held = time.monotonic(), 0, set()
+        begun, done = time.monotonic(), 0
+        self._pass_on_held()
         for one in waiting:
             _, told, message, info = one
-            if told.name != 'imu' and (told in held or self._overtook(told, message, info)):
-                self._held.append(one)
-                held.add(told)  # its later ones stay behind it
+            if told.name == 'imu':
+                told.on_message(message, info)
+                self._deadline = None  # they still come
+                self._pass_on_held()
+            elif told in self._held or self._overtook(told, message, info):  # later ones stay behind it
+                self._held[told].append(one)
             else:
                 told.on_message(message, info)
-                if told.name == 'imu':  # they still come
-                    self._deadline = None
             done += 1
             if time.monotonic() - begun > AT_ONCE:
                 break
         del waiting[:done]
         if waiting:
             self._again.trigger()
-        elif not self._held:
-            self._deadline = None
+
+    def _pass_on_held(self) -> None:
+        """Those of the held ones that the samples have caught up with, or whose time is over."""
+        for told, held in list(self._held.items()):
+            while held and not self._overtook(told, *held[0][2:]):
+                told.on_message(*held.popleft()[2:])
+            if not held:
+                del self._held[told]
 
     def _overtook(self, told: Input, message, info: dict) -> bool:
         """Whether samples of before a message are still on their way: it is late itself, and its stamp far ahead of
