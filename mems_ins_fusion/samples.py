@@ -167,6 +167,19 @@ class Twists(_Samples):
     variance: np.ndarray
 
 
+@dataclass(frozen=True)
+class Displacements(Twists):
+    """The same as means between poses and the ones before them, stamped half way.
+
+    Of the later pose, as its message carries it, position: (n, 3) m; orientation: (n, 4) quaternion x, y, z, w; later:
+    (n,) int64 ns, its stamp.
+    """
+
+    position: np.ndarray
+    orientation: np.ndarray
+    later: np.ndarray
+
+
 class Aiding(dict):
     """What is measured besides the fixes, samples by the name of the measurement (`filter.measurements`)."""
 

@@ -14,7 +14,7 @@ from sensor_msgs.msg import Imu
 
 from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.navigation.earth import to_local
-from mems_ins_fusion.nodes.inputs import numbers_of
+from mems_ins_fusion.nodes.inputs import sample_of
 from mems_ins_fusion.nodes.places import geographic_services, start_from_parameters, start_from_pose
 
 DATUM = np.array([0.84, 0.2, 480.0])
@@ -100,19 +100,19 @@ def test_speed_velocity_and_heading_become_the_filters():
     twist.twist.covariance = (p + p.T).ravel()
     named = {measurement.name: measurement for measurement in AIDING}
     speed, velocity, heading = (named[name] for name in ('speed', 'velocity', 'heading'))
-    assert numbers_of(speed, twist) == (3.0, 0.0)
+    assert sample_of(speed, [twist])[1] == (3.0, 0.0)
     twist.twist.twist.angular.z = 0.2
-    forward_right_clockwise, variance = numbers_of(named['twist'], twist)
+    forward_right_clockwise, variance = sample_of(named['twist'], [twist])[1]
     assert forward_right_clockwise.tolist() == [3.0, -4.0, -0.2]
     assert variance.tolist() == [(p + p.T)[i, i] for i in (0, 1, 5)]
-    velocity, covariance = numbers_of(velocity, twist)
+    velocity, covariance = sample_of(velocity, [twist])[1]
     assert velocity.tolist() == [4.0, 3.0, -0.5]
     signed = np.diag([1.0, 1.0, -1.0]) @ (p + p.T)[np.ix_([1, 0, 2], [1, 0, 2])] @ np.diag([1.0, 1.0, -1.0])
     assert covariance == pytest.approx(signed)
-    assert numbers_of(heading, pose(yaw=0.5)) == pytest.approx((math.pi / 2 - 0.5, 0.09))
+    assert sample_of(heading, [pose(yaw=0.5)])[1] == pytest.approx((math.pi / 2 - 0.5, 0.09))
     imu = Imu()
     imu.orientation.z, imu.orientation.w = math.sin(-0.6), math.cos(-0.6)
     imu.orientation_covariance[8] = 0.02
-    assert numbers_of(heading, imu) == pytest.approx((math.pi / 2 + 1.2, 0.02))
+    assert sample_of(heading, [imu])[1] == pytest.approx((math.pi / 2 + 1.2, 0.02))
     imu.orientation_covariance[0] = -1.0  # the driver has none
-    assert math.isnan(numbers_of(heading, imu)[0])
+    assert math.isnan(sample_of(heading, [imu])[1][0])

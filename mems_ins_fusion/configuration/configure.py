@@ -19,7 +19,7 @@ from mems_ins_fusion.configuration.regression import weighted
 from mems_ins_fusion.configuration.remaining import ARM, Remaining, remaining_of
 from mems_ins_fusion.configuration.topics import Candidate, Topics, find_topics
 from mems_ins_fusion.configuration.vehicle import Vehicle, assess_vehicle
-from mems_ins_fusion.filter.measurements.registry import TYPES
+from mems_ins_fusion.filter.measurements.registry import AIDING, TYPES
 from mems_ins_fusion.filter.runs.usable import usable
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.navigation.earth import gravity as gravity_at
@@ -333,7 +333,7 @@ def _input_settings(drives: Sequence[Sequence[InputShown | LeftOut]], mechanizat
             and not (one.measurement.name == 'pressure' and mechanization != 'strapdown')]
     plain = {}
     for one in used:
-        if one.measurement.name != 'fix' and not _is_aside(one):
+        if one.measurement in AIDING and not _is_aside(one):
             plain.setdefault(one.measurement.name, one.topic)
     names = _names([one.topic for one in used if plain.get(one.measurement.name) != one.topic])
     left_out = tuple(f'{one.topic} is not used: {one.why}' for one in drives[0] if isinstance(one, LeftOut))

@@ -23,13 +23,13 @@ from mems_ins_fusion.configuration.velocity_offset import estimate_velocity_offs
 from mems_ins_fusion.filter.measurements.base import Measurement
 from mems_ins_fusion.filter.measurements.registry import TYPES
 from mems_ins_fusion.filter.runs.usable import usable_fixes
-from mems_ins_fusion.recordings.aiding import check_heading, check_velocity, pressure_factor, speed_factor
+from mems_ins_fusion.recordings.aiding import check_heading, check_velocity, forwards, pressure_factor, speed_factor
 from mems_ins_fusion.recordings.findings import INFO
 from mems_ins_fusion.recordings.motion import scatter_at_rest, sigmas
 from mems_ins_fusion.samples import Fixes, ImuSamples, Speeds, Twists
 
 #: kinds that tell a speed along the nose
-WHEELED = 'speed', 'twist'
+WHEELED = 'speed', 'twist', 'pose'
 #: names that say that wheels measure it; that another sensor does
 WHEELS = re.compile(r'wheel|vehicle|(^|/|_)can($|/|_)', re.IGNORECASE)
 OTHER_SENSORS = re.compile(r'lidar|laser|vision|visual|camera|vio', re.IGNORECASE)
@@ -107,22 +107,37 @@ def _kind(topic, read, imu, fixes, rotation) -> InputShown | LeftOut:
         factor = pressure_factor(read['pressure'])
         return LeftOut(topic, 'no pressure of the air in any unit') if factor is None else InputShown(
             topic, TYPES['pressure'], 'of the air by its size', factor)
+    if 'pose' in read and (not read['twist'].twist.any() if 'twist' in read else OTHER_SENSORS.search(topic)):
+        return _pose(topic, read['pose'], imu, fixes, rotation)
     if 'heading' in read:
         return _heading(topic, read['heading'], fixes)
+    if 'speed' not in read:
+        return LeftOut(topic, 'poses that are not of a lidar or a camera by its name: they may have seen the fixes')
     factor = speed_factor(read['speed'], fixes)
-    forwards = factor is not None and math.isfinite(factor)
-    if 'velocity' in read and _points_along(read['velocity'], fixes) and (not forwards or _RECEIVER.search(topic)):
+    goes_forwards = factor is not None and math.isfinite(factor)
+    if 'velocity' in read and _points_along(read['velocity'], fixes) and (not goes_forwards or _RECEIVER.search(topic)):
         return InputShown(topic, TYPES['velocity'], 'it points along the track of the fixes')
-    if not forwards and not (factor is not None and WHEELS.search(topic)):
+    if not goes_forwards and not (factor is not None and WHEELS.search(topic)):
         return LeftOut(topic, 'it goes neither with the speed of the fixes nor with their velocity' if factor is None
                        else 'no fixes in motion to tell what it is, nor does its name')
-    why = 'it goes with the speed of the fixes' if forwards else (
+    why = 'it goes with the speed of the fixes' if goes_forwards else (
         'by its name: no fixes in motion to compare it with, its unit is taken to be m/s')
     if 'twist' in read and rotation is not None and _turning(imu, read['twist'], rotation) is not None:
         kind, why = 'twist', f'{why}, its turn rate with the gyroscopes'
     else:
         kind = 'speed'
-    return InputShown(topic, TYPES[kind], why, factor if forwards else 1.0)
+    return InputShown(topic, TYPES[kind], why, factor if goes_forwards else 1.0)
+
+
+def _pose(topic, displacements, imu, fixes, rotation):
+    """Of poses only the way between them tells, and it has to be shown: they may be of any axes."""
+    factor = speed_factor(forwards(displacements), fixes)
+    if factor is None or not math.isfinite(factor):
+        return LeftOut(topic, 'the way between its poses does not go with the speed of the fixes')
+    if rotation is None or _turning(imu, displacements, rotation) is None:
+        return LeftOut(topic, 'the turns between its poses are not shown to be those of the gyroscopes')
+    return InputShown(topic, TYPES['pose'], 'it has no twist; the way between its poses goes with the speed of the '
+                      'fixes, their turns with the gyroscopes', factor)
 
 
 def _heading(topic, headings, fixes):
@@ -158,8 +173,9 @@ def _timed(shown: InputShown, read, imu, fixes, rotation) -> InputShown:
         return replace(shown, lag=(turn.lag, turn.lag_sigma) if turn is not None and turn.lag_sigma < SHOWN else None)
     if name not in WHEELED:
         return shown
-    speeds = replace(read['speed'], speed=shown.factor * read['speed'].speed)
-    lag, left = wheel_clock(imu, speeds, read['twist'] if name == 'twist' else None, rotation)
+    speeds = forwards(read[name])
+    speeds = replace(speeds, speed=shown.factor * speeds.speed)
+    lag, left = wheel_clock(imu, speeds, read[name] if name != 'speed' else None, rotation)
     if left is None:
         return replace(shown, lag=lag)
     return replace(shown, lag=lag, arm=(np.array([0.0, left[0], 0.0]), np.array([np.inf, left[1], np.inf])))
@@ -230,7 +246,7 @@ def _same_source(one: InputShown, other: InputShown) -> bool:
     """Whether two inputs may be the same sensor twice: of one kind, a speed and an odometry too, and at no two places.
     Of receivers that has been judged."""
     kinds = {one.measurement.name, other.measurement.name}
-    if kinds == {'fix'} or len(kinds) > 1 and kinds != set(WHEELED):
+    if kinds == {'fix'} or len(kinds) > 1 and not kinds <= set(WHEELED):
         return False
     if bool(OTHER_SENSORS.search(one.topic)) != bool(OTHER_SENSORS.search(other.topic)):
         return False

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mems_ins_fusion.filter.measurements.registry import AIDING
+from mems_ins_fusion.filter.measurements.registry import TYPES
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.findings import count_of
@@ -19,8 +19,8 @@ from mems_ins_fusion.samples import Fixes, ImuSamples
 #: names that say: not a sensor's own measurement
 _DERIVED = re.compile(r'reference|truth|fused|filter|ekf|odom|estimate|gt($|/)', re.IGNORECASE)
 #: what messages may be of besides samples and fixes, by their type
-_AIDING = {kind: tuple(one for one in AIDING if kind in one.messages)
-           for kind in dict.fromkeys(kind for one in AIDING for kind in one.messages)}
+_AIDING = {kind: tuple(one for one in TYPES.values() if kind in one.messages)
+           for kind in dict.fromkeys(kind for one in TYPES.values() for kind in one.messages) if kind != NAV_SAT_FIX}
 #: those that are no samples of an IMU, whose orientation is no heading of its own
 _OTHERS = [kind for kind in _AIDING if kind != IMU]
 _LEAST_USABLE = 0.5  # part of the messages and axes: with less it is no IMU
@@ -110,7 +110,8 @@ def _gnss(path, topic, imu_topic) -> Candidate:
 
 def _read(path, topic, kind, imu_topic) -> dict[str, object]:
     """The samples that the messages of `topic`, of the type `kind`, are, by the name of each measurement."""
-    read = read_recording(path, imu_topic, **{one.topic: topic for one in _AIDING[kind]}).streams()
+    read = read_recording(path, imu_topic, inputs=_AIDING[kind],
+                          **{one.topic: topic for one in _AIDING[kind]}).streams()
     return {one.name: read[one.name] for one in _AIDING[kind]}
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict, deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields as dataclass_fields
 from importlib import import_module
 from operator import attrgetter
@@ -38,13 +38,17 @@ def stamp_of(message) -> int:
     return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
 
-def numbers_of(measurement: Measurement, message) -> tuple:
-    """The numbers of one sample that a message holds, as `measurement.read` makes them of a recording's."""
-    kind = _name(type(message))
-    fields = {path: thinned(path, _row(attrgetter(path)(message))) for path in measurement.messages[kind]}
-    fields['stamp'] = fields['received'] = np.zeros(1, dtype=np.int64)
+def sample_of(measurement: Measurement, messages: Sequence) -> tuple[int, tuple]:
+    """Stamp, ns, and numbers of the one sample that `messages` hold, as `measurement.read` makes them of a recording's.
+
+    messages: one, or two of a measurement that needs two (`of_two`).
+    """
+    kind = _name(type(messages[0]))
+    fields = {path: thinned(path, np.concatenate([_row(attrgetter(path)(message)) for message in messages]))
+              for path in measurement.messages[kind]}
+    fields['stamp'] = fields['received'] = np.array([stamp_of(message) for message in messages], dtype=np.int64)
     samples = measurement.read(fields, kind)
-    return tuple(getattr(samples, field.name)[0] for field in dataclass_fields(samples)[2:])
+    return int(samples.stamp[0]), tuple(getattr(samples, field.name)[0] for field in dataclass_fields(samples)[2:])
 
 
 def _row(value) -> np.ndarray:
@@ -220,9 +224,14 @@ def aiding_inputs(node: Node, queue: Queue, values: dict, fusion, before: Callab
 
 
 def _aiding(node, queue, measurement, topic, fusion, before) -> Input:
+    newest = deque(maxlen=2 if measurement.of_two else 1)
+
     def on_message(message, info):
         fusion.waited = told.traffic.take(message.header, info)
-        stamp, numbers = told.traffic.stamp, numbers_of(measurement, message)
+        newest.append(message)
+        if len(newest) < newest.maxlen:
+            return
+        stamp, numbers = sample_of(measurement, newest)
         before(measurement.name, stamp, numbers)
         fusion.add(measurement.name, stamp, *numbers)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mems_ins_fusion.filter.measurements.registry import AIDING, MEASUREMENTS
+from mems_ins_fusion.filter.measurements.registry import AIDING, MEASUREMENTS, TYPES
 from mems_ins_fusion.filter.memory import Kind
 from mems_ins_fusion.navigation.earth import from_local
 from mems_ins_fusion.navigation.frames import ned_from_enu, yaw_from_enu, yaw_of_quaternion
@@ -46,7 +46,7 @@ _KEPT = {
     ODOMETRY: ('pose.pose.position', 'pose.pose.orientation', 'twist.twist.linear', 'twist.covariance'),
     POSE_STAMPED: ('pose.position', 'pose.orientation'),
 }
-for _measurement in AIDING:
+for _measurement in TYPES.values():
     for _message, _fields in _measurement.messages.items():
         _KEPT[_message] = tuple(dict.fromkeys((*_KEPT.get(_message, ()), *_fields)))
 #: what a recording is looked at for

@@ -13,6 +13,7 @@ from ...parameters.parameter import Parameter
 TWIST = 'geometry_msgs/msg/TwistWithCovarianceStamped'
 ODOMETRY = 'nav_msgs/msg/Odometry'
 POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
+POSE_STAMPED = 'geometry_msgs/msg/PoseStamped'
 IMU = 'sensor_msgs/msg/Imu'
 NAV_SAT_FIX = 'sensor_msgs/msg/NavSatFix'
 
@@ -46,7 +47,8 @@ class Measurement:
     that `read` needs, the first one being that which is written. layouts: of message types that no other part of the
     package reads: (field, NumPy type of an element, number of elements) behind the header. written_to: topic in
     recordings that are made here. of_antenna: whether it is of the GNSS antenna, and its stamps are the receiver's.
-    from_satellites: whether an outage withholds it. has_arm: whether it matters where in the vehicle it is measured.
+    from_satellites: whether an outage withholds it. of_two: whether each sample needs two messages. has_arm: whether it
+    matters where in the vehicle it is measured.
     simulated_with: rate (Hz; 0: not there) and errors of a simulated
     one, by the names of `simulation.Aiding`.
     Of an input: number, `kind` of the plain one; state: name of its own optional state, '' without; arm: (3,) m from
@@ -66,6 +68,7 @@ class Measurement:
     written_to: str
     of_antenna = False
     from_satellites = False
+    of_two = False
     has_arm = False
     arm: np.ndarray = np.zeros(3)
     simulated_with: Mapping[str, float] = {}

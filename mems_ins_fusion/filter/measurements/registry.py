@@ -9,6 +9,7 @@ from ..memory import Kind
 from . import wheel_vibration
 from .base import Measurement
 from .heading import Heading
+from .pose import Pose
 from .position import Fix
 from .pressure import Pressure
 from .speed import Speed
@@ -23,12 +24,12 @@ MEASUREMENTS: dict[int, Measurement] = {measurement.kind: measurement for measur
 HEARD: tuple[Parameter, ...] = (wheel_vibration.PARAMETER,)
 assert len(MEASUREMENTS) == 1 + len(AIDING), 'two measurements with one number'
 #: what an input with a name may measure, by `NAME.type`
-TYPES = {measurement.name: measurement for measurement in MEASUREMENTS.values()}
+TYPES = {measurement.name: measurement for measurement in (*MEASUREMENTS.values(), Pose())}
 #: inputs with a name are numbered from here on
 FIRST_NAMED = 100
 INPUTS = Parameter('inputs', [], 'text', 'Names of further inputs, any number, each with NAME.type '
                    f'({", ".join(sorted(TYPES))}), NAME.topic, NAME.time_offset, NAME.sigma and what else its type '
-                   'has; NAME.lever_arm of a fix, velocity or speed. The parameters without a name are of one more of '
+                   'has; NAME.lever_arm of where it is measured. The parameters without a name are of one more of '
                    'each.')
 #: of a name
 _NAME = re.compile(r'[a-z][a-z0-9_]*')

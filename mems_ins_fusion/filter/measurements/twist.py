@@ -124,14 +124,17 @@ class Twist(Measurement):
         n, twist = len(twists), twists.twist.copy()
         r, reasons = empty(Kind.TWIST, n), np.full(n, '', dtype=object)
         with np.errstate(invalid='ignore'):
-            refuse(reasons, ~(np.abs(twist).max(axis=1) < FASTEST), lambda i: f'odometry {twist[i, 0]:g} m/s forwards, '
-                   f'{-twist[i, 1]:g} m/s to the left, {-twist[i, 2]:g} rad/s: dropped')
+            refuse(reasons, ~(np.abs(twist).max(axis=1) < FASTEST), lambda i: self.refusal(twist[i]))
         # who does not measure something says that it is zero, and with that a small sigma
         twist[:, 1:][twist[:, 1:] == 0.0] = np.nan
         r[:, Event.VALUE:Event.VALUE + 3] = twist
         for column, axis, of in ((Event.R_NN, 0, settings), (Event.R_EE, 1, settings), (Event.R_DD, 2, settings.turn)):
             r[:, column] = stated_or(twists.variance[:, axis], of, SMALLEST_SIGMA)
         return r, reasons, np.full(n, '', dtype=object)
+
+    def refusal(self, twist):
+        """Why a twist (3,), forward-right-clockwise, cannot be that of a vehicle."""
+        return f'odometry {twist[0]:g} m/s forwards, {-twist[1]:g} m/s to the left, {-twist[2]:g} rad/s: dropped'
 
     def off(self, measured, innovation):
         return f'odometry {measured:.2f} m/s forwards where {measured + innovation[0]:.2f} m/s was expected'

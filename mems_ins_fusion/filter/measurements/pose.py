@@ -1,0 +1,86 @@
+"""Poses of others - lidar, vision - of which only the way from one to the next is taken: velocity and turn rate.
+
+Many such sources leave the twist of their odometry empty. Their pose drifts, so it is never a position; what lies
+between two poses does not.
+"""
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...navigation.frames import FLU_TO_FRD, ned_from_enu
+from ...samples import Displacements
+from .base import ODOMETRY, POSE, POSE_STAMPED
+from .twist import Twist
+
+#: two poses further apart in time, s, are not compared: the mean of a velocity says less and less of its middle, and
+#: what lies between may be a restart of their source
+LONGEST = 1.0
+
+
+class Pose(Twist):
+    """Its records are those of an odometry with a name: it has no number of its own, and needs none."""
+
+    name, samples, of_two = 'pose', Displacements, True
+    topic_text = ('Topic of the poses of a lidar or a camera in a frame of their own, of base_link: nav_msgs/Odometry '
+                  'without a twist, geometry_msgs/PoseStamped or PoseWithCovarianceStamped; not of one that has seen '
+                  'the fixes')
+    messages = {ODOMETRY: ('pose.pose.position', 'pose.pose.orientation'),
+                POSE: ('pose.pose.position', 'pose.pose.orientation'),
+                POSE_STAMPED: ('pose.position', 'pose.orientation')}
+    written_to = '/lidar/odometry'
+
+    def refusal(self, twist):
+        if np.isnan(twist).any():
+            return f'a pose that is not finite, or not 0 to {LONGEST:g} s after the one before: dropped'
+        return super().refusal(twist)
+
+    def read(self, fields, message):
+        """One sample for each two messages, stamped in the middle between them."""
+        prefix = 'pose' if message == POSE_STAMPED else 'pose.pose'
+        stamp, position, orientation = fields['stamp'], fields[f'{prefix}.position'], fields[f'{prefix}.orientation']
+        steps = np.diff(stamp)
+        twist = between(steps * 1e-9, position, orientation)
+        return Displacements(stamp[:-1] + steps // 2, fields['received'][1:], twist, np.full(twist.shape, np.nan),
+                             position[1:], orientation[1:], stamp[1:])
+
+    def written(self, displacements):
+        seconds, nanoseconds = np.divmod(displacements.later, 10**9)
+        return {'header.stamp.sec': seconds, 'header.stamp.nanosec': nanoseconds,
+                'pose.pose.position': displacements.position, 'pose.pose.orientation': displacements.orientation}
+
+    def simulated(self, drive, errors, effects, rng, instants):
+        """Poses of a frame that drifts, with the errors of an odometry's velocity between them."""
+        time, stamp = instants(errors['twist_rate'], 0.0043)
+        there, step = drive.at(time), np.diff(time, prepend=time[:1])[:, None]
+        moved = np.diff(there.position + there.attitude.apply(self.arm), axis=0, prepend=np.zeros((1, 3)))
+        moved *= 1.0 + errors['twist_scale'] * rng.standard_normal()
+        position = np.cumsum(moved + errors['twist_sigma'] * step * rng.standard_normal(moved.shape), axis=0)
+        turned = Rotation.from_rotvec(errors['twist_turn_sigma'] * step * rng.standard_normal(moved.shape))
+        return self.read({'stamp': stamp, 'received': stamp.copy(), 'pose.pose.position': ned_from_enu(position),
+                          'pose.pose.orientation': (_TO_ENU * there.attitude * turned * _FLU).as_quat()}, ODOMETRY)
+
+
+_TO_ENU = Rotation.from_matrix(ned_from_enu(np.eye(3)))
+_FLU = Rotation.from_matrix(FLU_TO_FRD)
+
+
+def between(step: np.ndarray, position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
+    """Mean velocity forwards and to the right, m/s, and turn rate clockwise, rad/s, (n - 1, 3), between n poses.
+
+    step (n - 1,): s. position (n, 3): m. orientation (n, 4): quaternions x, y, z, w from forward-left-up axes. The axes
+    are those half way. NaN where a pose is not finite, and where a step is not above 0 and at most LONGEST.
+    """
+    if len(position) < 2:
+        return np.empty((0, 3))
+    with np.errstate(invalid='ignore'):
+        length = np.linalg.norm(orientation, axis=1)
+        whole = np.isfinite(position).all(axis=1) & np.isfinite(length) & (length > 0.0)
+        usable = whole[1:] & whole[:-1] & (step > 0.0) & (step <= LONGEST)
+    attitude = Rotation.from_quat(np.where(whole[:, None], orientation, (0.0, 0.0, 0.0, 1.0)))
+    turned = (attitude[:-1].inv() * attitude[1:]).as_rotvec()
+    half_way = attitude[:-1] * Rotation.from_rotvec(0.5 * turned)
+    moved = half_way.inv().apply(np.where(usable[:, None], np.diff(position, axis=0), 0.0))
+    step = np.where(usable, step, np.nan)[:, None]
+    forward_right, clockwise = (moved / step @ FLU_TO_FRD)[:, :2], (turned / step @ FLU_TO_FRD)[:, 2]
+    return np.column_stack([forward_right, clockwise])
