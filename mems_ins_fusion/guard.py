@@ -61,6 +61,18 @@ def guarded(tool: str, argv: list[str], work: Callable[[], int | None]) -> int:
         return _say(tool, _reason(tool, argv, error))
 
 
+def stop_if_interrupted() -> None:
+    """KeyboardInterrupt where a signal has come: a library may have lost the one that its handler raised."""
+    if (running := _Interruption.running) is not None and running.requested and not running.heard:
+        raise KeyboardInterrupt
+
+
+def heard_interruption() -> None:
+    """For who catches the KeyboardInterrupt and still has something to write."""
+    if _Interruption.running is not None:
+        _Interruption.running.heard = True
+
+
 def refuse(tool: str, error: InputError) -> int:
     """Say what is wrong with what was given; the exit status."""
     return _say(tool, one_line(error))
@@ -128,6 +140,10 @@ class _Interruption:
     """
 
     requested = False
+    #: whether who caught it goes on on purpose
+    heard = False
+    #: the one whose block runs
+    running: _Interruption | None = None
 
     def __init__(self, tool: str):
         self._tool = tool
@@ -136,6 +152,7 @@ class _Interruption:
     def __enter__(self):
         self._former = {}
         self._pipe = None
+        self._outer, _Interruption.running = _Interruption.running, self
         if threading.current_thread() is threading.main_thread():
             self._former = {number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)}
             self._watch()
@@ -144,6 +161,7 @@ class _Interruption:
 
     def __exit__(self, *exception):
         sys.unraisablehook = self._hook
+        _Interruption.running = self._outer
         self._done.set()
         if self._pipe is not None:
             signal.set_wakeup_fd(-1)

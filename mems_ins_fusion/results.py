@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from mems_ins_fusion.errors import InputError
+from mems_ins_fusion.guard import stop_if_interrupted
 
 #: ends of the names of unfinished results, and of one that is being replaced
 _UNFINISHED, _FORMER = '.unfinished', '.former'
@@ -55,6 +56,7 @@ def result_folder(path, overwrite: bool = False, marker: str = 'report.json'):
         with _said(path, work):
             yield work
             check_free(path, overwrite, marker)
+            stop_if_interrupted()
             _replace(path, work)
     finally:
         shutil.rmtree(work, ignore_errors=True)
@@ -205,6 +207,7 @@ def write_files(texts: dict, overwrite: bool = False) -> None:
             work = path.with_name(f'.{path.name}.new')
             made.append((work, path))
             work.write_text(text, encoding='utf-8')
+        stop_if_interrupted()
         for work, path in made:
             work.replace(path)
     except OSError as error:

@@ -1,10 +1,13 @@
 """Result folders appear whole or not at all, and nobody's own files are lost."""
+import signal
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from mems_ins_fusion import results
-from mems_ins_fusion.results import ResultError, result_folder
+from mems_ins_fusion.guard import INTERRUPTED, guarded, heard_interruption
+from mems_ins_fusion.results import ResultError, result_folder, write_files
 
 
 def write(path, text, **options):
@@ -74,3 +77,26 @@ def test_a_result_that_is_replaced_is_there_at_every_moment(tmp_path, monkeypatc
 def test_a_file_system_that_cannot_exchange_names_replaces_a_result_all_the_same(tmp_path, monkeypatch):
     monkeypatch.setattr(results, '_EXCHANGE', 1 << 20)  # what no system knows
     assert names_seen(tmp_path, monkeypatch) == [True, False, True]
+
+
+@pytest.mark.parametrize('as_files', [False, True])
+@pytest.mark.parametrize('heard', [False, True])
+def test_an_interruption_that_a_library_loses_leaves_no_result(tmp_path, as_files, heard, capsys):
+    # given a tool in which something swallows the KeyboardInterrupt of a signal
+    def work():
+        if as_files:
+            interrupted()
+            return write_files({tmp_path / 'out': 'text'})
+        with result_folder(tmp_path / 'out') as folder:
+            interrupted()
+            (folder / 'report.json').write_text('text')
+
+    def interrupted():
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        if heard:
+            heard_interruption()
+    # then nothing takes the name of the result, but where who caught it says that it goes on
+    assert guarded('tool', [], work) == (0 if heard else INTERRUPTED)
+    assert [path.name for path in tmp_path.iterdir()] == (['out'] if heard else [])
+    assert capsys.readouterr().err == ('' if heard else 'tool: interrupted, nothing was written\n')

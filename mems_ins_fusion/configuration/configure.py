@@ -11,7 +11,15 @@ from types import MappingProxyType
 import numpy as np
 
 from mems_ins_fusion.configuration.inputs import WHEELED, InputShown, LeftOut, shown_inputs
-from mems_ins_fusion.configuration.mounting import BIAS_SIGMA, SHOWN, UNKNOWN, Mounting, deviation, estimate_mounting
+from mems_ins_fusion.configuration.mounting import (
+    BIAS_SIGMA,
+    SHOWN,
+    UNKNOWN,
+    Mounting,
+    deviation,
+    estimate_mounting,
+    rpy,
+)
 from mems_ins_fusion.configuration.noise import Noise, find_noise
 from mems_ins_fusion.configuration.offset import together
 from mems_ins_fusion.configuration.receiver import TOO_SURE, Receiver, assess_receiver
@@ -30,6 +38,8 @@ from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.motion import find_standstill
 from mems_ins_fusion.recordings.several import refuse_twice
 from mems_ins_fusion.recordings.sketch import sketch
+from mems_ins_fusion.recordings.transforms import BASE
+from mems_ins_fusion.recordings.transforms import TOPIC as TF
 from mems_ins_fusion.recordings.units import RATE, Units, find_units, in_si
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
@@ -43,6 +53,8 @@ _ARM_SHOWN = 0.3  # m
 # share of the seconds in motion that may be as quiet as rest: standstills while driving fast are refused by the filter.
 # Of simulated cars and phones 0 to 7 % are, of rovers on smooth ground 52 to 80 %
 _ALIKE = 0.2
+_TF_ANGLE = math.radians(15.0)  # rad: a bracket is bent by less than this; transforms are often of whole right angles
+_TF_ARM = 0.05  # m: what the transforms may be off by themselves, standard deviation
 _LEAST_MOUNTING_SIGMA = 0.01  # rad: by as much a body and a bracket flex while driving
 
 
@@ -126,7 +138,8 @@ def configured(topics: Topics, drives: Sequence[Drive], fixes: Sequence[Fixes | 
                                   Setting('fitted_to', sketch(fixes),
                                           ['hashes of the recordings that the values are from'])])
     return Configuration(tuple(settings), topics, tuple(drives), mounting,
-                         tuple(_missing(topics, drives, mounting)), (*_wrong(drives), *beyond))
+                         tuple(_missing(topics, drives, mounting)),
+                         (*_wrong(drives), *_against_tf(topics, mounting), *beyond))
 
 
 def _possible(found: Iterable[Setting]) -> tuple[list[Setting], list[str]]:
@@ -199,19 +212,29 @@ def _together(found: list[Mounting]) -> Mounting | None:
 
 def _settings(topics: Topics, drives, mounting):
     first = drives[0]
+    contradicted = any(_against_tf(topics, mounting))
+    rotation, arm = (None, None) if contradicted else (topics.mounting_of_tf, topics.arm_of_tf)
     yield from _topic_settings(topics)
     yield from _unit_settings(first.units)
     mechanization = _mechanization(drives, mounting)
     yield mechanization
     if mounting is not None:
-        yield _mounting_setting(mounting)
+        yield _mounting_setting(mounting, rotation)
         if mounting.yaw_known:
             yield Setting('imu.mounting_sigma', round(float(max(_LEAST_MOUNTING_SIGMA, mounting.sigma[1:].max())), 3), (
                 'of pitch and yaw, the larger one: the filter estimates what is left of them',))
-        yield from _offset_settings(mounting)
+    elif rotation is not None:
+        yield Setting('imu.mounting_rpy', _rounded(rpy(rotation), 4), (
+            f'from {TF}; the drive does not show it',))
+    antenna = []
+    if mounting is not None:
+        antenna.append(_time_offset_setting(mounting.offset))
+    if mounting is not None or arm is not None:
+        antenna.append(_arm_setting(mounting.offset if mounting is not None else None, arm))
+    yield from antenna
     yield from _receiver_settings([drive.receiver for drive in drives if drive.receiver is not None])
-    offset = {setting.name: setting.value for setting in _offset_settings(mounting)} if mounting is not None else {}
-    yield from _input_settings([drive.inputs for drive in drives], mechanization.value, offset)
+    yield from _input_settings([drive.inputs for drive in drives], mechanization.value,
+                               {setting.name: setting.value for setting in antenna})
     yield from _noise_settings(drives, mounting)
     yield from _vehicle_settings(drives)
 
@@ -251,7 +274,12 @@ def _mechanization(drives, mounting) -> Setting:
                                                   'that for acceleration',))
 
 
-def _mounting_setting(found: Mounting) -> Setting:
+def _mounting_setting(found: Mounting, told: np.ndarray | None) -> Setting:
+    """told: rotation (3, 3) that the transforms say."""
+    if told is not None and not found.yaw_known:
+        return Setting('imu.mounting_rpy', _rounded(rpy(told), 4), (
+            f'from {TF}; gravity agrees to {math.degrees(_angle_of_level(found, told)):.1f} deg, the drive does not '
+            'show the yaw',))
     angles = np.degrees(found.rpy)
     sigma = np.degrees(found.sigma)
     why = [f'roll {angles[0]:.1f}, pitch {angles[1]:.1f}, yaw {angles[2]:.1f} deg; sigma {sigma[0]:.1f}, '
@@ -265,35 +293,70 @@ def _mounting_setting(found: Mounting) -> Setting:
         why += [f'from this, by {way.source}: {_degrees(way.angle[0], way.sigma[0])} about up' for way in found.heading]
     else:
         why.append('yaw not shown: too few turns and changes of speed; 0 is the default, it may be anything')
+    if told is not None:
+        why.append(f'{TF} says roll, pitch, yaw {", ".join(f"{a:.1f}" for a in np.degrees(rpy(told)))} deg')
     return Setting('imu.mounting_rpy', _rounded(found.rpy, 4), tuple(why))
+
+
+def _angle_of_level(found: Mounting, told: np.ndarray) -> float:
+    """rad, between up as the drive shows it and as the rotation `told` has it, whatever the yaw."""
+    return float(np.arccos(np.clip(found.rotation[2] @ told[2], -1.0, 1.0)))
 
 
 def _degrees(angle, sigma) -> str:
     return f'{math.degrees(angle):+.1f} +- {max(math.degrees(sigma), 0.1):.1f} deg'
 
 
-def _offset_settings(found: Mounting):
-    offset = found.offset
+def _time_offset_setting(offset) -> Setting:
     if offset is None or not offset.shown:
         why = 'not shown' if offset is None else f'{offset.lag:.1f} +- {offset.lag_sigma:.1f} s: as good as not shown'
-        yield Setting('gnss.time_offset', 0.0, (why,))
-    else:
-        seen = f'by the track between fixes {offset.lag:.3f} +- {offset.lag_sigma:.3f} s, with the arm unknown'
-        if offset.rivals:
-            seen += f'; {" or ".join(f"{rival:g}" for rival in offset.rivals)} s would fit nearly as well'
-        sure = _is_sure(offset.lag, offset.lag_sigma)
-        yield Setting('gnss.time_offset', round(offset.lag, 3) if sure else 0.0,
-                      (seen if sure else f'{seen}{_AT_ZERO}',))
+        return Setting('gnss.time_offset', 0.0, (why,))
+    seen = f'by the track between fixes {offset.lag:.3f} +- {offset.lag_sigma:.3f} s, with the arm unknown'
+    if offset.rivals:
+        seen += f'; {" or ".join(f"{rival:g}" for rival in offset.rivals)} s would fit nearly as well'
+    sure = _is_sure(offset.lag, offset.lag_sigma)
+    return Setting('gnss.time_offset', round(offset.lag, 3) if sure else 0.0, (seen if sure else f'{seen}{_AT_ZERO}',))
+
+
+def _arm_setting(offset, told: np.ndarray | None) -> Setting:
+    """told: (3,) m from the IMU to the antenna that the transforms say."""
     if offset is None:
-        yield Setting('gnss.lever_arm', [0.0, 0.0, 0.0], ('not shown; measure it with a tape',))
-        return
-    known = [sigma < _ARM_SHOWN and _is_sure(arm, sigma) for arm, sigma in zip(offset.arm, offset.arm_sigma)]
+        if told is not None:
+            return Setting('gnss.lever_arm', _rounded(told, 3), (f'from {TF}; the drive does not show it',))
+        return Setting('gnss.lever_arm', [0.0, 0.0, 0.0], ('not shown; measure it with a tape',))
     seen = ', '.join(f'{arm:.2f} +- {sigma:.2f}' for arm, sigma in zip(offset.arm, offset.arm_sigma))
+    if told is not None:
+        return Setting('gnss.lever_arm', _rounded(told, 3), (f'from {TF}; the drive shows {seen} m forward, left, up',))
+    known = [sigma < _ARM_SHOWN and _is_sure(arm, sigma) for arm, sigma in zip(offset.arm, offset.arm_sigma)]
     left = '' if all(known) else (f'; what is not known to {_ARM_SHOWN:g} m, or less than {_SIGNIFICANT:g} sigma, is '
                                   'left at zero')
     arm = [round(float(part), 2) + 0.0 if there else 0.0 for part, there in zip(offset.arm, known)]
-    yield Setting('gnss.lever_arm', arm, (
+    return Setting('gnss.lever_arm', arm, (
         f'from the IMU to the antenna {seen} m forward, left, up{left}', 'a tape is better'))
+
+
+def _arm_apart(offset, told: np.ndarray) -> np.ndarray:
+    """(3,) whether the arm that the transforms say is another than the one that the drive shows."""
+    sigma = np.asarray(offset.arm_sigma)
+    return (sigma < _ARM_SHOWN) & (np.abs(offset.arm - told) > _ASIDE * np.hypot(sigma, _TF_ARM))
+
+
+def _against_tf(topics: Topics, mounting: Mounting | None):
+    """Where the transforms of the recording contradict what it shows, in words."""
+    told, arm = topics.mounting_of_tf, topics.arm_of_tf
+    if mounting is not None and told is not None:
+        away = _angle_of_level(mounting, told)
+        if mounting.yaw_known:
+            away = float(np.linalg.norm(deviation(mounting.rotation, told)))
+        if away > _TF_ANGLE:
+            yield (f'{TF} has the IMU turned by {math.degrees(away):.0f} deg from what the drive shows: its '
+                   f'header.frame_id or the transform to {BASE} is wrong')
+    if mounting is not None and mounting.offset is not None and arm is not None:
+        for name, seen, sigma, said, apart in zip(ARM, mounting.offset.arm, mounting.offset.arm_sigma, arm,
+                                                  _arm_apart(mounting.offset, arm)):
+            if apart:
+                yield (f'{TF} has the antenna {said:.2f} m {name} of the IMU, the drive shows {seen:.2f} +- '
+                       f'{sigma:.2f} m: measure it')
 
 
 def _is_sure(value: float, sigma: float) -> bool:

@@ -14,6 +14,7 @@ from mems_ins_fusion.recordings.findings import count_of
 from mems_ins_fusion.recordings.messages import IMU, NAV_SAT_FIX, TEMPERATURE
 from mems_ins_fusion.recordings.motion import robust_sigma, sigmas, valid_fixes
 from mems_ins_fusion.recordings.reading import read_recording
+from mems_ins_fusion.recordings.transforms import places
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
 #: names that say: not a sensor's own measurement
@@ -58,12 +59,29 @@ class Candidate:
 @dataclass(frozen=True)
 class Topics:
     """Each first in its tuple is the one chosen. others: by topic, the samples that its messages are, by the name of
-    each measurement that they may be of."""
+    each measurement that they may be of. places: by topic, as the recording's transforms say it, where it is measured,
+    (3,) m, and the rotation (3, 3) from its axes, in base_link (`transforms.places`)."""
 
     imu: tuple[Candidate, ...]
     gnss: tuple[Candidate, ...]
     temperature: tuple[str, ...]
     others: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
+    places: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+
+    @property
+    def mounting_of_tf(self) -> np.ndarray | None:
+        """Rotation (3, 3) from sensor axes to base_link that the transforms say; None where they do not."""
+        return self.places[self.imu[0].topic][1] if self.imu[0].topic in self.places else None
+
+    @property
+    def arm_of_tf(self) -> np.ndarray | None:
+        """(3,) m from the IMU to the antenna, base_link, that the transforms say; None where they do not, as where both
+        have one frame."""
+        names = [candidates[0].topic for candidates in (self.imu, self.gnss) if candidates]
+        if len(names) < 2 or not all(name in self.places for name in names):
+            return None
+        arm = self.places[names[1]][0] - self.places[names[0]][0]
+        return arm if arm.any() else None
 
     @property
     def receivers(self) -> dict[str, Fixes]:
@@ -75,6 +93,7 @@ def find_topics(path) -> Topics:
     """All IMUs and receivers of the recording `path`, the best of each kind first. RecordingError without an IMU."""
     with Bag(path) as bag:
         kinds, counts = bag.topics, bag.counts()
+        where = places(bag, {name: kind for name, kind in kinds.items() if kind in (IMU, NAV_SAT_FIX) and counts[name]})
     named = {kind: sorted(name for name, k in kinds.items() if k == kind and counts[name] > 1)
              for kind in (IMU, NAV_SAT_FIX, TEMPERATURE, *_OTHERS)}
     if not named[IMU]:
@@ -87,7 +106,7 @@ def find_topics(path) -> Topics:
     others = {name: _read(path, name, kind, named[IMU][0]) for kind in _OTHERS for name in named[kind]}
     # a heading of two antennas comes as an Imu without rates and forces
     others |= {one.topic: _read(path, one.topic, IMU, named[IMU][0]) for one in imu[1:] if one.usable < _LEAST_USABLE}
-    return Topics(imu, gnss, tuple(named[TEMPERATURE]), others)
+    return Topics(imu, gnss, tuple(named[TEMPERATURE]), others, where)
 
 
 def _imu(path, topic) -> Candidate:

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from .. import __version__
+from ..guard import heard_interruption
 from ..results import ResultError, write_files
 from . import history, tables, watchman
 from .engines import DIED, engine
@@ -88,6 +89,7 @@ def run(asked: Asked, progress: Callable[[float, str], None] = lambda part, what
             _all(workers, known.together(entries), known, asked, lambda part, what: progress(
                 alone + (1.0 - alone) * part, what))
     except KeyboardInterrupt:
+        heard_interruption()
         return _interrupted(asked, known, entries)
     progress(1.0, 'done')
     if asked.shard != (1, 1):

@@ -6,7 +6,6 @@ between two poses does not.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ...navigation.frames import FLU_TO_FRD, ned_from_enu
 from ...samples import Displacements
@@ -51,18 +50,17 @@ class Pose(Twist):
 
     def simulated(self, drive, errors, effects, rng, instants):
         """Poses of a frame that drifts, with the errors of an odometry's velocity between them."""
+        from scipy.spatial.transform import Rotation
+
         time, stamp = instants(errors['twist_rate'], 0.0043)
         there, step = drive.at(time), np.diff(time, prepend=time[:1])[:, None]
         moved = np.diff(there.position + there.attitude.apply(self.arm), axis=0, prepend=np.zeros((1, 3)))
         moved *= 1.0 + errors['twist_scale'] * rng.standard_normal()
         position = np.cumsum(moved + errors['twist_sigma'] * step * rng.standard_normal(moved.shape), axis=0)
         turned = Rotation.from_rotvec(errors['twist_turn_sigma'] * step * rng.standard_normal(moved.shape))
+        to_enu, flu = Rotation.from_matrix(ned_from_enu(np.eye(3))), Rotation.from_matrix(FLU_TO_FRD)
         return self.read({'stamp': stamp, 'received': stamp.copy(), 'pose.pose.position': ned_from_enu(position),
-                          'pose.pose.orientation': (_TO_ENU * there.attitude * turned * _FLU).as_quat()}, ODOMETRY)
-
-
-_TO_ENU = Rotation.from_matrix(ned_from_enu(np.eye(3)))
-_FLU = Rotation.from_matrix(FLU_TO_FRD)
+                          'pose.pose.orientation': (to_enu * there.attitude * turned * flu).as_quat()}, ODOMETRY)
 
 
 def between(step: np.ndarray, position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
@@ -71,6 +69,8 @@ def between(step: np.ndarray, position: np.ndarray, orientation: np.ndarray) -> 
     step (n - 1,): s. position (n, 3): m. orientation (n, 4): quaternions x, y, z, w from forward-left-up axes. The axes
     are those half way. NaN where a pose is not finite, and where a step is not above 0 and at most LONGEST.
     """
+    from scipy.spatial.transform import Rotation  # here, as not all that know of parameters need it
+
     if len(position) < 2:
         return np.empty((0, 3))
     with np.errstate(invalid='ignore'):

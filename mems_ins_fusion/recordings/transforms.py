@@ -1,0 +1,78 @@
+"""Where sensors stand in the vehicle, as the static transforms of a recording say it (`/tf_static`)."""
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from mems_ins_fusion.recordings.bags import Bag
+from mems_ins_fusion.recordings.errors import needs_rosbags
+
+TOPIC, TYPE = '/tf_static', 'tf2_msgs/msg/TFMessage'
+#: of the vehicle (REP 105)
+BASE = 'base_link'
+#: frames between a sensor and the vehicle; more, and the transforms go round in a circle
+_LONGEST = 50
+
+
+def places(bag: Bag, topics: Mapping[str, str]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Of each topic whose frame leads to BASE: where it is, (3,) m, and the rotation (3, 3) from its axes, in BASE.
+
+    bag: open. topics: name and message type; the frame is that of the first message's header. What is damaged is left
+    out.
+    """
+    if bag.topics.get(TOPIC) != TYPE:
+        return {}
+    with needs_rosbags('reading transforms'):
+        from rosbags.typesys import Stores, get_typestore
+    store = get_typestore(Stores.ROS2_JAZZY)
+
+    def decoded(data, kind):
+        try:
+            return store.deserialize_cdr(data, kind)
+        except Exception:  # whatever rosbags stumbles over, the message is not of this type
+            return None
+
+    links: dict[str, tuple[str, np.ndarray, np.ndarray]] = {}
+    for _, _, raw, _ in bag.read([TOPIC]):
+        for message in filter(None, (decoded(data, TYPE) for data in raw)):
+            links |= {one.child_frame_id.lstrip('/'): link for one in message.transforms
+                      if (link := _link(one)) is not None}
+    frames: dict[str, str] = {}
+    for topic, _, raw, _ in bag.read(topics) if links else ():
+        if raw and topic not in frames and (message := decoded(raw[0], topics[topic])) is not None:
+            frames[topic] = message.header.frame_id.lstrip('/')
+        if len(frames) == len(topics):
+            break
+    found = {topic: _in_base(links, frame) for topic, frame in frames.items()}
+    return {topic: place for topic, place in found.items() if place is not None}
+
+
+def _link(one) -> tuple[str, np.ndarray, np.ndarray] | None:
+    """Parent, rotation (3, 3) and translation (3,) of a transform; None where it is none."""
+    from scipy.spatial.transform import Rotation
+
+    translation, quaternion = (np.array([getattr(part, axis) for axis in axes]) for part, axes in (
+        (one.transform.translation, 'xyz'), (one.transform.rotation, 'xyzw')))
+    if not np.isfinite([*translation, *quaternion]).all() or not quaternion.any():
+        return None
+    return one.header.frame_id.lstrip('/'), Rotation.from_quat(quaternion).as_matrix(), translation
+
+
+def _in_base(links: Mapping[str, tuple], frame: str) -> tuple[np.ndarray, np.ndarray] | None:
+    up, down = (_to_root(links, name) for name in (frame, BASE))
+    if up is None or down is None or up[0] != down[0]:
+        return None
+    (_, rotation, place), (_, of_base, base) = up, down
+    return of_base.T @ (place - base), of_base.T @ rotation
+
+
+def _to_root(links: Mapping[str, tuple], frame: str) -> tuple[str, np.ndarray, np.ndarray] | None:
+    """The last frame on the way up from `frame`, and rotation and place in it; None where the way has no end."""
+    rotation, place = np.eye(3), np.zeros(3)
+    for _ in range(_LONGEST):
+        if frame not in links:
+            return frame, rotation, place
+        frame, turned, moved = links[frame]
+        rotation, place = turned @ rotation, turned @ place + moved
+    return None
