@@ -134,12 +134,15 @@ def configure(paths, progress=lambda part, what: None) -> Configuration:
 def configured(topics: Topics, drives: Sequence[Drive], fixes: Sequence[Fixes | None]) -> Configuration:
     """The parameters of the vehicle that `drives` show together. fixes: of each, as recorded."""
     mounting = _together([drive.mounting for drive in drives if drive.mounting is not None])
+    against = tuple(_against_tf(topics, mounting))
+    if against:  # who is wrong in one place is not believed in another
+        topics = replace(topics, places={})
     settings, beyond = _possible([*_settings(topics, drives, mounting),
                                   Setting('fitted_to', sketch(fixes),
                                           ['hashes of the recordings that the values are from'])])
     return Configuration(tuple(settings), topics, tuple(drives), mounting,
                          tuple(_missing(topics, drives, mounting)),
-                         (*_wrong(drives), *_against_tf(topics, mounting), *beyond))
+                         (*_wrong(drives), *against, *beyond))
 
 
 def _possible(found: Iterable[Setting]) -> tuple[list[Setting], list[str]]:
@@ -212,8 +215,7 @@ def _together(found: list[Mounting]) -> Mounting | None:
 
 def _settings(topics: Topics, drives, mounting):
     first = drives[0]
-    contradicted = any(_against_tf(topics, mounting))
-    rotation, arm = (None, None) if contradicted else (topics.mounting_of_tf, topics.arm_of_tf)
+    rotation, arm = topics.mounting_of_tf, topics.arm_of_tf
     yield from _topic_settings(topics)
     yield from _unit_settings(first.units)
     mechanization = _mechanization(drives, mounting)

@@ -7,6 +7,7 @@ aligned to their size counted from behind it, strings with a 32-bit length that 
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable, Iterator
 from functools import reduce
 
 import numpy as np
@@ -166,21 +167,26 @@ def _plain_dtype(msgtype) -> np.dtype:
 
 def _decode_each(raw, msgtype) -> tuple[np.ndarray, np.ndarray]:
     """The valid ones of the messages, one by one through rosbags' own deserialization, and which these are."""
-    with needs_rosbags('reading messages of varying layout'):
-        from rosbags.typesys import Stores, get_typestore
-    store, dtype = get_typestore(Stores.ROS2_JAZZY), _plain_dtype(msgtype)
+    dtype = _plain_dtype(msgtype)
     array, valid = np.zeros(len(raw), dtype), np.zeros(len(raw), dtype=bool)
-    for i, data in enumerate(raw):
-        if len(data) > _LONGEST:
-            continue
-        try:
-            message = store.deserialize_cdr(data, msgtype)
+    for i, message in enumerate(deserialized(raw, msgtype)):
+        if message is not None:
             for name in dtype.names:
                 array[name][i] = _elements(reduce(getattr, name.split('.'), message))
             valid[i] = True
-        except Exception:  # whatever rosbags stumbles over, the message is not of this type
-            continue
     return array[valid], valid
+
+
+def deserialized(raw: Iterable[bytes], msgtype: str) -> Iterator:
+    """Messages of any type one by one as rosbags has them, None for one that is not valid."""
+    with needs_rosbags('reading messages of varying layout'):
+        from rosbags.typesys import Stores, get_typestore
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for data in raw:
+        try:
+            yield store.deserialize_cdr(data, msgtype) if len(data) <= _LONGEST else None
+        except Exception:  # whatever rosbags stumbles over, the message is not of this type
+            yield None
 
 
 def _elements(value):

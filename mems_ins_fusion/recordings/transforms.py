@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from mems_ins_fusion.recordings.bags import Bag
-from mems_ins_fusion.recordings.errors import needs_rosbags
+from mems_ins_fusion.recordings.messages import deserialized
 
 TOPIC, TYPE = '/tf_static', 'tf2_msgs/msg/TFMessage'
 #: of the vehicle (REP 105)
@@ -23,25 +23,16 @@ def places(bag: Bag, topics: Mapping[str, str]) -> dict[str, tuple[np.ndarray, n
     """
     if bag.topics.get(TOPIC) != TYPE:
         return {}
-    with needs_rosbags('reading transforms'):
-        from rosbags.typesys import Stores, get_typestore
-    store = get_typestore(Stores.ROS2_JAZZY)
-
-    def decoded(data, kind):
-        try:
-            return store.deserialize_cdr(data, kind)
-        except Exception:  # whatever rosbags stumbles over, the message is not of this type
-            return None
-
     links: dict[str, tuple[str, np.ndarray, np.ndarray]] = {}
     for _, _, raw, _ in bag.read([TOPIC]):
-        for message in filter(None, (decoded(data, TYPE) for data in raw)):
+        for message in filter(None, deserialized(raw, TYPE)):
             links |= {one.child_frame_id.lstrip('/'): link for one in message.transforms
                       if (link := _link(one)) is not None}
     frames: dict[str, str] = {}
     for topic, _, raw, _ in bag.read(topics) if links else ():
-        if raw and topic not in frames and (message := decoded(raw[0], topics[topic])) is not None:
-            frames[topic] = message.header.frame_id.lstrip('/')
+        if topic not in frames:
+            frames |= {topic: message.header.frame_id.lstrip('/')
+                       for message in filter(None, deserialized(raw[:1], topics[topic]))}
         if len(frames) == len(topics):
             break
     found = {topic: _in_base(links, frame) for topic, frame in frames.items()}
