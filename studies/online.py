@@ -1,12 +1,14 @@
-"""The diagnosis while driving on simulated drives: what it finds and when, and what it finds where nothing is.
+"""The diagnosis while driving on simulated drives: what it finds, proves and applies, when, and where nothing is.
 
-    python studies/online.py [--seeds 3] [--minutes 15] [--processes 2]
+    python studies/online.py [--seeds 3] [--minutes 20] [--processes 2]
 
 Plain drives (an IMU and a receiver exactly as the parameters say) and realistic ones (studies/vehicle.py: hills,
 springs, vibration, a mount that is some degrees off, which is there to be found), with nothing wrong, with fixes
-stamped 0.25 s late or early (the sign from the seed), and with fixes stamped so from the middle on. FINE by name, how
-often and after how many seconds (median, last; of a change: since it), and how many values of the time offset were
-within 2 sigma.
+stamped 0.25 s late or early (the sign from the seed), and with fixes stamped so from a third of the drive on, or until
+there. By name how often something was on trial, and applied, and after how many seconds (median, last; after a change:
+since it); how many values of the time offset were within 2 sigma; where the stamps become right again, after how many
+seconds the value was taken back or replaced. Then the RMS position error of the last third of the drive, m, as a node
+publishes it: with the parameters as given, with `diagnosis.online: apply`, and with the time offset given.
 """
 from __future__ import annotations
 
@@ -18,81 +20,109 @@ from dataclasses import replace
 import numpy as np
 from vehicle import FIXES, simulated
 
+from mems_ins_fusion.diagnosis.applying import driven
+from mems_ins_fusion.diagnosis.gathering import CHUNK
 from mems_ins_fusion.diagnosis.online import watched
-from mems_ins_fusion.diagnosis.quantity import COARSE, FINE
+from mems_ins_fusion.diagnosis.quantity import COARSE
+from mems_ins_fusion.filter.runs.odometry import POSITION
+from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import SensorErrors, simulate_drive, simulate_recording
 
 #: s, by which fixes are stamped late or early
 OFFSET = 0.25
-#: (drive, receiver, from which part of the drive on the stamps are wrong; 1: never)
-ROWS = (('plain', '1.5 m', 1.0), ('plain', 'RTK', 1.0), ('realistic', '1.5 m', 1.0), ('plain', '1.5 m', 0.0),
-        ('realistic', 'RTK', 0.0), ('plain', 'RTK', 0.5))
+#: (drive, receiver, from which part of the drive on the stamps are wrong, and until which)
+ROWS = (('plain', '1.5 m', 0.0, 0.0), ('plain', 'RTK', 0.0, 0.0), ('realistic', '1.5 m', 0.0, 0.0),
+        ('plain', '1.5 m', 0.0, 1.0), ('realistic', 'RTK', 0.0, 1.0), ('plain', 'RTK', 0.0, 1.0),
+        ('plain', 'RTK', 1 / 3, 1.0), ('plain', 'RTK', 0.0, 0.5))
+#: last part of a drive, in which the errors are compared
+LAST = 1 / 3
 
 
-def recorded(kind: str, receiver: str, seed: int, minutes: float, begin: float):
-    """The recording, and the offset (s) of its fixes at the end."""
+def recorded(row: tuple, seed: int, minutes: float):
+    """The recording, and the offset (s) of its fixes where they are wrong."""
+    kind, receiver, begin, end = row
     if kind == 'realistic':
         recording = simulated(seed, minutes, FIXES[receiver])
     else:
         sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
         recording = simulate_recording(simulate_drive(60.0 * minutes, seed), sensors, FIXES[receiver],
                                        seed=seed).recording
-    offset, fixes = OFFSET * (-1) ** seed, recording.gnss
-    if begin == 1.0:
-        offset = 0.0
-    first = recording.imu.stamp[0] + round(begin * 60e9 * minutes)
-    stamp = np.where(fixes.stamp >= first, fixes.stamp + round(offset * 1e9), fixes.stamp)
-    return replace(recording, gnss=replace(fixes, stamp=stamp), reference=None, speed=None, velocity=None,
-                   heading=None), offset
+    offset, fixes = OFFSET * (-1) ** seed if end > begin else 0.0, recording.gnss
+    part = (fixes.stamp - recording.imu.stamp[0]) / (60e9 * minutes)
+    stamp = np.where((part >= begin) & (part < end), fixes.stamp + round(offset * 1e9), fixes.stamp)
+    return replace(recording, gnss=replace(fixes, stamp=stamp), speed=None, velocity=None, heading=None), offset
+
+
+def error(recording, values: dict, sets: list[dict]) -> float:
+    """RMS horizontal error of the last part, m."""
+    truth, datum = recording.reference, (recording.reference.latitude[0], recording.reference.longitude[0], 0.0)
+    run = driven(replace(recording, reference=None), values, sets, datum, every=10)
+    north, east, _ = to_local(truth.latitude, truth.longitude, truth.height, np.array(datum))
+    begin = run.stamp >= recording.imu.stamp[-1] - LAST * (recording.imu.stamp[-1] - recording.imu.stamp[0])
+    at = (run.stamp[begin] - truth.stamp[0]) * 1e-9, (truth.stamp - truth.stamp[0]) * 1e-9
+    off = run.odometry[begin, POSITION:POSITION + 2] - np.column_stack([np.interp(*at, east), np.interp(*at, north)])
+    return float(np.sqrt((off**2).sum(axis=1).mean()))
 
 
 def of_drive(row: tuple, seed: int, minutes: float):
-    """The row, its offset, and what was said."""
-    kind, receiver, begin = row
-    recording, offset = recorded(kind, receiver, seed, minutes, begin)
-    changed = recording.imu.stamp[0] + round((begin % 1.0) * 60e9 * minutes)
-    return row, offset, [((q.time - changed) * 1e-9, q) for q in watched(recording, table.defaults())]
+    """The row, its offset, what was said and applied, and three errors."""
+    recording, offset = recorded(row, seed, minutes)
+    values = table.check({'diagnosis.online': 'apply'})
+    found = watched(replace(recording, reference=None), values)
+    as_given = {**values, 'gnss.time_offset': offset if row[3] == 1.0 else 0.0}
+    none = [{} for _ in found.sets]
+    errors = error(recording, values, none), error(recording, values, found.sets), error(recording, as_given, none)
+    begin = int(recording.imu.stamp[0])
+    return row, offset, [((q.time - begin) * 1e-9, q) for q in found.said], found.sets, errors
 
 
-def line(row: tuple, drives: list) -> str:
+def line(row: tuple, drives: list, minutes: float) -> str:
     """Of the table."""
-    fine, coarse, right = defaultdict(list), defaultdict(int), []
-    for offset, said in drives:
+    kind, receiver, begin, end = row
+    changed = 60.0 * minutes * (begin or (end if end < 1.0 else 0.0))
+    tried, applied, right, dropped = defaultdict(int), defaultdict(list), [], []
+    for offset, said, sets, _ in drives:
         for name in {q.name for _, q in said if q.state == COARSE}:
-            coarse[name] += 1
-        for name in {q.name for _, q in said if q.state == FINE}:
-            when, quantity = next((when, q) for when, q in said if q.name == name and q.state == FINE and (
-                row[2] != 0.5 or when > 0.0))
-            fine[name].append(when)
+            tried[name] += 1
+        for name in {q.name for _, q in said if q.applied}:
+            when, quantity = next((when, q) for when, q in said if q.name == name and q.applied)
+            applied[name].append(when - 60.0 * minutes * begin)
             if name == 'gnss_time_offset':
                 found = quantity.parameters['time_offset']
                 right.append(abs(found.value - offset) < 2.0 * found.sigma)
-    kind, receiver, begin = row
-    wrong = {1.0: 'nothing', 0.0: 'stamps', 0.5: 'stamps from the middle on'}[begin]
-    told = '; '.join(f'{name} {len(t)} ({np.median(t):.0f}, {max(t):.0f} s)' for name, t in sorted(fine.items()))
-    tried = ', '.join(f'{name} {count}' for name, count in sorted(coarse.items()))
-    return (f"| {kind}, {receiver} | {wrong} | {len(drives)} | {tried or 'none'} | {told or 'none'} | "
-            f"{f'{sum(right)} of {len(right)}' if right else ''} |")
+        if 0.0 < end < 1.0:
+            own = [s.get('gnss.time_offset', 0.0) for s in sets]
+            gone = [CHUNK * (k + 1) - changed for k, value in enumerate(own)
+                    if CHUNK * (k + 1) > changed and abs(value) < 0.5 * OFFSET]
+            dropped.append(gone[0] if gone else np.nan)
+    wrong = 'nothing' if begin == end else f'stamps, {begin:.0%} to {end:.0%}'
+    told = '; '.join(f'{name} {len(t)} ({np.median(t):.0f}, {max(t):.0f} s)' for name, t in sorted(applied.items()))
+    shown = ', '.join(f'{name} {count}' for name, count in sorted(tried.items()))
+    errors = np.sqrt(np.mean(np.square([e for *_, e in drives]), axis=0))
+    return (f"| {kind}, {receiver} | {wrong} | {len(drives)} | {shown or 'none'} | {told or 'none'} | "
+            f"{f'{sum(right)} of {len(right)}' if right else ''} | {', '.join(f'{s:.0f} s' for s in dropped)} | "
+            f"{' | '.join(f'{e:.2f}' for e in errors)} |")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--seeds', type=int, default=3)
     parser.add_argument('--first-seed', type=int, default=5000)
-    parser.add_argument('--minutes', type=float, default=15.0)
+    parser.add_argument('--minutes', type=float, default=20.0)
     parser.add_argument('--processes', type=int, default=2)
     options = parser.parse_args()
     work = [(row, seed) for row in ROWS for seed in range(options.first_seed, options.first_seed + options.seeds)]
     results = defaultdict(list)
-    print('| drive | wrong | drives | COARSE | FINE | within 2 sigma |')
-    print(f'|{"---|" * 6}', flush=True)
+    print('| drive | wrong | drives | on trial | applied | within 2 sigma | dropped after | as given | apply | offset '
+          'given |')
+    print(f'|{"---|" * 10}', flush=True)
     with ProcessPoolExecutor(options.processes) as pool:
         rows, seeds = zip(*work)
-        for row, offset, said in pool.map(of_drive, rows, seeds, [options.minutes] * len(work)):
-            results[row].append((offset, said))
+        for row, *told in pool.map(of_drive, rows, seeds, [options.minutes] * len(work)):
+            results[row].append(told)
             if len(results[row]) == options.seeds:
-                print(line(row, results[row]), flush=True)
+                print(line(row, results[row], options.minutes), flush=True)
 
 
 if __name__ == '__main__':

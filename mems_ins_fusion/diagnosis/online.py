@@ -2,7 +2,7 @@
 
 The samples come in chunks (`gathering.py`), of which each ends at a stamp of the IMU: what is said after a chunk
 depends on nothing but the samples until then, live and in a replay. What an analysis finds is on trial from then on:
-two filters, with the parameters as they are and with the finding, go without fixes for 10 and 30 s again and again
+two filters, with the parameters as they are and with the finding, go without fixes for 5, 10 and 30 s again and again
 through samples that neither the estimate nor the analysis has seen. An outage says
 
     x = ((1 - MARGIN) e - e') / (e + e'),    -1 <= x < 1,
@@ -13,10 +13,16 @@ makes them smaller by no more than MARGIN has E x <= 0, and a wealth that bets t
 "Etude critique de la notion de collectif", 1939; I. Waudby-Smith and A. Ramdas, "Estimating means of bounded random
 variables by betting", J. Royal Statistical Society B 86, 2024). The same with the two filters changed over says that a
 finding does harm. No sigma is asked, neither of the estimate nor of the filters.
+
+With diagnosis.online `apply` a proven finding becomes part of the parameters that drive, and the filter without it goes
+through the outages beside. What was true for an hour may be wrong from one minute to the next (a driver that restarts,
+an antenna that is moved), and an hour of good outages must not have to be lost first: the wealth against it never falls
+below what it began with. Where the finding does good, such a wealth comes to 1 / a once in 1 / a outages at most (J.
+Shin, A. Ramdas and A. Rinaldo, "E-detectors", New England J. of Statistics in Data Science 2, 2024).
 """
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 
 import numpy as np
@@ -32,14 +38,23 @@ from ..samples import Recording
 from .diagnose import diagnose
 from .findings import Finding
 from .gathering import JUMP, chunks
-from .quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, SUSPECT, Quantity
+from .held_out import HeldOut
+from .quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, SUSPECT, Kept, Quantity
 
-#: s of samples before the first analysis; the next ones come when there are twice as many, then each window
-FIRST = 240.0
+#: s of samples before the first analysis; the next ones of all that is kept come when there are twice as many, then
+#: each window
+FIRST = 120.0
+#: s: the latest samples are analysed as often, and as many of them: a change shows there first
+LATEST = 240.0
 #: s before a chunk, for two filters to find their state in
 SETTLING = 180.0
-#: s without fixes, and the part of it at whose end the fixes are compared with the prediction: their mean
-OUTAGES, JUDGED = (10.0, 30.0), 0.3
+#: s without fixes, of trials: short ones are many, and show what is sharp soon; long ones what is small against the
+#: noise of the fixes
+OUTAGES = (5.0, 10.0, 30.0)
+#: s without fixes, that the analyses judge by
+ANALYSED = (10.0, 30.0)
+#: part of an outage at whose end the fixes are compared with the prediction: their mean
+JUDGED = 0.3
 #: m: an outage in which less was driven says nothing
 DRIVEN = 20.0
 #: a finding that makes errors smaller by less is not worth a change
@@ -49,8 +64,12 @@ BETS = (0.1, 0.3, 0.5, 0.7, 0.9)
 #: probability that anything is called FINE by chance, in all the time that a filter runs: of the k-th trial it is
 #: 6 / (pi k)^2 of that
 FALSE_ALARMS = 0.01
+#: outages in which what is applied and does good is taken back once at most: a day of the shortest ones
+TAKEN_BACK = 17_000.0
 #: sigmas that two estimates of the same are apart, which are two values
 APART = 3.0
+#: behind the name of a value on trial where another one of the same effect is applied
+OTHER = ', another value'
 #: s: a chunk that is shorter is of samples with wild stamps
 SHORTEST = 1.0
 #: part of the samples before an analysis that are there: the first stamp of a chunk is not the last of the one before
@@ -61,14 +80,17 @@ NEARLY = 0.99
 class Trial:
     """A finding on trial. sets: parameters as it would have them. needed: wealth with which it is proven.
 
-    seen: whether the last analysis found it, too. errors: by duration, m, of present and other in each outage. logs: of
-    the wealth for it and against it, by duration and bet.
+    applied: whether it is part of the parameters that drive. harmful: it was, and has been taken back. seen: whether no
+    later analysis speaks against it. errors: by duration, m, without it and with it in each outage. logs: of the wealth
+    for it and against it, by duration and bet.
     """
 
     finding: Finding
     sets: dict
     needed: float
+    applied: bool = False
     proven: bool = False
+    harmful: bool = False
     seen: bool = True
     errors: dict[float, list[tuple[float, float]]] = field(default_factory=lambda: {d: [] for d in OUTAGES})
     logs: np.ndarray = field(default_factory=lambda: np.zeros((2, len(OUTAGES), len(BETS))))
@@ -85,45 +107,76 @@ class Trial:
 
     @property
     def rejected(self) -> bool:
-        return not self.proven and self.harm >= self.needed
+        if self.applied:
+            return self.harm >= TAKEN_BACK
+        return self.harmful or (not self.proven and self.harm >= self.needed)
 
     @property
     def state(self) -> str:
         if self.proven:
             return FINE if self.seen else SUSPECT
-        return SUSPECT if self.rejected or not self.seen else COARSE
+        return SUSPECT if self.applied or self.rejected or not self.seen else COARSE
 
     def take(self, errors: dict[float, list[tuple[float, float]]]) -> None:
         """What the outages of one more chunk say, by duration."""
         for k, duration in enumerate(OUTAGES):
-            for present, other in errors[duration]:
-                self.errors[duration].append((present, other))
-                for log, worse, better in ((self.logs[0, k], present, other), (self.logs[1, k], other, present)):
+            for without, with_it in errors[duration]:
+                self.errors[duration].append((without, with_it))
+                for log, worse, better in ((self.logs[0, k], without, with_it), (self.logs[1, k], with_it, without)):
                     log += np.log1p(np.array(BETS) * ((1.0 - MARGIN) * worse - better) / (worse + better))
+                if self.applied:
+                    np.maximum(self.logs[1], 0.0, out=self.logs[1])
                 self.proven = self.proven or self.wealth >= self.needed
 
+    def apply(self) -> None:
+        """Be part of the parameters that drive. What was seen before says nothing against that any more."""
+        self.applied = True
+        self.logs[1] = 0.0
+
+    def begin_anew(self) -> None:
+        """The parameters that drive have changed: what was seen before compared others."""
+        self.logs[:] = 0.0
+        self.errors = {duration: [] for duration in OUTAGES}
+
     def differs(self, finding: Finding) -> bool:
-        """Whether `finding`, of the same effect, has other values."""
-        own = self.finding.parameters
-        return any(e.known and name in own and own[name].known and abs(e.value - own[name].value) > APART * np.hypot(
-            e.sigma, own[name].sigma) for name, e in finding.parameters.items())
+        """Whether `finding`, of the same effect, has other values. Where this one is applied, it is what is left."""
+        own = {} if self.applied else self.finding.parameters
+        sigmas = {name: e.sigma for name, e in self.finding.parameters.items() if e.known}
+        values = {name: e.value for name, e in own.items() if e.known}
+        return any(e.known and name in sigmas and abs(e.value - values.get(name, 0.0)) > APART * np.hypot(
+            e.sigma, sigmas[name]) for name, e in finding.parameters.items())
 
 
 class Online:
     """The diagnosis of a vehicle whose filter has the checked parameters `values`.
 
-    find: an analysis, recording and parameters to findings; by default what `diagnose` would add.
+    find: an analysis, recording and parameters to findings; by default what `diagnose` would add. kept: what an earlier
+    drive has proven; it drives, and is SUSPECT until it is proven again.
     """
 
-    def __init__(self, values: dict, find: Callable[[Recording, dict], list[Finding]] | None = None):
+    def __init__(self, values: dict, find: Callable[[Recording, dict], list[Finding]] | None = None,
+                 kept: Sequence[Kept] = ()):
         self._values, self._find = {**values, 'bag': []}, find or found
+        self._applies = values['diagnosis.online'] == 'apply'
         self._length = values['diagnosis.window']
         self._window: Recording | None = None
         self._due = min(FIRST, self._length)
-        self._since = 0.0  # s of samples since the last analysis
-        self.trials: dict[str, Trial] = {}
+        self._since = self._lately = 0.0  # s of samples since the last analysis, and the last one of the latest ones
+        self.trials: dict[str, Trial] = {}  # of what is not applied
+        self.applied: dict[str, Trial] = {}
         self._begun = self._analyses = 0
         self._why = ''
+        for one in kept if self._applies else ():
+            self.applied[one.name] = Trial(_known(one), one.sets, self._next_needed(), applied=True)
+
+    @property
+    def sets(self) -> dict:
+        """Parameters that the filter that drives should have, beside those that it was given."""
+        return self._sets()
+
+    def _sets(self, without: str = '') -> dict:
+        return {name: value for own, trial in self.applied.items() if own != without
+                for name, value in trial.sets.items()}
 
     def take(self, chunk: Recording) -> list[Quantity]:
         """What is known after `chunk`, the samples since the one before it."""
@@ -131,59 +184,128 @@ class Online:
         if _seconds(chunk) < SHORTEST:
             return self.quantities()
         if self._window is not None and _jumps(self._window, chunk):
-            self._window, self._since = None, 0.0
+            self._window, self._since, self._lately = None, 0.0, 0.0
         before, self._window = self._window, _cut(_joined(self._window, chunk), self._length)
         self._since += _seconds(chunk)
+        self._lately += _seconds(chunk)
         if before is not None:
             self._try(chunk)
         if self._since >= NEARLY * self._due:
-            self._analyse()
+            self._since = self._lately = 0.0
+            self._due = min(FIRST * 2.0**self._analyses, self._length)
+            self._analyses += 1
+            self._analyse(self._window, latest=_seconds(self._window) <= LATEST)
+        elif self._lately >= NEARLY * LATEST:
+            self._lately = 0.0
+            self._analyse(_cut(self._window, LATEST), latest=True)
         return self.quantities()
 
-    def _analyse(self) -> None:
-        self._analyses, self._since = self._analyses + 1, 0.0
-        self._due = min(FIRST * 2.0 ** (self._analyses - 1), self._length)
+    def _analyse(self, part: Recording, latest: bool) -> None:
+        """Trials of what is found in `part`. latest: it is young enough to say that a value has changed."""
         try:
-            findings, self._why = self._find(self._window, self._values), ''
+            findings, self._why = self._find(part, {**self._values, **self.sets}), ''
         except InputError as error:
             findings, self._why = [], str(error)
         names = {finding.name for finding in findings}
         for name, trial in self.trials.items():
-            trial.seen = name in names
+            trial.seen = name in names or (latest and trial.seen)
         for finding in findings:
-            trial = self.trials.get(finding.name)
-            if trial is None or trial.differs(finding) or trial.rejected:
-                self._begun += 1
-                self.trials[finding.name] = Trial(finding, finding.changes,
-                                                  (np.pi * self._begun) ** 2 / (6.0 * FALSE_ALARMS))
+            self._put_on_trial(finding, latest)
+
+    def _put_on_trial(self, finding: Finding, latest: bool) -> None:
+        name, driving, trial = finding.name, self.applied.get(finding.name), self.trials.get(finding.name)
+        if driving is not None:
+            if not latest or not driving.differs(finding):
+                return
+            driving.seen = False
+        if trial is None or trial.rejected or (latest and trial.differs(finding)):
+            self.trials[name] = Trial(finding, finding.changes, self._next_needed())
+
+    def _next_needed(self) -> float:
+        """Wealth with which the next trial is proven."""
+        self._begun += 1
+        return (np.pi * self._begun) ** 2 / (6.0 * FALSE_ALARMS)
 
     def _try(self, chunk: Recording) -> None:
         """The outages of `chunk` through the present filter, and through that of each trial."""
         running = [trial for trial in self.trials.values() if not trial.rejected]
-        if not running or not len(chunk.gnss):
+        if not (running or self.applied) or not len(chunk.gnss):
             return
         part = _cut(self._window, SETTLING + _seconds(chunk))
-        present = predicted(part, self._values, chunk)
+        values = {**self._values, **self.sets}
+        present = predicted(part, values, chunk)
         for trial in running:
-            trial.take(_pairs(present, predicted(part, {**self._values, **trial.sets}, chunk)))
+            trial.take(_pairs(present, predicted(part, {**values, **trial.sets}, chunk)))
+        for name, trial in self.applied.items():
+            trial.take(_pairs(predicted(part, {**self._values, **self._sets(without=name)}, chunk), present))
+        if self._applies:
+            self._decide()
+
+    def _decide(self) -> None:
+        """Apply what is proven, and take back what does harm; one at a time, as each changes what others compare."""
+        harmful = next((name for name, trial in self.applied.items() if trial.rejected), None)
+        proven = next((name for name, trial in self.trials.items() if trial.proven), None)
+        if harmful is not None:
+            trial = self.applied.pop(harmful)
+            trial.applied, trial.proven, trial.harmful = False, False, True
+            self.trials.setdefault(harmful, trial)
+            self._window = _cut(self._window, LATEST)  # what came before the change is of another vehicle
+        elif proven is not None:
+            trial = self.trials.pop(proven)
+            trial.apply()
+            if proven in self.applied:
+                self._window = _cut(self._window, LATEST)
+            self.applied[proven] = trial
+        else:
+            return
+        for other in (*self.trials.values(), *self.applied.values()):
+            if other is not trial:
+                other.begin_anew()
+
+    def accept(self) -> list[Quantity]:
+        """Apply all that is on trial and has not been shown to do harm, as a user asks."""
+        for name in [name for name, trial in self.trials.items() if not trial.rejected]:
+            trial = self.trials.pop(name)
+            trial.apply()
+            self.applied[name] = trial
+        return self.quantities()
+
+    def reject(self) -> list[Quantity]:
+        """Take back all that is applied, and end all trials, as a user asks; what is found again is tried again."""
+        self.trials, self.applied = {}, {}
+        return self.quantities()
+
+    def reset(self) -> list[Quantity]:
+        """Forget all but how many trials there have been, as after work on the vehicle."""
+        self._window, self._since, self._lately, self._analyses = None, 0.0, 0.0, 0
+        self._due = min(FIRST, self._length)
+        return self.reject()
 
     def quantities(self) -> list[Quantity]:
         """What is known now, one for each finding; one of the name `all` before the first analysis."""
+        now = 0 if self._window is None else int(self._window.imu.stamp[-1])
+        told = [_quantity(now, name, trial) for name, trial in self.applied.items()]
+        told += [_quantity(now, f'{name}{OTHER if name in self.applied else ""}', trial)
+                 for name, trial in self.trials.items()]
+        if told:
+            return told
         if self._window is None:
             return []
-        now = int(self._window.imu.stamp[-1])
         if not self._analyses:
             return [Quantity(now, ALL, INITIALISING, {}, text=f'{self._since:.0f} of {self._due:.0f} s of samples '
                              'for a first analysis')]
-        if not self.trials:
-            return [Quantity(now, ALL, NOTHING, {}, text=f'nothing found in {self._analyses} analyses'
-                             f"{f' ({self._why})' if self._why else ''}")]
-        return [_quantity(now, name, trial) for name, trial in self.trials.items()]
+        return [Quantity(now, ALL, NOTHING, {}, text=f'nothing found in {self._analyses} analyses'
+                         f"{f' ({self._why})' if self._why else ''}")]
+
+
+def _known(kept: Kept) -> Finding:
+    """A finding of an earlier drive."""
+    return Finding(kept.name, [kept.name], kept.parameters, 0.0, 0.0, True, HeldOut(0.0, 1.0, []), changes=kept.sets)
 
 
 def found(recording: Recording, values: dict, progress: Callable = lambda part, what: None) -> list[Finding]:
     """What `diagnose` finds in `recording`, proves there, and has parameters against."""
-    return [f for f in diagnose(recording, values, progress, durations=OUTAGES).findings if f.added and f.changes]
+    return [f for f in diagnose(recording, values, progress, durations=ANALYSED).findings if f.added and f.changes]
 
 
 def predicted(part: Recording, values: dict, chunk: Recording) -> dict[float, dict[int, tuple[float, float]]]:
@@ -228,10 +350,18 @@ def _quantity(now: int, name: str, trial: Trial) -> Quantity:
     said = ', '.join(f'{parameter} {e.text()}' for parameter, e in trial.finding.parameters.items())
     gain = ''.join(f'; {d:g} s without fixes {a:.2f} m without it and {b:.2f} m with it, {n} times'
                    for d, (a, b, n) in better.items())
-    why = ('' if trial.seen else '; not found in the last minutes') + (
-        '; predictions are worse with it' if trial.rejected else '')
     return Quantity(now, name, trial.state, trial.finding.parameters, lines, better,
-                    f"{said}{gain}{why}; to set: {'; '.join(lines)}")
+                    f"{said}{gain}{_why(trial)}; {'applied' if trial.applied else 'to set'}: {'; '.join(lines)}",
+                    trial.applied, trial.sets)
+
+
+def _why(trial: Trial) -> str:
+    """Why it is SUSPECT, for the sentence."""
+    if trial.rejected:
+        return '; predictions are worse with it'
+    if not trial.seen:
+        return '; the last minutes show another value' if trial.applied else '; not found in the last minutes'
+    return '; of an earlier drive, not proven in this one yet' if trial.applied and not trial.proven else ''
 
 
 def _seconds(recording: Recording) -> float:
@@ -265,13 +395,21 @@ def _cut(recording: Recording, seconds: float) -> Recording:
                              for name, samples in recording.streams().items()})
 
 
-def watched(recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None
-            ) -> list[Quantity]:
-    """What is said of `recording` as a live node says it: each quantity when it is news.
+@dataclass(frozen=True)
+class Watched:
+    """A recording as a live node is told of it. said: each quantity when it was news. sets: after each chunk, the
+    parameters that the filter should have then."""
+
+    said: list[Quantity]
+    sets: list[dict]
+
+
+def watched(recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None) -> Watched:
+    """What is said of `recording` as a live node says it.
 
     progress: called from time to time with the part that is done; what it raises ends all.
     """
-    said, told, done = [], {}, 0.0
+    said, sets, told, done = [], [], {}, 0.0
     work = Online(values, lambda part, given: found(part, given, lambda _, what: progress(done)))
     end, begin = int(recording.imu.stamp[-1]), int(recording.imu.stamp[0])
     for chunk in chunks(recording):
@@ -281,4 +419,5 @@ def watched(recording: Recording, values: dict, progress: Callable[[float], None
             if told.get(quantity.name) != quantity.said:
                 said.append(quantity)
             told[quantity.name] = quantity.said
-    return said
+        sets.append(work.sets)
+    return Watched(said, sets)

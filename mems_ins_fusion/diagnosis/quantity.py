@@ -10,12 +10,15 @@ from .estimate import Estimate
 INITIALISING, COARSE, FINE, SUSPECT = 'INITIALISING', 'COARSE', 'FINE', 'SUSPECT'
 #: of an analysis that has found nothing, and of which quantity that and INITIALISING are said
 NOTHING, ALL = 'NOTHING FOUND', 'all'
+#: of the filter that drives, where it goes on with what has been found
+CHANGED = 'CHANGED'
 
 
 @dataclass(frozen=True)
 class Quantity:
     """What is known of one thing. time: ns, stamp of the newest sample. sets: lines of a params file. better: by
-    duration, mean error m without and with it, and of how many outages. text: in words."""
+    duration, mean error m without and with it, and of how many outages. text: in words. applied: whether the filter
+    that drives is to have it. values: the parameters by name."""
 
     time: int
     name: str
@@ -24,8 +27,20 @@ class Quantity:
     sets: tuple[str, ...] = ()
     better: dict[float, tuple[float, float, int]] = field(default_factory=dict)
     text: str = ''
+    applied: bool = False
+    values: dict = field(default_factory=dict)
 
     @property
     def said(self) -> tuple:
         """What is news when it changes."""
-        return self.name, self.state, self.sets
+        return self.name, self.state, self.sets, self.applied
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What an earlier drive has proven of a vehicle: the parameters of one effect, and those of the filter that go with
+    them."""
+
+    name: str
+    parameters: dict[str, Estimate]
+    sets: dict

@@ -1,9 +1,10 @@
 """`online.Online` in a process of its own, at a bounded share of a core: `python -m mems_ins_fusion.diagnosis.worker`.
 
-Arguments: share of a core, pid of who wants to know. Pickles on standard input: parameters, then chunks; on standard
-output: what is known after each. A second process works, at the lowest priority and with one thread; the first one lets
-it run for that share of each PERIOD and stops it for the rest, and ends it when its own parent has gone, however that
-went. Nothing heavy is imported before there are two.
+Arguments: share of a core, pid of who wants to know. Pickles on standard input: parameters and what is kept of earlier
+drives, then chunks, or the name of what a user asks for (accept, reject, reset); on standard output: what is known
+after each, the parameters that the filter should have, and whether it was a chunk. A second process works, at the
+lowest priority and with one thread; the first one lets it run for that share of each PERIOD and stops it for the rest,
+and ends it when its own parent has gone, however that went. Nothing heavy is imported before there are two.
 """
 from __future__ import annotations
 
@@ -39,18 +40,21 @@ def supervise(worker: int, share: float, parent: int) -> int:
 
 
 def work(source, sink) -> None:
-    """Chunks from `source` and what is known to `sink`, files, until the first ends."""
+    """Chunks and words from `source` and what is known to `sink`, files, until the first ends."""
     os.nice(19)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     from .online import Online
 
-    online = Online(pickle.load(source))
+    values, kept = pickle.load(source)
+    online = Online(values, kept=kept)
     while True:
         try:
-            chunk = pickle.load(source)
+            asked = pickle.load(source)
         except EOFError:
             return
-        pickle.dump(online.take(chunk), sink)
+        is_chunk = not isinstance(asked, str)
+        quantities = online.take(asked) if is_chunk else getattr(online, asked)()
+        pickle.dump((quantities, online.sets, is_chunk), sink)
         sink.flush()
 
 

@@ -19,6 +19,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from ..compiled import tell
 from ..filter.config import FilterConfig
+from ..filter.runs.changing import ChangingFilter
 from ..filter.runs.live import CHANGEABLE, FusionFilter
 from ..parameters.parameter import ParameterError
 from ..parameters.table import ALL, FILTER, FUSION
@@ -65,7 +66,11 @@ class FusionNode(Node):
         if values['mounting_from_tf']:
             values['imu.mounting_rpy'] = mounting_from_tf(self, values['imu_topic'], values['child_frame_id'],
                                                             stop)
-        self._filter = FusionFilter(FilterConfig.from_parameters(values))
+        self._given, kept = {**values}, self._kept(values)
+        self._found = {name: value for one in kept for name, value in one.sets.items()}  # while driving
+        values.update(self._found)
+        make = ChangingFilter if values['diagnosis.online'] == 'apply' else FusionFilter
+        self._filter = make(FilterConfig.from_parameters(values))
         tell(self.get_logger().info)
         load(self._filter, stop)  # before there is a subscription: no message waits for the compiler
         self._force_unit = ACCELERATION[values['imu.acceleration_unit']]
@@ -78,7 +83,9 @@ class FusionNode(Node):
         self._verdicts = Verdicts(self, self._filter, values)
         self._datum_publisher = self.create_publisher(NavSatFix, '~/datum', _LATCHED, **NO_EVENTS)
         inputs = self._subscribe(values)
-        self._online = OnlineDiagnosis(self, values, self._log) if values['diagnosis.online'] != 'off' else None
+        self._online = None
+        if values['diagnosis.online'] != 'off':
+            self._online = OnlineDiagnosis(self, self._given, self._log, kept)
         self._monitor = Monitor(self, self._filter, inputs, self._verdicts, values, self._log, self._online)
         self._serve()
         refuse_unused_qos_overrides(self, [told.topic_name for told in inputs if not told.is_subscribed])
@@ -101,8 +108,7 @@ class FusionNode(Node):
         finally:
             if self._online:
                 self._online.close()
-        if self._state_file:
-            self._save()
+        self._save_where_asked()
 
     def report(self) -> None:
         """Log and publish what the filter has to say since the last time."""
@@ -145,8 +151,8 @@ class FusionNode(Node):
         sample = (now, force.x * force_unit, force.y * force_unit, force.z * force_unit,
                   rate.x * rate_unit, rate.y * rate_unit, rate.z * rate_unit)
         self._monitor.mounting.add_sample(sample)
-        if self._online:
-            self._online.add_sample(sample)
+        if self._online and (sets := self._online.add_sample(sample)) is not None:
+            self._change(sets)
         if self._filter.add_imu(*sample, x, y, z, w):
             self._estimates.on_sample(now)
             self._horizon.on_sample(now)
@@ -214,6 +220,31 @@ class FusionNode(Node):
             self.get_logger().warning(said)
         return state_file
 
+    def _sensor_topics(self):
+        """Which sensors a calibration belongs to."""
+        return {name: self._values[name] for name in ('imu_topic', 'gnss_topic')}
+
+    def _kept(self, values):
+        """What earlier drives have found, where it is to be applied."""
+        if self._state_file is None or values['diagnosis.online'] != 'apply':
+            return []
+        kept, said = self._state_file.calibration(self._sensor_topics())
+        for text in said:
+            self.get_logger().info(text)
+        return kept
+
+    def _change(self, sets):
+        """Go on with the parameters `sets`, beside those that the node was given."""
+        before = dict(self._values)
+        self._values.update({name: self._given[name] for name in self._found} | sets)
+        self._found = sets
+        said = ', '.join(f'{name}: {value} (before: {before[name]})' for name, value in self._values.items()
+                         if value != before[name])
+        if said:
+            self._log.tell('warning', f'diagnosis.online: the filter is to go on with {said}')
+            self._filter.change(self._values)
+            self._save_where_asked()
+
     def _resume(self, stamp, latitude, longitude, height):
         found = self._state_file.fitting(stamp, latitude, longitude, height)
         if found is None:
@@ -228,10 +259,15 @@ class FusionNode(Node):
         except ValueError as error:
             self.get_logger().warning(f'{error}: starting without')
 
+    def _save_where_asked(self):
+        if self._state_file:
+            self._save()
+
     def _save(self):
         snapshot = self._filter.snapshot()
         if snapshot is not None:
-            said = self._state_file.write(snapshot)
+            said = self._state_file.write(snapshot, self._online.kept if self._online else None,
+                                          self._sensor_topics())
             if said:
                 self._log.say('warning', said)
 

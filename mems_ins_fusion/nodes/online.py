@@ -7,14 +7,17 @@ import subprocess
 import sys
 import threading
 from collections import deque
+from functools import partial
 from queue import Full, Queue
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_srvs.srv import Trigger
 
+from ..diagnosis.applying import Due
 from ..diagnosis.gathering import CHUNK, Gathering
-from ..diagnosis.quantity import FINE, INITIALISING, SUSPECT, Quantity
+from ..diagnosis.quantity import FINE, INITIALISING, SUSPECT, Kept, Quantity
 from .estimates import NO_EVENTS
 from .log import Log
 from .status import array, quantity_status
@@ -25,16 +28,18 @@ _PATIENCE = 5.0
 
 
 class OnlineDiagnosis:
-    """Feeds the process and says what it answers. values: checked parameters of the node.
+    """Feeds the process and says what it answers. values: checked parameters of the node. kept: of earlier drives.
 
     Nothing here waits: chunks are pickled and written, and answers read, by threads.
     """
 
-    def __init__(self, node: Node, values: dict, log: Log):
+    def __init__(self, node: Node, values: dict, log: Log, kept: list[Kept]):
         self._name, self._log = node.get_name(), log
+        self._due = Due({name: value for one in kept for name, value in one.sets.items()})
         self._gathering = Gathering()
         self._chunks: Queue = Queue(maxsize=max(int(values['diagnosis.window'] / CHUNK), 2))
         self._answers: deque[list[Quantity] | str] = deque()
+        self._applied: list[Quantity] | None = None  # None: there is no answer yet
         self._said: dict[str, tuple] = {}
         self._known: list[Quantity] = []
         self._publisher = node.create_publisher(DiagnosticArray, '~/calibration', _LATCHED, **NO_EVENTS)
@@ -42,18 +47,29 @@ class OnlineDiagnosis:
             [sys.executable, '-m', 'mems_ins_fusion.diagnosis.worker', str(values['diagnosis.share']),
              str(os.getpid())], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             env={**os.environ, 'OMP_NUM_THREADS': '1'})
-        for target, argument in ((self._write, values), (self._read, None)):
-            threading.Thread(target=target, args=(argument,), daemon=True).start()
+        for target, arguments in ((self._write, ({**values}, kept)), (self._read, ())):
+            threading.Thread(target=target, args=arguments, daemon=True).start()
+        for word in ('accept', 'reject', 'reset'):
+            node.create_service(Trigger, f'~/calibration/{word}', partial(self._on_word, word))
+        node.create_service(Trigger, '~/calibration/report', self._on_report)
 
-    def add_sample(self, sample: tuple) -> None:
-        """Stamp (ns), specific force and angular rate of the IMU, as the filter has them."""
+    def add_sample(self, sample: tuple) -> dict | None:
+        """Stamp (ns), specific force and angular rate of the IMU, as the filter has them. Parameters that the filter is
+        to have from this sample on beside those that it was given, where others than before."""
         chunk = self._gathering.add_sample(sample)
-        if chunk is not None:
-            try:
-                self._chunks.put_nowait(chunk)
-            except Full:
-                self._log.say('warning', 'diagnosis.online: samples left out, the process is too far behind '
-                                         '(diagnosis.share)')
+        if chunk is None:
+            return self._due.asked()
+        sets = self._due.at_end_of_chunk()
+        if self._due.late:
+            self._log.say('info', f'diagnosis.online: {self._due.late} minutes behind (diagnosis.share): what it finds '
+                                  'counts later than in a replay')
+        try:
+            self._chunks.put_nowait(chunk)
+            self._due.handed()
+        except Full:
+            self._log.say('warning', 'diagnosis.online: samples left out, the process is too far behind '
+                                     '(diagnosis.share)')
+        return sets
 
     def add_fix(self, fix: tuple) -> None:
         """What the filter has of a fix."""
@@ -63,19 +79,43 @@ class OnlineDiagnosis:
         """One of the other measurements."""
         self._gathering.add(name, stamp, numbers)
 
-    def _write(self, values: dict) -> None:
+    @property
+    def kept(self) -> list[Kept] | None:
+        """What is applied, for the next start; None before it is known."""
+        if self._applied is None:
+            return None
+        return [Kept(q.name, q.parameters, q.values) for q in self._applied]
+
+    def _on_word(self, word: str, request, response):
         try:
-            pickle.dump(values, self._process.stdin)
+            self._chunks.put_nowait(word)
+            response.success, response.message = True, f'calibration: {word}: passed on'
+        except Full:
+            response.success, response.message = False, 'the diagnosis is too far behind (diagnosis.share)'
+        return response
+
+    def _on_report(self, request, response):
+        response.success = True
+        response.message = '\n'.join(f'{q.name} {q.state}: {q.text}' for q in self._known) or 'nothing known yet'
+        return response
+
+    def _write(self, values: dict, kept: list[Kept]) -> None:
+        try:
+            pickle.dump((values, kept), self._process.stdin)
+            self._process.stdin.flush()
             while True:
-                pickle.dump(self._chunks.get().recording(), self._process.stdin)
+                asked = self._chunks.get()
+                pickle.dump(asked if isinstance(asked, str) else asked.recording(), self._process.stdin)
                 self._process.stdin.flush()
         except OSError:  # `_read` tells
             pass
 
-    def _read(self, _) -> None:
+    def _read(self) -> None:
         try:
             while True:
-                self._answers.append(pickle.load(self._process.stdout))
+                quantities, sets, is_chunk = pickle.load(self._process.stdout)
+                self._due.answered(sets, is_chunk)
+                self._answers.append(quantities)
         except (EOFError, OSError, ValueError):
             self._answers.append(f'its process has ended ({self._process.wait()})')
 
@@ -88,6 +128,7 @@ class OnlineDiagnosis:
                 self._known = []
                 continue
             self._known = answer
+            self._applied = [quantity for quantity in answer if quantity.applied]
             self._say(answer)
             if answer:
                 self._publisher.publish(array(answer[0].time, self._statuses()))

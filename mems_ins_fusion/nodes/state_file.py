@@ -7,8 +7,11 @@ import os
 import tempfile
 from pathlib import Path
 
+from ..diagnosis.estimate import Estimate
+from ..diagnosis.quantity import Kept
 from ..navigation.earth import to_local
 from ..parameters.parameter import ParameterError
+from ..parameters.table import ALL
 
 _VERSION = 2
 
@@ -22,6 +25,7 @@ class StateFile:
         if not self._path.parent.is_dir():
             raise ParameterError(f"parameter 'state_file': there is no folder {self._path.parent}")
         self._snapshot: dict | None = None
+        self._calibration: list[dict] = []
 
     def read(self) -> str | None:
         """Read the file, for `fitting`; what is wrong with it, None where nothing is or there is none yet."""
@@ -34,12 +38,23 @@ class StateFile:
             snapshot = content['filter']
             if not all(math.isfinite(snapshot[name]) for name in ('stamp', 'latitude', 'longitude', 'height')):
                 raise ValueError('numbers that are not finite')
+            calibration = content.get('calibration', [])
+            for one in calibration:
+                _kept(one)
         except FileNotFoundError:
             return None
         except (OSError, ValueError, KeyError, TypeError) as error:
             return f'state file {self._path}: cannot be used ({" ".join(str(error).split())}); starting without'
-        self._snapshot = snapshot
+        self._snapshot, self._calibration = snapshot, calibration
         return None
+
+    def calibration(self, topics: dict) -> tuple[list[Kept], list[str]]:
+        """What earlier drives have found of the sensors on the same `topics`, and that in words. It does not go with
+        the time or the place of the snapshot."""
+        same = [one for one in self._calibration if one['topics'] == topics]
+        return [_kept(one) for one in same], [
+            f"state file {self._path}: {one['name']} of an earlier drive: " + ', '.join(
+                f'{name}: {value}' for name, value in one['set'].items()) for one in same]
 
     def fitting(self, stamp: int, latitude: float, longitude: float, height: float) -> tuple[dict | None, str] | None:
         """The snapshot, where it fits a first fix (ns, rad, m), and what is to be said of it; None where there is none.
@@ -61,15 +76,30 @@ class StateFile:
                           f'{self._max_distance:.0f} m (state_file_max_distance): starting without')
         return snapshot, f'starting from state file {self._path}, {age:.0f} s old, {distance:.1f} m away'
 
-    def write(self, snapshot: dict) -> str | None:
-        """Replace the file, the old or the new one at any moment; what went wrong, or None."""
+    def write(self, snapshot: dict, kept: list[Kept] | None = None, topics: dict | None = None) -> str | None:
+        """Replace the file, the old or the new one at any moment; what went wrong, or None.
+
+        kept: what is known of the sensors on `topics`; None: what was in the file stays there.
+        """
+        if kept is not None:
+            self._calibration = [one for one in self._calibration if one['topics'] != topics] + [
+                {'name': one.name, 'set': one.sets, 'topics': topics, 'stamp': snapshot['stamp'],
+                 'parameters': {name: [e.value, e.sigma, e.unit] for name, e in one.parameters.items()}}
+                for one in kept]
         try:
             handle, name = tempfile.mkstemp(dir=self._path.parent, prefix=f'.{self._path.name}.')
             with os.fdopen(handle, 'w') as file:
-                json.dump({'version': _VERSION, 'filter': snapshot}, file)
+                json.dump({'version': _VERSION, 'filter': snapshot, 'calibration': self._calibration}, file)
                 file.flush()
                 os.fsync(file.fileno())
             os.replace(name, self._path)
         except OSError as error:
             return f'state file {self._path}: not written: {error.strerror}'
         return None
+
+
+def _kept(one: dict) -> Kept:
+    """An entry of the file. Raises ValueError, KeyError or TypeError where it is none."""
+    values = {name: ALL[name].check(value) for name, value in one['set'].items()}
+    return Kept(str(one['name']), {name: Estimate(float(value), None if sigma is None else float(sigma), str(unit))
+                                   for name, (value, sigma, unit) in one['parameters'].items()}, values)

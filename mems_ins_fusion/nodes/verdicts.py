@@ -28,7 +28,6 @@ class Verdicts:
 
     def __init__(self, node: Node, fusion: FusionFilter, values: dict):
         self._name, self._fusion, self._frame = node.get_name(), fusion, world_frame(values)
-        self._offset = round(values['gnss.time_offset'] * 1e9)  # ns
         self._fixes: deque[NavSatFix] = deque(maxlen=_FIXES_KEPT)
         self._nis: deque[float] = deque(maxlen=_NIS_COUNT)
         self._verdicts = node.create_publisher(DiagnosticArray, '~/verdicts', 1000, **NO_EVENTS)
@@ -55,7 +54,8 @@ class Verdicts:
 
     def _show_refused(self, stamp: int) -> None:
         """stamp: ns, in the clock of the IMU."""
-        message = next((fix for fix in self._fixes if abs(stamp_of(fix) - stamp - self._offset) < _SAME_STAMP), None)
+        offset = round(self._fusion.config.parameters['gnss.time_offset'] * 1e9)
+        message = next((fix for fix in self._fixes if abs(stamp_of(fix) - stamp - offset) < _SAME_STAMP), None)
         if message is None:
             return
         self._refused_fixes.publish(message)

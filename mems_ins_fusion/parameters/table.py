@@ -160,8 +160,9 @@ FILTER = (
     Parameter('horizon.speed', 10.0, 'm/s', 'Speed to which a vehicle that stands, or is slower, is taken to '
               'accelerate meanwhile; 0: it goes on at the speed that it has.', minimum=0.0, maximum=150.0),
     Parameter('diagnosis.online', 'off', 'text', 'Diagnose while driving. report: what `diagnose` finds in the last '
-              'minutes is tried on what comes after, and told with the parameters to set; nothing is changed.',
-              choices=('off', 'report')),
+              'minutes is tried on what comes after, and told with the parameters to set; nothing is changed. apply: '
+              'what is proven there is set in the filter that drives, and taken back where it is proven to do harm.',
+              choices=('off', 'report', 'apply')),
     Parameter('diagnosis.window', 1200.0, 's', 'Of that: so much of the past is kept for it.', minimum=120.0,
               maximum=7200.0),
     Parameter('datum', [], 'deg, deg, m', 'Latitude, longitude and height of the local frame\'s origin; empty: the '

@@ -12,11 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from ..configuration.check import check
+from ..diagnosis.applying import driven
 from ..diagnosis.online import watched
+from ..diagnosis.quantity import CHANGED, Quantity
 from ..evaluation.comparison import Comparison, compare, cut
 from ..filter.config import FilterConfig
 from ..filter.measurements.registry import aiding, named_parameters
 from ..filter.runs.intake import first_datum
+from ..filter.runs.odometry import ORIENTATION, POSE_COVARIANCE, POSITION
 from ..parameters.parameter import ParameterError
 from ..parameters.params_file import yaml_value
 from ..parameters.table import FILTER
@@ -35,6 +38,8 @@ from .report import FIGURES, draw_figures, online_row, report, report_page, writ
 
 #: the parameters of the replay, for the next command
 PARAMS_FILE = 'parameters.yaml'
+#: with diagnosis.online `apply`: what a live node would have published
+DRIVEN = 'driven.tum'
 
 #: of replay and diagnosis: GB without a recording, bytes for each message read
 _MEMORY = 0.75, 500.0
@@ -77,11 +82,24 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
                 comparisons[name] = compare(recording, values, lambda done: part(0.25 + 0.3 * done, 'filtering'))
             if values['diagnosis.online'] != 'off':
                 with _timed(timing, 'diagnosis.online'):
-                    told = watched(recording, values, lambda done: part(0.55 + 0.05 * done, 'diagnosing'))
-                online += [online_row(quantity, name, int(recording.imu.stamp[0])) for quantity in told]
+                    found = watched(recording, values, lambda done: part(0.55 + 0.05 * done, 'diagnosing'))
+                said_online = found.said
+                if values['diagnosis.online'] == 'apply':
+                    said_online += _drive(folder / (f'{name}_{DRIVEN}' if len(values['bag']) > 1 else DRIVEN), comparisons[name], values, found.sets)
+                online += [online_row(quantity, name, int(recording.imu.stamp[0])) for quantity in said_online]
         content, answers = _write(folder, comparisons, findings, said, online, values, timing, progress,
                                   Path(known_as or values['output_dir']))
     return Replay(Path(values['output_dir']), content, comparisons, answers, findings)
+
+
+def _drive(path: Path, comparison: Comparison, values: dict, sets: list[dict]) -> list[Quantity]:
+    """Write what a live node would have published with what it found while driving; where it changed its parameters."""
+    run = driven(comparison.recording, values, sets, origin(comparison, values))
+    kept = trajectories.every(run.stamp, trajectories.POSE_INTERVAL)
+    rows = run.odometry[kept]
+    trajectories.write_tum(path, run.stamp[kept], rows[:, POSITION:ORIENTATION], rows[:, ORIENTATION:POSE_COVARIANCE])
+    return [Quantity(handover.stamp, 'filter', CHANGED, {}, text=handover.text, applied=True)
+            for handover in run.handovers]
 
 
 def _check(values: dict) -> None:

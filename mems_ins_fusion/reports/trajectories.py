@@ -90,7 +90,7 @@ _PLANAR_SIGMAS, _STRAPDOWN_SIGMAS = (0, 1, 2, 3, 4), (0, 1, 3, 4, 8)
 def write_csv(path: Path, run: Run) -> None:
     """`run` as a table, a row every POSE_INTERVAL s: base_link, forward-right-down in north-east-down, yaw clockwise
     from north; time in s since the epoch."""
-    at = _every(run.stamp, POSE_INTERVAL)
+    at = every(run.stamp, POSE_INTERVAL)
     sigma = run.sigma[at][:, _PLANAR_SIGMAS if run.config.mechanization == PLANAR else _STRAPDOWN_SIGMAS]
     degrees = np.degrees(np.column_stack([run.latitude, run.longitude, run.roll, run.pitch, run.yaw])[at])
     rows = np.column_stack([degrees[:, :2], run.height[at], run.velocity[at], degrees[:, 2:], sigma[:, :4],
@@ -105,7 +105,7 @@ def write_csv(path: Path, run: Run) -> None:
 
 def write_gpx(path: Path, run: Run, name: str) -> None:
     """`run` as a track of GPX 1.1, a point every MAP_INTERVAL s."""
-    at = _every(run.stamp, MAP_INTERVAL)
+    at = every(run.stamp, MAP_INTERVAL)
     points = [f'<trkpt lat="{latitude:.8f}" lon="{longitude:.8f}"><ele>{height:.2f}</ele><time>{_utc(stamp)}</time>'
               '</trkpt>' for latitude, longitude, height, stamp in zip(
                   np.degrees(run.latitude[at]), np.degrees(run.longitude[at]), run.height[at], run.stamp[at].tolist())]
@@ -123,7 +123,7 @@ def _utc(stamp: int) -> str:
 
 def write_kml(path: Path, run: Run, name: str) -> None:
     """`run` as a line of KML 2.2 on the ground, a point every MAP_INTERVAL s."""
-    at = _every(run.stamp, MAP_INTERVAL)
+    at = every(run.stamp, MAP_INTERVAL)
     points = ' '.join(f'{longitude:.8f},{latitude:.8f},{height:.2f}' for latitude, longitude, height in zip(
         np.degrees(run.latitude[at]), np.degrees(run.longitude[at]), run.height[at]))
     path.write_text('<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2">\n<Document>'
@@ -139,7 +139,7 @@ def _orientation(roll, pitch, yaw) -> np.ndarray:
                             cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy])
 
 
-def _every(stamp: np.ndarray, interval: float) -> np.ndarray:
+def every(stamp: np.ndarray, interval: float) -> np.ndarray:
     """Indices of the first stamp (ns) in each slot of `interval` s: the same slots for every track."""
     return np.flatnonzero(np.diff(stamp // round(interval * 1e9), prepend=-1))
 
@@ -158,7 +158,7 @@ def write_geojson(path: Path, tracks: dict[str, Run | Reference]) -> None:
     """`tracks` as lines in WGS-84 (RFC 7946), one for each, named; a point every MAP_INTERVAL s."""
     lines = []
     for name, track in tracks.items():
-        at = _every(track.stamp, MAP_INTERVAL)
+        at = every(track.stamp, MAP_INTERVAL)
         points = np.round(np.degrees(np.column_stack([track.longitude[at], track.latitude[at]])), 8)
         lines.append({'type': 'Feature', 'properties': {'name': name},
                       'geometry': {'type': 'LineString', 'coordinates': points.tolist()}})

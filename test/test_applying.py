@@ -1,0 +1,225 @@
+"""What is found while driving drives: when an answer counts, two filters that change over, what is taken back and kept."""
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ros_support import PLAYABLE, NodeProcess, call
+from std_srvs.srv import Trigger
+from test_online import OFFSET, SECOND, finding
+
+from mems_ins_fusion.diagnosis import online
+from mems_ins_fusion.diagnosis.applying import WAIT, Due, driven
+from mems_ins_fusion.diagnosis.gathering import CHUNK, chunks
+from mems_ins_fusion.diagnosis.online import OTHER, Online
+from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, SUSPECT, Kept
+from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.runs import changing
+from mems_ins_fusion.filter.runs.live import FusionFilter
+from mems_ins_fusion.navigation.earth import to_local
+from mems_ins_fusion.nodes.state_file import StateFile
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
+
+NAME = 'gnss_time_offset'
+APPLY = table.check({'diagnosis.online': 'apply'})
+
+
+def drive(begin=0.0, end=1.0, minutes=16.0, offset=OFFSET):
+    """At 20 Hz, fixes stamped `offset` s late in a part of it."""
+    sensors = SensorErrors(accelerometer_noise_density=[1e-3] * 3, gyroscope_noise_density=[1e-4] * 3)
+    recording = simulate_recording(simulate_drive(60.0 * minutes, seed=5, rate=20.0), sensors,
+                                   GnssNoise(0.1, rate=2.0), seed=5).recording
+    gnss = recording.gnss
+    part = (gnss.stamp - gnss.stamp[0]) / (minutes * 60.0 * SECOND)
+    late = np.where((part >= begin) & (part < end), round(offset * SECOND), 0)
+    return replace(recording, gnss=replace(gnss, stamp=gnss.stamp + late, received=gnss.received + late), speed=None,
+                   velocity=None, heading=None)
+
+
+@pytest.fixture(scope='module')
+def late():
+    return drive()
+
+
+def test_an_answer_counts_some_chunks_after_its_own_or_when_it_is_there():
+    # given answers that come in time
+    due, told = Due({}), []
+    for k in range(4):
+        told.append(due.at_end_of_chunk())
+        due.handed()
+        due.answered({'a': k // 2})
+    # then that of chunk k counts behind chunk k + WAIT, and what is not new is not told
+    assert told == [None] * WAIT + [{'a': 0}, None, {'a': 1}][:4 - WAIT] and due.late == 0
+    # one that is late counts at the end of the first chunk after it
+    due, told = Due({}), []
+    for k in range(6):
+        if k == 4:
+            due.answered({'a': 1})
+        told.append(due.at_end_of_chunk())
+        due.handed()
+    assert told == [None, None, None, None, {'a': 1}, None] and due.late == 6 - WAIT - 1
+    # and what a user asks counts at once, also against answers that were given before
+    due = Due({'a': 1})
+    for _ in range(2):
+        due.handed()
+        due.answered({'a': 2})
+    due.answered({}, is_chunk=False)
+    assert due.asked() == {} and due.asked() is None and due.at_end_of_chunk() is None
+
+
+def fed(fusion, recording, first=0, last=None, at=None):
+    """The samples from `first` to `last` of a recording and its fixes through a filter, and `at` (index: what to do)."""
+    imu, gnss = recording.imu, recording.gnss
+    arrival = np.searchsorted(imu.received, gnss.received, side='right')
+    for i in range(first, len(imu) if last is None else last):
+        if at and i in at:
+            at[i]()
+        fusion.add_imu(int(imu.stamp[i]), *imu.specific_force[i].tolist(), *imu.angular_rate[i].tolist())
+        for k in np.flatnonzero(arrival == i + 1):
+            fusion.add_fix(int(gnss.stamp[k]), gnss.latitude[k], gnss.longitude[k], gnss.height[k], gnss.covariance[k],
+                           int(gnss.status[k]), int(gnss.covariance_type[k]))
+
+
+def test_the_new_filter_takes_over_where_it_does_not_show(late):
+    # given a filter that is to go on with another noise from 200 s on
+    begin, end = 200 * 20, 420 * 20
+    values = {**APPLY, 'accelerometer.noise_density': [0.02] * 3}
+    fusion = changing.ChangingFilter(FilterConfig.from_parameters(APPLY))
+    arrays, before = (fusion.odometry, fusion.geodetic, fusion.position_covariance_enu), []
+    fed(fusion, late, 0, end, {begin: lambda: fusion.change(values), begin + 20: lambda: before.append(fusion.datum)})
+    # then one that has it takes over once, after it has settled, by no more than its sigma says,
+    handover, = fusion.handovers
+    waited = (handover.stamp - late.imu.stamp[begin]) / SECOND
+    assert changing.SETTLING <= waited < changing.SETTLING + 60.0 and not fusion.changing
+    assert handover.position < 0.5 and abs(handover.yaw) < math.radians(2.0)
+    # with the bits of a filter that began with the change,
+    own = FusionFilter(FilterConfig.from_parameters(values))
+    fed(own, late, begin, end)
+    own.datum = fusion.datum
+    own.update_odometry(), fusion.update_odometry()
+    assert np.array_equal(own.odometry, fusion.odometry)
+    # and who looks at the estimate looks at the same arrays, in the same local frame
+    assert all(a is b for a, b in zip(arrays, (fusion.odometry, fusion.geodetic, fusion.position_covariance_enu)))
+    assert np.array_equal(fusion.datum, before[0])
+    assert any('goes on with other parameters' in notice.text for notice in fusion.notices())
+
+
+def test_a_difference_that_the_sigmas_do_not_cover_waits_for_a_standstill(late, monkeypatch):
+    # given a change of the mounting by 10 deg, which no sigma of the heading covers, and a vehicle that never stands
+    monkeypatch.setattr(changing, 'STANDING', -1.0)
+    monkeypatch.setattr(changing, 'LONGEST', 200.0)
+    turned = {**APPLY, 'imu.mounting_rpy': [0.0, 0.0, math.radians(10.0)]}
+    fusion = changing.ChangingFilter(FilterConfig.from_parameters({**APPLY, 'vehicle.non_holonomic': False}))
+    begin = 200 * 20
+    fed(fusion, late, 0, 500 * 20, {begin: lambda: fusion.change({**turned, 'vehicle.non_holonomic': False})})
+    # then it waits as long as it may
+    handover, = fusion.handovers
+    assert (handover.stamp - late.imu.stamp[begin]) / SECOND == pytest.approx(200.0, abs=1.1)
+    assert abs(handover.yaw) > math.radians(3.0)
+
+
+def of_chunks(recording, answers, monkeypatch, kept=()):
+    """The state after each chunk, where the analyses find what `answers` has, one after the other."""
+    monkeypatch.setattr(online, 'FIRST', CHUNK)
+    monkeypatch.setattr(online, 'LATEST', 2 * CHUNK)
+    asked = iter(answers)
+    work = Online({**APPLY, 'diagnosis.window': 300.0}, lambda part, values: next(asked, []), kept)
+    return [({q.name: (q.state, q.applied) for q in work.take(chunk)}, work.sets) for chunk in chunks(recording)], work
+
+
+def test_what_is_proven_is_applied_and_the_fixes_are_met(late, monkeypatch):
+    said, work = of_chunks(late, [[finding()]], monkeypatch)
+    first = next(k for k, (_, sets) in enumerate(said) if sets)
+    # then it is on trial, then drives, and goes on to be better than the filter without it
+    assert said[0][0] == {NAME: (COARSE, False)} and 2 <= first <= 7
+    assert all(states == {NAME: (FINE, True)} and sets == {'gnss.time_offset': OFFSET} for states, sets in said[first:])
+    # and the errors of who drives so are those of the right parameters at the end
+    truth, sets = late.reference, [sets for _, sets in said]
+    datum = np.array([truth.latitude[0], truth.longitude[0], 0.0])
+    north, east, _ = to_local(truth.latitude, truth.longitude, truth.height, datum)
+
+    def error(values, sets):
+        run = driven(replace(late, reference=None), values, sets, datum, every=20)
+        last = run.stamp > late.imu.stamp[-1] - 120 * SECOND
+        t = (run.stamp[last] - truth.stamp[0]) * 1e-9, (truth.stamp - truth.stamp[0]) * 1e-9
+        off = run.odometry[last, :2] - np.column_stack([np.interp(*t, east), np.interp(*t, north)])
+        return math.sqrt((off**2).sum(axis=1).mean()), run
+    (applied, run), (given, _) = error(APPLY, sets), error({**APPLY, 'gnss.time_offset': OFFSET}, [{}] * len(sets))
+    assert len(run.handovers) == 1 and applied == pytest.approx(given, rel=0.2)
+    assert applied < 0.5 * error(APPLY, [{}] * len(sets))[0]
+
+
+def test_what_is_not_true_any_more_is_taken_back_and_another_value_takes_its_place(monkeypatch):
+    # given an offset that goes after eight minutes of sixteen
+    said, work = of_chunks(drive(end=0.5), [[finding()]], monkeypatch)
+    first = next(k for k, (_, sets) in enumerate(said) if sets)
+    gone = next(k for k, (_, sets) in enumerate(said) if k > first and not sets)
+    assert 8 <= gone <= 13 and said[gone][0][NAME] == (SUSPECT, False) and not said[-1][1]
+    # given one that comes to another value, which an analysis of the last minutes finds: what is left
+    both = drive(end=0.5)
+    gnss = both.gnss
+    later = gnss.stamp > gnss.stamp[0] + 480 * SECOND
+    both = replace(both, gnss=replace(gnss, stamp=np.where(later, gnss.stamp - round(OFFSET * SECOND), gnss.stamp)))
+    left = replace(finding(-2 * OFFSET), changes={'gnss.time_offset': -OFFSET})
+    answers = [[finding()], [], [], [], [], [], [left]]
+    said, work = of_chunks(both, answers, monkeypatch)
+    names = [states for states, _ in said if f'{NAME}{OTHER}' in states]
+    assert all(states[NAME] == (SUSPECT, True) for states in names)
+    assert said[-1][1] in ({'gnss.time_offset': -OFFSET}, {}) and said[6][1] == {'gnss.time_offset': OFFSET}
+
+
+def test_what_an_earlier_drive_has_proven_is_suspect_until_it_is_proven_again(late, monkeypatch):
+    right = Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET})
+    said, _ = of_chunks(late, [], monkeypatch, [right])
+    assert said[0] == ({NAME: (SUSPECT, True)}, {'gnss.time_offset': OFFSET})
+    assert said[-1] == ({NAME: (FINE, True)}, {'gnss.time_offset': OFFSET})
+    # and goes where it is wrong by now
+    wrong = Kept(NAME, finding().parameters, {'gnss.time_offset': -OFFSET})
+    said, _ = of_chunks(late, [], monkeypatch, [wrong])
+    assert said[0][1] == {'gnss.time_offset': -OFFSET} and said[-1] == ({NAME: (SUSPECT, False)}, {})
+
+
+TOPICS = {'imu_topic': '/imu/data', 'gnss_topic': '/fix'}
+HERE = {'stamp': 1_000 * SECOND, 'latitude': 0.84, 'longitude': 0.2, 'height': 480.0, 'yaw': 1.2}
+
+
+def test_the_state_file_keeps_it_for_the_same_sensors(tmp_path):
+    path = tmp_path / 'state.json'
+    kept = [Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET})]
+    file = StateFile(path, 1.0, 1.0)
+    assert file.write(HERE, kept, TOPICS) is None
+    assert file.write(HERE, [Kept('x', {}, {'gnss.time_offset': 0.1})], {**TOPICS, 'gnss_topic': '/other'}) is None
+    again = StateFile(path, 1.0, 1.0)
+    assert again.read() is None
+    found, said = again.calibration(TOPICS)
+    assert found == kept and 'gnss_time_offset of an earlier drive' in said[0]
+    # who does not know what is applied leaves it there; who knows that nothing is takes it out
+    assert again.write(HERE) is None and StateFile.read(again) is None and again.calibration(TOPICS)[0] == kept
+    assert again.write(HERE, [], TOPICS) is None and not again.calibration(TOPICS)[0]
+    # and one that is damaged is named
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps({**content, 'calibration': [{'name': 'x', 'set': {'gnss.time_offset': 'soon'}}]}))
+    assert 'cannot be used' in StateFile(path, 1.0, 1.0).read()
+
+
+def test_the_node_begins_with_what_is_kept_and_does_what_a_user_asks(tmp_path, peer):
+    # given a node with what an earlier drive has proven of its sensors
+    path, topics = tmp_path / 'state.json', {**TOPICS, 'gnss_topic': '/gps/fix'}
+    assert StateFile(path, 1.0, 1.0).write(HERE, [Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET})],
+                                           topics) is None
+    with NodeProcess('fusion_node', *PLAYABLE, '-p', 'diagnosis.online:=apply', '-p', f'state_file:={path}') as node:
+        node.wait_for(f'gnss_time_offset of an earlier drive: gnss.time_offset: {OFFSET}')
+        node.wait_until_ready()
+
+        def asked(word):
+            return call(peer, Trigger, f'/fusion_node/calibration/{word}', Trigger.Request())
+        # then it is told, and goes when the user says so
+        assert asked('report').message == 'nothing known yet'
+        assert asked('accept').success
+        peer.spin_until(lambda: f'{NAME} SUSPECT' in asked('report').message)
+        assert asked('reject').success
+        peer.spin_until(lambda: asked('report').message == 'nothing known yet')
