@@ -1,4 +1,4 @@
-"""What is found while driving drives: when an answer counts, two filters that change over, what is taken back and kept."""
+"""What is found while driving drives: when an answer counts, how filters change over, what is taken back and kept."""
 from __future__ import annotations
 
 import json
@@ -72,7 +72,7 @@ def test_an_answer_counts_some_chunks_after_its_own_or_when_it_is_there():
 
 
 def fed(fusion, recording, first=0, last=None, at=None):
-    """The samples from `first` to `last` of a recording and its fixes through a filter, and `at` (index: what to do)."""
+    """Samples from `first` to `last` of a recording and its fixes through a filter, and `at` (index: what to do)."""
     imu, gnss = recording.imu, recording.gnss
     arrival = np.searchsorted(imu.received, gnss.received, side='right')
     for i in range(first, len(imu) if last is None else last):

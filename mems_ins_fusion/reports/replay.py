@@ -85,7 +85,8 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
                     found = watched(recording, values, lambda done: part(0.55 + 0.05 * done, 'diagnosing'))
                 said_online = found.said
                 if values['diagnosis.online'] == 'apply':
-                    said_online += _drive(folder / (f'{name}_{DRIVEN}' if len(values['bag']) > 1 else DRIVEN), comparisons[name], values, found.sets)
+                    path = folder / (f'{name}_{DRIVEN}' if len(values['bag']) > 1 else DRIVEN)
+                    said_online += _drive(path, comparisons[name], values, found.sets)
                 online += [online_row(quantity, name, int(recording.imu.stamp[0])) for quantity in said_online]
         content, answers = _write(folder, comparisons, findings, said, online, values, timing, progress,
                                   Path(known_as or values['output_dir']))
