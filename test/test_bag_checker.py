@@ -13,7 +13,7 @@ from mems_ins_fusion.recordings.checker import ERROR, INFO, WARNING, check_recor
 from mems_ins_fusion.recordings.motion import compare_steering, find_standstill, up_axis
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
-from mems_ins_fusion.simulation.drive import MARGIN, Path, _sample
+from mems_ins_fusion.simulation.drive import MARGIN, Path, follow
 from mems_ins_fusion.simulation.manoeuvres import Segment
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_recording
 
@@ -182,7 +182,7 @@ def test_noise_of_the_gyroscopes_is_no_scale():
     rng, segments = np.random.default_rng(0), [Segment(10.0), Segment(20.0, 30.0)]
     for turn in rng.uniform(-0.35, 0.35, 18):
         segments += [Segment(12.0, 0.0, turn), Segment(4.0)]
-    drive = _sample(Path((*segments, Segment(60.0 + MARGIN)), course=0.7), 300.0, 10.0)
+    drive = follow(Path((*segments, Segment(60.0 + MARGIN)), course=0.7), 300.0, 10.0)
     made = simulate_recording(drive, SensorErrors(), GnssNoise(2.0, 1.0), seed=0).recording
     shaken = with_imu(made, angular_rate=made.imu.angular_rate + rng.normal(0.0, 0.1, (len(made.imu), 3)))
     found = compare_steering(shaken.imu, shaken.gnss, np.array([0.0, 0.0, 1.0]))

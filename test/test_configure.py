@@ -33,7 +33,7 @@ from mems_ins_fusion.recordings.units import find_units, in_si
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.reports.configuration import doubts
 from mems_ins_fusion.samples import ImuSamples
-from mems_ins_fusion.simulation.drive import MARGIN, Path, _sample
+from mems_ins_fusion.simulation.drive import MARGIN, Path, follow
 from mems_ins_fusion.simulation.manoeuvres import Segment
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
@@ -54,7 +54,7 @@ def check_mounting(made, values):
 def recording(segments=SHORT, mounting=(0.0, 0.0, 0.0), seed=0, sensors=None, sigma=0.5, rate=5.0, effects=(),
               hills=HILLS, **suspension):
     """What an IMU so mounted records on a hilly road, and the receiver beside it."""
-    drive = _sample(Path(tuple(segments), course=0.7, hills=hills, **suspension), 120.0, 100.0)
+    drive = follow(Path(tuple(segments), course=0.7, hills=hills, **suspension), 120.0, 100.0)
     sensors = sensors or SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
     return simulate_recording(drive, sensors, GnssNoise(sigma, rate), effects, mounting, seed).recording
 

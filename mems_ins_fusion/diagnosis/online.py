@@ -35,6 +35,7 @@ from ..filter.config import FilterConfig
 from ..filter.runs.usable import usable
 from ..parameters.params_file import yaml_value
 from ..samples import Recording
+from .advice import Advice, advised
 from .diagnose import diagnose
 from .findings import Finding
 from .gathering import JUMP, chunks
@@ -81,8 +82,8 @@ class Trial:
     """A finding on trial. sets: parameters as it would have them. needed: wealth with which it is proven.
 
     applied: whether it is part of the parameters that drive. harmful: it was, and has been taken back. seen: whether no
-    later analysis speaks against it. errors: by duration, m, without it and with it in each outage. logs: of the wealth
-    for it and against it, by duration and bet.
+    later analysis speaks against it. advice: what would show more of it. errors: by duration, m, without it and with it
+    in each outage. logs: of the wealth for it and against it, by duration and bet.
     """
 
     finding: Finding
@@ -92,6 +93,7 @@ class Trial:
     proven: bool = False
     harmful: bool = False
     seen: bool = True
+    advice: Advice | None = None
     errors: dict[float, list[tuple[float, float]]] = field(default_factory=lambda: {d: [] for d in OUTAGES})
     logs: np.ndarray = field(default_factory=lambda: np.zeros((2, len(OUTAGES), len(BETS))))
 
@@ -219,7 +221,8 @@ class Online:
                 return
             driving.seen = False
         if trial is None or trial.rejected or (latest and trial.differs(finding)):
-            self.trials[name] = Trial(finding, finding.changes, self._next_needed())
+            self.trials[name] = Trial(finding, finding.changes, self._next_needed(),
+                                      advice=advised(finding, self._window, {**self._values, **self.sets}))
 
     def _next_needed(self) -> float:
         """Wealth with which the next trial is proven."""
@@ -352,7 +355,7 @@ def _quantity(now: int, name: str, trial: Trial) -> Quantity:
                    for d, (a, b, n) in better.items())
     return Quantity(now, name, trial.state, trial.finding.parameters, lines, better,
                     f"{said}{gain}{_why(trial)}; {'applied' if trial.applied else 'to set'}: {'; '.join(lines)}",
-                    trial.applied, trial.sets)
+                    trial.applied, trial.sets, trial.advice.text() if trial.advice and not trial.proven else '')
 
 
 def _why(trial: Trial) -> str:

@@ -29,6 +29,7 @@ class Quantity:
     text: str = ''
     applied: bool = False
     values: dict = field(default_factory=dict)
+    advice: str = ''
 
     @property
     def said(self) -> tuple:

@@ -138,7 +138,8 @@ class OnlineDiagnosis:
         for quantity in answer:
             if self._said.get(quantity.name) != quantity.said and quantity.state != INITIALISING:
                 level = 'warning' if quantity.state in (FINE, SUSPECT) else 'info'
-                self._log.tell(level, f'diagnosis.online: {quantity.name} {quantity.state}: {quantity.text}')
+                self._log.tell(level, f'diagnosis.online: {quantity.name} {quantity.state}: {quantity.text}'
+                                     f'{". To know it better: " if quantity.advice else ""}{quantity.advice}')
             self._said[quantity.name] = quantity.said
 
     def _statuses(self) -> list[DiagnosticStatus]:

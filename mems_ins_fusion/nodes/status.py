@@ -152,6 +152,7 @@ def quantity_status(name: str, quantity: Quantity) -> DiagnosticStatus:
         said = f'error after {duration:g} s without fixes, m'
         values |= {f'{said}, without it': without, f'{said}, with it': with_it, f'{said}, times': count}
     values |= {f'set {i}': line for i, line in enumerate(quantity.sets, 1)}
+    values |= {'applied': quantity.applied} | ({'to know it better': quantity.advice} if quantity.advice else {})
     level = WARN if quantity.state in (FINE, SUSPECT) else OK
     return DiagnosticStatus(level=level, name=f'{name}: calibration: {quantity.name}', hardware_id=name,
                             message=f'{quantity.state}: {quantity.text}', values=_key_values(values))

@@ -65,7 +65,7 @@ def online_row(quantity: Quantity, name: str, begin: int) -> dict:
     return {'recording': name, 'time_s': (quantity.time - begin) * 1e-9, 'name': quantity.name, 'state': quantity.state,
             'parameters': {n: {'value': e.value, 'sigma': e.sigma, 'unit': e.unit}
                            for n, e in quantity.parameters.items()},
-            'set': list(quantity.sets), 'applied': quantity.applied, 'text': quantity.text}
+            'set': list(quantity.sets), 'applied': quantity.applied, 'advice': quantity.advice, 'text': quantity.text}
 
 
 def _recording(name: str, comparison: Comparison, findings: list, said: list[str], values: dict) -> dict:

@@ -79,7 +79,7 @@ class Drive(Motion):
 
     def altered(self, **changes) -> Drive:
         """The same drive on a `Path` with `changes`, such as a suspension that pitches."""
-        return _sample(replace(self.path, **changes), self.time[-1], self.rate)
+        return follow(replace(self.path, **changes), self.time[-1], self.rate)
 
 
 @dataclass(frozen=True)
@@ -310,7 +310,7 @@ def simulate_drive(duration: float, seed: int = 0, rate: float = 100.0, *, stand
                 sideslip_per_acceleration, rotating_earth,
                 _random_waves(bank, (1100.0, 370.0, 130.0), parked_on_slope, stream(seed, 'bank')),
                 suspension, unevenness, seed, tuple(axle_to_imu))
-    return _sample(path, duration, rate)
+    return follow(path, duration, rate)
 
 
 def _random_hills(rng):
@@ -328,7 +328,7 @@ def _random_waves(largest, wavelengths, crest, rng):
                  for share, length, phase in zip((0.5, 0.3, 0.2), wavelengths, phases))
 
 
-def _sample(path: Path, duration: float, rate: float) -> Drive:
+def follow(path: Path, duration: float, rate: float) -> Drive:
     """The drive on `path` as an IMU with `rate` sees it; its first sample ends at time 0."""
     n = int(np.floor(duration * rate + 1e-6)) + 1
     blocks = [_block(path, rate, first, min(first + _BLOCK, n)) for first in range(0, n, _BLOCK)]

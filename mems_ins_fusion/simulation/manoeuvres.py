@@ -135,3 +135,33 @@ def _on_grid(duration):
 CITY = (_turn, _bend, _straight, _turn, _bend, _stop, _turn, _straight, _double_bend, _bend)
 MIXED = (_turn, _bend, _straight, _stop, _turn, _cruise, _bend, _red_light, _turn, _straight, _double_bend, _cruise,
          _bend, _stop, _reverse)
+
+
+def _turns(angle, speed):
+    corner = min(speed, 6.0)
+    return [_speed_change(speed, corner, 2.0), _curve(corner, corner, angle, 2.4), _speed_change(corner, speed, 2.0)]
+
+
+#: what a driver can be asked for, in words, as segments at a speed of some m/s that begin and end at that speed
+ASKED = {
+    'driving straight on': lambda speed: [],
+    'a left turn at a crossing': lambda speed: _turns(-np.pi / 2, speed),
+    'a right turn at a crossing': lambda speed: _turns(np.pi / 2, speed),
+    'a left and a right turn': lambda speed: _turns(-np.pi / 2, speed) + _turns(np.pi / 2, speed),
+    'braking to a stop and driving off': lambda speed: [
+        _speed_change(speed, 0.0, 2.0), _hold(3.0), _speed_change(0.0, speed, 2.0)],
+    'braking and speeding up again': lambda speed: [
+        _speed_change(speed, 0.4 * speed, 2.3), _speed_change(0.4 * speed, speed, 2.3)] * 2,
+    'a slalom of bends': lambda speed: [_curve(speed, speed, sign * 0.6, 2.2) for sign in (-0.5, 1, -1, 1, -0.5)],
+    'a full circle': lambda speed: [_speed_change(speed, 4.0, 2.0), _curve(4.0, 4.0, 2 * np.pi, 1.5),
+                                    _speed_change(4.0, speed, 2.0)],
+}
+
+
+def asked(name: str, speed: float, before: float, duration: float) -> tuple[Segment, ...]:
+    """A standstill and a drive of `before` s that lets a filter start, one of ASKED, and straight on until `duration`
+    s have gone since. speed: m/s."""
+    opening = [Segment(25.0), _speed_change(0.0, speed, 1.5), Segment(10.0), *_turns(np.pi / 2, speed)]
+    opening.append(_hold(max(before - sum(s.duration for s in opening), 1.0)))
+    course = ASKED[name](speed)
+    return (*opening, *course, _hold(max(duration - sum(s.duration for s in course), 0.0) + 10.0))

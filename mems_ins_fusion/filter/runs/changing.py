@@ -1,8 +1,9 @@
 """A live filter whose parameters change while it drives: one with the new ones runs beside it until it takes its place.
 
-The new filter begins with nothing, aligns by itself and has the same messages. It takes over where that does not show:
-where its estimate differs from the present one by less than its own sigmas, or the vehicle stands. Both filters and the
-comparison depend on nothing but stamps and numbers of what comes in: live and in a replay it is the same sample.
+The new filter begins with nothing, aligns by itself and has the same messages. It takes over once it is as sure as the
+present one, and where that does not show: its estimate differs from the present one by less than its own sigmas, or the
+vehicle stands. Both filters and the comparison depend on nothing but stamps and numbers of what comes in: live and in a
+replay it is the same sample.
 """
 from __future__ import annotations
 
@@ -20,6 +21,9 @@ from .odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, POSITION, TWIST_COVA
 SETTLING = 60.0
 #: s after which it takes over wherever it is: its parameters have been proven to be better
 LONGEST = 420.0
+#: sigmas of position and heading, as parts of those of the present filter, with which the new one is as sure: a filter
+#: that has just begun is less sure for a minute or two, and rightly so
+AS_SURE = 1.25
 #: ns from one comparison to the next
 PERIOD = 10**9
 #: m/s: a vehicle that is slower stands, and nobody steers by its pose
@@ -122,7 +126,8 @@ class ChangingFilter(FusionFilter):
             other.update_odometry()
             position, velocity, yaw = _differences(self.odometry, other.odometry)
             stands = max(abs(self.odometry[LINEAR]), abs(other.odometry[LINEAR])) < STANDING
-            if stands or _covered(position, velocity, yaw, other.odometry) or now - self._begun >= LONGEST * 1e9:
+            smooth = stands or _covered(position, velocity, yaw, other.odometry)
+            if (smooth and _as_sure(self.odometry, other.odometry)) or now - self._begun >= LONGEST * 1e9:
                 self._take_over(now, position, yaw)
 
     def _take_over(self, now: int, position: float, yaw: float) -> None:
@@ -138,6 +143,12 @@ def _differences(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
     velocity = math.hypot(*(b - a)[LINEAR:LINEAR + 2])
     yaw = wrap(yaw_of_quaternion(*b[ORIENTATION:POSE_COVARIANCE]) - yaw_of_quaternion(*a[ORIENTATION:POSE_COVARIANCE]))
     return position, velocity, float(yaw)
+
+
+def _as_sure(present: np.ndarray, other: np.ndarray) -> bool:
+    """Whether the odometry `other` (85,) claims position and heading about as well as `present`."""
+    a, b = (odometry[POSE_COVARIANCE:LINEAR].reshape(6, 6) for odometry in (present, other))
+    return bool(b[0, 0] + b[1, 1] <= AS_SURE**2 * (a[0, 0] + a[1, 1]) and b[5, 5] <= AS_SURE**2 * a[5, 5])
 
 
 def _covered(position: float, velocity: float, yaw: float, odometry: np.ndarray) -> bool:
