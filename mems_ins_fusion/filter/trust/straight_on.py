@@ -14,6 +14,8 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ..memory import HEAD, ROW, Event, Head, Nav, Verdict, velocity_variance
+from .receiver import Receiver
+from .scale import scale
 
 #: of a state
 StraightOn = ROW.place(
@@ -62,8 +64,9 @@ def goes_straight_on(mem, r, at, z_n, z_e):
     begin, last = r + StraightOn.BEGIN, r + StraightOn.LAST
     time, latitude, longitude = mem[at + Event.TIME], mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
     step, length = time - mem[last], mem[last] - mem[begin]
+    scatter = _scatter(mem, r, at)
     known = (0.0 < step < LONGEST_STEP and length > 0.0 and mem[begin] != 0.0 and mem[r + StraightOn.COUNT] >= KNOWN
-             and mem[r + StraightOn.SCATTER] > (TOLD_FROM * STRAIGHT) ** 2)
+             and scatter > (TOLD_FROM * STRAIGHT) ** 2)
     if known and mem[r + StraightOn.NATS] == 0.0:
         mem[r + StraightOn.SINCE] = mem[last]  # if it goes straight on from here, the last one did so already
         known = length < LONGEST_STEP
@@ -71,7 +74,7 @@ def goes_straight_on(mem, r, at, z_n, z_e):
     for i in range(2):
         mem[r + StraightOn.PULLED + i] += step * mem[r + StraightOn.PULLED + 2 + i]
     squared = changed_n * changed_n + changed_e * changed_e
-    nats = mem[r + StraightOn.NATS] + min(_evidence(mem, r, at, squared), MOST_OF_ONE) if known else 0.0
+    nats = mem[r + StraightOn.NATS] + min(_evidence(mem, r, at, squared, scatter), MOST_OF_ONE) if known else 0.0
     mem[r + StraightOn.NATS] = min(max(nats, 0.0), MOST)
     if mem[r + StraightOn.NATS] == 0.0:  # else the line goes on from where it began: a slow bend is none
         mem[r + StraightOn.TOLD] = 0.0
@@ -112,10 +115,19 @@ def pull(mem, r, before, after):
 
 
 @njit(_nrt=False)
-def _evidence(mem, r, at, changed):
+def _scatter(mem, r, at):
+    """Mean square of what is off from fix to fix, m^2 on each axis: what has been seen, but no more than that of two
+    fixes as sure as the receiver is. A filter that is wrong itself sees more, and a receiver to a centimetre follows
+    every straight road."""
+    claimed = mem[at + Event.R_NN] + mem[at + Event.R_EE]
+    return min(mem[r + StraightOn.SCATTER], scale(mem, r + Receiver.SCALE) * claimed)
+
+
+@njit(_nrt=False)
+def _evidence(mem, r, at, changed, scatter):
     """Logarithm of the density of the fix at `at` for a receiver that goes straight on, less that for a measuring one.
 
-    changed: square of what `_changed` says, m^2.
+    changed: square of what `_changed` says, m^2. scatter: of `_scatter`.
     """
     begin, last = r + StraightOn.BEGIN, r + StraightOn.LAST
     part = (mem[at + Event.TIME] - mem[last]) / (mem[last] - mem[begin])
@@ -123,7 +135,7 @@ def _evidence(mem, r, at, changed):
     east = mem[at + Event.LONGITUDE] - mem[last + 2] - part * (mem[last + 2] - mem[begin + 2])
     off = (north / mem[r + Nav.NORTH_SCALE]) ** 2 + (east / mem[r + Nav.EAST_SCALE]) ** 2
     # a receiver that has scattered less than now still measures
-    scatter = max(mem[r + StraightOn.SCATTER], 0.5 * changed)
+    scatter = max(scatter, 0.5 * changed)
     return _log_density(off, STRAIGHT * STRAIGHT) - _log_density(changed, scatter)
 
 
