@@ -138,6 +138,15 @@ def straight(truth: Run, duration: float, every: float = 5.0) -> np.ndarray:
     return np.array(found, dtype=np.int64)
 
 
+def apart(begins: np.ndarray, duration: float) -> int:
+    """How many of the outages with these begins (ns, ascending) share no time."""
+    count, free = 0, -1
+    for begin in begins.tolist():
+        if begin >= free:
+            count, free = count + 1, begin + round(duration * 1e9)
+    return count
+
+
 def of_measured(data: Path):
     """Lines of the table of the measured drives."""
     yield f'| drive | s | {HEAD}\n|{"---|" * 12}'
@@ -156,7 +165,7 @@ def of_measured(data: Path):
                         along(coasting.run.states(slice(*coasting.first[i:i + 2])), truth,
                               np.array([begin + round(duration * 1e9)])) for i, begin in enumerate(coasting.begin)]))
                 if errors:
-                    yield row([name.split('/')[0] + words, f'{duration:.0f}'], *errors, apart=duration / 5.0)
+                    yield row([name.split('/')[0] + words, f'{duration:.0f}'], *errors, apart=apart(begins, duration))
 
 
 def of_simulated(car: str, rate: float, seed: int, minutes: float):
