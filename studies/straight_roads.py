@@ -31,8 +31,8 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from wheel_vibration import WINDOW, windows_of
 from wheel_vibration import DRIVES as VIBRATING
+from wheel_vibration import WINDOW, windows_of
 
 from mems_ins_fusion.evaluation.intervals import paired
 from mems_ins_fusion.filter.config import FilterConfig
@@ -235,7 +235,8 @@ def of_axles(data: Path):
                                 windows.rate)
         found = {'vertical force': cepstra(windows, 2), 'pitch rate': cepstra(windows, 4)}
         for signal, cepstrum in found.items():
-            errors = cepstrum.mean(axis=0) / cepstrum.std(axis=0) * math.sqrt(len(cepstrum) / 1.5)  # half of each is shared
+            independent = len(cepstrum) / 1.5  # windows that overlap by half
+            errors = cepstrum.mean(axis=0) / cepstrum.std(axis=0) * math.sqrt(independent)
             peaks = []
             for low, high in (WHEELBASE, NO_WHEELBASE):
                 part = np.flatnonzero((LAGS >= low) & (LAGS <= high))
