@@ -9,8 +9,8 @@ sizes, with less without, with its 95 % interval (outages overlap: for as many a
 axles: rear wheels meet what the front wheels met a wheelbase later. The real cepstrum of windows of 4 s at equal steps
 of the way (of the logarithm of the power, less what stands at each frequency in Hz always), vertical force and pitch
 rate: its largest deviation from zero between 2.4 and 3.1 m and, to compare, between 4.1 and 4.8 m, in standard errors
-of its mean over the drive; how often the best speed within 3 m/s is within 0.25 m/s, with the shape learned on the
-other half of the drive (chance: 8 %).
+of its mean over the drive; how often the best speed within 3 m/s is within 0.25 m/s (chance: 8 %) by the axles, by the
+wheels (`wheel_vibration.py`) and by both, with what the other half of the drive shows.
 speeds: a car keeps its speed. While no fixes come the mean speed of the rest of the drive, or the speed before the
 outage, is told as a speed is, with the scatter that it had in the rest of the drive.
 constraint: `vehicle.non_holonomic_sigma` at half and twice its value, alone and with an angle, which makes it grow with
@@ -32,7 +32,18 @@ from pathlib import Path
 
 import numpy as np
 from wheel_vibration import DRIVES as VIBRATING
-from wheel_vibration import WINDOW, windows_of
+from wheel_vibration import (
+    DV,
+    HARMONICS,
+    OFF_LINE,
+    ON_LINE,
+    RIGHT,
+    SEARCHED,
+    floors,
+    line_power,
+    told,
+    windows_of,
+)
 
 from mems_ins_fusion.evaluation.intervals import paired
 from mems_ins_fusion.filter.config import FilterConfig
@@ -69,8 +80,10 @@ WHEELBASE, NO_WHEELBASE = (2.4, 3.1), (4.1, 4.8)
 LOWEST = 0.15
 #: of the logarithm of the power: no single bin decides
 LARGEST = 3.0
-#: m/s: errors of the speed that are tried, and one that counts as right
-TRIED, RIGHT = np.arange(-3.0, 3.01, 0.05), 0.25
+#: windows of 4 s, 2 s apart, that are taken together
+TOGETHER = (1, 3, 7)
+#: m: circumferences of the wheels, as `wheel_vibration.py` finds them
+CIRCUMFERENCES = {'longmont_rtk_drive/bag': 1.880, 'karlsruhe_hills/bag': 1.940, 'dresden_hobby_imu': 1.950}
 #: forward specific force and gravity's share of it are compared after this smoothing, s
 SMOOTHED = 1.0
 #: s before an outage from which bias and scale of the forward force are learned
@@ -156,11 +169,11 @@ class _Telling(Replay):
         events, none = work.events, np.zeros(len(time), dtype=np.int64)
         arrival = np.concatenate([events.arrival, np.searchsorted(work.samples[:, 0], time, side='right')])
         order = np.argsort(arrival, kind='stable')
-        told = copy.copy(work)
-        told.events = Events(np.concatenate([events.kind, none + Kind.SPEED]), np.concatenate([events.index, none]),
-                             arrival, np.vstack([events.record, record]),
-                             np.concatenate([events.answer, none])).select(order)
-        return super()._branch(memory, told, begin, np.concatenate([withheld, none.astype(bool)])[order])
+        with_speeds = copy.copy(work)
+        with_speeds.events = Events(
+            np.concatenate([events.kind, none + Kind.SPEED]), np.concatenate([events.index, none]), arrival,
+            np.vstack([events.record, record]), np.concatenate([events.answer, none])).select(order)
+        return super()._branch(memory, with_speeds, begin, np.concatenate([withheld, none.astype(bool)])[order])
 
 
 def outages(drive: Drive, config: FilterConfig, tell=None) -> dict[float, np.ndarray]:
@@ -229,7 +242,7 @@ def of_axles(data: Path):
     yield f'|{"---|" * 7}'
     shares = []
     for name, (topic, values) in VIBRATING.items():
-        windows = windows_of(data / name, topic, values)
+        windows, circumference = windows_of(data / name, topic, values), CIRCUMFERENCES[name]
         apart = np.flatnonzero(np.diff(windows.time // 2.0, prepend=-1.0))  # 2 s apart
         windows = type(windows)(windows.time[apart], windows.samples[apart], windows.way[apart], windows.speed[apart],
                                 windows.rate)
@@ -243,28 +256,42 @@ def of_axles(data: Path):
                 best = part[np.abs(errors[part]).argmax()]
                 peaks += [f'{errors[best]:+.1f}', f'{LAGS[best]:.2f}']
             yield f'| {name.split("/")[0]} | {len(windows.time)} | {signal} | {" | ".join(peaks)} |'
-        shares.append(f'| {name.split("/")[0]} | {" | ".join(_right(windows, list(found.values())))} |')
-    yield '\n| drive | 4 s: number, right | 8 s | 16 s |'
-    yield f'|{"---|" * 4}'
+        floor = floors(windows)
+        power = np.concatenate([line_power(windows, floor, h / circumference, DV) for h in HARMONICS], axis=1)
+        wheels, near = told(power), np.abs(DV) <= SEARCHED
+        axles = of_delay(windows, list(found.values()))
+        for k in TOGETHER:
+            words = [f'{right:.0%}' for right in (_right(windows, score[:, near], k)
+                                                  for score in (axles, wheels, axles + wheels))]
+            shares.append(f'| {name.split("/")[0]} | {2 * k + 2} | {" | ".join(words)} |')
+    yield '\n| drive | s together | right by axles | by wheels | by both |'
+    yield f'|{"---|" * 5}'
     yield from shares
 
 
-def _right(windows, cepstra: list):
-    """For windows of 4, 8 and 16 s: their number, and how often the best speed is the right one."""
+def of_delay(windows, cepstra: list) -> np.ndarray:
+    """Log-likelihood of the windows (w, len(DV)), each half with what the other half shows: the discriminant of two
+    normal distributions of how alike the cepstrum is to the mean one."""
     near = (LAGS >= WHEELBASE[0]) & (LAGS <= WHEELBASE[1])
-    half, score = len(windows.time) // 2, np.zeros((len(windows.time), len(TRIED)))
+    half, result = len(windows.time) // 2, np.zeros((len(windows.time), len(DV)))
     for learned, used in ((slice(half), slice(half, None)), (slice(half, None), slice(half))):
         for cepstrum in cepstra:
             shape = cepstrum[learned].mean(axis=0)[near]
             shape = shape - shape.mean()
-            for i in range(*used.indices(len(score))):
-                factor = windows.speed[i] / (windows.speed[i] + TRIED)
-                score[i] += np.interp(LAGS[near] * factor[:, None], LAGS, cepstrum[i]) @ shape
-    for together in (1, 3, 7):  # windows of 4 s, 2 s apart
-        right = [abs(TRIED[score[i:i + together].sum(axis=0).argmax()]) < RIGHT + 1e-9
-                 for i in range(len(score) - together + 1)
-                 if windows.time[i + together - 1] - windows.time[i] < 2.0 * together + 0.5 * WINDOW]
-        yield f'{len(right)}, {np.mean(right):.0%}'
+            lags = LAGS[near] * (windows.speed[:, None, None] / np.maximum(windows.speed[:, None] + DV, 1.0)[..., None])
+            alike = np.array([np.interp(at, LAGS, row) @ shape for at, row in zip(lags, cepstrum)])
+            on, off = alike[learned][:, np.abs(DV) < ON_LINE], alike[learned][:, np.abs(DV) > OFF_LINE]
+            middle = 0.5 * (on.mean() + off.mean())
+            result[used] += (on.mean() - off.mean()) / off.var() * (alike[used] - middle)
+    return result
+
+
+def _right(windows, score: np.ndarray, together: int) -> float:
+    """How often the best speed of so many windows in a row, 2 s apart, is the right one."""
+    dv = DV[np.abs(DV) <= SEARCHED]
+    return np.mean([abs(dv[score[i:i + together].sum(axis=0).argmax()]) < RIGHT
+                    for i in range(len(score) - together + 1)
+                    if windows.time[i + together - 1] - windows.time[i] < 2.0 * together])
 
 
 def of_speeds(drives):
@@ -288,15 +315,15 @@ def of_speeds(drives):
             middle, variance = speed[use].mean(), speed[use].var()
             follows = np.mean((speed[lag:][both] - middle) * (speed[:-lag][both] - middle)) / variance
             lasts = -LAG / math.log(min(max(follows, 0.05), 0.99))
-            told = begin + np.arange(TOLD_EVERY, max(DURATIONS), TOLD_EVERY)
-            return told, np.full(len(told), middle), np.full(len(told), variance * 2.0 * lasts / TOLD_EVERY)
+            then = begin + np.arange(TOLD_EVERY, max(DURATIONS), TOLD_EVERY)
+            return then, np.full(len(then), middle), np.full(len(then), variance * 2.0 * lasts / TOLD_EVERY)
 
         def before(begin, now, speed=speed, rest=rest):
             use, both, lag = rest(begin)
             walk = np.mean((speed[lag:][both] - speed[:-lag][both]) ** 2) / LAG  # m^2/s^2 for each s
-            told = begin + np.arange(TOLD_EVERY, max(DURATIONS), TOLD_EVERY)
-            since = told - begin  # errors of a random walk last as long as it has gone on
-            return told, np.full(len(told), now), walk * since * 2.0 * since / TOLD_EVERY
+            then = begin + np.arange(TOLD_EVERY, max(DURATIONS), TOLD_EVERY)
+            since = then - begin  # errors of a random walk last as long as it has gone on
+            return then, np.full(len(then), now), walk * since * 2.0 * since / TOLD_EVERY
 
         found = [outages(drive, drive.config(), tell) for tell in (None, mean, before)]
         for duration in DURATIONS:
