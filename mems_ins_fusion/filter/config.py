@@ -161,7 +161,7 @@ class FilterConfig:
     sensors: dict[int, SensorSettings]  # of those besides the fixes, by number
     alignment: AlignmentSettings
     vehicle: VehicleSettings
-    wheel_vibration: str  # off, report or on
+    wheel_vibration: str  # off or report
     datum: np.ndarray | None  # rad, rad, m
     parameters: dict  # as given; for the effects' correctors
 
@@ -276,7 +276,7 @@ class FilterConfig:
             memory[column] = at
         memory[Head.SIZE:rows], memory[Head.FORGOTTEN] = self._noise(), -math.inf
         if wheels < end:
-            begin_listening(memory, wheels, self.wheel_vibration == 'on')
+            begin_listening(memory, wheels)
         return memory
 
     def _write_head(self, head: np.ndarray, width: int) -> None:

@@ -19,7 +19,7 @@ from mems_ins_fusion.compiled import njit
 from ..navigation.earth import gravity
 from . import history
 from .measurements.geometry import body_to_level
-from .measurements.wheel_vibration import Told, Wheels, follow, listen, speed_of
+from .measurements.wheel_vibration import Wheels, listen
 from .memory import (
     NAV,
     Error,
@@ -44,7 +44,7 @@ from .trust.imu_faults import Fault, Imu
 from .trust.standstill import is_still
 from .trust.straight_on import Wrong
 from .trust.white_noise import show_noise
-from .update import CONSTRAINT_INTERVAL, apply_event, constrain, take_told_speed
+from .update import CONSTRAINT_INTERVAL, apply_event, constrain
 
 #: what the answers to an event mean
 TAKEN, BEFORE_START, TOO_LATE, FORGOTTEN = 0, 1, 2, 3
@@ -93,8 +93,6 @@ def _advance(memory, k):
     due = CONSTRAINT_INTERVAL - 0.5 * memory[sample + Sample.INTERVAL]  # at the nearest sample
     if memory[Head.CONSTRAINTS] != 0.0 and memory[dst + Nav.CONSTRAINT_TIME] > due:
         constrain(memory, dst, sample)
-    if memory[sample + Told.VARIANCE] > 0.0:
-        take_told_speed(memory, dst, sample)
     if not _is_finite(memory, dst):
         _restore(memory, first_row, dst, end)
 
@@ -162,22 +160,12 @@ def _take_sample(memory, samples, i):
         if imu_faults.is_stuck(memory, dt):  # it would not show a motion
             memory[sample + Sample.STILL] = 0.0
     _refuse_ahead(memory, time)
-    memory[sample + Told.VARIANCE] = 0.0
     _advance(memory, k)
     memory[Head.SAMPLES] = k
-    if memory[Wheels.AT] > 0.0 and listen(memory, k):
-        _take_told_speed(memory, k)
+    if memory[Wheels.AT] > 0.0:
+        listen(memory, k)
     if memory[Wrong.SINCE] != 0.0:
         _withdraw(memory, k)
-
-
-@njit(_nrt=False)
-def _take_told_speed(memory, k):
-    """Correct state k with what the wheels have just told; what is listened to next knows of it."""
-    r = nonnegative(state_at(memory, k))
-    before = speed_of(memory, r)
-    take_told_speed(memory, r, sample_at(memory, k))
-    follow(memory, r, speed_of(memory, r) - before)
 
 
 @njit(_nrt=False)

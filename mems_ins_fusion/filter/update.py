@@ -21,7 +21,6 @@ from .measurements import (
     standstill,
     twist,
     velocity,
-    wheel_vibration,
 )
 from .measurements.geometry import angular_rate, body_to_level, body_velocity, own_state, vehicle_to_level
 from .memory import (
@@ -493,22 +492,6 @@ def constrain(mem, r, sample):
     feed_back(mem, r)
     if still:
         contradiction.stood(mem, r, v_n, v_e)
-    set_radii(mem, r)
-
-
-@njit(_nrt=False)
-def take_told_speed(mem, r, sample):
-    """Correct the state at r with the speed that the wheels have told at the sample that led to it."""
-    n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
-    n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
-    h = p + n * n
-    at = h + 6 * n  # a record for the time being
-    load_covariance(mem, r, n_navigation, m, mem, p)
-    _clear(mem, h, n)
-    dimensions = wheel_vibration.observe(mem, r, at, h, n, body_to_level(mem, r), sample)
-    update(mem, r, at, n, dimensions, 1.0, ROBUST, 0.0)
-    store_covariance(mem, p, n_navigation, m, mem, r)
-    feed_back(mem, r)
     set_radii(mem, r)
 
 

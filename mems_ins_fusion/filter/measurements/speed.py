@@ -17,20 +17,13 @@ from .records import empty, refuse, stated_or
 
 
 @njit(_nrt=False)
-def rolling(mem, r, at, h, n, c, sample, y, z):
-    """The speed with which the wheels roll, positive forwards, into Z_N, and its derivative; y, z: m, their place."""
+def observe(mem, r, at, h, n, c, sample):
+    """Predicted minus measured speed, positive forwards; one component. measured = (1 + scale) true."""
+    _, y, z = arm_of(mem, at, Head.AXLE_X)
     _, w_y, w_z = angular_rate(mem, r, sample)
     c = vehicle_to_level(mem, r, c)
     add_body_velocity(mem, r, h, c, 0, 1.0)
     mem[at + Event.Z_N] = body_velocity(mem, r, c, 0) + w_y * z - w_z * y
-    return w_z
-
-
-@njit(_nrt=False)
-def observe(mem, r, at, h, n, c, sample):
-    """Predicted minus measured speed, positive forwards; one component. measured = (1 + scale) true."""
-    _, y, z = arm_of(mem, at, Head.AXLE_X)
-    w_z = rolling(mem, r, at, h, n, c, sample, y, z)
     across, gyroscope = int(mem[Head.AXLE_ACROSS]), channel_of(mem, 5)
     scale = own_state(mem, at, Head.SPEED_SCALE)
     if scale >= 0:

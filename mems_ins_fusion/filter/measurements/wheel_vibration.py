@@ -1,4 +1,4 @@
-"""Speed from the vibration of the wheels: an odometer for vehicles that give none (docs/wheel_vibration.md).
+"""Speed from the vibration of the wheels: told beside the estimate, which it never changes (docs/wheel_vibration.md).
 
 Every HOP seconds a window of the samples (`wheel_spectrum`) is compared with a wheel of circumference C at x, the
 logarithm of the true over the filter's speed: harmonic h of an axis then has a line at h exp(x) / C cycles per metre of
@@ -18,7 +18,7 @@ told.
 
 While fixes come, the windows tell the circumference: first a comb (C at which the lines of all windows add up), then a
 Kalman filter of ln C. When none come they tell the speed: its density on a grid goes from window to window, several
-peaks and all, and its moments give the measurement that makes them of the filter's own.
+peaks and all. No estimate uses it: on measured drives the errors without fixes did not become smaller for certain.
 """
 from __future__ import annotations
 
@@ -33,9 +33,7 @@ from ...parameters.parameter import Parameter
 from ..memory import (
     HEAD,
     NAV,
-    SAMPLE,
     Error,
-    Event,
     Head,
     Nav,
     Sample,
@@ -47,18 +45,16 @@ from ..memory import (
     velocity_state,
 )
 from .geometry import angular_rate
-from .speed import rolling
 from .wheel_spectrum import AXES, BINS, POINTS, SHORTEST, WINDOW, Row, Spectrum, look
 from .wheel_spectrum import begin as begin_spectrum
 
-#: where the memory of the wheels begins, 0: nobody listens; whether what is told is used
-Wheels = HEAD.place('Wheels', AT=1, USED=1)
-#: beside a sample: speed told at it, m/s, and its variance; 0: none
-Told = SAMPLE.place('Told', SPEED=1, VARIANCE=1)
+#: where the memory of the wheels begins, 0: nobody listens
+Wheels = HEAD.place('Wheels', AT=1)
 PARAMETER = Parameter(
     'wheel_vibration', 'off', 'text', 'Speed from the vibration of the wheels, their circumference found while fixes '
-    'come. report: it is told on /diagnostics and in report.json; on: it is also used while no fixes come.',
-    choices=('off', 'report', 'on'))
+    'come. report: both are told on /diagnostics and in report.json. No estimate uses them, and none can: on measured '
+    'drives the errors without fixes did not become smaller for certain (docs/wheel_vibration.md).',
+    choices=('off', 'report'))
 
 #: s from one window to the next: tapered windows that overlap by half are nearly independent
 HOP = 2.0
@@ -135,16 +131,10 @@ KNOWN = 0.03
 SPEED_STEP = 0.05
 SPEED_HALF = 80
 SPEEDS = 2 * SPEED_HALF + 1
-#: m/s: sigma of the filter's speed above which no window tells it, half of the grid
+#: m/s: sigma of the filter's speed above which no speed is told, half of the grid
 LOST = 2.0
 #: of the density: no speed is impossible
 NEVER = 1e-12
-#: part of the filter's variance: a posterior that is larger tells nothing
-TELLS = 0.8
-#: s over which an error of the circumference is the same: with independent errors of the speeds told the position's
-#: error after that time is the same as with one common error of sigma sqrt(HOP / OUTAGE) of theirs
-OUTAGE = 60.0
-
 
 class _Ear(NamedTuple):
     """Columns, from Wheels.AT on. From KEPT to KEPT_END is what the next start may begin with."""
@@ -175,8 +165,7 @@ class _Ear(NamedTuple):
     SQUARE: int = SCORE + 1  # and its mean square
     KEPT_END: int = SQUARE + 1
     FILTERED: int = KEPT_END  # variance of the filter's speed at the last window, m^2/s^2
-    MOVED: int = FILTERED + 1  # what the speed has been corrected by since, m/s
-    DENSITY: int = MOVED + 1  # of the error of the filter's speed
+    DENSITY: int = FILTERED + 1  # of the error of the filter's speed
     CHANNEL: int = DENSITY + SPEEDS  # room to work: power of each channel,
     TOTAL: int = CHANNEL + CHANNELS * GRID  # and T
     SPECTRUM: int = TOTAL + GRID
@@ -186,9 +175,9 @@ class _Ear(NamedTuple):
 Ear = _Ear()
 
 
-def begin(memory: np.ndarray, at: int, used: bool) -> None:
+def begin(memory: np.ndarray, at: int) -> None:
     """Listen from now on, with the memory of the wheels at `at`."""
-    memory[Wheels.AT], memory[Wheels.USED] = at, used
+    memory[Wheels.AT] = at
     memory[at + Ear.SPREAD:at + Ear.SPREAD + CHANNELS] = 1.0
     begin_spectrum(memory[at + Ear.SPECTRUM:at + Ear.SIZE])
 
@@ -249,19 +238,8 @@ def remember(memory: np.ndarray, kept: np.ndarray | None) -> None:
 
 
 @njit(_nrt=False)
-def observe(mem, r, at, h, n, c, sample):
-    """Predicted minus told speed; one component. It has no sign, and is that of the middle of the car."""
-    w_z, across = rolling(mem, r, at, h, n, c, sample, mem[Head.AXLE_Y], mem[Head.AXLE_Z]), int(mem[Head.AXLE_ACROSS])
-    if across >= 0:
-        mem[h + across] = w_z
-    mem[at + Event.R_NN] = mem[sample + Told.VARIANCE]
-    mem[at + Event.Z_N] -= math.copysign(mem[sample + Told.SPEED], mem[at + Event.Z_N])
-    return 1
-
-
-@njit(_nrt=False)
 def listen(mem, k):
-    """Take in sample k, and at the end of a window tell the speed beside it; whether that is to be used."""
+    """Take in sample k, and at the end of a window tell the speed."""
     at, sample, r = int(mem[Wheels.AT]), nonnegative(sample_at(mem, k)), nonnegative(state_at(mem, k))
     dt, time = mem[sample + Sample.INTERVAL], mem[sample + Sample.TIME]
     speed = speed_of(mem, r)
@@ -272,17 +250,16 @@ def listen(mem, k):
         mem[at + Ear.SINCE] = time
         for i in range(Ear.TIME, Ear.ELAPSED):
             mem[at + i] = 0.0
-        return False
+        return
     mem[at + Ear.TIME] += dt
     mem[at + Ear.WAY] += dt * speed
     for i in range(AXES):
         mem[at + Ear.VALUES + i] += dt * mem[sample + Sample.F_X + i]
     if mem[at + Ear.TIME] < SHORTEST:
-        return False
+        return
     _put(mem, at)
-    if time - mem[at + Ear.SINCE] < WINDOW or time - mem[at + Ear.LAST] < HOP - 0.5 * SHORTEST:
-        return False
-    return _hear(mem, at, r, sample, speed)
+    if time - mem[at + Ear.SINCE] >= WINDOW and time - mem[at + Ear.LAST] >= HOP - 0.5 * SHORTEST:
+        _hear(mem, at, r, sample, speed)
 
 
 @njit(_nrt=False)
@@ -297,17 +274,6 @@ def _put(mem, at):
     mem[ring + Spectrum.COUNT] = count + 1.0
     for i in range(Ear.TIME, Ear.ELAPSED):
         mem[at + i] = 0.0
-
-
-@njit(_nrt=False)
-def follow(mem, r, change):
-    """The speed of the state at r has been corrected by `change`, m/s: so were those of the samples before it."""
-    at = int(mem[Wheels.AT])
-    ring = at + Ear.SPECTRUM + Spectrum.RING
-    for i in range(POINTS):
-        mem[ring + Row.SIZE * i + Row.SPEED] += change
-    mem[at + Ear.MOVED] += change
-    mem[at + Ear.FILTERED] = along_variance(mem, r)
 
 
 @njit(_nrt=False)
@@ -334,7 +300,7 @@ def along_variance(mem, r):
 
 @njit(_nrt=False)
 def _hear(mem, at, r, sample, speed):
-    """What the window that ends at the state at r says; whether it tells a speed that is to be used."""
+    """What the window that ends at the state at r says."""
     time, way, last = look(mem, at + Ear.SPECTRUM, HIGHEST)
     mean, filtered, now = way / time, along_variance(mem, r), mem[sample + Sample.TIME]
     fixes_come = now - mem[r + Nav.RESIDUAL_TIME] < WITHOUT_FIX
@@ -343,31 +309,25 @@ def _hear(mem, at, r, sample, speed):
     if learns:
         _comb(mem, at, way, last)
     if mem[at + Ear.VARIANCE_C] == 0.0:
-        return False
+        return
     _channels(mem, at, way, last, mem[at + Ear.LOG_C])
     _discriminate(mem, at)
     mem[at + Ear.VARIANCE_C] += DRIFT * HOP
-    if fixes_come or not in_a_row or abs(mem[at + Ear.MOVED]) > LOST:
+    lost = filtered > LOST**2
+    if fixes_come or not in_a_row or lost:
         _begin_density(mem, at, filtered + mem[at + Ear.VARIANCE_C] * mean * mean)
     else:
         _carry_density(mem, at, filtered - mem[at + Ear.FILTERED])
     mem[at + Ear.FILTERED] = filtered
     middle, spread, heard = _weigh(mem, at, mean, ALONE if fixes_come else STRENGTH)
-    used = False
-    if _is_proven(mem, at) and heard > 1.0 and mem[at + Ear.VARIANCE_C] < CALIBRATED**2:
+    if _is_proven(mem, at) and heard > 1.0 and mem[at + Ear.VARIANCE_C] < CALIBRATED**2 and not lost:
         mem[at + Ear.HEARD] += HOP
         mem[at + Ear.SPEED], mem[at + Ear.TOLD] = speed + middle, now
         mem[at + Ear.VARIANCE] = spread + mem[at + Ear.VARIANCE_C] * mean * mean
-        used = not fixes_come and mem[Wheels.USED] > 0.0 and spread < TELLS * filtered and filtered < LOST**2
-    if used:
-        noise = 1.0 / (1.0 / spread - 1.0 / filtered)
-        mem[sample + Told.SPEED] = speed + middle * (filtered + noise) / filtered
-        mem[sample + Told.VARIANCE] = noise + mem[at + Ear.VARIANCE_C] * mean * mean * OUTAGE / HOP
     if learns:
         _score(mem, at)
         _learn(mem, at)
         _learn_circumference(mem, at, filtered / mean**2, middle / mean, spread / mean**2)
-    return used
 
 
 @njit(_nrt=False)
@@ -389,7 +349,6 @@ def _learn_circumference(mem, at, variance, middle, spread):
 @njit(_nrt=False)
 def _begin_density(mem, at, variance):
     """The speed's error is normal with `variance`, as the filter says."""
-    mem[at + Ear.MOVED] = 0.0
     for i in range(SPEEDS):
         error = SPEED_STEP * (i - SPEED_HALF)
         mem[at + Ear.DENSITY + i] = math.exp(-0.5 * error * error / max(variance, SPEED_STEP**2))
@@ -397,14 +356,8 @@ def _begin_density(mem, at, variance):
 
 @njit(_nrt=False)
 def _carry_density(mem, at, variance):
-    """The density of the error from one window to the next: less what the speed was corrected by, and wider by what the
-    filter's variance has grown by."""
-    density, moved = at + Ear.DENSITY, int(round(mem[at + Ear.MOVED] / SPEED_STEP))
-    mem[at + Ear.MOVED] -= moved * SPEED_STEP
-    for step in range(SPEEDS):
-        i = step if moved > 0 else SPEEDS - 1 - step
-        source = i + moved
-        mem[density + i] = mem[density + source] if 0 <= source < SPEEDS else 0.0
+    """The density of the error from one window to the next: wider by what the filter's variance has grown by."""
+    density = at + Ear.DENSITY
     while variance > 0.0:  # each step mixes neighbours
         share = min(0.5 * variance / SPEED_STEP**2, 0.25)
         before = 0.0
@@ -436,7 +389,7 @@ def _weigh(mem, at, speed, strength):
     for i in range(SPEEDS):
         mem[density + i] /= total
     variance = max(second / total - (first / total) ** 2, (0.5 * SPEED_STEP) ** 2)
-    return first / total - mem[at + Ear.MOVED], variance, total / before
+    return first / total, variance, total / before
 
 
 @njit(_nrt=False)

@@ -19,7 +19,7 @@ from ..config import FilterConfig
 from ..kernel import coast
 from ..measurements import speed
 from ..measurements.geometry import body_to_level
-from ..measurements.wheel_vibration import Told, Wheels
+from ..measurements.wheel_vibration import Wheels
 from ..memory import (
     NAV,
     Event,
@@ -121,7 +121,6 @@ def _look(mem, limit, wanted, interval):
     first, width, sample = nonnegative(state_at(mem, 0)), int(mem[Head.WIDTH]), nonnegative(sample_at(mem, 0))
     src, dst, seen = first, nonnegative(first + width), nonnegative(first + 2 * width)
     mem[sample + Sample.INTERVAL], mem[sample + Sample.FAULT], mem[sample + Sample.STILL] = STEP, 0.0, 0.0
-    mem[sample + Told.VARIANCE] = 0.0
     metres = 0.0
     for k in range(round(LONGEST / STEP)):
         if outside(mem, src, limit) > EXCEEDED:
