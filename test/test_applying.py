@@ -14,11 +14,12 @@ from test_online import OFFSET, SECOND, finding
 from mems_ins_fusion.diagnosis import online
 from mems_ins_fusion.diagnosis.applying import WAIT, Due, driven
 from mems_ins_fusion.diagnosis.gathering import CHUNK, chunks
-from mems_ins_fusion.diagnosis.online import OTHER, Online
+from mems_ins_fusion.diagnosis.online import OTHER, Online, Trial
 from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, SUSPECT, Kept
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs import changing
 from mems_ins_fusion.filter.runs.live import FusionFilter
+from mems_ins_fusion.filter.runs.odometry import LINEAR, POSE_COVARIANCE, SIZE
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.nodes.state_file import StateFile
 from mems_ins_fusion.parameters import table
@@ -223,3 +224,35 @@ def test_the_node_begins_with_what_is_kept_and_does_what_a_user_asks(tmp_path, p
         peer.spin_until(lambda: f'{NAME} SUSPECT' in asked('report').message)
         assert asked('reject').success
         peer.spin_until(lambda: asked('report').message == 'nothing known yet')
+
+
+def test_what_an_analysis_finds_beside_an_applied_value_is_what_is_left():
+    # given the same finding on trial, and applied
+    one, other = Trial(finding(0.4), {}, 1.0), Trial(finding(0.4), {}, 1.0)
+    other.apply()
+    # then 0.4 again is the same of the one, and as much more of the other; nothing left is nothing new
+    assert not one.differs(finding(0.41)) and other.differs(finding(0.41))
+    assert one.differs(finding(0.01)) and not other.differs(finding(0.01))
+
+
+def test_trials_begin_anew_when_what_they_are_compared_with_changes():
+    work = Online(APPLY, lambda part, values: [])
+    proven, rest = Trial(finding(), {'gnss.time_offset': OFFSET}, 1.0), Trial(finding(), {}, 1e9)
+    proven.proven = True
+    for trial in (proven, rest):
+        trial.take({duration: [(2.0, 1.0)] for duration in online.OUTAGES})
+    work.trials = {NAME: proven, 'other': rest}
+    work._decide()
+    assert work.sets == {'gnss.time_offset': OFFSET} and list(work.trials) == ['other']
+    assert not rest.logs.any() and not any(rest.errors.values()) and proven.wealth > 1.0
+
+
+def test_a_filter_that_is_less_sure_does_not_take_over():
+    # given two odometries with the sigmas of a filter that has just begun, and one that drives: m and rad
+    def odometry(position, yaw):
+        out = np.zeros(SIZE)
+        out[POSE_COVARIANCE:LINEAR] = np.diag([position**2, position**2, 1.0, 1.0, 1.0, yaw**2]).ravel()
+        return out
+    present = odometry(0.5, 0.01)
+    assert changing._as_sure(present, odometry(0.6, 0.012))
+    assert not changing._as_sure(present, odometry(0.5, 0.02)) and not changing._as_sure(present, odometry(1.0, 0.01))
