@@ -112,14 +112,14 @@ def test_the_new_filter_takes_over_where_it_does_not_show(late):
 def test_a_difference_that_the_sigmas_do_not_cover_waits_for_a_standstill(late, monkeypatch):
     # given a change of the mounting by 10 deg, which no sigma of the heading covers, and a vehicle that never stands
     monkeypatch.setattr(changing, 'STANDING', -1.0)
-    monkeypatch.setattr(changing, 'LONGEST', 200.0)
+    monkeypatch.setattr(changing, 'LONGEST', 150.0)
     turned = {**APPLY, 'imu.mounting_rpy': [0.0, 0.0, math.radians(10.0)]}
     fusion = changing.ChangingFilter(FilterConfig.from_parameters({**APPLY, 'vehicle.non_holonomic': False}))
     begin = 200 * 20
     fed(fusion, late, 0, 500 * 20, {begin: lambda: fusion.change({**turned, 'vehicle.non_holonomic': False})})
     # then it waits as long as it may
     handover, = fusion.handovers
-    assert (handover.stamp - late.imu.stamp[begin]) / SECOND == pytest.approx(200.0, abs=1.1)
+    assert (handover.stamp - late.imu.stamp[begin]) / SECOND == pytest.approx(150.0, abs=1.1)
     assert abs(handover.yaw) > math.radians(3.0)
 
 

@@ -1,8 +1,8 @@
 """A live filter whose parameters change while it drives: one with the new ones runs beside it until it takes its place.
 
 The new filter begins with nothing, aligns by itself and has the same messages. It takes over once it is as sure as the
-present one, and where that does not show: its estimate differs from the present one by less than its own sigmas, or the
-vehicle stands. Both filters and the comparison depend on nothing but stamps and numbers of what comes in: live and in a
+present one, and where that does not show: the estimates differ by less than both publish as their sigmas, or the vehicle
+stands. Both filters and the comparison depend on nothing but stamps and numbers of what comes in: live and in a
 replay it is the same sample.
 """
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, POSITION, TWIST_COVA
 #: s for which the new filter runs beside the present one before they are compared: its sensor errors settle in that
 SETTLING = 60.0
 #: s after which it takes over wherever it is: its parameters have been proven to be better
-LONGEST = 420.0
+LONGEST = 180.0
 #: sigmas of position and heading, as parts of those of the present filter, with which the new one is as sure: a filter
 #: that has just begun is less sure for a minute or two, and rightly so
 AS_SURE = 1.25
@@ -126,7 +126,7 @@ class ChangingFilter(FusionFilter):
             other.update_odometry()
             position, velocity, yaw = _differences(self.odometry, other.odometry)
             stands = max(abs(self.odometry[LINEAR]), abs(other.odometry[LINEAR])) < STANDING
-            smooth = stands or _covered(position, velocity, yaw, other.odometry)
+            smooth = stands or _covered(position, velocity, yaw, self.odometry, other.odometry)
             if (smooth and _as_sure(self.odometry, other.odometry)) or now - self._begun >= LONGEST * 1e9:
                 self._take_over(now, position, yaw)
 
@@ -151,9 +151,9 @@ def _as_sure(present: np.ndarray, other: np.ndarray) -> bool:
     return bool(b[0, 0] + b[1, 1] <= AS_SURE**2 * (a[0, 0] + a[1, 1]) and b[5, 5] <= AS_SURE**2 * a[5, 5])
 
 
-def _covered(position: float, velocity: float, yaw: float, odometry: np.ndarray) -> bool:
-    """Whether differences are within one sigma of what `odometry` (85,) claims."""
-    pose = odometry[POSE_COVARIANCE:LINEAR].reshape(6, 6)
-    twist = odometry[TWIST_COVARIANCE:].reshape(6, 6)
+def _covered(position: float, velocity: float, yaw: float, a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether differences are within one sigma of what the odometries `a` and `b` (85,) claim together."""
+    pose = (a + b)[POSE_COVARIANCE:LINEAR].reshape(6, 6)
+    twist = (a + b)[TWIST_COVARIANCE:].reshape(6, 6)
     return (position**2 <= pose[0, 0] + pose[1, 1] and velocity**2 <= twist[0, 0] + twist[1, 1]
             and yaw**2 <= pose[5, 5])
