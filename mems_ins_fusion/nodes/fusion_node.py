@@ -161,6 +161,7 @@ class FusionNode(Node):
     def _on_fix(self, message, info):
         self._filter.waited = self._fix.traffic.take(message.header, info)
         stamp = self._fix.traffic.stamp
+        self._monitor.preflight.add_fix(stamp)
         self._verdicts.keep(message)
         latitude, longitude = math.radians(message.latitude), math.radians(message.longitude)
         if self._state_file and message.status.status >= 0 and math.isfinite(latitude + longitude + message.altitude):
