@@ -25,12 +25,12 @@ from ..parameters.table import ALL, FILTER, FUSION
 from ..recordings.units import ACCELERATION, RATE
 from .checks import check_together
 from .estimates import NO_EVENTS, Estimates
+from .geometry import geometry_from_tf
 from .horizon import HorizonOutput
 from .inputs import Input, Queue, aiding_inputs
 from .loading import load
 from .log import Log
 from .monitor import PERIOD, Monitor
-from .mounting import mounting_from_tf
 from .online import OnlineDiagnosis
 from .output import tf_message
 from .places import geographic_services, start_from_parameters, start_from_pose, world_frame
@@ -62,9 +62,7 @@ class FusionNode(Node):
             tf_message()  # what is missing is said before anything takes time
         self._log = Log(self.get_logger())
         self._state_file = self._open_state_file(values)
-        if values['mounting_from_tf']:
-            values['imu.mounting_rpy'] = mounting_from_tf(self, values['imu_topic'], values['child_frame_id'],
-                                                            stop)
+        values |= geometry_from_tf(self, values, stop)
         self._filter = FusionFilter(FilterConfig.from_parameters(values))
         tell(self.get_logger().info)
         load(self._filter, stop)  # before there is a subscription: no message waits for the compiler
