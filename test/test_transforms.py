@@ -9,13 +9,14 @@ from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.configuration.configure import configure
 from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.filter.measurements.registry import aiding
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.messages import IMU, NAV_SAT_FIX
 from mems_ins_fusion.recordings.transforms import places
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.simulation.drive import simulate_drive
-from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_recording
+from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
 
 MOUNTING, ARM = (0.02, -0.03, 1.5), [0.9, -0.2, 1.1]
 #: where the IMU is in base_link; a plate stands between both, turned
@@ -23,9 +24,9 @@ IMU_AT = np.array([0.3, 0.1, 0.5])
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
-def with_transforms(bag, path, links):
+def with_transforms(bag, path, links, frames=None):
     """A copy of `bag` (mcap) with links {child: (parent, Rotation, place)} on /tf_static, each in a message of its own,
-    as each broadcaster sends it."""
+    as each broadcaster sends it. frames: by topic, its frame and another one, as long, that it has in the copy."""
     types = STORE.types
     with Bag(bag) as source, Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as target:
         connections = {topic: target.add_connection(topic, kind, typestore=STORE)
@@ -42,7 +43,8 @@ def with_transforms(bag, path, links):
                                                             'tf2_msgs/msg/TFMessage'))
         for topic, times, messages, _ in blocks:
             for time, message in zip(times, messages):
-                target.write(connections[topic], time, bytes(message))
+                old, new = (frames or {}).get(topic, (b'', b''))
+                target.write(connections[topic], time, bytes(message).replace(old, new))
     return path
 
 
@@ -114,3 +116,74 @@ def test_what_a_drive_without_turns_does_not_show_comes_from_the_transforms(tmp_
     assert found.values['gnss.lever_arm'] == ARM
     assert found.values['imu.mounting_rpy'] == pytest.approx(MOUNTING, abs=1e-4)
     assert table.check(found.values)
+
+
+#: antennas 1.6 m apart, the left wheel and an antenna that tells its velocity; what tf says of them
+REAR, LEFT, SIDE = [-0.7, 0.1, 1.1], [0.0, 0.75, -0.4], [0.9, 0.5, 1.1]
+INPUTS = {'gnss.lever_arm': ARM, 'inputs': ['rear', 'left', 'side'], 'rear.type': 'fix', 'rear.topic': '/rear/fix',
+          'rear.lever_arm': REAR, 'left.type': 'speed', 'left.topic': '/wheels/left', 'left.lever_arm': LEFT,
+          'side.type': 'velocity', 'side.topic': '/side/gps_velocity', 'side.lever_arm': SIDE}
+
+
+def robot(path, seconds=300.0, sigma=0.1):
+    """A drive with INPUTS, each with a frame of its own, without transforms."""
+    values = table.check(INPUTS)
+    named = [one for one in aiding(values) if not one.is_plain]
+    drive = simulate_drive(seconds, 3, 50.0, standstill=20.0, hills=True, axle_to_imu=(1.0, 0.0, 0.0))
+    made = simulate_recording(drive, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'),
+                              GnssNoise(sigma, 2.0), [(EFFECTS['gnss_lever_arm'], dict(zip('xyz', ARM)))], MOUNTING, 3,
+                              aiding=Aiding(fix_rate=2.0, fix_sigma=sigma, velocity_rate=5.0),
+                              named=named)
+    topics = {one.topic: values[one.topic] for one in named}
+    write_recording(made.recording, path, inputs=named, **topics)
+    return path
+
+
+FRAMES = {'/rear/fix': (b'gnss\0', b'rear\0'), '/side/gps_velocity': (b'gnss\0', b'side\0'),
+          '/wheels/left': (b'base_link\0', b'left_link\0')}
+
+
+def links_of_robot(**moved):
+    same = Rotation.identity()
+    return links_of(ARM) | {name: ('base_link', same, IMU_AT + moved.get(name, arm))
+                            for name, arm in (('rear', REAR), ('side', SIDE), ('left_link', LEFT))}
+
+
+def set_up(path, bag, **moved):
+    found = configure([with_transforms(bag, path, links_of_robot(**moved), FRAMES)])
+    assert table.check(found.values)
+    return found, {setting.name: ' '.join(setting.why) for setting in found.settings}
+
+
+def test_configure_takes_arms_of_further_inputs_that_the_drive_agrees_with(tmp_path):
+    bag = robot(tmp_path / 'plain')
+    found, why = set_up(tmp_path / 'bag', bag)
+    # then each input has the arm of its own frame, and a velocity of another antenna has a name
+    assert found.values['inputs'] == ['rear_fix', 'side_gps_velocity', 'wheels_left']
+    for name, arm in (('rear_fix', REAR), ('side_gps_velocity', SIDE), ('wheels_left', LEFT)):
+        assert found.values[f'{name}.lever_arm'] == pytest.approx(arm) and '/tf_static' in why[f'{name}.lever_arm']
+    assert 'the drive shows' in why['rear_fix.lever_arm'] and 'm left' in why['wheels_left.lever_arm']
+    assert 'does not show it' in why['side_gps_velocity.lever_arm']
+    assert found.values['rear_fix.lever_arm_sigma'] == 0.05
+    assert not any('/tf_static' in line for line in found.wrong)
+    # given a wheel's frame on the other side, and a rear antenna elsewhere
+    found, why = set_up(tmp_path / 'wrong', bag, rear=[-2.0, 0.1, 1.1], left_link=[0.0, -0.75, -0.4])
+    # then both contradictions are said, and what the drive shows is taken
+    said = '\n'.join(found.wrong)
+    assert '/tf_static has /rear/fix -2.90 m forward of the antenna of gnss_topic, the drive shows -1.' in said
+    assert '/tf_static has /wheels/left -0.75 m left of the IMU, the drive shows 0.' in said
+    assert found.values['rear_fix.lever_arm'][0] == pytest.approx(REAR[0], abs=0.15)
+    assert found.values['wheels_left.lever_arm'][1] == pytest.approx(LEFT[1], abs=0.3)
+    # and what nothing contradicts stays
+    assert found.values['gnss.lever_arm'] == ARM and found.values['side_gps_velocity.lever_arm'] == pytest.approx(SIDE)
+
+
+def test_a_receiver_whose_antenna_only_the_transforms_place_is_used(tmp_path):
+    # given fixes that scatter by 4 m in a short drive
+    bag = robot(tmp_path / 'plain', seconds=70.0, sigma=4.0)
+    without = configure([bag])
+    with_them, why = set_up(tmp_path / 'bag', bag)
+    # then without transforms its place is not known, with them it is
+    assert '/rear/fix is not used: too little motion, or too noisy' in ' '.join(
+        line for setting in without.settings if setting.name == 'inputs' for line in setting.why)
+    assert with_them.values['rear_fix.lever_arm'] == pytest.approx(REAR)

@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from mems_ins_fusion.configuration.inputs import WHEELED, InputShown, LeftOut, shown_inputs
+from mems_ins_fusion.configuration.inputs import LEAST_APART, WHEELED, InputShown, LeftOut, shown_inputs
 from mems_ins_fusion.configuration.mounting import (
     BIAS_SIGMA,
     SHOWN,
@@ -137,12 +137,15 @@ def configured(topics: Topics, drives: Sequence[Drive], fixes: Sequence[Fixes | 
     against = tuple(_against_tf(topics, mounting))
     if against:  # who is wrong in one place is not believed in another
         topics = replace(topics, places={})
+    astray = dict(_inputs_against_tf(topics, drives))  # a frame left at its default says nothing of other sensors
+    topics = replace(topics, places={topic: place for topic, place in topics.places.items() if topic not in astray})
+    drives = [replace(drive, inputs=tuple(_placed(topics, one) for one in drive.inputs)) for drive in drives]
     settings, beyond = _possible([*_settings(topics, drives, mounting),
                                   Setting('fitted_to', sketch(fixes),
                                           ['hashes of the recordings that the values are from'])])
     return Configuration(tuple(settings), topics, tuple(drives), mounting,
                          tuple(_missing(topics, drives, mounting)),
-                         (*_wrong(drives), *against, *beyond))
+                         (*_wrong(drives), *against, *astray.values(), *beyond))
 
 
 def _possible(found: Iterable[Setting]) -> tuple[list[Setting], list[str]]:
@@ -236,7 +239,7 @@ def _settings(topics: Topics, drives, mounting):
     yield from antenna
     yield from _receiver_settings([drive.receiver for drive in drives if drive.receiver is not None])
     yield from _input_settings([drive.inputs for drive in drives], mechanization.value,
-                               {setting.name: setting.value for setting in antenna})
+                               {setting.name: setting.value for setting in antenna}, topics)
     yield from _noise_settings(drives, mounting)
     yield from _vehicle_settings(drives)
 
@@ -337,10 +340,10 @@ def _arm_setting(offset, told: np.ndarray | None) -> Setting:
         f'from the IMU to the antenna {seen} m forward, left, up{left}', 'a tape is better'))
 
 
-def _arm_apart(offset, told: np.ndarray) -> np.ndarray:
-    """(3,) whether the arm that the transforms say is another than the one that the drive shows."""
-    sigma = np.asarray(offset.arm_sigma)
-    return (sigma < _ARM_SHOWN) & (np.abs(offset.arm - told) > _ASIDE * np.hypot(sigma, _TF_ARM))
+def _arm_apart(arm, sigma, told: np.ndarray) -> np.ndarray:
+    """(3,) whether the arm that the transforms say is another than `arm` with `sigma`, as the drive shows it."""
+    known = np.asarray(sigma) < _ARM_SHOWN
+    return known & (np.abs(np.where(known, arm, told) - told) > _ASIDE * np.hypot(np.where(known, sigma, 0.0), _TF_ARM))
 
 
 def _against_tf(topics: Topics, mounting: Mounting | None):
@@ -355,10 +358,46 @@ def _against_tf(topics: Topics, mounting: Mounting | None):
                    f'header.frame_id or the transform to {BASE} is wrong')
     if mounting is not None and mounting.offset is not None and arm is not None:
         for name, seen, sigma, said, apart in zip(ARM, mounting.offset.arm, mounting.offset.arm_sigma, arm,
-                                                  _arm_apart(mounting.offset, arm)):
+                                                  _arm_apart(mounting.offset.arm, mounting.offset.arm_sigma, arm)):
             if apart:
                 yield (f'{TF} has the antenna {said:.2f} m {name} of the IMU, the drive shows {seen:.2f} +- '
                        f'{sigma:.2f} m: measure it')
+
+
+def _inputs_against_tf(topics: Topics, drives: Sequence[Drive]):
+    """The same of the inputs of the first drive, by topic."""
+    for one in drives[0].inputs:
+        if isinstance(one, LeftOut) or (told := _told_place(topics, one)) is None:
+            continue
+        arm, sigma = _seen_place(_seen([drive.inputs for drive in drives], one))
+        for k in np.flatnonzero(_arm_apart(arm, sigma, told))[:1]:
+            yield one.topic, (f'{TF} has {one.topic} {told[k]:.2f} m {ARM[k]} of {_whence(one)}, the drive shows '
+                              f'{arm[k]:.2f} +- {sigma[k]:.2f} m: measure it')
+
+
+def _told_place(topics: Topics, one: InputShown) -> np.ndarray | None:
+    """(3,) m where the transforms have it, from the IMU, of a further receiver from the first antenna; None where they
+    do not say it."""
+    arms, kind = topics.arms_of_tf, one.measurement
+    if not kind.has_arm or one.topic not in arms:
+        return None
+    if kind.name != 'fix':
+        return arms[one.topic]
+    return None if topics.arm_of_tf is None else arms[one.topic] - topics.arm_of_tf
+
+
+def _placed(topics: Topics, one: InputShown | LeftOut) -> InputShown | LeftOut:
+    """Left out where neither the drive nor the transforms say where it is measured, and that matters."""
+    if isinstance(one, LeftOut) or not one.unplaced:
+        return one
+    told = _told_place(topics, one)
+    if told is not None and np.hypot(*told[:2]) > LEAST_APART:  # in one place it may be the same receiver twice
+        return one
+    return LeftOut(one.topic, one.unplaced)
+
+
+def _whence(one: InputShown) -> str:
+    return 'the antenna of gnss_topic' if one.measurement.name == 'fix' else 'the IMU'
 
 
 def _is_sure(value: float, sigma: float) -> bool:
@@ -391,14 +430,15 @@ def _receiver_settings(receivers: list[Receiver]):
                       (f'fixes arrive up to {max(delays):.2f} s (99 %) after the IMU samples of their time',))
 
 
-def _input_settings(drives: Sequence[Sequence[InputShown | LeftOut]], mechanization: str, first: Mapping):
+def _input_settings(drives: Sequence[Sequence[InputShown | LeftOut]], mechanization: str, first: Mapping,
+                    topics: Topics):
     """Of the topics of the first drive. first: what is set of the first receiver. The first topic of each kind has the
     parameters without a name; others, and further receivers, are named after their topics."""
     used = [one for one in drives[0] if isinstance(one, InputShown)
             and not (one.measurement.name == 'pressure' and mechanization != 'strapdown')]
     plain = {}
     for one in used:
-        if one.measurement in AIDING and not _is_aside(one):
+        if one.measurement in AIDING and not _is_aside(one, topics):
             plain.setdefault(one.measurement.name, one.topic)
     names = _names([one.topic for one in used if plain.get(one.measurement.name) != one.topic])
     left_out = tuple(f'{one.topic} is not used: {one.why}' for one in drives[0] if isinstance(one, LeftOut))
@@ -406,21 +446,33 @@ def _input_settings(drives: Sequence[Sequence[InputShown | LeftOut]], mechanizat
         why = (*(f'{name}: {topic}' for topic, name in names.items()), *left_out)
         yield Setting('inputs', list(names.values()), why)
     for one in used:
-        seen = [other for inputs in drives for other in inputs if isinstance(other, InputShown)
-                and other.topic == one.topic and other.measurement is one.measurement]
+        seen = _seen(drives, one)
         name = names.get(one.topic, one.measurement.name)
         if one.topic in names:
             yield Setting(f'{name}.type', one.measurement.name, (one.why,))
             yield Setting(f'{name}.topic', one.topic, (one.messages,))
-            yield from _place_settings(name, one.measurement.name, seen, first)
+            yield from _place_settings(name, seen, first, _told_place(topics, one))
         else:
             yield Setting(one.measurement.topic, one.topic, (f'{one.messages}; {one.why}',))
         yield from _value_settings(name, seen, first)
 
 
-def _is_aside(one: InputShown) -> bool:
-    """Whether it is measured to the left or right of the IMU for certain, as by one wheel."""
+def _seen(drives: Sequence[Sequence[InputShown | LeftOut]], one: InputShown) -> list[InputShown]:
+    """What each drive shows of this input."""
+    return [other for inputs in drives for other in inputs if isinstance(other, InputShown)
+            and other.topic == one.topic and other.measurement is one.measurement]
+
+
+def _is_aside(one: InputShown, topics: Topics) -> bool:
+    """Whether it is measured to the left or right of the IMU for certain, as by one wheel, or the transforms have it
+    there; of a velocity, whether they have it elsewhere than at the antenna."""
+    told = _told_place(topics, one)
+    if one.measurement.of_antenna:
+        return bool(told is not None and topics.arm_of_tf is not None
+                    and np.linalg.norm(told - topics.arm_of_tf) > _ARM_SHOWN)
     across, sigma = one.arm[0][1], one.arm[1][1]
+    if told is not None:
+        return bool(abs(told[1]) > _ARM_SHOWN)
     return bool(abs(across) > max(_ARM_SHOWN, _ASIDE * sigma))
 
 
@@ -436,21 +488,30 @@ def _names(topics: Sequence[str]) -> dict[str, str]:
     return names
 
 
-def _place_settings(name: str, kind: str, seen: Sequence[InputShown], first: Mapping):
-    """Where in the vehicle a named input is measured, where that is shown."""
-    arms, sigmas = (np.array([one.arm[k] for one in seen]) for k in (0, 1))
-    arm, sigma = weighted(arms, sigmas)
-    known = np.isfinite(sigmas).any(axis=0) & (kind == 'fix' or sigma < _ARM_SHOWN)
-    if not known.any():
+def _seen_place(seen: Sequence[InputShown]) -> tuple[np.ndarray, np.ndarray]:
+    """(3,) m where the drives show it, and sigma (3,), large where they do not."""
+    return weighted(*(np.array([one.arm[k] for one in seen]) for k in (0, 1)))
+
+
+def _place_settings(name: str, seen: Sequence[InputShown], first: Mapping, told: np.ndarray | None):
+    """Where in the vehicle a named input is measured, where that is shown, or the transforms say it: `told`."""
+    (arm, sigma), is_fix = _seen_place(seen), seen[0].measurement.name == 'fix'
+    known = np.isfinite([one.arm[1] for one in seen]).any(axis=0) & (is_fix or sigma < _ARM_SHOWN)
+    if told is None and not known.any():
         return
     text = ', '.join(f'{value:.2f} +- {s:.2f} m {axis}' for value, s, axis, k in zip(arm, sigma, ARM, known) if k)
-    whence = 'the antenna of gnss_topic' if kind == 'fix' else 'the IMU'
-    begin = np.array(first.get('gnss.lever_arm', [0.0] * 3)) if kind == 'fix' else np.zeros(3)
-    yield Setting(f'{name}.lever_arm', _rounded(begin + np.where(known, arm, 0.0), 2), (
-        f'from {whence} {text}', 'a tape is better'))
-    if kind == 'fix':
-        yield Setting(f'{name}.lever_arm_sigma', round(float(max(sigma[:2].max(), _LEAST_ARM_SIGMA)), 3),
-                      ('of forward and left, the larger one: the filter estimates what is left of them',))
+    begin = np.array(first.get('gnss.lever_arm', [0.0] * 3)) if is_fix else np.zeros(3)
+    if told is not None:
+        why = f'from {TF}; the drive ' + (f'shows {text} from {_whence(seen[0])}' if text else 'does not show it')
+        yield Setting(f'{name}.lever_arm', _rounded(begin + told, 3), (why,))
+    else:
+        yield Setting(f'{name}.lever_arm', _rounded(begin + np.where(known, arm, 0.0), 2), (
+            f'from {_whence(seen[0])} {text}', 'a tape is better'))
+    if is_fix:
+        left = float(max(sigma[:2].max(), _LEAST_ARM_SIGMA)) if told is None else _TF_ARM
+        yield Setting(f'{name}.lever_arm_sigma', round(left, 3), (
+            'of forward and left, the larger one: the filter estimates what is left of them' if told is None else
+            'of what somebody has measured: the filter estimates what is left of it',))
 
 
 def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):

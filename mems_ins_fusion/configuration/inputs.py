@@ -43,7 +43,7 @@ _HEADING_TURNS = 0.5  # the same of one that follows the course, from whose nois
 _SIGNIFICANT = 4.0  # sigmas: places that are further apart are two for certain
 # of the scatter that two receivers have against each other if each has its own errors: with less they are the same
 _IN_COMMON = 0.7
-_LEAST_APART = 0.1  # m: antennas of one place, each with a centre of phase of its own
+LEAST_APART = 0.1  # m: antennas of one place, each with a centre of phase of its own
 _ARM_KNOWN = 0.3  # m: where the second antenna is has to be known to this, or to the noise of its fixes
 
 
@@ -53,7 +53,8 @@ class InputShown:
     makes SI units of it. turned: rad, by which a heading is off clockwise. lag: s, and sigma, None where not shown: as
     its time offset, of a further receiver against the first one. arm: (3,) m, forward-left-up, and sigma (3,), infinite
     where not shown: from the IMU, of a further receiver from the first antenna. sigma: m, white, of a receiver that
-    states less. messages: how many, and how often.
+    states less. unplaced: why its arm is not known as well as it has to be, '' where it is: it is used only where the
+    transforms tell it. messages: how many, and how often.
     """
 
     topic: str
@@ -64,6 +65,7 @@ class InputShown:
     lag: tuple[float, float] | None = None
     arm: tuple[np.ndarray, np.ndarray] = (np.zeros(3), np.full(3, np.inf))
     sigma: float | None = None
+    unplaced: str = ''
     messages: str = ''
 
 
@@ -198,26 +200,30 @@ def _turning(imu, twists, rotation, least=_TURNING) -> TurnOffset | None:
 
 
 def _receiver(topic, others: Fixes, imu, fixes, still) -> InputShown | LeftOut:
-    """A further receiver, where its antenna is known and its errors are not those of the first one."""
+    """A further receiver, where its antenna is another one or its errors are not those of the first one."""
     others = usable_fixes(others)
-    baseline = estimate_baseline(fixes, others) if fixes is not None and len(others) > 1 else None
+    if fixes is None or len(others) < 2:
+        return LeftOut(topic, 'too few fixes')
+    baseline = estimate_baseline(fixes, others)
     if baseline is None:
-        return LeftOut(topic, 'too little motion, or too noisy, to see where its antenna is')
+        return InputShown(topic, TYPES['fix'], 'a receiver', unplaced='too little motion, or too noisy, to see where '
+                          'its antenna is')
     first, second = (scatter_at_rest(one, imu, still) for one in (fixes, others))
     between = scatter_at_rest(_less(fixes, others, baseline.late), imu, still)
-    apart = bool((np.abs(baseline.arm[:2]) > np.maximum(_LEAST_APART, _SIGNIFICANT * baseline.arm_sigma[:2])).any())
+    apart = bool((np.abs(baseline.arm[:2]) > np.maximum(LEAST_APART, _SIGNIFICANT * baseline.arm_sigma[:2])).any())
     own = None not in (first, second, between) and between > _IN_COMMON * math.hypot(first, second)
     if not apart and not own:
         return LeftOut(topic, 'neither another place nor errors of its own are shown: it may be the same receiver '
                        'twice')
     stated = float(np.nanmedian(sigmas(others))) if np.isfinite(sigmas(others)).any() else 0.0
     needed = max(_ARM_KNOWN, stated, second or 0.0)
-    if baseline.arm_sigma[:2].max() > needed:
-        return LeftOut(topic, f'the place of its antenna is not known to {needed:.2g} m: set it by hand')
+    unplaced = baseline.arm_sigma[:2].max() > needed
     why = 'a receiver at another place' if apart else (
         f'a receiver with errors of its own: {second:.2g} m at rest, {between:.2g} m against the first')
     return InputShown(topic, TYPES['fix'], why, lag=(baseline.late, math.hypot(baseline.late_sigma, FLOOR)),
                       arm=(baseline.arm, baseline.arm_sigma),
+                      unplaced=f'the place of its antenna is not known to {needed:.2g} m: set it by hand' if unplaced
+                      else '',
                       sigma=second if second is not None and stated and second > TOO_SURE * stated else None)
 
 

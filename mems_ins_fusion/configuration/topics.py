@@ -74,14 +74,18 @@ class Topics:
         return self.places[self.imu[0].topic][1] if self.imu[0].topic in self.places else None
 
     @property
+    def arms_of_tf(self) -> dict[str, np.ndarray]:
+        """By topic, (3,) m from the IMU to where it is measured, base_link, that the transforms say; not of those whose
+        frame is at the IMU's place, as where all have one frame."""
+        if self.imu[0].topic not in self.places:
+            return {}
+        imu = self.places[self.imu[0].topic][0]
+        return {topic: place - imu for topic, (place, _) in self.places.items() if (place != imu).any()}
+
+    @property
     def arm_of_tf(self) -> np.ndarray | None:
-        """(3,) m from the IMU to the antenna, base_link, that the transforms say; None where they do not, as where both
-        have one frame."""
-        names = [candidates[0].topic for candidates in (self.imu, self.gnss) if candidates]
-        if len(names) < 2 or not all(name in self.places for name in names):
-            return None
-        arm = self.places[names[1]][0] - self.places[names[0]][0]
-        return arm if arm.any() else None
+        """(3,) m, that of the antenna; None where the transforms do not say it."""
+        return self.arms_of_tf.get(self.gnss[0].topic) if self.gnss else None
 
     @property
     def receivers(self) -> dict[str, Fixes]:
@@ -93,7 +97,8 @@ def find_topics(path) -> Topics:
     """All IMUs and receivers of the recording `path`, the best of each kind first. RecordingError without an IMU."""
     with Bag(path) as bag:
         kinds, counts = bag.topics, bag.counts()
-        where = places(bag, {name: kind for name, kind in kinds.items() if kind in (IMU, NAV_SAT_FIX) and counts[name]})
+        where = places(bag, {name: kind for name, kind in kinds.items()
+                             if kind in (IMU, NAV_SAT_FIX, *_OTHERS) and counts[name]})
     named = {kind: sorted(name for name, k in kinds.items() if k == kind and counts[name] > 1)
              for kind in (IMU, NAV_SAT_FIX, TEMPERATURE, *_OTHERS)}
     if not named[IMU]:

@@ -26,12 +26,12 @@ from ..parameters.table import ALL, FILTER, FUSION
 from ..recordings.units import ACCELERATION, RATE
 from .checks import check_together
 from .estimates import NO_EVENTS, Estimates
+from .geometry import geometry_from_tf
 from .horizon import HorizonOutput
 from .inputs import Input, Queue, aiding_inputs
 from .loading import load
 from .log import Log
 from .monitor import PERIOD, Monitor
-from .mounting import mounting_from_tf
 from .online import OnlineDiagnosis
 from .output import tf_message
 from .places import geographic_services, start_from_parameters, start_from_pose, world_frame
@@ -63,9 +63,7 @@ class FusionNode(Node):
             tf_message()  # what is missing is said before anything takes time
         self._log = Log(self.get_logger())
         self._state_file = self._open_state_file(values)
-        if values['mounting_from_tf']:
-            values['imu.mounting_rpy'] = mounting_from_tf(self, values['imu_topic'], values['child_frame_id'],
-                                                            stop)
+        values |= geometry_from_tf(self, values, stop)
         self._given, kept = {**values}, self._kept(values)
         self._found = {name: value for one in kept for name, value in one.sets.items()}  # while driving
         values.update(self._found)
@@ -167,6 +165,7 @@ class FusionNode(Node):
     def _on_fix(self, message, info):
         self._filter.waited = self._fix.traffic.take(message.header, info)
         stamp = self._fix.traffic.stamp
+        self._monitor.preflight.add_fix(stamp)
         self._verdicts.keep(message)
         latitude, longitude = math.radians(message.latitude), math.radians(message.longitude)
         if self._state_file and message.status.status >= 0 and math.isfinite(latitude + longitude + message.altitude):

@@ -235,11 +235,11 @@ def _aiding(node, queue, measurement, topic, fusion, before) -> Input:
         before(measurement.name, stamp, numbers)
         fusion.add(measurement.name, stamp, *numbers)
 
-    told = Input(node, queue, measurement.name, topic, tuple(_class(kind) for kind in measurement.messages), on_message)
+    told = Input(node, queue, measurement.name, topic, tuple(map(message_class, measurement.messages)), on_message)
     return told
 
 
-def _class(kind: str):
+def message_class(kind: str):
     """Of a message type, package/msg/Name."""
     package, _, name = kind.split('/')
     return getattr(import_module(f'{package}.msg'), name)

@@ -30,7 +30,7 @@ _LOG_LEVELS = {b'\x00': 'info', b'\x01': 'warning', b'\x02': 'error'}
 class Monitor:
     """Looks at `fusion` and `inputs` (the IMU and the fixes first). values: checked parameters of the node.
 
-    mounting, aiding: the checks that are fed with what comes in.
+    mounting, aiding, preflight: the checks that are fed with what comes in.
     """
 
     def __init__(self, node: Node, fusion: FusionFilter, inputs: list[Input], verdicts: Verdicts, values: dict,
@@ -39,7 +39,7 @@ class Monitor:
         self._imu, self._online = inputs[0], online
         self.mounting, self.aiding = MountingCheck(values), AidingCheck(values)
         self._statuses = [InputStatus(told) for told in inputs]
-        self._preflight = Preflight(inputs, values)
+        self.preflight = Preflight(inputs, values)
         self._state_log = StateLog()
         self._cannot_start: int | None = None  # since which sample, ns
         self._looked = time.monotonic()
@@ -63,7 +63,7 @@ class Monitor:
             self._log.tell(level, f'{topic}: {text}')
         self._say_silent()
         self._diagnose()
-        found = self._preflight.look(self.mounting.force())
+        found = self.preflight.look(self.mounting.force())
         if found:
             self._log.tell(*found)
 

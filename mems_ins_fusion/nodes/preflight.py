@@ -4,9 +4,11 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
+from statistics import median
 
 import numpy as np
 
+from ..filter.config import AHEAD
 from ..navigation.earth import STANDARD_GRAVITY
 from ..navigation.frames import rotation_from_rpy
 from .inputs import Input
@@ -15,6 +17,8 @@ from .inputs import Input
 AFTER_SAMPLE, AT_THE_LATEST = 5.0, 12.0
 #: stamps further from the node's clock are of another clock, s
 _OTHER_CLOCK = 1.0
+#: newer than the newest sample by more, s: more than a sample that is on its way, so a fix of another clock
+_NEWER = -0.1
 #: by how much gravity may differ from what an accelerometer shows, m/s^2, and from the vertical, rad: a slope, a turn
 _GRAVITY, _TILT = 1.5, math.radians(15.0)
 
@@ -25,7 +29,14 @@ class Preflight:
     def __init__(self, inputs: Sequence[Input], values: dict):
         self._inputs, self._values = inputs, values
         self._began, self._sampled = time.monotonic(), None
+        self._ages: list[float] = []  # s, from the stamp of each fix to that of the newest sample when it came
         self._done = False
+
+    def add_fix(self, stamp: int) -> None:
+        """A fix with this stamp, ns, has come."""
+        imu = self._inputs[0].traffic
+        if imu.count and not self._done:
+            self._ages.append((imu.stamp - stamp) * 1e-9)
 
     def look(self, force: np.ndarray | None) -> tuple[str, str] | None:
         """Once: level and text. force: (3,) mean specific force of the last second, m/s^2, sensor axes."""
@@ -50,7 +61,7 @@ class Preflight:
         traffic = told.traffic
         if not traffic.count:
             return told.kind, f'no message: {told.why_silent()}'
-        seen = f"{told.kind}, {traffic.hertz:.1f} Hz, frame '{traffic.frame_id}', stamps {traffic.delay:.3f} s old"
+        seen = f"{told.kind}, {traffic.hertz:.1f} Hz, frame '{traffic.frame_id}', stamps {traffic.delay:.3g} s old"
         if told.name == 'imu' and traffic.hertz < 20.0:
             return seen, 'an IMU needs 20 Hz or more'
         return seen, told.qos_problem()
@@ -63,20 +74,27 @@ class Preflight:
                 'set imu.mounting_rpy (`configure` finds it from a recording)' if tilt > _TILT else '')
 
     def _clocks(self) -> tuple[str, str]:
-        imu, fix = (told.traffic.delay for told in self._inputs[:2])
-        if math.isnan(imu) or math.isnan(fix):
+        if not self._ages:
             return 'nothing to compare', 'no samples, or no fixes'
-        difference = fix - imu + self._values['gnss.time_offset']
-        which = 'older' if difference >= 0.0 else 'newer'
-        seen = f"stamps of the fixes are {abs(difference):.3f} s {which} than the IMU's when they arrive"
-        beside = max(self._values['gnss.time_offset'], 0.0)
-        if not -0.1 < difference < self._values['gnss.max_delay'] + beside:
+        # stamp against stamp: the clock of this machine does not run as those of a recording that is played fast
+        age, offset = median(self._ages), self._values['gnss.time_offset']
+        seen = f"stamps of the fixes are {_older(age)} than the IMU's when they arrive"
+        if offset:
+            seen += f', {_older(age + offset)} with gnss.time_offset {offset:g} s'
+            if not -AHEAD - max(-offset, 0.0) < age + offset < self._values['gnss.max_delay'] + max(offset, 0.0):
+                return seen, 'such fixes are refused: gnss.time_offset is not that of these clocks, or wrong in sign'
+        elif not _NEWER < age < self._values['gnss.max_delay']:
             return seen, 'the clocks differ: set gnss.time_offset (`configure` finds it), or synchronize them'
-        if abs(imu) > _OTHER_CLOCK:
-            seen += f"; all are {abs(imu):.3g} s {'behind' if imu > 0 else 'ahead of'} the node's own clock"
+        behind = self._inputs[0].traffic.delay
+        if abs(behind) > _OTHER_CLOCK:
+            seen += f"; all are {abs(behind):.3g} s {'behind' if behind > 0 else 'ahead of'} the node's own clock"
             if self._values['predict_to_now']:
                 return seen, 'predict_to_now needs stamps of the node\'s clock (use_sim_time with a recording)'
         return seen, ''
+
+
+def _older(seconds: float) -> str:
+    return f"{abs(seconds):.3g} s {'older' if seconds >= 0.0 else 'newer'}"
 
 
 def _units(force) -> tuple[str, str]:

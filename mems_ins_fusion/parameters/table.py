@@ -194,6 +194,9 @@ FUSION = (
               'map_frame_id -> frame_id (needs tf2_msgs).'),
     Parameter('mounting_from_tf', False, '-', 'Take imu.mounting_rpy from tf: the rotation from the frame of the Imu '
               'messages to child_frame_id (needs tf2_ros).'),
+    Parameter('arms_from_tf', False, '-', 'Take gnss.lever_arm and NAME.lever_arm of the further inputs from tf: from '
+              'the frame of the Imu messages to that of each topic\'s first message, axes of child_frame_id (needs '
+              'tf2_ros).'),
     Parameter('initial_pose_topic', '/initialpose', 'text', 'Topic of a start pose, '
               'geometry_msgs/PoseWithCovarianceStamped as RViz sends it; empty: none.'),
     Parameter('start_pose', [], 'deg, deg, m, rad', 'Latitude, longitude, height and heading (clockwise from north) of '

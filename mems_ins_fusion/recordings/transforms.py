@@ -2,25 +2,43 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from operator import attrgetter
 
 import numpy as np
 
 from mems_ins_fusion.recordings.bags import Bag
-from mems_ins_fusion.recordings.messages import deserialized
+from mems_ins_fusion.recordings.messages import (
+    ODOMETRY,
+    POSE_STAMPED,
+    POSE_WITH_COVARIANCE_STAMPED,
+    deserialized,
+)
 
 TOPIC, TYPE = '/tf_static', 'tf2_msgs/msg/TFMessage'
 #: of the vehicle (REP 105)
 BASE = 'base_link'
 #: frames between a sensor and the vehicle; more, and the transforms go round in a circle
 _LONGEST = 50
+#: types whose header names the frame of the world: the field with that of the sensor, '' where there is none
+_FRAME = {ODOMETRY: 'child_frame_id', POSE_STAMPED: '', POSE_WITH_COVARIANCE_STAMPED: ''}
+
+
+def has_frame(kind: str) -> bool:
+    """Whether messages of this type name the frame of what measures."""
+    return _FRAME.get(kind) != ''
+
+
+def sensor_frame(message, kind: str) -> str:
+    """That of a message of a type that has one."""
+    return attrgetter(_FRAME.get(kind, 'header.frame_id'))(message).lstrip('/')
 
 
 def places(bag: Bag, topics: Mapping[str, str]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Of each topic whose frame leads to BASE: where it is, (3,) m, and the rotation (3, 3) from its axes, in BASE.
 
-    bag: open. topics: name and message type; the frame is that of the first message's header. What is damaged is left
-    out.
+    bag: open. topics: name and message type; the frame is that of the first message. What is damaged is left out.
     """
+    topics = {topic: kind for topic, kind in topics.items() if has_frame(kind)}
     if bag.topics.get(TOPIC) != TYPE:
         return {}
     links: dict[str, tuple[str, np.ndarray, np.ndarray]] = {}
@@ -31,7 +49,7 @@ def places(bag: Bag, topics: Mapping[str, str]) -> dict[str, tuple[np.ndarray, n
     frames: dict[str, str] = {}
     for topic, _, raw, _ in bag.read(topics) if links else ():
         if topic not in frames:
-            frames |= {topic: message.header.frame_id.lstrip('/')
+            frames |= {topic: sensor_frame(message, topics[topic])
                        for message in filter(None, deserialized(raw[:1], topics[topic]))}
         if len(frames) == len(topics):
             break
