@@ -1,8 +1,8 @@
 """A live filter whose parameters change while it drives: one with the new ones runs beside it until it takes its place.
 
 The new filter begins with nothing, aligns by itself and has the same messages. It takes over once it is as sure as the
-present one, and where that does not show: the estimates differ by less than both publish as their sigmas, or the vehicle
-stands. Both filters and the comparison depend on nothing but stamps and numbers of what comes in: live and in a
+present one, and where that does not show: the estimates differ by less than both publish as their sigmas, or the
+vehicle stands. Both filters and the comparison depend on nothing but stamps and numbers of what comes in: live and in a
 replay it is the same sample.
 """
 from __future__ import annotations
