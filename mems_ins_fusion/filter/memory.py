@@ -98,7 +98,7 @@ class _Nav(NamedTuple):
     SLID: int = column()  # s in which a slide showed that the IMU misled the filter
     RESTARTS: int = column()  # states that were not finite and were taken back
     RECOVERIES: int = column()  # resets to fixes that had been refused
-    MECHANISMS: int = column(177)  # the first of those that the mechanisms ask for (`ROW`), and room for them
+    MECHANISMS: int = column(201)  # the first of those that the mechanisms ask for (`ROW`), and room for them
     SIZE: int = column(0)
 
 
@@ -478,6 +478,7 @@ class _Event(NamedTuple):
     INPUT: int = column()  # number of the named input that it is from, from 1 on; 0: that of the settings in the head
     STATE: int = column()  # of a named input: index of its own optional state among all n; -1: none
     ARM: int = column(3)  # and three, from the IMU to where it is measured, body axes, m
+    STATUS: int = column()  # of a fix, `NavSatStatus.status`: 0, 1 with corrections of satellites, 2 of a base
     SIZE: int = column(0)
 
 

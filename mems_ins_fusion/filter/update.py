@@ -372,6 +372,8 @@ def apply_event(mem, r, at, sample):
         mem[at + Event.VERDICT], mem[at + Event.WEIGHT] = Verdict.FROZEN, 0.0
         repeats.note(mem, r, at)
         return
+    if kind == Kind.POSITION:
+        receiver.take_status(mem, r, at)
     if kind == Kind.POSITION and _goes_straight_on(mem, r, at):
         straight_on.refuse(mem, r, at)
         return

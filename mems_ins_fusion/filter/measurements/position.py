@@ -125,6 +125,7 @@ def records(settings, fixes):
                            f'{nn[i]:g}, .., {uu[i]:g}] says nothing: gnss.default_sigma '
                            f'{settings.default_sigma:g} m is used')
     r[:, Event.LATITUDE], r[:, Event.LONGITUDE], r[:, Event.HEIGHT] = latitude, longitude, height
+    r[:, Event.STATUS] = fixes.status
     r[:, Event.R_NN] = np.where(stated, np.maximum(nn, smallest), default)
     r[:, Event.R_NE] = np.where(stated, en, 0.0)
     r[:, Event.R_EE] = np.where(stated, np.maximum(ee, smallest), default)

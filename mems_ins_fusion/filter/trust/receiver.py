@@ -29,7 +29,9 @@ Receiver = ROW.place(
     SCALE=Scale.SIZE,  # realised over claimed variance of the fixes,
     SLOW_SCALE=Scale.SIZE,  # the same as the innovations behind a low pass show it,
     LASTING_SCALE=Scale.SIZE,  # of what of it lasts over what is expected of that,
-    INNOVATION_SCALE=Scale.SIZE)  # and of the innovations behind a low pass
+    INNOVATION_SCALE=Scale.SIZE,  # and of the innovations behind a low pass
+    STATUS=1,  # of the fixes that the first three scales are of, `NavSatStatus.status` and 1; 0: none yet,
+    OTHERS=3 * 3 * Scale.SIZE)  # and these scales of the fixes of each status
 
 #: s: fixes further apart say nothing of the course, as the vehicle may have turned between them
 LONGEST_PAIR = 3.0
@@ -93,6 +95,23 @@ LARGEST_SHOWN = 0.3
 NEVER_SHOWN = 0.25
 #: fixes over which the logarithm of what they claim is averaged: about as many as the position remembers
 CLAIM_MEMORY = 10.0
+
+
+@njit(_nrt=False)
+def take_status(mem, r, at):
+    """Go on with the scales of fixes with the status of the fix at `at`: one that is fixed to a base, one that is
+    corrected and one that is neither are measured in three ways, and each has errors of its own."""
+    before, status = int(mem[r + Receiver.STATUS]), min(max(int(mem[at + Event.STATUS]), 0), 2) + 1
+    mem[r + Receiver.STATUS] = status
+    if before == 0 or before == status:
+        return
+    size = 3 * Scale.SIZE
+    left, found = r + Receiver.OTHERS + size * (before - 1), r + Receiver.OTHERS + size * (status - 1)
+    for i in range(size):
+        mem[left + i] = mem[r + Receiver.SCALE + i]
+        mem[r + Receiver.SCALE + i] = mem[found + i]
+    # the error has not changed since the last fix, it is another one
+    mem[r + Receiver.CLAIMED] = mem[r + Receiver.PAIR_TIME] = 0.0
 
 
 @njit(_nrt=False)
