@@ -207,7 +207,18 @@ def test_the_state_file_keeps_it_for_the_same_sensors(tmp_path):
     assert 'cannot be used' in StateFile(path, 1.0, 1.0).read()
 
 
-def test_the_node_begins_with_what_is_kept_and_does_what_a_user_asks(tmp_path, peer):
+def test_a_user_may_accept_and_reject():
+    # given a finding on trial, and one that has been shown to do harm
+    work = Online(table.check({'diagnosis.online': 'report'}), lambda part, values: [])
+    work.trials = {NAME: Trial(finding(), {'gnss.time_offset': OFFSET}, 100.0), 'x': Trial(finding(), {'a': 1}, 100.0)}
+    work.trials['x'].logs[1] = 10.0
+    # then the first is applied and not proven, until it is rejected
+    told = {q.name: (q.state, q.applied) for q in work.accept()}
+    assert told == {NAME: (SUSPECT, True), 'x': (SUSPECT, False)} and work.sets == {'gnss.time_offset': OFFSET}
+    assert not work.reject() and work.sets == {}
+
+
+def test_the_node_begins_with_what_is_kept_and_does_what_a_user_asks(tmp_path, peer, late):
     # given a node with what an earlier drive has proven of its sensors
     path, topics = tmp_path / 'state.json', {**TOPICS, 'gnss_topic': '/gps/fix'}
     assert StateFile(path, 1.0, 1.0).write(HERE, [Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET})],
@@ -224,6 +235,8 @@ def test_the_node_begins_with_what_is_kept_and_does_what_a_user_asks(tmp_path, p
         peer.spin_until(lambda: f'{NAME} SUSPECT' in asked('report').message)
         assert asked('reject').success
         peer.spin_until(lambda: asked('report').message == 'nothing known yet')
+        peer.connect(node, late)  # by the first sample
+        assert any('the filter is to go on with gnss.time_offset: 0.0 (before: 0.4)' in line for line in node.lines)
 
 
 def test_what_an_analysis_finds_beside_an_applied_value_is_what_is_left():

@@ -364,7 +364,7 @@ def _why(trial: Trial) -> str:
         return '; predictions are worse with it'
     if not trial.seen:
         return '; the last minutes show another value' if trial.applied else '; not found in the last minutes'
-    return '; of an earlier drive, not proven in this one yet' if trial.applied and not trial.proven else ''
+    return '; not proven in this drive yet' if trial.applied and not trial.proven else ''
 
 
 def _seconds(recording: Recording) -> float:

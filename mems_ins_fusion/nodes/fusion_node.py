@@ -67,7 +67,7 @@ class FusionNode(Node):
         self._given, kept = {**values}, self._kept(values)
         self._found = {name: value for one in kept for name, value in one.sets.items()}  # while driving
         values.update(self._found)
-        make = ChangingFilter if values['diagnosis.online'] == 'apply' else FusionFilter
+        make = FusionFilter if values['diagnosis.online'] == 'off' else ChangingFilter
         self._filter = make(FilterConfig.from_parameters(values))
         tell(self.get_logger().info)
         load(self._filter, stop)  # before there is a subscription: no message waits for the compiler

@@ -35,6 +35,7 @@ class OnlineDiagnosis:
 
     def __init__(self, node: Node, values: dict, log: Log, kept: list[Kept]):
         self._name, self._log = node.get_name(), log
+        self._keeps = values['diagnosis.online'] == 'apply'
         self._due = Due({name: value for one in kept for name, value in one.sets.items()})
         self._gathering = Gathering()
         self._chunks: Queue = Queue(maxsize=max(int(values['diagnosis.window'] / CHUNK), 2))
@@ -81,8 +82,8 @@ class OnlineDiagnosis:
 
     @property
     def kept(self) -> list[Kept] | None:
-        """What is applied, for the next start; None before it is known."""
-        if self._applied is None:
+        """What is applied, for the next start; None before it is known, and where a start would not apply it."""
+        if self._applied is None or not self._keeps:
             return None
         return [Kept(q.name, q.parameters, q.values) for q in self._applied]
 

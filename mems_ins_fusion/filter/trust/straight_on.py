@@ -27,7 +27,8 @@ StraightOn = ROW.place(
     PULLED=4,  # m, m/s, north and east: how far they have moved position and velocity since then
     TOLD=1,  # 1: the kernel knows of these
     SCATTER=1,  # m^2, on each axis: mean square of how a fix is off less how the one before it was,
-    COUNT=1)  # of so many fixes
+    COUNT=1,  # of so many fixes,
+    CLAIMED=1)  # and what these claim in the mean, m^2, north and east
 #: s: the fixes from this time on have turned out to be wrong, of which the kernel does not know yet; 0: none
 Wrong = HEAD.place('Wrong', SINCE=1)
 
@@ -49,6 +50,9 @@ KNOWN = 30.0
 MEMORY = 100.0
 #: a square counts as so many times the mean at most: one jump is not the scatter
 LARGEST = 4.0
+#: fixes that claim so many times less variance than those whose scatter is known are measured in another way, as with a
+#: base, where they follow a straight road to the centimetre: their scatter is not known yet
+BETTER = 10.0
 #: fixes depart from the vehicle where they are off by so many sigma of what they claim
 FAR = 2.0
 #: slower than this, m/s, a vehicle may stand, and a receiver rightly repeat itself
@@ -61,6 +65,10 @@ def goes_straight_on(mem, r, at, z_n, z_e):
 
     z_n, z_e: predicted minus measured position, m, without what the filter knows of its errors in open loop.
     """
+    claimed = mem[at + Event.R_NN] + mem[at + Event.R_EE]
+    better = BETTER * claimed < mem[r + StraightOn.CLAIMED]
+    if better:
+        mem[r + StraightOn.SCATTER] = mem[r + StraightOn.COUNT] = mem[r + StraightOn.CLAIMED] = 0.0
     begin, last = r + StraightOn.BEGIN, r + StraightOn.LAST
     time, latitude, longitude = mem[at + Event.TIME], mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
     step, length = time - mem[last], mem[last] - mem[begin]
@@ -86,12 +94,12 @@ def goes_straight_on(mem, r, at, z_n, z_e):
     speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
     moves = speed > SLOWEST + 2.0 * math.sqrt(velocity_variance(mem, r))
     departed = (z_n - mem[r + StraightOn.PULLED]) ** 2 + (z_e - mem[r + StraightOn.PULLED + 1]) ** 2
-    claimed = mem[at + Event.R_NN] + mem[at + Event.R_EE]
     found = known and mem[r + StraightOn.NATS] > math.log(USUALLY / step) and (
         mem[r + StraightOn.TOLD] != 0.0 or moves and departed > FAR * FAR * claimed)
     if mem[Head.GATE] > 0.0 and found or mem[at + Event.WITHDRAWN] != 0.0:
         return True
-    _learn(mem, r, 0.5 * squared)
+    if not better:  # how it is off less how the one before it was, is the error of that
+        _learn(mem, r, 0.5 * squared, claimed)
     return False
 
 
@@ -148,8 +156,8 @@ def _changed(mem, r, time, z_n, z_e):
 
 
 @njit(_nrt=False)
-def _learn(mem, r, squared):
-    """The scatter from fix to fix, from one square of it, m^2 on each axis."""
+def _learn(mem, r, squared, claimed):
+    """The scatter from fix to fix, from one square of it, m^2 on each axis. claimed: m^2, by the fix."""
     if squared == 0.0:
         return
     mem[r + StraightOn.COUNT] += 1.0
@@ -157,6 +165,7 @@ def _learn(mem, r, squared):
         squared = min(squared, LARGEST * mem[r + StraightOn.SCATTER])
     mem[r + StraightOn.SCATTER] += (squared - mem[r + StraightOn.SCATTER]) / min(mem[r + StraightOn.COUNT], MEMORY)
     mem[r + StraightOn.SCATTER] = max(mem[r + StraightOn.SCATTER], 1e-6)
+    mem[r + StraightOn.CLAIMED] += (claimed - mem[r + StraightOn.CLAIMED]) / min(mem[r + StraightOn.COUNT], MEMORY)
 
 
 @njit(_nrt=False)
