@@ -71,6 +71,8 @@ TAKEN_BACK = 17_000.0
 APART = 3.0
 #: behind the name of a value on trial where another one of the same effect is applied
 OTHER = ', another value'
+#: of a parameter in a line to copy
+DIGITS = 5
 #: s: a chunk that is shorter is of samples with wild stamps
 SHORTEST = 1.0
 #: part of the samples before an analysis that are there: the first stamp of a chunk is not the last of the one before
@@ -349,13 +351,20 @@ def _pairs(present: dict, other: dict) -> dict[float, list[tuple[float, float]]]
 
 def _quantity(now: int, name: str, trial: Trial) -> Quantity:
     better = {d: (*np.mean(pairs, axis=0).tolist(), len(pairs)) for d, pairs in trial.errors.items() if pairs}
-    lines = tuple(f'{parameter}: {yaml_value(value)}' for parameter, value in trial.sets.items())
+    lines = tuple(f'{parameter}: {yaml_value(_told(value))}' for parameter, value in trial.sets.items())
     said = ', '.join(f'{parameter} {e.text()}' for parameter, e in trial.finding.parameters.items())
     gain = ''.join(f'; {d:g} s without fixes {a:.2f} m without it and {b:.2f} m with it, {n} times'
                    for d, (a, b, n) in better.items())
     return Quantity(now, name, trial.state, trial.finding.parameters, lines, better,
                     f"{said}{gain}{_why(trial)}; {'applied' if trial.applied else 'to set'}: {'; '.join(lines)}",
                     trial.applied, trial.sets, trial.advice.text() if trial.advice and not trial.proven else '')
+
+
+def _told(value):
+    """A parameter with as many digits as are worth copying: no sigma here is so small a part of its value."""
+    if isinstance(value, list):
+        return [_told(one) for one in value]
+    return float(f'{value:.{DIGITS}g}') if isinstance(value, float) else value
 
 
 def _why(trial: Trial) -> str:
