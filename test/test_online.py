@@ -257,8 +257,8 @@ def test_the_node_tells_it_as_the_replay_does(drive, peer):
         values = {v.key: v.value for s in told[-1].status for v in s.values if 'time_offset' in s.name}
         assert float(values['time_offset, s']) == pytest.approx(OFFSET, abs=0.05)
         offset = float(values['set 1'].removeprefix('gnss.time_offset: '))
-        # linear algebra with another number of threads rounds otherwise
-        assert offset == pytest.approx(expected.trials['gnss_time_offset'].sets['gnss.time_offset'], rel=1e-6)
+        # to the digits of a line to copy; linear algebra with another number of threads rounds otherwise
+        assert offset == pytest.approx(expected.trials['gnss_time_offset'].sets['gnss.time_offset'], rel=2e-5)
         node.wait_for('diagnosis.online: gnss_time_offset COARSE')
         heard.wait(lambda d: 'time_offset' in d.message('calibration: gnss_time_offset'))
         node.send(signal.SIGINT)
