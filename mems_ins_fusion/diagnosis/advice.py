@@ -78,7 +78,8 @@ def shown(name: str, unknowns: list, recording: Recording, values: dict) -> np.n
     """Fisher information (p, p) of `unknowns` in DURATION s from the begin of the manoeuvre `name`."""
     path = Path(asked(name, SPEED, BEFORE, DURATION))
     drive = follow(path, BEFORE + DURATION + 5.0, RATE)
-    sensors = SensorErrors.from_parameters(values, values['sensor_error_model'])  # a perfect one stands at any speed
+    # with their noise: of perfect sensors, standing and driving straight on at one speed look the same
+    sensors = SensorErrors.from_parameters(values, values['sensor_error_model'])
     simulated = simulate_recording(drive, sensors, receiver(recording),
                                    mounting_rpy=values['imu.mounting_rpy']).recording
     try:

@@ -65,8 +65,8 @@ class Due:
 
 @dataclass(frozen=True)
 class Driven:
-    """What a live node would have published: stamps (k,) ns and `odometry` (k, 85), one a PERIOD, and where filters
-    have taken over."""
+    """What a live node would have published: stamps (k,) ns and `odometry` (k, 85), and where filters have taken
+    over."""
 
     stamp: np.ndarray
     odometry: np.ndarray

@@ -40,7 +40,7 @@ from .diagnose import diagnose
 from .findings import Finding
 from .gathering import JUMP, chunks
 from .held_out import HeldOut
-from .quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, SUSPECT, Kept, Quantity
+from .quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, SUSPECT, Kept, Quantity, together
 
 #: s of samples before the first analysis; the next ones of all that is kept come when there are twice as many, then
 #: each window
@@ -164,7 +164,6 @@ class Online:
         self._applies = values['diagnosis.online'] == 'apply'
         self._length = values['diagnosis.window']
         self._window: Recording | None = None
-        self._due = min(FIRST, self._length)
         self._since = self._lately = 0.0  # s of samples since the last analysis, and the last one of the latest ones
         self.trials: dict[str, Trial] = {}  # of what is not applied
         self.applied: dict[str, Trial] = {}
@@ -174,13 +173,17 @@ class Online:
             self.applied[one.name] = Trial(_known(one), one.sets, self._next_needed(), applied=True)
 
     @property
+    def _due(self) -> float:
+        """s of samples from one analysis of all that is kept to the next."""
+        return min(FIRST * 2.0 ** max(self._analyses - 1, 0), self._length)
+
+    @property
     def sets(self) -> dict:
         """Parameters that the filter that drives should have, beside those that it was given."""
         return self._sets()
 
     def _sets(self, without: str = '') -> dict:
-        return {name: value for own, trial in self.applied.items() if own != without
-                for name, value in trial.sets.items()}
+        return together(trial for name, trial in self.applied.items() if name != without)
 
     def take(self, chunk: Recording) -> list[Quantity]:
         """What is known after `chunk`, the samples since the one before it."""
@@ -196,7 +199,6 @@ class Online:
             self._try(chunk)
         if self._since >= NEARLY * self._due:
             self._since = self._lately = 0.0
-            self._due = min(FIRST * 2.0**self._analyses, self._length)
             self._analyses += 1
             self._analyse(self._window, latest=_seconds(self._window) <= LATEST)
         elif self._lately >= NEARLY * LATEST:
@@ -256,23 +258,25 @@ class Online:
             self.trials.setdefault(harmful, trial)
             self._window = _cut(self._window, LATEST)  # what came before the change is of another vehicle
         elif proven is not None:
-            trial = self.trials.pop(proven)
-            trial.apply()
             if proven in self.applied:
                 self._window = _cut(self._window, LATEST)
-            self.applied[proven] = trial
+            trial = self._apply(proven)
         else:
             return
         for other in (*self.trials.values(), *self.applied.values()):
             if other is not trial:
                 other.begin_anew()
 
+    def _apply(self, name: str) -> Trial:
+        """Have the trial of this name in the parameters that drive."""
+        trial = self.applied[name] = self.trials.pop(name)
+        trial.apply()
+        return trial
+
     def accept(self) -> list[Quantity]:
         """Apply all that is on trial and has not been shown to do harm, as a user asks."""
         for name in [name for name, trial in self.trials.items() if not trial.rejected]:
-            trial = self.trials.pop(name)
-            trial.apply()
-            self.applied[name] = trial
+            self._apply(name)
         return self.quantities()
 
     def reject(self) -> list[Quantity]:
@@ -283,7 +287,6 @@ class Online:
     def reset(self) -> list[Quantity]:
         """Forget all but how many trials there have been, as after work on the vehicle."""
         self._window, self._since, self._lately, self._analyses = None, 0.0, 0.0, 0
-        self._due = min(FIRST, self._length)
         return self.reject()
 
     def quantities(self) -> list[Quantity]:

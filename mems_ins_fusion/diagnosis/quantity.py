@@ -1,6 +1,7 @@
 """What the diagnosis while driving says of one thing, in the words of receivers that calibrate themselves."""
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from .estimate import Estimate
@@ -45,3 +46,8 @@ class Kept:
     name: str
     parameters: dict[str, Estimate]
     sets: dict
+
+
+def together(ones: Iterable) -> dict:
+    """The parameters of all of these, each with its `sets`: where two set the same one, as the later one has it."""
+    return {name: value for one in ones for name, value in one.sets.items()}

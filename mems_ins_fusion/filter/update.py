@@ -374,9 +374,9 @@ def apply_event(mem, r, at, sample):
         return
     if kind == Kind.POSITION:
         receiver.take_status(mem, r, at)
-    if kind == Kind.POSITION and _goes_straight_on(mem, r, at):
-        straight_on.refuse(mem, r, at)
-        return
+        if _goes_straight_on(mem, r, at):
+            straight_on.refuse(mem, r, at)
+            return
     load_covariance(mem, r, n_navigation, m, mem, p)
     recovered, before = False, contradiction.estimate(mem, r)
     if kind == Kind.POSITION:

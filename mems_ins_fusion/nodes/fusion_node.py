@@ -18,6 +18,7 @@ from sensor_msgs.msg import Imu, NavSatFix, Temperature
 from std_srvs.srv import SetBool, Trigger
 
 from ..compiled import tell
+from ..diagnosis.quantity import together
 from ..filter.config import FilterConfig
 from ..filter.runs.changing import ChangingFilter
 from ..filter.runs.live import CHANGEABLE, FusionFilter
@@ -65,7 +66,7 @@ class FusionNode(Node):
         self._state_file = self._open_state_file(values)
         values |= geometry_from_tf(self, values, stop)
         self._given, kept = {**values}, self._kept(values)
-        self._found = {name: value for one in kept for name, value in one.sets.items()}  # while driving
+        self._found = together(kept)  # while driving
         values.update(self._found)
         make = FusionFilter if values['diagnosis.online'] == 'off' else ChangingFilter
         self._filter = make(FilterConfig.from_parameters(values))

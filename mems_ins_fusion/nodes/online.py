@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 
 from ..diagnosis.applying import Due
 from ..diagnosis.gathering import CHUNK, Gathering
-from ..diagnosis.quantity import FINE, INITIALISING, SUSPECT, Kept, Quantity
+from ..diagnosis.quantity import FINE, INITIALISING, SUSPECT, Kept, Quantity, together
 from .estimates import NO_EVENTS
 from .log import Log
 from .status import array, quantity_status
@@ -36,7 +36,7 @@ class OnlineDiagnosis:
     def __init__(self, node: Node, values: dict, log: Log, kept: list[Kept]):
         self._name, self._log = node.get_name(), log
         self._keeps = values['diagnosis.online'] == 'apply'
-        self._due = Due({name: value for one in kept for name, value in one.sets.items()})
+        self._due = Due(together(kept))
         self._gathering = Gathering()
         self._chunks: Queue = Queue(maxsize=max(int(values['diagnosis.window'] / CHUNK), 2))
         self._answers: deque[list[Quantity] | str] = deque()

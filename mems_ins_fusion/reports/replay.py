@@ -83,19 +83,20 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
             if values['diagnosis.online'] != 'off':
                 with _timed(timing, 'diagnosis.online'):
                     found = watched(recording, values, lambda done: part(0.55 + 0.05 * done, 'diagnosing'))
-                said_online = found.said
-                if values['diagnosis.online'] == 'apply':
-                    path = folder / (f'{name}_{DRIVEN}' if len(values['bag']) > 1 else DRIVEN)
-                    said_online += _drive(path, comparisons[name], values, found.sets)
-                online += [online_row(quantity, name, int(recording.imu.stamp[0])) for quantity in said_online]
+                    told = found.said
+                    if values['diagnosis.online'] == 'apply':
+                        driven_to = folder / (f'{name}_{DRIVEN}' if len(values['bag']) > 1 else DRIVEN)
+                        told = told + _drive(driven_to, comparisons[name], values, found.sets,
+                                             lambda done: part(0.6, 'driving'))
+                online += [online_row(quantity, name, int(recording.imu.stamp[0])) for quantity in told]
         content, answers = _write(folder, comparisons, findings, said, online, values, timing, progress,
                                   Path(known_as or values['output_dir']))
     return Replay(Path(values['output_dir']), content, comparisons, answers, findings)
 
 
-def _drive(path: Path, comparison: Comparison, values: dict, sets: list[dict]) -> list[Quantity]:
+def _drive(path: Path, comparison: Comparison, values: dict, sets: list[dict], progress: Callable) -> list[Quantity]:
     """Write what a live node would have published with what it found while driving; where it changed its parameters."""
-    run = driven(comparison.recording, values, sets, origin(comparison, values))
+    run = driven(comparison.recording, values, sets, origin(comparison, values), progress=progress)
     kept = trajectories.every(run.stamp, trajectories.POSE_INTERVAL)
     rows = run.odometry[kept]
     trajectories.write_tum(path, run.stamp[kept], rows[:, POSITION:ORIENTATION], rows[:, ORIENTATION:POSE_COVARIANCE])

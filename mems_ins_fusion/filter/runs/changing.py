@@ -14,7 +14,7 @@ import numpy as np
 
 from ...navigation.frames import wrap, yaw_of_quaternion
 from ..config import FilterConfig
-from .live import CHANGEABLE, FusionFilter
+from .live import FusionFilter
 from .odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, POSITION, TWIST_COVARIANCE
 
 #: s for which the new filter runs beside the present one before they are compared: its sensor errors settle in that
@@ -30,8 +30,7 @@ PERIOD = 10**9
 STANDING = 0.05
 #: of the filter that drives, not of its parameters: what others look at or have heard, and counts since the start
 _STAYS = frozenset({'odometry', 'geodetic', 'position_covariance_enu', 'datum', 'tallies', 'gaps', 'waited', '_notices',
-                    '_judged', '_said', '_said_mounting', '_looked', '_recent', '_last_recovery', '_using_fixes',
-                    '_next', '_begun', '_slot', 'handovers'})
+                    '_judged', '_said', '_said_mounting', '_looked', '_recent', '_last_recovery', '_using_fixes'})
 
 
 @dataclass(frozen=True)
@@ -96,8 +95,7 @@ class ChangingFilter(FusionFilter):
     def adopt(self, config: FilterConfig) -> None:
         super().adopt(config)
         if self._next is not None:
-            changed = {name: config.parameters[name] for name in CHANGEABLE}
-            self._next.adopt(self._next.changed(changed))
+            self._next.adopt(self._next.changed(config.parameters))
 
     def use_fixes(self, use: bool) -> None:
         super().use_fixes(use)
@@ -120,7 +118,7 @@ class ChangingFilter(FusionFilter):
         other.notices(), other.verdicts()  # said by the filter that drives
         if not self.has_estimate:
             self._take_over(now, 0.0, 0.0)
-        if self.has_estimate and other.aligned and now - self._begun >= SETTLING * 1e9:
+        elif other.aligned and now - self._begun >= SETTLING * 1e9:
             other.datum = self.datum
             self.update_odometry()
             other.update_odometry()

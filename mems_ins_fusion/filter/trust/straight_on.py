@@ -14,7 +14,7 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ..memory import HEAD, ROW, Event, Head, Nav, Verdict, velocity_variance
-from .receiver import Receiver
+from .receiver import CLAIM_CHANGE, Receiver
 from .scale import scale
 
 #: of a state
@@ -50,9 +50,6 @@ KNOWN = 30.0
 MEMORY = 100.0
 #: a square counts as so many times the mean at most: one jump is not the scatter
 LARGEST = 4.0
-#: fixes that claim so many times less variance than those whose scatter is known are measured in another way, as with a
-#: base, where they follow a straight road to the centimetre: their scatter is not known yet
-BETTER = 10.0
 #: fixes depart from the vehicle where they are off by so many sigma of what they claim
 FAR = 2.0
 #: slower than this, m/s, a vehicle may stand, and a receiver rightly repeat itself
@@ -66,13 +63,13 @@ def goes_straight_on(mem, r, at, z_n, z_e):
     z_n, z_e: predicted minus measured position, m, without what the filter knows of its errors in open loop.
     """
     claimed = mem[at + Event.R_NN] + mem[at + Event.R_EE]
-    better = BETTER * claimed < mem[r + StraightOn.CLAIMED]
-    if better:
+    better = CLAIM_CHANGE * claimed < mem[r + StraightOn.CLAIMED]
+    if better:  # measured in another way, as with a base, which follows a straight road to the centimetre
         mem[r + StraightOn.SCATTER] = mem[r + StraightOn.COUNT] = mem[r + StraightOn.CLAIMED] = 0.0
     begin, last = r + StraightOn.BEGIN, r + StraightOn.LAST
     time, latitude, longitude = mem[at + Event.TIME], mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
     step, length = time - mem[last], mem[last] - mem[begin]
-    scatter = _scatter(mem, r, at)
+    scatter = _scatter(mem, r, claimed)
     known = (0.0 < step < LONGEST_STEP and length > 0.0 and mem[begin] != 0.0 and mem[r + StraightOn.COUNT] >= KNOWN
              and scatter > (TOLD_FROM * STRAIGHT) ** 2)
     if known and mem[r + StraightOn.NATS] == 0.0:
@@ -123,11 +120,10 @@ def pull(mem, r, before, after):
 
 
 @njit(_nrt=False)
-def _scatter(mem, r, at):
+def _scatter(mem, r, claimed):
     """Mean square of what is off from fix to fix, m^2 on each axis: what has been seen, but no more than that of two
-    fixes as sure as the receiver is. A filter that is wrong itself sees more, and a receiver to a centimetre follows
-    every straight road."""
-    claimed = mem[at + Event.R_NN] + mem[at + Event.R_EE]
+    fixes that are as sure as this one, which has `claimed` m^2 (north and east), is by what the receiver has shown. A
+    filter that is wrong itself sees more, and a receiver to a centimetre follows every straight road."""
     return min(mem[r + StraightOn.SCATTER], scale(mem, r + Receiver.SCALE) * claimed)
 
 
@@ -135,7 +131,7 @@ def _scatter(mem, r, at):
 def _evidence(mem, r, at, changed, scatter):
     """Logarithm of the density of the fix at `at` for a receiver that goes straight on, less that for a measuring one.
 
-    changed: square of what `_changed` says, m^2. scatter: of `_scatter`.
+    changed: square of what `_changed` says, m^2. scatter: what `_scatter` says.
     """
     begin, last = r + StraightOn.BEGIN, r + StraightOn.LAST
     part = (mem[at + Event.TIME] - mem[last]) / (mem[last] - mem[begin])
