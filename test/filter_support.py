@@ -4,7 +4,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mems_ins_fusion.filter import kernel
+from mems_ins_fusion.filter import advance, kernel
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import (
     NAV,
@@ -156,7 +156,7 @@ def take_all(memory: np.ndarray, samples: np.ndarray, records: np.ndarray, colum
     log, answers = records.copy(), np.zeros(len(records), dtype=np.int64)
     kernel.run(memory, samples, records, np.searchsorted(samples[:, 0], records[:, Event.TIME]), answers,
                np.asarray(columns, dtype=np.uint64), np.arange(len(samples)), states, log)
-    assert np.all(answers == kernel.TAKEN)
+    assert np.all(answers == advance.TAKEN)
     return states, log
 
 

@@ -23,7 +23,7 @@ from filter_support import (
 )
 from scipy.spatial.transform import Rotation
 
-from mems_ins_fusion.filter.kernel import TAKEN
+from mems_ins_fusion.filter.advance import TAKEN
 from mems_ins_fusion.filter.memory import NAV, PLANAR, Event, Head, Kind, Nav, Verdict, views
 from mems_ins_fusion.filter.trust import way
 from mems_ins_fusion.filter.trust.scale import KINDS, PRIOR, Kinds, Scale, Seen, scale

@@ -23,7 +23,7 @@ from filter_support import (
 )
 from scipy.spatial.transform import Rotation
 
-from mems_ins_fusion.filter.kernel import BEFORE_START, FORGOTTEN, TAKEN, TOO_LATE
+from mems_ins_fusion.filter.advance import BEFORE_START, FORGOTTEN, TAKEN, TOO_LATE
 from mems_ins_fusion.filter.memory import NAV, PLANAR, Event, Head, Kind, Nav, Verdict, views
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.simulation.drive import simulate_drive

@@ -12,6 +12,7 @@ from ..navigation.frames import FLU_TO_FRD, mounting
 from ..parameters.parameter import ParameterError
 from ..sensor_errors.from_parameters import error_models, per_axis
 from ..sensor_errors.models import GaussMarkov, Model, RandomWalk
+from .bank import Bank
 from .history import history_size
 from .measurements.base import Measurement, SensorSettings
 from .measurements.pressure import Barometer
@@ -268,8 +269,11 @@ class FilterConfig:
         scratch = events + self.event_capacity * Event.SIZE
         wheels = scratch + scratch_size(layout.n)
         end = wheels + (0 if self.wheel_vibration == 'off' else Ear.SIZE)
-        memory = np.zeros(end + (history_size(layout.n) if history else 0))
+        # a smoother's history goes forward only; where each fix is believed in any case there is nothing to decide
+        second = 0 if history or self.gnss.gate == 0.0 else end
+        memory = np.zeros(end + second + (history_size(layout.n) if history else 0))
         HEAD.begin(memory)
+        memory[Bank.SIZE] = second
         self._write_head(memory, width)
         for column, at in ((Head.ROWS_AT, rows), (Head.RING_AT, ring), (Head.EVENTS_AT, events),
                            (Head.SCRATCH_AT, scratch), (Head.HISTORY_AT, end if history else 0)):

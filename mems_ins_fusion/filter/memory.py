@@ -81,15 +81,6 @@ class _Nav(NamedTuple):
     SLIDING: int = column()  # NIS of the lateral constraint lately, and as is usual for this vehicle
     USUAL_SLIDING: int = column()
     UNSETTLED: int = column()  # s for which the fixes are still to decide
-    MOVED_N: int = column()  # by what fixes that do not fit have moved position, m, and velocity, m/s, so far
-    MOVED_E: int = column()
-    MOVED_V_N: int = column()
-    MOVED_V_E: int = column()
-    LEFT_N: int = column()  # m: and how far they still are from it
-    LEFT_E: int = column()
-    MISFIT_FOR: int = column()  # s for which whatever fixes change still counts
-    MISFITS: int = column()  # how many of the latest fixes did not fit
-    UNDECIDED: int = column()  # above 0: too many fixes do not fit for chance; fades with how far they moved the state
     STOOD: int = column()  # time of the latest standstill, and the velocity that it took away, m/s
     TAKEN_N: int = column()
     TAKEN_E: int = column()
@@ -98,7 +89,7 @@ class _Nav(NamedTuple):
     SLID: int = column()  # s in which a slide showed that the IMU misled the filter
     RESTARTS: int = column()  # states that were not finite and were taken back
     RECOVERIES: int = column()  # resets to fixes that had been refused
-    MECHANISMS: int = column(202)  # the first of those that the mechanisms ask for (`ROW`), and room for them
+    MECHANISMS: int = column(222)  # the first of those that the mechanisms ask for (`ROW`), and room for them
     SIZE: int = column(0)
 
 
@@ -384,7 +375,7 @@ class _Head(NamedTuple):
     ROWS: int = column(9)  # index of each of the nine navigation errors (`Error`) among the states, -1: not there
     CHANNEL: int = column(6)  # number of the channel of each of f_x, f_y, f_z, w_x, w_y, w_z, -1: not used
     AHEAD: int = column()  # s: a measurement that came before an IMU sample may be this much later than it
-    MECHANISMS: int = column(70)  # the first of those that the mechanisms ask for (`HEAD`), and room for them
+    MECHANISMS: int = column(75)  # the first of those that the mechanisms ask for (`HEAD`), and room for them
     SIZE: int = column(0)
 
 

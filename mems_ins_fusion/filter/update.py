@@ -42,8 +42,9 @@ from .memory import (
     yaw_state,
 )
 from .prediction import set_radii
-from .trust import contradiction, receiver, repeats, straight_on, way
+from .trust import contradiction, hypotheses, receiver, repeats, straight_on, way
 from .trust.drift import learn_drift
+from .trust.hypotheses import Hypothesis
 from .trust.imu_faults import Imu
 from .trust.scale import Scale, Seen, learn, scale, seen_of
 from .trust.white_noise import hides_turns
@@ -55,8 +56,9 @@ CONSTRAINT_INTERVAL = 0.1
 MOST_TOLD = 2.0
 #: what the inertial sensors call a standstill is one only below this speed plus three sigma
 STILL_SPEED = 0.3  # m/s
-#: and below this turn rate plus three sigma: who turns on the spot over the IMU stands still by the accelerometers
-STILL_RATE = 0.05  # rad/s
+#: and below this turn rate plus three sigma: who turns on the spot over the IMU stands still by the accelerometers. A
+#: robot does so within 40 s at the most; a gyroscope that is off by less does not turn a parked car
+STILL_RATE = 0.15  # rad/s
 #: what fits worse than this many sigma is weighted down to it; of fixes it is a parameter
 ROBUST = 3.0
 #: sigmas beyond which a speed or velocity is refused while fixes speak for the state: wheels that slip, another unit.
@@ -309,6 +311,19 @@ def _take_step(mem, r, at, n):
 
 
 @njit(_nrt=False)
+def _is_believed(mem, r, at, n):
+    """Whether the fix at `at` is believed, by what the filter says of the receiver; H stands behind P in the scratch.
+    """
+    h, factor = int(mem[Head.SCRATCH_AT]) + n * n, receiver.realised_factor(mem, r)
+    column = h + 3 * n
+    r_nn, r_ne, r_ee = (factor * mem[at + Event.R_NN], factor * mem[at + Event.R_NE], factor * mem[at + Event.R_EE])
+    s_nn = r_nn + _project(mem, n, h, column)
+    s_ne = r_ne + _product(mem, n, h + n, column)
+    s_ee = r_ee + _project(mem, n, h + n, column)
+    return hypotheses.judge(mem, r, at, s_nn, s_ne, s_ee, 0.5 * (r_nn + r_ee))
+
+
+@njit(_nrt=False)
 def _misfit(mem, r, at, n, factor):
     """Normalized innovation squared of the fix at `at` before its correction, the antenna's arm taken for exact."""
     p = int(mem[Head.SCRATCH_AT])
@@ -378,8 +393,9 @@ def apply_event(mem, r, at, sample):
             straight_on.refuse(mem, r, at)
             return
     load_covariance(mem, r, n_navigation, m, mem, p)
-    recovered, before = False, contradiction.estimate(mem, r)
-    if kind == Kind.POSITION:
+    recovered, before = False, hypotheses.position_and_velocity(mem, r)
+    doubts = kind == Kind.POSITION and mem[r + Hypothesis.DOUBTS] != 0.0
+    if kind == Kind.POSITION and not doubts:
         recovered = mem[Head.GATE] > 0.0 and receiver.agreed(mem, r, at)
         if recovered:
             receiver.start_anew(mem, r, at)
@@ -395,7 +411,11 @@ def apply_event(mem, r, at, sample):
     if kind == Kind.POSITION:
         dimensions = position.observe(mem, r, at, h, n, c)
         height = mem[at + Event.Z_D] + mem[r + Nav.HEIGHT]  # of the planar filter, which has no state for it
-        factor, robust, gate = receiver.trust(mem, r, at)
+        if not doubts:
+            factor, robust, gate = receiver.trust(mem, r, at)
+        if not _is_believed(mem, r, at, n):
+            hypotheses.refuse(mem, r, at)
+            return
         if mem[r + Nav.UNSETTLED] > 0.0:
             robust = gate = 0.0
             contradiction.loosen(mem, r, n, _misfit(mem, r, at, n, factor))
@@ -440,8 +460,7 @@ def apply_event(mem, r, at, sample):
         left_n, left_e, _ = position.difference(mem, r, at, body_to_level(mem, r))
         if verdict != Verdict.REFUSED or mem[r + Nav.REFUSED] > SINGLE:
             way.compare(mem, r, at, receiver.realised_variance(mem, r, at))
-        straight_on.pull(mem, r, before, contradiction.estimate(mem, r))
-        contradiction.note_misfit(mem, r, at, before, left_n, left_e)
+        straight_on.pull(mem, r, before, hypotheses.position_and_velocity(mem, r))
         receiver.learn(mem, r, at, left_n, left_e)
         learn_drift(mem, r)
 
@@ -539,7 +558,7 @@ def _constrain_motion(mem, r, at, n, h, c, dimensions, since):
         s = variance + _project(mem, n, h + n * k, column)
         nis = innovation * innovation / s
         # where each fix is believed in any case there is nothing to decide
-        if k == 0 and mem[Head.GATE] > 0.0 and contradiction.slides(mem, r, c, innovation, s, since):
+        if k == 0 and mem[Head.GATE] > 0.0 and contradiction.slides(mem, r, innovation, s, since):
             contradiction.unsettle(mem, r, n, innovation, since)
             s = variance + _project(mem, n, h + n * k, column)
             nis = innovation * innovation / s

@@ -16,7 +16,7 @@ import numpy as np
 from mems_ins_fusion.compiled import njit
 
 from ..config import FilterConfig
-from ..kernel import coast
+from ..advance import coast
 from ..measurements import speed
 from ..measurements.geometry import body_to_level
 from ..measurements.wheel_vibration import Wheels

@@ -10,7 +10,7 @@ from mems_ins_fusion.compiled import njit
 
 from ...samples import Fixes, ImuSamples
 from ..config import FilterConfig
-from ..kernel import FORGOTTEN, TOO_LATE
+from ..advance import FORGOTTEN, TOO_LATE
 from ..measurements.registry import FIRST_NAMED
 from ..memory import Event, Kind
 from ..start.start import DATUM_FIXES, first_place

@@ -27,7 +27,7 @@ from ..memory import (
     variance_factor,
     velocity_state,
 )
-from ..trust.contradiction import undecided
+from ..trust.hypotheses import spread
 from ..trust.white_noise import density
 
 #: where each part stands in the vector that `odometry` fills
@@ -67,12 +67,12 @@ def corrected(row, r, is_planar, open_loop):
 @njit(_nrt=False)
 def besides(row, r, i, j):
     """What element (i, j) of the covariance of position and velocity (n, e; n, e) of the state at r in `row` is
-    published with besides P: errors of the receiver that last (trust/receiver.py), and fixes that do not fit
-    (trust/contradiction.py).
+    published with besides P: errors of the receiver that last (trust/receiver.py), and what another hypothesis says
+    (trust/hypotheses.py).
     """
-    moved, left = undecided(row, r)
+    apart = spread(row, r)
     lasting = row[r + Nav.LASTING] if i == j and i < 2 else 0.0
-    return lasting + moved[i] * moved[j] + left[i] * left[j]
+    return lasting + apart[i] * apart[j]
 
 
 @njit(_nrt=False)

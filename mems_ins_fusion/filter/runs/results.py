@@ -11,13 +11,14 @@ from ...navigation.strapdown import to_euler
 from ..config import FilterConfig
 from ..memory import NAV, Event, Kind, Nav, StateLayout, Verdict, covariance_index
 from ..start.start import Start
+from ..trust.hypotheses import Hypothesis
 from ..trust.lag import Lag
 from .intake import Notice
 from .odometry import besides, corrected
 
 #: besides solution and covariance: what makes metres of angles, and of P what is published; what a receiver lacks
 _SCALES = (Nav.NORTH_SCALE, Nav.EAST_SCALE, Nav.VARIANCE_FACTOR, Nav.LASTING, Nav.FIX_TIME,
-           *range(Nav.MOVED_N, Nav.LEFT_E + 1), Nav.UNDECIDED, Lag.UNFOLLOWED, Lag.UNFOLLOWED + 1)
+           *range(Hypothesis.SPREAD, Hypothesis.SPREAD + 4), Lag.UNFOLLOWED, Lag.UNFOLLOWED + 1)
 
 
 @dataclass(frozen=True)

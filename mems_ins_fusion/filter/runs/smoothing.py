@@ -136,7 +136,6 @@ class _Smoothing(Replay):
             state[NAV:NAV + n] += p @ told
             feed_back(memory, at)
             left = p - p @ information @ p
-            state[Nav.UNDECIDED] = 0.0  # what came later has settled it
             state[diagonal] = [*np.maximum(np.diag(left), 0.0), left[0, 1]]
             states[i] = state[columns]
             transition, g, more = _parts(row, layout)

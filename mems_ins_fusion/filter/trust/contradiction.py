@@ -9,10 +9,6 @@ large, and for UNSETTLED_TIME fixes are believed whatever their innovation.
 *A standstill was none*: a vehicle that creeps very smoothly is taken for one at rest, and its velocity is set to zero.
 When it then brakes, the estimated velocity points backwards by about what the standstill took away. Such a velocity
 does not keep the next standstill from being applied.
-
-*Nothing decides* where fixes fit worse from one to the next: the fixes or the prediction may be wrong. The filter
-follows the fixes within its limits, and the published covariance covers both: where the state was before these fixes
-moved it, and where they are.
 """
 from __future__ import annotations
 
@@ -22,7 +18,8 @@ from mems_ins_fusion.compiled import njit
 
 from ...navigation import strapdown
 from ...navigation.earth import gravity
-from ..memory import NAV, PLANAR, Event, Head, Nav, Verdict, velocity_state, yaw_state
+from ..memory import PLANAR, Head, Nav, velocity_state, yaw_state
+from . import hypotheses
 
 #: s over which the normalized innovation squared (NIS) of the lateral constraint is averaged: its errors last about as
 #: long
@@ -55,30 +52,15 @@ BACK = 0.8
 AS_LARGE = 2.0
 #: m/s more, for the noise of a small velocity
 AS_LARGE_FLOOR = 0.5
-#: where fixes and prediction are as likely right, the mean square error is half the square of how far they are apart
-EQUALLY_LIKELY = math.sqrt(0.5)
-#: s: fixes that fit so soon after ones that did not may still be wrong, or bring the state back: what they move counts
-MISFIT_TIME = 10.0
-#: s, time constant of forgetting how far they have moved the state after that: errors of receivers last about as long
-FORGIVEN = 30.0
-#: of what was undecided, the share below which it is forgotten wholly
-FORGOTTEN = 0.1
-#: fixes over which those that do not fit are counted, in a mean that forgets as fast: one in a hundred does not by
-#: chance, two of ten do not by chance once in two hundred
-LATEST = 10.0
-#: of that count, what one at the begin of the last ten and one at its end make
-NO_CHANCE = 1.0 + (1.0 - 1.0 / LATEST) ** LATEST
 
 
 @njit(_nrt=False)
-def slides(mem, r, c, innovation, s, since):
+def slides(mem, r, innovation, s, since):
     """Whether the IMU has the vehicle slide as it does not usually.
 
-    c: rotation from the vehicle's axes to n. innovation, s: of the lateral constraint, m/s, and its variance. since: s
-    from the one before. A velocity sideways that comes from fixes which do not fit is not the IMU's.
+    innovation, s: of the lateral constraint, m/s, and its variance. since: s from the one before.
     """
-    moved = c[1] * mem[r + Nav.MOVED_V_N] + c[4] * mem[r + Nav.MOVED_V_E]
-    nis = min(innovation * innovation, (innovation - moved) ** 2) / s
+    nis = innovation * innovation / s
     usual = mem[r + Nav.USUAL_SLIDING]
     mem[r + Nav.SLIDING] += (nis - mem[r + Nav.SLIDING]) * min(since / NOW, 1.0)
     mem[r + Nav.USUAL_SLIDING] += (min(nis, LARGEST_LESSON * usual) - usual) * min(since / USUALLY, 1.0)
@@ -96,6 +78,8 @@ def unsettle(mem, r, n, innovation, since):
     for i in range(first, first + 2):
         mem[p + (n + 1) * i] += squared
     mem[p + (n + 1) * yaw] += squared / (speed * speed)
+    if mem[r + Nav.UNSETTLED] == 0.0:
+        hypotheses.claim(mem, r, hypotheses.IMU_WRONG)
     mem[r + Nav.UNSETTLED] = UNSETTLED_TIME
     mem[r + Nav.SLID] += since
 
@@ -149,56 +133,3 @@ def admit(mem, r, n):
         tilt = besides / (gravity(mem[r + Nav.LATITUDE], mem[r + Nav.HEIGHT]) * elapsed) ** 2
         for i in range(strapdown.State.PHI_N, strapdown.State.PHI_E + 1):
             mem[p + (n + 1) * i] += tilt
-
-
-@njit(_nrt=False)
-def estimate(mem, r):
-    """Latitude, longitude (rad), north and east velocity (m/s) of the state at r, x taken out."""
-    x, k = r + NAV, velocity_state(mem)
-    return (mem[r + Nav.LATITUDE] - mem[x] * mem[r + Nav.NORTH_SCALE],
-            mem[r + Nav.LONGITUDE] - mem[x + 1] * mem[r + Nav.EAST_SCALE],
-            mem[r + Nav.V_N] - mem[x + k], mem[r + Nav.V_E] - mem[x + k + 1])
-
-
-@njit(_nrt=False)
-def note_misfit(mem, r, at, before, left_n, left_e):
-    """Remember how far the fix at `at`, which has been judged, moved the `estimate` before it, where it did not fit.
-
-    left: updated minus measured position, m.
-    """
-    interval = max(mem[at + Event.TIME] - mem[r + Nav.FIX_TIME], 0.0)
-    mem[r + Nav.MOVED_N] += mem[r + Nav.MOVED_V_N] * interval
-    mem[r + Nav.MOVED_E] += mem[r + Nav.MOVED_V_E] * interval
-    verdict, robust = mem[at + Event.VERDICT], mem[Head.ROBUST_SIGMA]
-    misfit = verdict == Verdict.RECOVERED or robust > 0.0 and mem[at + Event.NIS] > robust * robust
-    mem[r + Nav.MISFITS] += (1.0 if misfit else 0.0) - mem[r + Nav.MISFITS] / LATEST
-    if verdict == Verdict.REFUSED:
-        return
-    if misfit and mem[r + Nav.MISFITS] >= NO_CHANCE or verdict == Verdict.RECOVERED:
-        mem[r + Nav.UNDECIDED] = 1.0
-    mem[r + Nav.MISFIT_FOR] = MISFIT_TIME if misfit else max(mem[r + Nav.MISFIT_FOR] - interval, 0.0)
-    if mem[r + Nav.MISFIT_FOR] > 0.0:
-        latitude, longitude, v_n, v_e = estimate(mem, r)
-        mem[r + Nav.MOVED_N] += (latitude - before[0]) / mem[r + Nav.NORTH_SCALE]
-        mem[r + Nav.MOVED_E] += (longitude - before[1]) / mem[r + Nav.EAST_SCALE]
-        mem[r + Nav.MOVED_V_N] += v_n - before[2]
-        mem[r + Nav.MOVED_V_E] += v_e - before[3]
-    else:
-        keep = math.exp(-interval / FORGIVEN) if mem[r + Nav.UNDECIDED] > FORGOTTEN else 0.0
-        mem[r + Nav.UNDECIDED] *= keep
-        for i in range(Nav.MOVED_N, Nav.MOVED_V_E + 1):
-            mem[r + i] *= keep
-    mem[r + Nav.LEFT_N], mem[r + Nav.LEFT_E] = (left_n, left_e) if misfit else (0.0, 0.0)
-
-
-@njit(_nrt=False)
-def undecided(row, r):
-    """One sigma of what the state at r in `row` is published with besides P: twice a vector of position (n, e; m) and
-    velocity (n, e; m/s). First from where fixes that did not fit have moved the state, then where the last one is."""
-    if row[r + Nav.UNDECIDED] == 0.0:
-        return (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
-    since = row[r + Nav.TIME] - row[r + Nav.FIX_TIME]
-    v_n, v_e = EQUALLY_LIKELY * row[r + Nav.MOVED_V_N], EQUALLY_LIKELY * row[r + Nav.MOVED_V_E]
-    north, east = EQUALLY_LIKELY * row[r + Nav.MOVED_N], EQUALLY_LIKELY * row[r + Nav.MOVED_E]
-    return ((north + since * v_n, east + since * v_e, v_n, v_e),
-            (EQUALLY_LIKELY * row[r + Nav.LEFT_N], EQUALLY_LIKELY * row[r + Nav.LEFT_E], 0.0, 0.0))

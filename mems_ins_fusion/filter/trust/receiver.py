@@ -15,6 +15,7 @@ from ...navigation.strapdown import from_euler, to_euler
 from ..history import forget
 from ..memory import NAV, PLANAR, ROW, Event, Head, Nav, Verdict, velocity_state, velocity_variance, yaw_state
 from ..prediction import GAP_ACCELERATION, UNKNOWN_YAW_SIGMA
+from . import hypotheses
 from .drift import Drift
 from .scale import Scale, begin_scale, reopen, scale
 from .scale import learn as learn_scale
@@ -133,11 +134,11 @@ def trust(mem, r, at):
     robust = mem[Head.ROBUST_SIGMA]
     if mem[r + Nav.WEIGHTED] >= max(1.0, LONGEST_WEIGHTED / max(interval, 1e-3)):
         robust = 0.0
-    return _factor(mem, r), robust, gate
+    return realised_factor(mem, r), robust, gate
 
 
 @njit(_nrt=False)
-def _factor(mem, r):
+def realised_factor(mem, r):
     """Factor on the covariance that a fix claims: as fixes scatter, where that is more than they claim.
 
     Where they scatter less, what they have in common does not show between them (Kingston's receiver, believed by its
@@ -153,7 +154,7 @@ def _factor(mem, r):
 @njit(_nrt=False)
 def realised_variance(mem, r, at):
     """Of a component of the fix at `at`, m^2, as fixes have been seen to scatter."""
-    return _factor(mem, r) * 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    return realised_factor(mem, r) * 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
 
 
 @njit(_nrt=False)
@@ -218,7 +219,7 @@ def _judge_covariance(mem, r, at, interval):
     time, weight = mem[at + Event.TIME], min(interval / (2.0 * SLOW), 1.0)
     variance = 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
     claimed = 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
-    state = max(variance - _factor(mem, r) * claimed, 0.0)
+    state = max(variance - realised_factor(mem, r) * claimed, 0.0)
     learn_scale(mem, r + Receiver.SLOW_SCALE, time, squared * variance, claimed, state, 2, weight)
     learn_scale(mem, r + Receiver.INNOVATION_SCALE, time, squared, 1.0, 0.0, 2, weight)
     if mem[Head.COVARIANCE_FACTOR] > 0.0:
@@ -246,7 +247,7 @@ def _judge_lasting(mem, r, at, interval, verdict):
     lasting = max(1.0 - realised, LASTING_SHARE * realised) * math.exp(mem[r + Nav.CLAIM_LEVEL])
     if mem[r + Nav.SLOW_VARIANCE] != 0.0 and (verdict == Verdict.USED or verdict == Verdict.WEIGHTED):
         variance = 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
-        used = _factor(mem, r) * math.exp(level)
+        used = realised_factor(mem, r) * math.exp(level)
         follows = max(1.0 - used / variance, 0.0) * SLOW / max(interval, 1e-3)
         shown = min(SLOW / (LASTING_TIME * max(follows * (1.0 + follows), 1e-3)), LARGEST_SHOWN)
         squared = 0.5 * (mem[r + Nav.SLOW_N] ** 2 + mem[r + Nav.SLOW_E] ** 2)
@@ -312,16 +313,26 @@ def _line(mem, r):
 
 @njit(_nrt=False)
 def start_anew(mem, r, at):
-    """Take position and velocity from the refused fixes, the heading from the course, with P in the scratch to match.
-
-    The sensor errors stay as estimated, with twice the sigma: what was wrong may have spoiled them, too.
-    """
+    """Begin anew from the refused fixes, the last of which is the one at `at`."""
     strayed = _strayed(mem, r, at)
     v_n, v_e, drift = _velocity_of_fixes(mem, r, at, strayed)
     if strayed:
         again = mem[r + Nav.STRAYED] > 0.0 and mem[at + Event.TIME] - mem[r + Nav.STRAYED_TIME] < SOON
         mem[r + Nav.STRAYED] = mem[r + Nav.STRAYED] + 1.0 if again else 1.0
         mem[r + Nav.STRAYED_TIME] = mem[at + Event.TIME]
+    variance = max(1.0, scale(mem, r + Receiver.SCALE)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    begin_anew(mem, r, mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE], mem[at + Event.HEIGHT], variance, v_n, v_e,
+               drift)
+    hypotheses.claim(mem, r, hypotheses.STRAYED)
+
+
+@njit(_nrt=False)
+def begin_anew(mem, r, latitude, longitude, height, variance, v_n, v_e, drift):
+    """The state at r at a place, rad and m, that fixes tell with `variance`, m^2, at a velocity, m/s, with the variance
+    `drift`, m^2/s^2; the heading from the course, with P in the scratch to match.
+
+    The sensor errors stay as estimated, with twice the sigma: what was wrong may have spoiled them, too.
+    """
     mem[r + Drift.TIME] = mem[r + Receiver.PAIR_TIME] = 0.0
     # the innovations until now were those of a state that was wrong
     begin_scale(mem, r + Receiver.INNOVATION_SCALE)
@@ -338,9 +349,8 @@ def start_anew(mem, r, at):
     for i in range(n_navigation):
         mem[r + NAV + i] = 0.0
         forget(mem, i, n)
-    mem[r + Nav.LATITUDE], mem[r + Nav.LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
+    mem[r + Nav.LATITUDE], mem[r + Nav.LONGITUDE] = latitude, longitude
     mem[r + Nav.V_N], mem[r + Nav.V_E] = v_n, v_e
-    variance = max(1.0, scale(mem, r + Receiver.SCALE)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     arm = mem[Head.LEVER_X] ** 2 + mem[Head.LEVER_Y] ** 2 + mem[Head.LEVER_Z] ** 2
     for i in range(2):
         mem[p + (n + 1) * i] = variance + arm
@@ -349,7 +359,7 @@ def start_anew(mem, r, at):
         mem[p + (n + 1) * (first + i)] = drift
     if mem[Head.MECHANIZATION] != PLANAR:
         s = strapdown.State
-        mem[r + Nav.HEIGHT], mem[r + Nav.V_D] = mem[at + Event.HEIGHT], 0.0
+        mem[r + Nav.HEIGHT], mem[r + Nav.V_D] = height, 0.0
         mem[p + (n + 1) * s.R_D] = 4.0 * variance
         mem[p + (n + 1) * s.V_D] = 0.25
         mem[p + (n + 1) * s.PHI_N] = mem[p + (n + 1) * s.PHI_E] = NEW_TILT_SIGMA**2

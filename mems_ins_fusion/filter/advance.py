@@ -1,0 +1,269 @@
+"""One filter, one sample or one measurement further: what `kernel.run` does with each.
+
+The ring of states and samples remembers, so a measurement that comes late is applied at its own time: back to the state
+before it and forward again.
+"""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mems_ins_fusion.compiled import njit
+
+from ..navigation.earth import gravity
+from . import history
+from .measurements.geometry import body_to_level
+from .measurements.wheel_vibration import Wheels, listen
+from .memory import (
+    NAV,
+    Error,
+    Event,
+    Head,
+    Kind,
+    Nav,
+    Sample,
+    Verdict,
+    channel_of,
+    event_at,
+    nonnegative,
+    packed,
+    row_of,
+    sample_at,
+    state_at,
+    velocity_variance,
+)
+from .prediction import free_sensors, predict
+from .trust import contradiction, imu_faults
+from .trust.imu_faults import Fault, Imu
+from .trust.standstill import is_still
+from .trust.straight_on import Wrong
+from .trust.white_noise import show_noise
+from .update import CONSTRAINT_INTERVAL, apply_event, constrain
+
+#: what the answers to an event mean
+TAKEN, BEFORE_START, TOO_LATE, FORGOTTEN = 0, 1, 2, 3
+#: an IMU that has said nothing believable for longer, s, may come back with other errors: one that is switched off and
+#: on, or whose driver starts anew, needs as long at least
+SHORTEST_RESTART = 1.5
+#: so long a sample that is not believed is replaced by what the vehicle did before it, s; after that by no motion
+HELD = 0.3
+#: m/s: what is added to the sigma of the velocity where a state was not finite and the one before it is taken
+RESTART_VELOCITY = 1.0
+#: rad: and to that of the attitude
+RESTART_ATTITUDE = 0.05
+
+
+@njit(_nrt=False)
+def advance(memory, k):
+    """State k from state k - 1 and sample k: the interval is split at each measurement in it."""
+    first_row, dst = nonnegative(state_at(memory, k - 1)), nonnegative(state_at(memory, k))
+    sample = nonnegative(sample_at(memory, k))
+    src = first_row
+    begin, end = memory[src + Nav.TIME], memory[sample + Sample.TIME]
+    count = int(memory[Head.EVENTS])
+    first = count
+    while first > 0 and memory[event_at(memory, first - 1) + Event.TIME] > begin:
+        first -= 1
+    width, spare = int(memory[Head.WIDTH]), int(memory[Head.RING_AT]) - int(memory[Head.WIDTH])
+    memory[sample + Sample.CONSTRAINT] = 0.0
+    for i in range(first, count):
+        event = event_at(memory, i)
+        time = memory[event + Event.TIME]
+        if time > end:
+            break
+        if time > memory[src + Nav.TIME]:
+            predict(memory, src, spare, sample, time - memory[src + Nav.TIME])
+            memory[spare + Nav.TIME] = time
+            src, spare = spare, 2 * int(memory[Head.RING_AT]) - 3 * width - spare  # the other of the last two rows
+        apply_event(memory, src, event, sample)
+    if end > memory[src + Nav.TIME]:
+        predict(memory, src, dst, sample, end - memory[src + Nav.TIME])
+    else:
+        for i in range(width):
+            memory[dst + i] = memory[src + i]
+    memory[dst + Nav.TIME] = end
+    if memory[first_row + Nav.BRIDGED] > SHORTEST_RESTART and memory[dst + Nav.BRIDGED] == 0.0:
+        free_sensors(memory, dst)  # the first sample that is believed again
+    due = CONSTRAINT_INTERVAL - 0.5 * memory[sample + Sample.INTERVAL]  # at the nearest sample
+    if memory[Head.CONSTRAINTS] != 0.0 and memory[dst + Nav.CONSTRAINT_TIME] > due:
+        constrain(memory, dst, sample)
+    if not _is_finite(memory, dst):
+        _restore(memory, first_row, dst, end)
+
+
+@njit(_nrt=False, forceinline=True)
+def _is_finite(memory, r):
+    """Whether navigation solution and variances of row r are numbers."""
+    r, n_navigation, m = nonnegative(r), int(memory[Head.N_NAVIGATION]), int(memory[Head.N_AUGMENTED])
+    total = 0.0
+    for i in range(Nav.MEMORY):
+        total += memory[r + i]
+    diagonal = np.uint64(r + NAV + n_navigation + m)
+    for i in range(n_navigation):
+        total += memory[r + NAV + i] + memory[diagonal]
+        diagonal += np.uint64(n_navigation - i)
+    return math.isfinite(total)
+
+
+@njit(_nrt=False)
+def _restore(memory, good, r, time):
+    """Row r as the row `good` before it, at `time`, and less sure."""
+    for i in range(int(memory[Head.WIDTH])):
+        memory[r + i] = memory[good + i]
+    memory[r + Nav.TIME] = time
+    n_navigation = int(memory[Head.N_NAVIGATION])
+    a = r + NAV + n_navigation + int(memory[Head.N_AUGMENTED])
+    for error in range(Error.V_N, Error.SIZE):
+        i = row_of(memory, error)
+        if i >= 0:
+            sigma = RESTART_VELOCITY if error <= Error.V_D else RESTART_ATTITUDE
+            memory[a + packed(i, i, n_navigation)] += sigma**2
+    history.lose(memory, n_navigation + int(memory[Head.N_AUGMENTED]))
+    memory[r + Nav.RESTARTS] += 1.0
+
+
+@njit(_nrt=False)
+def take_sample(memory, samples, i):
+    """Predict to the time of sample i (time, specific force and angular rate in sensor axes), with what was measured
+    till then."""
+    i, k = nonnegative(i), int(memory[Head.SAMPLES]) + 1
+    sample, before = nonnegative(sample_at(memory, k)), nonnegative(state_at(memory, k - 1))
+    time = samples[i, 0]
+    dt = time - memory[nonnegative(sample_at(memory, k - 1)) + Sample.TIME]
+    memory[sample + Sample.TIME], memory[sample + Sample.INTERVAL] = time, dt
+    speed = _certain_speed(memory, before)
+    fault = imu_faults.check(memory, samples, i, dt, speed, imu_faults.is_doubted(memory, before, time))
+    memory[sample + Sample.FAULT], memory[sample + Sample.COASTED] = fault, 0.0
+    if fault == Fault.NONE:
+        _condition(memory, sample, Imu.RAW)
+    elif fault < Fault.WHIRL and memory[before + Nav.BRIDGED] < HELD:
+        _condition(memory, sample, Imu.CENTRE)
+    else:
+        coast(memory, sample, before)
+    if dt > memory[Head.MAX_GAP] and k > 1:  # nobody knows what was in between: the mean of both ends is the best guess
+        last = nonnegative(sample_at(memory, k - 1))
+        for j in range(6):
+            memory[sample + Sample.F_X + j] = 0.5 * (memory[sample + Sample.F_X + j] + memory[last + Sample.F_X + j])
+    show_noise(memory, k, dt)
+    memory[sample + Sample.STILL] = 0.0
+    if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
+        before_fault = memory[nonnegative(sample_at(memory, k - 1)) + Sample.FAULT]
+        bridged = before_fault != Fault.NONE or dt > memory[Head.MAX_GAP]
+        moving = speed > imu_faults.MOVING_SPEED and not contradiction.goes_back(memory, before)
+        memory[sample + Sample.STILL] = is_still(memory, sample, dt, moving, bridged)
+        if imu_faults.is_stuck(memory, dt):  # it would not show a motion
+            memory[sample + Sample.STILL] = 0.0
+    _refuse_ahead(memory, time)
+    advance(memory, k)
+    memory[Head.SAMPLES] = k
+    if memory[Wheels.AT] > 0.0:
+        listen(memory, k)
+    if memory[Wrong.SINCE] != 0.0:
+        _withdraw(memory, k)
+
+
+@njit(_nrt=False)
+def _refuse_ahead(memory, time):
+    """A measurement that came before this sample is not of a time long after it, unless the clocks differ."""
+    i = int(memory[Head.EVENTS]) - 1
+    while i >= 0 and memory[event_at(memory, i) + Event.TIME] > time + memory[Head.AHEAD]:
+        memory[event_at(memory, i) + Event.VERDICT] = Verdict.AHEAD
+        i -= 1
+
+
+@njit(_nrt=False, fastmath={'contract'}, forceinline=True)
+def _condition(memory, sample, raw):
+    """The six numbers at `raw`, in sensor axes, to body axes, with the corrections of the configuration."""
+    sample, raw = nonnegative(sample), nonnegative(raw)
+    for i in range(6):
+        total = memory[Head.OFFSET + i]
+        for j in range(6):
+            total += memory[Head.CONDITIONING + 6 * i + j] * memory[raw + j]
+        memory[sample + Sample.F_X + i] = total
+
+
+@njit(_nrt=False)
+def coast(memory, sample, r):
+    """The sample of a vehicle that goes straight on at its speed, from the state at r."""
+    memory[sample + Sample.COASTED] = 1.0
+    c = body_to_level(memory, r)
+    g = gravity(memory[r + Nav.LATITUDE], memory[r + Nav.HEIGHT])
+    for axis in range(6):
+        # gravity's reaction and the estimated errors, which the prediction takes out again
+        state = channel_of(memory, axis)
+        error = memory[r + NAV + state] if state >= 0 else 0.0
+        memory[sample + Sample.F_X + axis] = error - g * c[6 + axis] if axis < 3 else error
+
+
+@njit(_nrt=False)
+def _certain_speed(memory, r):
+    """The speed that the vehicle certainly has in the state at r, m/s: less two sigma."""
+    r = nonnegative(r)
+    sigma = math.sqrt(velocity_variance(memory, r))
+    return max(math.hypot(memory[r + Nav.V_N], memory[r + Nav.V_E]) - 2.0 * sigma, 0.0)
+
+
+@njit(_nrt=False)
+def take_event(memory, events, i):
+    """Take in measurement i of `events`, rows as in `Event`; TAKEN, or why not."""
+    capacity, newest = int(memory[Head.CAPACITY]), int(memory[Head.SAMPLES])
+    oldest = max(0, newest - capacity + 1)
+    time, now = events[i, Event.TIME], memory[state_at(memory, newest) + Nav.TIME]
+    if time <= memory[state_at(memory, oldest) + Nav.TIME]:
+        return BEFORE_START if oldest == 0 else TOO_LATE
+    if now - time > memory[Head.MAX_DELAY]:
+        return TOO_LATE
+    k = newest  # the state before it
+    while memory[state_at(memory, k) + Nav.TIME] >= time:
+        k -= 1
+    if memory[state_at(memory, k) + Nav.TIME] < memory[Head.FORGOTTEN]:
+        return FORGOTTEN
+    count = int(memory[Head.EVENTS])
+    if count == int(memory[Head.EVENT_CAPACITY]):  # forget the older half
+        half = count // 2
+        memory[Head.FORGOTTEN] = memory[event_at(memory, half - 1) + Event.TIME]
+        for j in range(half, count):
+            _copy(memory, event_at(memory, j - half), event_at(memory, j))
+        count -= half
+    place = count
+    while place > 0 and memory[event_at(memory, place - 1) + Event.TIME] > time:
+        _copy(memory, event_at(memory, place), event_at(memory, place - 1))
+        place -= 1
+    at = event_at(memory, place)
+    for c in range(Event.SIZE):
+        memory[at + c] = events[i, c]
+    memory[Head.EVENTS] = count + 1
+    for j in range(k + 1, newest + 1):  # late: back to the state before it and forward again
+        advance(memory, j)
+    if memory[Wrong.SINCE] != 0.0:
+        _withdraw(memory, newest)
+    return TAKEN
+
+
+@njit(_nrt=False)
+def _withdraw(memory, newest):
+    """Back to the state before fixes that have turned out to be wrong, and forward again without them.
+
+    Not where that is longer ago than is remembered, nor for a smoother, whose history goes forward only.
+    """
+    since, memory[Wrong.SINCE] = memory[Wrong.SINCE], 0.0
+    k, oldest = newest, max(0, newest - int(memory[Head.CAPACITY]) + 1)
+    while k > oldest and memory[state_at(memory, k) + Nav.TIME] >= since:
+        k -= 1
+    time = memory[state_at(memory, k) + Nav.TIME]
+    if time >= since or time < memory[Head.FORGOTTEN] or memory[Head.HISTORY_AT] > 0.0:
+        return
+    for i in range(int(memory[Head.EVENTS])):
+        at = event_at(memory, i)
+        verdict = memory[at + Event.VERDICT]
+        if memory[at + Event.KIND] == Kind.POSITION and memory[at + Event.TIME] >= since and verdict != 0.0:
+            memory[at + Event.WITHDRAWN] = 1.0
+    for j in range(k + 1, newest + 1):
+        advance(memory, j)
+
+
+@njit(_nrt=False)
+def _copy(memory, to, source):
+    for i in range(Event.SIZE):
+        memory[to + i] = memory[source + i]

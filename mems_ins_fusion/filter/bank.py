@@ -1,0 +1,169 @@
+"""Two filters side by side in one memory: the one that is published, and one that takes the fixes for wrong.
+
+The second stands behind the first, as large, while `Bank.OPEN`, and gets the same samples and measurements. After each
+fix their scores are compared (`trust/hypotheses.py`). The second goes where it has lost, or where both agree; once it
+uses the fixes again it becomes the first if its score is better.
+"""
+from __future__ import annotations
+
+import math
+
+from mems_ins_fusion.compiled import njit
+
+from .advance import advance
+from .measurements.geometry import body_to_level
+from .memory import (
+    HEAD,
+    NAV,
+    Head,
+    Nav,
+    Sample,
+    event_at,
+    load_covariance,
+    packed,
+    sample_at,
+    state_at,
+    store_covariance,
+    velocity_state,
+    yaw_state,
+)
+from .trust import hypotheses
+from .trust.hypotheses import Hypothesis
+
+#: in the head of the first
+Bank = HEAD.place(
+    'Bank',
+    SIZE=1,  # floats of one filter; 0: there is no room for a second
+    OPEN=1,  # 1: there is one
+    COMPARED=1,  # s: time of the last fix after which both were compared,
+    BEGUN=1,  # and at which the second was begun
+    DATED=1)  # 1: an earlier begin of its doubts has been looked for
+
+#: s before the fix that did not fit: since when fixes may have been wrong that drift away
+BACK = (2.0, 4.0, 8.0)
+#: nats by which the second is better before it becomes the first, as what is published jumps then
+BETTER = 2.0
+#: nats: a second that is behind by no more is worth the search since when (each 1 ms for 8 s at 100 Hz)
+SERIOUS = 4.0
+#: share of the variance of position, velocity and heading below which a squared difference is none
+SAME = 0.1
+
+
+@njit(_nrt=False)
+def compare(memory):
+    """After each fix, once: begin a second filter where there is reason to, make it the first where it uses the fixes
+    and is better, end it where it has lost or is the same, and note how far apart both are."""
+    size, r = int(memory[Bank.SIZE]), state_at(memory, int(memory[Head.SAMPLES]))
+    time = memory[r + Nav.FIX_TIME]
+    if size == 0 or time == memory[Bank.COMPARED]:
+        return
+    interval, memory[Bank.COMPARED] = time - memory[Bank.COMPARED], time
+    other = memory[size:]
+    if memory[Bank.OPEN] == 0.0:
+        _begin(memory, other, r, interval)
+        if memory[Bank.OPEN] == 0.0:
+            return
+    elif memory[Bank.DATED] == 0.0 and memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE] < SERIOUS:
+        memory[Bank.DATED] = 1.0
+        _date(memory, other, r, interval)
+    believes = other[r + Hypothesis.DOUBTS] == 0.0
+    if believes and other[r + Hypothesis.SCORE] > memory[r + Hypothesis.SCORE] + BETTER:
+        for i in range(size):
+            memory[i], other[i] = other[i], memory[i]
+        for i in range(Bank.SIZE, Bank.DATED + 1):
+            memory[i] = other[i]
+    lead = memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE]
+    share = 1.0 / (1.0 + math.exp(min(lead, 100.0)))
+    if lead > hypotheses.LOST or _same(memory, other, r):
+        memory[Bank.OPEN] = share = 0.0
+    mine, its = hypotheses.position_and_velocity(memory, r), hypotheses.position_and_velocity(other, r)
+    sigma, spread = math.sqrt(share), r + Hypothesis.SPREAD
+    memory[spread] = sigma * (its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE]
+    memory[spread + 1] = sigma * (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE]
+    memory[spread + 2], memory[spread + 3] = sigma * (its[2] - mine[2]), sigma * (its[3] - mine[3])
+
+
+@njit(_nrt=False)
+def _begin(memory, other, r, interval):
+    """Begin a second filter that takes the latest fix for wrong, where that is not too unlikely. interval: s, since the
+    fix before it."""
+    time, score = memory[r + Nav.FIX_TIME], memory[r + Hypothesis.SCORE]
+    prior = math.log(hypotheses.FIXES_WRONG * min(interval, hypotheses.LONGEST))
+    if memory[r + Hypothesis.OTHERWISE] + prior < -hypotheses.LOST:
+        return
+    if _doubt(memory, other, time, interval) > score - hypotheses.LOST:
+        memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.DATED] = 1.0, time, 0.0
+
+
+@njit(_nrt=False)
+def _date(memory, other, r, interval):
+    """Let the doubts of `other` have begun earlier, where that has a better score."""
+    best, since = other[r + Hypothesis.SCORE], 0.0
+    for back in BACK:
+        score = _doubt(memory, other, memory[Bank.BEGUN] - back, interval)
+        if score > best:
+            best, since = score, back
+    if since != BACK[-1]:
+        _doubt(memory, other, memory[Bank.BEGUN] - since, interval)
+
+
+@njit(_nrt=False)
+def _copy(memory, other, first):
+    """`other` as `memory`, but for the states before `first`, which it does not go back to."""
+    for i in range(int(memory[Head.ROWS_AT])):
+        other[i] = memory[i]
+    for k in range(first, int(memory[Head.SAMPLES]) + 1):
+        row, sample = state_at(memory, k), sample_at(memory, k)
+        for i in range(row, row + int(memory[Head.WIDTH])):
+            other[i] = memory[i]
+        for i in range(sample, sample + Sample.SIZE):
+            other[i] = memory[i]
+    for i in range(int(memory[Head.EVENTS_AT]), event_at(memory, int(memory[Head.EVENTS]))):
+        other[i] = memory[i]
+    for i in range(int(memory[Head.SCRATCH_AT]), int(memory[Bank.SIZE])):
+        other[i] = memory[i]
+    other[Head.FORGOTTEN] = max(memory[Head.FORGOTTEN], memory[state_at(memory, first) + Nav.TIME])
+
+
+@njit(_nrt=False)
+def _before(memory, time):
+    """Number of the state before `time`, s, or of the oldest that is remembered."""
+    k = int(memory[Head.SAMPLES])
+    oldest = max(0, k - int(memory[Head.CAPACITY]) + 1)
+    while k > oldest and memory[state_at(memory, k) + Nav.TIME] >= time:
+        k -= 1
+    return k
+
+
+@njit(_nrt=False)
+def _doubt(memory, other, since, interval):
+    """`other` as the filter in `memory`, had it used none of the fixes since then, s. Its score."""
+    newest, k = int(memory[Head.SAMPLES]), _before(memory, since)
+    time = memory[state_at(memory, k) + Nav.TIME]
+    if time >= since or time < memory[Head.FORGOTTEN]:
+        return -math.inf
+    _copy(memory, other, _before(memory, time - memory[Head.MAX_DELAY]))
+    hypotheses.doubt(other, state_at(memory, k), interval)
+    for j in range(k + 1, newest + 1):
+        advance(other, j)
+    return other[state_at(memory, newest) + Hypothesis.SCORE]
+
+
+@njit(_nrt=False)
+def _same(memory, other, r):
+    """Whether both say the same of the fixes, and of position, velocity and heading."""
+    if memory[r + Hypothesis.DOUBTS] != other[r + Hypothesis.DOUBTS]:
+        return False
+    n_navigation = int(memory[Head.N_NAVIGATION])
+    mine, its = hypotheses.position_and_velocity(memory, r), hypotheses.position_and_velocity(other, r)
+    p, v, yaw = r + NAV + n_navigation + int(memory[Head.N_AUGMENTED]), velocity_state(memory), yaw_state(memory)
+    a, b = body_to_level(memory, r), body_to_level(other, r)
+    turn = math.atan2(a[3] * b[0] - a[0] * b[3], a[0] * b[0] + a[3] * b[3])
+    differences = ((its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE], (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE],
+                   its[2] - mine[2], its[3] - mine[3], turn)
+    states = (0, 1, v, v + 1, yaw)
+    for i in range(5):
+        at = p + packed(states[i], states[i], n_navigation)
+        if differences[i] ** 2 > SAME * min(memory[at], other[at]):
+            return False
+    return True

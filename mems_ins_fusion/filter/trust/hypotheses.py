@@ -1,0 +1,176 @@
+"""Two statements about the receiver where a fix does not fit, each a filter of its own, judged by their likelihood.
+
+A copy of the filter's memory is a second filter. The logarithm of the likelihood of all fixes, and of the prior of what
+the filter says of them, is its *score*:
+
+* *They are right*, but for single ones that may be anywhere. How this filter uses a fix stands in `receiver.py`.
+* *They are wrong since t0*: the receiver is off by an offset that goes on as it did, with little acceleration, or jumps
+  to anywhere (multipath, extrapolation, a wrong integer). This filter uses none of them until one is right again.
+
+The second is begun where a fix is so unlikely that the receiver may have failed, and ends where it has lost or both
+agree (`bank.py`). What is published is the filter that uses the fixes, with the covariance of both: where fixes are
+followed that may be wrong, it reaches as far as to where the filter would be without them. (D. T. Magill, "Optimal
+adaptive estimation of sampled stochastic processes", IEEE Trans. Automatic Control 10, 1965; H. A. P. Blom and Y.
+Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching coefficients", the same 33,
+1988.)
+"""
+from __future__ import annotations
+
+import math
+
+from mems_ins_fusion.compiled import njit
+
+from ..memory import NAV, ROW, Event, Head, Nav, Verdict, velocity_state
+
+#: of a state
+Hypothesis = ROW.place(
+    'Hypothesis',
+    SCORE=1,  # nats: logarithm of the likelihood of all fixes and of the prior of what the filter says
+    OTHERWISE=1,  # nats, by which the latest fix is more likely if the receiver is anywhere off
+    DOUBTS=1,  # 1: the fixes since some time are wrong; then
+    OFFSET=2,  # m, north and east, predicted minus measured: by what they are off,
+    DRIFT=2,  # m/s, by what that changes,
+    VARIANCE=3,  # of an offset, m^2, with its drift, m^2/s, and of that, m^2/s^2, the same for both axes; 0: none yet,
+    COASTED=1,  # m^2: variance of the position at the latest fix
+    SPREAD=4)  # m, m/s, north and east: one sigma of position and velocity for what the other hypothesis says
+
+#: 1/s: a receiver fails once an hour (multipath, tunnels, wrong integers: drives in cities)
+FIXES_WRONG = 1.0 / 3600.0
+#: 1/s: and is right again after 20 s
+ENDS = 1.0 / 20.0
+#: share of the fixes of a right receiver that are off for themselves
+OUTLIERS = 0.01
+#: 1/s: or off by something else than before
+JUMPS = 1.0 / 20.0
+#: a fix that may be anywhere is as likely 10 to 20 m off as 100 to 200 m: logarithm of that range, metres to kilometres
+RANGE = math.log(1000.0)
+#: m/s: sigma of the drift of wrong fixes, of a receiver that loses its satellites one by one
+DRIFT = 3.0
+#: m^2/s and m^2/s^3, variances that offset and drift gather: of a receiver's filter, not of a vehicle that manoeuvres
+WANDERS, TURNS = 0.002, 0.002
+#: s: stamps may be off by so much, one sigma, without anybody having declared it: fixes are then off along the velocity
+UNDECLARED_OFFSET = 0.1
+#: nats: a filter has strayed from fixes that it has refused (a wrong heading, a standstill that was none) once in 50 h,
+STRAYED = math.log(FIXES_WRONG / 50.0)
+#: and an IMU is wrong once in a hundred hours (loose mounts, kerbs, drivers that mix up axes)
+IMU_WRONG = math.log(1.0 / 3.6e5)
+#: nats: a hypothesis that is less likely by so many has lost
+LOST = 9.0
+#: s for which errors of a receiver last at least: fixes that come faster count for less
+LASTING = 1.0
+#: s between fixes at most, for priors per second
+LONGEST = 5.0
+
+
+@njit(_nrt=False)
+def judge(mem, r, at, s_nn, s_ne, s_ee, r_nn):
+    """Whether the filter with the state at r believes the fix at `at`, whose likelihood goes into its score.
+
+    s: covariance of the innovation, m^2; r_nn: what of it is the fix's. What else makes innovations last (the variance
+    factor, a time offset that nobody declared) widens the likelihoods of both statements alike, so that neither wins
+    by being narrow.
+    """
+    interval = min(max(mem[at + Event.TIME] - mem[r + Nav.FIX_TIME], 0.0), LONGEST)
+    counts = min(interval / LASTING, 1.0)
+    z_n, z_e = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
+    factor = max(1.0, mem[r + Nav.VARIANCE_FACTOR])
+    n, e = UNDECLARED_OFFSET * mem[r + Nav.V_N], UNDECLARED_OFFSET * mem[r + Nav.V_E]
+    s_nn, s_ne, s_ee = factor * s_nn + n * n, factor * s_ne + n * e, factor * s_ee + e * e
+    determinant = s_nn * s_ee - s_ne * s_ne
+    nis = (s_ee * z_n * z_n - 2.0 * s_ne * z_n * z_e + s_nn * z_e * z_e) / determinant
+    right = math.exp(-0.5 * min(nis, 1000.0)) / (2.0 * math.pi * math.sqrt(determinant))
+    anywhere = 1.0 / (2.0 * math.pi * RANGE * (z_n * z_n + z_e * z_e + 2.0 * (s_nn + s_ee)))
+    if mem[r + Hypothesis.DOUBTS] == 0.0:
+        likelihood = (1.0 - OUTLIERS) * right + OUTLIERS * anywhere
+        mem[r + Hypothesis.OTHERWISE] = math.log(anywhere / likelihood)
+        mem[r + Hypothesis.SCORE] += counts * math.log(likelihood)
+        return True
+    # the first of them is wrong: else the doubts had begun with a later one
+    ended = 1.0 - math.exp(-ENDS * interval) if mem[r + Hypothesis.VARIANCE] != 0.0 else 0.0
+    wrong = _wrong(mem, r, z_n, z_e, factor * r_nn + 0.5 * (n * n + e * e), anywhere, interval)
+    again, still = ended * right, (1.0 - ended) * wrong
+    mem[r + Hypothesis.SCORE] += counts * math.log(again + still)
+    if again > still:
+        mem[r + Hypothesis.DOUBTS] = 0.0
+    return again > still
+
+
+@njit(_nrt=False)
+def _wrong(mem, r, z_n, z_e, r_nn, anywhere, interval):
+    """Density, 1/m^2, of a fix that is off by z of a wrong receiver, from which its offset is learned. r_nn: m^2, of
+    the scatter about that."""
+    offset, drift, variance = r + Hypothesis.OFFSET, r + Hypothesis.DRIFT, r + Hypothesis.VARIANCE
+    p = NAV + int(mem[Head.N_NAVIGATION]) + int(mem[Head.N_AUGMENTED])
+    coasted = 0.5 * (mem[r + p] + mem[r + p + int(mem[Head.N_NAVIGATION])])
+    grown, mem[r + Hypothesis.COASTED] = max(coasted - mem[r + Hypothesis.COASTED], 0.0), coasted
+    jumped = mem[variance] == 0.0
+    density = anywhere
+    if not jumped:
+        mem[variance] += (2.0 * mem[variance + 1] + interval * mem[variance + 2]) * interval + WANDERS * interval + grown
+        mem[variance + 1] += interval * mem[variance + 2]
+        mem[variance + 2] += TURNS * interval
+        s = mem[variance] + r_nn
+        mem[offset] += interval * mem[drift]
+        mem[offset + 1] += interval * mem[drift + 1]
+        n, e = z_n - mem[offset], z_e - mem[offset + 1]
+        jumps = max(1.0 - math.exp(-JUMPS * interval), OUTLIERS)
+        goes_on = (1.0 - jumps) * math.exp(-0.5 * min((n * n + e * e) / s, 1000.0)) / (2.0 * math.pi * s)
+        density = goes_on + jumps * anywhere
+        jumped = goes_on < jumps * anywhere
+        if not jumped:
+            k, l = mem[variance] / s, mem[variance + 1] / s
+            mem[offset] += k * n
+            mem[offset + 1] += k * e
+            mem[drift] += l * n
+            mem[drift + 1] += l * e
+            mem[variance + 2] -= l * mem[variance + 1]
+            mem[variance + 1] *= 1.0 - k
+            mem[variance] *= 1.0 - k
+    if jumped:
+        mem[offset], mem[offset + 1], mem[drift], mem[drift + 1] = z_n, z_e, 0.0, 0.0
+        mem[variance], mem[variance + 1], mem[variance + 2] = r_nn, 0.0, DRIFT**2
+    return density
+
+
+@njit(_nrt=False)
+def doubt(mem, r, interval):
+    """The filter with the state at r says from now on that the fixes are wrong. interval: s between fixes."""
+    mem[r + Hypothesis.DOUBTS] = 1.0
+    mem[r + Hypothesis.VARIANCE] = 0.0
+    for i in range(2):
+        mem[r + Hypothesis.OFFSET + i] = mem[r + Hypothesis.DRIFT + i] = 0.0
+    mem[r + Hypothesis.SCORE] += math.log(FIXES_WRONG * min(max(interval, LASTING), LONGEST))
+    p = r + NAV + int(mem[Head.N_NAVIGATION]) + int(mem[Head.N_AUGMENTED])
+    mem[r + Hypothesis.COASTED] = 0.5 * (mem[p] + mem[p + int(mem[Head.N_NAVIGATION])])
+
+
+@njit(_nrt=False)
+def refuse(mem, r, at):
+    """Leave the fix at `at`, which is taken for wrong, and remember that it came."""
+    mem[at + Event.VERDICT], mem[at + Event.WEIGHT] = Verdict.REFUSED, 0.0
+    mem[r + Nav.FIX_TIME] = mem[at + Event.TIME]
+    mem[r + Nav.FIX_LATITUDE], mem[r + Nav.FIX_LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
+
+
+@njit(_nrt=False)
+def claim(mem, r, nats):
+    """The filter with the state at r has said something more that has the logarithm `nats` of a prior."""
+    mem[r + Hypothesis.SCORE] += nats
+
+
+@njit(_nrt=False)
+def spread(row, r):
+    """One sigma of what the state at r in `row` is published with besides P for the other hypothesis: position (n, e;
+    m) and velocity (n, e; m/s)."""
+    since = row[r + Nav.TIME] - row[r + Nav.FIX_TIME]
+    v_n, v_e = row[r + Hypothesis.SPREAD + 2], row[r + Hypothesis.SPREAD + 3]
+    return row[r + Hypothesis.SPREAD] + since * v_n, row[r + Hypothesis.SPREAD + 1] + since * v_e, v_n, v_e
+
+
+@njit(_nrt=False)
+def position_and_velocity(mem, r):
+    """Latitude, longitude (rad), north and east velocity (m/s) of the state at r, x taken out."""
+    x, k = r + NAV, velocity_state(mem)
+    return (mem[r + Nav.LATITUDE] - mem[x] * mem[r + Nav.NORTH_SCALE],
+            mem[r + Nav.LONGITUDE] - mem[x + 1] * mem[r + Nav.EAST_SCALE],
+            mem[r + Nav.V_N] - mem[x + k], mem[r + Nav.V_E] - mem[x + k + 1])

@@ -1,0 +1,122 @@
+"""Two statements about the receiver as two filters: their likelihoods, when the second begins and ends, what is published.
+
+Known truth: a simulated vehicle on a straight road, whose fixes are right, jump, or drift away.
+"""
+import math
+
+import numpy as np
+import pytest
+from filter_support import newest
+from scipy.stats import multivariate_normal
+from test_filter_contradiction import BOTH, Drive, a_state
+
+from mems_ins_fusion.filter.bank import Bank
+from mems_ins_fusion.filter.memory import Event, Head, Nav, state_at
+from mems_ins_fusion.filter.trust.hypotheses import (
+    ENDS,
+    FIXES_WRONG,
+    JUMPS,
+    LASTING,
+    OUTLIERS,
+    RANGE,
+    UNDECLARED_OFFSET,
+    Hypothesis,
+    doubt,
+    judge,
+)
+
+S = np.array([[4.0, 1.0], [1.0, 9.0]])
+
+
+def judged(memory, r, z, time, scatter=2.25):
+    """What `judge` makes of a fix that is z (2,) m off at `time`, s: whether it is believed, and the nats for it."""
+    at = int(memory[Head.EVENTS_AT])
+    memory[at + Event.TIME], memory[at + Event.Z_N], memory[at + Event.Z_E] = time, *z
+    before = memory[r + Hypothesis.SCORE]
+    believed = judge(memory, r, at, S[0, 0], S[0, 1], S[1, 1], scatter)
+    memory[r + Nav.FIX_TIME] = time
+    return believed, memory[r + Hypothesis.SCORE] - before
+
+
+def anywhere(z, s):
+    return 1.0 / (2.0 * math.pi * RANGE * (z @ z + 2.0 * np.trace(s)))
+
+
+@pytest.mark.parametrize('z', [(0.5, -1.0), (20.0, 5.0)])
+@pytest.mark.parametrize('interval', [0.1, 1.0])
+def test_who_believes_fixes_expects_their_innovation_but_for_single_ones_anywhere(z, interval):
+    # given a filter that goes north at 10 m/s, whose stamps may be off
+    _, memory, r = a_state()
+    memory[r + Nav.FIX_TIME] = 1.0
+    believed, nats = judged(memory, r, z, 1.0 + interval)
+    s = S + np.diag([(10.0 * UNDECLARED_OFFSET) ** 2, 0.0])
+    density = (1.0 - OUTLIERS) * multivariate_normal(cov=s).pdf(z) + OUTLIERS * anywhere(np.array(z), s)
+    # then it believes it, and of ten a second each counts for a tenth
+    assert believed and nats == pytest.approx(interval / LASTING * math.log(density))
+
+
+def test_who_doubts_expects_them_to_go_on_being_off_as_they_were():
+    _, memory, r = a_state()
+    memory[r + Nav.FIX_TIME] = 1.0
+    doubt(memory, r, 1.0)
+    assert memory[r + Hypothesis.SCORE] == pytest.approx(math.log(FIXES_WRONG))
+    s = S + np.diag([(10.0 * UNDECLARED_OFFSET) ** 2, 0.0])
+    # given a first fix that is wrong anywhere
+    z = np.array([30.0, -10.0])
+    believed, nats = judged(memory, r, z, 2.0)
+    assert not believed and nats == pytest.approx(math.log(anywhere(z, s)))
+    # when those after it drift by 2 m/s, then after some of them the next is expected there
+    for k in range(1, 30):
+        believed, nats = judged(memory, r, z + [2.0 * k, 0.0], 2.0 + k)
+        assert not believed
+    scatter = 2.25 + 0.5 * (10.0 * UNDECLARED_OFFSET) ** 2
+    share = math.exp(-ENDS) * math.exp(-JUMPS)
+    narrowest = math.log(share / (2.0 * math.pi * scatter))
+    assert narrowest - 0.7 < nats < narrowest + 1e-3
+    np.testing.assert_allclose(memory[r + Hypothesis.DRIFT:r + Hypothesis.DRIFT + 2], [2.0, 0.0], atol=0.05)
+    # and one that fits the filter again is believed
+    believed, _ = judged(memory, r, np.array([0.5, 0.5]), 33.0)
+    assert believed and memory[r + Hypothesis.DOUBTS] == 0.0
+
+
+@BOTH
+def test_one_fix_far_off_opens_nothing_for_long(mechanization):
+    drive = Drive()
+    drive.position[30, 1] += 30.0
+    _, _, error, sigma, _ = drive.through(mechanization)
+    # then a few seconds later all is as sure as it was
+    after = slice(round(50 * 34.0), round(50 * 40.0))
+    assert np.hypot(*sigma[after].T).max() < 0.2 and np.hypot(*error.T).max() < 2.0
+
+
+@BOTH
+def test_where_wrong_fixes_are_followed_the_covariance_reaches_back_and_the_end_is_found(mechanization):
+    # given fixes that drift away to the east by 2 m/s for 15 s
+    drive = Drive()
+    wrong = (drive.time > 30.0) & (drive.time < 45.0)
+    drive.position[wrong, 1] += 2.0 * (drive.time[wrong] - 30.0)
+    _, memory, error, sigma, _ = drive.through(mechanization)
+    off, reach = np.hypot(*error.T), np.hypot(*sigma.T)
+    # then wherever it is more than 6 m off, the other filter says so to within a factor of two
+    far = off > 6.0
+    assert not far.any() or (reach[far] > 0.5 * off[far]).mean() > 0.9
+    # and three seconds after the fixes are right again it is with them
+    assert off[round(50 * 48.5):].max() < 2.0
+
+
+def test_the_second_filter_is_the_first_without_those_fixes():
+    # given fixes that jump by 40 m at 40.5 s, and the same drive that ends before
+    drive, before = Drive(), Drive()
+    drive.position[drive.time > 40.0, 1] += 40.0
+    drive.samples, before.samples = drive.samples[:2100], before.samples[:2100]
+    before.time, before.position = before.time[before.time < 40.0], before.position[before.time < 40.0]
+    drive.time, drive.position = drive.time[drive.time < 41.9], drive.position[drive.time < 41.9]
+    _, memory, *_ = drive.through('strapdown')
+    _, without, *_ = before.through('strapdown')
+    # then while it is open what to believe, the second has the position and velocity of that drive
+    assert memory[Bank.OPEN] == 1.0
+    other = memory[int(memory[Bank.SIZE]):]
+    r = state_at(memory, int(memory[Head.SAMPLES]))
+    assert other[r + Hypothesis.DOUBTS] == 1.0
+    # (but for the last digits: its intervals are split at the fixes that it leaves)
+    np.testing.assert_allclose(other[r:r + Nav.V_D], newest(without)[:Nav.V_D], rtol=1e-9)
