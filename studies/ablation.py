@@ -52,7 +52,8 @@ from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors, rms  # 
 from mems_ins_fusion.evaluation.outages import outage_begins, outages_of  # noqa: E402
 from mems_ins_fusion.filter.config import FilterConfig  # noqa: E402
 from mems_ins_fusion.filter.measurements.registry import aiding as inputs  # noqa: E402
-from mems_ins_fusion.filter.runs.replay import Aiding, run_with_outages  # noqa: E402
+from mems_ins_fusion.filter.memory import Event  # noqa: E402
+from mems_ins_fusion.filter.runs.replay import Aiding, Progress, Replay, Stretch, run, run_with_outages  # noqa: E402
 from mems_ins_fusion.parameters import table  # noqa: E402
 from mems_ins_fusion.recordings.reading import read_recording  # noqa: E402
 
@@ -95,18 +96,20 @@ NEVER = {
     'standstill denied by speed': {'update.STILL_SPEED': 1e3},
     'standstill denied by turning': {'update.STILL_RATE': 1e3},
     'engine at a standstill': {'trust.standstill.JUMP': 1e9}}
-#: settings of vehicle.py, and of measured drives: path within the folder, topic of the fixes, parameters
+#: settings of vehicle.py, and of measured drives: path within the folder, s between outages, parameters
 SETTINGS = ('car', 'car + speed')
-MEASURED = {'longmont_rtk_drive': ('bag', {'imu.mounting_rpy': [0.0, 0.0, np.pi]}),
-            'karlsruhe_hills': ('bag', {'reference_topic': '/reference/fix'}),
-            'kingston_span': ('bag', {'imu.mounting_rpy': [0.0, 0.0, -np.pi / 2],
-                                      'reference_topic': '/reference/fix'}),
-            'dresden_hobby_imu': ('', {'imu.mounting_rpy': [0.0, 0.1, 0.0]}),
-            'husky_wheel_speed': ('', {'speed_topic': '/wheel/speed'})}
+MEASURED = {'longmont_rtk_drive': ('bag', 60.0, {'imu.mounting_rpy': [0.0, 0.0, np.pi]}),
+            'karlsruhe_hills': ('bag', 60.0, {'reference_topic': '/reference/fix'}),
+            'kingston_span': ('bag', 300.0, {'imu.mounting_rpy': [0.0, 0.0, -np.pi / 2],
+                                             'reference_topic': '/reference/fix'}),
+            'dresden_hobby_imu': ('', 30.0, {'imu.mounting_rpy': [0.0, 0.1, 0.0]}),
+            'husky_wheel_speed': ('', 60.0, {'speed_topic': '/wheel/speed'})}
 ROWS = ('faults', 'inputs', 'car', 'measured')
 OUTAGES = (30.0, 60.0)  # s
-#: minutes of each simulated drive, s between outages there, and in the measured drives, which are short
-MINUTES, SPACING, MEASURED_SPACING = 10.0, 100.0, 30.0
+#: ns: the filter runs for so long before the first outage; and so long before a fault the drives are the same
+SETTLING, COMMON = 60 * 10**9, 10 * 10**9
+#: minutes of each simulated drive, and s between outages there
+MINUTES, SPACING = 10.0, 100.0
 #: what moves no row by more than this, m and percent, moves nothing; nor what moves it by this part of its
 #: error
 LEAST_M, LEAST_PERCENT, LEAST_PART = 0.05, 0.5, 0.02
@@ -182,23 +185,36 @@ def lay_over(changes: dict[str, float]) -> None:
 # -- rows --------------------------------------------------------------------------------------------------------------
 
 
-class Begun:
-    """A recording through the filter from the start that the filter as it is has found.
+class Shared(Replay):
+    """A replay whose begin, till `common` ns, is that of others: the first of them leaves the filter's memory in `left`
+    under `key`, from which the others go on."""
 
-    values: parameters. keep (n,): of which samples of the IMU the states are looked at. outages (o,): ns, their begins.
-    """
+    def share(self, common: int, left: dict, key) -> Shared:
+        self.common, self.left, self.key = common, left, key
+        return self
 
-    def __init__(self, recording, values: dict, keep=None, outages=()):
-        self.recording, self.values, self.keep, self.outages = recording, values, keep, np.array(outages, np.int64)
-        self.start = self.run({})[0].start
+    def _filter(self, memory, samples, index, events, epoch):
+        kept = np.flatnonzero(self.keep[index])
+        states = np.empty((len(kept), len(self.columns)))
+        events.record[:, Event.ID] = np.arange(len(events.kind))
+        work = Progress(samples, events, self.columns, kept, states)
+        stop = int(np.searchsorted(samples[:, 0], (self.common - epoch) * 1e-9))
+        if self.key in self.left:
+            memory[:] = self.left[self.key]
+            work.sample, work.next_event = stop, int(np.searchsorted(events.arrival, stop))
+        else:
+            work.advance(memory, stop)
+            self.left[self.key] = memory.copy()
+        work.advance(memory, len(samples))
+        work.finish(memory)
+        self.stretches.append(Stretch(index[kept], states))
 
-    def run(self, changed: dict, start=None):
-        """With these parameters changed: the run, and its outages."""
-        values = table.check({**self.values, **changed})
-        config, there = FilterConfig.from_parameters(values), self.recording.streams()
-        aiding = Aiding({one.name: there[one.name] for one in inputs(values) if values[one.topic]})
-        return run_with_outages(config, self.recording.imu, self.recording.gnss, self.outages, max(OUTAGES), aiding,
-                                self.keep, start)
+
+def given(recording, values: dict, changed: dict) -> tuple:
+    """What a replay of the recording is given, with these parameters changed."""
+    values, there = table.check({**values, **changed}), recording.streams()
+    aiding = Aiding({one.name: there[one.name] for one in inputs(values) if values[one.topic]})
+    return FilterConfig.from_parameters(values), recording.imu, recording.gnss, aiding
 
 
 def until(recording, last: int):
@@ -207,8 +223,9 @@ def until(recording, last: int):
                              for name, samples in recording.streams().items()})
 
 
-def of_fault(fault, seeds, rate: float, drive: Callable) -> Callable:
-    """A row of faults.py or input_faults.py: called with changed parameters it gives the lines of the table."""
+def of_fault(fault, seeds, rate: float, drive: Callable, left: dict) -> Callable:
+    """A row of faults.py or input_faults.py: called with changed parameters it gives the lines of the table. left: see
+    `Shared`; emptied before each change."""
     prepared = []
     for seed in seeds:
         clean = drive(seed, rate)
@@ -218,10 +235,16 @@ def of_fault(fault, seeds, rate: float, drive: Callable) -> Callable:
         recording = until(faults.altered(fault, clean, seed), last + 10**9)
         truth = truth_of(clean, table.check(values))
         truth = truth.select((truth.reference.stamp >= first) & (truth.reference.stamp <= last))
-        prepared.append((Begun(recording, values, recording.imu.stamp > first - 10**9), truth))
+        key = (drive.__module__, *fault.values, seed, first, rate)
+        prepared.append((recording, first, key, run(*given(recording, values, {})).start, truth))
 
     def judge(changed: dict) -> list[tuple[str, float, float]]:
-        found = [errors_of(begun.run(changed, begun.start)[0], truth) for begun, truth in prepared]
+        found = []
+        for recording, first, key, start, truth in prepared:
+            config, imu, fixes, aiding = given(recording, values, changed)
+            keep = imu.stamp > first - 10**9
+            replay = Shared(config, imu, fixes, aiding, start, keep).share(first - COMMON, left, key)
+            found.append(errors_of(replay.run(), truth))
         return [(fault.name, max(e.horizontal.max(initial=0.0) for e in found), share(found))]
     return judge
 
@@ -230,16 +253,18 @@ def of_drives(name: str, recordings, values: dict, spacing: float) -> Callable:
     """The rows of whole drives, as one."""
     prepared = []
     for recording in recordings:
-        truth, fixes, whole = truth_of(recording, table.check(values)), recording.gnss, recording.imu.stamp
-        begins = outage_begins(int(whole[0]) + 60 * 10**9, fixes, 0.0, spacing, max(OUTAGES))
-        prepared.append((Begun(recording, values, samples_to_keep(recording.imu, truth.reference.stamp), begins), truth))
+        truth = truth_of(recording, table.check(values))
+        begins = outage_begins(int(recording.imu.stamp[0]) + SETTLING, recording.gnss, 0.0, spacing, max(OUTAGES))
+        keep = samples_to_keep(recording.imu, truth.reference.stamp)
+        prepared.append((recording, begins, keep, run(*given(recording, values, {})).start, truth))
 
     def judge(changed: dict) -> list[tuple[str, float, float]]:
         runs, outages = [], defaultdict(list)
-        for begun, truth in prepared:
-            run, coasting = begun.run(changed, begun.start)
-            runs.append(errors_of(run, truth))
-            for found in outages_of(run, coasting, truth, OUTAGES, 10.0):
+        for recording, begins, keep, start, truth in prepared:
+            config, imu, fixes, aiding = given(recording, values, changed)
+            whole, coasting = run_with_outages(config, imu, fixes, begins, max(OUTAGES), aiding, keep, start)
+            runs.append(errors_of(whole, truth))
+            for found in outages_of(whole, coasting, truth, OUTAGES, config.imu.restart_gap):
                 outages[found.duration].append(found)
         error = np.concatenate([e.horizontal for e in runs])
         lines = [(name, rms(error), share(runs))]
@@ -259,7 +284,7 @@ def share(found) -> float:
     return 100.0 * float(np.concatenate([e.nees < NEES_95 for e in found]).mean())
 
 
-def rows(arguments) -> Iterator[tuple[float, Callable]]:
+def rows(arguments, left: dict) -> Iterator[tuple[float, Callable]]:
     """The rows asked for: rate of the fixes, Hz (0: as recorded), and what judges."""
     seeds = range(2000, 2000 + arguments.seeds)
     for rate in arguments.rates:
@@ -267,20 +292,20 @@ def rows(arguments) -> Iterator[tuple[float, Callable]]:
                                    ('inputs', input_faults.clean, input_faults.FAULTS)):
             if kind in arguments.rows:
                 for fault in [f for f in known if any(part in f.name for part in arguments.faults)]:
-                    yield rate, of_fault(fault, seeds, rate, drive)
+                    yield rate, of_fault(fault, seeds, rate, drive, left)
         if 'car' in arguments.rows:
             drives = [vehicle.simulated(seed, MINUTES, vehicle.GnssNoise(1.5, rate=rate)) for seed in seeds]
             for setting in SETTINGS:
                 values = {**vehicle.SETTINGS[setting], 'reference_lever_arm': [0.0, 0.0, 0.0]}
                 yield rate, of_drives(setting, drives, values, SPACING)
     if 'measured' in arguments.rows:
-        for name, (path, values) in MEASURED.items():
+        for name, (path, spacing, values) in MEASURED.items():
             if (arguments.data / name).exists():
                 values = table.check(values)
                 topics = {one.topic: values[one.topic] for one in inputs(values) if values[one.topic]}
                 recording = read_recording(arguments.data / name / path, '/imu/data', '/gps/fix',
                                            values['reference_topic'] or None, **topics)
-                yield 0.0, of_drives(name, [recording], values, MEASURED_SPACING)
+                yield 0.0, of_drives(name, [recording], values, spacing)
 
 
 # -- the study ---------------------------------------------------------------------------------------------------------
@@ -352,7 +377,8 @@ def main() -> None:
 def study(arguments) -> None:
     """Add to the file what it has not yet."""
     lay_over(constants())
-    judges = list(rows(arguments))
+    left: dict = {}
+    judges = list(rows(arguments, left))
     done = _read(arguments.output) if arguments.output.exists() else []
     finished = {row['change'] for row in done}
     with open(arguments.output, 'a', newline='') as file:
@@ -362,8 +388,13 @@ def study(arguments) -> None:
         for change in changes(arguments.only):
             if change.name not in finished:
                 lay_over(change.constants)
-                writer.writerows((change.name, name, f'{rate:g}', f'{error:.4f}', f'{within:.2f}')
-                                 for rate, judge in judges for name, error, within in judge(change.values))
+                left.clear()
+                try:
+                    lines = [(change.name, name, f'{rate:g}', f'{error:.4f}', f'{within:.2f}')
+                             for rate, judge in judges for name, error, within in judge(change.values)]
+                except ZeroDivisionError:  # the constant is a bound that keeps numbers finite
+                    lines = [(change.name, 'as it is', '0', 'inf', '0')]
+                writer.writerows(lines)
                 lay_over({name: constants()[name] for name in change.constants})
                 file.flush()
                 print(change.name, flush=True)
