@@ -75,8 +75,8 @@ NEVER = {
     'start anew where the filter strayed': {'trust.receiver.STRAYED_SLOPE': 1e9},
     'floor of the gate': {'trust.receiver.GATE_FLOOR': 0.0},
     'growth from fix to fix': {'trust.receiver.LONGEST_GROWTH': 0.0},
-    'inputs that repeat themselves': {'trust.repeats.SLOWEST': 1e9, 'trust.repeats.ROUNDED_SPEED': 1e9,
-                                      'trust.repeats.ROUNDED_HEADING': 1e9, 'trust.repeats.AGEING': 0.0},
+    'speeds and headings that repeat themselves': {'trust.repeats.ROUNDED_SPEED': 1e9, 'trust.repeats.AGEING': 0.0,
+                                                   'trust.repeats.ROUNDED_HEADING': 1e9},
     'claims that change': {'trust.receiver.CLAIM_CHANGE': 1e9},
     'errors that last, always': {'trust.receiver.LASTING_SHARE': 0.0},
     'claims that nothing shows': {'trust.receiver.NEVER_SHOWN': 0.0},
@@ -199,7 +199,9 @@ class Shared(Replay):
         events.record[:, Event.ID] = np.arange(len(events.kind))
         work = Progress(samples, events, self.columns, kept, states)
         stop = int(np.searchsorted(samples[:, 0], (self.common - epoch) * 1e-9))
-        if self.key in self.left:
+        if self.stretches:  # after a restart, which the others have not
+            pass
+        elif self.key in self.left:
             memory[:] = self.left[self.key]
             work.sample, work.next_event = stop, int(np.searchsorted(events.arrival, stop))
         else:

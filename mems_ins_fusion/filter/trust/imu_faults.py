@@ -11,6 +11,7 @@ from typing import NamedTuple
 from mems_ins_fusion.compiled import njit
 
 from ..memory import HEAD, Head, Nav
+from .standstill import MOVING_SPEED
 
 
 class _Fault(NamedTuple):
@@ -49,8 +50,6 @@ Imu = HEAD.place(
     FAULTS=Fault.SIZE,  # samples not believed, by reason
     WHIRLED=1)  # s of turns too fast for the speed, lately
 
-#: the vehicle certainly moves above this speed, m/s
-MOVING_SPEED = 1.0
 #: time constant of the running mean that neighbours are told by, s
 NEIGHBOURHOOD = 0.2
 #: m/s^2: a specific force further from that mean, besides JUMP_SIGMAS of its scatter, is a spike: a pothole is less
