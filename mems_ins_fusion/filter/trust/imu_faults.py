@@ -83,8 +83,6 @@ MOST_WHIRL = 3.0
 #: s: a filter that has strayed from fixes that were right does not believe the IMU for so long, twice as long each
 #: further time
 DOUBT_TIME = 60.0
-#: times: beyond which that does not get longer
-MOST_STRAYED = 8.0
 
 
 @njit(_nrt=False)
@@ -92,7 +90,7 @@ def is_doubted(mem, r, time):
     """Whether what the fixes have shown till the state at r speaks against the IMU at `time`."""
     if mem[Imu.WHIRLED] > LONGEST_WHIRL:
         return True
-    lasts = DOUBT_TIME * 2.0 ** (min(mem[r + Nav.STRAYED], MOST_STRAYED) - 1.0)
+    lasts = DOUBT_TIME * 2.0 ** (mem[r + Nav.STRAYED] - 1.0)
     return mem[r + Nav.STRAYED] >= 1.0 and time - mem[r + Nav.STRAYED_TIME] < lasts
 
 
