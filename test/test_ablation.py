@@ -19,11 +19,11 @@ def test_a_constant_is_changed_wherever_it_is_used():
     # given one that another module has imported, and one of a tuple
     assert said("""
 from mems_ins_fusion.filter import prediction
-from mems_ins_fusion.filter.trust import drift, receiver
+from mems_ins_fusion.filter.trust import receiver, scale
 from ablation import lay_over
-lay_over({'prediction.GAP_ACCELERATION': 9.0, 'trust.drift.SMALLEST_RATIO[1]': 0.5})
-print(prediction.GAP_ACCELERATION, receiver.GAP_ACCELERATION, *drift.SMALLEST_RATIO)
-""") == ['9.0', '9.0', '1.0', '0.5']
+lay_over({'prediction.GAP_ACCELERATION': 9.0, 'trust.scale.LOG_MEAN[1]': 0.5})
+print(prediction.GAP_ACCELERATION, receiver.GAP_ACCELERATION, *scale.LOG_MEAN)
+""") == ['9.0', '9.0', '-1.2704', '0.5']
 
 
 def test_compiled_code_finds_the_value_that_a_constant_has_now():

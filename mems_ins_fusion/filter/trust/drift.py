@@ -48,9 +48,9 @@ LARGEST_DRIFT = 9.0
 DRIFT_PRIOR = 3.0
 #: comparisons: no more than so many are remembered, ten minutes
 DRIFT_MEMORY = 60.0
-#: multiples of the assumed variance that are believed at least, of accelerometers and gyroscopes: a small error of an
-#: accelerometer, which shows together with the tilt, is not told well enough to count on it
-SMALLEST_RATIO = (1.0, 0.01)
+#: multiple of the assumed variance that is believed at least of accelerometers: a small error of one, which shows
+#: together with the tilt, is not told well enough to count on it. Of gyroscopes DRIFT_PRIOR leaves a twentieth
+SMALLEST_RATIO = 1.0
 #: and at most, of both: ten times the assumed drift is another sensor's
 LARGEST_RATIO = 100.0
 
@@ -95,4 +95,6 @@ def learn_drift(mem, r):
         least = (DRIFT_PRIOR + mem[r + Drift.LEAST + sensor]) / (DRIFT_PRIOR + seen)
         most = (DRIFT_PRIOR + mem[r + Drift.SUM + sensor]) / (DRIFT_PRIOR + seen)
         ratio = min(max(least, 1.0), most)
-        mem[r + Drift.RATIO + sensor] = min(max(ratio, SMALLEST_RATIO[sensor]), LARGEST_RATIO)
+        if sensor == 0:
+            ratio = max(ratio, SMALLEST_RATIO)
+        mem[r + Drift.RATIO + sensor] = min(ratio, LARGEST_RATIO)
