@@ -94,8 +94,7 @@ NEVER = {
     'samples held before coasting': {'kernel.HELD': 0.0},
     'constraint left out where it is not kept': {'update.CONSTRAINT_OFF': 1e9},
     'standstill denied by speed': {'update.STILL_SPEED': 1e3},
-    'standstill denied by turning': {'update.STILL_RATE': 1e3},
-    'engine at a standstill': {'trust.standstill.JUMP': 1e9}}
+    'standstill denied by turning': {'update.STILL_RATE': 1e3}}
 #: settings of vehicle.py, and of measured drives: path within the folder, s between outages, parameters
 SETTINGS = ('car', 'car + speed')
 MEASURED = {'longmont_rtk_drive': ('bag', 60.0, {'imu.mounting_rpy': [0.0, 0.0, np.pi]}),
