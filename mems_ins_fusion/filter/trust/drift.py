@@ -36,8 +36,6 @@ Drift = ROW.place(
 
 #: s: estimates are compared over so long; over less they hardly move
 WINDOW = 30.0
-#: s: and over no more than that: in an outage nothing tells
-LONGEST = 60.0
 #: share of the variance: where measurements have taken less of it away they say nothing
 TOLD = 0.1
 #: times Q: where they have taken more they show the bias that the sensor was switched on with
@@ -65,7 +63,6 @@ def learn_drift(mem, r):
     if begin != 0.0 and since < WINDOW:
         return
     mem[r + Drift.TIME] = time
-    judged = begin != 0.0 and since < LONGEST
     lasting = variance_factor(mem, r) if mem[Head.CONSTRAINTS] == 0.0 else 1.0
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     x = r + NAV + n_navigation
@@ -73,7 +70,7 @@ def learn_drift(mem, r):
     for k in range(6):
         sensor = 0 if k < 3 else 1
         error, variance, ratio = mem[x + k], mem[e + (m + 1) * k], mem[r + Drift.RATIO + sensor]
-        if judged:
+        if begin != 0.0:
             decay = math.exp(-since * mem[decay_at(m, k)])
             driving = ratio * (mem[walk_at(m, k)] * since
                                + mem[variance_at(m, k)] * (1.0 - decay * decay))
