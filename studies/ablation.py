@@ -1,19 +1,23 @@
 """What each mechanism and each constant of the filter is good for: without it, and with a quarter and four times of it.
 
     python studies/ablation.py --list
-    python studies/ablation.py [--only NAME ...] [--rows faults|vehicle|all] [--faults TEXT ...]
-                               [--rates 0.2 1 10] [--seeds 2] [--processes 2] [--output FILE.csv]
+    python studies/ablation.py [--only NAME ...] [--rows faults inputs car measured] [--faults TEXT ...]
+                               [--rates 0.2 1 10] [--seeds 1] [--data ../shared/data] [--output FILE.csv]
+    python studies/ablation.py --summary FILE.csv [FILE.csv ...]
 
 Mechanisms are switched off by their parameters, or by a constant with which they never act. A constant is changed by
 its name, `file.NAME`, or `file.NAME[1]` for one of a tuple: all of `filter/trust`, `filter/update.py`,
-`filter/kernel.py` and `filter/prediction.py`. No file is changed: a process of its own lays the value over the modules
-before anything is compiled, and keeps what it compiles in a folder of its own. That costs half a minute of CPU for each
-change; what is written already in FILE.csv is not done again, so the study can be stopped and gone on with.
+`filter/advance.py` and `filter/prediction.py`. No file is changed, and the filter is compiled once: in this process,
+compiled code looks up the value of a constant each time it needs it (`Constant`). A change then costs seconds. What is
+written already in FILE.csv is not done again, so the study can be stopped and gone on with.
 
-Each line of the table: the change, the row (a fault of faults.py, or a setting of vehicle.py), the rate of the fixes,
-the error and how often the 95 % ellipse held the truth. The error is the largest of a fault and the minute after it,
-the RMSE of a setting, the 95th percentile of the largest in its outages. At the end: the changes that move nothing by
-more than LEAST_M or LEAST_PERCENT anywhere, and for the others where they help and cost most.
+Each line of the table: the change, the row, the rate of the fixes, the error and how often the 95 % ellipse held the
+truth. Rows are the faults of faults.py and of input_faults.py (the largest error from a fault's begin to a minute after
+its end), and whole drives, simulated and measured: the RMSE, and the 95th percentile of the largest errors in outages
+of 30 and 60 s. Each begins where the filter as it is has found its start, which is done once.
+
+The summary: the changes that move no row by more than LEAST_M or LEAST_PERCENT, and for the others, those that move
+most first, where they help and cost most. A row that moves by less than LEAST_PART of its error counts as not moved.
 """
 from __future__ import annotations
 
@@ -21,21 +25,42 @@ import argparse
 import ast
 import csv
 import importlib
-import json
-import os
-import subprocess
 import sys
-import tempfile
 from collections import defaultdict
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core.caching import NullCache
+from numba.core.imputils import lower_constant
+
+from mems_ins_fusion import compiled
+
+# compiled code with addresses of this process is of no use to another
+compiled._Cache = lambda function: NullCache()
+
+import faults  # noqa: E402
+import input_faults  # noqa: E402
+import vehicle  # noqa: E402
+
+from mems_ins_fusion.evaluation.comparison import samples_to_keep, truth_of  # noqa: E402
+from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors, rms  # noqa: E402
+from mems_ins_fusion.evaluation.outages import outage_begins, outages_of  # noqa: E402
+from mems_ins_fusion.filter.config import FilterConfig  # noqa: E402
+from mems_ins_fusion.filter.measurements.registry import aiding as inputs  # noqa: E402
+from mems_ins_fusion.filter.memory import Event  # noqa: E402
+from mems_ins_fusion.filter.runs.replay import Aiding, Progress, Replay, Stretch, run, run_with_outages  # noqa: E402
+from mems_ins_fusion.parameters import table  # noqa: E402
+from mems_ins_fusion.recordings.reading import read_recording  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = 'mems_ins_fusion.filter'
 #: files whose constants are tried
-FILES = ('trust/*.py', 'update.py', 'kernel.py', 'prediction.py')
+FILES = ('trust/*.py', 'update.py', 'advance.py', 'bank.py', 'prediction.py')
 FACTORS = (0.25, 4.0)
 #: parameters that switch a mechanism off
 MECHANISMS = {
@@ -50,8 +75,8 @@ NEVER = {
     'start anew where the filter strayed': {'trust.receiver.STRAYED_SLOPE': 1e9},
     'floor of the gate': {'trust.receiver.GATE_FLOOR': 0.0},
     'growth from fix to fix': {'trust.receiver.LONGEST_GROWTH': 0.0},
-    'inputs that repeat themselves': {'trust.repeats.SLOWEST': 1e9, 'trust.repeats.ROUNDED_SPEED': 1e9,
-                                      'trust.repeats.ROUNDED_HEADING': 1e9, 'trust.repeats.AGEING': 0.0},
+    'speeds and headings that repeat themselves': {'trust.repeats.ROUNDED_SPEED': 1e9, 'trust.repeats.AGEING': 0.0,
+                                                   'trust.repeats.ROUNDED_HEADING': 1e9},
     'claims that change': {'trust.receiver.CLAIM_CHANGE': 1e9},
     'errors that last, always': {'trust.receiver.LASTING_SHARE': 0.0},
     'claims that nothing shows': {'trust.receiver.NEVER_SHOWN': 0.0},
@@ -59,25 +84,63 @@ NEVER = {
     'slides': {'trust.contradiction.SLIDE': 1e9},
     'state loosened after a slide': {'trust.contradiction.LOOSENED': 1e9},
     'wrong standstills': {'trust.contradiction.LATELY': 0.0},
-    'what contested fixes have moved': {'trust.contradiction.NO_CHANCE': 1e9},
+    'a second filter that takes fixes for wrong': {'trust.hypotheses.LOST': -1e9},
     'receivers that go straight on': {'trust.straight_on.KNOWN': 1e9},
     'IMU doubted after straying': {'trust.imu_faults.DOUBT_TIME': 0.0},
     'turns too fast for the speed': {'trust.imu_faults.FASTEST_WHIRL': 1e9},
     'spikes': {'trust.imu_faults.LONGEST_SPIKE': 0.0},
     'frozen samples': {'trust.imu_faults.FROZEN_TIME': 1e9},
-    'sensors freed after a restart': {'kernel.SHORTEST_RESTART': 1e9},
-    'samples held before coasting': {'kernel.HELD': 0.0},
+    'sensors freed after a restart': {'advance.SHORTEST_RESTART': 1e9},
+    'samples held before coasting': {'advance.HELD': 0.0},
     'constraint left out where it is not kept': {'update.CONSTRAINT_OFF': 1e9},
     'standstill denied by speed': {'update.STILL_SPEED': 1e3},
-    'standstill denied by turning': {'update.STILL_RATE': 1e3},
-    'engine at a standstill': {'trust.standstill.JUMP': 1e9}}
-#: settings of vehicle.py that are tried beside the faults
+    'standstill denied by turning': {'update.STILL_RATE': 1e3}}
+#: settings of vehicle.py, and of measured drives: path within the folder, s between outages, parameters
 SETTINGS = ('car', 'car + speed')
-#: what moves no row by more than this, m and percent, moves nothing
-LEAST_M, LEAST_PERCENT = 0.05, 0.5
+MEASURED = {'longmont_rtk_drive': ('bag', 60.0, {'imu.mounting_rpy': [0.0, 0.0, np.pi]}),
+            'karlsruhe_hills': ('bag', 60.0, {'reference_topic': '/reference/fix'}),
+            'kingston_span': ('bag', 300.0, {'imu.mounting_rpy': [0.0, 0.0, -np.pi / 2],
+                                             'reference_topic': '/reference/fix'}),
+            'dresden_hobby_imu': ('', 30.0, {'imu.mounting_rpy': [0.0, 0.1, 0.0]}),
+            'husky_wheel_speed': ('', 60.0, {'speed_topic': '/wheel/speed'})}
+ROWS = ('faults', 'inputs', 'car', 'measured')
+OUTAGES = (30.0, 60.0)  # s
+#: ns: the filter runs for so long before the first outage; and so long before a fault the drives are the same
+SETTLING, COMMON = 60 * 10**9, 10 * 10**9
+#: minutes of each simulated drive, and s between outages there
+MINUTES, SPACING = 10.0, 100.0
+#: what moves no row by more than this, m and percent, moves nothing; nor what moves it by this part of its
+#: error
+LEAST_M, LEAST_PERCENT, LEAST_PART = 0.05, 0.5, 0.02
 COLUMNS = ('change', 'row', 'rate_hz', 'error_m', 'within_95_percent')
 
 
+# -- constants that can be changed after the filter has been compiled --------------------------------------------------
+
+#: the values that compiled code looks up
+VALUES = np.zeros(1000)
+
+
+class Constant(float):
+    """A number of the filter that compiled code finds at its place in VALUES, each time that it needs it."""
+
+    def __new__(cls, value: float, place: int):
+        made = super().__new__(cls, value)
+        made.place, VALUES[place] = place, value
+        return made
+
+
+@lower_constant(types.float64)
+def _look_up(context, builder, kind, value):
+    """A constant in compiled code: as numba has it, or the value that stands in VALUES."""
+    llvm = context.get_value_type(kind)
+    if not isinstance(value, Constant):
+        return llvm(value)
+    address = ir.IntType(64)(VALUES.ctypes.data + VALUES.itemsize * value.place)
+    return builder.load(builder.inttoptr(address, llvm.as_pointer()))
+
+
+@cache
 def constants() -> dict[str, float]:
     """All numbers that stand at the top of the files in capitals, by `file.NAME` or `file.NAME[i]`."""
     found = {}
@@ -104,73 +167,168 @@ def _numbers(name: str) -> dict[str, float]:
 
 
 def lay_over(changes: dict[str, float]) -> None:
-    """Give constants other values, in each module that has them, before anything is compiled with them."""
+    """Give constants other values, in each module that has them, and in compiled code."""
+    places = {name: i for i, name in enumerate(constants())}
     for name, value in changes.items():
         module, attribute = name.split('[')[0].rsplit('.', 1)
         old = getattr(importlib.import_module(f'{PACKAGE}.{module}'), attribute)
-        new = value
+        new = Constant(value, places[name])
         if '[' in name:
             i = int(name[name.index('[') + 1:-1])
-            new = (*old[:i], value, *old[i + 1:])
+            new = (*old[:i], new, *old[i + 1:])
         for known in [m for n, m in list(sys.modules.items()) if n.startswith(PACKAGE) and m is not None]:
             if known.__dict__.get(attribute) is old:
                 setattr(known, attribute, new)
 
 
-def work(job: dict) -> list[tuple[str, float, float, float]]:
-    """Rows of one change: name, rate, error (m), share within the 95 % ellipse (%)."""
-    sys.path.insert(0, str(ROOT / 'studies'))
-    import mems_ins_fusion.filter.runs.live  # noqa: F401  all modules are there before a value is laid over them
-    lay_over(job['constants'])
-    import faults
-    import vehicle
+# -- rows --------------------------------------------------------------------------------------------------------------
 
-    rows = []
-    for rate in job['rates']:
-        if job['rows'] != 'vehicle':
-            for fault in [f for f in faults.FAULTS if any(part in f.name for part in job['faults'])]:
-                found = [faults.judged(fault, 2000 + seed, rate, job['values'])[0] for seed in range(job['seeds'])]
-                until = fault.duration + 60.0
-                errors = np.concatenate([o.error[(o.time >= 0) & (o.time <= until)] for o in found])
-                held = np.concatenate([o.inside[(o.time >= 0) & (o.time <= until)] for o in found])
-                rows.append((fault.name, rate, float(errors.max(initial=0.0)), 100.0 * float(held.mean())))
-        if job['rows'] != 'faults':
-            given = {'reference_lever_arm': [0.0, 0.0, 0.0], 'update_intervals': [1.0 / rate], **job['values']}
-            receiver = vehicle.GnssNoise(1.5, rate=rate)
+
+class Shared(Replay):
+    """A replay whose begin, till `common` ns, is that of others: the first of them leaves the filter's memory in `left`
+    under `key`, from which the others go on."""
+
+    def share(self, common: int, left: dict, key) -> Shared:
+        self.common, self.left, self.key = common, left, key
+        return self
+
+    def _filter(self, memory, samples, index, events, epoch):
+        kept = np.flatnonzero(self.keep[index])
+        states = np.empty((len(kept), len(self.columns)))
+        events.record[:, Event.ID] = np.arange(len(events.kind))
+        work = Progress(samples, events, self.columns, kept, states)
+        stop = int(np.searchsorted(samples[:, 0], (self.common - epoch) * 1e-9))
+        if self.stretches:  # after a restart, which the others have not
+            pass
+        elif self.key in self.left:
+            memory[:] = self.left[self.key]
+            work.sample, work.next_event = stop, int(np.searchsorted(events.arrival, stop))
+        else:
+            work.advance(memory, stop)
+            self.left[self.key] = memory.copy()
+        work.advance(memory, len(samples))
+        work.finish(memory)
+        self.stretches.append(Stretch(index[kept], states))
+
+
+def given(recording, values: dict, changed: dict) -> tuple:
+    """What a replay of the recording is given, with these parameters changed."""
+    values, there = table.check({**values, **changed}), recording.streams()
+    aiding = Aiding({one.name: there[one.name] for one in inputs(values) if values[one.topic]})
+    return FilterConfig.from_parameters(values), recording.imu, recording.gnss, aiding
+
+
+def until(recording, last: int):
+    """What of a recording has been received till `last`, ns."""
+    return recording.having({name: samples.select(getattr(samples, 'received', samples.stamp) <= last)
+                             for name, samples in recording.streams().items()})
+
+
+def of_fault(fault, seeds, rate: float, drive: Callable, left: dict) -> Callable:
+    """A row of faults.py or input_faults.py: called with changed parameters it gives the lines of the table. left: see
+    `Shared`; emptied before each change."""
+    prepared = []
+    for seed in seeds:
+        clean = drive(seed, rate)
+        values = {'reference_lever_arm': [0.0, 0.0, 0.0], **fault.values}
+        first = clean.imu.stamp[0] + round(fault.begin(clean) * 1e9)
+        last = first + round((fault.duration + 60.0) * 1e9)
+        recording = until(faults.altered(fault, clean, seed), last + 10**9)
+        truth = truth_of(clean, table.check(values))
+        truth = truth.select((truth.reference.stamp >= first) & (truth.reference.stamp <= last))
+        key = (drive.__module__, *fault.values, seed, first, rate)
+        prepared.append((recording, first, key, run(*given(recording, values, {})).start, truth))
+
+    def judge(changed: dict) -> list[tuple[str, float, float]]:
+        found = []
+        for recording, first, key, start, truth in prepared:
+            config, imu, fixes, aiding = given(recording, values, changed)
+            keep = imu.stamp > first - 10**9
+            replay = Shared(config, imu, fixes, aiding, start, keep).share(first - COMMON, left, key)
+            found.append(errors_of(replay.run(), truth))
+        return [(fault.name, max(e.horizontal.max(initial=0.0) for e in found), share(found))]
+    return judge
+
+
+def of_drives(name: str, recordings, values: dict, spacing: float) -> Callable:
+    """The rows of whole drives, as one."""
+    prepared = []
+    for recording in recordings:
+        truth = truth_of(recording, table.check(values))
+        begins = outage_begins(int(recording.imu.stamp[0]) + SETTLING, recording.gnss, 0.0, spacing, max(OUTAGES))
+        keep = samples_to_keep(recording.imu, truth.reference.stamp)
+        prepared.append((recording, begins, keep, run(*given(recording, values, {})).start, truth))
+
+    def judge(changed: dict) -> list[tuple[str, float, float]]:
+        runs, outages = [], defaultdict(list)
+        for recording, begins, keep, start, truth in prepared:
+            config, imu, fixes, aiding = given(recording, values, changed)
+            whole, coasting = run_with_outages(config, imu, fixes, begins, max(OUTAGES), aiding, keep, start)
+            runs.append(errors_of(whole, truth))
+            for found in outages_of(whole, coasting, truth, OUTAGES, config.imu.restart_gap):
+                outages[found.duration].append(found)
+        error = np.concatenate([e.horizontal for e in runs])
+        lines = [(name, rms(error), share(runs))]
+        for duration, found in outages.items():
+            largest, within = (np.concatenate([getattr(o, part) for o in found]) for part in ('max_error', 'within'))
+            lines.append((f'{name}, {duration:g} s without fixes', np.percentile(largest, 95), 100.0 * within.mean()))
+        return lines
+    return judge
+
+
+def errors_of(run, truth):
+    return position_errors(run, truth, np.zeros(len(truth), dtype=bool))
+
+
+def share(found) -> float:
+    """How often the 95 % ellipse held the truth, %."""
+    return 100.0 * float(np.concatenate([e.nees < NEES_95 for e in found]).mean())
+
+
+def rows(arguments, left: dict) -> Iterator[tuple[float, Callable]]:
+    """The rows asked for: rate of the fixes, Hz (0: as recorded), and what judges."""
+    seeds = range(2000, 2000 + arguments.seeds)
+    for rate in arguments.rates:
+        for kind, drive, known in (('faults', faults.clean_drive, faults.FAULTS),
+                                   ('inputs', input_faults.clean, input_faults.FAULTS)):
+            if kind in arguments.rows:
+                for fault in [f for f in known if any(part in f.name for part in arguments.faults)]:
+                    yield rate, of_fault(fault, seeds, rate, drive, left)
+        if 'car' in arguments.rows:
+            drives = [vehicle.simulated(seed, MINUTES, vehicle.GnssNoise(1.5, rate=rate)) for seed in seeds]
             for setting in SETTINGS:
-                found = vehicle.pooled([vehicle.judge(vehicle.simulated(seed, 10.0, receiver),
-                                                      {**vehicle.SETTINGS[setting], **given})
-                                        for seed in range(job['seeds'])])
-                rows.append((setting, rate, faults.rms(found.error), 100.0 * float(found.inside.mean())))
-                rows.append((f'{setting}, 30 s without fixes', rate, float(np.percentile(found.largest[30.0], 95)),
-                             100.0 * float(found.within[30.0].mean())))
-    return rows
+                values = {**vehicle.SETTINGS[setting], 'reference_lever_arm': [0.0, 0.0, 0.0]}
+                yield rate, of_drives(setting, drives, values, SPACING)
+    if 'measured' in arguments.rows:
+        for name, (path, spacing, values) in MEASURED.items():
+            if (arguments.data / name).exists():
+                values = table.check(values)
+                topics = {one.topic: values[one.topic] for one in inputs(values) if values[one.topic]}
+                recording = read_recording(arguments.data / name / path, '/imu/data', '/gps/fix',
+                                           values['reference_topic'] or None, **topics)
+                yield 0.0, of_drives(name, [recording], values, spacing)
 
 
-def _in_own_process(job: dict) -> list:
-    with tempfile.TemporaryDirectory() as folder:
-        environment = {**os.environ, 'PYTHONPATH': str(ROOT)}
-        if job['constants']:  # what is compiled is of no use to anybody else
-            environment['NUMBA_CACHE_DIR'] = folder
-        done = subprocess.run([sys.executable, __file__, '--work', json.dumps(job)], env=environment, text=True,
-                              capture_output=True)
-    if done.returncode:
-        raise SystemExit(f"{job['change']}: {done.stderr.strip().splitlines()[-1]}")
-    return json.loads(done.stdout.splitlines()[-1])
+# -- the study ---------------------------------------------------------------------------------------------------------
 
 
-def jobs(arguments) -> list[dict]:
-    """The filter as it is, then each mechanism off, then each constant with each factor."""
-    base = {'constants': {}, 'values': {}, 'rows': arguments.rows, 'faults': arguments.faults, 'rates': arguments.rates,
-            'seeds': arguments.seeds}
-    made = [{**base, 'change': 'as it is'}]
-    made += [{**base, 'change': f'without {name}', 'values': values} for name, values in MECHANISMS.items()]
-    made += [{**base, 'change': f'without {name}', 'constants': values} for name, values in NEVER.items()]
-    made += [{**base, 'change': f'{name} x {factor:g}', 'constants': {name: factor * value}}
+@dataclass(frozen=True)
+class Change:
+    """What is done to the filter: parameters and constants with other values."""
+
+    name: str
+    values: dict
+    constants: dict
+
+
+def changes(only: list[str]) -> list[Change]:
+    """The filter as it is, then each mechanism off, then each constant with each factor; `only`: with that in the
+    name."""
+    made = [Change(f'without {name}', values, {}) for name, values in MECHANISMS.items()]
+    made += [Change(f'without {name}', {}, values) for name, values in NEVER.items()]
+    made += [Change(f'{name} x {factor:g}', {}, {name: factor * value})
              for name, value in constants().items() for factor in FACTORS]
-    if arguments.only:
-        made = [job for job in made if job['change'] == 'as it is' or any(o in job['change'] for o in arguments.only)]
-    return made
+    return [Change('as it is', {}, {}), *(c for c in made if not only or any(part in c.name for part in only))]
 
 
 def summary(rows: list[dict]) -> list[str]:
@@ -179,54 +337,73 @@ def summary(rows: list[dict]) -> list[str]:
     for row in rows:
         by_change[row['change']][row['row'], row['rate_hz']] = (float(row['error_m']),
                                                                 float(row['within_95_percent']))
-    plain, lines, idle = by_change.pop('as it is'), [], []
+    plain, moving, idle = by_change.pop('as it is'), {}, []
     for change, found in by_change.items():
         moved = {key: (value[0] - plain[key][0], value[1] - plain[key][1]) for key, value in found.items()
                  if key in plain}
-        if all(abs(m) < LEAST_M and abs(p) < LEAST_PERCENT for m, p in moved.values()):
+        if all(abs(m) < max(LEAST_M, LEAST_PART * plain[key][0]) and abs(p) < LEAST_PERCENT
+               for key, (m, p) in moved.items()):
             idle.append(change)
             continue
         best, worst = min(moved, key=lambda key: moved[key][0]), max(moved, key=lambda key: moved[key][0])
-        lines.append(f'{change:45s} {moved[best][0]:+8.2f} m {best[0]} ({best[1]} Hz)   {moved[worst][0]:+8.2f} m '
-                     f'{worst[0]} ({worst[1]} Hz)')
+        moving[change] = (moved[worst][0] - moved[best][0], (
+            f'{change:45s} {moved[best][0]:+8.2f} m {best[0]} ({best[1]} Hz)   {moved[worst][0]:+8.2f} m '
+            f'{worst[0]} ({worst[1]} Hz)'))
+    lines = [line for _, line in sorted(moving.values(), reverse=True)]
     return [*lines, f'move nothing: {", ".join(idle) or "none"}']
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--list', action='store_true', help='the constants and their values')
-    parser.add_argument('--only', nargs='+', help='changes with one of these in their name')
-    parser.add_argument('--rows', choices=('faults', 'vehicle', 'all'), default='all')
+    parser.add_argument('--summary', nargs='+', type=Path, metavar='FILE.csv', help='of what has been written')
+    parser.add_argument('--only', nargs='+', default=[], help='changes with one of these in their name')
+    parser.add_argument('--rows', nargs='+', choices=ROWS, default=ROWS)
     parser.add_argument('--faults', nargs='+', default=[''], metavar='TEXT',
                         help='those with one of these in their name')
     parser.add_argument('--rates', nargs='+', type=float, default=[0.2, 1.0, 10.0], help='of the fixes, Hz')
-    parser.add_argument('--seeds', type=int, default=2)
-    parser.add_argument('--processes', type=int, default=2)
+    parser.add_argument('--seeds', type=int, default=1)
+    parser.add_argument('--data', type=Path, default=ROOT.parent / 'shared' / 'data', help='folder of measured drives')
     parser.add_argument('--output', type=Path, default=Path('ablation.csv'))
-    parser.add_argument('--work', help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.work:
-        print(json.dumps(work(json.loads(arguments.work))))
-        return
     if arguments.list:
         print('\n'.join(f'{name:45s} {value:g}' for name, value in constants().items()))
-        return
-    done = []
-    if arguments.output.exists():
-        with open(arguments.output, newline='') as file:
-            done = list(csv.DictReader(file))
+    elif arguments.summary:
+        print('\n'.join(summary([row for path in arguments.summary for row in _read(path)])))
+    else:
+        study(arguments)
+        print('\n'.join(summary(_read(arguments.output))))
+
+
+def study(arguments) -> None:
+    """Add to the file what it has not yet."""
+    lay_over(constants())
+    left: dict = {}
+    judges = list(rows(arguments, left))
+    done = _read(arguments.output) if arguments.output.exists() else []
     finished = {row['change'] for row in done}
-    with open(arguments.output, 'a', newline='') as file, ThreadPoolExecutor(arguments.processes) as pool:
+    with open(arguments.output, 'a', newline='') as file:
         writer = csv.writer(file, lineterminator='\n')
         if not done:
             writer.writerow(COLUMNS)
-        todo = [job for job in jobs(arguments) if job['change'] not in finished]
-        for job, rows in zip(todo, pool.map(_in_own_process, todo)):
-            writer.writerows((job['change'], *row) for row in rows)
-            file.flush()
-            print(job['change'], flush=True)
-    with open(arguments.output, newline='') as file:
-        print('\n'.join(summary(list(csv.DictReader(file)))))
+        for change in changes(arguments.only):
+            if change.name not in finished:
+                lay_over(change.constants)
+                left.clear()
+                try:
+                    lines = [(change.name, name, f'{rate:g}', f'{error:.4f}', f'{within:.2f}')
+                             for rate, judge in judges for name, error, within in judge(change.values)]
+                except ZeroDivisionError:  # the constant is a bound that keeps numbers finite
+                    lines = [(change.name, 'as it is', '0', 'inf', '0')]
+                writer.writerows(lines)
+                lay_over({name: constants()[name] for name in change.constants})
+                file.flush()
+                print(change.name, flush=True)
+
+
+def _read(path: Path) -> list[dict]:
+    with open(path, newline='') as file:
+        return list(csv.DictReader(file))
 
 
 if __name__ == '__main__':

@@ -9,8 +9,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def said(script):
-    environment = {**os.environ, 'PYTHONPATH': f"{ROOT}:{ROOT / 'studies'}", 'NUMBA_DISABLE_JIT': '1'}
+def said(script, interpreted='1'):
+    environment = {**os.environ, 'PYTHONPATH': f"{ROOT}:{ROOT / 'studies'}", 'NUMBA_DISABLE_JIT': interpreted}
     return subprocess.run([sys.executable, '-c', script], env=environment, capture_output=True, text=True,
                           check=True).stdout.split()
 
@@ -19,11 +19,24 @@ def test_a_constant_is_changed_wherever_it_is_used():
     # given one that another module has imported, and one of a tuple
     assert said("""
 from mems_ins_fusion.filter import prediction
-from mems_ins_fusion.filter.trust import drift, receiver
+from mems_ins_fusion.filter.trust import receiver, scale
 from ablation import lay_over
-lay_over({'prediction.GAP_ACCELERATION': 9.0, 'trust.drift.SMALLEST_RATIO[1]': 0.5})
-print(prediction.GAP_ACCELERATION, receiver.GAP_ACCELERATION, *drift.SMALLEST_RATIO)
-""") == ['9.0', '9.0', '1.0', '0.5']
+lay_over({'prediction.GAP_ACCELERATION': 9.0, 'trust.scale.LOG_MEAN[1]': 0.5})
+print(prediction.GAP_ACCELERATION, receiver.GAP_ACCELERATION, *scale.LOG_MEAN)
+""") == ['9.0', '9.0', '-1.2704', '0.5']
+
+
+def test_compiled_code_finds_the_value_that_a_constant_has_now():
+    # given a scale of e^-3 whose logarithm has the prior as its variance: all but one sigma of it counts
+    assert said("""
+import numpy as np
+from ablation import constants, lay_over
+from mems_ins_fusion.filter.trust import scale
+lay_over(constants())
+for prior in 4.0, 1.0, 4.0:
+    lay_over({'trust.scale.PRIOR': prior})
+    print(round(np.log(scale.scale(np.array([-3.0, 0.0, 0.0]), 0)), 9))
+""", interpreted='0') == ['-1.0', '-2.0', '-1.0']
 
 
 def test_what_is_compared_with_the_filter_as_it_is():

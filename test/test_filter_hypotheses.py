@@ -108,9 +108,9 @@ def test_the_second_filter_is_the_first_without_those_fixes():
     # given fixes that jump by 40 m at 40.5 s, and the same drive that ends before
     drive, before = Drive(), Drive()
     drive.position[drive.time > 40.0, 1] += 40.0
-    drive.samples, before.samples = drive.samples[:2100], before.samples[:2100]
+    drive.samples, before.samples = drive.samples[:2040], before.samples[:2040]
     before.time, before.position = before.time[before.time < 40.0], before.position[before.time < 40.0]
-    drive.time, drive.position = drive.time[drive.time < 41.9], drive.position[drive.time < 41.9]
+    drive.time, drive.position = drive.time[drive.time < 41.0], drive.position[drive.time < 41.0]
     _, memory, *_ = drive.through('strapdown')
     _, without, *_ = before.through('strapdown')
     # then while it is open what to believe, the second has the position and velocity of that drive

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from filter_support import HEIGHT, LATITUDE, configure, fix_record, newest, started, take_all
 
-from mems_ins_fusion.filter.memory import Event, Head, Nav, Sample, covariance, views
-from mems_ins_fusion.filter.trust.imu_faults import Fault, Imu
+from mems_ins_fusion.filter.memory import Event, Head, Nav, Sample, covariance, state_at, views
+from mems_ins_fusion.filter.trust.imu_faults import Fault, Imu, is_doubted
 from mems_ins_fusion.navigation.earth import gravity
 
 RATE, SPEED = 50.0, 12.0
@@ -71,6 +71,19 @@ def test_a_fault_is_seen_for_what_it_is_and_bridged(mechanization, change, fault
     sigma = math.sqrt(p[first, first])
     assert error < 3 * sigma + 0.1 and error < 2.5
     assert sigma > math.sqrt(0.1**2 + (1.5 * (counts[fault] - 1) / RATE) ** 2)
+
+
+@pytest.mark.parametrize(('times', 'seconds'), [(1, 60.0), (2, 120.0), (3, 240.0)])
+def test_an_imu_that_the_fixes_have_contradicted_is_doubted_twice_as_long_each_time(times, seconds):
+    # given a state that was set to fixes which it had strayed from, 100 s after the epoch
+    _, memory, _ = driven('strapdown', lambda samples: None, count=2)
+    r = state_at(memory, int(memory[Head.SAMPLES]))
+    memory[r + Nav.STRAYED], memory[r + Nav.STRAYED_TIME] = times, 100.0
+    # then
+    assert [bool(is_doubted(memory, r, 100.0 + t)) for t in (0.0, seconds - 1.0, seconds + 1.0)] == [True, True, False]
+    # and one that was not is not
+    memory[r + Nav.STRAYED] = 0.0
+    assert not is_doubted(memory, r, 100.0)
 
 
 @BOTH

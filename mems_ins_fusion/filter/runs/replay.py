@@ -81,13 +81,14 @@ def run_with_constraints(config: FilterConfig, imu: ImuSamples, fixes: Fixes, ai
 
 
 def run_with_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin: np.ndarray, duration: float,
-                     aiding: Aiding = Aiding(), keep: np.ndarray | None = None) -> tuple[Run, Coasting]:
+                     aiding: Aiding = Aiding(), keep: np.ndarray | None = None,
+                     start: Start | None = None) -> tuple[Run, Coasting]:
     """The ordinary run, and the runs in which what comes from satellites after each `begin` is withheld.
 
-    begin: (o,) ns, ascending. duration: s that each outage is followed for, or to the end of the recording. keep: as
-    for `run`. An outage is left out where the filter was not running at its begin.
+    begin: (o,) ns, ascending. duration: s that each outage is followed for, or to the end of the recording. keep,
+    start: as for `run`. An outage is left out where the filter was not running at its begin.
     """
-    work = Replay(config, imu, fixes, aiding, None, keep, np.asarray(begin, dtype=np.int64), duration)
+    work = Replay(config, imu, fixes, aiding, start, keep, np.asarray(begin, dtype=np.int64), duration)
     whole = work.run()
     lengths = [len(branch.samples) for branch in work.branches]
     first = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)

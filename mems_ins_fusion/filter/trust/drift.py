@@ -36,8 +36,6 @@ Drift = ROW.place(
 
 #: s: estimates are compared over so long; over less they hardly move
 WINDOW = 30.0
-#: s: and over no more than that: in an outage nothing tells
-LONGEST = 60.0
 #: share of the variance: where measurements have taken less of it away they say nothing
 TOLD = 0.1
 #: times Q: where they have taken more they show the bias that the sensor was switched on with
@@ -48,9 +46,9 @@ LARGEST_DRIFT = 9.0
 DRIFT_PRIOR = 3.0
 #: comparisons: no more than so many are remembered, ten minutes
 DRIFT_MEMORY = 60.0
-#: multiples of the assumed variance that are believed at least, of accelerometers and gyroscopes: a small error of an
-#: accelerometer, which shows together with the tilt, is not told well enough to count on it
-SMALLEST_RATIO = (1.0, 0.01)
+#: multiple of the assumed variance that is believed at least of accelerometers: a small error of one, which shows
+#: together with the tilt, is not told well enough to count on it. Of gyroscopes DRIFT_PRIOR leaves a twentieth
+SMALLEST_RATIO = 1.0
 #: and at most, of both: ten times the assumed drift is another sensor's
 LARGEST_RATIO = 100.0
 
@@ -65,7 +63,6 @@ def learn_drift(mem, r):
     if begin != 0.0 and since < WINDOW:
         return
     mem[r + Drift.TIME] = time
-    judged = begin != 0.0 and since < LONGEST
     lasting = variance_factor(mem, r) if mem[Head.CONSTRAINTS] == 0.0 else 1.0
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     x = r + NAV + n_navigation
@@ -73,7 +70,7 @@ def learn_drift(mem, r):
     for k in range(6):
         sensor = 0 if k < 3 else 1
         error, variance, ratio = mem[x + k], mem[e + (m + 1) * k], mem[r + Drift.RATIO + sensor]
-        if judged:
+        if begin != 0.0:
             decay = math.exp(-since * mem[decay_at(m, k)])
             driving = ratio * (mem[walk_at(m, k)] * since
                                + mem[variance_at(m, k)] * (1.0 - decay * decay))
@@ -95,4 +92,6 @@ def learn_drift(mem, r):
         least = (DRIFT_PRIOR + mem[r + Drift.LEAST + sensor]) / (DRIFT_PRIOR + seen)
         most = (DRIFT_PRIOR + mem[r + Drift.SUM + sensor]) / (DRIFT_PRIOR + seen)
         ratio = min(max(least, 1.0), most)
-        mem[r + Drift.RATIO + sensor] = min(max(ratio, SMALLEST_RATIO[sensor]), LARGEST_RATIO)
+        if sensor == 0:
+            ratio = max(ratio, SMALLEST_RATIO)
+        mem[r + Drift.RATIO + sensor] = min(ratio, LARGEST_RATIO)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from mems_ins_fusion.compiled import njit
 
 from ..memory import HEAD, Head, Nav
+from .standstill import MOVING_SPEED
 
 
 class _Fault(NamedTuple):
@@ -49,8 +50,6 @@ Imu = HEAD.place(
     FAULTS=Fault.SIZE,  # samples not believed, by reason
     WHIRLED=1)  # s of turns too fast for the speed, lately
 
-#: the vehicle certainly moves above this speed, m/s
-MOVING_SPEED = 1.0
 #: time constant of the running mean that neighbours are told by, s
 NEIGHBOURHOOD = 0.2
 #: m/s^2: a specific force further from that mean, besides JUMP_SIGMAS of its scatter, is a spike: a pothole is less
@@ -84,8 +83,6 @@ MOST_WHIRL = 3.0
 #: s: a filter that has strayed from fixes that were right does not believe the IMU for so long, twice as long each
 #: further time
 DOUBT_TIME = 60.0
-#: times: beyond which that does not get longer
-MOST_STRAYED = 8.0
 
 
 @njit(_nrt=False)
@@ -93,7 +90,7 @@ def is_doubted(mem, r, time):
     """Whether what the fixes have shown till the state at r speaks against the IMU at `time`."""
     if mem[Imu.WHIRLED] > LONGEST_WHIRL:
         return True
-    lasts = DOUBT_TIME * 2.0 ** (min(mem[r + Nav.STRAYED], MOST_STRAYED) - 1.0)
+    lasts = DOUBT_TIME * 2.0 ** (mem[r + Nav.STRAYED] - 1.0)
     return mem[r + Nav.STRAYED] >= 1.0 and time - mem[r + Nav.STRAYED_TIME] < lasts
 
 

@@ -12,11 +12,10 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ..measurements.geometry import body_to_level, body_velocity
-from ..memory import Event, Head, Kind, Nav, velocity_variance
+from ..memory import Event, Head, Kind, Nav
 from .scale import Seen, seen_of
+from .standstill import moves
 
-#: m/s: slower than this a receiver that rounds to decimetres may rightly repeat a position
-SLOWEST = 1.0
 #: changes that rounding leaves unsaid: of a speed, m/s, and of a heading, rad, some steps of the coarsest there are
 ROUNDED_SPEED, ROUNDED_HEADING = 1.0, 0.1
 #: and of what the inertial sensors may be wrong by: m/s^2, a tilt of two degrees, and rad/s
@@ -36,7 +35,7 @@ def is_stuck(mem, r, at):
         return False
     kind = int(mem[at + Event.KIND])
     if kind == Kind.POSITION:
-        return _repeats(mem, at, r + Nav.FIX_LATITUDE) and _moves(mem, r)
+        return _repeats(mem, at, r + Nav.FIX_LATITUDE) and moves(mem, r)
     if kind == Kind.PRESSURE:
         return False
     own = seen_of(mem, r, at)
@@ -44,7 +43,7 @@ def is_stuck(mem, r, at):
     if kind == Kind.PLACE or kind == Kind.VELOCITY:
         same = _repeats(mem, at, own + Seen.LATEST)
         mem[own + Seen.LATEST + 1] = mem[at + Event.VALUE + 1]
-        if same and _moves(mem, r):
+        if same and moves(mem, r):
             return True
     mem[own + Seen.LATEST] = mem[at + Event.VALUE]
     since, mem[own + Seen.SAID] = mem[at + Event.TIME] - mem[own + Seen.SAID], mem[at + Event.TIME]
@@ -81,12 +80,6 @@ def note(mem, r, at):
 @njit(_nrt=False)
 def _repeats(mem, at, latest):
     return mem[at + Event.VALUE] == mem[latest] and mem[at + Event.VALUE + 1] == mem[latest + 1]
-
-
-@njit(_nrt=False)
-def _moves(mem, r):
-    """Whether the vehicle certainly does."""
-    return math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]) > SLOWEST + 2.0 * math.sqrt(velocity_variance(mem, r))
 
 
 @njit(_nrt=False)

@@ -1,4 +1,6 @@
-"""Whether the vehicle stands, as the accelerometers show it: the filter's one detector, which learns from the vehicle.
+"""Whether the vehicle certainly moves, as the state says, and whether it stands, as the accelerometers show it.
+
+Of standstills this is the filter's one detector, and it learns from the vehicle.
 
 The scatter of samples does not separate an idling engine from a smooth road. What does is what is left of the specific
 force below a hertz or so: no road is so even and no driver so steady that pitch, grade, bank and speed keep still, and
@@ -12,7 +14,7 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import HEAD, Sample
+from ..memory import HEAD, Nav, Sample, nonnegative, velocity_variance
 
 #: what the detector remembers
 Still = HEAD.place(
@@ -25,6 +27,8 @@ Still = HEAD.place(
     REST=1,  # and of what is usual at rest
     SINCE=1)  # s for which it has been quiet
 
+#: m/s: a vehicle certainly moves where its speed, less two sigma, is above this: a slower one may stand
+MOVING_SPEED = 1.0
 #: s: time constant of each of the two low passes; an engine shakes faster than what they leave
 LOW_PASS = 0.2
 #: s: time constant of the running mean that is taken out of it, tilt and bias
@@ -43,8 +47,20 @@ REST = 5.0
 EXPECTED_MOTION = 0.05
 #: m/s^2: and its level at rest
 EXPECTED_REST = 0.01
-#: a single sample that is louder than the threshold by this factor ends a standstill at once
-JUMP = 4.0
+
+
+@njit(_nrt=False)
+def certain_speed(mem, r):
+    """The speed that the vehicle certainly has in the state at r, m/s: less two sigma."""
+    r = nonnegative(r)
+    sigma = math.sqrt(velocity_variance(mem, r))
+    return max(math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]) - 2.0 * sigma, 0.0)
+
+
+@njit(_nrt=False)
+def moves(mem, r):
+    """Whether the vehicle certainly moves in the state at r."""
+    return certain_speed(mem, r) > MOVING_SPEED
 
 
 @njit(_nrt=False)
@@ -79,6 +95,5 @@ def is_still(mem, sample, dt, moving, anew):
         rest += min(1.0, dt / REST) * (level - rest)
     mem[Still.MOTION], mem[Still.REST] = motion, rest
     threshold = min(max(0.5 * (motion + rest), rest + separation), motion - separation)
-    quiet = level < threshold and energy < JUMP**2 * math.exp(2.0 * threshold) and not moving
-    mem[Still.SINCE] = mem[Still.SINCE] + dt if quiet else 0.0
+    mem[Still.SINCE] = mem[Still.SINCE] + dt if level < threshold and not moving else 0.0
     return 1.0 if mem[Still.SINCE] >= DURATION else 0.0

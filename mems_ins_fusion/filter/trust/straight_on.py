@@ -13,9 +13,10 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import HEAD, ROW, Event, Head, Nav, Verdict, velocity_variance
+from ..memory import HEAD, ROW, Event, Head, Nav, Verdict
 from .receiver import CLAIM_CHANGE, Receiver
 from .scale import scale
+from .standstill import moves
 
 #: of a state
 StraightOn = ROW.place(
@@ -52,8 +53,6 @@ MEMORY = 100.0
 LARGEST = 4.0
 #: fixes depart from the vehicle where they are off by so many sigma of what they claim
 FAR = 2.0
-#: slower than this, m/s, a vehicle may stand, and a receiver rightly repeat itself
-SLOWEST = 1.0
 
 
 @njit(_nrt=False)
@@ -88,11 +87,9 @@ def goes_straight_on(mem, r, at, z_n, z_e):
         for i in range(3):
             mem[begin + i] = mem[last + i]
     mem[last], mem[last + 1], mem[last + 2] = time, latitude, longitude
-    speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
-    moves = speed > SLOWEST + 2.0 * math.sqrt(velocity_variance(mem, r))
     departed = (z_n - mem[r + StraightOn.PULLED]) ** 2 + (z_e - mem[r + StraightOn.PULLED + 1]) ** 2
     found = known and mem[r + StraightOn.NATS] > math.log(USUALLY / step) and (
-        mem[r + StraightOn.TOLD] != 0.0 or moves and departed > FAR * FAR * claimed)
+        mem[r + StraightOn.TOLD] != 0.0 or moves(mem, r) and departed > FAR * FAR * claimed)
     if mem[Head.GATE] > 0.0 and found or mem[at + Event.WITHDRAWN] != 0.0:
         return True
     if not better:  # how it is off less how the one before it was, is the error of that
