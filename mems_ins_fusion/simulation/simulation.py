@@ -120,7 +120,9 @@ def simulate_recording(drive: Drive, sensors: SensorErrors | None = None, gnss: 
         imu = effect.distort_samples(imu, values, stream(seed, effect.name))
     temperatures = _temperatures(drive, effects, seed)
     recording = Recording(name, imu.with_temperature(temperatures), _fixes(drive, gnss, effects, seed), reference,
-                          temperatures).having(_aided(drive, aiding, effects, seed, named) if aiding or named else {})
+                          temperatures)
+    if aiding or named:
+        recording = recording.having(_aided(drive, aiding, effects, seed, named, to_sensor))
     return Simulation(recording, drive, slow_errors, {effect.name: values for effect, values in effects})
 
 
@@ -178,7 +180,7 @@ def _fixes(drive, gnss, effects, seed) -> Fixes:
                  covariance_type=np.full(len(stamp), _COVARIANCE_TYPE_DIAGONAL_KNOWN, np.uint8))
 
 
-def _aided(drive, aiding, effects, seed, named) -> dict:
+def _aided(drive, aiding, effects, seed, named, to_sensor) -> dict:
     """What the further sensors say, by name."""
     errors = {**Aiding(), **(aiding or {})}
     wanted = [measurement for measurement in AIDING if errors[f'{measurement.name}_rate']]
@@ -186,8 +188,9 @@ def _aided(drive, aiding, effects, seed, named) -> dict:
     for measurement in (*wanted, *named):
         rate = f'{MEASUREMENTS[measurement.kind].name}_rate'
         own = {**errors, rate: errors[rate] or (1.0 if measurement.from_satellites else 10.0)}
-        said[measurement.name] = measurement.simulated(drive, own, effects, stream(seed, measurement.name),
-                                                       partial(_instants, drive, effects, measurement.name))
+        samples = measurement.simulated(drive, own, effects, stream(seed, measurement.name),
+                                        partial(_instants, drive, effects, measurement.name))
+        said[measurement.name] = measurement.seen_from(samples, to_sensor)
     return said
 
 
