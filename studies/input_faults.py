@@ -2,10 +2,10 @@
 
     python studies/input_faults.py [--seeds 6] [--rate 1] [--only TEXT,TEXT] [--set NAME=VALUE ...] [--output FILE.md]
 
-The drives of faults.py with one input more: speed, velocity, odometry, heading, pressure, magnetometer or a second receiver 1.6 m
-behind the first. The fault lasts for a minute from 200 s on. Each row twice: with fixes all the time, and without any
-in the second half of that minute. *without it*: the same filter that does not have the input while the fault lasts. The
-other columns are those of faults.py.
+The drives of faults.py with one input more: speed, velocity, odometry, heading, pressure, magnetometer or a second
+receiver 1.6 m behind the first. The fault lasts for a minute from 200 s on. Each row twice: with fixes all the time,
+and without any in the second half of that minute. *without it*: the same filter that does not have the input while
+the fault lasts. The other columns are those of faults.py.
 
 missing: nothing comes. late: stamps of half a second later. doubled: each message twice. dead: it stays at the value it
 has as the fault begins. wrong: WRONG below.

@@ -2,10 +2,10 @@
 
     python studies/slow_robot.py [--seeds 12] [--minutes 5]
 
-Simulated robots that drive straight on, turn and turn on the spot, with fixes of 1.5 m each second and without standstills
-(vehicle.zero_velocity off, as a robot that is so slow stands by its accelerometers): alone; with a magnetometer whose hard
-iron is 15 uT along each axis, which nobody has measured; and with iron beside the way, 5 uT every 100 m. Heading of the
-body, from a minute after the start on.
+Simulated robots that drive straight on, turn and turn on the spot, with fixes of 1.5 m each second and without
+standstills (vehicle.zero_velocity off, as a robot that is so slow stands by its accelerometers): alone; with a
+magnetometer whose hard iron is 15 uT along each axis, which nobody has measured; and with iron beside the way, 5 uT
+every 100 m. Heading of the body, from a minute after the start on.
 """
 from __future__ import annotations
 

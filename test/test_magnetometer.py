@@ -1,4 +1,4 @@
-"""Heading from the magnetic field: its formula, its iron, slow robots that start by it, what is said where it is wrong."""
+"""Heading from the magnetic field: its formula, its iron, robots that start by it, what is said where it is wrong."""
 from __future__ import annotations
 
 import math
@@ -19,6 +19,7 @@ from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.checker import check_recording
 from mems_ins_fusion.recordings.reading import read_recording
+from mems_ins_fusion.recordings.several import later
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.samples import Aiding as Measured
 from mems_ins_fusion.samples import MagneticFields
@@ -125,8 +126,8 @@ def test_measured_iron_tells_the_heading_at_rest():
         magnetometer_disturbance=0.0)).recording
     fields, iron = made.others['magnetometer'], np.array([12e-6, -20e-6, 5e-6])
     fields = replace(fields, field=fields.field + iron)
-    known = {'magnetometer.hard_iron': iron.tolist(), 'magnetometer.hard_iron_sigma': 1e-6, 'imu.mounting_rpy': list(rpy),
-             'magnetometer.declination': 0.2}
+    known = {'magnetometer.hard_iron': iron.tolist(), 'magnetometer.hard_iron_sigma': 1e-6,
+             'imu.mounting_rpy': list(rpy), 'magnetometer.declination': 0.2}
     # then it starts with the heading that it has: magnetic north is declared to be 0.2 rad to the right of where it is
     result = driven(made, fields, **known)
     assert np.abs(heading_error(made, result) - np.degrees(0.2)).max() < 1.5
@@ -150,7 +151,8 @@ def test_iron_beside_the_way_does_not_turn_the_heading(slow):
 
 
 def feed(fusion, recording, place):
-    """All of a recording into a live filter, in the order of arrival; place: by index of a sample, what is estimated."""
+    """All of a recording into a live filter, in the order of arrival; place: filled with what is estimated, by index of
+    the sample."""
     fields = recording.others['magnetometer']
     rows = sorted([(t, 0, i) for i, t in enumerate(recording.imu.received)]
                   + [(t, 1, i) for i, t in enumerate(recording.gnss.received)]
@@ -181,6 +183,28 @@ def test_live_and_replay_give_the_same_bits(slow):
     assert health['magnetometer used'] > 3000 and 0.0 < health['magnetometer_hard_x sigma'] < 0.1
 
 
+def test_iron_that_a_run_before_has_learned_tells_the_heading_at_rest(slow):
+    # given a robot that has driven, was carried somewhere else, and stands there six minutes later
+    before = FusionFilter(config())
+    feed(before, slow, {})
+    rest = simulate_recording(simulate_drive(20.0, 8, 50.0, standstill=20.0, manoeuvres=SLOW), None,
+                              GnssNoise(1.5, 1.0), seed=8, aiding=Aiding(magnetometer_rate=20.0, **CLEAN)).recording
+    rest = later(rest, 600 * 10**9)
+    # then it starts with the heading of the field; without what it knows it waits for a turn
+    for snapshot in (before.snapshot(), None):
+        fusion = FusionFilter(config())
+        first = rest.imu
+        fusion.add_imu(int(first.stamp[0]) - 10**7, *first.specific_force[0].tolist(), *first.angular_rate[0].tolist())
+        if snapshot is not None:
+            fusion.restore(snapshot, 1.0)
+        feed(fusion, rest, {})
+        assert fusion.aligned == (snapshot is not None)
+        if fusion.aligned:
+            assert any('heading from the magnetic field' in notice.text for notice in fusion.notices())
+            yaw = math.pi / 2 - 2.0 * math.atan2(fusion.odometry[5], fusion.odometry[6])
+            assert abs(math.remainder(yaw - rest.reference.yaw[-1], 2 * math.pi)) < 0.15
+
+
 def test_a_bag_keeps_it_and_configure_and_the_checker_know_its_unit(slow, tmp_path):
     # given a bag in microtesla
     fields = slow.others['magnetometer']
@@ -189,7 +213,8 @@ def test_a_bag_keeps_it_and_configure_and_the_checker_know_its_unit(slow, tmp_pa
     read = read_recording(tmp_path / 'bag', '/imu/data', '/gps/fix', magnetometer_topic='/mag')
     assert np.array_equal(read.others['magnetometer'].field, in_microtesla.field)
     # then the checker names the factor, and with it says nothing; configure sets it for a robot that is so slow
-    worse = [f for f in check_recording(read, table.check(TOPIC)) if f.topic == 'magnetometer' and f.severity == 'error']
+    worse = [f for f in check_recording(read, table.check(TOPIC))
+             if f.topic == 'magnetometer' and f.severity == 'error']
     assert len(worse) == 1 and 'set magnetometer.factor to 1e-06' in worse[0].message
     values = table.check({**TOPIC, 'magnetometer.factor': 1e-6})
     assert all(f.severity == 'info' for f in check_recording(read, values) if f.topic == 'magnetometer')

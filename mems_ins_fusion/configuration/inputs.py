@@ -159,7 +159,8 @@ def _magnetometer(topic, fields, fixes):
         return LeftOut(topic, 'no magnetic field of the earth in any unit')
     if shows_course(fixes):
         return LeftOut(topic, 'the course of the fixes tells the heading better than a magnetic field')
-    return InputShown(topic, TYPES['magnetometer'], 'the vehicle is too slow for its course to tell the heading', factor)
+    return InputShown(topic, TYPES['magnetometer'], 'the vehicle is too slow for its course to tell the heading',
+                      factor)
 
 
 def _heading(topic, headings, fixes):

@@ -1,4 +1,4 @@
-"""What speed, velocity, heading, pressure, magnetometer and twist say against the fixes: units, signs, frames, the sigma they state.
+"""What inputs besides the fixes say against these: units, signs, frames, the sigma they state.
 
 Each is averaged over chords between fixes that are long enough to have a direction.
 """
@@ -35,7 +35,7 @@ _OVERSURE = 3.0  # times the stated sigma
 _ALIGNED = 0.9  # cosine
 _PROPORTIONAL = 0.2  # scatter of a speed's ratio to that of the fixes, as a part of it; of an east velocity it is 1
 _ZERO = 0.02  # m/s: a speed that is never more is none
-_TURNED = 0.02  # variance of the cosine of courses, in the direction in which they differ least: some 30 deg to each side
+_TURNED = 0.02  # variance of the courses' unit vectors, where they differ least: some 30 deg to each side
 _CURVE = 0.03  # rad: by which courses of chords differ from headings in bends, whatever the receiver
 #: what a horizontal velocity north-east turns into where the message is not east-north-up
 _MISTAKES = {
@@ -321,8 +321,8 @@ def check_magnetometer(fields: MagneticFields, fixes: Fixes | None) -> Iterator[
         {'horizontal': horizontal, 'scatter': scatter})
 
 
-_CHECKS = {'pressure': check_pressure, 'magnetometer': check_magnetometer, 'speed': check_speed, 'velocity': check_velocity, 'heading': check_heading,
-           'twist': check_twist}
+_CHECKS = {'pressure': check_pressure, 'magnetometer': check_magnetometer, 'speed': check_speed,
+           'velocity': check_velocity, 'heading': check_heading, 'twist': check_twist}
 #: names of the kinds
 NAMES = {measurement.kind: measurement.name for measurement in AIDING}
 #: what the values of a finding hold where there were fixes to compare with

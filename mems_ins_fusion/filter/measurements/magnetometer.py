@@ -1,10 +1,10 @@
 """Heading from the magnetic field of the earth, whose iron in the vehicle is estimated in the drive.
 
-Levelled, the field is v = hard + S u, with u the direction of magnetic north in the vehicle, S = (1 + strength) I plus a
-symmetric matrix without trace, the soft iron, and `hard` what the vehicle itself is magnetized by, all as shares of
-`NAME.horizontal_field`. Both are states: turns that the gyroscopes see, and headings that fixes show, tell them; before
-that the field tells nothing, as the hard iron's sigma is twice the field. What iron turns the field by at all headings
-alike is one with the declination, a state too. (W. Koo, S. Sung and Y. J. Lee, "Error calibration of magnetometer using
+Levelled, the field is v = hard + S u, with u the direction of magnetic north in the vehicle, S = (1 + strength) I plus
+a symmetric matrix without trace, the soft iron, and `hard` the vehicle's own field, all as shares of
+`NAME.horizontal_field`. Both are states: turns that the gyroscopes see, and headings that fixes show, tell them;
+before that the field tells nothing, as the hard iron's sigma is twice the field. What iron turns the field by at all
+headings alike is one with the declination, a state too. (W. Koo, S. Sung and Y. J. Lee, "Error calibration of magnetometer using
 nonlinear integrated filter model with inertial sensors", IEEE Trans. Magnetics 45, 2009; V. Renaudin, M. H. Afzal and
 G. Lachapelle, "Complete triaxis magnetometer calibration in the magnetic domain", J. Sensors 2010.)
 """
@@ -52,8 +52,8 @@ def _levelled(mem, r, at, c):
 
 @njit(_nrt=False)
 def observe(mem, r, at, h, n, c):
-    """Predicted minus measured horizontal field, as a share of it: across the one predicted, which is an angle, and along
-    it; two components."""
+    """Predicted minus measured horizontal field, as a share of it: across the one predicted, which is an angle, and
+    along it; two components."""
     first = own_state(mem, at, Compass.STATES)
     x = r + NAV + first
     strength, stretch, skew = 1.0 + mem[x + 2], mem[x + 3], mem[x + 4]
@@ -133,10 +133,11 @@ class Magnetometer(Measurement):
     topic_text = 'Topic of the magnetic field, T: sensor_msgs/MagneticField, for robots too slow to show a course'
     components = 2
     messages = {'sensor_msgs/msg/MagneticField': ('magnetic_field', 'magnetic_field_covariance')}
-    layouts = {'sensor_msgs/msg/MagneticField': (('magnetic_field', '<f8', 3), ('magnetic_field_covariance', '<f8', 9))}
+    layouts = {'sensor_msgs/msg/MagneticField': (('magnetic_field', '<f8', 3),
+                                                 ('magnetic_field_covariance', '<f8', 9))}
     written_to = '/imu/mag'
-    #: T, white; T, hard iron along each axis; elements of soft iron; rad, declination, all drawn for each seed; T, of what
-    #: stands beside the road, and m between such
+    #: T, white; T, hard iron along each axis; elements of soft iron; rad, declination, all drawn for each seed; T, of
+    #: what stands beside the road, and m between such
     simulated_with = {'magnetometer_rate': 0.0, 'magnetometer_sigma': 0.5e-6, 'magnetometer_hard_iron': 15e-6,
                       'magnetometer_soft_iron': 0.05, 'magnetometer_declination': 0.03,
                       'magnetometer_disturbance': 5e-6, 'magnetometer_distance': 100.0}
@@ -144,8 +145,8 @@ class Magnetometer(Measurement):
     def parameters(self):
         return (
             *super().parameters(),
-            Parameter(f'{self.name}.factor', 1.0, '-', f'Makes T of what the messages on {self.topic} say: 1e-6 for uT, '
-                      '1e-4 for gauss.', minimum=-1e4, maximum=1e4),
+            Parameter(f'{self.name}.factor', 1.0, '-', f'Makes T of what the messages on {self.topic} say: 1e-6 for '
+                      'uT, 1e-4 for gauss.', minimum=-1e4, maximum=1e4),
             Parameter(f'{self.name}.mounting_rpy', [], 'rad', 'Roll, pitch, yaw of the rotation from its axes to '
                       'base_link; empty: imu.mounting_rpy.', lengths=(0, 3), minimum=-2 * math.pi,
                       maximum=2 * math.pi),
@@ -155,8 +156,8 @@ class Magnetometer(Measurement):
                       'is turned about the vertical, with which it is estimated.', minimum=1e-4, maximum=math.pi),
             Parameter(f'{self.name}.horizontal_field', 25e-6, 'T', "Horizontal component of the earth's field; it is "
                       f'estimated, from {STRENGTH_SIGMA:.0%} of it.', minimum=1e-6, maximum=1e-4),
-            Parameter(f'{self.name}.hard_iron', [0.0, 0.0, 0.0], 'T', 'Field of the vehicle itself, axes of the sensor; '
-                      'subtracted.', lengths=(3,), minimum=-1e-3, maximum=1e-3),
+            Parameter(f'{self.name}.hard_iron', [0.0, 0.0, 0.0], 'T', 'Field of the vehicle itself, axes of the '
+                      'sensor; subtracted.', lengths=(3,), minimum=-1e-3, maximum=1e-3),
             Parameter(f'{self.name}.hard_iron_sigma', 50e-6, 'T', 'Standard deviation of it, with which it is '
                       'estimated: less where it has been measured, and the field tells the heading at once.',
                       minimum=1e-8, maximum=1e-3),
@@ -194,8 +195,8 @@ class Magnetometer(Measurement):
         r, reasons = empty(Kind.MAGNETIC, n), np.full(n, '', dtype=object)
         if not settings.topic:  # a filter that does not ask for it has no states for its iron
             refuse(reasons, np.ones(n, dtype=bool), lambda i: f'{self.topic} is empty: magnetic field dropped')
-        refuse(reasons, ~((size >= WEAKEST) & (size <= STRONGEST)), lambda i: f'magnetic field {1e6 * size[i]:.4g} uT is '
-               f"none of the earth: dropped ({self.name}.factor makes T of others)")
+        refuse(reasons, ~((size >= WEAKEST) & (size <= STRONGEST)), lambda i: f'magnetic field {1e6 * size[i]:.4g} uT '
+               f"is none of the earth: dropped ({self.name}.factor makes T of others)")
         r[:, Event.VALUE:Event.VALUE + 3] = fields.field @ settings.rotation.T / settings.horizontal
         variance = stated_or(fields.variance, settings, SMALLEST_SIGMA) / settings.horizontal**2
         r[:, Event.R_NN] = r[:, Event.R_EE] = variance

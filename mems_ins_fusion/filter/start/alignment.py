@@ -384,13 +384,14 @@ class Alignment:
         found = find_magnetic_heading(self._samples, fields, standstill, self.config, self._magnetometer.name,
                                       self._remembered.errors if self._remembered else None)
         if found is None:
-            raise Refused('the vehicle to move straight on, or to turn: the heading comes from the course of the fixes, '
-                          f'or from {self.config.settings_of(self._magnetometer.number).topic} once turns have shown '
-                          'the iron of the vehicle')
+            raise Refused('the vehicle to move straight on, or to turn: the heading comes from the course of the '
+                          f'fixes, or from {self.config.settings_of(self._magnetometer.number).topic} once turns '
+                          'have shown the iron of the vehicle')
         speed, speed_sigma = 0.0, STANDING_SIGMA
         if not self._still_standing(standstill):
             speed, speed_sigma = self._slow_speed(found.yaw + self._known_mounting, positions)
-        start = self._start(found.yaw + self._known_mounting, found.sigma, speed, speed_sigma, standstill, 'heading from the magnetic field')
+        start = self._start(found.yaw + self._known_mounting, found.sigma, speed, speed_sigma, standstill,
+                            'heading from the magnetic field')
         return replace(start, iron=found.iron)
 
     @property
