@@ -10,8 +10,8 @@ AND = '_and_'
 
 
 class AidingTimeOffset(Effect):
-    """A measurement of the input `of` stamped t describes the vehicle when the IMU's clock read t - time_offset, through
-    a low pass of the time constant `lag`.
+    """A measurement of the input `of` stamped t describes the vehicle when the IMU's clock read t - time_offset,
+    through a low pass of the time constant `lag`.
 
     1 / (1 + lag s) is exp(-lag s) to first order: one that smooths is late, and is corrected as that. What is left,
     lag^2 / 2 for each second derivative, no drive shows (0.3 s of a speed: 5 cm/s for a jerk of 1 m/s^3).

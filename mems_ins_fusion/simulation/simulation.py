@@ -210,8 +210,8 @@ def _mean(parts, weights):
 
 
 def _instants(drive, effects, name, late, rate, phase):
-    """Times, s after the start, and stamps of measurements of the input `name` at `rate` Hz; late: s, by which the times
-    are before these. phase: s, None as the receiver's."""
+    """Times, s after the start, and stamps of measurements of the input `name` at `rate` Hz; late: s, by which the
+    times are before these. phase: s, None as the receiver's."""
     phase = GnssNoise.phase if phase is None else phase
     time = phase + np.arange(math.floor((drive.time[-1] - phase) * rate + 1e-9) + 1) / rate
     stamp = START_STAMP + np.round(time * 1e9).astype(np.int64)

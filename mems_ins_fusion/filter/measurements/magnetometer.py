@@ -4,9 +4,10 @@ Levelled, the field is v = hard + S u, with u the direction of magnetic north in
 a symmetric matrix without trace, the soft iron, and `hard` the vehicle's own field, all as shares of
 `NAME.horizontal_field`. Both are states: turns that the gyroscopes see, and headings that fixes show, tell them;
 before that the field tells nothing, as the hard iron's sigma is twice the field. What iron turns the field by at all
-headings alike is one with the declination, a state too. (W. Koo, S. Sung and Y. J. Lee, "Error calibration of magnetometer using
-nonlinear integrated filter model with inertial sensors", IEEE Trans. Magnetics 45, 2009; V. Renaudin, M. H. Afzal and
-G. Lachapelle, "Complete triaxis magnetometer calibration in the magnetic domain", J. Sensors 2010.)
+headings alike is one with the declination, a state too. (W. Koo, S. Sung and Y. J. Lee, "Error calibration of
+magnetometer using nonlinear integrated filter model with inertial sensors", IEEE Trans. Magnetics 45, 2009; V.
+Renaudin, M. H. Afzal and G. Lachapelle, "Complete triaxis magnetometer calibration in the magnetic domain", J.
+Sensors 2010.)
 """
 from __future__ import annotations
 
