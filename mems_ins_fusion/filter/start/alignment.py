@@ -38,6 +38,7 @@ SIDEWAYS = math.radians(45.0)  # from straight on: no wheels drive off that way
 RECENT = 10.0  # s: what tells whether the vehicle stands now, and how fast it is where it is slow
 CERTAIN = 3.0  # sigmas of two fixes by which they show that a vehicle does not go along its heading
 CHANGED = 0.3  # m/s: by how much the speed of a slow vehicle differs from the mean of that time
+SLOW = 2.0  # m/s: who is faster than this has a course soon
 STANDING_SIGMA = 0.05  # m/s, of a velocity of zero at rest
 FEWEST_SHOWN = 3  # second differences of fixes: before that a claim that is too small passes for a drive
 OVERLAP = 0.5  # of what it tells: each fix is in three second differences
@@ -403,7 +404,7 @@ class Alignment:
 
     def _slow_speed(self, yaw, positions) -> tuple[float, float]:
         """Speed along the heading and its sigma, m/s, by the fixes of the last seconds. Raises Refused where these go
-        sideways."""
+        sideways, or too fast for a mean of them."""
         recent = positions[positions[:, 0] >= positions[-1, 0] - RECENT]
         if len(recent) < 2:
             raise Refused('more fixes to tell how fast the vehicle moves')
@@ -413,6 +414,8 @@ class Alignment:
         across = math.cos(yaw) * moved[1] - math.sin(yaw) * moved[0]
         if abs(across) > max(CERTAIN * noise, abs(along)):
             raise Refused('a magnetic field that agrees with the way of the fixes: they go to the side of its heading')
+        if math.hypot(*moved) > SLOW * interval + CERTAIN * noise:
+            raise Refused('the vehicle to move straight on: it is fast enough for the heading to come from the course')
         return float(along / interval), math.hypot(noise / interval, CHANGED)
 
     def _start(self, yaw, yaw_sigma, speed, speed_sigma, standstill, source) -> Start:
