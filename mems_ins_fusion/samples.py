@@ -154,6 +154,20 @@ class Pressures(_Samples):
 
 
 @dataclass(frozen=True)
+class MagneticFields(_Samples):
+    """Magnetic flux density where a magnetometer is.
+
+    stamp, received: (n,) int64 ns. field: (n, 3) T, sensor axes. variance: (n,) T^2 of a component, NaN or not above
+    zero where the message does not tell.
+    """
+
+    stamp: np.ndarray
+    received: np.ndarray
+    field: np.ndarray
+    variance: np.ndarray
+
+
+@dataclass(frozen=True)
 class Twists(_Samples):
     """Velocity and turn rate of the vehicle in its own axes, forward-right-down, from odometry.
 

@@ -27,7 +27,7 @@ from mems_ins_fusion.effects.base import Effect, EffectParameter  # noqa: E402
 from mems_ins_fusion.effects.registry import EFFECTS  # noqa: E402
 from mems_ins_fusion.parameters import table  # noqa: E402
 from mems_ins_fusion.simulation.drive import simulate_drive, stream  # noqa: E402
-from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_recording  # noqa: E402
+from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording  # noqa: E402
 
 DURATION = 600.0
 RECEIVER = GnssNoise(sigma=0.5)
@@ -67,11 +67,17 @@ GOOD_IMU = {'accelerometer.gauss_markov.sigma': [0.01], 'gyroscope.gauss_markov.
 SETTINGS = {'sideslip': {'vehicle.non_holonomic': True}, 'mounting_rotation': {'vehicle.non_holonomic': True},
             'g_sensitivity': GOOD_IMU,
             'gnss_coloured_noise': GOOD_IMU}
+#: further inputs: their rates, Hz, and the effects that only a recording with them shows, with that of their stamps
+RATES = {'speed': 10.0, 'velocity': 5.0, 'heading': 5.0, 'twist': 20.0}
+STAMPS = {f'{name}_time_offset': name for name in RATES}
+#: smoothed by a low pass whose time constant, s, is one of these: late by that
+LAGS = {f'{name} lag': f'{name}_time_offset' for name in RATES}
+SMALLEST_LAG, LARGEST_LAG = 0.15, 0.5
 HILLS = 'hills'  # the road's grade tilts the body: the library's tilt, without a value
 #: effects whose simulated parameters are estimated, on level roads; those of real roads: diagnosis_on_roads.py
 FLAT = ('gnss_time_offset', 'gnss_lever_arm', 'gnss_coloured_noise', 'accelerometer_scale', 'gyroscope_scale',
         'mounting_rotation', 'tilt', 'g_sensitivity', 'temperature', 'accelerometer_lever_arm', 'sideslip')
-SINGLE = (*FLAT, HILLS)
+SINGLE = (*FLAT, HILLS, *STAMPS, *LAGS)
 #: pairs of effects that are not each other's group
 PAIRS = (('gnss_time_offset', 'gyroscope_scale'), ('gnss_lever_arm', 'accelerometer_scale'),
          ('gnss_time_offset', 'mounting_rotation'), ('gyroscope_scale', 'gnss_lever_arm'),
@@ -105,6 +111,8 @@ def settings(names) -> dict:
     values = {'reference_lever_arm': [0.0, 0.0, 0.0]}
     for name in names:
         values |= SETTINGS.get(name, {})
+        if name in STAMPS:
+            values[f'{STAMPS[name]}_topic'] = f'/{STAMPS[name]}'
     return table.check(values)
 
 
@@ -131,13 +139,16 @@ def simulated(names, seed: int, truth: dict, hills: bool = False):
     effects = {**EFFECTS, **{e.name: e for e in OUTSIDE}}
     drive = simulate_drive(DURATION, seed, hills=hills)
     return simulate_recording(drive, sensors, RECEIVER, [(effects[n], theta) for n, theta in truth.items()],
-                              seed=seed).recording
+                              seed=seed, aiding=Aiding(**{f'{STAMPS[name]}_rate': RATES[STAMPS[name]]
+                                                          for name in names if name in STAMPS})).recording
 
 
-def draw(names, seed: int) -> dict:
+def draw(names, seed: int, scenario: str = '') -> dict:
     """True effects and sizes for this seed; without those that this drive cannot show."""
-    rng = stream(seed, 'study ' + ' '.join(names))
+    rng = stream(seed, 'study ' + (scenario if scenario in LAGS else ' '.join(names)))
     truth = {}
+    if scenario in LAGS:
+        return {LAGS[scenario]: {'lag': rng.uniform(SMALLEST_LAG, LARGEST_LAG)}}
     for name in names:
         outside = {e.name: e for e in OUTSIDE}
         if name in outside:
@@ -153,7 +164,7 @@ def draw(names, seed: int) -> dict:
 
 def study(scenario: str, names, seed: int) -> Case:
     """Simulate, diagnose and score one drive."""
-    truth = draw(names, seed)
+    truth = draw(names, seed, scenario)
     case = Case(scenario, seed, truth)
     if scenario not in ('none', HILLS) and len(truth) < len(names):
         case.failure = 'not identifiable'
@@ -176,8 +187,8 @@ def study(scenario: str, names, seed: int) -> Case:
         for name, estimate in finding.parameters.items():
             if finding.name in truth and estimate.known:
                 # the parameters that were not simulated are truly zero
-                case.errors[f'{finding.name}.{name}'] = (
-                    estimate.value - truth[finding.name].get(name, 0.0)) / estimate.sigma
+                true = EFFECTS[finding.name].as_traced({**EFFECTS[finding.name].complete({}), **truth[finding.name]})
+                case.errors[f'{finding.name}.{name}'] = (estimate.value - true.get(name, 0.0)) / estimate.sigma
     knowing = oracle(truth, values, scenario)
     if knowing is not None:
         problem = Problem(recording, values)
@@ -215,7 +226,7 @@ def oracle(truth: dict, values: dict, scenario: str) -> dict | None:
     for name, theta in truth.items():
         if name not in EFFECTS:
             return None
-        values = EFFECTS[name].adjusted(values, EFFECTS[name].complete(theta))
+        values = EFFECTS[name].adjusted(values, EFFECTS[name].as_traced(EFFECTS[name].complete(theta)))
     return values
 
 
@@ -227,7 +238,9 @@ def ratios(one: Measured, other: Measured) -> list[float]:
 
 def scenarios() -> dict[str, tuple[str, ...]]:
     """Names of the scenarios and the effects in each."""
-    return {'none': (), **{name: (name,) for name in FLAT}, HILLS: (), **{' + '.join(p): p for p in PAIRS},
+    return {'none': (), **{name: (name,) for name in FLAT}, HILLS: (),
+            **{name: (name,) for name in STAMPS}, **{name: (effect,) for name, effect in LAGS.items()},
+            **{' + '.join(p): p for p in PAIRS},
             **{e.name: (e.name,) for e in OUTSIDE}}
 
 

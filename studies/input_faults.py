@@ -2,10 +2,10 @@
 
     python studies/input_faults.py [--seeds 6] [--rate 1] [--only TEXT,TEXT] [--set NAME=VALUE ...] [--output FILE.md]
 
-The drives of faults.py with one input more: speed, velocity, odometry, heading, pressure or a second receiver 1.6 m
-behind the first. The fault lasts for a minute from 200 s on. Each row twice: with fixes all the time, and without any
-in the second half of that minute. *without it*: the same filter that does not have the input while the fault lasts. The
-other columns are those of faults.py.
+The drives of faults.py with one input more: speed, velocity, odometry, heading, pressure, magnetometer or a second
+receiver 1.6 m behind the first. The fault lasts for a minute from 200 s on. Each row twice: with fixes all the time,
+and without any in the second half of that minute. *without it*: the same filter that does not have the input while
+the fault lasts. The other columns are those of faults.py.
 
 missing: nothing comes. late: stamps of half a second later. doubled: each message twice. dead: it stays at the value it
 has as the fault begins. wrong: WRONG below.
@@ -33,7 +33,8 @@ DURATION = 60.0
 WITHOUT_FIXES = 30.0, 60.0  # s of the fault
 REAR = {'inputs': ['rear'], 'rear.type': 'fix', 'rear.topic': '/rear', 'rear.lever_arm': [-1.6, 0.0, 0.0]}
 #: parameters of each input
-INPUTS = {**{name: {f'{name}_topic': f'/{name}'} for name in ('speed', 'velocity', 'twist', 'heading', 'pressure')},
+INPUTS = {**{name: {f'{name}_topic': f'/{name}'} for name in ('speed', 'velocity', 'twist', 'heading', 'pressure',
+                                                                   'magnetometer')},
           'rear': REAR}
 #: in words, and what it does to samples
 WRONG: dict[str, tuple[str, Callable]] = {
@@ -42,17 +43,19 @@ WRONG: dict[str, tuple[str, Callable]] = {
     'twist': ('in km/h, turns the other way', lambda s: replace(s, twist=s.twist * [3.6, 3.6, -1.0])),
     'heading': ('90 deg off', lambda s: replace(s, yaw=s.yaw + 0.5 * np.pi)),
     'pressure': ('5 hPa off', lambda s: replace(s, pressure=s.pressure + 500.0)),
+    'magnetometer': ('beside a magnet of 30 uT', lambda s: replace(s, field=s.field + [3e-5, 3e-5, 0.0])),
     'rear': ('30 m off', lambda s: replace(s, latitude=s.latitude + 30.0 * METRE)),
 }
 #: which arrays of its samples an input measures
-_VALUES = {'rear': ('latitude', 'longitude', 'height'), 'heading': ('yaw',)}
+_VALUES = {'rear': ('latitude', 'longitude', 'height'), 'heading': ('yaw',),
+           'magnetometer': ('field',)}
 
 
 @cache
 def clean(seed: int, rate: float) -> Recording:
     """A realistic drive with all inputs."""
     aided = Aiding(speed_rate=10.0, velocity_rate=rate, twist_rate=20.0, heading_rate=5.0, pressure_rate=10.0,
-                   fix_rate=rate, fix_sigma=1.5)
+                   magnetometer_rate=20.0, fix_rate=rate, fix_sigma=1.5)
     named = [one for one in aiding(table.check(REAR)) if not one.is_plain]
     recording = simulate_recording(drive_of(seed, MINUTES), sensors(), GnssNoise(1.5, rate=rate), seed=seed,
                                    **{**REALISTIC.distortions(seed), 'aiding': aided, 'named': named}).recording

@@ -24,7 +24,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import FluidPressure, Imu, NavSatFix
+from sensor_msgs.msg import FluidPressure, Imu, MagneticField, NavSatFix
 
 from mems_ins_fusion.filter.measurements.registry import AIDING
 
@@ -237,7 +237,8 @@ class Player:
         self.parts = {'imu': recording.imu, 'fix': recording.gnss, **{
             m.name: part for m in AIDING if (part := recording.streams().get(m.name)) is not None}}
         kinds = {'speed': TwistWithCovarianceStamped, 'velocity': TwistWithCovarianceStamped,
-                 'heading': PoseWithCovarianceStamped, 'pressure': FluidPressure, 'twist': Odometry}
+                 'heading': PoseWithCovarianceStamped, 'pressure': FluidPressure, 'twist': Odometry,
+                 'magnetometer': MagneticField}
         self.publishers = {'imu': peer.imu, 'fix': peer.gnss} | {
             name: peer.node.create_publisher(kind, TOPICS[name], QoSProfile(depth=DEPTH))
             for name, kind in kinds.items() if name in self.parts}
@@ -333,6 +334,12 @@ def _pressure_message(pressures, i):
     return FluidPressure(fluid_pressure=float(pressures.pressure[i]), variance=float(pressures.variance[i]))
 
 
+def _magnetic_message(fields, i):
+    message = MagneticField(magnetic_field=Vector3(**_xyz(fields.field[i])))
+    message.magnetic_field_covariance[[0, 4, 8]] = fields.variance[i]
+    return message
+
+
 def _twist_message(twists, i):
     message, (forward, right, clockwise) = Odometry(), map(float, twists.twist[i])
     message.twist.twist.linear = Vector3(x=forward, y=-right)
@@ -419,7 +426,8 @@ def stamp_of(message) -> int:
 
 
 _MESSAGES = {'imu': imu_of, 'fix': fix_of, 'speed': _speed_message, 'velocity': _velocity_message,
-             'heading': _heading_message, 'pressure': _pressure_message, 'twist': _twist_message}
+             'heading': _heading_message, 'pressure': _pressure_message, 'twist': _twist_message,
+             'magnetometer': _magnetic_message}
 
 
 def _xyz(vector):

@@ -31,7 +31,7 @@ def test_what_is_named_is_in_them(file, names):
         assert re.search(rf'\b{name}\b', text), name
 
 
-@pytest.mark.parametrize('name', ['position', 'speed', 'velocity', 'heading', 'pressure', 'twist'])
+@pytest.mark.parametrize('name', ['position', 'speed', 'velocity', 'heading', 'pressure', 'twist', 'magnetometer'])
 def test_a_measurement_is_what_the_page_says(name):
     text = (ROOT / 'mems_ins_fusion' / 'filter' / 'measurements' / f'{name}.py').read_text(encoding='utf-8')
     assert 'def observe(' in text and 'def records(' in text

@@ -209,7 +209,7 @@ from ..memory import Event, Nav
 from .base import Measurement
 from .records import empty, stated_or
 
-KIND = 8
+KIND = 20
 
 
 @njit(_nrt=False)
@@ -295,9 +295,9 @@ found['cut'] = len(aiding_of(later(cut(recording, 0.0, 10.0), SECOND))['altitude
 found['checked'] = sorted({finding.topic for finding in check_recording(recording)})
 kind = 'toy_msgs/msg/Altitude'
 from mems_ins_fusion.filter.measurements.registry import MEASUREMENTS
-written = {**messages.stamp_fields(altitudes.stamp), **MEASUREMENTS[8].written(altitudes)}
+written = {**messages.stamp_fields(altitudes.stamp), **MEASUREMENTS[20].written(altitudes)}
 array, _ = messages.decode([bytes(m) for m in messages.encode(kind, written, {'header.frame_id': 'b'})], kind)
-read = MEASUREMENTS[8].read({'stamp': messages.stamps(array), 'received': stamp, 'altitude': array['altitude'],
+read = MEASUREMENTS[20].read({'stamp': messages.stamps(array), 'received': stamp, 'altitude': array['altitude'],
                              'variance': array['variance']}, kind)
 found['read'] = [bool(np.array_equal(getattr(read, n), getattr(altitudes, n))) for n in ('stamp', 'altitude')]
 live = FusionFilter(FilterConfig.from_parameters(values))

@@ -12,6 +12,7 @@ from mems_ins_fusion.recordings.csv_import import (
     axes_rotation,
     read_gnss,
     read_imu,
+    read_magnetometer,
     read_pressure,
     read_speed,
     read_velocity,
@@ -286,6 +287,20 @@ def test_pressures_have_their_unit(tmp_path, name, factor):
     assert unnamed.pressure == pytest.approx([1e5, 9e4])
     with pytest.raises(RecordingError, match='is no pressure of the air'):
         read_pressure(write(tmp_path / 'n.csv', 'time,baro', [(T0, 5.0), (T0 + 1, 5.0)]))
+
+
+@pytest.mark.parametrize('unit, factor', [('T', 1.0), ('uT', 1e-6), ('gauss', 1e-4), ('mG', 1e-7), ('nT', 1e-9)])
+def test_a_magnetic_field_has_its_unit_and_the_axes_of_the_imu(tmp_path, unit, factor):
+    # given a sensor whose x points back and y right, and 20 uT forward, 3 uT to the left, 44 uT down
+    rows = [(T0 + 0.1 * i, -20e-6 / factor, -3e-6 / factor, -44e-6 / factor) for i in range(3)]
+    named = write(tmp_path / 'm.csv', f'time,mag_x [{unit}],mag_y [{unit}],mag_z [{unit}]', rows)
+    unnamed = write(tmp_path / 'u.csv', 'time,x,y,z', rows)
+    for path in (named, unnamed):
+        fields, said = read_magnetometer(path, axes='back right up')
+        assert fields.field == pytest.approx(np.tile([20e-6, 3e-6, -44e-6], (3, 1)), rel=1e-6, abs=1e-12)
+        assert unit in said
+    with pytest.raises(RecordingError, match='are no magnetic field of the earth'):
+        read_magnetometer(write(tmp_path / 'n.csv', 'time,x,y,z', [(T0, 5.0, 0.0, 0.0), (T0 + 1, 5.0, 1.0, 0.0)]))
 
 
 def test_a_speed_with_a_turn_rate_is_an_odometry_and_a_pressure_reaches_the_recording(files, tmp_path):

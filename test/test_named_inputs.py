@@ -225,7 +225,8 @@ def test_simulate_makes_what_a_params_file_names(tmp_path):
 @pytest.mark.parametrize(('values', 'words'), [
     ({'inputs': ['rear']}, "parameter 'rear.type' is missing: 'inputs' has 'rear'"),
     ({**REAR, 'rear.type': 'sonar'},
-     "parameter 'rear.type' must be one of fix, heading, pose, pressure, speed, twist, velocity; got 'sonar'"),
+     "parameter 'rear.type' must be one of fix, heading, magnetometer, pose, pressure, speed, twist, velocity; "
+     "got 'sonar'"),
     ({**REAR, 'rear.topic': ''}, "parameter 'rear.topic' is missing"),
     ({**REAR, 'rear.factor': 2.0}, "unknown parameter 'rear.factor'"),
     ({**REAR, 'rear.sigma': -1.0}, "parameter 'rear.sigma' must be at least 0"),

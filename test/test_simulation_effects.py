@@ -47,7 +47,7 @@ TOUCHED = {
     'accelerometer_lever_arm': 'xy.......', 'sideslip': 'xy...z...',
     'gnss_lag': '......NE.', 'gnss_latency': '......NE.', 'gnss_outliers': '......NED', 'rear_axle': 'xy....NE.',
     **dict.fromkeys(('speed_scale', 'speed_time_offset', 'velocity_time_offset', 'heading_time_offset',
-                     'twist_time_offset'), '.........'),
+                     'twist_time_offset', 'magnetometer_time_offset'), '.........'),
     'gyroscope_warm_up': '.....z...', 'imu_repeats': 'xyzxyz...', 'imu_jitter': '.........',
 }
 
@@ -312,3 +312,23 @@ def test_late_stamps_keep_their_order(drive):
     assert 2e-3 < late.mean() < 2.1e-3
     assert np.array_equal(disturbed.specific_force, plain.specific_force)
     assert np.array_equal(disturbed.received, disturbed.stamp)
+
+
+@pytest.mark.parametrize('name, value', [('speed', 'speed'), ('velocity', 'velocity'), ('heading', 'yaw'),
+                                         ('twist', 'twist'), ('magnetometer', 'field')])
+def test_what_is_measured_through_a_low_pass_lags_as_a_low_pass_does(drive, name, value):
+    # given an input without noise, and a low pass of 0.4 s that follows it 200 times a second
+    tau, rate = 0.4, 200.0
+    quiet = Aiding(**{f'{name}_rate': rate}, speed_sigma=0.0, speed_scale=0.0, velocity_sigma=0.0, heading_sigma=0.0,
+                   twist_sigma=0.0, twist_turn_sigma=0.0, twist_scale=0.0, twist_turn_scale=0.0,
+                   magnetometer_sigma=0.0, magnetometer_disturbance=0.0)
+    lagging, plain = (np.asarray(getattr(simulate_recording(drive, SENSORS, RECEIVER, [(
+        EFFECTS[f'{name}_time_offset'], {'lag': lag})], seed=6, aiding=quiet).recording.streams()[name], value))
+        for lag in (tau, 0.0))
+    plain, lagging = (np.unwrap(one) if value == 'yaw' else one for one in (plain, lagging))
+    smooth, weight = plain.copy(), 1.0 - np.exp(-1.0 / (rate * tau))
+    for k in range(1, len(smooth)):
+        smooth[k] = smooth[k - 1] + weight * (0.5 * (plain[k] + plain[k - 1]) - smooth[k - 1])
+    # then it is what comes out of that, and not what goes in
+    off = np.abs(lagging - smooth).max()
+    assert off < 0.05 * np.abs(plain - smooth).max()

@@ -72,6 +72,12 @@ def import_csv(options: argparse.Namespace):
             options.pressure, csv_import.parse_columns(options.pressure_columns, csv_import.PRESSURE_COLUMNS),
             options.pressure_time_unit)
         yield text
+    if options.magnetometer:
+        aided['magnetometer'], text = csv_import.read_magnetometer(
+            options.magnetometer,
+            csv_import.parse_columns(options.magnetometer_columns, csv_import.MAGNETOMETER_COLUMNS),
+            options.imu_axes or imu_options.get('axes', 'forward left up'), options.magnetometer_time_unit)
+        yield text
     reference = read_reference(options.reference, _datum(options, fixes)) if options.reference else None
     recording = Recording('imported', imu, fixes, reference, temperature).having(aided)
     findings = [finding for finding in check(recording, table.defaults()) if finding.severity != INFO]
@@ -157,6 +163,7 @@ def _parser() -> Parser:
     add('--speed', metavar='FILE', help='CSV with time and speed of the rear axle, to /wheel/speed; with a turn rate, '
         'left positive, to /wheel/odometry')
     add('--pressure', metavar='FILE', help='CSV with time and pressure of the air, to /pressure')
+    add('--magnetometer', metavar='FILE', help='CSV with time and magnetic field in the axes of the IMU, to /imu/mag')
     add('--reference', metavar='FILE', help='reference trajectory: CSV, TUM, KF-GINS, NMEA or RTKLIB .pos, to '
         '/reference/fix')
     add('--datum', type=float, nargs=3, metavar=('LAT', 'LON', 'H'), help='deg, deg, m: origin of a reference in local '
@@ -176,10 +183,12 @@ def _parser() -> Parser:
     add('--increments', action='store_true', help='the columns are increments of velocity and angle')
     add('--speed-columns', default='', metavar='NAME=COLUMN,...', help='names: time, speed, turn_rate, sigma')
     add('--pressure-columns', default='', metavar='NAME=COLUMN,...', help='names: time, pressure')
+    add('--magnetometer-columns', default='', metavar='NAME=COLUMN,...', help='names: time, mx, my, mz')
     add('--imu-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
     add('--gnss-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
     add('--speed-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
     add('--pressure-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
+    add('--magnetometer-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
     add('--acceleration-unit', choices=('m/s^2', 'g', 'mg'), help='default: by name, else m/s^2')
     add('--gyro-unit', choices=('rad/s', 'deg/s'), help='default: by name, else rad/s')
     add('--angle-unit', choices=('deg', 'rad', '1e-7 deg'), help='of latitude and longitude (default: by name, else '

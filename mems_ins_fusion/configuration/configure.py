@@ -50,6 +50,7 @@ _ASIDE = 4.0  # sigmas: a wheel that is further to a side is not the middle of t
 _OUTLIERS = 0.002  # part of the fixes
 _ROBUST = 3.0  # gnss.robust_sigma where there are outliers
 _ARM_SHOWN = 0.3  # m
+_MADE = {'pressure': 'Pa', 'magnetometer': 'T'}  # units of what is no speed
 # share of the seconds in motion that may be as quiet as rest: standstills while driving fast are refused by the filter.
 # Of simulated cars and phones 0 to 7 % are, of rovers on smooth ground 52 to 80 %
 _ALIKE = 0.2
@@ -520,7 +521,8 @@ def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
     factor = float(np.median([one.factor for one in seen]))
     if factor != 1.0:
         yield Setting(f'{name}.factor', float(f'{factor:.5g}'), (
-            'makes Pa of it' if kind == 'pressure' else f'it is {1.0 / factor:.4g} times the speed of the fixes',))
+            f'makes {_MADE[kind]} of it' if kind in _MADE else
+            f'it is {1.0 / factor:.4g} times the speed of the fixes',))
     if seen[0].turned:
         turned = float(np.median([one.turned for one in seen]))
         yield Setting(f'{name}.offset', round(turned, 4), (f'it is {math.degrees(turned):.1f} deg clockwise from the '

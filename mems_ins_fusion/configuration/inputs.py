@@ -23,7 +23,15 @@ from mems_ins_fusion.configuration.velocity_offset import estimate_velocity_offs
 from mems_ins_fusion.filter.measurements.base import Measurement
 from mems_ins_fusion.filter.measurements.registry import TYPES
 from mems_ins_fusion.filter.runs.usable import usable_fixes
-from mems_ins_fusion.recordings.aiding import check_heading, check_velocity, forwards, pressure_factor, speed_factor
+from mems_ins_fusion.recordings.aiding import (
+    check_heading,
+    check_velocity,
+    forwards,
+    magnetic_factor,
+    pressure_factor,
+    shows_course,
+    speed_factor,
+)
 from mems_ins_fusion.recordings.findings import INFO
 from mems_ins_fusion.recordings.motion import scatter_at_rest, sigmas
 from mems_ins_fusion.samples import Fixes, ImuSamples, Speeds, Twists
@@ -109,6 +117,8 @@ def _kind(topic, read, imu, fixes, rotation) -> InputShown | LeftOut:
         factor = pressure_factor(read['pressure'])
         return LeftOut(topic, 'no pressure of the air in any unit') if factor is None else InputShown(
             topic, TYPES['pressure'], 'of the air by its size', factor)
+    if 'magnetometer' in read:
+        return _magnetometer(topic, read['magnetometer'], fixes)
     if 'pose' in read and (not read['twist'].twist.any() if 'twist' in read else OTHER_SENSORS.search(topic)):
         return _pose(topic, read['pose'], imu, fixes, rotation)
     if 'heading' in read:
@@ -140,6 +150,17 @@ def _pose(topic, displacements, imu, fixes, rotation):
         return LeftOut(topic, 'the turns between its poses are not shown to be those of the gyroscopes')
     return InputShown(topic, TYPES['pose'], 'it has no twist; the way between its poses goes with the speed of the '
                       'fixes, their turns with the gyroscopes', factor)
+
+
+def _magnetometer(topic, fields, fixes):
+    """Iron and currents disturb it: only for who has nothing better."""
+    factor = magnetic_factor(fields)
+    if factor is None:
+        return LeftOut(topic, 'no magnetic field of the earth in any unit')
+    if shows_course(fixes):
+        return LeftOut(topic, 'the course of the fixes tells the heading better than a magnetic field')
+    return InputShown(topic, TYPES['magnetometer'], 'the vehicle is too slow for its course to tell the heading',
+                      factor)
 
 
 def _heading(topic, headings, fixes):

@@ -111,6 +111,10 @@ class Effect:
         """The times that measurements of the input `name` besides the fixes, stamped `time`, (m,) s, describe."""
         return time
 
+    def measured_lag(self, name, values):
+        """Time constant, s, of a low pass that measurements of the input `name` come through."""
+        return 0.0
+
     def distort_fixes(self, drive, time, position, values, rng):
         """What the receiver measures before its white noise: `position`, (m, 3) m in `n`, described at `time`."""
         return position

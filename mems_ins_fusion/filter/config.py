@@ -15,6 +15,7 @@ from ..sensor_errors.models import GaussMarkov, Model, RandomWalk
 from .bank import Bank
 from .history import history_size
 from .measurements.base import Measurement, SensorSettings
+from .measurements.magnetometer import Compass
 from .measurements.pressure import Barometer
 from .measurements.registry import aiding, inputs
 from .measurements.twist import Scales
@@ -294,7 +295,7 @@ class FilterConfig:
             Head.MOUNTING_YAW: layout.index('mounting_yaw'), Head.AXLE: layout.index('axle_x'),
             Head.AXLE_ACROSS: layout.index('axle_y'), Head.SPEED_SCALE: layout.index('speed_scale'),
             Head.TIME_OFFSET: layout.index('time_offset'), Barometer.BIAS: layout.index('pressure_bias'),
-            Scales.TWIST: layout.index('twist_scale'),
+            Scales.TWIST: layout.index('twist_scale'), Compass.STATES: layout.index('magnetometer_hard_x'),
             Head.ACCELEROMETER_INTERVAL: self.models[0].interval or 0.0,
             Head.GYROSCOPE_INTERVAL: self.models[-1].interval or 0.0,
             Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: self.latest, Head.AHEAD: self.ahead,

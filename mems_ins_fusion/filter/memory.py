@@ -89,7 +89,7 @@ class _Nav(NamedTuple):
     SLID: int = column()  # s in which a slide showed that the IMU misled the filter
     RESTARTS: int = column()  # states that were not finite and were taken back
     RECOVERIES: int = column()  # resets to fixes that had been refused
-    MECHANISMS: int = column(222)  # the first of those that the mechanisms ask for (`ROW`), and room for them
+    MECHANISMS: int = column(241)  # the first of those that the mechanisms ask for (`ROW`), and room for them
     SIZE: int = column(0)
 
 
@@ -423,10 +423,11 @@ class _Kind(NamedTuple):
     PRESSURE: int = 5
     TWIST: int = 6
     PLACE: int = 7  # a fix of a further receiver
-    ZERO_VELOCITY: int = 8
-    ZERO_RATE: int = 9
-    NON_HOLONOMIC: int = 10
-    WHEEL_VIBRATION: int = 11
+    MAGNETIC: int = 8
+    ZERO_VELOCITY: int = 9
+    ZERO_RATE: int = 10
+    NON_HOLONOMIC: int = 11
+    WHEEL_VIBRATION: int = 12
 
 
 Kind = _Kind()
@@ -470,6 +471,7 @@ class _Event(NamedTuple):
     STATE: int = column()  # of a named input: index of its own optional state among all n; -1: none
     ARM: int = column(3)  # and three, from the IMU to where it is measured, body axes, m
     STATUS: int = column()  # of a fix, `NavSatStatus.status`: 0, 1 with corrections of satellites, 2 of a base
+    DECLINATION: int = column()  # of a magnetic field, as declared, rad
     SIZE: int = column(0)
 
 

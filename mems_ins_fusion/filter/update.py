@@ -14,6 +14,7 @@ from . import history
 from .measurements import (
     acceleration,
     heading,
+    magnetometer,
     non_holonomic,
     position,
     pressure,
@@ -68,11 +69,15 @@ FAR = 10.0
 SINGLE = 2.0
 #: m/s, that a speed is believed at most before its way has been compared with that of the fixes, whatever it claims
 FIRST_SIGMA = 0.1
+#: the same of a magnetic field, which iron beside the way disturbs every day
+DISTURBED = 4.0
 #: sigmas beyond which an input is refused of which none is used
 NEVER = 1e-9
 #: s for which errors of a speed, velocity or odometry last: manoeuvres in which wheels slip and late stamps show, the
 #: smoothing of receivers. All of that time tell no more than one (0.3 s late, 60 s without fixes: 7 m, 28 m if white)
 SPEED_LASTS = 1.0
+#: the same of a magnetic field: what a slow vehicle passes
+FIELD_LASTS = 10.0
 #: s for which a speed that has fitted and then is far off is one of wheels that slip, without fixes, too; what lasts
 #: for longer may be right, and the state wrong
 LONGEST_SLIP = 5.0
@@ -212,9 +217,15 @@ def is_of_velocity(kind):
 
 
 @njit(_nrt=False)
+def is_of_heading(kind):
+    """Whether a measurement of this kind is of the heading."""
+    return kind == Kind.HEADING or kind == Kind.MAGNETIC
+
+
+@njit(_nrt=False)
 def makes_way(kind):
     """Whether measurements of this kind make up a way, or its direction."""
-    return is_of_velocity(kind) or kind == Kind.HEADING
+    return is_of_velocity(kind) or is_of_heading(kind)
 
 
 @njit(_nrt=False)
@@ -235,7 +246,8 @@ def _judge(mem, r, at, n, dimensions):
         return 1.0, NEVER
     # of the start, too, after which the first has still to come
     fix = max(mem[r + Nav.FIX_TIME], mem[r + receiver.Receiver.SCALE + Scale.TIME])
-    density = max(1.0, SPEED_LASTS / max(time - mem[own + Scale.TIME], 1e-3)) if of_velocity else 1.0
+    lasts = SPEED_LASTS if of_velocity else FIELD_LASTS if kind == Kind.MAGNETIC else 0.0
+    density = max(1.0, lasts / max(time - mem[own + Scale.TIME], 1e-3))
     if of_velocity and fix != 0.0 and time - fix < NO_FIX and not way.is_compared(mem, own):
         mem[own + Scale.TIME] = time
         # a velocity may fit by its size and point elsewhere
@@ -253,16 +265,18 @@ def _judge(mem, r, at, n, dimensions):
     factor = max(scale(mem, own), 1.0)
     if of_velocity and kind != Kind.VELOCITY:
         factor += repeats.unknown(mem, own, time) / claimed
-    confirmed = kind != Kind.HEADING and time - mem[r + Nav.FIX_TIME] < NO_FIX
+    confirmed = not is_of_heading(kind) and time - mem[r + Nav.FIX_TIME] < NO_FIX
     if makes_way(kind):  # one by one each is judged by what it claims itself
         noise, longest = (LARGEST_NOISE, LONGEST_SLIP) if of_velocity else (LARGEST_HEADING_NOISE, LONGEST_JUMP)
-        expected = variance + min(factor * claimed, max(LARGEST_CLAIM * claimed, noise**2))
+        # iron beside the way lasts, and would pass for noise
+        largest, far = (1.0, DISTURBED) if kind == Kind.MAGNETIC else (LARGEST_CLAIM, FAR)
+        expected = variance + min(factor * claimed, max(largest * claimed, noise**2))
         # so soon no IMU is wrong by as much
         slips = mem[own + Seen.FITTED] != 0.0 and time - mem[own + Seen.FITTED] < longest
         if squared < ROBUST * ROBUST * expected:
             mem[own + Seen.FITTED] = time
         if confirmed or slips:
-            return density * factor, FAR * math.sqrt(expected / (variance + density * factor * claimed))
+            return density * factor, far * math.sqrt(expected / (variance + density * factor * claimed))
     if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * claimed + variance):
         return density * factor, 0.0
     for k in range(dimensions):
@@ -278,9 +292,10 @@ def _travel(mem, r, at, n, c):
     """Add the speed, velocity, twist or heading at `at` to the way of its input; c: rotation from b to n."""
     if mem[at + Event.KIND] == Kind.VELOCITY:  # it has directions of its own
         v_n, v_e, yaw_variance = mem[at + Event.VALUE], mem[at + Event.VALUE + 1], 0.0
-    elif mem[at + Event.KIND] == Kind.HEADING:  # a way that the nose leads along
+    elif is_of_heading(mem[at + Event.KIND]):  # a way that the nose leads along
         forward, yaw_variance = body_velocity(mem, r, vehicle_to_level(mem, r, c), 0), 0.0
-        v_n, v_e = math.cos(mem[at + Event.VALUE]) * forward, math.sin(mem[at + Event.VALUE]) * forward
+        yaw = mem[at + Event.VALUE] if mem[at + Event.KIND] == Kind.HEADING else magnetometer.heading(mem, r, at, c)
+        v_n, v_e = math.cos(yaw) * forward, math.sin(yaw) * forward
     else:
         c = vehicle_to_level(mem, r, c)
         v_n, v_e = c[0] * mem[at + Event.VALUE], c[3] * mem[at + Event.VALUE]
@@ -428,6 +443,8 @@ def apply_event(mem, r, at, sample):
     elif kind == Kind.PRESSURE:
         dimensions = pressure.observe(mem, r, at, h)
         _take_step(mem, r, at, n)
+    elif kind == Kind.MAGNETIC:
+        dimensions = magnetometer.observe(mem, r, at, h, n, c)
     elif kind == Kind.PLACE:
         dimensions = position.observe_place(mem, r, at, h, n, c)
     else:

@@ -1,4 +1,4 @@
-"""What speed, velocity, heading, pressure and twist say against the fixes: units, signs, frames, the sigma they state.
+"""What inputs besides the fixes say against these: units, signs, frames, the sigma they state.
 
 Each is averaged over chords between fixes that are long enough to have a direction.
 """
@@ -15,10 +15,15 @@ from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.recordings.findings import ERROR, INFO, WARNING, Finding, count_of
 from mems_ins_fusion.recordings.motion import positions, robust_sigma, sigmas
-from mems_ins_fusion.samples import Fixes, Headings, Pressures, Speeds, Twists, Velocities
+from mems_ins_fusion.samples import Fixes, Headings, MagneticFields, Pressures, Speeds, Twists, Velocities
 
 #: Pa each
 PRESSURES = {'Pa': 1.0, 'hPa': 100.0, 'kPa': 1000.0, 'bar': 1e5, 'psi': 6894.76, 'mmHg': 133.322}
+#: T each, and between which sizes the field of the earth with iron beside it is: in no two of them the same number
+FIELDS = {'T': 1.0, 'mT': 1e-3, 'uT': 1e-6, 'nT': 1e-9, 'gauss': 1e-4, 'mG': 1e-7}
+_WEAKEST, _STRONGEST = 15e-6, 150e-6
+_EARTH = 50e-6  # T: its size in the middle latitudes
+_DISTURBED = 0.5  # part of the horizontal field by which it may scatter about what the course tells
 _CLIMB = 10.0  # m, standard deviation of heights that tell something against those of fixes
 _UNITS = {'km/h': 3.6, 'mph': 2.23694, 'knots': 1.94384}  # per m/s
 _SAME_UNIT = 0.07
@@ -30,6 +35,7 @@ _OVERSURE = 3.0  # times the stated sigma
 _ALIGNED = 0.9  # cosine
 _PROPORTIONAL = 0.2  # scatter of a speed's ratio to that of the fixes, as a part of it; of an east velocity it is 1
 _ZERO = 0.02  # m/s: a speed that is never more is none
+_TURNED = 0.02  # variance of the courses' unit vectors, where they differ least: some 30 deg to each side
 _CURVE = 0.03  # rad: by which courses of chords differ from headings in bends, whatever the receiver
 #: what a horizontal velocity north-east turns into where the message is not east-north-up
 _MISTAKES = {
@@ -96,6 +102,9 @@ def _advice(measurement: Measurement, findings: list[Finding], declared, setting
         middle = shown['ratio'] * SEA_LEVEL
         per = next((per for per in PRESSURES.values() if LOWEST <= middle * per <= HIGHEST), None)
         return f'set {measurement.name}.factor to {settings.factor * per:g}' if per else ''
+    if name == 'magnetometer' and 'ratio' in shown:
+        per = _field_unit(shown['ratio'] * _EARTH)
+        return f'set {measurement.name}.factor to {settings.factor * FIELDS[per]:g}' if per else ''
     if name == 'heading' and 'offset_rad' in shown:
         return f"set {measurement.name}.offset to {float(wrap(settings.offset + shown['offset_rad'])):.4f}"
     return ''
@@ -261,12 +270,63 @@ def check_pressure(pressures: Pressures, fixes: Fixes | None) -> Iterator[Findin
                   else ''), {'climb': ratio})
 
 
-_CHECKS = {'pressure': check_pressure, 'speed': check_speed, 'velocity': check_velocity, 'heading': check_heading,
-           'twist': check_twist}
+def magnetic_factor(fields: MagneticFields) -> float | None:
+    """What makes T of `fields`; None where no unit does."""
+    size = np.linalg.norm(fields.field[np.isfinite(fields.field).all(axis=1)], axis=1)
+    unit = _field_unit(float(np.median(size))) if len(size) else None
+    return None if unit is None else FIELDS[unit]
+
+
+def _field_unit(size: float) -> str | None:
+    return next((unit for unit, per in FIELDS.items() if _WEAKEST <= size * per <= _STRONGEST), None)
+
+
+def shows_course(fixes: Fixes | None) -> bool:
+    """Whether `fixes`, valid ones in the order of their stamps, are of a vehicle whose course means something."""
+    chords = _chords(fixes) if fixes is not None else None
+    return chords is not None and len(chords.begin) >= _FEWEST
+
+
+def check_magnetometer(fields: MagneticFields, fixes: Fixes | None) -> Iterator[Finding]:
+    """Unit of the magnetic field, and whether it turns with the vehicle's course. fixes: valid ones in the order of
+    their stamps, or None."""
+    topic = 'magnetometer'
+    size = np.linalg.norm(fields.field, axis=1)
+    yield from _check_present(topic, fields, size, fields.variance)
+    middle = float(np.nanmedian(size)) if np.isfinite(size).any() else np.nan
+    if not _WEAKEST <= middle <= _STRONGEST:
+        unit = _field_unit(middle)
+        seems = f'it seems to be in {unit} instead of T' if unit else 'it is none of the earth'
+        yield Finding(ERROR, topic, f'the magnetic field is {middle:.4g} T: {seems}', {'ratio': middle / _EARTH})
+        return
+    if (fields.field == fields.field[0]).all():
+        yield Finding(WARNING, topic, 'the magnetic field is the same in every message', {'count': len(fields)})
+        return
+    compared = _compare(topic, fields, fields.field, fixes)
+    if isinstance(compared, Finding):
+        yield compared
+        return
+    mean, chords = compared
+    rows = np.column_stack([np.ones(len(mean)), np.cos(chords.course), np.sin(chords.course)])
+    if np.linalg.eigvalsh(np.cov(rows[:, 1:].T))[0] < _TURNED:
+        yield Finding(INFO, topic, 'the courses of the fixes are too much alike to compare the magnetic field with')
+        return
+    fitted = np.linalg.lstsq(rows, mean, rcond=None)[0]
+    horizontal = float(np.linalg.norm(fitted[1:]) / np.sqrt(2.0))
+    scatter = float(np.sqrt(((mean - rows @ fitted) ** 2).sum(axis=1).mean()))
+    text = f'{1e6 * horizontal:.3g} uT of the magnetic field turn with the course, {1e6 * scatter:.2g} uT do not'
+    wrong = scatter > _DISTURBED * horizontal
+    yield Finding(WARNING if wrong else INFO, topic, text + (
+        ': it is not fixed to the vehicle, or currents and iron disturb it' if wrong else ''),
+        {'horizontal': horizontal, 'scatter': scatter})
+
+
+_CHECKS = {'pressure': check_pressure, 'magnetometer': check_magnetometer, 'speed': check_speed,
+           'velocity': check_velocity, 'heading': check_heading, 'twist': check_twist}
 #: names of the kinds
 NAMES = {measurement.kind: measurement.name for measurement in AIDING}
 #: what the values of a finding hold where there were fixes to compare with
-COMPARED = {'climb', 'ratio', 'negative', 'cosine', 'offset_rad', 'concentration'}
+COMPARED = {'climb', 'horizontal', 'ratio', 'negative', 'cosine', 'offset_rad', 'concentration'}
 
 
 def _check_present(topic, samples, value, variance):

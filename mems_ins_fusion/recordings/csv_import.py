@@ -7,13 +7,22 @@ from dataclasses import replace
 import numpy as np
 
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
-from mems_ins_fusion.recordings.aiding import PRESSURES, pressure_factor
+from mems_ins_fusion.recordings.aiding import FIELDS, PRESSURES, magnetic_factor, pressure_factor
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.gps_time import utc_of_week
 from mems_ins_fusion.recordings.nmea import read_nmea
 from mems_ins_fusion.recordings.tables import Table, read_table, read_text, unit_in_name
 from mems_ins_fusion.recordings.units import ACCELERATION, RATE
-from mems_ins_fusion.samples import Fixes, ImuSamples, Pressures, Speeds, Temperatures, Twists, Velocities
+from mems_ins_fusion.samples import (
+    Fixes,
+    ImuSamples,
+    MagneticFields,
+    Pressures,
+    Speeds,
+    Temperatures,
+    Twists,
+    Velocities,
+)
 
 SPEED_UNITS = {'m/s': 1.0, 'km/h': 1 / 3.6, 'mph': 0.44704, 'knots': 1852 / 3600, 'mm/s': 1e-3, 'cm/s': 1e-2}
 #: whole numbers of 1e-7 deg are what u-blox, MAVLink and PX4 send, with heights in mm
@@ -69,6 +78,8 @@ SPEED_COLUMNS = {'time': TIME, 'speed': ('speed', 'v', 'velocity', 'wheelspeed',
                  'turn_rate': ('turnrate', 'yawrate', 'angularvelocity', 'angularrate', 'omega', 'wz'),
                  'sigma': ('sigma', 'std', 'speedsigma', 'accuracy')}
 PRESSURE_COLUMNS = {'time': TIME, 'pressure': ('pressure', 'airpressure', 'press', 'p', 'baro', 'barometer')}
+_MAGNETOMETER = ('m', 'mag', 'magnetometer', 'magneticfield', 'field', 'b')
+MAGNETOMETER_COLUMNS = {'time': TIME, **{f'm{axis}': _axis_aliases(_MAGNETOMETER, axis) for axis in 'xyz'}}
 
 
 def parse_columns(text: str, known) -> dict[str, str]:
@@ -316,6 +327,27 @@ def read_pressure(path, columns: dict[str, str] | None = None, time_unit=None) -
     return replace(samples, pressure=pressure), _summary(table, names, len(stamp), (time_unit, unit))
 
 
+def read_magnetometer(path, columns: dict[str, str] | None = None, axes: str = 'forward left up', time_unit=None
+                      ) -> tuple[MagneticFields, str]:
+    """Magnetic fields turned to forward-left-up, T, and what was taken for what.
+
+    columns: those whose names are not usual, by the keys of MAGNETOMETER_COLUMNS. axes: as for `read_imu`. In the unit
+    in brackets, else in the one in which they are fields of the earth. Raises RecordingError.
+    """
+    rotation, table, columns = axes_rotation(axes), read_table(path), columns or {}
+    names = _require(table, ('mx', 'my', 'mz'), MAGNETOMETER_COLUMNS, columns, {f'm{axis}': (axis,) for axis in 'xyz'})
+    stamp, time_unit = _times(table, columns, time_unit, 20.0, names)
+    field = _columns(table, names, ('mx', 'my', 'mz')) @ rotation.T
+    samples = MagneticFields(stamp, np.maximum.accumulate(stamp), field, np.full(len(stamp), np.nan))
+    factor, spelled = magnetic_factor(samples), {unit.lower(): unit for unit in FIELDS}
+    unit = spelled.get(unit_in_name(names['mx'], spelled)) or next(
+        (unit for unit, per in FIELDS.items() if per == factor), None)
+    if unit is None:
+        raise RecordingError(f"{path}: columns '{names['mx']}' .. are no magnetic field of the earth in "
+                             f"{', '.join(FIELDS)}")
+    return replace(samples, field=FIELDS[unit] * samples.field), _summary(table, names, len(stamp), (time_unit, unit))
+
+
 def _chosen(table: Table, rows: tuple[str, str] | None) -> Table:
     """The rows of `table` in which a column has a value, by (column, value); all where it has no such column."""
     if rows is None or rows[0] not in table.names:
@@ -450,6 +482,7 @@ def _proposal(table: Table, wanted, found, given: dict[str, str]) -> str:
     if 'ax' in wanted and _holds_increments(table):
         return '; as it seems: --preset kf-gins'
     kind = next((kind for kind in ('pressure', 'speed') if kind in wanted), 'gnss')
+    kind = 'magnetometer' if 'mx' in wanted else kind
     option, units = f'--{kind}-columns', ''
     if 'ax' in wanted:
         option = '--imu-columns'

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 MAX_SPEED = 20.0  # m/s
+ROBOT_SPEED = 0.4  # m/s: of a slow robot
 MAX_ACCELERATION = 2.5  # m/s^2, forward or sideways
 MAX_JERK = 2.5  # m/s^3
 MIN_RADIUS = 9.0  # m, at the tightest point of a turn
@@ -33,11 +34,12 @@ def plan(duration: float, standstill: float, rng: np.random.Generator, deck) -> 
     """Segments that fill at least `duration` s, the first `standstill` s at rest.
 
     The opening after the standstill is straight, so that a filter can align; then manoeuvres, each of which starts and
-    ends in motion, come from shuffled decks: a drive of a few minutes holds all kinds. deck: CITY or MIXED.
+    ends in motion, come from shuffled decks: a drive of a few minutes holds all kinds. deck: CITY, MIXED or SLOW.
     """
     speed = elapsed = 0.0
     kinds = _shuffled(deck, rng)
-    first = [Segment(_on_grid(standstill)), _speed_change(0.0, rng.uniform(8, 12), 1.5), Segment(5.0)]
+    cruise, acceleration = (ROBOT_SPEED, 0.3) if deck is SLOW else (rng.uniform(8, 12), 1.5)
+    first = [Segment(_on_grid(standstill)), _speed_change(0.0, cruise, acceleration), Segment(5.0)]
     while elapsed < duration:
         for segment in first or next(kinds)(speed, rng):
             yield segment
@@ -105,6 +107,23 @@ def _reverse(speed, rng):
             _speed_change(0.0, rng.uniform(6, 12), 1.5), _hold(rng.uniform(2, 5))]
 
 
+def _robot_straight(speed, rng):
+    return [_hold(rng.uniform(10, 40))]
+
+
+def _robot_turn(speed, rng):
+    """A turn on a circle of a metre or two."""
+    return [Segment(_on_grid(rng.uniform(6, 12)), 0.0, rng.choice([-1, 1]) * rng.uniform(0.5, 1.8)),
+            _hold(rng.uniform(2, 10))]
+
+
+def _robot_on_the_spot(speed, rng):
+    """Stop, turn on the spot, go on."""
+    return [_speed_change(speed, 0.0, 0.3), _hold(rng.uniform(2, 6)),
+            Segment(_on_grid(rng.uniform(5, 10)), 0.0, rng.choice([-1, 1]) * rng.uniform(0.8, 3.0)),
+            _hold(rng.uniform(1, 4)), _speed_change(0.0, speed, 0.3)]
+
+
 def _hold(duration):
     return Segment(_on_grid(duration))
 
@@ -131,10 +150,11 @@ def _on_grid(duration):
     return max(math.ceil(duration / _TIME_GRID - 1e-9), 1) * _TIME_GRID
 
 
-#: the kinds of manoeuvres of a drive, to be shuffled: a city with short stops, and one with everything
+#: the kinds of manoeuvres of a drive, to be shuffled: a city with short stops, one with everything, a slow robot
 CITY = (_turn, _bend, _straight, _turn, _bend, _stop, _turn, _straight, _double_bend, _bend)
 MIXED = (_turn, _bend, _straight, _stop, _turn, _cruise, _bend, _red_light, _turn, _straight, _double_bend, _cruise,
          _bend, _stop, _reverse)
+SLOW = (_robot_straight, _robot_turn, _robot_on_the_spot, _robot_straight, _robot_turn)
 
 
 def _turns(angle, speed):

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.simulation.drive import Drive, simulate_drive, stream
-from mems_ins_fusion.simulation.manoeuvres import CITY, MIXED
+from mems_ins_fusion.simulation.manoeuvres import CITY, MIXED, SLOW
 from mems_ins_fusion.simulation.simulation import Aiding
 from mems_ins_fusion.simulation.vibration import Vibration
 
-MANOEUVRES = {'city': CITY, 'mixed': MIXED}
+MANOEUVRES = {'city': CITY, 'mixed': MIXED, 'slow': SLOW}
 _SUSPENSION = 1.2  # Hz
 _PITCH, _ROLL, SIDESLIP = math.radians(0.35), math.radians(0.4), 0.003  # per m/s^2
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import partial
 
 import numpy as np
@@ -31,6 +31,7 @@ __all__ = ['Aiding', 'GnssNoise', 'SensorErrors', 'Simulation', 'Vibration', 'si
 _FLIP = FLU_TO_FRD.diagonal()  # its own inverse
 _COVARIANCE_TYPE_DIAGONAL_KNOWN = 2  # sensor_msgs/NavSatFix
 _STATUS_FIX = 0  # sensor_msgs/NavSatStatus
+_LAGUERRE = 5  # nodes of the mean over the past that a low pass is
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,9 @@ def simulate_recording(drive: Drive, sensors: SensorErrors | None = None, gnss: 
         imu = effect.distort_samples(imu, values, stream(seed, effect.name))
     temperatures = _temperatures(drive, effects, seed)
     recording = Recording(name, imu.with_temperature(temperatures), _fixes(drive, gnss, effects, seed), reference,
-                          temperatures).having(_aided(drive, aiding, effects, seed, named) if aiding or named else {})
+                          temperatures)
+    if aiding or named:
+        recording = recording.having(_aided(drive, aiding, effects, seed, named, to_sensor))
     return Simulation(recording, drive, slow_errors, {effect.name: values for effect, values in effects})
 
 
@@ -178,7 +181,7 @@ def _fixes(drive, gnss, effects, seed) -> Fixes:
                  covariance_type=np.full(len(stamp), _COVARIANCE_TYPE_DIAGONAL_KNOWN, np.uint8))
 
 
-def _aided(drive, aiding, effects, seed, named) -> dict:
+def _aided(drive, aiding, effects, seed, named, to_sensor) -> dict:
     """What the further sensors say, by name."""
     errors = {**Aiding(), **(aiding or {})}
     wanted = [measurement for measurement in AIDING if errors[f'{measurement.name}_rate']]
@@ -186,20 +189,35 @@ def _aided(drive, aiding, effects, seed, named) -> dict:
     for measurement in (*wanted, *named):
         rate = f'{MEASUREMENTS[measurement.kind].name}_rate'
         own = {**errors, rate: errors[rate] or (1.0 if measurement.from_satellites else 10.0)}
-        said[measurement.name] = measurement.simulated(drive, own, effects, stream(seed, measurement.name),
-                                                       partial(_instants, drive, effects, measurement.name))
+        lag = sum(effect.measured_lag(measurement.name, values) for effect, values in effects)
+        nodes, weights = np.polynomial.laguerre.laggauss(_LAGUERRE) if lag else ([0.0], [1.0])
+        # a low pass is a mean over the past, of which the noise is no part
+        parts = [measurement.simulated(drive, own, effects, stream(seed, measurement.name), partial(
+            _instants, drive, effects, measurement.name, lag * node)) for node in nodes]
+        said[measurement.name] = measurement.seen_from(_mean(parts, weights), to_sensor)
     return said
 
 
-def _instants(drive, effects, name, rate, phase):
-    """Times, s after the start, and stamps of measurements of the input `name` at `rate` Hz; phase: s, None as the
-    receiver's."""
+def _mean(parts, weights):
+    """The first of `parts`, samples of one input, with the mean of what they measure."""
+    if len(parts) == 1:
+        return parts[0]
+    name = fields(parts[0])[2].name
+    values = [getattr(part, name) for part in parts]
+    if name == 'yaw':  # of angles that are near each other
+        values = [values[0] + wrap(value - values[0]) for value in values]
+    return replace(parts[0], **{name: sum(weight * value for weight, value in zip(weights, values))})
+
+
+def _instants(drive, effects, name, late, rate, phase):
+    """Times, s after the start, and stamps of measurements of the input `name` at `rate` Hz; late: s, by which the
+    times are before these. phase: s, None as the receiver's."""
     phase = GnssNoise.phase if phase is None else phase
     time = phase + np.arange(math.floor((drive.time[-1] - phase) * rate + 1e-9) + 1) / rate
     stamp = START_STAMP + np.round(time * 1e9).astype(np.int64)
     for effect, values in effects:
         time = effect.measured_times(name, time, values)
-    return time, stamp
+    return time - late, stamp
 
 
 def _temperatures(drive, effects, seed) -> Temperatures | None:

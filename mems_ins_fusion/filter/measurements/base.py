@@ -150,6 +150,11 @@ class Measurement:
         """
         raise NotImplementedError
 
+    def seen_from(self, samples, to_sensor):
+        """Simulated `samples`, made in the axes of base_link, as a sensor in those of the IMU has them; to_sensor:
+        scipy's Rotation to these."""
+        return samples
+
 
 def covariance36(elements: dict, count: int) -> np.ndarray:
     """(count, 36) with the elements given by their place, zero elsewhere."""

@@ -9,6 +9,7 @@ from ..memory import Kind
 from . import wheel_vibration
 from .base import Measurement
 from .heading import Heading
+from .magnetometer import Magnetometer
 from .pose import Pose
 from .position import Fix
 from .pressure import Pressure
@@ -17,7 +18,7 @@ from .twist import Twist
 from .velocity import Velocity
 
 #: those besides the fixes, in the order in which their parameters are written
-AIDING: tuple[Measurement, ...] = (Speed(), Velocity(), Twist(), Heading(), Pressure())
+AIDING: tuple[Measurement, ...] = (Speed(), Velocity(), Twist(), Magnetometer(), Heading(), Pressure())
 #: all, by their number
 MEASUREMENTS: dict[int, Measurement] = {measurement.kind: measurement for measurement in (Fix(), *AIDING)}
 #: parameters of what the samples of the IMU tell besides motion: no message brings it

@@ -325,7 +325,9 @@ class FusionFilter(Intake):
             self._height_sigma = math.sqrt(record[Event.R_DD])
             self._find_datum(record)
         if self._memory is None:
-            if kind == Kind.POSITION:
+            if record[Event.KIND] == Kind.MAGNETIC:
+                self._alignment.add_field(record)
+            elif kind == Kind.POSITION:
                 start = self._alignment.add_record(record, self.say)
                 if start is not None:
                     self._begin(start, stamp)

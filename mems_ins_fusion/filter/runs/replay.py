@@ -216,7 +216,10 @@ class Replay(Intake):
         alignment, fed = self._alignment(), 0
         if remembered is not None:
             alignment.remember(remembered)
-        for i in fixes:
+        for i in np.flatnonzero((events.kind == Kind.POSITION) | (events.record[:, Event.KIND] == Kind.MAGNETIC)):
+            if events.kind[i] != Kind.POSITION:
+                alignment.add_field(events.record[i])
+                continue
             upto = events.arrival[i]
             orientation = None if self.imu.orientation is None else self.imu.orientation[kept[fed:upto]]
             alignment.add_samples(samples[fed:upto], orientation)

@@ -2,14 +2,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...navigation.earth import radii, to_local
 from ...navigation.frames import wrap, yaw_from_enu, yaw_of_quaternion
 from ..config import FilterConfig
-from ..memory import Event
+from ..measurements.registry import FIRST_NAMED
+from ..memory import Event, Kind
 from ..trust.receiver import SHORTEST_PAIR, UNKNOWN_YAW_SIGMA
 from ..trust.scale import Scale, learn, scale
 from .at_rest import SHORTEST_STILL, STILL_BLOCK, is_quiet, latest_standstill, note_standstill, tumbling_rate
@@ -24,6 +25,7 @@ from .course import (
     has_moved,
     inertial_motion,
 )
+from .magnetic import find_magnetic_heading
 from .start import DATUM_FIXES, SensorErrors, Standstill, Start
 
 MEMORY = 300.0  # s of samples kept while waiting
@@ -33,7 +35,10 @@ LEAST_GRAVITY = 6.0  # m/s^2: what accelerometers show at least in a second's me
 MOST_GRAVITY = 14.0  # m/s^2: and at most
 MOST_G = 2.0  # of a mean specific force in g
 SIDEWAYS = math.radians(45.0)  # from straight on: no wheels drive off that way
-RECENT = 10.0  # s: what tells whether the vehicle stands now
+RECENT = 10.0  # s: what tells whether the vehicle stands now, and how fast it is where it is slow
+CERTAIN = 3.0  # sigmas of two fixes by which they show that a vehicle does not go along its heading
+CHANGED = 0.3  # m/s: by how much the speed of a slow vehicle differs from the mean of that time
+SLOW = 2.0  # m/s: who is faster than this has a course soon
 STANDING_SIGMA = 0.05  # m/s, of a velocity of zero at rest
 FEWEST_SHOWN = 3  # second differences of fixes: before that a claim that is too small passes for a drive
 OVERLAP = 0.5  # of what it tells: each fix is in three second differences
@@ -67,6 +72,10 @@ class Alignment:
         self._imu = np.empty((1024, 13))  # time, body-axis f and w, raw f and w
         self._count = 0
         self._orientation: np.ndarray | None = None
+        #: the magnetometer that tells the heading: the first of them
+        self._magnetometer = next((one for number, one in config.inputs.items() if one.kind == Kind.MAGNETIC
+                                   and config.settings_of(number).topic), None)
+        self._fields: list[tuple] = []  # its time, field in body axes, variance and declination
         self._fixes: list[tuple] = []
         self._first: float | None = None
         self._remembered: Remembered | None = None
@@ -103,6 +112,13 @@ class Alignment:
         self._count += k
         if self._first is None and k:
             self._first = float(samples[0, 0])
+
+    def add_field(self, record: np.ndarray) -> None:
+        """One magnetic field as the kernel takes it."""
+        number = 0 if self._magnetometer.is_plain else self._magnetometer.number - FIRST_NAMED + 1
+        if record[Event.INPUT] == number:
+            self._fields.append((record[Event.TIME], *record[Event.VALUE:Event.VALUE + 3], record[Event.R_NN],
+                                 record[Event.DECLINATION]))
 
     @property
     def _samples(self) -> np.ndarray:
@@ -215,6 +231,7 @@ class Alignment:
             self._count -= first
         while self._fixes and self._fixes[0][0] < before:
             self._fixes.pop(0)
+        self._fields = [field for field in self._fields if field[0] >= before]
 
     def _positions(self) -> np.ndarray:
         """The fixes as (time, north, east, sigma), metres from the first."""
@@ -350,14 +367,56 @@ class Alignment:
         return course is not None and course.speed > FASTEST_REVERSE
 
     def _start_from_course(self, positions) -> Start | None:
-        course = None
+        course = standstill = None
         if has_moved(positions, self._white) and self._shown >= FEWEST_SHOWN:  # else do not look through all samples
             standstill = latest_standstill(self._samples, positions, self.config)
             course = find_course(self._samples, positions, standstill, self.config, self._white)
+        if course is None and self._magnetometer is not None:
+            return self._start_from_field(positions)
         if course is None:
             raise Refused('the vehicle to move straight on: the heading comes from the course of the fixes')
         return self._start(course.yaw, course.yaw_sigma, course.speed, course.speed_sigma, standstill,
                            'heading from the course')
+
+    def _start_from_field(self, positions) -> Start:
+        """Of a vehicle whose course the fixes do not show."""
+        fields = np.array(sorted(self._fields)).reshape(-1, 6)
+        standstill = latest_standstill(self._samples, positions, self.config)
+        found = find_magnetic_heading(self._samples, fields, standstill, self.config, self._magnetometer.name,
+                                      self._remembered.errors if self._remembered else None)
+        if found is None:
+            raise Refused('the vehicle to move straight on, or to turn: the heading comes from the course of the '
+                          f'fixes, or from {self.config.settings_of(self._magnetometer.number).topic} once turns '
+                          'have shown the iron of the vehicle')
+        speed, speed_sigma = 0.0, STANDING_SIGMA
+        if not self._still_standing(standstill):
+            speed, speed_sigma = self._slow_speed(found.yaw + self._known_mounting, positions)
+        start = self._start(found.yaw + self._known_mounting, found.sigma, speed, speed_sigma, standstill,
+                            'heading from the magnetic field')
+        return replace(start, iron=found.iron)
+
+    @property
+    def _known_mounting(self) -> float:
+        """Yaw of the vehicle in the body's axes that an earlier run has found, rad."""
+        state = self.config.layout.index('mounting_yaw') - self.config.layout.n_navigation
+        return float(self._remembered.errors.estimate[state]) if (
+            state >= 0 and self._remembered and self._remembered.errors) else 0.0
+
+    def _slow_speed(self, yaw, positions) -> tuple[float, float]:
+        """Speed along the heading and its sigma, m/s, by the fixes of the last seconds. Raises Refused where these go
+        sideways, or too fast for a mean of them."""
+        recent = positions[positions[:, 0] >= positions[-1, 0] - RECENT]
+        if len(recent) < 2:
+            raise Refused('more fixes to tell how fast the vehicle moves')
+        moved, interval = recent[-1, 1:3] - recent[0, 1:3], recent[-1, 0] - recent[0, 0]
+        noise = math.hypot(recent[0, 3], recent[-1, 3])
+        along = math.cos(yaw) * moved[0] + math.sin(yaw) * moved[1]
+        across = math.cos(yaw) * moved[1] - math.sin(yaw) * moved[0]
+        if abs(across) > max(CERTAIN * noise, abs(along)):
+            raise Refused('a magnetic field that agrees with the way of the fixes: they go to the side of its heading')
+        if math.hypot(*moved) > SLOW * interval + CERTAIN * noise:
+            raise Refused('the vehicle to move straight on: it is fast enough for the heading to come from the course')
+        return float(along / interval), math.hypot(noise / interval, CHANGED)
 
     def _start(self, yaw, yaw_sigma, speed, speed_sigma, standstill, source) -> Start:
         time, latitude, longitude, _, height, r = self._fixes[-1]

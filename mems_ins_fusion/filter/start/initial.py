@@ -16,7 +16,7 @@ from ..prediction import set_radii
 from ..trust.contradiction import FIRST_USUAL
 from ..trust.receiver import Receiver
 from ..trust.scale import Scale
-from .start import SensorErrors, Standstill, Start
+from .start import Iron, SensorErrors, Standstill, Start
 
 UNKNOWN_TILT_SIGMA = 0.05  # rad, roll and pitch where no standstill showed them
 #: of the tilt that a standstill takes out: on a parking place nobody has surveyed
@@ -57,7 +57,10 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
         full[:5, :5] = start.covariance
     else:
         _strapdown_attitude(config, row, full, start, yaw, _level_errors(config, estimate, constant))
-    _turn_into_vehicle(config, full)
+    if start.iron is None:
+        _turn_into_vehicle(config, full)
+    else:  # whose heading is the body's
+        _take_iron(config, start.iron, estimate, full)
     row[NAV + layout.n_navigation:NAV + layout.n] = estimate
     set_covariance(row, layout, full)
     set_radii(memory, int(head[Head.ROWS_AT]))
@@ -72,6 +75,19 @@ def _turn_into_vehicle(config: FilterConfig, full: np.ndarray) -> None:
     if mounting >= 0:
         full[yaw] += full[mounting]
         full[:, yaw] += full[:, mounting]
+
+
+def _take_iron(config: FilterConfig, iron: Iron, estimate: np.ndarray, full: np.ndarray) -> None:
+    """What a magnetic heading has shown of the magnetometer: an error of that heading is one of the iron, too."""
+    layout = config.layout
+    states, yaw = [layout.index(name) for name in iron.names], layout.n_navigation - 1
+    if min(states) < 0:  # of a filter without it
+        return
+    estimate[np.array(states) - layout.n_navigation] = iron.estimate
+    full[states] = full[:, states] = 0.0
+    full[states] = np.outer(iron.by_yaw, full[yaw])
+    full[:, states] = full[states].T
+    full[np.ix_(states, states)] = full[yaw, yaw] * np.outer(iron.by_yaw, iron.by_yaw) + iron.covariance
 
 
 def _sensor_errors(config: FilterConfig, start: Start, level: bool):

@@ -4,6 +4,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,6 +44,16 @@ class SensorErrors:
     constant: np.ndarray
 
 
+class Iron(NamedTuple):
+    """What a magnetic heading goes with: states `names` of the magnetometer, their estimate (k,), its change with an
+    error of the heading (k,), and what is left of the covariance beside that (k, k)."""
+
+    names: tuple[str, ...]
+    estimate: np.ndarray
+    by_yaw: np.ndarray
+    covariance: np.ndarray
+
+
 @dataclass
 class Start:
     """The first state: where, how fast, which way, and how well that is known."""
@@ -58,6 +69,7 @@ class Start:
     notes: list[tuple[str, str]] = field(default_factory=list)  # level and text
     errors: SensorErrors | None = None
     gnss_scale: np.ndarray = field(default_factory=lambda: np.zeros(Scale.SIZE))  # of the fixes, see trust/scale.py
+    iron: Iron | None = None
     wheels: np.ndarray | None = None  # what an earlier filter had learned of them, see measurements/wheel_vibration.py
 
 

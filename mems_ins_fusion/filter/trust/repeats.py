@@ -40,10 +40,10 @@ def is_stuck(mem, r, at):
         return False
     own = seen_of(mem, r, at)
     same = mem[at + Event.VALUE] == mem[own + Seen.LATEST]
-    if kind == Kind.PLACE or kind == Kind.VELOCITY:
+    if kind == Kind.PLACE or kind == Kind.VELOCITY or kind == Kind.MAGNETIC:
         same = _repeats(mem, at, own + Seen.LATEST)
         mem[own + Seen.LATEST + 1] = mem[at + Event.VALUE + 1]
-        if same and moves(mem, r):
+        if same and kind != Kind.MAGNETIC and moves(mem, r):
             return True
     mem[own + Seen.LATEST] = mem[at + Event.VALUE]
     since, mem[own + Seen.SAID] = mem[at + Event.TIME] - mem[own + Seen.SAID], mem[at + Event.TIME]
@@ -51,7 +51,7 @@ def is_stuck(mem, r, at):
         mem[own + Seen.SINCE], mem[own + Seen.GAINED] = mem[at + Event.TIME], 0.0
         return False
     gained, explained = _told(mem, r, kind) - mem[own + Seen.LEFT], ROUNDED_SPEED + UNSEEN_ACCELERATION * MEMORY
-    if kind == Kind.HEADING:
+    if kind == Kind.HEADING or kind == Kind.MAGNETIC:
         gained, explained = math.atan2(math.sin(gained), math.cos(gained)), ROUNDED_HEADING + UNSEEN_RATE * MEMORY
     if mem[own + Seen.GAINED] != STUCK:  # until it says something else
         mem[own + Seen.GAINED] = mem[own + Seen.GAINED] * math.exp(-max(since, 0.0) / MEMORY) + gained
@@ -86,4 +86,6 @@ def _repeats(mem, at, latest):
 def _told(mem, r, kind):
     """What the state says of a heading, rad, or a speed, m/s."""
     c = body_to_level(mem, r)
-    return math.atan2(c[3], c[0]) if kind == Kind.HEADING else body_velocity(mem, r, c, 0)
+    if kind == Kind.HEADING or kind == Kind.MAGNETIC:
+        return math.atan2(c[3], c[0])
+    return body_velocity(mem, r, c, 0)

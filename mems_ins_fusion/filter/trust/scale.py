@@ -56,7 +56,7 @@ class _Seen(NamedTuple):
 
 Seen = _Seen()
 #: of a state: what is seen of each kind of measurement but the fixes, by its number modulo this
-KINDS = 6
+KINDS = 7
 Kinds = ROW.place('Kinds', SEEN=Seen.SIZE * KINDS)
 assert Seen.SIZE == INPUT_SIZE
 #: how many inputs have a name

@@ -1,0 +1,134 @@
+"""The first heading from the magnetic field, once turns have shown the iron of the vehicle or somebody has measured it.
+
+The model is that of `measurements.magnetometer`, and the priors are those of its states: a vehicle that has not turned
+has a heading whose sigma is that of an unknown hard iron. Gyroscopes tell by how much it turned, accelerometers the
+level. Gauss-Newton on iron, heading and gyroscope bias; what it finds of the iron goes into the filter with it.
+"""
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..config import FilterConfig
+from ..measurements.magnetometer import STATES
+from .start import Iron, SensorErrors, Standstill
+
+LONGEST = 60.0  # s of fields that are looked at: for longer the bias of an unseen gyroscope is another one
+AROUND = 0.5  # s to each side over which the accelerometers' mean tells the level
+LEVEL_SIGMA = 0.02  # rad: of that, of a vehicle that drives slowly
+SHORTEST = 3.0  # s of them at least
+STARTS = 8  # headings that Gauss-Newton begins with: hard iron beyond the field has a false one
+STEPS = 8  # of it, from each
+CERTAIN = 4.0  # sigmas by which another heading has to fit worse
+MISFIT = 0.3  # times the expected sum of squares, of means of a second: the field is another one than the earth's
+LEAST_TURN = 0.4  # rad: a field that changes by itself shows no iron
+IRON_KNOWN = 0.2  # sigma of hard iron, as a share of the field, below which no turn has to show it
+HEADING_SIGMA = 0.15  # rad: good enough to start
+
+
+class MagneticHeading(NamedTuple):
+    """Heading of the body now, rad, its sigma, and the iron that it goes with."""
+
+    yaw: float
+    sigma: float
+    iron: Iron
+
+
+def find_magnetic_heading(imu: np.ndarray, fields: np.ndarray, standstill: Standstill | None, config: FilterConfig,
+                          name: str, known: SensorErrors | None) -> MagneticHeading | None:
+    """The heading at the newest sample; None while the field does not show it to HEADING_SIGMA.
+
+    imu: samples (n, 7 or more) of time, f, w in body axes. fields: (k, 6) of time, field in body axes, variance and
+    declination, as in the records. name: of the input. known: of an earlier run.
+    """
+    now = imu[-1, 0]
+    part = imu[imu[:, 0] > now - LONGEST]
+    fields = fields[(fields[:, 0] > part[0, 0]) & (fields[:, 0] <= now)]
+    if len(fields) < 2 or fields[-1, 0] - fields[0, 0] < SHORTEST:
+        return None
+    time = fields[:, 0]
+    bias_sigma = config.alignment.gyroscope_turn_on if standstill is None else 1e-3
+    rate = part[:, 6] - (0.0 if standstill is None else standstill.angular_rate[2])
+    turn = np.cumsum(rate * np.diff(part[:, 0], prepend=part[0, 0]))
+    turn = np.interp(time, part[:, 0], turn) - turn[-1]
+    sigma = np.sqrt(fields[:, 4] + (LEVEL_SIGMA * fields[:, 3]) ** 2)
+    # means of a second, as the errors of one are about the same
+    first = np.flatnonzero(np.diff(np.floor(time), prepend=-1.0))
+    level, turn, since, sigma = (np.add.reduceat(of, first) / np.diff(np.append(first, len(time))).reshape(
+        -1, *[1] * (of.ndim - 1)) for of in (_levelled(part, fields), turn, time - now, sigma))
+    names = tuple(f'{name}_{state}' for state in STATES)
+    prior, spread = _prior(config, names, known)
+    mean, sigmas = np.concatenate([prior, [0.0, 0.0]]), np.concatenate([spread, [math.inf, bias_sigma]])
+    if np.ptp(turn) < LEAST_TURN and spread[:2].max() > IRON_KNOWN:
+        return None
+    found = [_fitted(yaw, mean, sigmas, level, turn, since, sigma)
+             for yaw in np.arange(STARTS) * 2.0 * math.pi / STARTS]
+    cost, x, normal, excess = min(found, key=lambda one: one[0])
+    others = [one[0] for one in found if math.cos(one[1][6] - x[6]) < math.cos(3.0 * HEADING_SIGMA)]
+    if min(others, default=math.inf) < cost + CERTAIN**2 or not excess < MISFIT:
+        return None
+    covariance = np.linalg.inv(normal)
+    yaw_variance = covariance[6, 6]
+    if not yaw_variance < HEADING_SIGMA**2:
+        return None
+    by_yaw = -covariance[:6, 6] / yaw_variance  # the filter's error of the heading is estimate less truth
+    return MagneticHeading(float(x[6] + fields[-1, 5]), math.sqrt(yaw_variance), Iron(
+        names, x[:6].copy(), by_yaw, covariance[:6, :6] - yaw_variance * np.outer(by_yaw, by_yaw)))
+
+
+def _prior(config: FilterConfig, names, known: SensorErrors | None) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and sigma (6,) of the states."""
+    sigma = {extra.name: extra.initial_sigma for extra in config.extras}
+    mean, spread = np.zeros(len(names)), np.array([sigma[name] for name in names])
+    if known is not None:
+        at = [config.layout.index(name) - config.layout.n_navigation for name in names]
+        mean, spread = known.estimate[at], np.sqrt(known.covariance[at, at])
+    return mean, spread
+
+
+def _levelled(imu, fields) -> np.ndarray:
+    """The fields' forward and right components (k, 2) in a vehicle that stands level."""
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(imu[:, 1:4], axis=0)])
+    begin = np.searchsorted(imu[:, 0], fields[:, 0] - AROUND)
+    end = np.maximum(np.searchsorted(imu[:, 0], fields[:, 0] + AROUND), begin + 1)
+    f_x, f_y, f_z = ((total[end] - total[begin]) / (end - begin)[:, None]).T
+    roll, pitch = np.arctan2(-f_y, -f_z), np.arctan2(f_x, np.hypot(f_y, f_z))
+    x, y, z = fields[:, 1:4].T
+    return np.column_stack([np.cos(pitch) * x + np.sin(pitch) * (np.sin(roll) * y + np.cos(roll) * z),
+                            np.cos(roll) * y - np.sin(roll) * z])
+
+
+def _fitted(yaw, mean, sigmas, level, turn, since, sigma):
+    """Iron, heading and gyroscope bias (8,) that fit best, beginning with a heading: the sum of squares with what
+    the priors say, these, the normal matrix (8, 8), and the mean square of what is left of the fields."""
+    c, s = np.cos(yaw + turn), -np.sin(yaw + turn)
+    x = mean.copy()
+    x[6] = yaw + mean[5]
+    hard = np.mean(level - (1.0 + mean[2]) * np.column_stack([c, s]), axis=0)
+    x[:2] = mean[:2] + (hard - mean[:2]) * np.minimum(1.0, sigmas[:2])  # as far as it is not known
+    for _ in range(STEPS):
+        residual, jacobian = _misfit(x, level, turn, since, sigma)
+        rows = np.concatenate([jacobian, np.diag(1.0 / sigmas)])
+        normal = rows.T @ rows
+        x = x - np.linalg.solve(normal, rows.T @ np.concatenate([residual, (x - mean) / sigmas]))
+    residual, _ = _misfit(x, level, turn, since, sigma)
+    away = (x - mean) / sigmas
+    return float(residual @ residual + away @ away), x, normal, float(residual @ residual) / len(residual)
+
+
+def _misfit(x, level, turn, since, sigma) -> tuple[np.ndarray, np.ndarray]:
+    """Residual (2 k,) in sigmas and its derivative (2 k, 8) by hard_x, hard_y, strength, stretch, skew, declination,
+    heading now and gyroscope bias. since: (k,) s, until now negative."""
+    hard_x, hard_y, strength, stretch, skew, declination, yaw, bias = x
+    angle = yaw - declination + turn - bias * since
+    c, s, zero, one = np.cos(angle), -np.sin(angle), np.zeros_like(angle), np.ones_like(angle)
+    along, across = 1.0 + strength + stretch, 1.0 + strength - stretch
+    residual = np.column_stack([along * c + skew * s + hard_x - level[:, 0],
+                                skew * c + across * s + hard_y - level[:, 1]])
+    by_angle = np.column_stack([along * s - skew * c, skew * s - across * c])
+    jacobian = np.stack([np.column_stack([one, zero]), np.column_stack([zero, one]), np.column_stack([c, s]),
+                         np.column_stack([c, -s]), np.column_stack([s, c]), -by_angle, by_angle,
+                         -since[:, None] * by_angle], axis=2)
+    return (residual / sigma[:, None]).ravel(), (jacobian / sigma[:, None, None]).reshape(-1, 8)
