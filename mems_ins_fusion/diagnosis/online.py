@@ -26,6 +26,7 @@ from ..evaluation.comparison import aiding_of, samples_to_keep, truth_of
 from ..evaluation.metrics import Errors
 from ..evaluation.outages import run_outages
 from ..filter.config import FilterConfig
+from ..filter.measurements.registry import aiding
 from ..filter.runs.betting import Bets
 from ..filter.runs.changing import Dropped
 from ..filter.runs.usable import usable
@@ -38,9 +39,11 @@ from .gathering import JUMP, chunks
 from .held_out import HeldOut
 from .quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, SUSPECT, Kept, Quantity, together
 
-#: s of samples before the first analysis; the next ones of all that is kept come when there are twice as many, then
-#: each window
+#: s of samples before the first analysis
 FIRST = 120.0
+#: the next ones of all that is kept come when there is so much more, as a part of what there was, then each window: what
+#: two minutes do not show, three often do
+MORE = 0.5
 #: s: the latest samples are analysed as often, and as many of them: a change shows there first
 LATEST = 240.0
 #: north and east, m
@@ -178,7 +181,8 @@ class Online:
     @property
     def _due(self) -> float:
         """s of samples from one analysis of all that is kept to the next."""
-        return min(FIRST * 2.0 ** max(self._analyses - 1, 0), self._length)
+        later = FIRST * MORE * (1.0 + MORE) ** (self._analyses - 1)
+        return min(later if self._analyses else FIRST, self._length)
 
     @property
     def _now(self) -> int:
@@ -460,7 +464,7 @@ class Watch:
         self._progress, self._done, self._told = progress, 0.0, {}
         self._work = Online(values, find or (lambda part, given: found(part, given, lambda _, what: progress(
             self._done))), kept)
-        self._chunks, self._span = chunks(recording), recording.imu.stamp[[0, -1]].tolist()
+        self._chunks, self._span = chunks(recording, aiding(values)), recording.imu.stamp[[0, -1]].tolist()
 
     @property
     def applied(self) -> dict[str, dict]:

@@ -19,6 +19,7 @@ from std_srvs.srv import Trigger
 from ..diagnosis.applying import Due
 from ..diagnosis.gathering import CHUNK, Gathering
 from ..diagnosis.quantity import FINE, INITIALISING, SUSPECT, Kept, Quantity
+from ..filter.measurements.registry import aiding
 from ..filter.runs.changing import Dropped
 from .estimates import NO_EVENTS
 from .log import Log
@@ -39,7 +40,7 @@ class OnlineDiagnosis:
         self._name, self._log = node.get_name(), log
         self._keeps = values['diagnosis.online'] == 'apply'
         self._due = Due({one.name: one.sets for one in kept})
-        self._gathering = Gathering()
+        self._gathering = Gathering(aiding(values))
         self._chunks: Queue = Queue(maxsize=max(int(values['diagnosis.window'] / CHUNK), 2))
         self._answers: deque[tuple[int, list[Quantity]] | str] = deque()  # with the number of the chunk
         self._dropped: list[Dropped] = []  # since the last chunk

@@ -28,7 +28,10 @@ class StateFile:
         self._calibration: list[dict] = []
 
     def read(self) -> str | None:
-        """Read the file, for `fitting`; what is wrong with it, None where nothing is or there is none yet."""
+        """Read the file, for `fitting`; what is wrong with it, None where nothing is or there is none yet. What a node
+        that was killed while it wrote has left beside it goes."""
+        for unfinished in self._path.parent.glob(f'.{self._path.name}.*'):
+            unfinished.unlink(missing_ok=True)
         if self._path.exists() and not self._path.is_file():  # a pipe would be waited for, for ever
             return f'state file {self._path}: cannot be used (it is not a file); starting without'
         try:
