@@ -44,7 +44,7 @@ class OnlineDiagnosis:
         self._chunks: Queue = Queue(maxsize=max(int(values['diagnosis.window'] / CHUNK), 2))
         self._answers: deque[tuple[int, list[Quantity]] | str] = deque()  # with the number of the chunk
         self._dropped: list[Dropped] = []  # since the last chunk
-        self._has_answer = False
+        self._kept = kept  # what is applied, for the next start
         self._said: dict[str, tuple] = {}
         self._known: list[Quantity] = []
         self._publisher = node.create_publisher(DiagnosticArray, '~/calibration', _LATCHED, **NO_EVENTS)
@@ -90,13 +90,12 @@ class OnlineDiagnosis:
         self._due.dropped(one.name)
         self._dropped.append(one)
         self._known = _without({one.name}, self._known)
+        self._kept = [kept for kept in self._kept if kept.name != one.name]
 
     @property
     def kept(self) -> list[Kept] | None:
-        """What is applied, for the next start; None before it is known, and where a start would not apply it."""
-        if not self._has_answer or not self._keeps:
-            return None
-        return [q.kept for q in self._known if q.applied]
+        """What is applied, for the next start; None where a start would not apply it."""
+        return self._kept if self._keeps else None
 
     def _on_word(self, word: str, request, response):
         try:
@@ -144,7 +143,7 @@ class OnlineDiagnosis:
                 continue
             number, quantities = answer
             self._known = known = _without(self._due.unknown_to(number), quantities)
-            self._has_answer = True
+            self._kept = [quantity.kept for quantity in known if quantity.applied]
             self._say(known)
             if known:
                 self._publisher.publish(array(known[0].time, self._statuses()))
