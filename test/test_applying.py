@@ -15,7 +15,7 @@ from mems_ins_fusion.diagnosis import online
 from mems_ins_fusion.diagnosis.applying import WAIT, Due, driven
 from mems_ins_fusion.diagnosis.gathering import CHUNK, chunks
 from mems_ins_fusion.diagnosis.online import OTHER, Online, Trial
-from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, SUSPECT, Kept
+from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, SUSPECT, Findings, Kept
 from mems_ins_fusion.effects.registry import effect_called
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs import changing
@@ -49,7 +49,7 @@ def late():
 
 def test_an_answer_counts_some_chunks_after_its_own_or_when_it_is_there():
     # given answers that come in time
-    answer = [{'a': {'x': k}} for k in range(3)]
+    answer = [Findings({'a': {'x': k}}, {}) for k in range(3)]
     due, told = Due({}), []
     for k in range(4):
         told.append(due.at_end_of_chunk())
@@ -66,12 +66,12 @@ def test_an_answer_counts_some_chunks_after_its_own_or_when_it_is_there():
         due.handed()
     assert told == [None, None, None, None, answer[1], None] and due.late == 6 - WAIT - 1
     # and what a user asks counts at once, also against answers that were given before
-    due = Due(answer[1])
+    due = Due(answer[1].applied)
     for _ in range(2):
         due.handed()
         due.answered(answer[2])
-    due.answered({}, is_chunk=False)
-    assert due.asked() == {} and due.asked() is None and due.at_end_of_chunk() is None
+    due.answered(Findings({}, {}), is_chunk=False)
+    assert due.asked() == Findings({}, {}) and due.asked() is None and due.at_end_of_chunk() is None
 
 
 def test_an_answer_that_does_not_know_what_was_dropped_does_not_bring_it_back():
@@ -79,14 +79,15 @@ def test_an_answer_that_does_not_know_what_was_dropped_does_not_bring_it_back():
     both = {'a': {'x': 1}, 'b': {'y': 2}}
     due = Due(both)
     due.handed()
-    due.answered(both)
+    due.answered(Findings(both, {}))
     due.dropped('a')
     assert due.unknown_to(0) == {'a'} and due.unknown_to(1) == set()
     # then that answer says nothing new, and the one to the chunk in which it was dropped counts as it is
     assert due.at_end_of_chunk() is None
     due.handed()
-    due.answered({'a': {'x': 3}, 'b': {'y': 2}})
-    assert due.at_end_of_chunk() == {'a': {'x': 3}, 'b': {'y': 2}}
+    again = Findings({'a': {'x': 3}, 'b': {'y': 2}}, {'c': {'z': 1}})
+    due.answered(again)
+    assert due.at_end_of_chunk() == again
 
 
 def fed(fusion, recording, first=0, last=None, at=None):
@@ -124,6 +125,24 @@ def test_the_new_filter_takes_over_where_it_does_not_show(late):
     assert all(a is b for a, b in zip(arrays, (fusion.odometry, fusion.geodetic, fusion.position_covariance_enu)))
     assert np.array_equal(fusion.datum, before[0])
     assert any('goes on with other parameters' in notice.text for notice in fusion.notices())
+
+
+def test_a_filter_with_what_is_on_trial_takes_over_as_soon_as_that_is_proven(late):
+    # given a filter beside with another noise from 100 s on, which is to drive once it has run for as long as it may
+    values, begin, end = {**APPLY, 'accelerometer.noise_density': [0.02] * 3}, 100 * 20, 282 * 20
+    fusion = changing.ChangingFilter(FilterConfig.from_parameters(APPLY))
+    fed(fusion, late, 0, 290 * 20, {begin: lambda: fusion.prepare([values, {**values, 'imu.adapt_noise': False}]),
+                                    begin + 500: lambda: fusion.prepare([values]),
+                                    end: lambda: fusion.change(values)})
+    # then it does not have to settle first
+    handover, = fusion.handovers
+    assert handover.stamp - late.imu.stamp[end] <= 1.1 * SECOND
+    # and has the bits of one that began when it was on trial
+    own = FusionFilter(FilterConfig.from_parameters(values))
+    fed(own, late, begin, 290 * 20)
+    own.datum = fusion.datum
+    own.update_odometry(), fusion.update_odometry()
+    assert np.array_equal(own.odometry, fusion.odometry)
 
 
 def test_a_difference_that_the_sigmas_do_not_cover_waits_for_a_standstill(late, monkeypatch):
@@ -205,7 +224,7 @@ def test_what_has_become_wrong_is_dropped_within_a_minute(monkeypatch):
     assert abs(dropped.since - changed) / SECOND < 20.0
     assert [handover.stamp for handover in run.handovers][1:] == [dropped.stamp]
     # the diagnosis is told, does not bring it back, and has forgotten the samples from before
-    assert not watch.applied and (NAME, SUSPECT, False) in {(q.name, q.state, q.applied) for q in watch.said}
+    assert not watch.wanted.applied and (NAME, SUSPECT, False) in {(q.name, q.state, q.applied) for q in watch.said}
     assert watch._work._window.imu.stamp[0] >= dropped.since
     # and the bits are those of a filter that never had it
     own = FusionFilter(FilterConfig.from_parameters(APPLY))

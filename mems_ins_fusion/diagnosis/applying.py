@@ -12,6 +12,7 @@ from ..filter.runs.changing import ChangingFilter, Dropped, Handover
 from ..filter.runs.odometry import SIZE
 from ..samples import Recording
 from .gathering import Slots
+from .quantity import Findings
 
 if TYPE_CHECKING:  # it brings all of `diagnose`, which a node has no use for
     from .online import Watch
@@ -29,6 +30,14 @@ def with_applied(given: dict, applied: dict[str, dict]) -> tuple[dict, dict[str,
     return but(None), {name: but(name) for name in applied}
 
 
+def go_on(fusion: ChangingFilter, given: dict, findings: Findings, changes: bool) -> None:
+    """Have `fusion` go on with `findings` beside the parameters `given`. changes: whether others are applied now."""
+    if changes:
+        fusion.change(*with_applied(given, findings.applied))
+    fusion.prepare([with_applied(given, {**findings.applied, name: sets})[0]
+                    for name, sets in findings.tried.items()])
+
+
 class Due:
     """Which answer counts. applied: the findings that the filter has now, parameters by name of each.
 
@@ -36,8 +45,8 @@ class Due:
     """
 
     def __init__(self, applied: dict[str, dict]):
-        self._applied, self._answers, self._handed = applied, [], 0
-        self._asked: dict | None = None
+        self._now, self._answers, self._handed = Findings(applied, {}), [], 0
+        self._asked: Findings | None = None
         self._dropped: list[tuple[int, str]] = []  # chunks handed over before, and name
         #: answers that should be there and are not
         self.late = 0
@@ -46,45 +55,48 @@ class Due:
         """A chunk has been given to the diagnosis."""
         self._handed += 1
 
-    def answered(self, applied: dict[str, dict], is_chunk: bool = True) -> None:
+    def answered(self, findings: Findings, is_chunk: bool = True) -> None:
         """The diagnosis has answered the next chunk, or what a user asked: that counts at once."""
         if is_chunk:
-            self._answers.append(applied)
+            self._answers.append(findings)
         else:
-            self._answers[:] = [applied] * len(self._answers)
-            self._asked = applied
+            self._answers[:] = [findings] * len(self._answers)
+            self._asked = findings
 
     def dropped(self, name: str) -> None:
         """The filter has dropped this finding. Answers to chunks from before do not know that."""
-        self._applied = {other: sets for other, sets in self._applied.items() if other != name}
+        self._now = _without({name}, self._now)
         self._dropped.append((self._handed, name))
 
     def unknown_to(self, answer: int) -> set[str]:
         """Findings that have been dropped after the chunk with this number, from 0."""
         return {name for handed, name in self._dropped if answer < handed}
 
-    def asked(self) -> dict | None:
+    def asked(self) -> Findings | None:
         """The findings that a user has asked for, where others than before."""
         if self._asked is None:
             return None
-        applied, self._asked = self._asked, None
-        return self._new(applied)
+        findings, self._asked = self._asked, None
+        return self._new(findings)
 
-    def at_end_of_chunk(self) -> dict | None:
+    def at_end_of_chunk(self) -> Findings | None:
         """The findings from the first sample behind a chunk on, where others than before; before `handed`."""
         due = self._handed + 1 - WAIT
         there = min(due, len(self._answers))
         self.late = max(due - there, 0)
         if there <= 0:
             return None
-        gone = self.unknown_to(there - 1)
-        return self._new({name: sets for name, sets in self._answers[there - 1].items() if name not in gone})
+        return self._new(_without(self.unknown_to(there - 1), self._answers[there - 1]))
 
-    def _new(self, applied: dict) -> dict | None:
-        if applied == self._applied:
+    def _new(self, findings: Findings) -> Findings | None:
+        if findings == self._now:
             return None
-        self._applied = applied
-        return applied
+        self._now = findings
+        return findings
+
+
+def _without(names: set[str], findings: Findings) -> Findings:
+    return Findings(*({name: sets for name, sets in part.items() if name not in names} for part in findings))
 
 
 @dataclass(frozen=True)
@@ -101,7 +113,7 @@ class Driven:
 def driven(recording: Recording, values: dict, watch: Watch | None = None, datum=None, every: int = 1) -> Driven:
     """`recording` through a live filter with the checked parameters `values`, sample by sample, that goes on with what
     `watch` finds in it as a node does; None: as it is. every: samples from one odometry kept to the next."""
-    kept = {} if watch is None else watch.applied
+    kept = {} if watch is None else watch.wanted.applied
     began, without = with_applied(values, kept)
     fusion, slots, due = ChangingFilter(FilterConfig.from_parameters(began)), Slots(), Due(kept)
     fusion.watch(without)
@@ -115,7 +127,8 @@ def driven(recording: Recording, values: dict, watch: Watch | None = None, datum
         if watch and math.isfinite(sum(force[i]) + sum(rate[i])) and slots.ends_before(stamp):
             new = due.at_end_of_chunk()
             if new is not None:
-                fusion.change(*with_applied(values, new))
+                go_on(fusion, values, new, new.applied != kept)
+                kept = new.applied
             due.handed()
             due.answered(watch.take(untold))
             untold = []
@@ -128,6 +141,7 @@ def driven(recording: Recording, values: dict, watch: Watch | None = None, datum
             rows.append(fusion.odometry.copy())
         for one in fusion.dropped():
             due.dropped(one.name)
+            kept = {name: sets for name, sets in kept.items() if name != one.name}
             dropped.append(one)
             untold.append(one)
         while event is not None and event[0] == i + 1:

@@ -37,7 +37,7 @@ from .diagnose import diagnose
 from .findings import Finding
 from .gathering import JUMP, chunks
 from .held_out import HeldOut
-from .quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, SUSPECT, Kept, Quantity, together
+from .quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, SUSPECT, Findings, Kept, Quantity, together
 
 #: s of samples before the first analysis
 FIRST = 120.0
@@ -190,9 +190,10 @@ class Online:
         return 0 if self._window is None else int(self._window.imu.stamp[-1])
 
     @property
-    def driving(self) -> dict[str, dict]:
-        """The findings that the filter that drives should have: parameters by name of each."""
-        return {name: trial.sets for name, trial in self.applied.items()}
+    def wanted(self) -> Findings:
+        """What the filters should have."""
+        tried = {name: trial.sets for name, trial in self.trials.items() if self._applies and not trial.rejected}
+        return Findings({name: trial.sets for name, trial in self.applied.items()}, tried)
 
     @property
     def sets(self) -> dict:
@@ -467,12 +468,12 @@ class Watch:
         self._chunks, self._span = chunks(recording, aiding(values)), recording.imu.stamp[[0, -1]].tolist()
 
     @property
-    def applied(self) -> dict[str, dict]:
-        """The findings that the filter should have: parameters by name of each."""
-        return self._work.driving
+    def wanted(self) -> Findings:
+        """What the filters should have."""
+        return self._work.wanted
 
-    def take(self, dropped: Sequence[Dropped] = ()) -> dict[str, dict] | None:
-        """What it should have after the next chunk, in which it has `dropped` findings; None behind the last one."""
+    def take(self, dropped: Sequence[Dropped] = ()) -> Findings | None:
+        """What they should have after the next chunk, in which it has `dropped` findings; None behind the last one."""
         self._progress(self._done)
         chunk = next(self._chunks, None)
         if chunk is None:
@@ -483,7 +484,7 @@ class Watch:
             if self._told.get(quantity.name) != quantity.said:
                 self.said.append(quantity)
             self._told[quantity.name] = quantity.said
-        return self.applied
+        return self.wanted
 
 
 def watched(recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None

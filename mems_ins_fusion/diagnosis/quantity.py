@@ -4,6 +4,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 from ..effects.registry import effect_called
 from .estimate import Estimate
@@ -59,6 +60,14 @@ class Kept:
         scales = {one.name: one.prior_scale for one in effect_called(self.name).parameters}
         return {name: replace(e, sigma=math.hypot(e.sigma, math.sqrt(walked) * scales.get(name, 0.0))) if e.known else e
                 for name, e in self.parameters.items()}
+
+
+class Findings(NamedTuple):
+    """What the filters should have: parameters by name of each finding. applied: in the one that drives. tried: each in
+    one beside it, which takes over when it is proven."""
+
+    applied: dict[str, dict]
+    tried: dict[str, dict]
 
 
 def together(ones: Iterable) -> dict:

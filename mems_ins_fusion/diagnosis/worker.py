@@ -2,7 +2,7 @@
 
 Arguments: share of a core, pid of who wants to know. Pickles on standard input: parameters and what is kept of earlier
 drives, then chunks, each with what the filter has dropped in it, or the name of what a user asks for (accept, reject,
-reset); on standard output: what is known after each, the findings that the filter should have, and whether it was a
+reset); on standard output: what is known after each, the findings that the filters should have, and whether it was a
 chunk. A second process works, at the
 lowest priority and with one thread; the first one lets it run for that share of each PERIOD and stops it for the rest,
 and ends it when its own parent has gone, however that went. Nothing heavy is imported before there are two.
@@ -55,7 +55,7 @@ def work(source, sink) -> None:
             return
         is_chunk = not isinstance(asked, str)
         quantities = online.take(*asked) if is_chunk else getattr(online, asked)()
-        pickle.dump((quantities, online.driving, is_chunk), sink)
+        pickle.dump((quantities, online.wanted, is_chunk), sink)
         sink.flush()
 
 

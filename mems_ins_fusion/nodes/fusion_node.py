@@ -18,7 +18,7 @@ from sensor_msgs.msg import Imu, NavSatFix, Temperature
 from std_srvs.srv import SetBool, Trigger
 
 from ..compiled import tell
-from ..diagnosis.applying import with_applied
+from ..diagnosis.applying import go_on, with_applied
 from ..filter.config import FilterConfig
 from ..filter.runs.changing import ChangingFilter
 from ..filter.runs.live import CHANGEABLE, FusionFilter
@@ -153,8 +153,8 @@ class FusionNode(Node):
         sample = (now, force.x * force_unit, force.y * force_unit, force.z * force_unit,
                   rate.x * rate_unit, rate.y * rate_unit, rate.z * rate_unit)
         self._monitor.mounting.add_sample(sample)
-        if self._online and (applied := self._online.add_sample(sample)) is not None:
-            self._change(applied)
+        if self._online and (findings := self._online.add_sample(sample)) is not None:
+            self._change(findings)
         is_new = self._filter.add_imu(*sample, x, y, z, w)
         if self._applied:
             self._drop()
@@ -239,10 +239,11 @@ class FusionNode(Node):
             self.get_logger().info(text)
         return kept
 
-    def _change(self, applied):
-        """Go on with the findings `applied`, beside the parameters that the node was given."""
-        if self._have(applied):
-            self._filter.change(*with_applied(self._as_given(), applied))
+    def _change(self, findings):
+        """Go on with `findings`, beside the parameters that the node was given."""
+        changes = self._have(findings.applied)
+        go_on(self._filter, self._as_given(), findings, changes)
+        if changes:
             self._save_where_asked()
 
     def _drop(self):

@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 
 from ..diagnosis.applying import Due
 from ..diagnosis.gathering import CHUNK, Gathering
-from ..diagnosis.quantity import FINE, INITIALISING, SUSPECT, Kept, Quantity
+from ..diagnosis.quantity import FINE, INITIALISING, SUSPECT, Findings, Kept, Quantity
 from ..filter.measurements.registry import aiding
 from ..filter.runs.changing import Dropped
 from .estimates import NO_EVENTS
@@ -58,13 +58,13 @@ class OnlineDiagnosis:
             node.create_service(Trigger, f'~/calibration/{word}', partial(self._on_word, word))
         node.create_service(Trigger, '~/calibration/report', self._on_report)
 
-    def add_sample(self, sample: tuple) -> dict | None:
-        """Stamp (ns), specific force and angular rate of the IMU, as the filter has them. The findings that the filter
-        is to have from this sample on, parameters by name of each, where others than before."""
+    def add_sample(self, sample: tuple) -> Findings | None:
+        """Stamp (ns), specific force and angular rate of the IMU, as the filter has them. What the filters are to have
+        from this sample on, where that is something else than before."""
         chunk = self._gathering.add_sample(sample)
         if chunk is None:
             return self._due.asked()
-        applied = self._due.at_end_of_chunk()
+        findings = self._due.at_end_of_chunk()
         if self._due.late:
             self._log.say('info', f'diagnosis.online: {self._due.late} minutes behind (diagnosis.share): what it finds '
                                   'counts later than in a replay')
@@ -75,7 +75,7 @@ class OnlineDiagnosis:
         except Full:
             self._log.say('warning', 'diagnosis.online: samples left out, the process is too far behind '
                                      '(diagnosis.share)')
-        return applied
+        return findings
 
     def add_fix(self, fix: tuple) -> None:
         """What the filter has of a fix."""
@@ -126,9 +126,9 @@ class OnlineDiagnosis:
         number = -1
         try:
             while True:
-                quantities, applied, is_chunk = pickle.load(self._process.stdout)
+                quantities, findings, is_chunk = pickle.load(self._process.stdout)
                 number += is_chunk
-                self._due.answered(applied, is_chunk)
+                self._due.answered(findings, is_chunk)
                 self._answers.append((number, quantities))
         except (EOFError, OSError, ValueError):
             self._answers.append(f'its process has ended ({self._process.wait()})')

@@ -1,6 +1,7 @@
 """A live filter whose parameters change while it drives: one with the new ones runs beside it until it takes its place.
 
-The new filter begins with nothing, aligns by itself and has the same messages. It takes over once it is as sure as the
+The new filter begins with nothing, aligns by itself and has the same messages; one with what is on trial does so before
+it is asked for. It takes over once it is as sure as the
 present one, and where that does not show: the estimates differ by less than both publish as their sigmas, or the
 vehicle stands. The filter that it replaces runs on beside, without the finding that has been applied. How far the fixes
 are from where either expects them is a bet each second (`betting.py`); where the finding has become wrong - a driver
@@ -120,6 +121,7 @@ class ChangingFilter(WatchedFilter):
         self._begun, self._slot, self._fixes = 0, 0, 0  # ns, of the newest change; of the newest comparison; count
         self._without: dict[str, dict] = {}  # parameters without each finding that is applied, or about to be
         self._beside: dict[str, Beside] = {}
+        self._ready: list[tuple[WatchedFilter, int]] = []  # with what is on trial, and since when, ns
         self._dropped: list[Dropped] = []
         self.handovers: list[Handover] = []
         super().__init__(config)
@@ -131,7 +133,8 @@ class ChangingFilter(WatchedFilter):
 
     @property
     def _others(self) -> list[WatchedFilter]:
-        return ([] if self._next is None else [self._next]) + [one.fusion for one in self._beside.values()]
+        return [*([] if self._next is None else [self._next]), *(one.fusion for one in self._beside.values()),
+                *(fusion for fusion, _ in self._ready)]
 
     def change(self, values: dict, without: dict[str, dict] | None = None) -> None:
         """Go on with the checked parameters `values`, as soon as a filter that has them is where this one is.
@@ -139,8 +142,13 @@ class ChangingFilter(WatchedFilter):
         without: the parameters without each finding that is part of them, by its name.
         """
         self._without = without or {}
-        self._next = self._new(values)
-        self._begun = self._now
+        self._next, self._begun = self._found(values, self._ready) or (self._new(values), self._now)
+        self._ready = [one for one in self._ready if one[0] is not self._next]
+
+    def prepare(self, several: list[dict]) -> None:
+        """Have filters with each of these checked parameters run beside, so that one that is to take over has settled
+        by then; those with others end."""
+        self._ready = [self._found(values, self._ready) or (self._new(values), self._now) for values in several]
 
     def watch(self, without: dict[str, dict]) -> None:
         """Filters without each finding that is part of the parameters, beside this one: as after `change`."""
@@ -151,6 +159,11 @@ class ChangingFilter(WatchedFilter):
         """Findings that have been dropped since the last call: the filter goes on without them."""
         dropped, self._dropped = self._dropped, []
         return dropped
+
+    @staticmethod
+    def _found(values: dict, filters: list[tuple[WatchedFilter, int]]) -> tuple[WatchedFilter, int] | None:
+        """The one of `filters` that has the parameters `values`."""
+        return next((one for one in filters if one[0].config.parameters == values), None)
 
     def _new(self, values: dict) -> WatchedFilter:
         fusion = WatchedFilter(FilterConfig.from_parameters(values))
@@ -247,14 +260,13 @@ class ChangingFilter(WatchedFilter):
         """Go on as `other`; the present filter goes on beside, where it is one without a finding."""
         before = WatchedFilter(self.config)
         before.__dict__.update({name: vars(self)[name] for name in vars(before) if name not in _STAYS})
-        filters = [before] + [one.fusion for one in self._beside.values()]
+        filters = [(fusion, now) for fusion in (before, *(one.fusion for one in self._beside.values()))]
         self._next = None
         self.__dict__.update({name: value for name, value in vars(other).items() if name not in _STAYS})
         self._beside = {}
         for name, values in self._without.items():
-            wanted = FilterConfig.from_parameters(values).parameters
-            same = next((fusion for fusion in filters if fusion.config.parameters == wanted), None)
-            self._beside[name] = Beside(same or self._new(values), now, self._fixes)
+            fusion, _ = self._found(values, filters) or (self._new(values), now)
+            self._beside[name] = Beside(fusion, now, self._fixes)
         self.handovers.append(Handover(now, position, yaw))
         self.say('info', self.handovers[-1].text)
 
