@@ -54,6 +54,10 @@ class Publisher:
         self._executor.add_node(self.node)
         threading.Thread(target=self._executor.spin, daemon=True).start()
 
+    def close(self) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+
     def _on_odometry(self, message):
         self.back[message.header.stamp.sec, message.header.stamp.nanosec] = time.perf_counter()
 
@@ -146,7 +150,7 @@ def measured(recording, mode: str, seconds: float, rate: float, folder: Path) ->
     finally:
         node.send_signal(signal.SIGINT)
         node.wait(30.0)
-        publisher.node.destroy_node()
+        publisher.close()
     late = np.array([publisher.back[key] - sent for key, sent in publisher.sent.items() if key in publisher.back])
     median, most = 1e3 * np.percentile(late, [50, 99])
     return (f'| {rate:g} Hz | {mode} | {len(publisher.sent)} | {len(publisher.sent) - len(late)} | {median:.2f} | '

@@ -64,7 +64,7 @@ def test_chance_does_not_prove():
 def test_a_small_advantage_is_not_worth_a_change():
     # given a thousand outages after which the fixes are 4 % of the way beyond the middle, and 30 %
     rng = np.random.default_rng(3)
-    apart, noise = np.array([[1.0, 0.0]]), 0.2 * rng.standard_normal((1000, 2))
+    apart, noise = np.array([[1.0, 0.0]]), 0.02 * rng.standard_normal((1000, 2))
     assert not taken(noise + 0.54 * apart, noise - 0.46 * apart).proven
     assert taken(noise + 0.8 * apart, noise - 0.2 * apart).proven
 
