@@ -45,7 +45,7 @@ OFFSET = {'gnss.time_offset': -0.26}
 #: drawn anew for an interval
 DRAWS = 2000
 #: by which sigmas are divided
-NARROWER = 2.0 ** np.arange(-1.0, 2.51, 0.25)
+NARROWER = np.array([1.0, 0.5, 0.7, 1.3, 1.6, 2.0, 2.5, 3.0])
 #: exactly as the parameters say
 PLAIN = 'plain, '
 
@@ -84,6 +84,9 @@ def outages_of(recording, values: dict) -> np.ndarray:
     replay.Lookout = Noted
     found, = run_outages(config, recording.imu, recording.gnss, truth, [DURATION], begin, aiding, keep)
     notes = np.reshape(Noted.notes, (-1, 2 + len(NARROWER)))[:len(found.begin)]
+    at = 2  # where sigmas are divided by 1: the look that was announced, from the newest sample instead of the begin
+    since = np.where(found.announced > 0.0, found.announced - notes[:, at], 0.0)
+    notes = np.minimum(np.where(notes > 0.0, notes + since[:, None], 0.0), DURATION)
     return np.column_stack([np.minimum(found.announced, DURATION), found.crossed,
                             np.minimum(found.crossed, DURATION), notes])
 
