@@ -223,13 +223,14 @@ class Online:
             self._begin_anew_since(gone)
         elif before is not None:
             self._try(chunk)
-        if self._since >= NEARLY * self._due:
-            self._since = self._lately = 0.0
-            self._analyses += 1
-            self._analyse(self._window, latest=_seconds(self._window) <= LATEST)
-        elif self._lately >= NEARLY * LATEST:
+        young = _seconds(self._window) <= LATEST
+        if self._lately >= NEARLY * LATEST and not young:  # before all that is kept, where both are due
             self._lately = 0.0
             self._analyse(_cut(self._window, LATEST), latest=True)
+        elif self._since >= NEARLY * self._due:
+            self._since, self._lately = 0.0, 0.0 if young else self._lately
+            self._analyses += 1
+            self._analyse(self._window, latest=young)
         return self.quantities()
 
     def _analyse(self, part: Recording, latest: bool) -> None:
