@@ -144,8 +144,8 @@ def main() -> None:
         rest = options.minutes, options.limit, options.data
         for name, rows in pool.map(of_row, *zip(*((*w, *rest) for w in work))):
             results.setdefault(name, []).extend([rows] if len(rows) else [])
-    print('| drive | outages | crossed | announced, s | true, s | later | announced / true | best possible | exact | narrower | '
-          'decided |')
+    print('| drive | outages | crossed | announced, s | true, s | later | announced / true | best possible | exact '
+          '| narrower | decided |')
     print(f'|{"---|" * 11}')
     for name, drives in results.items():
         if drives:

@@ -2,8 +2,8 @@
 
     python studies/online_costs.py [--rates 100 400] [--seconds 60] [--output FILE.md]
 
-A simulated drive is published to `fusion_node` in its own time, fixes once a second, after PRELUDE s of it in a tenth of
-the time, so that an analysis is running. With `diagnosis.online` off, `report`, and `apply` with a time offset of an
+A simulated drive is published to `fusion_node` in its own time, fixes once a second, after PRELUDE s of it in an eighth
+of the time, so that an analysis is running. With `diagnosis.online` off, `report`, and `apply` with a time offset of an
 earlier drive applied, so that a filter without it runs beside. Latency: from before an Imu is published to after its
 Odometry has come back to this process (median and 99 %, ms), by way of two processes and DDS. CPU: of the node and of
 its diagnosis (`diagnosis.share` 0.1), as a part of a core. Load: of the machine before each run, as it was found.
@@ -165,8 +165,8 @@ def main() -> None:
     options = parser.parse_args()
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     rclpy.init()
-    lines = ['| samples | `diagnosis.online` | sent | without odometry | latency 50 %, ms | 99 %, ms | node | diagnosis '
-             '| load |', f'|{"---|" * 9}']
+    lines = ['| samples | `diagnosis.online` | sent | without odometry | latency 50 %, ms | 99 %, ms | node '
+             '| diagnosis | load |', f'|{"---|" * 9}']
     print(*lines, sep='\n', flush=True)
     for rate in options.rates:
         sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')

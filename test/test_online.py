@@ -55,7 +55,8 @@ def test_chance_does_not_prove():
     proven = 0
     for _ in range(400):
         size = np.exp(rng.standard_normal((200, 1)))
-        middle, apart = rng.standard_t(2, (200, 2)) * size, rng.standard_normal((200, 2)) * rng.exponential(1.0, (200, 1))
+        middle = rng.standard_t(2, (200, 2)) * size
+        apart = rng.standard_normal((200, 2)) * rng.exponential(1.0, (200, 1))
         proven += taken(middle + 0.5 * apart, middle - 0.5 * apart).proven
     # then not more of them are ever proven than may be (1 % of 400 is 4: ten or more have p = 0.008)
     assert proven < 10
@@ -172,7 +173,7 @@ def test_wild_samples_cost_nothing(drive):
 
 
 def followed(drive, answers, window=240.0):
-    """What is said after each chunk, where the analyses find what `answers` gives one after the other, then the last."""
+    """What is said after each chunk; the analyses find what `answers` gives one after the other, then the last."""
     asked = iter(answers)
     work = Online(table.check({'diagnosis.window': window}), lambda recording, values: next(asked, answers[-1]))
     return [work.take(chunk) for chunk in chunks(drive)], work

@@ -154,7 +154,8 @@ def driven(recording: Recording, values: dict, watch: Watch | None = None, datum
 
 def _events(recording: Recording):
     """Measurements in the order of their arrival: how many samples came before each, and what to call with a filter."""
-    streams = {name: samples for name, samples in recording.streams().items() if name not in ('imu', 'reference', 'temperature')}
+    streams = {name: samples for name, samples in recording.streams().items()
+               if name not in ('imu', 'reference', 'temperature')}
     order = []
     for name, samples in streams.items():
         arrival = np.searchsorted(recording.imu.received, samples.received, side='right')

@@ -107,8 +107,11 @@ class Gathering:
 
 
 def chunks(recording: Recording, inputs: Sequence[Measurement] = AIDING) -> Iterator[Recording]:
-    """`recording`, of it the fixes and `inputs`, in the complete chunks that a live node makes of it: what came before the first sample, the
-    temperature and the reference left out, and received when the newest sample before it was stamped."""
+    """`recording`, of it the fixes and `inputs`, in the complete chunks that a live node makes of it.
+
+    What came before the first sample, the temperature and the reference are left out; received: when the newest sample
+    before it was stamped.
+    """
     imu, slots, newest, edges = recording.imu, Slots(), [], [0]
     imu = imu.select(np.isfinite(imu.specific_force.sum(axis=1) + imu.angular_rate.sum(axis=1)))
     for i, stamp in enumerate(imu.stamp.tolist()):

@@ -41,8 +41,8 @@ from .quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, SUSPECT, Finding
 
 #: s of samples before the first analysis
 FIRST = 120.0
-#: the next ones of all that is kept come when there is so much more, as a part of what there was, then each window: what
-#: two minutes do not show, three often do
+#: the next ones of all that is kept come when there is so much more, as a part of what there was, then each window:
+#: what two minutes do not show, three often do
 MORE = 0.5
 #: s: the latest samples are analysed as often, and as many of them: a change shows there first
 LATEST = 240.0
