@@ -31,8 +31,8 @@ LONGEST = 180.0
 AS_SURE = 1.25
 #: ns from one comparison to the next
 PERIOD = 10**9
-#: wealth of the filter without a finding at which that is dropped: where the finding does good, it comes to that once in
-#: so many bets at most, which is a day
+#: wealth of the filter without a finding at which that is dropped: where the finding does good, it comes to that once
+#: in so many bets at most, which is a day
 DROPPED = 86_400.0
 #: fixes whose misfit is kept: two filters judge the same fix within seconds, or one of them does not
 KEPT = 100
@@ -60,7 +60,7 @@ class Handover:
 
 @dataclass(frozen=True)
 class Dropped:
-    """A finding that is not true any more. since: ns, from when on it predicts worse. stamp: ns, when it was dropped."""
+    """A finding that is not true any more. since: ns, when it began to predict worse. stamp: ns, when it was dropped."""
 
     name: str
     since: int
@@ -217,7 +217,7 @@ class ChangingFilter(WatchedFilter):
             other.reset()
 
     def _compare(self, now: int) -> None:
-        """Take over where it is time: a new filter that is where this one is, or one without a finding that is wrong."""
+        """Take over where it is time: a new filter that is where this one is, or one without a wrong finding."""
         for one in self._beside.values():
             one.compare(self.misfits, now)
         wrong = next((name for name, one in self._beside.items() if one.is_better), None)

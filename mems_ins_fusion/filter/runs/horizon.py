@@ -87,7 +87,8 @@ class Lookout:
                       Head.MAX_GAP: math.inf}
 
     def look(self, memory: np.ndarray, exceeded: float = EXCEEDED) -> Horizon:
-        """From the newest state of `memory`, which is left as it is. exceeded: share of the errors that may be larger."""
+        """From the newest state of `memory`, which is left as it is. exceeded: share of the errors that may be
+        larger."""
         copy, newest, width = self._copy, int(memory[Head.SAMPLES]), self._width
         state, sample = state_at(memory, newest), sample_at(memory, newest)
         copy[:self._rows] = memory[:self._rows]
