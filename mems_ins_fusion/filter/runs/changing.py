@@ -60,7 +60,7 @@ class Handover:
 
 @dataclass(frozen=True)
 class Dropped:
-    """A finding that is not true any more. since: ns, when it began to predict worse. stamp: ns, when it was dropped."""
+    """A finding that is not true any more. since: ns, when it began to predict worse; stamp: when it was dropped."""
 
     name: str
     since: int
