@@ -9,6 +9,14 @@ the first time. `later`: share of outages in which that is later than announced,
 anew (of a single drive: of its outages, blocks of 120 s). `announced / true`: the median; an outage in which the error
 does not cross counts as one that crosses at its end, so that the ratio is at most that. `best possible`: the same for
 an announcement that knows the distribution of the true times of its row, 5 % of which are earlier, and nothing else.
+`exact`: the ratio that the filter's own prediction would have if it were exact to the last digit: the time at which 5 %
+of the errors are larger than the limit over that at which half of them are (median). `narrower`: by how much all
+predicted sigmas could be divided with 95 % of the outages still crossing later; below 1 they are too small. `decided`:
+what would be announced (median), and how often that is earlier than the error crosses, were it left out that nothing
+decides whether fixes or prediction are wrong (trust/contradiction.py).
+
+The plain drives have an IMU, a road and a receiver exactly as the parameters say: there the prediction is exact but for
+what is learned.
 """
 from __future__ import annotations
 
@@ -22,10 +30,13 @@ from vehicle import FIXES, MEASURED, measured, simulated
 from mems_ins_fusion.evaluation.comparison import samples_to_keep, truth_of
 from mems_ins_fusion.evaluation.outages import outage_begins, run_outages
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.runs.horizon import LONGEST
+from mems_ins_fusion.filter.memory import Head, Nav, state_at
+from mems_ins_fusion.filter.runs import replay
+from mems_ins_fusion.filter.runs.horizon import LONGEST, Lookout
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Aiding
+from mems_ins_fusion.simulation.simulation import SensorErrors, simulate_drive, simulate_recording
 
 #: s, of an outage, which is as far as is looked ahead, and from one begin to the next
 DURATION, SPACING = LONGEST, 20.0
@@ -33,24 +44,61 @@ DURATION, SPACING = LONGEST, 20.0
 OFFSET = {'gnss.time_offset': -0.26}
 #: drawn anew for an interval
 DRAWS = 2000
+#: by which sigmas are divided
+NARROWER = np.array([1.0, 0.5, 0.7, 1.3, 1.6, 2.0, 2.5, 3.0])
+#: exactly as the parameters say
+PLAIN = 'plain, '
+
+
+class Noted(Lookout):
+    """Notes of each outage when half of the errors are larger than the limit, and when 5 % of what is decided, and with
+    sigmas divided by NARROWER, s."""
+
+    notes: list = []
+
+    def look(self, memory, exceeded=0.05):
+        limit = self._limit
+        half = super().look(memory, 0.5).seconds
+        at = state_at(memory, int(memory[Head.SAMPLES])) + Nav.UNDECIDED
+        undecided, memory[at] = memory[at], 0.0
+        row = [super().look(memory).seconds]
+        memory[at] = undecided
+        for narrower in NARROWER:
+            self._limit = limit * narrower
+            row.append(super().look(memory).seconds)
+        self._limit = limit
+        self.notes.append((half, *row))
+        return super().look(memory)
 
 
 def outages_of(recording, values: dict) -> np.ndarray:
-    """(o, 3): announced, crossed (inf: not), and how long it was looked, s."""
+    """(o, 5 + k): announced, crossed (inf: not), how long it was looked, when half are larger, the announcement of what
+    is decided, and those with sigmas divided by NARROWER (k,), s."""
     values = table.check(values)
     config, truth = FilterConfig.from_parameters(values), truth_of(recording, values)
     keep = samples_to_keep(recording.imu, truth.reference.stamp)
     aiding = Aiding(speed=recording.speed) if values['speed_topic'] else Aiding()
     started = run(config, recording.imu, recording.gnss, aiding, keep=keep).stamp
     begin = outage_begins(int(started[0]), recording.gnss, values['gnss.time_offset'], SPACING, DURATION)
+    Noted.notes.clear()
+    replay.Lookout = Noted
     found, = run_outages(config, recording.imu, recording.gnss, truth, [DURATION], begin, aiding, keep)
+    notes = np.reshape(Noted.notes, (-1, 2 + len(NARROWER)))[:len(found.begin)]
+    at = 2  # where sigmas are divided by 1: the look that was announced, from the newest sample instead of the begin
+    since = np.where(found.announced > 0.0, found.announced - notes[:, at], 0.0)
+    notes = np.minimum(np.where(notes > 0.0, notes + since[:, None], 0.0), DURATION)
     return np.column_stack([np.minimum(found.announced, DURATION), found.crossed,
-                            np.minimum(found.crossed, DURATION)])
+                            np.minimum(found.crossed, DURATION), notes])
 
 
 def of_row(kind: str, name: str, seed: int, minutes: float, limit: float, data: Path):
     """(row of the table, outages) of one drive."""
     values = {'horizon.limit': limit}
+    if name.startswith(PLAIN):
+        sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
+        recording = simulate_recording(simulate_drive(60.0 * minutes, seed), sensors, FIXES[name.removeprefix(PLAIN)],
+                                       seed=seed).recording
+        return name, outages_of(recording, values)
     if kind == 'simulated':
         receiver, _, speed = name.partition(', ')
         return name, outages_of(simulated(seed, minutes, FIXES[receiver]),
@@ -62,16 +110,19 @@ def of_row(kind: str, name: str, seed: int, minutes: float, limit: float, data: 
 def line(name: str, drives: list[np.ndarray]) -> str:
     """Of the table: outages by drive."""
     blocks = drives if len(drives) > 1 else np.array_split(drives[0], max(len(drives[0]) * SPACING // DURATION, 1))
-    announced, crossed, seen = np.concatenate(drives).T
+    announced, crossed, seen, half, decided, *narrower = np.concatenate(drives).T
     later = crossed >= announced
     rng = np.random.default_rng(0)
     shares = [[np.sum(b[:, 1] >= b[:, 0]), len(b)] for b in blocks]
     drawn = np.array(shares)[rng.integers(0, len(shares), (DRAWS, len(shares)))].sum(axis=1)
     low, high = np.percentile(100 * drawn[:, 0] / drawn[:, 1], [2.5, 97.5])
     best = np.quantile(seen, 0.05) / np.median(seen)
+    exact = np.median(announced / np.maximum(half, 0.1))
+    kept = NARROWER[[np.mean(crossed >= times) >= 0.95 for times in narrower]]
     return (f'| {name} | {len(seen)} | {100 * np.mean(np.isfinite(crossed)):.0f} % | {np.median(announced):.1f} | '
             f'{np.median(seen):.1f} | {100 * later.mean():.1f} % ({low:.0f} to {high:.0f}) | '
-            f'{np.median(announced / seen):.2f} | {best:.2f} |')
+            f'{np.median(announced / seen):.2f} | {best:.2f} | {exact:.2f} | {max(kept, default=0.0):.2g} | '
+            f'{np.median(decided):.1f} s, {100 * np.mean(crossed >= decided):.0f} % |')
 
 
 def main() -> None:
@@ -84,7 +135,8 @@ def main() -> None:
     parser.add_argument('--processes', type=int, default=2)
     options = parser.parse_args()
     seeds = range(options.first_seed, options.first_seed + options.seeds)
-    work = [('simulated', name, seed) for name in (*FIXES, '1.5 m, wheel speed', 'RTK, wheel speed') for seed in seeds]
+    work = [('simulated', name, seed) for name in (f'{PLAIN}1.5 m', f'{PLAIN}RTK', *FIXES,
+                                                     '1.5 m, wheel speed', 'RTK, wheel speed') for seed in seeds]
     if options.data.is_dir():
         work += [('measured', name, 0) for name in (*MEASURED, 'longmont_rtk_drive, time offset given')]
     results: dict[str, list[np.ndarray]] = {}
@@ -92,8 +144,9 @@ def main() -> None:
         rest = options.minutes, options.limit, options.data
         for name, rows in pool.map(of_row, *zip(*((*w, *rest) for w in work))):
             results.setdefault(name, []).extend([rows] if len(rows) else [])
-    print('| drive | outages | crossed | announced, s | true, s | later | announced / true | best possible |')
-    print(f'|{"---|" * 8}')
+    print('| drive | outages | crossed | announced, s | true, s | later | announced / true | best possible | exact '
+          '| narrower | decided |')
+    print(f'|{"---|" * 11}')
     for name, drives in results.items():
         if drives:
             print(line(name, drives))

@@ -6,8 +6,8 @@ Plain drives (an IMU and a receiver exactly as the parameters say) and realistic
 springs, vibration, a mount that is some degrees off, which is there to be found), with nothing wrong, with fixes
 stamped 0.25 s late or early (the sign from the seed), and with fixes stamped so from a third of the drive on, or until
 there. By name how often something was on trial, and applied, and after how many seconds (median, last; after a change:
-since it); how many values of the time offset were within 2 sigma; where the stamps become right again, after how many
-seconds the value was taken back or replaced. Then the RMS position error of the last third of the drive, m, as a node
+since it); how many values of the time offset were within 2 sigma; after how many seconds, from the change where there
+is one, a value was dropped at once. Then the RMS position error of the last third of the drive, m, as a node
 publishes it: with the parameters as given, with `diagnosis.online: apply`, and with the time offset given.
 """
 from __future__ import annotations
@@ -20,9 +20,8 @@ from dataclasses import replace
 import numpy as np
 from vehicle import FIXES, simulated
 
-from mems_ins_fusion.diagnosis.applying import driven
-from mems_ins_fusion.diagnosis.gathering import CHUNK
-from mems_ins_fusion.diagnosis.online import watched
+from mems_ins_fusion.diagnosis.applying import Driven, driven
+from mems_ins_fusion.diagnosis.online import Watch
 from mems_ins_fusion.diagnosis.quantity import COARSE
 from mems_ins_fusion.filter.runs.odometry import POSITION
 from mems_ins_fusion.navigation.earth import to_local
@@ -54,27 +53,30 @@ def recorded(row: tuple, seed: int, minutes: float):
     return replace(recording, gnss=replace(fixes, stamp=stamp), speed=None, velocity=None, heading=None), offset
 
 
-def error(recording, values: dict, sets: list[dict]) -> float:
-    """RMS horizontal error of the last part, m."""
+def error(recording, values: dict, watch: Watch | None = None) -> tuple[float, Driven]:
+    """RMS horizontal error of the last part, m, and the drive."""
     truth, datum = recording.reference, (recording.reference.latitude[0], recording.reference.longitude[0], 0.0)
-    run = driven(replace(recording, reference=None), values, sets, datum, every=10)
+    run = driven(replace(recording, reference=None), values, watch, datum, every=10)
     north, east, _ = to_local(truth.latitude, truth.longitude, truth.height, np.array(datum))
     begin = run.stamp >= recording.imu.stamp[-1] - LAST * (recording.imu.stamp[-1] - recording.imu.stamp[0])
     at = (run.stamp[begin] - truth.stamp[0]) * 1e-9, (truth.stamp - truth.stamp[0]) * 1e-9
     off = run.odometry[begin, POSITION:POSITION + 2] - np.column_stack([np.interp(*at, east), np.interp(*at, north)])
-    return float(np.sqrt((off**2).sum(axis=1).mean()))
+    return float(np.sqrt((off**2).sum(axis=1).mean())), run
 
 
 def of_drive(row: tuple, seed: int, minutes: float):
     """The row, its offset, what was said and applied, and three errors."""
     recording, offset = recorded(row, seed, minutes)
     values = table.check({'diagnosis.online': 'apply'})
-    found = watched(replace(recording, reference=None), values)
-    as_given = {**values, 'gnss.time_offset': offset if row[3] == 1.0 else 0.0}
-    none = [{} for _ in found.sets]
-    errors = error(recording, values, none), error(recording, values, found.sets), error(recording, as_given, none)
+    watch = Watch(replace(recording, reference=None), values)
+    with_offset = {**values, 'gnss.time_offset': offset if row[3] == 1.0 else 0.0}
+    as_given, _ = error(recording, values)
+    apply, run = error(recording, values, watch)
+    right, _ = error(recording, with_offset)
     begin = int(recording.imu.stamp[0])
-    return row, offset, [((q.time - begin) * 1e-9, q) for q in found.said], found.sets, errors
+    said = [((q.time - begin) * 1e-9, q) for q in watch.said]
+    gone = [(one.name, (one.stamp - begin) * 1e-9) for one in run.dropped]
+    return row, offset, said, gone, (as_given, apply, right)
 
 
 def line(row: tuple, drives: list, minutes: float) -> str:
@@ -82,7 +84,7 @@ def line(row: tuple, drives: list, minutes: float) -> str:
     kind, receiver, begin, end = row
     changed = 60.0 * minutes * (begin or (end if end < 1.0 else 0.0))
     tried, applied, right, dropped = defaultdict(int), defaultdict(list), [], []
-    for offset, said, sets, _ in drives:
+    for offset, said, gone, _ in drives:
         for name in {q.name for _, q in said if q.state == COARSE}:
             tried[name] += 1
         for name in {q.name for _, q in said if q.applied}:
@@ -91,11 +93,7 @@ def line(row: tuple, drives: list, minutes: float) -> str:
             if name == 'gnss_time_offset':
                 found = quantity.parameters['time_offset']
                 right.append(abs(found.value - offset) < 2.0 * found.sigma)
-        if 0.0 < end < 1.0:
-            own = [s.get('gnss.time_offset', 0.0) for s in sets]
-            gone = [CHUNK * (k + 1) - changed for k, value in enumerate(own)
-                    if CHUNK * (k + 1) > changed and abs(value) < 0.5 * OFFSET]
-            dropped.append(gone[0] if gone else np.nan)
+        dropped += [when - changed for name, when in gone]
     wrong = 'nothing' if begin == end else f'stamps, {begin:.0%} to {end:.0%}'
     told = '; '.join(f'{name} {len(t)} ({np.median(t):.0f}, {max(t):.0f} s)' for name, t in sorted(applied.items()))
     shown = ', '.join(f'{name} {count}' for name, count in sorted(tried.items()))

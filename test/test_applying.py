@@ -15,7 +15,8 @@ from mems_ins_fusion.diagnosis import online
 from mems_ins_fusion.diagnosis.applying import WAIT, Due, driven
 from mems_ins_fusion.diagnosis.gathering import CHUNK, chunks
 from mems_ins_fusion.diagnosis.online import OTHER, Online, Trial
-from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, SUSPECT, Kept
+from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, SUSPECT, Findings, Kept
+from mems_ins_fusion.effects.registry import effect_called
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs import changing
 from mems_ins_fusion.filter.runs.live import FusionFilter
@@ -48,28 +49,45 @@ def late():
 
 def test_an_answer_counts_some_chunks_after_its_own_or_when_it_is_there():
     # given answers that come in time
+    answer = [Findings({'a': {'x': k}}, {}) for k in range(3)]
     due, told = Due({}), []
     for k in range(4):
         told.append(due.at_end_of_chunk())
         due.handed()
-        due.answered({'a': k // 2})
+        due.answered(answer[k // 2])
     # then that of chunk k counts behind chunk k + WAIT, and what is not new is not told
-    assert told == [None] * WAIT + [{'a': 0}, None, {'a': 1}][:4 - WAIT] and due.late == 0
+    assert told == [None] * WAIT + [answer[0], None, answer[1]][:4 - WAIT] and due.late == 0
     # one that is late counts at the end of the first chunk after it
     due, told = Due({}), []
     for k in range(6):
         if k == 4:
-            due.answered({'a': 1})
+            due.answered(answer[1])
         told.append(due.at_end_of_chunk())
         due.handed()
-    assert told == [None, None, None, None, {'a': 1}, None] and due.late == 6 - WAIT - 1
+    assert told == [None, None, None, None, answer[1], None] and due.late == 6 - WAIT - 1
     # and what a user asks counts at once, also against answers that were given before
-    due = Due({'a': 1})
+    due = Due(answer[1].applied)
     for _ in range(2):
         due.handed()
-        due.answered({'a': 2})
-    due.answered({}, is_chunk=False)
-    assert due.asked() == {} and due.asked() is None and due.at_end_of_chunk() is None
+        due.answered(answer[2])
+    due.answered(Findings({}, {}), is_chunk=False)
+    assert due.asked() == Findings({}, {}) and due.asked() is None and due.at_end_of_chunk() is None
+
+
+def test_an_answer_that_does_not_know_what_was_dropped_does_not_bring_it_back():
+    # given two findings that drive, of which one is dropped while the answer to a chunk from before is awaited
+    both = {'a': {'x': 1}, 'b': {'y': 2}}
+    due = Due(both)
+    due.handed()
+    due.answered(Findings(both, {}))
+    due.dropped('a')
+    assert due.unknown_to(0) == {'a'} and due.unknown_to(1) == set()
+    # then that answer says nothing new, and the one to the chunk in which it was dropped counts as it is
+    assert due.at_end_of_chunk() is None
+    due.handed()
+    again = Findings({'a': {'x': 3}, 'b': {'y': 2}}, {'c': {'z': 1}})
+    due.answered(again)
+    assert due.at_end_of_chunk() == again
 
 
 def fed(fusion, recording, first=0, last=None, at=None):
@@ -109,6 +127,24 @@ def test_the_new_filter_takes_over_where_it_does_not_show(late):
     assert any('goes on with other parameters' in notice.text for notice in fusion.notices())
 
 
+def test_a_filter_with_what_is_on_trial_takes_over_as_soon_as_that_is_proven(late):
+    # given a filter beside with another noise from 100 s on, which is to drive once it has run for as long as it may
+    values, begin, end = {**APPLY, 'accelerometer.noise_density': [0.02] * 3}, 100 * 20, 282 * 20
+    fusion = changing.ChangingFilter(FilterConfig.from_parameters(APPLY))
+    fed(fusion, late, 0, 290 * 20, {begin: lambda: fusion.prepare([values, {**values, 'imu.adapt_noise': False}]),
+                                    begin + 500: lambda: fusion.prepare([values]),
+                                    end: lambda: fusion.change(values)})
+    # then it does not have to settle first
+    handover, = fusion.handovers
+    assert handover.stamp - late.imu.stamp[end] <= 1.1 * SECOND
+    # and has the bits of one that began when it was on trial
+    own = FusionFilter(FilterConfig.from_parameters(values))
+    fed(own, late, begin, 290 * 20)
+    own.datum = fusion.datum
+    own.update_odometry(), fusion.update_odometry()
+    assert np.array_equal(own.odometry, fusion.odometry)
+
+
 def test_a_difference_that_the_sigmas_do_not_cover_waits_for_a_standstill(late, monkeypatch):
     # given a change of the mounting by 10 deg, which no sigma of the heading covers, and a vehicle that never stands
     monkeypatch.setattr(changing, 'STANDING', -1.0)
@@ -136,22 +172,24 @@ def test_what_is_proven_is_applied_and_the_fixes_are_met(late, monkeypatch):
     said, work = of_chunks(late, [[finding()]], monkeypatch)
     first = next(k for k, (_, sets) in enumerate(said) if sets)
     # then it is on trial, then drives, and goes on to be better than the filter without it
-    assert said[0][0] == {NAME: (COARSE, False)} and 2 <= first <= 7
+    assert said[0][0] == {NAME: (COARSE, False)} and 1 <= first <= 7
     assert all(states == {NAME: (FINE, True)} and sets == {'gnss.time_offset': OFFSET} for states, sets in said[first:])
     # and the errors of who drives so are those of the right parameters at the end
-    truth, sets = late.reference, [sets for _, sets in said]
+    truth = late.reference
     datum = np.array([truth.latitude[0], truth.longitude[0], 0.0])
     north, east, _ = to_local(truth.latitude, truth.longitude, truth.height, datum)
 
-    def error(values, sets):
-        run = driven(replace(late, reference=None), values, sets, datum, every=20)
+    def error(values, watch=None):
+        run = driven(replace(late, reference=None), values, watch, datum, every=20)
         last = run.stamp > late.imu.stamp[-1] - 120 * SECOND
         t = (run.stamp[last] - truth.stamp[0]) * 1e-9, (truth.stamp - truth.stamp[0]) * 1e-9
         off = run.odometry[last, :2] - np.column_stack([np.interp(*t, east), np.interp(*t, north)])
         return math.sqrt((off**2).sum(axis=1).mean()), run
-    (applied, run), (given, _) = error(APPLY, sets), error({**APPLY, 'gnss.time_offset': OFFSET}, [{}] * len(sets))
+    answers = iter([[finding()]])
+    watch = online.Watch(late, {**APPLY, 'diagnosis.window': 300.0}, find=lambda part, values: next(answers, []))
+    (applied, run), (given, _) = error(APPLY, watch), error({**APPLY, 'gnss.time_offset': OFFSET})
     assert len(run.handovers) == 1 and applied == pytest.approx(given, rel=0.2)
-    assert applied < 0.5 * error(APPLY, [{}] * len(sets))[0]
+    assert applied < 0.5 * error(APPLY)[0] and not run.dropped
 
 
 def test_what_is_not_true_any_more_is_taken_back_and_another_value_takes_its_place(monkeypatch):
@@ -173,6 +211,28 @@ def test_what_is_not_true_any_more_is_taken_back_and_another_value_takes_its_pla
     assert said[-1][1] in ({'gnss.time_offset': -OFFSET}, {}) and said[6][1] == {'gnss.time_offset': OFFSET}
 
 
+def test_what_has_become_wrong_is_dropped_within_a_minute(monkeypatch):
+    # given an offset that goes after eight minutes of sixteen, and was applied before
+    recording = drive(end=0.5)
+    changed, answers = recording.imu.stamp[0] + 480 * SECOND, iter([[finding()]])
+    monkeypatch.setattr(online, 'FIRST', CHUNK)
+    watch = online.Watch(recording, {**APPLY, 'diagnosis.window': 300.0}, find=lambda part, values: next(answers, []))
+    run = driven(replace(recording, reference=None), APPLY, watch, every=20)
+    # then the filter that ran on without it takes over within a minute, knows from when on it is right,
+    dropped, = run.dropped
+    assert dropped.name == NAME and 0.0 < (dropped.stamp - changed) / SECOND < 60.0
+    assert abs(dropped.since - changed) / SECOND < 20.0
+    assert [handover.stamp for handover in run.handovers][1:] == [dropped.stamp]
+    # the diagnosis is told, does not bring it back, and has forgotten the samples from before
+    assert not watch.wanted.applied and (NAME, SUSPECT, False) in {(q.name, q.state, q.applied) for q in watch.said}
+    assert watch._work._window.imu.stamp[0] >= dropped.since
+    # and the bits are those of a filter that never had it
+    own = FusionFilter(FilterConfig.from_parameters(APPLY))
+    fed(own, recording)
+    own.update_odometry()
+    assert np.array_equal(own.odometry[POSE_COVARIANCE:], run.odometry[-1][POSE_COVARIANCE:])
+
+
 def test_what_an_earlier_drive_has_proven_is_suspect_until_it_is_proven_again(late, monkeypatch):
     right = Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET})
     said, _ = of_chunks(late, [], monkeypatch, [right])
@@ -190,7 +250,7 @@ HERE = {'stamp': 1_000 * SECOND, 'latitude': 0.84, 'longitude': 0.2, 'height': 4
 
 def test_the_state_file_keeps_it_for_the_same_sensors(tmp_path):
     path = tmp_path / 'state.json'
-    kept = [Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET})]
+    kept = [Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET}, HERE['stamp'] - 5)]
     file = StateFile(path, 1.0, 1.0)
     assert file.write(HERE, kept, TOPICS) is None
     assert file.write(HERE, [Kept('x', {}, {'gnss.time_offset': 0.1})], {**TOPICS, 'gnss_topic': '/other'}) is None
@@ -207,11 +267,33 @@ def test_the_state_file_keeps_it_for_the_same_sensors(tmp_path):
     assert 'cannot be used' in StateFile(path, 1.0, 1.0).read()
 
 
+def test_what_is_kept_is_less_sure_the_longer_nobody_has_seen_it(late, monkeypatch):
+    # given an offset of +- 0.02 s that was proven a month before this drive, and one of ten years ago
+    begin, day = int(late.imu.stamp[0]), 86_400 * SECOND
+    month, years = (Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET}, begin - age * day)
+                    for age in (30, 3650))
+    # then the variance has grown by a twelfth of what would surprise nobody in a year (0.1 s), and by no more than that
+    usual = next(one for one in effect_called(NAME).parameters if one.name == 'time_offset').prior_scale
+    assert month.aged(begin)['time_offset'].sigma == pytest.approx(math.hypot(0.02, usual * math.sqrt(30 / 365.25)))
+    assert years.aged(begin)['time_offset'].sigma == pytest.approx(math.hypot(0.02, usual))
+    assert month.aged(begin - 60 * day) == month.parameters  # of a recording from before
+    # it is said so, and what is kept for the next start is as it was found, as often as the node starts
+    work = Online(APPLY, lambda part, values: [], [month])
+    told, = work.take(next(chunks(late)))
+    assert told.state == SUSPECT and told.parameters == month.aged(begin) and told.kept == month
+    # until this drive proves it: then it is as new
+    said, work = of_chunks(late, [], monkeypatch, [month])
+    assert said[-1][0] == {NAME: (FINE, True)}
+    again = work.applied[NAME].kept
+    assert again.parameters == month.parameters and begin < again.found <= late.imu.stamp[-1]
+
+
 def test_a_user_may_accept_and_reject():
     # given a finding on trial, and one that has been shown to do harm
     work = Online(table.check({'diagnosis.online': 'report'}), lambda part, values: [])
     work.trials = {NAME: Trial(finding(), {'gnss.time_offset': OFFSET}, 100.0), 'x': Trial(finding(), {'a': 1}, 100.0)}
-    work.trials['x'].logs[1] = 10.0
+    for bets in work.trials['x'].bets.values():
+        bets.con = 10.0
     # then the first is applied and not proven, until it is rejected
     told = {q.name: (q.state, q.applied) for q in work.accept()}
     assert told == {NAME: (SUSPECT, True), 'x': (SUSPECT, False)} and work.sets == {'gnss.time_offset': OFFSET}
@@ -242,7 +324,7 @@ def test_the_node_begins_with_what_is_kept_and_does_what_a_user_asks(tmp_path, p
 def test_what_an_analysis_finds_beside_an_applied_value_is_what_is_left():
     # given the same finding on trial, and applied
     one, other = Trial(finding(0.4), {}, 1.0), Trial(finding(0.4), {}, 1.0)
-    other.apply()
+    other.apply(0)
     # then 0.4 again is the same of the one, and as much more of the other; nothing left is nothing new
     assert not one.differs(finding(0.41)) and other.differs(finding(0.41))
     assert one.differs(finding(0.01)) and not other.differs(finding(0.01))
@@ -253,11 +335,11 @@ def test_trials_begin_anew_when_what_they_are_compared_with_changes():
     proven, rest = Trial(finding(), {'gnss.time_offset': OFFSET}, 1.0), Trial(finding(), {}, 1e9)
     proven.proven = True
     for trial in (proven, rest):
-        trial.take({duration: [(2.0, 1.0)] for duration in online.OUTAGES})
+        trial.take({duration: [((2.0, 0.0), (1.0, 0.0))] * 2 for duration in online.OUTAGES})
     work.trials = {NAME: proven, 'other': rest}
     work._decide()
     assert work.sets == {'gnss.time_offset': OFFSET} and list(work.trials) == ['other']
-    assert not rest.logs.any() and not any(rest.errors.values()) and proven.wealth > 1.0
+    assert rest.wealth == rest.harm == 1.0 and not any(rest.errors.values()) and proven.wealth > 1.0
 
 
 def test_a_filter_that_is_less_sure_does_not_take_over():

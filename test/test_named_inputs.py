@@ -1,12 +1,13 @@
 """Named inputs, any number: two receivers, two wheels; each with its own arm, clock, sigma, scale and status."""
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from mems_ins_fusion.cli.simulate import main as simulate
+from mems_ins_fusion.diagnosis.gathering import Gathering, chunks
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.measurements.registry import FIRST_NAMED, aiding
@@ -248,3 +249,34 @@ def test_the_params_file_of_a_replay_names_them_again(tmp_path, monkeypatch):
     file.write_text(replay_report.parameters_yaml({'drive': None}, values), encoding='utf-8')
     # then it is the same filter
     assert table.check(load_yaml(file)) == values
+
+
+def test_the_diagnosis_while_driving_hears_them():
+    # given a drive with a second receiver and two wheels, one message after the other as a node has them
+    values = given(**{**REAR, **WHEELS, 'inputs': ['rear', 'left', 'right']})
+    recording = recorded(values, 130.0, rate=20.0)
+    imu, gathering, live = recording.imu, Gathering(aiding(values)), []
+    rows = sorted((int(received), order, name, i) for order, (name, samples) in enumerate(
+        {'imu': imu, 'gnss': recording.gnss, **recording.others}.items()) for i, received in enumerate(samples.received))
+    for _, _, name, i in rows:
+        samples = imu if name == 'imu' else recording.streams()[name]
+        numbers = [getattr(samples, field.name)[i] for field in fields(samples)[2:]
+                   if getattr(samples, field.name) is not None]
+        if name == 'imu':
+            full = gathering.add_sample((int(imu.stamp[i]), *imu.specific_force[i].tolist(),
+                                         *imu.angular_rate[i].tolist()))
+            live += [full.recording()] if full else []
+        elif name == 'gnss':
+            gathering.add_fix((int(samples.stamp[i]), *numbers[:3], numbers[3].ravel(), *numbers[4:]))
+        else:
+            gathering.add(name, int(samples.stamp[i]), tuple(numbers))
+    # then its chunks hold them, bit for bit as those of a replay do, and all of them
+    replayed = list(chunks(recording, aiding(values)))
+    assert len(live) == len(replayed) == 2
+    for one, other in zip(live, replayed):
+        assert {'rear', 'left', 'right'} <= one.others.keys() == other.others.keys()
+        for name, samples in one.others.items():
+            for column, numbers in vars(samples).items():
+                assert np.array_equal(numbers, getattr(other.others[name], column)), (name, column)
+    heard = np.concatenate([chunk.others['rear'].stamp for chunk in replayed])
+    assert np.array_equal(heard, recording.others['rear'].stamp[:len(heard)]) and len(heard) > 230

@@ -73,3 +73,10 @@ def test_a_write_that_fails_leaves_the_old_file_and_says_so(path, monkeypatch):
     said = file.write({**HERE, 'yaw': np.pi})
     assert said == f'state file {path}: not written: No space left on device'
     assert json.loads(path.read_text())['filter'] == HERE
+
+
+def test_what_a_kill_has_left_beside_it_goes_at_the_next_start(path):
+    left = path.with_name(f'.{path.name}.x7')
+    left.write_text('{"version"')
+    file, said = opened(path)
+    assert said is None and not left.exists() and path.exists()

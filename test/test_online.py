@@ -18,8 +18,9 @@ from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.gathering import CHUNK, Gathering, chunks
 from mems_ins_fusion.diagnosis.held_out import HeldOut
-from mems_ins_fusion.diagnosis.online import FALSE_ALARMS, MARGIN, OUTAGES, Online, Trial
+from mems_ins_fusion.diagnosis.online import FALSE_ALARMS, OUTAGES, Online, Trial
 from mems_ins_fusion.diagnosis.quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, SUSPECT
+from mems_ins_fusion.filter.runs import betting
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
@@ -37,38 +38,66 @@ def trial(needed=1.0 / FALSE_ALARMS):
     return Trial(finding(), {}, needed)
 
 
-def taken(errors, needed=1.0 / FALSE_ALARMS):
-    """A trial after outages with these errors (k, 2), of each duration."""
+def taken(present, other, needed=1.0 / FALSE_ALARMS):
+    """A trial after outages, of each duration, at whose end two filters are so far from the fixes (k, 2), m."""
     one = trial(needed)
-    for pair in errors:
-        one.take({duration: [tuple(pair)] for duration in OUTAGES})
+    for pair in zip(present.tolist(), other.tolist()):
+        one.take({duration: [pair] for duration in OUTAGES})
         if one.proven:
             break
     return one
 
 
 def test_chance_does_not_prove():
-    # given 400 trials of two filters that are equally good: 200 outages each, errors of any size and heavy tails
+    # given 400 trials of two filters that are equally good, 200 outages each: errors that come and go in size, with
+    # heavy tails and outliers, of predictions whose difference has nothing to do with them
     rng = np.random.default_rng(7)
-    proven = sum(taken(np.exp(rng.standard_normal((200, 2)))).proven for _ in range(400))
+    proven = 0
+    for _ in range(400):
+        size = np.exp(rng.standard_normal((200, 1)))
+        middle = rng.standard_t(2, (200, 2)) * size
+        apart = rng.standard_normal((200, 2)) * rng.exponential(1.0, (200, 1))
+        proven += taken(middle + 0.5 * apart, middle - 0.5 * apart).proven
     # then not more of them are ever proven than may be (1 % of 400 is 4: ten or more have p = 0.008)
     assert proven < 10
-    # nor where the other is better by less than is worth a change
-    same = np.abs(rng.standard_normal((100, 1))) + 0.1
-    assert not taken(np.hstack([same, (1.0 - MARGIN) * same])).proven
+
+
+def test_a_small_advantage_is_not_worth_a_change():
+    # given a thousand outages after which the fixes are 4 % of the way beyond the middle, and 30 %
+    rng = np.random.default_rng(3)
+    apart, noise = np.array([[1.0, 0.0]]), 0.02 * rng.standard_normal((1000, 2))
+    assert not taken(noise + 0.54 * apart, noise - 0.46 * apart).proven
+    assert taken(noise + 0.8 * apart, noise - 0.2 * apart).proven
 
 
 def test_what_is_better_is_proven_and_what_is_worse_rejected():
-    # given errors that are halved: x = (0.95 - 0.5) / 1.5 = 0.3 each time
-    better = taken([(2.0, 1.0)] * 60)
-    assert better.proven and better.state == FINE
-    # then as many are needed as the bets say
-    count = len(better.errors[OUTAGES[0]])
-    wealth = [np.mean([(1.0 + bet * 0.3) ** k for bet in online.BETS]) for k in range(1, 61)]
-    assert count == 1 + int(np.argmax(np.array(wealth) >= 1.0 / FALSE_ALARMS))
+    # given a filter that is right and one that is off by 1 m, and fixes with a noise of 1 m on each axis
+    rng = np.random.default_rng(1)
+    noise = rng.standard_normal((300, 2))
+    off = noise + [1.0, 0.0]
+    better = taken(off, noise)
+    assert better.proven and better.state == FINE and len(better.errors[5.0]) < 120
     # and the other way round it is rejected
-    worse = taken([(1.0, 2.0)] * 60)
+    worse = taken(noise, off)
     assert worse.rejected and worse.state == SUSPECT and not worse.proven
+
+
+def test_the_bets_are_those_of_the_formula():
+    # given two fixes a metre from one filter and on the other one, and one in the middle but for the margin
+    bets = betting.Bets()
+    bets.take((1.0, 0.0), (0.0, 0.5))
+    assert bets.pro == bets.con == 0.0  # the first one tells how far fixes usually are
+    bets.take((2.0, 0.0), (1.0, 0.0))
+    # then y = 1.5, B = 0.5, d = 1: x is bounded to 1, and 0.9 of the wealth was on it
+    assert bets.pro == pytest.approx(math.log(1.9)) and bets.con == pytest.approx(math.log(0.1))
+    bets.take((0.05, 0.1), (-0.05, 0.1))
+    usual = 0.75  # of 0.5 and 1
+    part = 0.7 * 0.1 / usual
+    assert bets.pro == pytest.approx(math.log(1.9) + math.log1p(-part * 0.05 * 0.1 / usual))
+    # and where both predict the same nothing is bet
+    before = bets.pro, bets.con
+    bets.take((3.0, 1.0), (3.0, 1.0))
+    assert (bets.pro, bets.con) == before
 
 
 @pytest.fixture(scope='module')
@@ -144,9 +173,9 @@ def test_wild_samples_cost_nothing(drive):
 
 
 def followed(drive, answers, window=240.0):
-    """What is said after each chunk, where the analyses find what `answers` gives one after the other."""
+    """What is said after each chunk; the analyses find what `answers` gives one after the other, then the last."""
     asked = iter(answers)
-    work = Online(table.check({'diagnosis.window': window}), lambda recording, values: next(asked))
+    work = Online(table.check({'diagnosis.window': window}), lambda recording, values: next(asked, answers[-1]))
     return [work.take(chunk) for chunk in chunks(drive)], work
 
 
@@ -159,7 +188,7 @@ def test_a_finding_is_proven_on_what_comes_after(drive, monkeypatch):
     states = [{quantity.name: quantity.state for quantity in quantities} for quantities in said]
     assert states[0] == {ALL: NOTHING}
     # then both are on trial, and in the end the one is proven, and the other is not
-    assert states[2] == {'gnss_time_offset': COARSE, 'gnss_latency': COARSE}
+    assert states[1] == {'gnss_time_offset': COARSE, 'gnss_latency': COARSE}
     assert states[-1] == {'gnss_time_offset': FINE, 'gnss_latency': SUSPECT}
     told = next(q for q in said[-1] if q.name == 'gnss_time_offset')
     assert told.sets == (f'gnss.time_offset: {OFFSET}',) and told.time == int(list(chunks(drive))[-1].imu.stamp[-1])
@@ -173,7 +202,7 @@ def test_a_value_that_has_changed_begins_anew(monkeypatch, drive):
     monkeypatch.setattr(online, 'FIRST', CHUNK)
     said, work = followed(drive, [[finding(0.1)], [finding(0.12)], [finding()], [], []])
     needed = [(np.pi * k) ** 2 / (6 * FALSE_ALARMS) for k in (1, 2)]
-    assert said[2][0].sets == ('gnss.time_offset: 0.1',)  # not apart from what is on trial
+    assert said[1][0].sets == ('gnss.time_offset: 0.1',)  # not apart from what is on trial
     assert said[4][0].sets == (f'gnss.time_offset: {OFFSET}',)
     # a second trial needs more, so that all together are false as seldom
     assert work.trials['gnss_time_offset'].needed == pytest.approx(needed[1])

@@ -2,31 +2,52 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..filter.config import FilterConfig
-from ..filter.runs.changing import ChangingFilter, Handover
+from ..filter.runs.changing import ChangingFilter, Dropped, Handover
 from ..filter.runs.odometry import SIZE
 from ..samples import Recording
 from .gathering import Slots
+from .quantity import Findings
+
+if TYPE_CHECKING:  # it brings all of `diagnose`, which a node has no use for
+    from .online import Watch
 
 #: chunks after its own with whose end the answer to a chunk counts: what an analysis takes at the default share.
 #: Counted in chunks, not by the clock, so that a replay does the same at the same sample
 WAIT = 1
 
 
+def with_applied(given: dict, applied: dict[str, dict]) -> tuple[dict, dict[str, dict]]:
+    """The parameters `given` with those of the findings `applied`, by name; and so without each of them."""
+    def but(left_out: str | None) -> dict:
+        return {**given, **{parameter: value for name, sets in applied.items() if name != left_out
+                            for parameter, value in sets.items()}}
+    return but(None), {name: but(name) for name in applied}
+
+
+def go_on(fusion: ChangingFilter, given: dict, findings: Findings, changes: bool) -> None:
+    """Have `fusion` go on with `findings` beside the parameters `given`. changes: whether others are applied now."""
+    if changes:
+        fusion.change(*with_applied(given, findings.applied))
+    fusion.prepare([with_applied(given, {**findings.applied, name: sets})[0]
+                    for name, sets in findings.tried.items()])
+
+
 class Due:
-    """Which answer counts. sets: parameters that the filter has now, beside those that it was given.
+    """Which answer counts. applied: the findings that the filter has now, parameters by name of each.
 
     One thread calls `answered`, another one the rest.
     """
 
-    def __init__(self, sets: dict):
-        self._sets, self._answers, self._handed = sets, [], 0
-        self._asked: dict | None = None
+    def __init__(self, applied: dict[str, dict]):
+        self._now, self._answers, self._handed = Findings(applied, {}), [], 0
+        self._asked: Findings | None = None
+        self._dropped: list[tuple[int, str]] = []  # chunks handed over before, and name
         #: answers that should be there and are not
         self.late = 0
 
@@ -34,64 +55,83 @@ class Due:
         """A chunk has been given to the diagnosis."""
         self._handed += 1
 
-    def answered(self, sets: dict, is_chunk: bool = True) -> None:
+    def answered(self, findings: Findings, is_chunk: bool = True) -> None:
         """The diagnosis has answered the next chunk, or what a user asked: that counts at once."""
         if is_chunk:
-            self._answers.append(sets)
+            self._answers.append(findings)
         else:
-            self._answers[:] = [sets] * len(self._answers)
-            self._asked = sets
+            self._answers[:] = [findings] * len(self._answers)
+            self._asked = findings
 
-    def asked(self) -> dict | None:
-        """The parameters that a user has asked for, where others than before."""
+    def dropped(self, name: str) -> None:
+        """The filter has dropped this finding. Answers to chunks from before do not know that."""
+        self._now = _without({name}, self._now)
+        self._dropped.append((self._handed, name))
+
+    def unknown_to(self, answer: int) -> set[str]:
+        """Findings that have been dropped after the chunk with this number, from 0."""
+        return {name for handed, name in self._dropped if answer < handed}
+
+    def asked(self) -> Findings | None:
+        """The findings that a user has asked for, where others than before."""
         if self._asked is None:
             return None
-        sets, self._asked = self._asked, None
-        return self._new(sets)
+        findings, self._asked = self._asked, None
+        return self._new(findings)
 
-    def at_end_of_chunk(self) -> dict | None:
-        """The parameters from the first sample behind a chunk on, where others than before; before `handed`."""
+    def at_end_of_chunk(self) -> Findings | None:
+        """The findings from the first sample behind a chunk on, where others than before; before `handed`."""
         due = self._handed + 1 - WAIT
         there = min(due, len(self._answers))
         self.late = max(due - there, 0)
-        return self._new(self._answers[there - 1]) if there > 0 else None
-
-    def _new(self, sets: dict) -> dict | None:
-        if sets == self._sets:
+        if there <= 0:
             return None
-        self._sets = sets
-        return sets
+        return self._new(_without(self.unknown_to(there - 1), self._answers[there - 1]))
+
+    def _new(self, findings: Findings) -> Findings | None:
+        if findings == self._now:
+            return None
+        self._now = findings
+        return findings
+
+
+def _without(names: set[str], findings: Findings) -> Findings:
+    return Findings(*({name: sets for name, sets in part.items() if name not in names} for part in findings))
 
 
 @dataclass(frozen=True)
 class Driven:
-    """What a live node would have published: stamps (k,) ns and `odometry` (k, 85), and where filters have taken
-    over."""
+    """What a live node would have published: stamps (k,) ns and `odometry` (k, 85), where filters have taken over, and
+    what was dropped at once."""
 
     stamp: np.ndarray
     odometry: np.ndarray
     handovers: list[Handover]
+    dropped: list[Dropped]
 
 
-def driven(recording: Recording, values: dict, sets: list[dict], datum=None, every: int = 1,
-           progress: Callable[[float], None] = lambda part: None) -> Driven:
-    """`recording` through a live filter with the checked parameters `values`, sample by sample, that goes on with
-    `sets` of each chunk as a node does. every: samples from one odometry kept to the next."""
-    fusion, slots, due, answers = ChangingFilter(FilterConfig.from_parameters(values)), Slots(), Due({}), iter(sets)
+def driven(recording: Recording, values: dict, watch: Watch | None = None, datum=None, every: int = 1) -> Driven:
+    """`recording` through a live filter with the checked parameters `values`, sample by sample, that goes on with what
+    `watch` finds in it as a node does; None: as it is. every: samples from one odometry kept to the next."""
+    kept = {} if watch is None else watch.wanted.applied
+    began, without = with_applied(values, kept)
+    fusion, slots, due = ChangingFilter(FilterConfig.from_parameters(began)), Slots(), Due(kept)
+    fusion.watch(without)
     fusion.datum = fusion.datum if datum is None else np.array(datum, dtype=float)
     imu, events = recording.imu, _events(recording)
     force, rate = imu.specific_force.tolist(), imu.angular_rate.tolist()
     celsius = imu.temperature
     orientation = imu.orientation if values['alignment.heading'] == 'orientation' else None
-    stamps, rows, event = [], [], next(events, None)
+    stamps, rows, event, dropped, untold = [], [], next(events, None), [], []
     for i, stamp in enumerate(imu.stamp.tolist()):
-        if math.isfinite(sum(force[i]) + sum(rate[i])) and slots.ends_before(stamp):
+        if watch and math.isfinite(sum(force[i]) + sum(rate[i])) and slots.ends_before(stamp):
             new = due.at_end_of_chunk()
             if new is not None:
-                fusion.change({**values, **new})
+                go_on(fusion, values, new, new.applied != kept)
+                kept = new.applied
             due.handed()
-            due.answered(next(answers))
-            progress(i / len(imu))
+            due.answered(watch.take(untold))
+            untold = []
         if celsius is not None:
             fusion.add_temperature(stamp, float(celsius[i]))
         told = () if orientation is None else orientation[i].tolist()
@@ -99,17 +139,23 @@ def driven(recording: Recording, values: dict, sets: list[dict], datum=None, eve
             fusion.update_odometry()
             stamps.append(stamp)
             rows.append(fusion.odometry.copy())
+        for one in fusion.dropped():
+            due.dropped(one.name)
+            kept = {name: sets for name, sets in kept.items() if name != one.name}
+            dropped.append(one)
+            untold.append(one)
         while event is not None and event[0] == i + 1:
             event[1](fusion)
             event = next(events, None)
         if i % 1000 == 0:
             fusion.notices(), fusion.verdicts()
-    return Driven(np.array(stamps, dtype=np.int64), np.array(rows).reshape(-1, SIZE), fusion.handovers)
+    return Driven(np.array(stamps, dtype=np.int64), np.array(rows).reshape(-1, SIZE), fusion.handovers, dropped)
 
 
 def _events(recording: Recording):
     """Measurements in the order of their arrival: how many samples came before each, and what to call with a filter."""
-    streams = {name: samples for name, samples in recording.streams().items() if name not in ('imu', 'reference')}
+    streams = {name: samples for name, samples in recording.streams().items()
+               if name not in ('imu', 'reference', 'temperature')}
     order = []
     for name, samples in streams.items():
         arrival = np.searchsorted(recording.imu.received, samples.received, side='right')

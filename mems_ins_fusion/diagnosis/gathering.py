@@ -2,11 +2,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..filter.measurements.base import Measurement
 from ..filter.measurements.registry import AIDING
 from ..samples import Fixes, ImuSamples, Recording
 
@@ -41,8 +42,12 @@ class Slots:
 
 @dataclass
 class Gathered:
-    """One chunk, as it came in: stamps (ns), the numbers as in their samples, and the newest stamp of the IMU."""
+    """One chunk, as it came in: stamps (ns), the numbers as in their samples, and the newest stamp of the IMU.
 
+    kinds: what the measurements besides the fixes are as arrays, by name.
+    """
+
+    kinds: dict[str, type]
     samples: list[tuple] = field(default_factory=list)
     fixes: list[tuple] = field(default_factory=list)
     aiding: dict[str, list[tuple]] = field(default_factory=dict)
@@ -52,16 +57,17 @@ class Gathered:
         stamp, received, values = _columns(self.samples, (float,) * 6)
         values = np.array(values).T
         imu = ImuSamples(stamp, received, values[:, :3].copy(), values[:, 3:].copy())
-        stamp, received, values = _columns(self.fixes, _FIX_TYPES)
-        values[3] = values[3].reshape(-1, 3, 3)
-        aiding = {m.name: _samples(m.samples, self.aiding[m.name])
-                  for m in AIDING if m.name in self.aiding}
-        return Recording(NAME, imu, Fixes(stamp, received, *values), **aiding)
+        aiding = {name: _samples(self.kinds[name], rows) for name, rows in self.aiding.items() if rows}
+        return Recording(NAME, imu, _samples(Fixes, self.fixes)).having(aiding)
 
 
 def _samples(kind: type, rows: list[tuple]):
-    """Measurements besides the fixes as samples of their kind."""
-    stamp, received, values = _columns(rows, (float,) * (len(rows[0]) - 2))
+    """Measurements as samples of their kind."""
+    if kind is Fixes:
+        stamp, received, values = _columns(rows, _FIX_TYPES)
+        values[3] = values[3].reshape(-1, 3, 3)
+    else:
+        stamp, received, values = _columns(rows, (float,) * (len(rows[0]) - 2))
     return kind(stamp, received, *values)
 
 
@@ -73,10 +79,11 @@ def _columns(rows: list[tuple], types: tuple) -> tuple[np.ndarray, np.ndarray, l
 
 
 class Gathering:
-    """Takes what comes in, until it is a chunk."""
+    """Takes what comes in, until it is a chunk. inputs: what there may be besides the fixes."""
 
-    def __init__(self):
-        self._slots, self._chunk = Slots(), Gathered()
+    def __init__(self, inputs: Sequence[Measurement] = AIDING):
+        self._kinds = {one.name: one.samples for one in inputs}
+        self._slots, self._chunk = Slots(), Gathered(self._kinds)
 
     def add_sample(self, sample: tuple) -> Gathered | None:
         """Stamp (ns), specific force, angular rate. What came before it, where that is a chunk."""
@@ -84,7 +91,7 @@ class Gathering:
         if not math.isfinite(sum(sample[1:])):
             return full
         if self._slots.ends_before(sample[0]):
-            full, self._chunk = self._chunk, Gathered()
+            full, self._chunk = self._chunk, Gathered(self._kinds)
         self._chunk.samples.append((*sample, self._slots.newest))
         return full
 
@@ -99,9 +106,12 @@ class Gathering:
             self._chunk.aiding.setdefault(name, []).append((stamp, *numbers, self._slots.newest))
 
 
-def chunks(recording: Recording) -> Iterator[Recording]:
-    """`recording` in the complete chunks that a live node makes of it: what came before the first sample, the
-    temperature and the reference left out, and received when the newest sample before it was stamped."""
+def chunks(recording: Recording, inputs: Sequence[Measurement] = AIDING) -> Iterator[Recording]:
+    """`recording`, of it the fixes and `inputs`, in the complete chunks that a live node makes of it.
+
+    What came before the first sample, the temperature and the reference are left out; received: when the newest sample
+    before it was stamped.
+    """
     imu, slots, newest, edges = recording.imu, Slots(), [], [0]
     imu = imu.select(np.isfinite(imu.specific_force.sum(axis=1) + imu.angular_rate.sum(axis=1)))
     for i, stamp in enumerate(imu.stamp.tolist()):
@@ -110,11 +120,11 @@ def chunks(recording: Recording) -> Iterator[Recording]:
         newest.append(slots.newest)
     newest = np.array(newest, dtype=np.int64)
     parts = {name: samples for name, samples in recording.streams().items()
-             if name in {'gnss', *(measurement.name for measurement in AIDING)}}
+             if name in {'gnss', *(measurement.name for measurement in inputs)}}
     arrived = {name: np.searchsorted(imu.received, samples.received, side='right') for name, samples in parts.items()}
     imu = replace(imu, received=newest, orientation=None, temperature=None)
     parts = {name: replace(samples, received=newest[np.maximum(arrived[name], 1) - 1])
              for name, samples in parts.items()}
     for first, end in zip(edges[:-1], edges[1:]):
-        yield Recording(NAME, imu.select(slice(first, end)), **{
+        yield Recording(NAME, imu.select(slice(first, end))).having({
             name: samples.select((arrived[name] > first) & (arrived[name] <= end)) for name, samples in parts.items()})

@@ -3,16 +3,10 @@
 The samples come in chunks (`gathering.py`), of which each ends at a stamp of the IMU: what is said after a chunk
 depends on nothing but the samples until then, live and in a replay. What an analysis finds is on trial from then on:
 two filters, with the parameters as they are and with the finding, go without fixes for 5, 10 and 30 s again and again
-through samples that neither the estimate nor the analysis has seen. An outage says
-
-    x = ((1 - MARGIN) e - e') / (e + e'),    -1 <= x < 1,
-
-e and e' being how far the fixes at its end are from the two. Whatever the errors are distributed like, a finding that
-makes them smaller by no more than MARGIN has E x <= 0, and a wealth that bets the part l of it on each outage, times
-1 + l x, does not grow in the mean: it comes to 1 / a with a probability of a at most, whenever one looks (J. Ville,
-"Etude critique de la notion de collectif", 1939; I. Waudby-Smith and A. Ramdas, "Estimating means of bounded random
-variables by betting", J. Royal Statistical Society B 86, 2024). The same with the two filters changed over says that a
-finding does harm. No sigma is asked, neither of the estimate nor of the filters.
+through samples that neither the estimate nor the analysis has seen. What the fixes at the end of each outage say of the
+two is a bet (`filter/runs/betting.py`): a finding that does not help is proven with a probability that is bounded
+however often one looks, and no sigma is asked, neither of the estimate nor of the filters. The same with the two
+filters changed over says that a finding does harm.
 
 With diagnosis.online `apply` a proven finding becomes part of the parameters that drive, and the filter without it goes
 through the outages beside. What was true for an hour may be wrong from one minute to the next (a driver that restarts,
@@ -23,7 +17,7 @@ Shin, A. Ramdas and A. Rinaldo, "E-detectors", New England J. of Statistics in D
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -32,6 +26,9 @@ from ..evaluation.comparison import aiding_of, samples_to_keep, truth_of
 from ..evaluation.metrics import Errors
 from ..evaluation.outages import run_outages
 from ..filter.config import FilterConfig
+from ..filter.measurements.registry import aiding
+from ..filter.runs.betting import Bets
+from ..filter.runs.changing import Dropped
 from ..filter.runs.usable import usable
 from ..parameters.params_file import yaml_value
 from ..samples import Recording
@@ -40,13 +37,17 @@ from .diagnose import diagnose
 from .findings import Finding
 from .gathering import JUMP, chunks
 from .held_out import HeldOut
-from .quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, SUSPECT, Kept, Quantity, together
+from .quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, SUSPECT, Findings, Kept, Quantity, together
 
-#: s of samples before the first analysis; the next ones of all that is kept come when there are twice as many, then
-#: each window
+#: s of samples before the first analysis
 FIRST = 120.0
+#: the next ones of all that is kept come when there is so much more, as a part of what there was, then each window:
+#: what two minutes do not show, three often do
+MORE = 0.5
 #: s: the latest samples are analysed as often, and as many of them: a change shows there first
 LATEST = 240.0
+#: north and east, m
+Place = tuple[float, float]
 #: s before a chunk, for two filters to find their state in
 SETTLING = 180.0
 #: s without fixes, of trials: short ones are many, and show what is sharp soon; long ones what is small against the
@@ -58,10 +59,6 @@ ANALYSED = (10.0, 30.0)
 JUDGED = 0.3
 #: m: an outage in which less was driven says nothing
 DRIVEN = 20.0
-#: a finding that makes errors smaller by less is not worth a change
-MARGIN = 0.05
-#: parts of the wealth that are bet; a part of all of it lies on each
-BETS = (0.1, 0.3, 0.5, 0.7, 0.9)
 #: probability that anything is called FINE by chance, in all the time that a filter runs: of the k-th trial it is
 #: 6 / (pi k)^2 of that
 FALSE_ALARMS = 0.01
@@ -84,8 +81,9 @@ class Trial:
     """A finding on trial. sets: parameters as it would have them. needed: wealth with which it is proven.
 
     applied: whether it is part of the parameters that drive. harmful: it was, and has been taken back. seen: whether no
-    later analysis speaks against it. advice: what would show more of it. errors: by duration, m, without it and with it
-    in each outage. logs: of the wealth for it and against it, by duration and bet.
+    later analysis speaks against it. kept: for the next drive, where it is applied. advice: what would show more of it.
+    errors: by duration, m, without it and with it
+    in each outage. bets: by duration.
     """
 
     finding: Finding
@@ -95,19 +93,20 @@ class Trial:
     proven: bool = False
     harmful: bool = False
     seen: bool = True
+    kept: Kept | None = None
     advice: Advice | None = None
     errors: dict[float, list[tuple[float, float]]] = field(default_factory=lambda: {d: [] for d in OUTAGES})
-    logs: np.ndarray = field(default_factory=lambda: np.zeros((2, len(OUTAGES), len(BETS))))
+    bets: dict[float, Bets] = field(default_factory=lambda: {d: Bets() for d in OUTAGES})
 
     @property
     def wealth(self) -> float:
         """For the finding: of the bets on each duration, in equal parts."""
-        return float(np.exp(self.logs[0]).mean())
+        return float(np.mean([np.exp(bets.pro) for bets in self.bets.values()]))
 
     @property
     def harm(self) -> float:
         """Against it."""
-        return float(np.exp(self.logs[1]).mean())
+        return float(np.mean([np.exp(bets.con) for bets in self.bets.values()]))
 
     @property
     def rejected(self) -> bool:
@@ -121,25 +120,31 @@ class Trial:
             return FINE if self.seen else SUSPECT
         return SUSPECT if self.applied or self.rejected or not self.seen else COARSE
 
-    def take(self, errors: dict[float, list[tuple[float, float]]]) -> None:
-        """What the outages of one more chunk say, by duration."""
-        for k, duration in enumerate(OUTAGES):
+    def take(self, errors: dict[float, list[tuple[Place, Place]]], now: int = 0) -> None:
+        """What the outages of one more chunk say, by duration: how far the fixes were from either filter, m. now: ns,
+        its end."""
+        before = self.proven
+        for duration, bets in self.bets.items():
             for without, with_it in errors[duration]:
-                self.errors[duration].append((without, with_it))
-                for log, worse, better in ((self.logs[0, k], without, with_it), (self.logs[1, k], with_it, without)):
-                    log += np.log1p(np.array(BETS) * ((1.0 - MARGIN) * worse - better) / (worse + better))
+                self.errors[duration].append((float(np.hypot(*without)), float(np.hypot(*with_it))))
+                bets.take(without, with_it)
                 if self.applied:
-                    np.maximum(self.logs[1], 0.0, out=self.logs[1])
+                    bets.con = max(bets.con, 0.0)
                 self.proven = self.proven or self.wealth >= self.needed
+        if self.kept and self.proven and not before:
+            self.kept = replace(self.kept, found=now)
 
-    def apply(self) -> None:
-        """Be part of the parameters that drive. What was seen before says nothing against that any more."""
+    def apply(self, now: int) -> None:
+        """Be part of the parameters that drive. What was seen before says nothing against that any more. now: ns."""
         self.applied = True
-        self.logs[1] = 0.0
+        self.kept = Kept(self.finding.name, self.finding.parameters, self.sets, now)
+        for bets in self.bets.values():
+            bets.con = 0.0
 
     def begin_anew(self) -> None:
         """The parameters that drive have changed: what was seen before compared others."""
-        self.logs[:] = 0.0
+        for bets in self.bets.values():
+            bets.begin_anew()
         self.errors = {duration: [] for duration in OUTAGES}
 
     def differs(self, finding: Finding) -> bool:
@@ -167,43 +172,65 @@ class Online:
         self._since = self._lately = 0.0  # s of samples since the last analysis, and the last one of the latest ones
         self.trials: dict[str, Trial] = {}  # of what is not applied
         self.applied: dict[str, Trial] = {}
-        self._begun = self._analyses = 0
+        self._begun = self._analyses = self._begins = 0  # trials, analyses; ns, the first stamp
         self._why = ''
         for one in kept if self._applies else ():
-            self.applied[one.name] = Trial(_known(one), one.sets, self._next_needed(), applied=True)
+            self.applied[one.name] = Trial(_known(one, one.parameters), one.sets, self._next_needed(), applied=True,
+                                           kept=one)
 
     @property
     def _due(self) -> float:
         """s of samples from one analysis of all that is kept to the next."""
-        return min(FIRST * 2.0 ** max(self._analyses - 1, 0), self._length)
+        later = FIRST * MORE * (1.0 + MORE) ** (self._analyses - 1)
+        return min(later if self._analyses else FIRST, self._length)
+
+    @property
+    def _now(self) -> int:
+        """Stamp of the newest sample, ns."""
+        return 0 if self._window is None else int(self._window.imu.stamp[-1])
+
+    @property
+    def wanted(self) -> Findings:
+        """What the filters should have."""
+        tried = {name: trial.sets for name, trial in self.trials.items() if self._applies and not trial.rejected}
+        return Findings({name: trial.sets for name, trial in self.applied.items()}, tried)
 
     @property
     def sets(self) -> dict:
-        """Parameters that the filter that drives should have, beside those that it was given."""
+        """Parameters that it should have, beside those that it was given."""
         return self._sets()
 
     def _sets(self, without: str = '') -> dict:
         return together(trial for name, trial in self.applied.items() if name != without)
 
-    def take(self, chunk: Recording) -> list[Quantity]:
-        """What is known after `chunk`, the samples since the one before it."""
+    def take(self, chunk: Recording, dropped: Sequence[Dropped] = ()) -> list[Quantity]:
+        """What is known after `chunk`, the samples since the one before it. dropped: what the filter that drives has
+        dropped in it."""
         chunk = usable(chunk, self._values['imu.max_specific_force'], self._values['imu.max_angular_rate'])
         if _seconds(chunk) < SHORTEST:
             return self.quantities()
         if self._window is not None and _jumps(self._window, chunk):
             self._window, self._since, self._lately = None, 0.0, 0.0
+        if not self._begins:
+            self._begins = int(chunk.imu.stamp[0])
+            for trial in self.applied.values():
+                trial.finding = _known(trial.kept, trial.kept.aged(self._begins))
         before, self._window = self._window, _cut(_joined(self._window, chunk), self._length)
         self._since += _seconds(chunk)
         self._lately += _seconds(chunk)
-        if before is not None:
+        gone = [one for one in dropped if one.name in self.applied]
+        if gone:
+            self._begin_anew_since(gone)
+        elif before is not None:
             self._try(chunk)
-        if self._since >= NEARLY * self._due:
-            self._since = self._lately = 0.0
-            self._analyses += 1
-            self._analyse(self._window, latest=_seconds(self._window) <= LATEST)
-        elif self._lately >= NEARLY * LATEST:
+        young = _seconds(self._window) <= LATEST
+        if self._lately >= NEARLY * LATEST and not young:  # before all that is kept, where both are due
             self._lately = 0.0
             self._analyse(_cut(self._window, LATEST), latest=True)
+        elif self._since >= NEARLY * self._due:
+            self._since, self._lately = 0.0, 0.0 if young else self._lately
+            self._analyses += 1
+            self._analyse(self._window, latest=young)
         return self.quantities()
 
     def _analyse(self, part: Recording, latest: bool) -> None:
@@ -242,9 +269,10 @@ class Online:
         values = {**self._values, **self.sets}
         present = predicted(part, values, chunk)
         for trial in running:
-            trial.take(_pairs(present, predicted(part, {**values, **trial.sets}, chunk)))
+            trial.take(_pairs(present, predicted(part, {**values, **trial.sets}, chunk)), self._now)
         for name, trial in self.applied.items():
-            trial.take(_pairs(predicted(part, {**self._values, **self._sets(without=name)}, chunk), present))
+            other = predicted(part, {**self._values, **self._sets(without=name)}, chunk)
+            trial.take(_pairs(other, present), self._now)
         if self._applies:
             self._decide()
 
@@ -253,9 +281,7 @@ class Online:
         harmful = next((name for name, trial in self.applied.items() if trial.rejected), None)
         proven = next((name for name, trial in self.trials.items() if trial.proven), None)
         if harmful is not None:
-            trial = self.applied.pop(harmful)
-            trial.applied, trial.proven, trial.harmful = False, False, True
-            self.trials.setdefault(harmful, trial)
+            trial = self._take_back(harmful)
             self._window = _cut(self._window, LATEST)  # what came before the change is of another vehicle
         elif proven is not None:
             if proven in self.applied:
@@ -267,10 +293,28 @@ class Online:
             if other is not trial:
                 other.begin_anew()
 
+    def _take_back(self, name: str) -> Trial:
+        """Have the trial of this name no longer in the parameters that drive."""
+        trial = self.applied.pop(name)
+        trial.applied, trial.proven, trial.harmful, trial.kept = False, False, True, None
+        self.trials.setdefault(name, trial)
+        return trial
+
+    def _begin_anew_since(self, dropped: Sequence[Dropped]) -> None:
+        """The vehicle is another one since the filter has dropped what was right before."""
+        for one in dropped:
+            self._take_back(one.name)
+        for trial in (*self.trials.values(), *self.applied.values()):
+            trial.begin_anew()
+        since = max(one.since for one in dropped)
+        self._window = _cut(self._window, (int(self._window.imu.stamp[-1]) - since) * 1e-9)
+        self._since = self._lately = _seconds(self._window)
+        self._analyses = 0
+
     def _apply(self, name: str) -> Trial:
         """Have the trial of this name in the parameters that drive."""
         trial = self.applied[name] = self.trials.pop(name)
-        trial.apply()
+        trial.apply(self._now)
         return trial
 
     def accept(self) -> list[Quantity]:
@@ -291,7 +335,7 @@ class Online:
 
     def quantities(self) -> list[Quantity]:
         """What is known now, one for each finding; one of the name `all` before the first analysis."""
-        now = 0 if self._window is None else int(self._window.imu.stamp[-1])
+        now = self._now
         told = [_quantity(now, name, trial) for name, trial in self.applied.items()]
         told += [_quantity(now, f'{name}{OTHER if name in self.applied else ""}', trial)
                  for name, trial in self.trials.items()]
@@ -306,9 +350,9 @@ class Online:
                          f"{f' ({self._why})' if self._why else ''}")]
 
 
-def _known(kept: Kept) -> Finding:
-    """A finding of an earlier drive."""
-    return Finding(kept.name, [kept.name], kept.parameters, 0.0, 0.0, True, HeldOut(0.0, 1.0, []), changes=kept.sets)
+def _known(kept: Kept, parameters: dict) -> Finding:
+    """A finding of an earlier drive, with these parameters of the effect now."""
+    return Finding(kept.name, [kept.name], parameters, 0.0, 0.0, True, HeldOut(0.0, 1.0, []), changes=kept.sets)
 
 
 def found(recording: Recording, values: dict, progress: Callable = lambda part, what: None) -> list[Finding]:
@@ -316,10 +360,10 @@ def found(recording: Recording, values: dict, progress: Callable = lambda part, 
     return [f for f in diagnose(recording, values, progress, durations=ANALYSED).findings if f.added and f.changes]
 
 
-def predicted(part: Recording, values: dict, chunk: Recording) -> dict[float, dict[int, tuple[float, float]]]:
-    """By duration and begin (ns, as fixes are stamped): how far the fixes at the end of an outage are from where the
-    filter with `values` is, m, and the distance driven. Outages begin and end in `chunk`, at the end of `part`, and do
-    not overlap."""
+def predicted(part: Recording, values: dict, chunk: Recording) -> dict[float, dict[int, tuple[Place, float]]]:
+    """By duration and begin (ns, as fixes are stamped): how far the filter with `values` is from the fixes at the end
+    of an outage, m, and the distance driven. Outages begin and end in `chunk`, at the end of `part`, and do not
+    overlap."""
     delay = round(values['gnss.time_offset'] * 1e9)
     config, truth = FilterConfig.from_parameters(values), truth_of(part, values)
     keep = samples_to_keep(part.imu, truth.reference.stamp)
@@ -336,19 +380,19 @@ def predicted(part: Recording, values: dict, chunk: Recording) -> dict[float, di
     return results
 
 
-def _misfit(errors: Errors, begin: int) -> float:
-    """Length of the mean error from `begin` on, ns; NaN where there is none."""
+def _misfit(errors: Errors, begin: int) -> Place:
+    """The mean error from `begin` on, ns; NaN where there is none."""
     late = errors.stamp >= begin
-    return float(np.hypot(errors.north[late].mean(), errors.east[late].mean())) if late.any() else np.nan
+    return (float(errors.north[late].mean()), float(errors.east[late].mean())) if late.any() else (np.nan, np.nan)
 
 
-def _pairs(present: dict, other: dict) -> dict[float, list[tuple[float, float]]]:
+def _pairs(present: dict, other: dict) -> dict[float, list[tuple[Place, Place]]]:
     """By duration, the errors of the same outages of two filters in which the vehicle was driven."""
     found = {}
     for duration in OUTAGES:
         a, b = present[duration], other[duration]
         pairs = [(a[begin][0], b[begin][0]) for begin in sorted(a.keys() & b.keys()) if a[begin][1] > DRIVEN]
-        found[duration] = [pair for pair in pairs if np.isfinite(sum(pair)) and sum(pair) > 0.0]
+        found[duration] = [pair for pair in pairs if np.isfinite(sum(pair[0]) + sum(pair[1]))]
     return found
 
 
@@ -360,7 +404,7 @@ def _quantity(now: int, name: str, trial: Trial) -> Quantity:
                    for d, (a, b, n) in better.items())
     return Quantity(now, name, trial.state, trial.finding.parameters, lines, better,
                     f"{said}{gain}{_why(trial)}; {'applied' if trial.applied else 'to set'}: {'; '.join(lines)}",
-                    trial.applied, trial.sets, trial.advice.text() if trial.advice and not trial.proven else '')
+                    trial.applied, trial.kept, trial.advice.text() if trial.advice and not trial.proven else '')
 
 
 def _told(value):
@@ -410,29 +454,44 @@ def _cut(recording: Recording, seconds: float) -> Recording:
                              for name, samples in recording.streams().items()})
 
 
-@dataclass(frozen=True)
-class Watched:
-    """A recording as a live node is told of it. said: each quantity when it was news. sets: after each chunk, the
-    parameters that the filter should have then."""
+class Watch:
+    """A recording as a live node is told of it, chunk by chunk. said: each quantity when it was news.
 
-    said: list[Quantity]
-    sets: list[dict]
-
-
-def watched(recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None) -> Watched:
-    """What is said of `recording` as a live node says it.
-
-    progress: called from time to time with the part that is done; what it raises ends all.
+    progress: called from time to time with the part that is done; what it raises ends all. find, kept: as of `Online`.
     """
-    said, sets, told, done = [], [], {}, 0.0
-    work = Online(values, lambda part, given: found(part, given, lambda _, what: progress(done)))
-    end, begin = int(recording.imu.stamp[-1]), int(recording.imu.stamp[0])
-    for chunk in chunks(recording):
-        progress(done)
-        done = (int(chunk.imu.stamp[-1]) - begin) / max(end - begin, 1)
-        for quantity in work.take(chunk):
-            if told.get(quantity.name) != quantity.said:
-                said.append(quantity)
-            told[quantity.name] = quantity.said
-        sets.append(work.sets)
-    return Watched(said, sets)
+
+    def __init__(self, recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None,
+                 find: Callable[[Recording, dict], list[Finding]] | None = None, kept: Sequence[Kept] = ()):
+        self.said: list[Quantity] = []
+        self._progress, self._done, self._told = progress, 0.0, {}
+        self._work = Online(values, find or (lambda part, given: found(part, given, lambda _, what: progress(
+            self._done))), kept)
+        self._chunks, self._span = chunks(recording, aiding(values)), recording.imu.stamp[[0, -1]].tolist()
+
+    @property
+    def wanted(self) -> Findings:
+        """What the filters should have."""
+        return self._work.wanted
+
+    def take(self, dropped: Sequence[Dropped] = ()) -> Findings | None:
+        """What they should have after the next chunk, in which it has `dropped` findings; None behind the last one."""
+        self._progress(self._done)
+        chunk = next(self._chunks, None)
+        if chunk is None:
+            return None
+        begin, end = self._span
+        self._done = (int(chunk.imu.stamp[-1]) - begin) / max(end - begin, 1)
+        for quantity in self._work.take(chunk, dropped):
+            if self._told.get(quantity.name) != quantity.said:
+                self.said.append(quantity)
+            self._told[quantity.name] = quantity.said
+        return self.wanted
+
+
+def watched(recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None
+            ) -> list[Quantity]:
+    """What is said of `recording` as a live node says it that changes nothing."""
+    watch = Watch(recording, values, progress)
+    while watch.take() is not None:
+        pass
+    return watch.said

@@ -1,9 +1,12 @@
 """What the diagnosis while driving says of one thing, in the words of receivers that calibrate themselves."""
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
+from ..effects.registry import effect_called
 from .estimate import Estimate
 
 #: too little has come in to say anything; found, and on trial; proven on what came after; proven, or found, but not any
@@ -13,13 +16,15 @@ INITIALISING, COARSE, FINE, SUSPECT = 'INITIALISING', 'COARSE', 'FINE', 'SUSPECT
 NOTHING, ALL = 'NOTHING FOUND', 'all'
 #: of the filter that drives, where it goes on with what has been found
 CHANGED = 'CHANGED'
+#: s, a year: a value that nobody has seen for so long may have become any other that would surprise nobody
+ANOTHER = 365.25 * 86_400.0
 
 
 @dataclass(frozen=True)
 class Quantity:
     """What is known of one thing. time: ns, stamp of the newest sample. sets: lines of a params file. better: by
     duration, mean error m without and with it, and of how many outages. text: in words. applied: whether the filter
-    that drives is to have it. values: the parameters by name."""
+    that drives is to have it. kept: it for the next drive, where it is applied."""
 
     time: int
     name: str
@@ -29,7 +34,7 @@ class Quantity:
     better: dict[float, tuple[float, float, int]] = field(default_factory=dict)
     text: str = ''
     applied: bool = False
-    values: dict = field(default_factory=dict)
+    kept: Kept | None = None
     advice: str = ''
 
     @property
@@ -41,11 +46,28 @@ class Quantity:
 @dataclass(frozen=True)
 class Kept:
     """What an earlier drive has proven of a vehicle: the parameters of one effect, and those of the filter that go with
-    them."""
+    them. found: ns, stamp of the sample at which it was proven; 0: nobody knows."""
 
     name: str
     parameters: dict[str, Estimate]
     sets: dict
+    found: int = 0
+
+    def aged(self, now: int) -> dict[str, Estimate]:
+        """The parameters of the effect as sure as they are at the stamp `now`, ns: the variance grows with the time
+        since, as of a random walk."""
+        walked = min(max((now - self.found) * 1e-9 / ANOTHER, 0.0), 1.0) if self.found else 0.0
+        scales = {one.name: one.prior_scale for one in effect_called(self.name).parameters}
+        return {name: replace(e, sigma=math.hypot(e.sigma, math.sqrt(walked) * scales.get(name, 0.0))) if e.known else e
+                for name, e in self.parameters.items()}
+
+
+class Findings(NamedTuple):
+    """What the filters should have: parameters by name of each finding. applied: in the one that drives. tried: each in
+    one beside it, which takes over when it is proven."""
+
+    applied: dict[str, dict]
+    tried: dict[str, dict]
 
 
 def together(ones: Iterable) -> dict:

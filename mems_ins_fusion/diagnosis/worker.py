@@ -1,8 +1,9 @@
 """`online.Online` in a process of its own, at a bounded share of a core: `python -m mems_ins_fusion.diagnosis.worker`.
 
 Arguments: share of a core, pid of who wants to know. Pickles on standard input: parameters and what is kept of earlier
-drives, then chunks, or the name of what a user asks for (accept, reject, reset); on standard output: what is known
-after each, the parameters that the filter should have, and whether it was a chunk. A second process works, at the
+drives, then chunks, each with what the filter has dropped in it, or the name of what a user asks for (accept, reject,
+reset); on standard output: what is known after each, the findings that the filters should have, and whether it was a
+chunk. A second process works, at the
 lowest priority and with one thread; the first one lets it run for that share of each PERIOD and stops it for the rest,
 and ends it when its own parent has gone, however that went. Nothing heavy is imported before there are two.
 """
@@ -53,8 +54,8 @@ def work(source, sink) -> None:
         except EOFError:
             return
         is_chunk = not isinstance(asked, str)
-        quantities = online.take(asked) if is_chunk else getattr(online, asked)()
-        pickle.dump((quantities, online.sets, is_chunk), sink)
+        quantities = online.take(*asked) if is_chunk else getattr(online, asked)()
+        pickle.dump((quantities, online.wanted, is_chunk), sink)
         sink.flush()
 
 

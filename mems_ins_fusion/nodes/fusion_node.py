@@ -18,7 +18,7 @@ from sensor_msgs.msg import Imu, NavSatFix, Temperature
 from std_srvs.srv import SetBool, Trigger
 
 from ..compiled import tell
-from ..diagnosis.quantity import together
+from ..diagnosis.applying import go_on, with_applied
 from ..filter.config import FilterConfig
 from ..filter.runs.changing import ChangingFilter
 from ..filter.runs.live import CHANGEABLE, FusionFilter
@@ -66,10 +66,13 @@ class FusionNode(Node):
         self._state_file = self._open_state_file(values)
         values |= geometry_from_tf(self, values, stop)
         self._given, kept = {**values}, self._kept(values)
-        self._found = together(kept)  # while driving
-        values.update(self._found)
+        self._applied = {one.name: one.sets for one in kept}  # what was found while driving
+        began, without = with_applied(values, self._applied)
+        values.update(began)
         make = FusionFilter if values['diagnosis.online'] == 'off' else ChangingFilter
         self._filter = make(FilterConfig.from_parameters(values))
+        if without:
+            self._filter.watch(without)
         tell(self.get_logger().info)
         load(self._filter, stop)  # before there is a subscription: no message waits for the compiler
         self._force_unit = ACCELERATION[values['imu.acceleration_unit']]
@@ -150,9 +153,12 @@ class FusionNode(Node):
         sample = (now, force.x * force_unit, force.y * force_unit, force.z * force_unit,
                   rate.x * rate_unit, rate.y * rate_unit, rate.z * rate_unit)
         self._monitor.mounting.add_sample(sample)
-        if self._online and (sets := self._online.add_sample(sample)) is not None:
-            self._change(sets)
-        if self._filter.add_imu(*sample, x, y, z, w):
+        if self._online and (findings := self._online.add_sample(sample)) is not None:
+            self._change(findings)
+        is_new = self._filter.add_imu(*sample, x, y, z, w)
+        if self._applied:
+            self._drop()
+        if is_new:
             self._estimates.on_sample(now)
             self._horizon.on_sample(now)
             return
@@ -233,17 +239,36 @@ class FusionNode(Node):
             self.get_logger().info(text)
         return kept
 
-    def _change(self, sets):
-        """Go on with the parameters `sets`, beside those that the node was given."""
-        before = dict(self._values)
-        self._values.update({name: self._given[name] for name in self._found} | sets)
-        self._found = sets
-        said = ', '.join(f'{name}: {value} (before: {before[name]})' for name, value in self._values.items()
+    def _change(self, findings):
+        """Go on with `findings`, beside the parameters that the node was given."""
+        changes = self._have(findings.applied)
+        go_on(self._filter, self._as_given(), findings, changes)
+        if changes:
+            self._save_where_asked()
+
+    def _drop(self):
+        """Do without what the filter has dropped."""
+        for one in self._filter.dropped():
+            self._log.tell('warning', f'diagnosis.online: {one.name} is not true any more: dropped')
+            self._have({name: sets for name, sets in self._applied.items() if name != one.name})
+            self._online.dropped(one)
+            self._save_where_asked()
+
+    def _as_given(self):
+        """The parameters that hold now, without what has been found."""
+        found = {name for sets in self._applied.values() for name in sets}
+        return {**self._values, **{name: self._given[name] for name in found}}
+
+    def _have(self, applied):
+        """The parameters with the findings `applied`, and whether they are others than before."""
+        before, (values, _) = dict(self._values), with_applied(self._as_given(), applied)
+        self._values.update(values)
+        self._applied = applied
+        said = ', '.join(f'{name}: {value} (before: {before[name]})' for name, value in values.items()
                          if value != before[name])
         if said:
             self._log.tell('warning', f'diagnosis.online: the filter is to go on with {said}')
-            self._filter.change(self._values)
-            self._save_where_asked()
+        return bool(said)
 
     def _resume(self, stamp, latitude, longitude, height):
         found = self._state_file.fitting(stamp, latitude, longitude, height)

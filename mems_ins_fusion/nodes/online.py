@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from collections import deque
+from dataclasses import replace
 from functools import partial
 from queue import Full, Queue
 
@@ -17,7 +18,9 @@ from std_srvs.srv import Trigger
 
 from ..diagnosis.applying import Due
 from ..diagnosis.gathering import CHUNK, Gathering
-from ..diagnosis.quantity import FINE, INITIALISING, SUSPECT, Kept, Quantity, together
+from ..diagnosis.quantity import FINE, INITIALISING, SUSPECT, Findings, Kept, Quantity
+from ..filter.measurements.registry import aiding
+from ..filter.runs.changing import Dropped
 from .estimates import NO_EVENTS
 from .log import Log
 from .status import array, quantity_status
@@ -36,11 +39,12 @@ class OnlineDiagnosis:
     def __init__(self, node: Node, values: dict, log: Log, kept: list[Kept]):
         self._name, self._log = node.get_name(), log
         self._keeps = values['diagnosis.online'] == 'apply'
-        self._due = Due(together(kept))
-        self._gathering = Gathering()
+        self._due = Due({one.name: one.sets for one in kept})
+        self._gathering = Gathering(aiding(values))
         self._chunks: Queue = Queue(maxsize=max(int(values['diagnosis.window'] / CHUNK), 2))
-        self._answers: deque[list[Quantity] | str] = deque()
-        self._applied: list[Quantity] | None = None  # None: there is no answer yet
+        self._answers: deque[tuple[int, list[Quantity]] | str] = deque()  # with the number of the chunk
+        self._dropped: list[Dropped] = []  # since the last chunk
+        self._kept = kept  # what is applied, for the next start
         self._said: dict[str, tuple] = {}
         self._known: list[Quantity] = []
         self._publisher = node.create_publisher(DiagnosticArray, '~/calibration', _LATCHED, **NO_EVENTS)
@@ -54,23 +58,24 @@ class OnlineDiagnosis:
             node.create_service(Trigger, f'~/calibration/{word}', partial(self._on_word, word))
         node.create_service(Trigger, '~/calibration/report', self._on_report)
 
-    def add_sample(self, sample: tuple) -> dict | None:
-        """Stamp (ns), specific force and angular rate of the IMU, as the filter has them. Parameters that the filter is
-        to have from this sample on beside those that it was given, where others than before."""
+    def add_sample(self, sample: tuple) -> Findings | None:
+        """Stamp (ns), specific force and angular rate of the IMU, as the filter has them. What the filters are to have
+        from this sample on, where that is something else than before."""
         chunk = self._gathering.add_sample(sample)
         if chunk is None:
             return self._due.asked()
-        sets = self._due.at_end_of_chunk()
+        findings = self._due.at_end_of_chunk()
         if self._due.late:
             self._log.say('info', f'diagnosis.online: {self._due.late} minutes behind (diagnosis.share): what it finds '
                                   'counts later than in a replay')
         try:
-            self._chunks.put_nowait(chunk)
+            self._chunks.put_nowait((chunk, self._dropped))
+            self._dropped = []
             self._due.handed()
         except Full:
             self._log.say('warning', 'diagnosis.online: samples left out, the process is too far behind '
                                      '(diagnosis.share)')
-        return sets
+        return findings
 
     def add_fix(self, fix: tuple) -> None:
         """What the filter has of a fix."""
@@ -80,12 +85,17 @@ class OnlineDiagnosis:
         """One of the other measurements."""
         self._gathering.add(name, stamp, numbers)
 
+    def dropped(self, one: Dropped) -> None:
+        """The filter has dropped a finding, and is to be given it no more."""
+        self._due.dropped(one.name)
+        self._dropped.append(one)
+        self._known = _without({one.name}, self._known)
+        self._kept = [kept for kept in self._kept if kept.name != one.name]
+
     @property
     def kept(self) -> list[Kept] | None:
-        """What is applied, for the next start; None before it is known, and where a start would not apply it."""
-        if self._applied is None or not self._keeps:
-            return None
-        return [Kept(q.name, q.parameters, q.values) for q in self._applied]
+        """What is applied, for the next start; None where a start would not apply it."""
+        return self._kept if self._keeps else None
 
     def _on_word(self, word: str, request, response):
         try:
@@ -106,17 +116,20 @@ class OnlineDiagnosis:
             self._process.stdin.flush()
             while True:
                 asked = self._chunks.get()
-                pickle.dump(asked if isinstance(asked, str) else asked.recording(), self._process.stdin)
+                message = asked if isinstance(asked, str) else (asked[0].recording(), asked[1])
+                pickle.dump(message, self._process.stdin)
                 self._process.stdin.flush()
         except OSError:  # `_read` tells
             pass
 
     def _read(self) -> None:
+        number = -1
         try:
             while True:
-                quantities, sets, is_chunk = pickle.load(self._process.stdout)
-                self._due.answered(sets, is_chunk)
-                self._answers.append(quantities)
+                quantities, findings, is_chunk = pickle.load(self._process.stdout)
+                number += is_chunk
+                self._due.answered(findings, is_chunk)
+                self._answers.append((number, quantities))
         except (EOFError, OSError, ValueError):
             self._answers.append(f'its process has ended ({self._process.wait()})')
 
@@ -128,11 +141,12 @@ class OnlineDiagnosis:
                 self._log.tell('error', f'diagnosis.online: {answer}: nothing is diagnosed any more')
                 self._known = []
                 continue
-            self._known = answer
-            self._applied = [quantity for quantity in answer if quantity.applied]
-            self._say(answer)
-            if answer:
-                self._publisher.publish(array(answer[0].time, self._statuses()))
+            number, quantities = answer
+            self._known = known = _without(self._due.unknown_to(number), quantities)
+            self._kept = [quantity.kept for quantity in known if quantity.applied]
+            self._say(known)
+            if known:
+                self._publisher.publish(array(known[0].time, self._statuses()))
         return self._statuses()
 
     def _say(self, answer: list[Quantity]) -> None:
@@ -153,3 +167,8 @@ class OnlineDiagnosis:
             self._process.wait(_PATIENCE)
         except subprocess.TimeoutExpired:
             self._process.kill()
+
+
+def _without(dropped: set[str], quantities: list[Quantity]) -> list[Quantity]:
+    """`quantities` where the filter has dropped some of them."""
+    return [replace(q, applied=False, state=SUSPECT) if q.applied and q.name in dropped else q for q in quantities]

@@ -28,7 +28,10 @@ class StateFile:
         self._calibration: list[dict] = []
 
     def read(self) -> str | None:
-        """Read the file, for `fitting`; what is wrong with it, None where nothing is or there is none yet."""
+        """Read the file, for `fitting`; what is wrong with it, None where nothing is or there is none yet. What a node
+        that was killed while it wrote has left beside it goes."""
+        for unfinished in self._path.parent.glob(f'.{self._path.name}.*'):
+            unfinished.unlink(missing_ok=True)
         if self._path.exists() and not self._path.is_file():  # a pipe would be waited for, for ever
             return f'state file {self._path}: cannot be used (it is not a file); starting without'
         try:
@@ -83,7 +86,7 @@ class StateFile:
         """
         if kept is not None:
             self._calibration = [one for one in self._calibration if one['topics'] != topics] + [
-                {'name': one.name, 'set': one.sets, 'topics': topics, 'stamp': snapshot['stamp'],
+                {'name': one.name, 'set': one.sets, 'topics': topics, 'found': one.found,
                  'parameters': {name: [e.value, e.sigma, e.unit] for name, e in one.parameters.items()}}
                 for one in kept]
         try:
@@ -102,4 +105,5 @@ def _kept(one: dict) -> Kept:
     """An entry of the file. Raises ValueError, KeyError or TypeError where it is none."""
     values = {name: ALL[name].check(value) for name, value in one['set'].items()}
     return Kept(str(one['name']), {name: Estimate(float(value), None if sigma is None else float(sigma), str(unit))
-                                   for name, (value, sigma, unit) in one['parameters'].items()}, values)
+                                   for name, (value, sigma, unit) in one['parameters'].items()}, values,
+                int(one.get('found', 0)))

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..configuration.check import check
 from ..diagnosis.applying import driven
-from ..diagnosis.online import watched
+from ..diagnosis.online import Watch, watched
 from ..diagnosis.quantity import CHANGED, Quantity
 from ..evaluation.comparison import Comparison, compare, cut
 from ..filter.config import FilterConfig
@@ -82,21 +82,24 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
                 comparisons[name] = compare(recording, values, lambda done: part(0.25 + 0.3 * done, 'filtering'))
             if values['diagnosis.online'] != 'off':
                 with _timed(timing, 'diagnosis.online'):
-                    found = watched(recording, values, lambda done: part(0.55 + 0.05 * done, 'diagnosing'))
-                    told = found.said
+                    def watching(done):
+                        part(0.55 + 0.05 * done, 'diagnosing')
                     if values['diagnosis.online'] == 'apply':
                         driven_to = folder / (f'{name}_{DRIVEN}' if len(values['bag']) > 1 else DRIVEN)
-                        told = told + _drive(driven_to, comparisons[name], values, found.sets,
-                                             lambda done: part(0.6, 'driving'))
+                        watch = Watch(recording, values, watching)
+                        changes = _drive(driven_to, comparisons[name], values, watch)
+                        told = watch.said + changes
+                    else:
+                        told = watched(recording, values, watching)
                 online += [online_row(quantity, name, int(recording.imu.stamp[0])) for quantity in told]
         content, answers = _write(folder, comparisons, findings, said, online, values, timing, progress,
                                   Path(known_as or values['output_dir']))
     return Replay(Path(values['output_dir']), content, comparisons, answers, findings)
 
 
-def _drive(path: Path, comparison: Comparison, values: dict, sets: list[dict], progress: Callable) -> list[Quantity]:
+def _drive(path: Path, comparison: Comparison, values: dict, watch: Watch) -> list[Quantity]:
     """Write what a live node would have published with what it found while driving; where it changed its parameters."""
-    run = driven(comparison.recording, values, sets, origin(comparison, values), progress=progress)
+    run = driven(comparison.recording, values, watch, origin(comparison, values))
     kept = trajectories.every(run.stamp, trajectories.POSE_INTERVAL)
     rows = run.odometry[kept]
     trajectories.write_tum(path, run.stamp[kept], rows[:, POSITION:ORIENTATION], rows[:, ORIENTATION:POSE_COVARIANCE])

@@ -1,9 +1,12 @@
 """A live filter whose parameters change while it drives: one with the new ones runs beside it until it takes its place.
 
-The new filter begins with nothing, aligns by itself and has the same messages. It takes over once it is as sure as the
+The new filter begins with nothing, aligns by itself and has the same messages; one with what is on trial does so before
+it is asked for. It takes over once it is as sure as the
 present one, and where that does not show: the estimates differ by less than both publish as their sigmas, or the
-vehicle stands. Both filters and the comparison depend on nothing but stamps and numbers of what comes in: live and in a
-replay it is the same sample.
+vehicle stands. The filter that it replaces runs on beside, without the finding that has been applied. How far the fixes
+are from where either expects them is a bet each second (`betting.py`); where the finding has become wrong - a driver
+has been restarted - the filter without it is better within seconds and takes over at once. All filters and comparisons
+depend on nothing but stamps and numbers of what comes in: live and in a replay it is the same sample.
 """
 from __future__ import annotations
 
@@ -14,6 +17,8 @@ import numpy as np
 
 from ...navigation.frames import wrap, yaw_of_quaternion
 from ..config import FilterConfig
+from ..memory import Event
+from .betting import Bets
 from .live import FusionFilter
 from .odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, POSITION, TWIST_COVARIANCE
 
@@ -26,6 +31,11 @@ LONGEST = 180.0
 AS_SURE = 1.25
 #: ns from one comparison to the next
 PERIOD = 10**9
+#: wealth of the filter without a finding at which that is dropped: where the finding does good, it comes to that once
+#: in so many bets at most, which is a day
+DROPPED = 86_400.0
+#: fixes whose misfit is kept: two filters judge the same fix within seconds, or one of them does not
+KEPT = 100
 #: m/s: a vehicle that is slower stands, and nobody steers by its pose
 STANDING = 0.05
 #: of the filter that drives, not of its parameters: what others look at or have heard, and counts since the start
@@ -48,12 +58,71 @@ class Handover:
                 f'{math.degrees(self.yaw):+.2f} deg from where it was')
 
 
-class ChangingFilter(FusionFilter):
+@dataclass(frozen=True)
+class Dropped:
+    """A finding that is not true any more. since: ns, when it began to predict worse; stamp: when it was dropped."""
+
+    name: str
+    since: int
+    stamp: int
+
+
+class WatchedFilter(FusionFilter):
+    """`FusionFilter` that keeps how far each fix was from where it was expected, by the fix's number."""
+
+    def __init__(self, config: FilterConfig):
+        self._numbers: dict[int, int] = {}  # of fixes that are not judged yet, by the id of their record
+        self.misfits: dict[int, tuple[float, float]] = {}
+        super().__init__(config)
+
+    def add_numbered(self, number: int, *fix) -> None:
+        """`add_fix` of the fix with this number."""
+        self._numbers[self._ids] = number
+        FusionFilter.add_fix(self, *fix)
+
+    def _fix_judged(self, used: bool, stamp: int, record) -> None:
+        super()._fix_judged(used, stamp, record)
+        number = self._numbers.pop(int(record[Event.ID]), None)
+        if number is not None and record[Event.NIS] > 0.0:  # one that was not compared has none
+            self.misfits[number] = float(record[Event.Z_N]), float(record[Event.Z_N + 1])
+            self.misfits.pop(number - KEPT, None)
+
+
+class Beside:
+    """A filter without one of the findings that drive, and how much better it is. since: ns, when its wealth was last
+    what it began with. after: number of the newest fix before it is compared."""
+
+    def __init__(self, fusion: WatchedFilter, since: int, after: int):
+        self.fusion, self.since = fusion, since
+        self._bets, self._compared = Bets(), after
+
+    @property
+    def is_better(self) -> bool:
+        return self.fusion.aligned and self._bets.pro >= math.log(DROPPED)
+
+    def compare(self, driving: dict[int, tuple[float, float]], now: int) -> None:
+        """Bet on the fixes that both filters have judged since the last time, on their mean: errors of one second go
+        together. driving: misfits of the filter that drives. now: ns."""
+        own = self.fusion.misfits
+        both = sorted(number for number in driving.keys() & own.keys() if number > self._compared)
+        if both:
+            self._compared = both[-1]
+            self._bets.take(*(tuple(np.mean([misfits[number] for number in both], axis=0).tolist())
+                              for misfits in (driving, own)))
+            if self._bets.pro <= 0.0:
+                self._bets.pro, self.since = 0.0, now
+
+
+class ChangingFilter(WatchedFilter):
     """`FusionFilter` with `change`."""
 
     def __init__(self, config: FilterConfig):
-        self._next: FusionFilter | None = None
-        self._begun, self._slot = 0, 0  # ns, of the newest change; number of the newest comparison
+        self._next: WatchedFilter | None = None
+        self._begun, self._slot, self._fixes = 0, 0, 0  # ns, of the newest change; of the newest comparison; count
+        self._without: dict[str, dict] = {}  # parameters without each finding that is applied, or about to be
+        self._beside: dict[str, Beside] = {}
+        self._ready: list[tuple[WatchedFilter, int]] = []  # with what is on trial, and since when, ns
+        self._dropped: list[Dropped] = []
         self.handovers: list[Handover] = []
         super().__init__(config)
 
@@ -62,75 +131,142 @@ class ChangingFilter(FusionFilter):
         """Whether a filter with other parameters runs beside this one."""
         return self._next is not None
 
-    def change(self, values: dict) -> None:
-        """Go on with the checked parameters `values`, as soon as a filter that has them is where this one is."""
-        self._next = FusionFilter(FilterConfig.from_parameters(values))
-        self._next.use_fixes(self._using_fixes)
-        self._begun = self._now
+    @property
+    def _others(self) -> list[WatchedFilter]:
+        return [*([] if self._next is None else [self._next]), *(one.fusion for one in self._beside.values()),
+                *(fusion for fusion, _ in self._ready)]
+
+    def change(self, values: dict, without: dict[str, dict] | None = None) -> None:
+        """Go on with the checked parameters `values`, as soon as a filter that has them is where this one is.
+
+        without: the parameters without each finding that is part of them, by its name.
+        """
+        self._without = without or {}
+        self._next, self._begun = self._found(values, self._ready) or (self._new(values), self._now)
+        self._ready = [one for one in self._ready if one[0] is not self._next]
+
+    def prepare(self, several: list[dict]) -> None:
+        """Have filters with each of these checked parameters run beside, so that one that is to take over has settled
+        by then; those with others end."""
+        self._ready = [self._found(values, self._ready) or (self._new(values), self._now) for values in several]
+
+    def watch(self, without: dict[str, dict]) -> None:
+        """Filters without each finding that is part of the parameters, beside this one: as after `change`."""
+        self._without = without
+        self._beside = {name: Beside(self._new(values), self._now, self._fixes) for name, values in without.items()}
+
+    def dropped(self) -> list[Dropped]:
+        """Findings that have been dropped since the last call: the filter goes on without them."""
+        dropped, self._dropped = self._dropped, []
+        return dropped
+
+    @staticmethod
+    def _found(values: dict, filters: list[tuple[WatchedFilter, int]]) -> tuple[WatchedFilter, int] | None:
+        """The one of `filters` that has the parameters `values`."""
+        return next((one for one in filters if one[0].config.parameters == values), None)
+
+    def _new(self, values: dict) -> WatchedFilter:
+        fusion = WatchedFilter(FilterConfig.from_parameters(values))
+        fusion.use_fixes(self._using_fixes)
+        return fusion
 
     def add_imu(self, stamp: int, *numbers) -> bool:
         new = super().add_imu(stamp, *numbers)
-        if self._next is not None:
-            self._next.add_imu(stamp, *numbers)
-            if stamp // PERIOD != self._slot:
-                self._slot = stamp // PERIOD
-                self._compare(stamp)
+        for other in self._others:
+            other.add_imu(stamp, *numbers)
+        if self._others and stamp // PERIOD != self._slot:
+            self._slot = stamp // PERIOD
+            for other in self._others:
+                other.notices(), other.verdicts()  # said by the filter that drives
+            self._compare(stamp)
         return new
 
     def add_fix(self, *fix) -> None:
-        super().add_fix(*fix)
-        if self._next is not None:
-            self._next.add_fix(*fix)
+        self._fixes += 1
+        for fusion in (self, *self._others):
+            fusion.add_numbered(self._fixes, *fix)
 
     def add(self, name: str, stamp: int, *numbers) -> None:
         super().add(name, stamp, *numbers)
-        if self._next is not None:
-            self._next.add(name, stamp, *numbers)
+        for other in self._others:
+            other.add(name, stamp, *numbers)
 
     def add_temperature(self, stamp: int, celsius: float) -> None:
         super().add_temperature(stamp, celsius)
-        if self._next is not None:
-            self._next.add_temperature(stamp, celsius)
+        for other in self._others:
+            other.add_temperature(stamp, celsius)
 
     def adopt(self, config: FilterConfig) -> None:
         super().adopt(config)
-        if self._next is not None:
-            self._next.adopt(self._next.changed(config.parameters))
+        for other in self._others:
+            other.adopt(other.changed(config.parameters))
 
     def use_fixes(self, use: bool) -> None:
         super().use_fixes(use)
-        if self._next is not None:
-            self._next.use_fixes(use)
+        for other in self._others:
+            other.use_fixes(use)
 
     def set_start(self, *start) -> None:
         super().set_start(*start)
-        if self._next is not None:
-            self._next.set_start(*start)
+        for other in self._others:
+            other.set_start(*start)
 
     def reset(self) -> None:
         super().reset()
-        if self._next is not None:
-            self._next.reset()
+        for other in self._others:
+            other.reset()
 
     def _compare(self, now: int) -> None:
-        """Take over where it is time."""
+        """Take over where it is time: a new filter that is where this one is, or one without a wrong finding."""
+        for one in self._beside.values():
+            one.compare(self.misfits, now)
+        wrong = next((name for name, one in self._beside.items() if one.is_better), None)
+        if wrong is not None:
+            self._drop(wrong, now)
+        elif self._next is not None:
+            self._follow_up(now)
+
+    def _follow_up(self, now: int) -> None:
         other = self._next
-        other.notices(), other.verdicts()  # said by the filter that drives
         if not self.has_estimate:
-            self._take_over(now, 0.0, 0.0)
+            self._take_over(other, now, 0.0, 0.0)
         elif other.aligned and now - self._begun >= SETTLING * 1e9:
-            other.datum = self.datum
-            self.update_odometry()
-            other.update_odometry()
-            position, velocity, yaw = _differences(self.odometry, other.odometry)
+            position, velocity, yaw = self._from(other)
             stands = max(abs(self.odometry[LINEAR]), abs(other.odometry[LINEAR])) < STANDING
             smooth = stands or _covered(position, velocity, yaw, self.odometry, other.odometry)
             if (smooth and _as_sure(self.odometry, other.odometry)) or now - self._begun >= LONGEST * 1e9:
-                self._take_over(now, position, yaw)
+                self._take_over(other, now, position, yaw)
 
-    def _take_over(self, now: int, position: float, yaw: float) -> None:
-        other, self._next = self._next, None
+    def _from(self, other: FusionFilter) -> tuple[float, float, float]:
+        """How far the estimate of `other` is from this one: m, m/s, rad."""
+        other.datum = self.datum
+        self.update_odometry()
+        other.update_odometry()
+        return _differences(self.odometry, other.odometry)
+
+    def _drop(self, name: str, now: int) -> None:
+        """Go on without a finding, at once: what it is worth has been shown. What else is applied is watched by the
+        diagnosis alone from now on."""
+        one, without = self._beside[name], self._without.get(name)
+        position, _, yaw = self._from(one.fusion)
+        self._dropped.append(Dropped(name, one.since, now))
+        pending, self._next = self._next is not None, None
+        self._take_over(one.fusion, now, position, yaw)
+        self._beside, self._without = {}, {}
+        if pending:
+            self.change(without)
+
+    def _take_over(self, other: WatchedFilter, now: int, position: float, yaw: float) -> None:
+        """Go on as `other`; the present filter goes on beside, where it is one without a finding."""
+        before = WatchedFilter(self.config)
+        before.__dict__.update({name: vars(self)[name] for name in vars(before) if name not in _STAYS})
+        filters = [(fusion, now) for fusion in (before, *(one.fusion for one in self._beside.values()))]
+        self._next = None
         self.__dict__.update({name: value for name, value in vars(other).items() if name not in _STAYS})
+        self._beside = {}
+        for name, values in self._without.items():
+            fusion, _ = self._found(values, filters) or (self._new(values), now)
+            self._beside[name] = Beside(fusion, now, self._fixes)
         self.handovers.append(Handover(now, position, yaw))
         self.say('info', self.handovers[-1].text)
 

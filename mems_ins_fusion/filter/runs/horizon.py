@@ -86,8 +86,9 @@ class Lookout:
                       Head.EVENTS_AT: self._events, Head.SCRATCH_AT: scratch, Head.HISTORY_AT: 0, Wheels.AT: 0,
                       Head.MAX_GAP: math.inf}
 
-    def look(self, memory: np.ndarray) -> Horizon:
-        """From the newest state of `memory`, which is left as it is."""
+    def look(self, memory: np.ndarray, exceeded: float = EXCEEDED) -> Horizon:
+        """From the newest state of `memory`, which is left as it is. exceeded: share of the errors that may be
+        larger."""
         copy, newest, width = self._copy, int(memory[Head.SAMPLES]), self._width
         state, sample = state_at(memory, newest), sample_at(memory, newest)
         copy[:self._rows] = memory[:self._rows]
@@ -98,7 +99,7 @@ class Lookout:
         copy[self._events:][:Event.SIZE] = told
         for column, value in self._head.items():
             copy[column] = value
-        return Horizon(*_look(copy, self._limit, self._speed, interval))
+        return Horizon(*_look(copy, self._limit, self._speed, interval, exceeded))
 
 
 def _told_speed(memory: np.ndarray, now: float) -> tuple[np.ndarray, float]:
@@ -112,8 +113,8 @@ def _told_speed(memory: np.ndarray, now: float) -> tuple[np.ndarray, float]:
 
 
 @njit(_nrt=False)
-def _look(mem, limit, wanted, interval):
-    """Seconds and metres until the error is larger than `limit`, m, with more than EXCEEDED.
+def _look(mem, limit, wanted, interval, exceeded):
+    """Seconds and metres until the error is larger than `limit`, m, with more than the probability `exceeded`.
 
     mem: as `Lookout` makes it. wanted: m/s, that the vehicle drives at least. interval: s between the speeds that are
     told, with the record in the memory; 0: none.
@@ -123,7 +124,7 @@ def _look(mem, limit, wanted, interval):
     mem[sample + Sample.INTERVAL], mem[sample + Sample.FAULT], mem[sample + Sample.STILL] = STEP, 0.0, 0.0
     metres = 0.0
     for k in range(round(LONGEST / STEP)):
-        if outside(mem, src, limit) > EXCEEDED:
+        if outside(mem, src, limit) > exceeded:
             return k * STEP, metres
         speed_now = math.hypot(mem[src + Nav.V_N], mem[src + Nav.V_E])
         coast(mem, sample, src)
