@@ -110,7 +110,7 @@ def test_a_difference_is_certain_only_where_the_pairs_say_so():
 def test_a_filter_with_a_wrong_clock_is_not_called_good(folder):
     answer = read(folder / 'out' / 'first')['answer']['drive']
     assert answer['grade'] == 'bad' and answer['headline'].startswith('The filter is not good here')
-    assert answer['trust'].startswith('no, they are too small')
+    assert answer['trust'].startswith('no, its sigmas are too small')
     assert any('diagnose --bag' in step['command'] for step in answer['steps'])
     assert any('gnss.time_offset' in step['what'] for step in answer['steps'])
     assert sum('95 % ellipse' in text for text in answer['cost']) >= 1

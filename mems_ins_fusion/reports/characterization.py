@@ -228,7 +228,7 @@ def _orders(c):
                        'Orders that each criterion would choose; the first four for an AR without white noise, which '
                        'needs a high order to imitate it.'),
             html.table(('axis', 'method', 'a_1 … a_p', 'b_0, unit', 'largest pole', 'stable', 'time constant, s'),
-                       rows)]
+                       rows, digits=5)]
 
 
 def _listed(coefficients):

@@ -13,6 +13,7 @@ import html
 import io
 import math
 import re
+import textwrap
 from numbers import Integral
 from pathlib import Path
 
@@ -23,6 +24,8 @@ class Html(str):
 
 #: width of a phone's screen on which 10 points are as large as on paper
 PHONE = 4.2
+#: width of a letter, of its height, on average; height of those of a legend below all axes, points
+LETTER, _LEGEND = 0.55, 8
 _STYLE = (Path(__file__).parent / 'page.css').read_text(encoding='ascii')
 
 
@@ -77,7 +80,7 @@ def bullets(items) -> Html:
     return Html('<ul>' + ''.join(f'<li>{_text(item)}</li>' for item in items) + '</ul>')
 
 
-def table(columns, rows, caption: str = '', digits: int = 4) -> Html:
+def table(columns, rows, caption: str = '', digits: int = 3) -> Html:
     """A table; numbers right-aligned to `digits` significant digits, None and NaN as a dash.
 
     columns: headings, units included. rows: sequences of str, numbers or None, one per column. On a narrow page each
@@ -124,12 +127,37 @@ def image_bytes(drawing, image: str = 'png', dpi: int = 120) -> bytes:
 
 
 def narrow_bytes(drawing) -> bytes:
-    """A Matplotlib figure as PNG for a screen of PHONE inches, where letters keep their size."""
+    """A Matplotlib figure as PNG for a screen of PHONE inches, where letters keep their size: labels of axes break into
+    lines, and a legend below all axes has fewer columns."""
     width, height = drawing.get_size_inches()
     drawing.set_size_inches(PHONE, min(max(1.4 * PHONE * height / width, 3.0), 7.0))
+    labels = [(label, label.get_text(), axes) for axes in drawing.axes for label in (axes.xaxis.label, axes.title)]
+    for label, text, axes in labels:
+        room = 72.0 * PHONE * axes.get_position().width  # points
+        label.set_text(textwrap.fill(text, max(int(room / (LETTER * label.get_fontsize())), 8)))
+    below = bool(drawing.legends)
+    if below:
+        legend_below(drawing)
     image = image_bytes(drawing, dpi=110)
+    for label, text, _ in labels:
+        label.set_text(text)
     drawing.set_size_inches(width, height)
+    if below:
+        legend_below(drawing)
     return image
+
+
+def legend_below(drawing) -> None:
+    """What the first axes show, as the figure's legend below all axes, in as many columns as its width has room for.
+    (`loc='outside lower center'`, which is the like, came with matplotlib 3.7.)"""
+    for legend in list(drawing.legends):
+        legend.remove()
+    handles, labels = drawing.axes[0].get_legend_handles_labels()
+    widest = 0.5 + LETTER * _LEGEND / 72.0 * max(map(len, labels))  # inches, with the line beside it
+    columns = max(min(int(drawing.get_figwidth() / widest), 4), 1)
+    bottom = (0.15 + 0.18 * -(-len(labels) // columns)) / drawing.get_figheight()
+    drawing.get_layout_engine().set(rect=(0.0, bottom, 1.0, 1.0 - bottom))
+    drawing.legend(handles, labels, loc='lower center', ncols=columns, fontsize=_LEGEND)
 
 
 def number(value, digits: int = 4) -> str:
