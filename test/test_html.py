@@ -53,7 +53,7 @@ def test_text_of_others_cannot_become_markup():
 
 def test_table_shows_missing_values_as_a_dash_and_refuses_ragged_rows():
     cells = html.table(['axis', 'value'], [['x', 0.000123456], ['y', None], ['z', float('nan')], ['n', np.int64(7)]])
-    assert '0.0001235' in cells and cells.count('\N{EN DASH}') == 2 and '>7<' in cells
+    assert '0.000123<' in cells and cells.count('\N{EN DASH}') == 2 and '>7<' in cells
     with pytest.raises(ValueError, match='a row of 1 cells'):
         html.table(['a', 'b'], [['x']])
 
@@ -71,3 +71,36 @@ def test_a_folded_section_is_in_the_contents():
     document = html.page('T', parts)
     Outline(document)
     assert '<a href="#b-c">B &amp; C</a>' in document and '<div id="b-c">' in document
+
+
+def test_on_a_phone_no_label_and_no_legend_of_a_figure_is_cut_off(monkeypatch):
+    # given two panels with long labels, and a legend below them with more names than a phone has room for in a line
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    figure = Figure(figsize=(9, 4), layout='constrained')
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(1, 2)
+    for number in range(5):
+        panels[0].plot([number, number + 1], label=f'model {number}, with a fix each second')
+    for axes in panels:
+        axes.set(xlabel='speed times turn rate to the left, m/s^2', title='in turns and on straight roads')
+    html.legend_below(figure)
+    wide = figure.legends[0]
+    # when it is drawn for a phone
+    outside = []
+
+    def drawn(drawing, **options):
+        drawing.canvas.draw()
+        whole = drawing.bbox
+        for part in (*drawing.legends, *(axes.xaxis.label for axes in drawing.axes), *(a.title for a in drawing.axes)):
+            box = part.get_window_extent()
+            outside.append(box.x0 < whole.x0 or box.x1 > whole.x1 or box.y0 < whole.y0 or box.y1 > whole.y1)
+        labels = [axes.xaxis.label.get_window_extent() for axes in drawing.axes]
+        outside.append(labels[0].x1 > labels[1].x0)
+        return b''
+    monkeypatch.setattr(html, 'image_bytes', drawn)
+    html.narrow_bytes(figure)
+    # then all of it is on the page, and the wide figure is as it was
+    assert len(outside) == 6 and not any(outside)
+    assert figure.get_figwidth() == 9 and '\n' not in panels[0].get_xlabel()
+    assert figure.legends[0]._ncols == wide._ncols > 1
