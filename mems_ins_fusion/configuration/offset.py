@@ -15,9 +15,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from mems_ins_fusion.configuration.kinematics import LONGEST_GAP, fix_sigma, integral
 from mems_ins_fusion.configuration.regression import jackknife, weighted
@@ -39,6 +40,7 @@ _FEWEST_PIECES = 4
 _FINEST = 25.0  # Hz: what is kept of the samples
 _LASTING = 20.0  # s: for so long the part of the receiver's errors lasts that lasts
 _OTHER = 0.3  # s: offsets further from the best than this are other minima
+_SLOWEST = 3.0  # s: time constant of a receiver that smooths
 _FAR = 3.0  # robust standard deviations: fixes further off count less
 # standard deviations before anything is known: of what all pieces share - offset (s), arm (m), smoothing (s^2), bias of
 # the accelerometers (m/s^2) - and of each piece: tilt and heading (rad), the gyroscopes' biases (rad/s)
@@ -114,6 +116,7 @@ def _estimated(pieces: _Pieces) -> Offset:
     for step in range(_STEPS):
         found = pieces.solved(lag, noise)
         lag += float(np.clip(found.solution[0], -_STEP, _STEP))
+        pieces = pieces.smoothed(float(found.solution[4]))
         if step:
             pieces = pieces.weighted(found)
     found = pieces.solved(lag, noise)
@@ -200,6 +203,14 @@ class Track:
         """Whether there are samples without a gap from `begin` to `end`, s."""
         return bool(((self.stretches[:, 0] <= begin) & (end <= self.stretches[:, 1])).any())
 
+    def smoothed(self, tau: float) -> np.ndarray:
+        """`force` twice through a low pass with the time constant `tau`, s: (n, 3)."""
+        decay = math.exp(-float(np.median(np.diff(self.time))) / tau) if tau > 0.0 else 0.0
+        found = self.force
+        for _ in range(2):
+            found = lfilter([1.0 - decay], [1.0, -decay], found, axis=0, zi=decay * found[None, 0])[0]
+        return found
+
     def _integrals(self, increments):
         first = np.concatenate([np.zeros_like(increments[:1]), np.cumsum(increments, axis=0)])
         length = np.diff(self.time).reshape((-1,) + (1,) * (increments.ndim - 1))
@@ -222,7 +233,8 @@ class _Pieces:
 
     time: (w, m) s. place: (w, m, 2) m, north and west. used: (w, m) bool, which are fixes and not padding. weight:
     (w, m). lasting: (3, w, m, m) covariances of what lasts, for a variance of 1. own: (10,) information on what each
-    piece has of its own: place, velocity, attitude, rate.
+    piece has of its own: place, velocity, attitude, rate. force: (n, 3) m/s^2, specific force by which a receiver that
+    smooths is behind.
     """
 
     track: Track
@@ -234,6 +246,7 @@ class _Pieces:
     weight: np.ndarray
     lasting: np.ndarray
     own: np.ndarray
+    force: np.ndarray
 
     @property
     def freedom(self) -> int:
@@ -244,8 +257,11 @@ class _Pieces:
         size = np.linalg.norm(found.residual, axis=-1)
         typical = np.median(size[self.used]) / 1.18  # of a two-dimensional normal distribution
         weight = self.used * np.minimum(1.0, _FAR * typical / np.maximum(size, 1e-9)) ** 2
-        return _Pieces(self.track, self.rotation, self.sigma, self.time, self.place, self.used, weight, self.lasting,
-                       self.own)
+        return replace(self, weight=weight)
+
+    def smoothed(self, smoothing: float) -> _Pieces:
+        """With the acceleration that a receiver feels which smooths by so much, s^2."""
+        return replace(self, force=self.track.smoothed(min(math.sqrt(max(smoothing, 0.0)), _SLOWEST)))
 
     def noise(self, lag: float) -> tuple[float, float, float]:
         """The noise that is likeliest at that offset."""
@@ -326,7 +342,7 @@ class _Pieces:
         arm = np.einsum('wij,wmjk,lk->wmil', level, rotation, self.rotation)[:, :, :2]
         shared = np.concatenate([
             -np.einsum('wij,wmj->wmi', level, track.at(track.velocity, times))[:, :, :2, None], arm,
-            -np.einsum('wij,wmj->wmi', level, track.at(track.force, times))[:, :, :2, None],
+            -np.einsum('wij,wmj->wmi', level, track.at(self.force, times))[:, :, :2, None],
             -shape(track.at(track.by_force, times))], axis=-1)
         own = np.zeros((*self.place.shape, len(self.own)))
         own[:, :, 0, 0] = own[:, :, 1, 1] = 1.0
@@ -393,7 +409,7 @@ def _pieces(imu: ImuSamples, fixes: Fixes, rotation) -> _Pieces | None:
                         np.exp((low - high) / _LASTING)])
     rate = _RATE_AT_REST if still.any() else _RATE
     own = np.concatenate([np.full(4, 1e-12), np.array([_TILT, _TILT, _HEADING]) ** -2.0, np.full(3, rate**-2.0)])
-    return _Pieces(track, rotation, sigma, times, place[at], used, used.astype(float), lasting, own)
+    return _Pieces(track, rotation, sigma, times, place[at], used, used.astype(float), lasting, own, track.force)
 
 
 def _divided(stretch: np.ndarray, time: np.ndarray, length: float) -> list[np.ndarray]:

@@ -53,7 +53,7 @@ def residual(diagnosis: Diagnosis, stage: str):
         axis.set_xlabel(label)
     low, high = detection.nis_bounds
     figure.suptitle(f'{STAGES[stage]}: NIS {detection.nis_mean:.3g} ({low:.2f} to {high:.2f} expected), '
-                    f'Ljung-Box p {detection.ljung_box_p:.2g}', fontsize=10)
+                    'Ljung-Box p ' + (f'{detection.ljung_box_p:.2g}' if detection.ljung_box_p >= 0.001 else '< 0.001'), fontsize=10)
     return figure
 
 

@@ -24,6 +24,8 @@ class Html(str):
 
 #: width of a phone's screen on which 10 points are as large as on paper
 PHONE = 4.2
+#: height of a panel there, inches
+PANEL = 1.9
 #: width of a letter, of its height, on average; height of those of a legend below all axes, points
 LETTER, _LEGEND = 0.55, 8
 _STYLE = (Path(__file__).parent / 'page.css').read_text(encoding='ascii')
@@ -127,24 +129,39 @@ def image_bytes(drawing, image: str = 'png', dpi: int = 120) -> bytes:
 
 
 def narrow_bytes(drawing) -> bytes:
-    """A Matplotlib figure as PNG for a screen of PHONE inches, where letters keep their size: labels of axes break into
-    lines, and a legend below all axes has fewer columns."""
+    """A Matplotlib figure as PNG for a screen of PHONE inches, where letters keep their size: panels that stand three and
+    more in a row stand below each other, labels break into lines, a legend below all has fewer columns. The last that
+    is drawn of the figure, as it stays so."""
     width, height = drawing.get_size_inches()
-    drawing.set_size_inches(PHONE, min(max(1.4 * PHONE * height / width, 3.0), 7.0))
-    labels = [(label, label.get_text(), axes) for axes in drawing.axes for label in (axes.xaxis.label, axes.title)]
-    for label, text, axes in labels:
-        room = 72.0 * PHONE * axes.get_position().width  # points
-        label.set_text(textwrap.fill(text, max(int(room / (LETTER * label.get_fontsize())), 8)))
-    below = bool(drawing.legends)
-    if below:
+    rows = _stacked(drawing)
+    beside = 0.2 * len(drawing.axes[0].get_legend_handles_labels()[1]) if drawing.legends else 0.0
+    drawing.set_size_inches(PHONE, PANEL * rows + beside if rows else min(max(1.4 * PHONE * height / width, 3.0), 7.0))
+    share = 0.7 if rows == len(drawing.axes) else 0.35 if rows else 0.0
+    labels = [(label, share or axes.get_position().width) for axes in drawing.axes
+              for label in (axes.xaxis.label, axes.title)]
+    for label, part in [*labels, *((text, 0.9) for text in drawing.texts)]:
+        letters = int(72.0 * PHONE * part / (LETTER * label.get_fontsize()))
+        label.set_text(textwrap.fill(label.get_text(), max(letters, 8)))
+    if drawing.legends:
         legend_below(drawing)
-    image = image_bytes(drawing, dpi=110)
-    for label, text, _ in labels:
-        label.set_text(text)
-    drawing.set_size_inches(width, height)
-    if below:
-        legend_below(drawing)
-    return image
+    return image_bytes(drawing, dpi=110)
+
+
+def _stacked(drawing) -> int:
+    """Put panels that stand three and more in a row into two columns, or one where some are wider than others; the number
+    of rows, 0 where nothing was done."""
+    from matplotlib.gridspec import GridSpec
+
+    grid = drawing.axes[0].get_subplotspec().get_gridspec()
+    if grid.ncols < 3:
+        return 0
+    columns = 2 if len(set(grid.get_width_ratios())) == 1 else 1
+    rows = -(-len(drawing.axes) // columns)
+    stack = GridSpec(rows, columns, figure=drawing)
+    for place, axes in enumerate(drawing.axes):
+        axes.set_subplotspec(stack[divmod(place, columns)])
+        axes.tick_params(labelbottom=True)
+    return rows
 
 
 def legend_below(drawing) -> None:
