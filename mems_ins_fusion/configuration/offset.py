@@ -40,7 +40,11 @@ _FEWEST_PIECES = 4
 _FINEST = 25.0  # Hz: what is kept of the samples
 _LASTING = 20.0  # s: for so long the part of the receiver's errors lasts that lasts
 _OTHER = 0.3  # s: offsets further from the best than this are other minima
-_SLOWEST = 3.0  # s: time constant of a receiver that smooths
+# s, of receivers that smooth: from these time constants the estimate starts; and the square of the longest, s^2, with the
+# difference for its derivative
+_SMOOTHING = (0.0, 0.5, 1.0, 2.0)
+_MOST_SMOOTHING, _SMOOTHING_STEP = 9.0, 0.02
+_LARGEST_CHANGE = 0.5  # s^2: by which a step of the estimate changes it at most
 _FAR = 3.0  # robust standard deviations: fixes further off count less
 # standard deviations before anything is known: of what all pieces share - offset (s), arm (m), smoothing (s^2), bias of
 # the accelerometers (m/s^2) - and of each piece: tilt and heading (rad), the gyroscopes' biases (rad/s)
@@ -113,14 +117,13 @@ def _estimated(pieces: _Pieces) -> Offset:
         lag = float(lags[np.argmin(costs)])
         noise = pieces.noise(lag)
     scale = max(costs.min() / pieces.freedom, 1e-12)
-    for step in range(_STEPS):
-        found = pieces.solved(lag, noise)
-        lag += float(np.clip(found.solution[0], -_STEP, _STEP))
-        pieces = pieces.smoothed(float(found.solution[4]))
-        if step:
-            pieces = pieces.weighted(found)
-    found = pieces.solved(lag, noise)
-    lag += float(np.clip(found.solution[0], -_STEP, _STEP))
+    # a receiver that smooths much, in turns, is as one that is late: which it is, the likelihood says
+    starts = [_stepped(pieces.smoothed(tau**2), lag, noise) for tau in _SMOOTHING]
+    noises = [start.noise(at) for start, at, _ in starts]
+    best = int(np.argmin([start.unlikely(at, its) for (start, at, _), its in zip(starts, noises)]))
+    (pieces, lag, found), noise = starts[best], noises[best]
+    for _ in range(_STEPS):
+        pieces, lag, found = _stepped(pieces.weighted(found), lag, noise, 1)
     by_model = np.sqrt(np.diag(np.linalg.inv(found.normal)) * found.cost / pieces.freedom)
     sigma = np.maximum(by_model, jackknife(found.left_out()))
     # other minima count by their likelihood, tempered where the jackknife does not believe the model's noise
@@ -131,7 +134,17 @@ def _estimated(pieces: _Pieces) -> Offset:
     apart = float(np.sqrt(share @ (lags - lag) ** 2))
     rivals = tuple(round(float(at), 1) for at in lags[_minima(costs) & other & (share > 0.05)])
     return Offset(lag, math.hypot(float(sigma[0]), apart, FLOOR), found.solution[1:4], sigma[1:4],
-                  float(found.solution[4]), float(sigma[4]), rivals)
+                  pieces.smoothing, float(sigma[4]), rivals)
+
+
+def _stepped(pieces: _Pieces, lag: float, noise, steps: int = _STEPS) -> tuple[_Pieces, float, _Solved]:
+    """Some steps of Gauss-Newton of offset and smoothing from `lag` and the smoothing of `pieces` on; where they lead,
+    and the last solution."""
+    for _ in range(steps):
+        found = pieces.solved(lag, noise)
+        lag += float(np.clip(found.solution[0], -_STEP, _STEP))
+        pieces = pieces.smoothed(pieces.smoothing + float(np.clip(found.solution[4], -_LARGEST_CHANGE, _LARGEST_CHANGE)))
+    return pieces, lag, found
 
 
 def together(found: Sequence[Offset]) -> Offset | None:
@@ -233,8 +246,8 @@ class _Pieces:
 
     time: (w, m) s. place: (w, m, 2) m, north and west. used: (w, m) bool, which are fixes and not padding. weight:
     (w, m). lasting: (3, w, m, m) covariances of what lasts, for a variance of 1. own: (10,) information on what each
-    piece has of its own: place, velocity, attitude, rate. force: (n, 3) m/s^2, specific force by which a receiver that
-    smooths is behind.
+    piece has of its own: place, velocity, attitude, rate. smoothing: s^2, of the receiver; behind: (n, 3) m, by how much
+    its fixes are behind then, and by_smoothing the derivative, m/s^2.
     """
 
     track: Track
@@ -246,7 +259,9 @@ class _Pieces:
     weight: np.ndarray
     lasting: np.ndarray
     own: np.ndarray
-    force: np.ndarray
+    smoothing: float
+    behind: np.ndarray
+    by_smoothing: np.ndarray
 
     @property
     def freedom(self) -> int:
@@ -260,13 +275,20 @@ class _Pieces:
         return replace(self, weight=weight)
 
     def smoothed(self, smoothing: float) -> _Pieces:
-        """With the acceleration that a receiver feels which smooths by so much, s^2."""
-        return replace(self, force=self.track.smoothed(min(math.sqrt(max(smoothing, 0.0)), _SLOWEST)))
+        """As a receiver sees it that smooths by so much, s^2; less than nothing counts as nothing."""
+        around = [min(max(smoothing + step, 0.0), _MOST_SMOOTHING) for step in (-_SMOOTHING_STEP, 0.0, _SMOOTHING_STEP)]
+        low, middle, high = (one * self.track.smoothed(math.sqrt(one)) for one in around)
+        change = (high - low) / (around[2] - around[0])
+        return replace(self, smoothing=smoothing, by_smoothing=change, behind=middle + (smoothing - around[1]) * change)
 
     def noise(self, lag: float) -> tuple[float, float, float]:
         """The noise that is likeliest at that offset."""
         design = self._design(lag)
         return min(_NOISE, key=lambda noise: self._unlikely(design, noise))
+
+    def unlikely(self, lag: float, noise) -> float:
+        """Minus twice the logarithm of the likelihood at that offset, up to a constant."""
+        return self._unlikely(self._design(lag), noise)
 
     def _unlikely(self, design, noise) -> float:
         roots, logarithm = self._whitening(noise)
@@ -342,14 +364,15 @@ class _Pieces:
         arm = np.einsum('wij,wmjk,lk->wmil', level, rotation, self.rotation)[:, :, :2]
         shared = np.concatenate([
             -np.einsum('wij,wmj->wmi', level, track.at(track.velocity, times))[:, :, :2, None], arm,
-            -np.einsum('wij,wmj->wmi', level, track.at(self.force, times))[:, :, :2, None],
+            -np.einsum('wij,wmj->wmi', level, track.at(self.by_smoothing, times))[:, :, :2, None],
             -shape(track.at(track.by_force, times))], axis=-1)
         own = np.zeros((*self.place.shape, len(self.own)))
         own[:, :, 0, 0] = own[:, :, 1, 1] = 1.0
         own[:, :, 0, 2] = own[:, :, 1, 3] = since
         own[..., 4:7] = -_cross(way)[:, :, :2]
         own[..., 7:] = shape(track.at(track.by_rate, times) + _cross(place) @ turned[:, None])
-        return self.place - way[:, :, :2], shared, own
+        behind = np.einsum('wij,wmj->wmi', level, track.at(self.behind, times))
+        return self.place - (way - behind)[:, :, :2], shared, own
 
     def _attitude(self, rotation):
         """(w, 3, 3) from the frame of the gyroscopes to north-west-up in each piece: level on average, and headed so
@@ -409,7 +432,8 @@ def _pieces(imu: ImuSamples, fixes: Fixes, rotation) -> _Pieces | None:
                         np.exp((low - high) / _LASTING)])
     rate = _RATE_AT_REST if still.any() else _RATE
     own = np.concatenate([np.full(4, 1e-12), np.array([_TILT, _TILT, _HEADING]) ** -2.0, np.full(3, rate**-2.0)])
-    return _Pieces(track, rotation, sigma, times, place[at], used, used.astype(float), lasting, own, track.force)
+    return _Pieces(track, rotation, sigma, times, place[at], used, used.astype(float), lasting, own, 0.0,
+                   np.zeros_like(track.force), track.force)
 
 
 def _divided(stretch: np.ndarray, time: np.ndarray, length: float) -> list[np.ndarray]:
