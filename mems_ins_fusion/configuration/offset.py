@@ -120,8 +120,11 @@ def _estimated(pieces: _Pieces) -> Offset:
     # a receiver that smooths much, in turns, is as one that is late: which it is, the likelihood says
     starts = [_stepped(pieces.smoothed(tau**2), lag, noise) for tau in _SMOOTHING]
     noises = [start.noise(at) for start, at, _ in starts]
-    best = int(np.argmin([start.unlikely(at, its) for (start, at, _), its in zip(starts, noises)]))
+    unlikely = np.array([start.unlikely(at, its) for (start, at, _), its in zip(starts, noises)])
+    best = int(np.argmin(unlikely))
     (pieces, lag, found), noise = starts[best], noises[best]
+    weight = np.exp(-0.5 * (unlikely - unlikely[best]))
+    undecided = math.sqrt(weight @ (np.array([at for _, at, _ in starts]) - lag) ** 2 / weight.sum())
     for _ in range(_STEPS):
         pieces, lag, found = _stepped(pieces.weighted(found), lag, noise, 1)
     by_model = np.sqrt(np.diag(np.linalg.inv(found.normal)) * found.cost / pieces.freedom)
@@ -133,7 +136,7 @@ def _estimated(pieces: _Pieces) -> Offset:
     share = likely / max(likely.sum() + np.exp(-0.5 * (costs - costs.min()) / temper)[~other].sum(), 1e-300)
     apart = float(np.sqrt(share @ (lags - lag) ** 2))
     rivals = tuple(round(float(at), 1) for at in lags[_minima(costs) & other & (share > 0.05)])
-    return Offset(lag, math.hypot(float(sigma[0]), apart, FLOOR), found.solution[1:4], sigma[1:4],
+    return Offset(lag, math.hypot(float(sigma[0]), apart, undecided, FLOOR), found.solution[1:4], sigma[1:4],
                   pieces.smoothing, float(sigma[4]), rivals)
 
 
@@ -276,10 +279,11 @@ class _Pieces:
 
     def smoothed(self, smoothing: float) -> _Pieces:
         """As a receiver sees it that smooths by so much, s^2; less than nothing counts as nothing."""
-        around = [min(max(smoothing + step, 0.0), _MOST_SMOOTHING) for step in (-_SMOOTHING_STEP, 0.0, _SMOOTHING_STEP)]
+        at = min(max(smoothing, 0.0), _MOST_SMOOTHING)
+        around = max(at - _SMOOTHING_STEP, 0.0), at, at + _SMOOTHING_STEP
         low, middle, high = (one * self.track.smoothed(math.sqrt(one)) for one in around)
         change = (high - low) / (around[2] - around[0])
-        return replace(self, smoothing=smoothing, by_smoothing=change, behind=middle + (smoothing - around[1]) * change)
+        return replace(self, smoothing=smoothing, by_smoothing=change, behind=middle + (smoothing - at) * change)
 
     def noise(self, lag: float) -> tuple[float, float, float]:
         """The noise that is likeliest at that offset."""
