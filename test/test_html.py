@@ -75,7 +75,7 @@ def test_a_folded_section_is_in_the_contents():
 
 @pytest.mark.parametrize('columns, widths', [(2, None), (3, None), (3, (2.4, 1.2, 1.0))])
 def test_on_a_phone_no_label_and_no_legend_of_a_figure_is_cut_off(monkeypatch, columns, widths):
-    # given panels in a row with long labels, and a legend below them with more names than a phone has room for in a line
+    # given panels in a row with long labels, and a legend below them with more names than fit into a line of a phone
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     figure = Figure(figsize=(9, 4), layout='constrained')

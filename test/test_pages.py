@@ -274,8 +274,8 @@ def test_without_a_place_no_base_map_is_offered(browser, tmp_path):
     ('the time offset between IMU and fixes is known to 0.06 s, as was said: ' + 'more turns ' * 9, ' (and 2 more)',
      'the time offset between IMU and fixes is known to 0.06 s, as was said ... (and 2 more)'),
     # never inside brackets
-    ('the 95 % ellipse held the truth in 10 of 11 outages, which is what there was here (59 to 100 % of all of them)', '',
-     'the 95 % ellipse held the truth in 10 of 11 outages, which is what there was here ...'),
+    ('the 95 % ellipse held the truth in 10 of 11 outages, which is what there was (59 to 100 % of all of them)', '',
+     'the 95 % ellipse held the truth in 10 of 11 outages, which is what there was ...'),
 ])
 def test_a_line_is_cut_where_a_person_would(text, ending, line):
     assert shorten(text, ending) == line and len(line) <= 100

@@ -3,7 +3,8 @@
 The gyroscopes carry the attitude through a piece of the drive, the accelerometers twice integrated its shape; where it
 began, with which velocity, attitude and biases, is unknown in each piece anew. What the fixes deviate from that shape
 is linear in these unknowns, and in those that all pieces share: the offset (along the velocity), the arm from IMU to
-antenna (turns with the vehicle), a receiver that smooths (along the acceleration) and a bias of the accelerometers.
+antenna (turns with the vehicle), a receiver that smooths (along the acceleration, as its filter sees it) and a bias of
+the accelerometers.
 So each is estimated with all the others unknown: its sigma is the marginal one, and what a drive cannot tell apart is
 vague. Noise of the fixes, its part that lasts, and that of the sensors are chosen by their likelihood. Sigmas are the
 larger of that model's and the jackknife's over the pieces. Equations: docs/configure.md, "Time offset and antenna".
@@ -40,10 +41,9 @@ _FEWEST_PIECES = 4
 _FINEST = 25.0  # Hz: what is kept of the samples
 _LASTING = 20.0  # s: for so long the part of the receiver's errors lasts that lasts
 _OTHER = 0.3  # s: offsets further from the best than this are other minima
-# s, of receivers that smooth: from these time constants the estimate starts; and the square of the longest, s^2, with the
-# difference for its derivative
-_SMOOTHING = (0.0, 0.5, 1.0, 2.0)
-_MOST_SMOOTHING, _SMOOTHING_STEP = 9.0, 0.02
+_SMOOTHING = (0.0, 0.5, 1.0, 2.0)  # s: time constants of receivers that smooth, from which the estimate starts
+_MOST_SMOOTHING = 9.0  # s^2, as `gnss.lag_per_acceleration`: receivers smooth over three seconds at most
+_SMOOTHING_STEP = 0.02  # s^2: difference for the derivative
 _LARGEST_CHANGE = 0.5  # s^2: by which a step of the estimate changes it at most
 _FAR = 3.0  # robust standard deviations: fixes further off count less
 # standard deviations before anything is known: of what all pieces share - offset (s), arm (m), smoothing (s^2), bias of
@@ -146,7 +146,8 @@ def _stepped(pieces: _Pieces, lag: float, noise, steps: int = _STEPS) -> tuple[_
     for _ in range(steps):
         found = pieces.solved(lag, noise)
         lag += float(np.clip(found.solution[0], -_STEP, _STEP))
-        pieces = pieces.smoothed(pieces.smoothing + float(np.clip(found.solution[4], -_LARGEST_CHANGE, _LARGEST_CHANGE)))
+        change = float(np.clip(found.solution[4], -_LARGEST_CHANGE, _LARGEST_CHANGE))
+        pieces = pieces.smoothed(pieces.smoothing + change)
     return pieces, lag, found
 
 
@@ -249,8 +250,8 @@ class _Pieces:
 
     time: (w, m) s. place: (w, m, 2) m, north and west. used: (w, m) bool, which are fixes and not padding. weight:
     (w, m). lasting: (3, w, m, m) covariances of what lasts, for a variance of 1. own: (10,) information on what each
-    piece has of its own: place, velocity, attitude, rate. smoothing: s^2, of the receiver; behind: (n, 3) m, by how much
-    its fixes are behind then, and by_smoothing the derivative, m/s^2.
+    piece has of its own: place, velocity, attitude, rate. smoothing: s^2, of the receiver; behind: (n, 3) m, by how
+    much its fixes are behind then, and by_smoothing the derivative, m/s^2.
     """
 
     track: Track

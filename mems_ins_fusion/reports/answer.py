@@ -97,8 +97,8 @@ class Answer:
 
 
 def shorten(text: str, ending: str = '') -> str:
-    """`text` in one line of WIDTH with `ending`: where it has to be cut, at the end of a clause if one ends in the second
-    half of the line, never inside brackets, and else between words."""
+    """`text` in one line of WIDTH with `ending`: where it has to be cut, at the end of a clause if one ends in the
+    second half of the line, never inside brackets, and else between words."""
     room = WIDTH - len(ending)
     kept = textwrap.shorten(text, room, placeholder=_CUT)
     if not kept.endswith(_CUT):

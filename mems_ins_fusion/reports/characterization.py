@@ -172,7 +172,8 @@ def _recording(c):
              'cut out.']
     if c.rest.cuts:
         shown = c.rest.cuts[:20]
-        parts.append(html.table(('from, s', 'to, s', 'reason'), [(f'{x.start:.1f}', f'{x.stop:.1f}', x.reason) for x in shown],
+        parts.append(html.table(('from, s', 'to, s', 'reason'), [
+            (f'{x.start:.1f}', f'{x.stop:.1f}', x.reason) for x in shown],
                                 'The first 20; all are in report.json.' if len(c.rest.cuts) > 20 else ''))
     if c.rest.shifts:
         parts += ['The level shifted here within half a minute by far more than usual, without a disturbance that '

@@ -54,7 +54,8 @@ def diagnose_drives(drives: Sequence[Drive], values: dict, kept: dict, folder: P
     `pages` are wanted, and, where the data can be used, corrected.yaml.
 
     values: checked parameters; kept: those given, by full name, which corrected.yaml keeps. known_as: the folder that
-    the page names. params_files: those that gave `values`, for the commands on it. Raises RecordingError where the drives are not of one vehicle, and DiagnosisError.
+    the page names. params_files: those that gave `values`, for the commands on it. Raises RecordingError where the
+    drives are not of one vehicle, and DiagnosisError.
     """
     recordings = [drive.recording for drive in drives]
     refuse_other_vehicles(recordings)

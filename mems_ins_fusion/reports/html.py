@@ -129,9 +129,9 @@ def image_bytes(drawing, image: str = 'png', dpi: int = 120) -> bytes:
 
 
 def narrow_bytes(drawing) -> bytes:
-    """A Matplotlib figure as PNG for a screen of PHONE inches, where letters keep their size: panels that stand three and
-    more in a row stand below each other, labels break into lines, a legend below all has fewer columns. The last that
-    is drawn of the figure, as it stays so."""
+    """A Matplotlib figure as PNG for a screen of PHONE inches, where letters keep their size: panels that stand three
+    and more in a row stand below each other, labels break into lines, a legend below all has fewer columns. The last
+    that is drawn of the figure, as it stays so."""
     width, height = drawing.get_size_inches()
     rows = _stacked(drawing)
     beside = 0.2 * len(drawing.axes[0].get_legend_handles_labels()[1]) if drawing.legends else 0.0
@@ -148,8 +148,8 @@ def narrow_bytes(drawing) -> bytes:
 
 
 def _stacked(drawing) -> int:
-    """Put panels that stand three and more in a row into two columns, or one where some are wider than others; the number
-    of rows, 0 where nothing was done."""
+    """Put panels that stand three and more in a row into two columns, or one where some are wider than others; the
+    number of rows, 0 where nothing was done."""
     from matplotlib.gridspec import GridSpec
 
     grid = drawing.axes[0].get_subplotspec().get_gridspec()

@@ -112,6 +112,11 @@ def trust_text(trust: Trust, which: str = '') -> str:
     return f'{which}{said}.'
 
 
+def too_small_text(trust: Trust) -> str:
+    """What shows that its sigmas are too small."""
+    return held_text(trust.shown) if trust.scale is None else scale_text(trust.scale)
+
+
 def held_text(held: Held) -> str:
     """How often the ellipse held the truth."""
     return (f'the 95 % ellipse held the truth in {held.held} of {held.count} outages of {held.duration:g} s '
