@@ -174,8 +174,8 @@ def test_errors_of_metres_that_last_are_told_from_white_noise_of_centimetres():
             longitude=made.gnss.longitude + off[:, 1] / math.cos(made.gnss.latitude[0])), np.eye(3))
         found.append((offset.lag - 0.4, offset.lag_sigma))
     error, sigma = np.array(found).T
-    # then the sigma is honest, and no larger than two minutes of such fixes ask for
-    assert np.abs(error / sigma).max() < 3.0 and sigma.mean() < 0.28, found
+    # then the sigma is honest, and no larger than two minutes of such fixes ask for, of a receiver that may smooth, too
+    assert np.abs(error / sigma).max() < 3.0 and sigma.mean() < 0.35, found
 
 
 def test_fixes_that_are_far_off_and_a_receiver_that_smooths_move_no_offset():

@@ -168,11 +168,11 @@ def test_a_diagnosis_that_proves_nothing_says_what_the_recording_contradicts():
     from mems_ins_fusion.reports.diagnosis_answer import _steps
 
     kept = SimpleNamespace(better=False, changed=False, findings=[], verdict=decide([]), values={}, corrected={})
-    step, = _steps(kept, 'out', ['imu.mounting_rpy', 'gnss.time_offset'])
+    step, = _steps(kept, 'out', 'my.yaml', ['imu.mounting_rpy', 'gnss.time_offset'])
     assert step.what == 'Set imu.mounting_rpy and gnss.time_offset as configure writes them, and diagnose again.'
     # a proof comes before it
     assert 'as configure' not in str(_steps(SimpleNamespace(**{
-        **vars(kept), 'better': True, 'changed': True, 'trust': trusted([])}), 'out', ['gnss.time_offset']))
+        **vars(kept), 'better': True, 'changed': True, 'trust': trusted([])}), 'out', 'my.yaml', ['gnss.time_offset']))
 
 
 def test_what_parameters_were_fitted_to_is_known_by_its_content(tmp_path):

@@ -170,19 +170,22 @@ def _minima(costs):
 @dataclass(frozen=True)
 class _Solved:
     """Least squares of all pieces. solution: of what is shared (offset first, as a change). cost: weighted squares.
-    each: (w, k, k) of the pieces, what is left of [values, shared] where their own unknowns are free."""
+    each: (w, k, k) of the pieces, what is left of [values, shared] where their own unknowns are free. prior, known:
+    information on what is shared, and how far it is from what is expected already."""
 
     solution: np.ndarray
     cost: float
     normal: np.ndarray
     each: np.ndarray
     prior: np.ndarray
+    known: np.ndarray
     residual: np.ndarray | None = None
 
     def left_out(self) -> np.ndarray:
         """(w, s) solutions, each without one piece."""
         rest = self.each.sum(axis=0) - self.each
-        return np.linalg.solve(rest[:, 1:, 1:] + np.diag(self.prior), rest[:, 1:, :1])[..., 0]
+        right = rest[:, 1:, :1] - (self.prior * self.known)[:, None]
+        return np.linalg.solve(rest[:, 1:, 1:] + np.diag(self.prior), right)[..., 0]
 
 
 class Track:
@@ -306,22 +309,24 @@ class _Pieces:
         design = self._design(lag)
         roots, _ = self._whitening(noise)
         each, back, _ = self._reduced(design, roots)
-        solution, cost, normal, prior = self._together(each, free)
+        solution, cost, normal, prior, known = self._together(each, free)
         residual = None
         if free:
             values, shared, own = design
             left = values - shared @ solution
             residual = left - np.einsum('wmik,wk->wmi', own, back @ np.concatenate([[1.0], -solution]))
-        return _Solved(solution, cost, normal, each, prior, residual)
+        return _Solved(solution, cost, normal, each, prior, known, residual)
 
     def _together(self, each, free):
         total, first = each.sum(axis=0), 0 if free else 1
         # priors are in metres and seconds, the rest in sigmas of a fix as it turns out
         scale = max(float(total[0, 0]) / (2.0 * self.used.sum()), 1e-9)
         prior = scale / _SHARED**2
-        normal = (total[1:, 1:] + np.diag(prior))[first:, first:]
-        solution = np.linalg.solve(normal, total[1 + first:, 0])
-        return solution, float(total[0, 0] - total[1 + first:, 0] @ solution), normal, prior
+        known = np.zeros(len(_SHARED))
+        known[4] = self.smoothing  # the others begin at what is expected, and the offset anywhere
+        normal, right = (total[1:, 1:] + np.diag(prior))[first:, first:], (total[1:, 0] - prior * known)[first:]
+        solution = np.linalg.solve(normal, right)
+        return solution, float(total[0, 0] + prior @ known**2 - right @ solution), normal, prior, known
 
     def _whitening(self, noise):
         """(w, m, m) inverses of the roots of the fixes' covariances, and the logarithm of their determinants."""
