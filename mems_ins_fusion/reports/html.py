@@ -136,11 +136,15 @@ def narrow_bytes(drawing) -> bytes:
     rows = _stacked(drawing)
     beside = 0.2 * len(drawing.axes[0].get_legend_handles_labels()[1]) if drawing.legends else 0.0
     drawing.set_size_inches(PHONE, PANEL * rows + beside if rows else min(max(1.4 * PHONE * height / width, 3.0), 7.0))
-    share = 0.7 if rows == len(drawing.axes) else 0.35 if rows else 0.0
-    labels = [(label, share or axes.get_position().width) for axes in drawing.axes
-              for label in (axes.xaxis.label, axes.title)]
-    for label, part in [*labels, *((text, 0.9) for text in drawing.texts)]:
-        letters = int(72.0 * PHONE * part / (LETTER * label.get_fontsize()))
+    labels = [(text, 0.9 * PHONE) for text in drawing.texts]  # and the room of each, inches
+    for axes in drawing.axes:
+        place = axes.get_position()
+        wide, high = place.width * PHONE, place.height * drawing.get_figheight()
+        if rows:
+            wide, high = (0.7 if rows == len(drawing.axes) else 0.35) * PHONE, 0.7 * PANEL
+        labels += [(axes.title, wide), (axes.xaxis.label, wide), (axes.yaxis.label, high)]
+    for label, room in labels:
+        letters = int(72.0 * room / (LETTER * label.get_fontsize()))
         label.set_text(textwrap.fill(label.get_text(), max(letters, 8)))
     if drawing.legends:
         legend_below(drawing)
