@@ -40,7 +40,7 @@ from mems_ins_fusion.recordings.units import find_units, in_si
 from mems_ins_fusion.reports.configuration import doubts
 from mems_ins_fusion.samples import Recording
 from mems_ins_fusion.simulation import drive
-from mems_ins_fusion.simulation.drive import MARGIN, _random_hills, _sample, stream
+from mems_ins_fusion.simulation.drive import MARGIN, _random_hills, follow, stream
 from mems_ins_fusion.simulation.manoeuvres import Segment, _speed_change
 from mems_ins_fusion.simulation.scene import REALISTIC
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_recording
@@ -62,7 +62,7 @@ def short_drive(seed: int, rate=100.0):
     segments.append(Segment(120.0 + MARGIN - sum(segment.duration for segment in segments)))
     road = drive.Path(tuple(segments), course=draw.uniform(-np.pi, np.pi), hills=_random_hills(draw),
                 pitch_per_acceleration=draw.uniform(0.0, 0.01), roll_per_acceleration=draw.uniform(0.0, 0.01))
-    return _sample(road, 120.0, rate)
+    return follow(road, 120.0, rate)
 
 
 def short_recording(seed: int):
@@ -182,7 +182,7 @@ def rover(seed: int, duration: float = 400.0):
         (0.03, (190.0, 70.0, 26.0), 'grade'), (0.02, (110.0, 37.0, 13.0), 'bank')))
     path = drive.Path(tuple(segments), course=draw.uniform(-np.pi, np.pi), hills=hills, banks=banks,
                       axle_to_imu=(0.3, 0.0, -0.2), rotating_earth=True)
-    return _sample(path, duration, 50.0)
+    return follow(path, duration, 50.0)
 
 
 def one_case(task) -> list[dict]:

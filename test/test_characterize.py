@@ -97,11 +97,12 @@ def test_numbers_are_told_as_data_sheets_write_them(result):
     assert {unit: float(number) for number, unit in told.items()} == pytest.approx(
         {'deg/sqrt(h)': 1.031, 'ug/sqrt(Hz)': 407.9}, rel=0.1)
     assert all(unit in text for unit in (' mg', ' deg/h'))
-    # and on the terminal beside SI
-    line, = (line for line in result.said.splitlines() if line.startswith('gyroscope x: white noise'))
-    si, sheet = (float(re.search(rf'([\d.e-]+) {re.escape(unit)}', line)[1]) for unit in (
-        'rad/s/sqrt(Hz)', 'deg/sqrt(h)'))
-    assert sheet == pytest.approx(np.degrees(si) * 60, rel=0.01)
+    # and on the terminal in a line for each sensor, from the best to the worst axis
+    for sensor, unit, density in (('gyroscopes', 'deg/sqrt(h)', 1.031), ('accelerometers', 'ug/sqrt(Hz)', 407.9)):
+        line, = (line for line in result.said.splitlines() if line.startswith(f'{sensor}: white noise'))
+        found = re.search(rf'white noise ([\d.]+)(?: to ([\d.]+))? {re.escape(unit)}; bias instability', line)
+        assert [float(v) for v in found.groups() if v] == pytest.approx([density] * (1 + bool(found[2])), rel=0.1)
+        assert len(line) <= 100
     # four digits are enough, but for the coefficients
     values = [number for number in re.findall(r'(?<![\w.])-?\d+\.[\d]+(?:e-\d+)?', '\n'.join(
         line for line in text.splitlines() if '#' not in line and 'coefficients' not in line))]

@@ -174,8 +174,8 @@ def test_errors_of_metres_that_last_are_told_from_white_noise_of_centimetres():
             longitude=made.gnss.longitude + off[:, 1] / math.cos(made.gnss.latitude[0])), np.eye(3))
         found.append((offset.lag - 0.4, offset.lag_sigma))
     error, sigma = np.array(found).T
-    # then the sigma is honest, and no larger than two minutes of such fixes ask for
-    assert np.abs(error / sigma).max() < 3.0 and sigma.mean() < 0.28, found
+    # then the sigma is honest, and no larger than two minutes of such fixes ask for, of a receiver that may smooth, too
+    assert np.abs(error / sigma).max() < 3.0 and sigma.mean() < 0.35, found
 
 
 def test_fixes_that_are_far_off_and_a_receiver_that_smooths_move_no_offset():
@@ -186,6 +186,18 @@ def test_fixes_that_are_far_off_and_a_receiver_that_smooths_move_no_offset():
     made = simulate_recording(drive, sensors, receiver, [effect], seed=1).recording
     offset = estimate_offset(made.imu, made.gnss, np.eye(3))
     assert offset.lag == pytest.approx(0.3, abs=3.0 * offset.lag_sigma) and offset.lag_sigma < 0.3
+
+
+@pytest.mark.parametrize('seed', [1, 3])
+def test_a_receiver_that_smooths_in_turns_passes_for_no_offset(seed):
+    # given precise fixes of a receiver that smooths by more than a second: in turns it is behind along the way, too, by
+    # the jerk, which an acceleration alone does not explain
+    effect = (EFFECTS['gnss_time_offset'], {'time_offset': 0.4})
+    made = simulate_recording(simulate_drive(240.0, seed, 50.0), SensorErrors(), GnssNoise(0.1, 2.0, smoothing=1.2),
+                              [effect], seed=seed).recording
+    # then the offset is right within its sigma, or has none (it was off by 0.24 and 0.29 s, 5 and 15 sigma)
+    offset = estimate_offset(made.imu, made.gnss, np.eye(3))
+    assert abs(offset.lag - 0.4) < 2.0 * offset.lag_sigma
 
 
 def test_what_the_parameters_say_is_not_said_again(late):

@@ -16,7 +16,7 @@ from mems_ins_fusion.diagnosis.learned_mounting import angles
 from mems_ins_fusion.diagnosis.measured import fairly, measure
 from mems_ins_fusion.diagnosis.problem import FLOOR, Problem, believed, looked_through, stated
 from mems_ins_fusion.effects.registry import EFFECTS
-from mems_ins_fusion.evaluation.comparison import truth_of
+from mems_ins_fusion.evaluation.comparison import compare, truth_of
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
@@ -75,6 +75,23 @@ def test_a_reference_in_the_receivers_clock_is_as_late_as_the_fixes(late):
     assert np.sqrt(np.mean(found.continuous.horizontal**2)) < 1.0
     # and the stamps are those of the truth given, by which models with other offsets are compared
     assert np.isin(found.continuous.stamp, recording.reference.stamp).all()
+
+
+def test_the_errors_without_fixes_are_those_of_a_replay():
+    # given fixes of 4 Hz that are stamped late, as the filter knows
+    drive, effect = simulate_drive(120.0, 4, 25.0), EFFECTS['gnss_time_offset']
+    recording = simulate_recording(drive, SensorErrors(), GnssNoise(sigma=0.5, rate=4.0),
+                                   [(effect, {'time_offset': OFFSET})], seed=4).recording
+    values = table.check({'gnss.time_offset': OFFSET, 'outage_durations': [10.0], 'outage_spacing': 17.0,
+                          'models': ['gauss_markov'], 'update_intervals': [1.0]})
+    recording = replace(recording, reference=None)
+    # when a diagnosis measures them, and a replay does
+    found = measure(Problem(recording, values), recording, recording.imu, [values], [10.0], 17.0).outages[0]
+    [replayed] = [result.outages for result in compare(recording, values).outages]
+    # then outages begin at the same fixes, and errors are the same
+    assert len(found.begin) == 3
+    assert (found.begin - round(OFFSET * 1e9)).tolist() == replayed.begin.tolist()
+    assert found.max_error.tolist() == replayed.max_error.tolist()
 
 
 @pytest.mark.parametrize('clock', [0.0, 0.4, -3.0])

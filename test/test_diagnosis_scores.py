@@ -468,7 +468,7 @@ def test_what_corrected_yaml_holds(answers, chosen):
     tried = [(Correction(effects, [effects], {}, True), one, Verdict(answers[0])),
              (Correction(noise, [noise], {'gnss.sigma': 2.0}, False), one, Verdict(answers[1])),
              (Correction(given, [given], {}, False), one, Verdict(answers[2]))]
-    correction, _, verdict = _chosen(tried, one, given)
+    correction, _, verdict, _ = _chosen(tried, one, given)
     assert correction is tried[chosen][0]
     assert verdict.answer == answers[0 if chosen == 2 else chosen]  # or that on the best of what was tried
 

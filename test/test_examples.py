@@ -1,6 +1,7 @@
 """The scripts and the notebook of examples/ run, and do what they say."""
 from __future__ import annotations
 
+import ast
 import importlib.util
 import json
 from pathlib import Path
@@ -59,3 +60,14 @@ def test_the_notebook_runs_from_top_to_bottom(capsys):
             exec(''.join(cell['source']), names)
     metres, sigmas = (float(word) for word in capsys.readouterr().out.split()[::2])
     assert metres < 100 and sigmas < 3.5
+
+
+@pytest.mark.parametrize('study', sorted((FOLDER.parent / 'studies').glob('*.py')), ids=lambda path: path.stem)
+def test_a_study_finds_what_it_imports_of_the_package(study):
+    # given the imports of a study, which no test runs
+    for node in ast.walk(ast.parse(study.read_text(encoding='utf-8'))):
+        if isinstance(node, ast.ImportFrom) and (node.module or '').startswith('mems_ins_fusion'):
+            module = importlib.import_module(node.module)
+            missing = [name.name for name in node.names if not hasattr(module, name.name)
+                       and importlib.util.find_spec(f'{node.module}.{name.name}') is None]
+            assert not missing, f'{node.module} has no {", ".join(missing)}'

@@ -53,7 +53,7 @@ def test_text_of_others_cannot_become_markup():
 
 def test_table_shows_missing_values_as_a_dash_and_refuses_ragged_rows():
     cells = html.table(['axis', 'value'], [['x', 0.000123456], ['y', None], ['z', float('nan')], ['n', np.int64(7)]])
-    assert '0.0001235' in cells and cells.count('\N{EN DASH}') == 2 and '>7<' in cells
+    assert '0.000123<' in cells and cells.count('\N{EN DASH}') == 2 and '>7<' in cells
     with pytest.raises(ValueError, match='a row of 1 cells'):
         html.table(['a', 'b'], [['x']])
 
@@ -71,3 +71,35 @@ def test_a_folded_section_is_in_the_contents():
     document = html.page('T', parts)
     Outline(document)
     assert '<a href="#b-c">B &amp; C</a>' in document and '<div id="b-c">' in document
+
+
+@pytest.mark.parametrize('columns, widths', [(2, None), (3, None), (3, (2.4, 1.2, 1.0))])
+def test_on_a_phone_no_label_and_no_legend_of_a_figure_is_cut_off(monkeypatch, columns, widths):
+    # given panels in a row with long labels, and a legend below them with more names than fit into a line of a phone
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    figure = Figure(figsize=(9, 4), layout='constrained')
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(1, columns, width_ratios=widths)
+    for number in range(5):
+        panels[0].plot([number, number + 1], label=f'model {number}, with a fix each second')
+    for axes in panels:
+        axes.set(xlabel='speed times turn rate to the left, m/s^2', title='in turns and on straight roads')
+    figure.suptitle('as configured: NIS 3.79 (1.65 to 2.39 expected), Ljung-Box p < 0.001')
+    html.legend_below(figure)
+    seen = []
+
+    def drawn(drawing, **options):
+        drawing.canvas.draw()
+        seen.extend(part.get_window_extent() for part in (
+            *drawing.legends, *drawing.texts, *(axes.xaxis.label for axes in drawing.axes),
+            *(axes.title for axes in drawing.axes)))
+        return b''
+    # when it is drawn for a phone
+    monkeypatch.setattr(html, 'image_bytes', drawn)
+    html.narrow_bytes(figure)
+    # then all of it is inside, and nothing lies on anything else
+    whole = figure.bbox
+    assert figure.get_figwidth() == html.PHONE and len(seen) == 2 + 2 * columns
+    assert all(box.x0 >= whole.x0 and box.x1 <= whole.x1 and box.y0 >= whole.y0 and box.y1 <= whole.y1 for box in seen)
+    assert not any(one.overlaps(other) for i, one in enumerate(seen) for other in seen[:i])

@@ -1,13 +1,18 @@
 """The pages of replays and comparisons: the answer, the interactive track, their width; and the tool `compare`."""
 from __future__ import annotations
 
+import base64
+import io
 import json
 import re
+import time as clock
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from browser_support import check_page
 from filter_support import PAPER
+from matplotlib import image
 
 from mems_ins_fusion.cli.compare import main as compare
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
@@ -16,6 +21,8 @@ from mems_ins_fusion.parameters.params_file import yaml_value
 from mems_ins_fusion.recordings.checker import Finding
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.reports import html, replay_answer
+from mems_ins_fusion.reports.answer import shorten
+from mems_ins_fusion.reports.report import _notices
 from mems_ins_fusion.reports.side_by_side import Result, Series, rows_of
 from mems_ins_fusion.reports.track import Layer, script, track
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -110,7 +117,7 @@ def test_a_difference_is_certain_only_where_the_pairs_say_so():
 def test_a_filter_with_a_wrong_clock_is_not_called_good(folder):
     answer = read(folder / 'out' / 'first')['answer']['drive']
     assert answer['grade'] == 'bad' and answer['headline'].startswith('The filter is not good here')
-    assert answer['trust'].startswith('no, they are too small')
+    assert answer['trust'].startswith('no, its sigmas are too small')
     assert any('diagnose --bag' in step['command'] for step in answer['steps'])
     assert any('gnss.time_offset' in step['what'] for step in answer['steps'])
     assert sum('95 % ellipse' in text for text in answer['cost']) >= 1
@@ -203,6 +210,84 @@ def test_the_track_shows_what_the_cursor_points_at(browser, tmp_path):
     browser.open(page, 688, 'print')
     assert browser.run('return getComputedStyle(document.querySelector(".still")).display') == 'block'
     assert browser.run('return getComputedStyle(document.querySelector(".live")).display') == 'none'
+
+
+def test_a_base_map_is_fetched_only_for_who_asks_for_it(browser, tmp_path):
+    # given a track of 200 m in a place, and tiles around that place on the disk, red the one in which it lies
+    zoom, latitude, longitude = 18, np.radians(40.16), np.radians(-105.1)
+    column, row = (2**zoom * part for part in (
+        longitude / (2 * np.pi) + 0.5, 0.5 - np.arcsinh(np.tan(latitude)) / (2 * np.pi)))
+    for i in range(-3, 4):
+        for j in range(-3, 4):
+            tile = tmp_path / f'{zoom}' / f'{int(column) + i}'
+            tile.mkdir(parents=True, exist_ok=True)
+            colour = [0.0, 0.0, 1.0] if i or j else [1.0, 0.0, 0.0]
+            image.imsave(tile / f'{int(row) + j}.png', np.full((256, 256, 3), colour))
+    time = np.arange(100.0)
+    line = Layer('line', '#000000', time, 2 * time - 99.0, 0 * time, {})
+    page = tmp_path / 'page.html'
+    page.write_text(html.page('A drive', [html.section('Track', track(
+        [line], html.paragraph('still'), np.array([latitude, longitude, 1500.0])))], script=script()), encoding='utf-8')
+    browser.open(page, 1000)
+    fetched = "return performance.getEntriesByType('resource').map(e => e.name)"
+    assert browser.run(fetched) == []
+    # when a person zooms out, asks for a map and says where its tiles are
+    browser.run(f'''window.prompt = () => 'file://{tmp_path}/{{z}}/{{x}}/{{y}}.png';
+        document.querySelector("button[data-zoom=out]").click();
+        document.querySelector("button[data-zoom=map]").click();''')
+    clock.sleep(1.0)
+    # then these are drawn, and the red one is as large on the screen as it is on the ground, and where it is
+    assert all(f'/{zoom}/' in name for name in browser.run(fetched))
+    assert browser.run('return document.querySelector(".from").textContent') == ''
+    x, y, width, height = browser.run('''const r = document.querySelector("canvas.map").getBoundingClientRect();
+        return [r.x, r.y, r.width, r.height];''')
+    shot = browser.command('Page.captureScreenshot', format='png')['data']
+    pixels = image.imread(io.BytesIO(base64.b64decode(shot)))
+    red = (pixels[..., 0] > 0.9) & (pixels[..., 2] < 0.6)
+    scale = 0.9 * min(width / 198.0, height) / 1.6  # pixels per metre, after one step out
+    size = 2 * np.pi * (6378137.0 + 1500.0) * np.cos(latitude) / 2**zoom * scale
+    for axis, first, length, part in ((1, x, width, column % 1), (0, y, height, row % 1)):
+        places, middle = np.flatnonzero(red.any(axis=1 - axis)), first + length / 2
+        assert places[0] == pytest.approx(max(middle - part * size, first), abs=3)
+        assert places[-1] == pytest.approx(min(middle + (1 - part) * size, first + length), abs=3)
+    # and gone when it is not wanted any more
+    browser.run('document.querySelector("button[data-zoom=map]").click();')
+    shot = browser.command('Page.captureScreenshot', format='png')['data']
+    pixels = image.imread(io.BytesIO(base64.b64decode(shot)))
+    assert not ((pixels[..., 0] > 0.9) & (pixels[..., 2] < 0.6)).any()
+
+
+def test_without_a_place_no_base_map_is_offered(browser, tmp_path):
+    line = Layer('line', '#000000', np.arange(9.0), np.arange(9.0), np.zeros(9), {})
+    page = tmp_path / 'page.html'
+    page.write_text(html.page('A drive', [html.section('Track', track([line], html.paragraph('still')))],
+                              script=script()), encoding='utf-8')
+    browser.open(page, 1000)
+    assert browser.run('return document.querySelector("button[data-zoom=map]").hidden')
+
+
+@pytest.mark.parametrize('text, ending, line', [
+    ('short enough', '', 'short enough'),
+    # at the end of a clause
+    ('the offset is known to 0.06 s: ' + 'more turns, '.replace(', ', ' ') * 4 + 'and more of what would tell', '',
+     'the offset is known to 0.06 s: ' + 'more turns ' * 4 + 'and more of what ...'),
+    ('the time offset between IMU and fixes is known to 0.06 s, as was said: ' + 'more turns ' * 9, ' (and 2 more)',
+     'the time offset between IMU and fixes is known to 0.06 s, as was said ... (and 2 more)'),
+    # never inside brackets
+    ('the 95 % ellipse held the truth in 10 of 11 outages, which is what there was (59 to 100 % of all of them)', '',
+     'the 95 % ellipse held the truth in 10 of 11 outages, which is what there was ...'),
+])
+def test_a_line_is_cut_where_a_person_would(text, ending, line):
+    assert shorten(text, ending) == line and len(line) <= 100
+
+
+def test_a_notice_of_several_runs_is_said_once():
+    def run(*texts):
+        return SimpleNamespace(run=SimpleNamespace(notices=[SimpleNamespace(text=text, level='warning')
+                                                            for text in texts]))
+    comparison = SimpleNamespace(runs=[run('/fix: 8 of 70 refused', '/imu: dead'), run('/fix: 26 of 70.5 refused'),
+                                       run('/fix: 8 of 35 refused')])
+    assert _notices(comparison) == ['/fix: 8 of 70 refused (and alike in 2 of the other 2 runs)', '/imu: dead']
 
 
 def test_text_of_a_track_cannot_become_markup():

@@ -42,6 +42,10 @@ def test_a_path_that_is_no_recording(tmp_path):
     text.write_text('hello')
     assert 'notes.txt is not a recording: expected a rosbag2 folder' in complaint(text)
     assert 'is not a recording: it holds no metadata.yaml' in complaint(tmp_path)
+    # and the folder above one
+    (tmp_path / 'bag').mkdir()
+    (tmp_path / 'bag' / 'metadata.yaml').touch()
+    assert complaint(tmp_path).endswith(f"did you mean {tmp_path / 'bag'}?")
 
 
 @pytest.mark.parametrize('suffix, expected', [('.mcap', 'is not an MCAP file'), ('.db3', 'is not a rosbag2 database'),

@@ -19,7 +19,7 @@ from mems_ins_fusion.evaluation.verdict import (
     decide,
     trusted,
 )
-from mems_ins_fusion.reports.verdict import because, change_text, span_text, trust_text, verdict_json
+from mems_ins_fusion.reports.verdict import because, change_text, span_text, too_small_text, trust_text, verdict_json
 
 
 def outages(rng, n, overlap=1, tail=4.0):
@@ -125,6 +125,11 @@ def test_sigmas_that_are_not_honest_are_told_by_their_size_over_time():
     assert small.answer == NO and 1.8 < small.scale.value < 2.2 and 'too small' in trust_text(small)
     large = trusted([consistent(rng, 17, 17, 0.4), Consistency(None, 0.16 * rng.chisquare(2, 500))])
     assert large.answer == TOO_CAREFUL and 'larger than need be' in trust_text(large)
+    # where the counts alone show that they are too small, errors over time are no evidence of it
+    counted = trusted([consistent(rng, 9, 17, 0.9), Consistency(None, 0.8 * rng.chisquare(2, 500))])
+    assert counted.answer == NO and counted.scale is None
+    assert trust_text(counted) == f'no, its sigmas are too small: {too_small_text(counted)}.'
+    assert too_small_text(counted).startswith('the 95 % ellipse held the truth in 9 of 17')
     assert trusted([]).answer == CANNOT_TELL and 'too short' in trust_text(trusted([]))
 
 
@@ -163,11 +168,11 @@ def test_a_diagnosis_that_proves_nothing_says_what_the_recording_contradicts():
     from mems_ins_fusion.reports.diagnosis_answer import _steps
 
     kept = SimpleNamespace(better=False, changed=False, findings=[], verdict=decide([]), values={}, corrected={})
-    step, = _steps(kept, 'out', ['imu.mounting_rpy', 'gnss.time_offset'])
+    step, = _steps(kept, 'out', 'my.yaml', ['imu.mounting_rpy', 'gnss.time_offset'])
     assert step.what == 'Set imu.mounting_rpy and gnss.time_offset as configure writes them, and diagnose again.'
     # a proof comes before it
     assert 'as configure' not in str(_steps(SimpleNamespace(**{
-        **vars(kept), 'better': True, 'changed': True, 'trust': trusted([])}), 'out', ['gnss.time_offset']))
+        **vars(kept), 'better': True, 'changed': True, 'trust': trusted([])}), 'out', 'my.yaml', ['gnss.time_offset']))
 
 
 def test_what_parameters_were_fitted_to_is_known_by_its_content(tmp_path):

@@ -22,7 +22,7 @@ def main(argv: list[str] | None = None) -> int:
 def characterize(options: argparse.Namespace) -> str:
     """Read, characterize and write the results; lines for the user. InputError for bad options or input."""
     from mems_ins_fusion.characterization import characterize as work
-    from mems_ins_fusion.reports.characterization import data_sheet_text
+    from mems_ins_fusion.reports.characterization import data_sheet_short, data_sheet_text
     from mems_ins_fusion.reports.characterizing import read_at_rest, write_characterization
     from mems_ins_fusion.results import result_folder
 
@@ -37,13 +37,13 @@ def characterize(options: argparse.Namespace) -> str:
             result = work.characterize(given.name, given.grid, given.temperature, options.orders,
                                        lambda done, total, what: tell(done / total, what))
         answered = write_characterization(result, given, values, folder, options.output)
-    sheet, place = data_sheet_text(result), f'report: {options.output}/report.html'
+    place = f'report: {options.output}/report.html'
     if not options.verbose:
-        return '\n'.join([*answered.short(), *sheet, place])
+        return '\n'.join([*answered.short(), *data_sheet_short(result), place])
     return '\n'.join([*given.said, *answered.lines(), '', f'{given.name}: {result.duration:.0f} s at rest, '
                       f'{len(result.rest.cuts)} disturbances cut out',
                       *(f'{axis.name}: {axis.recommendation.text}' for axis in result.axes),
-                      f'recommended for all axes: {result.model}', '', *sheet, '', place])
+                      f'recommended for all axes: {result.model}', '', *data_sheet_text(result), '', place])
 
 
 def _parser():

@@ -39,7 +39,8 @@ def diagnose(options: argparse.Namespace) -> str:
                              lambda part, i=i: bar(0.2 * (i + part) / count, 'reading'))
                   for i, path in enumerate(options.bag)]
         done = diagnose_drives(drives, values, kept, folder, options.output,
-                               progress=lambda part, what: bar(0.2 + 0.75 * part, what))
+                               progress=lambda part, what: bar(0.2 + 0.75 * part, what),
+                               params_files=options.params_file)
         bar(1.0, 'done')
     if done.result is None:
         raise DiagnosisError(done.answer.headline)

@@ -102,7 +102,7 @@ def _check_offset(found: Mounting | None, values: dict):
                       f'gnss.time_offset, which would be {offset.lag:.2f}', seen, ('gnss.time_offset',))
     else:
         what = f'what is left of the time offset{beside}' if declared else 'no clock offset to be seen'
-        yield Finding(INFO, 'imu/gnss', f'{what}: {lag.value:.3f} +- {lag.sigma:.3f} s', seen)
+        yield Finding(INFO, 'imu/gnss', f'{what}: {round(lag.value, 3) + 0.0:.3f} +- {lag.sigma:.3f} s', seen)
     arm = [left[name] for name in ARM if left[name].sigma < _VAGUE_ARM]
     if any(part.certain(_SMALL_ARM, SURE) for part in arm):
         words = ', '.join(f'{seen:.2f} +- {sigma:.2f} m {name}' for seen, sigma, name in zip(

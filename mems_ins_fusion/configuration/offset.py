@@ -3,7 +3,8 @@
 The gyroscopes carry the attitude through a piece of the drive, the accelerometers twice integrated its shape; where it
 began, with which velocity, attitude and biases, is unknown in each piece anew. What the fixes deviate from that shape
 is linear in these unknowns, and in those that all pieces share: the offset (along the velocity), the arm from IMU to
-antenna (turns with the vehicle), a receiver that smooths (along the acceleration) and a bias of the accelerometers.
+antenna (turns with the vehicle), a receiver that smooths (along the acceleration, as its filter sees it) and a bias of
+the accelerometers.
 So each is estimated with all the others unknown: its sigma is the marginal one, and what a drive cannot tell apart is
 vague. Noise of the fixes, its part that lasts, and that of the sensors are chosen by their likelihood. Sigmas are the
 larger of that model's and the jackknife's over the pieces. Equations: docs/configure.md, "Time offset and antenna".
@@ -15,9 +16,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from mems_ins_fusion.configuration.kinematics import LONGEST_GAP, fix_sigma, integral
 from mems_ins_fusion.configuration.regression import jackknife, weighted
@@ -39,6 +41,10 @@ _FEWEST_PIECES = 4
 _FINEST = 25.0  # Hz: what is kept of the samples
 _LASTING = 20.0  # s: for so long the part of the receiver's errors lasts that lasts
 _OTHER = 0.3  # s: offsets further from the best than this are other minima
+_SMOOTHING = (0.0, 0.5, 1.0, 2.0)  # s: time constants of receivers that smooth, from which the estimate starts
+_MOST_SMOOTHING = 9.0  # s^2, as `gnss.lag_per_acceleration`: receivers smooth over three seconds at most
+_SMOOTHING_STEP = 0.02  # s^2: difference for the derivative
+_LARGEST_CHANGE = 0.5  # s^2: by which a step of the estimate changes it at most
 _FAR = 3.0  # robust standard deviations: fixes further off count less
 # standard deviations before anything is known: of what all pieces share - offset (s), arm (m), smoothing (s^2), bias of
 # the accelerometers (m/s^2) - and of each piece: tilt and heading (rad), the gyroscopes' biases (rad/s)
@@ -111,13 +117,16 @@ def _estimated(pieces: _Pieces) -> Offset:
         lag = float(lags[np.argmin(costs)])
         noise = pieces.noise(lag)
     scale = max(costs.min() / pieces.freedom, 1e-12)
-    for step in range(_STEPS):
-        found = pieces.solved(lag, noise)
-        lag += float(np.clip(found.solution[0], -_STEP, _STEP))
-        if step:
-            pieces = pieces.weighted(found)
-    found = pieces.solved(lag, noise)
-    lag += float(np.clip(found.solution[0], -_STEP, _STEP))
+    # a receiver that smooths much, in turns, is as one that is late: which it is, the likelihood says
+    starts = [_stepped(pieces.smoothed(tau**2), lag, noise) for tau in _SMOOTHING]
+    noises = [start.noise(at) for start, at, _ in starts]
+    unlikely = np.array([start.unlikely(at, its) for (start, at, _), its in zip(starts, noises)])
+    best = int(np.argmin(unlikely))
+    (pieces, lag, found), noise = starts[best], noises[best]
+    weight = np.exp(-0.5 * (unlikely - unlikely[best]))
+    undecided = math.sqrt(weight @ (np.array([at for _, at, _ in starts]) - lag) ** 2 / weight.sum())
+    for _ in range(_STEPS):
+        pieces, lag, found = _stepped(pieces.weighted(found), lag, noise, 1)
     by_model = np.sqrt(np.diag(np.linalg.inv(found.normal)) * found.cost / pieces.freedom)
     sigma = np.maximum(by_model, jackknife(found.left_out()))
     # other minima count by their likelihood, tempered where the jackknife does not believe the model's noise
@@ -127,8 +136,19 @@ def _estimated(pieces: _Pieces) -> Offset:
     share = likely / max(likely.sum() + np.exp(-0.5 * (costs - costs.min()) / temper)[~other].sum(), 1e-300)
     apart = float(np.sqrt(share @ (lags - lag) ** 2))
     rivals = tuple(round(float(at), 1) for at in lags[_minima(costs) & other & (share > 0.05)])
-    return Offset(lag, math.hypot(float(sigma[0]), apart, FLOOR), found.solution[1:4], sigma[1:4],
-                  float(found.solution[4]), float(sigma[4]), rivals)
+    return Offset(lag, math.hypot(float(sigma[0]), apart, undecided, FLOOR), found.solution[1:4], sigma[1:4],
+                  pieces.smoothing, float(sigma[4]), rivals)
+
+
+def _stepped(pieces: _Pieces, lag: float, noise, steps: int = _STEPS) -> tuple[_Pieces, float, _Solved]:
+    """Some steps of Gauss-Newton of offset and smoothing from `lag` and the smoothing of `pieces` on; where they lead,
+    and the last solution."""
+    for _ in range(steps):
+        found = pieces.solved(lag, noise)
+        lag += float(np.clip(found.solution[0], -_STEP, _STEP))
+        change = float(np.clip(found.solution[4], -_LARGEST_CHANGE, _LARGEST_CHANGE))
+        pieces = pieces.smoothed(pieces.smoothing + change)
+    return pieces, lag, found
 
 
 def together(found: Sequence[Offset]) -> Offset | None:
@@ -150,19 +170,22 @@ def _minima(costs):
 @dataclass(frozen=True)
 class _Solved:
     """Least squares of all pieces. solution: of what is shared (offset first, as a change). cost: weighted squares.
-    each: (w, k, k) of the pieces, what is left of [values, shared] where their own unknowns are free."""
+    each: (w, k, k) of the pieces, what is left of [values, shared] where their own unknowns are free. prior, known:
+    information on what is shared, and how far it is from what is expected already."""
 
     solution: np.ndarray
     cost: float
     normal: np.ndarray
     each: np.ndarray
     prior: np.ndarray
+    known: np.ndarray
     residual: np.ndarray | None = None
 
     def left_out(self) -> np.ndarray:
         """(w, s) solutions, each without one piece."""
         rest = self.each.sum(axis=0) - self.each
-        return np.linalg.solve(rest[:, 1:, 1:] + np.diag(self.prior), rest[:, 1:, :1])[..., 0]
+        right = rest[:, 1:, :1] - (self.prior * self.known)[:, None]
+        return np.linalg.solve(rest[:, 1:, 1:] + np.diag(self.prior), right)[..., 0]
 
 
 class Track:
@@ -200,6 +223,14 @@ class Track:
         """Whether there are samples without a gap from `begin` to `end`, s."""
         return bool(((self.stretches[:, 0] <= begin) & (end <= self.stretches[:, 1])).any())
 
+    def smoothed(self, tau: float) -> np.ndarray:
+        """`force` twice through a low pass with the time constant `tau`, s: (n, 3)."""
+        decay = math.exp(-float(np.median(np.diff(self.time))) / tau) if tau > 0.0 else 0.0
+        found = self.force
+        for _ in range(2):
+            found = lfilter([1.0 - decay], [1.0, -decay], found, axis=0, zi=decay * found[None, 0])[0]
+        return found
+
     def _integrals(self, increments):
         first = np.concatenate([np.zeros_like(increments[:1]), np.cumsum(increments, axis=0)])
         length = np.diff(self.time).reshape((-1,) + (1,) * (increments.ndim - 1))
@@ -222,7 +253,8 @@ class _Pieces:
 
     time: (w, m) s. place: (w, m, 2) m, north and west. used: (w, m) bool, which are fixes and not padding. weight:
     (w, m). lasting: (3, w, m, m) covariances of what lasts, for a variance of 1. own: (10,) information on what each
-    piece has of its own: place, velocity, attitude, rate.
+    piece has of its own: place, velocity, attitude, rate. smoothing: s^2, of the receiver; behind: (n, 3) m, by how
+    much its fixes are behind then, and by_smoothing the derivative, m/s^2.
     """
 
     track: Track
@@ -234,6 +266,9 @@ class _Pieces:
     weight: np.ndarray
     lasting: np.ndarray
     own: np.ndarray
+    smoothing: float
+    behind: np.ndarray
+    by_smoothing: np.ndarray
 
     @property
     def freedom(self) -> int:
@@ -244,13 +279,24 @@ class _Pieces:
         size = np.linalg.norm(found.residual, axis=-1)
         typical = np.median(size[self.used]) / 1.18  # of a two-dimensional normal distribution
         weight = self.used * np.minimum(1.0, _FAR * typical / np.maximum(size, 1e-9)) ** 2
-        return _Pieces(self.track, self.rotation, self.sigma, self.time, self.place, self.used, weight, self.lasting,
-                       self.own)
+        return replace(self, weight=weight)
+
+    def smoothed(self, smoothing: float) -> _Pieces:
+        """As a receiver sees it that smooths by so much, s^2; less than nothing counts as nothing."""
+        at = min(max(smoothing, 0.0), _MOST_SMOOTHING)
+        around = max(at - _SMOOTHING_STEP, 0.0), at, at + _SMOOTHING_STEP
+        low, middle, high = (one * self.track.smoothed(math.sqrt(one)) for one in around)
+        change = (high - low) / (around[2] - around[0])
+        return replace(self, smoothing=smoothing, by_smoothing=change, behind=middle + (smoothing - at) * change)
 
     def noise(self, lag: float) -> tuple[float, float, float]:
         """The noise that is likeliest at that offset."""
         design = self._design(lag)
         return min(_NOISE, key=lambda noise: self._unlikely(design, noise))
+
+    def unlikely(self, lag: float, noise) -> float:
+        """Minus twice the logarithm of the likelihood at that offset, up to a constant."""
+        return self._unlikely(self._design(lag), noise)
 
     def _unlikely(self, design, noise) -> float:
         roots, logarithm = self._whitening(noise)
@@ -263,22 +309,24 @@ class _Pieces:
         design = self._design(lag)
         roots, _ = self._whitening(noise)
         each, back, _ = self._reduced(design, roots)
-        solution, cost, normal, prior = self._together(each, free)
+        solution, cost, normal, prior, known = self._together(each, free)
         residual = None
         if free:
             values, shared, own = design
             left = values - shared @ solution
             residual = left - np.einsum('wmik,wk->wmi', own, back @ np.concatenate([[1.0], -solution]))
-        return _Solved(solution, cost, normal, each, prior, residual)
+        return _Solved(solution, cost, normal, each, prior, known, residual)
 
     def _together(self, each, free):
         total, first = each.sum(axis=0), 0 if free else 1
         # priors are in metres and seconds, the rest in sigmas of a fix as it turns out
         scale = max(float(total[0, 0]) / (2.0 * self.used.sum()), 1e-9)
         prior = scale / _SHARED**2
-        normal = (total[1:, 1:] + np.diag(prior))[first:, first:]
-        solution = np.linalg.solve(normal, total[1 + first:, 0])
-        return solution, float(total[0, 0] - total[1 + first:, 0] @ solution), normal, prior
+        known = np.zeros(len(_SHARED))
+        known[4] = self.smoothing  # the others begin at what is expected, and the offset anywhere
+        normal, right = (total[1:, 1:] + np.diag(prior))[first:, first:], (total[1:, 0] - prior * known)[first:]
+        solution = np.linalg.solve(normal, right)
+        return solution, float(total[0, 0] + prior @ known**2 - right @ solution), normal, prior, known
 
     def _whitening(self, noise):
         """(w, m, m) inverses of the roots of the fixes' covariances, and the logarithm of their determinants."""
@@ -326,14 +374,15 @@ class _Pieces:
         arm = np.einsum('wij,wmjk,lk->wmil', level, rotation, self.rotation)[:, :, :2]
         shared = np.concatenate([
             -np.einsum('wij,wmj->wmi', level, track.at(track.velocity, times))[:, :, :2, None], arm,
-            -np.einsum('wij,wmj->wmi', level, track.at(track.force, times))[:, :, :2, None],
+            -np.einsum('wij,wmj->wmi', level, track.at(self.by_smoothing, times))[:, :, :2, None],
             -shape(track.at(track.by_force, times))], axis=-1)
         own = np.zeros((*self.place.shape, len(self.own)))
         own[:, :, 0, 0] = own[:, :, 1, 1] = 1.0
         own[:, :, 0, 2] = own[:, :, 1, 3] = since
         own[..., 4:7] = -_cross(way)[:, :, :2]
         own[..., 7:] = shape(track.at(track.by_rate, times) + _cross(place) @ turned[:, None])
-        return self.place - way[:, :, :2], shared, own
+        behind = np.einsum('wij,wmj->wmi', level, track.at(self.behind, times))
+        return self.place - (way - behind)[:, :, :2], shared, own
 
     def _attitude(self, rotation):
         """(w, 3, 3) from the frame of the gyroscopes to north-west-up in each piece: level on average, and headed so
@@ -393,7 +442,8 @@ def _pieces(imu: ImuSamples, fixes: Fixes, rotation) -> _Pieces | None:
                         np.exp((low - high) / _LASTING)])
     rate = _RATE_AT_REST if still.any() else _RATE
     own = np.concatenate([np.full(4, 1e-12), np.array([_TILT, _TILT, _HEADING]) ** -2.0, np.full(3, rate**-2.0)])
-    return _Pieces(track, rotation, sigma, times, place[at], used, used.astype(float), lasting, own)
+    return _Pieces(track, rotation, sigma, times, place[at], used, used.astype(float), lasting, own, 0.0,
+                   np.zeros_like(track.force), track.force)
 
 
 def _divided(stretch: np.ndarray, time: np.ndarray, length: float) -> list[np.ndarray]:

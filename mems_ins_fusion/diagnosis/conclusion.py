@@ -58,7 +58,7 @@ def concluded(known: Known, first: Known, trials: TrialRuns) -> Diagnosis:
     corrections, against = _settled(known, first, fitted, configured, trials)
     trials.tell(MEASURING, 'measuring errors')
     before, noise_only = (trials.errors(models, full=True) for models in ([given], fitted.by_part))
-    correction, after, verdict = _chosen([
+    correction, after, verdict, judged_by = _chosen([
         (option, after, judged(before, after, option.effects))
         for option, after in _as_measured(corrections, trials)], before, given)
     against = against or NO_PROOF
@@ -82,7 +82,7 @@ def concluded(known: Known, first: Known, trials: TrialRuns) -> Diagnosis:
         detections={stage: detect(r, origin.mask) for stage, r in residuals.items()}, noise=correction.factors,
         explained=explained, rounds=list(known.rounds), chosen=list(known.chosen), findings=findings,
         hidden=hidden, corrected=correction.values,
-        verdict=verdict, before=before, fitted=noise_only, after=after, comparison=compared(before, after),
+        verdict=verdict, before=before, fitted=noise_only, after=after, comparison=compared(before, judged_by),
         rest=[rest for found in rests for rest in found],
         remarks=[said for said in remarks[0] if all(said in other for other in remarks)]
         + _noise_remarks(explained | correction.factors) + _scatter_remarks(given, correction.values))
@@ -92,21 +92,23 @@ def concluded(known: Known, first: Known, trials: TrialRuns) -> Diagnosis:
 
 
 def _chosen(tried: list[tuple[Correction, Measured, Verdict]], before: Measured,
-            given: dict) -> tuple[Correction, Measured, Verdict]:
+            given: dict) -> tuple[Correction, Measured, Verdict, Measured]:
     """Of the corrections tried, what predicts best first and what was given last, the one for corrected.yaml.
 
     Effects first, as other noise levels hide them: where errors are smaller for certain, or where the likelihood of
     held-out data has proven them, alone, and no error grows: who stamps fixes late has the withheld ones late as well,
     so that errors against these need not tell. Noise levels have no such proof: only where errors are smaller for
-    certain. Else what was given, with the verdict on the best of what was tried.
+    certain. Else what was given, with the verdict on the best of what was tried. Last the errors that the verdict is
+    about: of the correction, or of what was tried.
     """
     for option, after, verdict in sorted(tried, key=lambda found: not found[0].effects):
         alone = not option.factors and option.values['imu.adapt_noise'] == given['imu.adapt_noise']
         proven = option.effects and alone and verdict.answer != WORSE and not unproven(
             compared(before, after), effects=True)
         if verdict.answer == BETTER or proven:
-            return option, after, verdict
-    return (*tried[-1][:2], tried[0][2])
+            return option, after, verdict, after
+    (_, errors, verdict), (given_ones, as_given, _) = tried[0], tried[-1]
+    return given_ones, as_given, verdict, errors
 
 
 def _in_drive(whole: Diagnosis, k: int, rest: list[GoesWith], remarks: list[str]) -> Diagnosis:

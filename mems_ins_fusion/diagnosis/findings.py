@@ -67,7 +67,7 @@ class Diagnosis:
     before: Measured
     fitted: Measured
     after: Measured
-    comparison: list[dict]
+    comparison: list[dict]  # of the errors that `verdict` is about with those before
     rest: list[GoesWith]
     remarks: list[str] = field(default_factory=list)
     drives: list[Diagnosis] = field(default_factory=list)

@@ -108,6 +108,7 @@ class Problem:
     given: the parameters as given; values: those of the filter that is looked through. full: the recording with the
     fixes used; drive: the same with averaged samples; recording: as `drive`, as that filter sees it - covariances
     spelled out, fixes that the filter as given refuses left out. stamp (f,) ns of the fixes; mask (f,): which count.
+    began: ns, of the first estimate by the filter as given, in the clock of the fixes.
     reference_clock: the clock in which the truth runs (`clock.whose`). others: parameters that a search may start from,
     too (`starts.other_starts`).
     """
@@ -123,8 +124,9 @@ class Problem:
         if not len(first.stamp):
             reason = first.notices[-1].text if first.notices else 'no fixes'
             raise DiagnosisError(f'{recording.name}: {reason}')
-        began = int(first.stamp[0])
-        self.used = thin(recording.gnss, interval, began)
+        # in the clock of the fixes, as in a replay, so that both thin out the same ones and have the same outages
+        self.began = int(first.stamp[0]) + round(values['gnss.time_offset'] * 1e9)
+        self.used = thin(recording.gnss, interval, self.began)
         self.full = replace(recording, gnss=recording.gnss.select(self.used))
         seconds = max((recording.imu.stamp[-1] - recording.imu.stamp[0]) * 1e-9, 1.0)
         rate = float(np.clip(MANY_SAMPLES / seconds, SLOWEST_RATE, FASTEST_RATE))
@@ -149,7 +151,7 @@ class Problem:
         self.runs: list[int] = []  # IMU samples of each run, of this problem and those made from it
         self.lasting = np.ones(len(BESIDE))
         self.base = self.residual(self.values, self.recording)
-        settled = self.stamp > began + round(SETTLING * 1e9)
+        settled = self.stamp > self.began + round(SETTLING * 1e9)
         self.mask = settled & np.isfinite(self.base.z[:, 0])
         self.lasting = lasting(self.base.beside, self.mask)
         self.base.beside[:, 1] *= self.lasting

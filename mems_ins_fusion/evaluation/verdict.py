@@ -199,7 +199,9 @@ class Trust:
 
     @property
     def scale(self) -> Scale | None:
-        """The scale that speaks most against the sigmas."""
+        """The scale that speaks most against the sigmas; where these are too small, none unless it proves that."""
+        if self.answer == NO:
+            return max((s for s in self.scales if s.least > TOO_LARGE), key=lambda s: s.low, default=None)
         key = {TOO_CAREFUL: lambda s: -s.high}.get(self.answer, lambda s: s.low)
         return max(self.scales, key=key, default=None)
 

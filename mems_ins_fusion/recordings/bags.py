@@ -246,8 +246,9 @@ def _files_of_folder(folder: Path) -> list[Path]:
         listed = [folder / PurePath(name).name for name in names]
     except (OSError, ValueError, TypeError, KeyError) as error:
         if not there:
+            inside = sorted(path.parent.name for path in folder.glob('*/metadata.yaml'))
             raise RecordingError(f'{folder} is not a recording: it holds no metadata.yaml and no .mcap, .db3 or .bag '
-                                 'file') from None
+                                 f'file{f"; did you mean {folder / inside[0]}?" if inside else ""}') from None
         reason = 'has no metadata.yaml' if isinstance(error, FileNotFoundError) else 'has a damaged metadata.yaml'
         warnings.warn(f'{folder} {reason}; reading {", ".join(path.name for path in there)}', RecordingWarning,
                       stacklevel=2)

@@ -10,6 +10,10 @@ from .html import Html, bullets, command, folded, paragraph
 GOOD, WARNING, BAD = 'good', 'warning', 'bad'
 #: characters of a line on a console
 WIDTH = 100
+#: what the checker looks at, each with a parameter of its topic
+_CHECKED = ('imu', 'gnss', 'temperature', 'speed', 'velocity', 'heading', 'twist', 'pressure')
+#: what stands where a line was cut
+_CUT = ' ...'
 
 
 @dataclass(frozen=True)
@@ -70,7 +74,8 @@ class Answer:
         parts = [_part('Why', self.why), _part('What is wrong', self.wrong),
                  _part('What it costs without fixes', self.cost),
                  _part('Can its own uncertainty be trusted?', [self.trust] if self.trust else []),
-                 _part('What remains', self.remains), self._steps(self.steps)]
+                 _part('What remains', self.remains),
+                 '<h3>What to do next</h3>' + self._steps(self.steps) if self.steps else '']
         return folded('The answer in full', *(Html(part) for part in parts if part))
 
     @property
@@ -81,8 +86,8 @@ class Answer:
     def _steps(self, steps: list[Step]) -> str:
         if not steps:
             return ''
-        items = ''.join(f'<li>{paragraph(s.what)}{command(s.command) if s.command else ""}</li>' for s in steps)
-        return f'<h3>What to do next</h3><ol>{items}</ol>' if len(steps) > 1 else f'<ol>{items}</ol>'
+        items = [f'{paragraph(s.what)}{command(s.command) if s.command else ""}' for s in steps]
+        return ''.join(items) if len(items) == 1 else '<ol>' + ''.join(f'<li>{item}</li>' for item in items) + '</ol>'
 
     def json(self) -> dict:
         """For report.json."""
@@ -92,8 +97,19 @@ class Answer:
 
 
 def shorten(text: str, ending: str = '') -> str:
-    """`text` in one line of WIDTH, cut between words, with `ending`."""
-    return textwrap.shorten(text, WIDTH - len(ending), placeholder=' ...') + ending
+    """`text` in one line of WIDTH with `ending`: where it has to be cut, at the end of a clause if one ends in the
+    second half of the line, never inside brackets, and else between words."""
+    room = WIDTH - len(ending)
+    kept = textwrap.shorten(text, room, placeholder=_CUT)
+    if not kept.endswith(_CUT):
+        return kept + ending
+    kept = kept.removesuffix(_CUT)
+    clause = max(kept.rfind(mark) for mark in (': ', '; ', ', ', '. ', ' ('))
+    if kept.rfind('(') > kept.rfind(')'):
+        kept = kept[:kept.rfind('(')]
+    elif clause > room // 2:
+        kept = kept[:clause]
+    return kept.rstrip(' ,;:.') + _CUT + ending
 
 
 def _more(count: int) -> str:
@@ -114,4 +130,4 @@ def checked_text(finding: Finding, topics: dict[str, str]) -> str:
 
 def topics_of(values: dict) -> dict[str, str]:
     """The topics by what the checker calls them. values: parameters."""
-    return {name: values[f'{name}_topic'] for name in ('imu', 'gnss', 'temperature')}
+    return {name: values.get(f'{name}_topic', '') for name in _CHECKED}

@@ -70,11 +70,11 @@ def _plain(value):
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def report_html(c: Characterization, answered: Answer, images: dict[str, tuple[bytes, str]]) -> str:
-    """report.html: the answer and one picture, then the evidence, folded away. images: PNG and caption by name, as
-    `characterize_figures.figures` names them."""
+def report_html(c: Characterization, answered: Answer, images: dict[str, html.Html]) -> str:
+    """report.html: the answer and one picture, then the evidence, folded away. images: by name, as
+    `characterization_figures.figures` names them."""
     def show(*names):
-        return [html.figure(*images[n]) for n in names if n in images]
+        return [images[n] for n in names if n in images]
 
     sections = [
         html.section('What is in imu.yaml?', answered.html(), *show('horizons'), *_result(c)),
@@ -122,7 +122,7 @@ def data_sheet_row(sensor: str, axis) -> list[tuple]:
 
 
 def data_sheet_text(c: Characterization) -> list[str]:
-    """The same for a terminal, a line for each axis."""
+    """The same for a terminal, all of it: a line for each axis."""
     lines = []
     for sensor in SENSORS:
         for axis in c.of(sensor):
@@ -135,6 +135,25 @@ def data_sheet_text(c: Characterization) -> list[str]:
                 for what, values in said.items()))
     return lines
 
+
+def data_sheet_short(c: Characterization) -> list[str]:
+    """The same in a line for each sensor, from the best to the worst axis."""
+    lines = []
+    for sensor in SENSORS:
+        found: dict[str, list[float]] = {}
+        for axis in c.of(sensor):
+            named = dict(data_sheet_row(sensor, axis))
+            for key in (list(named)[1], list(named)[-1]):  # the first unit of data sheets, of white noise and of biases
+                found.setdefault(key, []).extend(v for v in (named[key],) if v is not None)
+        said = [f'{what} ' + (f'{_span(values)} {unit}' if values else 'not shown')
+                for key, values in found.items() for what, unit in (key.split(', '),)]
+        lines.append(f'{sensor}s: {"; ".join(said)}')
+    return lines
+
+
+def _span(values: list[float]) -> str:
+    """From the smallest to the largest, once where they read the same."""
+    return ' to '.join(dict.fromkeys(html.number(v, 3) for v in (min(values), max(values))))
 
 
 def _recording(c):
@@ -153,8 +172,9 @@ def _recording(c):
              'cut out.']
     if c.rest.cuts:
         shown = c.rest.cuts[:20]
-        parts.append(html.table(('from, s', 'to, s', 'reason'), [(x.start, x.stop, x.reason) for x in shown],
-                                'The first 20; all are in report.json.' if len(c.rest.cuts) > 20 else '', digits=6))
+        parts.append(html.table(('from, s', 'to, s', 'reason'), [
+            (f'{x.start:.1f}', f'{x.stop:.1f}', x.reason) for x in shown],
+                                'The first 20; all are in report.json.' if len(c.rest.cuts) > 20 else ''))
     if c.rest.shifts:
         parts += ['The level shifted here within half a minute by far more than usual, without a disturbance that '
                   'would tell why. Kept: a little tilt of the table, or a jump of the bias.',
@@ -228,7 +248,7 @@ def _orders(c):
                        'Orders that each criterion would choose; the first four for an AR without white noise, which '
                        'needs a high order to imitate it.'),
             html.table(('axis', 'method', 'a_1 … a_p', 'b_0, unit', 'largest pole', 'stable', 'time constant, s'),
-                       rows)]
+                       rows, digits=5)]
 
 
 def _listed(coefficients):

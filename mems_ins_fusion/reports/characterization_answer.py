@@ -89,7 +89,7 @@ def _cost(c: Characterization) -> list[str]:
         if predictions:
             horizon = predictions[0].horizons[-1]
             error = max(p.horizon_rmse[-1] for p in predictions)
-            said.append(f'{horizon:g} s without fixes: the {sensor}s alone cost about '
+            said.append(f'{number(horizon, 3)} s without fixes: the {sensor}s alone cost about '
                         f'{number(factor * error * horizon**2, 2)} m{text} (worst axis, from held-out data).')
     return said
 

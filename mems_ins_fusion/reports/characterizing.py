@@ -22,7 +22,7 @@ from ..results import json_text
 from .characterization import report, report_html
 from .characterization_answer import answer
 from .characterization_figures import figures
-from .html import image_bytes
+from .html import figure, image_bytes, narrow_bytes
 
 #: GB at the start, bytes for each sample
 _MEMORY = 0.3, 500.0
@@ -77,7 +77,8 @@ def write_characterization(result: Characterization, given: AtRest, values: dict
         (folder / 'figures').mkdir()
         images = {}
         for title, (drawing, caption) in figures(result).items():
-            images[title] = image_bytes(drawing), caption
-            (folder / 'figures' / f'{title}.png').write_bytes(images[title][0])
+            png = image_bytes(drawing)
+            (folder / 'figures' / f'{title}.png').write_bytes(png)
+            images[title] = figure(png, caption, narrow=narrow_bytes(drawing))
         (folder / 'report.html').write_text(report_html(result, answered, images), encoding='utf-8')
     return answered

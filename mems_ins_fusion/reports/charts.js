@@ -5,7 +5,8 @@ const chartStyle = () => {
   return {text: style.getPropertyValue('--dim').trim() || '#57606a', grid: style.getPropertyValue('--line').trim() || '#e4e8ec'};
 };
 
-function chartOptions(width, height, unit, series, {log, key, frequency, band, hooks}) {
+// named: the unit stands at the axis, where no heading has it
+function chartOptions(width, height, unit, series, {log, key, frequency, band, hooks, named}) {
   const {text, grid} = chartStyle();
   const axis = {stroke: text, grid: {stroke: grid, width: 1}, ticks: {stroke: grid, width: 1}, font: '12px system-ui'};
   const read = (u, v) => v == null ? '–' : +v.toPrecision(3) + ' ' + unit;
@@ -14,7 +15,7 @@ function chartOptions(width, height, unit, series, {log, key, frequency, band, h
     cursor: {sync: key ? {key, setSeries: false} : undefined, drag: {x: true, y: false}, points: {size: 6}},
     scales: {x: {time: false, distr: frequency ? 3 : 1}, y: {distr: log ? 3 : 1}},
     axes: [{...axis, values: (u, all) => all.map(v => v == null ? '' : v + (frequency ? ' Hz' : ' s')), space: 70},
-           {...axis, size: 64, values: (u, all) => all.map(v => v == null ? '' : +v.toPrecision(3) + '')}],
+           {...axis, size: 64, values: (u, all) => all.map(v => v == null ? '' : +v.toPrecision(3) + (named ? ' ' + unit : ''))}],
     bands: band && band.length ? [{series: band, fill: grid + '88'}] : [],
     series: [{label: frequency ? 'frequency' : 'time', value: (u, v) => v == null ? '–' : +v.toPrecision(6) + (frequency ? ' Hz' : ' s')},
       ...series.map(l => ({label: l.name, stroke: l.colour, width: l.dots ? 0 : l.width, dash: l.dash, value: read,

@@ -21,9 +21,10 @@ _POINTS = 4000
 
 
 def doubts(result: Configuration) -> list[str]:
-    """Why the file is not ready to drive with: what is wrong, what the recordings do not show, and what may be off."""
+    """Why the file is not ready to drive with: what may be off, what the recordings do not show, and what is wrong with
+    them."""
     said = [unsettled_text(left) for left in unsettled(result.left) if math.isfinite(left.sigma)]
-    return [*result.wrong, *result.missing, *said]
+    return [*said, *result.missing, *result.wrong]
 
 
 def configuration_yaml(result: Configuration) -> str:

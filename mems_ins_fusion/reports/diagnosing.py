@@ -48,12 +48,14 @@ def read_drive(path, values: dict, progress: Callable[[float], None] = lambda pa
 
 
 def diagnose_drives(drives: Sequence[Drive], values: dict, kept: dict, folder: Path, known_as: str, pages: bool = True,
-                    progress: Callable[[float, str], None] = lambda part, what: None) -> Diagnosed:
+                    progress: Callable[[float, str], None] = lambda part, what: None,
+                    params_files: Sequence[str] = ()) -> Diagnosed:
     """Diagnose the drives of one vehicle together and write the results into `folder`: report.json, report.html where
     `pages` are wanted, and, where the data can be used, corrected.yaml.
 
     values: checked parameters; kept: those given, by full name, which corrected.yaml keeps. known_as: the folder that
-    the page names. Raises RecordingError where the drives are not of one vehicle, and DiagnosisError.
+    the page names. params_files: those that gave `values`, for the commands on it. Raises RecordingError where the
+    drives are not of one vehicle, and DiagnosisError.
     """
     recordings = [drive.recording for drive in drives]
     refuse_other_vehicles(recordings)
@@ -66,7 +68,7 @@ def diagnose_drives(drives: Sequence[Drive], values: dict, kept: dict, folder: P
         done = Diagnosed(None, answered, reports.not_usable_report(names, values, verdict, answered, found, said), said)
     else:
         result = diagnose(recordings, values, progress)
-        answered = answer(result, found, known_as)
+        answered = answer(result, found, known_as, *(params_files if len(params_files) == 1 else ()))
         done = Diagnosed(result, answered, reports.report(result, answered, found, said), said)
         (folder / 'corrected.yaml').write_text(reports.corrected_yaml(result, kept), encoding='utf-8')
     (folder / 'report.json').write_text(json_text(done.content, indent=1), encoding='utf-8')

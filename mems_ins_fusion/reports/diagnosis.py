@@ -21,7 +21,7 @@ from . import diagnosis_figures as plots
 from . import html
 from .answer import Answer, checked_text, topics_of
 from .charts import charts
-from .layers import diagnosis_layers
+from .layers import diagnosed_truth, diagnosis_layers, middle
 from .series import diagnosis_charts
 from .track import script, track
 from .verdict import change_text, held_text, verdict_json
@@ -310,8 +310,8 @@ def _answered(d: Diagnosis, answered: Answer) -> html.Html:
 
 def _track(d: Diagnosis) -> html.Html:
     return track(diagnosis_layers(d), html.figure(
-        plots.track(d), 'The drive from above, as configured and with corrected.yaml, with all fixes and in the '
-        'longest outages, each ending at x.'))
+        plots.track(d), f'The drive from above, as configured{" and with corrected.yaml" if d.changed else ""}, with '
+        'all fixes and in the longest outages, each ending at x.'), middle(diagnosed_truth(d).reference))
 
 
 def _over_time(d: Diagnosis, of: str = '') -> html.Html:
@@ -352,17 +352,18 @@ def _recording(d: Diagnosis, checked, warned) -> html.Html:
 
 
 def _residual(d: Diagnosis) -> html.Html:
-    return html.folded('What the filter could not explain, before and after', *_innovations(d))
+    return html.folded('What the filter could not explain' + (', before and after' if d.changed else ''),
+                       *_innovations(d))
 
 
 def _innovations(d: Diagnosis) -> list[html.Html]:
+    after = [html.paragraph(f'{capital(plots.STAGES["after"])}:'), html.bullets(d.detections['after'].words()),
+             html.figure(plots.residual(d, 'after'), 'The same at the end.')] if d.changed else []
     return [
         html.bullets(d.detections['before'].words()),
         html.figure(plots.residual(d, 'before'), 'Innovations (fix minus prediction) of the filter as configured, in '
                     'units of their predicted standard deviation, along and across the track. What is beyond 5 sigma '
-                    'stands at the edges of the histogram.'),
-        html.paragraph(f'{capital(plots.STAGES["after"])}:'), html.bullets(d.detections['after'].words()),
-        html.figure(plots.residual(d, 'after'), 'The same at the end.'), _tests(d, ('before', 'fitted', 'after'))]
+                    'stands at the edges of the histogram.'), *after, _tests(d, plots.measured_stages(d))]
 
 
 def _tests(d: Diagnosis, stages) -> html.Html:
@@ -443,7 +444,8 @@ def _errors(d: Diagnosis) -> html.Html:
         'recording, unless no effect was added.',
         html.table(columns, table, digits=3),
         html.table(('what', 'count', 'before', 'after', 'difference', '95 % interval', 'p of no difference'), rows,
-                   'Paired differences, after minus before.', 3))
+                   'Paired differences, after minus before' + ('.' if d.changed else ': what was tried, and is not in '
+                                                               'corrected.yaml.'), 3))
 
 
 def _interval(row: dict) -> str:

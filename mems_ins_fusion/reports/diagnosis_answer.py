@@ -18,14 +18,16 @@ from .diagnosis import capital, changed, cost, rounded_value, this, unexplained_
 from .effect_words import check, looks_the_same, size, what
 from .verdict import because, change_text, trust_text
 
+#: in a command, where it is not known which params file was given
+YOURS = 'YOUR_FILE.yaml'
 #: seen, not fitted, and with a size that the text of what is seen does not have
 WITH_SIZE = {MOUNTING}
 
 
-def answer(diagnosis: Diagnosis, checked: list[Checked], output: str) -> Answer:
+def answer(diagnosis: Diagnosis, checked: list[Checked], output: str, params_file: str = YOURS) -> Answer:
     """Whether to use corrected.yaml, what was wrong, what it costs, what remains, what to do.
 
-    checked: what the checker found. output: folder of the results, for the command.
+    checked: what the checker found. output: folder of the results, params_file: what was given; for the commands.
     """
     d = diagnosis
     out = [f'{name} was left out: {why}' for name, why in d.left_out.items()]
@@ -43,7 +45,7 @@ def answer(diagnosis: Diagnosis, checked: list[Checked], output: str) -> Answer:
         else GOOD
     settings = [name for f in checked if f.severity != INFO for name in f.settings if name not in changed(d)]
     return Answer(grade, headline(d.verdict, d.changed), [*out, *found, *to_set, *shown, *said], cost(d),
-                  _steps(d, output, settings),
+                  _steps(d, output, params_file, settings),
                   trust_text(trust, 'With corrected.yaml, ' if d.changed else 'As configured, '),
                   [*tried, *left, *d.remarks], because(d.verdict))
 
@@ -132,7 +134,7 @@ def headline(verdict: Verdict, changed: bool = False) -> str:
             CANNOT_TELL: f'Keep your parameters, no gain is proven: {proof}.'}[verdict.answer]
 
 
-def _steps(d: Diagnosis, output: str, settings: list[str]) -> list[Step]:
+def _steps(d: Diagnosis, output: str, params_file: str, settings: list[str]) -> list[Step]:
     """settings: names of parameters that the recording contradicts."""
     steps = []
     if d.better:
@@ -149,12 +151,16 @@ def _steps(d: Diagnosis, output: str, settings: list[str]) -> list[Step]:
         steps.append(Step('The drives contradict each other in what is left alone above: find out what was changed '
                           'between them, and diagnose them apart.'))
     if d.changed and not d.better:
-        steps.append(Step('What it corrects is certain, and errors are no larger. Compare both on another drive:',
-                          'python -m mems_ins_fusion compare YOUR_FILE.yaml '
+        steps.append(Step('Fixes that it was not fitted to are predicted better for certain, and errors are no larger. '
+                          'Compare both on another drive:',
+                          f'python -m mems_ins_fusion compare {shlex.quote(params_file)} '
                           f'{shlex.quote(f"{output}/corrected.yaml")} --bag ANOTHER_DRIVE --output compared'))
     if settings and not d.better:
         steps.append(Step(f'Set {" and ".join(settings)} as configure writes {"them" if settings[1:] else "it"}, and '
                           'diagnose again.'))
+    elif not d.changed and d.verdict.answer == SAME and params_file != YOURS:
+        steps.append(Step('Drive on with your parameters:', 'python -m mems_ins_fusion fusion_node --ros-args '
+                          f'--params-file {shlex.quote(params_file)}'))
     elif not d.changed and d.verdict.answer == CANNOT_TELL and d.verdict.changes:
         steps.append(Step('Record a longer drive, with bends to both sides, stops and braking: it may tell.'))
     if d.better and not any(f.added for f in d.findings):

@@ -52,8 +52,9 @@ def residual(diagnosis: Diagnosis, stage: str):
     for axis, label in zip(axes[1], ('time, min', 'lag, fixes', 'sigma')):
         axis.set_xlabel(label)
     low, high = detection.nis_bounds
-    figure.suptitle(f'{STAGES[stage]}: NIS {detection.nis_mean:.3g} ({low:.2f} to {high:.2f} expected), '
-                    f'Ljung-Box p {detection.ljung_box_p:.2g}', fontsize=10)
+    p = detection.ljung_box_p
+    figure.suptitle(f'{STAGES[stage]}: NIS {detection.nis_mean:.3g} ({low:.2f} to {high:.2f} expected), Ljung-Box p '
+                    + ('< 0.001' if p < 0.001 else f'{p:.2g}'), fontsize=10)
     return figure
 
 

@@ -13,6 +13,7 @@ import html
 import io
 import math
 import re
+import textwrap
 from numbers import Integral
 from pathlib import Path
 
@@ -23,6 +24,10 @@ class Html(str):
 
 #: width of a phone's screen on which 10 points are as large as on paper
 PHONE = 4.2
+#: height of a panel there, inches
+PANEL = 1.9
+#: width of a letter, of its height, on average; height of those of a legend below all axes, points
+LETTER, _LEGEND = 0.55, 8
 _STYLE = (Path(__file__).parent / 'page.css').read_text(encoding='ascii')
 
 
@@ -77,7 +82,7 @@ def bullets(items) -> Html:
     return Html('<ul>' + ''.join(f'<li>{_text(item)}</li>' for item in items) + '</ul>')
 
 
-def table(columns, rows, caption: str = '', digits: int = 4) -> Html:
+def table(columns, rows, caption: str = '', digits: int = 3) -> Html:
     """A table; numbers right-aligned to `digits` significant digits, None and NaN as a dash.
 
     columns: headings, units included. rows: sequences of str, numbers or None, one per column. On a narrow page each
@@ -124,12 +129,56 @@ def image_bytes(drawing, image: str = 'png', dpi: int = 120) -> bytes:
 
 
 def narrow_bytes(drawing) -> bytes:
-    """A Matplotlib figure as PNG for a screen of PHONE inches, where letters keep their size."""
+    """A Matplotlib figure as PNG for a screen of PHONE inches, where letters keep their size: panels that stand three
+    and more in a row stand below each other, labels break into lines, a legend below all has fewer columns. The last
+    that is drawn of the figure, as it stays so."""
     width, height = drawing.get_size_inches()
-    drawing.set_size_inches(PHONE, min(max(1.4 * PHONE * height / width, 3.0), 7.0))
-    image = image_bytes(drawing, dpi=110)
-    drawing.set_size_inches(width, height)
-    return image
+    rows = _stacked(drawing)
+    beside = 0.2 * len(drawing.axes[0].get_legend_handles_labels()[1]) if drawing.legends else 0.0
+    drawing.set_size_inches(PHONE, PANEL * rows + beside if rows else min(max(1.4 * PHONE * height / width, 3.0), 7.0))
+    labels = [(text, 0.9 * PHONE) for text in drawing.texts]  # and the room of each, inches
+    for axes in drawing.axes:
+        place = axes.get_position()
+        wide, high = place.width * PHONE, place.height * drawing.get_figheight()
+        if rows:
+            wide, high = (0.7 if rows == len(drawing.axes) else 0.35) * PHONE, 0.7 * PANEL
+        labels += [(axes.title, wide), (axes.xaxis.label, wide), (axes.yaxis.label, high)]
+    for label, room in labels:
+        letters = int(72.0 * room / (LETTER * label.get_fontsize()))
+        label.set_text(textwrap.fill(label.get_text(), max(letters, 8)))
+    if drawing.legends:
+        legend_below(drawing)
+    return image_bytes(drawing, dpi=110)
+
+
+def _stacked(drawing) -> int:
+    """Put panels that stand three and more in a row into two columns, or one where some are wider than others; the
+    number of rows, 0 where nothing was done."""
+    from matplotlib.gridspec import GridSpec
+
+    grid = drawing.axes[0].get_subplotspec().get_gridspec()
+    if grid.ncols < 3:
+        return 0
+    columns = 2 if len(set(grid.get_width_ratios())) == 1 else 1
+    rows = -(-len(drawing.axes) // columns)
+    stack = GridSpec(rows, columns, figure=drawing)
+    for place, axes in enumerate(drawing.axes):
+        axes.set_subplotspec(stack[divmod(place, columns)])
+        axes.tick_params(labelbottom=True)
+    return rows
+
+
+def legend_below(drawing) -> None:
+    """What the first axes show, as the figure's legend below all axes, in as many columns as its width has room for.
+    (`loc='outside lower center'`, which is the like, came with matplotlib 3.7.)"""
+    for legend in list(drawing.legends):
+        legend.remove()
+    handles, labels = drawing.axes[0].get_legend_handles_labels()
+    widest = 0.5 + LETTER * _LEGEND / 72.0 * max(map(len, labels))  # inches, with the line beside it
+    columns = max(min(int(drawing.get_figwidth() / widest), 4), 1)
+    bottom = (0.15 + 0.18 * -(-len(labels) // columns)) / drawing.get_figheight()
+    drawing.get_layout_engine().set(rect=(0.0, bottom, 1.0, 1.0 - bottom))
+    drawing.legend(handles, labels, loc='lower center', ncols=columns, fontsize=_LEGEND)
 
 
 def number(value, digits: int = 4) -> str:

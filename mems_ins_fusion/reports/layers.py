@@ -6,7 +6,7 @@ import numpy as np
 from ..diagnosis.findings import Diagnosis
 from ..diagnosis.measured import Measured
 from ..evaluation.comparison import Comparison, truth_of
-from ..evaluation.metrics import Errors, lever_arm_north_east
+from ..evaluation.metrics import Errors, Truth, lever_arm_north_east
 from ..filter.runs.results import Run
 from ..navigation.earth import to_local
 from ..samples import Fixes, Reference
@@ -21,8 +21,7 @@ class Ground:
     """Positions as north and east of the middle of the recording, m."""
 
     def __init__(self, reference: Reference):
-        self.datum = np.array([np.median(reference.latitude), np.median(reference.longitude),
-                               np.median(reference.height)])
+        self.datum = middle(reference)
         self.stamp = reference.stamp
         self.north, self.east = self(reference)
 
@@ -40,6 +39,16 @@ class Ground:
         north, east = self(run)
         arm_north, arm_east = lever_arm_north_east(lever_arm, run.roll, run.pitch, run.yaw)
         return north + arm_north, east + arm_east
+
+
+def middle(reference: Reference) -> np.ndarray:
+    """Latitude, longitude (rad) and height (m) in the middle of the recording."""
+    return np.array([np.median(reference.latitude), np.median(reference.longitude), np.median(reference.height)])
+
+
+def diagnosed_truth(diagnosis: Diagnosis) -> Truth:
+    """The truth of one drive by the stamps that its errors carry."""
+    return truth_of(diagnosis.recording, diagnosis.values | {'gnss.time_offset': 0.0})
 
 
 def _nearest(stamp: np.ndarray, wanted: np.ndarray) -> np.ndarray:
@@ -80,9 +89,10 @@ def replay_layers(comparison: Comparison, best: str, names: dict[str, str]) -> l
 
 
 def diagnosis_layers(diagnosis: Diagnosis) -> list[Layer]:
-    """Truth, fixes, and the position before and after, with all fixes and in the longest outages; of one drive."""
+    """Truth, fixes, and the position before and (where something is corrected) after, with all fixes and in the longest
+    outages; of one drive."""
     d = diagnosis
-    truth = truth_of(d.recording, d.values | {'gnss.time_offset': 0.0})  # by the stamps that the errors carry
+    truth = diagnosed_truth(d)
     ground, origin = Ground(truth.reference), int(d.recording.imu.stamp[0])
     layers = [_truth(ground, origin, truth.source)]
     [problem] = d.problem.each
@@ -91,8 +101,9 @@ def diagnosis_layers(diagnosis: Diagnosis) -> list[Layer]:
         north, east = ground(fixes)
         layers.append(Layer('fixes', colours.FIX, _seconds(fixes.stamp, origin), east, north, {}, points=2.0,
                             shown=False))
-    stages = (('before', 'as configured', d.before, colours.BEFORE),
-              ('after', 'with corrected.yaml', d.after, colours.AFTER))
+    stages = [('before', 'as configured', d.before, colours.BEFORE)]
+    if d.changed:
+        stages.append(('after', 'with corrected.yaml', d.after, colours.AFTER))
     for stage, name, measured, colour in stages:
         errors = measured.continuous
         north, east = ground.of(errors)

@@ -7,6 +7,7 @@ from ..evaluation.comparison import Comparison, RunResult
 from ..evaluation.metrics import rms
 from ..samples import runs
 from . import colours
+from .html import legend_below
 from .layers import Ground
 
 #: points of a line, at most
@@ -26,14 +27,6 @@ def _figure(width: float, height: float):
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout='constrained')
-
-
-def _legend_below(figure, handles, labels, columns: int) -> None:
-    """A legend below all axes; `loc='outside lower center'`, which does the same, came with matplotlib 3.7."""
-    rows = -(-len(labels) // columns)
-    bottom = (0.15 + 0.18 * rows) / figure.get_figheight()  # inches at this size of letters
-    figure.get_layout_engine().set(rect=(0.0, bottom, 1.0, 1.0 - bottom))
-    figure.legend(handles, labels, loc='lower center', ncols=columns, fontsize=8)
 
 
 def _style(model: str, width: float = 1.0) -> dict:
@@ -62,7 +55,7 @@ def track(comparison: Comparison):
     axes.plot(ground.east[0], ground.north[0], marker='o', color='k', markersize=6, linestyle='', zorder=5,
               label='start')
     _as_map(axes)
-    _legend_below(figure, *axes.get_legend_handles_labels(), columns=3)
+    legend_below(figure)
     return figure
 
 
@@ -116,7 +109,7 @@ def manoeuvre(comparison: Comparison):
         axes.set_xlim(ground.east[at] - WINDOW, ground.east[at] + WINDOW)
         axes.set_ylim(ground.north[at] - WINDOW, ground.north[at] + WINDOW)
         axes.label_outer()
-    _legend_below(figure, *panels[0].get_legend_handles_labels(), columns=4)
+    legend_below(figure)
     return figure
 
 
@@ -159,7 +152,7 @@ def error_against_time(comparison: Comparison):
         axes.set_ylim(0, 1.2 * largest)  # not that of the filter's sigma at its start
         axes.margins(x=0)
     panels[-1].set_xlabel('time, s')
-    _legend_below(figure, *panels[0].get_legend_handles_labels(), columns=3)
+    legend_below(figure)
     return figure
 
 

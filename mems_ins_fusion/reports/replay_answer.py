@@ -26,7 +26,7 @@ from ..recordings.sketch import fitted_to
 from .answer import BAD, GOOD, WARNING, Answer, Step, checked_text, topics_of
 from .html import number
 from .plots import model_name
-from .verdict import certainly_wrong, change_text, held_text, scale_text, trust_text
+from .verdict import certainly_wrong, change_text, too_small_text, trust_text
 
 #: differences smaller than this part are of no practical meaning, however significant
 PRACTICAL = 0.02
@@ -88,8 +88,8 @@ def answer(comparison: Comparison, findings: list[Finding], values: dict, bag: s
     said = [checked_text(f, topics_of(values)) for f in findings if f.severity != INFO]
     verdict, trust = judged(comparison, findings, values), trusted(consistencies(comparison, values))
     wrong = [*said, *_refused(comparison, best)]
-    if trust.answer == NO and trust.scale is not None and verdict.answer != NOT_USABLE:
-        wrong.insert(0, f'Its sigmas are too small: {scale_text(trust.scale)}.')
+    if trust.answer == NO and verdict.answer != NOT_USABLE:
+        wrong.insert(0, f'Its sigmas are too small: {too_small_text(trust)}.')
     if verdict.fitted_here:
         wrong.append('The parameters were fitted to this very recording: on another drive errors will be larger.')
     grade = _grade(verdict, trust)
@@ -112,8 +112,7 @@ def _headline(verdict: Verdict, trust: Trust, accuracy: list[str]) -> str:
     if verdict.answer == NOT_USABLE:
         return f'Not usable: {verdict.why[0]}'
     if trust.answer == NO and verdict.answer != WORSE:
-        why = scale_text(trust.scale) if trust.scale is not None else held_text(trust.shown)
-        return f'The filter is not good here, its sigmas are too small: {why}.'
+        return f'The filter is not good here, its sigmas are too small: {too_small_text(trust)}.'
     if verdict.shown is None:
         return ': '.join(['With fixes it works; there were no outages to judge it by', *accuracy[:1]])
     proof = change_text(verdict.shown, verdict.level, 'by the last velocity kept')

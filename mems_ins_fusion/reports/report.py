@@ -1,6 +1,7 @@
 """The results of a replay as `report.json`, `report.html` and figures."""
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from . import html, plots
 from .answer import Answer, checked_text, topics_of
 from .charts import charts
 from .html import bullets, figure, folded, image_bytes, number, paragraph, section, table
-from .layers import replay_layers
+from .layers import middle, replay_layers
 from .plots import model_name
 from .replay_answer import best_model, consistencies, judged, sentences
 from .series import replay_charts
@@ -91,8 +92,18 @@ def _verdict(comparisons: dict[str, Comparison], values: dict, findings: dict[st
 
 
 def _notices(comparison: Comparison) -> list[str]:
-    """What the filter said, each once."""
-    return list(dict.fromkeys(n.text for r in comparison.runs for n in r.run.notices if n.level != 'info'))
+    """What the filter said in its runs, each once: of notices that differ in their numbers only, the first."""
+    said = {}
+    for place, result in enumerate(comparison.runs):
+        for notice in result.run.notices:
+            if notice.level != 'info':
+                said.setdefault(re.sub(r'\d+(\.\d+)?', '0', notice.text), []).append((place, notice.text))
+    found = []
+    for texts in said.values():
+        others = len({place for place, _ in texts}) - 1
+        found.append(texts[0][1] + (f' (and alike in {others} of the other {len(comparison.runs) - 1} runs)' if others
+                                    else ''))
+    return found
 
 
 def _pair(pair, name: str) -> dict:
@@ -129,7 +140,7 @@ def report_page(comparisons: dict[str, Comparison], values: dict, content: dict,
         names = {model: model_name(comparison, model) for model in comparison.models}
         sections += [
             section(f'Is the filter good here?{of}', answers[name].html(),
-                    track(replay_layers(comparison, best, names), still),
+                    track(replay_layers(comparison, best, names), still, middle(comparison.truth.reference)),
                     _glance(comparison, content, name)),
             answers[name].evidence(),
             folded(f'Over time{of}', charts(replay_charts(comparison, best), 'estimates and signals over time')),

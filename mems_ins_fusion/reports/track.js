@@ -1,10 +1,11 @@
 'use strict';
-// The interactive track: a map to scale above, the error against time below (uPlot), one cursor for both. No network.
+// The interactive track: a map to scale above, the error against time below (uPlot), one cursor for both. No network,
+// unless a person asks for a base map and says from where.
 // Data: track.py. All lengths in metres, times in seconds.
 document.querySelectorAll('.track').forEach(function (root) {
-  const {layers} = JSON.parse(root.querySelector('script[type="application/json"]').textContent);
+  const {layers, place} = JSON.parse(root.querySelector('script[type="application/json"]').textContent);
   const map = root.querySelector('canvas.map'), strip = root.querySelector('.time');
-  const said = root.querySelector('.said'), scaleText = root.querySelector('.scale');
+  const said = root.querySelector('.said'), scaleText = root.querySelector('.scale'), fromText = root.querySelector('.from');
   const lines = layers.filter(l => l.error);
   const home = extent(layers.filter(l => l.shown));
   let view = null;           // of the map: middle east, middle north, pixels per metre
@@ -12,6 +13,8 @@ document.querySelectorAll('.track').forEach(function (root) {
   let at = null;             // under the cursor: {layer, i}
   let by = '';               // the value that colours lines, '' for their own colours
   let chart = null, log = false, following = false;
+  let tiles = '';            // address of the base map's tiles, '' for none
+  const images = new Map();  // of the base map, by address
 
   root.classList.add('interactive');
   layers.forEach(function (layer) {
@@ -101,8 +104,47 @@ document.querySelectorAll('.track').forEach(function (root) {
     }
   }
 
+  // The base map: tiles of 256 px in Web Mercator, of the zoom nearest to that of the view. place: latitude and longitude
+  // of the origin (rad), metres north and east for a radian of each.
+  function drawTiles(c) {
+    const [latitude, longitude, north, east] = place;
+    const zoom = Math.min(Math.max(Math.round(Math.log2(2 * Math.PI * east * view[2] / 256)), 0), 19), count = 2 ** zoom;
+    const column = x => ((longitude + x / east) / (2 * Math.PI) + 0.5) * count;
+    const row = y => (0.5 - Math.asinh(Math.tan(latitude + y / north)) / (2 * Math.PI)) * count;
+    const edgeX = k => toX(((k / count - 0.5) * 2 * Math.PI - longitude) * east);
+    const edgeY = k => toY((Math.atan(Math.sinh((0.5 - k / count) * 2 * Math.PI)) - latitude) * north);
+    const w = map.clientWidth / 2 / view[2], h = map.clientHeight / 2 / view[2];
+    c.globalAlpha = 0.6;
+    for (let i = Math.floor(column(view[0] - w)); i <= column(view[0] + w); i++)
+      for (let j = Math.max(Math.floor(row(view[1] + h)), 0); j <= row(view[1] - h) && j < count; j++) {
+        const image = tile(zoom, (i + count) % count, j);
+        if (image.naturalWidth) c.drawImage(image, edgeX(i), edgeY(j), edgeX(i + 1) - edgeX(i), edgeY(j + 1) - edgeY(j));
+      }
+    c.globalAlpha = 1;
+  }
+
+  function tile(zoom, i, j) {
+    const address = tiles.replace('{z}', zoom).replace('{x}', i).replace('{y}', j);
+    if (!images.has(address)) {
+      const image = new Image();
+      image.onload = draw;
+      image.onerror = () => { fromText.textContent = 'not every tile of the map could be fetched'; };
+      image.src = address;
+      images.set(address, image);
+    }
+    return images.get(address);
+  }
+
+  function askForTiles() {
+    const answer = tiles ? '' : window.prompt('Address of the map tiles. Their server learns where this drive was.',
+                                              'tile.openstreetmap.org/{z}/{x}/{y}.png') || '';
+    tiles = answer && !/^\w+:/.test(answer) ? 'https' + '://' + answer : answer;
+    fromText.textContent = tiles.includes('openstreetmap.org') ? 'map: \u00a9 OpenStreetMap contributors' : '';
+  }
+
   function drawMap() {
     const c = context(map), ink = getComputedStyle(map).color;
+    if (tiles) drawTiles(c);
     for (const l of layers.filter(l => l.shown)) {
       if (l.points) {
         c.strokeStyle = c.fillStyle = l.colour;
@@ -169,7 +211,7 @@ document.querySelectorAll('.track').forEach(function (root) {
     }
     const [x, ...ys] = uPlot.join(tables);
     const options = chartOptions(strip.clientWidth, strip.clientWidth < 600 ? 150 : 180, 'm', series,
-      {log, hooks: {setCursor: [u => {
+      {log, named: true, hooks: {setCursor: [u => {
         if (following || u.cursor.left < 0) return;
         at = nearestTime(u.posToVal(u.cursor.left, 'x'));
         drawMap();
@@ -293,9 +335,11 @@ document.querySelectorAll('.track').forEach(function (root) {
     draw();
   });
   root.querySelectorAll('button').forEach(button => {
+    if (button.dataset.zoom === 'map') button.hidden = !place;
     button.onclick = () => {
       const factor = {in: 1.6, out: 1 / 1.6}[button.dataset.zoom];
       if (button.dataset.zoom === 'log') { log = !log; button.textContent = log ? 'error: linear' : 'error: logarithmic'; makeStrip(); }
+      else if (button.dataset.zoom === 'map') { askForTiles(); button.textContent = tiles ? 'no base map' : 'base map ...'; }
       else if (factor) zoomMap(factor, map.clientWidth / 2, map.clientHeight / 2);
       else { fit(); makeStrip(); }
       draw();

@@ -1,7 +1,7 @@
 """The interactive track of a page: layers of positions with what the cursor reads there, drawn by `track.js`.
 
-To scale, with the error against time below it (a chart of `charts.py`), without a network. Where scripts do not run,
-and on paper, a still figure stands in its place.
+To scale, with the error against time below it (a chart of `charts.py`), without a network: a base map is fetched only
+for a person who asks for it on the page. Where scripts do not run, and on paper, a still figure stands in its place.
 """
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..navigation.earth import radii
 from ..results import json_text
 from .charts import library
 from .html import Html, _text
@@ -17,7 +18,8 @@ from .html import Html, _text
 #: points of a layer, at most
 POINTS = 2500
 _HINT = ('Drag to move, wheel or two fingers to zoom, point at a line to read time, speed, error, sigma and NIS there. '
-         'Click a name to hide or show it. Below: drag to zoom, double click for all.')
+         'Click a name to hide or show it. Below, the error against time, dotted twice the sigma of the first line: drag '
+         'to zoom, double click for all.')
 
 
 @dataclass
@@ -73,9 +75,11 @@ def _rounded(values, digits: int) -> list:
     return [float(v) if np.isfinite(v) else None for v in np.round(np.asarray(values, dtype=float), digits)]
 
 
-def track(layers: list[Layer], still: Html) -> Html:
-    """The interactive track. still: what stands there without scripts, and on paper."""
-    content = json_text({'layers': [layer.content() for layer in layers if len(layer.time)]},
+def track(layers: list[Layer], still: Html, datum: np.ndarray | None = None) -> Html:
+    """The interactive track. still: what stands there without scripts, and on paper. datum: latitude and longitude of
+    the origin (rad) and its height (m); without it, no base map is offered."""
+    content = json_text({'layers': [layer.content() for layer in layers if len(layer.time)],
+                         'place': None if datum is None else _place(*datum)},
                         separators=(',', ':')).replace('<', '\\u003c')
     return Html(f'<div class="track">\n<div class="still">{still}</div>\n<div class="live">\n'
                 '<div class="layers"></div>\n<div class="ground"><canvas class="map" tabindex="0" role="img" '
@@ -84,13 +88,20 @@ def track(layers: list[Layer], still: Html) -> Html:
                 '<div class="time" role="img" aria-label="Error against time"></div>\n<div class="tools">'
                 '<label>colour <select><option value="">by line</option><option value="error">by error</option>'
                 '<option value="speed">by speed</option><option value="sigma">by sigma</option></select></label>'
-                '<span class="scale"></span>'
+                '<span class="scale"></span><span class="from"></span>'
                 '<button type="button" data-zoom="in">+</button>'
                 '<button type="button" data-zoom="out">\N{MINUS SIGN}</button>'
                 '<button type="button" data-zoom="all">whole track</button>'
-                '<button type="button" data-zoom="log">error: logarithmic</button></div>\n'
+                '<button type="button" data-zoom="log">error: logarithmic</button>'
+                '<button type="button" data-zoom="map">base map ...</button></div>\n'
                 f'<p class="hint">{_text(_HINT)}</p>\n</div>\n'
                 f'<script type="application/json">{content}</script>\n</div>')
+
+
+def _place(latitude: float, longitude: float, height: float) -> list[float]:
+    """Latitude and longitude (rad), and the metres north and east that a radian of each is."""
+    meridian, prime = radii(latitude)
+    return [float(v) for v in (latitude, longitude, meridian + height, (prime + height) * np.cos(latitude))]
 
 
 def script() -> Html:

@@ -103,13 +103,18 @@ def trust_json(trust: Trust) -> dict:
 
 def trust_text(trust: Trust, which: str = '') -> str:
     """Whether sigmas can be trusted, in a sentence. which: of what filter, where that is not plain."""
-    said = {YES: 'yes', NO: 'no, they are too small', TOO_CAREFUL: 'they are larger than need be'}.get(
+    said = {YES: 'yes', NO: 'no, its sigmas are too small', TOO_CAREFUL: 'its sigmas are larger than need be'}.get(
         trust.answer, 'cannot tell')
     evidence = [held_text(trust.shown)] if trust.shown else []
     if trust.scale and (trust.answer in (NO, TOO_CAREFUL) or not evidence):
         evidence.append(scale_text(trust.scale))
     said = ': '.join([said, '; '.join(evidence)]) if evidence else f'{said}: the recording is too short'
     return f'{which}{said}.'
+
+
+def too_small_text(trust: Trust) -> str:
+    """What shows that its sigmas are too small."""
+    return held_text(trust.shown) if trust.scale is None else scale_text(trust.scale)
 
 
 def held_text(held: Held) -> str:
