@@ -11,9 +11,7 @@ does not cross counts as one that crosses at its end, so that the ratio is at mo
 an announcement that knows the distribution of the true times of its row, 5 % of which are earlier, and nothing else.
 `exact`: the ratio that the filter's own prediction would have if it were exact to the last digit: the time at which 5 %
 of the errors are larger than the limit over that at which half of them are (median). `narrower`: by how much all
-predicted sigmas could be divided with 95 % of the outages still crossing later; below 1 they are too small. `decided`:
-what would be announced (median), and how often that is earlier than the error crosses, were it left out that nothing
-decides whether fixes or prediction are wrong (trust/contradiction.py).
+predicted sigmas could be divided with 95 % of the outages still crossing later; below 1 they are too small.
 
 The plain drives have an IMU, a road and a receiver exactly as the parameters say: there the prediction is exact but for
 what is learned.
@@ -30,7 +28,6 @@ from vehicle import FIXES, MEASURED, measured, simulated
 from mems_ins_fusion.evaluation.comparison import samples_to_keep, truth_of
 from mems_ins_fusion.evaluation.outages import outage_begins, run_outages
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.memory import Head, Nav, state_at
 from mems_ins_fusion.filter.runs import replay
 from mems_ins_fusion.filter.runs.horizon import LONGEST, Lookout
 from mems_ins_fusion.filter.runs.replay import run
@@ -51,18 +48,15 @@ PLAIN = 'plain, '
 
 
 class Noted(Lookout):
-    """Notes of each outage when half of the errors are larger than the limit, and when 5 % of what is decided, and with
-    sigmas divided by NARROWER, s."""
+    """Notes of each outage when half of the errors are larger than the limit, and when 5 % are with sigmas divided by
+    NARROWER, s."""
 
     notes: list = []
 
     def look(self, memory, exceeded=0.05):
         limit = self._limit
         half = super().look(memory, 0.5).seconds
-        at = state_at(memory, int(memory[Head.SAMPLES])) + Nav.UNDECIDED
-        undecided, memory[at] = memory[at], 0.0
-        row = [super().look(memory).seconds]
-        memory[at] = undecided
+        row = []
         for narrower in NARROWER:
             self._limit = limit * narrower
             row.append(super().look(memory).seconds)
@@ -72,8 +66,8 @@ class Noted(Lookout):
 
 
 def outages_of(recording, values: dict) -> np.ndarray:
-    """(o, 5 + k): announced, crossed (inf: not), how long it was looked, when half are larger, the announcement of what
-    is decided, and those with sigmas divided by NARROWER (k,), s."""
+    """(o, 4 + k): announced, crossed (inf: not), how long it was looked, when half are larger, and the announcements
+    with sigmas divided by NARROWER (k,), s."""
     values = table.check(values)
     config, truth = FilterConfig.from_parameters(values), truth_of(recording, values)
     keep = samples_to_keep(recording.imu, truth.reference.stamp)
@@ -83,8 +77,8 @@ def outages_of(recording, values: dict) -> np.ndarray:
     Noted.notes.clear()
     replay.Lookout = Noted
     found, = run_outages(config, recording.imu, recording.gnss, truth, [DURATION], begin, aiding, keep)
-    notes = np.reshape(Noted.notes, (-1, 2 + len(NARROWER)))[:len(found.begin)]
-    at = 2  # where sigmas are divided by 1: the look that was announced, from the newest sample instead of the begin
+    notes = np.reshape(Noted.notes, (-1, 1 + len(NARROWER)))[:len(found.begin)]
+    at = 1  # where sigmas are divided by 1: the look that was announced, from the newest sample instead of the begin
     since = np.where(found.announced > 0.0, found.announced - notes[:, at], 0.0)
     notes = np.minimum(np.where(notes > 0.0, notes + since[:, None], 0.0), DURATION)
     return np.column_stack([np.minimum(found.announced, DURATION), found.crossed,
@@ -110,7 +104,7 @@ def of_row(kind: str, name: str, seed: int, minutes: float, limit: float, data: 
 def line(name: str, drives: list[np.ndarray]) -> str:
     """Of the table: outages by drive."""
     blocks = drives if len(drives) > 1 else np.array_split(drives[0], max(len(drives[0]) * SPACING // DURATION, 1))
-    announced, crossed, seen, half, decided, *narrower = np.concatenate(drives).T
+    announced, crossed, seen, half, *narrower = np.concatenate(drives).T
     later = crossed >= announced
     rng = np.random.default_rng(0)
     shares = [[np.sum(b[:, 1] >= b[:, 0]), len(b)] for b in blocks]
@@ -121,8 +115,7 @@ def line(name: str, drives: list[np.ndarray]) -> str:
     kept = NARROWER[[np.mean(crossed >= times) >= 0.95 for times in narrower]]
     return (f'| {name} | {len(seen)} | {100 * np.mean(np.isfinite(crossed)):.0f} % | {np.median(announced):.1f} | '
             f'{np.median(seen):.1f} | {100 * later.mean():.1f} % ({low:.0f} to {high:.0f}) | '
-            f'{np.median(announced / seen):.2f} | {best:.2f} | {exact:.2f} | {max(kept, default=0.0):.2g} | '
-            f'{np.median(decided):.1f} s, {100 * np.mean(crossed >= decided):.0f} % |')
+            f'{np.median(announced / seen):.2f} | {best:.2f} | {exact:.2f} | {max(kept, default=0.0):.2g} |')
 
 
 def main() -> None:
@@ -145,8 +138,8 @@ def main() -> None:
         for name, rows in pool.map(of_row, *zip(*((*w, *rest) for w in work))):
             results.setdefault(name, []).extend([rows] if len(rows) else [])
     print('| drive | outages | crossed | announced, s | true, s | later | announced / true | best possible | exact '
-          '| narrower | decided |')
-    print(f'|{"---|" * 11}')
+          '| narrower |')
+    print(f'|{"---|" * 10}')
     for name, drives in results.items():
         if drives:
             print(line(name, drives))

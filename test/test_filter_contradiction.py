@@ -158,7 +158,7 @@ class Drive:
         self.position += 0.5 * rng.standard_normal((len(self.time), 2))
 
     def through(self, mechanization, **more):
-        """Configuration, memory, and of each sample: error (k, 2), m, and `spread` of the position (k, 2), m; records."""
+        """Configuration, memory, of each sample error (k, 2), m, and `spread` of the position (k, 2), m."""
         config = configure({**CAR, **more}, mechanization=mechanization)
         n, first = config.layout.n, config.layout.n_navigation
         p = np.diag(np.concatenate([np.square([1, 1, .2, .2, .02] if first == 5 else

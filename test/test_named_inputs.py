@@ -257,7 +257,8 @@ def test_the_diagnosis_while_driving_hears_them():
     recording = recorded(values, 130.0, rate=20.0)
     imu, gathering, live = recording.imu, Gathering(aiding(values)), []
     rows = sorted((int(received), order, name, i) for order, (name, samples) in enumerate(
-        {'imu': imu, 'gnss': recording.gnss, **recording.others}.items()) for i, received in enumerate(samples.received))
+        {'imu': imu, 'gnss': recording.gnss, **recording.others}.items())
+        for i, received in enumerate(samples.received))
     for _, _, name, i in rows:
         samples = imu if name == 'imu' else recording.streams()[name]
         numbers = [getattr(samples, field.name)[i] for field in fields(samples)[2:]

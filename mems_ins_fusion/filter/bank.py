@@ -19,11 +19,9 @@ from .memory import (
     Nav,
     Sample,
     event_at,
-    load_covariance,
     packed,
     sample_at,
     state_at,
-    store_covariance,
     velocity_state,
     yaw_state,
 )

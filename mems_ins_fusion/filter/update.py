@@ -335,7 +335,7 @@ def _is_believed(mem, r, at, n):
     s_nn = r_nn + _project(mem, n, h, column)
     s_ne = r_ne + _product(mem, n, h + n, column)
     s_ee = r_ee + _project(mem, n, h + n, column)
-    return hypotheses.judge(mem, r, at, s_nn, s_ne, s_ee, 0.5 * (r_nn + r_ee))
+    return hypotheses.judge(mem, r, at, s_nn, s_ne, s_ee, 0.5 * (r_nn + r_ee), receiver.innovation_factor(mem, r))
 
 
 @njit(_nrt=False)

@@ -18,8 +18,8 @@ from .html import Html, _text
 #: points of a layer, at most
 POINTS = 2500
 _HINT = ('Drag to move, wheel or two fingers to zoom, point at a line to read time, speed, error, sigma and NIS there. '
-         'Click a name to hide or show it. Below, the error against time, dotted twice the sigma of the first line: drag '
-         'to zoom, double click for all.')
+         'Click a name to hide or show it. Below, the error against time, dotted twice the sigma of the first line: '
+         'drag to zoom, double click for all.')
 
 
 @dataclass

@@ -15,8 +15,8 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-from ..config import FilterConfig
 from ..advance import coast
+from ..config import FilterConfig
 from ..measurements import speed
 from ..measurements.geometry import body_to_level
 from ..measurements.wheel_vibration import Wheels

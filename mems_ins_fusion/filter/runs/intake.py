@@ -9,8 +9,8 @@ import numpy as np
 from mems_ins_fusion.compiled import njit
 
 from ...samples import Fixes, ImuSamples
-from ..config import FilterConfig
 from ..advance import FORGOTTEN, TOO_LATE
+from ..config import FilterConfig
 from ..measurements.registry import FIRST_NAMED
 from ..memory import Event, Kind
 from ..start.start import DATUM_FIXES, first_place

@@ -10,8 +10,8 @@ import numpy as np
 from ...parameters.parameter import ParameterError
 from ...samples import Fixes
 from .. import kernel
-from ..config import FilterConfig
 from ..advance import TAKEN
+from ..config import FilterConfig
 from ..measurements import wheel_vibration
 from ..memory import NAV, Event, Head, Kind, Nav, Sample, Verdict, sample_at, state_at
 from ..start.alignment import STANDING_SIGMA, Alignment, start_covariance

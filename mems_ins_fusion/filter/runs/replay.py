@@ -14,8 +14,8 @@ import numpy as np
 
 from ...samples import Aiding, Fixes, ImuSamples
 from .. import kernel
-from ..config import FilterConfig
 from ..advance import TAKEN
+from ..config import FilterConfig
 from ..memory import Event, Head, Kind, Nav, Sample, Verdict, state_at
 from ..start.alignment import Alignment, Remembered
 from ..start.initial import initialize

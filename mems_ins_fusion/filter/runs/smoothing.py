@@ -23,7 +23,7 @@ import numpy as np
 from ...samples import Aiding, Fixes, ImuSamples, Reference
 from .. import history
 from ..config import FilterConfig
-from ..memory import NAV, Event, Head, Nav, StateLayout, covariance, covariance_index, row_width, state_at
+from ..memory import NAV, Event, Head, StateLayout, covariance, covariance_index, row_width, state_at
 from ..update import feed_back
 from .replay import Coasting, Events, Progress, Replay, Stretch
 from .results import Run

@@ -63,17 +63,16 @@ LONGEST = 5.0
 
 
 @njit(_nrt=False)
-def judge(mem, r, at, s_nn, s_ne, s_ee, r_nn):
+def judge(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
     """Whether the filter with the state at r believes the fix at `at`, whose likelihood goes into its score.
 
-    s: covariance of the innovation, m^2; r_nn: what of it is the fix's. What else makes innovations last (the variance
-    factor, a time offset that nobody declared) widens the likelihoods of both statements alike, so that neither wins
-    by being narrow.
+    s: covariance of the innovation, m^2; r_nn: what of it is the fix's; factor: the realised over the expected variance
+    of innovations. It and a time offset that nobody declared widen the likelihoods of both statements alike, so that
+    neither wins by being narrow.
     """
     interval = min(max(mem[at + Event.TIME] - mem[r + Nav.FIX_TIME], 0.0), LONGEST)
     counts = min(interval / LASTING, 1.0)
     z_n, z_e = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
-    factor = max(1.0, mem[r + Nav.VARIANCE_FACTOR])
     n, e = UNDECLARED_OFFSET * mem[r + Nav.V_N], UNDECLARED_OFFSET * mem[r + Nav.V_E]
     s_nn, s_ne, s_ee = factor * s_nn + n * n, factor * s_ne + n * e, factor * s_ee + e * e
     determinant = s_nn * s_ee - s_ne * s_ne
@@ -106,7 +105,7 @@ def _wrong(mem, r, z_n, z_e, r_nn, anywhere, interval):
     jumped = mem[variance] == 0.0
     density = anywhere
     if not jumped:
-        mem[variance] += (2.0 * mem[variance + 1] + interval * mem[variance + 2]) * interval + WANDERS * interval + grown
+        mem[variance] += interval * (2.0 * mem[variance + 1] + interval * mem[variance + 2] + WANDERS) + grown
         mem[variance + 1] += interval * mem[variance + 2]
         mem[variance + 2] += TURNS * interval
         s = mem[variance] + r_nn
@@ -118,14 +117,14 @@ def _wrong(mem, r, z_n, z_e, r_nn, anywhere, interval):
         density = goes_on + jumps * anywhere
         jumped = goes_on < jumps * anywhere
         if not jumped:
-            k, l = mem[variance] / s, mem[variance + 1] / s
-            mem[offset] += k * n
-            mem[offset + 1] += k * e
-            mem[drift] += l * n
-            mem[drift + 1] += l * e
-            mem[variance + 2] -= l * mem[variance + 1]
-            mem[variance + 1] *= 1.0 - k
-            mem[variance] *= 1.0 - k
+            gain, drift_gain = mem[variance] / s, mem[variance + 1] / s
+            mem[offset] += gain * n
+            mem[offset + 1] += gain * e
+            mem[drift] += drift_gain * n
+            mem[drift + 1] += drift_gain * e
+            mem[variance + 2] -= drift_gain * mem[variance + 1]
+            mem[variance + 1] *= 1.0 - gain
+            mem[variance] *= 1.0 - gain
     if jumped:
         mem[offset], mem[offset + 1], mem[drift], mem[drift + 1] = z_n, z_e, 0.0, 0.0
         mem[variance], mem[variance + 1], mem[variance + 2] = r_nn, 0.0, DRIFT**2

@@ -163,10 +163,9 @@ def learn(mem, r, at, left_n, left_e):
     time = mem[at + Event.TIME]
     interval = time - mem[r + Nav.RESIDUAL_TIME]
     verdict = mem[at + Event.VERDICT]
-    if mem[Head.COVARIANCE_FACTOR] > 0.0 or mem[Head.ADAPT] > 0.0:
-        if mem[r + Nav.FIX_TIME] != 0.0 and (verdict == Verdict.USED or verdict == Verdict.WEIGHTED):
-            _judge_covariance(mem, r, at, interval)
-        _judge_lasting(mem, r, at, interval, verdict)
+    if mem[r + Nav.FIX_TIME] != 0.0 and (verdict == Verdict.USED or verdict == Verdict.WEIGHTED):
+        _judge_covariance(mem, r, at, interval)
+    _judge_lasting(mem, r, at, interval, verdict)
     mem[r + Nav.RESIDUAL_TIME] = time
     mem[r + Nav.RESIDUAL_N], mem[r + Nav.RESIDUAL_E] = left_n - mem[r + NAV], left_e - mem[r + NAV + 1]
     mem[r + Nav.FIX_TIME] = time
@@ -224,6 +223,12 @@ def _judge_covariance(mem, r, at, interval):
     learn_scale(mem, r + Receiver.INNOVATION_SCALE, time, squared, 1.0, 0.0, 2, weight)
     if mem[Head.COVARIANCE_FACTOR] > 0.0:
         mem[r + Nav.VARIANCE_FACTOR] = scale(mem, r + Receiver.INNOVATION_SCALE)
+
+
+@njit(_nrt=False)
+def innovation_factor(mem, r):
+    """Realised over expected variance of the innovations behind a low pass, where it is above 1."""
+    return max(1.0, scale(mem, r + Receiver.INNOVATION_SCALE))
 
 
 @njit(_nrt=False)
