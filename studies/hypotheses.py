@@ -28,6 +28,7 @@ import faults
 import numpy as np
 
 from mems_ins_fusion.filter import kernel
+from mems_ins_fusion.filter.bank import Bank as Installed
 from mems_ins_fusion.filter.memory import (
     NAV,
     STRAPDOWN,
@@ -218,7 +219,7 @@ class Bank(replay.Replay):
     verbose = False
 
     def _filter(self, memory, samples, index, events, epoch):
-        memory[Head.GATE] = memory[Head.ROBUST_SIGMA] = 0.0
+        memory[Head.GATE] = memory[Head.ROBUST_SIGMA] = memory[Installed.SIZE] = 0.0
         self.samples, self.layout, self.place = samples, self.config.layout, 0
         states = Strapdown if self.config.mechanization == STRAPDOWN else Planar
         self.velocity = [states.V_N, states.V_N + 1]

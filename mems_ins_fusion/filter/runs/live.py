@@ -11,6 +11,7 @@ from ...parameters.parameter import ParameterError
 from ...samples import Fixes
 from .. import kernel
 from ..advance import TAKEN
+from ..bank import Bank
 from ..config import FilterConfig
 from ..measurements import wheel_vibration
 from ..memory import NAV, Event, Head, Kind, Nav, Sample, Verdict, sample_at, state_at
@@ -141,7 +142,8 @@ class FusionFilter(Intake):
         self._outage_after = round(config.gnss.outage_after * 1e9)
         for memory in (self._memory, self._provisional):
             if memory is not None:
-                memory[list(_CHANGED)] = config.memory()[list(_CHANGED)]
+                for one in (memory, memory[int(memory[Bank.SIZE]):]):  # and the second filter behind it
+                    one[list(_CHANGED)] = config.memory()[list(_CHANGED)]
 
     def use_fixes(self, use: bool) -> None:
         """Whether fixes are used from now on; without them the filter coasts."""

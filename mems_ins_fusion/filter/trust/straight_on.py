@@ -108,7 +108,7 @@ def refuse(mem, r, at):
 
 @njit(_nrt=False)
 def pull(mem, r, before, after):
-    """Remember what a fix on the line has done to the state at r: its position and velocity (`hypotheses`) before and after."""
+    """Remember what a fix on the line has done to the state at r: its position and velocity before and after that."""
     if mem[r + StraightOn.NATS] > 0.0:
         mem[r + StraightOn.PULLED] += (after[0] - before[0]) / mem[r + Nav.NORTH_SCALE]
         mem[r + StraightOn.PULLED + 1] += (after[1] - before[1]) / mem[r + Nav.EAST_SCALE]
