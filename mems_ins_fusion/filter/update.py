@@ -65,12 +65,12 @@ ROBUST = 3.0
 #: sigmas beyond which a speed or velocity is refused while fixes speak for the state: wheels that slip, another unit.
 #: Weighted down it would still pull, each time
 FAR = 10.0
+#: the same of a magnetic field, which iron beside the way disturbs every day
+DISTURBED = 4.0
 #: fixes refused in a row that may all be wrong: no way ends there
 SINGLE = 2.0
 #: m/s, that a speed is believed at most before its way has been compared with that of the fixes, whatever it claims
 FIRST_SIGMA = 0.1
-#: the same of a magnetic field, which iron beside the way disturbs every day
-DISTURBED = 4.0
 #: sigmas beyond which an input is refused of which none is used
 NEVER = 1e-9
 #: s for which errors of a speed, velocity or odometry last: manoeuvres in which wheels slip and late stamps show, the

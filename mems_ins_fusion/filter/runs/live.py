@@ -140,10 +140,11 @@ class FusionFilter(Intake):
         """Go on with the configuration `config`, one of `changed`."""
         self.config = config
         self._outage_after = round(config.gnss.outage_after * 1e9)
+        settings = config.memory()[list(_CHANGED)]
         for memory in (self._memory, self._provisional):
             if memory is not None:
                 for one in (memory, memory[int(memory[Bank.SIZE]):]):  # and the second filter behind it
-                    one[list(_CHANGED)] = config.memory()[list(_CHANGED)]
+                    one[list(_CHANGED)] = settings
 
     def use_fixes(self, use: bool) -> None:
         """Whether fixes are used from now on; without them the filter coasts."""

@@ -20,7 +20,7 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import NAV, ROW, Event, Head, Nav, Verdict, velocity_state
+from ..memory import NAV, ROW, Event, Head, Nav, Verdict, packed, velocity_state
 
 #: of a state
 Hypothesis = ROW.place(
@@ -95,12 +95,19 @@ def judge(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
 
 
 @njit(_nrt=False)
+def _position_variance(mem, r):
+    """Of north and east of the state at r, their mean, m^2."""
+    n_navigation = int(mem[Head.N_NAVIGATION])
+    p = r + NAV + n_navigation + int(mem[Head.N_AUGMENTED])
+    return 0.5 * (mem[p] + mem[p + packed(1, 1, n_navigation)])
+
+
+@njit(_nrt=False)
 def _wrong(mem, r, z_n, z_e, r_nn, anywhere, interval):
     """Density, 1/m^2, of a fix that is off by z of a wrong receiver, from which its offset is learned. r_nn: m^2, of
     the scatter about that."""
     offset, drift, variance = r + Hypothesis.OFFSET, r + Hypothesis.DRIFT, r + Hypothesis.VARIANCE
-    p = NAV + int(mem[Head.N_NAVIGATION]) + int(mem[Head.N_AUGMENTED])
-    coasted = 0.5 * (mem[r + p] + mem[r + p + int(mem[Head.N_NAVIGATION])])
+    coasted = _position_variance(mem, r)
     grown, mem[r + Hypothesis.COASTED] = max(coasted - mem[r + Hypothesis.COASTED], 0.0), coasted
     jumped = mem[variance] == 0.0
     density = anywhere
@@ -139,8 +146,7 @@ def doubt(mem, r, interval):
     for i in range(2):
         mem[r + Hypothesis.OFFSET + i] = mem[r + Hypothesis.DRIFT + i] = 0.0
     mem[r + Hypothesis.SCORE] += math.log(FIXES_WRONG * min(max(interval, LASTING), LONGEST))
-    p = r + NAV + int(mem[Head.N_NAVIGATION]) + int(mem[Head.N_AUGMENTED])
-    mem[r + Hypothesis.COASTED] = 0.5 * (mem[p] + mem[p + int(mem[Head.N_NAVIGATION])])
+    mem[r + Hypothesis.COASTED] = _position_variance(mem, r)
 
 
 @njit(_nrt=False)

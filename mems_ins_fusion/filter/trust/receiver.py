@@ -318,26 +318,16 @@ def _line(mem, r):
 
 @njit(_nrt=False)
 def start_anew(mem, r, at):
-    """Begin anew from the refused fixes, the last of which is the one at `at`."""
+    """Take position and velocity from the refused fixes, the heading from the course, with P in the scratch to match.
+
+    The sensor errors stay as estimated, with twice the sigma: what was wrong may have spoiled them, too.
+    """
     strayed = _strayed(mem, r, at)
     v_n, v_e, drift = _velocity_of_fixes(mem, r, at, strayed)
     if strayed:
         again = mem[r + Nav.STRAYED] > 0.0 and mem[at + Event.TIME] - mem[r + Nav.STRAYED_TIME] < SOON
         mem[r + Nav.STRAYED] = mem[r + Nav.STRAYED] + 1.0 if again else 1.0
         mem[r + Nav.STRAYED_TIME] = mem[at + Event.TIME]
-    variance = max(1.0, scale(mem, r + Receiver.SCALE)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
-    begin_anew(mem, r, mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE], mem[at + Event.HEIGHT], variance, v_n, v_e,
-               drift)
-    hypotheses.claim(mem, r, hypotheses.STRAYED)
-
-
-@njit(_nrt=False)
-def begin_anew(mem, r, latitude, longitude, height, variance, v_n, v_e, drift):
-    """The state at r at a place, rad and m, that fixes tell with `variance`, m^2, at a velocity, m/s, with the variance
-    `drift`, m^2/s^2; the heading from the course, with P in the scratch to match.
-
-    The sensor errors stay as estimated, with twice the sigma: what was wrong may have spoiled them, too.
-    """
     mem[r + Drift.TIME] = mem[r + Receiver.PAIR_TIME] = 0.0
     # the innovations until now were those of a state that was wrong
     begin_scale(mem, r + Receiver.INNOVATION_SCALE)
@@ -354,8 +344,9 @@ def begin_anew(mem, r, latitude, longitude, height, variance, v_n, v_e, drift):
     for i in range(n_navigation):
         mem[r + NAV + i] = 0.0
         forget(mem, i, n)
-    mem[r + Nav.LATITUDE], mem[r + Nav.LONGITUDE] = latitude, longitude
+    mem[r + Nav.LATITUDE], mem[r + Nav.LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
     mem[r + Nav.V_N], mem[r + Nav.V_E] = v_n, v_e
+    variance = max(1.0, scale(mem, r + Receiver.SCALE)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     arm = mem[Head.LEVER_X] ** 2 + mem[Head.LEVER_Y] ** 2 + mem[Head.LEVER_Z] ** 2
     for i in range(2):
         mem[p + (n + 1) * i] = variance + arm
@@ -364,12 +355,13 @@ def begin_anew(mem, r, latitude, longitude, height, variance, v_n, v_e, drift):
         mem[p + (n + 1) * (first + i)] = drift
     if mem[Head.MECHANIZATION] != PLANAR:
         s = strapdown.State
-        mem[r + Nav.HEIGHT], mem[r + Nav.V_D] = height, 0.0
+        mem[r + Nav.HEIGHT], mem[r + Nav.V_D] = mem[at + Event.HEIGHT], 0.0
         mem[p + (n + 1) * s.R_D] = 4.0 * variance
         mem[p + (n + 1) * s.V_D] = 0.25
         mem[p + (n + 1) * s.PHI_N] = mem[p + (n + 1) * s.PHI_E] = NEW_TILT_SIGMA**2
     take_course(mem, r, v_n, v_e, drift)
     mem[r + Nav.RECOVERIES] += 1.0
+    hypotheses.claim(mem, r, hypotheses.STRAYED)
 
 
 @njit(_nrt=False)
