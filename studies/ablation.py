@@ -71,10 +71,8 @@ MECHANISMS = {
     'mounting': {'imu.mounting_sigma': 0.0}, 'rear_axle': {'vehicle.rear_axle_sigma': 0.0}}
 #: others have no parameter: a value of a constant with which they never act
 NEVER = {
-    'end of weighting': {'trust.receiver.LONGEST_WEIGHTED': 1e9},
     'start anew where the filter strayed': {'trust.receiver.STRAYED_SLOPE': 1e9},
     'floor of the gate': {'trust.receiver.GATE_FLOOR': 0.0},
-    'growth from fix to fix': {'trust.receiver.LONGEST_GROWTH': 0.0},
     'speeds and headings that repeat themselves': {'trust.repeats.ROUNDED_SPEED': 1e9, 'trust.repeats.AGEING': 0.0,
                                                    'trust.repeats.ROUNDED_HEADING': 1e9},
     'claims that change': {'trust.receiver.CLAIM_CHANGE': 1e9},
@@ -83,7 +81,6 @@ NEVER = {
     'acceleration unseen between fixes': {'trust.receiver.UNSEEN_ACCELERATION': 0.0},
     'slides': {'trust.contradiction.SLIDE': 1e9},
     'state loosened after a slide': {'trust.contradiction.LOOSENED': 1e9},
-    'wrong standstills': {'trust.contradiction.LATELY': 0.0},
     'a second filter that takes fixes for wrong': {'trust.hypotheses.LOST': -1e9},
     'receivers that go straight on': {'trust.straight_on.KNOWN': 1e9},
     'IMU doubted after straying': {'trust.imu_faults.DOUBT_TIME': 0.0},
@@ -93,8 +90,8 @@ NEVER = {
     'sensors freed after a restart': {'advance.SHORTEST_RESTART': 1e9},
     'samples held before coasting': {'advance.HELD': 0.0},
     'constraint left out where it is not kept': {'update.CONSTRAINT_OFF': 1e9},
-    'standstill denied by speed': {'update.STILL_SPEED': 1e3},
-    'standstill denied by turning': {'update.STILL_RATE': 1e3}}
+    'standstill denied by turning': {'update.STILL_RATE': 1e3},
+    'gyroscopes freed at a standstill': {'update.STANDS_UNSEEN': 0.0}}
 #: settings of vehicle.py, and of measured drives: path within the folder, s between outages, parameters
 SETTINGS = ('car', 'car + speed')
 MEASURED = {'longmont_rtk_drive': ('bag', 60.0, {'imu.mounting_rpy': [0.0, 0.0, np.pi]}),

@@ -67,7 +67,6 @@ class _Nav(NamedTuple):
     LATERAL_NIS: int = column()  # running mean of what the constraints say against the state
     VERTICAL_NIS: int = column()
     BRIDGED: int = column()  # s, within the last minute or so, without a believable IMU sample
-    WEIGHTED: int = column()  # fixes that did not fit one after the other, the first of them weighted down
     STRAYED: int = column()  # resets to refused fixes from which the filter had strayed, soon after each other,
     STRAYED_TIME: int = column()  # and when the last one was
     # what the innovations show of the covariance, see trust/receiver.py
@@ -81,9 +80,7 @@ class _Nav(NamedTuple):
     SLIDING: int = column()  # NIS of the lateral constraint lately, and as is usual for this vehicle
     USUAL_SLIDING: int = column()
     UNSETTLED: int = column()  # s for which the fixes are still to decide
-    STOOD: int = column()  # time of the latest standstill, and the velocity that it took away, m/s
-    TAKEN_N: int = column()
-    TAKEN_E: int = column()
+    STOOD: int = column()  # time of the latest standstill at which the gyroscopes showed what is expected of them
     # what has happened to this state, for who wants to say it
     SIDEWAYS: int = column()  # s in which the vehicle did not keep to the non-holonomic constraint
     SLID: int = column()  # s in which a slide showed that the IMU misled the filter

@@ -55,11 +55,13 @@ CONSTRAINT_INTERVAL = 0.1
 #: where samples are no more often than that, each non-holonomic one has a smaller variance, so that a second tells as
 #: much; but none tells more than this many
 MOST_TOLD = 2.0
-#: what the inertial sensors call a standstill is one only below this speed plus three sigma
-STILL_SPEED = 0.3  # m/s
-#: and below this turn rate plus three sigma: who turns on the spot over the IMU stands still by the accelerometers. A
-#: robot does so within 40 s at the most; a gyroscope that is off by less does not turn a parked car
-STILL_RATE = 0.15  # rad/s
+#: rad/s: what the accelerometers call a standstill is one only below this turn rate plus three sigma: who turns on the
+#: spot over the IMU stands still by them. A robot does so within 40 s at the most; a gyroscope that is off by less does
+#: not turn a parked car
+STILL_RATE = 0.15
+#: s that a vehicle may have stood before the accelerometers have called it a standstill: for as long a gyroscope that is
+#: off may have turned the heading
+STANDS_UNSEEN = 5.0
 #: what fits worse than this many sigma is weighted down to it; of fixes it is a parameter
 ROBUST = 3.0
 #: sigmas beyond which a speed or velocity is refused while fixes speak for the state: wheels that slip, another unit.
@@ -498,21 +500,15 @@ def constrain(mem, r, sample):
     since, mem[r + Nav.CONSTRAINT_TIME] = mem[r + Nav.CONSTRAINT_TIME], 0.0
     load_covariance(mem, r, n_navigation, m, mem, p)
     yaw = yaw_state(mem)
-    if still:  # a smooth road at speed must not pass for a standstill
-        variance = velocity_variance(mem, r)
-        squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
-        agrees = squared < STILL_SPEED**2 + 9.0 * variance
-        still = (agrees or contradiction.goes_back(mem, r)) and not _turns(mem, r, sample, n)
-        if still and not agrees:
-            contradiction.admit(mem, r, n)
+    still = still and not _turns(mem, r, sample, n)
     if still:
-        v_n, v_e = mem[r + Nav.V_N], mem[r + Nav.V_E]
         _clear(mem, h, n)
         dimensions = standstill.observe_velocity(mem, r, at, h, n)
         update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0)
         _note(mem, sample, at, Kind.ZERO_VELOCITY, dimensions)
         _clear(mem, h, n)
         dimensions = standstill.observe_rate(mem, r, at, h, n, sample)
+        _free_gyroscopes(mem, r, at, n, dimensions)
         update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0)
     elif mem[Head.LATERAL_SIGMA] > 0.0 and not _fixes_tell_the_heading(mem, r, mem[p + (n + 1) * yaw]):
         _clear(mem, h, n)
@@ -528,8 +524,6 @@ def constrain(mem, r, sample):
         return
     store_covariance(mem, p, n_navigation, m, mem, r)
     feed_back(mem, r)
-    if still:
-        contradiction.stood(mem, r, v_n, v_e)
     set_radii(mem, r)
 
 
@@ -559,6 +553,25 @@ def _turns(mem, r, sample, n):
         if state >= 0:
             variance += mem[p + (n + 1) * state]
     return w_x * w_x + w_y * w_y + w_z * w_z > STILL_RATE**2 + 9.0 * variance
+
+
+@njit(_nrt=False)
+def _free_gyroscopes(mem, r, at, n, dimensions):
+    """Where gyroscopes certainly turn at a standstill, their errors are others than before: less certain by as much, and
+    so is the heading by what they have turned it since nobody knows when."""
+    h, p, yaw = int(mem[Head.SCRATCH_AT]) + n * n, int(mem[Head.SCRATCH_AT]), yaw_state(mem)
+    unseen, fit = min(mem[r + Nav.TIME] - mem[r + Nav.STOOD], STANDS_UNSEEN), True
+    for k in range(dimensions):
+        squared = (mem[at + Event.Z_N + k] - _product(mem, n, h + n * k, r + NAV)) ** 2
+        variance = _project(mem, n, h + n * k, h + 3 * n)
+        if squared > FAR**2 * (variance + mem[at + (Event.R_NN, Event.R_EE, Event.R_DD)[k]]):
+            fit = False
+            for i in range(n):
+                if mem[h + n * k + i] != 0.0:
+                    mem[p + (n + 1) * i] += squared
+            mem[p + (n + 1) * yaw] += squared * unseen * unseen
+    if fit:
+        mem[r + Nav.STOOD] = mem[r + Nav.TIME]
 
 
 @njit(_nrt=False)
