@@ -90,6 +90,8 @@ NEVER = {
     'sensors freed after a restart': {'advance.SHORTEST_RESTART': 1e9},
     'samples held before coasting': {'advance.HELD': 0.0},
     'constraint left out where it is not kept': {'update.CONSTRAINT_OFF': 1e9},
+    'wrong standstills': {'trust.contradiction.LATELY': 0.0},
+    'standstill denied by speed': {'update.STILL_SPEED': 1e3},
     'standstill denied by turning': {'update.STILL_RATE': 1e3},
     'gyroscopes freed at a standstill': {'update.STANDS_UNSEEN': 0.0}}
 #: settings of vehicle.py, and of measured drives: path within the folder, s between outages, parameters

@@ -80,7 +80,10 @@ class _Nav(NamedTuple):
     SLIDING: int = column()  # NIS of the lateral constraint lately, and as is usual for this vehicle
     USUAL_SLIDING: int = column()
     UNSETTLED: int = column()  # s for which the fixes are still to decide
-    STOOD: int = column()  # time of the latest standstill at which the gyroscopes showed what is expected of them
+    STOOD: int = column()  # time of the latest standstill, and the velocity that it took away, m/s
+    TAKEN_N: int = column()
+    TAKEN_E: int = column()
+    TURNED: int = column()  # time of the latest standstill at which the gyroscopes showed what is expected of them
     # what has happened to this state, for who wants to say it
     SIDEWAYS: int = column()  # s in which the vehicle did not keep to the non-holonomic constraint
     SLID: int = column()  # s in which a slide showed that the IMU misled the filter

@@ -55,7 +55,10 @@ CONSTRAINT_INTERVAL = 0.1
 #: where samples are no more often than that, each non-holonomic one has a smaller variance, so that a second tells as
 #: much; but none tells more than this many
 MOST_TOLD = 2.0
-#: rad/s: what the accelerometers call a standstill is one only below this turn rate plus three sigma: who turns on the
+#: m/s: what the accelerometers call a standstill is one only below this speed plus three sigma: smooth roads, a creep in
+#: traffic
+STILL_SPEED = 0.3
+#: rad/s: and below this turn rate plus three sigma: who turns on the
 #: spot over the IMU stands still by them. A robot does so within 40 s at the most; a gyroscope that is off by less does
 #: not turn a parked car
 STILL_RATE = 0.15
@@ -500,8 +503,15 @@ def constrain(mem, r, sample):
     since, mem[r + Nav.CONSTRAINT_TIME] = mem[r + Nav.CONSTRAINT_TIME], 0.0
     load_covariance(mem, r, n_navigation, m, mem, p)
     yaw = yaw_state(mem)
-    still = still and not _turns(mem, r, sample, n)
     if still:
+        variance = velocity_variance(mem, r)
+        squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
+        agrees = squared < STILL_SPEED**2 + 9.0 * variance
+        still = (agrees or contradiction.goes_back(mem, r)) and not _turns(mem, r, sample, n)
+        if still and not agrees:
+            contradiction.admit(mem, r, n)
+    if still:
+        v_n, v_e = mem[r + Nav.V_N], mem[r + Nav.V_E]
         _clear(mem, h, n)
         dimensions = standstill.observe_velocity(mem, r, at, h, n)
         update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0)
@@ -524,6 +534,8 @@ def constrain(mem, r, sample):
         return
     store_covariance(mem, p, n_navigation, m, mem, r)
     feed_back(mem, r)
+    if still:
+        contradiction.stood(mem, r, v_n, v_e)
     set_radii(mem, r)
 
 
@@ -560,7 +572,7 @@ def _free_gyroscopes(mem, r, at, n, dimensions):
     """Where gyroscopes certainly turn at a standstill, their errors are others than before: less certain by as much, and
     so is the heading by what they have turned it since nobody knows when."""
     h, p, yaw = int(mem[Head.SCRATCH_AT]) + n * n, int(mem[Head.SCRATCH_AT]), yaw_state(mem)
-    unseen, fit = min(mem[r + Nav.TIME] - mem[r + Nav.STOOD], STANDS_UNSEEN), True
+    unseen, fit = min(mem[r + Nav.TIME] - mem[r + Nav.TURNED], STANDS_UNSEEN), True
     for k in range(dimensions):
         squared = (mem[at + Event.Z_N + k] - _product(mem, n, h + n * k, r + NAV)) ** 2
         variance = _project(mem, n, h + n * k, h + 3 * n)
@@ -571,7 +583,7 @@ def _free_gyroscopes(mem, r, at, n, dimensions):
                     mem[p + (n + 1) * i] += squared
             mem[p + (n + 1) * yaw] += squared * unseen * unseen
     if fit:
-        mem[r + Nav.STOOD] = mem[r + Nav.TIME]
+        mem[r + Nav.TURNED] = mem[r + Nav.TIME]
 
 
 @njit(_nrt=False)
