@@ -126,12 +126,14 @@ def realised_factor(mem, r):
 
     Where they scatter less, what they have in common does not show between them (Kingston's receiver, believed by its
     scatter alone, made the position worse by a quarter). It shows in the innovations behind a low pass, which are of
-    what the filter averages over: the larger of both is believed.
+    what the filter averages over: the larger of both is believed. Before any have shown it is half-way between the
+    scatter and the claim, as a logarithm.
     """
     if mem[Head.ADAPT] == 0.0:
         return 1.0
-    realised = scale(mem, r + Receiver.SCALE)
-    return realised if realised > 1.0 else min(max(realised, scale(mem, r + Receiver.SLOW_SCALE)), 1.0)
+    realised, slow = scale(mem, r + Receiver.SCALE), r + Receiver.SLOW_SCALE
+    level = mem[slow + Scale.LOG] if mem[slow + Scale.KNOWN] > 0.0 else 0.5 * math.log(realised)
+    return realised if realised > 1.0 else max(realised, math.exp(min(level, 0.0)))
 
 
 @njit(_nrt=False)
@@ -198,6 +200,8 @@ def _judge_covariance(mem, r, at, interval):
     variance = 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
     claimed = 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     state = max(variance - realised_factor(mem, r) * claimed, 0.0)
+    if mem[r + Receiver.SLOW_SCALE + Scale.KNOWN] == 0.0:
+        mem[r + Receiver.SLOW_SCALE + Scale.LOG] = math.log(realised_factor(mem, r))
     learn_scale(mem, r + Receiver.SLOW_SCALE, time, squared * variance, claimed, state, 2, weight)
     learn_scale(mem, r + Receiver.INNOVATION_SCALE, time, squared, 1.0, 0.0, 2, weight)
     if mem[Head.COVARIANCE_FACTOR] > 0.0:
