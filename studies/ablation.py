@@ -77,7 +77,6 @@ NEVER = {
                                                    'trust.repeats.ROUNDED_HEADING': 1e9},
     'claims that change': {'trust.receiver.CLAIM_CHANGE': 1e9},
     'errors that last, always': {'trust.receiver.LASTING_SHARE': 0.0},
-    'claims that nothing shows': {'trust.receiver.NEVER_SHOWN': 0.0},
     'acceleration unseen between fixes': {'trust.receiver.UNSEEN_ACCELERATION': 0.0},
     'slides': {'trust.contradiction.SLIDE': 1e9},
     'state loosened after a slide': {'trust.contradiction.LOOSENED': 1e9},

@@ -79,14 +79,11 @@ SLOW = 10.0
 LARGEST_INNOVATION = 4.0
 #: share of the variance of fixes that counts as errors that last before any have been seen, whatever they scatter: of
 #: no receiver are all errors white
-LASTING_SHARE = 0.05
+LASTING_SHARE = 0.1
 #: s, time constant of such errors: multipath of a moving vehicle lasts for shorter, atmosphere and orbits for longer
 LASTING_TIME = 60.0
 #: share of the variance of errors that last which shows in SLOW at most, at rest
 LARGEST_SHOWN = 0.3
-#: share of the variance that fixes claim and that nothing shows, which stays in what is published: half of the sigma
-#: may be of errors that last for hours
-NEVER_SHOWN = 0.25
 #: fixes over which the logarithm of what they claim is averaged: about as many as the position remembers
 CLAIM_MEMORY = 10.0
 
@@ -224,8 +221,9 @@ def _judge_lasting(mem, r, at, interval, verdict):
     as long as the position remembers a fix.
 
     Such errors do change within a minute, and where the filter does not follow them at once the low-passed innovations
-    show it, at rest above all. Of a first-order Gauss-Markov process a filter that follows it within tau_f leaves
-    SLOW / (LASTING_TIME f (1 + f)) of the variance there, f = SLOW / tau_f; the rest in them is white.
+    show it, at rest above all. Of a first-order Gauss-Markov process a filter of position and velocity that follows it
+    within tau_f leaves SLOW / (LASTING_TIME f (1 + f + f^2 / 2)) of the variance there, f = SLOW / tau_f: the integral of
+    a random walk behind s^2 / (s^2 + sqrt(2) w s + w^2), sqrt(2) w = 1 / tau_f, and the low pass. The rest is white.
     """
     level = math.log(0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
     if mem[r + Nav.FIX_TIME] == 0.0:
@@ -242,7 +240,7 @@ def _judge_lasting(mem, r, at, interval, verdict):
         learn_scale(mem, r + Receiver.LASTING_SCALE, mem[at + Event.TIME], squared * variance, shown * lasting,
                     variance * mem[r + Nav.SLOW_VARIANCE], 2, min(interval / (2.0 * SLOW), 1.0))
     if mem[Head.COVARIANCE_FACTOR] > 0.0:
-        mem[r + Nav.LASTING] = max(scale(mem, r + Receiver.LASTING_SCALE), NEVER_SHOWN) * lasting
+        mem[r + Nav.LASTING] = scale(mem, r + Receiver.LASTING_SCALE) * lasting
 
 
 @njit(_nrt=False)
