@@ -17,6 +17,7 @@ from filter_support import (
 )
 
 from mems_ins_fusion.filter.memory import (
+    NAV,
     Event,
     Head,
     Kind,
@@ -39,6 +40,7 @@ from mems_ins_fusion.filter.trust.contradiction import (
 )
 from mems_ins_fusion.filter.trust.hypotheses import Hypothesis, spread
 from mems_ins_fusion.navigation.earth import gravity, radii
+from mems_ins_fusion.navigation.strapdown import to_euler
 
 BOTH = pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
 CAR = {'vehicle.non_holonomic': True, 'vehicle.zero_velocity': True, 'gnss.gate_probability': 0.999999,
@@ -232,6 +234,29 @@ def test_a_standstill_that_was_none_is_survived(mechanization):
     assert speed[(time > 5.0) & (time < 5.2)].max() < -0.8
     # then the standstill that follows is one
     assert np.abs(speed[time > 12.0]).max() < 0.1
+
+
+@BOTH
+@pytest.mark.parametrize('begin', [0.0, 12.0])
+def test_a_gyroscope_that_is_off_does_not_turn_a_parked_car(mechanization, begin):
+    # given a car that stands, and a gyroscope that is 5 deg/s off for 8 s, from before it is known to stand or later
+    config = configure(CAR, mechanization=mechanization)
+    n, first = config.layout.n, config.layout.n_navigation
+    sigma = [1, 1, .05, .05, .02] if first == 5 else [1, 1, 1, .05, .05, .05, .005, .005, .02]
+    p = np.diag(np.concatenate([np.square(sigma), np.full(n - first, 1e-6)]))
+    memory = started(config, velocity=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=p)
+    samples = np.zeros((1500, 7))
+    samples[:, 0] = np.arange(1, 1501) / 50.0
+    samples[:, 3] = gravity(LATITUDE, 480.0)
+    samples[:, 1:] += np.random.default_rng(2).standard_normal((1500, 6)) * np.repeat([5e-3, 2e-4], 3)
+    samples[round(50 * begin):round(50 * (begin + 8.0)), 6] += math.radians(5.0)
+    take_all(memory, samples, np.zeros((0, Event.SIZE)), [Nav.TIME])
+    row = newest(memory)
+    heading = math.degrees(row[Nav.YAW] if first == 5 else to_euler(row[Nav.Q_W:Nav.Q_Z + 1])[2])
+    sigma = math.degrees(math.sqrt(covariance(row, config.layout)[first - 1, first - 1]))
+    error = math.degrees(row[NAV + config.layout.n_sensor + first - 1])
+    # then the heading is as it was, or the filter knows that it may not be, and the gyroscope is right again
+    assert abs(heading) < (2.0 if begin else 3.0 * sigma) and abs(error) < 0.05, (heading, sigma, error)
 
 
 @BOTH

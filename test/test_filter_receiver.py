@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filter_support import HEIGHT, LATITUDE, LONGITUDE, configure, fix_record, newest, started, take_all
+from scipy.linalg import solve_continuous_lyapunov
 
 from mems_ins_fusion.evaluation.comparison import truth_of
 from mems_ins_fusion.evaluation.metrics import position_errors
@@ -21,8 +22,8 @@ from mems_ins_fusion.filter.runs.results import Measured, columns, result
 from mems_ins_fusion.filter.start.initial import learned
 from mems_ins_fusion.filter.trust.hypotheses import Hypothesis
 from mems_ins_fusion.filter.trust.receiver import Receiver as OfReceiver
-from mems_ins_fusion.filter.trust.receiver import start_anew
-from mems_ins_fusion.filter.trust.scale import scale
+from mems_ins_fusion.filter.trust.receiver import LASTING_TIME, SLOW, realised_factor, shown_share, start_anew
+from mems_ins_fusion.filter.trust.scale import PRIOR, Scale, scale
 from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -412,6 +413,29 @@ def test_errors_that_last_go_with_what_is_claimed_now():
     receiver, claims = Receiver(300.0, scatter=0.003 * SIGMA), np.where(receiver.time < 240.0, 0.01 * SIGMA, SIGMA)
     lost = newest(receiver.through(sigma=claims, **adapts)[1])[Nav.LASTING]
     assert 0.7 * SIGMA**2 < seldom < 2.0 * SIGMA**2 and 0.7 * SIGMA**2 < lost < 1.1 * SIGMA**2, (seldom, lost)
+
+
+@pytest.mark.parametrize('follows', [1.0, 3.0, 10.0])
+def test_what_of_lasting_errors_shows_is_what_a_filter_of_position_and_velocity_leaves(follows):
+    # given a random walk that such a filter follows within tau, and a low pass of its innovations
+    tau = SLOW / follows
+    a = np.array([[-1.0 / tau, -0.5 / tau**2, 0.0], [1.0, 0.0, 0.0], [1.0 / SLOW, 0.0, -1.0 / SLOW]])
+    noise = np.diag([2.0 / LASTING_TIME, 0.0, 0.0])  # of the process with variance 1
+    # then what is left is the variance of a linear system in its steady state
+    assert shown_share(follows) == pytest.approx(solve_continuous_lyapunov(a, -noise)[2, 2], rel=1e-9)
+
+
+@pytest.mark.parametrize('level', [-4.0, -1.0])
+def test_before_anything_has_shown_a_claim_is_believed_half_way_to_the_scatter(level):
+    # given a receiver that has been seen at rest to scatter less than it claims, for certain
+    memory = np.zeros(int(Head.SIZE) + 10_000)
+    memory[Head.ADAPT] = 1.0
+    r = int(Head.SIZE)
+    memory[r + OfReceiver.SCALE + Scale.LOG], memory[r + OfReceiver.SCALE + Scale.KNOWN] = level, PRIOR
+    assert realised_factor(memory, r) == pytest.approx(math.exp(0.5 * level))
+    # and once innovations have shown how much of it lasts: that
+    memory[r + OfReceiver.SLOW_SCALE + Scale.LOG], memory[r + OfReceiver.SLOW_SCALE + Scale.KNOWN] = -0.2, 1.0
+    assert realised_factor(memory, r) == pytest.approx(math.exp(-0.2))
 
 
 @BOTH

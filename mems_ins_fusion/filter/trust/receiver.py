@@ -221,9 +221,7 @@ def _judge_lasting(mem, r, at, interval, verdict):
     as long as the position remembers a fix.
 
     Such errors do change within a minute, and where the filter does not follow them at once the low-passed innovations
-    show it, at rest above all. Of a first-order Gauss-Markov process a filter of position and velocity that follows it
-    within tau_f leaves SLOW / (LASTING_TIME f (1 + f + f^2 / 2)) of the variance there, f = SLOW / tau_f: the integral of
-    a random walk behind s^2 / (s^2 + sqrt(2) w s + w^2), sqrt(2) w = 1 / tau_f, and the low pass. The rest is white.
+    show it (`shown_share`), at rest above all. The rest in them is white.
     """
     level = math.log(0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
     if mem[r + Nav.FIX_TIME] == 0.0:
@@ -235,12 +233,23 @@ def _judge_lasting(mem, r, at, interval, verdict):
         variance = 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
         used = realised_factor(mem, r) * math.exp(level)
         follows = max(1.0 - used / variance, 0.0) * SLOW / max(interval, 1e-3)
-        shown = min(SLOW / (LASTING_TIME * max(follows * (1.0 + follows + 0.5 * follows * follows), 1e-3)), LARGEST_SHOWN)
+        shown = shown_share(follows)
         squared = 0.5 * (mem[r + Nav.SLOW_N] ** 2 + mem[r + Nav.SLOW_E] ** 2)
         learn_scale(mem, r + Receiver.LASTING_SCALE, mem[at + Event.TIME], squared * variance, shown * lasting,
                     variance * mem[r + Nav.SLOW_VARIANCE], 2, min(interval / (2.0 * SLOW), 1.0))
     if mem[Head.COVARIANCE_FACTOR] > 0.0:
         mem[r + Nav.LASTING] = scale(mem, r + Receiver.LASTING_SCALE) * lasting
+
+
+@njit(_nrt=False)
+def shown_share(follows):
+    """Share of the variance of a first-order Gauss-Markov process with LASTING_TIME that is in low-passed innovations.
+
+    follows: f = SLOW / tau_f of a filter that follows positions within tau_f, and velocities with the damping 1 / sqrt(2):
+    to innovations such a process comes as a random walk through s^2 / (s^2 + s / tau_f + 1 / (2 tau_f^2)), and behind the
+    low pass of it is SLOW / (LASTING_TIME f (1 + f + f^2 / 2)) left.
+    """
+    return min(SLOW / (LASTING_TIME * max(follows * (1.0 + follows + 0.5 * follows * follows), 1e-3)), LARGEST_SHOWN)
 
 
 @njit(_nrt=False)
