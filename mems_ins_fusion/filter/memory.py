@@ -67,6 +67,7 @@ class _Nav(NamedTuple):
     LATERAL_NIS: int = column()  # running mean of what the constraints say against the state
     VERTICAL_NIS: int = column()
     BRIDGED: int = column()  # s, within the last minute or so, without a believable IMU sample
+    WEIGHTED: int = column()  # fixes that did not fit one after the other, the first of them weighted down
     STRAYED: int = column()  # resets to refused fixes from which the filter had strayed, soon after each other,
     STRAYED_TIME: int = column()  # and when the last one was
     # what the innovations show of the covariance, see trust/receiver.py

@@ -61,6 +61,13 @@ AGREEMENT_PART = 0.3
 NEW_VELOCITY_SIGMA = 0.5
 #: rad, sigma of its tilt: a steep road
 NEW_TILT_SIGMA = 0.05
+#: s for which a row of fixes is weighted down at most: then it is the filter that is wrong, and they are believed as
+#: they are until they fit again (without the end good fixes are refused by a filter whose accelerometers are off)
+LONGEST_WEIGHTED = 4.0
+#: s: what grows from fix to fix is the filter's own error, where they are no further apart than that
+LONGEST_GROWTH = 10.0
+#: m/s^2, by which the filter's own error grows at most: a tilt that is three degrees wrong
+GROWTH = 0.5
 #: share of the size of the refused innovations by which they have grown where the filter strayed from the fixes: those
 #: of a receiver that jumped stay as they were
 STRAYED_PART = 0.5
@@ -68,7 +75,7 @@ STRAYED_PART = 0.5
 STRAYED_SLOPE = 2.0
 #: s within which a filter that strays once more is counted as straying again
 SOON = 300.0
-#: s after which fixes from which the filter strays win over it: as many as make a line, at 1 Hz
+#: s after which fixes from which the filter strays win over it: as LONGEST_WEIGHTED
 STRAYED_AFTER = 4.0
 #: factor by which the claimed variance changes at once where it is another claim, and no other error: the realised
 #: variance is then as it was until the fixes show more
@@ -113,8 +120,18 @@ def trust(mem, r, at):
     """
     z_n, z_e = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
     _scatter(mem, r, at, z_n, z_e)
-    gate = mem[Head.GATE] if math.hypot(z_n, z_e) > GATE_FLOOR else 0.0
-    return realised_factor(mem, r), mem[Head.ROBUST_SIGMA], gate
+    # refused only if it is off by something that matters, and has become so at once: what grows from fix to fix is the
+    # filter's own error
+    interval = mem[at + Event.TIME] - mem[r + Nav.RESIDUAL_TIME]
+    jump, floor = math.hypot(z_n, z_e), GATE_FLOOR
+    if mem[r + Nav.REFUSED] == 0.0 and mem[r + Nav.FIX_TIME] != 0.0 and 0.0 < interval < LONGEST_GROWTH:
+        jump = min(jump, math.hypot(z_n - mem[r + Nav.RESIDUAL_N], z_e - mem[r + Nav.RESIDUAL_E]))
+        floor += 0.5 * GROWTH * interval * interval
+    gate = mem[Head.GATE] if jump > floor else 0.0
+    robust = mem[Head.ROBUST_SIGMA]
+    if mem[r + Nav.WEIGHTED] >= max(1.0, LONGEST_WEIGHTED / max(interval, 1e-3)):
+        robust = 0.0
+    return realised_factor(mem, r), robust, gate
 
 
 @njit(_nrt=False)
@@ -152,6 +169,10 @@ def learn(mem, r, at, left_n, left_e):
     mem[r + Nav.RESIDUAL_N], mem[r + Nav.RESIDUAL_E] = left_n - mem[r + NAV], left_e - mem[r + NAV + 1]
     mem[r + Nav.FIX_TIME] = time
     mem[r + Nav.FIX_LATITUDE], mem[r + Nav.FIX_LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
+    if verdict == Verdict.WEIGHTED or mem[r + Nav.WEIGHTED] > 0.0 and mem[at + Event.NIS] > mem[Head.ROBUST_SIGMA] ** 2:
+        mem[r + Nav.WEIGHTED] += 1.0
+    else:
+        mem[r + Nav.WEIGHTED] = 0.0
     if verdict != Verdict.REFUSED:
         for i in range(Nav.REFUSED, Nav.SUM_SQUARE + 1):
             mem[r + i] = 0.0
