@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -228,7 +229,7 @@ class FilterConfig:
         """s: and this much before them."""
         return AHEAD + max(0.0, *(-self.time_offset_of(number) for number in self.inputs))
 
-    @property
+    @cached_property
     def layout(self) -> StateLayout:
         return StateLayout(self.mechanization, self.models[0].order, tuple(extra.name for extra in self.extras),
                            sum(not measurement.is_plain for measurement in self.inputs.values()))

@@ -14,6 +14,7 @@ Columns are named tuples and not enumerations: compiled code takes their members
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -129,18 +130,18 @@ class StateLayout:
     extras: tuple[str, ...] = ()
     inputs: int = 0
 
-    @property
+    @cached_property
     def channels(self) -> tuple[str, ...]:
         """Names of the sensor channels the mechanization uses."""
         return MECHANIZATIONS[self.mechanization].CHANNELS
 
-    @property
+    @cached_property
     def rows(self) -> list[int]:
         """Index of each of the nine navigation errors (`Error`) among the states, -1 where it is not there."""
         names = ['phi_d' if name == 'yaw' else name for name in MECHANIZATIONS[self.mechanization].STATES]
         return [names.index(name.lower()) if name.lower() in names else -1 for name in Error._fields[:Error.SIZE]]
 
-    @property
+    @cached_property
     def axes(self) -> list[int]:
         """Number of the channel of each of f_x, f_y, f_z, w_x, w_y, w_z, -1 where it is not used."""
         return [self.channels.index(name) if name in self.channels else -1 for name in strapdown.CHANNELS]
@@ -150,7 +151,7 @@ class StateLayout:
         """Whether it has neither height nor tilt: the road is taken for level."""
         return self.rows[Error.PHI_N] < 0
 
-    @property
+    @cached_property
     def n_navigation(self) -> int:
         """Number of navigation error states, N."""
         return len(MECHANIZATIONS[self.mechanization].STATES)
@@ -169,7 +170,7 @@ class StateLayout:
     def n(self) -> int:
         return self.n_navigation + self.n_augmented
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """All states by name, in order: f_x.1, f_x.2 ... where a channel has several."""
         blocks = [channel if self.order == 1 else f'{channel}.{k + 1}' for channel in self.channels

@@ -40,7 +40,7 @@ KEPT = 100
 STANDING = 0.05
 #: of the filter that drives, not of its parameters: what others look at or have heard, and counts since the start
 _STAYS = frozenset({'odometry', 'geodetic', 'position_covariance_enu', 'datum', 'tallies', 'gaps', 'waited', '_notices',
-                    '_judged', '_said', '_said_mounting', '_looked', '_recent', '_last_recovery', '_using_fixes'})
+                    '_judged', '_said', '_said_mounting', '_next_look', '_recent', '_last_recovery', '_using_fixes'})
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,8 @@ import numpy as np
 
 from ...navigation.frames import FLU_TO_FRD, rotation_from_rpy
 from ..config import FilterConfig
-from ..memory import NAV, Event, Head, Nav, Verdict, state_at
+from ..memory import NAV, Event, Head, Nav, Verdict, covariance_index, state_at, variance_factor
 from ..trust.white_noise import FAR_MORE, White
-from .odometry import published_covariance
 
 #: faster no car goes backwards, m/s
 FASTEST_BACKWARDS = 8.0
@@ -78,9 +77,9 @@ def found_mounting(memory: np.ndarray, config: FilterConfig) -> str:
     states = [layout.index(name) for name in ('mounting_yaw', 'mounting_pitch')]
     if states[0] < 0:
         return ''
-    sigma = np.sqrt(np.diag(published_covariance(row, layout)))
     yaw, pitch = (float(row[NAV + state]) if state >= 0 else 0.0 for state in states)
-    sigmas = [float(sigma[state]) if state >= 0 else 0.0 for state in states]
+    sigmas = [math.sqrt(variance_factor(row, 0) * row[covariance_index(state, state, layout)]) if state >= 0 else 0.0
+              for state in states]
     if not any(abs(angle) > max(MOUNTING_SIGMAS * s, WORTH_SETTING) and s < WORTH_SETTING
                for angle, s in zip((yaw, pitch), sigmas)):
         return ''
