@@ -43,7 +43,7 @@ from .trust.lag import LagSettings
 from .trust.scale import Inputs
 from .trust.white_noise import White
 
-#: a measurement may come this much before the IMU samples of its time, s: who is further ahead has another clock
+#: s: a measurement may come this much before the IMU samples of its time; one that is further ahead has another clock
 AHEAD = 1.0
 #: the fastest IMU for which all of gnss.max_delay is remembered, Hz
 FASTEST_IMU = 1000

@@ -48,7 +48,7 @@ class _Nav(NamedTuple):
     ACCELEROMETER_PHASE: int = column()  # s since the autoregressive model's last step
     GYROSCOPE_PHASE: int = column()
     CONSTRAINT_TIME: int = column()  # s since the last vehicle constraint
-    # what the filter has seen of its inputs stands in the row, too: who goes back for a late fix takes it back
+    # what the filter has seen of its inputs stands in the row, too, so that going back for a late fix takes it back
     MEMORY: int = column(0)  # the first of these columns, which a prediction only copies
     FIX_TIME: int = column()  # of the last fix, used or refused
     FIX_LATITUDE: int = column()
@@ -78,14 +78,14 @@ class _Nav(NamedTuple):
     VARIANCE_FACTOR: int = column()  # realised over expected variance of them; below 1 it counts as 1
     CLAIM_LEVEL: int = column()  # mean logarithm of the claimed variance, m^2
     LASTING: int = column()  # variance of the receiver's errors that last, m^2: the position has them, too
-    # who is right, fixes or IMU, see trust/contradiction.py
+    # whether the fixes or the IMU are right, see trust/contradiction.py
     SLIDING: int = column()  # NIS of the lateral constraint lately, and as is usual for this vehicle
     USUAL_SLIDING: int = column()
     UNSETTLED: int = column()  # s for which the fixes are still to decide
     STOOD: int = column()  # time of the latest standstill, and the velocity that it took away, m/s
     TAKEN_N: int = column()
     TAKEN_E: int = column()
-    # what has happened to this state, for who wants to say it
+    # what has happened to this state, for messages to the user
     SIDEWAYS: int = column()  # s in which the vehicle did not keep to the non-holonomic constraint
     SLID: int = column()  # s in which a slide showed that the IMU misled the filter
     RESTARTS: int = column()  # states that were not finite and were taken back

@@ -43,15 +43,15 @@ VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down', Verdict.REF
 _DEGRADED = 5.0
 #: s for which a new start from refused fixes does: the heading is found again in about that time
 _RECOVERING = 10.0
-#: innovations so many times as large as expected are no chance: of 180 drives of 10 minutes on which nothing is wrong
+#: innovations this many times as large as expected are no chance: of 180 drives of 10 minutes on which nothing is wrong
 #: the largest was 1.72, and 2 % of them were above 1.5; with fixes stamped 0.8 s early each is above
 #: (studies/strain.py)
 STRAINED = 1.75
-#: ns: after so long it is looked again whether the vehicle shows something against the parameters: it takes longer to show
+#: ns between two looks at whether the vehicle shows something against the parameters: each takes 0.1 ms
 _LOOK_PERIOD = 5 * 10**9
-#: ns: and after so long where something was said
+#: ns from something said about that to the next look
 _SAY_PERIOD = 60 * 10**9
-#: of a speed that nobody has told, m/s
+#: m/s, of a speed that no measurement has told
 UNKNOWN_SPEED_SIGMA = 15.0
 #: parameters that may change while the filter runs, and where those that the kernel uses stand
 CHANGEABLE = ('gnss.gate_probability', 'gnss.robust_sigma', 'gnss.recovery_time', 'gnss.adapt_sigma',

@@ -16,7 +16,7 @@ FASTEST_BACKWARDS = 8.0
 AT_REST = 0.3
 #: sigmas by which a mounting that is found is off that of the parameters where it is worth a word
 MOUNTING_SIGMAS = 3.0
-#: rad, by which it is off at least: who measures by hand is off by a few degrees
+#: rad, by which it is off at least: a mounting measured by hand is off by a few degrees
 SMALL_ANGLE = 0.2
 #: a mounting known better than this, and found further off, is worth setting, rad
 WORTH_SETTING = math.radians(0.5)
