@@ -102,6 +102,7 @@ def test_while_an_imu_is_doubted_its_samples_are_bridged_as_a_vehicle_that_keeps
     after, grown = newest(memory), covariance(newest(memory), config.layout)
     first = 2 if mechanization == 'planar' else 3
     assert after[Nav.V_N] == pytest.approx(before[Nav.V_N], abs=0.05)
+    assert after[Nav.V_D] == pytest.approx(before[Nav.V_D], abs=0.05)
     assert grown[first, first] - p[first, first] == pytest.approx(3.0, rel=0.1)
     # and what the accelerometer is off by, which was not used, has no part in it
     bias = config.layout.index('f_x')
