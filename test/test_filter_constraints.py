@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from filter_support import (
+    HEIGHT,
+    LATITUDE,
     LONGITUDE,
     MODEL_VALUES,
     attitude_of,
@@ -328,6 +330,20 @@ def test_a_second_of_constraint_tells_as_much_at_any_rate_of_the_imu(mechanizati
     # then each of the 100 tenths of a second is worth one with its sigma
     for rate, variance in found.items():
         assert variance == pytest.approx(SIDEWAYS_SIGMA**2 / 100, rel=0.05), rate
+
+
+def test_a_vehicle_that_goes_up_does_not_go_sideways():
+    # given one that rises by 3 m/s for 20 s without a tilt that shows it
+    config = made('GM', 'strapdown', 'closed', {**NON_HOLONOMIC, **GOOD, 'imu.mounting_sigma': 0.0})
+    p = np.diag(np.square([1.0] * 3 + [0.1] * 3 + [1e-4] * 3 + [1e-6] * config.layout.n_augmented))
+    memory = started(config, velocity=(10.0, 0.0, -3.0), attitude=(0.0, 0.0, 0.0), p=p)
+    for k in range(1, 2001):
+        take_sample(memory, k / 100, 0.0, 0.0, 9.81, 0.0, 0.0, 0.0)
+        if k % 100 == 0:
+            take_event(memory, fix_record(k / 100, latitude=LATITUDE + k / 10 / 6.38e6, height=HEIGHT + 3.0 * k / 100,
+                                          r=1e-4 * np.eye(2), down=1e-4))
+    # then its constraint upwards is not used, and no time sideways is counted
+    assert newest(memory)[Nav.VERTICAL_NIS] < 0.0 and newest(memory)[Nav.SIDEWAYS] == 0.0
 
 
 @pytest.mark.parametrize('rate', [100, 5])

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from filter_support import HEIGHT, LATITUDE, configure, fix_record, newest, started, take_all
+from filter_support import HEIGHT, LATITUDE, configure, fix_record, newest, started, take_all, take_sample
 
 from mems_ins_fusion.filter.memory import Event, Head, Nav, Sample, covariance, state_at, views
 from mems_ins_fusion.filter.trust.imu_faults import Fault, Imu, is_doubted
@@ -87,6 +87,44 @@ def test_an_imu_that_the_fixes_have_contradicted_is_doubted_twice_as_long_each_t
 
 
 @BOTH
+def test_while_an_imu_is_doubted_its_samples_are_bridged_as_a_vehicle_that_keeps_its_velocity(mechanization):
+    # given a state that was set to fixes which it had strayed from, and a second of samples that show a braking
+    config, memory, _ = driven(mechanization, lambda samples: None, count=50, non_holonomic=False)
+    r = state_at(memory, int(memory[Head.SAMPLES]))
+    memory[r + Nav.STRAYED], memory[r + Nav.STRAYED_TIME] = 1.0, memory[r + Nav.TIME]
+    before, p = newest(memory).copy(), covariance(newest(memory), config.layout)
+    noise = np.random.default_rng(3).standard_normal((50, 6)) * np.repeat([0.05, 1e-3], 3)
+    for k, sample in enumerate(noise + [-3.0, 0.0, 9.8, 0.0, 0.0, 0.0], start=51):
+        take_sample(memory, k / RATE, *sample)
+    # then none of them is believed, the velocity stays, and its variance grows by the density of an acceleration that
+    # is white: 3 m^2/s^3
+    assert memory[Imu.FAULTS + Fault.DOUBTED] == 50
+    after, grown = newest(memory), covariance(newest(memory), config.layout)
+    first = 2 if mechanization == 'planar' else 3
+    assert after[Nav.V_N] == pytest.approx(before[Nav.V_N], abs=0.05)
+    assert after[Nav.V_D] == pytest.approx(before[Nav.V_D], abs=0.05)
+    assert grown[first, first] - p[first, first] == pytest.approx(3.0, rel=0.1)
+    # and what the accelerometer is off by, which was not used, has no part in it
+    bias = config.layout.index('f_x')
+    assert abs(grown[first, bias] - p[first, bias]) < 0.01 * p[bias, bias]
+
+
+def test_a_turn_that_no_wheels_hold_leaves_no_heading():
+    # given 30 m/s, and a last sample of 1.9 rad/s
+    def whirl(samples):
+        samples[210:, 6] += 1.9
+
+    found = [driven('strapdown', whirl, count=count, speed=30.0, non_holonomic=False) for count in (210, 211)]
+    before, after = (covariance(newest(memory), config.layout) for config, memory, _ in found)
+    # then within half a second of that the heading may be any, of which the variance is pi^2 / 3, and the velocity may
+    # have turned with it
+    part = 1.0 / RATE / 0.5
+    assert found[1][1][Imu.FAULTS + Fault.WHIRL] == 1
+    assert after[8, 8] - before[8, 8] == pytest.approx(part * math.pi**2 / 3, rel=0.01)
+    assert after[3, 3] - before[3, 3] == pytest.approx(part * 30.0**2, rel=0.01)
+
+
+@BOTH
 def test_honest_samples_are_believed(mechanization):
     _, memory, velocity = driven(mechanization, lambda samples: None)
     assert not views(memory)[0][Imu.FAULTS:Imu.FAULTS + Fault.SIZE].any()
@@ -104,6 +142,18 @@ def test_the_covariance_covers_what_the_vehicle_did_unseen(mechanization):
     assert seen[-1, 0] == pytest.approx(SPEED - 3.0, abs=0.3)
     sigma = math.sqrt(covariance(newest(memory), config.layout)[(2, 2) if mechanization == 'planar' else (3, 3)])
     assert abs(velocity[-1, 0] - seen[-1, 0]) < 2.5 * sigma
+
+
+@BOTH
+def test_for_some_tenths_of_a_second_the_vehicle_goes_on_as_it_did(mechanization):
+    # given a vehicle that brakes with 3 m/s^2, while its IMU gives zeros for 0.2 s: 0.6 m/s
+    def nothing(samples):
+        samples[215:225, 1:] = 0.0
+
+    bridged, seen = (driven(mechanization, change, acceleration=-3.0)[2][-1, 0]
+                     for change in (nothing, lambda samples: None))
+    # then most of that is not lost
+    assert abs(bridged - seen) < 0.3
 
 
 def test_a_sensor_that_always_repeats_itself_at_rest_is_believed():

@@ -197,6 +197,15 @@ def test_a_long_gap_adds_what_a_vehicle_may_do_unseen():
     assert sigmas[1][2] == pytest.approx(1.5 * 0.51, rel=0.01)
 
 
+def test_over_a_gap_the_mean_of_the_samples_at_both_ends_counts():
+    # given a specific force forwards of 0 before a gap of 2 s and of 1 m/s^2 behind it
+    config = configure({'mechanization': 'planar', 'imu.max_gap': 0.5})
+    memory = started(config, velocity=(10.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=np.eye(8) * 1e-8)
+    take_sample(memory, 0.1, 0.0, 0.0, 9.8, 0.0, 0.0, 0.0)
+    take_sample(memory, 2.1, 1.0, 0.0, 9.8, 0.0, 0.0, 0.0)
+    assert newest(memory)[Nav.V_N] == pytest.approx(11.0, abs=1e-6)
+
+
 def test_the_radii_are_those_of_the_height_that_belongs_to_them():
     # given a vehicle that climbs steeply while it moves so far that they are computed anew, and rows of other heights
     config = configure({'mechanization': 'strapdown', 'imu.max_gap': 9.0})

@@ -199,12 +199,3 @@ def test_stretches_between_restarts_are_smoothed_apart():
     assert np.count_nonzero(np.diff(run.stamp) > 15e9) == 1
     errors = errors_of(run, recording)
     assert np.median(errors.horizontal) < 1.5 and np.isfinite(run.sigma).all()
-
-
-def test_a_smoothed_run_is_a_reference():
-    config = configure({})
-    recording = simulated(2, config, duration=60.0)
-    run = smoothing.smoothed(config, recording.imu, recording.gnss)
-    reference = smoothing.as_reference(run)
-    assert np.array_equal(reference.stamp, run.stamp) and np.array_equal(reference.yaw, run.yaw)
-    assert reference.velocity.shape == (len(run.stamp), 3)

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -42,7 +43,7 @@ from .trust.lag import LagSettings
 from .trust.scale import Inputs
 from .trust.white_noise import White
 
-#: a measurement may come this much before the IMU samples of its time, s: who is further ahead has another clock
+#: s: a measurement may come this much before the IMU samples of its time; one that is further ahead has another clock
 AHEAD = 1.0
 #: the fastest IMU for which all of gnss.max_delay is remembered, Hz
 FASTEST_IMU = 1000
@@ -228,7 +229,7 @@ class FilterConfig:
         """s: and this much before them."""
         return AHEAD + max(0.0, *(-self.time_offset_of(number) for number in self.inputs))
 
-    @property
+    @cached_property
     def layout(self) -> StateLayout:
         return StateLayout(self.mechanization, self.models[0].order, tuple(extra.name for extra in self.extras),
                            sum(not measurement.is_plain for measurement in self.inputs.values()))

@@ -14,6 +14,7 @@ Columns are named tuples and not enumerations: compiled code takes their members
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -47,7 +48,7 @@ class _Nav(NamedTuple):
     ACCELEROMETER_PHASE: int = column()  # s since the autoregressive model's last step
     GYROSCOPE_PHASE: int = column()
     CONSTRAINT_TIME: int = column()  # s since the last vehicle constraint
-    # what the filter has seen of its inputs stands in the row, too: who goes back for a late fix takes it back
+    # what the filter has seen of its inputs stands in the row, too, so that going back for a late fix takes it back
     MEMORY: int = column(0)  # the first of these columns, which a prediction only copies
     FIX_TIME: int = column()  # of the last fix, used or refused
     FIX_LATITUDE: int = column()
@@ -77,7 +78,7 @@ class _Nav(NamedTuple):
     VARIANCE_FACTOR: int = column()  # realised over expected variance of them; below 1 it counts as 1
     CLAIM_LEVEL: int = column()  # mean logarithm of the claimed variance, m^2
     LASTING: int = column()  # variance of the receiver's errors that last, m^2: the position has them, too
-    # who is right, fixes or IMU, see trust/contradiction.py
+    # whether the fixes or the IMU are right, see trust/contradiction.py
     SLIDING: int = column()  # NIS of the lateral constraint lately, and as is usual for this vehicle
     USUAL_SLIDING: int = column()
     UNSETTLED: int = column()  # s for which the fixes are still to decide
@@ -85,7 +86,7 @@ class _Nav(NamedTuple):
     TAKEN_N: int = column()
     TAKEN_E: int = column()
     TURNED: int = column()  # time of the latest standstill at which the gyroscopes showed what is expected of them
-    # what has happened to this state, for who wants to say it
+    # what has happened to this state, for messages to the user
     SIDEWAYS: int = column()  # s in which the vehicle did not keep to the non-holonomic constraint
     SLID: int = column()  # s in which a slide showed that the IMU misled the filter
     RESTARTS: int = column()  # states that were not finite and were taken back
@@ -130,18 +131,18 @@ class StateLayout:
     extras: tuple[str, ...] = ()
     inputs: int = 0
 
-    @property
+    @cached_property
     def channels(self) -> tuple[str, ...]:
         """Names of the sensor channels the mechanization uses."""
         return MECHANIZATIONS[self.mechanization].CHANNELS
 
-    @property
+    @cached_property
     def rows(self) -> list[int]:
         """Index of each of the nine navigation errors (`Error`) among the states, -1 where it is not there."""
         names = ['phi_d' if name == 'yaw' else name for name in MECHANIZATIONS[self.mechanization].STATES]
         return [names.index(name.lower()) if name.lower() in names else -1 for name in Error._fields[:Error.SIZE]]
 
-    @property
+    @cached_property
     def axes(self) -> list[int]:
         """Number of the channel of each of f_x, f_y, f_z, w_x, w_y, w_z, -1 where it is not used."""
         return [self.channels.index(name) if name in self.channels else -1 for name in strapdown.CHANNELS]
@@ -151,7 +152,7 @@ class StateLayout:
         """Whether it has neither height nor tilt: the road is taken for level."""
         return self.rows[Error.PHI_N] < 0
 
-    @property
+    @cached_property
     def n_navigation(self) -> int:
         """Number of navigation error states, N."""
         return len(MECHANIZATIONS[self.mechanization].STATES)
@@ -170,7 +171,7 @@ class StateLayout:
     def n(self) -> int:
         return self.n_navigation + self.n_augmented
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """All states by name, in order: f_x.1, f_x.2 ... where a channel has several."""
         blocks = [channel if self.order == 1 else f'{channel}.{k + 1}' for channel in self.channels

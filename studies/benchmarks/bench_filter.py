@@ -2,7 +2,7 @@
 
     python studies/benchmarks/bench_filter.py [--minutes 60] [--repeats 5]
 
-One hour at 100 Hz with a fix each second, covariance at every sample and the states written out. The machine is noisy:
+One hour at 100 Hz with a fix each second, and what a replay keeps of each state written out. The machine is noisy:
 CPU time, medians of repeats, and ratios between what ran side by side.
 """
 from __future__ import annotations
@@ -19,7 +19,8 @@ from numba import njit
 
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.kernel import run
-from mems_ins_fusion.filter.memory import NAV, PLANAR, Event, Kind
+from mems_ins_fusion.filter.memory import PLANAR, Event, Kind
+from mems_ins_fusion.filter.runs.results import columns
 from mems_ins_fusion.filter.start.initial import initialize
 from mems_ins_fusion.filter.start.start import Start
 from mems_ins_fusion.parameters import table
@@ -71,15 +72,15 @@ def started(values: dict):
 
 
 def kernel_seconds(values: dict, data) -> float:
-    """CPU seconds of one call for all samples, every state written out."""
+    """CPU seconds of one call for all samples, what a replay keeps of every state written out."""
     samples, fixes, arrival = data
     config, memory = started(values)
-    columns, kept = np.arange(NAV + config.layout.n, dtype=np.uint64), np.arange(len(samples))
-    states = np.empty((len(samples), len(columns)))
+    names, kept = columns(config.layout), np.arange(len(samples))
+    states = np.empty((len(samples), len(names)))
     states.fill(0.0)  # touch the pages, which is not the filter's time
     fixes, answers = fixes.copy(), np.zeros(len(fixes), np.int64)
     begin = time.thread_time()
-    run(memory, samples, fixes, arrival, answers, columns, kept, states, NO_EVENTS)
+    run(memory, samples, fixes, arrival, answers, names, kept, states, NO_EVENTS)
     elapsed = time.thread_time() - begin
     assert np.all(answers == 0) and np.all(np.isfinite(states[-1]))
     return elapsed
@@ -143,18 +144,18 @@ def single_calls(values: dict, count: int = 20000) -> tuple[np.ndarray, np.ndarr
         Kind.POSITION, LATITUDE, LONGITUDE, 2.25, 2.25, 5.0)
     sample, before, answer = np.array([[0.0, 0.0, 0.5, 9.81, 0.0, 0.0, 0.05]]), np.zeros(1, np.int64), np.zeros(
         1, np.int64)
-    columns, none, states = np.zeros(0, np.uint64), np.zeros(0, np.int64), np.zeros((0, 0))
+    names, none, states = np.zeros(0, np.uint64), np.zeros(0, np.int64), np.zeros((0, 0))
     clock, steps, fixes = time.perf_counter_ns, np.empty(count), []
     for k in range(count):
         now = (k + 1) / RATE
         begin = clock()
         sample[0, 0] = now
-        run(memory, sample, NO_EVENTS, none, none, columns, none, states, NO_EVENTS)
+        run(memory, sample, NO_EVENTS, none, none, names, none, states, NO_EVENTS)
         steps[k] = clock() - begin
         if k % RATE == 50:
             record[0, Event.TIME] = now - 0.0013  # a little late: the last interval is done again, split
             begin = clock()
-            run(memory, sample[:0], record, before, answer, columns, none, states, NO_EVENTS)
+            run(memory, sample[:0], record, before, answer, names, none, states, NO_EVENTS)
             fixes.append(clock() - begin)
     return steps[100:], np.array(fixes[2:])
 

@@ -108,7 +108,7 @@ def heading(mem, r, at, c):
 SMALLEST_SIGMA = 1e-6
 #: T: weaker and stronger, with iron beside it, is no field of the earth, which has 22 to 67 uT
 WEAKEST, STRONGEST = 5e-6, 5e-4
-#: standard deviation of the horizontal field of a place, as a share of what it is where nobody says: 15 to 40 uT
+#: standard deviation of a place's horizontal field where no parameter gives it, as a share of it: 15 to 40 uT
 STRENGTH_SIGMA = 0.4
 #: 1/sqrt(s): how strength and soft iron wander: a tenth within an hour
 SOFT_WALK = 0.1 / 60.0

@@ -92,13 +92,8 @@ def is_fix(fixes) -> np.ndarray:
     return is_place(fixes.latitude, fixes.longitude, fixes.height) & there & (fixes.status >= 0)
 
 
-def records(settings, fixes):
-    """Records of `fixes` (`samples.Fixes`), and why each cannot be used: '' where it can.
-
-    settings: `GnssSettings`. Also a warning for each whose covariance says nothing, '' else.
-    """
-    n = len(fixes)
-    r, reasons, warnings = empty(Kind.POSITION, n), np.full(n, '', dtype=object), np.full(n, '', dtype=object)
+def _refuse(reasons, fixes) -> None:
+    """Say why those that are no `is_fix` cannot be used."""
     latitude, longitude, height = fixes.latitude, fixes.longitude, fixes.height
 
     def place(i):
@@ -114,6 +109,19 @@ def records(settings, fixes):
            lambda i: f'altitude {height[i]:g} m is no place for a land vehicle: fix dropped')
     refuse(reasons, (latitude == 0) & (longitude == 0),
            lambda i: 'latitude 0, longitude 0 is what receivers send without a fix: fix dropped')
+
+
+def records(settings, fixes):
+    """Records of `fixes` (`samples.Fixes`), and why each cannot be used: '' where it can.
+
+    settings: `GnssSettings`. Also a warning for each whose covariance says nothing, '' else.
+    """
+    n = len(fixes)
+    r, reasons, warnings = empty(Kind.POSITION, n), np.full(n, '', dtype=object), np.full(n, '', dtype=object)
+    latitude, longitude, height = fixes.latitude, fixes.longitude, fixes.height
+
+    if not is_fix(fixes).all():
+        _refuse(reasons, fixes)
     ee, en, nn, uu = (fixes.covariance[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1), (2, 2)))
     with np.errstate(invalid='ignore', over='ignore'):
         stated = (np.isfinite(ee) & np.isfinite(en) & np.isfinite(nn) & np.isfinite(uu) & (np.minimum(ee, nn) > 0)

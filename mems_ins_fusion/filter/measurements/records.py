@@ -15,6 +15,8 @@ def empty(kind: int, n: int) -> np.ndarray:
 
 def refuse(reasons: np.ndarray, wrong: np.ndarray, text) -> None:
     """Give those of `reasons` (n,) that have none yet and are `wrong` (n,) a text: text(i) for the i-th."""
+    if not wrong.any():
+        return
     for i in np.flatnonzero(wrong & (reasons == '')):
         reasons[i] = text(i)
 

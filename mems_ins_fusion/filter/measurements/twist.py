@@ -125,7 +125,7 @@ class Twist(Measurement):
         r, reasons = empty(Kind.TWIST, n), np.full(n, '', dtype=object)
         with np.errstate(invalid='ignore'):
             refuse(reasons, ~(np.abs(twist).max(axis=1) < FASTEST), lambda i: self.refusal(twist[i]))
-        # who does not measure something says that it is zero, and with that a small sigma
+        # what a driver does not measure it gives as zero with a small sigma
         twist[:, 1:][twist[:, 1:] == 0.0] = np.nan
         r[:, Event.VALUE:Event.VALUE + 3] = twist
         for column, axis, of in ((Event.R_NN, 0, settings), (Event.R_EE, 1, settings), (Event.R_DD, 2, settings.turn)):

@@ -48,7 +48,7 @@ from .geometry import angular_rate
 from .wheel_spectrum import AXES, BINS, POINTS, SHORTEST, WINDOW, Row, Spectrum, look
 from .wheel_spectrum import begin as begin_spectrum
 
-#: where the memory of the wheels begins, 0: nobody listens
+#: where the memory of the wheels begins, 0: wheel_vibration is off
 Wheels = HEAD.place('Wheels', AT=1)
 PARAMETER = Parameter(
     'wheel_vibration', 'off', 'text', 'Speed from the vibration of the wheels, their circumference found while fixes '

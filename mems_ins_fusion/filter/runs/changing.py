@@ -36,11 +36,11 @@ PERIOD = 10**9
 DROPPED = 86_400.0
 #: fixes whose misfit is kept: two filters judge the same fix within seconds, or one of them does not
 KEPT = 100
-#: m/s: a vehicle that is slower stands, and nobody steers by its pose
+#: m/s: a slower vehicle stands, and no controller depends on its pose
 STANDING = 0.05
 #: of the filter that drives, not of its parameters: what others look at or have heard, and counts since the start
 _STAYS = frozenset({'odometry', 'geodetic', 'position_covariance_enu', 'datum', 'tallies', 'gaps', 'waited', '_notices',
-                    '_judged', '_said', '_said_mounting', '_looked', '_recent', '_last_recovery', '_using_fixes'})
+                    '_judged', '_said', '_said_mounting', '_next_look', '_recent', '_last_recovery', '_using_fixes'})
 
 
 @dataclass(frozen=True)

@@ -168,7 +168,8 @@ class Intake:
         good = np.flatnonzero(reasons == '')
         if not len(good):
             return
-        before = np.concatenate([[self._last[kind]], stamp[good[:-1]]])
+        last = -1 if self._last[kind] is None else self._last[kind]
+        before = np.concatenate([[last], stamp[good[:-1]]])
         for i in good[stamp[good] == before]:
             reasons[i] = f'header.stamp {stamp[i] * 1e-9:.6f} s came twice: second {self.name(kind)} dropped'
         self._last[kind] = int(stamp[good[-1]])

@@ -43,13 +43,15 @@ VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down', Verdict.REF
 _DEGRADED = 5.0
 #: s for which a new start from refused fixes does: the heading is found again in about that time
 _RECOVERING = 10.0
-#: innovations so many times as large as expected are no chance: of 180 drives of 10 minutes on which nothing is wrong
+#: innovations this many times as large as expected are no chance: of 180 drives of 10 minutes on which nothing is wrong
 #: the largest was 1.72, and 2 % of them were above 1.5; with fixes stamped 0.8 s early each is above
 #: (studies/strain.py)
 STRAINED = 1.75
-#: what the vehicle shows against the parameters is said so often, ns
-_LOOK_PERIOD = 60 * 10**9
-#: of a speed that nobody has told, m/s
+#: ns between two looks at whether the vehicle shows something against the parameters: each takes 0.1 ms
+_LOOK_PERIOD = 5 * 10**9
+#: ns from something said about that to the next look
+_SAY_PERIOD = 60 * 10**9
+#: m/s, of a speed that no measurement has told
 UNKNOWN_SPEED_SIGMA = 15.0
 #: parameters that may change while the filter runs, and where those that the kernel uses stand
 CHANGEABLE = ('gnss.gate_probability', 'gnss.robust_sigma', 'gnss.recovery_time', 'gnss.adapt_sigma',
@@ -117,7 +119,7 @@ class FusionFilter(Intake):
         self._last_fault = self._last_recovery = -math.inf
         self._fault = ''
         self._recent: deque[np.ndarray] = deque(maxlen=ADRIFT)  # records of fixes
-        self._looked = -_LOOK_PERIOD  # ns: when the vehicle was last said to be another than the parameters tell
+        self._next_look = 0  # ns: when it is looked whether the vehicle is another than the parameters tell
         self._said: list[str] = []  # of it, at the last look
         self._said_mounting = False
 
@@ -464,9 +466,9 @@ class FusionFilter(Intake):
     def _fix_judged(self, used: bool, stamp: int, record) -> None:
         topic = self.config.gnss.topic
         self._recent.append(record.copy())
-        if stamp - self._looked > _LOOK_PERIOD:
+        if stamp >= self._next_look:
             said = vehicle_says(self._memory, self.config, np.array(self._recent))
-            self._looked = stamp if said else self._looked
+            self._next_look = stamp + (_SAY_PERIOD if said else _LOOK_PERIOD)
             for text in said:
                 if text not in self._said:  # what goes on is said once
                     self.say('warning', text)
@@ -603,4 +605,4 @@ class FusionFilter(Intake):
 
 
 def _ones(*values) -> tuple[np.ndarray, ...]:
-    return tuple(np.asarray(value, dtype=float)[None] for value in values)
+    return tuple(np.array([value], dtype=float) for value in values)

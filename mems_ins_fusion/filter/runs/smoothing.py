@@ -20,7 +20,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ...samples import Aiding, Fixes, ImuSamples, Reference
+from ...samples import Aiding, Fixes, ImuSamples
 from .. import history
 from ..config import FilterConfig
 from ..memory import NAV, Event, Head, StateLayout, covariance, covariance_index, row_width, state_at
@@ -30,7 +30,7 @@ from .results import Run
 
 #: rows in memory at a time
 BLOCK = 256
-#: what comes so long after an outage still tells of it, s
+#: s after an outage in which fixes still tell of the state in it
 AFTER = 60.0
 
 
@@ -55,11 +55,6 @@ def smoothed_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin:
     first = np.concatenate([[0], np.cumsum([len(branch.samples) for branch in work.branches])]).astype(np.int64)
     return Coasting(np.array([branch.begin for branch in work.branches], dtype=np.int64), first,
                     work.result(work.branches), np.full(len(first) - 1, np.nan))
-
-
-def as_reference(run: Run) -> Reference:
-    """A smoothed run as a reference for what it was made of: position, velocity and heading of the IMU."""
-    return Reference(run.stamp, run.latitude, run.longitude, run.height, run.velocity, run.yaw)
 
 
 class _Rows:

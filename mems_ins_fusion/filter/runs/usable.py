@@ -17,7 +17,7 @@ from .intake import GOOD, JUMPED, LATEST, follow
 
 #: no IMU delivers more, whatever its unit: 16 g are 16 000 mg, and MEMS gyroscopes end at 4000 deg/s
 LARGEST_IN_ANY_UNIT = 1e5
-#: a longer gap between samples begins another recording, s: nobody leaves a logger running on a pause of an hour
+#: s: a longer gap between samples begins another recording: loggers are switched off for a pause of an hour
 LONGEST_PAUSE = 3600.0
 #: s, as `imu.restart_gap` is by default: after a longer gap all begins anew
 _RESTART_GAP = 10.0

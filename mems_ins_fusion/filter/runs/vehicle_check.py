@@ -7,9 +7,8 @@ import numpy as np
 
 from ...navigation.frames import FLU_TO_FRD, rotation_from_rpy
 from ..config import FilterConfig
-from ..memory import NAV, Event, Head, Nav, Verdict, state_at
+from ..memory import NAV, Event, Head, Nav, Verdict, covariance_index, state_at, variance_factor
 from ..trust.white_noise import FAR_MORE, White
-from .odometry import published_covariance
 
 #: faster no car goes backwards, m/s
 FASTEST_BACKWARDS = 8.0
@@ -17,7 +16,7 @@ FASTEST_BACKWARDS = 8.0
 AT_REST = 0.3
 #: sigmas by which a mounting that is found is off that of the parameters where it is worth a word
 MOUNTING_SIGMAS = 3.0
-#: rad, by which it is off at least: who measures by hand is off by a few degrees
+#: rad, by which it is off at least: a mounting measured by hand is off by a few degrees
 SMALL_ANGLE = 0.2
 #: a mounting known better than this, and found further off, is worth setting, rad
 WORTH_SETTING = math.radians(0.5)
@@ -78,9 +77,9 @@ def found_mounting(memory: np.ndarray, config: FilterConfig) -> str:
     states = [layout.index(name) for name in ('mounting_yaw', 'mounting_pitch')]
     if states[0] < 0:
         return ''
-    sigma = np.sqrt(np.diag(published_covariance(row, layout)))
     yaw, pitch = (float(row[NAV + state]) if state >= 0 else 0.0 for state in states)
-    sigmas = [float(sigma[state]) if state >= 0 else 0.0 for state in states]
+    sigmas = [math.sqrt(variance_factor(row, 0) * row[covariance_index(state, state, layout)]) if state >= 0 else 0.0
+              for state in states]
     if not any(abs(angle) > max(MOUNTING_SIGMAS * s, WORTH_SETTING) and s < WORTH_SETTING
                for angle, s in zip((yaw, pitch), sigmas)):
         return ''

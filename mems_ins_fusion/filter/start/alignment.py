@@ -38,13 +38,13 @@ SIDEWAYS = math.radians(45.0)  # from straight on: no wheels drive off that way
 RECENT = 10.0  # s: what tells whether the vehicle stands now, and how fast it is where it is slow
 CERTAIN = 3.0  # sigmas of two fixes by which they show that a vehicle does not go along its heading
 CHANGED = 0.3  # m/s: by how much the speed of a slow vehicle differs from the mean of that time
-SLOW = 2.0  # m/s: who is faster than this has a course soon
+SLOW = 2.0  # m/s: a faster vehicle shows a course soon
 STANDING_SIGMA = 0.05  # m/s, of a velocity of zero at rest
 FEWEST_SHOWN = 3  # second differences of fixes: before that a claim that is too small passes for a drive
 OVERLAP = 0.5  # of what it tells: each fix is in three second differences
 #: a node that starts this late after the IMU came to rest may have been driven before, s
 SEEN_FROM_BEGIN = 2.0
-#: who has not come to rest with a heading remembered by then has driven off, s
+#: s after which a vehicle that has not been seen at rest has driven off, so that a remembered heading does not hold
 LONGEST_REMEMBERED = 30.0
 
 
@@ -337,7 +337,7 @@ class Alignment:
                                'about an axis about which no vehicle turns; if the driver delivers deg/s, set '
                                "imu.rate_unit to 'deg/s'")
         if not self.config.vehicle.lateral_sigma:
-            return  # who may go sideways drives off as he likes
+            return  # a vehicle that may move sideways drives off in any direction
         standstill = latest_standstill(self._samples, positions, self.config)
         # the inertial sensors show it, fixes only that it was
         claimed = positions / [1.0, 1.0, 1.0, math.sqrt(self._realised)]

@@ -17,9 +17,11 @@ STILL_BLOCK = 1.0  # s; a standstill is made of such blocks
 SHORTEST_STILL = 3.0  # s
 STEADY_ACCELERATION = 0.06  # m/s^2: between the mean of a block and the standstill's
 STEADY_RATE = 0.005  # rad/s
-FEWEST_BLOCKS = 10  # that tell whether a turn rate wanders: who has just driven off is quiet, too
-RECEIVER_DRIFT = 0.3  # m/s: positions wander this fast at rest; who is as slow and as quiet shows the same biases
-WANDERING = 4.0  # times how far fixes are off a straight line: by less than that they have not moved
+FEWEST_BLOCKS = 10  # blocks that tell whether a turn rate wanders: fewer may be those of driving off
+#: m/s: fixes of a vehicle at rest wander this fast. One that moves as slowly, and whose sensors are as quiet, may be
+#: taken for one at rest: its sensors show the same biases
+RECEIVER_DRIFT = 0.3
+WANDERING = 4.0  # fixes have moved where they have by this many times their scatter about a straight line
 MEDIAN_SIGMA = math.sqrt(math.pi / 2)  # of a median over that of a mean, normal errors
 GRAVITY_TOLERANCE = 0.1  # of gravity: more is no sensor's error at rest
 

@@ -8,27 +8,26 @@ import numpy as np
 
 from ..config import FilterConfig
 from ..trust.receiver import LASTING_TIME
-from .start import Standstill
+from .start import UNKNOWN_TILT_SIGMA, Standstill
 
-COURSE_SIGMA = 0.1  # rad: straightness of course that is good enough to start
+COURSE_SIGMA = 0.1  # rad: a course must be known to this, one sigma, before the filter starts from it
 FASTEST = 70.0  # m/s: no land vehicle is faster
-FASTEST_REVERSE = 3.0  # m/s: who starts faster backwards has the IMU turned round
-SHORTEST_COURSE = 1.0  # m
-LONGEST_COURSE_TIME = 60.0  # s
-SLOWEST_START = 0.5  # m/s
+FASTEST_REVERSE = 3.0  # m/s: none starts faster backwards; where it seems to, the IMU is mounted the other way round
+SHORTEST_COURSE = 1.0  # m, between the two fixes that a course is taken from
+LONGEST_COURSE_TIME = 60.0  # s between them: for longer the biases of the inertial sensors are not small
+SLOWEST_START = 0.5  # m/s: a course of a slower vehicle is that of the fixes' errors
 SIDESLIP_SIGMA = 0.02  # rad: between where a car points and where it goes
-UNKNOWN_TILT_SIGMA = 0.05  # rad
 LARGEST_YAW_SIGMA = 0.5  # rad: the filter's equations are linear in the heading's error
-FEWEST_BETWEEN = 3  # fixes on a way that begins nobody knows where
-LONGEST_START = 12.0  # s: of driving off from a standstill, in which the biases of the standstill still hold
-LARGEST_START_TURN = 0.7  # rad: by which it may have turned in that time for its course to be one
-MOVED_OFF = 0.2  # m/s: of a vehicle whose standstill has only just ended
-LARGEST_TURN = 1.0  # rad: whoever turns by more goes no chord, but a bent way
-BENT = 0.6  # of the way is the chord of a bent one
-KNOT = 4.0  # s: a speed that is fitted to a bent way is linear between such
-PICKED_UP = 8.0  # m/s: by how much it changes in that time, one sigma
-FEWEST_ON_WAY = 10  # fixes on a bent way
-MISFIT = 3.0  # times the expected sum of squares: no way that the vehicle has gone
+FEWEST_BETWEEN = 3  # fixes between the two ends of a course that does not begin at a standstill
+LONGEST_START = 12.0  # s after a standstill for which the biases that it has shown hold
+LARGEST_START_TURN = 0.7  # rad: one that has turned by more since the standstill shows no direction of driving off
+MOVED_OFF = 0.2  # m/s, sigma of the velocity at the end of a standstill
+LARGEST_TURN = 1.0  # rad: the way of a vehicle that turns by more between two fixes is not their chord
+BENT = 0.6  # chord over length of the most bent way that a course is looked for on
+KNOT = 4.0  # s between the knots of the piecewise linear speed that is fitted to a bent way
+PICKED_UP = 8.0  # m/s, sigma of its change from one knot to the next
+FEWEST_ON_WAY = 10  # fixes that a bent way needs
+MISFIT = 3.0  # a bent way with a sum of squares this many times the expected one is not the vehicle's
 
 
 class Course(NamedTuple):
@@ -150,7 +149,7 @@ def _of_bent_way(imu, positions, standstill, config) -> Course | None:
     speed_sigma = float(np.linalg.norm(inverse[2:], axis=1)[-1])
     way = _way(imu, now, standstill, speeds[-1], -speeds[-1], speed_sigma, config) if abs(speeds[-1]) > 0 else 0
     if standstill is None or now - standstill.end > LONGEST_COURSE_TIME:
-        way = 1 if speeds.sum() > 0 else -1  # who has not turned round drives forwards
+        way = 1 if speeds.sum() > 0 else -1  # in most of the time a vehicle drives forwards
     # no better than by two fixes and a chord as long: what the receiver's errors have in common does not show
     length, noise = (float(0.5 * abs(speeds[1:] + speeds[:-1]) @ np.diff(knots)),
                      math.sqrt(2.0) * float(fixes[:, 3].max()))
@@ -277,7 +276,7 @@ def _way(imu, time, standstill, forwards, backwards, sigma, config) -> int:
             5.0 * math.sqrt(variance) + 1.0):
         return 0  # the fixes move, the IMU does not
     difference = (forwards - expected) ** 2 - (backwards - expected) ** 2
-    if abs(difference) < 9 * variance:  # long ago it no longer helps: who has not turned round drives forwards
+    if abs(difference) < 9 * variance:  # after long it tells nothing: forwards, then, as most vehicles drive
         return 1 if since > LONGEST_COURSE_TIME else 0
     return 1 if difference < 0 else -1
 

@@ -16,10 +16,9 @@ from ..prediction import set_radii
 from ..trust.contradiction import FIRST_USUAL
 from ..trust.receiver import Receiver
 from ..trust.scale import Scale
-from .start import Iron, SensorErrors, Standstill, Start
+from .start import UNKNOWN_TILT_SIGMA, Iron, SensorErrors, Standstill, Start
 
-UNKNOWN_TILT_SIGMA = 0.05  # rad, roll and pitch where no standstill showed them
-#: of the tilt that a standstill takes out: on a parking place nobody has surveyed
+#: of the tilt that a standstill takes out: a parking place slopes by as much
 TILT_SIGMA = 0.3  # m/s^2, 2 deg times gravity
 STILL_STEPS = 1024  # in which a process that is continuous in time is followed through a standstill
 

@@ -12,7 +12,9 @@ from ...navigation.earth import radii
 from ..config import FilterConfig
 from ..trust.scale import Scale
 
-#: the local frame begins at the median of so many fixes, the first good ones: of three, one may be wrong
+#: rad, roll and pitch of the IMU where no standstill has shown them
+UNKNOWN_TILT_SIGMA = 0.05
+#: the local frame begins at the median of this many fixes, the first good ones: of three, one may be wrong
 DATUM_FIXES = 3
 
 
