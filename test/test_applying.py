@@ -14,8 +14,11 @@ from test_online import OFFSET, SECOND, finding
 from mems_ins_fusion.diagnosis import online
 from mems_ins_fusion.diagnosis.applying import WAIT, Due, driven
 from mems_ins_fusion.diagnosis.gathering import CHUNK, chunks
-from mems_ins_fusion.diagnosis.online import OTHER, Online, Trial
+from mems_ins_fusion.diagnosis.online import OTHER, Online
 from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, SUSPECT, Findings, Kept
+from mems_ins_fusion.diagnosis.trial import Trial
+from mems_ins_fusion.diagnosis.trial_outages import OUTAGES
+from mems_ins_fusion.diagnosis.watch import Watch
 from mems_ins_fusion.effects.registry import effect_called
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs import changing
@@ -186,7 +189,7 @@ def test_what_is_proven_is_applied_and_the_fixes_are_met(late, monkeypatch):
         off = run.odometry[last, :2] - np.column_stack([np.interp(*t, east), np.interp(*t, north)])
         return math.sqrt((off**2).sum(axis=1).mean()), run
     answers = iter([[finding()]])
-    watch = online.Watch(late, {**APPLY, 'diagnosis.window': 300.0}, find=lambda part, values: next(answers, []))
+    watch = Watch(late, {**APPLY, 'diagnosis.window': 300.0}, find=lambda part, values: next(answers, []))
     (applied, run), (given, _) = error(APPLY, watch), error({**APPLY, 'gnss.time_offset': OFFSET})
     assert len(run.handovers) == 1 and applied == pytest.approx(given, rel=0.2)
     assert applied < 0.5 * error(APPLY)[0] and not run.dropped
@@ -216,7 +219,7 @@ def test_what_has_become_wrong_is_dropped_within_a_minute(monkeypatch):
     recording = drive(end=0.5)
     changed, answers = recording.imu.stamp[0] + 480 * SECOND, iter([[finding()]])
     monkeypatch.setattr(online, 'FIRST', CHUNK)
-    watch = online.Watch(recording, {**APPLY, 'diagnosis.window': 300.0}, find=lambda part, values: next(answers, []))
+    watch = Watch(recording, {**APPLY, 'diagnosis.window': 300.0}, find=lambda part, values: next(answers, []))
     run = driven(replace(recording, reference=None), APPLY, watch, every=20)
     # then the filter that ran on without it takes over within a minute, knows from when on it is right,
     dropped, = run.dropped
@@ -335,7 +338,7 @@ def test_trials_begin_anew_when_what_they_are_compared_with_changes():
     proven, rest = Trial(finding(), {'gnss.time_offset': OFFSET}, 1.0), Trial(finding(), {}, 1e9)
     proven.proven = True
     for trial in (proven, rest):
-        trial.take({duration: [((2.0, 0.0), (1.0, 0.0))] * 2 for duration in online.OUTAGES})
+        trial.take({duration: [((2.0, 0.0), (1.0, 0.0))] * 2 for duration in OUTAGES})
     work.trials = {NAME: proven, 'other': rest}
     work._decide()
     assert work.sets == {'gnss.time_offset': OFFSET} and list(work.trials) == ['other']

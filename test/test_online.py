@@ -18,8 +18,10 @@ from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.gathering import CHUNK, Gathering, chunks
 from mems_ins_fusion.diagnosis.held_out import HeldOut
-from mems_ins_fusion.diagnosis.online import FALSE_ALARMS, OUTAGES, Online, Trial
+from mems_ins_fusion.diagnosis.online import FALSE_ALARMS, Online
 from mems_ins_fusion.diagnosis.quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, SUSPECT
+from mems_ins_fusion.diagnosis.trial import Trial
+from mems_ins_fusion.diagnosis.trial_outages import OUTAGES
 from mems_ins_fusion.filter.runs import betting
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_drive, simulate_recording
