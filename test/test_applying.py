@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from ros_support import PLAYABLE, NodeProcess, call
 from std_srvs.srv import Trigger
-from test_online import OFFSET, SECOND, finding
+from test_online import OFFSET, SECOND, blind, finding
 
 from mems_ins_fusion.diagnosis import online
 from mems_ins_fusion.diagnosis.applying import WAIT, Due, driven
@@ -167,7 +167,7 @@ def of_chunks(recording, answers, monkeypatch, kept=()):
     monkeypatch.setattr(online, 'FIRST', CHUNK)
     monkeypatch.setattr(online, 'LATEST', 2 * CHUNK)
     asked = iter(answers)
-    work = Online({**APPLY, 'diagnosis.window': 300.0}, lambda part, values: next(asked, []), kept)
+    work = Online({**APPLY, 'diagnosis.window': 300.0}, lambda part, values: next(asked, []), blind, kept)
     return [({q.name: (q.state, q.applied) for q in work.take(chunk)}, work.sets) for chunk in chunks(recording)], work
 
 
@@ -189,7 +189,7 @@ def test_what_is_proven_is_applied_and_the_fixes_are_met(late, monkeypatch):
         off = run.odometry[last, :2] - np.column_stack([np.interp(*t, east), np.interp(*t, north)])
         return math.sqrt((off**2).sum(axis=1).mean()), run
     answers = iter([[finding()]])
-    watch = Watch(late, {**APPLY, 'diagnosis.window': 300.0}, find=lambda part, values: next(answers, []))
+    watch = Watch(late, {**APPLY, 'diagnosis.window': 300.0}, find=lambda part, values: next(answers, []), look=blind)
     (applied, run), (given, _) = error(APPLY, watch), error({**APPLY, 'gnss.time_offset': OFFSET})
     assert len(run.handovers) == 1 and applied == pytest.approx(given, rel=0.2)
     assert applied < 0.5 * error(APPLY)[0] and not run.dropped
@@ -219,7 +219,7 @@ def test_what_has_become_wrong_is_dropped_within_a_minute(monkeypatch):
     recording = drive(end=0.5)
     changed, answers = recording.imu.stamp[0] + 480 * SECOND, iter([[finding()]])
     monkeypatch.setattr(online, 'FIRST', CHUNK)
-    watch = Watch(recording, {**APPLY, 'diagnosis.window': 300.0}, find=lambda part, values: next(answers, []))
+    watch = Watch(recording, {**APPLY, 'diagnosis.window': 300.0}, find=lambda part, values: next(answers, []), look=blind)
     run = driven(replace(recording, reference=None), APPLY, watch, every=20)
     # then the filter that ran on without it takes over within a minute, knows from when on it is right,
     dropped, = run.dropped
@@ -281,7 +281,7 @@ def test_what_is_kept_is_less_sure_the_longer_nobody_has_seen_it(late, monkeypat
     assert years.aged(begin)['time_offset'].sigma == pytest.approx(math.hypot(0.02, usual))
     assert month.aged(begin - 60 * day) == month.parameters  # of a recording from before
     # it is said so, and what is kept for the next start is as it was found, as often as the node starts
-    work = Online(APPLY, lambda part, values: [], [month])
+    work = Online(APPLY, blind, blind, [month])
     told, = work.take(next(chunks(late)))
     assert told.state == SUSPECT and told.parameters == month.aged(begin) and told.kept == month
     # until this drive proves it: then it is as new
@@ -293,7 +293,7 @@ def test_what_is_kept_is_less_sure_the_longer_nobody_has_seen_it(late, monkeypat
 
 def test_a_user_may_accept_and_reject():
     # given a finding on trial, and one that has been shown to do harm
-    work = Online(table.check({'diagnosis.online': 'report'}), lambda part, values: [])
+    work = Online(table.check({'diagnosis.online': 'report'}), blind, blind)
     work.trials = {NAME: Trial(finding(), {'gnss.time_offset': OFFSET}, 100.0), 'x': Trial(finding(), {'a': 1}, 100.0)}
     for bets in work.trials['x'].bets.values():
         bets.con = 10.0
@@ -334,7 +334,7 @@ def test_what_an_analysis_finds_beside_an_applied_value_is_what_is_left():
 
 
 def test_trials_begin_anew_when_what_they_are_compared_with_changes():
-    work = Online(APPLY, lambda part, values: [])
+    work = Online(APPLY, blind, blind)
     proven, rest = Trial(finding(), {'gnss.time_offset': OFFSET}, 1.0), Trial(finding(), {}, 1e9)
     proven.proven = True
     for trial in (proven, rest):

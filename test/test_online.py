@@ -30,6 +30,11 @@ SECOND = 10**9
 OFFSET = 0.4
 
 
+def blind(recording, values):
+    """An analysis, or a look, that finds nothing."""
+    return []
+
+
 def finding(value=OFFSET, sigma=0.02):
     """A time offset as `diagnose` has it."""
     return Finding('gnss_time_offset', ['gnss_time_offset'], {'time_offset': Estimate(value, sigma, 's')}, 50.0, 1e-9,
@@ -167,7 +172,7 @@ def test_wild_samples_cost_nothing(drive):
     for a, b in zip(replayed, live):
         same(a, b)
     # then the chunk that it cuts goes on behind it
-    work = Online(table.check({}), lambda recording, values: [])
+    work = Online(table.check({}), blind, blind)
     for chunk in replayed:
         said = work.take(chunk)
     assert said[0].state == NOTHING
@@ -177,7 +182,8 @@ def test_wild_samples_cost_nothing(drive):
 def followed(drive, answers, window=240.0):
     """What is said after each chunk; the analyses find what `answers` gives one after the other, then the last."""
     asked = iter(answers)
-    work = Online(table.check({'diagnosis.window': window}), lambda recording, values: next(asked, answers[-1]))
+    work = Online(table.check({'diagnosis.window': window}), lambda recording, values: next(asked, answers[-1]),
+                  blind)
     return [work.take(chunk) for chunk in chunks(drive)], work
 
 

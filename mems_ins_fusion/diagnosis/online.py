@@ -26,6 +26,7 @@ from ..filter.runs.usable import usable
 from ..samples import Recording
 from .advice import advised
 from .diagnose import diagnose
+from .direct import shown_directly
 from .findings import Finding
 from .held_out import HeldOut
 from .quantity import ALL, INITIALISING, NOTHING, Findings, Kept, Quantity, together
@@ -52,17 +53,20 @@ SHORTEST = 1.0
 #: part of the samples before an analysis that are there: the first stamp of a chunk is not the last of the one before
 NEARLY = 0.99
 
+#: recording and parameters to what is found there
+Find = Callable[[Recording, dict], list[Finding]]
+
 
 class Online:
     """The diagnosis of a vehicle whose filter has the checked parameters `values`.
 
-    find: an analysis, recording and parameters to findings; by default what `diagnose` would add. kept: what an earlier
-    drive has proven; it drives, and is SUSPECT until it is proven again.
+    find: an analysis, recording and parameters to findings; by default what `diagnose` would add. look: the same
+    without a filter, each minute; by default `shown_directly`. kept: what an earlier drive has proven; it drives, and
+    is SUSPECT until it is proven again.
     """
 
-    def __init__(self, values: dict, find: Callable[[Recording, dict], list[Finding]] | None = None,
-                 kept: Sequence[Kept] = ()):
-        self._values, self._find = {**values, 'bag': []}, find or found
+    def __init__(self, values: dict, find: Find | None = None, look: Find | None = None, kept: Sequence[Kept] = ()):
+        self._values, self._find, self._look = {**values, 'bag': []}, find or found, look or shown_directly
         self._applies = values['diagnosis.online'] == 'apply'
         self._length = values['diagnosis.window']
         self._window: Recording | None = None
@@ -120,6 +124,8 @@ class Online:
             self._begin_anew_since(gone)
         elif before is not None:
             self._try(chunk)
+        for finding in self._look(self._window, {**self._values, **self.sets}):
+            self._put_on_trial(finding, latest=True, again=False)
         young = seconds(self._window) <= LATEST
         if self._lately >= NEARLY * LATEST and not young:  # before all that is kept, where both are due
             self._lately = 0.0
@@ -128,6 +134,8 @@ class Online:
             self._since, self._lately = 0.0, 0.0 if young else self._lately
             self._analyses += 1
             self._analyse(self._window, latest=young)
+        for name, trial in self.applied.items():
+            trial.seen = name not in self.trials or self.trials[name].rejected
         return self.quantities()
 
     def _analyse(self, part: Recording, latest: bool) -> None:
@@ -142,13 +150,12 @@ class Online:
         for finding in findings:
             self._put_on_trial(finding, latest)
 
-    def _put_on_trial(self, finding: Finding, latest: bool) -> None:
+    def _put_on_trial(self, finding: Finding, latest: bool, again: bool = True) -> None:
+        """latest: as of `_analyse`. again: what has been shown to do harm may be tried once more."""
         name, driving, trial = finding.name, self.applied.get(finding.name), self.trials.get(finding.name)
-        if driving is not None:
-            if not latest or not driving.differs(finding):
-                return
-            driving.seen = False
-        if trial is None or trial.rejected or (latest and trial.differs(finding)):
+        if driving is not None and not (latest and driving.differs(finding)):
+            return
+        if trial is None or (again and trial.rejected) or (latest and trial.differs(finding)):
             self.trials[name] = Trial(finding, finding.changes, self._next_needed(),
                                       advice=advised(finding, self._window, {**self._values, **self.sets}))
 

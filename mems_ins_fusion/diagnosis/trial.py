@@ -1,6 +1,7 @@
 """A finding on trial: what outages after it say for it and against it, its state, and how that is told."""
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,7 +14,10 @@ from .quantity import COARSE, FINE, SUSPECT, Kept, Quantity
 from .trial_outages import OUTAGES, Place
 
 #: outages in which what is applied and does good is taken back once at most: a day of the shortest ones
-TAKEN_BACK = 17_000.0
+TAKEN_BACK = 86_400.0
+#: wealth against it in outages of one duration with which nothing is proven: what follows the errors of the fixes, and
+#: so predicts the next one, predicts worse over half a minute
+DOUBTED = 20.0
 #: sigmas that two estimates of the same are apart, which are two values
 APART = 3.0
 #: of a parameter in a line to copy
@@ -53,6 +57,11 @@ class Trial:
         return float(np.mean([np.exp(bets.con) for bets in self.bets.values()]))
 
     @property
+    def doubted(self) -> bool:
+        """Whether outages of any duration speak against it."""
+        return max(bets.con for bets in self.bets.values()) >= math.log(DOUBTED)
+
+    @property
     def rejected(self) -> bool:
         if self.applied:
             return self.harm >= TAKEN_BACK
@@ -74,7 +83,7 @@ class Trial:
                 bets.take(without, with_it)
                 if self.applied:
                     bets.con = max(bets.con, 0.0)
-                self.proven = self.proven or self.wealth >= self.needed
+                self.proven = self.proven or (self.wealth >= self.needed and not self.doubted)
         if self.kept and self.proven and not before:
             self.kept = replace(self.kept, found=now)
 
@@ -92,12 +101,13 @@ class Trial:
         self.errors = {duration: [] for duration in OUTAGES}
 
     def differs(self, finding: Finding) -> bool:
-        """Whether `finding`, of the same effect, has other values. Where this one is applied, it is what is left."""
-        own = {} if self.applied else self.finding.parameters
-        sigmas = {name: e.sigma for name, e in self.finding.parameters.items() if e.known}
-        values = {name: e.value for name, e in own.items() if e.known}
-        return any(e.known and name in sigmas and abs(e.value - values.get(name, 0.0)) > APART * np.hypot(
-            e.sigma, sigmas[name]) for name, e in finding.parameters.items())
+        """Whether `finding`, of the same effect, has other values. Where this one is applied, it is what is left beside
+        that."""
+        own = {name: (e.value, e.sigma) for name, e in self.finding.parameters.items() if e.known}
+        if self.applied:
+            own = dict.fromkeys(own, (0.0, 0.0))
+        return any(e.known and name in own and abs(e.value - own[name][0]) > APART * math.hypot(e.sigma, own[name][1])
+                   for name, e in finding.parameters.items())
 
     def quantity(self, now: int, name: str) -> Quantity:
         """It in words, as `name`. now: ns, stamp of the newest sample."""

@@ -13,13 +13,13 @@ from ..samples import Recording
 Place = tuple[float, float]
 #: s before a chunk, for two filters to find their state in
 SETTLING = 180.0
-#: s without fixes: short ones are many, and show what is sharp soon; long ones what is small against the noise of the
-#: fixes
-OUTAGES = (5.0, 10.0, 30.0)
+#: s without fixes: short ones are many, and show soon what moves the next fix; long ones what grows, and whether what
+#: fits the next fix is true
+OUTAGES = (1.0, 5.0, 10.0, 30.0)
 #: part of an outage at whose end the fixes are compared with the prediction: their mean
 JUDGED = 0.3
-#: m: an outage in which less was driven says nothing
-DRIVEN = 20.0
+#: m, and m/s in short ones: an outage in which less was driven says nothing
+DRIVEN, SLOWEST = 20.0, 4.0
 
 
 def predicted(part: Recording, values: dict, chunk: Recording) -> dict[float, dict[int, tuple[Place, float]]]:
@@ -52,7 +52,7 @@ def pairs(present: dict, other: dict) -> dict[float, list[tuple[Place, Place]]]:
     """By duration, the errors of the same outages of two filters in which the vehicle was driven."""
     found = {}
     for duration in OUTAGES:
-        a, b = present[duration], other[duration]
-        both = [(a[begin][0], b[begin][0]) for begin in sorted(a.keys() & b.keys()) if a[begin][1] > DRIVEN]
+        a, b, least = present[duration], other[duration], min(DRIVEN, SLOWEST * duration)
+        both = [(a[begin][0], b[begin][0]) for begin in sorted(a.keys() & b.keys()) if a[begin][1] > least]
         found[duration] = [pair for pair in both if np.isfinite(sum(pair[0]) + sum(pair[1]))]
     return found

@@ -6,24 +6,23 @@ from collections.abc import Callable, Sequence
 from ..filter.measurements.registry import aiding
 from ..filter.runs.changing import Dropped
 from ..samples import Recording
-from .findings import Finding
 from .gathering import chunks
-from .online import Online, found
+from .online import Find, Online, found
 from .quantity import Findings, Kept, Quantity
 
 
 class Watch:
     """A recording as a live node is told of it, chunk by chunk. said: each quantity when it was news.
 
-    progress: called from time to time with the part that is done; what it raises ends all. find, kept: as of `Online`.
+    progress: called from time to time with the part that is done; what it raises ends all. find, look, kept: as of `Online`.
     """
 
     def __init__(self, recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None,
-                 find: Callable[[Recording, dict], list[Finding]] | None = None, kept: Sequence[Kept] = ()):
+                 find: Find | None = None, look: Find | None = None, kept: Sequence[Kept] = ()):
         self.said: list[Quantity] = []
         self._progress, self._done, self._told = progress, 0.0, {}
         self._work = Online(values, find or (lambda part, given: found(part, given, lambda _, what: progress(
-            self._done))), kept)
+            self._done))), look, kept)
         self._chunks, self._span = chunks(recording, aiding(values)), recording.imu.stamp[[0, -1]].tolist()
 
     @property
