@@ -25,6 +25,7 @@ from mems_ins_fusion.filter.runs import changing
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.odometry import LINEAR, POSE_COVARIANCE, SIZE
 from mems_ins_fusion.navigation.earth import to_local
+from mems_ins_fusion.nodes.identity import GNSS, IMU, Identity, differences
 from mems_ins_fusion.nodes.state_file import StateFile
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -267,6 +268,40 @@ def test_the_state_file_keeps_it_for_the_same_sensors(tmp_path):
     # and one that is damaged is named
     content = json.loads(path.read_text())
     path.write_text(json.dumps({**content, 'calibration': [{'name': 'x', 'set': {'gnss.time_offset': 'soon'}}]}))
+    assert 'cannot be used' in StateFile(path, 1.0, 1.0).read()
+
+
+def test_another_device_is_told_from_what_its_messages_say():
+    # given an IMU of 100 Hz and a receiver of 4 Hz, from the first message of the receiver on with another frame
+    def known(rate, frame):
+        identity = Identity((IMU, GNSS))
+        for k in range(round(8 * rate)):
+            identity.add(IMU, round(k / rate * SECOND), {'frame_id': 'imu'})
+        assert identity.known is None and identity.lacks(GNSS) and not identity.lacks(IMU)
+        for k in range(24):
+            identity.add(GNSS, k * SECOND // 4, {'frame_id': frame if k else '', 'service': 1})
+        return identity.known
+    before = known(100.0, 'antenna')
+    assert before[IMU] == {'frame_id': 'imu', 'rate': pytest.approx(100.0)}
+    assert before[GNSS] == {'frame_id': 'antenna', 'service': 1, 'rate': pytest.approx(4.0)}
+    # then a driver that leaves out a tenth is the same device, and another rate or frame is not
+    assert differences(before, known(110.0, 'antenna')) == []
+    assert differences(before, known(200.0, 'antenna')) == ['imu: rate 200 (before: 100)']
+    assert differences(before, known(100.0, 'gps')) == ["gnss: frame_id 'gps' (before: 'antenna')"]
+    # nor does a file speak against it that does not know
+    assert differences({}, before) == [] and differences({IMU: {'rate': 100.0}}, before) == []
+
+
+def test_the_state_file_keeps_which_devices_it_was_found_on(tmp_path):
+    path, devices = tmp_path / 'state.json', {IMU: {'frame_id': 'imu', 'rate': 100.0}}
+    kept = [Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET})]
+    assert StateFile(path, 1.0, 1.0).write(HERE, kept, TOPICS, devices) is None
+    again = StateFile(path, 1.0, 1.0)
+    assert again.read() is None
+    assert again.devices(TOPICS) == devices and again.devices({**TOPICS, 'imu_topic': '/other'}) == {}
+    content = json.loads(path.read_text())
+    content['calibration'][0]['devices'] = {IMU: 'x'}
+    path.write_text(json.dumps(content))
     assert 'cannot be used' in StateFile(path, 1.0, 1.0).read()
 
 

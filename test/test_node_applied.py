@@ -39,6 +39,28 @@ def of_file(path):
     return {one['name']: one['set'] for one in json.loads(path.read_text())['calibration']}
 
 
+def test_what_was_found_on_another_device_is_not_used(recording, kept, tmp_path):
+    # given a state file whose receiver had another frame
+    path = tmp_path / 'state.json'
+    devices = {'gnss': {'frame_id': 'another antenna', 'service': 1, 'rate': 2.0}}
+    assert StateFile(path, 1.0, 1.0).write(HERE, [kept], SENSORS, devices) is None
+    peer = Peer()
+    part = recording.having({name: samples.select(samples.stamp < recording.imu.stamp[0] + 30 * SECOND)
+                             for name, samples in recording.streams().items()})
+    with NodeProcess('fusion_node', *PLAYABLE, '-p', 'diagnosis.online:=apply', '-p', f'state_file:={path}') as node:
+        node.wait_for(f'{NAME} of an earlier drive: gnss.time_offset: {OFFSET}')
+        node.wait_until_ready()
+        peer.connect(node, part)
+        peer.play(node, part)
+        # then that is said, and the filter goes on without
+        node.wait_for("frame_id")
+        assert any('another device than before' in line and NAME in line for line in node.lines)
+        assert any('the filter is to go on with gnss.time_offset: 0.0' in line for line in node.lines)
+        node.send(signal.SIGINT)
+        assert node.wait() == 0
+    peer.close()
+
+
 def test_a_drive_in_which_a_finding_is_dropped_has_the_bits_of_its_replay(recording, kept, tmp_path):
     path = tmp_path / 'state.json'
     assert StateFile(path, 1.0, 1.0).write(HERE, [kept], SENSORS) is None

@@ -73,7 +73,7 @@ class Online:
         self._since = self._lately = 0.0  # s of samples since the last analysis, and the last one of the latest ones
         self.trials: dict[str, Trial] = {}  # of what is not applied
         self.applied: dict[str, Trial] = {}
-        self._begun = self._analyses = self._begins = 0  # trials, analyses; ns, the first stamp
+        self.begun = self._analyses = self._begins = 0  # trials, analyses; ns, the first stamp
         self._why = ''
         for one in kept if self._applies else ():
             self.applied[one.name] = Trial(_known(one, one.parameters), one.sets, self._next_needed(), applied=True,
@@ -161,8 +161,8 @@ class Online:
 
     def _next_needed(self) -> float:
         """Wealth with which the next trial is proven."""
-        self._begun += 1
-        return (np.pi * self._begun) ** 2 / (6.0 * FALSE_ALARMS)
+        self.begun += 1
+        return (np.pi * self.begun) ** 2 / (6.0 * FALSE_ALARMS)
 
     def _try(self, chunk: Recording) -> None:
         """The outages of `chunk` through the present filter, and through that of each trial."""

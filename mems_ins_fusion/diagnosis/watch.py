@@ -30,6 +30,11 @@ class Watch:
         """What the filters should have."""
         return self._work.wanted
 
+    @property
+    def trials(self) -> int:
+        """How many findings have been on trial."""
+        return self._work.begun
+
     def take(self, dropped: Sequence[Dropped] = ()) -> Findings | None:
         """What they should have after the next chunk, in which it has `dropped` findings; None behind the last one."""
         self._progress(self._done)
