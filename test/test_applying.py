@@ -149,6 +149,18 @@ def test_a_filter_with_what_is_on_trial_takes_over_as_soon_as_that_is_proven(lat
     assert np.array_equal(own.odometry, fusion.odometry)
 
 
+def test_a_filter_that_the_fixes_show_to_be_better_does_not_wait(late, monkeypatch):
+    # given the right offset from 200 s on, and a new filter that never is as sure as the present one
+    monkeypatch.setattr(changing, '_as_sure', lambda present, other: False)
+    begin = 200 * 20
+    fusion = changing.ChangingFilter(FilterConfig.from_parameters(APPLY))
+    fed(fusion, late, 0, 420 * 20, {begin: lambda: fusion.change({**APPLY, 'gnss.time_offset': OFFSET})})
+    # then it takes over as soon as it has settled
+    handover, = fusion.handovers
+    waited = (handover.stamp - late.imu.stamp[begin]) / SECOND
+    assert changing.SETTLING <= waited < changing.SETTLING + 20.0 < changing.LONGEST
+
+
 def test_a_difference_that_the_sigmas_do_not_cover_waits_for_a_standstill(late, monkeypatch):
     # given a change of the mounting by 10 deg, which no sigma of the heading covers, and a vehicle that never stands
     monkeypatch.setattr(changing, 'STANDING', -1.0)

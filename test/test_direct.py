@@ -9,6 +9,9 @@ import pytest
 
 from mems_ins_fusion.diagnosis import direct
 from mems_ins_fusion.diagnosis.direct import shown_directly
+from mems_ins_fusion.diagnosis.estimate import Estimate
+from mems_ins_fusion.diagnosis.findings import Finding
+from mems_ins_fusion.diagnosis.held_out import HeldOut
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
@@ -70,7 +73,15 @@ def test_a_wheel_speed_that_is_late_is_told_by_the_name_of_its_input(recording):
 
 
 def test_of_several_looks_the_longest_that_agrees_counts(recording, monkeypatch):
-    # given looks of which the longest is mostly of the time before the change
-    monkeypatch.setattr(direct, 'LOOKED_AT', (80.0, 300.0))
-    found, = shown_directly(until(recording, 340), DEFAULTS)
-    assert abs(found.parameters['time_offset'].value - OFFSET) < 0.1
+    # given looks at one, two and four minutes, of which the second is of the time before the change as well
+    seen = {60: (0.30, 0.02), 120: (0.10, 0.02), 240: (0.29, 0.01)}
+
+    def look(part, values):
+        value, sigma = seen[round((part.imu.stamp[-1] - part.imu.stamp[0]) / SECOND)]
+        return {'x': Finding('x', ['x'], {'a': Estimate(value, sigma, 's')}, 0.0, 0.0, True, HeldOut(0.0, 1.0, []))}
+    monkeypatch.setattr(direct, '_shown', look)
+    found, = shown_directly(recording, DEFAULTS)
+    assert found.parameters['a'].value == 0.29
+    seen[240] = (0.12, 0.01)
+    found, = shown_directly(recording, DEFAULTS)
+    assert found.parameters['a'].value == 0.30

@@ -77,6 +77,20 @@ def test_a_small_advantage_is_not_worth_a_change():
     assert taken(noise + 0.8 * apart, noise - 0.2 * apart).proven
 
 
+def test_what_predicts_the_next_fix_better_and_half_a_minute_worse_is_not_proven():
+    # given 100 outages of each duration, of which those of 30 s are worse with the finding
+    one = trial()
+    for _ in range(100):
+        better, worse = ((1.0, 0.0), (0.2, 0.0)), ((0.2, 0.0), (1.0, 0.0))
+        one.take({duration: [worse if duration == max(OUTAGES) else better] for duration in OUTAGES})
+    assert one.wealth > one.needed and one.doubted and not one.proven
+    # then without those it is
+    one = trial()
+    for _ in range(100):
+        one.take({duration: [] if duration == max(OUTAGES) else [better] for duration in OUTAGES})
+    assert one.proven
+
+
 def test_what_is_better_is_proven_and_what_is_worse_rejected():
     # given a filter that is right and one that is off by 1 m, and fixes with a noise of 1 m on each axis
     rng = np.random.default_rng(1)
