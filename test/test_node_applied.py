@@ -42,7 +42,7 @@ def of_file(path):
 def test_what_was_found_on_another_device_is_not_used(recording, kept, tmp_path):
     # given a state file whose receiver had another frame
     path = tmp_path / 'state.json'
-    devices = {'gnss': {'frame_id': 'another antenna', 'service': 1, 'rate': 2.0}}
+    devices = {'gnss': {'frame_id': 'another antenna', 'service': 0, 'rate': 2.0}}
     assert StateFile(path, 1.0, 1.0).write(HERE, [kept], SENSORS, devices) is None
     peer = Peer()
     part = recording.having({name: samples.select(samples.stamp < recording.imu.stamp[0] + 30 * SECOND)
@@ -53,8 +53,7 @@ def test_what_was_found_on_another_device_is_not_used(recording, kept, tmp_path)
         peer.connect(node, part)
         peer.play(node, part)
         # then that is said, and the filter goes on without
-        node.wait_for("frame_id")
-        assert any('another device than before' in line and NAME in line for line in node.lines)
+        peer.spin_until(lambda: any('another device than before' in line and NAME in line for line in node.lines))
         assert any('the filter is to go on with gnss.time_offset: 0.0' in line for line in node.lines)
         node.send(signal.SIGINT)
         assert node.wait() == 0

@@ -42,13 +42,15 @@ def _shown(part: Recording, values: dict) -> dict[str, Finding]:
     mounting = estimate_mounting(part.imu, part.gnss)
     left = {one.name: one for one in remaining_of(mounting, values)}
     arm = {axis: left[name] for axis, name in zip('xyz', ARM) if left[name].sigma < VAGUE_ARM}
-    angles = {name: left[name] for name in ANGLES if math.isfinite(left[name].sigma)}
+    angles = {name: left[name] for name in ANGLES}
     clocks = {'gnss': left[TIME_OFFSET], **clocks_left(part, part.imu, mounting, values)}
     effects = {f'{name}_time_offset': {'time_offset': clock} for name, clock in clocks.items()
                if clock.certain(SMALL_OFFSET, SURE)}
     if any(one.certain(SMALL_ARM, SURE) for one in arm.values()):
         effects['gnss_lever_arm'] = arm
-    if any(one.certain(SMALL_YAW if name == 'yaw' else SMALL_TILT, SURE) for name, one in angles.items()):
+    # what was not driven yet may be the slope of the road
+    driven = mounting is not None and mounting.yaw_known
+    if driven and any(one.certain(SMALL_YAW if name == 'yaw' else SMALL_TILT, SURE) for name, one in angles.items()):
         effects['mounting_rotation'] = angles
     return {name: _finding(name, sizes, values) for name, sizes in effects.items()}
 

@@ -157,7 +157,7 @@ class FusionNode(Node):
                   rate.x * rate_unit, rate.y * rate_unit, rate.z * rate_unit)
         if self._identity.lacks(IMU):
             self._identify(IMU, now, {'frame_id': message.header.frame_id,
-                                      'orientation': message.orientation_covariance[0] != -1.0})
+                                      'orientation': bool(message.orientation_covariance[0] != -1.0)})
         self._monitor.mounting.add_sample(sample)
         if self._online and (findings := self._online.add_sample(sample)) is not None:
             self._change(findings)

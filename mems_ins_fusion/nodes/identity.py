@@ -3,8 +3,10 @@ from __future__ import annotations
 
 #: names of the sensors
 IMU, GNSS = 'imu', 'gnss'
-#: s of stamps, over which a rate is counted
-COUNTED = 5.0
+#: s of stamps and messages, over which a rate is counted at least
+COUNTED, MESSAGES = 5.0, 5
+#: s from one message to the next, which is a clock that was set, or a driver that was stopped
+GAP = 60.0
 #: a rate that is so many times another one is another rate: clocks and lost messages make less
 OTHER_RATE = 1.2
 
@@ -14,8 +16,8 @@ class Identity:
 
     def __init__(self, sensors: tuple[str, ...]):
         self._sensors = sensors
-        self._first: dict[str, tuple[int, dict]] = {}  # stamp (ns) of the first message, and what it told
-        self._counts = dict.fromkeys(sensors, 0)
+        self._first: dict[str, tuple[int, dict]] = {}  # stamp (ns) of the first message that counts, and what it told
+        self._newest, self._counts = dict.fromkeys(sensors, 0), dict.fromkeys(sensors, 0)
         self._complete: dict[str, dict] = {}
 
     @property
@@ -30,10 +32,11 @@ class Identity:
     def add(self, sensor: str, stamp: int, told: dict) -> None:
         """A message of `sensor`, one of those that it lacks; stamp: ns. told: what does not change from one message of a device to the next."""
         first, was_told = self._first.setdefault(sensor, (stamp, told))
-        seconds = (stamp - first) * 1e-9
-        if seconds < 0.0 or was_told != told:  # a clock that was set, or a driver that only begins
+        seconds, since = (stamp - first) * 1e-9, (stamp - self._newest[sensor]) * 1e-9
+        self._newest[sensor] = stamp
+        if was_told != told or not 0.0 <= since <= GAP:  # not of the messages before
             self._first[sensor], self._counts[sensor] = (stamp, told), 0
-        elif seconds >= COUNTED and self._counts[sensor]:
+        elif seconds >= COUNTED and self._counts[sensor] >= MESSAGES:
             self._complete[sensor] = {**told, 'rate': self._counts[sensor] / seconds}
         self._counts[sensor] += 1
 
