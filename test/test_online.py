@@ -220,6 +220,16 @@ def test_a_finding_is_proven_on_what_comes_after(drive, monkeypatch):
     assert len(work.trials['gnss_time_offset'].errors[10.0]) <= 9 * 6
 
 
+def test_what_the_last_minute_shows_is_not_suspect_for_being_young(drive):
+    # given a finding on trial, and an analysis of all that is kept that does not find it
+    work = Online(table.check({}), blind, blind)
+    work.trials = {'gnss_time_offset': trial()}
+    for shown, state in (({'gnss_time_offset'}, COARSE), (set(), SUSPECT)):
+        work._analyse(drive, shown, latest=False)
+        # then it is SUSPECT only where the last minute does not show it, either
+        assert work.trials['gnss_time_offset'].state == state
+
+
 def test_a_value_that_has_changed_begins_anew(monkeypatch, drive):
     monkeypatch.setattr(online, 'FIRST', CHUNK)
     said, work = followed(drive, [[finding(0.1)], [finding(0.12)], [finding()], [], []])

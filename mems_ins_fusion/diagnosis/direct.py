@@ -42,7 +42,8 @@ def _shown(part: Recording, values: dict) -> dict[str, Finding]:
     mounting = estimate_mounting(part.imu, part.gnss)
     left = {one.name: one for one in remaining_of(mounting, values)}
     arm = {axis: left[name] for axis, name in zip('xyz', ARM) if left[name].sigma < VAGUE_ARM}
-    angles = {name: left[name] for name in ANGLES}
+    small = dict(zip(ANGLES, (SMALL_TILT, SMALL_TILT, SMALL_YAW)))
+    angles = {name: left[name] for name in ANGLES if left[name].sigma < small[name]}
     clocks = {'gnss': left[TIME_OFFSET], **clocks_left(part, part.imu, mounting, values)}
     effects = {f'{name}_time_offset': {'time_offset': clock} for name, clock in clocks.items()
                if clock.certain(SMALL_OFFSET, SURE)}
@@ -50,7 +51,7 @@ def _shown(part: Recording, values: dict) -> dict[str, Finding]:
         effects['gnss_lever_arm'] = arm
     # what was not driven yet may be the slope of the road
     driven = mounting is not None and mounting.yaw_known
-    if driven and any(one.certain(SMALL_YAW if name == 'yaw' else SMALL_TILT, SURE) for name, one in angles.items()):
+    if driven and any(one.certain(small[name], SURE) for name, one in angles.items()):
         effects['mounting_rotation'] = angles
     return {name: _finding(name, sizes, values) for name, sizes in effects.items()}
 

@@ -124,27 +124,30 @@ class Online:
             self._begin_anew_since(gone)
         elif before is not None:
             self._try(chunk)
-        for finding in self._look(self._window, {**self._values, **self.sets}):
+        shown = self._look(self._window, {**self._values, **self.sets})
+        for finding in shown:
             self._put_on_trial(finding, latest=True, again=False)
+        names = {finding.name for finding in shown}
         young = seconds(self._window) <= LATEST
         if self._lately >= NEARLY * LATEST and not young:  # before all that is kept, where both are due
             self._lately = 0.0
-            self._analyse(cut(self._window, LATEST), latest=True)
+            self._analyse(cut(self._window, LATEST), names, latest=True)
         elif self._since >= NEARLY * self._due:
             self._since, self._lately = 0.0, 0.0 if young else self._lately
             self._analyses += 1
-            self._analyse(self._window, latest=young)
+            self._analyse(self._window, names, latest=young)
         for name, trial in self.applied.items():
             trial.seen = name not in self.trials or self.trials[name].rejected
         return self.quantities()
 
-    def _analyse(self, part: Recording, latest: bool) -> None:
-        """Trials of what is found in `part`. latest: it is young enough to say that a value has changed."""
+    def _analyse(self, part: Recording, shown: set[str], latest: bool) -> None:
+        """Trials of what is found in `part`. shown: names of what the look has found just now. latest: the part is
+        young enough to say that a value has changed."""
         try:
             findings, self._why = self._find(part, {**self._values, **self.sets}), ''
         except InputError as error:
             findings, self._why = [], str(error)
-        names = {finding.name for finding in findings}
+        names = shown | {finding.name for finding in findings}
         for name, trial in self.trials.items():
             trial.seen = name in names or (latest and trial.seen)
         for finding in findings:
