@@ -232,7 +232,8 @@ def test_what_has_become_wrong_is_dropped_within_a_minute(monkeypatch):
     recording = drive(end=0.5)
     changed, answers = recording.imu.stamp[0] + 480 * SECOND, iter([[finding()]])
     monkeypatch.setattr(online, 'FIRST', CHUNK)
-    watch = Watch(recording, {**APPLY, 'diagnosis.window': 300.0}, find=lambda part, values: next(answers, []), look=blind)
+    watch = Watch(recording, {**APPLY, 'diagnosis.window': 300.0}, look=blind,
+                  find=lambda part, values: next(answers, []))
     run = driven(replace(recording, reference=None), APPLY, watch, every=20)
     # then the filter that ran on without it takes over within a minute, knows from when on it is right,
     dropped, = run.dropped

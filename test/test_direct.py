@@ -21,7 +21,7 @@ DEFAULTS = table.check({})
 
 @pytest.fixture(scope='module')
 def recording():
-    """Eight minutes at 50 Hz with fixes of centimetres; from the middle on these and the wheel speed are stamped late."""
+    """Eight minutes at 50 Hz with fixes of centimetres; from the middle on these and wheel speed are stamped late."""
     sensors = SensorErrors(accelerometer_noise_density=[1e-3] * 3, gyroscope_noise_density=[1e-4] * 3)
     made = simulate_recording(simulate_drive(480.0, seed=5, rate=50.0), sensors, GnssNoise(0.02, rate=2.0), seed=5,
                               aiding=Aiding(speed_rate=10.0)).recording

@@ -1,8 +1,8 @@
 """What the latest minutes show without a filter of time offsets, antenna and mounting, as findings to be proven.
 
 The estimates are those of `configure`; a look at some minutes takes half a second of work, where an analysis of them by
-`diagnose` takes half a minute. So it can be had each minute, of the latest one alone too: a value that has changed shows
-before it is most of what is kept.
+`diagnose` takes half a minute. So it can be had each minute, of the latest one alone too: a value that has changed
+shows before it is most of what is kept.
 """
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ def _finding(name: str, sizes: dict[str, Remaining], values: dict) -> Finding:
     units = {one.name: one.unit for one in effect.traced}
     adjusted = effect.adjusted(values, {**dict.fromkeys(units, 0.0), **{n: one.value for n, one in sizes.items()}})
     changes = {parameter: value for parameter, value in adjusted.items() if value != values.get(parameter)}
-    return Finding(name, [name], {n: Estimate(one.value, one.sigma, units[n]) for n, one in sizes.items()}, 0.0, 0.0, True,
-                   HeldOut(0.0, 1.0, []), changes=changes)
+    left = {n: Estimate(one.value, one.sigma, units[n]) for n, one in sizes.items()}
+    return Finding(name, [name], left, 0.0, 0.0, True, HeldOut(0.0, 1.0, []), changes=changes)
 
 
 def _agree(one: Finding, other: Finding) -> bool:

@@ -14,7 +14,8 @@ from .quantity import Findings, Kept, Quantity
 class Watch:
     """A recording as a live node is told of it, chunk by chunk. said: each quantity when it was news.
 
-    progress: called from time to time with the part that is done; what it raises ends all. find, look, kept: as of `Online`.
+    progress: called from time to time with the part that is done; what it raises ends all. find, look, kept: as of
+    `Online`.
     """
 
     def __init__(self, recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None,

@@ -30,7 +30,8 @@ class Identity:
         return sensor not in self._complete
 
     def add(self, sensor: str, stamp: int, told: dict) -> None:
-        """A message of `sensor`, one of those that it lacks; stamp: ns. told: what does not change from one message of a device to the next."""
+        """A message of `sensor`, one of those that it lacks; stamp: ns. told: what does not change from
+        one message of a device to the next."""
         first, was_told = self._first.setdefault(sensor, (stamp, told))
         seconds, since = (stamp - first) * 1e-9, (stamp - self._newest[sensor]) * 1e-9
         self._newest[sensor] = stamp

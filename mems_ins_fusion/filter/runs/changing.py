@@ -168,7 +168,8 @@ class ChangingFilter(WatchedFilter):
 
     def _having(self, values: dict) -> Beside:
         """The filter that is ready with the parameters `values`, or one that begins."""
-        return next((one for one in self._ready if one.fusion.config.parameters == values), None) or self._beside_with(values)
+        there = next((one for one in self._ready if one.fusion.config.parameters == values), None)
+        return there or self._beside_with(values)
 
     def _beside_with(self, values: dict) -> Beside:
         fusion = WatchedFilter(FilterConfig.from_parameters(values))
