@@ -59,3 +59,5 @@ def test_what_is_advised_is_worth_it_and_said_in_the_unit():
     # and nothing where half a minute adds nothing, or where nothing is known of the effect
     assert advised(finding('gnss_time_offset', time_offset=(0.001, 's')), recorded(1.5), VALUES) is None
     assert advised(finding('imu_repeats', share=(0.1, '-')), recorded(1.5), VALUES) is None
+    # nor for a noise, which shows with time, whatever is driven
+    assert advised(finding('gnss_coloured_noise', sigma=(1.0, 'm'), tau=(40.0, 's')), recorded(1.5), VALUES) is None

@@ -9,19 +9,23 @@ import numpy as np
 import pytest
 from ros_support import PLAYABLE, NodeProcess, call
 from std_srvs.srv import Trigger
-from test_online import OFFSET, SECOND, finding
+from test_online import OFFSET, SECOND, blind, finding
 
 from mems_ins_fusion.diagnosis import online
 from mems_ins_fusion.diagnosis.applying import WAIT, Due, driven
 from mems_ins_fusion.diagnosis.gathering import CHUNK, chunks
-from mems_ins_fusion.diagnosis.online import OTHER, Online, Trial
+from mems_ins_fusion.diagnosis.online import OTHER, Online
 from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, SUSPECT, Findings, Kept
+from mems_ins_fusion.diagnosis.trial import Trial
+from mems_ins_fusion.diagnosis.trial_outages import OUTAGES
+from mems_ins_fusion.diagnosis.watch import Watch
 from mems_ins_fusion.effects.registry import effect_called
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs import changing
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.odometry import LINEAR, POSE_COVARIANCE, SIZE
 from mems_ins_fusion.navigation.earth import to_local
+from mems_ins_fusion.nodes.identity import GNSS, IMU, Identity, differences
 from mems_ins_fusion.nodes.state_file import StateFile
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -145,6 +149,18 @@ def test_a_filter_with_what_is_on_trial_takes_over_as_soon_as_that_is_proven(lat
     assert np.array_equal(own.odometry, fusion.odometry)
 
 
+def test_a_filter_that_the_fixes_show_to_be_better_does_not_wait(late, monkeypatch):
+    # given the right offset from 200 s on, and a new filter that never is as sure as the present one
+    monkeypatch.setattr(changing, '_as_sure', lambda present, other: False)
+    begin = 200 * 20
+    fusion = changing.ChangingFilter(FilterConfig.from_parameters(APPLY))
+    fed(fusion, late, 0, 420 * 20, {begin: lambda: fusion.change({**APPLY, 'gnss.time_offset': OFFSET})})
+    # then it takes over as soon as it has settled
+    handover, = fusion.handovers
+    waited = (handover.stamp - late.imu.stamp[begin]) / SECOND
+    assert changing.SETTLING <= waited < changing.SETTLING + 20.0 < changing.LONGEST
+
+
 def test_a_difference_that_the_sigmas_do_not_cover_waits_for_a_standstill(late, monkeypatch):
     # given a change of the mounting by 10 deg, which no sigma of the heading covers, and a vehicle that never stands
     monkeypatch.setattr(changing, 'STANDING', -1.0)
@@ -164,7 +180,7 @@ def of_chunks(recording, answers, monkeypatch, kept=()):
     monkeypatch.setattr(online, 'FIRST', CHUNK)
     monkeypatch.setattr(online, 'LATEST', 2 * CHUNK)
     asked = iter(answers)
-    work = Online({**APPLY, 'diagnosis.window': 300.0}, lambda part, values: next(asked, []), kept)
+    work = Online({**APPLY, 'diagnosis.window': 300.0}, lambda part, values: next(asked, []), blind, kept)
     return [({q.name: (q.state, q.applied) for q in work.take(chunk)}, work.sets) for chunk in chunks(recording)], work
 
 
@@ -186,7 +202,7 @@ def test_what_is_proven_is_applied_and_the_fixes_are_met(late, monkeypatch):
         off = run.odometry[last, :2] - np.column_stack([np.interp(*t, east), np.interp(*t, north)])
         return math.sqrt((off**2).sum(axis=1).mean()), run
     answers = iter([[finding()]])
-    watch = online.Watch(late, {**APPLY, 'diagnosis.window': 300.0}, find=lambda part, values: next(answers, []))
+    watch = Watch(late, {**APPLY, 'diagnosis.window': 300.0}, find=lambda part, values: next(answers, []), look=blind)
     (applied, run), (given, _) = error(APPLY, watch), error({**APPLY, 'gnss.time_offset': OFFSET})
     assert len(run.handovers) == 1 and applied == pytest.approx(given, rel=0.2)
     assert applied < 0.5 * error(APPLY)[0] and not run.dropped
@@ -216,7 +232,8 @@ def test_what_has_become_wrong_is_dropped_within_a_minute(monkeypatch):
     recording = drive(end=0.5)
     changed, answers = recording.imu.stamp[0] + 480 * SECOND, iter([[finding()]])
     monkeypatch.setattr(online, 'FIRST', CHUNK)
-    watch = online.Watch(recording, {**APPLY, 'diagnosis.window': 300.0}, find=lambda part, values: next(answers, []))
+    watch = Watch(recording, {**APPLY, 'diagnosis.window': 300.0}, look=blind,
+                  find=lambda part, values: next(answers, []))
     run = driven(replace(recording, reference=None), APPLY, watch, every=20)
     # then the filter that ran on without it takes over within a minute, knows from when on it is right,
     dropped, = run.dropped
@@ -267,6 +284,41 @@ def test_the_state_file_keeps_it_for_the_same_sensors(tmp_path):
     assert 'cannot be used' in StateFile(path, 1.0, 1.0).read()
 
 
+def test_another_device_is_told_from_what_its_messages_say():
+    # given an IMU of 100 Hz and a receiver of 4 Hz, from the first message of the receiver on with another frame
+    def known(rate, frame):
+        identity = Identity((IMU, GNSS))
+        for k in range(round(8 * rate)):
+            identity.add(IMU, round(k / rate * SECOND), {'frame_id': 'imu'})
+        assert identity.known is None and identity.lacks(GNSS) and not identity.lacks(IMU)
+        identity.add(GNSS, -90 * SECOND, {'frame_id': frame, 'service': 1})  # before its clock was set
+        for k in range(24):
+            identity.add(GNSS, k * SECOND // 4, {'frame_id': frame if k else '', 'service': 1})
+        return identity.known
+    before = known(100.0, 'antenna')
+    assert before[IMU] == {'frame_id': 'imu', 'rate': pytest.approx(100.0)}
+    assert before[GNSS] == {'frame_id': 'antenna', 'service': 1, 'rate': pytest.approx(4.0)}
+    # then a driver that leaves out a tenth is the same device, and another rate or frame is not
+    assert differences(before, known(110.0, 'antenna')) == []
+    assert differences(before, known(200.0, 'antenna')) == ['imu: rate 200 (before: 100)']
+    assert differences(before, known(100.0, 'gps')) == ["gnss: frame_id 'gps' (before: 'antenna')"]
+    # nor does a file speak against it that does not know
+    assert differences({}, before) == [] and differences({IMU: {'rate': 100.0}}, before) == []
+
+
+def test_the_state_file_keeps_which_devices_it_was_found_on(tmp_path):
+    path, devices = tmp_path / 'state.json', {IMU: {'frame_id': 'imu', 'rate': 100.0}}
+    kept = [Kept(NAME, finding().parameters, {'gnss.time_offset': OFFSET})]
+    assert StateFile(path, 1.0, 1.0).write(HERE, kept, TOPICS, devices) is None
+    again = StateFile(path, 1.0, 1.0)
+    assert again.read() is None
+    assert again.devices(TOPICS) == devices and again.devices({**TOPICS, 'imu_topic': '/other'}) == {}
+    content = json.loads(path.read_text())
+    content['calibration'][0]['devices'] = {IMU: 'x'}
+    path.write_text(json.dumps(content))
+    assert 'cannot be used' in StateFile(path, 1.0, 1.0).read()
+
+
 def test_what_is_kept_is_less_sure_the_longer_nobody_has_seen_it(late, monkeypatch):
     # given an offset of +- 0.02 s that was proven a month before this drive, and one of ten years ago
     begin, day = int(late.imu.stamp[0]), 86_400 * SECOND
@@ -278,7 +330,7 @@ def test_what_is_kept_is_less_sure_the_longer_nobody_has_seen_it(late, monkeypat
     assert years.aged(begin)['time_offset'].sigma == pytest.approx(math.hypot(0.02, usual))
     assert month.aged(begin - 60 * day) == month.parameters  # of a recording from before
     # it is said so, and what is kept for the next start is as it was found, as often as the node starts
-    work = Online(APPLY, lambda part, values: [], [month])
+    work = Online(APPLY, blind, blind, [month])
     told, = work.take(next(chunks(late)))
     assert told.state == SUSPECT and told.parameters == month.aged(begin) and told.kept == month
     # until this drive proves it: then it is as new
@@ -290,7 +342,7 @@ def test_what_is_kept_is_less_sure_the_longer_nobody_has_seen_it(late, monkeypat
 
 def test_a_user_may_accept_and_reject():
     # given a finding on trial, and one that has been shown to do harm
-    work = Online(table.check({'diagnosis.online': 'report'}), lambda part, values: [])
+    work = Online(table.check({'diagnosis.online': 'report'}), blind, blind)
     work.trials = {NAME: Trial(finding(), {'gnss.time_offset': OFFSET}, 100.0), 'x': Trial(finding(), {'a': 1}, 100.0)}
     for bets in work.trials['x'].bets.values():
         bets.con = 10.0
@@ -331,11 +383,11 @@ def test_what_an_analysis_finds_beside_an_applied_value_is_what_is_left():
 
 
 def test_trials_begin_anew_when_what_they_are_compared_with_changes():
-    work = Online(APPLY, lambda part, values: [])
+    work = Online(APPLY, blind, blind)
     proven, rest = Trial(finding(), {'gnss.time_offset': OFFSET}, 1.0), Trial(finding(), {}, 1e9)
     proven.proven = True
     for trial in (proven, rest):
-        trial.take({duration: [((2.0, 0.0), (1.0, 0.0))] * 2 for duration in online.OUTAGES})
+        trial.take({duration: [((2.0, 0.0), (1.0, 0.0))] * 2 for duration in OUTAGES})
     work.trials = {NAME: proven, 'other': rest}
     work._decide()
     assert work.sets == {'gnss.time_offset': OFFSET} and list(work.trials) == ['other']

@@ -18,14 +18,21 @@ from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.gathering import CHUNK, Gathering, chunks
 from mems_ins_fusion.diagnosis.held_out import HeldOut
-from mems_ins_fusion.diagnosis.online import FALSE_ALARMS, OUTAGES, Online, Trial
+from mems_ins_fusion.diagnosis.online import FALSE_ALARMS, Online
 from mems_ins_fusion.diagnosis.quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, SUSPECT
+from mems_ins_fusion.diagnosis.trial import Trial
+from mems_ins_fusion.diagnosis.trial_outages import OUTAGES
 from mems_ins_fusion.filter.runs import betting
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 SECOND = 10**9
 OFFSET = 0.4
+
+
+def blind(recording, values):
+    """An analysis, or a look, that finds nothing."""
+    return []
 
 
 def finding(value=OFFSET, sigma=0.02):
@@ -68,6 +75,20 @@ def test_a_small_advantage_is_not_worth_a_change():
     apart, noise = np.array([[1.0, 0.0]]), 0.02 * rng.standard_normal((1000, 2))
     assert not taken(noise + 0.54 * apart, noise - 0.46 * apart).proven
     assert taken(noise + 0.8 * apart, noise - 0.2 * apart).proven
+
+
+def test_what_predicts_the_next_fix_better_and_half_a_minute_worse_is_not_proven():
+    # given 100 outages of each duration, of which those of 30 s are worse with the finding
+    one = trial()
+    for _ in range(100):
+        better, worse = ((1.0, 0.0), (0.2, 0.0)), ((0.2, 0.0), (1.0, 0.0))
+        one.take({duration: [worse if duration == max(OUTAGES) else better] for duration in OUTAGES})
+    assert one.wealth > one.needed and one.doubted and not one.proven
+    # then without those it is
+    one = trial()
+    for _ in range(100):
+        one.take({duration: [] if duration == max(OUTAGES) else [better] for duration in OUTAGES})
+    assert one.proven
 
 
 def test_what_is_better_is_proven_and_what_is_worse_rejected():
@@ -165,7 +186,7 @@ def test_wild_samples_cost_nothing(drive):
     for a, b in zip(replayed, live):
         same(a, b)
     # then the chunk that it cuts goes on behind it
-    work = Online(table.check({}), lambda recording, values: [])
+    work = Online(table.check({}), blind, blind)
     for chunk in replayed:
         said = work.take(chunk)
     assert said[0].state == NOTHING
@@ -175,7 +196,8 @@ def test_wild_samples_cost_nothing(drive):
 def followed(drive, answers, window=240.0):
     """What is said after each chunk; the analyses find what `answers` gives one after the other, then the last."""
     asked = iter(answers)
-    work = Online(table.check({'diagnosis.window': window}), lambda recording, values: next(asked, answers[-1]))
+    work = Online(table.check({'diagnosis.window': window}), lambda recording, values: next(asked, answers[-1]),
+                  blind)
     return [work.take(chunk) for chunk in chunks(drive)], work
 
 
@@ -196,6 +218,16 @@ def test_a_finding_is_proven_on_what_comes_after(drive, monkeypatch):
         assert with_it < 0.6 * without and count >= 5, duration
     # the outages were all after the analysis, and did not overlap
     assert len(work.trials['gnss_time_offset'].errors[10.0]) <= 9 * 6
+
+
+def test_what_the_last_minute_shows_is_not_suspect_for_being_young(drive):
+    # given a finding on trial, and an analysis of all that is kept that does not find it
+    work = Online(table.check({}), blind, blind)
+    work.trials = {'gnss_time_offset': trial()}
+    for shown, state in (({'gnss_time_offset'}, COARSE), (set(), SUSPECT)):
+        work._analyse(drive, shown, latest=False)
+        # then it is SUSPECT only where the last minute does not show it, either
+        assert work.trials['gnss_time_offset'].state == state
 
 
 def test_a_value_that_has_changed_begins_anew(monkeypatch, drive):

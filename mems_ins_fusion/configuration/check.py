@@ -22,12 +22,12 @@ from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
 SURE = 4.0  # sigmas
 LOOKED_AT = 1200.0  # s: how an IMU is mounted shows in this part of a drive
-_SMALL_YAW, _SMALL_TILT = math.radians(3.0), math.radians(5.0)  # less is for the filter to find
+SMALL_YAW, SMALL_TILT = math.radians(3.0), math.radians(5.0)  # less is for the filter to find
 LARGE = math.radians(30.0)  # a mounting that is off by more is an error
 _BACKWARDS = math.radians(150.0)
 FASTEST_IN_REVERSE = 8.0  # m/s: a vehicle that goes faster than this goes forwards
-SMALL_OFFSET, _SMALL_ARM = 0.05, 0.3  # s, m
-_VAGUE_ARM = 0.3  # m: an arm with a larger sigma says nothing
+SMALL_OFFSET, SMALL_ARM = 0.05, 0.3  # s, m
+VAGUE_ARM = 0.3  # m: an arm with a larger sigma says nothing
 
 
 def check(recording: Recording, values: dict) -> list[Finding]:
@@ -103,10 +103,10 @@ def _check_offset(found: Mounting | None, values: dict):
     else:
         what = f'what is left of the time offset{beside}' if declared else 'no clock offset to be seen'
         yield Finding(INFO, 'imu/gnss', f'{what}: {round(lag.value, 3) + 0.0:.3f} +- {lag.sigma:.3f} s', seen)
-    arm = [left[name] for name in ARM if left[name].sigma < _VAGUE_ARM]
-    if any(part.certain(_SMALL_ARM, SURE) for part in arm):
+    arm = [left[name] for name in ARM if left[name].sigma < VAGUE_ARM]
+    if any(part.certain(SMALL_ARM, SURE) for part in arm):
         words = ', '.join(f'{seen:.2f} +- {sigma:.2f} m {name}' for seen, sigma, name in zip(
-            offset.arm, offset.arm_sigma, ARM) if sigma < _VAGUE_ARM)
+            offset.arm, offset.arm_sigma, ARM) if sigma < VAGUE_ARM)
         yield Finding(WARNING, 'gnss', f'from the IMU to the antenna it is {words}, where gnss.lever_arm says '
                       f'{yaml_value([float(x) for x in values["gnss.lever_arm"]])}',
                       {'arm_m': offset.arm.tolist(), 'arm_sigma_m': offset.arm_sigma.tolist()}, ('gnss.lever_arm',))
@@ -156,8 +156,8 @@ def _compare(found: Mounting, declared: np.ndarray) -> list[Finding]:
     nose = found.rotation @ declared[0]
     yaw = math.atan2(nose[1], nose[0])
     upright = math.hypot(nose[0], nose[1]) > 0.3
-    tilted = tilt > max(_SMALL_TILT, SURE * tilt_sigma)
-    turned = found.yaw_known and upright and abs(yaw) > max(_SMALL_YAW, SURE * float(found.sigma[2]))
+    tilted = tilt > max(SMALL_TILT, SURE * tilt_sigma)
+    turned = found.yaw_known and upright and abs(yaw) > max(SMALL_YAW, SURE * float(found.sigma[2]))
     if not tilted and not turned:
         return []
     words = ([_tilt_in_words(tilt, tilt_sigma)] if tilted else []) + (

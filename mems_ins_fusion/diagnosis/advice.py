@@ -59,8 +59,9 @@ def advised(finding: Finding, recording: Recording, values: dict) -> Advice | No
     """
     effect = effect_called(finding.name)
     known = {name: e for name, e in finding.parameters.items() if e.known and e.sigma > 0.0}
-    unknowns = [u for u in effect_unknowns(effect, {}) if u.parameter in known]
-    if not unknowns:
+    tried = {name: e.value for name, e in finding.parameters.items() if name in effect.refined}
+    unknowns = [u for u in effect_unknowns(effect, tried) if u.parameter in known]
+    if not unknowns or any(u.variance for u in unknowns):  # a noise shows with time, whatever is driven
         return None
     sigma = np.array([known[u.parameter].sigma for u in unknowns])
     best = None

@@ -15,7 +15,7 @@ from .gathering import Slots
 from .quantity import Findings
 
 if TYPE_CHECKING:  # it brings all of `diagnose`, which a node has no use for
-    from .online import Watch
+    from .watch import Watch
 
 #: chunks after its own with whose end the answer to a chunk counts: what an analysis takes at the default share.
 #: Counted in chunks, not by the clock, so that a replay does the same at the same sample

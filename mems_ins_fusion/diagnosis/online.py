@@ -17,27 +17,22 @@ Shin, A. Ramdas and A. Rinaldo, "E-detectors", New England J. of Statistics in D
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
 from ..errors import InputError
-from ..evaluation.comparison import aiding_of, samples_to_keep, truth_of
-from ..evaluation.metrics import Errors
-from ..evaluation.outages import run_outages
-from ..filter.config import FilterConfig
-from ..filter.measurements.registry import aiding
-from ..filter.runs.betting import Bets
 from ..filter.runs.changing import Dropped
 from ..filter.runs.usable import usable
-from ..parameters.params_file import yaml_value
 from ..samples import Recording
-from .advice import Advice, advised
+from .advice import advised
 from .diagnose import diagnose
+from .direct import shown_directly
 from .findings import Finding
-from .gathering import JUMP, chunks
 from .held_out import HeldOut
-from .quantity import ALL, COARSE, FINE, INITIALISING, NOTHING, SUSPECT, Findings, Kept, Quantity, together
+from .quantity import ALL, INITIALISING, NOTHING, Findings, Kept, Quantity, together
+from .trial import Trial
+from .trial_outages import SETTLING, pairs, predicted
+from .window import cut, joined, jumps, seconds
 
 #: s of samples before the first analysis
 FIRST = 120.0
@@ -46,133 +41,39 @@ FIRST = 120.0
 MORE = 0.5
 #: s: the latest samples are analysed as often, and as many of them: a change shows there first
 LATEST = 240.0
-#: north and east, m
-Place = tuple[float, float]
-#: s before a chunk, for two filters to find their state in
-SETTLING = 180.0
-#: s without fixes, of trials: short ones are many, and show what is sharp soon; long ones what is small against the
-#: noise of the fixes
-OUTAGES = (5.0, 10.0, 30.0)
 #: s without fixes, that the analyses judge by
 ANALYSED = (10.0, 30.0)
-#: part of an outage at whose end the fixes are compared with the prediction: their mean
-JUDGED = 0.3
-#: m: an outage in which less was driven says nothing
-DRIVEN = 20.0
 #: probability that anything is called FINE by chance, in all the time that a filter runs: of the k-th trial it is
 #: 6 / (pi k)^2 of that
 FALSE_ALARMS = 0.01
-#: outages in which what is applied and does good is taken back once at most: a day of the shortest ones
-TAKEN_BACK = 17_000.0
-#: sigmas that two estimates of the same are apart, which are two values
-APART = 3.0
 #: behind the name of a value on trial where another one of the same effect is applied
 OTHER = ', another value'
-#: of a parameter in a line to copy
-DIGITS = 5
 #: s: a chunk that is shorter is of samples with wild stamps
 SHORTEST = 1.0
 #: part of the samples before an analysis that are there: the first stamp of a chunk is not the last of the one before
 NEARLY = 0.99
 
-
-@dataclass
-class Trial:
-    """A finding on trial. sets: parameters as it would have them. needed: wealth with which it is proven.
-
-    applied: whether it is part of the parameters that drive. harmful: it was, and has been taken back. seen: whether no
-    later analysis speaks against it. kept: for the next drive, where it is applied. advice: what would show more of it.
-    errors: by duration, m, without it and with it
-    in each outage. bets: by duration.
-    """
-
-    finding: Finding
-    sets: dict
-    needed: float
-    applied: bool = False
-    proven: bool = False
-    harmful: bool = False
-    seen: bool = True
-    kept: Kept | None = None
-    advice: Advice | None = None
-    errors: dict[float, list[tuple[float, float]]] = field(default_factory=lambda: {d: [] for d in OUTAGES})
-    bets: dict[float, Bets] = field(default_factory=lambda: {d: Bets() for d in OUTAGES})
-
-    @property
-    def wealth(self) -> float:
-        """For the finding: of the bets on each duration, in equal parts."""
-        return float(np.mean([np.exp(bets.pro) for bets in self.bets.values()]))
-
-    @property
-    def harm(self) -> float:
-        """Against it."""
-        return float(np.mean([np.exp(bets.con) for bets in self.bets.values()]))
-
-    @property
-    def rejected(self) -> bool:
-        if self.applied:
-            return self.harm >= TAKEN_BACK
-        return self.harmful or (not self.proven and self.harm >= self.needed)
-
-    @property
-    def state(self) -> str:
-        if self.proven:
-            return FINE if self.seen else SUSPECT
-        return SUSPECT if self.applied or self.rejected or not self.seen else COARSE
-
-    def take(self, errors: dict[float, list[tuple[Place, Place]]], now: int = 0) -> None:
-        """What the outages of one more chunk say, by duration: how far the fixes were from either filter, m. now: ns,
-        its end."""
-        before = self.proven
-        for duration, bets in self.bets.items():
-            for without, with_it in errors[duration]:
-                self.errors[duration].append((float(np.hypot(*without)), float(np.hypot(*with_it))))
-                bets.take(without, with_it)
-                if self.applied:
-                    bets.con = max(bets.con, 0.0)
-                self.proven = self.proven or self.wealth >= self.needed
-        if self.kept and self.proven and not before:
-            self.kept = replace(self.kept, found=now)
-
-    def apply(self, now: int) -> None:
-        """Be part of the parameters that drive. What was seen before says nothing against that any more. now: ns."""
-        self.applied = True
-        self.kept = Kept(self.finding.name, self.finding.parameters, self.sets, now)
-        for bets in self.bets.values():
-            bets.con = 0.0
-
-    def begin_anew(self) -> None:
-        """The parameters that drive have changed: what was seen before compared others."""
-        for bets in self.bets.values():
-            bets.begin_anew()
-        self.errors = {duration: [] for duration in OUTAGES}
-
-    def differs(self, finding: Finding) -> bool:
-        """Whether `finding`, of the same effect, has other values. Where this one is applied, it is what is left."""
-        own = {} if self.applied else self.finding.parameters
-        sigmas = {name: e.sigma for name, e in self.finding.parameters.items() if e.known}
-        values = {name: e.value for name, e in own.items() if e.known}
-        return any(e.known and name in sigmas and abs(e.value - values.get(name, 0.0)) > APART * np.hypot(
-            e.sigma, sigmas[name]) for name, e in finding.parameters.items())
+#: recording and parameters to what is found there
+Find = Callable[[Recording, dict], list[Finding]]
 
 
 class Online:
     """The diagnosis of a vehicle whose filter has the checked parameters `values`.
 
-    find: an analysis, recording and parameters to findings; by default what `diagnose` would add. kept: what an earlier
-    drive has proven; it drives, and is SUSPECT until it is proven again.
+    find: an analysis, recording and parameters to findings; by default what `diagnose` would add. look: the same
+    without a filter, each minute; by default `shown_directly`. kept: what an earlier drive has proven; it drives, and
+    is SUSPECT until it is proven again.
     """
 
-    def __init__(self, values: dict, find: Callable[[Recording, dict], list[Finding]] | None = None,
-                 kept: Sequence[Kept] = ()):
-        self._values, self._find = {**values, 'bag': []}, find or found
+    def __init__(self, values: dict, find: Find | None = None, look: Find | None = None, kept: Sequence[Kept] = ()):
+        self._values, self._find, self._look = {**values, 'bag': []}, find or found, look or shown_directly
         self._applies = values['diagnosis.online'] == 'apply'
         self._length = values['diagnosis.window']
         self._window: Recording | None = None
         self._since = self._lately = 0.0  # s of samples since the last analysis, and the last one of the latest ones
         self.trials: dict[str, Trial] = {}  # of what is not applied
         self.applied: dict[str, Trial] = {}
-        self._begun = self._analyses = self._begins = 0  # trials, analyses; ns, the first stamp
+        self.begun = self._analyses = self._begins = 0  # trials, analyses; ns, the first stamp
         self._why = ''
         for one in kept if self._applies else ():
             self.applied[one.name] = Trial(_known(one, one.parameters), one.sets, self._next_needed(), applied=True,
@@ -207,72 +108,78 @@ class Online:
         """What is known after `chunk`, the samples since the one before it. dropped: what the filter that drives has
         dropped in it."""
         chunk = usable(chunk, self._values['imu.max_specific_force'], self._values['imu.max_angular_rate'])
-        if _seconds(chunk) < SHORTEST:
+        if seconds(chunk) < SHORTEST:
             return self.quantities()
-        if self._window is not None and _jumps(self._window, chunk):
+        if self._window is not None and jumps(self._window, chunk):
             self._window, self._since, self._lately = None, 0.0, 0.0
         if not self._begins:
             self._begins = int(chunk.imu.stamp[0])
             for trial in self.applied.values():
                 trial.finding = _known(trial.kept, trial.kept.aged(self._begins))
-        before, self._window = self._window, _cut(_joined(self._window, chunk), self._length)
-        self._since += _seconds(chunk)
-        self._lately += _seconds(chunk)
+        before, self._window = self._window, cut(joined(self._window, chunk), self._length)
+        self._since += seconds(chunk)
+        self._lately += seconds(chunk)
         gone = [one for one in dropped if one.name in self.applied]
         if gone:
             self._begin_anew_since(gone)
         elif before is not None:
             self._try(chunk)
-        young = _seconds(self._window) <= LATEST
+        shown = self._look(self._window, {**self._values, **self.sets})
+        for finding in shown:
+            self._put_on_trial(finding, latest=True, again=False)
+        names = {finding.name for finding in shown}
+        young = seconds(self._window) <= LATEST
         if self._lately >= NEARLY * LATEST and not young:  # before all that is kept, where both are due
             self._lately = 0.0
-            self._analyse(_cut(self._window, LATEST), latest=True)
+            self._analyse(cut(self._window, LATEST), names, latest=True)
         elif self._since >= NEARLY * self._due:
             self._since, self._lately = 0.0, 0.0 if young else self._lately
             self._analyses += 1
-            self._analyse(self._window, latest=young)
+            self._analyse(self._window, names, latest=young)
+        for name, trial in self.applied.items():
+            trial.seen = name not in self.trials or self.trials[name].rejected
         return self.quantities()
 
-    def _analyse(self, part: Recording, latest: bool) -> None:
-        """Trials of what is found in `part`. latest: it is young enough to say that a value has changed."""
+    def _analyse(self, part: Recording, shown: set[str], latest: bool) -> None:
+        """Trials of what is found in `part`. shown: names of what the look has found just now. latest: the part is
+        young enough to say that a value has changed."""
         try:
             findings, self._why = self._find(part, {**self._values, **self.sets}), ''
         except InputError as error:
             findings, self._why = [], str(error)
-        names = {finding.name for finding in findings}
+        names = shown | {finding.name for finding in findings}
         for name, trial in self.trials.items():
             trial.seen = name in names or (latest and trial.seen)
         for finding in findings:
             self._put_on_trial(finding, latest)
 
-    def _put_on_trial(self, finding: Finding, latest: bool) -> None:
+    def _put_on_trial(self, finding: Finding, latest: bool, again: bool = True) -> None:
+        """latest: as of `_analyse`. again: what has been shown to do harm may be tried once more."""
         name, driving, trial = finding.name, self.applied.get(finding.name), self.trials.get(finding.name)
-        if driving is not None:
-            if not latest or not driving.differs(finding):
-                return
-            driving.seen = False
-        if trial is None or trial.rejected or (latest and trial.differs(finding)):
+        if driving is not None and not (latest and driving.differs(finding)):
+            return
+        if trial is None or (again and trial.rejected) or (latest and trial.differs(finding)):
             self.trials[name] = Trial(finding, finding.changes, self._next_needed(),
                                       advice=advised(finding, self._window, {**self._values, **self.sets}))
 
     def _next_needed(self) -> float:
         """Wealth with which the next trial is proven."""
-        self._begun += 1
-        return (np.pi * self._begun) ** 2 / (6.0 * FALSE_ALARMS)
+        self.begun += 1
+        return (np.pi * self.begun) ** 2 / (6.0 * FALSE_ALARMS)
 
     def _try(self, chunk: Recording) -> None:
         """The outages of `chunk` through the present filter, and through that of each trial."""
         running = [trial for trial in self.trials.values() if not trial.rejected]
         if not (running or self.applied) or not len(chunk.gnss):
             return
-        part = _cut(self._window, SETTLING + _seconds(chunk))
+        part = cut(self._window, SETTLING + seconds(chunk))
         values = {**self._values, **self.sets}
         present = predicted(part, values, chunk)
         for trial in running:
-            trial.take(_pairs(present, predicted(part, {**values, **trial.sets}, chunk)), self._now)
+            trial.take(pairs(present, predicted(part, {**values, **trial.sets}, chunk)), self._now)
         for name, trial in self.applied.items():
             other = predicted(part, {**self._values, **self._sets(without=name)}, chunk)
-            trial.take(_pairs(other, present), self._now)
+            trial.take(pairs(other, present), self._now)
         if self._applies:
             self._decide()
 
@@ -282,10 +189,10 @@ class Online:
         proven = next((name for name, trial in self.trials.items() if trial.proven), None)
         if harmful is not None:
             trial = self._take_back(harmful)
-            self._window = _cut(self._window, LATEST)  # what came before the change is of another vehicle
+            self._window = cut(self._window, LATEST)  # what came before the change is of another vehicle
         elif proven is not None:
             if proven in self.applied:
-                self._window = _cut(self._window, LATEST)
+                self._window = cut(self._window, LATEST)
             trial = self._apply(proven)
         else:
             return
@@ -307,8 +214,8 @@ class Online:
         for trial in (*self.trials.values(), *self.applied.values()):
             trial.begin_anew()
         since = max(one.since for one in dropped)
-        self._window = _cut(self._window, (int(self._window.imu.stamp[-1]) - since) * 1e-9)
-        self._since = self._lately = _seconds(self._window)
+        self._window = cut(self._window, (int(self._window.imu.stamp[-1]) - since) * 1e-9)
+        self._since = self._lately = seconds(self._window)
         self._analyses = 0
 
     def _apply(self, name: str) -> Trial:
@@ -336,8 +243,8 @@ class Online:
     def quantities(self) -> list[Quantity]:
         """What is known now, one for each finding; one of the name `all` before the first analysis."""
         now = self._now
-        told = [_quantity(now, name, trial) for name, trial in self.applied.items()]
-        told += [_quantity(now, f'{name}{OTHER if name in self.applied else ""}', trial)
+        told = [trial.quantity(now, name) for name, trial in self.applied.items()]
+        told += [trial.quantity(now, f'{name}{OTHER if name in self.applied else ""}')
                  for name, trial in self.trials.items()]
         if told:
             return told
@@ -358,140 +265,3 @@ def _known(kept: Kept, parameters: dict) -> Finding:
 def found(recording: Recording, values: dict, progress: Callable = lambda part, what: None) -> list[Finding]:
     """What `diagnose` finds in `recording`, proves there, and has parameters against."""
     return [f for f in diagnose(recording, values, progress, durations=ANALYSED).findings if f.added and f.changes]
-
-
-def predicted(part: Recording, values: dict, chunk: Recording) -> dict[float, dict[int, tuple[Place, float]]]:
-    """By duration and begin (ns, as fixes are stamped): how far the filter with `values` is from the fixes at the end
-    of an outage, m, and the distance driven. Outages begin and end in `chunk`, at the end of `part`, and do not
-    overlap."""
-    delay = round(values['gnss.time_offset'] * 1e9)
-    config, truth = FilterConfig.from_parameters(values), truth_of(part, values)
-    keep = samples_to_keep(part.imu, truth.reference.stamp)
-    first, last = (int(chunk.gnss.stamp[i]) for i in (0, -1))
-    results = {}
-    for duration in OUTAGES:
-        length = round(duration * 1e9)
-        begin = np.arange(first, last - length + 1, length)
-        stamps = np.unique(part.gnss.stamp)
-        begin = np.unique(stamps[np.searchsorted(stamps, begin)])
-        outages, = run_outages(config, part.imu, part.gnss, truth, [duration], begin - delay, aiding_of(part), keep)
-        results[duration] = {b + delay: (_misfit(errors, b + round((1.0 - JUDGED) * length)), distance) for
-                             b, errors, distance in zip(outages.begin.tolist(), outages.errors, outages.distance)}
-    return results
-
-
-def _misfit(errors: Errors, begin: int) -> Place:
-    """The mean error from `begin` on, ns; NaN where there is none."""
-    late = errors.stamp >= begin
-    return (float(errors.north[late].mean()), float(errors.east[late].mean())) if late.any() else (np.nan, np.nan)
-
-
-def _pairs(present: dict, other: dict) -> dict[float, list[tuple[Place, Place]]]:
-    """By duration, the errors of the same outages of two filters in which the vehicle was driven."""
-    found = {}
-    for duration in OUTAGES:
-        a, b = present[duration], other[duration]
-        pairs = [(a[begin][0], b[begin][0]) for begin in sorted(a.keys() & b.keys()) if a[begin][1] > DRIVEN]
-        found[duration] = [pair for pair in pairs if np.isfinite(sum(pair[0]) + sum(pair[1]))]
-    return found
-
-
-def _quantity(now: int, name: str, trial: Trial) -> Quantity:
-    better = {d: (*np.mean(pairs, axis=0).tolist(), len(pairs)) for d, pairs in trial.errors.items() if pairs}
-    lines = tuple(f'{parameter}: {yaml_value(_told(value))}' for parameter, value in trial.sets.items())
-    said = ', '.join(f'{parameter} {e.text()}' for parameter, e in trial.finding.parameters.items())
-    gain = ''.join(f'; {d:g} s without fixes {a:.2f} m without it and {b:.2f} m with it, {n} times'
-                   for d, (a, b, n) in better.items())
-    return Quantity(now, name, trial.state, trial.finding.parameters, lines, better,
-                    f"{said}{gain}{_why(trial)}; {'applied' if trial.applied else 'to set'}: {'; '.join(lines)}",
-                    trial.applied, trial.kept, trial.advice.text() if trial.advice and not trial.proven else '')
-
-
-def _told(value):
-    """A parameter with as many digits as are worth copying: no sigma here is so small a part of its value."""
-    if isinstance(value, list):
-        return [_told(one) for one in value]
-    return float(f'{value:.{DIGITS}g}') if isinstance(value, float) else value
-
-
-def _why(trial: Trial) -> str:
-    """Why it is SUSPECT, for the sentence."""
-    if trial.rejected:
-        return '; predictions are worse with it'
-    if not trial.seen:
-        return '; the last minutes show another value' if trial.applied else '; not found in the last minutes'
-    return '; not proven in this drive yet' if trial.applied and not trial.proven else ''
-
-
-def _seconds(recording: Recording) -> float:
-    return float(recording.imu.stamp[-1] - recording.imu.stamp[0]) * 1e-9 if len(recording.imu) else 0.0
-
-
-def _jumps(before: Recording, after: Recording) -> bool:
-    """Whether the stamps of two recordings in a row jump."""
-    return not 0 < int(after.imu.stamp[0]) - int(before.imu.stamp[-1]) <= JUMP
-
-
-def _joined(before: Recording | None, after: Recording) -> Recording:
-    """Two recordings in a row as one."""
-    if before is None:
-        return after
-    streams, later = before.streams(), after.streams()
-    for name, samples in later.items():
-        if name in streams:
-            own = {f.name: (getattr(streams[name], f.name), getattr(samples, f.name)) for f in fields(samples)}
-            streams[name] = type(samples)(**{n: None if b is None else np.concatenate([a, b])
-                                             for n, (a, b) in own.items()})
-        else:
-            streams[name] = samples
-    return before.having(streams)
-
-
-def _cut(recording: Recording, seconds: float) -> Recording:
-    """The last `seconds` of a recording."""
-    begin = int(recording.imu.stamp[-1]) - round(seconds * 1e9)
-    return recording.having({name: samples.select(samples.stamp > begin)
-                             for name, samples in recording.streams().items()})
-
-
-class Watch:
-    """A recording as a live node is told of it, chunk by chunk. said: each quantity when it was news.
-
-    progress: called from time to time with the part that is done; what it raises ends all. find, kept: as of `Online`.
-    """
-
-    def __init__(self, recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None,
-                 find: Callable[[Recording, dict], list[Finding]] | None = None, kept: Sequence[Kept] = ()):
-        self.said: list[Quantity] = []
-        self._progress, self._done, self._told = progress, 0.0, {}
-        self._work = Online(values, find or (lambda part, given: found(part, given, lambda _, what: progress(
-            self._done))), kept)
-        self._chunks, self._span = chunks(recording, aiding(values)), recording.imu.stamp[[0, -1]].tolist()
-
-    @property
-    def wanted(self) -> Findings:
-        """What the filters should have."""
-        return self._work.wanted
-
-    def take(self, dropped: Sequence[Dropped] = ()) -> Findings | None:
-        """What they should have after the next chunk, in which it has `dropped` findings; None behind the last one."""
-        self._progress(self._done)
-        chunk = next(self._chunks, None)
-        if chunk is None:
-            return None
-        begin, end = self._span
-        self._done = (int(chunk.imu.stamp[-1]) - begin) / max(end - begin, 1)
-        for quantity in self._work.take(chunk, dropped):
-            if self._told.get(quantity.name) != quantity.said:
-                self.said.append(quantity)
-            self._told[quantity.name] = quantity.said
-        return self.wanted
-
-
-def watched(recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None
-            ) -> list[Quantity]:
-    """What is said of `recording` as a live node says it that changes nothing."""
-    watch = Watch(recording, values, progress)
-    while watch.take() is not None:
-        pass
-    return watch.said

@@ -19,6 +19,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from ..compiled import tell
 from ..diagnosis.applying import go_on, with_applied
+from ..diagnosis.quantity import Findings
 from ..filter.config import FilterConfig
 from ..filter.runs.changing import ChangingFilter
 from ..filter.runs.live import CHANGEABLE, FusionFilter
@@ -29,6 +30,7 @@ from .checks import check_together
 from .estimates import NO_EVENTS, Estimates
 from .geometry import geometry_from_tf
 from .horizon import HorizonOutput
+from .identity import GNSS, IMU, Identity, differences
 from .inputs import Input, Queue, aiding_inputs
 from .loading import load
 from .log import Log
@@ -65,6 +67,7 @@ class FusionNode(Node):
         self._log = Log(self.get_logger())
         self._state_file = self._open_state_file(values)
         values |= geometry_from_tf(self, values, stop)
+        self._identity = Identity((IMU, GNSS))
         self._given, kept = {**values}, self._kept(values)
         self._applied = {one.name: one.sets for one in kept}  # what was found while driving
         began, without = with_applied(values, self._applied)
@@ -152,6 +155,9 @@ class FusionNode(Node):
         now = self._imu.traffic.stamp
         sample = (now, force.x * force_unit, force.y * force_unit, force.z * force_unit,
                   rate.x * rate_unit, rate.y * rate_unit, rate.z * rate_unit)
+        if self._identity.lacks(IMU):
+            self._identify(IMU, now, {'frame_id': message.header.frame_id,
+                                      'orientation': bool(message.orientation_covariance[0] != -1.0)})
         self._monitor.mounting.add_sample(sample)
         if self._online and (findings := self._online.add_sample(sample)) is not None:
             self._change(findings)
@@ -179,6 +185,8 @@ class FusionNode(Node):
             self._resume(stamp, latitude, longitude, message.altitude)
         fix = (stamp, latitude, longitude, message.altitude, message.position_covariance.copy(), message.status.status,
                message.position_covariance_type)
+        if self._identity.lacks(GNSS) and message.status.status >= 0:  # without a fix, drivers tell no service
+            self._identify(GNSS, stamp, {'frame_id': message.header.frame_id, 'service': message.status.service})
         self._monitor.mounting.add_fix(fix)
         self._monitor.aiding.add_fix(fix)
         if self._online:
@@ -239,6 +247,19 @@ class FusionNode(Node):
             self.get_logger().info(text)
         return kept
 
+    def _identify(self, sensor, stamp, told):
+        """Take what a message tells of its device; what was found on another one is not used."""
+        self._identity.add(sensor, stamp, told)
+        known = self._identity.known
+        if known is None or self._state_file is None or not self._applied:
+            return
+        others = differences(self._state_file.devices(self._sensor_topics()), known)
+        if others:
+            self.get_logger().warning(f"state file: another device than before ({', '.join(others)}): what was found "
+                                      f"on that is not used: {', '.join(self._applied)}")
+            self._change(Findings({}, {}))
+            self._online.ask('reject')
+
     def _change(self, findings):
         """Go on with `findings`, beside the parameters that the node was given."""
         changes = self._have(findings.applied)
@@ -291,8 +312,9 @@ class FusionNode(Node):
     def _save(self):
         snapshot = self._filter.snapshot()
         if snapshot is not None:
-            said = self._state_file.write(snapshot, self._online.kept if self._online else None,
-                                          self._sensor_topics())
+            devices = self._identity.known  # a calibration without them could be anybody's
+            said = self._state_file.write(snapshot, self._online.kept if self._online and devices else None,
+                                          self._sensor_topics(), devices)
             if said:
                 self._log.say('warning', said)
 

@@ -97,12 +97,18 @@ class OnlineDiagnosis:
         """What is applied, for the next start; None where a start would not apply it."""
         return self._kept if self._keeps else None
 
-    def _on_word(self, word: str, request, response):
+    def ask(self, word: str) -> bool:
+        """Have the diagnosis do as `word` says: accept, reject or reset; whether it is not too far behind for that."""
         try:
             self._chunks.put_nowait(word)
-            response.success, response.message = True, f'calibration: {word}: passed on'
         except Full:
-            response.success, response.message = False, 'the diagnosis is too far behind (diagnosis.share)'
+            return False
+        return True
+
+    def _on_word(self, word: str, request, response):
+        response.success = self.ask(word)
+        response.message = (f'calibration: {word}: passed on' if response.success else
+                            'the diagnosis is too far behind (diagnosis.share)')
         return response
 
     def _on_report(self, request, response):

@@ -44,9 +44,11 @@ class StateFile:
             calibration = content.get('calibration', [])
             for one in calibration:
                 _kept(one)
+                for told in one.get('devices', {}).values():
+                    float(told['rate'])
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             return f'state file {self._path}: cannot be used ({" ".join(str(error).split())}); starting without'
         self._snapshot, self._calibration = snapshot, calibration
         return None
@@ -58,6 +60,10 @@ class StateFile:
         return [_kept(one) for one in same], [
             f"state file {self._path}: {one['name']} of an earlier drive: " + ', '.join(
                 f'{name}: {value}' for name, value in one['set'].items()) for one in same]
+
+    def devices(self, topics: dict) -> dict[str, dict]:
+        """What the sensors on the same `topics` told of themselves when that was found; empty in older files."""
+        return next((one['devices'] for one in self._calibration if one['topics'] == topics and one.get('devices')), {})
 
     def fitting(self, stamp: int, latitude: float, longitude: float, height: float) -> tuple[dict | None, str] | None:
         """The snapshot, where it fits a first fix (ns, rad, m), and what is to be said of it; None where there is none.
@@ -79,14 +85,16 @@ class StateFile:
                           f'{self._max_distance:.0f} m (state_file_max_distance): starting without')
         return snapshot, f'starting from state file {self._path}, {age:.0f} s old, {distance:.1f} m away'
 
-    def write(self, snapshot: dict, kept: list[Kept] | None = None, topics: dict | None = None) -> str | None:
+    def write(self, snapshot: dict, kept: list[Kept] | None = None, topics: dict | None = None,
+              devices: dict | None = None) -> str | None:
         """Replace the file, the old or the new one at any moment; what went wrong, or None.
 
-        kept: what is known of the sensors on `topics`; None: what was in the file stays there.
+        kept: what is known of the sensors on `topics`; None: what was in the file stays there. devices: what these
+        sensors tell of themselves.
         """
         if kept is not None:
             self._calibration = [one for one in self._calibration if one['topics'] != topics] + [
-                {'name': one.name, 'set': one.sets, 'topics': topics, 'found': one.found,
+                {'name': one.name, 'set': one.sets, 'topics': topics, 'devices': devices or {}, 'found': one.found,
                  'parameters': {name: [e.value, e.sigma, e.unit] for name, e in one.parameters.items()}}
                 for one in kept]
         try:

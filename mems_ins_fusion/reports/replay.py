@@ -13,7 +13,7 @@ import numpy as np
 
 from ..configuration.check import check
 from ..diagnosis.applying import driven
-from ..diagnosis.online import Watch, watched
+from ..diagnosis.watch import Watch, watched
 from ..diagnosis.quantity import CHANGED, Quantity
 from ..evaluation.comparison import Comparison, compare, cut
 from ..filter.config import FilterConfig

@@ -1,12 +1,12 @@
 """A live filter whose parameters change while it drives: one with the new ones runs beside it until it takes its place.
 
 The new filter begins with nothing, aligns by itself and has the same messages; one with what is on trial does so before
-it is asked for. It takes over once it is as sure as the
-present one, and where that does not show: the estimates differ by less than both publish as their sigmas, or the
-vehicle stands. The filter that it replaces runs on beside, without the finding that has been applied. How far the fixes
-are from where either expects them is a bet each second (`betting.py`); where the finding has become wrong - a driver
-has been restarted - the filter without it is better within seconds and takes over at once. All filters and comparisons
-depend on nothing but stamps and numbers of what comes in: live and in a replay it is the same sample.
+it is asked for. How far the fixes are from where either filter expects them is a bet each second (`betting.py`). The
+new filter takes over once that has shown that its state is better, or once it is as sure as the present one and where
+the change does not show: the estimates differ by less than both publish as their sigmas, or the vehicle stands. The
+filter that it replaces runs on beside, without the finding that has been applied; where the finding has become wrong -
+a driver has been restarted - the filter without it is better within seconds and takes over at once. All filters and
+comparisons depend on nothing but stamps and numbers of what comes in: live and in a replay it is the same sample.
 """
 from __future__ import annotations
 
@@ -34,6 +34,9 @@ PERIOD = 10**9
 #: wealth of the filter without a finding at which that is dropped: where the finding does good, it comes to that once
 #: in so many bets at most, which is a day
 DROPPED = 86_400.0
+#: wealth of a new filter at which its state is better than the present one, whatever both say of themselves: its
+#: parameters have been proven before
+SHOWN_BETTER = 20.0
 #: fixes whose misfit is kept: two filters judge the same fix within seconds, or one of them does not
 KEPT = 100
 #: m/s: a slower vehicle stands, and no controller depends on its pose
@@ -89,16 +92,16 @@ class WatchedFilter(FusionFilter):
 
 
 class Beside:
-    """A filter without one of the findings that drive, and how much better it is. since: ns, when its wealth was last
-    what it began with. after: number of the newest fix before it is compared."""
+    """A filter with other findings than the one that drives, and how much better it is. begun: ns. since: ns, when its
+    wealth was last what it began with. after: number of the newest fix before it is compared."""
 
-    def __init__(self, fusion: WatchedFilter, since: int, after: int):
-        self.fusion, self.since = fusion, since
+    def __init__(self, fusion: WatchedFilter, begun: int, after: int):
+        self.fusion, self.begun, self.since = fusion, begun, begun
         self._bets, self._compared = Bets(), after
 
-    @property
-    def is_better(self) -> bool:
-        return self.fusion.aligned and self._bets.pro >= math.log(DROPPED)
+    def is_better(self, wealth: float) -> bool:
+        """Whether the bets on it have come to `wealth`."""
+        return self.fusion.aligned and self._bets.pro >= math.log(wealth)
 
     def compare(self, driving: dict[int, tuple[float, float]], now: int) -> None:
         """Bet on the fixes that both filters have judged since the last time, on their mean: errors of one second go
@@ -117,11 +120,11 @@ class ChangingFilter(WatchedFilter):
     """`FusionFilter` with `change`."""
 
     def __init__(self, config: FilterConfig):
-        self._next: WatchedFilter | None = None
-        self._begun, self._slot, self._fixes = 0, 0, 0  # ns, of the newest change; of the newest comparison; count
+        self._next: Beside | None = None
+        self._slot, self._fixes = 0, 0  # ns, of the newest comparison; count
         self._without: dict[str, dict] = {}  # parameters without each finding that is applied, or about to be
         self._beside: dict[str, Beside] = {}
-        self._ready: list[tuple[WatchedFilter, int]] = []  # with what is on trial, and since when, ns
+        self._ready: list[Beside] = []  # with what is on trial
         self._dropped: list[Dropped] = []
         self.handovers: list[Handover] = []
         super().__init__(config)
@@ -133,8 +136,11 @@ class ChangingFilter(WatchedFilter):
 
     @property
     def _others(self) -> list[WatchedFilter]:
-        return [*([] if self._next is None else [self._next]), *(one.fusion for one in self._beside.values()),
-                *(fusion for fusion, _ in self._ready)]
+        return [one.fusion for one in self._running]
+
+    @property
+    def _running(self) -> list[Beside]:
+        return [*([] if self._next is None else [self._next]), *self._beside.values(), *self._ready]
 
     def change(self, values: dict, without: dict[str, dict] | None = None) -> None:
         """Go on with the checked parameters `values`, as soon as a filter that has them is where this one is.
@@ -142,33 +148,33 @@ class ChangingFilter(WatchedFilter):
         without: the parameters without each finding that is part of them, by its name.
         """
         self._without = without or {}
-        self._next, self._begun = self._found(values, self._ready) or (self._new(values), self._now)
-        self._ready = [one for one in self._ready if one[0] is not self._next]
+        self._next = self._having(values)
+        self._ready = [one for one in self._ready if one is not self._next]
 
     def prepare(self, several: list[dict]) -> None:
         """Have filters with each of these checked parameters run beside, so that one that is to take over has settled
         by then; those with others end."""
-        self._ready = [self._found(values, self._ready) or (self._new(values), self._now) for values in several]
+        self._ready = [self._having(values) for values in several]
 
     def watch(self, without: dict[str, dict]) -> None:
         """Filters without each finding that is part of the parameters, beside this one: as after `change`."""
         self._without = without
-        self._beside = {name: Beside(self._new(values), self._now, self._fixes) for name, values in without.items()}
+        self._beside = {name: self._beside_with(values) for name, values in without.items()}
 
     def dropped(self) -> list[Dropped]:
         """Findings that have been dropped since the last call: the filter goes on without them."""
         dropped, self._dropped = self._dropped, []
         return dropped
 
-    @staticmethod
-    def _found(values: dict, filters: list[tuple[WatchedFilter, int]]) -> tuple[WatchedFilter, int] | None:
-        """The one of `filters` that has the parameters `values`."""
-        return next((one for one in filters if one[0].config.parameters == values), None)
+    def _having(self, values: dict) -> Beside:
+        """The filter that is ready with the parameters `values`, or one that begins."""
+        there = next((one for one in self._ready if one.fusion.config.parameters == values), None)
+        return there or self._beside_with(values)
 
-    def _new(self, values: dict) -> WatchedFilter:
+    def _beside_with(self, values: dict) -> Beside:
         fusion = WatchedFilter(FilterConfig.from_parameters(values))
         fusion.use_fixes(self._using_fixes)
-        return fusion
+        return Beside(fusion, self._now, self._fixes)
 
     def add_imu(self, stamp: int, *numbers) -> bool:
         new = super().add_imu(stamp, *numbers)
@@ -218,23 +224,24 @@ class ChangingFilter(WatchedFilter):
 
     def _compare(self, now: int) -> None:
         """Take over where it is time: a new filter that is where this one is, or one without a wrong finding."""
-        for one in self._beside.values():
+        for one in self._running:
             one.compare(self.misfits, now)
-        wrong = next((name for name, one in self._beside.items() if one.is_better), None)
+        wrong = next((name for name, one in self._beside.items() if one.is_better(DROPPED)), None)
         if wrong is not None:
             self._drop(wrong, now)
         elif self._next is not None:
             self._follow_up(now)
 
     def _follow_up(self, now: int) -> None:
-        other = self._next
+        other, waited = self._next.fusion, now - self._next.begun
         if not self.has_estimate:
             self._take_over(other, now, 0.0, 0.0)
-        elif other.aligned and now - self._begun >= SETTLING * 1e9:
+        elif other.aligned and waited >= SETTLING * 1e9:
             position, velocity, yaw = self._from(other)
             stands = max(abs(self.odometry[LINEAR]), abs(other.odometry[LINEAR])) < STANDING
             smooth = stands or _covered(position, velocity, yaw, self.odometry, other.odometry)
-            if (smooth and _as_sure(self.odometry, other.odometry)) or now - self._begun >= LONGEST * 1e9:
+            if ((smooth and _as_sure(self.odometry, other.odometry)) or self._next.is_better(SHOWN_BETTER)
+                    or waited >= LONGEST * 1e9):
                 self._take_over(other, now, position, yaw)
 
     def _from(self, other: FusionFilter) -> tuple[float, float, float]:
@@ -260,13 +267,13 @@ class ChangingFilter(WatchedFilter):
         """Go on as `other`; the present filter goes on beside, where it is one without a finding."""
         before = WatchedFilter(self.config)
         before.__dict__.update({name: vars(self)[name] for name in vars(before) if name not in _STAYS})
-        filters = [(fusion, now) for fusion in (before, *(one.fusion for one in self._beside.values()))]
+        filters = (before, *(one.fusion for one in self._beside.values()))
         self._next = None
         self.__dict__.update({name: value for name, value in vars(other).items() if name not in _STAYS})
         self._beside = {}
         for name, values in self._without.items():
-            fusion, _ = self._found(values, filters) or (self._new(values), now)
-            self._beside[name] = Beside(fusion, now, self._fixes)
+            there = next((fusion for fusion in filters if fusion.config.parameters == values), None)
+            self._beside[name] = self._beside_with(values) if there is None else Beside(there, now, self._fixes)
         self.handovers.append(Handover(now, position, yaw))
         self.say('info', self.handovers[-1].text)
 

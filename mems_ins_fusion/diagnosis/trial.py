@@ -1,0 +1,136 @@
+"""A finding on trial: what outages after it say for it and against it, its state, and how that is told."""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..filter.runs.betting import Bets
+from ..parameters.params_file import yaml_value
+from .advice import Advice
+from .findings import Finding
+from .quantity import COARSE, FINE, SUSPECT, Kept, Quantity
+from .trial_outages import OUTAGES, Place
+
+#: outages in which what is applied and does good is taken back once at most: a day of the shortest ones
+TAKEN_BACK = 86_400.0
+#: wealth against it in outages of one duration with which nothing is proven: what follows the errors of the fixes, and
+#: so predicts the next one, predicts worse over half a minute
+DOUBTED = 20.0
+#: sigmas that two estimates of the same are apart, which are two values
+APART = 3.0
+#: of a parameter in a line to copy
+DIGITS = 5
+
+
+@dataclass
+class Trial:
+    """A finding on trial. sets: parameters as it would have them. needed: wealth with which it is proven.
+
+    applied: whether it is part of the parameters that drive. harmful: it was, and has been taken back. seen: whether no
+    later analysis speaks against it. kept: for the next drive, where it is applied. advice: what would show more of it.
+    errors: by duration, m, without it and with it
+    in each outage. bets: by duration.
+    """
+
+    finding: Finding
+    sets: dict
+    needed: float
+    applied: bool = False
+    proven: bool = False
+    harmful: bool = False
+    seen: bool = True
+    kept: Kept | None = None
+    advice: Advice | None = None
+    errors: dict[float, list[tuple[float, float]]] = field(default_factory=lambda: {d: [] for d in OUTAGES})
+    bets: dict[float, Bets] = field(default_factory=lambda: {d: Bets() for d in OUTAGES})
+
+    @property
+    def wealth(self) -> float:
+        """For the finding: of the bets on each duration, in equal parts."""
+        return float(np.mean([np.exp(bets.pro) for bets in self.bets.values()]))
+
+    @property
+    def harm(self) -> float:
+        """Against it."""
+        return float(np.mean([np.exp(bets.con) for bets in self.bets.values()]))
+
+    @property
+    def doubted(self) -> bool:
+        """Whether outages of any duration speak against it."""
+        return max(bets.con for bets in self.bets.values()) >= math.log(DOUBTED)
+
+    @property
+    def rejected(self) -> bool:
+        if self.applied:
+            return self.harm >= TAKEN_BACK
+        return self.harmful or (not self.proven and self.harm >= self.needed)
+
+    @property
+    def state(self) -> str:
+        if self.proven:
+            return FINE if self.seen else SUSPECT
+        return SUSPECT if self.applied or self.rejected or not self.seen else COARSE
+
+    def take(self, errors: dict[float, list[tuple[Place, Place]]], now: int = 0) -> None:
+        """What the outages of one more chunk say, by duration: how far the fixes were from either filter, m. now: ns,
+        its end."""
+        before = self.proven
+        for duration, bets in self.bets.items():
+            for without, with_it in errors[duration]:
+                self.errors[duration].append((float(np.hypot(*without)), float(np.hypot(*with_it))))
+                bets.take(without, with_it)
+                if self.applied:
+                    bets.con = max(bets.con, 0.0)
+                self.proven = self.proven or (self.wealth >= self.needed and not self.doubted)
+        if self.kept and self.proven and not before:
+            self.kept = replace(self.kept, found=now)
+
+    def apply(self, now: int) -> None:
+        """Be part of the parameters that drive. What was seen before says nothing against that any more. now: ns."""
+        self.applied = True
+        self.kept = Kept(self.finding.name, self.finding.parameters, self.sets, now)
+        for bets in self.bets.values():
+            bets.con = 0.0
+
+    def begin_anew(self) -> None:
+        """The parameters that drive have changed: what was seen before compared others."""
+        for bets in self.bets.values():
+            bets.begin_anew()
+        self.errors = {duration: [] for duration in OUTAGES}
+
+    def differs(self, finding: Finding) -> bool:
+        """Whether `finding`, of the same effect, has other values. Where this one is applied, it is what is left beside
+        that."""
+        own = {name: (e.value, e.sigma) for name, e in self.finding.parameters.items() if e.known}
+        if self.applied:
+            own = dict.fromkeys(own, (0.0, 0.0))
+        return any(e.known and name in own and abs(e.value - own[name][0]) > APART * math.hypot(e.sigma, own[name][1])
+                   for name, e in finding.parameters.items())
+
+    def quantity(self, now: int, name: str) -> Quantity:
+        """It in words, as `name`. now: ns, stamp of the newest sample."""
+        better = {d: (*np.mean(pairs, axis=0).tolist(), len(pairs)) for d, pairs in self.errors.items() if pairs}
+        lines = tuple(f'{parameter}: {yaml_value(_told(value))}' for parameter, value in self.sets.items())
+        said = ', '.join(f'{parameter} {e.text()}' for parameter, e in self.finding.parameters.items())
+        gain = ''.join(f'; {d:g} s without fixes {a:.2f} m without it and {b:.2f} m with it, {n} times'
+                       for d, (a, b, n) in better.items())
+        return Quantity(now, name, self.state, self.finding.parameters, lines, better,
+                        f"{said}{gain}{self._why()}; {'applied' if self.applied else 'to set'}: {'; '.join(lines)}",
+                        self.applied, self.kept, self.advice.text() if self.advice and not self.proven else '')
+
+    def _why(self) -> str:
+        """Why it is SUSPECT, for the sentence."""
+        if self.rejected:
+            return '; predictions are worse with it'
+        if not self.seen:
+            return '; the last minutes show another value' if self.applied else '; not found in the last minutes'
+        return '; not proven in this drive yet' if self.applied and not self.proven else ''
+
+
+def _told(value):
+    """A parameter with as many digits as are worth copying: no sigma here is so small a part of its value."""
+    if isinstance(value, list):
+        return [_told(one) for one in value]
+    return float(f'{value:.{DIGITS}g}') if isinstance(value, float) else value

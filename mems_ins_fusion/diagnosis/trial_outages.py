@@ -1,0 +1,58 @@
+"""Outages in which findings on trial are compared with the parameters that drive."""
+from __future__ import annotations
+
+import numpy as np
+
+from ..evaluation.comparison import aiding_of, samples_to_keep, truth_of
+from ..evaluation.metrics import Errors
+from ..evaluation.outages import run_outages
+from ..filter.config import FilterConfig
+from ..samples import Recording
+
+#: north and east, m
+Place = tuple[float, float]
+#: s before a chunk, for two filters to find their state in
+SETTLING = 180.0
+#: s without fixes: short ones are many, and show soon what moves the next fix; long ones what grows, and whether what
+#: fits the next fix is true
+OUTAGES = (1.0, 5.0, 10.0, 30.0)
+#: part of an outage at whose end the fixes are compared with the prediction: their mean
+JUDGED = 0.3
+#: m, and m/s in short ones: an outage in which less was driven says nothing
+DRIVEN, SLOWEST = 20.0, 4.0
+
+
+def predicted(part: Recording, values: dict, chunk: Recording) -> dict[float, dict[int, tuple[Place, float]]]:
+    """By duration and begin (ns, as fixes are stamped): how far the filter with `values` is from the fixes at the end
+    of an outage, m, and the distance driven. Outages begin and end in `chunk`, at the end of `part`, and do not
+    overlap."""
+    delay = round(values['gnss.time_offset'] * 1e9)
+    config, truth = FilterConfig.from_parameters(values), truth_of(part, values)
+    keep = samples_to_keep(part.imu, truth.reference.stamp)
+    first, last = (int(chunk.gnss.stamp[i]) for i in (0, -1))
+    results = {}
+    for duration in OUTAGES:
+        length = round(duration * 1e9)
+        begin = np.arange(first, last - length + 1, length)
+        stamps = np.unique(part.gnss.stamp)
+        begin = np.unique(stamps[np.searchsorted(stamps, begin)])
+        outages, = run_outages(config, part.imu, part.gnss, truth, [duration], begin - delay, aiding_of(part), keep)
+        results[duration] = {b + delay: (_misfit(errors, b + round((1.0 - JUDGED) * length)), distance) for
+                             b, errors, distance in zip(outages.begin.tolist(), outages.errors, outages.distance)}
+    return results
+
+
+def _misfit(errors: Errors, begin: int) -> Place:
+    """The mean error from `begin` on, ns; NaN where there is none."""
+    late = errors.stamp >= begin
+    return (float(errors.north[late].mean()), float(errors.east[late].mean())) if late.any() else (np.nan, np.nan)
+
+
+def pairs(present: dict, other: dict) -> dict[float, list[tuple[Place, Place]]]:
+    """By duration, the errors of the same outages of two filters in which the vehicle was driven."""
+    found = {}
+    for duration in OUTAGES:
+        a, b, least = present[duration], other[duration], min(DRIVEN, SLOWEST * duration)
+        both = [(a[begin][0], b[begin][0]) for begin in sorted(a.keys() & b.keys()) if a[begin][1] > least]
+        found[duration] = [pair for pair in both if np.isfinite(sum(pair[0]) + sum(pair[1]))]
+    return found

@@ -1,0 +1,60 @@
+"""A recording told to the diagnosis while driving chunk by chunk, as a live node tells it."""
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from ..filter.measurements.registry import aiding
+from ..filter.runs.changing import Dropped
+from ..samples import Recording
+from .gathering import chunks
+from .online import Find, Online, found
+from .quantity import Findings, Kept, Quantity
+
+
+class Watch:
+    """A recording as a live node is told of it, chunk by chunk. said: each quantity when it was news.
+
+    progress: called from time to time with the part that is done; what it raises ends all. find, look, kept: as of
+    `Online`.
+    """
+
+    def __init__(self, recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None,
+                 find: Find | None = None, look: Find | None = None, kept: Sequence[Kept] = ()):
+        self.said: list[Quantity] = []
+        self._progress, self._done, self._told = progress, 0.0, {}
+        self._work = Online(values, find or (lambda part, given: found(part, given, lambda _, what: progress(
+            self._done))), look, kept)
+        self._chunks, self._span = chunks(recording, aiding(values)), recording.imu.stamp[[0, -1]].tolist()
+
+    @property
+    def wanted(self) -> Findings:
+        """What the filters should have."""
+        return self._work.wanted
+
+    @property
+    def trials(self) -> int:
+        """How many findings have been on trial."""
+        return self._work.begun
+
+    def take(self, dropped: Sequence[Dropped] = ()) -> Findings | None:
+        """What they should have after the next chunk, in which it has `dropped` findings; None behind the last one."""
+        self._progress(self._done)
+        chunk = next(self._chunks, None)
+        if chunk is None:
+            return None
+        begin, end = self._span
+        self._done = (int(chunk.imu.stamp[-1]) - begin) / max(end - begin, 1)
+        for quantity in self._work.take(chunk, dropped):
+            if self._told.get(quantity.name) != quantity.said:
+                self.said.append(quantity)
+            self._told[quantity.name] = quantity.said
+        return self.wanted
+
+
+def watched(recording: Recording, values: dict, progress: Callable[[float], None] = lambda part: None
+            ) -> list[Quantity]:
+    """What is said of `recording` as a live node says it that changes nothing."""
+    watch = Watch(recording, values, progress)
+    while watch.take() is not None:
+        pass
+    return watch.said

@@ -1,0 +1,87 @@
+"""What the latest minutes show without a filter: values that are off, by how much, and the parameters to set."""
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mems_ins_fusion.diagnosis import direct
+from mems_ins_fusion.diagnosis.direct import shown_directly
+from mems_ins_fusion.diagnosis.estimate import Estimate
+from mems_ins_fusion.diagnosis.findings import Finding
+from mems_ins_fusion.diagnosis.held_out import HeldOut
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_drive, simulate_recording
+
+SECOND, OFFSET = 10**9, 0.3
+DEFAULTS = table.check({})
+
+
+@pytest.fixture(scope='module')
+def recording():
+    """Eight minutes at 50 Hz with fixes of centimetres; from the middle on these and wheel speed are stamped late."""
+    sensors = SensorErrors(accelerometer_noise_density=[1e-3] * 3, gyroscope_noise_density=[1e-4] * 3)
+    made = simulate_recording(simulate_drive(480.0, seed=5, rate=50.0), sensors, GnssNoise(0.02, rate=2.0), seed=5,
+                              aiding=Aiding(speed_rate=10.0)).recording
+    half = made.imu.stamp[0] + 240 * SECOND
+
+    def late(samples):
+        return replace(samples, stamp=np.where(samples.stamp >= half, samples.stamp + round(OFFSET * SECOND),
+                                               samples.stamp))
+    return replace(made, reference=None, gnss=late(made.gnss), speed=late(made.speed), velocity=None, heading=None)
+
+
+def until(recording, seconds):
+    """The first `seconds` of it."""
+    return recording.having({name: samples.select(samples.stamp < recording.imu.stamp[0] + seconds * SECOND)
+                             for name, samples in recording.streams().items()})
+
+
+def test_an_offset_shows_within_two_minutes_of_its_begin(recording):
+    # given four minutes without one, and then 80 s and four minutes with it
+    assert shown_directly(until(recording, 240), DEFAULTS) == []
+    for seconds in (360, 480):
+        found, = shown_directly(until(recording, seconds), DEFAULTS)
+        offset = found.parameters['time_offset']
+        assert found.name == 'gnss_time_offset' and offset.unit == 's'
+        assert abs(offset.value - OFFSET) < 3.0 * offset.sigma < 0.15
+        assert found.changes == {'gnss.time_offset': offset.value}
+    # then nothing is left beside it
+    assert shown_directly(recording, {**DEFAULTS, 'gnss.time_offset': OFFSET}) == []
+
+
+def test_what_is_left_of_antenna_and_mounting_is_set_beside_what_is_declared(recording):
+    right = {**DEFAULTS, 'gnss.time_offset': OFFSET}
+    arm, = shown_directly(recording, {**right, 'gnss.lever_arm': [2.0, 0.0, 0.0]})
+    assert arm.name == 'gnss_lever_arm' and arm.parameters['x'].value == pytest.approx(-2.0, abs=0.3)
+    assert arm.changes['gnss.lever_arm'] == pytest.approx([0.0, 0.0, 0.0], abs=0.3)
+    turned, = shown_directly(recording, {**right, 'imu.mounting_rpy': [0.0, 0.0, math.radians(10.0)]})
+    assert turned.name == 'mounting_rotation'
+    assert turned.changes['imu.mounting_rpy'] == pytest.approx([0.0, 0.0, 0.0], abs=math.radians(2.0))
+
+
+def test_a_wheel_speed_that_is_late_is_told_by_the_name_of_its_input(recording):
+    values = table.check({'inputs': ['rear'], 'rear.type': 'speed', 'rear.topic': '/rear/speed',
+                          'gnss.time_offset': OFFSET})
+    named = replace(recording, speed=None).having({**{n: s for n, s in recording.streams().items() if n != 'speed'},
+                                                   'rear': recording.speed})
+    found, = shown_directly(named, values)
+    assert found.name == 'rear_time_offset'
+    assert found.changes['rear.time_offset'] == pytest.approx(OFFSET, abs=0.05)
+
+
+def test_of_several_looks_the_longest_that_agrees_counts(recording, monkeypatch):
+    # given looks at one, two and four minutes, of which the second is of the time before the change as well
+    seen = {60: (0.30, 0.02), 120: (0.10, 0.02), 240: (0.29, 0.01)}
+
+    def look(part, values):
+        value, sigma = seen[round((part.imu.stamp[-1] - part.imu.stamp[0]) / SECOND)]
+        return {'x': Finding('x', ['x'], {'a': Estimate(value, sigma, 's')}, 0.0, 0.0, True, HeldOut(0.0, 1.0, []))}
+    monkeypatch.setattr(direct, '_shown', look)
+    found, = shown_directly(recording, DEFAULTS)
+    assert found.parameters['a'].value == 0.29
+    seen[240] = (0.12, 0.01)
+    found, = shown_directly(recording, DEFAULTS)
+    assert found.parameters['a'].value == 0.30
