@@ -20,7 +20,9 @@ from std_srvs.srv import SetBool, Trigger
 from ..compiled import tell
 from ..diagnosis.applying import go_on, with_applied
 from ..filter.config import FilterConfig
+from ..filter.measurements.registry import imus
 from ..filter.runs.changing import ChangingFilter
+from ..filter.runs.imus import Imus
 from ..filter.runs.live import CHANGEABLE, FusionFilter
 from ..parameters.parameter import ParameterError
 from ..parameters.table import ALL, FILTER, FUSION
@@ -74,7 +76,8 @@ class FusionNode(Node):
         if without:
             self._filter.watch(without)
         tell(self.get_logger().info)
-        load(self._filter, stop)  # before there is a subscription: no message waits for the compiler
+        self._imus = Imus(values) if imus(values) else None
+        load(self._filter, stop, self._imus)  # before there is a subscription: no message waits for the compiler
         self._force_unit = ACCELERATION[values['imu.acceleration_unit']]
         self._rate_unit = RATE[values['imu.rate_unit']]
         self._use_orientation = values['alignment.heading'] == 'orientation'
@@ -88,7 +91,7 @@ class FusionNode(Node):
         self._online = None
         if values['diagnosis.online'] != 'off':
             self._online = OnlineDiagnosis(self, self._given, self._log, kept)
-        self._monitor = Monitor(self, self._filter, inputs, self._verdicts, values, self._log, self._online)
+        self._monitor = Monitor(self, self._filter, inputs, self._verdicts, values, self._log, self._online, self._imus)
         self._serve()
         refuse_unused_qos_overrides(self, [told.topic_name for told in inputs if not told.is_subscribed])
         self.add_on_set_parameters_callback(self._check_changes)
@@ -114,7 +117,7 @@ class FusionNode(Node):
 
     def report(self) -> None:
         """Log and publish what the filter has to say since the last time."""
-        for notice in self._filter.notices():
+        for notice in (*self._filter.notices(), *(self._imus.notices() if self._imus else ())):
             self._log.say(notice.level, notice.text)
         self._verdicts.publish()
 
@@ -128,10 +131,11 @@ class FusionNode(Node):
     def _subscribe(self, values) -> list[Input]:
         """All inputs, the IMU and the fixes first."""
         self._queue = queue = Queue(self)
-        self._imu = Input(self, queue, 'imu', values['imu_topic'], (Imu,), self._on_imu)
+        self._imu = Input(self, queue, 'imu', values['imu_topic'], (Imu,), self._on_imu, is_imu=True)
         self._fix = Input(self, queue, 'fix', values['gnss_topic'], (NavSatFix,), self._on_fix,
                           patience=2 * values['gnss.outage_after'])
-        inputs = [self._imu, self._fix, *aiding_inputs(self, queue, values, self._filter, self._before_aiding)]
+        further = [self._further_imu(queue, i) for i in range(1, len(self._imus.names))] if self._imus else []
+        inputs = [self._imu, self._fix, *further, *aiding_inputs(self, queue, values, self._filter, self._before_aiding)]
         if values['temperature_topic']:
             self._temperature = Input(self, queue, 'temperature', values['temperature_topic'], (Temperature,),
                                       self._on_temperature, patience=_TEMPERATURE_PATIENCE)
@@ -139,6 +143,16 @@ class FusionNode(Node):
         if values['initial_pose_topic']:
             self.create_subscription(PoseWithCovarianceStamped, values['initial_pose_topic'], self._on_start_pose, 10)
         return inputs
+
+    def _further_imu(self, queue, i) -> Input:
+        """The input of IMU number i, one beside the first."""
+        def on_message(message, info):
+            told.traffic.take(message.header, info)
+            force, rate = message.linear_acceleration, message.angular_velocity
+            self._take_all(self._imus.add(i, told.traffic.stamp, (force.x, force.y, force.z), (rate.x, rate.y, rate.z)))
+
+        told = Input(self, queue, self._imus.names[i], self._imus.topics[i], (Imu,), on_message, is_imu=True)
+        return told
 
     def _on_imu(self, message, info):
         """The hot path: no formatting, no new message, no look-up of a parameter."""
@@ -152,6 +166,19 @@ class FusionNode(Node):
         now = self._imu.traffic.stamp
         sample = (now, force.x * force_unit, force.y * force_unit, force.z * force_unit,
                   rate.x * rate_unit, rate.y * rate_unit, rate.z * rate_unit)
+        if self._imus is None:
+            self._take(sample, x, y, z, w)
+        else:
+            self._take_all(self._imus.add(0, now, sample[1:4], sample[4:]), now, (x, y, z, w))
+
+    def _take_all(self, samples, stamp=None, orientation=(0.0,) * 4):
+        """What several IMUs say as one; orientation: of the sample with this stamp."""
+        for now, numbers in samples:
+            self._take((now, *numbers), *(orientation if now == stamp else (0.0,) * 4))
+
+    def _take(self, sample, x, y, z, w):
+        """A sample for the filter."""
+        now = sample[0]
         self._monitor.mounting.add_sample(sample)
         if self._online and (findings := self._online.add_sample(sample)) is not None:
             self._change(findings)

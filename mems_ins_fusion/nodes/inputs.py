@@ -94,7 +94,7 @@ class Queue:
         self._pass_on_held()
         for one in waiting:
             _, told, message, info = one
-            if told.name == 'imu':
+            if told.is_imu:
                 told.on_message(message, info)
                 self._deadline = None  # they still come
                 self._pass_on_held()
@@ -120,7 +120,7 @@ class Queue:
     def _overtook(self, told: Input, message, info: dict) -> bool:
         """Whether samples of before a message are still on their way: it is late itself, and its stamp far ahead of
         theirs. After a stall messages come topic by topic. Where it is not late, it has a stamp of another clock."""
-        newest = next((other.traffic.stamp for other in self.inputs if other.name == 'imu'), 0)
+        newest = max((other.traffic.stamp for other in self.inputs if other.is_imu), default=0)
         if not newest or stamp_of(message) - newest <= OVERTAKEN or told.traffic.waited(info) <= STALLED:
             return False
         if self._deadline is None:
@@ -133,10 +133,12 @@ class Input:
 
     Of several types that it may carry it is subscribed once a publisher shows which. queue: of the node. on_message:
     called with a message and rclpy's information on it. patience: s without a message that are no silence yet.
+    is_imu: whether the filter's clock goes by it.
     """
 
     def __init__(self, node: Node, queue: Queue, name: str, topic: str, kinds: tuple, on_message: Callable,
-                 patience: float = 3.0):
+                 patience: float = 3.0, is_imu: bool = False):
+        self.is_imu = is_imu
         self.name, self.topic_name = name, node.resolve_topic_name(topic)
         self.traffic = Traffic(patience, lambda: node.get_clock().now().nanoseconds)
         self._node, self._queue, self._topic, self.on_message = node, queue, topic, on_message
