@@ -137,7 +137,7 @@ def test_one_that_stops_is_replaced_without_a_gap_or_a_jump(first, second):
     shown = errors(whole)[after(whole, 60.0)].mean(axis=0)
     assert (np.abs(shown - BIAS) < 5 * NOISE * np.sqrt(2 / 2000)).all()
     # and it is said once
-    assert [text for text in said if 'no sample for 0.1' in text and '/second are used from now on' in text]
+    assert [text for text in said if 'no sample for 0.2' in text and '/second are used from now on' in text]
     assert len(said) == 2
 
 

@@ -32,9 +32,9 @@ from ..trust.standstill import is_still
 from .intake import Notice
 from .tally import Tally
 
-#: s without a sample, and three intervals, after which the next IMU leads: more than a driver or a bus delays one, and
-#: less than a controller misses. A sample that comes later is not used
-SILENT = 0.1
+#: s without a sample, and three intervals, after which the next IMU leads: more than drivers, buses and queues delay one
+#: topic against another, and less than imu.max_gap. A sample that comes later is not used
+SILENT = 0.2
 SILENT_INTERVALS = 3.0
 #: s that the others wait for the first sample of the first IMU: drivers start one after the other
 FIRST = 5.0
