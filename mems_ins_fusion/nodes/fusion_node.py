@@ -14,7 +14,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import Imu, NavSatFix, Temperature
+from sensor_msgs.msg import NavSatFix
 from std_srvs.srv import SetBool, Trigger
 
 from ..compiled import tell
@@ -26,12 +26,14 @@ from ..filter.runs.imus import Imus
 from ..filter.runs.live import CHANGEABLE, FusionFilter
 from ..parameters.parameter import ParameterError
 from ..parameters.table import ALL, FILTER, FUSION
+from ..recordings.messages import IMU, TEMPERATURE
+from ..recordings.reading import FIX_TYPES
 from ..recordings.units import ACCELERATION, RATE
 from .checks import check_together
 from .estimates import NO_EVENTS, Estimates
 from .geometry import geometry_from_tf
 from .horizon import HorizonOutput
-from .inputs import Input, Queue, aiding_inputs
+from .inputs import Input, Queue, aiding_inputs, nav_sat_fix
 from .loading import load
 from .log import Log
 from .monitor import PERIOD, Monitor
@@ -131,13 +133,13 @@ class FusionNode(Node):
     def _subscribe(self, values) -> list[Input]:
         """All inputs, the IMU and the fixes first."""
         self._queue = queue = Queue(self)
-        self._imu = Input(self, queue, 'imu', values['imu_topic'], (Imu,), self._on_imu, is_imu=True)
-        self._fix = Input(self, queue, 'fix', values['gnss_topic'], (NavSatFix,), self._on_fix,
+        self._imu = Input(self, queue, 'imu', values['imu_topic'], (IMU,), self._on_imu, is_imu=True)
+        self._fix = Input(self, queue, 'fix', values['gnss_topic'], FIX_TYPES, self._on_fix,
                           patience=2 * values['gnss.outage_after'])
         further = [self._further_imu(queue, i) for i in range(1, len(self._imus.names))] if self._imus else []
         inputs = [self._imu, self._fix, *further, *aiding_inputs(self, queue, values, self._filter, self._before_aiding)]
         if values['temperature_topic']:
-            self._temperature = Input(self, queue, 'temperature', values['temperature_topic'], (Temperature,),
+            self._temperature = Input(self, queue, 'temperature', values['temperature_topic'], (TEMPERATURE,),
                                       self._on_temperature, patience=_TEMPERATURE_PATIENCE)
             inputs.append(self._temperature)
         if values['initial_pose_topic']:
@@ -151,7 +153,7 @@ class FusionNode(Node):
             force, rate = message.linear_acceleration, message.angular_velocity
             self._take_all(self._imus.add(i, told.traffic.stamp, (force.x, force.y, force.z), (rate.x, rate.y, rate.z)))
 
-        told = Input(self, queue, self._imus.names[i], self._imus.topics[i], (Imu,), on_message, is_imu=True)
+        told = Input(self, queue, self._imus.names[i], self._imus.topics[i], (IMU,), on_message, is_imu=True)
         return told
 
     def _on_imu(self, message, info):
@@ -199,6 +201,8 @@ class FusionNode(Node):
     def _on_fix(self, message, info):
         self._filter.waited = self._fix.traffic.take(message.header, info)
         stamp = self._fix.traffic.stamp
+        if not isinstance(message, NavSatFix):
+            message = nav_sat_fix(message)
         self._monitor.preflight.add_fix(stamp)
         self._verdicts.keep(message)
         latitude, longitude = math.radians(message.latitude), math.radians(message.longitude)

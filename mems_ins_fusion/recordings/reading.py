@@ -34,6 +34,8 @@ from mems_ins_fusion.samples import (
     Temperatures,
 )
 
+#: what fixes may come in
+FIX_TYPES = tuple(MEASUREMENTS[Kind.POSITION].messages)
 #: what a reference may be
 REFERENCE_TYPES = (NAV_SAT_FIX, ODOMETRY, POSE_STAMPED)
 _NO_FIX = -1  # NavSatStatus.STATUS_NO_FIX
@@ -94,7 +96,7 @@ def read_recording(path, imu_topic, gnss_topic=None, reference_topic=None, tempe
     """
     imu_topics = {imu_topic, *(aiding_topics.get(m.topic) for m in inputs if isinstance(m, Inertial))} - {None, ''}
     wanted = [(topic, types) for topic, types in (
-        (imu_topic, (IMU,)), (gnss_topic, (NAV_SAT_FIX,)), (reference_topic, REFERENCE_TYPES),
+        (imu_topic, (IMU,)), (gnss_topic, FIX_TYPES), (reference_topic, REFERENCE_TYPES),
         (temperature_topic, (TEMPERATURE,)),
         *((aiding_topics.get(m.topic), tuple(m.messages)) for m in inputs)) if topic]
     with Bag(path) as bag:
@@ -105,7 +107,7 @@ def read_recording(path, imu_topic, gnss_topic=None, reference_topic=None, tempe
                 raise RecordingError(_topic_problem(bag, topic, types))
         arrays, lost = _read_arrays(bag, dict.fromkeys(topic for topic, _ in wanted), progress, memory)
         _report_damage(bag, arrays, lost)
-    gnss = _fixes(arrays[gnss_topic]) if gnss_topic else None
+    gnss = _fixes(arrays[gnss_topic], bag.topics[gnss_topic]) if gnss_topic else None
     temperature = _temperatures(arrays[temperature_topic]) if temperature_topic else None
     return Recording(
         name=_name(Path(path)),
@@ -236,8 +238,8 @@ def _orientation(array) -> np.ndarray | None:
     return orientation
 
 
-def _fixes(array) -> Fixes:
-    return MEASUREMENTS[Kind.POSITION].read(array, NAV_SAT_FIX)
+def _fixes(array, msgtype) -> Fixes:
+    return MEASUREMENTS[Kind.POSITION].read(array, msgtype)
 
 
 def _temperatures(array) -> Temperatures:
@@ -252,7 +254,7 @@ def _unit(quaternion) -> np.ndarray:
 
 def _reference(array, msgtype, datum, gnss, topic) -> Reference:
     if msgtype == NAV_SAT_FIX:
-        fixes = _fixes(array)
+        fixes = _fixes(array, msgtype)
         valid = fixes.status > _NO_FIX
         reference = Reference(fixes.stamp, fixes.latitude, fixes.longitude, fixes.height).select(valid)
     else:
