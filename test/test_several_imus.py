@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from mems_ins_fusion.cli.simulate import main as simulate
+from mems_ins_fusion.configuration.configure import configure
+from mems_ins_fusion.configuration.second_imu import compare_imus
 from mems_ins_fusion.filter.runs.imus import Imus, as_one
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters import table
@@ -243,3 +245,36 @@ def test_a_simulated_bag_with_two_is_read_as_one_and_without_either(tmp_path):
         one_only, said = read_part(tmp_path / 'bag', given, lambda part: None)
         assert len(one_only.imu) > 2000, there
         assert "no messages of an IMU on '/not/there'" in said[0]
+
+
+def test_configure_finds_the_second_from_a_bag(tmp_path):
+    # given a simulated drive with a second IMU, turned by all three angles
+    params = tmp_path / 'two.yaml'
+    params.write_text('/**:\n  ros__parameters:\n    inputs: [second]\n    second.type: imu\n    second.topic: /second\n'
+                      '    second.mounting_rpy: [0.3, -0.2, 1.5]\n    imu.mounting_rpy: [0.0, 0.1, 0.5]\n')
+    assert simulate(['--output', str(tmp_path / 'bag'), '--duration', '300', '--standstill', '20',
+                     '--params-file', str(params)]) == 0
+    found = configure([tmp_path / 'bag']).values
+    # then it is set up, mounted as it is to what its biases leave
+    assert found['inputs'] == ['second'] and found['second.type'] == 'imu' and found['second.topic'] == '/second'
+    off = rotation_from_rpy(*found['second.mounting_rpy']) @ rotation_from_rpy(0.3, -0.2, 1.5).T
+    first_off = rotation_from_rpy(*found['imu.mounting_rpy']) @ rotation_from_rpy(0.0, 0.1, 0.5).T
+    between = off @ first_off.T
+    assert np.arccos(np.clip((np.trace(between) - 1) / 2, -1, 1)) < np.radians(2.5)
+    assert abs(found['second.time_offset']) < 0.005
+    assert table.check(found)
+
+
+def test_the_same_sensor_twice_is_no_second_one(first, second):
+    # given a copy with other stamps, and one of other axes and rates with the same noise
+    assert 'the same sensor twice' in compare_imus(first, replace(first, stamp=first.stamp + 3_000_000))
+    swapped = replace(first, specific_force=first.specific_force[:, [1, 0, 2]] * [1, -1, 1] + 1e-9,
+                      angular_rate=first.angular_rate[:, [1, 0, 2]] * [1, -1, 1] + 1e-9)
+    assert 'the same sensor twice' in compare_imus(first, swapped)
+    # and an IMU of another vehicle is none either, while one of this one is, by its lag and rotation
+    assert 'do not go with' in compare_imus(first, replace(second, angular_rate=np.roll(second.angular_rate, 3000, 0)))
+    late = compare_imus(first, replace(second, stamp=second.stamp + 50_000_000))
+    assert abs(late.lag - 0.05) < max(5 * late.lag_sigma, 0.002) and late.lag_sigma < 0.01
+    true = rotation_from_rpy(*FIRST_MOUNTING).T @ rotation_from_rpy(*TURNED)
+    angle = np.arccos(np.clip((np.trace(late.rotation @ true.T) - 1) / 2, -1, 1))
+    assert angle < 3 * late.sigma < np.radians(9)

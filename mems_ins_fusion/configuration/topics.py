@@ -88,6 +88,11 @@ class Topics:
         return self.arms_of_tf.get(self.gnss[0].topic) if self.gnss else None
 
     @property
+    def imus(self) -> dict[str, ImuSamples]:
+        """The samples of further IMUs, by topic; not of what is a result by its name, or hardly one."""
+        return {one.topic: one.samples for one in self.imu[1:] if not one.derived and one.usable >= _LEAST_USABLE}
+
+    @property
     def receivers(self) -> dict[str, Fixes]:
         """The fixes of further receivers, by topic; not of what is a result by its name."""
         return {one.topic: one.samples for one in self.gnss[1:] if not one.derived}

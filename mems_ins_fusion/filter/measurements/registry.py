@@ -28,8 +28,8 @@ assert len(MEASUREMENTS) == 1 + len(AIDING), 'two measurements with one number'
 #: what an input with a name may measure, by `NAME.type`
 TYPES = {measurement.name: measurement for measurement in (*MEASUREMENTS.values(), Pose())}
 #: and that it is a further IMU, which is no measurement
-_INERTIAL = Inertial()
-_NAMED = {**TYPES, _INERTIAL.name: _INERTIAL}
+INERTIAL = Inertial()
+_NAMED = {**TYPES, INERTIAL.name: INERTIAL}
 #: inputs with a name are numbered from here on
 FIRST_NAMED = 100
 INPUTS = Parameter('inputs', [], 'text', 'Names of further inputs, any number, each with NAME.type '
@@ -75,8 +75,8 @@ def imus(values: Mapping) -> tuple[Inertial, ...]:
     """The IMUs besides the first that the checked parameters `values` name, in the order of preference."""
     found = []
     for name in values.get('inputs', ()):
-        if values[f'{name}.type'] == _INERTIAL.name:
-            found.append(_INERTIAL.named(name, 0, values[f'{name}.lever_arm']))
+        if values[f'{name}.type'] == INERTIAL.name:
+            found.append(INERTIAL.named(name, 0, values[f'{name}.lever_arm']))
             found[-1].mounting_rpy = tuple(values[f'{name}.mounting_rpy'])
     return tuple(found)
 
