@@ -8,8 +8,10 @@ receiver 1.6 m behind the first. The fault lasts for a minute from 200 s on. Eac
 and without any in the second half of that minute. *without it*: the same filter that does not have the input while
 the fault lasts. The other columns are those of faults.py.
 
-With --imus the faults are those of two IMUs of one grade, each with its own errors, vibration and mounting: of the first
-one and of the second one. *without it*: the same fault, with the first IMU alone; *without fault*: the first one alone.
+With --imus the faults are those of two IMUs of one grade, each with its own errors, vibration and mounting: of the
+first one and of the second one. *without it*: the same fault, with the first IMU alone; *without fault*: the first one
+alone. A line behind the table has the largest errors without fixes, with either IMU alone all the time, with both, and
+with either alone from the fault on.
 
 missing: nothing comes. late: stamps of half a second later. doubled: each message twice. dead: it stays at the value it
 has as the fault begins. wrong: WRONG below.
@@ -24,9 +26,10 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from faults import BEGIN, METRE, MINUTES, Fault, judged, row
+from faults import BEGIN, METRE, MINUTES, Fault, judged, outcome, row
 from vehicle import drive_of, sensors
 
+from mems_ins_fusion.evaluation.comparison import truth_of
 from mems_ins_fusion.filter.measurements.registry import aiding
 from mems_ins_fusion.filter.runs.imus import as_one
 from mems_ins_fusion.parameters import table
@@ -215,6 +218,20 @@ def fault_of_imu(which: int, words: str, change: Callable, fixes: bool) -> Fault
     return Fault(f'{("first", "second")[which]} IMU {words}{"" if fixes else ", no fixes"}', DURATION, alter, coast)
 
 
+def without_fixes(seed: int, rate: float, given: dict) -> list[float]:
+    """Largest error, m, in the outage, with: the first IMU alone, the second one, both, and from the fault on the first
+    alone, the second one."""
+    clean, values = with_two_imus(seed, rate), {'reference_lever_arm': [0.0, 0.0, 0.0], **given}
+    truth, faults = truth_of(clean, table.check(values)), {fault.name: fault for fault in IMU_FAULTS}
+    cut = faults['first IMU nothing, no fixes'].coast(clean)
+    turned = {**values, 'imu.mounting_rpy': SECOND['second.mounting_rpy']}
+    ways = [(cut, values), (replace(cut, imu=clean.others['second'], others={}), turned), *(
+        (faults[f'{name}, no fixes'].alter(clean), values)
+        for name in ('first IMU nothing', 'second IMU missing', 'first IMU missing'))]
+    found = [outcome(recording, truth, table.check(chosen), BEGIN) for recording, chosen in ways]
+    return [float(o.error[(o.time >= 0) & (o.time <= DURATION + 1.0)].max()) for o in found]
+
+
 IMU_FAULTS = tuple(fault_of_imu(which, words, change, fixes) for which in (0, 1)
                    for words, change in IMU_CHANGES.items() for fixes in (True, False))
 
@@ -239,6 +256,14 @@ def main() -> None:
             lines.append(row(fault, [judged(fault, seed, options.rate, given, drive) for seed in range(
                 options.first_seed, options.first_seed + options.seeds)]))
             print(lines[-1], flush=True)
+    if options.imus:
+        found = np.array([without_fixes(seed, options.rate, given) for seed in range(
+            options.first_seed, options.first_seed + options.seeds)])
+        ways = ('first IMU alone', 'second alone', 'both', 'first alone from the fault on',
+                'second alone from the fault on')
+        sizes = ', '.join(f'{way} {size:.1f}' for way, size in zip(ways, np.sqrt((found**2).mean(axis=0))))
+        lines += ['', f'Largest error without fixes, m, RMS of the drives: {sizes}.']
+        print(*lines[-2:], sep='\n')
     if options.output:
         options.output.write_text('\n'.join(lines) + '\n')
 

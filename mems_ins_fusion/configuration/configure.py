@@ -559,6 +559,10 @@ def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
             f'against {what} {lag:.3f} +- {sigma:.3f} s{"" if sure else _AT_ZERO}',))
     elif kind in WHEELED:
         yield Setting(f'{name}.time_offset', 0.0, ('not shown: too few changes of speed, or a road too rough',))
+    elif kind == 'magnetometer':
+        yield Setting(f'{name}.time_offset', 0.0, (
+            'not looked for: 0.1 s at 0.5 rad/s are 3 deg, less than what iron turns the field by',
+            'its axes are taken to be those of the IMU; hard and soft iron are estimated while driving'))
 
 
 def _imu_settings(name: str, seen: Sequence[InputShown], first: Mapping):
