@@ -449,8 +449,8 @@ def _receiver_settings(receivers: list[Receiver]):
 
 def _input_settings(drives: Sequence[Sequence[InputShown | LeftOut]], mechanization: str, first: Mapping,
                     topics: Topics):
-    """Of the topics of the first drive. first: what is set of the first IMU and receiver. The first topic of each kind has the
-    parameters without a name; others, and further receivers, are named after their topics."""
+    """Of the topics of the first drive. first: what is set of the first IMU and receiver. The first topic of each kind
+    has the parameters without a name; others, further receivers and IMUs, are named after their topics."""
     used = [one for one in drives[0] if isinstance(one, InputShown)
             and not (one.measurement.name == 'pressure' and mechanization != 'strapdown')]
     plain = {}
@@ -570,8 +570,8 @@ def _imu_settings(name: str, seen: Sequence[InputShown], first: Mapping):
     best = min(seen, key=lambda one: one.rotation[1])
     mounted = rotation_from_rpy(*first.get('imu.mounting_rpy', [0.0] * 3)) @ best.rotation[0]
     yield Setting(f'{name}.mounting_rpy', _rounded(rpy(mounted), 4), (
-        f'imu.mounting_rpy and the rotation that fits rates and forces of both, +- {math.degrees(best.rotation[1]):.1f} '
-        'deg: another imu.mounting_rpy asks for another one here',))
+        'imu.mounting_rpy and the rotation that fits rates and forces of both, +- '
+        f'{math.degrees(best.rotation[1]):.1f} deg: another imu.mounting_rpy asks for another one here',))
     for key, unit, usual in zip(('acceleration_unit', 'rate_unit'), best.units, ('m/s^2', 'rad/s')):
         if unit != usual:
             yield Setting(f'{name}.{key}', unit, ('as that of the first IMU is found',))

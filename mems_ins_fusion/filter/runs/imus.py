@@ -32,8 +32,8 @@ from ..trust.standstill import is_still
 from .intake import Notice
 from .tally import Tally
 
-#: s without a sample, and three intervals, after which the next IMU leads: more than drivers, buses and queues delay one
-#: topic against another, and less than imu.max_gap. A sample that comes later is not used
+#: s without a sample, and three intervals, after which the next IMU leads: more than drivers, buses and queues delay
+#: one topic against another, and less than imu.max_gap. A sample that comes later is not used
 SILENT = 0.2
 SILENT_INTERVALS = 3.0
 #: s that the others wait for the first sample of the first IMU: drivers start one after the other
@@ -57,8 +57,8 @@ SHARE = 0.05
 ARM = 0.3
 #: s for which those that differed have to agree again, within half of the limit
 AGREE = 2.0
-#: s: a difference that lasts for longer is taken for their constant one: by then the filter knows the leading one's bias.
-#: The preferred one leads again when it has been compared for as long, and its difference is as well known as it will be
+#: s: a difference that lasts for longer is taken for their constant one: by then the filter knows the leading one's
+#: bias. The preferred one leads again when it has been compared for as long: then its difference is known well
 ADOPT = 60.0
 #: s: time constant of the noise that is judged by, and of that which weighs
 NOISE_NOW, NOISE = 1.0, 60.0
@@ -136,8 +136,8 @@ _SAID_AT_ONCE = 8
 
 class _Book(NamedTuple):
     """All that is remembered. own (n, Own.SIZE); whole (n, Whole.SIZE) and shared: integers; stamps (n, KEPT) ns and
-    values (n, KEPT, 6) of the samples kept; heads (n, ...): of each, what `imu_faults` and `standstill` remember; sample
-    (1, 7): the one judged; said (_SAID_AT_ONCE, 6)."""
+    values (n, KEPT, 6) of the samples kept; heads (n, ...): of each, what `imu_faults` and `standstill` remember;
+    sample (1, 7): the one judged; said (_SAID_AT_ONCE, 6)."""
 
     own: np.ndarray
     whole: np.ndarray
@@ -416,7 +416,7 @@ def _weigh(book, j, leader, stamp, value, between):
 
 @njit
 def _by_motion(first, between, half):
-    """By how much two IMUs may differ for the motion that the leading one shows: specific force (half 0) or rate (1)."""
+    """By how much two IMUs may differ for the motion that the leading one shows: specific force (0) or rate (1)."""
     turn = turning = change = 0.0
     for a in range(3):
         turn += between[3 + a] ** 2
@@ -647,7 +647,8 @@ class Imus:
         if imu.orientation is not None:
             mine = (source[origin] == 0) & (stamp[origin] == out_stamps[:done])
             orientation = np.where(mine[:, None], imu.orientation[np.where(mine, within[origin], 0)], np.nan)
-        return ImuSamples(out_stamps[:done], received[origin], out[:done, :3].copy(), out[:done, 3:].copy(), orientation)
+        return ImuSamples(out_stamps[:done], received[origin], out[:done, :3].copy(), out[:done, 3:].copy(),
+                          orientation)
 
     def _tell(self) -> None:
         for row in self._book.said[:self._book.shared[_SHARED.SAID]].copy():
