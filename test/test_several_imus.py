@@ -120,7 +120,8 @@ def test_message_by_message_gives_the_same_bits(first, second):
     whole, said = one(first, second, values)
     several, got = Imus(values), []
     parts = (first, second)
-    order = sorted((int(stamp), source, i) for source, part in enumerate(parts) for i, stamp in enumerate(part.received))
+    order = sorted((int(stamp), source, i) for source, part in enumerate(parts)
+                   for i, stamp in enumerate(part.received))
     for _, source, i in order:
         got += several.add(source, int(parts[source].stamp[i]), parts[source].specific_force[i].tolist(),
                            parts[source].angular_rate[i].tolist())
@@ -228,7 +229,8 @@ def test_what_its_parameters_have_to_be():
 def test_a_simulated_bag_with_two_is_read_as_one_and_without_either(tmp_path):
     # given a bag of `simulate` with the second IMU turned and half a metre behind
     params = tmp_path / 'two.yaml'
-    params.write_text('/**:\n  ros__parameters:\n    inputs: [second]\n    second.type: imu\n    second.topic: /second\n'
+    params.write_text('/**:\n  ros__parameters:\n    inputs: [second]\n    second.type: imu\n'
+                      '    second.topic: /second\n'
                       '    second.mounting_rpy: [0.0, 0.0, 1.5]\n    second.lever_arm: [-0.5, 0.0, 0.0]\n')
     assert simulate(['--output', str(tmp_path / 'bag'), '--duration', '60', '--rate', '50', '--params-file',
                      str(params)]) == 0
@@ -250,7 +252,8 @@ def test_a_simulated_bag_with_two_is_read_as_one_and_without_either(tmp_path):
 def test_configure_finds_the_second_from_a_bag(tmp_path):
     # given a simulated drive with a second IMU, turned by all three angles
     params = tmp_path / 'two.yaml'
-    params.write_text('/**:\n  ros__parameters:\n    inputs: [second]\n    second.type: imu\n    second.topic: /second\n'
+    params.write_text('/**:\n  ros__parameters:\n    inputs: [second]\n    second.type: imu\n'
+                      '    second.topic: /second\n'
                       '    second.mounting_rpy: [0.3, -0.2, 1.5]\n    imu.mounting_rpy: [0.0, 0.1, 0.5]\n')
     assert simulate(['--output', str(tmp_path / 'bag'), '--duration', '300', '--standstill', '20',
                      '--params-file', str(params)]) == 0

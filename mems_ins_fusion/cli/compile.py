@@ -17,7 +17,8 @@ def main(argv: list[str] | None = None) -> int:
     # imported only now: that takes a second
     from mems_ins_fusion.compiled import FOLDER
 
-    parts = {'live filter': _live, 'replay': _replay, 'several IMUs': _imus, 'characterization': _characterization, 'effects': _effects}
+    parts = {'live filter': _live, 'replay': _replay, 'several IMUs': _imus, 'characterization': _characterization,
+             'effects': _effects}
     for number, (name, part) in enumerate(parts.items(), 1):
         print(f'{number}/{len(parts)} {name} ...', end=' ', flush=True)
         began = time.monotonic()

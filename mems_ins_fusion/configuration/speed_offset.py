@@ -176,8 +176,8 @@ class _Pieces:
                    logarithm + float(np.linalg.slogdet(normal)[1]))
 
     def _whitening(self, walk: float) -> list[tuple[np.ndarray, float]]:
-        """Of each piece the inverse of the root of its noise's covariance, and the logarithm of the determinant of that:
-        the same for all offsets, of which hundreds are tried."""
+        """Of each piece the inverse of the root of its noise's covariance, and the logarithm of the determinant of
+        that: the same for all offsets, of which some hundred are tried."""
         if walk not in self.whitening:
             since = [time - time[0] for time in self.times]
             roots = [np.linalg.cholesky(np.eye(len(one)) + walk * np.minimum(one[:, None], one)) for one in since]

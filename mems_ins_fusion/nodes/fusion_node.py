@@ -137,7 +137,8 @@ class FusionNode(Node):
         self._fix = Input(self, queue, 'fix', values['gnss_topic'], FIX_TYPES, self._on_fix,
                           patience=2 * values['gnss.outage_after'])
         further = [self._further_imu(queue, i) for i in range(1, len(self._imus.names))] if self._imus else []
-        inputs = [self._imu, self._fix, *further, *aiding_inputs(self, queue, values, self._filter, self._before_aiding)]
+        inputs = [self._imu, self._fix, *further,
+                  *aiding_inputs(self, queue, values, self._filter, self._before_aiding)]
         if values['temperature_topic']:
             self._temperature = Input(self, queue, 'temperature', values['temperature_topic'], (TEMPERATURE,),
                                       self._on_temperature, patience=_TEMPERATURE_PATIENCE)

@@ -144,7 +144,8 @@ class Queue:
 class Input:
     """A topic that the node listens to, by its `name` in the words of the filter (imu, fix, speed, ...).
 
-    kinds: message types, package/msg/Name, those of which are heard that are installed. Of several types that it may carry it is subscribed once a publisher shows which. queue: of the node. on_message:
+    kinds: message types, package/msg/Name, those of which are heard that are installed. Of several types that it may
+    carry it is subscribed once a publisher shows which. queue: of the node. on_message:
     called with a message and rclpy's information on it. patience: s without a message that are no silence yet.
     is_imu: whether the filter's clock goes by it.
     """

@@ -40,8 +40,8 @@ FIELDS = {
                   ('latitude', '<f8', 1), ('longitude', '<f8', 1), ('altitude', '<f8', 1),
                   ('position_covariance', '<f8', 9), ('position_covariance_type', 'u1', 1)),
     GPS_FIX: (*_HEADER, ('status.status', '<i2', 1), ('status.satellites_used', '<u2', 1),
-              ('latitude', '<f8', 1), ('longitude', '<f8', 1), ('altitude', '<f8', 1), ('position_covariance', '<f8', 9),
-              ('position_covariance_type', 'u1', 1), ('err_horz', '<f8', 1), ('err_vert', '<f8', 1),
+              ('latitude', '<f8', 1), ('longitude', '<f8', 1), ('altitude', '<f8', 1),
+              ('position_covariance', '<f8', 9), ('position_covariance_type', 'u1', 1), ('err_horz', '<f8', 1), ('err_vert', '<f8', 1),
               ('hdop', '<f8', 1), ('vdop', '<f8', 1)),
     TEMPERATURE: (*_HEADER, ('temperature', '<f8', 1), ('variance', '<f8', 1)),
     ODOMETRY: (*_HEADER, ('child_frame_id', _STRING, 1), *_POSE, *_TWIST),
@@ -50,8 +50,8 @@ FIELDS = {
     TWIST_WITH_COVARIANCE_STAMPED: (*_HEADER, *_TWIST),
     **{kind: (*_HEADER, *fields) for measurement in AIDING for kind, fields in measurement.layouts.items()},
 }
-#: definitions of types that rosbags does not know, by name; with sequences, whose messages are read one by one: of these
-#: FIELDS has what is kept
+#: definitions of types that rosbags does not know, by name; with sequences, so that their messages are read one by one:
+#: of these FIELDS has what is kept
 _DEFINITIONS = {
     'gps_msgs/msg/GPSStatus': """
 std_msgs/Header header

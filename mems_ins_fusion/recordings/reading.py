@@ -126,8 +126,8 @@ def _absent(bag: Bag, imu_topics: set[str]) -> set[str]:
     if absent == imu_topics:
         return set()
     for topic in sorted(absent):
-        warnings.warn(f"no messages of an IMU on '{topic}' in {bag.path}: the other IMU is used alone", RecordingWarning,
-                      stacklevel=3)
+        warnings.warn(f"no messages of an IMU on '{topic}' in {bag.path}: the other IMU is used alone",
+                      RecordingWarning, stacklevel=3)
     return absent
 
 

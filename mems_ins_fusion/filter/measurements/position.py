@@ -78,8 +78,8 @@ def observe_place(mem, r, at, h, n, c):
 RANGE_SIGMA = 3.0
 #: a 95 % error over the standard deviation: of a horizontal distance, and of a height
 HORIZONTAL_95, VERTICAL_95 = 2.4477, 1.96
-#: `NavSatStatus.status` by `GPSStatus.status`: each class has errors of its own, and float is not fixed. With a base and
-#: fixed: 2; corrected, or a float: 1; neither: 0
+#: `NavSatStatus.status` by `GPSStatus.status`: each class has errors of its own, and float is not fixed. With a base
+#: and fixed: 2; corrected, or a float: 1; neither: 0
 STATUS_OF = {-1: -1, 0: 0, 1: 1, 33: 1, 18: 1, 20: 1, 2: 2, 19: 2}
 #: satellites below which there is no position, where their number is told
 FEWEST_SATELLITES = 3
