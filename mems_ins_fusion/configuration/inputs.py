@@ -63,9 +63,9 @@ class InputShown:
     makes SI units of it. turned: rad, by which a heading is off clockwise. lag: s, and sigma, None where not shown: as
     its time offset, of a further receiver against the first one. arm: (3,) m, forward-left-up, and sigma (3,), infinite
     where not shown: from the IMU, of a further receiver from the first antenna. sigma: m, white, of a receiver that
-    states less. rotation: (3, 3) from its axes to those of the first IMU, and sigma, rad, of a further IMU, and units, of
-    its accelerometers and gyroscopes. unplaced: why its arm is not known as well as it has to be, '' where it is: it is
-    used only where the transforms tell it. messages: how many, and how often.
+    states less. rotation: (3, 3) from its axes to those of the first IMU, and sigma, rad, of a further IMU, and units,
+    of its accelerometers and gyroscopes. unplaced: why its arm is not known as well as it has to be, '' where it is: it
+    is used only where the transforms tell it. messages: how many, and how often.
     """
 
     topic: str
