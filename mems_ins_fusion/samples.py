@@ -53,6 +53,10 @@ class ImuSamples(_Samples):
         return replace(self, temperature=celsius)
 
 
+#: of an IMU that a recording does not have
+NO_SAMPLES = ImuSamples(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)))
+
+
 @dataclass(frozen=True)
 class Fixes(_Samples):
     """GNSS positions of the antenna.

@@ -226,7 +226,7 @@ def test_simulate_makes_what_a_params_file_names(tmp_path):
 @pytest.mark.parametrize(('values', 'words'), [
     ({'inputs': ['rear']}, "parameter 'rear.type' is missing: 'inputs' has 'rear'"),
     ({**REAR, 'rear.type': 'sonar'},
-     "parameter 'rear.type' must be one of fix, heading, magnetometer, pose, pressure, speed, twist, velocity; "
+     "parameter 'rear.type' must be one of fix, heading, imu, magnetometer, pose, pressure, speed, twist, velocity; "
      "got 'sonar'"),
     ({**REAR, 'rear.topic': ''}, "parameter 'rear.topic' is missing"),
     ({**REAR, 'rear.factor': 2.0}, "unknown parameter 'rear.factor'"),

@@ -47,7 +47,7 @@ TOUCHED = {
     'accelerometer_lever_arm': 'xy.......', 'sideslip': 'xy...z...',
     'gnss_lag': '......NE.', 'gnss_latency': '......NE.', 'gnss_outliers': '......NED', 'rear_axle': 'xy....NE.',
     **dict.fromkeys(('speed_scale', 'speed_time_offset', 'velocity_time_offset', 'heading_time_offset',
-                     'twist_time_offset', 'magnetometer_time_offset'), '.........'),
+                     'twist_time_offset', 'magnetometer_time_offset', 'pressure_time_offset'), '.........'),
     'gyroscope_warm_up': '.....z...', 'imu_repeats': 'xyzxyz...', 'imu_jitter': '.........',
 }
 

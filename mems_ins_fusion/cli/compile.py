@@ -17,7 +17,8 @@ def main(argv: list[str] | None = None) -> int:
     # imported only now: that takes a second
     from mems_ins_fusion.compiled import FOLDER
 
-    parts = {'live filter': _live, 'replay': _replay, 'characterization': _characterization, 'effects': _effects}
+    parts = {'live filter': _live, 'replay': _replay, 'several IMUs': _imus, 'characterization': _characterization,
+             'effects': _effects}
     for number, (name, part) in enumerate(parts.items(), 1):
         print(f'{number}/{len(parts)} {name} ...', end=' ', flush=True)
         began = time.monotonic()
@@ -43,6 +44,13 @@ def _replay():
     for mechanization in ('planar', 'strapdown'):
         compare(recording, table.check({'mechanization': mechanization, 'models': ['gauss_markov'],
                                         'update_intervals': [1.0], 'outage_durations': [10.0]}))
+
+
+def _imus():
+    from mems_ins_fusion.filter.runs.imus import Imus
+    from mems_ins_fusion.parameters import table
+
+    Imus(table.check({'inputs': ['second'], 'second.type': 'imu', 'second.topic': '/second'})).warm_up()
 
 
 def _effects():

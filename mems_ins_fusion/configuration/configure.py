@@ -10,7 +10,14 @@ from types import MappingProxyType
 
 import numpy as np
 
-from mems_ins_fusion.configuration.inputs import LEAST_APART, WHEELED, InputShown, LeftOut, shown_inputs
+from mems_ins_fusion.configuration.inputs import (
+    LEAST_APART,
+    WHEELED,
+    InputShown,
+    LeftOut,
+    further_imus,
+    shown_inputs,
+)
 from mems_ins_fusion.configuration.mounting import (
     BIAS_SIGMA,
     SHOWN,
@@ -31,6 +38,7 @@ from mems_ins_fusion.filter.measurements.registry import AIDING, TYPES
 from mems_ins_fusion.filter.runs.usable import usable
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.navigation.earth import gravity as gravity_at
+from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters.parameter import ParameterError
 from mems_ins_fusion.parameters.table import ALL, defaults, parameters_of
 from mems_ins_fusion.recordings.checker import INFO, Finding, check_recording
@@ -125,7 +133,9 @@ def configure(paths, progress=lambda part, what: None) -> Configuration:
         fixes.append(gnss.samples if gnss else None)
         receivers = {**found.receivers, **({found.gnss[0].topic: found.gnss[0].samples} if found.gnss else {})}
         receivers.pop(topics.gnss[0].topic if topics.gnss else '', None)
-        drives.append(look(path, imu.samples, fixes[-1], found.others, receivers))
+        imus = {**found.imus, found.imu[0].topic: found.imu[0].samples}
+        imus.pop(topics.imu[0].topic)
+        drives.append(look(path, imu.samples, fixes[-1], found.others, receivers, imus))
         for other in drives[:-1]:
             refuse_twice(drives[-1], other)
     progress(1.0, 'done')
@@ -173,8 +183,10 @@ def _same(candidates, topic, path) -> Candidate:
 
 
 def look(path, imu: ImuSamples, fixes: Fixes | None, others: Mapping[str, Mapping[str, object]] = MappingProxyType({}),
-         receivers: Mapping[str, Fixes] = MappingProxyType({})) -> Drive:
-    """All that one recording shows. others, receivers: by topic, as recorded, see `shown_inputs`."""
+         receivers: Mapping[str, Fixes] = MappingProxyType({}),
+         imus: Mapping[str, ImuSamples] = MappingProxyType({})) -> Drive:
+    """All that one recording shows. others, receivers, imus: by topic, as recorded, see `shown_inputs` and
+    `further_imus`."""
     name = str(path)
     seen = usable(Recording(name, imu, fixes))
     good = seen.gnss if seen.gnss is not None and len(seen.gnss) > 1 else None
@@ -194,7 +206,8 @@ def look(path, imu: ImuSamples, fixes: Fixes | None, others: Mapping[str, Mappin
     vehicle = assess_vehicle(imu, still, found, noise or 1.0)
     return Drive(name, imu, good, still, seconds, units, found, find_noise(imu, still), receiver, vehicle,
                  tuple(finding for finding in findings if finding.severity != INFO),
-                 tuple(shown_inputs(others, receivers, imu, good, still, found)))
+                 (*shown_inputs(others, receivers, imu, good, still, found),
+                  *further_imus(imus, imu, good, gravity)))
 
 
 def _together(found: list[Mounting]) -> Mounting | None:
@@ -224,14 +237,17 @@ def _settings(topics: Topics, drives, mounting):
     yield from _unit_settings(first.units)
     mechanization = _mechanization(drives, mounting)
     yield mechanization
+    mounted = []
     if mounting is not None:
-        yield _mounting_setting(mounting, rotation)
+        mounted.append(_mounting_setting(mounting, rotation))
+        yield from mounted
         if mounting.yaw_known:
             yield Setting('imu.mounting_sigma', round(float(max(_LEAST_MOUNTING_SIGMA, mounting.sigma[1:].max())), 3), (
                 'of pitch and yaw, the larger one: the filter estimates what is left of them',))
     elif rotation is not None:
-        yield Setting('imu.mounting_rpy', _rounded(rpy(rotation), 4), (
-            f'from {TF}; the drive does not show it',))
+        mounted.append(Setting('imu.mounting_rpy', _rounded(rpy(rotation), 4), (
+            f'from {TF}; the drive does not show it',)))
+        yield from mounted
     antenna = []
     if mounting is not None:
         antenna.append(_time_offset_setting(mounting.offset))
@@ -240,7 +256,7 @@ def _settings(topics: Topics, drives, mounting):
     yield from antenna
     yield from _receiver_settings([drive.receiver for drive in drives if drive.receiver is not None])
     yield from _input_settings([drive.inputs for drive in drives], mechanization.value,
-                               {setting.name: setting.value for setting in antenna}, topics)
+                               {setting.name: setting.value for setting in (*mounted, *antenna)}, topics)
     yield from _noise_settings(drives, mounting)
     yield from _vehicle_settings(drives)
 
@@ -433,8 +449,8 @@ def _receiver_settings(receivers: list[Receiver]):
 
 def _input_settings(drives: Sequence[Sequence[InputShown | LeftOut]], mechanization: str, first: Mapping,
                     topics: Topics):
-    """Of the topics of the first drive. first: what is set of the first receiver. The first topic of each kind has the
-    parameters without a name; others, and further receivers, are named after their topics."""
+    """Of the topics of the first drive. first: what is set of the first IMU and receiver. The first topic of each kind
+    has the parameters without a name; others, further receivers and IMUs, are named after their topics."""
     used = [one for one in drives[0] if isinstance(one, InputShown)
             and not (one.measurement.name == 'pressure' and mechanization != 'strapdown')]
     plain = {}
@@ -518,6 +534,8 @@ def _place_settings(name: str, seen: Sequence[InputShown], first: Mapping, told:
 def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
     """Unit, zero, noise and clock of an input."""
     kind = seen[0].measurement.name
+    if seen[0].rotation is not None:
+        yield from _imu_settings(name, seen, first)
     factor = float(np.median([one.factor for one in seen]))
     if factor != 1.0:
         yield Setting(f'{name}.factor', float(f'{factor:.5g}'), (
@@ -541,6 +559,22 @@ def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
             f'against {what} {lag:.3f} +- {sigma:.3f} s{"" if sure else _AT_ZERO}',))
     elif kind in WHEELED:
         yield Setting(f'{name}.time_offset', 0.0, ('not shown: too few changes of speed, or a road too rough',))
+    elif kind == 'magnetometer':
+        yield Setting(f'{name}.time_offset', 0.0, (
+            'not looked for: 0.1 s at 0.5 rad/s are 3 deg, less than what iron turns the field by',
+            'its axes are taken to be those of the IMU; hard and soft iron are estimated while driving'))
+
+
+def _imu_settings(name: str, seen: Sequence[InputShown], first: Mapping):
+    """How a further IMU is mounted, beside imu.mounting_rpy, and its units."""
+    best = min(seen, key=lambda one: one.rotation[1])
+    mounted = rotation_from_rpy(*first.get('imu.mounting_rpy', [0.0] * 3)) @ best.rotation[0]
+    yield Setting(f'{name}.mounting_rpy', _rounded(rpy(mounted), 4), (
+        'imu.mounting_rpy and the rotation that fits rates and forces of both, +- '
+        f'{math.degrees(best.rotation[1]):.1f} deg: another imu.mounting_rpy asks for another one here',))
+    for key, unit, usual in zip(('acceleration_unit', 'rate_unit'), best.units, ('m/s^2', 'rad/s')):
+        if unit != usual:
+            yield Setting(f'{name}.{key}', unit, ('as that of the first IMU is found',))
 
 
 def _noise_settings(drives, mounting):

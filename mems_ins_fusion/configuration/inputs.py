@@ -17,12 +17,13 @@ from mems_ins_fusion.configuration.baseline import estimate_baseline
 from mems_ins_fusion.configuration.mounting import Mounting
 from mems_ins_fusion.configuration.offset import FLOOR
 from mems_ins_fusion.configuration.receiver import TOO_SURE
+from mems_ins_fusion.configuration.second_imu import compare_imus
 from mems_ins_fusion.configuration.speed_offset import SHOWN, estimate_speed_offset
 from mems_ins_fusion.configuration.turn_offset import TurnOffset, estimate_turn_offset, turning_of
 from mems_ins_fusion.configuration.velocity_offset import estimate_velocity_offset
 from mems_ins_fusion.filter.measurements.base import Measurement
-from mems_ins_fusion.filter.measurements.registry import TYPES
-from mems_ins_fusion.filter.runs.usable import usable_fixes
+from mems_ins_fusion.filter.measurements.registry import INERTIAL, TYPES
+from mems_ins_fusion.filter.runs.usable import usable_fixes, usable_samples
 from mems_ins_fusion.recordings.aiding import (
     check_heading,
     check_velocity,
@@ -34,6 +35,7 @@ from mems_ins_fusion.recordings.aiding import (
 )
 from mems_ins_fusion.recordings.findings import INFO
 from mems_ins_fusion.recordings.motion import scatter_at_rest, sigmas
+from mems_ins_fusion.recordings.units import find_units, in_si
 from mems_ins_fusion.samples import Fixes, ImuSamples, Speeds, Twists
 
 #: kinds that tell a speed along the nose
@@ -61,8 +63,9 @@ class InputShown:
     makes SI units of it. turned: rad, by which a heading is off clockwise. lag: s, and sigma, None where not shown: as
     its time offset, of a further receiver against the first one. arm: (3,) m, forward-left-up, and sigma (3,), infinite
     where not shown: from the IMU, of a further receiver from the first antenna. sigma: m, white, of a receiver that
-    states less. unplaced: why its arm is not known as well as it has to be, '' where it is: it is used only where the
-    transforms tell it. messages: how many, and how often.
+    states less. rotation: (3, 3) from its axes to those of the first IMU, and sigma, rad, of a further IMU, and units,
+    of its accelerometers and gyroscopes. unplaced: why its arm is not known as well as it has to be, '' where it is: it
+    is used only where the transforms tell it. messages: how many, and how often.
     """
 
     topic: str
@@ -73,6 +76,8 @@ class InputShown:
     lag: tuple[float, float] | None = None
     arm: tuple[np.ndarray, np.ndarray] = (np.zeros(3), np.full(3, np.inf))
     sigma: float | None = None
+    rotation: tuple[np.ndarray, float] | None = None
+    units: tuple[str, str] = ('m/s^2', 'rad/s')
     unplaced: str = ''
     messages: str = ''
 
@@ -100,6 +105,21 @@ def shown_inputs(readings: Mapping[str, Mapping[str, object]], receivers: Mappin
         timed = kind if isinstance(kind, LeftOut) else _timed(kind, read, imu, fixes, rotation)
         found.append(_counted(timed, next(iter(read.values()))))
     return _without_repeats(found)
+
+
+def further_imus(imus: Mapping[str, ImuSamples], first: ImuSamples, fixes: Fixes | None, gravity: float
+                 ) -> list[InputShown | LeftOut]:
+    """What one recording shows of each IMU besides the first. imus: by topic, as recorded. first: SI units. gravity:
+    m/s^2, there."""
+    found: list[InputShown | LeftOut] = []
+    for topic, samples in imus.items():
+        units = find_units(usable_samples(samples), fixes, gravity)
+        shown = compare_imus(first, in_si(samples, units.acceleration, units.rate))
+        found.append(LeftOut(topic, shown) if isinstance(shown, str) else _counted(InputShown(
+            topic, INERTIAL, f'a further IMU: its turn rates and forces are those of the first, turned '
+            f'(+- {math.degrees(shown.sigma):.1f} deg)', lag=(shown.lag, shown.lag_sigma),
+            rotation=(shown.rotation, shown.sigma), units=(units.acceleration, units.rate)), samples))
+    return found
 
 
 def _counted(shown: InputShown | LeftOut, samples) -> InputShown | LeftOut:

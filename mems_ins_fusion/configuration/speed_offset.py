@@ -10,7 +10,7 @@ others and counts less. Equations: docs/configure.md, "Wheel speed".
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -118,7 +118,7 @@ class _Pieces:
     """The pieces of a drive. track: of the samples. pushed: (n, 3) m/s, integral of the specific force along nose,
     left and up, whose directions in the sensor's axes are `axes` (3, 3). turn: (n,) rad/s about the up axis. squared:
     (n,) its square's integral. times: s after the track's origin, and speeds: m/s, of each piece. weight: (w,) of each.
-    noise: variance of a speed, m^2/s^2."""
+    noise: variance of a speed, m^2/s^2. whitening: by walk, what `_whitening` has made."""
 
     track: Track
     pushed: np.ndarray
@@ -129,6 +129,7 @@ class _Pieces:
     speeds: tuple[np.ndarray, ...]
     weight: np.ndarray
     noise: float = _NOISE
+    whitening: dict[float, list[tuple[np.ndarray, float]]] = field(default_factory=dict)
 
     @cached_property
     def freedom(self) -> np.ndarray:
@@ -161,20 +162,27 @@ class _Pieces:
     def _reduced(self, lag: float, walk: float):
         """Of each piece the products of [speed, shared] with its own unknowns free, and the logarithms of the
         determinants of its noise and of these."""
-        for time, speed in zip(self.times, self.speeds):
+        for time, speed, (inverse, logarithm) in zip(self.times, self.speeds, self._whitening(walk)):
             nose = self._integrated(time - lag, 0)
             value, left = nose[0], self._integrated(time - lag, 1)[0]
             later, sooner = (self._integrated(time - lag + apart, 0)[0] for apart in (_APART, -_APART))
             turn, squared = (self.track.at(column, time - lag) for column in (self.turn, self.squared))
             shared = np.column_stack([(sooner - later) / (2.0 * _APART), value, turn, squared - squared[0], left])
-            since = time - time[0]
-            root = np.linalg.cholesky(np.eye(len(time)) + walk * np.minimum(since[:, None], since))
-            white = np.linalg.solve(root, np.column_stack([speed, shared, nose[1]]))
+            white = inverse @ np.column_stack([speed, shared, nose[1]])
             products, first = white.T @ white, 1 + shared.shape[1]
             normal = products[first:, first:] + np.diag(self.noise / _OWN**2)
             back = np.linalg.solve(normal, products[first:, :first])
-            more = 2.0 * float(np.log(np.diag(root)).sum()) + float(np.linalg.slogdet(normal)[1])
-            yield products[:first, :first] - products[:first, first:] @ back, more
+            yield (products[:first, :first] - products[:first, first:] @ back,
+                   logarithm + float(np.linalg.slogdet(normal)[1]))
+
+    def _whitening(self, walk: float) -> list[tuple[np.ndarray, float]]:
+        """Of each piece the inverse of the root of its noise's covariance, and the logarithm of the determinant of
+        that: the same for all offsets, of which some hundred are tried."""
+        if walk not in self.whitening:
+            since = [time - time[0] for time in self.times]
+            roots = [np.linalg.cholesky(np.eye(len(one)) + walk * np.minimum(one[:, None], one)) for one in since]
+            self.whitening[walk] = [(np.linalg.inv(root), 2.0 * float(np.log(np.diag(root)).sum())) for root in roots]
+        return self.whitening[walk]
 
     def _integrated(self, time, axis):
         """Change of the speed along nose or left (axis 0, 1) since the first of `time`, m/s, and its derivatives by

@@ -11,9 +11,9 @@ from mems_ins_fusion.filter.measurements.registry import TYPES
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.findings import count_of
-from mems_ins_fusion.recordings.messages import IMU, NAV_SAT_FIX, TEMPERATURE
+from mems_ins_fusion.recordings.messages import IMU, TEMPERATURE
 from mems_ins_fusion.recordings.motion import robust_sigma, sigmas, valid_fixes
-from mems_ins_fusion.recordings.reading import read_recording
+from mems_ins_fusion.recordings.reading import FIX_TYPES, read_recording
 from mems_ins_fusion.recordings.transforms import places
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
@@ -21,7 +21,7 @@ from mems_ins_fusion.samples import Fixes, ImuSamples
 _DERIVED = re.compile(r'reference|truth|fused|filter|ekf|odom|estimate|gt($|/)', re.IGNORECASE)
 #: what messages may be of besides samples and fixes, by their type
 _AIDING = {kind: tuple(one for one in TYPES.values() if kind in one.messages)
-           for kind in dict.fromkeys(kind for one in TYPES.values() for kind in one.messages) if kind != NAV_SAT_FIX}
+           for kind in dict.fromkeys(kind for one in TYPES.values() for kind in one.messages) if kind not in FIX_TYPES}
 #: those that are no samples of an IMU, whose orientation is no heading of its own
 _OTHERS = [kind for kind in _AIDING if kind != IMU]
 _LEAST_USABLE = 0.5  # part of the messages and axes: with less it is no IMU
@@ -88,6 +88,11 @@ class Topics:
         return self.arms_of_tf.get(self.gnss[0].topic) if self.gnss else None
 
     @property
+    def imus(self) -> dict[str, ImuSamples]:
+        """The samples of further IMUs, by topic; not of what is a result by its name, or hardly one."""
+        return {one.topic: one.samples for one in self.imu[1:] if not one.derived and one.usable >= _LEAST_USABLE}
+
+    @property
     def receivers(self) -> dict[str, Fixes]:
         """The fixes of further receivers, by topic; not of what is a result by its name."""
         return {one.topic: one.samples for one in self.gnss[1:] if not one.derived}
@@ -98,16 +103,17 @@ def find_topics(path) -> Topics:
     with Bag(path) as bag:
         kinds, counts = bag.topics, bag.counts()
         where = places(bag, {name: kind for name, kind in kinds.items()
-                             if kind in (IMU, NAV_SAT_FIX, *_OTHERS) and counts[name]})
+                             if kind in (IMU, *FIX_TYPES, *_OTHERS) and counts[name]})
     named = {kind: sorted(name for name, k in kinds.items() if k == kind and counts[name] > 1)
-             for kind in (IMU, NAV_SAT_FIX, TEMPERATURE, *_OTHERS)}
+             for kind in (IMU, *FIX_TYPES, TEMPERATURE, *_OTHERS)}
     if not named[IMU]:
         there = ', '.join(f'{name} ({kind}, {count_of(counts[name], "message")})'
                           for name, kind in sorted(kinds.items()))
         raise RecordingError(f'{path} has no topic with two or more messages of type {IMU}'
                              f'{f", only {there}" if there else ""}')
     imu = tuple(sorted((_imu(path, name) for name in named[IMU]), key=_imu_rank))
-    gnss = tuple(sorted((_gnss(path, name, named[IMU][0]) for name in named[NAV_SAT_FIX]), key=_gnss_rank))
+    gnss = tuple(sorted((_gnss(path, name, named[IMU][0]) for kind in FIX_TYPES for name in named[kind]),
+                        key=_gnss_rank))
     others = {name: _read(path, name, kind, named[IMU][0]) for kind in _OTHERS for name in named[kind]}
     # a heading of two antennas comes as an Imu without rates and forces
     others |= {one.topic: _read(path, one.topic, IMU, named[IMU][0]) for one in imu[1:] if one.usable < _LEAST_USABLE}

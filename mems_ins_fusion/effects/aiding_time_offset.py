@@ -83,6 +83,8 @@ TIME_OFFSETS = (
                      'whether the compass or the receiver smooths its heading, and what its driver stamps'),
     AidingTimeOffset('magnetometer', 'a magnetic field that is off in proportion to the turn rate',
                      'the magnetometer comes late', 'whether the magnetometer averages, and what its driver stamps'),
+    AidingTimeOffset('pressure', 'heights that are off in proportion to the climb', 'the pressure comes late',
+                     'whether the pressure sensor averages, or air comes to it slowly, and what its driver stamps'),
 )
 
 

@@ -14,24 +14,28 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import Imu, NavSatFix, Temperature
+from sensor_msgs.msg import NavSatFix
 from std_srvs.srv import SetBool, Trigger
 
 from ..compiled import tell
 from ..diagnosis.applying import go_on, with_applied
 from ..diagnosis.quantity import Findings
 from ..filter.config import FilterConfig
+from ..filter.measurements.registry import imus
 from ..filter.runs.changing import ChangingFilter
+from ..filter.runs.imus import Imus
 from ..filter.runs.live import CHANGEABLE, FusionFilter
 from ..parameters.parameter import ParameterError
 from ..parameters.table import ALL, FILTER, FUSION
+from ..recordings.messages import IMU, TEMPERATURE
+from ..recordings.reading import FIX_TYPES
 from ..recordings.units import ACCELERATION, RATE
+from . import identity
 from .checks import check_together
 from .estimates import NO_EVENTS, Estimates
 from .geometry import geometry_from_tf
 from .horizon import HorizonOutput
-from .identity import GNSS, IMU, Identity, differences
-from .inputs import Input, Queue, aiding_inputs
+from .inputs import Input, Queue, aiding_inputs, nav_sat_fix
 from .loading import load
 from .log import Log
 from .monitor import PERIOD, Monitor
@@ -67,7 +71,7 @@ class FusionNode(Node):
         self._log = Log(self.get_logger())
         self._state_file = self._open_state_file(values)
         values |= geometry_from_tf(self, values, stop)
-        self._identity = Identity((IMU, GNSS))
+        self._identity = identity.Identity((identity.IMU, identity.GNSS))
         self._given, kept = {**values}, self._kept(values)
         self._applied = {one.name: one.sets for one in kept}  # what was found while driving
         began, without = with_applied(values, self._applied)
@@ -77,7 +81,8 @@ class FusionNode(Node):
         if without:
             self._filter.watch(without)
         tell(self.get_logger().info)
-        load(self._filter, stop)  # before there is a subscription: no message waits for the compiler
+        self._imus = Imus(values) if imus(values) else None
+        load(self._filter, stop, self._imus)  # before there is a subscription: no message waits for the compiler
         self._force_unit = ACCELERATION[values['imu.acceleration_unit']]
         self._rate_unit = RATE[values['imu.rate_unit']]
         self._use_orientation = values['alignment.heading'] == 'orientation'
@@ -91,7 +96,7 @@ class FusionNode(Node):
         self._online = None
         if values['diagnosis.online'] != 'off':
             self._online = OnlineDiagnosis(self, self._given, self._log, kept)
-        self._monitor = Monitor(self, self._filter, inputs, self._verdicts, values, self._log, self._online)
+        self._monitor = Monitor(self, self._filter, inputs, self._verdicts, values, self._log, self._online, self._imus)
         self._serve()
         refuse_unused_qos_overrides(self, [told.topic_name for told in inputs if not told.is_subscribed])
         self.add_on_set_parameters_callback(self._check_changes)
@@ -117,7 +122,7 @@ class FusionNode(Node):
 
     def report(self) -> None:
         """Log and publish what the filter has to say since the last time."""
-        for notice in self._filter.notices():
+        for notice in (*self._filter.notices(), *(self._imus.notices() if self._imus else ())):
             self._log.say(notice.level, notice.text)
         self._verdicts.publish()
 
@@ -131,17 +136,29 @@ class FusionNode(Node):
     def _subscribe(self, values) -> list[Input]:
         """All inputs, the IMU and the fixes first."""
         self._queue = queue = Queue(self)
-        self._imu = Input(self, queue, 'imu', values['imu_topic'], (Imu,), self._on_imu)
-        self._fix = Input(self, queue, 'fix', values['gnss_topic'], (NavSatFix,), self._on_fix,
+        self._imu = Input(self, queue, 'imu', values['imu_topic'], (IMU,), self._on_imu, is_imu=True)
+        self._fix = Input(self, queue, 'fix', values['gnss_topic'], FIX_TYPES, self._on_fix,
                           patience=2 * values['gnss.outage_after'])
-        inputs = [self._imu, self._fix, *aiding_inputs(self, queue, values, self._filter, self._before_aiding)]
+        further = [self._further_imu(queue, i) for i in range(1, len(self._imus.names))] if self._imus else []
+        inputs = [self._imu, self._fix, *further,
+                  *aiding_inputs(self, queue, values, self._filter, self._before_aiding)]
         if values['temperature_topic']:
-            self._temperature = Input(self, queue, 'temperature', values['temperature_topic'], (Temperature,),
+            self._temperature = Input(self, queue, 'temperature', values['temperature_topic'], (TEMPERATURE,),
                                       self._on_temperature, patience=_TEMPERATURE_PATIENCE)
             inputs.append(self._temperature)
         if values['initial_pose_topic']:
             self.create_subscription(PoseWithCovarianceStamped, values['initial_pose_topic'], self._on_start_pose, 10)
         return inputs
+
+    def _further_imu(self, queue, i) -> Input:
+        """The input of IMU number i, one beside the first."""
+        def on_message(message, info):
+            told.traffic.take(message.header, info)
+            force, rate = message.linear_acceleration, message.angular_velocity
+            self._take_all(self._imus.add(i, told.traffic.stamp, (force.x, force.y, force.z), (rate.x, rate.y, rate.z)))
+
+        told = Input(self, queue, self._imus.names[i], self._imus.topics[i], (IMU,), on_message, is_imu=True)
+        return told
 
     def _on_imu(self, message, info):
         """The hot path: no formatting, no new message, no look-up of a parameter."""
@@ -155,9 +172,22 @@ class FusionNode(Node):
         now = self._imu.traffic.stamp
         sample = (now, force.x * force_unit, force.y * force_unit, force.z * force_unit,
                   rate.x * rate_unit, rate.y * rate_unit, rate.z * rate_unit)
-        if self._identity.lacks(IMU):
-            self._identify(IMU, now, {'frame_id': message.header.frame_id,
-                                      'orientation': bool(message.orientation_covariance[0] != -1.0)})
+        if self._identity.lacks(identity.IMU):
+            self._identify(identity.IMU, now, {'frame_id': message.header.frame_id,
+                                               'orientation': bool(message.orientation_covariance[0] != -1.0)})
+        if self._imus is None:
+            self._take(sample, x, y, z, w)
+        else:
+            self._take_all(self._imus.add(0, now, sample[1:4], sample[4:]), now, (x, y, z, w))
+
+    def _take_all(self, samples, stamp=None, orientation=(0.0,) * 4):
+        """What several IMUs say as one; orientation: of the sample with this stamp."""
+        for now, numbers in samples:
+            self._take((now, *numbers), *(orientation if now == stamp else (0.0,) * 4))
+
+    def _take(self, sample, x, y, z, w):
+        """A sample for the filter."""
+        now = sample[0]
         self._monitor.mounting.add_sample(sample)
         if self._online and (findings := self._online.add_sample(sample)) is not None:
             self._change(findings)
@@ -178,6 +208,8 @@ class FusionNode(Node):
     def _on_fix(self, message, info):
         self._filter.waited = self._fix.traffic.take(message.header, info)
         stamp = self._fix.traffic.stamp
+        if not isinstance(message, NavSatFix):
+            message = nav_sat_fix(message)
         self._monitor.preflight.add_fix(stamp)
         self._verdicts.keep(message)
         latitude, longitude = math.radians(message.latitude), math.radians(message.longitude)
@@ -185,8 +217,9 @@ class FusionNode(Node):
             self._resume(stamp, latitude, longitude, message.altitude)
         fix = (stamp, latitude, longitude, message.altitude, message.position_covariance.copy(), message.status.status,
                message.position_covariance_type)
-        if self._identity.lacks(GNSS) and message.status.status >= 0:  # without a fix, drivers tell no service
-            self._identify(GNSS, stamp, {'frame_id': message.header.frame_id, 'service': message.status.service})
+        if self._identity.lacks(identity.GNSS) and message.status.status >= 0:  # without a fix, drivers tell no service
+            self._identify(identity.GNSS, stamp, {'frame_id': message.header.frame_id,
+                                                  'service': message.status.service})
         self._monitor.mounting.add_fix(fix)
         self._monitor.aiding.add_fix(fix)
         if self._online:
@@ -253,7 +286,7 @@ class FusionNode(Node):
         known = self._identity.known
         if known is None or self._state_file is None or not self._applied:
             return
-        others = differences(self._state_file.devices(self._sensor_topics()), known)
+        others = identity.differences(self._state_file.devices(self._sensor_topics()), known)
         if others:
             self.get_logger().warning(f"state file: another device than before ({', '.join(others)}): what was found "
                                       f"on that is not used: {', '.join(self._applied)}")

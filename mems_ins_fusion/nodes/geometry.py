@@ -11,11 +11,12 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 
-from ..filter.measurements.registry import aiding
+from ..filter.measurements.registry import heard
 from ..navigation.strapdown import to_euler
 from ..parameters.parameter import ParameterError
 from ..parameters.table import parameters_of
-from ..recordings.messages import IMU, NAV_SAT_FIX
+from ..recordings.messages import IMU
+from ..recordings.reading import FIX_TYPES
 from ..recordings.transforms import has_frame, sensor_frame
 from .inputs import message_class
 from .run import Stop
@@ -57,9 +58,9 @@ def geometry_from_tf(node: Node, values: Mapping, stop: Stop) -> dict:
 
 def _arms(node, values) -> dict[str, _Sensor]:
     """By the parameter of its lever arm, each input that has one, and whose messages name a frame of its own."""
-    wanted = [('gnss.lever_arm', 'the antenna', values['gnss_topic'], (NAV_SAT_FIX,))]
+    wanted = [('gnss.lever_arm', 'the antenna', values['gnss_topic'], FIX_TYPES)]
     wanted += [(f'{one.name}.lever_arm', f"'{one.name}'", values[one.topic], tuple(filter(has_frame, one.messages)))
-               for one in aiding(values) if f'{one.name}.lever_arm' in values]
+               for one in heard(values) if f"{one.name}.lever_arm" in values]
     return {name: _Sensor(node, what, topic, kinds) for name, what, topic, kinds in wanted if topic and kinds}
 
 
@@ -97,9 +98,9 @@ class _Sensor:
     def __init__(self, node: Node, what: str, topic: str, kinds: Sequence[str]):
         self.what, self.topic, self.frame, self.transform = what, topic, '', None
         self.missing = f'a message on {topic}, which names the frame of {what}'
-        self._node, self._kinds, self._subscription = node, kinds, None
-        if len(kinds) == 1:
-            self._subscribe(kinds[0])
+        self._node, self._kinds, self._subscription = node, [kind for kind in kinds if message_class(kind)], None
+        if len(self._kinds) == 1:
+            self._subscribe(self._kinds[0])
 
     def look(self, buffer, base: str, absent: type[Exception]) -> None:
         """Subscribe where there is a publisher by now, and take the transform where it is there."""

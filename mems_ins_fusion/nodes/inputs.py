@@ -13,9 +13,11 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import NavSatFix
 
 from ..filter.measurements.base import Measurement
-from ..filter.measurements.registry import aiding
+from ..filter.measurements.registry import MEASUREMENTS, aiding
+from ..filter.memory import Kind
 from ..recordings.reading import thinned
 from .traffic import Traffic
 
@@ -49,6 +51,17 @@ def sample_of(measurement: Measurement, messages: Sequence) -> tuple[int, tuple]
     fields['stamp'] = fields['received'] = np.array([stamp_of(message) for message in messages], dtype=np.int64)
     samples = measurement.read(fields, kind)
     return int(samples.stamp[0]), tuple(getattr(samples, field.name)[0] for field in dataclass_fields(samples)[2:])
+
+
+def nav_sat_fix(message) -> NavSatFix:
+    """A fix in a message of another type, as `measurements.position` reads it."""
+    fix = MEASUREMENTS[Kind.POSITION]
+    _, (latitude, longitude, height, covariance, status, kind) = sample_of(fix, [message])
+    made = NavSatFix(header=message.header, latitude=float(np.degrees(latitude)), longitude=float(
+        np.degrees(longitude)), altitude=float(height), position_covariance=np.ascontiguousarray(covariance).reshape(9),
+        position_covariance_type=int(kind))
+    made.status.status = int(status)
+    return made
 
 
 def _row(value) -> np.ndarray:
@@ -94,7 +107,7 @@ class Queue:
         self._pass_on_held()
         for one in waiting:
             _, told, message, info = one
-            if told.name == 'imu':
+            if told.is_imu:
                 told.on_message(message, info)
                 self._deadline = None  # they still come
                 self._pass_on_held()
@@ -120,7 +133,7 @@ class Queue:
     def _overtook(self, told: Input, message, info: dict) -> bool:
         """Whether samples of before a message are still on their way: it is late itself, and its stamp far ahead of
         theirs. After a stall messages come topic by topic. Where it is not late, it has a stamp of another clock."""
-        newest = next((other.traffic.stamp for other in self.inputs if other.name == 'imu'), 0)
+        newest = max((other.traffic.stamp for other in self.inputs if other.is_imu), default=0)
         if not newest or stamp_of(message) - newest <= OVERTAKEN or told.traffic.waited(info) <= STALLED:
             return False
         if self._deadline is None:
@@ -131,20 +144,25 @@ class Queue:
 class Input:
     """A topic that the node listens to, by its `name` in the words of the filter (imu, fix, speed, ...).
 
-    Of several types that it may carry it is subscribed once a publisher shows which. queue: of the node. on_message:
+    kinds: message types, package/msg/Name, those of which are heard that are installed. Of several types that it may
+    carry it is subscribed once a publisher shows which. queue: of the node. on_message:
     called with a message and rclpy's information on it. patience: s without a message that are no silence yet.
+    is_imu: whether the filter's clock goes by it.
     """
 
     def __init__(self, node: Node, queue: Queue, name: str, topic: str, kinds: tuple, on_message: Callable,
-                 patience: float = 3.0):
+                 patience: float = 3.0, is_imu: bool = False):
+        self.is_imu = is_imu
         self.name, self.topic_name = name, node.resolve_topic_name(topic)
         self.traffic = Traffic(patience, lambda: node.get_clock().now().nanoseconds)
         self._node, self._queue, self._topic, self.on_message = node, queue, topic, on_message
-        self._kinds = {_name(kind): kind for kind in kinds}
+        installed = {kind: message_class(kind) for kind in kinds}
+        self._missing = {kind for kind, found in installed.items() if found is None}
+        self._kinds = {kind: found for kind, found in installed.items() if found is not None}
         self._subscription = None
         queue.inputs.append(self)
-        if len(kinds) == 1:
-            self._subscribe(kinds[0])
+        if len(self._kinds) == 1:
+            self._subscribe(*self._kinds.values())
         self.look()
 
     @property
@@ -192,6 +210,8 @@ class Input:
         if any(info.topic_type in self._kinds for info in infos):
             return self.qos_problem() or 'it has a publisher, but nothing arrives'
         kinds = sorted({info.topic_type for info in infos})
+        for kind in self._missing.intersection(kinds):
+            return f"it carries {kind}, and the package '{kind.split('/')[0]}' is not installed"
         reason = f"it carries {', '.join(kinds)}" if kinds else 'nobody publishes it'
         same = sorted(name for name, carried in self._node.get_topic_names_and_types()
                       if set(self._kinds) & set(carried) and self._node.count_publishers(name) and name not in own)
@@ -235,11 +255,14 @@ def _aiding(node, queue, measurement, topic, fusion, before) -> Input:
         before(measurement.name, stamp, numbers)
         fusion.add(measurement.name, stamp, *numbers)
 
-    told = Input(node, queue, measurement.name, topic, tuple(map(message_class, measurement.messages)), on_message)
+    told = Input(node, queue, measurement.name, topic, tuple(measurement.messages), on_message)
     return told
 
 
 def message_class(kind: str):
-    """Of a message type, package/msg/Name."""
+    """Of a message type, package/msg/Name; None where it is not installed."""
     package, _, name = kind.split('/')
-    return getattr(import_module(f'{package}.msg'), name)
+    try:
+        return getattr(import_module(f'{package}.msg'), name)
+    except (ImportError, AttributeError):
+        return None

@@ -12,6 +12,7 @@ import time
 
 from ..compiled import FOLDER
 from ..filter.config import FilterConfig
+from ..filter.runs.imus import Imus
 from ..filter.runs.live import FusionFilter
 from ..filter.runs.odometry import ORIENTATION, POSE_COVARIANCE
 from ..parameters import table
@@ -22,13 +23,16 @@ from .run import Stop
 _MARK = 'fusion_node.compiled'
 
 
-def load(fusion: FusionFilter, stop: Stop) -> None:
-    """Load what `fusion` and the node's outputs need compiled. KeyboardInterrupt when `stop` is requested meanwhile."""
+def load(fusion: FusionFilter, stop: Stop, imus: Imus | None = None) -> None:
+    """Load what `fusion`, several `imus` and the node's outputs need compiled. KeyboardInterrupt when `stop` is
+    requested meanwhile."""
     mark = FOLDER / _MARK
     kept = _is_writable(mark.parent)
     if kept and not mark.exists():
         _compile_in_child(stop)
     _warm_up(fusion)
+    if imus is not None:
+        imus.warm_up()
     if kept:
         mark.touch()
 

@@ -7,6 +7,7 @@ from collections import deque
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
+from ..filter.runs.imus import Imus
 from ..filter.runs.live import FusionFilter
 from ..filter.runs.tally import Tally
 from .aiding_check import AidingCheck
@@ -34,9 +35,11 @@ class Monitor:
     """
 
     def __init__(self, node: Node, fusion: FusionFilter, inputs: list[Input], verdicts: Verdicts, values: dict,
-                 log: Log, online: OnlineDiagnosis | None = None):
+                 log: Log, online: OnlineDiagnosis | None = None, imus: Imus | None = None):
+        self._imus = imus
         self._node, self._fusion, self._inputs, self._verdicts, self._log = node, fusion, inputs, verdicts, log
         self._imu, self._online = inputs[0], online
+        self._all_imus = [told for told in inputs if told.is_imu]
         self.mounting, self.aiding = MountingCheck(values), AidingCheck(values)
         self._statuses = [InputStatus(told) for told in inputs]
         self.preflight = Preflight(inputs, values)
@@ -68,6 +71,8 @@ class Monitor:
             self._log.tell(*found)
 
     def _tally(self, told: Input) -> Tally:
+        if self._imus and told.name in self._imus.names[1:]:
+            return self._imus.tallies[told.name]
         return self._fusion.tallies.get(told.name) or Tally()
 
     def _say_lost(self, status: InputStatus) -> None:
@@ -108,8 +113,8 @@ class Monitor:
         if said:
             self._log.tell(_LOG_LEVELS[level], said)
         for told in self._inputs:
-            if told.name in self.aiding.found:
-                reasons, level = [*reasons, f'{told.topic_name}: {self.aiding.found[told.name][1]}'], max(level, WARN)
+            if told.name in self._found:
+                reasons, level = [*reasons, f'{told.topic_name}: {self._found[told.name][1]}'], max(level, WARN)
         if self.mounting.is_wrong:
             certain = self.mounting.is_certainly_wrong
             reasons, level = [*reasons, self.mounting.found], max(level, ERROR if certain else WARN)
@@ -124,12 +129,18 @@ class Monitor:
                     *(self._online.look() if self._online else [])]
         self._diagnostics.publish(array(self._node.get_clock().now().nanoseconds, statuses))
 
+    @property
+    def _found(self) -> dict[str, tuple[str, str]]:
+        """Level and text of what is wrong with an input now, by its name."""
+        return {**self.aiding.found, **(self._imus.found if self._imus else {})}
+
     def _judge(self) -> tuple[str, list[str], dict]:
         """State, reasons and numbers of the filter, by the clock."""
         state, health, reasons = self._fusion.state, self._fusion.health(), self._fusion.reasons
-        imu = self._imu.traffic
+        last = min(self._all_imus, key=lambda told: told.traffic.silence)
+        imu = last.traffic
         if imu.is_stale and imu.count:
-            return (SILENT, [f'no sample on {self._imu.topic_name} for {imu.silence:.0f} s, nothing is published'],
+            return (SILENT, [f'no sample on {last.topic_name} for {imu.silence:.0f} s, nothing is published'],
                     by_the_clock(health, imu.silence))
         if state in BEFORE_START:
             reasons = [health['status']]
@@ -150,11 +161,11 @@ class Monitor:
             more = {'gaps': self._fusion.gaps}
         elif told.name == 'fix' and age in health:
             more = {age: health[age]}
-        return status.status(name, self._tally(told), self.aiding.found.get(told.name), more)
+        return status.status(name, self._tally(told), self._found.get(told.name), more)
 
     def _cannot_start_for(self) -> float:
         """For how long, by the samples' stamps, the filter has waited for what will not come by itself, s."""
-        now = self._imu.traffic.stamp
+        now = max(told.traffic.stamp for told in self._all_imus)
         if not self._fusion.contradicted:
             self._cannot_start = None
         elif self._cannot_start is None or now < self._cannot_start:  # the clock was set back

@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from importlib import import_module
 
 import numpy as np
 import rclpy
@@ -22,6 +21,7 @@ from ..progress import Progress
 from ..recordings.bags import Bag
 from ..recordings.errors import RecordingError
 from ..recordings.reading import READABLE, Memory
+from .inputs import message_class
 from .playback import time_message
 from .run import Stop
 
@@ -97,12 +97,10 @@ class Player:
 
 
 def _publisher(node: Node, topic: str, kind: str):
-    package, _, name = kind.split('/')
-    try:
-        message = getattr(import_module(f'{package}.msg'), name)
-    except (ImportError, AttributeError):
-        raise RecordingError(f"topic '{topic}' carries {kind}, and the Python package '{package}' with that type is "
-                             'not installed') from None
+    message = message_class(kind)
+    if message is None:
+        raise RecordingError(f"topic '{topic}' carries {kind}, and the Python package '{kind.split('/')[0]}' with that "
+                             'type is not installed')
     kept = DurabilityPolicy.TRANSIENT_LOCAL if topic == '/tf_static' else DurabilityPolicy.VOLATILE
     return node.create_publisher(message, topic, QoSProfile(depth=_DEPTH, durability=kept))
 
@@ -112,7 +110,7 @@ def _topics(bag: Bag, asked: list[str] | None) -> list[str]:
         if topic not in bag.topics:
             hint = did_you_mean(topic, bag.topics) or f"; there are {', '.join(sorted(bag.topics))}"
             raise RecordingError(f"no topic '{topic}' in {bag.path}{hint}")
-    topics = asked or sorted(topic for topic, kind in bag.topics.items() if kind in READABLE)
+    topics = asked or sorted(topic for topic, kind in bag.topics.items() if kind in READABLE and message_class(kind))
     if not topics:
         raise RecordingError(f'{bag.path} holds no topic that the tools here read; name others with --topics: '
                              f"{', '.join(sorted(bag.topics)) or 'it has none'}")

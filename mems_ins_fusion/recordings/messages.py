@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Iterator
-from functools import reduce
+from functools import cache, reduce
 
 import numpy as np
 
+from mems_ins_fusion.filter.measurements.base import GPS_FIX
 from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.recordings.errors import needs_rosbags
 
@@ -38,12 +39,38 @@ FIELDS = {
                   ('status.status', 'i1', 1), ('status.service', '<u2', 1),
                   ('latitude', '<f8', 1), ('longitude', '<f8', 1), ('altitude', '<f8', 1),
                   ('position_covariance', '<f8', 9), ('position_covariance_type', 'u1', 1)),
+    GPS_FIX: (*_HEADER, ('status.status', '<i2', 1), ('status.satellites_used', '<u2', 1),
+              ('latitude', '<f8', 1), ('longitude', '<f8', 1), ('altitude', '<f8', 1),
+              ('position_covariance', '<f8', 9), ('position_covariance_type', 'u1', 1),
+              ('err_horz', '<f8', 1), ('err_vert', '<f8', 1), ('hdop', '<f8', 1), ('vdop', '<f8', 1)),
     TEMPERATURE: (*_HEADER, ('temperature', '<f8', 1), ('variance', '<f8', 1)),
     ODOMETRY: (*_HEADER, ('child_frame_id', _STRING, 1), *_POSE, *_TWIST),
     POSE_STAMPED: (*_HEADER, ('pose.position', '<f8', 3), ('pose.orientation', '<f8', 4)),
     POSE_WITH_COVARIANCE_STAMPED: (*_HEADER, *_POSE),
     TWIST_WITH_COVARIANCE_STAMPED: (*_HEADER, *_TWIST),
     **{kind: (*_HEADER, *fields) for measurement in AIDING for kind, fields in measurement.layouts.items()},
+}
+#: definitions of types that rosbags does not know, by name; with sequences, so that their messages are read one by one:
+#: of these FIELDS has what is kept
+_DEFINITIONS = {
+    'gps_msgs/msg/GPSStatus': """
+std_msgs/Header header
+uint16 satellites_used
+int32[] satellite_used_prn
+uint16 satellites_visible
+int32[] satellite_visible_prn
+int32[] satellite_visible_z
+int32[] satellite_visible_azimuth
+int32[] satellite_visible_snr
+int16 status
+uint16 motion_source
+uint16 orientation_source
+uint16 position_source
+""",
+    GPS_FIX: 'std_msgs/Header header\ngps_msgs/GPSStatus status\n' + ''.join(f'float64 {name}\n' for name in (
+        'latitude', 'longitude', 'altitude', 'track', 'speed', 'climb', 'pitch', 'roll', 'dip', 'time', 'gdop', 'pdop',
+        'hdop', 'vdop', 'tdop', 'err', 'err_horz', 'err_vert', 'err_track', 'err_speed', 'err_climb', 'err_time',
+        'err_pitch', 'err_roll', 'err_dip')) + 'float64[9] position_covariance\nuint8 position_covariance_type\n',
 }
 _LITTLE_ENDIAN_CDR = 0x0001
 _MAX_PADDING = 8  # bytes that a middleware may append
@@ -135,7 +162,7 @@ def _layout(msgtype, string_size) -> np.dtype:
 def _decode_bulk(raw, msgtype) -> np.ndarray | None:
     """All messages as one array, or None where they do not share one layout."""
     first = raw[0]
-    if len(set(map(len, raw))) > 1:
+    if msgtype in _DEFINITIONS or len(set(map(len, raw))) > 1:
         return None
     try:
         dtype = _layout(msgtype, lambda offset: _string_size(first, offset))
@@ -179,14 +206,23 @@ def _decode_each(raw, msgtype) -> tuple[np.ndarray, np.ndarray]:
 
 def deserialized(raw: Iterable[bytes], msgtype: str) -> Iterator:
     """Messages of any type one by one as rosbags has them, None for one that is not valid."""
-    with needs_rosbags('reading messages of varying layout'):
-        from rosbags.typesys import Stores, get_typestore
-    store = get_typestore(Stores.ROS2_JAZZY)
+    store = typestore()
     for data in raw:
         try:
             yield store.deserialize_cdr(data, msgtype) if len(data) <= _LONGEST else None
         except Exception:  # whatever rosbags stumbles over, the message is not of this type
             yield None
+
+
+@cache
+def typestore():
+    """rosbags' types of ROS 2, and those of _DEFINITIONS."""
+    with needs_rosbags('reading messages of varying layout'):
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name, text in _DEFINITIONS.items():
+        store.register(get_types_from_msg(text, name))
+    return store
 
 
 def _elements(value):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mems_ins_fusion.filter.measurements.inertial import Inertial
 from mems_ins_fusion.filter.measurements.registry import AIDING, MEASUREMENTS, TYPES
 from mems_ins_fusion.filter.memory import Kind
 from mems_ins_fusion.navigation.earth import from_local
@@ -25,6 +26,7 @@ from mems_ins_fusion.recordings.messages import (
 )
 from mems_ins_fusion.recordings.motion import plausible
 from mems_ins_fusion.samples import (
+    NO_SAMPLES,
     Fixes,
     ImuSamples,
     Recording,
@@ -32,6 +34,8 @@ from mems_ins_fusion.samples import (
     Temperatures,
 )
 
+#: what fixes may come in
+FIX_TYPES = tuple(MEASUREMENTS[Kind.POSITION].messages)
 #: what a reference may be
 REFERENCE_TYPES = (NAV_SAT_FIX, ODOMETRY, POSE_STAMPED)
 _NO_FIX = -1  # NavSatStatus.STATUS_NO_FIX
@@ -83,32 +87,48 @@ def read_recording(path, imu_topic, gnss_topic=None, reference_topic=None, tempe
     `datum`: latitude, longitude (rad), height (m). Without it the first fix of `gnss_topic` is taken, with a warning.
     progress: called with the part of the recording that is read, 0 to 1. memory: what the tool may take for it; a
     longer recording is refused before it is read to its end. inputs: measurements besides the fixes; aiding_topics:
-    of these, by the name of their parameter (`speed_topic`), see `filter.measurements`; no mounting is applied.
+    of these, by the name of their parameter (`speed_topic`), see `filter.measurements`; no mounting is applied. Of
+    several IMUs one is enough, with a warning of those that are not there.
 
     The samples are in the order of arrival (log time), all that were recorded, also those with NaN. Of a reference,
     messages without a fix or with NaN are left out, and it is in the order of its stamps.
     Raises RecordingError with one line for the user. Warns RecordingWarning where only a part was readable.
     """
+    imu_topics = {imu_topic, *(aiding_topics.get(m.topic) for m in inputs if isinstance(m, Inertial))} - {None, ''}
     wanted = [(topic, types) for topic, types in (
-        (imu_topic, (IMU,)), (gnss_topic, (NAV_SAT_FIX,)), (reference_topic, REFERENCE_TYPES),
+        (imu_topic, (IMU,)), (gnss_topic, FIX_TYPES), (reference_topic, REFERENCE_TYPES),
         (temperature_topic, (TEMPERATURE,)),
         *((aiding_topics.get(m.topic), tuple(m.messages)) for m in inputs)) if topic]
     with Bag(path) as bag:
+        absent = _absent(bag, imu_topics)
+        wanted = [(topic, types) for topic, types in wanted if topic not in absent]
         for topic, types in wanted:
             if bag.topics.get(topic) not in types:
                 raise RecordingError(_topic_problem(bag, topic, types))
         arrays, lost = _read_arrays(bag, dict.fromkeys(topic for topic, _ in wanted), progress, memory)
         _report_damage(bag, arrays, lost)
-    gnss = _fixes(arrays[gnss_topic]) if gnss_topic else None
+    gnss = _fixes(arrays[gnss_topic], bag.topics[gnss_topic]) if gnss_topic else None
     temperature = _temperatures(arrays[temperature_topic]) if temperature_topic else None
     return Recording(
         name=_name(Path(path)),
-        imu=_imu_samples(arrays[imu_topic]).with_temperature(temperature),
+        imu=NO_SAMPLES if imu_topic in absent else _imu_samples(arrays[imu_topic]).with_temperature(temperature),
         gnss=gnss,
         reference=_reference(arrays[reference_topic], bag.topics[reference_topic], datum, gnss, reference_topic)
         if reference_topic else None,
         temperature=temperature).having({m.name: m.read(arrays[topic], bag.topics[topic]) for m in inputs
-                                         if (topic := aiding_topics.get(m.topic))})
+                                         if (topic := aiding_topics.get(m.topic)) and topic not in absent})
+
+
+def _absent(bag: Bag, imu_topics: set[str]) -> set[str]:
+    """Those of the topics of several IMUs that the recording does not have, while it has others; with a warning."""
+    counts = bag.counts()
+    absent = {topic for topic in imu_topics if bag.topics.get(topic) != IMU or not counts[topic]}
+    if absent == imu_topics:
+        return set()
+    for topic in sorted(absent):
+        warnings.warn(f"no messages of an IMU on '{topic}' in {bag.path}: the other IMU is used alone",
+                      RecordingWarning, stacklevel=3)
+    return absent
 
 
 def _name(path: Path) -> str:
@@ -218,8 +238,8 @@ def _orientation(array) -> np.ndarray | None:
     return orientation
 
 
-def _fixes(array) -> Fixes:
-    return MEASUREMENTS[Kind.POSITION].read(array, NAV_SAT_FIX)
+def _fixes(array, msgtype) -> Fixes:
+    return MEASUREMENTS[Kind.POSITION].read(array, msgtype)
 
 
 def _temperatures(array) -> Temperatures:
@@ -234,7 +254,7 @@ def _unit(quaternion) -> np.ndarray:
 
 def _reference(array, msgtype, datum, gnss, topic) -> Reference:
     if msgtype == NAV_SAT_FIX:
-        fixes = _fixes(array)
+        fixes = _fixes(array, msgtype)
         valid = fixes.status > _NO_FIX
         reference = Reference(fixes.stamp, fixes.latitude, fixes.longitude, fixes.height).select(valid)
     else:

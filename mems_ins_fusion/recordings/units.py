@@ -9,13 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
+from mems_ins_fusion.filter.measurements.inertial import ACCELERATION, RATE
 from mems_ins_fusion.recordings.motion import Steering, compare_steering, find_standstill, up_axis
 from mems_ins_fusion.samples import Fixes, ImuSamples
-
-#: SI units per unit, by the choices of `imu.acceleration_unit` and `imu.rate_unit`
-ACCELERATION = {'m/s^2': 1.0, 'g': STANDARD_GRAVITY, 'mg': 1e-3 * STANDARD_GRAVITY}
-RATE = {'rad/s': 1.0, 'deg/s': math.pi / 180.0}
 
 _TOLERANCE = 0.2  # part of gravity: more is no bias
 _FASTEST_TURN = 4.0  # rad/s: of no land vehicle

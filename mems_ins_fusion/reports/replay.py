@@ -17,7 +17,8 @@ from ..diagnosis.watch import Watch, watched
 from ..diagnosis.quantity import CHANGED, Quantity
 from ..evaluation.comparison import Comparison, compare, cut
 from ..filter.config import FilterConfig
-from ..filter.measurements.registry import aiding, named_parameters
+from ..filter.measurements.registry import heard, named_parameters
+from ..filter.runs.imus import as_one
 from ..filter.runs.intake import first_datum
 from ..filter.runs.odometry import ORIENTATION, POSE_COVARIANCE, POSITION
 from ..parameters.parameter import ParameterError
@@ -132,7 +133,8 @@ def read_part(path, values: dict, progress: Callable[[float], None]) -> tuple[Re
         recording = _read_whole(path, values, progress)
     said = [str(w.message) for w in caught if issubclass(w.category, RecordingWarning)]
     recording = replace(recording, imu=in_si(recording.imu, values['imu.acceleration_unit'], values['imu.rate_unit']))
-    return cut(recording, values['start'], values['stop']), said
+    recording, notices = as_one(recording, values)
+    return cut(recording, values['start'], values['stop']), [*said, *notices]
 
 
 def _read_whole(path, values: dict, progress) -> Recording:
@@ -140,7 +142,7 @@ def _read_whole(path, values: dict, progress) -> Recording:
     recording = read_recording(path, values['imu_topic'], values['gnss_topic'], values['reference_topic'] or None,
                                values['temperature_topic'] or None, progress, datum,
                                Memory(values['memory_limit'], *_MEMORY),
-                               aiding(values), **{one.topic: values[one.topic] for one in aiding(values)})
+                               heard(values), **{one.topic: values[one.topic] for one in heard(values)})
     if values['reference_file']:
         recording = replace(recording, reference=read_reference(values['reference_file'], datum))
     return recording

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.effects.base import Effect
 from mems_ins_fusion.filter.measurements.base import Measurement
+from mems_ins_fusion.filter.measurements.inertial import Inertial
 from mems_ins_fusion.filter.measurements.registry import AIDING, MEASUREMENTS
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.navigation.frames import FLU_TO_FRD, rotation_from_rpy, wrap
@@ -76,7 +77,8 @@ class Aiding(dict):
     that is not there is 0."""
 
     def __init__(self, **given: float):
-        known = {name: value for one in MEASUREMENTS.values() for name, value in one.simulated_with.items()}
+        known = {name: value for one in (*MEASUREMENTS.values(), Inertial)
+                 for name, value in one.simulated_with.items()}
         if given.keys() - known.keys():
             raise ValueError(f"no errors of a simulated sensor: {', '.join(sorted(given.keys() - known.keys()))}")
         super().__init__({**known, **given})
@@ -187,7 +189,7 @@ def _aided(drive, aiding, effects, seed, named, to_sensor) -> dict:
     wanted = [measurement for measurement in AIDING if errors[f'{measurement.name}_rate']]
     said = {}
     for measurement in (*wanted, *named):
-        rate = f'{MEASUREMENTS[measurement.kind].name}_rate'
+        rate = next(iter(measurement.simulated_with))
         own = {**errors, rate: errors[rate] or (1.0 if measurement.from_satellites else 10.0)}
         lag = sum(effect.measured_lag(measurement.name, values) for effect, values in effects)
         nodes, weights = np.polynomial.laguerre.laggauss(_LAGUERRE) if lag else ([0.0], [1.0])

@@ -16,6 +16,7 @@ POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 POSE_STAMPED = 'geometry_msgs/msg/PoseStamped'
 IMU = 'sensor_msgs/msg/Imu'
 NAV_SAT_FIX = 'sensor_msgs/msg/NavSatFix'
+GPS_FIX = 'gps_msgs/msg/GPSFix'
 
 
 @dataclass(frozen=True)

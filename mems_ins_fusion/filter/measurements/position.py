@@ -12,7 +12,7 @@ from ...parameters.parameter import Parameter
 from ...samples import Fixes
 from ..memory import Error, Event, Head, Kind, Nav, row_of
 from ..trust.lag import behind
-from .base import NAV_SAT_FIX, Measurement
+from .base import GPS_FIX, NAV_SAT_FIX, Measurement
 from .geometry import add, arm_of, turned
 from .records import empty, refuse
 
@@ -73,6 +73,16 @@ def observe_place(mem, r, at, h, n, c):
             mem[h + n * k + along], mem[h + n * k + along + 1] = -c[3 * k], -c[3 * k + 1]
     return 3 if row_of(mem, Error.R_D) >= 0 else 2
 
+
+#: of a receiver's ranges, m: what a dilution of precision is multiplied with where nothing else tells the noise
+RANGE_SIGMA = 3.0
+#: a 95 % error over the standard deviation: of a horizontal distance, and of a height
+HORIZONTAL_95, VERTICAL_95 = 2.4477, 1.96
+#: `NavSatStatus.status` by `GPSStatus.status`: each class has errors of its own, and float is not fixed. With a base
+#: and fixed: 2; corrected, or a float: 1; neither: 0
+STATUS_OF = {-1: -1, 0: 0, 1: 1, 33: 1, 18: 1, 20: 1, 2: 2, 19: 2}
+#: satellites below which there is no position, where their number is told
+FEWEST_SATELLITES = 3
 
 #: a position is not better than this, m
 SMALLEST_SIGMA = 0.001
@@ -146,15 +156,39 @@ def records(settings, fixes):
     return r, reasons, warnings
 
 
+def _of_gps_fix(fields) -> dict[str, np.ndarray]:
+    """Status and covariance as in NavSatFix of messages that tell the quality of a fix: by the covariance, where it is
+    not filled by the 95 % errors, and without these by the dilution of precision."""
+    status = np.array([STATUS_OF.get(int(one), 0) for one in fields['status.status']], dtype=np.int8)
+    used = fields['status.satellites_used']
+    status[(used > 0) & (used < FEWEST_SATELLITES)] = -1
+    covariance = np.array(fields['position_covariance'], dtype=float).reshape(-1, 9)
+    kind = np.array(fields['position_covariance_type']).astype(np.uint8)
+    empty_ones = (kind == 0) | ~(covariance[:, [0, 4]] > 0).all(axis=1)
+    for horizontal, vertical in ((fields['err_horz'] / HORIZONTAL_95, fields['err_vert'] / VERTICAL_95),
+                                 (RANGE_SIGMA * fields['hdop'] / math.sqrt(2.0), RANGE_SIGMA * fields['vdop'])):
+        told = empty_ones & np.isfinite(horizontal) & (horizontal > 0)
+        height = np.where(np.isfinite(vertical) & (vertical > 0), vertical, 2.0 * horizontal)
+        covariance[told] = 0.0
+        covariance[told, 0] = covariance[told, 4] = horizontal[told]**2
+        covariance[told, 8] = height[told]**2
+        kind[told], empty_ones = 1, empty_ones & ~told
+    kind[empty_ones] = 0
+    return {'status.status': status, 'position_covariance': covariance, 'position_covariance_type': kind}
+
+
 class Fix(Measurement):
     """The fixes that the filter starts from and is reset to, whose settings are `GnssSettings`; with a name, those of a
     further receiver, which are judged as all other measurements are."""
 
     kind, name, samples, unit, default_sigma = Kind.POSITION, 'fix', Fixes, 'm', 3.0
-    topic_text = 'Topic of the position of an antenna: sensor_msgs/NavSatFix'
+    topic_text = ('Topic of the position of an antenna: sensor_msgs/NavSatFix, or, where it is installed, '
+                  'gps_msgs/GPSFix')
     components = 2
     messages = {NAV_SAT_FIX: ('status.status', 'latitude', 'longitude', 'altitude', 'position_covariance',
-                              'position_covariance_type')}
+                              'position_covariance_type'),
+                GPS_FIX: ('status.status', 'status.satellites_used', 'latitude', 'longitude', 'altitude',
+                          'position_covariance', 'position_covariance_type', 'err_horz', 'err_vert', 'hdop', 'vdop')}
     written_to = '/gps/fix'
     of_antenna = from_satellites = has_arm = True
     #: m, white, north and east; down is 1.5 times that
@@ -183,6 +217,8 @@ class Fix(Measurement):
         return found, reasons, warnings
 
     def read(self, fields, message):
+        if message == GPS_FIX:
+            fields = {**fields, **_of_gps_fix(fields)}
         return Fixes(stamp=fields['stamp'], received=fields['received'], latitude=np.radians(fields['latitude']),
                      longitude=np.radians(fields['longitude']), height=fields['altitude'],
                      covariance=fields['position_covariance'].reshape(-1, 3, 3), status=fields['status.status'],

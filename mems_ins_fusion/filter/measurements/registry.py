@@ -9,6 +9,7 @@ from ..memory import Kind
 from . import wheel_vibration
 from .base import Measurement
 from .heading import Heading
+from .inertial import Inertial
 from .magnetometer import Magnetometer
 from .pose import Pose
 from .position import Fix
@@ -26,10 +27,13 @@ HEARD: tuple[Parameter, ...] = (wheel_vibration.PARAMETER,)
 assert len(MEASUREMENTS) == 1 + len(AIDING), 'two measurements with one number'
 #: what an input with a name may measure, by `NAME.type`
 TYPES = {measurement.name: measurement for measurement in (*MEASUREMENTS.values(), Pose())}
+#: and that it is a further IMU, which is no measurement
+INERTIAL = Inertial()
+_NAMED = {**TYPES, INERTIAL.name: INERTIAL}
 #: inputs with a name are numbered from here on
 FIRST_NAMED = 100
 INPUTS = Parameter('inputs', [], 'text', 'Names of further inputs, any number, each with NAME.type '
-                   f'({", ".join(sorted(TYPES))}), NAME.topic, NAME.time_offset, NAME.sigma and what else its type '
+                   f'({", ".join(sorted(_NAMED))}), NAME.topic, NAME.time_offset, NAME.sigma and what else its type '
                    'has; NAME.lever_arm of where it is measured. The parameters without a name are of one more of '
                    'each.')
 #: of a name
@@ -47,24 +51,39 @@ def named_parameters(values: Mapping, taken: Mapping) -> dict[str, Parameter]:
         if not _NAME.fullmatch(name) or names.count(name) > 1:
             raise ParameterError(f"parameter 'inputs' must have different names of small letters, digits and _, got "
                                  f"'{name}'")
-        if name in ('imu', 'temperature', *TYPES) or any(one.startswith(f'{name}.') for one in taken):
+        if name in ('temperature', *_NAMED) or any(one.startswith(f'{name}.') for one in taken):
             raise ParameterError(f"parameter 'inputs': '{name}' is what other parameters are called, give it another "
                                  'name')
         for needed in ('type', 'topic'):
             if not values.get(f'{name}.{needed}'):
                 raise ParameterError(f"parameter '{name}.{needed}' is missing: 'inputs' has '{name}'")
-        if values[f'{name}.type'] not in TYPES:
-            raise ParameterError(f"parameter '{name}.type' must be one of {', '.join(sorted(TYPES))}; got "
+        if values[f'{name}.type'] not in _NAMED:
+            raise ParameterError(f"parameter '{name}.type' must be one of {', '.join(sorted(_NAMED))}; got "
                                  f"'{values[f'{name}.type']}'")
-        found |= {p.name: p for p in TYPES[values[f'{name}.type']].named(name, 0).named_parameters()}
+        found |= {p.name: p for p in _NAMED[values[f'{name}.type']].named(name, 0).named_parameters()}
     return found
 
 
 def aiding(values: Mapping) -> tuple[Measurement, ...]:
     """All inputs besides the fixes: those of AIDING, and those that the checked parameters `values` name."""
-    names = enumerate(values.get('inputs', ()), start=FIRST_NAMED)
+    names = [name for name in values.get('inputs', ()) if values[f'{name}.type'] in TYPES]
     return (*AIDING, *(TYPES[values[f'{name}.type']].named(name, number, values.get(f'{name}.lever_arm', (0.0,) * 3))
-                       for number, name in names))
+                       for number, name in enumerate(names, start=FIRST_NAMED)))
+
+
+def imus(values: Mapping) -> tuple[Inertial, ...]:
+    """The IMUs besides the first that the checked parameters `values` name, in the order of preference."""
+    found = []
+    for name in values.get('inputs', ()):
+        if values[f'{name}.type'] == INERTIAL.name:
+            found.append(INERTIAL.named(name, 0, values[f'{name}.lever_arm']))
+            found[-1].mounting_rpy = tuple(values[f'{name}.mounting_rpy'])
+    return tuple(found)
+
+
+def heard(values: Mapping) -> tuple[Measurement, ...]:
+    """All that is listened to, and read, besides the first IMU and the fixes."""
+    return (*aiding(values), *imus(values))
 
 
 def inputs(values: Mapping) -> dict[int, Measurement]:
