@@ -109,6 +109,24 @@ def test_sigmas_are_honest():
     assert np.all(rms > 0.2), rms
 
 
+def test_heights_that_wander_under_a_slow_vehicle_are_no_grades():
+    # given a robot at walking speed whose receiver's heights go up and down by 15 m in minutes, stated to some metres
+    around = (Segment(20.0), Segment(5.0, 0.0, QUARTER)) * 3
+    made = recording((Segment(15.0), Segment(5.0, 1.0), *around, Segment(25.0 + MARGIN)), sigma=0.8, rate=2.5, hills=())
+    seconds = (made.gnss.stamp - made.gnss.stamp[0]) * 1e-9
+    wandering = replace(made.gnss, height=made.gnss.height + 15.0 * np.sin(seconds / 25.0))
+    # when the mounting is estimated from it
+    found = estimate_mounting(made.imu, wandering, lag=0.0)
+    # then it is the one that a level road shows
+    flat = estimate_mounting(made.imu, replace(made.gnss, height=np.zeros(len(seconds))), lag=0.0)
+    assert np.degrees(deviation(found.rotation, flat.rotation))[:2] == pytest.approx(np.zeros(2), abs=0.5)
+    assert np.all(np.abs(errors(found, [0.0, 0.0, 0.0])[:2]) < 3.0 * found.sigma[:2])
+    # and a slope of a hundred metres of road, which no height would show, is in the sigma of its gravity
+    way = 1.0 * (120.0 - 15.0 - 5.0)
+    gravity = next(one for one in found.level if one.source == 'gravity in motion')
+    assert min(gravity.sigma) > 0.9 * math.radians(1.5) / math.sqrt(max(way / 100.0, 1.0))
+
+
 @pytest.mark.parametrize('offset', [-0.4, 0.0, 0.25])
 def test_the_time_offset_is_found_with_the_mounting(offset):
     effect = (EFFECTS['gnss_time_offset'], {'time_offset': offset})
