@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.__main__ import main
-from mems_ins_fusion.configuration.check import check, check_setup, mounting_findings
+from mems_ins_fusion.configuration.check import check, check_setup, judge_mounting
 from mems_ins_fusion.configuration.configure import _vehicle_settings, configure, configured, look
 from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting, rpy
 from mems_ins_fusion.configuration.noise import find_noise
@@ -264,8 +264,10 @@ def test_a_level_road_straight_on_at_constant_speed_shows_no_yaw():
     # then the level is known, and the yaw is said to be anything
     assert not found.yaw_known and found.sigma[2] > 1.5
     assert np.all(np.abs(errors(found, [0.0, 0.0, 0.0])[:2]) < 3.0 * found.sigma[:2])
-    # and nothing is said against any yaw
-    assert mounting_findings(made.imu, made.gnss, [0.0, 0.0, 2.0]) == []
+    # and nothing is said against any yaw, but that it does not show
+    assert judge_mounting(made.imu, made.gnss, [0.0, 0.0, 2.0])[0] == []
+    said = [finding.message for finding in check_setup(made, table.check({'imu.mounting_rpy': [0.0, 0.0, 2.0]}))]
+    assert any('yaw of imu.mounting_rpy is right does not show' in text for text in said)
 
 
 def test_speeding_up_and_braking_alone_show_the_yaw_and_which_way_is_forwards():
@@ -290,10 +292,10 @@ def test_a_wrong_mounting_is_contradicted_in_plain_words(declared, words):
 def test_a_right_mounting_is_not_contradicted_and_the_check_needs_no_search_for_the_offset():
     made = recording(mounting=[0.02, -0.02, 0.0], sigma=1.5, rate=1.0)
     assert check_mounting(made, table.defaults()) == []
-    assert mounting_findings(made.imu, made.gnss, [0.0, 0.0, 0.0], lag=0.0) == []
-    assert 'backwards' in mounting_findings(made.imu, made.gnss, [0.0, 0.0, math.pi], lag=0.0)[0].message
-    assert mounting_findings(made.imu.select(slice(0, 1)), made.gnss, [0.0, 0.0, 0.0]) == []
-    assert mounting_findings(made.imu, None, [0.0, 0.0, 0.0]) == []
+    assert judge_mounting(made.imu, made.gnss, [0.0, 0.0, 0.0], lag=0.0)[0] == []
+    assert 'backwards' in judge_mounting(made.imu, made.gnss, [0.0, 0.0, math.pi], lag=0.0)[0][0].message
+    assert judge_mounting(made.imu.select(slice(0, 1)), made.gnss, [0.0, 0.0, 0.0])[0] == []
+    assert judge_mounting(made.imu, None, [0.0, 0.0, 0.0])[0] == []
 
 
 @pytest.mark.parametrize('acceleration, rate', [('m/s^2', 'rad/s'), ('g', 'deg/s'), ('mg', 'rad/s')])

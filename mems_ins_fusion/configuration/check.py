@@ -28,6 +28,7 @@ _BACKWARDS = math.radians(150.0)
 FASTEST_IN_REVERSE = 8.0  # m/s: a vehicle that goes faster than this goes forwards
 SMALL_OFFSET, _SMALL_ARM = 0.05, 0.3  # s, m
 _VAGUE_ARM = 0.3  # m: an arm with a larger sigma says nothing
+YAW_NOT_SHOWN = 'whether the yaw of imu.mounting_rpy is right does not show'
 
 
 def check(recording: Recording, values: dict) -> list[Finding]:
@@ -45,20 +46,12 @@ def check_setup(recording: Recording, values: dict) -> list[Finding]:
     Where the recording shows too little of something, nothing is said of it.
     """
     imu, fixes = _usable(recording, values)
+    findings, found = judge_mounting(imu, fixes, values['imu.mounting_rpy'])
     if fixes is None or len(imu) < 2:
-        return _mounting(imu, fixes, values['imu.mounting_rpy'])[0]
-    findings, found = _mounting(imu, fixes, values['imu.mounting_rpy'])
+        return findings
+    if found is None or not found.yaw_known:
+        findings.append(Finding(INFO, 'imu', f'{YAW_NOT_SHOWN} here: too few turns and changes of speed'))
     return [*findings, *_check_offset(found, values), *_check_wheels(recording, imu, found, values)]
-
-
-def mounting_findings(imu: ImuSamples, fixes: Fixes | None, mounting_rpy, lag: float | None = None) -> list[Finding]:
-    """The same for the last minutes of a live filter: samples in sensor axes (SI units) and fixes, by arrival.
-
-    mounting_rpy: (3,) rad, as declared. lag: s, `gnss.time_offset`; None searches for it, which is ten times the work.
-    With a lag, two minutes at 100 Hz take about 50 ms of CPU: for now and then, not for each fix. Tells an IMU that is
-    not upright from gravity alone, a wrong yaw only after some turns or changes of speed, and is silent till then.
-    """
-    return _mounting(imu, fixes, mounting_rpy, lag)[0]
 
 
 def _usable(recording: Recording, values: dict) -> tuple[ImuSamples, Fixes | None]:
@@ -72,7 +65,15 @@ def _usable(recording: Recording, values: dict) -> tuple[ImuSamples, Fixes | Non
     return imu.select(imu.stamp < end), fixes if overlap else None
 
 
-def _mounting(imu, fixes, mounting_rpy, lag=None) -> tuple[list[Finding], Mounting | None]:
+def judge_mounting(imu: ImuSamples, fixes: Fixes | None, mounting_rpy,
+                   lag: float | None = None) -> tuple[list[Finding], Mounting | None]:
+    """What speaks against the mounting `mounting_rpy`, (3,) rad, and the one that samples in sensor axes (SI units) and
+    fixes, by arrival, show; None where not even the up axis shows. Of the last minutes of a live filter, too.
+
+    lag: s, `gnss.time_offset`; None searches for it, which is ten times the work. With a lag, two minutes at 100 Hz take
+    about 50 ms of CPU: for now and then, not for each fix. Tells an IMU that is not upright from gravity alone, a wrong
+    yaw only after some turns or changes of speed, and is silent till then.
+    """
     imu = usable_samples(imu)
     if fixes is not None:
         fixes = usable_fixes(fixes)
