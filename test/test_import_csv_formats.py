@@ -60,8 +60,8 @@ def test_ardupilot_before_2015_counts_milliseconds_and_has_one_imu(tmp_path):
     imu = save(tmp_path / 'imu.csv', 'timestamp,TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ', TIME + T0,
                np.round(TIME * 1000).astype(int), *(RATE * FRD).T, *(FORCE * FRD).T)
     # its TimeMS of the fixes is that of the GPS week, T that of the IMU
-    gnss = save(tmp_path / 'gps.csv', 'timestamp,Status,TimeMS,Week,NSats,HDop,Lat,Lng,RelAlt,Alt,Spd,GCrs,VZ,T', K + T0,
-                3, 252_818_000 + 1000 * K, 2288, 9, 0.8, LATITUDE, 11.0, 0.0, 500.0, 0, 0, 0, 1000 * K)
+    gnss = save(tmp_path / 'gps.csv', 'timestamp,Status,TimeMS,Week,NSats,HDop,Lat,Lng,RelAlt,Alt,Spd,GCrs,VZ,T',
+                K + T0, 3, 252_818_000 + 1000 * K, 2288, 9, 0.8, LATITUDE, 11.0, 0.0, 500.0, 0, 0, 0, 1000 * K)
     recording = imported(tmp_path, '--imu', imu, '--gnss', gnss)
     check(recording)
     assert recording.gnss.stamp[0] == recording.imu.stamp[0]

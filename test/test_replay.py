@@ -93,7 +93,7 @@ def test_terminal_shows_the_errors_and_where_the_results_are(result):
 
 
 def test_what_is_certainly_wrong_ends_with_status_2_and_a_page_that_says_what(bag, tmp_path):
-    # given an IMU that the parameters have turned to the side, and no constraint by which the filter itself would see it
+    # given an IMU that the parameters have turned, and no constraint by which the filter itself would see it
     process = replay('imu.mounting_rpy:=[0.0, 0.0, 0.9]', 'vehicle.non_holonomic:=false', 'models:=[gauss_markov]',
                      'update_intervals:=[1.0]', 'outage_durations:=[30.0]', bag=bag, output_dir=tmp_path / 'out')
     # then all results are there, and neither answer nor status says that they can be used

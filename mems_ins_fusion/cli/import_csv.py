@@ -158,7 +158,8 @@ def _parser() -> Parser:
     add('--imu', required=True, metavar='FILE', help='CSV with time, specific force and angular rate; or the folder of '
         'an export of phyphox or Sensor Logger')
     add('--gyro', metavar='FILE', help='CSV with time and angular rate, where they have a file of their own')
-    add('--gravity', metavar='FILE', help='CSV with time and gravity, which a phone may have taken from its accelerometer')
+    add('--gravity', metavar='FILE', help='CSV with time and gravity, where the accelerometer of a phone has it '
+        'removed')
     add('--gnss', metavar='FILE', help='CSV with time, latitude, longitude and, if there, height, sigma or HDOP, '
         'status, velocity; or NMEA')
     add('--preset', choices=(*FORMATS, 'none'), help='what wrote the files (default: by the names of their columns)')

@@ -70,8 +70,8 @@ def judge_mounting(imu: ImuSamples, fixes: Fixes | None, mounting_rpy,
     """What speaks against the mounting `mounting_rpy`, (3,) rad, and the one that samples in sensor axes (SI units) and
     fixes, by arrival, show; None where not even the up axis shows. Of the last minutes of a live filter, too.
 
-    lag: s, `gnss.time_offset`; None searches for it, which is ten times the work. With a lag, two minutes at 100 Hz take
-    about 50 ms of CPU: for now and then, not for each fix. Tells an IMU that is not upright from gravity alone, a wrong
+    lag: s, `gnss.time_offset`; None searches for it, ten times the work. With a lag, two minutes at 100 Hz take about
+    50 ms of CPU: for now and then, not for each fix. Tells an IMU that is not upright from gravity alone, a wrong
     yaw only after some turns or changes of speed, and is silent till then.
     """
     imu = usable_samples(imu)

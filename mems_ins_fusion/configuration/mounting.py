@@ -345,7 +345,7 @@ def _confirmed(motion: _Motion, axes) -> float:
 
 
 def _unseen_slope(motion: _Motion, axes) -> float:
-    """By how much the mean slope of the way tilts gravity that heights do not show, rad, one sigma: of one that lasts as
+    """By how much a mean slope of the way that heights do not show tilts gravity, rad, one sigma: of one that lasts as
     long as the drive the jackknife sees nothing."""
     seen = np.isfinite(motion.spans.grade[motion.moving]).mean() * _confirmed(motion, axes)
     speed, time = np.abs(motion.spans.speed[motion.moving]), motion.spans.time[motion.moving]

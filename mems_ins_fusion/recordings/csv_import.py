@@ -538,7 +538,7 @@ def _holds_increments(table: Table) -> bool:
 
 
 def _place(numbers: dict[str, np.ndarray], time: str | None) -> tuple[str, ...]:
-    """Two neighbouring columns that may be latitude and longitude, deg: with many decimals, and of one neighbourhood."""
+    """Two columns side by side that may be latitude and longitude, deg: with many decimals, of one neighbourhood."""
     names = [name for name in numbers if name != time]
     fine = {name: bool((np.abs(numbers[name] - np.round(numbers[name], 4)) > 1e-9).mean() > 0.5
                        and np.ptp(numbers[name]) < _NEIGHBOURHOOD) for name in names}
