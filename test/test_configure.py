@@ -51,6 +51,10 @@ def check_mounting(made, values):
     return [finding for finding in check_setup(made, values) if 'mounting_rpy' in finding.values]
 
 
+def contradictions(imu, fixes, mounting, lag=None):
+    return judge_mounting(imu, fixes, table.check({'imu.mounting_rpy': mounting}), lag)[0]
+
+
 def recording(segments=SHORT, mounting=(0.0, 0.0, 0.0), seed=0, sensors=None, sigma=0.5, rate=5.0, effects=(),
               hills=HILLS, **suspension):
     """What an IMU so mounted records on a hilly road, and the receiver beside it."""
@@ -265,7 +269,7 @@ def test_a_level_road_straight_on_at_constant_speed_shows_no_yaw():
     assert not found.yaw_known and found.sigma[2] > 1.5
     assert np.all(np.abs(errors(found, [0.0, 0.0, 0.0])[:2]) < 3.0 * found.sigma[:2])
     # and nothing is said against any yaw, but that it does not show
-    assert judge_mounting(made.imu, made.gnss, [0.0, 0.0, 2.0])[0] == []
+    assert contradictions(made.imu, made.gnss, [0.0, 0.0, 2.0]) == []
     said = [finding.message for finding in check_setup(made, table.check({'imu.mounting_rpy': [0.0, 0.0, 2.0]}))]
     assert any('yaw of imu.mounting_rpy is right does not show' in text for text in said)
 
@@ -285,6 +289,9 @@ def test_a_wrong_mounting_is_contradicted_in_plain_words(declared, words):
     found, = check_mounting(made, table.check({'imu.mounting_rpy': declared}))
     assert words in found.message and found.severity == ERROR
     assert 'set imu.mounting_rpy to [' in found.message
+    # though a vehicle that may go sideways, as the parameters have it, may have that yaw
+    free = check_mounting(made, table.check({'imu.mounting_rpy': declared, 'vehicle.non_holonomic': False}))
+    assert [one.severity for one in free] == [ERROR if declared[0] else 'warning']
     # and who does what it says is not contradicted again
     assert check_mounting(made, table.check({'imu.mounting_rpy': found.values['mounting_rpy']})) == []
 
@@ -292,10 +299,10 @@ def test_a_wrong_mounting_is_contradicted_in_plain_words(declared, words):
 def test_a_right_mounting_is_not_contradicted_and_the_check_needs_no_search_for_the_offset():
     made = recording(mounting=[0.02, -0.02, 0.0], sigma=1.5, rate=1.0)
     assert check_mounting(made, table.defaults()) == []
-    assert judge_mounting(made.imu, made.gnss, [0.0, 0.0, 0.0], lag=0.0)[0] == []
-    assert 'backwards' in judge_mounting(made.imu, made.gnss, [0.0, 0.0, math.pi], lag=0.0)[0][0].message
-    assert judge_mounting(made.imu.select(slice(0, 1)), made.gnss, [0.0, 0.0, 0.0])[0] == []
-    assert judge_mounting(made.imu, None, [0.0, 0.0, 0.0])[0] == []
+    assert contradictions(made.imu, made.gnss, [0.0, 0.0, 0.0], lag=0.0) == []
+    assert 'backwards' in contradictions(made.imu, made.gnss, [0.0, 0.0, math.pi], lag=0.0)[0].message
+    assert contradictions(made.imu.select(slice(0, 1)), made.gnss, [0.0, 0.0, 0.0]) == []
+    assert contradictions(made.imu, None, [0.0, 0.0, 0.0]) == []
 
 
 @pytest.mark.parametrize('acceleration, rate', [('m/s^2', 'rad/s'), ('g', 'deg/s'), ('mg', 'rad/s')])
