@@ -11,7 +11,7 @@ setup(
     license='Apache-2.0',
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     package_data={f'{PACKAGE}.reports': ['*.css', '*.js', 'uplot/*'], f'{PACKAGE}.fleet': ['*.js']},
-    python_requires='>=3.10',
+    python_requires='>=3.11',
     # the lowest versions are those of Ubuntu 24.04, or of the first numba for its Python: `make test-oldest`
     install_requires=['matplotlib>=3.6', 'numba>=0.59', 'numpy>=1.26', 'pyyaml>=6.0', 'rosbags>=0.11.1', 'scipy>=1.11',
                       'tqdm>=4.66'],

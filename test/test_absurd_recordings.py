@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from fuzz_support import outcome
 
-from mems_ins_fusion.configuration.check import mounting_findings
+from mems_ins_fusion.configuration.check import judge_mounting
 from mems_ins_fusion.configuration.configure import Setting, _possible, look
 from mems_ins_fusion.configuration.mounting import deviation
 from mems_ins_fusion.diagnosis import search
@@ -38,7 +38,7 @@ def test_who_looks_at_raw_samples_survives(good, content):
     recording = fuzz_recordings.in_order(fuzz_recordings.KNOWN[content](good))
     findings = check_recording(recording)
     assert all(np.isfinite(v) for f in findings for v in f.values.values() if isinstance(v, float)), findings
-    mounting_findings(recording.imu, recording.gnss, (0.0, 0.0, 0.0))
+    judge_mounting(recording.imu, recording.gnss, table.defaults())
     turning_at(recording.imu, np.eye(6), good.gnss.stamp)
 
 

@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.__main__ import main
-from mems_ins_fusion.configuration.check import check, check_setup, mounting_findings
+from mems_ins_fusion.configuration.check import check, check_setup, judge_mounting
 from mems_ins_fusion.configuration.configure import _vehicle_settings, configure, configured, look
 from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting, rpy
 from mems_ins_fusion.configuration.noise import find_noise
@@ -49,6 +49,10 @@ STRAIGHT = (Segment(10.0), Segment(10.0, 12.0), Segment(100.0 + MARGIN))
 def check_mounting(made, values):
     """What is said against the mounting."""
     return [finding for finding in check_setup(made, values) if 'mounting_rpy' in finding.values]
+
+
+def contradictions(imu, fixes, mounting, lag=None):
+    return judge_mounting(imu, fixes, table.check({'imu.mounting_rpy': mounting}), lag)[0]
 
 
 def recording(segments=SHORT, mounting=(0.0, 0.0, 0.0), seed=0, sensors=None, sigma=0.5, rate=5.0, effects=(),
@@ -107,6 +111,24 @@ def test_sigmas_are_honest():
     rms = np.sqrt(np.mean(np.square(scores), axis=0))
     assert np.all(rms < 1.7), rms
     assert np.all(rms > 0.2), rms
+
+
+def test_heights_that_wander_under_a_slow_vehicle_are_no_grades():
+    # given a robot at walking speed whose receiver's heights go up and down by 15 m in minutes, stated to some metres
+    around = (Segment(20.0), Segment(5.0, 0.0, QUARTER)) * 3
+    made = recording((Segment(15.0), Segment(5.0, 1.0), *around, Segment(25.0 + MARGIN)), sigma=0.8, rate=2.5, hills=())
+    seconds = (made.gnss.stamp - made.gnss.stamp[0]) * 1e-9
+    wandering = replace(made.gnss, height=made.gnss.height + 15.0 * np.sin(seconds / 25.0))
+    # when the mounting is estimated from it
+    found = estimate_mounting(made.imu, wandering, lag=0.0)
+    # then it is the one that a level road shows
+    flat = estimate_mounting(made.imu, replace(made.gnss, height=np.zeros(len(seconds))), lag=0.0)
+    assert np.degrees(deviation(found.rotation, flat.rotation))[:2] == pytest.approx(np.zeros(2), abs=0.5)
+    assert np.all(np.abs(errors(found, [0.0, 0.0, 0.0])[:2]) < 3.0 * found.sigma[:2])
+    # and a slope of a hundred metres of road, which no height would show, is in the sigma of its gravity
+    way = 1.0 * (120.0 - 15.0 - 5.0)
+    gravity = next(one for one in found.level if one.source == 'gravity in motion')
+    assert min(gravity.sigma) > 0.9 * math.radians(1.5) / math.sqrt(max(way / 100.0, 1.0))
 
 
 @pytest.mark.parametrize('offset', [-0.4, 0.0, 0.25])
@@ -246,8 +268,10 @@ def test_a_level_road_straight_on_at_constant_speed_shows_no_yaw():
     # then the level is known, and the yaw is said to be anything
     assert not found.yaw_known and found.sigma[2] > 1.5
     assert np.all(np.abs(errors(found, [0.0, 0.0, 0.0])[:2]) < 3.0 * found.sigma[:2])
-    # and nothing is said against any yaw
-    assert mounting_findings(made.imu, made.gnss, [0.0, 0.0, 2.0]) == []
+    # and nothing is said against any yaw, but that it does not show
+    assert contradictions(made.imu, made.gnss, [0.0, 0.0, 2.0]) == []
+    said = [finding.message for finding in check_setup(made, table.check({'imu.mounting_rpy': [0.0, 0.0, 2.0]}))]
+    assert any('yaw of imu.mounting_rpy is right does not show' in text for text in said)
 
 
 def test_speeding_up_and_braking_alone_show_the_yaw_and_which_way_is_forwards():
@@ -265,6 +289,9 @@ def test_a_wrong_mounting_is_contradicted_in_plain_words(declared, words):
     found, = check_mounting(made, table.check({'imu.mounting_rpy': declared}))
     assert words in found.message and found.severity == ERROR
     assert 'set imu.mounting_rpy to [' in found.message
+    # though a vehicle that may go sideways, as the parameters have it, may have that yaw
+    free = check_mounting(made, table.check({'imu.mounting_rpy': declared, 'vehicle.non_holonomic': False}))
+    assert [one.severity for one in free] == [ERROR if declared[0] else 'warning']
     # and who does what it says is not contradicted again
     assert check_mounting(made, table.check({'imu.mounting_rpy': found.values['mounting_rpy']})) == []
 
@@ -272,10 +299,10 @@ def test_a_wrong_mounting_is_contradicted_in_plain_words(declared, words):
 def test_a_right_mounting_is_not_contradicted_and_the_check_needs_no_search_for_the_offset():
     made = recording(mounting=[0.02, -0.02, 0.0], sigma=1.5, rate=1.0)
     assert check_mounting(made, table.defaults()) == []
-    assert mounting_findings(made.imu, made.gnss, [0.0, 0.0, 0.0], lag=0.0) == []
-    assert 'backwards' in mounting_findings(made.imu, made.gnss, [0.0, 0.0, math.pi], lag=0.0)[0].message
-    assert mounting_findings(made.imu.select(slice(0, 1)), made.gnss, [0.0, 0.0, 0.0]) == []
-    assert mounting_findings(made.imu, None, [0.0, 0.0, 0.0]) == []
+    assert contradictions(made.imu, made.gnss, [0.0, 0.0, 0.0], lag=0.0) == []
+    assert 'backwards' in contradictions(made.imu, made.gnss, [0.0, 0.0, math.pi], lag=0.0)[0].message
+    assert contradictions(made.imu.select(slice(0, 1)), made.gnss, [0.0, 0.0, 0.0]) == []
+    assert contradictions(made.imu, None, [0.0, 0.0, 0.0]) == []
 
 
 @pytest.mark.parametrize('acceleration, rate', [('m/s^2', 'rad/s'), ('g', 'deg/s'), ('mg', 'rad/s')])

@@ -24,7 +24,7 @@ from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import Event, Head, Nav, Verdict, state_at, views
 from mems_ins_fusion.filter.runs.replay import run
-from mems_ins_fusion.filter.runs.vehicle_check import vehicle_says
+from mems_ins_fusion.filter.runs.vehicle_check import found_mounting, vehicle_says
 from mems_ins_fusion.navigation.frames import rotation_from_rpy, wrap
 from mems_ins_fusion.parameters import table
 
@@ -142,3 +142,15 @@ def test_what_no_car_does_is_said_with_the_parameters_that_are_its():
     assert 'the fixes go on while /imu/data shows a standstill' in said
     fixes[::4, Event.V_N] = 5.0  # not while it drives
     assert vehicle_says(result.memory, result.config, fixes) == []
+
+
+@pytest.mark.parametrize('known, degrees, told', [(0.1, 0.6, True), (0.01, 0.6, False), (0.01, 2.0, True)])
+def test_a_mounting_within_what_the_parameters_know_of_it_is_no_news(known, degrees, told):
+    # given a filter that has found the mounting to 0.15 deg
+    config = configure({**FREE, 'mechanization': 'strapdown', 'imu.mounting_sigma': known})
+    layout = config.layout
+    x, p = np.zeros(layout.n), 1e-4 * np.eye(layout.n)
+    yaw, pitch = layout.index('mounting_yaw'), layout.index('mounting_pitch')
+    x[yaw], p[yaw, yaw], p[pitch, pitch] = math.radians(degrees), math.radians(0.15) ** 2, math.radians(0.15) ** 2
+    # then it is told where the parameters do not know it about as well, or where it is not what they know
+    assert bool(found_mounting(started(config, x=x, p=p), config)) == told

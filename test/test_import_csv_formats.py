@@ -56,6 +56,17 @@ def test_ardupilot_takes_the_first_imu_and_its_status_and_hdop(tmp_path, capsys)
     assert 'read as ardupilot' in capsys.readouterr().out
 
 
+def test_ardupilot_before_2015_counts_milliseconds_and_has_one_imu(tmp_path):
+    imu = save(tmp_path / 'imu.csv', 'timestamp,TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ', TIME + T0,
+               np.round(TIME * 1000).astype(int), *(RATE * FRD).T, *(FORCE * FRD).T)
+    # its TimeMS of the fixes is that of the GPS week, T that of the IMU
+    gnss = save(tmp_path / 'gps.csv', 'timestamp,Status,TimeMS,Week,NSats,HDop,Lat,Lng,RelAlt,Alt,Spd,GCrs,VZ,T',
+                K + T0, 3, 252_818_000 + 1000 * K, 2288, 9, 0.8, LATITUDE, 11.0, 0.0, 500.0, 0, 0, 0, 1000 * K)
+    recording = imported(tmp_path, '--imu', imu, '--gnss', gnss)
+    check(recording)
+    assert recording.gnss.stamp[0] == recording.imu.stamp[0]
+
+
 def test_px4_scales_and_velocity(tmp_path):
     imu = save(tmp_path / 'imu.csv', 'timestamp,gyro_rad[0],gyro_rad[1],gyro_rad[2],gyro_integral_dt,'
                'accelerometer_timestamp_relative,accelerometer_m_s2[0],accelerometer_m_s2[1],accelerometer_m_s2[2]',
@@ -103,6 +114,22 @@ def test_phones_have_a_file_for_each_sensor(tmp_path, capsys, app):
     assert recording.gnss.height[0] == 500.0
 
 
+def test_gravity_that_a_phone_has_taken_away_is_added_again(tmp_path, capsys):
+    # given an export of Sensor Logger with what it writes unless told otherwise
+    export, stamp = tmp_path / 'export', T0 * 10**9 + np.round(TIME * 1e9).astype(np.int64)
+    header, order = 'time,seconds_elapsed,z,y,x', [2, 1, 0]
+    gravity = 9.81 * np.column_stack([0.01 * TIME, 0.0 * TIME, np.ones(COUNT)])
+    save(export / 'Accelerometer.csv', header, stamp, TIME, *(FORCE - gravity).T[order])
+    save(export / 'Gravity.csv', header, stamp, TIME, *gravity.T[order])
+    save(export / 'Gyroscope.csv', header, stamp, TIME, *RATE.T[order])
+    save(export / 'Location.csv', 'time,seconds_elapsed,horizontalAccuracy,altitude,longitude,latitude',
+         stamp[0] + K * 10**9, K, 4.0, 500.0, 11.0, LATITUDE)
+    # then the specific force is whole, and it is not taken for one of phyphox, whose files have the same names
+    check(recording := imported(tmp_path, '--imu', str(export)))
+    assert recording.imu.specific_force == pytest.approx(FORCE, abs=1e-9)
+    assert 'read as sensor_logger' in capsys.readouterr().out
+
+
 def test_u_blox_and_nmea(tmp_path):
     imu = save(tmp_path / 'imu.csv', 'time,ax,ay,az,wx,wy,wz', [f'{T0 + t:.2f}' for t in TIME], *FORCE.T, *RATE.T)
     gnss = save(tmp_path / 'pvt.csv', 'iTOW,year,month,day,hour,min,sec,valid,tAcc,nano,fixType,flags,numSV,lon,lat,'
@@ -138,8 +165,9 @@ def test_kf_gins_increments_and_truth(tmp_path, capsys):
     assert reference.velocity[0].tolist() == [1.0, 2.0, 3.0]
 
 
-def test_gps_weeks_are_turned_into_utc(tmp_path):
-    imu = save(tmp_path / 'imu.csv', 'week,sow,ax,ay,az,wx,wy,wz', np.full(COUNT, 2288), 252_818.0 + TIME, *FORCE.T,
+@pytest.mark.parametrize('names', ['week,sow', 'GPSWeek,GPSSeconds'])
+def test_gps_weeks_are_turned_into_utc(tmp_path, names):
+    imu = save(tmp_path / 'imu.csv', f'{names},ax,ay,az,wx,wy,wz', np.full(COUNT, 2288), 252_818.0 + TIME, *FORCE.T,
                *RATE.T)
     recording = imported(tmp_path, '--imu', imu)
     assert recording.imu.stamp[0] == T0 * 10**9
@@ -164,10 +192,31 @@ def test_what_is_missing_is_named_at_once_with_the_options_that_fit(tmp_path, ca
         assert recording.imu.angular_rate == pytest.approx(10.0 * RATE, abs=1e-9)
 
 
+@pytest.mark.parametrize('header, expected', [
+    # a unit in a name is not contradicted by the proposal, and what is there by its name stays
+    ('TimeUS,fx_g,fy_g,fz_g,p_dps,q_dps,r_dps', '"time=TimeUS,ax=fx_g,ay=fy_g,az=fz_g,wx=p_dps,wy=q_dps,wz=r_dps"\n'),
+    ('clock,ax,ay,az,wx,wy,wz', '--imu-columns "time=clock,ax=ax,ay=ay,az=az,wx=wx,wy=wy,wz=wz"\n')])
+def test_a_proposal_keeps_what_the_names_tell(tmp_path, capsys, header, expected):
+    path = save(tmp_path / 'x.csv', header, np.round(TIME * 1e6).astype(int), *FORCE.T, *RATE.T)
+    assert imported(tmp_path, '--imu', path, status=2) is None
+    assert capsys.readouterr().err.endswith(expected)
+
+
+def test_latitude_and_longitude_are_proposed_by_what_they_hold(tmp_path, capsys):
+    imu = save(tmp_path / 'imu.csv', 'time,ax,ay,az,wx,wy,wz', TIME, *FORCE.T, *RATE.T)
+    gnss = save(tmp_path / 'gnss.csv', 'clock,speed,N,E,H', 0.4 * K, 3.12, LATITUDE + 0.123456, -11.1 - 1.1e-6 * K,
+                500.0)
+    assert imported(tmp_path, '--imu', imu, '--gnss', gnss, status=2) is None
+    proposed = 'time=clock,latitude=N,longitude=E'
+    assert f'--gnss-columns "{proposed}"' in capsys.readouterr().err
+    assert len(imported(tmp_path, '--imu', imu, '--gnss', gnss, '--gnss-columns', proposed).gnss) == FIXES
+
+
 @pytest.mark.parametrize('header, cells, expected', [
     ('quality', ['0', '1', '2', '4', '5'], [-1, 0, 1, 2, 2]), ('fixType', ['0', '1', '2', '3', '6'], [-1, -1, 0, 0, 2]),
     ('status', ['-1', '0', '1', '2', '0'], [-1, 0, 1, 2, 0]), ('status', ['0'] * 5, [0] * 5),
-    ('status', ['V', 'A', 'A', 'A', 'V'], [-1, 0, 0, 0, -1])])
+    ('status', ['V', 'A', 'A', 'A', 'V'], [-1, 0, 0, 0, -1]),
+    ('fix', ['no fix', '3D fix', 'DGPS fix', 'RTK float', 'RTK fixed'], [-1, 0, 1, 2, 2])])
 def test_status_of_fixes(tmp_path, header, cells, expected):
     imu = save(tmp_path / 'imu.csv', 'time,ax,ay,az,wx,wy,wz', TIME, *FORCE.T, *RATE.T)
     gnss = save(tmp_path / 'gnss.csv', f'time,lat,lon,{header}', 0.4 * K, LATITUDE, 11.0, cells)

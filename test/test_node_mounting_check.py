@@ -68,6 +68,13 @@ def test_what_is_found_twice_is_certain_and_a_start_in_reverse_is_not(recording)
 def test_the_right_one_is_not_contradicted_and_memory_is_bounded(recording):
     found, check = looked(recording, [0.0, 0.0, math.pi / 2])
     assert found == [] and not check.is_wrong and check.found == 'nothing speaks against imu.mounting_rpy'
+    # before a turn or a change of speed only gravity has shown
+    before = recording.imu.stamp < recording.imu.stamp[0] + 9 * 10**9
+    parked = replace(recording, imu=recording.imu.select(np.tile(np.flatnonzero(before), 5)))
+    stamp = recording.imu.stamp[0] + np.arange(len(parked.imu)) * 20_000_000
+    parked = replace(parked, imu=replace(parked.imu, stamp=stamp))
+    _, still = looked(parked, [0.0, 0.0, 0.0])
+    assert 'yaw of imu.mounting_rpy is right does not show yet' in still.found and not still.is_wrong
     # and what it remembers does not grow, nor after its last look
     begin = int(recording.imu.stamp[-1])
     for second in range(1, round(LOOKS[-1]) + 60):

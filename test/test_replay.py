@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from mems_ins_fusion.recordings import messages
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.errors import RecordingWarning
 from mems_ins_fusion.recordings.reading import read_recording
+from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.reports.html import number
 from mems_ins_fusion.results import ResultError
 
@@ -90,6 +92,19 @@ def test_terminal_shows_the_errors_and_where_the_results_are(result):
     assert '%|' not in process.stderr  # a bar is for a terminal; a slow machine says now and then how far it is
     assert 'replay_node: reference topic' in process.stderr  # its datum is not given: that is said
     assert 'RecordingWarning' not in process.stderr
+
+
+def test_what_is_certainly_wrong_ends_with_status_2_and_a_page_that_says_what(bag, tmp_path):
+    # given a gyroscope with an axis that is dead, which a filter starts with
+    made = read_recording(bag, '/imu/data', '/gps/fix')
+    rate = made.imu.angular_rate * [0.0, 1.0, 1.0]
+    write_recording(replace(made, imu=replace(made.imu, angular_rate=rate)), tmp_path / 'drive')
+    process = replay('models:=[gauss_markov]', 'update_intervals:=[1.0]', 'outage_durations:=[30.0]',
+                     bag=tmp_path / 'drive', output_dir=tmp_path / 'out')
+    # then all results are there, and neither answer nor status says that they can be used
+    assert process.returncode == 2 and process.stdout.startswith('Not usable: /imu/data: gyroscope x: the same value')
+    assert json.loads((tmp_path / 'out' / 'report.json').read_text())['verdict']['answer'] == 'not_usable'
+    assert (tmp_path / 'out' / 'report.html').exists()
 
 
 def test_page_holds_its_figures(result):

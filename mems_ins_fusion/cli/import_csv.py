@@ -48,7 +48,7 @@ def import_csv(options: argparse.Namespace):
         options.imu, imu_options['columns'], options.imu_axes or imu_options.get('axes', 'forward left up'),
         options.imu_time_unit, options.acceleration_unit, options.gyro_unit,
         increments=options.increments or imu_options.get('increments', False), rows=imu_options.get('rows'),
-        gyro=options.gyro)
+        gyro=options.gyro, gravity=options.gravity)
     yield text
     fixes, aided = None, {}
     if options.gnss:
@@ -92,7 +92,8 @@ def import_csv(options: argparse.Namespace):
             *((TYPES[name].written_to, samples) for name, samples in aided.items()))
         if samples is not None)
     for finding in findings:
-        yield f'{finding.severity}: {finding.topic}: {finding.message}'
+        said = finding.message.replace('see imu.acceleration_unit', 'see --acceleration-unit')
+        yield f"{finding.severity}: {finding.topic}: {said.replace('see imu.rate_unit', 'see --gyro-unit')}"
 
 
 def _formats(options) -> dict[str, str | None]:
@@ -109,7 +110,7 @@ def _formats(options) -> dict[str, str | None]:
     if Path(options.imu).is_dir():
         name, paths = files_in(Path(options.imu), name)
         options.imu = str(paths['imu'])
-        for option in ('gyro', 'gnss'):
+        for option in ('gyro', 'gravity', 'gnss'):
             if getattr(options, option) is None and option in paths:
                 setattr(options, option, str(paths[option]))
     if name is not None:
@@ -157,6 +158,8 @@ def _parser() -> Parser:
     add('--imu', required=True, metavar='FILE', help='CSV with time, specific force and angular rate; or the folder of '
         'an export of phyphox or Sensor Logger')
     add('--gyro', metavar='FILE', help='CSV with time and angular rate, where they have a file of their own')
+    add('--gravity', metavar='FILE', help='CSV with time and gravity, where the accelerometer of a phone has it '
+        'removed')
     add('--gnss', metavar='FILE', help='CSV with time, latitude, longitude and, if there, height, sigma or HDOP, '
         'status, velocity; or NMEA')
     add('--preset', choices=(*FORMATS, 'none'), help='what wrote the files (default: by the names of their columns)')

@@ -56,7 +56,8 @@ def estimate_baseline(first: Fixes, second: Fixes) -> Baseline | None:
         return None
     there = np.column_stack([np.interp(at[middle][good], time, part) for part in two.T])
     difference = there - one[middle][good]
-    velocity, nose = (way / length[:, None])[good], (way / np.linalg.norm(way, axis=1, keepdims=True))[good]
+    way, length = way[good], length[good, None]
+    velocity, nose = way / length, way / np.linalg.norm(way, axis=1, keepdims=True)
     left = np.column_stack([nose[:, 1], -nose[:, 0]])
     design = np.stack([nose, left, -velocity], axis=2)
     blocks = (np.arange(len(nose)) * _BLOCKS) // len(nose)

@@ -28,6 +28,7 @@ _BACKWARDS = math.radians(150.0)
 FASTEST_IN_REVERSE = 8.0  # m/s: a vehicle that goes faster than this goes forwards
 SMALL_OFFSET, SMALL_ARM = 0.05, 0.3  # s, m
 VAGUE_ARM = 0.3  # m: an arm with a larger sigma says nothing
+YAW_NOT_SHOWN = 'whether the yaw of imu.mounting_rpy is right does not show'
 
 
 def check(recording: Recording, values: dict) -> list[Finding]:
@@ -45,20 +46,12 @@ def check_setup(recording: Recording, values: dict) -> list[Finding]:
     Where the recording shows too little of something, nothing is said of it.
     """
     imu, fixes = _usable(recording, values)
+    findings, found = judge_mounting(imu, fixes, values)
     if fixes is None or len(imu) < 2:
-        return _mounting(imu, fixes, values['imu.mounting_rpy'])[0]
-    findings, found = _mounting(imu, fixes, values['imu.mounting_rpy'])
+        return findings
+    if found is None or not found.yaw_known:
+        findings.append(Finding(INFO, 'imu', f'{YAW_NOT_SHOWN} here: too few turns and changes of speed'))
     return [*findings, *_check_offset(found, values), *_check_wheels(recording, imu, found, values)]
-
-
-def mounting_findings(imu: ImuSamples, fixes: Fixes | None, mounting_rpy, lag: float | None = None) -> list[Finding]:
-    """The same for the last minutes of a live filter: samples in sensor axes (SI units) and fixes, by arrival.
-
-    mounting_rpy: (3,) rad, as declared. lag: s, `gnss.time_offset`; None searches for it, which is ten times the work.
-    With a lag, two minutes at 100 Hz take about 50 ms of CPU: for now and then, not for each fix. Tells an IMU that is
-    not upright from gravity alone, a wrong yaw only after some turns or changes of speed, and is silent till then.
-    """
-    return _mounting(imu, fixes, mounting_rpy, lag)[0]
 
 
 def _usable(recording: Recording, values: dict) -> tuple[ImuSamples, Fixes | None]:
@@ -72,7 +65,16 @@ def _usable(recording: Recording, values: dict) -> tuple[ImuSamples, Fixes | Non
     return imu.select(imu.stamp < end), fixes if overlap else None
 
 
-def _mounting(imu, fixes, mounting_rpy, lag=None) -> tuple[list[Finding], Mounting | None]:
+def judge_mounting(imu: ImuSamples, fixes: Fixes | None, values: dict,
+                   lag: float | None = None) -> tuple[list[Finding], Mounting | None]:
+    """What speaks against the mounting of the checked parameters `values`, and the one that samples in sensor axes (SI
+    units) and fixes, by arrival, show; None where not even the up axis shows. Of the last minutes of a live filter, too.
+    An ERROR is one that cannot be: not that of a vehicle that may have reversed, or gone sideways.
+
+    lag: s, `gnss.time_offset`; None searches for it, ten times the work. With a lag, two minutes at 100 Hz take about
+    50 ms of CPU: for now and then, not for each fix. Tells an IMU that is not upright from gravity alone, a wrong
+    yaw only after some turns or changes of speed, and is silent till then.
+    """
     imu = usable_samples(imu)
     if fixes is not None:
         fixes = usable_fixes(fixes)
@@ -81,7 +83,7 @@ def _mounting(imu, fixes, mounting_rpy, lag=None) -> tuple[list[Finding], Mounti
     there = {} if fixes is None or not len(fixes) else {
         'gravity': float(gravity(fixes.latitude[0], fixes.height[0]))}
     found = estimate_mounting(imu, fixes, lag=lag, **there)
-    return ([], None) if found is None else (_compare(found, rotation_from_rpy(*mounting_rpy)), found)
+    return ([], None) if found is None else (_compare(found, values), found)
 
 
 def _check_offset(found: Mounting | None, values: dict):
@@ -149,7 +151,8 @@ def _clock_finding(name: str, left: Remaining, declared: float) -> Finding:
                    f'{left.sigma:.3f} s', shown)
 
 
-def _compare(found: Mounting, declared: np.ndarray) -> list[Finding]:
+def _compare(found: Mounting, values: dict) -> list[Finding]:
+    declared = rotation_from_rpy(*values['imu.mounting_rpy'])
     tilt = math.acos(min(1.0, max(-1.0, float(found.rotation[2] @ declared[2]))))
     tilt_sigma = float(found.sigma[:2].max())
     # the yaw is compared about the up axis found, which a wrong level does not disturb unless it lies on its side
@@ -164,11 +167,12 @@ def _compare(found: Mounting, declared: np.ndarray) -> list[Finding]:
         [_yaw_in_words(yaw, float(found.sigma[2]))] if turned else [])
     known = '' if found.yaw_known else ' (yaw 0: too few turns and changes of speed to see it)'
     advice = f'set imu.mounting_rpy to {yaml_value([round(float(angle), 4) for angle in found.rpy])}{known}'
-    severity = ERROR if (tilted and tilt > LARGE) or (turned and abs(yaw) > LARGE) else WARNING
+    # without the constraint a vehicle may drive sideways
+    wrong_way = turned and abs(yaw) > LARGE and values['vehicle.non_holonomic'] and not _may_reverse(found, yaw)
+    severity = ERROR if (tilted and tilt > LARGE) or wrong_way else WARNING
     return [Finding(severity, 'imu', f'the IMU seems to be mounted {" and ".join(words)}: {advice}',
                     {'tilt': tilt, 'tilt_sigma': tilt_sigma, 'yaw': yaw if found.yaw_known else None,
-                     'yaw_sigma': float(found.sigma[2]), 'mounting_rpy': found.rpy.tolist(),
-                     'certain': severity == ERROR and (tilt > LARGE or not _may_reverse(found, yaw))},
+                     'yaw_sigma': float(found.sigma[2]), 'mounting_rpy': found.rpy.tolist()},
                     ('imu.mounting_rpy',))]
 
 

@@ -29,7 +29,8 @@ from mems_ins_fusion.recordings.motion import find_standstill, robust_sigma
 from mems_ins_fusion.samples import Fixes, ImuSamples, runs
 
 BIAS_SIGMA = 0.2  # m/s^2: a consumer accelerometer's turn-on bias, which tilts gravity
-SLOPE_SIGMA = math.radians(1.5)  # of the place where a vehicle stands
+SLOPE_SIGMA = math.radians(1.5)  # of the place where a vehicle stands, and of the way where heights do not show it
+_SLOPE_LASTS = 100.0  # m of the way for which a slope is alike: a vehicle on one hillside sees one slope for minutes
 TURN_TILT_SIGMA = math.radians(1.5)  # by how much a road's tilt changes over a right-angled turn
 AXES_SIGMA = math.radians(0.3)  # to which the axes of a MEMS sensor are at right angles
 UNKNOWN = math.pi / math.sqrt(3.0)  # standard deviation of an angle that may be anything
@@ -270,11 +271,10 @@ def _assemble(motion: _Motion, rests, up, gravity) -> Mounting:
         axes = _axes(axes.T @ [*tilt, 1.0], axes[0])
     if yaw_sigma > SHOWN:
         axes, yaw_sigma, heading = _default_heading(axes[2]), UNKNOWN, ()
-    force = _without_grade(motion.fit.solution, motion, axes)
     return Mounting(
         rotation=axes, sigma=np.array([up_sigma[1], up_sigma[0], yaw_sigma]), level=tuple(level),
-        heading=tuple(heading), bias=_bias(force, axes[2], gravity), bias_sigma=gravity * float(up_sigma.max()),
-        imu=_imu_arm(motion, axes), gain=motion.gain,
+        heading=tuple(heading), bias=_bias(motion.fit.solution[_UP], axes[2], gravity),
+        bias_sigma=gravity * float(up_sigma.max()), imu=_imu_arm(motion, axes), gain=motion.gain,
         driven=float(np.ptp(motion.spans.time[motion.moving])), turned=_turned(motion), spans=motion.spans)
 
 
@@ -322,9 +322,8 @@ def _level(motion: _Motion, rests, axes, gravity):
 
     ways = []
     if np.linalg.norm(motion.fit.solution[_UP]) > 0.5 * gravity:
-        force = _without_grade(motion.fit.solution, motion, axes)
-        sigma = motion.sigma(lambda vectors: tilt(_without_grade(vectors, motion, axes)))
-        ways.append(Evidence('gravity in motion', tuple(tilt(force)), tuple(sigma)))
+        sigma = np.hypot(motion.sigma(lambda vectors: tilt(vectors[_UP])), _unseen_slope(motion, axes))
+        ways.append(Evidence('gravity in motion', tuple(tilt(motion.fit.solution[_UP])), tuple(sigma)))
         if len(rests):
             sigma = SLOPE_SIGMA / math.sqrt(len(rests))
             ways.append(Evidence('gravity at rest', tuple(np.mean([tilt(r) for r in rests], axis=0)), (sigma, sigma)))
@@ -339,11 +338,19 @@ def _level(motion: _Motion, rests, axes, gravity):
     return ways, mean, information.sum(axis=0) ** -0.5
 
 
-def _without_grade(vectors, motion: _Motion, axes):
-    """Gravity in sensor axes where the road is level on average: the grades' vector may be too short, heights noisy."""
-    grade = motion.spans.grade[motion.moving]
-    mean = STANDARD_GRAVITY * float(np.where(np.isfinite(grade), np.sin(grade), 0.0).mean())
-    return vectors[_UP] + mean * (vectors[_GRADE] - axes[0])
+def _confirmed(motion: _Motion, axes) -> float:
+    """Which part of the grades by the heights gravity along the nose confirms, 0 to 1: heights that wander under a slow
+    vehicle, or jump, have nothing to do with the road. With this part they are in the fit."""
+    return float(np.clip(axes[0] @ motion.fit.solution[_GRADE], 0.0, 1.0))
+
+
+def _unseen_slope(motion: _Motion, axes) -> float:
+    """By how much a mean slope of the way that heights do not show tilts gravity, rad, one sigma: of one that lasts as
+    long as the drive the jackknife sees nothing."""
+    seen = np.isfinite(motion.spans.grade[motion.moving]).mean() * _confirmed(motion, axes)
+    speed, time = np.abs(motion.spans.speed[motion.moving]), motion.spans.time[motion.moving]
+    way = float(speed[1:] @ np.minimum(np.diff(time), motion.spans.length))
+    return (1.0 - float(seen)) * SLOPE_SIGMA / math.sqrt(max(way / _SLOPE_LASTS, 1.0))
 
 
 def _axis_of_turns(motion: _Motion, axes):
@@ -354,7 +361,7 @@ def _axis_of_turns(motion: _Motion, axes):
     grade = np.nan_to_num(motion.spans.grade[motion.moving])
     squared = weight * rate[:, 2] ** 2
     # on a winding climb the vertical lies ahead of the up axis; gyroscopes without noise may show no turn at all
-    climbing = float(squared @ grade / max(squared.sum(), np.finfo(float).tiny))
+    climbing = _confirmed(motion, axes) * float(squared @ grade / max(squared.sum(), np.finfo(float).tiny))
     angles = _turned(motion) / (math.pi / 2)
     sigma = np.hypot(jackknife(turns.left_out)[0], math.hypot(AXES_SIGMA, TURN_TILT_SIGMA / math.sqrt(
         max(angles, 1e-3))))

@@ -5,7 +5,7 @@ from collections import deque
 
 import numpy as np
 
-from ..configuration.check import LARGE, mounting_findings
+from ..configuration.check import YAW_NOT_SHOWN, judge_mounting
 from ..recordings.checker import ERROR
 from ..samples import Fixes, ImuSamples
 
@@ -97,16 +97,18 @@ class MountingCheck:
     def _judge(self) -> tuple[str, str] | None:
         try:
             with np.errstate(all='ignore'):
-                findings = mounting_findings(self._imu(), self._received(), self._values['imu.mounting_rpy'],
-                                             self._values['gnss.time_offset'])
+                findings, seen = judge_mounting(self._imu(), self._received(), self._values,
+                                                self._values['gnss.time_offset'])
         except (ValueError, ArithmeticError, np.linalg.LinAlgError):  # numbers that no vehicle gives: no reason to stop
             return None
         self.is_wrong = bool(findings)
-        certain = bool(findings) and findings[0].values['certain'] and (
-            findings[0].values['tilt'] > LARGE or self._values['vehicle.non_holonomic'])  # others may drive sideways
+        certain = bool(findings) and findings[0].severity == ERROR
         self._times_certain = self._times_certain + 1 if certain else 0
-        self.found = findings[0].message if findings else 'nothing speaks against imu.mounting_rpy'
-        return ('error' if findings[0].severity == ERROR else 'warning', self.found) if findings else None
+        fits = 'nothing speaks against imu.mounting_rpy'
+        if seen is None or not seen.yaw_known:
+            fits = f'gravity does not speak against imu.mounting_rpy; {YAW_NOT_SHOWN} yet'
+        self.found = findings[0].message if findings else fits
+        return ('error' if certain else 'warning', self.found) if findings else None
 
     def _imu(self) -> ImuSamples:
         rows = np.array(self._means)

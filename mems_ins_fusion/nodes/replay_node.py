@@ -9,7 +9,8 @@ import sys
 from rclpy.node import Node
 
 from ..errors import InputError
-from ..guard import INTERRUPTED, refuse
+from ..evaluation.verdict import NOT_USABLE
+from ..guard import BAD_INPUT, INTERRUPTED, refuse
 from ..parameters.parameter import ParameterError
 from ..parameters.table import FILTER, REPLAY
 from ..progress import Progress
@@ -46,7 +47,8 @@ class ReplayNode(Node):
         stop.interrupts = False
         if self._values['publish']:
             self._publish(result, stop)
-        return 0
+        # as diagnose: what was replayed with is certainly wrong, the page says what
+        return BAD_INPUT if result.content['verdict']['answer'] == NOT_USABLE else 0
 
     def _publish(self, result, stop: Stop) -> None:
         """One recording after the other, each model at the shortest update interval, until all is told or a signal."""

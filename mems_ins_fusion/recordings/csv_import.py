@@ -39,6 +39,8 @@ _SPELLINGS = {**dict.fromkeys(('m/s2', 'm s^-2', 'm/s²', 'm/s/s', 'mps2', 'm_s2
 _LONGEST_IMU_INTERVAL = 0.2  # s
 #: what three columns must be near to, to be proposed as accelerometers: the logarithm of the ratio to gravity
 _NEAR_GRAVITY = 0.15
+#: deg, that a drive stays within: what two columns must be, to be proposed as latitude and longitude
+_NEIGHBOURHOOD = 3.0
 #: and as gyroscopes: a median below this is a vehicle's in deg/s, and rates beyond this are not in rad/s
 _FASTEST_DEG, _FASTEST_RAD = 100.0, 4.0
 
@@ -58,7 +60,7 @@ def _axis_aliases(prefixes, axis):
 
 #: time in two columns, week and seconds (or ms, GMS) of GPS time, or in six, a date
 _WEEK = ('week', 'gpsweek', 'gwk', 'wn')
-_INTO_WEEK = ('tow', 'sow', 'seconds', 'secondsofweek', 'itow', 'gms', 'gpstow')
+_INTO_WEEK = ('tow', 'sow', 'seconds', 'secondsofweek', 'itow', 'gms', 'gpstow', 'gpssow', 'gpsseconds', 'gpssec')
 _DATE = (('year',), ('month',), ('day',), ('hour',), ('min', 'minute'), ('sec', 'second', 'seconds'))
 #: usual names of columns, as `tables.plain` leaves them
 IMU_COLUMNS = {'time': TIME,
@@ -114,14 +116,15 @@ def axes_rotation(text: str) -> np.ndarray:
 
 def read_imu(path, columns: dict[str, str] | None = None, axes: str = 'forward left up', time_unit=None,
              acceleration_unit=None, gyro_unit=None, *, increments: bool = False, rows: tuple[str, str] | None = None,
-             gyro=None) -> tuple[ImuSamples, Temperatures | None, str]:
+             gyro=None, gravity=None) -> tuple[ImuSamples, Temperatures | None, str]:
     """Samples turned to forward-left-up, temperatures where there is such a column, and what was taken for what.
 
     columns: those whose names are not usual, by the keys of IMU_COLUMNS, `NAME [unit]` states a unit, `A|B` is the
     first that is there. Units that are None are taken from brackets in the columns' names, else m/s^2 and rad/s; time's
     also from its intervals. increments: of velocity and angle since the sample before, instead of rates. rows: (column,
     value) of those to take. gyro: a file of its own with the angular rates, which are interpolated to the times of the
-    specific force. Raises RecordingError; what is missing is named all at once, with the options that would fit.
+    specific force. gravity: a file of its own with the gravity that the specific force lacks, interpolated in the same
+    way. Raises RecordingError; what is missing is named all at once, with the options that would fit.
     """
     rotation, columns = axes_rotation(axes), columns or {}
     table = _chosen(read_table(path), rows)
@@ -131,19 +134,17 @@ def read_imu(path, columns: dict[str, str] | None = None, axes: str = 'forward l
     stamp, time_unit = _times(table, columns, time_unit, _LONGEST_IMU_INTERVAL, names)
     acceleration_unit = acceleration_unit or _unit(table, names['ax'], ACCELERATION)
     force = _columns(table, names, ('ax', 'ay', 'az')) * ACCELERATION[acceleration_unit]
+    if gravity:
+        pull = _Beside(gravity, 'a', columns, time_unit, acceleration_unit)
+        inside = pull.covers(stamp, path)
+        table, stamp, force = table.select(inside), stamp[inside], force[inside] + pull.at(stamp[inside])
+        names['gravity'] = pull.table.path.name
     if gyro:
-        turning = read_table(gyro)
-        own = _require(turning, ('wx', 'wy', 'wz'), IMU_COLUMNS, columns, {f'w{axis}': (axis,) for axis in 'xyz'})
-        at, _ = _times(turning, columns, time_unit if time_unit != 'date' else None, _LONGEST_IMU_INTERVAL, own)
-        gyro_unit = gyro_unit or _unit(turning, own['wx'], RATE)
-        inside = (stamp >= at.min()) & (stamp <= at.max())
-        if not inside.any():
-            raise RecordingError(f'{path} and {gyro} do not overlap in time')
+        turning = _Beside(gyro, 'w', columns, time_unit, gyro_unit)
+        inside = turning.covers(stamp, path)
         table, stamp, force = table.select(inside), stamp[inside], force[inside]
-        order = np.argsort(at, kind='stable')
-        values = _columns(turning, own, ('wx', 'wy', 'wz'))[order] * RATE[gyro_unit]
-        rate = np.column_stack([np.interp(stamp - at[order[0]], at[order] - at[order[0]], v) for v in values.T])
-        names |= {name: f'{turning.path.name}: {own[name]}' for name in ('wx', 'wy', 'wz')}
+        rate, gyro_unit = turning.at(stamp), turning.unit
+        names |= {name: f'{turning.table.path.name}: {turning.names[name]}' for name in ('wx', 'wy', 'wz')}
     else:
         gyro_unit = gyro_unit or _unit(table, names['wx'], RATE)
         rate = _columns(table, names, ('wx', 'wy', 'wz')) * RATE[gyro_unit]
@@ -158,6 +159,32 @@ def read_imu(path, columns: dict[str, str] | None = None, axes: str = 'forward l
     temperature = Temperatures(stamp, received, table.numbers(warm[0])) if warm else None
     units = (time_unit, acceleration_unit, gyro_unit, *(['increments'] if increments else []))
     return imu, temperature, _summary(table, names, len(stamp), units)
+
+
+class _Beside:
+    """A sensor of three axes in a file of its own, to be asked at the times of another. sensor: a or w."""
+
+    def __init__(self, path, sensor: str, columns, time_unit, unit):
+        self.table = read_table(path)
+        wanted, units = [f'{sensor}{axis}' for axis in 'xyz'], ACCELERATION if sensor == 'a' else RATE
+        self.names = _require(self.table, wanted, IMU_COLUMNS, columns, {f'{sensor}{axis}': (axis,) for axis in 'xyz'})
+        stamp, _ = _times(self.table, columns, time_unit if time_unit != 'date' else None, _LONGEST_IMU_INTERVAL,
+                          self.names)
+        self.unit = unit or _unit(self.table, self.names[wanted[0]], units)
+        order = np.argsort(stamp, kind='stable')
+        self.stamp = stamp[order]
+        self.values = _columns(self.table, self.names, wanted)[order] * units[self.unit]
+
+    def covers(self, stamp: np.ndarray, path) -> np.ndarray:
+        """(n,) which of the times lie within; RecordingError, naming the file `path` that they are of, where none."""
+        inside = (stamp >= self.stamp[0]) & (stamp <= self.stamp[-1])
+        if not inside.any():
+            raise RecordingError(f'{path} and {self.table.path} do not overlap in time')
+        return inside
+
+    def at(self, stamp: np.ndarray) -> np.ndarray:
+        """(n, 3) linear in between."""
+        return np.column_stack([np.interp(stamp - self.stamp[0], self.stamp - self.stamp[0], v) for v in self.values.T])
 
 
 def read_gnss(path, columns: dict[str, str] | None = None, time_unit=None, angle_unit=None,
@@ -247,7 +274,8 @@ def _statuses(table: Table, name: str) -> np.ndarray:
     """(n,) `NavSatStatus.status` of a column: words, NMEA's quality, fix types, or the status of ROS itself."""
     cells = [cell.strip().lower() for cell in table.columns[table.names.index(name)]]
     if any(cell in _WORDS and cell for cell in cells):
-        return np.array([_WORDS.get(cell, 0) for cell in cells], np.int8)
+        return np.array([_WORDS.get(cell, max((_WORDS.get(word, 0) for word in cell.split()), default=0))
+                         for cell in cells], np.int8)  # 3D fix, RTK float
     numbers = table.numbers(name)
     codes = np.where(np.isfinite(numbers), numbers, 0).astype(int)
     known = _QUALITY if 'qual' in name.lower() else _FIX_TYPE
@@ -423,8 +451,8 @@ def _times(table: Table, columns: dict[str, str], unit, longest: float, names: d
     if source is None:
         if 'time' in columns:
             raise RecordingError(f"{table.path} has no column '{columns['time']}' for time; {table.listing()}")
-        hint = f"; time={_ascending(table)}, which ascends?" if _ascending(table) else ''
-        raise RecordingError(f'{table.path} has no column that looks like time; {table.listing()}{hint}')
+        raise RecordingError(f'{table.path} has no column that looks like time; {table.listing()}'
+                             f'{_proposal(table, tuple(names), {n: (c, None) for n, c in names.items()}, columns)}')
     names['time'] = ' '.join(source)
     if len(source) == len(_DATE):
         cells = tuple(_date(row) for row in zip(*(table.columns[table.names.index(name)] for name in source)))
@@ -491,7 +519,10 @@ def _proposal(table: Table, wanted, found, given: dict[str, str]) -> str:
             sensor = 'a' if unit in ACCELERATION else 'w'
             if f'{sensor}x' in wanted and f'{sensor}x' not in columns:
                 columns |= {f'{sensor}{axis}': name for axis, name in zip('xyz', triple)}
-                units += f' --{"acceleration" if sensor == "a" else "gyro"}-unit {unit}'
+                if unit_in_name(triple[0], {*ACCELERATION, *RATE, *_SPELLINGS}) is None:
+                    units += f' --{"acceleration" if sensor == "a" else "gyro"}-unit {unit}'
+    if 'latitude' in wanted and not {'latitude', 'longitude'} & set(columns):
+        columns |= dict(zip(('latitude', 'longitude'), _place(_numeric(table), columns.get('time'))))
     asked = ('time', *wanted) if len(time) == 1 else wanted
     line = ','.join(f'{name}={columns.get(name) or "?"}' for name in asked)
     return f'; as it seems: {option} "{line}"{units}'
@@ -504,6 +535,18 @@ def _holds_increments(table: Table) -> bool:
     step = np.median(np.diff(table.numbers('1')))
     gained = np.median(np.linalg.norm(_columns(table, dict(zip('xyz', '567')), 'xyz'), axis=1))
     return bool(step > 0 and abs(np.log(max(gained / step, 1e-9) / STANDARD_GRAVITY)) < _NEAR_GRAVITY)
+
+
+def _place(numbers: dict[str, np.ndarray], time: str | None) -> tuple[str, ...]:
+    """Two columns side by side that may be latitude and longitude, deg: with many decimals, of one neighbourhood."""
+    names = [name for name in numbers if name != time]
+    fine = {name: bool((np.abs(numbers[name] - np.round(numbers[name], 4)) > 1e-9).mean() > 0.5
+                       and np.ptp(numbers[name]) < _NEIGHBOURHOOD) for name in names}
+    for pair in zip(names, names[1:]):
+        largest = [np.abs(numbers[name]).max() for name in pair]
+        if all(fine[name] for name in pair) and largest[0] <= 90.0 and largest[1] <= 180.0:
+            return pair
+    return ()
 
 
 def _triples(numbers: dict[str, np.ndarray]):

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from mems_ins_fusion.recordings.errors import RecordingError
+from mems_ins_fusion.recordings.tables import read_table
 
 _FRD = 'forward right down'
 
@@ -34,12 +35,14 @@ def _axes(prefix: str, names) -> dict[str, str]:
 FORMATS = {
     'ardupilot': LogFormat(
         'ArduPilot dataflash logs by mavlogdump.py --format csv --types IMU (and GPS): the first IMU of several',
-        imu={'columns': {'time': 'TimeUS [us]', **_axes('a', ('AccX', 'AccY', 'AccZ')),
+        imu={'columns': {'time': 'TimeUS [us]|TimeMS [ms]', **_axes('a', ('AccX', 'AccY', 'AccZ')),
                          **_axes('w', ('GyrX', 'GyrY', 'GyrZ')), 'temperature': 'T|'},
              'axes': _FRD, 'rows': ('I', '0')},
-        gnss={'columns': {'time': 'TimeUS [us]', 'latitude': 'Lat', 'longitude': 'Lng', 'height': 'Alt',
+        # logs before 2015: TimeMS, which of the fixes is that of the week; T is that of the IMU
+        gnss={'columns': {'time': 'TimeUS [us]|T [ms]', 'latitude': 'Lat', 'longitude': 'Lng', 'height': 'Alt',
                           'hdop': 'HDop|', 'status': 'Status|'}, 'rows': ('I', '0')},
-        signs=(('TimeUS', 'GyrX', 'AccX'), ('TimeUS', 'HDop', 'Lat', 'Lng'))),
+        signs=(('TimeUS', 'GyrX', 'AccX'), ('TimeUS', 'HDop', 'Lat', 'Lng'), ('TimeMS', 'GyrX', 'AccX'),
+               ('TimeMS', 'T', 'HDop', 'Lat', 'Lng'))),
     'px4': LogFormat(
         'PX4 logs by ulog2csv: sensor_combined, and vehicle_gps_position or sensor_gps',
         imu={'columns': {'time': 'timestamp [us]', **_axes('a', (f'accelerometer_m_s2[{i}]' for i in range(3))),
@@ -58,12 +61,12 @@ FORMATS = {
         files={'imu': ('Accelerometer.csv', 'Acceleration.csv', 'Raw Data.csv'), 'gyro': ('Gyroscope.csv',),
                'gnss': ('Location.csv', 'Location (GPS).csv')}),
     'sensor_logger': LogFormat(
-        'Sensor Logger, exported as CSV: the folder with TotalAcceleration.csv (or AccelerometerUncalibrated.csv), '
-        'Gyroscope.csv and Location.csv',
+        'Sensor Logger, exported as CSV: the folder with TotalAcceleration.csv (or AccelerometerUncalibrated.csv, or '
+        'Accelerometer.csv and Gravity.csv), Gyroscope.csv and Location.csv',
         imu={'columns': {'time': 'time [ns]'}}, gnss={'columns': {'time': 'time [ns]'}},
         signs=(('time', 'seconds_elapsed', 'z', 'y', 'x'), ('time', 'seconds_elapsed', 'horizontalAccuracy')),
-        files={'imu': ('TotalAcceleration.csv', 'AccelerometerUncalibrated.csv'), 'gyro': ('Gyroscope.csv',),
-               'gnss': ('LocationGps.csv', 'Location.csv')}),
+        files={'imu': ('TotalAcceleration.csv', 'AccelerometerUncalibrated.csv', 'Accelerometer.csv'),
+               'gravity': ('Gravity.csv',), 'gyro': ('Gyroscope.csv',), 'gnss': ('LocationGps.csv', 'Location.csv')}),
     'u-center': LogFormat(
         'UBX-NAV-PVT messages as CSV, by their field names; NMEA logs of u-center are read without a preset',
         gnss={'columns': {'latitude': 'lat', 'longitude': 'lon', 'height': 'height [mm]', 'sigma': 'hAcc [mm]',
@@ -86,16 +89,20 @@ def recognised(names: list[str]) -> str | None:
 
 
 def files_in(folder: Path, preset: str | None) -> tuple[str, dict[str, Path]]:
-    """The format that the files in an exported `folder` have, and they by option (imu, gyro, gnss).
+    """The format that the files in an exported `folder` have, and they by option (imu, gravity, gyro, gnss).
 
     RecordingError where no format with files of their own has an IMU there.
     """
     formats = {preset: FORMATS[preset]} if preset else FORMATS
     found = {name: {option: next((folder / file for file in files if (folder / file).is_file()), None)
                     for option, files in known.files.items()} for name, known in formats.items()}
-    # phyphox and Sensor Logger share names; the more files a format has there, the better
-    name = max(found, key=lambda name: sum(path is not None for path in found[name].values()))
+    # phyphox and Sensor Logger share names: the columns tell; else the more files a format has there, the better
+    alike = {told for paths in found.values() if paths.get('imu')
+             and (told := recognised(read_table(paths['imu']).names)) in found}
+    name = max(alike or found, key=lambda name: sum(path is not None for path in found[name].values()))
     paths = {option: path for option, path in found[name].items() if path is not None}
+    if paths.get('imu') != folder / 'Accelerometer.csv':
+        paths.pop('gravity', None)  # is in the others already
     if 'imu' not in paths:
         wanted = ' or '.join(dict.fromkeys(file for known in formats.values() for file in known.files.get('imu', ())))
         raise RecordingError(f'{folder} holds no {wanted or "files that are known"}: name the file of the IMU')

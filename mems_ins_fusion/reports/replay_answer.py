@@ -88,7 +88,7 @@ def answer(comparison: Comparison, findings: list[Finding], values: dict, bag: s
     said = [checked_text(f, topics_of(values)) for f in findings if f.severity != INFO]
     verdict, trust = judged(comparison, findings, values), trusted(consistencies(comparison, values))
     wrong = [*said, *_refused(comparison, best)]
-    if trust.answer == NO and verdict.answer != NOT_USABLE:
+    if trust.answer == NO and verdict.answer == WORSE:  # else the headline says it
         wrong.insert(0, f'Its sigmas are too small: {too_small_text(trust)}.')
     if verdict.fitted_here:
         wrong.append('The parameters were fitted to this very recording: on another drive errors will be larger.')

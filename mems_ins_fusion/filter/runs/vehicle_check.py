@@ -20,6 +20,8 @@ MOUNTING_SIGMAS = 3.0
 SMALL_ANGLE = 0.2
 #: a mounting known better than this, and found further off, is worth setting, rad
 WORTH_SETTING = math.radians(0.5)
+#: and so many times better known than the parameters say they know it (imu.mounting_sigma): else it is no news
+BETTER_KNOWN = 5.0
 #: a vehicle that goes sideways for longer in all is none that rolls, s
 LONGEST_SIDEWAYS = 5.0
 #: s of a slide that are worth a word
@@ -80,7 +82,9 @@ def found_mounting(memory: np.ndarray, config: FilterConfig) -> str:
     yaw, pitch = (float(row[NAV + state]) if state >= 0 else 0.0 for state in states)
     sigmas = [math.sqrt(variance_factor(row, 0) * row[covariance_index(state, state, layout)]) if state >= 0 else 0.0
               for state in states]
+    prior = config.parameters['imu.mounting_sigma']
     if not any(abs(angle) > max(MOUNTING_SIGMAS * s, WORTH_SETTING) and s < WORTH_SETTING
+               and (s < prior / BETTER_KNOWN or abs(angle) > MOUNTING_SIGMAS * prior)
                for angle, s in zip((yaw, pitch), sigmas)):
         return ''
     from scipy.spatial.transform import Rotation  # takes a while to load, and most never need it
