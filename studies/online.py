@@ -21,8 +21,8 @@ import numpy as np
 from vehicle import FIXES, simulated
 
 from mems_ins_fusion.diagnosis.applying import Driven, driven
-from mems_ins_fusion.diagnosis.watch import Watch
 from mems_ins_fusion.diagnosis.quantity import COARSE
+from mems_ins_fusion.diagnosis.watch import Watch
 from mems_ins_fusion.filter.runs.odometry import POSITION
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.parameters import table

@@ -21,8 +21,8 @@ from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.filter.runs.results import Measured, columns, result
 from mems_ins_fusion.filter.start.initial import learned
 from mems_ins_fusion.filter.trust.hypotheses import Hypothesis
-from mems_ins_fusion.filter.trust.receiver import Receiver as OfReceiver
 from mems_ins_fusion.filter.trust.receiver import LASTING_TIME, SLOW, realised_factor, shown_share, start_anew
+from mems_ins_fusion.filter.trust.receiver import Receiver as OfReceiver
 from mems_ins_fusion.filter.trust.scale import PRIOR, Scale, scale
 from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.parameters import table

@@ -14,8 +14,8 @@ from test_fusion_node import flat
 from test_online import OFFSET, SECOND, blind, finding
 
 from mems_ins_fusion.diagnosis.applying import driven
-from mems_ins_fusion.diagnosis.watch import Watch
 from mems_ins_fusion.diagnosis.quantity import Kept
+from mems_ins_fusion.diagnosis.watch import Watch
 from mems_ins_fusion.nodes.state_file import StateFile
 from mems_ins_fusion.parameters import table
 

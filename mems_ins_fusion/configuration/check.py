@@ -68,7 +68,8 @@ def _usable(recording: Recording, values: dict) -> tuple[ImuSamples, Fixes | Non
 def judge_mounting(imu: ImuSamples, fixes: Fixes | None, values: dict,
                    lag: float | None = None) -> tuple[list[Finding], Mounting | None]:
     """What speaks against the mounting of the checked parameters `values`, and the one that samples in sensor axes (SI
-    units) and fixes, by arrival, show; None where not even the up axis shows. Of the last minutes of a live filter, too.
+    units) and fixes, by arrival, show; None where not even the up axis shows. Of the last minutes of a live filter,
+    too.
     An ERROR is one that cannot be: not that of a vehicle that may have reversed, or gone sideways.
 
     lag: s, `gnss.time_offset`; None searches for it, ten times the work. With a lag, two minutes at 100 Hz take about

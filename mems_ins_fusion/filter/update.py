@@ -55,19 +55,19 @@ CONSTRAINT_INTERVAL = 0.1
 #: where samples are no more often than that, each non-holonomic one has a smaller variance, so that a second tells as
 #: much; but none tells more than this many
 MOST_TOLD = 2.0
-#: m/s: what the accelerometers call a standstill is one only below this speed plus three sigma: smooth roads, a creep in
-#: traffic
+#: m/s: what the accelerometers call a standstill is one only below this speed plus three sigma: smooth roads, a creep
+#: in traffic
 STILL_SPEED = 0.3
-#: rad/s: and below this turn rate plus three sigma: who turns on the spot over the IMU stands still by them. A robot does
-#: so within 40 s at the most; a gyroscope that is off by less does not turn a parked car
+#: rad/s: and below this turn rate plus three sigma: who turns on the spot over the IMU stands still by them. A robot
+#: does so within 40 s at the most; a gyroscope that is off by less does not turn a parked car
 STILL_RATE = 0.15
-#: s that a vehicle may have stood before the accelerometers have called it a standstill: for as long a gyroscope that is
-#: off may have turned the heading
+#: s that a vehicle may have stood before the accelerometers have called it a standstill: for as long a gyroscope that
+#: is off may have turned the heading
 STANDS_UNSEEN = 5.0
 #: what fits worse than this many sigma is weighted down to it; of fixes it is a parameter
 ROBUST = 3.0
 #: sigmas beyond which a speed or velocity is refused while fixes speak for the state: wheels that slip, another unit.
-#: Weighted down it would still pull, each time. Beyond as many a gyroscope at a standstill has another error than before
+#: Weighted down it would still pull, each time. A gyroscope that is further off at a standstill has a new error
 FAR = 10.0
 #: the same of a magnetic field, which iron beside the way disturbs every day
 DISTURBED = 4.0
@@ -568,8 +568,8 @@ def _turns(mem, r, sample, n):
 
 @njit(_nrt=False)
 def _free_gyroscopes(mem, r, at, n, dimensions):
-    """Gyroscopes that certainly turn at a standstill have other errors than before: these are less certain by as much, and
-    the heading by what they may have turned it since they last showed what is expected of them."""
+    """Gyroscopes that certainly turn at a standstill have other errors than before: these are less certain by as much,
+    and the heading by what they may have turned it since they last showed what is expected of them."""
     h, p, yaw = int(mem[Head.SCRATCH_AT]) + n * n, int(mem[Head.SCRATCH_AT]), yaw_state(mem)
     unseen, fit = min(mem[r + Nav.TIME] - mem[r + Nav.TURNED], STANDS_UNSEEN), True
     for k in range(dimensions):

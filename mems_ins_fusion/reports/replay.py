@@ -13,8 +13,8 @@ import numpy as np
 
 from ..configuration.check import check
 from ..diagnosis.applying import driven
-from ..diagnosis.watch import Watch, watched
 from ..diagnosis.quantity import CHANGED, Quantity
+from ..diagnosis.watch import Watch, watched
 from ..evaluation.comparison import Comparison, compare, cut
 from ..filter.config import FilterConfig
 from ..filter.measurements.registry import heard, named_parameters

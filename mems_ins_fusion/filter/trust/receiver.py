@@ -266,9 +266,9 @@ def _judge_lasting(mem, r, at, interval, verdict):
 def shown_share(follows):
     """Share of the variance of a first-order Gauss-Markov process with LASTING_TIME that is in low-passed innovations.
 
-    follows: f = SLOW / tau_f of a filter that follows positions within tau_f, and velocities with the damping 1 / sqrt(2):
-    to innovations such a process comes as a random walk through s^2 / (s^2 + s / tau_f + 1 / (2 tau_f^2)), and behind the
-    low pass of it is SLOW / (LASTING_TIME f (1 + f + f^2 / 2)) left.
+    follows: f = SLOW / tau_f of a filter that follows positions within tau_f, and velocities with the damping
+    1 / sqrt(2). Its innovations are such a process, nearly a random walk, behind s^2 / (s^2 + s / tau_f + 1 / (2 tau_f^2)).
+    After the low pass SLOW / (LASTING_TIME f (1 + f + f^2 / 2)) of the variance is left.
     """
     return min(SLOW / (LASTING_TIME * max(follows * (1.0 + follows + 0.5 * follows * follows), 1e-3)), LARGEST_SHOWN)
 
