@@ -86,7 +86,7 @@ SLOW = 10.0
 LARGEST_INNOVATION = 4.0
 #: share of the variance of fixes that counts as errors that last before any have been seen, whatever they scatter: of
 #: no receiver are all errors white
-LASTING_SHARE = 0.1
+LASTING_SHARE = 0.05
 #: s, time constant of such errors: multipath of a moving vehicle lasts for shorter, atmosphere and orbits for longer
 LASTING_TIME = 60.0
 #: share of the variance of errors that last which shows in SLOW at most, at rest
@@ -267,8 +267,8 @@ def shown_share(follows):
     """Share of the variance of a first-order Gauss-Markov process with LASTING_TIME that is in low-passed innovations.
 
     follows: f = SLOW / tau_f of a filter that follows positions within tau_f, and velocities with the damping
-    1 / sqrt(2). Its innovations are such a process, nearly a random walk, behind s^2 / (s^2 + s / tau_f + 1 / (2 tau_f^2)).
-    After the low pass SLOW / (LASTING_TIME f (1 + f + f^2 / 2)) of the variance is left.
+    1 / sqrt(2). Its innovations are such a process, nearly a random walk, behind
+    s^2 / (s^2 + s / tau_f + 1 / (2 tau_f^2)). After the low pass SLOW / (LASTING_TIME f (1 + f + f^2 / 2)) of the variance is left.
     """
     return min(SLOW / (LASTING_TIME * max(follows * (1.0 + follows + 0.5 * follows * follows), 1e-3)), LARGEST_SHOWN)
 
