@@ -268,7 +268,8 @@ def shown_share(follows):
 
     follows: f = SLOW / tau_f of a filter that follows positions within tau_f, and velocities with the damping
     1 / sqrt(2). Its innovations are such a process, nearly a random walk, behind
-    s^2 / (s^2 + s / tau_f + 1 / (2 tau_f^2)). After the low pass SLOW / (LASTING_TIME f (1 + f + f^2 / 2)) of the variance is left.
+    s^2 / (s^2 + s / tau_f + 1 / (2 tau_f^2)). After the low pass SLOW / (LASTING_TIME f (1 + f + f^2 / 2)) of the
+    variance is left.
     """
     return min(SLOW / (LASTING_TIME * max(follows * (1.0 + follows + 0.5 * follows * follows), 1e-3)), LARGEST_SHOWN)
 
