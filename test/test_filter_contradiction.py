@@ -260,6 +260,26 @@ def test_a_gyroscope_that_is_off_does_not_turn_a_parked_car(mechanization, begin
 
 
 @BOTH
+@pytest.mark.parametrize(('rate', 'stands'), [(0.0, False), (5.0, True)])
+def test_a_speed_denies_a_standstill_unless_a_gyroscope_turns_that_has_misled_it(mechanization, rate, stands):
+    # given a filter that is sure of 0.8 m/s, and sensors as quiet as at rest, but for a gyroscope
+    config = configure(CAR, mechanization=mechanization)
+    n, first = config.layout.n, config.layout.n_navigation
+    sigma = [1, 1, .05, .05, .02] if first == 5 else [1, 1, 1, .05, .05, .05, .001, .001, .02]
+    p = np.diag(np.concatenate([np.square(sigma), np.full(n - first, 1e-8)]))
+    memory = started(config, velocity=(0.8, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=p)
+    samples = np.zeros((400, 7))
+    samples[:, 0] = np.arange(1, 401) / 50.0
+    samples[:, 3] = gravity(LATITUDE, 480.0)
+    samples[:, 1:] += np.random.default_rng(3).standard_normal((400, 6)) * np.repeat([5e-3, 2e-4], 3)
+    samples[:, 6] += math.radians(rate)
+    take_all(memory, samples, np.zeros((0, Event.SIZE)), [Nav.TIME])
+    speed = np.hypot(newest(memory)[Nav.V_N], newest(memory)[Nav.V_E])
+    # then one that goes straight on creeps smoothly, and one that turns stands
+    assert speed < 0.1 if stands else 0.6 < speed < 1.0
+
+
+@BOTH
 @pytest.mark.parametrize('velocity, taken, ago, is_back', [
     ((-0.9, 0.1), (1.0, 0.0), 5.0, True), ((-0.9, 0.1), (1.0, 0.0), 60.0, False), ((-0.9, 0.1), (0.1, 0.0), 5.0, False),
     ((0.9, 0.1), (1.0, 0.0), 5.0, False), ((-0.5, 0.9), (1.0, 0.0), 5.0, False), ((-3.0, 0.0), (1.0, 0.0), 5.0, False)])

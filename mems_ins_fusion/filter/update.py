@@ -506,7 +506,9 @@ def constrain(mem, r, sample):
         variance = velocity_variance(mem, r)
         squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
         agrees = squared < STILL_SPEED**2 + 9.0 * variance
-        still = (agrees or contradiction.goes_back(mem, r)) and not _turns(mem, r, sample, n)
+        # who creeps smoothly and straight on has turned nowhere; a gyroscope that turns has misled the velocity, too
+        misled = contradiction.goes_back(mem, r) or _turns(mem, r, sample, n, 0.0, FAR)
+        still = (agrees or misled) and not _turns(mem, r, sample, n, STILL_RATE, ROBUST)
         if still and not agrees:
             contradiction.admit(mem, r, n)
     if still:
@@ -555,15 +557,15 @@ def _fixes_tell_the_heading(mem, r, variance):
 
 
 @njit(_nrt=False)
-def _turns(mem, r, sample, n):
-    """Whether the gyroscopes certainly turn at the sample; P stands in the scratch."""
+def _turns(mem, r, sample, n, rate, sigmas):
+    """Whether the gyroscopes turn by more than `rate`, rad/s, and so many sigmas at the sample; P is in the scratch."""
     w_x, w_y, w_z = angular_rate(mem, r, sample)
     p, variance = int(mem[Head.SCRATCH_AT]), mem[Imu.SPREAD + 1]
     for axis in range(3, 6):
         state = channel_of(mem, axis)
         if state >= 0:
             variance += mem[p + (n + 1) * state]
-    return w_x * w_x + w_y * w_y + w_z * w_z > STILL_RATE**2 + 9.0 * variance
+    return w_x * w_x + w_y * w_y + w_z * w_z > rate * rate + sigmas * sigmas * variance
 
 
 @njit(_nrt=False)
