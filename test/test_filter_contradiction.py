@@ -236,22 +236,31 @@ def test_a_standstill_that_was_none_is_survived(mechanization):
     assert np.abs(speed[time > 12.0]).max() < 0.1
 
 
+def as_quiet_as_at_rest(mechanization, seconds, off, velocity=(0.0, 0.0, 0.0)):
+    """Configuration and newest state of a filter that is sure of its velocity, m/s, after so long with samples as quiet
+    as at rest; off: rad/s, (k,) of what the vertical gyroscope shows besides, 50 a second."""
+    config = configure(CAR, mechanization=mechanization)
+    n, first = config.layout.n, config.layout.n_navigation
+    sigma = [1, 1, .05, .05, .02] if first == 5 else [1, 1, 1, .05, .05, .05, .001, .001, .02]
+    p = np.diag(np.concatenate([np.square(sigma), np.full(n - first, 1e-8)]))
+    memory = started(config, velocity=velocity, attitude=(0.0, 0.0, 0.0), p=p)
+    samples = np.zeros((round(50 * seconds), 7))
+    samples[:, 0] = np.arange(1, len(samples) + 1) / 50.0
+    samples[:, 3] = gravity(LATITUDE, 480.0)
+    samples[:, 1:] += np.random.default_rng(2).standard_normal((len(samples), 6)) * np.repeat([5e-3, 2e-4], 3)
+    samples[:, 6] += off
+    take_all(memory, samples, np.zeros((0, Event.SIZE)), [Nav.TIME])
+    return config, newest(memory)
+
+
 @BOTH
 @pytest.mark.parametrize('begin', [0.0, 12.0])
 def test_a_gyroscope_that_is_off_does_not_turn_a_parked_car(mechanization, begin):
     # given a car that stands, and a gyroscope that is 5 deg/s off for 8 s, from before it is known to stand or later
-    config = configure(CAR, mechanization=mechanization)
-    n, first = config.layout.n, config.layout.n_navigation
-    sigma = [1, 1, .05, .05, .02] if first == 5 else [1, 1, 1, .05, .05, .05, .005, .005, .02]
-    p = np.diag(np.concatenate([np.square(sigma), np.full(n - first, 1e-6)]))
-    memory = started(config, velocity=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=p)
-    samples = np.zeros((1500, 7))
-    samples[:, 0] = np.arange(1, 1501) / 50.0
-    samples[:, 3] = gravity(LATITUDE, 480.0)
-    samples[:, 1:] += np.random.default_rng(2).standard_normal((1500, 6)) * np.repeat([5e-3, 2e-4], 3)
-    samples[round(50 * begin):round(50 * (begin + 8.0)), 6] += math.radians(5.0)
-    take_all(memory, samples, np.zeros((0, Event.SIZE)), [Nav.TIME])
-    row = newest(memory)
+    time = np.arange(1500) / 50.0
+    off = np.where((time >= begin) & (time < begin + 8.0), math.radians(5.0), 0.0)
+    config, row = as_quiet_as_at_rest(mechanization, 30.0, off)
+    first = config.layout.n_navigation
     heading = math.degrees(row[Nav.YAW] if first == 5 else to_euler(row[Nav.Q_W:Nav.Q_Z + 1])[2])
     sigma = math.degrees(math.sqrt(covariance(row, config.layout)[first - 1, first - 1]))
     error = math.degrees(row[NAV + config.layout.n_sensor + first - 1])
@@ -263,19 +272,9 @@ def test_a_gyroscope_that_is_off_does_not_turn_a_parked_car(mechanization, begin
 @pytest.mark.parametrize(('rate', 'stands'), [(0.0, False), (5.0, True)])
 def test_a_speed_denies_a_standstill_unless_a_gyroscope_turns_that_has_misled_it(mechanization, rate, stands):
     # given a filter that is sure of 0.8 m/s, and sensors as quiet as at rest, but for a gyroscope
-    config = configure(CAR, mechanization=mechanization)
-    n, first = config.layout.n, config.layout.n_navigation
-    sigma = [1, 1, .05, .05, .02] if first == 5 else [1, 1, 1, .05, .05, .05, .001, .001, .02]
-    p = np.diag(np.concatenate([np.square(sigma), np.full(n - first, 1e-8)]))
-    memory = started(config, velocity=(0.8, 0.0, 0.0), attitude=(0.0, 0.0, 0.0), p=p)
-    samples = np.zeros((400, 7))
-    samples[:, 0] = np.arange(1, 401) / 50.0
-    samples[:, 3] = gravity(LATITUDE, 480.0)
-    samples[:, 1:] += np.random.default_rng(3).standard_normal((400, 6)) * np.repeat([5e-3, 2e-4], 3)
-    samples[:, 6] += math.radians(rate)
-    take_all(memory, samples, np.zeros((0, Event.SIZE)), [Nav.TIME])
-    speed = np.hypot(newest(memory)[Nav.V_N], newest(memory)[Nav.V_E])
+    _, row = as_quiet_as_at_rest(mechanization, 8.0, math.radians(rate), (0.8, 0.0, 0.0))
     # then one that goes straight on creeps smoothly, and one that turns stands
+    speed = np.hypot(row[Nav.V_N], row[Nav.V_E])
     assert speed < 0.1 if stands else 0.6 < speed < 1.0
 
 
