@@ -149,7 +149,7 @@ class Topic:
     """An input of a queue: `wait` what has not been taken yet, `got` names and stamps of what was served, ns."""
 
     def __init__(self, name, got):
-        self.name, self.wait, self.got = name, [], got
+        self.name, self.is_imu, self.wait, self.got = name, name == 'imu', [], got
         self.traffic = SimpleNamespace(stamp=0, waited=lambda info: info['late'])
 
     def take(self):

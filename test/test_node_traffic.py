@@ -92,7 +92,8 @@ class StalledTopic:
     on, by name and stamp."""
 
     def __init__(self, name, stamps, order):
-        self.name, self.order, self.traffic = name, order, SimpleNamespace(stamp=0, waited=lambda info: 0.5)
+        self.name, self.is_imu, self.order = name, name == 'imu', order
+        self.traffic = SimpleNamespace(stamp=0, waited=lambda info: 0.5)
         self._messages = [imu_message(round(stamp * SECOND), np.zeros(3), np.zeros(3)) for stamp in stamps]
 
     def take(self):

@@ -17,7 +17,11 @@ from rosbags.typesys import Stores, get_typestore
 from test_recordings import IMU, NAV_SAT_FIX, PLUGINS, START, drive, fix, imu, write_bag
 
 from mems_ins_fusion.recordings.errors import RecordingError, RecordingWarning
+from mems_ins_fusion.recordings.messages import typestore
 from mems_ins_fusion.recordings.reading import read_recording
+
+#: in words, what fixes may be of
+FIXES = f'{NAV_SAT_FIX} or gps_msgs/msg/GPSFix'
 
 
 def complaint(path, imu_topic='/imu/data', gnss_topic='/gps/fix', **options):
@@ -70,7 +74,7 @@ def test_a_missing_topic_lists_those_of_its_type(tmp_path, plugin):
     bag = write_bag(tmp_path / 'bag', [*drive(), ('/imu/raw', IMU, START, imu(0))], plugin)
     assert complaint(bag, '/imu') == (f"no topic '/imu' in {bag}; topics of type {IMU}: /imu/data (50 messages), "
                                       '/imu/raw (1 messages)')
-    assert complaint(bag, gnss_topic='/fix') == (f"no topic '/fix' in {bag}; topics of type {NAV_SAT_FIX}: "
+    assert complaint(bag, gnss_topic='/fix') == (f"no topic '/fix' in {bag}; topics of type {FIXES}: "
                                                  '/gps/fix (5 messages)')
     assert "no topic '/truth'" in complaint(bag, reference_topic='/truth')
 
@@ -84,7 +88,7 @@ def test_a_missing_topic_of_a_type_that_is_not_there(tmp_path):
 def test_a_topic_of_the_wrong_type(tmp_path):
     bag = write_bag(tmp_path / 'bag', drive())
     assert complaint(bag, gnss_topic='/imu/data') == (
-        f"topic '/imu/data' in {bag} carries {IMU}, not {NAV_SAT_FIX}; topics of type {NAV_SAT_FIX}: "
+        f"topic '/imu/data' in {bag} carries {IMU}, not {FIXES}; topics of type {FIXES}: "
         '/gps/fix (5 messages)')
 
 
@@ -222,6 +226,7 @@ def test_any_byte_may_be_wrong(tmp_path):
 
 
 def test_rosbags_absent(tmp_path, monkeypatch):
+    typestore.cache_clear()  # what an earlier test has read with them
     # given messages that need rosbags' own deserialization, and a ROS 1 bag, but no rosbags
     bag = write_bag(tmp_path / 'bag', [*drive(4), ('/imu/data', IMU, START, b'not laid out as the others')])
     (tmp_path / 'drive.bag').write_bytes(b'#ROSBAG V2.0\n')

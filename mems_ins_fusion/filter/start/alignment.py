@@ -40,7 +40,7 @@ CERTAIN = 3.0  # sigmas of two fixes by which they show that a vehicle does not 
 CHANGED = 0.3  # m/s: by how much the speed of a slow vehicle differs from the mean of that time
 SLOW = 2.0  # m/s: a faster vehicle shows a course soon
 STANDING_SIGMA = 0.05  # m/s, of a velocity of zero at rest
-FEWEST_SHOWN = 3  # second differences of fixes: before that a claim that is too small passes for a drive
+FEWEST_SHOWN = 3  # second differences of fixes that fit: before that a claim that is too small passes for a drive
 OVERLAP = 0.5  # of what it tells: each fix is in three second differences
 #: a node that starts this late after the IMU came to rest may have been driven before, s
 SEEN_FROM_BEGIN = 2.0
@@ -81,7 +81,7 @@ class Alignment:
         self._remembered: Remembered | None = None
         self._scale = np.zeros(Scale.SIZE)  # realised over claimed variance of the fixes
         self._track: list[tuple] = []  # the latest three of them that are apart, which show how far they scatter,
-        self._shown = 0  # and how often they have
+        self._shown = 0  # and how often they have, as was expected
         self._turned = ''  # what driving off has shown of the mounting, empty: nothing that is wrong
         self._backwards = False  # whether that is that it drove off backwards
 
@@ -271,12 +271,11 @@ class Alignment:
             return
         ahead, ratio = t_3 - t_2, (t_3 - t_2) / (t_2 - t_1)
         to, back = (np.array(to_local(*place[:3], second[:3])[:2]) for place in (third, first))
-        self._shown += 1
         first_sample, last_sample = np.searchsorted(self._samples[:, 0], [t_1, t_3])
         changed = 0.0 if is_quiet(self._samples[first_sample:last_sample], self.config) else (
             0.5 * ahead * (math.hypot(*motion.gained) + motion.bias_f * (t_3 - t_1)))
-        learn(self._scale, 0, t_3, 0.5 * float(np.sum((to + ratio * back) ** 2)),
-              third[3] + (1.0 + ratio) ** 2 * second[3] + ratio**2 * first[3], 0.5 * changed**2, 2, OVERLAP)
+        self._shown += learn(self._scale, 0, t_3, 0.5 * float(np.sum((to + ratio * back) ** 2)),
+                             third[3] + (1.0 + ratio) ** 2 * second[3] + ratio**2 * first[3], 0.5 * changed**2, 2, OVERLAP)
 
     def standing(self) -> Standstill | None:
         """The standstill that still lasts, None where the vehicle moves or nothing tells that it does not."""

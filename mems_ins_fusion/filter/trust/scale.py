@@ -90,7 +90,7 @@ def learn(mem, at, time, squared, part, rest, dimensions, weight=1.0):
     """Learn from one deviation at `time`, s; at: of the scale in `mem`.
 
     squared: mean square of its one or two `dimensions`, expected to be scale * part + rest. weight: below 1 where
-    several deviations tell the same.
+    several deviations tell the same. Whether the estimate before it allowed for one as large.
     """
     known = mem[at + Scale.KNOWN] - CHANGES * max(time - mem[at + Scale.TIME], 0.0)
     variance, mem[at + Scale.TIME] = PRIOR - max(known, 0.0), time
@@ -108,8 +108,8 @@ def learn(mem, at, time, squared, part, rest, dimensions, weight=1.0):
     gain = share * variance / (share * share * variance + noise)
     level = mem[at + Scale.LOG] + gain * surprise
     mem[at + Scale.LOG] = max(math.log(SMALLEST), min(level, math.log(LARGEST)))
-    # what the estimate does not allow for does not make it more certain
-    mem[at + Scale.KNOWN] = PRIOR - variance + (0.0 if contradicts else gain * share * variance)
+    mem[at + Scale.KNOWN] = PRIOR - variance + gain * share * variance
+    return not contradicts
 
 
 @njit(_nrt=False)
