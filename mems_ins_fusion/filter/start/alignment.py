@@ -275,7 +275,8 @@ class Alignment:
         changed = 0.0 if is_quiet(self._samples[first_sample:last_sample], self.config) else (
             0.5 * ahead * (math.hypot(*motion.gained) + motion.bias_f * (t_3 - t_1)))
         self._shown += learn(self._scale, 0, t_3, 0.5 * float(np.sum((to + ratio * back) ** 2)),
-                             third[3] + (1.0 + ratio) ** 2 * second[3] + ratio**2 * first[3], 0.5 * changed**2, 2, OVERLAP)
+                             third[3] + (1.0 + ratio) ** 2 * second[3] + ratio**2 * first[3], 0.5 * changed**2, 2,
+                             OVERLAP)
 
     def standing(self) -> Standstill | None:
         """The standstill that still lasts, None where the vehicle moves or nothing tells that it does not."""
