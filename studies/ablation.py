@@ -94,7 +94,7 @@ NEVER = {
     'wrong standstills': {'trust.contradiction.LATELY': 0.0},
     'standstill denied by speed': {'update.STILL_SPEED': 1e3},
     'standstill denied by turning': {'update.STILL_RATE': 1e3},
-    'gyroscopes freed at a standstill': {'update.STANDS_UNSEEN': 0.0}}
+    'a heading in doubt where a gyroscope is off at a standstill': {'update.STANDS_UNSEEN': 0.0}}
 #: settings of vehicle.py, and of measured drives: path within the folder, s between outages, parameters
 SETTINGS = ('car', 'car + speed')
 MEASURED = {'longmont_rtk_drive': ('bag', 60.0, {'imu.mounting_rpy': [0.0, 0.0, np.pi]}),

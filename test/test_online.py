@@ -304,6 +304,9 @@ def test_the_node_tells_it_as_the_replay_does(drive, peer):
         player.connect()
         player.play(70.0)
         peer.spin_until(lambda: told)
+        # the first look is after a minute, and shows the offset
+        assert told[0].status[0].name == 'fusion_node: calibration: gnss_time_offset'
+        assert told[0].status[0].message.startswith(COARSE)
         player.play()
         peer.spin_until(lambda: len(told) >= 3)
         # then what it says after each chunk is what a replay says, and on /diagnostics

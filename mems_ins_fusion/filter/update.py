@@ -507,8 +507,8 @@ def constrain(mem, r, sample):
         squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
         agrees = squared < STILL_SPEED**2 + 9.0 * variance
         # who creeps smoothly and straight on has turned nowhere; a gyroscope that turns has misled the velocity, too
-        misled = contradiction.goes_back(mem, r) or _turns(mem, r, sample, n, 0.0, FAR)
-        still = (agrees or misled) and not _turns(mem, r, sample, n, STILL_RATE, ROBUST)
+        still = ((agrees or contradiction.goes_back(mem, r) or _turns(mem, r, sample, n, 0.0, FAR))
+                 and not _turns(mem, r, sample, n, STILL_RATE, ROBUST))
         if still and not agrees:
             contradiction.admit(mem, r, n)
     if still:

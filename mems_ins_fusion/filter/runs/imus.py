@@ -495,11 +495,16 @@ def _test(book, j, leader, between, dt):
 
 
 @njit
+def _force(own):
+    """Size of the specific force that an IMU shows now, m/s^2."""
+    return math.sqrt(own[_OWN.QUICK] ** 2 + own[_OWN.QUICK + 1] ** 2 + own[_OWN.QUICK + 2] ** 2)
+
+
+@njit
 def _rest(own, dt):
     """What an IMU shows at rest."""
-    size = math.sqrt(own[_OWN.QUICK] ** 2 + own[_OWN.QUICK + 1] ** 2 + own[_OWN.QUICK + 2] ** 2)
     for k in range(4):
-        shown = own[_OWN.QUICK + 3 + k] if k < 3 else size
+        shown = own[_OWN.QUICK + 3 + k] if k < 3 else _force(own)
         share = min(1.0, dt / REST) if own[_OWN.RESTED] > 0.0 else 1.0
         own[_OWN.REST + k] += share * (shown - own[_OWN.REST + k])
     own[_OWN.RESTED] = 1.0
@@ -511,8 +516,7 @@ def _moved_at_rest(own, which):
     road, the size."""
     if which >= 3:
         return abs(own[_OWN.QUICK + which] - own[_OWN.REST + which - 3])
-    size = math.sqrt(own[_OWN.QUICK] ** 2 + own[_OWN.QUICK + 1] ** 2 + own[_OWN.QUICK + 2] ** 2)
-    return abs(size - own[_OWN.REST + 3])
+    return abs(_force(own) - own[_OWN.REST + 3])
 
 
 @njit

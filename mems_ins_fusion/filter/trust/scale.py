@@ -103,13 +103,13 @@ def learn(mem, at, time, squared, part, rest, dimensions, weight=1.0):
     if surprise > LARGEST_SURPRISE * math.sqrt(LOG_VARIANCE[dimensions - 1]):  # no chance: up to what explains it
         share = surprise / (math.log((shown - rest) / part) - mem[at + Scale.LOG])
     sigma = math.sqrt(share * share * variance + LOG_VARIANCE[dimensions - 1])
-    contradicts = surprise > LARGEST_SURPRISE * sigma
+    fits = surprise <= LARGEST_SURPRISE * sigma
     surprise = max(-LARGEST_SURPRISE * sigma, min(surprise, LARGEST_SURPRISE * sigma))
     gain = share * variance / (share * share * variance + noise)
     level = mem[at + Scale.LOG] + gain * surprise
     mem[at + Scale.LOG] = max(math.log(SMALLEST), min(level, math.log(LARGEST)))
     mem[at + Scale.KNOWN] = PRIOR - variance + gain * share * variance
-    return not contradicts
+    return fits
 
 
 @njit(_nrt=False)
