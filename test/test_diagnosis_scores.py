@@ -18,7 +18,7 @@ from mems_ins_fusion.diagnosis.fit import Scores, _scores
 from mems_ins_fusion.diagnosis.folds import parts
 from mems_ins_fusion.diagnosis.held_out import HeldOut
 from mems_ins_fusion.diagnosis.judgement import compared, harm, objection, unproven
-from mems_ins_fusion.diagnosis.measured import Measured
+from mems_ins_fusion.diagnosis.measured import Measured, in_common
 from mems_ins_fusion.diagnosis.noise_levels import choose, multiplied
 from mems_ins_fusion.diagnosis.outliers import isolated
 from mems_ins_fusion.diagnosis.plausible import implausible
@@ -326,6 +326,18 @@ def test_outages_apart_are_counted():
     row = next(row for row in compared(one, one) if 'outages' in row['what'])
     assert row['count'] == 36 and row['apart'] == 12
     assert next(r for r in compared(*[overlapping(10.0, 20.0, 36)] * 2) if 'outages' in r['what'])['apart'] == 36
+
+
+def test_means_before_and_after_are_of_the_same_outages():
+    # given a filter that starts later, and so misses the first three outages, which were the largest
+    whole, late = overlapping(10.0, 20.0, 12), overlapping(10.0, 20.0, 12)
+    whole.outages[0].max_error[:3] = 50.0
+    late = replace(late, outages=[late.outages[0].select(np.arange(12) > 2)])
+    # then both ways round, in single drives, too, the same ones are left
+    for one, other in ((whole, late), (late, whole)):
+        found = in_common(replace(one, drives={'a': one}), replace(other, drives={'a': other}))
+        for measured in (found, found.drives['a']):
+            assert len(measured.outages[0].begin) == 9 and measured.outages[0].max_error.mean() == 1.0
 
 
 def test_a_prediction_is_not_better_than_the_fix_it_is_judged_by():

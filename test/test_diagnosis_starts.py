@@ -7,8 +7,9 @@ from types import MethodType, SimpleNamespace
 import numpy as np
 import pytest
 
-from mems_ins_fusion.configuration.offset import Offset
+from mems_ins_fusion.configuration.offset import Offset, together
 from mems_ins_fusion.diagnosis import search
+from mems_ins_fusion.diagnosis.conclusion import _of_receiver
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.drives import Drives
 from mems_ins_fusion.diagnosis.estimate import Estimate
@@ -52,6 +53,28 @@ def test_a_wrong_time_offset_is_left_again(late):
     estimate = next(f for f in found.findings if f.name == 'gnss_time_offset').parameters['time_offset']
     assert estimate.value == pytest.approx(1.3, abs=3.0 * estimate.sigma) and estimate.sigma < 0.1
     assert found.corrected[TIME_OFFSET] == pytest.approx(OFFSET, abs=0.05)
+
+
+def test_an_offset_is_no_surer_than_a_receiver_that_smooths_leaves_it():
+    # given a track that a receiver explains as well that smooths and is stamped otherwise by 0.3 s
+    track = Offset(0.8, 0.4, np.zeros(3), np.ones(3), 0.0, 1.0, undecided=0.3)
+    plain, smoothing = (SimpleNamespace(unknowns=[SimpleNamespace(name=f'{name}.x', effect=name) for name in names],
+                                        x=np.zeros(len(names)))
+                        for names in (['gnss_time_offset'], ['gnss_time_offset', 'gnss_lag']))
+    # then a model that has no smoothing is not sure to that; one that has, knows what it cannot tell itself
+    assert _of_receiver(plain, track) == pytest.approx(np.hypot(0.3, 0.01))
+    assert _of_receiver(smoothing, track) == _of_receiver(plain, None) == pytest.approx(0.01)
+
+
+def test_what_a_drive_cannot_tell_of_smoothing_others_may():
+    # given drives on which 0.2 s without smoothing and 0.5 s with it are as likely, or the latter less so
+    def seen(unlikely):
+        apart = 0.3 * np.sqrt(np.exp(-0.5 * unlikely) / (1.0 + np.exp(-0.5 * unlikely)))
+        return Offset(0.2, 0.4, np.zeros(3), np.ones(3), 0.0, 1.0, (), apart, ((0.2, 100.0), (0.5, 100.0 + unlikely)))
+    # then two that cannot tell are no surer than one, and with the third one its evidence counts for all
+    assert together([seen(0.0), seen(0.0)]).undecided == pytest.approx(0.3 * np.sqrt(0.5))
+    assert together([seen(0.0), seen(4.0)]).undecided == pytest.approx(seen(4.0).undecided)
+    assert together([seen(4.0), seen(4.0)]).undecided == pytest.approx(seen(8.0).undecided)
 
 
 def test_a_scale_of_the_gyroscopes_that_the_course_contradicts_is_none(late):

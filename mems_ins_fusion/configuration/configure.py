@@ -2,22 +2,14 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain, count
 from types import MappingProxyType
 
 import numpy as np
 
-from mems_ins_fusion.configuration.inputs import (
-    LEAST_APART,
-    WHEELED,
-    InputShown,
-    LeftOut,
-    further_imus,
-    shown_inputs,
-)
+from mems_ins_fusion.configuration.input_settings import input_settings, inputs_against_tf, placed
+from mems_ins_fusion.configuration.inputs import InputShown, LeftOut, further_imus, shown_inputs
 from mems_ins_fusion.configuration.mounting import (
     BIAS_SIGMA,
     SHOWN,
@@ -32,15 +24,14 @@ from mems_ins_fusion.configuration.offset import together
 from mems_ins_fusion.configuration.receiver import TOO_SURE, Receiver, assess_receiver
 from mems_ins_fusion.configuration.regression import weighted
 from mems_ins_fusion.configuration.remaining import ARM, Remaining, remaining_of
+from mems_ins_fusion.configuration.setting import ARM_SHOWN, AT_ZERO, SIGNIFICANT, Setting, arm_apart, is_sure, rounded
 from mems_ins_fusion.configuration.topics import Candidate, Topics, find_topics
 from mems_ins_fusion.configuration.vehicle import Vehicle, assess_vehicle
-from mems_ins_fusion.filter.measurements.registry import AIDING, TYPES
 from mems_ins_fusion.filter.runs.usable import usable
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.navigation.earth import gravity as gravity_at
-from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters.parameter import ParameterError
-from mems_ins_fusion.parameters.table import ALL, defaults, parameters_of
+from mems_ins_fusion.parameters.table import defaults, parameters_of
 from mems_ins_fusion.recordings.checker import INFO, Finding, check_recording
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.motion import find_standstill
@@ -51,29 +42,13 @@ from mems_ins_fusion.recordings.transforms import TOPIC as TF
 from mems_ins_fusion.recordings.units import RATE, Units, find_units, in_si
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
-_SIGNIFICANT = 2.0  # sigmas: a smaller value is not set
-_AT_ZERO = f': less than {_SIGNIFICANT:g} sigma, left at zero'
-_LEAST_ARM_SIGMA = 0.01  # m: of the centre of phase of an antenna
-_ASIDE = 4.0  # sigmas: a wheel that is further to a side is not the middle of the axle
 _OUTLIERS = 0.002  # part of the fixes
 _ROBUST = 3.0  # gnss.robust_sigma where there are outliers
-_ARM_SHOWN = 0.3  # m
-_MADE = {'pressure': 'Pa', 'magnetometer': 'T'}  # units of what is no speed
 # share of the seconds in motion that may be as quiet as rest: standstills while driving fast are refused by the filter.
 # Of simulated cars and phones 0 to 7 % are, of rovers on smooth ground 52 to 80 %
 _ALIKE = 0.2
 _TF_ANGLE = math.radians(15.0)  # rad: a bracket is bent by less than this; transforms are often of whole right angles
-_TF_ARM = 0.05  # m: what the transforms may be off by themselves, standard deviation
 _LEAST_MOUNTING_SIGMA = 0.01  # rad: by as much a body and a bracket flex while driving
-
-
-@dataclass(frozen=True)
-class Setting:
-    """One parameter of the file. why: lines of evidence, with sigma."""
-
-    name: str
-    value: object
-    why: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -148,9 +123,10 @@ def configured(topics: Topics, drives: Sequence[Drive], fixes: Sequence[Fixes | 
     against = tuple(_against_tf(topics, mounting))
     if against:  # who is wrong in one place is not believed in another
         topics = replace(topics, places={})
-    astray = dict(_inputs_against_tf(topics, drives))  # a frame left at its default says nothing of other sensors
+    # a frame left at its default says nothing of other sensors
+    astray = dict(inputs_against_tf(topics, [drive.inputs for drive in drives]))
     topics = replace(topics, places={topic: place for topic, place in topics.places.items() if topic not in astray})
-    drives = [replace(drive, inputs=tuple(_placed(topics, one) for one in drive.inputs)) for drive in drives]
+    drives = [replace(drive, inputs=tuple(placed(topics, one) for one in drive.inputs)) for drive in drives]
     settings, beyond = _possible([*_settings(topics, drives, mounting),
                                   Setting('fitted_to', sketch(fixes),
                                           ['hashes of the recordings that the values are from'])])
@@ -245,7 +221,7 @@ def _settings(topics: Topics, drives, mounting):
             yield Setting('imu.mounting_sigma', round(float(max(_LEAST_MOUNTING_SIGMA, mounting.sigma[1:].max())), 3), (
                 'of pitch and yaw, the larger one: the filter estimates what is left of them',))
     elif rotation is not None:
-        mounted.append(Setting('imu.mounting_rpy', _rounded(rpy(rotation), 4), (
+        mounted.append(Setting('imu.mounting_rpy', rounded(rpy(rotation), 4), (
             f'from {TF}; the drive does not show it',)))
         yield from mounted
     antenna = []
@@ -255,7 +231,7 @@ def _settings(topics: Topics, drives, mounting):
         antenna.append(_arm_setting(mounting.offset if mounting is not None else None, arm))
     yield from antenna
     yield from _receiver_settings([drive.receiver for drive in drives if drive.receiver is not None])
-    yield from _input_settings([drive.inputs for drive in drives], mechanization.value,
+    yield from input_settings([drive.inputs for drive in drives], mechanization.value,
                                {setting.name: setting.value for setting in (*mounted, *antenna)}, topics)
     yield from _noise_settings(drives, mounting)
     yield from _vehicle_settings(drives)
@@ -299,7 +275,7 @@ def _mechanization(drives, mounting) -> Setting:
 def _mounting_setting(found: Mounting, told: np.ndarray | None) -> Setting:
     """told: rotation (3, 3) that the transforms say."""
     if told is not None and not found.yaw_known:
-        return Setting('imu.mounting_rpy', _rounded(rpy(told), 4), (
+        return Setting('imu.mounting_rpy', rounded(rpy(told), 4), (
             f'from {TF}; gravity agrees to {math.degrees(_angle_of_level(found, told)):.1f} deg, the drive does not '
             'show the yaw',))
     angles = np.degrees(found.rpy)
@@ -317,7 +293,7 @@ def _mounting_setting(found: Mounting, told: np.ndarray | None) -> Setting:
         why.append('yaw not shown: too few turns and changes of speed; 0 is the default, it may be anything')
     if told is not None:
         why.append(f'{TF} says roll, pitch, yaw {", ".join(f"{a:.1f}" for a in np.degrees(rpy(told)))} deg')
-    return Setting('imu.mounting_rpy', _rounded(found.rpy, 4), tuple(why))
+    return Setting('imu.mounting_rpy', rounded(found.rpy, 4), tuple(why))
 
 
 def _angle_of_level(found: Mounting, told: np.ndarray) -> float:
@@ -336,31 +312,25 @@ def _time_offset_setting(offset) -> Setting:
     seen = f'by the track between fixes {offset.lag:.3f} +- {offset.lag_sigma:.3f} s, with the arm unknown'
     if offset.rivals:
         seen += f'; {" or ".join(f"{rival:g}" for rival in offset.rivals)} s would fit nearly as well'
-    sure = _is_sure(offset.lag, offset.lag_sigma)
-    return Setting('gnss.time_offset', round(offset.lag, 3) if sure else 0.0, (seen if sure else f'{seen}{_AT_ZERO}',))
+    sure = is_sure(offset.lag, offset.lag_sigma)
+    return Setting('gnss.time_offset', round(offset.lag, 3) if sure else 0.0, (seen if sure else f'{seen}{AT_ZERO}',))
 
 
 def _arm_setting(offset, told: np.ndarray | None) -> Setting:
     """told: (3,) m from the IMU to the antenna that the transforms say."""
     if offset is None:
         if told is not None:
-            return Setting('gnss.lever_arm', _rounded(told, 3), (f'from {TF}; the drive does not show it',))
+            return Setting('gnss.lever_arm', rounded(told, 3), (f'from {TF}; the drive does not show it',))
         return Setting('gnss.lever_arm', [0.0, 0.0, 0.0], ('not shown; measure it with a tape',))
     seen = ', '.join(f'{arm:.2f} +- {sigma:.2f}' for arm, sigma in zip(offset.arm, offset.arm_sigma))
     if told is not None:
-        return Setting('gnss.lever_arm', _rounded(told, 3), (f'from {TF}; the drive shows {seen} m forward, left, up',))
-    known = [sigma < _ARM_SHOWN and _is_sure(arm, sigma) for arm, sigma in zip(offset.arm, offset.arm_sigma)]
-    left = '' if all(known) else (f'; what is not known to {_ARM_SHOWN:g} m, or less than {_SIGNIFICANT:g} sigma, is '
+        return Setting('gnss.lever_arm', rounded(told, 3), (f'from {TF}; the drive shows {seen} m forward, left, up',))
+    known = [sigma < ARM_SHOWN and is_sure(arm, sigma) for arm, sigma in zip(offset.arm, offset.arm_sigma)]
+    left = '' if all(known) else (f'; what is not known to {ARM_SHOWN:g} m, or less than {SIGNIFICANT:g} sigma, is '
                                   'left at zero')
     arm = [round(float(part), 2) + 0.0 if there else 0.0 for part, there in zip(offset.arm, known)]
     return Setting('gnss.lever_arm', arm, (
         f'from the IMU to the antenna {seen} m forward, left, up{left}', 'a tape is better'))
-
-
-def _arm_apart(arm, sigma, told: np.ndarray) -> np.ndarray:
-    """(3,) whether the arm that the transforms say is another than `arm` with `sigma`, as the drive shows it."""
-    known = np.asarray(sigma) < _ARM_SHOWN
-    return known & (np.abs(np.where(known, arm, told) - told) > _ASIDE * np.hypot(np.where(known, sigma, 0.0), _TF_ARM))
 
 
 def _against_tf(topics: Topics, mounting: Mounting | None):
@@ -375,51 +345,10 @@ def _against_tf(topics: Topics, mounting: Mounting | None):
                    f'header.frame_id or the transform to {BASE} is wrong')
     if mounting is not None and mounting.offset is not None and arm is not None:
         for name, seen, sigma, said, apart in zip(ARM, mounting.offset.arm, mounting.offset.arm_sigma, arm,
-                                                  _arm_apart(mounting.offset.arm, mounting.offset.arm_sigma, arm)):
+                                                  arm_apart(mounting.offset.arm, mounting.offset.arm_sigma, arm)):
             if apart:
                 yield (f'{TF} has the antenna {said:.2f} m {name} of the IMU, the drive shows {seen:.2f} +- '
                        f'{sigma:.2f} m: measure it')
-
-
-def _inputs_against_tf(topics: Topics, drives: Sequence[Drive]):
-    """The same of the inputs of the first drive, by topic."""
-    for one in drives[0].inputs:
-        if isinstance(one, LeftOut) or (told := _told_place(topics, one)) is None:
-            continue
-        arm, sigma = _seen_place(_seen([drive.inputs for drive in drives], one))
-        for k in np.flatnonzero(_arm_apart(arm, sigma, told))[:1]:
-            yield one.topic, (f'{TF} has {one.topic} {told[k]:.2f} m {ARM[k]} of {_whence(one)}, the drive shows '
-                              f'{arm[k]:.2f} +- {sigma[k]:.2f} m: measure it')
-
-
-def _told_place(topics: Topics, one: InputShown) -> np.ndarray | None:
-    """(3,) m where the transforms have it, from the IMU, of a further receiver from the first antenna; None where they
-    do not say it."""
-    arms, kind = topics.arms_of_tf, one.measurement
-    if not kind.has_arm or one.topic not in arms:
-        return None
-    if kind.name != 'fix':
-        return arms[one.topic]
-    return None if topics.arm_of_tf is None else arms[one.topic] - topics.arm_of_tf
-
-
-def _placed(topics: Topics, one: InputShown | LeftOut) -> InputShown | LeftOut:
-    """Left out where neither the drive nor the transforms say where it is measured, and that matters."""
-    if isinstance(one, LeftOut) or not one.unplaced:
-        return one
-    told = _told_place(topics, one)
-    if told is not None and np.hypot(*told[:2]) > LEAST_APART:  # in one place it may be the same receiver twice
-        return one
-    return LeftOut(one.topic, one.unplaced)
-
-
-def _whence(one: InputShown) -> str:
-    return 'the antenna of gnss_topic' if one.measurement.name == 'fix' else 'the IMU'
-
-
-def _is_sure(value: float, sigma: float) -> bool:
-    """Whether a value is better than zero for certain."""
-    return bool(abs(value) > _SIGNIFICANT * sigma)
 
 
 def _receiver_settings(receivers: list[Receiver]):
@@ -447,136 +376,6 @@ def _receiver_settings(receivers: list[Receiver]):
                       (f'fixes arrive up to {max(delays):.2f} s (99 %) after the IMU samples of their time',))
 
 
-def _input_settings(drives: Sequence[Sequence[InputShown | LeftOut]], mechanization: str, first: Mapping,
-                    topics: Topics):
-    """Of the topics of the first drive. first: what is set of the first IMU and receiver. The first topic of each kind
-    has the parameters without a name; others, further receivers and IMUs, are named after their topics."""
-    used = [one for one in drives[0] if isinstance(one, InputShown)
-            and not (one.measurement.name == 'pressure' and mechanization != 'strapdown')]
-    plain = {}
-    for one in used:
-        if one.measurement in AIDING and not _is_aside(one, topics):
-            plain.setdefault(one.measurement.name, one.topic)
-    names = _names([one.topic for one in used if plain.get(one.measurement.name) != one.topic])
-    left_out = tuple(f'{one.topic} is not used: {one.why}' for one in drives[0] if isinstance(one, LeftOut))
-    if names or left_out:
-        why = (*(f'{name}: {topic}' for topic, name in names.items()), *left_out)
-        yield Setting('inputs', list(names.values()), why)
-    for one in used:
-        seen = _seen(drives, one)
-        name = names.get(one.topic, one.measurement.name)
-        if one.topic in names:
-            yield Setting(f'{name}.type', one.measurement.name, (one.why,))
-            yield Setting(f'{name}.topic', one.topic, (one.messages,))
-            yield from _place_settings(name, seen, first, _told_place(topics, one))
-        else:
-            yield Setting(one.measurement.topic, one.topic, (f'{one.messages}; {one.why}',))
-        yield from _value_settings(name, seen, first)
-
-
-def _seen(drives: Sequence[Sequence[InputShown | LeftOut]], one: InputShown) -> list[InputShown]:
-    """What each drive shows of this input."""
-    return [other for inputs in drives for other in inputs if isinstance(other, InputShown)
-            and other.topic == one.topic and other.measurement is one.measurement]
-
-
-def _is_aside(one: InputShown, topics: Topics) -> bool:
-    """Whether it is measured to the left or right of the IMU for certain, as by one wheel, or the transforms have it
-    there; of a velocity, whether they have it elsewhere than at the antenna."""
-    told = _told_place(topics, one)
-    if one.measurement.of_antenna:
-        return bool(told is not None and topics.arm_of_tf is not None
-                    and np.linalg.norm(told - topics.arm_of_tf) > _ARM_SHOWN)
-    across, sigma = one.arm[0][1], one.arm[1][1]
-    if told is not None:
-        return bool(abs(told[1]) > _ARM_SHOWN)
-    return bool(abs(across) > max(_ARM_SHOWN, _ASIDE * sigma))
-
-
-def _names(topics: Sequence[str]) -> dict[str, str]:
-    """A name for the input of each topic, none of which parameters or other inputs have."""
-    names: dict[str, str] = {}
-    taken = {name.split('.')[0] for name in ALL} | set(TYPES)
-    for topic in topics:
-        base = re.sub(r'[^a-z0-9]+', '_', topic.lower()).strip('_') or 'input'
-        base = base if base[0].isalpha() else f'input_{base}'
-        names[topic] = next(name for name in chain([base], (f'{base}_{k}' for k in count(2)))
-                            if name not in taken and name not in names.values())
-    return names
-
-
-def _seen_place(seen: Sequence[InputShown]) -> tuple[np.ndarray, np.ndarray]:
-    """(3,) m where the drives show it, and sigma (3,), large where they do not."""
-    return weighted(*(np.array([one.arm[k] for one in seen]) for k in (0, 1)))
-
-
-def _place_settings(name: str, seen: Sequence[InputShown], first: Mapping, told: np.ndarray | None):
-    """Where in the vehicle a named input is measured, where that is shown, or the transforms say it: `told`."""
-    (arm, sigma), is_fix = _seen_place(seen), seen[0].measurement.name == 'fix'
-    known = np.isfinite([one.arm[1] for one in seen]).any(axis=0) & (is_fix or sigma < _ARM_SHOWN)
-    if told is None and not known.any():
-        return
-    text = ', '.join(f'{value:.2f} +- {s:.2f} m {axis}' for value, s, axis, k in zip(arm, sigma, ARM, known) if k)
-    begin = np.array(first.get('gnss.lever_arm', [0.0] * 3)) if is_fix else np.zeros(3)
-    if told is not None:
-        why = f'from {TF}; the drive ' + (f'shows {text} from {_whence(seen[0])}' if text else 'does not show it')
-        yield Setting(f'{name}.lever_arm', _rounded(begin + told, 3), (why,))
-    else:
-        yield Setting(f'{name}.lever_arm', _rounded(begin + np.where(known, arm, 0.0), 2), (
-            f'from {_whence(seen[0])} {text}', 'a tape is better'))
-    if is_fix:
-        left = float(max(sigma[:2].max(), _LEAST_ARM_SIGMA)) if told is None else _TF_ARM
-        yield Setting(f'{name}.lever_arm_sigma', round(left, 3), (
-            'of forward and left, the larger one: the filter estimates what is left of them' if told is None else
-            'of what somebody has measured: the filter estimates what is left of it',))
-
-
-def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
-    """Unit, zero, noise and clock of an input."""
-    kind = seen[0].measurement.name
-    if seen[0].rotation is not None:
-        yield from _imu_settings(name, seen, first)
-    factor = float(np.median([one.factor for one in seen]))
-    if factor != 1.0:
-        yield Setting(f'{name}.factor', float(f'{factor:.5g}'), (
-            f'makes {_MADE[kind]} of it' if kind in _MADE else
-            f'it is {1.0 / factor:.4g} times the speed of the fixes',))
-    if seen[0].turned:
-        turned = float(np.median([one.turned for one in seen]))
-        yield Setting(f'{name}.offset', round(turned, 4), (f'it is {math.degrees(turned):.1f} deg clockwise from the '
-                                                           'course of the fixes',))
-    noise = [one.sigma for one in seen if one.sigma is not None]
-    if noise:
-        yield Setting(f'{name}.sigma', float(f'{max(noise):.2g}'), (
-            f'it scatters by {max(noise):.2g} m at rest, more than {TOO_SURE:g} times what it states',))
-    lags = [one.lag for one in seen if one.lag is not None]
-    if lags:
-        lag, sigma = (float(x) for x in weighted(*(np.array(part) for part in zip(*lags))))
-        sure = _is_sure(lag, sigma)
-        begin, what = first.get('gnss.time_offset', 0.0) if kind == 'fix' else 0.0, (
-            'gnss_topic' if kind in ('fix', 'velocity') else 'the IMU')
-        yield Setting(f'{name}.time_offset', round(begin + (lag if sure else 0.0), 3) + 0.0, (
-            f'against {what} {lag:.3f} +- {sigma:.3f} s{"" if sure else _AT_ZERO}',))
-    elif kind in WHEELED:
-        yield Setting(f'{name}.time_offset', 0.0, ('not shown: too few changes of speed, or a road too rough',))
-    elif kind == 'magnetometer':
-        yield Setting(f'{name}.time_offset', 0.0, (
-            'not looked for: 0.1 s at 0.5 rad/s are 3 deg, less than what iron turns the field by',
-            'its axes are taken to be those of the IMU; hard and soft iron are estimated while driving'))
-
-
-def _imu_settings(name: str, seen: Sequence[InputShown], first: Mapping):
-    """How a further IMU is mounted, beside imu.mounting_rpy, and its units."""
-    best = min(seen, key=lambda one: one.rotation[1])
-    mounted = rotation_from_rpy(*first.get('imu.mounting_rpy', [0.0] * 3)) @ best.rotation[0]
-    yield Setting(f'{name}.mounting_rpy', _rounded(rpy(mounted), 4), (
-        'imu.mounting_rpy and the rotation that fits rates and forces of both, +- '
-        f'{math.degrees(best.rotation[1]):.1f} deg: another imu.mounting_rpy asks for another one here',))
-    for key, unit, usual in zip(('acceleration_unit', 'rate_unit'), best.units, ('m/s^2', 'rad/s')):
-        if unit != usual:
-            yield Setting(f'{name}.{key}', unit, ('as that of the first IMU is found',))
-
-
 def _noise_settings(drives, mounting):
     best = max((drive.noise for drive in drives if drive.noise is not None), key=lambda noise: noise.seconds,
                default=None)
@@ -588,10 +387,10 @@ def _noise_settings(drives, mounting):
         yield Setting('gyroscope.bias', _significant(best.bias), (
             f'mean over {best.seconds:.0f} s at rest, sigma {sigma} rad/s; the next start has another one',))
     if mounting is not None and mounting.spans is not None:
-        sure = _is_sure(float(np.linalg.norm(mounting.bias)), mounting.bias_sigma)
+        sure = is_sure(float(np.linalg.norm(mounting.bias)), mounting.bias_sigma)
         yield Setting('accelerometer.bias', _significant(mounting.bias, 2) if sure else [0.0], (
             f'what gravity leaves beside the up axis: {np.linalg.norm(mounting.bias):.2g} +- {mounting.bias_sigma:.2g} '
-            f'm/s^2{"" if sure else _AT_ZERO}',))
+            f'm/s^2{"" if sure else AT_ZERO}',))
 
 
 def _vehicle_settings(drives):
@@ -647,10 +446,6 @@ def _wrong(drives):
     if len(units) > 1:
         said.append('the recordings are in different units; those of the first are written')
     return dict.fromkeys(said)
-
-
-def _rounded(values, digits) -> list:
-    return [round(float(value), digits) + 0.0 for value in values]
 
 
 def _significant(values, digits=3) -> list:

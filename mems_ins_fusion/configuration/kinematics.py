@@ -16,7 +16,7 @@ from mems_ins_fusion.samples import Fixes, ImuSamples
 COURSE_WINDOW = 20.0  # s on each side, over which the gyroscopes carry the course
 LONGEST_GAP = 0.3  # s without samples in a span
 SHORTEST, LONGEST = 1.0, 5.0  # s: intervals
-_FINEST = 25.0  # Hz
+FINEST = 25.0  # Hz: what is kept of the samples is enough for a vehicle
 _DENSEST = 2.0  # Hz: spans begin that often at most
 _STEPS = 3  # from a constant speed and the gyroscopes' raw bias to those of the drive
 _SLOW = 0.3  # m/s: below, a path is as one at constant speed
@@ -27,19 +27,14 @@ _STEEPEST = 0.35  # no road is steeper
 class InertialIntegrals:
     """Running integrals of specific force and angular rate in sensor axes, to be asked at any time.
 
-    Kept are 25 values a second, enough for a vehicle. Times are seconds after `origin` (ns). Samples that are not
-    finite, or whose stamps do not advance, are left out.
+    Times are seconds after `origin` (ns), FINEST of them a second.
     """
 
     def __init__(self, imu: ImuSamples, origin: int):
-        finite = np.isfinite(imu.specific_force).all(axis=1) & np.isfinite(imu.angular_rate).all(axis=1)
-        stamp = imu.stamp[finite]
-        advancing = np.diff(np.maximum.accumulate(stamp), prepend=stamp[:1] - 1) > 0
-        time = (stamp[advancing] - origin) * 1e-9
-        velocity = integral(time, imu.specific_force[finite][advancing])
-        angle = integral(time, imu.angular_rate[finite][advancing])
+        time, force, rate = in_order(imu, origin)
+        velocity, angle = integral(time, force), integral(time, rate)
         self.gap_end = time[1:][np.diff(time) > LONGEST_GAP]
-        some = slice(None, None, max(round(1.0 / (_FINEST * np.median(np.diff(time)))), 1) if len(time) > 1 else 1)
+        some = slice(None, None, max(round(1.0 / (FINEST * np.median(np.diff(time)))), 1) if len(time) > 1 else 1)
         self.time, self.velocity, self.angle = time[some], velocity[some], angle[some]
         self.displacement = integral(time, velocity)[some]
         self.rate = np.gradient(self.angle, self.time, axis=0) if len(self.time) > 1 else np.zeros_like(self.angle)
@@ -48,6 +43,16 @@ class InertialIntegrals:
         """Whether there are samples without a gap from `begin` to `end`, (m,) s."""
         whole = np.searchsorted(self.gap_end, begin) == np.searchsorted(self.gap_end, end + LONGEST_GAP)
         return whole & (begin >= self.time[0]) & (end <= self.time[-1])
+
+
+def in_order(imu: ImuSamples, origin: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times (n,), s after `origin` (ns), specific forces and angular rates (n, 3): of the samples that are finite and
+    whose stamps advance."""
+    finite = np.isfinite(imu.specific_force).all(axis=1) & np.isfinite(imu.angular_rate).all(axis=1)
+    stamp = imu.stamp[finite]
+    advancing = np.diff(np.maximum.accumulate(stamp), prepend=stamp[:1] - 1) > 0
+    return ((stamp[advancing] - origin) * 1e-9, imu.specific_force[finite][advancing],
+            imu.angular_rate[finite][advancing])
 
 
 def integral(time, values):

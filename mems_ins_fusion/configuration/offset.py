@@ -19,10 +19,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter
 
-from mems_ins_fusion.configuration.kinematics import LONGEST_GAP, fix_sigma, integral
+from mems_ins_fusion.configuration.kinematics import fix_sigma
 from mems_ins_fusion.configuration.regression import jackknife, weighted
+from mems_ins_fusion.configuration.track import Track, cross
 from mems_ins_fusion.effects.gnss_outliers import far_off
 from mems_ins_fusion.recordings.motion import find_standstill, positions, valid_fixes
 from mems_ins_fusion.samples import Fixes, ImuSamples
@@ -38,7 +38,6 @@ _MOST_PIECES = 60
 _MOST_FIXES = 60  # of a piece
 _FEWEST_FIXES = 8
 _FEWEST_PIECES = 4
-_FINEST = 25.0  # Hz: what is kept of the samples
 _LASTING = 20.0  # s: for so long the part of the receiver's errors lasts that lasts
 _OTHER = 0.3  # s: offsets further from the best than this are other minima
 _SMOOTHING = (0.0, 0.5, 1.0, 2.0)  # s: time constants of receivers that smooth, from which the estimate starts
@@ -64,6 +63,8 @@ _NOISE = tuple((force, 0.1 * force, lasting) for lasting in (0.0, 1.0, 10.0, 100
 class Offset:
     """lag, lag_sigma: s, as `gnss.time_offset`. arm, arm_sigma: (3,) m, from the IMU to the antenna, forward-left-up.
     smoothing, smoothing_sigma: s^2, as `gnss.lag_per_acceleration`. rivals: s, other offsets that fit nearly as well.
+    undecided: s, the part of lag_sigma that is there because a receiver that smooths more or less is as likely.
+    by_smoothing: for each of _SMOOTHING the lag that it leads to, s, and twice the negative log likelihood of it.
     """
 
     lag: float
@@ -73,6 +74,8 @@ class Offset:
     smoothing: float
     smoothing_sigma: float
     rivals: tuple[float, ...] = ()
+    undecided: float = 0.0
+    by_smoothing: tuple[tuple[float, float], ...] = ()
 
     @property
     def shown(self) -> bool:
@@ -123,8 +126,8 @@ def _estimated(pieces: _Pieces) -> Offset:
     unlikely = np.array([start.unlikely(at, its) for (start, at, _), its in zip(starts, noises)])
     best = int(np.argmin(unlikely))
     (pieces, lag, found), noise = starts[best], noises[best]
-    weight = np.exp(-0.5 * (unlikely - unlikely[best]))
-    undecided = math.sqrt(weight @ (np.array([at for _, at, _ in starts]) - lag) ** 2 / weight.sum())
+    by_smoothing = tuple((float(at), float(its)) for (_, at, _), its in zip(starts, unlikely))
+    undecided = _undecided(np.array(by_smoothing), lag)
     for _ in range(_STEPS):
         pieces, lag, found = _stepped(pieces.weighted(found), lag, noise, 1)
     by_model = np.sqrt(np.diag(np.linalg.inv(found.normal)) * found.cost / pieces.freedom)
@@ -137,7 +140,14 @@ def _estimated(pieces: _Pieces) -> Offset:
     apart = float(np.sqrt(share @ (lags - lag) ** 2))
     rivals = tuple(round(float(at), 1) for at in lags[_minima(costs) & other & (share > 0.05)])
     return Offset(lag, math.hypot(float(sigma[0]), apart, undecided, FLOOR), found.solution[1:4], sigma[1:4],
-                  pieces.smoothing, float(sigma[4]), rivals)
+                  pieces.smoothing, float(sigma[4]), rivals, undecided, by_smoothing)
+
+
+def _undecided(by_smoothing: np.ndarray, lag: float) -> float:
+    """How far, s, the offsets of `Offset.by_smoothing` (k, 2) are from `lag`, root mean square by their likelihood."""
+    lags, unlikely = by_smoothing.T
+    weight = np.exp(-0.5 * (unlikely - unlikely.min()))
+    return math.sqrt(weight @ (lags - lag) ** 2 / weight.sum())
 
 
 def _stepped(pieces: _Pieces, lag: float, noise, steps: int = _STEPS) -> tuple[_Pieces, float, _Solved]:
@@ -159,7 +169,11 @@ def together(found: Sequence[Offset]) -> Offset | None:
     for name in ('lag', 'arm', 'smoothing'):
         values, sigmas = (np.array([getattr(offset, part) for offset in found]) for part in (name, f'{name}_sigma'))
         parts[name], parts[f'{name}_sigma'] = weighted(values, sigmas)
-    return Offset(**parts)
+    # one receiver: what one drive cannot tell the others may
+    lags, unlikely = np.moveaxis([offset.by_smoothing for offset in found], -1, 0)
+    joint, _ = weighted(lags, np.array([[offset.lag_sigma] for offset in found]))
+    by_smoothing = tuple(zip(joint.tolist(), unlikely.sum(axis=0).tolist()))
+    return Offset(**parts, undecided=_undecided(np.array(by_smoothing), parts['lag']), by_smoothing=by_smoothing)
 
 
 def _minima(costs):
@@ -186,65 +200,6 @@ class _Solved:
         rest = self.each.sum(axis=0) - self.each
         right = rest[:, 1:, :1] - (self.prior * self.known)[:, None]
         return np.linalg.solve(rest[:, 1:, 1:] + np.diag(self.prior), right)[..., 0]
-
-
-class Track:
-    """Running integrals of samples in a frame that the gyroscopes keep, to be asked at any time; s after `origin`.
-
-    rotation: (n, 3, 3) from sensor axes. force: (n, 3) specific force, velocity, place: its integrals. by_force:
-    (n, 3, 3) derivative of the place by the specific force, turned: integral of the rotation, by_rate: (n, 3, 3)
-    derivative of the place by an error of the rate, of which each piece takes its part. stretches: (k, 2) s, begin and
-    end of samples without a gap.
-    """
-
-    def __init__(self, imu: ImuSamples, origin: int, bias: np.ndarray):
-        finite = np.isfinite(imu.specific_force).all(axis=1) & np.isfinite(imu.angular_rate).all(axis=1)
-        stamp = imu.stamp[finite]
-        advancing = np.diff(np.maximum.accumulate(stamp), prepend=stamp[:1] - 1) > 0
-        time = (stamp[advancing] - origin) * 1e-9
-        step = float(np.median(np.diff(time)))
-        gap = np.diff(time) > max(LONGEST_GAP, 3.0 * step)
-        self.stretches = np.column_stack([np.append(time[0], time[1:][gap]), np.append(time[:-1][gap], time[-1])])
-        some = slice(None, None, max(round(1.0 / (_FINEST * step)), 1))
-        self.time = time[some]
-        turn = np.diff(integral(time, imu.angular_rate[finite][advancing] - bias)[some], axis=0)
-        push = np.diff(integral(time, imu.specific_force[finite][advancing])[some], axis=0)
-        length = np.diff(self.time)
-        self.rotation = _rotations(turn)
-        middle = self.rotation[:-1] @ (np.eye(3) + 0.5 * _cross(turn))
-        push = np.einsum('nij,nj->ni', middle, push)
-        self.force = np.vstack([push / length[:, None], push[-1:] / length[-1]])
-        self.velocity, self.place = self._integrals(push)
-        _, self.by_force = self._integrals(middle * length[:, None, None])
-        self.turned = integral(self.time, self.rotation.reshape(-1, 9)).reshape(-1, 3, 3)
-        _, self.by_rate = self._integrals(-_cross(push) @ (0.5 * (self.turned[1:] + self.turned[:-1])))
-
-    def covers(self, begin: float, end: float) -> bool:
-        """Whether there are samples without a gap from `begin` to `end`, s."""
-        return bool(((self.stretches[:, 0] <= begin) & (end <= self.stretches[:, 1])).any())
-
-    def smoothed(self, tau: float) -> np.ndarray:
-        """`force` twice through a low pass with the time constant `tau`, s: (n, 3)."""
-        decay = math.exp(-float(np.median(np.diff(self.time))) / tau) if tau > 0.0 else 0.0
-        found = self.force
-        for _ in range(2):
-            found = lfilter([1.0 - decay], [1.0, -decay], found, axis=0, zi=decay * found[None, 0])[0]
-        return found
-
-    def _integrals(self, increments):
-        first = np.concatenate([np.zeros_like(increments[:1]), np.cumsum(increments, axis=0)])
-        length = np.diff(self.time).reshape((-1,) + (1,) * (increments.ndim - 1))
-        return first, np.concatenate([np.zeros_like(increments[:1]),
-                                      np.cumsum(0.5 * (first[1:] + first[:-1]) * length, axis=0)])
-
-    def at(self, values: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """`values` (n, ...) at `times`, of any shape, linear in between."""
-        flat = times.ravel()
-        left = np.clip(np.searchsorted(self.time, flat) - 1, 0, len(self.time) - 2)
-        part = (flat - self.time[left]) / (self.time[left + 1] - self.time[left])
-        part = part.reshape((-1,) + (1,) * (values.ndim - 1))
-        found = values[left] * (1.0 - part) + values[left + 1] * part
-        return found.reshape(times.shape + values.shape[1:])
 
 
 @dataclass(frozen=True)
@@ -379,8 +334,8 @@ class _Pieces:
         own = np.zeros((*self.place.shape, len(self.own)))
         own[:, :, 0, 0] = own[:, :, 1, 1] = 1.0
         own[:, :, 0, 2] = own[:, :, 1, 3] = since
-        own[..., 4:7] = -_cross(way)[:, :, :2]
-        own[..., 7:] = shape(track.at(track.by_rate, times) + _cross(place) @ turned[:, None])
+        own[..., 4:7] = -cross(way)[:, :, :2]
+        own[..., 7:] = shape(track.at(track.by_rate, times) + cross(place) @ turned[:, None])
         behind = np.einsum('wij,wmj->wmi', level, track.at(self.behind, times))
         return self.place - (way - behind)[:, :, :2], shared, own
 
@@ -420,8 +375,7 @@ def _pieces(imu: ImuSamples, fixes: Fixes, rotation) -> _Pieces | None:
     sigma, time = fix_sigma(fixes, place), (fixes.stamp - fixes.stamp[0]) * 1e-9
     still = find_standstill(imu, fixes)
     still &= np.isfinite(imu.angular_rate).all(axis=1)
-    bias = imu.angular_rate[still].mean(axis=0) if still.any() else np.zeros(3)
-    track = Track(imu, int(fixes.stamp[0]), bias)
+    track = Track(imu, int(fixes.stamp[0]), still)
     length = float(np.clip(time[-1] / _PIECES, _SHORTEST, _LONGEST))
     chosen = [piece for begin, end in track.stretches + [[LARGEST + _STEP, -LARGEST - _STEP]]
               for piece in _divided(np.flatnonzero((time >= begin) & (time <= end)), time, length)
@@ -456,33 +410,3 @@ def _divided(stretch: np.ndarray, time: np.ndarray, length: float) -> list[np.nd
     number = np.minimum(since / since[-1] * count, count - 1).astype(int)
     pieces = [stretch[number == k] for k in range(count)]
     return [piece[::-(-len(piece) // _MOST_FIXES)] for piece in pieces if len(piece)]
-
-
-def _cross(vectors: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) matrices that multiply by (..., 3) `vectors` from the left, as cross product."""
-    matrix = np.zeros((*vectors.shape, 3))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        matrix[..., i, j], matrix[..., j, i] = -vectors[..., k], vectors[..., k]
-    return matrix
-
-
-def _rotations(turns: np.ndarray) -> np.ndarray:
-    """(n + 1, 3, 3) rotations to the first frame that successive small `turns`, (n, 3) rad, lead to."""
-    half = 0.5 * np.vstack([np.zeros((1, 3)), turns])
-    size = np.linalg.norm(half, axis=1)
-    quaternion = np.column_stack([np.cos(size), half * np.sinc(size / np.pi)[:, None]])
-    reach = 1
-    while reach < len(quaternion):  # products of 1, 2, 4, ... in a row: Hillis and Steele's scan
-        quaternion = np.vstack([quaternion[:reach], _product(quaternion[:-reach], quaternion[reach:])])
-        quaternion /= np.linalg.norm(quaternion, axis=1)[:, None]
-        reach *= 2
-    w, x, y, z = quaternion.T
-    return np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), 2 * (x * y + w * z),
-                     1 - 2 * (x * x + z * z), 2 * (y * z - w * x), 2 * (x * z - w * y), 2 * (y * z + w * x),
-                     1 - 2 * (x * x + y * y)], axis=1).reshape(-1, 3, 3)
-
-
-def _product(one, other):
-    (a, b, c, d), (w, x, y, z) = one.T, other.T
-    return np.column_stack([a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y,
-                            a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w])

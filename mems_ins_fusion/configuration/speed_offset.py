@@ -16,8 +16,9 @@ from functools import cached_property
 import numpy as np
 
 from mems_ins_fusion.configuration.kinematics import InertialIntegrals, integral
-from mems_ins_fusion.configuration.offset import FLOOR, LARGEST, Track, attempted
+from mems_ins_fusion.configuration.offset import FLOOR, LARGEST, attempted
 from mems_ins_fusion.configuration.regression import jackknife
+from mems_ins_fusion.configuration.track import Track
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.motion import find_standstill
 from mems_ins_fusion.samples import ImuSamples, Speeds
@@ -206,11 +207,9 @@ def _pieces(imu: ImuSamples, speeds: Speeds, rotation: np.ndarray) -> _Pieces | 
     time, speed = (speeds.stamp[good] - origin) * 1e-9, speeds.speed[good]
     some = slice(None, None, max(math.ceil(1.0 / (_DENSEST * float(np.median(np.diff(time)))) - 1e-6), 1))
     time, speed = time[some], speed[some]
-    still = find_standstill(imu)
-    bias = imu.angular_rate[still].mean(axis=0) if still.any() else np.zeros(3)
-    track = Track(imu, origin, bias)
+    track = Track(imu, origin, find_standstill(imu))
     inertial = InertialIntegrals(imu, origin)
-    columns = np.column_stack([inertial.velocity @ rotation.T, (inertial.rate - bias) @ rotation[2]])
+    columns = np.column_stack([inertial.velocity @ rotation.T, (inertial.rate - track.bias) @ rotation[2]])
     at = np.column_stack([np.interp(track.time, inertial.time, column) for column in columns.T])
     number = (time // _PIECE).astype(int)
     chosen = [piece for k in np.unique(number) if len(piece := np.flatnonzero(number == k)) >= _FEWEST

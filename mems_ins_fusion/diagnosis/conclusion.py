@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..configuration.offset import FLOOR
-from ..effects.base import Effect
+from ..configuration.offset import FLOOR, Offset
 from ..evaluation.verdict import BETTER, WORSE, Verdict
 from . import learned_mounting
 from .detection import detect
@@ -19,7 +18,7 @@ from .fit import Model
 from .folds import parts, which_part
 from .held_out import HeldOut
 from .judgement import compared, judged, unproven
-from .measured import Measured, saved
+from .measured import Measured, in_common, saved
 from .noise import LARGEST_FACTOR
 from .noise_levels import WORTH, choose, multiplied, predictions
 from .plausible import implausible
@@ -61,10 +60,13 @@ def concluded(known: Known, first: Known, trials: TrialRuns) -> Diagnosis:
     correction, after, verdict, judged_by = _chosen([
         (option, after, judged(before, after, option.effects))
         for option, after in _as_measured(corrections, trials)], before, given)
+    comparison = compared(before, judged_by)
+    if correction.values != given:  # one filter may start later than the other
+        before, after = in_common(before, after), in_common(after, before)
     against = against or NO_PROOF
     hidden = _not_shown(known, correction.settings)
     # a finding is added only where corrected.yaml holds it
-    findings = _final(known, hidden, correction.values, given, trials.library)
+    findings = _final(known, hidden, correction.values, trials)
     findings = [*(findings if correction.effects else (
         replace(_only_told(f, against), parameters=trials.told(f.name, f.parameters)) for f in findings)),
                 *correction.settings]
@@ -82,7 +84,7 @@ def concluded(known: Known, first: Known, trials: TrialRuns) -> Diagnosis:
         detections={stage: detect(r, origin.mask) for stage, r in residuals.items()}, noise=correction.factors,
         explained=explained, rounds=list(known.rounds), chosen=list(known.chosen), findings=findings,
         hidden=hidden, corrected=correction.values,
-        verdict=verdict, before=before, fitted=noise_only, after=after, comparison=compared(before, judged_by),
+        verdict=verdict, before=before, fitted=noise_only, after=after, comparison=comparison,
         rest=[rest for found in rests for rest in found],
         remarks=[said for said in remarks[0] if all(said in other for other in remarks)]
         + _noise_remarks(explained | correction.factors) + _scatter_remarks(given, correction.values))
@@ -254,18 +256,19 @@ def _merit(measured: Measured) -> float:
     return float(np.mean([score.mean() for _, score in measured.scores() if len(score)]))
 
 
-def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence[Effect]) -> list[Finding]:
+def _final(known: Known, hidden, corrected: dict, trials: TrialRuns) -> list[Finding]:
     """All findings with the estimates of the last joint fit, and what each has changed in `corrected`."""
     model, sigma, found = known.model, known.model.sigma(), []
-    effects = {e.name: e for e in library}
+    effects, given, track = {e.name: e for e in trials.library}, trials.origin.given, trials.beside.track
     for finding in known.findings:
         own = widened({u.parameter: Estimate(*u.meant(x, s), finding.parameters[u.parameter].unit)
                        for u, x, s in zip(model.unknowns, model.x, sigma)
                        if u.effect == finding.name and not u.noise and u.parameter in finding.parameters})
-        if finding.name == 'gnss_time_offset':
-            further = math.hypot(SYSTEMATIC * _smoothed(model), FLOOR)
-            own = {n: replace(e, sigma=math.hypot(e.sigma, further)) for n, e in own.items()}
         parameters = finding.parameters
+        if finding.name == 'gnss_time_offset':
+            further = _of_receiver(model, track)
+            own, parameters = ({n: replace(e, sigma=math.hypot(e.sigma, further)) if e.known else e
+                                for n, e in said.items()} for said in (own, parameters))
         if finding.added and own:
             parameters = {n: own.get(n, e) for n, e in parameters.items() if n in own or e.sigma is None}
         parameters = {n: e for n, e in parameters.items() if f'{finding.name}.{n}' not in hidden}
@@ -286,11 +289,14 @@ def _final(known: Known, hidden, corrected: dict, given: dict, library: Sequence
     return found
 
 
-def _smoothed(model: Model) -> float:
-    """Over how long the receiver smooths its positions, s, as far as its errors tell: for so long they last. To who
-    brakes or turns meanwhile that is a delay of its own. 0 where they last for longer than a receiver's filter."""
+def _of_receiver(model: Model, track: Offset | None) -> float:
+    """What the sigma of a time offset lacks, s, as the receiver may smooth its positions: to who brakes or turns
+    meanwhile that is a delay of its own. Its errors last for as long, unless they last for longer than a receiver's
+    filter; and by so much `track` cannot tell the two apart, unless `model` has both."""
     lasting = [u.meant(x, 0.0)[0] for u, x in zip(model.unknowns, model.x) if u.name == 'gnss_coloured_noise.tau']
-    return lasting[0] if lasting and lasting[0] < LONGEST_SMOOTHING else 0.0
+    smoothed = lasting[0] if lasting and lasting[0] < LONGEST_SMOOTHING else 0.0
+    undecided = track.undecided if track is not None and 'gnss_lag' not in {u.effect for u in model.unknowns} else 0.0
+    return math.hypot(SYSTEMATIC * smoothed, undecided, FLOOR)
 
 
 def _not_shown(known: Known, settings: Sequence[Finding]) -> dict[str, str]:

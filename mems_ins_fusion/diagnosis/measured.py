@@ -175,6 +175,15 @@ def _joined_outages(parts: list[Outages]) -> Outages:
     return Outages(duration=parts[0].duration, time=parts[0].time, errors=[errors[i] for i in order], **joined)
 
 
+def in_common(one: Measured, other: Measured) -> Measured:
+    """`one` with the epochs and the outages that `other` has too, so that the means of both are of the same."""
+    return replace(
+        one, continuous=one.continuous.select(np.isin(one.continuous.stamp, other.continuous.stamp)),
+        outages=[a.select(np.isin(a.begin, b.begin)) for a, b in zip(one.outages, other.outages)],
+        drives={name: in_common(drive, other.drives[name]) for name, drive in one.drives.items()},
+        timeless=one.timeless and other.timeless and in_common(one.timeless, other.timeless))
+
+
 def nearest(measured: Measured, duration: float = 30.0) -> Outages | None:
     """Its outages of about `duration` s, None where there are none."""
     there = [outages for outages in measured.outages if len(outages.begin)]

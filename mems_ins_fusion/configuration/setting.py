@@ -1,0 +1,36 @@
+"""One parameter of the file that `configure` writes, and when a value is sure enough for it."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+SIGNIFICANT = 2.0  # sigmas: a smaller value is not set
+AT_ZERO = f': less than {SIGNIFICANT:g} sigma, left at zero'
+ARM_SHOWN = 0.3  # m
+ASIDE = 4.0  # sigmas: what is further off is elsewhere for certain
+TF_ARM = 0.05  # m: what the transforms may be off by themselves, standard deviation
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One parameter of the file. why: lines of evidence, with sigma."""
+
+    name: str
+    value: object
+    why: tuple[str, ...]
+
+
+def is_sure(value: float, sigma: float) -> bool:
+    """Whether a value is better than zero for certain."""
+    return bool(abs(value) > SIGNIFICANT * sigma)
+
+
+def arm_apart(arm, sigma, told: np.ndarray) -> np.ndarray:
+    """(3,) whether the arm that the transforms say is another than `arm` with `sigma`, as the drive shows it."""
+    known = np.asarray(sigma) < ARM_SHOWN
+    return known & (np.abs(np.where(known, arm, told) - told) > ASIDE * np.hypot(np.where(known, sigma, 0.0), TF_ARM))
+
+
+def rounded(values, digits) -> list:
+    return [round(float(value), digits) + 0.0 for value in values]
