@@ -25,8 +25,8 @@ _HERE, _EXCHANGE = -100, 2
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 
-#: what is said of a name that is taken
-_TAKEN = 'exists already; choose another output, or replace it with --overwrite (replay_node: -p overwrite:=true)'
+#: the option of the tools that replaces an existing result
+_OPTION = '--overwrite'
 
 
 class ResultError(InputError):
@@ -38,24 +38,25 @@ class ResultBusy(ResultError):
 
 
 @contextmanager
-def result_folder(path, overwrite: bool = False, marker: str = 'report.json'):
+def result_folder(path, overwrite: bool = False, marker: str = 'report.json', option: str = _OPTION):
     """A folder to write a result into; it takes the name `path` when the block ends without an exception.
 
     Until then its files stand under a temporary name beside `path`, and they are removed if the block fails. Of two
     runs that write the same result at once the second is refused; what a killed run left behind is removed.
-    marker: the file that tells a result of ours; a folder without it is somebody's own and is never replaced.
-    Raises ResultError where `path` is taken and `overwrite` is false, or where it cannot be written.
+    marker: the file that tells a result of ours; a folder without it is somebody's own and is never replaced. option:
+    what the user gives to set `overwrite`, for the message. Raises ResultError where `path` is taken and `overwrite` is
+    false, or where it cannot be written.
     """
-    path = Path(path)
+    path = asked = Path(path)
     with _said(path):
+        check_free(asked, overwrite, marker, option)
         path = _real(path)
-        check_free(path, overwrite, marker)
         path.parent.mkdir(parents=True, exist_ok=True)
         work, lock = _claim(path)
     try:
         with _said(path, work):
             yield work
-            check_free(path, overwrite, marker)
+            check_free(asked, overwrite, marker, option)
             stop_if_interrupted()
             _replace(path, work)
     finally:
@@ -63,7 +64,7 @@ def result_folder(path, overwrite: bool = False, marker: str = 'report.json'):
         os.close(lock)
 
 
-def check_free(path, overwrite: bool = False, marker: str = 'report.json') -> None:
+def check_free(path, overwrite: bool = False, marker: str = 'report.json', option: str = _OPTION) -> None:
     """ResultError where a result cannot take the name `path`; for what takes long before it writes."""
     path = Path(path)
     with _said(path):
@@ -78,7 +79,11 @@ def check_free(path, overwrite: bool = False, marker: str = 'report.json') -> No
         if not (path / marker).is_file():
             raise ResultError(f'{path} holds other files than results (no {marker}); choose another output')
         if not overwrite:
-            raise ResultError(f'{path} {_TAKEN}')
+            raise _taken(path, option)
+
+
+def _taken(path: Path, option: str = _OPTION) -> ResultError:
+    return ResultError(f'{path} exists already; choose another output, or replace it with {option}')
 
 
 @contextmanager
@@ -193,7 +198,7 @@ def check_files_free(paths, overwrite: bool = False) -> None:
         if path.is_dir():
             raise ResultError(f'{path} is a folder, not a file')
         if path.exists() and not overwrite:
-            raise ResultError(f'{path} {_TAKEN}')
+            raise _taken(path)
 
 
 def write_files(texts: dict, overwrite: bool = False) -> None:

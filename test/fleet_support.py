@@ -58,8 +58,9 @@ def write_year(folder: Path, vehicles: int = 8, drives: int = 5) -> None:
 
 
 def write_late(path: Path, seed: int, backwards: bool = False) -> None:
-    """A drive of 120 s with good fixes that are LATE; backwards: by an IMU that is mounted so."""
-    drive = simulate_drive(120.0, seed=seed, rate=20.0, standstill=5.0)
+    """A drive with good fixes that are LATE, long enough to show that they are not smoothed; backwards: by an IMU that
+    is mounted so."""
+    drive = simulate_drive(150.0, seed=seed, rate=20.0, standstill=5.0)
     recording = simulate_recording(
         drive, SENSORS, GnssNoise(sigma=0.5), [(EFFECTS['gnss_time_offset'], {'time_offset': LATE})],
         [0.0, 0.0, np.pi] if backwards else [0.0, 0.0, 0.0], seed=seed).recording

@@ -27,6 +27,7 @@ GIVEN = """
     gnss.sigma: 0.5
     reference_lever_arm: [0.0, 0.0, 0.0]
     gyroscope.noise_density: [0.0003]
+    outage_spacing: 20.0
 """
 
 
@@ -68,6 +69,14 @@ def test_the_report_is_valid_json_with_what_the_design_promises(result):
     assert isinstance(content['unexplained'], bool)
     # there is no temperature, and a level drive shows no height of an antenna; the constraint that sideslip needs is on
     assert {'temperature', 'gnss_lever_arm.z'} <= set(content['not_identifiable'])
+
+
+def test_outages_begin_as_far_apart_as_asked(result):
+    # given 400 s, of which the first outage begins 30 s after the start, and the last 10 s before the end
+    content = json.loads((result / 'out' / 'report.json').read_text())
+    for when in ('before', 'after'):
+        counts = {row['duration_s']: row['count'] for row in content[when]['outages']}
+        assert counts[10.0] == pytest.approx((400.0 - 30.0 - 10.0) / 20.0, abs=2)
 
 
 def test_no_number_is_given_for_what_is_not_identifiable(result):

@@ -192,6 +192,15 @@ def test_what_is_missing_is_named_at_once_with_the_options_that_fit(tmp_path, ca
         assert recording.imu.angular_rate == pytest.approx(10.0 * RATE, abs=1e-9)
 
 
+def test_where_no_column_fits_nothing_is_proposed(tmp_path, capsys):
+    # given fixes in place of the IMU
+    path = save(tmp_path / 'x.csv', 'TimeMS,Lat,Lng', K * 1000, LATITUDE, np.full(FIXES, 11.0))
+    assert imported(tmp_path, '--imu', path, status=2) is None
+    # then the option is named, and no guess of unknown columns called what it seems
+    error = capsys.readouterr().err
+    assert 'name them: --imu-columns "time=TimeMS,ax=?,' in error and 'as it seems' not in error
+
+
 @pytest.mark.parametrize('header, expected', [
     # a unit in a name is not contradicted by the proposal, and what is there by its name stays
     ('TimeUS,fx_g,fy_g,fz_g,p_dps,q_dps,r_dps', '"time=TimeUS,ax=fx_g,ay=fy_g,az=fz_g,wx=p_dps,wy=q_dps,wz=r_dps"\n'),

@@ -15,6 +15,8 @@ from filter_support import PAPER
 from matplotlib import image
 
 from mems_ins_fusion.cli.compare import main as compare
+from mems_ins_fusion.evaluation.metrics import rms
+from mems_ins_fusion.evaluation.verdict import SAME
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.parameters.params_file import yaml_value
@@ -23,7 +25,8 @@ from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.reports import html, replay_answer
 from mems_ins_fusion.reports.answer import shorten
 from mems_ins_fusion.reports.report import _notices
-from mems_ins_fusion.reports.side_by_side import Result, Series, rows_of
+from mems_ins_fusion.reports.series import _heading
+from mems_ins_fusion.reports.side_by_side import Result, Series, judged, read_result, rows_of
 from mems_ins_fusion.reports.track import Layer, script, track
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
@@ -294,6 +297,36 @@ def test_text_of_a_track_cannot_become_markup():
     hostile = '</script><script>alert(1)</script>'
     line = Layer(hostile, '#000000', np.arange(3.0), np.arange(3.0), np.arange(3.0), {})
     assert '<script>alert' not in track([line], html.paragraph('still'))
+
+
+def test_the_best_model_of_each_replay_speaks_for_it():
+    # given two replays with two models, of which each has another one for its best
+    rng = np.random.default_rng(3)
+    stamp = np.arange(2000) * 10**9
+
+    def replay(name, best, other, of_best, of_other):
+        return Result(name, ['drive'], [best, other], {('drive', best, 1.0): Series(stamp, of_best),
+                                                       ('drive', other, 1.0): Series(stamp, of_other)}, {})
+    error = np.abs(rng.standard_normal(2000)) + 1.0
+    first = replay('a', 'random_walk', 'gauss_markov', error, 3 * error)
+    second = replay('b', 'gauss_markov', 'random_walk', error, 2 * error)
+    # then what decides is the best against the best, and the others stand in the table only
+    rows = rows_of(first, second)
+    assert [row.models for row in rows] == [('random_walk', 'gauss_markov'), ('random_walk', 'random_walk'),
+                                            ('gauss_markov', 'gauss_markov')]
+    verdict = judged(first, second, rows)
+    assert [change.before for change in verdict.changes] == [rms(error)] and verdict.answer == SAME
+
+
+def test_the_model_that_speaks_is_that_of_the_params_file_of_the_replay(folder):
+    result = folder / 'out' / 'first'
+    assert f"sensor_error_model: {read(result)['sensor_error_model']}" in (result / 'parameters.yaml').read_text()
+    assert read_result(result, 'first').models[0] == read(result)['sensor_error_model']
+
+
+def test_a_heading_is_not_drawn_from_north_to_north():
+    yaw = np.radians([350.0, 355.0, 5.0, 10.0, 355.0])
+    assert _heading(yaw) == pytest.approx([350.0, 355.0, np.nan, 10.0, np.nan], nan_ok=True)
 
 
 def test_a_change_is_of_the_second_against_the_first():

@@ -277,7 +277,9 @@ def test_a_result_is_not_overwritten_unless_asked(bag, result, tmp_path):
     assert replay(*some, bag=bag, output_dir=folder).returncode == 0
     before = (folder / 'report.json').read_text()
     refused = replay(*some, bag=bag, output_dir=folder)
-    assert refused.returncode == 2 and 'exists already' in refused.stderr
+    assert refused.returncode == 2
+    assert refused.stderr.endswith(f'{folder} exists already; choose another output, or replace it with '
+                                   '-p overwrite:=true\n')
     assert (folder / 'report.json').read_text() == before
     assert replay(*some, bag=bag, output_dir=folder, overwrite='true', fix_noise='1.0').returncode == 0
     assert json.loads((folder / 'report.json').read_text())['parameters']['fix_noise'] == 1.0

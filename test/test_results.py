@@ -26,7 +26,7 @@ def test_result_takes_its_name_only_when_complete(tmp_path):
 def test_existing_result_stays_unless_overwriting_is_asked_for(tmp_path):
     out = tmp_path / 'deep' / 'out'
     write(out, 'first')
-    with pytest.raises(ResultError, match='exists already'):
+    with pytest.raises(ResultError, match='exists already; .* with --overwrite$'):
         write(out, 'second')
     assert (out / 'report.json').read_text() == 'first'
     write(out, 'second', overwrite=True)

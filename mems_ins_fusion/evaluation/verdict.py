@@ -202,8 +202,9 @@ class Trust:
         """The scale that speaks most against the sigmas; where these are too small, none unless it proves that."""
         if self.answer == NO:
             return max((s for s in self.scales if s.least > TOO_LARGE), key=lambda s: s.low, default=None)
-        key = {TOO_CAREFUL: lambda s: -s.high}.get(self.answer, lambda s: s.low)
-        return max(self.scales, key=key, default=None)
+        if self.answer == TOO_CAREFUL:
+            return min(_without_fixes(self.scales), key=lambda s: s.high)
+        return max(self.scales, key=lambda s: s.low, default=None)
 
     @property
     def shown(self) -> Held | None:
@@ -234,10 +235,16 @@ def trusted(said: Sequence[Consistency]) -> Trust:
     return Trust(_whether(held, scales, (1 - LEVEL) / tests), tuple(held), tuple(scales))
 
 
+def _without_fixes(scales: Sequence[Scale]) -> Sequence[Scale]:
+    """Those without fixes, where there are any: with fixes, the receiver's noise hides how wide the filter's own sigmas
+    are."""
+    return [s for s in scales if s.duration is not None] or scales
+
+
 def _whether(held: Sequence[Held], scales: Sequence[Scale], chance: float) -> str:
     if any(h.p < chance for h in held) or any(s.least > TOO_LARGE for s in scales):
         return NO
-    if scales and all(s.high < TOO_SMALL for s in scales):
+    if scales and all(s.high < TOO_SMALL for s in _without_fixes(scales)):
         return TOO_CAREFUL
     doubtful = any(h.p < 1 - LEVEL for h in held) or any(s.low > TOO_LARGE for s in scales)
     return YES if any(h.low >= HELD for h in held) and not doubtful else CANNOT_TELL

@@ -149,13 +149,17 @@ def _distribution(effects):
     from matplotlib.figure import Figure
 
     watched = _watched(effects)
-    drawing = Figure(figsize=(9, 0.5 + 0.7 * max(len(watched), 1)), layout='constrained')
+    drawing = Figure(figsize=(9, 0.5 + 0.85 * max(len(watched), 1)), layout='constrained')
     panels = drawing.subplots(max(len(watched), 1), 1, squeeze=False)[:, 0]
     for axes, (quantity, (source, *_, unit), vehicles) in zip(panels, watched):
         scale = 1.0 if quantity.ratio else quantity.scale
         axes.plot(scale * np.array(list(vehicles.values())), np.zeros(len(vehicles)), 'o', alpha=0.4, color='#1b6ca8',
                   markersize=5)
-        axes.set_yticks([0], [f'{quantity.words}, {unit if quantity.ratio else quantity.unit} ({source})'], fontsize=8)
+        # above, not beside: on a phone that would leave no room for the axis
+        axes.set_title(f'{quantity.words}, {unit if quantity.ratio else quantity.unit} ({source})', fontsize=8,
+                       loc='left')
+        axes.set_yticks([])
+        axes.locator_params(axis='x', nbins=4)
         axes.tick_params(axis='x', labelsize=7)
         axes.grid(axis='x', color='0.92')
     return drawing

@@ -402,7 +402,7 @@ def _check_ratio(topic, ratio):
     middle = float(np.median(np.abs(ratio)))
     sigma = 1.2533 * robust_sigma(np.abs(ratio)) / np.sqrt(len(ratio))
     values = {'ratio': middle, 'sigma': float(sigma)}
-    text = f'the {topic} is {middle:.4g} times that of the fixes'
+    text = f'the {topic} is {middle:.3g} times that of the fixes'
     unit = next((unit for unit, per in _UNITS.items() if abs(middle / per - 1) < _SAME_UNIT), None)
     if unit is not None:
         yield Finding(ERROR, topic, f'{text}: it seems to be in {unit} instead of m/s', values)

@@ -525,7 +525,8 @@ def _proposal(table: Table, wanted, found, given: dict[str, str]) -> str:
         columns |= dict(zip(('latitude', 'longitude'), _place(_numeric(table), columns.get('time'))))
     asked = ('time', *wanted) if len(time) == 1 else wanted
     line = ','.join(f'{name}={columns.get(name) or "?"}' for name in asked)
-    return f'; as it seems: {option} "{line}"{units}'
+    words = 'as it seems' if set(columns) - {'time'} else 'name them'
+    return f'; {words}: {option} "{line}"{units}'
 
 
 def _holds_increments(table: Table) -> bool:

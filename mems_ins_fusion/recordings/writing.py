@@ -168,13 +168,12 @@ def _write(path: Path, storage: str, streams: list[_Stream], overwrite: bool) ->
         from rosbags.rosbag2.errors import WriterError
         from rosbags.typesys import Stores, get_typestore
     store = get_typestore(Stores.ROS2_JAZZY)
-    path = path.absolute()
     times = np.concatenate([stream.times for stream in streams])
     order = np.argsort(times, kind='stable')
     first = np.concatenate([[0], np.cumsum([len(stream.times) for stream in streams])])
     try:
         with result_folder(path, overwrite, marker='metadata.yaml') as folder:
-            inner = folder / path.name  # rosbags makes the folder itself and names the data after it
+            inner = folder / path.absolute().name  # rosbags makes the folder itself and names the data after it
             with Writer(inner, version=9, storage_plugin=StoragePlugin[storage.upper()]) as writer:
                 connections = [writer.add_connection(s.topic, s.kind, typestore=store) for s in streams]
                 for begin in range(0, len(order), _BLOCK):

@@ -88,7 +88,7 @@ def report_html(c: Characterization, answered: Answer, images: dict[str, html.Ht
         html.folded('Autoregressive model: interval', *_intervals(c), *show('intervals')),
         html.folded('Autoregressive model: order and method', *_orders(c), *show('orders'))]
     return html.page(f'{c.name}: sensor errors at rest', sections,
-                     f'{c.duration:.0f} s at rest at {c.grid.rate:.2f} Hz; intervals are 95 %.')
+                     f'{c.duration:.0f} s at rest at {c.grid.rate:.3g} Hz; intervals are 95 %.')
 
 
 def _result(c):

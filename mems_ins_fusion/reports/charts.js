@@ -38,6 +38,7 @@ document.querySelectorAll('.charts').forEach(function (root, number) {
       const button = document.createElement('button'), box = document.createElement('div');
       caption.textContent = chart.title + (chart.unit ? ', ' + chart.unit + ' ' : ' ');
       button.type = 'button';
+      button.hidden = chart.lines.some(l => l.y.some(v => v < 0));
       caption.append(button);
       figure.append(caption, box);
       place.append(figure);

@@ -67,7 +67,7 @@ def diagnose_drives(drives: Sequence[Drive], values: dict, kept: dict, folder: P
         verdict, answered = not_usable(wrong, values)
         done = Diagnosed(None, answered, reports.not_usable_report(names, values, verdict, answered, found, said), said)
     else:
-        result = diagnose(recordings, values, progress)
+        result = diagnose(recordings, values, progress, spacing=values['outage_spacing'])
         answered = answer(result, found, known_as, *(params_files if len(params_files) == 1 else ()))
         done = Diagnosed(result, answered, reports.report(result, answered, found, said), said)
         (folder / 'corrected.yaml').write_text(reports.corrected_yaml(result, kept), encoding='utf-8')

@@ -69,7 +69,7 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
     """
     _check(values)
     timing: dict[str, float] = {}
-    with result_folder(values['output_dir'], values['overwrite']) as folder:
+    with result_folder(values['output_dir'], values['overwrite'], option='-p overwrite:=true') as folder:
         comparisons, findings, said, online = {}, {}, {}, []
         for i, path in enumerate(values['bag']):
             part = _Part(progress, i / len(values['bag']), 1 / len(values['bag']))

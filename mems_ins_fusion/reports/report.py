@@ -47,6 +47,7 @@ def report(comparisons: dict[str, Comparison], values: dict, findings: dict[str,
     defaults = default_parameters()
     return {
         'tool': 'replay_node', 'version': __version__,
+        'sensor_error_model': best_model(next(iter(comparisons.values())), values['sensor_error_model']),
         'recordings': [_recording(name, c, findings[name], said[name], values) for name, c in comparisons.items()],
         'runs': [run_row(r, c.mechanization, name) for name, c in comparisons.items() for r in c.runs],
         'outages': [outage_row(r, c.mechanization, name) for name, c in comparisons.items() for r in c.outages],

@@ -88,7 +88,7 @@ def _states(run: Run, origin: int) -> list[Chart]:
     sigma = run.sigma[:, :2]
     return [Chart('Speed', 'm/s', time, [Line('filter', colours.AFTER, np.hypot(*run.velocity[:, :2].T))]),
             Chart('Heading, clockwise from north', 'deg', time, [
-                Line('filter', colours.AFTER, np.degrees(run.yaw) % 360.0)]),
+                Line('filter', colours.AFTER, _heading(run.yaw))]),
             Chart('Height', 'm', time, [Line('filter', colours.AFTER, run.height)]),
             Chart('Sigma of the position', 'm', time, [Line('north', AXES[0], sigma[:, 0]),
                                                        Line('east', AXES[1], sigma[:, 1])], log=True)]
@@ -99,7 +99,7 @@ def _with_truth(chart: Chart, comparison: Comparison, origin: int) -> Chart:
     reference = comparison.truth.reference
     known = {'Height': reference.height, 'Speed': None if reference.velocity is None else
              np.hypot(*reference.velocity[:, :2].T), 'Heading, clockwise from north': None if reference.yaw is None else
-             np.degrees(reference.yaw) % 360.0}.get(chart.title)
+             _heading(reference.yaw)}.get(chart.title)
     if known is None:
         return chart
     time = _seconds(reference.stamp, origin)
@@ -107,6 +107,13 @@ def _with_truth(chart: Chart, comparison: Comparison, origin: int) -> Chart:
     there = np.abs(time[nearest] - chart.x) < 0.5
     truth = Line(comparison.truth.source, colours.FITTED, np.where(there, known[nearest], np.nan), 2.4)
     return Chart(chart.title, chart.unit, chart.x, [truth, *chart.lines])
+
+
+def _heading(yaw: np.ndarray) -> np.ndarray:
+    """`yaw` (n,) rad as 0 to 360 deg; NaN where it passes north, so that no line is drawn from one end to the other."""
+    heading = np.degrees(yaw) % 360.0
+    heading[1:][np.abs(np.diff(heading)) > 180.0] = np.nan
+    return heading
 
 
 def _innovations(run: Run, origin: int) -> list[Chart]:

@@ -57,8 +57,8 @@ class Series:
 
 @dataclass(frozen=True)
 class Result:
-    """One replay. runs: by (recording, model, interval); outages: by (recording, model, duration). fitted_here: the
-    recordings that its parameters were fitted to."""
+    """One replay. models: first the one that speaks for it, which is the best. runs: by (recording, model, interval);
+    outages: by (recording, model, duration). fitted_here: the recordings that its parameters were fitted to."""
 
     name: str
     recordings: list[str]
@@ -98,6 +98,7 @@ def read_result(folder, name: str) -> Result:
     runs, outages = {}, {}
     offset = round(content['parameters'].get('gnss.time_offset', 0.0) * 1e9)
     try:
+        best = content['sensor_error_model']
         for recording, truth_source in ((r['name'], r['truth']) for r in content['recordings']):
             # by the fixes' own stamps, so that the same epochs are compared whatever a replay says of the clocks
             delay = offset if truth_source == 'fixes' else 0
@@ -112,7 +113,8 @@ def read_result(folder, name: str) -> Result:
     except (OSError, ValueError, KeyError) as error:
         raise CompareError(f'{folder}: {error}; replay the recording again with this version') from None
     fitted = tuple(r['name'] for r in content['recordings'] if r.get('fitted_to_it'))
-    return Result(name, recordings, list(dict.fromkeys(r['model'] for r in content['runs'])), runs, outages, fitted)
+    models = list(dict.fromkeys([best, *(r['model'] for r in content['runs'])]))
+    return Result(name, recordings, models, runs, outages, fitted)
 
 
 def _tum(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -148,10 +150,10 @@ def _outages(path: Path, offset: int) -> dict[tuple, Series]:
 def rows_of(first: Result, second: Result) -> list[Row]:
     """All quantities that both have, judged together (Holm). CompareError where there are none.
 
-    Recordings are matched in their order; models by name, or, where the two share none, the first of each.
+    Recordings are matched in their order; of the models first those that speak for the two, then each by its name.
     """
-    shared = [m for m in first.models if m in second.models]
-    models = [(m, m) for m in shared] or [(first.models[0], second.models[0])]
+    shared = [(m, m) for m in first.models if m in second.models]
+    models = list(dict.fromkeys([(first.models[0], second.models[0]), *shared]))
     found = []
     for one, other in zip(first.recordings, second.recordings):
         for a, b in models:
@@ -185,10 +187,10 @@ def _row(recording, models, kind, size, mine: Series, theirs: Series) -> Row | N
 
 
 def judged(first: Result, second: Result, rows: list[Row]) -> Verdict:
-    """Whether the second is better than the first."""
-    several = len(first.recordings) > 1
+    """Whether the second is better than the first, by the models that speak for them."""
+    several, speak = len(first.recordings) > 1, (first.models[0], second.models[0])
     changes = [row.change if several else replace(row.change, where='') for row in rows
-               if row.change is not None and row.decides]
+               if row.change is not None and row.decides and row.models == speak]
     verdict = decide(changes)
     # who was fitted to these very data proves nothing by being better
     winner = {BETTER: second, WORSE: first}.get(verdict.answer)

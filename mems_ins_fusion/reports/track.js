@@ -238,7 +238,7 @@ document.querySelectorAll('.track').forEach(function (root) {
     return Math.abs(times[high] - t) < Math.abs(times[low] - t) ? high : low;
   }
 
-  const text = (value, unit) => value === null || value === undefined ? '–' : value + unit;
+  const text = (value, unit) => value === null || value === undefined ? '–' : +value.toPrecision(3) + unit;
 
   function say() {
     said.textContent = '';

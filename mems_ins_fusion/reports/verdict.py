@@ -52,7 +52,7 @@ def _digits(change: Change) -> int:
 
 def span_text(low: float, high: float) -> str:
     """Between which differences of an error, m, the truth lies."""
-    if low == high == 0:
+    if _size(abs(low)) == _size(abs(high)) == '0':
         return 'the same'
     if low >= 0:
         return f'{_size(low)} to {_size(high)} m more'
@@ -105,7 +105,7 @@ def trust_text(trust: Trust, which: str = '') -> str:
     """Whether sigmas can be trusted, in a sentence. which: of what filter, where that is not plain."""
     said = {YES: 'yes', NO: 'no, its sigmas are too small', TOO_CAREFUL: 'its sigmas are larger than need be'}.get(
         trust.answer, 'cannot tell')
-    evidence = [held_text(trust.shown)] if trust.shown else []
+    evidence = [held_text(trust.shown)] if trust.shown and trust.answer != TOO_CAREFUL else []
     if trust.scale and (trust.answer in (NO, TOO_CAREFUL) or not evidence):
         evidence.append(scale_text(trust.scale))
     said = ': '.join([said, '; '.join(evidence)]) if evidence else f'{said}: the recording is too short'
