@@ -30,6 +30,7 @@ from mems_ins_fusion.configuration.configure import configured, look
 from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting, rpy
 from mems_ins_fusion.configuration.topics import Candidate, Topics
 from mems_ins_fusion.diagnosis.diagnose import diagnose
+from mems_ins_fusion.diagnosis.findings import Diagnosis
 from mems_ins_fusion.diagnosis.problem import DiagnosisError
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
@@ -114,6 +115,9 @@ MEASURED = (('longmont_rtk_drive/bag', '/gps/fix', (0, 0, 180)), ('karlsruhe_hil
 
 
 PARTS = 'error', 'sigma'
+#: columns of what a diagnosis sets or only tells, of its answer, and of the mean of the largest error in outages, m
+SETTINGS = tuple(f'{name}_set' for name in ('gnss.time_offset', 'gnss.lever_arm', 'imu.mounting_rpy'))
+DIAGNOSED = ('answer', *SETTINGS, *(f'{when}_{s}' for when in ('before', 'after') for s in (10, 30, 60)))
 KINDS = ('car', 'car, RTK', 'car, smoothing', 'rover', 'phone')
 #: receivers of the rovers
 ROVER_FIXES = GnssNoise(0.02, 5.0), GnssNoise(0.3, 1.0)
@@ -209,11 +213,32 @@ def one_case(task) -> list[dict]:
         except DiagnosisError as error:
             print(f'drive {number}, {way}: {error}')
             continue
-        told = [f.parameters['time_offset'] for f in result.findings
-                if f.name == 'gnss_time_offset' and f.added and 'time_offset' in f.parameters]
-        rows.append(row(of, number, way, result.corrected, result.corrected['gnss.time_offset'],
-                        told[0].sigma if told and told[0].known else np.nan, ready=result.better))
+        rows.append(diagnosed_row(of, number, way, values, result))
     return rows
+
+
+def diagnosed_row(of: Case, number: int, way: str, given: dict, result: Diagnosis) -> dict:
+    """What a diagnosis says, set or only told; where it says nothing, the error is that of the file, the sigma NaN."""
+    values, sigmas, certain = result.corrected, {}, {}
+    for finding in result.findings:
+        known = {name: e for name, e in finding.parameters.items() if e.known}
+        if finding.name in ('gnss_time_offset', 'gnss_lever_arm', 'mounting_rotation') and known:
+            effect = EFFECTS[finding.name]
+            said = effect.adjusted(given, {p.name: known[p.name].value if p.name in known else 0.0
+                                           for p in effect.parameters})
+            name, = (name for name in said if said[name] != given[name])
+            values = {**values, name: said[name]}
+            certain[f'{name}_set'] = finding.added
+            sigmas |= {f'{finding.name}.{parameter}': e.sigma for parameter, e in known.items()}
+    sigma = {effect: np.array([sigmas.get(f'{effect}.{axis}', np.nan) for axis in axes]) for effect, axes in (
+        ('gnss_lever_arm', 'xyz'), ('mounting_rotation', ('roll', 'pitch', 'yaw')))}
+    said = row(of, number, way, values, values['gnss.time_offset'], sigmas.get('gnss_time_offset.time_offset', np.nan),
+               np.degrees(sigma['mounting_rotation']), result.better,
+               np.array(values['gnss.lever_arm']) - of.arm, sigma['gnss_lever_arm'])
+    return {**said, 'set_error': result.corrected['gnss.time_offset'] - of.offset, 'answer': result.verdict.answer,
+            **{name: certain.get(name, '') for name in SETTINGS},
+            **{f'{when}_{o["duration_s"]:g}': o['max_error_mean_m'] for when, measured in (
+                ('before', result.before), ('after', result.after)) for o in measured.summary()['outages']}}
 
 
 def row(of: Case, number, way, values, lag, lag_sigma, sigmas=(np.nan,) * 3, ready=False, arm=(np.nan,) * 3,
@@ -233,7 +258,7 @@ def drives(path: Path, count: int, first: int, diagnosed: bool):
     tasks = [(number, diagnosed) for number in range(first, first + count) if number not in known]
     with ProcessPoolExecutor(2) as pool, path.open('a', newline='') as file:
         for rows in pool.map(one_case, tasks):
-            writer = csv.DictWriter(file, list(rows[0]))
+            writer = csv.DictWriter(file, [*rows[0], *DIAGNOSED], restval='')
             if file.tell() == 0:
                 writer.writeheader()
             writer.writerows(rows)

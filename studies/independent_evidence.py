@@ -2,8 +2,9 @@
 
     python studies/independent_evidence.py DATA
 
-DATA: folder of the recordings. Prints the time offset and the antenna's arm that the track between fixes shows, and how
-the pitch of a strapdown run that is given no heights goes with the grade that the heights of the truth show.
+DATA: folder of the recordings. Prints the time offset and the antenna's arm that the track between fixes shows, the
+offset at which the turns of the fixes' course go best with those of the gyroscopes, and how the pitch of a strapdown
+run that is given no heights goes with the grade that the heights of the truth show.
 """
 from __future__ import annotations
 
@@ -14,17 +15,31 @@ from pathlib import Path
 import numpy as np
 
 from mems_ins_fusion.configuration.mounting import estimate_mounting
+from mems_ins_fusion.configuration.turn_offset import estimate_turn_offset, turning_of
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.motion import positions
 from mems_ins_fusion.recordings.reading import read_recording
+from mems_ins_fusion.samples import Fixes, Headings
 
 RECORDINGS = (('longmont_rtk_drive', '/gps/fix', None, [0.0, 0.0, np.pi], -0.265),
               ('karlsruhe_hills', '/gps/fix', '/reference/fix', [0.0, 0.0, 0.0], 0.0),
-              ('incheon_square_ros2', '/fix', None, [np.pi, 0.0, 0.0], 0.0))
+              ('incheon_square_ros2', '/fix', None, [np.pi, 0.0, 0.0], 0.0),
+              ('dresden_hobby_imu', '/gps/fix', None, [0.0, 0.1, 0.0], 0.55))
 #: the grade is that over this time, at 2 m/s or faster, s
 SPAN = 4.0
+#: a course is that of a chord over this time, s, at this speed or faster, m/s
+CHORD, FASTER = 0.6, 4.0
+
+
+def course_of(fixes: Fixes) -> Headings:
+    """The course of the fixes, between two of them each; NaN where the vehicle is slow."""
+    step = max(round(CHORD / float(np.median(np.diff(fixes.stamp)) * 1e-9)), 1)
+    way, time = (x[step:] - x[:-step] for x in (positions(fixes)[:, :2], fixes.stamp * 1e-9))
+    course = np.where(np.hypot(*way.T) > FASTER * time, np.arctan2(way[:, 1], way[:, 0]), np.nan)
+    middle = (fixes.stamp[step:] + fixes.stamp[:-step]) // 2
+    return Headings(middle, middle, course, np.full(len(middle), np.nan))
 
 
 def pitch_run(recording, mounting_rpy, offset):
@@ -54,9 +69,13 @@ def grade_and_pitch(truth, stamp, pitch):
 
 def main():
     for name, topic, reference, mounting_rpy, offset in RECORDINGS:
-        recording = read_recording(Path(sys.argv[1]) / name / 'bag', '/imu/data', topic, reference)
+        folder = Path(sys.argv[1]) / name
+        recording = read_recording(folder / 'bag' if (folder / 'bag').exists() else folder, '/imu/data', topic,
+                                   reference)
         found = estimate_mounting(recording.imu, recording.gnss)
         print(name, found.offset if found is not None else None)
+        if found is not None:
+            print(' ', estimate_turn_offset(recording.imu, turning_of(course_of(recording.gnss)), found.rotation))
         truth = recording.reference if reference else recording.gnss
         grade, pitch = grade_and_pitch(truth, *pitch_run(recording, mounting_rpy, offset))
         if len(grade) < 20:

@@ -102,6 +102,8 @@ PARTS = {'kingston_span': 'stop: 900.0'}
 #: of these with gaps: s without samples, s without fixes, each minute
 GAPS = {205: (1.5, 20.0), 213: (0.8, 15.0), 214: (0.8, 15.0)}
 WAY_DURATIONS = 10.0, 30.0, 60.0
+#: s between outages: errors without fixes change within seconds, and half a dozen outages of a short drive are chance
+OFTEN = 'outage_spacing: 2.0'
 #: a file that says it is ready is off by no more: s, deg
 READY_OFFSET, READY_ANGLE = 0.1, 3.0
 
@@ -222,7 +224,7 @@ def ways(data: Path, output: Path, wanted: list[str]) -> None:
         title = name
         if name in RECORDINGS:
             folder, given = RECORDINGS[name]
-            part = PARTS.get(name, '')
+            part = _lines(PARTS.get(name, ''), OFTEN)
             topics = _lines(TRUTH.get(name, ''), part)
             found = three_ways(name, data / name / folder, topics, _lines(given, part), output)
         else:
@@ -232,9 +234,9 @@ def ways(data: Path, output: Path, wanted: list[str]) -> None:
             title = (f'{name} ({kind}; truth {of.offset:.3f} s, {", ".join(f"{a:.2f}" for a in of.arm)} m, '
                      f'{", ".join(f"{a:.1f}" for a in mounting)} deg)')
             seen = np.radians(SEEN * np.round(mounting / SEEN)).round(4).tolist()
-            found = three_ways(file := name.replace(' ', '_'), bag, '', f'imu.mounting_rpy: {seen}\n    '
-                               'gnss.lever_arm: '
-                               f'{(TAPE * np.round(of.arm / TAPE)).round(2).tolist()}', output)
+            measured = (TAPE * np.round(of.arm / TAPE)).round(2).tolist()
+            found = three_ways(file := name.replace(' ', '_'), bag, OFTEN, _lines(
+                f'imu.mounting_rpy: {seen}', f'gnss.lever_arm: {measured}', OFTEN), output)
             judged.append(against_truth(of, looked(file, output), found))
         for way, end in found.items():
             print(way_row(title, way, end), flush=True)
