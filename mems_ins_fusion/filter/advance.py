@@ -133,7 +133,8 @@ def take_sample(memory, samples, i):
     dt = time - memory[nonnegative(sample_at(memory, k - 1)) + Sample.TIME]
     memory[sample + Sample.TIME], memory[sample + Sample.INTERVAL] = time, dt
     speed = certain_speed(memory, before)
-    fault = imu_faults.check(memory, samples, i, dt, speed, imu_faults.is_doubted(memory, before, time))
+    before_fault = memory[nonnegative(sample_at(memory, k - 1)) + Sample.FAULT]
+    fault = imu_faults.check(memory, samples, i, dt, speed, imu_faults.is_doubted(memory, before, time), before_fault)
     memory[sample + Sample.FAULT], memory[sample + Sample.COASTED] = fault, 0.0
     if fault == Fault.NONE:
         _condition(memory, sample, Imu.RAW)
@@ -148,7 +149,6 @@ def take_sample(memory, samples, i):
     show_noise(memory, k, dt)
     memory[sample + Sample.STILL] = 0.0
     if memory[Head.ZERO_VELOCITY_SIGMA] > 0.0 and fault == Fault.NONE:
-        before_fault = memory[nonnegative(sample_at(memory, k - 1)) + Sample.FAULT]
         bridged = before_fault != Fault.NONE or dt > memory[Head.MAX_GAP]
         moving = speed > MOVING_SPEED and not contradiction.goes_back(memory, before)
         memory[sample + Sample.STILL] = is_still(memory, sample, dt, moving, bridged)

@@ -107,13 +107,14 @@ def _whirls(mem, speed, dt):
 
 
 @njit(_nrt=False)
-def check(mem, samples, k, dt, speed, doubted):
+def check(mem, samples, k, dt, speed, doubted, before=Fault.NONE):
     """What is wrong with sample k, a `Fault`; it, and what it shows, is remembered in the head of `mem`.
 
     samples (n, 7): time (s), specific force and angular rate in sensor axes. dt: s since the one before. speed: that
-    the vehicle certainly has, m/s. doubted: whether the IMU is not believed at this time.
+    the vehicle certainly has, m/s. doubted: whether the IMU is not believed at this time. before: the
+    `Fault` of the sample before it.
     """
-    moving = speed > MOVING_SPEED
+    moving = speed > MOVING_SPEED or before == Fault.FROZEN  # what is frozen stays so while the vehicle comes to rest
     time = samples[k, 0]
     equal, zero, out, saturated, stuck = 1e9, True, False, False, 0
     lively = mem[Imu.VARIED] > 0.5 * mem[Imu.BELIEVED] and mem[Imu.BELIEVED] > 10.0
