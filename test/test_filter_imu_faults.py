@@ -9,6 +9,7 @@ from filter_support import HEIGHT, LATITUDE, configure, fix_record, newest, star
 
 from mems_ins_fusion.filter.memory import Event, Head, Nav, Sample, covariance, state_at, views
 from mems_ins_fusion.filter.trust.imu_faults import Fault, Imu, is_doubted
+from mems_ins_fusion.filter.trust.standstill import MOVING_SPEED, certain_speed
 from mems_ins_fusion.navigation.earth import gravity
 
 RATE, SPEED = 50.0, 12.0
@@ -142,6 +143,18 @@ def test_the_covariance_covers_what_the_vehicle_did_unseen(mechanization):
     assert seen[-1, 0] == pytest.approx(SPEED - 3.0, abs=0.3)
     sigma = math.sqrt(covariance(newest(memory), config.layout)[(2, 2) if mechanization == 'planar' else (3, 3)])
     assert abs(velocity[-1, 0] - seen[-1, 0]) < 2.5 * sigma
+
+
+@BOTH
+def test_an_axis_that_is_stuck_is_not_believed_again_because_the_vehicle_may_have_come_to_rest(mechanization):
+    # given a slow vehicle whose forward accelerometer stays for 4 s at what it showed while braking
+    def stuck(samples):
+        samples[200:400, 1] = -2.0
+
+    _, memory, _ = driven(mechanization, stuck, count=450, speed=4.0)
+    # then all of them but the first 0.3 s, in which that may be chance, are bridged, though by then it may stand
+    assert 200 - 0.3 * RATE - 2 <= memory[Imu.FAULTS + Fault.FROZEN] <= 200
+    assert certain_speed(memory, state_at(memory, 398)) < MOVING_SPEED
 
 
 @BOTH
