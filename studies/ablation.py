@@ -6,8 +6,8 @@
     python studies/ablation.py --summary FILE.csv [FILE.csv ...]
 
 Mechanisms are switched off by their parameters, or by a constant with which they never act. A constant is changed by
-its name, `file.NAME`, or `file.NAME[1]` for one of a tuple: all of `filter/trust`, `filter/update.py`,
-`filter/advance.py` and `filter/prediction.py`. No file is changed, and the filter is compiled once: in this process,
+its name, `file.NAME`, or `file.NAME[1]` for one of a tuple: all of `filter/trust`, and what stands
+in `filter/` itself of those in FILES. No file is changed, and the filter is compiled once: in this process,
 compiled code looks up the value of a constant each time it needs it (`Constant`). A change then costs seconds. What is
 written already in FILE.csv is not done again, so the study can be stopped and gone on with.
 
@@ -60,7 +60,7 @@ from mems_ins_fusion.recordings.reading import read_recording  # noqa: E402
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = 'mems_ins_fusion.filter'
 #: files whose constants are tried
-FILES = ('trust/*.py', 'update.py', 'advance.py', 'bank.py', 'prediction.py')
+FILES = ('trust/*.py', 'update.py', 'apply.py', 'constraints.py', 'advance.py', 'bank.py', 'prediction.py')
 FACTORS = (0.25, 4.0)
 #: parameters that switch a mechanism off
 MECHANISMS = {
@@ -90,11 +90,11 @@ NEVER = {
     'frozen samples': {'trust.imu_faults.FROZEN_TIME': 1e9},
     'sensors freed after a restart': {'advance.SHORTEST_RESTART': 1e9},
     'samples held before coasting': {'advance.HELD': 0.0},
-    'constraint left out where it is not kept': {'update.CONSTRAINT_OFF': 1e9},
+    'constraint left out where it is not kept': {'constraints.CONSTRAINT_OFF': 1e9},
     'wrong standstills': {'trust.contradiction.LATELY': 0.0},
-    'standstill denied by speed': {'update.STILL_SPEED': 1e3},
-    'standstill denied by turning': {'update.STILL_RATE': 1e3},
-    'a heading in doubt where a gyroscope is off at a standstill': {'update.STANDS_UNSEEN': 0.0}}
+    'standstill denied by speed': {'constraints.STILL_SPEED': 1e3},
+    'standstill denied by turning': {'constraints.STILL_RATE': 1e3},
+    'a heading in doubt where a gyroscope is off at a standstill': {'constraints.STANDS_UNSEEN': 0.0}}
 #: settings of vehicle.py, and of measured drives: path within the folder, s between outages, parameters
 SETTINGS = ('car', 'car + speed')
 MEASURED = {'longmont_rtk_drive': ('bag', 60.0, {'imu.mounting_rpy': [0.0, 0.0, np.pi]}),

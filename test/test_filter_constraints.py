@@ -27,12 +27,12 @@ from filter_support import (
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.evaluation.metrics import position_errors, rms
+from mems_ins_fusion.filter.constraints import CONSTRAINT_INTERVAL
 from mems_ins_fusion.filter.measurements import acceleration
 from mems_ins_fusion.filter.memory import Head, Kind, Nav, sample_at, views
 from mems_ins_fusion.filter.runs import replay
 from mems_ins_fusion.filter.trust.standstill import Still
 from mems_ins_fusion.filter.trust.white_noise import Shown
-from mems_ins_fusion.filter.update import CONSTRAINT_INTERVAL
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'studies'))
 from table_of_numbers import Drive, recording, truth_of  # noqa: E402

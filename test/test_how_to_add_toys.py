@@ -263,10 +263,10 @@ def test_a_measurement(copy):
         'filter/measurements/registry.py': [
             after('from __future__ import annotations\n\n', 'from .altitude import Altitude\n'),
             ('Heading(), Pressure())', 'Heading(), Pressure(), Altitude())')],
-        'filter/update.py': [
+        'filter/apply.py': [
             ('from .measurements import (\n', 'from .measurements import (\n    altitude,\n'),
-            ('    elif kind == Kind.SPEED:\n', '    elif kind == altitude.KIND:\n        dimensions = '
-             'altitude.observe(mem, r, at, h)\n    elif kind == Kind.SPEED:\n')]}
+            ('    if kind == Kind.SPEED:\n', '    if kind == altitude.KIND:\n        return '
+             'altitude.observe(mem, r, at, h)\n    if kind == Kind.SPEED:\n')]}
     assert len(edits) == 3
     # when: it says 107 m where fixes of 10 m say 100 m; and fixes of 10 m alone
     found = copy('A measurement', edits, """

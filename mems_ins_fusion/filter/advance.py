@@ -13,6 +13,8 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation.earth import gravity
 from . import history
+from .apply import apply_event
+from .constraints import CONSTRAINT_INTERVAL, constrain
 from .measurements.geometry import body_to_level
 from .measurements.wheel_vibration import Wheels, listen
 from .memory import (
@@ -38,7 +40,6 @@ from .trust.imu_faults import Fault, Imu
 from .trust.standstill import MOVING_SPEED, certain_speed, is_still
 from .trust.straight_on import Wrong
 from .trust.white_noise import show_noise
-from .update import CONSTRAINT_INTERVAL, apply_event, constrain
 
 #: what the answers to an event mean
 TAKEN, BEFORE_START, TOO_LATE, FORGOTTEN = 0, 1, 2, 3

@@ -17,6 +17,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..advance import coast
 from ..config import FilterConfig
+from ..constraints import constrain
 from ..measurements import speed
 from ..measurements.geometry import body_to_level
 from ..measurements.wheel_vibration import Wheels
@@ -37,11 +38,12 @@ from ..memory import (
     views,
 )
 from ..prediction import predict
+from ..trust.inputs import SPEED_LASTS
 from ..trust.scale import KINDS, Kinds, Seen, scale
-from ..update import SPEED_LASTS, constrain, feed_back, update
+from ..update import feed_back, update
 from .odometry import besides
 
-#: s, of one step: so often the constraints count as much as each CONSTRAINT_INTERVAL (`update.MOST_TOLD`)
+#: s, of one step: so often the constraints count as much as each CONSTRAINT_INTERVAL (`constraints.MOST_TOLD`)
 STEP = 0.2
 #: s: further is not looked, it costs time, and an error of minutes depends on what the vehicle does until then
 LONGEST = 120.0

@@ -1,0 +1,193 @@
+"""What is measured, applied to the state of its time: in which order who is asked for a fix, and for any other input.
+"""
+from __future__ import annotations
+
+import math
+
+from mems_ins_fusion.compiled import njit
+
+from .measurements import (
+    heading,
+    magnetometer,
+    position,
+    pressure,
+    speed,
+    twist,
+    velocity,
+)
+from .measurements.geometry import body_to_level
+from .memory import NAV, Error, Event, Head, Kind, Nav, Verdict, load_covariance, row_of, store_covariance
+from .prediction import set_radii
+from .trust import contradiction, hypotheses, inputs, receiver, repeats, straight_on, way
+from .trust.drift import learn_drift
+from .trust.hypotheses import Hypothesis
+from .trust.scale import seen_of
+from .update import ROBUST, clear_rows, feed_back, normalized_square, product, project, update
+
+#: fixes refused in a row that may all be wrong: no way ends there
+SINGLE = 2.0
+
+
+@njit(_nrt=False)
+def apply_event(mem, r, at, sample):
+    """Correct the state at r with the measurement at `at`; sample: position of the IMU sample of that time."""
+    if mem[at + Event.VERDICT] == Verdict.AHEAD:
+        return
+    if repeats.is_stuck(mem, r, at):
+        mem[at + Event.VERDICT], mem[at + Event.WEIGHT] = Verdict.FROZEN, 0.0
+        repeats.note(mem, r, at)
+    elif mem[at + Event.KIND] == Kind.POSITION:
+        _apply_fix(mem, r, at)
+    else:
+        _apply_input(mem, r, at, sample)
+
+
+@njit(_nrt=False)
+def _apply_fix(mem, r, at):
+    """How a fix is judged and used: by its receiver's habits, by what it has been seen to scatter, and beside a filter
+    that takes the fixes for wrong; then what it shows of all these."""
+    receiver.take_status(mem, r, at)
+    if _goes_straight_on(mem, r, at):
+        straight_on.refuse(mem, r, at)
+        return
+    n, h = _begin(mem, r)
+    recovered, before = False, hypotheses.position_and_velocity(mem, r)
+    doubts = mem[r + Hypothesis.DOUBTS] != 0.0
+    if not doubts:
+        recovered = mem[Head.GATE] > 0.0 and receiver.agreed(mem, r, at)
+        if recovered:
+            receiver.start_anew(mem, r, at)
+        else:
+            v_n, v_e = receiver.finds_course(mem, r, at)
+            if v_n != 0.0 or v_e != 0.0:
+                receiver.take_course(mem, r, v_n, v_e, 0.0)
+    c = _note_state(mem, r, at)
+    dimensions = position.observe(mem, r, at, h, n, c)
+    height = mem[at + Event.Z_D] + mem[r + Nav.HEIGHT]  # of the planar filter, which has no state for it
+    factor, robust, gate = 1.0, 0.0, 0.0
+    if not doubts:
+        factor, robust, gate = receiver.trust(mem, r, at)
+    if not _is_believed(mem, r, at, n):
+        hypotheses.refuse(mem, r, at)
+        return
+    if mem[r + Nav.UNSETTLED] > 0.0:
+        robust = gate = 0.0
+        contradiction.loosen(mem, r, n, _misfit(mem, r, at, n, factor))
+    verdict = update(mem, r, at, n, dimensions, factor, robust, gate)
+    mem[at + Event.VERDICT] = Verdict.RECOVERED if recovered else verdict
+    if verdict != Verdict.REFUSED:
+        _end(mem, r)
+        if row_of(mem, Error.R_D) < 0:
+            mem[r + Nav.HEIGHT] = height
+        set_radii(mem, r)
+    repeats.note(mem, r, at)
+    left_n, left_e, _ = position.difference(mem, r, at, body_to_level(mem, r))
+    if verdict != Verdict.REFUSED or mem[r + Nav.REFUSED] > SINGLE:
+        way.compare(mem, r, at, receiver.realised_variance(mem, r, at))
+    straight_on.pull(mem, r, before, hypotheses.position_and_velocity(mem, r))
+    receiver.learn(mem, r, at, left_n, left_e)
+    learn_drift(mem, r)
+
+
+@njit(_nrt=False)
+def _apply_input(mem, r, at, sample):
+    """How any other measurement is judged and used."""
+    n, h = _begin(mem, r)
+    kind, c = mem[at + Event.KIND], _note_state(mem, r, at)
+    dimensions = _observe(mem, r, at, h, n, c, sample)
+    if kind == Kind.PRESSURE:
+        inputs.take_step(mem, r, at, n)
+    if inputs.makes_way(kind):
+        inputs.add_to_way(mem, r, at, n, c)
+    judged = min(dimensions, 2)
+    if kind == Kind.TWIST:
+        judged = 2 if twist.measures_sideways(mem, at) else 1
+        inputs.leave_out_turn_rate(mem, r, at, n)
+    factor, gate = inputs.judge(mem, r, at, n, judged)
+    verdict = update(mem, r, at, n, dimensions, factor, ROBUST, gate)
+    mem[at + Event.VERDICT] = verdict
+    if inputs.makes_way(kind) and verdict == Verdict.REFUSED:
+        own = seen_of(mem, r, at)
+        if way.is_contradicted(mem, own):
+            mem[at + Event.VERDICT] = Verdict.CONTRADICTED
+        elif not way.is_compared(mem, own):
+            mem[at + Event.VERDICT] = Verdict.AWAITED
+    if verdict != Verdict.REFUSED:
+        _end(mem, r)
+        set_radii(mem, r)
+    repeats.note(mem, r, at)
+
+
+@njit(_nrt=False)
+def _observe(mem, r, at, h, n, c, sample):
+    """Innovation and rows of H of a measurement that is no fix; how many components it has."""
+    kind = mem[at + Event.KIND]
+    if kind == Kind.VELOCITY:
+        return velocity.observe(mem, r, at, h, n, c, sample)
+    if kind == Kind.SPEED:
+        return speed.observe(mem, r, at, h, n, c, sample)
+    if kind == Kind.TWIST:
+        return twist.observe(mem, r, at, h, n, c, sample)
+    if kind == Kind.PRESSURE:
+        return pressure.observe(mem, r, at, h)
+    if kind == Kind.MAGNETIC:
+        return magnetometer.observe(mem, r, at, h, n, c)
+    if kind == Kind.PLACE:
+        return position.observe_place(mem, r, at, h, n, c)
+    return heading.observe(mem, r, at, h, n, c)
+
+
+@njit(_nrt=False)
+def _begin(mem, r):
+    """P of the state at r in the scratch, and no rows of H behind it: the number of states, where the rows begin."""
+    n_navigation, m, p = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), int(mem[Head.SCRATCH_AT])
+    n = n_navigation + m
+    load_covariance(mem, r, n_navigation, m, mem, p)
+    clear_rows(mem, p + n * n, n)
+    return n, p + n * n
+
+
+@njit(_nrt=False)
+def _note_state(mem, r, at):
+    """Beside the measurement at `at`: yaw and velocity that it met. The rotation from b to n."""
+    c = body_to_level(mem, r)
+    mem[at + Event.YAW] = math.atan2(c[3], c[0])
+    mem[at + Event.V_N], mem[at + Event.V_E] = mem[r + Nav.V_N], mem[r + Nav.V_E]
+    return c
+
+
+@njit(_nrt=False)
+def _end(mem, r):
+    """The corrected P from the scratch to the state at r, and the estimated errors into its solution."""
+    store_covariance(mem, int(mem[Head.SCRATCH_AT]), int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), mem, r)
+    feed_back(mem, r)
+
+
+@njit(_nrt=False)
+def _is_believed(mem, r, at, n):
+    """Whether the fix at `at` is believed, by what the filter says of the receiver; H stands behind P in the scratch.
+    """
+    h, factor = int(mem[Head.SCRATCH_AT]) + n * n, receiver.realised_factor(mem, r)
+    column = h + 3 * n
+    r_nn, r_ne, r_ee = (factor * mem[at + Event.R_NN], factor * mem[at + Event.R_NE], factor * mem[at + Event.R_EE])
+    s_nn = r_nn + project(mem, n, h, column)
+    s_ne = r_ne + product(mem, n, h + n, column)
+    s_ee = r_ee + project(mem, n, h + n, column)
+    return hypotheses.judge(mem, r, at, s_nn, s_ne, s_ee, 0.5 * (r_nn + r_ee), receiver.innovation_factor(mem, r))
+
+
+@njit(_nrt=False)
+def _misfit(mem, r, at, n, factor):
+    """Normalized innovation squared of the fix at `at` before its correction, the antenna's arm taken for exact."""
+    p = int(mem[Head.SCRATCH_AT])
+    a, b = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
+    s_nn, s_ne = mem[p] + factor * mem[at + Event.R_NN], mem[p + 1] + factor * mem[at + Event.R_NE]
+    s_ee = mem[p + n + 1] + factor * mem[at + Event.R_EE]
+    return normalized_square(a, b, s_nn, s_ne, s_ee)
+
+
+@njit(_nrt=False)
+def _goes_straight_on(mem, r, at):
+    """Whether the fix at `at` is one of a receiver without satellites that goes straight on."""
+    north, east, _ = position.difference(mem, r, at, body_to_level(mem, r))
+    return straight_on.goes_straight_on(mem, r, at, north - mem[r + NAV], east - mem[r + NAV + 1])

@@ -1,0 +1,161 @@
+"""How far a speed, a velocity, an odometry, a heading, a magnetic field and a pressure are believed: by their
+innovations (`scale.py`), and by the way that they make up beside the way between fixes (`way.py`).
+
+Fixes are judged in `receiver.py`.
+"""
+from __future__ import annotations
+
+import math
+
+from mems_ins_fusion.compiled import njit
+
+from ..measurements import magnetometer, pressure
+from ..measurements.geometry import body_velocity, own_state, vehicle_to_level
+from ..memory import NAV, Event, Head, Kind, Nav, yaw_state
+from ..update import ROBUST, product, project
+from . import receiver, repeats, way
+from .scale import Scale, Seen, learn, scale, seen_of
+
+#: sigmas beyond which a speed or velocity is refused while fixes speak for the state: wheels that slip, another unit.
+#: Weighted down it would still pull, each time.
+FAR = 10.0
+#: the same of a magnetic field, which iron beside the way disturbs every day
+DISTURBED = 4.0
+#: m/s, that a speed is believed at most before its way has been compared with that of the fixes, whatever it claims
+FIRST_SIGMA = 0.1
+#: sigmas beyond which an input is refused of which none is used
+NEVER = 1e-9
+#: s for which errors of a speed, velocity or odometry last: manoeuvres in which wheels slip and late stamps show, the
+#: smoothing of receivers. All of that time tell no more than one (0.3 s late, 60 s without fixes: 7 m, 28 m if white)
+SPEED_LASTS = 1.0
+#: the same of a magnetic field: what a slow vehicle passes
+FIELD_LASTS = 10.0
+#: s for which a speed that has fitted and then is far off is one of wheels that slip, without fixes, too; what lasts
+#: for longer may be right, and the state wrong
+LONGEST_SLIP = 5.0
+#: multiple of the claimed variance that counts as noise where FAR is judged, however large it has been seen to be:
+#: three times the sigma, as the prior of a scale has it. More is slip or another fault, and makes none fit
+LARGEST_CLAIM = 9.0
+#: m/s, sigma that counts as noise there in any case: wheels that claim millimetres are not known better
+LARGEST_NOISE = 0.2
+#: rad, the same of a heading
+LARGEST_HEADING_NOISE = 0.05
+#: s for which a heading that has fitted and then is far off is wrong: gyroscopes know better
+LONGEST_JUMP = 60.0
+#: s without a fix after which none speaks for the velocity
+NO_FIX = 10.0
+
+
+@njit(_nrt=False)
+def is_of_velocity(kind):
+    """Whether a measurement of this kind is of the velocity."""
+    return kind == Kind.SPEED or kind == Kind.VELOCITY or kind == Kind.TWIST
+
+
+@njit(_nrt=False)
+def is_of_heading(kind):
+    """Whether a measurement of this kind is of the heading."""
+    return kind == Kind.HEADING or kind == Kind.MAGNETIC
+
+
+@njit(_nrt=False)
+def makes_way(kind):
+    """Whether measurements of this kind make up a way, or its direction."""
+    return is_of_velocity(kind) or is_of_heading(kind)
+
+
+@njit(_nrt=False)
+def judge(mem, r, at, n, dimensions):
+    """Factor on the covariance of the speed, velocity or heading at `at`, learned from its innovation, too, and for as
+    many as tell no more than one; and the sigmas beyond which it is refused, 0: none. dimensions: of the components
+    that are judged together, 1 or 2.
+
+    One that does not fit is wrong, or the state is. What its variance is raised by, that of the state is raised by,
+    too, along what is measured, unless fixes speak for the state, as they do for its velocity: so a filter that is sure
+    of something wrong comes to where both agree, and the other measurements decide.
+    """
+    p, kind = int(mem[Head.SCRATCH_AT]), int(mem[at + Event.KIND])
+    h, own = p + n * n, seen_of(mem, r, at)
+    time = mem[at + Event.TIME]
+    of_velocity = is_of_velocity(kind)
+    if makes_way(kind) and way.is_contradicted(mem, own):
+        return 1.0, NEVER
+    # of the start, too, after which the first has still to come
+    fix = max(mem[r + Nav.FIX_TIME], mem[r + receiver.Receiver.SCALE + Scale.TIME])
+    lasts = SPEED_LASTS if of_velocity else FIELD_LASTS if kind == Kind.MAGNETIC else 0.0
+    density = max(1.0, lasts / max(time - mem[own + Scale.TIME], 1e-3))
+    if of_velocity and fix != 0.0 and time - fix < NO_FIX and not way.is_compared(mem, own):
+        mem[own + Scale.TIME] = time
+        # a velocity may fit by its size and point elsewhere
+        gate = NEVER if kind == Kind.VELOCITY else ROBUST
+        return density * max(1.0, FIRST_SIGMA**2 / mem[at + Event.R_NN]), gate
+    column = h + 3 * n
+    squared, claimed, variance = 0.0, mem[at + Event.R_NN], 0.0
+    for k in range(dimensions):
+        squared += (mem[at + Event.Z_N + k] - product(mem, n, h + n * k, r + NAV)) ** 2 / dimensions
+        variance += project(mem, n, h + n * k, column) / dimensions
+    if dimensions > 1:
+        claimed = 0.5 * (claimed + mem[at + Event.R_EE])
+    before = max(scale(mem, own), 1.0)
+    learn(mem, own, time, squared, claimed, variance, dimensions)
+    factor = max(scale(mem, own), 1.0)
+    if of_velocity and kind != Kind.VELOCITY:
+        factor += repeats.unknown(mem, own, time) / claimed
+    confirmed = not is_of_heading(kind) and time - mem[r + Nav.FIX_TIME] < NO_FIX
+    if makes_way(kind):  # one by one each is judged by what it claims itself
+        noise, longest = (LARGEST_NOISE, LONGEST_SLIP) if of_velocity else (LARGEST_HEADING_NOISE, LONGEST_JUMP)
+        # iron beside the way lasts, and would pass for noise
+        largest, far = (1.0, DISTURBED) if kind == Kind.MAGNETIC else (LARGEST_CLAIM, FAR)
+        expected = variance + min(factor * claimed, max(largest * claimed, noise**2))
+        # so soon no IMU is wrong by as much
+        slips = mem[own + Seen.FITTED] != 0.0 and time - mem[own + Seen.FITTED] < longest
+        if squared < ROBUST * ROBUST * expected:
+            mem[own + Seen.FITTED] = time
+        if confirmed or slips:
+            return density * factor, far * math.sqrt(expected / (variance + density * factor * claimed))
+    if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * claimed + variance):
+        return density * factor, 0.0
+    for k in range(dimensions):
+        raised = (factor - before) * claimed / project(mem, n, h + n * k, column) ** 2
+        for i in range(n):
+            for j in range(n):
+                mem[p + n * i + j] += raised * mem[column + i] * mem[column + j]
+    return density * factor, 0.0
+
+
+@njit(_nrt=False)
+def add_to_way(mem, r, at, n, c):
+    """Add the speed, velocity, twist or heading at `at` to the way of its input; c: rotation from b to n."""
+    if mem[at + Event.KIND] == Kind.VELOCITY:  # it has directions of its own
+        v_n, v_e, yaw_variance = mem[at + Event.VALUE], mem[at + Event.VALUE + 1], 0.0
+    elif is_of_heading(mem[at + Event.KIND]):  # a way that the nose leads along
+        forward, yaw_variance = body_velocity(mem, r, vehicle_to_level(mem, r, c), 0), 0.0
+        yaw = mem[at + Event.VALUE] if mem[at + Event.KIND] == Kind.HEADING else magnetometer.heading(mem, r, at, c)
+        v_n, v_e = math.cos(yaw) * forward, math.sin(yaw) * forward
+    else:
+        c = vehicle_to_level(mem, r, c)
+        v_n, v_e = c[0] * mem[at + Event.VALUE], c[3] * mem[at + Event.VALUE]
+        yaw_variance = mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * yaw_state(mem)]
+    way.travel(mem, seen_of(mem, r, at), mem[at + Event.TIME], v_n, v_e, yaw_variance)
+
+
+@njit(_nrt=False)
+def leave_out_turn_rate(mem, r, at, n):
+    """Leave out the turn rate of the record at `at`, its third component, where it does not fit: at any instant
+    gyroscopes know it better than wheels, of which it may have the wrong sign, track or clock."""
+    h = int(mem[Head.SCRATCH_AT]) + n * n + 2 * n
+    innovation = mem[at + Event.Z_D] - product(mem, n, h, r + NAV)
+    if innovation**2 > ROBUST**2 * (mem[at + Event.R_DD] + project(mem, n, h, h + n)):
+        mem[at + Event.Z_D] = 0.0
+        for i in range(n):
+            mem[h + i] = 0.0
+
+
+@njit(_nrt=False)
+def take_step(mem, r, at, n):
+    """A pressure that is far off at once is another air - a door, a fan, a tunnel - and not another height: its bias
+    takes what it is off by."""
+    bias, h = own_state(mem, at, pressure.Barometer.BIAS), int(mem[Head.SCRATCH_AT]) + n * n
+    innovation = mem[at + Event.Z_N] - product(mem, n, h, r + NAV)
+    if bias >= 0 and innovation**2 > FAR**2 * (mem[at + Event.R_NN] + project(mem, n, h, h + 3 * n)):
+        mem[r + NAV + bias] -= innovation
