@@ -1,4 +1,4 @@
-"""The filter's settings, typed and in the filter's terms: the only reader of the parameters' values."""
+"""Settings of the filter, from the parameters: only this file reads parameter values, the rest reads the settings."""
 from __future__ import annotations
 
 import math
@@ -15,13 +15,12 @@ from ..sensor_errors.from_parameters import error_models, per_axis
 from ..sensor_errors.models import GaussMarkov, Model, RandomWalk
 from .bank import Bank
 from .history import history_size
+from .measurements import wheel_vibration
 from .measurements.base import Measurement, SensorSettings
 from .measurements.magnetometer import Compass
 from .measurements.pressure import Barometer
 from .measurements.registry import aiding, inputs
 from .measurements.twist import Scales
-from .measurements.wheel_vibration import Ear
-from .measurements.wheel_vibration import begin as begin_listening
 from .memory import (
     HEAD,
     MECHANIZATIONS,
@@ -43,25 +42,26 @@ from .trust.lag import LagSettings
 from .trust.scale import Inputs
 from .trust.white_noise import White
 
-#: s: a measurement may come this much before the IMU samples of its time; one that is further ahead has another clock
+#: s: a measurement may arrive this much before the IMU samples of its time; one further ahead is of a different clock
 AHEAD = 1.0
-#: the fastest IMU for which all of gnss.max_delay is remembered, Hz
+#: Hz, IMU rate up to which the memory holds the samples of gnss.max_delay
 FASTEST_IMU = 1000
-#: and the most measurements a second, of all inputs together: of speed, velocity and heading at 100 Hz with a fix at
-#: 20, and some more
+#: Hz, rate of all measurements together up to which the memory holds those of gnss.max_delay: speed, velocity and
+#: heading at 100 Hz, fixes at 20 Hz, and a margin
 MOST_MEASUREMENTS = 400
 SENSORS = ('accelerometer', 'gyroscope')
-#: of an IMU that is switched off and on: how far its errors move, as a part of what they are for one never seen
+#: standard deviation by which an IMU's errors change when it is switched off and on, as a share of that of an IMU never
+#: seen before
 REPEATED_TURN_ON = 0.3
-#: an estimated mounting angle may wander by this much of its prior sigma in an hour
+#: random walk of an estimated mounting angle in an hour, as a share of its prior standard deviation
 MOUNTING_WANDER = 0.05
-#: the planar filter's tilt goes with the road: correlation time, s
+#: s, correlation time of the tilt of road and body, for the planar filter
 TILT_TIME = 30.0
 
 
 @dataclass(frozen=True)
 class ImuSettings:
-    """Topic, rotation from sensor to body axes (3, 3) and the parameters it comes from, limits in SI units."""
+    """mounting_rpy: rad, as `imu.mounting_rpy`. max_gap, restart_gap: s. Largest values in SI units."""
 
     topic: str
     temperature_topic: str
@@ -74,12 +74,13 @@ class ImuSettings:
 
     @property
     def mounting(self) -> np.ndarray:
+        """Rotation from sensor to body axes, (3, 3)."""
         return mounting(self.mounting_rpy)
 
 
 @dataclass(frozen=True)
 class GnssSettings:
-    """lever_arm: (3,) body axes forward-right-down. lag: s^2, by how much a fix stays behind for each m/s^2. gate:
+    """lever_arm: (3,) body axes forward-right-down, m. lag: s^2, by which a fix lags behind for each m/s^2. gate:
     normalized innovation beyond which a fix is refused, 0: none. coloured: model of the receiver's coloured noise, or
     None."""
 
@@ -100,19 +101,20 @@ class GnssSettings:
 
     @property
     def lag_time(self) -> float:
-        """Time constant of the receiver's filter as `prediction.follow` models it, s: of one that tracks the velocity,
-        whose lag is its square; or of a low pass of tau s, lag -tau^2 / 2, which is tau / 3, right to third order."""
+        """Time constant of the receiver's filter as trust/lag.py models it, s. Positive lag: a filter that tracks the
+        velocity, lag is the square of this. Negative lag: a low pass of tau s, lag -tau^2 / 2, and this is tau / 3."""
         return math.sqrt(self.lag if self.lag >= 0.0 else -2.0 * self.lag / 9.0)
 
     @property
     def lag_gain(self) -> float:
-        """By how much a fix stays behind for each m/s that the receiver's filter has not followed, s."""
+        """Lag of a fix for each m/s by which the receiver's filter has not followed the velocity, s."""
         return self.lag / self.lag_time if self.lag else 0.0
 
 
 @dataclass(frozen=True)
 class AlignmentSettings:
-    """heading: course, orientation or parameter. level: the planar filter's standstill takes the tilt out."""
+    """heading: its source, course, orientation or parameter. level: whether the planar filter removes the tilt that a
+    standstill shows. gyroscope_turn_on: rad/s, prior standard deviation of the gyroscope bias."""
 
     heading: str
     yaw: float
@@ -123,7 +125,7 @@ class AlignmentSettings:
 
 @dataclass(frozen=True)
 class VehicleSettings:
-    """Sigmas of 0: the constraint is not used. axle: (3,) m from the IMU to the point that does not slip, body axes."""
+    """A standard deviation of 0: that constraint is not used. axle: (3,) IMU to rear axle, body axes, m."""
 
     zero_velocity_sigma: float
     lateral_sigma: float
@@ -139,7 +141,7 @@ class VehicleSettings:
 
 @dataclass(frozen=True)
 class Extra:
-    """An optional state: its name, how it wanders, and its standard deviation at the start."""
+    """An optional state: its name, process model, and standard deviation at the start."""
 
     name: str
     model: RandomWalk | GaussMarkov
@@ -161,16 +163,16 @@ class FilterConfig:
     imu: ImuSettings
     gnss: GnssSettings
     inputs: dict[int, Measurement]  # by number
-    sensors: dict[int, SensorSettings]  # of those besides the fixes, by number
+    sensors: dict[int, SensorSettings]  # of all inputs but the main receiver's fixes, by number
     alignment: AlignmentSettings
     vehicle: VehicleSettings
     wheel_vibration: str  # off or report
     datum: np.ndarray | None  # rad, rad, m
-    parameters: dict  # as given; for the effects' correctors
+    parameters: dict  # as given
 
     @classmethod
     def from_parameters(cls, values: dict) -> FilterConfig:
-        """From checked parameters (`parameters.table.check`). Raises ParameterError where they do not fit together."""
+        """From checked parameters (`parameters.table.check`). ParameterError where they contradict each other."""
         mechanization = STRAPDOWN if values['mechanization'] == 'strapdown' else PLANAR
         for measurement in aiding(values) if mechanization == PLANAR else ():
             if measurement.kind == Kind.PRESSURE and values[measurement.topic]:
@@ -210,7 +212,7 @@ class FilterConfig:
             parameters=values)
 
     def settings_of(self, number: int) -> GnssSettings | SensorSettings:
-        """Of the input with this number."""
+        """Settings of the input with this number."""
         return self.gnss if number == Kind.POSITION else self.sensors[number]
 
     def time_offset_of(self, number: int) -> float:
@@ -221,12 +223,12 @@ class FilterConfig:
 
     @property
     def latest(self) -> float:
-        """s: a measurement may arrive this much later than the IMU samples of its time; by a declared offset all do."""
+        """s, by which a measurement may arrive after the IMU samples of its time: gnss.max_delay and time offset."""
         return self.gnss.max_delay + max(0.0, *map(self.time_offset_of, self.inputs))
 
     @property
     def ahead(self) -> float:
-        """s: and this much before them."""
+        """s, by which a measurement may arrive before the IMU samples of its time."""
         return AHEAD + max(0.0, *(-self.time_offset_of(number) for number in self.inputs))
 
     @cached_property
@@ -236,7 +238,7 @@ class FilterConfig:
 
     @property
     def first_variance(self) -> np.ndarray:
-        """Of each channel's error (channels,) when it is switched on, of a sensor never seen before."""
+        """Variance of the error of each channel (channels,) of a sensor never seen before."""
         return np.array([model.initial_covariance()[0, 0] + turn_on**2
                          for model, turn_on in zip(self.models, self.turn_on_sigma)])
 
@@ -247,31 +249,29 @@ class FilterConfig:
 
     @property
     def capacity(self) -> int:
-        """States and samples remembered for fixes that come late: a power of two, small enough for the cache."""
+        """Number of states and IMU samples kept for late measurements: a power of two."""
         return 2 ** math.ceil(math.log2(self.latest * FASTEST_IMU + 16))
 
     @property
     def event_capacity(self) -> int:
-        """Measurements remembered: twice those of gnss.max_delay, as the older half is forgotten at once, and of those
-        that come before the IMU's samples of their time as well."""
+        """Number of measurements kept: twice those of the longest delay, as the older half is dropped at once."""
         return 2 * math.ceil(MOST_MEASUREMENTS * (self.latest + self.ahead))
 
     def correctors(self) -> list:
-        """What takes the effects that the parameters declare out of samples in sensor axes, in order."""
+        """Functions that remove the configured effects from samples in sensor axes, in the order of application."""
         made = (effect.corrector(self.parameters, self.imu.mounting) for effect in EFFECTS.values())
         return [corrector for corrector in made if corrector is not None]
 
     def memory(self, history: bool = False) -> np.ndarray:
-        """The kernel's memory with these settings in it, before the first state. history: with what a smoother needs.
-        """
+        """The kernel's memory with these settings, before the first state. history: with room for smoothing."""
         layout, width = self.layout, row_width(self.layout)
         rows = Head.SIZE + noise_size(layout)
         ring = rows + (self.capacity + 2) * width  # two rows more, for states between samples
         events = ring + self.capacity * Sample.SIZE
         scratch = events + self.event_capacity * Event.SIZE
         wheels = scratch + scratch_size(layout.n)
-        end = wheels + (0 if self.wheel_vibration == 'off' else Ear.SIZE)
-        # a smoother's history goes forward only; where each fix is believed in any case there is nothing to decide
+        end = wheels + (0 if self.wheel_vibration == 'off' else wheel_vibration.Lines.SIZE)
+        # room for the second filter (bank.py); none in a smoother, and none where no fix is ever refused
         second = 0 if history or self.gnss.gate == 0.0 else end
         memory = np.zeros(end + second + (history_size(layout.n) if history else 0))
         HEAD.begin(memory)
@@ -282,7 +282,7 @@ class FilterConfig:
             memory[column] = at
         memory[Head.SIZE:rows], memory[Head.FORGOTTEN] = self._noise(), -math.inf
         if wheels < end:
-            begin_listening(memory, wheels)
+            wheel_vibration.begin(memory, wheels)
         return memory
 
     def _write_head(self, head: np.ndarray, width: int) -> None:
@@ -337,15 +337,15 @@ class FilterConfig:
 
 
 def _equal_order(models: tuple[Model, ...]) -> tuple[Model, ...]:
-    """Models of different order, filled up with zeros: the kernel has one p for all channels."""
+    """The models with the order of the largest, padded with zeros: the kernel has one p for all channels."""
     order = max(model.order for model in models)
     return tuple(model if model.order == order else model.of_order(order) for model in models)
 
 
 def _with_tilt(models: tuple[Model, ...], white: np.ndarray, sigma: float) -> tuple[tuple[Model, ...], np.ndarray]:
-    """Models and white noise with what gravity adds on a road that is not level: sigma m/s^2 on f_x and f_y.
+    """Models and white noise of the planar filter, which has no state for tilt, with gravity leaking into f_x and f_y.
 
-    The planar filter has no state for it. A model takes it in as far as it can (`Model.with_tilt`).
+    sigma: m/s^2. Each model includes it in its own way (`Model.with_tilt`).
     """
     if sigma == 0:
         return models, white
@@ -354,7 +354,7 @@ def _with_tilt(models: tuple[Model, ...], white: np.ndarray, sigma: float) -> tu
 
 
 def _extras(values: dict, mechanization: int) -> tuple[Extra, ...]:
-    """The optional states that `values` ask for."""
+    """The optional states of the configuration."""
     extras = []
     coloured = _coloured(values)
     if coloured:
@@ -387,7 +387,7 @@ def _imu(values: dict) -> ImuSettings:
     return ImuSettings(values['imu_topic'], values['temperature_topic'], tuple(values['imu.mounting_rpy']),
                        values['imu.max_gap'], values['imu.restart_gap'], values['imu.max_specific_force'],
                        values['imu.max_angular_rate'],
-                       # the planar filter's white noise may hold the slopes
+                       # with AR models the planar filter's white noise includes the tilt (`_with_tilt`)
                        values['imu.adapt_noise'] and values['mechanization'] == 'strapdown')
 
 
@@ -398,10 +398,10 @@ def _gnss(values: dict) -> GnssSettings:
         time_offset=values['gnss.time_offset'], lag=values['gnss.lag_per_acceleration'], sigma=values['gnss.sigma'],
         default_sigma=values['gnss.default_sigma'],
         max_delay=values['gnss.max_delay'], robust_sigma=values['gnss.robust_sigma'],
-        # of a chi-square distribution with two degrees of freedom
+        # root of the quantile of a chi-square distribution with two degrees of freedom
         gate=math.sqrt(-2.0 * math.log1p(-share)) if share < 1.0 else 0.0,
         recovery_time=values['gnss.recovery_time'],
-        # the planar filter's own errors, slopes, would pass for the receiver's
+        # the planar filter's errors on slopes would be taken for the receiver's
         adapt_sigma=values['gnss.adapt_sigma'] and values['mechanization'] == 'strapdown',
         adapt_covariance=values['gnss.adapt_covariance'], outage_after=values['gnss.outage_after'],
         coloured=_coloured(values))

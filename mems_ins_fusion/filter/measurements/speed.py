@@ -1,4 +1,4 @@
-"""Speed over ground along the vehicle, from its wheels: at the axle whose wheels are counted, with a scale error."""
+"""Wheel speed: speed over ground along the vehicle, at the axle whose wheels are counted, with a scale factor error."""
 from __future__ import annotations
 
 from dataclasses import replace
@@ -13,12 +13,12 @@ from ..memory import NAV, Event, Head, Kind, channel_of
 from .base import ODOMETRY, TWIST, Measurement, covariance36
 from .geometry import add_body_velocity, angular_rate, arm_of, body_velocity, own_state, vehicle_to_level
 from .motion import velocity_at
-from .records import empty, refuse, stated_or
+from .records import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or
 
 
 @njit(_nrt=False)
 def observe(mem, r, at, h, n, c, sample):
-    """Predicted minus measured speed, positive forwards; one component. measured = (1 + scale) true."""
+    """Speed, positive forward; one component. measured = (1 + scale) true."""
     _, y, z = arm_of(mem, at, Head.AXLE_X)
     _, w_y, w_z = angular_rate(mem, r, sample)
     c = vehicle_to_level(mem, r, c)
@@ -31,17 +31,12 @@ def observe(mem, r, at, h, n, c, sample):
     if mem[at + Event.INPUT] == 0.0:
         if across >= 0:
             mem[h + across] = w_z
-    elif gyroscope >= 0:  # two wheels of an axle tell the turn rate; `update` takes H times the estimate out of z
+    elif gyroscope >= 0:  # a lateral arm: the speed contains the turn rate. `update` subtracts H times the estimate
         mem[h + gyroscope] = -y
         mem[at + Event.Z_N] -= y * mem[r + NAV + gyroscope]
     mem[at + Event.Z_N] -= mem[at + Event.VALUE]
     return 1
 
-
-#: faster is no land vehicle, m/s
-FASTEST = 150.0
-#: not better than this, m/s
-SMALLEST_SIGMA = 0.001
 
 
 class Speed(Measurement):
@@ -52,7 +47,7 @@ class Speed(Measurement):
     has_arm = True
     messages = {TWIST: ('twist.twist.linear', 'twist.covariance'), ODOMETRY: ('twist.twist.linear', 'twist.covariance')}
     written_to = '/wheel/speed'
-    #: m/s, white, of the rear wheels' speed; standard deviation of its scale factor error, drawn for each seed
+    #: m/s, white noise of the rear wheels' speed; standard deviation of its scale factor error, drawn for each seed
     simulated_with = {'speed_rate': 0.0, 'speed_sigma': 0.05, 'speed_scale': 0.01}
 
     def parameters(self):
@@ -66,7 +61,7 @@ class Speed(Measurement):
                       'it is exact.', minimum=0.0, maximum=0.5))
 
     def states(self, values):
-        # in a bend the wheels' speed is not the IMU's
+        # lateral offset of the wheels from the IMU: in a bend their speeds differ
         across = {'axle_y': (values['vehicle.rear_axle_sigma'], 0.0)} if self.is_plain else {}
         return {self.state: (values[f'{self.name}.scale_sigma'], 0.0), **across}
 
@@ -84,7 +79,7 @@ class Speed(Measurement):
         r, reasons = empty(Kind.SPEED, n), np.full(n, '', dtype=object)
         refuse(reasons, ~(np.abs(speed) < FASTEST), lambda i: f'speed {speed[i]:g} m/s: dropped')
         r[:, Event.VALUE] = speed
-        r[:, Event.R_NN] = stated_or(speeds.variance, settings, SMALLEST_SIGMA)
+        r[:, Event.R_NN] = stated_or(speeds.variance, settings, SMALLEST_SPEED_SIGMA)
         return r, reasons, np.full(n, '', dtype=object)
 
     def off(self, measured, innovation):
@@ -107,7 +102,7 @@ class Speed(Measurement):
         return Speeds(stamp, stamp.copy(), speed, np.full(len(time), errors['speed_sigma'] ** 2))
 
     def _true(self, drive, time):
-        """Of the rear axle, or along the vehicle at the arm of a named input."""
+        """True speed of the rear axle, of a named input at its lever arm, m/s."""
         if self.is_plain:
             return drive.path.wheel_speed(time)
         return np.einsum('ki,ki->k', velocity_at(drive, time, self.arm), drive.at(time).attitude.as_matrix()[:, :, 0])

@@ -384,7 +384,7 @@ class FusionFilter(Intake):
         if self._memory is not None:
             self.update_odometry()
             speed, speed_sigma = float(self.odometry[LINEAR]), math.sqrt(self.odometry[TWIST_COVARIANCE])
-            errors, wheels = learned(self.config, self._memory), wheel_vibration.learned(self._memory)
+            errors, wheels = learned(self.config, self._memory), wheel_vibration.calibration(self._memory)
         elif still is not None:
             speed_sigma = STANDING_SIGMA
             still.end -= (self._now - self._epoch) * 1e-9
@@ -548,7 +548,7 @@ class FusionFilter(Intake):
                    'shown over assumed noise of the accelerometers': math.sqrt(white_noise.shown(memory, sample, 0)),
                    'shown over assumed noise of the gyroscopes': math.sqrt(white_noise.shown(memory, sample, 3)),
                    'contradicted by the constraint, s': float(row[Nav.SLID])}
-        values |= wheel_vibration.told(memory, memory[sample + Sample.TIME])
+        values |= wheel_vibration.diagnostics(memory, memory[sample + Sample.TIME])
         for i, name in enumerate(layout.names[layout.n_navigation:], start=layout.n_navigation):
             values[name] = float(row[NAV + i])
             values[f'{name} sigma'] = float(sigma[i])

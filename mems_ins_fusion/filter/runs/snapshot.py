@@ -33,7 +33,7 @@ def made(config: FilterConfig, memory: np.ndarray, stamp: int) -> dict:
     latitude, longitude, height, v_n, v_e, _, _ = corrected(memory, at, config.layout.is_level,
                                                             config.open_loop)
     yaw, yaw_sigma = vehicle_heading(config, memory)
-    errors, wheels = learned(config, memory), wheel_vibration.learned(memory)
+    errors, wheels = learned(config, memory), wheel_vibration.calibration(memory)
     return {'stamp': int(stamp), 'latitude': latitude, 'longitude': longitude, 'height': height,
             'speed': math.hypot(v_n, v_e), 'yaw': yaw, 'yaw_sigma': yaw_sigma,
             'errors': {'names': list(layout.names[layout.n_navigation:]), 'estimate': errors.estimate.tolist(),
@@ -72,7 +72,7 @@ def recalled(config: FilterConfig, snapshot: dict, now: int, max_distance: float
         place = tuple(float(snapshot[name]) for name in ('latitude', 'longitude', 'height'))
         speed, yaw, sigma = (float(snapshot[name]) for name in ('speed', 'yaw', 'yaw_sigma'))
         errors = _errors(config, snapshot['errors'])
-        wheels = wheel_vibration.aged(snapshot['wheels']) if 'wheels' in snapshot else None
+        wheels = wheel_vibration.checked_calibration(snapshot['wheels']) if 'wheels' in snapshot else None
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f'not a state of the filter: {" ".join(str(error).split())}') from None
     if not (all(map(math.isfinite, (*place, speed, yaw, sigma, age))) and sigma >= 0.0 and age >= 0.0):

@@ -64,7 +64,7 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
     set_covariance(row, layout, full)
     set_radii(memory, int(head[Head.ROWS_AT]))
     ring[0, Sample.TIME] = start.time
-    wheel_vibration.remember(memory, start.wheels)
+    wheel_vibration.restore(memory, start.wheels)
 
 
 def _turn_into_vehicle(config: FilterConfig, full: np.ndarray) -> None:
