@@ -16,7 +16,7 @@ from mems_ins_fusion.filter.measurements.wheel_spectrum import AXES, BINS, POINT
 from mems_ins_fusion.filter.measurements.wheel_vibration import Lines, Wheels
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.replay import run
-from mems_ins_fusion.filter.runs.snapshot import made, recalled
+from mems_ins_fusion.filter.runs.snapshot import from_snapshot, make_snapshot
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.parameters.parameter import ParameterError
 from mems_ins_fusion.samples import Aiding
@@ -182,18 +182,18 @@ def test_live_and_replay_tell_the_same_bits(simulated, feedback):
 def test_it_is_kept_for_the_next_start(heard):
     config, memory = configure({**CAR, 'wheel_vibration': 'report'}), heard['report'].memory
     stamp = int(heard['report'].stamp[-1])
-    kept = json.loads(json.dumps(made(config, memory, stamp)))
-    remembered, _ = recalled(config, kept, stamp + 10**9, 20.0)
+    kept = json.loads(json.dumps(make_snapshot(config, memory, stamp)))
+    remembered, _ = from_snapshot(config, kept, stamp + 10**9, 20.0)
     fresh = config.memory()
     wheel_vibration.restore(fresh, remembered.wheels)
     before, after = wheel_vibration.summary(memory), wheel_vibration.summary(fresh)
     # the same circumference, less sure of it: pressure and load
     assert after['circumference_m'] == before['circumference_m'] and after['sigma_m'] > before['sigma_m']
     with pytest.raises(InputError):
-        recalled(config, {**kept, 'wheels': [1.0, 2.0]}, stamp + 10**9, 20.0)
+        from_snapshot(config, {**kept, 'wheels': [1.0, 2.0]}, stamp + 10**9, 20.0)
     with pytest.raises(InputError):
-        recalled(config, {**kept, 'wheels': [99.0, *kept['wheels'][1:]]}, stamp + 10**9, 20.0)
-    assert 'wheels' not in made(configure(CAR), heard['off'].memory, stamp)
+        from_snapshot(config, {**kept, 'wheels': [99.0, *kept['wheels'][1:]]}, stamp + 10**9, 20.0)
+    assert 'wheels' not in make_snapshot(configure(CAR), heard['off'].memory, stamp)
 
 
 def test_health_tells_it(heard, simulated):

@@ -44,8 +44,7 @@ from .trust.white_noise import White
 
 #: s: a measurement may arrive this much before the IMU samples of its time; one further ahead is of a different clock
 AHEAD = 1.0
-#: Hz, IMU rate up to which the memory holds the samples of gnss.max_delay
-FASTEST_IMU = 1000
+FASTEST_IMU = 1000  # Hz, IMU rate up to which the memory holds the samples of gnss.max_delay
 #: Hz, rate of all measurements together up to which the memory holds those of gnss.max_delay: speed, velocity and
 #: heading at 100 Hz, fixes at 20 Hz, and a margin
 MOST_MEASUREMENTS = 400
@@ -55,8 +54,7 @@ SENSORS = ('accelerometer', 'gyroscope')
 REPEATED_TURN_ON = 0.3
 #: random walk of an estimated mounting angle in an hour, as a share of its prior standard deviation
 MOUNTING_WANDER = 0.05
-#: s, correlation time of the tilt of road and body, for the planar filter
-TILT_TIME = 30.0
+TILT_TIME = 30.0  # s, correlation time of the tilt of road and body, for the planar filter
 
 
 @dataclass(frozen=True)

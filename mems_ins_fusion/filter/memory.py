@@ -198,8 +198,7 @@ def packed(i, j, size):
     return i * size - i * (i - 1) // 2 + j - i
 
 
-#: floats of each named input at the end of a row: its statistics (trust/scale.py)
-INPUT_SIZE = 19
+INPUT_SIZE = 19  # floats of each named input at the end of a row: its statistics (trust/scale.py)
 
 
 def row_width(layout: StateLayout) -> int:
@@ -417,8 +416,7 @@ class _Sample(NamedTuple):
 
 
 Sample = _Sample()
-#: columns of a sample that other files declare
-SAMPLE = Part('a sample', Sample.MECHANISMS, Sample.SIZE)
+SAMPLE = Part('a sample', Sample.MECHANISMS, Sample.SIZE)  # columns of a sample that other files declare
 
 
 class _Kind(NamedTuple):
@@ -506,8 +504,7 @@ Verdict = _Verdict()
 
 #: first position of the noise parameters, which follow the head: white noise density squared of the six axes,
 WHITE = Head.SIZE
-#: then those of the augmented states, as the functions below say
-_STATES = WHITE + 6
+_STATES = WHITE + 6  # then those of the augmented states, as the functions below say
 
 
 @njit(inline='always')

@@ -41,18 +41,14 @@ from .trust.lag import LagSettings, fall_behind
 from .trust.scale import Inputs
 from .trust.white_noise import density
 
-#: m/s^2, standard deviation of a vehicle's acceleration during a gap in the IMU samples
-GAP_ACCELERATION = 1.5
-#: rad/s, standard deviation of its turn rate during a gap
-GAP_TURN_RATE = 0.3
+GAP_ACCELERATION = 1.5  # m/s^2, standard deviation of a vehicle's acceleration during a gap in the IMU samples
+GAP_TURN_RATE = 0.3  # rad/s, standard deviation of its turn rate during a gap
 #: rad, largest standard deviation that a gap gives to roll and pitch, however long it lasts: roads are not steeper
 GAP_TILT = 0.1
 #: s for which the acceleration and turn rate of a gap are taken for constant; after that they are new ones
 LONGEST_BRIDGE = 2.0
-#: rad, standard deviation of a heading that is uniformly distributed
-UNKNOWN_YAW_SIGMA = math.pi / math.sqrt(3.0)
-#: rad of latitude (13 m) after which the radii are computed anew: the scales are accurate to 2e-6
-RADII_STEP = 2e-6
+UNKNOWN_YAW_SIGMA = math.pi / math.sqrt(3.0)  # rad, standard deviation of a heading that is uniformly distributed
+RADII_STEP = 2e-6  # rad of latitude (13 m) after which the radii are computed anew: the scales are accurate to 2e-6
 
 
 @njit(_nrt=False, fastmath={'contract'})

@@ -33,12 +33,9 @@ def observe(mem, r, at, h, n, c):
     return 1
 
 
-#: rad: smallest standard deviation that a heading is credited with, whatever its message claims
-SMALLEST_SIGMA = 0.001
-#: rad: a larger yaw is not a number of radians or degrees that wrap
-LARGEST_YAW = 100.0
-#: first element of a covariance in sensor_msgs/Imu where the quantity is not there
-UNKNOWN = -1.0
+SMALLEST_SIGMA = 0.001  # rad: smallest standard deviation that a heading is credited with, whatever its message claims
+LARGEST_YAW = 100.0  # rad: a larger yaw is not a number of radians or degrees that wrap
+UNKNOWN = -1.0  # first element of a covariance in sensor_msgs/Imu where the quantity is not there
 
 
 class Heading(Measurement):

@@ -106,16 +106,11 @@ def heading(mem, r, at, c):
 
 #: T: smallest standard deviation that a field is credited with: disturbances by surrounding iron are everywhere
 SMALLEST_SIGMA = 1e-6
-#: T: range of a field. That of the earth has 22 to 67 uT; the rest allows for hard iron
-WEAKEST, STRONGEST = 5e-6, 5e-4
-#: prior standard deviation of the horizontal field at a place, as a share of it: 15 to 40 uT
-STRENGTH_SIGMA = 0.4
-#: 1/sqrt(s), random walk of strength and soft iron: 0.1 within an hour
-SOFT_WALK = 0.1 / 60.0
-#: T, horizontal and vertical field in simulations: central Europe
-SIMULATED_FIELD = 20e-6, 44e-6
-#: m along the road, standard deviation of the disturbance by a simulated piece of iron beside it
-REACH = 3.0
+WEAKEST, STRONGEST = 5e-6, 5e-4  # T: range of a field. That of the earth has 22 to 67 uT; the rest allows for hard iron
+STRENGTH_SIGMA = 0.4  # prior standard deviation of the horizontal field at a place, as a share of it: 15 to 40 uT
+SOFT_WALK = 0.1 / 60.0  # 1/sqrt(s), random walk of strength and soft iron: 0.1 within an hour
+SIMULATED_FIELD = 20e-6, 44e-6  # T, horizontal and vertical field in simulations: central Europe
+REACH = 3.0  # m along the road, standard deviation of the disturbance by a simulated piece of iron beside it
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,7 @@ from __future__ import annotations
 
 import numpy as np
 
-#: s, half the interval of the central differences
-STEP = 1e-3
+STEP = 1e-3  # s, half the interval of the central differences
 
 
 def velocity_at(drive, time: np.ndarray, arm: np.ndarray) -> np.ndarray:

@@ -24,12 +24,9 @@ HORIZONTAL_95, VERTICAL_95 = 2.4477, 1.96
 #: `NavSatStatus.status` of each `GPSStatus.status`. RTK fixed: 2; differential corrections or RTK float, whose errors
 #: are larger: 1; no corrections: 0; no fix: -1
 STATUS_OF = {-1: -1, 0: 0, 1: 1, 33: 1, 18: 1, 20: 1, 2: 2, 19: 2}
-#: satellites below which a message that counts them has no position
-FEWEST_SATELLITES = 3
-#: m: smallest standard deviation that a fix is credited with, whatever it claims
-SMALLEST_SIGMA = 0.001
-#: m above the ellipsoid: limits for a land vehicle
-LOWEST, HIGHEST = -1000.0, 10000.0
+FEWEST_SATELLITES = 3  # satellites below which a message that counts them has no position
+SMALLEST_SIGMA = 0.001  # m: smallest standard deviation that a fix is credited with, whatever it claims
+LOWEST, HIGHEST = -1000.0, 10000.0  # m above the ellipsoid: limits for a land vehicle
 
 
 @njit(_nrt=False)

@@ -33,16 +33,12 @@ def observe(mem, r, at, h):
     return 1
 
 
-#: Pa, of the standard atmosphere at sea level
-SEA_LEVEL = 101325.0
-#: m: temperature at sea level (K) over lapse rate (K/m)
-SCALE_HEIGHT = 288.15 / 0.0065
-#: gas constant times lapse rate over gravity and molar mass
-EXPONENT = 8.31432 * 0.0065 / (9.80665 * 0.0289644)
+SEA_LEVEL = 101325.0  # Pa, of the standard atmosphere at sea level
+SCALE_HEIGHT = 288.15 / 0.0065  # m: temperature at sea level (K) over lapse rate (K/m)
+EXPONENT = 8.31432 * 0.0065 / (9.80665 * 0.0289644)  # gas constant times lapse rate over gravity and molar mass
 #: Pa: range on land; the highest road is at 5900 m, the lowest mine 500 m below the sea
 LOWEST, HIGHEST = 40000.0, 115000.0
-#: Pa: smallest standard deviation that a pressure is credited with, whatever its message claims
-SMALLEST_SIGMA = 0.1
+SMALLEST_SIGMA = 0.1  # Pa: smallest standard deviation that a pressure is credited with, whatever its message claims
 
 
 def height_of(pressure: np.ndarray) -> np.ndarray:

@@ -5,8 +5,7 @@ import numpy as np
 
 from ..memory import Event
 
-#: m/s: no land vehicle is faster
-FASTEST = 150.0
+FASTEST = 150.0  # m/s: no land vehicle is faster
 #: m/s (rad/s of a turn rate): smallest standard deviation that a velocity is credited with, whatever its message claims
 SMALLEST_SPEED_SIGMA = 0.001
 

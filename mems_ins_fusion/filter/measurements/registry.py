@@ -27,17 +27,14 @@ FROM_IMU: tuple[Parameter, ...] = (wheel_vibration.PARAMETER,)
 assert len(MEASUREMENTS) == 1 + len(AIDING), 'two measurements with one number'
 #: what a named input can measure, by `NAME.type`
 TYPES = {measurement.name: measurement for measurement in (*MEASUREMENTS.values(), Pose())}
-#: a named input can also be a further IMU
-INERTIAL = Inertial()
+INERTIAL = Inertial()  # a named input can also be a further IMU
 _NAMED = {**TYPES, INERTIAL.name: INERTIAL}
-#: number of the first named input
-FIRST_NAMED = 100
+FIRST_NAMED = 100  # number of the first named input
 INPUTS = Parameter('inputs', [], 'text', 'Names of further inputs, any number, each with NAME.type '
                    f'({", ".join(sorted(_NAMED))}), NAME.topic, NAME.time_offset, NAME.sigma and what else its type '
                    'has; NAME.lever_arm of where it is measured. The parameters without a name are of one more of '
                    'each.')
-#: the name of an input
-_NAME = re.compile(r'[a-z][a-z0-9_]*')
+_NAME = re.compile(r'[a-z][a-z0-9_]*')  # the name of an input
 
 
 def named_parameters(values: Mapping, taken: Mapping) -> dict[str, Parameter]:

@@ -20,22 +20,16 @@ from ..columns import numbered
 #: s, duration of a window: a line is 0.5 Hz wide, which is 1 m/s at the first harmonic and 0.3 m/s at the third; in a
 #: longer window the error of the speed smears the lines
 WINDOW = 4.0
-#: steps of distance in a window: 0.3 m each at 40 m/s, two for each cycle of the third harmonic
-POINTS = 512
+POINTS = 512  # steps of distance in a window: 0.3 m each at 40 m/s, two for each cycle of the third harmonic
 #: s: samples are averaged to at least this interval, so that the ring of POINTS rows holds a window
 SHORTEST = 1.01 * WINDOW / POINTS
-#: three accelerometers, three gyroscopes
-AXES = 6
-#: bins to either side that are the neighbourhood: 2 Hz
-NEIGHBOURHOOD = 16
-#: highest frequency used, as a share of the Nyquist frequency: interpolation removes power near that
-HIGHEST = 0.9
+AXES = 6  # three accelerometers, three gyroscopes
+NEIGHBOURHOOD = 16  # bins to either side that are the neighbourhood: 2 Hz
+HIGHEST = 0.9  # highest frequency used, as a share of the Nyquist frequency: interpolation removes power near that
 #: smallest logarithm of the power over its neighbourhood: no single bin is stronger evidence against a line
 LEAST = -1.5
-#: largest logarithm of the power over its neighbourhood: no single bin is stronger evidence for a line
-MOST = 3.5
-#: windows over which the power at constant frequency (Hz) is averaged: five minutes
-STANDING_MEMORY = 150.0
+MOST = 3.5  # largest logarithm of the power over its neighbourhood: no single bin is stronger evidence for a line
+STANDING_MEMORY = 150.0  # windows over which the power at constant frequency (Hz) is averaged: five minutes
 BINS = POINTS + 1
 
 column = numbered()

@@ -57,89 +57,56 @@ PARAMETER = Parameter(
     'drives the errors without fixes did not become smaller for certain (docs/wheel_vibration.md).',
     choices=('off', 'report'))
 
-#: s from one window to the next: tapered windows that overlap by half are nearly independent
-HOP = 2.0
-#: m/s: below this speed the lines of the wheels lie among those of the suspension
-SLOWEST = 4.0
-#: rad/s: above this turn rate the wheels of the two sides have different speeds, and lines split
-FASTEST_TURN = 0.1
-#: s, time constant of the low pass of the turn rate
-TURN_TIME = 0.5
-#: multiples of the revolution that are looked at
-HARMONICS = 4
+HOP = 2.0  # s from one window to the next: tapered windows that overlap by half are nearly independent
+SLOWEST = 4.0  # m/s: below this speed the lines of the wheels lie among those of the suspension
+FASTEST_TURN = 0.1  # rad/s: above this turn rate the wheels of the two sides have different speeds, and lines split
+TURN_TIME = 0.5  # s, time constant of the low pass of the turn rate
+HARMONICS = 4  # multiples of the revolution that are looked at
 CHANNELS = AXES * HARMONICS
-#: step of the grid of x: at 40 m/s a line of the third harmonic is 0.5 % wide
-STEP = 0.003
-#: grid points to either side of x = 0
-HALF = 85
+STEP = 0.003  # step of the grid of x: at 40 m/s a line of the third harmonic is 0.5 % wide
+HALF = 85  # grid points to either side of x = 0
 GRID = 2 * HALF + 1
-#: m, geometric mean of the circumferences searched, 1.5 to 2.5: cars and vans
-MIDDLE = 1.94
-#: highest frequency looked at, cycles per metre
-HIGHEST = HARMONICS / MIDDLE * math.exp(STEP * HALF)
-#: power of a grid point beyond the spectrum
-NO_POWER = -99.0
-#: half width of a line, grid points (5 %): these are left out of the mean beside it
-LINE_HALF_WIDTH = 17
-#: error of the filter's own speed that the score allows, grid points to either side (0.6 %)
-SCORE_HALF_WIDTH = 2
-#: windows over which a channel's statistics are averaged: five minutes
-CHANNEL_MEMORY = 150.0
-#: windows over which the score is averaged: two minutes, so that another wheel is noticed soon
-SCORE_MEMORY = 60.0
-#: smallest variance of a channel's logarithmic power; noise has 1.6
-LEAST_SPREAD = 0.1
+MIDDLE = 1.94  # m, geometric mean of the circumferences searched, 1.5 to 2.5: cars and vans
+HIGHEST = HARMONICS / MIDDLE * math.exp(STEP * HALF)  # highest frequency looked at, cycles per metre
+NO_POWER = -99.0  # power of a grid point beyond the spectrum
+LINE_HALF_WIDTH = 17  # half width of a line, grid points (5 %): these are left out of the mean beside it
+SCORE_HALF_WIDTH = 2  # error of the filter's own speed that the score allows, grid points to either side (0.6 %)
+CHANNEL_MEMORY = 150.0  # windows over which a channel's statistics are averaged: five minutes
+SCORE_MEMORY = 60.0  # windows over which the score is averaged: two minutes, so that another wheel is noticed soon
+LEAST_SPREAD = 0.1  # smallest variance of a channel's logarithmic power; noise has 1.6
 #: sigmas by which the search has to find a circumference: of some twenty independent ones a false one exceeds it once
 #: in millions of drives
 COMB_SIGMAS = 6.0
-#: windows that the search needs: half a minute
-COMB_WINDOWS = 15.0
-#: windows over which the search forgets: ten minutes, as a tyre may be changed
-COMB_MEMORY = 300.0
-#: standard deviation of ln C as the search finds it
-COMB_SIGMA = 0.01
-#: 1/s, variance that ln C gains: 0.1 % in ten minutes, as a tyre warms up
-C_DRIFT = 0.001**2 / 600.0
-#: smallest standard deviation of ln C: engine orders that follow the wheels in one gear bias it
-LEAST_SIGMA = 0.003
-#: windows over which the normalized innovation of ln C is averaged
-INNOVATION_MEMORY = 20.0
-#: sigmas of that mean beyond which the lines are of another wheel, or of no wheel
-INNOVATION_LIMIT = 4.0
-#: standard deviation of ln C after that: too large for a speed to be reported
-REOPENED_SIGMA = 0.015
-#: standard deviation by which ln C may change while the vehicle is parked: pressure and load
-PARKED_SIGMA = 0.003
-#: ln C that the search finds is of another wheel beyond this difference
-NEW_WHEEL = 0.02
+COMB_WINDOWS = 15.0  # windows that the search needs: half a minute
+COMB_MEMORY = 300.0  # windows over which the search forgets: ten minutes, as a tyre may be changed
+COMB_SIGMA = 0.01  # standard deviation of ln C as the search finds it
+C_DRIFT = 0.001**2 / 600.0  # 1/s, variance that ln C gains: 0.1 % in ten minutes, as a tyre warms up
+LEAST_SIGMA = 0.003  # smallest standard deviation of ln C: engine orders that follow the wheels in one gear bias it
+INNOVATION_MEMORY = 20.0  # windows over which the normalized innovation of ln C is averaged
+INNOVATION_LIMIT = 4.0  # sigmas of that mean beyond which the lines are of another wheel, or of no wheel
+REOPENED_SIGMA = 0.015  # standard deviation of ln C after that: too large for a speed to be reported
+PARKED_SIGMA = 0.003  # standard deviation by which ln C may change while the vehicle is parked: pressure and load
+NEW_WHEEL = 0.02  # ln C that the search finds is of another wheel beyond this difference
 #: factor on the variance of each innovation of ln C: errors of the fixes last longer than one window
 FIX_ERROR_FACTOR = 2.0
-#: standard deviation of ln C above which no speed is reported
-LARGEST_C_SIGMA = 0.01
+LARGEST_C_SIGMA = 0.01  # standard deviation of ln C above which no speed is reported
 #: exponent of the likelihood of successive windows: interference shows in several channels, and in the next window
 #: again. With 0.5, sums over four windows of measured drives were right in only 94 % where they were certain
 EXPONENT = 0.2
 #: exponent of the likelihood of one window, for the circumference: only channels share their errors
 EXPONENT_SINGLE = 0.5
-#: windows before which no speed is reported: 40 s of straight driving
-FEWEST = 20.0
-#: sigmas by which the mean score must exceed zero before a speed is reported
-PROVEN = 3.0
-#: prior probability of a window without a line
-NO_LINE = 0.3
-#: s after the last fix used from which there are no fixes
-WITHOUT_FIX = 3.0
+FEWEST = 20.0  # windows before which no speed is reported: 40 s of straight driving
+PROVEN = 3.0  # sigmas by which the mean score must exceed zero before a speed is reported
+NO_LINE = 0.3  # prior probability of a window without a line
+WITHOUT_FIX = 3.0  # s after the last fix used from which there are no fixes
 #: largest standard deviation of the filter's speed, as a share of the speed, for windows to teach the circumference
 RELATIVE_SPEED_SIGMA = 0.03
-#: m/s, step of the grid of the error of the filter's speed
-SPEED_STEP = 0.05
-#: grid points to either side of zero
-SPEED_HALF = 80
+SPEED_STEP = 0.05  # m/s, step of the grid of the error of the filter's speed
+SPEED_HALF = 80  # grid points to either side of zero
 SPEEDS = 2 * SPEED_HALF + 1
 #: m/s, standard deviation of the filter's speed above which no speed is reported: half of the grid
 LARGEST_SPEED_SIGMA = 2.0
-#: added to each point of the density: no speed is impossible
-DENSITY_FLOOR = 1e-12
+DENSITY_FLOOR = 1e-12  # added to each point of the density: no speed is impossible
 
 column = numbered()
 
