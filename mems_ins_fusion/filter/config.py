@@ -17,10 +17,7 @@ from .bank import Bank
 from .history import history_size
 from .measurements import wheel_vibration
 from .measurements.base import Measurement, SensorSettings
-from .measurements.magnetometer import Compass
-from .measurements.pressure import Barometer
-from .measurements.registry import aiding, inputs
-from .measurements.twist import Scales
+from .measurements.registry import AIDING, aiding, inputs
 from .memory import (
     HEAD,
     MECHANIZATIONS,
@@ -292,9 +289,8 @@ class FilterConfig:
             Head.EVENT_CAPACITY: self.event_capacity,
             Head.COLOURED: layout.index('coloured_n'), Head.MOUNTING_PITCH: layout.index('mounting_pitch'),
             Head.MOUNTING_YAW: layout.index('mounting_yaw'), Head.AXLE: layout.index('axle_x'),
-            Head.AXLE_ACROSS: layout.index('axle_y'), Head.SPEED_SCALE: layout.index('speed_scale'),
-            Head.TIME_OFFSET: layout.index('time_offset'), Barometer.BIAS: layout.index('pressure_bias'),
-            Scales.TWIST: layout.index('twist_scale'), Compass.STATES: layout.index('magnetometer_hard_x'),
+            Head.AXLE_ACROSS: layout.index('axle_y'), Head.TIME_OFFSET: layout.index('time_offset'),
+            **{one.state_column: layout.index(one.state) for one in AIDING if one.state_column is not None},
             Head.ACCELEROMETER_INTERVAL: self.models[0].interval or 0.0,
             Head.GYROSCOPE_INTERVAL: self.models[-1].interval or 0.0,
             Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: self.latest, Head.AHEAD: self.ahead,

@@ -42,6 +42,7 @@ from .trust.scale import Inputs
 from .trust.white_noise import density
 
 GAP_ACCELERATION = 1.5  # m/s^2, standard deviation of a vehicle's acceleration during a gap in the IMU samples
+GAP_TILT_SHARE = 0.1  # variance of roll and pitch over that of the heading that a gap adds
 GAP_TURN_RATE = 0.3  # rad/s, standard deviation of its turn rate during a gap
 #: rad, largest standard deviation that a gap gives to roll and pitch, however long it lasts: roads are not steeper
 GAP_TILT = 0.1
@@ -262,7 +263,7 @@ def _bridge(mem, r, dt, m, fault):
         elif error <= Error.V_D:
             mem[at] += velocity
         elif error <= Error.PHI_E:
-            mem[at] += min(0.1 * turn, max(GAP_TILT**2 - mem[at], 0.0))
+            mem[at] += min(GAP_TILT_SHARE * turn, max(GAP_TILT**2 - mem[at], 0.0))
         else:
             mem[at] += turn
 

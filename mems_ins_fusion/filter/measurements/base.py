@@ -17,6 +17,7 @@ POSE_STAMPED = 'geometry_msgs/msg/PoseStamped'
 IMU = 'sensor_msgs/msg/Imu'
 NAV_SAT_FIX = 'sensor_msgs/msg/NavSatFix'
 GPS_FIX = 'gps_msgs/msg/GPSFix'
+FIRST_NAMED = 100  # number of the first named input
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,7 @@ class Measurement:
     measured at the GNSS antenna, with the receiver's stamps. from_satellites: whether an outage withholds it. of_two:
     whether a sample needs two messages. has_arm: whether it depends on where in the vehicle it is measured.
     simulated_with: rate (Hz; 0: not simulated) and errors in simulations, by the names of `simulation.Aiding`.
+    state_column: column of the head for the index of the first optional state of the unnamed input, None without.
 
     Of an input: number, equal to `kind` for the unnamed one; state: name of its first optional state, '' without; arm:
     lever arm (3,) from the IMU, body axes, m, of a named one.
@@ -73,12 +75,15 @@ class Measurement:
     from_satellites = False
     of_two = False
     has_arm = False
+    state_column: int | None = None
     arm: np.ndarray = np.zeros(3)
     simulated_with: Mapping[str, float] = {}
 
     number = property(lambda self: self.kind if self.is_plain else self._number)
     is_plain = property(lambda self: not hasattr(self, '_number'))
     state = ''
+    #: as in Event.INPUT: 0 for the unnamed input, from 1 on for named ones
+    event_input = property(lambda self: 0 if self.is_plain else self._number - FIRST_NAMED + 1)
 
     def named(self, name: str, number: int, arm=(0.0, 0.0, 0.0)) -> Measurement:
         """A named input of this kind. arm: lever arm, base_link (forward-left-up), m."""
@@ -106,13 +111,18 @@ class Measurement:
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters but the topic's."""
         return (
-            Parameter(f'{self.name}.sigma', 0.0, self.unit, f'Standard deviation of the {self.name}; 0 takes what the '
-                      'message says.', minimum=0.0, maximum=1000.0),
-            Parameter(f'{self.name}.default_sigma', self.default_sigma, self.unit, 'Used where the message does not '
-                      'tell.', positive=True, maximum=1000.0),
+            Parameter(f'{self.name}.sigma', 0.0, self.unit, f'Standard deviation of the {self.name}; 0: that of the '
+                      'message.', minimum=0.0, maximum=1000.0),
+            Parameter(f'{self.name}.default_sigma', self.default_sigma, self.unit, 'Standard deviation where the '
+                      'message has none.', positive=True, maximum=1000.0),
             Parameter(f'{self.name}.time_offset', 0.0, 's', f'By which the stamps on {self.topic} are late against the '
-                      'IMU\'s clock' + (', beside gnss.time_offset.' if self.of_antenna and self.is_plain else '.'),
-                      minimum=-10.0, maximum=10.0))
+                      'IMU\'s clock' + (', in addition to gnss.time_offset.' if self.of_antenna and self.is_plain else
+                                        '.'), minimum=-10.0, maximum=10.0))
+
+    def factor_parameter(self, unit: str, examples: str, largest: float = 1e4) -> Parameter:
+        """`NAME.factor`. unit: to which it converts."""
+        return Parameter(f'{self.name}.factor', 1.0, '-', f'Converts the values on {self.topic} to {unit}: {examples}.',
+                         minimum=-largest, maximum=largest)
 
     def settings(self, values: Mapping) -> SensorSettings:
         """From checked parameters."""

@@ -131,7 +131,7 @@ class Magnetometer(Measurement):
     messages = {'sensor_msgs/msg/MagneticField': ('magnetic_field', 'magnetic_field_covariance')}
     layouts = {'sensor_msgs/msg/MagneticField': (('magnetic_field', '<f8', 3),
                                                  ('magnetic_field_covariance', '<f8', 9))}
-    written_to = '/imu/mag'
+    written_to, state_column = '/imu/mag', Compass.STATES
     #: T, white noise; then standard deviations, drawn for each seed: T, hard iron of each axis; elements of soft iron;
     #: rad, declination. T, disturbances by iron beside the road, and m, mean distance between these
     simulated_with = {'magnetometer_rate': 0.0, 'magnetometer_sigma': 0.5e-6, 'magnetometer_hard_iron': 15e-6,
@@ -141,26 +141,25 @@ class Magnetometer(Measurement):
     def parameters(self):
         return (
             *super().parameters(),
-            Parameter(f'{self.name}.factor', 1.0, '-', f'Makes T of what the messages on {self.topic} say: 1e-6 for '
-                      'uT, 1e-4 for gauss.', minimum=-1e4, maximum=1e4),
+            self.factor_parameter('T', '1e-6 for uT, 1e-4 for gauss'),
             Parameter(f'{self.name}.mounting_rpy', [], 'rad', 'Roll, pitch, yaw of the rotation from its axes to '
                       'base_link; empty: imu.mounting_rpy.', lengths=(0, 3), minimum=-2 * math.pi,
                       maximum=2 * math.pi),
-            Parameter(f'{self.name}.declination', 0.0, 'rad', 'By which magnetic north is to the right of true north.',
+            Parameter(f'{self.name}.declination', 0.0, 'rad', 'Angle of magnetic north to the right of true north.',
                       minimum=-math.pi, maximum=math.pi),
-            Parameter(f'{self.name}.declination_sigma', 0.05, 'rad', 'Standard deviation of it, and of how the sensor '
-                      'is turned about the vertical, with which it is estimated.', minimum=1e-4, maximum=math.pi),
+            Parameter(f'{self.name}.declination_sigma', 0.05, 'rad', 'Standard deviation of its error, including a '
+                      'rotation of the sensor about the vertical, which is estimated.', minimum=1e-4, maximum=math.pi),
             Parameter(f'{self.name}.horizontal_field', 25e-6, 'T', "Horizontal component of the earth's field; it is "
                       f'estimated, from {STRENGTH_SIGMA:.0%} of it.', minimum=1e-6, maximum=1e-4),
             Parameter(f'{self.name}.hard_iron', [0.0, 0.0, 0.0], 'T', 'Field of the vehicle itself, axes of the '
                       'sensor; subtracted.', lengths=(3,), minimum=-1e-3, maximum=1e-3),
-            Parameter(f'{self.name}.hard_iron_sigma', 50e-6, 'T', 'Standard deviation of it, with which it is '
-                      'estimated: less where it has been measured, and the field tells the heading at once.',
+            Parameter(f'{self.name}.hard_iron_sigma', 50e-6, 'T', 'Standard deviation of its error, which is '
+                      'estimated. If it is small, as after a calibration, the field shows the heading at once.',
                       minimum=1e-8, maximum=1e-3),
-            Parameter(f'{self.name}.hard_iron_walk', 0.05e-6, 'T/sqrt(s)', 'How it wanders: currents, load, doors.',
-                      minimum=0.0, maximum=1e-3),
+            Parameter(f'{self.name}.hard_iron_walk', 0.05e-6, 'T/sqrt(s)', 'Random walk of the hard iron: currents, '
+                      'load, doors.', minimum=0.0, maximum=1e-3),
             Parameter(f'{self.name}.soft_iron_sigma', 0.05, '-', 'Standard deviation of the elements of soft iron, '
-                      'with which they are estimated.', minimum=1e-4, maximum=0.5))
+                      'which are estimated.', minimum=1e-4, maximum=0.5))
 
     @property
     def state(self):

@@ -186,9 +186,9 @@ class Fix(Measurement):
 
     def named_parameters(self):
         return (*super().named_parameters(), Parameter(
-            f'{self.name}.lever_arm_sigma', 0.02, 'm', 'Standard deviation of the arm forwards and to the left, with '
-            'which what is left of it is estimated: that of a tape. 0: it is exact, and so is the heading that two '
-            'receivers tell.', minimum=0.0, maximum=10.0))
+            f'{self.name}.lever_arm_sigma', 0.02, 'm', 'Standard deviation of the lever arm forward and left, whose '
+            'error is estimated; the default is that of a tape measure. 0: it is exact, and so is the heading from two '
+            'receivers.', minimum=0.0, maximum=10.0))
 
     @property
     def state(self):

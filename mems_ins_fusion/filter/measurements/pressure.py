@@ -61,18 +61,17 @@ class Pressure(Measurement):
     topic_text = 'Topic of the pressure of the air, Pa: sensor_msgs/FluidPressure (strapdown)'
     messages = {'sensor_msgs/msg/FluidPressure': ('fluid_pressure', 'variance')}
     layouts = {'sensor_msgs/msg/FluidPressure': (('fluid_pressure', '<f8', 1), ('variance', '<f8', 1))}
-    written_to = '/pressure'
+    written_to, state_column = '/pressure', Barometer.BIAS
     #: Pa, white noise; m, standard deviation of the height's bias, drawn for each seed; m/sqrt(s), its random walk
     simulated_with = {'pressure_rate': 0.0, 'pressure_sigma': 5.0, 'pressure_bias': 80.0, 'pressure_walk': 0.05}
 
     def parameters(self):
         return (
             *super().parameters(),
-            Parameter(f'{self.name}.factor', 1.0, '-', f'Makes Pa of what the messages on {self.topic} say: 100 for '
-                      'hPa.', minimum=-1e6, maximum=1e6),
-            Parameter(f'{self.name}.bias_sigma', 300.0, 'm', 'Standard deviation of the height that pressure tells '
-                      'before anything is known: weather, and that of the geoid.', minimum=1.0, maximum=1e4),
-            Parameter(f'{self.name}.bias_walk', 0.1, 'm/sqrt(s)', 'How that wanders: weather, temperature and the '
+            self.factor_parameter('Pa', '100 for hPa', 1e6),
+            Parameter(f'{self.name}.bias_sigma', 300.0, 'm', 'Initial standard deviation of the error of the height by '
+                      'pressure: weather and geoid.', minimum=1.0, maximum=1e4),
+            Parameter(f'{self.name}.bias_walk', 0.1, 'm/sqrt(s)', 'Random walk of that error: weather, temperature, '
                       'ventilation of the vehicle.', minimum=0.0, maximum=100.0))
 
     def states(self, values):

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from ...parameters.parameter import Parameter, ParameterError
 from ..memory import Kind
 from . import wheel_vibration
-from .base import Measurement
+from .base import FIRST_NAMED, Measurement
 from .heading import Heading
 from .inertial import Inertial
 from .magnetometer import Magnetometer
@@ -29,11 +29,10 @@ assert len(MEASUREMENTS) == 1 + len(AIDING), 'two measurements with one number'
 TYPES = {measurement.name: measurement for measurement in (*MEASUREMENTS.values(), Pose())}
 INERTIAL = Inertial()  # a named input can also be a further IMU
 _NAMED = {**TYPES, INERTIAL.name: INERTIAL}
-FIRST_NAMED = 100  # number of the first named input
 INPUTS = Parameter('inputs', [], 'text', 'Names of further inputs, any number, each with NAME.type '
-                   f'({", ".join(sorted(_NAMED))}), NAME.topic, NAME.time_offset, NAME.sigma and what else its type '
-                   'has; NAME.lever_arm of where it is measured. The parameters without a name are of one more of '
-                   'each.')
+                   f'({", ".join(sorted(_NAMED))}), NAME.topic, NAME.time_offset, NAME.sigma and others of its type, '
+                   'NAME.lever_arm where it is measured. The parameters without a name are of one more input of each '
+                   'type.')
 _NAME = re.compile(r'[a-z][a-z0-9_]*')  # the name of an input
 
 

@@ -43,7 +43,7 @@ class Speed(Measurement):
     kind, name, samples, unit, default_sigma = Kind.SPEED, 'speed', Speeds, 'm/s', 0.1
     topic_text = ('Topic of the speed at the rear axle, m/s, forward positive: '
                   'geometry_msgs/TwistWithCovarianceStamped or nav_msgs/Odometry, twist.linear.x')
-    offset = 'scale'
+    offset, state_column = 'scale', Head.SPEED_SCALE
     has_arm = True
     messages = {TWIST: ('twist.twist.linear', 'twist.covariance'), ODOMETRY: ('twist.twist.linear', 'twist.covariance')}
     written_to = '/wheel/speed'
@@ -53,12 +53,11 @@ class Speed(Measurement):
     def parameters(self):
         return (
             *super().parameters(),
-            Parameter(f'{self.name}.factor', 1.0, '-', f'Makes m/s, positive forwards, of what the messages on '
-                      f'{self.topic} say: 0.27778 for km/h, -1 where forwards is negative.', minimum=-1e4, maximum=1e4),
+            self.factor_parameter('m/s, positive forward', '0.27778 for km/h, -1 where forward is negative'),
             Parameter(f'{self.name}.scale', 0.0, '-', 'Scale factor error of the speed: measured = (1 + scale) true.',
                       minimum=-0.5, maximum=0.5),
-            Parameter(f'{self.name}.scale_sigma', 0.02, '-', 'Its standard deviation, with which it is estimated; 0: '
-                      'it is exact.', minimum=0.0, maximum=0.5))
+            Parameter(f'{self.name}.scale_sigma', 0.02, '-', 'Standard deviation of the remaining scale factor '
+                      'error, which is estimated; 0: none remains.', minimum=0.0, maximum=0.5))
 
     def states(self, values):
         # lateral offset of the wheels from the IMU: in a bend their speeds differ

@@ -71,8 +71,7 @@ class Twist(Measurement):
     kind, name, samples, unit, default_sigma = Kind.TWIST, 'twist', Twists, 'm/s', 0.1
     topic_text = ('Topic of the odometry of wheels, a lidar or a camera, base_link: twist of nav_msgs/Odometry or '
                   'geometry_msgs/TwistWithCovarianceStamped; not of one that has seen the fixes')
-    components = 2
-    has_arm = True
+    components, has_arm, state_column = 2, True, Scales.TWIST
     messages = {ODOMETRY: ('twist.twist.linear', 'twist.twist.angular', 'twist.covariance'),
                 TWIST: ('twist.twist.linear', 'twist.twist.angular', 'twist.covariance')}
     written_to = '/wheel/odometry'
@@ -84,16 +83,15 @@ class Twist(Measurement):
     def parameters(self):
         return (
             *super().parameters(),
-            Parameter(f'{self.name}.turn_sigma', 0.0, 'rad/s', 'Standard deviation of its turn rate; 0 takes what the '
-                      'message says.', minimum=0.0, maximum=1000.0),
-            Parameter(f'{self.name}.default_turn_sigma', 0.05, 'rad/s', 'Used where the message does not tell.',
-                      positive=True, maximum=1000.0),
-            Parameter(f'{self.name}.factor', 1.0, '-', f'Makes m/s, positive forwards, of what the messages on '
-                      f'{self.topic} say: 0.01 for cm/s, -1 where forwards is negative.', minimum=-1e4, maximum=1e4),
+            Parameter(f'{self.name}.turn_sigma', 0.0, 'rad/s', 'Standard deviation of its turn rate; 0: that of the '
+                      'message.', minimum=0.0, maximum=1000.0),
+            Parameter(f'{self.name}.default_turn_sigma', 0.05, 'rad/s', 'Standard deviation where the message has '
+                      'none.', positive=True, maximum=1000.0),
+            self.factor_parameter('m/s, positive forward', '0.01 for cm/s, -1 where forward is negative'),
             Parameter(f'{self.name}.scale_sigma', 0.02, '-', 'Standard deviation of the scale factor error of the '
-                      'velocity, with which it is estimated: measured = (1 + scale) true.', minimum=1e-6, maximum=0.5),
+                      'velocity, which is estimated: measured = (1 + scale) true.', minimum=1e-6, maximum=0.5),
             Parameter(f'{self.name}.turn_scale_sigma', 1.0, '-', 'The same of the turn rate: the track of the wheels '
-                      'is not known, wheels that are skid-steered slip sideways, and some count turns to the right.',
+                      'may be unknown, skid-steered wheels slip sideways, and some sources count turns to the right.',
                       minimum=1e-6, maximum=10.0))
 
     def states(self, values):

@@ -53,8 +53,8 @@ from .wheel_spectrum import begin as begin_spectrum
 Wheels = HEAD.place('Wheels', AT=1)
 PARAMETER = Parameter(
     'wheel_vibration', 'off', 'text', 'Speed from the vibration of the wheels, their circumference found while fixes '
-    'come. report: both are told on /diagnostics and in report.json. No estimate uses them, and none can: on measured '
-    'drives the errors without fixes did not become smaller for certain (docs/wheel_vibration.md).',
+    'come. report: both are reported on /diagnostics and in report.json. No estimate uses them: on measured drives the '
+    'errors without fixes did not become significantly smaller (docs/wheel_vibration.md).',
     choices=('off', 'report'))
 
 HOP = 2.0  # s from one window to the next: tapered windows that overlap by half are nearly independent

@@ -11,7 +11,6 @@ from mems_ins_fusion.compiled import njit
 from ...samples import Fixes, ImuSamples
 from ..advance import FORGOTTEN, TOO_LATE
 from ..config import FilterConfig
-from ..measurements.registry import FIRST_NAMED
 from ..memory import Event, Kind
 from ..start.start import DATUM_FIXES, first_place
 
@@ -146,7 +145,7 @@ class Intake:
                 self.say_not_taken(kind, TOO_LATE, int(stamp[i]), int(newest[i]))
         records[:, Event.TIME] = (stamp - epoch) * 1e-9
         if not measurement.is_plain:
-            records[:, Event.INPUT] = kind - FIRST_NAMED + 1
+            records[:, Event.INPUT] = measurement.event_input
             records[:, Event.STATE] = self.config.layout.index(measurement.state)
             records[:, Event.ARM:Event.ARM + 3] = measurement.arm
         return np.flatnonzero(good), records[good]

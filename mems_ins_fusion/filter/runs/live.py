@@ -64,7 +64,7 @@ class FusionFilter(FilterStatus):
         self.geodetic = np.zeros(3)
         self.position_covariance_enu = np.zeros(9)
         self.datum = config.datum
-        self._first_places: list[tuple[float, float, float]] = []  # of good fixes, until there is a datum
+        self._first_places: list[tuple[float, float, float]] = []  # of valid fixes, until there is a datum
         self._height_sigma = config.gnss.default_sigma
         self._outage_after = round(config.gnss.outage_after * 1e9)
         self._correctors = config.correctors()
@@ -92,6 +92,7 @@ class FusionFilter(FilterStatus):
         self._pending: dict[int, tuple[int, int]] = {}
         self._judged: list[Judgement] = []
         self._ids = 0
+        #: counts of each input, by its name
         self.tallies = {name: Tally() for name in ('imu', *(one.name for one in self.config.inputs.values()))}
         self._said_faults = bytes(8 * Fault.SIZE)  # the counts as bytes, which are quick to compare
         self._restarts = 0.0
@@ -328,7 +329,7 @@ class FusionFilter(FilterStatus):
                 self._last_recovery = stamp * 1e-9
                 lasted = (stamp - tally.since) * 1e-9
                 self.say('warning', f'{self.topic(kind)}: the fixes refused for {lasted:.0f} s agree with each other: '
-                                    'position, velocity and heading start anew from them')
+                                    'position, velocity and heading restart from them')
             if used:
                 tally.use(misfit)
             elif verdict != Verdict.AWAITED:  # that is usual at the beginning of a drive

@@ -87,11 +87,7 @@ def run_with_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin:
     `run`. Outages that begin while the filter is not running are left out.
     """
     work = Replay(config, imu, fixes, aiding, start, keep, np.asarray(begin, dtype=np.int64), duration)
-    whole = work.run()
-    lengths = [len(branch.samples) for branch in work.branches]
-    first = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-    return whole, Coasting(np.array([branch.begin for branch in work.branches], dtype=np.int64), first,
-                           work.result(work.branches), np.array([branch.announced for branch in work.branches]))
+    return work.run(), work.coasting()
 
 
 @dataclass(frozen=True)
@@ -297,11 +293,11 @@ class Replay(Intake):
             for verdict, why in ((Verdict.REFUSED, 'refused: they do not fit what the filter expects'),
                                  (Verdict.FROZEN, 'refused: they repeat themselves while the vehicle moves'),
                                  (Verdict.STRAIGHT_ON, 'refused: the receiver goes straight on as without satellites'),
-                                 (Verdict.CONTRADICTED, 'refused: they make up another way than the one between the '
+                                 (Verdict.CONTRADICTED, 'refused: they add up to another way than the one between the '
                                                         'fixes (a wrong unit, sign or axes, or a dead sensor)'),
                                  (Verdict.AHEAD, 'refused: stamped ahead of the IMU, the clocks differ '
                                                  '(gnss.time_offset)'),
-                                 (Verdict.RECOVERED, 'had the filter start anew: those refused before it agree')):
+                                 (Verdict.RECOVERED, 'restarted the filter: those refused before agree with it')):
                 if counts.get(verdict):
                     self.say('warning', f'{self.topic(kind)}: {counts[verdict]} of {total} messages {why}')
         if self.memory is None:
@@ -317,6 +313,12 @@ class Replay(Intake):
             return MeasurementLog(*np.empty((3, 0), dtype=np.int64), _NOTHING)
         names = ('kind', 'index', 'stamp', 'record')
         return MeasurementLog(*(np.concatenate([getattr(m, name) for m in self.measurements]) for name in names))
+
+    def coasting(self) -> Coasting:
+        """The outages, after `run`."""
+        first = np.concatenate([[0], np.cumsum([len(branch.samples) for branch in self.branches])]).astype(np.int64)
+        return Coasting(np.array([branch.begin for branch in self.branches], dtype=np.int64), first,
+                        self.result(self.branches), np.array([branch.announced for branch in self.branches]))
 
     def result(self, stretches: list[Stretch]) -> Run:
         states = [s.states for s in stretches] or [np.empty((0, len(self.columns)))]

@@ -7,6 +7,7 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
+from ...navigation import planar
 from ...navigation.strapdown import to_euler
 from ..config import FilterConfig
 from ..memory import NAV, Event, Kind, Nav, StateLayout, Verdict, covariance_index
@@ -143,7 +144,7 @@ def _solution(rows, is_planar, open_loop):
          q) = corrected(rows[k], 0, is_planar, open_loop)
         if is_planar:
             out[k, 6] = out[k, 7] = 0.0
-            out[k, 8] = rows[k, Nav.YAW] - (rows[k, NAV + 4] if open_loop else 0.0)
+            out[k, 8] = rows[k, Nav.YAW] - (rows[k, NAV + planar.State.YAW] if open_loop else 0.0)
         else:
             out[k, 6], out[k, 7], out[k, 8] = to_euler(q)
     return out

@@ -50,9 +50,7 @@ def smoothed_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin:
     """
     work = _SmoothedOutages(config, imu, fixes, aiding, None, keep, np.asarray(begin, dtype=np.int64), duration)
     work.run()
-    first = np.concatenate([[0], np.cumsum([len(branch.samples) for branch in work.branches])]).astype(np.int64)
-    return Coasting(np.array([branch.begin for branch in work.branches], dtype=np.int64), first,
-                    work.result(work.branches), np.full(len(first) - 1, np.nan))
+    return work.coasting()
 
 
 class _Rows:

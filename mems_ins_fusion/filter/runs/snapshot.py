@@ -95,5 +95,5 @@ def _errors(config: FilterConfig, values: dict) -> SensorErrors | None:
     total = errors.estimate.sum() + errors.covariance.sum() + errors.constant.sum()
     if not (math.isfinite(total) and np.allclose(errors.covariance, errors.covariance.T)
             and np.linalg.eigvalsh(errors.covariance).min() > -1e-9 * np.abs(errors.covariance).max()):
-        raise InputError('a covariance that is none')
+        raise InputError('not a covariance matrix')
     return errors

@@ -23,8 +23,8 @@ VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down', Verdict.REF
             Verdict.FROZEN: 'repeats itself while the vehicle moves',
             Verdict.STRAIGHT_ON: 'goes straight on as without satellites', Verdict.AHEAD: 'stamped ahead of the IMU',
             Verdict.CONTRADICTED: 'not the way between the fixes',
-            Verdict.AWAITED: 'its way is not compared with that of the fixes yet',
-            Verdict.RECOVERED: 'the filter started anew from it'}
+            Verdict.AWAITED: 'not compared with the way between the fixes yet',
+            Verdict.RECOVERED: 'the filter restarted from it'}
 DEGRADED = 5.0  # s for which the state is `degraded` after an IMU sample that was not believed
 #: s for which the state is `recovering` after a restart from refused fixes: so long it takes to find the heading again
 RECOVERING = 10.0
@@ -119,7 +119,7 @@ class FilterStatus(Intake):
         if verdict == Verdict.STRAIGHT_ON:
             return 'fixes on a straight line, as of a receiver that goes on without satellites: fix refused'
         if verdict == Verdict.CONTRADICTED:
-            return (f'{self.name(kind)} makes up another way than the one between the fixes, as with a wrong unit, '
+            return (f'{self.name(kind)} adds up to another way than the one between the fixes, as with a wrong unit, '
                     'sign or axes, or a dead sensor: refused')
         if verdict == Verdict.AHEAD:
             missing = f'IMU samples are missing, {self._last_gap:.1f} s of them' if self._last_gap else (

@@ -9,7 +9,6 @@ import numpy as np
 from ...navigation.earth import radii, to_local
 from ...navigation.frames import wrap, yaw_from_enu, yaw_of_quaternion
 from ..config import FilterConfig
-from ..measurements.registry import FIRST_NAMED
 from ..memory import Event, Kind
 from ..trust.receiver import SHORTEST_PAIR, UNKNOWN_YAW_SIGMA
 from ..trust.scale import Scale, learn, scale
@@ -99,8 +98,7 @@ class Alignment:
 
     def add_field(self, record: np.ndarray) -> None:
         """One magnetic field, as a record."""
-        number = 0 if self._magnetometer.is_plain else self._magnetometer.number - FIRST_NAMED + 1
-        if record[Event.INPUT] == number:
+        if record[Event.INPUT] == self._magnetometer.event_input:
             self._fields.append((record[Event.TIME], *record[Event.VALUE:Event.VALUE + 3], record[Event.R_NN],
                                  record[Event.DECLINATION]))
 

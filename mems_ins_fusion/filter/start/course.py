@@ -16,6 +16,7 @@ FASTEST_REVERSE = 3.0  # m/s: no vehicle starts faster in reverse; where it seem
 SHORTEST_COURSE = 1.0  # m, shortest chord
 LONGEST_COURSE_TIME = 60.0  # s, longest chord: over longer times the biases of the inertial sensors are not small
 SLOWEST_START = 0.5  # m/s: the course of a slower vehicle is dominated by the errors of the fixes
+SPEED_SIGMA = 0.05  # m/s, standard deviation of velocity components at the start, besides that of speed and heading
 SIDESLIP_SIGMA = 0.02  # rad, standard deviation of the angle between the heading of a car and its course
 LARGEST_YAW_SIGMA = 0.5  # rad, largest standard deviation of a heading to start with: the filter is linear in its error
 FEWEST_BETWEEN = 3  # fixes needed between the ends of a chord that does not begin at a standstill
@@ -317,4 +318,4 @@ def start_covariance(r: np.ndarray, yaw: float, yaw_sigma: float, speed: float, 
     jacobian[2:4, 2] = course * speed_sigma
     jacobian[2:4, 3] = across * speed * yaw_sigma
     jacobian[4, 3] = yaw_sigma
-    return jacobian @ jacobian.T + np.diag([0, 0, *[(0.05 + SIDESLIP_SIGMA * speed) ** 2] * 2, 0])
+    return jacobian @ jacobian.T + np.diag([0, 0, *[(SPEED_SIGMA + SIDESLIP_SIGMA * speed) ** 2] * 2, 0])

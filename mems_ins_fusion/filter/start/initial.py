@@ -10,7 +10,7 @@ from ...navigation.frames import leveling
 from ...navigation.strapdown import from_euler, matrix
 from ..config import REPEATED_TURN_ON, FilterConfig
 from ..measurements import wheel_vibration
-from ..memory import NAV, PLANAR, ROW, Head, Nav, Sample, newest_row, set_covariance, variance_factor, views
+from ..memory import NAV, PLANAR, ROW, Error, Head, Nav, Sample, newest_row, set_covariance, variance_factor, views
 from ..memory import covariance as covariance_of
 from ..prediction import set_radii
 from ..trust.contradiction import FIRST_USUAL
@@ -20,6 +20,8 @@ from .start import UNKNOWN_TILT_SIGMA, Iron, SensorErrors, Standstill, Start
 
 #: m/s^2, gravity on the slope of a parking place (2 deg), which the planar filter removes with the tilt of the IMU
 TILT_SIGMA = 0.3
+LEVEL_SIGMA = 0.002  # rad, standard deviation of roll and pitch from a standstill, besides accelerometer errors
+VERTICAL_SPEED_SIGMA = 0.2  # m/s, standard deviation of the vertical velocity at the start
 STILL_STEPS = 1024  # steps in which a continuous-time process is followed through a standstill
 
 
@@ -51,11 +53,14 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
     full[layout.n_navigation:, layout.n_navigation:] = covariance
     mounting = layout.index('mounting_yaw') - layout.n_navigation
     yaw = start.yaw - (estimate[mounting] if mounting >= 0 else 0.0)  # of the body
+    states = [layout.rows[error] for error in (Error.R_N, Error.R_E, Error.V_N, Error.V_E, Error.PHI_D)]
+    full[np.ix_(states, states)] = start.covariance
     if config.mechanization == PLANAR:
         row[Nav.YAW] = yaw
-        full[:5, :5] = start.covariance
     else:
-        _strapdown_attitude(config, row, full, start, yaw, _level_errors(config, estimate, constant))
+        # estimated errors of the two horizontal accelerometers
+        errors = estimate[:2 * layout.order:layout.order] + constant[:2]
+        _strapdown_attitude(config, row, full, start, yaw, errors)
     if start.iron is None:
         _correlate_with_mounting(config, full)
     else:  # a magnetic heading is that of the body
@@ -158,14 +163,9 @@ def _error_at_rest(config: FilterConfig, start: Start, axis: int, level: bool) -
     return 0.0 if level else float(still.specific_force[axis])
 
 
-def _level_errors(config: FilterConfig, estimate: np.ndarray, constant: np.ndarray) -> np.ndarray:
-    """Estimated errors of the two horizontal accelerometers, m/s^2."""
-    return estimate[:2 * config.layout.order:config.layout.order] + constant[:2]
-
-
 def _strapdown_attitude(config: FilterConfig, row: np.ndarray, full: np.ndarray, start: Start, yaw: float,
                         errors: np.ndarray) -> None:
-    """Attitude and covariance of the nine navigation errors. errors: those estimated of f_x and f_y, m/s^2.
+    """Attitude, and covariance of attitude, height and vertical velocity. errors: those estimated of f_x, f_y, m/s^2.
 
     Roll and pitch are those of the specific force at standstill; without a standstill both start at 0. After a
     standstill attitude error and accelerometer errors are fully correlated: g phi_e = df_n, g phi_n = -df_e.
@@ -176,12 +176,10 @@ def _strapdown_attitude(config: FilterConfig, row: np.ndarray, full: np.ndarray,
         roll, pitch = math.atan2(-f[1], -f[2]), math.atan2(f[0], math.hypot(f[1], f[2]))
     q = from_euler(roll, pitch, yaw)
     row[Nav.Q_W], row[Nav.Q_X], row[Nav.Q_Y], row[Nav.Q_Z] = q
-    planar = [0, 1, 3, 4, 8]
-    full[np.ix_(planar, planar)] = start.covariance
-    full[2, 2] = 4 * max(start.covariance[0, 0], start.covariance[1, 1])
-    full[5, 5] = 0.2**2
+    full[Error.R_D, Error.R_D] = 4 * max(start.covariance[0, 0], start.covariance[1, 1])
+    full[Error.V_D, Error.V_D] = VERTICAL_SPEED_SIGMA**2
     if start.standstill is None:
-        full[6, 6] = full[7, 7] = UNKNOWN_TILT_SIGMA**2
+        full[Error.PHI_N, Error.PHI_N] = full[Error.PHI_E, Error.PHI_E] = UNKNOWN_TILT_SIGMA**2
         return
     g = gravity(start.latitude, start.height)
     c = np.array(matrix(q)).reshape(3, 3)
@@ -189,10 +187,11 @@ def _strapdown_attitude(config: FilterConfig, row: np.ndarray, full: np.ndarray,
     for axis in range(2):
         state = axis * config.layout.order
         coupling[0, state], coupling[1, state] = -c[1, axis] / g, c[0, axis] / g
-    sensor = full[9:, 9:]
-    full[6:9, 6:9] += coupling @ sensor @ coupling.T + np.diag([0.002**2, 0.002**2, 0])
-    full[6:9, 9:] = coupling @ sensor
-    full[9:, 6:9] = full[6:9, 9:].T
+    phi, sensors = slice(Error.PHI_N, Error.PHI_D + 1), slice(config.layout.n_navigation, None)
+    sensor = full[sensors, sensors]
+    full[phi, phi] += coupling @ sensor @ coupling.T + np.diag([LEVEL_SIGMA**2, LEVEL_SIGMA**2, 0])
+    full[phi, sensors] = coupling @ sensor
+    full[sensors, phi] = full[phi, sensors].T
 
 
 def leveled(config: FilterConfig, standstill: Standstill):
