@@ -65,7 +65,6 @@ class ImuSettings:
     restart_gap: float
     max_specific_force: float
     max_angular_rate: float
-    adapt_noise: bool
 
     @property
     def mounting(self) -> np.ndarray:
@@ -86,11 +85,7 @@ class GnssSettings:
     sigma: float
     default_sigma: float
     max_delay: float
-    robust_sigma: float
     gate: float
-    recovery_time: float
-    adapt_sigma: bool
-    adapt_covariance: bool
     outage_after: float
     coloured: GaussMarkov | None
 
@@ -120,18 +115,12 @@ class AlignmentSettings:
 
 @dataclass(frozen=True)
 class VehicleSettings:
-    """A standard deviation of 0: that constraint is not used. axle: (3,) IMU to rear axle, body axes, m."""
+    """A standard deviation of 0: that constraint is not used."""
 
     zero_velocity_sigma: float
     lateral_sigma: float
-    vertical_sigma: float
-    angle_sigma: float
-    sideslip: float
-    sideslip_sigma: float
-    axle: np.ndarray
     still_acceleration: float
     still_rate: float
-    learn_drift: bool
 
 
 @dataclass(frozen=True)
@@ -281,7 +270,9 @@ class FilterConfig:
         return memory
 
     def _write_head(self, head: np.ndarray, width: int) -> None:
-        layout, gnss, vehicle = self.layout, self.gnss, self.vehicle
+        layout, gnss, vehicle, values = self.layout, self.gnss, self.vehicle, self.parameters
+        strapdown = values['mechanization'] == 'strapdown'
+        axle = FLU_TO_FRD @ np.asarray(values['vehicle.rear_axle'], dtype=float)
         settings = {
             Head.MECHANIZATION: self.mechanization, Head.OPEN_LOOP: self.open_loop,
             Head.N_NAVIGATION: layout.n_navigation, Head.N_AUGMENTED: layout.n_augmented, Head.ORDER: layout.order,
@@ -294,18 +285,24 @@ class FilterConfig:
             Head.ACCELEROMETER_INTERVAL: self.models[0].interval or 0.0,
             Head.GYROSCOPE_INTERVAL: self.models[-1].interval or 0.0,
             Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: self.latest, Head.AHEAD: self.ahead,
-            Head.ROBUST_SIGMA: gnss.robust_sigma,
-            Head.GATE: gnss.gate, Head.RECOVERY_TIME: gnss.recovery_time, Head.ADAPT: gnss.adapt_sigma,
+            Head.GATE: gnss.gate, Head.ROBUST_SIGMA: values['gnss.robust_sigma'],
+            Head.RECOVERY_TIME: values['gnss.recovery_time'], Head.COVARIANCE_FACTOR: values['gnss.adapt_covariance'],
+            # the planar filter's errors on slopes would be taken for the receiver's
+            Head.ADAPT: values['gnss.adapt_sigma'] and strapdown,
+            # with AR models the planar filter's white noise includes the tilt (`_with_tilt`)
+            White.ADAPT: values['imu.adapt_noise'] and strapdown,
+            DriftSettings.LEARNED: (values['vehicle.learn_drift'] and strapdown
+                                    and values['sensor_error_model'] != 'autoregressive'),
             LagSettings.GAIN: gnss.lag_gain, LagSettings.TIME: gnss.lag_time,
-            Head.COVARIANCE_FACTOR: gnss.adapt_covariance,
-            DriftSettings.LEARNED: vehicle.learn_drift, White.ADAPT: self.imu.adapt_noise,
             Head.LEVER_X: gnss.lever_arm[0], Head.LEVER_Y: gnss.lever_arm[1], Head.LEVER_Z: gnss.lever_arm[2],
-            Head.AXLE_X: vehicle.axle[0], Head.AXLE_Y: vehicle.axle[1], Head.AXLE_Z: vehicle.axle[2],
+            Head.AXLE_X: axle[0], Head.AXLE_Y: axle[1], Head.AXLE_Z: axle[2],
             Head.CONSTRAINTS: vehicle.zero_velocity_sigma > 0 or vehicle.lateral_sigma > 0,
             Head.ZERO_VELOCITY_SIGMA: vehicle.zero_velocity_sigma, Head.LATERAL_SIGMA: vehicle.lateral_sigma,
-            Head.VERTICAL_SIGMA: vehicle.vertical_sigma, Head.ANGLE_SIGMA: vehicle.angle_sigma,
-            Head.SIDESLIP: vehicle.sideslip, Head.SLIP_SIGMA: vehicle.sideslip_sigma,
-            Inputs.COUNT: layout.inputs,
+            Head.VERTICAL_SIGMA: (values['vehicle.non_holonomic']
+                                  * values['vehicle.non_holonomic_vertical_sigma']),
+            Head.ANGLE_SIGMA: values['vehicle.non_holonomic_angle_sigma'],
+            Head.SIDESLIP: values['vehicle.sideslip_per_acceleration'],
+            Head.SLIP_SIGMA: values['vehicle.sideslip_sigma'], Inputs.COUNT: layout.inputs,
             Imu.MAX_FORCE: self.imu.max_specific_force, Imu.MAX_RATE: self.imu.max_angular_rate,
         }
         for column, value in settings.items():
@@ -380,9 +377,7 @@ def _coloured(values: dict) -> GaussMarkov | None:
 def _imu(values: dict) -> ImuSettings:
     return ImuSettings(values['imu_topic'], values['temperature_topic'], tuple(values['imu.mounting_rpy']),
                        values['imu.max_gap'], values['imu.restart_gap'], values['imu.max_specific_force'],
-                       values['imu.max_angular_rate'],
-                       # with AR models the planar filter's white noise includes the tilt (`_with_tilt`)
-                       values['imu.adapt_noise'] and values['mechanization'] == 'strapdown')
+                       values['imu.max_angular_rate'])
 
 
 def _gnss(values: dict) -> GnssSettings:
@@ -390,15 +385,10 @@ def _gnss(values: dict) -> GnssSettings:
     return GnssSettings(
         topic=values['gnss_topic'], lever_arm=FLU_TO_FRD @ np.asarray(values['gnss.lever_arm'], dtype=float),
         time_offset=values['gnss.time_offset'], lag=values['gnss.lag_per_acceleration'], sigma=values['gnss.sigma'],
-        default_sigma=values['gnss.default_sigma'],
-        max_delay=values['gnss.max_delay'], robust_sigma=values['gnss.robust_sigma'],
+        default_sigma=values['gnss.default_sigma'], max_delay=values['gnss.max_delay'],
         # root of the quantile of a chi-square distribution with two degrees of freedom
         gate=math.sqrt(-2.0 * math.log1p(-share)) if share < 1.0 else 0.0,
-        recovery_time=values['gnss.recovery_time'],
-        # the planar filter's errors on slopes would be taken for the receiver's
-        adapt_sigma=values['gnss.adapt_sigma'] and values['mechanization'] == 'strapdown',
-        adapt_covariance=values['gnss.adapt_covariance'], outage_after=values['gnss.outage_after'],
-        coloured=_coloured(values))
+        outage_after=values['gnss.outage_after'], coloured=_coloured(values))
 
 
 def _alignment(values: dict) -> AlignmentSettings:
@@ -407,14 +397,6 @@ def _alignment(values: dict) -> AlignmentSettings:
 
 
 def _vehicle(values: dict) -> VehicleSettings:
-    constrained = values['vehicle.non_holonomic']
-    return VehicleSettings(
-        zero_velocity_sigma=values['vehicle.zero_velocity'] * values['vehicle.zero_velocity_sigma'],
-        lateral_sigma=constrained * values['vehicle.non_holonomic_sigma'],
-        vertical_sigma=constrained * values['vehicle.non_holonomic_vertical_sigma'],
-        angle_sigma=values['vehicle.non_holonomic_angle_sigma'], sideslip=values['vehicle.sideslip_per_acceleration'],
-        sideslip_sigma=values['vehicle.sideslip_sigma'],
-        axle=FLU_TO_FRD @ np.asarray(values['vehicle.rear_axle'], dtype=float),
-        still_acceleration=values['vehicle.still_acceleration'], still_rate=values['vehicle.still_rate'],
-        learn_drift=(values['vehicle.learn_drift'] and values['mechanization'] == 'strapdown'
-                     and values['sensor_error_model'] != 'autoregressive'))
+    return VehicleSettings(values['vehicle.zero_velocity'] * values['vehicle.zero_velocity_sigma'],
+                           values['vehicle.non_holonomic'] * values['vehicle.non_holonomic_sigma'],
+                           values['vehicle.still_acceleration'], values['vehicle.still_rate'])

@@ -11,15 +11,13 @@ import numpy as np
 
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
+from ...parameters.table import defaults
 from ..measurements.position import is_fix
 from .intake import GOOD, JUMPED, LATEST, follow
 
 #: largest value of an IMU in any unit: 16 g are 16 000 mg, and the range of MEMS gyroscopes is at most 4000 deg/s
 LARGEST_IN_ANY_UNIT = 1e5
 LONGEST_PAUSE = 3600.0  # s, longest gap between samples of one recording
-_RESTART_GAP = 10.0  # s, default of `imu.restart_gap`: after a longer gap the filter restarts
-#: s, default of `imu.max_gap`: after a smaller step back of the clock samples are dropped until it has caught up
-_STEP_BACK = 0.5
 
 
 def usable(recording: Recording, largest_force: float = LARGEST_IN_ANY_UNIT,
@@ -51,8 +49,9 @@ def usable_samples(imu: ImuSamples, largest_force: float = LARGEST_IN_ANY_UNIT,
 
 def _of_one_clock(stamp: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Indices of the samples of the most frequent clock, with ascending stamps (n,) ns."""
-    codes = np.zeros(len(stamp), dtype=np.int64)
-    follow(np.full(3, -1, dtype=np.int64), stamp, values, round(_RESTART_GAP * 1e9), round(_STEP_BACK * 1e9), codes)
+    codes, parameters = np.zeros(len(stamp), dtype=np.int64), defaults()
+    restart_gap, step_back = (round(parameters[name] * 1e9) for name in ('imu.restart_gap', 'imu.max_gap'))
+    follow(np.full(3, -1, dtype=np.int64), stamp, values, restart_gap, step_back, codes)
     good = np.flatnonzero((codes == GOOD) | (codes == JUMPED))
     pieces = np.split(good, np.flatnonzero(codes[good] == JUMPED))
     clocks: list[list[np.ndarray]] = []
