@@ -17,8 +17,7 @@ until the windows, each tested before anything is learned from it, have predicte
 
 While fixes come, the windows give the circumference: first a search for the C at which the lines of all windows add up
 (a comb), then a Kalman filter of ln C. Without fixes they give the speed: its probability density on a grid, which may
-have several peaks, goes from window to window. No estimate uses it: on measured drives the errors without fixes did not
-become significantly smaller.
+have several peaks, goes from window to window.
 """
 from __future__ import annotations
 
@@ -74,8 +73,7 @@ SCORE_HALF_WIDTH = 2  # error of the filter's own speed that the score allows, g
 CHANNEL_MEMORY = 150.0  # windows over which a channel's statistics are averaged: five minutes
 SCORE_MEMORY = 60.0  # windows over which the score is averaged: two minutes, so that another wheel is noticed soon
 LEAST_SPREAD = 0.1  # smallest variance of a channel's logarithmic power; noise has 1.6
-#: sigmas by which the search has to find a circumference: of some twenty independent ones a false one exceeds it once
-#: in millions of drives
+#: sigmas by which the search has to find a circumference: a false one exceeds it once in millions of drives
 COMB_SIGMAS = 6.0
 COMB_WINDOWS = 15.0  # windows that the search needs: half a minute
 COMB_MEMORY = 300.0  # windows over which the search forgets: ten minutes, as a tyre may be changed
@@ -90,8 +88,8 @@ NEW_WHEEL = 0.02  # ln C that the search finds is of another wheel beyond this d
 #: factor on the variance of each innovation of ln C: errors of the fixes last longer than one window
 FIX_ERROR_FACTOR = 2.0
 LARGEST_C_SIGMA = 0.01  # standard deviation of ln C above which no speed is reported
-#: exponent of the likelihood of successive windows: interference shows in several channels, and in the next window
-#: again. With 0.5, sums over four windows of measured drives were right in only 94 % where they were certain
+#: exponent of the likelihood of successive windows: interference shows in several channels and windows. With 0.5, sums
+#: over four windows of measured drives that were certain were right in only 94 %
 EXPONENT = 0.2
 #: exponent of the likelihood of one window, for the circumference: only channels share their errors
 EXPONENT_SINGLE = 0.5
