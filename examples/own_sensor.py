@@ -37,7 +37,7 @@ def main(seconds: float = 120.0) -> float:
     for stamp, force, rate, fix, speed in board(drive, recording):
         live.add_imu(stamp, *(force * G), *np.radians(rate))
         if speed is not None:
-            live.add_speed(stamp, speed, 0.1**2)
+            live.add('speed', stamp, speed, 0.1**2)
         if fix is not None:
             live.add_fix(int(fix.stamp[0]), fix.latitude[0], fix.longitude[0], fix.height[0], fix.covariance[0].ravel())
         for notice in live.notices():

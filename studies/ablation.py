@@ -53,7 +53,7 @@ from mems_ins_fusion.evaluation.outages import outage_begins, outages_of  # noqa
 from mems_ins_fusion.filter.config import FilterConfig  # noqa: E402
 from mems_ins_fusion.filter.measurements.registry import aiding as inputs  # noqa: E402
 from mems_ins_fusion.filter.memory import Event  # noqa: E402
-from mems_ins_fusion.filter.runs.replay import Aiding, Progress, Replay, Stretch, run, run_with_outages  # noqa: E402
+from mems_ins_fusion.filter.runs.replay import Aiding, Playback, Replay, Stretch, run, run_with_outages  # noqa: E402
 from mems_ins_fusion.parameters import table  # noqa: E402
 from mems_ins_fusion.recordings.reading import read_recording  # noqa: E402
 
@@ -196,7 +196,7 @@ class Shared(Replay):
         kept = np.flatnonzero(self.keep[index])
         states = np.empty((len(kept), len(self.columns)))
         events.record[:, Event.ID] = np.arange(len(events.kind))
-        work = Progress(samples, events, self.columns, kept, states)
+        work = Playback(samples, events, self.columns, kept, states)
         stop = int(np.searchsorted(samples[:, 0], (self.common - epoch) * 1e-9))
         if self.stretches:  # after a restart, which the others have not
             pass

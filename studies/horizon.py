@@ -29,7 +29,7 @@ from mems_ins_fusion.evaluation.comparison import samples_to_keep, truth_of
 from mems_ins_fusion.evaluation.outages import outage_begins, run_outages
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs import replay
-from mems_ins_fusion.filter.runs.horizon import LONGEST, Lookout
+from mems_ins_fusion.filter.runs.horizon import LONGEST, HorizonPredictor
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Aiding
@@ -47,22 +47,22 @@ NARROWER = np.array([1.0, 0.5, 0.7, 1.3, 1.6, 2.0, 2.5, 3.0])
 PLAIN = 'plain, '
 
 
-class Noted(Lookout):
+class Noted(HorizonPredictor):
     """Notes of each outage when half of the errors are larger than the limit, and when 5 % are with sigmas divided by
     NARROWER, s."""
 
     notes: list = []
 
-    def look(self, memory, exceeded=0.05):
+    def predict(self, memory, exceeded=0.05):
         limit = self._limit
-        half = super().look(memory, 0.5).seconds
+        half = super().predict(memory, 0.5).seconds
         row = []
         for narrower in NARROWER:
             self._limit = limit * narrower
-            row.append(super().look(memory).seconds)
+            row.append(super().predict(memory).seconds)
         self._limit = limit
         self.notes.append((half, *row))
-        return super().look(memory)
+        return super().predict(memory)
 
 
 def outages_of(recording, values: dict) -> np.ndarray:
@@ -75,7 +75,7 @@ def outages_of(recording, values: dict) -> np.ndarray:
     started = run(config, recording.imu, recording.gnss, aiding, keep=keep).stamp
     begin = outage_begins(int(started[0]), recording.gnss, values['gnss.time_offset'], SPACING, DURATION)
     Noted.notes.clear()
-    replay.Lookout = Noted
+    replay.HorizonPredictor = Noted
     found, = run_outages(config, recording.imu, recording.gnss, truth, [DURATION], begin, aiding, keep)
     notes = np.reshape(Noted.notes, (-1, 1 + len(NARROWER)))[:len(found.begin)]
     at = 1  # where sigmas are divided by 1: the look that was announced, from the newest sample instead of the begin

@@ -22,9 +22,9 @@ from pathlib import Path
 import numpy as np
 
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.measurements.wheel_vibration import HOP, SLOWEST, WITHOUT_FIX, Ear, Wheels, summary
+from mems_ins_fusion.filter.measurements.wheel_vibration import HOP, SLOWEST, WITHOUT_FIX, Lines, Wheels, summary
 from mems_ins_fusion.filter.memory import Event
-from mems_ins_fusion.filter.runs.replay import Progress, Replay, Stretch, run
+from mems_ins_fusion.filter.runs.replay import Playback, Replay, Stretch, run
 from mems_ins_fusion.filter.runs.results import Run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.reading import read_recording
@@ -72,11 +72,12 @@ class _Listening(Replay):
         kept, at = np.flatnonzero(self.keep[index]), int(memory[Wheels.AT])
         states = np.empty((len(kept), len(self.columns)))
         events.record[:, Event.ID] = np.arange(len(events.kind))
-        work, found = Progress(samples, events, self.columns, kept, states), []
+        work, found = Playback(samples, events, self.columns, kept, states), []
         for stop in np.searchsorted(samples[:, 0], np.arange(samples[0, 0], samples[-1, 0], STEP)):
             work.advance(memory, int(stop))
-            if at and (not found or memory[at + Ear.TOLD] != found[-1][0]) and memory[at + Ear.VARIANCE] > 0.0:
-                found.append((memory[at + Ear.TOLD], memory[at + Ear.SPEED], math.sqrt(memory[at + Ear.VARIANCE])))
+            if at and (not found or memory[at + Lines.REPORTED] != found[-1][0]) and memory[at + Lines.VARIANCE] > 0.0:
+                found.append((memory[at + Lines.REPORTED], memory[at + Lines.SPEED],
+                              math.sqrt(memory[at + Lines.VARIANCE])))
         work.advance(memory, len(samples))
         work.finish(memory)
         self.stretches.append(Stretch(index[kept], states))

@@ -151,7 +151,7 @@ def test_a_mounting_that_is_no_state_is_not_learned():
 def test_the_search_looks_through_a_filter_that_adapts_to_nothing(late):
     values = table.check({'gnss.sigma': 0.7, 'gnss.time_offset_sigma': 0.3})
     config = FilterConfig.from_parameters(looked_through(values))
-    assert config.gnss.gate == config.gnss.robust_sigma == 0 and not config.gnss.adapt_sigma
+    assert config.gnss.gate == config.parameters['gnss.robust_sigma'] == 0 and not config.parameters['gnss.adapt_sigma']
     assert 'time_offset' not in config.layout.names
     # each fix is believed as the filter of the user would, and FLOOR
     fixes = believed(late.gnss, stated(late.gnss, values), np.log(2.0), np.arange(len(late.gnss)) == 7)

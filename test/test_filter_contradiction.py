@@ -29,7 +29,7 @@ from mems_ins_fusion.filter.memory import (
     state_at,
 )
 from mems_ins_fusion.filter.runs.odometry import POSE_COVARIANCE, SIZE, odometry, published_covariance
-from mems_ins_fusion.filter.runs.vehicle_check import vehicle_says
+from mems_ins_fusion.filter.runs.vehicle_check import vehicle_warnings
 from mems_ins_fusion.filter.trust.contradiction import (
     LOOSENED,
     UNSETTLED_TIME,
@@ -185,7 +185,7 @@ def test_nothing_is_open_where_all_is_right(mechanization):
     config, memory, error, sigma, records = Drive().through(mechanization)
     assert newest(memory)[Nav.SLID] == 0.0
     assert np.hypot(*sigma.T).max() < 0.5 and np.hypot(*error.T).max() < 2.0
-    assert not any('sideways' in text for text in vehicle_says(memory, config, records))
+    assert not any('sideways' in text for text in vehicle_warnings(memory, config, records))
 
 
 def test_a_gyroscope_that_turns_away_is_seen_and_said():
@@ -196,7 +196,7 @@ def test_a_gyroscope_that_turns_away_is_seen_and_said():
     # then the fixes decide: by the IMU and the constraint it would be v w t^2 / 2 = 44 m off
     assert newest(memory)[Nav.SLID] > 1.0
     assert np.hypot(*error.T).max() < 6.0 and np.hypot(*error[-500:].T).max() < 2.0
-    assert any('sideways' in text for text in vehicle_says(memory, config, records))
+    assert any('sideways' in text for text in vehicle_warnings(memory, config, records))
 
 
 def test_where_each_fix_is_believed_nothing_is_decided_against_the_imu():

@@ -94,16 +94,16 @@ def in_order(imu, fixes, aiding):
     """(how many IMU samples came before, method of the filter, its arguments) of each measurement, as they arrive."""
     events = []
     for order, (name, samples, arguments) in enumerate((
-            ('add_fix', fixes, lambda s, i: (float(s.latitude[i]), float(s.longitude[i]), float(s.height[i]),
+            ('fix', fixes, lambda s, i: (float(s.latitude[i]), float(s.longitude[i]), float(s.height[i]),
                                              s.covariance[i].ravel(), int(s.status[i]), int(s.covariance_type[i]))),
-            ('add_speed', aiding.get('speed'), lambda s, i: (float(s.speed[i]), float(s.variance[i]))),
-            ('add_velocity', aiding.get('velocity'), lambda s, i: (s.velocity[i], s.covariance[i])),
-            ('add_heading', aiding.get('heading'), lambda s, i: (float(s.yaw[i]), float(s.variance[i]))))):
+            ('speed', aiding.get('speed'), lambda s, i: (float(s.speed[i]), float(s.variance[i]))),
+            ('velocity', aiding.get('velocity'), lambda s, i: (s.velocity[i], s.covariance[i])),
+            ('heading', aiding.get('heading'), lambda s, i: (float(s.yaw[i]), float(s.variance[i]))))):
         if samples is not None:
             after = np.searchsorted(imu.received, samples.received, side='right')
             events += [((after[i], samples.received[i], order, i), name, int(samples.stamp[i]), arguments(samples, i))
                        for i in range(len(samples))]
-    return [(place[0], name, (stamp, *arguments))
+    return [(place[0], *(('add_fix', (stamp, *arguments)) if name == 'fix' else ('add', (name, stamp, *arguments))))
             for place, name, stamp, arguments in sorted(events, key=lambda event: event[0])]
 
 

@@ -24,7 +24,7 @@ from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import Event, Head, Nav, Verdict, state_at, views
 from mems_ins_fusion.filter.runs.replay import run
-from mems_ins_fusion.filter.runs.vehicle_check import found_mounting, vehicle_says
+from mems_ins_fusion.filter.runs.vehicle_check import found_mounting, vehicle_warnings
 from mems_ins_fusion.navigation.frames import rotation_from_rpy, wrap
 from mems_ins_fusion.parameters import table
 
@@ -134,14 +134,14 @@ def test_what_no_car_does_is_said_with_the_parameters_that_are_its():
     # when it has gone sideways for so long, as the kernel counts
     memory, fixes = result.memory.copy(), np.zeros((20, Event.SIZE))
     memory[state_at(memory, int(memory[Head.SAMPLES])) + Nav.SIDEWAYS] = 20.0
-    said, = vehicle_says(memory, result.config, fixes)
+    said, = vehicle_warnings(memory, result.config, fixes)
     assert 'went sideways for 20 s' in said and 'config/boat.yaml' in said
     # or fixes are refused that go on while the IMU shows a standstill
     fixes[:, Event.VERDICT], fixes[:, Event.Z_N] = Verdict.REFUSED, 3.0 * np.arange(20)
-    said, = vehicle_says(result.memory, result.config, fixes)
+    said, = vehicle_warnings(result.memory, result.config, fixes)
     assert 'the fixes go on while /imu/data shows a standstill' in said
     fixes[::4, Event.V_N] = 5.0  # not while it drives
-    assert vehicle_says(result.memory, result.config, fixes) == []
+    assert vehicle_warnings(result.memory, result.config, fixes) == []
 
 
 @pytest.mark.parametrize('known, degrees, told', [(0.1, 0.6, True), (0.01, 0.6, False), (0.01, 2.0, True)])

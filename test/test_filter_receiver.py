@@ -18,8 +18,8 @@ from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import Event, Head, Nav, Verdict, covariance, state_at, variance_factor, views
 from mems_ins_fusion.filter.runs.odometry import POSE_COVARIANCE, SIZE, TWIST_COVARIANCE, odometry
 from mems_ins_fusion.filter.runs.replay import run
-from mems_ins_fusion.filter.runs.results import Measured, columns, result
-from mems_ins_fusion.filter.start.initial import learned
+from mems_ins_fusion.filter.runs.results import MeasurementLog, columns, result
+from mems_ins_fusion.filter.start.initial import sensor_errors_of
 from mems_ins_fusion.filter.trust.hypotheses import Hypothesis
 from mems_ins_fusion.filter.trust.receiver import LASTING_TIME, SLOW, realised_factor, shown_share, start_anew
 from mems_ins_fusion.filter.trust.receiver import Receiver as OfReceiver
@@ -364,11 +364,11 @@ def published(config, memory, **columns_of_row):
     odometry(memory, np.array([LATITUDE, LONGITUDE, HEIGHT]), 2.0, out, np.zeros(3), covariance_enu)
     states = row[columns(config.layout).astype(np.int64)][None]
     run = result(config, np.zeros(1, np.int64), np.zeros(1, np.int64), states,
-                 Measured(*np.zeros((3, 0), np.int64), np.zeros((0, Event.SIZE))), start=None, notices=[],
+                 MeasurementLog(*np.zeros((3, 0), np.int64), np.zeros((0, Event.SIZE))), start=None, notices=[],
                  memory=memory, filter_seconds=0.0)
     position = [*out[POSE_COVARIANCE:][[0, 7]], *covariance_enu[[0, 4]], *run.sigma[0, :2] ** 2]
     others = [out[POSE_COVARIANCE + 35], out[POSE_COVARIANCE + 1], out[TWIST_COVARIANCE], *run.sigma[0, 2:] ** 2,
-              *run.covariance_ne, *learned(config, memory).covariance.diagonal()]
+              *run.covariance_ne, *sensor_errors_of(config, memory).covariance.diagonal()]
     return np.array(position), np.array(others)
 
 

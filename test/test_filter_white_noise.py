@@ -17,7 +17,7 @@ from mems_ins_fusion.filter.memory import (
     state_at,
 )
 from mems_ins_fusion.filter.runs.odometry import SIZE, TWIST_COVARIANCE, odometry
-from mems_ins_fusion.filter.runs.vehicle_check import LONGEST_SHAKEN, vehicle_says
+from mems_ins_fusion.filter.runs.vehicle_check import LONGEST_SHAKEN, vehicle_warnings
 from mems_ins_fusion.filter.trust import white_noise
 from mems_ins_fusion.filter.trust.white_noise import Shown, White
 from mems_ins_fusion.navigation.strapdown import State
@@ -83,7 +83,7 @@ def test_who_is_shaken_for_long_is_told_so():
     # given an IMU with ten times the noise that is assumed, for one and for two minutes
     for seconds, told in ((50.0, False), (120.0, True)):
         config, memory = after(samples(seconds, 3e-3))
-        assert any('shakes it' in text for text in vehicle_says(memory, config, np.zeros((0, Event.SIZE)))) == told
+        assert any('shakes it' in text for text in vehicle_warnings(memory, config, np.zeros((0, Event.SIZE)))) == told
         assert seconds < LONGEST_SHAKEN or memory[White.SHAKEN] == pytest.approx(seconds, abs=5.0)
     # and who has the noise that is assumed is not
     config, memory = after(samples(120.0, 3e-4, 0.01))

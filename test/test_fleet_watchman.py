@@ -110,7 +110,7 @@ def test_a_state_file_of_the_node_feeds_the_history(tmp_path):
     """Written as nodes/state_file.py does, from a filter that has driven."""
     from mems_ins_fusion.filter.config import FilterConfig
     from mems_ins_fusion.filter.runs.replay import run
-    from mems_ins_fusion.filter.runs.snapshot import made
+    from mems_ins_fusion.filter.runs.snapshot import make_snapshot
     from mems_ins_fusion.nodes.state_file import StateFile
     from mems_ins_fusion.parameters import table
     from mems_ins_fusion.simulation.simulation import simulate_drive, simulate_recording
@@ -120,7 +120,7 @@ def test_a_state_file_of_the_node_feeds_the_history(tmp_path):
     result = run(config, recording.imu, recording.gnss)
     stamp = int(recording.imu.stamp[-1])
     path = tmp_path / 'car.json'
-    assert StateFile(str(path), 1.0, 1.0).write(made(config, result.memory, stamp)) is None
+    assert StateFile(str(path), 1.0, 1.0).write(make_snapshot(config, result.memory, stamp)) is None
     rows, why = history.read_state_file(str(path))
     assert why == '' and {row['stamp_ns'] for row in rows} == {stamp}
     yaw = next(row for row in rows if row['parameter'] == 'yaw')

@@ -16,7 +16,7 @@ from std_srvs.srv import SetBool
 
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import Event, Kind, set_covariance
-from mems_ins_fusion.filter.runs.horizon import LONGEST, STEP, Lookout, outside
+from mems_ins_fusion.filter.runs.horizon import LONGEST, STEP, HorizonPredictor, exceedance_probability
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.odometry import published_covariance
 from mems_ins_fusion.filter.runs.replay import run_with_outages
@@ -56,7 +56,7 @@ def test_probability_of_a_larger_error():
         # then it is what is left beside the disc: over the minor axis, of what the major one leaves at each place of it
         inside, _ = quad(lambda v: norm.pdf(v) * (2 * norm.cdf(math.sqrt(max(25.0 - (minor * v)**2, 0.0)) / major) - 1),
                          -min(5.0 / minor, 9.0), min(5.0 / minor, 9.0), limit=200)
-        assert outside(memory, at, 5.0) == pytest.approx(1.0 - inside, abs=1e-3)
+        assert exceedance_probability(memory, at, 5.0) == pytest.approx(1.0 - inside, abs=1e-3)
 
 
 @pytest.mark.parametrize('mechanization', ['planar', 'strapdown'])
@@ -65,7 +65,7 @@ def test_a_vehicle_that_goes_straight_on(mechanization):
     config = configure({**NO_NOISE, 'horizon.speed': 0.0, 'mechanization': mechanization})
     p = diagonal(config, r_n=0.5, r_e=0.5, v_n=0.1, v_e=0.1, f_x=0.01, f_y=0.01)
     memory = started(config, p=p, attitude=(0.0, 0.0, math.atan2(-5.0, 12.0)), velocity=(12.0, -5.0, 0.0))
-    horizon = Lookout(config).look(memory)
+    horizon = HorizonPredictor(config).predict(memory)
     # then the sigma is that of the straight line and the parabola, and the horizon is where that is the limit's
     times = np.arange(0.0, LONGEST, 0.01)
     sigma = np.sqrt(0.5**2 + (0.1 * times)**2 + (0.5 * 0.01 * times**2)**2)
@@ -73,21 +73,21 @@ def test_a_vehicle_that_goes_straight_on(mechanization):
     assert expected < horizon.seconds <= expected + STEP + 0.02
     assert horizon.metres == pytest.approx(13.0 * horizon.seconds, rel=1e-3)
     # and with a limit below what is wrong now there is none
-    assert Lookout(configure({**config.parameters, 'horizon.limit': 1.2})).look(memory) == (0.0, 0.0)
+    assert HorizonPredictor(configure({**config.parameters, 'horizon.limit': 1.2})).predict(memory) == (0.0, 0.0)
 
 
 def test_a_vehicle_that_stands_drives_off():
     # given one whose heading is not sure, and nothing else wrong
     config = configure({**NO_NOISE, 'horizon.speed': 10.0})
     memory = started(config, p=diagonal(config, yaw=0.05), velocity=(0.0, 0.0, 0.0))
-    horizon = Lookout(config).look(memory)
+    horizon = HorizonPredictor(config).predict(memory)
     # then it can go as far as that leads the limit's way aside, at 2 m/s^2 to 10 m/s
     expected = 5.0 / (LINE * 0.05)
     assert expected < horizon.metres < expected + 10.0 * STEP + 0.1
     assert horizon.seconds == pytest.approx(5.0 + (expected - 25.0) / 10.0, abs=2 * STEP)
     # and one that is known to stay where it is for ever
     config = configure({**config.parameters, 'horizon.speed': 0.0})
-    assert Lookout(config).look(memory) == (LONGEST, 0.0)
+    assert HorizonPredictor(config).predict(memory) == (LONGEST, 0.0)
 
 
 @pytest.mark.parametrize('told', [False, True], ids=['', 'wheel speed'])
@@ -109,7 +109,7 @@ def test_it_is_what_the_filter_itself_comes_to(told):
         take_all(memory, samples, speeds, [0])
     ahead(memory, 0.0, 2.0)
     untouched = memory.copy()
-    horizon = Lookout(config).look(memory)
+    horizon = HorizonPredictor(config).predict(memory)
     assert np.array_equal(memory, untouched)
     # when it goes on with samples of such a road
     assert 3.0 < horizon.seconds < LONGEST

@@ -83,13 +83,13 @@ class Fed:
         self.fusion.add_fix(self.now + dt, *place, height, variance, status, kind)
 
     def speed(self, dt, value, variance):
-        self.fusion.add_speed(self.now + dt, value, variance)
+        self.fusion.add('speed', self.now + dt, value, variance)
 
     def velocity(self, dt, value, variance):
-        self.fusion.add_velocity(self.now + dt, value, np.reshape(variance, (3, 3)))
+        self.fusion.add('velocity', self.now + dt, value, np.reshape(variance, (3, 3)))
 
     def heading(self, dt, value, variance):
-        self.fusion.add_heading(self.now + dt, value, variance)
+        self.fusion.add('heading', self.now + dt, value, variance)
 
     def start(self, pose, sigma):
         self.fusion.set_start(HERE[0] + pose[0] * 1e-7, HERE[1] + pose[1] * 1e-7, HERE[2], pose[2],

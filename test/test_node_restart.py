@@ -13,7 +13,7 @@ from mems_ins_fusion.filter.memory import NAV, Head, covariance, state_at
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.live_output import published
 from mems_ins_fusion.filter.runs.odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, TWIST_COVARIANCE
-from mems_ins_fusion.filter.runs.snapshot import made
+from mems_ins_fusion.filter.runs.snapshot import make_snapshot
 from mems_ins_fusion.filter.trust.receiver import UNKNOWN_YAW_SIGMA
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.parameters import table
@@ -247,5 +247,5 @@ def test_a_snapshot_tells_the_heading_of_the_vehicle(before):
     x, y, z, w = fusion.odometry[ORIENTATION:POSE_COVARIANCE]
     body = math.pi / 2 - math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     assert body == pytest.approx(before['yaw'] - 0.05, abs=5e-3)
-    assert made(fusion.config, fusion._memory, 0)['stamp'] == 0
+    assert make_snapshot(fusion.config, fusion._memory, 0)['stamp'] == 0
     assert math.hypot(*to_local(fusion.snapshot()['latitude'], HERE[1], HERE[2], HERE)[:2]) < 5.0

@@ -13,10 +13,10 @@ from test_filter_live import in_order
 from mems_ins_fusion.errors import InputError
 from mems_ins_fusion.filter.measurements import wheel_spectrum, wheel_vibration
 from mems_ins_fusion.filter.measurements.wheel_spectrum import AXES, BINS, POINTS, SHORTEST, WINDOW, Row, Spectrum
-from mems_ins_fusion.filter.measurements.wheel_vibration import Ear, Wheels
+from mems_ins_fusion.filter.measurements.wheel_vibration import Lines, Wheels
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.replay import run
-from mems_ins_fusion.filter.runs.snapshot import made, recalled
+from mems_ins_fusion.filter.runs.snapshot import from_snapshot, make_snapshot
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.parameters.parameter import ParameterError
 from mems_ins_fusion.samples import Aiding
@@ -125,7 +125,7 @@ def test_a_speed_is_told_without_fixes_and_no_bit_changes(simulated):
     off, report = (run(configure({**CAR, 'wheel_vibration': mode}), recording.imu, fixes) for mode in ('off', 'report'))
     assert np.array_equal(report.latitude, off.latitude) and np.array_equal(report.sigma, off.sigma)
     at = int(report.memory[Wheels.AT])
-    then, speed, variance = report.memory[[at + Ear.TOLD, at + Ear.SPEED, at + Ear.VARIANCE]]
+    then, speed, variance = report.memory[[at + Lines.REPORTED, at + Lines.SPEED, at + Lines.VARIANCE]]
     reference = recording.reference
     true = np.interp(then, (reference.stamp - recording.imu.stamp[0]) * 1e-9,
                      np.linalg.norm(reference.velocity, axis=1))
@@ -137,19 +137,19 @@ def test_nothing_is_told_where_the_speed_may_be_outside_of_the_grid(simulated):
     fixes = recording.gnss.select(recording.gnss.stamp < recording.imu.stamp[0] + 150 * 10**9)
     found = run(configure({**CAR, 'wheel_vibration': 'report', 'gyroscope.gauss_markov.sigma': [0.02]}), recording.imu,
                 fixes)
-    then = found.memory[int(found.memory[Wheels.AT]) + Ear.TOLD]
+    then = found.memory[int(found.memory[Wheels.AT]) + Lines.REPORTED]
     v = found.config.layout.index('v_n')
     sigma = np.linalg.norm(found.sigma[:, v:v + 2], axis=1)
     state = np.searchsorted((found.stamp - recording.imu.stamp[0]) * 1e-9, then)
     # it grows further until the end, and the last speed was told before that
-    assert then > 150.0 and sigma[state] < 1.5 * wheel_vibration.LOST < sigma[-1]
+    assert then > 150.0 and sigma[state] < 1.5 * wheel_vibration.LARGEST_SPEED_SIGMA < sigma[-1]
 
 
 def test_without_a_line_nothing_is_told(drive):
     # given a car on a rough road whose wheels are in balance
     recording = recorded(drive, Vibration(0.0, 0.1)).recording
     found = run(configure({**CAR, 'wheel_vibration': 'report'}), recording.imu, recording.gnss)
-    assert found.memory[int(found.memory[Wheels.AT]) + Ear.VARIANCE] == 0.0
+    assert found.memory[int(found.memory[Wheels.AT]) + Lines.VARIANCE] == 0.0
 
 
 @pytest.mark.parametrize('feedback', ['closed', 'open'])
@@ -173,27 +173,27 @@ def test_live_and_replay_tell_the_same_bits(simulated, feedback):
     at = np.searchsorted(replayed.index, [p[0] for p in published])
     assert np.array_equal(np.column_stack([replayed.latitude, replayed.longitude, replayed.height])[at],
                           np.array([p[1:] for p in published]))
-    heard = [memory[int(memory[Wheels.AT]):][:Ear.SIZE] for memory in (replayed.memory, fusion._memory)]
+    heard = [memory[int(memory[Wheels.AT]):][:Lines.SIZE] for memory in (replayed.memory, fusion._memory)]
     assert np.array_equal(*heard)
     # and a speed was told; in open loop, whose own speed strays, not in each drive
-    assert feedback == 'open' or heard[0][Ear.VARIANCE] > 0.0
+    assert feedback == 'open' or heard[0][Lines.VARIANCE] > 0.0
 
 
 def test_it_is_kept_for_the_next_start(heard):
     config, memory = configure({**CAR, 'wheel_vibration': 'report'}), heard['report'].memory
     stamp = int(heard['report'].stamp[-1])
-    kept = json.loads(json.dumps(made(config, memory, stamp)))
-    remembered, _ = recalled(config, kept, stamp + 10**9, 20.0)
+    kept = json.loads(json.dumps(make_snapshot(config, memory, stamp)))
+    remembered, _ = from_snapshot(config, kept, stamp + 10**9, 20.0)
     fresh = config.memory()
-    wheel_vibration.remember(fresh, remembered.wheels)
+    wheel_vibration.restore(fresh, remembered.wheels)
     before, after = wheel_vibration.summary(memory), wheel_vibration.summary(fresh)
     # the same circumference, less sure of it: pressure and load
     assert after['circumference_m'] == before['circumference_m'] and after['sigma_m'] > before['sigma_m']
     with pytest.raises(InputError):
-        recalled(config, {**kept, 'wheels': [1.0, 2.0]}, stamp + 10**9, 20.0)
+        from_snapshot(config, {**kept, 'wheels': [1.0, 2.0]}, stamp + 10**9, 20.0)
     with pytest.raises(InputError):
-        recalled(config, {**kept, 'wheels': [99.0, *kept['wheels'][1:]]}, stamp + 10**9, 20.0)
-    assert 'wheels' not in made(configure(CAR), heard['off'].memory, stamp)
+        from_snapshot(config, {**kept, 'wheels': [99.0, *kept['wheels'][1:]]}, stamp + 10**9, 20.0)
+    assert 'wheels' not in make_snapshot(configure(CAR), heard['off'].memory, stamp)
 
 
 def test_health_tells_it(heard, simulated):
@@ -224,10 +224,10 @@ def test_it_cannot_be_used(given):
 def test_samples_that_never_change_tell_nothing():
     # given a memory that hears the same numbers over and over at 10 m/s
     memory = configure({**CAR, 'wheel_vibration': 'report'}).memory()
-    at, ring = int(memory[Wheels.AT]), int(memory[Wheels.AT]) + Ear.SPECTRUM
+    at, ring = int(memory[Wheels.AT]), int(memory[Wheels.AT]) + Lines.SPECTRUM
     rows = memory[ring + Spectrum.RING:ring + Spectrum.TAPER].reshape(POINTS, Row.SIZE)
     rows[:, Row.TIME], rows[:, Row.SPEED], memory[ring + Spectrum.COUNT] = SHORTEST, 10.0, POINTS
     for _ in range(30):
         _, way, last = wheel_spectrum.look(memory, ring, wheel_vibration.HIGHEST)
-        wheel_vibration._comb(memory, at, way, last)
-    assert memory[at + Ear.VARIANCE_C] == 0.0
+        wheel_vibration._search_circumference(memory, at, way, last)
+    assert memory[at + Lines.VARIANCE_C] == 0.0

@@ -45,7 +45,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def simulate(options: argparse.Namespace) -> str:
     """Simulate and write what `options` ask for; a line that says what was written. InputError for bad options."""
-    from mems_ins_fusion.filter.measurements.registry import heard
+    from mems_ins_fusion.filter.measurements.registry import further_inputs
     from mems_ins_fusion.recordings.reading import Memory
     from mems_ins_fusion.results import check_free
     from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_recording
@@ -70,7 +70,7 @@ def simulate(options: argparse.Namespace) -> str:
                         standstill=options.duration if options.static else options.standstill)
     if not len(gnss.times(drive.time[-1])):
         raise InputError('the outages leave no fix in the recording')
-    distortions = {**scene.distortions(options.seed), 'named': [m for m in heard(values) if not m.is_plain]}
+    distortions = {**scene.distortions(options.seed), 'named': [m for m in further_inputs(values) if not m.is_plain]}
     effects = [*distortions.pop('effects'), *effects]
     simulation = simulate_recording(drive, SensorErrors.from_parameters(values, model), gnss,
                                     [*_declared(values), *effects], values['imu.mounting_rpy'], options.seed,
@@ -104,7 +104,7 @@ def _scene(options):
 
 
 def _write(simulation, options, values):
-    from mems_ins_fusion.filter.measurements.registry import heard
+    from mems_ins_fusion.filter.measurements.registry import further_inputs
     from mems_ins_fusion.navigation.frames import FLU_TO_FRD
     from mems_ins_fusion.recordings.writing import odometry_from_reference, write_recording
 
@@ -119,8 +119,8 @@ def _write(simulation, options, values):
     write_recording(replace(recording, reference=reference), options.output, options.storage,
                     overwrite=options.overwrite, odometry={'/reference/odometry': odometry},
                     imu_topic=values['imu_topic'], gnss_topic=values['gnss_topic'],
-                    inputs=heard(values), **{name: values[name] for name in (
-                        'temperature_topic', *(m.topic for m in heard(values)))
+                    inputs=further_inputs(values), **{name: values[name] for name in (
+                        'temperature_topic', *(m.topic for m in further_inputs(values)))
                        if values[name]})
 
 

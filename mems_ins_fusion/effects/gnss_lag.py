@@ -13,7 +13,7 @@ class GnssLag(Effect):
     To second order every smoothing receiver says p(t - delay) - lag a(t): a low pass has the delay tau and the lag
     -tau^2/2 (1/(1 + tau s) against exp(-tau s)), one that tracks the velocity (critically damped) no delay and the lag
     tau^2. The delay is a time offset and is traced as one; the lag is what is traced here. It lasts for as long as the
-    acceleration and the receiver's filter do (`filter.prediction.follow`).
+    acceleration and the receiver's filter do (`filter.trust.lag`).
     """
 
     name = 'gnss_lag'

@@ -1,8 +1,8 @@
-"""Columns of the filter's memory that a mechanism asks for in its own file: name, size, first value.
+"""Columns of the filter's memory that other files declare for their own use: name, size, first value.
 
-A part of the memory (`Part`) places them one behind the other, as they are asked for, in the room that it has. Compiled
-code takes their positions as constants, and compiled code is kept: so they have to be the same in each process, which
-is why `filter/__init__.py` imports the mechanisms, always in one order.
+A `Part` of the memory reserves room for them in the order of declaration. Compiled code contains their positions as
+constants and is cached on disk, so the positions must be the same in every process: `filter/__init__.py` imports the
+files that declare columns, always in the same order.
 """
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from collections.abc import Callable
 
 
 def numbered() -> Callable[..., int]:
-    """Numbers columns one behind the other: `column(3)` is the first of the next three, `column(0)` another name of the
-    next one."""
+    """A function that numbers columns in sequence: `column(3)` returns the first of the next three, `column(0)` the
+    next one without using it up."""
     end = 0
 
     def column(size: int = 1) -> int:
@@ -23,16 +23,16 @@ def numbered() -> Callable[..., int]:
 
 
 class Part:
-    """One part of the memory. name: in messages. first, end: its room, in floats."""
+    """Room for columns in one part of the memory: positions first to end, floats. name: for messages."""
 
     def __init__(self, name: str, first: int, end: int):
         self.name, self.next, self.end = name, first, end
         self.first_values: list[tuple[int, float]] = []
 
     def place(self, owner: str, **columns):
-        """Room for the columns of `owner`: a named tuple of their positions.
+        """Reserve columns for `owner` and return a named tuple of their positions.
 
-        columns: by name, how many floats, or these and their first value, where it is not zero.
+        columns: by name, the number of floats, or that and the first value, where it is not zero.
         """
         positions = []
         for size in columns.values():
@@ -46,6 +46,6 @@ class Part:
         return namedtuple(owner, columns)(*positions)
 
     def begin(self, part) -> None:
-        """Write the first values into `part`, an array that begins where the positions count from."""
+        """Write the first values into the array `part`, in which index 0 is position 0."""
         for position, value in self.first_values:
             part[position] = value

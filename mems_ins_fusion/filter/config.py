@@ -1,4 +1,4 @@
-"""The filter's settings, typed and in the filter's terms: the only reader of the parameters' values."""
+"""Settings of the filter, from the parameters: only this file reads parameter values, the rest reads the settings."""
 from __future__ import annotations
 
 import math
@@ -15,13 +15,9 @@ from ..sensor_errors.from_parameters import error_models, per_axis
 from ..sensor_errors.models import GaussMarkov, Model, RandomWalk
 from .bank import Bank
 from .history import history_size
+from .measurements import wheel_vibration
 from .measurements.base import Measurement, SensorSettings
-from .measurements.magnetometer import Compass
-from .measurements.pressure import Barometer
-from .measurements.registry import aiding, inputs
-from .measurements.twist import Scales
-from .measurements.wheel_vibration import Ear
-from .measurements.wheel_vibration import begin as begin_listening
+from .measurements.registry import AIDING, aiding, inputs
 from .memory import (
     HEAD,
     MECHANIZATIONS,
@@ -43,25 +39,24 @@ from .trust.lag import LagSettings
 from .trust.scale import Inputs
 from .trust.white_noise import White
 
-#: s: a measurement may come this much before the IMU samples of its time; one that is further ahead has another clock
+#: s: a measurement may arrive this much before the IMU samples of its time; one further ahead is of a different clock
 AHEAD = 1.0
-#: the fastest IMU for which all of gnss.max_delay is remembered, Hz
-FASTEST_IMU = 1000
-#: and the most measurements a second, of all inputs together: of speed, velocity and heading at 100 Hz with a fix at
-#: 20, and some more
+FASTEST_IMU = 1000  # Hz, IMU rate up to which the memory holds the samples of gnss.max_delay
+#: Hz, rate of all measurements together up to which the memory holds those of gnss.max_delay: speed, velocity and
+#: heading at 100 Hz, fixes at 20 Hz, and a margin
 MOST_MEASUREMENTS = 400
 SENSORS = ('accelerometer', 'gyroscope')
-#: of an IMU that is switched off and on: how far its errors move, as a part of what they are for one never seen
+#: standard deviation by which an IMU's errors change when it is switched off and on, as a share of that of an IMU never
+#: seen before
 REPEATED_TURN_ON = 0.3
-#: an estimated mounting angle may wander by this much of its prior sigma in an hour
+#: random walk of an estimated mounting angle in an hour, as a share of its prior standard deviation
 MOUNTING_WANDER = 0.05
-#: the planar filter's tilt goes with the road: correlation time, s
-TILT_TIME = 30.0
+TILT_TIME = 30.0  # s, correlation time of the tilt of road and body, for the planar filter
 
 
 @dataclass(frozen=True)
 class ImuSettings:
-    """Topic, rotation from sensor to body axes (3, 3) and the parameters it comes from, limits in SI units."""
+    """mounting_rpy: rad, as `imu.mounting_rpy`. max_gap, restart_gap: s. Largest values in SI units."""
 
     topic: str
     temperature_topic: str
@@ -70,16 +65,16 @@ class ImuSettings:
     restart_gap: float
     max_specific_force: float
     max_angular_rate: float
-    adapt_noise: bool
 
     @property
     def mounting(self) -> np.ndarray:
+        """Rotation from sensor to body axes, (3, 3)."""
         return mounting(self.mounting_rpy)
 
 
 @dataclass(frozen=True)
 class GnssSettings:
-    """lever_arm: (3,) body axes forward-right-down. lag: s^2, by how much a fix stays behind for each m/s^2. gate:
+    """lever_arm: (3,) body axes forward-right-down, m. lag: s^2, by which a fix lags behind for each m/s^2. gate:
     normalized innovation beyond which a fix is refused, 0: none. coloured: model of the receiver's coloured noise, or
     None."""
 
@@ -90,29 +85,26 @@ class GnssSettings:
     sigma: float
     default_sigma: float
     max_delay: float
-    robust_sigma: float
     gate: float
-    recovery_time: float
-    adapt_sigma: bool
-    adapt_covariance: bool
     outage_after: float
     coloured: GaussMarkov | None
 
     @property
     def lag_time(self) -> float:
-        """Time constant of the receiver's filter as `prediction.follow` models it, s: of one that tracks the velocity,
-        whose lag is its square; or of a low pass of tau s, lag -tau^2 / 2, which is tau / 3, right to third order."""
+        """Time constant of the receiver's filter as trust/lag.py models it, s. Positive lag: a filter that tracks the
+        velocity, lag is the square of this. Negative lag: a low pass of tau s, lag -tau^2 / 2, and this is tau / 3."""
         return math.sqrt(self.lag if self.lag >= 0.0 else -2.0 * self.lag / 9.0)
 
     @property
     def lag_gain(self) -> float:
-        """By how much a fix stays behind for each m/s that the receiver's filter has not followed, s."""
+        """Lag of a fix for each m/s by which the receiver's filter has not followed the velocity, s."""
         return self.lag / self.lag_time if self.lag else 0.0
 
 
 @dataclass(frozen=True)
 class AlignmentSettings:
-    """heading: course, orientation or parameter. level: the planar filter's standstill takes the tilt out."""
+    """heading: its source, course, orientation or parameter. level: whether the planar filter removes the tilt that a
+    standstill shows. gyroscope_turn_on: rad/s, prior standard deviation of the gyroscope bias."""
 
     heading: str
     yaw: float
@@ -123,23 +115,17 @@ class AlignmentSettings:
 
 @dataclass(frozen=True)
 class VehicleSettings:
-    """Sigmas of 0: the constraint is not used. axle: (3,) m from the IMU to the point that does not slip, body axes."""
+    """A standard deviation of 0: that constraint is not used."""
 
     zero_velocity_sigma: float
     lateral_sigma: float
-    vertical_sigma: float
-    angle_sigma: float
-    sideslip: float
-    sideslip_sigma: float
-    axle: np.ndarray
     still_acceleration: float
     still_rate: float
-    learn_drift: bool
 
 
 @dataclass(frozen=True)
 class Extra:
-    """An optional state: its name, how it wanders, and its standard deviation at the start."""
+    """An optional state: its name, process model, and standard deviation at the start."""
 
     name: str
     model: RandomWalk | GaussMarkov
@@ -161,16 +147,16 @@ class FilterConfig:
     imu: ImuSettings
     gnss: GnssSettings
     inputs: dict[int, Measurement]  # by number
-    sensors: dict[int, SensorSettings]  # of those besides the fixes, by number
+    sensors: dict[int, SensorSettings]  # of all inputs but the main receiver's fixes, by number
     alignment: AlignmentSettings
     vehicle: VehicleSettings
     wheel_vibration: str  # off or report
     datum: np.ndarray | None  # rad, rad, m
-    parameters: dict  # as given; for the effects' correctors
+    parameters: dict  # as given
 
     @classmethod
     def from_parameters(cls, values: dict) -> FilterConfig:
-        """From checked parameters (`parameters.table.check`). Raises ParameterError where they do not fit together."""
+        """From checked parameters (`parameters.table.check`). ParameterError where they contradict each other."""
         mechanization = STRAPDOWN if values['mechanization'] == 'strapdown' else PLANAR
         for measurement in aiding(values) if mechanization == PLANAR else ():
             if measurement.kind == Kind.PRESSURE and values[measurement.topic]:
@@ -210,7 +196,7 @@ class FilterConfig:
             parameters=values)
 
     def settings_of(self, number: int) -> GnssSettings | SensorSettings:
-        """Of the input with this number."""
+        """Settings of the input with this number."""
         return self.gnss if number == Kind.POSITION else self.sensors[number]
 
     def time_offset_of(self, number: int) -> float:
@@ -221,12 +207,12 @@ class FilterConfig:
 
     @property
     def latest(self) -> float:
-        """s: a measurement may arrive this much later than the IMU samples of its time; by a declared offset all do."""
+        """s, by which a measurement may arrive after the IMU samples of its time: gnss.max_delay and time offset."""
         return self.gnss.max_delay + max(0.0, *map(self.time_offset_of, self.inputs))
 
     @property
     def ahead(self) -> float:
-        """s: and this much before them."""
+        """s, by which a measurement may arrive before the IMU samples of its time."""
         return AHEAD + max(0.0, *(-self.time_offset_of(number) for number in self.inputs))
 
     @cached_property
@@ -236,7 +222,7 @@ class FilterConfig:
 
     @property
     def first_variance(self) -> np.ndarray:
-        """Of each channel's error (channels,) when it is switched on, of a sensor never seen before."""
+        """Variance of the error of each channel (channels,) of a sensor never seen before."""
         return np.array([model.initial_covariance()[0, 0] + turn_on**2
                          for model, turn_on in zip(self.models, self.turn_on_sigma)])
 
@@ -247,31 +233,29 @@ class FilterConfig:
 
     @property
     def capacity(self) -> int:
-        """States and samples remembered for fixes that come late: a power of two, small enough for the cache."""
+        """Number of states and IMU samples kept for late measurements: a power of two."""
         return 2 ** math.ceil(math.log2(self.latest * FASTEST_IMU + 16))
 
     @property
     def event_capacity(self) -> int:
-        """Measurements remembered: twice those of gnss.max_delay, as the older half is forgotten at once, and of those
-        that come before the IMU's samples of their time as well."""
+        """Number of measurements kept: twice those of the longest delay, as the older half is dropped at once."""
         return 2 * math.ceil(MOST_MEASUREMENTS * (self.latest + self.ahead))
 
     def correctors(self) -> list:
-        """What takes the effects that the parameters declare out of samples in sensor axes, in order."""
+        """Functions that remove the configured effects from samples in sensor axes, in the order of application."""
         made = (effect.corrector(self.parameters, self.imu.mounting) for effect in EFFECTS.values())
         return [corrector for corrector in made if corrector is not None]
 
     def memory(self, history: bool = False) -> np.ndarray:
-        """The kernel's memory with these settings in it, before the first state. history: with what a smoother needs.
-        """
+        """The kernel's memory with these settings, before the first state. history: with room for smoothing."""
         layout, width = self.layout, row_width(self.layout)
         rows = Head.SIZE + noise_size(layout)
         ring = rows + (self.capacity + 2) * width  # two rows more, for states between samples
         events = ring + self.capacity * Sample.SIZE
         scratch = events + self.event_capacity * Event.SIZE
         wheels = scratch + scratch_size(layout.n)
-        end = wheels + (0 if self.wheel_vibration == 'off' else Ear.SIZE)
-        # a smoother's history goes forward only; where each fix is believed in any case there is nothing to decide
+        end = wheels + (0 if self.wheel_vibration == 'off' else wheel_vibration.Lines.SIZE)
+        # room for the second filter (bank.py); none in a smoother, and none where no fix is ever refused
         second = 0 if history or self.gnss.gate == 0.0 else end
         memory = np.zeros(end + second + (history_size(layout.n) if history else 0))
         HEAD.begin(memory)
@@ -282,11 +266,13 @@ class FilterConfig:
             memory[column] = at
         memory[Head.SIZE:rows], memory[Head.FORGOTTEN] = self._noise(), -math.inf
         if wheels < end:
-            begin_listening(memory, wheels)
+            wheel_vibration.begin(memory, wheels)
         return memory
 
     def _write_head(self, head: np.ndarray, width: int) -> None:
-        layout, gnss, vehicle = self.layout, self.gnss, self.vehicle
+        layout, gnss, vehicle, values = self.layout, self.gnss, self.vehicle, self.parameters
+        strapdown = values['mechanization'] == 'strapdown'
+        axle = FLU_TO_FRD @ np.asarray(values['vehicle.rear_axle'], dtype=float)
         settings = {
             Head.MECHANIZATION: self.mechanization, Head.OPEN_LOOP: self.open_loop,
             Head.N_NAVIGATION: layout.n_navigation, Head.N_AUGMENTED: layout.n_augmented, Head.ORDER: layout.order,
@@ -294,24 +280,29 @@ class FilterConfig:
             Head.EVENT_CAPACITY: self.event_capacity,
             Head.COLOURED: layout.index('coloured_n'), Head.MOUNTING_PITCH: layout.index('mounting_pitch'),
             Head.MOUNTING_YAW: layout.index('mounting_yaw'), Head.AXLE: layout.index('axle_x'),
-            Head.AXLE_ACROSS: layout.index('axle_y'), Head.SPEED_SCALE: layout.index('speed_scale'),
-            Head.TIME_OFFSET: layout.index('time_offset'), Barometer.BIAS: layout.index('pressure_bias'),
-            Scales.TWIST: layout.index('twist_scale'), Compass.STATES: layout.index('magnetometer_hard_x'),
+            Head.AXLE_ACROSS: layout.index('axle_y'), Head.TIME_OFFSET: layout.index('time_offset'),
+            **{one.state_column: layout.index(one.state) for one in AIDING if one.state_column is not None},
             Head.ACCELEROMETER_INTERVAL: self.models[0].interval or 0.0,
             Head.GYROSCOPE_INTERVAL: self.models[-1].interval or 0.0,
             Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: self.latest, Head.AHEAD: self.ahead,
-            Head.ROBUST_SIGMA: gnss.robust_sigma,
-            Head.GATE: gnss.gate, Head.RECOVERY_TIME: gnss.recovery_time, Head.ADAPT: gnss.adapt_sigma,
+            Head.GATE: gnss.gate, Head.ROBUST_SIGMA: values['gnss.robust_sigma'],
+            Head.RECOVERY_TIME: values['gnss.recovery_time'], Head.COVARIANCE_FACTOR: values['gnss.adapt_covariance'],
+            # the planar filter's errors on slopes would be taken for the receiver's
+            Head.ADAPT: values['gnss.adapt_sigma'] and strapdown,
+            # with AR models the planar filter's white noise includes the tilt (`_with_tilt`)
+            White.ADAPT: values['imu.adapt_noise'] and strapdown,
+            DriftSettings.LEARNED: (values['vehicle.learn_drift'] and strapdown
+                                    and values['sensor_error_model'] != 'autoregressive'),
             LagSettings.GAIN: gnss.lag_gain, LagSettings.TIME: gnss.lag_time,
-            Head.COVARIANCE_FACTOR: gnss.adapt_covariance,
-            DriftSettings.LEARNED: vehicle.learn_drift, White.ADAPT: self.imu.adapt_noise,
             Head.LEVER_X: gnss.lever_arm[0], Head.LEVER_Y: gnss.lever_arm[1], Head.LEVER_Z: gnss.lever_arm[2],
-            Head.AXLE_X: vehicle.axle[0], Head.AXLE_Y: vehicle.axle[1], Head.AXLE_Z: vehicle.axle[2],
+            Head.AXLE_X: axle[0], Head.AXLE_Y: axle[1], Head.AXLE_Z: axle[2],
             Head.CONSTRAINTS: vehicle.zero_velocity_sigma > 0 or vehicle.lateral_sigma > 0,
             Head.ZERO_VELOCITY_SIGMA: vehicle.zero_velocity_sigma, Head.LATERAL_SIGMA: vehicle.lateral_sigma,
-            Head.VERTICAL_SIGMA: vehicle.vertical_sigma, Head.ANGLE_SIGMA: vehicle.angle_sigma,
-            Head.SIDESLIP: vehicle.sideslip, Head.SLIP_SIGMA: vehicle.sideslip_sigma,
-            Inputs.COUNT: layout.inputs,
+            Head.VERTICAL_SIGMA: (values['vehicle.non_holonomic']
+                                  * values['vehicle.non_holonomic_vertical_sigma']),
+            Head.ANGLE_SIGMA: values['vehicle.non_holonomic_angle_sigma'],
+            Head.SIDESLIP: values['vehicle.sideslip_per_acceleration'],
+            Head.SLIP_SIGMA: values['vehicle.sideslip_sigma'], Inputs.COUNT: layout.inputs,
             Imu.MAX_FORCE: self.imu.max_specific_force, Imu.MAX_RATE: self.imu.max_angular_rate,
         }
         for column, value in settings.items():
@@ -337,15 +328,15 @@ class FilterConfig:
 
 
 def _equal_order(models: tuple[Model, ...]) -> tuple[Model, ...]:
-    """Models of different order, filled up with zeros: the kernel has one p for all channels."""
+    """The models with the order of the largest, padded with zeros: the kernel has one p for all channels."""
     order = max(model.order for model in models)
     return tuple(model if model.order == order else model.of_order(order) for model in models)
 
 
 def _with_tilt(models: tuple[Model, ...], white: np.ndarray, sigma: float) -> tuple[tuple[Model, ...], np.ndarray]:
-    """Models and white noise with what gravity adds on a road that is not level: sigma m/s^2 on f_x and f_y.
+    """Models and white noise of the planar filter, which has no state for tilt, with gravity leaking into f_x and f_y.
 
-    The planar filter has no state for it. A model takes it in as far as it can (`Model.with_tilt`).
+    sigma: m/s^2. Each model includes it in its own way (`Model.with_tilt`).
     """
     if sigma == 0:
         return models, white
@@ -354,7 +345,7 @@ def _with_tilt(models: tuple[Model, ...], white: np.ndarray, sigma: float) -> tu
 
 
 def _extras(values: dict, mechanization: int) -> tuple[Extra, ...]:
-    """The optional states that `values` ask for."""
+    """The optional states of the configuration."""
     extras = []
     coloured = _coloured(values)
     if coloured:
@@ -386,9 +377,7 @@ def _coloured(values: dict) -> GaussMarkov | None:
 def _imu(values: dict) -> ImuSettings:
     return ImuSettings(values['imu_topic'], values['temperature_topic'], tuple(values['imu.mounting_rpy']),
                        values['imu.max_gap'], values['imu.restart_gap'], values['imu.max_specific_force'],
-                       values['imu.max_angular_rate'],
-                       # the planar filter's white noise may hold the slopes
-                       values['imu.adapt_noise'] and values['mechanization'] == 'strapdown')
+                       values['imu.max_angular_rate'])
 
 
 def _gnss(values: dict) -> GnssSettings:
@@ -396,15 +385,10 @@ def _gnss(values: dict) -> GnssSettings:
     return GnssSettings(
         topic=values['gnss_topic'], lever_arm=FLU_TO_FRD @ np.asarray(values['gnss.lever_arm'], dtype=float),
         time_offset=values['gnss.time_offset'], lag=values['gnss.lag_per_acceleration'], sigma=values['gnss.sigma'],
-        default_sigma=values['gnss.default_sigma'],
-        max_delay=values['gnss.max_delay'], robust_sigma=values['gnss.robust_sigma'],
-        # of a chi-square distribution with two degrees of freedom
+        default_sigma=values['gnss.default_sigma'], max_delay=values['gnss.max_delay'],
+        # root of the quantile of a chi-square distribution with two degrees of freedom
         gate=math.sqrt(-2.0 * math.log1p(-share)) if share < 1.0 else 0.0,
-        recovery_time=values['gnss.recovery_time'],
-        # the planar filter's own errors, slopes, would pass for the receiver's
-        adapt_sigma=values['gnss.adapt_sigma'] and values['mechanization'] == 'strapdown',
-        adapt_covariance=values['gnss.adapt_covariance'], outage_after=values['gnss.outage_after'],
-        coloured=_coloured(values))
+        outage_after=values['gnss.outage_after'], coloured=_coloured(values))
 
 
 def _alignment(values: dict) -> AlignmentSettings:
@@ -413,14 +397,6 @@ def _alignment(values: dict) -> AlignmentSettings:
 
 
 def _vehicle(values: dict) -> VehicleSettings:
-    constrained = values['vehicle.non_holonomic']
-    return VehicleSettings(
-        zero_velocity_sigma=values['vehicle.zero_velocity'] * values['vehicle.zero_velocity_sigma'],
-        lateral_sigma=constrained * values['vehicle.non_holonomic_sigma'],
-        vertical_sigma=constrained * values['vehicle.non_holonomic_vertical_sigma'],
-        angle_sigma=values['vehicle.non_holonomic_angle_sigma'], sideslip=values['vehicle.sideslip_per_acceleration'],
-        sideslip_sigma=values['vehicle.sideslip_sigma'],
-        axle=FLU_TO_FRD @ np.asarray(values['vehicle.rear_axle'], dtype=float),
-        still_acceleration=values['vehicle.still_acceleration'], still_rate=values['vehicle.still_rate'],
-        learn_drift=(values['vehicle.learn_drift'] and values['mechanization'] == 'strapdown'
-                     and values['sensor_error_model'] != 'autoregressive'))
+    return VehicleSettings(values['vehicle.zero_velocity'] * values['vehicle.zero_velocity_sigma'],
+                           values['vehicle.non_holonomic'] * values['vehicle.non_holonomic_sigma'],
+                           values['vehicle.still_acceleration'], values['vehicle.still_rate'])

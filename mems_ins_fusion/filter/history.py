@@ -1,14 +1,14 @@
-"""What a smoother needs of the time between two states that it keeps, gathered while the filter runs.
+"""Smoother data accumulated by the forward filter between two stored states.
 
-Whatever happens in between - predictions, corrections, however many - an error e of the estimate at the first state
-becomes T e (and noise) at the second, and the innovations in between tell of it g and G:
+Over all predictions and corrections in between, an error e of the estimate at the first state becomes T e (plus noise)
+at the second, and the innovations in between carry the information vector g and matrix G about e:
 
     prediction      T <- Phi T
     correction      g <- g + T^T H^T z / s,  G <- G + T^T H^T H T / s,  T <- (I - K H) T
 
-z with x already taken out. From the second state back to the first: lambda <- T^T lambda + g and
-Lambda <- T^T Lambda T + G (`smoothing.py`). Stands at the end of the filter's memory, where a smoother asked for it:
-T (n, n) | G (n, n) | g (n) | room to work (n).
+z is the innovation minus H x. From the second state back to the first: lambda <- T^T lambda + g and
+Lambda <- T^T Lambda T + G (`runs/smoothing.py`). Layout, at the end of the memory of a filter that is to be smoothed:
+T (n, n) | G (n, n) | g (n) | scratch (n).
 """
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from .memory import Head
 
 
 def history_size(n: int) -> int:
-    """Floats of the history of n states."""
+    """Number of floats of the history of n states."""
     return 2 * n * n + 2 * n
 
 
 @njit(_nrt=False)
 def begin(mem, n):
-    """A new history: nothing has happened yet."""
+    """Empty history: T is the identity, g and G are zero."""
     at = int(mem[Head.HISTORY_AT])
     for i in range(at, at + 2 * n * n + 2 * n):
         mem[i] = 0.0
@@ -36,11 +36,11 @@ def begin(mem, n):
 
 @njit(_nrt=False)
 def corrected(mem, n, h, column, residual, s):
-    """A scalar correction: row H at `h`, P H^T at `column`, its innovation and the variance of that."""
+    """Add a scalar correction: row H at `h`, P H^T at `column`, innovation minus H x, variance of the innovation."""
     t = int(mem[Head.HISTORY_AT])
-    told = t + n * n
-    g = told + n * n
-    u = g + n
+    information = t + n * n
+    g = information + n * n
+    u = g + n  # H T
     for j in range(n):
         mem[u + j] = 0.0
     for i in range(n):
@@ -51,13 +51,13 @@ def corrected(mem, n, h, column, residual, s):
         share, gain = mem[u + i] / s, mem[column + i] / s
         mem[g + i] += share * residual
         for j in range(n):
-            mem[told + n * i + j] += share * mem[u + j]
+            mem[information + n * i + j] += share * mem[u + j]
             mem[t + n * i + j] -= gain * mem[u + j]
 
 
 @njit(_nrt=False)
 def forget(mem, i, n):
-    """State i starts anew: what comes tells nothing of its error before."""
+    """State i was reset: later innovations carry no information about its earlier error."""
     if mem[Head.HISTORY_AT] > 0.0:
         at = int(mem[Head.HISTORY_AT]) + n * i
         for k in range(at, at + n):
@@ -66,7 +66,7 @@ def forget(mem, i, n):
 
 @njit(_nrt=False)
 def lose(mem, n):
-    """All states start anew, and what has been gathered may not be a number."""
+    """All states were reset because they were not finite; g and G may not be finite either."""
     if mem[Head.HISTORY_AT] == 0.0:
         return
     at = int(mem[Head.HISTORY_AT])
@@ -77,7 +77,7 @@ def lose(mem, n):
 
 @njit(_nrt=False)
 def take(mem, r, n, out):
-    """Row r and what has been gathered since the last call into `out`, then a new history."""
+    """Copy row r and the history since the last call into `out`, and empty the history."""
     width, at = int(mem[Head.WIDTH]), int(mem[Head.HISTORY_AT])
     for i in range(width):
         out[i] = mem[r + i]

@@ -1,12 +1,12 @@
 """The compiled filter: one error-state Kalman filter for the live node and for the replay of whole recordings.
 
-All of it lives in one flat array of floats (`FilterConfig.memory` lays it out): a head with sizes and settings, the
-noise of each state, a ring of the latest states (rows, see memory.py), a ring of the IMU samples between them, and the
-measurements of the same time. Because the ring remembers, a measurement that comes late is applied at its own time:
-back to the state before it and forward again. A copy of the memory is a second filter (outages are branched off so).
+All of it is in one flat array of floats (`FilterConfig.memory`): a head with sizes and settings, noise parameters, a
+ring of the latest states (rows, see memory.py), a ring of the IMU samples between them, and the measurements of the
+same period. A measurement that comes late is applied at its own time: the filter returns to the state before it and
+repeats what followed. A copy of the memory is an independent filter; replayed outages are such copies.
 
-`run` is the one way in: live it is called with one event at a time, offline with a whole recording. It is the same
-compiled code, so both give the same bits.
+`run` is the only entry: live it is called with one sample or measurement at a time, in a replay with a whole recording.
+Both execute the same compiled code, so both give the same bits.
 """
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .memory import Event, Head, event_at, state_at
 
 @njit(_nrt=False)
 def find_event(memory, identity):
-    """Position of the measurement with this Event.ID, the newest first; -1: it is not remembered."""
+    """Position of the measurement with this Event.ID, searched from the newest; -1: no longer in the memory."""
     for i in range(int(memory[Head.EVENTS]) - 1, -1, -1):
         if memory[event_at(memory, i) + Event.ID] == identity:
             return event_at(memory, i)
@@ -30,13 +30,13 @@ def find_event(memory, identity):
 
 @njit(nogil=True, _nrt=False)
 def run(memory, samples, events, arrival, answers, columns, kept, states, log):
-    """IMU samples and measurements in the order of their arrival through the filter.
+    """Process IMU samples and measurements in the order of their arrival.
 
-    samples (k, 7): time (s since the epoch), specific force and angular rate in sensor axes. events (e, Event.SIZE) in
-    the order of their arrival; arrival (e,): the number of `samples` that arrived before each; answers (e,): TAKEN, or
-    why not. kept (s,): indices of samples, ascending, after which the columns `columns` of the newest state, as a live
-    filter publishes it, go into states (s, len(columns)). log: rows by Event.ID into which measurements go back with
-    what came of them, before they are forgotten; empty: none.
+    samples (k, 7): time (s since the epoch), specific force and angular rate in sensor axes. events (e, Event.SIZE):
+    measurements in the order of arrival; arrival (e,): number of `samples` that arrived before each; answers (e,),
+    output: TAKEN, or why it was not. kept (s,): indices of samples, ascending, after each of which the `columns` of the
+    newest state are written to states (s, len(columns)). log: array whose rows, by Event.ID, receive each measurement
+    with its result before the memory drops it; empty: none.
     """
     next_event, next_row, other = 0, 0, memory[int(memory[Bank.SIZE]):]
     for k in range(len(samples) + 1):
@@ -65,7 +65,7 @@ def run(memory, samples, events, arrival, answers, columns, kept, states, log):
 
 @njit(_nrt=False)
 def collect(memory, log):
-    """What came of the measurements remembered, to the rows of `log` that their IDs name."""
+    """Copy the measurements in the memory, with their results, to the rows of `log` by Event.ID."""
     for i in range(int(memory[Head.EVENTS])):
         at = event_at(memory, i)
         row = int(memory[at + Event.ID])

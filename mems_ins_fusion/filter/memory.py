@@ -1,15 +1,15 @@
-"""Where everything stands in the filter's memory: named once, used by the kernel and by everybody who reads a state.
+"""Layout of the filter's memory, one flat array of floats: names of all columns and states.
 
 One row of floats is one state of the filter: navigation solution, estimated errors x, covariance P.
 
-    nav (NAV) | x (n) | P: navigation block, packed upper triangle | cross block (m, N) | augmented block (m, m)
-    | scales of the named inputs
+    solution and statistics (NAV) | x (n) | P: navigation block, packed upper triangle | cross block (m, N)
+    | augmented block (m, m) | statistics of each named input (INPUT_SIZE)
 
 The N navigation error states (5 planar, 9 strapdown) are followed by m augmented states: the sensor error models, one
-block of p states for each channel, then the optional states that the configuration asks for. n = N + m.
-`StateLayout` knows which index each state has by its name.
+block of p states for each channel, then the optional states of the configuration. n = N + m. `StateLayout` gives the
+index of each state by its name.
 
-Columns are named tuples and not enumerations: compiled code takes their members as constants in every numba.
+Columns are named tuples, not enumerations: every version of numba compiles their members as constants.
 """
 from __future__ import annotations
 
@@ -42,21 +42,21 @@ class _Nav(NamedTuple):
     Q_X: int = column()
     Q_Y: int = column()
     Q_Z: int = column()
-    RADII_LATITUDE: int = column()  # where the two scales were computed
+    RADII_LATITUDE: int = column()  # latitude at which the two scales were computed
     NORTH_SCALE: int = column()  # rad of latitude per metre
     EAST_SCALE: int = column()  # rad of longitude per metre
     ACCELEROMETER_PHASE: int = column()  # s since the autoregressive model's last step
     GYROSCOPE_PHASE: int = column()
     CONSTRAINT_TIME: int = column()  # s since the last vehicle constraint
-    # what the filter has seen of its inputs stands in the row, too, so that going back for a late fix takes it back
+    # Statistics of the inputs are part of the state, so that a return to an earlier state for a late fix restores them
     MEMORY: int = column(0)  # the first of these columns, which a prediction only copies
     FIX_TIME: int = column()  # of the last fix, used or refused
     FIX_LATITUDE: int = column()
     FIX_LONGITUDE: int = column()
-    RESIDUAL_TIME: int = column()  # of the last fix used, and what it left: updated minus measured position, m
+    RESIDUAL_TIME: int = column()  # of the last fix used, and its residual: updated minus measured position, m
     RESIDUAL_N: int = column()
     RESIDUAL_E: int = column()
-    REFUSED: int = column()  # fixes refused in a row, and sums over them for the line their innovations lie on
+    REFUSED: int = column()  # fixes refused in a row; sums over them, to fit a line to their innovations:
     REFUSED_SINCE: int = column()
     SUM_T: int = column()
     SUM_TT: int = column()
@@ -65,46 +65,46 @@ class _Nav(NamedTuple):
     SUM_E: int = column()
     SUM_TE: int = column()
     SUM_SQUARE: int = column()
-    LATERAL_NIS: int = column()  # running mean of what the constraints say against the state
+    LATERAL_NIS: int = column()  # running mean NIS of the non-holonomic constraint, sideways and vertical
     VERTICAL_NIS: int = column()
-    BRIDGED: int = column()  # s, within the last minute or so, without a believable IMU sample
-    WEIGHTED: int = column()  # fixes that did not fit one after the other, the first of them weighted down
-    STRAYED: int = column()  # resets to refused fixes from which the filter had strayed, soon after each other,
-    STRAYED_TIME: int = column()  # and when the last one was
-    # what the innovations show of the covariance, see trust/receiver.py
-    SLOW_N: int = column()  # low-passed whitened innovations of the fixes, and the variance they have when white
+    BRIDGED: int = column()  # s since the last believed IMU sample, LONGEST_BRIDGE at most (prediction.py)
+    WEIGHTED: int = column()  # fixes in a row that did not fit, the first of them weighted down
+    STRAYED: int = column()  # restarts from refused fixes within a short time,
+    STRAYED_TIME: int = column()  # and the time of the last one
+    # consistency of the innovations with the covariance, see trust/receiver.py
+    SLOW_N: int = column()  # low-passed whitened innovations of the fixes, and their variance were they white
     SLOW_E: int = column()
     SLOW_VARIANCE: int = column()
     VARIANCE_FACTOR: int = column()  # realised over expected variance of them; below 1 it counts as 1
     CLAIM_LEVEL: int = column()  # mean logarithm of the claimed variance, m^2
-    LASTING: int = column()  # variance of the receiver's errors that last, m^2: the position has them, too
-    # whether the fixes or the IMU are right, see trust/contradiction.py
-    SLIDING: int = column()  # NIS of the lateral constraint lately, and as is usual for this vehicle
+    LASTING: int = column()  # variance of the receiver's slow errors, m^2, which the estimated position contains
+    # whether the fixes or the IMU are wrong, see trust/contradiction.py
+    SLIDING: int = column()  # NIS of the lateral constraint: mean of the last second, and usual for this vehicle
     USUAL_SLIDING: int = column()
-    UNSETTLED: int = column()  # s for which the fixes are still to decide
-    STOOD: int = column()  # time of the latest standstill, and the velocity that it took away, m/s
+    UNSETTLED: int = column()  # s for which fixes are used whatever their innovations
+    STOOD: int = column()  # time of the latest standstill, and the velocity that it corrected, m/s
     TAKEN_N: int = column()
     TAKEN_E: int = column()
-    TURNED: int = column()  # time of the latest standstill at which the gyroscopes showed what is expected of them
-    # what has happened to this state, for messages to the user
-    SIDEWAYS: int = column()  # s in which the vehicle did not keep to the non-holonomic constraint
-    SLID: int = column()  # s in which a slide showed that the IMU misled the filter
-    RESTARTS: int = column()  # states that were not finite and were taken back
-    RECOVERIES: int = column()  # resets to fixes that had been refused
-    MECHANISMS: int = column(241)  # the first of those that the mechanisms ask for (`ROW`), and room for them
+    TURNED: int = column()  # time of the latest standstill at which the gyroscopes agreed with their estimated errors
+    # counts for messages to the user
+    SIDEWAYS: int = column()  # s during which the vehicle violated the non-holonomic constraint
+    SLID: int = column()  # s during which a contradiction showed that the IMU was wrong
+    RESTARTS: int = column()  # states that were not finite and were replaced by an earlier one
+    RECOVERIES: int = column()  # restarts from fixes that had been refused
+    MECHANISMS: int = column(241)  # the first of those declared in other files (`ROW`), and room for them
     SIZE: int = column(0)
 
 
 Nav = _Nav()
 NAV = Nav.SIZE
-#: what mechanisms remember of a state: taken back with it
+#: columns of a state that other files declare: restored with the state when a measurement comes late
 ROW = Part('a state', Nav.MECHANISMS, Nav.SIZE)
 PLANAR, STRAPDOWN = 0, 1
 MECHANIZATIONS = {PLANAR: planar, STRAPDOWN: strapdown}
 
 
 class _Error(NamedTuple):
-    """The nine errors of position, velocity and attitude, of which a mechanization has all or some."""
+    """The nine errors of position, velocity and attitude. A mechanization has some of them as states, or all."""
 
     R_N: int = 0
     R_E: int = 1
@@ -114,7 +114,7 @@ class _Error(NamedTuple):
     V_D: int = 5
     PHI_N: int = 6
     PHI_E: int = 7
-    PHI_D: int = 8  # a planar heading, too
+    PHI_D: int = 8  # also the planar yaw
     SIZE: int = 9
 
 
@@ -123,8 +123,8 @@ Error = _Error()
 
 @dataclass(frozen=True)
 class StateLayout:
-    """Which state stands where. mechanization: PLANAR or STRAPDOWN. order: states of each sensor channel, p. extras:
-    names of the optional states, in order. inputs: how many have a name, with columns of their own at a row's end."""
+    """Index of each state. mechanization: PLANAR or STRAPDOWN. order: states of each sensor channel, p. extras: names
+    of the optional states, in order. inputs: number of named inputs, each with columns at the end of a row."""
 
     mechanization: int
     order: int
@@ -138,18 +138,18 @@ class StateLayout:
 
     @cached_property
     def rows(self) -> list[int]:
-        """Index of each of the nine navigation errors (`Error`) among the states, -1 where it is not there."""
+        """Index of each of the nine navigation errors (`Error`) among the states, -1: not a state."""
         names = ['phi_d' if name == 'yaw' else name for name in MECHANIZATIONS[self.mechanization].STATES]
         return [names.index(name.lower()) if name.lower() in names else -1 for name in Error._fields[:Error.SIZE]]
 
     @cached_property
     def axes(self) -> list[int]:
-        """Number of the channel of each of f_x, f_y, f_z, w_x, w_y, w_z, -1 where it is not used."""
+        """Channel of each of f_x, f_y, f_z, w_x, w_y, w_z, -1: not used."""
         return [self.channels.index(name) if name in self.channels else -1 for name in strapdown.CHANNELS]
 
     @property
     def is_level(self) -> bool:
-        """Whether it has neither height nor tilt: the road is taken for level."""
+        """Whether there are no states for height and tilt: roads are assumed to be level."""
         return self.rows[Error.PHI_N] < 0
 
     @cached_property
@@ -164,7 +164,7 @@ class StateLayout:
 
     @property
     def n_augmented(self) -> int:
-        """Number of states behind the navigation errors, m."""
+        """Number of states after the navigation errors, m."""
         return self.n_sensor + len(self.extras)
 
     @property
@@ -173,21 +173,21 @@ class StateLayout:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """All states by name, in order: f_x.1, f_x.2 ... where a channel has several."""
+        """Names of all states, in order; f_x.1, f_x.2 ... where a channel has several."""
         blocks = [channel if self.order == 1 else f'{channel}.{k + 1}' for channel in self.channels
                   for k in range(self.order)]
         return (*MECHANIZATIONS[self.mechanization].STATES, *blocks, *self.extras)
 
     def index(self, name: str) -> int:
-        """Index of the state `name`, -1 where this filter has none of that name."""
+        """Index of the state `name`, -1 where there is none."""
         return self.names.index(name) if name in self.names else -1
 
 
 @njit(_nrt=False)
 def nonnegative(position):
-    """`position`, of which the compiler then knows that it does not count from the end.
+    """`position`, such that the compiler knows it is not negative (an index from the end).
 
-    It else looks at that wherever the position is used, which is a third of the filter's time.
+    Without this it checks the sign at each use, which takes a third of the filter's time.
     """
     return position & 0x7FFFFFFFFFFFFFFF
 
@@ -198,8 +198,7 @@ def packed(i, j, size):
     return i * size - i * (i - 1) // 2 + j - i
 
 
-#: floats of a named input at the end of a row: what is seen of it (trust/scale.py)
-INPUT_SIZE = 19
+INPUT_SIZE = 19  # floats of each named input at the end of a row: its statistics (trust/scale.py)
 
 
 def row_width(layout: StateLayout) -> int:
@@ -210,7 +209,7 @@ def row_width(layout: StateLayout) -> int:
 
 @njit(_nrt=False)
 def load_covariance(row, r, n_navigation, n_augmented, full, at):
-    """The covariance of the state at `r` in the array `row`, as a full symmetric matrix (n, n) from full[at] on."""
+    """Write the covariance of the state at row[r] as a full symmetric matrix (n, n) to full[at] on."""
     n_navigation, n_augmented = nonnegative(n_navigation), nonnegative(n_augmented)
     n = n_navigation + n_augmented
     k = nonnegative(r + NAV + n)
@@ -254,32 +253,32 @@ def store_covariance(full, at, n_navigation, n_augmented, row, r):
 
 @njit(_nrt=False)
 def row_of(mem, error):
-    """Index of one of the nine navigation errors (`Error`) among the states; -1: the mechanization has it not."""
+    """Index of one of the nine navigation errors (`Error`) among the states; -1: not a state of this mechanization."""
     return int(mem[Head.ROWS + error])
 
 
 @njit(_nrt=False)
 def channel_of(mem, axis):
-    """Index of the state that is the error of f_x, f_y, f_z, w_x, w_y or w_z (axis 0 to 5); -1: it is not used."""
+    """Index of the first state of the error of f_x, f_y, f_z, w_x, w_y or w_z (axis 0 to 5); -1: not used."""
     channel = int(mem[Head.CHANNEL + axis])
     return int(mem[Head.N_NAVIGATION]) + channel * int(mem[Head.ORDER]) if channel >= 0 else -1
 
 
 @njit(_nrt=False)
 def velocity_state(mem):
-    """Index of the north velocity's error among the states; east stands behind it."""
+    """Index of the error of the north velocity among the states; that of the east velocity follows it."""
     return row_of(mem, Error.V_N)
 
 
 @njit(_nrt=False)
 def yaw_state(mem):
-    """Index of the heading's error among the states."""
+    """Index of the error of the heading among the states."""
     return row_of(mem, Error.PHI_D)
 
 
 @njit(_nrt=False)
 def velocity_variance(mem, r):
-    """Of the two horizontal components of the state at r together, m^2/s^2."""
+    """Sum of the variances of the two horizontal velocity components of the state at r, m^2/s^2."""
     v, n_navigation = velocity_state(mem), int(mem[Head.N_NAVIGATION])
     k = nonnegative(r + NAV + n_navigation + int(mem[Head.N_AUGMENTED]))
     return mem[k + packed(v, v, n_navigation)] + mem[k + packed(v + 1, v + 1, n_navigation)]
@@ -287,15 +286,15 @@ def velocity_variance(mem, r):
 
 @njit(_nrt=False)
 def variance_factor(row, r):
-    """By what the covariance of the state at `r` in `row` is to be multiplied before anybody believes it.
+    """Factor from the covariance P of the state at row[r] to the published covariance.
 
-    The filter works with the covariance as it is: a common factor changes no gain.
+    The filter itself works with P: a common factor changes no gain.
     """
     return max(1.0, row[r + Nav.VARIANCE_FACTOR])
 
 
 def covariance_index(i: int, j: int, layout: StateLayout) -> int:
-    """Column of a row in which element (i, j) of the covariance stands."""
+    """Column of element (i, j) of the covariance in a row."""
     i, j = min(i, j), max(i, j)
     n, m = layout.n_navigation, layout.n_augmented
     at = NAV + n + m
@@ -319,11 +318,17 @@ def set_covariance(row: np.ndarray, layout: StateLayout, full: np.ndarray) -> No
     store_covariance(np.ascontiguousarray(full).ravel(), 0, layout.n_navigation, layout.n_augmented, row, 0)
 
 
+def newest_row(memory: np.ndarray) -> np.ndarray:
+    """The newest state in the filter's memory, (width,): a view."""
+    at = state_at(memory, int(memory[Head.SAMPLES]))
+    return memory[at:at + int(memory[Head.WIDTH])]
+
+
 column = numbered()
 
 
 class _Head(NamedTuple):
-    """Sizes, settings and what runs on from sample to sample, at the start of the filter's memory."""
+    """Sizes, settings and counters, at the start of the filter's memory. A late measurement does not restore them."""
 
     MECHANIZATION: int = column()
     OPEN_LOOP: int = column()
@@ -334,23 +339,23 @@ class _Head(NamedTuple):
     WIDTH: int = column()  # floats in a row
     CAPACITY: int = column()  # rows in the ring
     EVENT_CAPACITY: int = column()
-    SAMPLES: int = column()  # IMU samples taken in so far: the newest state is that of row SAMPLES modulo CAPACITY
-    EVENTS: int = column()  # measurements remembered
-    ROWS_AT: int = column()  # where the parts of the memory begin: states,
-    RING_AT: int = column()  # samples,
-    EVENTS_AT: int = column()  # measurements,
-    SCRATCH_AT: int = column()  # and room to work
+    SAMPLES: int = column()  # IMU samples so far: the newest state is in row SAMPLES modulo CAPACITY
+    EVENTS: int = column()  # number of measurements in the memory
+    ROWS_AT: int = column()  # first position of the states,
+    RING_AT: int = column()  # of the IMU samples,
+    EVENTS_AT: int = column()  # of the measurements,
+    SCRATCH_AT: int = column()  # and of the scratch
     # indices of the optional states among all n; -1: none
-    COLOURED: int = column()  # north, and east behind it
+    COLOURED: int = column()  # coloured_n, followed by coloured_e
     MOUNTING_PITCH: int = column()
     MOUNTING_YAW: int = column()
     AXLE: int = column()
     SPEED_SCALE: int = column()
-    TIME_OFFSET: int = column()  # of the receiver's stamps, beyond gnss.time_offset
-    ACCELEROMETER_INTERVAL: int = column()  # s, of the autoregressive model; 0: another model
+    TIME_OFFSET: int = column()  # of the receiver's stamps, in addition to gnss.time_offset
+    ACCELEROMETER_INTERVAL: int = column()  # s, T_s of the autoregressive model; 0: another model
     GYROSCOPE_INTERVAL: int = column()
-    MAX_GAP: int = column()
-    MAX_DELAY: int = column()
+    MAX_GAP: int = column()  # s
+    MAX_DELAY: int = column()  # s
     LEVER_X: int = column()  # of the antenna, body axes forward-right-down, m
     LEVER_Y: int = column()
     LEVER_Z: int = column()
@@ -361,28 +366,28 @@ class _Head(NamedTuple):
     GATE: int = column()  # normalized innovation above which a fix is refused; 0: none
     RECOVERY_TIME: int = column()  # s
     ADAPT: int = column()  # whether the realised sigma of the fixes is used
-    CONSTRAINTS: int = column()  # whether there is any vehicle knowledge to apply
+    CONSTRAINTS: int = column()  # whether zero velocity or the non-holonomic constraint is used
     ZERO_VELOCITY_SIGMA: int = column()  # 0: not used
     LATERAL_SIGMA: int = column()  # 0: not used
     VERTICAL_SIGMA: int = column()
     SIDESLIP: int = column()  # rad per m/s^2 of lateral acceleration
-    SLIP_SIGMA: int = column()  # sigma of that, rad per m/s^2
-    ANGLE_SIGMA: int = column()  # rad: sigma of the direction of motion in the vehicle
+    SLIP_SIGMA: int = column()  # its standard deviation, rad per m/s^2
+    ANGLE_SIGMA: int = column()  # standard deviation of the direction of motion in the vehicle's axes, rad
     CONDITIONING: int = column(36)  # 6 x 6: body-axis sample = matrix (raw sample) + offset
-    OFFSET: int = column(6)  # six
-    HISTORY_AT: int = column()  # where a smoother's history begins, see history.py; 0: none
+    OFFSET: int = column(6)
+    HISTORY_AT: int = column()  # first position of the smoother's history, see history.py; 0: none
     AXLE_ACROSS: int = column()  # index of the optional state axle_y
-    COVARIANCE_FACTOR: int = column()  # whether the covariance is scaled by what the innovations show
-    FORGOTTEN: int = column()  # time of the latest measurement that is not kept any more: no state goes back behind it
-    ROWS: int = column(9)  # index of each of the nine navigation errors (`Error`) among the states, -1: not there
-    CHANNEL: int = column(6)  # number of the channel of each of f_x, f_y, f_z, w_x, w_y, w_z, -1: not used
-    AHEAD: int = column()  # s: a measurement that came before an IMU sample may be this much later than it
-    MECHANISMS: int = column(75)  # the first of those that the mechanisms ask for (`HEAD`), and room for them
+    COVARIANCE_FACTOR: int = column()  # whether the published covariance has the factor Nav.VARIANCE_FACTOR
+    FORGOTTEN: int = column()  # time of the newest measurement that was dropped: the filter cannot return before it
+    ROWS: int = column(9)  # `StateLayout.rows`
+    CHANNEL: int = column(6)  # `StateLayout.axes`
+    AHEAD: int = column()  # s: a measurement may be this much later than the newest IMU sample
+    MECHANISMS: int = column(75)  # the first of those declared in other files (`HEAD`), and room for them
     SIZE: int = column(0)
 
 
 Head = _Head()
-#: settings of mechanisms, and what they remember of the samples, which are not gone back to
+#: columns of the head that other files declare: settings, and statistics of IMU samples
 HEAD = Part('the head', Head.MECHANISMS, Head.SIZE)
 
 
@@ -390,7 +395,7 @@ column = numbered()
 
 
 class _Sample(NamedTuple):
-    """One IMU sample as the kernel takes it, body axes forward-right-down, and what the constraints said at it."""
+    """One IMU sample, body axes forward-right-down, and the constraint applied at it."""
 
     TIME: int = column()
     F_X: int = column()
@@ -400,23 +405,22 @@ class _Sample(NamedTuple):
     W_Y: int = column()
     W_Z: int = column()
     STILL: int = column()  # 1 at rest
-    FAULT: int = column()  # why it was not believed (see trust/imu_faults.py); 0: it was
-    CONSTRAINT: int = column()  # kind of the constraint that was applied; 0: none
-    Z: int = column(3)  # its innovation, three
-    S: int = column(3)  # and the variances of that, three
-    COASTED: int = column()  # 1: not measured, but made so that the vehicle goes straight on
-    INTERVAL: int = column()  # s since the sample before it
-    MECHANISMS: int = column(10)  # the first of those that the mechanisms ask for (`SAMPLE`), and room for them
+    FAULT: int = column()  # why it was not believed, `trust.imu_faults.Fault`; 0: it was
+    CONSTRAINT: int = column()  # kind of the constraint applied; 0: none
+    Z: int = column(3)  # its innovation
+    S: int = column(3)  # and the variances of that
+    COASTED: int = column()  # 1: replaced by a sample of straight motion at constant speed
+    INTERVAL: int = column()  # s since the previous sample
+    MECHANISMS: int = column(10)  # the first of those declared in other files (`SAMPLE`), and room for them
     SIZE: int = column(0)
 
 
 Sample = _Sample()
-#: what mechanisms remember beside a sample
-SAMPLE = Part('a sample', Sample.MECHANISMS, Sample.SIZE)
+SAMPLE = Part('a sample', Sample.MECHANISMS, Sample.SIZE)  # columns of a sample that other files declare
 
 
 class _Kind(NamedTuple):
-    """What a measurement is of: a file of `measurements` each."""
+    """What is measured; each has a file in `measurements`, but PLACE, which is in position.py."""
 
     POSITION: int = 1
     SPEED: int = 2
@@ -439,22 +443,22 @@ column = numbered()
 
 
 class _Event(NamedTuple):
-    """One measurement as the kernel takes it, and what came of it.
+    """One measurement ("record"): what was measured, and what the filter did with it.
 
-    Up to three components: the first two may be correlated, the third stands alone.
+    Up to three components, called N, E, D whatever they are: the first two may be correlated.
     """
 
-    TIME: int = column()  # at which it describes the vehicle
+    TIME: int = column()  # s since the epoch, at which it describes the vehicle
     KIND: int = column()
-    VALUE: int = column(0)  # three
-    LATITUDE: int = column()  # of a position
+    VALUE: int = column(0)  # up to three measured values,
+    LATITUDE: int = column()  # or a position
     LONGITUDE: int = column()
     HEIGHT: int = column()
-    R_NN: int = column()  # variances of the components, the covariance of the first two in between
+    R_NN: int = column()  # variances of the components, and the covariance of the first two
     R_NE: int = column()
     R_EE: int = column()
     R_DD: int = column()
-    ID: int = column()  # counts the measurements given to the kernel
+    ID: int = column()  # serial number of the measurements given to the kernel
     Z_N: int = column()  # innovation, predicted minus measured
     Z_E: int = column()
     Z_D: int = column()
@@ -464,16 +468,16 @@ class _Event(NamedTuple):
     S_DD: int = column()
     NIS: int = column()  # of the first two components
     VERDICT: int = column()  # what the filter did with it, one of `Verdict`
-    WEIGHT: int = column()  # 1: as it claims; less: its covariance was raised
-    YAW: int = column()  # of the prediction, to see innovations along and across track
+    WEIGHT: int = column()  # factor on its inverse covariance, 0 to 1
+    YAW: int = column()  # predicted yaw and velocity, for innovations along and across track
     V_N: int = column()
     V_E: int = column()
-    WITHDRAWN: int = column()  # 1: it has turned out to be wrong by what came after it
-    INPUT: int = column()  # number of the named input that it is from, from 1 on; 0: that of the settings in the head
-    STATE: int = column()  # of a named input: index of its own optional state among all n; -1: none
-    ARM: int = column(3)  # and three, from the IMU to where it is measured, body axes, m
-    STATUS: int = column()  # of a fix, `NavSatStatus.status`: 0, 1 with corrections of satellites, 2 of a base
-    DECLINATION: int = column()  # of a magnetic field, as declared, rad
+    WITHDRAWN: int = column()  # 1: a later measurement has shown that it is wrong
+    INPUT: int = column()  # number of its named input, from 1 on; 0: the unnamed input
+    STATE: int = column()  # of a named input: index of its first optional state among all n; -1: none
+    ARM: int = column(3)  # of a named input: lever arm from the IMU, body axes, m
+    STATUS: int = column()  # of a fix, `NavSatStatus.status`: 0 plain, 1 with satellite corrections, 2 with a base
+    DECLINATION: int = column()  # of a magnetic field, as configured, rad
     SIZE: int = column(0)
 
 
@@ -481,77 +485,76 @@ Event = _Event()
 
 
 class _Verdict(NamedTuple):
-    """What became of a measurement."""
+    """What the filter did with a measurement."""
 
-    PENDING: int = 0
+    PENDING: int = 0  # not applied yet
     USED: int = 1
-    WEIGHTED: int = 2  # used with a larger covariance: it does not fit well
+    WEIGHTED: int = 2  # used with a larger covariance, as its innovation is large
     REFUSED: int = 3  # its innovation is beyond the gate
-    FROZEN: int = 4  # it repeats itself although what it measures changes
-    RECOVERED: int = 5  # used for a new start: it agrees with those refused before it
-    AHEAD: int = 6  # of a time that the IMU's clock has not come to: the clocks differ
-    STRAIGHT_ON: int = 7  # the receiver goes straight on without satellites
-    CONTRADICTED: int = 8  # a speed that makes up another way than the one between the fixes
-    AWAITED: int = 9  # one that does not fit before its way has been compared with that of the fixes
+    FROZEN: int = 4  # refused: its value does not change although the state does
+    RECOVERED: int = 5  # the filter restarted from it, as it agrees with fixes refused before
+    AHEAD: int = 6  # refused: its stamp is later than that of the next IMU sample
+    STRAIGHT_ON: int = 7  # refused: the receiver extrapolates a straight line without satellites
+    CONTRADICTED: int = 8  # refused: its integral differs from the displacement between fixes
+    AWAITED: int = 9  # not used: its integral has not been compared with the fixes yet, and its innovation is large
 
 
 Verdict = _Verdict()
 
 
-#: the noise stands behind the head: the density squared of the six axes as assumed,
+#: first position of the noise parameters, which follow the head: white noise density squared of the six axes,
 WHITE = Head.SIZE
-#: and what drives the states behind the navigation errors, the parts of it one behind the other
-_STATES = WHITE + 6
+_STATES = WHITE + 6  # then those of the augmented states, as the functions below say
 
 
 @njit(inline='always')
 def decay_at(m, state):
-    """Where 1/tau of an augmented state stands; m: how many there are."""
+    """Position of 1/tau of an augmented state; m: number of augmented states."""
     return _STATES + state
 
 
 @njit(inline='always')
 def walk_at(m, state):
-    """Variance that a state gains in a second."""
+    """Position of the variance that a state gains in a second (random walk)."""
     return _STATES + m + state
 
 
 @njit(inline='always')
 def variance_at(m, state):
-    """Variance that a state which decays keeps."""
+    """Position of the stationary variance of a state (Gauss-Markov)."""
     return _STATES + 2 * m + state
 
 
 @njit(inline='always')
 def coefficients_at(m, order, channel):
-    """The coefficients of a channel's autoregressive model."""
+    """Position of the coefficients of a channel's autoregressive model."""
     return _STATES + 3 * m + order * channel
 
 
 @njit(inline='always')
 def driving_at(m, order, channels, channel):
-    """And b0 squared."""
+    """Position of b0 squared of a channel's autoregressive model."""
     return _STATES + 3 * m + order * channels + channel
 
 
 @njit(inline='always')
 def restart_at(m, order, channels, channel):
-    """Variance that a restart of the sensor adds to a channel."""
+    """Position of the variance that a restart of the IMU adds to a channel's error."""
     return _STATES + 3 * m + (order + 1) * channels + channel
 
 
 def noise_size(layout: StateLayout) -> int:
-    """Floats of all of that."""
+    """Number of floats of the noise parameters."""
     return 6 + 3 * layout.n_augmented + len(layout.channels) * (layout.order + 2)
 
 
 def scratch_size(n: int) -> int:
-    """Floats the kernel needs to work: P (n, n), six vectors, and one record."""
+    """Number of floats of the scratch: P (n, n), six vectors (n,), and one record."""
     return n * n + 6 * n + Event.SIZE
 
 
 def views(memory: np.ndarray):
-    """The parts of the memory as arrays: head, noise, states (capacity + 2, width), samples, events."""
+    """Views of the memory: head, noise, states (capacity + 2, width), IMU samples, measurements."""
     head = memory[:Head.SIZE]
     rows, ring, events, scratch = (int(head[i]) for i in (Head.ROWS_AT, Head.RING_AT, Head.EVENTS_AT, Head.SCRATCH_AT))
     return (head, memory[Head.SIZE:rows], memory[rows:ring].reshape(-1, int(head[Head.WIDTH])),
@@ -572,5 +575,5 @@ def sample_at(memory, k):
 
 @njit(_nrt=False)
 def event_at(memory, i):
-    """Position of measurement i of those remembered, by time."""
+    """Position of measurement i of those in the memory, in the order of time."""
     return int(memory[Head.EVENTS_AT]) + i * Event.SIZE

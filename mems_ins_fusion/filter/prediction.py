@@ -1,11 +1,11 @@
-"""Prediction of one state from the one before it (Eq. 4 and 5), for each mechanization, in blocks.
+"""Prediction of a state and its covariance over one interval (Eq. 4 and 5), for each mechanization, in blocks.
 
 P_nn navigation, P_ns cross, P_ss sensor errors; Phi = [[F, B], [0, A]] with A diagonal for random walk and
-Gauss-Markov, and one companion matrix per channel that steps once per T_s for AR(p). F and B are never written down:
-`error_step` of the mechanization applies them to a column.
+Gauss-Markov, and one companion matrix per channel, which steps once per T_s, for AR(p). F and B are not formed:
+`error_step` of the mechanization applies [F, B] to a column.
 
-All functions work on the flat memory, because an array more costs as much as the mathematics: `src`, `dst` and `sample`
-are positions in it, of the state before, of the state to write, and of the IMU sample of the interval.
+All functions work on the flat memory, as passing further arrays costs as much time as the mathematics. `src`, `dst` and
+`sample` are positions in it: of the previous state, of the state to write, and of the IMU sample of the interval.
 """
 from __future__ import annotations
 
@@ -41,24 +41,25 @@ from .trust.lag import LagSettings, fall_behind
 from .trust.scale import Inputs
 from .trust.white_noise import density
 
-#: what a land vehicle may do unseen while the IMU is silent (one sigma): the covariance of a bridged gap
-GAP_ACCELERATION = 1.5  # m/s^2
-GAP_TURN_RATE = 0.3  # rad/s
-GAP_TILT = 0.1  # rad: roads are not steeper, however long it lasts
-UNKNOWN_YAW_SIGMA = math.pi / math.sqrt(3.0)  # rad, of a heading that nothing tells
-LONGEST_BRIDGE = 2.0  # s: after that they are others
-#: the radii are computed anew after this much latitude, rad (13 m): the scale is then good to 2e-6
-RADII_STEP = 2e-6
+GAP_ACCELERATION = 1.5  # m/s^2, standard deviation of a vehicle's acceleration during a gap in the IMU samples
+GAP_TILT_SHARE = 0.1  # variance of roll and pitch over that of the heading that a gap adds
+GAP_TURN_RATE = 0.3  # rad/s, standard deviation of its turn rate during a gap
+#: rad, largest standard deviation that a gap gives to roll and pitch, however long it lasts: roads are not steeper
+GAP_TILT = 0.1
+#: s for which the acceleration and turn rate of a gap are taken for constant; after that they are new ones
+LONGEST_BRIDGE = 2.0
+UNKNOWN_YAW_SIGMA = math.pi / math.sqrt(3.0)  # rad, standard deviation of a heading that is uniformly distributed
+RADII_STEP = 2e-6  # rad of latitude (13 m) after which the radii are computed anew: the scales are accurate to 2e-6
 
 
 @njit(_nrt=False, fastmath={'contract'})
 def predict(mem, src, dst, sample, dt):
-    """State dst = state src, predicted over dt with one IMU sample; its TIME is left to the caller, who knows it."""
+    """Write to dst the state at src, predicted over dt with one IMU sample; the caller sets its TIME."""
     src, dst, sample = nonnegative(src), nonnegative(dst), nonnegative(sample)
     m, p = nonnegative(int(mem[Head.N_AUGMENTED])), nonnegative(int(mem[Head.ORDER]))
     if mem[Head.MECHANIZATION] != PLANAR:
         _step_strapdown(mem, src, dst, sample, dt, m, p)
-    elif m == 3 and p == 1:  # the paper's filters, with their sizes known to the compiler: a quarter faster
+    elif m == 3 and p == 1:  # the paper's filters: with constant sizes the compiled code is a quarter faster
         _step_planar(mem, src, dst, sample, dt, 3, 1)
     elif m == 6 and p == 2:
         _step_planar(mem, src, dst, sample, dt, 6, 2)
@@ -79,7 +80,7 @@ def predict(mem, src, dst, sample, dt):
 
 @njit(_nrt=False)
 def set_radii(mem, r):
-    """Latitude and longitude per metre at the position of row r."""
+    """Compute latitude and longitude per metre at the position of row r."""
     north, east = radii(mem[r + Nav.LATITUDE])
     height = mem[r + Nav.HEIGHT]
     mem[r + Nav.RADII_LATITUDE] = mem[r + Nav.LATITUDE]
@@ -89,7 +90,7 @@ def set_radii(mem, r):
 
 @njit(_nrt=False)
 def _move(mem, src, dst, north, east, down):
-    """Position of row dst: that of src moved by a displacement in m."""
+    """Write to row dst the position of row src, displaced by (north, east, down) m."""
     src, dst = nonnegative(src), nonnegative(dst)
     mem[dst + Nav.LATITUDE] = mem[src + Nav.LATITUDE] + north * mem[src + Nav.NORTH_SCALE]
     mem[dst + Nav.LONGITUDE] = mem[src + Nav.LONGITUDE] + east * mem[src + Nav.EAST_SCALE]
@@ -103,10 +104,10 @@ def _move(mem, src, dst, north, east, down):
 
 @njit(_nrt=False, fastmath={'contract'}, forceinline=True)
 def _step_planar(mem, src, dst, sample, dt, m, p):
-    """One interval of the planar mechanization with m states behind the navigation errors, p for each channel."""
+    """One interval of the planar mechanization; m augmented states, p states per channel."""
     src, dst, sample, m, p = nonnegative(src), nonnegative(dst), nonnegative(sample), nonnegative(m), nonnegative(p)
     x = NAV + 5
-    # columns of the blocks of P: navigation a, cross b, and in it the errors of f_x, f_y, w_z
+    # first columns of the blocks of P: navigation a, cross b, and in b those of the errors of f_x, f_y, w_z
     a = x + m
     b = a + 15
     bx, by, bw = b, b + 5 * p, b + 10 * p
@@ -119,7 +120,7 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
     yaw = mem[src + Nav.YAW]
     f_n, f_e, c, s = planar.rotate(yaw, dt, f_x, f_y, w_z)
     north, east, v_n, v_e, yaw = planar.mechanize(mem[src + Nav.V_N], mem[src + Nav.V_E], yaw, f_x, f_y, w_z, dt)
-    if mem[sample + Sample.COASTED] != 0.0:  # straight on whatever the heading and the sensors' errors are
+    if mem[sample + Sample.COASTED] != 0.0:  # straight motion depends on neither heading nor sensor errors
         f_n = f_e = c = s = 0.0
     _move(mem, src, dst, north, east, 0.0)
     mem[dst + Nav.V_N] = v_n
@@ -131,18 +132,15 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
             mem[dst + NAV + i] = 0.0
     else:
         (mem[dst + NAV], mem[dst + NAV + 1], mem[dst + NAV + 2], mem[dst + NAV + 3],
-         mem[dst + NAV + 4]) = planar.error_step(
-            dt, f_n, f_e, c, s, mem[src + NAV], mem[src + NAV + 1], mem[src + NAV + 2], mem[src + NAV + 3],
-            mem[src + NAV + 4], mem[src + x], mem[src + x + p], mem[src + x + 2 * p])
+         mem[dst + NAV + 4]) = _planar_column(mem, dt, f_n, f_e, c, s, src + NAV, 1, src + x, p)
 
     if mem[Head.HISTORY_AT] > 0.0:
         _carry_planar(mem, dt, f_n, f_e, c, s, nonnegative(m), nonnegative(p))
     # Phi P, column by column
     for j in range(m):
         k, e = b + 5 * j, b + 5 * m + j
-        (mem[dst + k], mem[dst + k + 1], mem[dst + k + 2], mem[dst + k + 3], mem[dst + k + 4]) = planar.error_step(
-            dt, f_n, f_e, c, s, mem[src + k], mem[src + k + 1], mem[src + k + 2], mem[src + k + 3], mem[src + k + 4],
-            mem[src + e], mem[src + e + m * p], mem[src + e + 2 * m * p])
+        (mem[dst + k], mem[dst + k + 1], mem[dst + k + 2], mem[dst + k + 3],
+         mem[dst + k + 4]) = _planar_column(mem, dt, f_n, f_e, c, s, src + k, 1, src + e, m * p)
     g00, g10, g20, g30, g40 = planar.error_step(
         dt, f_n, f_e, c, s, mem[src + a], mem[src + a + 1], mem[src + a + 2], mem[src + a + 3], mem[src + a + 4],
         mem[src + bx], mem[src + by], mem[src + bw])
@@ -159,7 +157,7 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
         dt, f_n, f_e, c, s, mem[src + a + 4], mem[src + a + 8], mem[src + a + 11], mem[src + a + 13], mem[src + a + 14],
         mem[src + bx + 4], mem[src + by + 4], mem[src + bw + 4])
 
-    # (Phi P) Phi^T, row by row; the sensors' white noise enters like an error that lasts one interval
+    # (Phi P) Phi^T, row by row; the white noise of a sensor is treated as an error that is constant over the interval
     h = 0.5 * dt
     nx, ny, nw = mem[WHITE], mem[WHITE + 1], mem[WHITE + 5]
     x, y, w = dst + bx, dst + by, dst + bw
@@ -184,36 +182,49 @@ def _step_planar(mem, src, dst, sample, dt, m, p):
     _sensor_states(mem, src, dst, dt, 5, m, p)
 
 
+@njit(inline='always')
+def _planar_column(mem, dt, f_n, f_e, c, s, k, step, q, sensor_step):
+    """[F, B] times a column: its navigation errors at `k`, `step` apart, its sensor errors at `q`, `sensor_step` apart.
+    """
+    return planar.error_step(
+        dt, f_n, f_e, c, s, mem[k], mem[k + step], mem[k + 2 * step], mem[k + 3 * step], mem[k + 4 * step],
+        mem[q], mem[q + sensor_step], mem[q + 2 * sensor_step])
+
+
+@njit(inline='always')
+def _strapdown_column(mem, transition, k, step, q, sensor_step):
+    """The same for the strapdown mechanization."""
+    return strapdown.error_step(
+        transition, (mem[k], mem[k + step], mem[k + 2 * step]),
+        (mem[k + 3 * step], mem[k + 4 * step], mem[k + 5 * step]),
+        (mem[k + 6 * step], mem[k + 7 * step], mem[k + 8 * step]),
+        (mem[q], mem[q + sensor_step], mem[q + 2 * sensor_step]),
+        (mem[q + 3 * sensor_step], mem[q + 4 * sensor_step], mem[q + 5 * sensor_step]))
+
+
 @njit(_nrt=False)
 def _carry_planar(mem, dt, f_n, f_e, c, s, m, p):
-    """The transition of the history over one interval: its navigation rows."""
+    """Multiply the transition T of the history (history.py) by Phi: its navigation rows."""
     n = 5 + m
     for k in range(int(mem[Head.HISTORY_AT]), int(mem[Head.HISTORY_AT]) + n):
-        x = k + 5 * n
-        moved = planar.error_step(dt, f_n, f_e, c, s, mem[k], mem[k + n], mem[k + 2 * n], mem[k + 3 * n],
-                                  mem[k + 4 * n], mem[x], mem[x + n * p], mem[x + 2 * n * p])
+        moved = _planar_column(mem, dt, f_n, f_e, c, s, k, n, k + 5 * n, n * p)
         for i in range(5):
             mem[k + n * i] = moved[i]
 
 
 @njit(_nrt=False)
-def _carry_strapdown(mem, step, m, p):
+def _carry_strapdown(mem, transition, m, p):
     """The same for the strapdown mechanization."""
     n = 9 + m
     for k in range(int(mem[Head.HISTORY_AT]), int(mem[Head.HISTORY_AT]) + n):
-        x, q = k + 9 * n, n * p
-        moved = strapdown.error_step(step, (mem[k], mem[k + n], mem[k + 2 * n]),
-                                     (mem[k + 3 * n], mem[k + 4 * n], mem[k + 5 * n]),
-                                     (mem[k + 6 * n], mem[k + 7 * n], mem[k + 8 * n]),
-                                     (mem[x], mem[x + q], mem[x + 2 * q]),
-                                     (mem[x + 3 * q], mem[x + 4 * q], mem[x + 5 * q]))
+        moved = _strapdown_column(mem, transition, k, n, k + 9 * n, n * p)
         for i in range(9):
             mem[k + n * i] = moved[i]
 
 
 @njit(_nrt=False)
 def _carry_sensors(mem, dt, size, m):
-    """The rows behind the navigation errors."""
+    """The rows of the augmented states of T."""
     n = size + m
     for j in range(m):
         decay, at = _decay(dt * mem[decay_at(m, j)]), int(mem[Head.HISTORY_AT]) + n * (size + j)
@@ -223,10 +234,10 @@ def _carry_sensors(mem, dt, size, m):
 
 @njit(_nrt=False)
 def _bridge(mem, r, dt, m, fault):
-    """Add to the covariance of row r what a vehicle may have done unseen for dt, while no sample could be believed.
+    """Add to the covariance of row r the motion that the vehicle may have made in dt, while no sample was believed.
 
-    An acceleration and a turn rate that last: what they add in dt depends on how long it has been so. After turns that
-    cannot be the heading is lost, and with it the direction of the velocity.
+    Acceleration and turn rate are unknown constants: what they add depends on how long the gap has lasted. Impossible
+    turn rates (Fault.WHIRL) lose the heading, and with it the direction of the velocity.
     """
     before = mem[r + Nav.BRIDGED]
     after = before + dt
@@ -252,14 +263,15 @@ def _bridge(mem, r, dt, m, fault):
         elif error <= Error.V_D:
             mem[at] += velocity
         elif error <= Error.PHI_E:
-            mem[at] += min(0.1 * turn, max(GAP_TILT**2 - mem[at], 0.0))
+            mem[at] += min(GAP_TILT_SHARE * turn, max(GAP_TILT**2 - mem[at], 0.0))
         else:
             mem[at] += turn
 
 
 @njit(_nrt=False)
 def free_sensors(mem, r):
-    """Add to the covariance of row r what a restart may do to the sensors' errors (`config.REPEATED_TURN_ON`)."""
+    """Add to the covariance of row r the change of the sensor errors by a restart of the IMU
+    (`config.REPEATED_TURN_ON`)."""
     n_navigation, m, p = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), int(mem[Head.ORDER])
     channels = int(mem[Head.CHANNELS])
     e = r + NAV + n_navigation + m + n_navigation * (n_navigation + 1) // 2 + m * n_navigation
@@ -269,7 +281,7 @@ def free_sensors(mem, r):
 
 @njit
 def _decay(x):
-    """exp(-x), x >= 0: by its series, to rounding, where x is small - it always is at IMU rate."""
+    """exp(-x), x >= 0. Its series is exact to rounding for small x, which it always is at IMU rate."""
     if x < 0.01:
         return 1.0 - x * (1.0 - x * (1 / 2 - x * (1 / 6 - x * (1 / 24 - x * (1 / 120)))))
     return math.exp(-x)
@@ -277,13 +289,13 @@ def _decay(x):
 
 @njit(inline='always')
 def _sensor_states(mem, src, dst, dt, size, m, p):
-    """The m states behind the `size` navigation errors: x, their covariance, whose cross block has the navigation's
-    step already, and the steps of AR(p)."""
+    """Predict the m augmented states, which follow `size` navigation errors: x and P, including the steps of AR(p). The
+    navigation rows of the cross block have been predicted before."""
     x = NAV + size
     b = x + m + size * (size + 1) // 2
     e = b + size * m
     decays = nonnegative(int(mem[Head.SCRATCH_AT]))
-    learned = 0 if mem[DriftSettings.LEARNED] == 0.0 else 6  # three accelerometers, three gyroscopes
+    scaled = 0 if mem[DriftSettings.LEARNED] == 0.0 else 6  # states whose driving noise trust/drift.py scales
     for j in range(m):
         mem[decays + j] = _decay(dt * mem[decay_at(m, j)])
     for j in range(m):
@@ -291,9 +303,9 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
         mem[dst + x + j] = decay * mem[src + x + j]
         for i in range(size):
             mem[column + i] *= decay
-        for i in range(m):  # both halves are the same bits, as they were before
+        for i in range(m):  # both halves of the symmetric block keep the same bits
             mem[row + i] = decay * mem[decays + i] * mem[before + i]
-        drift = mem[src + Drift.RATIO + (j > 2)] if j < learned else 1.0
+        drift = mem[src + Drift.RATIO + (j > 2)] if j < scaled else 1.0
         mem[row + j] += drift * (mem[walk_at(m, j)] * dt
                                  + mem[variance_at(m, j)] * (1.0 - decay * decay))
     if mem[Head.HISTORY_AT] > 0.0:
@@ -320,7 +332,7 @@ def _autoregressive(mem, src, dst, dt, size, m, p):
 
 @njit(inline='always')
 def _step_channel(mem, dst, size, m, p, channel, channels):
-    """One step of one channel's AR(p): companion matrix on x, on both sides of P, and b0^2."""
+    """One step of one channel's AR(p): companion matrix applied to x and to both sides of P, and b0^2 added."""
     x = NAV + size
     b = x + m + size * (size + 1) // 2
     e = b + size * m
@@ -346,8 +358,9 @@ def _step_channel(mem, dst, size, m, p, channel, channels):
 
 @njit(inline='always')
 def _companion(mem, at, stride, p, a):
-    """y = -a_1 v_1 - ... - a_p v_p in front, the rest moves back: p elements of a row, `stride` apart."""
-    if p == 2:  # the usual one, without a loop
+    """Companion matrix times p elements v, `stride` apart: y = -a_1 v_1 - ... - a_p v_p comes first, the others shift.
+    """
+    if p == 2:  # the usual order, without a loop
         first = mem[at]
         mem[at] = -mem[a + 1] * mem[at + stride] - mem[a] * first
         mem[at + stride] = first
@@ -380,11 +393,11 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
     attitude, c, f_level, moved, velocity = strapdown.mechanize(
         (mem[src + Nav.Q_W], mem[src + Nav.Q_X], mem[src + Nav.Q_Y], mem[src + Nav.Q_Z]), mem[src + Nav.V_N],
         mem[src + Nav.V_E], mem[src + Nav.V_D], f, w, dt, gravity(latitude, height), rates)
-    if mem[sample + Sample.COASTED] != 0.0:  # straight on whatever the attitude and the sensors' errors are
+    if mem[sample + Sample.COASTED] != 0.0:  # straight motion depends on neither attitude nor sensor errors
         c, f_level = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    step = strapdown.transition(dt, c, f_level)
+    transition = strapdown.transition(dt, c, f_level)
     if mem[Head.HISTORY_AT] > 0.0:
-        _carry_strapdown(mem, step, m, p)
+        _carry_strapdown(mem, transition, m, p)
     _move(mem, src, dst, moved[0], moved[1], moved[2])
     mem[dst + Nav.V_N], mem[dst + Nav.V_E], mem[dst + Nav.V_D] = velocity
     mem[dst + Nav.Q_W], mem[dst + Nav.Q_X], mem[dst + Nav.Q_Y], mem[dst + Nav.Q_Z] = attitude
@@ -393,22 +406,13 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
         for i in range(9):
             mem[dst + NAV + i] = 0.0
     else:
-        k = NAV
-        _store(mem, dst + k, strapdown.error_step(
-            step, (mem[src + k], mem[src + k + 1], mem[src + k + 2]),
-            (mem[src + k + 3], mem[src + k + 4], mem[src + k + 5]),
-            (mem[src + k + 6], mem[src + k + 7], mem[src + k + 8]),
-            (mem[src + x], mem[src + x + p], mem[src + x + 2 * p]),
-            (mem[src + x + 3 * p], mem[src + x + 4 * p], mem[src + x + 5 * p])))
+        _store(mem, dst + NAV, _strapdown_column(mem, transition, src + NAV, 1, src + x, p))
     for j in range(m):
         k, q, r = nonnegative(src + b + 9 * j), nonnegative(src + e + j), dst + b + 9 * j
-        _store(mem, r, strapdown.error_step(
-            step, (mem[k], mem[k + 1], mem[k + 2]), (mem[k + 3], mem[k + 4], mem[k + 5]),
-            (mem[k + 6], mem[k + 7], mem[k + 8]), (mem[q], mem[q + m * p], mem[q + 2 * m * p]),
-            (mem[q + 3 * m * p], mem[q + 4 * m * p], mem[q + 5 * m * p])))
+        _store(mem, r, _strapdown_column(mem, transition, k, 1, q, m * p))
 
-    # Phi P, column by column, then (Phi P) Phi^T, row by row; scratch: P_nn at s, the transpose of Phi P at g, and at u
-    # the columns of the six sensors, with their white noise: it enters like an error that lasts one interval
+    # Phi P, column by column, then (Phi P) Phi^T, row by row. Scratch: P_nn at s, the transpose of Phi P at g, and at u
+    # the columns of the six sensors with their white noise, which is treated as an error constant over the interval
     s = nonnegative(int(mem[Head.SCRATCH_AT]))
     g, u = s + 81, s + 162
     column = nonnegative(src + a)
@@ -418,10 +422,7 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
             column += 1
     for j in range(9):
         k, q = nonnegative(src + b + j), nonnegative(s + 9 * j)
-        _store(mem, g + 9 * j, strapdown.error_step(
-            step, (mem[q], mem[q + 1], mem[q + 2]), (mem[q + 3], mem[q + 4], mem[q + 5]),
-            (mem[q + 6], mem[q + 7], mem[q + 8]), (mem[k], mem[k + 9 * p], mem[k + 18 * p]),
-            (mem[k + 27 * p], mem[k + 36 * p], mem[k + 45 * p])))
+        _store(mem, g + 9 * j, _strapdown_column(mem, transition, q, 1, k, 9 * p))
     h = 0.5 * dt
     for axis in range(3):
         k, q = nonnegative(dst + b + 9 * p * axis), nonnegative(u + 9 * axis)
@@ -435,10 +436,7 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
     column = nonnegative(dst + a)
     for i in range(9):
         k, q = nonnegative(u + i), nonnegative(g + i)
-        _store(mem, s, strapdown.error_step(
-            step, (mem[q], mem[q + 9], mem[q + 18]), (mem[q + 27], mem[q + 36], mem[q + 45]),
-            (mem[q + 54], mem[q + 63], mem[q + 72]), (mem[k], mem[k + 9], mem[k + 18]),
-            (mem[k + 27], mem[k + 36], mem[k + 45])))
+        _store(mem, s, _strapdown_column(mem, transition, q, 9, k, 9))
         for j in range(i, 9):
             mem[column] = mem[s + j]
             column += 1
@@ -447,14 +445,14 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
 
 @njit(inline='always')
 def _add(mem, to, source, factor, values):
-    """The nine elements at `source` and `factor` times the nine values."""
+    """Write to `to` the nine elements at `source` plus `factor` times the nine values."""
     for i in range(9):
         mem[to + i] = mem[source + i] + factor * values[i]
 
 
 @njit(inline='always')
 def _store(mem, at, values):
-    """Nine values side by side."""
+    """Write nine values in succession."""
     for i in range(9):
         mem[at + i] = values[i]
 

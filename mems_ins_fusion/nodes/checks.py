@@ -6,7 +6,7 @@ from collections.abc import Callable
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.validate_topic_name import validate_topic_name
 
-from ..filter.measurements.registry import heard
+from ..filter.measurements.registry import further_inputs
 from ..parameters.parameter import ParameterError
 
 #: parameters that name a topic the node listens to, and those it speaks on
@@ -24,7 +24,7 @@ def check_together(values: dict, resolve: Callable[[str], str]) -> None:
 
 def _check_topics(values, resolve):
     purposes: dict[str, str] = {}
-    for name in (*INPUTS, *(measurement.topic for measurement in heard(values)), *OUTPUTS):
+    for name in (*INPUTS, *(measurement.topic for measurement in further_inputs(values)), *OUTPUTS):
         if not values.get(name):
             if name in ('imu_topic', 'gnss_topic', 'odometry_topic', 'fix_topic', 'pose_topic'):
                 raise ParameterError(f"parameter '{name}' must name a topic, got ''")

@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 
-from ..filter.measurements.registry import heard
+from ..filter.measurements.registry import further_inputs
 from ..navigation.strapdown import to_euler
 from ..parameters.parameter import ParameterError
 from ..parameters.table import parameters_of
@@ -60,7 +60,7 @@ def _arms(node, values) -> dict[str, _Sensor]:
     """By the parameter of its lever arm, each input that has one, and whose messages name a frame of its own."""
     wanted = [('gnss.lever_arm', 'the antenna', values['gnss_topic'], FIX_TYPES)]
     wanted += [(f'{one.name}.lever_arm', f"'{one.name}'", values[one.topic], tuple(filter(has_frame, one.messages)))
-               for one in heard(values) if f"{one.name}.lever_arm" in values]
+               for one in further_inputs(values) if f"{one.name}.lever_arm" in values]
     return {name: _Sensor(node, what, topic, kinds) for name, what, topic, kinds in wanted if topic and kinds}
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from ..effects.registry import EFFECTS
-from ..filter.measurements.registry import AIDING, HEARD, INPUTS, named_parameters
+from ..filter.measurements.registry import AIDING, FROM_IMU, INPUTS, named_parameters
 from ..hints import did_you_mean
 from ..sensor_errors.models import MODELS as SENSOR_MODELS
 from .parameter import Parameter, ParameterError
@@ -118,7 +118,7 @@ FILTER = (
               'error of the receiver, north and east; 0: none.', minimum=0.0, maximum=1000.0),
     Parameter('gnss.coloured_noise.tau', 60.0, 's', 'Its correlation time.', positive=True, maximum=1e9),
     *(parameter for measurement in AIDING for parameter in measurement.parameters()),
-    *HEARD,
+    *FROM_IMU,
     # the three models describe the same sensor: q = sigma sqrt(2 / tau)
     *_sensor('accelerometer', 'm/s^2', 0.01, 0.2, 4.1e-3, 0.05, 0.001165),
     *_sensor('gyroscope', 'rad/s', 3e-4, 0.01, 8.2e-5, 1e-3, 2.33e-5),

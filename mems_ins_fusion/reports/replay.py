@@ -17,7 +17,7 @@ from ..diagnosis.quantity import CHANGED, Quantity
 from ..diagnosis.watch import Watch, watched
 from ..evaluation.comparison import Comparison, compare, cut
 from ..filter.config import FilterConfig
-from ..filter.measurements.registry import heard, named_parameters
+from ..filter.measurements.registry import further_inputs, named_parameters
 from ..filter.runs.imus import as_one
 from ..filter.runs.intake import first_datum
 from ..filter.runs.odometry import ORIENTATION, POSE_COVARIANCE, POSITION
@@ -138,11 +138,11 @@ def read_part(path, values: dict, progress: Callable[[float], None]) -> tuple[Re
 
 
 def _read_whole(path, values: dict, progress) -> Recording:
-    datum = _datum(values)
+    datum, inputs = _datum(values), further_inputs(values)
     recording = read_recording(path, values['imu_topic'], values['gnss_topic'], values['reference_topic'] or None,
                                values['temperature_topic'] or None, progress, datum,
                                Memory(values['memory_limit'], *_MEMORY),
-                               heard(values), **{one.topic: values[one.topic] for one in heard(values)})
+                               inputs, **{one.topic: values[one.topic] for one in inputs})
     if values['reference_file']:
         recording = replace(recording, reference=read_reference(values['reference_file'], datum))
     return recording

@@ -1,10 +1,10 @@
-"""What can be measured: a file each, with the innovation z, its derivative H, and its covariance R.
+"""The measurements, one file each: innovation z, its derivative H, and its covariance R.
 
-`observe` of a measurement fills a record (columns `Event`) with z = predicted minus measured, and the rows of H, one
-for each component. What the optional states explain of z stands in H alone: `update.update` takes H x out. All of
-them work on the flat memory of the filter: `r` is the position of the state, `at` that of the record, `h` that of the
-first row of H (each n long, zero on entry). Body axes are forward-right-down.
+The compiled function `observe` of a measurement fills its record (columns `Event`) with z = predicted minus measured,
+and the rows of H, one for each component. It leaves the optional states out of z: `update.update` subtracts H x. All
+work on the filter's flat memory: `r` is the position of the state, `at` that of the record, `h` that of the first row
+of H (n floats each, zero on entry). Body axes are forward-right-down.
 
-All else that is particular to a measurement - its samples, messages, parameters, optional states, records, how it is
-simulated - stands in its `Measurement` (base.py) of the same file, which `registry` lists.
+Everything else about a measurement (samples, messages, parameters, optional states, records, simulation) is in the
+`Measurement` class (base.py) of the same file, which registry.py lists.
 """

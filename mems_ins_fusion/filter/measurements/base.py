@@ -1,4 +1,4 @@
-"""What a measurement declares in its file of this folder, for whoever needs to know it."""
+"""What each measurement declares about itself: the base class of those in this folder."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
@@ -17,14 +17,17 @@ POSE_STAMPED = 'geometry_msgs/msg/PoseStamped'
 IMU = 'sensor_msgs/msg/Imu'
 NAV_SAT_FIX = 'sensor_msgs/msg/NavSatFix'
 GPS_FIX = 'gps_msgs/msg/GPSFix'
+FIRST_NAMED = 100  # number of the first named input
 
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """Of a measurement besides the fixes. sigma: 0 takes what the message says, default_sigma where it says nothing.
-    offset: what is known of its constant error (`Measurement.offset`). factor: makes SI units of what messages say.
-    time_offset: s, by which stamps are late against the IMU's clock, of what is of the antenna beside gnss.time_offset.
-    turn: those of its turn rate, None where it has none.
+    """Settings of any input but the fixes.
+
+    sigma: standard deviation; 0: that of the message, or default_sigma where the message has none. offset: value of the
+    parameter that `Measurement.offset` names. factor: SI units per unit of the messages. time_offset: s, by which the
+    stamps are late against the IMU's clock; of measurements at the GNSS antenna, in addition to gnss.time_offset. turn:
+    settings of the turn rate, None where the input has none.
     """
 
     topic: str
@@ -37,23 +40,24 @@ class SensorSettings:
 
 
 class Measurement:
-    """One input of one kind of measurement: the plain one, or one with a name (`named`).
+    """One input: the unnamed one of a kind of measurement (`is_plain`), or a named one (`NAME.type`, made by `named`).
 
-    Its file has `observe`, the compiled half, too (see `__init__`).
+    The compiled function `observe` is in the same file (see `__init__`).
 
-    kind: its number, one of its own. name: of its parameters (`NAME_topic`, `NAME.sigma`) and of its samples in a
-    recording. samples: their class. unit: of the values. topic_text: description of `NAME_topic`. default_sigma: of
-    what messages do not tell. offset: parameter `NAME.offset` that the samples' constant error is known by, '' without.
-    components: of the innovation that are judged together. messages: ROS types that carry it, each with the fields
-    that `read` needs, the first one being that which is written. layouts: of message types that no other part of the
-    package reads: (field, NumPy type of an element, number of elements) behind the header. written_to: topic in
-    recordings that are made here. of_antenna: whether it is of the GNSS antenna, and its stamps are the receiver's.
-    from_satellites: whether an outage withholds it. of_two: whether each sample needs two messages. has_arm: whether it
-    matters where in the vehicle it is measured.
-    simulated_with: rate (Hz; 0: not there) and errors of a simulated
-    one, by the names of `simulation.Aiding`.
-    Of an input: number, `kind` of the plain one; state: name of its own optional state, '' without; arm: (3,) m from
-    the IMU to where it is measured, body axes, of a named one.
+    kind: unique number. name: prefix of the parameters (`NAME_topic`, `NAME.sigma`), and name of the samples in a
+    recording. samples: their class. unit: of the values. topic_text: description of `NAME_topic`. default_sigma:
+    default of `NAME.default_sigma`. offset: name of the parameter for a known constant error (`NAME.offset` or
+    `NAME.scale`), '' without. components: number of components of the innovation that are tested together. messages:
+    ROS types that carry it, each with the fields that `read` needs; recordings are written with the first type.
+    layouts: of message types that no other part of the package reads: (field, NumPy type of an element, number of
+    elements) after the header. written_to: topic in recordings that this package writes. of_antenna: whether it is
+    measured at the GNSS antenna, with the receiver's stamps. from_satellites: whether an outage withholds it. of_two:
+    whether a sample needs two messages. has_arm: whether it depends on where in the vehicle it is measured.
+    simulated_with: rate (Hz; 0: not simulated) and errors in simulations, by the names of `simulation.Aiding`.
+    state_column: column of the head for the index of the first optional state of the unnamed input, None without.
+
+    Of an input: number, equal to `kind` for the unnamed one; state: name of its first optional state, '' without; arm:
+    lever arm (3,) from the IMU, body axes, m, of a named one.
     """
 
     kind: int
@@ -71,15 +75,18 @@ class Measurement:
     from_satellites = False
     of_two = False
     has_arm = False
+    state_column: int | None = None
     arm: np.ndarray = np.zeros(3)
     simulated_with: Mapping[str, float] = {}
 
     number = property(lambda self: self.kind if self.is_plain else self._number)
     is_plain = property(lambda self: not hasattr(self, '_number'))
     state = ''
+    #: as in Event.INPUT: 0 for the unnamed input, from 1 on for named ones
+    event_input = property(lambda self: 0 if self.is_plain else self._number - FIRST_NAMED + 1)
 
     def named(self, name: str, number: int, arm=(0.0, 0.0, 0.0)) -> Measurement:
-        """An input of this kind with a name, a number and settings of its own. arm: base_link, forward-left-up, m."""
+        """A named input of this kind. arm: lever arm, base_link (forward-left-up), m."""
         other = copy(self)
         other.name, other._number, other.arm = name, number, FLU_TO_FRD @ np.asarray(arm, dtype=float)
         return other
@@ -94,7 +101,7 @@ class Measurement:
 
     @property
     def topic(self) -> str:
-        """Name of the parameter with its topic."""
+        """Name of the parameter that holds the topic."""
         return f'{self.name}_topic' if self.is_plain else f'{self.name}.topic'
 
     @property
@@ -102,15 +109,20 @@ class Measurement:
         return Parameter(self.topic, '', 'text', f'{self.topic_text}; empty: none.')
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Those beside its topic."""
+        """All parameters but the topic's."""
         return (
-            Parameter(f'{self.name}.sigma', 0.0, self.unit, f'Standard deviation of the {self.name}; 0 takes what the '
-                      'message says.', minimum=0.0, maximum=1000.0),
-            Parameter(f'{self.name}.default_sigma', self.default_sigma, self.unit, 'Used where the message does not '
-                      'tell.', positive=True, maximum=1000.0),
+            Parameter(f'{self.name}.sigma', 0.0, self.unit, f'Standard deviation of the {self.name}; 0: that of the '
+                      'message.', minimum=0.0, maximum=1000.0),
+            Parameter(f'{self.name}.default_sigma', self.default_sigma, self.unit, 'Standard deviation where the '
+                      'message has none.', positive=True, maximum=1000.0),
             Parameter(f'{self.name}.time_offset', 0.0, 's', f'By which the stamps on {self.topic} are late against the '
-                      'IMU\'s clock' + (', beside gnss.time_offset.' if self.of_antenna and self.is_plain else '.'),
-                      minimum=-10.0, maximum=10.0))
+                      'IMU\'s clock' + (', in addition to gnss.time_offset.' if self.of_antenna and self.is_plain else
+                                        '.'), minimum=-10.0, maximum=10.0))
+
+    def factor_parameter(self, unit: str, examples: str, largest: float = 1e4) -> Parameter:
+        """`NAME.factor`. unit: to which it converts."""
+        return Parameter(f'{self.name}.factor', 1.0, '-', f'Converts the values on {self.topic} to {unit}: {examples}.',
+                         minimum=-largest, maximum=largest)
 
     def settings(self, values: Mapping) -> SensorSettings:
         """From checked parameters."""
@@ -119,12 +131,12 @@ class Measurement:
                               values.get(f'{self.name}.factor', 1.0), values[f'{self.name}.time_offset'])
 
     def states(self, values: Mapping) -> dict[str, tuple[float, float]]:
-        """Optional states that it needs, of each the standard deviation that it starts with, 0: it is left out; and how
-        it wanders, as a random walk in its unit per root of a second, 0: as a mounting does."""
+        """Optional states, each with its initial standard deviation (0: left out) and its random walk, unit/sqrt(s)
+        (0: that of a mounting angle, `config.MOUNTING_WANDER`)."""
         return {}
 
     def declared(self, settings: SensorSettings, samples):
-        """`samples` in SI units and of base_link, as the `settings` make them of what the messages say."""
+        """`samples` converted by the settings (units, sign, known constant error)."""
         return samples
 
     def records(self, settings: SensorSettings, samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -132,34 +144,34 @@ class Measurement:
         raise NotImplementedError
 
     def off(self, measured: float, innovation: np.ndarray) -> str:
-        """How far a measurement was from what was expected, in words; innovation: expected minus measured."""
+        """The innovation (predicted minus measured) in words."""
         return f'{self.name} {np.hypot(*innovation):.2f} {self.unit} off'
 
     def read(self, fields: Mapping[str, np.ndarray], message: str):
-        """The samples of messages of the type `message`; fields: arrays over messages, and `stamp` and `received`."""
+        """Samples from messages of the type `message`. fields: an array over the messages for each field, `stamp` and
+        `received`."""
         raise NotImplementedError
 
     def written(self, samples) -> dict[str, np.ndarray]:
-        """The fields of messages of the first of `messages`."""
+        """Fields of messages of the first type in `messages`."""
         raise NotImplementedError
 
     def simulated(self, drive, errors: Mapping[str, float], effects, rng, instants):
-        """The samples of a simulated drive (`simulation.drive.Drive`).
+        """Samples of a simulated drive (`simulation.drive.Drive`).
 
-        errors: values of `simulated_with`. effects: pairs of effect and its values. instants: called with a rate, Hz,
-        and a phase, s (None: that of the receiver's fixes); times (n,) s and stamps (n,) ns.
+        errors: values of `simulated_with`. effects: pairs of an effect and its parameters. instants(rate, phase), with
+        rate in Hz and phase in s (None: that of the fixes), returns times (n,) s and stamps (n,) ns.
         """
         raise NotImplementedError
 
     def seen_from(self, samples, to_sensor):
-        """Simulated `samples`, made in the axes of base_link, as a sensor in those of the IMU has them; to_sensor:
-        scipy's Rotation to these."""
+        """Simulated `samples` of base_link's axes in those of the IMU; to_sensor: scipy's Rotation to these."""
         return samples
 
 
 def covariance36(elements: dict, count: int) -> np.ndarray:
-    """(count, 36) with the elements given by their place, zero elsewhere."""
+    """(count, 36): covariances that are zero but for `elements`, values by index in the row-major 6 x 6 matrix."""
     covariance = np.zeros((count, 36))
-    for place, values in elements.items():
-        covariance[:, place] = values
+    for index, values in elements.items():
+        covariance[:, index] = values
     return covariance

@@ -1,4 +1,4 @@
-"""What several measurements need of a state: its rotation and its velocity in the body, with their derivatives."""
+"""Rotations and body velocities of a state, with their derivatives, for the measurements that need them."""
 from __future__ import annotations
 
 import math
@@ -11,7 +11,7 @@ from ..memory import NAV, PLANAR, Error, Event, Head, Nav, Sample, channel_of, r
 
 @njit(_nrt=False)
 def body_to_level(mem, r):
-    """Rotation from b to n of the state at r, as nine numbers, row by row."""
+    """Rotation from b to n of the state at r: nine numbers, row by row."""
     if mem[Head.MECHANIZATION] == PLANAR:
         c, s = math.cos(mem[r + Nav.YAW]), math.sin(mem[r + Nav.YAW])
         return c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0
@@ -19,10 +19,17 @@ def body_to_level(mem, r):
 
 
 @njit(_nrt=False)
-def vehicle_to_level(mem, r, c):
-    """Rotation from the vehicle's axes to n, where the estimated mounting turns them in b; c: rotation from b to n.
+def rotate(c, x, y, z):
+    """The body-axis vector (x, y, z) in n; c: rotation from b to n."""
+    return (c[0] * x + c[1] * y + c[2] * z, c[3] * x + c[4] * y + c[5] * z, c[6] * x + c[7] * y + c[8] * z)
 
-    About z by the yaw, then about y by the pitch, however large: the mounting may be far from what is configured.
+
+@njit(_nrt=False)
+def vehicle_to_level(mem, r, c):
+    """Rotation from the vehicle's axes to n; c: rotation from b to n.
+
+    The estimated mounting rotates the vehicle's axes in b about z by its yaw, then about y by its pitch. No small-angle
+    approximation: the mounting may be far from the configured one.
     """
     yaw, pitch = int(mem[Head.MOUNTING_YAW]), int(mem[Head.MOUNTING_PITCH])
     if yaw >= 0:
@@ -38,32 +45,35 @@ def vehicle_to_level(mem, r, c):
 
 @njit(_nrt=False)
 def add(mem, h, error, value):
-    """Add to the row of H at `h` the derivative by one of the nine navigation errors, if the mechanization has it."""
+    """Add `value` to the column of one of the nine navigation errors in the row of H at `h`; does nothing where the
+    mechanization does not have that error."""
     state = row_of(mem, error)
     if state >= 0:
         mem[h + state] += value
 
 
 @njit(_nrt=False)
-def arm_of(mem, at, plain):
-    """From the IMU to where the record at `at` was measured, body axes, m; plain: where that of the input without a
-    name stands."""
-    if mem[at + Event.INPUT] > 0.0:
-        plain = at + Event.ARM
-    return mem[plain], mem[plain + 1], mem[plain + 2]
+def arm_of(mem, at, unnamed):
+    """Lever arm from the IMU to the point of measurement of the record at `at`, body axes, m.
+
+    A named input has its lever arm in the record; unnamed: position in the memory of that of the unnamed input.
+    """
+    arm = at + Event.ARM if mem[at + Event.INPUT] > 0.0 else unnamed
+    return mem[arm], mem[arm + 1], mem[arm + 2]
 
 
 @njit(_nrt=False)
-def own_state(mem, at, plain):
-    """Index of the optional state of the record's input, -1: none; plain: where that of the one without a name
-    stands."""
-    return int(mem[at + Event.STATE]) if mem[at + Event.INPUT] > 0.0 else int(mem[plain])
+def own_state(mem, at, unnamed):
+    """Index of the first optional state of the input of the record at `at`, -1: none.
+
+    A named input has it in the record; unnamed: position in the memory of that of the unnamed input.
+    """
+    return int(mem[at + Event.STATE]) if mem[at + Event.INPUT] > 0.0 else int(mem[unnamed])
 
 
 @njit(_nrt=False)
-def turned(mem, h, n, u_n, u_e, u_d):
-    """Add to three rows of H (north, east, down) what an error of attitude does to the vector u of the body, in n."""
-    # phi x u
+def add_attitude_error(mem, h, n, u_n, u_e, u_d):
+    """Add to three rows of H (north, east, down) the derivative phi x u of a body-fixed vector u, given in n."""
     add(mem, h, Error.PHI_E, u_d)
     add(mem, h, Error.PHI_D, -u_e)
     add(mem, h + n, Error.PHI_N, -u_d)
@@ -80,10 +90,7 @@ def body_velocity(mem, r, c, axis):
 
 @njit(_nrt=False)
 def add_body_velocity(mem, r, h, c, axis, scale):
-    """Add to a row of H the derivative of `body_velocity`, times `scale`: an error of attitude turns the body, too.
-
-    C^T v changes by C^T (dv + v x phi).
-    """
+    """Add to a row of H `scale` times the derivative of `body_velocity`: C^T v changes by C^T (dv + v x phi)."""
     x, y, z = scale * c[axis], scale * c[3 + axis], scale * c[6 + axis]
     v_n, v_e, v_d = mem[r + Nav.V_N], mem[r + Nav.V_E], mem[r + Nav.V_D]
     add(mem, h, Error.V_N, x)
@@ -96,8 +103,8 @@ def add_body_velocity(mem, r, h, c, axis, scale):
 
 @njit(_nrt=False)
 def _along(mem, p, n, first, c, axis):
-    """Variance along a body axis of the vector of errors in n that begins with `first` (V_N or PHI_N), as far as the
-    mechanization has them; p: position of P (n, n)."""
+    """Variance along a body axis of three errors in n, those from `first` on (V_N or PHI_N) that the mechanization has;
+    p: position of P (n, n)."""
     total = 0.0
     for i in range(3):
         for j in range(3):
@@ -109,11 +116,11 @@ def _along(mem, p, n, first, c, axis):
 
 @njit(_nrt=False)
 def second_order(mem, n, c, axis, mounting):
-    """Variance of (error of the forward speed) times (error of an angle), which no H holds: the product of theirs.
+    """Second-order term of a constraint: variance of (error of forward speed) x (error of angle), m^2/s^2.
 
-    axis: of the body, about which the angle is; mounting: index of the state that adds to it, or -1. P stands in the
-    scratch. A speed that is metres per second off must not pass for an angle (second-order filter; P. S. Maybeck,
-    "Stochastic Models, Estimation, and Control", vol. 2, 1982, ch. 12).
+    Their product is lost in the linearisation; without it a speed error of metres per second is taken for an angle
+    (P. S. Maybeck, "Stochastic Models, Estimation, and Control", vol. 2, 1982, ch. 12). axis: body axis of the angle.
+    mounting: index of the mounting state that adds to the angle, or -1. P is at the start of the scratch.
     """
     p = int(mem[Head.SCRATCH_AT])
     speed = _along(mem, p, n, Error.V_N, c, 0)
@@ -125,12 +132,12 @@ def second_order(mem, n, c, axis, mounting):
 
 @njit(_nrt=False)
 def angular_rate(mem, r, sample):
-    """Angular rate of the sample at `sample` less the gyroscope errors estimated at r, rad/s, body axes."""
+    """Angular rate of the IMU sample at `sample` minus the gyroscope errors estimated at r, rad/s, body axes."""
     return (_rate(mem, r, sample, 0), _rate(mem, r, sample, 1), _rate(mem, r, sample, 2))
 
 
 @njit(_nrt=False)
 def _rate(mem, r, sample, axis):
-    """Zero about an axis about which the mechanization does not turn."""
+    """One component; zero where the mechanization does not use that gyroscope."""
     state = channel_of(mem, 3 + axis)
     return mem[sample + Sample.W_X + axis] - mem[r + NAV + state] if state >= 0 else 0.0

@@ -1,4 +1,4 @@
-"""Heading of the vehicle, from two antennas or a compass: yaw clockwise from north."""
+"""Heading of the vehicle from two antennas or a compass: yaw clockwise from north."""
 from __future__ import annotations
 
 import math
@@ -19,12 +19,12 @@ from .records import empty, refuse, stated_or
 
 @njit(_nrt=False)
 def observe(mem, r, at, h, n, c):
-    """Predicted minus measured yaw, within half a turn; one component."""
+    """Yaw, difference wrapped to half a turn; one component."""
     yaw = int(mem[Head.MOUNTING_YAW])
-    mounting = mem[r + NAV + yaw] if yaw >= 0 else 0.0  # the vehicle is turned by that in the body's axes
+    mounting = mem[r + NAV + yaw] if yaw >= 0 else 0.0  # yaw of the vehicle's axes in b
     difference = math.atan2(c[3], c[0]) + mounting - mem[at + Event.VALUE]
     mem[at + Event.Z_N] = math.atan2(math.sin(difference), math.cos(difference)) - mounting
-    level = c[0] * c[0] + c[3] * c[3]  # of atan2(c_21, c_11), where the column turns by phi x c
+    level = c[0] * c[0] + c[3] * c[3]  # derivative of atan2(c_21, c_11), where phi x c changes the column
     add(mem, h, Error.PHI_D, 1.0)
     add(mem, h, Error.PHI_N, -c[6] * c[0] / level)
     add(mem, h, Error.PHI_E, -c[6] * c[3] / level)
@@ -33,12 +33,9 @@ def observe(mem, r, at, h, n, c):
     return 1
 
 
-#: not better than this, rad
-SMALLEST_SIGMA = 0.001
-
-
-#: first element of a covariance in sensor_msgs/Imu where the quantity is not there
-UNKNOWN = -1.0
+SMALLEST_SIGMA = 0.001  # rad: smallest standard deviation that a heading is credited with, whatever its message claims
+LARGEST_YAW = 100.0  # rad: a larger yaw is not a number of radians or degrees that wrap
+UNKNOWN = -1.0  # first element of a covariance in sensor_msgs/Imu where the quantity is not there
 
 
 class Heading(Measurement):
@@ -48,8 +45,8 @@ class Heading(Measurement):
     offset = 'offset'
     messages = {IMU: ('orientation', 'orientation_covariance'), POSE: ('pose.pose.orientation', 'pose.covariance')}
     written_to = '/gps/heading'
-    from_satellites = True  # it may be that of two antennas
-    #: rad, white
+    from_satellites = True  # of two antennas, perhaps
+    #: rad, white noise
     simulated_with = {'heading_rate': 0.0, 'heading_sigma': 0.02}
 
     def parameters(self):
@@ -65,7 +62,7 @@ class Heading(Measurement):
         headings = self.declared(settings, headings)
         n = len(headings)
         r, reasons = empty(Kind.HEADING, n), np.full(n, '', dtype=object)
-        refuse(reasons, ~(np.abs(headings.yaw) < 100.0), lambda i: f'heading {headings.yaw[i]:g} rad: dropped')
+        refuse(reasons, ~(np.abs(headings.yaw) < LARGEST_YAW), lambda i: f'heading {headings.yaw[i]:g} rad: dropped')
         r[:, Event.VALUE] = headings.yaw
         r[:, Event.R_NN] = stated_or(headings.variance, settings, SMALLEST_SIGMA)
         return r, reasons, np.full(n, '', dtype=object)
@@ -75,7 +72,7 @@ class Heading(Measurement):
                 'was expected')
 
     def read(self, fields, message):
-        """Yaws; NaN in messages that say they have no orientation (sensor_msgs/Imu), and for a zero quaternion."""
+        """NaN for an Imu message without an orientation, and for a zero quaternion."""
         if message == IMU:
             orientation, variance = fields['orientation'], fields['orientation_covariance'][:, 1].copy()
             absent = fields['orientation_covariance'][:, 0] == UNKNOWN
@@ -89,7 +86,7 @@ class Heading(Measurement):
         return Headings(stamp=fields['stamp'], received=fields['received'], yaw=yaw, variance=variance)
 
     def written(self, headings):
-        """The orientation of an Imu that has nothing else."""
+        """An Imu message with an orientation alone."""
         half = 0.5 * yaw_from_enu(headings.yaw)
         absent = np.isnan(headings.yaw)
         orientation = np.column_stack([np.zeros((len(headings), 2)), np.sin(half), np.cos(half)])

@@ -1,5 +1,5 @@
-"""An IMU besides the one of `imu_topic`: no measurement of the filter, but a part of the samples that it is fed with
-(`runs.imus`), named, read, written and simulated as one."""
+"""A further IMU (`NAME.type: imu`). The filter does not observe it: `runs/imus.py` merges its samples with those of
+`imu_topic`. It is named, read, written and simulated as a measurement is."""
 from __future__ import annotations
 
 import math
@@ -13,15 +13,15 @@ from ...parameters.parameter import Parameter
 from ...samples import ImuSamples
 from .base import IMU, Measurement
 
-#: SI units per unit, by the choices of `imu.acceleration_unit` and `imu.rate_unit`
+#: SI units per unit, for each choice of `imu.acceleration_unit` and `imu.rate_unit`
 ACCELERATION = {'m/s^2': 1.0, 'g': STANDARD_GRAVITY, 'mg': 1e-3 * STANDARD_GRAVITY}
 RATE = {'rad/s': 1.0, 'deg/s': math.pi / 180.0}
 
 
 @dataclass(frozen=True)
 class InertialSettings:
-    """Of one further IMU. to_first: rotation (3, 3) from its sensor axes to those of the first IMU. arm: (3,) m from
-    the first one, base_link (forward-left-up). force_unit, rate_unit: SI units per unit of its messages."""
+    """to_first: rotation (3, 3) from its sensor axes to those of the first IMU. arm: (3,) m from the first IMU,
+    base_link (forward-left-up). time_offset: s. force_unit, rate_unit: SI units per unit of its messages."""
 
     name: str
     topic: str
@@ -40,8 +40,8 @@ class Inertial(Measurement):
     messages = {IMU: ('angular_velocity', 'linear_acceleration')}
     written_to = '/imu_2/data'
     has_arm = True
-    mounting_rpy = (0.0, 0.0, 0.0)  # of a named one
-    #: of a consumer-grade part: white noise (m/s^2, rad/s per root of Hz) and turn-on biases (m/s^2, rad/s)
+    mounting_rpy = (0.0, 0.0, 0.0)  # of a named input
+    #: Hz; consumer grade: white noise (m/s^2/sqrt(Hz), rad/s/sqrt(Hz)) and turn-on biases (m/s^2, rad/s)
     simulated_with = {'imu_rate': 100.0, 'imu_force_noise': 0.002, 'imu_turn_noise': 1e-4, 'imu_force_bias': 0.1,
                       'imu_turn_bias': 0.005}
 
@@ -73,7 +73,7 @@ class Inertial(Measurement):
                 'angular_velocity': samples.angular_rate}
 
     def simulated(self, drive, errors, effects, rng, instants):
-        """With errors of its own, where and as it is mounted; no effect acts on it but that of its stamps."""
+        """At its own place, in its own axes, with its own errors; of the effects only those of stamps act on it."""
         time, stamp = instants(errors['imu_rate'], 0.0031)
         rate, to_sensor = drive.angular_rate, FLU_TO_FRD @ rotation_from_rpy(*self.mounting_rpy)
         force = drive.specific_force + np.cross(rate, np.cross(rate, self.arm)) + np.cross(

@@ -1,13 +1,13 @@
-"""Heading from the magnetic field of the earth, whose iron in the vehicle is estimated in the drive.
+"""Heading from the earth's magnetic field; the hard and soft iron of the vehicle are estimated during the drive.
 
-Levelled, the field is v = hard + S u, with u the direction of magnetic north in the vehicle, S = (1 + strength) I plus
-a symmetric matrix without trace, the soft iron, and `hard` the vehicle's own field, all as shares of
-`NAME.horizontal_field`. Both are states: turns that the gyroscopes see, and headings that fixes show, tell them;
-before that the field tells nothing, as the hard iron's sigma is twice the field. What iron turns the field by at all
-headings alike is one with the declination, a state too. (W. Koo, S. Sung and Y. J. Lee, "Error calibration of
-magnetometer using nonlinear integrated filter model with inertial sensors", IEEE Trans. Magnetics 45, 2009; V.
-Renaudin, M. H. Afzal and G. Lachapelle, "Complete triaxis magnetometer calibration in the magnetic domain", J.
-Sensors 2010.)
+Levelled, the field is v = hard + S u, with u the direction of magnetic north in the vehicle's axes, `hard` the hard
+iron (the vehicle's own field), and S = (1 + strength) I plus a symmetric matrix without trace, the soft iron; all in
+units of `NAME.horizontal_field`. Hard and soft iron are states. They become observable in turns, which the gyroscopes
+measure, and where fixes show the heading; before that the field has no weight, as the hard iron's standard deviation is
+twice the field. A rotation of the field that is the same at all headings is the declination, a state too. (W. Koo, S.
+Sung and Y. J. Lee, "Error calibration of magnetometer using nonlinear integrated filter model with inertial sensors",
+IEEE Trans. Magnetics 45, 2009; V. Renaudin, M. H. Afzal and G. Lachapelle, "Complete triaxis magnetometer calibration
+in the magnetic domain", J. Sensors 2010.)
 """
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from .base import Measurement, SensorSettings
 from .geometry import add, own_state
 from .records import empty, refuse, stated_or
 
-#: index of the optional state magnetometer_hard_x among all n, behind which the others of STATES stand; -1: none
+#: index of the optional state magnetometer_hard_x among all n, followed by the others of STATES; -1: none
 Compass = HEAD.place('Compass', STATES=1)
-#: the states, behind the name of the input: hard iron forwards and to the right, strength of the horizontal field, how
-#: much stronger soft iron makes it along the vehicle than across, and along one diagonal than along the other, rad by
-#: which the field points further to the right than the declination tells
+#: names of the states, after that of the input: hard iron forward and to the right; strength of the horizontal field
+#: less 1; soft iron: field along the vehicle over that across it, and along one diagonal over that along the other;
+#: rad, error of the declination
 STATES = 'hard_x', 'hard_y', 'strength', 'stretch', 'skew', 'declination'
 
 
 @njit(_nrt=False)
 def _levelled(mem, r, at, c):
-    """The field at `at`, less the hard iron, forwards, to the right and down of a vehicle that stands level; and the
-    forward and right components of the body's first two axes there."""
+    """The field of the record at `at` without the hard iron, levelled: forward, right, down; and the forward and right
+    components of the body's first two axes in those axes."""
     norm = math.hypot(c[0], c[3])
     cos, sin = c[0] / norm, c[3] / norm
     x_x, y_x = cos * c[0] + sin * c[3], cos * c[3] - sin * c[0]
@@ -53,8 +53,8 @@ def _levelled(mem, r, at, c):
 
 @njit(_nrt=False)
 def observe(mem, r, at, h, n, c):
-    """Predicted minus measured horizontal field, as a share of it: across the one predicted, which is an angle, and
-    along it; two components."""
+    """Horizontal field in units of its nominal size, across the predicted one (an angle) and along it; two components.
+    """
     first = own_state(mem, at, Compass.STATES)
     x = r + NAV + first
     strength, stretch, skew = 1.0 + mem[x + 2], mem[x + 3], mem[x + 4]
@@ -62,12 +62,12 @@ def observe(mem, r, at, h, n, c):
     yaw = math.atan2(c[3], c[0])
     yaw -= mem[at + Event.DECLINATION] + mem[x + 5]
     u_x, u_y = math.cos(yaw), -math.sin(yaw)
-    turned_x, turned_y = u_y, -u_x  # of u by the yaw
+    turned_x, turned_y = u_y, -u_x  # derivative of u by the yaw
     z_x = (strength + stretch) * u_x + skew * u_y - f_x
     z_y = skew * u_x + (strength - stretch) * u_y - f_y
     s_x = (strength + stretch) * turned_x + skew * turned_y
     s_y = skew * turned_x + (strength - stretch) * turned_y
-    level = c[0] * c[0] + c[3] * c[3]  # of atan2(c_21, c_11), where the column turns by phi x c
+    level = c[0] * c[0] + c[3] * c[3]  # derivative of atan2(c_21, c_11), where phi x c changes the column
     by_n, by_e = -c[6] * c[0] / level, -c[6] * c[3] / level
     cos, sin = c[0] / math.sqrt(level), c[3] / math.sqrt(level)
     for k in range(2):
@@ -78,13 +78,13 @@ def observe(mem, r, at, h, n, c):
         mem[row + first + 3] = -(w_x * u_x - w_y * u_y)
         mem[row + first + 4] = -(w_x * u_y + w_y * u_x)
         mem[row + first + 5] = by_yaw
-        # an error of attitude turns the field that is levelled by phi x f, and the yaw that it is levelled to
+        # an error of attitude changes the levelled field by phi x f, and the yaw about which it is levelled
         add(mem, row, Error.PHI_D, by_yaw)
         about = w_x * f_y - w_y * f_x
         add(mem, row, Error.PHI_N, by_n * (by_yaw - about) + f_z * (w_x * sin + w_y * cos))
         add(mem, row, Error.PHI_E, by_e * (by_yaw - about) - f_z * (w_x * cos - w_y * sin))
         z = w_x * z_x + w_y * z_y
-        for i in range(len(STATES)):  # not linear: `update` takes H times the estimate out of it
+        for i in range(len(STATES)):  # not linear: `update` subtracts H times the estimate
             z += mem[row + first + i] * mem[x + i]
         if k == 0:
             mem[at + Event.Z_N] = z
@@ -95,27 +95,22 @@ def observe(mem, r, at, h, n, c):
 
 @njit(_nrt=False)
 def heading(mem, r, at, c):
-    """The heading that the field at `at` shows by the iron as estimated at r, rad."""
+    """Heading from the field of the record at `at` with the iron estimated at r, rad."""
     x = r + NAV + own_state(mem, at, Compass.STATES)
     strength, stretch, skew = 1.0 + mem[x + 2], mem[x + 3], mem[x + 4]
     f_x, f_y, _, _, _, _, _ = _levelled(mem, r, at, c)
-    # S^-1 f, of which the size does not matter
+    # S^-1 f, up to a positive factor
     magnetic = -math.atan2((strength + stretch) * f_y - skew * f_x, (strength - stretch) * f_x - skew * f_y)
     return magnetic + mem[at + Event.DECLINATION] + mem[x + 5]
 
 
-#: T: not better than this, whatever sensors claim: what iron of the surroundings does to the field everywhere
+#: T: smallest standard deviation that a field is credited with: disturbances by surrounding iron are everywhere
 SMALLEST_SIGMA = 1e-6
-#: T: weaker and stronger, with iron beside it, is no field of the earth, which has 22 to 67 uT
-WEAKEST, STRONGEST = 5e-6, 5e-4
-#: standard deviation of a place's horizontal field where no parameter gives it, as a share of it: 15 to 40 uT
-STRENGTH_SIGMA = 0.4
-#: 1/sqrt(s): how strength and soft iron wander: a tenth within an hour
-SOFT_WALK = 0.1 / 60.0
-#: T: horizontal and vertical field of a simulated place, that of central Europe
-SIMULATED_FIELD = 20e-6, 44e-6
-#: m, to each side, within which a simulated piece of iron beside the road is felt
-REACH = 3.0
+WEAKEST, STRONGEST = 5e-6, 5e-4  # T: range of a field. That of the earth has 22 to 67 uT; the rest allows for hard iron
+STRENGTH_SIGMA = 0.4  # prior standard deviation of the horizontal field at a place, as a share of it: 15 to 40 uT
+SOFT_WALK = 0.1 / 60.0  # 1/sqrt(s), random walk of strength and soft iron: 0.1 within an hour
+SIMULATED_FIELD = 20e-6, 44e-6  # T, horizontal and vertical field in simulations: central Europe
+REACH = 3.0  # m along the road, standard deviation of the disturbance by a simulated piece of iron beside it
 
 
 @dataclass(frozen=True)
@@ -136,9 +131,9 @@ class Magnetometer(Measurement):
     messages = {'sensor_msgs/msg/MagneticField': ('magnetic_field', 'magnetic_field_covariance')}
     layouts = {'sensor_msgs/msg/MagneticField': (('magnetic_field', '<f8', 3),
                                                  ('magnetic_field_covariance', '<f8', 9))}
-    written_to = '/imu/mag'
-    #: T, white; T, hard iron along each axis; elements of soft iron; rad, declination, all drawn for each seed; T, of
-    #: what stands beside the road, and m between such
+    written_to, state_column = '/imu/mag', Compass.STATES
+    #: T, white noise; then standard deviations, drawn for each seed: T, hard iron of each axis; elements of soft iron;
+    #: rad, declination. T, disturbances by iron beside the road, and m, mean distance between these
     simulated_with = {'magnetometer_rate': 0.0, 'magnetometer_sigma': 0.5e-6, 'magnetometer_hard_iron': 15e-6,
                       'magnetometer_soft_iron': 0.05, 'magnetometer_declination': 0.03,
                       'magnetometer_disturbance': 5e-6, 'magnetometer_distance': 100.0}
@@ -146,26 +141,25 @@ class Magnetometer(Measurement):
     def parameters(self):
         return (
             *super().parameters(),
-            Parameter(f'{self.name}.factor', 1.0, '-', f'Makes T of what the messages on {self.topic} say: 1e-6 for '
-                      'uT, 1e-4 for gauss.', minimum=-1e4, maximum=1e4),
+            self.factor_parameter('T', '1e-6 for uT, 1e-4 for gauss'),
             Parameter(f'{self.name}.mounting_rpy', [], 'rad', 'Roll, pitch, yaw of the rotation from its axes to '
                       'base_link; empty: imu.mounting_rpy.', lengths=(0, 3), minimum=-2 * math.pi,
                       maximum=2 * math.pi),
-            Parameter(f'{self.name}.declination', 0.0, 'rad', 'By which magnetic north is to the right of true north.',
+            Parameter(f'{self.name}.declination', 0.0, 'rad', 'Angle of magnetic north to the right of true north.',
                       minimum=-math.pi, maximum=math.pi),
-            Parameter(f'{self.name}.declination_sigma', 0.05, 'rad', 'Standard deviation of it, and of how the sensor '
-                      'is turned about the vertical, with which it is estimated.', minimum=1e-4, maximum=math.pi),
+            Parameter(f'{self.name}.declination_sigma', 0.05, 'rad', 'Standard deviation of its error, including a '
+                      'rotation of the sensor about the vertical, which is estimated.', minimum=1e-4, maximum=math.pi),
             Parameter(f'{self.name}.horizontal_field', 25e-6, 'T', "Horizontal component of the earth's field; it is "
                       f'estimated, from {STRENGTH_SIGMA:.0%} of it.', minimum=1e-6, maximum=1e-4),
             Parameter(f'{self.name}.hard_iron', [0.0, 0.0, 0.0], 'T', 'Field of the vehicle itself, axes of the '
                       'sensor; subtracted.', lengths=(3,), minimum=-1e-3, maximum=1e-3),
-            Parameter(f'{self.name}.hard_iron_sigma', 50e-6, 'T', 'Standard deviation of it, with which it is '
-                      'estimated: less where it has been measured, and the field tells the heading at once.',
+            Parameter(f'{self.name}.hard_iron_sigma', 50e-6, 'T', 'Standard deviation of its error, which is '
+                      'estimated. If it is small, as after a calibration, the field shows the heading at once.',
                       minimum=1e-8, maximum=1e-3),
-            Parameter(f'{self.name}.hard_iron_walk', 0.05e-6, 'T/sqrt(s)', 'How it wanders: currents, load, doors.',
-                      minimum=0.0, maximum=1e-3),
+            Parameter(f'{self.name}.hard_iron_walk', 0.05e-6, 'T/sqrt(s)', 'Random walk of the hard iron: currents, '
+                      'load, doors.', minimum=0.0, maximum=1e-3),
             Parameter(f'{self.name}.soft_iron_sigma', 0.05, '-', 'Standard deviation of the elements of soft iron, '
-                      'with which they are estimated.', minimum=1e-4, maximum=0.5))
+                      'which are estimated.', minimum=1e-4, maximum=0.5))
 
     @property
     def state(self):
@@ -194,7 +188,7 @@ class Magnetometer(Measurement):
         n, size = len(fields), np.linalg.norm(settings.factor * fields.field, axis=1)
         fields = self.declared(settings, fields)
         r, reasons = empty(Kind.MAGNETIC, n), np.full(n, '', dtype=object)
-        if not settings.topic:  # a filter that does not ask for it has no states for its iron
+        if not settings.topic:  # then the filter has no states for the iron
             refuse(reasons, np.ones(n, dtype=bool), lambda i: f'{self.topic} is empty: magnetic field dropped')
         refuse(reasons, ~((size >= WEAKEST) & (size <= STRONGEST)), lambda i: f'magnetic field {1e6 * size[i]:.4g} uT '
                f"is none of the earth: dropped ({self.name}.factor makes T of others)")
@@ -238,9 +232,9 @@ class Magnetometer(Measurement):
 
 
 def _beside_the_road(drive, time, distance, rng) -> np.ndarray:
-    """(m, 3) in n, of size 1: what pieces of iron, `distance` m apart on average, do to the field at `time` (m,) s."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(drive.position, axis=0), axis=1))])
-    at, field = np.interp(time, drive.time, way), np.zeros((len(time), 3))
-    for place in np.cumsum(rng.exponential(distance, math.ceil(2.0 * way[-1] / distance) + 5)):
-        field += np.exp(-0.5 * ((at - place) / REACH) ** 2)[:, None] * rng.standard_normal(3)
+    """(m, 3) in n, of size 1: disturbance of the field at `time` (m,) s by iron every `distance` m on average."""
+    driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(drive.position, axis=0), axis=1))])
+    at, field = np.interp(time, drive.time, driven), np.zeros((len(time), 3))
+    for iron in np.cumsum(rng.exponential(distance, math.ceil(2.0 * driven[-1] / distance) + 5)):
+        field += np.exp(-0.5 * ((at - iron) / REACH) ** 2)[:, None] * rng.standard_normal(3)
     return field

@@ -1,14 +1,13 @@
-"""How a point of a simulated vehicle moves."""
+"""Velocity of a point of a simulated vehicle."""
 from __future__ import annotations
 
 import numpy as np
 
-#: s, of the differences that give its velocity
-STEP = 1e-3
+STEP = 1e-3  # s, half the interval of the central differences
 
 
 def velocity_at(drive, time: np.ndarray, arm: np.ndarray) -> np.ndarray:
-    """(m, 3) m/s in n at `time` (m,) s, of the point at `arm` (3,) m from the IMU, body axes."""
+    """(m, 3) m/s in n at `time` (m,) s, of the point at `arm` (3,) from the IMU, body axes, m."""
     velocity = drive.at(time).velocity
     if not np.any(arm):
         return velocity

@@ -1,8 +1,8 @@
-"""A land vehicle moves where its wheels roll: not sideways, and not up.
+"""Non-holonomic constraint: a land vehicle moves where its wheels roll, neither sideways nor up.
 
-It holds for the vehicle's axes, which differ from the body's (those of the configured mounting), and at the axle that
-does not steer, which is where the IMU is not. Both are optional states. What is left - sideslip in bends,
-suspension, cross-fall - is in R.
+It holds in the vehicle's axes, which differ from the body's (those of the configured mounting), and at the axle that
+does not steer, which is not where the IMU is: both differences are optional states. R covers the rest: sideslip in
+bends, suspension, cross-fall.
 """
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from .geometry import add_body_velocity, angular_rate, body_velocity, second_ord
 
 @njit(_nrt=False)
 def observe(mem, r, at, h, n, c, sample):
-    """Velocity to the right, and (strapdown) down, at the axle, in the vehicle's axes; the number of components.
+    """Velocity at the axle to the right, and (strapdown) down, vehicle's axes. Returns the number of components.
 
-    Both are linearised where the mounting's estimate is, which is taken out of z as x will be: it may be any angle.
+    Both are linearised at the estimate of the mounting, which may be any angle; `update` subtracts H times it from z.
 
-    What suspension and road do to the velocity across the floor grows with the speed: it is a direction, and tells
-    nothing of the speed. A row of H that is not perpendicular to the velocity would make the speed smaller with each
-    direction that does not fit, which is the smaller violation: an IMU that the vehicle shakes braked from 36 m/s to
-    16 within half a minute. Below the constraint's sigma it is no direction.
+    Down, an innovation at speed is one of direction and says nothing about the speed, so its row of H is made
+    perpendicular to the velocity (`direction`). Otherwise each misfit would reduce the speed, as a smaller speed
+    violates the constraint less: with strong vibration the estimate fell from 36 to 16 m/s within half a minute. Below
+    the constraint's sigma of speed the innovation is not one of direction.
     """
     yaw, axle, pitch = int(mem[Head.MOUNTING_YAW]), int(mem[Head.AXLE]), int(mem[Head.MOUNTING_PITCH])
     w_x, w_y, w_z = angular_rate(mem, r, sample)
@@ -36,7 +36,7 @@ def observe(mem, r, at, h, n, c, sample):
     c = vehicle_to_level(mem, r, c)
     forward = body_velocity(mem, r, c, 0)
     lateral = body_velocity(mem, r, c, 1) + w_z * mem[Head.AXLE_X] - w_x * mem[Head.AXLE_Z]
-    lateral -= mem[Head.SIDESLIP] * acceleration * forward  # what the tyres let it slip in a bend
+    lateral -= mem[Head.SIDESLIP] * acceleration * forward  # sideslip of the tyres in a bend
     add_body_velocity(mem, r, h, c, 1, 1.0)
     if yaw >= 0:
         mem[h + yaw] = forward

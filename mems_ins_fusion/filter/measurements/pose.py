@@ -1,7 +1,7 @@
-"""Poses of others - lidar, vision - of which only the way from one to the next is taken: velocity and turn rate.
+"""Poses of a lidar or camera odometry: velocity and turn rate from each pose to the next.
 
-Many such sources leave the twist of their odometry empty. Their pose drifts, so it is never a position; what lies
-between two poses does not.
+For sources that leave the twist of their odometry empty. A pose drifts, so it is never used as a position; the
+displacement between two poses does not drift.
 """
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from ...samples import Displacements
 from .base import ODOMETRY, POSE, POSE_STAMPED
 from .twist import Twist
 
-#: two poses further apart in time, s, are not compared: the mean of a velocity says less and less of its middle, and
-#: what lies between may be a restart of their source
+#: s: poses further apart in time give no velocity: its mean is no longer the velocity of the middle, and the source may
+#: have restarted in between
 LONGEST = 1.0
 
 
 class Pose(Twist):
-    """Its records are those of an odometry with a name: it has no number of its own, and needs none."""
+    """Named inputs only. Its records are those of a named `Twist`, so it has no kind of its own."""
 
     name, samples, of_two = 'pose', Displacements, True
     topic_text = ('Topic of the poses of a lidar or a camera in a frame of their own, of base_link: nav_msgs/Odometry '
@@ -35,7 +35,7 @@ class Pose(Twist):
         return super().refusal(twist)
 
     def read(self, fields, message):
-        """One sample for each two messages, stamped in the middle between them."""
+        """One sample for each pair of successive messages, stamped in the middle between them."""
         prefix = 'pose' if message == POSE_STAMPED else 'pose.pose'
         stamp, position, orientation = fields['stamp'], fields[f'{prefix}.position'], fields[f'{prefix}.orientation']
         steps = np.diff(stamp)
@@ -49,7 +49,7 @@ class Pose(Twist):
                 'pose.pose.position': displacements.position, 'pose.pose.orientation': displacements.orientation}
 
     def simulated(self, drive, errors, effects, rng, instants):
-        """Poses of a frame that drifts, with the errors of an odometry's velocity between them."""
+        """Poses that drift, with the errors of an odometry's velocity between them."""
         from scipy.spatial.transform import Rotation
 
         time, stamp = instants(errors['twist_rate'], 0.0043)
@@ -64,12 +64,13 @@ class Pose(Twist):
 
 
 def between(step: np.ndarray, position: np.ndarray, orientation: np.ndarray) -> np.ndarray:
-    """Mean velocity forwards and to the right, m/s, and turn rate clockwise, rad/s, (n - 1, 3), between n poses.
+    """Mean velocity forward and to the right, m/s, and turn rate clockwise, rad/s, between n poses: (n - 1, 3).
 
     step (n - 1,): s. position (n, 3): m. orientation (n, 4): quaternions x, y, z, w from forward-left-up axes. The axes
-    are those half way. NaN where a pose is not finite, and where a step is not above 0 and at most LONGEST.
+    of the result are those of the mean attitude. NaN where a pose is not finite, and where a step is not above 0 and at
+    most LONGEST.
     """
-    from scipy.spatial.transform import Rotation  # here, as not all that know of parameters need it
+    from scipy.spatial.transform import Rotation  # imported here: it is slow to load, and only poses need it
 
     if len(position) < 2:
         return np.empty((0, 3))

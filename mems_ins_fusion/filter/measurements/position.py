@@ -1,4 +1,4 @@
-"""A fix: position of the GNSS antenna (Eq. 19), metres north, east and down."""
+"""GNSS fix: position of the antenna (Eq. 19), innovation in metres north, east and down."""
 from __future__ import annotations
 
 import math
@@ -13,97 +13,89 @@ from ...samples import Fixes
 from ..memory import Error, Event, Head, Kind, Nav, row_of
 from ..trust.lag import behind
 from .base import GPS_FIX, NAV_SAT_FIX, Measurement
-from .geometry import add, arm_of, turned
+from .geometry import add, add_attitude_error, arm_of, rotate
 from .records import empty, refuse
 
+#: m: standard deviation of a pseudorange, by which a dilution of precision is multiplied where a message has no other
+#: statement of its noise
+RANGE_SIGMA = 3.0
+#: 95 % error over standard deviation, of a horizontal distance (two dimensions) and of a height (one)
+HORIZONTAL_95, VERTICAL_95 = 2.4477, 1.96
+#: `NavSatStatus.status` of each `GPSStatus.status`. RTK fixed: 2; differential corrections or RTK float, whose errors
+#: are larger: 1; no corrections: 0; no fix: -1
+STATUS_OF = {-1: -1, 0: 0, 1: 1, 33: 1, 18: 1, 20: 1, 2: 2, 19: 2}
+FEWEST_SATELLITES = 3  # satellites below which a message that counts them has no position
+SMALLEST_SIGMA = 0.001  # m: smallest standard deviation that a fix is credited with, whatever it claims
+LOWEST, HIGHEST = -1000.0, 10000.0  # m above the ellipsoid: limits for a land vehicle
+
 
 @njit(_nrt=False)
-def arm_in_level(mem, c):
-    """From the IMU to the antenna in n, m; c: rotation from b to n."""
-    x, y, z = mem[Head.LEVER_X], mem[Head.LEVER_Y], mem[Head.LEVER_Z]
-    return c[0] * x + c[1] * y + c[2] * z, c[3] * x + c[4] * y + c[5] * z, c[6] * x + c[7] * y + c[8] * z
-
-
-@njit(_nrt=False)
-def difference(mem, r, at, c):
-    """Predicted minus measured position of the antenna, north, east and down, m; c: rotation from b to n."""
-    north, east, down = arm_in_level(mem, c)
-    # a receiver that smooths
-    north, east, down = north - behind(mem, r, 0), east - behind(mem, r, 1), down - behind(mem, r, 2)
+def _antenna_minus_fix(mem, r, at, north, east, down):
+    """Position of the antenna, which is (north, east, down) m from the IMU of the state at r, minus the position in the
+    record at `at`: north, east, down, m."""
     return ((mem[r + Nav.LATITUDE] - mem[at + Event.LATITUDE]) / mem[r + Nav.NORTH_SCALE] + north,
             (mem[r + Nav.LONGITUDE] - mem[at + Event.LONGITUDE]) / mem[r + Nav.EAST_SCALE] + east,
             mem[at + Event.HEIGHT] - mem[r + Nav.HEIGHT] + down)
 
 
 @njit(_nrt=False)
+def difference(mem, r, at, c):
+    """Predicted minus measured position of the antenna, north, east and down, m; c: rotation from b to n."""
+    north, east, down = rotate(c, mem[Head.LEVER_X], mem[Head.LEVER_Y], mem[Head.LEVER_Z])
+    return _antenna_minus_fix(mem, r, at, north - behind(mem, r, 0), east - behind(mem, r, 1), down - behind(mem, r, 2))
+
+
+@njit(_nrt=False)
 def observe(mem, r, at, h, n, c):
-    """`difference` and its rows of H; the number of components: the planar filter has no height."""
+    """A fix of the main receiver. Returns the number of components: the planar filter has no height."""
     mem[at + Event.Z_N], mem[at + Event.Z_E], mem[at + Event.Z_D] = difference(mem, r, at, c)
-    north, east, down = arm_in_level(mem, c)
-    add(mem, h, Error.R_N, 1.0)
-    add(mem, h + n, Error.R_E, 1.0)
-    turned(mem, h, n, north, east, down)  # an error of attitude swings the antenna
+    north, east, down = rotate(c, mem[Head.LEVER_X], mem[Head.LEVER_Y], mem[Head.LEVER_Z])
+    add_attitude_error(mem, h, n, north, east, down)
+    for k in range(3):
+        add(mem, h + n * k, Error.R_N + k, 1.0)
     coloured = int(mem[Head.COLOURED])
     if coloured >= 0:
         mem[h + coloured] = mem[h + n + coloured + 1] = -1.0
     offset = int(mem[Head.TIME_OFFSET])
-    if offset >= 0:  # the fix is of so much earlier than its stamp says
-        mem[h + offset], mem[h + n + offset] = mem[r + Nav.V_N], mem[r + Nav.V_E]
-        mem[h + 2 * n + offset] = mem[r + Nav.V_D]
-    add(mem, h + 2 * n, Error.R_D, 1.0)
+    if offset >= 0:  # the fix describes the vehicle that much before its stamp
+        for k in range(3):
+            mem[h + n * k + offset] = mem[r + Nav.V_N + k]
     return 3 if row_of(mem, Error.R_D) >= 0 else 2
 
 
 @njit(_nrt=False)
 def observe_place(mem, r, at, h, n, c):
-    """Of a further receiver: predicted minus measured position of its antenna, and the rows of H; the number of
-    components. What is told of the first one's errors - coloured noise, smoothing, clock - is not of this one. Its arm
-    forwards and to the right is two optional states, what is left of the one that is set."""
+    """A fix of a further receiver. Returns the number of components.
+
+    The states for coloured noise, smoothing and clock belong to the main receiver. Two optional states are the error of
+    this receiver's lever arm, forward and right.
+    """
     x, y, z = arm_of(mem, at, Head.LEVER_X)
-    along = int(mem[at + Event.STATE])
-    north, east, down = (c[0] * x + c[1] * y + c[2] * z, c[3] * x + c[4] * y + c[5] * z,
-                         c[6] * x + c[7] * y + c[8] * z)
-    mem[at + Event.Z_N] = (mem[r + Nav.LATITUDE] - mem[at + Event.LATITUDE]) / mem[r + Nav.NORTH_SCALE] + north
-    mem[at + Event.Z_E] = (mem[r + Nav.LONGITUDE] - mem[at + Event.LONGITUDE]) / mem[r + Nav.EAST_SCALE] + east
-    mem[at + Event.Z_D] = mem[at + Event.HEIGHT] - mem[r + Nav.HEIGHT] + down
-    turned(mem, h, n, north, east, down)
+    north, east, down = rotate(c, x, y, z)
+    mem[at + Event.Z_N], mem[at + Event.Z_E], mem[at + Event.Z_D] = _antenna_minus_fix(mem, r, at, north, east, down)
+    add_attitude_error(mem, h, n, north, east, down)
+    arm = int(mem[at + Event.STATE])
     for k in range(3):
         add(mem, h + n * k, Error.R_N + k, 1.0)
-        if along >= 0:
-            mem[h + n * k + along], mem[h + n * k + along + 1] = -c[3 * k], -c[3 * k + 1]
+        if arm >= 0:
+            mem[h + n * k + arm], mem[h + n * k + arm + 1] = -c[3 * k], -c[3 * k + 1]
     return 3 if row_of(mem, Error.R_D) >= 0 else 2
 
 
-#: of a receiver's ranges, m: what a dilution of precision is multiplied with where nothing else tells the noise
-RANGE_SIGMA = 3.0
-#: a 95 % error over the standard deviation: of a horizontal distance, and of a height
-HORIZONTAL_95, VERTICAL_95 = 2.4477, 1.96
-#: `NavSatStatus.status` by `GPSStatus.status`: each class has errors of its own, and float is not fixed. With a base
-#: and fixed: 2; corrected, or a float: 1; neither: 0
-STATUS_OF = {-1: -1, 0: 0, 1: 1, 33: 1, 18: 1, 20: 1, 2: 2, 19: 2}
-#: satellites below which there is no position, where their number is told
-FEWEST_SATELLITES = 3
-
-#: a position is not better than this, m
-SMALLEST_SIGMA = 0.001
-#: where land vehicles are, m above the ellipsoid
-LOWEST, HIGHEST = -1000.0, 10000.0
-
-
 def is_place(latitude: np.ndarray, longitude: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """(n,) which positions, rad and m, can be a land vehicle's; not those with NaN."""
+    """(n,) whether a land vehicle can be at each position, rad and m; false for NaN."""
     return ((np.abs(latitude) <= math.pi / 2) & (np.abs(longitude) <= 2 * math.pi) & (height >= LOWEST)
             & (height <= HIGHEST))
 
 
 def is_fix(fixes) -> np.ndarray:
-    """(n,) which of `fixes` have a position; 0, 0 is what receivers without one send."""
+    """(n,) which of `fixes` have a position; receivers without one send latitude 0, longitude 0."""
     there = (fixes.latitude != 0) | (fixes.longitude != 0)
     return is_place(fixes.latitude, fixes.longitude, fixes.height) & there & (fixes.status >= 0)
 
 
 def _refuse(reasons, fixes) -> None:
-    """Say why those that are no `is_fix` cannot be used."""
+    """Set the reasons of those for which `is_fix` is false."""
     latitude, longitude, height = fixes.latitude, fixes.longitude, fixes.height
 
     def place(i):
@@ -122,10 +114,8 @@ def _refuse(reasons, fixes) -> None:
 
 
 def records(settings, fixes):
-    """Records of `fixes` (`samples.Fixes`), and why each cannot be used: '' where it can.
-
-    settings: `GnssSettings`. Also a warning for each whose covariance says nothing, '' else.
-    """
+    """Records (n, Event.SIZE) of `fixes`, why each cannot be used ('' where it can), and a warning for each whose
+    covariance is not usable ('' else). settings: `GnssSettings`."""
     n = len(fixes)
     r, reasons, warnings = empty(Kind.POSITION, n), np.full(n, '', dtype=object), np.full(n, '', dtype=object)
     latitude, longitude, height = fixes.latitude, fixes.longitude, fixes.height
@@ -157,29 +147,29 @@ def records(settings, fixes):
 
 
 def _of_gps_fix(fields) -> dict[str, np.ndarray]:
-    """Status and covariance as in NavSatFix of messages that tell the quality of a fix: by the covariance, where it is
-    not filled by the 95 % errors, and without these by the dilution of precision."""
+    """Status, covariance and covariance type as in NavSatFix, of GPSFix messages: their covariance, else their 95 %
+    errors, else their dilutions of precision."""
     status = np.array([STATUS_OF.get(int(one), 0) for one in fields['status.status']], dtype=np.int8)
     used = fields['status.satellites_used']
     status[(used > 0) & (used < FEWEST_SATELLITES)] = -1
     covariance = np.array(fields['position_covariance'], dtype=float).reshape(-1, 9)
     kind = np.array(fields['position_covariance_type']).astype(np.uint8)
-    empty_ones = (kind == 0) | ~(covariance[:, [0, 4]] > 0).all(axis=1)
+    missing = (kind == 0) | ~(covariance[:, [0, 4]] > 0).all(axis=1)
     for horizontal, vertical in ((fields['err_horz'] / HORIZONTAL_95, fields['err_vert'] / VERTICAL_95),
                                  (RANGE_SIGMA * fields['hdop'] / math.sqrt(2.0), RANGE_SIGMA * fields['vdop'])):
-        told = empty_ones & np.isfinite(horizontal) & (horizontal > 0)
+        filled = missing & np.isfinite(horizontal) & (horizontal > 0)
         height = np.where(np.isfinite(vertical) & (vertical > 0), vertical, 2.0 * horizontal)
-        covariance[told] = 0.0
-        covariance[told, 0] = covariance[told, 4] = horizontal[told]**2
-        covariance[told, 8] = height[told]**2
-        kind[told], empty_ones = 1, empty_ones & ~told
-    kind[empty_ones] = 0
+        covariance[filled] = 0.0
+        covariance[filled, 0] = covariance[filled, 4] = horizontal[filled]**2
+        covariance[filled, 8] = height[filled]**2
+        kind[filled], missing = 1, missing & ~filled
+    kind[missing] = 0
     return {'status.status': status, 'position_covariance': covariance, 'position_covariance_type': kind}
 
 
 class Fix(Measurement):
-    """The fixes that the filter starts from and is reset to, whose settings are `GnssSettings`; with a name, those of a
-    further receiver, which are judged as all other measurements are."""
+    """Unnamed: the fixes of the main receiver, from which the filter starts and restarts (settings: `GnssSettings`).
+    Named: those of a further receiver, treated as any other measurement."""
 
     kind, name, samples, unit, default_sigma = Kind.POSITION, 'fix', Fixes, 'm', 3.0
     topic_text = ('Topic of the position of an antenna: sensor_msgs/NavSatFix, or, where it is installed, '
@@ -191,14 +181,14 @@ class Fix(Measurement):
                           'position_covariance', 'position_covariance_type', 'err_horz', 'err_vert', 'hdop', 'vdop')}
     written_to = '/gps/fix'
     of_antenna = from_satellites = has_arm = True
-    #: m, white, north and east; down is 1.5 times that
+    #: m, white noise north and east; 1.5 times that down
     simulated_with = {'fix_rate': 0.0, 'fix_sigma': 1.5}
 
     def named_parameters(self):
         return (*super().named_parameters(), Parameter(
-            f'{self.name}.lever_arm_sigma', 0.02, 'm', 'Standard deviation of the arm forwards and to the left, with '
-            'which what is left of it is estimated: that of a tape. 0: it is exact, and so is the heading that two '
-            'receivers tell.', minimum=0.0, maximum=10.0))
+            f'{self.name}.lever_arm_sigma', 0.02, 'm', 'Standard deviation of the lever arm forward and left, whose '
+            'error is estimated; the default is that of a tape measure. 0: it is exact, and so is the heading from two '
+            'receivers.', minimum=0.0, maximum=10.0))
 
     @property
     def state(self):

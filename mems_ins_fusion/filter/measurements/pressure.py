@@ -1,4 +1,4 @@
-"""Height from the pressure of the air, by the standard atmosphere: its changes, as weather and place have a slow bias.
+"""Height from air pressure by the standard atmosphere. Weather and geoid are a slow bias: only changes of height count.
 
 Source: U.S. Standard Atmosphere, 1976 (NOAA-S/T 76-1562), eq. 33a: the layer up to 11 km, in geopotential height, which
 differs from height by 1 m in 2500 m.
@@ -18,13 +18,13 @@ from .base import Measurement
 from .geometry import add, own_state
 from .records import empty, refuse, stated_or
 
-#: index of the optional state pressure_bias among all n, m: the height that pressure tells less the true one; -1: none
+#: index of the optional state pressure_bias among all n, m: height by pressure minus true height; -1: none
 Barometer = HEAD.place('Barometer', BIAS=1)
 
 
 @njit(_nrt=False)
 def observe(mem, r, at, h):
-    """Predicted minus measured height, up; one component."""
+    """Height, positive up; one component."""
     mem[at + Event.Z_N] = mem[r + Nav.HEIGHT] - mem[at + Event.VALUE]
     add(mem, h, Error.R_D, -1.0)
     bias = own_state(mem, at, Barometer.BIAS)
@@ -33,20 +33,16 @@ def observe(mem, r, at, h):
     return 1
 
 
-#: Pa, of the standard atmosphere at sea level
-SEA_LEVEL = 101325.0
-#: m: temperature at sea level over its lapse
-SCALE_HEIGHT = 288.15 / 0.0065
-#: gas constant times lapse over gravity and molar mass
-EXPONENT = 8.31432 * 0.0065 / (9.80665 * 0.0289644)
-#: on earth there are no others, Pa: the highest road is at 5900 m, the lowest pit 500 m below the sea
+SEA_LEVEL = 101325.0  # Pa, of the standard atmosphere at sea level
+SCALE_HEIGHT = 288.15 / 0.0065  # m: temperature at sea level (K) over lapse rate (K/m)
+EXPONENT = 8.31432 * 0.0065 / (9.80665 * 0.0289644)  # gas constant times lapse rate over gravity and molar mass
+#: Pa: range on land; the highest road is at 5900 m, the lowest mine 500 m below the sea
 LOWEST, HIGHEST = 40000.0, 115000.0
-#: not better than this, Pa
-SMALLEST_SIGMA = 0.1
+SMALLEST_SIGMA = 0.1  # Pa: smallest standard deviation that a pressure is credited with, whatever its message claims
 
 
 def height_of(pressure: np.ndarray) -> np.ndarray:
-    """Height, m, that the standard atmosphere has `pressure` (n,), Pa, at."""
+    """Height (n,), m, at which the standard atmosphere has `pressure` (n,), Pa."""
     return SCALE_HEIGHT * (1.0 - (pressure / SEA_LEVEL) ** EXPONENT)
 
 
@@ -56,7 +52,7 @@ def pressure_at(height: np.ndarray) -> np.ndarray:
 
 
 def metres_per_pascal(pressure: np.ndarray) -> np.ndarray:
-    """How many metres a pascal less is, at `pressure` (n,), Pa."""
+    """Height gained for each pascal less, m/Pa, at `pressure` (n,), Pa."""
     return SCALE_HEIGHT * EXPONENT / SEA_LEVEL * (pressure / SEA_LEVEL) ** (EXPONENT - 1.0)
 
 
@@ -65,18 +61,17 @@ class Pressure(Measurement):
     topic_text = 'Topic of the pressure of the air, Pa: sensor_msgs/FluidPressure (strapdown)'
     messages = {'sensor_msgs/msg/FluidPressure': ('fluid_pressure', 'variance')}
     layouts = {'sensor_msgs/msg/FluidPressure': (('fluid_pressure', '<f8', 1), ('variance', '<f8', 1))}
-    written_to = '/pressure'
-    #: Pa, white; m, by which the weather's height is off, drawn for each seed; m/sqrt(s), by which that wanders
+    written_to, state_column = '/pressure', Barometer.BIAS
+    #: Pa, white noise; m, standard deviation of the height's bias, drawn for each seed; m/sqrt(s), its random walk
     simulated_with = {'pressure_rate': 0.0, 'pressure_sigma': 5.0, 'pressure_bias': 80.0, 'pressure_walk': 0.05}
 
     def parameters(self):
         return (
             *super().parameters(),
-            Parameter(f'{self.name}.factor', 1.0, '-', f'Makes Pa of what the messages on {self.topic} say: 100 for '
-                      'hPa.', minimum=-1e6, maximum=1e6),
-            Parameter(f'{self.name}.bias_sigma', 300.0, 'm', 'Standard deviation of the height that pressure tells '
-                      'before anything is known: weather, and that of the geoid.', minimum=1.0, maximum=1e4),
-            Parameter(f'{self.name}.bias_walk', 0.1, 'm/sqrt(s)', 'How that wanders: weather, temperature and the '
+            self.factor_parameter('Pa', '100 for hPa', 1e6),
+            Parameter(f'{self.name}.bias_sigma', 300.0, 'm', 'Initial standard deviation of the error of the height by '
+                      'pressure: weather and geoid.', minimum=1.0, maximum=1e4),
+            Parameter(f'{self.name}.bias_walk', 0.1, 'm/sqrt(s)', 'Random walk of that error: weather, temperature, '
                       'ventilation of the vehicle.', minimum=0.0, maximum=100.0))
 
     def states(self, values):

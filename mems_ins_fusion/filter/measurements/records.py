@@ -1,20 +1,24 @@
-"""What the files of measurements share when they make records of what the sensors delivered."""
+"""Shared by the measurements that turn samples into records for the kernel."""
 from __future__ import annotations
 
 import numpy as np
 
 from ..memory import Event
 
+FASTEST = 150.0  # m/s: no land vehicle is faster
+#: m/s (rad/s of a turn rate): smallest standard deviation that a velocity is credited with, whatever its message claims
+SMALLEST_SPEED_SIGMA = 0.001
+
 
 def empty(kind: int, n: int) -> np.ndarray:
-    """Records (n, Event.SIZE) of one kind, nothing filled in."""
+    """n records of one kind, all other columns zero: (n, Event.SIZE)."""
     records = np.zeros((n, Event.SIZE))
     records[:, Event.KIND] = kind
     return records
 
 
 def refuse(reasons: np.ndarray, wrong: np.ndarray, text) -> None:
-    """Give those of `reasons` (n,) that have none yet and are `wrong` (n,) a text: text(i) for the i-th."""
+    """Set reasons[i] to text(i) where `wrong` (n,) is true and there is no reason yet."""
     if not wrong.any():
         return
     for i in np.flatnonzero(wrong & (reasons == '')):
@@ -22,7 +26,10 @@ def refuse(reasons: np.ndarray, wrong: np.ndarray, text) -> None:
 
 
 def stated_or(variance: np.ndarray, settings, smallest: float) -> np.ndarray:
-    """Variances (n,): as configured, else as stated where they are numbers above zero, else the default."""
+    """Variances (n,): settings.sigma where configured, else the message's where positive, else settings.default_sigma.
+
+    smallest: standard deviation below which no message is credited.
+    """
     if settings.sigma > 0:
         return np.full(len(variance), settings.sigma**2)
     known = np.isfinite(variance) & (variance > 0)

@@ -1,4 +1,4 @@
-"""All measurements there are: who needs them asks here."""
+"""The list of all measurements; other parts of the package look them up here."""
 from __future__ import annotations
 
 import re
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from ...parameters.parameter import Parameter, ParameterError
 from ..memory import Kind
 from . import wheel_vibration
-from .base import Measurement
+from .base import FIRST_NAMED, Measurement
 from .heading import Heading
 from .inertial import Inertial
 from .magnetometer import Magnetometer
@@ -18,32 +18,28 @@ from .speed import Speed
 from .twist import Twist
 from .velocity import Velocity
 
-#: those besides the fixes, in the order in which their parameters are written
+#: all but the fixes, in the order in which their parameters are documented
 AIDING: tuple[Measurement, ...] = (Speed(), Velocity(), Twist(), Magnetometer(), Heading(), Pressure())
-#: all, by their number
+#: all, by number
 MEASUREMENTS: dict[int, Measurement] = {measurement.kind: measurement for measurement in (Fix(), *AIDING)}
-#: parameters of what the samples of the IMU tell besides motion: no message brings it
-HEARD: tuple[Parameter, ...] = (wheel_vibration.PARAMETER,)
+#: parameters of measurements made from the IMU samples themselves, without messages of their own
+FROM_IMU: tuple[Parameter, ...] = (wheel_vibration.PARAMETER,)
 assert len(MEASUREMENTS) == 1 + len(AIDING), 'two measurements with one number'
-#: what an input with a name may measure, by `NAME.type`
+#: what a named input can measure, by `NAME.type`
 TYPES = {measurement.name: measurement for measurement in (*MEASUREMENTS.values(), Pose())}
-#: and that it is a further IMU, which is no measurement
-INERTIAL = Inertial()
+INERTIAL = Inertial()  # a named input can also be a further IMU
 _NAMED = {**TYPES, INERTIAL.name: INERTIAL}
-#: inputs with a name are numbered from here on
-FIRST_NAMED = 100
 INPUTS = Parameter('inputs', [], 'text', 'Names of further inputs, any number, each with NAME.type '
-                   f'({", ".join(sorted(_NAMED))}), NAME.topic, NAME.time_offset, NAME.sigma and what else its type '
-                   'has; NAME.lever_arm of where it is measured. The parameters without a name are of one more of '
-                   'each.')
-#: of a name
-_NAME = re.compile(r'[a-z][a-z0-9_]*')
+                   f'({", ".join(sorted(_NAMED))}), NAME.topic, NAME.time_offset, NAME.sigma and others of its type, '
+                   'NAME.lever_arm where it is measured. The parameters without a name are of one more input of each '
+                   'type.')
+_NAME = re.compile(r'[a-z][a-z0-9_]*')  # the name of an input
 
 
 def named_parameters(values: Mapping, taken: Mapping) -> dict[str, Parameter]:
-    """The parameters of the inputs that `values`, unchecked, name; taken: those that there are already.
+    """Parameters of the named inputs in the unchecked `values`; taken: all other parameters.
 
-    ParameterError where an input is not one.
+    ParameterError where the definition of an input is wrong.
     """
     found: dict[str, Parameter] = {}
     names = INPUTS.check(values.get('inputs', []))
@@ -65,14 +61,14 @@ def named_parameters(values: Mapping, taken: Mapping) -> dict[str, Parameter]:
 
 
 def aiding(values: Mapping) -> tuple[Measurement, ...]:
-    """All inputs besides the fixes: those of AIDING, and those that the checked parameters `values` name."""
+    """All inputs but the main receiver's fixes: those of AIDING, and the named ones of the checked `values`."""
     names = [name for name in values.get('inputs', ()) if values[f'{name}.type'] in TYPES]
     return (*AIDING, *(TYPES[values[f'{name}.type']].named(name, number, values.get(f'{name}.lever_arm', (0.0,) * 3))
                        for number, name in enumerate(names, start=FIRST_NAMED)))
 
 
 def imus(values: Mapping) -> tuple[Inertial, ...]:
-    """The IMUs besides the first that the checked parameters `values` name, in the order of preference."""
+    """The further IMUs of the checked `values`, in the order of preference."""
     found = []
     for name in values.get('inputs', ()):
         if values[f'{name}.type'] == INERTIAL.name:
@@ -81,11 +77,11 @@ def imus(values: Mapping) -> tuple[Inertial, ...]:
     return tuple(found)
 
 
-def heard(values: Mapping) -> tuple[Measurement, ...]:
-    """All that is listened to, and read, besides the first IMU and the fixes."""
+def further_inputs(values: Mapping) -> tuple[Measurement, ...]:
+    """All inputs but the first IMU and the main receiver's fixes."""
     return (*aiding(values), *imus(values))
 
 
 def inputs(values: Mapping) -> dict[int, Measurement]:
-    """All inputs, the fixes too, by number."""
+    """All inputs but IMUs, the fixes too, by number."""
     return {measurement.number: measurement for measurement in (MEASUREMENTS[Kind.POSITION], *aiding(values))}

@@ -1,4 +1,4 @@
-"""Speed over ground along the vehicle, from its wheels: at the axle whose wheels are counted, with a scale error."""
+"""Wheel speed: speed over ground along the vehicle, at the axle whose wheels are counted, with a scale factor error."""
 from __future__ import annotations
 
 from dataclasses import replace
@@ -13,12 +13,12 @@ from ..memory import NAV, Event, Head, Kind, channel_of
 from .base import ODOMETRY, TWIST, Measurement, covariance36
 from .geometry import add_body_velocity, angular_rate, arm_of, body_velocity, own_state, vehicle_to_level
 from .motion import velocity_at
-from .records import empty, refuse, stated_or
+from .records import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or
 
 
 @njit(_nrt=False)
 def observe(mem, r, at, h, n, c, sample):
-    """Predicted minus measured speed, positive forwards; one component. measured = (1 + scale) true."""
+    """Speed, positive forward; one component. measured = (1 + scale) true."""
     _, y, z = arm_of(mem, at, Head.AXLE_X)
     _, w_y, w_z = angular_rate(mem, r, sample)
     c = vehicle_to_level(mem, r, c)
@@ -31,42 +31,36 @@ def observe(mem, r, at, h, n, c, sample):
     if mem[at + Event.INPUT] == 0.0:
         if across >= 0:
             mem[h + across] = w_z
-    elif gyroscope >= 0:  # two wheels of an axle tell the turn rate; `update` takes H times the estimate out of z
+    elif gyroscope >= 0:  # a lateral arm: the speed contains the turn rate. `update` subtracts H times the estimate
         mem[h + gyroscope] = -y
         mem[at + Event.Z_N] -= y * mem[r + NAV + gyroscope]
     mem[at + Event.Z_N] -= mem[at + Event.VALUE]
     return 1
 
 
-#: faster is no land vehicle, m/s
-FASTEST = 150.0
-#: not better than this, m/s
-SMALLEST_SIGMA = 0.001
-
 
 class Speed(Measurement):
     kind, name, samples, unit, default_sigma = Kind.SPEED, 'speed', Speeds, 'm/s', 0.1
     topic_text = ('Topic of the speed at the rear axle, m/s, forward positive: '
                   'geometry_msgs/TwistWithCovarianceStamped or nav_msgs/Odometry, twist.linear.x')
-    offset = 'scale'
+    offset, state_column = 'scale', Head.SPEED_SCALE
     has_arm = True
     messages = {TWIST: ('twist.twist.linear', 'twist.covariance'), ODOMETRY: ('twist.twist.linear', 'twist.covariance')}
     written_to = '/wheel/speed'
-    #: m/s, white, of the rear wheels' speed; standard deviation of its scale factor error, drawn for each seed
+    #: m/s, white noise of the rear wheels' speed; standard deviation of its scale factor error, drawn for each seed
     simulated_with = {'speed_rate': 0.0, 'speed_sigma': 0.05, 'speed_scale': 0.01}
 
     def parameters(self):
         return (
             *super().parameters(),
-            Parameter(f'{self.name}.factor', 1.0, '-', f'Makes m/s, positive forwards, of what the messages on '
-                      f'{self.topic} say: 0.27778 for km/h, -1 where forwards is negative.', minimum=-1e4, maximum=1e4),
+            self.factor_parameter('m/s, positive forward', '0.27778 for km/h, -1 where forward is negative'),
             Parameter(f'{self.name}.scale', 0.0, '-', 'Scale factor error of the speed: measured = (1 + scale) true.',
                       minimum=-0.5, maximum=0.5),
-            Parameter(f'{self.name}.scale_sigma', 0.02, '-', 'Its standard deviation, with which it is estimated; 0: '
-                      'it is exact.', minimum=0.0, maximum=0.5))
+            Parameter(f'{self.name}.scale_sigma', 0.02, '-', 'Standard deviation of the remaining scale factor '
+                      'error, which is estimated; 0: none remains.', minimum=0.0, maximum=0.5))
 
     def states(self, values):
-        # in a bend the wheels' speed is not the IMU's
+        # lateral offset of the wheels from the IMU: in a bend their speeds differ
         across = {'axle_y': (values['vehicle.rear_axle_sigma'], 0.0)} if self.is_plain else {}
         return {self.state: (values[f'{self.name}.scale_sigma'], 0.0), **across}
 
@@ -84,7 +78,7 @@ class Speed(Measurement):
         r, reasons = empty(Kind.SPEED, n), np.full(n, '', dtype=object)
         refuse(reasons, ~(np.abs(speed) < FASTEST), lambda i: f'speed {speed[i]:g} m/s: dropped')
         r[:, Event.VALUE] = speed
-        r[:, Event.R_NN] = stated_or(speeds.variance, settings, SMALLEST_SIGMA)
+        r[:, Event.R_NN] = stated_or(speeds.variance, settings, SMALLEST_SPEED_SIGMA)
         return r, reasons, np.full(n, '', dtype=object)
 
     def off(self, measured, innovation):
@@ -107,7 +101,7 @@ class Speed(Measurement):
         return Speeds(stamp, stamp.copy(), speed, np.full(len(time), errors['speed_sigma'] ** 2))
 
     def _true(self, drive, time):
-        """Of the rear axle, or along the vehicle at the arm of a named input."""
+        """True speed of the rear axle, of a named input at its lever arm, m/s."""
         if self.is_plain:
             return drive.path.wheel_speed(time)
         return np.einsum('ki,ki->k', velocity_at(drive, time, self.arm), drive.at(time).attitude.as_matrix()[:, :, 0])

@@ -1,4 +1,4 @@
-"""Standstill: no velocity, and what the gyroscopes show is their error."""
+"""Pseudo-measurements at standstill: velocity zero, and angular rate zero, so that the gyroscopes show their errors."""
 from __future__ import annotations
 
 from mems_ins_fusion.compiled import njit
@@ -10,7 +10,7 @@ from .geometry import add
 
 @njit(_nrt=False)
 def observe_velocity(mem, r, at, h, n):
-    """The velocity; the number of components."""
+    """Zero velocity. Returns the number of components."""
     dimensions = 3 if row_of(mem, Error.V_D) >= 0 else 2
     for k in range(dimensions):
         mem[at + Event.Z_N + k] = mem[r + Nav.V_N + k]
@@ -22,7 +22,7 @@ def observe_velocity(mem, r, at, h, n):
 
 @njit(_nrt=False)
 def observe_rate(mem, r, at, h, n, sample):
-    """The angular rate of the sample at position `sample`, about the axes that are used: error and white noise; the
+    """Zero angular rate, about the axes that are used: the IMU sample at `sample` is error and white noise. Returns the
     number of components."""
     count = 0
     for axis in range(3):
@@ -38,5 +38,6 @@ def observe_rate(mem, r, at, h, n, sample):
 
 @njit(_nrt=False)
 def _variance(mem, axis, dt):
-    """White noise of one sample of a gyroscope; an engine that runs may shake it by more."""
+    """Variance of one gyroscope sample: white noise, or the scatter seen at standstill where the engine's vibration
+    makes that larger."""
     return max(mem[WHITE + 3 + axis] / dt, mem[Imu.SPREAD + 1])

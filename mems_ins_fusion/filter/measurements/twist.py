@@ -1,6 +1,6 @@
-"""Odometry of others - wheels, lidar, vision: velocity of a point of the vehicle along its axes, and turn rate.
+"""Odometry of wheels, lidar or camera: velocity of a point of the vehicle along its axes, and turn rate.
 
-Only the twist is taken, never the pose as a position: it drifts, and so would a filter that has it for a position.
+Only the twist is used. The pose drifts, so it is never used as a position.
 """
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..memory import HEAD, NAV, Event, Head, Kind, channel_of
 from .base import ODOMETRY, TWIST, Measurement, SensorSettings, covariance36
 from .geometry import add_body_velocity, angular_rate, arm_of, body_velocity, own_state, vehicle_to_level
 from .motion import STEP, velocity_at
-from .records import empty, refuse, stated_or
+from .records import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or
 
 #: index of the optional state twist_scale among all n, behind which twist_turn_scale stands; -1: neither
 Scales = HEAD.place('Scales', TWIST=1)
@@ -26,9 +26,9 @@ Scales = HEAD.place('Scales', TWIST=1)
 
 @njit(_nrt=False)
 def observe(mem, r, at, h, n, c, sample):
-    """Predicted minus measured velocity forwards and to the right, and turn rate clockwise; three components.
+    """Velocity forward and to the right, and turn rate clockwise; three components. measured = (1 + scale) true.
 
-    measured = (1 + scale) true. A component that was not measured, NaN in the record, has a row of zeros.
+    A component that was not measured (NaN in the record) has a row of zeros in H.
     """
     w_x, w_y, w_z = angular_rate(mem, r, sample)
     x, y, z = arm_of(mem, at, Head.AXLE_X)
@@ -51,8 +51,8 @@ def observe(mem, r, at, h, n, c, sample):
             mem[h + n + axle] = -w_z
     if gyroscope >= 0 and not math.isnan(mem[at + Event.VALUE + 2]):
         turn_scale = mem[r + NAV + scale + 1] if scale >= 0 else 0.0
-        # measured = (1 + scale) (reading - error): both may be large, and z is linear where they are. `update` takes H
-        # times the estimate out of it, so that the gyroscope's error counts from what it reads
+        # measured = (1 + scale) (gyroscope reading - its error), linearised at the estimates of both, as both may be
+        # large; `update` subtracts H times the estimates
         error = mem[r + NAV + gyroscope]
         mem[at + Event.Z_D] = w_z + error + turn_scale * error - mem[at + Event.VALUE + 2]
         mem[h + 2 * n + gyroscope] = 1.0 + turn_scale
@@ -67,39 +67,31 @@ def measures_sideways(mem, at):
     return not math.isnan(mem[at + Event.VALUE + 1])
 
 
-#: faster is no land vehicle, m/s
-FASTEST = 150.0
-#: not better than this, m/s and rad/s
-SMALLEST_SIGMA = 0.001
-
-
 class Twist(Measurement):
     kind, name, samples, unit, default_sigma = Kind.TWIST, 'twist', Twists, 'm/s', 0.1
     topic_text = ('Topic of the odometry of wheels, a lidar or a camera, base_link: twist of nav_msgs/Odometry or '
                   'geometry_msgs/TwistWithCovarianceStamped; not of one that has seen the fixes')
-    components = 2
-    has_arm = True
+    components, has_arm, state_column = 2, True, Scales.TWIST
     messages = {ODOMETRY: ('twist.twist.linear', 'twist.twist.angular', 'twist.covariance'),
                 TWIST: ('twist.twist.linear', 'twist.twist.angular', 'twist.covariance')}
     written_to = '/wheel/odometry'
-    #: m/s, white, forwards; m/s, white, to the right, 0: not measured; rad/s, white; standard deviations of the two
-    #: scale factor errors, drawn for each seed
+    #: white noise forward, m/s, to the right, m/s (0: not measured), and of the turn rate, rad/s; standard deviations
+    #: of the two scale factor errors, drawn for each seed
     simulated_with = {'twist_rate': 0.0, 'twist_sigma': 0.05, 'twist_lateral_sigma': 0.0,
                       'twist_turn_sigma': 0.01, 'twist_scale': 0.01, 'twist_turn_scale': 0.03}
 
     def parameters(self):
         return (
             *super().parameters(),
-            Parameter(f'{self.name}.turn_sigma', 0.0, 'rad/s', 'Standard deviation of its turn rate; 0 takes what the '
-                      'message says.', minimum=0.0, maximum=1000.0),
-            Parameter(f'{self.name}.default_turn_sigma', 0.05, 'rad/s', 'Used where the message does not tell.',
-                      positive=True, maximum=1000.0),
-            Parameter(f'{self.name}.factor', 1.0, '-', f'Makes m/s, positive forwards, of what the messages on '
-                      f'{self.topic} say: 0.01 for cm/s, -1 where forwards is negative.', minimum=-1e4, maximum=1e4),
+            Parameter(f'{self.name}.turn_sigma', 0.0, 'rad/s', 'Standard deviation of its turn rate; 0: that of the '
+                      'message.', minimum=0.0, maximum=1000.0),
+            Parameter(f'{self.name}.default_turn_sigma', 0.05, 'rad/s', 'Standard deviation where the message has '
+                      'none.', positive=True, maximum=1000.0),
+            self.factor_parameter('m/s, positive forward', '0.01 for cm/s, -1 where forward is negative'),
             Parameter(f'{self.name}.scale_sigma', 0.02, '-', 'Standard deviation of the scale factor error of the '
-                      'velocity, with which it is estimated: measured = (1 + scale) true.', minimum=1e-6, maximum=0.5),
+                      'velocity, which is estimated: measured = (1 + scale) true.', minimum=1e-6, maximum=0.5),
             Parameter(f'{self.name}.turn_scale_sigma', 1.0, '-', 'The same of the turn rate: the track of the wheels '
-                      'is not known, wheels that are skid-steered slip sideways, and some count turns to the right.',
+                      'may be unknown, skid-steered wheels slip sideways, and some sources count turns to the right.',
                       minimum=1e-6, maximum=10.0))
 
     def states(self, values):
@@ -125,11 +117,11 @@ class Twist(Measurement):
         r, reasons = empty(Kind.TWIST, n), np.full(n, '', dtype=object)
         with np.errstate(invalid='ignore'):
             refuse(reasons, ~(np.abs(twist).max(axis=1) < FASTEST), lambda i: self.refusal(twist[i]))
-        # what a driver does not measure it gives as zero with a small sigma
+        # drivers fill a component that they do not measure with zero and a small variance
         twist[:, 1:][twist[:, 1:] == 0.0] = np.nan
         r[:, Event.VALUE:Event.VALUE + 3] = twist
         for column, axis, of in ((Event.R_NN, 0, settings), (Event.R_EE, 1, settings), (Event.R_DD, 2, settings.turn)):
-            r[:, column] = stated_or(twists.variance[:, axis], of, SMALLEST_SIGMA)
+            r[:, column] = stated_or(twists.variance[:, axis], of, SMALLEST_SPEED_SIGMA)
         return r, reasons, np.full(n, '', dtype=object)
 
     def refusal(self, twist):
@@ -159,7 +151,7 @@ class Twist(Measurement):
         velocity = np.einsum('kij,ki->kj', drive.at(time).attitude.as_matrix(), velocity_at(drive, time, self.arm))
         before, after = (np.unwrap(drive.at(time + step).yaw) for step in (-STEP, STEP))
         turn = np.arctan2(np.sin(after - before), np.cos(after - before)) / (2.0 * STEP)
-        if self.is_plain:  # where the wheels roll
+        if self.is_plain:  # at the rear axle, which does not slip sideways
             velocity[:, 0], velocity[:, 1] = drive.path.wheel_speed(time), 0.0
         sideways = errors['twist_lateral_sigma']
         sigma = np.array([errors['twist_sigma'], sideways, errors['twist_turn_sigma']])

@@ -1,4 +1,4 @@
-"""Velocity of the GNSS antenna over ground, north, east and down, as receivers measure it by Doppler shift."""
+"""GNSS velocity: velocity of the antenna over ground, north, east and down, from Doppler shifts."""
 from __future__ import annotations
 
 import math
@@ -11,35 +11,26 @@ from ...navigation.frames import ned_covariance_from_enu, ned_from_enu
 from ...samples import Velocities
 from ..memory import Error, Event, Head, Kind, Nav, row_of
 from .base import TWIST, Measurement, covariance36
-from .geometry import add, angular_rate, arm_of, turned
+from .geometry import add, add_attitude_error, angular_rate, arm_of, rotate
 from .motion import velocity_at
-from .records import empty, refuse, stated_or
+from .records import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or
 
 
 @njit(_nrt=False)
 def observe(mem, r, at, h, n, c, sample):
-    """Predicted minus measured velocity of the antenna; the number of components: two where no vertical one was
-    measured, NaN in the record."""
+    """Velocity of the antenna. Returns the number of components: two where the record's vertical one is NaN."""
     w_x, w_y, w_z = angular_rate(mem, r, sample)
     x, y, z = arm_of(mem, at, Head.LEVER_X)
-    # the antenna goes round the IMU: w x arm
-    u_x, u_y, u_z = w_y * z - w_z * y, w_z * x - w_x * z, w_x * y - w_y * x
-    north, east, down = (c[0] * u_x + c[1] * u_y + c[2] * u_z, c[3] * u_x + c[4] * u_y + c[5] * u_z,
-                         c[6] * u_x + c[7] * u_y + c[8] * u_z)
+    north, east, down = rotate(c, w_y * z - w_z * y, w_z * x - w_x * z, w_x * y - w_y * x)  # w x arm
     mem[at + Event.Z_N] = mem[r + Nav.V_N] + north - mem[at + Event.VALUE]
     mem[at + Event.Z_E] = mem[r + Nav.V_E] + east - mem[at + Event.VALUE + 1]
     vertical = not math.isnan(mem[at + Event.VALUE + 2])
     mem[at + Event.Z_D] = mem[r + Nav.V_D] + down - mem[at + Event.VALUE + 2] if vertical else 0.0
-    turned(mem, h, n, north, east, down)
+    add_attitude_error(mem, h, n, north, east, down)
     for k in range(3):
         add(mem, h + n * k, Error.V_N + k, 1.0)
     return 3 if vertical and row_of(mem, Error.V_D) >= 0 else 2
 
-
-#: faster is no land vehicle, m/s
-FASTEST = 150.0
-#: not better than this, m/s
-SMALLEST_SIGMA = 0.001
 
 
 class Velocity(Measurement):
@@ -50,7 +41,7 @@ class Velocity(Measurement):
     messages = {TWIST: ('twist.twist.linear', 'twist.covariance')}
     written_to = '/gps/velocity'
     of_antenna = from_satellites = has_arm = True
-    #: m/s, white, north and east; down is 1.5 times that
+    #: m/s, white noise north and east; 1.5 times that down
     simulated_with = {'velocity_rate': 0.0, 'velocity_sigma': 0.1}
 
     def records(self, settings, velocities):
@@ -60,11 +51,11 @@ class Velocity(Measurement):
             vertical = np.where(np.isnan(v[:, 2]), 0.0, v[:, 2])
             refuse(reasons, ~(np.hypot(np.hypot(v[:, 0], v[:, 1]), vertical) < FASTEST),
                    lambda i: f'velocity {v[i, 0]:g}, {v[i, 1]:g}, {v[i, 2]:g} m/s (north, east, down): dropped')
-        # a receiver without a vertical one says NaN, or always zero
+        # receivers without a vertical velocity send NaN, or always zero
         v[:, 2][v[:, 2] == 0.0] = np.nan
         r[:, Event.VALUE:Event.VALUE + 3] = v
         for column, axis in ((Event.R_NN, 0), (Event.R_EE, 1), (Event.R_DD, 2)):
-            r[:, column] = stated_or(velocities.covariance[:, axis, axis], settings, SMALLEST_SIGMA)
+            r[:, column] = stated_or(velocities.covariance[:, axis, axis], settings, SMALLEST_SPEED_SIGMA)
         return r, reasons, np.full(n, '', dtype=object)
 
     def read(self, fields, message):
@@ -80,7 +71,7 @@ class Velocity(Measurement):
                                                  len(velocities))}
 
     def simulated(self, drive, errors, effects, rng, instants):
-        # at the time that the receiver's fixes of the same stamp describe
+        # of the same instant as the receiver's fix of the same stamp
         time, stamp = instants(errors['velocity_rate'], None)
         antenna = self.arm.copy()  # body, forward-right-down
         for effect, values in effects:

@@ -1,10 +1,10 @@
-"""What the samples of the latest seconds show of lines that go with the way: a spectrum in cycles per metre.
+"""Spectrum of the latest seconds of IMU samples over distance driven, in cycles per metre.
 
-A wheel that is out of balance shakes the vehicle once a revolution, tyre and tread at multiples of that. The samples of
-a window are taken at equal steps of the way that the filter went, so that such a line is sharp however the speed
-changes. The logarithm of the power of each axis is compared with its neighbourhood and with what stands at that
-frequency in Hz always - suspension, engine at idle, mount - which wheels do not. Bin j of the spectrum is j / 2 cycles
-per window: with the way L and the time T of the window j / (2 L) cycles per metre and j / (2 T) Hz.
+A wheel out of balance shakes the vehicle once a revolution, tyre and tread at multiples of that. The samples of a
+window are resampled at equal steps of the distance that the filter went, so that such a line is sharp however the speed
+changes. From the logarithm of the power of each axis its neighbourhood is subtracted, and what is always there at that
+frequency in Hz, which is not of the wheels: suspension, engine at idle, mount. Bin j of the spectrum is j / 2 cycles
+per window: with distance L and duration T of the window, j / (2 L) cycles per metre and j / (2 T) Hz.
 """
 from __future__ import annotations
 
@@ -15,56 +15,56 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-#: s of samples that are looked at together: a line is then 0.5 Hz wide, which is 1 m/s at the first harmonic, 0.3 at
-#: the third; in a longer one a speed that is not known smears the lines
+from ..columns import numbered
+
+#: s, duration of a window: a line is 0.5 Hz wide, which is 1 m/s at the first harmonic and 0.3 m/s at the third; in a
+#: longer window the error of the speed smears the lines
 WINDOW = 4.0
-#: steps of the way in a window: at 40 m/s each 0.3 m, where the third harmonic has two to a cycle
-POINTS = 512
-#: s: samples that come more often are averaged to this interval, so that POINTS of them fill a window
+POINTS = 512  # steps of distance in a window: 0.3 m each at 40 m/s, two for each cycle of the third harmonic
+#: s: samples are averaged to at least this interval, so that the ring of POINTS rows holds a window
 SHORTEST = 1.01 * WINDOW / POINTS
-AXES = 6
-#: bins to either side that are the neighbourhood: 2 Hz
-NEIGHBOURHOOD = 16
-#: parts of half the sampling rate above which nothing is looked at: what was interpolated is not power
-HIGHEST = 0.9
-#: least logarithm of the power over its neighbourhood that counts: no single bin says more against a line,
+AXES = 6  # three accelerometers, three gyroscopes
+NEIGHBOURHOOD = 16  # bins to either side that are the neighbourhood: 2 Hz
+HIGHEST = 0.9  # highest frequency used, as a share of the Nyquist frequency: interpolation removes power near that
+#: smallest logarithm of the power over its neighbourhood: no single bin is stronger evidence against a line
 LEAST = -1.5
-#: and the largest: nor for one
-MOST = 3.5
-#: windows over which what stands in Hz is averaged: five minutes
-STANDING_MEMORY = 150.0
+MOST = 3.5  # largest logarithm of the power over its neighbourhood: no single bin is stronger evidence for a line
+STANDING_MEMORY = 150.0  # windows over which the power at constant frequency (Hz) is averaged: five minutes
 BINS = POINTS + 1
+
+column = numbered()
 
 
 class _Row(NamedTuple):
-    """One sample in the ring."""
+    """One row of the ring."""
 
-    TIME: int = 0  # s that it lasted
-    SPEED: int = 1  # m/s, of the filter
-    VALUES: int = 2  # specific force and angular rate, body axes
-    SIZE: int = 8
+    TIME: int = column()  # its duration, s
+    SPEED: int = column()  # of the filter, m/s
+    VALUES: int = column(AXES)  # mean specific force and angular rate, body axes
+    SIZE: int = column(0)
 
 
 Row = _Row()
+column = numbered()
 
 
 class _Spectrum(NamedTuple):
-    """Columns, from where the memory of the wheels begins."""
+    """Columns, counted from the start of the array or part of the memory that holds them."""
 
-    COUNT: int = 0  # rows put into the ring so far
-    WINDOWS: int = 1  # windows looked at, up to STANDING_MEMORY
-    RING: int = 2
-    TAPER: int = RING + POINTS * Row.SIZE
-    COSINE: int = TAPER + POINTS
-    SINE: int = COSINE + POINTS
-    REVERSED: int = SINE + POINTS  # where the transform takes each point
-    SERIES: int = REVERSED + POINTS  # room to work: points of each axis,
-    REAL: int = SERIES + AXES * POINTS  # two axes at once,
-    IMAGINARY: int = REAL + 2 * POINTS
-    SUM: int = IMAGINARY + 2 * POINTS
-    POWER: int = SUM + BINS + 1  # and the spectrum of each axis
-    STANDING: int = POWER + AXES * BINS  # what stands in Hz
-    SIZE: int = STANDING + AXES * BINS
+    COUNT: int = column()  # rows put into the ring so far
+    WINDOWS: int = column()  # windows seen, up to STANDING_MEMORY
+    RING: int = column(POINTS * Row.SIZE)
+    TAPER: int = column(POINTS)
+    COSINE: int = column(POINTS)
+    SINE: int = column(POINTS)
+    REVERSED: int = column(POINTS)  # bit-reversed index of each point
+    SERIES: int = column(AXES * POINTS)  # scratch: resampled points of each axis,
+    REAL: int = column(2 * POINTS)  # the transform of two axes at once,
+    IMAGINARY: int = column(2 * POINTS)
+    SUM: int = column(BINS + 1)  # running sums,
+    POWER: int = column(AXES * BINS)  # and the logarithmic spectrum of each axis
+    STANDING: int = column(AXES * BINS)  # mean power at constant frequency (Hz)
+    SIZE: int = column(0)
 
 
 Spectrum = _Spectrum()
@@ -82,7 +82,7 @@ def begin(part: np.ndarray) -> None:
 
 @njit(_nrt=False)
 def _newest(mem, at):
-    """How many rows of the ring make up the window that ends with the newest, its time (s) and its way (m)."""
+    """The window that ends with the newest row: number of its rows, duration (s) and distance (m)."""
     count, n, time, way = int(mem[at + Spectrum.COUNT]), 0, 0.0, 0.0
     while n < min(count, POINTS) and time < WINDOW - 0.5 * SHORTEST:
         row = at + Spectrum.RING + Row.SIZE * ((count - 1 - n) % POINTS)
@@ -94,12 +94,12 @@ def _newest(mem, at):
 
 @njit(_nrt=False)
 def _resample(mem, at, n, way):
-    """The newest n rows at equal steps of the way, less their trend and tapered, into SERIES."""
+    """Resample the newest n rows at equal steps of distance into SERIES, detrended and tapered."""
     count = int(mem[at + Spectrum.COUNT])
     index, step = count - n, way / POINTS
     row = at + Spectrum.RING + Row.SIZE * (index % POINTS)
     half = 0.5 * mem[row + Row.TIME] * mem[row + Row.SPEED]
-    here, after, there = half, row, half  # way at the middle of a row, the next row, and its way
+    here, after, there = half, row, half  # distance at the middle of a row, the next row, and its distance
     for m in range(POINTS):
         target = (m + 0.5) * step
         while there < target and index < count - 1:
@@ -124,13 +124,13 @@ def _resample(mem, at, n, way):
 
 @njit(_nrt=False)
 def _transform(mem, at, pair):
-    """Fourier transform of the series of two axes, as real and imaginary part, filled up with as many zeros."""
+    """Fourier transform of two axes as real and imaginary part of one series, zero-padded to twice its length."""
     re, im = at + Spectrum.REAL, at + Spectrum.IMAGINARY
     series = at + Spectrum.SERIES + 2 * pair * POINTS
     for m in range(POINTS):
-        place = int(mem[at + Spectrum.REVERSED + m])  # even: the odd ones hold the zeros, and the first step copies
-        mem[re + place] = mem[re + place + 1] = mem[series + m]
-        mem[im + place] = mem[im + place + 1] = mem[series + POINTS + m]
+        k = int(mem[at + Spectrum.REVERSED + m])  # even; the odd ones are the zeros, so the first step is a copy
+        mem[re + k] = mem[re + k + 1] = mem[series + m]
+        mem[im + k] = mem[im + k + 1] = mem[series + POINTS + m]
     half = 2
     while half < 2 * POINTS:
         stride = POINTS // half
@@ -147,9 +147,9 @@ def _transform(mem, at, pair):
 
 
 @njit(_nrt=False)
-def _level(mem, at, power, last, bound):
-    """What bins 0 to `last` at `power` have in their neighbourhood on average, into SERIES; bound: no bin counts as
-    further than this from what stands there."""
+def _neighbourhood(mem, at, power, last, bound):
+    """Mean over the neighbourhood of each of the bins 0 to `last` at `power`, into SERIES. bound: values further than
+    this from the means that SERIES already holds are clipped; 0: none are."""
     total, level = at + Spectrum.SUM, at + Spectrum.SERIES
     mem[total] = 0.0
     for j in range(last + 1):
@@ -164,9 +164,9 @@ def _level(mem, at, power, last, bound):
 
 @njit(_nrt=False)
 def look(mem, at, highest):
-    """The spectrum of the window that ends now into POWER: time (s), way (m), and last bin that says something.
+    """Spectrum of the window that ends now, into POWER. Returns its duration (s), distance (m), and last usable bin.
 
-    highest: cycles per metre that are asked for.
+    highest: highest frequency of interest, cycles per metre.
     """
     n, time, way = _newest(mem, at)
     last = int(min(HIGHEST * n, 2.0 * highest * way + 2 * NEIGHBOURHOOD, POINTS))
@@ -176,7 +176,7 @@ def look(mem, at, highest):
         _transform(mem, at, pair)
         one = at + Spectrum.POWER + 2 * pair * BINS
         other = one + BINS
-        for j in range(2, last + 1):  # the first two hold the trend
+        for j in range(2, last + 1):  # the first two bins hold the trend
             k = 2 * POINTS - j
             x, y, u, v = mem[re + j], mem[im + j], mem[re + k], mem[im + k]
             mem[one + j] = math.log((x + u) ** 2 + (y - v) ** 2 + 1e-20)
@@ -187,8 +187,8 @@ def look(mem, at, highest):
     mem[at + Spectrum.WINDOWS] = min(windows, STANDING_MEMORY)
     for axis in range(AXES):
         power, standing = at + Spectrum.POWER + BINS * axis, at + Spectrum.STANDING + BINS * axis
-        _level(mem, at, power, last, 0.0)
-        _level(mem, at, power, last, MOST)
+        _neighbourhood(mem, at, power, last, 0.0)
+        _neighbourhood(mem, at, power, last, MOST)
         for j in range(last + 1):
             above = min(max(mem[power + j] - mem[at + Spectrum.SERIES + j], LEAST), MOST)
             mem[power + j] = max(above - max(mem[standing + j], 0.0), LEAST)

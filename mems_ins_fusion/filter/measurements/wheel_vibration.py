@@ -1,24 +1,23 @@
-"""Speed from the vibration of the wheels: told beside the estimate, which it never changes (docs/wheel_vibration.md).
+"""Speed from the vibration of the wheels: a diagnostic output that changes no estimate (docs/wheel_vibration.md).
 
-Every HOP seconds a window of the samples (`wheel_spectrum`) is compared with a wheel of circumference C at x, the
-logarithm of the true over the filter's speed: harmonic h of an axis then has a line at h exp(x) / C cycles per metre of
-the filter's way. With the power q of each such channel (logarithm, over its neighbourhood)
+Every HOP seconds a window of IMU samples (wheel_spectrum.py) is compared with a wheel of circumference C. Let x be the
+logarithm of true speed over the filter's speed: harmonic h then has a line at h exp(x) / C cycles per metre of the
+distance that the filter went. A channel is one axis and one harmonic, q the logarithm of its power over that of its
+neighbourhood. The discriminant of two normal distributions, line and no line, is
 
     T(x) = sum a (q(x) - b),     a = (on - off) / spread,  b = (on + off) / 2,
 
-where `on` and `off` are the means of q that the channel has shown on the line and beside it while fixes told the speed,
-`spread` its variance beside it: the discriminant of two normal distributions, zero for a channel that shows no line.
-The likelihood of x, relative to no line at all, is
+where `on` and `off` are the channel's mean q on the line and beside it while fixes gave the speed, and `spread` its
+variance beside the line; a channel that shows no line contributes nothing. The likelihood of x over that of no line is
 
-    NONE + (1 - NONE) exp(strength T(x)):
+    NO_LINE + (1 - NO_LINE) exp(exponent T(x)):
 
-any window may be one without a line, and neither channels nor windows are independent of each other (strength < 1).
-Where it has not predicted better than nothing for certain, each window before anything was learned of it, nothing is
-told.
+any window may be without a line, and neither channels nor windows are independent (exponent < 1). No speed is reported
+until the windows, each tested before anything is learned from it, have predicted significantly better than chance.
 
-While fixes come, the windows tell the circumference: first a comb (C at which the lines of all windows add up), then a
-Kalman filter of ln C. When none come they tell the speed: its density on a grid goes from window to window, several
-peaks and all. No estimate uses it: on measured drives the errors without fixes did not become smaller for certain.
+While fixes come, the windows give the circumference: first a search for the C at which the lines of all windows add up
+(a comb), then a Kalman filter of ln C. Without fixes they give the speed: its probability density on a grid, which may
+have several peaks, goes from window to window.
 """
 from __future__ import annotations
 
@@ -30,6 +29,7 @@ import numpy as np
 from mems_ins_fusion.compiled import njit
 
 from ...parameters.parameter import Parameter
+from ..columns import numbered
 from ..memory import (
     HEAD,
     NAV,
@@ -48,237 +48,210 @@ from .geometry import angular_rate
 from .wheel_spectrum import AXES, BINS, POINTS, SHORTEST, WINDOW, Row, Spectrum, look
 from .wheel_spectrum import begin as begin_spectrum
 
-#: where the memory of the wheels begins, 0: wheel_vibration is off
+#: position of the columns `Lines` in the memory, 0: wheel_vibration is off
 Wheels = HEAD.place('Wheels', AT=1)
 PARAMETER = Parameter(
     'wheel_vibration', 'off', 'text', 'Speed from the vibration of the wheels, their circumference found while fixes '
-    'come. report: both are told on /diagnostics and in report.json. No estimate uses them, and none can: on measured '
-    'drives the errors without fixes did not become smaller for certain (docs/wheel_vibration.md).',
+    'come. report: both are reported on /diagnostics and in report.json. No estimate uses them: on measured drives the '
+    'errors without fixes did not become significantly smaller (docs/wheel_vibration.md).',
     choices=('off', 'report'))
 
-#: s from one window to the next: tapered windows that overlap by half are nearly independent
-HOP = 2.0
-#: m/s: below it the lines of the wheels lie among those of the suspension
-SLOWEST = 4.0
-#: rad/s: in a turn the wheels of both sides have two speeds, and lines split
-FASTEST_TURN = 0.1
-#: s: time constant of the turn rate that is compared with it
-TURN_TIME = 0.5
-HARMONICS = 4
+HOP = 2.0  # s from one window to the next: tapered windows that overlap by half are nearly independent
+SLOWEST = 4.0  # m/s: below this speed the lines of the wheels lie among those of the suspension
+FASTEST_TURN = 0.1  # rad/s: above this turn rate the wheels of the two sides have different speeds, and lines split
+TURN_TIME = 0.5  # s, time constant of the low pass of the turn rate
+HARMONICS = 4  # multiples of the revolution that are looked at
 CHANNELS = AXES * HARMONICS
-#: of the grid of x: at 40 m/s a line of the third harmonic is 0.5 % wide
-STEP = 0.003
+STEP = 0.003  # step of the grid of x: at 40 m/s a line of the third harmonic is 0.5 % wide
 HALF = 85  # grid points to either side of x = 0
 GRID = 2 * HALF + 1
-#: m: middle of the circumferences that are looked for, 1.5 to 2.5: cars and vans
-MIDDLE = 1.94
-#: cycles per metre that are looked at
-HIGHEST = HARMONICS / MIDDLE * math.exp(STEP * HALF)
-#: of a grid point that has no spectrum
-NOTHING = -99.0
-#: grid points beside the line that say nothing of the mean beside it: 5 %
-LINE = 17
-#: grid points to either side of the line that the filter's own speed may be off by, 0.6 %
-NEAR = 2
-#: windows over which what a channel shows is averaged: five minutes
-MEMORY = 150.0
-#: and of how well the windows predict, two minutes: a wheel that is another all of a sudden is found out so soon
-SCORE_MEMORY = 60.0
-#: variance of the logarithm of the power of a channel: noise has 1.6
-LEAST_SPREAD = 0.1
-#: sigmas of the comb: of some twenty independent circumferences one is above it once in millions of drives
+MIDDLE = 1.94  # m, geometric mean of the circumferences searched, 1.5 to 2.5: cars and vans
+HIGHEST = HARMONICS / MIDDLE * math.exp(STEP * HALF)  # highest frequency looked at, cycles per metre
+NO_POWER = -99.0  # power of a grid point beyond the spectrum
+LINE_HALF_WIDTH = 17  # half width of a line, grid points (5 %): these are left out of the mean beside it
+SCORE_HALF_WIDTH = 2  # error of the filter's own speed that the score allows, grid points to either side (0.6 %)
+CHANNEL_MEMORY = 150.0  # windows over which a channel's statistics are averaged: five minutes
+SCORE_MEMORY = 60.0  # windows over which the score is averaged: two minutes, so that another wheel is noticed soon
+LEAST_SPREAD = 0.1  # smallest variance of a channel's logarithmic power; noise has 1.6
+#: sigmas by which the search has to find a circumference: a false one exceeds it once in millions of drives
 COMB_SIGMAS = 6.0
-#: windows before which no comb is believed: half a minute
-COMB_WINDOWS = 15.0
-#: windows over which the comb forgets, ten minutes: a tyre may be changed
-COMB_MEMORY = 300.0
-#: sigma of ln C as the comb finds it
-COMB_SIGMA = 0.01
-#: variance that ln C gains in a second: 0.1 % in ten minutes, as a tyre warms up
-DRIFT = 0.001**2 / 600.0
-#: and never less: engine orders that go with the wheels in one gear pull it
-LEAST_SIGMA = 0.003
-#: windows over which what the looks at ln C say against it is averaged
-AGAINST_MEMORY = 20.0
-#: sigmas of that mean beyond which it is another wheel's, or no wheel's
-AGAINST = 4.0
-#: the sigma of ln C then: of one that has hardly been seen, with which nothing is told
-REOPENED = 0.015
-#: sigma of what it may be else after the vehicle was parked: pressure and load
-PARKED = 0.003
-#: further from C the comb must be to have found another wheel
-OTHER = 0.02
-#: the larger variance of each look at C for errors of the fixes that last longer than a hop
-LASTING = 2.0
-#: ln C is good enough for telling a speed at this sigma
-CALIBRATED = 0.01
-#: exponent of the likelihood of windows in a row: what is no line of the wheels shows in several channels, and in the
-#: next window again. Sums over four windows of measured drives were right wherever they were certain, with 0.5 in 94 %
-STRENGTH = 0.2
-#: and of one by itself, as the circumference has them, one drive long: only channels share their errors
-ALONE = 0.5
-#: windows before which nothing is told: 40 s of straight driving
-FEWEST = 20.0
-#: sigmas by which they must have predicted better than nothing
-PROVEN = 3.0
-#: part of the windows that are without a line even so
-NONE = 0.3
-#: s after a fix until which fixes come
-WITHOUT_FIX = 3.0
-#: part of the speed that its sigma may be for windows to tell the circumference
-KNOWN = 0.03
-#: m/s: of the grid of the error of the filter's speed
-SPEED_STEP = 0.05
-SPEED_HALF = 80
+COMB_WINDOWS = 15.0  # windows that the search needs: half a minute
+COMB_MEMORY = 300.0  # windows over which the search forgets: ten minutes, as a tyre may be changed
+COMB_SIGMA = 0.01  # standard deviation of ln C as the search finds it
+C_DRIFT = 0.001**2 / 600.0  # 1/s, variance that ln C gains: 0.1 % in ten minutes, as a tyre warms up
+LEAST_SIGMA = 0.003  # smallest standard deviation of ln C: engine orders that follow the wheels in one gear bias it
+INNOVATION_MEMORY = 20.0  # windows over which the normalized innovation of ln C is averaged
+INNOVATION_LIMIT = 4.0  # sigmas of that mean beyond which the lines are of another wheel, or of no wheel
+REOPENED_SIGMA = 0.015  # standard deviation of ln C after that: too large for a speed to be reported
+PARKED_SIGMA = 0.003  # standard deviation by which ln C may change while the vehicle is parked: pressure and load
+NEW_WHEEL = 0.02  # ln C that the search finds is of another wheel beyond this difference
+#: factor on the variance of each innovation of ln C: errors of the fixes last longer than one window
+FIX_ERROR_FACTOR = 2.0
+LARGEST_C_SIGMA = 0.01  # standard deviation of ln C above which no speed is reported
+#: exponent of the likelihood of successive windows: interference shows in several channels and windows. With 0.5, sums
+#: over four windows of measured drives that were certain were right in only 94 %
+EXPONENT = 0.2
+#: exponent of the likelihood of one window, for the circumference: only channels share their errors
+EXPONENT_SINGLE = 0.5
+FEWEST = 20.0  # windows before which no speed is reported: 40 s of straight driving
+PROVEN = 3.0  # sigmas by which the mean score must exceed zero before a speed is reported
+NO_LINE = 0.3  # prior probability of a window without a line
+WITHOUT_FIX = 3.0  # s after the last fix used from which there are no fixes
+#: largest standard deviation of the filter's speed, as a share of the speed, for windows to teach the circumference
+RELATIVE_SPEED_SIGMA = 0.03
+SPEED_STEP = 0.05  # m/s, step of the grid of the error of the filter's speed
+SPEED_HALF = 80  # grid points to either side of zero
 SPEEDS = 2 * SPEED_HALF + 1
-#: m/s: sigma of the filter's speed above which no speed is told, half of the grid
-LOST = 2.0
-#: of the density: no speed is impossible
-NEVER = 1e-12
+#: m/s, standard deviation of the filter's speed above which no speed is reported: half of the grid
+LARGEST_SPEED_SIGMA = 2.0
+DENSITY_FLOOR = 1e-12  # added to each point of the density: no speed is impossible
 
-class _Ear(NamedTuple):
-    """Columns, from Wheels.AT on. From KEPT to KEPT_END is what the next start may begin with."""
-
-    SINCE: int = 0  # s, time since which the vehicle goes straight and fast enough
-    LAST: int = 1  # s, time of the last window
-    TURN: int = 2  # rad/s
-    TIME: int = 3  # s, way and values of the row that is not complete
-    WAY: int = 4
-    VALUES: int = 5
-    ELAPSED: int = 11  # s so far
-    HEARD: int = 12  # and of these with a line
-    SPEED: int = 13  # told last, m/s, and its variance and time
-    VARIANCE: int = 14
-    TOLD: int = 15
-    AGAINST: int = 16  # mean of what the looks at ln C say against it, sigmas
-    COMB_SEEN: int = 17
-    COMB_VARIANCE: int = 18
-    COMB: int = 19
-    KEPT: int = COMB + GRID
-    LOG_C: int = KEPT
-    VARIANCE_C: int = KEPT + 1  # 0: unknown
-    LEARNED: int = KEPT + 2  # windows that went into what follows
-    ON: int = KEPT + 3
-    OFF: int = ON + CHANNELS
-    SPREAD: int = OFF + CHANNELS
-    SCORE: int = SPREAD + CHANNELS  # mean of the logarithm of how much better than nothing windows have predicted
-    SQUARE: int = SCORE + 1  # and its mean square
-    KEPT_END: int = SQUARE + 1
-    FILTERED: int = KEPT_END  # variance of the filter's speed at the last window, m^2/s^2
-    DENSITY: int = FILTERED + 1  # of the error of the filter's speed
-    CHANNEL: int = DENSITY + SPEEDS  # room to work: power of each channel,
-    TOTAL: int = CHANNEL + CHANNELS * GRID  # and T
-    SPECTRUM: int = TOTAL + GRID
-    SIZE: int = SPECTRUM + Spectrum.SIZE
+column = numbered()
 
 
-Ear = _Ear()
+class _Lines(NamedTuple):
+    """Columns, counted from Wheels.AT. From CALIBRATION to CALIBRATION_END is what outlasts the run."""
+
+    SINCE: int = column()  # s, time since which the vehicle goes straight and fast enough
+    LAST: int = column()  # s, time of the last window
+    TURN: int = column()  # rad/s, low-passed turn rate
+    TIME: int = column()  # the row that is being averaged: its duration, s,
+    WAY: int = column()  # distance, m,
+    VALUES: int = column(AXES)  # and sums of samples
+    ELAPSED: int = column()  # s since the start
+    WITH_LINE: int = column()  # and of these with a line, s
+    SPEED: int = column()  # the last speed reported, m/s,
+    VARIANCE: int = column()  # its variance
+    REPORTED: int = column()  # and its time
+    MEAN_INNOVATION: int = column()  # mean normalized innovation of ln C
+    COMB_SEEN: int = column()  # windows in the search, and the variance of its sums
+    COMB_VARIANCE: int = column()
+    COMB: int = column(GRID)  # sums of the power of all windows at each circumference
+    CALIBRATION: int = column(0)
+    LOG_C: int = column()
+    VARIANCE_C: int = column()  # 0: unknown
+    WINDOWS: int = column()  # number of windows in the statistics that follow
+    ON: int = column(CHANNELS)
+    OFF: int = column(CHANNELS)
+    SPREAD: int = column(CHANNELS)
+    SCORE: int = column()  # mean log likelihood ratio of windows at the known speed, and its mean square
+    SQUARE: int = column()
+    CALIBRATION_END: int = column(0)
+    FILTER_VARIANCE: int = column()  # of the filter's speed at the last window, m^2/s^2
+    DENSITY: int = column(SPEEDS)  # probability of each error of the filter's speed
+    CHANNEL: int = column(CHANNELS * GRID)  # scratch: q of each channel,
+    DISCRIMINANT: int = column(GRID)  # and T
+    SPECTRUM: int = column(Spectrum.SIZE)
+    SIZE: int = column(0)
+
+
+Lines = _Lines()
 
 
 def begin(memory: np.ndarray, at: int) -> None:
-    """Listen from now on, with the memory of the wheels at `at`."""
+    """Write the first values of the columns, which begin at `at`."""
     memory[Wheels.AT] = at
-    memory[at + Ear.SPREAD:at + Ear.SPREAD + CHANNELS] = 1.0
-    begin_spectrum(memory[at + Ear.SPECTRUM:at + Ear.SIZE])
+    memory[at + Lines.SPREAD:at + Lines.SPREAD + CHANNELS] = 1.0
+    begin_spectrum(memory[at + Lines.SPECTRUM:at + Lines.SIZE])
 
 
-def learned(memory: np.ndarray) -> np.ndarray | None:
-    """What the filter with this memory knows of the wheels, for `remember`; None where it knows nothing."""
+def calibration(memory: np.ndarray) -> np.ndarray | None:
+    """Circumference and channel statistics, for `restore`; None while the circumference is unknown."""
     at = int(memory[Wheels.AT])
-    known = at and memory[at + Ear.VARIANCE_C] > 0.0
-    return memory[at + Ear.KEPT:at + Ear.KEPT_END].copy() if known else None
+    known = at and memory[at + Lines.VARIANCE_C] > 0.0
+    return memory[at + Lines.CALIBRATION:at + Lines.CALIBRATION_END].copy() if known else None
 
 
-def aged(kept: np.ndarray) -> np.ndarray:
-    """What a filter has `learned`, for the next start: tyres may be cold or full by then. ValueError where it is not
-    that."""
-    kept = np.array(kept, dtype=float)
-    if kept.shape != (Ear.KEPT_END - Ear.KEPT,) or not np.isfinite(kept).all():
-        raise ValueError('not what a filter has learned of wheels')
-    c, variance, windows = kept[[Ear.LOG_C - Ear.KEPT, Ear.VARIANCE_C - Ear.KEPT, Ear.LEARNED - Ear.KEPT]]
-    spread = kept[Ear.SPREAD - Ear.KEPT:Ear.SCORE - Ear.KEPT]
+def checked_calibration(values) -> np.ndarray:
+    """A saved `calibration` for the next start, less certain by PARKED_SIGMA. ValueError where it cannot be one."""
+    kept = np.array(values, dtype=float)
+    if kept.shape != (Lines.CALIBRATION_END - Lines.CALIBRATION,) or not np.isfinite(kept).all():
+        raise ValueError('no calibration of wheels')
+    first = Lines.CALIBRATION
+    c, variance, windows = kept[[Lines.LOG_C - first, Lines.VARIANCE_C - first, Lines.WINDOWS - first]]
+    spread = kept[Lines.SPREAD - first:Lines.SCORE - first]
     if abs(c - math.log(MIDDLE)) > 2 * HALF * STEP or variance <= 0.0 or windows < 0.0 or (spread < 0.0).any():
-        raise ValueError('not what a filter can have learned of wheels')
-    kept[Ear.VARIANCE_C - Ear.KEPT] += PARKED**2
+        raise ValueError('no possible calibration of wheels')
+    kept[Lines.VARIANCE_C - first] += PARKED_SIGMA**2
     return kept
 
 
 def summary(memory: np.ndarray) -> dict | None:
-    """Circumference and its sigma, m, None while it is unknown, and the share of the time with a line, percent; None
-    where nobody listens."""
+    """Circumference and its sigma, m (None while unknown), and the share of the time with a line, percent; None where
+    wheel_vibration is off."""
     at = int(memory[Wheels.AT])
     if not at:
         return None
-    sigma, elapsed = math.sqrt(memory[at + Ear.VARIANCE_C]), memory[at + Ear.ELAPSED]
-    c = math.exp(memory[at + Ear.LOG_C]) if sigma else None
+    sigma, elapsed = math.sqrt(memory[at + Lines.VARIANCE_C]), memory[at + Lines.ELAPSED]
+    c = math.exp(memory[at + Lines.LOG_C]) if sigma else None
     return {'circumference_m': c, 'sigma_m': c and c * sigma,
-            'share_of_time_percent': float(100.0 * memory[at + Ear.HEARD] / max(elapsed, HOP))}
+            'share_of_time_percent': float(100.0 * memory[at + Lines.WITH_LINE] / max(elapsed, HOP))}
 
 
-def told(memory: np.ndarray, now: float) -> dict[str, float]:
-    """Numbers for a diagnosis, by name with the unit; now: s, the time of the newest sample."""
+def diagnostics(memory: np.ndarray, now: float) -> dict[str, float]:
+    """Values for /diagnostics, by name with the unit; now: s, the time of the newest sample."""
     found, at = summary(memory), int(memory[Wheels.AT])
     if found is None or found['circumference_m'] is None:
         return {}
     numbers = {'circumference of the wheels, m': found['circumference_m'],
                'circumference of the wheels sigma, m': found['sigma_m'],
                'share of the time in which the wheels are heard, %': found['share_of_time_percent']}
-    if memory[at + Ear.VARIANCE] > 0.0:
-        numbers |= {'speed by the wheels, m/s': float(memory[at + Ear.SPEED]),
-                    'speed by the wheels sigma, m/s': math.sqrt(memory[at + Ear.VARIANCE]),
-                    'age of the speed by the wheels, s': now - float(memory[at + Ear.TOLD])}
+    if memory[at + Lines.VARIANCE] > 0.0:
+        numbers |= {'speed by the wheels, m/s': float(memory[at + Lines.SPEED]),
+                    'speed by the wheels sigma, m/s': math.sqrt(memory[at + Lines.VARIANCE]),
+                    'age of the speed by the wheels, s': now - float(memory[at + Lines.REPORTED])}
     return numbers
 
 
-def remember(memory: np.ndarray, kept: np.ndarray | None) -> None:
-    """Begin with what an earlier filter has `learned`, if anything."""
+def restore(memory: np.ndarray, kept: np.ndarray | None) -> None:
+    """Begin with a `checked_calibration`, if there is one."""
     at = int(memory[Wheels.AT])
     if at and kept is not None:
-        memory[at + Ear.KEPT:at + Ear.KEPT_END] = kept
+        memory[at + Lines.CALIBRATION:at + Lines.CALIBRATION_END] = kept
 
 
 @njit(_nrt=False)
 def listen(mem, k):
-    """Take in sample k, and at the end of a window tell the speed."""
+    """Take in sample k, and at the end of a window process it."""
     at, sample, r = int(mem[Wheels.AT]), nonnegative(sample_at(mem, k)), nonnegative(state_at(mem, k))
     dt, time = mem[sample + Sample.INTERVAL], mem[sample + Sample.TIME]
     speed = speed_of(mem, r)
-    mem[at + Ear.ELAPSED] += dt
-    mem[at + Ear.TURN] += min(dt / TURN_TIME, 1.0) * (angular_rate(mem, r, sample)[2] - mem[at + Ear.TURN])
-    if speed < SLOWEST or abs(mem[at + Ear.TURN]) > FASTEST_TURN or dt > mem[Head.MAX_GAP] or (
+    mem[at + Lines.ELAPSED] += dt
+    mem[at + Lines.TURN] += min(dt / TURN_TIME, 1.0) * (angular_rate(mem, r, sample)[2] - mem[at + Lines.TURN])
+    if speed < SLOWEST or abs(mem[at + Lines.TURN]) > FASTEST_TURN or dt > mem[Head.MAX_GAP] or (
             mem[sample + Sample.FAULT] != 0.0):
-        mem[at + Ear.SINCE] = time
-        for i in range(Ear.TIME, Ear.ELAPSED):
+        mem[at + Lines.SINCE] = time
+        for i in range(Lines.TIME, Lines.ELAPSED):
             mem[at + i] = 0.0
         return
-    mem[at + Ear.TIME] += dt
-    mem[at + Ear.WAY] += dt * speed
+    mem[at + Lines.TIME] += dt
+    mem[at + Lines.WAY] += dt * speed
     for i in range(AXES):
-        mem[at + Ear.VALUES + i] += dt * mem[sample + Sample.F_X + i]
-    if mem[at + Ear.TIME] < SHORTEST:
+        mem[at + Lines.VALUES + i] += dt * mem[sample + Sample.F_X + i]
+    if mem[at + Lines.TIME] < SHORTEST:
         return
-    _put(mem, at)
-    if time - mem[at + Ear.SINCE] >= WINDOW and time - mem[at + Ear.LAST] >= HOP - 0.5 * SHORTEST:
-        _hear(mem, at, r, sample, speed)
+    _append_row(mem, at)
+    if time - mem[at + Lines.SINCE] >= WINDOW and time - mem[at + Lines.LAST] >= HOP - 0.5 * SHORTEST:
+        _process_window(mem, at, r, sample, speed)
 
 
 @njit(_nrt=False)
-def _put(mem, at):
-    """The mean of the samples since the last row as the next row of the ring."""
-    ring, lasted = at + Ear.SPECTRUM, mem[at + Ear.TIME]
+def _append_row(mem, at):
+    """Append the mean of the samples since the last row to the ring of rows."""
+    ring, lasted = at + Lines.SPECTRUM, mem[at + Lines.TIME]
     count = int(mem[ring + Spectrum.COUNT])
     row = ring + Spectrum.RING + Row.SIZE * (count % POINTS)
-    mem[row + Row.TIME], mem[row + Row.SPEED] = lasted, mem[at + Ear.WAY] / lasted
+    mem[row + Row.TIME], mem[row + Row.SPEED] = lasted, mem[at + Lines.WAY] / lasted
     for i in range(AXES):
-        mem[row + Row.VALUES + i] = mem[at + Ear.VALUES + i] / lasted
+        mem[row + Row.VALUES + i] = mem[at + Lines.VALUES + i] / lasted
     mem[ring + Spectrum.COUNT] = count + 1.0
-    for i in range(Ear.TIME, Ear.ELAPSED):
+    for i in range(Lines.TIME, Lines.ELAPSED):
         mem[at + i] = 0.0
 
 
 @njit(_nrt=False)
 def speed_of(mem, r):
-    """Speed of the state at r, m/s, without its estimated error."""
+    """Speed of the state at r, m/s, corrected by its estimated error."""
     total = 0.0
     for i in range(3):
         state = row_of(mem, Error.V_N + i)
@@ -299,66 +272,67 @@ def along_variance(mem, r):
 
 
 @njit(_nrt=False)
-def _hear(mem, at, r, sample, speed):
-    """What the window that ends at the state at r says."""
-    time, way, last = look(mem, at + Ear.SPECTRUM, HIGHEST)
+def _process_window(mem, at, r, sample, speed):
+    """Process the window that ends at the state at r."""
+    time, way, last = look(mem, at + Lines.SPECTRUM, HIGHEST)
     mean, filtered, now = way / time, along_variance(mem, r), mem[sample + Sample.TIME]
     fixes_come = now - mem[r + Nav.RESIDUAL_TIME] < WITHOUT_FIX
-    in_a_row, mem[at + Ear.LAST] = now - mem[at + Ear.LAST] < 1.5 * HOP, now
-    learns = fixes_come and filtered < (KNOWN * mean) ** 2
+    in_a_row, mem[at + Lines.LAST] = now - mem[at + Lines.LAST] < 1.5 * HOP, now
+    learns = fixes_come and filtered < (RELATIVE_SPEED_SIGMA * mean) ** 2
     if learns:
-        _comb(mem, at, way, last)
-    if mem[at + Ear.VARIANCE_C] == 0.0:
+        _search_circumference(mem, at, way, last)
+    if mem[at + Lines.VARIANCE_C] == 0.0:
         return
-    _channels(mem, at, way, last, mem[at + Ear.LOG_C])
-    _discriminate(mem, at)
-    mem[at + Ear.VARIANCE_C] += DRIFT * HOP
-    lost = filtered > LOST**2
+    _channel_powers(mem, at, way, last, mem[at + Lines.LOG_C])
+    _discriminant(mem, at)
+    mem[at + Lines.VARIANCE_C] += C_DRIFT * HOP
+    lost = filtered > LARGEST_SPEED_SIGMA**2
     if fixes_come or not in_a_row or lost:
-        _begin_density(mem, at, filtered + mem[at + Ear.VARIANCE_C] * mean * mean)
+        _begin_density(mem, at, filtered + mem[at + Lines.VARIANCE_C] * mean * mean)
     else:
-        _carry_density(mem, at, filtered - mem[at + Ear.FILTERED])
-    mem[at + Ear.FILTERED] = filtered
-    middle, spread, heard = _weigh(mem, at, mean, ALONE if fixes_come else STRENGTH)
-    if _is_proven(mem, at) and heard > 1.0 and mem[at + Ear.VARIANCE_C] < CALIBRATED**2 and not lost:
-        mem[at + Ear.HEARD] += HOP
-        mem[at + Ear.SPEED], mem[at + Ear.TOLD] = speed + middle, now
-        mem[at + Ear.VARIANCE] = spread + mem[at + Ear.VARIANCE_C] * mean * mean
+        _diffuse_density(mem, at, filtered - mem[at + Lines.FILTER_VARIANCE])
+    mem[at + Lines.FILTER_VARIANCE] = filtered
+    middle, spread, ratio = _update_density(mem, at, mean, EXPONENT_SINGLE if fixes_come else EXPONENT)
+    if _is_proven(mem, at) and ratio > 1.0 and mem[at + Lines.VARIANCE_C] < LARGEST_C_SIGMA**2 and not lost:
+        mem[at + Lines.WITH_LINE] += HOP
+        mem[at + Lines.SPEED], mem[at + Lines.REPORTED] = speed + middle, now
+        mem[at + Lines.VARIANCE] = spread + mem[at + Lines.VARIANCE_C] * mean * mean
     if learns:
-        _score(mem, at)
-        _learn(mem, at)
-        _learn_circumference(mem, at, filtered / mean**2, middle / mean, spread / mean**2)
+        _update_score(mem, at)
+        _update_channels(mem, at)
+        _update_circumference(mem, at, filtered / mean**2, middle / mean, spread / mean**2)
 
 
 @njit(_nrt=False)
-def _learn_circumference(mem, at, variance, middle, spread):
-    """ln C from mean and variance of x after a window, where the filter's speed has `variance` of x."""
-    prior = variance + mem[at + Ear.VARIANCE_C]
+def _update_circumference(mem, at, variance, middle, spread):
+    """Kalman step of ln C. variance: prior variance of x from the filter's speed; middle, spread: mean and variance of
+    x after the window."""
+    prior = variance + mem[at + Lines.VARIANCE_C]
     if spread > 0.999 * prior:
         return
     noise = 1.0 / (1.0 / spread - 1.0 / prior)
-    innovation, s = middle * (prior + noise) / prior, mem[at + Ear.VARIANCE_C] + LASTING * (variance + noise)
-    gain = mem[at + Ear.VARIANCE_C] / s
-    mem[at + Ear.LOG_C] -= gain * innovation
-    mem[at + Ear.VARIANCE_C] = max(mem[at + Ear.VARIANCE_C] * (1.0 - gain), LEAST_SIGMA**2)
-    mem[at + Ear.AGAINST] += (innovation / math.sqrt(s) - mem[at + Ear.AGAINST]) / AGAINST_MEMORY
-    if abs(mem[at + Ear.AGAINST]) > AGAINST / math.sqrt(2.0 * AGAINST_MEMORY - 1.0):
-        mem[at + Ear.VARIANCE_C], mem[at + Ear.AGAINST] = REOPENED**2, 0.0
+    innovation, s = middle * (prior + noise) / prior, mem[at + Lines.VARIANCE_C] + FIX_ERROR_FACTOR * (variance + noise)
+    gain = mem[at + Lines.VARIANCE_C] / s
+    mem[at + Lines.LOG_C] -= gain * innovation
+    mem[at + Lines.VARIANCE_C] = max(mem[at + Lines.VARIANCE_C] * (1.0 - gain), LEAST_SIGMA**2)
+    mem[at + Lines.MEAN_INNOVATION] += (innovation / math.sqrt(s) - mem[at + Lines.MEAN_INNOVATION]) / INNOVATION_MEMORY
+    if abs(mem[at + Lines.MEAN_INNOVATION]) > INNOVATION_LIMIT / math.sqrt(2.0 * INNOVATION_MEMORY - 1.0):
+        mem[at + Lines.VARIANCE_C], mem[at + Lines.MEAN_INNOVATION] = REOPENED_SIGMA**2, 0.0
 
 
 @njit(_nrt=False)
 def _begin_density(mem, at, variance):
-    """The speed's error is normal with `variance`, as the filter says."""
+    """Density of the error of the filter's speed: normal with the filter's `variance`."""
     for i in range(SPEEDS):
         error = SPEED_STEP * (i - SPEED_HALF)
-        mem[at + Ear.DENSITY + i] = math.exp(-0.5 * error * error / max(variance, SPEED_STEP**2))
+        mem[at + Lines.DENSITY + i] = math.exp(-0.5 * error * error / max(variance, SPEED_STEP**2))
 
 
 @njit(_nrt=False)
-def _carry_density(mem, at, variance):
-    """The density of the error from one window to the next: wider by what the filter's variance has grown by."""
-    density = at + Ear.DENSITY
-    while variance > 0.0:  # each step mixes neighbours
+def _diffuse_density(mem, at, variance):
+    """Widen the density by `variance`, by which that of the filter has grown since the last window."""
+    density = at + Lines.DENSITY
+    while variance > 0.0:  # explicit diffusion steps, stable up to a share of 0.25
         share = min(0.5 * variance / SPEED_STEP**2, 0.25)
         before = 0.0
         for i in range(SPEEDS):
@@ -370,19 +344,20 @@ def _carry_density(mem, at, variance):
 
 
 @njit(_nrt=False)
-def _weigh(mem, at, speed, strength):
-    """Multiply the density with the likelihood of a window of this mean speed: mean and variance of the error, and the
-    likelihood of the window over that of no line."""
-    density, total, first, second, before = at + Ear.DENSITY, 0.0, 0.0, 0.0, 0.0
+def _update_density(mem, at, speed, exponent):
+    """Multiply the density by the likelihood of a window of this mean speed. Returns mean and variance of the error,
+    and the likelihood of the window over that of no line."""
+    density, total, first, second, before = at + Lines.DENSITY, 0.0, 0.0, 0.0, 0.0
     for i in range(SPEEDS):
         error = SPEED_STEP * (i - SPEED_HALF)
         x = HALF + math.log(max(1.0 + error / speed, 0.1)) / STEP
         score, j = 0.0, int(x)
         if x >= 0.0 and j + 1 < GRID:
-            score = mem[at + Ear.TOTAL + j] + (x - j) * (mem[at + Ear.TOTAL + j + 1] - mem[at + Ear.TOTAL + j])
-        mem[density + i] += NEVER
+            here = at + Lines.DISCRIMINANT + j
+            score = mem[here] + (x - j) * (mem[here + 1] - mem[here])
+        mem[density + i] += DENSITY_FLOOR
         before += mem[density + i]
-        mem[density + i] *= _likelihood(strength * score)
+        mem[density + i] *= _likelihood(exponent * score)
         total += mem[density + i]
         first += mem[density + i] * error
         second += mem[density + i] * error * error
@@ -394,110 +369,110 @@ def _weigh(mem, at, speed, strength):
 
 @njit(_nrt=False)
 def _likelihood(score):
-    """Of `score`, strength times T, over that of no line."""
-    return NONE + (1.0 - NONE) * math.exp(score)
+    """Likelihood ratio, line over no line, of `score`: exponent times T."""
+    return NO_LINE + (1.0 - NO_LINE) * math.exp(score)
 
 
 @njit(_nrt=False)
 def _is_proven(mem, at):
-    """Whether the windows have predicted better than nothing for certain."""
-    n, score = min(mem[at + Ear.LEARNED], SCORE_MEMORY), mem[at + Ear.SCORE]
-    return n >= FEWEST and score > PROVEN * math.sqrt(max(mem[at + Ear.SQUARE] - score * score, 0.0) / n)
+    """Whether the mean score is significantly above zero."""
+    n, score = min(mem[at + Lines.WINDOWS], SCORE_MEMORY), mem[at + Lines.SCORE]
+    return n >= FEWEST and score > PROVEN * math.sqrt(max(mem[at + Lines.SQUARE] - score * score, 0.0) / n)
 
 
 @njit(_nrt=False)
-def _channels(mem, at, way, last, log_c):
-    """Power of each channel on the grid of x for the circumference exp(log_c)."""
-    power, ratio = at + Ear.SPECTRUM + Spectrum.POWER, math.exp(STEP)
+def _channel_powers(mem, at, way, last, log_c):
+    """q of each channel on the grid of x, for the circumference exp(log_c)."""
+    power, ratio = at + Lines.SPECTRUM + Spectrum.POWER, math.exp(STEP)
     for h in range(HARMONICS):
         line = 2.0 * (h + 1) * way * math.exp(-log_c - HALF * STEP)  # bin
         for i in range(GRID):
             j = int(line)
             share = line - j
             for axis in range(AXES):
-                value = NOTHING
+                value = NO_POWER
                 if j < last:
                     value = (1.0 - share) * mem[power + BINS * axis + j] + share * mem[power + BINS * axis + j + 1]
-                mem[at + Ear.CHANNEL + GRID * (AXES * h + axis) + i] = value
+                mem[at + Lines.CHANNEL + GRID * (AXES * h + axis) + i] = value
             line *= ratio
 
 
 @njit(_nrt=False)
-def _comb(mem, at, way, last):
-    """Find the circumference at which the lines of all windows add up."""
-    _channels(mem, at, way, last, math.log(MIDDLE))
+def _search_circumference(mem, at, way, last):
+    """Add the window to the sums of the search; a circumference that stands out there becomes the estimate."""
+    _channel_powers(mem, at, way, last, math.log(MIDDLE))
     mean, square, best = 0.0, 0.0, 0
     for i in range(GRID):
         total = 0.0
         for channel in range(CHANNELS):
-            value = mem[at + Ear.CHANNEL + GRID * channel + i]
-            total += value if value > NOTHING else 0.0
-        mem[at + Ear.TOTAL + i] = total
+            value = mem[at + Lines.CHANNEL + GRID * channel + i]
+            total += value if value > NO_POWER else 0.0
+        mem[at + Lines.DISCRIMINANT + i] = total
         mean += total / GRID
     forget = 1.0 - 1.0 / COMB_MEMORY
     for i in range(GRID):
-        above = mem[at + Ear.TOTAL + i] - mean
+        above = mem[at + Lines.DISCRIMINANT + i] - mean
         square += above * above / GRID
-        mem[at + Ear.COMB + i] = forget * mem[at + Ear.COMB + i] + above
-        if mem[at + Ear.COMB + i] > mem[at + Ear.COMB + best]:
+        mem[at + Lines.COMB + i] = forget * mem[at + Lines.COMB + i] + above
+        if mem[at + Lines.COMB + i] > mem[at + Lines.COMB + best]:
             best = i
-    mem[at + Ear.COMB_SEEN] = forget * mem[at + Ear.COMB_SEEN] + 1.0
-    mem[at + Ear.COMB_VARIANCE] = forget**2 * mem[at + Ear.COMB_VARIANCE] + square
-    if mem[at + Ear.COMB_SEEN] < COMB_WINDOWS or (
-            mem[at + Ear.COMB + best] <= COMB_SIGMAS * math.sqrt(mem[at + Ear.COMB_VARIANCE])):
+    mem[at + Lines.COMB_SEEN] = forget * mem[at + Lines.COMB_SEEN] + 1.0
+    mem[at + Lines.COMB_VARIANCE] = forget**2 * mem[at + Lines.COMB_VARIANCE] + square
+    if mem[at + Lines.COMB_SEEN] < COMB_WINDOWS or (
+            mem[at + Lines.COMB + best] <= COMB_SIGMAS * math.sqrt(mem[at + Lines.COMB_VARIANCE])):
         return
     log_c = math.log(MIDDLE) - (best - HALF) * STEP
-    if mem[at + Ear.VARIANCE_C] == 0.0 or abs(log_c - mem[at + Ear.LOG_C]) > OTHER:
-        for i in range(Ear.KEPT, Ear.KEPT_END):
-            mem[at + i] = 1.0 if Ear.SPREAD <= i < Ear.SCORE else 0.0
-        mem[at + Ear.LOG_C], mem[at + Ear.VARIANCE_C] = log_c, COMB_SIGMA**2
+    if mem[at + Lines.VARIANCE_C] == 0.0 or abs(log_c - mem[at + Lines.LOG_C]) > NEW_WHEEL:
+        for i in range(Lines.CALIBRATION, Lines.CALIBRATION_END):
+            mem[at + i] = 1.0 if Lines.SPREAD <= i < Lines.SCORE else 0.0
+        mem[at + Lines.LOG_C], mem[at + Lines.VARIANCE_C] = log_c, COMB_SIGMA**2
 
 
 @njit(_nrt=False)
-def _discriminate(mem, at):
-    """T on the grid of x from the power of the channels and what they have shown."""
+def _discriminant(mem, at):
+    """T on the grid of x, from q and the statistics of the channels."""
     for i in range(GRID):
-        mem[at + Ear.TOTAL + i] = 0.0
+        mem[at + Lines.DISCRIMINANT + i] = 0.0
     for channel in range(CHANNELS):
-        on, off, spread = mem[at + Ear.ON + channel], mem[at + Ear.OFF + channel], mem[at + Ear.SPREAD + channel]
-        # no more than is certain
-        shown = on - off - math.sqrt(2.0 * spread / max(mem[at + Ear.LEARNED], 1.0))
+        on, off, spread = mem[at + Lines.ON + channel], mem[at + Lines.OFF + channel], mem[at + Lines.SPREAD + channel]
+        # one-sigma lower bound
+        shown = on - off - math.sqrt(2.0 * spread / max(mem[at + Lines.WINDOWS], 1.0))
         if shown > 0.0:
             for i in range(GRID):
-                value = mem[at + Ear.CHANNEL + GRID * channel + i]
-                if value > NOTHING:
-                    mem[at + Ear.TOTAL + i] += shown / spread * (value - 0.5 * (on + off))
+                value = mem[at + Lines.CHANNEL + GRID * channel + i]
+                if value > NO_POWER:
+                    mem[at + Lines.DISCRIMINANT + i] += shown / spread * (value - 0.5 * (on + off))
 
 
 @njit(_nrt=False)
-def _score(mem, at):
-    """How much better than nothing the window has predicted where the line is."""
-    n, near, everywhere = min(mem[at + Ear.LEARNED] + 1.0, SCORE_MEMORY), 0.0, 0.0
+def _update_score(mem, at):
+    """Average the log likelihood ratio of a line at the known speed over one anywhere on the grid."""
+    n, near, everywhere = min(mem[at + Lines.WINDOWS] + 1.0, SCORE_MEMORY), 0.0, 0.0
     for i in range(GRID):
-        value = _likelihood(STRENGTH * mem[at + Ear.TOTAL + i])
+        value = _likelihood(EXPONENT * mem[at + Lines.DISCRIMINANT + i])
         everywhere += value / GRID
-        if abs(i - HALF) <= NEAR:
-            near += value / (2 * NEAR + 1)
+        if abs(i - HALF) <= SCORE_HALF_WIDTH:
+            near += value / (2 * SCORE_HALF_WIDTH + 1)
     score = math.log(near / everywhere)
-    mem[at + Ear.SCORE] += (score - mem[at + Ear.SCORE]) / n
-    mem[at + Ear.SQUARE] += (score * score - mem[at + Ear.SQUARE]) / n
+    mem[at + Lines.SCORE] += (score - mem[at + Lines.SCORE]) / n
+    mem[at + Lines.SQUARE] += (score * score - mem[at + Lines.SQUARE]) / n
 
 
 @njit(_nrt=False)
-def _learn(mem, at):
-    """What each channel shows on the line and beside it."""
-    n = min(mem[at + Ear.LEARNED] + 1.0, MEMORY)
-    mem[at + Ear.LEARNED] = n
+def _update_channels(mem, at):
+    """Average mean and variance of each channel on the line and beside it."""
+    n = min(mem[at + Lines.WINDOWS] + 1.0, CHANNEL_MEMORY)
+    mem[at + Lines.WINDOWS] = n
     for channel in range(CHANNELS):
-        values = at + Ear.CHANNEL + GRID * channel
-        if mem[values] == NOTHING or mem[values + GRID - 1] == NOTHING:
+        values = at + Lines.CHANNEL + GRID * channel
+        if mem[values] == NO_POWER or mem[values + GRID - 1] == NO_POWER:
             continue
-        beside, square, count = 0.0, 0.0, 2.0 * (HALF - LINE)
+        beside, square, count = 0.0, 0.0, 2.0 * (HALF - LINE_HALF_WIDTH)
         for i in range(GRID):
-            if abs(i - HALF) > LINE:
+            if abs(i - HALF) > LINE_HALF_WIDTH:
                 beside += mem[values + i] / count
                 square += mem[values + i] ** 2 / count
-        mem[at + Ear.ON + channel] += (mem[values + HALF] - mem[at + Ear.ON + channel]) / n
-        mem[at + Ear.OFF + channel] += (beside - mem[at + Ear.OFF + channel]) / n
+        mem[at + Lines.ON + channel] += (mem[values + HALF] - mem[at + Lines.ON + channel]) / n
+        mem[at + Lines.OFF + channel] += (beside - mem[at + Lines.OFF + channel]) / n
         variance = max(square - beside * beside, LEAST_SPREAD)
-        mem[at + Ear.SPREAD + channel] += (variance - mem[at + Ear.SPREAD + channel]) / n
+        mem[at + Lines.SPREAD + channel] += (variance - mem[at + Lines.SPREAD + channel]) / n

@@ -1,10 +1,10 @@
-"""For how long, and how far, the position can be trusted without fixes: the filter's own prediction, run ahead.
+"""Trust horizon: for how long, and how far, the position error stays within `horizon.limit` without fixes.
 
-A small copy of the memory - the newest state, the newest sample, room to work - goes on without fixes, in steps, as a
-vehicle that goes straight on: at its speed, or where it is slower (or stands) accelerating to `horizon.speed`. The
-vehicle's constraints are applied, and the wheel speed that has been told lately, with no innovation: nothing but the
-covariance moves. Standstills are not: nobody knows whether there will be one. The horizon is where the horizontal error
-is larger than `horizon.limit` with more than 5 %, by the covariance as it is published.
+A small copy of the filter's memory (newest state, newest sample, scratch) is predicted without fixes, in steps, for
+straight motion: at the present speed, or accelerating to `horizon.speed` where that is higher. The non-holonomic
+constraint and the wheel speed, where there is one, are applied with zero innovations: only the covariance changes.
+Standstills are not, as nobody knows whether there will be one. The horizon ends where the horizontal error exceeds
+`horizon.limit` with a probability above 5 %, by the published covariance.
 """
 from __future__ import annotations
 
@@ -41,45 +41,42 @@ from ..prediction import predict
 from ..trust.inputs import SPEED_LASTS
 from ..trust.scale import KINDS, Kinds, Seen, scale
 from ..update import feed_back, update
-from .odometry import besides
+from .odometry import added_covariance
 
-#: s, of one step: so often the constraints count as much as each CONSTRAINT_INTERVAL (`constraints.MOST_TOLD`)
+#: s, step of the prediction: constraints have the same weight at this interval as at CONSTRAINT_INTERVAL
+#: (`constraints.MOST_TOLD`)
 STEP = 0.2
-#: s: further is not looked, it costs time, and an error of minutes depends on what the vehicle does until then
+#: s, longest horizon: it costs time, and the error after minutes depends on what the vehicle does until then
 LONGEST = 120.0
-#: share of the errors that may be larger than the limit
-EXCEEDED = 0.05
-#: m/s^2: so a vehicle that is slower than `horizon.speed` drives off
-DRIVING_OFF = 2.0
-#: directions over a quarter of a turn at which the probability is taken: good to 1e-3 for a line, else better
+EXCEEDED = 0.05  # probability of an error above the limit at which the horizon ends
+DRIVING_OFF = 2.0  # m/s^2, acceleration of a vehicle that is slower than `horizon.speed`
+#: directions over a quarter turn at which the probability is evaluated: accurate to 1e-3 for a degenerate ellipse
 _DIRECTIONS = 16
-#: s: a speed that was not told for longer will not be told
-SPEED_PATIENCE = 1.0
+SPEED_PATIENCE = 1.0  # s since the last wheel speed after which none is expected
 
 
 class Horizon(NamedTuple):
-    """seconds: for which the horizontal error stays below the limit with 95 %, LONGEST at most. metres: of the way
-    until then."""
+    """seconds: for which the horizontal error stays below the limit with 95 %, LONGEST at most. metres: driven until
+    then."""
 
     seconds: float
     metres: float
 
     @property
     def in_words(self) -> str:
-        """As it is said."""
+        """For messages."""
         more = 'more than ' if self.seconds >= LONGEST else ''
         return f'{more}{self.seconds:.1f} s, {self.metres:.0f} m'
 
 
-class Lookout:
-    """Looks ahead from the memory of a filter with `config` (parameters `horizon.limit`, m, and `horizon.speed`, m/s).
-    """
+class HorizonPredictor:
+    """Horizons of a filter with `config` (parameters `horizon.limit`, m, and `horizon.speed`, m/s)."""
 
     def __init__(self, config: FilterConfig):
         self._limit, self._speed = config.parameters['horizon.limit'], config.parameters['horizon.speed']
         memory = config.memory()
         self._width, self._rows = int(memory[Head.WIDTH]), int(memory[Head.ROWS_AT])
-        # three rows: two to go on in, and one that keeps what the filter has seen of its inputs
+        # three rows: two for the prediction, one that keeps the statistics of the inputs
         self._ring = self._rows + 3 * self._width
         self._events = self._ring + Sample.SIZE
         scratch = self._events + Event.SIZE
@@ -88,24 +85,23 @@ class Lookout:
                       Head.EVENTS_AT: self._events, Head.SCRATCH_AT: scratch, Head.HISTORY_AT: 0, Wheels.AT: 0,
                       Head.MAX_GAP: math.inf}
 
-    def look(self, memory: np.ndarray, exceeded: float = EXCEEDED) -> Horizon:
-        """From the newest state of `memory`, which is left as it is. exceeded: share of the errors that may be
-        larger."""
+    def predict(self, memory: np.ndarray, exceeded: float = EXCEEDED) -> Horizon:
+        """The horizon from the newest state of `memory`, which does not change. exceeded: probability of an error above
+        the limit at which it ends."""
         copy, newest, width = self._copy, int(memory[Head.SAMPLES]), self._width
         state, sample = state_at(memory, newest), sample_at(memory, newest)
         copy[:self._rows] = memory[:self._rows]
         for row in (0, 2):
             copy[self._rows + row * width:][:width] = memory[state:state + width]
         copy[self._ring:self._events] = memory[sample:sample + Sample.SIZE]
-        told, interval = _told_speed(memory, memory[state + Nav.TIME])
-        copy[self._events:][:Event.SIZE] = told
+        copy[self._events:][:Event.SIZE], interval = _wheel_speed(memory, memory[state + Nav.TIME])
         for column, value in self._head.items():
             copy[column] = value
-        return Horizon(*_look(copy, self._limit, self._speed, interval, exceeded))
+        return Horizon(*_predict(copy, self._limit, self._speed, interval, exceeded))
 
 
-def _told_speed(memory: np.ndarray, now: float) -> tuple[np.ndarray, float]:
-    """The newest speed that was told, as a record, and the interval between them, s; 0: none is."""
+def _wheel_speed(memory: np.ndarray, now: float) -> tuple[np.ndarray, float]:
+    """Record of the newest wheel speed, and the mean interval between wheel speeds, s; 0: there are none."""
     records = views(memory)[-1][:int(memory[Head.EVENTS])]
     speeds = records[records[:, Event.KIND] == Kind.SPEED]
     time = speeds[:, Event.TIME]
@@ -115,22 +111,22 @@ def _told_speed(memory: np.ndarray, now: float) -> tuple[np.ndarray, float]:
 
 
 @njit(_nrt=False)
-def _look(mem, limit, wanted, interval, exceeded):
-    """Seconds and metres until the error is larger than `limit`, m, with more than the probability `exceeded`.
+def _predict(mem, limit, wanted, interval, exceeded):
+    """Seconds and metres until the error exceeds `limit`, m, with a probability above `exceeded`.
 
-    mem: as `Lookout` makes it. wanted: m/s, that the vehicle drives at least. interval: s between the speeds that are
-    told, with the record in the memory; 0: none.
+    mem: as `HorizonPredictor` makes it. wanted: m/s, lowest speed to accelerate to. interval: s between wheel speeds,
+    whose record is in the memory; 0: none.
     """
     first, width, sample = nonnegative(state_at(mem, 0)), int(mem[Head.WIDTH]), nonnegative(sample_at(mem, 0))
     src, dst, seen = first, nonnegative(first + width), nonnegative(first + 2 * width)
     mem[sample + Sample.INTERVAL], mem[sample + Sample.FAULT], mem[sample + Sample.STILL] = STEP, 0.0, 0.0
     metres = 0.0
     for k in range(round(LONGEST / STEP)):
-        if outside(mem, src, limit) > exceeded:
+        if exceedance_probability(mem, src, limit) > exceeded:
             return k * STEP, metres
         speed_now = math.hypot(mem[src + Nav.V_N], mem[src + Nav.V_E])
         coast(mem, sample, src)
-        mem[sample + Sample.COASTED] = 0.0  # the errors of sensors and attitude do count
+        mem[sample + Sample.COASTED] = 0.0  # errors of sensors and attitude count
         if speed_now < wanted:
             _accelerate(mem, src, sample)
         predict(mem, src, dst, sample, STEP)
@@ -139,7 +135,7 @@ def _look(mem, limit, wanted, interval, exceeded):
             constrain(mem, dst, sample)
         if interval > 0.0:
             _take_speed(mem, dst, sample, interval)
-        for i in range(Nav.MEMORY, NAV):  # agreement that is made here shows nothing
+        for i in range(Nav.MEMORY, NAV):  # zero innovations must not enter the statistics
             mem[dst + i] = mem[seen + i]
         metres += 0.5 * STEP * (speed_now + math.hypot(mem[dst + Nav.V_N], mem[dst + Nav.V_E]))
         src, dst = dst, src
@@ -148,7 +144,7 @@ def _look(mem, limit, wanted, interval, exceeded):
 
 @njit(_nrt=False)
 def _accelerate(mem, r, sample):
-    """The sample at `sample`, of a vehicle that keeps its speed, as of one that accelerates: along its own axis."""
+    """Add an acceleration along the vehicle's forward axis to the sample at `sample`."""
     yaw = int(mem[Head.MOUNTING_YAW])
     turn = mem[r + NAV + yaw] if yaw >= 0 else 0.0
     mem[sample + Sample.F_X] += DRIVING_OFF * math.cos(turn)
@@ -157,7 +153,7 @@ def _accelerate(mem, r, sample):
 
 @njit(_nrt=False)
 def _take_speed(mem, r, sample, interval):
-    """Correct the state at r with the speeds of a step, told as they are expected."""
+    """Correct the covariance of the state at r with the wheel speeds of a step, innovation zero."""
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     n, p, at = n_navigation + m, int(mem[Head.SCRATCH_AT]), int(mem[Head.EVENTS_AT])
     h = p + n * n
@@ -175,18 +171,18 @@ def _take_speed(mem, r, sample, interval):
 
 
 @njit(_nrt=False)
-def outside(mem, r, limit):
-    """Probability that the horizontal error of the state at r is larger than `limit`, m.
+def exceedance_probability(mem, r, limit):
+    """Probability that the horizontal error of the state at r exceeds `limit`, m.
 
-    In units of the ellipse's axes the error has a Rayleigh distribution in each direction phi:
-    the mean over phi of exp(-limit^2 / (2 (a cos(phi)^2 + b sin(phi)^2))), a and b the variances along the axes.
+    The mean over all directions phi of exp(-limit^2 / (2 (a cos(phi)^2 + b sin(phi)^2))), a and b the variances along
+    the axes of the error ellipse.
     """
     n_navigation = int(mem[Head.N_NAVIGATION])
     at = r + NAV + n_navigation + int(mem[Head.N_AUGMENTED])
     factor = variance_factor(mem, r)
-    nn = factor * mem[at] + besides(mem, r, 0, 0)
-    ne = factor * mem[at + 1] + besides(mem, r, 0, 1)
-    ee = factor * mem[at + n_navigation] + besides(mem, r, 1, 1)
+    nn = factor * mem[at] + added_covariance(mem, r, 0, 0)
+    ne = factor * mem[at + 1] + added_covariance(mem, r, 0, 1)
+    ee = factor * mem[at + n_navigation] + added_covariance(mem, r, 1, 1)
     mean, half = 0.5 * (nn + ee), math.hypot(0.5 * (nn - ee), ne)
     total = 0.0
     for k in range(_DIRECTIONS):

@@ -1,4 +1,4 @@
-"""Which events are good, for one live event and for a whole recording alike, and what is said of the others."""
+"""Validity of samples and measurements, for the live filter and for whole recordings, with messages on the others."""
 from __future__ import annotations
 
 import re
@@ -11,23 +11,20 @@ from mems_ins_fusion.compiled import njit
 from ...samples import Fixes, ImuSamples
 from ..advance import FORGOTTEN, TOO_LATE
 from ..config import FilterConfig
-from ..measurements.registry import FIRST_NAMED
 from ..memory import Event, Kind
 from ..start.start import DATUM_FIXES, first_place
 
-#: what two refusals for the same reason may differ in
+#: numbers, which are removed from reasons so that equal ones are counted together
 _NUMBER = re.compile(r'[-+]?\b(?:nan|inf|\d[\d.]*(?:e[-+]?\d+)?)\b')
-#: samples in a row whose stamps do not follow, after which the clock is believed to have jumped
-JUMP_COUNT = 5
-#: a measurement stamped this much after the newest IMU sample is not of the same clock, s; the kernel looks closer
+JUMP_COUNT = 5  # samples in a row, out of order with the earlier ones, after which the clock is taken to have jumped
+#: s: a measurement stamped this much after the newest IMU sample is of another clock; the kernel checks more closely
 LATEST = 5.0
-#: what `follow` makes of a sample
-GOOD, NOT_FINITE, NOT_FOLLOWING, JUMPED = 0, 1, 2, 3
+GOOD, NOT_FINITE, NOT_FOLLOWING, JUMPED = 0, 1, 2, 3  # codes of IMU samples by `follow`
 
 
 @dataclass(frozen=True)
 class Notice:
-    """Something a user should know. level: info, warning or error."""
+    """A message to the user. level: info, warning or error."""
 
     level: str
     text: str
@@ -35,12 +32,12 @@ class Notice:
 
 @njit
 def follow(state, stamp, values, restart_gap, step_back, codes):
-    """Which IMU samples are numbers and follow each other: codes (n,).
+    """Check IMU samples for finite values and ascending stamps; the result is written to codes (n,).
 
-    state (3,) int64: the last good stamp, that of a jump and how many have followed it; kept from call to call, and -1
-    at first. stamp (n,) ns. values (n, 6). restart_gap: ns. step_back: ns; a clock that is set back by no more, as NTP
-    and PTP do, is waited for: the samples are dropped until their stamps pass the last good one. JUMPED: good, but all
-    must begin anew.
+    state (3,) int64: last valid stamp, stamp of the newest sample after a possible jump, and number of these; kept
+    between calls, -1 at first. stamp (n,) ns. values (n, 6). restart_gap: ns. step_back: ns; after a smaller step back
+    of the clock, as by NTP or PTP, samples are dropped until their stamps pass the last valid one. JUMPED: valid, but
+    the filter must restart.
     """
     for i in range(len(stamp)):
         total = 0.0
@@ -66,25 +63,25 @@ def follow(state, stamp, values, restart_gap, step_back, codes):
 
 
 class Intake:
-    """What both ways into the filter share."""
+    """Base class of the live filter and the replay: checks their inputs and collects messages to the user."""
 
     def __init__(self, config: FilterConfig):
         self.config = config
         self._follow = np.full(3, -1, dtype=np.int64)
-        self._last = dict.fromkeys(config.inputs, None)  # stamps of the last good measurement, ns
+        self._last = dict.fromkeys(config.inputs, None)  # stamp of the last valid measurement of each input, ns
         self._notices: list[Notice] = []
         self._restart_gap = round(config.imu.restart_gap * 1e9)
         self._step_back = round(config.imu.max_gap * 1e9)
-        # the configuration computes these anew each time, which is too slow for each message
+        # computed once: these properties are too slow for each message
         self._latest, self._offsets = config.latest, {kind: config.time_offset_of(kind) for kind in config.inputs}
-        self._ahead = dict.fromkeys(config.inputs, (0, 0))  # stamps of the last one ahead, and of the sample before
-        #: why the newest measurement that `measured` refused was refused, without numbers
+        self._ahead = dict.fromkeys(config.inputs, (0, 0))  # stamps of the last measurement ahead, and of the IMU then
+        #: reason of the latest refusal by `measured`, without numbers
         self.refusal = ''
-        #: how much later than the quickest ones the newest message came, s: how long it waited in queues
+        #: s that the newest message has waited in queues: its delay minus the smallest delay
         self.waited = 0.0
 
     def notices(self) -> list[Notice]:
-        """What has happened since the last call."""
+        """Messages since the last call."""
         notices, self._notices = self._notices, []
         return notices
 
@@ -95,7 +92,7 @@ class Intake:
         return self.config.settings_of(kind).topic
 
     def follow(self, stamp: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """`follow` for these samples, stamp (n,) ns and values (n, 6); what is wrong is said."""
+        """Codes (n,) of IMU samples, stamp (n,) ns and values (n, 6), with a message for each that is not valid."""
         codes = np.zeros(len(stamp), dtype=np.int64)
         last = int(self._follow[0])
         follow(self._follow, stamp, values, self._restart_gap, self._step_back, codes)
@@ -124,11 +121,10 @@ class Intake:
         return self.config.inputs[kind].name
 
     def measured(self, kind: int, samples, newest: np.ndarray, epoch: int) -> tuple[np.ndarray, np.ndarray]:
-        """Records of the good ones among `samples` of one input, in the order of their arrival: indices and records.
+        """Valid measurements among `samples` of one input, in the order of arrival: their indices and records.
 
-        kind: number of the input, `Kind` of one without a name.
-
-        newest (n,): ns, the stamp of the IMU sample before each. epoch: ns, of the filter's time.
+        kind: number of the input. newest (n,): ns, stamp of the last IMU sample before each. epoch: ns, time zero of
+        the filter.
         """
         measurement, settings = self.config.inputs[kind], self.config.settings_of(kind)
         records, reasons, warnings = measurement.records(settings, samples)
@@ -149,7 +145,7 @@ class Intake:
                 self.say_not_taken(kind, TOO_LATE, int(stamp[i]), int(newest[i]))
         records[:, Event.TIME] = (stamp - epoch) * 1e-9
         if not measurement.is_plain:
-            records[:, Event.INPUT] = kind - FIRST_NAMED + 1
+            records[:, Event.INPUT] = measurement.event_input
             records[:, Event.STATE] = self.config.layout.index(measurement.state)
             records[:, Event.ARM:Event.ARM + 3] = measurement.arm
         return np.flatnonzero(good), records[good]
@@ -164,7 +160,7 @@ class Intake:
                             f'{why}; dropped')
 
     def _refuse_twins(self, kind: int, stamp: np.ndarray, reasons: np.ndarray) -> None:
-        """A stamp that comes twice is a message that came twice."""
+        """Refuse measurements with the stamp of the one before: messages that came twice."""
         good = np.flatnonzero(reasons == '')
         if not len(good):
             return
@@ -188,7 +184,7 @@ class Intake:
 
 
 def first_datum(config: FilterConfig, imu: ImuSamples, fixes: Fixes) -> np.ndarray | None:
-    """The origin (rad, rad, m) that a live filter would have taken for its local frame; None where no fix is good."""
+    """Origin (rad, rad, m) of the local frame of a live filter with these inputs; None where no fix is valid."""
     if config.datum is not None:
         return config.datum
     order = np.argsort(fixes.received, kind='stable')
@@ -204,11 +200,11 @@ def first_datum(config: FilterConfig, imu: ImuSamples, fixes: Fixes) -> np.ndarr
     return first_place(found) if found else None
 
 
-def corrected(correctors: list, stamp, values, celsius) -> np.ndarray:
-    """`values` (n, 6), sensor axes, without the effects that are declared. stamp (n,) ns, celsius (n,)."""
+def remove_effects(correctors: list, stamp, values, celsius) -> np.ndarray:
+    """`values` (n, 6), sensor axes, corrected for the configured effects. stamp (n,) ns, celsius (n,)."""
     if not correctors:
         return values
     force, rate = values[:, :3], values[:, 3:]
-    for corrector in correctors:  # contiguous: compiled code is made anew for each layout
+    for corrector in correctors:  # contiguous: other layouts would be compiled separately
         force, rate = corrector(stamp, np.ascontiguousarray(force), np.ascontiguousarray(rate), celsius)
     return np.column_stack([force, rate])

@@ -1,4 +1,4 @@
-"""What a live filter would publish of a recording: the same compiled `odometry` after the same events."""
+"""The odometry that a live filter would publish for a recording, by the same code after the same inputs."""
 from __future__ import annotations
 
 import numpy as np
@@ -9,17 +9,15 @@ from ..memory import Event, Kind
 from ..start.alignment import Alignment
 from ..start.initial import initialize
 from ..start.start import Start
-from ..start.without_heading import spread
-from .odometry import SIZE, odometry
-from .replay import Events, Progress, Replay
+from .odometry import SIZE, odometry, widen_without_heading
+from .replay import Events, Playback, Replay
 
 
 def published(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aiding, datum,
               keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Stamps (k,) ns and what `odometry` makes of the state after each of the samples `keep` (n,), (k, SIZE).
+    """Stamps (k,) ns and `odometry` (k, SIZE) after each of the samples `keep` (n,) bool.
 
-    datum: latitude, longitude (rad), height of the origin. Before the heading is known, those of the provisional
-    filter.
+    datum: latitude, longitude (rad), height of the origin. Before the heading is known, that of the provisional filter.
     """
     work = _Publishing(config, imu, fixes, aiding, None, keep)
     work.datum = np.array(datum, dtype=float)
@@ -30,7 +28,7 @@ def published(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aidin
 
 
 class _Waiting(Alignment):
-    """An alignment that remembers each provisional start, and how many samples had come by then."""
+    """An alignment that records each provisional start and the number of samples before it."""
 
     def __init__(self, config: FilterConfig):
         super().__init__(config)
@@ -48,7 +46,7 @@ class _Waiting(Alignment):
 
 
 class _Publishing(Replay):
-    """A replay that stops after each sample kept and asks for the odometry, as the node does."""
+    """A replay that stops after each sample kept to compute the odometry, as the node does."""
 
     datum: np.ndarray
     height_sigma = 0.0
@@ -69,8 +67,8 @@ class _Publishing(Replay):
         self._waiting = _Waiting(self.config)
         return self._waiting
 
-    def _align(self, kept, samples, events: Events, remembered) -> tuple[Start | None, int]:
-        start, first = super()._align(kept, samples, events, remembered)
+    def _align(self, kept, samples, events: Events, saved) -> tuple[Start | None, int]:
+        start, first = super()._align(kept, samples, events, saved)
         found = self._waiting.found
         self._aligned = self._waiting.fed
         if start is None:
@@ -86,19 +84,22 @@ class _Publishing(Replay):
 
     def _filter(self, memory, samples, index, events: Events, epoch: int) -> None:
         events.record[:, Event.ID] = np.arange(len(events.kind))
-        first = self._length - len(index)  # a start is of the time of its fix, and known when that has come
+        first = self._length - len(index)  # the start is of the time of its fix, but known only when that has arrived
         self._ask(memory, samples, index, events, first, max(self._aligned - first, 0)).finish(memory)
         self.height_sigma = np.append(self._heights[1], self.height_sigma)[len(self._heights[0]) - 1]
 
     def _ask(self, memory, samples, index, events: Events, first: int, silent: int = 0,
-             without_heading: Start | None = None) -> Progress:
-        """`samples` with these indices, that numbered `first` first, through the kernel; the odometry after each that
-        is kept, but for the `silent` first ones. without_heading: where a filter without a heading began."""
+             without_heading: Start | None = None) -> Playback:
+        """Samples with their indices through the kernel, and the odometry after each that is kept.
+
+        first: number of the first of them. silent: number of samples before the first output. without_heading: the
+        start of a provisional filter.
+        """
         kept = np.flatnonzero(self.keep[index])
         kept = kept[kept >= silent]
         rows, geodetic, covariance = np.zeros((len(kept), SIZE)), np.empty(3), np.empty(9)
-        work = Progress(samples, events, self.columns, kept[:0], np.empty((0, len(self.columns))))
-        # the planar height is as good as the latest fix says, those of the alignment too
+        work = Playback(samples, events, self.columns, kept[:0], np.empty((0, len(self.columns))))
+        # the standard deviation of the planar height is that of the latest fix, including those of the alignment
         arrived, sigma = self._heights
         latest = np.searchsorted(arrived, kept + first, side='right') - 1
         sigma = np.append(sigma, self.height_sigma)  # -1, none yet, is the one before
@@ -106,6 +107,6 @@ class _Publishing(Replay):
             work.advance(memory, k + 1)
             odometry(memory, self.datum, sigma[latest[i]], rows[i], geodetic, covariance)
             if without_heading is not None:
-                spread(without_heading, self.datum, rows[i], geodetic, covariance)
+                widen_without_heading(without_heading, self.datum, rows[i], geodetic, covariance)
         self.published.append((index[kept], rows))
         return work

@@ -1,4 +1,4 @@
-"""From a state of the filter to what ROS wants: pose, twist and their covariances in REP-103 frames."""
+"""A state of the filter as odometry: pose, twist and their covariances in the frames of REP 103."""
 from __future__ import annotations
 
 import math
@@ -30,18 +30,17 @@ from ..memory import (
 from ..trust.hypotheses import spread
 from ..trust.white_noise import density
 
-#: where each part stands in the vector that `odometry` fills
+#: first indices in the vector that `odometry` fills, and its size
 POSITION, ORIENTATION, POSE_COVARIANCE, LINEAR, ANGULAR, TWIST_COVARIANCE, SIZE = 0, 3, 7, 43, 46, 49, 85
-#: rad, sigma of the tilt, which the planar mechanization does not estimate: road slopes
+#: rad, standard deviation of roll and pitch, which the planar mechanization does not estimate: road slopes
 PLANAR_TILT_SIGMA = 0.05
-#: m/s, and of its vertical velocity
-PLANAR_VERTICAL_SIGMA = 0.5
+PLANAR_VERTICAL_SIGMA = 0.5  # m/s, standard deviation of the vertical velocity, which it does not estimate either
 
 
 @njit
 def corrected(row, r, is_planar, open_loop):
-    """Latitude, longitude, height, v_n, v_e, v_d and the quaternion from b to n of the state at r; open loop: with x
-    subtracted."""
+    """Latitude, longitude, height, v_n, v_e, v_d and the quaternion from b to n of the state at r; open loop: minus the
+    estimated errors x."""
     x = r + NAV
     if is_planar:
         q = (math.cos(0.5 * row[r + Nav.YAW]), 0.0, 0.0, math.sin(0.5 * row[r + Nav.YAW]))
@@ -65,39 +64,52 @@ def corrected(row, r, is_planar, open_loop):
 
 
 @njit(_nrt=False)
-def besides(row, r, i, j):
-    """What element (i, j) of the covariance of position and velocity (n, e; n, e) of the state at r in `row` is
-    published with besides P: errors of the receiver that last (trust/receiver.py), and what another hypothesis says
-    (trust/hypotheses.py).
-    """
+def added_covariance(row, r, i, j):
+    """Term added to P in the published covariance of the state at row[r], element (i, j) of position and velocity
+    (n, e; n, e): slow errors of the receiver (trust/receiver.py), and the second hypothesis (trust/hypotheses.py)."""
     apart = spread(row, r)
     lasting = row[r + Nav.LASTING] if i == j and i < 2 else 0.0
     return lasting + apart[i] * apart[j]
 
 
 @njit(_nrt=False)
-def widen(full, at, n, first, row, r):
-    """Add what is `besides` it to the covariance (n, n) at full[at] of the state at r in `row`; first: state of v_n."""
+def add_to_covariance(full, at, n, first, row, r):
+    """Add `added_covariance` of the state at row[r] to the covariance (n, n) at full[at]; first: index of v_n."""
     where = (0, 1, first, first + 1)
     for i in range(4):
         for j in range(4):
-            full[nonnegative(at + n * where[i] + where[j])] += besides(row, r, i, j)
+            full[nonnegative(at + n * where[i] + where[j])] += added_covariance(row, r, i, j)
 
 
 def published_covariance(row: np.ndarray, layout: StateLayout) -> np.ndarray:
-    """The covariance (n, n) that the state in `row` is published with."""
+    """The published covariance (n, n) of the state in `row`."""
     full = variance_factor(row, 0) * covariance(row, layout)
-    widen(full.ravel(), 0, layout.n, layout.index('v_n'), row, 0)  # of its own memory
+    add_to_covariance(full.ravel(), 0, layout.n, layout.index('v_n'), row, 0)  # ravel: a view, it is contiguous
     return full
+
+
+def widen_without_heading(start, datum, out: np.ndarray, geodetic: np.ndarray, geodetic_covariance: np.ndarray) -> None:
+    """Change an `odometry`, in place, to what may be published while the heading is unknown.
+
+    The filter is linear in the error of the heading, which here may be anything. So the position stays that of `start`
+    (a `Start`), and the distance that the sensors saw since is added to its standard deviation in both directions.
+    """
+    north, east, down = to_local(start.latitude, start.longitude, start.height, datum)
+    distance = math.hypot(out[0] - east, out[1] - north)
+    out[0], out[1], out[2] = east, north, -down
+    geodetic[:] = start.latitude, start.longitude, start.height
+    out[[POSE_COVARIANCE, POSE_COVARIANCE + 7]] += distance**2
+    geodetic_covariance[[0, 4]] += distance**2
 
 
 @njit
 def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
     """The newest state as odometry.
 
-    datum: (3,) latitude, longitude (rad), height. height_sigma: m, for the planar mechanization, which has no height.
-    out (85,): position ENU; orientation x, y, z, w of base_link (FLU) in ENU; pose covariance 6 x 6; linear and angular
-    velocity in base_link; twist covariance 6 x 6. geodetic (3,), geodetic_covariance (9,) ENU.
+    datum: (3,) latitude, longitude (rad), height. height_sigma: m, of the planar mechanization, which has no height.
+    Outputs: out (SIZE,): position ENU; orientation x, y, z, w of base_link (FLU) in ENU; pose covariance 6 x 6; linear
+    and angular velocity in base_link; twist covariance 6 x 6. geodetic (3,), geodetic_covariance (9,) ENU. Returns the
+    time of the state, s.
     """
     n_navigation, m = int(memory[Head.N_NAVIGATION]), int(memory[Head.N_AUGMENTED])
     newest = int(memory[Head.SAMPLES])
@@ -108,7 +120,7 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
     factor = variance_factor(memory, r)
     for k in range(full, full + n * n):
         memory[k] *= factor
-    widen(memory, full, n, velocity_state(memory), memory, r)
+    add_to_covariance(memory, full, n, velocity_state(memory), memory, r)
     latitude, longitude, height, v_n, v_e, v_d, q = corrected(memory, r, is_planar, memory[Head.OPEN_LOOP] != 0.0)
     geodetic[0], geodetic[1], geodetic[2] = latitude, longitude, height
     north, east, down = to_local(latitude, longitude, height, datum)
@@ -160,7 +172,7 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
 
 @njit
 def _enu(i):
-    """Where component i of an ENU pose stands among position and attitude errors in NED, and its sign."""
+    """Index of component i of an ENU pose among the errors of position and attitude in NED (`Error`), and its sign."""
     component = i % 3
     sign = -1.0 if component == 2 else 1.0
     swapped = 1 - component if component < 2 else 2
@@ -179,14 +191,14 @@ def _orientation(q, out):
 
 @njit
 def _angular(memory, newest, r, sample, full, out):
-    """Angular velocity of the sample, sensor errors removed, and its variance with the sample's white noise; zero
+    """Angular velocity of the sample minus the estimated errors, and its variance including the white noise; zero
     before the first sample. full: position of the covariance (n, n) in the memory."""
     n = int(memory[Head.N_NAVIGATION]) + int(memory[Head.N_AUGMENTED])
     for k in range(3):
         sign = 1.0 if k == 0 else -1.0
         at = TWIST_COVARIANCE + 6 * (3 + k) + 3 + k
         state = channel_of(memory, 3 + k)
-        if state < 0 or newest == 0:  # a planar vehicle neither rolls nor pitches
+        if state < 0 or newest == 0:  # planar: roll and pitch rate are zero
             out[ANGULAR + k] = 0.0
             out[at] = PLANAR_TILT_SIGMA**2
             continue

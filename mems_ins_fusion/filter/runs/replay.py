@@ -1,8 +1,8 @@
-"""A whole recording through the filter, with the outages it would have coasted through branched off on the way.
+"""Replay: a whole recording through the filter, with simulated outages.
 
-The same events in the order of their arrival give the same numbers as live, bit for bit. Until the first measurement
-that is withheld, an outage's run is the ordinary run. So the filter is copied there and the copy goes on without: each
-outage is the only one in its run, however many there are and however close they lie, and costs its own duration.
+The same inputs in the order of their arrival give the same numbers as live, bit for bit. Up to the first measurement
+that is withheld, the run with an outage equals the ordinary run. So the filter is copied there, and the copy continues
+without these measurements: each outage is the only one in its run, and costs only its own duration.
 """
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from ...samples import Aiding, Fixes, ImuSamples
 from .. import kernel
 from ..advance import TAKEN
 from ..config import FilterConfig
-from ..memory import Event, Head, Kind, Nav, Sample, Verdict, state_at
-from ..start.alignment import Alignment, Remembered
+from ..memory import Event, Head, Kind, Nav, Sample, Verdict, newest_row
+from ..start.alignment import Alignment
 from ..start.initial import initialize
-from ..start.start import Start, retaken
+from ..start.start import SavedState, Start, remeasured
 from ..trust.imu_faults import FAULTS, Imu
-from .horizon import Lookout
-from .intake import GOOD, JUMPED, Intake, corrected
-from .results import Measured, Run, columns, result
-from .snapshot import after_jump
-from .vehicle_check import vehicle_says
+from .horizon import HorizonPredictor
+from .intake import GOOD, JUMPED, Intake, remove_effects
+from .results import MeasurementLog, Run, columns, result
+from .snapshot import saved_at_jump
+from .vehicle_check import vehicle_warnings
 
 _NOTHING = np.empty((0, Event.SIZE))
 
@@ -34,9 +34,9 @@ _NOTHING = np.empty((0, Event.SIZE))
 class Coasting:
     """Outages of one filter.
 
-    begin (o,): ns, the IMU's clock: fixes later than this are withheld. first (o + 1,): outage i has the rows first[i]
-    to first[i + 1] of `run`, from the last sample kept at or before its begin. announced (o,): s from the begin, for
-    which the filter then said that its error stays below `horizon.limit` (`horizon.py`).
+    begin (o,): ns, IMU's clock; fixes later than this are withheld. first (o + 1,): outage i has the rows first[i] to
+    first[i + 1] of `run`, from the last sample kept at or before its begin. announced (o,): the trust horizon at the
+    begin, s (`horizon.py`).
     """
 
     begin: np.ndarray
@@ -47,19 +47,19 @@ class Coasting:
 
 def run(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aiding = Aiding(), start: Start | None = None,
         keep: np.ndarray | None = None) -> Run:
-    """The whole recording.
+    """Replay the whole recording.
 
-    start: begin there instead of aligning, where the recording has no restart. keep: whether to keep the state after
-    each sample of `imu`, (n,) bool; all where None.
+    start: used instead of the alignment at the beginning. keep: whether to keep the state after each sample of `imu`,
+    (n,) bool; None: all.
     """
     return Replay(config, imu, fixes, aiding, start, keep).run()
 
 
 @dataclass(frozen=True)
 class Constrained:
-    """What the vehicle's constraints said, in the order of time: index (c,) of the IMU sample, kind (c,) of `Kind`,
-    innovation z (c, 3) and its variances s (c, 3), m/s: north, east and down at standstill, else to the right and
-    down of the vehicle."""
+    """Innovations of the vehicle's constraints in the order of time: index (c,) of the IMU sample, kind (c,) of `Kind`,
+    innovation z (c, 3) and its variances s (c, 3), m/s: north, east and down at standstill, else right and down in the
+    vehicle's axes."""
 
     index: np.ndarray
     kind: np.ndarray
@@ -69,13 +69,11 @@ class Constrained:
 
 def run_with_constraints(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aiding = Aiding(),
                          start: Start | None = None, keep: np.ndarray | None = None) -> tuple[Run, Constrained]:
-    """The same as `run`, and what the constraints said in it."""
+    """The same as `run`, and the innovations of the constraints."""
     work = Replay(config, imu, fixes, aiding, start, keep)
-    work.said = []
+    work.constrained = [(np.empty(0, dtype=np.int64), np.empty((0, Sample.SIZE)))]
     found = work.run()
-    columns = [np.concatenate(c) for c in zip(*work.said)] if work.said else [np.empty(0, dtype=np.int64),
-                                                                                np.empty((0, Sample.SIZE))]
-    index, samples = columns
+    index, samples = (np.concatenate(parts) for parts in zip(*work.constrained))
     return found, Constrained(index, samples[:, Sample.CONSTRAINT].astype(np.int64), samples[:, Sample.Z:Sample.Z + 3],
                               samples[:, Sample.S:Sample.S + 3])
 
@@ -83,23 +81,19 @@ def run_with_constraints(config: FilterConfig, imu: ImuSamples, fixes: Fixes, ai
 def run_with_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin: np.ndarray, duration: float,
                      aiding: Aiding = Aiding(), keep: np.ndarray | None = None,
                      start: Start | None = None) -> tuple[Run, Coasting]:
-    """The ordinary run, and the runs in which what comes from satellites after each `begin` is withheld.
+    """The ordinary run, and the runs in which all measurements from satellites after each `begin` are withheld.
 
-    begin: (o,) ns, ascending. duration: s that each outage is followed for, or to the end of the recording. keep,
-    start: as for `run`. An outage is left out where the filter was not running at its begin.
+    begin: (o,) ns, ascending. duration: s, length of each outage, which may end with the recording. keep, start: as for
+    `run`. Outages that begin while the filter is not running are left out.
     """
     work = Replay(config, imu, fixes, aiding, start, keep, np.asarray(begin, dtype=np.int64), duration)
-    whole = work.run()
-    lengths = [len(branch.samples) for branch in work.branches]
-    first = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-    return whole, Coasting(np.array([branch.begin for branch in work.branches], dtype=np.int64), first,
-                           work.result(work.branches), np.array([branch.announced for branch in work.branches]))
+    return work.run(), work.coasting()
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Between two restarts, or one outage: the samples (indices) whose states are kept, and these. Of an outage: its
-    begin, ns, and for how long it was then announced to be endured, s."""
+    """Kept states of the run between two restarts, or of one outage: indices of their samples, and the states. Of an
+    outage: its begin, ns, and the trust horizon then, s."""
 
     samples: np.ndarray
     states: np.ndarray
@@ -108,10 +102,10 @@ class Stretch:
 
 
 class Replay(Intake):
-    """A recording on its way through the filter: stretches between restarts, aligned and run one by one.
+    """A replay: stretches between restarts of the filter, aligned and run one by one.
 
-    Who wants something else of a replay (`smoothing`, `publish`) overrides a step of it: `_memory` (the filter's, new),
-    `_events` (what was measured in a stretch), `_alignment` and `_align` (its start), `_filter` (the rest of it).
+    Subclasses (smoothing.py, live_output.py) override steps of it: `_memory` (memory of a new filter), `_events`
+    (measurements of a stretch), `_alignment` and `_align` (its start), `_filter` (all that follows).
     """
 
     def __init__(self, config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aiding, given: Start | None,
@@ -122,23 +116,23 @@ class Replay(Intake):
         self.begin, self.duration = begin, duration
         self.inputs = {kind: fixes if kind == Kind.POSITION else aiding.get(measurement.name)
                        for kind, measurement in config.inputs.items()}
-        #: numbers of what comes from satellites and is withheld in an outage
+        #: numbers of the inputs that an outage withholds
         self.withheld = [kind for kind, measurement in config.inputs.items() if measurement.from_satellites]
-        # what arrived together with a sample comes after it
+        # a measurement that arrived at the same time as a sample comes after it
         self.arrival = {kind: np.searchsorted(imu.received, samples.received, side='right')
                         for kind, samples in self.inputs.items() if samples is not None}
         self.columns = columns(config.layout)
         self.stretches: list[Stretch] = []
         self.branches: list[Stretch] = []
-        self.measurements: list[Measured] = []
-        self.said: list[tuple[np.ndarray, np.ndarray]] | None = None
+        self.measurements: list[MeasurementLog] = []
+        self.constrained: list[tuple[np.ndarray, np.ndarray]] | None = None  # samples with a constraint, if asked for
         self.start: Start | None = None
         self.memory: np.ndarray | None = None
         self.seconds = 0.0
 
     def run(self) -> Run:
         segments = self._segments()
-        self.kept: Remembered | None = None  # of the stretch before
+        self.saved: SavedState | None = None  # of the previous stretch
         ends = [kept[0] for kept in segments[1:]] + [np.iinfo(np.int64).max]
         correctors = self.config.correctors()
         for kept, end in zip(segments, ends):
@@ -147,24 +141,24 @@ class Replay(Intake):
         return self.result(self.stretches)
 
     def _segments(self) -> list[np.ndarray]:
-        """Indices of the good samples, one array for each stretch between restarts."""
+        """Indices of the valid samples, one array for each stretch between restarts."""
         codes = self.follow(self.imu.stamp, np.hstack([self.imu.specific_force, self.imu.angular_rate]))
         good = np.flatnonzero((codes == GOOD) | (codes == JUMPED))
         return [part for part in np.split(good, np.flatnonzero(codes[good] == JUMPED)) if len(part)]
 
     def _run_segment(self, kept: np.ndarray, end: int, correctors: list) -> None:
-        """Align on the samples `kept` and run the rest; `end`: the index of the sample with which the next begins."""
-        remembered, self.kept = self.kept, None
+        """Align on the samples `kept` and run the rest; `end`: index of the first sample of the next stretch."""
+        saved, self.saved = self.saved, None
         epoch = int(self.imu.stamp[kept[0]])
         time = (self.imu.stamp[kept] - epoch) * 1e-9
-        samples = np.empty((len(kept), 7))  # one array, and no copies beside it: hours are hundreds of megabytes
+        samples = np.empty((len(kept), 7))  # filled in place: hours of samples are hundreds of megabytes
         samples[:, 0] = time
         samples[:, 1:4], samples[:, 4:] = self.imu.specific_force[kept], self.imu.angular_rate[kept]
         if correctors:
             celsius = np.full(len(kept), np.nan) if self.imu.temperature is None else self.imu.temperature[kept]
-            samples[:, 1:] = corrected(correctors, self.imu.stamp[kept], samples[:, 1:].copy(), celsius)
+            samples[:, 1:] = remove_effects(correctors, self.imu.stamp[kept], samples[:, 1:].copy(), celsius)
         events = self._events(kept, end, epoch)
-        start, first = self._align(kept, samples, events, remembered)
+        start, first = self._align(kept, samples, events, saved)
         if start is None:
             return
         self.start = self.start or start
@@ -177,26 +171,26 @@ class Replay(Intake):
         self.seconds += clock.thread_time() - began
         self.memory = memory
         if end < len(self.imu):
-            self.kept = after_jump(self.config, memory, int(self.imu.stamp[kept[-1]]), int(self.imu.stamp[end]))
+            self.saved = saved_at_jump(self.config, memory, int(self.imu.stamp[kept[-1]]), int(self.imu.stamp[end]))
         for i in np.flatnonzero(events.answer != TAKEN):
             last = max(events.arrival[i] + skip - 1, 0)
             self.say_not_taken(int(events.kind[i]), int(events.answer[i]),
                                epoch + round(events.record[i, Event.TIME] * 1e9), int(self.imu.stamp[kept[last]]))
         judged = events.record[:, Event.VERDICT] != Verdict.PENDING
         stamp = epoch + np.rint(events.record[:, Event.TIME] * 1e9).astype(np.int64)
-        self.measurements.append(Measured(events.kind, events.index, stamp, events.record).select(judged))
+        self.measurements.append(MeasurementLog(events.kind, events.index, stamp, events.record).select(judged))
 
     def _memory(self) -> np.ndarray:
         return self.config.memory()
 
     def _events(self, kept: np.ndarray, end: int, epoch: int) -> Events:
-        """The good measurements that arrived within a stretch, in the order of their arrival."""
+        """The valid measurements that arrived within a stretch, in the order of arrival."""
         parts = []
         for kind in self.arrival:
             arrival = self.arrival[kind]
             self._last[kind] = None
             mine = np.flatnonzero((arrival > kept[0]) & (arrival <= end))
-            before = np.searchsorted(kept, arrival[mine])  # samples of this stretch that came before each
+            before = np.searchsorted(kept, arrival[mine])  # number of samples of this stretch before each
             used, records = self.measured(kind, self.inputs[kind].select(mine), self.imu.stamp[kept[before - 1]], epoch)
             parts.append((np.full(len(used), kind), mine[used], before[used], self.inputs[kind].received[mine[used]],
                           records))
@@ -206,16 +200,16 @@ class Replay(Intake):
         return Events(kind[order], index[order], arrival[order].astype(np.int64), record,
                        np.zeros(len(order), dtype=np.int64))
 
-    def _align(self, kept, samples, events: Events, remembered: Remembered | None) -> tuple[Start | None, int]:
-        """The start, and how many events went into it or came before it. remembered: of the stretch before."""
+    def _align(self, kept, samples, events: Events, saved: SavedState | None) -> tuple[Start | None, int]:
+        """The start, and the number of events up to it. saved: state of the previous stretch."""
         fixes = np.flatnonzero(events.kind == Kind.POSITION)
         if self.given is not None and self.start is None:
-            start = retaken(self.given, self.config, samples)
+            start = remeasured(self.given, self.config, samples)
             first = int(np.searchsorted(events.record[fixes, Event.TIME], start.time + 1e-6, side='right'))
             return start, int(fixes[first]) if first < len(fixes) else len(events.kind)
         alignment, fed = self._alignment(), 0
-        if remembered is not None:
-            alignment.remember(remembered)
+        if saved is not None:
+            alignment.use_saved(saved)
         for i in np.flatnonzero((events.kind == Kind.POSITION) | (events.record[:, Event.KIND] == Kind.MAGNETIC)):
             if events.kind[i] != Kind.POSITION:
                 alignment.add_field(events.record[i])
@@ -235,7 +229,7 @@ class Replay(Intake):
         return Alignment(self.config)
 
     def _filter(self, memory, samples, index, events: Events, epoch: int) -> None:
-        """`samples` (k, 7) of the IMU (`index` of each) and events through the kernel, outages branched off."""
+        """Samples (k, 7) with their indices, and events, through the kernel; outages as copies of the filter."""
         kept = np.flatnonzero(self.keep[index])
         states = np.empty((len(kept), len(self.columns)))
         time = samples[:, 0]
@@ -246,14 +240,14 @@ class Replay(Intake):
             later = withheld & (events.record[:, Event.TIME] > (b - epoch) * 1e-9)
             forks.append(int(events.arrival[later].min()) if later.any() else len(samples))
         events.record[:, Event.ID] = np.arange(len(events.kind))
-        work = Progress(samples, events, self.columns, kept, states)
-        branches, lookout = {}, Lookout(self.config)
+        work = Playback(samples, events, self.columns, kept, states)
+        branches, horizon = {}, HorizonPredictor(self.config)
         for i in np.argsort(forks, kind='stable'):
             work.advance(memory, forks[i])
             since = (begin[i] - epoch) * 1e-9
-            branches[int(i)] = *self._branch(memory, work, since, withheld), _announced(lookout, memory, since)
-        if self.said is not None:
-            self._listen(memory, work, index)
+            branches[int(i)] = *self._branch(memory, work, since, withheld), _announced(horizon, memory, since)
+        if self.constrained is not None:
+            self._keep_constraints(memory, work, index)
         work.advance(memory, len(samples))
         work.finish(memory)
         for i, b in enumerate(begin):
@@ -261,21 +255,21 @@ class Replay(Intake):
             self.branches.append(Stretch(index[kept[rows]], coasted, b, announced))
         self.stretches.append(Stretch(index[kept], states))
 
-    def _listen(self, memory, work: Progress, index) -> None:
-        """Go on to the last sample, and keep what the constraints said: the memory holds it for some samples only."""
+    def _keep_constraints(self, memory, work: Playback, index) -> None:
+        """Run to the last sample and keep those at which a constraint was applied, before the memory drops them."""
         capacity, first = self.config.capacity, int(memory[Head.SAMPLES]) + 1
         samples = memory[int(memory[Head.RING_AT]):][:capacity * Sample.SIZE].reshape(capacity, Sample.SIZE)
         for begin in range(0, len(work.samples), capacity // 2):
             end = min(begin + capacity // 2, len(work.samples))
             work.advance(memory, end)
             rows = samples[(first + np.arange(begin, end)) % capacity]
-            spoke = rows[:, Sample.CONSTRAINT] != 0.0
-            self.said.append((index[begin:end][spoke], rows[spoke]))
+            applied = rows[:, Sample.CONSTRAINT] != 0.0
+            self.constrained.append((index[begin:end][applied], rows[applied]))
 
-    def _branch(self, memory, work: Progress, begin: float, withheld) -> tuple[slice, np.ndarray]:
-        """One outage from where `work` is: which of the kept states it covers, and these.
+    def _branch(self, memory, work: Playback, begin: float, withheld) -> tuple[slice, np.ndarray]:
+        """One outage, from the present position of `work`: which of the kept states it covers, and these states.
 
-        One row before the begin and one after the end are there to interpolate between.
+        They include one before the begin and one after the end, to interpolate between.
         """
         time = work.samples[work.kept, 0]
         first = int(np.searchsorted(time, begin, side='right')) - 1
@@ -285,13 +279,13 @@ class Replay(Intake):
         coasted[:done] = work.states[first:first + done]
         if done < len(coasted):
             left = work.events.select(~(withheld & (work.events.record[:, Event.TIME] > begin)))
-            branch = Progress(work.samples, left, self.columns, work.kept, np.empty_like(work.states[:0]), work)
+            branch = Playback(work.samples, left, self.columns, work.kept, np.empty_like(work.states[:0]), work)
             branch.into(coasted[done:], first + done)
             branch.advance(memory.copy(), int(work.kept[stop - 1]) + 1)
         return slice(first, stop), coasted
 
     def _sum_up(self) -> None:
-        """Say what the filter did not believe, once for each reason."""
+        """One message for each reason for which measurements were refused, and those on IMU and vehicle."""
         measured = self.measured_all
         for kind in self.arrival:
             counts = measured.verdicts(kind)
@@ -299,25 +293,32 @@ class Replay(Intake):
             for verdict, why in ((Verdict.REFUSED, 'refused: they do not fit what the filter expects'),
                                  (Verdict.FROZEN, 'refused: they repeat themselves while the vehicle moves'),
                                  (Verdict.STRAIGHT_ON, 'refused: the receiver goes straight on as without satellites'),
-                                 (Verdict.CONTRADICTED, 'refused: they make up another way than the one between the '
+                                 (Verdict.CONTRADICTED, 'refused: they add up to another way than the one between the '
                                                         'fixes (a wrong unit, sign or axes, or a dead sensor)'),
                                  (Verdict.AHEAD, 'refused: stamped ahead of the IMU, the clocks differ '
                                                  '(gnss.time_offset)'),
-                                 (Verdict.RECOVERED, 'had the filter start anew: those refused before it agree')):
+                                 (Verdict.RECOVERED, 'restarted the filter: those refused before agree with it')):
                 if counts.get(verdict):
                     self.say('warning', f'{self.topic(kind)}: {counts[verdict]} of {total} messages {why}')
         if self.memory is None:
             return
         fixes = measured.record[measured.kind == Kind.POSITION]
-        for text in (*kernel_says(self.memory, self.config.imu.topic), *vehicle_says(self.memory, self.config, fixes)):
+        for text in (*imu_warnings(self.memory, self.config.imu.topic),
+                     *vehicle_warnings(self.memory, self.config, fixes)):
             self.say('warning', text)
 
     @property
-    def measured_all(self) -> Measured:
+    def measured_all(self) -> MeasurementLog:
         if not self.measurements:
-            return Measured(*np.empty((3, 0), dtype=np.int64), _NOTHING)
+            return MeasurementLog(*np.empty((3, 0), dtype=np.int64), _NOTHING)
         names = ('kind', 'index', 'stamp', 'record')
-        return Measured(*(np.concatenate([getattr(m, name) for m in self.measurements]) for name in names))
+        return MeasurementLog(*(np.concatenate([getattr(m, name) for m in self.measurements]) for name in names))
+
+    def coasting(self) -> Coasting:
+        """The outages, after `run`."""
+        first = np.concatenate([[0], np.cumsum([len(branch.samples) for branch in self.branches])]).astype(np.int64)
+        return Coasting(np.array([branch.begin for branch in self.branches], dtype=np.int64), first,
+                        self.result(self.branches), np.array([branch.announced for branch in self.branches]))
 
     def result(self, stretches: list[Stretch]) -> Run:
         states = [s.states for s in stretches] or [np.empty((0, len(self.columns)))]
@@ -329,8 +330,8 @@ class Replay(Intake):
 
 @dataclass(frozen=True)
 class Events:
-    """Measurements in the order of their arrival: kind (number of the input), index among its samples, how many
-    of the IMU came before, records as the kernel takes them, and its answers."""
+    """Measurements in the order of arrival: kind (number of the input), index among its samples, arrival (number of IMU
+    samples before it), record, and the kernel's answer."""
 
     kind: np.ndarray
     index: np.ndarray
@@ -343,20 +344,20 @@ class Events:
                        self.answer[index])
 
     def later(self, first: int, skip: int) -> Events:
-        """Those from `first` on, with `skip` samples less in front."""
+        """Those from `first` on, for a run without the first `skip` IMU samples."""
         events = self.select(slice(first, None))
         return Events(events.kind, events.index, np.maximum(events.arrival - skip, 0), events.record, events.answer)
 
 
-class Progress:
-    """How far the kernel has come with a recording."""
+class Playback:
+    """Position of the kernel in a recording. after: the run that this is a copy of."""
 
-    def __init__(self, samples, events: Events, names: np.ndarray, kept, states, after: Progress | None = None):
+    def __init__(self, samples, events: Events, names: np.ndarray, kept, states, after: Playback | None = None):
         self.samples, self.events, self.columns, self.kept, self.states = samples, events, names, kept, states
         self.sample = after.sample if after else 0
         self.next_row = 0
         self.first_row = 0
-        # a branch leaves the measurements' records to the run it came from
+        # a copy does not write to the log of the original run
         self.log = _NOTHING if after else events.record
         self.next_event = 0
         if after:
@@ -364,11 +365,11 @@ class Progress:
             self.next_event = int(np.count_nonzero(np.isin(events.record[:, Event.ID], done)))
 
     def into(self, states, row: int) -> None:
-        """Put the states from kept sample number `row` on into `states`."""
+        """Write the states from kept sample number `row` on to `states`."""
         self.states, self.first_row, self.next_row = states, row, row
 
     def advance(self, memory, stop: int) -> None:
-        """Up to the sample `stop`, which is left, and with the events that arrived before it."""
+        """Process the samples before `stop`, and the events that arrived before that."""
         kept = self.kept[self.next_row:np.searchsorted(self.kept, stop)]
         upto = int(np.searchsorted(self.events.arrival, stop))
         rows = slice(self.next_row - self.first_row, self.next_row - self.first_row + len(kept))
@@ -380,7 +381,7 @@ class Progress:
         self.next_event, self.sample = upto, stop
 
     def finish(self, memory) -> None:
-        """The events that arrived after the last sample."""
+        """Process the rest, with the events that arrived after the last sample."""
         self.advance(memory, len(self.samples))
         part = slice(self.next_event, len(self.events.kind))
         kernel.run(memory, self.samples[:0], self.events.record[part].copy(), self.events.arrival[part] * 0,
@@ -388,18 +389,17 @@ class Progress:
         kernel.collect(memory, self.log)
 
 
-def _announced(lookout: Lookout, memory: np.ndarray, begin: float) -> float:
-    """For how long after `begin`, s, a filter with this memory trusts itself without fixes, s; 0 where it does not."""
-    seconds = lookout.look(memory).seconds
-    now = float(memory[state_at(memory, int(memory[Head.SAMPLES])) + Nav.TIME])
-    return now - begin + seconds if seconds > 0.0 else 0.0
+def _announced(horizon: HorizonPredictor, memory: np.ndarray, begin: float) -> float:
+    """The trust horizon of a filter with this memory, s after `begin`; 0 where there is none."""
+    seconds = horizon.predict(memory).seconds
+    return float(newest_row(memory)[Nav.TIME]) - begin + seconds if seconds > 0.0 else 0.0
 
 
-def kernel_says(memory: np.ndarray, topic: str) -> list[str]:
-    """What the kernel counted of samples it did not believe, in words."""
+def imu_warnings(memory: np.ndarray, topic: str) -> list[str]:
+    """Messages on IMU samples that were not believed, and on states that were not finite."""
     texts = [f'{topic}: {memory[Imu.FAULTS + i]:.0f} samples not believed: {name}'
              for i, name in enumerate(FAULTS) if i and memory[Imu.FAULTS + i]]
-    restarts = memory[state_at(memory, int(memory[Head.SAMPLES])) + Nav.RESTARTS]
+    restarts = newest_row(memory)[Nav.RESTARTS]
     if restarts:
         texts.append(f'{restarts:.0f} states were not finite: the filter went back to the last good one')
     return texts

@@ -1,4 +1,4 @@
-"""What a recording through the filter leaves behind."""
+"""Results of a replay: states, innovations and verdicts as arrays."""
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
@@ -7,6 +7,7 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
+from ...navigation import planar
 from ...navigation.strapdown import to_euler
 from ..config import FilterConfig
 from ..memory import NAV, Event, Kind, Nav, StateLayout, Verdict, covariance_index
@@ -14,21 +15,22 @@ from ..start.start import Start
 from ..trust.hypotheses import Hypothesis
 from ..trust.lag import Lag
 from .intake import Notice
-from .odometry import besides, corrected
+from .odometry import added_covariance, corrected
 
-#: besides solution and covariance: what makes metres of angles, and of P what is published; what a receiver lacks
+#: columns kept in addition to solution and covariance: to convert angles to metres and P to the published covariance,
+#: and the lag of a receiver that smooths
 _SCALES = (Nav.NORTH_SCALE, Nav.EAST_SCALE, Nav.VARIANCE_FACTOR, Nav.LASTING, Nav.FIX_TIME,
            *range(Hypothesis.SPREAD, Hypothesis.SPREAD + 4), Lag.UNFOLLOWED, Lag.UNFOLLOWED + 1)
 
 
 @dataclass(frozen=True)
 class Innovations:
-    """What each fix told the filter, in the order of the fixes' times: those that were used.
+    """Innovations of the fixes that were used, in the order of their times.
 
-    index (f,): position in the `Fixes` given. stamp (f,): ns, at which the fix describes the vehicle. z (f, 2):
+    index (f,): index in the `Fixes` given. stamp (f,): ns, at which the fix describes the vehicle. z (f, 2):
     innovation north, east, m, predicted minus measured antenna position. s (f, 3): its covariance nn, ne, ee. nis
     (f,): normalized innovation squared, 2 degrees of freedom. z_down, s_down (f,): the same for height (strapdown).
-    yaw (f,), velocity (f, 2): the prediction's, before the fix was applied. weight (f,): 1 where it was believed.
+    yaw (f,), velocity (f, 2): predicted. weight (f,): factor on the inverse covariance, 1 unless weighted down.
     """
 
     index: np.ndarray
@@ -44,17 +46,17 @@ class Innovations:
 
 
 @dataclass(frozen=True)
-class Measured:
-    """What became of every measurement given to the kernel: kind (k,), number of its input; index (k,) among the
-    samples of that; stamp (k,) ns, and its record (k, Event.SIZE)."""
+class MeasurementLog:
+    """Every measurement that the kernel has processed: kind (k,), number of its input; index (k,) among the samples of
+    that; stamp (k,) ns; record (k, Event.SIZE)."""
 
     kind: np.ndarray
     index: np.ndarray
     stamp: np.ndarray
     record: np.ndarray
 
-    def select(self, index) -> Measured:
-        return Measured(*(getattr(self, f.name)[index] for f in fields(self)))
+    def select(self, index) -> MeasurementLog:
+        return MeasurementLog(*(getattr(self, f.name)[index] for f in fields(self)))
 
     def verdicts(self, kind: int) -> dict[int, int]:
         """How many measurements of `kind` had each verdict (of `Verdict`)."""
@@ -64,14 +66,13 @@ class Measured:
 
 @dataclass(frozen=True)
 class Run:
-    """One recording through the filter, at each IMU sample kept from the first estimate on.
+    """One recording through the filter: its state after each IMU sample that was to be kept.
 
-    stamp (k,) ns. index (k,): of each in the `ImuSamples` given. latitude, longitude (k,) rad, height (k,) m, velocity
+    stamp (k,) ns. index (k,): index in the `ImuSamples` given. latitude, longitude (k,) rad, height (k,) m, velocity
     (k, 3) m/s in `n`, roll, pitch, yaw (k,) rad. sensor_errors (k, channels): estimates. sigma (k, n): square roots of
     the covariance's diagonal, in the order of `config.layout.names`. extras (k, e): the optional states. covariance_ne
-    (k,): of north and east position error, m^2. behind (k, 2): m north and east, by which a receiver that smooths
-    (gnss.lag_per_acceleration) has not followed. memory: the kernel's memory at the end. filter_seconds: CPU time of
-    the filter alone.
+    (k,): of north and east position error, m^2. behind (k, 2): m north and east, lag of a receiver that smooths
+    (gnss.lag_per_acceleration). memory: the kernel's memory at the end. filter_seconds: CPU time of the filter alone.
     """
 
     config: FilterConfig
@@ -90,14 +91,14 @@ class Run:
     covariance_ne: np.ndarray
     behind: np.ndarray
     innovations: Innovations
-    measured: Measured
+    measured: MeasurementLog
     start: Start | None
     notices: list[Notice]
     memory: np.ndarray | None
     filter_seconds: float
 
     def states(self, index) -> Run:
-        """The run at some of its samples; index: a slice or positions."""
+        """The run at some of its states; index: a slice or indices."""
         names = ('stamp', 'index', 'latitude', 'longitude', 'height', 'velocity', 'roll', 'pitch', 'yaw',
                  'sensor_errors', 'sigma', 'extras', 'covariance_ne', 'behind')
         values = {f.name: getattr(self, f.name) for f in fields(self)}
@@ -105,15 +106,15 @@ class Run:
 
 
 def columns(layout: StateLayout) -> np.ndarray:
-    """What of each state is kept: navigation solution, x, the covariance's diagonal and its north-east element,
-    and what the filter knows of these: the factor on them, and the receiver's errors that last."""
+    """Columns of a row that a replay keeps: navigation solution, _SCALES, x, diagonal and north-east element of the
+    covariance."""
     pairs = [(i, i) for i in range(layout.n)] + [(0, 1)]
     kept = [*range(Nav.RADII_LATITUDE), *_SCALES, *range(NAV, NAV + layout.n)]
     kept += [covariance_index(i, j, layout) for i, j in pairs]
     return np.array(kept, dtype=np.uint64)  # unsigned: the kernel need not look for negative ones
 
 
-def result(config: FilterConfig, stamp, index, states, measured: Measured, **more) -> Run:
+def result(config: FilterConfig, stamp, index, states, measured: MeasurementLog, **more) -> Run:
     """A `Run` from the columns `states` (k, c) of the states at the samples `index` (k,) with `stamp` (k,)."""
     layout = config.layout
     rows = np.zeros((len(states), NAV + layout.n))
@@ -143,7 +144,7 @@ def _solution(rows, is_planar, open_loop):
          q) = corrected(rows[k], 0, is_planar, open_loop)
         if is_planar:
             out[k, 6] = out[k, 7] = 0.0
-            out[k, 8] = rows[k, Nav.YAW] - (rows[k, NAV + 4] if open_loop else 0.0)
+            out[k, 8] = rows[k, Nav.YAW] - (rows[k, NAV + planar.State.YAW] if open_loop else 0.0)
         else:
             out[k, 6], out[k, 7], out[k, 8] = to_euler(q)
     return out
@@ -151,16 +152,16 @@ def _solution(rows, is_planar, open_loop):
 
 @njit
 def _widen(variances, velocity, rows):
-    """As `odometry.widen`, of variances and the covariance of r_n and r_e behind them; velocity: state of v_n."""
+    """As `odometry.add_to_covariance`, for variances and the covariance of r_n and r_e; velocity: index of v_n."""
     where = (0, 1, velocity, velocity + 1)
     for k in range(len(rows)):
         for i in range(4):
-            variances[k, where[i]] += besides(rows[k], 0, i, i)
-        variances[k, -1] += besides(rows[k], 0, 0, 1)
+            variances[k, where[i]] += added_covariance(rows[k], 0, i, i)
+        variances[k, -1] += added_covariance(rows[k], 0, 0, 1)
 
 
-def _innovations(measured: Measured) -> Innovations:
-    """The innovations of the fixes that were used, by the time of the fix."""
+def _innovations(measured: MeasurementLog) -> Innovations:
+    """Innovations of the fixes that were used, in the order of their times."""
     used = np.isin(measured.record[:, Event.VERDICT], (Verdict.USED, Verdict.WEIGHTED, Verdict.RECOVERED))
     fixes = measured.select((measured.kind == Kind.POSITION) & used)
     fixes = fixes.select(np.argsort(fixes.stamp, kind='stable'))

@@ -1,17 +1,17 @@
-"""The best trajectory that a recording allows: each state with what came after it, too (fixed-interval smoothing).
+"""Fixed-interval smoothing: each state of a recording estimated from all measurements, before and after it.
 
-The filter runs forward and leaves, for each state that is kept, its row (estimate, covariance P) and the history since
-the one before (`history.py`). From the last back to the first the innovations that came later are gathered in lambda
-and their information in Lambda; then
+The filter runs forward and stores, for each state that is kept, its row (estimate, covariance P) and the history since
+the previous one (history.py). A backward pass accumulates the later innovations in lambda and their information in
+Lambda; then
 
     smoothed x = x + P lambda          smoothed P = P - P Lambda P
 
-which is the fixed-interval smoother of Rauch, Tung and Striebel in the form of Bryson and Frazier (G. J. Bierman,
-"Fixed interval smoothing with discrete measurements", Int. J. Control 18, 1973): nothing is inverted, and between two
-states kept there may be any number of predictions and corrections. All states of the filter take part.
+which is the smoother of Rauch, Tung and Striebel in the form of Bryson and Frazier (G. J. Bierman, "Fixed interval
+smoothing with discrete measurements", Int. J. Control 18, 1973): nothing is inverted, and any number of predictions and
+corrections may lie between two stored states. All states of the filter are smoothed.
 
-The rows lie in a temporary file: 8 (width + 2 n^2 + n) bytes each, 7.4 kB with the 18 states of a car, 270 MB for an
-hour at 10 Hz; in memory stand BLOCK of them.
+The rows are stored in a temporary file: 8 (width + 2 n^2 + n) bytes each, 7.4 kB with the 18 states of a car, 270 MB
+for an hour at 10 Hz; BLOCK of them are in memory.
 """
 from __future__ import annotations
 
@@ -25,36 +25,32 @@ from .. import history
 from ..config import FilterConfig
 from ..memory import NAV, Event, Head, StateLayout, covariance, covariance_index, row_width, state_at
 from ..update import feed_back
-from .replay import Coasting, Events, Progress, Replay, Stretch
+from .replay import Coasting, Events, Playback, Replay, Stretch
 from .results import Run
 
-#: rows in memory at a time
-BLOCK = 256
-#: s after an outage in which fixes still tell of the state in it
-AFTER = 60.0
+BLOCK = 256  # rows in memory at a time
+AFTER = 60.0  # s after an outage whose measurements are used to smooth it
 
 
 def smoothed(config: FilterConfig, imu: ImuSamples, fixes: Fixes, aiding: Aiding = Aiding(),
              keep: np.ndarray | None = None) -> Run:
     """As `replay.run`, with each state smoothed: sigmas and covariance are those of the smoothed state.
 
-    keep: the samples whose states are wanted, (n,) bool; a tenth of a second apart is plenty. Verdicts and innovations
-    are those of the filter on the way.
+    keep: samples whose states are wanted, (n,) bool; intervals of a tenth of a second suffice. Verdicts and innovations
+    are those of the forward filter.
     """
     return _Smoothing(config, imu, fixes, aiding, None, keep).run()
 
 
 def smoothed_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, begin: np.ndarray, duration: float,
                      aiding: Aiding = Aiding(), keep: np.ndarray | None = None) -> Coasting:
-    """The outages that begin at `begin` (o,) ns, smoothed: fixes are withheld for `duration` s, and come again after.
+    """The outages that begin at `begin` (o,) ns, smoothed: fixes are withheld for `duration` s and return after that.
 
-    As `replay.run_with_outages`, whose outages know nothing of what comes after them.
+    As `replay.run_with_outages`, where outages last to the end of their run.
     """
     work = _SmoothedOutages(config, imu, fixes, aiding, None, keep, np.asarray(begin, dtype=np.int64), duration)
     work.run()
-    first = np.concatenate([[0], np.cumsum([len(branch.samples) for branch in work.branches])]).astype(np.int64)
-    return Coasting(np.array([branch.begin for branch in work.branches], dtype=np.int64), first,
-                    work.result(work.branches), np.full(len(first) - 1, np.nan))
+    return work.coasting()
 
 
 class _Rows:
@@ -80,7 +76,7 @@ class _Rows:
 
 
 class _Smoothing(Replay):
-    """A replay whose measurements come at their own time: who looks back need not wait for late ones."""
+    """A replay with the measurements in the order of their times, without delays."""
 
     def _memory(self) -> np.ndarray:
         memory = self.config.memory(history=True)
@@ -105,9 +101,9 @@ class _Smoothing(Replay):
         work.finish(memory)
         self.stretches.append(Stretch(index[kept], self._looked_back(memory, rows, len(kept))))
 
-    def _work(self, samples, events: Events, after: Progress | None = None) -> Progress:
+    def _work(self, samples, events: Events, after: Playback | None = None) -> Playback:
         none = np.empty(0, dtype=np.int64)
-        return Progress(samples, events, self.columns, none, np.empty((0, len(self.columns))), after)
+        return Playback(samples, events, self.columns, none, np.empty((0, len(self.columns))), after)
 
     def _rows(self) -> _Rows:
         layout = self.config.layout
@@ -117,30 +113,30 @@ class _Smoothing(Replay):
         history.take(memory, state_at(memory, int(memory[Head.SAMPLES])), self.config.layout.n, out)
 
     def _looked_back(self, memory, rows: _Rows, count: int) -> np.ndarray:
-        """The columns (count, c) of the smoothed states. What has come since the last of `rows` stands in `memory`."""
+        """Columns (count, c) of the smoothed states; the history since the last of `rows` is in `memory`."""
         layout, columns = self.config.layout, self.columns.astype(np.int64)
         last = np.empty_like(rows.block[0])
         self._take(memory, last)
-        told, information = _parts(last, layout)[1:]
+        vector, information = _history(last, layout)[1:]  # lambda and Lambda
         states, n = np.empty((count, len(columns))), layout.n
         diagonal = [covariance_index(i, i, layout) for i in range(n)] + [covariance_index(0, 1, layout)]
-        at = int(memory[Head.RING_AT]) - row_width(layout)  # a row for the time being
+        at = int(memory[Head.RING_AT]) - row_width(layout)  # a spare row of the memory
         for i, row in zip(range(count - 1, -1, -1), rows.backward()):
             p, state = covariance(row, layout), memory[at:at + row_width(layout)]
             state[:] = row[:len(state)]
-            state[NAV:NAV + n] += p @ told
+            state[NAV:NAV + n] += p @ vector
             feed_back(memory, at)
-            left = p - p @ information @ p
-            state[diagonal] = [*np.maximum(np.diag(left), 0.0), left[0, 1]]
+            smoothed_p = p - p @ information @ p
+            state[diagonal] = [*np.maximum(np.diag(smoothed_p), 0.0), smoothed_p[0, 1]]
             states[i] = state[columns]
-            transition, g, more = _parts(row, layout)
-            told = transition.T @ told + g
+            transition, g, more = _history(row, layout)
+            vector = transition.T @ vector + g
             information = transition.T @ information @ transition + more
         return states
 
 
 class _SmoothedOutages(_Smoothing):
-    """Outages branched off the run, each followed until AFTER its end."""
+    """Outages as copies of the filter, each continued until AFTER its end."""
 
     def _smooth(self, memory, samples, index, events: Events, epoch: int) -> None:
         kept, time = np.flatnonzero(self.keep[index]), samples[:, 0]
@@ -164,8 +160,8 @@ class _SmoothedOutages(_Smoothing):
                                           self._looked_back(coasting, rows, stop - first), int(b)))
 
 
-def _parts(row: np.ndarray, layout: StateLayout) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """T (n, n), g (n,) and G (n, n) of a row's history."""
+def _history(row: np.ndarray, layout: StateLayout) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """T (n, n), g (n,) and G (n, n) of the history stored with a row."""
     n, at = layout.n, row_width(layout)
     square = at + n * n
     return row[at:square].reshape(n, n), row[square + n * n:], row[square:square + n * n].reshape(n, n)

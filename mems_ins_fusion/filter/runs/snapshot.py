@@ -1,9 +1,9 @@
-"""What a filter knows, as plain numbers that outlast it, and what of that the next filter can begin with.
+"""Snapshots: the state of a filter as plain numbers (the state file), and the start of the next filter from one.
 
-A snapshot is a dict that JSON can hold: stamp (ns), latitude, longitude (rad), height (m), speed (m/s), yaw of the
-vehicle (rad, clockwise from north) and yaw_sigma, and errors: names of the states behind the navigation errors, their
-estimate, covariance and constant parts (see `start.SensorErrors`), and the conditioning of the samples that they belong
-to; wheels: what has been learned of them, where that is asked for and known.
+A snapshot is a dict for JSON: stamp (ns), latitude, longitude (rad), height (m), speed (m/s), yaw of the vehicle (rad,
+clockwise from north) and yaw_sigma; errors: names of the augmented states, estimate, covariance and constant part (see
+`start.SensorErrors`), and the conditioning of the samples that they belong to; wheels: `wheel_vibration.calibration`,
+where there is one.
 """
 from __future__ import annotations
 
@@ -15,25 +15,21 @@ from ...errors import InputError
 from ...navigation.strapdown import to_euler
 from ..config import FilterConfig
 from ..measurements import wheel_vibration
-from ..memory import NAV, Head, state_at
-from ..start.alignment import Remembered
-from ..start.initial import aged, learned
-from ..start.start import SensorErrors
+from ..memory import NAV, newest_row
+from ..start.initial import sensor_errors_after, sensor_errors_of
+from ..start.start import SavedState, SensorErrors
 from .odometry import corrected, published_covariance
 
-#: a vehicle that was faster when the snapshot was made has gone on after it, m/s
-AT_REST = 0.5
-#: a parked car is pushed, a receiver's position wanders: what the heading may have become, rad
-PARKED_YAW_SIGMA = 0.02
+AT_REST = 0.5  # m/s: a vehicle that was faster at the snapshot was not at rest
+PARKED_YAW_SIGMA = 0.02  # rad, standard deviation of the change of heading of a parked vehicle
 
 
-def made(config: FilterConfig, memory: np.ndarray, stamp: int) -> dict:
+def make_snapshot(config: FilterConfig, memory: np.ndarray, stamp: int) -> dict:
     """The snapshot of a filter with this memory, whose newest sample has `stamp` (ns)."""
-    layout, at = config.layout, state_at(memory, int(memory[Head.SAMPLES]))
-    latitude, longitude, height, v_n, v_e, _, _ = corrected(memory, at, config.layout.is_level,
-                                                            config.open_loop)
+    layout = config.layout
+    latitude, longitude, height, v_n, v_e, _, _ = corrected(newest_row(memory), 0, layout.is_level, config.open_loop)
     yaw, yaw_sigma = vehicle_heading(config, memory)
-    errors, wheels = learned(config, memory), wheel_vibration.learned(memory)
+    errors, wheels = sensor_errors_of(config, memory), wheel_vibration.calibration(memory)
     return {'stamp': int(stamp), 'latitude': latitude, 'longitude': longitude, 'height': height,
             'speed': math.hypot(v_n, v_e), 'yaw': yaw, 'yaw_sigma': yaw_sigma,
             'errors': {'names': list(layout.names[layout.n_navigation:]), 'estimate': errors.estimate.tolist(),
@@ -43,39 +39,36 @@ def made(config: FilterConfig, memory: np.ndarray, stamp: int) -> dict:
 
 
 def vehicle_heading(config: FilterConfig, memory: np.ndarray) -> tuple[float, float]:
-    """Yaw of the vehicle, the body's and the mounting's, rad clockwise from north, and its sigma."""
-    layout, at = config.layout, state_at(memory, int(memory[Head.SAMPLES]))
-    q = corrected(memory, at, config.layout.is_level, config.open_loop)[-1]
-    p = published_covariance(memory[at:at + int(memory[Head.WIDTH])], layout)
-    row, turned = layout.n_navigation - 1, layout.index('mounting_yaw')
-    direction = np.zeros(layout.n)
-    direction[row] = 1.0
-    yaw = to_euler(q)[2]
-    if turned >= 0:
-        yaw += memory[at + NAV + turned]
-        direction[turned] = -1.0
-    return yaw, math.sqrt(max(direction @ p @ direction, 0.0))
+    """Yaw of the vehicle (that of the body plus that of the mounting), rad clockwise from north, and its sigma."""
+    layout, row = config.layout, newest_row(memory)
+    yaw = to_euler(corrected(row, 0, layout.is_level, config.open_loop)[-1])[2]
+    direction, mounting = np.zeros(layout.n), layout.index('mounting_yaw')
+    direction[layout.n_navigation - 1] = 1.0
+    if mounting >= 0:
+        yaw += row[NAV + mounting]
+        direction[mounting] = -1.0
+    return yaw, math.sqrt(max(direction @ published_covariance(row, layout) @ direction, 0.0))
 
 
-def after_jump(config: FilterConfig, memory: np.ndarray, before: int, now: int) -> Remembered:
-    """What a filter with this memory can begin anew with where the stamps of the samples jump from `before` to `now`
-    (ns): a clock that was set, or a recording that begins again. Where they jump back nobody knows how much later it
-    is; it is taken as no time."""
-    snapshot = {**made(config, memory, before), 'stamp': min(before, now)}
-    return recalled(config, snapshot, now, config.parameters['state_file_max_distance'])[0]
+def saved_at_jump(config: FilterConfig, memory: np.ndarray, before: int, now: int) -> SavedState:
+    """What the filter can restart with after the stamps of the samples have jumped from `before` to `now` (ns): a clock
+    was set, or a recording begins again. A jump back counts as no time, as nobody knows how long it took."""
+    snapshot = {**make_snapshot(config, memory, before), 'stamp': min(before, now)}
+    return from_snapshot(config, snapshot, now, config.parameters['state_file_max_distance'])[0]
 
 
-def recalled(config: FilterConfig, snapshot: dict, now: int, max_distance: float) -> tuple[Remembered, str]:
-    """What `snapshot` tells a filter with `config` at `now` (ns), and that in words. InputError where it is not one."""
+def from_snapshot(config: FilterConfig, snapshot: dict, now: int, max_distance: float) -> tuple[SavedState, str]:
+    """What a filter with `config` can use of `snapshot` at `now` (ns), and that in words. InputError where it is not a
+    snapshot."""
     try:
         age = (now - snapshot['stamp']) * 1e-9
-        place = tuple(float(snapshot[name]) for name in ('latitude', 'longitude', 'height'))
+        position = tuple(float(snapshot[name]) for name in ('latitude', 'longitude', 'height'))
         speed, yaw, sigma = (float(snapshot[name]) for name in ('speed', 'yaw', 'yaw_sigma'))
         errors = _errors(config, snapshot['errors'])
-        wheels = wheel_vibration.aged(snapshot['wheels']) if 'wheels' in snapshot else None
+        wheels = wheel_vibration.checked_calibration(snapshot['wheels']) if 'wheels' in snapshot else None
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f'not a state of the filter: {" ".join(str(error).split())}') from None
-    if not (all(map(math.isfinite, (*place, speed, yaw, sigma, age))) and sigma >= 0.0 and age >= 0.0):
+    if not (all(map(math.isfinite, (*position, speed, yaw, sigma, age))) and sigma >= 0.0 and age >= 0.0):
         raise InputError('not a state of the filter: numbers that are not finite or below zero')
     if speed > AT_REST:
         sigma, heading = math.inf, f'no heading, it ended at {speed:.1f} m/s'
@@ -83,12 +76,12 @@ def recalled(config: FilterConfig, snapshot: dict, now: int, max_distance: float
         sigma = math.hypot(sigma, PARKED_YAW_SIGMA)
         heading = f'heading {math.degrees(yaw) % 360:.1f} +- {math.degrees(sigma):.1f} deg'
     said = f"{heading}; {'sensor errors' if errors else 'no sensor errors, they are of other parameters'}"
-    return Remembered(place, yaw, sigma, max_distance, aged(config, errors, age) if errors else None,
+    return SavedState(position, yaw, sigma, max_distance, sensor_errors_after(config, errors, age) if errors else None,
                       wheels), said
 
 
 def _errors(config: FilterConfig, values: dict) -> SensorErrors | None:
-    """The sensor errors in a snapshot; None where they are of a filter with other states or another mounting."""
+    """The sensor errors of a snapshot; None where they are of a filter with other states or another mounting."""
     layout = config.layout
     names, conditioning = list(values['names']), np.array(values['conditioning'], dtype=float)
     if names != list(layout.names[layout.n_navigation:]) or conditioning.shape != (6, 6) or not np.allclose(
@@ -102,5 +95,5 @@ def _errors(config: FilterConfig, values: dict) -> SensorErrors | None:
     total = errors.estimate.sum() + errors.covariance.sum() + errors.constant.sum()
     if not (math.isfinite(total) and np.allclose(errors.covariance, errors.covariance.T)
             and np.linalg.eigvalsh(errors.covariance).min() > -1e-9 * np.abs(errors.covariance).max()):
-        raise InputError('a covariance that is none')
+        raise InputError('not a covariance matrix')
     return errors

@@ -1,8 +1,7 @@
-"""What of a recording may be looked at beside the filter: the samples that the filter's intake takes, and no others.
+"""The valid samples of a recording, for tools that look at raw samples: checker, `configure` and others.
 
-Who looks at raw samples - checker, `configure`, `characterize`, `diagnose`, the measuring of errors - gets them from
-here. The filter itself gets the messages as they came, live and replayed, and judges them one by one with the same
-functions (`intake.follow`, `measurements.position.is_place`); a sample out of range it bridges.
+They are those that the filter would use. The filter itself gets all messages and checks them one by one with the same
+functions (`intake.follow`, `measurements.position.is_place`); samples out of range it bridges.
 """
 from __future__ import annotations
 
@@ -12,33 +11,29 @@ import numpy as np
 
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
+from ...parameters.table import defaults
 from ..measurements.position import is_fix
 from .intake import GOOD, JUMPED, LATEST, follow
 
-#: no IMU delivers more, whatever its unit: 16 g are 16 000 mg, and MEMS gyroscopes end at 4000 deg/s
+#: largest value of an IMU in any unit: 16 g are 16 000 mg, and the range of MEMS gyroscopes is at most 4000 deg/s
 LARGEST_IN_ANY_UNIT = 1e5
-#: s: a longer gap between samples begins another recording: loggers are switched off for a pause of an hour
-LONGEST_PAUSE = 3600.0
-#: s, as `imu.restart_gap` is by default: after a longer gap all begins anew
-_RESTART_GAP = 10.0
-#: s, as `imu.max_gap` is by default: a clock that steps back by less is waited for
-_STEP_BACK = 0.5
+LONGEST_PAUSE = 3600.0  # s, longest gap between samples of one recording
 
 
 def usable(recording: Recording, largest_force: float = LARGEST_IN_ANY_UNIT,
            largest_rate: float = LARGEST_IN_ANY_UNIT) -> Recording:
-    """`recording` with the IMU samples and fixes that may be looked at (`usable_samples`, `usable_fixes`)."""
+    """`recording` with its valid IMU samples and fixes (`usable_samples`, `usable_fixes`)."""
     fixes = None if recording.gnss is None else usable_fixes(recording.gnss)
     return replace(recording, imu=usable_samples(recording.imu, largest_force, largest_rate), gnss=fixes)
 
 
 def usable_samples(imu: ImuSamples, largest_force: float = LARGEST_IN_ANY_UNIT,
                    largest_rate: float = LARGEST_IN_ANY_UNIT) -> ImuSamples:
-    """The samples of `imu` that are numbers, within range, with a specific force that is not zero (gravity never is),
-    and whose stamps ascend: perhaps none, and none of an IMU whose gyroscopes say nothing but zero.
+    """The samples of `imu` that are finite, within range, with a specific force other than zero, and with ascending
+    stamps; none where all angular rates are zero.
 
-    largest_force, largest_rate: of a component, in the unit of the samples. Where stamps jump from one clock to
-    another, those of the clock that most samples have. The same object where all are good.
+    largest_force, largest_rate: of a component, in the unit of the samples. Where stamps jump between clocks, the
+    samples of the most frequent clock. The same object where all are valid.
     """
     if not len(imu):
         return imu
@@ -53,9 +48,10 @@ def usable_samples(imu: ImuSamples, largest_force: float = LARGEST_IN_ANY_UNIT,
 
 
 def _of_one_clock(stamp: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Indices of the samples of the clock that most of them have, with ascending stamps (n,) ns."""
-    codes = np.zeros(len(stamp), dtype=np.int64)
-    follow(np.full(3, -1, dtype=np.int64), stamp, values, round(_RESTART_GAP * 1e9), round(_STEP_BACK * 1e9), codes)
+    """Indices of the samples of the most frequent clock, with ascending stamps (n,) ns."""
+    codes, parameters = np.zeros(len(stamp), dtype=np.int64), defaults()
+    restart_gap, step_back = (round(parameters[name] * 1e9) for name in ('imu.restart_gap', 'imu.max_gap'))
+    follow(np.full(3, -1, dtype=np.int64), stamp, values, restart_gap, step_back, codes)
     good = np.flatnonzero((codes == GOOD) | (codes == JUMPED))
     pieces = np.split(good, np.flatnonzero(codes[good] == JUMPED))
     clocks: list[list[np.ndarray]] = []
@@ -70,9 +66,9 @@ def _of_one_clock(stamp: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def usable_fixes(fixes: Fixes) -> Fixes:
-    """Those of `fixes` that have a place on earth, each once, in the order of their stamps: perhaps none.
+    """The valid ones of `fixes`, each once, in the order of their stamps.
 
-    A fix that comes by more than LATEST sooner or later after its stamp than others do has a stamp of another clock.
+    A fix whose delay differs from the median delay by more than LATEST has the stamp of another clock.
     """
     index = np.flatnonzero(is_fix(fixes))
     if len(index):

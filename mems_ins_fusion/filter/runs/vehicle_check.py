@@ -1,4 +1,4 @@
-"""What the filter has seen of the vehicle that its parameters do not say: how the IMU sits in it, and how it moves."""
+"""Messages where the motion of the vehicle contradicts the parameters: mounting, kind of vehicle, vibration."""
 from __future__ import annotations
 
 import math
@@ -7,42 +7,36 @@ import numpy as np
 
 from ...navigation.frames import FLU_TO_FRD, rotation_from_rpy
 from ..config import FilterConfig
-from ..memory import NAV, Event, Head, Nav, Verdict, covariance_index, state_at, variance_factor
+from ..memory import NAV, Event, Nav, StateLayout, Verdict, covariance_index, newest_row, variance_factor
 from ..trust.white_noise import FAR_MORE, White
 
-#: faster no car goes backwards, m/s
-FASTEST_BACKWARDS = 8.0
-#: slower it stands, m/s
-AT_REST = 0.3
-#: sigmas by which a mounting that is found is off that of the parameters where it is worth a word
-MOUNTING_SIGMAS = 3.0
-#: rad, by which it is off at least: a mounting measured by hand is off by a few degrees
+MOUNTING_STATES = 'mounting_yaw', 'mounting_pitch'
+FASTEST_BACKWARDS = 8.0  # m/s, largest speed of a car in reverse
+AT_REST = 0.3  # m/s, speed below which the vehicle stands
+MOUNTING_SIGMAS = 3.0  # sigmas by which an estimated mounting has to differ from the parameters for a message
+#: rad by which it has to differ at least for a warning: a mounting measured by hand is off by a few degrees
 SMALL_ANGLE = 0.2
-#: a mounting known better than this, and found further off, is worth setting, rad
+#: rad: a mounting that is off by more than this, with a smaller standard deviation, is worth setting
 WORTH_SETTING = math.radians(0.5)
-#: and so many times better known than the parameters say they know it (imu.mounting_sigma): else it is no news
-BETTER_KNOWN = 5.0
-#: a vehicle that goes sideways for longer in all is none that rolls, s
-LONGEST_SIDEWAYS = 5.0
-#: s of a slide that are worth a word
-LONGEST_UNSETTLED = 0.5
-#: and of far more noise than is assumed
-LONGEST_SHAKEN = 60.0
-#: refused fixes in a row that go on while the IMU is seen at rest: as a boat's do, and no receiver's that jumps
+BETTER_KNOWN = 5.0  # and that standard deviation has to be smaller than imu.mounting_sigma by this factor
+LONGEST_SIDEWAYS = 5.0  # s of sideways motion in total that show that the vehicle has no wheels, or turns on the spot
+LONGEST_UNSETTLED = 0.5  # s of a contradiction by the lateral constraint that are reported
+LONGEST_SHAKEN = 60.0  # s of far more noise than configured that are reported
+#: refused fixes in a row that move on while the IMU shows a standstill, as those of a boat do: a receiver that jumps
+#: does not move on
 ADRIFT = 10
-#: m, by which they go on in that time at least: fixes of a parked vehicle wander by less
-FARTHEST_ADRIFT = 10.0
+FARTHEST_ADRIFT = 10.0  # m by which these have to move: fixes of a parked vehicle wander by less
 
 
-def vehicle_says(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray) -> list[str]:
-    """Lines on what does not fit the parameters, from the filter's memory and records of fixes (k, Event.SIZE)."""
-    texts, topic = [], config.imu.topic
+def vehicle_warnings(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray) -> list[str]:
+    """Messages on contradictions to the parameters. fixes: the latest records (k, Event.SIZE)."""
+    texts, topic, row = [], config.imu.topic, newest_row(memory)
     if config.vehicle.zero_velocity_sigma and _is_adrift(fixes):
         texts.append(f'{config.gnss.topic}: the fixes go on while {topic} shows a standstill (vehicle.zero_velocity): '
                      'a boat needs config/boat.yaml')
     fixes = fixes[np.isin(fixes[:, Event.VERDICT], (Verdict.USED, Verdict.WEIGHTED))]
     if config.vehicle.lateral_sigma:
-        turn = _mounting_yaw(memory, config)
+        turn = mounting_angles(row, config.layout)[0]
         prior = config.parameters['imu.mounting_sigma']
         if abs(turn) > max(MOUNTING_SIGMAS * prior, SMALL_ANGLE):
             texts.append(f'{topic}: the vehicle moves {abs(math.degrees(turn)):.0f} deg to the '
@@ -54,8 +48,7 @@ def vehicle_says(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray) ->
         if fastest > FASTEST_BACKWARDS:
             texts.append(f'{topic}: the vehicle seems to go backwards at {fastest:.1f} m/s: if it does not, the IMU is '
                          'mounted the other way round: turn the yaw of imu.mounting_rpy by pi')
-    row = state_at(memory, int(memory[Head.SAMPLES]))
-    sideways, slid = float(memory[row + Nav.SIDEWAYS]), float(memory[row + Nav.SLID])
+    sideways, slid = float(row[Nav.SIDEWAYS]), float(row[Nav.SLID])
     if sideways > LONGEST_SIDEWAYS:
         texts.append(f'the vehicle went sideways for {sideways:.0f} s, against vehicle.non_holonomic, '
                      'which was not used then: a boat needs config/boat.yaml, a robot that turns on the spot '
@@ -72,14 +65,13 @@ def vehicle_says(memory: np.ndarray, config: FilterConfig, fixes: np.ndarray) ->
 
 
 def found_mounting(memory: np.ndarray, config: FilterConfig) -> str:
-    """Where the filter has found the IMU to sit other than `imu.mounting_rpy` says, and the line to set; '' where it
-    has not, or is not sure."""
-    layout, at = config.layout, state_at(memory, int(memory[Head.SAMPLES]))
-    row = memory[at:at + int(memory[Head.WIDTH])]
-    states = [layout.index(name) for name in ('mounting_yaw', 'mounting_pitch')]
+    """The estimated mounting in words, with the parameter to set, where it certainly differs from `imu.mounting_rpy`;
+    '' else."""
+    layout, row = config.layout, newest_row(memory)
+    states = [layout.index(name) for name in MOUNTING_STATES]
     if states[0] < 0:
         return ''
-    yaw, pitch = (float(row[NAV + state]) if state >= 0 else 0.0 for state in states)
+    yaw, pitch = mounting_angles(row, layout)
     sigmas = [math.sqrt(variance_factor(row, 0) * row[covariance_index(state, state, layout)]) if state >= 0 else 0.0
               for state in states]
     prior = config.parameters['imu.mounting_sigma']
@@ -87,7 +79,7 @@ def found_mounting(memory: np.ndarray, config: FilterConfig) -> str:
                and (s < prior / BETTER_KNOWN or abs(angle) > MOUNTING_SIGMAS * prior)
                for angle, s in zip((yaw, pitch), sigmas)):
         return ''
-    from scipy.spatial.transform import Rotation  # takes a while to load, and most never need it
+    from scipy.spatial.transform import Rotation  # imported here: it is slow to load, and most runs do not need it
 
     turned = FLU_TO_FRD @ Rotation.from_euler('ZY', [yaw, pitch]).as_matrix().T @ FLU_TO_FRD
     declared = rotation_from_rpy(*config.imu.mounting_rpy)
@@ -99,6 +91,7 @@ def found_mounting(memory: np.ndarray, config: FilterConfig) -> str:
 
 
 def _is_adrift(fixes: np.ndarray) -> bool:
+    """Whether ADRIFT refused fixes in a row have moved on while the filter was at rest."""
     refused = fixes[:, Event.VERDICT] == Verdict.REFUSED
     refused &= np.hypot(fixes[:, Event.V_N], fixes[:, Event.V_E]) < AT_REST
     off = np.hypot(fixes[:, Event.Z_N], fixes[:, Event.Z_E])
@@ -106,7 +99,7 @@ def _is_adrift(fixes: np.ndarray) -> bool:
     return max(gone, default=0.0) > FARTHEST_ADRIFT
 
 
-def _mounting_yaw(memory: np.ndarray, config: FilterConfig) -> float:
-    """Of the vehicle in the body's axes, rad clockwise."""
-    state = config.layout.index('mounting_yaw')
-    return 0.0 if state < 0 else float(memory[state_at(memory, int(memory[Head.SAMPLES])) + NAV + state])
+def mounting_angles(row: np.ndarray, layout: StateLayout) -> tuple[float, float]:
+    """Estimated yaw and pitch of the vehicle's axes in the body's, rad to the right and up; 0 without these states."""
+    yaw, pitch = (float(row[NAV + state]) if state >= 0 else 0.0 for state in map(layout.index, MOUNTING_STATES))
+    return yaw, pitch

@@ -1,6 +1,6 @@
-"""The standstill before the filter starts: where it was, what it shows, and what there is to say of it.
+"""Standstills before the filter starts: their detection, and messages about them.
 
-The filter's own detector, which learns while it runs, is in standstill.py.
+The running filter has a detector of its own, which adapts while it runs: trust/standstill.py.
 """
 from __future__ import annotations
 
@@ -13,21 +13,23 @@ from ...samples import runs
 from ..config import FilterConfig
 from .start import Standstill
 
-STILL_BLOCK = 1.0  # s; a standstill is made of such blocks
-SHORTEST_STILL = 3.0  # s
-STEADY_ACCELERATION = 0.06  # m/s^2: between the mean of a block and the standstill's
-STEADY_RATE = 0.005  # rad/s
-FEWEST_BLOCKS = 10  # blocks that tell whether a turn rate wanders: fewer may be those of driving off
-#: m/s: fixes of a vehicle at rest wander this fast. One that moves as slowly, and whose sensors are as quiet, may be
-#: taken for one at rest: its sensors show the same biases
+STILL_BLOCK = 1.0  # s, length of the blocks that a standstill consists of
+SHORTEST_STILL = 3.0  # s, shortest standstill
+#: m/s^2, largest difference of the mean of a block from the median of all blocks of a standstill
+STEADY_ACCELERATION = 0.06
+STEADY_RATE = 0.005  # rad/s, the same of the angular rate
+FEWEST_BLOCKS = 10  # blocks needed to decide whether a turn rate wanders: fewer may be the first of a drive
+#: m/s, drift of the fixes of a vehicle at rest. A vehicle that moves no faster, with sensors as quiet, may be taken for
+#: one at rest without harm: its sensors show the same biases
 RECEIVER_DRIFT = 0.3
-WANDERING = 4.0  # fixes have moved where they have by this many times their scatter about a straight line
-MEDIAN_SIGMA = math.sqrt(math.pi / 2)  # of a median over that of a mean, normal errors
-GRAVITY_TOLERANCE = 0.1  # of gravity: more is no sensor's error at rest
+WANDERING = 4.0  # fixes have moved where their displacement exceeds their scatter about a straight line by this factor
+MEDIAN_SIGMA = math.sqrt(math.pi / 2)  # standard deviation of a median over that of a mean, of normal errors
+#: share of gravity by which the specific force at rest may differ from it: more is no accelerometer error
+GRAVITY_TOLERANCE = 0.1
 
 
 def latest_standstill(imu: np.ndarray, positions: np.ndarray, config: FilterConfig) -> Standstill | None:
-    """The latest standstill: at least SHORTEST_STILL in which the sensors are quiet and the fixes stay in place.
+    """The latest period of at least SHORTEST_STILL in which the sensors are quiet and the fixes do not move.
 
     imu (n, 7 or more): time, specific force and angular rate in body axes. positions (k, 4): time, north, east, sigma.
     """
@@ -49,7 +51,7 @@ def latest_standstill(imu: np.ndarray, positions: np.ndarray, config: FilterConf
 
 
 def is_quiet(imu: np.ndarray, config: FilterConfig) -> bool:
-    """Whether the sensors are quiet and steady throughout `imu` (n, 7 or more): the velocity does not change."""
+    """Whether the sensors are quiet and steady throughout `imu` (n, 7 or more), so that the velocity is constant."""
     mean, scatter, _, length = _blocks(imu)
     mean, scatter = mean[length > 2], scatter[length > 2]
     if not len(mean):
@@ -60,8 +62,8 @@ def is_quiet(imu: np.ndarray, config: FilterConfig) -> bool:
 
 
 def tumbling_rate(imu: np.ndarray, positions: np.ndarray, config: FilterConfig) -> float:
-    """The turn rate, rad/s, that gyroscopes show about an axis about which no vehicle turns for seconds, forward or
-    right, while the accelerometers are quiet and the fixes stay in place; 0 where they show none."""
+    """Roll or pitch rate, rad/s, whichever is larger, while the accelerometers are quiet and the fixes do not move; 0
+    where it is small. No vehicle has one for seconds: it shows a wrong unit or axis."""
     mean, scatter, starts, length = _blocks(imu)
     ends = np.append(starts[1:], len(imu))
     for first, last in runs((scatter[:, :3].max(axis=1) < config.vehicle.still_acceleration) & (length > 2)):
@@ -73,13 +75,13 @@ def tumbling_rate(imu: np.ndarray, positions: np.ndarray, config: FilterConfig) 
 
 
 def _swings(rate: np.ndarray) -> bool:
-    """Whether the turn rate (k, 3) of blocks wanders as that of a boat at anchor does, and not as a bias."""
+    """Whether the angular rate (k, 3) of blocks varies as that of a boat at anchor, rather than being a bias."""
     away = np.abs(rate - np.median(rate, axis=0)).max(axis=1)
     return len(rate) >= FEWEST_BLOCKS and np.mean(away < STEADY_RATE) < 0.5
 
 
 def _blocks(imu):
-    """Mean and scatter (k, 6) of the samples in blocks of STILL_BLOCK, where each begins, and how many it has."""
+    """Samples in blocks of STILL_BLOCK: mean and standard deviation (k, 6), first index and number of samples (k,)."""
     block = np.floor((imu[:, 0] - imu[0, 0]) / STILL_BLOCK).astype(np.int64)
     starts = np.flatnonzero(np.diff(block, prepend=-1))
     length = np.diff(np.append(starts, len(imu)))
@@ -89,7 +91,8 @@ def _blocks(imu):
 
 
 def _longest_steady(mean: np.ndarray) -> slice:
-    """The longest run of blocks whose means (k, 6) stay near their median: a gentle start is quiet, but not that."""
+    """The longest run of blocks whose means (k, 6) are near their median; a gentle acceleration is quiet, not steady.
+    """
     away = np.abs(mean - np.median(mean, axis=0))
     found = runs((away[:, :3].max(axis=1) < STEADY_ACCELERATION) & (away[:, 3:].max(axis=1) < STEADY_RATE))
     if not len(found):
@@ -99,11 +102,10 @@ def _longest_steady(mean: np.ndarray) -> slice:
 
 
 def _stays(positions: np.ndarray, begin: float, end: float) -> bool:
-    """No motion between two times as far as the fixes can tell: at least two of them, first and last halves agree.
+    """Whether the fixes between two times, at least two, show no motion: the medians of their two halves agree.
 
-    Receivers wander by more than they say: what goes slowly enough for that does not speak against a standstill, nor
-    what does not go as straight as a vehicle whose sensors show no change; nor does one fix that is far off, which a
-    median does not see.
+    Receivers drift by more than they claim. Neither motion as slow as that counts, nor motion that is not as straight
+    as that of a vehicle whose sensors show no change, nor a single outlier, which a median ignores.
     """
     inside = positions[(positions[:, 0] >= begin - 0.5) & (positions[:, 0] <= end + 0.5)]
     if len(inside) < 2:
@@ -112,16 +114,16 @@ def _stays(positions: np.ndarray, begin: float, end: float) -> bool:
     moved = np.hypot(*(np.median(inside[half:, 1:3], axis=0) - np.median(inside[:half, 1:3], axis=0)))
     sigma = MEDIAN_SIGMA * inside[:, 3].mean() * math.sqrt(1 / half + 1 / (len(inside) - half))
     interval = max(0.5 * (inside[-1, 0] - inside[0, 0]), 1e-3)
-    time, place = inside[:, 0] - inside[:, 0].mean(), inside[:, 1:3] - inside[:, 1:3].mean(axis=0)
-    straight = np.outer(time, time @ place / max(time @ time, 1e-9))
-    off = math.sqrt(((place - straight) ** 2).sum() / max(len(inside) - 2, 1))
+    time, position = inside[:, 0] - inside[:, 0].mean(), inside[:, 1:3] - inside[:, 1:3].mean(axis=0)
+    straight = np.outer(time, time @ position / max(time @ time, 1e-9))
+    scatter = math.sqrt(((position - straight) ** 2).sum() / max(len(inside) - 2, 1))
     return moved < 2.0 * interval and moved < max(
-        4 * sigma + max(0.1, RECEIVER_DRIFT * interval), WANDERING * off if len(inside) >= FEWEST_BLOCKS else 0.0)
+        4 * sigma + max(0.1, RECEIVER_DRIFT * interval), WANDERING * scatter if len(inside) >= FEWEST_BLOCKS else 0.0)
 
 
 def note_standstill(standstill: Standstill | None, latitude: float, height: float,
                     config: FilterConfig) -> list[tuple[str, str]]:
-    """What a user should know of it: levels and texts."""
+    """Messages about the standstill: levels and texts."""
     if standstill is None:
         return [('info', 'no standstill seen: gyroscope bias and tilt of the IMU start unknown')]
     size = float(np.linalg.norm(standstill.specific_force))

@@ -1,4 +1,4 @@
-"""The first row of the filter's memory, from what the alignment found."""
+"""The first row of the filter's memory, from a `Start`; and the sensor errors that outlast a run."""
 from __future__ import annotations
 
 import math
@@ -10,7 +10,7 @@ from ...navigation.frames import leveling
 from ...navigation.strapdown import from_euler, matrix
 from ..config import REPEATED_TURN_ON, FilterConfig
 from ..measurements import wheel_vibration
-from ..memory import NAV, PLANAR, ROW, Head, Nav, Sample, set_covariance, state_at, variance_factor, views
+from ..memory import NAV, PLANAR, ROW, Error, Head, Nav, Sample, newest_row, set_covariance, variance_factor, views
 from ..memory import covariance as covariance_of
 from ..prediction import set_radii
 from ..trust.contradiction import FIRST_USUAL
@@ -18,9 +18,11 @@ from ..trust.receiver import Receiver
 from ..trust.scale import Scale
 from .start import UNKNOWN_TILT_SIGMA, Iron, SensorErrors, Standstill, Start
 
-#: of the tilt that a standstill takes out: a parking place slopes by as much
-TILT_SIGMA = 0.3  # m/s^2, 2 deg times gravity
-STILL_STEPS = 1024  # in which a process that is continuous in time is followed through a standstill
+#: m/s^2, gravity on the slope of a parking place (2 deg), which the planar filter removes with the tilt of the IMU
+TILT_SIGMA = 0.3
+LEVEL_SIGMA = 0.002  # rad, standard deviation of roll and pitch from a standstill, besides accelerometer errors
+VERTICAL_SPEED_SIGMA = 0.2  # m/s, standard deviation of the vertical velocity at the start
+STILL_STEPS = 1024  # steps in which a continuous-time process is followed through a standstill
 
 
 def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
@@ -28,7 +30,7 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
     head, _, rows, ring, _ = views(memory)
     conditioning, offset = config.conditioning, config.offset
     still = start.standstill
-    # the planar filter has no attitude: what the standstill shows of it is taken out of the samples
+    # the planar filter has no states for tilt: that which the standstill shows is removed from the samples
     level = config.alignment.level and still is not None and config.layout.is_level
     if level:
         conditioning, offset = leveled(config, still)
@@ -51,24 +53,27 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
     full[layout.n_navigation:, layout.n_navigation:] = covariance
     mounting = layout.index('mounting_yaw') - layout.n_navigation
     yaw = start.yaw - (estimate[mounting] if mounting >= 0 else 0.0)  # of the body
+    states = [layout.rows[error] for error in (Error.R_N, Error.R_E, Error.V_N, Error.V_E, Error.PHI_D)]
+    full[np.ix_(states, states)] = start.covariance
     if config.mechanization == PLANAR:
         row[Nav.YAW] = yaw
-        full[:5, :5] = start.covariance
     else:
-        _strapdown_attitude(config, row, full, start, yaw, _level_errors(config, estimate, constant))
+        # estimated errors of the two horizontal accelerometers
+        errors = estimate[:2 * layout.order:layout.order] + constant[:2]
+        _strapdown_attitude(config, row, full, start, yaw, errors)
     if start.iron is None:
-        _turn_into_vehicle(config, full)
-    else:  # whose heading is the body's
+        _correlate_with_mounting(config, full)
+    else:  # a magnetic heading is that of the body
         _take_iron(config, start.iron, estimate, full)
     row[NAV + layout.n_navigation:NAV + layout.n] = estimate
     set_covariance(row, layout, full)
     set_radii(memory, int(head[Head.ROWS_AT]))
     ring[0, Sample.TIME] = start.time
-    wheel_vibration.remember(memory, start.wheels)
+    wheel_vibration.restore(memory, start.wheels)
 
 
-def _turn_into_vehicle(config: FilterConfig, full: np.ndarray) -> None:
-    """The start's heading is the vehicle's; that of the body is off by the mounting's yaw, if this is not exact."""
+def _correlate_with_mounting(config: FilterConfig, full: np.ndarray) -> None:
+    """The heading of the start is the vehicle's, so that of the body contains the error of the mounting's yaw."""
     layout = config.layout
     mounting, yaw = layout.index('mounting_yaw'), layout.n_navigation - 1
     if mounting >= 0:
@@ -77,10 +82,10 @@ def _turn_into_vehicle(config: FilterConfig, full: np.ndarray) -> None:
 
 
 def _take_iron(config: FilterConfig, iron: Iron, estimate: np.ndarray, full: np.ndarray) -> None:
-    """What a magnetic heading has shown of the magnetometer: an error of that heading is one of the iron, too."""
+    """Estimate and covariance of the iron that was found with a magnetic heading, and its correlation with that."""
     layout = config.layout
     states, yaw = [layout.index(name) for name in iron.names], layout.n_navigation - 1
-    if min(states) < 0:  # of a filter without it
+    if min(states) < 0:  # a filter without magnetometer
         return
     estimate[np.array(states) - layout.n_navigation] = iron.estimate
     full[states] = full[:, states] = 0.0
@@ -90,21 +95,21 @@ def _take_iron(config: FilterConfig, iron: Iron, estimate: np.ndarray, full: np.
 
 
 def _sensor_errors(config: FilterConfig, start: Start, level: bool):
-    """Estimate (m,), covariance (m, m) and constant part (channels,) of the states behind the navigation errors."""
+    """Estimate (m,) and covariance (m, m) of the augmented states; constant part (channels,) of the sensor errors."""
     p, m = config.layout.order, config.layout.n_augmented
     estimate, covariance, constant = np.zeros(m), np.zeros((m, m)), np.zeros(len(config.models))
     still = start.standstill
-    # a fix that comes late starts the filter within the standstill that shows its sensors
+    # a late fix may start the filter within the standstill
     span = (still.duration, max(0.0, start.time - still.end)) if still else (0.0, 0.0)
-    unseen = np.ones(m, dtype=bool)  # by the standstill
+    unseen = np.ones(m, dtype=bool)  # states that the standstill does not show
     for channel, (model, axis) in enumerate(zip(config.models, config.channel_axes)):
         block = slice(channel * p, (channel + 1) * p)
-        mean, sigma = _shown(config, start, axis, level), config.turn_on_sigma[channel]
+        mean, sigma = _error_at_rest(config, start, axis, level), config.turn_on_sigma[channel]
         if axis < 2 and not config.layout.is_level:
-            mean = None  # tilt and bias stay one: see _strapdown_attitude
+            mean = None  # a standstill shows the sum of tilt and bias: see _strapdown_attitude
         elif axis < 2 and level:
             sigma = math.hypot(sigma, TILT_SIGMA)
-        # a planar filter's accelerometers feel the slope of where it started, which is not that of another place
+        # saved accelerometer errors of a planar filter include the slope of another place
         unseen[block] = mean is None and not (axis < 2 and config.layout.is_level)
         estimate[block], covariance[block, block], constant[channel] = channel_prior(
             model, sigma, config.white[axis], mean, *span)
@@ -117,12 +122,11 @@ def _sensor_errors(config: FilterConfig, start: Start, level: bool):
     return estimate, covariance, constant
 
 
-def learned(config: FilterConfig, memory: np.ndarray) -> SensorErrors:
-    """What the filter with this memory knows of its sensors."""
-    head, layout = views(memory)[0], config.layout
-    at = state_at(memory, int(head[Head.SAMPLES]))
-    row, n = memory[at:at + int(head[Head.WIDTH])], layout.n_navigation
-    # the constant parts are what the offset has beyond that of the configuration, which may have been leveled
+def sensor_errors_of(config: FilterConfig, memory: np.ndarray) -> SensorErrors:
+    """The sensor errors as the filter with this memory has estimated them."""
+    layout, row, head = config.layout, newest_row(memory), memory
+    n = layout.n_navigation
+    # the constant parts are the offset minus that of the configuration, levelled if it was
     leveled_offset = (head[Head.CONDITIONING:Head.CONDITIONING + 36].reshape(6, 6)
                       @ np.linalg.solve(config.conditioning, config.offset))
     constant = (leveled_offset - head[Head.OFFSET:Head.OFFSET + 6])[config.channel_axes]
@@ -130,15 +134,15 @@ def learned(config: FilterConfig, memory: np.ndarray) -> SensorErrors:
                         variance_factor(row, 0) * covariance_of(row, layout)[n:, n:], constant)
 
 
-def aged(config: FilterConfig, errors: SensorErrors, age: float) -> SensorErrors:
-    """`errors` after `age` s, in which each has gone on as its model says and the IMU may have been switched off."""
+def sensor_errors_after(config: FilterConfig, errors: SensorErrors, age: float) -> SensorErrors:
+    """`errors` after `age` s: predicted by their models, and less certain as the IMU may have been switched off."""
     p, m = config.layout.order, config.layout.n_augmented
     transition, noise = np.zeros((m, m)), np.zeros((m, m))
-    parts = [(model, slice(k * p, (k + 1) * p), REPEATED_TURN_ON**2 * first)
-             for k, (model, first) in enumerate(zip(config.models, config.first_variance))]
-    parts += [(extra.model, slice(k, k + 1), 0.0)
-              for k, extra in enumerate(config.extras, start=config.layout.n_sensor)]
-    for model, block, switched in parts:
+    blocks = [(model, slice(k * p, (k + 1) * p), REPEATED_TURN_ON**2 * first)
+              for k, (model, first) in enumerate(zip(config.models, config.first_variance))]
+    blocks += [(extra.model, slice(k, k + 1), 0.0)
+               for k, extra in enumerate(config.extras, start=config.layout.n_sensor)]
+    for model, block, switched in blocks:
         interval = model.interval or age
         transition[block, block], noise[block, block] = _repeated(
             model.transition(interval), model.process_noise(interval), round(age / interval) if age else 0)
@@ -147,8 +151,8 @@ def aged(config: FilterConfig, errors: SensorErrors, age: float) -> SensorErrors
     return SensorErrors(transition @ errors.estimate, 0.5 * (covariance + covariance.T), errors.constant)
 
 
-def _shown(config: FilterConfig, start: Start, axis: int, level: bool) -> float | None:
-    """What the standstill showed of the error of one body axis."""
+def _error_at_rest(config: FilterConfig, start: Start, axis: int, level: bool) -> float | None:
+    """Error of one body axis by the standstill; None without one."""
     still = start.standstill
     if still is None:
         return None
@@ -159,17 +163,12 @@ def _shown(config: FilterConfig, start: Start, axis: int, level: bool) -> float 
     return 0.0 if level else float(still.specific_force[axis])
 
 
-def _level_errors(config: FilterConfig, estimate: np.ndarray, constant: np.ndarray) -> np.ndarray:
-    """What is known of the errors of the two level accelerometers, m/s^2."""
-    return estimate[:2 * config.layout.order:config.layout.order] + constant[:2]
-
-
 def _strapdown_attitude(config: FilterConfig, row: np.ndarray, full: np.ndarray, start: Start, yaw: float,
                         errors: np.ndarray) -> None:
-    """Attitude and covariance of the nine navigation errors. errors: what is known of those of f_x and f_y, m/s^2.
+    """Attitude, and covariance of attitude, height and vertical velocity. errors: those estimated of f_x, f_y, m/s^2.
 
-    Roll and pitch are those of the standstill's specific force; never at rest, both start at 0. After a standstill the
-    attitude error and the errors of f_x, f_y are one: g phi_e = df_n, g phi_n = -df_e.
+    Roll and pitch are those of the specific force at standstill; without a standstill both start at 0. After a
+    standstill attitude error and accelerometer errors are fully correlated: g phi_e = df_n, g phi_n = -df_e.
     """
     roll = pitch = 0.0
     if start.standstill is not None:
@@ -177,12 +176,10 @@ def _strapdown_attitude(config: FilterConfig, row: np.ndarray, full: np.ndarray,
         roll, pitch = math.atan2(-f[1], -f[2]), math.atan2(f[0], math.hypot(f[1], f[2]))
     q = from_euler(roll, pitch, yaw)
     row[Nav.Q_W], row[Nav.Q_X], row[Nav.Q_Y], row[Nav.Q_Z] = q
-    planar = [0, 1, 3, 4, 8]
-    full[np.ix_(planar, planar)] = start.covariance
-    full[2, 2] = 4 * max(start.covariance[0, 0], start.covariance[1, 1])
-    full[5, 5] = 0.2**2
+    full[Error.R_D, Error.R_D] = 4 * max(start.covariance[0, 0], start.covariance[1, 1])
+    full[Error.V_D, Error.V_D] = VERTICAL_SPEED_SIGMA**2
     if start.standstill is None:
-        full[6, 6] = full[7, 7] = UNKNOWN_TILT_SIGMA**2
+        full[Error.PHI_N, Error.PHI_N] = full[Error.PHI_E, Error.PHI_E] = UNKNOWN_TILT_SIGMA**2
         return
     g = gravity(start.latitude, start.height)
     c = np.array(matrix(q)).reshape(3, 3)
@@ -190,17 +187,16 @@ def _strapdown_attitude(config: FilterConfig, row: np.ndarray, full: np.ndarray,
     for axis in range(2):
         state = axis * config.layout.order
         coupling[0, state], coupling[1, state] = -c[1, axis] / g, c[0, axis] / g
-    sensor = full[9:, 9:]
-    full[6:9, 6:9] += coupling @ sensor @ coupling.T + np.diag([0.002**2, 0.002**2, 0])
-    full[6:9, 9:] = coupling @ sensor
-    full[9:, 6:9] = full[6:9, 9:].T
+    phi, sensors = slice(Error.PHI_N, Error.PHI_D + 1), slice(config.layout.n_navigation, None)
+    sensor = full[sensors, sensors]
+    full[phi, phi] += coupling @ sensor @ coupling.T + np.diag([LEVEL_SIGMA**2, LEVEL_SIGMA**2, 0])
+    full[phi, sensors] = coupling @ sensor
+    full[sensors, phi] = full[phi, sensors].T
 
 
 def leveled(config: FilterConfig, standstill: Standstill):
-    """Conditioning and offset of `config` with the tilt of `standstill` removed: (6, 6), (6,).
-
-    The tilt is the smallest rotation that makes the specific force vertical: what is then left of f_x, f_y is zero.
-    """
+    """Conditioning (6, 6) and offset (6,) of `config` with the tilt of `standstill` removed: the smallest rotation that
+    makes its specific force vertical."""
     rotation = np.kron(np.eye(2), leveling(standstill.specific_force))
     return rotation @ config.conditioning, rotation @ config.offset
 
@@ -208,9 +204,9 @@ def leveled(config: FilterConfig, standstill: Standstill):
 def channel_prior(model, turn_on_sigma: float, white: float, mean: float | None, duration: float, since: float = 0.0):
     """Estimate (p,), covariance (p, p) and constant part of one channel's error at the start.
 
-    The error is a constant N(0, turn_on_sigma^2) plus the model's process from its initial covariance on. A standstill
-    of `duration` s that ended `since` s ago shows the mean of their sum, `mean`, with the variance of white noise
-    averaged over `duration`. What the process does during the standstill and after it counts, too.
+    The error is a constant N(0, turn_on_sigma^2) plus the model's process. A standstill of `duration` s that ended
+    `since` s ago shows the mean of their sum, `mean`, with the variance of white noise (density `white`) averaged over
+    `duration`. The change of the process during and after the standstill is taken into account.
     """
     p = model.order
     if mean is None:
@@ -219,7 +215,7 @@ def channel_prior(model, turn_on_sigma: float, white: float, mean: float | None,
         return np.zeros(p), covariance, 0.0
     interval = model.interval or duration / STILL_STEPS
     steps = max(1, round(duration / interval))
-    # the process, the constant, and the mean over the standstill as it adds up
+    # states: the process, the constant, and the mean over the standstill, as it accumulates
     transition, noise, prior = np.eye(p + 2), np.zeros((p + 2, p + 2)), np.zeros((p + 2, p + 2))
     transition[:p, :p], noise[:p, :p] = model.transition(interval), model.process_noise(interval)
     transition[-1, 0] = transition[-1, -2] = 1.0 / steps

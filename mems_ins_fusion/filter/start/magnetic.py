@@ -1,8 +1,8 @@
-"""The first heading from the magnetic field, once turns have shown the iron of the vehicle or somebody has measured it.
+"""The first heading from the magnetic field, once turns have shown the vehicle's iron, or with iron that was measured.
 
-The model is that of `measurements.magnetometer`, and the priors are those of its states: a vehicle that has not turned
-has a heading whose sigma is that of an unknown hard iron. Gyroscopes tell by how much it turned, accelerometers the
-level. Gauss-Newton on iron, heading and gyroscope bias; what it finds of the iron goes into the filter with it.
+Model and priors are those of measurements/magnetometer.py: before the vehicle has turned, the unknown hard iron leaves
+the heading unknown. The gyroscopes give the turn, the accelerometers roll and pitch. Gauss-Newton estimates iron,
+heading and gyroscope bias; the filter starts with that iron, too.
 """
 from __future__ import annotations
 
@@ -13,23 +13,25 @@ import numpy as np
 
 from ..config import FilterConfig
 from ..measurements.magnetometer import STATES
-from .start import Iron, SensorErrors, Standstill
+from .start import KNOWN_RATE_SIGMA, Iron, SensorErrors, Standstill
 
-LONGEST = 60.0  # s of fields that are looked at: for longer the bias of an unseen gyroscope is another one
-AROUND = 0.5  # s to each side over which the accelerometers' mean tells the level
-LEVEL_SIGMA = 0.02  # rad: of that, of a vehicle that drives slowly
-SHORTEST = 3.0  # s of them at least
-STARTS = 8  # headings that Gauss-Newton begins with: hard iron beyond the field has a false one
-STEPS = 8  # of it, from each
-CERTAIN = 4.0  # sigmas by which another heading has to fit worse
-MISFIT = 0.3  # times the expected sum of squares, of means of a second: the field is another one than the earth's
-LEAST_TURN = 0.4  # rad: a field that changes by itself shows no iron
-IRON_KNOWN = 0.2  # sigma of hard iron, as a share of the field, below which no turn has to show it
-HEADING_SIGMA = 0.15  # rad: good enough to start
+LONGEST = 60.0  # s of fields that are used: over longer times the gyroscope's bias is not constant
+SHORTEST = 3.0  # s of fields needed
+AROUND = 0.5  # s to each side over which the accelerometers are averaged for roll and pitch
+LEVEL_SIGMA = 0.02  # rad, standard deviation of roll and pitch from these while a vehicle drives slowly
+STARTS = 8  # initial headings of Gauss-Newton: hard iron stronger than the field makes local minima
+STEPS = 8  # iterations from each
+CERTAIN = 4.0  # sigmas by which any other heading has to fit worse
+#: largest sum of squares over its expectation, of means over a second: above this the field is not the earth's alone
+MISFIT = 0.3
+#: rad by which the vehicle has to turn: without a turn, a field that changes by itself would be taken for iron
+LEAST_TURN = 0.4
+IRON_KNOWN = 0.2  # standard deviation of the hard iron, as a share of the field, below which no turn is needed
+HEADING_SIGMA = 0.15  # rad, standard deviation of the heading that is good enough to start
 
 
 class MagneticHeading(NamedTuple):
-    """Heading of the body now, rad, its sigma, and the iron that it goes with."""
+    """Heading of the body now, rad, its sigma, and the iron estimated with it."""
 
     yaw: float
     sigma: float
@@ -38,10 +40,10 @@ class MagneticHeading(NamedTuple):
 
 def find_magnetic_heading(imu: np.ndarray, fields: np.ndarray, standstill: Standstill | None, config: FilterConfig,
                           name: str, known: SensorErrors | None) -> MagneticHeading | None:
-    """The heading at the newest sample; None while the field does not show it to HEADING_SIGMA.
+    """The heading at the newest sample; None while it is not determined to HEADING_SIGMA.
 
     imu: samples (n, 7 or more) of time, f, w in body axes. fields: (k, 6) of time, field in body axes, variance and
-    declination, as in the records. name: of the input. known: of an earlier run.
+    declination, as in the records. name: of the input. known: sensor errors of an earlier run.
     """
     now = imu[-1, 0]
     part = imu[imu[:, 0] > now - LONGEST]
@@ -49,12 +51,12 @@ def find_magnetic_heading(imu: np.ndarray, fields: np.ndarray, standstill: Stand
     if len(fields) < 2 or fields[-1, 0] - fields[0, 0] < SHORTEST:
         return None
     time = fields[:, 0]
-    bias_sigma = config.alignment.gyroscope_turn_on if standstill is None else 1e-3
+    bias_sigma = config.alignment.gyroscope_turn_on if standstill is None else KNOWN_RATE_SIGMA
     rate = part[:, 6] - (0.0 if standstill is None else standstill.angular_rate[2])
     turn = np.cumsum(rate * np.diff(part[:, 0], prepend=part[0, 0]))
     turn = np.interp(time, part[:, 0], turn) - turn[-1]
     sigma = np.sqrt(fields[:, 4] + (LEVEL_SIGMA * fields[:, 3]) ** 2)
-    # means of a second, as the errors of one are about the same
+    # means over a second, within which errors are about the same
     first = np.flatnonzero(np.diff(np.floor(time), prepend=-1.0))
     level, turn, since, sigma = (np.add.reduceat(of, first) / np.diff(np.append(first, len(time))).reshape(
         -1, *[1] * (of.ndim - 1)) for of in (_levelled(part, fields), turn, time - now, sigma))
@@ -73,13 +75,13 @@ def find_magnetic_heading(imu: np.ndarray, fields: np.ndarray, standstill: Stand
     yaw_variance = covariance[6, 6]
     if not yaw_variance < HEADING_SIGMA**2:
         return None
-    by_yaw = -covariance[:6, 6] / yaw_variance  # the filter's error of the heading is estimate less truth
+    by_yaw = -covariance[:6, 6] / yaw_variance  # an error in the filter is estimate minus truth
     return MagneticHeading(float(x[6] + fields[-1, 5]), math.sqrt(yaw_variance), Iron(
         names, x[:6].copy(), by_yaw, covariance[:6, :6] - yaw_variance * np.outer(by_yaw, by_yaw)))
 
 
 def _prior(config: FilterConfig, names, known: SensorErrors | None) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and sigma (6,) of the states."""
+    """Prior mean and sigma (6,) of the states."""
     sigma = {extra.name: extra.initial_sigma for extra in config.extras}
     mean, spread = np.zeros(len(names)), np.array([sigma[name] for name in names])
     if known is not None:
@@ -89,7 +91,7 @@ def _prior(config: FilterConfig, names, known: SensorErrors | None) -> tuple[np.
 
 
 def _levelled(imu, fields) -> np.ndarray:
-    """The fields' forward and right components (k, 2) in a vehicle that stands level."""
+    """Forward and right components (k, 2) of the fields after levelling."""
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(imu[:, 1:4], axis=0)])
     begin = np.searchsorted(imu[:, 0], fields[:, 0] - AROUND)
     end = np.maximum(np.searchsorted(imu[:, 0], fields[:, 0] + AROUND), begin + 1)
@@ -101,13 +103,13 @@ def _levelled(imu, fields) -> np.ndarray:
 
 
 def _fitted(yaw, mean, sigmas, level, turn, since, sigma):
-    """Iron, heading and gyroscope bias (8,) that fit best, beginning with a heading: the sum of squares with what
-    the priors say, these, the normal matrix (8, 8), and the mean square of what is left of the fields."""
+    """Gauss-Newton from a heading: the sum of squares including priors, the estimate (8,) of iron, heading and
+    gyroscope bias, the normal matrix (8, 8), and the mean square of the residuals."""
     c, s = np.cos(yaw + turn), -np.sin(yaw + turn)
     x = mean.copy()
     x[6] = yaw + mean[5]
     hard = np.mean(level - (1.0 + mean[2]) * np.column_stack([c, s]), axis=0)
-    x[:2] = mean[:2] + (hard - mean[:2]) * np.minimum(1.0, sigmas[:2])  # as far as it is not known
+    x[:2] = mean[:2] + (hard - mean[:2]) * np.minimum(1.0, sigmas[:2])  # less far where it is known
     for _ in range(STEPS):
         residual, jacobian = _misfit(x, level, turn, since, sigma)
         rows = np.concatenate([jacobian, np.diag(1.0 / sigmas)])

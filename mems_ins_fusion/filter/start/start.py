@@ -1,4 +1,4 @@
-"""What a filter starts from: where, how fast, which way, what a standstill showed, and how well all that is known."""
+"""The start of a filter: first state with its covariance, and what is known of the sensors."""
 from __future__ import annotations
 
 import math
@@ -12,23 +12,26 @@ from ...navigation.earth import radii
 from ..config import FilterConfig
 from ..trust.scale import Scale
 
-#: rad, roll and pitch of the IMU where no standstill has shown them
-UNKNOWN_TILT_SIGMA = 0.05
-#: the local frame begins at the median of this many fixes, the first good ones: of three, one may be wrong
-DATUM_FIXES = 3
+UNKNOWN_TILT_SIGMA = 0.05  # rad, standard deviation of roll and pitch of the IMU where no standstill has shown them
+#: m/s^2, standard deviation of the horizontal specific force due to that tilt
+UNKNOWN_TILT_FORCE = UNKNOWN_TILT_SIGMA * 9.8
+#: m/s^2, standard deviation of the horizontal specific force relative to that at standstill, on another slope
+KNOWN_FORCE_SIGMA = 0.1
+KNOWN_RATE_SIGMA = 1e-3  # rad/s, standard deviation of a gyroscope bias that a standstill has shown
+DATUM_FIXES = 3  # the origin of the local frame is the median of this many fixes: of three, one may be an outlier
 
 
 def first_place(fixes: Sequence[tuple[float, float, float]]) -> np.ndarray:
-    """The origin (3,) of the local frame that no parameter gives: latitude, longitude (rad), height (m).
+    """Origin (3,) of the local frame where no parameter gives it: latitude, longitude (rad), height (m).
 
-    fixes: the first good ones, the same three numbers each; DATUM_FIXES of them, or as many as there are at the start.
+    fixes: the first valid ones, the same three numbers each; DATUM_FIXES, or as many as there are at the start.
     """
     return np.median(np.array(fixes[:DATUM_FIXES]), axis=0)
 
 
 @dataclass
 class Standstill:
-    """What the sensors showed at rest, body axes: means over `duration` seconds that ended at `end`."""
+    """Mean samples at rest, body axes, over `duration` s until `end`."""
 
     end: float
     duration: float
@@ -38,17 +41,33 @@ class Standstill:
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """What an earlier filter with the same states had learned. estimate (m,), covariance (m, m) of the states behind
-    the navigation errors; constant (channels,): the part of each sensor's error that has no state."""
+    """Estimated by an earlier filter with the same states: estimate (m,) and covariance (m, m) of the augmented states;
+    constant (channels,): part of each sensor's error that is not a state."""
 
     estimate: np.ndarray
     covariance: np.ndarray
     constant: np.ndarray
 
 
+@dataclass(frozen=True)
+class SavedState:
+    """State of an earlier run that ended at rest.
+
+    position: rad, rad, m. yaw, yaw_sigma: of the vehicle, rad. max_distance: m, from the position, within which it is
+    used. errors: None where they are of another configuration. wheels: `wheel_vibration.calibration`, or None.
+    """
+
+    position: tuple[float, float, float]
+    yaw: float
+    yaw_sigma: float
+    max_distance: float
+    errors: SensorErrors | None
+    wheels: np.ndarray | None = None
+
+
 class Iron(NamedTuple):
-    """What a magnetic heading goes with: states `names` of the magnetometer, their estimate (k,), its change with an
-    error of the heading (k,), and what is left of the covariance beside that (k, k)."""
+    """Iron estimated together with a magnetic heading: names of the magnetometer's states (k), their estimate (k,), its
+    change for an error of the heading (k,), and the covariance without that part (k, k)."""
 
     names: tuple[str, ...]
     estimate: np.ndarray
@@ -58,7 +77,7 @@ class Iron(NamedTuple):
 
 @dataclass
 class Start:
-    """The first state: where, how fast, which way, and how well that is known."""
+    """The first state."""
 
     time: float  # s since the epoch
     latitude: float
@@ -72,13 +91,13 @@ class Start:
     errors: SensorErrors | None = None
     gnss_scale: np.ndarray = field(default_factory=lambda: np.zeros(Scale.SIZE))  # of the fixes, see trust/scale.py
     iron: Iron | None = None
-    wheels: np.ndarray | None = None  # what an earlier filter had learned of them, see measurements/wheel_vibration.py
+    wheels: np.ndarray | None = None  # `wheel_vibration.calibration` of an earlier run
 
 
 def transferred(start: Start, old: FilterConfig, new: FilterConfig) -> Start:
-    """The start that `old` found, for a filter with other parameters: so that two runs differ by these alone.
+    """A start found with the configuration `old`, converted to `new`: two runs then differ by their parameters alone.
 
-    The time offset moves its time, the lever arm its position; what the standstill shows is `retaken` by the run.
+    The time offset changes its time, the lever arm its position; the run replaces the standstill (`remeasured`).
     """
     delay = new.gnss.time_offset - old.gnss.time_offset
     arm = new.gnss.lever_arm - old.gnss.lever_arm
@@ -91,12 +110,11 @@ def transferred(start: Start, old: FilterConfig, new: FilterConfig) -> Start:
         height=start.height + arm[2])
 
 
-def retaken(start: Start, config: FilterConfig, samples: np.ndarray) -> Start:
-    """`start` with what its standstill shows in these samples (n, 7): time as in `start`, f and w in sensor axes."""
+def remeasured(start: Start, config: FilterConfig, samples: np.ndarray) -> Start:
+    """`start` with the means of its standstill over these samples (n, 7): time as in `start`, f, w in sensor axes."""
     still = start.standstill
     if still is None:
         return start
     inside = slice(*np.searchsorted(samples[:, 0], [still.end - still.duration - 1e-6, still.end + 1e-6]))
-    seen = samples[inside, 1:].mean(axis=0)
-    seen = config.conditioning @ seen + config.offset
-    return replace(start, standstill=replace(still, specific_force=seen[:3], angular_rate=seen[3:]))
+    mean = config.conditioning @ samples[inside, 1:].mean(axis=0) + config.offset
+    return replace(start, standstill=replace(still, specific_force=mean[:3], angular_rate=mean[3:]))
