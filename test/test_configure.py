@@ -274,6 +274,19 @@ def test_a_level_road_straight_on_at_constant_speed_shows_no_yaw():
     assert any('yaw of imu.mounting_rpy is right does not show' in text for text in said)
 
 
+def test_the_checker_says_what_configure_says_of_a_long_recording():
+    # given a vehicle that goes straight on for 21 minutes before it turns and brakes, with fixes 0.3 s late
+    late = EFFECTS['gnss_time_offset'], {'time_offset': 0.3}
+    drive = follow(Path((Segment(10.0), Segment(10.0, 12.0), Segment(1260.0), *SHORT[1:])), 1400.0, 50.0)
+    made = simulate_recording(drive, SensorErrors(), GnssNoise(0.05, 1.0), [late], seed=0).recording
+    # when the checker and configure look at it
+    found = look('drive', made.imu, made.gnss).mounting.offset
+    said, = (finding for finding in check_setup(made, table.defaults()) if 'lag_s' in finding.values)
+    # then it is one estimate, and it is right
+    assert (said.values['lag_s'], said.values['sigma_s']) == (found.lag, found.lag_sigma)
+    assert said.values['lag_s'] == pytest.approx(0.3, abs=min(0.1, 3.0 * said.values['sigma_s']))
+
+
 def test_speeding_up_and_braking_alone_show_the_yaw_and_which_way_is_forwards():
     mounting = [0.0, 0.0, math.pi - 0.2]
     made = recording(STRAIGHT, mounting, sigma=0.02)

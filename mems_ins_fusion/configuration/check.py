@@ -21,7 +21,6 @@ from mems_ins_fusion.recordings.checker import ERROR, INFO, WARNING, Finding, ch
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
 SURE = 4.0  # sigmas
-LOOKED_AT = 1200.0  # s: how an IMU is mounted shows in this part of a drive
 SMALL_YAW, SMALL_TILT = math.radians(3.0), math.radians(5.0)  # less is for the filter to find
 LARGE = math.radians(30.0)  # a mounting that is off by more is an error
 _BACKWARDS = math.radians(150.0)
@@ -55,14 +54,14 @@ def check_setup(recording: Recording, values: dict) -> list[Finding]:
 
 
 def _usable(recording: Recording, values: dict) -> tuple[ImuSamples, Fixes | None]:
-    """The samples and fixes of the first LOOKED_AT that can be looked at; None without such fixes."""
+    """The samples and fixes that can be looked at, of the whole recording as in `configure`; None without such
+    fixes."""
     imu = usable_samples(recording.imu, values['imu.max_specific_force'], values['imu.max_angular_rate'])
     if recording.gnss is None or not len(imu):
         return imu, None
-    fixes, end = usable_fixes(recording.gnss), imu.stamp[0] + round(LOOKED_AT * 1e9)
-    fixes = fixes.select(fixes.stamp < end)
+    fixes = usable_fixes(recording.gnss)
     overlap = len(fixes) > 1 and imu.stamp[-1] > fixes.stamp[0] and imu.stamp[0] < fixes.stamp[-1]
-    return imu.select(imu.stamp < end), fixes if overlap else None
+    return imu, fixes if overlap else None
 
 
 def judge_mounting(imu: ImuSamples, fixes: Fixes | None, values: dict,
