@@ -222,6 +222,18 @@ def test_a_receiver_that_smooths_in_turns_passes_for_no_offset(seed):
     assert abs(offset.lag - 0.4) < 2.0 * offset.lag_sigma
 
 
+def test_what_smoothing_leaves_undecided_is_in_the_sigma_of_the_offset(monkeypatch):
+    # given a drive, and what it leaves undecided
+    made = simulate_recording(simulate_drive(200.0, 1, 25.0), SensorErrors(), GnssNoise(1.0, 1.0), seed=1).recording
+    found = estimate_offset(made.imu, made.gnss, np.eye(3))
+    # when that is 0.7 s
+    monkeypatch.setattr('mems_ins_fusion.configuration.offset._undecided', lambda by_smoothing, lag: 0.7)
+    vague = estimate_offset(made.imu, made.gnss, np.eye(3))
+    # then all else of the sigma is as it was
+    assert vague.undecided == 0.7
+    assert vague.lag_sigma**2 - 0.7**2 == pytest.approx(found.lag_sigma**2 - found.undecided**2)
+
+
 def test_what_the_parameters_say_is_not_said_again(late):
     def said(**values):
         found = check(late, table.check({'imu.mounting_rpy': [0.0, 0.0, 2.0], **values}))
