@@ -166,11 +166,12 @@ def _compare(found: Mounting, values: dict) -> list[Finding]:
     words = ([_tilt_in_words(tilt, tilt_sigma)] if tilted else []) + (
         [_yaw_in_words(yaw, float(found.sigma[2]))] if turned else [])
     known = '' if found.yaw_known else ' (yaw 0: too few turns and changes of speed to see it)'
+    words = ' and '.join(reversed(words))  # backwards, and tilted
     advice = f'set imu.mounting_rpy to {yaml_value([round(float(angle), 4) for angle in found.rpy])}{known}'
     # without the constraint a vehicle may drive sideways
     wrong_way = turned and abs(yaw) > LARGE and values['vehicle.non_holonomic'] and not _may_reverse(found, yaw)
     severity = ERROR if (tilted and tilt > LARGE) or wrong_way else WARNING
-    return [Finding(severity, 'imu', f'the IMU seems to be mounted {" and ".join(words)}: {advice}',
+    return [Finding(severity, 'imu', f'the IMU seems to be mounted {words}: {advice}',
                     {'tilt': tilt, 'tilt_sigma': tilt_sigma, 'yaw': yaw if found.yaw_known else None,
                      'yaw_sigma': float(found.sigma[2]), 'mounting_rpy': found.rpy.tolist()},
                     ('imu.mounting_rpy',))]
@@ -189,12 +190,11 @@ def _tilt_in_words(tilt, sigma) -> str:
         return 'upside down'
     if tilt > math.radians(60.0):
         return f'on its side ({degrees} off level)'
-    return f'tilted by {degrees} against what imu.mounting_rpy says'
+    return f'tilted by {degrees}'
 
 
 def _yaw_in_words(yaw, sigma) -> str:
     if abs(yaw) > _BACKWARDS:
         return 'backwards'
     side = 'left' if yaw > 0 else 'right'
-    return (f'turned to the {side} by {abs(math.degrees(yaw)):.0f} +- {math.degrees(sigma):.1f} deg against what '
-            'imu.mounting_rpy says')
+    return f'turned to the {side} by {abs(math.degrees(yaw)):.0f} +- {math.degrees(sigma):.1f} deg'
