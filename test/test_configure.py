@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.__main__ import main
 from mems_ins_fusion.configuration.check import check, check_setup, judge_mounting
-from mems_ins_fusion.configuration.configure import _vehicle_settings, configure, configured, look
+from mems_ins_fusion.configuration.configure import configure, configured, look
+from mems_ins_fusion.configuration.drive_settings import vehicle_settings
 from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting, rpy
 from mems_ins_fusion.configuration.noise import find_noise
 from mems_ins_fusion.configuration.offset import estimate_offset
@@ -540,6 +541,6 @@ def test_standstills_are_used_unless_much_of_the_motion_is_as_quiet_as_rest(quie
     vehicle = assess_vehicle(imu, ~np.repeat(moving, rate), None, 1.0)
     # then they are told apart by both sensors together
     assert vehicle.alike == pytest.approx(quiet, abs=0.1)
-    settings = {setting.name: setting.value for setting in _vehicle_settings([SimpleNamespace(vehicle=vehicle)])}
+    settings = {setting.name: setting.value for setting in vehicle_settings([SimpleNamespace(vehicle=vehicle)])}
     assert settings['vehicle.zero_velocity'] is told
     assert ('vehicle.still_rate' in settings) is told
