@@ -15,9 +15,10 @@ from mems_ins_fusion.diagnosis.drives import Drives
 from mems_ins_fusion.diagnosis.estimate import SYSTEMATIC, Estimate
 from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.held_out import HeldOut
+from mems_ins_fusion.diagnosis.judging import Judged
+from mems_ins_fusion.diagnosis.known import Known
 from mems_ins_fusion.diagnosis.plausible import implausible
 from mems_ins_fusion.diagnosis.problem import Problem
-from mems_ins_fusion.diagnosis.search import Judged, Known
 from mems_ins_fusion.diagnosis.starts import TIME_OFFSET, Shown, other_starts, shown_without_filter
 from mems_ins_fusion.diagnosis.tracing import Candidate
 from mems_ins_fusion.diagnosis.trial_runs import TrialRuns
@@ -148,8 +149,8 @@ def test_nothing_stands_for_an_offset_that_the_track_shows_for_certain(late, mon
     problem = SimpleNamespace(mask=np.ones(1, dtype=bool), recording=late)
     residual = SimpleNamespace(log_likelihood=lambda: np.zeros(1))
     known = Known(problem, None, None, tuple(c.effect for c in candidates))
-    monkeypatch.setattr(search, '_with', lambda *given: SimpleNamespace(problem=problem, residual=residual))
-    monkeypatch.setattr(search, '_judged', lambda known, candidate, model, bench: Judged(
+    monkeypatch.setattr(search, 'with_candidate', lambda *given: SimpleNamespace(problem=problem, residual=residual))
+    monkeypatch.setattr(search, 'judge', lambda known, candidate, model, bench: Judged(
         candidate, model, {'time_offset': Estimate(0.9, 0.05, 's')}, {}, HeldOut(1.0, 0.5, []), None,
         'the error grows'))
     monkeypatch.setattr(search, 'compared', lambda *measured: [])
