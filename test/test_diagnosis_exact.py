@@ -45,26 +45,37 @@ def test_an_arm_that_is_not_known_is_in_the_sigma_of_an_offset(drive):
     right, stated = fitted(drive, ARM)
     moved = held.x[0] - right.x[0]
     assert abs(right.x[0]) < 3.0 * right.sigma()[0] and abs(moved) > 3.0 * held.sigma()[0]
-    # then by how much an arm of that size moves the offset is known before
-    further = of_what_is_held(held, track(arm=[ARM, 0.0, 0.0]), given)
+    # when the track shows another offset, and an arm of that size
+    further = of_what_is_held(held, track(1.0, arm=[ARM, 0.0, 0.0]), given)
+    # then by how much that moves the offset is known before
     assert further[0] == pytest.approx(abs(moved), rel=0.3)
-    # whether that size is an estimate or its sigma, and with both it is more
-    assert of_what_is_held(held, track(arm_sigma=[ARM, 0.0, 0.0]), given) == pytest.approx(further)
-    assert of_what_is_held(held, track(arm=[ARM, 0.0, 0.0], arm_sigma=[ARM, 0.0, 0.0]), given) == pytest.approx(
+    # whether the size is an estimate or its sigma, and with both it is more
+    assert of_what_is_held(held, track(1.0, arm_sigma=[ARM, 0.0, 0.0]), given) == pytest.approx(further)
+    assert of_what_is_held(held, track(1.0, arm=[ARM, 0.0, 0.0], arm_sigma=[ARM, 0.0, 0.0]), given) == pytest.approx(
         np.sqrt(2.0) * further, rel=0.01)
     # an arm that is stated was measured, and one that nothing shows may be a metre
-    assert of_what_is_held(right, track(arm=[ARM, 0.0, 0.0]), stated)[0] == 0.0
+    assert of_what_is_held(right, track(1.0, arm=[ARM, 0.0, 0.0]), stated)[0] == 0.0
     assert of_what_is_held(held, None, given)[0] > 0.99 * further[0] / ARM
+
+
+def test_an_offset_that_the_track_shows_too_is_not_one_of_an_arm(drive):
+    # given an arm of which nothing is known, and a track that shows nearly that offset, or that within its sigma
+    held, given = fitted(drive, 0.0)
+    for shown, expected in ((track(held.x[0] + 0.01, arm_sigma=[ARM] * 3), 0.01),
+                            (track(held.x[0] + 0.05, 0.03, arm_sigma=[ARM] * 3), 0.04),
+                            (track(held.x[0] + 0.05, 0.06, arm_sigma=[ARM] * 3), 0.0)):
+        # then it is off by no more than that
+        assert of_what_is_held(held, shown, given)[0] == pytest.approx(expected)
 
 
 def test_an_offset_that_is_not_known_is_in_the_sigma_of_an_arm(drive):
     arm, given = fitted(drive, 0.0, 'gnss_lever_arm')
-    assert not of_what_is_held(arm, track(), given).any()
-    late = of_what_is_held(arm, track(lag=0.2), given)
+    assert not of_what_is_held(arm, track(arm=[9.0] * 3), given).any()
+    late = of_what_is_held(arm, track(lag=0.2, arm=[9.0] * 3), given)
     # forwards by some part of the way that a car goes in that time, and sideways by little
     other, _ = fitted(drive, 0.0, 'gnss_lever_arm', offset=0.2)
     assert late[0] == pytest.approx(abs(other.x[0] - arm.x[0]), rel=0.3) and 10.0 * late[1] < late[0]
-    assert of_what_is_held(arm, track(lag=0.2), given | {'gnss.time_offset': 0.2}) == pytest.approx(0.0)
+    assert of_what_is_held(arm, track(lag=0.2, arm=[9.0] * 3), given | {'gnss.time_offset': 0.2}) == pytest.approx(0.0)
 
 
 def test_other_effects_are_left_alone(drive):

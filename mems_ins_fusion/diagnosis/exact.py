@@ -26,7 +26,8 @@ def of_what_is_held(model: Model, track: Offset | None, given: Mapping) -> np.nd
     """What the standard deviations of `model` lack, (p,): by how much its time offset, arm and smoothing are off where
     those of HELD that are not in it are not as in the parameters `given`. Zero for all other unknowns.
 
-    track: time offset and arm as the recordings show them without a filter.
+    track: time offset, arm and smoothing as the recordings show them without a filter, each with the others unknown. So
+    it is no more than what a value of `model` is from that of the track beyond the latter's own sigma.
     """
     further = np.zeros(len(model.unknowns))
     own = [i for i, u in enumerate(model.unknowns) if u.effect in TOGETHER and not u.noise]
@@ -41,8 +42,27 @@ def of_what_is_held(model: Model, track: Offset | None, given: Mapping) -> np.nd
     unknowns, sizes = [replace(u, step=size) for u, size in held], np.array([size for _, size in held])
     _, other = scores(model.moved(), unknowns, np.zeros(len(unknowns)), model.residual, quick=True)
     moves = model.covariance @ model.scores.information(model.problem.mask, other)  # of each by one unit of those held
-    further[own] = np.linalg.norm(moves * sizes, axis=1)[own]
+    for i in own:
+        further[i] = min(float(np.linalg.norm(moves[i] * sizes)), _apart(model.unknowns[i], model.x[i], track, given))
     return further
+
+
+def _apart(unknown: Unknown, x: float, track: Offset | None, given: Mapping) -> float:
+    """By how much `x` contradicts what the track shows of `unknown`, beyond the track's sigma."""
+    if track is None:
+        return math.inf
+    value, sigma = _shown(unknown, track, given)
+    return math.sqrt(max((x - value) ** 2 - sigma**2, 0.0))
+
+
+def _shown(unknown: Unknown, track: Offset, given: Mapping) -> tuple[float, float]:
+    """What the track shows of `unknown`, of TOGETHER, beyond what is given, and its sigma."""
+    if unknown.effect == 'gnss_time_offset':
+        return track.lag - given['gnss.time_offset'], track.lag_sigma
+    if unknown.effect == 'gnss_lag':
+        return track.smoothing - given['gnss.lag_per_acceleration'], track.smoothing_sigma
+    axis = 'xyz'.index(unknown.parameter)
+    return float(track.arm[axis] - given['gnss.lever_arm'][axis]), float(track.arm_sigma[axis])
 
 
 def _doubt(unknown: Unknown, track: Offset | None, given: Mapping) -> float:
@@ -50,9 +70,4 @@ def _doubt(unknown: Unknown, track: Offset | None, given: Mapping) -> float:
     An arm that is stated was measured."""
     if unknown.effect == 'gnss_lever_arm' and any(given['gnss.lever_arm']):
         return 0.0
-    if track is None:
-        return unknown.usual
-    if unknown.effect == 'gnss_time_offset':
-        return math.hypot(track.lag - given['gnss.time_offset'], track.lag_sigma)
-    axis = 'xyz'.index(unknown.parameter)
-    return math.hypot(track.arm[axis], track.arm_sigma[axis])
+    return unknown.usual if track is None else math.hypot(*_shown(unknown, track, given))
