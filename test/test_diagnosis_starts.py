@@ -86,6 +86,20 @@ def test_an_offset_that_is_only_told_is_no_surer_either():
     assert finding.parameters['time_offset'].sigma == pytest.approx(np.sqrt(0.02**2 + 0.3**2 + 0.01**2))
 
 
+def test_what_the_track_shows_for_certain_is_told_even_where_held_out_data_do_not_gain():
+    # given an offset with which held-out data are predicted worse
+    told = Finding('gnss_time_offset', ['gnss_time_offset'], {'time_offset': Estimate(0.6, 0.1, 's')}, 400.0, 1e-80,
+                   False, HeldOut(-29.7, 0.57, []), 'no gain')
+    model = SimpleNamespace(unknowns=[], x=[], sigma=lambda: [])
+    said = {}
+    for certain in ((), ('gnss_time_offset',)):
+        trials = SimpleNamespace(library=[], origin=SimpleNamespace(given={}), beside=SimpleNamespace(track=None),
+                                 certain=certain)
+        said[certain] = _final(SimpleNamespace(model=model, findings=[told]), {}, {}, trials)
+    # then it is told only where the checker tells it, too
+    assert not said[()] and [finding.name for finding in said['gnss_time_offset',]] == ['gnss_time_offset']
+
+
 def test_errors_before_and_after_are_those_of_the_same_outages(late, monkeypatch):
     # given a correction whose filter starts later, and so has not the first two outages
     measured = conclusion._as_measured
