@@ -33,9 +33,11 @@ def main(argv: list[str] | None = None) -> int:
         print(VERSION)
         return 0
     if not argv or argv[0] not in TOOLS:
-        print(usage(), file=sys.stderr)
+        hint = did_you_mean(argv[0], TOOLS) if argv else ''
+        if not hint:
+            print(usage(), file=sys.stderr)
         if argv:
-            print(f"\nno tool is named '{argv[0]}'{did_you_mean(argv[0], TOOLS)}", file=sys.stderr)
+            print(f"no tool is named '{argv[0]}'{hint}", file=sys.stderr)
         return 2
     return guarded(argv[0], argv[1:], lambda: _run(argv))
 

@@ -48,7 +48,7 @@ class Outcome:
         """What is wrong with it; empty where nothing is. longest: s of processor time that it may take."""
         if self.status not in (0, 2):
             return f'status {self.status}: {self.said[-300:]}'
-        if 'Traceback' in self.said or 'a defect of the program' in self.said:
+        if any(words in self.said for words in ('Traceback', 'a defect of the program', 'RuntimeWarning')):
             return self.said[-600:]
         lines = self.said.strip().splitlines()
         if self.status == 2 and not lines:

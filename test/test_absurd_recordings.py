@@ -13,7 +13,7 @@ from fuzz_support import outcome
 from mems_ins_fusion.configuration.check import judge_mounting
 from mems_ins_fusion.configuration.configure import Setting, _possible, look
 from mems_ins_fusion.configuration.mounting import deviation
-from mems_ins_fusion.diagnosis import search
+from mems_ins_fusion.diagnosis import judging
 from mems_ins_fusion.diagnosis.fit import Model, _finite
 from mems_ins_fusion.diagnosis.judgement import harm
 from mems_ins_fusion.effects.registry import EFFECTS
@@ -118,7 +118,7 @@ def test_slopes_beyond_all_numbers_count_for_nothing():
 
 
 def test_an_effect_that_has_lost_its_axes_is_refined_without_them(monkeypatch):
-    """`_pruned` has removed the axis: there is nothing left whose time constant could be fitted."""
+    """`prune` has removed the axis: there is nothing left whose time constant could be fitted."""
     effect, fitted = EFFECTS['gyroscope_warm_up'], []
 
     class Problem:
@@ -126,23 +126,23 @@ def test_an_effect_that_has_lost_its_axes_is_refined_without_them(monkeypatch):
         attitude = None
 
     known = SimpleNamespace(model=SimpleNamespace(unknowns=[]), problem=Problem())
-    axes = search.effect_unknowns(effect, dict(effect.tried[0]), None)
+    axes = judging.effect_unknowns(effect, dict(effect.tried[0]), None)
 
     def fit(problem, unknowns, x, iterations):
         assert len(unknowns) == len(x)
         fitted.append([u.name for u in unknowns])
         return Model(problem, unknowns, np.asarray(x), np.eye(len(x)), None, None)
 
-    monkeypatch.setattr(search, 'fit', fit)
-    monkeypatch.setattr(search, 'also_determined', lambda *arguments: [])
+    monkeypatch.setattr(judging, 'fit', fit)
+    monkeypatch.setattr(judging, 'also_determined', lambda *arguments: [])
     monkeypatch.setattr(Model, 'likelihood', lambda self, mask: 0.0)
     monkeypatch.setattr(Model, 'moved', lambda self: self.problem)
     candidate = SimpleNamespace(effect=effect, fixed=dict(effect.tried[0]), undetermined={})
     whole = Model(Problem(), axes, np.full(len(axes), 0.1), np.eye(len(axes)), None, None)
-    search._completed(known, candidate, whole)
+    judging._completed(known, candidate, whole)
     assert len(fitted) == len(effect.tried) and all(names[0] == axes[0].name for names in fitted)
     pruned = Model(Problem(), [], np.empty(0), np.empty((0, 0)), None, None)
-    assert search._completed(known, candidate, pruned) == (pruned, {}) and len(fitted) == len(effect.tried)
+    assert judging._completed(known, candidate, pruned) == (pruned, {}) and len(fitted) == len(effect.tried)
 
 
 # -- numbers that are none ---------------------------------------------------------------------------------------------

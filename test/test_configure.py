@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.__main__ import main
 from mems_ins_fusion.configuration.check import check, check_setup, judge_mounting
-from mems_ins_fusion.configuration.configure import _vehicle_settings, configure, configured, look
+from mems_ins_fusion.configuration.configure import configure, configured, look
+from mems_ins_fusion.configuration.drive_settings import vehicle_settings
 from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting, rpy
 from mems_ins_fusion.configuration.noise import find_noise
 from mems_ins_fusion.configuration.offset import estimate_offset
@@ -222,6 +223,18 @@ def test_a_receiver_that_smooths_in_turns_passes_for_no_offset(seed):
     assert abs(offset.lag - 0.4) < 2.0 * offset.lag_sigma
 
 
+def test_what_smoothing_leaves_undecided_is_in_the_sigma_of_the_offset(monkeypatch):
+    # given a drive, and what it leaves undecided
+    made = simulate_recording(simulate_drive(200.0, 1, 25.0), SensorErrors(), GnssNoise(1.0, 1.0), seed=1).recording
+    found = estimate_offset(made.imu, made.gnss, np.eye(3))
+    # when that is 0.7 s
+    monkeypatch.setattr('mems_ins_fusion.configuration.offset._undecided', lambda by_smoothing, lag: 0.7)
+    vague = estimate_offset(made.imu, made.gnss, np.eye(3))
+    # then all else of the sigma is as it was
+    assert vague.undecided == 0.7
+    assert vague.lag_sigma**2 - 0.7**2 == pytest.approx(found.lag_sigma**2 - found.undecided**2)
+
+
 def test_what_the_parameters_say_is_not_said_again(late):
     def said(**values):
         found = check(late, table.check({'imu.mounting_rpy': [0.0, 0.0, 2.0], **values}))
@@ -272,6 +285,19 @@ def test_a_level_road_straight_on_at_constant_speed_shows_no_yaw():
     assert contradictions(made.imu, made.gnss, [0.0, 0.0, 2.0]) == []
     said = [finding.message for finding in check_setup(made, table.check({'imu.mounting_rpy': [0.0, 0.0, 2.0]}))]
     assert any('yaw of imu.mounting_rpy is right does not show' in text for text in said)
+
+
+def test_the_checker_says_what_configure_says_of_a_long_recording():
+    # given a vehicle that goes straight on for 21 minutes before it turns and brakes, with fixes 0.3 s late
+    late = EFFECTS['gnss_time_offset'], {'time_offset': 0.3}
+    drive = follow(Path((Segment(10.0), Segment(10.0, 12.0), Segment(1260.0), *SHORT[1:])), 1400.0, 50.0)
+    made = simulate_recording(drive, SensorErrors(), GnssNoise(0.05, 1.0), [late], seed=0).recording
+    # when the checker and configure look at it
+    found = look('drive', made.imu, made.gnss).mounting.offset
+    said, = (finding for finding in check_setup(made, table.defaults()) if 'lag_s' in finding.values)
+    # then it is one estimate, and it is right
+    assert (said.values['lag_s'], said.values['sigma_s']) == (found.lag, found.lag_sigma)
+    assert said.values['lag_s'] == pytest.approx(0.3, abs=min(0.1, 3.0 * said.values['sigma_s']))
 
 
 def test_speeding_up_and_braking_alone_show_the_yaw_and_which_way_is_forwards():
@@ -515,6 +541,6 @@ def test_standstills_are_used_unless_much_of_the_motion_is_as_quiet_as_rest(quie
     vehicle = assess_vehicle(imu, ~np.repeat(moving, rate), None, 1.0)
     # then they are told apart by both sensors together
     assert vehicle.alike == pytest.approx(quiet, abs=0.1)
-    settings = {setting.name: setting.value for setting in _vehicle_settings([SimpleNamespace(vehicle=vehicle)])}
+    settings = {setting.name: setting.value for setting in vehicle_settings([SimpleNamespace(vehicle=vehicle)])}
     assert settings['vehicle.zero_velocity'] is told
     assert ('vehicle.still_rate' in settings) is told

@@ -329,15 +329,20 @@ def test_outages_apart_are_counted():
 
 
 def test_means_before_and_after_are_of_the_same_outages():
-    # given a filter that starts later, and so misses the first three outages, which were the largest
+    # given a filter that starts later, and so misses the first three outages, which were the largest, and ten epochs
     whole, late = overlapping(10.0, 20.0, 12), overlapping(10.0, 20.0, 12)
     whole.outages[0].max_error[:3] = 50.0
     late = replace(late, outages=[late.outages[0].select(np.arange(12) > 2)])
-    # then both ways round, in single drives, too, the same ones are left
+    epochs = Errors(**dict.fromkeys(Errors.__dataclass_fields__, np.arange(100)))
+    whole, late = replace(whole, continuous=epochs), replace(late, continuous=epochs.select(np.arange(100) >= 10))
+    # then both ways round, in single drives and without lateness, too, the same ones are left
     for one, other in ((whole, late), (late, whole)):
-        found = in_common(replace(one, drives={'a': one}), replace(other, drives={'a': other}))
-        for measured in (found, found.drives['a']):
+        found = in_common(*(replace(m, drives={'a': m}, timeless=m) for m in (one, other)))
+        for measured in (found, found.drives['a'], found.timeless):
             assert len(measured.outages[0].begin) == 9 and measured.outages[0].max_error.mean() == 1.0
+            assert measured.continuous.stamp.tolist() == list(range(10, 100))
+    # and where one of them has no lateness of its own, neither is measured without it
+    assert in_common(replace(whole, timeless=whole), late).timeless is None
 
 
 def test_a_prediction_is_not_better_than_the_fix_it_is_judged_by():

@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 
 from mems_ins_fusion.configuration.offset import Offset, together
-from mems_ins_fusion.diagnosis import search
-from mems_ins_fusion.diagnosis.conclusion import _of_receiver
+from mems_ins_fusion.diagnosis import conclusion, search
+from mems_ins_fusion.diagnosis.conclusion import _final, _of_receiver
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.drives import Drives
-from mems_ins_fusion.diagnosis.estimate import Estimate
+from mems_ins_fusion.diagnosis.estimate import SYSTEMATIC, Estimate
+from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.held_out import HeldOut
+from mems_ins_fusion.diagnosis.judging import Judged
+from mems_ins_fusion.diagnosis.known import Known
 from mems_ins_fusion.diagnosis.plausible import implausible
 from mems_ins_fusion.diagnosis.problem import Problem
-from mems_ins_fusion.diagnosis.search import Judged, Known
 from mems_ins_fusion.diagnosis.starts import TIME_OFFSET, Shown, other_starts, shown_without_filter
 from mems_ins_fusion.diagnosis.tracing import Candidate
 from mems_ins_fusion.diagnosis.trial_runs import TrialRuns
@@ -61,20 +63,72 @@ def test_an_offset_is_no_surer_than_a_receiver_that_smooths_leaves_it():
     plain, smoothing = (SimpleNamespace(unknowns=[SimpleNamespace(name=f'{name}.x', effect=name) for name in names],
                                         x=np.zeros(len(names)))
                         for names in (['gnss_time_offset'], ['gnss_time_offset', 'gnss_lag']))
+    lasting = {tau: SimpleNamespace(unknowns=[SimpleNamespace(
+        name='gnss_coloured_noise.tau', effect='gnss_coloured_noise', meant=lambda x, s: (x, s))], x=[tau])
+        for tau in (4.0, 40.0)}
     # then a model that has no smoothing is not sure to that; one that has, knows what it cannot tell itself
     assert _of_receiver(plain, track) == pytest.approx(np.hypot(0.3, 0.01))
     assert _of_receiver(smoothing, track) == _of_receiver(plain, None) == pytest.approx(0.01)
+    # and errors that last for as long as a receiver smooths are a delay of a part of that, longer ones are none
+    assert _of_receiver(lasting[4.0], None) == pytest.approx(np.hypot(SYSTEMATIC * 4.0, 0.01))
+    assert _of_receiver(lasting[40.0], None) == pytest.approx(0.01)
+
+
+def test_an_offset_that_is_only_told_is_no_surer_either():
+    # given an offset without a proof, and a track that cannot tell it from smoothing to 0.3 s
+    told = Finding('gnss_time_offset', ['gnss_time_offset'], {'time_offset': Estimate(3.0, 0.02, 's')}, 20.0, 1e-6,
+                   False, HeldOut(5.0, 0.01, []))
+    model = SimpleNamespace(unknowns=[], x=[], sigma=lambda: [])
+    track = Offset(3.0, 0.4, np.zeros(3), np.ones(3), 0.0, 1.0, undecided=0.3)
+    trials = SimpleNamespace(library=[], origin=SimpleNamespace(given={}), beside=SimpleNamespace(track=track))
+    # then its sigma has that, as that of one that is set
+    [finding] = _final(SimpleNamespace(model=model, findings=[told]), {}, {}, trials)
+    assert finding.parameters['time_offset'].sigma == pytest.approx(np.sqrt(0.02**2 + 0.3**2 + 0.01**2))
+
+
+def test_what_the_track_shows_for_certain_is_told_even_where_held_out_data_do_not_gain():
+    # given an offset with which held-out data are predicted worse
+    told = Finding('gnss_time_offset', ['gnss_time_offset'], {'time_offset': Estimate(0.6, 0.1, 's')}, 400.0, 1e-80,
+                   False, HeldOut(-29.7, 0.57, []), 'no gain')
+    model = SimpleNamespace(unknowns=[], x=[], sigma=lambda: [])
+    said = {}
+    for certain in ((), ('gnss_time_offset',)):
+        trials = SimpleNamespace(library=[], origin=SimpleNamespace(given={}), beside=SimpleNamespace(track=None),
+                                 certain=certain)
+        said[certain] = _final(SimpleNamespace(model=model, findings=[told]), {}, {}, trials)
+    # then it is told only where the checker tells it, too
+    assert not said[()] and [finding.name for finding in said['gnss_time_offset',]] == ['gnss_time_offset']
+
+
+def test_errors_before_and_after_are_those_of_the_same_outages(late, monkeypatch):
+    # given a correction whose filter starts later, and so has not the first two outages
+    measured = conclusion._as_measured
+
+    def later(corrections, trials):
+        return [(option, replace(after, outages=[o.select(np.arange(len(o.begin)) > 1) for o in after.outages]))
+                for option, after in measured(corrections, trials)]
+    monkeypatch.setattr(conclusion, '_as_measured', later)
+    # when the offset that the fixes have is found
+    found = diagnose(late, table.check({}), effects=[EFFECTS['gnss_time_offset']], durations=(10.0,))
+    assert found.corrected[TIME_OFFSET] == pytest.approx(OFFSET, abs=0.05)
+    # then the errors are of the same outages, of two filters
+    before, after = found.before.outages[0], found.after.outages[0]
+    assert len(before.begin) and before.begin.tolist() == after.begin.tolist()
+    assert before.max_error.mean() > 1.2 * after.max_error.mean()
 
 
 def test_what_a_drive_cannot_tell_of_smoothing_others_may():
     # given drives on which 0.2 s without smoothing and 0.5 s with it are as likely, or the latter less so
-    def seen(unlikely):
+    def seen(unlikely, lag=0.2):
         apart = 0.3 * np.sqrt(np.exp(-0.5 * unlikely) / (1.0 + np.exp(-0.5 * unlikely)))
-        return Offset(0.2, 0.4, np.zeros(3), np.ones(3), 0.0, 1.0, (), apart, ((0.2, 100.0), (0.5, 100.0 + unlikely)))
+        return Offset(lag, 0.4, np.zeros(3), np.ones(3), 0.0, 1.0, (), apart,
+                      ((lag, 100.0), (lag + 0.3, 100.0 + unlikely)))
     # then two that cannot tell are no surer than one, and with the third one its evidence counts for all
     assert together([seen(0.0), seen(0.0)]).undecided == pytest.approx(0.3 * np.sqrt(0.5))
     assert together([seen(0.0), seen(4.0)]).undecided == pytest.approx(seen(4.0).undecided)
     assert together([seen(4.0), seen(4.0)]).undecided == pytest.approx(seen(8.0).undecided)
+    # and it is the mean of what they tell that is uncertain by so much
+    assert together([seen(0.0, 0.1), seen(0.0, 0.3)]).undecided == pytest.approx(seen(0.0).undecided)
 
 
 def test_a_scale_of_the_gyroscopes_that_the_course_contradicts_is_none(late):
@@ -109,8 +163,8 @@ def test_nothing_stands_for_an_offset_that_the_track_shows_for_certain(late, mon
     problem = SimpleNamespace(mask=np.ones(1, dtype=bool), recording=late)
     residual = SimpleNamespace(log_likelihood=lambda: np.zeros(1))
     known = Known(problem, None, None, tuple(c.effect for c in candidates))
-    monkeypatch.setattr(search, '_with', lambda *given: SimpleNamespace(problem=problem, residual=residual))
-    monkeypatch.setattr(search, '_judged', lambda known, candidate, model, bench: Judged(
+    monkeypatch.setattr(search, 'with_candidate', lambda *given: SimpleNamespace(problem=problem, residual=residual))
+    monkeypatch.setattr(search, 'judge', lambda known, candidate, model, bench: Judged(
         candidate, model, {'time_offset': Estimate(0.9, 0.05, 's')}, {}, HeldOut(1.0, 0.5, []), None,
         'the error grows'))
     monkeypatch.setattr(search, 'compared', lambda *measured: [])

@@ -27,7 +27,7 @@ from mems_ins_fusion.cli.command import run as run_tool
 from mems_ins_fusion.evaluation.metrics import turning_at
 from mems_ins_fusion.evaluation.outages import outage_begins
 from mems_ins_fusion.parameters import params_file, table
-from mems_ins_fusion.recordings import csv_import
+from mems_ins_fusion.recordings import csv_columns, csv_import
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.checker import check_recording
 from mems_ins_fusion.recordings.errors import RecordingError, RecordingWarning
@@ -400,7 +400,7 @@ def defect(work) -> str:
 def test_the_number_of_a_defect_is_that_of_its_place_not_of_the_data():
     one, same = (defect(lambda wrong=wrong: csv_import.axes_rotation(wrong)) for wrong in (5, 7.0))
     assert one == same and len(one) == 6
-    assert one != defect(lambda: csv_import.parse_columns(5, {}))
+    assert one != defect(lambda: csv_columns.parse_columns(5, {}))
 
 
 def test_errors_of_libraries_are_not_told_as_the_users(capsys):

@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 
 from mems_ins_fusion.reports import html
+from mems_ins_fusion.reports.settings import settings_table
 
 
 class Outline(HTMLParser):
     """Collects text and attributes, and checks that every element is closed in turn."""
 
-    VOID = frozenset({'meta', 'img', 'br', 'source'})
+    VOID = frozenset({'meta', 'img', 'br', 'wbr', 'source'})
 
     def __init__(self, document):
         super().__init__()
@@ -64,6 +65,17 @@ def test_table_shows_missing_values_as_a_dash_and_refuses_ragged_rows():
     (3.0, 3, '3'), (1.5e8, 3, '1.50e8'), (0.0, 3, '0'), (float('nan'), 3, '\N{EN DASH}'), (None, 3, '\N{EN DASH}')])
 def test_numbers_are_as_people_write_them(value, digits, text):
     assert html.number(value, digits) == text
+
+
+def test_parameters_stand_in_rows_of_two_with_their_units():
+    # given numbers, texts, and hashes that are for tools
+    shown = settings_table({'gnss.time_offset': -0.2, 'imu.mounting_rpy': [0.0, 0.1, 0.2], 'imu_topic': '/imu/data',
+                            'fitted_to': ['h00']})
+    # then each number has its unit, and on a phone name and value stay side by side
+    said = [text.strip() for text in Outline(shown).text]
+    assert '-0.2 s' in said and '[0.0, 0.1, 0.2] rad' in said and "'/imu/data'" in said
+    assert 'fitted_to' not in shown and '<table class="pairs">' in shown
+    assert 'pairs' not in html.table(['a', 'b', 'c'], [[1, 2, 3]])
 
 
 def test_a_folded_section_is_in_the_contents():

@@ -71,6 +71,44 @@ def test_two_files_become_a_recording(files, capsys):
     assert fix.position_covariance_type == 1 and fix.status.status == 0
 
 
+#: a file with everything that is read: its columns and the numbers of a row after the time
+EVERY_COLUMN = {'--imu': ('ax,ay,az,wx,wy,wz,temp', (0.1, 0.2, G, 0.01, 0.02, 0.03, 20.0)),
+                '--gnss': ('lat,lon,height,sigma,vacc,hdop,status,vn,ve,vd,sacc',
+                           (48.0, 11.0, 400.0, 2.0, 4.0, 1.0, 3.0, 0.0, 0.0, 0.0, 0.1)),
+                '--speed': ('speed,sigma,turnrate', (3.0, 0.1, 0.01)),
+                '--pressure': ('pressure', (101300.0,)),
+                '--magnetometer': ('mx,my,mz', (2e-5, 1e-6, 4e-5))}
+
+
+@pytest.mark.filterwarnings('error::RuntimeWarning')
+@pytest.mark.parametrize('spoiled, columns', [(option, columns) for option, (columns, _) in EVERY_COLUMN.items()])
+@pytest.mark.parametrize('cell', ['inf', '-inf', '1e300', '-1e200'])
+def test_a_cell_that_no_sensor_writes_is_as_an_empty_one(tmp_path, capsys, spoiled, columns, cell):
+    # given one such cell in each column of one file
+    options = []
+    for option, (names, values) in EVERY_COLUMN.items():
+        rows = [[T0 + 0.05 * i, *values] for i in range(100)]
+        if option == spoiled:
+            for column in range(len(values)):
+                rows[10 + 3 * column][1 + column] = cell
+        options += [option, str(write(tmp_path / f'{option[2:]}.csv', f'time,{names}', rows))]
+    # when it is imported, with warnings as errors
+    assert main([*options, '--output', str(tmp_path / 'bag')]) == 0
+    # then the others are as they were, and nothing else is printed
+    assert capsys.readouterr().err == ''
+    found = read_recording(tmp_path / 'bag', '/imu/data', '/gps/fix', temperature_topic='/imu/temperature',
+                           velocity_topic='/gps/velocity', twist_topic='/wheel/odometry', pressure_topic='/pressure',
+                           magnetometer_topic='/imu/mag')
+    spoiled_rows = {10 + 3 * column for column in range(len(columns.split(',')))}
+    good = [i for i in range(100) if i not in spoiled_rows]
+    assert np.unique(found.imu.specific_force[good], axis=0) == pytest.approx(np.array([[0.1, 0.2, G]]))
+    assert np.unique(found.gnss.latitude[good]) == pytest.approx(math.radians(48.0))
+    assert np.unique(found.velocity.covariance[good, 0, 0]) == pytest.approx(0.01)
+    assert np.isfinite(found.gnss.covariance).all()  # where no sigma is stated, the default
+    if spoiled == '--imu':
+        assert np.flatnonzero(np.isnan(found.imu.specific_force).any(axis=1)).tolist() == [10, 13, 16]
+
+
 def test_an_existing_recording_is_only_overwritten_on_request(files, capsys):
     assert run(files) == 0
     assert run(files) == 2

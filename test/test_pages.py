@@ -5,6 +5,7 @@ import base64
 import io
 import json
 import re
+import shutil
 import time as clock
 from types import SimpleNamespace
 
@@ -15,14 +16,16 @@ from filter_support import PAPER
 from matplotlib import image
 
 from mems_ins_fusion.cli.compare import main as compare
+from mems_ins_fusion.evaluation.comparison import compare as replay
 from mems_ins_fusion.evaluation.metrics import rms
 from mems_ins_fusion.evaluation.verdict import SAME
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.parameters.params_file import yaml_value
 from mems_ins_fusion.recordings.checker import Finding
+from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.writing import write_recording
-from mems_ins_fusion.reports import html, replay_answer
+from mems_ins_fusion.reports import html, replay_answer, report
 from mems_ins_fusion.reports.answer import shorten
 from mems_ins_fusion.reports.report import _notices
 from mems_ins_fusion.reports.series import _heading
@@ -133,9 +136,6 @@ def test_the_right_clock_is_called_good(folder):
 
 
 def test_findings_of_the_checker_are_in_the_answer_with_their_topic(folder):
-    from mems_ins_fusion.evaluation.comparison import compare as replay
-    from mems_ins_fusion.recordings.reading import read_recording
-
     values = table.check({'models': ['gauss_markov'], 'update_intervals': [2.0], 'outage_durations': []})
     comparison = replay(read_recording(folder / 'drive', '/imu/data', '/gps/fix'), values)
     found = [Finding('error', 'imu', f'9.8 is not {STANDARD_GRAVITY}'), Finding('info', 'gnss', 'all is well'),
@@ -322,6 +322,20 @@ def test_the_model_that_speaks_is_that_of_the_params_file_of_the_replay(folder):
     result = folder / 'out' / 'first'
     assert f"sensor_error_model: {read(result)['sensor_error_model']}" in (result / 'parameters.yaml').read_text()
     assert read_result(result, 'first').models[0] == read(result)['sensor_error_model']
+
+
+def test_the_model_that_speaks_is_the_best_whichever_is_configured_or_comes_first(folder, tmp_path, monkeypatch):
+    # given a replay of two models of which the second, that is not configured, is the best
+    values = table.check({'models': ['gauss_markov', 'random_walk'], 'update_intervals': [2.0], 'outage_durations': []})
+    comparison = replay(read_recording(folder / 'drive', '/imu/data', '/gps/fix'), values)
+    monkeypatch.setattr(report, 'best_model', lambda comparison, configured: 'random_walk')
+    content = report.report({'drive': comparison}, values, {'drive': []}, {'drive': []}, [], {}, {})
+    # then it speaks in its report, and in a comparison
+    assert content['sensor_error_model'] == 'random_walk'
+    shutil.copytree(folder / 'out' / 'first', tmp_path / 'first')
+    changed = read(tmp_path / 'first') | {'sensor_error_model': 'random_walk'}
+    (tmp_path / 'first' / 'report.json').write_text(json.dumps(changed))
+    assert read_result(tmp_path / 'first', 'first').models == ['random_walk', 'gauss_markov']
 
 
 def test_a_heading_is_not_drawn_from_north_to_north():

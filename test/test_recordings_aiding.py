@@ -157,3 +157,21 @@ def test_cutting_a_recording_cuts_all_its_streams():
     shorter = cut(Recording('r', recording.imu, fixes, None, None, recording.speed, recording.velocity,
                             recording.heading), 1.0, 2.0)
     assert [len(getattr(shorter, part)) for part in ('imu', 'speed', 'velocity', 'heading')] == [11] * 4
+
+
+@pytest.mark.filterwarnings('error::RuntimeWarning')
+def test_what_is_infinite_is_written_as_nothing_measured(tmp_path):
+    # given a speed and a heading of which one each is infinite
+    stamp = START + 10**8 * np.arange(3)
+    variance = np.full(3, 0.01)
+    made = Recording('made', None, speed=Speeds(stamp, stamp, np.array([1.0, math.inf, 3.0]), variance),
+                     heading=Headings(stamp, stamp, np.array([0.1, 0.2, -math.inf]), variance))
+    # when they are written, with warnings as errors
+    write_recording(made, tmp_path / 'bag')
+    # then the others are as they were, and these two are read as none
+    with AnyReader([tmp_path / 'bag']) as reader:
+        messages = [(c.topic, reader.deserialize(raw, c.msgtype)) for c, _, raw in reader.messages()]
+    speeds = [message.twist.twist.linear.x for topic, message in messages if topic == '/wheel/speed']
+    assert speeds == pytest.approx([1.0, math.nan, 3.0], nan_ok=True)
+    absent = [message.orientation_covariance[0] == -1.0 for topic, message in messages if topic == '/gps/heading']
+    assert absent == [False, False, True]

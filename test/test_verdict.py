@@ -126,6 +126,9 @@ def test_sigmas_that_are_not_honest_are_told_by_their_size_over_time():
     large = trusted([consistent(rng, 17, 17, 0.4), Consistency(None, 0.16 * rng.chisquare(2, 500))])
     assert large.answer == TOO_CAREFUL
     assert trust_text(large).startswith('its sigmas are larger than need be: in 30 s without fixes errors are 0.')
+    # and of two durations the one that speaks most against them is told
+    two = trusted([consistent(rng, 17, 17, 0.2), Consistency(10.0, 0.16 * rng.chisquare(2, 17), np.ones(17, bool), 17)])
+    assert two.answer == TOO_CAREFUL and two.scale.duration == 30.0
     # how wide they are without fixes is not hidden by the receiver's noise in the innovations
     assert trusted([consistent(rng, 17, 17, 0.4), Consistency(None, rng.chisquare(2, 500))]).answer == TOO_CAREFUL
     assert trusted([consistent(rng, 17, 17), Consistency(None, 0.16 * rng.chisquare(2, 500))]).answer == YES

@@ -34,7 +34,7 @@ def import_csv(options: argparse.Namespace):
     from mems_ins_fusion.configuration.check import check
     from mems_ins_fusion.filter.measurements.registry import TYPES
     from mems_ins_fusion.parameters import table
-    from mems_ins_fusion.recordings import csv_import
+    from mems_ins_fusion.recordings import csv_columns, csv_import
     from mems_ins_fusion.recordings.checker import INFO
     from mems_ins_fusion.recordings.reference_files import read_reference
     from mems_ins_fusion.recordings.writing import write_recording
@@ -63,19 +63,19 @@ def import_csv(options: argparse.Namespace):
             yield text
     if options.speed:
         speed, text = csv_import.read_speed(
-            options.speed, csv_import.parse_columns(options.speed_columns, csv_import.SPEED_COLUMNS),
+            options.speed, csv_columns.parse_columns(options.speed_columns, csv_columns.SPEED_COLUMNS),
             options.speed_time_unit)
         aided['twist' if isinstance(speed, Twists) else 'speed'] = speed
         yield text
     if options.pressure:
         aided['pressure'], text = csv_import.read_pressure(
-            options.pressure, csv_import.parse_columns(options.pressure_columns, csv_import.PRESSURE_COLUMNS),
+            options.pressure, csv_columns.parse_columns(options.pressure_columns, csv_columns.PRESSURE_COLUMNS),
             options.pressure_time_unit)
         yield text
     if options.magnetometer:
         aided['magnetometer'], text = csv_import.read_magnetometer(
             options.magnetometer,
-            csv_import.parse_columns(options.magnetometer_columns, csv_import.MAGNETOMETER_COLUMNS),
+            csv_columns.parse_columns(options.magnetometer_columns, csv_columns.MAGNETOMETER_COLUMNS),
             options.imu_axes or imu_options.get('axes', 'forward left up'), options.magnetometer_time_unit)
         yield text
     reference = read_reference(options.reference, _datum(options, fixes)) if options.reference else None
@@ -126,11 +126,11 @@ def _formats(options) -> dict[str, str | None]:
 
 def _with_preset(options, kind: str, preset: str | None) -> dict:
     """The options of the file `kind`, imu or gnss: those of the preset, and over them those that are given."""
-    from mems_ins_fusion.recordings import csv_import
+    from mems_ins_fusion.recordings import csv_columns
 
     found = dict(getattr(FORMATS[preset], kind)) if preset else {}
-    names = {'imu': csv_import.IMU_COLUMNS, 'gnss': csv_import.GNSS_COLUMNS}[kind]
-    given = csv_import.parse_columns(getattr(options, f'{kind}_columns'), names)
+    names = {'imu': csv_columns.IMU_COLUMNS, 'gnss': csv_columns.GNSS_COLUMNS}[kind]
+    given = csv_columns.parse_columns(getattr(options, f'{kind}_columns'), names)
     rows = getattr(options, f'{kind}_rows')
     if rows is not None:
         column, equals, value = rows.partition('=')

@@ -136,7 +136,7 @@ def parse_effects(texts: list[str], known: Mapping[str, Effect] = EFFECTS) -> li
         if not equals:
             raise InputError(f"--effect must be NAME=VALUE or NAME.PARAM=VALUE, got '{text}'")
         if name not in known:
-            hint = did_you_mean(name, known) or f"; there are {', '.join(known)}"
+            hint = did_you_mean(name, known) or '; --help lists them'
             raise InputError(f"no effect is named '{name}'{hint}")
         values.setdefault(name, {})[parameter or known[name].principal] = _number('--effect', text, number)
     return [(known[name], known[name].complete(given)) for name, given in values.items()]

@@ -21,7 +21,6 @@ from mems_ins_fusion.recordings.checker import ERROR, INFO, WARNING, Finding, ch
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
 SURE = 4.0  # sigmas
-LOOKED_AT = 1200.0  # s: how an IMU is mounted shows in this part of a drive
 SMALL_YAW, SMALL_TILT = math.radians(3.0), math.radians(5.0)  # less is for the filter to find
 LARGE = math.radians(30.0)  # a mounting that is off by more is an error
 _BACKWARDS = math.radians(150.0)
@@ -55,14 +54,14 @@ def check_setup(recording: Recording, values: dict) -> list[Finding]:
 
 
 def _usable(recording: Recording, values: dict) -> tuple[ImuSamples, Fixes | None]:
-    """The samples and fixes of the first LOOKED_AT that can be looked at; None without such fixes."""
+    """The samples and fixes that can be looked at, of the whole recording as in `configure`; None without such
+    fixes."""
     imu = usable_samples(recording.imu, values['imu.max_specific_force'], values['imu.max_angular_rate'])
     if recording.gnss is None or not len(imu):
         return imu, None
-    fixes, end = usable_fixes(recording.gnss), imu.stamp[0] + round(LOOKED_AT * 1e9)
-    fixes = fixes.select(fixes.stamp < end)
+    fixes = usable_fixes(recording.gnss)
     overlap = len(fixes) > 1 and imu.stamp[-1] > fixes.stamp[0] and imu.stamp[0] < fixes.stamp[-1]
-    return imu.select(imu.stamp < end), fixes if overlap else None
+    return imu, fixes if overlap else None
 
 
 def judge_mounting(imu: ImuSamples, fixes: Fixes | None, values: dict,
@@ -167,11 +166,12 @@ def _compare(found: Mounting, values: dict) -> list[Finding]:
     words = ([_tilt_in_words(tilt, tilt_sigma)] if tilted else []) + (
         [_yaw_in_words(yaw, float(found.sigma[2]))] if turned else [])
     known = '' if found.yaw_known else ' (yaw 0: too few turns and changes of speed to see it)'
+    words = ' and '.join(reversed(words))  # backwards, and tilted
     advice = f'set imu.mounting_rpy to {yaml_value([round(float(angle), 4) for angle in found.rpy])}{known}'
     # without the constraint a vehicle may drive sideways
     wrong_way = turned and abs(yaw) > LARGE and values['vehicle.non_holonomic'] and not _may_reverse(found, yaw)
     severity = ERROR if (tilted and tilt > LARGE) or wrong_way else WARNING
-    return [Finding(severity, 'imu', f'the IMU seems to be mounted {" and ".join(words)}: {advice}',
+    return [Finding(severity, 'imu', f'the IMU seems to be mounted {words}: {advice}',
                     {'tilt': tilt, 'tilt_sigma': tilt_sigma, 'yaw': yaw if found.yaw_known else None,
                      'yaw_sigma': float(found.sigma[2]), 'mounting_rpy': found.rpy.tolist()},
                     ('imu.mounting_rpy',))]
@@ -190,12 +190,11 @@ def _tilt_in_words(tilt, sigma) -> str:
         return 'upside down'
     if tilt > math.radians(60.0):
         return f'on its side ({degrees} off level)'
-    return f'tilted by {degrees} against what imu.mounting_rpy says'
+    return f'tilted by {degrees}'
 
 
 def _yaw_in_words(yaw, sigma) -> str:
     if abs(yaw) > _BACKWARDS:
         return 'backwards'
     side = 'left' if yaw > 0 else 'right'
-    return (f'turned to the {side} by {abs(math.degrees(yaw)):.0f} +- {math.degrees(sigma):.1f} deg against what '
-            'imu.mounting_rpy says')
+    return f'turned to the {side} by {abs(math.degrees(yaw)):.0f} +- {math.degrees(sigma):.1f} deg'

@@ -13,17 +13,19 @@ from . import learned_mounting
 from .detection import detect
 from .drives import Drives, part
 from .estimate import SYSTEMATIC, Estimate, widened
+from .exact import of_what_is_held
 from .findings import Diagnosis, Finding
 from .fit import Model
 from .folds import parts, which_part
 from .held_out import HeldOut
 from .judgement import compared, judged, unproven
+from .judging import PLAIN, by_drive_of
+from .known import Known
 from .measured import Measured, in_common, saved
 from .noise import LARGEST_FACTOR
 from .noise_levels import WORTH, choose, multiplied, predictions
 from .plausible import implausible
 from .problem import Problem
-from .search import PLAIN, Known, by_drive_of
 from .trial_runs import CHOOSING, LOOKING, MEASURING, TrialRuns
 from .unexplained import GoesWith, goes_with
 
@@ -258,8 +260,9 @@ def _merit(measured: Measured) -> float:
 
 def _final(known: Known, hidden, corrected: dict, trials: TrialRuns) -> list[Finding]:
     """All findings with the estimates of the last joint fit, and what each has changed in `corrected`."""
-    model, sigma, found = known.model, known.model.sigma(), []
+    model, found = known.model, []
     effects, given, track = {e.name: e for e in trials.library}, trials.origin.given, trials.beside.track
+    sigma = np.hypot(model.sigma(), of_what_is_held(model, track, given))
     for finding in known.findings:
         own = widened({u.parameter: Estimate(*u.meant(x, s), finding.parameters[u.parameter].unit)
                        for u, x, s in zip(model.unknowns, model.x, sigma)
@@ -274,7 +277,8 @@ def _final(known: Known, hidden, corrected: dict, trials: TrialRuns) -> list[Fin
         parameters = {n: e for n, e in parameters.items() if f'{finding.name}.{n}' not in hidden}
         if not finding.added:  # what is less than PLAIN is no news
             parameters = {n: e for n, e in parameters.items() if not e.known or abs(e.value) >= PLAIN * e.sigma}
-            if not finding.apart and (not parameters or finding.held_out.gain <= 0):
+            if not finding.apart and (not parameters or finding.held_out.gain <= 0) and (
+                    finding.name not in trials.certain):
                 continue
         changes = {}
         if finding.added:

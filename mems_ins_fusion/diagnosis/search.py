@@ -5,90 +5,41 @@ Each step takes what is known so far (`Known`, never changed) and returns what i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
-from ..effects.base import Effect
 from ..effects.gnss_outliers import far_off
 from . import learned_mounting
-from .agreement import by_drive, contradicted, plainest_in_one, said
+from .agreement import plainest_in_one
 from .drives import Drives
-from .estimate import Estimate, widened
 from .findings import Finding
-from .fit import Model, fit, refined, scores
+from .fit import Model, fit, scores
 from .folds import parts
-from .held_out import CERTAIN, HeldOut, gain_of, held_out
+from .held_out import CERTAIN, held_out
 from .judgement import all_in_all, compared, objection
-from .measured import Measured, saved
+from .judging import CLOSE, COMPARED, Judged, judge, prune, with_candidate
+from .known import Known
+from .measured import saved
 from .noise import calibrated, noise_unknowns
 from .outliers import isolated
-from .plausible import implausible
-from .problem import Problem
 from .tracing import (
     SIGNIFICANCE,
     Candidate,
-    also_determined,
-    determined,
     effect_unknowns,
     group,
-    refined_unknowns,
     trace,
 )
 from .trial_runs import TrialRuns
 
-#: candidates of one round that are fitted to see which explains most, if their gain is this part of the largest, and
-#: how close in log likelihood equals come
-TRIED, PART, CLOSE, MOST_TRIED = 3, 0.2, 3.3, 4
+#: candidates of one round that are fitted to see which explains most, if their gain is this part of the largest
+TRIED, PART, MOST_TRIED = 3, 0.2, 4
 #: position errors all in all that differ by this factor tell effects apart
 DIFFERENT = 1.1
-#: a parameter is not determined where values this many times apart fit equally well
-APART = 1.5
-#: iterations of a fit that is only compared with others
-COMPARED = 3
-#: and of one from a maximum that has moved little
-REFITTED = 4
 #: noise levels that differ by less than this (natural logarithm) make no other start
 SAME_START = 0.7
-#: an effect is one from so many sigma on, and a parameter of it has a value
-PLAIN, SHOWN = 3.0, 2.0
-#: effects that make fixes seem of another time
-OF_FIXES = 'gnss_time_offset', 'gnss_latency', 'gnss_lag'
 #: what lasts, and what changes and so can do all that it does: the plainer one is tried first
 VARIED = dict.fromkeys(('gnss_time_offset', 'gnss_lag'), ('gnss_latency', 'gnss_coloured_noise'))
-
-
-@dataclass(frozen=True)
-class Known:
-    """What is known after a step: the model, what was found, and what is still to be tried.
-
-    estimates: the unknowns by the part that is held out. errors: those of the user's filter with the effects so far,
-    in each part with the estimate from the others.
-    """
-
-    problem: Problem
-    model: Model
-    errors: Measured
-    effects: tuple[Effect, ...]
-    rejected: tuple[Effect, ...] = ()
-    estimates: tuple[np.ndarray, ...] = ()
-    findings: tuple[Finding, ...] = ()
-    rounds: tuple[list[Candidate], ...] = ()
-    chosen: tuple[str, ...] = ()
-    hidden: dict[str, str] = field(default_factory=dict)
-
-    @property
-    def noise(self) -> int:
-        """How many of the unknowns, the first ones, are noise levels."""
-        return sum(u.noise for u in self.model.unknowns)
-
-    def corrected(self) -> dict:
-        """The user's parameters with the effects found so far."""
-        return self.problem.corrected(self.model.unknowns, self.model.x)
-
-    def by_part(self) -> list[dict]:
-        """The same by the part that is held out; one for all where nothing was estimated."""
-        return [self.problem.corrected(self.model.unknowns, x) for x in self.estimates] or [self.corrected()]
 
 
 def begin(trials: TrialRuns) -> Known:
@@ -179,7 +130,7 @@ def replaced(known: Known, trials: TrialRuns) -> Known:
             if not effect.replaces_model(candidate.values()):
                 continue
             trials.searching(f'trying {effect.name}')
-            judged = _judged(known, candidate, _with(known, candidate, known.model.x, trials), trials)
+            judged = judge(known, candidate, with_candidate(known, candidate, known.model.x, trials), trials)
             if judged.against or judged.proof.p > CERTAIN:
                 continue
             candidate = replace(candidate, gain=2 * judged.proof.gain, p=judged.proof.p, p_adjusted=judged.proof.p)
@@ -204,21 +155,6 @@ def starts(known: Known) -> list[np.ndarray]:
     return found
 
 
-@dataclass(frozen=True)
-class Judged:
-    """A candidate, the model with it, its parameters, and what it does on data it was not fitted to."""
-
-    candidate: Candidate
-    model: Model
-    parameters: dict[str, Estimate]
-    hidden: dict[str, str]
-    proof: HeldOut
-    errors: Measured
-    against: str
-    drives: dict[str, dict[str, Estimate]] = field(default_factory=dict)
-    apart: bool = False
-
-
 def _tried(known: Known, significant, candidates: list[Candidate], trials: TrialRuns) -> Known:
     """With the best of the significant candidates in the model, if it helps on held-out data.
 
@@ -226,7 +162,7 @@ def _tried(known: Known, significant, candidates: list[Candidate], trials: Trial
     cannot be is told and makes room for the next. What the recordings show for certain without a filter goes first.
     """
     chosen = {candidate.name: candidate for candidate, _ in significant}
-    models = {candidate.name: _with(known, candidate, view, trials) for candidate, view in significant}
+    models = {candidate.name: with_candidate(known, candidate, view, trials) for candidate, view in significant}
     mask = np.logical_and.reduce([model.problem.mask for model in models.values()])
     # another mechanization measures other things beside the fixes
     comparable = all(model.problem is known.problem for model in models.values())
@@ -245,7 +181,7 @@ def _tried(known: Known, significant, candidates: list[Candidate], trials: Trial
         same = [] if name in trials.certain else [
             n for n in group(chosen[alike[0]], candidates, known.problem.mask) if n not in alike]
         names = [*alike, *same]
-        judged = {n: _judged(known, chosen[n], models[n], trials) for n in names if n in models}
+        judged = {n: judge(known, chosen[n], models[n], trials) for n in names if n in models}
         best = judged[names[0]]
         for n in names[1:]:
             if n in judged and not judged[n].against and (
@@ -282,156 +218,6 @@ def _taken(known: Known, best: Judged, finding: Finding, failed: list[Finding]) 
         effects=effects, rejected=(), hidden=known.hidden | best.hidden))
 
 
-def _with(known: Known, candidate: Candidate, view: np.ndarray, trials: TrialRuns) -> Model:
-    """The present model with one candidate added and all fitted again from `view`, well enough to compare."""
-    model = known.model
-    if candidate.effect.replaces_model(candidate.values()):
-        problem = known.problem.configured(trials.recordings,
-                                           candidate.effect.adjusted(known.problem.given, candidate.values()))
-        noise = noise_unknowns(problem)
-        kept = [u for u in model.unknowns if not u.noise]
-        x = np.append(calibrated(problem, noise), model.x[known.noise:])
-        return fit(problem, [*noise, *kept], x, COMPARED)
-    begin = [max(t, u.step) if u.variance else np.clip(t, -u.prior / 5, u.prior / 5)
-             for t, u in zip(candidate.theta, candidate.unknowns)]
-    begins = [begin, *([sizes[u.parameter] for u in candidate.unknowns]
-                       for sizes in trials.starts.get(candidate.name, ()))]
-    fits = [fit(known.problem, [*model.unknowns, *candidate.unknowns], np.concatenate([view, start]), COMPARED)
-            for start in begins]
-    return max(fits, key=lambda m: m.likelihood(known.problem.mask))
-
-
-def _judged(known: Known, candidate: Candidate, model: Model, trials: TrialRuns) -> Judged:
-    """What `candidate`, fitted as `model`, comes to on data it was not fitted to."""
-    first = len(known.model.unknowns)
-    if model.problem is not known.problem:
-        # another mechanization has no parameter of its own that could have been fitted to the data
-        model = refined(model)
-        proof = gain_of(known.problem, known.model.residual, model.residual)
-        alone = fit(known.problem.moved(known.model.unknowns, known.model.x), candidate.unknowns, candidate.theta)
-        diluted = max(p.diluted for p in known.problem.each)
-        parameters = {name: _diluted(e, diluted) for name, e in _estimates(candidate, alone, 0).items()}
-        errors = trials.errors([model.problem.corrected(model.unknowns, model.x)])
-        against = objection(proof, compared(known.errors, errors))
-        return Judged(candidate, model, parameters, {}, proof, errors, against)
-    model = refined(model)
-    # what one drive has and another has not may be nothing in all together
-    drives, apart = by_drive_of(model, candidate.effect, known.noise, range(first, len(model.unknowns)))
-    contradiction = f'the drives contradict each other ({said(drives)})' if apart else ''
-    model, hidden = _completed(known, candidate, _pruned(model, first))
-    if len(model.unknowns) == first:
-        return Judged(candidate, known.model, {}, {}, HeldOut(0.0, 1.0, []), known.errors,
-                      contradiction or 'not determined once all is fitted together', drives, apart)
-    parameters = {name: e for name, e in _estimates(candidate, model, first).items()
-                  if f'{candidate.name}.{name}' not in hidden}
-    # the same noise levels may suit the shorter model better, too
-    shorter = fit(known.problem, known.model.unknowns, model.x[:first], COMPARED)
-    mask = known.problem.mask
-    shorter = max(known.model, shorter, key=lambda m: m.likelihood(mask))
-    proof = held_out(model, shorter, known.noise)
-    errors = trials.errors([known.problem.corrected(model.unknowns, x) for x in proof.estimates])
-    against = (implausible(candidate.name, parameters, trials.shown) or _of_another_clock(known, candidate, trials)
-               or contradiction or _small(model, first) or objection(proof, compared(known.errors, errors)))
-    return Judged(candidate, model, parameters, hidden, proof, errors, against, drives, apart)
-
-
-def _of_another_clock(known: Known, candidate: Candidate, trials: TrialRuns) -> str:
-    """Why an offset of the fixes cannot be believed: a speed that comes late makes them seem early."""
-    added = [finding.name for finding in known.findings if finding.added]
-    late = trials.unset(added) if candidate.name in OF_FIXES else ()
-    return f'{" and ".join(late)} {"come" if len(late) > 1 else "comes"} late for certain, which has to be set first' \
-        if late else ''
-
-
-def _diluted(estimate: Estimate, part: float) -> Estimate:
-    """With what a regression on something that is not exact lacks in its sigma; what is less than SHOWN was tried."""
-    if not estimate.known:
-        return estimate
-    sigma = float(np.hypot(estimate.sigma, part * estimate.value))
-    if abs(estimate.value) < SHOWN * sigma:
-        return Estimate(1.0, None, estimate.unit)
-    return replace(estimate, sigma=sigma)
-
-
-def by_drive_of(model: Model, effect: Effect, noise: int, own: Sequence[int]):
-    """What each of several drives says of the unknowns `own` (indices), and whether they contradict each other."""
-    units = {p.name: p.unit for p in effect.traced}
-    own = [i for i in own if model.unknowns[i].factor_on is None and not model.unknowns[i].variance]
-    drives = {name: {p: replace(e, unit=units[p]) for p, e in found.items()}
-              for name, found in by_drive(model, noise, own).items()} if own else {}
-    return drives, contradicted(model, noise, own)
-
-
-def _small(model: Model, first: int) -> str:
-    """An objection to an effect none of whose parameters is PLAIN; empty where one is."""
-    sigma = model.sigma()
-    plain = [u.variance or u.factor_on is None and abs(x) >= PLAIN * s
-             for u, x, s in zip(model.unknowns[first:], model.x[first:], sigma[first:])]
-    return '' if any(plain) else f'less than {PLAIN:g} sigma'
-
-
-def _pruned(trial: Model, first: int) -> Model:
-    """`trial` without those of its unknowns from `first` on that turn out not to be determined, or not to be there.
-
-    What can trade against another one of its effect (`_refined`) stays: together they are determined.
-    """
-    x, sigma = trial.x[first:], trial.sigma()[first:]
-    keep = determined(x, sigma, trial.unknowns[first:]) & (np.abs(x) >= SHOWN * sigma)
-    keep |= np.array([u.variance or u.factor_on is not None for u in trial.unknowns[first:]], dtype=bool)
-    if keep.all():
-        return trial
-    kept = np.append(np.ones(first, dtype=bool), keep)
-    return fit(trial.problem, [u for u, k in zip(trial.unknowns, kept) if k], trial.x[kept], REFITTED)
-
-
-def _completed(known: Known, candidate: Candidate, trial: Model) -> tuple[Model, dict[str, str]]:
-    """`trial` with what else of its effect the data determine now that noise levels need not stand for it."""
-    present = {u.name for u in trial.unknowns}
-    missing = [u for u in effect_unknowns(candidate.effect, candidate.fixed, trial.problem.attitude)
-               if u.name not in present and u.parameter in candidate.undetermined]
-    more = also_determined(trial.moved(), missing, trial.scores, trial.residual, trial.problem.mask)
-    if more:
-        first, start = len(trial.unknowns), np.append(trial.x, np.zeros(len(more)))
-        trial = _pruned(fit(trial.problem, [*trial.unknowns, *more], start, REFITTED), first)
-    own = len(trial.unknowns) > len(known.model.unknowns)
-    return _refined(known, candidate.effect, trial) if candidate.effect.refined and own else (trial, {})
-
-
-def _refined(known: Known, effect: Effect, trial: Model) -> tuple[Model, dict[str, str]]:
-    """`trial` with the parameters that were tried estimated, too, from each start: where these end as good ones at
-    other values, the data do not determine the effect's parameters."""
-    first = len(known.model.unknowns)
-    kept = {u.name for u in trial.unknowns[first:]}
-    fits = []
-    for fixed in effect.tried:
-        factors = refined_unknowns(effect, fixed)
-        own = [u for u in effect_unknowns(effect, fixed, known.problem.attitude) if u.name in kept]
-        unknowns = [*known.model.unknowns, *own, *factors]
-        fits.append(fit(trial.problem, unknowns, np.append(trial.x, np.zeros(len(factors))), REFITTED))
-    mask = trial.problem.mask
-    best = max(fits, key=lambda m: m.likelihood(mask))
-    good = [m for m in fits if m.likelihood(mask) > best.likelihood(mask) - CLOSE]
-    hidden = {}
-    for i in range(first, len(best.unknowns)):
-        unknown = best.unknowns[i]
-        found = [m.unknowns[i].meant(m.x[i], 0.0)[0] for m in good]
-        if max(found) > APART * min(found):
-            unit = next(p.unit for p in effect.traced if p.name == unknown.parameter)
-            between = Estimate(None, None, unit, (min(found), max(found)))
-            hidden[unknown.name] = f'{between.text()} explain the recording equally well'
-    return best, hidden
-
-
-def _estimates(best: Candidate, model: Model, first: int) -> dict[str, Estimate]:
-    """Parameters of a finding, the unknowns of `model` from `first` on."""
-    units = {p.name: p.unit for p in best.effect.traced}
-    found = {name: Estimate(value, None, units[name]) for name, value in best.fixed.items() if value}
-    sigma = model.sigma()
-    for unknown, x, s in zip(model.unknowns[first:], model.x[first:], sigma[first:]):
-        found[unknown.parameter] = Estimate(*unknown.meant(x, s), units[unknown.parameter])
-    return widened(found)
-
-
 # when all rounds are over
 
 def without_superseded(known: Known, trials: TrialRuns) -> Known:
@@ -456,7 +242,7 @@ def without_superseded(known: Known, trials: TrialRuns) -> Known:
 
 def without_undetermined(known: Known, trials: TrialRuns) -> Known:
     """Without the parameters that effects added later have left undetermined."""
-    pruned = _pruned(known.model, known.noise)
+    pruned = prune(known.model, known.noise)
     if pruned is known.model:
         return known
     left = {u.name for u in pruned.unknowns}

@@ -136,7 +136,8 @@ def cut(recording: Recording, start: float, stop: float) -> Recording:
     shorter = recording.having({name: part(samples) for name, samples in recording.streams().items()})
     for name, samples in (('IMU sample', shorter.imu), ('fix', shorter.gnss)):
         if not len(samples):
-            raise ReplayError(f'{recording.name}: no {name} between start {start:g} s and stop {stop:g} s')
+            raise ReplayError(f'{recording.name}: no {name} between start {start:g} s and '
+                              + (f'stop {stop:g} s' if stop else 'the end'))
     return shorter
 
 

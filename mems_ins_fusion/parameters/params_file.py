@@ -55,7 +55,9 @@ def read_yaml(path):
         raise
     # PyYAML passes on what Python says of values such as !!int with no digits
     except (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, OverflowError) as error:
-        raise YamlError(' '.join(str(error).split())) from None
+        mark, problem = getattr(error, 'problem_mark', None), getattr(error, 'problem', None)
+        where = f'line {mark.line + 1}: ' if mark is not None and problem else ''
+        raise YamlError(' '.join(f'{where}{problem or error}'.split())) from None
 
 
 def load_yaml(path, node: str = '') -> dict:

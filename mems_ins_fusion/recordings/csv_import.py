@@ -6,8 +6,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.aiding import FIELDS, PRESSURES, magnetic_factor, pressure_factor
+from mems_ins_fusion.recordings.csv_columns import (
+    ANGLE_UNITS,
+    DATE,
+    GNSS_COLUMNS,
+    IMU_COLUMNS,
+    LENGTH_UNITS,
+    MAGNETOMETER_COLUMNS,
+    PRESSURE_COLUMNS,
+    SPEED_COLUMNS,
+    SPEED_UNITS,
+    SPELLINGS,
+    find,
+    match,
+    summary,
+    time_source,
+    unit_of,
+    values_of,
+)
+from mems_ins_fusion.recordings.csv_proposal import proposal
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.gps_time import utc_of_week
 from mems_ins_fusion.recordings.nmea import read_nmea
@@ -24,75 +42,11 @@ from mems_ins_fusion.samples import (
     Velocities,
 )
 
-SPEED_UNITS = {'m/s': 1.0, 'km/h': 1 / 3.6, 'mph': 0.44704, 'knots': 1852 / 3600, 'mm/s': 1e-3, 'cm/s': 1e-2}
-#: whole numbers of 1e-7 deg are what u-blox, MAVLink and PX4 send, with heights in mm
-ANGLE_UNITS = {'deg': np.pi / 180.0, 'rad': 1.0, '1e-7 deg': 1e-7 * np.pi / 180.0}
-LENGTH_UNITS = {'m': 1.0, 'cm': 1e-2, 'mm': 1e-3}
-#: how people write the units in the names of columns
-_SPELLINGS = {**dict.fromkeys(('m/s2', 'm s^-2', 'm/s²', 'm/s/s', 'mps2', 'm_s2'), 'm/s^2'),
-              **dict.fromkeys(('rad s^-1', 'rad_s', 'radps'), 'rad/s'),
-              **dict.fromkeys(('deg s^-1', 'deg_s', 'degps', 'dps', '°/s'), 'deg/s'),
-              **dict.fromkeys(('m s^-1', 'm_s', 'mps'), 'm/s'), **dict.fromkeys(('kmh', 'kph', 'km h^-1'), 'km/h'),
-              **dict.fromkeys(('kn', 'kt', 'kts', 'knot'), 'knots'),
-              **dict.fromkeys(('mbar', 'millibar', 'hectopascal'), 'hPa'),
-              **dict.fromkeys(('°', 'degree', 'degrees'), 'deg'), **dict.fromkeys(('radian', 'radians'), 'rad')}
 _LONGEST_IMU_INTERVAL = 0.2  # s
-#: what three columns must be near to, to be proposed as accelerometers: the logarithm of the ratio to gravity
-_NEAR_GRAVITY = 0.15
-#: deg, that a drive stays within: what two columns must be, to be proposed as latitude and longitude
-_NEIGHBOURHOOD = 3.0
-#: and as gyroscopes: a median below this is a vehicle's in deg/s, and rates beyond this are not in rad/s
-_FASTEST_DEG, _FASTEST_RAD = 100.0, 4.0
 
 #: forward-left-up directions
 DIRECTIONS = {'forward': (1, 0, 0), 'back': (-1, 0, 0), 'left': (0, 1, 0), 'right': (0, -1, 0), 'up': (0, 0, 1),
               'down': (0, 0, -1)}
-_ACCELEROMETER = ('a', 'acc', 'accel', 'accelerometer', 'acceleration', 'linearacceleration', 'specificforce', 'f',
-                  'accelerometers', 'arss')
-_GYROSCOPE = ('w', 'g', 'gyr', 'gyro', 'gyroscope', 'omega', 'angularvelocity', 'angularrate', 'rate', 'wrss')
-TIME = ('time', 'timeus', 'timems', 'timens', 't', 'timestamp', 'stamp', 'sec', 'seconds', 'unixtime', 'utc', 'epoch',
-        'headerstamp', 'rostime')
-
-
-def _axis_aliases(prefixes, axis):
-    return tuple(f'{prefix}{axis}' for prefix in prefixes) + tuple(f'{axis}{prefix}' for prefix in prefixes)
-
-
-#: time in two columns, week and seconds (or ms, GMS) of GPS time, or in six, a date
-_WEEK = ('week', 'gpsweek', 'gwk', 'wn')
-_INTO_WEEK = ('tow', 'sow', 'seconds', 'secondsofweek', 'itow', 'gms', 'gpstow', 'gpssow', 'gpsseconds', 'gpssec')
-_DATE = (('year',), ('month',), ('day',), ('hour',), ('min', 'minute'), ('sec', 'second', 'seconds'))
-#: usual names of columns, as `tables.plain` leaves them
-IMU_COLUMNS = {'time': TIME,
-               **{f'a{axis}': _axis_aliases(_ACCELEROMETER, axis) for axis in 'xyz'},
-               **{f'w{axis}': _axis_aliases(_GYROSCOPE, axis) for axis in 'xyz'},
-               'temperature': ('temperature', 'temp', 'imutemperature', 'imutemp')}
-GNSS_COLUMNS = {'time': TIME, 'latitude': ('latitude', 'lat', 'latdeg', 'phi'),
-                'longitude': ('longitude', 'lon', 'lng', 'long', 'londeg', 'lambda'),
-                'height': ('ellipsoidalheight', 'altellipsoid', 'height', 'altitude', 'alt', 'h', 'hgt'),
-                'sigma': ('sigma', 'hacc', 'horizontalaccuracy', 'eph', 'hrms', 'accuracy', 'std'),
-                'vertical_sigma': ('verticalsigma', 'vacc', 'verticalaccuracy', 'epv', 'vrms'),
-                'hdop': ('hdop',), 'status': ('status', 'fixtype', 'fixquality', 'quality', 'gpsstatus', 'fix'),
-                **{wanted: (f'v{wanted[0]}', f'vel{wanted[0]}', f'{wanted[0]}vel', f'vel{wanted}', f'{wanted}vel',
-                            f'velocity{wanted}', f'{wanted}velocity') for wanted in ('north', 'east', 'down')},
-                'velocity_sigma': ('velocitysigma', 'sacc', 'speedaccuracy', 'velocityaccuracy')}
-SPEED_COLUMNS = {'time': TIME, 'speed': ('speed', 'v', 'velocity', 'wheelspeed', 'vehiclespeed', 'odometerspeed'),
-                 'turn_rate': ('turnrate', 'yawrate', 'angularvelocity', 'angularrate', 'omega', 'wz'),
-                 'sigma': ('sigma', 'std', 'speedsigma', 'accuracy')}
-PRESSURE_COLUMNS = {'time': TIME, 'pressure': ('pressure', 'airpressure', 'press', 'p', 'baro', 'barometer')}
-_MAGNETOMETER = ('m', 'mag', 'magnetometer', 'magneticfield', 'field', 'b')
-MAGNETOMETER_COLUMNS = {'time': TIME, **{f'm{axis}': _axis_aliases(_MAGNETOMETER, axis) for axis in 'xyz'}}
-
-
-def parse_columns(text: str, known) -> dict[str, str]:
-    """`time=t,ax=acc 1,...` as a dictionary. RecordingError for a name that is not in `known`."""
-    given = {}
-    for pair in filter(None, (part.strip() for part in text.split(','))):
-        wanted, equals, name = (part.strip() for part in pair.partition('='))
-        if not equals or not name or wanted not in known:
-            raise RecordingError(f"columns are given as NAME=COLUMN with NAME one of {', '.join(known)}; got '{pair}'")
-        given[wanted] = name
-    return given
 
 
 def axes_rotation(text: str) -> np.ndarray:
@@ -132,8 +86,8 @@ def read_imu(path, columns: dict[str, str] | None = None, axes: str = 'forward l
     # of a file with one sensor alone the axes need no further name
     names = _require(table, sensors, IMU_COLUMNS, columns, {f'a{axis}': (axis,) for axis in 'xyz'} if gyro else {})
     stamp, time_unit = _times(table, columns, time_unit, _LONGEST_IMU_INTERVAL, names)
-    acceleration_unit = acceleration_unit or _unit(table, names['ax'], ACCELERATION)
-    force = _columns(table, names, ('ax', 'ay', 'az')) * ACCELERATION[acceleration_unit]
+    acceleration_unit = acceleration_unit or unit_of(table, names['ax'], ACCELERATION)
+    force = values_of(table, names, ('ax', 'ay', 'az')) * ACCELERATION[acceleration_unit]
     if gravity:
         pull = _Beside(gravity, 'a', columns, time_unit, acceleration_unit)
         inside = pull.covers(stamp, path)
@@ -146,8 +100,8 @@ def read_imu(path, columns: dict[str, str] | None = None, axes: str = 'forward l
         rate, gyro_unit = turning.at(stamp), turning.unit
         names |= {name: f'{turning.table.path.name}: {turning.names[name]}' for name in ('wx', 'wy', 'wz')}
     else:
-        gyro_unit = gyro_unit or _unit(table, names['wx'], RATE)
-        rate = _columns(table, names, ('wx', 'wy', 'wz')) * RATE[gyro_unit]
+        gyro_unit = gyro_unit or unit_of(table, names['wx'], RATE)
+        rate = values_of(table, names, ('wx', 'wy', 'wz')) * RATE[gyro_unit]
     if increments:
         if len(stamp) < 2:
             raise RecordingError(f'{path}: increments of a single sample are no rates')
@@ -155,10 +109,10 @@ def read_imu(path, columns: dict[str, str] | None = None, axes: str = 'forward l
         force, rate = (np.where(step > 0, v / np.where(step > 0, step, 1.0), np.nan) for v in (force, rate))
     received = np.maximum.accumulate(stamp)
     imu = ImuSamples(stamp, received, force @ rotation.T, rate @ rotation.T)
-    warm = _find(table, 'temperature', IMU_COLUMNS, columns)
+    warm = find(table, 'temperature', IMU_COLUMNS, columns)
     temperature = Temperatures(stamp, received, table.numbers(warm[0])) if warm else None
     units = (time_unit, acceleration_unit, gyro_unit, *(['increments'] if increments else []))
-    return imu, temperature, _summary(table, names, len(stamp), units)
+    return imu, temperature, summary(table, names, len(stamp), units)
 
 
 class _Beside:
@@ -170,10 +124,10 @@ class _Beside:
         self.names = _require(self.table, wanted, IMU_COLUMNS, columns, {f'{sensor}{axis}': (axis,) for axis in 'xyz'})
         stamp, _ = _times(self.table, columns, time_unit if time_unit != 'date' else None, _LONGEST_IMU_INTERVAL,
                           self.names)
-        self.unit = unit or _unit(self.table, self.names[wanted[0]], units)
+        self.unit = unit or unit_of(self.table, self.names[wanted[0]], units)
         order = np.argsort(stamp, kind='stable')
         self.stamp = stamp[order]
-        self.values = _columns(self.table, self.names, wanted)[order] * units[self.unit]
+        self.values = values_of(self.table, self.names, wanted)[order] * units[self.unit]
 
     def covers(self, stamp: np.ndarray, path) -> np.ndarray:
         """(n,) which of the times lie within; RecordingError, naming the file `path` that they are of, where none."""
@@ -203,14 +157,14 @@ def read_gnss(path, columns: dict[str, str] | None = None, time_unit=None, angle
         return _nmea_fixes(path, sigma)
     table, columns = _chosen(read_table(path), rows), columns or {}
     names = _require(table, ('latitude', 'longitude'), GNSS_COLUMNS, columns)
-    found = {wanted: _find(table, wanted, GNSS_COLUMNS, columns)
+    found = {wanted: find(table, wanted, GNSS_COLUMNS, columns)
              for wanted in ('height', 'sigma', 'vertical_sigma', 'hdop', 'status')}
     stamp, time_unit = _times(table, columns, time_unit, 20.0, names)
     latitude, longitude = (table.numbers(names[name]) for name in ('latitude', 'longitude'))
     largest = np.nanmax(np.abs(latitude), initial=0.0)
     guess = '1e-7 deg' if 360.0 < largest < 1e10 and (latitude == np.round(latitude))[np.isfinite(latitude)].all() \
         else None
-    angle_unit = angle_unit or guess or _unit(table, names['latitude'], ANGLE_UNITS)
+    angle_unit = angle_unit or guess or unit_of(table, names['latitude'], ANGLE_UNITS)
     latitude, longitude = latitude * ANGLE_UNITS[angle_unit], longitude * ANGLE_UNITS[angle_unit]
     if np.nanmax(np.abs(latitude), initial=0.0) > np.pi / 2 or np.nanmax(np.abs(longitude), initial=0.0) > 2 * np.pi:
         raise RecordingError(f"{path}: latitudes and longitudes beyond 90 and 360 deg: are they in {angle_unit}?")
@@ -222,7 +176,7 @@ def read_gnss(path, columns: dict[str, str] | None = None, time_unit=None, angle
             return None
         name, unit = found[wanted]
         names[wanted] = name
-        unit = unit or _unit(table, name, {lengths.get(wanted, 'm'): 1.0, **LENGTH_UNITS})
+        unit = unit or unit_of(table, name, {lengths.get(wanted, 'm'): 1.0, **LENGTH_UNITS})
         return table.numbers(name) * (1.0 if wanted == 'hdop' else LENGTH_UNITS[unit])
 
     height = column('height')
@@ -237,7 +191,7 @@ def read_gnss(path, columns: dict[str, str] | None = None, time_unit=None, angle
     kind = 2 if horizontal is not None and vertical is not None else 1  # diagonal known, or approximated
     fixes = Fixes(stamp, np.maximum.accumulate(stamp), latitude, longitude, height, covariance,
                   np.where(present, status, -1).astype(np.int8), np.full(len(stamp), kind, np.uint8))
-    return fixes, _summary(table, names, len(stamp), (time_unit, angle_unit))
+    return fixes, summary(table, names, len(stamp), (time_unit, angle_unit))
 
 
 def _nmea_fixes(path, sigma: float) -> tuple[Fixes, str]:
@@ -295,19 +249,19 @@ def read_velocity(path, columns: dict[str, str] | None = None, time_unit=None, *
     if read_text(path, 'utf-8', 'replace').lstrip()[:1] == '$':
         return None
     table, columns = _chosen(read_table(path), rows), columns or {}
-    there = {wanted: _find(table, wanted, GNSS_COLUMNS, columns)
+    there = {wanted: find(table, wanted, GNSS_COLUMNS, columns)
              for wanted in ('north', 'east', 'down', 'velocity_sigma')}
     if there['north'] is None or there['east'] is None:
         return None
     found: dict[str, str] = {}
     stamp, time_unit = _times(table, columns, time_unit, 20.0, found)
     found |= {wanted: name for wanted, (name, _) in ((w, f) for w, f in there.items() if f)}
-    unit, nothing = there['north'][1] or _unit(table, found['north'], SPEED_UNITS), np.full(len(stamp), np.nan)
+    unit, nothing = there['north'][1] or unit_of(table, found['north'], SPEED_UNITS), np.full(len(stamp), np.nan)
     north, east, down, sigma = (SPEED_UNITS[unit] * table.numbers(found[wanted]) if wanted in found else nothing
                                 for wanted in ('north', 'east', 'down', 'velocity_sigma'))
     covariance = np.square(sigma)[:, None, None] * np.eye(3)
     return (Velocities(stamp, np.maximum.accumulate(stamp), np.column_stack([north, east, down]), covariance),
-            _summary(table, found, len(stamp), (time_unit, unit)))
+            summary(table, found, len(stamp), (time_unit, unit)))
 
 
 def read_speed(path, columns: dict[str, str] | None = None, time_unit=None) -> tuple[Speeds | Twists, str]:
@@ -322,16 +276,16 @@ def read_speed(path, columns: dict[str, str] | None = None, time_unit=None) -> t
     further = {wanted: name for wanted in ('sigma', 'turn_rate')
                if (name := table.find(wanted, SPEED_COLUMNS[wanted], columns))}
     stamp, time_unit = _times(table, columns, time_unit, 20.0, names)
-    unit = _unit(table, names['speed'], SPEED_UNITS)
+    unit = unit_of(table, names['speed'], SPEED_UNITS)
     scale, nothing = SPEED_UNITS[unit], np.full(len(stamp), np.nan)
     speed, received = scale * table.numbers(names['speed']), np.maximum.accumulate(stamp)
     variance = np.square(scale * table.numbers(further['sigma'])) if 'sigma' in further else nothing
     samples: Speeds | Twists = Speeds(stamp, received, speed, variance)
     if 'turn_rate' in further:
-        turn = RATE[_unit(table, further['turn_rate'], RATE)] * table.numbers(further['turn_rate'])
+        turn = RATE[unit_of(table, further['turn_rate'], RATE)] * table.numbers(further['turn_rate'])
         samples = Twists(stamp, received, np.column_stack([speed, np.zeros(len(stamp)), -turn]),
                          np.column_stack([variance, nothing, nothing]))
-    return samples, _summary(table, {**names, **further}, len(stamp), (time_unit, unit))
+    return samples, summary(table, {**names, **further}, len(stamp), (time_unit, unit))
 
 
 def read_pressure(path, columns: dict[str, str] | None = None, time_unit=None) -> tuple[Pressures, str]:
@@ -345,14 +299,14 @@ def read_pressure(path, columns: dict[str, str] | None = None, time_unit=None) -
     stamp, time_unit = _times(table, columns, time_unit, 20.0, names)
     nothing = np.full(len(stamp), np.nan)
     samples = Pressures(stamp, np.maximum.accumulate(stamp), table.numbers(names['pressure']), nothing)
-    spelled = unit_in_name(names['pressure'], {*PRESSURES, *_SPELLINGS})
+    spelled = unit_in_name(names['pressure'], {*PRESSURES, *SPELLINGS})
     factor = pressure_factor(samples)
-    unit = _SPELLINGS.get(spelled, spelled) or next((unit for unit, per in PRESSURES.items() if per == factor), '')
+    unit = SPELLINGS.get(spelled, spelled) or next((unit for unit, per in PRESSURES.items() if per == factor), '')
     if unit not in PRESSURES:
         raise RecordingError(f"{path}: column '{names['pressure']}' is no pressure of the air in "
                              f"{', '.join(PRESSURES)}")
     pressure = PRESSURES[unit] * samples.pressure
-    return replace(samples, pressure=pressure), _summary(table, names, len(stamp), (time_unit, unit))
+    return replace(samples, pressure=pressure), summary(table, names, len(stamp), (time_unit, unit))
 
 
 def read_magnetometer(path, columns: dict[str, str] | None = None, axes: str = 'forward left up', time_unit=None
@@ -365,7 +319,7 @@ def read_magnetometer(path, columns: dict[str, str] | None = None, axes: str = '
     rotation, table, columns = axes_rotation(axes), read_table(path), columns or {}
     names = _require(table, ('mx', 'my', 'mz'), MAGNETOMETER_COLUMNS, columns, {f'm{axis}': (axis,) for axis in 'xyz'})
     stamp, time_unit = _times(table, columns, time_unit, 20.0, names)
-    field = _columns(table, names, ('mx', 'my', 'mz')) @ rotation.T
+    field = values_of(table, names, ('mx', 'my', 'mz')) @ rotation.T
     samples = MagneticFields(stamp, np.maximum.accumulate(stamp), field, np.full(len(stamp), np.nan))
     factor, spelled = magnetic_factor(samples), {unit.lower(): unit for unit in FIELDS}
     unit = spelled.get(unit_in_name(names['mx'], spelled)) or next(
@@ -373,7 +327,7 @@ def read_magnetometer(path, columns: dict[str, str] | None = None, axes: str = '
     if unit is None:
         raise RecordingError(f"{path}: columns '{names['mx']}' .. are no magnetic field of the earth in "
                              f"{', '.join(FIELDS)}")
-    return replace(samples, field=FIELDS[unit] * samples.field), _summary(table, names, len(stamp), (time_unit, unit))
+    return replace(samples, field=FIELDS[unit] * samples.field), summary(table, names, len(stamp), (time_unit, unit))
 
 
 def _chosen(table: Table, rows: tuple[str, str] | None) -> Table:
@@ -387,59 +341,22 @@ def _chosen(table: Table, rows: tuple[str, str] | None) -> Table:
     return table.select(kept)
 
 
-def _find(table: Table, wanted: str, known: dict, columns: dict[str, str]) -> tuple[str, str | None] | None:
-    """Name of the column for `wanted` and the unit that was stated with it, or None: see `read_imu`.
-
-    RecordingError where one is given that is not there, unless it ends in `|`.
-    """
-    given = columns.get(wanted)
-    if given is None:
-        name = table.find(wanted, known[wanted], {})
-        return (name, None) if name else None
-    found = _match(table, given)
-    if found is None and not given.endswith('|'):
-        raise RecordingError(f"{table.path} has no column '{given}' for {wanted}; {table.listing()}")
-    return found
-
-
-def _match(table: Table, given: str) -> tuple[str, str | None] | None:
-    """The first of the columns `A|B [unit]` that `table` has, and its unit; None where it has none."""
-    for name in (given, *given.split('|')):
-        if name in table.names:
-            return name, None
-        plain, unit = re.fullmatch(r'(.*?)\s*(?:\[([^][]*)\])?', name, re.DOTALL).groups()
-        if plain in table.names:
-            return plain, unit
-    return None
-
-
 def _require(table: Table, wanted, known: dict, columns: dict[str, str], alone: dict | None = None) -> dict[str, str]:
     """Names of the columns for each of `wanted`; RecordingError that names all that are missing, and what would fit.
 
     alone: further names that are usual in this file.
     """
     known = {name: (*aliases, *(alone or {}).get(name, ())) for name, aliases in known.items()}
-    found = {name: _match(table, columns[name]) if name in columns else _find(table, name, known, {})
+    found = {name: match(table, columns[name]) if name in columns else find(table, name, known, {})
              for name in wanted}
     missing = [name for name in wanted if found[name] is None]
     if missing:
-        missing += ['time'] if _time_source(table, columns) is None else []
+        missing += ['time'] if time_source(table, columns) is None else []
         named = [f"{name} ('{columns[name]}' is not there)" if name in columns else name for name in missing]
         columns_look = 'columns that look' if len(missing) > 1 else 'column that looks'
         raise RecordingError(f'{table.path} has no {columns_look} like {", ".join(named)}; {table.listing()}'
-                             f'{_proposal(table, wanted, found, columns)}')
+                             f'{proposal(table, wanted, found, columns)}')
     return {name: column for name, (column, _) in found.items()}
-
-
-def _time_source(table: Table, columns: dict[str, str]) -> tuple[str, ...] | None:
-    """The columns of time: one, week and seconds of GPS time, or six of a date; None where there are none."""
-    if 'time' in columns:
-        found = _match(table, columns['time'])
-        return (found[0],) if found else None
-    date = tuple(table.find('', aliases, {}) for aliases in _DATE)
-    week, into = (table.find('', aliases, {}) for aliases in (_WEEK, _INTO_WEEK))
-    name = table.find('', TIME, {})
-    return (date if all(date) else (name,) if name else (week, into) if week and into else (into,) if into else None)
 
 
 def _times(table: Table, columns: dict[str, str], unit, longest: float, names: dict[str, str]):
@@ -447,20 +364,20 @@ def _times(table: Table, columns: dict[str, str], unit, longest: float, names: d
 
     RecordingError where there is none.
     """
-    source = _time_source(table, columns)
+    source = time_source(table, columns)
     if source is None:
         if 'time' in columns:
             raise RecordingError(f"{table.path} has no column '{columns['time']}' for time; {table.listing()}")
         raise RecordingError(f'{table.path} has no column that looks like time; {table.listing()}'
-                             f'{_proposal(table, tuple(names), {n: (c, None) for n, c in names.items()}, columns)}')
+                             f'{proposal(table, tuple(names), {n: (c, None) for n, c in names.items()}, columns)}')
     names['time'] = ' '.join(source)
-    if len(source) == len(_DATE):
+    if len(source) == len(DATE):
         cells = tuple(_date(row) for row in zip(*(table.columns[table.names.index(name)] for name in source)))
         stamp, _ = Table(table.path, ['date'], [cells], table.lines).times('date')
         nano = table.find('', ('nano',), {})
         return stamp + (0 if nano is None else table.numbers(nano).astype(np.int64)), 'date'
     name = source[-1]
-    stated = _match(table, columns['time'])[1] if 'time' in columns else None
+    stated = match(table, columns['time'])[1] if 'time' in columns else None
     # TimeUS, iTOW
     suffix = re.search('(us|ms|ns)$', name, re.IGNORECASE)
     spelled = suffix.group(1).lower() if suffix else 'ms' if name.lower() in ('itow', 'gms') else None
@@ -479,111 +396,3 @@ def _date(row) -> str:
         return ':'.join(row)
 
 
-def _numeric(table: Table) -> dict[str, np.ndarray]:
-    """The columns that are numbers throughout."""
-    found = {}
-    for name in table.names:
-        try:
-            values = table.numbers(name)
-        except RecordingError:
-            continue
-        if np.isfinite(values).all():
-            found[name] = values
-    return found
-
-
-def _ascending(table: Table) -> str | None:
-    """The first column that ascends, as a time does."""
-    for name, values in _numeric(table).items():
-        step = np.diff(values)
-        if len(step) and (step >= 0).all() and (step > 0).mean() > 0.5:
-            return name
-    return None
-
-
-def _proposal(table: Table, wanted, found, given: dict[str, str]) -> str:
-    """The whole line of options that would fit by what the columns hold: time ascends, gravity is in three of them."""
-    columns = {name: f[0] for name, f in found.items() if f}
-    time = _time_source(table, given) or (_ascending(table),)
-    if len(time) == 1:
-        columns['time'] = time[0]
-    if 'ax' in wanted and _holds_increments(table):
-        return '; as it seems: --preset kf-gins'
-    kind = next((kind for kind in ('pressure', 'speed') if kind in wanted), 'gnss')
-    kind = 'magnetometer' if 'mx' in wanted else kind
-    option, units = f'--{kind}-columns', ''
-    if 'ax' in wanted:
-        option = '--imu-columns'
-        numbers = {name: v for name, v in _numeric(table).items() if name not in columns.values()}
-        for triple, unit in _triples(numbers):
-            sensor = 'a' if unit in ACCELERATION else 'w'
-            if f'{sensor}x' in wanted and f'{sensor}x' not in columns:
-                columns |= {f'{sensor}{axis}': name for axis, name in zip('xyz', triple)}
-                if unit_in_name(triple[0], {*ACCELERATION, *RATE, *_SPELLINGS}) is None:
-                    units += f' --{"acceleration" if sensor == "a" else "gyro"}-unit {unit}'
-    if 'latitude' in wanted and not {'latitude', 'longitude'} & set(columns):
-        columns |= dict(zip(('latitude', 'longitude'), _place(_numeric(table), columns.get('time'))))
-    asked = ('time', *wanted) if len(time) == 1 else wanted
-    line = ','.join(f'{name}={columns.get(name) or "?"}' for name in asked)
-    words = 'as it seems' if set(columns) - {'time'} else 'name them'
-    return f'; {words}: {option} "{line}"{units}'
-
-
-def _holds_increments(table: Table) -> bool:
-    """Whether seven columns without names are time and increments of angle and velocity, as KF-GINS has them."""
-    if table.names != [str(i) for i in range(1, 8)] or len(table.lines) < 2 or len(_numeric(table)) < 7:
-        return False
-    step = np.median(np.diff(table.numbers('1')))
-    gained = np.median(np.linalg.norm(_columns(table, dict(zip('xyz', '567')), 'xyz'), axis=1))
-    return bool(step > 0 and abs(np.log(max(gained / step, 1e-9) / STANDARD_GRAVITY)) < _NEAR_GRAVITY)
-
-
-def _place(numbers: dict[str, np.ndarray], time: str | None) -> tuple[str, ...]:
-    """Two columns side by side that may be latitude and longitude, deg: with many decimals, of one neighbourhood."""
-    names = [name for name in numbers if name != time]
-    fine = {name: bool((np.abs(numbers[name] - np.round(numbers[name], 4)) > 1e-9).mean() > 0.5
-                       and np.ptp(numbers[name]) < _NEIGHBOURHOOD) for name in names}
-    for pair in zip(names, names[1:]):
-        largest = [np.abs(numbers[name]).max() for name in pair]
-        if all(fine[name] for name in pair) and largest[0] <= 90.0 and largest[1] <= 180.0:
-            return pair
-    return ()
-
-
-def _triples(numbers: dict[str, np.ndarray]):
-    """Yield neighbouring columns that may be the axes of a sensor, with its unit: accelerometers hold gravity, and of
-    the rest what is near zero may be gyroscopes."""
-    names = list(numbers)
-    triples = [tuple(names[i:i + 3]) for i in range(len(names) - 2)]
-    # one axis of a sensor beside two of another that are near zero has the same size: who is called x, y, z or 1, 2, 3,
-    # or stands third by third, goes first
-    triples.sort(key=lambda t: (not re.fullmatch('xyz|123|012', ''.join(n[-1:] for n in t).lower()),
-                                names.index(t[0]) % 3))
-    size = {t: np.linalg.norm([numbers[n] for n in t], axis=0) for t in triples}
-    taken: set[str] = set()
-    near = ((t, unit) for t, s in size.items() for unit, per in ACCELERATION.items()
-            if abs(np.log(max(np.median(s), 1e-9) * per / STANDARD_GRAVITY)) < _NEAR_GRAVITY)
-    for triple, unit in near:
-        taken |= set(triple)
-        yield triple, unit
-        break
-    for triple, s in size.items():
-        if not taken & set(triple) and 0 < np.median(s) < _FASTEST_DEG:
-            yield triple, 'deg/s' if np.percentile(s, 99) > _FASTEST_RAD else 'rad/s'
-            return
-
-
-def _columns(table: Table, names: dict[str, str], wanted) -> np.ndarray:
-    return np.column_stack([table.numbers(names[name]) for name in wanted])
-
-
-def _unit(table: Table, name: str, units) -> str:
-    """The unit in a column's name, or the first of `units`."""
-    spelled = unit_in_name(name, {*units, *_SPELLINGS})
-    unit = _SPELLINGS.get(spelled, spelled)
-    return unit if unit in units else next(iter(units))
-
-
-def _summary(table: Table, names, count, units) -> str:
-    columns = ', '.join(f'{wanted}={names[wanted]}' for wanted in sorted(names, key=lambda wanted: wanted != 'time'))
-    return f'{table.path}: {count} rows; {columns}; in {", ".join(units)}'

@@ -8,7 +8,7 @@ import numpy as np
 
 from mems_ins_fusion.navigation.earth import from_local
 from mems_ins_fusion.navigation.frames import yaw_from_enu, yaw_of_quaternion
-from mems_ins_fusion.recordings.csv_import import GNSS_COLUMNS
+from mems_ins_fusion.recordings.csv_columns import GNSS_COLUMNS
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.gps_time import EPOCH, SECOND, WEEK, leap_seconds
 from mems_ins_fusion.recordings.motion import plausible

@@ -18,6 +18,8 @@ _UNIT = re.compile(r'[\[(]\s*(.*?)\s*[\])]|_(s|ms|us|ns|m|deg|rad|g|mg|dps|rad_s
 #: ns: ROS stamps end in 2038
 LATEST = 2**31 * 10**9
 _DATE = re.compile(r'\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d*)?)?\s*[Zz]?\s*')
+#: in any unit: times in ns end here (int64), and no sensor says more; such a number is damage
+LARGEST = 9e18
 _LARGEST_FILE = 2 * 10**9  # bytes; a table takes some ten times its size in memory
 _COMMENT = '#%'
 _LISTED = 40  # names of columns in a message
@@ -42,12 +44,15 @@ class Table:
                      [self.lines[i] for i in kept])
 
     def numbers(self, name: str) -> np.ndarray:
-        """Column `name` as (n,) float64; empty cells are NaN. RecordingError for a cell that is no number."""
+        """Column `name` as (n,) float64; NaN where a cell is empty or beyond LARGEST. RecordingError for a cell that is
+        no number."""
         cells = self.columns[self.names.index(name)]
         try:
-            return np.array(list(map(float, cells)))
+            values = np.array(list(map(float, cells)))
         except ValueError:
-            return np.array([self._number(name, line, cell) for line, cell in zip(self.lines, cells)])
+            values = np.array([self._number(name, line, cell) for line, cell in zip(self.lines, cells)])
+        values[np.abs(values) > LARGEST] = np.nan
+        return values
 
     def _number(self, name, line, cell) -> float:
         try:

@@ -122,8 +122,15 @@ class _Stream:
     def encoded(self, index: np.ndarray) -> list[memoryview]:
         """The samples at `index` (m,), serialized."""
         arrays = {f.name: getattr(self.samples, f.name) for f in fields(self.samples)}
-        part = replace(self.samples, **{name: array[index] for name, array in arrays.items() if array is not None})
+        part = replace(self.samples, **{name: _finite(array[index]) for name, array in arrays.items()
+                                        if array is not None})
         return messages.encode(self.kind, {**messages.stamp_fields(part.stamp), **self.fields(part)}, self.strings)
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    """`values`, NaN where they are infinite: nothing measured is."""
+    infinite = np.isinf(values)
+    return np.where(infinite, np.nan, values) if infinite.any() else values
 
 
 def _imu_fields(imu: ImuSamples) -> dict:

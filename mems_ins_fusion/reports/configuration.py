@@ -14,6 +14,7 @@ from ..parameters.params_file import yaml_value
 from . import html
 from .answer import GOOD, WARNING, Answer, Step, shorten
 from .html import bullets, figure, folded, paragraph, preformatted, section, table
+from .settings import settings_table
 from .verdict import unsettled_text
 
 _WIDTH = 116
@@ -94,13 +95,10 @@ def configuration_page(result: Configuration, yaml_text: str, answered: Answer) 
     """The page about all that was looked at."""
     summary = f'{", ".join(drive.name for drive in result.drives)}: {"; ".join(story(result))}'
     return html.page('What the recording says about the vehicle', [
-        section('Is the file ready?', answered.html(), *_figure(result), _settings(result)),
+        section('Is the file ready?', answered.html(), *_figure(result),
+                settings_table({s.name: s.value for s in result.settings})),
         answered.evidence(), folded('Why', _evidence(result)), *_mounting(result), _sensors(result),
         folded('The file', preformatted(yaml_text)), _explanation()], summary.replace('+-', '\N{PLUS-MINUS SIGN}'))
-
-
-def _settings(result):
-    return table(['parameter', 'value'], [[s.name, yaml_value(s.value)] for s in result.settings])
 
 
 def _evidence(result):
@@ -171,7 +169,7 @@ def _sensors(result):
     drives = [[drive.name, drive.seconds, float(drive.still.mean() * drive.seconds),
                drive.mounting.driven if drive.mounting else None,
                math.degrees(drive.mounting.turned) if drive.mounting else None] for drive in result.drives]
-    return folded('Recordings', table(['topic', 'as', 'messages', 'rate, Hz', ''], rows),
+    return folded('Recordings', table(['topic', 'as', 'messages', 'rate, Hz', 'use'], rows),
                    table(['recording', 'length, s', 'at rest, s', 'driving, s', 'turned, deg'], drives))
 
 

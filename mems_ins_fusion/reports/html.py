@@ -86,7 +86,7 @@ def table(columns, rows, caption: str = '', digits: int = 3) -> Html:
     """A table; numbers right-aligned to `digits` significant digits, None and NaN as a dash.
 
     columns: headings, units included. rows: sequences of str, numbers or None, one per column. On a narrow page each
-    row becomes a block of its own, with the heading before each cell.
+    row becomes a block of its own, with the heading before each cell; of two columns it stays a row.
     """
     rows = [list(row) for row in rows]
     wrong = next((row for row in rows if len(row) != len(columns)), None)
@@ -99,7 +99,8 @@ def table(columns, rows, caption: str = '', digits: int = 3) -> Html:
     body = '\n'.join('<tr>' + ''.join(f'<td{s}{h}>{_cell(v, digits)}</td>' for v, s, h in zip(row, style, label))
                      + '</tr>' for row in rows)
     title = f'<caption>{_text(caption)}</caption>' if caption else ''
-    return Html(f'<table>{title}\n<thead><tr>{heading}</tr></thead>\n<tbody>\n{body}\n</tbody></table>')
+    pairs = ' class="pairs"' if len(columns) == 2 else ''
+    return Html(f'<table{pairs}>{title}\n<thead><tr>{heading}</tr></thead>\n<tbody>\n{body}\n</tbody></table>')
 
 
 def figure(drawing, caption: str = '', image: str = 'png', dpi: int = 120, narrow: bytes = b'') -> Html:

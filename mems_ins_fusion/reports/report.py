@@ -22,6 +22,7 @@ from .layers import middle, replay_layers
 from .plots import model_name
 from .replay_answer import best_model, consistencies, judged, sentences
 from .series import replay_charts
+from .settings import settings_table
 from .track import script, track
 from .verdict import verdict_json
 
@@ -245,9 +246,9 @@ def _recording_section(title: str, content: dict, name: str, values: dict):
 
 
 def _settings(values: dict, content: dict):
-    rows = [[name, str(value)] for name, value in content['parameters'].items()]
     seconds = ', '.join(f'{name} {number(s, 3)} s' for name, s in content['seconds'].items())
-    return folded('Settings', table(['parameter', 'value'], rows, 'Parameters that are not at their default.') if rows
+    given = content['parameters']
+    return folded('Settings', settings_table(given, 'Parameters that are not at their default.') if given
                    else paragraph('All parameters are at their defaults.'), paragraph(f'CPU time: {seconds}.'))
 
 

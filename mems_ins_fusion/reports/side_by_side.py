@@ -266,7 +266,8 @@ def report_page(first: Result, second: Result, rows: list[Row], answered: Answer
     names = first.name, second.name
     level = judged(first, second, rows).level
     table = html.table(
-        ('recording and model', 'error', 'compared', 'A, m', 'B, m', 'B against A, 95 %', 'A, median m', 'B, median m',
+        ('recording and model', 'error', 'compared', 'A, m', 'B, m', 'B against A, 95 %', 'A, median, m',
+         'B, median, m',
          'inside 95 % ellipse, A / B, %'),
         [(f'{r.recording}, ' + ' / '.join(dict.fromkeys(colours.MODEL_NAMES[m] for m in r.models)), _what(r),
           r.count or None, *_numbers(r), _span(r, level), *r.median,

@@ -1,0 +1,248 @@
+"""The settings that drives show: topics, units, mounting, clock and antenna, receiver, noise, constraints."""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mems_ins_fusion.configuration.input_settings import input_settings
+from mems_ins_fusion.configuration.mounting import BIAS_SIGMA, Mounting, deviation, rpy
+from mems_ins_fusion.configuration.receiver import TOO_SURE, Receiver
+from mems_ins_fusion.configuration.remaining import ARM
+from mems_ins_fusion.configuration.setting import ARM_SHOWN, AT_ZERO, SIGNIFICANT, Setting, arm_apart, is_sure, rounded
+from mems_ins_fusion.configuration.topics import Topics
+from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
+from mems_ins_fusion.parameters.table import defaults
+from mems_ins_fusion.recordings.transforms import BASE
+from mems_ins_fusion.recordings.transforms import TOPIC as TF
+from mems_ins_fusion.recordings.units import RATE, Units
+
+_TF_ANGLE = math.radians(15.0)  # rad: a bracket is bent by less than this; transforms are often of whole right angles
+_LEAST_MOUNTING_SIGMA = 0.01  # rad: by as much a body and a bracket flex while driving
+_OUTLIERS = 0.002  # part of the fixes
+# share of the seconds in motion that may be as quiet as rest: standstills while driving fast are refused by the filter.
+# Of simulated cars and phones 0 to 7 % are, of rovers on smooth ground 52 to 80 %
+_ALIKE = 0.2
+_ROBUST = 3.0  # gnss.robust_sigma where there are outliers
+
+
+def settings_of(topics: Topics, drives, mounting):
+    """Yield the settings that `drives` (of `configure.Drive`) and their common mounting show, in the file's order."""
+    first = drives[0]
+    rotation, arm = topics.mounting_of_tf, topics.arm_of_tf
+    yield from _topic_settings(topics)
+    yield from _unit_settings(first.units)
+    mechanization = _mechanization(drives, mounting)
+    yield mechanization
+    mounted = []
+    if mounting is not None:
+        mounted.append(_mounting_setting(mounting, rotation))
+        yield from mounted
+        if mounting.yaw_known:
+            yield Setting('imu.mounting_sigma', round(float(max(_LEAST_MOUNTING_SIGMA, mounting.sigma[1:].max())), 3), (
+                'of pitch and yaw, the larger one: the filter estimates what is left of them',))
+    elif rotation is not None:
+        mounted.append(Setting('imu.mounting_rpy', rounded(rpy(rotation), 4), (
+            f'from {TF}; the drive does not show it',)))
+        yield from mounted
+    antenna = []
+    if mounting is not None:
+        antenna.append(_time_offset_setting(mounting.offset))
+    if mounting is not None or arm is not None:
+        antenna.append(_arm_setting(mounting.offset if mounting is not None else None, arm))
+    yield from antenna
+    yield from _receiver_settings([drive.receiver for drive in drives if drive.receiver is not None])
+    yield from input_settings([drive.inputs for drive in drives], mechanization.value,
+                               {setting.name: setting.value for setting in (*mounted, *antenna)}, topics)
+    yield from _noise_settings(drives, mounting)
+    yield from vehicle_settings(drives)
+
+
+def _topic_settings(topics):
+    for name, candidates, kind in (('imu_topic', topics.imu, 'Imu'), ('gnss_topic', topics.gnss, 'NavSatFix')):
+        if not candidates:
+            yield Setting(name, '', (f'no topic of sensor_msgs/{kind}',))
+            continue
+        chosen, *others = candidates
+        why = [f'{chosen.describe()}' + ('' if others else f'; the only sensor_msgs/{kind}')]
+        why += [f'rather than {other.topic}: {other.describe()}' for other in others]
+        yield Setting(name, chosen.topic, tuple(why))
+    if len(topics.temperature) == 1:
+        yield Setting('temperature_topic', topics.temperature[0], ('the only sensor_msgs/Temperature',))
+
+
+def _unit_settings(units: Units):
+    where = 'at rest' if units.at_rest else 'on average'
+    yield Setting('imu.acceleration_unit', units.acceleration, (
+        f'{units.magnitude:.4g} {units.acceleration} {where}'
+        + (', which is gravity' if units.gravity else ': no gravity in it, taken to be m/s^2'),))
+    if units.steering is None:
+        why = f'no turn tells; the largest rates are {units.largest:.2g}'
+    else:
+        turned, sigma = (RATE[units.rate] * value for value in units.steering.turned)
+        why = f'the gyroscopes turn by {turned:.3g} +- {max(sigma, 0.001):.1g} of the angle of the course'
+    yield Setting('imu.rate_unit', units.rate, (why,))
+
+
+def _mechanization(drives, mounting) -> Setting:
+    if not all(drive.units.gravity for drive in drives):
+        return Setting('mechanization', 'planar', ('gravity is not in the accelerometers: strapdown needs it',))
+    if mounting is None:
+        return Setting('mechanization', 'planar', ('the up axis is not known',))
+    return Setting('mechanization', 'strapdown', ('gravity is in the accelerometers; roads tilt, and planar takes '
+                                                  'that for acceleration',))
+
+
+def _mounting_setting(found: Mounting, told: np.ndarray | None) -> Setting:
+    """told: rotation (3, 3) that the transforms say."""
+    if told is not None and not found.yaw_known:
+        return Setting('imu.mounting_rpy', rounded(rpy(told), 4), (
+            f'from {TF}; gravity agrees to {math.degrees(_angle_of_level(found, told)):.1f} deg, the drive does not '
+            'show the yaw',))
+    angles = np.degrees(found.rpy)
+    sigma = np.degrees(found.sigma)
+    why = [f'roll {angles[0]:.1f}, pitch {angles[1]:.1f}, yaw {angles[2]:.1f} deg; sigma {sigma[0]:.1f}, '
+           f'{sigma[1]:.1f}, {sigma[2]:.1f} deg about forward, left and up']
+    why += [f'from this, by {way.source}: {_degrees(way.angle[0], way.sigma[0])} about forward, '
+            f'{_degrees(way.angle[1], way.sigma[1])} about left' for way in found.level]
+    if found.spans is not None:
+        why.append(f'gravity counts with {math.degrees(BIAS_SIGMA / STANDARD_GRAVITY):.1f} deg more: a bias of the '
+                   'accelerometers tilts it')
+    if found.yaw_known:
+        why += [f'from this, by {way.source}: {_degrees(way.angle[0], way.sigma[0])} about up' for way in found.heading]
+    else:
+        why.append('yaw not shown: too few turns and changes of speed; 0 is the default, it may be anything')
+    if told is not None:
+        why.append(f'{TF} says roll, pitch, yaw {", ".join(f"{a:.1f}" for a in np.degrees(rpy(told)))} deg')
+    return Setting('imu.mounting_rpy', rounded(found.rpy, 4), tuple(why))
+
+
+def _angle_of_level(found: Mounting, told: np.ndarray) -> float:
+    """rad, between up as the drive shows it and as the rotation `told` has it, whatever the yaw."""
+    return float(np.arccos(np.clip(found.rotation[2] @ told[2], -1.0, 1.0)))
+
+
+def _degrees(angle, sigma) -> str:
+    return f'{math.degrees(angle):+.1f} +- {max(math.degrees(sigma), 0.1):.1f} deg'
+
+
+def _time_offset_setting(offset) -> Setting:
+    if offset is None or not offset.shown:
+        why = 'not shown' if offset is None else f'{offset.lag:.1f} +- {offset.lag_sigma:.1f} s: as good as not shown'
+        return Setting('gnss.time_offset', 0.0, (why,))
+    seen = f'by the track between fixes {offset.lag:.3f} +- {offset.lag_sigma:.3f} s, with the arm unknown'
+    if offset.rivals:
+        seen += f'; {" or ".join(f"{rival:g}" for rival in offset.rivals)} s would fit nearly as well'
+    sure = is_sure(offset.lag, offset.lag_sigma)
+    return Setting('gnss.time_offset', round(offset.lag, 3) if sure else 0.0, (seen if sure else f'{seen}{AT_ZERO}',))
+
+
+def _arm_setting(offset, told: np.ndarray | None) -> Setting:
+    """told: (3,) m from the IMU to the antenna that the transforms say."""
+    if offset is None:
+        if told is not None:
+            return Setting('gnss.lever_arm', rounded(told, 3), (f'from {TF}; the drive does not show it',))
+        return Setting('gnss.lever_arm', [0.0, 0.0, 0.0], ('not shown; measure it with a tape',))
+    seen = ', '.join(f'{arm:.2f} +- {sigma:.2f}' for arm, sigma in zip(offset.arm, offset.arm_sigma))
+    if told is not None:
+        return Setting('gnss.lever_arm', rounded(told, 3), (f'from {TF}; the drive shows {seen} m forward, left, up',))
+    known = [sigma < ARM_SHOWN and is_sure(arm, sigma) for arm, sigma in zip(offset.arm, offset.arm_sigma)]
+    left = '' if all(known) else (f'; what is not known to {ARM_SHOWN:g} m, or less than {SIGNIFICANT:g} sigma, is '
+                                  'left at zero')
+    arm = [round(float(part), 2) + 0.0 if there else 0.0 for part, there in zip(offset.arm, known)]
+    return Setting('gnss.lever_arm', arm, (
+        f'from the IMU to the antenna {seen} m forward, left, up{left}', 'a tape is better'))
+
+
+def against_tf(topics: Topics, mounting: Mounting | None):
+    """Where the transforms of the recording contradict what it shows, in words."""
+    told, arm = topics.mounting_of_tf, topics.arm_of_tf
+    if mounting is not None and told is not None:
+        away = _angle_of_level(mounting, told)
+        if mounting.yaw_known:
+            away = float(np.linalg.norm(deviation(mounting.rotation, told)))
+        if away > _TF_ANGLE:
+            yield (f'{TF} has the IMU turned by {math.degrees(away):.0f} deg from what the drive shows: its '
+                   f'header.frame_id or the transform to {BASE} is wrong')
+    if mounting is not None and mounting.offset is not None and arm is not None:
+        for name, seen, sigma, said, apart in zip(ARM, mounting.offset.arm, mounting.offset.arm_sigma, arm,
+                                                  arm_apart(mounting.offset.arm, mounting.offset.arm_sigma, arm)):
+            if apart:
+                yield (f'{TF} has the antenna {said:.2f} m {name} of the IMU, the drive shows {seen:.2f} +- '
+                       f'{sigma:.2f} m: measure it')
+
+
+def _receiver_settings(receivers: list[Receiver]):
+    if not receivers:
+        return
+    stated = [r.stated for r in receivers if r.stated is not None]
+    seen = [r.realised for r in receivers if r.realised is not None]
+    realised = max(seen) if seen else None
+    text = ', '.join(f'{what} {max(values):.2g} m' for what, values in (
+        ('stated', stated), ('scatter at rest', [r.at_rest for r in receivers if r.at_rest is not None]),
+        ('white noise in motion about', [r.in_motion for r in receivers if r.in_motion is not None])) if values)
+    if stated:
+        too_sure = realised is not None and realised > TOO_SURE * max(stated)
+        yield Setting('gnss.sigma', float(f'{realised:.2g}') if too_sure else 0.0,
+                      (text, 'the receiver is too sure of itself' if too_sure else 'the stated sigma is used'))
+    else:
+        yield Setting('gnss.default_sigma', float(f'{max(realised or 3.0, 0.02):.2g}'),
+                      (text or 'not shown', 'the receiver states no sigma'))
+    outliers = max(r.outliers for r in receivers)
+    yield Setting('gnss.robust_sigma', _ROBUST if outliers > _OUTLIERS else 0.0,
+                  (f'{outliers:.1%} of the fixes lie far off their neighbours',))
+    delays = [r.delay for r in receivers if r.delay is not None]
+    if delays and max(delays) > 0.7 * defaults()['gnss.max_delay']:
+        yield Setting('gnss.max_delay', min(round(1.5 * max(delays), 1), 10.0),
+                      (f'fixes arrive up to {max(delays):.2f} s (99 %) after the IMU samples of their time',))
+
+
+def _noise_settings(drives, mounting):
+    best = max((drive.noise for drive in drives if drive.noise is not None), key=lambda noise: noise.seconds,
+               default=None)
+    if best is not None:
+        why = f'{best.seconds:.0f} s at rest, the quietest axis; to {best.part:.0%}'
+        for sensor, density in (('accelerometer', best.force_density), ('gyroscope', best.rate_density)):
+            yield Setting(f'{sensor}.noise_density', _significant(density), (why,))
+        sigma = ', '.join(f'{s:.1g}' for s in best.bias_sigma)
+        yield Setting('gyroscope.bias', _significant(best.bias), (
+            f'mean over {best.seconds:.0f} s at rest, sigma {sigma} rad/s; the next start has another one',))
+    if mounting is not None and mounting.spans is not None:
+        sure = is_sure(float(np.linalg.norm(mounting.bias)), mounting.bias_sigma)
+        yield Setting('accelerometer.bias', _significant(mounting.bias, 2) if sure else [0.0], (
+            f'what gravity leaves beside the up axis: {np.linalg.norm(mounting.bias):.2g} +- {mounting.bias_sigma:.2g} '
+            f'm/s^2{"" if sure else AT_ZERO}',))
+
+
+def vehicle_settings(drives):
+    vehicles = [drive.vehicle for drive in drives]
+    seen = [vehicle for vehicle in vehicles if vehicle.wheels is not None]
+    # the filter's heading is that of the course at the start, so the constraint holds whatever the yaw of the mounting
+    yield Setting('vehicle.non_holonomic', all(vehicle.wheels for vehicle in seen), (
+        f'velocity across the nose scatters by {max(v.sideways for v in seen):.2f} m/s, '
+        f'{max(v.noise for v in seen):.2f} m/s of it by the fixes' if seen else
+        'too few turns to see it; the default is that of vehicles on wheels',))
+    rest = [vehicle for vehicle in vehicles if vehicle.rest_force is not None]
+    if not rest:
+        yield Setting('vehicle.zero_velocity', False, ('no standstill beside motion shows how to tell them apart',))
+        return
+    force, rate = max(v.rest_force for v in rest), max(v.rest_rate for v in rest)
+    drive_force, drive_rate = min(v.drive_force for v in rest), min(v.drive_rate for v in rest)
+    alike = max(v.alike for v in rest)
+    told = alike < _ALIKE
+    yield Setting('vehicle.zero_velocity', told, (
+        f'axes scatter by up to {force:.2g} m/s^2 and {rate:.2g} rad/s at rest, by {drive_force:.2g} and '
+        f'{drive_rate:.2g} and more in motion; {alike:.0%} of the seconds in motion are as quiet as rest'
+        + ('' if told else ': not to be told apart'),))
+    if told:
+        yield Setting('vehicle.still_acceleration', _threshold(force, drive_force), ('between rest and motion',))
+        yield Setting('vehicle.still_rate', _threshold(rate, drive_rate), ('between rest and motion',))
+
+
+def _threshold(rest, drive) -> float:
+    """Between `rest` and `drive` by ratio; where they overlap, a little above rest."""
+    return float(f'{max(math.sqrt(rest * drive), 1.2 * rest):.2g}')
+
+
+def _significant(values, digits=3) -> list:
+    return [float(f'{value:.{digits}g}') for value in values]

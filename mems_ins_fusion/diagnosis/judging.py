@@ -1,0 +1,200 @@
+"""One candidate of a search: in the model with all else, and what that does on data it was not fitted to."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..effects.base import Effect
+from .agreement import by_drive, contradicted, said
+from .estimate import Estimate, widened
+from .exact import of_what_is_held
+from .fit import Model, fit, refined
+from .held_out import HeldOut, gain_of, held_out
+from .judgement import compared, objection
+from .known import Known
+from .measured import Measured
+from .noise import calibrated, noise_unknowns
+from .plausible import implausible
+from .tracing import Candidate, also_determined, determined, effect_unknowns, refined_unknowns
+from .trial_runs import TrialRuns
+
+#: how close in log likelihood equals come
+CLOSE = 3.3
+#: a parameter is not determined where values this many times apart fit equally well
+APART = 1.5
+#: iterations of a fit that is only compared with others
+COMPARED = 3
+#: and of one from a maximum that has moved little
+REFITTED = 4
+#: an effect is one from so many sigma on, and a parameter of it has a value
+PLAIN, SHOWN = 3.0, 2.0
+#: effects that make fixes seem of another time
+OF_FIXES = 'gnss_time_offset', 'gnss_latency', 'gnss_lag'
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A candidate, the model with it, its parameters, and what it does on data it was not fitted to."""
+
+    candidate: Candidate
+    model: Model
+    parameters: dict[str, Estimate]
+    hidden: dict[str, str]
+    proof: HeldOut
+    errors: Measured
+    against: str
+    drives: dict[str, dict[str, Estimate]] = field(default_factory=dict)
+    apart: bool = False
+
+
+def with_candidate(known: Known, candidate: Candidate, view: np.ndarray, trials: TrialRuns) -> Model:
+    """The present model with one candidate added and all fitted again from `view`, well enough to compare."""
+    model = known.model
+    if candidate.effect.replaces_model(candidate.values()):
+        problem = known.problem.configured(trials.recordings,
+                                           candidate.effect.adjusted(known.problem.given, candidate.values()))
+        noise = noise_unknowns(problem)
+        kept = [u for u in model.unknowns if not u.noise]
+        x = np.append(calibrated(problem, noise), model.x[known.noise:])
+        return fit(problem, [*noise, *kept], x, COMPARED)
+    begin = [max(t, u.step) if u.variance else np.clip(t, -u.prior / 5, u.prior / 5)
+             for t, u in zip(candidate.theta, candidate.unknowns)]
+    begins = [begin, *([sizes[u.parameter] for u in candidate.unknowns]
+                       for sizes in trials.starts.get(candidate.name, ()))]
+    fits = [fit(known.problem, [*model.unknowns, *candidate.unknowns], np.concatenate([view, start]), COMPARED)
+            for start in begins]
+    return max(fits, key=lambda m: m.likelihood(known.problem.mask))
+
+
+def judge(known: Known, candidate: Candidate, model: Model, trials: TrialRuns) -> Judged:
+    """What `candidate`, fitted as `model`, comes to on data it was not fitted to."""
+    first = len(known.model.unknowns)
+    if model.problem is not known.problem:
+        # another mechanization has no parameter of its own that could have been fitted to the data
+        model = refined(model)
+        proof = gain_of(known.problem, known.model.residual, model.residual)
+        alone = fit(known.problem.moved(known.model.unknowns, known.model.x), candidate.unknowns, candidate.theta)
+        diluted = max(p.diluted for p in known.problem.each)
+        parameters = {name: _diluted(e, diluted) for name, e in _estimates(candidate, alone, 0, alone.sigma()).items()}
+        errors = trials.errors([model.problem.corrected(model.unknowns, model.x)])
+        against = objection(proof, compared(known.errors, errors))
+        return Judged(candidate, model, parameters, {}, proof, errors, against)
+    model = refined(model)
+    # what one drive has and another has not may be nothing in all together
+    drives, apart = by_drive_of(model, candidate.effect, known.noise, range(first, len(model.unknowns)))
+    contradiction = f'the drives contradict each other ({said(drives)})' if apart else ''
+    model, hidden = _completed(known, candidate, prune(model, first))
+    if len(model.unknowns) == first:
+        return Judged(candidate, known.model, {}, {}, HeldOut(0.0, 1.0, []), known.errors,
+                      contradiction or 'not determined once all is fitted together', drives, apart)
+    sigma = np.hypot(model.sigma(), of_what_is_held(model, trials.beside.track, trials.origin.given))
+    parameters = {name: e for name, e in _estimates(candidate, model, first, sigma).items()
+                  if f'{candidate.name}.{name}' not in hidden}
+    # the same noise levels may suit the shorter model better, too
+    shorter = fit(known.problem, known.model.unknowns, model.x[:first], COMPARED)
+    mask = known.problem.mask
+    shorter = max(known.model, shorter, key=lambda m: m.likelihood(mask))
+    proof = held_out(model, shorter, known.noise)
+    errors = trials.errors([known.problem.corrected(model.unknowns, x) for x in proof.estimates])
+    # that something is there needs no second proof where the recordings show it for certain
+    plain = model.sigma() if candidate.name in trials.certain else sigma
+    against = (implausible(candidate.name, parameters, trials.shown) or _of_another_clock(known, candidate, trials)
+               or contradiction or _small(model, first, plain) or objection(proof, compared(known.errors, errors)))
+    return Judged(candidate, model, parameters, hidden, proof, errors, against, drives, apart)
+
+
+def _of_another_clock(known: Known, candidate: Candidate, trials: TrialRuns) -> str:
+    """Why an offset of the fixes cannot be believed: a speed that comes late makes them seem early."""
+    added = [finding.name for finding in known.findings if finding.added]
+    late = trials.unset(added) if candidate.name in OF_FIXES else ()
+    return f'{" and ".join(late)} {"come" if len(late) > 1 else "comes"} late for certain, which has to be set first' \
+        if late else ''
+
+
+def _small(model: Model, first: int, sigma: np.ndarray) -> str:
+    """An objection to an effect none of whose parameters is PLAIN; empty where one is."""
+    plain = [u.variance or u.factor_on is None and abs(x) >= PLAIN * s
+             for u, x, s in zip(model.unknowns[first:], model.x[first:], sigma[first:])]
+    return '' if any(plain) else f'less than {PLAIN:g} sigma'
+
+
+def _diluted(estimate: Estimate, part: float) -> Estimate:
+    """With what a regression on something that is not exact lacks in its sigma; what is less than SHOWN was tried."""
+    if not estimate.known:
+        return estimate
+    sigma = float(np.hypot(estimate.sigma, part * estimate.value))
+    if abs(estimate.value) < SHOWN * sigma:
+        return Estimate(1.0, None, estimate.unit)
+    return replace(estimate, sigma=sigma)
+
+
+def by_drive_of(model: Model, effect: Effect, noise: int, own: Sequence[int]):
+    """What each of several drives says of the unknowns `own` (indices), and whether they contradict each other."""
+    units = {p.name: p.unit for p in effect.traced}
+    own = [i for i in own if model.unknowns[i].factor_on is None and not model.unknowns[i].variance]
+    drives = {name: {p: replace(e, unit=units[p]) for p, e in found.items()}
+              for name, found in by_drive(model, noise, own).items()} if own else {}
+    return drives, contradicted(model, noise, own)
+
+
+def prune(trial: Model, first: int) -> Model:
+    """`trial` without those of its unknowns from `first` on that turn out not to be determined, or not to be there.
+
+    What can trade against another one of its effect (`_refined`) stays: together they are determined.
+    """
+    x, sigma = trial.x[first:], trial.sigma()[first:]
+    keep = determined(x, sigma, trial.unknowns[first:]) & (np.abs(x) >= SHOWN * sigma)
+    keep |= np.array([u.variance or u.factor_on is not None for u in trial.unknowns[first:]], dtype=bool)
+    if keep.all():
+        return trial
+    kept = np.append(np.ones(first, dtype=bool), keep)
+    return fit(trial.problem, [u for u, k in zip(trial.unknowns, kept) if k], trial.x[kept], REFITTED)
+
+
+def _completed(known: Known, candidate: Candidate, trial: Model) -> tuple[Model, dict[str, str]]:
+    """`trial` with what else of its effect the data determine now that noise levels need not stand for it."""
+    present = {u.name for u in trial.unknowns}
+    missing = [u for u in effect_unknowns(candidate.effect, candidate.fixed, trial.problem.attitude)
+               if u.name not in present and u.parameter in candidate.undetermined]
+    more = also_determined(trial.moved(), missing, trial.scores, trial.residual, trial.problem.mask)
+    if more:
+        first, start = len(trial.unknowns), np.append(trial.x, np.zeros(len(more)))
+        trial = prune(fit(trial.problem, [*trial.unknowns, *more], start, REFITTED), first)
+    own = len(trial.unknowns) > len(known.model.unknowns)
+    return _refined(known, candidate.effect, trial) if candidate.effect.refined and own else (trial, {})
+
+
+def _refined(known: Known, effect: Effect, trial: Model) -> tuple[Model, dict[str, str]]:
+    """`trial` with the parameters that were tried estimated, too, from each start: where these end as good ones at
+    other values, the data do not determine the effect's parameters."""
+    first = len(known.model.unknowns)
+    kept = {u.name for u in trial.unknowns[first:]}
+    fits = []
+    for fixed in effect.tried:
+        factors = refined_unknowns(effect, fixed)
+        own = [u for u in effect_unknowns(effect, fixed, known.problem.attitude) if u.name in kept]
+        unknowns = [*known.model.unknowns, *own, *factors]
+        fits.append(fit(trial.problem, unknowns, np.append(trial.x, np.zeros(len(factors))), REFITTED))
+    mask = trial.problem.mask
+    best = max(fits, key=lambda m: m.likelihood(mask))
+    good = [m for m in fits if m.likelihood(mask) > best.likelihood(mask) - CLOSE]
+    hidden = {}
+    for i in range(first, len(best.unknowns)):
+        unknown = best.unknowns[i]
+        found = [m.unknowns[i].meant(m.x[i], 0.0)[0] for m in good]
+        if max(found) > APART * min(found):
+            unit = next(p.unit for p in effect.traced if p.name == unknown.parameter)
+            between = Estimate(None, None, unit, (min(found), max(found)))
+            hidden[unknown.name] = f'{between.text()} explain the recording equally well'
+    return best, hidden
+
+
+def _estimates(best: Candidate, model: Model, first: int, sigma: np.ndarray) -> dict[str, Estimate]:
+    """Parameters of a finding, the unknowns of `model` from `first` on; sigma: (p,) of all of them."""
+    units = {p.name: p.unit for p in best.effect.traced}
+    found = {name: Estimate(value, None, units[name]) for name, value in best.fixed.items() if value}
+    for unknown, x, s in zip(model.unknowns[first:], model.x[first:], sigma[first:]):
+        found[unknown.parameter] = Estimate(*unknown.meant(x, s), units[unknown.parameter])
+    return widened(found)

@@ -1,0 +1,121 @@
+"""Columns of a CSV log: their usual names and units, and which of a table's are meant."""
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from mems_ins_fusion.recordings.errors import RecordingError
+from mems_ins_fusion.recordings.tables import Table, unit_in_name
+
+SPEED_UNITS = {'m/s': 1.0, 'km/h': 1 / 3.6, 'mph': 0.44704, 'knots': 1852 / 3600, 'mm/s': 1e-3, 'cm/s': 1e-2}
+#: whole numbers of 1e-7 deg are what u-blox, MAVLink and PX4 send, with heights in mm
+ANGLE_UNITS = {'deg': np.pi / 180.0, 'rad': 1.0, '1e-7 deg': 1e-7 * np.pi / 180.0}
+LENGTH_UNITS = {'m': 1.0, 'cm': 1e-2, 'mm': 1e-3}
+#: how people write the units in the names of columns
+SPELLINGS = {**dict.fromkeys(('m/s2', 'm s^-2', 'm/s²', 'm/s/s', 'mps2', 'm_s2'), 'm/s^2'),
+             **dict.fromkeys(('rad s^-1', 'rad_s', 'radps'), 'rad/s'),
+             **dict.fromkeys(('deg s^-1', 'deg_s', 'degps', 'dps', '°/s'), 'deg/s'),
+             **dict.fromkeys(('m s^-1', 'm_s', 'mps'), 'm/s'), **dict.fromkeys(('kmh', 'kph', 'km h^-1'), 'km/h'),
+             **dict.fromkeys(('kn', 'kt', 'kts', 'knot'), 'knots'),
+             **dict.fromkeys(('mbar', 'millibar', 'hectopascal'), 'hPa'),
+             **dict.fromkeys(('°', 'degree', 'degrees'), 'deg'), **dict.fromkeys(('radian', 'radians'), 'rad')}
+_ACCELEROMETER = ('a', 'acc', 'accel', 'accelerometer', 'acceleration', 'linearacceleration', 'specificforce', 'f',
+                  'accelerometers', 'arss')
+_GYROSCOPE = ('w', 'g', 'gyr', 'gyro', 'gyroscope', 'omega', 'angularvelocity', 'angularrate', 'rate', 'wrss')
+TIME = ('time', 'timeus', 'timems', 'timens', 't', 'timestamp', 'stamp', 'sec', 'seconds', 'unixtime', 'utc', 'epoch',
+        'headerstamp', 'rostime')
+
+
+def _axis_aliases(prefixes, axis):
+    return tuple(f'{prefix}{axis}' for prefix in prefixes) + tuple(f'{axis}{prefix}' for prefix in prefixes)
+
+
+#: time in two columns, week and seconds (or ms, GMS) of GPS time, or in six, a date
+_WEEK = ('week', 'gpsweek', 'gwk', 'wn')
+_INTO_WEEK = ('tow', 'sow', 'seconds', 'secondsofweek', 'itow', 'gms', 'gpstow', 'gpssow', 'gpsseconds', 'gpssec')
+DATE = (('year',), ('month',), ('day',), ('hour',), ('min', 'minute'), ('sec', 'second', 'seconds'))
+#: usual names of columns, as `tables.plain` leaves them
+IMU_COLUMNS = {'time': TIME,
+               **{f'a{axis}': _axis_aliases(_ACCELEROMETER, axis) for axis in 'xyz'},
+               **{f'w{axis}': _axis_aliases(_GYROSCOPE, axis) for axis in 'xyz'},
+               'temperature': ('temperature', 'temp', 'imutemperature', 'imutemp')}
+GNSS_COLUMNS = {'time': TIME, 'latitude': ('latitude', 'lat', 'latdeg', 'phi'),
+                'longitude': ('longitude', 'lon', 'lng', 'long', 'londeg', 'lambda'),
+                'height': ('ellipsoidalheight', 'altellipsoid', 'height', 'altitude', 'alt', 'h', 'hgt'),
+                'sigma': ('sigma', 'hacc', 'horizontalaccuracy', 'eph', 'hrms', 'accuracy', 'std'),
+                'vertical_sigma': ('verticalsigma', 'vacc', 'verticalaccuracy', 'epv', 'vrms'),
+                'hdop': ('hdop',), 'status': ('status', 'fixtype', 'fixquality', 'quality', 'gpsstatus', 'fix'),
+                **{wanted: (f'v{wanted[0]}', f'vel{wanted[0]}', f'{wanted[0]}vel', f'vel{wanted}', f'{wanted}vel',
+                            f'velocity{wanted}', f'{wanted}velocity') for wanted in ('north', 'east', 'down')},
+                'velocity_sigma': ('velocitysigma', 'sacc', 'speedaccuracy', 'velocityaccuracy')}
+SPEED_COLUMNS = {'time': TIME, 'speed': ('speed', 'v', 'velocity', 'wheelspeed', 'vehiclespeed', 'odometerspeed'),
+                 'turn_rate': ('turnrate', 'yawrate', 'angularvelocity', 'angularrate', 'omega', 'wz'),
+                 'sigma': ('sigma', 'std', 'speedsigma', 'accuracy')}
+PRESSURE_COLUMNS = {'time': TIME, 'pressure': ('pressure', 'airpressure', 'press', 'p', 'baro', 'barometer')}
+_MAGNETOMETER = ('m', 'mag', 'magnetometer', 'magneticfield', 'field', 'b')
+MAGNETOMETER_COLUMNS = {'time': TIME, **{f'm{axis}': _axis_aliases(_MAGNETOMETER, axis) for axis in 'xyz'}}
+
+
+def parse_columns(text: str, known) -> dict[str, str]:
+    """`time=t,ax=acc 1,...` as a dictionary. RecordingError for a name that is not in `known`."""
+    given = {}
+    for pair in filter(None, (part.strip() for part in text.split(','))):
+        wanted, equals, name = (part.strip() for part in pair.partition('='))
+        if not equals or not name or wanted not in known:
+            raise RecordingError(f"columns are given as NAME=COLUMN with NAME one of {', '.join(known)}; got '{pair}'")
+        given[wanted] = name
+    return given
+
+
+def find(table: Table, wanted: str, known: dict, columns: dict[str, str]) -> tuple[str, str | None] | None:
+    """Name of the column for `wanted` and the unit that was stated with it, or None: see `read_imu`.
+
+    RecordingError where one is given that is not there, unless it ends in `|`.
+    """
+    given = columns.get(wanted)
+    if given is None:
+        name = table.find(wanted, known[wanted], {})
+        return (name, None) if name else None
+    found = match(table, given)
+    if found is None and not given.endswith('|'):
+        raise RecordingError(f"{table.path} has no column '{given}' for {wanted}; {table.listing()}")
+    return found
+
+
+def match(table: Table, given: str) -> tuple[str, str | None] | None:
+    """The first of the columns `A|B [unit]` that `table` has, and its unit; None where it has none."""
+    for name in (given, *given.split('|')):
+        if name in table.names:
+            return name, None
+        plain, unit = re.fullmatch(r'(.*?)\s*(?:\[([^][]*)\])?', name, re.DOTALL).groups()
+        if plain in table.names:
+            return plain, unit
+    return None
+
+
+def time_source(table: Table, columns: dict[str, str]) -> tuple[str, ...] | None:
+    """The columns of time: one, week and seconds of GPS time, or six of a date; None where there are none."""
+    if 'time' in columns:
+        found = match(table, columns['time'])
+        return (found[0],) if found else None
+    date = tuple(table.find('', aliases, {}) for aliases in DATE)
+    week, into = (table.find('', aliases, {}) for aliases in (_WEEK, _INTO_WEEK))
+    name = table.find('', TIME, {})
+    return (date if all(date) else (name,) if name else (week, into) if week and into else (into,) if into else None)
+
+
+def values_of(table: Table, names: dict[str, str], wanted) -> np.ndarray:
+    return np.column_stack([table.numbers(names[name]) for name in wanted])
+
+
+def unit_of(table: Table, name: str, units) -> str:
+    """The unit in a column's name, or the first of `units`."""
+    spelled = unit_in_name(name, {*units, *SPELLINGS})
+    unit = SPELLINGS.get(spelled, spelled)
+    return unit if unit in units else next(iter(units))
+
+
+def summary(table: Table, names, count, units) -> str:
+    columns = ', '.join(f'{wanted}={names[wanted]}' for wanted in sorted(names, key=lambda wanted: wanted != 'time'))
+    return f'{table.path}: {count} rows; {columns}; in {", ".join(units)}'
