@@ -210,7 +210,7 @@ def test_a_start_in_motion_with_a_wild_sample_makes_no_noise_on_stderr(recording
         player.connect()
         player.skip(12.0)
         player.play(50.0)
-        # how much of the drive the one look after 30 s sees is chance, and so whether the yaw shows; it finds nothing wrong
+        # how much of the drive the one look after 30 s sees is chance, and so whether the yaw shows; nothing is wrong
         heard.wait(lambda d: d.values('filter').get('mounting', '').startswith(('nothing speaks', 'gravity does not')))
         assert heard.values('imu')['refused, out of range'] == '1'
     node.wait()

@@ -75,8 +75,8 @@ STRAYED_PART = 0.5
 STRAYED_SLOPE = 2.0
 #: s within which a filter that strays once more is counted as straying again
 SOON = 300.0
-#: s after which fixes from which the filter strays win over it: innovations that grow by STRAYED_SLOPE have then grown by
-#: more than white fixes scatter
+#: s after which fixes from which the filter strays win over it: innovations that grow by STRAYED_SLOPE have then
+#: grown by more than fixes scatter
 STRAYED_AFTER = 2.0
 #: factor by which the claimed variance changes at once where it is another claim, and no other error: the realised
 #: variance is then as it was until the fixes show more
