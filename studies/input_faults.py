@@ -132,9 +132,9 @@ SECOND = {'inputs': ['second'], 'second.type': 'imu', 'second.topic': '/second/i
 
 
 @cache
-def with_two_imus(seed: int, rate: float) -> Recording:
+def with_two_imus(seed: int, rate: float, minutes: float = MINUTES) -> Recording:
     """A realistic drive with a second IMU, its stamps 4 ms after those of the first one."""
-    drive, given = drive_of(seed, MINUTES), REALISTIC.distortions(seed)
+    drive, given = drive_of(seed, minutes), REALISTIC.distortions(seed)
     first = simulate_recording(drive, sensors(), GnssNoise(1.5, rate=rate), seed=seed, **given).recording
     other = simulate_recording(drive, sensors(), seed=seed + 10_000, mounting_rpy=SECOND['second.mounting_rpy'],
                                **given).recording.imu
