@@ -2,11 +2,11 @@
 
     python studies/several_imus.py [--seeds 8] [--first-seed 3001] [--minutes 16] [--only TEXT,TEXT] [--output FILE.md]
 
-The drives of input_faults.py with two IMUs of one grade, longer: fixes of 1.5 m once a second are withheld for 30 s
-each 100 s, and a fault comes back in each minute whose second half that is; *always* from the begin, *from 150 s on*
-to the end. With a fault of the second IMU, *alone* is the first one alone, without fault. With one of the first IMU it
-is the second one alone, which is what can be had where the first one fails; beside it, the first one alone with its
-fault.
+The drives of faults.py with two IMUs of one grade, each with its own errors, vibration and mounting, the second one's
+stamps 4 ms after the first one's. Fixes of 1.5 m once a second are withheld for 30 s each 100 s, and a fault comes back
+in each minute whose second half that is; *always* from the begin, *from 150 s on* to the end. With a fault of the
+second IMU, *alone* is the first one alone, without fault. With one of the first IMU it is the second one alone, which
+is what can be had where the first one fails; beside it, the first one alone with its fault.
 
 Of each drive the RMS of the largest errors in its outages is taken, and its ratio to that of one IMU alone; the table
 has the RMS over all drives, m, the geometric mean of the ratios with its 95 % interval over the drives (Student's t of
@@ -23,18 +23,74 @@ from pathlib import Path
 
 import numpy as np
 from faults import outcome
-from input_faults import IMU_CHANGES, SECOND, with_two_imus
 from scipy.special import stdtrit
+from vehicle import drive_of, sensors
 
 from mems_ins_fusion.evaluation.comparison import truth_of
 from mems_ins_fusion.evaluation.metrics import rms
 from mems_ins_fusion.filter.runs.imus import as_one
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import ImuSamples, Recording
+from mems_ins_fusion.simulation.scene import REALISTIC
+from mems_ins_fusion.simulation.simulation import GnssNoise, simulate_recording
 
 SPACING, LENGTH, BEFORE = 100.0, 30.0, 30.0  # s: outages, and how long before each of them its fault begins
 SETTLED = 60.0  # s after the begin from which errors with fixes are judged
 DIES = 150.0  # s
+
+
+#: two IMUs: the second one lies on its side
+SECOND = {'inputs': ['second'], 'second.type': 'imu', 'second.topic': '/second/imu',
+          'second.mounting_rpy': [0.5 * np.pi, 0.0, 0.3]}
+
+
+def with_two_imus(seed: int, minutes: float) -> Recording:
+    """A realistic drive with a second IMU, its stamps 4 ms after those of the first one."""
+    drive, given = drive_of(seed, minutes), REALISTIC.distortions(seed)
+    first = simulate_recording(drive, sensors(), GnssNoise(1.5), seed=seed, **given).recording
+    other = simulate_recording(drive, sensors(), seed=seed + 10_000, mounting_rpy=SECOND['second.mounting_rpy'],
+                               **given).recording.imu
+    time = (other.stamp - other.stamp[0]) * 1e-9
+    values = [np.column_stack([np.interp(time + 0.004, time, column) for column in part.T])
+              for part in (other.specific_force, other.angular_rate)]
+    second = ImuSamples(other.stamp + 4_000_000, other.received + 4_000_000, *values)
+    return replace(first, reference=first.reference.select(slice(None, None, 10)), others={'second': second})
+
+
+def _before(seconds):
+    """Samples of the first so many seconds are missing."""
+    return lambda imu, inside, rng: imu.select(imu.stamp > imu.stamp[0] + round(seconds * 1e9))
+
+
+def _received_late(imu, inside, rng):
+    received = imu.received + np.where(inside, 500_000_000, 0)
+    return replace(imu, received=np.maximum.accumulate(received))
+
+
+def _stays(imu, inside, rng):
+    first = np.flatnonzero(inside)[0]
+    return replace(imu, **{name: np.where(inside[:, None], getattr(imu, name)[first], getattr(imu, name))
+                           for name in ('specific_force', 'angular_rate')})
+
+
+def _turns_more(imu, inside, rng):
+    return replace(imu, angular_rate=imu.angular_rate + np.where(inside[:, None], np.radians([0.0, 0.0, 5.0]), 0.0))
+
+
+def _other_biases(imu, inside, rng):
+    """Ten seconds of silence from DIES on, and other biases from then on."""
+    time = (imu.stamp - imu.stamp[0]) * 1e-9 - DIES
+    gone, later = (time >= 0.0) & (time < 10.0), time >= 0.0
+    force, rate = rng.normal(0.0, 0.1, 3), np.radians(rng.normal(0.0, 0.3, 3))
+    changed = replace(imu, specific_force=imu.specific_force + np.where(later[:, None], force, 0.0),
+                      angular_rate=imu.angular_rate + np.where(later[:, None], rate, 0.0))
+    return changed.select(~gone)
+
+
+def _noisy(imu, inside, rng):
+    noise = rng.normal(0.0, 1.0, (2, len(imu), 3)) * np.where(inside, 1.0, 0.0)[:, None]
+    return replace(imu, specific_force=imu.specific_force + 3.0 * noise[0],
+                   angular_rate=imu.angular_rate + 0.2 * noise[1])
 
 
 def _lost(imu, inside, rng):
@@ -92,17 +148,22 @@ def _dies(imu, inside, rng):
 
 EACH, ALWAYS = 'each', 'always'
 CHANGES: dict[str, tuple[str, Callable]] = {
-    **{name: (EACH, IMU_CHANGES[name]) for name in (
-        'nothing', 'missing', 'comes 0.5 s late', 'stays as it is', 'doubled', 'gyroscope z 5 deg/s off',
-        'noise of 3 m/s^2 and 0.2 rad/s')},
+    'nothing': (EACH, lambda imu, inside, rng: imu),
+    'missing': (EACH, lambda imu, inside, rng: imu.select(~inside)),
+    'missing for the first 100 s': (ALWAYS, _before(100.0)),
     'missing from 150 s on': (ALWAYS, _dies),
+    '10 s away at 150 s, then with other biases': (ALWAYS, _other_biases),
+    'stays as it is': (EACH, _stays),
     'not a number': (EACH, _none),
+    'doubled': (EACH, lambda imu, inside, rng: imu.select(np.repeat(np.arange(len(imu)), 1 + inside))),
     'loses 30 % of its samples': (EACH, _lost),
     'loses 30 % of its samples, always': (ALWAYS, _lost),
     'silent for 3 s of each 10 s, always': (ALWAYS, _in_parts),
-    'comes 0.5 s late, always': (ALWAYS, IMU_CHANGES['comes 0.5 s late']),
+    'comes 0.5 s late': (EACH, _received_late),
+    'comes 0.5 s late, always': (ALWAYS, _received_late),
     'measures 0.5 s late': (EACH, _delayed),
     'measures 0.5 s late, always': (ALWAYS, _delayed),
+    'noise of 3 m/s^2 and 0.2 rad/s': (EACH, _noisy),
     'ten times the noise': (EACH, _white),
     'ten times the noise, always': (ALWAYS, _white),
     'scale 5 % more': (EACH, _scaled(1.05)),
@@ -110,10 +171,12 @@ CHANGES: dict[str, tuple[str, Callable]] = {
     'scale 3 % more, always': (ALWAYS, _scaled(1.03)),
     'axes x and y exchanged': (EACH, _swapped),
     'axes x and y exchanged, always': (ALWAYS, _swapped),
+    'gyroscope z 5 deg/s off': (EACH, _turns_more),
     'gyroscope z drifts 0.3 deg/s in a minute, always': (ALWAYS, _drifts),
 }
 #: of the first IMU: what makes it unusable, so that the second one alone is what can be had
-OF_FIRST = ('missing', 'missing from 150 s on', 'stays as it is', 'not a number',
+OF_FIRST = ('missing', 'missing for the first 100 s', 'missing from 150 s on',
+            '10 s away at 150 s, then with other biases', 'stays as it is', 'not a number',
             'noise of 3 m/s^2 and 0.2 rad/s', 'ten times the noise', 'gyroscope z 5 deg/s off')
 
 
@@ -131,7 +194,7 @@ def in_outage(time: np.ndarray) -> np.ndarray:
 @cache
 def clean(seed: int, minutes: float) -> Recording:
     """Two IMUs without fault, and fixes but in the outages."""
-    whole = with_two_imus(seed, 1.0, minutes)
+    whole = with_two_imus(seed, minutes)
     time = (whole.gnss.stamp - whole.imu.stamp[0]) * 1e-9
     return replace(whole, gnss=whole.gnss.select(~in_outage(time)))
 
@@ -152,7 +215,8 @@ def measured(recording: Recording, clean: Recording, given: dict) -> np.ndarray:
     o = outcome(recording, truth_of(clean, values), values, begin)
     number, dark = np.floor(o.time / SPACING), in_outage(o.time)
     largest = [o.error[dark & (number == n)].max() for n in np.unique(number[dark])]
-    return np.array([rms(np.array(largest)), rms(o.error[~dark & (o.time > SETTLED)]), o.inside[o.time > SETTLED].mean()])
+    settled = o.time > SETTLED
+    return np.array([rms(np.array(largest)), rms(o.error[~dark & settled]), o.inside[settled].mean()])
 
 
 def _second_alone(recording: Recording) -> tuple[Recording, dict]:
@@ -200,7 +264,7 @@ def main() -> None:
         found = np.array(found)
         cells = [name, f'{rms(found[:, 0]):.2f}', f'{rms(of[:, 0]):.2f}', _ratio(found[:, 0], of[:, 0]),
                  _ratio(found[:, 1], of[:, 1]), f'{100 * found[:, 2].mean():.1f} %',
-                 f'{rms(np.array(faulty)[:, 0]):.2f}' if faulty else '']
+                 f'{rms(np.array(faulty)[:, 0]):.2f}'.replace('nan', 'nothing') if faulty else '']
         lines.append(f'| {" | ".join(cells)} |')
         print(lines[-1], flush=True)
     if options.output:

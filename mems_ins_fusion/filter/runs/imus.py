@@ -8,7 +8,7 @@ Another IMU is a fallback and no more until it has agreed with the leading one w
 their difference has to be small against the motion and no more than their noise, which an axis, a unit, a scale or a
 delay that is wrong does not pass. From then on half of their difference (of two that are equally noisy) is added,
 taken at the stamp of the other between two samples of the leading one, so that what both measure is not late. Its mean
-over SLOW is taken out: to the filter the biases are those of the first one whoever leads, and one that comes or goes
+over WINDOW is taken out: to the filter the biases are those of the first one whoever leads, and one that comes or goes
 is no jump. Each further window is judged in the same way, and the difference at once against its usual scatter.
 """
 from __future__ import annotations
@@ -41,26 +41,27 @@ SILENT_INTERVALS = 3.0
 FIRST = 5.0
 #: samples of each that are kept: FIRST of an IMU of 200 Hz, SILENT of one of 5 kHz
 KEPT = 1024
-#: s over which two are compared: a turn or a stop in it, and gyroscopes of consumer grade to a tenth of their bias
+#: s over which two are compared, and time constant with which the mean of their difference is taken out: a turn or a
+#: stop is in it, and gyroscopes of consumer grade tell a tenth of their bias
 WINDOW = 20.0
 #: s: time constant of the difference that is judged: longer than vibration, shorter than what a heading bears
 QUICK = 0.5
-#: s: time constant with which a constant difference and the usual noise are learned, slower than manoeuvres and faster
-#: than a warm-up; and for how long an IMU that differed is not averaged
+#: s up to which a window waits for motion, for which an IMU that differed is not averaged at least, and time constant
+#: of the usual noise: longer than a straight road or a stop
 SLOW = 60.0
 #: share of the specific force by which two that agree may differ in a window, RMS: half a second late is 0.14 and more,
 #: and a scale that is off by 5 % is less than what a bias wanders by
 SHARE_FORCE = 0.1
-#: the same of the angular rate: an axis off by 2 deg, a scale off by 4 %
-SHARE_RATE = 0.04
-#: m/s^2, RMS: by which biases of consumer-grade parts wander in a window
-WANDER_FORCE = 0.05
+#: the same of the angular rate: an axis off by 1.4 deg, a scale off by 2.5 %; one of 3 % costs, studies/several_imus.py
+SHARE_RATE = 0.025
+#: m/s^2, RMS of three axes: by which biases of consumer-grade parts wander in a window
+WANDER_FORCE = 0.06
 #: rad/s, the same
 WANDER_RATE = 3e-4
 #: standard deviations of the difference that are chance: six components, some 7000 independent ones an hour, and tails
 SIGMAS = 8.0
-#: the leading IMU is replaced when its noise has grown by so much more than that of the other: rough roads shake both
-NOISIER = 5.0
+#: the leading IMU is replaced when it is so many times as noisy as usual, and as the other: rough roads shake both
+NOISIER = 10.0
 #: m/s: a speed at which `imu_faults` finds an axis that stays as it is: beside another IMU it may do so at rest, too
 _MOVING = 2.0
 #: a sample that is no number
@@ -90,7 +91,7 @@ class _Book(NamedTuple):
     held_count: np.ndarray
     interval: np.ndarray  # s between samples
     now: np.ndarray  # (n, 2) noise density squared, of f and of w, over QUICK
-    noise: np.ndarray  # (n, 2) and over SLOW
+    noise: np.ndarray  # (n, 2) and the usual one
     newest: np.ndarray  # stamp of its newest sample
     compared_at: np.ndarray  # stamp of the last one that was compared
     mark: np.ndarray  # its newest stamp when the leading one last came
@@ -135,7 +136,7 @@ def _take(book, i, stamp, value, out_stamps, out):
     leads, first, step = book.leader[0] == i, book.newest[i] == -1, stamp - book.newest[i]
     if not first and not 0 < step <= book.restart_gap:  # the filter's intake knows what to do
         if abs(step) > book.max_gap:
-            book.newest[i], book.compared_at[i], book.kept[i], book.compared[i] = stamp, -1, 0, 0
+            book.newest[i], book.kept[i], book.compared[i] = stamp, 0, 0
             _compare_anew(book, i, 0.0)
             book.last[0] = stamp if leads else book.last[0]
         return _hand_on(book, i, stamp, value, 0, out_stamps, out) if leads else 0
@@ -171,8 +172,10 @@ def _keep(book, i, stamp, value, dt):
         step = value - book.values[i, (book.kept[i] - 1) % KEPT]
         for half in range(2):
             density = (step[3 * half:3 * half + 3]**2).sum() / 6.0 * dt
-            for noise, time in ((book.now, QUICK), (book.noise, SLOW)):
-                noise[i, half] += (min(1.0, dt / time) if noise[i, half] > 0.0 else 1.0) * (density - noise[i, half])
+            book.now[i, half] += max(min(1.0, dt / QUICK), 1.0 / book.kept[i]) * (density - book.now[i, half])
+            if book.kept[i] * dt > WINDOW:  # it grows by e in SLOW: noise that goes again is not usual
+                density = min(density, 2.0 * book.noise[i, half])
+            book.noise[i, half] += max(min(1.0, dt / SLOW), 1.0 / book.kept[i]) * (density - book.noise[i, half])
     book.stamps[i, book.kept[i] % KEPT] = stamp
     book.values[i, book.kept[i] % KEPT] = value
     book.kept[i] += 1
@@ -185,11 +188,17 @@ def _patience(book, i):
 
 
 @njit
+def _may_lead(book, j):
+    """Whether nothing speaks against IMU j beside the leading one, or it has agreed with it before."""
+    return book.known[j] and (book.usual[j, 0] > 0.0 or not book.differs[j])
+
+
+@njit
 def _led(book, i, stamp, value, out_stamps, out):
     """A sample of the leading IMU; how many there are to hand on."""
     if book.fault[i] != Fault.NONE:  # the filter bridges what it does not believe; another IMU is better
         for j in range(len(book.known)):
-            if j != i and book.usual[j, 0] > 0.0 and book.fault[j] == Fault.NONE and (
+            if j != i and _may_lead(book, j) and book.fault[j] == Fault.NONE and (
                     stamp - book.newest[j]) * 1e-9 <= _patience(book, j) + _patience(book, i):
                 return 0
     else:
@@ -229,9 +238,15 @@ def _add_others(book, i, stamp, out):
 
 
 @njit
+def _noise(book, i):
+    """Noise density squared of specific force and of angular rate (2,), which may have grown just now."""
+    return np.maximum(book.noise[i], book.now[i])
+
+
+@njit
 def _certainty(book, i):
-    """One over the noise of specific force and of angular rate (2,), which may have grown just now."""
-    return 1.0 / np.maximum(np.maximum(book.noise[i], book.now[i]), 1e-18)
+    """One over that."""
+    return 1.0 / np.maximum(_noise(book, i), 1e-18)
 
 
 @njit
@@ -251,7 +266,7 @@ def _followed(book, i, stamp, out_stamps, out):
     silent, patience = (stamp - book.mark[i]) * 1e-9, FIRST
     if book.kept[leader] > 0:  # what comes in a burst has waited itself
         silent = min(silent, (stamp - book.stamps[leader, (book.kept[leader] - 1) % KEPT]) * 1e-9)
-        patience = _patience(book, leader) if book.usual[i, 0] > 0.0 else FIRST
+        patience = _patience(book, leader) if _may_lead(book, i) else FIRST
     if last != -1 and not 0 < stamp - last <= book.restart_gap:
         return 0
     if silent > patience:
@@ -279,9 +294,10 @@ def _followed(book, i, stamp, out_stamps, out):
 
 @njit
 def _compare_anew(book, j, begin):
-    """IMU j is not averaged till a window, which begins at `begin` s, has shown that it agrees."""
+    """IMU j is not averaged till a window, which begins at `begin` s and when QUICK has settled, has shown that it
+    agrees."""
     book.averaged[j] = book.returns[j] = False
-    book.window[j], book.count[j], book.held_count[j] = begin, 0.0, 0.0
+    book.window[j], book.count[j], book.held_count[j], book.compared_at[j] = begin - 4.0 * QUICK, 0.0, 0.0, -1
     book.quick[j], book.held[j] = 0.0, 0.0
 
 
@@ -308,14 +324,15 @@ def _compare(book, j, leader):
 @njit
 def _weigh(book, j, leader, stamp, value, between):
     """One comparison: `value` (6,) of IMU j with `between` (6,) of the leading one at the same time."""
-    dt = 0.0 if book.compared_at[j] == -1 else min(max((stamp - book.compared_at[j]) * 1e-9, 0.0), SILENT)
-    book.compared_at[j] = stamp
     difference = value - book.offset[j] - between + book.offset[leader]
     shown = np.concatenate((difference, between))
+    dt = min(max((stamp - book.compared_at[j]) * 1e-9, 0.0), SILENT)
+    if book.compared_at[j] == -1:
+        dt, known = 0.0, 6 if book.averaged[j] else 0  # the difference is none
+        book.quick[j, known:] = shown[known:]
+    book.compared_at[j] = stamp
     if book.count[j] == 0.0:
         book.mean[j], book.variance[j] = 0.0, 0.0
-        begins = 6 if book.averaged[j] else 0  # a difference that is judged all the time goes on
-        book.quick[j, begins:] = shown[begins:]
     book.count[j] += 1.0
     book.window[j] += dt
     book.quick[j] += min(1.0, dt / QUICK) * (shown - book.quick[j])
@@ -325,10 +342,10 @@ def _weigh(book, j, leader, stamp, value, between):
     if book.averaged[j]:
         book.held[j] += difference
         book.held_count[j] += 1.0
-        book.offset[j] += min(1.0, dt / SLOW) * difference
-        limit, rise = _limit(book, j, leader), book.now / np.maximum(book.noise, 1e-18)
+        book.offset[j] += min(1.0, dt / WINDOW) * difference
+        limit, others = _limit(book, j, leader), np.maximum(book.noise[leader], book.now[j])
         k = np.argmax(np.abs(book.quick[j, :6]) / limit)
-        if (rise[leader] > NOISIER**2 * np.maximum(rise[j], 1.0)).any():
+        if (book.now[leader] > NOISIER**2 * others).any():
             _compare_anew(book, j, 0.0)
             book.returns[j] = True
         elif abs(book.quick[j, k]) > limit[k]:
@@ -357,19 +374,19 @@ def _differs(book, j, k, value, limit):
 @njit
 def _decide(book, j, leader):
     """What the window shows of IMU j. It goes on up to SLOW till there is motion enough to tell."""
+    noise = 3.0 * (_noise(book, j) + _noise(book, leader)) / (2.0 * QUICK)
     moved, worst, which, limit = True, 0.0, 0, 0.0
     for half in range(2):
         share, wander = (SHARE_FORCE, WANDER_FORCE) if half == 0 else (SHARE_RATE, WANDER_RATE)
         motion = share**2 * book.variance[j, 6 + 3 * half:9 + 3 * half].sum()
-        noise = wander**2 + 3.0 * (book.noise[j, half] + book.noise[leader, half]) / (2.0 * QUICK)
-        apart = book.variance[j, 3 * half:3 * half + 3]
+        apart, chance = book.variance[j, 3 * half:3 * half + 3], wander**2 + noise[half]
         if half == 1 and book.averaged[j]:  # a rate that drifts; biases of accelerometers wander by more than shows
             apart = apart + book.mean[j, 3:6]**2
-        moved = moved and motion > 2.0 * noise
-        if apart.sum() > worst * (motion + noise):
-            worst, limit = apart.sum() / (motion + noise), math.sqrt(motion + noise)
+        moved = moved and motion > chance
+        if apart.sum() > worst * max(motion, chance):
+            worst, limit = apart.sum() / max(motion, chance), math.sqrt(max(motion, chance))
             which = 3 * half + np.argmax(apart)
-    wrong = worst > (1.0 if moved else SIGMAS)
+    wrong = worst > (1.0 if moved else 2.0)
     if not moved and not wrong and book.known[j] and book.window[j] < SLOW:
         return
     book.window[j], book.count[j] = 0.0, 0.0
@@ -538,6 +555,7 @@ class Imus:
             self.found[self.names[leader]] = 'warning', f'{why}; the samples are those of {topic}'
             return Notice('warning', f'{other}: {why}: the samples of {topic} are used from now on')
         if code == _LEADS:
+            self.found.pop(self.names[i], None)
             return Notice('info', f'{topic}: samples are taken at its stamps again, instead of those of {other}')
         if code == _AVERAGED:
             self.found.pop(self.names[i], None)
