@@ -123,6 +123,7 @@ def _book_of(n: int, values: dict) -> _Book:
         HEAD.begin(head)
         head[Imu.MAX_FORCE], head[Imu.MAX_RATE] = values['imu.max_specific_force'], values['imu.max_angular_rate']
     flags['known'][0] = True  # the biases are its own
+    floats['window'][:] = -4.0 * QUICK  # as in _compare_anew
     return _Book(**floats, **flags, **stamps, **counts, stamps=np.zeros((n, KEPT), dtype=np.int64),
                  sample=np.zeros((1, 7)), said=np.zeros((16, 6)), said_count=np.zeros(1, dtype=np.int64),
                  leader=np.zeros(1, dtype=np.int64), last=np.full(1, -1, dtype=np.int64),
