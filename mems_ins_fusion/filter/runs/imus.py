@@ -79,7 +79,7 @@ class _Book(NamedTuple):
     offset: np.ndarray  # (n, 6) what is to be subtracted
     known: np.ndarray  # whether that has been compared
     averaged: np.ndarray  # whether it agrees with the leading one
-    differs: np.ndarray  # whether it is said that it does not
+    differs: np.ndarray  # how often it was said that it does not
     returns: np.ndarray  # whether it has to lead from now on
     usual: np.ndarray  # (n, 6) mean square of the difference in windows that agreed, 0: none has
     window: np.ndarray  # s in it, negative: till it begins
@@ -116,9 +116,9 @@ def _book_of(n: int, values: dict) -> _Book:
     floats = {name: np.zeros((n, *shape)) for shape, names in (
         ((), 'window count held_count interval'), ((2,), 'now noise'), ((6,), 'offset usual held'),
         ((12,), 'quick mean variance'), ((KEPT, 6), 'values'), ((Head.SIZE,), 'heads')) for name in names.split()}
-    flags = {name: np.zeros(n, dtype=bool) for name in ('known', 'averaged', 'differs', 'returns')}
+    flags = {name: np.zeros(n, dtype=bool) for name in ('known', 'averaged', 'returns')}
     stamps = {name: np.full(n, -1, dtype=np.int64) for name in ('newest', 'compared_at', 'mark')}
-    counts = {name: np.zeros(n, dtype=np.int64) for name in ('fault', 'kept', 'compared')}
+    counts = {name: np.zeros(n, dtype=np.int64) for name in ('differs', 'fault', 'kept', 'compared')}
     for head in floats['heads']:
         HEAD.begin(head)
         head[Imu.MAX_FORCE], head[Imu.MAX_RATE] = values['imu.max_specific_force'], values['imu.max_angular_rate']
@@ -191,7 +191,7 @@ def _patience(book, i):
 @njit
 def _may_lead(book, j):
     """Whether nothing speaks against IMU j beside the leading one, or it has agreed with it before."""
-    return book.known[j] and (book.usual[j, 0] > 0.0 or not book.differs[j])
+    return book.known[j] and (book.usual[j, 0] > 0.0 or book.differs[j] == 0)
 
 
 @njit
@@ -280,7 +280,7 @@ def _followed(book, i, stamp, out_stamps, out):
         return 0
     book.leader[0], book.known[i], book.known[leader] = i, True, book.newest[leader] != -1
     book.usual[leader] = book.usual[i]
-    book.averaged[leader], book.averaged[i], book.differs[i] = agrees, False, False
+    book.averaged[leader], book.averaged[i], book.differs[i] = agrees, False, 0
     for j in range(len(book.known)):
         agrees, book.mark[j], book.compared[j] = book.averaged[j], book.newest[j], book.kept[j]
         _compare_anew(book, j, 0.0)
@@ -366,9 +366,10 @@ def _limit(book, j, leader):
 
 @njit
 def _differs(book, j, k, value, limit):
-    """IMU j is not averaged from now on: component k of its difference is `value`, and may be `limit`."""
-    _compare_anew(book, j, WINDOW - SLOW)
-    book.differs[j] = True
+    """IMU j is not averaged from now on, twice as long each further time: component k of its difference is `value`, and
+    may be `limit`."""
+    book.differs[j] += 1
+    _compare_anew(book, j, WINDOW - SLOW * 2.0**(book.differs[j] - 1))
     _say(book, _DIFFERS, j, k, value, limit)
 
 
@@ -392,7 +393,7 @@ def _decide(book, j, leader):
         return
     book.window[j], book.count[j] = 0.0, 0.0
     if wrong:
-        if book.averaged[j] or not book.differs[j]:
+        if book.averaged[j] or book.differs[j] == 0:
             _differs(book, j, which, math.sqrt(worst) * limit, limit)
     elif moved and book.averaged[j]:
         book.usual[j] += 0.5 * (book.variance[j, :6] + book.mean[j, :6]**2 - book.usual[j])
@@ -414,7 +415,7 @@ def _learn(book, j, leader, agrees):
     book.known[j] = True
     if agrees:
         book.usual[j] = np.maximum(book.variance[j, :6], 1e-18)
-        book.averaged[j], book.differs[j] = True, False
+        book.averaged[j] = True
         late = (book.newest[leader] - book.compared_at[j]) * 1e-9
         _say(book, _AVERAGED, j, late, late > _patience(book, j), 0.0)
 
