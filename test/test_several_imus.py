@@ -186,17 +186,131 @@ def test_where_they_differ_the_first_is_believed_and_it_is_said(first, second):
                for text in said)
 
 
-@pytest.mark.parametrize('broken', [0, 1])
-def test_a_standstill_tells_which_has_changed(broken):
-    # given two at rest, one of which is suddenly off by 0.1 rad/s
-    parts = [imu(1, FIRST_MOUNTING, BIAS, -100.0, 100.0), imu(2, TURNED, SECOND_BIAS, -99.9957, 100.0)]
-    off = np.where(after(parts[broken], -50.0)[:, None], [0.0, 0.0, 0.1], 0.0)
-    parts[broken] = replace(parts[broken], angular_rate=parts[broken].angular_rate + off)
+def test_it_is_a_fallback_and_no_more_until_both_have_moved():
+    # given two that stand for a minute and then drive
+    parts = [imu(1, FIRST_MOUNTING, BIAS, -50.0, 110.0), imu(2, TURNED, SECOND_BIAS, -49.9957, 110.0)]
     whole, said = one(*parts)
-    # then the other one is believed within a second or two
-    late = errors(whole)[after(whole, -47.0, -2.0), 3:].mean(axis=0)
-    assert np.abs(late - BIAS[3:]).max() < 1e-3
-    assert any('at rest it shows another value than before, /second does not' in text for text in said) == (broken == 0)
+    # then till they have moved, the samples are those of the first one, to the bit; and then they are averaged
+    still = after(whole, -50.0, 10.0)
+    np.testing.assert_array_equal(whole.specific_force[still], parts[0].specific_force[still])
+    np.testing.assert_array_equal(whole.angular_rate[still], parts[0].angular_rate[still])
+    shown = means(errors(whole)[after(whole, 40.0)]).std(axis=0)
+    assert (shown < 0.85 * NOISE / np.sqrt(100)).all() and len(said) == 1
+
+
+def delayed(samples, by):
+    """They show what was `by` s ago."""
+    return replace(samples, stamp=samples.stamp + round(by * 1e9), received=samples.received + round(by * 1e9))
+
+
+def scaled(samples, by):
+    return replace(samples, specific_force=by * samples.specific_force, angular_rate=by * samples.angular_rate)
+
+
+def of_other_axes(samples):
+    return replace(samples, specific_force=samples.specific_force[:, [1, 0, 2]],
+                   angular_rate=samples.angular_rate[:, [1, 0, 2]])
+
+
+WRONG = {'half a second late': lambda s: delayed(s, 0.5), 'a fifth late': lambda s: delayed(s, 0.2),
+         'scale 5 % more': lambda s: scaled(s, 1.05), 'in degrees': lambda s: replace(
+             s, angular_rate=np.degrees(s.angular_rate)), 'axes exchanged': of_other_axes,
+         'received 0.5 s later': lambda s: replace(s, received=s.received + 500_000_000),
+         'silent for 3 s of each 10': lambda s: s.select(seconds(s) % 10.0 < 7.0)}
+
+
+@pytest.mark.parametrize('wrong', WRONG)
+def test_one_that_is_wrong_changes_not_a_bit(first, second, wrong):
+    # given a second one that is wrong from the start, which no constant and no noise explains; when they are one
+    whole, said = one(first, WRONG[wrong](second))
+    # then the samples are those of the first one
+    np.testing.assert_array_equal(whole.stamp, first.stamp)
+    np.testing.assert_array_equal(whole.specific_force, first.specific_force)
+    np.testing.assert_array_equal(whole.angular_rate, first.angular_rate)
+    # and it is said once, where it differs and does not only come late
+    assert sum('it differs' in text for text in said) == (not wrong.startswith(('received', 'silent')))
+    assert not any('averaged with' in text for text in said)
+
+
+def test_one_that_becomes_wrong_in_motion_is_out_at_once(first, second):
+    # given two that are averaged, the second of which is half a second late from 60 s on
+    late = delayed(second, 0.5)
+    at = after(second, 60.0)
+    broken = ImuSamples(second.stamp, second.received, *(
+        np.where(at[:, None], np.roll(getattr(second, name), 50, axis=0), getattr(second, name))
+        for name in ('specific_force', 'angular_rate')))
+    assert len(late) == len(broken)
+    whole, said = one(first, broken)
+    # then it is not averaged any more as soon as that shows, and what it added till then is small
+    assert sum('it differs' in text for text in said) == 1
+    alone = after(whole, 66.0)
+    np.testing.assert_array_equal(whole.angular_rate[alone], first.angular_rate[alone])
+    added = (whole.angular_rate - first.angular_rate)[after(whole, 60.0, 66.0)]
+    assert np.abs(added.sum(axis=0) * 0.01).max() < 0.01
+
+
+def test_one_that_loses_a_third_of_its_samples_is_still_of_use(first, second):
+    kept = np.random.default_rng(5).random(len(second)) > 0.3
+    whole, said = one(first, second.select(kept))
+    shown = means(errors(whole)[after(whole, STEADY)]).std(axis=0)
+    assert (shown < 0.9 * NOISE / np.sqrt(100)).all() and len(said) == 1
+
+
+def test_one_that_has_never_agreed_leads_only_where_the_first_stays_away(first, second):
+    # given a second one whose axes are exchanged, and a first one that is silent for a second, and then for 15 s
+    silent = after(first, 50.0, 51.0) | after(first, 70.0, 85.0)
+    whole, said = one(first.select(~silent), of_other_axes(second))
+    # then it does not lead in the second, which the filter bridges, and in the 15 s nothing else is there
+    gap = np.diff(whole.stamp) * 1e-9
+    assert np.count_nonzero(gap > 0.5) == 1 and (gap < 1.02).all()
+    assert after(whole, 70.0, 85.0).sum() > 1400
+    # and half a minute after it is back the first one leads, with its own biases
+    back = after(whole, 110.0)
+    np.testing.assert_array_equal(whole.angular_rate[back], first.angular_rate[after(first, 110.0)])
+    assert sum('instead of those of /second' in text for text in said) == 1
+
+
+def test_the_first_leads_again_when_it_agrees_again(first, second):
+    # given the first one away for 5 s, back with the biases that it had
+    whole, said = one(first.select(~after(first, 50.0, 55.0)), second)
+    # then 20 s later samples come at its stamps again, averaged, without a jump
+    assert any('/imu/data: samples are taken at its stamps again' in text for text in said)
+    assert np.isin(whole.stamp[after(whole, 90.0)], first.stamp).all()
+    shown = errors(whole)
+    assert (means(shown[after(whole, 90.0)]).std(axis=0) < 0.85 * NOISE / np.sqrt(100)).all()
+    step = shown[after(whole, 90.0)].mean(axis=0) - shown[after(whole, 40.0, 50.0)].mean(axis=0)
+    assert (np.abs(step) < 5 * NOISE * np.sqrt(2 / 1000)).all()
+
+
+@pytest.mark.parametrize('broken', ['not a number', 'out of range'])
+def test_a_leading_one_that_is_not_believed_is_replaced(first, second, broken):
+    at = after(first, 60.0)
+    value = np.nan if broken == 'not a number' else 1e4
+    wrong = replace(first, specific_force=np.where(at[:, None], value, first.specific_force))
+    whole, said = one(wrong, second)
+    assert np.isfinite(whole.specific_force).all() and np.diff(whole.stamp).max() < 15_000_000
+    assert (np.abs(errors(whole)[after(whole, 60.0)] - BIAS) < 6 * NOISE + 3e-3).all()
+    assert any(f'samples not believed: {broken}: the samples of /second' in text for text in said)
+
+
+def test_a_leading_one_that_becomes_noisy_is_replaced(first, second):
+    # given 50 times the noise from 60 s on
+    at, rng = after(first, 60.0)[:, None], np.random.default_rng(6)
+    noisy = replace(first, specific_force=first.specific_force + np.where(at, rng.normal(0, 1.0, (len(at), 3)), 0.0),
+                    angular_rate=first.angular_rate + np.where(at, rng.normal(0, 0.1, (len(at), 3)), 0.0))
+    whole, said = one(noisy, second)
+    # then within seconds it is the second one alone, with the biases of the first
+    shown = errors(whole)[after(whole, 63.0)] - BIAS
+    assert (shown.std(axis=0) < 1.1 * NOISE).all() and (np.abs(shown.mean(axis=0)) < 0.1 * NOISE).all()
+    assert any('times as noisy, /second has not' in text for text in said)
+
+
+def test_a_constant_that_drifts_adds_no_more_than_it_changes_in_a_minute(first, second):
+    # given a second one whose rate changes by 0.01 rad/s in 100 s
+    drift = np.outer(1e-4 * seconds(second), [0.0, 0.0, 1.0]) @ rotation_from_rpy(*TURNED)
+    whole, _ = one(first, replace(second, angular_rate=second.angular_rate + drift))
+    shown = means(errors(whole)[after(whole, STEADY)])[:, 3:] - BIAS[3:]
+    assert np.abs(shown).max() < 0.5 * 60.0 * 1e-4
 
 
 def test_messages_that_come_twice_change_nothing_but_that_the_filter_hears_of_them(first, second):
@@ -232,7 +346,7 @@ def test_a_simulated_bag_with_two_is_read_as_one_and_without_either(tmp_path):
     params.write_text('/**:\n  ros__parameters:\n    inputs: [second]\n    second.type: imu\n'
                       '    second.topic: /second\n'
                       '    second.mounting_rpy: [0.0, 0.0, 1.5]\n    second.lever_arm: [-0.5, 0.0, 0.0]\n')
-    assert simulate(['--output', str(tmp_path / 'bag'), '--duration', '60', '--rate', '50', '--params-file',
+    assert simulate(['--output', str(tmp_path / 'bag'), '--duration', '120', '--rate', '50', '--params-file',
                      str(params)]) == 0
     values = table.check(load_yaml(params))
     # when it is read
