@@ -114,9 +114,8 @@ def check(mem, samples, k, dt, speed, doubted, before=Fault.NONE):
     the vehicle certainly has, m/s. doubted: whether the IMU is not believed at this time. before: the
     `Fault` of the sample before it.
     """
-    moving = speed > MOVING_SPEED or before == Fault.FROZEN  # what is frozen stays so while the vehicle comes to rest
     time = samples[k, 0]
-    equal, zero, out, saturated, stuck = 1e9, True, False, False, 0
+    equal, zero, out, saturated, stuck, repeats = 1e9, True, False, False, 0, 0
     lively = mem[Imu.VARIED] > 0.5 * mem[Imu.BELIEVED] and mem[Imu.BELIEVED] > 10.0
     for i in range(6):
         value = samples[k, 1 + i]
@@ -128,6 +127,9 @@ def check(mem, samples, k, dt, speed, doubted, before=Fault.NONE):
         large = abs(value) > (LARGE_FORCE if i < 3 else LARGE_RATE)
         saturated = saturated or (large and mem[Imu.SAME + i] >= FEWEST_EQUAL)
         stuck += 1 if _stays(mem, i, dt) else 0
+        repeats += 1 if mem[Imu.SAME + i] >= FEWEST_STUCK else 0
+    # what is frozen stays so while the vehicle comes to rest, if all other axes show noise
+    moving = speed > MOVING_SPEED or before == Fault.FROZEN and repeats == stuck
     fault = Fault.NONE
     if out:
         fault = Fault.RANGE
