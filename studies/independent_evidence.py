@@ -29,8 +29,10 @@ RECORDINGS = (('longmont_rtk_drive', '/gps/fix', None, [0.0, 0.0, np.pi], -0.265
               ('dresden_hobby_imu', '/gps/fix', None, [0.0, 0.1, 0.0], 0.55))
 #: the grade is that over this time, at 2 m/s or faster, s
 SPAN = 4.0
-#: a course is that of a chord over this time, s, at this speed or faster, m/s
-CHORD, FASTER = 0.6, 4.0
+#: s, length of the chords between fixes whose direction is taken as the course
+CHORD = 0.6
+#: m/s, lowest mean speed on such a chord: the course of slower ones is dominated by the errors of the fixes
+FASTER = 4.0
 
 
 def course_of(fixes: Fixes) -> Headings:

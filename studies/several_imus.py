@@ -3,10 +3,10 @@
     python studies/several_imus.py [--seeds 8] [--first-seed 3001] [--minutes 16] [--only TEXT,TEXT] [--output FILE.md]
 
 The drives of faults.py with two IMUs of one grade, each with its own errors, vibration and mounting, the second one's
-stamps 4 ms after the first one's. Fixes of 1.5 m once a second are withheld for 30 s each 100 s, and a fault comes back
-in each minute whose second half that is; *always* from the begin, *from 150 s on* to the end. With a fault of the
-second IMU, *alone* is the first one alone, without fault. With one of the first IMU it is the second one alone, which
-is what can be had where the first one fails; beside it, the first one alone with its fault.
+stamps 4 ms after the first one's. Fixes of 1.5 m once a second are withheld for 30 s each 100 s. A fault begins 30 s
+before each of these outages and ends with it; *always*: from the begin, *from 150 s on*: to the end. With a fault of
+the second IMU, *alone* is the first one alone, without fault. With a fault of the first IMU it is the second one alone,
+the best that can be had where the first one fails; beside it, the first one alone with its fault.
 
 Of each drive the RMS of the largest errors in its outages is taken, and its ratio to that of one IMU alone; the table
 has the RMS over all drives, m, the geometric mean of the ratios with its 95 % interval over the drives (Student's t of
@@ -34,12 +34,12 @@ from mems_ins_fusion.samples import ImuSamples, Recording
 from mems_ins_fusion.simulation.scene import REALISTIC
 from mems_ins_fusion.simulation.simulation import GnssNoise, simulate_recording
 
-SPACING, LENGTH, BEFORE = 100.0, 30.0, 30.0  # s: outages, and how long before each of them its fault begins
+SPACING = 100.0  # s from the begin of one outage to that of the next
+LENGTH = 30.0  # s, of an outage
+BEFORE = 30.0  # s before each outage at which its fault begins
 SETTLED = 60.0  # s after the begin from which errors with fixes are judged
-DIES = 150.0  # s
-
-
-#: two IMUs: the second one lies on its side
+DIES = 150.0  # s after the begin at which an IMU ends, or falls silent for 10 s and comes back with other biases
+#: parameters of two IMUs: the second one lies on its side
 SECOND = {'inputs': ['second'], 'second.type': 'imu', 'second.topic': '/second/imu',
           'second.mounting_rpy': [0.5 * np.pi, 0.0, 0.3]}
 
@@ -58,7 +58,7 @@ def with_two_imus(seed: int, minutes: float) -> Recording:
 
 
 def _before(seconds):
-    """Samples of the first so many seconds are missing."""
+    """Samples of the first `seconds` are missing."""
     return lambda imu, inside, rng: imu.select(imu.stamp > imu.stamp[0] + round(seconds * 1e9))
 
 

@@ -19,7 +19,7 @@ from mems_ins_fusion.recordings.units import RATE, Units
 
 _TF_ANGLE = math.radians(15.0)  # rad: a bracket is bent by less than this; transforms are often of whole right angles
 _LEAST_MOUNTING_SIGMA = 0.01  # rad: by as much a body and a bracket flex while driving
-_OUTLIERS = 0.002  # part of the fixes
+_OUTLIERS = 0.002  # share of fixes far off their neighbours from which on gnss.robust_sigma is set
 # share of the seconds in motion that may be as quiet as rest: standstills while driving fast are refused by the filter.
 # Of simulated cars and phones 0 to 7 % are, of rovers on smooth ground 52 to 80 %
 _ALIKE = 0.2

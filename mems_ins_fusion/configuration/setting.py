@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 SIGNIFICANT = 2.0  # sigmas: a smaller value is not set
+#: what the evidence of a smaller value ends with
 AT_ZERO = f': less than {SIGNIFICANT:g} sigma, left at zero'
-ARM_SHOWN = 0.3  # m
+ARM_SHOWN = 0.3  # m: a part of an arm with a larger sigma is not shown; a tape is better
 ASIDE = 4.0  # sigmas: what is further off is elsewhere for certain
 TF_ARM = 0.05  # m: what the transforms may be off by themselves, standard deviation
 

@@ -1,4 +1,4 @@
-"""The shape of a drive as the samples have it: carried by the gyroscopes, integrated from the accelerometers."""
+"""The shape of a drive from the IMU alone: attitude from the gyroscopes, place from the accelerometers."""
 from __future__ import annotations
 
 import math
@@ -11,7 +11,7 @@ from mems_ins_fusion.samples import ImuSamples
 
 
 class Track:
-    """Running integrals of samples in a frame that the gyroscopes keep, to be asked at any time; s after `origin`.
+    """Running integrals of samples in the axes of the first one, followed by the gyroscopes; times in s after `origin`.
 
     rotation: (n, 3, 3) from sensor axes. force: (n, 3) specific force, velocity, place: its integrals. by_force:
     (n, 3, 3) derivative of the place by the specific force, turned: integral of the rotation, by_rate: (n, 3, 3)

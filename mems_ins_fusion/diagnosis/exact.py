@@ -1,6 +1,6 @@
-"""What a fit takes for exact: an antenna ahead of where the params file has it is, to who drives, as an offset of the
-clocks, by the arm over the speed; at walking speed some decimetres are tenths of a second. A fit of one of them holds
-the other, whose own uncertainty is not in the information of that fit.
+"""The uncertainty of what a fit takes for exact. Along the track, an antenna that is further ahead than the params
+file says is the same as an offset of the clocks by that distance over the speed: at walking speed, decimetres are
+tenths of a second. A fit of one of the two takes the other for exact, whose uncertainty its sigma then lacks.
 """
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ from .fit import Model, scores
 from .problem import Unknown
 from .tracing import effect_unknowns
 
-#: effects that go together, and those of them of which the track knows how far they may be from the params file; a
-#: receiver that smooths is accounted for where the track cannot tell it from an offset (`Offset.undecided`)
+#: effects that shift fixes along the track, so that an error of one of them changes the estimates of the others
 TOGETHER = 'gnss_time_offset', 'gnss_lever_arm', 'gnss_lag'
+#: those of TOGETHER whose uncertainty counts where they are not fitted; that of a receiver that smooths is in the sigma
+#: of the offset already, where the track cannot tell the two apart (`Offset.undecided`)
 HELD = 'gnss_time_offset', 'gnss_lever_arm'
 
 
 def of_what_is_held(model: Model, track: Offset | None, given: Mapping) -> np.ndarray:
-    """What the standard deviations of `model` lack, (p,): by how much its time offset, arm and smoothing are off where
-    those of HELD that are not in it are not as in the parameters `given`. Zero for all other unknowns.
+    """Standard deviations, (p,), to be added to those of `model`: the errors of its time offset, arm and smoothing
+    where those of HELD that it does not fit are not as in the parameters `given`. Zero for all other unknowns.
 
-    track: time offset, arm and smoothing as the recordings show them without a filter, each with the others unknown. So
-    it is no more than what a value of `model` is from that of the track beyond the latter's own sigma.
+    track: time offset, arm and smoothing as the recordings show them without a filter, each with the others unknown. An
+    added sigma is thus at most the distance of a value of `model` from that of the track, beyond the track's sigma.
     """
     further = np.zeros(len(model.unknowns))
     own = [i for i, u in enumerate(model.unknowns) if u.effect in TOGETHER and not u.noise]
@@ -38,7 +39,7 @@ def of_what_is_held(model: Model, track: Offset | None, given: Mapping) -> np.nd
             if u.name not in there and (size := _doubt(u, track, given)) > 0.0]
     if not held:
         return further
-    # differences over that size: at walking speed a standstill that is seen or not makes steps in smaller ones
+    # differences of that size: in smaller ones, at walking speed, one standstill more or less makes steps
     unknowns, sizes = [replace(u, step=size) for u, size in held], np.array([size for _, size in held])
     _, other = scores(model.moved(), unknowns, np.zeros(len(unknowns)), model.residual, quick=True)
     moves = model.covariance @ model.scores.information(model.problem.mask, other)  # of each by one unit of those held

@@ -20,17 +20,19 @@ from .plausible import implausible
 from .tracing import Candidate, also_determined, determined, effect_unknowns, refined_unknowns
 from .trial_runs import TrialRuns
 
-#: how close in log likelihood equals come
+#: log likelihood by which fits from different starts may differ to count as equally good
 CLOSE = 3.3
 #: a parameter is not determined where values this many times apart fit equally well
 APART = 1.5
 #: iterations of a fit that is only compared with others
 COMPARED = 3
-#: and of one from a maximum that has moved little
+#: iterations of a fit that starts from a maximum that has moved little
 REFITTED = 4
-#: an effect is one from so many sigma on, and a parameter of it has a value
-PLAIN, SHOWN = 3.0, 2.0
-#: effects that make fixes seem of another time
+#: sigmas from which on an effect is taken to be there: at least one of its parameters has to reach this
+PLAIN = 3.0
+#: sigmas from which on a parameter of an effect is kept: with less its value says nothing
+SHOWN = 2.0
+#: effects that a fix with another time stamp would show, too
 OF_FIXES = 'gnss_time_offset', 'gnss_latency', 'gnss_lag'
 
 

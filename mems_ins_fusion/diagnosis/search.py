@@ -32,8 +32,12 @@ from .tracing import (
 )
 from .trial_runs import TrialRuns
 
-#: candidates of one round that are fitted to see which explains most, if their gain is this part of the largest
-TRIED, PART, MOST_TRIED = 3, 0.2, 4
+#: candidates that are fitted in one round from each start, to see which explains most
+TRIED = 3
+#: share of the largest gain that a candidate needs to be fitted
+PART = 0.2
+#: candidates that are fitted in one round from all starts together, as each fit takes long
+MOST_TRIED = 4
 #: position errors all in all that differ by this factor tell effects apart
 DIFFERENT = 1.1
 #: noise levels that differ by less than this (natural logarithm) make no other start

@@ -1,5 +1,4 @@
-"""What is measured, applied to the state of its time: in which order who is asked for a fix, and for any other input.
-"""
+"""A measurement, applied to the state of its time: the order of the checks of a fix, and of any other input."""
 from __future__ import annotations
 
 import math

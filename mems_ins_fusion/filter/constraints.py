@@ -34,8 +34,8 @@ MOST_TOLD = 2.0
 #: m/s: what the accelerometers call a standstill is one only below this speed plus three sigma: smooth roads, a creep
 #: in traffic
 STILL_SPEED = 0.3
-#: rad/s: and below this turn rate plus three sigma: who turns on the spot over the IMU stands still by them. A robot
-#: does so within 40 s at the most; a gyroscope that is off by less does not turn a parked car
+#: rad/s: and only below this turn rate plus three sigma: a robot that turns on the spot about its IMU stands still by
+#: the accelerometers, and takes 40 s for a turn at the most; a gyroscope that is off by less does not turn a parked car
 STILL_RATE = 0.15
 #: s that a vehicle may have stood before the accelerometers have called it a standstill: for as long a gyroscope that
 #: is off may have turned the heading
@@ -70,7 +70,8 @@ def constrain(mem, r, sample):
         variance = velocity_variance(mem, r)
         squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
         agrees = squared < STILL_SPEED**2 + 9.0 * variance
-        # who creeps smoothly and straight on has turned nowhere; a gyroscope that turns has misled the velocity, too
+        # a vehicle that creeps smoothly and straight on does not turn; where a gyroscope turns, its error has made the
+        # velocity wrong, too, which then does not deny the standstill
         still = ((agrees or contradiction.goes_back(mem, r) or _turns(mem, r, sample, n, 0.0, NEW_ERROR))
                  and not _turns(mem, r, sample, n, STILL_RATE, ROBUST))
         if still and not agrees:
@@ -181,7 +182,7 @@ def _constrain_motion(mem, r, at, n, h, c, dimensions, since):
             mem[r + Nav.SIDEWAYS] += since if k == 0 else 0.0
             continue
         if nis > ROBUST**2:
-            s *= nis / ROBUST**2  # so much more noise
+            s *= nis / ROBUST**2  # as if the noise were larger by as much
         correct_by_scalar(mem, r, n, h + n * k, column, z, s - (1.0 - _share(since)) * variance)
 
 

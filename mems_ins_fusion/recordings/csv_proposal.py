@@ -11,12 +11,14 @@ from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.tables import Table, unit_in_name
 from mems_ins_fusion.recordings.units import ACCELERATION, RATE
 
-#: what three columns must be near to, to be proposed as accelerometers: the logarithm of the ratio to gravity
+#: largest logarithm of the ratio of the size of three columns to gravity, to be proposed as accelerometers
 _NEAR_GRAVITY = 0.15
-#: deg, that a drive stays within: what two columns must be, to be proposed as latitude and longitude
+#: deg, largest range of two columns to be proposed as latitude and longitude: a drive stays within it
 _NEIGHBOURHOOD = 3.0
-#: and as gyroscopes: a median below this is a vehicle's in deg/s, and rates beyond this are not in rad/s
-_FASTEST_DEG, _FASTEST_RAD = 100.0, 4.0
+#: largest median size of three columns to be proposed as gyroscopes: in deg/s no vehicle turns faster for long
+_FASTEST_DEG = 100.0
+#: rad/s, largest turn rate of a vehicle: columns with larger values (99 %) are in deg/s
+_FASTEST_RAD = 4.0
 
 
 def proposal(table: Table, wanted, found, given: dict[str, str]) -> str:

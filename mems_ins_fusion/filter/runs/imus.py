@@ -60,7 +60,7 @@ WANDER_FORCE = 0.06
 WANDER_RATE = 3e-4
 #: standard deviations of the difference that are chance: six components, some 7000 independent ones an hour, and tails
 SIGMAS = 8.0
-#: the leading IMU is replaced when it is so many times as noisy as usual, and as the other: rough roads shake both
+#: multiple of its usual noise, and of that of the other, at which the leading IMU is replaced: rough roads shake both
 NOISIER = 10.0
 #: m/s: a speed at which `imu_faults` finds an axis that stays as it is: beside another IMU it may do so at rest, too
 _MOVING = 2.0
@@ -68,7 +68,7 @@ _MOVING = 2.0
 _NOT_FINITE = Fault.SIZE
 _REASONS = (*FAULTS, 'not a number')
 
-#: codes of what is said
+#: codes of the messages, see `_worded`
 _ALONE, _LEADS, _AVERAGED, _CHANGED, _DIFFERS, _NOISY = range(6)
 
 
@@ -135,7 +135,7 @@ def _book_of(n: int, values: dict) -> _Book:
 def _take(book, i, stamp, value, out_stamps, out):
     """Sample `value` (6,) of IMU i, stamped `stamp` ns; how many samples to hand on are in out_stamps and out."""
     leads, first, step = book.leader[0] == i, book.newest[i] == -1, stamp - book.newest[i]
-    if not first and not 0 < step <= book.restart_gap:  # the filter's intake knows what to do
+    if not first and not 0 < step <= book.restart_gap:  # a jump of the stamps, which the filter's intake handles
         if abs(step) > book.max_gap:
             book.newest[i], book.kept[i], book.compared[i] = stamp, 0, 0
             _compare_anew(book, i, 0.0)
@@ -246,7 +246,7 @@ def _noise(book, i):
 
 @njit
 def _certainty(book, i):
-    """One over that."""
+    """Inverse of `_noise`, limited where an IMU shows none."""
     return 1.0 / np.maximum(_noise(book, i), 1e-18)
 
 
@@ -422,7 +422,7 @@ def _learn(book, j, leader, agrees):
 
 @njit
 def _say(book, code, i, first, second, third):
-    """IMU i has to be spoken of, beside the one that leads now."""
+    """Note a message on IMU i, for `_worded`; the leading IMU and three numbers go with it."""
     row = book.said[min(book.said_count[0], len(book.said) - 1)]
     row[0], row[1], row[2], row[3], row[4], row[5] = code, i, book.leader[0], first, second, third
     book.said_count[0] = min(book.said_count[0] + 1, len(book.said))

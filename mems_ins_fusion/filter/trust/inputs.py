@@ -23,7 +23,7 @@ FAR = 10.0
 DISTURBED = 4.0
 #: m/s, that a speed is believed at most before its way has been compared with that of the fixes, whatever it claims
 FIRST_SIGMA = 0.1
-#: sigmas beyond which an input is refused of which none is used
+#: sigmas: a limit that refuses every measurement of an input
 NEVER = 1e-9
 #: s for which errors of a speed, velocity or odometry last: manoeuvres in which wheels slip and late stamps show, the
 #: smoothing of receivers. All of that time tell no more than one (0.3 s late, 60 s without fixes: 7 m, 28 m if white)
@@ -42,7 +42,7 @@ LARGEST_NOISE = 0.2
 LARGEST_HEADING_NOISE = 0.05
 #: s for which a heading that has fitted and then is far off is wrong: gyroscopes know better
 LONGEST_JUMP = 60.0
-#: s without a fix after which none speaks for the velocity
+#: s without a fix after which the fixes no longer confirm the velocity
 NO_FIX = 10.0
 
 
@@ -128,7 +128,7 @@ def add_to_way(mem, r, at, n, c):
     """Add the speed, velocity, twist or heading at `at` to the way of its input; c: rotation from b to n."""
     if mem[at + Event.KIND] == Kind.VELOCITY:  # it has directions of its own
         v_n, v_e, yaw_variance = mem[at + Event.VALUE], mem[at + Event.VALUE + 1], 0.0
-    elif is_of_heading(mem[at + Event.KIND]):  # a way that the nose leads along
+    elif is_of_heading(mem[at + Event.KIND]):  # a way in the direction of the heading
         forward, yaw_variance = body_velocity(mem, r, vehicle_to_level(mem, r, c), 0), 0.0
         yaw = mem[at + Event.VALUE] if mem[at + Event.KIND] == Kind.HEADING else magnetometer.heading(mem, r, at, c)
         v_n, v_e = math.cos(yaw) * forward, math.sin(yaw) * forward
