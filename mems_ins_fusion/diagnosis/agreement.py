@@ -14,7 +14,7 @@ from .tracing import Candidate, significance
 
 #: a drive, or all others, would rather have no effect than that of the other side: twice the log likelihood
 AGAINST = 9.0
-#: a drive has an effect of its own from so many sigma on
+#: sigmas of an effect in one drive from which on that drive has it
 PLAIN = 3.0
 
 

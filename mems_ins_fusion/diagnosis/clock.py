@@ -19,8 +19,12 @@ from ..samples import Fixes, Recording, Reference
 
 IMU, GNSS, OWN, AUTO = 'imu', 'gnss', 'own', 'auto'
 
-#: clocks that differ by less, s, are the same, as far as so many sigma can tell; a larger sigma, s, tells nothing
-SAME, SIGMAS, UNKNOWN = 0.02, 2.0, 0.03
+#: s by which two clocks differ at most that count as the same
+SAME = 0.02
+#: sigmas by which they have to differ from that to be different ones
+SIGMAS = 2.0
+#: s: with a larger sigma nothing is told of them
+UNKNOWN = 0.03
 #: fixes in blocks of this length count as one, s
 BLOCK = 20.0
 #: who is slower shows no time, m/s

@@ -29,8 +29,10 @@ from .problem import Problem
 from .trial_runs import CHOOSING, LOOKING, MEASURING, TrialRuns
 from .unexplained import GoesWith, goes_with
 
-#: a recording has turns, and changes of speed, where these happen: rad/s and m/s^2 (root mean square)
-TURNING, SPEEDING = 0.03, 0.15
+#: rad/s, root mean square, from which on a recording has turns
+TURNING = 0.03
+#: m/s^2, root mean square, from which on it has changes of speed
+SPEEDING = 0.15
 MOUNTING = 'mounting_rotation'
 #: why what was found is told and not added
 NO_PROOF = 'no smaller error is proven with it'

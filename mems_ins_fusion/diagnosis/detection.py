@@ -9,8 +9,10 @@ from ..characterization.autocorrelation import ljung_box
 from .residuals import Residual
 
 LAGS = 10
-#: levels of the tests of whiteness and of the mean, all components together; small model errors move the mean first
-COLOURED, SHIFTED = 0.005, 0.001
+#: level of the test of whiteness, all components together
+COLOURED = 0.005
+#: level of the test of the mean, which small model errors move first
+SHIFTED = 0.001
 COMPONENTS = ('north', 'east', 'along track', 'across track')
 
 

@@ -6,9 +6,13 @@ import numpy as np
 from .drives import Drives
 from .problem import Problem
 
-#: parts of the recording, each held out in turn; blocks of each part; a block is not shorter than this, s
-PARTS, BLOCKS, SHORTEST_BLOCK = 4, 2, 30.0
-#: of so many drives and more, each is held out as a whole
+#: parts of a recording, each of which is held out in turn
+PARTS = 4
+#: blocks of each part, so that it is not of one road alone
+BLOCKS = 2
+#: s, of a block at least: a filter needs some seconds of each to find its state
+SHORTEST_BLOCK = 30.0
+#: drives from which on each is held out as a whole
 FEWEST_DRIVES = 3
 
 

@@ -19,7 +19,7 @@ from .estimate import Estimate
 
 #: angles below this are for the filter to find, whatever their sigma, rad
 SMALL = math.radians(1.5)
-#: an angle is there from so many sigma on
+#: sigmas from which on an angle is there
 PLAIN = 3.0
 STATES = {'pitch': 'mounting_pitch', 'yaw': 'mounting_yaw'}
 

@@ -20,7 +20,7 @@ from .folds import in_mask, parts
 from .problem import Problem, on_all_cores
 from .residuals import tempered
 
-#: errors in outages count as they are up to so many sigma: who is in one wants to be told of the large ones
+#: sigmas up to which errors in outages count as they are: who is in an outage wants to be told of the large ones
 END_TAIL = 6.0
 #: a predicted error smaller than this is none, m
 SMALLEST_ERROR = 0.1

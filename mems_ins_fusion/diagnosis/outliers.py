@@ -12,8 +12,10 @@ from ..effects.gnss_outliers import far_off
 from ..samples import Fixes
 from .residuals import Residual
 
-#: a fix is off from so many sigma on, where its neighbours are within the other
-OFF, WITHIN = 6.0, 3.0
+#: sigmas from which on a fix is off,
+OFF = 6.0
+#: and within which its neighbours have to be
+WITHIN = 3.0
 
 
 def isolated(residual: Residual, mask: np.ndarray) -> np.ndarray:

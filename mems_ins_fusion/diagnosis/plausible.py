@@ -10,7 +10,7 @@ from .estimate import Estimate
 #: over a second the track shows a lag that is too small by up to 0.8 s^2, beyond its sigma
 _SHOWN = {'gyroscope_scale.z': ('the angle of the course shows a scale', 0.05),
           'gnss_lag.lag': ('the track between fixes shows a lag', 2.0)}
-#: so many sigma are a contradiction
+#: sigmas that two values of one quantity are apart which contradict each other
 _CONTRADICTED = 4.0
 
 

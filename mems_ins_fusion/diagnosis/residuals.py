@@ -11,8 +11,10 @@ import numpy as np
 
 #: innovations beyond this many sigma count by their logarithm
 TAIL = 3.0
-#: innovations that tell how long they last, and up to how many fixes
-FEWEST_LASTING, LASTING = 50, 30
+#: innovations at least that tell how long they last
+FEWEST_LASTING = 50
+#: fixes up to which that is looked for
+LASTING = 30
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,10 @@ SETTLING = 180.0
 OUTAGES = (1.0, 5.0, 10.0, 30.0)
 #: part of an outage at whose end the fixes are compared with the prediction: their mean
 JUDGED = 0.3
-#: m, and m/s in short ones: an outage in which less was driven says nothing
-DRIVEN, SLOWEST = 20.0, 4.0
+#: m that have to be driven in an outage that says something
+DRIVEN = 20.0
+#: m/s, the same of a short one
+SLOWEST = 4.0
 
 
 def predicted(part: Recording, values: dict, chunk: Recording) -> dict[float, dict[int, tuple[Place, float]]]:

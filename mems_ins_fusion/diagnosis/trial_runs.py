@@ -24,11 +24,13 @@ from .outliers import without_far_off
 from .problem import Problem, on_all_cores
 from .starts import Shown
 
-#: a search that has filtered so many IMU samples begins no further round: less than a minute on two cores, whatever the
+#: IMU samples filtered after which a search begins no further round: less than a minute on two cores, whatever the
 #: recording, and the same result on each machine
 ENOUGH = 9_000_000
-#: decisions are made on about so many outages, so far apart, s
-FEW_OUTAGES, CLOSEST_OUTAGES = 40, 10.0
+#: outages that decisions are made on, about
+FEW_OUTAGES = 40
+#: s between two of them at least
+CLOSEST_OUTAGES = 10.0
 #: the parts of the work, by the time they usually take: where they begin, and how many choices there are among levels
 SEARCHING, CHOOSING, MEASURING, LOOKING, USUAL_CHOICES = 0.05, 0.72, 0.88, 0.95, 15
 

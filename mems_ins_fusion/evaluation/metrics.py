@@ -17,11 +17,13 @@ from ..recordings.motion import plausible
 from ..samples import Fixes, ImuSamples, Reference
 from .intervals import interval_of_mean
 
-#: a vehicle that turns faster than this is in a manoeuvre, rad/s, and for a while before and after, s
-TURN_RATE, TURN_MARGIN = np.radians(5.0), 2.0
+#: rad/s above which a vehicle is in a manoeuvre
+TURN_RATE = np.radians(5.0)
+#: s before and after that belong to it
+TURN_MARGIN = 2.0
 #: slower than this a course says nothing, m/s
 SLOWEST_COURSE = 1.0
-#: a course is that of the way over so long, s
+#: s over which the way gives the course
 COURSE_SPAN = 1.0
 #: 95 % of a chi-square distribution with 2 degrees of freedom
 NEES_95 = 5.991464547107979

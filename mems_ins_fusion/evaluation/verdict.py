@@ -15,18 +15,24 @@ from .intervals import LEVEL, Difference, interval_of_share, of_mean, p_of_so_fe
 from .metrics import rms
 
 BETTER, SAME, WORSE, CANNOT_TELL, NOT_USABLE = 'better', 'same', 'worse', 'cannot_tell', 'not_usable'
-#: a difference that is certain and below this part of the error, or below this many metres, is felt by nobody
-FELT_PART, FELT = 0.03, 0.01
-#: errors are the same where the interval leaves no room for a difference beyond this part, or beyond this many metres
-ALIKE_PART, ALIKE = 0.1, 0.05
+#: part of the error below which a difference, though certain, is felt by nobody
+FELT_PART = 0.03
+#: m, the same
+FELT = 0.01
+#: part of the error: two errors are the same where the interval of their difference is within it
+ALIKE_PART = 0.1
+#: m, the same
+ALIKE = 0.05
 
 YES, NO, TOO_CAREFUL = 'yes', 'no', 'too_careful'
 #: share of errors that shall lie in the ellipse called 95 %
 NOMINAL = 0.95
 #: sigmas can be trusted where the ellipse is known to hold the truth in this part: they are 1.6 times too small at most
 HELD = 0.7
-#: errors that are for certain so many times as large as the sigmas say, or as small a part of it, are not as said
-TOO_LARGE, TOO_SMALL = 1.2, 0.67
+#: ratio of the errors to what the sigmas say from which on, for certain, the sigmas are too small
+TOO_LARGE = 1.2
+#: and below which they are larger than need be
+TOO_SMALL = 0.67
 #: normalized squared errors of two components have this mean where sigmas are right
 RIGHT = 2.0
 
@@ -140,8 +146,10 @@ def decide(changes: Iterable[Change]) -> Verdict:
 
 # whether a params file can be driven with
 
-#: who may be off by more than this, at two sigma, is not ready: s; rad; the antenna's place is the user's to measure
-READY_OFFSET, READY_ANGLE = 0.1, math.radians(3.0)
+#: s: a file whose time offset may be off by more, at two sigma, is not ready
+READY_OFFSET = 0.1
+#: rad, the same of a mounting angle; the place of the antenna is the user's to measure
+READY_ANGLE = math.radians(3.0)
 
 
 def unsettled(left: Iterable[Remaining]) -> list[Remaining]:
@@ -167,7 +175,7 @@ class Consistency:
 @dataclass(frozen=True)
 class Held:
     """How often the 95 % ellipse held the truth at the end of outages of `duration` s: held of count. low, high: 95 %
-    interval of the share. p: how often so few are held by honest sigmas."""
+    interval of the share. p: how often honest sigmas hold as few."""
 
     duration: float
     held: int

@@ -12,10 +12,14 @@ from ..recordings.findings import INFO
 from ..recordings.motion import valid_fixes
 from ..samples import Fixes
 
-#: so many of each are kept a second, and for so long, s
-RATE, MEMORY = 10.0, 240.0
-#: it is looked at so often, s, until so many looks have found something to compare with
-PERIOD, LOOKS = 5.0, 12
+#: Hz at which samples of each input are kept: a vehicle does not change faster
+RATE = 10.0
+#: s for which they are kept: some bends and stops
+MEMORY = 240.0
+#: s from one check of an input to the next
+PERIOD = 5.0
+#: checks with something to compare, after which there is no other: a minute of them
+LOOKS = 12
 _SECOND = 10**9  # ns
 
 

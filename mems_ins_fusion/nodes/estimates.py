@@ -14,7 +14,7 @@ from .log import Log
 from .output import MapOutput, Output, Prediction, SmoothFrame, VehicleAxes, flatten
 
 _SECOND = 10**9  # ns
-#: so many messages are kept for a listener that is slow: an odometry that is older than ten samples helps nobody
+#: ten messages are kept for a slow listener: an odometry that is older than ten samples helps nobody
 _QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 #: of /tf, as tf2's broadcasters have it
 _TF_QOS = QoSProfile(depth=100)

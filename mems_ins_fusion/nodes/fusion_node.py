@@ -54,7 +54,7 @@ _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _SAVE_PERIOD = 10.0
 #: what the filter says is looked at this often where no message brings it out, s
 _REPORT_PERIOD = 0.2
-#: temperatures come once a second or less often: so long without one is no silence, s
+#: s without a temperature that are no silence: they come once a second or less often
 _TEMPERATURE_PATIENCE = 30.0
 
 

@@ -21,9 +21,9 @@ from ..recordings.transforms import has_frame, sensor_frame
 from .inputs import message_class
 from .run import Stop
 
-#: what is waited for is said again after so many seconds
+#: s after which the node says again what it waits for
 _SAY_AGAIN = 10.0
-#: for the inputs besides IMU and antenna it waits so long, s: one that does not come shall stop no vehicle
+#: s for which it waits for inputs besides IMU and antenna: one that does not come must not stop a vehicle
 _PATIENCE = 10.0
 #: frames of the world (REP 105), in which a sensor has no place
 _WORLD = frozenset({'map', 'odom', 'earth', 'world'})

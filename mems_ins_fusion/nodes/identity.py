@@ -3,11 +3,13 @@ from __future__ import annotations
 
 #: names of the sensors
 IMU, GNSS = 'imu', 'gnss'
-#: s of stamps and messages, over which a rate is counted at least
-COUNTED, MESSAGES = 5.0, 5
+#: s of stamps over which a rate is counted at least
+COUNTED = 5.0
+#: and messages
+MESSAGES = 5
 #: s from one message to the next, which is a clock that was set, or a driver that was stopped
 GAP = 60.0
-#: a rate that is so many times another one is another rate: clocks and lost messages make less
+#: ratio of two rates from which on they are different ones: clocks and lost messages make less
 OTHER_RATE = 1.2
 
 

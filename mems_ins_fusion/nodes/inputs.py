@@ -26,9 +26,9 @@ from .traffic import Traffic
 OVERTAKEN = 500_000_000
 #: one that is this much later than the quickest of its topic shows that the machine has stalled, s
 STALLED = 0.3
-#: so long messages are served before timers and services have their turn, s
+#: s for which messages are served before timers and services have their turn
 AT_ONCE = 0.05
-#: where no sample has come for so long, those before such a measurement will not, s
+#: s without a sample after which those before such a measurement will not come any more
 HOLD = 2.0
 #: messages that a queue holds while the machine is busy: 10 s of an IMU of 400 Hz. With 1000 a node of a twentieth of a
 #: machine with a load of 18 lost 2.6 % of such samples (studies/node_soak.py)

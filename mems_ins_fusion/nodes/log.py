@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 #: numbers, whatever their form: two lines that differ only there say the same
 _NUMBERS = re.compile(r'\b(nan|inf)\b|[-+]?\d[\d.]*(e[-+]?\d+)?', re.IGNORECASE)
-#: a line that comes again is held back for so long at first: who looks at the log now and then sees it, s
+#: s for which a line that comes again is held back at first: who looks at the log now and then sees it
 FIRST_HOLD = 5.0
-#: one that keeps on coming is let through ever more seldom, down to once in so long, s
+#: s between two of them at most: a line that keeps on coming is let through ever more seldom
 LONGEST_HOLD = 80.0
 
 

@@ -9,12 +9,14 @@ from ..configuration.check import YAW_NOT_SHOWN, judge_mounting
 from ..recordings.checker import ERROR
 from ..samples import Fixes, ImuSamples
 
-#: the samples are averaged to so many a second, and kept for so long, s: some 400 kB
-RATE, MEMORY = 20.0, 240.0
-#: after so many seconds of samples it is looked at; each look takes some 50 ms
+#: Hz to which the samples are averaged
+RATE = 20.0
+#: s for which these are kept: some 400 kB
+MEMORY = 240.0
+#: s of samples after which the mounting is checked; each check takes some 50 ms
 LOOKS = (30.0, 60.0, 120.0, 240.0, 480.0, 960.0)
 LONGEST_GAP = 5.0  # s
-#: so many looks in a row have to find the same: of the second the vehicle has driven twice as long
+#: checks in a row that have to find the same: at the second the vehicle has driven twice as long
 CERTAIN_LOOKS = 2
 _SECOND = 10**9  # ns
 

@@ -29,7 +29,7 @@ NAME = 'play'
 _SECOND = 10**9  # ns
 #: /clock goes on in steps of at most this, s
 _TICK = 0.02
-#: GB at the start, bytes beside each message
+#: GB of memory at the start, and bytes beside each message
 _MEMORY = 0.2, 150.0
 #: after the first subscriber the others may come, s
 _OTHERS = 0.5

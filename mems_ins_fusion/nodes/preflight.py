@@ -13,14 +13,18 @@ from ..navigation.earth import STANDARD_GRAVITY
 from ..navigation.frames import rotation_from_rpy
 from .inputs import Input
 
-#: the block comes so long after the first sample, where a fix has come, too, and so long after the start in any case, s
-AFTER_SAMPLE, AT_THE_LATEST = 5.0, 12.0
+#: s after the first sample at which the block comes, if a fix has come by then
+AFTER_SAMPLE = 5.0
+#: s after the start at which it comes in any case
+AT_THE_LATEST = 12.0
 #: stamps further from the node's clock are of another clock, s
 _OTHER_CLOCK = 1.0
 #: newer than the newest sample by more, s: more than a sample that is on its way, so a fix of another clock
 _NEWER = -0.1
-#: by how much gravity may differ from what an accelerometer shows, m/s^2, and from the vertical, rad: a slope, a turn
-_GRAVITY, _TILT = 1.5, math.radians(15.0)
+#: m/s^2 by which gravity may differ from what an accelerometer shows: braking, a bias
+_GRAVITY = 1.5
+#: rad by which that may be off the vertical: a slope, a turn
+_TILT = math.radians(15.0)
 
 
 class Preflight:

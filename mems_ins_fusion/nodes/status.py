@@ -20,10 +20,14 @@ BEFORE_START = ('waiting', 'aligning')
 #: the node's own: the samples have stopped, so that there is no estimate any more
 SILENT = 'silent'
 _BAD_STATES = ('recovering', SILENT)
-#: a start that cannot be is a warning after so long, and an error after so long, s
-CANNOT_START_WARNING, CANNOT_START_ERROR = 5.0, 30.0
-#: of the messages of the last so many seconds a larger part refused is worth a warning
-RECENT, MUCH = 10, 0.1
+#: s after which a filter that cannot start is a warning: a first sample may be wrong
+CANNOT_START_WARNING = 5.0
+#: s after which it is an error
+CANNOT_START_ERROR = 30.0
+#: s over which the refused part of the messages is counted
+RECENT = 10
+#: refused part of the messages that is worth a warning
+MUCH = 0.1
 #: how fast a vehicle that nobody watches may change its speed, m/s^2, one sigma
 _UNKNOWN_ACCELERATION = 1.0
 _COMPONENTS = {1: ('innovation',), 2: ('innovation_north', 'innovation_east')}

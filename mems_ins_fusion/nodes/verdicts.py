@@ -17,7 +17,7 @@ from .status import verdict
 
 #: used fixes of which the mean NIS is told
 _NIS_COUNT = 100
-#: refused fixes that are shown are looked for among so many: the filter decides on one within gnss.max_delay
+#: newest fixes among which refused ones are looked for: the filter decides on one within gnss.max_delay
 _FIXES_KEPT = 50
 #: a stamp that went through the filter's seconds since its epoch is that of a message where it is nearer than this, ns
 _SAME_STAMP = 1000

@@ -32,7 +32,7 @@ from .verdict import certainly_wrong, change_text, too_small_text, trust_text
 PRACTICAL = 0.02
 #: a truth whose own error is more than this part of the error is mentioned
 NOISY_TRUTH = 0.3
-#: errors that are so many times as large as the sigmas say for certain make a filter a bad one
+#: ratio of the errors to what the sigmas say that, if it is certain, makes a filter a bad one
 FAR_TOO_LARGE = 2.0
 #: a part of the fixes not used that is worth a word
 REFUSED = 0.02
