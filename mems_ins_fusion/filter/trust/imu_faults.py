@@ -111,8 +111,8 @@ def check(mem, samples, k, dt, speed, doubted, before=Fault.NONE):
     """What is wrong with sample k, a `Fault`; it, and what it shows, is remembered in the head of `mem`.
 
     samples (n, 7): time (s), specific force and angular rate in sensor axes. dt: s since the one before. speed: that
-    the vehicle certainly has, m/s. doubted: whether the IMU is not believed at this time. before: the
-    `Fault` of the sample before it.
+    the vehicle certainly has, m/s. doubted: whether the IMU is not believed at this time. before: the `Fault` of the
+    sample before it.
     """
     time = samples[k, 0]
     equal, zero, out, saturated, stuck, repeats = 1e9, True, False, False, 0, 0
@@ -128,8 +128,8 @@ def check(mem, samples, k, dt, speed, doubted, before=Fault.NONE):
         saturated = saturated or (large and mem[Imu.SAME + i] >= FEWEST_EQUAL)
         stuck += 1 if _stays(mem, i, dt) else 0
         repeats += 1 if mem[Imu.SAME + i] >= FEWEST_STUCK else 0
-    # what is frozen stays so while the vehicle comes to rest, if all other axes show noise
-    moving = speed > MOVING_SPEED or before == Fault.FROZEN and repeats == stuck
+    # at rest an axis may repeat itself; one that was frozen before it, beside axes that all show noise, is so still
+    tells = speed > MOVING_SPEED or before == Fault.FROZEN and repeats == stuck
     fault = Fault.NONE
     if out:
         fault = Fault.RANGE
@@ -137,7 +137,7 @@ def check(mem, samples, k, dt, speed, doubted, before=Fault.NONE):
         fault = Fault.ZERO
     elif lively and saturated:
         fault = Fault.SATURATED
-    elif lively and (moving and (equal >= FEWEST_EQUAL and equal * dt > FROZEN_TIME or stuck > 0) or stuck == 6):
+    elif lively and (tells and (equal >= FEWEST_EQUAL and equal * dt > FROZEN_TIME or stuck > 0) or stuck == 6):
         fault = Fault.FROZEN
     elif _is_spike(mem, time):
         fault = Fault.SPIKE
