@@ -142,7 +142,7 @@ def until_corrected(models, mechanization, feedback, constraint, sample, **start
         head, seen = views(memory)[0], np.array(sample[:3]) * FLU
         for at in (Still.FIRST, Still.SECOND, Still.MEAN):
             head[at:at + 3] = seen
-        head[Still.ENERGY], head[[Still.MOTION, Still.REST]] = 1e-6, np.log([0.05, 0.01])
+        head[[Still.MOTION, Still.REST]] = np.log([0.05, 0.01])
     for k in range(1, 1000):
         for memory in memories:
             take_sample(memory, k * DT, *sample)

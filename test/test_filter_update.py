@@ -24,7 +24,8 @@ from filter_support import (
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.filter.advance import BEFORE_START, FORGOTTEN, TAKEN, TOO_LATE
-from mems_ins_fusion.filter.memory import NAV, PLANAR, Event, Head, Kind, Nav, Verdict, views
+from mems_ins_fusion.filter.memory import NAV, PLANAR, Event, Head, Kind, Nav, Sample, Verdict, sample_at, views
+from mems_ins_fusion.filter.trust.standstill import is_still
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.simulation.drive import simulate_drive
 
@@ -332,6 +333,21 @@ def test_fixes_older_than_the_delay_or_the_memory_are_refused():
     memory, answers = driven(config, [*[('sample', step * k) for k in range(1, count)], ('fix', 50 * step, 2.0),
                                       ('fix', 150 * step, 2.0)])
     assert answers == [TOO_LATE, TAKEN]
+
+
+def test_a_stop_of_four_seconds_is_seen_within_three():
+    # given a car that brakes by 2 m/s^2 on an uneven road, stands for 4 s with its engine on, and drives off again
+    time, rng = 0.01 * np.arange(4000), np.random.default_rng(5)
+    moves = (time < 30.0) | (time > 34.0)
+    force = moves * (0.15 * np.sin(5.0 * time) + 0.1 * rng.standard_normal(len(time))) + 0.05 * np.sin(150.0 * time)
+    force += -2.0 * ((time > 25.0) & (time < 30.0)) + 1.5 * (time > 34.0)
+    memory = made('GM', 'planar', 'closed', **{'vehicle.zero_velocity': True}).memory()
+    sample, flags = sample_at(memory, 1), np.zeros(len(time), dtype=bool)
+    for k in range(1, len(time)):
+        memory[sample + Sample.F_X] = force[k]
+        flags[k] = is_still(memory, sample, 0.01, time[k] < 29.0, False)  # a filter is certain of 2 m/s
+    # then it is one from 3 s after the stop at the latest to the start, and neither while braking nor afterwards
+    assert flags[(time > 33.0) & (time < 34.0)].all() and not flags[(time < 30.5) | (time > 34.4)].any()
 
 
 def test_a_standstill_ends_when_the_vehicle_starts_gently():

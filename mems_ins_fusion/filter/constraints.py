@@ -21,7 +21,7 @@ from .memory import (
     yaw_state,
 )
 from .prediction import set_radii
-from .trust import contradiction, receiver
+from .trust import contradiction, gyroscopes, receiver
 from .trust.imu_faults import Imu
 from .trust.white_noise import hides_turns
 from .update import ROBUST, clear_rows, correct_by_scalar, feed_back, product, project, update
@@ -37,11 +37,6 @@ STILL_SPEED = 0.3
 #: rad/s: and only below this turn rate plus three sigma: a robot that turns on the spot about its IMU stands still by
 #: the accelerometers, and takes 40 s for a turn at the most; a gyroscope that is off by less does not turn a parked car
 STILL_RATE = 0.15
-#: s that a vehicle may have stood before the accelerometers have called it a standstill: for as long a gyroscope that
-#: is off may have turned the heading
-STANDS_UNSEEN = 5.0
-#: sigmas: a gyroscope that is further off at a standstill has a new error
-NEW_ERROR = 10.0
 #: s over which the constraint's NIS is averaged
 CONSTRAINT_MEMORY = 10.0
 #: mean NIS above which the constraint is not used: it is 1 of a vehicle that keeps to it
@@ -65,6 +60,7 @@ def constrain(mem, r, sample):
     at = h + 6 * n  # a record for the time being
     since, mem[r + Nav.CONSTRAINT_TIME] = mem[r + Nav.CONSTRAINT_TIME], 0.0
     load_covariance(mem, r, n_navigation, m, mem, p)
+    gyroscopes.forget_jump(mem, r, n, since)
     yaw = yaw_state(mem)
     if still:
         variance = velocity_variance(mem, r)
@@ -72,7 +68,7 @@ def constrain(mem, r, sample):
         agrees = squared < STILL_SPEED**2 + 9.0 * variance
         # a vehicle that creeps smoothly and straight on does not turn; where a gyroscope turns, its error has made the
         # velocity wrong, too, which then does not deny the standstill
-        still = ((agrees or contradiction.goes_back(mem, r) or _turns(mem, r, sample, n, 0.0, NEW_ERROR))
+        still = ((agrees or contradiction.goes_back(mem, r) or _turns(mem, r, sample, n, 0.0, gyroscopes.NEW_ERROR))
                  and not _turns(mem, r, sample, n, STILL_RATE, ROBUST))
         if still and not agrees:
             contradiction.admit(mem, r, n)
@@ -84,7 +80,7 @@ def constrain(mem, r, sample):
         _note(mem, sample, at, Kind.ZERO_VELOCITY, dimensions)
         clear_rows(mem, h, n)
         dimensions = standstill.observe_rate(mem, r, at, h, n, sample)
-        _free_gyroscopes(mem, r, at, n, dimensions)
+        gyroscopes.free(mem, r, at, n, dimensions, sample)
         update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0)
     elif mem[Head.LATERAL_SIGMA] > 0.0 and not _fixes_tell_the_heading(mem, r, mem[p + (n + 1) * yaw]):
         clear_rows(mem, h, n)
@@ -97,6 +93,7 @@ def constrain(mem, r, sample):
             _constrain_motion(mem, r, at, n, h, vehicle_to_level(mem, r, c), dimensions, since)
             _note(mem, sample, at, Kind.NON_HOLONOMIC, dimensions)
     else:
+        store_covariance(mem, p, n_navigation, m, mem, r)
         return
     store_covariance(mem, p, n_navigation, m, mem, r)
     feed_back(mem, r)
@@ -131,25 +128,6 @@ def _turns(mem, r, sample, n, rate, sigmas):
         if state >= 0:
             variance += mem[p + (n + 1) * state]
     return w_x * w_x + w_y * w_y + w_z * w_z > rate * rate + sigmas * sigmas * variance
-
-
-@njit(_nrt=False)
-def _free_gyroscopes(mem, r, at, n, dimensions):
-    """Gyroscopes that certainly turn at a standstill have other errors than before: these are less certain by as much,
-    and the heading by what they may have turned it since they last showed what is expected of them."""
-    h, p, yaw = int(mem[Head.SCRATCH_AT]) + n * n, int(mem[Head.SCRATCH_AT]), yaw_state(mem)
-    unseen, fit = min(mem[r + Nav.TIME] - mem[r + Nav.TURNED], STANDS_UNSEEN), True
-    for k in range(dimensions):
-        squared = (mem[at + Event.Z_N + k] - product(mem, n, h + n * k, r + NAV)) ** 2
-        variance = project(mem, n, h + n * k, h + 3 * n)
-        if squared > NEW_ERROR**2 * (variance + mem[at + (Event.R_NN, Event.R_EE, Event.R_DD)[k]]):
-            fit = False
-            for i in range(n):
-                if mem[h + n * k + i] != 0.0:
-                    mem[p + (n + 1) * i] += squared
-            mem[p + (n + 1) * yaw] += squared * unseen * unseen
-    if fit:
-        mem[r + Nav.TURNED] = mem[r + Nav.TIME]
 
 
 @njit(_nrt=False)

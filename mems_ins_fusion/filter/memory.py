@@ -85,7 +85,6 @@ class _Nav(NamedTuple):
     STOOD: int = column()  # time of the latest standstill, and the velocity that it corrected, m/s
     TAKEN_N: int = column()
     TAKEN_E: int = column()
-    TURNED: int = column()  # time of the latest standstill at which the gyroscopes agreed with their estimated errors
     # counts for messages to the user
     SIDEWAYS: int = column()  # s during which the vehicle violated the non-holonomic constraint
     SLID: int = column()  # s during which a contradiction showed that the IMU was wrong
@@ -382,7 +381,7 @@ class _Head(NamedTuple):
     ROWS: int = column(9)  # `StateLayout.rows`
     CHANNEL: int = column(6)  # `StateLayout.axes`
     AHEAD: int = column()  # s: a measurement may be this much later than the newest IMU sample
-    MECHANISMS: int = column(75)  # the first of those declared in other files (`HEAD`), and room for them
+    MECHANISMS: int = column(84)  # the first of those declared in other files (`HEAD`), and room for them
     SIZE: int = column(0)
 
 

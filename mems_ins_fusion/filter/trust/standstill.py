@@ -16,27 +16,29 @@ from mems_ins_fusion.compiled import njit
 
 from ..memory import HEAD, Nav, Sample, nonnegative, velocity_variance
 
+#: parts of the window below: it moves on by one of these at a time
+PARTS = 6
 #: what the detector remembers
 Still = HEAD.place(
     'Still',
     FIRST=3,  # specific force low-passed once, m/s^2
     SECOND=3,  # and twice
     MEAN=3,  # running mean of that
-    ENERGY=1,  # running mean square of what is left
-    MOTION=1,  # logarithm of the least of it in motion
-    REST=1,  # and of what is usual at rest
-    SINCE=1)  # s for which it has been quiet
+    PART=1,  # which part of the window the latest sample belongs to
+    SQUARES=PARTS + 1,  # (m/s^2)^2 s: integral over each part of the square of what is left,
+    DURATIONS=PARTS + 1,  # s: and how long each part is
+    MOTION=1,  # logarithm of the least root mean square of it in motion
+    REST=1)  # and of what is usual at rest
 
 #: m/s: a vehicle certainly moves where its speed, less two sigma, is above this: a slower one may stand
 MOVING_SPEED = 1.0
 #: s: time constant of each of the two low passes; an engine shakes faster than what they leave
-LOW_PASS = 0.2
-#: s: time constant of the running mean that is taken out of it, tilt and bias
-MEAN_TIME = 0.5
-#: s: time constant of the mean square of the rest; a shorter one sees each bump, a longer one the start too late
-ENERGY_TIME = 0.7
-#: s: for how long it must have been quiet; between two gears a vehicle is as quiet for a moment
-DURATION = 1.0
+LOW_PASS = 0.15
+#: s: time constant of the running mean that is taken out of it, tilt and bias; after a braking it decays with this
+MEAN_TIME = 0.3
+#: s: the mean square of the rest is one over a window of this length, without a tail: what a braking has left in an
+#: exponential mean hides a stop of four seconds. Between two gears a vehicle is as quiet for a second
+WINDOW = 1.5
 #: a standstill is quieter than the quietest motion by this factor, and may be louder than other standstills by the same
 SEPARATION = 2.0
 #: s: time constant with which the quietest motion is forgotten; roads and loads change in minutes
@@ -70,8 +72,8 @@ def is_still(mem, sample, dt, moving, anew):
     moving: whether the filter is certain that the vehicle moves. anew: whether nothing is known of the time before the
     sample, so that a change of its specific force since then says nothing.
     """
-    low, slow, energy = min(1.0, dt / LOW_PASS), min(1.0, dt / MEAN_TIME), 0.0
-    first = mem[Still.ENERGY] == 0.0
+    low, slow, square = min(1.0, dt / LOW_PASS), min(1.0, dt / MEAN_TIME), 0.0
+    first = mem[Still.MOTION] == 0.0
     for i in range(3):
         f = mem[sample + Sample.F_X + i]
         if first or anew:
@@ -80,14 +82,13 @@ def is_still(mem, sample, dt, moving, anew):
         mem[Still.SECOND + i] += low * (mem[Still.FIRST + i] - mem[Still.SECOND + i])
         deviation = mem[Still.SECOND + i] - mem[Still.MEAN + i]
         mem[Still.MEAN + i] += slow * deviation
-        energy += deviation * deviation
+        square += deviation * deviation
     if first:
-        mem[Still.ENERGY] = EXPECTED_MOTION**2
         mem[Still.MOTION], mem[Still.REST] = math.log(EXPECTED_MOTION), math.log(EXPECTED_REST)
-    elif anew:  # it may stand by now: as loud as the quietest motion, till it shows more
-        mem[Still.ENERGY] = min(mem[Still.ENERGY], math.exp(2.0 * mem[Still.MOTION]))
-    mem[Still.ENERGY] += min(1.0, dt / ENERGY_TIME) * (energy - mem[Still.ENERGY])
-    level, separation = 0.5 * math.log(max(mem[Still.ENERGY], 1e-12)), math.log(SEPARATION)
+    mean, seen = _mean_square(mem, square, dt)
+    if seen < WINDOW:
+        return 0.0
+    level, separation = 0.5 * math.log(max(mean, 1e-12)), math.log(SEPARATION)
     motion, rest = mem[Still.MOTION], mem[Still.REST]
     if moving:  # the least there is: down at once, though not by one sample alone, and up slowly
         motion = min(motion + dt / FORGET, max(level, motion - 2.0 * dt))
@@ -95,5 +96,21 @@ def is_still(mem, sample, dt, moving, anew):
         rest += min(1.0, dt / REST) * (level - rest)
     mem[Still.MOTION], mem[Still.REST] = motion, rest
     threshold = min(max(0.5 * (motion + rest), rest + separation), motion - separation)
-    mem[Still.SINCE] = mem[Still.SINCE] + dt if level < threshold and not moving else 0.0
-    return 1.0 if mem[Still.SINCE] >= DURATION else 0.0
+    return 1.0 if level < threshold and not moving else 0.0
+
+
+@njit(_nrt=False)
+def _mean_square(mem, square, dt):
+    """Mean of `square`, which belongs to the latest dt s, over the window, and how long that is already, s."""
+    part = int(mem[Still.PART])
+    if mem[Still.DURATIONS + part] >= WINDOW / PARTS:
+        part = (part + 1) % (PARTS + 1)
+        mem[Still.PART] = part
+        mem[Still.SQUARES + part] = mem[Still.DURATIONS + part] = 0.0
+    mem[Still.SQUARES + part] += square * dt
+    mem[Still.DURATIONS + part] += dt
+    squares = seen = 0.0
+    for i in range(PARTS + 1):
+        squares += mem[Still.SQUARES + i]
+        seen += mem[Still.DURATIONS + i]
+    return squares / seen, seen
