@@ -311,8 +311,8 @@ class Sigmas:
 
 
 def driven_off(stop, end, off):
-    """Samples (k, 7), 50 a second, of a car that stands until `stop`, s, and then gains 1 m/s each second for 10 s on an
-    uneven road; off: rad/s, (k,), what the vertical gyroscope shows besides."""
+    """Samples (k, 7), 50 a second, of a car that stands until `stop`, s, and then gains 1 m/s each second for 10 s on a
+    bumpy road; off: rad/s, (k,), what the vertical gyroscope shows besides."""
     samples = np.zeros((round(50 * end), 7))
     time = samples[:, 0] = np.arange(1, len(samples) + 1) / 50.0
     samples[:, 3] = gravity(LATITUDE, 480.0)
