@@ -27,7 +27,8 @@ Write a rosbag2 of a simulated land vehicle: a standstill, then straights, bends
 2-20 m/s. Topics: /imu/data and /gps/fix (or imu_topic and gnss_topic of the params file), and the truth as
 /reference/fix and /reference/odometry: position and velocity of the IMU (base_link, not the antenna), attitude of the
 body. The odometry's origin is the first fix. The effect `temperature` adds /imu/temperature, --aiding /wheel/speed
-(of the rear axle), /gps/velocity and /gps/heading, or where the parameters say.
+(of the rear axle), /gps/velocity and /gps/heading, or where the parameters say. Each input that has a topic in the
+params file is simulated, those with a name too, further receivers with the rate and the sigma of the first.
 
 --drive realistic is a drive for judging filters, with everything that the options below offer: a car on its springs on
 a road with grade and bank, an IMU that shakes and whose mounting is off by up to 5 deg (each seed another), turn-on
@@ -70,7 +71,8 @@ def simulate(options: argparse.Namespace) -> str:
                         standstill=options.duration if options.static else options.standstill)
     if not len(gnss.times(drive.time[-1])):
         raise InputError('the outages leave no fix in the recording')
-    distortions = {**scene.distortions(options.seed), 'named': [m for m in further_inputs(values) if not m.is_plain]}
+    distortions = {**scene.distortions(options.seed), 'aiding': _aiding(scene, options, values, sigma),
+                   'named': [m for m in further_inputs(values) if not m.is_plain]}
     effects = [*distortions.pop('effects'), *effects]
     simulation = simulate_recording(drive, SensorErrors.from_parameters(values, model), gnss,
                                     [*_declared(values), *effects], values['imu.mounting_rpy'], options.seed,
@@ -85,9 +87,7 @@ def simulate(options: argparse.Namespace) -> str:
 
 def _scene(options):
     """The scene of --drive with what other options change in it."""
-    from mems_ins_fusion.filter.measurements.registry import AIDING
     from mems_ins_fusion.simulation.scene import SCENES
-    from mems_ins_fusion.simulation.simulation import Aiding
 
     scene = SCENES[options.drive]
     given = {name: getattr(options, name) for name in ('grade', 'bank', 'parked_on_slope', 'manoeuvres', 'body',
@@ -97,10 +97,18 @@ def _scene(options):
     for name in ('mounting_error', 'unevenness'):
         if getattr(options, name) is not None:
             given[name] = np.radians(getattr(options, name))
-    if options.aiding:
-        given['aiding'] = Aiding(**{f'{m.name}_rate': options.gnss_rate if m.from_satellites else 10.0
-                                    for m in AIDING if m.simulated_with})
     return replace(scene, **given)
+
+
+def _aiding(scene, options, values, gnss_sigma):
+    """Rates and errors of the further sensors: those of the scene, all with --aiding, those with a topic in the params
+    file. Further receivers are like the first."""
+    from mems_ins_fusion.filter.measurements.registry import AIDING
+    from mems_ins_fusion.simulation.simulation import Aiding
+
+    rates = {f'{m.name}_rate': options.gnss_rate if m.from_satellites else 10.0
+             for m in AIDING if m.simulated_with and (options.aiding or values[m.topic])}
+    return Aiding(**{**(scene.aiding or {}), **rates, 'fix_rate': options.gnss_rate, 'fix_sigma': gnss_sigma})
 
 
 def _write(simulation, options, values):

@@ -18,7 +18,8 @@ from mems_ins_fusion.samples import Fixes
 
 _CHORD = 3.0  # s: of a course; longer ones cut bends
 _SHARP = 10.0  # sigmas of a fix: a way that has a direction
-_SLOWEST = 1.0  # m/s
+_SLOWEST = 0.2  # m/s: robots drive at 0.4; what a receiver's noise asks for is mostly more
+_TIGHTEST = 3.0  # m, radius of a path: in tighter ones a robot turns on the spot, and its antenna moves sideways
 _BLOCKS = 20  # of the drive, for the jackknife
 _FEWEST = 40  # fixes of both in motion
 
@@ -50,7 +51,9 @@ def estimate_baseline(first: Fixes, second: Fixes) -> Baseline | None:
     # a gap of the second one is not bridged
     gap = np.interp(at[middle], 0.5 * (time[1:] + time[:-1]), np.diff(time)) > 2.0 * np.median(np.diff(time))
     shortest = _SHARP * fix_sigma(first, one[:, :2])
+    bend = _angle_between((one[middle] - begin)[:, :2], (end - one[middle])[:, :2])
     good = ((speed > _SLOWEST) & (speed * length > shortest) & (length < 2.0 * _CHORD) & ~gap
+            & (0.5 * speed * length > _TIGHTEST * np.abs(bend))
             & (at[middle] > time[0]) & (at[middle] < time[-1]))
     if np.count_nonzero(good) < _FEWEST:
         return None
@@ -74,3 +77,8 @@ def estimate_baseline(first: Fixes, second: Fixes) -> Baseline | None:
     up = np.array([-difference[blocks == k, 2].mean() for k in range(_BLOCKS)])
     return Baseline(np.append(solution[:2], up.mean()), np.append(sigma[:2], up.std() / math.sqrt(_BLOCKS - 1)),
                     float(solution[2]), float(sigma[2]))
+
+
+def _angle_between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(n,) rad, by which vectors `other` (n, 2) are turned against `one` (n, 2)."""
+    return np.arctan2(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0], (one * other).sum(axis=1))

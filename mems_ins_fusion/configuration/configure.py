@@ -32,7 +32,7 @@ from mems_ins_fusion.parameters.parameter import ParameterError
 from mems_ins_fusion.parameters.table import defaults, parameters_of
 from mems_ins_fusion.recordings.checker import INFO, Finding, check_recording
 from mems_ins_fusion.recordings.errors import RecordingError
-from mems_ins_fusion.recordings.motion import find_standstill
+from mems_ins_fusion.recordings.motion import find_standstill, without_turns
 from mems_ins_fusion.recordings.several import refuse_twice
 from mems_ins_fusion.recordings.sketch import sketch
 from mems_ins_fusion.recordings.units import Units, find_units, in_si
@@ -163,7 +163,7 @@ def look(path, imu: ImuSamples, fixes: Fixes | None, others: Mapping[str, Mappin
     units = find_units(imu, good, gravity)
     imu = in_si(imu, units.acceleration, units.rate)
     findings = check_recording(Recording(name, in_si(whole, units.acceleration, units.rate), fixes))
-    still = find_standstill(imu, good)
+    still = without_turns(find_standstill(imu, good), imu)
     found = estimate_mounting(imu, good, gravity)
     receiver = assess_receiver(good, imu, still, found) if good is not None else None
     noise = receiver.realised if receiver is not None else None

@@ -39,7 +39,7 @@ _ARM_SIGMA = 1.5  # m: how far the IMU is from the rear axle, before anything is
 _ROUGH = 0.4  # s: steps of a first search for the time offset, less than a change of speed takes
 _HARDEST = 8.0  # m/s^2: spans with more are errors of the receiver
 _QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # turns right into forward
-_SLOWEST = 0.5  # m/s: what counts as driving
+_SLOWEST = 0.2  # m/s: what counts as driving: robots do 0.4
 _FEWEST_SPANS = 15
 _GRAVITY_ELSEWHERE = 0.1  # part of gravity that may be in what explains the motion
 _SMALLEST_GAIN = 0.6  # specific force per change of speed
@@ -304,6 +304,8 @@ def _heading(motion: _Motion, axes):
             continue  # heights that have nothing to do with the road
         seen = angle(motion.fit.solution)
         sigma = math.hypot(motion.sigma(lambda vectors: angle(vectors, seen)), AXES_SIGMA)
+        if index == _GRADE:
+            sigma = math.hypot(sigma, _bank_beside_grades(motion))
         if sigma < _USABLE:
             ways.append(Evidence(source, (seen,), (sigma,)))
     if not ways:
@@ -312,6 +314,20 @@ def _heading(motion: _Motion, axes):
     away = np.array([math.remainder(way.angle[0] - best, 2 * math.pi) for way in ways])
     yaw, sigma = weighted(away, np.array([way.sigma[0] for way in ways]))
     return ways, best + float(yaw), float(sigma)
+
+
+def _bank_beside_grades(motion: _Motion) -> float:
+    """By how much a bank that goes with the grades by chance turns what they show of the yaw, rad, one sigma. Both last
+    for _SLOPE_LASTS, so that a short drive has few of them: the jackknife does not see that."""
+    spread = np.nanstd(motion.spans.grade[motion.moving])
+    return SLOPE_SIGMA / max(spread, 1e-6) / math.sqrt(_slopes(motion))
+
+
+def _slopes(motion: _Motion) -> float:
+    """How many slopes of _SLOPE_LASTS the way has, one at least."""
+    speed, time = np.abs(motion.spans.speed[motion.moving]), motion.spans.time[motion.moving]
+    way = float(speed[1:] @ np.minimum(np.diff(time), motion.spans.length))
+    return max(way / _SLOPE_LASTS, 1.0)
 
 
 def _level(motion: _Motion, rests, axes, gravity):
@@ -348,9 +364,7 @@ def _unseen_slope(motion: _Motion, axes) -> float:
     """By how much a mean slope of the way that heights do not show tilts gravity, rad, one sigma: of one that lasts as
     long as the drive the jackknife sees nothing."""
     seen = np.isfinite(motion.spans.grade[motion.moving]).mean() * _confirmed(motion, axes)
-    speed, time = np.abs(motion.spans.speed[motion.moving]), motion.spans.time[motion.moving]
-    way = float(speed[1:] @ np.minimum(np.diff(time), motion.spans.length))
-    return (1.0 - float(seen)) * SLOPE_SIGMA / math.sqrt(max(way / _SLOPE_LASTS, 1.0))
+    return (1.0 - float(seen)) * SLOPE_SIGMA / math.sqrt(_slopes(motion))
 
 
 def _axis_of_turns(motion: _Motion, axes):

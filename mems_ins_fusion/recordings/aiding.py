@@ -29,7 +29,9 @@ _UNITS = {'km/h': 3.6, 'mph': 2.23694, 'knots': 1.94384}  # per m/s
 _SAME_UNIT = 0.07
 _LONGEST_CHORD = 10.0  # s
 _SHORTEST_CHORD = 10.0  # in sigmas of a fix
-_SLOWEST = 1.0  # m/s, of a vehicle whose course means something
+_SLOWEST = 0.2  # m/s: robots drive at 0.4; what a receiver's noise asks for is mostly more
+_SHOWS_COURSE = 1.0  # m/s, of a vehicle whose course tells the heading well enough
+_TIGHTEST = 3.0  # m, radius of a path: in tighter ones a robot turns on the spot, and its antenna moves sideways
 _FEWEST = 12  # chords for a verdict
 _OVERSURE = 3.0  # times the stated sigma
 _ALIGNED = 0.9  # cosine
@@ -284,7 +286,7 @@ def _field_unit(size: float) -> str | None:
 def shows_course(fixes: Fixes | None) -> bool:
     """Whether `fixes`, valid ones in the order of their stamps, are of a vehicle whose course means something."""
     chords = _chords(fixes) if fixes is not None else None
-    return chords is not None and len(chords.begin) >= _FEWEST
+    return chords is not None and np.count_nonzero(chords.speed > _SHOWS_COURSE) >= _FEWEST
 
 
 def check_magnetometer(fields: MagneticFields, fixes: Fixes | None) -> Iterator[Finding]:
@@ -394,7 +396,16 @@ def _chords(fixes: Fixes) -> _Chords | None:
     chords = _Chords(fixes.stamp[first], fixes.stamp[last], velocity, climb,
                      np.hypot(sigma[first], sigma[last]) / duration)
     return chords.select((chords.speed > np.maximum(_SLOWEST, _SHORTEST_CHORD * chords.sigma / np.sqrt(2)))
-                         & (duration < 2 * length))
+                         & (chords.speed > _TIGHTEST * _turn_rate(chords)) & (duration < 2 * length))
+
+
+def _turn_rate(chords: _Chords) -> np.ndarray:
+    """(k,) rad/s, without sign: of the course, from the chord that ends where each begins to that which begins where
+    it ends. chords: all, in the order of their stamps."""
+    before = np.minimum(np.searchsorted(chords.end, chords.begin), np.arange(len(chords.begin)))
+    after = np.minimum(np.searchsorted(chords.begin, chords.end), len(chords.begin) - 1)
+    time = (chords.begin[after] - chords.begin[before]) * 1e-9
+    return np.abs(wrap(chords.course[after] - chords.course[before])) / np.maximum(time, 1e-9)
 
 
 def _check_ratio(topic, ratio):

@@ -26,6 +26,7 @@ from mems_ins_fusion.recordings.motion import (
     sigmas,
     up_axis,
     valid_fixes,
+    without_turns,
 )
 from mems_ins_fusion.recordings.units import RATE, Units, as_delivered, find_units
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, runs
@@ -74,7 +75,7 @@ def check_recording(recording: Recording, values: Mapping = MappingProxyType({})
     findings += [*_check_gravity(imu, still, expected, units, declared[0], values), *_check_rest(imu, still)]
     if good is not None:
         findings += [*_check_frozen(good, imu, still), *_check_jumps(good, values.get('gnss.robust_sigma', 0.0)),
-                     *_check_sigma(good, imu, still, values.get('gnss.sigma', 0.0),
+                     *_check_sigma(good, imu, without_turns(still, imu), values.get('gnss.sigma', 0.0),
                                    values.get('gnss.adapt_sigma', False)),
                      *_check_turns(units, declared[1])]
     return findings

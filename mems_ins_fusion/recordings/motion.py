@@ -16,10 +16,11 @@ from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
 __all__ = ['Steering', 'compare_steering', 'find_standstill', 'plausible', 'positions', 'robust_sigma',
-           'scatter_at_rest', 'scatter_of_track', 'sigmas', 'up_axis', 'valid_fixes']
+           'scatter_at_rest', 'scatter_of_track', 'sigmas', 'up_axis', 'valid_fixes', 'without_turns']
 
 QUIET = 0.03  # spread of the specific force at rest, as a part of gravity: a running engine stays below
 CREEP = 0.15  # m/s: what counts as rest
+TURNS = 0.03  # rad/s: more than a gyroscope's bias changes in a drive, less than a robot turns on the spot
 _SHORTEST_COURSE = 5.0  # in sigmas of a fix: below, a displacement has no direction
 _SLIP = 0.01  # rad: scatter of the course about the heading that no receiver is to blame for
 _LARGEST_LAG = 2.0  # s
@@ -75,6 +76,22 @@ def find_standstill(imu: ImuSamples, fixes: Fixes | None = None) -> np.ndarray:
     quiet &= np.append(quiet[1:], False) | np.append(False, quiet[:-1])
     still = np.zeros(len(imu), bool)
     still[:count * size] = np.repeat(quiet, size)
+    return still
+
+
+def without_turns(still: np.ndarray, imu: ImuSamples) -> np.ndarray:
+    """`still` (n,) without the seconds in which the gyroscopes of `imu` (SI units) turn: a robot that turns on the spot
+    may be quiet, and its antenna slower than CREEP."""
+    interval = np.median(np.diff(imu.stamp)) * 1e-9 if len(imu) > 1 else 0.0
+    size = max(round(1.0 / interval), 4) if interval > 0 else len(imu)
+    count = len(imu) // size if size else 0
+    if not count or not still.any():
+        return still
+    bias = np.median(imu.angular_rate[still], axis=0)
+    mean = imu.angular_rate[:count * size].reshape(count, size, 3).mean(axis=1)
+    turns = np.linalg.norm(mean - bias, axis=1) > TURNS
+    still = still.copy()
+    still[:count * size] &= ~np.repeat(turns, size)
     return still
 
 

@@ -198,17 +198,19 @@ def driven_off(imu: np.ndarray, positions: np.ndarray, standstill: Standstill,
     fixes = _since(positions[positions[:, 0] <= standstill.end + LONGEST_START], standstill)
     if not len(fixes) or fixes[0, 0] > standstill.end:
         return None
-    begin, found = fixes[0, 1:3], None
-    for time, north, east, sigma in fixes[1:]:
-        motion, interval = inertial_motion(imu, standstill.end, time, standstill, config), time - standstill.end
+    begin = fixes[0, 1:3]
+    for time, north, east, sigma in fixes[:0:-1]:
+        by_fixes, interval = math.hypot(north - begin[0], east - begin[1]), time - standstill.end
+        uncertain = sigma + 0.5 * KNOWN_FORCE_SIGMA * interval**2
+        if not by_fixes > 2.0 * uncertain:
+            continue  # the conditions below cannot both hold; spares the integral for each fix of one that creeps
+        motion = inertial_motion(imu, standstill.end, time, standstill, config)
         if motion is None or abs(motion.turn) > LARGEST_START_TURN:
             continue
-        by_fixes = math.hypot(north - begin[0], east - begin[1])
-        uncertain = sigma + 0.5 * motion.bias_f * interval**2
         by_imu = math.hypot(*motion.moved)
         if by_imu > 5.0 * uncertain and abs(by_imu - by_fixes) < 2.0 * uncertain + 0.2 * by_imu:
-            found = math.atan2(motion.moved[1], motion.moved[0]), math.hypot(*motion.gained)
-    return found
+            return math.atan2(motion.moved[1], motion.moved[0]), math.hypot(*motion.gained)
+    return None
 
 
 def _of_chord(imu, chord, time, now, noise, standstill, config, between=None) -> Course | None:
@@ -289,7 +291,7 @@ def _direction(imu, time, standstill, forwards, backwards, sigma, config) -> int
 
 def inertial_motion(imu, begin, end, standstill, config) -> _Motion | None:
     """Motion between two times by the samples (n, 7 or more: time, f, w in body axes); None where there are too few."""
-    part = imu[(imu[:, 0] > begin) & (imu[:, 0] <= end)]
+    part = imu[slice(*np.searchsorted(imu[:, 0], [begin, end], side='right'))]
     if len(part) < 3:
         return None
     force, rate = part[:, 1:3].copy(), part[:, 6].copy()

@@ -1,0 +1,168 @@
+"""Choosing which of several IMUs leads, and the samples to hand on to the filter, at the stamps of that one.
+
+It is the first in the order of preference that gives samples which can be believed. A sample that `imu_faults` finds
+fault with is not used while another IMU is there, and one that is silent is replaced by the next, whose samples since
+then are kept for that. Of those that agree with the leading one (`imu_comparison`) a part of the difference is added.
+"""
+from __future__ import annotations
+
+import numpy as np
+
+from mems_ins_fusion.compiled import njit
+
+from ..trust.imu_faults import FAULTS, Fault, check
+from .imu_comparison import certainty_of, compare
+from .imu_memory import ALONE, KEPT, LEADS, NOISY, compare_anew, keep, patience, say
+
+#: s that an IMU which has not agreed with the leading one waits for that: drivers start one after the other, and the
+#: filter bridges seconds without samples better than with an IMU that is mounted another way
+FIRST = 5.0
+#: m/s: a speed at which `imu_faults` finds an axis that stays as it is: beside another IMU it may do so at rest, too
+_MOVING = 2.0
+#: a sample that is no number
+NOT_FINITE = Fault.SIZE
+REASONS = (*FAULTS, 'not a number')
+
+
+@njit
+def _take(book, i, stamp, value, out_stamps, out):
+    """Sample `value` (6,) of IMU i, stamped `stamp` ns; how many samples to hand on are in out_stamps and out."""
+    leads, first, step = book.leader[0] == i, book.newest[i] == -1, stamp - book.newest[i]
+    if not first and not 0 < step <= book.restart_gap:  # a jump of the stamps, which the filter's intake handles
+        if abs(step) > book.max_gap:
+            book.newest[i], book.kept[i], book.compared[i] = stamp, 0, 0
+            compare_anew(book, i, 0.0)
+            book.last[0] = stamp if leads else book.last[0]
+        return _hand_on(book, i, stamp, value, 0, out_stamps, out) if leads else 0
+    if book.epoch[0] == -1:
+        book.epoch[0] = stamp
+    dt = 0.0 if first else step * 1e-9
+    book.newest[i] = stamp
+    if not first and step > book.max_gap:  # it may have been switched off and on
+        compare_anew(book, i, 0.0)
+    book.fault[i] = _judge(book, i, stamp, value, dt)
+    if book.fault[i] == Fault.NONE:
+        keep(book, i, stamp, value, dt)
+    if leads:
+        return _led(book, i, stamp, value, out_stamps, out)
+    return _followed(book, i, stamp, out_stamps, out) if book.fault[i] == Fault.NONE else 0
+
+
+@njit
+def _judge(book, i, stamp, value, dt):
+    """What is wrong with a sample, a `Fault` or NOT_FINITE."""
+    if not np.isfinite(value.sum()):
+        return NOT_FINITE
+    book.sample[0, 0] = (stamp - book.epoch[0]) * 1e-9
+    book.sample[0, 1:] = value
+    return check(book.heads[i], book.sample, 0, dt, _MOVING, False)
+
+
+@njit
+def _may_lead(book, j):
+    """Whether nothing speaks against IMU j beside the leading one, or it has agreed with it before."""
+    return book.known[j] and (book.usual[j, 0] > 0.0 or book.differs[j] == 0)
+
+
+@njit
+def _led(book, i, stamp, value, out_stamps, out):
+    """A sample of the leading IMU; how many there are to hand on."""
+    if book.fault[i] != Fault.NONE:  # the filter bridges what it does not believe; another IMU is better
+        for j in range(len(book.known)):
+            if j != i and _may_lead(book, j) and book.fault[j] == Fault.NONE and (
+                    stamp - book.newest[j]) * 1e-9 <= patience(book, j) + patience(book, i):
+                return 0
+    else:
+        for j in range(len(book.known)):
+            if j != i:
+                book.mark[j] = book.newest[j]
+                compare(book, j, i)
+    book.last[0] = stamp
+    _hand_on(book, i, stamp, value, 0, out_stamps, out)
+    if book.fault[i] == Fault.NONE:
+        _add_others(book, i, stamp, out)
+    return 1
+
+
+@njit
+def _hand_on(book, i, stamp, value, row, out_stamps, out):
+    """Sample `value` of IMU i as row number `row` of out, with the biases of the first IMU; how many rows there are."""
+    out_stamps[row] = stamp
+    out[row] = value - book.offset[i]
+    return row + 1
+
+
+@njit
+def _add_others(book, i, stamp, out):
+    """The mean difference of those that agree with the leading IMU i, weighed by their noise, in row 0 of out."""
+    used, certainty = 1, certainty_of(book, i)
+    for j in range(len(book.known)):
+        if j != i and _is_used(book, j, stamp):
+            used, certainty = used + 1, certainty + certainty_of(book, j)
+    for j in range(len(book.known)):
+        if j != i and book.held_count[j] > 0.0 and _is_used(book, j, stamp):
+            # one that filters before it samples shows less noise than it has
+            weight = np.minimum(certainty_of(book, j) / certainty, 1.0 / used) / book.held_count[j]
+            out[0, :3] += weight[0] * book.held[j, :3]
+            out[0, 3:] += weight[1] * book.held[j, 3:]
+        book.held[j], book.held_count[j] = 0.0, 0.0
+
+
+@njit
+def _is_used(book, j, stamp):
+    """Whether IMU j is averaged with the leading one: it agrees, and is there."""
+    at = book.compared_at[j]
+    return book.averaged[j] and at != -1 and (stamp - at) * 1e-9 <= patience(book, j)
+
+
+@njit
+def _followed(book, i, stamp, out_stamps, out):
+    """A sample of another IMU than the leading one, believed: it may have to lead from now on."""
+    leader, last = book.leader[0], book.last[0]
+    if book.mark[i] == -1:
+        book.mark[i] = stamp
+    compare(book, i, leader)
+    silent, allowed = (stamp - book.mark[i]) * 1e-9, FIRST
+    if book.kept[leader] > 0:  # what comes in a burst has waited itself
+        silent = min(silent, (stamp - book.stamps[leader, (book.kept[leader] - 1) % KEPT]) * 1e-9)
+        allowed = patience(book, leader) if _may_lead(book, i) else FIRST
+    if last != -1 and not 0 < stamp - last <= book.restart_gap:
+        return 0
+    if silent > allowed:
+        say(book, ALONE, i, silent, book.fault[leader], 0.0)
+        agrees = False
+    elif book.returns[i]:
+        say(book, LEADS if i < leader else NOISY, i, 0.0, 0.0, 0.0)
+        agrees = book.averaged[i]
+    else:
+        return 0
+    book.leader[0], book.known[i], book.known[leader] = i, True, book.newest[leader] != -1
+    book.usual[leader] = book.usual[i]
+    book.averaged[leader], book.averaged[i], book.differs[i] = agrees, False, 0
+    for j in range(len(book.known)):
+        agrees, book.mark[j], book.compared[j] = book.averaged[j], book.newest[j], book.kept[j]
+        compare_anew(book, j, 0.0)
+        book.averaged[j] = agrees
+    count = 0
+    for c in range(max(book.kept[i] - KEPT, 0), book.kept[i]):
+        if book.stamps[i, c % KEPT] > last:
+            count = _hand_on(book, i, book.stamps[i, c % KEPT], book.values[i, c % KEPT], count, out_stamps, out)
+    book.last[0] = stamp
+    return count
+
+
+@njit
+def take_all(book, source, stamp, values, first, out_stamps, out, origin, faults, done):
+    """Messages from number `first` on, of which source (n,) sent stamp (n,) and values (n, 6), till something is to be
+    said; the number of the next message, and of the rows of out_stamps, out and origin (the message they came of) that
+    are filled. faults (sources, reasons): counted. done: rows filled before."""
+    room = len(out)
+    for m in range(first, len(source)):
+        count = _take(book, source[m], stamp[m], values[m], out_stamps[done:room], out[done:room])
+        for row in range(done, done + count):
+            origin[row] = m
+        done += count
+        faults[source[m], book.fault[source[m]]] += 1
+        if book.said_count[0] > 0:
+            return m + 1, done
+    return len(source), done

@@ -1,0 +1,98 @@
+"""A slow robot with two receivers, odometry of its wheels and a pressure sensor is set up from a bag alone."""
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mems_ins_fusion.cli.simulate import main as simulate
+from mems_ins_fusion.configuration.baseline import estimate_baseline
+from mems_ins_fusion.configuration.configure import configure
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.parameters.params_file import load_yaml
+from mems_ins_fusion.recordings.motion import find_standstill, scatter_at_rest, without_turns
+from mems_ins_fusion.recordings.reading import read_recording
+from mems_ins_fusion.simulation import manoeuvres
+
+REAR = -0.9  # m, from the first antenna to the second
+ROBOT = """/**:
+  ros__parameters:
+    gnss_topic: /front/fix
+    gnss.lever_arm: [0.4, 0.0, 0.5]
+    twist_topic: /wheel/odometry
+    pressure_topic: /baro
+    inputs: [rear]
+    rear.type: fix
+    rear.topic: /rear/fix
+    rear.lever_arm: [-0.5, 0.0, 0.5]
+"""
+
+
+def driven(folder, speed, seed, *options):
+    """A bag of a robot that drives at `speed` m/s and turns on the spot, with receivers of 2 cm."""
+    (folder / 'robot.yaml').write_text(ROBOT)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(manoeuvres, 'ROBOT_SPEED', speed)
+        assert not simulate(['--output', str(folder / 'bag'), '--duration', '600', '--seed', str(seed), '--drive',
+                             'realistic', '--manoeuvres', 'slow', '--gnss-rate', '5', '--gnss-sigma', '0.02',
+                             '--params-file', str(folder / 'robot.yaml'), *options])
+    return folder / 'bag'
+
+
+@pytest.fixture(scope='module')
+def slow(tmp_path_factory):
+    """A robot of 0.4 m/s, its IMU near the axle; yaw of the mounting: 4.7 deg."""
+    return driven(tmp_path_factory.mktemp('slow'), 0.4, 21, '--axle-to-imu', '0.1', '0', '0.2')
+
+
+@pytest.fixture(scope='module')
+def found(slow):
+    return configure([slow]).values
+
+
+def test_all_that_it_has_is_found_at_0_4_m_per_s(found):
+    # then each input is there, and the odometry rather than the speed of the same wheels
+    assert found['gnss_topic'] == '/front/fix' and found['twist_topic'] == '/wheel/odometry'
+    assert found['pressure_topic'] == '/baro' and found['inputs'] == ['rear_fix'] and 'speed_topic' not in found
+    # and the second antenna is where it is
+    off = np.array(found['rear_fix.lever_arm']) - found['gnss.lever_arm'] - [REAR, 0.0, 0.0]
+    assert np.abs(off[:2]).max() < 0.05
+    # and what is right as it is gets no factor, no turn and no other sigma
+    assert not {'speed.factor', 'twist.factor', 'heading.offset', 'rear_fix.sigma'} & found.keys()
+    assert table.check(found)
+
+
+def test_the_yaw_of_its_mounting_is_as_sure_as_it_says(slow):
+    mounting = configure([slow]).mounting
+    assert mounting.yaw_known and np.degrees(mounting.sigma[2]) < 8.0
+    assert abs(mounting.rpy[2] - 0.0819) < 2.0 * mounting.sigma[2]
+
+
+def test_wheels_of_a_robot_whose_antenna_moves_sideways_in_turns_keep_their_scale(tmp_path):
+    # given a robot of 0.8 m/s whose antenna is 1.6 m in front of the axle: above 1 m/s it moves in turns alone
+    found = configure([driven(tmp_path, 0.8, 13, '--aiding')]).values
+    assert not {'speed.factor', 'twist.factor', 'velocity.factor'} & found.keys()
+    assert abs(found.get('heading.offset', 0.0)) < np.radians(5.0)
+
+
+def test_turning_on_the_spot_is_no_rest(slow):
+    # given the fixes of the first receiver, 2 cm; when their scatter is taken where nothing but the robot turns
+    values = table.check(load_yaml(slow.parent / 'robot.yaml'))
+    recording = read_recording(slow, values['imu_topic'], values['gnss_topic'])
+    still = find_standstill(recording.imu, recording.gnss)
+    assert scatter_at_rest(recording.gnss, recording.imu, still) > 0.1
+    # then it is that of the receiver without the turns
+    assert scatter_at_rest(recording.gnss, recording.imu, without_turns(still, recording.imu)) < 0.03
+
+
+def test_two_antennas_at_walking_speed_and_below_show_their_distance(slow):
+    values = table.check(load_yaml(slow.parent / 'robot.yaml'))
+    first, second = (read_recording(slow, values['imu_topic'], topic).gnss for topic in ('/front/fix', '/rear/fix'))
+    seen = estimate_baseline(first, second)
+    assert abs(seen.arm[0] - REAR) < 4.0 * seen.arm_sigma[0] + 0.03 and abs(seen.late) < 4.0 * seen.late_sigma
+
+
+def test_the_tool_simulates_what_the_params_file_names(slow):
+    # then the second receiver has the rate of the first one, and what has a topic is there without --aiding
+    assert len(read_recording(slow, '/imu/data', '/rear/fix').gnss) == 3000
+    recording = read_recording(slow, '/imu/data', '/front/fix', twist_topic='/wheel/odometry', pressure_topic='/baro')
+    assert len(recording.others['twist']) > 5900 and len(recording.others['pressure']) > 5900
