@@ -14,6 +14,7 @@ from functools import cache
 
 import numpy as np
 
+from ..configuration.vehicle import standstills_show
 from ..errors import InputError
 from ..evaluation.comparison import aiding_of, samples_to_keep, thin
 from ..filter.config import FilterConfig
@@ -117,7 +118,7 @@ class Problem:
                  others: Sequence[dict] = ()):
         self.reference_clock = GNSS if recording.reference is None else IMU
         self.given = {**values, 'gnss.time_offset_sigma': 0.0}
-        self.values = looked_through(values)
+        self.values = looked_through(values, recording)
         given = FilterConfig.from_parameters(self.given)
         keep = samples_to_keep(recording.imu, recording.imu.stamp[:_ALIGNING])
         first = run(given, recording.imu, recording.gnss, aiding_of(recording), keep=keep)
@@ -277,11 +278,14 @@ class Problem:
         return on_all_cores(one, points)
 
 
-def looked_through(values: dict) -> dict:
-    """`values` for the filter that a diagnosis looks through: each fix believed as stated, nothing that adapts."""
+def looked_through(values: dict, recording: Recording) -> dict:
+    """`values` for the filter that a diagnosis looks through: each fix believed as stated, nothing that adapts, and no
+    standstills where `recording` cannot tell these from motion: each that is none is a step in the innovations."""
+    shown = standstills_show(recording.imu, recording.gnss) if values['vehicle.zero_velocity'] else None
     return {**values, 'gnss.sigma': 0.0, 'gnss.adapt_sigma': False, 'gnss.gate_probability': 1.0,
             'gnss.robust_sigma': 0.0, 'gnss.time_offset_sigma': 0.0, 'vehicle.learn_drift': False,
-            'imu.adapt_noise': False}
+            'imu.adapt_noise': False, 'vehicle.zero_velocity': values['vehicle.zero_velocity'] and (
+                shown is None or shown[0])}
 
 
 def averaged(imu: ImuSamples, rate: float) -> ImuSamples:

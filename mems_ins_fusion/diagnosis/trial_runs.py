@@ -114,6 +114,14 @@ class TrialRuns:
         value, sigma = weighted(*np.array([steering.turned for steering in found]).T)
         return Estimate(float(value) - 1.0, float(sigma), '-')
 
+    @property
+    def without_standstills(self) -> dict[str, bool]:
+        """The parameter that leaves standstills out, where the parameters as given use them and a drive cannot tell them
+        from motion; else none."""
+        name = 'vehicle.zero_velocity'
+        used = self.origin.given[name] and not all(problem.values[name] for problem in self.origin.each)
+        return {name: False} if used else {}
+
     def enough(self, share: float = 1.0) -> bool:
         """Whether this share of the work of a search is done."""
         return self.done > share
@@ -135,9 +143,10 @@ class TrialRuns:
 
         full: with all IMU samples, by the protocol that is reported; else for decisions. These look at the covariance
         as the model has it: scaled by what innovations show, it would hold the truth whatever the model lacks; and the
-        samples are means, between which a motion is not smooth enough to tell noise from it.
+        samples are means, between which a motion is not smooth enough to tell noise from it. Standstills that cannot be
+        told from motion keep positions near whatever is right or wrong else.
         """
-        decides = {} if full else {'gnss.adapt_covariance': False, 'imu.adapt_noise': False}
+        decides = {} if full else {'gnss.adapt_covariance': False, 'imu.adapt_noise': False, **self.without_standstills}
         models = [{**values, 'gnss.time_offset_sigma': self.offset_sigma, **decides} for values in models]
         asked = repr((full, [sorted(values.items()) for values in models]))
         if asked not in self.measured:
