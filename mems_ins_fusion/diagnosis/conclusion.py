@@ -39,10 +39,11 @@ NO_PROOF = 'no smaller error is proven with it'
 #: s; a receiver smooths over no longer
 LONGEST_SMOOTHING = 10.0
 #: what is told of settings that are tried without, where positions are predicted better so
-_SWITCHED = {'imu.adapt_noise': 'What the IMU scatters from one sample to the next is no noise that adds up: positions '
-                                'are predicted better with imu.adapt_noise: false.',
-             'vehicle.zero_velocity': 'Standstills cannot be told from motion in this recording: positions are predicted '
-                                      'better with vehicle.zero_velocity: false.'}
+_SWITCHED = {
+    'imu.adapt_noise': 'What the IMU scatters from one sample to the next is no noise that adds up: positions are '
+                       'predicted better with imu.adapt_noise: false.',
+    'vehicle.zero_velocity': 'Standstills cannot be told from motion in this recording: positions are predicted better '
+                             'with vehicle.zero_velocity: false.'}
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,8 @@ def concluded(known: Known, first: Known, trials: TrialRuns) -> Diagnosis:
         verdict=verdict, before=before, fitted=noise_only, after=after, comparison=comparison,
         rest=[rest for found in rests for rest in found],
         remarks=[said for said in remarks[0] if all(said in other for other in remarks)]
-        + _noise_remarks(explained | correction.factors) + [_SWITCHED[name] for name in _switched(given, correction.values)])
+        + _noise_remarks(explained | correction.factors)
+        + [_SWITCHED[name] for name in _switched(given, correction.values)])
     if len(drives) < 2:
         return whole
     return replace(whole, drives=[_in_drive(whole, k, rests[k], remarks[k]) for k in range(len(drives))])

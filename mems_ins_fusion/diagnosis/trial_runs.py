@@ -116,8 +116,8 @@ class TrialRuns:
 
     @property
     def without_standstills(self) -> dict[str, bool]:
-        """The parameter that leaves standstills out, where the parameters as given use them and a drive cannot tell them
-        from motion; else none."""
+        """The parameter that leaves standstills out, where the parameters as given use them and a drive cannot tell
+        them from motion; else none."""
         name = 'vehicle.zero_velocity'
         used = self.origin.given[name] and not all(problem.values[name] for problem in self.origin.each)
         return {name: False} if used else {}
