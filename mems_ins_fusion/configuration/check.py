@@ -22,11 +22,17 @@ from mems_ins_fusion.recordings.checker import ERROR, INFO, WARNING, Finding, ch
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
 SURE = 4.0  # sigmas
-SMALL_YAW, SMALL_TILT = math.radians(3.0), math.radians(5.0)  # less is for the filter to find
+#: rad; a yaw of the mounting that is off by less is for the filter to find
+SMALL_YAW = math.radians(3.0)
+#: rad; and roll and pitch
+SMALL_TILT = math.radians(5.0)
 LARGE = math.radians(30.0)  # a mounting that is off by more is an error
 _BACKWARDS = math.radians(150.0)
 FASTEST_IN_REVERSE = 8.0  # m/s: a vehicle that goes faster than this goes forwards
-SMALL_OFFSET, SMALL_ARM = 0.05, 0.3  # s, m
+#: s; a time offset that is off by less is not warned of
+SMALL_OFFSET = 0.05
+#: m; and a part of the antenna's arm
+SMALL_ARM = 0.3
 VAGUE_ARM = 0.3  # m: an arm with a larger sigma says nothing
 YAW_NOT_SHOWN = 'whether the yaw of imu.mounting_rpy is right does not show'
 

@@ -32,9 +32,12 @@ from .residuals import Residual, lasting
 SETTLING = 20.0
 #: s between the fixes used; what comes more often is withheld and serves as the truth
 UPDATE_INTERVAL = 1.0
-#: the many runs of a diagnosis take IMU samples at no more than this rate, Hz, in a long recording at a lower one, but
-#: not below the other; errors are measured at the full rate
-FASTEST_RATE, SLOWEST_RATE, MANY_SAMPLES = 12.5, 5.0, 20_000
+#: Hz; rate of the averaged IMU samples in the many runs of a diagnosis, at most; errors are measured at the full rate
+FASTEST_RATE = 12.5
+#: Hz; and at least, in a long recording
+SLOWEST_RATE = 5.0
+#: averaged samples that a recording is brought down to within these rates: a run of more takes too long
+MANY_SAMPLES = 20_000
 #: samples among which the start is looked for to the sample, later only to a tenth of a second
 _ALIGNING = 100_000
 #: what is added to each fix, m: a diagnosis looks for metres, and no model of a car is right to a centimetre
@@ -45,8 +48,12 @@ MOST_OUTLIERS = 0.2
 BESIDE = ('height', 'sideways', 'upwards', 'north at rest', 'east at rest', 'down at rest')
 #: constraints since the last fix that make a mean
 FEWEST_SAID = 3
-#: length of a block over which scores may go together, s; longer ones count where there are so many
-BLOCK, LONG_BLOCK, FEWEST_BLOCKS = 20.0, 60.0, 10
+#: s; length of a block over which scores of neighbouring fixes may go together
+BLOCK = 20.0
+#: s; length of longer blocks, which count, too, as a receiver's errors last for minutes
+LONG_BLOCK = 60.0
+#: long blocks in a recording, at least: fewer show no scatter
+FEWEST_BLOCKS = 10
 
 
 class DiagnosisError(InputError):

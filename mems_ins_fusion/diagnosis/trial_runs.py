@@ -31,8 +31,16 @@ ENOUGH = 9_000_000
 FEW_OUTAGES = 40
 #: s between two of them at least
 CLOSEST_OUTAGES = 10.0
-#: the parts of the work, by the time they usually take: where they begin, and how many choices there are among levels
-SEARCHING, CHOOSING, MEASURING, LOOKING, USUAL_CHOICES = 0.05, 0.72, 0.88, 0.95, 15
+#: share of the usual time after which the search begins
+SEARCHING = 0.05
+#: the same of the choice of noise levels
+CHOOSING = 0.72
+#: the same of measuring errors
+MEASURING = 0.88
+#: the same of looking at what is left
+LOOKING = 0.95
+#: filters that are tried in the choice of noise levels, usually
+USUAL_CHOICES = 15
 
 Progress = Callable[[float, str], None]
 

@@ -114,6 +114,8 @@ def shorten(text: str, ending: str = '') -> str:
 
 def typed(command: str) -> list[str]:
     """`command` in lines of WIDTH, which can be typed or copied as they are: it is never cut."""
+    if len(command) <= WIDTH:
+        return [command]
     lines = textwrap.wrap(command, WIDTH - 2, subsequent_indent='    ', break_long_words=False, break_on_hyphens=False)
     return [*(f'{line} \\' for line in lines[:-1]), *lines[-1:]]
 
