@@ -184,9 +184,11 @@ def ended(folder: Path, file: Path, seen: float, sigma: float | None) -> Way:
     told = [(e['parameters']['time_offset'], e['added']) for e in content.get('effects', [])
             if e['name'] == 'gnss_time_offset' and 'time_offset' in e['parameters']]
     told = [(value, is_set) for value, is_set in told if value['value'] is not None and value['sigma'] is not None]
-    rows = {row['what']: (row['before'], row['after']) for row in content.get('comparison', []) if row.get('before')}
-    errors = {duration: both for duration in WAY_DURATIONS for what, both in rows.items()
-              if what.startswith(f'outages of {duration:g} s')}
+    # of corrected.yaml: the comparison is with what was tried, which may not be set
+    means = [{o['duration_s']: o['max_error_mean_m'] for o in content.get(when, {}).get('outages', []) if o['count']}
+             for when in ('before', 'after')]
+    errors = {duration: tuple(mean[duration] for mean in means) for duration in WAY_DURATIONS
+              if all(duration in mean for mean in means)}
     offset, is_set = (values['gnss.time_offset'] if sigma is None else seen, sigma), sigma is None or bool(given)
     if told:
         value, is_set = told[0]

@@ -20,7 +20,7 @@ from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting,
 from mems_ins_fusion.configuration.noise import find_noise
 from mems_ins_fusion.configuration.offset import estimate_offset
 from mems_ins_fusion.configuration.topics import Candidate, Topics
-from mems_ins_fusion.configuration.vehicle import assess_vehicle
+from mems_ins_fusion.configuration.vehicle import assess_vehicle, standstills_show
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.verdict import unsettled
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
@@ -385,8 +385,8 @@ def test_the_file_loads_and_says_what_is_there(bag, tmp_path, capsys):
             assert lines[i - 1].startswith('    # '), line
     page = output.with_suffix('.html').read_text()
     assert 'rather than /reference/fix' in page and '<img' in page
-    # what to type next is said, on the console, in five lines, and at the top of the page
-    said = capsys.readouterr().out
+    # what to type next is said, on the console, in five lines (a long command is wrapped), and at the top of the page
+    said = re.sub(r' \\\n +', ' ', capsys.readouterr().out)
     assert len(said.splitlines()) <= 5 and all(len(line) <= 100 for line in said.splitlines() if "/" not in line)
     assert 'found: IMU in g and deg/s, roll ' in said
     for text in (said, re.sub('<.*?>', '', page)):
@@ -544,3 +544,25 @@ def test_standstills_are_used_unless_much_of_the_motion_is_as_quiet_as_rest(quie
     settings = {setting.name: setting.value for setting in vehicle_settings([SimpleNamespace(vehicle=vehicle)])}
     assert settings['vehicle.zero_velocity'] is told
     assert ('vehicle.still_rate' in settings) is told
+
+
+def even_drive(speed):
+    """A minute at rest, then two straight on at `speed`, m/s, on ground so even that the IMU shows nothing of it."""
+    drive = follow(Path((Segment(60.0), Segment(4.0, speed), Segment(120.0 + MARGIN)), course=0.7), 180.0, 50.0)
+    return simulate_recording(drive, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'),
+                              GnssNoise(0.3, 1.0), seed=4).recording
+
+
+@pytest.mark.parametrize(('speed', 'told'), [(1.0, False), (15.0, True)])
+def test_quiet_motion_is_taken_for_a_standstill_only_where_it_is_slow(speed, told):
+    # given motion as quiet as rest: slow, or so fast that the filter's own velocity denies a standstill
+    made = even_drive(speed)
+    # then whoever reads the recording says so where it is slow
+    assert standstills_show(made.imu, made.gnss)[0] is told
+    said = [f for f in check_setup(made, table.check({})) if f.settings == ('vehicle.zero_velocity',)]
+    assert len(said) == (not told)
+    # and nothing where standstills are not used, or there is none
+    assert not [f for f in check_setup(made, table.check({'vehicle.zero_velocity': False}))
+                if f.settings == ('vehicle.zero_velocity',)]
+    moving = made.imu.select(made.imu.stamp > made.imu.stamp[0] + 70_000_000_000)
+    assert standstills_show(moving, made.gnss) is None

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from mems_ins_fusion.diagnosis.clock import lateness, lateness_against, whose
+from mems_ins_fusion.diagnosis.drives import Drives
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.held_out import held_out
 from mems_ins_fusion.diagnosis.judgement import compared, harm
 from mems_ins_fusion.diagnosis.learned_mounting import angles
 from mems_ins_fusion.diagnosis.measured import fairly, measure
 from mems_ins_fusion.diagnosis.problem import FLOOR, Problem, believed, looked_through, stated
+from mems_ins_fusion.diagnosis.trial_runs import TrialRuns
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.comparison import compare, truth_of
 from mems_ins_fusion.filter.config import FilterConfig
@@ -150,7 +152,7 @@ def test_a_mounting_that_is_no_state_is_not_learned():
 
 def test_the_search_looks_through_a_filter_that_adapts_to_nothing(late):
     values = table.check({'gnss.sigma': 0.7, 'gnss.time_offset_sigma': 0.3})
-    config = FilterConfig.from_parameters(looked_through(values))
+    config = FilterConfig.from_parameters(looked_through(values, late))
     assert config.gnss.gate == config.parameters['gnss.robust_sigma'] == 0 and not config.parameters['gnss.adapt_sigma']
     assert 'time_offset' not in config.layout.names
     # each fix is believed as the filter of the user would, and FLOOR
@@ -161,6 +163,23 @@ def test_the_search_looks_through_a_filter_that_adapts_to_nothing(late):
     assert np.allclose(told[:, :2, :2], late.gnss.covariance[:, :2, :2])
     silent = replace(late.gnss, covariance_type=np.zeros(len(late.gnss), dtype=np.uint8))
     assert np.allclose(stated(silent, table.check({}))[:, 0, 0], 9.0)
+
+
+@pytest.mark.parametrize('told', [True, False])
+def test_the_search_uses_standstills_only_where_they_can_be_told_from_motion(late, monkeypatch, told):
+    # given a drive that shows standstills, or motion that is as quiet
+    monkeypatch.setattr('mems_ins_fusion.diagnosis.problem.standstills_show', lambda *recorded: (told, 0.1))
+    asked = []
+    monkeypatch.setattr(TrialRuns, '_measured', lambda trials, models, full: asked.append(models))
+    given = table.check({})
+    trials = TrialRuns((late,), Drives([Problem(late, given)]), (), (10.0,), 30.0, lambda *said: None, 0.0)
+    # when filters are tried for a decision, and for the report
+    trials.errors([given])
+    trials.errors([given], full=True)
+    # then decisions stand on them only where they show; the report is of the filter as given
+    assert trials.origin.each[0].values['vehicle.zero_velocity'] is told
+    assert [models[0]['vehicle.zero_velocity'] for models in asked] == [told, True]
+    assert trials.without_standstills == ({} if told else {'vehicle.zero_velocity': False})
 
 
 def test_a_fix_that_is_far_off_is_set_aside(late):

@@ -11,10 +11,10 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from mems_ins_fusion.characterization.autocorrelation import ljung_box
-from mems_ins_fusion.diagnosis.conclusion import Correction, _as_measured, _chosen, _scatter_remarks
+from mems_ins_fusion.diagnosis.conclusion import Correction, _as_measured, _chosen, _switched
 from mems_ins_fusion.diagnosis.detection import detect
 from mems_ins_fusion.diagnosis.estimate import Estimate, widened
-from mems_ins_fusion.diagnosis.fit import Scores, _scores
+from mems_ins_fusion.diagnosis.fit import Scores, _scores, fit
 from mems_ins_fusion.diagnosis.folds import parts
 from mems_ins_fusion.diagnosis.held_out import HeldOut
 from mems_ins_fusion.diagnosis.judgement import compared, harm, objection, unproven
@@ -456,20 +456,24 @@ def test_a_level_that_makes_no_difference_stays_as_configured():
     assert set(found.factors.values()) == {1.0}
 
 
+@pytest.mark.parametrize('switch', ['imu.adapt_noise', 'vehicle.zero_velocity'])
 @pytest.mark.parametrize('without, first', [(-1.5, False), (-2.95, True), (-4.0, True)])
-def test_noise_from_scatter_is_given_up_only_where_that_predicts_better(without, first):
-    # given what was configured, an effect that predicts better, and how well it does so without noise from the samples
-    given = table.check({})
+def test_a_setting_is_switched_off_only_where_that_predicts_better(without, first, switch):
+    # given what was configured, an effect that predicts better, and how well it does so without noise from the samples,
+    # or without standstills that cannot be told from motion
+    given = table.check({'imu.adapt_noise': switch == 'imu.adapt_noise'})
     correction = Correction({**given, 'gnss.time_offset': 0.3}, [{**given, 'gnss.time_offset': 0.3}], {}, True)
 
     def errors(models, full):
-        merit = -5.0 if models[0]['gnss.time_offset'] == 0.0 else -3.0 if models[0]['imu.adapt_noise'] else without
+        merit = -5.0 if models[0]['gnss.time_offset'] == 0.0 else -3.0 if models[0][switch] else without
         return measured_with(lambda stamp: 0.0 * stamp + merit)
-    found = _as_measured([correction, Correction(given, [given], {}, False)], SimpleNamespace(errors=errors))
+    off = {switch: False} if switch == 'vehicle.zero_velocity' else {}
+    found = _as_measured([correction, Correction(given, [given], {}, False)],
+                         SimpleNamespace(errors=errors, without_standstills=off))
     # then what predicts best stands first, if it is better by more than chance, and what was given last
-    assert found[0][0].values['gnss.time_offset'] == 0.3 and found[0][0].values['imu.adapt_noise'] == first
+    assert found[0][0].values['gnss.time_offset'] == 0.3 and found[0][0].values[switch] == first
     assert found[-1][0].values == given
-    assert bool(_scatter_remarks(given, found[0][0].values)) != first
+    assert _switched(given, found[0][0].values) == ([] if first else [switch])
 
 
 @pytest.mark.parametrize('answers, chosen', [
@@ -578,3 +582,27 @@ def test_the_parts_held_out_share_the_fixes_out_in_blocks():
     changes = np.flatnonzero(np.diff(whose)) + 1
     assert np.array_equal(changes, np.ceil(np.arange(1, 8) * 579 / 8))
     assert whose[[0, *changes]].tolist() == [0, 1, 2, 3, 0, 1, 2, 3]
+
+
+class Jumping:
+    """Innovations in proportion to x up to `at`, and metres more of it from there: another decision of the filter."""
+
+    def __init__(self, at: float, fixes: int = 200):
+        self.at, self.mask, self.stamp = at, np.ones(fixes, dtype=bool), np.arange(fixes) * 1_000_000_000
+        self.noise = np.random.default_rng(3).standard_normal((fixes, 2))
+
+    def residuals(self, unknowns, points):
+        def one(x):
+            z = self.noise + (x - 0.2) + 50.0 * (x > self.at)
+            return Residual(z, np.tile([1.0, 0.0, 1.0], (len(z), 1)), np.zeros(len(z)), np.zeros_like(z))
+        return [one(x) for [x] in points]
+
+
+@pytest.mark.parametrize('at', [0.101, 0.125, 9.0])
+def test_a_jump_of_the_innovations_is_no_slope(at):
+    # given innovations of slope 1, and a decision of the filter that turns near where the fit begins, or nowhere near
+    unknown = Unknown('effect.size', lambda values, recording, x: (values, recording), 0.0, 0.05, 10.0)
+    model = fit(Jumping(at), [unknown], [0.1])
+    # then the fit goes as far as it may, and is as sure as 200 fixes of a metre in two directions are
+    assert model.x[0] == pytest.approx(min(at, 0.2), abs=0.1) and model.x[0] < at
+    assert model.sigma()[0] == pytest.approx(1.0 / np.sqrt(400.0), rel=0.3)

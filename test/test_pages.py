@@ -5,6 +5,7 @@ import base64
 import io
 import json
 import re
+import shlex
 import shutil
 import time as clock
 from types import SimpleNamespace
@@ -26,7 +27,7 @@ from mems_ins_fusion.recordings.checker import Finding
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.reports import html, replay_answer, report
-from mems_ins_fusion.reports.answer import shorten
+from mems_ins_fusion.reports.answer import WIDTH, shorten, typed
 from mems_ins_fusion.reports.report import _notices
 from mems_ins_fusion.reports.series import _heading
 from mems_ins_fusion.reports.side_by_side import Result, Series, judged, read_result, rows_of
@@ -282,6 +283,17 @@ def test_without_a_place_no_base_map_is_offered(browser, tmp_path):
 ])
 def test_a_line_is_cut_where_a_person_would(text, ending, line):
     assert shorten(text, ending) == line and len(line) <= 100
+
+
+def test_a_long_command_is_wrapped_so_that_a_shell_takes_it():
+    # given a command that fits, and one of 170 characters with a path that has hyphens
+    folder = 'folder-of-mine/' * 4
+    command = f'python -m mems_ins_fusion compare {folder}my_car.yaml {folder}corrected.yaml'
+    assert typed('next: ' + command[:60]) == ['next: ' + command[:60]]
+    # then no line is longer than a console shows, and a shell reads what was meant
+    lines = typed('next: ' + command)
+    assert len(lines) == 3 and max(map(len, lines)) <= WIDTH
+    assert shlex.split('\n'.join(lines).replace('\\\n', '')) == shlex.split('next: ' + command)
 
 
 def test_a_notice_of_several_runs_is_said_once():

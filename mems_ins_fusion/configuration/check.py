@@ -11,6 +11,7 @@ import numpy as np
 from mems_ins_fusion.configuration.inputs import WHEELED, wheel_clock
 from mems_ins_fusion.configuration.mounting import Mounting, estimate_mounting
 from mems_ins_fusion.configuration.remaining import ARM, TIME_OFFSET, Remaining, remaining_of
+from mems_ins_fusion.configuration.vehicle import standstills_show
 from mems_ins_fusion.filter.measurements.registry import MEASUREMENTS, aiding
 from mems_ins_fusion.filter.runs.usable import usable_fixes, usable_samples
 from mems_ins_fusion.navigation.earth import gravity
@@ -21,11 +22,17 @@ from mems_ins_fusion.recordings.checker import ERROR, INFO, WARNING, Finding, ch
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
 SURE = 4.0  # sigmas
-SMALL_YAW, SMALL_TILT = math.radians(3.0), math.radians(5.0)  # less is for the filter to find
+#: rad; a yaw of the mounting that is off by less is for the filter to find
+SMALL_YAW = math.radians(3.0)
+#: rad; and roll and pitch
+SMALL_TILT = math.radians(5.0)
 LARGE = math.radians(30.0)  # a mounting that is off by more is an error
 _BACKWARDS = math.radians(150.0)
 FASTEST_IN_REVERSE = 8.0  # m/s: a vehicle that goes faster than this goes forwards
-SMALL_OFFSET, SMALL_ARM = 0.05, 0.3  # s, m
+#: s; a time offset that is off by less is not warned of
+SMALL_OFFSET = 0.05
+#: m; and a part of the antenna's arm
+SMALL_ARM = 0.3
 VAGUE_ARM = 0.3  # m: an arm with a larger sigma says nothing
 YAW_NOT_SHOWN = 'whether the yaw of imu.mounting_rpy is right does not show'
 
@@ -50,7 +57,17 @@ def check_setup(recording: Recording, values: dict) -> list[Finding]:
         return findings
     if found is None or not found.yaw_known:
         findings.append(Finding(INFO, 'imu', f'{YAW_NOT_SHOWN} here: too few turns and changes of speed'))
-    return [*findings, *_check_offset(found, values), *_check_wheels(recording, imu, found, values)]
+    return [*findings, *_check_standstills(imu, fixes, values), *_check_offset(found, values),
+            *_check_wheels(recording, imu, found, values)]
+
+
+def _check_standstills(imu: ImuSamples, fixes: Fixes, values: dict):
+    """Whether standstills, where they are used, can be told from motion."""
+    shown = standstills_show(imu, fixes) if values['vehicle.zero_velocity'] else None
+    if shown is not None and not shown[0]:
+        yield Finding(WARNING, 'imu', f'{shown[1]:.0%} of the seconds in motion are slow and as quiet as rest, and may '
+                      'be taken for standstills: set vehicle.zero_velocity: false', {'alike': shown[1]},
+                      ('vehicle.zero_velocity',))
 
 
 def _usable(recording: Recording, values: dict) -> tuple[ImuSamples, Fixes | None]:

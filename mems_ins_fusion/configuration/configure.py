@@ -167,7 +167,7 @@ def look(path, imu: ImuSamples, fixes: Fixes | None, others: Mapping[str, Mappin
     found = estimate_mounting(imu, good, gravity)
     receiver = assess_receiver(good, imu, still, found) if good is not None else None
     noise = receiver.realised if receiver is not None else None
-    vehicle = assess_vehicle(imu, still, found, noise or 1.0)
+    vehicle = assess_vehicle(imu, still, found, noise or 1.0, good)
     return Drive(name, imu, good, still, seconds, units, found, find_noise(imu, still), receiver, vehicle,
                  tuple(finding for finding in findings if finding.severity != INFO),
                  (*shown_inputs(others, receivers, imu, good, still, found),

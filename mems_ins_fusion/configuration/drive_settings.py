@@ -11,6 +11,7 @@ from mems_ins_fusion.configuration.receiver import TOO_SURE, Receiver
 from mems_ins_fusion.configuration.remaining import ARM
 from mems_ins_fusion.configuration.setting import ARM_SHOWN, AT_ZERO, SIGNIFICANT, Setting, arm_apart, is_sure, rounded
 from mems_ins_fusion.configuration.topics import Topics
+from mems_ins_fusion.configuration.vehicle import LARGEST_ALIKE
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.parameters.table import defaults
 from mems_ins_fusion.recordings.transforms import BASE
@@ -20,9 +21,6 @@ from mems_ins_fusion.recordings.units import RATE, Units
 _TF_ANGLE = math.radians(15.0)  # rad: a bracket is bent by less than this; transforms are often of whole right angles
 _LEAST_MOUNTING_SIGMA = 0.01  # rad: by as much a body and a bracket flex while driving
 _OUTLIERS = 0.002  # share of fixes far off their neighbours from which on gnss.robust_sigma is set
-# share of the seconds in motion that may be as quiet as rest: standstills while driving fast are refused by the filter.
-# Of simulated cars and phones 0 to 7 % are, of rovers on smooth ground 52 to 80 %
-_ALIKE = 0.2
 _ROBUST = 3.0  # gnss.robust_sigma where there are outliers
 
 
@@ -229,10 +227,10 @@ def vehicle_settings(drives):
     force, rate = max(v.rest_force for v in rest), max(v.rest_rate for v in rest)
     drive_force, drive_rate = min(v.drive_force for v in rest), min(v.drive_rate for v in rest)
     alike = max(v.alike for v in rest)
-    told = alike < _ALIKE
+    told = alike < LARGEST_ALIKE
     yield Setting('vehicle.zero_velocity', told, (
         f'axes scatter by up to {force:.2g} m/s^2 and {rate:.2g} rad/s at rest, by {drive_force:.2g} and '
-        f'{drive_rate:.2g} and more in motion; {alike:.0%} of the seconds in motion are as quiet as rest'
+        f'{drive_rate:.2g} and more in motion; {alike:.0%} of the seconds in motion are slow and as quiet as rest'
         + ('' if told else ': not to be told apart'),))
     if told:
         yield Setting('vehicle.still_acceleration', _threshold(force, drive_force), ('between rest and motion',))

@@ -15,7 +15,10 @@ from mems_ins_fusion.samples import Fixes, ImuSamples
 
 COURSE_WINDOW = 20.0  # s on each side, over which the gyroscopes carry the course
 LONGEST_GAP = 0.3  # s without samples in a span
-SHORTEST, LONGEST = 1.0, 5.0  # s: intervals
+#: s; interval between two fixes of a span, at least
+SHORTEST = 1.0
+#: s; and at most
+LONGEST = 5.0
 FINEST = 25.0  # Hz: what is kept of the samples is enough for a vehicle
 _DENSEST = 2.0  # Hz: spans begin that often at most
 _STEPS = 3  # from a constant speed and the gyroscopes' raw bias to those of the drive

@@ -9,7 +9,10 @@ from mems_ins_fusion.characterization.allan import bounds, degrees_of_freedom
 from mems_ins_fusion.recordings.motion import robust_sigma
 from mems_ins_fusion.samples import ImuSamples, runs
 
-_SHORTEST, _LONGEST = 0.5, 16.0  # s, averaging times: longer than an internal filter, shorter than a drift of the bias
+#: s; shortest averaging time: longer than a filter inside the sensor
+_SHORTEST = 0.5
+#: s; longest averaging time: shorter than a drift of the bias
+_LONGEST = 16.0
 _EDGE = 1.0  # s, at both ends of a standstill, that may belong to the motion
 _FEWEST = 6  # differences of means that show noise
 _OF_MEDIANS = 0.37  # degrees of freedom of a variance by medians, as part of those of a mean square

@@ -27,34 +27,60 @@ from mems_ins_fusion.effects.gnss_outliers import far_off
 from mems_ins_fusion.recordings.motion import find_standstill, positions, valid_fixes
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
-LARGEST = 2.0  # s: offsets are looked for on both sides
-SHOWN = 0.3  # s: an offset with a larger sigma is none
-FLOOR = 0.01  # s: to which samples' filters and interpolation leave an offset open
-_STEP = 0.2  # s, of the search
-_STEPS = 5  # of Gauss-Newton from there
-_SHORTEST, _LONGEST = 15.0, 60.0  # s, of a piece: longer ones gain little with consumer sensors
-_PIECES = 8  # that a short drive is divided into, as few as a jackknife can take
+#: s; offsets are looked for up to this on both sides
+LARGEST = 2.0
+#: s; an offset with a larger sigma is not shown
+SHOWN = 0.3
+#: s; a sigma is at least this: by as much filters in the sensors and interpolation between samples leave it open
+FLOOR = 0.01
+#: s; between the offsets of the search, and by which Gauss-Newton changes the offset at most
+_STEP = 0.2
+#: steps of Gauss-Newton from the best of the search
+_STEPS = 5
+#: s; a piece of the drive is no shorter
+_SHORTEST = 15.0
+#: s; and no longer: with consumer sensors longer ones gain little
+_LONGEST = 60.0
+#: pieces that a short drive is divided into: as few as a jackknife can take
+_PIECES = 8
+#: pieces that are used, at most: what more of them cost is time
 _MOST_PIECES = 60
-_MOST_FIXES = 60  # of a piece
-_FEWEST_FIXES = 8
+#: pieces that show an offset, at least
 _FEWEST_PIECES = 4
-_LASTING = 20.0  # s: for so long the part of the receiver's errors lasts that lasts
-_OTHER = 0.3  # s: offsets further from the best than this are other minima
-_SMOOTHING = (0.0, 0.5, 1.0, 2.0)  # s: time constants of receivers that smooth, from which the estimate starts
-_MOST_SMOOTHING = 9.0  # s^2, as `gnss.lag_per_acceleration`: receivers smooth over three seconds at most
-_SMOOTHING_STEP = 0.02  # s^2: difference for the derivative
-_LARGEST_CHANGE = 0.5  # s^2: by which a step of the estimate changes it at most
-_FAR = 3.0  # robust standard deviations: fixes further off count less
-# standard deviations before anything is known: of what all pieces share - offset (s), arm (m), smoothing (s^2), bias of
-# the accelerometers (m/s^2) - and of each piece: tilt and heading (rad), the gyroscopes' biases (rad/s)
+#: fixes of a piece that are used, at most
+_MOST_FIXES = 60
+#: fixes of a piece, at least
+_FEWEST_FIXES = 8
+#: s; time constant of the part of the receiver's errors that lasts
+_LASTING = 20.0
+#: s; offsets further than this from the best are other minima
+_OTHER = 0.3
+#: s; time constants of receivers that smooth, from which the estimate starts
+_SMOOTHING = (0.0, 0.5, 1.0, 2.0)
+#: s^2; largest smoothing, as `gnss.lag_per_acceleration`: receivers smooth over three seconds at most
+_MOST_SMOOTHING = 9.0
+#: s^2; difference that gives the derivative by the smoothing
+_SMOOTHING_STEP = 0.02
+#: s^2; by which a step of Gauss-Newton changes the smoothing at most
+_LARGEST_CHANGE = 0.5
+#: robust standard deviations; fixes that are further off count less
+_FAR = 3.0
+#: standard deviations, before anything is known, of what all pieces share: offset (s), arm (m, three), smoothing (s^2),
+#: bias of the accelerometers (m/s^2, three)
 _SHARED = np.array([3.0, 1.5, 1.0, 1.0, 1.0, 0.2, 0.2, 0.2])
-# share of what is known in the end that a drive must have shown by itself: with less the assumption speaks
+#: share of the final information that a drive must have shown by itself: with less, _SHARED decides
 _LEAST_OWN = 0.1
-_TILT, _HEADING = 0.05, 0.2
-_RATE_AT_REST, _RATE = 3e-4, 1e-2
-# variances in units of that of a fix's white noise: of the accelerometers' white noise (1/s^3), of that of the
-# gyroscopes times gravity (1/s^5), of the part of the receiver's errors that lasts: metres, where a receiver that
-# smooths leaves centimetres of white noise
+#: rad; standard deviation of roll and pitch of a piece, before anything is known
+_TILT = 0.05
+#: rad; the same of its heading
+_HEADING = 0.2
+#: rad/s; the same of the gyroscopes' biases, where a standstill shows them
+_RATE_AT_REST = 3e-4
+#: rad/s; and where there is none
+_RATE = 1e-2
+#: variances that are tried, in units of that of a fix's white noise: of the accelerometers' white noise (1/s^3), of
+#: that of the gyroscopes times gravity (1/s^5), of the part of the receiver's errors that lasts: metres, where a
+#: receiver that smooths leaves centimetres of white noise
 _NOISE = tuple((force, 0.1 * force, lasting) for lasting in (0.0, 1.0, 10.0, 100.0, 1000.0)
                for force in (1e-6, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0, 1e2, 1e3))
 

@@ -17,8 +17,10 @@ from mems_ins_fusion.samples import ImuSamples
 
 #: s, means over which are compared: of vibration little is left, of turns all
 BLOCK = 0.1
-#: s, by which stamps of two IMUs may differ, and the first step of the search
-LARGEST_LAG, STEP = 1.0, 0.02
+#: s; by which the stamps of two IMUs may differ
+LARGEST_LAG = 1.0
+#: s; between the lags of the search
+STEP = 0.02
 #: correlation of the sizes of both rates: less are not of one body, or in no motion
 LEAST_ALIKE = 0.8
 #: blocks: with fewer nothing is shown

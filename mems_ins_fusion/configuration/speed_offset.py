@@ -23,24 +23,39 @@ from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.motion import find_standstill
 from mems_ins_fusion.samples import ImuSamples, Speeds
 
-SHOWN = 0.1  # s: an offset with a larger sigma is none
-_STEP = 0.1  # s, of the search
-_STEPS = 4  # of Gauss-Newton from there, and again so many with weights
-_PIECE = 15.0  # s: longer ones gain little, as the accelerometers of a rough road drift by then
-_FEWEST_PIECES, _MOST_PIECES = 4, 80
-_DENSEST = 8.0  # Hz: speeds that are used
-_FEWEST = 30  # of a piece
-_MOVED = 0.5  # m/s: by which the speed changes in a piece that tells something
-_APART = 0.1  # s, of the differences that give the derivative by the offset: shorter ones show vibration
-_SLIPPING = 3.0  # mean squares over the usual one: pieces that fit worse than that count less
-# standard deviations before anything is known, and what is expected, of what all pieces share: offset (s), measured
-# over true speed, place of the axle across and along (m), yaw that the mounting lacks (rad)
-_SHARED, _EXPECTED = np.array([3.0, 0.3, 2.0, 3.0, 0.1]), np.array([0.0, 1.0, 0.0, 0.0, 0.0])
-# and of what is each piece's own: speed where it begins (m/s), bias along the nose (m/s^2), direction of gravity
-# (m/s^2, three), bias of the gyroscope in pitch (rad/s)
+#: s; an offset with a larger sigma is not shown
+SHOWN = 0.1
+#: s; between the offsets of the search
+_STEP = 0.1
+#: steps of Gauss-Newton from the best of the search, and again as many with weights
+_STEPS = 4
+#: s; length of a piece: longer ones gain little, as the accelerometers drift by then on a rough road
+_PIECE = 15.0
+#: pieces that show an offset, at least
+_FEWEST_PIECES = 4
+#: pieces that are used, at most: what more of them cost is time
+_MOST_PIECES = 80
+#: Hz; of more frequent speeds some are left out
+_DENSEST = 8.0
+#: speeds of a piece, at least
+_FEWEST = 30
+#: m/s; change of the speed within a piece, at least: a steady speed shows no offset
+_MOVED = 0.5
+#: s; difference that gives the derivative by the offset: a shorter one shows vibration
+_APART = 0.1
+#: mean square of a piece over the usual one, beyond which it counts less: wheels slip there
+_SLIPPING = 3.0
+#: standard deviations, before anything is known, of what all pieces share: offset (s), measured over true speed, place
+#: of the axle across and along (m), yaw that the mounting lacks (rad)
+_SHARED = np.array([3.0, 0.3, 2.0, 3.0, 0.1])
+#: and what is expected of these
+_EXPECTED = np.array([0.0, 1.0, 0.0, 0.0, 0.0])
+#: the standard deviations of what is each piece's own: speed where it begins (m/s), bias along the nose (m/s^2),
+#: direction of gravity (m/s^2, three), bias of the gyroscope in pitch (rad/s)
 _OWN = np.array([1e3, 0.2, 0.5, 0.5, 0.5, 3e-3])
-# variance of what the accelerometers add up to in a second over that of a speed, 1/s
-_NOISE = 0.05**2  # m^2/s^2, of a speed before more is known
+#: m^2/s^2; variance of a speed, before anything is known
+_NOISE = 0.05**2
+#: 1/s; variances that are tried of what the accelerometers add up to in a second, over that of a speed
 _WALKS = (1e-2, 1e-1, 1.0, 10.0, 100.0)
 
 

@@ -6,12 +6,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from mems_ins_fusion.configuration.mounting import Mounting
-from mems_ins_fusion.recordings.motion import robust_sigma
-from mems_ins_fusion.samples import ImuSamples
+from mems_ins_fusion.recordings.motion import find_standstill, positions, robust_sigma
+from mems_ins_fusion.samples import Fixes, ImuSamples
 
-_SIDEWAYS = 0.5  # m/s: robust standard deviation of a vehicle with wheels, arm of the antenna included
-_ARM_KNOWN = 1.0  # m: an arm with a larger sigma is none
-_BLOCK = 1.0  # s, as the filter judges rest
+#: share of the seconds in motion that are slow and as quiet as rest, from which on standstills cannot be told from
+#: motion: of cars and phones 0 to 7 % are, of simulated rovers on smooth ground 52 to 80 %
+LARGEST_ALIKE = 0.2
+#: m/s; in faster motion the filter refuses a standstill by the velocity that it has
+_SLOW = 2.0
+#: s; between the two positions that tell the speed: fixes of 1.5 m to 0.5 m/s
+_SPEED_OVER = 4.0
+#: m/s; robust standard deviation across the nose of a vehicle with wheels, at most: the arm of the antenna included
+_SIDEWAYS = 0.5
+#: m; an arm with a larger sigma is not known
+_ARM_KNOWN = 1.0
+#: s; over which the scatter of samples is taken, as the filter judges rest
+_BLOCK = 1.0
 
 
 @dataclass(frozen=True)
@@ -20,7 +30,7 @@ class Vehicle:
     noise: m/s, of it by the receiver alone. wheels: whether that is how a vehicle with wheels moves, None unknown.
     rest_force, rest_rate: what axes scatter by at rest (95 % of the seconds stay below), m/s^2 and rad/s, or None.
     drive_force, drive_rate: what they scatter by in motion (95 % of the seconds stay above). alike: share of the
-    seconds in motion that stay below rest_force and rest_rate, both."""
+    seconds in motion that are slow and stay below rest_force and rest_rate, both."""
 
     sideways: float | None
     noise: float
@@ -32,8 +42,10 @@ class Vehicle:
     alike: float | None = None
 
 
-def assess_vehicle(imu: ImuSamples, still: np.ndarray, found: Mounting | None, fix_sigma: float) -> Vehicle:
-    """The vehicle of `imu` (SI units). still: (n,) samples at rest. fix_sigma: m."""
+def assess_vehicle(imu: ImuSamples, still: np.ndarray, found: Mounting | None, fix_sigma: float,
+                   fixes: Fixes | None = None) -> Vehicle:
+    """The vehicle of `imu` (SI units). still: (n,) samples at rest. fix_sigma: m. fixes: usable ones; without them all
+    motion counts as slow."""
     sideways, noise, wheels = None, 0.0, None
     if found is not None and found.spans is not None:
         drive = found.spans
@@ -42,7 +54,18 @@ def assess_vehicle(imu: ImuSamples, still: np.ndarray, found: Mounting | None, f
             sideways = robust_sigma(drive.sideways[moving] - _ahead(found) * drive.turn[moving])
             noise = float(fix_sigma / np.sqrt(2.0) / drive.length)
             wheels = bool(np.sqrt(max(sideways**2 - noise**2, 0.0)) < _SIDEWAYS)
-    return Vehicle(sideways, noise, wheels, *_scatter(imu, still))
+    return Vehicle(sideways, noise, wheels, *_scatter(imu, still, fixes))
+
+
+def standstills_show(imu: ImuSamples, fixes: Fixes | None) -> tuple[bool, float] | None:
+    """Whether standstills can be told from motion by the scatter of `imu` (SI units), and the share of the seconds in
+    motion that are slow and as quiet as rest; None where there is no standstill beside motion.
+
+    fixes: usable ones; None where there are none."""
+    if len(imu) < 2 or not np.median(np.diff(imu.stamp)) > 0:
+        return None
+    alike = _scatter(imu, find_standstill(imu, fixes), fixes)[-1]
+    return None if alike is None else (alike < LARGEST_ALIKE, alike)
 
 
 def _ahead(found: Mounting) -> float:
@@ -51,7 +74,18 @@ def _ahead(found: Mounting) -> float:
     return float(found.imu[0] + arm)
 
 
-def _scatter(imu, still):
+def _slow(time: np.ndarray, fixes: Fixes | None) -> np.ndarray:
+    """Whether the vehicle is slow at `time` (k,), ns, by the fixes around it; where there are none, it is."""
+    if fixes is None or len(fixes) < 2:
+        return np.ones(len(time), dtype=bool)
+    half, since = 0.5 * _SPEED_OVER, (fixes.stamp - fixes.stamp[0]) * 1e-9
+    at, place = (time - fixes.stamp[0]) * 1e-9, positions(fixes)
+    way = [np.interp(at + half, since, axis) - np.interp(at - half, since, axis) for axis in place.T]
+    return np.hypot(*way) < _SLOW * _SPEED_OVER
+
+
+def _scatter(imu, still, fixes):
+    """rest_force, rest_rate, drive_force, drive_rate and alike of `Vehicle`."""
     interval = np.median(np.diff(imu.stamp)) * 1e-9
     size = max(round(_BLOCK / interval), 4)
     count = len(imu) // size
@@ -65,5 +99,6 @@ def _scatter(imu, still):
     sensors = slice(0, 3), slice(3, 6)
     most = [np.percentile(rest[:, axes].max(axis=1), 95) for axes in sensors]
     alike = np.all([drive[:, axes].max(axis=1) < limit for axes, limit in zip(sensors, most)], axis=0)
+    alike &= _slow(imu.stamp[size // 2:count * size:size][part == 0.0], fixes)
     return [*map(float, most), *(float(np.percentile(drive[:, axes].max(axis=1), 5)) for axes in sensors),
             float(alike.mean())]

@@ -38,6 +38,12 @@ MOUNTING = 'mounting_rotation'
 NO_PROOF = 'no smaller error is proven with it'
 #: s; a receiver smooths over no longer
 LONGEST_SMOOTHING = 10.0
+#: what is told of settings that are tried without, where positions are predicted better so
+_SWITCHED = {
+    'imu.adapt_noise': 'What the IMU scatters from one sample to the next is no noise that adds up: positions are '
+                       'predicted better with imu.adapt_noise: false.',
+    'vehicle.zero_velocity': 'Standstills cannot be told from motion in this recording: positions are predicted better '
+                             'with vehicle.zero_velocity: false.'}
 
 
 @dataclass(frozen=True)
@@ -91,7 +97,8 @@ def concluded(known: Known, first: Known, trials: TrialRuns) -> Diagnosis:
         verdict=verdict, before=before, fitted=noise_only, after=after, comparison=comparison,
         rest=[rest for found in rests for rest in found],
         remarks=[said for said in remarks[0] if all(said in other for other in remarks)]
-        + _noise_remarks(explained | correction.factors) + _scatter_remarks(given, correction.values))
+        + _noise_remarks(explained | correction.factors)
+        + [_SWITCHED[name] for name in _switched(given, correction.values)])
     if len(drives) < 2:
         return whole
     return replace(whole, drives=[_in_drive(whole, k, rests[k], remarks[k]) for k in range(len(drives))])
@@ -108,7 +115,7 @@ def _chosen(tried: list[tuple[Correction, Measured, Verdict]], before: Measured,
     about: of the correction, or of what was tried.
     """
     for option, after, verdict in sorted(tried, key=lambda found: not found[0].effects):
-        alone = not option.factors and option.values['imu.adapt_noise'] == given['imu.adapt_noise']
+        alone = not option.factors and not _switched(given, option.values)
         proven = option.effects and alone and verdict.answer != WORSE and not unproven(
             compared(before, after), effects=True)
         if verdict.answer == BETTER or proven:
@@ -161,16 +168,18 @@ def _settled(known: Known, first: Known, fitted: Correction, configured: Correct
 def _as_measured(corrections: Sequence[Correction], trials: TrialRuns) -> list[tuple[Correction, Measured]]:
     """The corrections with their errors at the full rate, what predicts best there first, what was given last. Each is
     tried without noise from the samples' scatter, too: what a sensor filters before it samples, and what swings about a
-    mean, adds up to nothing."""
+    mean, adds up to nothing. And without standstills that cannot be told from motion."""
     configured, options = corrections[-1], list(corrections[:-1])
     for correction in corrections:
-        if correction.values['imu.adapt_noise'] and correction.values['mechanization'] == 'strapdown':
-            values, *by_part = ({**v, 'imu.adapt_noise': False} for v in (correction.values, *correction.by_part))
-            options.append(replace(correction, values=values, by_part=by_part))
+        scatter = correction.values['imu.adapt_noise'] and correction.values['mechanization'] == 'strapdown'
+        for change in ({'imu.adapt_noise': False} if scatter else {}, trials.without_standstills):
+            if change:
+                values, *by_part = ({**v, **change} for v in (correction.values, *correction.by_part))
+                options.append(replace(correction, values=values, by_part=by_part))
 
     def merit(measured):
         correction, errors = measured
-        changed = correction.values['imu.adapt_noise'] != configured.values['imu.adapt_noise']
+        changed = bool(_switched(configured.values, correction.values))
         return _merit(errors) - changed * WORTH / predictions(errors)
     found = [(option, trials.errors(option.by_part, full=True)) for option in options]
     return [*sorted(found, key=merit, reverse=True), (configured, trials.errors(configured.by_part, full=True))]
@@ -323,11 +332,9 @@ def _noise_remarks(factors: dict[str, float]) -> list[str]:
             for name, factor in factors.items() if name != 'gnss.sigma' and factor > 0.95 * LARGEST_FACTOR]
 
 
-def _scatter_remarks(given: dict, corrected: dict) -> list[str]:
-    if given['imu.adapt_noise'] == corrected['imu.adapt_noise']:
-        return []
-    return ['What the IMU scatters from one sample to the next is no noise that adds up: positions are predicted '
-            'better with imu.adapt_noise: false.']
+def _switched(given: dict, corrected: dict) -> list[str]:
+    """The settings of `_SWITCHED` that differ."""
+    return [name for name in _SWITCHED if given[name] != corrected[name]]
 
 
 def _remarks(problem: Problem) -> list[str]:

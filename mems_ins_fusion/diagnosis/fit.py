@@ -22,6 +22,10 @@ ENOUGH_GAIN = 0.2
 FEWEST_SEEN = 0.98
 #: a standard deviation counts what goes together over such a part of a drive, too
 LONGEST_PART = 8
+#: ratio of the squares of the changes on both sides of a point, from which on the innovations jump on one side: the
+#: filter decides otherwise there (a standstill or none), and a difference across that is no derivative. Where they are
+#: smooth it is near 1
+JUMP = 10.0
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,8 @@ def scores(problem: Problem, unknowns: Sequence[Unknown], x, at: Residual | None
            quick: bool = False) -> tuple[Residual, Scores]:
     """Residual at `x` and the scores of `unknowns` there, by differences between runs of the filter.
 
-    Central differences, or forward ones, as each unknown asks; quick: forward ones for all.
+    Central differences, or forward ones, as each unknown asks; quick: forward ones for all. Where the innovations jump
+    on one side of `x`, differences on the other side only.
     """
     x = np.asarray(x, dtype=float)
     if quick:
@@ -67,8 +72,20 @@ def scores(problem: Problem, unknowns: Sequence[Unknown], x, at: Residual | None
     pairs = []
     for unknown in unknowns:
         plus = found.pop(0)
-        pairs.append((plus, at, unknown.step) if unknown.one_sided else (plus, found.pop(0), 2 * unknown.step))
+        pairs.append((plus, at, unknown.step) if unknown.one_sided else
+                     _smooth(plus, at, found.pop(0), unknown.step, problem.mask))
     return at, _scores(at, pairs, problem.mask)
+
+
+def _smooth(plus: Residual, at: Residual, minus: Residual, step: float, mask) -> tuple[Residual, Residual, float]:
+    """The two of three residuals between which the innovations do not jump, and the distance between these."""
+    factors = at.factors()
+    ahead, behind = (float((_finite(whiten(factors, other.z - at.z))[mask] ** 2).sum()) for other in (plus, minus))
+    if ahead > JUMP * behind:
+        return at, minus, step
+    if behind > JUMP * ahead:
+        return plus, at, step
+    return plus, minus, 2 * step
 
 
 def _finite(values: np.ndarray) -> np.ndarray:

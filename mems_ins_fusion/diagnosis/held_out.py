@@ -17,9 +17,11 @@ from .folds import SHORTEST_BLOCK, parts
 from .problem import Problem
 from .residuals import Residual
 
-#: a held-out gain counts when chance would give it this rarely, and where it is so large (five sigma): in real cars
-#: something small is always wrong, and what can bend most gains a little by it; a smaller one where it is CERTAIN
-SIGNIFICANCE, CLEAR = 0.2, 12.5
+#: probability by chance, below which a held-out gain counts that is CLEAR; a smaller one counts where it is CERTAIN
+SIGNIFICANCE = 0.2
+#: gain of log likelihood (five sigma): in real cars something small is always wrong, by which an effect with many
+#: parameters gains a little
+CLEAR = 12.5
 #: what is new is supported by a part of the data where it is no chance at this level
 SUPPORT = 0.95
 #: a gain, or an error that has changed, is certain when chance would give it this rarely

@@ -11,19 +11,29 @@ from ..evaluation.verdict import BETTER, CANNOT_TELL, Change, Verdict, change_in
 from .held_out import CERTAIN, HeldOut
 from .measured import Measured, fairly
 
-#: an error has grown noticeably beyond this part and this much, m; by this factor it has grown, certain or not
-GROWN, NOTICED, LARGER = 0.03, 0.1, 1.1
-#: such a growth is one with a proven effect, too, if chance gives it more rarely than this; where there are too few
-#: outages to say, if it is larger than this part over the root of the number of those that do not overlap
-LIKELY, SCATTER = 0.05, 0.5
-#: errors that are this part of those before have shrunk plainly; noise levels alone are better from this part on
-PLAINLY, SMALLER = 0.7, 0.9
-#: fewer outages do not prove noise levels
+#: share by which an error has to be larger, beside NOTICED, to count as larger where it is so for certain
+GROWN = 0.03
+#: m; an error that grows by less nobody notices
+NOTICED = 0.1
+#: factor by which a mean or a root mean square is larger that counts as larger, certain or not
+LARGER = 1.1
+#: probability by chance, below which an error that is larger by LARGER counts with a proven effect, too
+LIKELY = 0.05
+#: share by which the largest errors of outages scatter: where outages are too few for a test, what is larger by this
+#: over the root of the number of those that do not overlap counts
+SCATTER = 0.5
+#: factor on an error, below which it has become smaller plainly
+PLAINLY = 0.7
+#: the same for noise levels alone
+SMALLER = 0.9
+#: outages that prove noise levels, at least
 FEWEST_OUTAGES = 5
-#: with a correction the filter runs in more than this part of what it did before: one that never starts errs nowhere
+#: share of what the filter ran before that it has to run with a correction: one that never starts errs nowhere
 RUNS = 0.5
-#: 95 % ellipses shall hold the truth in this part of the outages
-COVERED, LESS_HELD = 0.9, 0.15
+#: share of the outages in which the 95 % ellipse has to hold the truth
+COVERED = 0.9
+#: by which share less of them an ellipse may hold it that held it in less than COVERED before
+LESS_HELD = 0.15
 
 
 def changes(before: Measured, after: Measured) -> list[Change]:

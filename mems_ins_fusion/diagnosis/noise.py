@@ -13,9 +13,16 @@ from .problem import Problem, Unknown, believed
 
 #: the parameters that say how noisy the sensors are, by model
 MODEL_NOISE = {name: model.level for name, model in MODELS.items()}
-#: how far a fit may take a noise level, natural logarithm: what is usual, and what is no noise of that sensor any more
-NOISE_PRIOR, RECEIVER_PRIOR = 1.0, 1.5
-SMALLEST_FACTOR, LARGEST_FACTOR, LARGEST_RECEIVER = 3.0, 10.0, 100.0
+#: natural logarithm; standard deviation of a sensor's noise level about what is configured
+NOISE_PRIOR = 1.0
+#: natural logarithm; the same of the receiver's, which data sheets tell less well
+RECEIVER_PRIOR = 1.5
+#: factor by which a fit may make a noise level smaller, at most
+SMALLEST_FACTOR = 3.0
+#: factor by which it may make that of a sensor larger, at most: what asks for more is no noise of it
+LARGEST_FACTOR = 10.0
+#: the same of the receiver
+LARGEST_RECEIVER = 100.0
 
 
 def noise_unknowns(problem: Problem) -> list[Unknown]:

@@ -14,6 +14,7 @@ from functools import cache
 
 import numpy as np
 
+from ..configuration.vehicle import standstills_show
 from ..errors import InputError
 from ..evaluation.comparison import aiding_of, samples_to_keep, thin
 from ..filter.config import FilterConfig
@@ -31,9 +32,12 @@ from .residuals import Residual, lasting
 SETTLING = 20.0
 #: s between the fixes used; what comes more often is withheld and serves as the truth
 UPDATE_INTERVAL = 1.0
-#: the many runs of a diagnosis take IMU samples at no more than this rate, Hz, in a long recording at a lower one, but
-#: not below the other; errors are measured at the full rate
-FASTEST_RATE, SLOWEST_RATE, MANY_SAMPLES = 12.5, 5.0, 20_000
+#: Hz; rate of the averaged IMU samples in the many runs of a diagnosis, at most; errors are measured at the full rate
+FASTEST_RATE = 12.5
+#: Hz; and at least, in a long recording
+SLOWEST_RATE = 5.0
+#: averaged samples that a recording is brought down to within these rates: a run of more takes too long
+MANY_SAMPLES = 20_000
 #: samples among which the start is looked for to the sample, later only to a tenth of a second
 _ALIGNING = 100_000
 #: what is added to each fix, m: a diagnosis looks for metres, and no model of a car is right to a centimetre
@@ -44,8 +48,12 @@ MOST_OUTLIERS = 0.2
 BESIDE = ('height', 'sideways', 'upwards', 'north at rest', 'east at rest', 'down at rest')
 #: constraints since the last fix that make a mean
 FEWEST_SAID = 3
-#: length of a block over which scores may go together, s; longer ones count where there are so many
-BLOCK, LONG_BLOCK, FEWEST_BLOCKS = 20.0, 60.0, 10
+#: s; length of a block over which scores of neighbouring fixes may go together
+BLOCK = 20.0
+#: s; length of longer blocks, which count, too, as a receiver's errors last for minutes
+LONG_BLOCK = 60.0
+#: long blocks in a recording, at least: fewer show no scatter
+FEWEST_BLOCKS = 10
 
 
 class DiagnosisError(InputError):
@@ -117,7 +125,7 @@ class Problem:
                  others: Sequence[dict] = ()):
         self.reference_clock = GNSS if recording.reference is None else IMU
         self.given = {**values, 'gnss.time_offset_sigma': 0.0}
-        self.values = looked_through(values)
+        self.values = looked_through(values, recording)
         given = FilterConfig.from_parameters(self.given)
         keep = samples_to_keep(recording.imu, recording.imu.stamp[:_ALIGNING])
         first = run(given, recording.imu, recording.gnss, aiding_of(recording), keep=keep)
@@ -277,11 +285,14 @@ class Problem:
         return on_all_cores(one, points)
 
 
-def looked_through(values: dict) -> dict:
-    """`values` for the filter that a diagnosis looks through: each fix believed as stated, nothing that adapts."""
+def looked_through(values: dict, recording: Recording) -> dict:
+    """`values` for the filter that a diagnosis looks through: each fix believed as stated, nothing that adapts, and no
+    standstills where `recording` cannot tell these from motion: each that is none is a step in the innovations."""
+    shown = standstills_show(recording.imu, recording.gnss) if values['vehicle.zero_velocity'] else None
     return {**values, 'gnss.sigma': 0.0, 'gnss.adapt_sigma': False, 'gnss.gate_probability': 1.0,
             'gnss.robust_sigma': 0.0, 'gnss.time_offset_sigma': 0.0, 'vehicle.learn_drift': False,
-            'imu.adapt_noise': False}
+            'imu.adapt_noise': False, 'vehicle.zero_velocity': values['vehicle.zero_velocity'] and (
+                shown is None or shown[0])}
 
 
 def averaged(imu: ImuSamples, rate: float) -> ImuSamples:

@@ -23,9 +23,12 @@ from .residuals import Residual
 SIGNIFICANCE = 0.01
 #: part of an effect's signal that another stands for when the two cannot be told apart
 PARALLEL = 0.95
-#: a parameter is determined where its sigma is at most this many times what is usual, or where it is at most so many
-#: times that and the value this many sigmas
-DETERMINED, TOLERATED, DISTINCT = 1.0, 5.0, 3.5
+#: sigma of a parameter over its usual size, up to which it is determined
+DETERMINED = 1.0
+#: the same of a parameter whose value is larger than DISTINCT sigmas
+TOLERATED = 5.0
+#: sigmas
+DISTINCT = 3.5
 
 
 @dataclass(frozen=True)

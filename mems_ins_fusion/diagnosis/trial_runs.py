@@ -31,8 +31,16 @@ ENOUGH = 9_000_000
 FEW_OUTAGES = 40
 #: s between two of them at least
 CLOSEST_OUTAGES = 10.0
-#: the parts of the work, by the time they usually take: where they begin, and how many choices there are among levels
-SEARCHING, CHOOSING, MEASURING, LOOKING, USUAL_CHOICES = 0.05, 0.72, 0.88, 0.95, 15
+#: share of the usual time after which the search begins
+SEARCHING = 0.05
+#: the same of the choice of noise levels
+CHOOSING = 0.72
+#: the same of measuring errors
+MEASURING = 0.88
+#: the same of looking at what is left
+LOOKING = 0.95
+#: filters that are tried in the choice of noise levels, usually
+USUAL_CHOICES = 15
 
 Progress = Callable[[float, str], None]
 
@@ -114,6 +122,14 @@ class TrialRuns:
         value, sigma = weighted(*np.array([steering.turned for steering in found]).T)
         return Estimate(float(value) - 1.0, float(sigma), '-')
 
+    @property
+    def without_standstills(self) -> dict[str, bool]:
+        """The parameter that leaves standstills out, where the parameters as given use them and a drive cannot tell
+        them from motion; else none."""
+        name = 'vehicle.zero_velocity'
+        used = self.origin.given[name] and not all(problem.values[name] for problem in self.origin.each)
+        return {name: False} if used else {}
+
     def enough(self, share: float = 1.0) -> bool:
         """Whether this share of the work of a search is done."""
         return self.done > share
@@ -135,9 +151,10 @@ class TrialRuns:
 
         full: with all IMU samples, by the protocol that is reported; else for decisions. These look at the covariance
         as the model has it: scaled by what innovations show, it would hold the truth whatever the model lacks; and the
-        samples are means, between which a motion is not smooth enough to tell noise from it.
+        samples are means, between which a motion is not smooth enough to tell noise from it. Standstills that cannot be
+        told from motion keep positions near whatever is right or wrong else.
         """
-        decides = {} if full else {'gnss.adapt_covariance': False, 'imu.adapt_noise': False}
+        decides = {} if full else {'gnss.adapt_covariance': False, 'imu.adapt_noise': False, **self.without_standstills}
         models = [{**values, 'gnss.time_offset_sigma': self.offset_sigma, **decides} for values in models]
         asked = repr((full, [sorted(values.items()) for values in models]))
         if asked not in self.measured:

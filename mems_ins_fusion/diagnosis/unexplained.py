@@ -21,8 +21,12 @@ from .tracing import SIGNIFICANCE, efficient, significance
 
 #: rotations and specific forces are averaged over about this long before they are squared or multiplied, s
 SMOOTH = 0.2
-#: a step of the differences, as the RMS of the error that is tried
-FORCE_STEP, RATE_STEP, POSITION_STEP = 0.01, 2e-4, 0.05
+#: m/s^2; root mean square of an error of the accelerometers that is tried, for the derivative
+FORCE_STEP = 0.01
+#: rad/s; the same of the gyroscopes
+RATE_STEP = 2e-4
+#: m; the same of the fixes
+POSITION_STEP = 0.05
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,10 @@ from .outages import summary as outage_summary
 KEPT_RATE = 10.0
 #: epochs of the truth that errors are measured at, and states kept of a run: a recording with more is thinned
 MOST_EPOCHS = 40_000
-#: stamps that go back further begin a stretch of their own, s; with more of those each sample is kept
-_BACK, _MOST_BREAKS = 1, 100
+#: s; stamps that go back further begin a stretch of their own
+_BACK = 1
+#: stretches, at most: with more of them each sample is kept
+_MOST_BREAKS = 100
 #: a difference is significant when its adjusted p is smaller
 SIGNIFICANCE = 0.05
 

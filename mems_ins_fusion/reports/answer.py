@@ -46,8 +46,8 @@ class Answer:
         """For the console, in five lines of WIDTH: the answer, what is wrong most, trust, and what to do next."""
         wrong = [shorten(f'wrong: {self.wrong[0]}', _more(len(self.wrong) - 1))] if self.wrong else []
         trust = [shorten(f'trust: {self.trust}')] if self.trust else []
-        # a command is never cut
-        steps = [f'next: {s.command}' if s.command else shorten(f'next: {s.what}') for s in self.first]
+        steps = [line for s in self.first
+                 for line in (typed(f'next: {s.command}') if s.command else [shorten(f'next: {s.what}')])]
         head = textwrap.wrap(self.headline, WIDTH)
         return [*head[:1], *([shorten(' '.join(head[1:]))] if head[1:] else []), *wrong, *trust, *steps]
 
@@ -110,6 +110,14 @@ def shorten(text: str, ending: str = '') -> str:
     elif clause > room // 2:
         kept = kept[:clause]
     return kept.rstrip(' ,;:.') + _CUT + ending
+
+
+def typed(command: str) -> list[str]:
+    """`command` in lines of WIDTH, which can be typed or copied as they are: it is never cut."""
+    if len(command) <= WIDTH:
+        return [command]
+    lines = textwrap.wrap(command, WIDTH - 2, subsequent_indent='    ', break_long_words=False, break_on_hyphens=False)
+    return [*(f'{line} \\' for line in lines[:-1]), *lines[-1:]]
 
 
 def _more(count: int) -> str:
