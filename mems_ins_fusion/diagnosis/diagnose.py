@@ -33,7 +33,7 @@ def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress
     """Diagnose `recordings`, one or several of one vehicle, as filtered with `values` (checked parameters).
 
     effects: the candidates, by default all there are, those of named inputs too. Raises DiagnosisError where no
-    recording can be diagnosed at all. `progress` is called often, with the part of the work done and what is being done.
+    recording can be diagnosed at all. `progress` is called often, with the part of the work done and what it is.
     """
     told: tuple = (0.0, '')
 

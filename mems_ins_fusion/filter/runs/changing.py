@@ -5,8 +5,8 @@ innovations of the fixes in both filters are compared each second (betting.py). 
 shown to be better, or once it is about as certain as the present one and the change is not visible: the estimates
 differ by less than their standard deviations, or the vehicle stands. The replaced filter, without the finding that was
 applied, continues in parallel: where the finding becomes wrong, as when a driver is restarted, it is better within
-seconds and takes over at once. All decisions depend on stamps and values of the inputs alone: live and in a replay the
-filters change at the same sample.
+seconds and takes over at once. What is published does not jump (blending.py). All decisions depend on stamps and values
+of the inputs alone: live and in a replay the filters change at the same sample.
 """
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from ...navigation.frames import wrap, yaw_of_quaternion
 from ..config import FilterConfig
 from ..memory import Event
 from .betting import Bets
+from .blending import Blending, blending
 from .live import FusionFilter
 from .odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, POSITION, TWIST_COVARIANCE
 
@@ -42,7 +43,7 @@ _STAYS = frozenset({'odometry', 'geodetic', 'position_covariance_enu', 'datum', 
 
 @dataclass(frozen=True)
 class Handover:
-    """A filter has taken over. stamp: ns. Change of the estimate: m, rad."""
+    """A filter has taken over. stamp: ns. Change of the estimate, which what is published follows slowly: m, rad."""
 
     stamp: int
     position: float
@@ -121,6 +122,7 @@ class ChangingFilter(WatchedFilter):
         self._beside: dict[str, ParallelFilter] = {}  # filters without each finding
         self._ready: list[ParallelFilter] = []  # filters with parameters on trial
         self._dropped: list[Dropped] = []
+        self._blending: Blending | None = None
         self.handovers: list[Handover] = []
         super().__init__(config)
 
@@ -212,8 +214,25 @@ class ChangingFilter(WatchedFilter):
         for other in self._others:
             other.set_start(*start)
 
+    def update_odometry(self) -> int:
+        """As of `FusionFilter`; for a while after another filter has taken over with a part of the difference."""
+        stamp = super().update_odometry()
+        if self._blending is not None:
+            part = self._blending.part(stamp)
+            if part > 0.0:
+                self._blending.add_to(self.odometry, self.geodetic, self.position_covariance_enu, part)
+            else:
+                self._blending = None
+        return stamp
+
+    def warm_up(self) -> None:
+        super().warm_up()
+        blending(0, self.odometry, self.odometry).add_to(self.odometry.copy(), self.geodetic.copy(),
+                                                         self.position_covariance_enu.copy(), 1.0)
+
     def reset(self) -> None:
         super().reset()
+        self._blending = None
         for other in self._others:
             other.reset()
 
@@ -260,12 +279,19 @@ class ChangingFilter(WatchedFilter):
 
     def _take_over(self, other: WatchedFilter, now: int, position: float, yaw: float) -> None:
         """Become `other`; the present filter continues in parallel where it is one without a finding."""
+        published = None
+        if self.aligned:  # else the covariance holds any heading anyway
+            self.update_odometry()
+            published = self.odometry.copy()
         before = WatchedFilter(self.config)
         before.__dict__.update({name: vars(self)[name] for name in vars(before) if name not in _STAYS})
         filters = (before, *(one.fusion for one in self._beside.values()))
         self._next = None
         self.__dict__.update({name: value for name, value in vars(other).items() if name not in _STAYS})
-        self._beside = {}
+        self._blending, self._beside = None, {}
+        if published is not None:
+            stamp = self.update_odometry()
+            self._blending = blending(stamp, published, self.odometry)
         for name, values in self._without.items():
             there = next((fusion for fusion in filters if fusion.config.parameters == values), None)
             self._beside[name] = self._beside_with(values) if there is None else ParallelFilter(
