@@ -224,6 +224,88 @@ def write(folder: Path, content: dict) -> None:
     sys.stdout.flush()
 
 
+def figure(path: Path, folders: list[Path]) -> None:
+    """A column for each folder: a row for each of its quantities, the errors without fixes, and the trust horizon."""
+    from matplotlib.figure import Figure
+
+    columns = [shown(json.loads((folder / 'record.json').read_text())) for folder in folders]
+    rows = max(len(quantities) for _, quantities, _ in columns) + 2
+    whole = Figure(figsize=(6.5 * len(columns), 2.0 * rows), layout='constrained')
+    grid = whole.subplots(rows, len(columns), squeeze=False)
+    for axes, folder, (record, quantities, horizon) in zip(grid.T, folders, columns):
+        axes[0].set_title(f"{folder.name}: {record['bag'].rstrip('/').removesuffix('/bag').split('/')[-1]}, "
+                          f"{record['rate']:g}x, diagnosis.share {record['parameters'].get('diagnosis.share', 0.1):g}")
+        for ax, (name, told) in zip(axes, sorted(quantities.items())):
+            of_quantity(ax, name, told)
+        of_errors(axes[-2], quantities)
+        axes[-1].plot(*np.array(horizon).T, linewidth=0.7, color='0.3')
+        axes[-1].set_ylabel('trust horizon, s')
+        axes[-1].set_xlabel('time, s')
+        for ax in axes[len(quantities):-2]:
+            ax.set_axis_off()
+        for ax in axes:
+            ax.set_xlim(0.0, horizon[-1][0])
+            for one in record['said']:
+                if one['topic'] == 'log' and ('goes on with other' in one['message'] or ': dropped' in one['message']):
+                    ax.axvline((one['at'] - record['begin']) / SECOND, color='k', linewidth=0.8, linestyle=':')
+    whole.savefig(path, dpi=70, metadata={'Software': None})
+
+
+def shown(record: dict) -> tuple[dict, dict[str, list], list]:
+    """The record, what it has of each quantity, in order, with `after` (s), and the horizon (s, s)."""
+    quantities: dict[str, list] = {}
+    horizon = [(0.0, 0.0)]
+    for one in record['said']:
+        one['after'] = (one['at'] - record['begin']) / SECOND
+        if one['topic'] == '/fusion_node/calibration' and one['after'] >= 0.0:
+            quantities.setdefault(one['name'].rpartition(': ')[2].partition(',')[0], []).append(one)
+        elif one['topic'] == '/fusion_node/horizon' and one['after'] >= 0.0:
+            horizon.append((one['after'], float(one['values']['seconds'])))
+    quantities.pop('all', None)
+    return record, quantities, horizon
+
+
+def of_quantity(ax, name: str, told: list) -> None:
+    """Values with their sigmas, and the state as the colour behind them, filled where applied."""
+    from matplotlib.patches import Patch
+
+    ends = [one['after'] for one in told[1:]] + [1e9]
+    for one, end in zip(told, ends):
+        values = one['values']
+        ax.axvspan(one['after'], end, color=COLOURS[values['state']],
+                   alpha=0.45 if values['applied'] == 'True' else 0.2, linewidth=0.0)
+    keys = [key for key in told[-1]['values'] if f"{key.partition(',')[0]} sigma{key.partition(',')[1]}" in
+            ''.join(told[-1]['values']) and ' sigma' not in key and not key.startswith('set ')]
+    for marker, key in zip('osv^', keys):
+        parameter, _, unit = key.partition(',')
+        pairs = [(one['after'], float(one['values'][key]),
+                  float(one['values'][f"{parameter} sigma{',' if unit else ''}{unit}"]))
+                 for one in told if one['values'].get(key, 'None') != 'None'
+                 and one['values'].get(f"{parameter} sigma{',' if unit else ''}{unit}", 'None') != 'None']
+        if pairs:
+            at, value, sigma = np.array(pairs).T
+            ax.errorbar(at, value, sigma, fmt=marker, markersize=4, linewidth=1.0, capsize=2, label=key)
+    ax.set_ylabel(name, fontsize=8)
+    states = [Patch(color=colour, alpha=0.3, label=state) for state, colour in COLOURS.items()
+              if state in {one['values']['state'] for one in told}]
+    ax.legend(handles=[*ax.get_legend_handles_labels()[0], *states], fontsize=6, loc='lower right')
+
+
+def of_errors(ax, quantities: dict[str, list]) -> None:
+    """Mean error after 5 s without fixes, without each finding and with it, as it was told on the way."""
+    key = 'error after 5 s without fixes, m, '
+    for (name, told), colour in zip(sorted(quantities.items()), ('C0', 'C1', 'C2', 'C3', 'C4')):
+        for which, style in (('without it', 'x-'), ('with it', 'o-')):
+            pairs = [(one['after'], float(one['values'][key + which])) for one in told if key + which in one['values']]
+            if pairs:
+                ax.plot(*np.array(pairs).T, style, color=colour, markersize=4, linewidth=0.8,
+                        alpha=0.5 if which == 'without it' else 1.0, label=f'{name}, {which}')
+    ax.set_ylabel('error after 5 s, m', fontsize=8)
+    ax.set_ylim(bottom=0.0)
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(fontsize=6)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('what', choices=('record', 'replay', 'figure'))
@@ -239,6 +321,8 @@ def main() -> None:
         record(options.output, options.input[0], options.rate, options.kill, options.assignments)
     elif options.what == 'replay':
         replay(options.output, options.input[0], options.assignments)
+    else:
+        figure(options.output, [Path(folder) for folder in options.input])
 
 
 if __name__ == '__main__':

@@ -4,6 +4,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -436,6 +437,21 @@ def test_trials_begin_anew_when_what_they_are_compared_with_changes():
     work._decide()
     assert work.sets == {'gnss.time_offset': OFFSET} and list(work.trials) == ['other']
     assert rest.wealth == rest.harm == 1.0 and not any(rest.errors.values()) and proven.wealth > 1.0
+
+
+def test_filters_that_have_just_begun_drop_nothing():
+    # given a filter without a finding that starts with the one with it, as after kill -9 on the way, and is nearer to
+    # two fixes a second by a metre
+    def seconds_until_better(settling):
+        one = changing.ParallelFilter(SimpleNamespace(aligned=True, misfits={}), 0, 0, settling)
+        for second in range(200):
+            numbers = range(2 * second + 1, 2 * second + 3)
+            one.fusion.misfits.update(dict.fromkeys(numbers, (0.1, 0.0)))
+            one.compare(dict.fromkeys(numbers, (1.1, 0.0)), second * SECOND)
+            if one.is_better(changing.DROPPED):
+                return second
+    # then it takes over only after both have settled, in the same time from there on
+    assert seconds_until_better(changing.SETTLING) == seconds_until_better(0.0) + changing.SETTLING < 120
 
 
 def test_a_filter_that_is_less_sure_does_not_take_over():

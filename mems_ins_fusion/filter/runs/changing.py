@@ -89,11 +89,17 @@ class WatchedFilter(FusionFilter):
 
 class ParallelFilter:
     """A filter with other parameters than the present one, and the bets on it. begun: ns. since: ns, when its wealth
-    was last at its initial value. after: number of the last fix before the comparison."""
+    was last at its initial value. after: number of the last fix before the comparison. settling: s of common fixes
+    before the first bet, where neither filter has run before: one that has just aligned predicts worse by chance."""
 
-    def __init__(self, fusion: WatchedFilter, begun: int, after: int):
+    def __init__(self, fusion: WatchedFilter, begun: int, after: int, settling: float = 0.0):
         self.fusion, self.begun, self.since = fusion, begun, begun
-        self._bets, self._compared = Bets(), after
+        self._bets, self._compared, self._settling = Bets(), after, settling
+        self._settled: int | None = None  # ns, from when on there are bets
+
+    def begin_anew(self) -> None:
+        """Both filters have to align again."""
+        self._settled = None
 
     def is_better(self, wealth: float) -> bool:
         """Whether the bets on it have reached `wealth`."""
@@ -104,12 +110,17 @@ class ParallelFilter:
         correlated. present: innovations of the present filter. now: ns."""
         own = self.fusion.misfits
         both = sorted(number for number in present.keys() & own.keys() if number > self._compared)
-        if both:
-            self._compared = both[-1]
-            self._bets.take(*(tuple(np.mean([misfits[number] for number in both], axis=0).tolist())
-                              for misfits in (present, own)))
-            if self._bets.pro <= 0.0:
-                self._bets.pro, self.since = 0.0, now
+        if not both:
+            return
+        self._compared = both[-1]
+        self._settled = now + round(self._settling * 1e9) if self._settled is None else self._settled
+        if now < self._settled:
+            self.since = now
+            return
+        self._bets.take(*(tuple(np.mean([misfits[number] for number in both], axis=0).tolist())
+                          for misfits in (present, own)))
+        if self._bets.pro <= 0.0:
+            self._bets.pro, self.since = 0.0, now
 
 
 class ChangingFilter(WatchedFilter):
@@ -156,7 +167,7 @@ class ChangingFilter(WatchedFilter):
     def watch(self, without: dict[str, dict]) -> None:
         """Run filters without each finding of the present parameters in parallel, as after `change`."""
         self._without = without
-        self._beside = {name: self._beside_with(values) for name, values in without.items()}
+        self._beside = {name: self._beside_with(values, SETTLING) for name, values in without.items()}
 
     def dropped(self) -> list[Dropped]:
         """Findings that the filter has dropped since the last call."""
@@ -168,10 +179,10 @@ class ChangingFilter(WatchedFilter):
         there = next((one for one in self._ready if one.fusion.config.parameters == values), None)
         return there or self._beside_with(values)
 
-    def _beside_with(self, values: dict) -> ParallelFilter:
+    def _beside_with(self, values: dict, settling: float = 0.0) -> ParallelFilter:
         fusion = WatchedFilter(FilterConfig.from_parameters(values))
         fusion.use_fixes(self._using_fixes)
-        return ParallelFilter(fusion, self._now, self._fixes)
+        return ParallelFilter(fusion, self._now, self._fixes, settling)
 
     def add_imu(self, stamp: int, *numbers) -> bool:
         new = super().add_imu(stamp, *numbers)
@@ -233,8 +244,9 @@ class ChangingFilter(WatchedFilter):
     def reset(self) -> None:
         super().reset()
         self._blending = None
-        for other in self._others:
-            other.reset()
+        for one in self._running:
+            one.fusion.reset()
+            one.begin_anew()
 
     def _compare(self, now: int) -> None:
         """Let a filter without a wrong finding, or the next filter, take over where it is time."""
