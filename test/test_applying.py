@@ -4,6 +4,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from mems_ins_fusion.diagnosis.watch import Watch
 from mems_ins_fusion.effects.registry import effect_called
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs import changing
+from mems_ins_fusion.filter.runs.blending import BLENDING
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.odometry import LINEAR, POSE_COVARIANCE, SIZE
 from mems_ins_fusion.navigation.earth import to_local
@@ -31,7 +33,8 @@ from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 NAME = 'gnss_time_offset'
-APPLY = table.check({'diagnosis.online': 'apply'})
+#: an analysis counts with the answer to its own chunk
+APPLY = table.check({'diagnosis.online': 'apply', 'diagnosis.share': 1.0})
 
 
 def drive(begin=0.0, end=1.0, minutes=16.0, offset=OFFSET):
@@ -134,16 +137,17 @@ def test_the_new_filter_takes_over_where_it_does_not_show(late):
 def test_a_filter_with_what_is_on_trial_takes_over_as_soon_as_that_is_proven(late):
     # given a filter beside with another noise from 100 s on, which is to drive once it has run for as long as it may
     values, begin, end = {**APPLY, 'accelerometer.noise_density': [0.02] * 3}, 100 * 20, 282 * 20
+    last = end + round((BLENDING + 2.0) * 20)
     fusion = changing.ChangingFilter(FilterConfig.from_parameters(APPLY))
-    fed(fusion, late, 0, 290 * 20, {begin: lambda: fusion.prepare([values, {**values, 'imu.adapt_noise': False}]),
+    fed(fusion, late, 0, last, {begin: lambda: fusion.prepare([values, {**values, 'imu.adapt_noise': False}]),
                                     begin + 500: lambda: fusion.prepare([values]),
                                     end: lambda: fusion.change(values)})
-    # then it does not have to settle first
+    # then it does not have to settle first,
     handover, = fusion.handovers
     assert handover.stamp - late.imu.stamp[end] <= 1.1 * SECOND
     # and has the bits of one that began when it was on trial
     own = FusionFilter(FilterConfig.from_parameters(values))
-    fed(own, late, begin, 290 * 20)
+    fed(own, late, begin, last)
     own.datum = fusion.datum
     own.update_odometry(), fusion.update_odometry()
     assert np.array_equal(own.odometry, fusion.odometry)
@@ -159,6 +163,47 @@ def test_a_filter_that_the_fixes_show_to_be_better_does_not_wait(late, monkeypat
     handover, = fusion.handovers
     waited = (handover.stamp - late.imu.stamp[begin]) / SECOND
     assert changing.SETTLING <= waited < changing.SETTLING + 20.0 < changing.LONGEST
+
+
+def test_what_is_published_does_not_jump_where_another_filter_takes_over(late, monkeypatch):
+    # given a filter with another arm of the antenna, which takes over metres from the one before
+    monkeypatch.setattr(changing, 'LONGEST', changing.SETTLING)
+    begin, end = 200 * 20, 280 * 20
+    values = {**APPLY, 'gnss.lever_arm': [3.0, 0.0, 0.0]}
+    fusion, own = (made(FilterConfig.from_parameters(with_)) for made, with_ in (
+        (changing.ChangingFilter, APPLY), (FusionFilter, values)))
+    published, right, places = [], [], []
+
+    def look(one, rows):
+        one.update_odometry()
+        rows.append(one.odometry.copy())
+        if one is fusion:
+            places.append(to_local(*one.geodetic.tolist(), one.datum))
+    fed(fusion, late, 0, end, {begin: lambda: fusion.change(values), **{
+        i: lambda: look(fusion, published) for i in range(begin + 1, end)}})
+    own.datum = fusion.datum
+    fed(own, late, begin, end, {i: lambda: look(own, right) for i in range(begin + 1200, end)})
+    handover, = fusion.handovers
+    published, right, places = np.array(published), np.array(right), np.array(places)[:, :2]
+    at = int(np.searchsorted(late.imu.stamp, handover.stamp)) - begin
+    assert handover.position > 1.0
+    # then no step from one sample to the next is more than the vehicle moves, its velocity's and what is left of
+    # the difference
+    step = np.hypot(*np.diff(published[:, :2], axis=0).T)[at - 5:at + 5]
+    moved = np.hypot(*published[:-1, LINEAR:LINEAR + 2].T)[at - 5:at + 5] / 20.0
+    assert np.all(step - moved < 0.1)
+    yaw = np.unwrap(2.0 * np.arctan2(published[:, 5], published[:, 6]))
+    assert np.abs(np.diff(yaw))[at - 5:at + 5].max() < math.radians(3.0)
+    # the square of how far the new filter's estimate is from the one published is part of the variance published,
+    new, old = right[at - 1199:], published[at:]
+    apart = np.hypot(*(new - old)[:, :2].T)
+    added = (old - new)[:, [POSE_COVARIANCE, POSE_COVARIANCE + 7]].sum(axis=1)
+    assert np.allclose(added, apart**2, atol=1e-9) and apart[0] == pytest.approx(handover.position, rel=1e-6)
+    # and latitude and longitude are those of the position
+    assert np.allclose(places[:, ::-1], published[:, :2], atol=1e-3)
+    # until nothing is left, to the bit
+    last = round(20 * BLENDING) + 2
+    assert np.array_equal(new[last:], old[last:]) and len(old) > last + 20
 
 
 def test_a_difference_that_the_sigmas_do_not_cover_waits_for_a_standstill(late, monkeypatch):
@@ -392,6 +437,21 @@ def test_trials_begin_anew_when_what_they_are_compared_with_changes():
     work._decide()
     assert work.sets == {'gnss.time_offset': OFFSET} and list(work.trials) == ['other']
     assert rest.wealth == rest.harm == 1.0 and not any(rest.errors.values()) and proven.wealth > 1.0
+
+
+def test_filters_that_have_just_begun_drop_nothing():
+    # given a filter without a finding that starts with the one with it, as after kill -9 on the way, and is nearer to
+    # two fixes a second by a metre
+    def seconds_until_better(settling):
+        one = changing.ParallelFilter(SimpleNamespace(aligned=True, misfits={}), 0, 0, settling)
+        for second in range(200):
+            numbers = range(2 * second + 1, 2 * second + 3)
+            one.fusion.misfits.update(dict.fromkeys(numbers, (0.1, 0.0)))
+            one.compare(dict.fromkeys(numbers, (1.1, 0.0)), second * SECOND)
+            if one.is_better(changing.DROPPED):
+                return second
+    # then it takes over only after both have settled, in the same time from there on
+    assert seconds_until_better(changing.SETTLING) == seconds_until_better(0.0) + changing.SETTLING < 120
 
 
 def test_a_filter_that_is_less_sure_does_not_take_over():

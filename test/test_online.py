@@ -1,8 +1,10 @@
 """The diagnosis while driving: bets that chance does not win, the same chunks live as replayed, and over real ROS 2."""
 from __future__ import annotations
 
+import io
 import math
 import os
+import pickle
 import signal
 import time
 from dataclasses import replace
@@ -18,7 +20,7 @@ from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.gathering import CHUNK, Gathering, chunks
 from mems_ins_fusion.diagnosis.held_out import HeldOut
-from mems_ins_fusion.diagnosis.online import FALSE_ALARMS, Online
+from mems_ins_fusion.diagnosis.online import FALSE_ALARMS, Analysis, Online
 from mems_ins_fusion.diagnosis.quantity import ALL, COARSE, FINE, NOTHING, SUSPECT
 from mems_ins_fusion.diagnosis.trial import Trial
 from mems_ins_fusion.diagnosis.trial_outages import OUTAGES
@@ -186,7 +188,7 @@ def test_wild_samples_cost_nothing(drive):
     for a, b in zip(replayed, live):
         same(a, b)
     # then the chunk that it cuts goes on behind it
-    work = Online(table.check({}), blind, blind)
+    work = Online(table.check({'diagnosis.share': 1.0}), blind, blind)
     for chunk in replayed:
         said = work.take(chunk)
     assert said[0].state == NOTHING
@@ -196,8 +198,8 @@ def test_wild_samples_cost_nothing(drive):
 def followed(drive, answers, window=240.0):
     """What is said after each chunk; the analyses find what `answers` gives one after the other, then the last."""
     asked = iter(answers)
-    work = Online(table.check({'diagnosis.window': window}), lambda recording, values: next(asked, answers[-1]),
-                  blind)
+    work = Online(table.check({'diagnosis.window': window, 'diagnosis.share': 1.0}),
+                  lambda recording, values: next(asked, answers[-1]), blind)
     return [work.take(chunk) for chunk in chunks(drive)], work
 
 
@@ -225,9 +227,92 @@ def test_what_the_last_minute_shows_is_not_suspect_for_being_young(drive):
     work = Online(table.check({}), blind, blind)
     work.trials = {'gnss_time_offset': trial()}
     for shown, state in (({'gnss_time_offset'}, COARSE), (set(), SUSPECT)):
-        work._analyse(drive, shown, latest=False)
+        work._analysis = Analysis(drive, {}, 0, False, dict(work.trials), shown)
+        work._conclude()
         # then it is SUSPECT only where the last minute does not show it, either
         assert work.trials['gnss_time_offset'].state == state
+
+
+def test_a_result_counts_with_the_same_chunk_whenever_it_is_there(drive, monkeypatch):
+    # given a third of a core, so that an analysis may take two chunks more than its own
+    monkeypatch.setattr(online, 'FIRST', 2 * CHUNK)
+    settings, asked = table.check({'diagnosis.share': 0.33}), []
+
+    def find(recording, values):
+        asked.append(recording)
+        return [finding()]
+
+    def said(does):
+        work, names = Online(settings, find, blind), []
+        for chunk in list(chunks(drive))[:5]:
+            names.append([q.name for q in work.take(chunk)])
+            does(work)
+        return names
+    # then its result is told with the answer to the fifth chunk, whether it was done before or is waited for then
+    expected = [[ALL]] * 4 + [['gnss_time_offset']]
+    assert said(lambda work: None) == expected and len(asked) == 1
+    assert said(Online.analyse) == expected and len(asked) == 2
+    # and it is of the first two
+    assert all(np.array_equal(part.imu.stamp, drive.imu.stamp[:2 * 1200]) for part in asked)
+
+
+def test_an_analysis_of_other_parameters_than_drive_now_is_abandoned(drive, monkeypatch):
+    # given an analysis that goes on when what is on trial is applied
+    monkeypatch.setattr(online, 'FIRST', CHUNK)
+
+    def find(recording, values):
+        assert not work.is_abandoned
+        work.accept()
+        assert work.is_abandoned
+        raise online.Abandoned
+    work = Online(table.check({'diagnosis.online': 'apply'}), find, blind)
+    work.trials = {'gnss_time_offset': trial()}
+    first, *_ = chunks(drive)
+    work.take(first)
+    # then nothing of it is left
+    work.analyse()
+    assert work._analysis is None and not work.is_abandoned and not work.is_awaited
+
+
+def test_what_is_younger_than_an_analysis_stays(drive):
+    # given a value that came on trial while an analysis went on, which finds another one
+    work = Online(table.check({}), lambda recording, values: [finding(0.1)], blind)
+    work._analysis = Analysis(drive, {}, 0, True, {})
+    work.trials = {'gnss_time_offset': trial()}
+    work._conclude()
+    assert work.trials['gnss_time_offset'].finding.parameters['time_offset'].value == OFFSET
+
+
+def test_no_chunk_waits_for_an_analysis(drive, monkeypatch):
+    # given the process of the diagnosis, in which an analysis begins with the second chunk and ends when four are
+    # answered
+    monkeypatch.setattr(worker.os, 'nice', lambda by: None)
+    monkeypatch.setattr(worker.signal, 'signal', lambda *arguments: None)
+    monkeypatch.setattr(online, 'shown_directly', blind)
+    monkeypatch.setattr(online, 'FIRST', 2 * CHUNK)
+    source, sink, behind = io.BytesIO(), io.BytesIO(), []
+
+    def answers():
+        reader, told = io.BytesIO(sink.getvalue()), []
+        while reader.tell() < len(sink.getvalue()):
+            told.append(pickle.load(reader))
+        return told
+
+    def found(part, values, progress):
+        deadline = time.monotonic() + 20.0
+        while len(answers()) < 4 and time.monotonic() < deadline:
+            progress(0.5, 'searching')
+        behind.append(len(answers()))
+        return [finding()]
+    monkeypatch.setattr(online, 'found', found)
+    for one in ((table.check({'diagnosis.share': 0.33}), []), *((chunk, []) for chunk in list(chunks(drive))[:5])):
+        pickle.dump(one, source)
+    source.seek(0)
+    # when all chunks are there
+    worker.work(source, sink)
+    # then the next two have their answers before the analysis is done, and the fifth has the result of that
+    assert behind == [4]
+    assert [[q.name for q in quantities] for quantities, _, _ in answers()] == [[ALL]] * 4 + [['gnss_time_offset']]
 
 
 def test_a_value_that_has_changed_begins_anew(monkeypatch, drive):
@@ -293,9 +378,8 @@ def test_the_node_tells_it_as_the_replay_does(drive, peer):
               for name in ('latitude', 'longitude')}
     recording = replace(recording, gnss=replace(recording.gnss, **places), speed=None)
     latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    settings = {'diagnosis.online': 'report', 'diagnosis.window': 120.0}
-    arguments = [part for name, value in {**settings, 'diagnosis.share': 1.0}.items()
-                 for part in ('-p', f'{name}:={value}')]
+    settings = {'diagnosis.online': 'report', 'diagnosis.window': 120.0, 'diagnosis.share': 1.0}
+    arguments = [part for name, value in settings.items() for part in ('-p', f'{name}:={value}')]
     with NodeProcess('fusion_node', *PLAYABLE, *arguments) as node:
         node.wait_until_ready()
         told: list[DiagnosticArray] = []

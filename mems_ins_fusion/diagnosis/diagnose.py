@@ -33,9 +33,16 @@ def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress
     """Diagnose `recordings`, one or several of one vehicle, as filtered with `values` (checked parameters).
 
     effects: the candidates, by default all there are, those of named inputs too. Raises DiagnosisError where no
-    recording can be diagnosed at all. `progress` is called with the part of the work done and what is being done.
+    recording can be diagnosed at all. `progress` is called often, with the part of the work done and what it is.
     """
-    progress(0.02, 'filtering')
+    told: tuple = (0.0, '')
+
+    def tell(*now) -> None:
+        nonlocal told
+        told = now
+        progress(*now)
+
+    tell(0.02, 'filtering')
     given = [recordings] if isinstance(recordings, Recording) else list(recordings)
     given = [usable(r, values['imu.max_specific_force'], values['imu.max_angular_rate']) for r in given]
     for recording in given:
@@ -54,8 +61,8 @@ def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress
     sizes = {'gnss_time_offset': [{'time_offset': other[TIME_OFFSET] - values[TIME_OFFSET]} for other in others],
              **{f'{name}_time_offset': [{'time_offset': left.value}] for name, left in shown.clocks.items()},
              **({late.name: [{'share': 1.0}]} if late else {})}
-    trials = TrialRuns(tuple(thinned), Drives(found), library, tuple(durations), spacing, progress,
-                       values['gnss.time_offset_sigma'], sizes, shown)
+    trials = TrialRuns(tuple(thinned), Drives(found), library, tuple(durations), spacing, tell,
+                       values['gnss.time_offset_sigma'], sizes, shown, working=lambda: progress(*told))
     first = begin(trials)
     known = replaced(first, trials)
     for _ in range(MOST_ROUNDS):

@@ -81,11 +81,12 @@ def _end_scores(outages: Outages) -> np.ndarray:
 
 
 def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Sequence[dict], durations,
-            spacing: float, judged: Sequence[np.ndarray] | None = None) -> Measured:
+            spacing: float, judged: Sequence[np.ndarray] | None = None,
+            between: Callable[[], None] = lambda: None) -> Measured:
     """Errors in one drive of a model with parameters `models`: one set, or one for each part, fitted to the others.
 
     recording: with all fixes, for the truth; imu: the samples that the filter gets. judged: masks of the parts, those
-    of `parts` by default.
+    of `parts` by default. between: as of `on_all_cores`, after each model.
     """
     first = int(problem.stamp[problem.mask][0])
     # by the fixes' own stamps, so that the same outages are compared whatever a model says of the clocks
@@ -102,7 +103,7 @@ def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Seq
                      begins if whole else begins[in_mask(begins, problem, part)])
         return found.select(lambda stamp: (whole | in_mask(stamp, problem, part)) & (stamp >= first),
                             np.isfinite(found.likelihood) & part)
-    return _joined(on_all_cores(one, zip(models, judged)))
+    return _joined(on_all_cores(one, zip(models, judged), between))
 
 
 def together(drives: dict[str, Measured]) -> Measured:

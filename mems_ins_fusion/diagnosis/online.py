@@ -16,7 +16,9 @@ Shin, A. Ramdas and A. Rinaldo, "E-detectors", New England J. of Statistics in D
 """
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -28,6 +30,7 @@ from .advice import advised
 from .diagnose import diagnose
 from .direct import shown_directly
 from .findings import Finding
+from .gathering import CHUNK
 from .held_out import HeldOut
 from .quantity import ALL, INITIALISING, NOTHING, Findings, Kept, Quantity, together
 from .trial import Trial
@@ -43,6 +46,9 @@ MORE = 0.5
 LATEST = 240.0
 #: s without fixes, that the analyses judge by
 ANALYSED = (10.0, 30.0)
+#: s of a core that an analysis takes at most, beside what a minute takes anyway: 10 to 30 of some minutes at 100 Hz.
+#: With diagnosis.share of it that is the time after which its result counts, live and in a replay
+ANALYSIS = 60.0
 #: probability that anything is called FINE by chance, in all the time that a filter runs: of the k-th trial it is
 #: 6 / (pi k)^2 of that
 FALSE_ALARMS = 0.01
@@ -57,18 +63,45 @@ NEARLY = 0.99
 Find = Callable[[Recording, dict], list[Finding]]
 
 
+class Abandoned(Exception):
+    """Raised in an analysis by who does it (`Online.is_abandoned`): nobody wants its result any more."""
+
+
+@dataclass
+class Analysis:
+    """An analysis that has begun. due: number of the chunk with whose answer the result counts, whenever that is there.
+    latest: as of `Online._put_on_trial`. trials: what was on trial when it began. shown: what looks have found since.
+    findings: None until it is done. problem: why there are none."""
+
+    part: Recording
+    values: dict
+    due: int
+    latest: bool
+    trials: dict[str, Trial]
+    shown: set[str] = field(default_factory=set)
+    findings: list[Finding] | None = None
+    problem: str = ''
+
+
 class Online:
     """The diagnosis of a vehicle whose filter has the checked parameters `values`.
 
     find: an analysis, recording and parameters to findings; by default what `diagnose` would add. look: the same
     without a filter, each minute; by default `shown_directly`. kept: what an earlier drive has proven; it drives, and
     is SUSPECT until it is proven again.
+
+    An analysis takes longer than the chunks wait for: its result counts with the answer to a later chunk, the same one
+    whenever it is there. `analyse` does it before; else that chunk waits for it.
     """
 
     def __init__(self, values: dict, find: Find | None = None, look: Find | None = None, kept: Sequence[Kept] = ()):
         self._values, self._find, self._look = {**values, 'bag': []}, find or found, look or shown_directly
         self._applies = values['diagnosis.online'] == 'apply'
         self._length = values['diagnosis.window']
+        self._wait = math.ceil(ANALYSIS / (CHUNK * values['diagnosis.share'])) - 1  # chunks, of an analysis
+        self._taken = self._concluded = 0  # chunks, and analyses whose result counts
+        self._analysis: Analysis | None = None  # which has begun, and whose result does not count yet
+        self._doing: Analysis | None = None
         self._window: Recording | None = None
         self._since = self._lately = 0.0  # s of samples since the last analysis, and the last one of the latest ones
         self.trials: dict[str, Trial] = {}  # of what is not applied
@@ -110,8 +143,9 @@ class Online:
         chunk = usable(chunk, self._values['imu.max_specific_force'], self._values['imu.max_angular_rate'])
         if seconds(chunk) < SHORTEST:
             return self.quantities()
+        self._taken += 1
         if self._window is not None and jumps(self._window, chunk):
-            self._window, self._since, self._lately = None, 0.0, 0.0
+            self._window, self._since, self._lately, self._analysis = None, 0.0, 0.0, None
         if not self._begins:
             self._begins = int(chunk.imu.stamp[0])
             for trial in self.applied.values():
@@ -127,31 +161,73 @@ class Online:
         shown = self._look(self._window, {**self._values, **self.sets})
         for finding in shown:
             self._put_on_trial(finding, latest=True, again=False)
-        names = {finding.name for finding in shown}
-        young = seconds(self._window) <= LATEST
-        if self._lately >= NEARLY * LATEST and not young:  # before all that is kept, where both are due
-            self._lately = 0.0
-            self._analyse(cut(self._window, LATEST), names, latest=True)
-        elif self._since >= NEARLY * self._due:
-            self._since, self._lately = 0.0, 0.0 if young else self._lately
-            self._analyses += 1
-            self._analyse(self._window, names, latest=young)
+        self._begin_analysis()
+        if self._analysis is not None:
+            self._analysis.shown |= {finding.name for finding in shown}
+            if self._taken >= self._analysis.due:
+                self._conclude()
         for name, trial in self.applied.items():
             trial.seen = name not in self.trials or self.trials[name].rejected
         return self.quantities()
 
-    def _analyse(self, part: Recording, shown: set[str], latest: bool) -> None:
-        """Trials of what is found in `part`. shown: names of what the look has found just now. latest: the part is
-        young enough to say that a value has changed."""
+    def _begin_analysis(self) -> None:
+        """Begin one where one is due, of the latest samples or of all that is kept, whichever has waited longer as a
+        part of its interval; one after the other."""
+        young = seconds(self._window) <= LATEST
+        latest, whole = 0.0 if young else self._lately / LATEST, self._since / self._due
+        if self._analysis is not None or max(latest, whole) < NEARLY:
+            return
+        part = self._window
+        if latest >= NEARLY and latest >= whole:
+            self._lately, part = 0.0, cut(self._window, LATEST)
+        else:
+            self._since, self._lately = 0.0, 0.0 if young else self._lately
+            self._analyses += 1
+        self._analysis = Analysis(part, {**self._values, **self.sets}, self._taken + self._wait,
+                                  young or part is not self._window, dict(self.trials))
+
+    @property
+    def is_awaited(self) -> bool:
+        """Whether the next chunk needs the result of an analysis that is not there."""
+        analysis = self._analysis
+        return analysis is not None and analysis.findings is None and self._taken + 1 >= analysis.due
+
+    @property
+    def is_abandoned(self) -> bool:
+        """Whether nobody wants the result of the analysis that is being done any more."""
+        return self._doing is not None and self._doing is not self._analysis
+
+    def analyse(self) -> None:
+        """Do the analysis that has begun, where there is one that is not done. What is called from time to time while
+        it goes on may `take` the next chunk unless the result `is_awaited`, and raises Abandoned where it
+        `is_abandoned`."""
+        analysis = self._analysis
+        if analysis is None or analysis.findings is not None:
+            return
+        self._doing = analysis
         try:
-            findings, self._why = self._find(part, {**self._values, **self.sets}), ''
+            analysis.findings = self._find(analysis.part, analysis.values)
         except InputError as error:
-            findings, self._why = [], str(error)
-        names = shown | {finding.name for finding in findings}
-        for name, trial in self.trials.items():
-            trial.seen = name in names or (latest and trial.seen)
-        for finding in findings:
-            self._put_on_trial(finding, latest)
+            analysis.findings, analysis.problem = [], str(error)
+        except Abandoned:
+            pass
+        finally:
+            self._doing = None
+
+    def _conclude(self) -> None:
+        """Trials of what the analysis has found. What came on trial since it began is of later samples, and stays."""
+        self.analyse()
+        analysis, self._analysis = self._analysis, None
+        self._why = analysis.problem
+        self._concluded += 1
+        names = analysis.shown | {finding.name for finding in analysis.findings}
+        before = {name for name, trial in self.trials.items() if analysis.trials.get(name) is trial}
+        for name in before:
+            trial = self.trials[name]
+            trial.seen = name in names or (analysis.latest and trial.seen)
+        for finding in analysis.findings:
+            if finding.name in before or finding.name not in self.trials:
+                self._put_on_trial(finding, analysis.latest)
 
     def _put_on_trial(self, finding: Finding, latest: bool, again: bool = True) -> None:
         """latest: as of `_analyse`. again: what has been shown to do harm may be tried once more."""
@@ -202,7 +278,7 @@ class Online:
 
     def _take_back(self, name: str) -> Trial:
         """Have the trial of this name no longer in the parameters that drive."""
-        trial = self.applied.pop(name)
+        trial, self._analysis = self.applied.pop(name), None  # an analysis that goes on is of other parameters
         trial.applied, trial.proven, trial.harmful, trial.kept = False, False, True, None
         self.trials.setdefault(name, trial)
         return trial
@@ -216,11 +292,12 @@ class Online:
         since = max(one.since for one in dropped)
         self._window = cut(self._window, (int(self._window.imu.stamp[-1]) - since) * 1e-9)
         self._since = self._lately = seconds(self._window)
-        self._analyses = 0
+        self._analyses = self._concluded = 0
 
     def _apply(self, name: str) -> Trial:
         """Have the trial of this name in the parameters that drive."""
         trial = self.applied[name] = self.trials.pop(name)
+        self._analysis = None  # it is of the parameters before
         trial.apply(self._now)
         return trial
 
@@ -232,12 +309,12 @@ class Online:
 
     def reject(self) -> list[Quantity]:
         """Take back all that is applied, and end all trials, as a user asks; what is found again is tried again."""
-        self.trials, self.applied = {}, {}
+        self.trials, self.applied, self._analysis = {}, {}, None
         return self.quantities()
 
     def reset(self) -> list[Quantity]:
         """Forget all but how many trials there have been, as after work on the vehicle."""
-        self._window, self._since, self._lately, self._analyses = None, 0.0, 0.0, 0
+        self._window, self._since, self._lately, self._analyses, self._concluded = None, 0.0, 0.0, 0, 0
         return self.reject()
 
     def quantities(self) -> list[Quantity]:
@@ -250,11 +327,15 @@ class Online:
             return told
         if self._window is None:
             return []
-        if not self._analyses:
-            return [Quantity(now, ALL, INITIALISING, {}, text=f'{self._since:.0f} of {self._due:.0f} s of samples '
-                             'for a first analysis')]
-        return [Quantity(now, ALL, NOTHING, {}, text=f'nothing found in {self._analyses} analyses'
-                         f"{f' ({self._why})' if self._why else ''}")]
+        if self._concluded:
+            return [Quantity(now, ALL, NOTHING, {}, text=f'nothing found in {self._concluded} analyses'
+                             f"{f' ({self._why})' if self._why else ''}")]
+        if self._analysis is None:
+            text = f'{self._since:.0f} of {self._due:.0f} s of samples for a first analysis'
+        else:
+            left = (self._analysis.due - self._taken) * CHUNK
+            text = f'a first analysis goes on, told in {left:.0f} s; the latest minutes are looked at meanwhile'
+        return [Quantity(now, ALL, INITIALISING, {}, text=text)]
 
 
 def _known(kept: Kept, parameters: dict) -> Finding:

@@ -339,10 +339,17 @@ def _refused(of: Run, count: int) -> np.ndarray:
     return refused if refused.mean() < MOST_OUTLIERS else np.zeros(count, dtype=bool)
 
 
-def on_all_cores(work: Callable, items: Iterable) -> list:
-    """What `work` makes of each of `items`: a filter runs without the interpreter's lock."""
-    with ThreadPoolExecutor(threads()) as pool:
-        return list(pool.map(work, items))
+def on_all_cores(work: Callable, items: Iterable, between: Callable[[], None] = lambda: None) -> list:
+    """What `work` makes of each of `items`: a filter runs without the interpreter's lock. between: called after each
+    where there is one thread only, so that nothing else goes on meanwhile."""
+    if threads() > 1:
+        with ThreadPoolExecutor(threads()) as pool:
+            return list(pool.map(work, items))
+    found = []
+    for item in items:
+        found.append(work(item))
+        between()
+    return found
 
 
 def block_begins(problem: Problem, length: float = BLOCK) -> np.ndarray:

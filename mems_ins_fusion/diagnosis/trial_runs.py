@@ -51,7 +51,7 @@ class TrialRuns:
 
     recordings: with all fixes, as many as the problem has drives. offset_sigma: gnss.time_offset_sigma as given, which
     the search does without. starts: sizes of effects, by name, from which they are fitted, too. beside: what the
-    recordings show without a filter.
+    recordings show without a filter. working: called between two steps of the work where there is nothing to tell.
     """
 
     recordings: tuple[Recording, ...]
@@ -63,6 +63,7 @@ class TrialRuns:
     offset_sigma: float
     starts: dict[str, list[dict[str, float]]] = field(default_factory=dict)
     beside: Shown = Shown()
+    working: Callable[[], None] = lambda: None
     measured: dict[str, Measured] = field(default_factory=dict)  # by the filters asked for
 
     @cached_property
@@ -171,7 +172,7 @@ class TrialRuns:
             spacing = self.spacing if full else max(CLOSEST_OUTAGES, seconds / FEW_OUTAGES)
             found[recording.name] = measure(
                 problem, judging, (problem.full if full else problem.drive).imu, [values for values, _ in mine],
-                fitting(self.durations, problem), spacing, [mask for _, mask in mine])
+                fitting(self.durations, problem), spacing, [mask for _, mask in mine], self.working)
         return together(found)
 
     def each(self, configurations: Sequence[dict]) -> list[Measured]:

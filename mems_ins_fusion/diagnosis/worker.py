@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import os
 import pickle
+import queue
 import signal
 import sys
+import threading
 import time
 
 #: s: long against a switch between processes, short against what a vehicle's computer is late by anyway
@@ -41,22 +43,46 @@ def supervise(worker: int, share: float, parent: int) -> int:
 
 
 def work(source, sink) -> None:
-    """Chunks and words from `source` and what is known to `sink`, files, until the first ends."""
+    """Chunks and words from `source` and what is known to `sink`, files, until the first ends. An analysis goes on
+    between them: no chunk waits for it whose answer does not need its result."""
     os.nice(19)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    from .online import Online
+    from .online import Abandoned, Online, found
 
-    values, kept = pickle.load(source)
-    online = Online(values, kept=kept)
-    while True:
-        try:
-            asked = pickle.load(source)
-        except EOFError:
-            return
-        is_chunk = not isinstance(asked, str)
-        quantities = online.take(*asked) if is_chunk else getattr(online, asked)()
+    asked: queue.Queue = queue.Queue(maxsize=1)  # what is beyond waits with who writes it
+
+    def answer() -> bool:
+        """The next answer; whether there is something to answer any more."""
+        one = asked.get()
+        if one is None:
+            return False
+        is_chunk = not isinstance(one, str)
+        quantities = online.take(*one) if is_chunk else getattr(online, one)()
         pickle.dump((quantities, online.wanted, is_chunk), sink)
         sink.flush()
+        return True
+
+    def between(*_) -> None:
+        """What waits, between two steps of an analysis."""
+        while not (asked.empty() or online.is_awaited or online.is_abandoned):
+            answer()
+        if online.is_abandoned:
+            raise Abandoned
+
+    values, kept = pickle.load(source)
+    online = Online(values, lambda part, given: found(part, given, between), kept=kept)
+    threading.Thread(target=_read, args=(source, asked), daemon=True).start()
+    while answer():
+        online.analyse()
+
+
+def _read(source, asked: queue.Queue) -> None:
+    """All that `source` has into `asked`, then None."""
+    try:
+        while True:
+            asked.put(pickle.load(source))
+    except EOFError:
+        asked.put(None)
 
 
 def main(arguments: list[str]) -> int:

@@ -166,6 +166,9 @@ FILTER = (
               choices=('off', 'report', 'apply')),
     Parameter('diagnosis.window', 1200.0, 's', 'Of that: so much of the past is kept for it.', minimum=120.0,
               maximum=7200.0),
+    Parameter('diagnosis.share', 0.1, '-', 'Share of a core that it takes at most, live in a process of its own: what '
+              'an analysis finds counts 60 s / diagnosis.share after its begin, in a replay, too.', positive=True,
+              maximum=1.0),
     Parameter('datum', [], 'deg, deg, m', 'Latitude, longitude and height of the local frame\'s origin; empty: the '
               'median of the first three good fixes.', lengths=(0, 3), elements=PLACE),
 )
@@ -204,8 +207,6 @@ FUSION = (
               'the vehicle at rest when the node starts; empty: what the fixes show.', lengths=(0, 4), elements=PLACE),
     Parameter('start_pose_sigma', [5.0, 0.1], 'm, rad', 'Standard deviation of the start pose: position, heading.',
               lengths=(2,), positive=True),
-    Parameter('diagnosis.share', 0.1, '-', 'Share of a core that diagnosis.online takes at most, in a process of its '
-              'own.', positive=True, maximum=1.0),
     Parameter('state_file', '', 'text', 'File in which position, heading and sensor errors are kept for the next '
               'start; empty: none.'),
     Parameter('state_file_max_age', 86400.0, 's', 'An older state file is not used.', positive=True),

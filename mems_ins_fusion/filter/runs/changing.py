@@ -5,8 +5,8 @@ innovations of the fixes in both filters are compared each second (betting.py). 
 shown to be better, or once it is about as certain as the present one and the change is not visible: the estimates
 differ by less than their standard deviations, or the vehicle stands. The replaced filter, without the finding that was
 applied, continues in parallel: where the finding becomes wrong, as when a driver is restarted, it is better within
-seconds and takes over at once. All decisions depend on stamps and values of the inputs alone: live and in a replay the
-filters change at the same sample.
+seconds and takes over at once. What is published does not jump (blending.py). All decisions depend on stamps and values
+of the inputs alone: live and in a replay the filters change at the same sample.
 """
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from ...navigation.frames import wrap, yaw_of_quaternion
 from ..config import FilterConfig
 from ..memory import Event
 from .betting import Bets
+from .blending import Blending, blending
 from .live import FusionFilter
 from .odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, POSITION, TWIST_COVARIANCE
 
@@ -42,7 +43,7 @@ _STAYS = frozenset({'odometry', 'geodetic', 'position_covariance_enu', 'datum', 
 
 @dataclass(frozen=True)
 class Handover:
-    """A filter has taken over. stamp: ns. Change of the estimate: m, rad."""
+    """A filter has taken over. stamp: ns. Change of the estimate, which what is published follows slowly: m, rad."""
 
     stamp: int
     position: float
@@ -88,11 +89,17 @@ class WatchedFilter(FusionFilter):
 
 class ParallelFilter:
     """A filter with other parameters than the present one, and the bets on it. begun: ns. since: ns, when its wealth
-    was last at its initial value. after: number of the last fix before the comparison."""
+    was last at its initial value. after: number of the last fix before the comparison. settling: s of common fixes
+    before the first bet, where neither filter has run before: one that has just aligned predicts worse by chance."""
 
-    def __init__(self, fusion: WatchedFilter, begun: int, after: int):
+    def __init__(self, fusion: WatchedFilter, begun: int, after: int, settling: float = 0.0):
         self.fusion, self.begun, self.since = fusion, begun, begun
-        self._bets, self._compared = Bets(), after
+        self._bets, self._compared, self._settling = Bets(), after, settling
+        self._settled: int | None = None  # ns, from when on there are bets
+
+    def begin_anew(self) -> None:
+        """Both filters have to align again."""
+        self._settled = None
 
     def is_better(self, wealth: float) -> bool:
         """Whether the bets on it have reached `wealth`."""
@@ -103,12 +110,17 @@ class ParallelFilter:
         correlated. present: innovations of the present filter. now: ns."""
         own = self.fusion.misfits
         both = sorted(number for number in present.keys() & own.keys() if number > self._compared)
-        if both:
-            self._compared = both[-1]
-            self._bets.take(*(tuple(np.mean([misfits[number] for number in both], axis=0).tolist())
-                              for misfits in (present, own)))
-            if self._bets.pro <= 0.0:
-                self._bets.pro, self.since = 0.0, now
+        if not both:
+            return
+        self._compared = both[-1]
+        self._settled = now + round(self._settling * 1e9) if self._settled is None else self._settled
+        if now < self._settled:
+            self.since = now
+            return
+        self._bets.take(*(tuple(np.mean([misfits[number] for number in both], axis=0).tolist())
+                          for misfits in (present, own)))
+        if self._bets.pro <= 0.0:
+            self._bets.pro, self.since = 0.0, now
 
 
 class ChangingFilter(WatchedFilter):
@@ -121,6 +133,7 @@ class ChangingFilter(WatchedFilter):
         self._beside: dict[str, ParallelFilter] = {}  # filters without each finding
         self._ready: list[ParallelFilter] = []  # filters with parameters on trial
         self._dropped: list[Dropped] = []
+        self._blending: Blending | None = None
         self.handovers: list[Handover] = []
         super().__init__(config)
 
@@ -154,7 +167,7 @@ class ChangingFilter(WatchedFilter):
     def watch(self, without: dict[str, dict]) -> None:
         """Run filters without each finding of the present parameters in parallel, as after `change`."""
         self._without = without
-        self._beside = {name: self._beside_with(values) for name, values in without.items()}
+        self._beside = {name: self._beside_with(values, SETTLING) for name, values in without.items()}
 
     def dropped(self) -> list[Dropped]:
         """Findings that the filter has dropped since the last call."""
@@ -166,10 +179,10 @@ class ChangingFilter(WatchedFilter):
         there = next((one for one in self._ready if one.fusion.config.parameters == values), None)
         return there or self._beside_with(values)
 
-    def _beside_with(self, values: dict) -> ParallelFilter:
+    def _beside_with(self, values: dict, settling: float = 0.0) -> ParallelFilter:
         fusion = WatchedFilter(FilterConfig.from_parameters(values))
         fusion.use_fixes(self._using_fixes)
-        return ParallelFilter(fusion, self._now, self._fixes)
+        return ParallelFilter(fusion, self._now, self._fixes, settling)
 
     def add_imu(self, stamp: int, *numbers) -> bool:
         new = super().add_imu(stamp, *numbers)
@@ -212,10 +225,28 @@ class ChangingFilter(WatchedFilter):
         for other in self._others:
             other.set_start(*start)
 
+    def update_odometry(self) -> int:
+        """As of `FusionFilter`; for a while after another filter has taken over with a part of the difference."""
+        stamp = super().update_odometry()
+        if self._blending is not None:
+            part = self._blending.part(stamp)
+            if part > 0.0:
+                self._blending.add_to(self.odometry, self.geodetic, self.position_covariance_enu, part)
+            else:
+                self._blending = None
+        return stamp
+
+    def warm_up(self) -> None:
+        super().warm_up()
+        blending(0, self.odometry, self.odometry).add_to(self.odometry.copy(), self.geodetic.copy(),
+                                                         self.position_covariance_enu.copy(), 1.0)
+
     def reset(self) -> None:
         super().reset()
-        for other in self._others:
-            other.reset()
+        self._blending = None
+        for one in self._running:
+            one.fusion.reset()
+            one.begin_anew()
 
     def _compare(self, now: int) -> None:
         """Let a filter without a wrong finding, or the next filter, take over where it is time."""
@@ -260,12 +291,19 @@ class ChangingFilter(WatchedFilter):
 
     def _take_over(self, other: WatchedFilter, now: int, position: float, yaw: float) -> None:
         """Become `other`; the present filter continues in parallel where it is one without a finding."""
+        published = None
+        if self.aligned:  # else the covariance holds any heading anyway
+            self.update_odometry()
+            published = self.odometry.copy()
         before = WatchedFilter(self.config)
         before.__dict__.update({name: vars(self)[name] for name in vars(before) if name not in _STAYS})
         filters = (before, *(one.fusion for one in self._beside.values()))
         self._next = None
         self.__dict__.update({name: value for name, value in vars(other).items() if name not in _STAYS})
-        self._beside = {}
+        self._blending, self._beside = None, {}
+        if published is not None:
+            stamp = self.update_odometry()
+            self._blending = blending(stamp, published, self.odometry)
         for name, values in self._without.items():
             there = next((fusion for fusion in filters if fusion.config.parameters == values), None)
             self._beside[name] = self._beside_with(values) if there is None else ParallelFilter(
