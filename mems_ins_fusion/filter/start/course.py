@@ -15,10 +15,12 @@ FASTEST = 70.0  # m/s: no land vehicle is faster at its start
 FASTEST_REVERSE = 3.0  # m/s: no vehicle starts faster in reverse; where it seems to, the IMU is mounted backwards
 SHORTEST_COURSE = 1.0  # m, shortest chord
 LONGEST_COURSE_TIME = 60.0  # s, longest chord: over longer times the biases of the inertial sensors are not small
-SLOWEST_START = 0.5  # m/s: the course of a slower vehicle is dominated by the errors of the fixes
+SLOWEST_START = 0.2  # m/s: slower, a chord of a minute is no longer than the body swings and an antenna sways
 SPEED_SIGMA = 0.05  # m/s, standard deviation of velocity components at the start, besides that of speed and heading
 SIDESLIP_SIGMA = 0.02  # rad, standard deviation of the angle between the heading of a car and its course
 LARGEST_YAW_SIGMA = 0.5  # rad, largest standard deviation of a heading to start with: the filter is linear in its error
+CHORD_STEP = 1.1  # factor: a chord whose time is longer than that of the last tried one by less shows the same
+MOST_BETWEEN = 20  # fixes that are looked at between the ends of a chord, evenly: more say the same and take longer
 FEWEST_BETWEEN = 3  # fixes needed between the ends of a chord that does not begin at a standstill
 LONGEST_START = 12.0  # s after a standstill during which the biases that it has shown are used
 #: rad: a vehicle that has turned by more since the standstill shows no direction of driving off
@@ -77,7 +79,7 @@ def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill |
     gives both s and yaw. No sideslip is assumed.
     """
     now, north, east, sigma = positions[-1]
-    refused = None
+    refused, tried = None, 0.0
     if standstill is not None:
         positions = _since(positions, standstill)
     for i in range(len(positions) - 2, -1, -1):
@@ -86,7 +88,7 @@ def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill |
         if now - time > LONGEST_COURSE_TIME:
             break
         distance, interval = float(np.hypot(*chord)), now - time
-        if interval <= 0:
+        if interval <= CHORD_STEP * tried:
             continue
         variance = white * (sigma**2 + s**2) + _wandered(config, interval)
         noise = math.sqrt(variance - (1.0 - white) * (sigma**2 + s**2) * math.expm1(-interval / LASTING_TIME))
@@ -94,6 +96,7 @@ def find_course(imu: np.ndarray, positions: np.ndarray, standstill: Standstill |
             if standstill is not None:
                 return (_of_chord(imu, chord, time, now, noise, standstill, config)
                         or _of_curved_path(imu, positions, standstill, config))
+            tried = interval
             # an outlier must not be taken for a drive: the fixes in between have to lie on the path
             try:
                 found = _of_chord(imu, chord, time, now, noise, None, config, positions[i + 1:-1] - [0.0, n, e, 0.0])
@@ -251,7 +254,7 @@ def _on_path(imu, between, time, now, yaw, speed, noise, config) -> bool:
     that smooths turns an outlier into two or three fixes that look like a drive."""
     if len(between) < FEWEST_BETWEEN:
         return False
-    agreeing = 0
+    between, agreeing = between[::math.ceil(len(between) / MOST_BETWEEN)], 0
     for at, north, east, sigma in between:
         motion = inertial_motion(imu, time, at, None, config)
         moved = np.array([speed * (at - time), 0.0]) + (motion.moved if motion is not None else 0.0)
