@@ -286,9 +286,9 @@ def test_a_line_is_cut_where_a_person_would(text, ending, line):
 
 
 def test_a_long_command_is_wrapped_so_that_a_shell_takes_it():
-    # given a command that fits, and one of 170 characters with a path that has hyphens
+    # given a command that fits, and one of 170 characters with paths that have hyphens and spaces
     folder = 'folder-of-mine/' * 4
-    command = f'python -m mems_ins_fusion compare {folder}my_car.yaml {folder}corrected.yaml'
+    command = f"python -m mems_ins_fusion compare {folder}my_car.yaml '{folder}my second  car.yaml'"
     assert typed('next: ' + command[:60]) == ['next: ' + command[:60]]
     # then no line is longer than a console shows, and a shell reads what was meant
     lines = typed('next: ' + command)

@@ -1,6 +1,7 @@
 """The answer that stands first: on a page, on the console and in report.json, in the same words."""
 from __future__ import annotations
 
+import re
 import textwrap
 from dataclasses import dataclass, field
 
@@ -116,8 +117,12 @@ def typed(command: str) -> list[str]:
     """`command` in lines of WIDTH, which can be typed or copied as they are: it is never cut."""
     if len(command) <= WIDTH:
         return [command]
-    lines = textwrap.wrap(command, WIDTH - 2, subsequent_indent='    ', break_long_words=False, break_on_hyphens=False)
-    return [*(f'{line} \\' for line in lines[:-1]), *lines[-1:]]
+    lines = ['']
+    for word in re.findall(r"(?:'[^']*'|\S)+", command):  # what is quoted stays on one line
+        if lines[-1] and len(lines[-1]) + 1 + len(word) > WIDTH - 2:
+            lines.append('   ')
+        lines[-1] += f' {word}' if lines[-1] else word
+    return [*(f'{line} \\' for line in lines[:-1]), lines[-1]]
 
 
 def _more(count: int) -> str:
