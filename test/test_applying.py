@@ -452,6 +452,10 @@ def test_filters_that_have_just_begun_drop_nothing():
                 return second
     # then it takes over only after both have settled, in the same time from there on
     assert seconds_until_better(changing.SETTLING) == seconds_until_better(0.0) + changing.SETTLING < 120
+    # and so does the one beside a filter that begins with a kept value, but not one that begins later
+    fusion = changing.ChangingFilter(FilterConfig.from_parameters({**APPLY, 'gnss.time_offset': OFFSET}))
+    fusion.watch({NAME: APPLY})
+    assert fusion._beside[NAME]._settling == changing.SETTLING and fusion._beside_with(APPLY)._settling == 0.0
 
 
 def test_a_filter_that_is_less_sure_does_not_take_over():
