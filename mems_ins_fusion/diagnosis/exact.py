@@ -27,9 +27,8 @@ def of_what_is_held(model: Model, track: Offset | None, given: Mapping) -> np.nd
     """Standard deviations, (p,), to be added to those of `model`: the errors of its time offset, arm and smoothing
     where those of HELD that it does not fit are not as in the parameters `given`. Zero for all other unknowns.
 
-    track: time offset, arm and smoothing as the recordings show them without a filter, each with the others unknown. So
-    a value of `model` is known at least as well as by that: its error is no larger, root mean square, than its distance
-    from that of the track and the track's sigma together.
+    track: time offset, arm and smoothing as the recordings show them without a filter, each with the others unknown. An
+    added sigma is thus at most the distance of a value of `model` from that of the track, beyond the track's sigma.
     """
     further = np.zeros(len(model.unknowns))
     own = [i for i, u in enumerate(model.unknowns) if u.effect in TOGETHER and not u.noise]
@@ -44,20 +43,17 @@ def of_what_is_held(model: Model, track: Offset | None, given: Mapping) -> np.nd
     unknowns, sizes = [replace(u, step=size) for u, size in held], np.array([size for _, size in held])
     _, other = scores(model.moved(), unknowns, np.zeros(len(unknowns)), model.residual, quick=True)
     moves = model.covariance @ model.scores.information(model.problem.mask, other)  # of each by one unit of those held
-    sigma = model.sigma()
     for i in own:
-        by_track = _by_track(model.unknowns[i], model.x[i], track, given)
-        further[i] = min(float(np.linalg.norm(moves[i] * sizes)),
-                         math.sqrt(max(by_track**2 - sigma[i] ** 2, 0.0)))
+        further[i] = min(float(np.linalg.norm(moves[i] * sizes)), _apart(model.unknowns[i], model.x[i], track, given))
     return further
 
 
-def _by_track(unknown: Unknown, x: float, track: Offset | None, given: Mapping) -> float:
-    """How far `x` is from the truth by what the track shows of `unknown`, root mean square."""
+def _apart(unknown: Unknown, x: float, track: Offset | None, given: Mapping) -> float:
+    """By how much `x` contradicts what the track shows of `unknown`, beyond the track's sigma."""
     if track is None:
         return math.inf
     value, sigma = _shown(unknown, track, given)
-    return math.hypot(x - value, sigma)
+    return math.sqrt(max((x - value) ** 2 - sigma**2, 0.0))
 
 
 def _shown(unknown: Unknown, track: Offset, given: Mapping) -> tuple[float, float]:
