@@ -160,7 +160,7 @@ def test_the_attitude_of_a_restart_knows_the_accelerometers_error(before):
     fusion.restore(before, 20.0)
     _, rows = feed(fusion, imu, fixes)
     x, y, z, w = rows[-1, ORIENTATION:POSE_COVARIANCE]
-    assert fusion.aligned and math.asin(2 * (w * y - z * x)) == pytest.approx(0.0, abs=2e-3)
+    assert fusion.aligned and math.asin(2 * (w * y - z * x)) == pytest.approx(0.0, abs=3e-3)
 
 
 @pytest.mark.parametrize('change, said', [
@@ -209,7 +209,9 @@ def test_a_start_pose_in_motion_keeps_the_speed_and_at_the_start_knows_none():
     assert rows[-1, TWIST_COVARIANCE] > 10.0**2
     # when it speeds up to 12 m/s and is told again, heading east
     begin = int(imu.stamp[4])
-    _, rows = feed(fusion, parked(6.0, begin=begin + SECOND // RATE, acceleration=2.0)[0], nothing)
+    faster = parked(6.0, begin=begin + SECOND // RATE, acceleration=2.0)[0]
+    faster.specific_force[:, 0] += 0.2 * np.sin(5.0 * np.arange(len(faster)) / RATE)  # as even as a road, not as rest
+    _, rows = feed(fusion, faster, nothing)
     speed, variance = rows[-1, LINEAR], rows[-1, TWIST_COVARIANCE]
     fusion.set_start(*HERE, math.pi / 2, np.diag([1.0, 1.0, 4.0, 0.01]))
     _, rows = feed(fusion, parked(0.3, begin=begin + 6 * SECOND + SECOND // RATE, acceleration=0.3)[0], nothing)
