@@ -14,12 +14,11 @@ import numpy as np
 from mems_ins_fusion.configuration.kinematics import fix_sigma
 from mems_ins_fusion.configuration.regression import jackknife
 from mems_ins_fusion.navigation.earth import to_local
+from mems_ins_fusion.recordings.motion import SLOWEST_COURSE, TIGHTEST_COURSE
 from mems_ins_fusion.samples import Fixes
 
 _CHORD = 3.0  # s: of a course; longer ones cut bends
 _SHARP = 10.0  # sigmas of a fix: a way that has a direction
-_SLOWEST = 0.2  # m/s: robots drive at 0.4; what a receiver's noise asks for is mostly more
-_TIGHTEST = 3.0  # m, radius of a path: in tighter ones a robot turns on the spot, and its antenna moves sideways
 _BLOCKS = 20  # of the drive, for the jackknife
 _FEWEST = 40  # fixes of both in motion
 
@@ -52,8 +51,8 @@ def estimate_baseline(first: Fixes, second: Fixes) -> Baseline | None:
     gap = np.interp(at[middle], 0.5 * (time[1:] + time[:-1]), np.diff(time)) > 2.0 * np.median(np.diff(time))
     shortest = _SHARP * fix_sigma(first, one[:, :2])
     bend = _angle_between((one[middle] - begin)[:, :2], (end - one[middle])[:, :2])
-    good = ((speed > _SLOWEST) & (speed * length > shortest) & (length < 2.0 * _CHORD) & ~gap
-            & (0.5 * speed * length > _TIGHTEST * np.abs(bend))
+    good = ((speed > SLOWEST_COURSE) & (speed * length > shortest) & (length < 2.0 * _CHORD) & ~gap
+            & (0.5 * speed * length > TIGHTEST_COURSE * np.abs(bend))
             & (at[middle] > time[0]) & (at[middle] < time[-1]))
     if np.count_nonzero(good) < _FEWEST:
         return None

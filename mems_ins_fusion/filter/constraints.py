@@ -60,7 +60,7 @@ def constrain(mem, r, sample):
     at = h + 6 * n  # a record for the time being
     since, mem[r + Nav.CONSTRAINT_TIME] = mem[r + Nav.CONSTRAINT_TIME], 0.0
     load_covariance(mem, r, n_navigation, m, mem, p)
-    gyroscopes.forget_jump(mem, r, n, since)
+    gyroscopes.allow_for_end(mem, r, n, since)
     yaw = yaw_state(mem)
     if still:
         variance = velocity_variance(mem, r)

@@ -14,7 +14,7 @@ from mems_ins_fusion.filter.measurements.pressure import HIGHEST, LOWEST, SEA_LE
 from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.recordings.findings import ERROR, INFO, WARNING, Finding, count_of
-from mems_ins_fusion.recordings.motion import positions, robust_sigma, sigmas
+from mems_ins_fusion.recordings.motion import SLOWEST_COURSE, TIGHTEST_COURSE, positions, robust_sigma, sigmas
 from mems_ins_fusion.samples import Fixes, Headings, MagneticFields, Pressures, Speeds, Twists, Velocities
 
 #: Pa each
@@ -29,9 +29,7 @@ _UNITS = {'km/h': 3.6, 'mph': 2.23694, 'knots': 1.94384}  # per m/s
 _SAME_UNIT = 0.07
 _LONGEST_CHORD = 10.0  # s
 _SHORTEST_CHORD = 10.0  # in sigmas of a fix
-_SLOWEST = 0.2  # m/s: robots drive at 0.4; what a receiver's noise asks for is mostly more
 _SHOWS_COURSE = 1.0  # m/s, of a vehicle whose course tells the heading well enough
-_TIGHTEST = 3.0  # m, radius of a path: in tighter ones a robot turns on the spot, and its antenna moves sideways
 _FEWEST = 12  # chords for a verdict
 _OVERSURE = 3.0  # times the stated sigma
 _ALIGNED = 0.9  # cosine
@@ -395,8 +393,8 @@ def _chords(fixes: Fixes) -> _Chords | None:
     climb = (fixes.height[last] - fixes.height[first]) / duration
     chords = _Chords(fixes.stamp[first], fixes.stamp[last], velocity, climb,
                      np.hypot(sigma[first], sigma[last]) / duration)
-    return chords.select((chords.speed > np.maximum(_SLOWEST, _SHORTEST_CHORD * chords.sigma / np.sqrt(2)))
-                         & (chords.speed > _TIGHTEST * _turn_rate(chords)) & (duration < 2 * length))
+    return chords.select((chords.speed > np.maximum(SLOWEST_COURSE, _SHORTEST_CHORD * chords.sigma / np.sqrt(2)))
+                         & (chords.speed > TIGHTEST_COURSE * _turn_rate(chords)) & (duration < 2 * length))
 
 
 def _turn_rate(chords: _Chords) -> np.ndarray:

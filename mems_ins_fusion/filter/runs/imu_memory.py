@@ -125,7 +125,7 @@ def compare_anew(book, j, begin):
 
 @njit
 def say(book, code, i, first, second, third):
-    """Note a message on IMU i, for `_worded`; the leading IMU and three numbers go with it."""
+    """Note a message on IMU i, for `Imus._worded`; the leading IMU and three numbers go with it."""
     row = book.said[min(book.said_count[0], len(book.said) - 1)]
     row[0], row[1], row[2], row[3], row[4], row[5] = code, i, book.leader[0], first, second, third
     book.said_count[0] = min(book.said_count[0] + 1, len(book.said))

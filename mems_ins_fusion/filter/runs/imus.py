@@ -80,7 +80,7 @@ class Imus:
                                        np.array([rate], dtype=float))
         self._source[0] = i
         _, count = take_all(self._book, self._source, stamps, values, 0, self._out_stamps, self._out, self._origin,
-                             self._faults, 0)
+                            self._faults, 0)
         self._count(i, int(stamps[0]), int(self._book.fault[i]))
         if self._book.said_count[0]:
             self._tell()
@@ -89,7 +89,7 @@ class Imus:
     def warm_up(self) -> None:
         """Compile or load what is compiled now, so that the first message is not late."""
         take_all(self._book, self._source[:0], self._origin[:0], self._out[:0], 0, self._out_stamps, self._out,
-                  self._origin, self._faults, 0)
+                 self._origin, self._faults, 0)
 
     def _count(self, i: int, stamp: int, fault: int) -> None:
         tally = self.tallies[self.names[i]]

@@ -38,12 +38,13 @@ def free(mem, r, at, n, dimensions, sample):
     """Gyroscopes that certainly turn at the standstill of the record at `at` less certain by as much, and the heading
     with them; rows of H stand behind P in the scratch. sample: position of the IMU sample."""
     h, p, yaw = int(mem[Head.SCRATCH_AT]) + n * n, int(mem[Head.SCRATCH_AT]), yaw_state(mem)
-    unseen, fit, agrees = min(mem[r + Nav.TIME] - mem[r + Gyroscopes.AGREED], STANDS_UNSEEN), True, True
+    unseen, white = min(mem[r + Nav.TIME] - mem[r + Gyroscopes.AGREED], STANDS_UNSEEN), _white(mem, sample)
+    fit = agrees = True
     for k in range(dimensions):
         squared = (mem[at + Event.Z_N + k] - product(mem, n, h + n * k, r + NAV)) ** 2
         variance = project(mem, n, h + n * k, h + 3 * n)
         # a jump counts for a moment as scatter, too: by the noise between samples it does not agree from the first on
-        agrees = agrees and squared < NEW_ERROR**2 * (variance + _white(mem, sample))
+        agrees = agrees and squared < NEW_ERROR**2 * (variance + white)
         if squared > NEW_ERROR**2 * (variance + mem[at + (Event.R_NN, Event.R_EE, Event.R_DD)[k]]):
             fit = False
             for i in range(n):
@@ -71,7 +72,7 @@ def _white(mem, sample):
 
 
 @njit(_nrt=False)
-def forget_jump(mem, r, n, since):
+def allow_for_end(mem, r, n, since):
     """P in the scratch less certain by what errors that have come by a jump may have gone back in the last `since` s.
     """
     if mem[r + Gyroscopes.JUMPED] == 0.0:
