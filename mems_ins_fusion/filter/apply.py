@@ -17,7 +17,7 @@ from .measurements import (
 from .measurements.geometry import body_to_level
 from .memory import NAV, Error, Event, Head, Kind, Nav, Verdict, load_covariance, row_of, store_covariance
 from .prediction import set_radii
-from .trust import contradiction, hypotheses, inputs, receiver, repeats, straight_on, way
+from .trust import contradiction, fix_drift, hypotheses, inputs, receiver, repeats, straight_on, way
 from .trust.drift import learn_drift
 from .trust.hypotheses import Hypothesis
 from .trust.scale import seen_of
@@ -83,7 +83,12 @@ def _apply_fix(mem, r, at):
     left_n, left_e, _ = position.difference(mem, r, at, body_to_level(mem, r))
     if verdict != Verdict.REFUSED or mem[r + Nav.REFUSED] > SINGLE:
         way.compare(mem, r, at, receiver.realised_variance(mem, r, at))
-    straight_on.pull(mem, r, before, hypotheses.position_and_velocity(mem, r))
+    after = hypotheses.position_and_velocity(mem, r)
+    straight_on.pull(mem, r, before, after)
+    if recovered:
+        fix_drift.begin_anew(mem, r)
+    else:
+        fix_drift.move(mem, r, before, after)
     receiver.learn(mem, r, at, left_n, left_e)
     learn_drift(mem, r)
 
@@ -189,4 +194,5 @@ def _misfit(mem, r, at, n, factor):
 def _goes_straight_on(mem, r, at):
     """Whether the fix at `at` is one of a receiver without satellites that goes straight on."""
     north, east, _ = position.difference(mem, r, at, body_to_level(mem, r))
+    fix_drift.note(mem, r, at, north - mem[r + NAV], east - mem[r + NAV + 1])
     return straight_on.goes_straight_on(mem, r, at, north - mem[r + NAV], east - mem[r + NAV + 1])

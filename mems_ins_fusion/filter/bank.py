@@ -25,7 +25,7 @@ from .memory import (
     velocity_state,
     yaw_state,
 )
-from .trust import hypotheses
+from .trust import fix_drift, hypotheses
 from .trust.hypotheses import Hypothesis
 
 #: in the head of the first
@@ -34,8 +34,8 @@ Bank = HEAD.place(
     SIZE=1,  # floats of one filter; 0: there is no room for a second
     OPEN=1,  # 1: there is one
     COMPARED=1,  # s: time of the last fix after which both were compared,
-    BEGUN=1,  # and at which the second was begun
-    DATED=1)  # 1: an earlier begin of its doubts has been looked for
+    BEGUN=1,  # from which on the second takes them for wrong,
+    DATED=1)  # 1: whether that was earlier has been looked for
 
 #: s before the fix that did not fit: since when fixes may have been wrong that drift away
 BACK = (2.0, 4.0, 8.0)
@@ -43,6 +43,8 @@ BACK = (2.0, 4.0, 8.0)
 BETTER = 2.0
 #: nats: a second that is behind by no more is worth the search since when (each 1 ms for 8 s at 100 Hz)
 SERIOUS = 4.0
+#: s: a filter that has refused all fixes for longer follows none
+FOLLOWS = 3.0
 #: share of the variance of position, velocity and heading below which a squared difference is none
 SAME = 0.1
 
@@ -64,21 +66,35 @@ def compare(memory):
     elif memory[Bank.DATED] == 0.0 and memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE] < SERIOUS:
         memory[Bank.DATED] = 1.0
         _date(memory, other, r, interval)
-    believes = other[r + Hypothesis.DOUBTS] == 0.0
-    if believes and other[r + Hypothesis.SCORE] > memory[r + Hypothesis.SCORE] + BETTER:
+    if _is_better(memory, other, r):
         for i in range(size):
             memory[i], other[i] = other[i], memory[i]
         for i in range(Bank.SIZE, Bank.DATED + 1):
             memory[i] = other[i]
+    doubts = memory[r + Hypothesis.DOUBTS] != 0.0
+    if doubts:  # the other one may be right again: a receiver that has failed comes back
+        other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], memory[r + Hypothesis.SCORE] - hypotheses.LOST)
     lead = memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE]
     share = 1.0 / (1.0 + math.exp(min(lead, 100.0)))
-    if lead > hypotheses.LOST or _same(memory, other, r):
+    if not doubts and lead > hypotheses.LOST or _same(memory, other, r):
         memory[Bank.OPEN] = share = 0.0
     mine, its = hypotheses.position_and_velocity(memory, r), hypotheses.position_and_velocity(other, r)
     sigma, spread = math.sqrt(share), r + Hypothesis.SPREAD
     memory[spread] = sigma * (its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE]
     memory[spread + 1] = sigma * (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE]
     memory[spread + 2], memory[spread + 3] = sigma * (its[2] - mine[2]), sigma * (its[3] - mine[3])
+
+
+@njit(_nrt=False)
+def _is_better(memory, other, r):
+    """Whether the second is to be the first. One that uses no fixes only where the first follows fixes that drift away:
+    who follows a receiver that is off by a constant is off by no more than that."""
+    ahead = other[r + Hypothesis.SCORE] - memory[r + Hypothesis.SCORE]
+    if other[r + Hypothesis.DOUBTS] == 0.0:
+        return ahead > (BETTER if memory[r + Hypothesis.DOUBTS] == 0.0 else 0.0)
+    follows = memory[r + Nav.REFUSED] == 0.0 or memory[r + Nav.FIX_TIME] - memory[r + Nav.REFUSED_SINCE] < FOLLOWS
+    return (ahead > SERIOUS and memory[r + Hypothesis.DOUBTS] == 0.0 and memory[r + Nav.UNSETTLED] == 0.0
+            and follows and fix_drift.are_far(memory, r) and hypotheses.is_drifting(other, r))
 
 
 @njit(_nrt=False)
@@ -96,13 +112,14 @@ def _begin(memory, other, r, interval):
 @njit(_nrt=False)
 def _date(memory, other, r, interval):
     """Let the doubts of `other` have begun earlier, where that has a better score."""
-    best, since = other[r + Hypothesis.SCORE], 0.0
+    best, latest, since = other[r + Hypothesis.SCORE], memory[Bank.BEGUN], 0.0
     for back in BACK:
-        score = _doubt(memory, other, memory[Bank.BEGUN] - back, interval)
+        score = _doubt(memory, other, latest - back, interval)
         if score > best:
             best, since = score, back
     if since != BACK[-1]:
-        _doubt(memory, other, memory[Bank.BEGUN] - since, interval)
+        _doubt(memory, other, latest - since, interval)
+    memory[Bank.BEGUN] = latest - since
 
 
 @njit(_nrt=False)

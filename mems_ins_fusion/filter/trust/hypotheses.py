@@ -46,6 +46,8 @@ JUMPS = 1.0 / 20.0
 RANGE = math.log(1000.0)
 #: m/s: sigma of the drift of wrong fixes, of a receiver that loses its satellites one by one
 DRIFT = 3.0
+#: sigma beyond which wrong fixes certainly drift
+CERTAIN = 3.0
 #: m^2/s and m^2/s^3, variances that offset and drift gather: of a receiver's filter, not of a vehicle that manoeuvres
 WANDERS, TURNS = 0.002, 0.002
 #: s: stamps may be off by so much, one sigma, without anybody having declared it: fixes are then off along the velocity
@@ -147,6 +149,13 @@ def doubt(mem, r, interval):
         mem[r + Hypothesis.OFFSET + i] = mem[r + Hypothesis.DRIFT + i] = 0.0
     mem[r + Hypothesis.SCORE] += math.log(FIXES_WRONG * min(max(interval, LASTING), LONGEST))
     mem[r + Hypothesis.COASTED] = _position_variance(mem, r)
+
+
+@njit(_nrt=False)
+def is_drifting(mem, r):
+    """Whether the fixes that the filter with the state at r takes for wrong certainly drift away."""
+    drift = math.hypot(mem[r + Hypothesis.DRIFT], mem[r + Hypothesis.DRIFT + 1])
+    return drift > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE + 2])
 
 
 @njit(_nrt=False)
