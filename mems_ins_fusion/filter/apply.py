@@ -97,7 +97,7 @@ def _apply_input(mem, r, at, sample):
     if kind == Kind.PRESSURE:
         inputs.take_step(mem, r, at, n)
     if inputs.makes_way(kind):
-        inputs.add_to_way(mem, r, at, n, c)
+        inputs.add_to_way(mem, r, at, n, c, sample)
     judged = min(dimensions, 2)
     if kind == Kind.TWIST:
         judged = 2 if twist.measures_sideways(mem, at) else 1
