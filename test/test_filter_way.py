@@ -237,9 +237,10 @@ def robot():
     tells: wheels ten times a second, velocity and heading once."""
     drive = simulate_drive(240.0, 5, 50.0, standstill=10.0, manoeuvres=SLOW)
     values = {'gnss.lever_arm': [0.5, 0.0, 0.4], 'vehicle.zero_velocity': False}
-    made = simulate_recording(drive, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'),
-                              GnssNoise(0.02, 5.0), [(EFFECTS['gnss_lever_arm'], {'x': 0.5, 'y': 0.0, 'z': 0.4})], seed=5,
-                              aiding=Aiding(twist_rate=10.0, velocity_rate=1.0, heading_rate=1.0))
+    made = simulate_recording(
+        drive, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(0.02, 5.0),
+        [(EFFECTS['gnss_lever_arm'], {'x': 0.5, 'y': 0.0, 'z': 0.4})], seed=5,
+        aiding=Aiding(twist_rate=10.0, twist_sigma=0.01, velocity_rate=1.0, heading_rate=1.0))
     names = ('twist', 'velocity', 'heading')
     settings = table.check({**{f'{name}_topic': f'/{name}' for name in names}, **values})
     return FilterConfig.from_parameters(settings), made.recording
