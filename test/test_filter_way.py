@@ -232,14 +232,14 @@ def test_a_velocity_without_a_vertical_one_is_used(down):
     assert np.mean(errors['flat']) < 1.3 * np.mean(errors['all']) + 1.0, errors
 
 
-def robot():
+def robot(seed=5, **more):
     """A robot of 0.4 m/s that turns on the spot, with fixes of 2 cm from an antenna 0.5 m before its axle, and what it
     tells: wheels ten times a second, velocity and heading once."""
-    drive = simulate_drive(240.0, 5, 50.0, standstill=10.0, manoeuvres=SLOW)
-    values = {'gnss.lever_arm': [0.5, 0.0, 0.4], 'vehicle.zero_velocity': False}
+    drive = simulate_drive(240.0, seed, 50.0, standstill=10.0, manoeuvres=SLOW)
+    values = {'gnss.lever_arm': [0.5, 0.0, 0.4], 'vehicle.zero_velocity': False, **more}
     made = simulate_recording(
         drive, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(0.02, 5.0),
-        [(EFFECTS['gnss_lever_arm'], {'x': 0.5, 'y': 0.0, 'z': 0.4})], seed=5,
+        [(EFFECTS['gnss_lever_arm'], {'x': 0.5, 'y': 0.0, 'z': 0.4})], seed=seed,
         aiding=Aiding(twist_rate=10.0, twist_sigma=0.01, velocity_rate=1.0, heading_rate=1.0))
     names = ('twist', 'velocity', 'heading')
     settings = table.check({**{f'{name}_topic': f'/{name}' for name in names}, **values})
@@ -264,3 +264,21 @@ def test_what_a_robot_tells_wrong_is_not_its_way(name, matrix):
     bad = turned(name, recording.streams()[name], matrix)
     counts = run(settings, recording.imu, recording.gnss, Measured({name: bad})).measured.verdicts(KINDS[name])
     assert counts[Verdict.CONTRADICTED] > 0.6 * len(bad) and counts.get(Verdict.USED, 0) < 0.02 * len(bad), counts
+
+
+@pytest.mark.parametrize('seed', [5, 9])
+def test_a_quiet_robot_does_not_stand_while_its_wheels_turn(seed):
+    # given a robot on even ground that is as quiet in motion as at rest, and standstills by the accelerometers
+    settings, recording = robot(seed, **{'vehicle.zero_velocity': True})
+    result = run(settings, recording.imu, recording.gnss, Measured(twist=recording.streams()['twist']))
+    # then it neither loses its heading nor its place, driving or turning on the spot
+    true = recording.reference
+    north, east = radii(result.latitude)
+    off = np.hypot((result.latitude - np.interp(result.stamp, true.stamp, true.latitude)) * north,
+                   (result.longitude - np.interp(result.stamp, true.stamp, true.longitude)) * east
+                   * np.cos(result.latitude))
+    yaw = np.interp(result.stamp, true.stamp, np.unwrap(true.yaw))
+    turned_off = np.abs(np.angle(np.exp(1j * (result.yaw - yaw))))
+    settled = result.stamp > result.stamp[0] + 20 * SECOND
+    largest = np.degrees(turned_off[settled].max())
+    assert off.max() < 0.3 and largest < 5.0, (off.max(), largest)

@@ -21,6 +21,7 @@ from .trust import contradiction, hypotheses, inputs, receiver, repeats, straigh
 from .trust.drift import learn_drift
 from .trust.hypotheses import Hypothesis
 from .trust.scale import seen_of
+from .trust.standstill import take_speed
 from .update import ROBUST, clear_rows, feed_back, normalized_square, product, project, update
 
 #: fixes refused in a row that may all be wrong: no way ends there
@@ -114,6 +115,8 @@ def _apply_input(mem, r, at, sample):
     if verdict != Verdict.REFUSED:
         _end(mem, r)
         set_radii(mem, r)
+        if kind == Kind.SPEED or kind == Kind.TWIST:
+            take_speed(mem, r, at)
     repeats.note(mem, r, at)
 
 
