@@ -266,7 +266,7 @@ def test_what_a_robot_tells_wrong_is_not_its_way(name, matrix):
     assert counts[Verdict.CONTRADICTED] > 0.6 * len(bad) and counts.get(Verdict.USED, 0) < 0.02 * len(bad), counts
 
 
-@pytest.mark.parametrize('seed', [5, 9])
+@pytest.mark.parametrize('seed', [5, 6])
 def test_a_quiet_robot_does_not_stand_while_its_wheels_turn(seed):
     # given a robot on even ground that is as quiet in motion as at rest, and standstills by the accelerometers
     settings, recording = robot(seed, **{'vehicle.zero_velocity': True})
