@@ -9,6 +9,7 @@ import pytest
 from mems_ins_fusion.configuration.baseline import estimate_baseline
 from mems_ins_fusion.configuration.configure import configure
 from mems_ins_fusion.configuration.turn_offset import estimate_turn_offset
+from mems_ins_fusion.configuration.velocity_offset import estimate_velocity_offset
 from mems_ins_fusion.effects.aiding_time_offset import time_offset_of
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.config import FilterConfig
@@ -19,6 +20,7 @@ from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.samples import Aiding as Measured
+from mems_ins_fusion.simulation import manoeuvres
 from mems_ins_fusion.simulation.drive import simulate_drive
 from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
 
@@ -169,3 +171,21 @@ def test_a_turn_rate_tells_its_clock_in_either_sense(sense):
     assert np.sign(found.correlation) == np.sign(sense) and abs(found.correlation) > 0.9
     # and a turn rate that never is one tells nothing
     assert estimate_turn_offset(made.imu, replace(twist, twist=0.0 * twist.twist), np.eye(3)) is None
+
+
+@pytest.mark.parametrize('rate', [1.0, 5.0])
+def test_the_clock_of_a_slow_robots_velocity_is_as_sure_as_it_says(rate, monkeypatch):
+    # given robots of 0.8 m/s with fixes of 2 cm and velocities of 0.1 m/s once a second, 0.2 s late
+    monkeypatch.setattr(manoeuvres, 'ROBOT_SPEED', 0.8)
+    errors, sigmas = [], []
+    for seed in range(1, 7):
+        drive = simulate_drive(600.0, seed, 50.0, standstill=25.0, manoeuvres=manoeuvres.SLOW)
+        made = simulate_recording(drive, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'),
+                                  GnssNoise(0.02, rate), seed=seed, aiding=Aiding(velocity_rate=1.0)).recording
+        late = replace(made.velocity, stamp=made.velocity.stamp + 200_000_000)
+        found = estimate_velocity_offset(late, made.gnss)
+        errors.append(found.lag - 0.2)
+        sigmas.append(found.lag_sigma)
+    # then the errors are of the size that is told, and that is of use
+    assert np.sqrt(np.mean(np.square(np.divide(errors, sigmas)))) < 1.4, (errors, sigmas)
+    assert np.median(sigmas) < 0.1

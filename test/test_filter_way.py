@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import Event, Kind, Verdict
 from mems_ins_fusion.filter.runs.replay import run, run_with_outages
@@ -15,6 +16,7 @@ from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Aiding as Measured
 from mems_ins_fusion.simulation.drive import simulate_drive
+from mems_ins_fusion.simulation.manoeuvres import SLOW
 from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_recording
 
 SECOND = 10**9
@@ -228,3 +230,55 @@ def test_a_velocity_without_a_vertical_one_is_used(down):
         assert counts[Verdict.USED] > 0.8 * len(velocity), counts
     # then what it says is worth about as much
     assert np.mean(errors['flat']) < 1.3 * np.mean(errors['all']) + 1.0, errors
+
+
+def robot(seed=5, **more):
+    """A robot of 0.4 m/s that turns on the spot, with fixes of 2 cm from an antenna 0.5 m before its axle, and what it
+    tells: wheels ten times a second, velocity and heading once."""
+    drive = simulate_drive(240.0, seed, 50.0, standstill=10.0, manoeuvres=SLOW)
+    values = {'gnss.lever_arm': [0.5, 0.0, 0.4], 'vehicle.zero_velocity': False, **more}
+    made = simulate_recording(
+        drive, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(0.02, 5.0),
+        [(EFFECTS['gnss_lever_arm'], {'x': 0.5, 'y': 0.0, 'z': 0.4})], seed=seed,
+        aiding=Aiding(twist_rate=10.0, twist_sigma=0.01, velocity_rate=1.0, heading_rate=1.0))
+    names = ('twist', 'velocity', 'heading')
+    settings = table.check({**{f'{name}_topic': f'/{name}' for name in names}, **values})
+    return FilterConfig.from_parameters(settings), made.recording
+
+
+def test_what_a_robot_tells_that_turns_on_the_spot_is_its_way():
+    # given inputs that are right
+    settings, recording = robot()
+    result = run(settings, recording.imu, recording.gnss, Measured(
+        {name: recording.streams()[name] for name in ('twist', 'velocity', 'heading')}))
+    # then none is refused for its way: neither the antenna's arc about the axle is one, nor what a robot goes within
+    # the second between two speeds
+    for kind in (Kind.TWIST, Kind.VELOCITY, Kind.HEADING):
+        counts = result.measured.verdicts(kind)
+        assert counts[Verdict.USED] > 100 and Verdict.CONTRADICTED not in counts, counts
+
+
+@pytest.mark.parametrize('name, matrix', [('twist', np.diag([3.6, 3.6, 1.0])), ('velocity', -np.eye(3))])
+def test_what_a_robot_tells_wrong_is_not_its_way(name, matrix):
+    settings, recording = robot()
+    bad = turned(name, recording.streams()[name], matrix)
+    counts = run(settings, recording.imu, recording.gnss, Measured({name: bad})).measured.verdicts(KINDS[name])
+    assert counts[Verdict.CONTRADICTED] > 0.6 * len(bad) and counts.get(Verdict.USED, 0) < 0.02 * len(bad), counts
+
+
+@pytest.mark.parametrize('seed', [5, 6])
+def test_a_quiet_robot_does_not_stand_while_its_wheels_turn(seed):
+    # given a robot on even ground that is as quiet in motion as at rest, and standstills by the accelerometers
+    settings, recording = robot(seed, **{'vehicle.zero_velocity': True})
+    result = run(settings, recording.imu, recording.gnss, Measured(twist=recording.streams()['twist']))
+    # then it neither loses its heading nor its place, driving or turning on the spot
+    true = recording.reference
+    north, east = radii(result.latitude)
+    off = np.hypot((result.latitude - np.interp(result.stamp, true.stamp, true.latitude)) * north,
+                   (result.longitude - np.interp(result.stamp, true.stamp, true.longitude)) * east
+                   * np.cos(result.latitude))
+    yaw = np.interp(result.stamp, true.stamp, np.unwrap(true.yaw))
+    turned_off = np.abs(np.angle(np.exp(1j * (result.yaw - yaw))))
+    settled = result.stamp > result.stamp[0] + 20 * SECOND
+    largest = np.degrees(turned_off[settled].max())
+    assert off.max() < 0.3 and largest < 5.0, (off.max(), largest)

@@ -9,7 +9,7 @@ from mems_ins_fusion.configuration.input_settings import input_settings
 from mems_ins_fusion.configuration.mounting import BIAS_SIGMA, Mounting, deviation, rpy
 from mems_ins_fusion.configuration.receiver import TOO_SURE, Receiver
 from mems_ins_fusion.configuration.remaining import ARM
-from mems_ins_fusion.configuration.setting import ARM_SHOWN, AT_ZERO, SIGNIFICANT, Setting, arm_apart, is_sure, rounded
+from mems_ins_fusion.configuration.setting import ARM_SHOWN, SIGNIFICANT, Setting, arm_apart, at_zero, is_sure, rounded
 from mems_ins_fusion.configuration.topics import Topics
 from mems_ins_fusion.configuration.vehicle import LARGEST_ALIKE
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
@@ -132,7 +132,7 @@ def _time_offset_setting(offset) -> Setting:
     if offset.rivals:
         seen += f'; {" or ".join(f"{rival:g}" for rival in offset.rivals)} s would fit nearly as well'
     sure = is_sure(offset.lag, offset.lag_sigma)
-    return Setting('gnss.time_offset', round(offset.lag, 3) if sure else 0.0, (seen if sure else f'{seen}{AT_ZERO}',))
+    return Setting('gnss.time_offset', round(offset.lag, 3) if sure else 0.0, (seen if sure else f'{seen}{at_zero()}',))
 
 
 def _arm_setting(offset, told: np.ndarray | None) -> Setting:
@@ -209,7 +209,7 @@ def _noise_settings(drives, mounting):
         sure = is_sure(float(np.linalg.norm(mounting.bias)), mounting.bias_sigma)
         yield Setting('accelerometer.bias', _significant(mounting.bias, 2) if sure else [0.0], (
             f'what gravity leaves beside the up axis: {np.linalg.norm(mounting.bias):.2g} +- {mounting.bias_sigma:.2g} '
-            f'm/s^2{"" if sure else AT_ZERO}',))
+            f'm/s^2{"" if sure else at_zero()}',))
 
 
 def vehicle_settings(drives):

@@ -16,10 +16,11 @@ from mems_ins_fusion.configuration.remaining import ARM
 from mems_ins_fusion.configuration.setting import (
     ARM_SHOWN,
     ASIDE,
-    AT_ZERO,
+    OF_SEVERAL,
     TF_ARM,
     Setting,
     arm_apart,
+    at_zero,
     is_sure,
     rounded,
 )
@@ -175,11 +176,11 @@ def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
     lags = [one.lag for one in seen if one.lag is not None]
     if lags:
         lag, sigma = (float(x) for x in weighted(*(np.array(part) for part in zip(*lags))))
-        sure = is_sure(lag, sigma)
+        sure = is_sure(lag, sigma, OF_SEVERAL)
         begin, what = first.get('gnss.time_offset', 0.0) if kind == 'fix' else 0.0, (
             'gnss_topic' if kind in ('fix', 'velocity') else 'the IMU')
         yield Setting(f'{name}.time_offset', round(begin + (lag if sure else 0.0), 3) + 0.0, (
-            f'against {what} {lag:.3f} +- {sigma:.3f} s{"" if sure else AT_ZERO}',))
+            f'against {what} {lag:.3f} +- {sigma:.3f} s{"" if sure else at_zero(OF_SEVERAL)}',))
     elif kind in WHEELED:
         yield Setting(f'{name}.time_offset', 0.0, ('not shown: too few changes of speed, or a road too rough',))
     elif kind == 'magnetometer':

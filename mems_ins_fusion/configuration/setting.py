@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 SIGNIFICANT = 2.0  # sigmas: a smaller value is not set
-#: what the evidence of a smaller value ends with
-AT_ZERO = f': less than {SIGNIFICANT:g} sigma, left at zero'
+#: sigmas, the same of the clocks of inputs, of which a file has several: at two, one file in five would have a false one
+OF_SEVERAL = 3.0
 ARM_SHOWN = 0.3  # m: a part of an arm with a larger sigma is not shown; a tape is better
 ASIDE = 4.0  # sigmas: what is further off is elsewhere for certain
 TF_ARM = 0.05  # m: what the transforms may be off by themselves, standard deviation
@@ -22,9 +22,14 @@ class Setting:
     why: tuple[str, ...]
 
 
-def is_sure(value: float, sigma: float) -> bool:
+def is_sure(value: float, sigma: float, sigmas: float = SIGNIFICANT) -> bool:
     """Whether a value is better than zero for certain."""
-    return bool(abs(value) > SIGNIFICANT * sigma)
+    return bool(abs(value) > sigmas * sigma)
+
+
+def at_zero(sigmas: float = SIGNIFICANT) -> str:
+    """What the evidence of a smaller value ends with."""
+    return f': less than {sigmas:g} sigma, left at zero'
 
 
 def arm_apart(arm, sigma, told: np.ndarray) -> np.ndarray:

@@ -1,8 +1,8 @@
 """The time offset between a receiver's velocities and its fixes: no IMU, no filter.
 
 The way between two fixes is the integral of the velocity over as long, stamped later by the offset: on a grid of
-offsets the squares of what all ways differ by, then a parabola about the least. Ways over which the velocity does not
-change differ alike at each offset, and so tell nothing.
+offsets the squares of what all ways differ by, and of these the one about which they are symmetric. Ways over which the
+velocity does not change differ alike at each offset, and so tell nothing.
 """
 from __future__ import annotations
 
@@ -52,12 +52,13 @@ def estimate_velocity_offset(velocities: Velocities, fixes: Fixes) -> VelocityOf
     begin, end, gone = begin[kept], end[kept], (positions(fixes)[step:] - positions(fixes)[:-step])[kept]
     lags = np.arange(-LARGEST, LARGEST + 0.5 * _STEP, _STEP)
     squares = np.array([np.square(gone - _between(time, way, begin + lag, end + lag)).sum(axis=1) for lag in lags])
-    squares = np.minimum(squares, _FAR**2 * np.median(squares.min(axis=0)))
+    squares = np.minimum(squares, _FAR**2 * np.median(squares, axis=1, keepdims=True))
     blocks = (np.arange(len(begin)) * _BLOCKS) // len(begin)
     costs = np.array([squares[:, blocks == block].sum(axis=1) for block in range(_BLOCKS)])
     whole_cost = costs.sum(axis=0)
-    lag = float(_least(lags, whole_cost))
-    sigma = float(jackknife(np.array([_least(lags, whole_cost - cost) for cost in costs])))
+    apart = max(1, round(min(float(np.median(np.diff(fixes.stamp))) * 1e-9, float(np.median(np.diff(time)))) / _STEP))
+    lag = _least(lags, whole_cost, apart)
+    sigma = float(jackknife(np.array([_least(lags, whole_cost - cost, apart) for cost in costs])))
     return VelocityOffset(lag, math.hypot(sigma, FLOOR))
 
 
@@ -65,10 +66,16 @@ def _between(time, way, begin, end):
     return np.column_stack([np.interp(end, time, part) - np.interp(begin, time, part) for part in way.T])
 
 
-def _least(lags, cost) -> float:
+def _least(lags, cost, apart: int) -> float:
+    """The offset about which the cost is symmetric, next to the smallest: as large `apart` steps sooner as later.
+
+    apart: steps between two fixes or two velocities. Between two velocities their noise averages out, so that the cost
+    has a minimum of its own in each such interval; an interval apart they are interpolated alike.
+    """
     at = int(np.argmin(cost))
-    if not 0 < at < len(lags) - 1:
+    slope = cost[2 * apart:] - cost[:-2 * apart]  # at lags[apart:-apart]
+    rising = np.flatnonzero((slope[:-1] < 0.0) & (slope[1:] >= 0.0))
+    if not len(rising):
         return float(lags[at])
-    before, here, after = cost[at - 1:at + 2]
-    bend = before - 2.0 * here + after
-    return float(lags[at]) + (0.5 * _STEP * (before - after) / bend if bend > 0.0 else 0.0)
+    i = rising[np.argmin(np.abs(rising + apart + 0.5 - at))]
+    return float(lags[i + apart]) + _STEP * float(slope[i] / (slope[i] - slope[i + 1]))

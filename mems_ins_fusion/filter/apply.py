@@ -21,6 +21,7 @@ from .trust import contradiction, fix_drift, hypotheses, inputs, receiver, repea
 from .trust.drift import learn_drift
 from .trust.hypotheses import Hypothesis
 from .trust.scale import seen_of
+from .trust.standstill import take_speed
 from .update import ROBUST, clear_rows, feed_back, normalized_square, product, project, update
 
 #: fixes refused in a row that may all be wrong: no way ends there
@@ -102,7 +103,7 @@ def _apply_input(mem, r, at, sample):
     if kind == Kind.PRESSURE:
         inputs.take_step(mem, r, at, n)
     if inputs.makes_way(kind):
-        inputs.add_to_way(mem, r, at, n, c)
+        inputs.add_to_way(mem, r, at, n, c, sample)
     judged = min(dimensions, 2)
     if kind == Kind.TWIST:
         judged = 2 if twist.measures_sideways(mem, at) else 1
@@ -119,6 +120,8 @@ def _apply_input(mem, r, at, sample):
     if verdict != Verdict.REFUSED:
         _end(mem, r)
         set_radii(mem, r)
+        if kind == Kind.SPEED or kind == Kind.TWIST:
+            take_speed(mem, r, at)
     repeats.note(mem, r, at)
 
 

@@ -23,6 +23,7 @@ from .memory import (
 from .prediction import set_radii
 from .trust import contradiction, gyroscopes, receiver
 from .trust.imu_faults import Imu
+from .trust.standstill import wheels_turn
 from .trust.white_noise import hides_turns
 from .update import ROBUST, clear_rows, correct_by_scalar, feed_back, product, project, update
 
@@ -51,7 +52,7 @@ def constrain(mem, r, sample):
 
     r: position of the state, sample: of the sample that led to it.
     """
-    still = mem[sample + Sample.STILL] != 0.0 and mem[Head.ZERO_VELOCITY_SIGMA] > 0.0
+    still = mem[sample + Sample.STILL] != 0.0 and mem[Head.ZERO_VELOCITY_SIGMA] > 0.0 and not wheels_turn(mem, r)
     if not still and mem[Head.LATERAL_SIGMA] == 0.0:
         return
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])

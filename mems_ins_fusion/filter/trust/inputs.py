@@ -10,7 +10,7 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ..measurements import magnetometer, pressure
-from ..measurements.geometry import body_velocity, own_state, vehicle_to_level
+from ..measurements.geometry import angular_rate, arm_of, body_velocity, own_state, rotate, vehicle_to_level
 from ..memory import NAV, Event, Head, Kind, Nav, yaw_state
 from ..update import ROBUST, product, project
 from . import receiver, repeats, way
@@ -124,19 +124,39 @@ def judge(mem, r, at, n, dimensions):
 
 
 @njit(_nrt=False)
-def add_to_way(mem, r, at, n, c):
-    """Add the speed, velocity, twist or heading at `at` to the way of its input; c: rotation from b to n."""
+def add_to_way(mem, r, at, n, c, sample):
+    """Add the speed, velocity, twist or heading at `at` to the way of its input; c: rotation from b to n, sample:
+    position of the IMU sample of that time.
+
+    Wheels tell the velocity of the axle, which does not go sideways. That of the antenna differs by the turn rate.
+    """
+    x, y, z = arm_of(mem, at, Head.AXLE_X)
+    yaw_variance, density = 0.0, SPEED_LASTS * mem[at + Event.R_NN]
     if mem[at + Event.KIND] == Kind.VELOCITY:  # it has directions of its own
-        v_n, v_e, yaw_variance = mem[at + Event.VALUE], mem[at + Event.VALUE + 1], 0.0
+        x, y, z = arm_of(mem, at, Head.LEVER_X)
+        v_n, v_e = mem[at + Event.VALUE], mem[at + Event.VALUE + 1]
     elif is_of_heading(mem[at + Event.KIND]):  # a way in the direction of the heading
-        forward, yaw_variance = body_velocity(mem, r, vehicle_to_level(mem, r, c), 0), 0.0
+        forward = body_velocity(mem, r, vehicle_to_level(mem, r, c), 0)
         yaw = mem[at + Event.VALUE] if mem[at + Event.KIND] == Kind.HEADING else magnetometer.heading(mem, r, at, c)
         v_n, v_e = math.cos(yaw) * forward, math.sin(yaw) * forward
+        x, y, z = _axle(mem, r), 0.0, 0.0
+        density *= forward * forward
     else:
-        c = vehicle_to_level(mem, r, c)
-        v_n, v_e = c[0] * mem[at + Event.VALUE], c[3] * mem[at + Event.VALUE]
+        vehicle = vehicle_to_level(mem, r, c)
+        v_n, v_e = vehicle[0] * mem[at + Event.VALUE], vehicle[3] * mem[at + Event.VALUE]
+        x = _axle(mem, r)
         yaw_variance = mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * yaw_state(mem)]
-    way.travel(mem, seen_of(mem, r, at), mem[at + Event.TIME], v_n, v_e, yaw_variance)
+    w_x, w_y, w_z = angular_rate(mem, r, sample)
+    x, y, z = mem[Head.LEVER_X] - x, mem[Head.LEVER_Y] - y, mem[Head.LEVER_Z] - z
+    north, east, _ = rotate(c, w_y * z - w_z * y, w_z * x - w_x * z, w_x * y - w_y * x)  # w x arm
+    way.travel(mem, seen_of(mem, r, at), mem[at + Event.TIME], v_n + north, v_e + east, density, yaw_variance)
+
+
+@njit(_nrt=False)
+def _axle(mem, r):
+    """How far before the IMU the point is that does not go sideways, m, as estimated."""
+    axle = int(mem[Head.AXLE])
+    return mem[Head.AXLE_X] + (mem[r + NAV + axle] if axle >= 0 else 0.0)
 
 
 @njit(_nrt=False)

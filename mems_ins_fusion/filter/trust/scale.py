@@ -51,7 +51,9 @@ class _Seen(NamedTuple):
     GAINED: int = 16  # by how much the state has changed since it says that, between messages, m/s or rad,
     LEFT: int = 17  # and what it was after the latest,
     SINCE: int = 18  # time, s, since which it says that
-    SIZE: int = 19
+    LAST: int = 19  # velocity north and east with which its way ends, m/s
+    VARIANCE: int = 21  # of that way, m^2
+    SIZE: int = 22
 
 
 Seen = _Seen()

@@ -7,6 +7,9 @@ force below a hertz or so: no road is so even and no driver so steady that pitch
 an engine shakes faster. How much there is in motion and at rest is learned, as every vehicle and every mount has its
 own: the quietest motion while the filter is certain that the vehicle moves, and the level at rest well below it.
 studies/standstill.py compares this with fixed thresholds and counts false and missed seconds.
+
+A robot below MOVING_SPEED may be as quiet in motion as at rest, and turns on the spot. Where a speed of wheels or an
+odometry comes, it has the last word.
 """
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import HEAD, Nav, Sample, nonnegative, velocity_variance
+from ..memory import HEAD, ROW, Event, Kind, Nav, Sample, nonnegative, velocity_variance
 
 #: parts of the window below: it moves on by one of these at a time
 PARTS = 6
@@ -29,7 +32,17 @@ Still = HEAD.place(
     DURATIONS=PARTS + 1,  # s: and how long each part is
     MOTION=1,  # logarithm of the least root mean square of it in motion
     REST=1)  # and of what is usual at rest
+#: of a state
+Told = ROW.place('Told', MOTION=1)  # s: time of the latest speed where that is certainly one of motion, else 0
 
+#: sigmas that it claims, beyond which a speed is certainly one of motion,
+CERTAIN = 3.0
+#: m/s, and which it is in any case: some claim less than what they scatter at rest
+SLOWEST_TOLD = 0.1
+#: rad/s, and the same of the turn rate of an odometry
+SLOWEST_TURN = 0.02
+#: s after which such a speed says nothing any more
+LONGEST_TOLD = 1.0
 #: m/s: a vehicle certainly moves where its speed, less two sigma, is above this: a slower one may stand
 MOVING_SPEED = 1.0
 #: s: time constant of each of the two low passes; an engine shakes faster than what they leave
@@ -63,6 +76,21 @@ def certain_speed(mem, r):
 def moves(mem, r):
     """Whether the vehicle certainly moves in the state at r."""
     return certain_speed(mem, r) > MOVING_SPEED
+
+
+@njit(_nrt=False)
+def take_speed(mem, r, at):
+    """Remember what the speed or odometry at `at`, which is believed, says of the motion of the state at r."""
+    moves = mem[at + Event.VALUE] ** 2 > max(CERTAIN**2 * mem[at + Event.R_NN], SLOWEST_TOLD**2)
+    if mem[at + Event.KIND] == Kind.TWIST:  # false of a turn rate that is not measured, NaN
+        moves = moves or mem[at + Event.VALUE + 2] ** 2 > max(CERTAIN**2 * mem[at + Event.R_DD], SLOWEST_TURN**2)
+    mem[r + Told.MOTION] = mem[at + Event.TIME] if moves else 0.0
+
+
+@njit(_nrt=False)
+def wheels_turn(mem, r):
+    """Whether a speed has said lately that the vehicle moves."""
+    return mem[r + Told.MOTION] != 0.0 and mem[r + Nav.TIME] - mem[r + Told.MOTION] < LONGEST_TOLD
 
 
 @njit(_nrt=False)

@@ -5,7 +5,9 @@ measurements with much noise, and twenty of them a second are more than a fix of
 But whatever the filter thinks of its velocity, the way between two fixes is known to some metres. By what share the
 way that the speeds make up is longer or shorter, along that of the fixes, is estimated from each way that is long
 enough to tell, with a Kalman filter of one state. An input whose ways are certainly wrong is refused, also when fixes
-end, until its ways fit again. A heading makes up a way as well: the one that the nose leads along.
+end, until its ways fit again. A heading makes up a way as well: the one that the nose leads along. All are ways of the
+antenna, from the instant of one fix to that of another: a robot's turns on the spot, and the way that it makes between
+two speeds, are longer than its fixes are uncertain.
 """
 from __future__ import annotations
 
@@ -24,7 +26,7 @@ UNEVEN = 0.05
 FORGOTTEN = 0.05
 #: share of the way by the speeds below which that of the fixes has no direction of its own
 NO_DIRECTION = 0.3
-#: a way tells something where it is so many sigmas of the fixes: of half as long ones UNEVEN and the fixes hide a third
+#: a way tells something where it is so many sigmas of both: of half as long ones UNEVEN and the sigmas hide a third
 FEWEST_SIGMAS = 16.0
 #: one that differs by more sigmas counts as that: a fix that is far off is not the speed's
 LARGEST_SURPRISE = 2.0
@@ -43,16 +45,22 @@ COMPARED = 0.09
 
 
 @njit(_nrt=False)
-def travel(mem, own, time, v_n, v_e, yaw_variance):
-    """Add what an input says at `time`, s, to its way; v_n, v_e: m/s. own: position of its `Seen`."""
+def travel(mem, own, time, v_n, v_e, density, yaw_variance):
+    """Add what an input says at `time`, s, to its way. own: position of its `Seen`.
+
+    v_n, v_e: velocity of the antenna, m/s, linear between two of them. density: variance of its way in a second, m^2/s.
+    """
     before, mem[own + Seen.WAY_TIME] = mem[own + Seen.WAY_TIME], time
     since = time - before
     if before != 0.0 and since > LONGEST_PAUSE:  # one so slow makes no way, and nothing can speak against it
         mem[own + Seen.COMPARED] = 1.0
     if not 0.0 < since <= LONGEST_PAUSE or yaw_variance > LARGEST_YAW_SIGMA**2:
         mem[own + Seen.START] = 0.0
-    mem[own + Seen.WAY] += v_n * since
-    mem[own + Seen.WAY + 1] += v_e * since
+    mem[own + Seen.VARIANCE] += density * since
+    for k, v in enumerate((v_n, v_e)):
+        change, mem[own + Seen.LAST + k] = v - mem[own + Seen.LAST + k], v
+        mem[own + Seen.WAY + k] += (v - 0.5 * change) * since
+        mem[own + Seen.VARIANCE] += (change * since) ** 2 / 12.0  # it may have changed at any time in between
 
 
 @njit(_nrt=False)
@@ -70,21 +78,25 @@ def _compare(mem, r, at, own, variance):
     time = mem[at + Event.TIME]
     if mem[own + Seen.WAY_TIME] == 0.0:
         return
-    if mem[own + Seen.START] != 0.0 and time - mem[own + Seen.WAY_TIME] <= LONGEST_PAUSE:
+    since = time - mem[own + Seen.WAY_TIME]
+    last_n, last_e = mem[own + Seen.LAST] * since, mem[own + Seen.LAST + 1] * since
+    if mem[own + Seen.START] != 0.0 and since <= LONGEST_PAUSE:
         north = (mem[at + Event.LATITUDE] - mem[own + Seen.START + 1]) / mem[r + Nav.NORTH_SCALE]
         east = (mem[at + Event.LONGITUDE] - mem[own + Seen.START + 2]) / mem[r + Nav.EAST_SCALE]
-        way_n, way_e = mem[own + Seen.WAY], mem[own + Seen.WAY + 1]
+        way_n, way_e = mem[own + Seen.WAY] + last_n, mem[own + Seen.WAY + 1] + last_e
         fixes, speeds = math.hypot(north, east), math.hypot(way_n, way_e)
         longer, common = max(fixes, speeds), north * way_n + east * way_e
-        enough = longer > FEWEST_SIGMAS * math.sqrt(2.0 * variance)
+        both = 2.0 * variance + mem[own + Seen.VARIANCE]
+        enough = longer > FEWEST_SIGMAS * math.sqrt(both)
         if not enough and time - mem[own + Seen.START] < LONGEST_WAY:
             return
         if not enough:  # nothing speaks against it, and a robot may never go further
             mem[own + Seen.COMPARED] = 1.0
         else:
             more = common / fixes - fixes if fixes > NO_DIRECTION * speeds else speeds - common / speeds
-            _learn(mem, own, more / longer, 2.0 * variance / longer**2 + UNEVEN**2)
-    mem[own + Seen.START], mem[own + Seen.WAY], mem[own + Seen.WAY + 1] = time, 0.0, 0.0
+            _learn(mem, own, more / longer, both / longer**2 + UNEVEN**2)
+    mem[own + Seen.START], mem[own + Seen.VARIANCE] = time, 0.0
+    mem[own + Seen.WAY], mem[own + Seen.WAY + 1] = -last_n, -last_e  # what is before the fix is of the way before
     mem[own + Seen.START + 1], mem[own + Seen.START + 2] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
 
 
