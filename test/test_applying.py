@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 from test_online import OFFSET, SECOND, blind, finding
 
 from mems_ins_fusion.diagnosis import online
-from mems_ins_fusion.diagnosis.applying import WAIT, Due, driven
+from mems_ins_fusion.diagnosis.applying import WAIT, Due, driven, with_applied
 from mems_ins_fusion.diagnosis.gathering import CHUNK, chunks
 from mems_ins_fusion.diagnosis.online import OTHER, Online
 from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, SUSPECT, Findings, Kept
@@ -206,18 +206,17 @@ def test_what_is_published_does_not_jump_where_another_filter_takes_over(late, m
     assert np.array_equal(new[last:], old[last:]) and len(old) > last + 20
 
 
-def test_a_difference_that_the_sigmas_do_not_cover_waits_for_a_standstill(late, monkeypatch):
-    # given a change of the mounting by 10 deg, which no sigma of the heading covers, and a vehicle that never stands
-    monkeypatch.setattr(changing, 'STANDING', -1.0)
-    monkeypatch.setattr(changing, 'LONGEST', 150.0)
+def test_a_difference_that_the_sigmas_do_not_cover_is_gone_over_and_not_waited_with(late):
+    # given a mounting that is 10 deg off, which the filter has found out, so that no sigma of the heading covers it
     turned = {**APPLY, 'imu.mounting_rpy': [0.0, 0.0, math.radians(10.0)]}
-    fusion = changing.ChangingFilter(FilterConfig.from_parameters({**APPLY, 'vehicle.non_holonomic': False}))
+    fusion = changing.ChangingFilter(FilterConfig.from_parameters(turned))
     begin = 200 * 20
-    fed(fusion, late, 0, 500 * 20, {begin: lambda: fusion.change({**turned, 'vehicle.non_holonomic': False})})
-    # then it waits as long as it may
+    fed(fusion, late, 0, 400 * 20, {begin: lambda: fusion.change(APPLY)})
+    # then the filter with the right one takes over as soon as it is as sure
     handover, = fusion.handovers
-    assert (handover.stamp - late.imu.stamp[begin]) / SECOND == pytest.approx(150.0, abs=1.1)
-    assert abs(handover.yaw) > math.radians(3.0)
+    waited = (handover.stamp - late.imu.stamp[begin]) / SECOND
+    assert changing.SETTLING <= waited < changing.LONGEST - 60.0
+    assert abs(handover.yaw) > math.radians(5.0)
 
 
 def of_chunks(recording, answers, monkeypatch, kept=()):
@@ -437,6 +436,17 @@ def test_trials_begin_anew_when_what_they_are_compared_with_changes():
     work._decide()
     assert work.sets == {'gnss.time_offset': OFFSET} and list(work.trials) == ['other']
     assert rest.wealth == rest.harm == 1.0 and not any(rest.errors.values()) and proven.wealth > 1.0
+
+
+def test_no_filter_runs_beside_without_what_each_filter_estimates_itself():
+    # given a mounting and a time offset that are applied: two filters that estimate the first meet the fixes alike, but
+    # for how long either has run
+    applied = {'mounting_rotation': {'imu.mounting_rpy': [0.0, 0.0, 0.1]}, NAME: {'gnss.time_offset': OFFSET}}
+    _, without = with_applied(APPLY, applied)
+    assert list(without) == [NAME]
+    # unless they take it as it is given
+    _, without = with_applied({**APPLY, 'imu.mounting_sigma': 0.0}, applied)
+    assert set(without) == set(applied)
 
 
 def test_filters_that_have_just_begun_drop_nothing():
