@@ -2,7 +2,8 @@
 
 The new filter aligns by itself and gets the same messages; with parameters on trial it is started in advance. The
 innovations of the fixes in both filters are compared each second (betting.py). The new filter takes over once it is
-shown to be better, or once it is about as certain as the present one. The replaced filter, without the finding that was
+shown to be better, or once it is about as certain as the present one and the change is not visible: the estimates
+differ by less than their standard deviations, or the vehicle stands. The replaced filter, without the finding that was
 applied, continues in parallel: where the finding becomes wrong, as when a driver is restarted, it is better within
 seconds and takes over at once. What is published does not jump (blending.py). All decisions depend on stamps and values
 of the inputs alone: live and in a replay the filters change at the same sample.
@@ -20,7 +21,7 @@ from ..memory import Event
 from .betting import Bets
 from .blending import Blending, blending
 from .live import FusionFilter
-from .odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, POSITION
+from .odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, POSITION, TWIST_COVARIANCE
 
 SETTLING = 60.0  # s for which the new filter runs before it may take over: its sensor errors settle in that time
 LONGEST = 180.0  # s after which it takes over in any case: its parameters have been proven to be better
@@ -34,6 +35,7 @@ DROPPED = 86_400.0
 #: wealth of a new filter at which it takes over before it is as certain: its parameters have been proven before
 SHOWN_BETTER = 20.0
 KEPT = 100  # fixes whose innovations are kept: two filters process the same fix within seconds of each other
+STANDING = 0.05  # m/s: at a lower speed the vehicle stands, and no controller depends on its pose
 #: attributes that stay when another filter takes over: outputs, messages and counts
 _STAYS = frozenset({'odometry', 'geodetic', 'position_covariance_enu', 'datum', 'tallies', 'gaps', 'waited', '_notices',
                     '_judged', '_said', '_said_mounting', '_next_look', '_recent', '_last_recovery', '_using_fixes'})
@@ -261,13 +263,15 @@ class ChangingFilter(WatchedFilter):
         if not self.has_estimate:
             self._take_over(other, now, 0.0, 0.0)
         elif other.aligned and waited >= SETTLING * 1e9:
-            position, yaw = self._from(other)
-            if (_as_sure(self.odometry, other.odometry) or self._next.is_better(SHOWN_BETTER)
+            position, velocity, yaw = self._from(other)
+            stands = max(abs(self.odometry[LINEAR]), abs(other.odometry[LINEAR])) < STANDING
+            smooth = stands or _covered(position, velocity, yaw, self.odometry, other.odometry)
+            if ((smooth and _as_sure(self.odometry, other.odometry)) or self._next.is_better(SHOWN_BETTER)
                     or waited >= LONGEST * 1e9):
                 self._take_over(other, now, position, yaw)
 
-    def _from(self, other: FusionFilter) -> tuple[float, float]:
-        """Difference of the estimates of `other` and this filter: m, rad."""
+    def _from(self, other: FusionFilter) -> tuple[float, float, float]:
+        """Difference of the estimates of `other` and this filter: m, m/s, rad."""
         other.datum = self.datum
         self.update_odometry()
         other.update_odometry()
@@ -277,7 +281,7 @@ class ChangingFilter(WatchedFilter):
         """Let the filter without a finding take over at once. From now on other findings are watched by the diagnosis
         alone."""
         one, without = self._beside[name], self._without.get(name)
-        position, yaw = self._from(one.fusion)
+        position, _, yaw = self._from(one.fusion)
         self._dropped.append(Dropped(name, one.since, now))
         pending, self._next = self._next is not None, None
         self._take_over(one.fusion, now, position, yaw)
@@ -308,14 +312,23 @@ class ChangingFilter(WatchedFilter):
         self.say('info', self.handovers[-1].text)
 
 
-def _differences(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
-    """Differences of two odometries (SIZE,): horizontal position m, yaw rad."""
+def _differences(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
+    """Differences of two odometries (SIZE,): horizontal position m, velocity m/s, yaw rad."""
     position = math.hypot(*(b - a)[POSITION:POSITION + 2])
+    velocity = math.hypot(*(b - a)[LINEAR:LINEAR + 2])
     yaw = wrap(yaw_of_quaternion(*b[ORIENTATION:POSE_COVARIANCE]) - yaw_of_quaternion(*a[ORIENTATION:POSE_COVARIANCE]))
-    return position, float(yaw)
+    return position, velocity, float(yaw)
 
 
 def _as_sure(present: np.ndarray, other: np.ndarray) -> bool:
     """Whether position and heading of the odometry `other` (SIZE,) are about as certain as those of `present`."""
     a, b = (odometry[POSE_COVARIANCE:LINEAR].reshape(6, 6) for odometry in (present, other))
     return bool(b[0, 0] + b[1, 1] <= AS_SURE**2 * (a[0, 0] + a[1, 1]) and b[5, 5] <= AS_SURE**2 * a[5, 5])
+
+
+def _covered(position: float, velocity: float, yaw: float, a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether the differences are within one standard deviation of the odometries `a` and `b` (SIZE,) together."""
+    pose = (a + b)[POSE_COVARIANCE:LINEAR].reshape(6, 6)
+    twist = (a + b)[TWIST_COVARIANCE:].reshape(6, 6)
+    return (position**2 <= pose[0, 0] + pose[1, 1] and velocity**2 <= twist[0, 0] + twist[1, 1]
+            and yaw**2 <= pose[5, 5])
