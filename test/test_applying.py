@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 from test_online import OFFSET, SECOND, blind, finding
 
 from mems_ins_fusion.diagnosis import online
-from mems_ins_fusion.diagnosis.applying import WAIT, Due, driven
+from mems_ins_fusion.diagnosis.applying import WAIT, Due, driven, with_applied
 from mems_ins_fusion.diagnosis.gathering import CHUNK, chunks
 from mems_ins_fusion.diagnosis.online import OTHER, Online
 from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, SUSPECT, Findings, Kept
@@ -437,6 +437,17 @@ def test_trials_begin_anew_when_what_they_are_compared_with_changes():
     work._decide()
     assert work.sets == {'gnss.time_offset': OFFSET} and list(work.trials) == ['other']
     assert rest.wealth == rest.harm == 1.0 and not any(rest.errors.values()) and proven.wealth > 1.0
+
+
+def test_no_filter_runs_beside_without_what_each_filter_estimates_itself():
+    # given a mounting and a time offset that are applied: two filters that estimate the first meet the fixes alike, but
+    # for how long either has run
+    applied = {'mounting_rotation': {'imu.mounting_rpy': [0.0, 0.0, 0.1]}, NAME: {'gnss.time_offset': OFFSET}}
+    _, without = with_applied(APPLY, applied)
+    assert list(without) == [NAME]
+    # unless they take it as it is given
+    _, without = with_applied({**APPLY, 'imu.mounting_sigma': 0.0}, applied)
+    assert set(without) == set(applied)
 
 
 def test_filters_that_have_just_begun_drop_nothing():

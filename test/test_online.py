@@ -15,7 +15,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_support import PLAYABLE, Diagnostics, NodeProcess, Player, stamp_of
 
-from mems_ins_fusion.diagnosis import online, worker
+from mems_ins_fusion.diagnosis import online, trial_outages, worker
+from mems_ins_fusion.diagnosis.advice import Advice
 from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.findings import Finding
 from mems_ins_fusion.diagnosis.gathering import CHUNK, Gathering, chunks
@@ -29,7 +30,7 @@ from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import Aiding, GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 SECOND = 10**9
-OFFSET = 0.4
+OFFSET, NAME = 0.4, 'gnss_time_offset'
 
 
 def blind(recording, values):
@@ -313,6 +314,81 @@ def test_no_chunk_waits_for_an_analysis(drive, monkeypatch):
     # then the next two have their answers before the analysis is done, and the fifth has the result of that
     assert behind == [4]
     assert [[q.name for q in quantities] for quantities, _, _ in answers()] == [[ALL]] * 4 + [['gnss_time_offset']]
+
+
+def test_no_answer_waits_for_the_advice(drive, monkeypatch):
+    # given the process of the diagnosis, and a look that has something to tell from the second chunk on, which is not
+    # proven in four
+    monkeypatch.setattr(online, 'FALSE_ALARMS', 1e-300)
+    monkeypatch.setattr(worker.os, 'nice', lambda by: None)
+    monkeypatch.setattr(worker.signal, 'signal', lambda *arguments: None)
+    looks = iter([[], [finding()], [], []])
+    monkeypatch.setattr(online, 'shown_directly', lambda recording, values: next(looks))
+    monkeypatch.setattr(online, 'found', lambda part, values, progress: [])
+    source, sink, there = io.BytesIO(), io.BytesIO(), []
+
+    def answers():
+        reader, told = io.BytesIO(sink.getvalue()), []
+        while reader.tell() < len(sink.getvalue()):
+            told.append(pickle.load(reader)[0])
+        return told
+
+    def advised(one, recording, values):
+        there.append(len(answers()))
+        return Advice('a turn', 'time_offset', 's', 0.02, 0.01)
+    monkeypatch.setattr(online, 'advised', advised)
+    values, few = table.check({}), list(chunks(drive))[:4]
+    for one in ((values, []), *((chunk, []) for chunk in few)):
+        pickle.dump(one, source)
+    source.seek(0)
+    worker.work(source, sink)
+    # then it is told that, and what would show more is found after that, once, and told a minute later
+    assert there == [2]
+    told = [[(q.name, q.advice != '') for q in quantities] for quantities in answers()]
+    assert told == [[(ALL, False)], [(NAME, False)], [(NAME, True)], [(NAME, True)]]
+    # and a replay, in which nobody calls for it in between, tells the same
+    looks = iter([[], [finding()], [], []])
+    work = Online(values, blind, lambda recording, given: next(looks))
+    assert [[(q.name, q.advice != '') for q in work.take(chunk)] for chunk in few] == told
+
+
+def test_outages_within_which_the_errors_of_fixes_last_prove_no_colour_of_them(drive, monkeypatch):
+    # given filters of which the one with what is on trial is nearer to the fixes in all outages,
+    def predicted(part, values, chunk):
+        off = 1.0 if values['gnss.coloured_noise.sigma'] or values['gnss.time_offset'] else 2.0
+        return {d: {k: ((off, 0.0), 1e3) for k in range(20)} for d in OUTAGES}
+    monkeypatch.setattr(trial_outages, 'predicted', predicted)
+    colour = {'gnss.coloured_noise.sigma': 1.7, 'gnss.coloured_noise.tau': 8.0}
+    noise = replace(finding(), name='gnss_coloured_noise', parameters={'sigma': Estimate(1.7, 0.2, 'm')}, changes=colour)
+    first, second, *_ = chunks(drive)
+    work = Online(table.check({}), blind, blind)
+    work.take(first)
+    work.trials = {one.name: Trial(one, one.changes, 1.0 / FALSE_ALARMS) for one in (noise, finding())}
+    work.take(second)
+    # then those of 1 and 5 s say nothing of errors of the fixes that last 8 s, and all of them of a time offset
+    counted = {name: [d for d, pairs in one.errors.items() if pairs] for name, one in work.trials.items()}
+    assert counted == {'gnss_coloured_noise': [10.0, 30.0], NAME: list(OUTAGES)}
+
+
+def test_a_mounting_that_the_filter_finds_out_itself_is_proven(monkeypatch):
+    # given a mounting that is 6 deg off in yaw, and one on trial that is right
+    turn = math.radians(6.0)
+    sensors = SensorErrors(accelerometer_noise_density=[1e-3] * 3, gyroscope_noise_density=[1e-4] * 3)
+    recording = simulate_recording(simulate_drive(480.0, seed=5, rate=20.0), sensors, GnssNoise(0.05, rate=2.0),
+                                   seed=5).recording
+    recording = replace(recording, reference=None, speed=None, velocity=None, heading=None)
+
+    def states(declared, tried):
+        """After each chunk, with a mounting declared and one on trial."""
+        one = Finding('mounting_rotation', ['mounting_rotation'], {'yaw': Estimate(tried, 0.01, 'rad')}, 0.0, 0.0, True,
+                      HeldOut(0.0, 1.0, []), changes={'imu.mounting_rpy': [0.0, 0.0, tried]})
+        work = Online(table.check({'imu.mounting_rpy': [0.0, 0.0, declared]}), blind,
+                      lambda part, values: [one] if not work.trials else [])
+        return [work.take(chunk)[0].state for chunk in chunks(recording)]
+    # then it is proven within four minutes, though filters that estimate it predict the same with either,
+    assert FINE in states(turn, 0.0)[:5]
+    # and a wrong one is not
+    assert FINE not in states(0.0, turn)
 
 
 def test_a_value_that_has_changed_begins_anew(monkeypatch, drive):

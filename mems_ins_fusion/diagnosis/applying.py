@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..effects.registry import effect_called
 from ..filter.config import FilterConfig
 from ..filter.runs.changing import ChangingFilter, Dropped, Handover
 from ..filter.runs.odometry import SIZE
@@ -23,11 +24,12 @@ WAIT = 1
 
 
 def with_applied(given: dict, applied: dict[str, dict]) -> tuple[dict, dict[str, dict]]:
-    """The parameters `given` with those of the findings `applied`, by name; and so without each of them."""
+    """The parameters `given` with those of the findings `applied`, by name; and so without each of them that the filter
+    does not estimate itself: one without any of these meets the fixes as well, whichever is right."""
     def but(left_out: str | None) -> dict:
         return {**given, **{parameter: value for name, sets in applied.items() if name != left_out
                             for parameter, value in sets.items()}}
-    return but(None), {name: but(name) for name in applied}
+    return but(None), {name: but(name) for name in applied if effect_called(name).held(given) == given}
 
 
 def go_on(fusion: ChangingFilter, given: dict, findings: Findings, changes: bool) -> None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..evaluation.comparison import aiding_of
+from ..effects.mounting_rotation import MountingRotation
 from ..filter.config import FilterConfig
 from ..filter.runs.replay import run
 from ..samples import Recording
@@ -26,8 +27,8 @@ STATES = {'pitch': 'mounting_pitch', 'yaw': 'mounting_yaw'}
 
 def hides(values: dict) -> dict[str, str]:
     """Effects that are states of the filter with these parameters, and why they are not traced."""
-    if values['vehicle.non_holonomic'] and values['imu.mounting_sigma'] > 0:
-        return {'mounting_rotation': 'the filter estimates pitch and yaw itself (imu.mounting_sigma)'}
+    if MountingRotation().held(values) != values:
+        return {MountingRotation.name: 'the filter estimates pitch and yaw itself (imu.mounting_sigma)'}
     return {}
 
 

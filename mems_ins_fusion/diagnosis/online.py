@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..effects.registry import effect_called
 from ..errors import InputError
 from ..filter.runs.changing import Dropped
 from ..filter.runs.usable import usable
@@ -34,7 +35,7 @@ from .gathering import CHUNK
 from .held_out import HeldOut
 from .quantity import ALL, INITIALISING, NOTHING, Findings, Kept, Quantity, together
 from .trial import Trial
-from .trial_outages import SETTLING, pairs, predicted
+from .trial_outages import SETTLING, Predictions, pairs
 from .window import cut, joined, jumps, seconds
 
 #: s of samples before the first analysis
@@ -108,6 +109,7 @@ class Online:
         self.applied: dict[str, Trial] = {}
         self.begun = self._analyses = self._begins = 0  # trials, analyses; ns, the first stamp
         self._why = ''
+        self._unadvised: list[Trial] = []  # those that came on trial with the newest answer
         for one in kept if self._applies else ():
             self.applied[one.name] = Trial(_known(one, one.parameters), one.sets, self._next_needed(), applied=True,
                                            kept=one)
@@ -140,6 +142,7 @@ class Online:
     def take(self, chunk: Recording, dropped: Sequence[Dropped] = ()) -> list[Quantity]:
         """What is known after `chunk`, the samples since the one before it. dropped: what the filter that drives has
         dropped in it."""
+        self.advise()
         chunk = usable(chunk, self._values['imu.max_specific_force'], self._values['imu.max_angular_rate'])
         if seconds(chunk) < SHORTEST:
             return self.quantities()
@@ -235,8 +238,15 @@ class Online:
         if driving is not None and not (latest and driving.differs(finding)):
             return
         if trial is None or (again and trial.rejected) or (latest and trial.differs(finding)):
-            self.trials[name] = Trial(finding, finding.changes, self._next_needed(),
-                                      advice=advised(finding, self._window, {**self._values, **self.sets}))
+            self.trials[name] = Trial(finding, finding.changes, self._next_needed())
+            self._unadvised.append(self.trials[name])
+
+    def advise(self) -> None:
+        """Find what would show more of what came on trial with the newest answer. It is told with the next one, whose
+        chunk does it where nobody has before: it takes several times as long as the answer itself."""
+        for trial in self._unadvised:
+            trial.advice = advised(trial.finding, self._window, {**self._values, **self.sets})
+        self._unadvised = []
 
     def _next_needed(self) -> float:
         """Wealth with which the next trial is proven."""
@@ -248,14 +258,16 @@ class Online:
         running = [trial for trial in self.trials.values() if not trial.rejected]
         if not (running or self.applied) or not len(chunk.gnss):
             return
-        part = cut(self._window, SETTLING + seconds(chunk))
+        predictions = Predictions(cut(self._window, SETTLING + seconds(chunk)), chunk)
         values = {**self._values, **self.sets}
-        present = predicted(part, values, chunk)
-        for trial in running:
-            trial.take(pairs(present, predicted(part, {**values, **trial.sets}, chunk)), self._now)
-        for name, trial in self.applied.items():
-            other = predicted(part, {**self._values, **self._sets(without=name)}, chunk)
-            trial.take(pairs(other, present), self._now)
+        compared = [(trial, values, {**values, **trial.sets}) for trial in running]
+        compared += [(trial, {**self._values, **self._sets(without=name)}, values)
+                     for name, trial in self.applied.items()]
+        for trial, *both in compared:
+            effect = effect_called(trial.finding.name)
+            told = pairs(*(predictions.of(effect.held(one)) for one in both))
+            lasting = effect.lasting(both[-1])
+            trial.take({d: outages if d >= lasting else [] for d, outages in told.items()}, self._now)
         if self._applies:
             self._decide()
 
@@ -309,7 +321,7 @@ class Online:
 
     def reject(self) -> list[Quantity]:
         """Take back all that is applied, and end all trials, as a user asks; what is found again is tried again."""
-        self.trials, self.applied, self._analysis = {}, {}, None
+        self.trials, self.applied, self._analysis, self._unadvised = {}, {}, None, []
         return self.quantities()
 
     def reset(self) -> list[Quantity]:

@@ -40,7 +40,7 @@ class Quantity:
     @property
     def said(self) -> tuple:
         """What is news when it changes."""
-        return self.name, self.state, self.sets, self.applied
+        return self.name, self.state, self.sets, self.applied, self.advice
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,23 @@ def predicted(part: Recording, values: dict, chunk: Recording) -> dict[float, di
     return results
 
 
+class Predictions:
+    """What filters with several parameters predict in the outages of `chunk`, at the end of `part`: of the same ones it
+    is computed once."""
+
+    def __init__(self, part: Recording, chunk: Recording):
+        self._part, self._chunk = part, chunk
+        self._known: list[tuple[dict, dict]] = []
+
+    def of(self, values: dict) -> dict[float, dict[int, tuple[Place, float]]]:
+        """As of `predicted`."""
+        known = next((found for others, found in self._known if others == values), None)
+        if known is None:
+            known = predicted(self._part, values, self._chunk)
+            self._known.append((values, known))
+        return known
+
+
 def _misfit(errors: Errors, begin: int) -> Place:
     """The mean error from `begin` on, ns; NaN where there is none."""
     late = errors.stamp >= begin

@@ -60,6 +60,7 @@ def work(source, sink) -> None:
         quantities = online.take(*one) if is_chunk else getattr(online, one)()
         pickle.dump((quantities, online.wanted, is_chunk), sink)
         sink.flush()
+        online.advise()
         return True
 
     def between(*_) -> None:

@@ -154,6 +154,16 @@ class Effect:
         """Why this recording, filtered with these parameters, can say nothing about the effect; empty if it can."""
         return '' if self.traced else 'it is looked for in the data themselves, not in the innovations'
 
+    def held(self, values: dict) -> dict:
+        """The parameters `values` for a filter that takes the effect as they say it is, where it would estimate it
+        itself: two filters that do go on as if both had been given the same value."""
+        return values
+
+    def lasting(self, values: dict) -> float:
+        """s, for which fixes hold the same error as `values`, with the effect in them, say. Fixes that come sooner after
+        the last one used tell how well that error was followed, and not where the vehicle is."""
+        return 0.0
+
     def seen(self, values: dict, recording) -> Sighting | None:
         """What a direct look at the recording shows of the effect; None where nothing, or where it is fitted."""
         return None

@@ -34,3 +34,6 @@ class GnssColouredNoise(Effect):
     def adjusted(self, values, theta):
         sigma = np.hypot(values['gnss.coloured_noise.sigma'], theta['sigma'])
         return {**values, 'gnss.coloured_noise.sigma': float(sigma), 'gnss.coloured_noise.tau': theta['tau']}
+
+    def lasting(self, values):
+        return values['gnss.coloured_noise.tau']

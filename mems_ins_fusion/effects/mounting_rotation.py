@@ -31,6 +31,10 @@ class MountingRotation(Effect):
             return ''
         return 'only vehicle.non_holonomic says where forward is: without it the heading takes the rotation up'
 
+    def held(self, values):
+        estimated = values['vehicle.non_holonomic'] and values['imu.mounting_sigma'] > 0.0
+        return {**values, 'imu.mounting_sigma': 0.0} if estimated else values
+
     def adjusted(self, values, theta):
         from scipy.spatial.transform import Rotation
 
