@@ -11,13 +11,13 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from mems_ins_fusion.characterization.autocorrelation import ljung_box
-from mems_ins_fusion.diagnosis.conclusion import Correction, _as_measured, _chosen, _switched
+from mems_ins_fusion.diagnosis.conclusion import Correction, Tried, _as_measured, _chosen, _switched
 from mems_ins_fusion.diagnosis.detection import detect
 from mems_ins_fusion.diagnosis.estimate import Estimate, widened
 from mems_ins_fusion.diagnosis.fit import Scores, _scores, fit
 from mems_ins_fusion.diagnosis.folds import parts
 from mems_ins_fusion.diagnosis.held_out import HeldOut
-from mems_ins_fusion.diagnosis.judgement import compared, harm, objection, unproven
+from mems_ins_fusion.diagnosis.judgement import compared, harm, judged, levels_proven, objection, predicted, unproven
 from mems_ins_fusion.diagnosis.measured import Measured, in_common
 from mems_ins_fusion.diagnosis.noise_levels import choose, multiplied
 from mems_ins_fusion.diagnosis.outliers import isolated
@@ -471,27 +471,101 @@ def test_a_setting_is_switched_off_only_where_that_predicts_better(without, firs
     found = _as_measured([correction, Correction(given, [given], {}, False)],
                          SimpleNamespace(errors=errors, without_standstills=off))
     # then what predicts best stands first, if it is better by more than chance, and what was given last
-    assert found[0][0].values['gnss.time_offset'] == 0.3 and found[0][0].values[switch] == first
-    assert found[-1][0].values == given
-    assert _switched(given, found[0][0].values) == ([] if first else [switch])
+    best = found[0].correction.values
+    assert best['gnss.time_offset'] == 0.3 and best[switch] == first
+    assert found[-1].correction.values == given
+    assert _switched(given, best) == ([] if first else [switch])
 
 
-@pytest.mark.parametrize('answers, chosen', [
-    (['cannot_tell', 'better', 'same'], 0),  # effects alone, whose likelihood is proven: noise levels would hide them
-    (['cannot_tell', 'cannot_tell', 'same'], 0),
-    (['worse', 'better', 'same'], 1),  # not where an error grows: noise levels, if they make errors smaller for certain
-    (['worse', 'cannot_tell', 'same'], 2),  # else what was given
+@pytest.mark.parametrize('answers, gain, chosen', [
+    # effects alone, whose likelihood is proven: noise levels would hide them
+    (['cannot_tell', 'better', 'same'], True, 0),
+    (['cannot_tell', 'cannot_tell', 'same'], True, 0),
+    # not where an error grows: then noise levels, if they have a gain of their own and no error grows
+    (['worse', 'better', 'same'], True, 1),
+    (['worse', 'cannot_tell', 'same'], True, 1),
+    # else what was given
+    (['worse', 'worse', 'same'], True, 2),
+    (['worse', 'cannot_tell', 'same'], False, 2),
+    (['worse', 'better', 'same'], False, 2),
 ])
-def test_what_corrected_yaml_holds(answers, chosen):
-    # given effects alone, noise levels, and what was given, the best by prediction first; errors that are the same
-    given, one = table.check({}), overlapping(10.0, 20.0, 36)
+def test_what_corrected_yaml_holds(answers, gain, chosen):
+    # given effects alone, noise levels, and what was given, the best by prediction first; errors that are the same, but
+    # for those without the noise levels
+    given, one = table.check({}), outages_with(1.0)
     effects, noise = {**given, 'gnss.time_offset': 0.2}, {**given, 'gnss.sigma': 2.0}
-    tried = [(Correction(effects, [effects], {}, True), one, Verdict(answers[0])),
-             (Correction(noise, [noise], {'gnss.sigma': 2.0}, False), one, Verdict(answers[1])),
-             (Correction(given, [given], {}, False), one, Verdict(answers[2]))]
+    without = outages_with(2.0) if gain else one
+    tried = [(Tried(Correction(effects, [effects], {}, True), one), Verdict(answers[0])),
+             (Tried(Correction(noise, [noise], {'gnss.sigma': 2.0}, False), one, without), Verdict(answers[1])),
+             (Tried(Correction(given, [given], {}, False), one), Verdict(answers[2]))]
     correction, _, verdict, _ = _chosen(tried, one, given)
-    assert correction is tried[chosen][0]
+    assert correction is tried[chosen][0].correction
     assert verdict.answer == answers[0 if chosen == 2 else chosen]  # or that on the best of what was tried
+
+
+def outages_with(scale, sigma=1.0, count=36, largest=0.0, seed=1):
+    """Outages of 10 s that end with errors of `scale` m on each axis, and one of `largest` m; the filter says `sigma`."""
+    error = scale * np.random.default_rng(seed).rayleigh(size=count)
+    error[0] = max(error[0], largest)
+    plain = overlapping(10.0, 20.0, count)
+    ends = [SimpleNamespace(horizontal=[e], variance=[sigma**2]) for e in error]
+    return replace(plain, outages=[replace(plain.outages[0], max_error=error, errors=ends,
+                                           within=error**2 < chi2.ppf(0.95, 2) * sigma**2)])
+
+
+@pytest.mark.parametrize('before, after, proven', [
+    # errors that are smaller for certain, whatever the sigmas
+    (outages_with(1.0), outages_with(0.5), True),
+    # the same errors, and sigmas that come to be honest; or less so; or are the same
+    (outages_with(1.0, 0.4), outages_with(1.0, 1.0), True),
+    (outages_with(1.0, 1.0), outages_with(1.0, 0.4), False),
+    (outages_with(1.0), outages_with(1.0), False),
+    # honest sigmas of errors that are larger
+    (outages_with(1.0, 0.4), outages_with(1.3, 1.3), False),
+    # sigmas that a single outage asks for, and too few outages to say
+    (outages_with(1.0, 1.0, largest=8.0), outages_with(1.0, 1.2, largest=8.0), False),
+    (outages_with(1.0, 0.4, count=3), outages_with(1.0, 1.0, count=3), False),
+])
+def test_noise_levels_are_proven_by_smaller_errors_or_by_honest_sigmas(before, after, proven):
+    assert levels_proven(before, after) == proven
+
+
+def test_what_is_predicted_better_is_the_mean_of_the_horizons():
+    # given outages of two durations, one predicted better by one in log likelihood, give or take, the other as before
+    rng, begin = np.random.default_rng(2), np.arange(30) * 10**10
+    gain, none = 1.0 + rng.standard_normal((2, 30)), rng.standard_normal(30)
+
+    def of(*scores):
+        return SimpleNamespace(timeless=None, outages=[SimpleNamespace(begin=begin, apart=30)] * 2, scores=lambda: [
+            (begin[:0], begin[:0]), *((begin, score) for score in scores)])
+    # then each has one vote, and no more is certain than that both err together
+    found = predicted(of(0 * none, none), of(gain[0], none))
+    assert found.mean == pytest.approx(0.5 * gain[0].mean())
+    found, one = predicted(of(0 * none, 0 * none), of(*gain)), predicted(of(none, none), of(none + gain[0], none))
+    assert found.mean == pytest.approx(gain.mean())
+    assert found.sigma == pytest.approx(gain.std(axis=1, ddof=1).mean() / np.sqrt(found.count), rel=0.2)
+    assert one.sigma == pytest.approx(0.5 * gain[0].std(ddof=1) / np.sqrt(one.count), rel=0.2)
+    # and a filter that never runs for so long cannot be compared
+    assert predicted(of(none), of(none, none)) is None
+
+
+@pytest.mark.parametrize('levelled, better', [(outages_with(0.9, seed=4), False), (outages_with(0.5), True)])
+def test_noise_levels_count_by_their_own_gain_whether_the_offset_is_given_or_found(levelled, better):
+    # given fixes that are late: errors of 5 m, 1 m with the offset, and by chance or for certain less with other
+    # noise levels
+    given, late, known = table.check({}), outages_with(5.0), outages_with(1.0)
+    offset, noise = {**given, 'gnss.time_offset': 0.2}, {**given, 'gnss.time_offset': 0.2, 'gnss.sigma': 2.0}
+    effects = Correction(offset, [offset], {}, True)
+    both = Correction(noise, [noise], {'gnss.sigma': 2.0}, True, unlevelled=effects)
+    levels = Correction(noise, [noise], {'gnss.sigma': 2.0}, False, unlevelled=replace(effects, effects=False))
+    # when the offset is found, which both together prove, and when the params file has it already
+    tried = [Tried(both, levelled, known), Tried(effects, known), Tried(Correction(given, [given], {}, False), late)]
+    found = _chosen([(t, judged(late, t.errors, t.correction.effects)) for t in tried], late, given)
+    tried = [Tried(levels, levelled, known), Tried(replace(effects, effects=False), known)]
+    after = _chosen([(t, judged(known, t.errors)) for t in tried], known, offset)
+    # then both ways end with the same parameters: with the noise levels that have a gain of their own
+    assert found[0].values == after[0].values == (noise if better else offset)
+    assert found[2].answer == 'better'
 
 
 def test_what_cannot_be_is_told_with_what_it_stands_for():

@@ -18,7 +18,7 @@ from .findings import Diagnosis, Finding
 from .fit import Model
 from .folds import parts, which_part
 from .held_out import HeldOut
-from .judgement import compared, judged, unproven
+from .judgement import compared, judged, levels_proven, unproven
 from .judging import PLAIN, by_drive_of
 from .known import Known
 from .measured import Measured, in_common, saved
@@ -48,13 +48,30 @@ _SWITCHED = {
 
 @dataclass(frozen=True)
 class Correction:
-    """One way to correct the parameters: for the whole drive, and by the part that is held out."""
+    """One way to correct the parameters: for the whole drive, and by the part that is held out. unlevelled: the same
+    without other noise levels; None where it has none."""
 
     values: dict
     by_part: list[dict]
     factors: dict[str, float]
     effects: bool
     settings: tuple[Finding, ...] = ()
+    unlevelled: Correction | None = None
+
+    def switched(self, change: dict[str, bool]) -> Correction:
+        """With these settings besides."""
+        values, *by_part = ({**v, **change} for v in (self.values, *self.by_part))
+        return replace(self, values=values, by_part=by_part,
+                       unlevelled=self.unlevelled and self.unlevelled.switched(change))
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A correction, its errors at the full rate, and those without its noise levels; None where it has none."""
+
+    correction: Correction
+    errors: Measured
+    unlevelled: Measured | None = None
 
 
 def concluded(known: Known, first: Known, trials: TrialRuns) -> Diagnosis:
@@ -68,8 +85,8 @@ def concluded(known: Known, first: Known, trials: TrialRuns) -> Diagnosis:
     trials.tell(MEASURING, 'measuring errors')
     before, noise_only = (trials.errors(models, full=True) for models in ([given], fitted.by_part))
     correction, after, verdict, judged_by = _chosen([
-        (option, after, judged(before, after, option.effects))
-        for option, after in _as_measured(corrections, trials)], before, given)
+        (tried, judged(before, tried.errors, tried.correction.effects))
+        for tried in _as_measured(corrections, trials)], before, given)
     comparison = compared(before, judged_by)
     if correction.values != given:  # one filter may start later than the other
         before, after = in_common(before, after), in_common(after, before)
@@ -104,24 +121,28 @@ def concluded(known: Known, first: Known, trials: TrialRuns) -> Diagnosis:
     return replace(whole, drives=[_in_drive(whole, k, rests[k], remarks[k]) for k in range(len(drives))])
 
 
-def _chosen(tried: list[tuple[Correction, Measured, Verdict]], before: Measured,
+def _chosen(tried: list[tuple[Tried, Verdict]], before: Measured,
             given: dict) -> tuple[Correction, Measured, Verdict, Measured]:
     """Of the corrections tried, what predicts best first and what was given last, the one for corrected.yaml.
 
-    Effects first, as other noise levels hide them: where errors are smaller for certain, or where the likelihood of
-    held-out data has proven them, alone, and no error grows: who stamps fixes late has the withheld ones late as well,
-    so that errors against these need not tell. Noise levels have no such proof: only where errors are smaller for
-    certain. Else what was given, with the verdict on the best of what was tried. Last the errors that the verdict is
-    about: of the correction, or of what was tried.
+    Effects first, as other noise levels hide them. Each part of a correction has a proof of its own, whatever else it
+    holds: so a params file that has the effects already gets the same noise levels as one that does not. Effects have
+    it by the likelihood of held-out data, noise levels beside the same filter without them (`levels_proven`). All of it
+    counts where errors are smaller for certain, or where it is proven so and no error grows: who stamps fixes late has
+    the withheld ones late as well, so that errors against these need not tell. Settings have no such proof: only where
+    errors are smaller for certain. Else what was given, with the verdict on the best of what was tried. Last the errors
+    that the verdict is about: of the correction, or of what was tried.
     """
-    for option, after, verdict in sorted(tried, key=lambda found: not found[0].effects):
-        alone = not option.factors and not _switched(given, option.values)
-        proven = option.effects and alone and verdict.answer != WORSE and not unproven(
-            compared(before, after), effects=True)
+    for one, verdict in sorted(tried, key=lambda found: not found[0].correction.effects):
+        option, after = one.correction, one.errors
+        if one.unlevelled and not levels_proven(one.unlevelled, after):
+            continue
+        alone = (option.effects or option.factors) and not _switched(given, option.values)
+        proven = alone and verdict.answer != WORSE and not unproven(compared(before, after), effects=True)
         if verdict.answer == BETTER or proven:
             return option, after, verdict, after
-    (_, errors, verdict), (given_ones, as_given, _) = tried[0], tried[-1]
-    return given_ones, as_given, verdict, errors
+    (best, verdict), (kept, _) = tried[0], tried[-1]
+    return kept.correction, kept.errors, verdict, best.errors
 
 
 def _in_drive(whole: Diagnosis, k: int, rest: list[GoesWith], remarks: list[str]) -> Diagnosis:
@@ -165,24 +186,24 @@ def _settled(known: Known, first: Known, fitted: Correction, configured: Correct
             for option in (*proven, configured)], against
 
 
-def _as_measured(corrections: Sequence[Correction], trials: TrialRuns) -> list[tuple[Correction, Measured]]:
+def _as_measured(corrections: Sequence[Correction], trials: TrialRuns) -> list[Tried]:
     """The corrections with their errors at the full rate, what predicts best there first, what was given last. Each is
     tried without noise from the samples' scatter, too: what a sensor filters before it samples, and what swings about a
     mean, adds up to nothing. And without standstills that cannot be told from motion."""
     configured, options = corrections[-1], list(corrections[:-1])
     for correction in corrections:
         scatter = correction.values['imu.adapt_noise'] and correction.values['mechanization'] == 'strapdown'
-        for change in ({'imu.adapt_noise': False} if scatter else {}, trials.without_standstills):
-            if change:
-                values, *by_part = ({**v, **change} for v in (correction.values, *correction.by_part))
-                options.append(replace(correction, values=values, by_part=by_part))
+        changes = {'imu.adapt_noise': False} if scatter else {}, trials.without_standstills
+        options += [correction.switched(change) for change in changes if change]
 
-    def merit(measured):
-        correction, errors = measured
-        changed = bool(_switched(configured.values, correction.values))
-        return _merit(errors) - changed * WORTH / predictions(errors)
-    found = [(option, trials.errors(option.by_part, full=True)) for option in options]
-    return [*sorted(found, key=merit, reverse=True), (configured, trials.errors(configured.by_part, full=True))]
+    def measured(correction):
+        return trials.errors(correction.by_part, full=True)
+
+    def merit(tried):
+        changed = bool(_switched(configured.values, tried.correction.values))
+        return _merit(tried.errors) - changed * WORTH / predictions(tried.errors)
+    found = [Tried(option, measured(option), option.unlevelled and measured(option.unlevelled)) for option in options]
+    return [*sorted(found, key=merit, reverse=True), Tried(configured, measured(configured))]
 
 
 def _only_told(finding: Finding, against: str) -> Finding:
@@ -261,7 +282,8 @@ def _levelled(correction: Correction, trials: TrialRuns) -> Correction:
     factors = {name: factor for name, factor in levels.factors.items() if factor != 1.0}
     by_part = correction.by_part * (len(levels.by_part) if len(correction.by_part) == 1 else 1)
     return replace(correction, values=multiplied(correction.values, factors, claimed), factors=factors,
-                   by_part=[multiplied(values, chosen, claimed) for values, chosen in zip(by_part, levels.by_part)])
+                   by_part=[multiplied(values, chosen, claimed) for values, chosen in zip(by_part, levels.by_part)],
+                   unlevelled=replace(correction, factors={}) if factors else None)
 
 
 def _merit(measured: Measured) -> float:

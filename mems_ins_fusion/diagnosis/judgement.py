@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..evaluation.intervals import paired
+from ..evaluation.intervals import LEVEL, Difference, paired
 from ..evaluation.verdict import BETTER, CANNOT_TELL, Change, Verdict, change_in_outages, change_with_fixes, decide
 from .held_out import CERTAIN, HeldOut
 from .measured import Measured, fairly
@@ -34,6 +34,8 @@ RUNS = 0.5
 COVERED = 0.9
 #: by which share less of them an ellipse may hold it that held it in less than COVERED before
 LESS_HELD = 0.15
+#: of an interval whose lower end is passed by chance in 1 - LEVEL of the cases: that a gain is one is asked of one side
+ONE_SIDED = 2 * LEVEL - 1
 
 
 def changes(before: Measured, after: Measured) -> list[Change]:
@@ -132,6 +134,39 @@ def harm(comparison: Sequence[dict], effects: bool = False, floor: float = COVER
 
 def _plain(value: float, squared: bool) -> str:
     return f'{value**2 if squared else value:.3g}'
+
+
+def levels_proven(before: Measured, after: Measured) -> bool:
+    """Whether noise levels are proven by data that did not choose them. before: the same filter without them.
+
+    Errors are smaller for certain; or predictions are better for certain (`predicted`), which counts sigmas that come
+    to be honest as well, and no error grows.
+    """
+    if judged(before, after).answer == BETTER:
+        return True
+    gain = predicted(before, after)
+    return gain is not None and gain.interval(ONE_SIDED)[0] > 0.0 and not unproven(compared(before, after), True)
+
+
+def predicted(before: Measured, after: Measured) -> Difference | None:
+    """By how much predictions are better, in log likelihood: what noise levels are chosen by, the mean over the
+    horizons, each with one vote; None where there are too few to say.
+
+    The horizons see the same drive, so that their errors go together: the sigma is the mean of theirs, the largest that
+    it can be, of as many independent differences as the fewest of a horizon.
+    """
+    apart = [np.inf, *(o.apart for o in (before.timeless or before).outages if len(o.begin))]
+    scores, found = (before.scores(), after.scores()), []
+    if len(scores[0]) != len(scores[1]):  # one of the filters never runs for so long
+        return None
+    for (old, was), (new, now), count in zip(*scores, apart):
+        _, a, b = np.intersect1d(old, new, return_indices=True)
+        found.append(paired(now[b], was[a], count))
+    found = [one for one in found if one is not None]
+    if not found:
+        return None
+    return Difference(float(np.mean([one.mean for one in found])), float(np.mean([one.sigma for one in found])),
+                      min(one.count for one in found))
 
 
 def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
