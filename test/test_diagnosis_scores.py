@@ -17,7 +17,16 @@ from mems_ins_fusion.diagnosis.estimate import Estimate, widened
 from mems_ins_fusion.diagnosis.fit import Scores, _scores, fit
 from mems_ins_fusion.diagnosis.folds import parts
 from mems_ins_fusion.diagnosis.held_out import HeldOut
-from mems_ins_fusion.diagnosis.judgement import compared, harm, judged, levels_proven, objection, predicted, unproven
+from mems_ins_fusion.diagnosis.judgement import (
+    ONE_SIDED,
+    compared,
+    harm,
+    judged,
+    levels_proven,
+    objection,
+    predicted,
+    unproven,
+)
 from mems_ins_fusion.diagnosis.measured import Measured, in_common
 from mems_ins_fusion.diagnosis.noise_levels import choose, multiplied
 from mems_ins_fusion.diagnosis.outliers import isolated
@@ -547,6 +556,22 @@ def test_what_is_predicted_better_is_the_mean_of_the_horizons():
     assert one.sigma == pytest.approx(0.5 * gain[0].std(ddof=1) / np.sqrt(one.count), rel=0.2)
     # and a filter that never runs for so long cannot be compared
     assert predicted(of(none), of(none, none)) is None
+
+
+@pytest.mark.parametrize('alike', [0.0, 0.7, 1.0])
+def test_predictions_that_are_the_same_are_seldom_better_for_certain(alike):
+    # given outages of three durations whose predictions differ by chance, more or less alike in all of them
+    def of(scores):
+        return SimpleNamespace(timeless=None, outages=[SimpleNamespace(begin=s, apart=len(s)) for s in scores],
+                               scores=lambda: [(np.zeros(0), np.zeros(0)), *((np.arange(len(s)), s) for s in scores)])
+    proven = 0
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        together = rng.standard_normal(24)
+        gain = [np.sqrt(1 - alike**2) * rng.standard_normal(n) + alike * together[:n] for n in (24, 12, 6)]
+        proven += predicted(of([0 * g for g in gain]), of(gain)).interval(ONE_SIDED)[0] > 0
+    # then chance proves no more than 5 %
+    assert proven < 30
 
 
 @pytest.mark.parametrize('levelled, better', [(outages_with(0.9, seed=4), False), (outages_with(0.5), True)])

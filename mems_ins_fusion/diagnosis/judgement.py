@@ -150,10 +150,11 @@ def levels_proven(before: Measured, after: Measured) -> bool:
 
 def predicted(before: Measured, after: Measured) -> Difference | None:
     """By how much predictions are better, in log likelihood: what noise levels are chosen by, the mean over the
-    horizons, each with one vote; None where there are too few to say.
+    horizons, each with one vote; None where there are too few to say, or where they are the same.
 
-    The horizons see the same drive, so that their errors go together: the sigma is the mean of theirs, the largest that
-    it can be, of as many independent differences as the fewest of a horizon.
+    The horizons see the same drive, so that their errors may go together, and the errors of their sigmas: the sigma is
+    the mean of theirs, and its relative error 1 / sqrt(2 (count - 1)) the mean of theirs by sigma. Neither can be
+    larger.
     """
     apart = [np.inf, *(o.apart for o in (before.timeless or before).outages if len(o.begin))]
     scores, found = (before.scores(), after.scores()), []
@@ -163,10 +164,11 @@ def predicted(before: Measured, after: Measured) -> Difference | None:
         _, a, b = np.intersect1d(old, new, return_indices=True)
         found.append(paired(now[b], was[a], count))
     found = [one for one in found if one is not None]
-    if not found:
+    mean, sigma, count = np.array([(one.mean, one.sigma, one.count) for one in found]).reshape(-1, 3).T
+    if not sigma.any():
         return None
-    return Difference(float(np.mean([one.mean for one in found])), float(np.mean([one.sigma for one in found])),
-                      min(one.count for one in found))
+    together = 1.0 + (sigma.sum() / (sigma / np.sqrt(count - 1.0)).sum()) ** 2
+    return Difference(float(mean.mean()), float(sigma.mean()), float(together))
 
 
 def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
