@@ -138,7 +138,7 @@ def _chosen(tried: list[tuple[Tried, Verdict]], before: Measured,
         if one.unlevelled and not levels_proven(one.unlevelled, after):
             continue
         alone = (option.effects or option.factors) and not _switched(given, option.values)
-        proven = alone and verdict.answer != WORSE and not unproven(compared(before, after), effects=True)
+        proven = alone and verdict.answer != WORSE and not unproven(compared(before, after))
         if verdict.answer == BETTER or proven:
             return option, after, verdict, after
     (best, verdict), (kept, _) = tried[0], tried[-1]
@@ -174,7 +174,7 @@ def _settled(known: Known, first: Known, fitted: Correction, configured: Correct
         if option.values == configured.values:
             continue
         errors = trials.errors(option.by_part)
-        worse = unproven(compared(first.errors, errors), option.effects)
+        worse = unproven(compared(first.errors, errors))
         # what effects are proven by is the likelihood of held-out data; their predictions need not be better by chance
         chance = WORTH / predictions(errors) if option.effects else 0.0
         if not worse and _merit(errors) > _merit(first.errors) - chance:
@@ -268,7 +268,7 @@ def _with_mounting(correction: Correction, trials: TrialRuns) -> Correction:
     before, after = trials.errors(correction.by_part), trials.errors(by_part)
     finding = replace(finding, saves=saved(before, after))
     reason = implausible(MOUNTING, found.plain) or found.contradicted
-    reason = reason or unproven(compared(before, after), effects=True)  # the filter's own states have proven it
+    reason = reason or unproven(compared(before, after))  # the filter's own states have proven it
     if reason:
         return replace(correction, settings=(*correction.settings, _only_told(finding, reason)))
     return replace(correction, values=values, by_part=by_part, settings=(*correction.settings, finding))

@@ -24,10 +24,6 @@ LIKELY = 0.05
 SCATTER = 0.5
 #: factor on an error, below which it has become smaller plainly
 PLAINLY = 0.7
-#: the same for noise levels alone
-SMALLER = 0.9
-#: outages that prove noise levels, at least
-FEWEST_OUTAGES = 5
 #: share of what the filter ran before that it has to run with a correction: one that never starts errs nowhere
 RUNS = 0.5
 #: share of the outages in which the 95 % ellipse has to hold the truth
@@ -145,7 +141,7 @@ def levels_proven(before: Measured, after: Measured) -> bool:
     if judged(before, after).answer == BETTER:
         return True
     gain = predicted(before, after)
-    return gain is not None and gain.interval(ONE_SIDED)[0] > 0.0 and not unproven(compared(before, after), True)
+    return gain is not None and gain.interval(ONE_SIDED)[0] > 0.0 and not unproven(compared(before, after))
 
 
 def predicted(before: Measured, after: Measured) -> Difference | None:
@@ -206,22 +202,15 @@ def _larger(comparison: Sequence[dict], settled: bool = False) -> str:
     return f'the error does not shrink: all in all it is {change:.2f} times that before'
 
 
-def unproven(comparison: Sequence[dict], effects: bool = False) -> str:
-    """What speaks against another configuration; empty where it is proven to be better.
+def unproven(comparison: Sequence[dict]) -> str:
+    """What speaks against another configuration; empty where nothing does.
 
-    effects: what is new in it has been proven by the likelihood of held-out data already (`objection`), so errors
-    must not grow. Whether they shrink the fixes that are the truth as a rule cannot say: who stamps them late, or
-    stands elsewhere, has the withheld ones late and elsewhere, too. Noise levels alone have no such proof: with them
-    errors have to shrink, or the ellipses to hold the truth where they did not.
+    What is new in it has been proven by the likelihood of held-out data already (`objection`, `levels_proven`), so
+    errors must not grow. Whether they shrink the fixes that are the truth as a rule cannot say: who stamps them late,
+    or stands elsewhere, has the withheld ones late and elsewhere, too.
     """
-    rows = [row for row in of_all(comparison) if effects or row['count'] >= FEWEST_OUTAGES]
-    change = all_in_all(rows)
-    worse = harm(comparison, effects, COVERED - LESS_HELD if effects and 0.0 < change <= PLAINLY else COVERED)
-    if worse or effects:
-        return worse or _larger(comparison)
-    if rows and (change < SMALLER or honest(rows) and change <= 1.0):
-        return ''
-    return 'the errors do not shrink with it'
+    plainly = 0.0 < all_in_all(comparison) <= PLAINLY
+    return harm(comparison, effects=True, floor=COVERED - LESS_HELD if plainly else COVERED) or _larger(comparison)
 
 
 def honest(rows: Sequence[dict]) -> bool:

@@ -117,7 +117,8 @@ def tried_text(f: Finding) -> str:
 
 
 def headline(verdict: Verdict, changed: bool = False) -> str:
-    """Whether to use what was found, with the interval that says so. changed: corrected.yaml holds effects."""
+    """Whether to use what was found, with the interval that says so. changed: corrected.yaml is another file than
+    the one given."""
     if verdict.answer == NOT_USABLE:
         return f'Not usable: {verdict.why[0]}'
     if verdict.shown is None:
