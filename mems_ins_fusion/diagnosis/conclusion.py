@@ -33,6 +33,10 @@ from .unexplained import GoesWith, goes_with
 TURNING = 0.03
 #: m/s^2, root mean square, from which on it has changes of speed
 SPEEDING = 0.15
+#: s; a recording says little of a part of it that has no fixes for longer
+LONGEST_GAP = 30.0
+#: share of LARGEST_FACTOR from which on a fitted noise level stands at it: a fit comes near a bound, not onto it
+AT_BOUND = 0.95
 MOUNTING = 'mounting_rotation'
 #: why what was found is told and not added
 NO_PROOF = 'no smaller error is proven with it'
@@ -351,7 +355,7 @@ def _noise_remarks(factors: dict[str, float]) -> list[str]:
     return [f'{name} would have to be {factor:.0f} times as large as configured to explain this drive: no sensor is so '
             'much noisier than its settings, so this stands for something that is not in the library (vibration of the '
             'mount, samples that repeat, a scale or an axis that is not what it says).'
-            for name, factor in factors.items() if name != 'gnss.sigma' and factor > 0.95 * LARGEST_FACTOR]
+            for name, factor in factors.items() if name != 'gnss.sigma' and factor > AT_BOUND * LARGEST_FACTOR]
 
 
 def _switched(given: dict, corrected: dict) -> list[str]:
@@ -371,7 +375,7 @@ def _remarks(problem: Problem) -> list[str]:
         said.append('The speed hardly changes: a time offset, scale factors and a mounting rotation need some braking '
                     'and speeding up.')
     gaps = np.diff(seconds)
-    if len(gaps) and gaps.max() > 30:
+    if len(gaps) and gaps.max() > LONGEST_GAP:
         said.append(f'There are no fixes for {gaps.max():.0f} s in a part of the recording: it says little of that '
                     'part.')
     return said
