@@ -482,6 +482,21 @@ def test_a_setting_is_switched_off_only_where_that_predicts_better(without, firs
     assert _switched(given, best) == ([] if first else [switch])
 
 
+def test_effects_are_tried_without_the_noise_levels_that_came_with_them():
+    # given effects that predict worse while decisions are made, so that only those with noise levels are left
+    given = table.check({'imu.adapt_noise': False})
+    late = {**given, 'gnss.time_offset': 0.2}
+    effects = Correction(late, [late], {}, True)
+    levelled = replace(effects, values={**late, 'gnss.sigma': 2.0}, by_part=[{**late, 'gnss.sigma': 2.0}],
+                       factors={'gnss.sigma': 2.0}, unlevelled=effects)
+    trials = SimpleNamespace(errors=lambda models, full: measured_with(lambda stamp: 0.0 * stamp),
+                             without_standstills={})
+    # then both are measured, each once, and what was given
+    for options in ([levelled], [levelled, effects]):
+        found = _as_measured([*options, Correction(given, [given], {}, False)], trials)
+        assert [one.correction.values for one in found] == [levelled.values, late, given]
+
+
 @pytest.mark.parametrize('answers, gain, chosen', [
     # effects alone, whose likelihood is proven: noise levels would hide them
     (['cannot_tell', 'better', 'same'], True, 0),

@@ -195,7 +195,11 @@ def _as_measured(corrections: Sequence[Correction], trials: TrialRuns) -> list[T
     tried without noise from the samples' scatter, too: what a sensor filters before it samples, and what swings about a
     mean, adds up to nothing. And without standstills that cannot be told from motion."""
     configured, options = corrections[-1], list(corrections[:-1])
-    for correction in corrections:
+    # beside what noise levels are judged is a correction of its own, too, where these turn out to have no gain
+    beside = [option.unlevelled for option in options if option.unlevelled]
+    there = [correction.values for correction in corrections]
+    options += [option for option in beside if option.values not in there]
+    for correction in (*options, configured):
         scatter = correction.values['imu.adapt_noise'] and correction.values['mechanization'] == 'strapdown'
         changes = {'imu.adapt_noise': False} if scatter else {}, trials.without_standstills
         options += [correction.switched(change) for change in changes if change]
