@@ -196,7 +196,6 @@ def test_a_diagnosis_that_proves_nothing_says_what_the_recording_contradicts():
 
 
 def test_what_parameters_were_fitted_to_is_known_by_its_content(tmp_path):
-
     from mems_ins_fusion.parameters import table
     from mems_ins_fusion.recordings.reading import read_recording
     from mems_ins_fusion.recordings.sketch import fitted_to, sketch
