@@ -599,6 +599,10 @@ def test_noise_levels_count_by_their_own_gain_whether_the_offset_is_given_or_fou
     found = _chosen([(t, judged(late, t.errors, t.correction.effects)) for t in tried], late, given)
     tried = [Tried(levels, levelled, known), Tried(replace(effects, effects=False), known)]
     after = _chosen([(t, judged(known, t.errors)) for t in tried], known, offset)
+    # and when the offset alone is not proven
+    alone = _chosen([(Tried(both, levelled, known), Verdict('better')), (Tried(effects, known), Verdict('worse')),
+                     (Tried(Correction(given, [given], {}, False), late), Verdict('same'))], late, given)
+    assert (alone[0].values, alone[2].answer) == ((noise, 'better') if better else (given, 'cannot_tell'))
     # then both ways end with the same parameters: with the noise levels that have a gain of their own
     assert found[0].values == after[0].values == (noise if better else offset)
     assert found[2].answer == 'better'

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..configuration.offset import FLOOR, Offset
-from ..evaluation.verdict import BETTER, WORSE, Verdict
+from ..evaluation.verdict import BETTER, CANNOT_TELL, WORSE, Verdict
 from . import learned_mounting
 from .detection import detect
 from .drives import Drives, part
@@ -40,6 +40,8 @@ AT_BOUND = 0.95
 MOUNTING = 'mounting_rotation'
 #: why what was found is told and not added
 NO_PROOF = 'no smaller error is proven with it'
+#: why what makes errors smaller is not in corrected.yaml
+NO_GAIN_OF_LEVELS = 'the noise levels that belong to what was found have no proven gain of their own'
 #: s; a receiver smooths over no longer
 LONGEST_SMOOTHING = 10.0
 #: what is told of settings that are tried without, where positions are predicted better so
@@ -146,6 +148,8 @@ def _chosen(tried: list[tuple[Tried, Verdict]], before: Measured,
         if verdict.answer == BETTER or proven:
             return option, after, verdict, after
     (best, verdict), (kept, _) = tried[0], tried[-1]
+    if verdict.answer == BETTER:
+        verdict = replace(verdict, answer=CANNOT_TELL, why=(NO_GAIN_OF_LEVELS,))
     return kept.correction, kept.errors, verdict, best.errors
 
 
