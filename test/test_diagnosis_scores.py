@@ -524,7 +524,7 @@ def test_what_corrected_yaml_holds(answers, gain, chosen):
 
 
 def outages_with(scale, sigma=1.0, count=36, largest=0.0, seed=1):
-    """Outages of 10 s that end with errors of `scale` m on each axis, and one of `largest` m; the filter says `sigma`."""
+    """Outages of 10 s that end with errors of `scale` m on each axis, one of `largest` m; the filter says `sigma`."""
     error = scale * np.random.default_rng(seed).rayleigh(size=count)
     error[0] = max(error[0], largest)
     plain = overlapping(10.0, 20.0, count)
