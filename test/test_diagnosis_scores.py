@@ -11,13 +11,22 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from mems_ins_fusion.characterization.autocorrelation import ljung_box
-from mems_ins_fusion.diagnosis.conclusion import Correction, _as_measured, _chosen, _switched
+from mems_ins_fusion.diagnosis.conclusion import Correction, Tried, _as_measured, _chosen, _switched
 from mems_ins_fusion.diagnosis.detection import detect
 from mems_ins_fusion.diagnosis.estimate import Estimate, widened
 from mems_ins_fusion.diagnosis.fit import Scores, _scores, fit
 from mems_ins_fusion.diagnosis.folds import parts
 from mems_ins_fusion.diagnosis.held_out import HeldOut
-from mems_ins_fusion.diagnosis.judgement import compared, harm, objection, unproven
+from mems_ins_fusion.diagnosis.judgement import (
+    ONE_SIDED,
+    compared,
+    harm,
+    judged,
+    levels_proven,
+    objection,
+    predicted,
+    unproven,
+)
 from mems_ins_fusion.diagnosis.measured import Measured, in_common
 from mems_ins_fusion.diagnosis.noise_levels import choose, multiplied
 from mems_ins_fusion.diagnosis.outliers import isolated
@@ -247,8 +256,8 @@ def row(before, after, p=0.5, rms=(0.0, 0.0), within=(1.0, 1.0), count=20, decid
             'count': count, 'apart': count, 'decides': decides}
 
 
-def proven(rows, effects=False):
-    return not unproven(rows, effects)
+def proven(rows):
+    return not unproven(rows)
 
 
 def test_what_speaks_against_an_effect():
@@ -306,8 +315,8 @@ def test_outages_that_overlap_are_not_each_a_proof():
     # nor is one of five that is missed once more where two were missed already
     missed = row(40.0, 30.0, within=(0.6, 0.4), count=5)
     assert not harm([missed]) and 'ellipse' in harm([missed | {'within_after': 0.2}])
-    # and where the same errors come to be held in three of ten outages more, which may be one stretch of road
-    healed = row(40.0, 38.0, within=(0.6, 0.9), count=10)
+    # and where about the same errors come to be held in three of ten outages more, which may be one stretch of road
+    healed = row(40.0, 42.0, within=(0.6, 0.9), count=10)
     assert proven([healed]) and not proven([healed | {'apart': 3}])
 
 
@@ -375,19 +384,15 @@ def test_an_effect_that_the_likelihood_has_proven_may_scatter_as_few_outages_do(
     assert harm([row(30.0, 36.0, None, count=9)], effects=True)
 
 
-def test_better_are_smaller_errors_or_ellipses_that_hold_the_truth_again():
-    assert proven([row(10.0, 8.5)]) and not proven([row(10.0, 9.5)])
-    assert proven([row(10.0, 9.9, within=(0.5, 0.95))]) and not proven([row(10.0, 10.2, within=(0.5, 0.95))])
-
-
-def test_errors_must_not_grow_with_an_effect_that_the_likelihood_has_proven():
+def test_errors_must_not_grow_with_what_the_likelihood_has_proven():
     # the fixes that are the truth may have it, too, so that errors do not shrink; but they must not grow
-    assert proven([row(10.0, 10.0)], effects=True) and not proven([row(10.0, 10.5)], effects=True)
+    assert proven([row(10.0, 10.0)]) and not proven([row(10.0, 10.5)])
     # an ellipse counts for less where errors are plainly smaller
-    assert not proven([row(10.0, 9.0, within=(1.0, 0.8))], effects=True)
-    assert proven([row(10.0, 1.0, within=(1.0, 0.8))], effects=True)
-    assert not proven([row(10.0, 1.0, within=(1.0, 0.6))], effects=True)
-    assert not proven([row(10.0, 1.0, within=(1.0, 0.8))])
+    assert not proven([row(10.0, 9.0, within=(1.0, 0.8))])
+    assert proven([row(10.0, 1.0, within=(1.0, 0.8))])
+    assert not proven([row(10.0, 1.0, within=(1.0, 0.6))])
+    # nor does a slightly larger error that ellipses come to hold
+    assert proven([row(10.0, 10.5, within=(0.5, 0.95))])
 
 
 def test_a_fix_that_is_far_off_counts_by_its_logarithm():
@@ -471,27 +476,136 @@ def test_a_setting_is_switched_off_only_where_that_predicts_better(without, firs
     found = _as_measured([correction, Correction(given, [given], {}, False)],
                          SimpleNamespace(errors=errors, without_standstills=off))
     # then what predicts best stands first, if it is better by more than chance, and what was given last
-    assert found[0][0].values['gnss.time_offset'] == 0.3 and found[0][0].values[switch] == first
-    assert found[-1][0].values == given
-    assert _switched(given, found[0][0].values) == ([] if first else [switch])
+    best = found[0].correction.values
+    assert best['gnss.time_offset'] == 0.3 and best[switch] == first
+    assert found[-1].correction.values == given
+    assert _switched(given, best) == ([] if first else [switch])
 
 
-@pytest.mark.parametrize('answers, chosen', [
-    (['cannot_tell', 'better', 'same'], 0),  # effects alone, whose likelihood is proven: noise levels would hide them
-    (['cannot_tell', 'cannot_tell', 'same'], 0),
-    (['worse', 'better', 'same'], 1),  # not where an error grows: noise levels, if they make errors smaller for certain
-    (['worse', 'cannot_tell', 'same'], 2),  # else what was given
+def test_effects_are_tried_without_the_noise_levels_that_came_with_them():
+    # given effects that predict worse while decisions are made, so that only those with noise levels are left
+    given = table.check({'imu.adapt_noise': False})
+    late = {**given, 'gnss.time_offset': 0.2}
+    effects = Correction(late, [late], {}, True)
+    levelled = replace(effects, values={**late, 'gnss.sigma': 2.0}, by_part=[{**late, 'gnss.sigma': 2.0}],
+                       factors={'gnss.sigma': 2.0}, unlevelled=effects)
+    trials = SimpleNamespace(errors=lambda models, full: measured_with(lambda stamp: 0.0 * stamp),
+                             without_standstills={})
+    # then both are measured, each once, and what was given
+    for options in ([levelled], [levelled, effects]):
+        found = _as_measured([*options, Correction(given, [given], {}, False)], trials)
+        assert [one.correction.values for one in found] == [levelled.values, late, given]
+
+
+@pytest.mark.parametrize('answers, gain, chosen', [
+    # effects alone, whose likelihood is proven: noise levels would hide them
+    (['cannot_tell', 'better', 'same'], True, 0),
+    (['cannot_tell', 'cannot_tell', 'same'], True, 0),
+    # not where an error grows: then noise levels, if they have a gain of their own and no error grows
+    (['worse', 'better', 'same'], True, 1),
+    (['worse', 'cannot_tell', 'same'], True, 1),
+    # else what was given
+    (['worse', 'worse', 'same'], True, 2),
+    (['worse', 'cannot_tell', 'same'], False, 2),
+    (['worse', 'better', 'same'], False, 2),
 ])
-def test_what_corrected_yaml_holds(answers, chosen):
-    # given effects alone, noise levels, and what was given, the best by prediction first; errors that are the same
-    given, one = table.check({}), overlapping(10.0, 20.0, 36)
+def test_what_corrected_yaml_holds(answers, gain, chosen):
+    # given effects alone, noise levels, and what was given, the best by prediction first; errors that are the same, but
+    # for those without the noise levels
+    given, one = table.check({}), outages_with(1.0)
     effects, noise = {**given, 'gnss.time_offset': 0.2}, {**given, 'gnss.sigma': 2.0}
-    tried = [(Correction(effects, [effects], {}, True), one, Verdict(answers[0])),
-             (Correction(noise, [noise], {'gnss.sigma': 2.0}, False), one, Verdict(answers[1])),
-             (Correction(given, [given], {}, False), one, Verdict(answers[2]))]
+    without = outages_with(2.0) if gain else one
+    tried = [(Tried(Correction(effects, [effects], {}, True), one), Verdict(answers[0])),
+             (Tried(Correction(noise, [noise], {'gnss.sigma': 2.0}, False), one, without), Verdict(answers[1])),
+             (Tried(Correction(given, [given], {}, False), one), Verdict(answers[2]))]
     correction, _, verdict, _ = _chosen(tried, one, given)
-    assert correction is tried[chosen][0]
+    assert correction is tried[chosen][0].correction
     assert verdict.answer == answers[0 if chosen == 2 else chosen]  # or that on the best of what was tried
+
+
+def outages_with(scale, sigma=1.0, count=36, largest=0.0, seed=1):
+    """Outages of 10 s that end with errors of `scale` m on each axis, one of `largest` m; the filter says `sigma`."""
+    error = scale * np.random.default_rng(seed).rayleigh(size=count)
+    error[0] = max(error[0], largest)
+    plain = overlapping(10.0, 20.0, count)
+    ends = [SimpleNamespace(horizontal=[e], variance=[sigma**2]) for e in error]
+    return replace(plain, outages=[replace(plain.outages[0], max_error=error, errors=ends,
+                                           within=error**2 < chi2.ppf(0.95, 2) * sigma**2)])
+
+
+@pytest.mark.parametrize('before, after, proven', [
+    # errors that are smaller for certain, whatever the sigmas
+    (outages_with(1.0), outages_with(0.5), True),
+    # the same errors, and sigmas that come to be honest; or less so; or are the same
+    (outages_with(1.0, 0.4), outages_with(1.0, 1.0), True),
+    (outages_with(1.0, 1.0), outages_with(1.0, 0.4), False),
+    (outages_with(1.0), outages_with(1.0), False),
+    # honest sigmas of errors that are larger
+    (outages_with(1.0, 0.4), outages_with(1.3, 1.3), False),
+    # sigmas that a single outage asks for, and too few outages to say
+    (outages_with(1.0, 1.0, largest=8.0), outages_with(1.0, 1.2, largest=8.0), False),
+    (outages_with(1.0, 0.4, count=3), outages_with(1.0, 1.0, count=3), False),
+])
+def test_noise_levels_are_proven_by_smaller_errors_or_by_honest_sigmas(before, after, proven):
+    assert levels_proven(before, after) == proven
+
+
+def test_what_is_predicted_better_is_the_mean_of_the_horizons():
+    # given outages of two durations, one predicted better by one in log likelihood, give or take, the other as before
+    rng, begin = np.random.default_rng(2), np.arange(30) * 10**10
+    gain, none = 1.0 + rng.standard_normal((2, 30)), rng.standard_normal(30)
+
+    def of(*scores):
+        return SimpleNamespace(timeless=None, outages=[SimpleNamespace(begin=begin, apart=30)] * 2, scores=lambda: [
+            (begin[:0], begin[:0]), *((begin, score) for score in scores)])
+    # then each has one vote, and no more is certain than that both err together
+    found = predicted(of(0 * none, none), of(gain[0], none))
+    assert found.mean == pytest.approx(0.5 * gain[0].mean())
+    found, one = predicted(of(0 * none, 0 * none), of(*gain)), predicted(of(none, none), of(none + gain[0], none))
+    assert found.mean == pytest.approx(gain.mean())
+    assert found.sigma == pytest.approx(gain.std(axis=1, ddof=1).mean() / np.sqrt(found.count), rel=0.2)
+    assert one.sigma == pytest.approx(0.5 * gain[0].std(ddof=1) / np.sqrt(one.count), rel=0.2)
+    # and a filter that never runs for so long cannot be compared
+    assert predicted(of(none), of(none, none)) is None
+
+
+@pytest.mark.parametrize('alike', [0.0, 0.7, 1.0])
+def test_predictions_that_are_the_same_are_seldom_better_for_certain(alike):
+    # given outages of three durations whose predictions differ by chance, more or less alike in all of them
+    def of(scores):
+        return SimpleNamespace(timeless=None, outages=[SimpleNamespace(begin=s, apart=len(s)) for s in scores],
+                               scores=lambda: [(np.zeros(0), np.zeros(0)), *((np.arange(len(s)), s) for s in scores)])
+    proven = 0
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        together = rng.standard_normal(24)
+        gain = [np.sqrt(1 - alike**2) * rng.standard_normal(n) + alike * together[:n] for n in (24, 12, 6)]
+        proven += predicted(of([0 * g for g in gain]), of(gain)).interval(ONE_SIDED)[0] > 0
+    # then chance proves no more than 5 %
+    assert proven < 30
+
+
+@pytest.mark.parametrize('levelled, better', [(outages_with(0.9, seed=4), False), (outages_with(0.5), True)])
+def test_noise_levels_count_by_their_own_gain_whether_the_offset_is_given_or_found(levelled, better):
+    # given fixes that are late: errors of 5 m, 1 m with the offset, and by chance or for certain less with other
+    # noise levels
+    given, late, known = table.check({}), outages_with(5.0), outages_with(1.0)
+    offset, noise = {**given, 'gnss.time_offset': 0.2}, {**given, 'gnss.time_offset': 0.2, 'gnss.sigma': 2.0}
+    effects = Correction(offset, [offset], {}, True)
+    both = Correction(noise, [noise], {'gnss.sigma': 2.0}, True, unlevelled=effects)
+    levels = Correction(noise, [noise], {'gnss.sigma': 2.0}, False, unlevelled=replace(effects, effects=False))
+    # when the offset is found, which both together prove, and when the params file has it already
+    tried = [Tried(both, levelled, known), Tried(effects, known), Tried(Correction(given, [given], {}, False), late)]
+    found = _chosen([(t, judged(late, t.errors, t.correction.effects)) for t in tried], late, given)
+    tried = [Tried(levels, levelled, known), Tried(replace(effects, effects=False), known)]
+    after = _chosen([(t, judged(known, t.errors)) for t in tried], known, offset)
+    # and when the offset alone is not proven
+    alone = _chosen([(Tried(both, levelled, known), Verdict('better')), (Tried(effects, known), Verdict('worse')),
+                     (Tried(Correction(given, [given], {}, False), late), Verdict('same'))], late, given)
+    assert (alone[0].values, alone[2].answer) == ((noise, 'better') if better else (given, 'cannot_tell'))
+    # then both ways end with the same parameters: with the noise levels that have a gain of their own
+    assert found[0].values == after[0].values == (noise if better else offset)
+    assert found[2].answer == 'better'
 
 
 def test_what_cannot_be_is_told_with_what_it_stands_for():

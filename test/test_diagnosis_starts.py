@@ -105,8 +105,9 @@ def test_errors_before_and_after_are_those_of_the_same_outages(late, monkeypatch
     measured = conclusion._as_measured
 
     def later(corrections, trials):
-        return [(option, replace(after, outages=[o.select(np.arange(len(o.begin)) > 1) for o in after.outages]))
-                for option, after in measured(corrections, trials)]
+        return [replace(tried, errors=replace(tried.errors, outages=[
+            o.select(np.arange(len(o.begin)) > 1) for o in tried.errors.outages]))
+            for tried in measured(corrections, trials)]
     monkeypatch.setattr(conclusion, '_as_measured', later)
     # when the offset that the fixes have is found
     found = diagnose(late, table.check({}), effects=[EFFECTS['gnss_time_offset']], durations=(10.0,))

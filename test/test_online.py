@@ -359,7 +359,8 @@ def test_outages_within_which_the_errors_of_fixes_last_prove_no_colour_of_them(d
         return {d: {k: ((off, 0.0), 1e3) for k in range(20)} for d in OUTAGES}
     monkeypatch.setattr(trial_outages, 'predicted', predicted)
     colour = {'gnss.coloured_noise.sigma': 1.7, 'gnss.coloured_noise.tau': 8.0}
-    noise = replace(finding(), name='gnss_coloured_noise', parameters={'sigma': Estimate(1.7, 0.2, 'm')}, changes=colour)
+    noise = replace(finding(), name='gnss_coloured_noise', parameters={'sigma': Estimate(1.7, 0.2, 'm')},
+                    changes=colour)
     first, second, *_ = chunks(drive)
     work = Online(table.check({}), blind, blind)
     work.take(first)

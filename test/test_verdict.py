@@ -1,6 +1,8 @@
 """Verdicts: right as often as they say, silent where chance does as well, and the same words everywhere."""
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -19,6 +21,7 @@ from mems_ins_fusion.evaluation.verdict import (
     decide,
     trusted,
 )
+from mems_ins_fusion.reports.diagnosis_answer import headline
 from mems_ins_fusion.reports.verdict import because, change_text, span_text, too_small_text, trust_text, verdict_json
 
 
@@ -153,6 +156,15 @@ def test_the_words_hold_the_interval_and_its_unit():
     assert content['answer'] in ('better', 'cannot_tell') and content['because']
 
 
+def test_a_headline_does_not_contradict_the_file():
+    # given a gain for certain, but for one drive of several that has the cost of it
+    gain = change_in_outages(30.0, np.arange(20.0) + 5.0, np.arange(20.0) + 2.0 + 0.1 * np.sin(np.arange(20.0)), 20)
+    verdict = replace(decide([gain]), answer=CANNOT_TELL, why=('the error grows: in monday',))
+    # then a file that is kept is said to be kept, and why; one that is changed, by what its likelihood proves, is not
+    assert headline(verdict).startswith('Keep your parameters: the error grows: in monday')
+    assert headline(verdict, changed=True).startswith('corrected.yaml is not proven to make errors smaller: 30 s')
+
+
 def test_what_is_certainly_wrong_makes_a_recording_not_usable():
     from mems_ins_fusion.recordings.checker import Finding
     from mems_ins_fusion.reports.diagnosis_answer import not_usable
@@ -184,8 +196,6 @@ def test_a_diagnosis_that_proves_nothing_says_what_the_recording_contradicts():
 
 
 def test_what_parameters_were_fitted_to_is_known_by_its_content(tmp_path):
-    from dataclasses import replace
-
     from mems_ins_fusion.parameters import table
     from mems_ins_fusion.recordings.reading import read_recording
     from mems_ins_fusion.recordings.sketch import fitted_to, sketch

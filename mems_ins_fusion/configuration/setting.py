@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 SIGNIFICANT = 2.0  # sigmas: a smaller value is not set
-#: sigmas, the same of the clocks of inputs, of which a file has several: at two, one file in five would have a false one
+#: sigmas, the same of the clocks of inputs, of which a file has several: at two, one file in five would have a false
+#: one
 OF_SEVERAL = 3.0
 ARM_SHOWN = 0.3  # m: a part of an arm with a larger sigma is not shown; a tape is better
 ASIDE = 4.0  # sigmas: what is further off is elsewhere for certain

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..configuration.offset import FLOOR, Offset
-from ..evaluation.verdict import BETTER, WORSE, Verdict
+from ..evaluation.verdict import BETTER, CANNOT_TELL, WORSE, Verdict
 from . import learned_mounting
 from .detection import detect
 from .drives import Drives, part
@@ -18,7 +18,7 @@ from .findings import Diagnosis, Finding
 from .fit import Model
 from .folds import parts, which_part
 from .held_out import HeldOut
-from .judgement import compared, judged, unproven
+from .judgement import compared, judged, levels_proven, unproven
 from .judging import PLAIN, by_drive_of
 from .known import Known
 from .measured import Measured, in_common, saved
@@ -33,9 +33,15 @@ from .unexplained import GoesWith, goes_with
 TURNING = 0.03
 #: m/s^2, root mean square, from which on it has changes of speed
 SPEEDING = 0.15
+#: s; a recording says little of a part of it that has no fixes for longer
+LONGEST_GAP = 30.0
+#: share of LARGEST_FACTOR from which on a fitted noise level stands at it: a fit comes near a bound, not onto it
+AT_BOUND = 0.95
 MOUNTING = 'mounting_rotation'
 #: why what was found is told and not added
 NO_PROOF = 'no smaller error is proven with it'
+#: why what makes errors smaller is not in corrected.yaml
+NO_GAIN_OF_LEVELS = 'the noise levels that belong to what was found have no proven gain of their own'
 #: s; a receiver smooths over no longer
 LONGEST_SMOOTHING = 10.0
 #: what is told of settings that are tried without, where positions are predicted better so
@@ -48,13 +54,30 @@ _SWITCHED = {
 
 @dataclass(frozen=True)
 class Correction:
-    """One way to correct the parameters: for the whole drive, and by the part that is held out."""
+    """One way to correct the parameters: for the whole drive, and by the part that is held out. unlevelled: the same
+    without other noise levels; None where it has none."""
 
     values: dict
     by_part: list[dict]
     factors: dict[str, float]
     effects: bool
     settings: tuple[Finding, ...] = ()
+    unlevelled: Correction | None = None
+
+    def switched(self, change: dict[str, bool]) -> Correction:
+        """With these settings besides."""
+        values, *by_part = ({**v, **change} for v in (self.values, *self.by_part))
+        return replace(self, values=values, by_part=by_part,
+                       unlevelled=self.unlevelled and self.unlevelled.switched(change))
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A correction, its errors at the full rate, and those without its noise levels; None where it has none."""
+
+    correction: Correction
+    errors: Measured
+    unlevelled: Measured | None = None
 
 
 def concluded(known: Known, first: Known, trials: TrialRuns) -> Diagnosis:
@@ -68,8 +91,8 @@ def concluded(known: Known, first: Known, trials: TrialRuns) -> Diagnosis:
     trials.tell(MEASURING, 'measuring errors')
     before, noise_only = (trials.errors(models, full=True) for models in ([given], fitted.by_part))
     correction, after, verdict, judged_by = _chosen([
-        (option, after, judged(before, after, option.effects))
-        for option, after in _as_measured(corrections, trials)], before, given)
+        (tried, judged(before, tried.errors, tried.correction.effects))
+        for tried in _as_measured(corrections, trials)], before, given)
     comparison = compared(before, judged_by)
     if correction.values != given:  # one filter may start later than the other
         before, after = in_common(before, after), in_common(after, before)
@@ -104,24 +127,30 @@ def concluded(known: Known, first: Known, trials: TrialRuns) -> Diagnosis:
     return replace(whole, drives=[_in_drive(whole, k, rests[k], remarks[k]) for k in range(len(drives))])
 
 
-def _chosen(tried: list[tuple[Correction, Measured, Verdict]], before: Measured,
+def _chosen(tried: list[tuple[Tried, Verdict]], before: Measured,
             given: dict) -> tuple[Correction, Measured, Verdict, Measured]:
     """Of the corrections tried, what predicts best first and what was given last, the one for corrected.yaml.
 
-    Effects first, as other noise levels hide them: where errors are smaller for certain, or where the likelihood of
-    held-out data has proven them, alone, and no error grows: who stamps fixes late has the withheld ones late as well,
-    so that errors against these need not tell. Noise levels have no such proof: only where errors are smaller for
-    certain. Else what was given, with the verdict on the best of what was tried. Last the errors that the verdict is
-    about: of the correction, or of what was tried.
+    Effects first, as other noise levels hide them. Each part of a correction has a proof of its own, whatever else it
+    holds: so a params file that has the effects already gets the same noise levels as one that does not. Effects have
+    it by the likelihood of held-out data, noise levels beside the same filter without them (`levels_proven`). All of it
+    counts where errors are smaller for certain, or where it is proven so and no error grows: who stamps fixes late has
+    the withheld ones late as well, so that errors against these need not tell. Settings have no such proof: only where
+    errors are smaller for certain. Else what was given, with the verdict on the best of what was tried. Last the errors
+    that the verdict is about: of the correction, or of what was tried.
     """
-    for option, after, verdict in sorted(tried, key=lambda found: not found[0].effects):
-        alone = not option.factors and not _switched(given, option.values)
-        proven = option.effects and alone and verdict.answer != WORSE and not unproven(
-            compared(before, after), effects=True)
+    for one, verdict in sorted(tried, key=lambda found: not found[0].correction.effects):
+        option, after = one.correction, one.errors
+        if one.unlevelled and not levels_proven(one.unlevelled, after):
+            continue
+        alone = (option.effects or option.factors) and not _switched(given, option.values)
+        proven = alone and verdict.answer != WORSE and not unproven(compared(before, after))
         if verdict.answer == BETTER or proven:
             return option, after, verdict, after
-    (_, errors, verdict), (given_ones, as_given, _) = tried[0], tried[-1]
-    return given_ones, as_given, verdict, errors
+    (best, verdict), (kept, _) = tried[0], tried[-1]
+    if verdict.answer == BETTER:
+        verdict = replace(verdict, answer=CANNOT_TELL, why=(NO_GAIN_OF_LEVELS,))
+    return kept.correction, kept.errors, verdict, best.errors
 
 
 def _in_drive(whole: Diagnosis, k: int, rest: list[GoesWith], remarks: list[str]) -> Diagnosis:
@@ -153,7 +182,7 @@ def _settled(known: Known, first: Known, fitted: Correction, configured: Correct
         if option.values == configured.values:
             continue
         errors = trials.errors(option.by_part)
-        worse = unproven(compared(first.errors, errors), option.effects)
+        worse = unproven(compared(first.errors, errors))
         # what effects are proven by is the likelihood of held-out data; their predictions need not be better by chance
         chance = WORTH / predictions(errors) if option.effects else 0.0
         if not worse and _merit(errors) > _merit(first.errors) - chance:
@@ -165,24 +194,28 @@ def _settled(known: Known, first: Known, fitted: Correction, configured: Correct
             for option in (*proven, configured)], against
 
 
-def _as_measured(corrections: Sequence[Correction], trials: TrialRuns) -> list[tuple[Correction, Measured]]:
+def _as_measured(corrections: Sequence[Correction], trials: TrialRuns) -> list[Tried]:
     """The corrections with their errors at the full rate, what predicts best there first, what was given last. Each is
     tried without noise from the samples' scatter, too: what a sensor filters before it samples, and what swings about a
     mean, adds up to nothing. And without standstills that cannot be told from motion."""
     configured, options = corrections[-1], list(corrections[:-1])
-    for correction in corrections:
+    # beside what noise levels are judged is a correction of its own, too, where these turn out to have no gain
+    beside = [option.unlevelled for option in options if option.unlevelled]
+    there = [correction.values for correction in corrections]
+    options += [option for option in beside if option.values not in there]
+    for correction in (*options, configured):
         scatter = correction.values['imu.adapt_noise'] and correction.values['mechanization'] == 'strapdown'
-        for change in ({'imu.adapt_noise': False} if scatter else {}, trials.without_standstills):
-            if change:
-                values, *by_part = ({**v, **change} for v in (correction.values, *correction.by_part))
-                options.append(replace(correction, values=values, by_part=by_part))
+        changes = {'imu.adapt_noise': False} if scatter else {}, trials.without_standstills
+        options += [correction.switched(change) for change in changes if change]
 
-    def merit(measured):
-        correction, errors = measured
-        changed = bool(_switched(configured.values, correction.values))
-        return _merit(errors) - changed * WORTH / predictions(errors)
-    found = [(option, trials.errors(option.by_part, full=True)) for option in options]
-    return [*sorted(found, key=merit, reverse=True), (configured, trials.errors(configured.by_part, full=True))]
+    def measured(correction):
+        return trials.errors(correction.by_part, full=True)
+
+    def merit(tried):
+        changed = bool(_switched(configured.values, tried.correction.values))
+        return _merit(tried.errors) - changed * WORTH / predictions(tried.errors)
+    found = [Tried(option, measured(option), option.unlevelled and measured(option.unlevelled)) for option in options]
+    return [*sorted(found, key=merit, reverse=True), Tried(configured, measured(configured))]
 
 
 def _only_told(finding: Finding, against: str) -> Finding:
@@ -247,7 +280,7 @@ def _with_mounting(correction: Correction, trials: TrialRuns) -> Correction:
     before, after = trials.errors(correction.by_part), trials.errors(by_part)
     finding = replace(finding, saves=saved(before, after))
     reason = implausible(MOUNTING, found.plain) or found.contradicted
-    reason = reason or unproven(compared(before, after), effects=True)  # the filter's own states have proven it
+    reason = reason or unproven(compared(before, after))  # the filter's own states have proven it
     if reason:
         return replace(correction, settings=(*correction.settings, _only_told(finding, reason)))
     return replace(correction, values=values, by_part=by_part, settings=(*correction.settings, finding))
@@ -261,7 +294,8 @@ def _levelled(correction: Correction, trials: TrialRuns) -> Correction:
     factors = {name: factor for name, factor in levels.factors.items() if factor != 1.0}
     by_part = correction.by_part * (len(levels.by_part) if len(correction.by_part) == 1 else 1)
     return replace(correction, values=multiplied(correction.values, factors, claimed), factors=factors,
-                   by_part=[multiplied(values, chosen, claimed) for values, chosen in zip(by_part, levels.by_part)])
+                   by_part=[multiplied(values, chosen, claimed) for values, chosen in zip(by_part, levels.by_part)],
+                   unlevelled=replace(correction, factors={}) if factors else None)
 
 
 def _merit(measured: Measured) -> float:
@@ -329,7 +363,7 @@ def _noise_remarks(factors: dict[str, float]) -> list[str]:
     return [f'{name} would have to be {factor:.0f} times as large as configured to explain this drive: no sensor is so '
             'much noisier than its settings, so this stands for something that is not in the library (vibration of the '
             'mount, samples that repeat, a scale or an axis that is not what it says).'
-            for name, factor in factors.items() if name != 'gnss.sigma' and factor > 0.95 * LARGEST_FACTOR]
+            for name, factor in factors.items() if name != 'gnss.sigma' and factor > AT_BOUND * LARGEST_FACTOR]
 
 
 def _switched(given: dict, corrected: dict) -> list[str]:
@@ -349,7 +383,7 @@ def _remarks(problem: Problem) -> list[str]:
         said.append('The speed hardly changes: a time offset, scale factors and a mounting rotation need some braking '
                     'and speeding up.')
     gaps = np.diff(seconds)
-    if len(gaps) and gaps.max() > 30:
+    if len(gaps) and gaps.max() > LONGEST_GAP:
         said.append(f'There are no fixes for {gaps.max():.0f} s in a part of the recording: it says little of that '
                     'part.')
     return said

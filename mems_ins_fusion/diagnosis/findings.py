@@ -90,7 +90,7 @@ class Diagnosis:
 
     @property
     def changed(self) -> bool:
-        """Whether `corrected` differs from `values`: it holds effects that held-out data prove, or is better."""
+        """Whether `corrected` differs from `values`: it holds what held-out data prove, or is better."""
         return self.corrected != self.values
 
     @property

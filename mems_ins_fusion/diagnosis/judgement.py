@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..evaluation.intervals import paired
+from ..evaluation.intervals import LEVEL, Difference, paired
 from ..evaluation.verdict import BETTER, CANNOT_TELL, Change, Verdict, change_in_outages, change_with_fixes, decide
 from .held_out import CERTAIN, HeldOut
 from .measured import Measured, fairly
@@ -24,16 +24,14 @@ LIKELY = 0.05
 SCATTER = 0.5
 #: factor on an error, below which it has become smaller plainly
 PLAINLY = 0.7
-#: the same for noise levels alone
-SMALLER = 0.9
-#: outages that prove noise levels, at least
-FEWEST_OUTAGES = 5
 #: share of what the filter ran before that it has to run with a correction: one that never starts errs nowhere
 RUNS = 0.5
 #: share of the outages in which the 95 % ellipse has to hold the truth
 COVERED = 0.9
 #: by which share less of them an ellipse may hold it that held it in less than COVERED before
 LESS_HELD = 0.15
+#: of an interval whose lower end is passed by chance in 1 - LEVEL of the cases: that a gain is one is asked of one side
+ONE_SIDED = 2 * LEVEL - 1
 
 
 def changes(before: Measured, after: Measured) -> list[Change]:
@@ -134,6 +132,41 @@ def _plain(value: float, squared: bool) -> str:
     return f'{value**2 if squared else value:.3g}'
 
 
+def levels_proven(before: Measured, after: Measured) -> bool:
+    """Whether noise levels are proven by data that did not choose them. before: the same filter without them.
+
+    Errors are smaller for certain; or predictions are better for certain (`predicted`), which counts sigmas that come
+    to be honest as well, and no error grows.
+    """
+    if judged(before, after).answer == BETTER:
+        return True
+    gain = predicted(before, after)
+    return gain is not None and gain.interval(ONE_SIDED)[0] > 0.0 and not unproven(compared(before, after))
+
+
+def predicted(before: Measured, after: Measured) -> Difference | None:
+    """By how much predictions are better, in log likelihood: what noise levels are chosen by, the mean over the
+    horizons, each with one vote; None where there are too few to say, or where they are the same.
+
+    The horizons see the same drive, so that their errors may go together, and the errors of their sigmas: the sigma is
+    the mean of theirs, and its relative error 1 / sqrt(2 (count - 1)) the mean of theirs by sigma. Neither can be
+    larger.
+    """
+    apart = [np.inf, *(o.apart for o in (before.timeless or before).outages if len(o.begin))]
+    scores, found = (before.scores(), after.scores()), []
+    if len(scores[0]) != len(scores[1]):  # one of the filters never runs for so long
+        return None
+    for (old, was), (new, now), count in zip(*scores, apart):
+        _, a, b = np.intersect1d(old, new, return_indices=True)
+        found.append(paired(now[b], was[a], count))
+    found = [one for one in found if one is not None]
+    mean, sigma, count = np.array([(one.mean, one.sigma, one.count) for one in found]).reshape(-1, 3).T
+    if not sigma.any():
+        return None
+    together = 1.0 + (sigma.sum() / (sigma / np.sqrt(count - 1.0)).sum()) ** 2
+    return Difference(float(mean.mean()), float(sigma.mean()), float(together))
+
+
 def objection(proof: HeldOut, comparison: Sequence[dict]) -> str:
     """What speaks against an effect, empty where nothing does: no gain of likelihood, or an error that grows.
 
@@ -169,22 +202,15 @@ def _larger(comparison: Sequence[dict], settled: bool = False) -> str:
     return f'the error does not shrink: all in all it is {change:.2f} times that before'
 
 
-def unproven(comparison: Sequence[dict], effects: bool = False) -> str:
-    """What speaks against another configuration; empty where it is proven to be better.
+def unproven(comparison: Sequence[dict]) -> str:
+    """What speaks against another configuration; empty where nothing does.
 
-    effects: what is new in it has been proven by the likelihood of held-out data already (`objection`), so errors
-    must not grow. Whether they shrink the fixes that are the truth as a rule cannot say: who stamps them late, or
-    stands elsewhere, has the withheld ones late and elsewhere, too. Noise levels alone have no such proof: with them
-    errors have to shrink, or the ellipses to hold the truth where they did not.
+    What is new in it has been proven by the likelihood of held-out data already (`objection`, `levels_proven`), so
+    errors must not grow. Whether they shrink the fixes that are the truth as a rule cannot say: who stamps them late,
+    or stands elsewhere, has the withheld ones late and elsewhere, too.
     """
-    rows = [row for row in of_all(comparison) if effects or row['count'] >= FEWEST_OUTAGES]
-    change = all_in_all(rows)
-    worse = harm(comparison, effects, COVERED - LESS_HELD if effects and 0.0 < change <= PLAINLY else COVERED)
-    if worse or effects:
-        return worse or _larger(comparison)
-    if rows and (change < SMALLER or honest(rows) and change <= 1.0):
-        return ''
-    return 'the errors do not shrink with it'
+    plainly = 0.0 < all_in_all(comparison) <= PLAINLY
+    return harm(comparison, effects=True, floor=COVERED - LESS_HELD if plainly else COVERED) or _larger(comparison)
 
 
 def honest(rows: Sequence[dict]) -> bool:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..evaluation.comparison import aiding_of
 from ..effects.mounting_rotation import MountingRotation
+from ..evaluation.comparison import aiding_of
 from ..filter.config import FilterConfig
 from ..filter.runs.replay import run
 from ..samples import Recording

@@ -38,6 +38,12 @@ TRIED = 3
 PART = 0.2
 #: candidates that are fitted in one round from all starts together, as each fit takes long
 MOST_TRIED = 4
+#: share of the work of a search after which a round traces from one start alone: each further one takes as long
+ONE_START = 0.6
+#: the same, after which a round that has failed with a candidate tries no other
+ONE_CANDIDATE = 0.8
+#: of the way from noise levels as configured to those fitted: the start between them
+BETWEEN = 0.5
 #: position errors all in all that differ by this factor tell effects apart
 DIFFERENT = 1.1
 #: noise levels that differ by less than this (natural logarithm) make no other start
@@ -88,7 +94,7 @@ def add_best(known: Known, trials: TrialRuns) -> Known:
     if not known.effects:
         return known
     trials.searching('testing effects')
-    views = starts(known)[:1 if trials.enough(0.6) else None]
+    views = starts(known)[:1 if trials.enough(ONE_START) else None]
     best: dict[str, tuple[Candidate, np.ndarray]] = {}
     significant: list[tuple[int, Candidate, np.ndarray]] = []
     for view in views:
@@ -116,7 +122,8 @@ def add_best(known: Known, trials: TrialRuns) -> Known:
     # what is far off need not show where the search begins
     names += [name for name, sizes in trials.starts.items() if sizes and name not in names and name in best
               and best[name][0].scores is not None and (name in trials.certain or not known.rounds[:-1])]
-    trials.searching(f'adding {" or ".join(names)}')
+    others = f' or {len(names) - 1} others' if len(names) > 2 else ''.join(f' or {name}' for name in names[1:])
+    trials.searching(f'adding {names[0]}{others}')
     return _tried(known, [best[name] for name in names], candidates, trials)
 
 
@@ -153,7 +160,7 @@ def starts(known: Known) -> list[np.ndarray]:
     model, n = known.model, known.noise
     configured = calibrated(known.problem, model.unknowns, model.x)
     found = [model.x]
-    for x in (configured, 0.5 * (configured + model.x))[:1 if known.rounds else 2]:
+    for x in (configured, (1 - BETWEEN) * configured + BETWEEN * model.x)[:1 if known.rounds else 2]:
         if all(np.abs(x[:n] - other[:n]).max() > SAME_START for other in found):
             found.append(x)
     return found
@@ -200,7 +207,7 @@ def _tried(known: Known, significant, candidates: list[Candidate], trials: Trial
         if not best.against:
             return _taken(known, best, finding, failed)
         failed.append(finding)
-        if trials.enough(0.8):
+        if trials.enough(ONE_CANDIDATE):
             break
     names = {f.name for f in failed}
     return replace(known, findings=_with_findings(known.findings, failed), chosen=(*known.chosen, order[0]),

@@ -160,8 +160,8 @@ class Effect:
         return values
 
     def lasting(self, values: dict) -> float:
-        """s, for which fixes hold the same error as `values`, with the effect in them, say. Fixes that come sooner after
-        the last one used tell how well that error was followed, and not where the vehicle is."""
+        """s, for which fixes hold the same error as `values`, with the effect in them, say. Fixes that come sooner
+        after the last one used tell how well that error was followed, and not where the vehicle is."""
         return 0.0
 
     def seen(self, values: dict, recording) -> Sighting | None:

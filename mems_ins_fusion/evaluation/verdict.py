@@ -15,6 +15,8 @@ from .intervals import LEVEL, Difference, interval_of_share, of_mean, p_of_so_fe
 from .metrics import rms
 
 BETTER, SAME, WORSE, CANNOT_TELL, NOT_USABLE = 'better', 'same', 'worse', 'cannot_tell', 'not_usable'
+#: s without fixes, about, of the outages that a headline is about: a tunnel in a town
+HEADLINE = 30.0
 #: part of the error below which a difference, though certain, is felt by nobody
 FELT_PART = 0.03
 #: m, the same
@@ -118,11 +120,11 @@ class Verdict:
 
     @property
     def shown(self) -> Change | None:
-        """The change for a headline: of what decided, else of all, the outages of about 30 s; errors with fixes last.
-        """
+        """The change for a headline: of what decided, else of all, the outages of about HEADLINE; errors with fixes
+        last."""
         decided = {BETTER: self.gains, WORSE: self.losses}.get(self.answer) or self.gains or self.changes
         known = [c for c in decided if c.difference is not None]
-        return min(known or decided, key=lambda c: np.inf if c.duration is None else abs(np.log(c.duration / 30.0)),
+        return min(known or decided, key=lambda c: np.inf if c.duration is None else abs(np.log(c.duration / HEADLINE)),
                    default=None)
 
 

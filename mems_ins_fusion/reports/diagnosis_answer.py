@@ -117,17 +117,18 @@ def tried_text(f: Finding) -> str:
 
 
 def headline(verdict: Verdict, changed: bool = False) -> str:
-    """Whether to use what was found, with the interval that says so. changed: corrected.yaml holds effects."""
+    """Whether to use what was found, with the interval that says so. changed: corrected.yaml is another file than
+    the one given."""
     if verdict.answer == NOT_USABLE:
         return f'Not usable: {verdict.why[0]}'
     if verdict.shown is None:
         return 'Keep your parameters: nothing was found that makes the filter better.'
     proof = change_text(verdict.shown, verdict.level)
-    if verdict.why:
-        return f'Keep your parameters: {verdict.why[0]}; {proof}.'
     if changed and verdict.answer != BETTER:
         what_of_it = 'makes no difference' if verdict.answer == SAME else 'is not proven to make errors smaller'
         return f'corrected.yaml {what_of_it}: {proof}.'
+    if verdict.why:
+        return f'Keep your parameters: {verdict.why[0]}; {proof}.'
     return {BETTER: f'Use corrected.yaml: {proof}.',
             SAME: f'Keep your parameters, what was found makes no difference: {proof}.',
             WORSE: f'Keep your parameters, what was found makes it worse: {proof}.',
