@@ -43,8 +43,6 @@ BACK = (2.0, 4.0, 8.0)
 BETTER = 2.0
 #: nats: a second that is behind by no more is worth the search since when (each 1 ms for 8 s at 100 Hz)
 SERIOUS = 4.0
-#: s: a filter that has refused all fixes for longer follows none
-FOLLOWS = 3.0
 #: share of the variance of position, velocity and heading below which a squared difference is none
 SAME = 0.1
 
@@ -92,9 +90,9 @@ def _is_better(memory, other, r):
     ahead = other[r + Hypothesis.SCORE] - memory[r + Hypothesis.SCORE]
     if other[r + Hypothesis.DOUBTS] == 0.0:
         return ahead > (BETTER if memory[r + Hypothesis.DOUBTS] == 0.0 else 0.0)
-    follows = memory[r + Nav.REFUSED] == 0.0 or memory[r + Nav.FIX_TIME] - memory[r + Nav.REFUSED_SINCE] < FOLLOWS
     return (ahead > SERIOUS and memory[r + Hypothesis.DOUBTS] == 0.0 and memory[r + Nav.UNSETTLED] == 0.0
-            and follows and fix_drift.are_far(memory, r) and hypotheses.is_drifting(other, r))
+            and fix_drift.are_followed(memory, r)
+            and hypotheses.is_drifting(other, r, memory[r + Nav.FIX_TIME] - memory[Bank.BEGUN]))
 
 
 @njit(_nrt=False)

@@ -48,6 +48,8 @@ RANGE = math.log(1000.0)
 DRIFT = 3.0
 #: sigma beyond which wrong fixes certainly drift
 CERTAIN = 3.0
+#: share of their offset that this drift explains at least, from when they went wrong on: else they have jumped
+EXPLAINED = 0.5
 #: m^2/s and m^2/s^3, variances that offset and drift gather: of a receiver's filter, not of a vehicle that manoeuvres
 WANDERS, TURNS = 0.002, 0.002
 #: s: stamps may be off by so much, one sigma, without anybody having declared it: fixes are then off along the velocity
@@ -152,10 +154,12 @@ def doubt(mem, r, interval):
 
 
 @njit(_nrt=False)
-def is_drifting(mem, r):
-    """Whether the fixes that the filter with the state at r takes for wrong certainly drift away."""
+def is_drifting(mem, r, since):
+    """Whether the fixes that the filter with the state at r has taken for wrong for `since` s certainly drift away, and
+    have not jumped."""
     drift = math.hypot(mem[r + Hypothesis.DRIFT], mem[r + Hypothesis.DRIFT + 1])
-    return drift > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE + 2])
+    offset = math.hypot(mem[r + Hypothesis.OFFSET], mem[r + Hypothesis.OFFSET + 1])
+    return drift > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE + 2]) and since * drift > EXPLAINED * offset
 
 
 @njit(_nrt=False)
