@@ -350,10 +350,12 @@ def test_fixes_that_drift_away_widen_what_is_published(mechanization):
     drive = Drive()
     drive.position[:, 0] += 4.0 * np.clip(drive.time - 30.0, 0.0, 10.0)
     _, memory, error, sigma, _ = drive.through(mechanization)
-    # then where it has been moved from is within the 95 % ellipse of what is published, but for its first seconds
+    # then where it has been moved from is within the 95 % ellipse of what is published, but for its first seconds (less
+    # than 12 m is what comes of using no fixes, and in P)
     later = slice(round(36.0 * 50), round(41.0 * 50))
-    assert np.abs(error[later, 0]).max() > 10.0
-    assert (np.abs(error[later, 0]) < 2.45 * sigma[later, 0] + 2.0).mean() > 0.9
+    far = np.abs(error[later, 0]) > 12.0
+    assert far.any()
+    assert (np.abs(error[later, 0]) < 2.45 * sigma[later, 0] + 2.0)[far].mean() > 0.9
 
 
 @pytest.mark.parametrize('heading_sigma, since_fix, is_applied',

@@ -24,6 +24,7 @@ from mems_ins_fusion.filter.trust.hypotheses import (
     UNDECLARED_OFFSET,
     Hypothesis,
     doubt,
+    is_drifting,
     judge,
 )
 
@@ -118,6 +119,20 @@ def test_fixes_that_drift_away_are_left(mechanization):
     # is with them at once when they are right
     off = np.hypot(*error.T)
     assert off.max() < 12.0 and off[round(50 * 53.6):].max() < 2.0
+
+
+@pytest.mark.parametrize('offset, drift, since, is_so', [
+    ((0.0, 20.0), (0.0, 3.0), 8.0, True),  # 20 m beside the way within 8 s
+    ((0.0, 20.0), (0.0, 3.0), 2.0, False),  # most of that at once
+    ((20.0, 0.0), (3.0, 0.0), 8.0, False),  # ahead of a vehicle that goes north: stamps may be late
+    ((0.0, 20.0), (0.0, 0.2), 80.0, False)])  # a drift of two sigma
+def test_fixes_drift_that_leave_the_way_of_the_vehicle_little_by_little(offset, drift, since, is_so):
+    _, memory, r = a_state()
+    memory[r + Hypothesis.DOUBTS] = 1.0
+    memory[r + Hypothesis.OFFSET:r + Hypothesis.OFFSET + 2] = offset
+    memory[r + Hypothesis.DRIFT:r + Hypothesis.DRIFT + 2] = drift
+    memory[r + Hypothesis.VARIANCE:r + Hypothesis.VARIANCE + 3] = 1.0, 0.05, 0.01
+    assert is_drifting(memory, r, since) == is_so
 
 
 @BOTH

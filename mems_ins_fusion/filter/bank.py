@@ -1,8 +1,8 @@
 """Two filters side by side in one memory: the one that is published, and one that takes the fixes for wrong.
 
 The second stands behind the first, as large, while `Bank.OPEN`, and gets the same samples and measurements. After each
-fix their scores are compared (`trust/hypotheses.py`). The second goes where it has lost, or where both agree; once it
-uses the fixes again it becomes the first if its score is better.
+fix their scores are compared (`trust/hypotheses.py`). The second goes where it has lost, or where both agree. It becomes
+the first where its score is better and it uses the fixes again, or the fixes drift away (`trust/fix_drift.py`).
 """
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ SAME = 0.1
 
 @njit(_nrt=False)
 def compare(memory):
-    """After each fix, once: begin a second filter where there is reason to, make it the first where it uses the fixes
-    and is better, end it where it has lost or is the same, and note how far apart both are."""
+    """After each fix, once: begin a second filter where there is reason to, make it the first where it is better, end
+    it where it has lost or is the same, and note how far apart both are."""
     size, r = int(memory[Bank.SIZE]), state_at(memory, int(memory[Head.SAMPLES]))
     time = memory[r + Nav.FIX_TIME]
     if size == 0 or time == memory[Bank.COMPARED]:
@@ -70,7 +70,7 @@ def compare(memory):
         for i in range(Bank.SIZE, Bank.DATED + 1):
             memory[i] = other[i]
     doubts = memory[r + Hypothesis.DOUBTS] != 0.0
-    if doubts:  # the other one may be right again: a receiver that has failed comes back
+    if doubts:  # the one that uses the fixes has to be there, and near enough, when they are right again
         other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], memory[r + Hypothesis.SCORE] - hypotheses.LOST)
     lead = memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE]
     share = 1.0 / (1.0 + math.exp(min(lead, 100.0)))
@@ -85,8 +85,8 @@ def compare(memory):
 
 @njit(_nrt=False)
 def _is_better(memory, other, r):
-    """Whether the second is to be the first. One that uses no fixes only where the first follows fixes that drift away:
-    who follows a receiver that is off by a constant is off by no more than that."""
+    """Whether the second is to be the first: one that uses no fixes only where the first follows fixes that drift away.
+    Who follows a receiver that is off by a constant is off by no more than that."""
     ahead = other[r + Hypothesis.SCORE] - memory[r + Hypothesis.SCORE]
     if other[r + Hypothesis.DOUBTS] == 0.0:
         return ahead > (BETTER if memory[r + Hypothesis.DOUBTS] == 0.0 else 0.0)

@@ -8,8 +8,9 @@ the filter says of them, is its *score*:
   to anywhere (multipath, extrapolation, a wrong integer). This filter uses none of them until one is right again.
 
 The second is begun where a fix is so unlikely that the receiver may have failed, and ends where it has lost or both
-agree (`bank.py`). What is published is the filter that uses the fixes, with the covariance of both: where fixes are
-followed that may be wrong, it reaches as far as to where the filter would be without them. (D. T. Magill, "Optimal
+agree (`bank.py`). What is published is the filter that uses the fixes, unless they drift away (`fix_drift.py`), with the
+covariance of both: where fixes are followed that may be wrong, it reaches as far as to where the filter would be
+without them. (D. T. Magill, "Optimal
 adaptive estimation of sampled stochastic processes", IEEE Trans. Automatic Control 10, 1965; H. A. P. Blom and Y.
 Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching coefficients", the same 33,
 1988.)
@@ -46,7 +47,7 @@ JUMPS = 1.0 / 20.0
 RANGE = math.log(1000.0)
 #: m/s: sigma of the drift of wrong fixes, of a receiver that loses its satellites one by one
 DRIFT = 3.0
-#: sigma beyond which wrong fixes certainly drift
+#: sigma beyond which wrong fixes certainly drift, and are beside the way of the vehicle
 CERTAIN = 3.0
 #: share of their offset that this drift explains at least, from when they went wrong on: else they have jumped
 EXPLAINED = 0.5
@@ -155,11 +156,15 @@ def doubt(mem, r, interval):
 
 @njit(_nrt=False)
 def is_drifting(mem, r, since):
-    """Whether the fixes that the filter with the state at r has taken for wrong for `since` s certainly drift away, and
-    have not jumped."""
+    """Whether the fixes that the filter with the state at r has taken for wrong for `since` s certainly drift away:
+    they have not jumped, and are not only off along the velocity, as fixes are that are stamped late."""
+    offset_n, offset_e = mem[r + Hypothesis.OFFSET], mem[r + Hypothesis.OFFSET + 1]
     drift = math.hypot(mem[r + Hypothesis.DRIFT], mem[r + Hypothesis.DRIFT + 1])
-    offset = math.hypot(mem[r + Hypothesis.OFFSET], mem[r + Hypothesis.OFFSET + 1])
-    return drift > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE + 2]) and since * drift > EXPLAINED * offset
+    speed = max(math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]), 1e-3)
+    beside = abs(offset_n * mem[r + Nav.V_E] - offset_e * mem[r + Nav.V_N]) / speed
+    return (drift > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE + 2])
+            and beside > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE])
+            and since * drift > EXPLAINED * math.hypot(offset_n, offset_e))
 
 
 @njit(_nrt=False)
