@@ -1,8 +1,9 @@
 """Two filters side by side in one memory: the one that is published, and one that takes the fixes for wrong.
 
 The second stands behind the first, as large, while `Bank.OPEN`, and gets the same samples and measurements. After each
-fix their scores are compared (`trust/hypotheses.py`). The second goes where it has lost, or where both agree. It becomes
-the first where its score is better and it uses the fixes again, or the fixes drift away (`trust/fix_drift.py`).
+fix their scores are compared (`trust/hypotheses.py`). The second goes where it has lost, or where both agree. It
+becomes the first where its score is better and it uses the fixes again, or the fixes drift away
+(`trust/fix_drift.py`).
 """
 from __future__ import annotations
 

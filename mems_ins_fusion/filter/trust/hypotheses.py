@@ -8,12 +8,11 @@ the filter says of them, is its *score*:
   to anywhere (multipath, extrapolation, a wrong integer). This filter uses none of them until one is right again.
 
 The second is begun where a fix is so unlikely that the receiver may have failed, and ends where it has lost or both
-agree (`bank.py`). What is published is the filter that uses the fixes, unless they drift away (`fix_drift.py`), with the
-covariance of both: where fixes are followed that may be wrong, it reaches as far as to where the filter would be
-without them. (D. T. Magill, "Optimal
-adaptive estimation of sampled stochastic processes", IEEE Trans. Automatic Control 10, 1965; H. A. P. Blom and Y.
-Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching coefficients", the same 33,
-1988.)
+agree (`bank.py`). What is published is the filter that uses the fixes, unless they drift away (`fix_drift.py`), with
+the covariance of both: where fixes are followed that may be wrong, it reaches as far as to where the filter would be
+without them. (D. T. Magill, "Optimal adaptive estimation of sampled stochastic processes", IEEE Trans. Automatic
+Control 10, 1965; H. A. P. Blom and Y. Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian
+switching coefficients", the same 33, 1988.)
 """
 from __future__ import annotations
 
