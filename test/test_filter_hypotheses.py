@@ -23,6 +23,7 @@ from mems_ins_fusion.filter.trust.hypotheses import (
     RANGE,
     UNDECLARED_OFFSET,
     Hypothesis,
+    add_move,
     doubt,
     is_drifting,
     judge,
@@ -158,7 +159,7 @@ def test_what_fixes_have_moved_is_a_position_and_a_velocity_that_are_forgotten()
     for time, (north, east, v_n, v_e) in zip(times, moves):
         memory[at + Event.TIME] = time
         fix_drift.note(memory, r, at, 0.0, 0.0)
-        fix_drift.move(memory, r, (0.0, 0.0, 0.0, 0.0), (north * scale[0], east * scale[1], v_n, v_e))
+        add_move(memory, r, r + FixDrift.MOVED, (0.0, 0.0, 0.0, 0.0), (north * scale[0], east * scale[1], v_n, v_e))
         memory[r + Nav.FIX_TIME] = time
     # when a fix comes a second later that is 2 m off to the north and 1 m to the west
     memory[at + Event.TIME] = times[-1] + 1.0

@@ -19,6 +19,7 @@ from .memory import NAV, Error, Event, Head, Kind, Nav, Verdict, load_covariance
 from .prediction import set_radii
 from .trust import contradiction, fix_drift, hypotheses, inputs, receiver, repeats, straight_on, way
 from .trust.drift import learn_drift
+from .trust.fix_drift import FixDrift
 from .trust.hypotheses import Hypothesis
 from .trust.scale import seen_of
 from .trust.standstill import take_speed
@@ -89,7 +90,7 @@ def _apply_fix(mem, r, at):
     if recovered:
         fix_drift.begin_anew(mem, r)
     else:
-        fix_drift.move(mem, r, before, after)
+        hypotheses.add_move(mem, r, r + FixDrift.MOVED, before, after)
     receiver.learn(mem, r, at, left_n, left_e)
     learn_drift(mem, r)
 

@@ -25,7 +25,7 @@ FixDrift = ROW.place(
 MEMORY = 4.0
 #: s over which the usual distance is a mean: it has bends and stops in it, and follows another road
 USUALLY = 300.0
-#: s over which it is one at least
+#: s over which it is one at least: some times MEMORY, within which distances are alike
 KNOWN = 30.0
 #: times the usual distance from which on fixes are far: on the measured drives longer than for a second only where the
 #: receiver fails, and where a time offset of 0.26 s is not declared
@@ -49,16 +49,6 @@ def note(mem, r, at, z_n, z_e):
     if mem[r + FixDrift.SEEN] > KNOWN:
         squared = min(squared, FAR * FAR * mem[r + FixDrift.USUAL])
     mem[r + FixDrift.USUAL] += (squared - mem[r + FixDrift.USUAL]) * min(step / mem[r + FixDrift.SEEN], 1.0)
-
-
-@njit(_nrt=False)
-def move(mem, r, before, after):
-    """Remember what a fix has done to position and velocity (`hypotheses.position_and_velocity`) of the state at r."""
-    at = r + FixDrift.MOVED
-    mem[at] += (after[0] - before[0]) / mem[r + Nav.NORTH_SCALE]
-    mem[at + 1] += (after[1] - before[1]) / mem[r + Nav.EAST_SCALE]
-    mem[at + 2] += after[2] - before[2]
-    mem[at + 3] += after[3] - before[3]
 
 
 @njit(_nrt=False)

@@ -48,7 +48,8 @@ RANGE = math.log(1000.0)
 DRIFT = 3.0
 #: sigma beyond which wrong fixes certainly drift, and are beside the way of the vehicle
 CERTAIN = 3.0
-#: share of their offset that this drift explains at least, from when they went wrong on: else they have jumped
+#: share of their offset that this drift explains at least, from when they went wrong on, else they have jumped: half,
+#: as that time is one of four, seconds apart
 EXPLAINED = 0.5
 #: m^2/s and m^2/s^3, variances that offset and drift gather: of a receiver's filter, not of a vehicle that manoeuvres
 WANDERS, TURNS = 0.002, 0.002
@@ -159,10 +160,10 @@ def is_drifting(mem, r, since):
     they have not jumped, and are not only off along the velocity, as fixes are that are stamped late."""
     offset_n, offset_e = mem[r + Hypothesis.OFFSET], mem[r + Hypothesis.OFFSET + 1]
     drift = math.hypot(mem[r + Hypothesis.DRIFT], mem[r + Hypothesis.DRIFT + 1])
-    speed = max(math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]), 1e-3)
-    beside = abs(offset_n * mem[r + Nav.V_E] - offset_e * mem[r + Nav.V_N]) / speed
+    speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
+    beside = abs(offset_n * mem[r + Nav.V_E] - offset_e * mem[r + Nav.V_N])  # times the speed
     return (drift > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE + 2])
-            and beside > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE])
+            and beside > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE]) * speed
             and since * drift > EXPLAINED * math.hypot(offset_n, offset_e))
 
 
@@ -196,3 +197,13 @@ def position_and_velocity(mem, r):
     return (mem[r + Nav.LATITUDE] - mem[x] * mem[r + Nav.NORTH_SCALE],
             mem[r + Nav.LONGITUDE] - mem[x + 1] * mem[r + Nav.EAST_SCALE],
             mem[r + Nav.V_N] - mem[x + k], mem[r + Nav.V_E] - mem[x + k + 1])
+
+
+@njit(_nrt=False)
+def add_move(mem, r, at, before, after):
+    """Add to the four numbers at `at`, north and east, m and m/s, by how much what `position_and_velocity` says of the
+    state at r has changed."""
+    mem[at] += (after[0] - before[0]) / mem[r + Nav.NORTH_SCALE]
+    mem[at + 1] += (after[1] - before[1]) / mem[r + Nav.EAST_SCALE]
+    mem[at + 2] += after[2] - before[2]
+    mem[at + 3] += after[3] - before[3]

@@ -14,6 +14,7 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ..memory import HEAD, ROW, Event, Head, Nav, Verdict
+from . import hypotheses
 from .receiver import CLAIM_CHANGE, Receiver
 from .scale import scale
 from .standstill import moves
@@ -110,10 +111,7 @@ def refuse(mem, r, at):
 def pull(mem, r, before, after):
     """Remember what a fix on the line has done to the state at r: its position and velocity before and after that."""
     if mem[r + StraightOn.NATS] > 0.0:
-        mem[r + StraightOn.PULLED] += (after[0] - before[0]) / mem[r + Nav.NORTH_SCALE]
-        mem[r + StraightOn.PULLED + 1] += (after[1] - before[1]) / mem[r + Nav.EAST_SCALE]
-        mem[r + StraightOn.PULLED + 2] += after[2] - before[2]
-        mem[r + StraightOn.PULLED + 3] += after[3] - before[3]
+        hypotheses.add_move(mem, r, r + StraightOn.PULLED, before, after)
 
 
 @njit(_nrt=False)
