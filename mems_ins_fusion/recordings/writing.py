@@ -10,6 +10,7 @@ import numpy as np
 
 from mems_ins_fusion.filter.measurements.registry import AIDING, MEASUREMENTS
 from mems_ins_fusion.filter.memory import Kind
+from mems_ins_fusion.guard import one_line
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.navigation.frames import FLU_TO_FRD, ned_from_enu
 from mems_ins_fusion.recordings import messages
@@ -193,4 +194,4 @@ def _write(path: Path, storage: str, streams: list[_Stream], overwrite: bool) ->
                 file.rename(folder / file.name)
             inner.rmdir()
     except (sqlite3.Error, WriterError) as error:
-        raise ResultError(f'cannot write {path}: {" ".join(str(error).split())}') from None
+        raise ResultError(f'cannot write {path}: {one_line(error)}') from None
