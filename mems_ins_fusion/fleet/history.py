@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import quote
 
+from ..guard import one_line
 from ..results import write_files
 from .sources import local_copy
 
@@ -34,7 +35,7 @@ def read_state_file(place: str) -> tuple[list[dict], str]:
                 rows.append({'stamp_ns': stamp, 'source': 'state_file', 'recording_id': '', 'effect': effect,
                              'parameter': parameter, 'value': value, 'sigma': math.sqrt(variance), 'unit': unit})
     except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
-        return [], f'{place} is not a state file of fusion_node: {" ".join(str(error).split())}'
+        return [], f'{place} is not a state file of fusion_node: {one_line(error)}'
     return rows, ''
 
 

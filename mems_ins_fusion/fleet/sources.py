@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from ..errors import InputError
+from ..guard import one_line
 
 #: ends of the names of files that are recordings, those of `recordings.bags` and what `characterize` reads
 SUFFIXES = ('.mcap', '.db3', '.bag', '.mcap.zstd', '.db3.zstd', '.npz')
@@ -130,7 +131,7 @@ def opened(url: str):
 
         return fsspec.core.url_to_fs(url)
     except (ImportError, ValueError) as error:
-        reason = 'fsspec is not installed' if 'fsspec' in str(error) else ' '.join(str(error).split())
+        reason = 'fsspec is not installed' if 'fsspec' in str(error) else one_line(error)
         raise SourceError(f'{url}: {reason}; pip install "mems_ins_fusion[fleet]" reads URLs, with the driver of the '
                           'protocol') from None
 
@@ -159,7 +160,7 @@ def _csv_rows(source: str) -> list[dict]:
             with open(path, encoding='utf-8-sig', newline='') as file:
                 rows = list(csv.DictReader(file))
         except (OSError, UnicodeDecodeError, csv.Error) as error:
-            raise SourceError(f'{source}: {" ".join(str(error).split())}') from None
+            raise SourceError(f'{source}: {one_line(error)}') from None
     if rows and 'recording' not in rows[0]:
         raise SourceError(f"{source} has no column 'recording', only {', '.join(map(str, rows[0]))}")
     return rows
@@ -175,7 +176,7 @@ def _parquet_rows(source: str) -> list[dict]:
         try:
             rows = parquet.read_table(path).to_pylist()
         except (OSError, pyarrow.ArrowException) as error:
-            raise SourceError(f'{source}: {" ".join(str(error).split())}') from None
+            raise SourceError(f'{source}: {one_line(error)}') from None
     if rows and 'recording' not in rows[0]:
         raise SourceError(f"{source} has no column 'recording', only {', '.join(map(str, rows[0]))}")
     return rows

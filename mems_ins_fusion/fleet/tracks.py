@@ -12,9 +12,10 @@ from ..navigation.earth import from_local, to_local
 from ..navigation.frames import yaw_from_enu, yaw_of_quaternion
 from ..recordings import messages
 from ..recordings.bags import Bag
-from ..recordings.gps_time import EPOCH, SECOND, WEEK, leap_seconds, utc_of_week
+from ..recordings.gps_time import EPOCH, WEEK, leap_seconds, utc_of_week
 from ..recordings.reference_files import read_reference
 from ..recordings.tables import read_text
+from ..samples import SECOND
 
 #: columns of a navigation result of KF-GINS: week (it writes 0), seconds of it, latitude, longitude (deg), height,
 #: velocity north, east, down, roll, pitch, yaw (deg); and of its standard deviations: seconds, north, east, down, ...

@@ -8,6 +8,7 @@ from pathlib import Path
 import yaml
 
 from mems_ins_fusion.errors import InputError
+from mems_ins_fusion.guard import one_line
 
 from .parameter import ParameterError
 
@@ -57,7 +58,7 @@ def read_yaml(path):
     except (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, OverflowError) as error:
         mark, problem = getattr(error, 'problem_mark', None), getattr(error, 'problem', None)
         where = f'line {mark.line + 1}: ' if mark is not None and problem else ''
-        raise YamlError(' '.join(f'{where}{problem or error}'.split())) from None
+        raise YamlError(one_line(f'{where}{problem or error}')) from None
 
 
 def load_yaml(path, node: str = '') -> dict:
