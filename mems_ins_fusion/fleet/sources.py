@@ -138,6 +138,8 @@ def opened(url: str):
 
 def _read_table(source: str, pattern) -> Iterator[Entry]:
     rows = _parquet_rows(source) if source.endswith('.parquet') else _csv_rows(source)
+    if rows and 'recording' not in rows[0]:
+        raise SourceError(f"{source} has no column 'recording', only {', '.join(map(str, rows[0]))}")
     for number, row in enumerate(rows, 1):
         if not row.get('recording'):
             raise SourceError(f"{source}: row {number} has no 'recording'")
@@ -158,12 +160,9 @@ def _csv_rows(source: str) -> list[dict]:
     with local_copy(source) as path:
         try:
             with open(path, encoding='utf-8-sig', newline='') as file:
-                rows = list(csv.DictReader(file))
+                return list(csv.DictReader(file))
         except (OSError, UnicodeDecodeError, csv.Error) as error:
             raise SourceError(f'{source}: {one_line(error)}') from None
-    if rows and 'recording' not in rows[0]:
-        raise SourceError(f"{source} has no column 'recording', only {', '.join(map(str, rows[0]))}")
-    return rows
 
 
 def _parquet_rows(source: str) -> list[dict]:
@@ -174,12 +173,9 @@ def _parquet_rows(source: str) -> list[dict]:
         raise SourceError(f'{source}: pip install "mems_ins_fusion[fleet]" reads Parquet') from None
     with local_copy(source) as path:
         try:
-            rows = parquet.read_table(path).to_pylist()
+            return parquet.read_table(path).to_pylist()
         except (OSError, pyarrow.ArrowException) as error:
             raise SourceError(f'{source}: {one_line(error)}') from None
-    if rows and 'recording' not in rows[0]:
-        raise SourceError(f"{source} has no column 'recording', only {', '.join(map(str, rows[0]))}")
-    return rows
 
 
 @contextmanager

@@ -35,7 +35,7 @@ def identify(place: str) -> tuple[str, int, str] | None:
 
 
 def do(values: dict, output: str) -> str:
-    """Do the job `values` (see `jobs.as_dict`) and write its result below `output`; its id.
+    """Do the job `values` (see `jobs.from_dict`) and write its result below `output`; its id.
 
     Whatever goes wrong becomes a result that says so: nothing is raised but what ends the process.
     """
