@@ -31,7 +31,7 @@ EFFICIENCY = 0.3
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity whose changes are looked for. unit: as people read it; a value in it is `scale` times that in SI units.
+    """A quantity whose changes are looked for. unit: as people read it; values in it are `scale` times those in SI.
     ratio: changes are factors. angle: 2 pi is the same as 0."""
 
     effect: str

@@ -61,11 +61,10 @@ def read_yaml(path):
         raise YamlError(one_line(f'{where}{problem or error}')) from None
 
 
-def load_yaml(path, node: str = '') -> dict:
+def load_yaml(path) -> dict:
     """The parameters in a ROS 2 params file as a flat dictionary of given names, unchecked.
 
-    Reads the sections `/**` and, over it, `node` (with or without the slash); a file whose sections are all for
-    other nodes raises ParameterError, since ROS would silently ignore it.
+    Those of all its sections: of one given twice, that of a node counts more than that of `/**`. ParameterError.
     """
     path = Path(path)
     try:
@@ -74,15 +73,10 @@ def load_yaml(path, node: str = '') -> dict:
         raise ParameterError(f'params file {path}: {error.strerror}') from None
     except YamlError as error:
         raise ParameterError(f'params file {path} is not valid YAML: {error}') from None
-    if not isinstance(document, dict):
+    if not isinstance(document, dict) or not document:
         raise ParameterError(f'params file {path} holds no parameters')
-    known = ['/**'] + ([node, f'/{node}'] if node else sorted(map(str, set(document) - {'/**'})))
-    sections = [document[name] for name in known if name in document]
-    if not sections:
-        raise ParameterError(f"params file {path} has no section '/**' or '{node}', "
-                             f"only {', '.join(map(str, document))}")
     values: dict = {}
-    for section in sections:
+    for _, section in sorted(document.items(), key=lambda item: (item[0] != '/**', str(item[0]))):
         if not isinstance(section, dict) or not isinstance(section.get('ros__parameters'), dict):
             raise ParameterError(f"params file {path}: each node's parameters must stand under 'ros__parameters'")
         values.update(_flatten(section['ros__parameters'], path))
