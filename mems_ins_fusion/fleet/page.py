@@ -10,7 +10,7 @@ import numpy as np
 from ..recordings.findings import count_of
 from ..reports import html
 from ..reports.answer import GOOD, WARNING, Answer, Step
-from ..reports.html import Html, bullets, figure, folded, note, number, paragraph, section, table
+from ..reports.html import Html, bullets, empty_figure, figure, folded, note, number, paragraph, section, table
 from . import population
 from .change_points import QUANTITIES, day
 
@@ -142,10 +142,8 @@ def _effects(effects) -> list[Html]:
 
 
 def _distribution(effects):
-    from matplotlib.figure import Figure
-
     shown = [(QUANTITIES[key[1:3]], key, vehicles) for key, vehicles in effects.items() if key[1:3] in QUANTITIES]
-    drawing = Figure(figsize=(9, 0.5 + 0.85 * max(len(shown), 1)), layout='constrained')
+    drawing = empty_figure(9, 0.5 + 0.85 * max(len(shown), 1))
     panels = drawing.subplots(max(len(shown), 1), 1, squeeze=False)[:, 0]
     for axes, (quantity, (source, *_, unit), vehicles) in zip(panels, shown):
         scale = 1.0 if quantity.ratio else quantity.scale
@@ -172,9 +170,7 @@ def _histories(fleet, estimates: list[dict]) -> list[Html]:
 
 
 def _steps(fleet, changed, estimates):
-    from matplotlib.figure import Figure
-
-    drawing = Figure(figsize=(9, 2.2 * len(changed)), layout='constrained')
+    drawing = empty_figure(9, 2.2 * len(changed))
     panels = drawing.subplots(len(changed), 1, squeeze=False)[:, 0]
     for axes, (vehicle, quantity, source) in zip(panels, changed):
         rows = [r for r in estimates if (r['vehicle'], r['source'], r['effect'], r['parameter'])

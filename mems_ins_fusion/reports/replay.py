@@ -35,7 +35,7 @@ from ..samples import Recording
 from . import trajectories
 from .answer import Answer
 from .replay_answer import answer, best_model
-from .report import FIGURES, draw_figures, online_row, report, report_page, write_report
+from .replay_report import FIGURES, draw_figures, online_row, report, report_page, write_report
 
 #: the parameters of the replay, for the next command
 PARAMS_FILE = 'parameters.yaml'

@@ -320,9 +320,7 @@ def layers(first: Result, second: Result, rows: list[Row]) -> list[Layer]:
 
 
 def _still(drawn: list[Layer]) -> html.Html:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 7), layout='constrained')
+    figure = html.empty_figure(9, 7)
     axes = figure.add_subplot()
     for layer in drawn:
         axes.plot(layer.east, layer.north, color=layer.colour, linewidth=0.7 * layer.width, label=layer.name)
