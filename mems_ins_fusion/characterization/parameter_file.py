@@ -5,9 +5,10 @@ import math
 
 import numpy as np
 
+from ..navigation.earth import STANDARD_GRAVITY
 from ..sensor_errors.models import Autoregressive, GaussMarkov, Model, RandomWalk
 from . import data_sheet
-from .characterize import SENSORS, STANDARD_GRAVITY, Axis, Characterization
+from .characterize import SENSORS, Axis, Characterization
 from .fitting import Estimate
 
 #: of the values in the file; coefficients of poles near the unit circle need more

@@ -98,8 +98,7 @@ def usage(name: str, tables: tuple[tuple[Parameter, ...], ...]) -> str:
              '[-p NAME:=VALUE] ...]', f'or:    ros2 run mems_ins_fusion {name} ...', '',
              'parameters:']
     for parameter in (p for table in tables for p in table):
-        unit = '' if parameter.unit in ('text', '-') else f' {parameter.unit}'
-        lines.append(f'  {parameter.name} = {yaml_value(parameter.default)}{unit}')
+        lines.append(f'  {parameter.name} = {yaml_value(parameter.default)} {parameter.shown_unit}'.rstrip())
         choices = f" ({', '.join(parameter.choices)})" if parameter.choices else ''
         lines += textwrap.wrap(parameter.description + choices, 110, initial_indent=' ' * 6,
                                subsequent_indent=' ' * 6)

@@ -5,8 +5,9 @@ import math
 
 from mems_ins_fusion.characterization import data_sheet
 from mems_ins_fusion.characterization.autoregressive import METHODS, time_constant
-from mems_ins_fusion.characterization.characterize import SENSORS, STANDARD_GRAVITY, Characterization
+from mems_ins_fusion.characterization.characterize import SENSORS, Characterization
 from mems_ins_fusion.characterization.parameter_file import parameters, parameters_yaml
+from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.reports import html
 from mems_ins_fusion.reports.answer import Answer
 from mems_ins_fusion.reports.characterization_answer import LEAST_GRAVITY, MOST_GRAVITY

@@ -238,13 +238,13 @@ def _sum_of(waves, distance):
 
 
 def _sum_of_integrals(waves, distance):
-    """Its integral from the start of the road, m."""
+    """Integral of `_sum_of` from the start of the road, m."""
     return sum((size * length / (2 * np.pi) * (np.sin(2 * np.pi * distance / length + phase) - np.sin(phase))
                 for size, length, phase in waves), np.zeros_like(distance))
 
 
 def _sum_of_slopes(waves, distance):
-    """Its derivative, 1/m."""
+    """Derivative of `_sum_of` by the distance, 1/m."""
     return sum((-size * 2 * np.pi / length * np.sin(2 * np.pi * distance / length + phase)
                 for size, length, phase in waves), np.zeros_like(distance))
 

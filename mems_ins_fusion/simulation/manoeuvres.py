@@ -13,11 +13,10 @@ import numpy as np
 
 MAX_SPEED = 20.0  # m/s
 ROBOT_SPEED = 0.4  # m/s: of a slow robot
-MAX_ACCELERATION = 2.5  # m/s^2, forward or sideways
 MAX_JERK = 2.5  # m/s^3
 MIN_RADIUS = 9.0  # m, at the tightest point of a turn
-_PEAK_RATE = 15 / 8
-_PEAK_CURVATURE = 10 / math.sqrt(3)
+_PEAK_RATE = 15 / 8  # of the quintic step: largest first derivative
+_PEAK_CURVATURE = 10 / math.sqrt(3)  # largest second derivative
 _TIME_GRID = 0.1  # s: segments end on multiples of it, where the quadrature has an edge
 
 
