@@ -11,8 +11,10 @@ from . import data_sheet
 from .characterize import SENSORS, Axis, Characterization
 from .fitting import Estimate
 
-#: of the values in the file; coefficients of poles near the unit circle need more
-_DIGITS, _COEFFICIENT_DIGITS = 4, 10
+#: significant digits of the values in the file
+_DIGITS = 4
+#: the same of AR coefficients: with poles near the unit circle they need more
+_COEFFICIENT_DIGITS = 10
 
 
 def axis_models(axis: Axis, duration: float) -> dict[str, Model]:

@@ -17,13 +17,19 @@ from ..samples import runs
 LONGEST_HOLE = 60.0
 #: s, a shorter part at rest is not used
 SHORTEST = 60.0
-#: window in which rest is judged: at least this long, s, and with at least so many samples
-_WINDOW, _WINDOW_SAMPLES = 1.0, 50
-#: limits of a window at rest: spread against the quiet windows, peak in standard deviations, step in deviations
-_SPREAD, _PEAK, _STEP = 2.0, 7.0, 8.0
+#: s, shortest window in which rest is judged
+_WINDOW = 1.0
+#: samples, fewest of such a window
+_WINDOW_SAMPLES = 50
+#: largest standard deviation of a window at rest, in those of the quiet windows
+_SPREAD = 2.0
+#: largest deviation from the mean of a window at rest, in standard deviations
+_PEAK = 7.0
+#: smallest step of the mean from one window to the next that is no slow error, in standard deviations of such steps
+_STEP = 8.0
 #: windows averaged on each side of a disturbance to see whether the level changed
 _SIDE = 5
-#: a longer disturbance, s, is called a vibration
+#: s, a longer disturbance is called a vibration
 _LONG = 10.0
 #: windows averaged on each side of a shift of the level
 _SHIFT_SIDE = 30

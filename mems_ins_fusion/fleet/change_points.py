@@ -22,8 +22,10 @@ from ..navigation.frames import wrap
 LEVEL = 0.01
 #: median of a chi-square variable with one degree of freedom
 _MEDIAN = 0.4549364231195724
-#: a scale is learned from no fewer differences between neighbouring drives; with fewer nothing is said
-FEWEST, FEWEST_OWN = 4, 3
+#: differences between neighbouring drives of all vehicles: from fewer no scale is estimated, and nothing is said
+FEWEST = 4
+#: the same of one vehicle's own drives, for a scale of its own
+FEWEST_OWN = 3
 #: degrees of freedom of a scale by the median, for each difference: the median of squares is worth 37 % of their mean
 #: (P. J. Huber, "Robust Statistics", 1981), and neighbouring differences share a drive
 EFFICIENCY = 0.3

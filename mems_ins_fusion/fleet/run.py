@@ -24,8 +24,10 @@ from .work import RESULT, RESULTS, died, do, identify
 MARKER = 'fleet.json'
 #: which contents have been read already, by shard
 _CONTENTS = 'contents'
-#: how far the work is, of 1, when all is known that is there, and when each recording was looked at alone
-_READ, _ALONE = 0.05, 0.6
+#: part of the work that is done when the contents of all recordings are known
+_READ = 0.05
+#: part that is done when each recording was looked at alone
+_ALONE = 0.6
 #: done of a recording: `recordings.status`
 DONE, FAILED, DUPLICATE, OPEN = 'done', 'failed', 'duplicate', 'open'
 

@@ -12,8 +12,10 @@ from mems_ins_fusion.guard import one_line
 
 from .parameter import ParameterError
 
-#: files that people and recorders write are far smaller and flatter
-_LARGEST, _DEEPEST = 1_000_000, 20  # bytes, levels
+#: bytes, largest file that is read: those that people and recorders write are far smaller
+_LARGEST = 1_000_000
+#: levels, deepest nesting that is read: such files are far flatter
+_DEEPEST = 20
 
 
 class YamlError(InputError):

@@ -10,10 +10,12 @@ from ..filter.runs.usable import usable_samples
 from ..samples import Recording
 from .errors import RecordingError
 
-#: what is put between two drives on the time axis of all, s: longer than any block of time that goes together
+#: s, gap between two drives on the time axis of all: longer than any block of time that is judged as one
 BETWEEN = 120.0
-#: IMUs of one vehicle have rates that differ by no more than this factor, and gravity no further apart, rad
-SAME_RATE, SAME_UP = 1.25, np.radians(30.0)
+#: largest ratio of the rates of IMUs that can be the same
+SAME_RATE = 1.25
+#: rad, largest angle between the directions of gravity in IMUs that can be mounted in the same way
+SAME_UP = np.radians(30.0)
 
 
 def one_after_another(recordings: Sequence[Recording]) -> list[Recording]:

@@ -22,12 +22,14 @@ class Html(str):
     """Text that is HTML already. A plain str given in its place is escaped."""
 
 
-#: width of a phone's screen on which 10 points are as large as on paper
+#: inches, width of a phone's screen on which 10 points are as large as on paper
 PHONE = 4.2
-#: height of a panel there, inches
+#: inches, height of a panel there
 PANEL = 1.9
-#: width of a letter, of its height, on average; height of those of a legend below all axes, points
-LETTER, _LEGEND = 0.55, 8
+#: width of a letter as a part of its height, on average
+LETTER = 0.55
+#: points, height of the letters of a legend below all axes
+_LEGEND = 8
 _STYLE = (Path(__file__).parent / 'page.css').read_text(encoding='ascii')
 
 

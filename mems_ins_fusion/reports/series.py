@@ -15,8 +15,10 @@ from .layers import seconds
 
 #: x, y and z, and north, east and down
 AXES = ('#d55e00', '#009e73', '#0072b2')
-#: points of a spectrum, and samples of its stretches
-SPECTRUM, STRETCH = 300, 4096
+#: points of a spectrum, at most
+SPECTRUM = 300
+#: samples of each stretch that Welch's method averages over
+STRETCH = 4096
 #: sigmas that 95 % of normally distributed values lie within
 TWICE = 1.96
 

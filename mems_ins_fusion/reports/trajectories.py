@@ -20,8 +20,10 @@ from ..navigation.earth import to_local
 from ..recordings.writing import OdometrySamples, write_recording
 from ..samples import SECOND, Recording, Reference
 
-#: points of a line on a map and poses of a TUM file, s apart
-MAP_INTERVAL, POSE_INTERVAL = 1.0, 0.1
+#: s, between two points of a line on a map
+MAP_INTERVAL = 1.0
+#: s, between two poses of a TUM or CSV file
+POSE_INTERVAL = 0.1
 
 
 def odometry_of(recording: Recording, result: RunResult, datum) -> OdometrySamples:
@@ -80,11 +82,13 @@ def _local(track: Reference, datum) -> np.ndarray:
     return np.column_stack([east, north, -down])
 
 
-#: columns of a CSV, and of planar and strapdown runs the columns of `Run.sigma` they come from
+#: columns of a CSV
 CSV_COLUMNS = ('time_s', 'latitude_deg', 'longitude_deg', 'height_m', 'velocity_north_mps', 'velocity_east_mps',
                'velocity_down_mps', 'roll_deg', 'pitch_deg', 'yaw_deg', 'sigma_north_m', 'sigma_east_m',
                'sigma_velocity_north_mps', 'sigma_velocity_east_mps', 'sigma_yaw_deg')
-_PLANAR_SIGMAS, _STRAPDOWN_SIGMAS = (0, 1, 2, 3, 4), (0, 1, 3, 4, 8)
+#: columns of `Run.sigma` of the last five of them, of a planar and of a strapdown run
+_PLANAR_SIGMAS = (0, 1, 2, 3, 4)
+_STRAPDOWN_SIGMAS = (0, 1, 3, 4, 8)
 
 
 def write_csv(path: Path, run: Run) -> None:
