@@ -25,6 +25,8 @@ import numpy as np
 from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
+from .guard import one_line
+
 #: versions of numba whose inside `compiled_parts` has been tried with; any other compiles as numba does by itself
 _TRIED = (0, 59), (0, 68)
 _IS_TRIED = _TRIED[0] <= tuple(numba.version_info[:2]) <= _TRIED[1]
@@ -143,7 +145,7 @@ class _Cache(FunctionCache):
 
 
 def _reason(error: Exception) -> str:
-    return getattr(error, 'strerror', None) or ' '.join(str(error).split()) or type(error).__name__
+    return getattr(error, 'strerror', None) or one_line(error)
 
 
 @contextmanager

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
+SECOND = 10**9  # ns: stamps are whole nanoseconds
+
 
 def runs(mask: np.ndarray) -> np.ndarray:
     """First and last + 1 of each run of True in `mask` (n,): (k, 2)."""

@@ -1,14 +1,14 @@
-"""A year of a fleet that is known: does the watchman find what changed, and nothing else?
+"""A year of a fleet whose changes are known: are these found, and nothing else?
 
     python studies/fleet.py --task diagnose             # the whole proof: about an hour on two cores
     python studies/fleet.py --task configure --duration 300
     python studies/fleet.py --estimates --duration 300 --rate 25 --moved 2.5 --vehicles 0 1 6 --drives 20
 
---estimates: without bags and the tool, only what `configure` sees in each drive and what the watchman makes of that.
+--estimates: without bags and the tool, only what `configure` sees in each drive and the change points in that.
 Eight vehicles, five drives each over a year, simulated: in car_2 the receiver's stamps are 0.3 s off from the start, in
 car_4 the antenna is 0.8 m ahead of where the parameters have it, in car_6 it is moved by --moved m after 3 of 5 drives.
-One recording breaks off; beside them are an empty file, one that is no recording, and a copy. Printed: what the
-watchman says, and the estimates of the three vehicles.
+One recording breaks off; beside them are an empty file, one that is no recording, and a copy. Printed: the changes
+found, and the estimates of the three vehicles.
 """
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from pathlib import Path
 from mems_ins_fusion.configuration.configure import look
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.fleet import tables
-from mems_ins_fusion.fleet.watchman import series_of, watch
+from mems_ins_fusion.fleet.change_points import find_changes, series_of
 from mems_ins_fusion.fleet.work import shown_by
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.several import later
@@ -61,8 +61,8 @@ def drives(vehicles: list[int], count: int, duration: float, rate: float, moved:
             yield vehicle, drive, replace(later(made, drive * BETWEEN), reference=None)
 
 
-def watch_estimates(options) -> None:
-    """What `configure` sees of the antenna in each drive, and what the watchman says of that."""
+def changes_in_estimates(options) -> None:
+    """What `configure` sees of the antenna in each drive, and what is taken for a change in that."""
     rows = []
     for vehicle, drive, recording in drives(options.vehicles, options.drives, options.duration, options.rate,
                                             options.moved):
@@ -70,7 +70,7 @@ def watch_estimates(options) -> None:
         rows += [row | {'vehicle': f'car_{vehicle}', 'stamp_ns': int(recording.imu.stamp[0])} for row in seen]
         print(f'car_{vehicle} drive {drive}:', *(f"{row['parameter']} {row['value']:.2f} +- {row['sigma']:.2f} m"
                                                  for row in seen if row['effect'] == 'gnss_lever_arm'), flush=True)
-    for change in watch(series_of(rows)):
+    for change in find_changes(series_of(rows)):
         print(change.vehicle, change.words(), f'p {change.p:.1g}')
 
 
@@ -99,7 +99,7 @@ def main() -> None:
     parser.add_argument('--estimates', action='store_true')
     options = parser.parse_args()
     if options.estimates:
-        watch_estimates(options)
+        changes_in_estimates(options)
         return
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

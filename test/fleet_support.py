@@ -36,7 +36,7 @@ PARAMS = """\
 """
 
 
-def write_year(folder: Path, vehicles: int = 8, drives: int = 5) -> None:
+def write_year(folder: Path, vehicles: int, drives: int) -> None:
     """Recordings of a year of some vehicles: folder/logs/car_N/drive_N, 60 s at 20 Hz each, and params.yaml. One of
     them breaks off; beside them stand an empty file, one that is no recording, and a copy."""
     logs = folder / 'logs'

@@ -335,7 +335,7 @@ def test_another_device_is_told_from_what_its_messages_say():
         identity = Identity((IMU, GNSS))
         for k in range(round(8 * rate)):
             identity.add(IMU, round(k / rate * SECOND), {'frame_id': 'imu'})
-        assert identity.known is None and identity.lacks(GNSS) and not identity.lacks(IMU)
+        assert identity.known is None and identity.is_unknown(GNSS) and not identity.is_unknown(IMU)
         identity.add(GNSS, -90 * SECOND, {'frame_id': frame, 'service': 1})  # before its clock was set
         for k in range(24):
             identity.add(GNSS, k * SECOND // 4, {'frame_id': frame if k else '', 'service': 1})

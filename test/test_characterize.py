@@ -64,7 +64,7 @@ def result(tmp_path_factory):
     return SimpleNamespace(
         arguments=arguments, out=folder / 'out', said=said.getvalue(),
         report=json.loads((folder / 'out' / 'report.json').read_text()),
-        values=table.check(params_file.load_yaml(folder / 'out' / 'imu.yaml', 'fusion_node')))
+        values=table.check(params_file.load_yaml(folder / 'out' / 'imu.yaml')))
 
 
 def test_parameters_are_recovered_within_their_intervals(result):

@@ -31,13 +31,15 @@ from mems_ins_fusion.fleet import engines, tables
 from mems_ins_fusion.parameters import params_file
 from mems_ins_fusion.parameters.table import check
 
+SIZE = 5, 5  # vehicles, and drives of each, of the year
+COUNT = SIZE[0] * SIZE[1]
 TASK = ('--task', 'replay', '--params-file', 'params.yaml', '--no-pages', '--workers', '2')
 
 
 @pytest.fixture(scope='module')
 def year(tmp_path_factory):
     folder = tmp_path_factory.mktemp('year')
-    write_year(folder)
+    write_year(folder, *SIZE)
     return folder
 
 
@@ -103,8 +105,8 @@ def test_an_interruption_takes_no_two_seconds(whole):
 
 def test_each_recording_is_one_row_with_its_vehicle_and_what_became_of_it(whole):
     rows = {row['recording']: row for row in tables.read(whole[0], 'recordings')}
-    assert len(rows) == 43
-    assert {row['vehicle'] for row in rows.values()} == {f'car_{i}' for i in range(8)} | {'moved'}
+    assert len(rows) == COUNT + 3  # two that are none, and a copy
+    assert {row['vehicle'] for row in rows.values()} == {f'car_{i}' for i in range(SIZE[0])} | {'moved'}
     wrong = {'logs/car_1/empty.mcap': 'is empty', 'logs/car_1/letter.mcap': 'not an MCAP file'}
     for path, why in wrong.items():
         assert rows[path]['status'] == 'failed' and why in rows[path]['reason'] and rows[path]['error_id']
@@ -113,7 +115,7 @@ def test_each_recording_is_one_row_with_its_vehicle_and_what_became_of_it(whole)
     assert (copy['status'], copy['same_as']) == ('duplicate', 'logs/car_0/drive_1')
     assert copy['recording_id'] == rows['logs/car_0/drive_1']['recording_id']
     others = [row for path, row in rows.items() if path not in wrong and row is not copy]
-    assert len(others) == 40 and {row['status'] for row in others} == {'done'}
+    assert len(others) == COUNT and {row['status'] for row in others} == {'done'}
     assert all(row['duration_s'] == pytest.approx(60.0, abs=0.1) for row in others
                if row['recording'] != 'logs/car_1/drive_3')
 
@@ -129,7 +131,7 @@ def test_results_are_in_tidy_tables(whole):
     done = {row['recording_id'] for row in tables.read(whole[0], 'recordings') if row['status'] == 'done'}
     results, outages = (tables.read(whole[0], name) for name in ('results', 'outages'))
     assert {row['recording_id'] for row in results} == done == {row['recording_id'] for row in outages}
-    assert len(results) == len(outages) == 40  # one model, one interval, one duration
+    assert len(results) == len(outages) == COUNT  # one model, one interval, one duration
     assert all(0.1 < row['horizontal_rmse_m'] < 10 for row in results)
     assert {(row['duration_s'], row['model']) for row in outages} == {(10.0, 'gauss_markov')}
     seen = {(row['effect'], row['parameter']) for row in tables.read(whole[0], 'effects')}
@@ -143,7 +145,7 @@ def test_nothing_changed_in_vehicles_that_did_not_change(whole):
 def test_the_history_of_a_vehicle_is_in_the_order_of_time(whole):
     with open(whole[0] / 'history/car_2.csv', newline='') as file:
         stamps = [int(row['stamp_ns']) for row in csv.DictReader(file)]
-    assert stamps == sorted(stamps) and len(set(stamps)) == 5
+    assert stamps == sorted(stamps) and len(set(stamps)) == SIZE[1]
 
 
 @pytest.fixture(scope='module')

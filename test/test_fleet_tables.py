@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from browser_support import check_page
 
-from mems_ins_fusion.fleet import failures, population, tables, watchman
+from mems_ins_fusion.fleet import change_points, failures, population, tables
 from mems_ins_fusion.fleet.page import page
 from mems_ins_fusion.fleet.run import Asked, Fleet
 from mems_ins_fusion.fleet.sources import Entry, SourceError, content_id, find_entries
@@ -276,7 +276,7 @@ def test_the_page_bears_ten_thousand_recordings(browser, tmp_path):
 
 
 def test_the_page_fits_a_phone_and_a_sheet_of_paper(browser, tmp_path):
-    change = watchman.Change('car 1/ä', watchman.WATCHED['gnss_lever_arm', 'x'], 'diagnose', 0, 10**15, (3, 2), 0.6,
-                             0.05, 1e-5)
+    arm = change_points.QUANTITIES['gnss_lever_arm', 'x']
+    change = change_points.Change('car 1/ä', arm, 'diagnose', 0, 10**15, (3, 2), 0.6, 0.05, 1e-5)
     (tmp_path / 'fleet.html').write_text(made_page(fleet_rows(), [change]), encoding='utf-8')
     check_page(browser, tmp_path / 'fleet.html')

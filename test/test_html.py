@@ -32,13 +32,9 @@ class Outline(HTMLParser):
 
 
 def test_page_is_well_formed_and_refers_to_nothing_outside():
-    import matplotlib
-    matplotlib.use('Agg')
-    from matplotlib.figure import Figure
-    drawing = Figure()
+    drawing = html.empty_figure(6, 4)
     drawing.subplots().plot([1, 2])
-    document = html.page('A < B', [html.section(f'Part {i}', 'text', html.figure(drawing, 'curve', image=kind))
-                                   for i, kind in enumerate(('png', 'svg', 'png', 'png'))])
+    document = html.page('A < B', [html.section(f'Part {i}', 'text', html.figure(drawing, 'curve')) for i in range(4)])
     outline = Outline(document)
     assert 'A < B' in outline.text
     assert all(s.startswith(('data:image/', '#part-')) for s in outline.sources)

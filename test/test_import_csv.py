@@ -341,6 +341,37 @@ def test_a_magnetic_field_has_its_unit_and_the_axes_of_the_imu(tmp_path, unit, f
         read_magnetometer(write(tmp_path / 'n.csv', 'time,x,y,z', [(T0, 5.0, 0.0, 0.0), (T0 + 1, 5.0, 1.0, 0.0)]))
 
 
+def test_units_stated_with_the_columns_count(tmp_path):
+    # given files whose columns have names that tell no unit
+    imu = write(tmp_path / 'imu.csv', 't,A1,A2,A3,B1,B2,B3', imu_rows(force=(0.0, 0.5, 1.0), turn=(0.0, 90.0, -180.0)))
+    gnss = write(tmp_path / 'gnss.csv', 't,p,q,r', [(T0 + i, 0.8, 0.2, 250.0) for i in range(3)])
+    other = write(tmp_path / 'other.csv', 't,v,w', [(T0 + i, 36.0, 90.0) for i in range(3)])
+    air = write(tmp_path / 'air.csv', 't,p', [(T0 + i, 100.0) for i in range(3)])
+    # when the units are stated where the columns are named
+    names = {'ax': 'A1 [g]', 'ay': 'A2 [g]', 'az': 'A3 [g]', 'wx': 'B1 [deg/s]', 'wy': 'B2', 'wz': 'B3'}
+    samples, _, said = read_imu(imu, names)
+    fixes, _ = read_gnss(gnss, {'latitude': 'p [rad]', 'longitude': 'q [rad]', 'sigma': 'r [cm]'})
+    odometry, _ = read_speed(other, {'speed': 'v [km/h]', 'turn_rate': 'w [deg/s]'})
+    pressures, _ = read_pressure(air, {'pressure': 'p [kPa]'})
+    # then they count, and an option counts more
+    assert samples.specific_force.mean(axis=0) == pytest.approx([0.0, 0.5 * G, G], abs=2e-3)
+    assert samples.angular_rate.mean(axis=0) == pytest.approx([0.0, math.pi / 2, -math.pi], abs=1e-4)
+    in_mg, _, _ = read_imu(imu, names, acceleration_unit='mg')
+    assert in_mg.specific_force == pytest.approx(1e-3 * samples.specific_force)
+    assert fixes.latitude == pytest.approx(0.8) and fixes.covariance[:, 0, 0] == pytest.approx(2.5**2)
+    assert odometry.twist[0] == pytest.approx([10.0, 0.0, -math.pi / 2])
+    assert pressures.pressure == pytest.approx(1e5)
+
+
+@pytest.mark.parametrize('option, columns, expected', [
+    ('--imu-columns', 'ax=ax [foo]', "unit 'foo' of column 'ax' is not one of m/s^2, g, mg"),
+    ('--imu-columns', 'time=time [sec]', "unit 'sec' of column 'time' is not one of s, ms, us, ns"),
+    ('--gnss-columns', 'height=height [ft]', "unit 'ft' of column 'height' is not one of m, cm, mm")])
+def test_a_stated_unit_that_is_not_known_is_refused(files, capsys, option, columns, expected):
+    assert run(files, option, columns) == 2
+    assert expected in capsys.readouterr().err and not files[2].exists()
+
+
 def test_a_speed_with_a_turn_rate_is_an_odometry_and_a_pressure_reaches_the_recording(files, tmp_path):
     imu, gnss, bag = files
     speed = write(tmp_path / 'speed.csv', 'time,speed [km/h],yaw_rate [deg/s]', [

@@ -26,9 +26,9 @@ from mems_ins_fusion.parameters.params_file import yaml_value
 from mems_ins_fusion.recordings.checker import Finding
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.writing import write_recording
-from mems_ins_fusion.reports import html, replay_answer, report
+from mems_ins_fusion.reports import html, replay_answer, replay_report
 from mems_ins_fusion.reports.answer import WIDTH, shorten, typed
-from mems_ins_fusion.reports.report import _notices
+from mems_ins_fusion.reports.replay_report import _notices
 from mems_ins_fusion.reports.series import _heading
 from mems_ins_fusion.reports.side_by_side import Result, Series, judged, read_result, rows_of
 from mems_ins_fusion.reports.track import Layer, script, track
@@ -340,8 +340,8 @@ def test_the_model_that_speaks_is_the_best_whichever_is_configured_or_comes_firs
     # given a replay of two models of which the second, that is not configured, is the best
     values = table.check({'models': ['gauss_markov', 'random_walk'], 'update_intervals': [2.0], 'outage_durations': []})
     comparison = replay(read_recording(folder / 'drive', '/imu/data', '/gps/fix'), values)
-    monkeypatch.setattr(report, 'best_model', lambda comparison, configured: 'random_walk')
-    content = report.report({'drive': comparison}, values, {'drive': []}, {'drive': []}, [], {}, {})
+    monkeypatch.setattr(replay_report, 'best_model', lambda comparison, configured: 'random_walk')
+    content = replay_report.report({'drive': comparison}, values, {'drive': []}, {'drive': []}, [], {}, {})
     # then it speaks in its report, and in a comparison
     assert content['sensor_error_model'] == 'random_walk'
     shutil.copytree(folder / 'out' / 'first', tmp_path / 'first')

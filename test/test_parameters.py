@@ -117,7 +117,7 @@ def test_a_parameter_error_is_a_value_error():
 
 # --- YAML ---
 
-def test_sections_are_flattened_and_the_nodes_own_comes_last(tmp_path):
+def test_sections_are_flattened_and_those_of_nodes_come_last(tmp_path):
     path = written(tmp_path, '''
 /**:
   ros__parameters:
@@ -129,31 +129,24 @@ fusion_node:
     gnss:
       sigma: 1e-3
 ''')
-    assert load_yaml(path, 'fusion_node') == {'gnss.sigma': '1e-3', 'gnss.lever_arm': [1, 2, 3],
-                                              'gnss.default_sigma': 4.0, 'mechanization': 'strapdown'}
-    assert check(load_yaml(path, 'fusion_node'))['gnss.sigma'] == 1e-3
-    assert load_yaml(path, 'replay_node')['gnss.sigma'] == 1.0
-    assert load_yaml(path)['gnss.sigma'] == '1e-3'  # a tool that is no node takes all there is
-
-
-def test_a_name_with_a_slash_is_the_same_node(tmp_path):
-    path = written(tmp_path, '/fusion_node:\n  ros__parameters:\n    gnss.sigma: 2.0\n')
-    assert load_yaml(path, 'fusion_node') == {'gnss.sigma': 2.0}
+    assert load_yaml(path) == {'gnss.sigma': '1e-3', 'gnss.lever_arm': [1, 2, 3], 'gnss.default_sigma': 4.0,
+                               'mechanization': 'strapdown'}
+    assert check(load_yaml(path))['gnss.sigma'] == 1e-3
 
 
 @pytest.mark.parametrize(('text', 'message'), [
-    ('other:\n  ros__parameters: {gnss.sigma: 2.0}\n', "has no section '/\\*\\*' or 'fusion_node', only other"),
     ('/**:\n  gnss.sigma: 2.0\n', "each node's parameters must stand under 'ros__parameters'"),
     ('/**:\n  ros__parameters: 5\n', "each node's parameters must stand under 'ros__parameters'"),
     ('/**: 3\n', "each node's parameters must stand under 'ros__parameters'"),
     ('', 'holds no parameters'),
+    ('{}', 'holds no parameters'),
     ('- 1\n- 2\n', 'holds no parameters'),
     ('/**:\n  ros__parameters:\n   a: [1, 2\n', 'is not valid YAML'),
     ('/**:\n\tros__parameters:\n', 'is not valid YAML')])
 def test_files_that_cannot_be_used_are_refused_in_one_line(tmp_path, text, message):
     path = written(tmp_path, text)
     with pytest.raises(ParameterError, match=message) as error:
-        load_yaml(path, 'fusion_node')
+        load_yaml(path)
     assert str(path) in str(error.value) and '\n' not in str(error.value)
 
 
@@ -168,7 +161,7 @@ def test_missing_and_binary_files_are_refused(tmp_path):
 
 def test_the_example_is_the_defaults_in_the_types_of_ros(tmp_path):
     path = written(tmp_path, documents.example())
-    values = load_yaml(path, 'fusion_node')
+    values = load_yaml(path)
     assert set(values) == {p.name for p in (*FILTER, *FUSION)}
     assert check(values) == defaults()
     for name, value in values.items():  # a double without a point would be an integer to ROS

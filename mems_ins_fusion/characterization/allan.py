@@ -19,6 +19,8 @@ FLICKER_MINIMUM = math.sqrt(2 * math.log(2) / math.pi)
 GAUSS_MARKOV_PEAK = 1.8926
 #: share of the samples of an averaging window that must be there
 _PRESENT = 0.9
+#: averaging times in each octave
+_PER_OCTAVE = 4
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class AllanParameters:
     correlation_time: float | None
 
 
-def allan_deviation(parts, rate: float, per_octave: int = 4) -> AllanCurve:
+def allan_deviation(parts, rate: float) -> AllanCurve:
     """Overlapping Allan deviation of a sensor at rest.
 
     parts: one array, or several (stretches between which the sensor was moved); unit of the sensor, NaN where a
@@ -66,7 +68,7 @@ def allan_deviation(parts, rate: float, per_octave: int = 4) -> AllanCurve:
     longest = max((len(p) for p in parts), default=0)
     if longest < 16:
         raise InputError(f'an Allan deviation needs at least 16 samples in a row, got {longest}')
-    sizes = np.unique(np.round(2 ** np.arange(0, math.log2(longest / 4) + 1e-9, 1 / per_octave)).astype(int))
+    sizes = np.unique(np.round(2 ** np.arange(0, math.log2(longest / 4) + 1e-9, 1 / _PER_OCTAVE)).astype(int))
     squares = np.zeros(len(sizes))
     pairs = np.zeros(len(sizes))
     for part in parts:
@@ -76,7 +78,7 @@ def allan_deviation(parts, rate: float, per_octave: int = 4) -> AllanCurve:
     sizes, squares, pairs = sizes[pairs > 0], squares[pairs > 0], pairs[pairs > 0]
     tau = sizes / rate
     deviation = np.sqrt(squares / pairs / 2)
-    slope = _slopes(tau, deviation, per_octave)
+    slope = _slopes(tau, deviation)
     samples = sum(np.isfinite(p).sum() for p in parts)
     degrees = np.array([degrees_of_freedom(samples + 1, m, s) for m, s in zip(sizes, slope)])
     lower, upper = bounds(deviation, degrees)
@@ -113,10 +115,10 @@ def _differences(total, count, m):
     return difference @ difference, len(difference)
 
 
-def _slopes(tau, deviation, per_octave):
+def _slopes(tau, deviation):
     """Slope of a line through the points within half an octave of each, in log-log."""
     x, y = np.log(tau), np.log(np.maximum(deviation, np.finfo(float).tiny))
-    reach = math.log(2) * max(0.5, 1.0 / per_octave) + 1e-9
+    reach = 0.5 * math.log(2) + 1e-9
     slopes = np.empty(len(x))
     for i in range(len(x)):
         near = np.abs(x - x[i]) <= reach
@@ -142,11 +144,11 @@ def degrees_of_freedom(points: int, m: int, slope: float) -> float:
     return max(value, 1.0)
 
 
-def bounds(deviation, degrees, confidence=0.95):
-    """The central interval of deviations (k,), lower and upper, from their equivalent degrees of freedom (k,)."""
+def bounds(deviation, degrees):
+    """The central 95 % interval of deviations (k,), lower and upper, from their equivalent degrees of freedom (k,)."""
     from scipy.stats import chi2
 
-    tail = (1 - confidence) / 2
+    tail = (1 - 0.95) / 2
     return (deviation * np.sqrt(degrees / chi2.ppf(1 - tail, degrees)),
             deviation * np.sqrt(degrees / chi2.ppf(tail, degrees)))
 

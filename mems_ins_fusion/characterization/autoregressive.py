@@ -28,7 +28,7 @@ class ArFit:
     @property
     def radius(self) -> float:
         """Largest pole radius."""
-        return float(np.abs(np.roots([1.0, *self.coefficients])).max())
+        return _radius(self.coefficients)
 
     @property
     def stable(self) -> bool:
@@ -41,10 +41,14 @@ class ArFit:
 
 def time_constant(coefficients, interval: float) -> float:
     """Time in s in which the slowest part of an AR model sampled at `interval` s decays to 1/e."""
-    radius = float(np.abs(np.roots([1.0, *coefficients])).max())
+    radius = _radius(coefficients)
     if radius >= 1:
         return math.inf
     return -interval / math.log(radius) if radius > 0 else 0.0
+
+
+def _radius(coefficients) -> float:
+    return float(np.abs(np.roots([1.0, *coefficients])).max())
 
 
 def segments(x) -> list[np.ndarray]:
@@ -152,9 +156,9 @@ class OrderCurve:
     bic: np.ndarray
     fpe: np.ndarray
 
-    def elbow(self, tolerance: float = 0.01) -> int:
-        """Smallest order whose RMSE is within `tolerance` of the best: more states buy nothing."""
-        return int(self.orders[self.rmse <= (1 + tolerance) * self.rmse.min()][0])
+    def elbow(self) -> int:
+        """Smallest order whose RMSE is within 1 % of the best: more states gain nothing."""
+        return int(self.orders[self.rmse <= 1.01 * self.rmse.min()][0])
 
 
 def order_curve(training, held_out, max_order: int) -> OrderCurve:

@@ -14,6 +14,7 @@ from threading import Lock
 
 import numpy as np
 
+from ..guard import one_line
 from ..threads import threads
 from . import autoregressive as ar
 from .allan import AllanCurve, AllanParameters, allan_deviation, allan_parameters
@@ -24,7 +25,6 @@ from .selection import Prediction, Recommendation, overall, predict, recommend, 
 from .stationary import Grid, Rest, StationaryError, axis_name, find_rest
 
 SENSORS = {'accelerometer': 'm/s^2', 'gyroscope': 'rad/s'}
-STANDARD_GRAVITY = 9.80665
 #: intervals that the models may be fitted at, s; a fit needs at least _FEWEST averages
 INTERVALS = (1.0, 2.0, 5.0, 10.0)
 _FEWEST = 150
@@ -294,7 +294,7 @@ def read_npz(path) -> Grid:
     except StationaryError:
         raise
     except Exception as error:  # NumPy passes on what zipfile, zlib, struct and tokenize raise on damaged files
-        raise StationaryError(f'{path} cannot be read as npz: {" ".join(str(error).split())}') from None
+        raise StationaryError(f'{path} cannot be read as npz: {one_line(error)}') from None
     for name, array in (('acc_mps2', force), ('gyro_radps', rate)):
         if array.ndim != 2 or array.shape[1] != 3 or not _is_real(array):
             raise StationaryError(f'{path}: {name} must be numbers of shape (n, 3), got {array.shape} {array.dtype}')

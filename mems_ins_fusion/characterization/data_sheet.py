@@ -3,11 +3,12 @@ from __future__ import annotations
 
 import math
 
-_G = 9.80665
+from ..navigation.earth import STANDARD_GRAVITY
+
 #: of white noise and of biases: unit -> how many of it are one SI unit (m/s^2, rad/s; those per sqrt(Hz))
-_WHITE = {'accelerometer': {'ug/sqrt(Hz)': 1e6 / _G, 'm/s/sqrt(h)': 60.0},
+_WHITE = {'accelerometer': {'ug/sqrt(Hz)': 1e6 / STANDARD_GRAVITY, 'm/s/sqrt(h)': 60.0},
           'gyroscope': {'deg/sqrt(h)': math.degrees(60.0), 'deg/s/sqrt(Hz)': math.degrees(1.0)}}
-_BIAS = {'accelerometer': {'mg': 1e3 / _G}, 'gyroscope': {'deg/h': math.degrees(3600.0)}}
+_BIAS = {'accelerometer': {'mg': 1e3 / STANDARD_GRAVITY}, 'gyroscope': {'deg/h': math.degrees(3600.0)}}
 
 
 def white_noise(sensor: str, density: float) -> dict[str, float]:

@@ -5,13 +5,16 @@ import math
 
 import numpy as np
 
+from ..navigation.earth import STANDARD_GRAVITY
 from ..sensor_errors.models import Autoregressive, GaussMarkov, Model, RandomWalk
 from . import data_sheet
-from .characterize import SENSORS, STANDARD_GRAVITY, Axis, Characterization
+from .characterize import SENSORS, Axis, Characterization
 from .fitting import Estimate
 
-#: of the values in the file; coefficients of poles near the unit circle need more
-_DIGITS, _COEFFICIENT_DIGITS = 4, 10
+#: significant digits of the values in the file
+_DIGITS = 4
+#: the same of AR coefficients: with poles near the unit circle they need more
+_COEFFICIENT_DIGITS = 10
 
 
 def axis_models(axis: Axis, duration: float) -> dict[str, Model]:

@@ -13,15 +13,23 @@ import numpy as np
 from ..errors import InputError
 from ..samples import runs
 
-#: a longer gap in the stamps begins a new part, s
+#: s, a longer gap in the stamps begins a new part
 LONGEST_HOLE = 60.0
-#: window in which rest is judged: at least this long, s, and with at least so many samples
-_WINDOW, _WINDOW_SAMPLES = 1.0, 50
-#: limits of a window at rest: spread against the quiet windows, peak in standard deviations, step in deviations
-_SPREAD, _PEAK, _STEP = 2.0, 7.0, 8.0
+#: s, a shorter part at rest is not used
+SHORTEST = 60.0
+#: s, shortest window in which rest is judged
+_WINDOW = 1.0
+#: samples, fewest of such a window
+_WINDOW_SAMPLES = 50
+#: largest standard deviation of a window at rest, in those of the quiet windows
+_SPREAD = 2.0
+#: largest deviation from the mean of a window at rest, in standard deviations
+_PEAK = 7.0
+#: smallest step of the mean from one window to the next that is no slow error, in standard deviations of such steps
+_STEP = 8.0
 #: windows averaged on each side of a disturbance to see whether the level changed
 _SIDE = 5
-#: a longer disturbance, s, is called a vibration
+#: s, a longer disturbance is called a vibration
 _LONG = 10.0
 #: windows averaged on each side of a shift of the level
 _SHIFT_SIDE = 30
@@ -114,19 +122,19 @@ def _steps(time, interval):
     return np.maximum(np.round(np.diff(ahead) / interval), 0).astype(np.int64)
 
 
-def find_rest(grid: Grid, shortest: float = 60.0) -> Rest:
-    """The parts at rest of at least `shortest` s.
+def find_rest(grid: Grid) -> Rest:
+    """The parts at rest of at least SHORTEST s.
 
     Judged in windows of a second or 50 samples, against the quiet windows of the same recording: their spread, peaks,
     and steps of the level from one window to the next that the slow errors of a sensor do not make.
-    Raises StationaryError where the sensor is nowhere at rest for `shortest` s, or an axis delivers a constant.
+    Raises StationaryError where the sensor is nowhere at rest for that long, or an axis delivers a constant.
     """
     size = max(round(_WINDOW * grid.rate), _WINDOW_SAMPLES)
     count = len(grid.values) // size
     seconds = size / grid.rate
-    if count * seconds < shortest or count < 2 * _SIDE + 2:
+    if count * seconds < SHORTEST or count < 2 * _SIDE + 2:
         raise StationaryError(f'{len(grid.values) / grid.rate:.0f} s are too short to characterize a sensor; '
-                              f'{shortest:.0f} s is the least, hours are needed for the slow errors')
+                              f'{SHORTEST:.0f} s is the least, hours are needed for the slow errors')
     mean, spread, peak = _window_statistics(grid.values, size, count)
     quiet = _quiet_spread(spread)
     present = np.isfinite(mean).all(axis=1)
@@ -137,11 +145,11 @@ def find_rest(grid: Grid, shortest: float = 60.0) -> Rest:
     boundaries, steps = _boundaries(mean, bad, smooth, quiet / np.sqrt(size))
     boundaries |= {int(np.clip(round(b / size), 0, count)) for b in grid.breaks}
     cuts = _describe(bad & present, steps, boundaries, grid.breaks, seconds, size, count)
-    parts, short = _parts(bad, boundaries, size, count, len(grid.values), shortest / seconds)
+    parts, short = _parts(bad, boundaries, size, count, len(grid.values), SHORTEST / seconds)
     if not parts:
         raise StationaryError(f'nowhere in {len(grid.values) / grid.rate:.0f} s is the sensor at rest for '
-                              f'{shortest:.0f} s without being moved in between')
-    cuts += [Cut(float(a * seconds), float(b * seconds), f'at rest for less than {shortest:.0f} s') for a, b in short]
+                              f'{SHORTEST:.0f} s without being moved in between')
+    cuts += [Cut(float(a * seconds), float(b * seconds), f'at rest for less than {SHORTEST:.0f} s') for a, b in short]
     holes = np.zeros(len(grid.values), bool)
     holes[:count * size] = np.repeat(bad & present, size)
     shifts = _shifts(np.where(bad[:, None], np.nan, mean), parts, size, seconds)

@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import argparse
-import warnings
 from pathlib import Path
 
 from mems_ins_fusion.cli.command import Parser, run
@@ -25,7 +24,7 @@ def configure(options: argparse.Namespace) -> str:
     """Read, look and write; what was found, for the user. InputError for bad options or input."""
     from mems_ins_fusion.configuration.configure import configure as work
     from mems_ins_fusion.parameters import table
-    from mems_ins_fusion.recordings.errors import RecordingWarning
+    from mems_ins_fusion.recordings.errors import collected_warnings
     from mems_ins_fusion.reports.configuration import answer, configuration_page, configuration_yaml, in_short, story
     from mems_ins_fusion.results import check_files_free, write_files
 
@@ -34,16 +33,15 @@ def configure(options: argparse.Namespace) -> str:
         raise InputError(f'--output must be a .yaml file, got {output}')
     page = output.with_suffix('.html')
     check_files_free([output, page], options.overwrite)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter('always', RecordingWarning)
+    with collected_warnings() as said:
         result = work(options.bag)
     table.check(result.values)
     text = configuration_yaml(result)
     answered = answer(result, options.bag, options.output)
     write_files({output: text, page: configuration_page(result, text, answered)}, options.overwrite)
-    said = dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, RecordingWarning))
-    told = [*answered.lines(), '', *story(result), *said] if options.verbose else [*answered.short(), in_short(result)]
-    return '\n'.join([*told, f'report: {page}'])
+    lines = [*answered.lines(), '', *story(result), *dict.fromkeys(said)] if options.verbose else \
+        [*answered.short(), in_short(result)]
+    return '\n'.join([*lines, f'report: {page}'])
 
 
 def _parser():

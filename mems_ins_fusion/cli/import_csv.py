@@ -187,11 +187,8 @@ def _parser() -> Parser:
     add('--speed-columns', default='', metavar='NAME=COLUMN,...', help='names: time, speed, turn_rate, sigma')
     add('--pressure-columns', default='', metavar='NAME=COLUMN,...', help='names: time, pressure')
     add('--magnetometer-columns', default='', metavar='NAME=COLUMN,...', help='names: time, mx, my, mz')
-    add('--imu-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
-    add('--gnss-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
-    add('--speed-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
-    add('--pressure-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
-    add('--magnetometer-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
+    for kind in ('imu', 'gnss', 'speed', 'pressure', 'magnetometer'):
+        add(f'--{kind}-time-unit', choices=TIME_UNITS, help='default: by name or intervals')
     add('--acceleration-unit', choices=('m/s^2', 'g', 'mg'), help='default: by name, else m/s^2')
     add('--gyro-unit', choices=('rad/s', 'deg/s'), help='default: by name, else rad/s')
     add('--angle-unit', choices=('deg', 'rad', '1e-7 deg'), help='of latitude and longitude (default: by name, else '

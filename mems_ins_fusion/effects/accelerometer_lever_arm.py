@@ -8,8 +8,10 @@ from mems_ins_fusion.effects.base import Effect, EffectParameter, added
 from mems_ins_fusion.navigation.frames import FLU_TO_FRD
 from mems_ins_fusion.parameters.parameter import Parameter
 
-LONGEST_STEP = 0.5  # s between samples over which an angular acceleration means something
-SMOOTH = 0.1  # s: differences of single samples would multiply the gyroscopes' noise, and hide every standstill
+#: s, longest step between two samples over which an angular acceleration is computed
+LONGEST_STEP = 0.5
+#: s, over which it is averaged: of single samples it would multiply the gyroscopes' noise, and hide standstills
+SMOOTH = 0.1
 
 
 class AccelerometerLeverArm(Effect):

@@ -44,7 +44,7 @@ class Effect:
     Most effects are fitted: a diagnosis estimates what is `traced`. Some are seen, by a direct look at the recording
     (`seen`); of these nothing is traced.
 
-    The simulated half follows. `drive` is a `recordings.drive.Drive`, `values` the effect's parameters by name, `rng`
+    The simulated half follows. `drive` is a `simulation.drive.Drive`, `values` the effect's parameters by name, `rng`
     random numbers of the effect's own, started anew for each hook. Specific forces and angular rates are (n, 3) in body
     axes `b`, in m/s^2 and rad/s, means over the interval before `drive.time`; times are s after the start of the drive.
     """

@@ -6,12 +6,18 @@ import numpy as np
 from mems_ins_fusion.effects.base import Effect, EffectParameter, Sighting
 from mems_ins_fusion.navigation.earth import radii
 
-#: five sigma of the receiver on the interpolation between two fixes, and what a car may do meanwhile
-SIGMAS, HARDEST = 5.0, 3.0  # m/s^2
-LONGEST = 5.0  # s between fixes that say something of each other
+#: sigmas of the receiver by which an outlier is off the interpolation between its neighbours, at least
+SIGMAS = 5.0
+#: m/s^2, largest acceleration of a car, by which any fix may be off it
+HARDEST = 3.0
+#: s, longest interval between fixes that say something of each other
+LONGEST = 5.0
+#: outliers, fewest that are told
 FEWEST = 3
-#: what a filter that bears outliers has set: the weight and the gate of the defaults
-ROBUST, GATE = 3.0, 0.999999
+#: gnss.robust_sigma with which the filter tolerates outliers: the default
+ROBUST = 3.0
+#: gnss.gate_probability for that: the default
+GATE = 0.999999
 
 
 class GnssOutliers(Effect):

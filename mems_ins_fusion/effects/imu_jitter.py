@@ -8,9 +8,12 @@ import numpy as np
 from mems_ins_fusion.effects.base import Effect, EffectParameter, Sighting
 from mems_ins_fusion.effects.imu_repeats import noisier
 
-SMALLEST = 0.1  # scatter of the intervals, in intervals, that is worth a word
-_GAP = 5.0  # in intervals
-_CLOSEST = 50_000  # ns between the stamps of samples that arrive together
+#: intervals, smallest standard deviation of them that is told
+SMALLEST = 0.1
+#: intervals, a longer one is a gap and does not count
+_GAP = 5.0
+#: ns, between the stamps of simulated samples that arrive together
+_CLOSEST = 50_000
 
 
 class ImuJitter(Effect):

@@ -21,6 +21,7 @@ from ..evaluation.outages import SETTLING, Distance, outage_begins
 from ..filter.config import FilterConfig
 from ..filter.measurements.registry import aiding
 from ..filter.runs.replay import run as replay
+from ..guard import one_line
 from ..navigation.earth import to_local
 from ..navigation.frames import FLU_TO_FRD, mounting
 from ..parameters import table
@@ -193,8 +194,8 @@ def read_prepared(folder) -> Prepared:
                                                   content['truth']), tuple(content['datum']),
                         table.check(content['parameters']), content['judged_from_ns'])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise BenchError(f'{folder} is not what bench prepare writes: {type(error).__name__}: '
-                         f'{" ".join(str(error).split())}') from None
+        raise BenchError(f'{folder} is not what bench prepare writes: {type(error).__name__}: {one_line(error)}') \
+            from None
 
 
 def tracks_in(folder, prepared: Prepared, datum=None, topic: str = '') -> dict[str, Track]:

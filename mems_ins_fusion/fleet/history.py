@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import quote
 
+from ..guard import one_line
 from ..results import write_files
 from .sources import local_copy
+from .tables import cell_text
 
 #: where the files stand below the output folder, and their columns
 FOLDER = 'history'
@@ -34,7 +36,7 @@ def read_state_file(place: str) -> tuple[list[dict], str]:
                 rows.append({'stamp_ns': stamp, 'source': 'state_file', 'recording_id': '', 'effect': effect,
                              'parameter': parameter, 'value': value, 'sigma': math.sqrt(variance), 'unit': unit})
     except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
-        return [], f'{place} is not a state file of fusion_node: {" ".join(str(error).split())}'
+        return [], f'{place} is not a state file of fusion_node: {one_line(error)}'
     return rows, ''
 
 
@@ -53,9 +55,5 @@ def write(output: Path, rows: Sequence[dict]) -> None:
     texts: dict[Path, list[str]] = {}
     for row in rows:
         path = Path(output) / FOLDER / f'{quote(row["vehicle"], safe=" ")}.csv'
-        lines = texts.setdefault(path, [','.join(COLUMNS)])
-        lines.append(','.join('' if row[name] is None else repr(row[name]) if isinstance(row[name], float)
-                              else str(row[name]) for name in COLUMNS))
+        texts.setdefault(path, [','.join(COLUMNS)]).append(','.join(cell_text(row[name]) for name in COLUMNS))
     write_files({path: '\n'.join(lines) + '\n' for path, lines in texts.items()}, overwrite=True)
-
-

@@ -4,7 +4,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -46,12 +46,8 @@ def job(task: str, recordings: Sequence[tuple[Entry, str]], read: dict[str, str]
                tuple(e.reference for e in entries), options, code(), digest)
 
 
-def as_dict(work: Job) -> dict:
-    """For another process, of whatever version."""
-    return asdict(work)
-
-
 def from_dict(values: dict) -> Job:
+    """The job of `dataclasses.asdict`, by which another process, of whatever version, is told of it."""
     return Job(**{name: tuple(v) if isinstance(v, list) else v for name, v in values.items()})
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from ..recordings.findings import count_of
 from ..reports import html
 from ..reports.answer import GOOD, WARNING, Answer, Step
-from ..reports.html import Html, bullets, figure, folded, note, number, paragraph, section, table
+from ..reports.html import Html, bullets, empty_figure, figure, folded, note, number, paragraph, section, table
 from . import population
-from .watchman import WATCHED, day
+from .change_points import QUANTITIES, day
 
 #: the script of the table of recordings; no library, no network
 _SCRIPT = (Path(__file__).parent / 'fleet.js').read_text(encoding='ascii')
@@ -111,7 +111,7 @@ def _standings(standings) -> list[Html]:
 def _strange(errors: population.Errors, effects) -> list[population.Outlier]:
     found = []
     for (_, effect, parameter, unit), vehicles in effects.items():
-        quantity = WATCHED.get((effect, parameter))
+        quantity = QUANTITIES.get((effect, parameter))
         if quantity is not None:
             scale = 1.0 if quantity.ratio else quantity.scale
             found += population.outliers({v: scale * x for v, x in vehicles.items()}, quantity.words,
@@ -141,17 +141,11 @@ def _effects(effects) -> list[Html]:
                           rows[:_MOST], 'Over vehicles: the median of the recordings of each.', 3)]
 
 
-def _watched(effects):
-    return [(WATCHED[key[1:3]], key, vehicles) for key, vehicles in effects.items() if key[1:3] in WATCHED]
-
-
 def _distribution(effects):
-    from matplotlib.figure import Figure
-
-    watched = _watched(effects)
-    drawing = Figure(figsize=(9, 0.5 + 0.85 * max(len(watched), 1)), layout='constrained')
-    panels = drawing.subplots(max(len(watched), 1), 1, squeeze=False)[:, 0]
-    for axes, (quantity, (source, *_, unit), vehicles) in zip(panels, watched):
+    shown = [(QUANTITIES[key[1:3]], key, vehicles) for key, vehicles in effects.items() if key[1:3] in QUANTITIES]
+    drawing = empty_figure(9, 0.5 + 0.85 * max(len(shown), 1))
+    panels = drawing.subplots(max(len(shown), 1), 1, squeeze=False)[:, 0]
+    for axes, (quantity, (source, *_, unit), vehicles) in zip(panels, shown):
         scale = 1.0 if quantity.ratio else quantity.scale
         axes.plot(scale * np.array(list(vehicles.values())), np.zeros(len(vehicles)), 'o', alpha=0.4, color='#1b6ca8',
                   markersize=5)
@@ -176,9 +170,7 @@ def _histories(fleet, estimates: list[dict]) -> list[Html]:
 
 
 def _steps(fleet, changed, estimates):
-    from matplotlib.figure import Figure
-
-    drawing = Figure(figsize=(9, 2.2 * len(changed)), layout='constrained')
+    drawing = empty_figure(9, 2.2 * len(changed))
     panels = drawing.subplots(len(changed), 1, squeeze=False)[:, 0]
     for axes, (vehicle, quantity, source) in zip(panels, changed):
         rows = [r for r in estimates if (r['vehicle'], r['source'], r['effect'], r['parameter'])

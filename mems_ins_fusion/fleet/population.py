@@ -15,6 +15,7 @@ import numpy as np
 
 from ..evaluation.intervals import FEWEST, Difference
 from ..evaluation.verdict import Change, Verdict, decide
+from ..recordings.motion import robust_sigma
 
 VEHICLES, RECORDINGS = 'vehicles', 'recordings'
 
@@ -183,7 +184,7 @@ def outliers(values: dict[str, float], what: str, unit: str) -> list[Outlier]:
     if len(numbers) < FEWEST_VEHICLES:
         return []
     middle = float(np.median(numbers))
-    sigma = 1.4826 * float(np.median(np.abs(numbers - middle)))
+    sigma = robust_sigma(numbers)
     if sigma == 0.0:
         return []
     return [Outlier(vehicle, what, value, middle, unit, abs(value - middle) / sigma)

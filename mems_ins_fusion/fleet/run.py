@@ -6,17 +6,17 @@ import io
 import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
 from .. import __version__
 from ..guard import heard_interruption
 from ..results import ResultError, write_files
-from . import history, tables, watchman
+from . import change_points, history, tables
 from .engines import DIED, engine
 from .failures import PASSING
-from .jobs import TASKS, TOGETHER, Job, as_dict, by_vehicle, job
+from .jobs import TASKS, TOGETHER, Job, by_vehicle, job
 from .sources import Entry, SourceError, find_entries, is_state_file, size_and_time
 from .work import RESULT, RESULTS, died, do, identify
 
@@ -24,8 +24,10 @@ from .work import RESULT, RESULTS, died, do, identify
 MARKER = 'fleet.json'
 #: which contents have been read already, by shard
 _CONTENTS = 'contents'
-#: how far the work is, of 1, when all is known that is there, and when each recording was looked at alone
-_READ, _ALONE = 0.05, 0.6
+#: part of the work that is done when the contents of all recordings are known
+_READ = 0.05
+#: part that is done when each recording was looked at alone
+_ALONE = 0.6
 #: done of a recording: `recordings.status`
 DONE, FAILED, DUPLICATE, OPEN = 'done', 'failed', 'duplicate', 'open'
 
@@ -54,7 +56,7 @@ class Fleet:
 
     asked: Asked
     rows: dict[str, list[dict]]
-    changes: list[watchman.Change]
+    changes: list[change_points.Change]
     said: list[str] = field(default_factory=list)
     interrupted: bool = False
 
@@ -260,7 +262,7 @@ def _all(workers, jobs: dict, known: _Known, asked: Asked, progress: Callable[[f
     left = {work.id: work for work in by_size if known.is_open(work)}
     here, count = partial(do, output=str(asked.output)), len(left)
     progress(0.0, '')
-    given = [as_dict(work) for work in left.values()]
+    given = [asdict(work) for work in left.values()]
     for done, (values, answer) in enumerate(_compiled_first(workers, here, given, asked), 1):
         if answer is DIED:
             died(values, str(asked.output))
@@ -301,7 +303,7 @@ def _written(asked: Asked, known: _Known, entries, states) -> Fleet:
         seen += [{'vehicle': entry.vehicle, **row} for row in found]
         said += [why] if why else []
     estimates = history.estimates(rows['effects'], begins, seen)
-    changes = watchman.watch(watchman.series_of(estimates))
+    changes = change_points.find_changes(change_points.series_of(estimates))
     rows['findings'] += [{'vehicle': c.vehicle, 'recording_id': '', 'params_file': '', 'task': asked.task,
                           'source': 'watchman', 'severity': 'warning', 'topic': f'{c.quantity.effect}.'
                           f'{c.quantity.parameter}', 'message': c.words()} for c in changes]

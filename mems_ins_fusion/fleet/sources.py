@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from ..errors import InputError
+from ..guard import one_line
 
 #: ends of the names of files that are recordings, those of `recordings.bags` and what `characterize` reads
 SUFFIXES = ('.mcap', '.db3', '.bag', '.mcap.zstd', '.db3.zstd', '.npz')
@@ -130,13 +131,15 @@ def opened(url: str):
 
         return fsspec.core.url_to_fs(url)
     except (ImportError, ValueError) as error:
-        reason = 'fsspec is not installed' if 'fsspec' in str(error) else ' '.join(str(error).split())
+        reason = 'fsspec is not installed' if 'fsspec' in str(error) else one_line(error)
         raise SourceError(f'{url}: {reason}; pip install "mems_ins_fusion[fleet]" reads URLs, with the driver of the '
                           'protocol') from None
 
 
 def _read_table(source: str, pattern) -> Iterator[Entry]:
     rows = _parquet_rows(source) if source.endswith('.parquet') else _csv_rows(source)
+    if rows and 'recording' not in rows[0]:
+        raise SourceError(f"{source} has no column 'recording', only {', '.join(map(str, rows[0]))}")
     for number, row in enumerate(rows, 1):
         if not row.get('recording'):
             raise SourceError(f"{source}: row {number} has no 'recording'")
@@ -157,12 +160,9 @@ def _csv_rows(source: str) -> list[dict]:
     with local_copy(source) as path:
         try:
             with open(path, encoding='utf-8-sig', newline='') as file:
-                rows = list(csv.DictReader(file))
+                return list(csv.DictReader(file))
         except (OSError, UnicodeDecodeError, csv.Error) as error:
-            raise SourceError(f'{source}: {" ".join(str(error).split())}') from None
-    if rows and 'recording' not in rows[0]:
-        raise SourceError(f"{source} has no column 'recording', only {', '.join(map(str, rows[0]))}")
-    return rows
+            raise SourceError(f'{source}: {one_line(error)}') from None
 
 
 def _parquet_rows(source: str) -> list[dict]:
@@ -173,12 +173,9 @@ def _parquet_rows(source: str) -> list[dict]:
         raise SourceError(f'{source}: pip install "mems_ins_fusion[fleet]" reads Parquet') from None
     with local_copy(source) as path:
         try:
-            rows = parquet.read_table(path).to_pylist()
+            return parquet.read_table(path).to_pylist()
         except (OSError, pyarrow.ArrowException) as error:
-            raise SourceError(f'{source}: {" ".join(str(error).split())}') from None
-    if rows and 'recording' not in rows[0]:
-        raise SourceError(f"{source} has no column 'recording', only {', '.join(map(str, rows[0]))}")
-    return rows
+            raise SourceError(f'{source}: {one_line(error)}') from None
 
 
 @contextmanager

@@ -79,7 +79,7 @@ class Texts:
         """Complete rows of the table `name`, instead of those that were there `of` the same result."""
         found: dict[tuple, list[list[str]]] = {}
         for row in rows:
-            cells = [_text(value) for value in row.values()]
+            cells = [cell_text(value) for value in row.values()]
             found.setdefault((*cells[:len(_ABOUT)], of), []).append(cells)
         for key, lines in found.items():
             text = io.StringIO()
@@ -105,8 +105,8 @@ def write(output: Path, rows: dict[str, list[dict]]) -> str:
     return '' if both else 'tables are written as CSV only: pip install "mems_ins_fusion[fleet]" writes Parquet, too'
 
 
-def _text(value) -> str:
-    """As it is read again to the same number; nothing for None."""
+def cell_text(value) -> str:
+    """A cell of a CSV table: a number as it is read again to the same number, nothing for None."""
     if value is None or isinstance(value, float) and not math.isfinite(value):
         return ''
     if isinstance(value, bool):

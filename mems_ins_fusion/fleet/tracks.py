@@ -12,14 +12,16 @@ from ..navigation.earth import from_local, to_local
 from ..navigation.frames import yaw_from_enu, yaw_of_quaternion
 from ..recordings import messages
 from ..recordings.bags import Bag
-from ..recordings.gps_time import EPOCH, SECOND, WEEK, leap_seconds, utc_of_week
-from ..recordings.reference_files import read_reference
+from ..recordings.gps_time import EPOCH, WEEK, leap_seconds, utc_of_week
+from ..recordings.reference_files import KF_GINS_NAVIGATION, read_reference
 from ..recordings.tables import read_text
+from ..samples import SECOND
 
-#: columns of a navigation result of KF-GINS: week (it writes 0), seconds of it, latitude, longitude (deg), height,
-#: velocity north, east, down, roll, pitch, yaw (deg); and of its standard deviations: seconds, north, east, down, ...
-#: Source: writeNavResult and writeSTD of its src/kf_gins.cpp
-_KF_GINS_COLUMNS, _KF_GINS_STD_COLUMNS, _STD = 11, 22, '.std'
+#: number of columns of a file with the standard deviations of KF-GINS: seconds, north, east, down, ...
+#: Source: writeSTD of its src/kf_gins.cpp
+_KF_GINS_STD_COLUMNS = 22
+#: end of the name of such a file beside the navigation result
+_STD = '.std'
 
 
 class TrackError(InputError):
@@ -62,7 +64,7 @@ def read_track(path, datum, topic: str = '', week: int = 0) -> Track:
     if path.is_dir() or path.suffix in ('.mcap', '.db3', '.bag'):
         return _read_bag(path, datum, topic)
     rows = _numbers(path)
-    if rows is not None and rows.shape[1] == _KF_GINS_COLUMNS:
+    if rows is not None and rows.shape[1] == len(KF_GINS_NAVIGATION):
         return _kf_gins(rows, _numbers(path.with_suffix(_STD)) if path.with_suffix(_STD).is_file() else None, week)
     reference = read_reference(path, datum)
     missing, still = np.full(len(reference), np.nan), np.zeros(len(reference))
@@ -83,6 +85,7 @@ def _numbers(path: Path) -> np.ndarray | None:
 
 
 def _kf_gins(rows: np.ndarray, deviations: np.ndarray | None, week: int) -> Track:
+    # KF-GINS writes 0 for the week
     weeks, second, latitude, longitude, height, v_n, v_e, _, roll, pitch, yaw = rows.T
     weeks = np.where(weeks > 0, weeks, week).astype(np.int64)
     stamp = utc_of_week(weeks, np.rint(second * 1e9).astype(np.int64))

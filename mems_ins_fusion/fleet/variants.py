@@ -13,7 +13,8 @@ import numpy as np
 
 from ..filter.measurements.registry import MEASUREMENTS
 from ..navigation.earth import from_local, to_local
-from ..navigation.frames import mounting
+from ..navigation.frames import mounting, wrap
+from ..recordings.several import later
 from ..samples import Recording
 
 #: all stamps are moved by this, ns
@@ -38,12 +39,7 @@ class Variant:
 
 def shifted(recording: Recording, values: dict, datum: tuple) -> Recording:
     """All stamps a microsecond later."""
-    def later(samples):
-        moved = {name: getattr(samples, name) + SHIFT for name in ('stamp', 'received') if hasattr(samples, name)}
-        return replace(samples, **moved)
-
-    return recording.having({name: later(samples) for name, samples in recording.streams().items()
-                             if name != 'reference'})
+    return later(recording, SHIFT)
 
 
 def turned(recording: Recording, values: dict, datum: tuple) -> Recording:
@@ -53,12 +49,16 @@ def turned(recording: Recording, values: dict, datum: tuple) -> Recording:
 
 def mirrored(recording: Recording, values: dict, datum: tuple) -> Recording:
     """East and west swapped, and left and right of the vehicle: its sensors measure what they would in that world."""
-    to_body = mounting(values['imu.mounting_rpy'])
-    reflect = to_body.T @ _MIRROR @ to_body  # in the sensor's axes
-    imu = recording.imu
+    reflect, imu = _reflection(values), recording.imu
     # a rate is an axial vector: it turns the other way
     imu = replace(imu, specific_force=imu.specific_force @ reflect.T, angular_rate=-imu.angular_rate @ reflect.T)
     return _world(replace(recording, imu=imu), datum, np.diag([1.0, -1.0]), lambda yaw: -yaw)
+
+
+def _reflection(values: dict) -> np.ndarray:
+    """(3, 3) the mirror in the axes of the sensor."""
+    to_body = mounting(values['imu.mounting_rpy'])
+    return to_body.T @ _MIRROR @ to_body
 
 
 def halved(recording: Recording, values: dict, datum: tuple) -> Recording:
@@ -89,16 +89,14 @@ def _world(recording: Recording, datum: tuple, turn: np.ndarray, yaw: Callable) 
         velocity = replace(velocity, velocity=velocity.velocity @ three.T,
                            covariance=three @ velocity.covariance @ three.T)
     if heading is not None:
-        heading = replace(heading, yaw=(yaw(heading.yaw) + np.pi) % (2 * np.pi) - np.pi)
+        heading = replace(heading, yaw=wrap(yaw(heading.yaw)))
     return replace(recording, imu=replace(recording.imu, orientation=None), gnss=gnss, velocity=velocity,
                    heading=heading, reference=None)
 
 
 def _mirrored_parameters(values: dict) -> dict:
     """Those of the mirrored vehicle."""
-    to_body = mounting(values['imu.mounting_rpy'])
-    reflect = to_body.T @ _MIRROR @ to_body
-    arm = values['gnss.lever_arm']
+    reflect, arm = _reflection(values), values['gnss.lever_arm']
     changed = {'gnss.lever_arm': [arm[0], -arm[1] + 0.0, arm[2]]}
     for sensor, sign in (('accelerometer', 1.0), ('gyroscope', -1.0)):
         bias = np.broadcast_to(values[f'{sensor}.bias'], 3)

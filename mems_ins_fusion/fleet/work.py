@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import InputError
 from ..evaluation.verdict import NOT_USABLE
 from ..parameters import params_file, table
-from ..recordings.errors import RecordingWarning
+from ..recordings.errors import RecordingError, collected_warnings
 from ..recordings.findings import ERROR, WARNING
 from ..results import ResultBusy, plain, result_folder
 from .failures import OTHER_VERSION, WORKER_DIED, error_id, is_ours, reason
@@ -35,7 +35,7 @@ def identify(place: str) -> tuple[str, int, str] | None:
 
 
 def do(values: dict, output: str) -> str:
-    """Do the job `values` (see `jobs.as_dict`) and write its result below `output`; its id.
+    """Do the job `values` (see `jobs.from_dict`) and write its result below `output`; its id.
 
     Whatever goes wrong becomes a result that says so: nothing is raised but what ends the process.
     """
@@ -158,7 +158,6 @@ def _run_row(row: dict) -> dict:
 def _shown_by_recording(recording) -> list[dict]:
     """What a recording shows of its vehicle; nothing where `configure` could not use it."""
     from ..configuration.configure import look
-    from ..recordings.errors import RecordingError
 
     try:
         return shown_by(look(recording.name, recording.imu, recording.gnss))
@@ -228,10 +227,9 @@ def _configured(paths):
     """What `configure` makes of the recordings, and what the reader said."""
     from ..configuration.configure import configure
 
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter('always', RecordingWarning)
+    with collected_warnings() as said:
         result = configure(paths)
-    return result, list(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, RecordingWarning)))
+    return result, list(dict.fromkeys(said))
 
 
 def _diagnose(work: Job, paths, references, given, folder: Path, known_as: Path) -> dict:

@@ -7,6 +7,7 @@ from rclpy.exceptions import InvalidTopicNameException
 from rclpy.validate_topic_name import validate_topic_name
 
 from ..filter.measurements.registry import further_inputs
+from ..guard import one_line
 from ..parameters.parameter import ParameterError
 
 #: parameters that name a topic the node listens to, and those it speaks on
@@ -32,7 +33,7 @@ def _check_topics(values, resolve):
         try:
             validate_topic_name(values[name])
         except InvalidTopicNameException as error:
-            raise ParameterError(f"parameter '{name}': {' '.join(str(error).split())}") from None
+            raise ParameterError(f"parameter '{name}': {one_line(error)}") from None
         topic = resolve(values[name])
         if topic in purposes:
             raise ParameterError(f"parameters '{purposes[topic]}' and '{name}' are the same topic, {topic}")

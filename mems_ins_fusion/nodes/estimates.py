@@ -10,10 +10,10 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import NavSatFix
 
 from ..filter.runs.live import FusionFilter
+from ..samples import SECOND
 from .log import Log
 from .output import MapOutput, Output, Prediction, SmoothFrame, VehicleAxes, flatten
 
-_SECOND = 10**9  # ns
 #: ten messages are kept for a slow listener: an odometry that is older than ten samples helps nobody
 _QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 #: of /tf, as tf2's broadcasters have it
@@ -58,7 +58,7 @@ class Estimates:
 
     def set_rate(self, rate: float) -> None:
         """Messages at `rate`, Hz, from now on; 0: one for each sample."""
-        self._period = round(_SECOND / rate) if rate else 0
+        self._period = round(SECOND / rate) if rate else 0
         if self._prediction:
             if self._timer is not None:
                 self._node.destroy_timer(self._timer)

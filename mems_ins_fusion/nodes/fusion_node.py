@@ -33,6 +33,7 @@ from ..recordings.units import ACCELERATION, RATE
 from . import identity
 from .checks import check_together
 from .estimates import NO_EVENTS, Estimates
+from .geographic import geographic_services, start_from_parameters, start_from_pose, world_frame
 from .geometry import geometry_from_tf
 from .horizon import HorizonOutput
 from .inputs import Input, Queue, aiding_inputs, nav_sat_fix
@@ -41,7 +42,6 @@ from .log import Log
 from .monitor import PERIOD, Monitor
 from .online import OnlineDiagnosis
 from .output import tf_message
-from .places import geographic_services, start_from_parameters, start_from_pose, world_frame
 from .ros_parameters import declare, refuse_unused_qos_overrides
 from .run import Stop, run, spin
 from .state_file import StateFile
@@ -72,7 +72,7 @@ class FusionNode(Node):
         self._state_file = self._open_state_file(values)
         values |= geometry_from_tf(self, values, stop)
         self._identity = identity.Identity((identity.IMU, identity.GNSS))
-        self._given, kept = {**values}, self._kept(values)
+        self._given, kept = {**values}, self._findings_of_earlier_drives(values)
         self._applied = {one.name: one.sets for one in kept}  # what was found while driving
         began, without = with_applied(values, self._applied)
         values.update(began)
@@ -98,7 +98,7 @@ class FusionNode(Node):
             self._online = OnlineDiagnosis(self, self._given, self._log, kept)
         self._monitor = Monitor(self, self._filter, inputs, self._verdicts, values, self._log, self._online, self._imus)
         self._serve()
-        refuse_unused_qos_overrides(self, [told.topic_name for told in inputs if not told.is_subscribed])
+        refuse_unused_qos_overrides(self, [one.topic_name for one in inputs if not one.is_subscribed])
         self.add_on_set_parameters_callback(self._check_changes)
         self.add_post_set_parameters_callback(self._apply_changes)
         # timers of the ROS clock stand still while use_sim_time waits for a /clock
@@ -118,7 +118,7 @@ class FusionNode(Node):
         finally:
             if self._online:
                 self._online.close()
-        self._save_where_asked()
+        self._save_if_asked()
 
     def report(self) -> None:
         """Log and publish what the filter has to say since the last time."""
@@ -129,7 +129,7 @@ class FusionNode(Node):
     def _each_second(self):
         self._queue.release()
         self._monitor.look()
-        self._tell_datum()
+        self._publish_datum()
 
     # --- what comes in ---
 
@@ -153,12 +153,13 @@ class FusionNode(Node):
     def _further_imu(self, queue, i) -> Input:
         """The input of IMU number i, one beside the first."""
         def on_message(message, info):
-            told.traffic.take(message.header, info)
+            traffic = imu.traffic
+            traffic.take(message.header, info)
             force, rate = message.linear_acceleration, message.angular_velocity
-            self._take_all(self._imus.add(i, told.traffic.stamp, (force.x, force.y, force.z), (rate.x, rate.y, rate.z)))
+            self._take_all(self._imus.add(i, traffic.stamp, (force.x, force.y, force.z), (rate.x, rate.y, rate.z)))
 
-        told = Input(self, queue, self._imus.names[i], self._imus.topics[i], (IMU,), on_message, is_imu=True)
-        return told
+        imu = Input(self, queue, self._imus.names[i], self._imus.topics[i], (IMU,), on_message, is_imu=True)
+        return imu
 
     def _on_imu(self, message, info):
         """The hot path: no formatting, no new message, no look-up of a parameter."""
@@ -172,7 +173,7 @@ class FusionNode(Node):
         now = self._imu.traffic.stamp
         sample = (now, force.x * force_unit, force.y * force_unit, force.z * force_unit,
                   rate.x * rate_unit, rate.y * rate_unit, rate.z * rate_unit)
-        if self._identity.lacks(identity.IMU):
+        if self._identity.is_unknown(identity.IMU):
             self._identify(identity.IMU, now, {'frame_id': message.header.frame_id,
                                                'orientation': bool(message.orientation_covariance[0] != -1.0)})
         if self._imus is None:
@@ -181,7 +182,7 @@ class FusionNode(Node):
             self._take_all(self._imus.add(0, now, sample[1:4], sample[4:]), now, (x, y, z, w))
 
     def _take_all(self, samples, stamp=None, orientation=(0.0,) * 4):
-        """What several IMUs say as one; orientation: of the sample with this stamp."""
+        """The samples of several IMUs combined into one; orientation: of the sample with this stamp."""
         for now, numbers in samples:
             self._take((now, *numbers), *(orientation if now == stamp else (0.0,) * 4))
 
@@ -190,10 +191,10 @@ class FusionNode(Node):
         now = sample[0]
         self._monitor.mounting.add_sample(sample)
         if self._online and (findings := self._online.add_sample(sample)) is not None:
-            self._change(findings)
+            self._apply_findings(findings)
         is_new = self._filter.add_imu(*sample, x, y, z, w)
         if self._applied:
-            self._drop()
+            self._remove_dropped()
         if is_new:
             self._estimates.on_sample(now)
             self._horizon.on_sample(now)
@@ -217,7 +218,8 @@ class FusionNode(Node):
             self._resume(stamp, latitude, longitude, message.altitude)
         fix = (stamp, latitude, longitude, message.altitude, message.position_covariance.copy(), message.status.status,
                message.position_covariance_type)
-        if self._identity.lacks(identity.GNSS) and message.status.status >= 0:  # without a fix, drivers tell no service
+        # without a fix drivers tell no service
+        if self._identity.is_unknown(identity.GNSS) and message.status.status >= 0:
             self._identify(identity.GNSS, stamp, {'frame_id': message.header.frame_id,
                                                   'service': message.status.service})
         self._monitor.mounting.add_fix(fix)
@@ -271,8 +273,8 @@ class FusionNode(Node):
         """Which sensors a calibration belongs to."""
         return {name: self._values[name] for name in ('imu_topic', 'gnss_topic')}
 
-    def _kept(self, values):
-        """What earlier drives have found, where it is to be applied."""
+    def _findings_of_earlier_drives(self, values):
+        """Those of the state file, where findings are to be applied."""
         if self._state_file is None or values['diagnosis.online'] != 'apply':
             return []
         kept, said = self._state_file.calibration(self._sensor_topics())
@@ -280,9 +282,9 @@ class FusionNode(Node):
             self.get_logger().info(text)
         return kept
 
-    def _identify(self, sensor, stamp, told):
+    def _identify(self, sensor, stamp, properties):
         """Take what a message tells of its device; what was found on another one is not used."""
-        self._identity.add(sensor, stamp, told)
+        self._identity.add(sensor, stamp, properties)
         known = self._identity.known
         if known is None or self._state_file is None or not self._applied:
             return
@@ -290,32 +292,32 @@ class FusionNode(Node):
         if others:
             self.get_logger().warning(f"state file: another device than before ({', '.join(others)}): what was found "
                                       f"on that is not used: {', '.join(self._applied)}")
-            self._change(Findings({}, {}))
+            self._apply_findings(Findings({}, {}))
             self._online.ask('reject')
 
-    def _change(self, findings):
-        """Go on with `findings`, beside the parameters that the node was given."""
-        changes = self._have(findings.applied)
-        go_on(self._filter, self._as_given(), findings, changes)
+    def _apply_findings(self, findings):
+        """Set `findings` in the filter, beside the parameters that the node was given."""
+        changes = self._set_applied(findings.applied)
+        go_on(self._filter, self._values_without_findings(), findings, changes)
         if changes:
-            self._save_where_asked()
+            self._save_if_asked()
 
-    def _drop(self):
-        """Do without what the filter has dropped."""
+    def _remove_dropped(self):
+        """Take out the findings that the filter has dropped."""
         for one in self._filter.dropped():
             self._log.tell('warning', f'diagnosis.online: {one.name} is not true any more: dropped')
-            self._have({name: sets for name, sets in self._applied.items() if name != one.name})
+            self._set_applied({name: sets for name, sets in self._applied.items() if name != one.name})
             self._online.dropped(one)
-            self._save_where_asked()
+            self._save_if_asked()
 
-    def _as_given(self):
-        """The parameters that hold now, without what has been found."""
+    def _values_without_findings(self):
+        """The parameters that hold now, those with findings as they were given."""
         found = {name for sets in self._applied.values() for name in sets}
         return {**self._values, **{name: self._given[name] for name in found}}
 
-    def _have(self, applied):
-        """The parameters with the findings `applied`, and whether they are others than before."""
-        before, (values, _) = dict(self._values), with_applied(self._as_given(), applied)
+    def _set_applied(self, applied):
+        """Take over the parameters with the findings `applied`; whether any value changes."""
+        before, (values, _) = dict(self._values), with_applied(self._values_without_findings(), applied)
         self._values.update(values)
         self._applied = applied
         said = ', '.join(f'{name}: {value} (before: {before[name]})' for name, value in values.items()
@@ -338,7 +340,7 @@ class FusionNode(Node):
         except ValueError as error:
             self.get_logger().warning(f'{error}: starting without')
 
-    def _save_where_asked(self):
+    def _save_if_asked(self):
         if self._state_file:
             self._save()
 
@@ -381,9 +383,9 @@ class FusionNode(Node):
 
     def _set_datum(self, latitude, longitude, height):
         self._filter.datum = np.array([latitude, longitude, height])
-        self._tell_datum()
+        self._publish_datum()
 
-    def _tell_datum(self):
+    def _publish_datum(self):
         """Publish and log the datum where it is new."""
         datum = self._filter.datum
         if datum is None or self._datum == tuple(datum):

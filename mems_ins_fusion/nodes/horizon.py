@@ -7,12 +7,13 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from ..filter.runs.horizon import Horizon
 from ..filter.runs.live import FusionFilter
+from ..samples import SECOND
 from .estimates import NO_EVENTS
 from .status import array, horizon_status
 
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: ns, from one message to the next, of the samples' stamps: a replay at any speed has the same
-_PERIOD = 10**9
+_PERIOD = SECOND
 
 
 class HorizonOutput:

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..configuration.check import YAW_NOT_SHOWN, judge_mounting
 from ..recordings.checker import ERROR
-from ..samples import Fixes, ImuSamples
+from ..samples import SECOND, Fixes, ImuSamples
 
 #: Hz to which the samples are averaged
 RATE = 20.0
@@ -18,7 +18,6 @@ LOOKS = (30.0, 60.0, 120.0, 240.0, 480.0, 960.0)
 LONGEST_GAP = 5.0  # s
 #: checks in a row that have to find the same: at the second the vehicle has driven twice as long
 CERTAIN_LOOKS = 2
-_SECOND = 10**9  # ns
 
 
 class MountingCheck:
@@ -78,7 +77,7 @@ class MountingCheck:
         if not len(stamps):
             return None
         steps = np.diff(stamps, prepend=self._last if self._first is not None else stamps[0])
-        breaks = np.flatnonzero((steps < 0) | (steps > LONGEST_GAP * _SECOND))  # another clock, another drive
+        breaks = np.flatnonzero((steps < 0) | (steps > LONGEST_GAP * SECOND))  # another clock, another drive
         if len(breaks):
             self._restart()
             stamps, rows = stamps[breaks[-1]:], rows[breaks[-1]:]
@@ -86,7 +85,7 @@ class MountingCheck:
             self._first = int(stamps[0])
         self._last = int(stamps[-1])
         rows = np.column_stack([stamps - self._first, rows])
-        slot = (stamps - self._first) * round(RATE) // _SECOND
+        slot = (stamps - self._first) * round(RATE) // SECOND
         starts = np.flatnonzero(np.diff(slot, prepend=-1))
         length = np.diff(np.append(starts, len(rows)))[:, None]
         self._means.extend(np.add.reduceat(rows, starts) / length)
@@ -118,7 +117,7 @@ class MountingCheck:
         return ImuSamples(stamp, stamp, rows[:, 1:4], rows[:, 4:7])
 
     def _received(self) -> Fixes | None:
-        fixes = [fix for fix in self._fixes if fix[0] > self._first - _SECOND]
+        fixes = [fix for fix in self._fixes if fix[0] > self._first - SECOND]
         if len(fixes) < 2:
             return None
         stamp = np.array([fix[0] for fix in fixes])

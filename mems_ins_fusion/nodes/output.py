@@ -25,8 +25,8 @@ from ..filter.runs.odometry import (
 from ..navigation.frames import rotation_from_rpy, wrap, yaw_of_quaternion
 from ..navigation.strapdown import from_rotation_vector, matrix, multiply
 from ..parameters.parameter import ParameterError
+from ..samples import SECOND
 
-_SECOND = 10**9  # ns
 #: the smooth frame's roll and pitch follow the filter's with this time constant, s
 LEVEL_TIME = 2.0
 #: a longer step between two estimates is not integrated, s
@@ -229,7 +229,7 @@ class Output:
 
     def fill(self, stamp: int) -> None:
         """Take over the newest estimate, of time `stamp` (ns)."""
-        seconds, nanoseconds = divmod(stamp, _SECOND)
+        seconds, nanoseconds = divmod(stamp, SECOND)
         for target in self._stamps:
             target.sec, target.nanosec = seconds, nanoseconds
         east, north, up, x, y, z, w = self._pose.tolist()
@@ -263,7 +263,7 @@ class MapOutput:
 
     def fill(self, stamp: int) -> None:
         """Take over the newest estimate, of time `stamp` (ns)."""
-        seconds, nanoseconds = divmod(stamp, _SECOND)
+        seconds, nanoseconds = divmod(stamp, SECOND)
         for target in self._stamps:
             target.sec, target.nanosec = seconds, nanoseconds
         pose, transform = self.pose.pose.pose, self._transform.transform

@@ -21,12 +21,12 @@ from ..progress import Progress
 from ..recordings.bags import Bag
 from ..recordings.errors import RecordingError
 from ..recordings.reading import READABLE, Memory
+from ..samples import SECOND
 from .inputs import message_class
 from .playback import time_message
 from .run import Stop
 
 NAME = 'play'
-_SECOND = 10**9  # ns
 #: /clock goes on in steps of at most this, s
 _TICK = 0.02
 #: GB of memory at the start, and bytes beside each message
@@ -66,7 +66,7 @@ class Player:
         self._messages, self._publishers = [messages[i] for i in order], publishers
         self._clock = node.create_publisher(Clock, '/clock', 10)  # reliable: heard by both kinds
         self.counts = dict(zip(topics, np.bincount(owners, minlength=len(topics)).tolist()))
-        self.seconds = (self._times[-1] - self._times[0]) / _SECOND
+        self.seconds = (self._times[-1] - self._times[0]) / SECOND
 
     def heard(self) -> bool:
         """Whether anybody has subscribed to one of the topics."""
@@ -74,23 +74,23 @@ class Player:
 
     def play(self, start: float, rate: float, stop: Stop, tell) -> int:
         """Publish from `start` seconds on, `rate` times as fast as recorded; how many messages. tell: as Progress."""
-        first = int(np.searchsorted(self._times, self._times[0] + round(start * _SECOND)))
+        first = int(np.searchsorted(self._times, self._times[0] + round(start * SECOND)))
         if first == len(self._times):
             raise InputError(f'--start {start:g} is after the end of the recording, which is {self.seconds:.1f} s long')
         began, origin = time.monotonic(), int(self._times[first])
         for sent, i in enumerate(range(first, len(self._times))):
             stamp = int(self._times[i])
-            due = began + (stamp - origin) / (_SECOND * rate)
+            due = began + (stamp - origin) / (SECOND * rate)
             while (wait := due - time.monotonic()) > 0 and not stop.requested:
                 time.sleep(min(wait, _TICK))
-                now = origin + round((time.monotonic() - began) * rate * _SECOND)
+                now = origin + round((time.monotonic() - began) * rate * SECOND)
                 self._clock.publish(Clock(clock=time_message(min(now, stamp))))
             if stop.requested:
                 return sent
             if wait <= 0 and (i == first or stamp > self._times[i - 1]):
                 self._clock.publish(Clock(clock=time_message(stamp)))
             self._publishers[self._owners[i]].publish(self._messages[i])
-            tell((i - first) / (len(self._times) - first), f'{(stamp - self._times[0]) / _SECOND:.0f} s')
+            tell((i - first) / (len(self._times) - first), f'{(stamp - self._times[0]) / SECOND:.0f} s')
         for publisher in self._publishers:  # else what is still on its way is lost with the process
             publisher.wait_for_all_acked(_DELIVERY)
         return len(self._times) - first

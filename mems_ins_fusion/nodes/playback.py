@@ -11,8 +11,8 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
 from ..recordings.writing import OdometrySamples
+from ..samples import SECOND
 
-_SECOND = 10**9
 #: a signal is looked for this often, s
 _PATIENCE = 0.1
 
@@ -30,7 +30,7 @@ def play(node: Node, tracks: dict[str, OdometrySamples], rate: float, stopped: C
     began, last = time.monotonic(), None
     for k in order:
         stamp, name = int(stamps[k]), names[owner[k]]
-        if not _wait_until(began + (stamp - int(stamps[order[0]])) / (_SECOND * rate), stopped):
+        if not _wait_until(began + (stamp - int(stamps[order[0]])) / (SECOND * rate), stopped):
             return
         if stamp != last:
             clock.publish(Clock(clock=time_message(stamp)))
@@ -47,7 +47,7 @@ def _wait_until(moment: float, stopped) -> bool:
 
 def time_message(stamp: int) -> Time:
     """stamp: ns."""
-    seconds, nanoseconds = divmod(stamp, _SECOND)
+    seconds, nanoseconds = divmod(stamp, SECOND)
     return Time(sec=seconds, nanosec=nanoseconds)
 
 

@@ -67,7 +67,7 @@ class ReplayNode(Node):
 
 def _tell(result, verbose: bool) -> None:
     """Print the answer and where the results are; verbose: also the errors, and what they say of the models."""
-    from ..reports.report import summary_table
+    from ..reports.replay_report import summary_table
 
     for recording in result.content['recordings']:
         for warning in recording['warnings']:

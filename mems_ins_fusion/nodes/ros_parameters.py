@@ -52,7 +52,7 @@ def _declare_one(node, parameter, value, read_only):
 
 def describe(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
     """Meaning, unit and range of `parameter` as `ros2 param describe` shows them."""
-    unit = '' if parameter.unit in ('text', '-') else f'[{parameter.unit}] '
+    unit = f'[{parameter.shown_unit}] ' if parameter.shown_unit else ''
     descriptor = ParameterDescriptor(description=unit + parameter.description, read_only=read_only,
                                      additional_constraints=_constraints(parameter))
     if math.isfinite(parameter.minimum) or math.isfinite(parameter.maximum):

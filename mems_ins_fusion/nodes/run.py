@@ -20,6 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from ..errors import InputError
+from ..guard import one_line
 from ..hints import VERSION
 from ..parameters.parameter import Parameter, ParameterError
 from ..parameters.params_file import load_yaml, yaml_value
@@ -79,7 +80,7 @@ def run(name: str, make_node: Callable[[list[str], Stop], Node], argv: list[str]
             _initialize(name, argv)
             node = make_node(argv, stop)
         except _USER_ERRORS as error:
-            print(f'{name}: {_one_line(error)}', file=sys.stderr)
+            print(f'{name}: {one_line(error)}', file=sys.stderr)
             return 2
         return 0 if stop.requested else work(node, stop) or 0
     except KeyboardInterrupt:
@@ -97,8 +98,7 @@ def usage(name: str, tables: tuple[tuple[Parameter, ...], ...]) -> str:
              '[-p NAME:=VALUE] ...]', f'or:    ros2 run mems_ins_fusion {name} ...', '',
              'parameters:']
     for parameter in (p for table in tables for p in table):
-        unit = '' if parameter.unit in ('text', '-') else f' {parameter.unit}'
-        lines.append(f'  {parameter.name} = {yaml_value(parameter.default)}{unit}')
+        lines.append(f'  {parameter.name} = {yaml_value(parameter.default)} {parameter.shown_unit}'.rstrip())
         choices = f" ({', '.join(parameter.choices)})" if parameter.choices else ''
         lines += textwrap.wrap(parameter.description + choices, 110, initial_indent=' ' * 6,
                                subsequent_indent=' ' * 6)
@@ -153,7 +153,3 @@ def _explain(error, argv) -> str:
     if 'Sequence should be of same type' in reason:
         reason += ' (write whole numbers in a list of decimals with a decimal point)'
     return reason
-
-
-def _one_line(error) -> str:
-    return ' '.join(str(error).split())

@@ -5,6 +5,7 @@ import math
 import time
 from collections.abc import Callable
 
+from ..samples import SECOND
 from .log import Watch
 
 #: between two numbers of a publisher further apart than this, it is another publisher
@@ -30,7 +31,7 @@ class Traffic(Watch):
     def take(self, header, info: dict) -> float:
         """A message with this header came; how much later than the quickest one so far, s. info: rclpy's."""
         self.count += 1
-        self.stamp = header.stamp.sec * 10**9 + header.stamp.nanosec
+        self.stamp = header.stamp.sec * SECOND + header.stamp.nanosec
         number, sent = info['publication_sequence_number'], info['source_timestamp']
         if number:
             if self._number and 1 < number - self._number < _FAR:

@@ -11,8 +11,8 @@ from sensor_msgs.msg import NavSatFix
 
 from ..filter.runs.live import FusionFilter
 from .estimates import NO_EVENTS
+from .geographic import to_local_point, world_frame
 from .inputs import stamp_of
-from .places import to_local_point, world_frame
 from .status import verdict
 
 #: used fixes of which the mean NIS is told

@@ -31,7 +31,7 @@ def example() -> str:
              '/**:', '  ros__parameters:']
     for p in (*FILTER, *FUSION):
         allowed = f' Allowed: {_allowed(p)}.' if _allowed(p) else ''
-        unit = '' if p.unit in ('text', '-') else f'[{p.unit}] '
+        unit = f'[{p.shown_unit}] ' if p.shown_unit else ''
         lines += ['', *textwrap.wrap(unit + p.description + allowed, 110, initial_indent='    # ',
                                      subsequent_indent='    # '),
                   f'    {p.name}: {yaml_value(p.default)}']

@@ -29,6 +29,11 @@ class Parameter:
     elements: tuple[tuple[str, float], ...] = ()  # of a list: what each is, and its largest magnitude
 
     @property
+    def shown_unit(self) -> str:
+        """The unit as people read it: none of texts and ratios."""
+        return '' if self.unit in ('text', '-') else self.unit
+
+    @property
     def length_text(self) -> str:
         """`lengths` in words."""
         if isinstance(self.lengths, range):

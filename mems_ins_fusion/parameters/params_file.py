@@ -8,11 +8,14 @@ from pathlib import Path
 import yaml
 
 from mems_ins_fusion.errors import InputError
+from mems_ins_fusion.guard import one_line
 
 from .parameter import ParameterError
 
-#: files that people and recorders write are far smaller and flatter
-_LARGEST, _DEEPEST = 1_000_000, 20  # bytes, levels
+#: bytes, largest file that is read: those that people and recorders write are far smaller
+_LARGEST = 1_000_000
+#: levels, deepest nesting that is read: such files are far flatter
+_DEEPEST = 20
 
 
 class YamlError(InputError):
@@ -57,14 +60,13 @@ def read_yaml(path):
     except (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, OverflowError) as error:
         mark, problem = getattr(error, 'problem_mark', None), getattr(error, 'problem', None)
         where = f'line {mark.line + 1}: ' if mark is not None and problem else ''
-        raise YamlError(' '.join(f'{where}{problem or error}'.split())) from None
+        raise YamlError(one_line(f'{where}{problem or error}')) from None
 
 
-def load_yaml(path, node: str = '') -> dict:
+def load_yaml(path) -> dict:
     """The parameters in a ROS 2 params file as a flat dictionary of given names, unchecked.
 
-    Reads the sections `/**` and, over it, `node` (with or without the slash); a file whose sections are all for
-    other nodes raises ParameterError, since ROS would silently ignore it.
+    Those of all its sections: of one given twice, that of a node counts more than that of `/**`. ParameterError.
     """
     path = Path(path)
     try:
@@ -73,15 +75,10 @@ def load_yaml(path, node: str = '') -> dict:
         raise ParameterError(f'params file {path}: {error.strerror}') from None
     except YamlError as error:
         raise ParameterError(f'params file {path} is not valid YAML: {error}') from None
-    if not isinstance(document, dict):
+    if not isinstance(document, dict) or not document:
         raise ParameterError(f'params file {path} holds no parameters')
-    known = ['/**'] + ([node, f'/{node}'] if node else sorted(map(str, set(document) - {'/**'})))
-    sections = [document[name] for name in known if name in document]
-    if not sections:
-        raise ParameterError(f"params file {path} has no section '/**' or '{node}', "
-                             f"only {', '.join(map(str, document))}")
     values: dict = {}
-    for section in sections:
+    for _, section in sorted(document.items(), key=lambda item: (item[0] != '/**', str(item[0]))):
         if not isinstance(section, dict) or not isinstance(section.get('ros__parameters'), dict):
             raise ParameterError(f"params file {path}: each node's parameters must stand under 'ros__parameters'")
         values.update(_flatten(section['ros__parameters'], path))

@@ -15,6 +15,7 @@ from contextlib import ExitStack
 from pathlib import Path, PurePath
 from urllib.parse import quote
 
+from mems_ins_fusion.guard import one_line
 from mems_ins_fusion.parameters.params_file import read_yaml
 from mems_ins_fusion.recordings.compression import ZSTD_MAGIC, decompress, decompress_file, zstd
 from mems_ins_fusion.recordings.errors import RecordingError, RecordingWarning
@@ -120,7 +121,7 @@ class _Sqlite3File:
             rows = self._database.execute('SELECT id, name, type, serialization_format FROM topics').fetchall()
         except (sqlite3.Error, UnicodeDecodeError) as error:
             self.close()
-            raise RecordingError(f'{path} is not a rosbag2 database, or it is damaged: {_one_line(error)}') from None
+            raise RecordingError(f'{path} is not a rosbag2 database, or it is damaged: {one_line(error)}') from None
         except RecordingError:
             self.close()
             raise
@@ -193,7 +194,7 @@ class _Sqlite3File:
                     yield from ((wanted[topic], *block, min(number / last, 1.0)) for topic, block in found.items())
                     found, size = {topic: ([], []) for topic in wanted}, 0
         except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
-            self.damage = self.damage or f'it is damaged after message {number} ({_one_line(error)})'
+            self.damage = self.damage or f'it is damaged after message {number} ({one_line(error)})'
         yield from ((wanted[topic], *block, 1.0) for topic, block in found.items())
 
     def _last_id(self) -> float:
@@ -266,7 +267,3 @@ def _files_of_folder(folder: Path) -> list[Path]:
 
 def _is_storage(path: Path) -> bool:
     return path.with_suffix('').suffix in _STORAGES if path.suffix == '.zstd' else path.suffix in _STORAGES
-
-
-def _one_line(error: Exception) -> str:
-    return ' '.join(str(error).split()) or type(error).__name__

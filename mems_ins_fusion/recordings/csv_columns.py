@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import re
+from typing import NamedTuple
 
 import numpy as np
 
@@ -68,29 +69,49 @@ def parse_columns(text: str, known) -> dict[str, str]:
     return given
 
 
-def find(table: Table, wanted: str, known: dict, columns: dict[str, str]) -> tuple[str, str | None] | None:
-    """Name of the column for `wanted` and the unit that was stated with it, or None: see `read_imu`.
+class Column(NamedTuple):
+    """A column of a table. stated: the unit that the user stated with it, None where none was."""
+
+    name: str
+    stated: str | None = None
+
+    def unit_among(self, units, default: str | None = None) -> str:
+        """Its unit, one of `units`: as stated, else as in its name, else `default`, or the first of `units`.
+
+        RecordingError for a stated unit that is not among them.
+        """
+        spelled = {**{unit.lower(): unit for unit in units},
+                   **{text: unit for text, unit in SPELLINGS.items() if unit in units}}
+        if self.stated is None:
+            return spelled.get(unit_in_name(self.name, spelled), next(iter(units)) if default is None else default)
+        if self.stated.lower() not in spelled:
+            raise RecordingError(f"unit '{self.stated}' of column '{self.name}' is not one of {', '.join(units)}")
+        return spelled[self.stated.lower()]
+
+
+def find(table: Table, wanted: str, known: dict, columns: dict[str, str]) -> Column | None:
+    """The column for `wanted`, or None: see `read_imu`.
 
     RecordingError where one is given that is not there, unless it ends in `|`.
     """
     given = columns.get(wanted)
     if given is None:
-        name = table.find(wanted, known[wanted], {})
-        return (name, None) if name else None
+        name = table.find(known[wanted])
+        return Column(name) if name else None
     found = match(table, given)
     if found is None and not given.endswith('|'):
         raise RecordingError(f"{table.path} has no column '{given}' for {wanted}; {table.listing()}")
     return found
 
 
-def match(table: Table, given: str) -> tuple[str, str | None] | None:
-    """The first of the columns `A|B [unit]` that `table` has, and its unit; None where it has none."""
+def match(table: Table, given: str) -> Column | None:
+    """The first of the columns `A|B [unit]` that `table` has; None where it has none."""
     for name in (given, *given.split('|')):
         if name in table.names:
-            return name, None
+            return Column(name)
         plain, unit = re.fullmatch(r'(.*?)\s*(?:\[([^][]*)\])?', name, re.DOTALL).groups()
         if plain in table.names:
-            return plain, unit
+            return Column(plain, unit)
     return None
 
 
@@ -98,24 +119,19 @@ def time_source(table: Table, columns: dict[str, str]) -> tuple[str, ...] | None
     """The columns of time: one, week and seconds of GPS time, or six of a date; None where there are none."""
     if 'time' in columns:
         found = match(table, columns['time'])
-        return (found[0],) if found else None
-    date = tuple(table.find('', aliases, {}) for aliases in DATE)
-    week, into = (table.find('', aliases, {}) for aliases in (_WEEK, _INTO_WEEK))
-    name = table.find('', TIME, {})
+        return (found.name,) if found else None
+    date = tuple(table.find(aliases) for aliases in DATE)
+    week, into = (table.find(aliases) for aliases in (_WEEK, _INTO_WEEK))
+    name = table.find(TIME)
     return (date if all(date) else (name,) if name else (week, into) if week and into else (into,) if into else None)
 
 
-def values_of(table: Table, names: dict[str, str], wanted) -> np.ndarray:
-    return np.column_stack([table.numbers(names[name]) for name in wanted])
+def values_of(table: Table, columns) -> np.ndarray:
+    """(n, k) numbers of k columns, by their names."""
+    return np.column_stack([table.numbers(name) for name in columns])
 
 
-def unit_of(table: Table, name: str, units) -> str:
-    """The unit in a column's name, or the first of `units`."""
-    spelled = unit_in_name(name, {*units, *SPELLINGS})
-    unit = SPELLINGS.get(spelled, spelled)
-    return unit if unit in units else next(iter(units))
-
-
-def summary(table: Table, names, count, units) -> str:
-    columns = ', '.join(f'{wanted}={names[wanted]}' for wanted in sorted(names, key=lambda wanted: wanted != 'time'))
+def summary(table: Table, found: dict[str, Column], count: int, units) -> str:
+    """What was taken for what, for the user. found: by what it was taken for."""
+    columns = ', '.join(f'{wanted}={found[wanted].name}' for wanted in sorted(found, key=lambda name: name != 'time'))
     return f'{table.path}: {count} rows; {columns}; in {", ".join(units)}'

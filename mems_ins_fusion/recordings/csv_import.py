@@ -17,19 +17,18 @@ from mems_ins_fusion.recordings.csv_columns import (
     PRESSURE_COLUMNS,
     SPEED_COLUMNS,
     SPEED_UNITS,
-    SPELLINGS,
+    Column,
     find,
     match,
     summary,
     time_source,
-    unit_of,
     values_of,
 )
 from mems_ins_fusion.recordings.csv_proposal import proposal
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.gps_time import utc_of_week
 from mems_ins_fusion.recordings.nmea import read_nmea
-from mems_ins_fusion.recordings.tables import Table, read_table, read_text, unit_in_name
+from mems_ins_fusion.recordings.tables import TIME_UNITS, Table, read_table, read_text
 from mems_ins_fusion.recordings.units import ACCELERATION, RATE
 from mems_ins_fusion.samples import (
     Fixes,
@@ -43,6 +42,7 @@ from mems_ins_fusion.samples import (
 )
 
 _LONGEST_IMU_INTERVAL = 0.2  # s
+_LONGEST_INTERVAL = 20.0  # s, of all other sensors
 
 #: forward-left-up directions
 DIRECTIONS = {'forward': (1, 0, 0), 'back': (-1, 0, 0), 'left': (0, 1, 0), 'right': (0, -1, 0), 'up': (0, 0, 1),
@@ -74,34 +74,35 @@ def read_imu(path, columns: dict[str, str] | None = None, axes: str = 'forward l
     """Samples turned to forward-left-up, temperatures where there is such a column, and what was taken for what.
 
     columns: those whose names are not usual, by the keys of IMU_COLUMNS, `NAME [unit]` states a unit, `A|B` is the
-    first that is there. Units that are None are taken from brackets in the columns' names, else m/s^2 and rad/s; time's
-    also from its intervals. increments: of velocity and angle since the sample before, instead of rates. rows: (column,
-    value) of those to take. gyro: a file of its own with the angular rates, which are interpolated to the times of the
-    specific force. gravity: a file of its own with the gravity that the specific force lacks, interpolated in the same
-    way. Raises RecordingError; what is missing is named all at once, with the options that would fit.
+    first that is there. Units that are None are those stated, else those in the names of the first columns, else m/s^2
+    and rad/s; time's also from its intervals. increments: of velocity and angle since the sample before, instead of
+    rates. rows: (column, value) of those to take. gyro: a file of its own with the angular rates, which are
+    interpolated to the times of the specific force. gravity: a file of its own with the gravity that the specific force
+    lacks, interpolated in the same way. Raises RecordingError; what is missing is named all at once, with the options
+    that would fit.
     """
     rotation, columns = axes_rotation(axes), columns or {}
-    table = _chosen(read_table(path), rows)
-    sensors = ('ax', 'ay', 'az') if gyro else ('ax', 'ay', 'az', 'wx', 'wy', 'wz')
+    table = _selected_rows(read_table(path), rows)
+    sensors = _AXES['a'] if gyro else (*_AXES['a'], *_AXES['w'])
     # of a file with one sensor alone the axes need no further name
-    names = _require(table, sensors, IMU_COLUMNS, columns, {f'a{axis}': (axis,) for axis in 'xyz'} if gyro else {})
-    stamp, time_unit = _times(table, columns, time_unit, _LONGEST_IMU_INTERVAL, names)
-    acceleration_unit = acceleration_unit or unit_of(table, names['ax'], ACCELERATION)
-    force = values_of(table, names, ('ax', 'ay', 'az')) * ACCELERATION[acceleration_unit]
+    found = _require(table, sensors, IMU_COLUMNS, columns, {f'a{axis}': (axis,) for axis in 'xyz'} if gyro else {})
+    stamp, time_unit = _times(table, columns, time_unit, _LONGEST_IMU_INTERVAL, found)
+    acceleration_unit = acceleration_unit or found['ax'].unit_among(ACCELERATION)
+    force = _vectors(table, found, 'a') * ACCELERATION[acceleration_unit]
     if gravity:
-        pull = _Beside(gravity, 'a', columns, time_unit, acceleration_unit)
-        inside = pull.covers(stamp, path)
-        table, stamp, force = table.select(inside), stamp[inside], force[inside] + pull.at(stamp[inside])
-        names['gravity'] = pull.table.path.name
+        other = _SensorFile(gravity, 'a', columns, time_unit, acceleration_unit)
+        inside = other.covers(stamp, path)
+        table, stamp, force = table.select(inside), stamp[inside], force[inside] + other.at(stamp[inside])
+        found['gravity'] = Column(other.table.path.name)
     if gyro:
-        turning = _Beside(gyro, 'w', columns, time_unit, gyro_unit)
-        inside = turning.covers(stamp, path)
+        other = _SensorFile(gyro, 'w', columns, time_unit, gyro_unit)
+        inside = other.covers(stamp, path)
         table, stamp, force = table.select(inside), stamp[inside], force[inside]
-        rate, gyro_unit = turning.at(stamp), turning.unit
-        names |= {name: f'{turning.table.path.name}: {turning.names[name]}' for name in ('wx', 'wy', 'wz')}
+        rate, gyro_unit = other.at(stamp), other.unit
+        found |= {name: Column(f'{other.table.path.name}: {other.found[name].name}') for name in _AXES['w']}
     else:
-        gyro_unit = gyro_unit or unit_of(table, names['wx'], RATE)
-        rate = values_of(table, names, ('wx', 'wy', 'wz')) * RATE[gyro_unit]
+        gyro_unit = gyro_unit or found['wx'].unit_among(RATE)
+        rate = _vectors(table, found, 'w') * RATE[gyro_unit]
     if increments:
         if len(stamp) < 2:
             raise RecordingError(f'{path}: increments of a single sample are no rates')
@@ -109,25 +110,35 @@ def read_imu(path, columns: dict[str, str] | None = None, axes: str = 'forward l
         force, rate = (np.where(step > 0, v / np.where(step > 0, step, 1.0), np.nan) for v in (force, rate))
     received = np.maximum.accumulate(stamp)
     imu = ImuSamples(stamp, received, force @ rotation.T, rate @ rotation.T)
-    warm = find(table, 'temperature', IMU_COLUMNS, columns)
-    temperature = Temperatures(stamp, received, table.numbers(warm[0])) if warm else None
+    celsius = find(table, 'temperature', IMU_COLUMNS, columns)
+    temperature = Temperatures(stamp, received, table.numbers(celsius.name)) if celsius else None
     units = (time_unit, acceleration_unit, gyro_unit, *(['increments'] if increments else []))
-    return imu, temperature, summary(table, names, len(stamp), units)
+    return imu, temperature, summary(table, found, len(stamp), units)
 
 
-class _Beside:
-    """A sensor of three axes in a file of its own, to be asked at the times of another. sensor: a or w."""
+#: what the columns of the three axes of a sensor are called here: accelerometer, gyroscope, magnetometer
+_AXES = {sensor: tuple(f'{sensor}{axis}' for axis in 'xyz') for sensor in 'awm'}
+
+
+def _vectors(table: Table, found: dict[str, Column], sensor: str) -> np.ndarray:
+    """(n, 3) of the three axes of `sensor`, a key of _AXES."""
+    return values_of(table, [found[axis].name for axis in _AXES[sensor]])
+
+
+class _SensorFile:
+    """One sensor of three axes in a file of its own, interpolated to the times of another. sensor: a or w."""
 
     def __init__(self, path, sensor: str, columns, time_unit, unit):
         self.table = read_table(path)
-        wanted, units = [f'{sensor}{axis}' for axis in 'xyz'], ACCELERATION if sensor == 'a' else RATE
-        self.names = _require(self.table, wanted, IMU_COLUMNS, columns, {f'{sensor}{axis}': (axis,) for axis in 'xyz'})
+        units = ACCELERATION if sensor == 'a' else RATE
+        self.found = _require(self.table, _AXES[sensor], IMU_COLUMNS, columns,
+                              {f'{sensor}{axis}': (axis,) for axis in 'xyz'})
         stamp, _ = _times(self.table, columns, time_unit if time_unit != 'date' else None, _LONGEST_IMU_INTERVAL,
-                          self.names)
-        self.unit = unit or unit_of(self.table, self.names[wanted[0]], units)
+                          self.found)
+        self.unit = unit or self.found[f'{sensor}x'].unit_among(units)
         order = np.argsort(stamp, kind='stable')
         self.stamp = stamp[order]
-        self.values = values_of(self.table, self.names, wanted)[order] * units[self.unit]
+        self.values = _vectors(self.table, self.found, sensor)[order] * units[self.unit]
 
     def covers(self, stamp: np.ndarray, path) -> np.ndarray:
         """(n,) which of the times lie within; RecordingError, naming the file `path` that they are of, where none."""
@@ -155,43 +166,38 @@ def read_gnss(path, columns: dict[str, str] | None = None, time_unit=None, angle
         raise RecordingError(f'the sigma of fixes must be above 0, got {sigma:g}')
     if read_text(path, 'utf-8', 'replace').lstrip()[:1] == '$':
         return _nmea_fixes(path, sigma)
-    table, columns = _chosen(read_table(path), rows), columns or {}
-    names = _require(table, ('latitude', 'longitude'), GNSS_COLUMNS, columns)
-    found = {wanted: find(table, wanted, GNSS_COLUMNS, columns)
-             for wanted in ('height', 'sigma', 'vertical_sigma', 'hdop', 'status')}
-    stamp, time_unit = _times(table, columns, time_unit, 20.0, names)
-    latitude, longitude = (table.numbers(names[name]) for name in ('latitude', 'longitude'))
+    table, columns = _selected_rows(read_table(path), rows), columns or {}
+    found = _require(table, ('latitude', 'longitude'), GNSS_COLUMNS, columns)
+    stamp, time_unit = _times(table, columns, time_unit, _LONGEST_INTERVAL, found)
+    found |= {wanted: column for wanted in ('height', 'sigma', 'vertical_sigma', 'hdop', 'status')
+              if (column := find(table, wanted, GNSS_COLUMNS, columns))}
+    latitude, longitude = (table.numbers(found[name].name) for name in ('latitude', 'longitude'))
     largest = np.nanmax(np.abs(latitude), initial=0.0)
     guess = '1e-7 deg' if 360.0 < largest < 1e10 and (latitude == np.round(latitude))[np.isfinite(latitude)].all() \
         else None
-    angle_unit = angle_unit or guess or unit_of(table, names['latitude'], ANGLE_UNITS)
+    guess = None if found['latitude'].stated else guess
+    angle_unit = angle_unit or guess or found['latitude'].unit_among(ANGLE_UNITS)
     latitude, longitude = latitude * ANGLE_UNITS[angle_unit], longitude * ANGLE_UNITS[angle_unit]
     if np.nanmax(np.abs(latitude), initial=0.0) > np.pi / 2 or np.nanmax(np.abs(longitude), initial=0.0) > 2 * np.pi:
         raise RecordingError(f"{path}: latitudes and longitudes beyond 90 and 360 deg: are they in {angle_unit}?")
-    lengths = {'height': 'mm' if angle_unit == '1e-7 deg' else 'm'}
 
-    def column(wanted):
-        """The column in metres (HDOP: as it is), None where there is none."""
-        if not found[wanted]:
+    def column(wanted, default='m'):
+        """The column in metres, None where there is none. default: its unit where neither it nor the user says."""
+        if wanted not in found:
             return None
-        name, unit = found[wanted]
-        names[wanted] = name
-        unit = unit or unit_of(table, name, {lengths.get(wanted, 'm'): 1.0, **LENGTH_UNITS})
-        return table.numbers(name) * (1.0 if wanted == 'hdop' else LENGTH_UNITS[unit])
+        return table.numbers(found[wanted].name) * LENGTH_UNITS[found[wanted].unit_among(LENGTH_UNITS, default)]
 
-    height = column('height')
+    height = column('height', 'mm' if angle_unit == '1e-7 deg' else 'm')
     height = np.zeros(len(stamp)) if height is None else height
-    horizontal, vertical, hdop = column('sigma'), column('vertical_sigma'), column('hdop')
+    horizontal, vertical = column('sigma'), column('vertical_sigma')
+    hdop = table.numbers(found['hdop'].name) if 'hdop' in found else None
     covariance = _covariance(horizontal, vertical, hdop, sigma, len(stamp))
-    status = np.zeros(len(stamp), np.int8)
-    if found['status']:
-        names['status'] = found['status'][0]
-        status = _statuses(table, names['status'])
+    status = _statuses(table, found['status'].name) if 'status' in found else np.zeros(len(stamp), np.int8)
     present = np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(height)
     kind = 2 if horizontal is not None and vertical is not None else 1  # diagonal known, or approximated
     fixes = Fixes(stamp, np.maximum.accumulate(stamp), latitude, longitude, height, covariance,
                   np.where(present, status, -1).astype(np.int8), np.full(len(stamp), kind, np.uint8))
-    return fixes, summary(table, names, len(stamp), (time_unit, angle_unit))
+    return fixes, summary(table, found, len(stamp), (time_unit, angle_unit))
 
 
 def _nmea_fixes(path, sigma: float) -> tuple[Fixes, str]:
@@ -248,17 +254,15 @@ def read_velocity(path, columns: dict[str, str] | None = None, time_unit=None, *
     """
     if read_text(path, 'utf-8', 'replace').lstrip()[:1] == '$':
         return None
-    table, columns = _chosen(read_table(path), rows), columns or {}
-    there = {wanted: find(table, wanted, GNSS_COLUMNS, columns)
-             for wanted in ('north', 'east', 'down', 'velocity_sigma')}
-    if there['north'] is None or there['east'] is None:
+    table, columns = _selected_rows(read_table(path), rows), columns or {}
+    parts = ('north', 'east', 'down', 'velocity_sigma')
+    found = {wanted: column for wanted in parts if (column := find(table, wanted, GNSS_COLUMNS, columns))}
+    if 'north' not in found or 'east' not in found:
         return None
-    found: dict[str, str] = {}
-    stamp, time_unit = _times(table, columns, time_unit, 20.0, found)
-    found |= {wanted: name for wanted, (name, _) in ((w, f) for w, f in there.items() if f)}
-    unit, nothing = there['north'][1] or unit_of(table, found['north'], SPEED_UNITS), np.full(len(stamp), np.nan)
-    north, east, down, sigma = (SPEED_UNITS[unit] * table.numbers(found[wanted]) if wanted in found else nothing
-                                for wanted in ('north', 'east', 'down', 'velocity_sigma'))
+    stamp, time_unit = _times(table, columns, time_unit, _LONGEST_INTERVAL, found)
+    unit = found['north'].unit_among(SPEED_UNITS)
+    north, east, down, sigma = (SPEED_UNITS[unit] * table.numbers(found[wanted].name) if wanted in found
+                                else np.full(len(stamp), np.nan) for wanted in parts)
     covariance = np.square(sigma)[:, None, None] * np.eye(3)
     return (Velocities(stamp, np.maximum.accumulate(stamp), np.column_stack([north, east, down]), covariance),
             summary(table, found, len(stamp), (time_unit, unit)))
@@ -272,20 +276,22 @@ def read_speed(path, columns: dict[str, str] | None = None, time_unit=None) -> t
     rad/s; without a column `sigma` the variance is NaN. Raises RecordingError.
     """
     table, columns = read_table(path), columns or {}
-    names = _require(table, ('speed',), SPEED_COLUMNS, columns)
-    further = {wanted: name for wanted in ('sigma', 'turn_rate')
-               if (name := table.find(wanted, SPEED_COLUMNS[wanted], columns))}
-    stamp, time_unit = _times(table, columns, time_unit, 20.0, names)
-    unit = unit_of(table, names['speed'], SPEED_UNITS)
-    scale, nothing = SPEED_UNITS[unit], np.full(len(stamp), np.nan)
-    speed, received = scale * table.numbers(names['speed']), np.maximum.accumulate(stamp)
-    variance = np.square(scale * table.numbers(further['sigma'])) if 'sigma' in further else nothing
+    found = _require(table, ('speed',), SPEED_COLUMNS, columns)
+    stamp, time_unit = _times(table, columns, time_unit, _LONGEST_INTERVAL, found)
+    found |= {wanted: column for wanted in ('sigma', 'turn_rate')
+              if (column := find(table, wanted, SPEED_COLUMNS, columns))}
+    unit = found['speed'].unit_among(SPEED_UNITS)
+    speed, received = SPEED_UNITS[unit] * table.numbers(found['speed'].name), np.maximum.accumulate(stamp)
+    variance = unknown = np.full(len(stamp), np.nan)
+    if 'sigma' in found:
+        sigma = found['sigma']
+        variance = np.square(SPEED_UNITS[sigma.unit_among(SPEED_UNITS, unit)] * table.numbers(sigma.name))
     samples: Speeds | Twists = Speeds(stamp, received, speed, variance)
-    if 'turn_rate' in further:
-        turn = RATE[unit_of(table, further['turn_rate'], RATE)] * table.numbers(further['turn_rate'])
+    if 'turn_rate' in found:
+        turn = RATE[found['turn_rate'].unit_among(RATE)] * table.numbers(found['turn_rate'].name)
         samples = Twists(stamp, received, np.column_stack([speed, np.zeros(len(stamp)), -turn]),
-                         np.column_stack([variance, nothing, nothing]))
-    return samples, summary(table, {**names, **further}, len(stamp), (time_unit, unit))
+                         np.column_stack([variance, unknown, unknown]))
+    return samples, summary(table, found, len(stamp), (time_unit, unit))
 
 
 def read_pressure(path, columns: dict[str, str] | None = None, time_unit=None) -> tuple[Pressures, str]:
@@ -295,18 +301,21 @@ def read_pressure(path, columns: dict[str, str] | None = None, time_unit=None) -
     in which they are pressures of the air. Raises RecordingError.
     """
     table, columns = read_table(path), columns or {}
-    names = _require(table, ('pressure',), PRESSURE_COLUMNS, columns)
-    stamp, time_unit = _times(table, columns, time_unit, 20.0, names)
-    nothing = np.full(len(stamp), np.nan)
-    samples = Pressures(stamp, np.maximum.accumulate(stamp), table.numbers(names['pressure']), nothing)
-    spelled = unit_in_name(names['pressure'], {*PRESSURES, *SPELLINGS})
-    factor = pressure_factor(samples)
-    unit = SPELLINGS.get(spelled, spelled) or next((unit for unit, per in PRESSURES.items() if per == factor), '')
-    if unit not in PRESSURES:
-        raise RecordingError(f"{path}: column '{names['pressure']}' is no pressure of the air in "
+    found = _require(table, ('pressure',), PRESSURE_COLUMNS, columns)
+    stamp, time_unit = _times(table, columns, time_unit, _LONGEST_INTERVAL, found)
+    pressure = table.numbers(found['pressure'].name)
+    samples = Pressures(stamp, np.maximum.accumulate(stamp), pressure, np.full(len(stamp), np.nan))
+    unit = found['pressure'].unit_among(PRESSURES, _unit_of_factor(PRESSURES, pressure_factor(samples)))
+    if not unit:
+        raise RecordingError(f"{path}: column '{found['pressure'].name}' is no pressure of the air in "
                              f"{', '.join(PRESSURES)}")
-    pressure = PRESSURES[unit] * samples.pressure
-    return replace(samples, pressure=pressure), summary(table, names, len(stamp), (time_unit, unit))
+    return (replace(samples, pressure=PRESSURES[unit] * pressure),
+            summary(table, found, len(stamp), (time_unit, unit)))
+
+
+def _unit_of_factor(units: dict[str, float], factor: float | None) -> str:
+    """The one of `units` with this factor to SI, '' where there is none."""
+    return next((unit for unit, per in units.items() if per == factor), '')
 
 
 def read_magnetometer(path, columns: dict[str, str] | None = None, axes: str = 'forward left up', time_unit=None
@@ -317,20 +326,18 @@ def read_magnetometer(path, columns: dict[str, str] | None = None, axes: str = '
     in brackets, else in the one in which they are fields of the earth. Raises RecordingError.
     """
     rotation, table, columns = axes_rotation(axes), read_table(path), columns or {}
-    names = _require(table, ('mx', 'my', 'mz'), MAGNETOMETER_COLUMNS, columns, {f'm{axis}': (axis,) for axis in 'xyz'})
-    stamp, time_unit = _times(table, columns, time_unit, 20.0, names)
-    field = values_of(table, names, ('mx', 'my', 'mz')) @ rotation.T
+    found = _require(table, _AXES['m'], MAGNETOMETER_COLUMNS, columns, {f'm{axis}': (axis,) for axis in 'xyz'})
+    stamp, time_unit = _times(table, columns, time_unit, _LONGEST_INTERVAL, found)
+    field = _vectors(table, found, 'm') @ rotation.T
     samples = MagneticFields(stamp, np.maximum.accumulate(stamp), field, np.full(len(stamp), np.nan))
-    factor, spelled = magnetic_factor(samples), {unit.lower(): unit for unit in FIELDS}
-    unit = spelled.get(unit_in_name(names['mx'], spelled)) or next(
-        (unit for unit, per in FIELDS.items() if per == factor), None)
-    if unit is None:
-        raise RecordingError(f"{path}: columns '{names['mx']}' .. are no magnetic field of the earth in "
+    unit = found['mx'].unit_among(FIELDS, _unit_of_factor(FIELDS, magnetic_factor(samples)))
+    if not unit:
+        raise RecordingError(f"{path}: columns '{found['mx'].name}' .. are no magnetic field of the earth in "
                              f"{', '.join(FIELDS)}")
-    return replace(samples, field=FIELDS[unit] * samples.field), summary(table, names, len(stamp), (time_unit, unit))
+    return replace(samples, field=FIELDS[unit] * field), summary(table, found, len(stamp), (time_unit, unit))
 
 
-def _chosen(table: Table, rows: tuple[str, str] | None) -> Table:
+def _selected_rows(table: Table, rows: tuple[str, str] | None) -> Table:
     """The rows of `table` in which a column has a value, by (column, value); all where it has no such column."""
     if rows is None or rows[0] not in table.names:
         return table
@@ -341,8 +348,9 @@ def _chosen(table: Table, rows: tuple[str, str] | None) -> Table:
     return table.select(kept)
 
 
-def _require(table: Table, wanted, known: dict, columns: dict[str, str], alone: dict | None = None) -> dict[str, str]:
-    """Names of the columns for each of `wanted`; RecordingError that names all that are missing, and what would fit.
+def _require(table: Table, wanted, known: dict, columns: dict[str, str], alone: dict | None = None
+             ) -> dict[str, Column]:
+    """The column for each of `wanted`; RecordingError that names all that are missing, and what would fit.
 
     alone: further names that are usual in this file.
     """
@@ -356,32 +364,32 @@ def _require(table: Table, wanted, known: dict, columns: dict[str, str], alone: 
         columns_look = 'columns that look' if len(missing) > 1 else 'column that looks'
         raise RecordingError(f'{table.path} has no {columns_look} like {", ".join(named)}; {table.listing()}'
                              f'{proposal(table, wanted, found, columns)}')
-    return {name: column for name, (column, _) in found.items()}
+    return found
 
 
-def _times(table: Table, columns: dict[str, str], unit, longest: float, names: dict[str, str]):
-    """Stamps (n,) ns, UTC, and their unit; adds to `names` which columns they are from.
+def _times(table: Table, columns: dict[str, str], unit, longest: float, found: dict[str, Column]):
+    """Stamps (n,) ns, UTC, and their unit; adds to `found` which columns they are from.
 
-    RecordingError where there is none.
+    unit: None where it is to be found. longest: s, between two rows. RecordingError where there is no time.
     """
     source = time_source(table, columns)
     if source is None:
         if 'time' in columns:
             raise RecordingError(f"{table.path} has no column '{columns['time']}' for time; {table.listing()}")
         raise RecordingError(f'{table.path} has no column that looks like time; {table.listing()}'
-                             f'{proposal(table, tuple(names), {n: (c, None) for n, c in names.items()}, columns)}')
-    names['time'] = ' '.join(source)
+                             f'{proposal(table, tuple(found), found, columns)}')
+    found['time'] = Column(' '.join(source))
     if len(source) == len(DATE):
         cells = tuple(_date(row) for row in zip(*(table.columns[table.names.index(name)] for name in source)))
         stamp, _ = Table(table.path, ['date'], [cells], table.lines).times('date')
-        nano = table.find('', ('nano',), {})
+        nano = table.find(('nano',))
         return stamp + (0 if nano is None else table.numbers(nano).astype(np.int64)), 'date'
     name = source[-1]
-    stated = match(table, columns['time'])[1] if 'time' in columns else None
+    time = match(table, columns['time']) if 'time' in columns else Column(name)
     # TimeUS, iTOW
     suffix = re.search('(us|ms|ns)$', name, re.IGNORECASE)
     spelled = suffix.group(1).lower() if suffix else 'ms' if name.lower() in ('itow', 'gms') else None
-    stamp, unit = table.times(name, stated or unit or spelled, longest)
+    stamp, unit = table.times(name, time.unit_among(TIME_UNITS) if time.stated else unit or spelled, longest)
     if len(source) == 2:
         return utc_of_week(table.numbers(source[0]), stamp), f'GPS weeks and {unit}'
     return stamp, unit
@@ -394,5 +402,3 @@ def _date(row) -> str:
         return f'{year:04.0f}-{month:02.0f}-{day:02.0f}T{hour:02.0f}:{minute:02.0f}:{second:09.6f}'
     except ValueError:
         return ':'.join(row)
-
-

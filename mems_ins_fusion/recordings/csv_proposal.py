@@ -23,7 +23,7 @@ _FASTEST_RAD = 4.0
 
 def proposal(table: Table, wanted, found, given: dict[str, str]) -> str:
     """The whole line of options that would fit by what the columns hold: time ascends, gravity is in three of them."""
-    columns = {name: f[0] for name, f in found.items() if f}
+    columns = {name: column.name for name, column in found.items() if column}
     time = time_source(table, given) or (_ascending(table),)
     if len(time) == 1:
         columns['time'] = time[0]
@@ -76,7 +76,7 @@ def _holds_increments(table: Table) -> bool:
     if table.names != [str(i) for i in range(1, 8)] or len(table.lines) < 2 or len(_numeric(table)) < 7:
         return False
     step = np.median(np.diff(table.numbers('1')))
-    gained = np.median(np.linalg.norm(values_of(table, dict(zip('xyz', '567')), 'xyz'), axis=1))
+    gained = np.median(np.linalg.norm(values_of(table, '567'), axis=1))
     return bool(step > 0 and abs(np.log(max(gained / step, 1e-9) / STANDARD_GRAVITY)) < _NEAR_GRAVITY)
 
 

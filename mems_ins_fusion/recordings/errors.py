@@ -1,6 +1,8 @@
 """What can be wrong with a recording."""
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 from mems_ins_fusion.errors import InputError
@@ -12,6 +14,16 @@ class RecordingError(InputError):
 
 class RecordingWarning(UserWarning):
     """A recording that can be used, but not all of it, or not without an assumption that is stated."""
+
+
+@contextmanager
+def collected_warnings() -> Iterator[list[str]]:
+    """A list that holds the texts of the RecordingWarnings of the block when the block has ended."""
+    texts: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter('always', RecordingWarning)
+        yield texts
+    texts += [str(w.message) for w in caught if issubclass(w.category, RecordingWarning)]
 
 
 @contextmanager

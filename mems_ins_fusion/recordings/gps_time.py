@@ -5,7 +5,8 @@ from datetime import datetime, timedelta
 
 import numpy as np
 
-SECOND = 10**9
+from mems_ins_fusion.samples import SECOND
+
 EPOCH = 315_964_800  # s: 6 January 1980
 WEEK = 604_800  # s
 #: GPS minus UTC, s, from this date on (IERS Bulletin C)

@@ -15,6 +15,7 @@ import numpy as np
 from mems_ins_fusion.filter.measurements.base import GPS_FIX
 from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.recordings.errors import needs_rosbags
+from mems_ins_fusion.samples import SECOND
 
 IMU = 'sensor_msgs/msg/Imu'
 NAV_SAT_FIX = 'sensor_msgs/msg/NavSatFix'
@@ -127,12 +128,12 @@ def encode(msgtype: str, values: dict, strings: dict[str, str]) -> list[memoryvi
 
 def stamps(array: np.ndarray) -> np.ndarray:
     """Header stamps of decoded messages, (n,) int64 ns."""
-    return array['header.stamp.sec'].astype(np.int64) * 1_000_000_000 + array['header.stamp.nanosec']
+    return array['header.stamp.sec'].astype(np.int64) * SECOND + array['header.stamp.nanosec']
 
 
 def stamp_fields(stamp: np.ndarray) -> dict:
     """The fields of `encode` that carry header stamps, (n,) int64 ns."""
-    return {'header.stamp.sec': stamp // 1_000_000_000, 'header.stamp.nanosec': stamp % 1_000_000_000}
+    return {'header.stamp.sec': stamp // SECOND, 'header.stamp.nanosec': stamp % SECOND}
 
 
 def _layout(msgtype, string_size) -> np.dtype:

@@ -18,17 +18,31 @@ from mems_ins_fusion.samples import Fixes, ImuSamples
 __all__ = ['Steering', 'compare_steering', 'find_standstill', 'plausible', 'positions', 'robust_sigma',
            'scatter_at_rest', 'scatter_of_track', 'sigmas', 'up_axis', 'valid_fixes', 'without_turns']
 
-QUIET = 0.03  # spread of the specific force at rest, as a part of gravity: a running engine stays below
-CREEP = 0.15  # m/s: what counts as rest
-TURNS = 0.03  # rad/s: more than a gyroscope's bias changes in a drive, less than a robot turns on the spot
-SLOWEST_COURSE = 0.2  # m/s: robots drive at 0.4; what a receiver's noise asks for is mostly more
-TIGHTEST_COURSE = 3.0  # m, radius: in tighter bends a robot turns on the spot, and its antenna moves sideways
-_SHORTEST_COURSE = 5.0  # in sigmas of a fix: below, a displacement has no direction
-_SLIP = 0.01  # rad: scatter of the course about the heading that no receiver is to blame for
-_LARGEST_LAG = 2.0  # s
-_STEPS = 4  # of Gauss-Newton
+#: part of gravity, largest spread of the specific force at rest: that of a running engine is smaller
+QUIET = 0.03
+#: m/s, largest speed that counts as rest
+CREEP = 0.15
+#: rad/s, smallest turn rate in motion: more than a gyroscope's bias changes in a drive, less than that of a robot that
+#: turns on the spot
+TURNS = 0.03
+#: m/s, smallest speed with a course: robots drive at 0.4; the noise of the receiver mostly asks for more
+SLOWEST_COURSE = 0.2
+#: m, smallest radius of a bend with a course: in tighter ones a robot turns on the spot, and its antenna moves sideways
+TIGHTEST_COURSE = 3.0
+#: sigmas of a fix, shortest displacement with a direction
+_SHORTEST_COURSE = 5.0
+#: rad, scatter of the course about the heading that does not come from the receiver
+_SLIP = 0.01
+#: s, largest time offset of the fixes that is searched
+_LARGEST_LAG = 2.0
+#: of Gauss-Newton, after the search
+_STEPS = 4
+#: of the course, fewest from which a scale is estimated
 _FEWEST_CHANGES = 12
-_EXPLAINED, _CLEAR = 0.3, 5.0  # part of the variance, and sigmas of the scale, from which on turns tell something
+#: part of the variance of the course that turns must explain to say anything of the gyroscopes
+_EXPLAINED = 0.3
+#: sigmas that the scale must differ from 0 by for that
+_CLEAR = 5.0
 
 
 def robust_sigma(values: np.ndarray) -> float:
@@ -60,13 +74,10 @@ def find_standstill(imu: ImuSamples, fixes: Fixes | None = None) -> np.ndarray:
     runs, which tells it what certainly is motion, and learns from that. `characterization.stationary` looks for hours
     of a sensor that nobody touches, by what is usual in them, and leaves out single knocks.
     """
-    force = imu.specific_force
-    interval = np.median(np.diff(imu.stamp)) * 1e-9 if len(imu) > 1 else 0.0
-    size = max(round(1.0 / interval), 4) if interval > 0 else len(imu)
-    count = len(imu) // size if size else 0
+    size, count = _seconds(imu)
     if not count:
         return np.zeros(len(imu), bool)
-    blocks = force[:count * size].reshape(count, size, 3)
+    blocks = imu.specific_force[:count * size].reshape(count, size, 3)
     with np.errstate(invalid='ignore'):
         mean = blocks.mean(axis=1)
         spread = np.sqrt(np.einsum('nij,nij->nj', blocks, blocks) / size - mean**2).max(axis=1)
@@ -84,9 +95,7 @@ def find_standstill(imu: ImuSamples, fixes: Fixes | None = None) -> np.ndarray:
 def without_turns(still: np.ndarray, imu: ImuSamples) -> np.ndarray:
     """`still` (n,) without the seconds in which the gyroscopes of `imu` (SI units) turn: a robot that turns on the spot
     may be quiet, and its antenna slower than CREEP."""
-    interval = np.median(np.diff(imu.stamp)) * 1e-9 if len(imu) > 1 else 0.0
-    size = max(round(1.0 / interval), 4) if interval > 0 else len(imu)
-    count = len(imu) // size if size else 0
+    size, count = _seconds(imu)
     if not count or not still.any():
         return still
     bias = np.median(imu.angular_rate[still], axis=0)
@@ -95,6 +104,13 @@ def without_turns(still: np.ndarray, imu: ImuSamples) -> np.ndarray:
     still = still.copy()
     still[:count * size] &= ~np.repeat(turns, size)
     return still
+
+
+def _seconds(imu: ImuSamples) -> tuple[int, int]:
+    """How many samples a second has, at least 4, and how many whole seconds there are."""
+    interval = np.median(np.diff(imu.stamp)) * 1e-9 if len(imu) > 1 else 0.0
+    size = max(round(1.0 / interval), 4) if interval > 0 else len(imu)
+    return size, len(imu) // size if size else 0
 
 
 def _stays(stamp: np.ndarray, fixes: Fixes) -> np.ndarray:

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mems_ins_fusion.recordings.errors import RecordingError
-from mems_ins_fusion.recordings.gps_time import SECOND
 from mems_ins_fusion.recordings.tables import read_text
+from mems_ins_fusion.samples import SECOND
 
 _DAY = 86_400 * SECOND
 

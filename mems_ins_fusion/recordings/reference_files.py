@@ -10,11 +10,11 @@ from mems_ins_fusion.navigation.earth import from_local
 from mems_ins_fusion.navigation.frames import yaw_from_enu, yaw_of_quaternion
 from mems_ins_fusion.recordings.csv_columns import GNSS_COLUMNS
 from mems_ins_fusion.recordings.errors import RecordingError
-from mems_ins_fusion.recordings.gps_time import EPOCH, SECOND, WEEK, leap_seconds
+from mems_ins_fusion.recordings.gps_time import EPOCH, WEEK, leap_seconds
 from mems_ins_fusion.recordings.motion import plausible
 from mems_ins_fusion.recordings.nmea import epoch_seconds, read_nmea, time_of_day
 from mems_ins_fusion.recordings.tables import LATEST, Table, read_table, read_text, unit_in_name
-from mems_ins_fusion.samples import Reference
+from mems_ins_fusion.samples import SECOND, Reference
 
 #: columns of a navigation result of KF-GINS: s, deg, m, m/s north-east-down, deg
 KF_GINS_NAVIGATION = ('week', 'seconds', 'latitude', 'longitude', 'height', 'vn', 've', 'vd', 'roll', 'pitch', 'yaw')
@@ -113,22 +113,22 @@ def _read_kf_gins(path) -> Reference:
 
 def _read_csv(path, datum) -> Reference:
     table = read_table(path)
-    stamp, _ = table.times(table.require('time', GNSS_COLUMNS['time'], {}))
-    names = {wanted: table.find(wanted, GNSS_COLUMNS[wanted], {}) for wanted in ('latitude', 'longitude', 'height')}
+    stamp, _ = table.times(table.require('time', GNSS_COLUMNS['time']))
+    names = {wanted: table.find(GNSS_COLUMNS[wanted]) for wanted in ('latitude', 'longitude', 'height')}
     angle = np.pi / 180
     if names['latitude'] and names['longitude']:
         angle = 1.0 if unit_in_name(names['latitude'], ('rad', 'radians')) else angle
         latitude, longitude = table.numbers(names['latitude']) * angle, table.numbers(names['longitude']) * angle
         height = table.numbers(names['height']) if names['height'] else np.zeros(len(stamp))
     else:
-        local = {wanted: table.find(wanted, aliases, {}) for wanted, aliases in _LOCAL.items()}
+        local = {wanted: table.find(aliases) for wanted, aliases in _LOCAL.items()}
         if not local['east'] or not local['north']:
             raise RecordingError(f'{path} has no columns that look like latitude and longitude, or east and north; '
                                  f'{table.listing()}')
         up = table.numbers(local['up']) if local['up'] else np.zeros(len(stamp))
         latitude, longitude, height = _geodetic(table.numbers(local['east']), table.numbers(local['north']), up, datum,
                                                 path)
-    yaw = table.find('yaw', _OPTIONAL['yaw'], {})
+    yaw = table.find(_OPTIONAL['yaw'])
     if yaw:
         yaw = table.numbers(yaw) * (1.0 if unit_in_name(yaw, ('rad', 'radians')) else np.pi / 180)
     return Reference(stamp, latitude, longitude, height, _velocity(table), yaw)
@@ -136,8 +136,8 @@ def _read_csv(path, datum) -> Reference:
 
 def _velocity(table: Table):
     """(n, 3) north, east, down, or None where the table has no horizontal velocity."""
-    north, east, down, up = (table.find(name, _OPTIONAL[name], {}) for name in
-                             ('velocity north', 'velocity east', 'velocity down', 'velocity up'))
+    north, east, down, up = (table.find(_OPTIONAL[name]) for name in (
+        'velocity north', 'velocity east', 'velocity down', 'velocity up'))
     if not north or not east:
         return None
     vertical = table.numbers(down) if down else -table.numbers(up) if up else np.zeros(len(table.lines))
@@ -164,7 +164,7 @@ def _read_rtklib(path) -> Reference:
     stamp = np.array([_rtklib_stamp(path, line, row) for line, row in rows], np.int64)
     if names[0].upper() != 'UTC':
         stamp -= leap_seconds(int(stamp[0])) * SECOND
-    latitude, longitude, height = (table.numbers(table.require(wanted, (wanted,), {}))
+    latitude, longitude, height = (table.numbers(table.require(wanted, (wanted,)))
                                    for wanted in ('latitude', 'longitude', 'height'))
     return Reference(stamp, np.radians(latitude), np.radians(longitude), height, _velocity(table))
 

@@ -14,12 +14,12 @@ from pathlib import Path
 from mems_ins_fusion.recordings.compression import decompress, most_unpacked
 from mems_ins_fusion.recordings.errors import RecordingError, needs_rosbags
 from mems_ins_fusion.recordings.mcap import release
+from mems_ins_fusion.samples import SECOND
 
 MAGIC = b'#ROSBAG V2.0\n'
 _MESSAGE, _BAG, _CHUNK, _CONNECTION = 2, 3, 5, 7
 _BLOCK = 10_000  # messages handed on at once
 _LARGEST_HEADER = 10_000  # bytes
-_SECOND = 10**9
 
 
 class _Broken(Exception):
@@ -141,7 +141,7 @@ class Rosbag1File:
                     connection = struct.unpack('<I', fields[b'conn'])[0]
                     seconds, nanoseconds = struct.unpack('<II', fields[b'time'])
                     if connection in self._connections:
-                        yield connection, seconds * _SECOND + nanoseconds, data[begin:stop], part
+                        yield connection, seconds * SECOND + nanoseconds, data[begin:stop], part
             except (KeyError, struct.error, UnicodeDecodeError, _Broken):
                 self._hurt(begin)
 

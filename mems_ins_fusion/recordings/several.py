@@ -1,7 +1,7 @@
 """Several recordings of one vehicle: on one time axis, and not of two vehicles."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import fields, replace
 
 import numpy as np
@@ -10,25 +10,31 @@ from ..filter.runs.usable import usable_samples
 from ..samples import Recording
 from .errors import RecordingError
 
-#: what is put between two drives on the time axis of all, s: longer than any block of time that goes together
+#: s, gap between two drives on the time axis of all: longer than any block of time that is judged as one
 BETWEEN = 120.0
-#: IMUs of one vehicle have rates that differ by no more than this factor, and gravity no further apart, rad
-SAME_RATE, SAME_UP = 1.25, np.radians(30.0)
+#: largest ratio of the rates of IMUs that can be the same
+SAME_RATE = 1.25
+#: rad, largest angle between the directions of gravity in IMUs that can be mounted in the same way
+SAME_UP = np.radians(30.0)
 
 
 def one_after_another(recordings: Sequence[Recording]) -> list[Recording]:
     """The recordings with names of their own and on one time axis, BETWEEN apart; the first one as it is."""
     placed: list[Recording] = []
     for recording in recordings:
-        names = {other.name for other in placed}
-        free = [recording.name, *(f'{recording.name}_{i}' for i in range(2, len(names) + 2))]
-        recording = replace(recording, name=next(name for name in free if name not in names))
+        recording = replace(recording, name=free_name(recording.name, {other.name for other in placed}))
         if placed:
             end = max(int(samples.stamp.max()) for samples in _samples(placed[-1]))
             begin = min(int(samples.stamp.min()) for samples in _samples(recording))
             recording = later(recording, end - begin + round(BETWEEN * 1e9))
         placed.append(recording)
     return placed
+
+
+def free_name(name: str, taken: Collection[str]) -> str:
+    """`name`, with a number where it is `taken`."""
+    names = [name, *(f'{name}_{i}' for i in range(2, len(taken) + 2))]
+    return next(n for n in names if n not in taken)
 
 
 def _samples(recording: Recording) -> list:
@@ -41,7 +47,7 @@ def later(recording: Recording, shift: int) -> Recording:
     moved = {}
     for name, samples in recording.streams().items():
         stamps = {f.name: getattr(samples, f.name) + shift for f in fields(samples)
-                  if f.name in ('stamp', 'received')}
+                  if f.name in ('stamp', 'received', 'later')}
         moved[name] = replace(samples, **stamps)
     return recording.having(moved)
 

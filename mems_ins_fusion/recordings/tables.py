@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from mems_ins_fusion.recordings.errors import RecordingError
+from mems_ins_fusion.samples import SECOND
 
 #: nanoseconds in a unit of time
-TIME_UNITS = {'s': 10**9, 'ms': 10**6, 'us': 10**3, 'ns': 1}
+TIME_UNITS = {'s': SECOND, 'ms': 10**6, 'us': 10**3, 'ns': 1}
 _UNIT = re.compile(r'[\[(]\s*(.*?)\s*[\])]|_(s|ms|us|ns|m|deg|rad|g|mg|dps|rad_s|deg_s|radps|degps|m_s2|mps2|mps|m_s)$',
                    re.IGNORECASE)
 #: ns: ROS stamps end in 2038
-LATEST = 2**31 * 10**9
+LATEST = 2**31 * SECOND
 _DATE = re.compile(r'\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d*)?)?\s*[Zz]?\s*')
 #: in any unit: times in ns end here (int64), and no sensor says more; such a number is damage
 LARGEST = 9e18
@@ -105,22 +106,17 @@ class Table:
                                  f'{unit}, are not between 1970 and 2038; state their unit')
         return np.array(stamp, np.int64)
 
-    def find(self, wanted: str, aliases, given: dict[str, str]) -> str | None:
-        """Name of the column for `wanted`: the one `given` for it, else the first of `aliases` that is there.
+    def find(self, aliases) -> str | None:
+        """Name of the column that has the first of the names `aliases` that is there.
 
-        Names are compared without case, units in brackets, and punctuation. RecordingError where the one given is not
-        there.
+        Names are compared without case, units in brackets, and punctuation.
         """
-        if wanted in given:
-            if given[wanted] not in self.names:
-                raise RecordingError(f"{self.path} has no column '{given[wanted]}' for {wanted}; {self.listing()}")
-            return given[wanted]
         there = {plain(name): name for name in reversed(self.names)}
         return next((there[alias] for alias in aliases if alias in there), None)
 
-    def require(self, wanted: str, aliases, given: dict[str, str]) -> str:
-        """As `find`; RecordingError where there is none."""
-        name = self.find(wanted, aliases, given)
+    def require(self, wanted: str, aliases) -> str:
+        """As `find`; RecordingError where no column is for `wanted`."""
+        name = self.find(aliases)
         if name is None:
             raise RecordingError(f'{self.path} has no column that looks like {wanted}; {self.listing()}')
         return name

@@ -10,6 +10,7 @@ import numpy as np
 
 from mems_ins_fusion.filter.measurements.registry import AIDING, MEASUREMENTS
 from mems_ins_fusion.filter.memory import Kind
+from mems_ins_fusion.guard import one_line
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.navigation.frames import FLU_TO_FRD, ned_from_enu
 from mems_ins_fusion.recordings import messages
@@ -47,11 +48,10 @@ class OdometrySamples:
     twist_covariance: np.ndarray | None = None
 
 
-def odometry_from_reference(reference: Reference, datum, roll=0.0, pitch=0.0, received=None) -> OdometrySamples:
+def odometry_from_reference(reference: Reference, datum, roll=0.0, pitch=0.0) -> OdometrySamples:
     """A reference with velocity and yaw as odometry at `datum` (latitude, longitude in rad, height in m).
 
-    roll, pitch: (n,) rad of the body forward-right-down, zero where not known. received: (n,) int64 ns, the stamps
-    where not given. The angular rate is left at zero.
+    roll, pitch: (n,) rad of the body forward-right-down, zero where not known. The angular rate is left at zero.
     """
     from scipy.spatial.transform import Rotation
     north, east, down = to_local(reference.latitude, reference.longitude, reference.height,
@@ -61,7 +61,7 @@ def odometry_from_reference(reference: Reference, datum, roll=0.0, pitch=0.0, re
     turn_axes = Rotation.from_matrix(ned_from_enu(np.eye(3)))
     flip = Rotation.from_matrix(FLU_TO_FRD)
     return OdometrySamples(
-        stamp=reference.stamp, received=reference.stamp if received is None else received,
+        stamp=reference.stamp, received=reference.stamp,
         position=np.column_stack([east, north, -down]), orientation=(turn_axes * to_ned * flip).as_quat(),
         velocity=(to_ned * flip).inv().apply(reference.velocity), angular_rate=np.zeros((len(reference), 3)))
 
@@ -80,29 +80,27 @@ def write_recording(recording: Recording, path, storage='mcap', *, imu_topic='/i
     The folder has its name only when it is complete. Raises ValueError (ResultError) where `path` is taken and
     `overwrite` is false, RecordingError where rosbags is absent or the storage unknown.
     """
-    topics = []
+    in_imu, in_antenna = {'header.frame_id': imu_frame}, {'header.frame_id': gnss_frame}
+    streams, found = [], recording.streams()
     if recording.imu is not None:
-        topics.append((imu_topic, messages.IMU, recording.imu, _imu_fields, {'header.frame_id': imu_frame}))
-    for topic, samples in ((gnss_topic, recording.gnss), (reference_topic, recording.reference)):
-        if samples is not None:
-            fields = _fix_fields if isinstance(samples, Fixes) else _reference_fields
-            topics.append((topic, messages.NAV_SAT_FIX, samples, fields, {'header.frame_id': gnss_frame}))
+        streams.append(_Stream(imu_topic, messages.IMU, recording.imu, _imu_fields, in_imu))
+    if recording.gnss is not None:
+        fix_fields = MEASUREMENTS[Kind.POSITION].written
+        streams.append(_Stream(gnss_topic, messages.NAV_SAT_FIX, recording.gnss, fix_fields, in_antenna))
+    if recording.reference is not None:
+        streams.append(_Stream(reference_topic, messages.NAV_SAT_FIX, recording.reference, _reference_fields,
+                               in_antenna))
     if recording.temperature is not None:
-        topics.append((temperature_topic, messages.TEMPERATURE, recording.temperature, _temperature_fields,
-                       {'header.frame_id': imu_frame}))
-    streams = recording.streams()
-    for measurement in inputs:
-        if measurement.name in streams:
-            topic = aiding_topics.get(measurement.topic, measurement.written_to)
-            topics.append((topic, next(iter(measurement.messages)),
-                           streams[measurement.name], measurement.written,
-                           {'header.frame_id': gnss_frame if measurement.of_antenna else base_frame,
-                            'child_frame_id': base_frame}))
+        streams.append(_Stream(temperature_topic, messages.TEMPERATURE, recording.temperature,
+                               lambda samples: {'temperature': samples.celsius}, in_imu))
+    for measurement in (m for m in inputs if m.name in found):
+        frames = {'header.frame_id': gnss_frame if measurement.of_antenna else base_frame, 'child_frame_id': base_frame}
+        streams.append(_Stream(aiding_topics.get(measurement.topic, measurement.written_to),
+                               next(iter(measurement.messages)), found[measurement.name], measurement.written, frames))
     for topic, samples in (odometry or {}).items():
-        topics.append((topic, messages.ODOMETRY, samples, _odometry_fields,
-                       {'header.frame_id': odometry_frame, 'child_frame_id': base_frame}))
-    _write(Path(path), storage, [_Stream(topic, kind, samples, fields, strings)
-                                 for topic, kind, samples, fields, strings in topics], overwrite)
+        streams.append(_Stream(topic, messages.ODOMETRY, samples, _odometry_fields,
+                               {'header.frame_id': odometry_frame, 'child_frame_id': base_frame}))
+    _write(Path(path), storage, streams, overwrite)
 
 
 @dataclass(frozen=True)
@@ -142,17 +140,9 @@ def _imu_fields(imu: ImuSamples) -> dict:
     return {**fields, 'orientation': imu.orientation, 'orientation_covariance': covariance}
 
 
-def _fix_fields(fixes: Fixes) -> dict:
-    return MEASUREMENTS[Kind.POSITION].written(fixes)
-
-
 def _reference_fields(reference: Reference) -> dict:
     return {'latitude': np.degrees(reference.latitude), 'longitude': np.degrees(reference.longitude),
             'altitude': reference.height, 'status.service': 1}
-
-
-def _temperature_fields(temperatures: Temperatures) -> dict:
-    return {'temperature': temperatures.celsius}
 
 
 def _odometry_fields(odometry: OdometrySamples) -> dict:
@@ -193,4 +183,4 @@ def _write(path: Path, storage: str, streams: list[_Stream], overwrite: bool) ->
                 file.rename(folder / file.name)
             inner.rmdir()
     except (sqlite3.Error, WriterError) as error:
-        raise ResultError(f'cannot write {path}: {" ".join(str(error).split())}') from None
+        raise ResultError(f'cannot write {path}: {one_line(error)}') from None

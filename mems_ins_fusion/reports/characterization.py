@@ -5,12 +5,14 @@ import math
 
 from mems_ins_fusion.characterization import data_sheet
 from mems_ins_fusion.characterization.autoregressive import METHODS, time_constant
-from mems_ins_fusion.characterization.characterize import SENSORS, STANDARD_GRAVITY, Characterization
+from mems_ins_fusion.characterization.characterize import SENSORS, Characterization
 from mems_ins_fusion.characterization.parameter_file import parameters, parameters_yaml
+from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.reports import html
 from mems_ins_fusion.reports.answer import Answer
 from mems_ins_fusion.reports.characterization_answer import LEAST_GRAVITY, MOST_GRAVITY
 from mems_ins_fusion.reports.colours import MODEL_NAMES
+from mems_ins_fusion.results import plain
 
 
 def report(c: Characterization, answered: Answer) -> dict:
@@ -19,16 +21,16 @@ def report(c: Characterization, answered: Answer) -> dict:
         'answer': answered.json(),
         'recording': c.name, 'rate_hz': c.grid.rate, 'duration_at_rest_s': c.duration,
         'missing_samples': c.grid.missing, 'rejected_stamps': c.grid.rejected,
-        'interval_jitter_s': _plain(c.grid.jitter), 'parts_s': [[a / c.grid.rate, b / c.grid.rate]
+        'interval_jitter_s': plain(c.grid.jitter), 'parts_s': [[a / c.grid.rate, b / c.grid.rate]
                                                                 for a, b in c.rest.parts],
         'cuts': [{'start_s': cut.start, 'stop_s': cut.stop, 'reason': cut.reason} for cut in c.rest.cuts],
         'level_shifts': [{'time_s': t, 'axis': c.axes[k].name, 'size': size} for t, k, size in c.rest.shifts],
         'gravity_mps2': c.gravity, 'model': c.model, 'interval_s': c.interval, 'order': c.order,
-        'parameters': _plain(parameters(c)), 'axes': [_axis(a) for a in c.axes]}
+        'parameters': plain(parameters(c)), 'axes': [_axis(a) for a in c.axes]}
 
 
 def _axis(a) -> dict:
-    return _plain({
+    return plain({
         'name': a.name, 'unit': a.unit, 'mean': _estimate(a.mean), 'slow_error_significant': a.significant,
         'temperature_slope': a.temperature and _estimate(a.temperature),
         'allan': {**vars(a.allan_parameters), 'tau_s': a.allan.tau, 'deviation': a.allan.deviation,
@@ -59,17 +61,6 @@ def _estimate(e) -> dict:
     return {'value': e.value, 'lower': e.lower, 'upper': e.upper}
 
 
-def _plain(value):
-    """`value` as JSON knows it: arrays and tuples as lists, what is not finite as null."""
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if hasattr(value, 'tolist'):
-        value = value.tolist()
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def report_html(c: Characterization, answered: Answer, images: dict[str, html.Html]) -> str:
     """report.html: the answer and one picture, then the evidence, folded away. images: by name, as
     `characterization_figures.figures` names them."""
@@ -92,7 +83,8 @@ def report_html(c: Characterization, answered: Answer, images: dict[str, html.Ht
 
 
 def _result(c):
-    rows = [(a.name, _words(a.recommendation.model), a.recommendation.decided, a.recommendation.text) for a in c.axes]
+    recommended = [(a.name, a.recommendation) for a in c.axes]
+    rows = [(name, MODEL_NAMES[r.model], r.decided, r.text) for name, r in recommended]
     return [html.table(('axis', 'model', 'decided by the data', 'why'), rows), *_data_sheet(c)]
 
 
@@ -200,7 +192,8 @@ def _allan(c):
 
 
 def _autocorrelation(c):
-    rows = [(a.name, *_three(a.autocorrelation.sigma), *_three(a.autocorrelation.tau)) for a in c.axes]
+    rows = [(a.name, *(v for e in (a.autocorrelation.sigma, a.autocorrelation.tau) for v in _estimate(e).values()))
+            for a in c.axes]
     return [html.table(('axis', 'sigma', 'lower', 'upper', 'tau, s', 'lower', 'upper'), rows),
             'The classical way, for comparison: maximum likelihood below uses the same data far better.']
 
@@ -211,7 +204,7 @@ def _models(c):
         for name, fit in a.fits.items():
             for key, e in fit.estimates.items():
                 unit = {'tau': 's'}.get(key, '' if key.startswith('a_') else a.unit + e.unit)
-                rows.append((a.name, _words(name), key, e.value, e.lower, e.upper, unit))
+                rows.append((a.name, MODEL_NAMES[name], key, e.value, e.lower, e.upper, unit))
     return [f'Maximum likelihood of white noise and each model together, at averaging intervals of '
             f'{" and ".join(f"{c.interval[s]:.4g} s ({s})" for s in SENSORS)}.',
             html.table(('axis', 'model', 'parameter', 'value', 'lower', 'upper', 'unit'), rows, digits=5)]
@@ -260,17 +253,10 @@ def _selection(c):
     for a in c.axes:
         for name, p in a.predictions.items():
             farthest = (p.horizon_rmse[-1], p.horizons[-1]) if len(p.horizons) else (None, None)
-            rows.append((a.name, _words(name), p.score, p.one_step_rmse, *farthest, p.whiteness_p, a.fits[name].bic))
+            rows.append((a.name, MODEL_NAMES[name], p.score, p.one_step_rmse, *farthest, p.whiteness_p,
+                         a.fits[name].bic))
     return ['Fitted to the first 60 % of the recording, judged on the rest. A model counts as better when its score '
             'exceeds the other by two standard errors over 20 blocks of time and by more than one nat; else the '
             'simplest is recommended, and the table of results says that the data do not decide.',
             html.table(('axis', 'model', 'score, nats per interval', 'one-step RMSE, unit',
                         'RMSE of the mean ahead, unit', 'over, s', 'Ljung-Box p', 'BIC (all data)'), rows, digits=6)]
-
-
-def _three(e):
-    return e.value, e.lower, e.upper
-
-
-def _words(name):
-    return MODEL_NAMES[name]

@@ -10,13 +10,15 @@ from .answer import GOOD, WARNING, Answer, Step, checked_text
 from .colours import MODEL_NAMES
 from .html import number
 
-#: gravity on the earth's surface, m/s^2
-LEAST_GRAVITY, MOST_GRAVITY = 9.76, 9.84
-#: a recording of fewer correlation times than this tells sigma and tau of Gauss-Markov poorly
+#: m/s^2, smallest gravity on the surface of the earth (high mountains at the equator)
+LEAST_GRAVITY = 9.76
+#: m/s^2, largest gravity there (the poles)
+MOST_GRAVITY = 9.84
+#: correlation times: a recording of fewer tells sigma and tau of Gauss-Markov poorly
 FEWEST_TIMES = 20
-#: speed at which an error of the heading is turned into metres, m/s
+#: m/s, speed at which an error of the heading is turned into metres
 SPEED = 15.0
-#: parts of the recording cut out that are worth a word
+#: part of the recording: that more was cut out is said
 DISTURBED = 0.05
 
 

@@ -7,6 +7,7 @@ from mems_ins_fusion.characterization.autocorrelation import autocorrelation
 from mems_ins_fusion.characterization.characterize import SENSORS, Characterization
 from mems_ins_fusion.characterization.selection import TRAINING
 from mems_ins_fusion.reports.colours import DASHES, MODEL_NAMES, MODELS, WIDTHS
+from mems_ins_fusion.reports.html import empty_figure
 from mems_ins_fusion.sensor_errors.models import Autoregressive, RandomWalk
 
 _UNIT = {'accelerometer': 'm/s²', 'gyroscope': 'rad/s'}
@@ -43,15 +44,13 @@ def figures(c: Characterization) -> dict[str, tuple]:
     return {name: (figure, CAPTIONS[name]) for name, figure in drawn.items()}
 
 
-def _grid(width=11.0, height=5.6, rows=2, columns=3, sharex=True):
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout='constrained')
+def _grid(height=5.6, rows=2, columns=3, sharex=True):
+    figure = empty_figure(11.0, height)
     return figure, figure.subplots(rows, columns, sharex=sharex, squeeze=False)
 
 
-def _panels(c, height=5.6, sharex=True):
-    figure, panels = _grid(height=height, sharex=sharex)
+def _panels(c, sharex=True):
+    figure, panels = _grid(sharex=sharex)
     for axis, panel in zip(c.axes, panels.flat):
         panel.set_title(axis.name, fontsize=10)
         panel.grid(alpha=0.3)
@@ -156,7 +155,7 @@ def _autocorrelation(c):
 
 
 def _orders(c):
-    figure, panels = _grid(height=5.6, rows=2, columns=6)
+    figure, panels = _grid(columns=6)
     for axis, (top, bottom) in zip(c.axes, panels.T):
         curve, unit = axis.order_curve, _UNIT[axis.name.split()[0]]
         scale = 1e3

@@ -1,7 +1,6 @@
 """A recording at rest in, a folder of results out: everything `characterize` does but the command line."""
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from ..characterization.stationary import Grid, to_grid
 from ..errors import InputError
 from ..filter.runs.usable import usable_samples
 from ..recordings.checker import check_recording
-from ..recordings.errors import RecordingWarning
+from ..recordings.errors import collected_warnings
 from ..recordings.findings import Finding
 from ..recordings.reading import Memory, read_recording
 from ..recordings.units import in_si
@@ -48,8 +47,7 @@ def read_at_rest(path, values: dict, progress: Callable[[float], None] = lambda 
         if not path.is_file():
             raise InputError(f'{path} is not a file')
         return AtRest(path.stem, read_npz(path), None, None, [], [])
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter('always', RecordingWarning)
+    with collected_warnings() as said:
         recording = read_recording(path, values['imu_topic'], temperature_topic=values['temperature_topic'] or None,
                                    progress=progress, memory=Memory(values['memory_limit'], *_MEMORY))
     imu = in_si(recording.imu, values['imu.acceleration_unit'], values['imu.rate_unit'])
@@ -59,7 +57,7 @@ def read_at_rest(path, values: dict, progress: Callable[[float], None] = lambda 
     if temperature is not None:
         temperature = (temperature.stamp - seen.stamp[0]) * 1e-9, temperature.celsius
     return AtRest(recording.name, grid, temperature, int(seen.stamp[0]), check_recording(replace(recording, imu=imu)),
-                  [str(w.message) for w in caught if issubclass(w.category, RecordingWarning)])
+                  said)
 
 
 def write_characterization(result: Characterization, given: AtRest, values: dict, folder: Path, known_as: str,

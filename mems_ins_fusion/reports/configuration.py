@@ -133,13 +133,11 @@ def _list(angles) -> str:
 
 
 def _force_figure(found):
-    from matplotlib.figure import Figure
-
     drive = found.spans
     some = slice(None, None, max(len(drive.time) // _POINTS, 1))
     moving = np.abs(drive.speed[some]) > 0.5
     force = (drive.force[some] - found.bias) @ found.rotation.T
-    drawing = Figure(figsize=(9, 7), layout='constrained')
+    drawing = html.empty_figure(9, 7)
     panels = drawing.subplots(2, 2, sharex='col', sharey='row')
     causes = (('change of speed, m/s^2', drive.acceleration[some]),
               ('speed times turn rate (left), m/s^2', -drive.centripetal[some]))

@@ -1,4 +1,4 @@
-"""Figures of a diagnosis. Matplotlib is imported only here, and only when a figure is drawn."""
+"""Figures of a diagnosis."""
 from __future__ import annotations
 
 import numpy as np
@@ -9,6 +9,7 @@ from ..diagnosis.measured import Measured
 from ..diagnosis.tracing import SIGNIFICANCE
 from ..evaluation.outages import Outages
 from .colours import AFTER, BEFORE, FITTED
+from .html import empty_figure
 from .layers import diagnosis_layers
 
 COLOURS = {'before': BEFORE, 'fitted': FITTED, 'after': AFTER}
@@ -17,12 +18,6 @@ STAGES = {'before': 'as configured', 'fitted': 'other noise levels alone', 'afte
 SHOWN_LAGS, WIDEST = 3 * LAGS, 5.0
 #: candidates of a round in a figure, those with the largest gains: all are in the table beside it
 MOST_SHOWN = 8
-
-
-def _figure(width: float, height: float):
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout='constrained')
 
 
 def autocorrelation(values: np.ndarray, lags: int) -> np.ndarray:
@@ -37,7 +32,7 @@ def residual(diagnosis: Diagnosis, stage: str):
     mask = problem.mask & np.isfinite(diagnosis.residuals[stage].z[:, 0])
     series = diagnosis.residuals[stage].along_across()[mask].T
     minutes = (problem.stamp[mask] - problem.stamp[0]) * 1e-9 / 60
-    figure = _figure(11, 5)
+    figure = empty_figure(11, 5)
     axes = figure.subplots(2, 3, width_ratios=(2.4, 1.2, 1), sharex='col')
     for (time, acf, histogram), name, values in zip(axes, COMPONENTS[2:], series):
         time.axhspan(-2.58, 2.58, color='0.92', label='99 % of a right model')
@@ -80,7 +75,7 @@ def evidence(diagnosis: Diagnosis):
     if not diagnosis.rounds:
         return None
     shown = [sorted(candidates, key=lambda c: c.gain)[-MOST_SHOWN:] for candidates in diagnosis.rounds]
-    figure = _figure(8, 0.5 + sum(0.6 + 0.2 * len(ranked) for ranked in shown))
+    figure = empty_figure(8, 0.5 + sum(0.6 + 0.2 * len(ranked) for ranked in shown))
     for i, (axes, ranked) in enumerate(zip(np.atleast_1d(figure.subplots(
             len(shown), 1, height_ratios=[3 + len(ranked) for ranked in shown])), shown)):
         chosen = diagnosis.chosen[i:i + 1]
@@ -95,7 +90,7 @@ def evidence(diagnosis: Diagnosis):
 
 def errors(diagnosis: Diagnosis):
     """Horizontal error before and after: against time with the fixes used, and since the last fix in outages."""
-    figure = _figure(11, 4)
+    figure = empty_figure(11, 4)
     time, outage = figure.subplots(1, 2, width_ratios=(1.6, 1))
     origin, stages = diagnosis.problem.stamp[0], measured_stages(diagnosis)
     longest = _same({stage: _longest(measured) for stage, measured in stages.items()})
@@ -141,7 +136,7 @@ def _growth(axes, longest: Outages | None, stage: str) -> None:
 
 def track(diagnosis: Diagnosis):
     """The drive from above: truth, before and after, with all fixes and in outages."""
-    figure = _figure(9, 7)
+    figure = empty_figure(9, 7)
     axes = figure.add_subplot()
     for layer in diagnosis_layers(diagnosis):
         if layer.points:

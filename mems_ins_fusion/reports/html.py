@@ -22,12 +22,14 @@ class Html(str):
     """Text that is HTML already. A plain str given in its place is escaped."""
 
 
-#: width of a phone's screen on which 10 points are as large as on paper
+#: inches, width of a phone's screen on which 10 points are as large as on paper
 PHONE = 4.2
-#: height of a panel there, inches
+#: inches, height of a panel there
 PANEL = 1.9
-#: width of a letter, of its height, on average; height of those of a legend below all axes, points
-LETTER, _LEGEND = 0.55, 8
+#: width of a letter as a part of its height, on average
+LETTER = 0.55
+#: points, height of the letters of a legend below all axes
+_LEGEND = 8
 _STYLE = (Path(__file__).parent / 'page.css').read_text(encoding='ascii')
 
 
@@ -103,29 +105,35 @@ def table(columns, rows, caption: str = '', digits: int = 3) -> Html:
     return Html(f'<table{pairs}>{title}\n<thead><tr>{heading}</tr></thead>\n<tbody>\n{body}\n</tbody></table>')
 
 
-def figure(drawing, caption: str = '', image: str = 'png', dpi: int = 120, narrow: bytes = b'') -> Html:
-    """A Matplotlib figure or the bytes of an image, embedded.
+def empty_figure(width: float, height: float):
+    """A Matplotlib figure without a window, inches. Matplotlib is imported only where a figure is drawn."""
+    from matplotlib.figure import Figure
 
-    image: 'png', or 'svg' for a drawing of few points. narrow: the PNG for phones (`narrow_bytes`), where `drawing` is
-    bytes. The caption is the image's text alternative too.
+    return Figure(figsize=(width, height), layout='constrained')
+
+
+def figure(drawing, caption: str = '', narrow: bytes = b'') -> Html:
+    """A Matplotlib figure, or the bytes of a PNG, embedded.
+
+    narrow: the PNG for phones (`narrow_bytes`), where `drawing` is bytes. The caption is the image's text alternative
+    too.
     """
-    mime = {'png': 'image/png', 'svg': 'image/svg+xml'}[image]
-    data = drawing if isinstance(drawing, bytes) else image_bytes(drawing, image, dpi)
-    encoded = base64.b64encode(data).decode('ascii')
+    data = drawing if isinstance(drawing, bytes) else image_bytes(drawing)
     label = f'<figcaption>{_text(caption)}</figcaption>' if caption else ''
     small = narrow if narrow or isinstance(drawing, bytes) else narrow_bytes(drawing)
-    phone = (f'<source media="(max-width: 40rem)" srcset="data:image/png;base64,'
-             f'{base64.b64encode(small).decode("ascii")}">') if small else ''
-    return Html(f'<figure><picture>{phone}<img src="data:{mime};base64,{encoded}" alt="{_text(caption)}"></picture>'
-                f'{label}</figure>')
+    phone = f'<source media="(max-width: 40rem)" srcset="{_png_url(small)}">' if small else ''
+    image = f'<img src="{_png_url(data)}" alt="{_text(caption)}">'
+    return Html(f'<figure><picture>{phone}{image}</picture>{label}</figure>')
 
 
-def image_bytes(drawing, image: str = 'png', dpi: int = 120) -> bytes:
-    """A Matplotlib figure as PNG or SVG, the same bytes for the same figure."""
+def _png_url(data: bytes) -> str:
+    return f'data:image/png;base64,{base64.b64encode(data).decode("ascii")}'
+
+
+def image_bytes(drawing, dpi: int = 120) -> bytes:
+    """A Matplotlib figure as PNG, the same bytes for the same figure."""
     buffer = io.BytesIO()
-    metadata = {'png': {'Software': None}, 'svg': {'Date': None}}[image]
-    crop = None if drawing.get_layout_engine() else 'tight'  # which draws twice
-    drawing.savefig(buffer, format=image, dpi=dpi, bbox_inches=crop, metadata=metadata)
+    drawing.savefig(buffer, format='png', dpi=dpi, metadata={'Software': None})
     return buffer.getvalue()
 
 

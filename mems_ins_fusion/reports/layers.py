@@ -72,12 +72,12 @@ def replay_layers(comparison: Comparison, best: str, names: dict[str, str]) -> l
     for model, result in runs.items():
         north, east = ground.antenna(result.run, comparison.truth.lever_arm)
         layers.append(Layer(f'{names[model]}, fixes each {interval:g} s', colours.MODELS[model],
-                            _seconds(result.run.stamp, origin), east, north, _read(result.run, result.errors),
+                            seconds(result.run.stamp, origin), east, north, _read(result.run, result.errors),
                             colours.WIDTHS[model] + 0.5, dash=() if model != 'autoregressive' else (6, 4)))
     for result in comparison.smoothed:
         north, east = ground.antenna(result.run, comparison.truth.lever_arm)
         layers.append(Layer(f'{names[result.model]}, smoothed', colours.SMOOTHED,
-                            _seconds(result.run.stamp, origin), east, north, _read(result.run, result.errors), 1.5,
+                            seconds(result.run.stamp, origin), east, north, _read(result.run, result.errors), 1.5,
                             shown=result.model == best))
     longest = max((r.outages.duration for r in comparison.outages if len(r.outages.begin)), default=None)
     for result in comparison.outages:
@@ -99,7 +99,7 @@ def diagnosis_layers(diagnosis: Diagnosis) -> list[Layer]:
     fixes = problem.full.gnss
     if d.recording.reference is not None:
         north, east = ground(fixes)
-        layers.append(Layer('fixes', colours.FIX, _seconds(fixes.stamp, origin), east, north, {}, points=2.0,
+        layers.append(Layer('fixes', colours.FIX, seconds(fixes.stamp, origin), east, north, {}, points=2.0,
                             shown=False))
     stages = [('before', 'as configured', d.before, colours.BEFORE)]
     if d.changed:
@@ -110,7 +110,7 @@ def diagnosis_layers(diagnosis: Diagnosis) -> list[Layer]:
         nis = (d.residuals[stage].whitened()**2).sum(axis=1)
         values = {'error': errors.horizontal, 'sigma': errors.sigma,
                   'nis': _latest(problem.stamp, nis, errors.stamp), 'speed': _speed(ground, errors.stamp)}
-        layers.append(Layer(f'{name}, all fixes', colour, _seconds(errors.stamp, origin), east, north, values,
+        layers.append(Layer(f'{name}, all fixes', colour, seconds(errors.stamp, origin), east, north, values,
                             3.0 if stage == 'before' else 1.8))
     for _, name, measured, colour in stages:
         longest = _longest(measured)
@@ -125,7 +125,7 @@ def _longest(measured: Measured):
 
 
 def _truth(ground: Ground, origin: int, source: str) -> Layer:
-    return Layer(f'truth ({source})', colours.TRUTH, _seconds(ground.stamp, origin), ground.east, ground.north, {}, 6.0)
+    return Layer(f'truth ({source})', colours.TRUTH, seconds(ground.stamp, origin), ground.east, ground.north, {}, 6.0)
 
 
 def _fixes(ground: Ground, comparison: Comparison, run: Run, origin: int) -> list[Layer]:
@@ -139,7 +139,7 @@ def _fixes(ground: Ground, comparison: Comparison, run: Run, origin: int) -> lis
     kinds = (('fixes used', used, colours.FIX, True, False), ('fixes refused', given & ~used, colours.REFUSED, True,
                                                               True),
              ('fixes withheld', ~given & ~used, colours.WITHHELD, False, True))
-    return [Layer(f'{name} ({int(which.sum())})', colour, _seconds(stamp[which], origin), east[which], north[which],
+    return [Layer(f'{name} ({int(which.sum())})', colour, seconds(stamp[which], origin), east[which], north[which],
                   {}, points=2.5, shown=shown, hollow=hollow) for name, which, colour, shown, hollow in kinds
             if which.any()]
 
@@ -157,7 +157,7 @@ def _outages(ground: Ground, errors: list[Errors], origin: int, colour: str, nam
               'speed': _speed(ground, stamp)}
     ends = np.column_stack([east[last], north[last], east[last] - joined['east'][last],
                             north[last] - joined['north'][last]])
-    return Layer(name, colour, _seconds(stamp, origin), east, north, values, 2.0, shown, last - count + 1, ends,
+    return Layer(name, colour, seconds(stamp, origin), east, north, values, 2.0, shown, last - count + 1, ends,
                  dash=dash)
 
 
@@ -184,5 +184,6 @@ def _speed(ground: Ground, wanted: np.ndarray) -> np.ndarray:
     return np.hypot(*moved)
 
 
-def _seconds(stamp: np.ndarray, origin: int) -> np.ndarray:
+def seconds(stamp: np.ndarray, origin: int) -> np.ndarray:
+    """s since `origin` of stamps (n,), both ns."""
     return (stamp - origin) * 1e-9

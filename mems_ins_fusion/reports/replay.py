@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import math
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -25,17 +24,18 @@ from ..parameters.parameter import ParameterError
 from ..parameters.params_file import yaml_value
 from ..parameters.table import FILTER
 from ..parameters.table import defaults as default_parameters
-from ..recordings.errors import RecordingWarning
+from ..recordings.errors import collected_warnings
 from ..recordings.findings import Finding
 from ..recordings.reading import Memory, read_recording
 from ..recordings.reference_files import read_reference
+from ..recordings.several import free_name
 from ..recordings.units import in_si
 from ..results import result_folder
 from ..samples import Recording
 from . import trajectories
 from .answer import Answer
 from .replay_answer import answer, best_model
-from .report import FIGURES, draw_figures, online_row, report, report_page, write_report
+from .replay_report import FIGURES, draw_figures, online_row, report, report_page, write_report
 
 #: the parameters of the replay, for the next command
 PARAMS_FILE = 'parameters.yaml'
@@ -75,7 +75,7 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
             part = _Part(progress, i / len(values['bag']), 1 / len(values['bag']))
             with _timed(timing, 'reading'):
                 recording, texts = read_part(path, values, lambda done: part(0.25 * done, 'reading'))
-            name = _free_name(recording.name, comparisons)
+            name = free_name(recording.name, comparisons)
             said[name] = texts
             with _timed(timing, 'checking'):
                 findings[name] = check(recording, values)
@@ -128,10 +128,8 @@ def read_part(path, values: dict, progress: Callable[[float], None]) -> tuple[Re
         raise ParameterError("parameter 'gnss_topic' is empty: without fixes there is nothing to fuse or to measure")
     if values['reference_topic'] and values['reference_file']:
         raise ParameterError("parameters 'reference_topic' and 'reference_file' are both given: choose one")
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter('always', RecordingWarning)
+    with collected_warnings() as said:
         recording = _read_whole(path, values, progress)
-    said = [str(w.message) for w in caught if issubclass(w.category, RecordingWarning)]
     recording = replace(recording, imu=in_si(recording.imu, values['imu.acceleration_unit'], values['imu.rate_unit']))
     recording, notices = as_one(recording, values)
     return cut(recording, values['start'], values['stop']), [*said, *notices]
@@ -182,11 +180,6 @@ def parameters_yaml(comparisons: dict[str, Comparison], values: dict) -> str:
              '/**:', '  ros__parameters:', f'    sensor_error_model: {model}',
              *(f'    {name}: {yaml_value(values[name])}' for name in names)]
     return '\n'.join(lines) + '\n'
-
-
-def _free_name(name: str, taken) -> str:
-    names = [name, *(f'{name}_{i}' for i in range(2, len(taken) + 2))]
-    return next(n for n in names if n not in taken)
 
 
 def _write(folder: Path, comparisons, findings, said, online, values, timing, progress,

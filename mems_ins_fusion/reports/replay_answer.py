@@ -25,7 +25,7 @@ from ..recordings.checker import INFO, Finding
 from ..recordings.sketch import fitted_to
 from .answer import BAD, GOOD, WARNING, Answer, Step, checked_text, topics_of
 from .html import number
-from .plots import model_name
+from .replay_figures import model_name
 from .verdict import certainly_wrong, change_text, too_small_text, trust_text
 
 #: differences smaller than this part are of no practical meaning, however significant

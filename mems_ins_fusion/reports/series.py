@@ -11,11 +11,14 @@ from ..filter.runs.results import Run
 from ..samples import ImuSamples
 from . import colours
 from .charts import Chart, Line
+from .layers import seconds
 
 #: x, y and z, and north, east and down
 AXES = ('#d55e00', '#009e73', '#0072b2')
-#: points of a spectrum, and samples of its stretches
-SPECTRUM, STRETCH = 300, 4096
+#: points of a spectrum, at most
+SPECTRUM = 300
+#: samples of each stretch that Welch's method averages over
+STRETCH = 4096
 #: sigmas that 95 % of normally distributed values lie within
 TWICE = 1.96
 
@@ -25,7 +28,7 @@ def replay_charts(comparison: Comparison, best: str) -> list[Chart]:
     run, origin = comparison.run_of(best, comparison.intervals[0]).run, int(comparison.recording.imu.stamp[0])
     errors = comparison.run_of(best, comparison.intervals[0]).errors
     return [_with_truth(chart, comparison, origin) for chart in _states(run, origin)] + [
-        Chart('Horizontal error, and twice its sigma', 'm', _seconds(errors.stamp, origin), [
+        Chart('Horizontal error, and twice its sigma', 'm', seconds(errors.stamp, origin), [
             Line('error', colours.AFTER, errors.horizontal), Line('2 sigma', colours.FITTED, 2 * errors.sigma)]),
         *_innovations(run, origin), *_sensor_errors(run, origin), *signal_charts(comparison.recording.imu, origin)]
 
@@ -42,18 +45,18 @@ def diagnosis_charts(diagnosis: Diagnosis) -> list[Chart]:
         Line(name, colour, _at(stamp, measured.continuous.stamp, measured.continuous.horizontal)),
         Line(f'{name}: 2 sigma', colour, _at(stamp, measured.continuous.stamp, 2 * measured.continuous.sigma), 1.0,
              dash=(4, 3)))]
-    charts.append(Chart('Horizontal error with the fixes used', 'm', _seconds(stamp, origin), lines))
+    charts.append(Chart('Horizontal error with the fixes used', 'm', seconds(stamp, origin), lines))
     residual = d.residuals['before']
     for k, name in enumerate(('north', 'east')):
         sigma = TWICE * np.sqrt(residual.s[:, 2 * k])
-        charts.append(_innovation(f'Innovations {name} as configured', _seconds(problem.stamp, origin),
+        charts.append(_innovation(f'Innovations {name} as configured', seconds(problem.stamp, origin),
                                   residual.z[:, k], sigma))
     return charts + signal_charts(d.recording.imu, origin)
 
 
 def signal_charts(imu: ImuSamples, origin: int) -> list[Chart]:
     """Raw samples over time, their spectra, and how regularly they come."""
-    time = _seconds(imu.stamp, origin)
+    time = seconds(imu.stamp, origin)
     order = np.maximum.accumulate(time) == time  # a clock that goes back has no place on a time axis
     time, force, rate = time[order], imu.specific_force[order], np.degrees(imu.angular_rate[order])
     step = np.diff(time)
@@ -84,7 +87,7 @@ def _spectrum(title: str, unit: str, values: np.ndarray, rate: float) -> list[Ch
 
 
 def _states(run: Run, origin: int) -> list[Chart]:
-    time = _seconds(run.stamp, origin)
+    time = seconds(run.stamp, origin)
     sigma = run.sigma[:, :2]
     return [Chart('Speed', 'm/s', time, [Line('filter', colours.AFTER, np.hypot(*run.velocity[:, :2].T))]),
             Chart('Heading, clockwise from north', 'deg', time, [
@@ -102,7 +105,7 @@ def _with_truth(chart: Chart, comparison: Comparison, origin: int) -> Chart:
              _heading(reference.yaw)}.get(chart.title)
     if known is None:
         return chart
-    time = _seconds(reference.stamp, origin)
+    time = seconds(reference.stamp, origin)
     nearest = np.clip(np.searchsorted(time, chart.x), 0, len(time) - 1)
     there = np.abs(time[nearest] - chart.x) < 0.5
     truth = Line(comparison.truth.source, colours.FITTED, np.where(there, known[nearest], np.nan), 2.4)
@@ -119,7 +122,7 @@ def _heading(yaw: np.ndarray) -> np.ndarray:
 def _innovations(run: Run, origin: int) -> list[Chart]:
     """Innovations with twice their sigma, and the normalized innovation squared of used and refused fixes."""
     of = run.innovations
-    time = _seconds(of.stamp, origin)
+    time = seconds(of.stamp, origin)
     charts = [_innovation(f'Innovations {name}', time, of.z[:, k], TWICE * np.sqrt(of.s[:, 2 * k]))
               for k, name in enumerate(('north', 'east'))]
     given = run.measured.select(run.measured.kind == Kind.POSITION)
@@ -128,7 +131,7 @@ def _innovations(run: Run, origin: int) -> list[Chart]:
     lines = [Line(name, colour, np.where(which, nis, np.nan)[order], dots=True) for name, colour, which in (
         ('used', colours.AFTER, verdict != Verdict.REFUSED), ('refused', colours.BEFORE, verdict == Verdict.REFUSED))]
     return [*charts, Chart('Normalized innovation squared (NIS, 2 on average) of each fix', '',
-                           _seconds(stamp[order], origin), lines, log=True)]
+                           seconds(stamp[order], origin), lines, log=True)]
 
 
 def _innovation(title: str, time: np.ndarray, z: np.ndarray, twice_sigma: np.ndarray) -> Chart:
@@ -139,7 +142,7 @@ def _innovation(title: str, time: np.ndarray, z: np.ndarray, twice_sigma: np.nda
 
 def _sensor_errors(run: Run, origin: int) -> list[Chart]:
     """Estimated errors of accelerometers and gyroscopes with their sigma."""
-    layout, time, charts = run.config.layout, _seconds(run.stamp, origin), []
+    layout, time, charts = run.config.layout, seconds(run.stamp, origin), []
     for first, title, unit, scale in (('f', 'Estimated errors of the accelerometers', 'mm/s²', 1e3),
                                       ('w', 'Estimated errors of the gyroscopes', 'deg/h', np.degrees(3600.0))):
         lines = []
@@ -160,7 +163,3 @@ def _at(wanted: np.ndarray, stamp: np.ndarray, values: np.ndarray) -> np.ndarray
     found = np.full(len(wanted), np.nan)
     found[np.searchsorted(wanted, stamp)] = values
     return found
-
-
-def _seconds(stamp: np.ndarray, origin: int) -> np.ndarray:
-    return (stamp - origin) * 1e-9

@@ -25,6 +25,7 @@ from ..evaluation.verdict import (
     decide,
     trusted,
 )
+from ..samples import SECOND
 from . import colours, html
 from .answer import GOOD, WARNING, Answer, Step
 from .html import number
@@ -125,7 +126,7 @@ def _tum(path: Path) -> tuple[np.ndarray, np.ndarray]:
             if not line.startswith('#'):
                 time, east, north, *_ = line.split()
                 seconds, _, fraction = time.partition('.')
-                stamps.append(int(seconds) * 10**9 + int(fraction.ljust(9, '0')[:9] or 0))
+                stamps.append(int(seconds) * SECOND + int(fraction.ljust(9, '0')[:9] or 0))
                 positions.append((float(east), float(north)))
     return np.array(stamps, dtype=np.int64), np.array(positions).reshape(-1, 2)
 
@@ -319,9 +320,7 @@ def layers(first: Result, second: Result, rows: list[Row]) -> list[Layer]:
 
 
 def _still(drawn: list[Layer]) -> html.Html:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 7), layout='constrained')
+    figure = html.empty_figure(9, 7)
     axes = figure.add_subplot()
     for layer in drawn:
         axes.plot(layer.east, layer.north, color=layer.colour, linewidth=0.7 * layer.width, label=layer.name)

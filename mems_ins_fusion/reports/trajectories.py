@@ -18,10 +18,12 @@ from ..filter.runs.odometry import ANGULAR, LINEAR, ORIENTATION, POSE_COVARIANCE
 from ..filter.runs.results import Run
 from ..navigation.earth import to_local
 from ..recordings.writing import OdometrySamples, write_recording
-from ..samples import Recording, Reference
+from ..samples import SECOND, Recording, Reference
 
-#: points of a line on a map and poses of a TUM file, s apart
-MAP_INTERVAL, POSE_INTERVAL = 1.0, 0.1
+#: s, between two points of a line on a map
+MAP_INTERVAL = 1.0
+#: s, between two poses of a TUM or CSV file
+POSE_INTERVAL = 0.1
 
 
 def odometry_of(recording: Recording, result: RunResult, datum) -> OdometrySamples:
@@ -42,7 +44,7 @@ def write_tum(path: Path, stamp: np.ndarray, position: np.ndarray, orientation: 
 
     stamp (n,) ns, position (n, 3), orientation (n, 4).
     """
-    seconds, nanoseconds = np.divmod(stamp, 10**9)
+    seconds, nanoseconds = np.divmod(stamp, SECOND)
     rows = zip(seconds.tolist(), nanoseconds.tolist(), *position.T.tolist(), *orientation.T.tolist())
     line = '%d.%09d %.4f %.4f %.4f %.7f %.7f %.7f %.7f\n'
     with open(path, 'w', encoding='ascii') as file:
@@ -80,11 +82,13 @@ def _local(track: Reference, datum) -> np.ndarray:
     return np.column_stack([east, north, -down])
 
 
-#: columns of a CSV, and of planar and strapdown runs the columns of `Run.sigma` they come from
+#: columns of a CSV
 CSV_COLUMNS = ('time_s', 'latitude_deg', 'longitude_deg', 'height_m', 'velocity_north_mps', 'velocity_east_mps',
                'velocity_down_mps', 'roll_deg', 'pitch_deg', 'yaw_deg', 'sigma_north_m', 'sigma_east_m',
                'sigma_velocity_north_mps', 'sigma_velocity_east_mps', 'sigma_yaw_deg')
-_PLANAR_SIGMAS, _STRAPDOWN_SIGMAS = (0, 1, 2, 3, 4), (0, 1, 3, 4, 8)
+#: columns of `Run.sigma` of the last five of them, of a planar and of a strapdown run
+_PLANAR_SIGMAS = (0, 1, 2, 3, 4)
+_STRAPDOWN_SIGMAS = (0, 1, 3, 4, 8)
 
 
 def write_csv(path: Path, run: Run) -> None:
@@ -96,7 +100,7 @@ def write_csv(path: Path, run: Run) -> None:
     rows = np.column_stack([degrees[:, :2], run.height[at], run.velocity[at], degrees[:, 2:], sigma[:, :4],
                             np.degrees(sigma[:, 4])])
     line = '%d.%09d,%.9f,%.9f,%.4f' + ',%.4f' * (len(CSV_COLUMNS) - 4) + '\n'
-    seconds, nanoseconds = np.divmod(run.stamp[at], 10**9)
+    seconds, nanoseconds = np.divmod(run.stamp[at], SECOND)
     with open(path, 'w', encoding='ascii') as file:
         file.write(','.join(CSV_COLUMNS) + '\n')
         file.writelines(line % (*time, *row) for *time, row in zip(seconds.tolist(), nanoseconds.tolist(),
@@ -117,7 +121,7 @@ def write_gpx(path: Path, run: Run, name: str) -> None:
 
 def _utc(stamp: int) -> str:
     """`stamp`, ns, as ISO 8601 to milliseconds."""
-    seconds, nanoseconds = divmod(stamp, 10**9)
+    seconds, nanoseconds = divmod(stamp, SECOND)
     return f'{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{nanoseconds // 10**6:03d}Z'
 
 

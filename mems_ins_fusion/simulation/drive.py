@@ -19,12 +19,18 @@ from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.navigation.strapdown import EARTH_RATE
 from mems_ins_fusion.simulation.manoeuvres import CITY, Segment, plan
 
-START_STAMP = 1_700_000_000_000_000_000  # ns: a date, so that stamps look as those of real recordings
-ORIGIN = (0.8378, 0.2007, 480.0)  # latitude, longitude (rad), height (m) of the start
-MARGIN = 60.0  # s of motion beyond the end, for fixes that describe a later time
-_BLOCK = 100_000  # samples computed at once
-_CELL = 0.02  # s: quadrature cells; the segments' ends fall on their edges
-_DAMPING = 0.3  # of a car's body on its springs
+#: ns, of the first sample: a date, so that stamps look as those of real recordings
+START_STAMP = 1_700_000_000_000_000_000
+#: latitude, longitude (rad) and height (m) of the start
+ORIGIN = (0.8378, 0.2007, 480.0)
+#: s, of motion beyond the end, for fixes that describe a later time
+MARGIN = 60.0
+#: samples computed at once
+_BLOCK = 100_000
+#: s, length of a quadrature cell: the ends of segments fall on the edges of cells
+_CELL = 0.02
+#: part of critical damping, of a car's body on its springs
+_DAMPING = 0.3
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
@@ -238,13 +244,13 @@ def _sum_of(waves, distance):
 
 
 def _sum_of_integrals(waves, distance):
-    """Its integral from the start of the road, m."""
+    """Integral of `_sum_of` from the start of the road, m."""
     return sum((size * length / (2 * np.pi) * (np.sin(2 * np.pi * distance / length + phase) - np.sin(phase))
                 for size, length, phase in waves), np.zeros_like(distance))
 
 
 def _sum_of_slopes(waves, distance):
-    """Its derivative, 1/m."""
+    """Derivative of `_sum_of` by the distance, 1/m."""
     return sum((-size * 2 * np.pi / length * np.sin(2 * np.pi * distance / length + phase)
                 for size, length, phase in waves), np.zeros_like(distance))
 

@@ -11,14 +11,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-MAX_SPEED = 20.0  # m/s
-ROBOT_SPEED = 0.4  # m/s: of a slow robot
-MAX_ACCELERATION = 2.5  # m/s^2, forward or sideways
-MAX_JERK = 2.5  # m/s^3
-MIN_RADIUS = 9.0  # m, at the tightest point of a turn
+#: m/s, of a car in town
+MAX_SPEED = 20.0
+#: m/s, of a slow robot
+ROBOT_SPEED = 0.4
+#: m/s^3, forwards or sideways
+MAX_JERK = 2.5
+#: m, smallest radius of a turn, at its tightest point
+MIN_RADIUS = 9.0
+#: of the quintic step: largest first derivative
 _PEAK_RATE = 15 / 8
+#: of the quintic step: largest second derivative
 _PEAK_CURVATURE = 10 / math.sqrt(3)
-_TIME_GRID = 0.1  # s: segments end on multiples of it, where the quadrature has an edge
+#: s, segments end on multiples of this, where the quadrature has an edge
+_TIME_GRID = 0.1
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,14 @@ from mems_ins_fusion.simulation.simulation import Aiding
 from mems_ins_fusion.simulation.vibration import Vibration
 
 MANOEUVRES = {'city': CITY, 'mixed': MIXED, 'slow': SLOW}
-_SUSPENSION = 1.2  # Hz
-_PITCH, _ROLL, SIDESLIP = math.radians(0.35), math.radians(0.4), 0.003  # per m/s^2
+#: Hz, natural frequency of a car's body on its springs
+_SUSPENSION = 1.2
+#: rad per m/s^2, nose up when it speeds up
+_PITCH = math.radians(0.35)
+#: rad per m/s^2, leaning outwards in a bend
+_ROLL = math.radians(0.4)
+#: rad per m/s^2, from the body's forward axis to the velocity in a bend
+SIDESLIP = 0.003
 
 
 @dataclass(frozen=True)

@@ -7,18 +7,30 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import butter, lfilter
 
-_FIRING = 26.7  # Hz: a four-cylinder engine at 800 revolutions a minute
-_FIRING_PER_SPEED = 1.6  # Hz per m/s, up to a gear's end
-_GEAR = 12.0  # m/s
-_FASTEST = 200.0  # Hz: the road is made at this rate at least, and sampled without a filter
-_WHEELS = (4.0, 25.0)  # Hz: what of the road reaches the body through springs and tyres
-_SURFACES = (830.0, 310.0, 97.0)  # m: over which the surface changes
-_AXES = np.array([0.5, 0.6, 1.0])  # part of the shaking along each body axis
-_TURN = 0.06  # rad/s of rotation with each m/s^2 of shaking
-_HARMONICS = (1.0, 0.6, 0.4, 0.3)  # of the wheels: imbalance, tyre and tread
-_WHEEL_SPEED = 10.0  # m/s at which their shaking is as given; an imbalance pulls with the square of the speed,
-_FASTEST_WHEEL = 20.0  # m/s, up to where the springs give way
-_LINES = (11.3, 14.1)  # Hz: what of the suspension and the mount swings by itself
+#: Hz, firing frequency at rest: a four-cylinder engine at 800 revolutions a minute
+_FIRING = 26.7
+#: Hz per m/s, its growth with the speed within a gear
+_FIRING_PER_SPEED = 1.6
+#: m/s, range of speeds of a gear
+_GEAR = 12.0
+#: Hz, lowest rate at which the road is computed before it is sampled, without a filter, at that of the IMU
+_FASTEST = 200.0
+#: Hz, band of the road's shaking that reaches the body through springs and tyres
+_WHEELS = (4.0, 25.0)
+#: m, wavelengths with which the roughness of the surface changes
+_SURFACES = (830.0, 310.0, 97.0)
+#: part of the shaking along each body axis
+_AXES = np.array([0.5, 0.6, 1.0])
+#: rad/s of rotation for each m/s^2 of shaking
+_TURN = 0.06
+#: relative size of the harmonics of the wheels: imbalance, tyre and tread
+_HARMONICS = (1.0, 0.6, 0.4, 0.3)
+#: m/s, speed at which the shaking of the wheels is as given; as of any imbalance it grows with the square of the speed
+_WHEEL_SPEED = 10.0
+#: m/s, speed from which on it does not grow any more
+_FASTEST_WHEEL = 20.0
+#: Hz, natural frequencies of the suspension and of the IMU's mount
+_LINES = (11.3, 14.1)
 
 
 @dataclass(frozen=True)

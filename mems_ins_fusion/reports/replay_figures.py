@@ -1,4 +1,4 @@
-"""Figures of a comparison. Matplotlib is imported only here, and only when a figure is drawn."""
+"""Figures of a replay."""
 from __future__ import annotations
 
 import numpy as np
@@ -7,7 +7,7 @@ from ..evaluation.comparison import Comparison, RunResult
 from ..evaluation.metrics import rms
 from ..samples import runs
 from . import colours
-from .html import legend_below
+from .html import empty_figure, legend_below
 from .layers import Ground
 
 #: points of a line, at most
@@ -23,12 +23,6 @@ def model_name(comparison: Comparison, model: str) -> str:
     return f'AR({comparison.run_of(model, comparison.intervals[0]).run.config.layout.order})'
 
 
-def _figure(width: float, height: float):
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout='constrained')
-
-
 def _style(model: str, width: float = 1.0) -> dict:
     """Colour, dashes and width of a model's line."""
     return {'color': colours.MODELS[model], 'linestyle': colours.DASHES[model],
@@ -37,7 +31,7 @@ def _style(model: str, width: float = 1.0) -> dict:
 
 def track(comparison: Comparison):
     """The drive from above: the truth, each model at the shortest interval, and some of the outages."""
-    figure = _figure(9, 7)
+    figure = empty_figure(9, 7)
     axes = figure.add_subplot()
     ground = Ground(comparison.truth.reference)
     axes.plot(ground.east, ground.north, color='0.8', linewidth=5, solid_capstyle='round', zorder=1,
@@ -90,7 +84,7 @@ def _as_map(axes, adjustable='datalim'):
 def manoeuvre(comparison: Comparison):
     """Each update interval in a panel (the paper's Figures 7 to 9), around the turn with the largest error."""
     intervals = comparison.intervals
-    figure = _figure(4.2 * len(intervals), 4.4)
+    figure = empty_figure(4.2 * len(intervals), 4.4)
     ground = Ground(comparison.truth.reference)
     middle = _worst_turn([comparison.run_of(m, intervals[-1]) for m in comparison.models])
     at = np.searchsorted(ground.stamp, middle)
@@ -130,7 +124,7 @@ def _worst_turn(results: list[RunResult]) -> int:
 def error_against_time(comparison: Comparison):
     """Horizontal error of each model, one panel for each interval, with turns shaded and the filter's own 2 sigma."""
     intervals = comparison.intervals
-    figure = _figure(10, 1.2 + 2.0 * len(intervals))
+    figure = empty_figure(10, 1.2 + 2.0 * len(intervals))
     panels = figure.subplots(len(intervals), 1, sharex=True, squeeze=False)[:, 0]
     origin = comparison.recording.imu.stamp[0]
     for axes, interval in zip(panels, intervals):
@@ -167,7 +161,7 @@ def _peaks(time, values):
 
 def error_against_interval(comparison: Comparison):
     """RMS error of each model against the update interval: with its 95 % interval; in turns and on straights."""
-    figure = _figure(10, 3.8)
+    figure = empty_figure(10, 3.8)
     whole, parts = figure.subplots(1, 2, sharey=True)
     intervals = comparison.intervals
     for place, model in enumerate(comparison.models):
@@ -196,7 +190,7 @@ def outage_growth(comparison: Comparison):
     if not results:
         return None
     longest = max(r.outages.duration for r in results)
-    figure = _figure(8, 4.4)
+    figure = empty_figure(8, 4.4)
     axes = figure.add_subplot()
     for result in (r for r in results if r.outages.duration == longest):
         outages, name = result.outages, model_name(comparison, result.model)

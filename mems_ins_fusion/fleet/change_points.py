@@ -1,10 +1,10 @@
 """What changed in a vehicle, and between which drives: change points of what each drive shows of it.
 
-A series of estimates x_i with sigmas s_i, in the order of time, is taken to be constant but for steps. Two things make
-that test honest. The sigmas are scaled by what neighbouring drives of all vehicles really differ by (realised over
-stated), so that drives which differ more than their estimator says are no news: a median, which the few differences
-with a step in them do not move. And the step is tested with Student's t, whose degrees of freedom are those of that
-scale, at a level that is shared by all places of all series looked at (Bonferroni).
+A series of estimates x_i with sigmas s_i, in the order of time, is taken to be constant but for steps. The sigmas may
+be too small. So they are multiplied by a scale: the ratio of the differences between neighbouring drives of all
+vehicles to what their sigmas say. It is a median, which the few differences with a step in them do not move. A step is
+tested with Student's t, with the degrees of freedom of that scale, at a level divided by the number of all places of
+all series (Bonferroni).
 Source: binary segmentation, A. J. Scott, M. Knott, "A cluster analysis method for grouping means in the analysis of
 variance", Biometrics 30, 1974.
 """
@@ -16,12 +16,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..navigation.frames import wrap
+
 #: probability of a false change anywhere in a fleet in which nothing changed
 LEVEL = 0.01
 #: median of a chi-square variable with one degree of freedom
 _MEDIAN = 0.4549364231195724
-#: a scale is learned from no fewer differences between neighbouring drives; with fewer nothing is said
-FEWEST, FEWEST_OWN = 4, 3
+#: differences between neighbouring drives of all vehicles: from fewer no scale is estimated, and nothing is said
+FEWEST = 4
+#: the same of one vehicle's own drives, for a scale of its own
+FEWEST_OWN = 3
 #: degrees of freedom of a scale by the median, for each difference: the median of squares is worth 37 % of their mean
 #: (P. J. Huber, "Robust Statistics", 1981), and neighbouring differences share a drive
 EFFICIENCY = 0.3
@@ -29,8 +33,8 @@ EFFICIENCY = 0.3
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is watched. ratio: it changes by a factor. angle: it comes back after a turn. unit: as people read it, one
-    being `scale` of the SI value."""
+    """A quantity whose changes are looked for. unit: as people read it; values in it are `scale` times those in SI.
+    ratio: changes are factors. angle: 2 pi is the same as 0."""
 
     effect: str
     parameter: str
@@ -41,8 +45,8 @@ class Quantity:
     angle: bool = False
 
 
-#: by effect and parameter, as the rows of `effects` have them
-WATCHED = {(q.effect, q.parameter): q for q in (
+#: whose changes are looked for: by effect and parameter, as the rows of `effects` have them
+QUANTITIES = {(q.effect, q.parameter): q for q in (
     Quantity('gnss_time_offset', 'time_offset', 'time offset of the receiver', 's'),
     *(Quantity('mounting_rotation', name, f'{name} of the IMU\'s mounting', 'deg', 180 / math.pi, angle=True)
       for name in ('roll', 'pitch', 'yaw')),
@@ -105,10 +109,10 @@ def series_of(rows: Sequence[dict]) -> list[Series]:
     """The series in `rows` of estimates: vehicle, source, effect, parameter, value, sigma and stamp_ns."""
     found: dict[tuple, list] = {}
     for row in rows:
-        quantity = WATCHED.get((row['effect'], row['parameter']))
+        quantity = QUANTITIES.get((row['effect'], row['parameter']))
         if quantity is not None and row['value'] is not None and row['stamp_ns'] is not None:
             found.setdefault((row['vehicle'], row['source'], quantity.effect, quantity.parameter), []).append(row)
-    return [_one_series(WATCHED[key[2:]], rows) for key, rows in sorted(found.items())]
+    return [_one_series(QUANTITIES[key[2:]], rows) for key, rows in sorted(found.items())]
 
 
 def _one_series(quantity: Quantity, rows: list[dict]) -> Series:
@@ -120,14 +124,14 @@ def _one_series(quantity: Quantity, rows: list[dict]) -> Series:
         with np.errstate(divide='ignore', invalid='ignore'):
             sigma, value = sigma / value, np.log(value)
     if quantity.angle:
-        value = value[0] + (value - value[0] + math.pi) % (2 * math.pi) - math.pi
+        value = value[0] + wrap(value - value[0])
     sigma = np.where(np.isfinite(sigma), sigma, 0.1)
     good = np.isfinite(value)
     return Series(rows[0]['vehicle'], quantity, rows[0]['source'], np.array([r['stamp_ns'] for r in rows])[good],
                   value[good], sigma[good])
 
 
-def watch(series: Sequence[Series]) -> list[Change]:
+def find_changes(series: Sequence[Series]) -> list[Change]:
     """The changes in all series of a fleet, judged together."""
     places = sum(max(len(s) - 1, 0) for s in series)
     found = []

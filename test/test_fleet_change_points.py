@@ -1,4 +1,4 @@
-"""fleet: the watchman. What changed in a vehicle is found within one drive; where nothing changed nothing is found."""
+"""fleet: change points. What changed in a vehicle is found within one drive; where nothing changed nothing is found."""
 from __future__ import annotations
 
 import json
@@ -10,11 +10,11 @@ from fleet_support import DAY, estimates
 
 from mems_ins_fusion.configuration.offset import Offset
 from mems_ins_fusion.fleet import history
-from mems_ins_fusion.fleet.watchman import WATCHED, series_of, watch
+from mems_ins_fusion.fleet.change_points import QUANTITIES, find_changes, series_of
 
 
 def changes(rows):
-    return watch(series_of(rows))
+    return find_changes(series_of(rows))
 
 
 @pytest.mark.parametrize(['realised', 'step'], [(1.0, 1.0), (2.5, 2.5)])
@@ -89,7 +89,7 @@ def test_words_name_the_dates_and_one_drive_is_called_one():
     assert 'between 1970-01-29 00:00 and 1970-02-05 00:00; seen in one drive only' in found.words()
 
 
-def test_estimates_without_a_sigma_are_watched_by_their_scatter():
+def test_estimates_without_a_sigma_are_judged_by_their_scatter():
     rng = np.random.default_rng(29)
     rows = [{**row, 'effect': 'receiver', 'parameter': 'scatter', 'sigma': None, 'value':
              (9.0 if row['vehicle'] == 'car_4' and row['stamp_ns'] > 20 * DAY else 1.5)
@@ -97,11 +97,11 @@ def test_estimates_without_a_sigma_are_watched_by_their_scatter():
     assert [c.vehicle for c in changes(rows)] == ['car_4']
 
 
-def test_what_is_watched_is_what_the_rows_are_called():
+def test_the_quantities_are_what_the_rows_are_called():
     """Names of estimates, as the tasks write them."""
     from mems_ins_fusion.effects.registry import EFFECTS
 
-    for effect, parameter in WATCHED:
+    for effect, parameter in QUANTITIES:
         if effect in EFFECTS:
             assert parameter in {p.name for p in EFFECTS[effect].parameters}, (effect, parameter)
 

@@ -1,6 +1,6 @@
-"""What the watchman finds: steps of some sigmas of one drive, in fleets of eight vehicles; and what it finds wrongly.
+"""Change points found: steps of some sigmas of one drive, in fleets of eight vehicles; and what it finds wrongly.
 
-    python studies/fleet_watchman.py
+    python studies/fleet_change_points.py
 
 Each row: 60 simulated series of estimates, of one quantity, with one step in one vehicle after 3 of 5 drives; found is
 one between the right two drives. Then fleets in which nothing changed.
@@ -15,7 +15,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))
 from fleet_support import estimates  # noqa: E402
 
-from mems_ins_fusion.fleet.watchman import series_of, watch  # noqa: E402
+from mems_ins_fusion.fleet.change_points import find_changes, series_of  # noqa: E402
 
 FLEETS, SIGMA = 60, 0.04
 
@@ -26,7 +26,7 @@ def found(rng, drives: int, step: float) -> float:
     hits = 0
     for _ in range(FLEETS):
         rows = estimates(rng, 8, drives, SIGMA, step=(2, first, step * SIGMA))
-        hits += any((c.vehicle, c.drives[0]) == ('car_2', first) for c in watch(series_of(rows)))
+        hits += any((c.vehicle, c.drives[0]) == ('car_2', first) for c in find_changes(series_of(rows)))
     return hits / FLEETS
 
 
@@ -38,7 +38,7 @@ def wrong(rng, vehicles: int, drives: int, realised: float, scatters: float = 1.
         for row in rows:
             if row['vehicle'] == 'car_0':
                 row['value'] += SIGMA * np.sqrt(scatters**2 - 1) * rng.standard_normal()
-        hits += bool(watch(series_of(rows)))
+        hits += bool(find_changes(series_of(rows)))
     return hits / FLEETS
 
 

@@ -14,8 +14,8 @@ from sensor_msgs.msg import Imu
 
 from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.navigation.earth import to_local
+from mems_ins_fusion.nodes.geographic import geographic_services, start_from_parameters, start_from_pose
 from mems_ins_fusion.nodes.inputs import sample_of
-from mems_ins_fusion.nodes.places import geographic_services, start_from_parameters, start_from_pose
 
 DATUM = np.array([0.84, 0.2, 480.0])
 

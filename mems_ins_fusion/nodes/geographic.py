@@ -1,4 +1,4 @@
-"""Places from outside and to outside: start pose, datum, and latitude and longitude in the local frame."""
+"""Start pose and datum, and the services that turn latitude and longitude into points of the local frame, and back."""
 from __future__ import annotations
 
 import math
@@ -10,6 +10,9 @@ from rclpy.node import Node
 from ..errors import InputError
 from ..navigation.earth import from_local, to_local
 from ..navigation.frames import yaw_from_enu, yaw_of_quaternion
+
+#: of a start pose without any, m^2: the first fix tells the height better
+_HEIGHT_VARIANCE = 100.0
 
 
 def world_frame(values: dict) -> str:
@@ -45,17 +48,16 @@ def start_from_pose(message, datum, frame_id: str) -> tuple:
         raise InputError(f'covariance of x, y, yaw must be above 0, got {covariance[1, 1]:g}, {covariance[0, 0]:g}, '
                          f'{covariance[3, 3]:g}')
     if np.linalg.eigvalsh(covariance[np.ix_([0, 1, 3], [0, 1, 3])]).min() <= 0.0:
-        raise InputError('covariance of x, y, yaw is none: it is not positive definite')
+        raise InputError('covariance of x, y, yaw is not positive definite')
     # a two-dimensional tool says nothing of the height
-    height_variance = covariance[2, 2] if covariance[2, 2] > 0.0 else 100.0
-    covariance[2, 2] = height_variance
+    covariance[2, 2] = covariance[2, 2] if covariance[2, 2] > 0.0 else _HEIGHT_VARIANCE
     place = from_local(position.y, position.x, -position.z, datum)
     yaw = float(yaw_from_enu(yaw_of_quaternion(q.x, q.y, q.z, q.w)))
     return (*place, yaw, sign @ covariance @ sign)
 
 
 def to_local_point(message, datum) -> Point:
-    """The position of a NavSatFix in the frame east-north-up at `datum` (rad, rad, m)."""
+    """The position of a NavSatFix or GeoPoint in the frame east-north-up at `datum` (rad, rad, m)."""
     north, east, down = to_local(math.radians(message.latitude), math.radians(message.longitude), message.altitude,
                                  datum)
     return Point(x=float(east), y=float(north), z=float(-down))
@@ -74,12 +76,9 @@ class GeographicServices:
 
     def from_ll(self, request, response):
         """Latitude, longitude (deg) and altitude to a point in the local frame; NaN while there is no datum."""
-        point, place = response.map_point, request.ll_point
-        point.x = point.y = point.z = math.nan
-        if self._fusion.datum is not None:
-            north, east, down = to_local(math.radians(place.latitude), math.radians(place.longitude), place.altitude,
-                                         self._fusion.datum)
-            point.x, point.y, point.z = float(east), float(north), float(-down)
+        datum = self._fusion.datum
+        response.map_point = Point(x=math.nan, y=math.nan, z=math.nan) if datum is None else \
+            to_local_point(request.ll_point, datum)
         return response
 
     def to_ll(self, request, response):

@@ -14,13 +14,14 @@ from ..evaluation.verdict import NOT_USABLE, decide, trusted
 from ..parameters.table import defaults as default_parameters
 from ..recordings.sketch import fitted_to
 from ..results import json_text
-from . import html, plots
+from . import html
+from . import replay_figures as drawings
 from .answer import Answer, checked_text, topics_of
 from .charts import charts
 from .html import bullets, figure, folded, image_bytes, number, paragraph, section, table
 from .layers import middle, replay_layers
-from .plots import model_name
 from .replay_answer import best_model, consistencies, judged, sentences
+from .replay_figures import model_name
 from .series import replay_charts
 from .settings import settings_table
 from .track import script, track
@@ -28,15 +29,15 @@ from .verdict import verdict_json
 
 #: file name, drawing and caption of each figure
 FIGURES = (
-    ('track', plots.track, 'The drive from above. Grey: the truth. Pink: what the filter made of stretches without '
+    ('track', drawings.track, 'The drive from above. Grey: the truth. Pink: what the filter made of stretches without '
      'fixes, ending at x; the dotted line leads to where the vehicle was.'),
-    ('error_against_time', plots.error_against_time, 'Horizontal error against time. Grey bands: turning. Grey line: '
-     'two standard deviations by the filter\'s own account; about 95 % of the errors should lie below.'),
-    ('error_against_interval', plots.error_against_interval, 'RMS error against the update interval: with 95 % '
+    ('error_against_time', drawings.error_against_time, 'Horizontal error against time. Grey bands: turning. Grey '
+     'line: two standard deviations by the filter\'s own account; about 95 % of the errors should lie below.'),
+    ('error_against_interval', drawings.error_against_interval, 'RMS error against the update interval: with 95 % '
      'confidence intervals (left), in turns and on straights (right).'),
-    ('manoeuvre', plots.manoeuvre, 'The turn with the largest error, at each update interval.'),
-    ('outage_growth', plots.outage_growth, 'How the error grows without fixes: RMS over the outages (solid), and two '
-     'standard deviations by the filter\'s own account (dashed). A solid line above its dashed one: the filter '
+    ('manoeuvre', drawings.manoeuvre, 'The turn with the largest error, at each update interval.'),
+    ('outage_growth', drawings.outage_growth, 'How the error grows without fixes: RMS over the outages (solid), and '
+     'two standard deviations by the filter\'s own account (dashed). A solid line above its dashed one: the filter '
      'promises too much.'),
 )
 
