@@ -99,7 +99,7 @@ class FusionFilter(FilterStatus):
         self._last_gap, self.gaps = 0.0, 0
         self._last_fault = self._last_recovery = -math.inf
         self._fault = ''
-        self._recent: deque[np.ndarray] = deque(maxlen=ADRIFT)  # records of fixes
+        self._recent: deque[list[float]] = deque(maxlen=ADRIFT)  # records of fixes
         self._next_look = 0  # ns: time of the next check whether the vehicle contradicts the parameters
         self._said: list[str] = []  # messages of the last check
         self._said_mounting = False
@@ -314,17 +314,16 @@ class FusionFilter(FilterStatus):
             if at < 0:  # the memory has dropped it: too many measurements wait for IMU samples
                 del self._pending[identity]
                 continue
-            record = self._memory[at:at + Event.SIZE]
+            record = self._memory[at:at + Event.SIZE].tolist()
             verdict = int(record[Event.VERDICT])
             if verdict == Verdict.PENDING:
                 continue
             del self._pending[identity]
             used = verdict in (Verdict.USED, Verdict.WEIGHTED, Verdict.RECOVERED)
             dimensions = self.config.inputs[kind].components
-            self._judged.append(Judgement(stamp, self.name(kind), used, float(record[Event.WEIGHT]), VERDICTS[verdict],
-                                          tuple(record[Event.Z_N:Event.Z_N + dimensions].tolist()),
-                                          float(record[Event.NIS])))
-            tally, misfit = self.tallies[self.name(kind)], float(record[Event.NIS]) / dimensions
+            self._judged.append(Judgement(stamp, self.name(kind), used, record[Event.WEIGHT], VERDICTS[verdict],
+                                          tuple(record[Event.Z_N:Event.Z_N + dimensions]), record[Event.NIS]))
+            tally, misfit = self.tallies[self.name(kind)], record[Event.NIS] / dimensions
             if verdict == Verdict.RECOVERED:
                 self._last_recovery = stamp * 1e-9
                 lasted = (stamp - tally.since) * 1e-9
@@ -340,7 +339,7 @@ class FusionFilter(FilterStatus):
 
     def _fix_judged(self, used: bool, stamp: int, record) -> None:
         topic = self.config.gnss.topic
-        self._recent.append(record.copy())
+        self._recent.append(record)
         if stamp >= self._next_look:
             said = vehicle_warnings(self._memory, self.config, np.array(self._recent))
             self._next_look = stamp + (_MESSAGE_PERIOD if said else _CHECK_PERIOD)
