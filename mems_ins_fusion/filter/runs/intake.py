@@ -135,9 +135,10 @@ class Intake:
                 self.refusal = _NUMBER.sub('#', reason)
             if reason or warning:
                 self.say('warning', f'{settings.topic}: {reason or warning}')
-        stamps = samples.stamp - round(offset * 1e9)
+        late = round(offset * 1e9)
+        stamps = [stamp - late for stamp in samples.stamp.tolist()]
         used, latest, most_ahead = [], self._latest, LATEST + max(-offset, 0.0)
-        for i, (reason, stamp, now) in enumerate(zip(reasons, stamps.tolist(), newest.tolist())):
+        for i, (reason, stamp, now) in enumerate(zip(reasons, stamps, newest.tolist())):
             ahead = (stamp - now) * 1e-9
             if reason:
                 continue
@@ -150,7 +151,7 @@ class Intake:
             else:
                 used.append(i)
         records = records if len(used) == len(records) else records[used]
-        records[:, Event.TIME] = (stamps[used] - epoch) * 1e-9
+        records[:, Event.TIME] = [(stamps[i] - epoch) * 1e-9 for i in used]
         if not measurement.is_plain:
             records[:, Event.INPUT] = measurement.event_input
             records[:, Event.STATE] = self.config.layout.index(measurement.state)
