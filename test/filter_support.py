@@ -146,16 +146,20 @@ def take_event(memory: np.ndarray, record: np.ndarray) -> int:
     return _run(memory, np.zeros((0, 7)), record.reshape(1, -1).copy())
 
 
-def take_all(memory: np.ndarray, samples: np.ndarray, records: np.ndarray, columns) -> tuple[np.ndarray, np.ndarray]:
-    """Samples (k, 7) and measurements (e, Event.SIZE) by time through the kernel, each in time for the sample after it.
+def take_all(memory: np.ndarray, samples: np.ndarray, records: np.ndarray, columns,
+             late=0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Samples (k, 7) and measurements (e, Event.SIZE) by time through the kernel, each in time for the sample after it,
+    or `late` (one or e), s after that.
 
     The columns of the state after each sample (k, c), and the records (e, Event.SIZE) with what came of them.
     """
     records, states = records.copy(), np.empty((len(samples), len(columns)))
     records[:, Event.ID] = np.arange(len(records))
     log, answers = records.copy(), np.zeros(len(records), dtype=np.int64)
-    kernel.run(memory, samples, records, np.searchsorted(samples[:, 0], records[:, Event.TIME]), answers,
-               np.asarray(columns, dtype=np.uint64), np.arange(len(samples)), states, log)
+    arrival = np.searchsorted(samples[:, 0], records[:, Event.TIME] + late)
+    order = np.argsort(arrival, kind='stable')
+    kernel.run(memory, samples, records[order], arrival[order], answers, np.asarray(columns, dtype=np.uint64),
+               np.arange(len(samples)), states, log)
     assert np.all(answers == advance.TAKEN)
     return states, log
 

@@ -285,17 +285,21 @@ def test_the_constraint_with_its_states_corrects_as_the_dense_kalman_update(mech
     assert_corrected(config, before, after, x0 + gain @ z, p0 - gain @ s @ gain.T)
 
 
-def through(kind, value, r, seconds, rate=1.0, fixes=False, velocity=(0.0, 0.0, 0.0), yaw=0.7, sigma_yaw=0.02):
-    """Memory after `seconds` of a vehicle that goes straight on, with a measurement of `value` each 1 / rate s."""
+def through(kind, value, r, seconds, rate=1.0, fixes=False, velocity=(0.0, 0.0, 0.0), yaw=0.7, sigma_yaw=0.02,
+            noise=0.0, begin=0.0):
+    """Memory after `seconds` of a vehicle that goes straight on, with a measurement of `value`, one number or more with
+    this noise, each 1 / rate s from `begin` on."""
+    rng = np.random.default_rng(1)
     config = configure({'gnss.gate_probability': 0.999999, 'gnss.robust_sigma': 3.0})
     p = np.diag([1.0, 1.0, 0.01, 0.01, sigma_yaw**2, 1e-4, 1e-4, 1e-8])
     memory = started(config, velocity=velocity, attitude=(0.0, 0.0, yaw), p=p)
     north, east = 1.0 / newest(memory)[[Nav.NORTH_SCALE, Nav.EAST_SCALE]]
     for k in range(round(20 * seconds)):
         time = (k + 1) / 20.0
-        if (k + 1) % round(20 / rate) == 0:
+        if (k + 1) % round(20 / rate) == 0 and time > begin:
             record = np.zeros(Event.SIZE)
-            record[[Event.TIME, Event.KIND, Event.VALUE, Event.R_NN]] = time, kind, value, r
+            record[[Event.TIME, Event.KIND, Event.R_NN, Event.R_EE, Event.R_DD]] = time, kind, r, r, r
+            record[Event.VALUE:Event.VALUE + np.size(value)] = value + noise * rng.standard_normal(np.size(value))
             take_event(memory, record)
         if fixes and (k + 1) % 20 == 10:
             take_event(memory, fix_record(time, LATITUDE + velocity[0] * time / north,
@@ -312,6 +316,20 @@ def test_headings_bring_back_a_filter_that_is_sure_of_a_wrong_one(off):
     sigma = math.sqrt(state_and_covariance(config, memory)[1][4, 4])
     # then it has come to them, or says that it does not know
     assert abs(error) < 0.7 * off and abs(error) < 2.5 * sigma, (error, sigma)
+
+
+@pytest.mark.parametrize(('kind', 'off'), [(Kind.SPEED, 4.0), (Kind.VELOCITY, 6.0)])
+def test_speeds_and_velocities_bring_back_a_filter_that_is_sure_of_a_wrong_velocity(kind, off):
+    # given a filter whose speed is wrong by many sigma, no fixes for 10 s (they would confirm it), and then speeds for
+    # a minute that agree with each other
+    ahead = np.array([math.cos(0.7), math.sin(0.7), 0.0])
+    value = 10.0 if kind == Kind.SPEED else 10.0 * ahead
+    config, memory = through(kind, value, 0.1**2, 72.0, velocity=(10.0 + off) * ahead, noise=0.1, begin=12.0)
+    error = newest(memory)[Nav.V_N:Nav.V_N + 2] @ ahead[:2] - 10.0
+    v = config.layout.index('v_n')
+    sigma = math.sqrt(ahead[:2] @ state_and_covariance(config, memory)[1][v:v + 2, v:v + 2] @ ahead[:2])
+    # then it has come to them, or says that it does not know
+    assert abs(error) < 0.7 * abs(off) and abs(error) < 2.5 * sigma, (error, sigma)
 
 
 def test_headings_that_fit_leave_their_scale_as_it_is():

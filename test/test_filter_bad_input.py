@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from filter_support import configure
 
-from mems_ins_fusion.filter.memory import Event, views
+from mems_ins_fusion.filter.memory import Event, Kind, views
+from mems_ins_fusion.filter.runs.intake import Intake
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
+from mems_ins_fusion.samples import Fixes
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 RATE = 50
@@ -171,6 +173,20 @@ def test_a_fix_that_comes_twice_is_used_once(fusion):
     fusion.add_fix(stamp, *FIX, COVARIANCE)
     assert said(fusion) == [('warning', f'/gps/fix: header.stamp {stamp * 1e-9:.6f} s came twice: second fix dropped')]
     assert len(kept(fusion)) == count
+
+
+def test_of_several_fixes_the_good_ones_are_used_each_as_it_is():
+    # given a fix that is not a number between good ones, of which the next has its stamp, and one of tomorrow
+    stamp = BEGIN + SECOND * np.array([1, 2, 2, 86_400, 3])
+    latitude = np.array([0.1, math.nan, 0.2, 0.3, 0.4])
+    fixes = Fixes(stamp, stamp, latitude, np.full(5, 0.2), np.full(5, 480.0), np.tile(np.eye(3), (5, 1, 1)),
+                  np.zeros(5, np.int8), np.full(5, 2, np.uint8))
+    intake = Intake(configure({'gnss.max_delay': 3.0}))
+    used, records = intake.measured(Kind.POSITION, fixes, np.full(5, BEGIN + 3 * SECOND), BEGIN)
+    # then each of the others is used with its own place and time
+    assert list(used) == [0, 2, 4]
+    assert np.array_equal(records[:, [Event.LATITUDE, Event.TIME]], [[0.1, 1.0], [0.2, 2.0], [0.4, 3.0]])
+    assert [notice.text.split()[1] for notice in intake.notices()] == ['latitude,', 'fix']
 
 
 def test_a_fix_that_is_too_late_is_dropped():

@@ -159,8 +159,9 @@ class Drive:
         self.position = np.stack([10.0 * self.time, np.zeros(len(self.time))], axis=1)
         self.position += 0.5 * rng.standard_normal((len(self.time), 2))
 
-    def through(self, mechanization, **more):
-        """Configuration, memory, of each sample error (k, 2), m, and `spread` of the position (k, 2), m."""
+    def through(self, mechanization, late=0.0, **more):
+        """Configuration, memory, of each sample error (k, 2), m, and `spread` of the position (k, 2), m; late: s, of
+        each fix."""
         config = configure({**CAR, **more}, mechanization=mechanization)
         n, first = config.layout.n, config.layout.n_navigation
         p = np.diag(np.concatenate([np.square([1, 1, .2, .2, .02] if first == 5 else
@@ -171,7 +172,7 @@ class Drive:
                             for t, (north, east) in zip(self.time, self.position)])
         kept = [Nav.TIME, Nav.LATITUDE, Nav.LONGITUDE, Nav.FIX_TIME,
                 *range(Hypothesis.SPREAD, Hypothesis.SPREAD + 4)]
-        states, records = take_all(memory, self.samples, records, kept)
+        states, records = take_all(memory, self.samples, records, kept, late)
         rows = np.zeros((len(states), Nav.SIZE))
         rows[:, kept] = states
         truth = np.stack([10.0 * rows[:, Nav.TIME], np.zeros(len(rows))], axis=1)
@@ -197,6 +198,18 @@ def test_a_gyroscope_that_turns_away_is_seen_and_said():
     assert newest(memory)[Nav.SLID] > 1.0
     assert np.hypot(*error.T).max() < 6.0 and np.hypot(*error[-500:].T).max() < 2.0
     assert any('sideways' in text for text in vehicle_warnings(memory, config, records))
+
+
+def test_how_long_an_imu_was_contradicted_is_counted_once_whatever_comes_late():
+    # given the same gyroscope, and fixes in time and late: the filter goes over each second once more
+    counted = []
+    for late in (0.0, 0.6):
+        drive = Drive()
+        drive.samples[1500:2000, 6] += math.radians(5.0)
+        _, memory, *_ = drive.through('planar', late)
+        counted.append(newest(memory)[Nav.SLID])
+    # then it is the time that it was so
+    assert 1.0 < counted[0] and counted[1] == pytest.approx(counted[0], rel=0.2)
 
 
 def test_where_each_fix_is_believed_nothing_is_decided_against_the_imu():

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from filter_support import HEIGHT, LATITUDE, configure, fix_record, newest, started, take_all, take_sample
+from filter_support import HEIGHT, LATITUDE, configure, fix_record, newest, started, take_all, take_event, take_sample
 
 from mems_ins_fusion.filter.memory import Event, Head, Nav, Sample, covariance, state_at, views
 from mems_ins_fusion.filter.trust.imu_faults import Fault, Imu, is_doubted
@@ -229,6 +229,9 @@ def test_a_state_that_is_not_finite_is_taken_back(mechanization):
     first = 2 if mechanization == 'planar' else 3
     change = covariance(after, config.layout) - covariance(before, config.layout)
     assert change[first, first] == pytest.approx(1.0) and change[-1, -1] == 0.0
+    # and a late fix, behind which the filter repeats that sample, does not make it two
+    take_event(memory, fix_record(time - 0.3))
+    assert newest(memory)[Nav.RESTARTS] == 1
 
 
 def with_a_gap(mechanization, seconds, fixes=0.0):

@@ -51,8 +51,9 @@ class Receiver:
         self.time = np.arange(0.51, duration - 1.0, 1.0)
         self.position = true_position(self.time) + scatter * self.rng.standard_normal((len(self.time), 2))
 
-    def through(self, sigma=SIGMA, mechanization='planar', offset=(0.0, 0.0), yaw=COURSE, **values):
-        """Memory, error of the position (k, 2) at each sample, m, and records of the fixes; sigma: as stated."""
+    def through(self, sigma=SIGMA, mechanization='planar', offset=(0.0, 0.0), yaw=COURSE, late=0.0, **values):
+        """Memory, error of the position (k, 2) at each sample, m, and records of the fixes; sigma: as stated; late: s,
+        of all fixes or each."""
         config = configure({**TRUST, **values}, mechanization=mechanization)
         n = config.layout.n
         p = np.zeros((n, n))
@@ -66,7 +67,7 @@ class Receiver:
         records = np.array([fix_record(t, LATITUDE + north / SCALE[0], LONGITUDE + east / SCALE[1],
                                        r=s**2 * np.eye(2)) for t, (north, east), s in
                             zip(self.time, self.position, np.broadcast_to(sigma, len(self.time)))])
-        states, records = take_all(memory, self.samples, records, [Nav.LATITUDE, Nav.LONGITUDE])
+        states, records = take_all(memory, self.samples, records, [Nav.LATITUDE, Nav.LONGITUDE], late)
         error = (states - [LATITUDE, LONGITUDE]) * SCALE - true_position(self.samples[:, 0])
         return config, memory, error, records
 
@@ -207,6 +208,16 @@ def test_fixes_that_agree_are_believed_after_the_stated_time(mechanization, jump
     assert np.isin(got[first + 1:], [Verdict.USED, Verdict.WEIGHTED]).all()
     p = covariance(newest(memory), config.layout)
     assert error[-1] @ np.linalg.solve(p[:2, :2], error[-1]) < 14.0
+
+
+@pytest.mark.parametrize('which', [0, 1])
+def test_a_restart_from_fixes_is_counted_once_where_they_overtake_each_other(which):
+    # given the same filter, and every second fix so late that the next one comes before it
+    receiver = Receiver()
+    late = np.where(np.arange(len(receiver.time)) % 2 == which, 1.5, 0.0)
+    _, memory, _, records = receiver.through(offset=(60.0, -80.0), late=late, **{'gnss.max_delay': 3.0})
+    # then it starts anew once, also where the filter goes back behind the restart
+    assert np.count_nonzero(verdicts(records) == Verdict.RECOVERED) == 1 == newest(memory)[Nav.RECOVERIES]
 
 
 def test_a_new_start_forgets_how_large_the_innovations_of_the_old_state_were():

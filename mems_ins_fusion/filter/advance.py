@@ -43,16 +43,17 @@ from .trust.white_noise import show_noise
 
 #: what the answers to an event mean
 TAKEN, BEFORE_START, TOO_LATE, FORGOTTEN = 0, 1, 2, 3
-#: an IMU that has said nothing believable for longer, s, may come back with other errors: one that is switched off and
-#: on, or whose driver starts anew, needs as long at least
+#: s without a sample that is believed, after which the IMU may have other errors: to be switched off and on, or to have
+#: its driver started anew, takes as long at least
 SHORTEST_RESTART = 1.5
-#: so long a sample that is not believed is replaced by what the vehicle did before it, s; after that by no motion.
-#: Matters where many are not believed (5 % spikes for a minute: 3.1 m, 4.5 m without; docs/ablation.md)
+#: s for which samples that are not believed are replaced by the mean of those before them; after that by those of a
+#: vehicle that goes straight on (`coast`). Matters where many are not believed (5 % spikes for a minute: 3.1 m, 4.5 m
+#: without; docs/ablation.md)
 HELD = 0.3
-#: m/s: what is added to the sigma of the velocity where a state was not finite and the one before it is taken
+#: m/s, standard deviation added to the velocity where a state was not finite and the one before it is taken: far
+#: more than one sample can change it
 RESTART_VELOCITY = 1.0
-#: rad: and to that of the attitude
-RESTART_ATTITUDE = 0.05
+RESTART_ATTITUDE = 0.05  # rad, the same of the attitude: 3 deg
 
 
 @njit(_nrt=False)
@@ -143,7 +144,7 @@ def take_sample(memory, samples, i):
         _condition(memory, sample, Imu.CENTRE)
     else:
         coast(memory, sample, before)
-    if dt > memory[Head.MAX_GAP] and k > 1:  # nobody knows what was in between: the mean of both ends is the best guess
+    if dt > memory[Head.MAX_GAP] and k > 1:  # what was in between is unknown: the mean of both ends
         last = nonnegative(sample_at(memory, k - 1))
         for j in range(6):
             memory[sample + Sample.F_X + j] = 0.5 * (memory[sample + Sample.F_X + j] + memory[last + Sample.F_X + j])

@@ -103,8 +103,9 @@ class GnssSettings:
 
 @dataclass(frozen=True)
 class AlignmentSettings:
-    """heading: its source, course, orientation or parameter. level: whether the planar filter removes the tilt that a
-    standstill shows. gyroscope_turn_on: rad/s, prior standard deviation of the gyroscope bias."""
+    """heading: its source, course, orientation or parameter. level: whether the tilt that a standstill shows is removed
+    from the samples, as the planar filter has no states for it. gyroscope_turn_on: rad/s, prior standard deviation of
+    the gyroscope bias."""
 
     heading: str
     yaw: float
@@ -158,8 +159,9 @@ class FilterConfig:
     def from_parameters(cls, values: dict) -> FilterConfig:
         """From checked parameters (`parameters.table.check`). ParameterError where they contradict each other."""
         mechanization = STRAPDOWN if values['mechanization'] == 'strapdown' else PLANAR
-        for measurement in aiding(values) if mechanization == PLANAR else ():
-            if measurement.kind == Kind.PRESSURE and values[measurement.topic]:
+        is_planar = mechanization == PLANAR
+        for measurement in aiding(values):
+            if is_planar and measurement.kind == Kind.PRESSURE and values[measurement.topic]:
                 raise ParameterError(f"parameter '{measurement.topic}' needs mechanization strapdown: planar has no "
                                      'height')
         rotation = mounting(values['imu.mounting_rpy'])
@@ -181,16 +183,16 @@ class FilterConfig:
             if correction is not None:
                 conditioning = correction @ conditioning
         white = mixing**2 @ sensors('noise_density')**2
-        if mechanization == PLANAR:
+        if is_planar:
             models, white = _with_tilt(models, white, STANDARD_GRAVITY * values['vehicle.tilt_sigma'])
         datum = values['datum']
         return cls(
             mechanization=mechanization, open_loop=values['feedback'] == 'open', models=_equal_order(models),
             white=white, turn_on_sigma=np.array(constant), conditioning=conditioning,
-            offset=-conditioning @ sensors('bias'), extras=_extras(values, mechanization), imu=_imu(values),
+            offset=-conditioning @ sensors('bias'), extras=_extras(values, is_planar), imu=_imu(values),
             gnss=_gnss(values), inputs=inputs(values),
             sensors={measurement.number: measurement.settings(values) for measurement in aiding(values)},
-            alignment=_alignment(values), vehicle=_vehicle(values),
+            alignment=_alignment(values, is_planar), vehicle=_vehicle(values),
             wheel_vibration=values['wheel_vibration'],
             datum=np.array([math.radians(datum[0]), math.radians(datum[1]), datum[2]]) if datum else None,
             parameters=values)
@@ -271,7 +273,7 @@ class FilterConfig:
 
     def _write_head(self, head: np.ndarray, width: int) -> None:
         layout, gnss, vehicle, values = self.layout, self.gnss, self.vehicle, self.parameters
-        strapdown = values['mechanization'] == 'strapdown'
+        shows_tilt = not layout.is_level
         axle = FLU_TO_FRD @ np.asarray(values['vehicle.rear_axle'], dtype=float)
         settings = {
             Head.MECHANIZATION: self.mechanization, Head.OPEN_LOOP: self.open_loop,
@@ -288,10 +290,10 @@ class FilterConfig:
             Head.GATE: gnss.gate, Head.ROBUST_SIGMA: values['gnss.robust_sigma'],
             Head.RECOVERY_TIME: values['gnss.recovery_time'], Head.COVARIANCE_FACTOR: values['gnss.adapt_covariance'],
             # the planar filter's errors on slopes would be taken for the receiver's
-            Head.ADAPT: values['gnss.adapt_sigma'] and strapdown,
+            Head.ADAPT: values['gnss.adapt_sigma'] and shows_tilt,
             # with AR models the planar filter's white noise includes the tilt (`_with_tilt`)
-            White.ADAPT: values['imu.adapt_noise'] and strapdown,
-            DriftSettings.LEARNED: (values['vehicle.learn_drift'] and strapdown
+            White.ADAPT: values['imu.adapt_noise'] and shows_tilt,
+            DriftSettings.LEARNED: (values['vehicle.learn_drift'] and shows_tilt
                                     and values['sensor_error_model'] != 'autoregressive'),
             LagSettings.GAIN: gnss.lag_gain, LagSettings.TIME: gnss.lag_time,
             Head.LEVER_X: gnss.lever_arm[0], Head.LEVER_Y: gnss.lever_arm[1], Head.LEVER_Z: gnss.lever_arm[2],
@@ -344,7 +346,7 @@ def _with_tilt(models: tuple[Model, ...], white: np.ndarray, sigma: float) -> tu
     return (*tilted, models[2]), white + [*more, 0.0, 0.0, 0.0, 0.0]
 
 
-def _extras(values: dict, mechanization: int) -> tuple[Extra, ...]:
+def _extras(values: dict, is_planar: bool) -> tuple[Extra, ...]:
     """The optional states of the configuration."""
     extras = []
     coloured = _coloured(values)
@@ -357,7 +359,7 @@ def _extras(values: dict, mechanization: int) -> tuple[Extra, ...]:
             extras.append(Extra(name, RandomWalk(walk, sigma), sigma))
 
     if values['vehicle.non_holonomic']:
-        if mechanization == STRAPDOWN:
+        if not is_planar:
             slow('mounting_pitch', values['imu.mounting_sigma'])
         slow('mounting_yaw', values['imu.mounting_sigma'])
         slow('axle_x', values['vehicle.rear_axle_sigma'])
@@ -391,9 +393,9 @@ def _gnss(values: dict) -> GnssSettings:
         outage_after=values['gnss.outage_after'], coloured=_coloured(values))
 
 
-def _alignment(values: dict) -> AlignmentSettings:
+def _alignment(values: dict, is_planar: bool) -> AlignmentSettings:
     return AlignmentSettings(values['alignment.heading'], values['alignment.yaw'], values['alignment.yaw_sigma'],
-                             values['alignment.level'], max(values['gyroscope.initial_sigma']))
+                             values['alignment.level'] and is_planar, max(values['gyroscope.initial_sigma']))
 
 
 def _vehicle(values: dict) -> VehicleSettings:

@@ -95,7 +95,7 @@ def update(mem, r, at, n, dimensions, factor, robust, gate):
     if gate > 0.0 and nis > gate * gate:
         mem[at + Event.WEIGHT] = 0.0
         return Verdict.REFUSED
-    if robust > 0.0 and nis > robust * robust:  # so much noise that the innovation is just `robust`
+    if robust > 0.0 and nis > robust * robust:  # R is raised until the normalized innovation is `robust`
         inflation = nis / (robust * robust) - 1.0
         r_nn, r_ne, r_ee = r_nn + inflation * s_nn, r_ne + inflation * s_ne, r_ee + inflation * s_ee
         verdict = Verdict.WEIGHTED

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,8 +42,7 @@ _CHANGED = (Head.GATE, Head.ROBUST_SIGMA, Head.RECOVERY_TIME, Head.ADAPT, Head.C
             Head.LATERAL_SIGMA, Head.VERTICAL_SIGMA)
 
 
-@dataclass(frozen=True)
-class Judgement:
+class Judgement(NamedTuple):
     """What the filter did with one measurement. stamp: ns. kind: name of the input. weight: factor on the inverse
     covariance, 0 to 1. reason: in words. innovation: predicted minus measured, m, m/s or rad."""
 
@@ -99,7 +99,7 @@ class FusionFilter(FilterStatus):
         self._last_gap, self.gaps = 0.0, 0
         self._last_fault = self._last_recovery = -math.inf
         self._fault = ''
-        self._recent: deque[np.ndarray] = deque(maxlen=ADRIFT)  # records of fixes
+        self._recent: deque[list[float]] = deque(maxlen=ADRIFT)  # records of fixes
         self._next_look = 0  # ns: time of the next check whether the vehicle contradicts the parameters
         self._said: list[str] = []  # messages of the last check
         self._said_mounting = False
@@ -219,7 +219,7 @@ class FusionFilter(FilterStatus):
             tally.refuse(stamp, self.refusal)
             return
         record = records[0]
-        stamp = self._epoch + round(record[Event.TIME] * 1e9)
+        stamp = self._epoch + round(float(record[Event.TIME]) * 1e9)  # float: numpy rounds ten times slower
         if kind == Kind.POSITION:
             self._height_sigma = math.sqrt(record[Event.R_DD])
             self._find_datum(record)
@@ -314,17 +314,17 @@ class FusionFilter(FilterStatus):
             if at < 0:  # the memory has dropped it: too many measurements wait for IMU samples
                 del self._pending[identity]
                 continue
-            record = self._memory[at:at + Event.SIZE]
+            record = self._memory[at:at + Event.SIZE].tolist()
             verdict = int(record[Event.VERDICT])
             if verdict == Verdict.PENDING:
                 continue
             del self._pending[identity]
             used = verdict in (Verdict.USED, Verdict.WEIGHTED, Verdict.RECOVERED)
-            dimensions = self.config.inputs[kind].components
-            self._judged.append(Judgement(stamp, self.name(kind), used, float(record[Event.WEIGHT]), VERDICTS[verdict],
-                                          tuple(record[Event.Z_N:Event.Z_N + dimensions].tolist()),
-                                          float(record[Event.NIS])))
-            tally, misfit = self.tallies[self.name(kind)], float(record[Event.NIS]) / dimensions
+            measurement = self.config.inputs[kind]
+            self._judged.append(Judgement(stamp, measurement.name, used, record[Event.WEIGHT], VERDICTS[verdict],
+                                          tuple(record[Event.Z_N:Event.Z_N + measurement.components]),
+                                          record[Event.NIS]))
+            tally, misfit = self.tallies[measurement.name], record[Event.NIS] / measurement.components
             if verdict == Verdict.RECOVERED:
                 self._last_recovery = stamp * 1e-9
                 lasted = (stamp - tally.since) * 1e-9
@@ -340,7 +340,7 @@ class FusionFilter(FilterStatus):
 
     def _fix_judged(self, used: bool, stamp: int, record) -> None:
         topic = self.config.gnss.topic
-        self._recent.append(record.copy())
+        self._recent.append(record)
         if stamp >= self._next_look:
             said = vehicle_warnings(self._memory, self.config, np.array(self._recent))
             self._next_look = stamp + (_MESSAGE_PERIOD if said else _CHECK_PERIOD)

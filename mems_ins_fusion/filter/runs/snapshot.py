@@ -27,7 +27,7 @@ PARKED_YAW_SIGMA = 0.02  # rad, standard deviation of the change of heading of a
 def make_snapshot(config: FilterConfig, memory: np.ndarray, stamp: int) -> dict:
     """The snapshot of a filter with this memory, whose newest sample has `stamp` (ns)."""
     layout = config.layout
-    latitude, longitude, height, v_n, v_e, _, _ = corrected(newest_row(memory), 0, layout.is_level, config.open_loop)
+    latitude, longitude, height, v_n, v_e, _, _ = _solution(config, memory)
     yaw, yaw_sigma = vehicle_heading(config, memory)
     errors, wheels = sensor_errors_of(config, memory), wheel_vibration.calibration(memory)
     return {'stamp': int(stamp), 'latitude': latitude, 'longitude': longitude, 'height': height,
@@ -38,10 +38,14 @@ def make_snapshot(config: FilterConfig, memory: np.ndarray, stamp: int) -> dict:
             **({} if wheels is None else {'wheels': wheels.tolist()})}
 
 
+def _solution(config: FilterConfig, memory: np.ndarray) -> tuple:
+    return corrected(newest_row(memory), 0, config.layout.is_level, config.open_loop)
+
+
 def vehicle_heading(config: FilterConfig, memory: np.ndarray) -> tuple[float, float]:
     """Yaw of the vehicle (that of the body plus that of the mounting), rad clockwise from north, and its sigma."""
     layout, row = config.layout, newest_row(memory)
-    yaw = to_euler(corrected(row, 0, layout.is_level, config.open_loop)[-1])[2]
+    yaw = to_euler(_solution(config, memory)[-1])[2]
     direction, mounting = np.zeros(layout.n), layout.index('mounting_yaw')
     direction[layout.n_navigation - 1] = 1.0
     if mounting >= 0:
@@ -52,7 +56,8 @@ def vehicle_heading(config: FilterConfig, memory: np.ndarray) -> tuple[float, fl
 
 def saved_at_jump(config: FilterConfig, memory: np.ndarray, before: int, now: int) -> SavedState:
     """What the filter can restart with after the stamps of the samples have jumped from `before` to `now` (ns): a clock
-    was set, or a recording begins again. A jump back counts as no time, as nobody knows how long it took."""
+    was set, or a recording begins again. The duration of a jump back is unknown and counts as
+    zero."""
     snapshot = {**make_snapshot(config, memory, before), 'stamp': min(before, now)}
     return from_snapshot(config, snapshot, now, config.parameters['state_file_max_distance'])[0]
 

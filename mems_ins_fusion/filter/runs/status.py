@@ -26,7 +26,7 @@ VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down', Verdict.REF
             Verdict.AWAITED: 'not compared with the way between the fixes yet',
             Verdict.RECOVERED: 'the filter restarted from it'}
 DEGRADED = 5.0  # s for which the state is `degraded` after an IMU sample that was not believed
-#: s for which the state is `recovering` after a restart from refused fixes: so long it takes to find the heading again
+#: s for which the state is `recovering` after a restart from refused fixes: the heading is found again within that
 RECOVERING = 10.0
 #: realised over expected standard deviation of the innovations that is not by chance: the largest of 180 fault-free
 #: drives of 10 minutes was 1.72, and 2 % of them were above 1.5; with fixes stamped 0.8 s early each is above

@@ -39,7 +39,7 @@ STANDING_SIGMA = 0.05  # m/s, standard deviation of the velocity zero at rest
 FEWEST_CONSISTENT = 3
 #: information of a second difference, as a share of that of an independent one: each fix is in three of them
 OVERLAP = 0.5
-#: s: a standstill that begins later than this after the first sample may follow a drive that nobody saw
+#: s: a standstill that begins later than this after the first sample may follow a drive of which there are no samples
 SEEN_FROM_BEGIN = 2.0
 #: s after the first sample until which a saved heading is used: a vehicle not seen at rest by then has driven off
 LONGEST_SAVED = 30.0

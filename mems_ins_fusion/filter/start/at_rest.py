@@ -19,9 +19,12 @@ SHORTEST_STILL = 3.0  # s, shortest standstill
 STEADY_ACCELERATION = 0.06
 STEADY_RATE = 0.005  # rad/s, the same of the angular rate
 FEWEST_BLOCKS = 10  # blocks needed to decide whether a turn rate wanders: fewer may be the first of a drive
-#: m/s, drift of the fixes of a vehicle at rest. A vehicle that moves no faster, with sensors as quiet, may be taken for
-#: one at rest without harm: its sensors show the same biases
+#: m/s, drift of the fixes of a vehicle at rest. A vehicle that moves no faster and is as quiet passes for one at rest,
+#: too; its sensors show the same biases
 RECEIVER_DRIFT = 0.3
+SMALLEST_DRIFT = 0.1  # m by which they drift within the shortest time
+STAYING_SIGMAS = 4.0  # sigmas by which their medians may differ besides
+FASTEST_DRIFT = 2.0  # m/s: fixes that move faster are those of a vehicle that drives, however much they scatter
 WANDERING = 4.0  # fixes have moved where their displacement exceeds their scatter about a straight line by this factor
 MEDIAN_SIGMA = math.sqrt(math.pi / 2)  # standard deviation of a median over that of a mean, of normal errors
 #: share of gravity by which the specific force at rest may differ from it: more is no accelerometer error
@@ -117,8 +120,10 @@ def _stays(positions: np.ndarray, begin: float, end: float) -> bool:
     time, position = inside[:, 0] - inside[:, 0].mean(), inside[:, 1:3] - inside[:, 1:3].mean(axis=0)
     straight = np.outer(time, time @ position / max(time @ time, 1e-9))
     scatter = math.sqrt(((position - straight) ** 2).sum() / max(len(inside) - 2, 1))
-    return moved < 2.0 * interval and moved < max(
-        4 * sigma + max(0.1, RECEIVER_DRIFT * interval), WANDERING * scatter if len(inside) >= FEWEST_BLOCKS else 0.0)
+    allowed = STAYING_SIGMAS * sigma + max(SMALLEST_DRIFT, RECEIVER_DRIFT * interval)
+    if len(inside) >= FEWEST_BLOCKS:
+        allowed = max(allowed, WANDERING * scatter)
+    return moved < min(FASTEST_DRIFT * interval, allowed)
 
 
 def note_standstill(standstill: Standstill | None, latitude: float, height: float,
@@ -129,7 +134,7 @@ def note_standstill(standstill: Standstill | None, latitude: float, height: floa
     size = float(np.linalg.norm(standstill.specific_force))
     tilt = math.degrees(math.acos(min(1.0, max(-1.0, -standstill.specific_force[2] / size)))) if size else math.nan
     bias = ', '.join(f'{math.degrees(w):.3f}' for w in standstill.angular_rate)
-    removed = ' (removed)' if config.alignment.level and config.layout.is_level else ''
+    removed = ' (removed)' if config.alignment.level else ''
     expected = gravity(latitude, height)
     text = (f'standstill of {standstill.duration:.1f} s: gyroscope bias {bias} deg/s (forward, right, down), '
             f'tilt {tilt:.1f} deg{removed}, specific force {size:.3f} m/s^2 '

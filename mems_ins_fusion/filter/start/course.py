@@ -20,12 +20,18 @@ SPEED_SIGMA = 0.05  # m/s, standard deviation of velocity components at the star
 SIDESLIP_SIGMA = 0.02  # rad, standard deviation of the angle between the heading of a car and its course
 LARGEST_YAW_SIGMA = 0.5  # rad, largest standard deviation of a heading to start with: the filter is linear in its error
 CHORD_STEP = 1.1  # factor: a chord whose time is longer than that of the last tried one by less shows the same
-MOST_BETWEEN = 20  # fixes that are looked at between the ends of a chord, evenly: more say the same and take longer
+MOST_BETWEEN = 20  # fixes that are looked at between the ends of a chord, evenly: more add nothing and take longer
 FEWEST_BETWEEN = 3  # fixes needed between the ends of a chord that does not begin at a standstill
 LONGEST_START = 12.0  # s after a standstill during which the biases that it has shown are used
 #: rad: a vehicle that has turned by more since the standstill shows no direction of driving off
 LARGEST_START_TURN = 0.7
 MOVED_OFF = 0.2  # m/s, standard deviation of the velocity at the end of a standstill
+#: sigmas by which the speed of the fixes differs from that of the accelerometers in both directions where neither is
+#: believed: the fixes move, the vehicle stands
+NEITHER_SIGMAS = 5.0
+NEITHER_SPEED = 1.0  # m/s by which it has to differ besides: errors of the fixes that are not in their sigmas
+#: squared sigmas by which one direction has to fit the accelerometers better than the other: three sigmas
+DIRECTION_CERTAIN = 9.0
 LARGEST_TURN = 1.0  # rad: the path of a vehicle that turns by more is not fitted by a chord
 BENT = 0.6  # chord over path length of the most curved path that is looked at
 KNOT = 4.0  # s between the knots of the piecewise linear speed that is fitted to a curved path
@@ -282,12 +288,13 @@ def _direction(imu, time, standstill, forwards, backwards, sigma, config) -> int
     expected = 0.0
     if motion is not None:
         expected = math.cos(motion.turn) * motion.gained[0] + math.sin(motion.turn) * motion.gained[1]
-    variance = sigma**2 + (MOVED_OFF + 0.1 * since) ** 2
+    variance = sigma**2 + (MOVED_OFF + KNOWN_FORCE_SIGMA * since) ** 2
     if since < LONGEST_COURSE_TIME and min(abs(forwards - expected), abs(backwards - expected)) > (
-            5.0 * math.sqrt(variance) + 1.0):
+            NEITHER_SIGMAS * math.sqrt(variance) + NEITHER_SPEED):
         return 0  # the fixes move, the IMU does not
     difference = (forwards - expected) ** 2 - (backwards - expected) ** 2
-    if abs(difference) < 9 * variance:  # long after the standstill: forwards, as vehicles drive most of the time
+    if abs(difference) < DIRECTION_CERTAIN * variance:
+        # long after the standstill: forwards, as vehicles drive most of the time
         return 1 if since > LONGEST_COURSE_TIME else 0
     return 1 if difference < 0 else -1
 

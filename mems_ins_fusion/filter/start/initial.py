@@ -30,8 +30,7 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
     head, _, rows, ring, _ = views(memory)
     conditioning, offset = config.conditioning, config.offset
     still = start.standstill
-    # the planar filter has no states for tilt: that which the standstill shows is removed from the samples
-    level = config.alignment.level and still is not None and config.layout.is_level
+    level = config.alignment.level and still is not None
     if level:
         conditioning, offset = leveled(config, still)
     estimate, covariance, constant = _sensor_errors(config, start, level)
@@ -98,19 +97,19 @@ def _sensor_errors(config: FilterConfig, start: Start, level: bool):
     """Estimate (m,) and covariance (m, m) of the augmented states; constant part (channels,) of the sensor errors."""
     p, m = config.layout.order, config.layout.n_augmented
     estimate, covariance, constant = np.zeros(m), np.zeros((m, m)), np.zeros(len(config.models))
-    still = start.standstill
+    still, is_level = start.standstill, config.layout.is_level
     # a late fix may start the filter within the standstill
     span = (still.duration, max(0.0, start.time - still.end)) if still else (0.0, 0.0)
     unseen = np.ones(m, dtype=bool)  # states that the standstill does not show
     for channel, (model, axis) in enumerate(zip(config.models, config.channel_axes)):
         block = slice(channel * p, (channel + 1) * p)
         mean, sigma = _error_at_rest(config, start, axis, level), config.turn_on_sigma[channel]
-        if axis < 2 and not config.layout.is_level:
+        if axis < 2 and not is_level:
             mean = None  # a standstill shows the sum of tilt and bias: see _strapdown_attitude
         elif axis < 2 and level:
             sigma = math.hypot(sigma, TILT_SIGMA)
         # saved accelerometer errors of a planar filter include the slope of another place
-        unseen[block] = mean is None and not (axis < 2 and config.layout.is_level)
+        unseen[block] = mean is None and not (axis < 2 and is_level)
         estimate[block], covariance[block, block], constant[channel] = channel_prior(
             model, sigma, config.white[axis], mean, *span)
     for state, extra in enumerate(config.extras, start=config.layout.n_sensor):
