@@ -85,6 +85,13 @@ def unsettle(mem, r, n, innovation, since):
 
 
 @njit(_nrt=False)
+def let_fixes_decide(mem, r):
+    """The state at r has been misled by an input that is wrong for certain."""
+    if mem[Head.LATERAL_SIGMA] > 0.0:  # else nobody counts the time
+        mem[r + Nav.UNSETTLED] = UNSETTLED_TIME
+
+
+@njit(_nrt=False)
 def loosen(mem, r, n, nis):
     """The navigation errors in P of the scratch so uncertain that a fix with this nis, before the correction, fits."""
     if nis <= LOOSENED:

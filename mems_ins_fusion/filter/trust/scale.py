@@ -53,7 +53,9 @@ class _Seen(NamedTuple):
     SINCE: int = 18  # time, s, since which it says that
     LAST: int = 19  # velocity north and east with which its way ends, m/s
     VARIANCE: int = 21  # of that way, m^2
-    SIZE: int = 22
+    COMPARED_IN: int = 22  # what of it is compared, see trust/way.py
+    SURPRISED: int = 23  # 1: the latest one was far longer than expected, -1: far shorter
+    SIZE: int = 24
 
 
 Seen = _Seen()
