@@ -159,7 +159,7 @@ class FilterConfig:
         """From checked parameters (`parameters.table.check`). ParameterError where they contradict each other."""
         mechanization = STRAPDOWN if values['mechanization'] == 'strapdown' else PLANAR
         for measurement in aiding(values) if mechanization == PLANAR else ():
-            if measurement.kind == Kind.PRESSURE and values[measurement.topic]:
+            if measurement.needs_height and values[measurement.topic]:
                 raise ParameterError(f"parameter '{measurement.topic}' needs mechanization strapdown: planar has no "
                                      'height')
         rotation = mounting(values['imu.mounting_rpy'])

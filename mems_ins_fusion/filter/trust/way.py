@@ -143,8 +143,9 @@ def _learn(mem, own, more, noise):
     far = math.copysign(1.0, surprise) if abs(surprise) > LARGEST_SURPRISE * sigma else 0.0
     if far != 0.0 and far == mem[own + Seen.SURPRISED]:  # from now on it is another speed
         variance = PRIOR
-    elif far != 0.0:  # a fix that is far off makes one way longer and the next one shorter
-        surprise = far * LARGEST_SURPRISE * sigma
+    elif far != 0.0:  # perhaps it is; or a fix is far off, which makes one way longer and the next one shorter
+        variance = min(variance + noise, PRIOR)
+        surprise = far * LARGEST_SURPRISE * math.sqrt(variance + noise)
     mem[own + Seen.SURPRISED] = far
     gain = variance / (variance + noise)
     mem[own + Seen.MORE] += gain * surprise
