@@ -91,8 +91,10 @@ def judge(mem, r, at, n, dimensions):
     lasts = SPEED_LASTS if of_velocity else FIELD_LASTS if kind == Kind.MAGNETIC else 0.0
     density = max(1.0, lasts / max(time - mem[own + Scale.TIME], 1e-3))
     if (of_velocity or kind == Kind.HEADING) and fix != 0.0 and time - fix < NO_FIX and not way.is_compared(mem, own):
-        density = max(density, FIELD_LASTS / max(time - mem[own + Scale.TIME], 1e-3)) if kind == Kind.HEADING else density
-        first = FIRST_HEADING_SIGMA if kind == Kind.HEADING else FIRST_SIGMA
+        first = FIRST_SIGMA
+        if kind == Kind.HEADING:  # what is wrong with it does not change from one to the next
+            first = FIRST_HEADING_SIGMA
+            density = max(1.0, FIELD_LASTS / max(time - mem[own + Scale.TIME], 1e-3))
         mem[own + Scale.TIME] = time
         # a velocity may fit by its size and point elsewhere
         gate = NEVER if kind == Kind.VELOCITY else ROBUST
