@@ -59,7 +59,7 @@ class Heading(Measurement):
             *super().parameters(),
             Parameter(f'{self.name}.offset', 0.0, 'rad', 'Of the heading measured to that of base_link, clockwise; '
                       'subtracted.', minimum=-2 * math.pi, maximum=2 * math.pi),
-            Parameter(f'{self.name}.offset_sigma', 0.05, 'rad', 'Standard deviation of what is left of that offset, '
+            Parameter(f'{self.name}.offset_sigma', 0.1, 'rad', 'Standard deviation of what is left of that offset, '
                       'which is estimated: antennas and compasses are mounted to some degrees; 0: nothing is left.',
                       minimum=0.0, maximum=math.pi))
 
