@@ -326,15 +326,16 @@ def test_a_heading_that_is_mounted_some_degrees_off_is_worth_as_much():
         assert not result.notices or not any('sideways' in n.text or 'not believed' in n.text for n in result.notices)
 
 
-@pytest.mark.parametrize('wrong', [lambda yaw: yaw + np.pi, lambda yaw: yaw + 1.0, lambda yaw: -yaw])
-def test_a_heading_that_is_wrong_from_the_begin_on_costs_nothing(wrong):
-    # given a heading that is half a turn off, 57 deg off, or counted the other way round
+@pytest.mark.parametrize(('wrong', 'fits_an_offset'), [
+    (lambda yaw: yaw + np.pi, False), (lambda yaw: -yaw, False), (lambda yaw: yaw + 1.0, True)])
+def test_a_heading_that_is_wrong_from_the_begin_on_costs_nothing(wrong, fits_an_offset):
+    # given a heading that is half a turn off, counted the other way round, or 57 deg off
     recording = drive(3)
     heading = replace(recording.heading, yaw=wrong(recording.heading.yaw))
     off, result = off_with_fixes(recording, {'heading': heading})
     none, _ = off_with_fixes(recording, {})
     counts = result.measured.verdicts(Kind.HEADING)
-    assert counts[Verdict.CONTRADICTED] > 0.5 * len(heading), counts
+    assert fits_an_offset or counts[Verdict.CONTRADICTED] > 0.5 * len(heading), counts
     assert np.sqrt(np.mean(off**2)) < 1.2 * np.sqrt(np.mean(none**2)) + 0.2
 
 

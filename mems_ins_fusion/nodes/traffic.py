@@ -16,8 +16,8 @@ class Traffic(Watch):
 
     count: messages so far. lost: how many are missing between those that came, by the publisher's own numbers.
     frame_id, stamp (ns): of the newest message. delay: s from the stamp to when a message was taken, NaN before the
-    first; of one message a second, as that of the hot path costs. hertz: messages a second, by the node's clock, which
-    is that of the recording where one is played. now: that clock, ns.
+    first; of one message a second, as that of the hot path costs. hertz: messages a second, by their stamps. now: the
+    node's clock, ns.
     """
 
     def __init__(self, patience: float, now: Callable[[], int], period: float = 30.0,
@@ -27,7 +27,7 @@ class Traffic(Watch):
         self.hertz = 0.0
         self._now, self._number, self._missing, self._waited, self._ask = now, 0, 0, 0, True
         self._quickest = 2**63
-        self._counted = now(), 0
+        self._counted = 0, 0
 
     def take(self, header, info: dict) -> float:
         """A message with this header came; how much later than the quickest one so far, s. info: rclpy's."""
@@ -64,11 +64,12 @@ class Traffic(Watch):
         return missing, waited
 
     def _count_rate(self) -> None:
-        """By the node's clock, so that a recording that is played five times as fast has its own rates."""
-        (then, count), self._counted = self._counted, (self._now(), self.count)
-        elapsed = (self._counted[0] - then) * 1e-9
-        if then > 0 and elapsed > 0.0:  # else nothing drives the clock yet, or it was set back
-            self.hertz = (self.count - count) / elapsed
+        """Of the messages since the last call: a recording that is played five times as fast has its own rates."""
+        (then, count), self._counted = self._counted, (self.stamp, self.count)
+        if self.count == count:
+            self.hertz = 0.0
+        elif count and self.stamp > then:  # else they have just begun, or their clock was set back
+            self.hertz = (self.count - count) / (self.stamp - then) * 1e9
 
     @property
     def silence(self) -> float:
