@@ -88,11 +88,16 @@ def unsettle(mem, r, n, innovation, since):
 
 @njit(_nrt=False)
 def let_fixes_decide(mem, r):
-    """The state at r has been misled by an input that is wrong for certain: that fixes did not fit spoke against the
-    input, and a second filter that takes the fixes for wrong still believes it."""
-    hypotheses.claim(mem, r, SETTLED)
+    """The state at r has been misled by an input that is wrong for certain."""
     if mem[Head.LATERAL_SIGMA] > 0.0:  # else nobody counts the time
         mem[r + Nav.UNSETTLED] = UNSETTLED_TIME
+
+
+@njit(_nrt=False)
+def believe_fixes(mem, r):
+    """The fixes are right, as an input that they contradict has been wrong for longer than receivers are: a second
+    filter that takes the fixes for wrong, and still believes the input, has lost."""
+    hypotheses.claim(mem, r, SETTLED)
 
 
 @njit(_nrt=False)

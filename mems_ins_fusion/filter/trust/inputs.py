@@ -45,6 +45,8 @@ LARGEST_NOISE = 0.2
 LARGEST_HEADING_NOISE = 0.05
 #: s for which a heading that has fitted and then is far off is wrong: gyroscopes know better
 LONGEST_JUMP = 60.0
+#: s after which it is the input that is wrong, and not the fixes: receivers that lose their satellites drift for less
+LONGEST_DRIFT = 60.0
 #: s without a fix after which the fixes no longer confirm the velocity
 NO_FIX = 10.0
 
@@ -82,9 +84,12 @@ def judge(mem, r, at, n, dimensions):
     time = mem[at + Event.TIME]
     of_velocity = is_of_velocity(kind)
     if is_contradicted(mem, r, at, n):
-        if mem[own + Seen.FITTED] != 0.0:  # it has misled the state: the fixes decide
-            mem[own + Seen.FITTED] = 0.0
+        if mem[own + Seen.FITTED] > 0.0:  # it has misled the state
+            mem[own + Seen.FITTED] = -time
             contradiction.let_fixes_decide(mem, r)
+        elif mem[own + Seen.FITTED] < 0.0 and time + mem[own + Seen.FITTED] > LONGEST_DRIFT:
+            mem[own + Seen.FITTED] = 0.0
+            contradiction.believe_fixes(mem, r)
         return 1.0, NEVER
     # of the start, too, after which the first has still to come
     fix = max(mem[r + Nav.FIX_TIME], mem[r + receiver.Receiver.SCALE + Scale.TIME])
