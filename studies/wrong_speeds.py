@@ -1,4 +1,5 @@
-"""What a speed, velocity or odometry costs that is wrong for a whole drive: the filter is to be as good as without it.
+"""What a speed, velocity, odometry or heading costs that is wrong for a whole drive, or from 200 s on: the filter is to
+be as good as without it.
 
     python studies/wrong_speeds.py [--seeds 4] [--minutes 10] [--output FILE.md]
 
@@ -39,6 +40,19 @@ def _late(name, seconds):
     return name, lambda samples: replace(samples, stamp=samples.stamp + round(seconds * 1e9))
 
 
+def _turned(degrees):
+    return 'heading', lambda samples: replace(samples, yaw=samples.yaw + np.radians(degrees))
+
+
+def _later(name, change):
+    """Wrong from 200 s on."""
+    def changed(samples):
+        late = samples.stamp - samples.stamp[0] > 200 * 10**9
+        part = 'yaw' if name == 'heading' else name
+        return replace(samples, **{part: np.where(late, getattr(change(samples), part), getattr(samples, part))})
+    return name, changed
+
+
 INPUTS = {
     'none': ('', None),
     'wheel speed': _times('speed', 1.0), 'wheel speed in km/h': _times('speed', 3.6),
@@ -50,12 +64,19 @@ INPUTS = {
     'odometry, turns to the right positive': _times('twist', np.diag([1.0, 1.0, -1.0])),
     'odometry, turn rate half as much again': _times('twist', np.diag([1.0, 1.0, 1.5])),
     'odometry 0.3 s late': _late('twist', 0.3),
+    'wheel speed, 10 % more from 200 s on': _later(*_times('speed', 1.1)),
+    'in mph, taken for km/h, from 200 s on': _later(*_times('speed', 1.0 / 1.609)),
+    'GNSS velocity, always zero': _times('velocity', 0.0),
+    'heading': _turned(0.0), 'heading 5 deg off': _turned(5.0), 'heading 15 deg off': _turned(15.0),
+    'heading half a turn off': _turned(180.0), 'heading to the left positive': (
+        'heading', lambda samples: replace(samples, yaw=-samples.yaw)),
+    'heading 5 deg off from 200 s on': _later(*_turned(5.0)),
 }
 
 
 def of_drive(seed: int, minutes: float) -> list:
     made = simulate_recording(drive_of(seed, minutes), sensors(), FIXES['1.5 m'], seed=seed, aiding=Aiding(
-        speed_rate=20.0, velocity_rate=5.0, twist_rate=20.0), **{
+        speed_rate=20.0, velocity_rate=5.0, twist_rate=20.0, heading_rate=5.0), **{
             key: value for key, value in REALISTIC.distortions(seed).items() if key != 'aiding'})
     recording = made.recording
     with warnings.catch_warnings():

@@ -282,3 +282,108 @@ def test_a_quiet_robot_does_not_stand_while_its_wheels_turn(seed):
     settled = result.stamp > result.stamp[0] + 20 * SECOND
     largest = np.degrees(turned_off[settled].max())
     assert off.max() < 0.3 and largest < 5.0, (off.max(), largest)
+
+
+def off_with_fixes(recording, measured, after=30.0):
+    """Distance of the filter's position from the truth, m, `after` s and later."""
+    result, true = run(config(*measured), recording.imu, recording.gnss, Measured(measured)), recording.reference
+    north, east = radii(result.latitude)
+    off = np.hypot((result.latitude - np.interp(result.stamp, true.stamp, true.latitude)) * north,
+                   (result.longitude - np.interp(result.stamp, true.stamp, true.longitude)) * east
+                   * np.cos(result.latitude))
+    return off[result.stamp > recording.imu.stamp[0] + after * SECOND], result
+
+
+@pytest.mark.parametrize('share', [1.1, 0.62])
+def test_a_speed_that_becomes_another_one_does_not_make_the_filter_refuse_the_fixes_for_long(share):
+    for seed in (2, 3):
+        # given wheels that turn by a tenth more than they roll from 80 s on, as on grass; or another unit
+        recording = drive(seed)
+        speed = recording.speed
+        at = (speed.stamp - speed.stamp[0]) / SECOND
+        changed = replace(speed, speed=speed.speed * np.where(at > 80.0, share, 1.0))
+        off, result = off_with_fixes(recording, {'speed': changed})
+        # then it is refused as not the way between the fixes, and the filter is where these are
+        of_speed = result.measured.kind == Kind.SPEED
+        since = (result.measured.stamp[of_speed] - speed.stamp[0]) / SECOND
+        refused = result.measured.record[of_speed, Event.VERDICT] == Verdict.CONTRADICTED
+        assert not refused[since < 80.0].any() and refused[since > 120.0].all()
+        assert np.sqrt(np.mean(off[-50 * 60:] ** 2)) < 2.0  # the last minute
+
+
+def test_a_heading_that_is_mounted_some_degrees_off_is_worth_as_much():
+    for seed in (2, 3):
+        # given antennas that are turned by five degrees, which nobody has declared
+        recording = drive(seed)
+        turned_by = replace(recording.heading, yaw=recording.heading.yaw + np.radians(5.0))
+        right, _ = off_with_fixes(recording, {'heading': recording.heading})
+        off, result = off_with_fixes(recording, {'heading': turned_by})
+        # then that is estimated, all are used, and nothing else is blamed
+        index = result.config.layout.extras.index('heading_offset')
+        assert np.degrees(result.extras[-1, index]) == pytest.approx(5.0, abs=1.0)
+        assert set(result.measured.verdicts(Kind.HEADING)) <= {Verdict.USED, Verdict.WEIGHTED, Verdict.AWAITED}
+        assert np.sqrt(np.mean(off**2)) < 1.1 * np.sqrt(np.mean(right**2)) + 0.1
+        assert not result.notices or not any('sideways' in n.text or 'not believed' in n.text for n in result.notices)
+
+
+@pytest.mark.parametrize(('wrong', 'fits_an_offset'), [
+    (lambda yaw: yaw + np.pi, False), (lambda yaw: -yaw, False), (lambda yaw: yaw + 1.0, True)])
+def test_a_heading_that_is_wrong_from_the_begin_on_costs_nothing(wrong, fits_an_offset):
+    # given a heading that is half a turn off, counted the other way round, or 57 deg off
+    recording = drive(3)
+    heading = replace(recording.heading, yaw=wrong(recording.heading.yaw))
+    off, result = off_with_fixes(recording, {'heading': heading})
+    none, _ = off_with_fixes(recording, {})
+    counts = result.measured.verdicts(Kind.HEADING)
+    assert fits_an_offset or counts[Verdict.CONTRADICTED] > 0.5 * len(heading), counts
+    assert np.sqrt(np.mean(off**2)) < 1.2 * np.sqrt(np.mean(none**2)) + 0.2
+
+
+def test_a_velocity_that_is_always_zero_is_not_used_where_the_filter_does_not_know_its_speed_either():
+    without, with_it = [], []
+    for seed in (2, 3):
+        recording = drive(seed)
+        zero = replace(recording.velocity, velocity=0.0 * recording.velocity.velocity)
+        without.append(off_without_fixes(recording, {}))
+        with_it.append(off_without_fixes(recording, {'velocity': zero}))
+    assert np.max(with_it) < 1.1 * np.max(without) + 1.0, (without, with_it)
+
+
+def off_without_fixes(recording, measured, begin=90.0, duration=60.0):
+    """Largest error of the position, m, in an outage of the fixes alone."""
+    at = (recording.gnss.stamp - recording.imu.stamp[0]) / SECOND
+    return off_with_fixes(replace(recording, gnss=recording.gnss.select((at < begin) | (at > begin + duration))),
+                          measured, begin)[0].max()
+
+
+def test_the_direction_of_a_heading_is_compared_and_the_length_of_a_speed():
+    mem, variance = np.zeros(Seen.SIZE), 0.01
+    for compared_in, way_of_input, expected in (
+            (way.ALONG, (110.0, 0.0), 10.0 / 110.0), (way.ALONG, (-50.0, 0.0), -1.5), (way.ALONG, (100.0, 10.0), 0.0),
+            (way.LENGTH, (0.0, 110.0), 10.0 / 110.0), (way.DIRECTION, (100.0, 10.0), np.arctan(0.1)),
+            (way.DIRECTION, (-100.0, -1.0), np.pi - 0.01), (way.DIRECTION, (-100.0, 1.0), np.pi - 0.01)):
+        mem[Seen.COMPARED_IN] = compared_in
+        more, sigma = way._differs(mem, 0, 100.0, 0.0, *way_of_input, variance)
+        assert more == pytest.approx(expected, abs=2e-3), (compared_in, way_of_input)
+        assert sigma == pytest.approx(0.001, rel=0.15)
+
+
+def test_one_way_that_is_far_off_is_a_fix_and_two_that_are_off_alike_are_another_speed():
+    mem = np.zeros(Seen.SIZE)
+    for _ in range(20):
+        way._learn(mem, 0, 0.0, 5e-4)
+    before = mem.copy()
+    # when a fix is far off, one way is longer and the next one shorter
+    way._learn(mem, 0, 0.4, 5e-4)
+    assert 0.0 < mem[Seen.MORE] < 0.1 and not way.is_contradicted(mem, 0)
+    way._learn(mem, 0, -0.4, 5e-4)
+    assert abs(mem[Seen.MORE]) < 0.1 and not way.is_contradicted(mem, 0)
+    # when both are longer
+    mem[:] = before
+    way._learn(mem, 0, 0.4, 5e-4)
+    way._learn(mem, 0, 0.4, 5e-4)
+    assert mem[Seen.MORE] == pytest.approx(0.4, abs=0.01) and way.is_contradicted(mem, 0)
+    # and right again
+    way._learn(mem, 0, 0.0, 5e-4)
+    way._learn(mem, 0, 0.0, 5e-4)
+    assert not way.is_contradicted(mem, 0)

@@ -68,12 +68,20 @@ def test_a_topic_that_speaks_is_never_silent(clock):
         assert watch.check() is None
 
 
-def test_a_watch_tells_the_rate_since_it_was_asked_last(clock):
-    watch = Watch(patience=3.0, clock=clock)
-    watch.count, clock.now = 250, 102.5
-    assert watch.rate() == 100.0
-    clock.now = 103.5
-    assert watch.rate() == 0.0
+def test_rates_are_those_of_a_recording_that_is_played_five_times_as_fast(clock):
+    # given messages of 100 Hz by their stamps, of which 500 come in each second
+    traffic, hertz = Traffic(3.0, now=lambda: 0, clock=clock), []
+    for second in range(1, 4):
+        clock.now, traffic.count, traffic.stamp = 100.0 + second, 500 * second, 10**18 + 5 * second * 10**9
+        traffic.look(1)
+        hertz.append(traffic.hertz)
+    assert hertz == [0.0, 100.0, 100.0]
+    # and when their clock is set back, the rate is the last one known; when none come, there is none
+    traffic.count, traffic.stamp = 1600, 10**18
+    traffic.look(1)
+    assert traffic.hertz == 100.0
+    traffic.look(1)
+    assert traffic.hertz == 0.0
 
 
 def test_a_state_that_lasts_is_said_again_but_for_the_good_one(clock):

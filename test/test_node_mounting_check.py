@@ -11,11 +11,12 @@ from ros_support import PLAYABLE, NodeProcess, Peer
 
 from mems_ins_fusion.nodes.mounting_check import LOOKS, MEMORY, RATE, MountingCheck
 from mems_ins_fusion.parameters import table
+from mems_ins_fusion.simulation.manoeuvres import SLOW
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
 
-def parameters(mounting_rpy):
-    return {**table.defaults(), 'imu.mounting_rpy': mounting_rpy}
+def parameters(mounting_rpy, **more):
+    return {**table.defaults(), 'imu.mounting_rpy': mounting_rpy, **more}
 
 
 @pytest.fixture(scope='module')
@@ -26,9 +27,9 @@ def recording():
                               GnssNoise(sigma=1.0, rate=0.5), seed=5, mounting_rpy=[0.0, 0.0, math.pi / 2]).recording
 
 
-def looked(recording, mounting_rpy):
-    """What is found when it looks once a second, and the check."""
-    check, found = MountingCheck(parameters(mounting_rpy)), []
+def looked(recording, mounting_rpy, **more):
+    """What is found when it looks once a second, and the check. more: other parameters."""
+    check, found = MountingCheck(parameters(mounting_rpy, **more)), []
     imu, gnss, next_fix = recording.imu, recording.gnss, 0
     for k in range(len(imu)):
         check.add_sample((int(imu.stamp[k]), *imu.specific_force[k].tolist(), *imu.angular_rate[k].tolist()))
@@ -118,3 +119,21 @@ def test_the_node_says_it_in_its_log_and_on_diagnostics(recording):
         assert any(told in line for line in node.lines) or node.wait_for(told)
     peer.node.destroy_subscription(subscription)
     peer.close()
+
+
+@pytest.mark.parametrize('topics, level, words', [
+    ({}, 'warning', 'set vehicle.zero_velocity: false'),
+    ({'twist_topic': '/wheel/odometry'}, 'info', '/wheel/odometry'), ({'vehicle.zero_velocity': False}, None, '')])
+def test_motion_that_is_as_quiet_as_rest_is_told(topics, level, words):
+    # given a robot of 0.4 m/s on even ground, whose wheels may tell when it stands
+    drive = simulate_drive(60.0, seed=5, rate=50.0, standstill=10.0, manoeuvres=SLOW)
+    made = simulate_recording(drive, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'),
+                              GnssNoise(0.02, 5.0), seed=5).recording
+    _, check = looked(made, [0.0, 0.0, 0.0], **topics)
+    assert check.standstills is None if level is None else check.standstills[0] == level
+    assert not words or words in check.standstills[1] and 'as quiet as rest' in check.standstills[1]
+
+
+def test_a_car_stands_where_it_is_quiet(recording):
+    _, check = looked(recording, [0.0, 0.0, math.pi / 2])
+    assert check.standstills is None

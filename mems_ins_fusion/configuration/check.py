@@ -13,6 +13,7 @@ from mems_ins_fusion.configuration.mounting import Mounting, estimate_mounting
 from mems_ins_fusion.configuration.remaining import ARM, TIME_OFFSET, Remaining, remaining_of
 from mems_ins_fusion.configuration.vehicle import standstills_show
 from mems_ins_fusion.filter.measurements.registry import MEASUREMENTS, aiding
+from mems_ins_fusion.filter.memory import Kind
 from mems_ins_fusion.filter.runs.usable import usable_fixes, usable_samples
 from mems_ins_fusion.navigation.earth import gravity
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
@@ -57,17 +58,23 @@ def check_setup(recording: Recording, values: dict) -> list[Finding]:
         return findings
     if found is None or not found.yaw_known:
         findings.append(Finding(INFO, 'imu', f'{YAW_NOT_SHOWN} here: too few turns and changes of speed'))
-    return [*findings, *_check_standstills(imu, fixes, values), *_check_offset(found, values),
+    return [*findings, *check_standstills(imu, fixes, values), *_check_offset(found, values),
             *_check_wheels(recording, imu, found, values)]
 
 
-def _check_standstills(imu: ImuSamples, fixes: Fixes, values: dict):
+def check_standstills(imu: ImuSamples, fixes: Fixes | None, values: dict):
     """Whether standstills, where they are used, can be told from motion."""
     shown = standstills_show(imu, fixes) if values['vehicle.zero_velocity'] else None
-    if shown is not None and not shown[0]:
-        yield Finding(WARNING, 'imu', f'{shown[1]:.0%} of the seconds in motion are slow and as quiet as rest, and may '
-                      'be taken for standstills: set vehicle.zero_velocity: false', {'alike': shown[1]},
-                      ('vehicle.zero_velocity',))
+    if shown is None or shown[0]:
+        return
+    seen = f'{shown[1]:.0%} of the seconds in motion are slow and as quiet as rest'
+    wheels = [values[one.topic] for one in aiding(values) if one.kind in (Kind.SPEED, Kind.TWIST) and values[one.topic]]
+    if wheels:
+        yield Finding(INFO, 'imu', f'{seen}: a standstill counts only where {" and ".join(wheels)} '
+                      f'{"do" if len(wheels) > 1 else "does"} not say that the vehicle moves', {'alike': shown[1]})
+    else:
+        yield Finding(WARNING, 'imu', f'{seen}, and may be taken for standstills: set vehicle.zero_velocity: false, or '
+                      'give the filter a wheel speed', {'alike': shown[1]}, ('vehicle.zero_velocity',))
 
 
 def _usable(recording: Recording, values: dict) -> tuple[ImuSamples, Fixes | None]:

@@ -31,7 +31,6 @@ from mems_ins_fusion.parameters.table import ALL
 from mems_ins_fusion.recordings.transforms import TOPIC as TF
 
 _LEAST_ARM_SIGMA = 0.01  # m: of the centre of phase of an antenna
-_MADE = {'pressure': 'Pa', 'magnetometer': 'T'}  # units of what is no speed
 
 
 def inputs_against_tf(topics: Topics, drives: Sequence[Sequence[InputShown | LeftOut]]):
@@ -76,7 +75,7 @@ def input_settings(drives: Sequence[Sequence[InputShown | LeftOut]], mechanizati
     """Of the topics of the first drive. first: what is set of the first IMU and receiver. The first topic of each kind
     has the parameters without a name; others, further receivers and IMUs, are named after their topics."""
     used = [one for one in drives[0] if isinstance(one, InputShown)
-            and not (one.measurement.name == 'pressure' and mechanization != 'strapdown')]
+            and not (one.measurement.needs_height and mechanization != 'strapdown')]
     plain = {}
     for one in used:
         if one.measurement in AIDING and not _is_aside(one, topics):
@@ -163,8 +162,8 @@ def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
     factor = float(np.median([one.factor for one in seen]))
     if factor != 1.0:
         yield Setting(f'{name}.factor', float(f'{factor:.5g}'), (
-            f'makes {_MADE[kind]} of it' if kind in _MADE else
-            f'it is {1.0 / factor:.4g} times the speed of the fixes',))
+            f'it is {1.0 / factor:.4g} times the speed of the fixes' if seen[0].measurement.unit == 'm/s' else
+            f'makes {seen[0].measurement.unit} of it',))
     if seen[0].turned:
         turned = float(np.median([one.turned for one in seen]))
         yield Setting(f'{name}.offset', round(turned, 4), (f'it is {math.degrees(turned):.1f} deg clockwise from the '

@@ -113,10 +113,9 @@ def _apply_input(mem, r, at, sample):
     verdict = update(mem, r, at, n, dimensions, factor, ROBUST, gate)
     mem[at + Event.VERDICT] = verdict
     if inputs.makes_way(kind) and verdict == Verdict.REFUSED:
-        own = seen_of(mem, r, at)
-        if way.is_contradicted(mem, own):
+        if inputs.is_contradicted(mem, r, at, n):
             mem[at + Event.VERDICT] = Verdict.CONTRADICTED
-        elif not way.is_compared(mem, own):
+        elif not way.is_compared(mem, seen_of(mem, r, at)):
             mem[at + Event.VERDICT] = Verdict.AWAITED
     if verdict != Verdict.REFUSED:
         _end(mem, r)

@@ -160,8 +160,8 @@ class FilterConfig:
         """From checked parameters (`parameters.table.check`). ParameterError where they contradict each other."""
         mechanization = STRAPDOWN if values['mechanization'] == 'strapdown' else PLANAR
         is_planar = mechanization == PLANAR
-        for measurement in aiding(values):
-            if is_planar and measurement.kind == Kind.PRESSURE and values[measurement.topic]:
+        for measurement in aiding(values) if is_planar else ():
+            if measurement.needs_height and values[measurement.topic]:
                 raise ParameterError(f"parameter '{measurement.topic}' needs mechanization strapdown: planar has no "
                                      'height')
         rotation = mounting(values['imu.mounting_rpy'])

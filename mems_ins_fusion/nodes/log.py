@@ -76,12 +76,6 @@ class Watch:
         self._seen = 0
         self._silent = False
         self._restart(clock())
-        self._measured = clock(), 0
-
-    def rate(self) -> float:
-        """Messages per second since the last call."""
-        (then, count), self._measured = self._measured, (self._clock(), self.count)
-        return (self.count - count) / max(self._measured[0] - then, 1e-9)
 
     def check(self) -> tuple[bool, float] | None:
         """(True, seconds of silence) when that is to be said, (False, seconds) when it ended, else None."""

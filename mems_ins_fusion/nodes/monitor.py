@@ -44,6 +44,7 @@ class Monitor:
         self._statuses = [InputStatus(told) for told in inputs]
         self.preflight = Preflight(inputs, values)
         self._state_log = StateLog()
+        self._said_standstills = False
         self._cannot_start: int | None = None  # since which sample, ns
         self._looked = time.monotonic()
         # by how much the last two looks came late, s: what is lost in a stall shows in the messages after it
@@ -92,6 +93,10 @@ class Monitor:
                 self._fusion.reset()
                 self._log.tell(level, f'{self._imu.topic_name}: nothing is published with a mounting that is certainly '
                                       'wrong')
+        if self.mounting.standstills and not self._said_standstills:
+            level, text = self.mounting.standstills
+            self._log.tell(level, f'{self._imu.topic_name}: {text}')
+            self._said_standstills = True
 
     def _say_silent(self) -> None:
         for told in self._inputs:
@@ -118,6 +123,8 @@ class Monitor:
         if self.mounting.is_wrong:
             certain = self.mounting.is_certainly_wrong
             reasons, level = [*reasons, self.mounting.found], max(level, ERROR if certain else WARN)
+        if self.mounting.standstills and self.mounting.standstills[0] != 'info':
+            reasons, level = [*reasons, self.mounting.standstills[1]], max(level, WARN)
         if self._verdicts.mean_nis is not None:
             health['mean NIS'] = self._verdicts.mean_nis
         health['mounting'] = self.mounting.found

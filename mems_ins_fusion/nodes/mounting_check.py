@@ -1,11 +1,12 @@
-"""Whether the IMU sits as the parameters say, looked at while the vehicle drives: as replays look at it."""
+"""Whether the IMU sits as the parameters say, and whether its standstills can be told from motion, looked at while the
+vehicle drives: as replays look at it."""
 from __future__ import annotations
 
 from collections import deque
 
 import numpy as np
 
-from ..configuration.check import YAW_NOT_SHOWN, judge_mounting
+from ..configuration.check import YAW_NOT_SHOWN, check_standstills, judge_mounting
 from ..recordings.checker import ERROR
 from ..samples import SECOND, Fixes, ImuSamples
 
@@ -40,6 +41,8 @@ class MountingCheck:
         self._looks = list(LOOKS)
         self.found = 'not looked at yet'
         self.is_wrong = False
+        #: level and text of what was found of its standstills, None where nothing is worth a word
+        self.standstills: tuple[str, str] | None = None
         self._times_certain = 0
 
     @property
@@ -98,10 +101,12 @@ class MountingCheck:
     def _judge(self) -> tuple[str, str] | None:
         try:
             with np.errstate(all='ignore'):
-                findings, seen = judge_mounting(self._imu(), self._received(), self._values,
-                                                self._values['gnss.time_offset'])
+                imu, fixes = self._imu(), self._received()
+                findings, seen = judge_mounting(imu, fixes, self._values, self._values['gnss.time_offset'])
+                standstills = list(check_standstills(imu, fixes, self._values)) if fixes is not None else []
         except (ValueError, ArithmeticError, np.linalg.LinAlgError):  # numbers that no vehicle gives: no reason to stop
             return None
+        self.standstills = next(((f.severity, f.message) for f in standstills), None)
         self.is_wrong = bool(findings)
         certain = bool(findings) and findings[0].severity == ERROR
         self._times_certain = self._times_certain + 1 if certain else 0

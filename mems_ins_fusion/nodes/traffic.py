@@ -17,7 +17,8 @@ class Traffic(Watch):
 
     count: messages so far. lost: how many are missing between those that came, by the publisher's own numbers.
     frame_id, stamp (ns): of the newest message. delay: s from the stamp to when a message was taken, NaN before the
-    first; of one message a second, as that of the hot path costs. now: the node's clock, ns.
+    first; of one message a second, as that of the hot path costs. hertz: messages a second, by their stamps. now: the
+    node's clock, ns.
     """
 
     def __init__(self, patience: float, now: Callable[[], int], period: float = 30.0,
@@ -27,6 +28,7 @@ class Traffic(Watch):
         self.hertz = 0.0
         self._now, self._number, self._missing, self._waited, self._ask = now, 0, 0, 0, True
         self._quickest = 2**63
+        self._counted = 0, 0
 
     def take(self, header, info: dict) -> float:
         """A message with this header came; how much later than the quickest one so far, s. info: rclpy's."""
@@ -59,8 +61,16 @@ class Traffic(Watch):
         missing, waited = self._missing if publishers == 1 else 0, self._waited * 1e-9
         self.lost += missing
         self._missing, self._waited, self._ask = 0, 0, True
-        self.hertz = self.rate()
+        self._count_rate()
         return missing, waited
+
+    def _count_rate(self) -> None:
+        """Of the messages since the last call: a recording that is played five times as fast has its own rates."""
+        (then, count), self._counted = self._counted, (self.stamp, self.count)
+        if self.count == count:
+            self.hertz = 0.0
+        elif count and self.stamp > then:  # else they have just begun, or their clock was set back
+            self.hertz = (self.count - count) / (self.stamp - then) * 1e9
 
     @property
     def silence(self) -> float:

@@ -5,6 +5,7 @@ import re
 import textwrap
 from dataclasses import dataclass, field
 
+from ..filter.measurements.registry import AIDING
 from ..recordings.checker import Finding
 from .html import Html, bullets, command, folded, paragraph
 
@@ -12,7 +13,7 @@ GOOD, WARNING, BAD = 'good', 'warning', 'bad'
 #: characters of a line on a console
 WIDTH = 100
 #: what the checker looks at, each with a parameter of its topic
-_CHECKED = ('imu', 'gnss', 'temperature', 'speed', 'velocity', 'heading', 'twist', 'pressure')
+_CHECKED = ('imu', 'gnss', 'temperature', *(one.name for one in AIDING))
 #: what stands where a line was cut
 _CUT = ' ...'
 

@@ -11,25 +11,30 @@ from mems_ins_fusion.compiled import njit
 from ...navigation.frames import wrap, yaw_from_enu, yaw_of_quaternion
 from ...parameters.parameter import Parameter
 from ...samples import Headings
-from ..memory import NAV, Error, Event, Head, Kind
+from ..memory import HEAD, NAV, Error, Event, Head, Kind
 from .base import IMU, POSE, Measurement
-from .geometry import add
+from .geometry import add, own_state
 from .records import empty, refuse, stated_or
+
+#: index of the optional state heading_offset among all n; -1: none
+Offsets = HEAD.place('Offsets', HEADING=1)
 
 
 @njit(_nrt=False)
 def observe(mem, r, at, h, n, c):
     """Yaw, difference wrapped to half a turn; one component."""
-    yaw = int(mem[Head.MOUNTING_YAW])
-    mounting = mem[r + NAV + yaw] if yaw >= 0 else 0.0  # yaw of the vehicle's axes in b
-    difference = math.atan2(c[3], c[0]) + mounting - mem[at + Event.VALUE]
-    mem[at + Event.Z_N] = math.atan2(math.sin(difference), math.cos(difference)) - mounting
+    yaw, offset = int(mem[Head.MOUNTING_YAW]), own_state(mem, at, Offsets.HEADING)
+    # yaw of the vehicle's axes in b, and what the heading is off by; `update` subtracts H times these estimates
+    estimated = (mem[r + NAV + yaw] if yaw >= 0 else 0.0) + (mem[r + NAV + offset] if offset >= 0 else 0.0)
+    difference = math.atan2(c[3], c[0]) + estimated - mem[at + Event.VALUE]
+    mem[at + Event.Z_N] = math.atan2(math.sin(difference), math.cos(difference)) - estimated
     level = c[0] * c[0] + c[3] * c[3]  # derivative of atan2(c_21, c_11), where phi x c changes the column
     add(mem, h, Error.PHI_D, 1.0)
     add(mem, h, Error.PHI_N, -c[6] * c[0] / level)
     add(mem, h, Error.PHI_E, -c[6] * c[3] / level)
-    if yaw >= 0:
-        mem[h + yaw] = -1.0
+    for state in (yaw, offset):
+        if state >= 0:
+            mem[h + state] = -1.0
     return 1
 
 
@@ -42,7 +47,7 @@ class Heading(Measurement):
     kind, name, samples, unit, default_sigma = Kind.HEADING, 'heading', Headings, 'rad', 0.05
     topic_text = ('Topic of the heading of base_link (two antennas or a compass): yaw of sensor_msgs/Imu.orientation '
                   'or geometry_msgs/PoseWithCovarianceStamped, counter-clockwise from east')
-    offset = 'offset'
+    offset, state_column = 'offset', Offsets.HEADING
     messages = {IMU: ('orientation', 'orientation_covariance'), POSE: ('pose.pose.orientation', 'pose.covariance')}
     written_to = '/gps/heading'
     from_satellites = True  # of two antennas, perhaps
@@ -53,7 +58,17 @@ class Heading(Measurement):
         return (
             *super().parameters(),
             Parameter(f'{self.name}.offset', 0.0, 'rad', 'Of the heading measured to that of base_link, clockwise; '
-                      'subtracted.', minimum=-2 * math.pi, maximum=2 * math.pi))
+                      'subtracted.', minimum=-2 * math.pi, maximum=2 * math.pi),
+            Parameter(f'{self.name}.offset_sigma', 0.1, 'rad', 'Standard deviation of what is left of that offset, '
+                      'which is estimated: antennas and compasses are mounted to some degrees; 0: nothing is left.',
+                      minimum=0.0, maximum=math.pi))
+
+    def states(self, values):
+        return {self.state: (values[f'{self.name}.offset_sigma'], 0.0)}
+
+    @property
+    def state(self):
+        return f'{self.name}_offset'
 
     def declared(self, settings, headings):
         return replace(headings, yaw=headings.yaw - settings.offset)

@@ -61,7 +61,7 @@ class Pressure(Measurement):
     topic_text = 'Topic of the pressure of the air, Pa: sensor_msgs/FluidPressure (strapdown)'
     messages = {'sensor_msgs/msg/FluidPressure': ('fluid_pressure', 'variance')}
     layouts = {'sensor_msgs/msg/FluidPressure': (('fluid_pressure', '<f8', 1), ('variance', '<f8', 1))}
-    written_to, state_column = '/pressure', Barometer.BIAS
+    written_to, state_column, needs_height = '/pressure', Barometer.BIAS, True
     #: Pa, white noise; m, standard deviation of the height's bias, drawn for each seed; m/sqrt(s), its random walk
     simulated_with = {'pressure_rate': 0.0, 'pressure_sigma': 5.0, 'pressure_bias': 80.0, 'pressure_walk': 0.05}
 

@@ -19,7 +19,8 @@ from .snapshot import vehicle_heading
 from .vehicle_check import found_mounting, mounting_angles
 
 #: the verdicts in words
-VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down', Verdict.REFUSED: 'beyond the gate',
+VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down',
+            Verdict.REFUSED: 'does not fit what the filter expects',
             Verdict.FROZEN: 'repeats itself while the vehicle moves',
             Verdict.STRAIGHT_ON: 'goes straight on as without satellites', Verdict.AHEAD: 'stamped ahead of the IMU',
             Verdict.CONTRADICTED: 'not the way between the fixes',
@@ -118,6 +119,9 @@ class FilterStatus(Intake):
             return f'the same {self.name(kind)} again while the vehicle moves: {self.name(kind)} refused'
         if verdict == Verdict.STRAIGHT_ON:
             return 'fixes on a straight line, as of a receiver that goes on without satellites: fix refused'
+        if verdict == Verdict.CONTRADICTED and self.config.inputs[kind].kind == Kind.HEADING:
+            return (f'{self.name(kind)} is not where the vehicle goes by the fixes, as of antennas that are exchanged '
+                    f'or turned ({self.name(kind)}.offset) or iron nearby: refused')
         if verdict == Verdict.CONTRADICTED:
             return (f'{self.name(kind)} adds up to another way than the one between the fixes, as with a wrong unit, '
                     'sign or axes, or a dead sensor: refused')

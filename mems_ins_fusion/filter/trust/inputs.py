@@ -9,12 +9,13 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..measurements import magnetometer, pressure
+from ..measurements import heading, magnetometer, pressure, twist
 from ..measurements.geometry import angular_rate, arm_of, body_velocity, own_state, rotate, vehicle_to_level
 from ..memory import NAV, Event, Head, Kind, Nav, yaw_state
 from ..update import ROBUST, product, project
-from . import receiver, repeats, way
+from . import contradiction, receiver, repeats, way
 from .scale import Scale, Seen, learn, scale, seen_of
+from .standstill import SLOWEST_TOLD
 
 #: sigmas beyond which a speed or velocity is refused while fixes speak for the state: wheels that slip, another unit.
 #: Weighted down it would still pull, each time.
@@ -23,6 +24,8 @@ FAR = 10.0
 DISTURBED = 4.0
 #: m/s, that a speed is believed at most before its way has been compared with that of the fixes, whatever it claims
 FIRST_SIGMA = 0.1
+#: rad, the same of a heading: antennas that are exchanged, a compass beside iron
+FIRST_HEADING_SIGMA = 0.3
 #: sigmas: a limit that refuses every measurement of an input
 NEVER = 1e-9
 #: s for which errors of a speed, velocity or odometry last: manoeuvres in which wheels slip and late stamps show, the
@@ -42,6 +45,8 @@ LARGEST_NOISE = 0.2
 LARGEST_HEADING_NOISE = 0.05
 #: s for which a heading that has fitted and then is far off is wrong: gyroscopes know better
 LONGEST_JUMP = 60.0
+#: s after which it is the input that is wrong, and not the fixes: receivers that lose their satellites drift for less
+LONGEST_DRIFT = 60.0
 #: s without a fix after which the fixes no longer confirm the velocity
 NO_FIX = 10.0
 
@@ -78,17 +83,27 @@ def judge(mem, r, at, n, dimensions):
     h, own = p + n * n, seen_of(mem, r, at)
     time = mem[at + Event.TIME]
     of_velocity = is_of_velocity(kind)
-    if makes_way(kind) and way.is_contradicted(mem, own):
+    if is_contradicted(mem, r, at, n):
+        if mem[own + Seen.FITTED] > 0.0:  # it has misled the state
+            mem[own + Seen.FITTED] = -time
+            contradiction.let_fixes_decide(mem, r)
+        elif mem[own + Seen.FITTED] < 0.0 and time + mem[own + Seen.FITTED] > LONGEST_DRIFT:
+            mem[own + Seen.FITTED] = 0.0
+            contradiction.believe_fixes(mem, r)
         return 1.0, NEVER
     # of the start, too, after which the first has still to come
     fix = max(mem[r + Nav.FIX_TIME], mem[r + receiver.Receiver.SCALE + Scale.TIME])
     lasts = SPEED_LASTS if of_velocity else FIELD_LASTS if kind == Kind.MAGNETIC else 0.0
     density = max(1.0, lasts / max(time - mem[own + Scale.TIME], 1e-3))
-    if of_velocity and fix != 0.0 and time - fix < NO_FIX and not way.is_compared(mem, own):
+    if (of_velocity or kind == Kind.HEADING) and fix != 0.0 and time - fix < NO_FIX and not way.is_compared(mem, own):
+        first = FIRST_SIGMA
+        if kind == Kind.HEADING:  # what is wrong with it does not change from one to the next
+            first = FIRST_HEADING_SIGMA
+            density = max(1.0, FIELD_LASTS / max(time - mem[own + Scale.TIME], 1e-3))
         mem[own + Scale.TIME] = time
         # a velocity may fit by its size and point elsewhere
         gate = NEVER if kind == Kind.VELOCITY else ROBUST
-        return density * max(1.0, FIRST_SIGMA**2 / mem[at + Event.R_NN]), gate
+        return density * max(1.0, first**2 / mem[at + Event.R_NN]), gate
     column = h + 3 * n
     squared, claimed, variance = 0.0, mem[at + Event.R_NN], 0.0
     for k in range(dimensions):
@@ -111,6 +126,8 @@ def judge(mem, r, at, n, dimensions):
         slips = mem[own + Seen.FITTED] != 0.0 and time - mem[own + Seen.FITTED] < longest
         if squared < ROBUST * ROBUST * expected:
             mem[own + Seen.FITTED] = time
+        if of_velocity and slips and squared > far * far * expected:
+            way.interrupt(mem, own)
         if confirmed or slips:
             return density * factor, far * math.sqrt(expected / (variance + density * factor * claimed))
     if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * claimed + variance):
@@ -124,6 +141,30 @@ def judge(mem, r, at, n, dimensions):
 
 
 @njit(_nrt=False)
+def _constant_error(mem, at):
+    """Index of the state that is the constant error of the input at `at`, -1: none: scale factor error of a speed or an
+    odometry, offset of a heading."""
+    kind = mem[at + Event.KIND]
+    if kind == Kind.SPEED:
+        return own_state(mem, at, Head.SPEED_SCALE)
+    if kind == Kind.TWIST:
+        return own_state(mem, at, twist.Scales.TWIST)
+    return own_state(mem, at, heading.Offsets.HEADING) if kind == Kind.HEADING else -1
+
+
+@njit(_nrt=False)
+def is_contradicted(mem, r, at, n):
+    """Whether the ways of the input of the record at `at` are certainly not those of the fixes, and by more than its
+    constant error, as estimated, may still be off; P is in the scratch."""
+    if not makes_way(int(mem[at + Event.KIND])):
+        return False
+    error, tolerated = _constant_error(mem, at), way.TOLERATED
+    if error >= 0:
+        tolerated = way.CERTAIN * math.sqrt(mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * error])
+    return way.is_contradicted(mem, seen_of(mem, r, at), tolerated)
+
+
+@njit(_nrt=False)
 def add_to_way(mem, r, at, n, c, sample):
     """Add the speed, velocity, twist or heading at `at` to the way of its input; c: rotation from b to n, sample:
     position of the IMU sample of that time.
@@ -132,24 +173,31 @@ def add_to_way(mem, r, at, n, c, sample):
     """
     x, y, z = arm_of(mem, at, Head.AXLE_X)
     yaw_variance, density = 0.0, SPEED_LASTS * mem[at + Event.R_NN]
-    if mem[at + Event.KIND] == Kind.VELOCITY:  # it has directions of its own
+    kind, error = mem[at + Event.KIND], _constant_error(mem, at)
+    known = mem[r + NAV + error] if error >= 0 else 0.0
+    if kind == Kind.VELOCITY:  # it has directions of its own
         x, y, z = arm_of(mem, at, Head.LEVER_X)
         v_n, v_e = mem[at + Event.VALUE], mem[at + Event.VALUE + 1]
-    elif is_of_heading(mem[at + Event.KIND]):  # a way in the direction of the heading
+    elif is_of_heading(kind):  # a way in the direction of the heading
         forward = body_velocity(mem, r, vehicle_to_level(mem, r, c), 0)
-        yaw = mem[at + Event.VALUE] if mem[at + Event.KIND] == Kind.HEADING else magnetometer.heading(mem, r, at, c)
+        yaw = magnetometer.heading(mem, r, at, c) if kind == Kind.MAGNETIC else mem[at + Event.VALUE] - known
         v_n, v_e = math.cos(yaw) * forward, math.sin(yaw) * forward
         x, y, z = _axle(mem, r), 0.0, 0.0
         density *= forward * forward
     else:
         vehicle = vehicle_to_level(mem, r, c)
-        v_n, v_e = vehicle[0] * mem[at + Event.VALUE], vehicle[3] * mem[at + Event.VALUE]
+        forward = mem[at + Event.VALUE] / (1.0 + known)
+        v_n, v_e = vehicle[0] * forward, vehicle[3] * forward
         x = _axle(mem, r)
         yaw_variance = mem[int(mem[Head.SCRATCH_AT]) + (n + 1) * yaw_state(mem)]
     w_x, w_y, w_z = angular_rate(mem, r, sample)
     x, y, z = mem[Head.LEVER_X] - x, mem[Head.LEVER_Y] - y, mem[Head.LEVER_Z] - z
     north, east, _ = rotate(c, w_y * z - w_z * y, w_z * x - w_x * z, w_x * y - w_y * x)  # w x arm
-    way.travel(mem, seen_of(mem, r, at), mem[at + Event.TIME], v_n + north, v_e + east, density, yaw_variance)
+    way.travel(mem, seen_of(mem, r, at), mem[at + Event.TIME], v_n + north, v_e + east, density, yaw_variance,
+               kind == Kind.HEADING)
+    goes = abs(body_velocity(mem, r, vehicle_to_level(mem, r, c), 0))
+    if kind != Kind.VELOCITY and math.hypot(north, east) > max(goes, SLOWEST_TOLD):
+        way.interrupt(mem, seen_of(mem, r, at))  # in a turn on the spot the way is the turn's, and fits any speed
 
 
 @njit(_nrt=False)

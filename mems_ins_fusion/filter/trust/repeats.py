@@ -43,13 +43,13 @@ def is_stuck(mem, r, at):
     if kind == Kind.PLACE or kind == Kind.VELOCITY or kind == Kind.MAGNETIC:
         same = _repeats(mem, at, own + Seen.LATEST)
         mem[own + Seen.LATEST + 1] = mem[at + Event.VALUE + 1]
-        if same and kind != Kind.MAGNETIC and moves(mem, r):
-            return True
     mem[own + Seen.LATEST] = mem[at + Event.VALUE]
     since, mem[own + Seen.SAID] = mem[at + Event.TIME] - mem[own + Seen.SAID], mem[at + Event.TIME]
     if not same:
         mem[own + Seen.SINCE], mem[own + Seen.GAINED] = mem[at + Event.TIME], 0.0
         return False
+    if (kind == Kind.PLACE or kind == Kind.VELOCITY) and moves(mem, r):
+        mem[own + Seen.GAINED] = STUCK
     gained, explained = _told(mem, r, kind) - mem[own + Seen.LEFT], ROUNDED_SPEED + UNSEEN_ACCELERATION * MEMORY
     if kind == Kind.HEADING or kind == Kind.MAGNETIC:
         gained, explained = math.atan2(math.sin(gained), math.cos(gained)), ROUNDED_HEADING + UNSEEN_RATE * MEMORY

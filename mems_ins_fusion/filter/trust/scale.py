@@ -45,7 +45,7 @@ class _Seen(NamedTuple):
     MORE: int = 9  # share by which that way is longer than the one of the fixes,
     KNOWN: int = 10  # and how much of `way.PRIOR` its variance has lost,
     COMPARED: int = 11  # 1: enough of it at some time
-    FITTED: int = 12  # time, s, of the latest speed that fitted
+    FITTED: int = 12  # time, s, of the latest speed that fitted; negative: since which its ways contradict it
     LATEST: int = 13  # two values of the latest message, see trust/repeats.py,
     SAID: int = 15  # time of it, s,
     GAINED: int = 16  # by how much the state has changed since it says that, between messages, m/s or rad,
@@ -53,7 +53,9 @@ class _Seen(NamedTuple):
     SINCE: int = 18  # time, s, since which it says that
     LAST: int = 19  # velocity north and east with which its way ends, m/s
     VARIANCE: int = 21  # of that way, m^2
-    SIZE: int = 22
+    COMPARED_IN: int = 22  # what of it is compared, see trust/way.py
+    SURPRISED: int = 23  # 1: the latest one was far longer than expected, -1: far shorter
+    SIZE: int = 24
 
 
 Seen = _Seen()
