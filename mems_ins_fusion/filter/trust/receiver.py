@@ -17,6 +17,7 @@ from ..memory import NAV, PLANAR, ROW, Event, Head, Nav, Verdict, velocity_state
 from ..prediction import GAP_ACCELERATION, UNKNOWN_YAW_SIGMA
 from . import hypotheses
 from .drift import Drift
+from .hypotheses import Hypothesis
 from .scale import Scale, begin_scale, reopen, scale
 from .scale import learn as learn_scale
 
@@ -301,9 +302,18 @@ def _scatter(mem, r, at, z_n, z_e):
 
 
 @njit(_nrt=False)
+def are_refused(mem, r):
+    """Whether so many fixes have been refused in a row, the latest with the state at r, that they are no outliers."""
+    return (mem[r + Nav.REFUSED] >= FEWEST_REFUSED and mem[r + Hypothesis.DOUBTS] == 0.0
+            and mem[r + Nav.FIX_TIME] - mem[r + Nav.REFUSED_SINCE] >= STRAYED_AFTER)
+
+
+@njit(_nrt=False)
 def agreed(mem, r, at):
     """Whether the fixes refused until now have been right: they have come for long enough, and their innovations lie on
     a line as the error of a position and a velocity would."""
+    if mem[r + Hypothesis.STARTS] != 0.0:
+        return True
     count = mem[r + Nav.REFUSED]
     lasted = mem[at + Event.TIME] - mem[r + Nav.REFUSED_SINCE]
     if count < FEWEST_REFUSED or lasted < min(STRAYED_AFTER, mem[Head.RECOVERY_TIME]):
@@ -335,6 +345,7 @@ def start_anew(mem, r, at):
 
     The sensor errors stay as estimated, with twice the sigma: what was wrong may have spoiled them, too.
     """
+    mem[r + Hypothesis.STARTS] = 0.0
     strayed = _strayed(mem, r, at)
     v_n, v_e, drift = _velocity_of_fixes(mem, r, at, strayed)
     if strayed:
