@@ -77,7 +77,7 @@ def compare(memory):
         _swap(memory, other)
     doubts = memory[r + Hypothesis.DOUBTS] != 0.0
     if doubts:  # the one that uses the fixes has to be there, and near enough, when they are right again
-        least = memory[r + Hypothesis.SCORE] - _nats_behind(memory, other, r)
+        least = memory[r + Hypothesis.SCORE] - _most_behind(memory, other, r)
         other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], least)
     lead = memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE]
     share = 1.0 / (1.0 + math.exp(min(lead, 100.0)))
@@ -103,27 +103,27 @@ def _swap(memory, other):
 def _start_from_fixes(memory, other, r, interval):
     """The first filter, which has refused fixes in a row, takes them for wrong from now on; the second starts anew from
     the latest of them. interval: s, since the fix before it."""
+    begun = memory[r + Nav.REFUSED_SINCE]
     if memory[Bank.OPEN] == 0.0 or other[r + Hypothesis.SCORE] < memory[r + Hypothesis.SCORE]:
         oldest = max(1, int(memory[Head.SAMPLES]) - int(memory[Head.CAPACITY]) + 2)
-        since = max(memory[r + Nav.REFUSED_SINCE], memory[state_at(memory, oldest) + Nav.TIME])
-        if _doubt(memory, other, since, interval) == -math.inf:
+        if _doubt(memory, other, max(begun, memory[state_at(memory, oldest) + Nav.TIME]), interval) == -math.inf:
             return
-        memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.DATED] = 1.0, since, 1.0
     _swap(memory, other)
+    memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.DATED] = 1.0, begun, 1.0
     newest, k = int(other[Head.SAMPLES]), _before(other, other[r + Nav.FIX_TIME])
     other[state_at(other, k) + Hypothesis.STARTS] = 1.0
     for j in range(k + 1, newest + 1):
         advance(other, j)
-    other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] - _nats_behind(memory, other, r)
+    other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] - _most_behind(memory, other, r)
 
 
 @njit(_nrt=False)
-def _nats_behind(memory, other, r):
-    """Nats by which a second filter that uses the fixes is behind a first that takes them for wrong, before what comes
-    tells the two apart."""
+def _most_behind(memory, other, r):
+    """Nats by which the second filter, which uses the fixes, may be behind the first, which takes them for wrong."""
     mine, its = hypotheses.position_and_velocity(memory, r), hypotheses.position_and_velocity(other, r)
-    return hypotheses.fixes_right(memory, math.hypot((its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE],
-                                                     (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE]))
+    distance = math.hypot((its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE],
+                          (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE])
+    return hypotheses.most_behind(memory, distance, memory[r + Nav.FIX_TIME] - memory[Bank.BEGUN])
 
 
 @njit(_nrt=False)

@@ -47,10 +47,9 @@ JUMPS = 1.0 / 20.0
 RANGE = math.log(1000.0)
 #: m/s: sigma of the drift of wrong fixes, of a receiver that loses its satellites one by one
 DRIFT = 3.0
-#: m/s: the same of fixes that have jumped: a reflected signal or a wrong integer changes slowly
+#: m/s: the same of fixes that have jumped beyond the gate: a reflected signal or a wrong integer changes slowly, and the
+#: velocity of a filter that uses no fixes is off by as much after some seconds
 DRIFT_OF_JUMP = 0.5
-#: normalized square of an innovation, 2 degrees of freedom, beyond which a fix has jumped: 99 % are smaller
-JUMP = 9.2
 #: sigma beyond which wrong fixes certainly drift, and are beside the way of the vehicle
 CERTAIN = 3.0
 #: share of their offset that this drift explains at least, from when they went wrong on, else they have jumped: half,
@@ -77,8 +76,8 @@ def judge(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
     """Whether the filter with the state at r believes the fix at `at`, whose likelihood goes into its score.
 
     s: covariance of the innovation, m^2; r_nn: what of it is the fix's; factor: the realised over the expected variance
-    of innovations. It and a time offset that nobody declared widen the likelihoods of both statements alike, and both
-    are divided by the same area, that of a fix's own scatter: neither wins by being narrow.
+    of innovations. It and a time offset that nobody declared widen the likelihoods of both statements alike, so that
+    neither wins by being narrow.
     """
     interval = min(max(mem[at + Event.TIME] - mem[r + Nav.FIX_TIME], 0.0), LONGEST)
     counts = min(interval / LASTING, 1.0)
@@ -87,8 +86,7 @@ def judge(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
     s_nn, s_ne, s_ee = factor * s_nn + n * n, factor * s_ne + n * e, factor * s_ee + e * e
     determinant = s_nn * s_ee - s_ne * s_ne
     nis = (s_ee * z_n * z_n - 2.0 * s_ne * z_n * z_e + s_nn * z_e * z_e) / determinant
-    scatter = factor * r_nn + 0.5 * (n * n + e * e)
-    right = math.exp(-0.5 * min(nis, 1000.0)) / (2.0 * math.pi * scatter)
+    right = math.exp(-0.5 * min(nis, 1000.0)) / (2.0 * math.pi * math.sqrt(determinant))
     anywhere = 1.0 / (2.0 * math.pi * RANGE * (z_n * z_n + z_e * z_e + 2.0 * (s_nn + s_ee)))
     if mem[r + Hypothesis.DOUBTS] == 0.0:
         likelihood = (1.0 - OUTLIERS) * right + OUTLIERS * anywhere
@@ -97,7 +95,8 @@ def judge(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
         return True
     # the first of them is wrong: else the doubts had begun with a later one
     ended = 1.0 - math.exp(-ENDS * interval) if mem[r + Hypothesis.VARIANCE] != 0.0 else 0.0
-    wrong = _wrong(mem, r, mem[at + Event.TIME], z_n, z_e, scatter, nis, anywhere, interval)
+    wrong = _wrong(mem, r, mem[at + Event.TIME], z_n, z_e, factor * r_nn + 0.5 * (n * n + e * e), nis, anywhere,
+                   interval)
     again, still = ended * right, (1.0 - ended) * wrong
     mem[r + Hypothesis.SCORE] += counts * math.log(again + still)
     if again > still:
@@ -106,14 +105,15 @@ def judge(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
 
 
 @njit(_nrt=False)
-def fixes_right(mem, distance):
-    """Nats by which fixes that are refused in a row, `distance` m off, are more likely wrong than right.
+def most_behind(mem, distance, since):
+    """Nats by which a filter that starts anew from refused fixes is less likely at most than one that takes them for
+    wrong, `since` s after these began.
 
-    After `gnss.recovery_time` with the same offset both are as likely, as a receiver is seldom off by the same for so
-    long. After up to twice that where they are further off than a filter strays that has followed wrong ones.
+    After `gnss.recovery_time` both are as likely, as a receiver is seldom off by the same for so long; after up to
+    twice that where the fixes are further away, `distance` m, than a filter comes that has followed wrong ones.
     """
     nats = (ENDS + JUMPS) * mem[Head.RECOVERY_TIME]
-    return nats + min(0.5 * (distance * ENDS / DRIFT) ** 2, nats)
+    return nats + min(0.5 * (distance * ENDS / DRIFT) ** 2, nats) - (ENDS + JUMPS) * since
 
 
 @njit(_nrt=False)
@@ -132,7 +132,7 @@ def _wrong(mem, r, time, z_n, z_e, r_nn, nis, anywhere, interval):
         mem[offset + 1] += interval * mem[drift + 1]
         n, e = z_n - mem[offset], z_e - mem[offset + 1]
         jumps = max(1.0 - math.exp(-JUMPS * interval), OUTLIERS)
-        goes_on = (1.0 - jumps) * math.exp(-0.5 * min((n * n + e * e) / s, 1000.0)) / (2.0 * math.pi * r_nn)
+        goes_on = (1.0 - jumps) * math.exp(-0.5 * min((n * n + e * e) / s, 1000.0)) / (2.0 * math.pi * s)
         density = goes_on + jumps * anywhere
         jumped = goes_on < jumps * anywhere
         if not jumped:
@@ -147,7 +147,7 @@ def _wrong(mem, r, time, z_n, z_e, r_nn, nis, anywhere, interval):
     if jumped:
         mem[offset], mem[offset + 1], mem[drift], mem[drift + 1] = z_n, z_e, 0.0, 0.0
         mem[variance], mem[variance + 1] = r_nn, 0.0
-        mem[variance + 2] = (DRIFT_OF_JUMP if nis > JUMP else DRIFT) ** 2
+        mem[variance + 2] = (DRIFT_OF_JUMP if nis > mem[Head.GATE] ** 2 else DRIFT) ** 2
         mem[r + Hypothesis.BEGUN] = time
     return density
 
