@@ -49,7 +49,7 @@ SERIOUS = 4.0
 #: share of the variance of position, velocity and heading below which a squared difference is none
 SAME = 0.1
 #: probability of the second above which the published 95 % ellipse reaches to where it is
-POSSIBLE = 0.02
+POSSIBLE = 0.01
 #: sigmas to which a 95 % ellipse reaches: the root of the 95 % quantile of chi-square with 2 degrees of freedom
 REACH = math.sqrt(-2.0 * math.log(0.05))
 
@@ -114,6 +114,7 @@ def _start_from_fixes(memory, other, r, interval):
     other[state_at(other, k) + Hypothesis.STARTS] = 1.0
     for j in range(k + 1, newest + 1):
         advance(other, j)
+    other[r + Hypothesis.STARTS] = 0.0
     other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] - _most_behind(memory, other, r)
 
 

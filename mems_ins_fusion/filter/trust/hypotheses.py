@@ -63,6 +63,9 @@ UNDECLARED_OFFSET = 0.1
 STRAYED = math.log(FIXES_WRONG / 50.0)
 #: and an IMU is wrong once in a hundred hours (loose mounts, kerbs, drivers that mix up axes)
 IMU_WRONG = math.log(1.0 / 3.6e5)
+#: nats by which fixes that are refused in a row are more likely wrong than those before them were: the end of a fault
+#: is as frequent as its begin, but few faults begin unseen
+FIXES_RIGHT = 4.5
 #: nats: a hypothesis that is less likely by so many has lost
 LOST = 9.0
 #: s for which errors of a receiver last at least: fixes that come faster count for less
@@ -112,8 +115,8 @@ def most_behind(mem, distance, since):
     After `gnss.recovery_time` both are as likely, as a receiver is seldom off by the same for so long; after up to
     twice that where the fixes are further away, `distance` m, than a filter comes that has followed wrong ones.
     """
-    nats = (ENDS + JUMPS) * mem[Head.RECOVERY_TIME]
-    return nats + min(0.5 * (distance * ENDS / DRIFT) ** 2, nats) - (ENDS + JUMPS) * since
+    far = min(0.5 * (distance * ENDS / DRIFT) ** 2, FIXES_RIGHT)
+    return FIXES_RIGHT * (1.0 - since / mem[Head.RECOVERY_TIME]) + far
 
 
 @njit(_nrt=False)

@@ -312,9 +312,9 @@ def are_refused(mem, r):
 def agreed(mem, r, at):
     """Whether the fixes refused until now have been right: they have come for long enough, and their innovations lie on
     a line as the error of a position and a velocity would."""
-    if mem[r + Hypothesis.STARTS] != 0.0:
-        return True
     count = mem[r + Nav.REFUSED]
+    if mem[r + Hypothesis.STARTS] != 0.0 and count > 0.0:
+        return True
     lasted = mem[at + Event.TIME] - mem[r + Nav.REFUSED_SINCE]
     if count < FEWEST_REFUSED or lasted < min(STRAYED_AFTER, mem[Head.RECOVERY_TIME]):
         return False
