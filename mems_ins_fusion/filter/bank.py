@@ -48,10 +48,6 @@ BETTER = 2.0
 SERIOUS = 4.0
 #: share of the variance of position, velocity and heading below which a squared difference is none
 SAME = 0.1
-#: probability of the second above which the published 95 % ellipse reaches to where it is
-POSSIBLE = 0.01
-#: sigmas to which a 95 % ellipse reaches: the root of the 95 % quantile of chi-square with 2 degrees of freedom
-REACH = math.sqrt(-2.0 * math.log(0.05))
 
 
 @njit(_nrt=False)
@@ -77,16 +73,16 @@ def compare(memory):
         _swap(memory, other)
     doubts = memory[r + Hypothesis.DOUBTS] != 0.0
     if doubts:  # the one that uses the fixes has to be there, and near enough, when they are right again
-        least = memory[r + Hypothesis.SCORE] - _most_behind(memory, other, r)
+        least = memory[r + Hypothesis.SCORE] - hypotheses.most_behind(memory, time - memory[Bank.BEGUN])
         other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], least)
     lead = memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE]
     share = 1.0 / (1.0 + math.exp(min(lead, 100.0)))
     if not doubts and lead > hypotheses.LOST or _same(memory, other, r):
         memory[Bank.OPEN] = share = 0.0
     mine, its = hypotheses.position_and_velocity(memory, r), hypotheses.position_and_velocity(other, r)
-    sigma, spread = math.sqrt(share) if share < POSSIBLE else max(math.sqrt(share), 1.0 / REACH), r + Hypothesis.SPREAD
-    memory[spread] = sigma * (its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE]
-    memory[spread + 1] = sigma * (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE]
+    north, east = (its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE], (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE]
+    sigma, spread = hypotheses.reach(share, math.hypot(north, east)), r + Hypothesis.SPREAD
+    memory[spread], memory[spread + 1] = sigma * north, sigma * east
     memory[spread + 2], memory[spread + 3] = sigma * (its[2] - mine[2]), sigma * (its[3] - mine[3])
 
 
@@ -115,16 +111,8 @@ def _start_from_fixes(memory, other, r, interval):
     for j in range(k + 1, newest + 1):
         advance(other, j)
     other[r + Hypothesis.STARTS] = 0.0
-    other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] - _most_behind(memory, other, r)
-
-
-@njit(_nrt=False)
-def _most_behind(memory, other, r):
-    """Nats by which the second filter, which uses the fixes, may be behind the first, which takes them for wrong."""
-    mine, its = hypotheses.position_and_velocity(memory, r), hypotheses.position_and_velocity(other, r)
-    distance = math.hypot((its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE],
-                          (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE])
-    return hypotheses.most_behind(memory, distance, memory[r + Nav.FIX_TIME] - memory[Bank.BEGUN])
+    behind = hypotheses.most_behind(memory, memory[r + Nav.FIX_TIME] - begun)
+    other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] - behind
 
 
 @njit(_nrt=False)

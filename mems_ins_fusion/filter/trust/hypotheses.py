@@ -66,6 +66,10 @@ IMU_WRONG = math.log(1.0 / 3.6e5)
 #: nats by which fixes that are refused in a row are more likely wrong than those before them were: the end of a fault
 #: is as frequent as its begin, but few faults begin unseen
 FIXES_RIGHT = 4.5
+#: probability of a hypothesis from which on the published 95 % ellipse holds it
+POSSIBLE = 0.01
+#: sigmas of a 95 % ellipse: the root of the 95 % quantile of chi-square with 2 degrees of freedom
+ELLIPSE = math.sqrt(-2.0 * math.log(0.05))
 #: nats: a hypothesis that is less likely by so many has lost
 LOST = 9.0
 #: s for which errors of a receiver last at least: fixes that come faster count for less
@@ -108,15 +112,22 @@ def judge(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
 
 
 @njit(_nrt=False)
-def most_behind(mem, distance, since):
+def most_behind(mem, since):
     """Nats by which a filter that starts anew from refused fixes is less likely at most than one that takes them for
-    wrong, `since` s after these began.
+    wrong, `since` s after these began: after `gnss.recovery_time` both are as likely, as a receiver is seldom off by
+    the same for so long."""
+    return FIXES_RIGHT * (1.0 - since / mem[Head.RECOVERY_TIME])
 
-    After `gnss.recovery_time` both are as likely, as a receiver is seldom off by the same for so long; after up to
-    twice that where the fixes are further away, `distance` m, than a filter comes that has followed wrong ones.
+
+@njit(_nrt=False)
+def reach(share, distance):
+    """Sigmas by which the published covariance reaches to another filter, whose probability is `share`.
+
+    That of the mixture of both, but no less than a 95 % ellipse that has the other filter in it: where that is possible
+    to one in a hundred, and not further away, `distance` m, than fixes that drift away take a filter.
     """
-    far = min(0.5 * (distance * ENDS / DRIFT) ** 2, FIXES_RIGHT)
-    return FIXES_RIGHT * (1.0 - since / mem[Head.RECOVERY_TIME]) + far
+    possible = share * math.exp(-0.5 * (distance * ENDS / DRIFT) ** 2)
+    return max(math.sqrt(share), 1.0 / ELLIPSE if possible > POSSIBLE else 0.0)
 
 
 @njit(_nrt=False)

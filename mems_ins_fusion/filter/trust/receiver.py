@@ -345,8 +345,9 @@ def start_anew(mem, r, at):
 
     The sensor errors stay as estimated, with twice the sigma: what was wrong may have spoiled them, too.
     """
+    # where it may as well be the fixes that are wrong, nothing is said against the IMU
+    strayed = mem[r + Hypothesis.STARTS] == 0.0 and _strayed(mem, r, at)
     mem[r + Hypothesis.STARTS] = 0.0
-    strayed = _strayed(mem, r, at)
     v_n, v_e, drift = _velocity_of_fixes(mem, r, at, strayed)
     if strayed:
         again = mem[r + Nav.STRAYED] > 0.0 and mem[at + Event.TIME] - mem[r + Nav.STRAYED_TIME] < SOON
