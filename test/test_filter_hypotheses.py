@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from filter_support import newest
-from scipy.stats import multivariate_normal
+from scipy.stats import chi2, multivariate_normal
 from test_filter_contradiction import BOTH, Drive, a_state
 
 from mems_ins_fusion.filter.bank import Bank
@@ -15,7 +15,10 @@ from mems_ins_fusion.filter.memory import Event, Head, Nav, state_at
 from mems_ins_fusion.filter.trust import fix_drift
 from mems_ins_fusion.filter.trust.fix_drift import MEMORY, FixDrift
 from mems_ins_fusion.filter.trust.hypotheses import (
+    DRIFT,
+    DRIFT_OF_JUMP,
     ENDS,
+    FIXES_RIGHT,
     FIXES_WRONG,
     JUMPS,
     LASTING,
@@ -27,6 +30,8 @@ from mems_ins_fusion.filter.trust.hypotheses import (
     doubt,
     is_drifting,
     judge,
+    most_behind,
+    reach,
 )
 
 S = np.array([[4.0, 1.0], [1.0, 9.0]])
@@ -83,6 +88,47 @@ def test_who_doubts_expects_them_to_go_on_being_off_as_they_were():
     assert believed and memory[r + Hypothesis.DOUBTS] == 0.0
 
 
+@pytest.mark.parametrize('z, sigma', [((30.0, -10.0), DRIFT_OF_JUMP), ((3.0, 3.0), DRIFT)])
+def test_fixes_that_have_jumped_beyond_the_gate_hardly_drift(z, sigma):
+    _, memory, r = a_state()
+    memory[r + Nav.FIX_TIME] = 1.0
+    doubt(memory, r, 1.0)
+    judged(memory, r, np.array(z), 2.0)
+    assert memory[r + Hypothesis.VARIANCE + 2] == pytest.approx(sigma**2) and memory[r + Hypothesis.BEGUN] == 2.0
+
+
+def test_refused_fixes_are_as_likely_right_as_wrong_after_the_recovery_time():
+    _, memory, _ = a_state(**{'gnss.recovery_time': 40.0})
+    assert [most_behind(memory, since) for since in (0.0, 20.0, 40.0)] == pytest.approx([FIXES_RIGHT, FIXES_RIGHT / 2, 0.0])
+
+
+def test_the_published_ellipse_reaches_to_a_filter_that_may_be_right():
+    # given two filters 30 m apart, the probability of the second 0.5, 0.02 and 0.001
+    radius = math.sqrt(chi2.ppf(0.95, 2))
+    assert radius * reach(0.5, 30.0) == pytest.approx(radius * math.sqrt(0.5))
+    assert radius * reach(0.02, 30.0) == pytest.approx(1.0)
+    assert reach(0.001, 30.0) == pytest.approx(math.sqrt(0.001))
+    # and one further away than a filter is taken by fixes that drift away
+    assert reach(0.02, 300.0) == pytest.approx(math.sqrt(0.02))
+
+
+@BOTH
+def test_fixes_that_jump_and_come_back_are_left_and_the_ellipse_reaches_to_them(mechanization):
+    # given fixes that are 40 m off to the east for 15 s, and the same drive without them
+    drive, without = Drive(), Drive()
+    wrong = (drive.time > 30.0) & (drive.time < 45.0)
+    drive.position[wrong, 1] += 40.0
+    without.time, without.position = without.time[~wrong], without.position[~wrong]
+    _, _, error, sigma, _ = drive.through(mechanization)
+    _, _, coasting, _, _ = without.through(mechanization)
+    # then the filter is off by what it is without fixes, and is with them when they come back
+    off = np.hypot(*error.T)
+    assert off.max() < np.hypot(*coasting.T).max() + 1.0 and off[round(50 * 47.0):].max() < 2.0
+    # and from 5 s on, when five fixes have been refused, to the end the 95 % ellipse reaches to the fixes
+    disputed = slice(round(50 * 36.5), round(50 * 44.0))
+    assert (math.sqrt(chi2.ppf(0.95, 2)) * sigma[disputed, 1] > 0.8 * 40.0).all()
+
+
 @BOTH
 def test_one_fix_far_off_opens_nothing_for_long(mechanization):
     drive = Drive()
@@ -122,7 +168,7 @@ def test_fixes_that_drift_away_are_left(mechanization):
     assert off.max() < 12.0 and off[round(50 * 53.6):].max() < 2.0
 
 
-@pytest.mark.parametrize('offset, drift, since, is_so', [
+@pytest.mark.parametrize('offset, drift, since, is_so', [  # since: s, that they are off without a jump
     ((0.0, 20.0), (0.0, 3.0), 8.0, True),  # 20 m beside the way within 8 s
     ((0.0, 20.0), (0.0, 3.0), 2.0, False),  # most of that at once
     ((20.0, 0.0), (3.0, 0.0), 8.0, False),  # ahead of a vehicle that goes north: stamps may be late
@@ -133,7 +179,8 @@ def test_fixes_drift_that_leave_the_way_of_the_vehicle_little_by_little(offset, 
     memory[r + Hypothesis.OFFSET:r + Hypothesis.OFFSET + 2] = offset
     memory[r + Hypothesis.DRIFT:r + Hypothesis.DRIFT + 2] = drift
     memory[r + Hypothesis.VARIANCE:r + Hypothesis.VARIANCE + 3] = 1.0, 0.05, 0.01
-    assert is_drifting(memory, r, since) == is_so
+    memory[r + Nav.FIX_TIME], memory[r + Hypothesis.BEGUN] = 100.0, 100.0 - since
+    assert is_drifting(memory, r) == is_so
 
 
 @BOTH
@@ -142,10 +189,12 @@ def test_fixes_that_have_jumped_do_not_drift(mechanization):
     drive = Drive()
     drive.position[drive.time > 40.0, 1] += 12.0
     _, memory, error, _, _ = drive.through(mechanization)
-    # then who uses none of them is not followed: it might be the filter that was off
+    # then there is one filter that uses them and one that does not. The latter is published only where the fixes had been
+    # refused, so that the other has started anew from them: else it might be the filter that was off
     other = memory[int(memory[Bank.SIZE]):]
     r = state_at(memory, int(memory[Head.SAMPLES]))
-    assert memory[Bank.OPEN] == 1.0 and other[r + Hypothesis.DOUBTS] == 1.0 and memory[r + Hypothesis.DOUBTS] == 0.0
+    assert memory[Bank.OPEN] == 1.0 and memory[r + Hypothesis.DOUBTS] + other[r + Hypothesis.DOUBTS] == 1.0
+    assert memory[r + Hypothesis.DOUBTS] == other[r + Nav.RECOVERIES]
     assert np.hypot(*error.T).max() < 20.0
 
 

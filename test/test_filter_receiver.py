@@ -196,16 +196,15 @@ def test_fixes_that_agree_are_believed_after_the_stated_time(mechanization, jump
     receiver = Receiver()
     config, memory, error, records = receiver.through(mechanization=mechanization, offset=(0.6 * jump, -0.8 * jump),
                                                       yaw=COURSE, **{'gnss.recovery_time': recovery})
-    got = verdicts(records)
-    first = int(np.flatnonzero(got == Verdict.RECOVERED)[0])
-    # then it starts anew from the first fix after that time, not before, and once
-    assert (got[:first] == Verdict.REFUSED).all() and newest(memory)[Nav.RECOVERIES] == 1
-    assert receiver.time[first] - receiver.time[0] == pytest.approx(recovery, abs=1.0)
-    assert receiver.time[first] - receiver.time[0] >= recovery
-    # and is right from then on, to what it says
-    after = receiver.samples[:, 0] > receiver.time[first] + 5.0
-    assert np.hypot(*error[after].T).max() < 5.0
-    assert np.isin(got[first + 1:], [Verdict.USED, Verdict.WEIGHTED]).all()
+    # then what is published is as far off for that time, as the fixes may be wrong, and right from then on, to what it
+    # says
+    off = np.hypot(*error.T)
+    first = receiver.samples[np.flatnonzero(off < 0.5 * jump)[0], 0]
+    assert recovery <= first - receiver.time[0] < recovery + 2.5
+    after = receiver.samples[:, 0] > first + 5.0
+    assert off[after].max() < 5.0
+    got, used = verdicts(records), (Verdict.USED, Verdict.WEIGHTED, Verdict.RECOVERED)
+    assert np.isin(got[receiver.time > first], used).all() and newest(memory)[Nav.RECOVERIES] == 1
     p = covariance(newest(memory), config.layout)
     assert error[-1] @ np.linalg.solve(p[:2, :2], error[-1]) < 14.0
 

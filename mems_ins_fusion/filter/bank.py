@@ -2,8 +2,10 @@
 
 The second stands behind the first, as large, while `Bank.OPEN`, and gets the same samples and measurements. After each
 fix their scores are compared (`trust/hypotheses.py`). The second goes where it has lost, or where both agree. It
-becomes the first where its score is better and it uses the fixes again, or the fixes drift away
-(`trust/fix_drift.py`).
+becomes the first where its score is better and it uses the fixes, or the fixes drift away (`trust/fix_drift.py`).
+
+Where the first has refused several fixes in a row, either these fixes are wrong or those before them were, or the
+filter is: the first then takes the fixes for wrong, the second starts anew from them, and the better score decides.
 """
 from __future__ import annotations
 
@@ -26,7 +28,7 @@ from .memory import (
     velocity_state,
     yaw_state,
 )
-from .trust import fix_drift, hypotheses
+from .trust import fix_drift, hypotheses, receiver
 from .trust.hypotheses import Hypothesis
 
 #: in the head of the first
@@ -60,28 +62,57 @@ def compare(memory):
     other = memory[size:]
     if memory[Bank.OPEN] == 0.0:
         _begin(memory, other, r, interval)
-        if memory[Bank.OPEN] == 0.0:
+        if memory[Bank.OPEN] == 0.0 and not receiver.are_refused(memory, r):
             return
     elif memory[Bank.DATED] == 0.0 and memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE] < SERIOUS:
         memory[Bank.DATED] = 1.0
         _date(memory, other, r, interval)
+    if receiver.are_refused(memory, r):
+        _start_from_fixes(memory, other, r, interval)
     if _is_better(memory, other, r):
-        for i in range(size):
-            memory[i], other[i] = other[i], memory[i]
-        for i in range(Bank.SIZE, Bank.DATED + 1):
-            memory[i] = other[i]
+        _swap(memory, other)
     doubts = memory[r + Hypothesis.DOUBTS] != 0.0
     if doubts:  # the one that uses the fixes has to be there, and near enough, when they are right again
-        other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], memory[r + Hypothesis.SCORE] - hypotheses.LOST)
+        least = memory[r + Hypothesis.SCORE] - hypotheses.most_behind(memory, time - memory[Bank.BEGUN])
+        other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], least)
     lead = memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE]
     share = 1.0 / (1.0 + math.exp(min(lead, 100.0)))
     if not doubts and lead > hypotheses.LOST or _same(memory, other, r):
         memory[Bank.OPEN] = share = 0.0
     mine, its = hypotheses.position_and_velocity(memory, r), hypotheses.position_and_velocity(other, r)
-    sigma, spread = math.sqrt(share), r + Hypothesis.SPREAD
-    memory[spread] = sigma * (its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE]
-    memory[spread + 1] = sigma * (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE]
+    north, east = (its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE], (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE]
+    sigma, spread = hypotheses.reach(share, math.hypot(north, east)), r + Hypothesis.SPREAD
+    memory[spread], memory[spread + 1] = sigma * north, sigma * east
     memory[spread + 2], memory[spread + 3] = sigma * (its[2] - mine[2]), sigma * (its[3] - mine[3])
+
+
+@njit(_nrt=False)
+def _swap(memory, other):
+    """The second filter is the first from now on, and the first the second."""
+    for i in range(int(memory[Bank.SIZE])):
+        memory[i], other[i] = other[i], memory[i]
+    for i in range(Bank.SIZE, Bank.DATED + 1):
+        memory[i] = other[i]
+
+
+@njit(_nrt=False)
+def _start_from_fixes(memory, other, r, interval):
+    """The first filter, which has refused fixes in a row, takes them for wrong from now on; the second starts anew from
+    the latest of them. interval: s, since the fix before it."""
+    begun = memory[r + Nav.REFUSED_SINCE]
+    if memory[Bank.OPEN] == 0.0 or other[r + Hypothesis.SCORE] < memory[r + Hypothesis.SCORE]:
+        oldest = max(1, int(memory[Head.SAMPLES]) - int(memory[Head.CAPACITY]) + 2)
+        if _doubt(memory, other, max(begun, memory[state_at(memory, oldest) + Nav.TIME]), interval) == -math.inf:
+            return
+    _swap(memory, other)
+    memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.DATED] = 1.0, begun, 1.0
+    newest, k = int(other[Head.SAMPLES]), _before(other, other[r + Nav.FIX_TIME])
+    other[state_at(other, k) + Hypothesis.STARTS] = 1.0
+    for j in range(k + 1, newest + 1):
+        advance(other, j)
+    other[r + Hypothesis.STARTS] = 0.0
+    behind = hypotheses.most_behind(memory, memory[r + Nav.FIX_TIME] - begun)
+    other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] - behind
 
 
 @njit(_nrt=False)
@@ -93,7 +124,7 @@ def _is_better(memory, other, r):
         return ahead > (BETTER if memory[r + Hypothesis.DOUBTS] == 0.0 else 0.0)
     return (ahead > SERIOUS and memory[r + Hypothesis.DOUBTS] == 0.0 and memory[r + Nav.UNSETTLED] == 0.0
             and fix_drift.are_followed(memory, r)
-            and hypotheses.is_drifting(other, r, memory[r + Nav.FIX_TIME] - memory[Bank.BEGUN]))
+            and hypotheses.is_drifting(other, r))
 
 
 @njit(_nrt=False)

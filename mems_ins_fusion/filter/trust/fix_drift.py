@@ -61,8 +61,7 @@ def begin_anew(mem, r):
 
 @njit(_nrt=False)
 def are_followed(mem, r):
-    """Whether the latest fix is further than is usual from where the state at r would be without those before it, and
-    some of these have moved it: not where all have been refused for MEMORY."""
-    refused = mem[r + Nav.REFUSED] > 0.0 and mem[r + Nav.FIX_TIME] - mem[r + Nav.REFUSED_SINCE] > MEMORY
-    return (mem[r + FixDrift.SEEN] > KNOWN and not refused
+    """Whether the latest fix has been used and is further than is usual from where the state at r would be without it
+    and those before it."""
+    return (mem[r + FixDrift.SEEN] > KNOWN and mem[r + Nav.REFUSED] == 0.0
             and mem[r + FixDrift.LATEST] > FAR * FAR * mem[r + FixDrift.USUAL])

@@ -20,7 +20,7 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import NAV, ROW, Event, Head, Nav, Verdict, packed, velocity_state
+from ..memory import NAV, ROW, Event, Head, Nav, Verdict, velocity_state
 
 #: of a state
 Hypothesis = ROW.place(
@@ -31,7 +31,8 @@ Hypothesis = ROW.place(
     OFFSET=2,  # m, north and east, predicted minus measured: by what they are off,
     DRIFT=2,  # m/s, by what that changes,
     VARIANCE=3,  # of an offset, m^2, with its drift, m^2/s, and of that, m^2/s^2, the same for both axes; 0: none yet,
-    COASTED=1,  # m^2: variance of the position at the latest fix
+    BEGUN=1,  # s: since when that offset goes on, without a jump,
+    STARTS=1,  # 1: the next fix is one that position and velocity start anew from
     SPREAD=4)  # m, m/s, north and east: one sigma of position and velocity for what the other hypothesis says
 
 #: 1/s: a receiver fails once an hour (multipath, tunnels, wrong integers: drives in cities)
@@ -46,6 +47,9 @@ JUMPS = 1.0 / 20.0
 RANGE = math.log(1000.0)
 #: m/s: sigma of the drift of wrong fixes, of a receiver that loses its satellites one by one
 DRIFT = 3.0
+#: m/s: the same of fixes that have jumped beyond the gate: a reflected signal or a wrong integer changes slowly, and the
+#: velocity of a filter that uses no fixes is off by as much after some seconds
+DRIFT_OF_JUMP = 0.5
 #: sigma beyond which wrong fixes certainly drift, and are beside the way of the vehicle
 CERTAIN = 3.0
 #: share of their offset that this drift explains at least, from when they went wrong on, else they have jumped: half,
@@ -59,6 +63,13 @@ UNDECLARED_OFFSET = 0.1
 STRAYED = math.log(FIXES_WRONG / 50.0)
 #: and an IMU is wrong once in a hundred hours (loose mounts, kerbs, drivers that mix up axes)
 IMU_WRONG = math.log(1.0 / 3.6e5)
+#: nats by which fixes that are refused in a row are more likely wrong than those before them were: the end of a fault
+#: is as frequent as its begin, but few faults begin unseen
+FIXES_RIGHT = 4.5
+#: probability of a hypothesis from which on the published 95 % ellipse holds it
+POSSIBLE = 0.01
+#: sigmas of a 95 % ellipse: the root of the 95 % quantile of chi-square with 2 degrees of freedom
+ELLIPSE = math.sqrt(-2.0 * math.log(0.05))
 #: nats: a hypothesis that is less likely by so many has lost
 LOST = 9.0
 #: s for which errors of a receiver last at least: fixes that come faster count for less
@@ -91,7 +102,8 @@ def judge(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
         return True
     # the first of them is wrong: else the doubts had begun with a later one
     ended = 1.0 - math.exp(-ENDS * interval) if mem[r + Hypothesis.VARIANCE] != 0.0 else 0.0
-    wrong = _wrong(mem, r, z_n, z_e, factor * r_nn + 0.5 * (n * n + e * e), anywhere, interval)
+    wrong = _wrong(mem, r, mem[at + Event.TIME], z_n, z_e, factor * r_nn + 0.5 * (n * n + e * e), nis, anywhere,
+                   interval)
     again, still = ended * right, (1.0 - ended) * wrong
     mem[r + Hypothesis.SCORE] += counts * math.log(again + still)
     if again > still:
@@ -100,24 +112,33 @@ def judge(mem, r, at, s_nn, s_ne, s_ee, r_nn, factor):
 
 
 @njit(_nrt=False)
-def _position_variance(mem, r):
-    """Of north and east of the state at r, their mean, m^2."""
-    n_navigation = int(mem[Head.N_NAVIGATION])
-    p = r + NAV + n_navigation + int(mem[Head.N_AUGMENTED])
-    return 0.5 * (mem[p] + mem[p + packed(1, 1, n_navigation)])
+def most_behind(mem, since):
+    """Nats by which a filter that starts anew from refused fixes is less likely at most than one that takes them for
+    wrong, `since` s after these began: after `gnss.recovery_time` both are as likely, as a receiver is seldom off by
+    the same for so long."""
+    return FIXES_RIGHT * (1.0 - since / mem[Head.RECOVERY_TIME])
 
 
 @njit(_nrt=False)
-def _wrong(mem, r, z_n, z_e, r_nn, anywhere, interval):
+def reach(share, distance):
+    """Sigmas by which the published covariance reaches to another filter, whose probability is `share`.
+
+    That of the mixture of both, but no less than a 95 % ellipse that has the other filter in it: where that is possible
+    to one in a hundred, and not further away, `distance` m, than fixes that drift away take a filter.
+    """
+    possible = share * math.exp(-0.5 * (distance * ENDS / DRIFT) ** 2)
+    return max(math.sqrt(share), 1.0 / ELLIPSE if possible > POSSIBLE else 0.0)
+
+
+@njit(_nrt=False)
+def _wrong(mem, r, time, z_n, z_e, r_nn, nis, anywhere, interval):
     """Density, 1/m^2, of a fix that is off by z of a wrong receiver, from which its offset is learned. r_nn: m^2, of
     the scatter about that."""
     offset, drift, variance = r + Hypothesis.OFFSET, r + Hypothesis.DRIFT, r + Hypothesis.VARIANCE
-    coasted = _position_variance(mem, r)
-    grown, mem[r + Hypothesis.COASTED] = max(coasted - mem[r + Hypothesis.COASTED], 0.0), coasted
     jumped = mem[variance] == 0.0
     density = anywhere
     if not jumped:
-        mem[variance] += interval * (2.0 * mem[variance + 1] + interval * mem[variance + 2] + WANDERS) + grown
+        mem[variance] += interval * (2.0 * mem[variance + 1] + interval * mem[variance + 2] + WANDERS)
         mem[variance + 1] += interval * mem[variance + 2]
         mem[variance + 2] += TURNS * interval
         s = mem[variance] + r_nn
@@ -139,7 +160,9 @@ def _wrong(mem, r, z_n, z_e, r_nn, anywhere, interval):
             mem[variance] *= 1.0 - gain
     if jumped:
         mem[offset], mem[offset + 1], mem[drift], mem[drift + 1] = z_n, z_e, 0.0, 0.0
-        mem[variance], mem[variance + 1], mem[variance + 2] = r_nn, 0.0, DRIFT**2
+        mem[variance], mem[variance + 1] = r_nn, 0.0
+        mem[variance + 2] = (DRIFT_OF_JUMP if nis > mem[Head.GATE] ** 2 else DRIFT) ** 2
+        mem[r + Hypothesis.BEGUN] = time
     return density
 
 
@@ -151,20 +174,19 @@ def doubt(mem, r, interval):
     for i in range(2):
         mem[r + Hypothesis.OFFSET + i] = mem[r + Hypothesis.DRIFT + i] = 0.0
     mem[r + Hypothesis.SCORE] += math.log(FIXES_WRONG * min(max(interval, LASTING), LONGEST))
-    mem[r + Hypothesis.COASTED] = _position_variance(mem, r)
 
 
 @njit(_nrt=False)
-def is_drifting(mem, r, since):
-    """Whether the fixes that the filter with the state at r has taken for wrong for `since` s certainly drift away:
-    they have not jumped, and are not only off along the velocity, as fixes are that are stamped late."""
+def is_drifting(mem, r):
+    """Whether the fixes that the filter with the state at r takes for wrong certainly drift away: they have not jumped,
+    and are not only off along the velocity, as fixes are that are stamped late."""
     offset_n, offset_e = mem[r + Hypothesis.OFFSET], mem[r + Hypothesis.OFFSET + 1]
     drift = math.hypot(mem[r + Hypothesis.DRIFT], mem[r + Hypothesis.DRIFT + 1])
     speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
     beside = abs(offset_n * mem[r + Nav.V_E] - offset_e * mem[r + Nav.V_N])  # times the speed
     return (drift > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE + 2])
             and beside > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE]) * speed
-            and since * drift > EXPLAINED * math.hypot(offset_n, offset_e))
+            and (mem[r + Nav.FIX_TIME] - mem[r + Hypothesis.BEGUN]) * drift > EXPLAINED * math.hypot(offset_n, offset_e))
 
 
 @njit(_nrt=False)

@@ -17,6 +17,7 @@ from ..memory import NAV, PLANAR, ROW, Event, Head, Nav, Verdict, velocity_state
 from ..prediction import GAP_ACCELERATION, UNKNOWN_YAW_SIGMA
 from . import hypotheses
 from .drift import Drift
+from .hypotheses import Hypothesis
 from .scale import Scale, begin_scale, reopen, scale
 from .scale import learn as learn_scale
 
@@ -301,10 +302,19 @@ def _scatter(mem, r, at, z_n, z_e):
 
 
 @njit(_nrt=False)
+def are_refused(mem, r):
+    """Whether so many fixes have been refused in a row, the latest with the state at r, that they are no outliers."""
+    return (mem[r + Nav.REFUSED] >= FEWEST_REFUSED and mem[r + Hypothesis.DOUBTS] == 0.0
+            and mem[r + Nav.FIX_TIME] - mem[r + Nav.REFUSED_SINCE] >= STRAYED_AFTER)
+
+
+@njit(_nrt=False)
 def agreed(mem, r, at):
     """Whether the fixes refused until now have been right: they have come for long enough, and their innovations lie on
     a line as the error of a position and a velocity would."""
     count = mem[r + Nav.REFUSED]
+    if mem[r + Hypothesis.STARTS] != 0.0 and count > 0.0:
+        return True
     lasted = mem[at + Event.TIME] - mem[r + Nav.REFUSED_SINCE]
     if count < FEWEST_REFUSED or lasted < min(STRAYED_AFTER, mem[Head.RECOVERY_TIME]):
         return False
@@ -335,7 +345,9 @@ def start_anew(mem, r, at):
 
     The sensor errors stay as estimated, with twice the sigma: what was wrong may have spoiled them, too.
     """
-    strayed = _strayed(mem, r, at)
+    # where it may as well be the fixes that are wrong, nothing is said against the IMU
+    strayed = mem[r + Hypothesis.STARTS] == 0.0 and _strayed(mem, r, at)
+    mem[r + Hypothesis.STARTS] = 0.0
     v_n, v_e, drift = _velocity_of_fixes(mem, r, at, strayed)
     if strayed:
         again = mem[r + Nav.STRAYED] > 0.0 and mem[at + Event.TIME] - mem[r + Nav.STRAYED_TIME] < SOON
