@@ -106,8 +106,22 @@ def test_what_is_better_is_proven_and_what_is_worse_rejected():
     assert worse.rejected and worse.state == SUSPECT and not worse.proven
 
 
+def test_centimetres_decide_and_millimetres_do_not():
+    # given an hour of fixes with a noise of 4 mm, which one filter meets and another one misses by `off` m
+    rng = np.random.default_rng(1)
+    noise = 0.004 * rng.standard_normal((3600, 2))
+
+    def decided(off):
+        bets = betting.Bets()
+        for fix in noise:
+            bets.take((fix[0] + off, fix[1]), (fix[0], fix[1]))
+        return bets.pro > math.log(86_400.0)
+    # then a filter is better where it is nearer by what a user notices, and not by what fixes tell of its age
+    assert not decided(0.006) and decided(0.04)
+
+
 def test_the_bets_are_those_of_the_formula():
-    # given two fixes a metre from one filter and on the other one, and one in the middle but for the margin
+    # given two fixes a metre from one filter and on the other one, and one in the middle but for the margin of 1 cm
     bets = betting.Bets()
     bets.take((1.0, 0.0), (0.0, 0.5))
     assert bets.pro == bets.con == 0.0  # the first one tells how far fixes usually are
@@ -116,11 +130,12 @@ def test_the_bets_are_those_of_the_formula():
     assert bets.pro == pytest.approx(math.log(1.9)) and bets.con == pytest.approx(math.log(0.1))
     bets.take((0.05, 0.1), (-0.05, 0.1))
     usual = 0.75  # of 0.5 and 1
-    part = 0.7 * 0.1 / usual
-    assert bets.pro == pytest.approx(math.log(1.9) + math.log1p(-part * 0.05 * 0.1 / usual))
-    # and where both predict the same nothing is bet
+    part = 1.56 * (0.05 - 0.01) / usual
+    assert bets.pro == pytest.approx(math.log(1.9) + math.log1p(-part * 0.01 / usual))
+    # and where both predict the same, or one is nearer by less than that, nothing is bet
     before = bets.pro, bets.con
     bets.take((3.0, 1.0), (3.0, 1.0))
+    bets.take((0.019, 0.0), (0.0, 0.0))
     assert (bets.pro, bets.con) == before
 
 
