@@ -439,6 +439,27 @@ def test_trials_begin_anew_when_what_they_are_compared_with_changes():
     assert rest.wealth == rest.harm == 1.0 and not any(rest.errors.values()) and proven.wealth > 1.0
 
 
+def test_what_is_proven_with_something_else_has_to_be_proven_beside_it():
+    # given two findings that the same outages have proven, as an arm of the antenna and a time offset at one speed
+    work = Online(APPLY, blind, blind)
+    work.trials = {name: Trial(finding(), {parameter: OFFSET}, work._next_needed()) for name, parameter in (
+        (NAME, 'gnss.time_offset'), ('other', 'other'))}
+    for trial in work.trials.values():
+        trial.take({duration: [((2.0, 0.0), (1.0, 0.0))] * 200 for duration in OUTAGES})
+        assert trial.state == FINE
+    # then one of them is applied, and the other one is not before outages beside the first have proven it, as a third
+    # trial
+    for _ in range(3):
+        work._decide()
+    other = work.trials['other']
+    assert list(work.applied) == [NAME] and other.state == COARSE
+    assert other.needed == pytest.approx((3 * math.pi) ** 2 / (6 * online.FALSE_ALARMS))
+    # and what drives stays proven where the other one follows
+    other.take({duration: [((2.0, 0.0), (1.0, 0.0))] * 200 for duration in OUTAGES})
+    work._decide()
+    assert [trial.state for trial in work.applied.values()] == [FINE, FINE] and work.begun == 3
+
+
 def test_no_filter_runs_beside_without_what_each_filter_estimates_itself():
     # given a mounting and a time offset that are applied: two filters that estimate the first meet the fixes alike, but
     # for how long either has run

@@ -6,6 +6,7 @@ import math
 import os
 import pickle
 import signal
+import threading
 import time
 from dataclasses import replace
 
@@ -329,6 +330,32 @@ def test_no_chunk_waits_for_an_analysis(drive, monkeypatch):
     # then the next two have their answers before the analysis is done, and the fifth has the result of that
     assert behind == [4]
     assert [[q.name for q in quantities] for quantities, _, _ in answers()] == [[ALL]] * 4 + [['gnss_time_offset']]
+
+
+def test_the_process_ends_with_its_input_in_an_analysis(drive, monkeypatch):
+    # given the process of the diagnosis, whose input ends while it does an analysis that nothing else ends
+    monkeypatch.setattr(worker.os, 'nice', lambda by: None)
+    monkeypatch.setattr(worker.signal, 'signal', lambda *arguments: None)
+    monkeypatch.setattr(online, 'shown_directly', blind)
+    monkeypatch.setattr(online, 'FIRST', CHUNK)
+    over = threading.Event()
+
+    def found(part, values, progress):
+        while not over.wait(0.01):
+            progress(0.5, 'searching')
+        return []
+    monkeypatch.setattr(online, 'found', found)
+    source, sink = io.BytesIO(), io.BytesIO()
+    for one in ((table.check({}), []), (next(chunks(drive)), [])):
+        pickle.dump(one, source)
+    source.seek(0)
+    work = threading.Thread(target=worker.work, args=(source, sink), daemon=True)
+    work.start()
+    work.join(20.0)
+    # then it ends, having answered
+    ended = not work.is_alive()
+    over.set()
+    assert ended and pickle.loads(sink.getvalue())[0][0].name == ALL
 
 
 def test_no_answer_waits_for_the_advice(drive, monkeypatch):

@@ -276,42 +276,45 @@ class Online:
         harmful = next((name for name, trial in self.applied.items() if trial.rejected), None)
         proven = next((name for name, trial in self.trials.items() if trial.proven), None)
         if harmful is not None:
-            trial = self._take_back(harmful)
+            self._take_back(harmful)
             self._window = cut(self._window, LATEST)  # what came before the change is of another vehicle
         elif proven is not None:
             if proven in self.applied:
                 self._window = cut(self._window, LATEST)
-            trial = self._apply(proven)
-        else:
-            return
+            self._apply(proven)
+
+    def _take_back(self, name: str) -> None:
+        """Have the trial of this name no longer in the parameters that drive."""
+        trial = self.applied.pop(name)
+        trial.applied, trial.proven, trial.harmful, trial.kept = False, False, True, None
+        self.trials.setdefault(name, trial)
+        self._changed_by(trial)
+
+    def _apply(self, name: str) -> None:
+        """Have the trial of this name in the parameters that drive."""
+        trial = self.applied[name] = self.trials.pop(name)
+        trial.apply(self._now)
+        self._changed_by(trial)
+
+    def _changed_by(self, trial: Trial) -> None:
+        """The parameters that drive are others: an analysis that goes on is of those before, and so is what the other
+        trials have shown. From now on each that is not proven is another one."""
+        self._analysis = None
         for other in (*self.trials.values(), *self.applied.values()):
             if other is not trial:
                 other.begin_anew()
-
-    def _take_back(self, name: str) -> Trial:
-        """Have the trial of this name no longer in the parameters that drive."""
-        trial, self._analysis = self.applied.pop(name), None  # an analysis that goes on is of other parameters
-        trial.applied, trial.proven, trial.harmful, trial.kept = False, False, True, None
-        self.trials.setdefault(name, trial)
-        return trial
+                if not other.proven:
+                    other.needed = self._next_needed()
 
     def _begin_anew_since(self, dropped: Sequence[Dropped]) -> None:
         """The vehicle is another one since the filter has dropped what was right before."""
         for one in dropped:
             self._take_back(one.name)
-        for trial in (*self.trials.values(), *self.applied.values()):
-            trial.begin_anew()
+            self.trials[one.name].begin_anew()
         since = max(one.since for one in dropped)
         self._window = cut(self._window, (int(self._window.imu.stamp[-1]) - since) * 1e-9)
         self._since = self._lately = seconds(self._window)
         self._analyses = self._concluded = 0
-
-    def _apply(self, name: str) -> Trial:
-        """Have the trial of this name in the parameters that drive."""
-        trial = self.applied[name] = self.trials.pop(name)
-        self._analysis = None  # it is of the parameters before
-        trial.apply(self._now)
-        return trial
 
     def accept(self) -> list[Quantity]:
         """Apply all that is on trial and has not been shown to do harm, as a user asks."""

@@ -95,10 +95,12 @@ class Trial:
             bets.con = 0.0
 
     def begin_anew(self) -> None:
-        """The parameters that drive have changed: what was seen before compared others."""
+        """The parameters that drive have changed: what was seen before compared others, and what is not one of those
+        that drive has to be proven beside them."""
         for bets in self.bets.values():
             bets.begin_anew()
         self.errors = {duration: [] for duration in OUTAGES}
+        self.proven = self.proven and self.applied
 
     def differs(self, finding: Finding) -> bool:
         """Whether `finding`, of the same effect, has other values. Where this one is applied, it is what is left beside
