@@ -206,6 +206,37 @@ def test_what_is_published_does_not_jump_where_another_filter_takes_over(late, m
     assert np.array_equal(new[last:], old[last:]) and len(old) > last + 20
 
 
+def test_the_trust_horizon_is_of_what_is_published_where_another_filter_takes_over(late, monkeypatch):
+    # given a filter with another arm of the antenna, which takes over metres from the one before
+    monkeypatch.setattr(changing, 'LONGEST', changing.SETTLING)
+    begin, limit, rows = 200 * 20, 1.0, []
+    given = table.check({**APPLY, 'gnss.time_offset': OFFSET, 'horizon.limit': limit})
+    fusion = changing.ChangingFilter(FilterConfig.from_parameters(given))
+
+    def look():
+        fusion.update_odometry()
+        p = fusion.odometry[POSE_COVARIANCE:LINEAR].reshape(6, 6)[:2, :2].copy()
+        rows.append((fusion.horizon().seconds, p))
+    fed(fusion, late, 0, 280 * 20, {begin: lambda: fusion.change({**given, 'gnss.lever_arm': [3.0, 0.0, 0.0]}),
+                                    **{i: look for i in range(begin + 1190, 280 * 20)}})
+    handover, = fusion.handovers
+    assert handover.position > 1.0
+    # then it is nothing where the error of the published position is above the limit with more than 5 %,
+    rng = np.random.default_rng(1)
+    normal = rng.standard_normal((2, 20_000))
+    seconds = np.array([row[0] for row in rows])
+    larger = np.array([np.mean(np.hypot(*(np.linalg.cholesky(p) @ normal)) > limit) for _, p in rows])
+    clear = np.abs(larger - 0.05) > 0.01
+    assert np.array_equal(seconds[clear] == 0.0, larger[clear] > 0.05)
+    # which is the case while the difference goes over, and not before and after that
+    over = np.flatnonzero(larger > 0.05)
+    assert 20 < len(over) < 20 * BLENDING and np.all(np.diff(over) == 1) and seconds[0] > 0.0 < seconds[-1]
+    # and a difference that is below the limit now makes the time shorter as long as it lasts
+    def ahead(seconds):
+        return fusion._horizon.predict(fusion._memory, added=(0.0, 0.45 * limit, seconds)).seconds
+    assert 0.0 < ahead(BLENDING) < ahead(1.0) == fusion.horizon().seconds
+
+
 def test_a_difference_that_the_sigmas_do_not_cover_waits_for_a_standstill(late, monkeypatch):
     # given a change of the mounting by 10 deg, which no sigma of the heading covers, and a vehicle that never stands
     monkeypatch.setattr(changing, 'STANDING', -1.0)
