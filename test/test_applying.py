@@ -491,6 +491,22 @@ def test_what_is_proven_with_something_else_has_to_be_proven_beside_it():
     assert [trial.state for trial in work.applied.values()] == [FINE, FINE] and work.begun == 3
 
 
+def test_a_mounting_that_the_filter_estimates_changes_nothing_that_trials_compare():
+    # given a mounting that is proven, and an offset on trial
+    def left(values):
+        work = Online(values, blind, blind)
+        turned = replace(finding(), name='mounting_rotation', changes={'imu.mounting_rpy': [0.0, 0.0, 0.1]})
+        work.trials = {one.name: Trial(one, one.changes, 1e3) for one in (turned, finding())}
+        work.trials['mounting_rotation'].proven = True
+        work.trials[NAME].take({duration: [((2.0, 0.0), (1.0, 0.0))] * 3 for duration in OUTAGES})
+        work._decide()
+        assert list(work.applied) == ['mounting_rotation']
+        return work.trials[NAME]
+    # then what outages have shown of the offset holds where the filter estimates pitch and yaw itself, and only there
+    assert left(APPLY).wealth > 1.0 and left(APPLY).needed == 1e3
+    assert left({**APPLY, 'imu.mounting_sigma': 0.0}).wealth == 1.0
+
+
 def test_no_filter_runs_beside_without_what_each_filter_estimates_itself():
     # given a mounting and a time offset that are applied: two filters that estimate the first meet the fixes alike, but
     # for how long either has run

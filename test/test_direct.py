@@ -48,6 +48,7 @@ def test_an_offset_shows_within_two_minutes_of_its_begin(recording):
         assert found.name == 'gnss_time_offset' and offset.unit == 's'
         assert abs(offset.value - OFFSET) < 3.0 * offset.sigma < 0.15
         assert found.changes == {'gnss.time_offset': offset.value}
+        assert 239.0 < (found.since - recording.imu.stamp[0]) / SECOND < seconds - 59.0
     # then nothing is left beside it
     assert shown_directly(recording, {**DEFAULTS, 'gnss.time_offset': OFFSET}) == []
 

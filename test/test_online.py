@@ -413,6 +413,30 @@ def test_outages_within_which_the_errors_of_fixes_last_prove_no_colour_of_them(d
     assert counted == {'gnss_coloured_noise': [10.0, 30.0], NAME: list(OUTAGES)}
 
 
+def test_filters_on_trial_begin_with_what_shows_the_finding(drive, monkeypatch):
+    # given two findings on trial in the sixth minute, one of the whole drive, and one that the last minute alone shows
+    begins = {}
+
+    def predicted(part, values, chunk):
+        begins.setdefault(values['gnss.time_offset'], set()).add((int(part.imu.stamp[0]), int(part.gnss.stamp[0])))
+        return {duration: {} for duration in OUTAGES}
+    monkeypatch.setattr(trial_outages, 'predicted', predicted)
+    several = list(chunks(drive))[:6]
+    work = Online(table.check({}), blind, blind)
+    for chunk in several[:5]:
+        work.take(chunk)
+    work.trials = {str(value): Trial(replace(finding(value), since=since), finding(value).changes, 1e3)
+                   for value, since in ((0.1, 0), (0.2, int(several[4].imu.stamp[0])))}
+    work.take(several[5])
+    # then the filters of the second, with it and without it, have seen nothing from before that
+    assert [begin for begin, _ in begins[0.2]] == [int(several[4].imu.stamp[0])]
+    assert all(fix >= begin for pairs in begins.values() for begin, fix in pairs)
+    settled = int(several[5].imu.stamp[-1] - several[5].imu.stamp[0]) + round(trial_outages.SETTLING * SECOND)
+    long_ago = int(several[5].imu.stamp[-1]) - settled
+    assert [begin for begin, _ in begins[0.1]] == [pytest.approx(long_ago, abs=SECOND)]
+    assert {begin for begin, _ in begins[0.0]} == {begin for value in (0.1, 0.2) for begin, _ in begins[value]}
+
+
 def test_a_mounting_that_the_filter_finds_out_itself_is_proven(monkeypatch):
     # given a mounting that is 6 deg off in yaw, and one on trial that is right
     turn = math.radians(6.0)

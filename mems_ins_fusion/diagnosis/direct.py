@@ -53,16 +53,17 @@ def _shown(part: Recording, values: dict) -> dict[str, Finding]:
     driven = mounting is not None and mounting.yaw_known
     if driven and any(one.certain(small[name], SURE) for name, one in angles.items()):
         effects['mounting_rotation'] = angles
-    return {name: _finding(name, sizes, values) for name, sizes in effects.items()}
+    since = int(part.imu.stamp[0])
+    return {name: _finding(name, sizes, values, since) for name, sizes in effects.items()}
 
 
-def _finding(name: str, sizes: dict[str, Remaining], values: dict) -> Finding:
+def _finding(name: str, sizes: dict[str, Remaining], values: dict, since: int) -> Finding:
     effect = effect_called(name)
     units = {one.name: one.unit for one in effect.traced}
     adjusted = effect.adjusted(values, {**dict.fromkeys(units, 0.0), **{n: one.value for n, one in sizes.items()}})
     changes = {parameter: value for parameter, value in adjusted.items() if value != values.get(parameter)}
     left = {n: Estimate(one.value, one.sigma, units[n]) for n, one in sizes.items()}
-    return Finding(name, [name], left, 0.0, 0.0, True, HeldOut(0.0, 1.0, []), changes=changes)
+    return Finding(name, [name], left, 0.0, 0.0, True, HeldOut(0.0, 1.0, []), changes=changes, since=since)
 
 
 def _agree(one: Finding, other: Finding) -> bool:

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -36,7 +36,7 @@ from .held_out import HeldOut
 from .quantity import ALL, INITIALISING, NOTHING, Findings, Kept, Quantity, together
 from .trial import Trial
 from .trial_outages import SETTLING, Predictions, pairs
-from .window import cut, joined, jumps, seconds
+from .window import behind, cut, joined, jumps, seconds
 
 #: s of samples before the first analysis
 FIRST = 120.0
@@ -228,9 +228,10 @@ class Online:
         for name in before:
             trial = self.trials[name]
             trial.seen = name in names or (analysis.latest and trial.seen)
+        since = int(analysis.part.imu.stamp[0])
         for finding in analysis.findings:
             if finding.name in before or finding.name not in self.trials:
-                self._put_on_trial(finding, analysis.latest)
+                self._put_on_trial(replace(finding, since=since), analysis.latest)
 
     def _put_on_trial(self, finding: Finding, latest: bool, again: bool = True) -> None:
         """latest: as of `_analyse`. again: what has been shown to do harm may be tried once more."""
@@ -258,13 +259,16 @@ class Online:
         running = [trial for trial in self.trials.values() if not trial.rejected]
         if not (running or self.applied) or not len(chunk.gnss):
             return
-        predictions = Predictions(cut(self._window, SETTLING + seconds(chunk)), chunk)
+        part, from_ = cut(self._window, SETTLING + seconds(chunk)), {}
         values = {**self._values, **self.sets}
         compared = [(trial, values, {**values, **trial.sets}) for trial in running]
         compared += [(trial, {**self._values, **self._sets(without=name)}, values)
                      for name, trial in self.applied.items()]
         for trial, *both in compared:
             effect = effect_called(trial.finding.name)
+            # samples from before a change would lead the filter astray that is right after it
+            since = max(trial.finding.since, int(part.imu.stamp[0]))
+            predictions = from_.setdefault(since, Predictions(behind(part, since), chunk))
             told = pairs(*(predictions.of(effect.held(one)) for one in both))
             lasting = effect.lasting(both[-1])
             trial.take({d: outages if d >= lasting else [] for d, outages in told.items()}, self._now)
@@ -300,6 +304,8 @@ class Online:
         """The parameters that drive are others: an analysis that goes on is of those before, and so is what the other
         trials have shown. From now on each that is not proven is another one."""
         self._analysis = None
+        if effect_called(trial.finding.name).held(self._values) != self._values:
+            return  # each of the filters estimates it, and predicts as before
         for other in (*self.trials.values(), *self.applied.values()):
             if other is not trial:
                 other.begin_anew()
