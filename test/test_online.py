@@ -122,7 +122,7 @@ def test_centimetres_decide_and_millimetres_do_not():
 
 
 def test_the_bets_are_those_of_the_formula():
-    # given two fixes a metre from one filter and on the other one, and one in the middle but for the margin of 1 cm
+    # given two fixes a metre from one filter and on the other one, and one in the middle but for the margin of 5 mm
     bets = betting.Bets()
     bets.take((1.0, 0.0), (0.0, 0.5))
     assert bets.pro == bets.con == 0.0  # the first one tells how far fixes usually are
@@ -131,12 +131,12 @@ def test_the_bets_are_those_of_the_formula():
     assert bets.pro == pytest.approx(math.log(1.9)) and bets.con == pytest.approx(math.log(0.1))
     bets.take((0.05, 0.1), (-0.05, 0.1))
     usual = 0.75  # of 0.5 and 1
-    part = 1.56 * (0.05 - 0.01) / usual
-    assert bets.pro == pytest.approx(math.log(1.9) + math.log1p(-part * 0.01 / usual))
+    part = 1.56 * (0.05 - 0.005) / usual
+    assert bets.pro == pytest.approx(math.log(1.9) + math.log1p(-part * 0.005 / usual))
     # and where both predict the same, or one is nearer by less than that, nothing is bet
     before = bets.pro, bets.con
     bets.take((3.0, 1.0), (3.0, 1.0))
-    bets.take((0.019, 0.0), (0.0, 0.0))
+    bets.take((0.009, 0.0), (0.0, 0.0))
     assert (bets.pro, bets.con) == before
 
 

@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 
 MARGIN = 0.05  # share of d by which the other filter has to be nearer: less is not worth a change
-WORTH = 0.01  # m by which the other filter has to be nearer: users notice no less, and a receiver tells no less
+WORTH = 0.005  # m by which it has to be nearer: predictions that are less than a centimetre apart decide nothing
 LARGEST_BET = 0.9  # largest share of the wealth staked: a single measurement must not take all of it
 #: stake as a share of the mean of x where the other filter is right. One over the variance of x is best: normal errors
 #: in a plane with the mean distance B have a sigma of 0.8 B along a line
