@@ -9,8 +9,8 @@ analyses, at the times of these, findings that are wrong: a time offset, an ante
 z, a mounting, each of a size that an analysis would find. So a drive has many times as many trials as one in
 which `diagnose` finds nothing, and an hour takes minutes. --find: the analyses of `diagnose`, which take an hour for
 some hours. --share: diagnosis.share; with 1 the result of an analysis counts a minute after its begin, so that an hour
-has as many analyses as it can have. For each drive: findings on trial, which of them were wrong ones that came to FINE, all that was applied.
-The mounting of realistic drives is some degrees off, which is there to be found.
+has as many analyses as it can have. For each drive: findings on trial, which of them were wrong ones that came to FINE,
+all that was applied. The mounting of realistic drives is some degrees off, which is there to be found.
 """
 from __future__ import annotations
 
@@ -68,7 +68,8 @@ def with_faults(recording: Recording, seed: int) -> tuple[Recording, list[str]]:
     return recording, names
 
 
-def of_drive(seed: int, minutes: float, find: bool, receivers: list[str], share: float) -> tuple[str, list, list, int, list]:
+def of_drive(seed: int, minutes: float, find: bool, receivers: list[str], share: float
+             ) -> tuple[str, list, list, int, list]:
     """What the drive is, what was FINE, what was applied, how many findings were on trial, and the faults."""
     receiver = receivers[seed % len(receivers)]
     values = table.check({'diagnosis.online': 'apply', 'diagnosis.share': share})
@@ -99,7 +100,8 @@ def main() -> None:
     hours = trials = 0.0
     print('| seed | drive | on trial | FINE | applied |\n|---|---|---|---|---|', flush=True)
     with ProcessPoolExecutor(options.processes) as pool:
-        rows = pool.map(of_drive, seeds, *zip(*[(options.minutes, options.find, options.receivers, options.share)] * len(seeds)))
+        rest = options.minutes, options.find, options.receivers, options.share
+        rows = pool.map(of_drive, seeds, *zip(*[rest] * len(seeds)))
         for seed, (drive, said, applied, count, names) in zip(seeds, rows):
             hours, trials = hours + options.minutes / 60.0, trials + count
             print(f"| {seed} | {drive} | {count} | {said or 'none'} | {applied or 'none'} |", flush=True)

@@ -14,6 +14,7 @@ from test_online import OFFSET, SECOND, blind, finding
 
 from mems_ins_fusion.diagnosis import online
 from mems_ins_fusion.diagnosis.applying import WAIT, Due, driven, with_applied
+from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.gathering import CHUNK, chunks
 from mems_ins_fusion.diagnosis.online import OTHER, Online
 from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, SUSPECT, Findings, Kept
@@ -456,6 +457,11 @@ def test_what_an_analysis_finds_beside_an_applied_value_is_what_is_left():
     # then 0.4 again is the same of the one, and as much more of the other; nothing left is nothing new
     assert not one.differs(finding(0.41)) and other.differs(finding(0.41))
     assert one.differs(finding(0.01)) and not other.differs(finding(0.01))
+    # and what neither has yet is new where it is certain, as the place of the antenna to the left after a turn
+    for trial in one, other:
+        for value, is_new in ((0.8, True), (0.1, False)):
+            more = replace(finding(0.4 if trial is one else 0.0), parameters={'y': Estimate(value, 0.1, 'm')})
+            assert trial.differs(more) == is_new
 
 
 def test_trials_begin_anew_when_what_they_are_compared_with_changes():

@@ -6,8 +6,6 @@ shows before it is most of what is kept.
 """
 from __future__ import annotations
 
-import math
-
 from ..configuration.check import SMALL_ARM, SMALL_OFFSET, SMALL_TILT, SMALL_YAW, SURE, VAGUE_ARM, clocks_left
 from ..configuration.mounting import estimate_mounting
 from ..configuration.remaining import ANGLES, ARM, TIME_OFFSET, Remaining, remaining_of
@@ -20,8 +18,6 @@ from .window import cut, seconds
 
 #: s before now, of the samples that are looked at: the shortest first, in which a change shows
 LOOKED_AT = (60.0, 120.0, 240.0)
-#: sigmas that two looks are apart, which are two values
-APART = 3.0
 
 
 def shown_directly(recording: Recording, values: dict) -> list[Finding]:
@@ -68,5 +64,4 @@ def _finding(name: str, sizes: dict[str, Remaining], values: dict, since: int) -
 
 def _agree(one: Finding, other: Finding) -> bool:
     a, b = one.parameters, other.parameters
-    return a.keys() == b.keys() and all(abs(a[n].value - b[n].value) <= APART * math.hypot(a[n].sigma, b[n].sigma)
-                                        for n in a)
+    return not any(a[name].differs(b[name]) for name in a.keys() & b.keys())

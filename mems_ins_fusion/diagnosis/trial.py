@@ -18,8 +18,6 @@ TAKEN_BACK = 86_400.0
 #: wealth against it in outages of one duration with which nothing is proven: what follows the errors of the fixes, and
 #: so predicts the next one, predicts worse over half a minute
 DOUBTED = 20.0
-#: sigmas that two estimates of the same are apart, which are two values
-APART = 3.0
 #: of a parameter in a line to copy
 DIGITS = 5
 
@@ -103,13 +101,11 @@ class Trial:
         self.proven = self.proven and self.applied
 
     def differs(self, finding: Finding) -> bool:
-        """Whether `finding`, of the same effect, has other values. Where this one is applied, it is what is left beside
-        that."""
-        own = {name: (e.value, e.sigma) for name, e in self.finding.parameters.items() if e.known}
-        if self.applied:
-            own = dict.fromkeys(own, (0.0, 0.0))
-        return any(e.known and name in own and abs(e.value - own[name][0]) > APART * math.hypot(e.sigma, own[name][1])
-                   for name, e in finding.parameters.items())
+        """Whether `finding`, of the same effect, has other values, or one more. Where this one is applied, it is what
+        is left beside that, of which there should be nothing."""
+        own = {} if self.applied else self.finding.parameters
+        return any(e.differs(own.get(name, replace(e, value=0.0, sigma=0.0))) for name, e in finding.parameters.items()
+                   if e.known)
 
     def quantity(self, now: int, name: str) -> Quantity:
         """It in words, as `name`. now: ns, stamp of the newest sample."""

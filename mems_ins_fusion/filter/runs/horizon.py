@@ -86,8 +86,8 @@ class HorizonPredictor:
                       Head.EVENTS_AT: self._events, Head.SCRATCH_AT: scratch, Head.HISTORY_AT: 0, Wheels.AT: 0,
                       Head.MAX_GAP: math.inf}
 
-    def predict(self, memory: np.ndarray, exceeded: float = EXCEEDED, added: tuple[float, float, float] = (0.0, 0.0, 0.0)
-                ) -> Horizon:
+    def predict(self, memory: np.ndarray, exceeded: float = EXCEEDED,
+                added: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Horizon:
         """The horizon from the newest state of `memory`, which does not change. exceeded: probability of an error above
         the limit at which it ends. added: north and east, m, that the published position has beside the estimate, less
         and less of it for so many seconds."""
