@@ -513,6 +513,17 @@ def test_a_mounting_that_the_filter_estimates_changes_nothing_that_trials_compar
     assert left({**APPLY, 'imu.mounting_sigma': 0.0}).wealth == 1.0
 
 
+def test_what_was_dropped_may_come_back():
+    # given an offset that was dropped, and one that has lost on trial, which a look finds again
+    work = Online(APPLY, blind, lambda recording, values: [finding()])
+    for trial, again in ((Trial(finding(), {}, 1e3, harmful=True), True), (Trial(finding(), {}, 1.0), False)):
+        assert trial.rejected
+        work.trials = {NAME: trial}
+        work._put_on_trial(finding(), latest=True, again=False)
+        # then the first is on trial once more, as the driver may have restarted once more
+        assert (work.trials[NAME] is not trial) == again
+
+
 def test_no_filter_runs_beside_without_what_each_filter_estimates_itself():
     # given a mounting and a time offset that are applied: two filters that estimate the first meet the fixes alike, but
     # for how long either has run

@@ -71,8 +71,8 @@ class Abandoned(Exception):
 @dataclass
 class Analysis:
     """An analysis that has begun. due: number of the chunk with whose answer the result counts, whenever that is there.
-    latest: as of `Online._put_on_trial`. trials: what was on trial when it began. shown: what looks have found since.
-    findings: None until it is done. problem: why there are none."""
+    latest: whether it is of the latest samples alone. trials: what was on trial when it began. shown: what looks have
+    found since. findings: None until it is done. problem: why there are none."""
 
     part: Recording
     values: dict
@@ -234,11 +234,13 @@ class Online:
                 self._put_on_trial(replace(finding, since=since), analysis.latest)
 
     def _put_on_trial(self, finding: Finding, latest: bool, again: bool = True) -> None:
-        """latest: as of `_analyse`. again: what has been shown to do harm may be tried once more."""
+        """latest: as of `Analysis`. again: what has lost on trial may be tried once more. What drove until a change may
+        come back with the next one."""
         name, driving, trial = finding.name, self.applied.get(finding.name), self.trials.get(finding.name)
         if driving is not None and not (latest and driving.differs(finding)):
             return
-        if trial is None or (again and trial.rejected) or (latest and trial.differs(finding)):
+        lost = trial is not None and trial.rejected and (again or trial.harmful)
+        if trial is None or lost or (latest and trial.differs(finding)):
             self.trials[name] = Trial(finding, finding.changes, self._next_needed())
             self._unadvised.append(self.trials[name])
 
