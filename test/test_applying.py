@@ -423,9 +423,10 @@ def test_a_user_may_accept_and_reject():
     work.trials = {NAME: Trial(finding(), {'gnss.time_offset': OFFSET}, 100.0), 'x': Trial(finding(), {'a': 1}, 100.0)}
     for bets in work.trials['x'].bets.values():
         bets.con = 10.0
-    # then the first is applied and not proven, until it is rejected
+    # then the first is applied and not proven, until it is rejected, and the other one has a trial beside it
+    assert work.trials['x'].state == SUSPECT
     told = {q.name: (q.state, q.applied) for q in work.accept()}
-    assert told == {NAME: (SUSPECT, True), 'x': (SUSPECT, False)} and work.sets == {'gnss.time_offset': OFFSET}
+    assert told == {NAME: (SUSPECT, True), 'x': (COARSE, False)} and work.sets == {'gnss.time_offset': OFFSET}
     assert not work.reject() and work.sets == {}
 
 

@@ -95,6 +95,24 @@ def test_what_predicts_the_next_fix_better_and_half_a_minute_worse_is_not_proven
     assert one.proven
 
 
+def test_what_a_finding_loses_in_some_minutes_need_not_all_be_won_again():
+    # given five minutes with an outage each that is worse with a finding, and one with twenty that are better
+    worse, better = ((0.2, 0.0), (1.0, 0.0)), ((1.0, 0.0), (0.2, 0.0))
+    one = trial()
+    assert one.wealth == 1.0
+    for pairs in (*[[worse]] * 5, [better] * 20):
+        one.take({duration: pairs for duration in OUTAGES})
+        assert not one.rejected
+    # then it is proven by what was kept for the sixth, 1 / 42, which each outage multiplies by 1.9 at most,
+    assert one.proven and one.wealth < 1.2 * 1.9**20 / 42.0
+    assert math.log(42.0 / FALSE_ALARMS) < 20 * math.log(1.9) < 5 * math.log(10.0) + math.log(1.0 / FALSE_ALARMS)
+    # and wealth is not made by waiting
+    one = trial()
+    for _ in range(50):
+        one.take({duration: [] for duration in OUTAGES})
+    assert one.wealth == pytest.approx(1.0)
+
+
 def test_what_is_better_is_proven_and_what_is_worse_rejected():
     # given a filter that is right and one that is off by 1 m, and fixes with a noise of 1 m on each axis
     rng = np.random.default_rng(1)

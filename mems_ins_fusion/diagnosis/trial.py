@@ -28,8 +28,10 @@ class Trial:
 
     applied: whether it is part of the parameters that drive. harmful: it was, and has been taken back. seen: whether no
     later analysis speaks against it. kept: for the next drive, where it is applied. advice: what would show more of it.
-    errors: by duration, m, without it and with it
-    in each outage. bets: by duration.
+    errors: by duration, m, without it and with it in each outage. bets: by duration, for it with what came in until
+    now: of the wealth 1 that a trial begins with, 1 / (k (k + 1)) comes into the bets with the k-th chunk. So what is
+    lost on a straight road, where the state of either filter decides by chance, need not be won again in the next turn;
+    and as no wealth is made by that, what chance proves stays as seldom. taken: chunks.
     """
 
     finding: Finding
@@ -42,12 +44,13 @@ class Trial:
     kept: Kept | None = None
     advice: Advice | None = None
     errors: dict[float, list[tuple[float, float]]] = field(default_factory=lambda: {d: [] for d in OUTAGES})
-    bets: dict[float, Bets] = field(default_factory=lambda: {d: Bets() for d in OUTAGES})
+    bets: dict[float, Bets] = field(default_factory=lambda: {d: _without_wealth(Bets()) for d in OUTAGES})
+    taken: int = 0
 
     @property
     def wealth(self) -> float:
-        """For the finding: of the bets on each duration, in equal parts."""
-        return float(np.mean([np.exp(bets.pro) for bets in self.bets.values()]))
+        """For the finding: of the bets on each duration, in equal parts, and what has not come into them yet."""
+        return 1.0 / (self.taken + 1) + float(np.mean([np.exp(bets.pro) for bets in self.bets.values()]))
 
     @property
     def harm(self) -> float:
@@ -75,6 +78,9 @@ class Trial:
         """What the outages of one more chunk say, by duration: how far the fixes were from either filter, m. now: ns,
         its end."""
         before = self.proven
+        self.taken += 1
+        for bets in self.bets.values():
+            bets.pro = float(np.logaddexp(bets.pro, -math.log(self.taken * (self.taken + 1))))
         for duration, bets in self.bets.items():
             for without, with_it in errors[duration]:
                 self.errors[duration].append((float(np.hypot(*without)), float(np.hypot(*with_it))))
@@ -97,7 +103,8 @@ class Trial:
         that drive has to be proven beside them."""
         for bets in self.bets.values():
             bets.begin_anew()
-        self.errors = {duration: [] for duration in OUTAGES}
+            _without_wealth(bets)
+        self.errors, self.taken = {duration: [] for duration in OUTAGES}, 0
         self.proven = self.proven and self.applied
 
     def differs(self, finding: Finding) -> bool:
@@ -125,6 +132,12 @@ class Trial:
         if not self.seen:
             return '; the last minutes show another value' if self.applied else '; not found in the last minutes'
         return '; not proven in this drive yet' if self.applied and not self.proven else ''
+
+
+def _without_wealth(bets: Bets) -> Bets:
+    """The bets with no wealth for the finding in them yet."""
+    bets.pro = -math.inf
+    return bets
 
 
 def _told(value):
