@@ -1,14 +1,16 @@
 """What the diagnosis while driving applies where there is nothing to be found: chance, and faults.
 
-    python studies/online_chance.py [--hours 10] [--minutes 60] [--processes 1] [--find]
+    python studies/online_chance.py [--hours 10] [--minutes 60] [--processes 1] [--find] [--share 0.1]
+                                    [--receivers "1.5 m" RTK]
 
 Realistic drives (studies/vehicle.py) with the receivers 1.5 m, RTK, city, smoothing in turn, every second one with a
 fault of studies/faults.py each five minutes. Each minute the look without a filter, as always; in the place of the
 analyses, at the times of these, findings that are wrong: a time offset, an antenna's arm, a scale of the gyroscope of
 z, a mounting, each of a size that an analysis would find. So a drive has many times as many trials as one in
 which `diagnose` finds nothing, and an hour takes minutes. --find: the analyses of `diagnose`, which take an hour for
-some hours. For each drive: findings on trial, which of them were wrong ones that came to FINE, all that was applied.
-The mounting of realistic drives is some degrees off, which is there to be found.
+some hours. --share: diagnosis.share; with 1 the result of an analysis counts a minute after its begin, so that an hour
+has as many analyses as it can have. For each drive: findings on trial, which of them were wrong ones that came to FINE,
+all that was applied. The mounting of realistic drives is some degrees off, which is there to be found.
 """
 from __future__ import annotations
 
@@ -66,12 +68,14 @@ def with_faults(recording: Recording, seed: int) -> tuple[Recording, list[str]]:
     return recording, names
 
 
-def of_drive(seed: int, minutes: float, find: bool) -> tuple[str, list, list, int, list]:
+def of_drive(seed: int, minutes: float, find: bool, receivers: list[str], share: float
+             ) -> tuple[str, list, list, int, list]:
     """What the drive is, what was FINE, what was applied, how many findings were on trial, and the faults."""
-    receiver, values = list(FIXES)[seed % len(FIXES)], table.check({'diagnosis.online': 'apply'})
+    receiver = receivers[seed % len(receivers)]
+    values = table.check({'diagnosis.online': 'apply', 'diagnosis.share': share})
     recording = replace(simulated(seed, minutes, FIXES[receiver]), reference=None, speed=None, velocity=None,
                         heading=None)
-    faulty = seed // len(FIXES) % 2 == 1
+    faulty = seed // len(receivers) % 2 == 1
     recording, names = with_faults(recording, seed) if faulty else (recording, [])
     watch = Watch(recording, values, find=None if find else wrong_findings(np.random.default_rng(seed)))
     while watch.take() is not None:
@@ -89,12 +93,15 @@ def main() -> None:
     parser.add_argument('--first-seed', type=int, default=7000)
     parser.add_argument('--processes', type=int, default=1)
     parser.add_argument('--find', action='store_true')
+    parser.add_argument('--share', type=float, default=0.1)
+    parser.add_argument('--receivers', nargs='+', choices=FIXES, default=list(FIXES))
     options = parser.parse_args()
     seeds = range(options.first_seed, options.first_seed + round(options.hours * 60.0 / options.minutes))
     hours = trials = 0.0
     print('| seed | drive | on trial | FINE | applied |\n|---|---|---|---|---|', flush=True)
     with ProcessPoolExecutor(options.processes) as pool:
-        rows = pool.map(of_drive, seeds, [options.minutes] * len(seeds), [options.find] * len(seeds))
+        rest = options.minutes, options.find, options.receivers, options.share
+        rows = pool.map(of_drive, seeds, *zip(*[rest] * len(seeds)))
         for seed, (drive, said, applied, count, names) in zip(seeds, rows):
             hours, trials = hours + options.minutes / 60.0, trials + count
             print(f"| {seed} | {drive} | {count} | {said or 'none'} | {applied or 'none'} |", flush=True)

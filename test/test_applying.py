@@ -14,6 +14,7 @@ from test_online import OFFSET, SECOND, blind, finding
 
 from mems_ins_fusion.diagnosis import online
 from mems_ins_fusion.diagnosis.applying import WAIT, Due, driven, with_applied
+from mems_ins_fusion.diagnosis.estimate import Estimate
 from mems_ins_fusion.diagnosis.gathering import CHUNK, chunks
 from mems_ins_fusion.diagnosis.online import OTHER, Online
 from mems_ins_fusion.diagnosis.quantity import COARSE, FINE, SUSPECT, Findings, Kept
@@ -206,6 +207,37 @@ def test_what_is_published_does_not_jump_where_another_filter_takes_over(late, m
     assert np.array_equal(new[last:], old[last:]) and len(old) > last + 20
 
 
+def test_the_trust_horizon_is_of_what_is_published_where_another_filter_takes_over(late, monkeypatch):
+    # given a filter with another arm of the antenna, which takes over metres from the one before
+    monkeypatch.setattr(changing, 'LONGEST', changing.SETTLING)
+    begin, limit, rows = 200 * 20, 1.0, []
+    given = table.check({**APPLY, 'gnss.time_offset': OFFSET, 'horizon.limit': limit})
+    fusion = changing.ChangingFilter(FilterConfig.from_parameters(given))
+
+    def look():
+        fusion.update_odometry()
+        p = fusion.odometry[POSE_COVARIANCE:LINEAR].reshape(6, 6)[:2, :2].copy()
+        rows.append((fusion.horizon().seconds, p))
+    fed(fusion, late, 0, 280 * 20, {begin: lambda: fusion.change({**given, 'gnss.lever_arm': [3.0, 0.0, 0.0]}),
+                                    **{i: look for i in range(begin + 1190, 280 * 20)}})
+    handover, = fusion.handovers
+    assert handover.position > 1.0
+    # then it is nothing where the error of the published position is above the limit with more than 5 %,
+    rng = np.random.default_rng(1)
+    normal = rng.standard_normal((2, 20_000))
+    seconds = np.array([row[0] for row in rows])
+    larger = np.array([np.mean(np.hypot(*(np.linalg.cholesky(p) @ normal)) > limit) for _, p in rows])
+    clear = np.abs(larger - 0.05) > 0.01
+    assert np.array_equal(seconds[clear] == 0.0, larger[clear] > 0.05)
+    # which is the case while the difference goes over, and not before and after that
+    over = np.flatnonzero(larger > 0.05)
+    assert 20 < len(over) < 20 * BLENDING and np.all(np.diff(over) == 1) and seconds[0] > 0.0 < seconds[-1]
+    # and a difference that is below the limit now makes the time shorter as long as it lasts
+    def ahead(seconds):
+        return fusion._horizon.predict(fusion._memory, added=(0.0, 0.45 * limit, seconds)).seconds
+    assert 0.0 < ahead(BLENDING) < ahead(1.0) == fusion.horizon().seconds
+
+
 def test_a_difference_that_the_sigmas_do_not_cover_waits_for_a_standstill(late, monkeypatch):
     # given a change of the mounting by 10 deg, which no sigma of the heading covers, and a vehicle that never stands
     monkeypatch.setattr(changing, 'STANDING', -1.0)
@@ -391,9 +423,10 @@ def test_a_user_may_accept_and_reject():
     work.trials = {NAME: Trial(finding(), {'gnss.time_offset': OFFSET}, 100.0), 'x': Trial(finding(), {'a': 1}, 100.0)}
     for bets in work.trials['x'].bets.values():
         bets.con = 10.0
-    # then the first is applied and not proven, until it is rejected
+    # then the first is applied and not proven, until it is rejected, and the other one has a trial beside it
+    assert work.trials['x'].state == SUSPECT
     told = {q.name: (q.state, q.applied) for q in work.accept()}
-    assert told == {NAME: (SUSPECT, True), 'x': (SUSPECT, False)} and work.sets == {'gnss.time_offset': OFFSET}
+    assert told == {NAME: (SUSPECT, True), 'x': (COARSE, False)} and work.sets == {'gnss.time_offset': OFFSET}
     assert not work.reject() and work.sets == {}
 
 
@@ -425,6 +458,11 @@ def test_what_an_analysis_finds_beside_an_applied_value_is_what_is_left():
     # then 0.4 again is the same of the one, and as much more of the other; nothing left is nothing new
     assert not one.differs(finding(0.41)) and other.differs(finding(0.41))
     assert one.differs(finding(0.01)) and not other.differs(finding(0.01))
+    # and what neither has yet is new where it is certain, as the place of the antenna to the left after a turn
+    for trial in one, other:
+        for value, is_new in ((0.8, True), (0.1, False)):
+            more = replace(finding(0.4 if trial is one else 0.0), parameters={'y': Estimate(value, 0.1, 'm')})
+            assert trial.differs(more) == is_new
 
 
 def test_trials_begin_anew_when_what_they_are_compared_with_changes():
@@ -437,6 +475,54 @@ def test_trials_begin_anew_when_what_they_are_compared_with_changes():
     work._decide()
     assert work.sets == {'gnss.time_offset': OFFSET} and list(work.trials) == ['other']
     assert rest.wealth == rest.harm == 1.0 and not any(rest.errors.values()) and proven.wealth > 1.0
+
+
+def test_what_is_proven_with_something_else_has_to_be_proven_beside_it():
+    # given two findings that the same outages have proven, as an arm of the antenna and a time offset at one speed
+    work = Online(APPLY, blind, blind)
+    work.trials = {name: Trial(finding(), {parameter: OFFSET}, work._next_needed()) for name, parameter in (
+        (NAME, 'gnss.time_offset'), ('other', 'other'))}
+    for trial in work.trials.values():
+        trial.take({duration: [((2.0, 0.0), (1.0, 0.0))] * 200 for duration in OUTAGES})
+        assert trial.state == FINE
+    # then one of them is applied, and the other one is not before outages beside the first have proven it, as a third
+    # trial
+    for _ in range(3):
+        work._decide()
+    other = work.trials['other']
+    assert list(work.applied) == [NAME] and other.state == COARSE
+    assert other.needed == pytest.approx((3 * math.pi) ** 2 / (6 * online.FALSE_ALARMS))
+    # and what drives stays proven where the other one follows
+    other.take({duration: [((2.0, 0.0), (1.0, 0.0))] * 200 for duration in OUTAGES})
+    work._decide()
+    assert [trial.state for trial in work.applied.values()] == [FINE, FINE] and work.begun == 3
+
+
+def test_a_mounting_that_the_filter_estimates_changes_nothing_that_trials_compare():
+    # given a mounting that is proven, and an offset on trial
+    def left(values):
+        work = Online(values, blind, blind)
+        turned = replace(finding(), name='mounting_rotation', changes={'imu.mounting_rpy': [0.0, 0.0, 0.1]})
+        work.trials = {one.name: Trial(one, one.changes, 1e3) for one in (turned, finding())}
+        work.trials['mounting_rotation'].proven = True
+        work.trials[NAME].take({duration: [((2.0, 0.0), (1.0, 0.0))] * 3 for duration in OUTAGES})
+        work._decide()
+        assert list(work.applied) == ['mounting_rotation']
+        return work.trials[NAME]
+    # then what outages have shown of the offset holds where the filter estimates pitch and yaw itself, and only there
+    assert left(APPLY).wealth > 1.0 and left(APPLY).needed == 1e3
+    assert left({**APPLY, 'imu.mounting_sigma': 0.0}).wealth == 1.0
+
+
+def test_what_was_dropped_may_come_back():
+    # given an offset that was dropped, and one that has lost on trial, which a look finds again
+    work = Online(APPLY, blind, lambda recording, values: [finding()])
+    for trial, again in ((Trial(finding(), {}, 1e3, harmful=True), True), (Trial(finding(), {}, 1.0), False)):
+        assert trial.rejected
+        work.trials = {NAME: trial}
+        work._put_on_trial(finding(), latest=True, again=False)
+        # then the first is on trial once more, as the driver may have restarted once more
+        assert (work.trials[NAME] is not trial) == again
 
 
 def test_no_filter_runs_beside_without_what_each_filter_estimates_itself():

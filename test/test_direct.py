@@ -48,6 +48,7 @@ def test_an_offset_shows_within_two_minutes_of_its_begin(recording):
         assert found.name == 'gnss_time_offset' and offset.unit == 's'
         assert abs(offset.value - OFFSET) < 3.0 * offset.sigma < 0.15
         assert found.changes == {'gnss.time_offset': offset.value}
+        assert 239.0 < (found.since - recording.imu.stamp[0]) / SECOND < seconds - 59.0
     # then nothing is left beside it
     assert shown_directly(recording, {**DEFAULTS, 'gnss.time_offset': OFFSET}) == []
 
@@ -73,15 +74,18 @@ def test_a_wheel_speed_that_is_late_is_told_by_the_name_of_its_input(recording):
 
 
 def test_of_several_looks_the_longest_that_agrees_counts(recording, monkeypatch):
-    # given looks at one, two and four minutes, of which the second is of the time before the change as well
+    # given looks at one, two and four minutes, of which the second is of the time before the change as well, and the
+    # third shows more
     seen = {60: (0.30, 0.02), 120: (0.10, 0.02), 240: (0.29, 0.01)}
 
     def look(part, values):
         value, sigma = seen[round((part.imu.stamp[-1] - part.imu.stamp[0]) / SECOND)]
-        return {'x': Finding('x', ['x'], {'a': Estimate(value, sigma, 's')}, 0.0, 0.0, True, HeldOut(0.0, 1.0, []))}
+        parameters = {'a': Estimate(value, sigma, 's'), **({'more': Estimate(1.0, 0.1, 's')} if value == 0.29 else {})}
+        return {'x': Finding('x', ['x'], parameters, 0.0, 0.0, True, HeldOut(0.0, 1.0, []))}
     monkeypatch.setattr(direct, '_shown', look)
     found, = shown_directly(recording, DEFAULTS)
     assert found.parameters['a'].value == 0.29
+    assert found.parameters.keys() == {'a', 'more'}
     seen[240] = (0.12, 0.01)
     found, = shown_directly(recording, DEFAULTS)
     assert found.parameters['a'].value == 0.30

@@ -6,6 +6,7 @@ import math
 import os
 import pickle
 import signal
+import threading
 import time
 from dataclasses import replace
 
@@ -94,6 +95,24 @@ def test_what_predicts_the_next_fix_better_and_half_a_minute_worse_is_not_proven
     assert one.proven
 
 
+def test_what_a_finding_loses_in_some_minutes_need_not_all_be_won_again():
+    # given five minutes with an outage each that is worse with a finding, and one with twenty that are better
+    worse, better = ((0.2, 0.0), (1.0, 0.0)), ((1.0, 0.0), (0.2, 0.0))
+    one = trial()
+    assert one.wealth == 1.0
+    for pairs in (*[[worse]] * 5, [better] * 20):
+        one.take({duration: pairs for duration in OUTAGES})
+        assert not one.rejected
+    # then it is proven by what was kept for the sixth, 1 / 42, which each outage multiplies by 1.9 at most,
+    assert one.proven and one.wealth < 1.2 * 1.9**20 / 42.0
+    assert math.log(42.0 / FALSE_ALARMS) < 20 * math.log(1.9) < 5 * math.log(10.0) + math.log(1.0 / FALSE_ALARMS)
+    # and wealth is not made by waiting
+    one = trial()
+    for _ in range(50):
+        one.take({duration: [] for duration in OUTAGES})
+    assert one.wealth == pytest.approx(1.0)
+
+
 def test_what_is_better_is_proven_and_what_is_worse_rejected():
     # given a filter that is right and one that is off by 1 m, and fixes with a noise of 1 m on each axis
     rng = np.random.default_rng(1)
@@ -106,8 +125,22 @@ def test_what_is_better_is_proven_and_what_is_worse_rejected():
     assert worse.rejected and worse.state == SUSPECT and not worse.proven
 
 
+def test_centimetres_decide_and_millimetres_do_not():
+    # given an hour of fixes with a noise of 4 mm, which one filter meets and another one misses by `off` m
+    rng = np.random.default_rng(1)
+    noise = 0.004 * rng.standard_normal((3600, 2))
+
+    def decided(off):
+        bets = betting.Bets()
+        for fix in noise:
+            bets.take((fix[0] + off, fix[1]), (fix[0], fix[1]))
+        return bets.pro > math.log(86_400.0)
+    # then a filter is better where it is nearer by what a user notices, and not by what fixes tell of its age
+    assert not decided(0.006) and decided(0.04)
+
+
 def test_the_bets_are_those_of_the_formula():
-    # given two fixes a metre from one filter and on the other one, and one in the middle but for the margin
+    # given two fixes a metre from one filter and on the other one, and one in the middle but for the margin of 5 mm
     bets = betting.Bets()
     bets.take((1.0, 0.0), (0.0, 0.5))
     assert bets.pro == bets.con == 0.0  # the first one tells how far fixes usually are
@@ -116,11 +149,12 @@ def test_the_bets_are_those_of_the_formula():
     assert bets.pro == pytest.approx(math.log(1.9)) and bets.con == pytest.approx(math.log(0.1))
     bets.take((0.05, 0.1), (-0.05, 0.1))
     usual = 0.75  # of 0.5 and 1
-    part = 0.7 * 0.1 / usual
-    assert bets.pro == pytest.approx(math.log(1.9) + math.log1p(-part * 0.05 * 0.1 / usual))
-    # and where both predict the same nothing is bet
+    part = 1.56 * (0.05 - 0.005) / usual
+    assert bets.pro == pytest.approx(math.log(1.9) + math.log1p(-part * 0.005 / usual))
+    # and where both predict the same, or one is nearer by less than that, nothing is bet
     before = bets.pro, bets.con
     bets.take((3.0, 1.0), (3.0, 1.0))
+    bets.take((0.009, 0.0), (0.0, 0.0))
     assert (bets.pro, bets.con) == before
 
 
@@ -316,6 +350,32 @@ def test_no_chunk_waits_for_an_analysis(drive, monkeypatch):
     assert [[q.name for q in quantities] for quantities, _, _ in answers()] == [[ALL]] * 4 + [['gnss_time_offset']]
 
 
+def test_the_process_ends_with_its_input_in_an_analysis(drive, monkeypatch):
+    # given the process of the diagnosis, whose input ends while it does an analysis that nothing else ends
+    monkeypatch.setattr(worker.os, 'nice', lambda by: None)
+    monkeypatch.setattr(worker.signal, 'signal', lambda *arguments: None)
+    monkeypatch.setattr(online, 'shown_directly', blind)
+    monkeypatch.setattr(online, 'FIRST', CHUNK)
+    over = threading.Event()
+
+    def found(part, values, progress):
+        while not over.wait(0.01):
+            progress(0.5, 'searching')
+        return []
+    monkeypatch.setattr(online, 'found', found)
+    source, sink = io.BytesIO(), io.BytesIO()
+    for one in ((table.check({}), []), (next(chunks(drive)), [])):
+        pickle.dump(one, source)
+    source.seek(0)
+    work = threading.Thread(target=worker.work, args=(source, sink), daemon=True)
+    work.start()
+    work.join(20.0)
+    # then it ends, having answered
+    ended = not work.is_alive()
+    over.set()
+    assert ended and pickle.loads(sink.getvalue())[0][0].name == ALL
+
+
 def test_no_answer_waits_for_the_advice(drive, monkeypatch):
     # given the process of the diagnosis, and a look that has something to tell from the second chunk on, which is not
     # proven in four
@@ -369,6 +429,30 @@ def test_outages_within_which_the_errors_of_fixes_last_prove_no_colour_of_them(d
     # then those of 1 and 5 s say nothing of errors of the fixes that last 8 s, and all of them of a time offset
     counted = {name: [d for d, pairs in one.errors.items() if pairs] for name, one in work.trials.items()}
     assert counted == {'gnss_coloured_noise': [10.0, 30.0], NAME: list(OUTAGES)}
+
+
+def test_filters_on_trial_begin_with_what_shows_the_finding(drive, monkeypatch):
+    # given two findings on trial in the sixth minute, one of the whole drive, and one that the last minute alone shows
+    begins = {}
+
+    def predicted(part, values, chunk):
+        begins.setdefault(values['gnss.time_offset'], set()).add((int(part.imu.stamp[0]), int(part.gnss.stamp[0])))
+        return {duration: {} for duration in OUTAGES}
+    monkeypatch.setattr(trial_outages, 'predicted', predicted)
+    several = list(chunks(drive))[:6]
+    work = Online(table.check({}), blind, blind)
+    for chunk in several[:5]:
+        work.take(chunk)
+    work.trials = {str(value): Trial(replace(finding(value), since=since), finding(value).changes, 1e3)
+                   for value, since in ((0.1, 0), (0.2, int(several[4].imu.stamp[0])))}
+    work.take(several[5])
+    # then the filters of the second, with it and without it, have seen nothing from before that
+    assert [begin for begin, _ in begins[0.2]] == [int(several[4].imu.stamp[0])]
+    assert all(fix >= begin for pairs in begins.values() for begin, fix in pairs)
+    settled = int(several[5].imu.stamp[-1] - several[5].imu.stamp[0]) + round(trial_outages.SETTLING * SECOND)
+    long_ago = int(several[5].imu.stamp[-1]) - settled
+    assert [begin for begin, _ in begins[0.1]] == [pytest.approx(long_ago, abs=SECOND)]
+    assert {begin for begin, _ in begins[0.0]} == {begin for value in (0.1, 0.2) for begin, _ in begins[value]}
 
 
 def test_a_mounting_that_the_filter_finds_out_itself_is_proven(monkeypatch):

@@ -6,8 +6,6 @@ shows before it is most of what is kept.
 """
 from __future__ import annotations
 
-import math
-
 from ..configuration.check import SMALL_ARM, SMALL_OFFSET, SMALL_TILT, SMALL_YAW, SURE, VAGUE_ARM, clocks_left
 from ..configuration.mounting import estimate_mounting
 from ..configuration.remaining import ANGLES, ARM, TIME_OFFSET, Remaining, remaining_of
@@ -20,8 +18,6 @@ from .window import cut, seconds
 
 #: s before now, of the samples that are looked at: the shortest first, in which a change shows
 LOOKED_AT = (60.0, 120.0, 240.0)
-#: sigmas that two looks are apart, which are two values
-APART = 3.0
 
 
 def shown_directly(recording: Recording, values: dict) -> list[Finding]:
@@ -53,19 +49,19 @@ def _shown(part: Recording, values: dict) -> dict[str, Finding]:
     driven = mounting is not None and mounting.yaw_known
     if driven and any(one.certain(small[name], SURE) for name, one in angles.items()):
         effects['mounting_rotation'] = angles
-    return {name: _finding(name, sizes, values) for name, sizes in effects.items()}
+    since = int(part.imu.stamp[0])
+    return {name: _finding(name, sizes, values, since) for name, sizes in effects.items()}
 
 
-def _finding(name: str, sizes: dict[str, Remaining], values: dict) -> Finding:
+def _finding(name: str, sizes: dict[str, Remaining], values: dict, since: int) -> Finding:
     effect = effect_called(name)
     units = {one.name: one.unit for one in effect.traced}
     adjusted = effect.adjusted(values, {**dict.fromkeys(units, 0.0), **{n: one.value for n, one in sizes.items()}})
     changes = {parameter: value for parameter, value in adjusted.items() if value != values.get(parameter)}
     left = {n: Estimate(one.value, one.sigma, units[n]) for n, one in sizes.items()}
-    return Finding(name, [name], left, 0.0, 0.0, True, HeldOut(0.0, 1.0, []), changes=changes)
+    return Finding(name, [name], left, 0.0, 0.0, True, HeldOut(0.0, 1.0, []), changes=changes, since=since)
 
 
 def _agree(one: Finding, other: Finding) -> bool:
     a, b = one.parameters, other.parameters
-    return a.keys() == b.keys() and all(abs(a[n].value - b[n].value) <= APART * math.hypot(a[n].sigma, b[n].sigma)
-                                        for n in a)
+    return not any(a[name].differs(b[name]) for name in a.keys() & b.keys())

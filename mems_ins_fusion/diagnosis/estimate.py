@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 #: no model of a car is right to a few per cent: what is in no effect of the library (a body that rolls in bends, axes
 #: that are not at right angles, what else is in the car and too small to be found) moves what is estimated by this part
 SYSTEMATIC = 0.05
+#: standard deviations from which on two estimates of the same are two values: one pair in 370 by chance
+APART = 3.0
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,11 @@ class Estimate:
     def known(self) -> bool:
         """Whether there is a value with a standard deviation."""
         return self.value is not None and self.sigma is not None and math.isfinite(self.sigma)
+
+    def differs(self, other: Estimate) -> bool:
+        """Whether both are known, and are of two values."""
+        return (self.known and other.known
+                and abs(self.value - other.value) > APART * math.hypot(self.sigma, other.sigma))
 
     def text(self) -> str:
         """For a person, with as many digits as the standard deviation is worth."""

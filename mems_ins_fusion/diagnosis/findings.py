@@ -22,7 +22,8 @@ class Finding:
     group: names of what the recording cannot tell it from, itself first. changes: the parameters as the correction
     sets them. reason: why it was not added. seen: where it was not fitted, what shows it. drives: what each of several
     drives says alone, by name. apart: the drives contradict each other. saves: duration of outages, s, and the
-    median of the largest error without it and with it, m, each beside what was found before.
+    median of the largest error without it and with it, m, each beside what was found before. since: ns, stamp of the
+    first sample that shows it; 0: nobody says.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Finding:
     drives: dict[str, dict[str, Estimate]] = field(default_factory=dict)
     apart: bool = False
     saves: tuple[float, float, float] | None = None
+    since: int = 0
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -36,7 +36,7 @@ from .held_out import HeldOut
 from .quantity import ALL, INITIALISING, NOTHING, Findings, Kept, Quantity, together
 from .trial import Trial
 from .trial_outages import SETTLING, Predictions, pairs
-from .window import cut, joined, jumps, seconds
+from .window import behind, cut, joined, jumps, seconds
 
 #: s of samples before the first analysis
 FIRST = 120.0
@@ -71,8 +71,8 @@ class Abandoned(Exception):
 @dataclass
 class Analysis:
     """An analysis that has begun. due: number of the chunk with whose answer the result counts, whenever that is there.
-    latest: as of `Online._put_on_trial`. trials: what was on trial when it began. shown: what looks have found since.
-    findings: None until it is done. problem: why there are none."""
+    latest: whether it is of the latest samples alone. trials: what was on trial when it began. shown: what looks have
+    found since. findings: None until it is done. problem: why there are none."""
 
     part: Recording
     values: dict
@@ -228,16 +228,19 @@ class Online:
         for name in before:
             trial = self.trials[name]
             trial.seen = name in names or (analysis.latest and trial.seen)
+        since = int(analysis.part.imu.stamp[0])
         for finding in analysis.findings:
             if finding.name in before or finding.name not in self.trials:
-                self._put_on_trial(finding, analysis.latest)
+                self._put_on_trial(replace(finding, since=since), analysis.latest)
 
     def _put_on_trial(self, finding: Finding, latest: bool, again: bool = True) -> None:
-        """latest: as of `_analyse`. again: what has been shown to do harm may be tried once more."""
+        """latest: as of `Analysis`. again: what has lost on trial may be tried once more. What drove until a change may
+        come back with the next one."""
         name, driving, trial = finding.name, self.applied.get(finding.name), self.trials.get(finding.name)
         if driving is not None and not (latest and driving.differs(finding)):
             return
-        if trial is None or (again and trial.rejected) or (latest and trial.differs(finding)):
+        lost = trial is not None and trial.rejected and (again or trial.harmful)
+        if trial is None or lost or (latest and trial.differs(finding)):
             self.trials[name] = Trial(finding, finding.changes, self._next_needed())
             self._unadvised.append(self.trials[name])
 
@@ -258,13 +261,16 @@ class Online:
         running = [trial for trial in self.trials.values() if not trial.rejected]
         if not (running or self.applied) or not len(chunk.gnss):
             return
-        predictions = Predictions(cut(self._window, SETTLING + seconds(chunk)), chunk)
+        part, from_ = cut(self._window, SETTLING + seconds(chunk)), {}
         values = {**self._values, **self.sets}
         compared = [(trial, values, {**values, **trial.sets}) for trial in running]
         compared += [(trial, {**self._values, **self._sets(without=name)}, values)
                      for name, trial in self.applied.items()]
         for trial, *both in compared:
             effect = effect_called(trial.finding.name)
+            # samples from before a change would lead the filter astray that is right after it
+            since = max(trial.finding.since, int(part.imu.stamp[0]))
+            predictions = from_.setdefault(since, Predictions(behind(part, since), chunk))
             told = pairs(*(predictions.of(effect.held(one)) for one in both))
             lasting = effect.lasting(both[-1])
             trial.take({d: outages if d >= lasting else [] for d, outages in told.items()}, self._now)
@@ -276,42 +282,47 @@ class Online:
         harmful = next((name for name, trial in self.applied.items() if trial.rejected), None)
         proven = next((name for name, trial in self.trials.items() if trial.proven), None)
         if harmful is not None:
-            trial = self._take_back(harmful)
+            self._take_back(harmful)
             self._window = cut(self._window, LATEST)  # what came before the change is of another vehicle
         elif proven is not None:
             if proven in self.applied:
                 self._window = cut(self._window, LATEST)
-            trial = self._apply(proven)
-        else:
-            return
+            self._apply(proven)
+
+    def _take_back(self, name: str) -> None:
+        """Have the trial of this name no longer in the parameters that drive."""
+        trial = self.applied.pop(name)
+        trial.applied, trial.proven, trial.harmful, trial.kept = False, False, True, None
+        self.trials.setdefault(name, trial)
+        self._changed_by(trial)
+
+    def _apply(self, name: str) -> None:
+        """Have the trial of this name in the parameters that drive."""
+        trial = self.applied[name] = self.trials.pop(name)
+        trial.apply(self._now)
+        self._changed_by(trial)
+
+    def _changed_by(self, trial: Trial) -> None:
+        """The parameters that drive are others: an analysis that goes on is of those before, and so is what the other
+        trials have shown. From now on each that is not proven is another one."""
+        self._analysis = None
+        if effect_called(trial.finding.name).held(self._values) != self._values:
+            return  # each of the filters estimates it, and predicts as before
         for other in (*self.trials.values(), *self.applied.values()):
             if other is not trial:
                 other.begin_anew()
-
-    def _take_back(self, name: str) -> Trial:
-        """Have the trial of this name no longer in the parameters that drive."""
-        trial, self._analysis = self.applied.pop(name), None  # an analysis that goes on is of other parameters
-        trial.applied, trial.proven, trial.harmful, trial.kept = False, False, True, None
-        self.trials.setdefault(name, trial)
-        return trial
+                if not other.proven:
+                    other.needed = self._next_needed()
 
     def _begin_anew_since(self, dropped: Sequence[Dropped]) -> None:
         """The vehicle is another one since the filter has dropped what was right before."""
         for one in dropped:
             self._take_back(one.name)
-        for trial in (*self.trials.values(), *self.applied.values()):
-            trial.begin_anew()
+            self.trials[one.name].begin_anew()
         since = max(one.since for one in dropped)
         self._window = cut(self._window, (int(self._window.imu.stamp[-1]) - since) * 1e-9)
         self._since = self._lately = seconds(self._window)
         self._analyses = self._concluded = 0
-
-    def _apply(self, name: str) -> Trial:
-        """Have the trial of this name in the parameters that drive."""
-        trial = self.applied[name] = self.trials.pop(name)
-        self._analysis = None  # it is of the parameters before
-        trial.apply(self._now)
-        return trial
 
     def accept(self) -> list[Quantity]:
         """Apply all that is on trial and has not been shown to do harm, as a user asks."""

@@ -18,8 +18,6 @@ TAKEN_BACK = 86_400.0
 #: wealth against it in outages of one duration with which nothing is proven: what follows the errors of the fixes, and
 #: so predicts the next one, predicts worse over half a minute
 DOUBTED = 20.0
-#: sigmas that two estimates of the same are apart, which are two values
-APART = 3.0
 #: of a parameter in a line to copy
 DIGITS = 5
 
@@ -30,8 +28,10 @@ class Trial:
 
     applied: whether it is part of the parameters that drive. harmful: it was, and has been taken back. seen: whether no
     later analysis speaks against it. kept: for the next drive, where it is applied. advice: what would show more of it.
-    errors: by duration, m, without it and with it
-    in each outage. bets: by duration.
+    errors: by duration, m, without it and with it in each outage. bets: by duration, for it with what came in until
+    now: of the wealth 1 that a trial begins with, 1 / (k (k + 1)) comes into the bets with the k-th chunk. So what is
+    lost on a straight road, where the state of either filter decides by chance, need not be won again in the next turn;
+    and as no wealth is made by that, what chance proves stays as seldom. taken: chunks.
     """
 
     finding: Finding
@@ -44,12 +44,13 @@ class Trial:
     kept: Kept | None = None
     advice: Advice | None = None
     errors: dict[float, list[tuple[float, float]]] = field(default_factory=lambda: {d: [] for d in OUTAGES})
-    bets: dict[float, Bets] = field(default_factory=lambda: {d: Bets() for d in OUTAGES})
+    bets: dict[float, Bets] = field(default_factory=lambda: {d: _without_wealth(Bets()) for d in OUTAGES})
+    taken: int = 0
 
     @property
     def wealth(self) -> float:
-        """For the finding: of the bets on each duration, in equal parts."""
-        return float(np.mean([np.exp(bets.pro) for bets in self.bets.values()]))
+        """For the finding: of the bets on each duration, in equal parts, and what has not come into them yet."""
+        return 1.0 / (self.taken + 1) + float(np.mean([np.exp(bets.pro) for bets in self.bets.values()]))
 
     @property
     def harm(self) -> float:
@@ -77,6 +78,9 @@ class Trial:
         """What the outages of one more chunk say, by duration: how far the fixes were from either filter, m. now: ns,
         its end."""
         before = self.proven
+        self.taken += 1
+        for bets in self.bets.values():
+            bets.pro = float(np.logaddexp(bets.pro, -math.log(self.taken * (self.taken + 1))))
         for duration, bets in self.bets.items():
             for without, with_it in errors[duration]:
                 self.errors[duration].append((float(np.hypot(*without)), float(np.hypot(*with_it))))
@@ -95,19 +99,20 @@ class Trial:
             bets.con = 0.0
 
     def begin_anew(self) -> None:
-        """The parameters that drive have changed: what was seen before compared others."""
+        """The parameters that drive have changed: what was seen before compared others, and what is not one of those
+        that drive has to be proven beside them."""
         for bets in self.bets.values():
             bets.begin_anew()
-        self.errors = {duration: [] for duration in OUTAGES}
+            _without_wealth(bets)
+        self.errors, self.taken = {duration: [] for duration in OUTAGES}, 0
+        self.proven = self.proven and self.applied
 
     def differs(self, finding: Finding) -> bool:
-        """Whether `finding`, of the same effect, has other values. Where this one is applied, it is what is left beside
-        that."""
-        own = {name: (e.value, e.sigma) for name, e in self.finding.parameters.items() if e.known}
-        if self.applied:
-            own = dict.fromkeys(own, (0.0, 0.0))
-        return any(e.known and name in own and abs(e.value - own[name][0]) > APART * math.hypot(e.sigma, own[name][1])
-                   for name, e in finding.parameters.items())
+        """Whether `finding`, of the same effect, has other values, or one more. Where this one is applied, it is what
+        is left beside that, of which there should be nothing."""
+        own = {} if self.applied else self.finding.parameters
+        return any(e.differs(own.get(name, replace(e, value=0.0, sigma=0.0))) for name, e in finding.parameters.items()
+                   if e.known)
 
     def quantity(self, now: int, name: str) -> Quantity:
         """It in words, as `name`. now: ns, stamp of the newest sample."""
@@ -127,6 +132,12 @@ class Trial:
         if not self.seen:
             return '; the last minutes show another value' if self.applied else '; not found in the last minutes'
         return '; not proven in this drive yet' if self.applied and not self.proven else ''
+
+
+def _without_wealth(bets: Bets) -> Bets:
+    """The bets with no wealth for the finding in them yet."""
+    bets.pro = -math.inf
+    return bets
 
 
 def _told(value):

@@ -35,6 +35,10 @@ def joined(before: Recording | None, after: Recording) -> Recording:
 
 def cut(recording: Recording, seconds: float) -> Recording:
     """The last `seconds` of a recording."""
-    begin = int(recording.imu.stamp[-1]) - round(seconds * 1e9)
-    return recording.having({name: samples.select(samples.stamp > begin)
+    return behind(recording, int(recording.imu.stamp[-1]) - round(seconds * 1e9) + 1)
+
+
+def behind(recording: Recording, stamp: int) -> Recording:
+    """A recording from `stamp` on, ns."""
+    return recording.having({name: samples.select(samples.stamp >= stamp)
                              for name, samples in recording.streams().items()})

@@ -64,9 +64,11 @@ def work(source, sink) -> None:
         return True
 
     def between(*_) -> None:
-        """What waits, between two steps of an analysis."""
+        """What waits, between two steps of an analysis. At the end nobody wants its result."""
         while not (asked.empty() or online.is_awaited or online.is_abandoned):
-            answer()
+            if not answer():
+                asked.put(None)  # for the loop that ends `work`
+                raise Abandoned
         if online.is_abandoned:
             raise Abandoned
 

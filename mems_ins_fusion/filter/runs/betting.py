@@ -8,22 +8,26 @@ d = |q - p|, the component of m along the line from p to q, counted from the mid
 is the noise of the measurement minus d / 2 where the present filter is right, plus d / 2 where the other one is. It is
 scaled and clipped,
 
-    x = (y - MARGIN d) / B,    -1 <= x <= 1,
+    x = (y - m) / B,    -1 <= x <= 1,    m = max(MARGIN d, WORTH)
 
-with B the usual distance of a measurement from the nearer prediction. Where the other filter is not better by MARGIN d
-at least, E x <= 0 for any distribution of the errors, and a wealth that stakes the share l, so that it is multiplied by
+with B the usual distance of a measurement from the nearer prediction. Where the other filter is not better by m at
+least, E x <= 0 for any distribution of the errors, and a wealth that stakes the share l, so that it is multiplied by
 1 + l x, does not grow in the mean: it ever reaches 1 / a with a probability of at most a (J. Ville, "Etude critique de
 la notion de collectif", 1939; I. Waudby-Smith and A. Ramdas, "Estimating means of bounded random variables by betting",
-J. Royal Statistical Society B 86, 2024). d and B are known before the measurement, so l may depend on them: for normal
-errors with sigma B the logarithm grows fastest for l about d / B; equal predictions stake nothing.
+J. Royal Statistical Society B 86, 2024). d and B are known before the measurement, so l may depend on them: it is
+proportional to the mean of x where the other filter is right, (d / 2 - m) / B. Where that is not positive, nothing is
+staked.
 """
 from __future__ import annotations
 
 import math
 
 MARGIN = 0.05  # share of d by which the other filter has to be nearer: less is not worth a change
+WORTH = 0.005  # m by which it has to be nearer: predictions that are less than a centimetre apart decide nothing
 LARGEST_BET = 0.9  # largest share of the wealth staked: a single measurement must not take all of it
-PART = 0.7  # stake as a share of d / B: a little less than the optimum for small d, as x is clipped
+#: stake as a share of the mean of x where the other filter is right. One over the variance of x is best: normal errors
+#: in a plane with the mean distance B have a sigma of 0.8 B along a line
+PART = 1.56
 USUAL = 30.0  # measurements over which the usual distance is averaged; nothing is staked on the first
 
 
@@ -40,9 +44,10 @@ class Bets:
         apart, usual = math.hypot(present[0] - other[0], present[1] - other[1]), self._usual
         self._count += 1
         self._usual += (min(a, b) - usual) / min(self._count, USUAL)
-        if not (usual > 0.0 and apart > 0.0):
+        least = max(MARGIN * apart, WORTH)
+        if not (usual > 0.0 and 0.5 * apart > least):
             return
-        y, least, bet = (a * a - b * b) / (2.0 * apart), MARGIN * apart, min(PART * apart / usual, LARGEST_BET)
+        y, bet = (a * a - b * b) / (2.0 * apart), min(PART * (0.5 * apart - least) / usual, LARGEST_BET)
         self.pro += math.log1p(bet * _bounded((y - least) / usual))
         self.con += math.log1p(bet * _bounded((-y - least) / usual))
 

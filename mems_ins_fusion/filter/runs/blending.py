@@ -32,6 +32,11 @@ class Blending:
         """What is left of the difference at `stamp`, ns: 1 to 0."""
         return min(max(1.0 - (stamp - self.begun) * 1e-9 / BLENDING, 0.0), 1.0)
 
+    def left(self, stamp: int) -> tuple[float, float, float]:
+        """What is left of the difference at `stamp`, ns: north and east, m, and for how long, s."""
+        part = self.part(stamp)
+        return part * float(self.position[1]), part * float(self.position[0]), part * BLENDING
+
     def add_to(self, odometry: np.ndarray, geodetic: np.ndarray, covariance: np.ndarray, part: float) -> None:
         """Add `part` of the difference, and its square to the covariances, in place.
 

@@ -20,6 +20,7 @@ from ..config import FilterConfig
 from ..memory import Event
 from .betting import Bets
 from .blending import Blending, blending
+from .horizon import Horizon
 from .live import FusionFilter
 from .odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, POSITION, TWIST_COVARIANCE
 
@@ -235,6 +236,12 @@ class ChangingFilter(WatchedFilter):
             else:
                 self._blending = None
         return stamp
+
+    def horizon(self) -> Horizon | None:
+        """As of `FusionFilter`, of what is published."""
+        if self._memory is None or self._blending is None:
+            return super().horizon()
+        return self._horizon.predict(self._memory, added=self._blending.left(self._now))
 
     def warm_up(self) -> None:
         super().warm_up()

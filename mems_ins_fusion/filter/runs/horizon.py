@@ -4,7 +4,8 @@ A small copy of the filter's memory (newest state, newest sample, scratch) is pr
 straight motion: at the present speed, or accelerating to `horizon.speed` where that is higher. The non-holonomic
 constraint and the wheel speed, where there is one, are applied with zero innovations: only the covariance changes.
 Standstills are not, as nobody knows whether there will be one. The horizon ends where the horizontal error exceeds
-`horizon.limit` with a probability above 5 %, by the published covariance.
+`horizon.limit` with a probability above 5 %, by the published covariance. What the published position has beside the
+estimate while another filter takes over (blending.py) counts as long as it is there.
 """
 from __future__ import annotations
 
@@ -85,9 +86,11 @@ class HorizonPredictor:
                       Head.EVENTS_AT: self._events, Head.SCRATCH_AT: scratch, Head.HISTORY_AT: 0, Wheels.AT: 0,
                       Head.MAX_GAP: math.inf}
 
-    def predict(self, memory: np.ndarray, exceeded: float = EXCEEDED) -> Horizon:
+    def predict(self, memory: np.ndarray, exceeded: float = EXCEEDED,
+                added: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Horizon:
         """The horizon from the newest state of `memory`, which does not change. exceeded: probability of an error above
-        the limit at which it ends."""
+        the limit at which it ends. added: north and east, m, that the published position has beside the estimate, less
+        and less of it for so many seconds."""
         copy, newest, width = self._copy, int(memory[Head.SAMPLES]), self._width
         state, sample = state_at(memory, newest), sample_at(memory, newest)
         copy[:self._rows] = memory[:self._rows]
@@ -97,7 +100,7 @@ class HorizonPredictor:
         copy[self._events:][:Event.SIZE], interval = _wheel_speed(memory, memory[state + Nav.TIME])
         for column, value in self._head.items():
             copy[column] = value
-        return Horizon(*_predict(copy, self._limit, self._speed, interval, exceeded))
+        return Horizon(*_predict(copy, self._limit, self._speed, interval, exceeded, *added))
 
 
 def _wheel_speed(memory: np.ndarray, now: float) -> tuple[np.ndarray, float]:
@@ -111,18 +114,19 @@ def _wheel_speed(memory: np.ndarray, now: float) -> tuple[np.ndarray, float]:
 
 
 @njit(_nrt=False)
-def _predict(mem, limit, wanted, interval, exceeded):
+def _predict(mem, limit, wanted, interval, exceeded, north, east, left):
     """Seconds and metres until the error exceeds `limit`, m, with a probability above `exceeded`.
 
     mem: as `HorizonPredictor` makes it. wanted: m/s, lowest speed to accelerate to. interval: s between wheel speeds,
-    whose record is in the memory; 0: none.
+    whose record is in the memory; 0: none. north, east: m, added to the estimate, and gone in `left` s.
     """
     first, width, sample = nonnegative(state_at(mem, 0)), int(mem[Head.WIDTH]), nonnegative(sample_at(mem, 0))
     src, dst, seen = first, nonnegative(first + width), nonnegative(first + 2 * width)
     mem[sample + Sample.INTERVAL], mem[sample + Sample.FAULT], mem[sample + Sample.STILL] = STEP, 0.0, 0.0
     metres = 0.0
     for k in range(round(LONGEST / STEP)):
-        if exceedance_probability(mem, src, limit) > exceeded:
+        part = 1.0 - k * STEP / left if k * STEP < left else 0.0
+        if exceedance_probability(mem, src, limit, part * north, part * east) > exceeded:
             return k * STEP, metres
         speed_now = math.hypot(mem[src + Nav.V_N], mem[src + Nav.V_E])
         coast(mem, sample, src)
@@ -171,8 +175,9 @@ def _take_speed(mem, r, sample, interval):
 
 
 @njit(_nrt=False)
-def exceedance_probability(mem, r, limit):
-    """Probability that the horizontal error of the state at r exceeds `limit`, m.
+def exceedance_probability(mem, r, limit, north=0.0, east=0.0):
+    """Probability that the horizontal error of the state at r exceeds `limit`, m. north, east: m, whose squares are
+    part of the covariance.
 
     The mean over all directions phi of exp(-limit^2 / (2 (a cos(phi)^2 + b sin(phi)^2))), a and b the variances along
     the axes of the error ellipse.
@@ -180,9 +185,9 @@ def exceedance_probability(mem, r, limit):
     n_navigation = int(mem[Head.N_NAVIGATION])
     at = r + NAV + n_navigation + int(mem[Head.N_AUGMENTED])
     factor = variance_factor(mem, r)
-    nn = factor * mem[at] + added_covariance(mem, r, 0, 0)
-    ne = factor * mem[at + 1] + added_covariance(mem, r, 0, 1)
-    ee = factor * mem[at + n_navigation] + added_covariance(mem, r, 1, 1)
+    nn = factor * mem[at] + added_covariance(mem, r, 0, 0) + north * north
+    ne = factor * mem[at + 1] + added_covariance(mem, r, 0, 1) + north * east
+    ee = factor * mem[at + n_navigation] + added_covariance(mem, r, 1, 1) + east * east
     mean, half = 0.5 * (nn + ee), math.hypot(0.5 * (nn - ee), ne)
     total = 0.0
     for k in range(_DIRECTIONS):
