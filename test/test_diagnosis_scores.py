@@ -20,9 +20,9 @@ from mems_ins_fusion.diagnosis.held_out import HeldOut
 from mems_ins_fusion.diagnosis.judgement import (
     ONE_SIDED,
     compared,
+    gain_proven,
     harm,
     judged,
-    levels_proven,
     objection,
     predicted,
     unproven,
@@ -462,24 +462,27 @@ def test_a_level_that_makes_no_difference_stays_as_configured():
 
 
 @pytest.mark.parametrize('switch', ['imu.adapt_noise', 'vehicle.zero_velocity'])
-@pytest.mark.parametrize('without, first', [(-1.5, False), (-2.95, True), (-4.0, True)])
-def test_a_setting_is_switched_off_only_where_that_predicts_better(without, first, switch):
-    # given what was configured, an effect that predicts better, and how well it does so without noise from the samples,
-    # or without standstills that cannot be told from motion
-    given = table.check({'imu.adapt_noise': switch == 'imu.adapt_noise'})
+@pytest.mark.parametrize('is_on', [True, False])
+@pytest.mark.parametrize('other, first', [(-1.5, True), (-2.95, False), (-4.0, False)])
+def test_a_setting_is_the_other_way_round_only_where_that_predicts_better(other, first, is_on, switch):
+    # given what was configured, an effect that predicts better, and how well it does so with a setting the other way
+    # round: noise from the samples, or standstills that cannot be told from motion
+    given = table.check({switch: is_on})
     correction = Correction({**given, 'gnss.time_offset': 0.3}, [{**given, 'gnss.time_offset': 0.3}], {}, True)
 
     def errors(models, full):
-        merit = -5.0 if models[0]['gnss.time_offset'] == 0.0 else -3.0 if models[0][switch] else without
+        merit = -5.0 if models[0]['gnss.time_offset'] == 0.0 else -3.0 if models[0][switch] == is_on else other
         return measured_with(lambda stamp: 0.0 * stamp + merit)
-    off = {switch: False} if switch == 'vehicle.zero_velocity' else {}
     found = _as_measured([correction, Correction(given, [given], {}, False)],
-                         SimpleNamespace(errors=errors, without_standstills=off))
+                         SimpleNamespace(errors=errors, switches=(switch,)))
     # then what predicts best stands first, if it is better by more than chance, and what was given last
     best = found[0].correction.values
-    assert best['gnss.time_offset'] == 0.3 and best[switch] == first
+    assert best['gnss.time_offset'] == 0.3 and (best[switch] != is_on) == first
     assert found[-1].correction.values == given
-    assert _switched(given, best) == ([] if first else [switch])
+    assert _switched(given, best) == ({switch: not is_on} if first else {})
+    # and it has to be better than the same without
+    turned = next(one.correction for one in found if one.correction.values == {**correction.values, switch: not is_on})
+    assert turned.beside == (correction,)
 
 
 def test_effects_are_tried_without_the_noise_levels_that_came_with_them():
@@ -488,9 +491,9 @@ def test_effects_are_tried_without_the_noise_levels_that_came_with_them():
     late = {**given, 'gnss.time_offset': 0.2}
     effects = Correction(late, [late], {}, True)
     levelled = replace(effects, values={**late, 'gnss.sigma': 2.0}, by_part=[{**late, 'gnss.sigma': 2.0}],
-                       factors={'gnss.sigma': 2.0}, unlevelled=effects)
+                       factors={'gnss.sigma': 2.0}, beside=(effects,))
     trials = SimpleNamespace(errors=lambda models, full: measured_with(lambda stamp: 0.0 * stamp),
-                             without_standstills={})
+                             switches=())
     # then both are measured, each once, and what was given
     for options in ([levelled], [levelled, effects]):
         found = _as_measured([*options, Correction(given, [given], {}, False)], trials)
@@ -516,9 +519,9 @@ def test_what_corrected_yaml_holds(answers, gain, chosen):
     effects, noise = {**given, 'gnss.time_offset': 0.2}, {**given, 'gnss.sigma': 2.0}
     without = outages_with(2.0) if gain else one
     tried = [(Tried(Correction(effects, [effects], {}, True), one), Verdict(answers[0])),
-             (Tried(Correction(noise, [noise], {'gnss.sigma': 2.0}, False), one, without), Verdict(answers[1])),
+             (Tried(Correction(noise, [noise], {'gnss.sigma': 2.0}, False), one, (without,)), Verdict(answers[1])),
              (Tried(Correction(given, [given], {}, False), one), Verdict(answers[2]))]
-    correction, _, verdict, _ = _chosen(tried, one, given)
+    correction, _, verdict, _, _ = _chosen(tried, one)
     assert correction is tried[chosen][0].correction
     assert verdict.answer == answers[0 if chosen == 2 else chosen]  # or that on the best of what was tried
 
@@ -547,7 +550,7 @@ def outages_with(scale, sigma=1.0, count=36, largest=0.0, seed=1):
     (outages_with(1.0, 0.4, count=3), outages_with(1.0, 1.0, count=3), False),
 ])
 def test_noise_levels_are_proven_by_smaller_errors_or_by_honest_sigmas(before, after, proven):
-    assert levels_proven(before, after) == proven
+    assert gain_proven(before, after) == proven
 
 
 def test_what_is_predicted_better_is_the_mean_of_the_horizons():
@@ -592,16 +595,16 @@ def test_noise_levels_count_by_their_own_gain_whether_the_offset_is_given_or_fou
     given, late, known = table.check({}), outages_with(5.0), outages_with(1.0)
     offset, noise = {**given, 'gnss.time_offset': 0.2}, {**given, 'gnss.time_offset': 0.2, 'gnss.sigma': 2.0}
     effects = Correction(offset, [offset], {}, True)
-    both = Correction(noise, [noise], {'gnss.sigma': 2.0}, True, unlevelled=effects)
-    levels = Correction(noise, [noise], {'gnss.sigma': 2.0}, False, unlevelled=replace(effects, effects=False))
+    both = Correction(noise, [noise], {'gnss.sigma': 2.0}, True, beside=(effects,))
+    levels = Correction(noise, [noise], {'gnss.sigma': 2.0}, False, beside=(replace(effects, effects=False),))
     # when the offset is found, which both together prove, and when the params file has it already
-    tried = [Tried(both, levelled, known), Tried(effects, known), Tried(Correction(given, [given], {}, False), late)]
-    found = _chosen([(t, judged(late, t.errors, t.correction.effects)) for t in tried], late, given)
-    tried = [Tried(levels, levelled, known), Tried(replace(effects, effects=False), known)]
-    after = _chosen([(t, judged(known, t.errors)) for t in tried], known, offset)
+    tried = [Tried(both, levelled, (known,)), Tried(effects, known), Tried(Correction(given, [given], {}, False), late)]
+    found = _chosen([(t, judged(late, t.errors, t.correction.effects)) for t in tried], late)
+    tried = [Tried(levels, levelled, (known,)), Tried(replace(effects, effects=False), known)]
+    after = _chosen([(t, judged(known, t.errors)) for t in tried], known)
     # and when the offset alone is not proven
-    alone = _chosen([(Tried(both, levelled, known), Verdict('better')), (Tried(effects, known), Verdict('worse')),
-                     (Tried(Correction(given, [given], {}, False), late), Verdict('same'))], late, given)
+    alone = _chosen([(Tried(both, levelled, (known,)), Verdict('better')), (Tried(effects, known), Verdict('worse')),
+                     (Tried(Correction(given, [given], {}, False), late), Verdict('same'))], late)
     assert (alone[0].values, alone[2].answer) == ((noise, 'better') if better else (given, 'cannot_tell'))
     # then both ways end with the same parameters: with the noise levels that have a gain of their own
     assert found[0].values == after[0].values == (noise if better else offset)

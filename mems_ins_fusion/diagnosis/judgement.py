@@ -132,8 +132,8 @@ def _plain(value: float, squared: bool) -> str:
     return f'{value**2 if squared else value:.3g}'
 
 
-def levels_proven(before: Measured, after: Measured) -> bool:
-    """Whether noise levels are proven by data that did not choose them. before: the same filter without them.
+def gain_proven(before: Measured, after: Measured) -> bool:
+    """Whether noise levels or settings are proven by data that did not choose them. before: the same filter without.
 
     Errors are smaller for certain; or predictions are better for certain (`predicted`), which counts sigmas that come
     to be honest as well, and no error grows.
@@ -142,6 +142,12 @@ def levels_proven(before: Measured, after: Measured) -> bool:
         return True
     gain = predicted(before, after)
     return gain is not None and gain.interval(ONE_SIDED)[0] > 0.0 and not unproven(compared(before, after))
+
+
+def predicts_worse(before: Measured, after: Measured) -> bool:
+    """Whether predictions are worse for certain."""
+    gain = predicted(before, after)
+    return gain is not None and gain.interval(ONE_SIDED)[1] < 0.0
 
 
 def predicted(before: Measured, after: Measured) -> Difference | None:
@@ -205,7 +211,7 @@ def _larger(comparison: Sequence[dict], settled: bool = False) -> str:
 def unproven(comparison: Sequence[dict]) -> str:
     """What speaks against another configuration; empty where nothing does.
 
-    What is new in it has been proven by the likelihood of held-out data already (`objection`, `levels_proven`), so
+    What is new in it has been proven by the likelihood of held-out data already (`objection`, `gain_proven`), so
     errors must not grow. Whether they shrink the fixes that are the truth as a rule cannot say: who stamps them late,
     or stands elsewhere, has the withheld ones late and elsewhere, too.
     """
