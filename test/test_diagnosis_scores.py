@@ -384,7 +384,8 @@ def test_an_effect_that_the_likelihood_has_proven_may_scatter_as_few_outages_do(
     assert harm([row(30.0, 42.0, None, count=9)], effects=True)
     # and they have no say beside those that are enough
     assert proven([row(10.0, 9.0), row(30.0, 36.0, None, count=3)])
-    assert not proven([row(30.0, 36.0, None, count=3)]) and not proven([row(10.0, 11.0), row(30.0, 20.0, None, count=3)])
+    assert not proven([row(30.0, 36.0, None, count=3)])
+    assert not proven([row(10.0, 11.0), row(30.0, 20.0, None, count=3)])
 
 
 @pytest.mark.parametrize('count', [2, 3])
@@ -539,6 +540,19 @@ def test_what_corrected_yaml_holds(answers, gain, chosen):
     correction, _, verdict, _, _ = _chosen(tried, one)
     assert correction is tried[chosen][0].correction
     assert verdict.answer == answers[0 if chosen == 2 else chosen]  # or that on the best of what was tried
+
+
+def test_smaller_errors_go_before_better_predictions():
+    # given a setting that predicts best, and noise levels with which errors are smaller for certain, both proven
+    given = table.check({})
+    setting, noise = {**given, 'imu.adapt_noise': False}, {**given, 'gnss.sigma': 2.0}
+    unsure, honest, smaller = outages_with(1.0, 0.3), outages_with(1.0, 1.0), outages_with(0.5, 0.15)
+    tried = [(Tried(Correction(setting, [setting], {}, False), honest, (unsure,)), Verdict('cannot_tell')),
+             (Tried(Correction(noise, [noise], {'gnss.sigma': 2.0}, False), smaller, (unsure,)), Verdict('better')),
+             (Tried(Correction(given, [given], {}, False), unsure), Verdict('same'))]
+    # then these are in corrected.yaml, and the setting where there are no such levels
+    assert _chosen(tried, unsure)[0].values == noise
+    assert _chosen([tried[0], tried[2]], unsure)[0].values == setting
 
 
 def outages_with(scale, sigma=1.0, count=36, largest=0.0, seed=1):

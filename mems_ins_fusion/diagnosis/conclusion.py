@@ -138,16 +138,18 @@ def _chosen(tried: list[tuple[Tried, Verdict]],
             before: Measured) -> tuple[Correction, Measured, Verdict, Measured, str]:
     """Of the corrections tried, what predicts best first and what was given last, the one for corrected.yaml.
 
-    Effects first, as other noise levels hide them. Each part of a correction has a proof of its own, whatever else it
-    holds: so a params file that has the effects already gets the same noise levels as one that does not. Effects have
-    it by the likelihood of held-out data, noise levels and settings beside the same filter without them (`gain_proven`). All
-    of it counts where errors are smaller for certain, or where it is proven so and no error grows: who stamps fixes
-    late has the withheld ones late as well, so that errors against these need not tell. Else what was given, with the
-    verdict on the best of what was tried. Then the errors that the verdict is about: of the correction, or of what was
-    tried. Last what speaks against effects that are not in it.
+    Effects first, as other noise levels hide them; then what makes errors smaller for certain, which a user feels
+    more than better predictions. Each part of a correction has a proof of its own, whatever else it holds: so a params
+    file that has the effects already gets the same noise levels as one that does not. Effects have it by the likelihood
+    of held-out data, noise levels and settings beside the same filter without them (`gain_proven`). All of it counts
+    where errors are smaller for certain, or where it is proven so and no error grows: who stamps fixes late has the
+    withheld ones late as well, so that errors against these need not tell. Else what was given, with the verdict on the
+    best of what was tried. Then the errors that the verdict is about: of the correction, or of what was tried. Last
+    what speaks against effects that are not in it.
     """
     against = ''
-    for one, verdict in sorted(tried[:-1], key=lambda found: not found[0].correction.effects):
+    for one, verdict in sorted(tried[:-1], key=lambda found: (not found[0].correction.effects,
+                                                              found[1].answer != BETTER)):
         if not all(gain_proven(other, one.errors) for other in one.beside):
             continue
         worse = '' if verdict.answer == BETTER else unproven(compared(before, one.errors)) or (
