@@ -34,7 +34,7 @@ CLOSEST_OUTAGES = 10.0
 #: share of the usual time after which the search begins
 SEARCHING = 0.05
 #: the same of the choice of noise levels
-CHOOSING = 0.72
+CHOOSING = 0.6
 #: the same of measuring errors
 MEASURING = 0.88
 #: the same of looking at what is left
