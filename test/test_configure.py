@@ -274,7 +274,8 @@ def test_a_file_is_ready_only_when_what_it_sets_is_certain(late, tmp_path):
     assert doubts(replace(vague, wrong=('no place',)))[0] == 'no place'
 
 
-@pytest.mark.parametrize('sigma, known', [([1.0, 1.0, 5.0], True), ([1.0, 1.0, 40.0], False), ([43.0, 1.0, 5.0], False)])
+@pytest.mark.parametrize('sigma, known', [
+    ([1.0, 1.0, 5.0], True), ([1.0, 1.0, 40.0], False), ([43.0, 1.0, 5.0], False)])
 def test_a_mounting_of_which_an_angle_may_be_anything_has_no_yaw(sigma, known):
     assert Mounting(np.eye(3), np.radians(sigma)).yaw_known == known
 
