@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from mems_ins_fusion.characterization.autocorrelation import ljung_box
-from mems_ins_fusion.diagnosis.conclusion import Correction, Tried, _as_measured, _chosen, _switched
+from mems_ins_fusion.diagnosis.conclusion import PREDICTS_WORSE, Correction, Tried, _as_measured, _chosen, _switched
 from mems_ins_fusion.diagnosis.detection import detect
 from mems_ins_fusion.diagnosis.estimate import Estimate, widened
 from mems_ins_fusion.diagnosis.fit import Scores, _scores, fit
@@ -553,6 +553,19 @@ def test_smaller_errors_go_before_better_predictions():
     # then these are in corrected.yaml, and the setting where there are no such levels
     assert _chosen(tried, unsure)[0].values == noise
     assert _chosen([tried[0], tried[2]], unsure)[0].values == setting
+
+
+def test_effects_that_predict_worse_for_certain_are_told():
+    # given effects with which errors are the same, and sigmas four times too large
+    given, one = table.check({}), outages_with(1.0)
+    late = {**given, 'gnss.time_offset': 0.2}
+    tried = [(Tried(Correction(late, [late], {}, True), outages_with(1.0, 4.0)), Verdict('cannot_tell')),
+             (Tried(Correction(given, [given], {}, False), one), Verdict('same'))]
+    # then what was given stays, and the reason is said
+    correction, *_, against = _chosen(tried, one)
+    assert correction.values == given and against == PREDICTS_WORSE
+    tried[0] = Tried(tried[0][0].correction, one), Verdict('cannot_tell')
+    assert _chosen(tried, one)[0].values == late
 
 
 def outages_with(scale, sigma=1.0, count=36, largest=0.0, seed=1):
