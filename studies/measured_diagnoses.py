@@ -7,7 +7,7 @@ DATA: folder of the recordings. OUTPUT: for the params files and results; a reco
 not diagnosed again. RECORDING: only these, by the first letters of `recording, settings`.
 settings: with the defaults, and with what was before them. ways: from nothing but the topics, from the file that
 `configure` writes, and from one by hand; of the recordings and of simulated drives, whose truth is known. Do the three
-end alike?
+end alike, and does configure's file end worse than by hand, by `compare`?
 """
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import configure  # noqa: E402
 import numpy as np
 
+from mems_ins_fusion.cli.compare import main as compare  # noqa: E402
 from mems_ins_fusion.cli.diagnose import main as diagnose  # noqa: E402
 from mems_ins_fusion.configuration.configure import Configuration  # noqa: E402
 from mems_ins_fusion.configuration.configure import configure as look_at  # noqa: E402
@@ -110,10 +111,11 @@ READY_OFFSET, READY_ANGLE = 0.1, 3.0
 
 @dataclass(frozen=True)
 class Way:
-    """Where one way ended. verdict: its word. offset: s, what it tells, set or only told, with sigma; None where it
-    tells none. arm, mounting: as in corrected.yaml (deg). is_set: whether corrected.yaml has the offset that is told.
-    errors: mean of the largest in outages, m, before and after, by duration."""
+    """Where one way ended. file: what it ends with. verdict: its word. offset: s, what it tells, set or only told,
+    with sigma; None where it tells none. arm, mounting: as in corrected.yaml (deg). is_set: whether corrected.yaml has
+    the offset that is told. errors: mean of the largest in outages, m, before and after, by duration."""
 
+    file: Path
     verdict: str
     offset: tuple[float, float | None]
     arm: list[float]
@@ -178,8 +180,9 @@ def _lines(*lines: str) -> str:
 def ended(folder: Path, file: Path, seen: float, sigma: float | None) -> Way:
     """seen, sigma: the time offset by `configure`, which `file` has where it is more than two sigma; None: none."""
     content = json.loads((folder / 'report.json').read_text()) if (folder / 'report.json').exists() else {}
-    there = folder / 'corrected.yaml'
-    values = table.check(params_file.load_yaml(there if there.exists() else file))
+    end = folder / 'corrected.yaml'
+    end = end if end.exists() else file
+    values = table.check(params_file.load_yaml(end))
     given = table.check(params_file.load_yaml(file))['gnss.time_offset']
     told = [(e['parameters']['time_offset'], e['added']) for e in content.get('effects', [])
             if e['name'] == 'gnss_time_offset' and 'time_offset' in e['parameters']]
@@ -193,8 +196,21 @@ def ended(folder: Path, file: Path, seen: float, sigma: float | None) -> Way:
     if told:
         value, is_set = told[0]
         offset = values['gnss.time_offset'] if is_set else given + value['value'], value['sigma']
-    return Way(content.get('verdict', {}).get('answer', 'none'), offset, values['gnss.lever_arm'],
+    return Way(end, content.get('verdict', {}).get('answer', 'none'), offset, values['gnss.lever_arm'],
                [math.degrees(a) for a in values['imu.mounting_rpy']], is_set, errors)
+
+
+def beside_by_hand(found: dict[str, Way], bag: Path, folder: Path) -> str:
+    """Whether configure's file ends better or worse than the one by hand, and the errors of both with the interval."""
+    if not (folder / 'report.json').exists() and compare(
+            [str(found[BY_HAND].file), str(found[CONFIGURED].file), '--bag', str(bag), '--output', str(folder),
+             '--overwrite']):
+        return '- | -'
+    verdict = json.loads((folder / 'report.json').read_text())['verdict']
+    rows = [f'{change["duration_s"]:g} s: {number(change["before_m"], 2)}, {number(change["after_m"], 2)} m' + (
+        '' if change['interval_m'] is None else ' ({} to {})'.format(*(number(m, 2) for m in change['interval_m'])))
+        for change in verdict['changes'] if change['duration_s']]
+    return f'{verdict["answer"]} | {"; ".join(rows)}'
 
 
 def agree(found: dict[str, Way]) -> str:
@@ -221,14 +237,15 @@ def ways(data: Path, output: Path, wanted: list[str]) -> None:
     print('| drive | way | time offset, s | arm, m | mounting, deg | 10 / 30 / 60 s without fixes, before, m | '
           'after, m | verdict |\n|---|---|---|---|---|---|---|---|')
     names = [*WAYED, *(f'drive {number}' for number in SIMULATED)]
-    agreed, judged = {}, []
+    agreed, beside, judged = {}, {}, []
     for name in [n for n in names if not wanted or any(n.startswith(w) for w in wanted)]:
         title = name
         if name in RECORDINGS:
             folder, given = RECORDINGS[name]
+            bag, file = data / name / folder, name
             part = _lines(PARTS.get(name, ''), OFTEN)
             topics = _lines(TRUTH.get(name, ''), part)
-            found = three_ways(name, data / name / folder, topics, _lines(given, part), output)
+            found = three_ways(name, bag, topics, _lines(given, part), output)
         else:
             bag, of = simulated_bag(int(name.split()[1]), output)
             kind = f'{of.kind}, gaps' if int(name.split()[1]) in GAPS else of.kind
@@ -243,8 +260,13 @@ def ways(data: Path, output: Path, wanted: list[str]) -> None:
         for way, end in found.items():
             print(way_row(title, way, end), flush=True)
         agreed[name] = agree(found)
+        beside[name] = beside_by_hand(found, bag, output / f'{file}_beside')
     print('\n| drive | do the offsets agree |\n|---|---|')
     for name, said in agreed.items():
+        print(f'| {name} | {said} |')
+    print('\n| drive | configure\'s file instead of by hand | without fixes: by hand, configure\'s file '
+          '(95 % interval of the difference) |\n|---|---|---|')
+    for name, said in beside.items():
         print(f'| {name} | {said} |')
     if judged:
         summary(judged)

@@ -16,7 +16,7 @@ from mems_ins_fusion.__main__ import main
 from mems_ins_fusion.configuration.check import check, check_setup, judge_mounting
 from mems_ins_fusion.configuration.configure import configure, configured, look
 from mems_ins_fusion.configuration.drive_settings import vehicle_settings
-from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting, rpy
+from mems_ins_fusion.configuration.mounting import Mounting, deviation, estimate_mounting, rpy
 from mems_ins_fusion.configuration.noise import find_noise
 from mems_ins_fusion.configuration.offset import estimate_offset
 from mems_ins_fusion.configuration.topics import Candidate, Topics
@@ -270,6 +270,14 @@ def test_a_file_is_ready_only_when_what_it_sets_is_certain(late, tmp_path):
     vague = replace(good, mounting=replace(good.mounting, sigma=np.radians([0.5, 0.5, 2.0])))
     assert [left.name for left in unsettled(vague.left)] == ['yaw']
     assert 'yaw of the mounting is known to 2.0 deg' in doubts(vague)[0]
+    # what is wrong with a recording comes first: the rest may follow from it
+    assert doubts(replace(vague, wrong=('no place',)))[0] == 'no place'
+
+
+@pytest.mark.parametrize('sigma, known', [
+    ([1.0, 1.0, 5.0], True), ([1.0, 1.0, 40.0], False), ([43.0, 1.0, 5.0], False)])
+def test_a_mounting_of_which_an_angle_may_be_anything_has_no_yaw(sigma, known):
+    assert Mounting(np.eye(3), np.radians(sigma)).yaw_known == known
 
 
 def test_a_level_road_straight_on_at_constant_speed_shows_no_yaw():

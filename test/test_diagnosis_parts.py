@@ -16,7 +16,7 @@ from mems_ins_fusion.diagnosis.judgement import compared, harm
 from mems_ins_fusion.diagnosis.learned_mounting import angles
 from mems_ins_fusion.diagnosis.measured import fairly, measure
 from mems_ins_fusion.diagnosis.problem import FLOOR, Problem, believed, looked_through, stated
-from mems_ins_fusion.diagnosis.trial_runs import TrialRuns
+from mems_ins_fusion.diagnosis.trial_runs import FOR_EFFECTS, FOR_LEVELS, REPORTED, TrialRuns
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.comparison import compare, truth_of
 from mems_ins_fusion.filter.config import FilterConfig
@@ -170,16 +170,27 @@ def test_the_search_uses_standstills_only_where_they_can_be_told_from_motion(lat
     # given a drive that shows standstills, or motion that is as quiet
     monkeypatch.setattr('mems_ins_fusion.diagnosis.problem.standstills_show', lambda *recorded: (told, 0.1))
     asked = []
-    monkeypatch.setattr(TrialRuns, '_measured', lambda trials, models, full: asked.append(models))
+    monkeypatch.setattr(TrialRuns, '_measured', lambda trials, models, use: asked.append((use, *models)))
     given = table.check({})
     trials = TrialRuns((late,), Drives([Problem(late, given)]), (), (10.0,), 30.0, lambda *said: None, 0.0)
-    # when filters are tried for a decision, and for the report
+    # when filters are tried for a decision on effects, for the report, and for the choice of noise levels
     trials.errors([given])
     trials.errors([given], full=True)
-    # then decisions stand on them only where they show; the report is of the filter as given
+    trials.each([given])
+    # then decisions on effects stand on them only where they show, and on nothing that adapts; the others are of the
+    # filter that drives
     assert trials.origin.each[0].values['vehicle.zero_velocity'] is told
-    assert [models[0]['vehicle.zero_velocity'] for models in asked] == [told, True]
+    assert [use for use, _ in asked] == [FOR_EFFECTS, REPORTED, FOR_LEVELS]
+    assert [values['vehicle.zero_velocity'] for _, values in asked] == [told, True, True]
+    assert [values['imu.adapt_noise'] for _, values in asked] == [False, True, True]
     assert trials.without_standstills == ({} if told else {'vehicle.zero_velocity': False})
+    assert trials.switches == ('imu.adapt_noise', *(() if told else ['vehicle.zero_velocity']))
+
+
+def test_standstills_are_tried_where_a_file_does_without(late):
+    trials = TrialRuns((late,), Drives([Problem(late, table.check({'vehicle.zero_velocity': False}))]), (), (10.0,),
+                       30.0, lambda *said: None, 0.0)
+    assert 'vehicle.zero_velocity' in trials.switches
 
 
 def test_a_fix_that_is_far_off_is_set_aside(late):

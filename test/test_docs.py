@@ -244,7 +244,9 @@ def test_the_page_is_written_as_the_test_reads_it():
 
 def test_what_a_tool_says_to_type_next_can_be_typed(played):
     folder, said = played
-    lines = [line.strip().removeprefix('next: ') for step in said for line in step.process.stdout.splitlines()]
+    # a command of two lines as a shell takes it
+    printed = [step.process.stdout.replace('\\\n', '') for step in said]
+    lines = [line.strip().removeprefix('next: ') for text in printed for line in text.splitlines()]
     next_ones = [shlex.split(line) for line in lines if line.startswith('python -m mems_ins_fusion')]
     assert next_ones
     for words in next_ones:

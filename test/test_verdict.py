@@ -180,6 +180,18 @@ def test_what_is_certainly_wrong_makes_a_recording_not_usable():
     verdict, answer = not_usable([backwards], values)
     assert verdict_json(verdict)['answer'] == 'not_usable' and 'set imu.mounting_rpy' in answer.headline
     assert answer.grade == 'bad' and answer.headline.startswith('Not usable')
+    # and what to do is to set what can be set, or to record again where nothing can
+    settable = replace(backwards, settings=('imu.mounting_rpy',))
+    assert [not_usable([f], values)[1].steps[0].what.split()[0] for f in (settable, dead)] == ['Set', 'Cure']
+
+
+def test_no_line_of_an_answer_ends_between_a_number_and_its_unit():
+    from mems_ins_fusion.reports.answer import GOOD, Answer
+
+    for words in range(1, 60):  # whatever stands before it
+        lines = Answer(GOOD, f'{"x " * words}30 s without fixes 5.0 m instead of 7.6 m (95 %: 7.6 m less)').short()
+        assert not any(line.endswith(tuple('0123456789')) for line in lines)
+        assert ' '.join(lines).endswith('(95 %: 7.6 m less)') and all(len(line) <= 100 for line in lines)
 
 
 def test_a_diagnosis_that_proves_nothing_says_what_the_recording_contradicts():

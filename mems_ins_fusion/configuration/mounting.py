@@ -101,7 +101,7 @@ class Mounting:
 
     @property
     def yaw_known(self) -> bool:
-        return bool(self.sigma[2] < SHOWN)
+        return bool(np.max(self.sigma) < SHOWN)  # of an IMU whose roll or pitch may be anything, there is none
 
 
 def rpy(rotation: np.ndarray) -> np.ndarray:

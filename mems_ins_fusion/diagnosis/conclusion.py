@@ -18,7 +18,7 @@ from .findings import Diagnosis, Finding
 from .fit import Model
 from .folds import parts, which_part
 from .held_out import HeldOut
-from .judgement import compared, judged, levels_proven, unproven
+from .judgement import compared, gain_proven, judged, predicts_worse, unproven
 from .judging import PLAIN, by_drive_of
 from .known import Known
 from .measured import Measured, in_common, saved
@@ -40,69 +40,75 @@ AT_BOUND = 0.95
 MOUNTING = 'mounting_rotation'
 #: why what was found is told and not added
 NO_PROOF = 'no smaller error is proven with it'
+#: the same, where what it predicts is worse for certain
+PREDICTS_WORSE = 'errors and sigmas together predict positions less well with it'
 #: why what makes errors smaller is not in corrected.yaml
-NO_GAIN_OF_LEVELS = 'the noise levels that belong to what was found have no proven gain of their own'
+NO_GAIN_OF_OTHERS = 'the noise levels or settings that belong to what was found have no proven gain of their own'
 #: s; a receiver smooths over no longer
 LONGEST_SMOOTHING = 10.0
-#: what is told of settings that are tried without, where positions are predicted better so
+#: what is told of settings that are tried the other way round, where positions are predicted better so
 _SWITCHED = {
-    'imu.adapt_noise': 'What the IMU scatters from one sample to the next is no noise that adds up: positions are '
-                       'predicted better with imu.adapt_noise: false.',
-    'vehicle.zero_velocity': 'Standstills cannot be told from motion in this recording: positions are predicted better '
-                             'with vehicle.zero_velocity: false.'}
+    'imu.adapt_noise': {
+        False: 'What the IMU scatters from one sample to the next is no noise that adds up',
+        True: 'The IMU is noisier in motion than its noise densities say'},
+    'vehicle.zero_velocity': {
+        False: 'Standstills cannot be told from motion in this recording',
+        True: 'The filter tells standstills from motion in this recording'}}
 
 
 @dataclass(frozen=True)
 class Correction:
-    """One way to correct the parameters: for the whole drive, and by the part that is held out. unlevelled: the same
-    without other noise levels; None where it has none."""
+    """One way to correct the parameters: for the whole drive, and by the part that is held out. beside: the same
+    without other noise levels, and without settings the other way round: what these have to be better than."""
 
     values: dict
     by_part: list[dict]
     factors: dict[str, float]
     effects: bool
     settings: tuple[Finding, ...] = ()
-    unlevelled: Correction | None = None
+    beside: tuple[Correction, ...] = ()
 
-    def switched(self, change: dict[str, bool]) -> Correction:
-        """With these settings besides."""
-        values, *by_part = ({**v, **change} for v in (self.values, *self.by_part))
+    def switched(self, name: str) -> Correction:
+        """With this setting the other way round."""
+        values, *by_part = ({**v, name: not v[name]} for v in (self.values, *self.by_part))
         return replace(self, values=values, by_part=by_part,
-                       unlevelled=self.unlevelled and self.unlevelled.switched(change))
+                       beside=(self, *(one.switched(name) for one in self.beside)))
 
 
 @dataclass(frozen=True)
 class Tried:
-    """A correction, its errors at the full rate, and those without its noise levels; None where it has none."""
+    """A correction, its errors at the full rate, and those of the corrections beside it."""
 
     correction: Correction
     errors: Measured
-    unlevelled: Measured | None = None
+    beside: tuple[Measured, ...] = ()
 
 
-def concluded(known: Known, first: Known, trials: TrialRuns) -> Diagnosis:
+def concluded(known: Known, trials: TrialRuns) -> Diagnosis:
     """The corrections that are proven, and the errors before and after."""
     trials.origin.watched(None)
     trials.tell(CHOOSING, 'choosing noise levels')
     given = trials.origin.given
     configured = Correction(given, [given], {}, False)
     fitted = _levelled(configured, trials)
-    corrections, against = _settled(known, first, fitted, configured, trials)
+    corrections = _options(known, fitted, configured, trials)
     trials.tell(MEASURING, 'measuring errors')
     before, noise_only = (trials.errors(models, full=True) for models in ([given], fitted.by_part))
-    correction, after, verdict, judged_by = _chosen([
+    correction, after, verdict, judged_by, against = _chosen([
         (tried, judged(before, tried.errors, tried.correction.effects))
-        for tried in _as_measured(corrections, trials)], before, given)
+        for tried in _as_measured(corrections, trials)], before)
     comparison = compared(before, judged_by)
     if correction.values != given:  # one filter may start later than the other
         before, after = in_common(before, after), in_common(after, before)
-    against = against or NO_PROOF
-    hidden = _not_shown(known, correction.settings)
+    # what a direct look at the recording shows is told, whatever corrected.yaml holds
+    direct = correction.settings or next(
+        (tuple(_only_told(f, against) for f in option.settings) for option in corrections if option.settings), ())
+    hidden = _not_shown(known, direct)
     # a finding is added only where corrected.yaml holds it
     findings = _final(known, hidden, correction.values, trials)
     findings = [*(findings if correction.effects else (
         replace(_only_told(f, against), parameters=trials.told(f.name, f.parameters)) for f in findings)),
-                *correction.settings]
+                *direct]
     model, origin = known.model, trials.origin
     drives = origin.each
     residuals = {'before': origin.before, 'fitted': origin.observed(fitted.values),
@@ -121,36 +127,41 @@ def concluded(known: Known, first: Known, trials: TrialRuns) -> Diagnosis:
         rest=[rest for found in rests for rest in found],
         remarks=[said for said in remarks[0] if all(said in other for other in remarks)]
         + _noise_remarks(explained | correction.factors)
-        + [_SWITCHED[name] for name in _switched(given, correction.values)])
+        + [f'{_SWITCHED[name][now]}: positions are predicted better with {name}: {str(now).lower()}.'
+           for name, now in _switched(given, correction.values).items()])
     if len(drives) < 2:
         return whole
     return replace(whole, drives=[_in_drive(whole, k, rests[k], remarks[k]) for k in range(len(drives))])
 
 
-def _chosen(tried: list[tuple[Tried, Verdict]], before: Measured,
-            given: dict) -> tuple[Correction, Measured, Verdict, Measured]:
+def _chosen(tried: list[tuple[Tried, Verdict]],
+            before: Measured) -> tuple[Correction, Measured, Verdict, Measured, str]:
     """Of the corrections tried, what predicts best first and what was given last, the one for corrected.yaml.
 
-    Effects first, as other noise levels hide them. Each part of a correction has a proof of its own, whatever else it
-    holds: so a params file that has the effects already gets the same noise levels as one that does not. Effects have
-    it by the likelihood of held-out data, noise levels beside the same filter without them (`levels_proven`). All of it
-    counts where errors are smaller for certain, or where it is proven so and no error grows: who stamps fixes late has
-    the withheld ones late as well, so that errors against these need not tell. Settings have no such proof: only where
-    errors are smaller for certain. Else what was given, with the verdict on the best of what was tried. Last the errors
-    that the verdict is about: of the correction, or of what was tried.
+    Effects first, as other noise levels hide them; then what makes errors smaller for certain, which a user feels
+    more than better predictions. Each part of a correction has a proof of its own, whatever else it holds: so a params
+    file that has the effects already gets the same noise levels as one that does not. Effects have it by the likelihood
+    of held-out data, noise levels and settings beside the same filter without them (`gain_proven`). All of it counts
+    where errors are smaller for certain, or where it is proven so and no error grows: who stamps fixes late has the
+    withheld ones late as well, so that errors against these need not tell. Else what was given, with the verdict on the
+    best of what was tried. Then the errors that the verdict is about: of the correction, or of what was tried. Last
+    what speaks against effects that are not in it.
     """
-    for one, verdict in sorted(tried, key=lambda found: not found[0].correction.effects):
-        option, after = one.correction, one.errors
-        if one.unlevelled and not levels_proven(one.unlevelled, after):
+    against = ''
+    for one, verdict in sorted(tried[:-1], key=lambda found: (not found[0].correction.effects,
+                                                              found[1].answer != BETTER)):
+        if not all(gain_proven(other, one.errors) for other in one.beside):
             continue
-        alone = (option.effects or option.factors) and not _switched(given, option.values)
-        proven = alone and verdict.answer != WORSE and not unproven(compared(before, after))
-        if verdict.answer == BETTER or proven:
-            return option, after, verdict, after
+        worse = '' if verdict.answer == BETTER else unproven(compared(before, one.errors)) or (
+            PREDICTS_WORSE if predicts_worse(before, one.errors) else NO_PROOF if verdict.answer == WORSE else '')
+        if not worse:
+            return one.correction, one.errors, verdict, one.errors, against or NO_PROOF
+        if one.correction.effects:
+            against = worse
     (best, verdict), (kept, _) = tried[0], tried[-1]
     if verdict.answer == BETTER:
-        verdict = replace(verdict, answer=CANNOT_TELL, why=(NO_GAIN_OF_LEVELS,))
-    return kept.correction, kept.errors, verdict, best.errors
+        verdict = replace(verdict, answer=CANNOT_TELL, why=(NO_GAIN_OF_OTHERS,))
+    return kept.correction, kept.errors, verdict, best.errors, against or NO_PROOF
 
 
 def _in_drive(whole: Diagnosis, k: int, rest: list[GoesWith], remarks: list[str]) -> Diagnosis:
@@ -165,48 +176,28 @@ def _in_drive(whole: Diagnosis, k: int, rest: list[GoesWith], remarks: list[str]
         comparison=[row for row in whole.comparison if row.get('drive') == recording.name])
 
 
-def _settled(known: Known, first: Known, fitted: Correction, configured: Correction,
-             trials: TrialRuns) -> tuple[list[Correction], str]:
-    """What is proven together, the best first: effects with or without other noise levels, these alone, nothing. And
-    what speaks against effects that are not."""
-    options, against = [fitted], ''
+def _options(known: Known, fitted: Correction, configured: Correction, trials: TrialRuns) -> list[Correction]:
+    """What may be proven together: effects with and without other noise levels, these alone; and what was given last.
+    """
     effects = configured
     if any(f.added for f in known.findings):
         effects = Correction(known.corrected(), known.by_part(), {}, True)
     effects = _with_mounting(_with_settings(effects, trials), trials)
-    told = effects.settings
+    options = [fitted]
     if effects.values != configured.values:
         options += [_levelled(replace(effects, factors=fitted.factors), trials), effects]
-    proven = []
-    for option in options:
-        if option.values == configured.values:
-            continue
-        errors = trials.errors(option.by_part)
-        worse = unproven(compared(first.errors, errors))
-        # what effects are proven by is the likelihood of held-out data; their predictions need not be better by chance
-        chance = WORTH / predictions(errors) if option.effects else 0.0
-        if not worse and _merit(errors) > _merit(first.errors) - chance:
-            proven.append((_merit(errors), option))
-        elif option.effects:
-            against = worse or 'errors and sigmas together predict positions less well with it'
-    proven = [option for _, option in sorted(proven, key=lambda found: -found[0])]
-    return [option if option.settings else replace(option, settings=tuple(_only_told(f, against) for f in told))
-            for option in (*proven, configured)], against
+    return [*(option for option in options if option.values != configured.values),
+            replace(configured, settings=tuple(_only_told(f, '') for f in effects.settings))]
 
 
 def _as_measured(corrections: Sequence[Correction], trials: TrialRuns) -> list[Tried]:
     """The corrections with their errors at the full rate, what predicts best there first, what was given last. Each is
-    tried without noise from the samples' scatter, too: what a sensor filters before it samples, and what swings about a
-    mean, adds up to nothing. And without standstills that cannot be told from motion."""
+    tried with a setting the other way round, too (`TrialRuns.switches`)."""
     configured, options = corrections[-1], list(corrections[:-1])
     # beside what noise levels are judged is a correction of its own, too, where these turn out to have no gain
-    beside = [option.unlevelled for option in options if option.unlevelled]
     there = [correction.values for correction in corrections]
-    options += [option for option in beside if option.values not in there]
-    for correction in (*options, configured):
-        scatter = correction.values['imu.adapt_noise'] and correction.values['mechanization'] == 'strapdown'
-        changes = {'imu.adapt_noise': False} if scatter else {}, trials.without_standstills
-        options += [correction.switched(change) for change in changes if change]
+    options += [one for option in options for one in option.beside if one.values not in there]
+    options += [correction.switched(name) for correction in (*options, configured) for name in trials.switches]
 
     def measured(correction):
         return trials.errors(correction.by_part, full=True)
@@ -214,7 +205,7 @@ def _as_measured(corrections: Sequence[Correction], trials: TrialRuns) -> list[T
     def merit(tried):
         changed = bool(_switched(configured.values, tried.correction.values))
         return _merit(tried.errors) - changed * WORTH / predictions(tried.errors)
-    found = [Tried(option, measured(option), option.unlevelled and measured(option.unlevelled)) for option in options]
+    found = [Tried(option, measured(option), tuple(measured(one) for one in option.beside)) for option in options]
     return [*sorted(found, key=merit, reverse=True), Tried(configured, measured(configured))]
 
 
@@ -295,7 +286,7 @@ def _levelled(correction: Correction, trials: TrialRuns) -> Correction:
     by_part = correction.by_part * (len(levels.by_part) if len(correction.by_part) == 1 else 1)
     return replace(correction, values=multiplied(correction.values, factors, claimed), factors=factors,
                    by_part=[multiplied(values, chosen, claimed) for values, chosen in zip(by_part, levels.by_part)],
-                   unlevelled=replace(correction, factors={}) if factors else None)
+                   beside=(replace(correction, factors={}),) if factors else ())
 
 
 def _merit(measured: Measured) -> float:
@@ -366,9 +357,9 @@ def _noise_remarks(factors: dict[str, float]) -> list[str]:
             for name, factor in factors.items() if name != 'gnss.sigma' and factor > AT_BOUND * LARGEST_FACTOR]
 
 
-def _switched(given: dict, corrected: dict) -> list[str]:
-    """The settings of `_SWITCHED` that differ."""
-    return [name for name in _SWITCHED if given[name] != corrected[name]]
+def _switched(given: dict, corrected: dict) -> dict[str, bool]:
+    """The settings of `_SWITCHED` that differ, as they are now."""
+    return {name: corrected[name] for name in _SWITCHED if given[name] != corrected[name]}
 
 
 def _remarks(problem: Problem) -> list[str]:

@@ -73,7 +73,7 @@ def diagnose(recordings: Recording | Sequence[Recording], values: dict, progress
         if found_none or trials.enough():
             break
     known = without_undetermined(without_superseded(known, trials), trials)
-    return replace(concluded(known, first, trials), left_out=left_out)
+    return replace(concluded(known, trials), left_out=left_out)
 
 
 def _thinned(recording: Recording) -> Recording:

@@ -19,9 +19,11 @@ NOTICED = 0.1
 LARGER = 1.1
 #: probability by chance, below which an error that is larger by LARGER counts with a proven effect, too
 LIKELY = 0.05
-#: share by which the largest errors of outages scatter: where outages are too few for a test, what is larger by this
-#: over the root of the number of those that do not overlap counts
+#: standard deviation of the natural logarithm of one outage's largest error: about that of a Rayleigh distribution; and
+#: of the ratio of two that go together by half. Where outages are too few for a test it tells what may be chance
 SCATTER = 0.5
+#: standard deviations of the logarithm of a ratio beyond which it is so rarely by chance as LIKELY says
+NOT_BY_CHANCE = 2.0
 #: factor on an error, below which it has become smaller plainly
 PLAINLY = 0.7
 #: share of what the filter ran before that it has to run with a correction: one that never starts errs nowhere
@@ -112,8 +114,8 @@ def harm(comparison: Sequence[dict], effects: bool = False, floor: float = COVER
             old, new = (np.sqrt(old), np.sqrt(new)) if squared else (old, new)
             larger = new > LARGER * old + NOTICED
             if tolerant and larger:
-                larger = p < LIKELY if p is not None else new > (1 + SCATTER / np.sqrt(row.get('apart', row['count']))
-                                                                 ) * old + NOTICED
+                chance = np.exp(NOT_BY_CHANCE * SCATTER / np.sqrt(row.get('apart', row['count'])))
+                larger = p < LIKELY if p is not None else new > chance * old + NOTICED
             certain = i == 0 and p is not None and p < CERTAIN
             if larger or certain and new > (1 + GROWN) * old + NOTICED:
                 which = 'root mean square of the ' if i else ''
@@ -132,8 +134,8 @@ def _plain(value: float, squared: bool) -> str:
     return f'{value**2 if squared else value:.3g}'
 
 
-def levels_proven(before: Measured, after: Measured) -> bool:
-    """Whether noise levels are proven by data that did not choose them. before: the same filter without them.
+def gain_proven(before: Measured, after: Measured) -> bool:
+    """Whether noise levels or settings are proven by data that did not choose them. before: the same filter without.
 
     Errors are smaller for certain; or predictions are better for certain (`predicted`), which counts sigmas that come
     to be honest as well, and no error grows.
@@ -142,6 +144,12 @@ def levels_proven(before: Measured, after: Measured) -> bool:
         return True
     gain = predicted(before, after)
     return gain is not None and gain.interval(ONE_SIDED)[0] > 0.0 and not unproven(compared(before, after))
+
+
+def predicts_worse(before: Measured, after: Measured) -> bool:
+    """Whether predictions are worse for certain."""
+    gain = predicted(before, after)
+    return gain is not None and gain.interval(ONE_SIDED)[1] < 0.0
 
 
 def predicted(before: Measured, after: Measured) -> Difference | None:
@@ -205,7 +213,7 @@ def _larger(comparison: Sequence[dict], settled: bool = False) -> str:
 def unproven(comparison: Sequence[dict]) -> str:
     """What speaks against another configuration; empty where nothing does.
 
-    What is new in it has been proven by the likelihood of held-out data already (`objection`, `levels_proven`), so
+    What is new in it has been proven by the likelihood of held-out data already (`objection`, `gain_proven`), so
     errors must not grow. Whether they shrink the fixes that are the truth as a rule cannot say: who stamps them late,
     or stands elsewhere, has the withheld ones late and elsewhere, too.
     """
@@ -220,8 +228,10 @@ def honest(rows: Sequence[dict]) -> bool:
 
 
 def all_in_all(comparison: Sequence[dict]) -> float:
-    """Errors after over those before, the geometric mean of all rows that decide; 0 where nothing was measured."""
-    ratios = [row['after'] / row['before'] for row in of_all(comparison)]
+    """Errors after over those before, the geometric mean of all rows that decide; 0 where nothing was measured. A row
+    of too few outages for a test counts only where all are: of three, one decides."""
+    rows = of_all(comparison)
+    ratios = [row['after'] / row['before'] for row in [row for row in rows if row.get('p') is not None] or rows]
     return float(np.exp(np.mean(np.log(ratios)))) if ratios else 0.0
 
 

@@ -27,20 +27,23 @@ from .starts import Shown
 #: IMU samples filtered after which a search begins no further round: less than a minute on two cores, whatever the
 #: recording, and the same result on each machine
 ENOUGH = 9_000_000
-#: outages that decisions are made on, about
+#: outages that decisions on effects are made on, about
 FEW_OUTAGES = 40
 #: s between two of them at least
 CLOSEST_OUTAGES = 10.0
 #: share of the usual time after which the search begins
 SEARCHING = 0.05
 #: the same of the choice of noise levels
-CHOOSING = 0.72
+CHOOSING = 0.6
 #: the same of measuring errors
 MEASURING = 0.88
 #: the same of looking at what is left
 LOOKING = 0.95
 #: filters that are tried in the choice of noise levels, usually
 USUAL_CHOICES = 15
+
+#: what errors are measured for
+FOR_EFFECTS, FOR_LEVELS, REPORTED = 'decisions on effects', 'the choice of noise levels', 'the report'
 
 Progress = Callable[[float, str], None]
 
@@ -131,6 +134,15 @@ class TrialRuns:
         used = self.origin.given[name] and not all(problem.values[name] for problem in self.origin.each)
         return {name: False} if used else {}
 
+    @property
+    def switches(self) -> tuple[str, ...]:
+        """The settings that are tried the other way round: noise from what samples scatter, as what a sensor filters
+        before it samples, and what swings about a mean, adds up to nothing; and standstills, where the parameters as
+        given do without, or a drive cannot tell them from motion."""
+        doubtful = not all(problem.values['vehicle.zero_velocity'] for problem in self.origin.each)
+        scatter = self.origin.given['mechanization'] == 'strapdown'
+        return (*(['imu.adapt_noise'] if scatter else []), *(['vehicle.zero_velocity'] if doubtful else []))
+
     def enough(self, share: float = 1.0) -> bool:
         """Whether this share of the work of a search is done."""
         return self.done > share
@@ -150,37 +162,45 @@ class TrialRuns:
     def errors(self, models: Sequence[dict], full: bool = False) -> Measured:
         """Of one filter, or of those fitted to all parts but one, in these parts.
 
-        full: with all IMU samples, by the protocol that is reported; else for decisions. These look at the covariance
-        as the model has it: scaled by what innovations show, it would hold the truth whatever the model lacks; and the
-        samples are means, between which a motion is not smooth enough to tell noise from it. Standstills that cannot be
-        told from motion keep positions near whatever is right or wrong else.
+        full: as they drive, by the protocol that is reported; else for decisions on effects. These look at the
+        covariance as the model has it: scaled by what innovations show, it would hold the truth whatever the model
+        lacks; and the samples are means, between which a motion is not smooth enough to tell noise from it. Standstills
+        that cannot be told from motion keep positions near whatever is right or wrong else.
         """
         decides = {} if full else {'gnss.adapt_covariance': False, 'imu.adapt_noise': False, **self.without_standstills}
-        models = [{**values, 'gnss.time_offset_sigma': self.offset_sigma, **decides} for values in models]
-        asked = repr((full, [sorted(values.items()) for values in models]))
+        return self._kept([{**values, **decides} for values in models], REPORTED if full else FOR_EFFECTS)
+
+    def each(self, configurations: Sequence[dict]) -> list[Measured]:
+        """Of several filters as they drive, for the choice of noise levels: a filter that adapts to nothing asks for
+        levels that one that does has no use for."""
+        found = on_all_cores(lambda values: self._kept([values], FOR_LEVELS), configurations)
+        count = len(self.measured)
+        self.tell(CHOOSING + (MEASURING - CHOOSING) * count / (count + USUAL_CHOICES), 'choosing noise levels')
+        return found
+
+    def _kept(self, models: list[dict], use: str) -> Measured:
+        models = [{**values, 'gnss.time_offset_sigma': self.offset_sigma} for values in models]
+        asked = repr((use, [sorted(values.items()) for values in models]))
         if asked not in self.measured:
-            self.measured[asked] = self._measured(models, full)
+            self.measured[asked] = self._measured(models, use)
         return self.measured[asked]
 
-    def _measured(self, models: list[dict], full: bool) -> Measured:
+    def _measured(self, models: list[dict], use: str) -> Measured:
         judged = parts(self.origin) if len(models) > 1 else [self.origin.mask]
         found = {}
         for recording, judging, problem, where in zip(self.recordings, self.judging, self.origin.each,
                                                       self.origin.slices):
-            seconds = float(np.ptp(problem.stamp[problem.mask])) * 1e-9
             mine = [(values, mask[where]) for values, mask in zip(models, judged) if mask[where].any()]
-            spacing = self.spacing if full else max(CLOSEST_OUTAGES, seconds / FEW_OUTAGES)
             found[recording.name] = measure(
-                problem, judging, (problem.full if full else problem.drive).imu, [values for values, _ in mine],
-                fitting(self.durations, problem), spacing, [mask for _, mask in mine], self.working)
+                problem, judging, (problem.drive if use == FOR_EFFECTS else problem.full).imu,
+                [values for values, _ in mine], fitting(self.durations, problem), self._between(problem, use),
+                [mask for _, mask in mine], self.working)
         return together(found)
 
-    def each(self, configurations: Sequence[dict]) -> list[Measured]:
-        """Of several filters, for the choice of noise levels."""
-        found = on_all_cores(lambda values: self.errors([values]), configurations)
-        count = len(self.measured)
-        self.tell(CHOOSING + (MEASURING - CHOOSING) * count / (count + USUAL_CHOICES), 'choosing noise levels')
-        return found
+    def _between(self, problem: Problem, use: str) -> float:
+        """s between outages. Noise levels are chosen in as many as are reported, as a long drive tells more of them."""
+        few = max(CLOSEST_OUTAGES, float(np.ptp(problem.stamp[problem.mask])) * 1e-9 / FEW_OUTAGES)
+        return {FOR_EFFECTS: few, FOR_LEVELS: min(few, max(CLOSEST_OUTAGES, self.spacing)), REPORTED: self.spacing}[use]
 
 
 def fitting(durations: Sequence[float], problem: Problem) -> tuple[float, ...]:

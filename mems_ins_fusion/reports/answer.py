@@ -16,6 +16,9 @@ WIDTH = 100
 _CHECKED = ('imu', 'gnss', 'temperature', *(one.name for one in AIDING))
 #: what stands where a line was cut
 _CUT = ' ...'
+#: a space at which no line ends, and where it belongs: between a number and its unit
+_TOGETHER = '\N{NO-BREAK SPACE}'
+_UNIT = re.compile(r'(?<=\d) (?=(?:%|m|s|deg)(?!\w))')
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ class Answer:
         trust = [shorten(f'trust: {self.trust}')] if self.trust else []
         steps = [line for s in self.first
                  for line in (typed(f'next: {s.command}') if s.command else [shorten(f'next: {s.what}')])]
-        head = textwrap.wrap(self.headline, WIDTH)
+        head = [line.replace(_TOGETHER, ' ') for line in textwrap.wrap(_UNIT.sub(_TOGETHER, self.headline), WIDTH)]
         return [*head[:1], *([shorten(' '.join(head[1:]))] if head[1:] else []), *wrong, *trust, *steps]
 
     def lines(self) -> list[str]:

@@ -22,10 +22,10 @@ _POINTS = 4000
 
 
 def doubts(result: Configuration) -> list[str]:
-    """Why the file is not ready to drive with: what may be off, what the recordings do not show, and what is wrong with
-    them."""
-    said = [unsettled_text(left) for left in unsettled(result.left) if math.isfinite(left.sigma)]
-    return [*said, *result.missing, *result.wrong]
+    """Why the file is not ready to drive with: what is wrong with the recordings, what they do not show, and what may
+    be off. In this order, as the first is what a console has room for, and the others often follow from it."""
+    return [*result.wrong, *result.missing,
+            *(unsettled_text(left) for left in unsettled(result.left) if math.isfinite(left.sigma))]
 
 
 def configuration_yaml(result: Configuration) -> str:

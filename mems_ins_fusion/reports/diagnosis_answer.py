@@ -57,8 +57,9 @@ def not_usable(found: list[Checked], values: dict) -> tuple[Verdict, Answer]:
     """
     said = [checked_text(f, topics_of(values)) for f in found]
     verdict = Verdict(NOT_USABLE, why=tuple(said))
-    return verdict, Answer(BAD, headline(verdict), said, [], [
-        Step('Set this in the params file (or let configure write one), and diagnose again.')])
+    step = 'Set this in the params file (or let configure write one), and diagnose again.' if any(
+        f.settings for f in found) else 'Cure this where the messages come from, and record again.'
+    return verdict, Answer(BAD, headline(verdict), said, [], [Step(step)])
 
 
 def found_text(f: Finding, d: Diagnosis) -> str:
