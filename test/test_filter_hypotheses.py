@@ -99,7 +99,8 @@ def test_fixes_that_have_jumped_beyond_the_gate_hardly_drift(z, sigma):
 
 def test_refused_fixes_are_as_likely_right_as_wrong_after_the_recovery_time():
     _, memory, _ = a_state(**{'gnss.recovery_time': 40.0})
-    assert [most_behind(memory, since) for since in (0.0, 20.0, 40.0)] == pytest.approx([FIXES_RIGHT, FIXES_RIGHT / 2, 0.0])
+    nats = [most_behind(memory, since) for since in (0.0, 20.0, 40.0)]
+    assert nats == pytest.approx([FIXES_RIGHT, FIXES_RIGHT / 2, 0.0])
 
 
 def test_the_published_ellipse_reaches_to_a_filter_that_may_be_right():
@@ -189,8 +190,8 @@ def test_fixes_that_have_jumped_do_not_drift(mechanization):
     drive = Drive()
     drive.position[drive.time > 40.0, 1] += 12.0
     _, memory, error, _, _ = drive.through(mechanization)
-    # then there is one filter that uses them and one that does not. The latter is published only where the fixes had been
-    # refused, so that the other has started anew from them: else it might be the filter that was off
+    # then there is one filter that uses them and one that does not. The latter is published only where the fixes had
+    # been refused, so that the other has started anew from them: else it might be the filter that was off
     other = memory[int(memory[Bank.SIZE]):]
     r = state_at(memory, int(memory[Head.SAMPLES]))
     assert memory[Bank.OPEN] == 1.0 and memory[r + Hypothesis.DOUBTS] + other[r + Hypothesis.DOUBTS] == 1.0

@@ -107,7 +107,9 @@ def _start_from_fixes(memory, other, r, interval):
     _swap(memory, other)
     memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.DATED] = 1.0, begun, 1.0
     newest, k = int(other[Head.SAMPLES]), _before(other, other[r + Nav.FIX_TIME])
-    other[state_at(other, k) + Hypothesis.STARTS] = 1.0
+    start = state_at(other, k)
+    other[start + Hypothesis.STARTS] = 1.0
+    other[Head.FORGOTTEN] = max(other[Head.FORGOTTEN], other[start + Nav.TIME])  # a late fix must not undo the start
     for j in range(k + 1, newest + 1):
         advance(other, j)
     other[r + Hypothesis.STARTS] = 0.0

@@ -47,8 +47,8 @@ JUMPS = 1.0 / 20.0
 RANGE = math.log(1000.0)
 #: m/s: sigma of the drift of wrong fixes, of a receiver that loses its satellites one by one
 DRIFT = 3.0
-#: m/s: the same of fixes that have jumped beyond the gate: a reflected signal or a wrong integer changes slowly, and the
-#: velocity of a filter that uses no fixes is off by as much after some seconds
+#: m/s: the same of fixes that have jumped beyond the gate: a reflected signal or a wrong integer changes slowly, and
+#: the velocity of a filter that uses no fixes is off by as much after some seconds
 DRIFT_OF_JUMP = 0.5
 #: sigma beyond which wrong fixes certainly drift, and are beside the way of the vehicle
 CERTAIN = 3.0
@@ -183,10 +183,11 @@ def is_drifting(mem, r):
     offset_n, offset_e = mem[r + Hypothesis.OFFSET], mem[r + Hypothesis.OFFSET + 1]
     drift = math.hypot(mem[r + Hypothesis.DRIFT], mem[r + Hypothesis.DRIFT + 1])
     speed = math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E])
+    since = mem[r + Nav.FIX_TIME] - mem[r + Hypothesis.BEGUN]
     beside = abs(offset_n * mem[r + Nav.V_E] - offset_e * mem[r + Nav.V_N])  # times the speed
     return (drift > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE + 2])
             and beside > CERTAIN * math.sqrt(mem[r + Hypothesis.VARIANCE]) * speed
-            and (mem[r + Nav.FIX_TIME] - mem[r + Hypothesis.BEGUN]) * drift > EXPLAINED * math.hypot(offset_n, offset_e))
+            and drift * since > EXPLAINED * math.hypot(offset_n, offset_e))
 
 
 @njit(_nrt=False)
