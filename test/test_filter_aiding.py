@@ -318,7 +318,8 @@ def test_headings_bring_back_a_filter_that_is_sure_of_a_wrong_one(off):
     assert abs(error) < 0.7 * off and abs(error) < 2.5 * sigma, (error, sigma)
 
 
-@pytest.mark.parametrize(('kind', 'off'), [(Kind.SPEED, 4.0), (Kind.VELOCITY, 6.0)])
+@pytest.mark.parametrize(('kind', 'off'), [(Kind.SPEED, 4.0), (Kind.SPEED, 6.0), (Kind.SPEED, -15.0),
+                                            (Kind.VELOCITY, 6.0), (Kind.VELOCITY, -15.0)])
 def test_speeds_and_velocities_bring_back_a_filter_that_is_sure_of_a_wrong_velocity(kind, off):
     # given a filter whose speed is wrong by many sigma, no fixes for 10 s (they would confirm it), and then speeds for
     # a minute that agree with each other

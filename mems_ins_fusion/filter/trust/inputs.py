@@ -132,10 +132,11 @@ def judge(mem, r, at, n, dimensions):
             return density * factor, far * math.sqrt(expected / (variance + density * factor * claimed))
     if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * claimed + variance):
         return density * factor, 0.0
+    n_navigation = int(mem[Head.N_NAVIGATION])  # sensor errors do not make it wrong by as much at once
     for k in range(dimensions):
         raised = (factor - before) * claimed / project(mem, n, h + n * k, column) ** 2
-        for i in range(n):
-            for j in range(n):
+        for i in range(n_navigation):
+            for j in range(n_navigation):
                 mem[p + n * i + j] += raised * mem[column + i] * mem[column + j]
     return density * factor, 0.0
 
