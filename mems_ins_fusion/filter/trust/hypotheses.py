@@ -8,11 +8,12 @@ the filter says of them, is its *score*:
   to anywhere (multipath, extrapolation, a wrong integer). This filter uses none of them until one is right again.
 
 The second is begun where a fix is so unlikely that the receiver may have failed, and ends where it has lost or both
-agree (`bank.py`). What is published is the filter that uses the fixes, unless they drift away (`fix_drift.py`), with
-the covariance of both: where fixes are followed that may be wrong, it reaches as far as to where the filter would be
-without them. (D. T. Magill, "Optimal adaptive estimation of sampled stochastic processes", IEEE Trans. Automatic
-Control 10, 1965; H. A. P. Blom and Y. Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian
-switching coefficients", the same 33, 1988.)
+agree (`bank.py`). Where several fixes have been refused in a row, the published filter takes them for wrong, and the
+second one starts anew from them. What is published is the filter with the better score; one that uses no fixes only
+where it has refused them, or where they drift away (`fix_drift.py`). Its covariance is that of both: it reaches to
+where the other filter is, as long as that may be right. (D. T. Magill, "Optimal adaptive estimation of sampled
+stochastic processes", IEEE Trans. Automatic Control 10, 1965; H. A. P. Blom and Y. Bar-Shalom, "The interacting
+multiple model algorithm for systems with Markovian switching coefficients", the same 33, 1988.)
 """
 from __future__ import annotations
 
@@ -52,8 +53,7 @@ DRIFT = 3.0
 DRIFT_OF_JUMP = 0.5
 #: sigma beyond which wrong fixes certainly drift, and are beside the way of the vehicle
 CERTAIN = 3.0
-#: share of their offset that this drift explains at least, from when they went wrong on, else they have jumped: half,
-#: as that time is one of four, seconds apart
+#: share of their offset that this drift explains at least, since it last jumped: half, as its begin is known to seconds
 EXPLAINED = 0.5
 #: m^2/s and m^2/s^3, variances that offset and drift gather: of a receiver's filter, not of a vehicle that manoeuvres
 WANDERS, TURNS = 0.002, 0.002
