@@ -209,7 +209,7 @@ def test_the_list_of_parameters_is_current():
 
 
 def test_the_example_params_file_holds_each_parameter_of_the_node_at_its_default():
-    given = params_file.load_yaml(REPOSITORY / 'config/fusion.yaml', 'fusion_node')
+    given = params_file.load_yaml(REPOSITORY / 'config/fusion.yaml')
     defaults = table.defaults()
     assert given == {p.name: defaults[p.name] for p in (*table.FILTER, *table.FUSION)}
     # in the types, too, that ROS tells apart

@@ -72,7 +72,9 @@ def compare(memory):
     if _is_better(memory, other, r):
         _swap(memory, other)
     doubts = memory[r + Hypothesis.DOUBTS] != 0.0
-    if doubts:  # the one that uses the fixes has to be there, and near enough, when they are right again
+    if other[r + Nav.REFUSED] >= receiver.FEWEST_REFUSED:
+        other[r + Hypothesis.FITS] = 0.0
+    if doubts and other[r + Hypothesis.FITS] != 0.0:  # it has to be near enough when the fixes are right
         least = memory[r + Hypothesis.SCORE] - hypotheses.most_behind(memory, time - memory[Bank.BEGUN])
         other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], least)
     lead = memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE]
@@ -93,6 +95,8 @@ def _swap(memory, other):
         memory[i], other[i] = other[i], memory[i]
     for i in range(Bank.SIZE, Bank.DATED + 1):
         memory[i] = other[i]
+    r = state_at(memory, int(memory[Head.SAMPLES]))
+    memory[r + Hypothesis.FITS], other[r + Hypothesis.FITS] = 0.0, 1.0
 
 
 @njit(_nrt=False)
@@ -105,6 +109,8 @@ def _start_from_fixes(memory, other, r, interval):
         if _doubt(memory, other, max(begun, memory[state_at(memory, oldest) + Nav.TIME]), interval) == -math.inf:
             return
     _swap(memory, other)
+    # it has to fit for half of the recovery time at least
+    begun = max(begun, memory[r + Nav.FIX_TIME] - 0.5 * memory[Head.RECOVERY_TIME])
     memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.DATED] = 1.0, begun, 1.0
     newest, k = int(other[Head.SAMPLES]), _before(other, other[r + Nav.FIX_TIME])
     start = state_at(other, k)
@@ -112,7 +118,7 @@ def _start_from_fixes(memory, other, r, interval):
     other[Head.FORGOTTEN] = max(other[Head.FORGOTTEN], other[start + Nav.TIME])  # a late fix must not undo the start
     for j in range(k + 1, newest + 1):
         advance(other, j)
-    other[r + Hypothesis.STARTS] = 0.0
+    other[r + Hypothesis.STARTS], other[r + Hypothesis.FITS] = 0.0, 1.0
     behind = hypotheses.most_behind(memory, memory[r + Nav.FIX_TIME] - begun)
     other[r + Hypothesis.SCORE] = memory[r + Hypothesis.SCORE] - behind
 

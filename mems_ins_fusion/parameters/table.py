@@ -106,7 +106,8 @@ FILTER = (
               'that holds this share of honest ones (and is off by more than 5 m); 1: none is refused.',
               positive=True, maximum=1.0),
     Parameter('gnss.recovery_time', 30.0, 's', 'Fixes refused in a row are believed after this long at the latest; '
-              'sooner where a filter that starts anew from them predicts better than one that takes them for wrong.', positive=True, maximum=86400.0),
+              'sooner where a filter that starts anew from them predicts better than one that takes them for wrong.',
+              positive=True, maximum=86400.0),
     Parameter('gnss.adapt_sigma', True, '-', 'Take the sigma of the fixes for what they are seen to scatter, '
               'and where that is less than they claim for what of the claim may last, too (strapdown).'),
     Parameter('gnss.adapt_covariance', True, '-', 'Raise the covariance of the estimate to what the innovations of the '

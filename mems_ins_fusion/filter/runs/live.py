@@ -16,7 +16,7 @@ from ..advance import TAKEN
 from ..bank import Bank
 from ..config import FilterConfig
 from ..measurements import wheel_vibration
-from ..memory import Event, Head, Kind, Verdict, newest_row
+from ..memory import Event, Head, Kind, Nav, Verdict, newest_row
 from ..start.alignment import STANDING_SIGMA, Alignment
 from ..start.course import start_covariance
 from ..start.initial import initialize, sensor_errors_of
@@ -98,6 +98,7 @@ class FusionFilter(FilterStatus):
         self._restarts = 0.0
         self._last_gap, self.gaps = 0.0, 0
         self._last_fault = self._last_recovery = -math.inf
+        self._new_starts = 0.0  # from refused fixes, of the published state
         self._fault = ''
         self._recent: deque[list[float]] = deque(maxlen=ADRIFT)  # records of fixes
         self._next_look = 0  # ns: time of the next check whether the vehicle contradicts the parameters
@@ -325,7 +326,7 @@ class FusionFilter(FilterStatus):
                                           tuple(record[Event.Z_N:Event.Z_N + measurement.components]),
                                           record[Event.NIS]))
             tally, misfit = self.tallies[measurement.name], record[Event.NIS] / measurement.components
-            if verdict == Verdict.RECOVERED:
+            if used and kind == Kind.POSITION and self._has_started_anew():
                 self._last_recovery = stamp * 1e-9
                 lasted = (stamp - tally.since) * 1e-9
                 self.say('warning', f'{self.topic(kind)}: the fixes refused for {lasted:.0f} s agree with each other: '
@@ -337,6 +338,11 @@ class FusionFilter(FilterStatus):
                 self.say('warning', f'{self.topic(kind)}: {self._refusal(kind, verdict, stamp, record)}')
             if kind == Kind.POSITION:
                 self._fix_judged(used, stamp, record)
+
+    def _has_started_anew(self) -> bool:
+        """Whether the published state has started anew from refused fixes since the last call."""
+        before, self._new_starts = self._new_starts, newest_row(self._memory)[Nav.RECOVERIES]
+        return self._new_starts > before
 
     def _fix_judged(self, used: bool, stamp: int, record) -> None:
         topic = self.config.gnss.topic

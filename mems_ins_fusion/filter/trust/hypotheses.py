@@ -33,7 +33,8 @@ Hypothesis = ROW.place(
     DRIFT=2,  # m/s, by what that changes,
     VARIANCE=3,  # of an offset, m^2, with its drift, m^2/s, and of that, m^2/s^2, the same for both axes; 0: none yet,
     BEGUN=1,  # s: since when that offset goes on, without a jump,
-    STARTS=1,  # 1: the next fix is one that position and velocity start anew from
+    STARTS=1,  # 1: the next fix is one that position and velocity start anew from,
+    FITS=1,  # 1: no row of fixes has been refused since that, or since fixes were followed that another takes for wrong
     SPREAD=4)  # m, m/s, north and east: one sigma of position and velocity for what the other hypothesis says
 
 #: 1/s: a receiver fails once an hour (multipath, tunnels, wrong integers: drives in cities)

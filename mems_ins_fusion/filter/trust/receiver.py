@@ -303,9 +303,11 @@ def _scatter(mem, r, at, z_n, z_e):
 
 @njit(_nrt=False)
 def are_refused(mem, r):
-    """Whether so many fixes have been refused in a row, the latest with the state at r, that they are no outliers."""
+    """Whether so many fixes have been refused in a row, the latest with the state at r, and agree so well that they are
+    no outliers; not where the filter is certainly wrong."""
     return (mem[r + Nav.REFUSED] >= FEWEST_REFUSED and mem[r + Hypothesis.DOUBTS] == 0.0
-            and mem[r + Nav.FIX_TIME] - mem[r + Nav.REFUSED_SINCE] >= STRAYED_AFTER)
+            and mem[r + Nav.FIX_TIME] - mem[r + Nav.REFUSED_SINCE] >= STRAYED_AFTER
+            and _agree(mem, r, 2.0 * mem[r + Receiver.CLAIMED]) and not _strayed(mem, r, mem[r + Nav.FIX_TIME]))
 
 
 @njit(_nrt=False)
@@ -318,11 +320,17 @@ def agreed(mem, r, at):
     lasted = mem[at + Event.TIME] - mem[r + Nav.REFUSED_SINCE]
     if count < FEWEST_REFUSED or lasted < min(STRAYED_AFTER, mem[Head.RECOVERY_TIME]):
         return False
-    if lasted < mem[Head.RECOVERY_TIME] and not _strayed(mem, r, at):
+    if lasted < mem[Head.RECOVERY_TIME] and not _strayed(mem, r, mem[at + Event.TIME]):
         return False
+    return _agree(mem, r, mem[at + Event.R_NN] + mem[at + Event.R_EE])
+
+
+@njit(_nrt=False)
+def _agree(mem, r, claimed):
+    """Whether the refused innovations lie on a line; claimed: variance of a fix, both components, m^2."""
     _, _, spread = _line(mem, r)
-    size = math.sqrt(mem[r + Nav.SUM_SQUARE] / count)
-    sigma = math.sqrt(max(1.0, scale(mem, r + Receiver.SCALE)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
+    size = math.sqrt(mem[r + Nav.SUM_SQUARE] / mem[r + Nav.REFUSED])
+    sigma = math.sqrt(max(1.0, scale(mem, r + Receiver.SCALE)) * claimed)
     return math.sqrt(spread) < AGREEMENT * (sigma + AGREEMENT_FLOOR) + AGREEMENT_PART * size
 
 
@@ -346,7 +354,7 @@ def start_anew(mem, r, at):
     The sensor errors stay as estimated, with twice the sigma: what was wrong may have spoiled them, too.
     """
     # where it may as well be the fixes that are wrong, nothing is said against the IMU
-    strayed = mem[r + Hypothesis.STARTS] == 0.0 and _strayed(mem, r, at)
+    strayed = mem[r + Hypothesis.STARTS] == 0.0 and _strayed(mem, r, mem[at + Event.TIME])
     mem[r + Hypothesis.STARTS] = 0.0
     v_n, v_e, drift = _velocity_of_fixes(mem, r, at, strayed)
     if strayed:
@@ -407,15 +415,15 @@ def _velocity_of_fixes(mem, r, at, strayed):
 
 
 @njit(_nrt=False)
-def _strayed(mem, r, at):
-    """Whether it was the filter that strayed from the refused fixes: away from those of a receiver that jumps it is as
-    far as at first."""
+def _strayed(mem, r, time):
+    """Whether it was the filter that strayed from the fixes refused until `time`, s: away from those of a receiver that
+    jumps it is as far as at first."""
     slope_n, slope_e, _ = _line(mem, r)
     slope = math.hypot(slope_n, slope_e)
     if math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]) < COURSE_SPEED:
         return False  # who hardly moves cannot stray
     size = math.sqrt(mem[r + Nav.SUM_SQUARE] / mem[r + Nav.REFUSED])
-    return slope > STRAYED_SLOPE and slope * (mem[at + Event.TIME] - mem[r + Nav.REFUSED_SINCE]) > STRAYED_PART * size
+    return slope > STRAYED_SLOPE and slope * (time - mem[r + Nav.REFUSED_SINCE]) > STRAYED_PART * size
 
 
 @njit(_nrt=False)
