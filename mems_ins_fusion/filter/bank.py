@@ -48,6 +48,8 @@ BETTER = 2.0
 SERIOUS = 4.0
 #: share of the variance of position, velocity and heading below which a squared difference is none
 SAME = 0.1
+#: share of `gnss.recovery_time` for which a filter that starts anew late has to fit before that time counts for it
+FITTED = 0.5
 
 
 @njit(_nrt=False)
@@ -59,15 +61,15 @@ def compare(memory):
     if size == 0 or time == memory[Bank.COMPARED]:
         return
     interval, memory[Bank.COMPARED] = time - memory[Bank.COMPARED], time
-    other = memory[size:]
+    other, refused = memory[size:], receiver.are_refused(memory, r)
     if memory[Bank.OPEN] == 0.0:
         _begin(memory, other, r, interval)
-        if memory[Bank.OPEN] == 0.0 and not receiver.are_refused(memory, r):
+        if memory[Bank.OPEN] == 0.0 and not refused:
             return
     elif memory[Bank.DATED] == 0.0 and memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE] < SERIOUS:
         memory[Bank.DATED] = 1.0
         _date(memory, other, r, interval)
-    if receiver.are_refused(memory, r):
+    if refused:
         _start_from_fixes(memory, other, r, interval)
     if _is_better(memory, other, r):
         _swap(memory, other)
@@ -109,8 +111,7 @@ def _start_from_fixes(memory, other, r, interval):
         if _doubt(memory, other, max(begun, memory[state_at(memory, oldest) + Nav.TIME]), interval) == -math.inf:
             return
     _swap(memory, other)
-    # it has to fit for half of the recovery time at least
-    begun = max(begun, memory[r + Nav.FIX_TIME] - 0.5 * memory[Head.RECOVERY_TIME])
+    begun = max(begun, memory[r + Nav.FIX_TIME] - (1.0 - FITTED) * memory[Head.RECOVERY_TIME])
     memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.DATED] = 1.0, begun, 1.0
     newest, k = int(other[Head.SAMPLES]), _before(other, other[r + Nav.FIX_TIME])
     start = state_at(other, k)
