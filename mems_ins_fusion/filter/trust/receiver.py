@@ -93,6 +93,10 @@ LASTING_SHARE = 0.05
 LASTING_TIME = 60.0
 #: share of the variance of errors that last which shows in SLOW at most, at rest
 LARGEST_SHOWN = 0.3
+#: variance of errors that last at most, over that which fixes claim or scatter: a sigma that is off by a factor of three,
+#: one sigma of `scale.PRIOR`. They show in innovations by a small share, so that an IMU that is worse than configured, or
+#: a receiver that smooths, would pass for errors of tens of metres
+LARGEST_LASTING = 9.0
 #: fixes over which the logarithm of what they claim is averaged: about as many as the position remembers
 CLAIM_MEMORY = 10.0
 
@@ -251,7 +255,8 @@ def _judge_lasting(mem, r, at, interval, verdict):
         mem[r + Nav.CLAIM_LEVEL] = level
     mem[r + Nav.CLAIM_LEVEL] += (level - mem[r + Nav.CLAIM_LEVEL]) / CLAIM_MEMORY
     realised = scale(mem, r + Receiver.SCALE)
-    lasting = max(1.0 - realised, LASTING_SHARE * realised) * math.exp(mem[r + Nav.CLAIM_LEVEL])
+    claimed = math.exp(mem[r + Nav.CLAIM_LEVEL])
+    lasting = max(1.0 - realised, LASTING_SHARE * realised) * claimed
     if mem[r + Nav.SLOW_VARIANCE] != 0.0 and (verdict == Verdict.USED or verdict == Verdict.WEIGHTED):
         variance = 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
         used = realised_factor(mem, r) * math.exp(level)
@@ -261,7 +266,8 @@ def _judge_lasting(mem, r, at, interval, verdict):
         learn_scale(mem, r + Receiver.LASTING_SCALE, mem[at + Event.TIME], squared * variance, shown * lasting,
                     variance * mem[r + Nav.SLOW_VARIANCE], 2, min(interval / (2.0 * SLOW), 1.0))
     if mem[Head.COVARIANCE_FACTOR] > 0.0:
-        mem[r + Nav.LASTING] = scale(mem, r + Receiver.LASTING_SCALE) * lasting
+        mem[r + Nav.LASTING] = min(scale(mem, r + Receiver.LASTING_SCALE) * lasting,
+                                   LARGEST_LASTING * max(realised, 1.0) * claimed)
 
 
 @njit(_nrt=False)
