@@ -21,7 +21,7 @@ from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.filter.runs.results import MeasurementLog, columns, result
 from mems_ins_fusion.filter.start.initial import sensor_errors_of
 from mems_ins_fusion.filter.trust.hypotheses import Hypothesis
-from mems_ins_fusion.filter.trust.receiver import LASTING_TIME, SLOW, realised_factor, shown_share, start_anew
+from mems_ins_fusion.filter.trust.receiver import FOLLOWED, LASTING_TIME, realised_factor, shown_share, start_anew
 from mems_ins_fusion.filter.trust.receiver import Receiver as OfReceiver
 from mems_ins_fusion.filter.trust.scale import PRIOR, Scale, scale
 from mems_ins_fusion.navigation.earth import gravity, radii
@@ -428,8 +428,8 @@ def test_errors_that_last_go_with_what_is_claimed_now():
 @pytest.mark.parametrize('follows', [1.0, 3.0, 10.0])
 def test_what_of_lasting_errors_shows_is_what_a_filter_of_position_and_velocity_leaves(follows):
     # given a random walk that such a filter follows within tau, and a low pass of its innovations
-    tau = SLOW / follows
-    a = np.array([[-1.0 / tau, -0.5 / tau**2, 0.0], [1.0, 0.0, 0.0], [1.0 / SLOW, 0.0, -1.0 / SLOW]])
+    tau = FOLLOWED / follows
+    a = np.array([[-1.0 / tau, -0.5 / tau**2, 0.0], [1.0, 0.0, 0.0], [1.0 / FOLLOWED, 0.0, -1.0 / FOLLOWED]])
     noise = np.diag([2.0 / LASTING_TIME, 0.0, 0.0])  # of the process with variance 1
     # then what is left is the variance of a linear system in its steady state
     assert shown_share(follows) == pytest.approx(solve_continuous_lyapunov(a, -noise)[2, 2], rel=1e-9)

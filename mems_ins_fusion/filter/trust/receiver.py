@@ -30,6 +30,7 @@ Receiver = ROW.place(
     PAIR=2,  # and how the error has changed since then, north and east, m
     SCALE=Scale.SIZE,  # realised over claimed variance of the fixes,
     SLOW_SCALE=Scale.SIZE,  # the same as the innovations behind a low pass show it,
+    FOLLOWED=3,  # whitened innovations behind a low pass of FOLLOWED, and their variance were they white,
     LASTING_SCALE=Scale.SIZE,  # of what of it lasts over what is expected of that,
     INNOVATION_SCALE=Scale.SIZE,  # and of the innovations behind a low pass
     STATUS=1,  # of the fixes that the first three scales are of, `NavSatStatus.status` and 1; 0: none yet,
@@ -84,6 +85,9 @@ STRAYED_AFTER = 2.0
 CLAIM_CHANGE = 10.0
 #: s over which innovations are averaged to see whether they are white: what lasts for shorter averages out
 SLOW = 10.0
+#: s over which they are averaged to see errors that last: such errors, followed by the filter, are in its innovations
+#: most where these change about as fast as it follows, within seconds (docs/filter.md)
+FOLLOWED = 4.0
 #: normalized innovation as which a larger one counts: one fix far off is not a filter that is too sure
 LARGEST_INNOVATION = 4.0
 #: share of the variance of fixes that counts as errors that last before any have been seen, whatever they scatter: of
@@ -91,11 +95,11 @@ LARGEST_INNOVATION = 4.0
 LASTING_SHARE = 0.05
 #: s, time constant of such errors: multipath of a moving vehicle lasts for shorter, atmosphere and orbits for longer
 LASTING_TIME = 60.0
-#: share of the variance of errors that last which shows in SLOW at most, at rest
+#: share of the variance of errors that last which shows behind a low pass of FOLLOWED at most, at rest
 LARGEST_SHOWN = 0.3
-#: variance of errors that last at most, over that which fixes claim or scatter: a sigma that is off by a factor of three,
-#: one sigma of `scale.PRIOR`. They show in innovations by a small share, so that an IMU that is worse than configured, or
-#: a receiver that smooths, would pass for errors of tens of metres
+#: variance of errors that last at most, over that which fixes claim or scatter: a sigma that is off by a factor of
+#: three, one sigma of `scale.PRIOR`. They show in innovations by a small share, so that an IMU that is worse than
+#: configured, or a receiver that smooths, would pass for errors of tens of metres
 LARGEST_LASTING = 9.0
 #: fixes over which the logarithm of what they claim is averaged: about as many as the position remembers
 CLAIM_MEMORY = 10.0
@@ -213,10 +217,8 @@ def _judge_covariance(mem, r, at, interval):
     u_n = mem[at + Event.Z_N] / l_nn
     u_e = (mem[at + Event.Z_E] - l_en * u_n) / math.sqrt(mem[at + Event.S_EE] - l_en * l_en)
     counted = min(1.0, LARGEST_INNOVATION / max(math.hypot(u_n, u_e), 1.0))
-    keep = math.exp(-interval / SLOW)
-    mem[r + Nav.SLOW_N] += (1.0 - keep) * (counted * u_n - mem[r + Nav.SLOW_N])
-    mem[r + Nav.SLOW_E] += (1.0 - keep) * (counted * u_e - mem[r + Nav.SLOW_E])
-    mem[r + Nav.SLOW_VARIANCE] = keep**2 * mem[r + Nav.SLOW_VARIANCE] + (1.0 - keep) ** 2
+    _low_pass(mem, r + Nav.SLOW_N, counted * u_n, counted * u_e, interval / SLOW)
+    _low_pass(mem, r + Receiver.FOLLOWED, counted * u_n, counted * u_e, interval / FOLLOWED)
     if mem[r + Nav.SLOW_VARIANCE] == 0.0:
         return
     squared = 0.5 * (mem[r + Nav.SLOW_N] ** 2 + mem[r + Nav.SLOW_E] ** 2) / mem[r + Nav.SLOW_VARIANCE]
@@ -230,6 +232,18 @@ def _judge_covariance(mem, r, at, interval):
     learn_scale(mem, r + Receiver.INNOVATION_SCALE, time, squared, 1.0, 0.0, 2, weight)
     if mem[Head.COVARIANCE_FACTOR] > 0.0:
         mem[r + Nav.VARIANCE_FACTOR] = scale(mem, r + Receiver.INNOVATION_SCALE)
+
+
+@njit(_nrt=False)
+def _low_pass(mem, at, north, east, elapsed):
+    """A first-order low pass at mem[at], north and east, and its variance for white numbers of variance 1.
+
+    elapsed: since the last ones, in time constants.
+    """
+    keep = math.exp(-elapsed)
+    mem[at] += (1.0 - keep) * (north - mem[at])
+    mem[at + 1] += (1.0 - keep) * (east - mem[at + 1])
+    mem[at + 2] = keep**2 * mem[at + 2] + (1.0 - keep) ** 2
 
 
 @njit(_nrt=False)
@@ -257,14 +271,15 @@ def _judge_lasting(mem, r, at, interval, verdict):
     realised = scale(mem, r + Receiver.SCALE)
     claimed = math.exp(mem[r + Nav.CLAIM_LEVEL])
     lasting = max(1.0 - realised, LASTING_SHARE * realised) * claimed
-    if mem[r + Nav.SLOW_VARIANCE] != 0.0 and (verdict == Verdict.USED or verdict == Verdict.WEIGHTED):
+    at_pass = r + Receiver.FOLLOWED
+    if mem[at_pass + 2] != 0.0 and (verdict == Verdict.USED or verdict == Verdict.WEIGHTED):
         variance = 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
         used = realised_factor(mem, r) * math.exp(level)
-        follows = max(1.0 - used / variance, 0.0) * SLOW / max(interval, 1e-3)
-        shown = shown_share(follows)
-        squared = 0.5 * (mem[r + Nav.SLOW_N] ** 2 + mem[r + Nav.SLOW_E] ** 2)
-        learn_scale(mem, r + Receiver.LASTING_SCALE, mem[at + Event.TIME], squared * variance, shown * lasting,
-                    variance * mem[r + Nav.SLOW_VARIANCE], 2, min(interval / (2.0 * SLOW), 1.0))
+        follows = max(1.0 - used / variance, 0.0) * FOLLOWED / max(interval, 1e-3)
+        squared = 0.5 * (mem[at_pass] ** 2 + mem[at_pass + 1] ** 2)
+        learn_scale(mem, r + Receiver.LASTING_SCALE, mem[at + Event.TIME], squared * variance,
+                    shown_share(follows) * lasting, variance * mem[at_pass + 2], 2,
+                    min(interval / (2.0 * FOLLOWED), 1.0))
     if mem[Head.COVARIANCE_FACTOR] > 0.0:
         mem[r + Nav.LASTING] = min(scale(mem, r + Receiver.LASTING_SCALE) * lasting,
                                    LARGEST_LASTING * max(realised, 1.0) * claimed)
@@ -274,12 +289,13 @@ def _judge_lasting(mem, r, at, interval, verdict):
 def shown_share(follows):
     """Share of the variance of a first-order Gauss-Markov process with LASTING_TIME that is in low-passed innovations.
 
-    follows: f = SLOW / tau_f of a filter that follows positions within tau_f, and velocities with the damping
+    follows: f = FOLLOWED / tau_f of a filter that follows positions within tau_f, and velocities with the damping
     1 / sqrt(2). Its innovations are such a process, nearly a random walk, behind
-    s^2 / (s^2 + s / tau_f + 1 / (2 tau_f^2)). After the low pass SLOW / (LASTING_TIME f (1 + f + f^2 / 2)) of the
-    variance is left.
+    s^2 / (s^2 + s / tau_f + 1 / (2 tau_f^2)). After the low pass FOLLOWED / (LASTING_TIME f (1 + f + f^2 / 2)) of
+    the variance is left.
     """
-    return min(SLOW / (LASTING_TIME * max(follows * (1.0 + follows + 0.5 * follows * follows), 1e-3)), LARGEST_SHOWN)
+    share = FOLLOWED / (LASTING_TIME * max(follows * (1.0 + follows + 0.5 * follows * follows), 1e-3))
+    return min(share, LARGEST_SHOWN)
 
 
 @njit(_nrt=False)
@@ -370,7 +386,8 @@ def start_anew(mem, r, at):
     mem[r + Drift.TIME] = mem[r + Receiver.PAIR_TIME] = 0.0
     # the innovations until now were those of a state that was wrong
     begin_scale(mem, r + Receiver.INNOVATION_SCALE)
-    mem[r + Nav.SLOW_N] = mem[r + Nav.SLOW_E] = mem[r + Nav.SLOW_VARIANCE] = 0.0
+    for i in range(3):
+        mem[r + Nav.SLOW_N + i] = mem[r + Receiver.FOLLOWED + i] = 0.0
     mem[r + Nav.VARIANCE_FACTOR] = 1.0
     n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
     n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
