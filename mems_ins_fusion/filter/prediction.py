@@ -36,6 +36,7 @@ from .memory import (
     walk_at,
 )
 from .trust.drift import Drift, DriftSettings
+from .trust.force_noise import force_noise
 from .trust.imu_faults import LONGEST_WHIRL, Fault
 from .trust.lag import LagSettings, fall_behind
 from .trust.scale import Inputs
@@ -424,9 +425,10 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
         k, q = nonnegative(src + b + j), nonnegative(s + 9 * j)
         _store(mem, g + 9 * j, _strapdown_column(mem, transition, q, 1, k, 9 * p))
     h = 0.5 * dt
+    more = force_noise(mem, src)
     for axis in range(3):
         k, q = nonnegative(dst + b + 9 * p * axis), nonnegative(u + 9 * axis)
-        white_f, white_w = density(mem, sample, axis), density(mem, sample, 3 + axis)
+        white_f, white_w = density(mem, sample, axis) + more, density(mem, sample, 3 + axis)
         x, y, z = strapdown.column(c, axis)
         turned = h * (y * f_level[2] - z * f_level[1]), h * (z * f_level[0] - x * f_level[2]), h * (
             x * f_level[1] - y * f_level[0])

@@ -17,8 +17,9 @@ from ..memory import NAV, PLANAR, ROW, Event, Head, Nav, Verdict, velocity_state
 from ..prediction import GAP_ACCELERATION, UNKNOWN_YAW_SIGMA
 from . import hypotheses
 from .drift import Drift
+from .force_noise import learn_force_noise
 from .hypotheses import Hypothesis
-from .scale import Scale, begin_scale, reopen, scale
+from .scale import PRIOR, Scale, begin_scale, reopen, scale
 from .scale import learn as learn_scale
 
 #: of a state
@@ -28,13 +29,15 @@ Receiver = ROW.place(
     PAIR_TIME=1,  # of the fix from which on the receiver's error is followed, 0: none,
     PAIR_CLAIMED=1,  # the variance it claimed, m^2,
     PAIR=2,  # and how the error has changed since then, north and east, m
+    FOLLOWED=3,  # whitened innovations behind a low pass of FOLLOWED, and their variance were they white
+    THREE=6,  # two fixes before the next one: time, s, latitude and longitude, rad,
+    SMOOTH_SCALE=Scale.SIZE,  # realised over claimed variance at most, as three fixes are off a straight line,
     SCALE=Scale.SIZE,  # realised over claimed variance of the fixes,
     SLOW_SCALE=Scale.SIZE,  # the same as the innovations behind a low pass show it,
-    FOLLOWED=3,  # whitened innovations behind a low pass of FOLLOWED, and their variance were they white,
     LASTING_SCALE=Scale.SIZE,  # of what of it lasts over what is expected of that,
     INNOVATION_SCALE=Scale.SIZE,  # and of the innovations behind a low pass
-    STATUS=1,  # of the fixes that the first three scales are of, `NavSatStatus.status` and 1; 0: none yet,
-    OTHERS=3 * 3 * Scale.SIZE)  # and these scales of the fixes of each status
+    STATUS=1,  # of the fixes that the first four scales are of, `NavSatStatus.status` and 1; 0: none yet,
+    OTHERS=3 * 4 * Scale.SIZE)  # and these scales of the fixes of each status
 
 #: s: fixes further apart say nothing of the course, as the vehicle may have turned between them
 LONGEST_PAIR = 3.0
@@ -113,13 +116,14 @@ def take_status(mem, r, at):
     mem[r + Receiver.STATUS] = status
     if before == 0 or before == status:
         return
-    size = 3 * Scale.SIZE
+    size = 4 * Scale.SIZE
     left, found = r + Receiver.OTHERS + size * (before - 1), r + Receiver.OTHERS + size * (status - 1)
     for i in range(size):
-        mem[left + i] = mem[r + Receiver.SCALE + i]
-        mem[r + Receiver.SCALE + i] = mem[found + i]
+        mem[left + i] = mem[r + Receiver.SMOOTH_SCALE + i]
+        mem[r + Receiver.SMOOTH_SCALE + i] = mem[found + i]
     # the error has not changed since the last fix, it is another one
-    mem[r + Receiver.CLAIMED] = mem[r + Receiver.PAIR_TIME] = 0.0
+    for i in (Receiver.CLAIMED, Receiver.PAIR_TIME, Receiver.THREE, Receiver.THREE + 3):
+        mem[r + i] = 0.0
 
 
 @njit(_nrt=False)
@@ -276,10 +280,11 @@ def _judge_lasting(mem, r, at, interval, verdict):
         variance = 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
         used = realised_factor(mem, r) * math.exp(level)
         follows = max(1.0 - used / variance, 0.0) * FOLLOWED / max(interval, 1e-3)
-        squared = 0.5 * (mem[at_pass] ** 2 + mem[at_pass + 1] ** 2)
-        learn_scale(mem, r + Receiver.LASTING_SCALE, mem[at + Event.TIME], squared * variance,
-                    shown_share(follows) * lasting, variance * mem[at_pass + 2], 2,
-                    min(interval / (2.0 * FOLLOWED), 1.0))
+        squared = 0.5 * (mem[at_pass] ** 2 + mem[at_pass + 1] ** 2) * variance
+        weight = min(interval / (2.0 * FOLLOWED), 1.0)
+        learn_force_noise(mem, r, at, squared, mem[at_pass + 2], used, max(1.0 - realised, 0.0) * claimed, weight)
+        learn_scale(mem, r + Receiver.LASTING_SCALE, mem[at + Event.TIME], squared, shown_share(follows) * lasting,
+                    variance * mem[at_pass + 2], 2, weight)
     if mem[Head.COVARIANCE_FACTOR] > 0.0:
         mem[r + Nav.LASTING] = min(scale(mem, r + Receiver.LASTING_SCALE) * lasting,
                                    LARGEST_LASTING * max(realised, 1.0) * claimed)
@@ -308,8 +313,9 @@ def _scatter(mem, r, at, z_n, z_e):
     time, claimed = mem[at + Event.TIME], 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     before, mem[r + Receiver.CLAIMED] = mem[r + Receiver.CLAIMED], claimed
     if before > 0.0 and (claimed * CLAIM_CHANGE < before or claimed > CLAIM_CHANGE * before):
-        reopen(mem, r + Receiver.SCALE, claimed / before)
-        reopen(mem, r + Receiver.SLOW_SCALE, claimed / before)
+        for at_scale in (Receiver.SMOOTH_SCALE, Receiver.SCALE, Receiver.SLOW_SCALE):
+            reopen(mem, r + at_scale, claimed / before)
+    _scatter_by_themselves(mem, r, at, claimed)
     begun, since = mem[r + Receiver.PAIR_TIME] != 0.0, time - mem[r + Receiver.PAIR_TIME]
     if begun:
         mem[r + Receiver.PAIR] += z_n - mem[r + Nav.RESIDUAL_N]
@@ -319,8 +325,35 @@ def _scatter(mem, r, at, z_n, z_e):
         squared = 0.5 * (mem[r + Receiver.PAIR] ** 2 + mem[r + Receiver.PAIR + 1] ** 2)
         unseen = 0.5 * since * since * velocity_variance(mem, r) + (0.5 * UNSEEN_ACCELERATION * since * since) ** 2
         learn_scale(mem, r + Receiver.SCALE, time, squared, claimed + mem[r + Receiver.PAIR_CLAIMED], unseen, 2)
+        known = mem[r + Receiver.SMOOTH_SCALE + Scale.KNOWN]
+        if known > 0.0:  # what is seen beyond that is the IMU's
+            most = max(mem[r + Receiver.SMOOTH_SCALE + Scale.LOG] + math.sqrt(PRIOR - known), 0.0)
+            mem[r + Receiver.SCALE + Scale.LOG] = min(mem[r + Receiver.SCALE + Scale.LOG], most)
     mem[r + Receiver.PAIR_TIME], mem[r + Receiver.PAIR_CLAIMED] = time, claimed
     mem[r + Receiver.PAIR] = mem[r + Receiver.PAIR + 1] = 0.0
+
+
+@njit(_nrt=False)
+def _scatter_by_themselves(mem, r, at, claimed):
+    """Realised over claimed variance at most, without the inertial sensors: three fixes of a vehicle that keeps its
+    velocity lie on a straight line, evenly in time, but for their errors; what the vehicle does besides adds to it.
+
+    claimed: variance of the fix at `at`, m^2.
+    """
+    last, first = r + Receiver.THREE, r + Receiver.THREE + 3
+    time, latitude, longitude = mem[at + Event.TIME], mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
+    step, whole = time - mem[last], time - mem[first]
+    if mem[last] != 0.0 and step < SHORTEST_PAIR:
+        return
+    if mem[first] != 0.0 and step < LONGEST_PAIR and whole < 2.0 * LONGEST_PAIR:
+        part = step / whole
+        north = (mem[last + 1] - latitude + part * (latitude - mem[first + 1])) / mem[r + Nav.NORTH_SCALE]
+        east = (mem[last + 2] - longitude + part * (longitude - mem[first + 2])) / mem[r + Nav.EAST_SCALE]
+        learn_scale(mem, r + Receiver.SMOOTH_SCALE, time, 0.5 * (north * north + east * east),
+                    claimed * (1.0 + part * part + (1.0 - part) ** 2), 0.0, 2, 0.5)  # each fix is in several
+    for i in range(3):
+        mem[first + i] = mem[last + i]
+    mem[last], mem[last + 1], mem[last + 2] = time, latitude, longitude
 
 
 @njit(_nrt=False)

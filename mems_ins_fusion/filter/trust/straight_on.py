@@ -135,7 +135,11 @@ def _evidence(mem, r, at, changed, scatter):
     off = (north / mem[r + Nav.NORTH_SCALE]) ** 2 + (east / mem[r + Nav.EAST_SCALE]) ** 2
     # a receiver that has scattered less than now still measures
     scatter = max(scatter, 0.5 * changed)
-    return _log_density(off, STRAIGHT * STRAIGHT) - _log_density(changed, scatter)
+    # one that measures to the centimetre lies on the line, too, where the vehicle goes straight on and the IMU is wrong
+    claimed = 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    by_claim = max(claimed, STRAIGHT * STRAIGHT) * (1.0 + part * part + (1.0 + part) ** 2)
+    measured = max(_log_density(changed, scatter), _log_density(off, by_claim))
+    return _log_density(off, STRAIGHT * STRAIGHT) - measured
 
 
 @njit(_nrt=False)

@@ -1,0 +1,63 @@
+"""How much noisier the accelerometers are than their samples and parameters say: as the fixes show it.
+
+Errors of the specific force that last for seconds (vibration that is rectified, a mount that gives way, a tilt that
+comes and goes) are neither white noise that the samples show nor a bias that the filter can follow. To the velocity
+they are noise: a random walk. Where that is missing in P, the filter holds on to a velocity that the fixes contradict,
+and its innovations behind a low pass are larger than white ones. Their variance grows with this noise as the position
+of a filter does that follows fixes within tau: by the density squared times tau^3 / 3. One scale learns the density
+from that (scale.py; covariance matching, R. K. Mehra, "Approaches to adaptive filtering", IEEE Trans. Automatic
+Control 17, 1972). What fixes claim and do not scatter are errors that last of the receiver, and no noise of the IMU.
+"""
+from __future__ import annotations
+
+import math
+
+from mems_ins_fusion.compiled import njit
+
+from ..memory import ROW, Event, Nav
+from .drift import DriftSettings
+from .scale import Scale, learn
+
+#: of a state: realised noise over ASSUMED
+ForceNoise = ROW.place('ForceNoise', SCALE=Scale.SIZE)
+
+#: m^2/s^3, noise density squared that a scale of 1 stands for: 0.1 m/s^2 for a second, ten times that of cheap IMUs.
+#: Only what is beyond it counts, so that accelerometers as good as their parameters say have none
+ASSUMED = 0.01
+#: m^2/s^3: and at most, a vehicle that changes its speed by 2 m/s within a second, as it does without an IMU
+LARGEST = 4.0
+#: s: fixes that are followed more slowly than that are followed by other measurements, too
+SLOWEST = 30.0
+#: share of the variance of P that is this noise at most: in a filter of position and velocity in its steady state half
+#: of what a correction takes away comes from the noise since the last one
+MOST_OF_P = 0.5
+#: share of the expected variance of white innovations that is left at least of what else is in them
+LEAST_WHITE = 0.1
+
+
+@njit(_nrt=False)
+def force_noise(mem, r):
+    """Noise density squared of the specific force beside that of the samples, m^2/s^3, in the state at r."""
+    level = mem[r + ForceNoise.SCALE + Scale.LOG]
+    return min(ASSUMED * (math.exp(level) - 1.0), LARGEST) if level > 0.0 else 0.0
+
+
+@njit(_nrt=False)
+def learn_force_noise(mem, r, at, squared, white, used, lasting, weight):
+    """Learn from the innovations behind a low pass, with the fix at `at`.
+
+    squared: their mean square, m^2. white: what it would be of white ones with the variance 1. used: variance of the
+    fix that the filter works with, m^2. lasting: variance of the receiver's errors that last, m^2, as far as it claims
+    them. weight: of this fix, as several tell the same.
+    """
+    if mem[DriftSettings.LEARNED] == 0.0:
+        return
+    variance, time = 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE]), mem[at + Event.TIME]
+    p = variance - used
+    if p <= 0.0:
+        return
+    tau = min((time - mem[r + Nav.FIX_TIME]) * variance / p, SLOWEST)
+    part = ASSUMED * tau**3 / 3.0
+    known = min(math.exp(mem[r + ForceNoise.SCALE + Scale.LOG]) * part, MOST_OF_P * p)  # of it is in S already
+    rest = max(white * variance - known, LEAST_WHITE * white * variance) + lasting
+    learn(mem, r + ForceNoise.SCALE, time, squared, part, rest, 2, weight)
