@@ -17,7 +17,7 @@ from ..memory import NAV, PLANAR, ROW, Event, Head, Nav, Verdict, velocity_state
 from ..prediction import GAP_ACCELERATION, UNKNOWN_YAW_SIGMA
 from . import hypotheses
 from .drift import Drift
-from .force_noise import learn_force_noise
+from .force_noise import force_noise, learn_force_noise
 from .hypotheses import Hypothesis
 from .scale import PRIOR, Scale, begin_scale, reopen, scale
 from .scale import learn as learn_scale
@@ -41,6 +41,8 @@ Receiver = ROW.place(
 
 #: s: fixes further apart say nothing of the course, as the vehicle may have turned between them
 LONGEST_PAIR = 3.0
+#: s: of three fixes; over more a vehicle does anything
+LONGEST_THREE = 30.0
 #: s over which the receiver's scatter is seen in how its error changes: over less than that errors are alike
 SHORTEST_PAIR = 0.9
 #: m/s^2, by which the inertial sensors are wrong in between where the filter does not know: half a degree of tilt
@@ -323,7 +325,8 @@ def _scatter(mem, r, at, z_n, z_e):
         if since < SHORTEST_PAIR:
             return
         squared = 0.5 * (mem[r + Receiver.PAIR] ** 2 + mem[r + Receiver.PAIR + 1] ** 2)
-        unseen = 0.5 * since * since * velocity_variance(mem, r) + (0.5 * UNSEEN_ACCELERATION * since * since) ** 2
+        unseen = (0.5 * since * since * velocity_variance(mem, r) + (0.5 * UNSEEN_ACCELERATION * since * since) ** 2
+                  + force_noise(mem, r) * since**3 / 3.0)
         learn_scale(mem, r + Receiver.SCALE, time, squared, claimed + mem[r + Receiver.PAIR_CLAIMED], unseen, 2)
         known = mem[r + Receiver.SMOOTH_SCALE + Scale.KNOWN]
         if known > 0.0:  # what is seen beyond that is the IMU's
@@ -345,7 +348,7 @@ def _scatter_by_themselves(mem, r, at, claimed):
     step, whole = time - mem[last], time - mem[first]
     if mem[last] != 0.0 and step < SHORTEST_PAIR:
         return
-    if mem[first] != 0.0 and step < LONGEST_PAIR and whole < 2.0 * LONGEST_PAIR:
+    if mem[first] != 0.0 and whole < LONGEST_THREE:
         part = step / whole
         north = (mem[last + 1] - latitude + part * (latitude - mem[first + 1])) / mem[r + Nav.NORTH_SCALE]
         east = (mem[last + 2] - longitude + part * (longitude - mem[first + 2])) / mem[r + Nav.EAST_SCALE]
