@@ -10,6 +10,7 @@ filter is worth its name where the first ratio is at most 1.1 and the second at 
 
 The drives: REALISTIC ones with the receivers of studies/vehicle.py, a motorway with a phone on the dash (an IMU of
 10 Hz without anti-aliasing filter that the vehicle shakes, 36 m/s, fixes of 4 m, smoothed and stamped a second late),
+accelerometers that are off by much more than configured, for seconds or a minute,
 and the measured drives whose truth is better than 1.5 m, with noise of 1.5 m on their fixes. --faults: each fault of
 studies/faults.py on a REALISTIC drive, from its begin to 60 s after its end, with fixes only: an outage within a fault
 tells nothing.
@@ -19,10 +20,12 @@ from __future__ import annotations
 import argparse
 import warnings
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import yaml
+from scipy.signal import lfilter
 from vehicle import FIXES, MEASURED, measured, sensors, simulated
 
 from mems_ins_fusion.evaluation.comparison import add_noise
@@ -41,6 +44,9 @@ DURATIONS, SPACING = (10.0, 30.0, 60.0), 100.0
 SETTLED = 60.0
 #: what is allowed of the fixes' own error
 ALLOWED = 1.1
+#: m/s^2 and s: errors of accelerometers on a mount that gives way, beside the ones they are configured with
+UNSTEADY = ((0.1, 5.0), (0.3, 5.0), (0.3, 60.0), (1.0, 60.0))
+UNSTEADY_RECEIVERS = {'fixes of 1.5 m': GnssNoise(1.5), 'fixes of 0.05 m': GnssNoise(0.05)}
 
 
 @dataclass(frozen=True)
@@ -70,6 +76,15 @@ def phone(seed: int, minutes: float) -> Recording:
     late = replace(recording.gnss, stamp=recording.gnss.stamp + 10**9, received=recording.gnss.received + 10**9)
     return replace(recording, imu=recording.imu.select(slice(None, None, 10)), gnss=late,
                    reference=recording.reference.select(slice(None, None, 10)))
+
+
+def unsteady(seed: int, recording: Recording, size: float, tau: float) -> Recording:
+    """With errors of the accelerometers of `size`, m/s^2, and a correlation time of `tau`, s."""
+    interval = np.median(np.diff(recording.imu.stamp)) * 1e-9
+    keep = np.exp(-interval / tau)
+    white = np.random.default_rng(seed).standard_normal(recording.imu.specific_force.shape)
+    error = size * lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], white, axis=0)
+    return replace(recording, imu=replace(recording.imu, specific_force=recording.imu.specific_force + error))
 
 
 def _local(latitude, longitude, origin):
@@ -161,6 +176,11 @@ def lines(options, given: dict):
                            simulated(seed, options.minutes, replace(receiver, rate=options.rate)), exact)
         if options.only in 'phone':
             yield Line(f'simulated, phone on a motorway, seed {seed}', phone(seed, options.minutes), exact)
+        for (receiver, noise), (size, tau) in product(UNSTEADY_RECEIVERS.items(), UNSTEADY):
+            name = f'accelerometers off by {size:g} m/s^2 for {tau:g} s, {receiver}'
+            if options.only in name:
+                recording = simulated(seed, options.minutes, replace(noise, rate=options.rate))
+                yield Line(f'simulated, {name}, seed {seed}', unsteady(seed, recording, size, tau), exact)
     if options.faults:
         return
     for name, of in MEASURED.items():
