@@ -139,7 +139,8 @@ FILTER = (
     Parameter('vehicle.still_rate', 0.05, 'rad/s', 'The same for the gyroscopes; their mean must be smaller, too.',
               positive=True, maximum=100.0),
     Parameter('vehicle.learn_drift', True, '-', 'Learn how far accelerometers and gyroscopes drift, as a multiple of '
-              'what their sensor error model says (strapdown; not AR).'),
+              'what their sensor error model says, and how much noisier the accelerometers are than that (strapdown; '
+              'not AR).'),
     Parameter('vehicle.non_holonomic', True, '-', 'A land vehicle does not move sideways (nor, strapdown, up).'),
     Parameter('vehicle.non_holonomic_sigma', 0.3, 'm/s', 'Standard deviation of that sideways velocity.',
               positive=True, maximum=100.0),
