@@ -1,6 +1,8 @@
 """The white noise that samples show themselves: an IMU in a vehicle that shakes it, by plain formulas."""
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from filter_support import configure, started, take_all, take_sample
@@ -18,7 +20,7 @@ from mems_ins_fusion.filter.memory import (
 )
 from mems_ins_fusion.filter.runs.odometry import SIZE, TWIST_COVARIANCE, odometry
 from mems_ins_fusion.filter.runs.vehicle_check import LONGEST_SHAKEN, vehicle_warnings
-from mems_ins_fusion.filter.trust import white_noise
+from mems_ins_fusion.filter.trust import force_noise, white_noise
 from mems_ins_fusion.filter.trust.white_noise import Shown, White
 from mems_ins_fusion.navigation.strapdown import State
 
@@ -77,6 +79,17 @@ def test_noise_that_hides_turns_takes_the_constraint_away():
         assert white_noise.hides_turns(memory, newest) == hidden
     # then the constraint says nothing from then on
     assert (memory[newest + Sample.CONSTRAINT] == Kind.NON_HOLONOMIC) == (not hidden)
+
+
+def test_noise_of_the_accelerometers_that_fixes_have_shown_brings_in_how_vehicles_move():
+    # given samples without noise, and fixes that have shown a density of 0.1 and 0.6 m/s^2 for a second
+    config, memory = after(samples(10.0, 3e-4, 1e-3), **{'vehicle.non_holonomic': True})
+    r, newest = (at(memory, int(memory[Head.SAMPLES])) for at in (state_at, sample_at))
+    for density, noisy in ((0.1, False), (0.6, True)):
+        memory[r + force_noise.ForceNoise.SCALE] = math.log(1.0 + density**2 / force_noise.ASSUMED)
+        assert white_noise.is_noisy(memory, r, newest) == noisy
+        # then turns still show in the samples
+        assert not white_noise.hides_turns(memory, newest)
 
 
 def test_who_is_shaken_for_long_is_told_so():

@@ -24,7 +24,7 @@ from .prediction import set_radii
 from .trust import contradiction, gyroscopes, receiver
 from .trust.imu_faults import Imu
 from .trust.standstill import wheels_turn
-from .trust.white_noise import hides_turns
+from .trust.white_noise import hides_turns, is_noisy
 from .update import ROBUST, clear_rows, correct_by_scalar, feed_back, product, project, update
 
 #: standstill and non-holonomic constraints are applied this often, s: their errors last about as long
@@ -86,10 +86,11 @@ def constrain(mem, r, sample):
     elif mem[Head.LATERAL_SIGMA] > 0.0 and not _fixes_tell_the_heading(mem, r, mem[p + (n + 1) * yaw]):
         clear_rows(mem, h, n)
         c = body_to_level(mem, r)
-        if hides_turns(mem, sample):
+        if is_noisy(mem, r, sample):
             dimensions = acceleration.observe(mem, at, h, n, c, sample, since)
             update(mem, r, at, n, dimensions, 1.0, ROBUST, 0.0)
-        else:
+            clear_rows(mem, h, n)
+        if not hides_turns(mem, sample):
             dimensions = non_holonomic.observe(mem, r, at, h, n, c, sample)
             _constrain_motion(mem, r, at, n, h, vehicle_to_level(mem, r, c), dimensions, since)
             _note(mem, sample, at, Kind.NON_HOLONOMIC, dimensions)

@@ -1,6 +1,6 @@
 """Pseudo-measurement: the acceleration of a land vehicle is zero-mean white noise.
 
-An IMU measures the acceleration much better than that, unless vibration tilts the solution within seconds, and the
+An IMU measures the acceleration much better than that, unless its noise tilts the solution within seconds, and the
 gravity that leaks in is larger than any acceleration of the vehicle. Without fixes, constant velocity is then nearer to
 the truth than integration, and both combined are nearer than either.
 """
