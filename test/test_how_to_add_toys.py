@@ -240,7 +240,7 @@ class Altitude(Measurement):
         r = empty(KIND, n)
         r[:, Event.VALUE] = altitudes.altitude
         r[:, Event.R_NN] = stated_or(altitudes.variance, settings, 0.01)
-        return r, np.full(n, '', dtype=object), np.full(n, '', dtype=object)
+        return r, {}, {}
 
     def read(self, fields, message):
         return Altitudes(fields['stamp'], fields['received'], fields['altitude'], fields['variance'])

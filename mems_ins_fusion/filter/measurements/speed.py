@@ -75,11 +75,11 @@ class Speed(Measurement):
     def records(self, settings, speeds):
         speeds = self.declared(settings, speeds)
         n, speed = len(speeds), speeds.speed
-        r, reasons = empty(Kind.SPEED, n), np.full(n, '', dtype=object)
+        r, reasons = empty(Kind.SPEED, n), {}
         refuse(reasons, ~(np.abs(speed) < FASTEST), lambda i: f'speed {speed[i]:g} m/s: dropped')
         r[:, Event.VALUE] = speed
         r[:, Event.R_NN] = stated_or(speeds.variance, settings, SMALLEST_SPEED_SIGMA)
-        return r, reasons, np.full(n, '', dtype=object)
+        return r, reasons, {}
 
     def off(self, measured, innovation):
         return f'speed {measured:.2f} m/s where {measured + innovation[0]:.2f} m/s was expected'

@@ -88,7 +88,7 @@ class FusionFilter(FilterStatus):
         self._epoch: int | None = None
         self._newest_fix = 0
         self._outage = False
-        self._last = dict.fromkeys(self._last)
+        self._last = dict.fromkeys(self._last, -1)
         self._pending: dict[int, tuple[int, int]] = {}
         self._judged: list[Judgement] = []
         self._ids = 0

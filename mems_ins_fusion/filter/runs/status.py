@@ -96,7 +96,7 @@ class FilterStatus(Intake):
     def state(self) -> str:
         """waiting, aligning, fusing, coasting, degraded or recovering."""
         if self._memory is None:
-            return 'aligning' if self._last[Kind.POSITION] is not None else 'waiting'
+            return 'aligning' if self._last[Kind.POSITION] != -1 else 'waiting'
         if self._now * 1e-9 - self._last_recovery < RECOVERING:
             return 'recovering'
         if self._outage:
