@@ -141,15 +141,15 @@ def _reason(latitude: float, longitude: float, height: float, status: float) -> 
     return 'latitude 0, longitude 0 is what receivers send without a fix: fix dropped'
 
 
-def records(settings, fixes):
+def records(settings, fixes, kind=Kind.POSITION):
     """Records (n, Event.SIZE) of `fixes`; by its index, why one cannot be used, and a warning for one whose covariance
     is not usable. settings: `GnssSettings`."""
     n = len(fixes)
-    r, reasons, warnings = empty(Kind.POSITION, n), {}, {}
+    r, reasons, warnings = empty(kind, n), {}, {}
     r[:, Event.LATITUDE], r[:, Event.LONGITUDE], r[:, Event.HEIGHT] = fixes.latitude, fixes.longitude, fixes.height
     r[:, Event.STATUS] = fixes.status
     covariance, kinds = np.array(fixes.covariance, dtype=float), np.array(fixes.covariance_type, dtype=np.int64)
-    usable, stated = np.empty(n, dtype=bool), np.empty(n, dtype=bool)
+    usable, stated = np.empty((2, n), dtype=bool)
     if not _judge(r, covariance, kinds, settings.sigma, settings.default_sigma, usable, stated):
         return r, reasons, warnings
     position = [Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT, Event.STATUS]
@@ -218,9 +218,7 @@ class Fix(Measurement):
         return f'fix {math.hypot(*innovation):.1f} m off'
 
     def records(self, settings, fixes):
-        found, reasons, warnings = records(settings, fixes)
-        found[:, Event.KIND] = Kind.POSITION if self.is_plain else Kind.PLACE
-        return found, reasons, warnings
+        return records(settings, fixes, Kind.POSITION if self.is_plain else Kind.PLACE)
 
     def read(self, fields, message):
         if message == GPS_FIX:

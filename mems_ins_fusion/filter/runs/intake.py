@@ -160,7 +160,7 @@ class Intake:
         stamp = np.array(samples.stamp, dtype=np.int64)
         self._last[kind] = check_stamps(records, stamp, newest, self._last[kind], late, epoch, self._latest,
                                         LATEST + max(-offset, 0.0), codes)
-        used = np.flatnonzero(codes == 0)
+        used = (codes == 0).nonzero()[0]
         if len(used) < len(records) or warnings:
             self._explain(kind, codes, stamp, newest, late, reasons, warnings)
             records = records[used]
