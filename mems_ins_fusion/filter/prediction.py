@@ -310,7 +310,7 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
                                  + mem[variance_at(m, j)] * (1.0 - decay * decay))
     if mem[Head.HISTORY_AT] > 0.0:
         _carry_sensors(mem, dt, nonnegative(size), nonnegative(m))
-    if mem[Head.ACCELEROMETER_INTERVAL] > 0.0:
+    if mem[Head.INTERVAL] > 0.0:
         _autoregressive(mem, src, dst, dt, size, m, p)
     mem[dst + Nav.CONSTRAINT_TIME] = mem[src + Nav.CONSTRAINT_TIME] + dt
 
@@ -321,7 +321,7 @@ def _autoregressive(mem, src, dst, dt, size, m, p):
     src, dst, size, m, p = nonnegative(src), nonnegative(dst), nonnegative(size), nonnegative(m), nonnegative(p)
     accelerometers, channels = (2, 3) if size == 5 else (3, 6)
     for sensor in range(2):
-        phase, interval = Nav.ACCELEROMETER_PHASE + sensor, mem[Head.ACCELEROMETER_INTERVAL + sensor]
+        phase, interval = Nav.PHASE + sensor, mem[Head.INTERVAL + sensor]
         first, last = (0, accelerometers) if sensor == 0 else (accelerometers, channels)
         mem[dst + phase] = mem[src + phase] + dt
         while mem[dst + phase] > interval * (1.0 - 1e-6):

@@ -10,7 +10,7 @@ from ...navigation.frames import leveling
 from ...navigation.strapdown import from_euler, matrix
 from ..config import REPEATED_TURN_ON, FilterConfig
 from ..measurements import wheel_vibration
-from ..memory import NAV, PLANAR, ROW, Error, Head, Nav, Sample, newest_row, set_covariance, variance_factor, views
+from ..memory import NAV, ROW, Error, Head, Nav, Sample, newest_row, set_covariance, variance_factor, views
 from ..memory import covariance as covariance_of
 from ..prediction import set_radii
 from ..trust.contradiction import FIRST_USUAL
@@ -54,7 +54,7 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
     yaw = start.yaw - (estimate[mounting] if mounting >= 0 else 0.0)  # of the body
     states = [layout.rows[error] for error in (Error.R_N, Error.R_E, Error.V_N, Error.V_E, Error.PHI_D)]
     full[np.ix_(states, states)] = start.covariance
-    if config.mechanization == PLANAR:
+    if layout.is_level:
         row[Nav.YAW] = yaw
     else:
         # estimated errors of the two horizontal accelerometers

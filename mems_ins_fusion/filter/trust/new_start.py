@@ -9,11 +9,11 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ...navigation import strapdown
-from ...navigation.strapdown import from_euler, to_euler
 from ..history import forget
-from ..memory import NAV, PLANAR, Event, Head, Nav, Verdict, velocity_state, yaw_state
+from ..measurements.geometry import set_heading
+from ..memory import NAV, Error, Event, Head, Nav, Verdict, row_of, velocity_state, yaw_state
 from ..prediction import GAP_ACCELERATION, UNKNOWN_YAW_SIGMA
+from ..update import scratch_of
 from . import hypotheses
 from .drift import Drift
 from .hypotheses import Hypothesis
@@ -138,8 +138,7 @@ def start_anew(mem, r, at):
     begin_scale(mem, r + Receiver.INNOVATION_SCALE)
     mem[r + Nav.SLOW_N] = mem[r + Nav.SLOW_E] = mem[r + Nav.SLOW_VARIANCE] = 0.0
     mem[r + Nav.VARIANCE_FACTOR] = 1.0
-    n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
-    n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
+    (n, p), n_navigation = scratch_of(mem), int(mem[Head.N_NAVIGATION])
     for i in range(n):
         for j in range(n):
             if i >= n_navigation and j >= n_navigation:
@@ -158,12 +157,13 @@ def start_anew(mem, r, at):
     first = velocity_state(mem)
     for i in range(2):
         mem[p + (n + 1) * (first + i)] = drift
-    if mem[Head.MECHANIZATION] != PLANAR:
-        s = strapdown.State
+    if row_of(mem, Error.R_D) >= 0:
         mem[r + Nav.HEIGHT], mem[r + Nav.V_D] = mem[at + Event.HEIGHT], 0.0
-        mem[p + (n + 1) * s.R_D] = 4.0 * variance
-        mem[p + (n + 1) * s.V_D] = 0.25
-        mem[p + (n + 1) * s.PHI_N] = mem[p + (n + 1) * s.PHI_E] = NEW_TILT_SIGMA**2
+    for error, value in ((Error.R_D, 4.0 * variance), (Error.V_D, NEW_VELOCITY_SIGMA**2),
+                         (Error.PHI_N, NEW_TILT_SIGMA**2), (Error.PHI_E, NEW_TILT_SIGMA**2)):
+        state = row_of(mem, error)
+        if state >= 0:
+            mem[p + (n + 1) * state] = value
     take_course(mem, r, v_n, v_e, drift)
     mem[r + Nav.RECOVERIES] += 1.0
     hypotheses.claim(mem, r, hypotheses.STRAYED)
@@ -210,9 +210,7 @@ def take_course(mem, r, v_n, v_e, drift):
 
     drift: variance of the velocity, m^2/s^2.
     """
-    n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
-    n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
-    k = yaw_state(mem)
+    (n, p), k = scratch_of(mem), yaw_state(mem)
     for i in range(n):
         mem[p + n * k + i] = mem[p + n * i + k] = 0.0
     forget(mem, k, n)
@@ -225,20 +223,13 @@ def take_course(mem, r, v_n, v_e, drift):
         yaw -= mem[r + NAV + mounting]
         variance += mem[p + (n + 1) * mounting]
     mem[p + (n + 1) * k] = variance
-    if mem[Head.MECHANIZATION] == PLANAR:
-        mem[r + Nav.YAW] = yaw
-        return
-    roll, pitch, _ = to_euler((mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z]))
-    q = from_euler(roll, pitch, yaw)
-    mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z] = q
+    set_heading(mem, r, yaw)
 
 
 @njit(_nrt=False)
 def finds_course(mem, r, at):
     """Whether the heading is unknown and the way since the last fix tells it: the velocity then, else zeros."""
-    n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
-    n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
-    k = yaw_state(mem)
+    (n, p), k = scratch_of(mem), yaw_state(mem)
     interval = mem[at + Event.TIME] - mem[r + Nav.FIX_TIME]
     if (mem[Head.GATE] == 0.0 or mem[p + (n + 1) * k] < LARGEST_YAW_SIGMA**2 or mem[r + Nav.FIX_TIME] == 0.0
             or not 0.0 < interval < LONGEST_PAIR):
