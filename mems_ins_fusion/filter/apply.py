@@ -133,7 +133,7 @@ def _observe(mem, r, at, h, n, c, sample):
     if kind == Kind.VELOCITY:
         return velocity.observe(mem, r, at, h, n, c, sample)
     if kind == Kind.SPEED:
-        return speed.observe(mem, r, at, h, n, c, sample)
+        return speed.observe(mem, r, at, h, c, sample)
     if kind == Kind.TWIST:
         return twist.observe(mem, r, at, h, n, c, sample)
     if kind == Kind.PRESSURE:
@@ -142,7 +142,7 @@ def _observe(mem, r, at, h, n, c, sample):
         return magnetometer.observe(mem, r, at, h, n, c)
     if kind == Kind.PLACE:
         return position.observe_place(mem, r, at, h, n, c)
-    return heading.observe(mem, r, at, h, n, c)
+    return heading.observe(mem, r, at, h, c)
 
 
 @njit(_nrt=False)

@@ -504,14 +504,14 @@ _STATES = WHITE + 6  # then those of the augmented states, as the functions belo
 
 
 @njit(inline='always')
-def decay_at(m, state):
-    """Position of 1/tau of an augmented state; m: number of augmented states."""
+def decay_at(state):
+    """Position of 1/tau of an augmented state."""
     return _STATES + state
 
 
 @njit(inline='always')
 def walk_at(m, state):
-    """Position of the variance that a state gains in a second (random walk)."""
+    """Position of the variance that a state gains in a second (random walk); m: number of augmented states."""
     return _STATES + m + state
 
 

@@ -227,7 +227,7 @@ def _carry_sensors(mem, dt, size, m):
     """The rows of the augmented states of T."""
     n = size + m
     for j in range(m):
-        decay, at = _decay(dt * mem[decay_at(m, j)]), int(mem[Head.HISTORY_AT]) + n * (size + j)
+        decay, at = _decay(dt * mem[decay_at(j)]), int(mem[Head.HISTORY_AT]) + n * (size + j)
         for k in range(at, at + n):
             mem[k] *= decay
 
@@ -297,7 +297,7 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
     decays = nonnegative(int(mem[Head.SCRATCH_AT]))
     scaled = 0 if mem[DriftSettings.LEARNED] == 0.0 else 6  # states whose driving noise trust/drift.py scales
     for j in range(m):
-        mem[decays + j] = _decay(dt * mem[decay_at(m, j)])
+        mem[decays + j] = _decay(dt * mem[decay_at(j)])
     for j in range(m):
         decay, column, before, row = mem[decays + j], dst + b + size * j, src + e + m * j, dst + e + m * j
         mem[dst + x + j] = decay * mem[src + x + j]

@@ -21,7 +21,7 @@ Offsets = HEAD.place('Offsets', HEADING=1)
 
 
 @njit(_nrt=False)
-def observe(mem, r, at, h, n, c):
+def observe(mem, r, at, h, c):
     """Yaw, difference wrapped to half a turn; one component."""
     yaw, offset = int(mem[Head.MOUNTING_YAW]), own_state(mem, at, Offsets.HEADING)
     # yaw of the vehicle's axes in b, and what the heading is off by; `update` subtracts H times these estimates

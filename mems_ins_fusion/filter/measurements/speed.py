@@ -17,7 +17,7 @@ from .records import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or
 
 
 @njit(_nrt=False)
-def observe(mem, r, at, h, n, c, sample):
+def observe(mem, r, at, h, c, sample):
     """Speed, positive forward; one component. measured = (1 + scale) true."""
     _, y, z = arm_of(mem, at, Head.AXLE_X)
     _, w_y, w_z = angular_rate(mem, r, sample)
@@ -36,7 +36,6 @@ def observe(mem, r, at, h, n, c, sample):
         mem[at + Event.Z_N] -= y * mem[r + NAV + gyroscope]
     mem[at + Event.Z_N] -= mem[at + Event.VALUE]
     return 1
-
 
 
 class Speed(Measurement):

@@ -201,7 +201,7 @@ class FusionFilter(FilterStatus):
         if self._using_fixes:
             fix = self._fix
             fix.stamp[0], fix.latitude[0], fix.longitude[0], fix.height[0] = stamp, latitude, longitude, height
-            fix.covariance.reshape(9)[:] = covariance
+            fix.covariance[0] = np.reshape(covariance, (3, 3))
             fix.status[0], fix.covariance_type[0] = status, covariance_type
             self._add(Kind.POSITION, fix)
 
@@ -209,8 +209,8 @@ class FusionFilter(FilterStatus):
         """One measurement of the input `name`; numbers: the fields of its samples (`Measurement.samples`), in order."""
         measurement = next(m for m in self.config.inputs.values() if m.name == name)
         if self._using_fixes or not measurement.of_antenna:
-            stamps = np.array([stamp], dtype=np.int64)
-            self._add(measurement.number, measurement.samples(stamps, stamps, *_ones(*numbers)))
+            stamps, values = np.array([stamp], dtype=np.int64), (np.array([number], dtype=float) for number in numbers)
+            self._add(measurement.number, measurement.samples(stamps, stamps, *values))
 
     def _add(self, kind: int, samples) -> None:
         stamp = int(samples.stamp[0])
@@ -386,7 +386,3 @@ class FusionFilter(FilterStatus):
         follow = self._follow.copy()
         self.follow(np.array([0], dtype=np.int64), sample[:, 1:])
         self._follow[:] = follow
-
-
-def _ones(*values) -> tuple[np.ndarray, ...]:
-    return tuple(np.array([value], dtype=float) for value in values)
