@@ -174,9 +174,9 @@ class FusionFilter(FilterStatus):
         self._filter(self._memory, sample, self._log, self._none)
         if self._memory[Imu.FAULTS:Imu.FAULTS + Fault.SIZE].tobytes() != self._said_faults:
             self._say_faults(stamp)
-        self._say_new_starts()
         if self._pending:
             self._judge()
+        self._say_new_starts()
         if stamp - self._newest_fix > self._outage_after and not self._outage:
             self._outage = True
             self.say('warning', f'no fix used from {self.config.gnss.topic} for '
@@ -245,8 +245,8 @@ class FusionFilter(FilterStatus):
             tally.refuse(stamp, 'too late')
             return
         self._pending[self._ids - 1] = kind, stamp
-        self._say_new_starts()
         self._judge()
+        self._say_new_starts()
 
     def _begin(self, start: Start, stamp: int) -> None:
         self._memory, self._newest_fix = self._started(start), stamp
