@@ -103,7 +103,7 @@ def _sensor_errors(config: FilterConfig, start: Start, level: bool):
     unseen = np.ones(m, dtype=bool)  # states that the standstill does not show
     for channel, (model, axis) in enumerate(zip(config.models, config.channel_axes)):
         block = slice(channel * p, (channel + 1) * p)
-        mean, sigma = _error_at_rest(config, start, axis, level), config.turn_on_sigma[channel]
+        mean, sigma = _error_at_rest(start, axis, level), config.turn_on_sigma[channel]
         if axis < 2 and not is_level:
             mean = None  # a standstill shows the sum of tilt and bias: see _strapdown_attitude
         elif axis < 2 and level:
@@ -150,7 +150,7 @@ def sensor_errors_after(config: FilterConfig, errors: SensorErrors, age: float) 
     return SensorErrors(transition @ errors.estimate, 0.5 * (covariance + covariance.T), errors.constant)
 
 
-def _error_at_rest(config: FilterConfig, start: Start, axis: int, level: bool) -> float | None:
+def _error_at_rest(start: Start, axis: int, level: bool) -> float | None:
     """Error of one body axis by the standstill; None without one."""
     still = start.standstill
     if still is None:
