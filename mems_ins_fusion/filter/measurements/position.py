@@ -141,27 +141,6 @@ def _reason(latitude: float, longitude: float, height: float, status: float) -> 
     return 'latitude 0, longitude 0 is what receivers send without a fix: fix dropped'
 
 
-def records(settings, fixes, kind=Kind.POSITION):
-    """Records (n, Event.SIZE) of `fixes`; by its index, why one cannot be used, and a warning for one whose covariance
-    is not usable. settings: `GnssSettings`."""
-    n = len(fixes)
-    r, reasons, warnings = empty(kind, n), {}, {}
-    r[:, Event.LATITUDE], r[:, Event.LONGITUDE], r[:, Event.HEIGHT] = fixes.latitude, fixes.longitude, fixes.height
-    r[:, Event.STATUS] = fixes.status
-    covariance, kinds = np.array(fixes.covariance, dtype=float), np.array(fixes.covariance_type, dtype=np.int64)
-    usable, stated = np.empty((2, n), dtype=bool)
-    if not _judge(r, covariance, kinds, settings.sigma, settings.default_sigma, usable, stated):
-        return r, reasons, warnings
-    position = [Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT, Event.STATUS]
-    refuse(reasons, ~usable, lambda i: _reason(*r[i, position].tolist()))
-    if settings.sigma == 0:
-        refuse(warnings, usable & ~stated, lambda i: (
-            f'position_covariance (type {kinds[i]}) [{covariance[i, 0, 0]:g}, {covariance[i, 0, 1]:g}, .., '
-            f'{covariance[i, 1, 1]:g}, .., {covariance[i, 2, 2]:g}] says nothing: gnss.default_sigma '
-            f'{settings.default_sigma:g} m is used'))
-    return r, reasons, warnings
-
-
 def _of_gps_fix(fields) -> dict[str, np.ndarray]:
     """Status, covariance and covariance type as in NavSatFix, of GPSFix messages: their covariance, else their 95 %
     errors, else their dilutions of precision."""
@@ -218,7 +197,23 @@ class Fix(Measurement):
         return f'fix {math.hypot(*innovation):.1f} m off'
 
     def records(self, settings, fixes):
-        return records(settings, fixes, Kind.POSITION if self.is_plain else Kind.PLACE)
+        """As of any measurement; a warning for a fix whose covariance is not usable."""
+        n = len(fixes)
+        r, reasons, warnings = empty(Kind.POSITION if self.is_plain else Kind.PLACE, n), {}, {}
+        r[:, Event.LATITUDE], r[:, Event.LONGITUDE], r[:, Event.HEIGHT] = fixes.latitude, fixes.longitude, fixes.height
+        r[:, Event.STATUS] = fixes.status
+        covariance, kinds = np.array(fixes.covariance, dtype=float), np.array(fixes.covariance_type, dtype=np.int64)
+        usable, stated = np.empty((2, n), dtype=bool)
+        if not _judge(r, covariance, kinds, settings.sigma, settings.default_sigma, usable, stated):
+            return r, reasons, warnings
+        position = [Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT, Event.STATUS]
+        refuse(reasons, ~usable, lambda i: _reason(*r[i, position].tolist()))
+        if settings.sigma == 0:
+            refuse(warnings, usable & ~stated, lambda i: (
+                f'position_covariance (type {kinds[i]}) [{covariance[i, 0, 0]:g}, {covariance[i, 0, 1]:g}, .., '
+                f'{covariance[i, 1, 1]:g}, .., {covariance[i, 2, 2]:g}] says nothing: gnss.default_sigma '
+                f'{settings.default_sigma:g} m is used'))
+        return r, reasons, warnings
 
     def read(self, fields, message):
         if message == GPS_FIX:

@@ -216,15 +216,10 @@ def first_datum(config: FilterConfig, imu: ImuSamples, fixes: Fixes) -> np.ndarr
         return config.datum
     order = np.argsort(fixes.received, kind='stable')
     arrival = np.searchsorted(imu.received, fixes.received[order], side='right')
-    fixes, newest = fixes.select(order[arrival > 0]), imu.stamp[arrival[arrival > 0] - 1]
-    found: list[tuple[float, float, float]] = []
-    intake = Intake(config)
-    for i in range(len(fixes)):
-        used, records = intake.measured(Kind.POSITION, fixes.select(slice(i, i + 1)), newest[i:i + 1], 0)
-        found += [tuple(record[[Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT]].tolist()) for record in records]
-        if len(found) == DATUM_FIXES:
-            break
-    return first_place(found) if found else None
+    there = arrival > 0
+    _, records = Intake(config).measured(Kind.POSITION, fixes.select(order[there]), imu.stamp[arrival[there] - 1], 0)
+    found = records[:DATUM_FIXES, [Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT]]
+    return first_place(found.tolist()) if len(found) else None
 
 
 def remove_effects(correctors: list, stamp, values, celsius) -> np.ndarray:

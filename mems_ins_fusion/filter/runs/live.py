@@ -225,7 +225,9 @@ class FusionFilter(FilterStatus):
         stamp = self._epoch + round(float(record[Event.TIME]) * 1e9)  # float: numpy rounds ten times slower
         if kind == Kind.POSITION:
             self._height_sigma = math.sqrt(record[Event.R_DD])
-            self._find_datum(record)
+            if self.datum is None:
+                self._first_places.append(record[[Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT]].tolist())
+                self.datum = first_place(self._first_places) if len(self._first_places) == DATUM_FIXES else None
         if self._memory is None:
             if record[Event.KIND] == Kind.MAGNETIC:
                 self._alignment.add_field(record)
@@ -251,13 +253,6 @@ class FusionFilter(FilterStatus):
     def _begin(self, start: Start, stamp: int) -> None:
         self._memory, self._newest_fix = self._started(start), stamp
         self._provisional = None
-
-    def _find_datum(self, record) -> None:
-        """Origin of the local frame from the first valid fixes, where no parameter gives it."""
-        if self.datum is None:
-            self._first_places.append(tuple(record[[Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT]].tolist()))
-            if len(self._first_places) == DATUM_FIXES:
-                self.datum = first_place(self._first_places)
 
     def _started(self, start: Start) -> np.ndarray:
         """Memory of a filter that has begun with `start` and processed all samples since."""
