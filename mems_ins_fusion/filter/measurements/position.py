@@ -120,7 +120,7 @@ def _judge(records, covariance, kinds, sigma, default_sigma, usable, stated):
         r[Event.R_NN], r[Event.R_NE], r[Event.R_EE], r[Event.R_DD] = default, 0.0, default, 4.0 * default
         if stated[i]:
             r[Event.R_NN], r[Event.R_NE], r[Event.R_EE] = max(nn, smallest), en, max(ee, smallest)
-            r[Event.R_DD] = max(uu, smallest) if uu > 0.0 else 4.0 * max(nn, ee)
+            r[Event.R_DD] = max(uu, smallest) if uu > 0.0 else 4.0 * max(nn, ee, smallest)
         if sigma > 0.0:
             r[Event.R_NN], r[Event.R_NE], r[Event.R_EE] = sigma**2, 0.0, sigma**2
             r[Event.R_DD] = max(r[Event.R_DD], sigma**2)
