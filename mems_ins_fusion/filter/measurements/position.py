@@ -209,7 +209,7 @@ class Fix(Measurement):
         position = [Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT, Event.STATUS]
         refuse(reasons, ~usable, lambda i: _reason(*r[i, position].tolist()))
         if settings.sigma == 0:
-            refuse(warnings, usable & ~stated, lambda i: (
+            refuse(warnings, ~stated, lambda i: (
                 f'position_covariance (type {kinds[i]}) [{covariance[i, 0, 0]:g}, {covariance[i, 0, 1]:g}, .., '
                 f'{covariance[i, 1, 1]:g}, .., {covariance[i, 2, 2]:g}] says nothing: gnss.default_sigma '
                 f'{settings.default_sigma:g} m is used'))
