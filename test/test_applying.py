@@ -23,6 +23,7 @@ from mems_ins_fusion.diagnosis.trial_outages import OUTAGES
 from mems_ins_fusion.diagnosis.watch import Watch
 from mems_ins_fusion.effects.registry import effect_called
 from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.memory import Nav, newest_row
 from mems_ins_fusion.filter.runs import changing
 from mems_ins_fusion.filter.runs.blending import BLENDING
 from mems_ins_fusion.filter.runs.live import FusionFilter
@@ -133,6 +134,22 @@ def test_the_new_filter_takes_over_where_it_does_not_show(late):
     assert all(a is b for a, b in zip(arrays, (fusion.odometry, fusion.geodetic, fusion.position_covariance_enu)))
     assert np.array_equal(fusion.datum, before[0])
     assert any('goes on with other parameters' in notice.text for notice in fusion.notices())
+
+
+def test_a_new_start_of_the_other_filter_is_not_told_again_where_it_takes_over(late):
+    # given a filter that runs beside the published one and has started anew from refused fixes once
+    config = FilterConfig.from_parameters(APPLY)
+    fusion, other = changing.ChangingFilter(config), changing.WatchedFilter(config)
+    for one in (fusion, other):
+        fed(one, late, 0, 100 * 20)
+    newest_row(other._memory)[Nav.RECOVERIES] = 1.0
+    other._say_new_starts()
+    fusion.notices()
+    # when it takes over
+    fusion._take_over(other, int(late.imu.stamp[100 * 20]), 0.0, 0.0)
+    fed(fusion, late, 100 * 20, 105 * 20)
+    # then the published filter has not restarted
+    assert not any('restart' in notice.text for notice in fusion.notices()) and fusion.state == 'fusing'
 
 
 def test_a_filter_with_what_is_on_trial_takes_over_as_soon_as_that_is_proven(late):

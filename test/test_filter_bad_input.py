@@ -108,7 +108,10 @@ def test_a_covariance_is_east_north_up_and_never_smaller_than_a_millimetre(fusio
     assert kept(fusion)[-1, [Event.R_NN, Event.R_NE, Event.R_EE, Event.R_DD]] == pytest.approx([2, 0.5, 1, 3])
     fusion.add_fix(now(fusion) - 1, *FIX, [1e-12, 0, 0, 0, 1e-12, 0, 0, 0, 0.0])
     assert kept(fusion)[-2, [Event.R_NN, Event.R_EE]] == pytest.approx([1e-6, 1e-6])
-    assert kept(fusion)[-2, Event.R_DD] > 0
+    # without a variance of the height it is four times that of the larger component
+    assert kept(fusion)[-2, Event.R_DD] == pytest.approx(4e-6)
+    fusion.add_fix(now(fusion) - 2, *FIX, [1.0, 0.5, 0, 0.5, 2.0, 0, 0, 0, 0.0])
+    assert kept(fusion)[-3, Event.R_DD] == pytest.approx(8.0)
     assert said(fusion) == []
 
 

@@ -9,23 +9,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from filter_support import HEIGHT, LATITUDE, LONGITUDE, configure, fix_record, newest, started, take_all
+from filter_support import HEIGHT, LATITUDE, LONGITUDE, configure, fix_record, newest, started, take_all, take_event
 from scipy.linalg import solve_continuous_lyapunov
 from scipy.signal import lfilter
 
 from mems_ins_fusion.evaluation.comparison import truth_of
 from mems_ins_fusion.evaluation.metrics import position_errors
 from mems_ins_fusion.filter.config import FilterConfig
-from mems_ins_fusion.filter.memory import Event, Head, Nav, Verdict, covariance, state_at, variance_factor, views
+from mems_ins_fusion.filter.memory import Event, Head, Kind, Nav, Verdict, covariance, state_at, variance_factor, views
 from mems_ins_fusion.filter.runs.odometry import POSE_COVARIANCE, SIZE, TWIST_COVARIANCE, odometry
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.filter.runs.results import MeasurementLog, columns, result
 from mems_ins_fusion.filter.start.initial import sensor_errors_of
 from mems_ins_fusion.filter.trust.force_noise import force_noise
 from mems_ins_fusion.filter.trust.hypotheses import Hypothesis
-from mems_ins_fusion.filter.trust.receiver import FOLLOWED, LASTING_TIME, realised_factor, shown_share, start_anew
+from mems_ins_fusion.filter.trust.new_start import start_anew
+from mems_ins_fusion.filter.trust.receiver import FOLLOWED, LASTING_TIME, realised_factor, shown_share
 from mems_ins_fusion.filter.trust.receiver import Receiver as OfReceiver
-from mems_ins_fusion.filter.trust.scale import PRIOR, Scale, scale
+from mems_ins_fusion.filter.trust.scale import KINDS, PRIOR, Kinds, Scale, Seen, scale
 from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -522,3 +523,16 @@ def test_errors_that_last_are_in_the_position_that_is_published(mechanization):
     (position, others), (more, same) = [published(config, memory, LASTING=v) for v in (0.0, 2.5)]
     np.testing.assert_allclose(more, position + 2.5, rtol=1e-9)
     np.testing.assert_array_equal(same, others)
+
+
+@pytest.mark.parametrize('refused', [2, 3])
+def test_a_way_ends_at_a_refused_fix_only_where_three_before_it_were_refused(refused):
+    # given a filter that has refused so many fixes in a row, and a wheel speed whose way has not begun
+    _, memory, _, _ = Receiver(20.0).through(**{'gnss.adapt_sigma': False})
+    way, now = Kinds.SEEN + Seen.SIZE * (Kind.SPEED % KINDS), newest(memory)[Nav.TIME]
+    views(memory)[2][:, [Nav.REFUSED, way + Seen.WAY_TIME, way + Seen.START]] = refused, now - 0.1, 0.0
+    # when it refuses one more, which is some hundred metres off
+    take_event(memory, fix_record(now - 0.01, LATITUDE + 1e-4))
+    assert newest(memory)[Nav.REFUSED] == refused + 1
+    # then a way begins there only if all of them cannot be outliers
+    assert (newest(memory)[way + Seen.START] != 0.0) == (refused == 3)

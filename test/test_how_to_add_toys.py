@@ -240,7 +240,7 @@ class Altitude(Measurement):
         r = empty(KIND, n)
         r[:, Event.VALUE] = altitudes.altitude
         r[:, Event.R_NN] = stated_or(altitudes.variance, settings, 0.01)
-        return r, np.full(n, '', dtype=object), np.full(n, '', dtype=object)
+        return r, {}, {}
 
     def read(self, fields, message):
         return Altitudes(fields['stamp'], fields['received'], fields['altitude'], fields['variance'])
@@ -335,7 +335,8 @@ def test_a_mechanization(copy):
         'filter/memory.py': [
             ('import planar, strapdown', 'import not_turning, planar, strapdown'),
             ('PLANAR, STRAPDOWN = 0, 1', 'PLANAR, STRAPDOWN, NOT_TURNING = 0, 1, 2'),
-            ('STRAPDOWN: strapdown}', 'STRAPDOWN: strapdown, NOT_TURNING: not_turning}')],
+            ('STRAPDOWN: strapdown}', 'STRAPDOWN: strapdown, NOT_TURNING: not_turning}'),
+            ("'strapdown': STRAPDOWN}", "'strapdown': STRAPDOWN, 'not_turning': NOT_TURNING}")],
         'filter/prediction.py': [
             ('import planar, strapdown', 'import not_turning, planar, strapdown'),
             ('    PLANAR,\n    WHITE,', '    NOT_TURNING,\n    PLANAR,\n    WHITE,'),
@@ -343,10 +344,6 @@ def test_a_mechanization(copy):
              '    if mem[Head.MECHANIZATION] == NOT_TURNING:\n        rates = not_turning.frame_rates(latitude, '
              'mem[src + Nav.V_N], mem[src + Nav.V_E], 1.0 / mem[src + Nav.NORTH_SCALE], 1e7)\n'
              '    attitude, c, f_level, moved, velocity = strapdown.mechanize(')],
-        'filter/config.py': [
-            ('    PLANAR,\n', '    NOT_TURNING,\n    PLANAR,\n'),
-            ("STRAPDOWN if values['mechanization'] == 'strapdown' else PLANAR",
-             "{'planar': PLANAR, 'strapdown': STRAPDOWN, 'not_turning': NOT_TURNING}[values['mechanization']]")],
         'parameters/table.py': [("choices=('planar', 'strapdown'))", "choices=('planar', 'strapdown', 'not_turning'))")]}
     # when: an IMU stands for 10 s whose gyroscopes read zero, so that it turns against the earth with the stars
     turned = copy('A mechanization', edits, """

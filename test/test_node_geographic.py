@@ -59,10 +59,13 @@ def test_a_start_pose_of_the_parameters_is_in_degrees():
 
 
 class Services:
-    """A node that remembers its services."""
+    """A node that remembers its services, and what it has logged as an error."""
 
     def __init__(self):
-        self.callbacks = {}
+        self.callbacks, self.errors = {}, []
+
+    def get_logger(self):
+        return SimpleNamespace(error=self.errors.append)
 
     def create_service(self, kind, name, callback):
         self.callbacks[name] = callback
@@ -91,6 +94,12 @@ def test_latitude_and_longitude_to_the_local_frame_and_back_where_the_interfaces
     assert (point.x, point.y, point.z) == (east, north, -down)
     back = node.callbacks['toLL'](SimpleNamespace(map_point=point), empty()).ll_point
     assert (back.latitude, back.longitude, back.altitude) == pytest.approx((48.001, 11.002, 510.0), abs=1e-9)
+    # and one that is no place, by the limits of the parameter, changes nothing and is told
+    before = fusion.datum
+    for field, value in (('latitude', 95.0), ('longitude', math.nan), ('altitude', 1e6)):
+        wrong = SimpleNamespace(position=SimpleNamespace(**{**vars(place.position), field: value}))
+        node.callbacks['datum'](SimpleNamespace(geo_pose=wrong), None)
+        assert fusion.datum is before and "parameter 'datum' must" in node.errors.pop() and not node.errors
 
 
 def test_speed_velocity_and_heading_become_the_filters():

@@ -18,7 +18,6 @@ from ..configuration.vehicle import standstills_show
 from ..errors import InputError
 from ..evaluation.comparison import aiding_of, samples_to_keep, thin
 from ..filter.config import FilterConfig
-from ..filter.measurements.position import records
 from ..filter.memory import PLANAR, Event, Kind, Verdict
 from ..filter.runs.replay import Constrained, run, run_with_constraints
 from ..filter.runs.results import Run
@@ -316,7 +315,8 @@ def averaged(imu: ImuSamples, rate: float) -> ImuSamples:
 
 def stated(fixes: Fixes, values: dict) -> np.ndarray:
     """Covariances (f, 3, 3) m^2, east-north-up, that the filter takes `fixes` to have."""
-    record, _, _ = records(FilterConfig.from_parameters(values).gnss, fixes)
+    config = FilterConfig.from_parameters(values)
+    record, _, _ = config.inputs[Kind.POSITION].records(config.gnss, fixes)
     covariance = np.zeros((len(fixes), 3, 3))
     for (i, j), column in (((0, 0), Event.R_EE), ((0, 1), Event.R_NE), ((1, 0), Event.R_NE), ((1, 1), Event.R_NN),
                            ((2, 2), Event.R_DD)):

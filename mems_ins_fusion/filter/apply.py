@@ -15,18 +15,18 @@ from .measurements import (
     velocity,
 )
 from .measurements.geometry import body_to_level
-from .memory import NAV, Error, Event, Head, Kind, Nav, Verdict, load_covariance, row_of, store_covariance
+from .memory import NAV, Error, Event, Head, Kind, Nav, Verdict, row_of
 from .prediction import set_radii
-from .trust import contradiction, fix_drift, hypotheses, inputs, receiver, repeats, straight_on, way
+from .trust import contradiction, fix_drift, hypotheses, inputs, new_start, receiver, repeats, straight_on, way
 from .trust.drift import learn_drift
 from .trust.fix_drift import FixDrift
 from .trust.hypotheses import Hypothesis
 from .trust.scale import seen_of
 from .trust.standstill import take_speed
-from .update import ROBUST, clear_rows, feed_back, normalized_square, product, project, update
+from .update import ROBUST, begin_update, end_update, normalized_square, product, project, update
 
-#: fixes refused in a row that may all be wrong: no way ends there
-SINGLE = 2.0
+#: fixes refused in a row that may all be wrong: no way of an input is compared with one that ends at them
+MOST_WRONG = 3.0
 
 
 @njit(_nrt=False)
@@ -51,17 +51,17 @@ def _apply_fix(mem, r, at):
     if _goes_straight_on(mem, r, at):
         straight_on.refuse(mem, r, at)
         return
-    n, h = _begin(mem, r)
+    n, h = begin_update(mem, r)
     recovered, before = False, hypotheses.position_and_velocity(mem, r)
     doubts = mem[r + Hypothesis.DOUBTS] != 0.0
     if not doubts:
-        recovered = mem[Head.GATE] > 0.0 and receiver.agreed(mem, r, at)
+        recovered = mem[Head.GATE] > 0.0 and new_start.is_due(mem, r, at)
         if recovered:
-            receiver.start_anew(mem, r, at)
+            new_start.start_anew(mem, r, at)
         else:
-            v_n, v_e = receiver.finds_course(mem, r, at)
+            v_n, v_e = new_start.finds_course(mem, r, at)
             if v_n != 0.0 or v_e != 0.0:
-                receiver.take_course(mem, r, v_n, v_e, 0.0)
+                new_start.take_course(mem, r, v_n, v_e, 0.0)
     c = _note_state(mem, r, at)
     dimensions = position.observe(mem, r, at, h, n, c)
     height = mem[at + Event.Z_D] + mem[r + Nav.HEIGHT]  # of the planar filter, which has no state for it
@@ -77,13 +77,14 @@ def _apply_fix(mem, r, at):
     verdict = update(mem, r, at, n, dimensions, factor, robust, gate)
     mem[at + Event.VERDICT] = Verdict.RECOVERED if recovered else verdict
     if verdict != Verdict.REFUSED:
-        _end(mem, r)
+        end_update(mem, r)
         if row_of(mem, Error.R_D) < 0:
             mem[r + Nav.HEIGHT] = height
         set_radii(mem, r)
+    new_start.note(mem, r, at)
     repeats.note(mem, r, at)
     left_n, left_e, _ = position.difference(mem, r, at, body_to_level(mem, r))
-    if verdict != Verdict.REFUSED or mem[r + Nav.REFUSED] > SINGLE:
+    if verdict != Verdict.REFUSED or mem[r + Nav.REFUSED] > MOST_WRONG:
         way.compare(mem, r, at, receiver.realised_variance(mem, r, at))
     after = hypotheses.position_and_velocity(mem, r)
     straight_on.pull(mem, r, before, after)
@@ -98,7 +99,7 @@ def _apply_fix(mem, r, at):
 @njit(_nrt=False)
 def _apply_input(mem, r, at, sample):
     """How any other measurement is judged and used."""
-    n, h = _begin(mem, r)
+    n, h = begin_update(mem, r)
     kind, c = mem[at + Event.KIND], _note_state(mem, r, at)
     dimensions = _observe(mem, r, at, h, n, c, sample)
     if kind == Kind.PRESSURE:
@@ -118,7 +119,7 @@ def _apply_input(mem, r, at, sample):
         elif not way.is_compared(mem, seen_of(mem, r, at)):
             mem[at + Event.VERDICT] = Verdict.AWAITED
     if verdict != Verdict.REFUSED:
-        _end(mem, r)
+        end_update(mem, r)
         set_radii(mem, r)
         if kind == Kind.SPEED or kind == Kind.TWIST:
             take_speed(mem, r, at)
@@ -132,7 +133,7 @@ def _observe(mem, r, at, h, n, c, sample):
     if kind == Kind.VELOCITY:
         return velocity.observe(mem, r, at, h, n, c, sample)
     if kind == Kind.SPEED:
-        return speed.observe(mem, r, at, h, n, c, sample)
+        return speed.observe(mem, r, at, h, c, sample)
     if kind == Kind.TWIST:
         return twist.observe(mem, r, at, h, n, c, sample)
     if kind == Kind.PRESSURE:
@@ -141,17 +142,7 @@ def _observe(mem, r, at, h, n, c, sample):
         return magnetometer.observe(mem, r, at, h, n, c)
     if kind == Kind.PLACE:
         return position.observe_place(mem, r, at, h, n, c)
-    return heading.observe(mem, r, at, h, n, c)
-
-
-@njit(_nrt=False)
-def _begin(mem, r):
-    """P of the state at r in the scratch, and no rows of H behind it: the number of states, where the rows begin."""
-    n_navigation, m, p = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), int(mem[Head.SCRATCH_AT])
-    n = n_navigation + m
-    load_covariance(mem, r, n_navigation, m, mem, p)
-    clear_rows(mem, p + n * n, n)
-    return n, p + n * n
+    return heading.observe(mem, r, at, h, c)
 
 
 @njit(_nrt=False)
@@ -161,13 +152,6 @@ def _note_state(mem, r, at):
     mem[at + Event.YAW] = math.atan2(c[3], c[0])
     mem[at + Event.V_N], mem[at + Event.V_E] = mem[r + Nav.V_N], mem[r + Nav.V_E]
     return c
-
-
-@njit(_nrt=False)
-def _end(mem, r):
-    """The corrected P from the scratch to the state at r, and the estimated errors into its solution."""
-    store_covariance(mem, int(mem[Head.SCRATCH_AT]), int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), mem, r)
-    feed_back(mem, r)
 
 
 @njit(_nrt=False)

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from ..effects.registry import EFFECTS
+from ..navigation import strapdown
 from ..navigation.earth import STANDARD_GRAVITY
 from ..navigation.frames import FLU_TO_FRD, mounting
 from ..parameters.parameter import ParameterError
@@ -19,10 +20,9 @@ from .measurements import wheel_vibration
 from .measurements.base import Measurement, SensorSettings
 from .measurements.registry import AIDING, aiding, inputs
 from .memory import (
+    BY_NAME,
     HEAD,
     MECHANIZATIONS,
-    PLANAR,
-    STRAPDOWN,
     Error,
     Event,
     Head,
@@ -158,9 +158,9 @@ class FilterConfig:
     @classmethod
     def from_parameters(cls, values: dict) -> FilterConfig:
         """From checked parameters (`parameters.table.check`). ParameterError where they contradict each other."""
-        mechanization = STRAPDOWN if values['mechanization'] == 'strapdown' else PLANAR
-        is_planar = mechanization == PLANAR
-        for measurement in aiding(values) if is_planar else ():
+        mechanization = BY_NAME[values['mechanization']]
+        channels, is_level = MECHANIZATIONS[mechanization].CHANNELS, StateLayout(mechanization, 1).is_level
+        for measurement in aiding(values) if is_level else ():
             if measurement.needs_height and values[measurement.topic]:
                 raise ParameterError(f"parameter '{measurement.topic}' needs mechanization strapdown: planar has no "
                                      'height')
@@ -171,7 +171,7 @@ class FilterConfig:
         def sensors(name):
             return np.concatenate([per_axis(values, f'{sensor}.{name}') for sensor in SENSORS])
 
-        axes = [MECHANIZATIONS[STRAPDOWN].CHANNELS.index(name) for name in MECHANIZATIONS[mechanization].CHANNELS]
+        axes = [strapdown.CHANNELS.index(name) for name in channels]
         kind = values['sensor_error_model']
         by_sensor_axis = [model for sensor in SENSORS for model in error_models(values, sensor, kind)]
         models = tuple(by_sensor_axis[along[i]] for i in axes)
@@ -183,16 +183,16 @@ class FilterConfig:
             if correction is not None:
                 conditioning = correction @ conditioning
         white = mixing**2 @ sensors('noise_density')**2
-        if is_planar:
+        if is_level:
             models, white = _with_tilt(models, white, STANDARD_GRAVITY * values['vehicle.tilt_sigma'])
         datum = values['datum']
         return cls(
             mechanization=mechanization, open_loop=values['feedback'] == 'open', models=_equal_order(models),
             white=white, turn_on_sigma=np.array(constant), conditioning=conditioning,
-            offset=-conditioning @ sensors('bias'), extras=_extras(values, is_planar), imu=_imu(values),
+            offset=-conditioning @ sensors('bias'), extras=_extras(values, is_level), imu=_imu(values),
             gnss=_gnss(values), inputs=inputs(values),
             sensors={measurement.number: measurement.settings(values) for measurement in aiding(values)},
-            alignment=_alignment(values, is_planar), vehicle=_vehicle(values),
+            alignment=_alignment(values, is_level), vehicle=_vehicle(values),
             wheel_vibration=values['wheel_vibration'],
             datum=np.array([math.radians(datum[0]), math.radians(datum[1]), datum[2]]) if datum else None,
             parameters=values)
@@ -231,7 +231,7 @@ class FilterConfig:
     @property
     def channel_axes(self) -> list[int]:
         """Which of f_x, f_y, f_z, w_x, w_y, w_z each channel is."""
-        return [MECHANIZATIONS[STRAPDOWN].CHANNELS.index(name) for name in self.layout.channels]
+        return [strapdown.CHANNELS.index(name) for name in self.layout.channels]
 
     @property
     def capacity(self) -> int:
@@ -284,8 +284,7 @@ class FilterConfig:
             Head.MOUNTING_YAW: layout.index('mounting_yaw'), Head.AXLE: layout.index('axle_x'),
             Head.AXLE_ACROSS: layout.index('axle_y'), Head.TIME_OFFSET: layout.index('time_offset'),
             **{one.state_column: layout.index(one.state) for one in AIDING if one.state_column is not None},
-            Head.ACCELEROMETER_INTERVAL: self.models[0].interval or 0.0,
-            Head.GYROSCOPE_INTERVAL: self.models[-1].interval or 0.0,
+            Head.INTERVAL: self.models[0].interval or 0.0, Head.INTERVAL + 1: self.models[-1].interval or 0.0,
             Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: self.latest, Head.AHEAD: self.ahead,
             Head.GATE: gnss.gate, Head.ROBUST_SIGMA: values['gnss.robust_sigma'],
             Head.RECOVERY_TIME: values['gnss.recovery_time'], Head.COVARIANCE_FACTOR: values['gnss.adapt_covariance'],
@@ -346,7 +345,7 @@ def _with_tilt(models: tuple[Model, ...], white: np.ndarray, sigma: float) -> tu
     return (*tilted, models[2]), white + [*more, 0.0, 0.0, 0.0, 0.0]
 
 
-def _extras(values: dict, is_planar: bool) -> tuple[Extra, ...]:
+def _extras(values: dict, is_level: bool) -> tuple[Extra, ...]:
     """The optional states of the configuration."""
     extras = []
     coloured = _coloured(values)
@@ -359,7 +358,7 @@ def _extras(values: dict, is_planar: bool) -> tuple[Extra, ...]:
             extras.append(Extra(name, RandomWalk(walk, sigma), sigma))
 
     if values['vehicle.non_holonomic']:
-        if not is_planar:
+        if not is_level:
             slow('mounting_pitch', values['imu.mounting_sigma'])
         slow('mounting_yaw', values['imu.mounting_sigma'])
         slow('axle_x', values['vehicle.rear_axle_sigma'])
@@ -393,9 +392,9 @@ def _gnss(values: dict) -> GnssSettings:
         outage_after=values['gnss.outage_after'], coloured=_coloured(values))
 
 
-def _alignment(values: dict, is_planar: bool) -> AlignmentSettings:
+def _alignment(values: dict, is_level: bool) -> AlignmentSettings:
     return AlignmentSettings(values['alignment.heading'], values['alignment.yaw'], values['alignment.yaw_sigma'],
-                             values['alignment.level'] and is_planar, max(values['gyroscope.initial_sigma']))
+                             values['alignment.level'] and is_level, max(values['gyroscope.initial_sigma']))
 
 
 def _vehicle(values: dict) -> VehicleSettings:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from mems_ins_fusion.compiled import njit
 
 from .measurements import acceleration, non_holonomic, standstill
-from .measurements.geometry import angular_rate, body_to_level, vehicle_to_level
+from .measurements.geometry import angular_rate, body_to_level
 from .memory import (
     NAV,
     Event,
@@ -15,17 +15,16 @@ from .memory import (
     Nav,
     Sample,
     channel_of,
-    load_covariance,
     store_covariance,
     velocity_variance,
     yaw_state,
 )
 from .prediction import set_radii
-from .trust import contradiction, gyroscopes, receiver
+from .trust import contradiction, gyroscopes, new_start
 from .trust.imu_faults import Imu
 from .trust.standstill import wheels_turn
 from .trust.white_noise import hides_turns, is_noisy
-from .update import ROBUST, clear_rows, correct_by_scalar, feed_back, product, project, update
+from .update import ROBUST, begin_update, clear_rows, correct_by_scalar, end_update, product, project, update
 
 #: standstill and non-holonomic constraints are applied this often, s: their errors last about as long
 CONSTRAINT_INTERVAL = 0.1
@@ -55,12 +54,9 @@ def constrain(mem, r, sample):
     still = mem[sample + Sample.STILL] != 0.0 and mem[Head.ZERO_VELOCITY_SIGMA] > 0.0 and not wheels_turn(mem, r)
     if not still and mem[Head.LATERAL_SIGMA] == 0.0:
         return
-    n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
-    n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
-    h = p + n * n
+    (n, h), p = begin_update(mem, r), int(mem[Head.SCRATCH_AT])
     at = h + 6 * n  # a record for the time being
     since, mem[r + Nav.CONSTRAINT_TIME] = mem[r + Nav.CONSTRAINT_TIME], 0.0
-    load_covariance(mem, r, n_navigation, m, mem, p)
     gyroscopes.allow_for_end(mem, r, n, since)
     yaw = yaw_state(mem)
     if still:
@@ -75,16 +71,14 @@ def constrain(mem, r, sample):
             contradiction.admit(mem, r, n)
     if still:
         v_n, v_e = mem[r + Nav.V_N], mem[r + Nav.V_E]
-        clear_rows(mem, h, n)
         dimensions = standstill.observe_velocity(mem, r, at, h, n)
         update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0)
         _note(mem, sample, at, Kind.ZERO_VELOCITY, dimensions)
         clear_rows(mem, h, n)
-        dimensions = standstill.observe_rate(mem, r, at, h, n, sample)
+        dimensions = standstill.observe_rate(mem, at, h, n, sample)
         gyroscopes.free(mem, r, at, n, dimensions, sample)
         update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0)
     elif mem[Head.LATERAL_SIGMA] > 0.0 and not _fixes_tell_the_heading(mem, r, mem[p + (n + 1) * yaw]):
-        clear_rows(mem, h, n)
         c = body_to_level(mem, r)
         if is_noisy(mem, r, sample):
             dimensions = acceleration.observe(mem, at, h, n, c, sample, since)
@@ -92,13 +86,12 @@ def constrain(mem, r, sample):
             clear_rows(mem, h, n)
         if not hides_turns(mem, sample):
             dimensions = non_holonomic.observe(mem, r, at, h, n, c, sample)
-            _constrain_motion(mem, r, at, n, h, vehicle_to_level(mem, r, c), dimensions, since)
+            _constrain_motion(mem, r, at, n, h, dimensions, since)
             _note(mem, sample, at, Kind.NON_HOLONOMIC, dimensions)
     else:
-        store_covariance(mem, p, n_navigation, m, mem, r)
+        store_covariance(mem, p, int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), mem, r)
         return
-    store_covariance(mem, p, n_navigation, m, mem, r)
-    feed_back(mem, r)
+    end_update(mem, r)
     if still:
         contradiction.stood(mem, r, v_n, v_e)
     set_radii(mem, r)
@@ -117,7 +110,7 @@ def _fixes_tell_the_heading(mem, r, variance):
     Without them the constraint is all there is against drifting away.
     """
     since = mem[r + Nav.TIME] - mem[r + Nav.FIX_TIME]
-    return variance > receiver.LARGEST_YAW_SIGMA**2 and since < receiver.LONGEST_PAIR
+    return variance > new_start.LARGEST_YAW_SIGMA**2 and since < new_start.LONGEST_PAIR
 
 
 @njit(_nrt=False)
@@ -133,10 +126,10 @@ def _turns(mem, r, sample, n, rate, sigmas):
 
 
 @njit(_nrt=False)
-def _constrain_motion(mem, r, at, n, h, c, dimensions, since):
+def _constrain_motion(mem, r, at, n, h, dimensions, since):
     """The components of the non-holonomic constraint one by one, each unless the vehicle does not keep to it.
 
-    c: rotation from the vehicle's axes to n. since: s from the one before. Each is judged by the variance as it is, so
+    since: s from the one before. Each is judged by the variance as it is, so
     that a slow IMU's is judged as a fast one's, and used with that for its interval.
     """
     for k in range(dimensions):

@@ -45,8 +45,7 @@ class _Nav(NamedTuple):
     RADII_LATITUDE: int = column()  # latitude at which the two scales were computed
     NORTH_SCALE: int = column()  # rad of latitude per metre
     EAST_SCALE: int = column()  # rad of longitude per metre
-    ACCELEROMETER_PHASE: int = column()  # s since the autoregressive model's last step
-    GYROSCOPE_PHASE: int = column()
+    PHASE: int = column(2)  # s since the last step of the autoregressive model of accelerometers and gyroscopes
     CONSTRAINT_TIME: int = column()  # s since the last vehicle constraint
     # Statistics of the inputs are part of the state, so that a return to an earlier state for a late fix restores them
     MEMORY: int = column(0)  # the first of these columns, which a prediction only copies
@@ -100,6 +99,7 @@ NAV = Nav.SIZE
 ROW = Part('a state', Nav.MECHANISMS, Nav.SIZE)
 PLANAR, STRAPDOWN = 0, 1
 MECHANIZATIONS = {PLANAR: planar, STRAPDOWN: strapdown}
+BY_NAME = {'planar': PLANAR, 'strapdown': STRAPDOWN}  # as the parameter `mechanization` has it
 
 
 class _Error(NamedTuple):
@@ -351,8 +351,7 @@ class _Head(NamedTuple):
     AXLE: int = column()
     SPEED_SCALE: int = column()
     TIME_OFFSET: int = column()  # of the receiver's stamps, in addition to gnss.time_offset
-    ACCELEROMETER_INTERVAL: int = column()  # s, T_s of the autoregressive model; 0: another model
-    GYROSCOPE_INTERVAL: int = column()
+    INTERVAL: int = column(2)  # s, T_s of the autoregressive models of accelerometers and gyroscopes; 0: other models
     MAX_GAP: int = column()  # s
     MAX_DELAY: int = column()  # s
     LEVER_X: int = column()  # of the antenna, body axes forward-right-down, m
@@ -430,9 +429,7 @@ class _Kind(NamedTuple):
     PLACE: int = 7  # a fix of a further receiver
     MAGNETIC: int = 8
     ZERO_VELOCITY: int = 9
-    ZERO_RATE: int = 10
     NON_HOLONOMIC: int = 11
-    WHEEL_VIBRATION: int = 12
 
 
 Kind = _Kind()
@@ -507,14 +504,14 @@ _STATES = WHITE + 6  # then those of the augmented states, as the functions belo
 
 
 @njit(inline='always')
-def decay_at(m, state):
-    """Position of 1/tau of an augmented state; m: number of augmented states."""
+def decay_at(state):
+    """Position of 1/tau of an augmented state."""
     return _STATES + state
 
 
 @njit(inline='always')
 def walk_at(m, state):
-    """Position of the variance that a state gains in a second (random walk)."""
+    """Position of the variance that a state gains in a second (random walk); m: number of augmented states."""
     return _STATES + m + state
 
 

@@ -228,7 +228,7 @@ def _carry_sensors(mem, dt, size, m):
     """The rows of the augmented states of T."""
     n = size + m
     for j in range(m):
-        decay, at = _decay(dt * mem[decay_at(m, j)]), int(mem[Head.HISTORY_AT]) + n * (size + j)
+        decay, at = _decay(dt * mem[decay_at(j)]), int(mem[Head.HISTORY_AT]) + n * (size + j)
         for k in range(at, at + n):
             mem[k] *= decay
 
@@ -298,7 +298,7 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
     decays = nonnegative(int(mem[Head.SCRATCH_AT]))
     scaled = 0 if mem[DriftSettings.LEARNED] == 0.0 else 6  # states whose driving noise trust/drift.py scales
     for j in range(m):
-        mem[decays + j] = _decay(dt * mem[decay_at(m, j)])
+        mem[decays + j] = _decay(dt * mem[decay_at(j)])
     for j in range(m):
         decay, column, before, row = mem[decays + j], dst + b + size * j, src + e + m * j, dst + e + m * j
         mem[dst + x + j] = decay * mem[src + x + j]
@@ -311,7 +311,7 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
                                  + mem[variance_at(m, j)] * (1.0 - decay * decay))
     if mem[Head.HISTORY_AT] > 0.0:
         _carry_sensors(mem, dt, nonnegative(size), nonnegative(m))
-    if mem[Head.ACCELEROMETER_INTERVAL] > 0.0:
+    if mem[Head.INTERVAL] > 0.0:
         _autoregressive(mem, src, dst, dt, size, m, p)
     mem[dst + Nav.CONSTRAINT_TIME] = mem[src + Nav.CONSTRAINT_TIME] + dt
 
@@ -322,7 +322,7 @@ def _autoregressive(mem, src, dst, dt, size, m, p):
     src, dst, size, m, p = nonnegative(src), nonnegative(dst), nonnegative(size), nonnegative(m), nonnegative(p)
     accelerometers, channels = (2, 3) if size == 5 else (3, 6)
     for sensor in range(2):
-        phase, interval = Nav.ACCELEROMETER_PHASE + sensor, mem[Head.ACCELEROMETER_INTERVAL + sensor]
+        phase, interval = Nav.PHASE + sensor, mem[Head.INTERVAL + sensor]
         first, last = (0, accelerometers) if sensor == 0 else (accelerometers, channels)
         mem[dst + phase] = mem[src + phase] + dt
         while mem[dst + phase] > interval * (1.0 - 1e-6):

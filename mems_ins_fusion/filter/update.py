@@ -10,9 +10,20 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..navigation import strapdown
 from . import history
-from .memory import NAV, PLANAR, Error, Event, Head, Nav, Verdict, nonnegative, row_of
+from .measurements.geometry import turn_attitude
+from .memory import (
+    NAV,
+    Error,
+    Event,
+    Head,
+    Nav,
+    Verdict,
+    load_covariance,
+    nonnegative,
+    row_of,
+    store_covariance,
+)
 
 #: sigmas: what fits worse than this is weighted down to it; of fixes it is a parameter
 ROBUST = 3.0
@@ -141,13 +152,7 @@ def feed_back(mem, r):
     mem[r + Nav.HEIGHT] += _error(mem, x, Error.R_D)
     for k in range(3):
         mem[r + Nav.V_N + k] -= _error(mem, x, Error.V_N + k)
-    if mem[Head.MECHANIZATION] == PLANAR:
-        mem[r + Nav.YAW] -= _error(mem, x, Error.PHI_D)
-    else:
-        q = strapdown.correct_attitude((mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z]),
-                                       _error(mem, x, Error.PHI_N), _error(mem, x, Error.PHI_E),
-                                       _error(mem, x, Error.PHI_D))
-        mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z] = q
+    turn_attitude(mem, r, _error(mem, x, Error.PHI_N), _error(mem, x, Error.PHI_E), _error(mem, x, Error.PHI_D))
     for i in range(size):
         mem[x + i] = 0.0
 
@@ -157,6 +162,29 @@ def _error(mem, x, error):
     """The estimate of one of the nine navigation errors, zero where the mechanization has it not; x: of position 0."""
     state = row_of(mem, error)
     return mem[x + state] if state >= 0 else 0.0
+
+
+@njit(_nrt=False)
+def scratch_of(mem):
+    """Number of states, and where P of a state stands in the scratch while it is corrected."""
+    return int(mem[Head.N_NAVIGATION]) + int(mem[Head.N_AUGMENTED]), int(mem[Head.SCRATCH_AT])
+
+
+@njit(_nrt=False)
+def begin_update(mem, r):
+    """P of the state at r in the scratch, and no rows of H behind it: the number of states, and where the rows begin.
+    """
+    n, p = scratch_of(mem)
+    load_covariance(mem, r, int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), mem, p)
+    clear_rows(mem, p + n * n, n)
+    return n, p + n * n
+
+
+@njit(_nrt=False)
+def end_update(mem, r):
+    """The corrected P from the scratch to the state at r, and the estimated errors into its solution."""
+    store_covariance(mem, int(mem[Head.SCRATCH_AT]), int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED]), mem, r)
+    feed_back(mem, r)
 
 
 @njit(_nrt=False)

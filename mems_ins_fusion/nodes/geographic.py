@@ -10,6 +10,8 @@ from rclpy.node import Node
 from ..errors import InputError
 from ..navigation.earth import from_local, to_local
 from ..navigation.frames import yaw_from_enu, yaw_of_quaternion
+from ..parameters.parameter import ParameterError
+from ..parameters.table import ALL
 
 #: of a start pose without any, m^2: the first fix tells the height better
 _HEIGHT_VARIANCE = 100.0
@@ -69,7 +71,7 @@ class GeographicServices:
     def __init__(self, node: Node, fusion, set_datum):
         from robot_localization.srv import FromLL, SetDatum, ToLL
 
-        self._fusion, self._set_datum = fusion, set_datum
+        self._node, self._fusion, self._set_datum = node, fusion, set_datum
         node.create_service(FromLL, 'fromLL', self.from_ll)
         node.create_service(ToLL, 'toLL', self.to_ll)
         node.create_service(SetDatum, 'datum', self.datum)
@@ -92,9 +94,14 @@ class GeographicServices:
         return response
 
     def datum(self, request, response):
-        """The local frame's origin from now on."""
+        """The local frame's origin from now on, within the limits of the parameter; one beyond them is logged."""
         place = request.geo_pose.position
-        self._set_datum(math.radians(place.latitude), math.radians(place.longitude), place.altitude)
+        try:
+            latitude, longitude, height = ALL['datum'].check([place.latitude, place.longitude, place.altitude])
+        except ParameterError as error:  # the service has no field for it
+            self._node.get_logger().error(f'service datum: the origin stays where it is: {error}')
+            return response
+        self._set_datum(math.radians(latitude), math.radians(longitude), height)
         return response
 
 

@@ -141,8 +141,8 @@ class Measurement:
         """`samples` converted by the settings (units, sign, known constant error)."""
         return samples
 
-    def records(self, settings: SensorSettings, samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Records (n, Event.SIZE) of `samples`, why each cannot be used ('' where it can), and warnings."""
+    def records(self, settings: SensorSettings, samples) -> tuple[np.ndarray, dict[int, str], dict[int, str]]:
+        """Records (n, Event.SIZE) of `samples`; by its index, why one cannot be used, and a warning."""
         raise NotImplementedError
 
     def off(self, measured: float, innovation: np.ndarray) -> str:

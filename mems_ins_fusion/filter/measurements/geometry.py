@@ -19,6 +19,27 @@ def body_to_level(mem, r):
 
 
 @njit(_nrt=False)
+def turn_attitude(mem, r, north, east, down):
+    """Take the small rotation (north, east, down), rad, out of the attitude of the state at r."""
+    if mem[Head.MECHANIZATION] == PLANAR:
+        mem[r + Nav.YAW] -= down
+        return
+    q = (mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z])
+    mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z] = strapdown.correct_attitude(
+        q, north, east, down)
+
+
+@njit(_nrt=False)
+def set_heading(mem, r, yaw):
+    """Give the body of the state at r another heading, rad; roll and pitch stay."""
+    if mem[Head.MECHANIZATION] == PLANAR:
+        mem[r + Nav.YAW] = yaw
+        return
+    roll, pitch, _ = strapdown.to_euler((mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z]))
+    mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z] = strapdown.from_euler(roll, pitch, yaw)
+
+
+@njit(_nrt=False)
 def rotate(c, x, y, z):
     """The body-axis vector (x, y, z) in n; c: rotation from b to n."""
     return (c[0] * x + c[1] * y + c[2] * z, c[3] * x + c[4] * y + c[5] * z, c[6] * x + c[7] * y + c[8] * z)

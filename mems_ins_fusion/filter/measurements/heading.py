@@ -21,7 +21,7 @@ Offsets = HEAD.place('Offsets', HEADING=1)
 
 
 @njit(_nrt=False)
-def observe(mem, r, at, h, n, c):
+def observe(mem, r, at, h, c):
     """Yaw, difference wrapped to half a turn; one component."""
     yaw, offset = int(mem[Head.MOUNTING_YAW]), own_state(mem, at, Offsets.HEADING)
     # yaw of the vehicle's axes in b, and what the heading is off by; `update` subtracts H times these estimates
@@ -76,11 +76,11 @@ class Heading(Measurement):
     def records(self, settings, headings):
         headings = self.declared(settings, headings)
         n = len(headings)
-        r, reasons = empty(Kind.HEADING, n), np.full(n, '', dtype=object)
+        r, reasons = empty(Kind.HEADING, n), {}
         refuse(reasons, ~(np.abs(headings.yaw) < LARGEST_YAW), lambda i: f'heading {headings.yaw[i]:g} rad: dropped')
         r[:, Event.VALUE] = headings.yaw
         r[:, Event.R_NN] = stated_or(headings.variance, settings, SMALLEST_SIGMA)
-        return r, reasons, np.full(n, '', dtype=object)
+        return r, reasons, {}
 
     def off(self, measured, innovation):
         return (f'heading {math.degrees(measured) % 360:.1f} deg, {math.degrees(abs(innovation[0])):.1f} deg off what '

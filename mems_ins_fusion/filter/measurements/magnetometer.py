@@ -187,7 +187,7 @@ class Magnetometer(Measurement):
     def records(self, settings, fields):
         n, size = len(fields), np.linalg.norm(settings.factor * fields.field, axis=1)
         fields = self.declared(settings, fields)
-        r, reasons = empty(Kind.MAGNETIC, n), np.full(n, '', dtype=object)
+        r, reasons = empty(Kind.MAGNETIC, n), {}
         if not settings.topic:  # then the filter has no states for the iron
             refuse(reasons, np.ones(n, dtype=bool), lambda i: f'{self.topic} is empty: magnetic field dropped')
         refuse(reasons, ~((size >= WEAKEST) & (size <= STRONGEST)), lambda i: f'magnetic field {1e6 * size[i]:.4g} uT '
@@ -196,7 +196,7 @@ class Magnetometer(Measurement):
         variance = stated_or(fields.variance, settings, SMALLEST_SIGMA) / settings.horizontal**2
         r[:, Event.R_NN] = r[:, Event.R_EE] = variance
         r[:, Event.DECLINATION] = settings.declination
-        return r, reasons, np.full(n, '', dtype=object)
+        return r, reasons, {}
 
     def off(self, measured, innovation):
         return (f'magnetic field of a heading {math.degrees(abs(innovation[0])):.0f} deg off, '

@@ -4,6 +4,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba.extending import register_jitable
 
 from mems_ins_fusion.compiled import njit
 
@@ -82,68 +83,62 @@ def observe_place(mem, r, at, h, n, c):
     return 3 if row_of(mem, Error.R_D) >= 0 else 2
 
 
-def is_place(latitude: np.ndarray, longitude: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """(n,) whether a land vehicle can be at each position, rad and m; false for NaN."""
-    return ((np.abs(latitude) <= math.pi / 2) & (np.abs(longitude) <= 2 * math.pi) & (height >= LOWEST)
+@register_jitable
+def is_place(latitude, longitude, height):
+    """Whether a land vehicle can be at a position, rad and m; false for NaN. Of numbers or of arrays."""
+    return ((abs(latitude) <= math.pi / 2) & (abs(longitude) <= 2 * math.pi) & (height >= LOWEST)
             & (height <= HIGHEST))
 
 
+@register_jitable
+def is_position(latitude, longitude, height, status):
+    """Whether a fix has a position; receivers without one send latitude 0, longitude 0. Of numbers or of arrays."""
+    return is_place(latitude, longitude, height) & ((latitude != 0) | (longitude != 0)) & (status >= 0)
+
+
 def is_fix(fixes) -> np.ndarray:
-    """(n,) which of `fixes` have a position; receivers without one send latitude 0, longitude 0."""
-    there = (fixes.latitude != 0) | (fixes.longitude != 0)
-    return is_place(fixes.latitude, fixes.longitude, fixes.height) & there & (fixes.status >= 0)
+    """(n,) which of `fixes` have a position."""
+    return is_position(fixes.latitude, fixes.longitude, fixes.height, fixes.status)
 
 
-def _refuse(reasons, fixes) -> None:
-    """Set the reasons of those for which `is_fix` is false."""
-    latitude, longitude, height = fixes.latitude, fixes.longitude, fixes.height
+@njit(_nrt=False)
+def _judge(records, covariance, kinds, sigma, default_sigma, usable, stated):
+    """Covariances of fixes as the filter takes them, and whether there is something to say of any of them.
 
-    def place(i):
-        return f'{math.degrees(latitude[i])}, {math.degrees(longitude[i])}, {height[i]}'
+    records (n, Event.SIZE): with position and status; variances are written to it. covariance (n, 3, 3), kinds (n,):
+    those of the messages and their types. sigma, default_sigma: parameters, m. usable (n,), output: whether each has a
+    position. stated (n,), output: whether its covariance is one.
+    """
+    smallest, default, say = SMALLEST_SIGMA**2, default_sigma**2, False
+    for i in range(len(records)):
+        r, ee, en = records[i], covariance[i, 0, 0], covariance[i, 0, 1]
+        nn, uu = covariance[i, 1, 1], covariance[i, 2, 2]
+        usable[i] = is_position(r[Event.LATITUDE], r[Event.LONGITUDE], r[Event.HEIGHT], r[Event.STATUS])
+        stated[i] = (math.isfinite(ee) and math.isfinite(en) and math.isfinite(nn) and math.isfinite(uu)
+                     and min(ee, nn) > 0.0 and nn * ee > en * en and kinds[i] != 0)
+        say = say or not (usable[i] and stated[i])
+        r[Event.R_NN], r[Event.R_NE], r[Event.R_EE], r[Event.R_DD] = default, 0.0, default, 4.0 * default
+        if stated[i]:
+            r[Event.R_NN], r[Event.R_NE], r[Event.R_EE] = max(nn, smallest), en, max(ee, smallest)
+            r[Event.R_DD] = max(uu, smallest) if uu > 0.0 else 4.0 * max(nn, ee, smallest)
+        if sigma > 0.0:
+            r[Event.R_NN], r[Event.R_NE], r[Event.R_EE] = sigma**2, 0.0, sigma**2
+            r[Event.R_DD] = max(r[Event.R_DD], sigma**2)
+    return say
 
-    refuse(reasons, fixes.status < 0, lambda i: f'status {int(fixes.status[i])}: no fix')
-    refuse(reasons, ~(np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(height)),
-           lambda i: f'latitude, longitude, altitude {place(i)}: fix dropped')
-    refuse(reasons, (np.abs(latitude) > math.pi / 2) | (np.abs(longitude) > 2 * math.pi),
-           lambda i: f'latitude {math.degrees(latitude[i]):.6f}, longitude {math.degrees(longitude[i]):.6f} deg is '
-                     'not on earth: fix dropped')
-    refuse(reasons, (height < LOWEST) | (height > HIGHEST),
-           lambda i: f'altitude {height[i]:g} m is no place for a land vehicle: fix dropped')
-    refuse(reasons, (latitude == 0) & (longitude == 0),
-           lambda i: 'latitude 0, longitude 0 is what receivers send without a fix: fix dropped')
 
-
-def records(settings, fixes):
-    """Records (n, Event.SIZE) of `fixes`, why each cannot be used ('' where it can), and a warning for each whose
-    covariance is not usable ('' else). settings: `GnssSettings`."""
-    n = len(fixes)
-    r, reasons, warnings = empty(Kind.POSITION, n), np.full(n, '', dtype=object), np.full(n, '', dtype=object)
-    latitude, longitude, height = fixes.latitude, fixes.longitude, fixes.height
-
-    if not is_fix(fixes).all():
-        _refuse(reasons, fixes)
-    ee, en, nn, uu = (fixes.covariance[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1), (2, 2)))
-    with np.errstate(invalid='ignore', over='ignore'):
-        stated = (np.isfinite(ee) & np.isfinite(en) & np.isfinite(nn) & np.isfinite(uu) & (np.minimum(ee, nn) > 0)
-                  & (nn * ee > en * en) & (fixes.covariance_type != 0))
-    smallest, default = SMALLEST_SIGMA**2, settings.default_sigma**2
-    if settings.sigma == 0:
-        for i in np.flatnonzero(~stated & (reasons == '')):
-            warnings[i] = (f'position_covariance (type {int(fixes.covariance_type[i])}) [{ee[i]:g}, {en[i]:g}, .., '
-                           f'{nn[i]:g}, .., {uu[i]:g}] says nothing: gnss.default_sigma '
-                           f'{settings.default_sigma:g} m is used')
-    r[:, Event.LATITUDE], r[:, Event.LONGITUDE], r[:, Event.HEIGHT] = latitude, longitude, height
-    r[:, Event.STATUS] = fixes.status
-    r[:, Event.R_NN] = np.where(stated, np.maximum(nn, smallest), default)
-    r[:, Event.R_NE] = np.where(stated, en, 0.0)
-    r[:, Event.R_EE] = np.where(stated, np.maximum(ee, smallest), default)
-    up = np.where(uu > 0, np.maximum(uu, smallest), 4 * np.maximum(nn, ee))
-    r[:, Event.R_DD] = np.where(stated, up, 4 * default)
-    if settings.sigma > 0:
-        r[:, Event.R_NN] = r[:, Event.R_EE] = settings.sigma**2
-        r[:, Event.R_NE] = 0.0
-        r[:, Event.R_DD] = np.maximum(r[:, Event.R_DD], settings.sigma**2)
-    return r, reasons, warnings
+def _reason(latitude: float, longitude: float, height: float, status: float) -> str:
+    """Why a fix that is no position (`is_position`) is none."""
+    degrees = math.degrees(latitude), math.degrees(longitude)
+    if status < 0:
+        return f'status {status:.0f}: no fix'
+    if not (math.isfinite(latitude) and math.isfinite(longitude) and math.isfinite(height)):
+        return f'latitude, longitude, altitude {degrees[0]}, {degrees[1]}, {height}: fix dropped'
+    if not is_place(latitude, longitude, 0.0):
+        return f'latitude {degrees[0]:.6f}, longitude {degrees[1]:.6f} deg is not on earth: fix dropped'
+    if not is_place(latitude, longitude, height):
+        return f'altitude {height:g} m is no place for a land vehicle: fix dropped'
+    return 'latitude 0, longitude 0 is what receivers send without a fix: fix dropped'
 
 
 def _of_gps_fix(fields) -> dict[str, np.ndarray]:
@@ -202,9 +197,23 @@ class Fix(Measurement):
         return f'fix {math.hypot(*innovation):.1f} m off'
 
     def records(self, settings, fixes):
-        found, reasons, warnings = records(settings, fixes)
-        found[:, Event.KIND] = Kind.POSITION if self.is_plain else Kind.PLACE
-        return found, reasons, warnings
+        """As of any measurement; a warning for a fix whose covariance is not usable."""
+        n = len(fixes)
+        r, reasons, warnings = empty(Kind.POSITION if self.is_plain else Kind.PLACE, n), {}, {}
+        r[:, Event.LATITUDE], r[:, Event.LONGITUDE], r[:, Event.HEIGHT] = fixes.latitude, fixes.longitude, fixes.height
+        r[:, Event.STATUS] = fixes.status
+        covariance, kinds = np.array(fixes.covariance, dtype=float), np.array(fixes.covariance_type, dtype=np.int64)
+        usable, stated = np.empty((2, n), dtype=bool)
+        if not _judge(r, covariance, kinds, settings.sigma, settings.default_sigma, usable, stated):
+            return r, reasons, warnings
+        position = [Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT, Event.STATUS]
+        refuse(reasons, ~usable, lambda i: _reason(*r[i, position].tolist()))
+        if settings.sigma == 0:
+            refuse(warnings, ~stated, lambda i: (
+                f'position_covariance (type {kinds[i]}) [{covariance[i, 0, 0]:g}, {covariance[i, 0, 1]:g}, .., '
+                f'{covariance[i, 1, 1]:g}, .., {covariance[i, 2, 2]:g}] says nothing: gnss.default_sigma '
+                f'{settings.default_sigma:g} m is used'))
+        return r, reasons, warnings
 
     def read(self, fields, message):
         if message == GPS_FIX:

@@ -88,14 +88,14 @@ class Pressure(Measurement):
     def records(self, settings, pressures):
         pressures = self.declared(settings, pressures)
         n, pressure = len(pressures), pressures.pressure
-        r, reasons = empty(Kind.PRESSURE, n), np.full(n, '', dtype=object)
+        r, reasons = empty(Kind.PRESSURE, n), {}
         possible = (pressure >= LOWEST) & (pressure <= HIGHEST)
         refuse(reasons, ~possible, lambda i: f'pressure {pressure[i]:g} Pa is none of the air: dropped '
                f'({self.name}.factor makes Pa of others)')
         there = np.where(possible, pressure, SEA_LEVEL)
         r[:, Event.VALUE] = height_of(there)
         r[:, Event.R_NN] = stated_or(pressures.variance, settings, SMALLEST_SIGMA) * metres_per_pascal(there) ** 2
-        return r, reasons, np.full(n, '', dtype=object)
+        return r, reasons, {}
 
     def off(self, measured, innovation):
         return f'pressure of a height that is {abs(innovation[0]):.1f} m off'

@@ -17,12 +17,11 @@ def empty(kind: int, n: int) -> np.ndarray:
     return records
 
 
-def refuse(reasons: np.ndarray, wrong: np.ndarray, text) -> None:
+def refuse(reasons: dict[int, str], wrong: np.ndarray, text) -> None:
     """Set reasons[i] to text(i) where `wrong` (n,) is true and there is no reason yet."""
-    if not wrong.any():
-        return
-    for i in np.flatnonzero(wrong & (reasons == '')):
-        reasons[i] = text(i)
+    for i in np.flatnonzero(wrong).tolist():
+        if i not in reasons:
+            reasons[i] = text(i)
 
 
 def stated_or(variance: np.ndarray, settings, smallest: float) -> np.ndarray:

@@ -17,7 +17,7 @@ from .records import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or
 
 
 @njit(_nrt=False)
-def observe(mem, r, at, h, n, c, sample):
+def observe(mem, r, at, h, c, sample):
     """Speed, positive forward; one component. measured = (1 + scale) true."""
     _, y, z = arm_of(mem, at, Head.AXLE_X)
     _, w_y, w_z = angular_rate(mem, r, sample)
@@ -36,7 +36,6 @@ def observe(mem, r, at, h, n, c, sample):
         mem[at + Event.Z_N] -= y * mem[r + NAV + gyroscope]
     mem[at + Event.Z_N] -= mem[at + Event.VALUE]
     return 1
-
 
 
 class Speed(Measurement):
@@ -75,11 +74,11 @@ class Speed(Measurement):
     def records(self, settings, speeds):
         speeds = self.declared(settings, speeds)
         n, speed = len(speeds), speeds.speed
-        r, reasons = empty(Kind.SPEED, n), np.full(n, '', dtype=object)
+        r, reasons = empty(Kind.SPEED, n), {}
         refuse(reasons, ~(np.abs(speed) < FASTEST), lambda i: f'speed {speed[i]:g} m/s: dropped')
         r[:, Event.VALUE] = speed
         r[:, Event.R_NN] = stated_or(speeds.variance, settings, SMALLEST_SPEED_SIGMA)
-        return r, reasons, np.full(n, '', dtype=object)
+        return r, reasons, {}
 
     def off(self, measured, innovation):
         return f'speed {measured:.2f} m/s where {measured + innovation[0]:.2f} m/s was expected'

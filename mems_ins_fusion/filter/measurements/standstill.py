@@ -21,7 +21,7 @@ def observe_velocity(mem, r, at, h, n):
 
 
 @njit(_nrt=False)
-def observe_rate(mem, r, at, h, n, sample):
+def observe_rate(mem, at, h, n, sample):
     """Zero angular rate, about the axes that are used: the IMU sample at `sample` is error and white noise. Returns the
     number of components."""
     count = 0

@@ -114,7 +114,7 @@ class Twist(Measurement):
     def records(self, settings, twists):
         twists = self.declared(settings, twists)
         n, twist = len(twists), twists.twist.copy()
-        r, reasons = empty(Kind.TWIST, n), np.full(n, '', dtype=object)
+        r, reasons = empty(Kind.TWIST, n), {}
         with np.errstate(invalid='ignore'):
             refuse(reasons, ~(np.abs(twist).max(axis=1) < FASTEST), lambda i: self.refusal(twist[i]))
         # drivers fill a component that they do not measure with zero and a small variance
@@ -122,7 +122,7 @@ class Twist(Measurement):
         r[:, Event.VALUE:Event.VALUE + 3] = twist
         for column, axis, of in ((Event.R_NN, 0, settings), (Event.R_EE, 1, settings), (Event.R_DD, 2, settings.turn)):
             r[:, column] = stated_or(twists.variance[:, axis], of, SMALLEST_SPEED_SIGMA)
-        return r, reasons, np.full(n, '', dtype=object)
+        return r, reasons, {}
 
     def refusal(self, twist):
         """Why a twist (3,), forward-right-clockwise, cannot be that of a vehicle."""

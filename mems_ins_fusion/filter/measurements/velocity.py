@@ -46,7 +46,7 @@ class Velocity(Measurement):
 
     def records(self, settings, velocities):
         n, v = len(velocities), velocities.velocity.copy()
-        r, reasons = empty(Kind.VELOCITY, n), np.full(n, '', dtype=object)
+        r, reasons = empty(Kind.VELOCITY, n), {}
         with np.errstate(over='ignore', invalid='ignore'):
             vertical = np.where(np.isnan(v[:, 2]), 0.0, v[:, 2])
             refuse(reasons, ~(np.hypot(np.hypot(v[:, 0], v[:, 1]), vertical) < FASTEST),
@@ -56,7 +56,7 @@ class Velocity(Measurement):
         r[:, Event.VALUE:Event.VALUE + 3] = v
         for column, axis in ((Event.R_NN, 0), (Event.R_EE, 1), (Event.R_DD, 2)):
             r[:, column] = stated_or(velocities.covariance[:, axis, axis], settings, SMALLEST_SPEED_SIGMA)
-        return r, reasons, np.full(n, '', dtype=object)
+        return r, reasons, {}
 
     def read(self, fields, message):
         covariance = fields['twist.covariance'][:, :9].reshape(-1, 3, 3)

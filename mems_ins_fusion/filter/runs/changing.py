@@ -39,8 +39,7 @@ KEPT = 100  # fixes whose innovations are kept: two filters process the same fix
 STANDING = 0.05  # m/s: at a lower speed the vehicle stands, and no controller depends on its pose
 #: attributes that stay when another filter takes over: outputs, messages and counts
 _STAYS = frozenset({'odometry', 'geodetic', 'position_covariance_enu', 'datum', 'tallies', 'gaps', 'waited', '_notices',
-                    '_judged', '_said', '_said_mounting', '_next_look', '_recent', '_last_recovery',
-                    '_new_starts', '_using_fixes'})
+                    '_judged', '_said', '_said_mounting', '_next_look', '_recent', '_last_recovery', '_using_fixes'})
 
 
 @dataclass(frozen=True)

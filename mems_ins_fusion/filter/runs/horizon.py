@@ -29,19 +29,17 @@ from ..memory import (
     Kind,
     Nav,
     Sample,
-    load_covariance,
     nonnegative,
     sample_at,
     scratch_size,
     state_at,
-    store_covariance,
     variance_factor,
     views,
 )
 from ..prediction import predict
 from ..trust.inputs import SPEED_LASTS
 from ..trust.scale import KINDS, Kinds, Seen, scale
-from ..update import feed_back, update
+from ..update import begin_update, end_update, update
 from .odometry import added_covariance
 
 #: s, step of the prediction: constraints have the same weight at this interval as at CONSTRAINT_INTERVAL
@@ -158,20 +156,14 @@ def _accelerate(mem, r, sample):
 @njit(_nrt=False)
 def _take_speed(mem, r, sample, interval):
     """Correct the covariance of the state at r with the wheel speeds of a step, innovation zero."""
-    n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
-    n, p, at = n_navigation + m, int(mem[Head.SCRATCH_AT]), int(mem[Head.EVENTS_AT])
-    h = p + n * n
-    load_covariance(mem, r, n_navigation, m, mem, p)
-    for i in range(3 * n):
-        mem[h + i] = 0.0
-    dimensions = speed.observe(mem, r, at, h, n, body_to_level(mem, r), sample)
+    (n, h), at = begin_update(mem, r), int(mem[Head.EVENTS_AT])
+    dimensions = speed.observe(mem, r, at, h, body_to_level(mem, r), sample)
     mem[at + Event.Z_N] = 0.0
     for i in range(n):
         mem[at + Event.Z_N] += mem[h + i] * mem[r + NAV + i]
     factor = max(scale(mem, r + Kinds.SEEN + Seen.SIZE * (int(Kind.SPEED) % KINDS)), 1.0)
     update(mem, r, at, n, dimensions, factor * max(interval, SPEED_LASTS) / STEP, 0.0, 0.0)
-    store_covariance(mem, p, n_navigation, m, mem, r)
-    feed_back(mem, r)
+    end_update(mem, r)
 
 
 @njit(_nrt=False)

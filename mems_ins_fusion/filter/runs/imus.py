@@ -39,7 +39,10 @@ class Imus:
         self.tallies = {name: Tally() for name in self.names}
         #: by name, what is wrong with an IMU now: level and text
         self.found: dict[str, tuple[str, str]] = {}
-        self._arms = [_arm_corrector(values, settings) for settings in self.settings]
+        # what an IMU beside the first would measure there; None of one that is there
+        self._arms = [AccelerometerLeverArm().corrector({'imu.lever_arm': settings.arm},
+                                                        mounting(values['imu.mounting_rpy']))
+                      for settings in self.settings]
         n = len(self.names)
         self._book = book_of(n, values)
         self._notices: list[Notice] = []
@@ -188,8 +191,3 @@ def _turned(rotation: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """`vectors` (n, 3) turned by `rotation` (3, 3), written out: the same bits for one sample and for many."""
     return np.stack([row[0] * vectors[:, 0] + row[1] * vectors[:, 1] + row[2] * vectors[:, 2] for row in rotation],
                     axis=1)
-
-
-def _arm_corrector(values: dict, settings: InertialSettings):
-    """What an IMU beside the first would measure there; None where it is there."""
-    return AccelerometerLeverArm().corrector({'imu.lever_arm': settings.arm}, mounting(values['imu.mounting_rpy']))

@@ -20,6 +20,8 @@ JUMP_COUNT = 5  # samples in a row, out of order with the earlier ones, after wh
 #: s: a measurement stamped this much after the newest IMU sample is of another clock; the kernel checks more closely
 LATEST = 5.0
 GOOD, NOT_FINITE, NOT_FOLLOWING, JUMPED = 0, 1, 2, 3  # codes of IMU samples by `follow`
+#: codes of measurements that are not used: no valid value, the stamp of the one before, stamped ahead of the IMU, late
+NO_MEASUREMENT, TWIN, STAMPED_AHEAD, STAMPED_LATE = 1, 2, 3, 4
 
 
 @dataclass(frozen=True)
@@ -62,13 +64,37 @@ def follow(state, stamp, values, restart_gap, step_back, codes):
             codes[i] = JUMPED
 
 
+@njit(_nrt=False)
+def check_stamps(records, stamp, newest, last, late, epoch, latest, most_ahead, codes):
+    """Check the stamps of measurements and write their times to the records. The last valid stamp.
+
+    records (n, Event.SIZE). stamp (n,) ns. newest (n,): ns, stamp of the last IMU sample before each. last: ns, last
+    valid stamp before; -1: none. late: ns, by which the stamps are late. epoch: ns. latest, most_ahead: s, by which a
+    measurement may be before and after the newest sample. codes (n,): 0 where a measurement is valid, also the output.
+    """
+    for i in range(len(records)):
+        if codes[i] != 0:
+            continue
+        if stamp[i] == last:
+            codes[i] = TWIN
+            continue
+        last = stamp[i]
+        records[i, Event.TIME] = (stamp[i] - late - epoch) * 1e-9
+        ahead = (stamp[i] - late - newest[i]) * 1e-9
+        if ahead > most_ahead:
+            codes[i] = STAMPED_AHEAD
+        elif -ahead > latest:
+            codes[i] = STAMPED_LATE
+    return last
+
+
 class Intake:
     """Base class of the live filter and the replay: checks their inputs and collects messages to the user."""
 
     def __init__(self, config: FilterConfig):
         self.config = config
         self._follow = np.full(3, -1, dtype=np.int64)
-        self._last = dict.fromkeys(config.inputs, None)  # stamp of the last valid measurement of each input, ns
+        self._last = dict.fromkeys(config.inputs, -1)  # stamp of the last valid measurement of each input, ns; -1: none
         self._notices: list[Notice] = []
         self._restart_gap = round(config.imu.restart_gap * 1e9)
         self._step_back = round(config.imu.max_gap * 1e9)
@@ -120,43 +146,47 @@ class Intake:
     def name(self, kind: int) -> str:
         return self.config.inputs[kind].name
 
-    def measured(self, kind: int, samples, newest: np.ndarray, epoch: int) -> tuple[list[int], np.ndarray]:
+    def measured(self, kind: int, samples, newest: np.ndarray, epoch: int) -> tuple[np.ndarray, np.ndarray]:
         """Valid measurements among `samples` of one input, in the order of arrival: their indices and records.
 
         kind: number of the input. newest (n,): ns, stamp of the last IMU sample before each. epoch: ns, time zero of
-        the filter. Lists instead of arrays: live there is one measurement, for which arrays take ten times as long.
+        the filter.
         """
-        measurement, settings = self.config.inputs[kind], self.config.settings_of(kind)
+        measurement, settings, offset = self.config.inputs[kind], self.config.settings_of(kind), self._offsets[kind]
         records, reasons, warnings = measurement.records(settings, samples)
-        reasons, warnings, offset = reasons.tolist(), warnings.tolist(), self._offsets[kind]
-        self._refuse_twins(kind, samples.stamp.tolist(), reasons)
-        for reason, warning in zip(reasons, warnings):
-            if reason:
-                self.refusal = _NUMBER.sub('#', reason)
-            if reason or warning:
-                self.say('warning', f'{settings.topic}: {reason or warning}')
-        late = round(offset * 1e9)
-        stamps = [stamp - late for stamp in samples.stamp.tolist()]
-        used, latest, most_ahead = [], self._latest, LATEST + max(-offset, 0.0)
-        for i, (reason, stamp, now) in enumerate(zip(reasons, stamps, newest.tolist())):
-            ahead = (stamp - now) * 1e-9
-            if reason:
-                continue
-            if ahead > most_ahead:
-                self.refusal = 'stamped ahead of the IMU'
-                self._say_ahead(kind, ahead, stamp, now)
-            elif -ahead > latest:
-                self.refusal = 'too late'
-                self.say_not_taken(kind, TOO_LATE, stamp, now)
-            else:
-                used.append(i)
-        records = records if len(used) == len(records) else records[used]
-        records[:, Event.TIME] = [(stamps[i] - epoch) * 1e-9 for i in used]
+        codes, late = np.zeros(len(records), dtype=np.int64), round(offset * 1e9)
+        for i in reasons:
+            codes[i] = NO_MEASUREMENT
+        stamp = np.array(samples.stamp, dtype=np.int64)
+        self._last[kind] = check_stamps(records, stamp, newest, self._last[kind], late, epoch, self._latest,
+                                        LATEST + max(-offset, 0.0), codes)
+        used = (codes == 0).nonzero()[0]
+        if len(used) < len(records) or warnings:
+            self._explain(kind, codes, stamp, newest, late, reasons, warnings)
+            records = records[used]
         if not measurement.is_plain:
             records[:, Event.INPUT] = measurement.event_input
             records[:, Event.STATE] = self.config.layout.index(measurement.state)
             records[:, Event.ARM:Event.ARM + 3] = measurement.arm
         return used, records
+
+    def _explain(self, kind: int, codes, stamp, newest, late: int, reasons: dict, warnings: dict) -> None:
+        """A message on each measurement that is not used, or has a warning."""
+        topic = self.topic(kind)
+        for i in np.flatnonzero(codes == TWIN).tolist():
+            reasons[i] = f'header.stamp {stamp[i] * 1e-9:.6f} s came twice: second {self.name(kind)} dropped'
+        for i in sorted({*reasons, *warnings}):
+            if i in reasons:
+                self.refusal = _NUMBER.sub('#', reasons[i])
+            self.say('warning', f'{topic}: {reasons.get(i) or warnings[i]}')
+        for i in np.flatnonzero((codes == STAMPED_AHEAD) | (codes == STAMPED_LATE)).tolist():
+            at, now = int(stamp[i]) - late, int(newest[i])
+            if codes[i] == STAMPED_AHEAD:
+                self.refusal = 'stamped ahead of the IMU'
+                self._say_ahead(kind, (at - now) * 1e-9, at, now)
+            else:
+                self.refusal = 'too late'
+                self.say_not_taken(kind, TOO_LATE, at, now)
 
     def _say_ahead(self, kind: int, ahead: float, stamp: int, newest: int) -> None:
         before, sample = self._ahead[kind]
@@ -166,17 +196,6 @@ class Intake:
             why = f'nothing has come on {self.config.imu.topic} since'
         self.say('warning', f'{self.topic(kind)}: {self.name(kind)} stamped {ahead:.1f} s after the newest IMU sample: '
                             f'{why}; dropped')
-
-    def _refuse_twins(self, kind: int, stamps: list[int], reasons: list[str]) -> None:
-        """Refuse measurements with the stamp of the one before: messages that came twice."""
-        last = self._last[kind]
-        for i, stamp in enumerate(stamps):
-            if reasons[i]:
-                continue
-            if stamp == last:
-                reasons[i] = f'header.stamp {stamp * 1e-9:.6f} s came twice: second {self.name(kind)} dropped'
-            last = stamp
-        self._last[kind] = last
 
     def say_not_taken(self, kind: int, answer: int, stamp: int, newest: int) -> None:
         late, why = (newest - stamp) * 1e-9, ''
@@ -197,15 +216,10 @@ def first_datum(config: FilterConfig, imu: ImuSamples, fixes: Fixes) -> np.ndarr
         return config.datum
     order = np.argsort(fixes.received, kind='stable')
     arrival = np.searchsorted(imu.received, fixes.received[order], side='right')
-    fixes, newest = fixes.select(order[arrival > 0]), imu.stamp[arrival[arrival > 0] - 1]
-    found: list[tuple[float, float, float]] = []
-    intake = Intake(config)
-    for i in range(len(fixes)):
-        used, records = intake.measured(Kind.POSITION, fixes.select(slice(i, i + 1)), newest[i:i + 1], 0)
-        found += [tuple(record[[Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT]].tolist()) for record in records]
-        if len(found) == DATUM_FIXES:
-            break
-    return first_place(found) if found else None
+    there = arrival > 0
+    _, records = Intake(config).measured(Kind.POSITION, fixes.select(order[there]), imu.stamp[arrival[there] - 1], 0)
+    found = records[:DATUM_FIXES, [Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT]]
+    return first_place(found.tolist()) if len(found) else None
 
 
 def remove_effects(correctors: list, stamp, values, celsius) -> np.ndarray:

@@ -16,7 +16,7 @@ from ..advance import TAKEN
 from ..bank import Bank
 from ..config import FilterConfig
 from ..measurements import wheel_vibration
-from ..memory import Event, Head, Kind, Nav, Verdict, newest_row
+from ..memory import Event, Head, Kind, Verdict, newest_row
 from ..start.alignment import STANDING_SIGMA, Alignment
 from ..start.course import start_covariance
 from ..start.initial import initialize, sensor_errors_of
@@ -69,10 +69,12 @@ class FusionFilter(FilterStatus):
         self._outage_after = round(config.gnss.outage_after * 1e9)
         self._correctors = config.correctors()
         self._celsius = math.nan
-        # arguments of the kernel: one sample, and empty arrays
+        # arguments of the kernel: one sample, and empty arrays; and one fix (new arrays are slow)
         self._sample, self._stamp = np.zeros((1, 7)), np.zeros(1, dtype=np.int64)
         self._columns, self._states = columns(config.layout), np.zeros((0, len(columns(config.layout))))
         self._none, self._log = np.zeros(0, dtype=np.int64), np.zeros((0, Event.SIZE))
+        self._fix = Fixes(*np.zeros((2, 1), dtype=np.int64), *np.zeros((3, 1)), np.zeros((1, 3, 3)),
+                          *np.zeros((2, 1), dtype=np.int64))
         self._answer, self._before = np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int64)
         self._using_fixes = True
         self._max_gap = round(config.imu.max_gap * 1e9)
@@ -88,17 +90,16 @@ class FusionFilter(FilterStatus):
         self._epoch: int | None = None
         self._newest_fix = 0
         self._outage = False
-        self._last = dict.fromkeys(self._last)
+        self._last = dict.fromkeys(self._last, -1)
         self._pending: dict[int, tuple[int, int]] = {}
         self._judged: list[Judgement] = []
         self._ids = 0
         #: counts of each input, by its name
         self.tallies = {name: Tally() for name in ('imu', *(one.name for one in self.config.inputs.values()))}
         self._said_faults = bytes(8 * Fault.SIZE)  # the counts as bytes, which are quick to compare
-        self._restarts = 0.0
+        self._starts = 0.0, 0.0  # of the published state: after one that was not finite, and from refused fixes
         self._last_gap, self.gaps = 0.0, 0
         self._last_fault = self._last_recovery = -math.inf
-        self._new_starts = 0.0  # from refused fixes, of the published state
         self._fault = ''
         self._recent: deque[list[float]] = deque(maxlen=ADRIFT)  # records of fixes
         self._next_look = 0  # ns: time of the next check whether the vehicle contradicts the parameters
@@ -173,9 +174,9 @@ class FusionFilter(FilterStatus):
         self._filter(self._memory, sample, self._log, self._none)
         if self._memory[Imu.FAULTS:Imu.FAULTS + Fault.SIZE].tobytes() != self._said_faults:
             self._say_faults(stamp)
-        self._say_restarts(stamp)
         if self._pending:
             self._judge()
+        self._say_new_starts()
         if stamp - self._newest_fix > self._outage_after and not self._outage:
             self._outage = True
             self.say('warning', f'no fix used from {self.config.gnss.topic} for '
@@ -198,23 +199,24 @@ class FusionFilter(FilterStatus):
     def add_fix(self, stamp: int, latitude, longitude, height, covariance, status=0, covariance_type=2) -> None:
         """One fix of the antenna: rad, m; covariance: nine numbers, east-north-up, as in `NavSatFix`."""
         if self._using_fixes:
-            stamps = np.array([stamp], dtype=np.int64)
-            self._add(Kind.POSITION, Fixes(stamps, stamps, *_ones(latitude, longitude, height),
-                                           np.reshape(np.asarray(covariance, dtype=float), (1, 3, 3)),
-                                           np.array([status]), np.array([covariance_type])))
+            fix = self._fix
+            fix.stamp[0], fix.latitude[0], fix.longitude[0], fix.height[0] = stamp, latitude, longitude, height
+            fix.covariance[0] = np.reshape(covariance, (3, 3))
+            fix.status[0], fix.covariance_type[0] = status, covariance_type
+            self._add(Kind.POSITION, fix)
 
     def add(self, name: str, stamp: int, *numbers) -> None:
         """One measurement of the input `name`; numbers: the fields of its samples (`Measurement.samples`), in order."""
         measurement = next(m for m in self.config.inputs.values() if m.name == name)
         if self._using_fixes or not measurement.of_antenna:
-            stamps = np.array([stamp], dtype=np.int64)
-            self._add(measurement.number, measurement.samples(stamps, stamps, *_ones(*numbers)))
+            stamps, values = np.array([stamp], dtype=np.int64), (np.array([number], dtype=float) for number in numbers)
+            self._add(measurement.number, measurement.samples(stamps, stamps, *values))
 
     def _add(self, kind: int, samples) -> None:
         stamp = int(samples.stamp[0])
         if self._epoch is None:  # nothing to compare it with yet
             return
-        used, records = self.measured(kind, samples, np.array([self._now]), self._epoch)
+        used, records = self.measured(kind, samples, self._follow[:1], self._epoch)
         tally = self.tallies[self.name(kind)]
         if not len(used):
             tally.refuse(stamp, self.refusal)
@@ -223,7 +225,9 @@ class FusionFilter(FilterStatus):
         stamp = self._epoch + round(float(record[Event.TIME]) * 1e9)  # float: numpy rounds ten times slower
         if kind == Kind.POSITION:
             self._height_sigma = math.sqrt(record[Event.R_DD])
-            self._find_datum(record)
+            if self.datum is None:
+                self._first_places.append(record[[Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT]].tolist())
+                self.datum = first_place(self._first_places) if len(self._first_places) == DATUM_FIXES else None
         if self._memory is None:
             if record[Event.KIND] == Kind.MAGNETIC:
                 self._alignment.add_field(record)
@@ -244,17 +248,11 @@ class FusionFilter(FilterStatus):
             return
         self._pending[self._ids - 1] = kind, stamp
         self._judge()
+        self._say_new_starts()
 
     def _begin(self, start: Start, stamp: int) -> None:
         self._memory, self._newest_fix = self._started(start), stamp
         self._provisional = None
-
-    def _find_datum(self, record) -> None:
-        """Origin of the local frame from the first valid fixes, where no parameter gives it."""
-        if self.datum is None:
-            self._first_places.append(tuple(record[[Event.LATITUDE, Event.LONGITUDE, Event.HEIGHT]].tolist()))
-            if len(self._first_places) == DATUM_FIXES:
-                self.datum = first_place(self._first_places)
 
     def _started(self, start: Start) -> np.ndarray:
         """Memory of a filter that has begun with `start` and processed all samples since."""
@@ -326,11 +324,6 @@ class FusionFilter(FilterStatus):
                                           tuple(record[Event.Z_N:Event.Z_N + measurement.components]),
                                           record[Event.NIS]))
             tally, misfit = self.tallies[measurement.name], record[Event.NIS] / measurement.components
-            if used and kind == Kind.POSITION and self._has_started_anew():
-                self._last_recovery = stamp * 1e-9
-                lasted = (stamp - tally.since) * 1e-9
-                self.say('warning', f'{self.topic(kind)}: the fixes refused for {lasted:.0f} s agree with each other: '
-                                    'position, velocity and heading restart from them')
             if used:
                 tally.use(misfit)
             elif verdict != Verdict.AWAITED:  # that is usual at the beginning of a drive
@@ -338,11 +331,6 @@ class FusionFilter(FilterStatus):
                 self.say('warning', f'{self.topic(kind)}: {self._refusal(kind, verdict, stamp, record)}')
             if kind == Kind.POSITION:
                 self._fix_judged(used, stamp, record)
-
-    def _has_started_anew(self) -> bool:
-        """Whether the published state has started anew from refused fixes since the last call."""
-        before, self._new_starts = self._new_starts, newest_row(self._memory)[Nav.RECOVERIES]
-        return self._new_starts > before
 
     def _fix_judged(self, used: bool, stamp: int, record) -> None:
         topic = self.config.gnss.topic
@@ -393,7 +381,3 @@ class FusionFilter(FilterStatus):
         follow = self._follow.copy()
         self.follow(np.array([0], dtype=np.int64), sample[:, 1:])
         self._follow[:] = follow
-
-
-def _ones(*values) -> tuple[np.ndarray, ...]:
-    return tuple(np.array([value], dtype=float) for value in values)

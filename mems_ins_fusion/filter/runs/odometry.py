@@ -7,11 +7,10 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-from ...navigation import planar, strapdown
+from ...navigation import strapdown
 from ...navigation.earth import to_local
 from ..memory import (
     NAV,
-    PLANAR,
     Error,
     Head,
     Nav,
@@ -38,28 +37,30 @@ PLANAR_VERTICAL_SIGMA = 0.5  # m/s, standard deviation of the vertical velocity,
 
 
 @njit
-def corrected(row, r, is_planar, open_loop):
+def estimated(row, r, rows, error):
+    """Estimate of one of the nine navigation errors; zero where the mechanization does not have it."""
+    return row[r + NAV + int(rows[error])] if rows[error] >= 0 else 0.0
+
+
+@njit
+def corrected(row, r, rows, open_loop):
     """Latitude, longitude, height, v_n, v_e, v_d and the quaternion from b to n of the state at r; open loop: minus the
-    estimated errors x."""
-    x = r + NAV
-    if is_planar:
+    estimated errors x. rows (9,): `StateLayout.rows`."""
+    if rows[Error.PHI_N] < 0:
         q = (math.cos(0.5 * row[r + Nav.YAW]), 0.0, 0.0, math.sin(0.5 * row[r + Nav.YAW]))
     else:
         q = (row[r + Nav.Q_W], row[r + Nav.Q_X], row[r + Nav.Q_Y], row[r + Nav.Q_Z])
     latitude, longitude, height = row[r + Nav.LATITUDE], row[r + Nav.LONGITUDE], row[r + Nav.HEIGHT]
     v_n, v_e, v_d = row[r + Nav.V_N], row[r + Nav.V_E], row[r + Nav.V_D]
     if open_loop:
-        latitude -= row[x] * row[r + Nav.NORTH_SCALE]
-        longitude -= row[x + 1] * row[r + Nav.EAST_SCALE]
-        if is_planar:
-            s = planar.State
-            v_n, v_e = v_n - row[x + s.V_N], v_e - row[x + s.V_E]
-            q = strapdown.correct_attitude(q, 0.0, 0.0, row[x + s.YAW])
-        else:
-            t = strapdown.State
-            height += row[x + t.R_D]
-            v_n, v_e, v_d = v_n - row[x + t.V_N], v_e - row[x + t.V_E], v_d - row[x + t.V_D]
-            q = strapdown.correct_attitude(q, row[x + t.PHI_N], row[x + t.PHI_E], row[x + t.PHI_D])
+        latitude -= estimated(row, r, rows, Error.R_N) * row[r + Nav.NORTH_SCALE]
+        longitude -= estimated(row, r, rows, Error.R_E) * row[r + Nav.EAST_SCALE]
+        height += estimated(row, r, rows, Error.R_D)
+        v_n -= estimated(row, r, rows, Error.V_N)
+        v_e -= estimated(row, r, rows, Error.V_E)
+        v_d -= estimated(row, r, rows, Error.V_D)
+        q = strapdown.correct_attitude(q, estimated(row, r, rows, Error.PHI_N), estimated(row, r, rows, Error.PHI_E),
+                                       estimated(row, r, rows, Error.PHI_D))
     return latitude, longitude, height, v_n, v_e, v_d, q
 
 
@@ -114,14 +115,14 @@ def odometry(memory, datum, height_sigma, out, geodetic, geodetic_covariance):
     n_navigation, m = int(memory[Head.N_NAVIGATION]), int(memory[Head.N_AUGMENTED])
     newest = int(memory[Head.SAMPLES])
     r, sample, n = state_at(memory, newest), sample_at(memory, newest), n_navigation + m
-    is_planar = memory[Head.MECHANIZATION] == PLANAR
     full = int(memory[Head.SCRATCH_AT])  # n x n
     load_covariance(memory, r, n_navigation, m, memory, full)
     factor = variance_factor(memory, r)
     for k in range(full, full + n * n):
         memory[k] *= factor
     add_to_covariance(memory, full, n, velocity_state(memory), memory, r)
-    latitude, longitude, height, v_n, v_e, v_d, q = corrected(memory, r, is_planar, memory[Head.OPEN_LOOP] != 0.0)
+    latitude, longitude, height, v_n, v_e, v_d, q = corrected(
+        memory, r, memory[Head.ROWS:Head.ROWS + Error.SIZE], memory[Head.OPEN_LOOP] != 0.0)
     geodetic[0], geodetic[1], geodetic[2] = latitude, longitude, height
     north, east, down = to_local(latitude, longitude, height, datum)
     out[0], out[1], out[2] = east, north, -down

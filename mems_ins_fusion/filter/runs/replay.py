@@ -188,7 +188,7 @@ class Replay(Intake):
         parts = []
         for kind in self.arrival:
             arrival = self.arrival[kind]
-            self._last[kind] = None
+            self._last[kind] = -1
             mine = np.flatnonzero((arrival > kept[0]) & (arrival <= end))
             before = np.searchsorted(kept, arrival[mine])  # number of samples of this stretch before each
             used, records = self.measured(kind, self.inputs[kind].select(mine), self.imu.stamp[kept[before - 1]], epoch)

@@ -7,15 +7,14 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-from ...navigation import planar
 from ...navigation.strapdown import to_euler
 from ..config import FilterConfig
-from ..memory import NAV, Event, Kind, Nav, StateLayout, Verdict, covariance_index
+from ..memory import NAV, Error, Event, Kind, Nav, StateLayout, Verdict, covariance_index
 from ..start.start import Start
 from ..trust.hypotheses import Hypothesis
 from ..trust.lag import Lag
 from .intake import Notice
-from .odometry import added_covariance, corrected
+from .odometry import added_covariance, corrected, estimated
 
 #: columns kept in addition to solution and covariance: to convert angles to metres and P to the published covariance,
 #: and the lag of a receiver that smooths
@@ -120,7 +119,7 @@ def result(config: FilterConfig, stamp, index, states, measured: MeasurementLog,
     rows = np.zeros((len(states), NAV + layout.n))
     kept = columns(layout)[:Nav.RADII_LATITUDE + len(_SCALES) + layout.n].astype(np.int64)
     rows[:, kept] = states[:, :len(kept)]
-    solution = _solution(rows, config.layout.is_level, config.open_loop)
+    solution = _solution(rows, np.array(layout.rows, dtype=float), config.open_loop)
     x = rows[:, NAV:]
     first, p = layout.n_navigation, layout.order
     at = len(kept)
@@ -136,15 +135,15 @@ def result(config: FilterConfig, stamp, index, states, measured: MeasurementLog,
 
 
 @njit
-def _solution(rows, is_planar, open_loop):
-    """Latitude, longitude, height, v_n, v_e, v_d, roll, pitch, yaw of each state."""
-    out = np.empty((len(rows), 9))
-    for k in range(len(rows)):
+def _solution(states, rows, open_loop):
+    """Latitude, longitude, height, v_n, v_e, v_d, roll, pitch, yaw of each state. rows (9,): `StateLayout.rows`."""
+    out = np.empty((len(states), 9))
+    for k in range(len(states)):
         (out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4], out[k, 5],
-         q) = corrected(rows[k], 0, is_planar, open_loop)
-        if is_planar:
+         q) = corrected(states[k], 0, rows, open_loop)
+        if rows[Error.PHI_N] < 0:
             out[k, 6] = out[k, 7] = 0.0
-            out[k, 8] = rows[k, Nav.YAW] - (rows[k, NAV + planar.State.YAW] if open_loop else 0.0)
+            out[k, 8] = states[k, Nav.YAW] - (estimated(states[k], 0, rows, Error.PHI_D) if open_loop else 0.0)
         else:
             out[k, 6], out[k, 7], out[k, 8] = to_euler(q)
     return out

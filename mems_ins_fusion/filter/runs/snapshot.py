@@ -39,7 +39,7 @@ def make_snapshot(config: FilterConfig, memory: np.ndarray, stamp: int) -> dict:
 
 
 def _solution(config: FilterConfig, memory: np.ndarray) -> tuple:
-    return corrected(newest_row(memory), 0, config.layout.is_level, config.open_loop)
+    return corrected(newest_row(memory), 0, np.array(config.layout.rows, dtype=float), config.open_loop)
 
 
 def vehicle_heading(config: FilterConfig, memory: np.ndarray) -> tuple[float, float]:

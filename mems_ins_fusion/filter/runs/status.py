@@ -96,7 +96,7 @@ class FilterStatus(Intake):
     def state(self) -> str:
         """waiting, aligning, fusing, coasting, degraded or recovering."""
         if self._memory is None:
-            return 'aligning' if self._last[Kind.POSITION] is not None else 'waiting'
+            return 'aligning' if self._last[Kind.POSITION] != -1 else 'waiting'
         if self._now * 1e-9 - self._last_recovery < RECOVERING:
             return 'recovering'
         if self._outage:
@@ -149,12 +149,20 @@ class FilterStatus(Intake):
                 self.say('warning', f'{self.config.imu.topic}: linear_acceleration ({f}), angular_velocity ({w}): '
                                     f'{FAULTS[fault]}: sample not believed, bridged')
 
-    def _say_restarts(self, stamp: int) -> None:
-        restarts = float(newest_row(self._memory)[Nav.RESTARTS])
-        if restarts > self._restarts:
-            self._last_recovery = stamp * 1e-9
+    def _say_new_starts(self) -> None:
+        """Say why the published state has started anew since the last call, if it has."""
+        row, before = newest_row(self._memory), self._starts
+        self._starts = row.item(Nav.RESTARTS), row.item(Nav.RECOVERIES)
+        if self._starts == before:
+            return
+        if self._starts[0] > before[0]:
+            self._last_recovery = self._now * 1e-9
             self.say('error', 'the state was not finite: the filter went back to the last good one')
-        self._restarts = restarts
+        if self._starts[1] > before[1]:
+            self._last_recovery = self._now * 1e-9
+            lasted = (self._now - self.tallies['fix'].since) * 1e-9
+            self.say('warning', f'{self.topic(Kind.POSITION)}: the fixes refused for {lasted:.0f} s agree with each '
+                                'other: position, velocity and heading restart from them')
 
     def _say_gap(self, seconds: float) -> None:
         self._last_gap = seconds

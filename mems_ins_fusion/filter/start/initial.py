@@ -10,7 +10,7 @@ from ...navigation.frames import leveling
 from ...navigation.strapdown import from_euler, matrix
 from ..config import REPEATED_TURN_ON, FilterConfig
 from ..measurements import wheel_vibration
-from ..memory import NAV, PLANAR, ROW, Error, Head, Nav, Sample, newest_row, set_covariance, variance_factor, views
+from ..memory import NAV, ROW, Error, Head, Nav, Sample, newest_row, set_covariance, variance_factor, views
 from ..memory import covariance as covariance_of
 from ..prediction import set_radii
 from ..trust.contradiction import FIRST_USUAL
@@ -54,7 +54,7 @@ def initialize(memory: np.ndarray, config: FilterConfig, start: Start) -> None:
     yaw = start.yaw - (estimate[mounting] if mounting >= 0 else 0.0)  # of the body
     states = [layout.rows[error] for error in (Error.R_N, Error.R_E, Error.V_N, Error.V_E, Error.PHI_D)]
     full[np.ix_(states, states)] = start.covariance
-    if config.mechanization == PLANAR:
+    if layout.is_level:
         row[Nav.YAW] = yaw
     else:
         # estimated errors of the two horizontal accelerometers
@@ -103,7 +103,7 @@ def _sensor_errors(config: FilterConfig, start: Start, level: bool):
     unseen = np.ones(m, dtype=bool)  # states that the standstill does not show
     for channel, (model, axis) in enumerate(zip(config.models, config.channel_axes)):
         block = slice(channel * p, (channel + 1) * p)
-        mean, sigma = _error_at_rest(config, start, axis, level), config.turn_on_sigma[channel]
+        mean, sigma = _error_at_rest(start, axis, level), config.turn_on_sigma[channel]
         if axis < 2 and not is_level:
             mean = None  # a standstill shows the sum of tilt and bias: see _strapdown_attitude
         elif axis < 2 and level:
@@ -150,7 +150,7 @@ def sensor_errors_after(config: FilterConfig, errors: SensorErrors, age: float) 
     return SensorErrors(transition @ errors.estimate, 0.5 * (covariance + covariance.T), errors.constant)
 
 
-def _error_at_rest(config: FilterConfig, start: Start, axis: int, level: bool) -> float | None:
+def _error_at_rest(start: Start, axis: int, level: bool) -> float | None:
     """Error of one body axis by the standstill; None without one."""
     still = start.standstill
     if still is None:

@@ -71,7 +71,7 @@ def learn_drift(mem, r):
         sensor = 0 if k < 3 else 1
         error, variance, ratio = mem[x + k], mem[e + (m + 1) * k], mem[r + Drift.RATIO + sensor]
         if begin != 0.0:
-            decay = math.exp(-since * mem[decay_at(m, k)])
+            decay = math.exp(-since * mem[decay_at(k)])
             driving = ratio * (mem[walk_at(m, k)] * since
                                + mem[variance_at(m, k)] * (1.0 - decay * decay))
             before = decay * decay * mem[r + Drift.BIAS_VARIANCE + k]
