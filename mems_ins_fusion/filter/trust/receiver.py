@@ -286,8 +286,12 @@ def _scatter(mem, r, at, z_n, z_e):
     time, claimed = mem[at + Event.TIME], 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     before, mem[r + Receiver.CLAIMED] = mem[r + Receiver.CLAIMED], claimed
     if before > 0.0 and (claimed * CLAIM_CHANGE < before or claimed > CLAIM_CHANGE * before):
-        reopen(mem, r + Receiver.SCALE, claimed / before)
-        reopen(mem, r + Receiver.SLOW_SCALE, claimed / before)
+        changed = claimed / before
+        reopen(mem, r + Receiver.SCALE, changed)
+        reopen(mem, r + Receiver.SLOW_SCALE, changed)
+        # what was claimed before, as it is realised over what is claimed from now on
+        mem[r + Receiver.PAIR_CLAIMED] *= changed
+        mem[r + Nav.CLAIM_LEVEL] += math.log(changed)
     begun, since = mem[r + Receiver.PAIR_TIME] != 0.0, time - mem[r + Receiver.PAIR_TIME]
     if begun:
         mem[r + Receiver.PAIR] += z_n - mem[r + Nav.RESIDUAL_N]
