@@ -72,7 +72,7 @@ MECHANISMS = {
 #: others have no parameter: a value of a constant with which they never act
 NEVER = {
     'end of weighting': {'trust.receiver.LONGEST_WEIGHTED': 1e9},
-    'start anew where the filter strayed': {'trust.receiver.STRAYED_SLOPE': 1e9},
+    'start anew where the filter strayed': {'trust.new_start.STRAYED_SLOPE': 1e9},
     'growth from fix to fix': {'trust.receiver.LONGEST_GROWTH': 0.0},
     'floor of the gate': {'trust.receiver.GATE_FLOOR': 0.0},
     'speeds and headings that repeat themselves': {'trust.repeats.ROUNDED_SPEED': 1e9, 'trust.repeats.AGEING': 0.0,

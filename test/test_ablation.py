@@ -19,10 +19,10 @@ def test_a_constant_is_changed_wherever_it_is_used():
     # given one that another module has imported, and one of a tuple
     assert said("""
 from mems_ins_fusion.filter import prediction
-from mems_ins_fusion.filter.trust import receiver, scale
+from mems_ins_fusion.filter.trust import new_start, scale
 from ablation import lay_over
 lay_over({'prediction.GAP_ACCELERATION': 9.0, 'trust.scale.LOG_MEAN[1]': 0.5})
-print(prediction.GAP_ACCELERATION, receiver.GAP_ACCELERATION, *scale.LOG_MEAN)
+print(prediction.GAP_ACCELERATION, new_start.GAP_ACCELERATION, *scale.LOG_MEAN)
 """) == ['9.0', '9.0', '-1.2704', '0.5']
 
 

@@ -21,7 +21,8 @@ from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.filter.runs.results import MeasurementLog, columns, result
 from mems_ins_fusion.filter.start.initial import sensor_errors_of
 from mems_ins_fusion.filter.trust.hypotheses import Hypothesis
-from mems_ins_fusion.filter.trust.receiver import LASTING_TIME, SLOW, realised_factor, shown_share, start_anew
+from mems_ins_fusion.filter.trust.new_start import start_anew
+from mems_ins_fusion.filter.trust.receiver import LASTING_TIME, SLOW, realised_factor, shown_share
 from mems_ins_fusion.filter.trust.receiver import Receiver as OfReceiver
 from mems_ins_fusion.filter.trust.scale import PRIOR, Scale, scale
 from mems_ins_fusion.navigation.earth import gravity, radii

@@ -10,11 +10,11 @@ import pytest
 from filter_support import configure
 
 from mems_ins_fusion.filter.memory import NAV, Head, covariance, state_at
+from mems_ins_fusion.filter.prediction import UNKNOWN_YAW_SIGMA
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.live_output import published
 from mems_ins_fusion.filter.runs.odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, TWIST_COVARIANCE
 from mems_ins_fusion.filter.runs.snapshot import make_snapshot
-from mems_ins_fusion.filter.trust.receiver import UNKNOWN_YAW_SIGMA
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.parameters.parameter import ParameterError

@@ -17,7 +17,7 @@ from .measurements import (
 from .measurements.geometry import body_to_level
 from .memory import NAV, Error, Event, Head, Kind, Nav, Verdict, load_covariance, row_of, store_covariance
 from .prediction import set_radii
-from .trust import contradiction, fix_drift, hypotheses, inputs, receiver, repeats, straight_on, way
+from .trust import contradiction, fix_drift, hypotheses, inputs, new_start, receiver, repeats, straight_on, way
 from .trust.drift import learn_drift
 from .trust.fix_drift import FixDrift
 from .trust.hypotheses import Hypothesis
@@ -55,13 +55,13 @@ def _apply_fix(mem, r, at):
     recovered, before = False, hypotheses.position_and_velocity(mem, r)
     doubts = mem[r + Hypothesis.DOUBTS] != 0.0
     if not doubts:
-        recovered = mem[Head.GATE] > 0.0 and receiver.agreed(mem, r, at)
+        recovered = mem[Head.GATE] > 0.0 and new_start.is_due(mem, r, at)
         if recovered:
-            receiver.start_anew(mem, r, at)
+            new_start.start_anew(mem, r, at)
         else:
-            v_n, v_e = receiver.finds_course(mem, r, at)
+            v_n, v_e = new_start.finds_course(mem, r, at)
             if v_n != 0.0 or v_e != 0.0:
-                receiver.take_course(mem, r, v_n, v_e, 0.0)
+                new_start.take_course(mem, r, v_n, v_e, 0.0)
     c = _note_state(mem, r, at)
     dimensions = position.observe(mem, r, at, h, n, c)
     height = mem[at + Event.Z_D] + mem[r + Nav.HEIGHT]  # of the planar filter, which has no state for it
@@ -92,6 +92,7 @@ def _apply_fix(mem, r, at):
     else:
         hypotheses.add_move(mem, r, r + FixDrift.MOVED, before, after)
     receiver.learn(mem, r, at, left_n, left_e)
+    new_start.note(mem, r, at)
     learn_drift(mem, r)
 
 

@@ -28,7 +28,7 @@ from .memory import (
     velocity_state,
     yaw_state,
 )
-from .trust import fix_drift, hypotheses, receiver
+from .trust import fix_drift, hypotheses, new_start
 from .trust.hypotheses import Hypothesis
 
 #: in the head of the first
@@ -61,7 +61,7 @@ def compare(memory):
     if size == 0 or time == memory[Bank.COMPARED]:
         return
     interval, memory[Bank.COMPARED] = time - memory[Bank.COMPARED], time
-    other, refused = memory[size:], receiver.are_refused(memory, r)
+    other, refused = memory[size:], new_start.are_refused(memory, r)
     if memory[Bank.OPEN] == 0.0:
         _begin(memory, other, r, interval)
         if memory[Bank.OPEN] == 0.0 and not refused:
@@ -74,7 +74,7 @@ def compare(memory):
     if _is_better(memory, other, r):
         _swap(memory, other)
     doubts = memory[r + Hypothesis.DOUBTS] != 0.0
-    if other[r + Nav.REFUSED] >= receiver.FEWEST_REFUSED:
+    if other[r + Nav.REFUSED] >= new_start.FEWEST_REFUSED:
         other[r + Hypothesis.FITS] = 0.0
     if doubts and other[r + Hypothesis.FITS] != 0.0:  # it has to be near enough when the fixes are right
         least = memory[r + Hypothesis.SCORE] - hypotheses.most_behind(memory, time - memory[Bank.BEGUN])

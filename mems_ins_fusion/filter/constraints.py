@@ -21,7 +21,7 @@ from .memory import (
     yaw_state,
 )
 from .prediction import set_radii
-from .trust import contradiction, gyroscopes, receiver
+from .trust import contradiction, gyroscopes, new_start
 from .trust.imu_faults import Imu
 from .trust.standstill import wheels_turn
 from .trust.white_noise import hides_turns
@@ -116,7 +116,7 @@ def _fixes_tell_the_heading(mem, r, variance):
     Without them the constraint is all there is against drifting away.
     """
     since = mem[r + Nav.TIME] - mem[r + Nav.FIX_TIME]
-    return variance > receiver.LARGEST_YAW_SIGMA**2 and since < receiver.LONGEST_PAIR
+    return variance > new_start.LARGEST_YAW_SIGMA**2 and since < new_start.LONGEST_PAIR
 
 
 @njit(_nrt=False)

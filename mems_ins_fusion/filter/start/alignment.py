@@ -10,7 +10,8 @@ from ...navigation.earth import radii, to_local
 from ...navigation.frames import wrap, yaw_from_enu, yaw_of_quaternion
 from ..config import FilterConfig
 from ..memory import Event, Kind
-from ..trust.receiver import SHORTEST_PAIR, UNKNOWN_YAW_SIGMA
+from ..prediction import UNKNOWN_YAW_SIGMA
+from ..trust.receiver import SHORTEST_PAIR
 from ..trust.scale import Scale, learn, scale
 from .at_rest import SHORTEST_STILL, STILL_BLOCK, is_quiet, latest_standstill, note_standstill, tumbling_rate
 from .course import (

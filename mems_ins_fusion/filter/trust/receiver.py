@@ -1,8 +1,7 @@
-"""What the filter makes of its GNSS receiver: how far its fixes are believed, and when those refused have been right.
+"""What the filter makes of its GNSS receiver: how far its fixes are believed.
 
 A receiver repeats itself, jumps, wanders and states a sigma that is not its own. The realised scatter is seen in how
-two fixes that follow each other differ from what the inertial sensors say of the way between them; whether a row of
-refused fixes was right is seen in how well they agree with each other. Both stand in the row of the state (`Nav`).
+two fixes that follow each other differ from what the inertial sensors say of the way between them.
 """
 from __future__ import annotations
 
@@ -10,15 +9,8 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ...navigation import strapdown
-from ...navigation.strapdown import from_euler, to_euler
-from ..history import forget
-from ..memory import NAV, PLANAR, ROW, Event, Head, Nav, Verdict, velocity_state, velocity_variance, yaw_state
-from ..prediction import GAP_ACCELERATION, UNKNOWN_YAW_SIGMA
-from . import hypotheses
-from .drift import Drift
-from .hypotheses import Hypothesis
-from .scale import Scale, begin_scale, reopen, scale
+from ..memory import NAV, ROW, Event, Head, Nav, Verdict, velocity_variance
+from .scale import Scale, reopen, scale
 from .scale import learn as learn_scale
 
 #: of a state
@@ -35,8 +27,6 @@ Receiver = ROW.place(
     STATUS=1,  # of the fixes that the first three scales are of, `NavSatStatus.status` and 1; 0: none yet,
     OTHERS=3 * 3 * Scale.SIZE)  # and these scales of the fixes of each status
 
-#: s: fixes further apart say nothing of the course, as the vehicle may have turned between them
-LONGEST_PAIR = 3.0
 #: s over which the receiver's scatter is seen in how its error changes: over less than that errors are alike
 SHORTEST_PAIR = 0.9
 #: m/s^2, by which the inertial sensors are wrong in between where the filter does not know: half a degree of tilt
@@ -44,24 +34,6 @@ UNSEEN_ACCELERATION = 0.1
 #: m: a fix nearer than this is never refused, only weighted down. A filter that is off by so much without knowing it,
 #: as with an unknown time offset at 20 m/s, else refuses right fixes (Longmont: RMSE 0.26 m with it, 4.6 m without)
 GATE_FLOOR = 5.0
-#: fixes refused in a row before they can win: a line through fewer fits anything
-FEWEST_REFUSED = 5
-#: m/s above which a course is a heading: slower, errors of the velocity turn it too far
-COURSE_SPEED = 3.0
-#: rad, sigma of such a heading: sideslip, turns between two fixes
-COURSE_SIGMA = 0.2
-#: rad, sigma beyond which a heading is sought anew: the equations are linear in its error, to about 30 deg
-LARGEST_YAW_SIGMA = 0.5
-#: sigmas by which refused fixes that agree scatter about a line at most
-AGREEMENT = 2.0
-#: m more: a vehicle that brakes or turns leaves the line by about so much
-AGREEMENT_FLOOR = 1.0
-#: and this share of how far they are off, as the line of a filter that turned away is none
-AGREEMENT_PART = 0.3
-#: m/s, sigma of a new start's velocity besides what the fixes tell: what a vehicle gains between two of them
-NEW_VELOCITY_SIGMA = 0.5
-#: rad, sigma of its tilt: a steep road
-NEW_TILT_SIGMA = 0.05
 #: s for which a row of fixes is weighted down at most: then it is the filter that is wrong, and they are believed as
 #: they are until they fit again (without the end good fixes are refused by a filter whose accelerometers are off)
 LONGEST_WEIGHTED = 4.0
@@ -69,16 +41,6 @@ LONGEST_WEIGHTED = 4.0
 LONGEST_GROWTH = 10.0
 #: m/s^2, by which the filter's own error grows at most: a tilt that is three degrees wrong
 GROWTH = 0.5
-#: share of the size of the refused innovations by which they have grown where the filter strayed from the fixes: those
-#: of a receiver that jumped stay as they were
-STRAYED_PART = 0.5
-#: m/s, by which they then grow at least: a receiver's errors do not, but for one that drifts
-STRAYED_SLOPE = 2.0
-#: s within which a filter that strays once more is counted as straying again
-SOON = 300.0
-#: s after which fixes from which the filter strays win over it: innovations that grow by STRAYED_SLOPE have then
-#: grown by more than fixes scatter
-STRAYED_AFTER = 2.0
 #: factor by which the claimed variance changes at once where it is another claim, and no other error: the realised
 #: variance is then as it was until the fixes show more
 CLAIM_CHANGE = 10.0
@@ -175,21 +137,6 @@ def learn(mem, r, at, left_n, left_e):
         mem[r + Nav.WEIGHTED] += 1.0
     else:
         mem[r + Nav.WEIGHTED] = 0.0
-    if verdict != Verdict.REFUSED:
-        for i in range(Nav.REFUSED, Nav.SUM_SQUARE + 1):
-            mem[r + i] = 0.0
-        return
-    if mem[r + Nav.REFUSED] == 0.0:
-        mem[r + Nav.REFUSED_SINCE] = time
-    t, z_n, z_e = time - mem[r + Nav.REFUSED_SINCE], mem[at + Event.Z_N], mem[at + Event.Z_E]
-    mem[r + Nav.REFUSED] += 1.0
-    mem[r + Nav.SUM_T] += t
-    mem[r + Nav.SUM_TT] += t * t
-    mem[r + Nav.SUM_N] += z_n
-    mem[r + Nav.SUM_TN] += t * z_n
-    mem[r + Nav.SUM_E] += z_e
-    mem[r + Nav.SUM_TE] += t * z_e
-    mem[r + Nav.SUM_SQUARE] += z_n * z_n + z_e * z_e
 
 
 @njit(_nrt=False)
@@ -303,175 +250,3 @@ def _scatter(mem, r, at, z_n, z_e):
         learn_scale(mem, r + Receiver.SCALE, time, squared, claimed + mem[r + Receiver.PAIR_CLAIMED], unseen, 2)
     mem[r + Receiver.PAIR_TIME], mem[r + Receiver.PAIR_CLAIMED] = time, claimed
     mem[r + Receiver.PAIR] = mem[r + Receiver.PAIR + 1] = 0.0
-
-
-@njit(_nrt=False)
-def are_refused(mem, r):
-    """Whether so many fixes have been refused in a row, the latest with the state at r, and agree so well that they are
-    no outliers; not where the filter is certainly wrong."""
-    return (mem[r + Nav.REFUSED] >= FEWEST_REFUSED and mem[r + Hypothesis.DOUBTS] == 0.0
-            and mem[r + Nav.FIX_TIME] - mem[r + Nav.REFUSED_SINCE] >= STRAYED_AFTER
-            and _agree(mem, r, 2.0 * mem[r + Receiver.CLAIMED]) and not _strayed(mem, r, mem[r + Nav.FIX_TIME]))
-
-
-@njit(_nrt=False)
-def agreed(mem, r, at):
-    """Whether the fixes refused until now have been right: they have come for long enough, and their innovations lie on
-    a line as the error of a position and a velocity would."""
-    count = mem[r + Nav.REFUSED]
-    if mem[r + Hypothesis.STARTS] != 0.0 and count > 0.0:
-        return True
-    lasted = mem[at + Event.TIME] - mem[r + Nav.REFUSED_SINCE]
-    if count < FEWEST_REFUSED or lasted < min(STRAYED_AFTER, mem[Head.RECOVERY_TIME]):
-        return False
-    if lasted < mem[Head.RECOVERY_TIME] and not _strayed(mem, r, mem[at + Event.TIME]):
-        return False
-    return _agree(mem, r, mem[at + Event.R_NN] + mem[at + Event.R_EE])
-
-
-@njit(_nrt=False)
-def _agree(mem, r, claimed):
-    """Whether the refused innovations lie on a line; claimed: variance of a fix, both components, m^2."""
-    _, _, spread = _line(mem, r)
-    size = math.sqrt(mem[r + Nav.SUM_SQUARE] / mem[r + Nav.REFUSED])
-    sigma = math.sqrt(max(1.0, scale(mem, r + Receiver.SCALE)) * claimed)
-    return math.sqrt(spread) < AGREEMENT * (sigma + AGREEMENT_FLOOR) + AGREEMENT_PART * size
-
-
-@njit(_nrt=False)
-def _line(mem, r):
-    """Slope (north, east; m/s) of the refused innovations over time, and their mean square distance from the line."""
-    n = mem[r + Nav.REFUSED]
-    t = mem[r + Nav.SUM_T] / n
-    spread_t = max(mem[r + Nav.SUM_TT] / n - t * t, 1e-6)
-    north, east = mem[r + Nav.SUM_N] / n, mem[r + Nav.SUM_E] / n
-    slope_n = (mem[r + Nav.SUM_TN] / n - t * north) / spread_t
-    slope_e = (mem[r + Nav.SUM_TE] / n - t * east) / spread_t
-    left = mem[r + Nav.SUM_SQUARE] / n - north * north - east * east - spread_t * (slope_n**2 + slope_e**2)
-    return slope_n, slope_e, max(left, 0.0)
-
-
-@njit(_nrt=False)
-def start_anew(mem, r, at):
-    """Take position and velocity from the refused fixes, the heading from the course, with P in the scratch to match.
-
-    The sensor errors stay as estimated, with twice the sigma: what was wrong may have spoiled them, too.
-    """
-    # where it may as well be the fixes that are wrong, nothing is said against the IMU
-    strayed = mem[r + Hypothesis.STARTS] == 0.0 and _strayed(mem, r, mem[at + Event.TIME])
-    mem[r + Hypothesis.STARTS] = 0.0
-    v_n, v_e, drift = _velocity_of_fixes(mem, r, at, strayed)
-    if strayed:
-        again = mem[r + Nav.STRAYED] > 0.0 and mem[at + Event.TIME] - mem[r + Nav.STRAYED_TIME] < SOON
-        mem[r + Nav.STRAYED] = mem[r + Nav.STRAYED] + 1.0 if again else 1.0
-        mem[r + Nav.STRAYED_TIME] = mem[at + Event.TIME]
-    mem[r + Drift.TIME] = mem[r + Receiver.PAIR_TIME] = 0.0
-    # the innovations until now were those of a state that was wrong
-    begin_scale(mem, r + Receiver.INNOVATION_SCALE)
-    mem[r + Nav.SLOW_N] = mem[r + Nav.SLOW_E] = mem[r + Nav.SLOW_VARIANCE] = 0.0
-    mem[r + Nav.VARIANCE_FACTOR] = 1.0
-    n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
-    n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
-    for i in range(n):
-        for j in range(n):
-            if i >= n_navigation and j >= n_navigation:
-                mem[p + n * i + j] *= 4.0
-            else:
-                mem[p + n * i + j] = 0.0
-    for i in range(n_navigation):
-        mem[r + NAV + i] = 0.0
-        forget(mem, i, n)
-    mem[r + Nav.LATITUDE], mem[r + Nav.LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
-    mem[r + Nav.V_N], mem[r + Nav.V_E] = v_n, v_e
-    variance = max(1.0, scale(mem, r + Receiver.SCALE)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
-    arm = mem[Head.LEVER_X] ** 2 + mem[Head.LEVER_Y] ** 2 + mem[Head.LEVER_Z] ** 2
-    for i in range(2):
-        mem[p + (n + 1) * i] = variance + arm
-    first = velocity_state(mem)
-    for i in range(2):
-        mem[p + (n + 1) * (first + i)] = drift
-    if mem[Head.MECHANIZATION] != PLANAR:
-        s = strapdown.State
-        mem[r + Nav.HEIGHT], mem[r + Nav.V_D] = mem[at + Event.HEIGHT], 0.0
-        mem[p + (n + 1) * s.R_D] = 4.0 * variance
-        mem[p + (n + 1) * s.V_D] = 0.25
-        mem[p + (n + 1) * s.PHI_N] = mem[p + (n + 1) * s.PHI_E] = NEW_TILT_SIGMA**2
-    take_course(mem, r, v_n, v_e, drift)
-    mem[r + Nav.RECOVERIES] += 1.0
-    hypotheses.claim(mem, r, hypotheses.STRAYED)
-
-
-@njit(_nrt=False)
-def _velocity_of_fixes(mem, r, at, strayed):
-    """Velocity (north, east) that the refused fixes show, and its variance: by how they drift from the filter, whose
-    own may be of no use where it has strayed, or by the last two of them."""
-    slope_n, slope_e, spread = _line(mem, r)
-    interval = mem[at + Event.TIME] - mem[r + Nav.FIX_TIME]
-    if not strayed or not 0.0 < interval < LONGEST_PAIR:
-        t = mem[r + Nav.SUM_TT] / mem[r + Nav.REFUSED] - (mem[r + Nav.SUM_T] / mem[r + Nav.REFUSED]) ** 2
-        return (mem[r + Nav.V_N] - slope_n, mem[r + Nav.V_E] - slope_e,
-                NEW_VELOCITY_SIGMA**2 + spread / max(mem[r + Nav.REFUSED] * t, 1e-6))
-    north = (mem[at + Event.LATITUDE] - mem[r + Nav.FIX_LATITUDE]) / mem[r + Nav.NORTH_SCALE]
-    east = (mem[at + Event.LONGITUDE] - mem[r + Nav.FIX_LONGITUDE]) / mem[r + Nav.EAST_SCALE]
-    variance = max(1.0, scale(mem, r + Receiver.SCALE)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
-    return (north / interval, east / interval,
-            NEW_VELOCITY_SIGMA**2 + (GAP_ACCELERATION * interval) ** 2 + variance / interval**2)
-
-
-@njit(_nrt=False)
-def _strayed(mem, r, time):
-    """Whether it was the filter that strayed from the fixes refused until `time`, s: away from those of a receiver that
-    jumps it is as far as at first."""
-    slope_n, slope_e, _ = _line(mem, r)
-    slope = math.hypot(slope_n, slope_e)
-    if math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]) < COURSE_SPEED:
-        return False  # who hardly moves cannot stray
-    size = math.sqrt(mem[r + Nav.SUM_SQUARE] / mem[r + Nav.REFUSED])
-    return slope > STRAYED_SLOPE and slope * (time - mem[r + Nav.REFUSED_SINCE]) > STRAYED_PART * size
-
-
-@njit(_nrt=False)
-def take_course(mem, r, v_n, v_e, drift):
-    """Heading from the course of a velocity, with its variance in P of the scratch; unknown if it is too slow.
-
-    drift: variance of the velocity, m^2/s^2.
-    """
-    n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
-    n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
-    k = yaw_state(mem)
-    for i in range(n):
-        mem[p + n * k + i] = mem[p + n * i + k] = 0.0
-    forget(mem, k, n)
-    if math.hypot(v_n, v_e) < COURSE_SPEED:
-        mem[p + (n + 1) * k] = UNKNOWN_YAW_SIGMA**2
-        return
-    yaw, variance = math.atan2(v_e, v_n), COURSE_SIGMA**2 + drift / (v_n**2 + v_e**2)
-    mounting = int(mem[Head.MOUNTING_YAW])
-    if mounting >= 0:  # the vehicle goes along its own axis, the body is turned by that
-        yaw -= mem[r + NAV + mounting]
-        variance += mem[p + (n + 1) * mounting]
-    mem[p + (n + 1) * k] = variance
-    if mem[Head.MECHANIZATION] == PLANAR:
-        mem[r + Nav.YAW] = yaw
-        return
-    roll, pitch, _ = to_euler((mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z]))
-    q = from_euler(roll, pitch, yaw)
-    mem[r + Nav.Q_W], mem[r + Nav.Q_X], mem[r + Nav.Q_Y], mem[r + Nav.Q_Z] = q
-
-
-@njit(_nrt=False)
-def finds_course(mem, r, at):
-    """Whether the heading is unknown and the way since the last fix tells it: the velocity then, else zeros."""
-    n_navigation, m = int(mem[Head.N_NAVIGATION]), int(mem[Head.N_AUGMENTED])
-    n, p = n_navigation + m, int(mem[Head.SCRATCH_AT])
-    k = yaw_state(mem)
-    interval = mem[at + Event.TIME] - mem[r + Nav.FIX_TIME]
-    if (mem[Head.GATE] == 0.0 or mem[p + (n + 1) * k] < LARGEST_YAW_SIGMA**2 or mem[r + Nav.FIX_TIME] == 0.0
-            or not 0.0 < interval < LONGEST_PAIR):
-        return 0.0, 0.0
-    north = (mem[at + Event.LATITUDE] - mem[r + Nav.FIX_LATITUDE]) / mem[r + Nav.NORTH_SCALE]
-    east = (mem[at + Event.LONGITUDE] - mem[r + Nav.FIX_LONGITUDE]) / mem[r + Nav.EAST_SCALE]
-    sigma = math.sqrt(2.0 * max(1.0, scale(mem, r + Receiver.SCALE)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
-    if math.hypot(north, east) < sigma / COURSE_SIGMA:
-        return 0.0, 0.0
-    return north / interval, east / interval
