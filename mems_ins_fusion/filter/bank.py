@@ -61,12 +61,16 @@ def compare(memory):
     if size == 0 or time == memory[Bank.COMPARED]:
         return
     interval, memory[Bank.COMPARED] = time - memory[Bank.COMPARED], time
-    other, refused = memory[size:], new_start.are_refused(memory, r)
-    if memory[Bank.OPEN] == 0.0:
+    other = memory[size:]
+    refused = new_start.are_refused(memory, r) or (
+        memory[Bank.OPEN] != 0.0 and memory[r + Hypothesis.DOUBTS] != 0.0 and new_start.are_refused(other, r)
+        and other[r + Nav.RECOVERIES] == memory[r + Nav.RECOVERIES])
+    if memory[Bank.OPEN] == 0.0 or memory[r + Hypothesis.DOUBTS] == 0.0 and other[r + Hypothesis.DOUBTS] != 0.0:
         _begin(memory, other, r, interval)
-        if memory[Bank.OPEN] == 0.0 and not refused:
-            return
-    elif memory[Bank.DATED] == 0.0 and memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE] < SERIOUS:
+    if memory[Bank.OPEN] == 0.0 and not refused:
+        return
+    if memory[Bank.BEGUN] < time and memory[Bank.DATED] == 0.0 \
+            and memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE] < SERIOUS:
         memory[Bank.DATED] = 1.0
         _date(memory, other, r, interval)
     if refused:
@@ -103,15 +107,16 @@ def _swap(memory, other):
 
 @njit(_nrt=False)
 def _start_from_fixes(memory, other, r, interval):
-    """The first filter, which has refused fixes in a row, takes them for wrong from now on; the second starts anew from
-    the latest of them. interval: s, since the fix before it."""
-    begun = memory[r + Nav.REFUSED_SINCE]
-    if memory[Bank.OPEN] == 0.0 or other[r + Hypothesis.SCORE] < memory[r + Hypothesis.SCORE]:
-        oldest = max(1, int(memory[Head.SAMPLES]) - int(memory[Head.CAPACITY]) + 2)
-        if _doubt(memory, other, max(begun, memory[state_at(memory, oldest) + Nav.TIME]), interval) == -math.inf:
-            return
-    _swap(memory, other)
-    begun = max(begun, memory[r + Nav.FIX_TIME] - (1.0 - FITTED) * memory[Head.RECOVERY_TIME])
+    """One filter takes the fixes that the other has refused in a row for wrong, and is published for now; the other
+    starts anew from the latest of them. interval: s, since the fix before it."""
+    if memory[r + Hypothesis.DOUBTS] == 0.0:
+        begun = memory[r + Nav.REFUSED_SINCE]
+        if memory[Bank.OPEN] == 0.0 or other[r + Hypothesis.SCORE] < memory[r + Hypothesis.SCORE]:
+            oldest = max(1, int(memory[Head.SAMPLES]) - int(memory[Head.CAPACITY]) + 2)
+            if _doubt(memory, other, max(begun, memory[state_at(memory, oldest) + Nav.TIME]), interval) == -math.inf:
+                return
+        _swap(memory, other)
+    begun = max(other[r + Nav.REFUSED_SINCE], memory[r + Nav.FIX_TIME] - (1.0 - FITTED) * memory[Head.RECOVERY_TIME])
     memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.DATED] = 1.0, begun, 1.0
     newest, k = int(other[Head.SAMPLES]), _before(other, other[r + Nav.FIX_TIME])
     start = state_at(other, k)
@@ -131,6 +136,8 @@ def _is_better(memory, other, r):
     ahead = other[r + Hypothesis.SCORE] - memory[r + Hypothesis.SCORE]
     if other[r + Hypothesis.DOUBTS] == 0.0:
         return ahead > (BETTER if memory[r + Hypothesis.DOUBTS] == 0.0 else 0.0)
+    if memory[r + Hypothesis.DOUBTS] == 0.0 and 0.0 < memory[r + Nav.REFUSED_SINCE] <= memory[Bank.BEGUN]:
+        return ahead > 0.0
     return (ahead > SERIOUS and memory[r + Hypothesis.DOUBTS] == 0.0 and memory[r + Nav.UNSETTLED] == 0.0
             and fix_drift.are_followed(memory, r)
             and hypotheses.is_drifting(other, r))
@@ -138,11 +145,13 @@ def _is_better(memory, other, r):
 
 @njit(_nrt=False)
 def _begin(memory, other, r, interval):
-    """Begin a second filter that takes the latest fix for wrong, where that is not too unlikely. interval: s, since the
-    fix before it."""
+    """Begin a second filter that takes the latest fix for wrong, where that is not too unlikely, and more likely than
+    one that takes them for wrong for longer. interval: s, since the fix before it."""
     time, score = memory[r + Nav.FIX_TIME], memory[r + Hypothesis.SCORE]
-    prior = math.log(hypotheses.FIXES_WRONG * min(interval, hypotheses.LONGEST))
-    if memory[r + Hypothesis.OTHERWISE] + prior < -hypotheses.LOST:
+    least = -hypotheses.LOST
+    if memory[Bank.OPEN] != 0.0:
+        least = other[r + Hypothesis.SCORE] - score
+    if hypotheses.wrong_from_here(memory, r, interval) < least:
         return
     if _doubt(memory, other, time, interval) > score - hypotheses.LOST:
         memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.DATED] = 1.0, time, 0.0

@@ -38,8 +38,8 @@ Wrong = HEAD.place('Wrong', SINCE=1)
 STRAIGHT = 0.05
 #: one whose own scatter is not so many times as large cannot be told from it
 TOLD_FROM = 4.0
-#: s: fixes further apart are not extrapolated from each other
-LONGEST_STEP = 3.0
+#: s: fixes further apart are not extrapolated from each other; the slowest receivers send one each ten seconds
+LONGEST_STEP = 15.0
 #: nats that one fix may add: of measured ones, too, one lies on the line by chance
 MOST_OF_ONE = 5.0
 #: s: how long a receiver measures until it extrapolates: drives in cities have stretches without satellites each hour
