@@ -79,7 +79,7 @@ def are_refused(mem, r):
     no outliers; not where the filter is certainly wrong."""
     return (mem[r + Nav.REFUSED] >= FEWEST_REFUSED and mem[r + Hypothesis.DOUBTS] == 0.0
             and mem[r + Nav.FIX_TIME] - mem[r + Nav.REFUSED_SINCE] >= STRAYED_AFTER
-            and _agree(mem, r, 2.0 * mem[r + Receiver.CLAIMED]))
+            and _agree(mem, r, 2.0 * mem[r + Receiver.CLAIMED]) and not _strayed(mem, r, mem[r + Nav.FIX_TIME]))
 
 
 @njit(_nrt=False)
@@ -125,7 +125,8 @@ def start_anew(mem, r, at):
 
     The sensor errors stay as estimated, with twice the sigma: what was wrong may have spoiled them, too.
     """
-    strayed = _strayed(mem, r, mem[at + Event.TIME])
+    # where it may as well be the fixes that are wrong, nothing is said against the IMU
+    strayed = mem[r + Hypothesis.STARTS] == 0.0 and _strayed(mem, r, mem[at + Event.TIME])
     mem[r + Hypothesis.STARTS] = 0.0
     v_n, v_e, drift = _velocity_of_fixes(mem, r, at, strayed)
     if strayed:
