@@ -146,6 +146,21 @@ def test_a_receiver_that_goes_straight_on_is_found_out_before_it_is_wrong(mechan
 
 
 @BOTH
+def test_a_receiver_that_goes_straight_on_is_found_out_where_fixes_are_rare(mechanization):
+    # given a fix each five seconds, of which four go straight on beside the vehicle
+    receiver = Receiver(150.0)
+    receiver.time, receiver.position = receiver.time[::5], receiver.position[::5]
+    gone = receiver.time[20:24, None] - receiver.time[19]
+    receiver.position[20:24] = receiver.position[19] + gone * (
+        SPEED * np.array([math.cos(COURSE), math.sin(COURSE)]) + [1.2, -1.6])
+    _, _, _, records = receiver.through(mechanization=mechanization)
+    # then the three on a line with those before them are refused, the one that begins it may have been measured
+    assert (verdicts(records)[21:24] == Verdict.STRAIGHT_ON).all()
+    others = np.r_[:21, 24:len(records)]
+    assert np.isin(verdicts(records)[others], [Verdict.USED, Verdict.WEIGHTED]).all()
+
+
+@BOTH
 @pytest.mark.parametrize('scatter, sigma', [(0.0, 3.0), (0.02, 0.02), (0.1, 3.0), (0.3, 3.0), (1.5, 1.5)])
 def test_a_receiver_that_measures_never_passes_for_one_that_goes_straight_on(mechanization, scatter, sigma):
     # also where it scatters by far less than it claims, and the vehicle does go straight on
@@ -268,6 +283,27 @@ def test_the_realised_sigma_of_the_receiver_is_learned(mechanization, factor, ap
         late = len(error) // 3
         told = receiver.through(SIGMA, mechanization)[2]
         assert np.sqrt(np.mean(error[late:]**2)) < 1.3 * np.sqrt(np.mean(told[late:]**2))
+
+
+@pytest.mark.parametrize('factor', [1e-3, 0.05, 20.0])
+@pytest.mark.parametrize('before', [1.0, 5.0])
+def test_a_claim_that_changes_at_once_changes_nothing_of_what_has_been_seen(factor, before):
+    # given fixes that scatter by 1 m and claim as much, or five times that, and from 60 s on `factor` of it
+    receiver = Receiver(70.0, scatter=SIGMA)
+    last = int(np.flatnonzero(receiver.time > 60.0)[0])
+    claims = before * np.where(receiver.time > 60.0, factor, 1.0)
+    lasts, realised = [], []
+    for end in (last, last + 1):
+        shorter = Receiver(70.0, scatter=SIGMA)
+        shorter.time, shorter.position = receiver.time[:end], receiver.position[:end]
+        _, memory, *_ = shorter.through(claims[:end], 'strapdown', **{'gnss.adapt_covariance': True})
+        row = newest(memory)
+        lasts.append(row[Nav.LASTING])
+        realised.append(scale(row, OfReceiver.SCALE) * claims[end - 1] ** 2)
+    # then the first of them is believed as what has been seen, to what one fix may show, or less where it claims so
+    assert realised[0] / 4.0 < realised[1] < 4.0 * max(realised[0], claims[last] ** 2)
+    # and the variance of errors that last is no larger than it was, or than what is claimed now
+    assert lasts[1] < 4.0 * max(lasts[0], claims[last] ** 2)
 
 
 def test_a_claim_that_is_too_large_is_left_where_the_errors_are_white():

@@ -262,8 +262,12 @@ def _scatter(mem, r, at, z_n, z_e):
     time, claimed = mem[at + Event.TIME], 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     before, mem[r + Receiver.CLAIMED] = mem[r + Receiver.CLAIMED], claimed
     if before > 0.0 and (claimed * CLAIM_CHANGE < before or claimed > CLAIM_CHANGE * before):
-        for at_scale in (Receiver.SMOOTH_SCALE, Receiver.SCALE, Receiver.SLOW_SCALE):
-            reopen(mem, r + at_scale, claimed / before)
+        changed = claimed / before
+        for of in (Receiver.SMOOTH_SCALE, Receiver.SCALE, Receiver.SLOW_SCALE):
+            reopen(mem, r + of, changed)
+        # what was claimed before, as it is realised over what is claimed from now on
+        mem[r + Receiver.PAIR_CLAIMED] *= changed
+        mem[r + Nav.CLAIM_LEVEL] += math.log(changed)
     _scatter_by_themselves(mem, r, at, claimed)
     begun, since = mem[r + Receiver.PAIR_TIME] != 0.0, time - mem[r + Receiver.PAIR_TIME]
     if begun:

@@ -38,16 +38,16 @@ Wrong = HEAD.place('Wrong', SINCE=1)
 STRAIGHT = 0.05
 #: one whose own scatter is not so many times as large cannot be told from it
 TOLD_FROM = 4.0
-#: s: fixes further apart are not extrapolated from each other
-LONGEST_STEP = 3.0
+#: s: fixes further apart are not extrapolated from each other; the slowest receivers send one each ten seconds
+LONGEST_STEP = 15.0
 #: nats that one fix may add: of measured ones, too, one lies on the line by chance
 MOST_OF_ONE = 5.0
 #: s: how long a receiver measures until it extrapolates: drives in cities have stretches without satellites each hour
 USUALLY = 3600.0
 #: nats above which no more are gathered: one fix off the line ends it in any case
 MOST = 15.0
-#: fixes by which the scatter of the receiver is known to a fifth
-KNOWN = 30.0
+#: fixes by which the scatter of the receiver is known to a third, which is 0.3 nats for each fix
+KNOWN = 10.0
 #: fixes over which it is a mean: to a tenth, and what a receiver does for some minutes
 MEMORY = 100.0
 #: a square counts as so many times the mean at most: one jump is not the scatter
@@ -73,7 +73,7 @@ def goes_straight_on(mem, r, at, z_n, z_e):
     known = (0.0 < step < LONGEST_STEP and length > 0.0 and mem[begin] != 0.0 and mem[r + StraightOn.COUNT] >= KNOWN
              and scatter > (TOLD_FROM * STRAIGHT) ** 2)
     if known and mem[r + StraightOn.NATS] == 0.0:
-        mem[r + StraightOn.SINCE] = mem[last]  # if it goes straight on from here, the last one did so already
+        mem[r + StraightOn.SINCE] = time
         known = length < LONGEST_STEP
     changed_n, changed_e = _changed(mem, r, time, z_n, z_e)
     for i in range(2):
