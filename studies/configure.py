@@ -1,6 +1,7 @@
 """How well `configure` finds mountings: simulated short drives, and measured recordings turned in every way.
 
     python studies/configure.py drives RESULTS.csv [--drives 100] [--first 0] [--any-fixes] [--diagnose]
+    python studies/configure.py slow --drives 12 --first 7701
     python studies/configure.py simulated [--drives 100]
     python studies/configure.py measured DATA
     python studies/configure.py evidence DATA
@@ -9,6 +10,8 @@ drives: cars on roads, receivers that smooth, rovers at walking speed, phones of
 arms and mountings drawn at random: what `configure` writes, and with --diagnose what `diagnose` makes of it, and of the
 mounting by hand; each against the truth. A line of RESULTS.csv each; those that are there are not run again. With
 --any-fixes receivers of 0.2, 1, 5 and 10 Hz in turn, each second one with gaps of some seconds.
+slow: robots at 0.4 m/s that turn on the spot, with twelve receivers, on level ground and with everything that
+`simulate --drive realistic` has: what is said of the mounting after some minutes, as the live node looks at it.
 simulated: two minutes with a standstill, one right-angled turn and one stop, on hilly roads, in cars with suspension,
 IMUs in arbitrary positions, five receivers; the error of the mounting over its sigma. measured: each recording with its
 IMU turned by the 24 right-angled rotations and 20 arbitrary ones, in g and deg/s. evidence: whether a
@@ -27,6 +30,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from mems_ins_fusion.configuration.check import judge_mounting
 from mems_ins_fusion.configuration.configure import configured, look
 from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting, rpy
 from mems_ins_fusion.configuration.topics import Candidate, Topics
@@ -38,6 +42,7 @@ from mems_ins_fusion.evaluation.intervals import interval_of_share
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.navigation.frames import rotation_from_rpy, wrap
 from mems_ins_fusion.parameters import table
+from mems_ins_fusion.recordings.findings import ERROR
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.units import find_units, in_si
 from mems_ins_fusion.reports.configuration import doubts
@@ -45,7 +50,7 @@ from mems_ins_fusion.samples import Recording
 from mems_ins_fusion.simulation import drive
 from mems_ins_fusion.simulation.drive import MARGIN, _random_hills, follow, stream
 from mems_ins_fusion.simulation.manoeuvres import Segment, _speed_change
-from mems_ins_fusion.simulation.scene import REALISTIC
+from mems_ins_fusion.simulation.scene import FLAT, REALISTIC
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_recording
 
 #: receivers: sigma of a fix, m, and fixes per second
@@ -306,6 +311,47 @@ def held(error, sigma) -> str:
     return f'{within} of {score.size} ({low:.0%} to {high:.0%}), {np.sqrt((score**2).mean()):.2f}'
 
 
+#: receivers of `slow`: sigma of a fix, m, and fixes per second
+SLOW_FIXES = tuple(product((0.02, 0.1, 0.5, 1.5), (1.0, 5.0, 10.0)))
+LOOKS = 60, 90, 120, 240, 480, 600  # s after the start, at which a live node or a replay looks
+KEPT = 240  # s that a live node keeps
+
+
+def slow_drive(seed: int) -> list[tuple]:
+    """Sigma of the receiver, time of the look, error and sigma of the yaw, deg, NaN where it is not shown, and whether
+    an ERROR is said: of each receiver and look."""
+    rows = []
+    for scene in (FLAT, REALISTIC):
+        scene = replace(scene, manoeuvres='slow', mounting_error=0.0)
+        motion, shaking = scene.drive(606.0, seed, 50.0, standstill=25.0), scene.distortions(seed)['vibration']
+        sensors = SensorErrors.from_parameters(table.check(scene.imu), 'gauss_markov')
+        for sigma, rate in SLOW_FIXES:
+            made = simulate_recording(motion, sensors, GnssNoise(sigma, rate), seed=seed, vibration=shaking).recording
+            for look_at in LOOKS:
+                begin, end = (made.imu.stamp[0] + int(1e9 * at) for at in (
+                    look_at - KEPT if look_at < LOOKS[-1] else 0.0, look_at))
+                imu, fixes = (samples.select((samples.stamp > begin) & (samples.stamp < end))
+                              for samples in (made.imu, made.gnss))
+                findings, found = judge_mounting(imu, fixes, table.defaults(), 0.0)
+                known = found is not None and found.yaw_known
+                rows.append((sigma, look_at, np.degrees(found.rpy[2]) if known else np.nan,
+                             np.degrees(found.sigma[2]) if known else np.nan,
+                             any(finding.severity == ERROR for finding in findings)))
+    return rows
+
+
+def slow(drives: int, first: int, processes: int):
+    with ProcessPoolExecutor(processes) as pool:
+        rows = np.array([row for rows in pool.map(slow_drive, range(first, first + drives)) for row in rows], float)
+    groups = [(f'{sigma:g} m', rows[:, 0] == sigma) for sigma in dict.fromkeys(s for s, _ in SLOW_FIXES)]
+    groups += [(f'after {at} s', rows[:, 1] == at) for at in LOOKS] + [('all', np.ones(len(rows), bool))]
+    for name, chosen in groups:
+        _, _, error, sigma, wrong = rows[chosen].T
+        score = np.abs(error / sigma)[np.isfinite(sigma)]
+        print(f'| {name} | {chosen.sum()} | {len(score)} | {held(error, sigma)} | {(score > 4.0).sum()} | '
+              f'{int(wrong.sum())} |', flush=True)
+
+
 def turns() -> list[np.ndarray]:
     """The 24 right-angled rotations and 20 arbitrary ones."""
     right = [np.array([[sign[i] * (j == order[i]) for j in range(3)] for i in range(3)], float)
@@ -376,7 +422,7 @@ def evidence(data: Path):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('what', choices=('drives', 'simulated', 'measured', 'evidence'))
+    parser.add_argument('what', choices=('drives', 'slow', 'simulated', 'measured', 'evidence'))
     parser.add_argument('data', nargs='?', type=Path, help='folder of the measured recordings, or RESULTS.csv')
     parser.add_argument('--first', type=int, default=0)
     parser.add_argument('--diagnose', action='store_true')
@@ -386,6 +432,8 @@ def main():
     options = parser.parse_args()
     if options.what == 'drives':
         drives(options.data, options.drives, options.first, options.diagnose, options.any_fixes, options.processes)
+    elif options.what == 'slow':
+        slow(options.drives, options.first, options.processes)
     elif options.what == 'simulated':
         simulated(options.drives, options.processes)
     else:
