@@ -307,8 +307,8 @@ def _heading(motion: _Motion, axes):
             x, y, _ = turn @ axes @ vectors[index]
             return math.remainder(math.atan2(y, x) - (towards or 0.0), 2 * math.pi)
 
-        if not _SMALLEST_GAIN < np.linalg.norm(motion.fit.solution[index]) < _LARGEST_GAIN:
-            continue  # noise of the fixes, or heights that have nothing to do with the road
+        if index == _GRADE and not _SMALLEST_GAIN < np.linalg.norm(motion.fit.solution[index]) < _LARGEST_GAIN:
+            continue  # heights that have nothing to do with the road
         seen = angle(motion.fit.solution)
         sigma = math.hypot(motion.sigma(lambda vectors: angle(vectors, seen), index), AXES_SIGMA)
         if index == _GRADE:
