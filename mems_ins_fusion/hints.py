@@ -9,6 +9,9 @@ from . import __version__
 VERSION = f'mems_ins_fusion {__version__}'
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """How the sentence that refuses `name` goes on: with the most similar of `known`, or not at all."""
-    close = difflib.get_close_matches(name, list(known), n=1)
+    """How the sentence that refuses `name` goes on: with the one of `known` that begins so, else with the most similar,
+    or not at all."""
+    known = list(known)
+    longer = [one for one in known if name and one.startswith(f'{name}_')]
+    close = longer if len(longer) == 1 else difflib.get_close_matches(name, known, n=1)
     return f"; did you mean '{close[0]}'?" if close else ''

@@ -1,13 +1,17 @@
 """How well `configure` finds mountings: simulated short drives, and measured recordings turned in every way.
 
-    python studies/configure.py drives RESULTS.csv [--drives 100] [--first 0] [--diagnose]
+    python studies/configure.py drives RESULTS.csv [--drives 100] [--first 0] [--any-fixes] [--diagnose]
+    python studies/configure.py slow --drives 12 --first 7701
     python studies/configure.py simulated [--drives 100]
     python studies/configure.py measured DATA
     python studies/configure.py evidence DATA
 
 drives: cars on roads, receivers that smooth, rovers at walking speed, phones of 10 Hz whose samples alias; offsets,
 arms and mountings drawn at random: what `configure` writes, and with --diagnose what `diagnose` makes of it, and of the
-mounting by hand; each against the truth. A line of RESULTS.csv each; those that are there are not run again.
+mounting by hand; each against the truth. A line of RESULTS.csv each; those that are there are not run again. With
+--any-fixes receivers of 0.2, 1, 5 and 10 Hz in turn, each second one with gaps of some seconds.
+slow: robots at 0.4 m/s that turn on the spot, with twelve receivers, on level ground and with everything that
+`simulate --drive realistic` has: what is said of the mounting after some minutes, as the live node looks at it.
 simulated: two minutes with a standstill, one right-angled turn and one stop, on hilly roads, in cars with suspension,
 IMUs in arbitrary positions, five receivers; the error of the mounting over its sigma. measured: each recording with its
 IMU turned by the 24 right-angled rotations and 20 arbitrary ones, in g and deg/s. evidence: whether a
@@ -26,6 +30,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from mems_ins_fusion.configuration.check import judge_mounting
 from mems_ins_fusion.configuration.configure import configured, look
 from mems_ins_fusion.configuration.mounting import deviation, estimate_mounting, rpy
 from mems_ins_fusion.configuration.topics import Candidate, Topics
@@ -33,9 +38,11 @@ from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.diagnosis.findings import Diagnosis
 from mems_ins_fusion.diagnosis.problem import DiagnosisError
 from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.evaluation.intervals import interval_of_share
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.navigation.frames import rotation_from_rpy, wrap
 from mems_ins_fusion.parameters import table
+from mems_ins_fusion.recordings.findings import ERROR
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.units import find_units, in_si
 from mems_ins_fusion.reports.configuration import doubts
@@ -43,7 +50,7 @@ from mems_ins_fusion.samples import Recording
 from mems_ins_fusion.simulation import drive
 from mems_ins_fusion.simulation.drive import MARGIN, _random_hills, follow, stream
 from mems_ins_fusion.simulation.manoeuvres import Segment, _speed_change
-from mems_ins_fusion.simulation.scene import REALISTIC
+from mems_ins_fusion.simulation.scene import FLAT, REALISTIC
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_recording
 
 #: receivers: sigma of a fix, m, and fixes per second
@@ -83,8 +90,8 @@ def one_drive(seed: int):
     return np.concatenate([deviation(found.rotation, true), found.sigma])
 
 
-def simulated(drives: int):
-    with ProcessPoolExecutor(2) as pool:
+def simulated(drives: int, processes: int):
+    with ProcessPoolExecutor(processes) as pool:
         rows = np.array(list(pool.map(one_drive, range(drives))))
     error, sigma = rows[:, :3], rows[:, 3:]
     for number, (noise, rate) in enumerate(RECEIVERS):
@@ -121,6 +128,8 @@ DIAGNOSED = ('answer', *SETTINGS, *(f'{when}_{s}' for when in ('before', 'after'
 KINDS = ('car', 'car, RTK', 'car, smoothing', 'rover', 'phone')
 #: receivers of the rovers
 ROVER_FIXES = GnssNoise(0.02, 5.0), GnssNoise(0.3, 1.0)
+ANY_RATE = 0.2, 1.0, 5.0, 10.0  # Hz, of the receivers with --any-fixes
+GAPS = 30.0  # an hour, of 3 to 40 s each, with --any-fixes
 LARGEST_OFFSET, FELT_OFFSET, FELT_ANGLE = 1.0, 0.1, 3.0  # s, s, deg
 UPRIGHT = 6.0  # deg, about each axis: a box that somebody has put in a car
 
@@ -136,8 +145,9 @@ class Case:
     arm: np.ndarray
 
 
-def case(number: int, upright: bool = False, duration: float = 600.0) -> Case:
-    """upright: the IMU sits about as its axes say, off by some degrees; else anyhow. duration: s, at most."""
+def case(number: int, upright: bool = False, duration: float = 600.0, any_fixes: bool = False) -> Case:
+    """upright: the IMU sits about as its axes say, off by some degrees; else anyhow. duration: s, at most. any_fixes:
+    receivers of ANY_RATE, each second one with gaps, instead of the kind's own rate."""
     kind, draw = KINDS[number % len(KINDS)], stream(number, 'estimator')
     offset = float(draw.uniform(-LARGEST_OFFSET, LARGEST_OFFSET))
     arm = np.array([draw.uniform(-1.5, 1.5), draw.uniform(-0.5, 0.5), draw.uniform(0.2, 1.5)])
@@ -150,6 +160,10 @@ def case(number: int, upright: bool = False, duration: float = 600.0) -> Case:
                                             outliers=0.01),
                 'rover': ROVER_FIXES[number // len(KINDS) % 2],
                 'phone': GnssNoise(2.0, 1.0, coloured_sigma=2.0)}[kind]
+    if any_fixes:
+        turn = number // len(KINDS)
+        receiver = replace(receiver, rate=ANY_RATE[turn % len(ANY_RATE)],
+                           dropouts=GAPS * (turn // len(ANY_RATE) % 2))
     if kind == 'rover':
         motion, vibration, arm = rover(number, min(duration, 400.0)), None, 0.3 * arm
     else:
@@ -191,8 +205,8 @@ def rover(seed: int, duration: float = 400.0):
 
 def one_case(task) -> list[dict]:
     """What `configure` says of a drive, and `diagnose` after it and by hand; a row each."""
-    number, diagnosed = task
-    of = case(number)
+    number, diagnosed, any_fixes = task
+    of = case(number, any_fixes=any_fixes)
     imu, fixes = of.recording.imu, of.recording.gnss
     topics = Topics(*((Candidate(topic, len(samples), 1.0, 0.0, 1.0, False, samples),)
                       for topic, samples in (('/imu/data', imu), ('/gps/fix', fixes))), ())
@@ -252,11 +266,11 @@ def row(of: Case, number, way, values, lag, lag_sigma, sigmas=(np.nan,) * 3, rea
             **{f'arm_{name}_sigma': sigma for name, sigma in zip('xyz', arm_sigma)}}
 
 
-def drives(path: Path, count: int, first: int, diagnosed: bool):
+def drives(path: Path, count: int, first: int, diagnosed: bool, any_fixes: bool, processes: int):
     there = list(csv.DictReader(path.open())) if path.exists() else []
     known = {int(line['number']) for line in there}
-    tasks = [(number, diagnosed) for number in range(first, first + count) if number not in known]
-    with ProcessPoolExecutor(2) as pool, path.open('a', newline='') as file:
+    tasks = [(number, diagnosed, any_fixes) for number in range(first, first + count) if number not in known]
+    with ProcessPoolExecutor(processes) as pool, path.open('a', newline='') as file:
         for rows in pool.map(one_case, tasks):
             writer = csv.DictWriter(file, [*rows[0], *DIAGNOSED], restval='')
             if file.tell() == 0:
@@ -286,12 +300,56 @@ def summary(rows: list[dict]):
 
 
 def held(error, sigma) -> str:
-    """How many of the errors lie within two sigma, and the root mean square of their ratio."""
+    """How many of the errors lie within two sigma, the 95 % interval of that share, and the root mean square of their
+    ratio."""
     known = np.isfinite(sigma)
     if not known.any():
         return '-'
     score = error[known] / sigma[known]
-    return f'{(np.abs(score) < 2.0).mean():.0%}, {np.sqrt((score**2).mean()):.2f}'
+    within = int((np.abs(score) < 2.0).sum())
+    low, high = interval_of_share(within, score.size)
+    return f'{within} of {score.size} ({low:.0%} to {high:.0%}), {np.sqrt((score**2).mean()):.2f}'
+
+
+#: receivers of `slow`: sigma of a fix, m, and fixes per second
+SLOW_FIXES = tuple(product((0.02, 0.1, 0.5, 1.5), (1.0, 5.0, 10.0)))
+LOOKS = 60, 90, 120, 240, 480, 600  # s after the start, at which a live node or a replay looks
+KEPT = 240  # s that a live node keeps
+
+
+def slow_drive(seed: int) -> list[tuple]:
+    """Sigma of the receiver, time of the look, error and sigma of the yaw, deg, NaN where it is not shown, and whether
+    an ERROR is said: of each receiver and look."""
+    rows = []
+    for scene in (FLAT, REALISTIC):
+        scene = replace(scene, manoeuvres='slow', mounting_error=0.0)
+        motion, shaking = scene.drive(606.0, seed, 50.0, standstill=25.0), scene.distortions(seed)['vibration']
+        sensors = SensorErrors.from_parameters(table.check(scene.imu), 'gauss_markov')
+        for sigma, rate in SLOW_FIXES:
+            made = simulate_recording(motion, sensors, GnssNoise(sigma, rate), seed=seed, vibration=shaking).recording
+            for look_at in LOOKS:
+                begin, end = (made.imu.stamp[0] + int(1e9 * at) for at in (
+                    look_at - KEPT if look_at < LOOKS[-1] else 0.0, look_at))
+                imu, fixes = (samples.select((samples.stamp > begin) & (samples.stamp < end))
+                              for samples in (made.imu, made.gnss))
+                findings, found = judge_mounting(imu, fixes, table.defaults(), 0.0)
+                known = found is not None and found.yaw_known
+                rows.append((sigma, look_at, np.degrees(found.rpy[2]) if known else np.nan,
+                             np.degrees(found.sigma[2]) if known else np.nan,
+                             any(finding.severity == ERROR for finding in findings)))
+    return rows
+
+
+def slow(drives: int, first: int, processes: int):
+    with ProcessPoolExecutor(processes) as pool:
+        rows = np.array([row for rows in pool.map(slow_drive, range(first, first + drives)) for row in rows], float)
+    groups = [(f'{sigma:g} m', rows[:, 0] == sigma) for sigma in dict.fromkeys(s for s, _ in SLOW_FIXES)]
+    groups += [(f'after {at} s', rows[:, 1] == at) for at in LOOKS] + [('all', np.ones(len(rows), bool))]
+    for name, chosen in groups:
+        _, _, error, sigma, wrong = rows[chosen].T
+        score = np.abs(error / sigma)[np.isfinite(sigma)]
+        print(f'| {name} | {chosen.sum()} | {len(score)} | {held(error, sigma)} | {(score > 4.0).sum()} | '
+              f'{int(wrong.sum())} |', flush=True)
 
 
 def turns() -> list[np.ndarray]:
@@ -364,16 +422,20 @@ def evidence(data: Path):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('what', choices=('drives', 'simulated', 'measured', 'evidence'))
+    parser.add_argument('what', choices=('drives', 'slow', 'simulated', 'measured', 'evidence'))
     parser.add_argument('data', nargs='?', type=Path, help='folder of the measured recordings, or RESULTS.csv')
     parser.add_argument('--first', type=int, default=0)
     parser.add_argument('--diagnose', action='store_true')
+    parser.add_argument('--any-fixes', action='store_true')
+    parser.add_argument('--processes', type=int, default=2)
     parser.add_argument('--drives', type=int, default=100)
     options = parser.parse_args()
     if options.what == 'drives':
-        drives(options.data, options.drives, options.first, options.diagnose)
+        drives(options.data, options.drives, options.first, options.diagnose, options.any_fixes, options.processes)
+    elif options.what == 'slow':
+        slow(options.drives, options.first, options.processes)
     elif options.what == 'simulated':
-        simulated(options.drives)
+        simulated(options.drives, options.processes)
     else:
         {'measured': measured, 'evidence': evidence}[options.what](options.data)
 

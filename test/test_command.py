@@ -43,7 +43,8 @@ def test_each_tool_tells_its_version_and_its_options(tool, capsys):
 
 
 @pytest.mark.parametrize(['argv', 'meant'], [
-    (['simulat'], 'simulate'), (['simulate', '--ouput', 'x'], '--output'), (['simulate', '--ouput=x'], '--output'),
+    (['simulat'], 'simulate'), (['replay'], 'replay_node'),
+    (['simulate', '--ouput', 'x'], '--output'), (['simulate', '--ouput=x'], '--output'),
     (['diagnose', '--bag', 'x', '--output', 'y', '--param-file', 'z'], '--params-file'),
     (['simulate', '--output', 'x', '--effect', 'gyroscop_scale=1'], 'gyroscope_scale'),
     (['fusion_node', '--ros-args', '-p', 'gnss.leverarm:=[1.0, 0.0, 0.0]'], 'gnss.lever_arm')])

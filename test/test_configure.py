@@ -296,16 +296,40 @@ def test_a_level_road_straight_on_at_constant_speed_shows_no_yaw():
 
 
 def test_the_checker_says_what_configure_says_of_a_long_recording():
-    # given a vehicle that goes straight on for 21 minutes before it turns and brakes, with fixes 0.3 s late
+    # given a vehicle that goes straight on for 21 minutes before it turns and brakes, with fixes 0.3 s late, and an IMU
+    # with noise: without any, all that turns shows is an outlier beside minutes without residuals
     late = EFFECTS['gnss_time_offset'], {'time_offset': 0.3}
     drive = follow(Path((Segment(10.0), Segment(10.0, 12.0), Segment(1260.0), *SHORT[1:])), 1400.0, 50.0)
-    made = simulate_recording(drive, SensorErrors(), GnssNoise(0.05, 1.0), [late], seed=0).recording
+    sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
+    made = simulate_recording(drive, sensors, GnssNoise(0.05, 1.0), [late], seed=0).recording
     # when the checker and configure look at it
     found = look('drive', made.imu, made.gnss).mounting.offset
     said, = (finding for finding in check_setup(made, table.defaults()) if 'lag_s' in finding.values)
     # then it is one estimate, and it is right
     assert (said.values['lag_s'], said.values['sigma_s']) == (found.lag, found.lag_sigma)
     assert said.values['lag_s'] == pytest.approx(0.3, abs=min(0.1, 3.0 * said.values['sigma_s']))
+
+
+@pytest.mark.parametrize('factor, words', [
+    (0.1, 'too sure of itself; set gnss.sigma'), (50.0, 'far better than it says'), (1.0, '')])
+def test_the_checker_says_of_the_scatter_and_the_mounting_what_configure_says(factor, words):
+    # given a receiver that states its sigma wrong by `factor`
+    made = recording(sigma=0.02)
+    made = replace(made, gnss=replace(made.gnss, covariance=factor**2 * made.gnss.covariance))
+    seen = look('drive', made.imu, made.gnss)
+    # when its sigmas are believed; then the scatter is that of configure, and right
+    said = {f.topic: f for f in check_setup(made, table.check({'gnss.adapt_sigma': False}))
+            if f.values.keys() & {'scatter_m', 'roll'}}
+    assert words in said['gnss'].message and said['gnss'].severity == ('warning' if words else 'info')
+    assert said['gnss'].values['scatter_m'] == seen.receiver.realised == pytest.approx(0.02, rel=0.3)
+    # and where the filter learns them there is nothing to do
+    learned, = (f for f in check_setup(made, table.defaults()) if 'scatter_m' in f.values)
+    assert learned.severity == 'info'
+    # and what is left of the mounting is what configure found
+    left = said['imu'].values
+    assert [left[name] for name in ('roll', 'pitch', 'yaw')] == pytest.approx(deviation(seen.mounting.rotation,
+                                                                                        np.eye(3)).tolist())
+    assert [left[f'{name}_sigma'] for name in ('roll', 'pitch', 'yaw')] == seen.mounting.sigma.tolist()
 
 
 def test_speeding_up_and_braking_alone_show_the_yaw_and_which_way_is_forwards():

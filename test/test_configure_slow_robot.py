@@ -1,17 +1,23 @@
 """A slow robot with two receivers, odometry of its wheels and a pressure sensor is set up from a bag alone."""
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mems_ins_fusion.cli.simulate import main as simulate
 from mems_ins_fusion.configuration.baseline import estimate_baseline
+from mems_ins_fusion.configuration.check import judge_mounting
 from mems_ins_fusion.configuration.configure import configure
+from mems_ins_fusion.configuration.regression import jackknife
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.parameters.params_file import load_yaml
 from mems_ins_fusion.recordings.motion import find_standstill, scatter_at_rest, without_turns
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.simulation import manoeuvres
+from mems_ins_fusion.simulation.scene import FLAT, REALISTIC
+from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_recording
 
 REAR = -0.9  # m, from the first antenna to the second
 ROBOT = """/**:
@@ -96,3 +102,59 @@ def test_the_tool_simulates_what_the_params_file_names(slow):
     assert len(read_recording(slow, '/imu/data', '/rear/fix').gnss) == 3000
     recording = read_recording(slow, '/imu/data', '/front/fix', twist_topic='/wheel/odometry', pressure_topic='/baro')
     assert len(recording.others['twist']) > 5900 and len(recording.others['pressure']) > 5900
+
+
+def looked_at(seed, part, *receivers, scene=FLAT, since=0.0):
+    """What is found until `part` s, from `since` on, of a robot's drive of ten minutes with each of `receivers` (sigma,
+    m, and rate, Hz), beside the right mounting: findings and the estimate."""
+    drive = replace(scene, manoeuvres='slow').drive(606.0, seed, 50.0, standstill=25.0)
+    sensors = SensorErrors.from_parameters(table.check(scene.imu), 'gauss_markov')
+    for sigma, rate in receivers:
+        made = simulate_recording(drive, sensors, GnssNoise(sigma, rate), seed=seed,
+                                  vibration=scene.distortions(seed)['vibration']).recording
+        begin, end = (made.imu.stamp[0] + int(at * 1e9) for at in (since, part))
+        imu, fixes = (samples.select((samples.stamp >= begin) & (samples.stamp < end))
+                      for samples in (made.imu, made.gnss))
+        yield judge_mounting(imu, fixes, table.defaults(), 0.0)
+
+
+def test_noise_of_the_fixes_of_a_slow_robot_is_not_taken_for_its_speed():
+    # given a robot of 0.4 m/s and fixes whose noise is faster than that; when its mounting is looked at as a live node
+    # does
+    for findings, found in looked_at(7701, 120.0, (0.5, 5.0), (0.5, 10.0)):
+        # then nothing is said of the yaw, where it was told 40 deg off for certain
+        assert findings == [] and not found.yaw_known
+    # nor where it was told 66 deg off
+    (findings, found), = looked_at(7704, 480.0, (0.5, 1.0), scene=REALISTIC, since=240.0)
+    assert findings == [] and not found.yaw_known
+    # and with fixes that show its speed it is known
+    (findings, found), = looked_at(7701, 606.0, (0.02, 5.0))
+    assert findings == [] and found.yaw_known and abs(found.rpy[2]) < 2.5 * found.sigma[2]
+
+
+def test_turns_on_the_spot_do_not_turn_the_mounting():
+    # given a robot that turns on the spot, its IMU 1.2 m in front of the axle, so that it goes sideways then
+    (findings, found), = looked_at(7701, 606.0, (0.02, 5.0), scene=REALISTIC)
+    # then the yaw, where it was told 15 deg off, is off by no more than its sigma says
+    assert found.yaw_known and abs(found.rpy[2]) < 2.5 * found.sigma[2] and findings == []
+
+
+def test_two_changes_of_speed_that_agree_are_not_taken_for_many():
+    # given two minutes of a robot that hardly changes its speed; when its mounting is looked at
+    (findings, found), = looked_at(7710, 120.0, (0.1, 5.0), scene=REALISTIC)
+    # then the yaw, which was told 48 deg off for certain, is not contradicted
+    assert findings == [] and abs(found.rpy[2]) < 3.0 * found.sigma[2]
+
+
+def test_what_few_parts_of_a_drive_show_has_a_large_sigma():
+    # given means over twenty parts of a drive of which three, or all, show something, drawn many times
+    draw = np.random.default_rng(1)
+    for shown in (np.r_[1.0, 1.0, 1.0, np.full(17, 1e-3)], np.ones(20)):
+        values = draw.standard_normal((4000, 20)) / np.sqrt(shown)
+        mean = (values * shown).sum(axis=1) / shown.sum()
+        left_out = ((values * shown).sum(axis=1)[:, None] - values * shown) / (shown.sum() - shown)
+        sigma = jackknife(left_out.T, shown)
+        # then two sigma hold as many of them as with a normal distribution
+        assert np.mean(np.abs(mean) < 2.0 * sigma) == pytest.approx(0.954, abs=0.02)
+    # and what a single part shows is as good as not known
+    assert jackknife(np.r_[1.0, np.zeros(19)], np.r_[1.0, np.full(19, 1e-6)]) > 100.0

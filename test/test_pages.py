@@ -30,7 +30,7 @@ from mems_ins_fusion.reports import html, replay_answer, replay_report
 from mems_ins_fusion.reports.answer import WIDTH, shorten, typed
 from mems_ins_fusion.reports.replay_report import _notices
 from mems_ins_fusion.reports.series import _heading
-from mems_ins_fusion.reports.side_by_side import Result, Series, judged, read_result, rows_of
+from mems_ins_fusion.reports.side_by_side import Result, Series, answer, judged, read_result, rows_of
 from mems_ins_fusion.reports.track import Layer, script, track
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
@@ -117,6 +117,19 @@ def test_a_difference_is_certain_only_where_the_pairs_say_so():
     other = np.abs(np.random.default_rng(2).standard_normal(2000)) + 1.0
     [row] = rows_of(result('a', noise), result('b', other))
     assert row.change.sign() == 0
+
+
+def test_outages_that_begin_at_other_fixes_are_said_to_be_so():
+    # given two replays whose outages begin two seconds apart, as one filter starts later than the other
+    error = np.abs(np.random.default_rng(1).standard_normal(50)) + 1.0
+    first, second = result('a', error), result('b', error)
+    for one, begin in ((first, 0), (second, 2 * 10**9)):
+        stamp = begin + 30 * 10**9 * np.arange(10)
+        one.outages['drive', 'random_walk', 10.0] = Series(stamp, error[:10], within=np.ones(10, bool),
+                                                           nees=np.ones(10))
+    # then that is what is wrong with the comparison, and not that there are too few epochs
+    wrong = ' '.join(answer(first, second, rows_of(first, second)).wrong)
+    assert 'the outages of the two begin at other fixes' in wrong and 'too few epochs' not in wrong
 
 
 # the answer

@@ -1,4 +1,4 @@
-"""Whether a recording fits the parameters it is to be filtered with: mounting, time offset, antenna.
+"""Whether a recording fits the parameters it is to be filtered with: mounting, clocks, antenna, sigma of the fixes.
 
 The same estimates as those of `configure`, for whoever reads a recording, and for the live node.
 """
@@ -10,7 +10,8 @@ import numpy as np
 
 from mems_ins_fusion.configuration.inputs import WHEELED, wheel_clock
 from mems_ins_fusion.configuration.mounting import Mounting, estimate_mounting
-from mems_ins_fusion.configuration.remaining import ARM, TIME_OFFSET, Remaining, remaining_of
+from mems_ins_fusion.configuration.receiver import TOO_SURE, assess_receiver
+from mems_ins_fusion.configuration.remaining import ANGLES, ARM, TIME_OFFSET, Remaining, remaining_of
 from mems_ins_fusion.configuration.vehicle import standstills_show
 from mems_ins_fusion.filter.measurements.registry import MEASUREMENTS, aiding
 from mems_ins_fusion.filter.memory import Kind
@@ -20,6 +21,7 @@ from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters.params_file import yaml_value
 from mems_ins_fusion.recordings.aiding import forwards
 from mems_ins_fusion.recordings.checker import ERROR, INFO, WARNING, Finding, check_recording
+from mems_ins_fusion.recordings.motion import find_standstill, without_turns
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
 SURE = 4.0  # sigmas
@@ -34,6 +36,7 @@ FASTEST_IN_REVERSE = 8.0  # m/s: a vehicle that goes faster than this goes forwa
 SMALL_OFFSET = 0.05
 #: m; and a part of the antenna's arm
 SMALL_ARM = 0.3
+_FAR_BETTER = 0.05  # part of its sigma that a receiver scatters by, as no honest one does
 VAGUE_ARM = 0.3  # m: an arm with a larger sigma says nothing
 YAW_NOT_SHOWN = 'whether the yaw of imu.mounting_rpy is right does not show'
 
@@ -48,7 +51,7 @@ def check(recording: Recording, values: dict) -> list[Finding]:
 
 
 def check_setup(recording: Recording, values: dict) -> list[Finding]:
-    """Mounting, time offset and antenna that `recording` shows, beside what `values` say of them.
+    """Mounting, time offset, antenna and scatter of the fixes that `recording` shows, beside what `values` say of them.
 
     Where the recording shows too little of something, nothing is said of it.
     """
@@ -58,8 +61,10 @@ def check_setup(recording: Recording, values: dict) -> list[Finding]:
         return findings
     if found is None or not found.yaw_known:
         findings.append(Finding(INFO, 'imu', f'{YAW_NOT_SHOWN} here: too few turns and changes of speed'))
+    elif not findings:
+        findings.append(_mounting_left(found, values))
     return [*findings, *check_standstills(imu, fixes, values), *_check_offset(found, values),
-            *_check_wheels(recording, imu, found, values)]
+            *_check_sigma(imu, fixes, found, values), *_check_wheels(recording, imu, found, values)]
 
 
 def check_standstills(imu: ImuSamples, fixes: Fixes | None, values: dict):
@@ -125,7 +130,7 @@ def _check_offset(found: Mounting | None, values: dict):
     if lag.certain(SMALL_OFFSET, SURE):
         size = f'{abs(lag.value):.3f} s {"late" if lag.value > 0 else "early"} (sigma {lag.sigma:.3f} s)'
         yield Finding(WARNING, 'imu/gnss', f'against the IMU the fixes are {size}{beside}: a clock offset, see '
-                      f'gnss.time_offset, which would be {offset.lag:.2f}', seen, ('gnss.time_offset',))
+                      f'gnss.time_offset, which would be {offset.lag:.3f}', seen, ('gnss.time_offset',))
     else:
         what = f'what is left of the time offset{beside}' if declared else 'no clock offset to be seen'
         yield Finding(INFO, 'imu/gnss', f'{what}: {round(lag.value, 3) + 0.0:.3f} +- {lag.sigma:.3f} s', seen)
@@ -136,6 +141,36 @@ def _check_offset(found: Mounting | None, values: dict):
         yield Finding(WARNING, 'gnss', f'from the IMU to the antenna it is {words}, where gnss.lever_arm says '
                       f'{yaml_value([float(x) for x in values["gnss.lever_arm"]])}',
                       {'arm_m': offset.arm.tolist(), 'arm_sigma_m': offset.arm_sigma.tolist()}, ('gnss.lever_arm',))
+
+
+def _check_sigma(imu: ImuSamples, fixes: Fixes, found: Mounting | None, values: dict):
+    """The stated sigma, or `gnss.sigma`, against what the fixes scatter by. A filter that takes sigmas for what it sees
+    (`gnss.adapt_sigma`) needs no advice."""
+    receiver = assess_receiver(fixes, imu, without_turns(find_standstill(imu, fixes), imu), found)
+    stated, scatter = values['gnss.sigma'] or receiver.stated, receiver.realised
+    if stated is None or scatter is None:
+        return
+    seen = {'stated_m': stated, 'scatter_m': scatter, 'at_rest_m': receiver.at_rest, 'in_motion_m': receiver.in_motion}
+    text = (f'{"gnss.sigma" if values["gnss.sigma"] else "stated sigma"} {stated:.3g} m, scatter '
+            f'{"at rest" if scatter == receiver.at_rest else "in motion"} {scatter:.2g} m')
+    doubt = ''
+    if scatter > TOO_SURE * stated:
+        doubt = ': the receiver is too sure of itself; set gnss.sigma'
+    elif scatter < _FAR_BETTER * stated:
+        doubt = ': the receiver is far better than it says, or its fixes are smoothed'
+    if doubt and not values['gnss.adapt_sigma']:
+        yield Finding(WARNING, 'gnss', f'{text}{doubt}', seen, ('gnss.sigma',))
+    else:
+        yield Finding(INFO, 'gnss', text, seen)
+
+
+def _mounting_left(found: Mounting, values: dict) -> Finding:
+    """What the parameters leave of a mounting that nothing speaks against."""
+    left = [one for one in remaining_of(found, values) if one.name in ANGLES]
+    words = ', '.join(f'{one.name} {math.degrees(one.value) + 0.0:.1f} +- {math.degrees(one.sigma):.1f}'
+                      for one in left)
+    return Finding(INFO, 'imu', f'what is left of imu.mounting_rpy, deg about forward, left and up: {words}',
+                   {one.name: one.value for one in left} | {f'{one.name}_sigma': one.sigma for one in left})
 
 
 def _check_wheels(recording: Recording, imu: ImuSamples, found: Mounting | None, values: dict):

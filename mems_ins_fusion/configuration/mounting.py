@@ -25,7 +25,7 @@ from mems_ins_fusion.configuration.kinematics import (
 from mems_ins_fusion.configuration.offset import LARGEST, Offset, estimate_offset
 from mems_ins_fusion.configuration.regression import Fit, blocks, fit, jackknife, weighted
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
-from mems_ins_fusion.recordings.motion import find_standstill, robust_sigma
+from mems_ins_fusion.recordings.motion import TIGHTEST_COURSE, find_standstill, robust_sigma
 from mems_ins_fusion.samples import Fixes, ImuSamples, runs
 
 BIAS_SIGMA = 0.2  # m/s^2: a consumer accelerometer's turn-on bias, which tilts gravity
@@ -40,6 +40,7 @@ _ROUGH = 0.4  # s: steps of a first search for the time offset, less than a chan
 _HARDEST = 8.0  # m/s^2: spans with more are errors of the receiver
 _QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # turns right into forward
 _SLOWEST = 0.2  # m/s: what counts as driving: robots do 0.4
+_CLEAR = 2.0  # times `_Motion.slowest` that a vehicle drives at its fastest: else its speeds are mostly noise
 _FEWEST_SPANS = 15
 _GRAVITY_ELSEWHERE = 0.1  # part of gravity that may be in what explains the motion
 _SMALLEST_GAIN = 0.6  # specific force per change of speed
@@ -183,9 +184,11 @@ def _misfit(inertial, intervals, up) -> float:
 
 @dataclass(frozen=True)
 class _Motion:
-    """Spans in motion at one time offset, and the specific force explained by them."""
+    """Spans in motion at one time offset, and the specific force explained by them. slowest: m/s, of what counts as
+    motion: noise of the fixes mostly stays below."""
 
     spans: Spans
+    slowest: float
     moving: np.ndarray
     block: np.ndarray
     fit: Fit
@@ -195,9 +198,10 @@ class _Motion:
         """Specific force per change of speed: about one, less where the receiver's noise hides the changes."""
         return float(np.linalg.norm(self.fit.solution[_FORWARD]))
 
-    def sigma(self, function) -> np.ndarray:
-        """Standard deviation of `function` of the fit's (6, 3) vectors."""
-        return jackknife(np.array([function(vectors) for vectors in self.fit.left_out]))
+    def sigma(self, function, index: int | None = None) -> np.ndarray:
+        """Standard deviation of `function` of the fit's (6, 3) vectors. index: of the vector that decides."""
+        return jackknife(np.array([function(vectors) for vectors in self.fit.left_out]),
+                         None if index is None else self.fit.shown(index))
 
 
 def _explain(inertial, intervals, up, lag) -> _Motion | None:
@@ -206,8 +210,9 @@ def _explain(inertial, intervals, up, lag) -> _Motion | None:
     if motion is None:
         return None
     slowest = max(_SLOWEST, 3.0 * intervals.sigma / intervals.length)
-    moving = ((np.abs(motion.speed) > slowest) & (np.abs(motion.acceleration) < _HARDEST)
-              & (np.abs(motion.centripetal) < _HARDEST))
+    # a robot that turns on the spot and drives in one span has another speed in its turn than on average
+    moving = ((np.abs(motion.speed) > np.maximum(slowest, TIGHTEST_COURSE * np.abs(motion.turn)))
+              & (np.abs(motion.acceleration) < _HARDEST) & (np.abs(motion.centripetal) < _HARDEST))
     if moving.sum() < _FEWEST_SPANS:
         return None
     grade = np.where(np.isfinite(motion.grade), motion.grade, 0.0)
@@ -219,7 +224,7 @@ def _explain(inertial, intervals, up, lag) -> _Motion | None:
     kept = float(np.linalg.norm(explained.solution[_UP]))
     if mean > 0.5 * STANDARD_GRAVITY and abs(kept / mean - 1.0) > _GRAVITY_ELSEWHERE:
         return None  # so few spans, or spans so alike, that gravity may be anything else
-    return _Motion(motion, moving, block, explained)
+    return _Motion(motion, float(slowest), moving, block, explained)
 
 
 def _levelled(inertial, intervals, up):
@@ -294,6 +299,8 @@ def _default_heading(up: np.ndarray) -> np.ndarray:
 def _heading(motion: _Motion, axes):
     """Evidence for the yaw about the axes, the yaw and its sigma, rad."""
     ways = []
+    if np.percentile(np.abs(motion.spans.speed), 90) < _CLEAR * motion.slowest:
+        return ways, 0.0, math.inf  # what counts as motion is mostly noise of the fixes
     for source, index, turn in (('changes of speed', _FORWARD, np.eye(3)), ('turns', _RIGHT, _QUARTER),
                                 ('grades', _GRADE, np.eye(3))):
         def angle(vectors, towards=None):
@@ -303,7 +310,7 @@ def _heading(motion: _Motion, axes):
         if index == _GRADE and not _SMALLEST_GAIN < np.linalg.norm(motion.fit.solution[index]) < _LARGEST_GAIN:
             continue  # heights that have nothing to do with the road
         seen = angle(motion.fit.solution)
-        sigma = math.hypot(motion.sigma(lambda vectors: angle(vectors, seen)), AXES_SIGMA)
+        sigma = math.hypot(motion.sigma(lambda vectors: angle(vectors, seen), index), AXES_SIGMA)
         if index == _GRADE:
             sigma = math.hypot(sigma, _bank_beside_grades(motion))
         if sigma < _USABLE:

@@ -6,12 +6,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.special import stdtrit
 
 HUBER = 2.5  # in robust standard deviations: who is further off counts less
 _ITERATIONS = 8
 _LEAST_WEIGHT = 0.3  # of what describes the noise
 _BLOCKS = 20  # stretches that a recording is divided into
 _BLOCK = 10.0  # s, at least
+_FEWEST_BLOCKS = 4  # that say anything of their scatter
+_TWO_SIGMA = 0.97725  # probability up to two standard deviations of a normal distribution
+_LEAST_FREEDOM = 0.3  # degrees: sigmas are some hundred times as large then, which is as good as not known
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,10 @@ class Fit:
             solutions.append(_solve(normal - weighted[rows].T @ self.design[rows],
                                     right - weighted[rows].T @ self.values[rows]))
         return np.array(solutions)
+
+    def shown(self, index: int) -> np.ndarray:
+        """(b,) what each block shows of row `index` of the solution: the weighted squares of its column."""
+        return np.bincount(self.block, self.weight * self.design[:, index] ** 2)[np.unique(self.block)]
 
 
 def blocks(time: np.ndarray) -> np.ndarray:
@@ -72,17 +80,22 @@ def _solve(normal, right):
     return np.linalg.lstsq(normal, right, rcond=None)[0]
 
 
-def jackknife(values: np.ndarray) -> np.ndarray:
+def jackknife(values: np.ndarray, shown: np.ndarray | None = None) -> np.ndarray:
     """Standard deviation of an estimate from its values (b, ...), each with one of b blocks left out.
 
-    Few blocks show their own scatter badly: the factor is that of Student's distribution with b - 1 degrees.
+    Few blocks show their own scatter badly: two of these sigmas hold as much as two of a normal distribution by
+    Student's, with b - 1 degrees of freedom.
+    shown: (b,) what each block shows of the estimate. Where two of twenty show nearly all of it, as two changes of
+    speed in a drive, that they agree may be chance: then as few count (L. Kish, "Survey Sampling", 1965).
     Source: Efron and Tibshirani, "An Introduction to the Bootstrap", section 11.2.
     """
     count = len(values)
-    if count < 4:
+    if count < _FEWEST_BLOCKS:
         return np.full(values.shape[1:], math.inf)
+    effective = count if shown is None else shown.sum() ** 2 / max((shown**2).sum(), np.finfo(float).tiny)
     spread = ((values - values.mean(axis=0)) ** 2).sum(axis=0)
-    return np.sqrt((count - 1) / count * spread * (count - 1) / (count - 3))
+    widened = float(stdtrit(max(effective - 1.0, _LEAST_FREEDOM), _TWO_SIGMA)) / 2.0
+    return widened * np.sqrt((count - 1) / count * spread)
 
 
 def weighted(values: np.ndarray, sigmas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,7 @@
 """What is wrong or remarkable with a recording, before a filter sees it.
 
 `check_recording` looks at each stream by itself (rate, gaps, stamps, values) and then at what they say about each
-other. What needs an estimate of mounting and clocks is in `configuration.check`.
+other. What needs an estimate of mounting, clocks or the receiver's scatter is in `configuration.check`.
 """
 from __future__ import annotations
 
@@ -21,12 +21,9 @@ from mems_ins_fusion.recordings.motion import (
     find_standstill,
     positions,
     robust_sigma,
-    scatter_at_rest,
-    scatter_of_track,
     sigmas,
     up_axis,
     valid_fixes,
-    without_turns,
 )
 from mems_ins_fusion.recordings.units import RATE, Units, as_delivered, find_units
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, runs
@@ -47,7 +44,8 @@ def check_recording(recording: Recording, values: Mapping = MappingProxyType({})
     """The findings on `recording`: for each stream, then for both together. Nothing is changed.
 
     values: parameters, where there are some: what they say already, such as a factor of the speed, is not said again.
-    What a recording shows of the mounting, the clocks and the antenna, `configuration.check` compares with them.
+    What a recording shows of the mounting, the clocks, the antenna and the receiver's scatter, `configuration.check`
+    compares with them.
     """
     imu, fixes, seen = recording.imu, recording.gnss, usable(recording)
     findings = [*_check_stamps('imu', imu), *_check_values(imu)]
@@ -75,8 +73,6 @@ def check_recording(recording: Recording, values: Mapping = MappingProxyType({})
     findings += [*_check_gravity(imu, still, expected, units, declared[0], values), *_check_rest(imu, still)]
     if good is not None:
         findings += [*_check_frozen(good, imu, still), *_check_jumps(good, values.get('gnss.robust_sigma', 0.0)),
-                     *_check_sigma(good, imu, without_turns(still, imu), values.get('gnss.sigma', 0.0),
-                                   values.get('gnss.adapt_sigma', False)),
                      *_check_turns(units, declared[1])]
     return findings
 
@@ -245,10 +241,9 @@ def _check_gravity(imu, still, expected, units: Units, declared, values):
         return
     axis = int(np.argmax(np.abs(up)))
     name = f'{"+" if up[axis] > 0 else "-"}{_AXES[axis]}'
-    tilt = float(np.degrees(np.arccos(min(abs(up[axis]), 1.0))))
     upright = abs(up[axis]) > _STRAIGHT
     points = f'sensor axis {name} points up' if upright else f'no sensor axis points up: {name} is nearest'
-    yield Finding(INFO, 'imu', f'{points}, {tilt:.1f} deg off', {'axis': name, 'tilt_deg': tilt})
+    yield Finding(INFO, 'imu', points, {'axis': name})
 
 
 def _check_rest(imu, still):
@@ -302,35 +297,6 @@ def _check_jumps(fixes, robust_sigma):
         yield Finding(INFO if robust_sigma else WARNING, 'gnss', f'the position jumps {count_of(count, "time")}, by up '
                       f'to {size.max():.3g} m, which neither the vehicle nor the stated sigma explains{advice}',
                       {'count': count, 'largest_m': float(size.max()), 'first_s': float(time[1:][jump][0])})
-
-
-def _check_sigma(fixes, imu, still, declared, adapted):
-    """The stated sigma, or the `declared` one, m, against the scatter at rest, or against the roughness of the track,
-    which bounds white noise. adapted: whether the filter takes sigmas for what it sees (`gnss.adapt_sigma`)."""
-    stated = sigmas(fixes)
-    if np.isnan(stated).all():
-        return
-    stated = declared or float(np.nanmedian(stated))
-    scatter, basis = scatter_at_rest(fixes, imu, still), 'at rest'
-    if scatter is None:
-        if len(fixes) < 20:
-            return
-        interval = np.median(np.diff(fixes.stamp)) * 1e-9
-        basis = 'from fix to fix'
-        scatter = scatter_of_track(positions(fixes))
-        if scatter > stated and interval > 0.3:
-            return  # that may be the vehicle's own acceleration
-    values = {'stated_m': stated, 'scatter_m': scatter}
-    text = f'{"gnss.sigma" if declared else "stated sigma"} {stated:.3g} m, scatter {basis} {scatter:.3g} m'
-    doubt, advice = '', 'set gnss.sigma'
-    if scatter > 3.0 * stated:
-        doubt = ': the receiver is too sure of itself'
-    elif scatter < 0.05 * stated:
-        doubt, advice = ': the receiver is far better than it says, or its fixes are smoothed', ''
-    if doubt and not adapted:
-        yield Finding(WARNING, 'gnss', '; '.join(filter(None, (f'{text}{doubt}', advice))), values)
-    else:
-        yield Finding(INFO, 'gnss', text, values)
 
 
 def _check_turns(units: Units, declared: str):

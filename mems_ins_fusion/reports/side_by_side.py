@@ -210,9 +210,7 @@ def answer(first: Result, second: Result, rows: list[Row]) -> Answer:
     """Which of the two is better, with the interval that says so."""
     names = first.name, second.name
     verdict = judged(first, second, rows)
-    unpaired = [row for row in rows if not row.count]
-    wrong = ['The two share too few epochs for paired statistics: the errors stand side by side, and a difference may '
-             'be one of the drives.'] if unpaired else []
+    wrong = [_why_unpaired(rows)] if not all(row.count for row in rows) else []
     wrong += [f'{r.name} was fitted to this recording: that it is better there is no proof. Compare on another drive.'
               for r in (first, second) if r.fitted_here]
     best = {BETTER: second, WORSE: first}.get(verdict.answer)
@@ -220,6 +218,15 @@ def answer(first: Result, second: Result, rows: list[Row]) -> Answer:
     step = Step(f'Use {best.name}.' if best is not None else 'Compare them on another drive, or a longer one.')
     return Answer(GOOD if best is not None else WARNING, _headline(verdict, names), wrong, [], [step], trust,
                   why=because(verdict))
+
+
+def _why_unpaired(rows: list[Row]) -> str:
+    """Why not all of `rows` are compared epoch by epoch, or outage by outage."""
+    if all(row.count for row in rows if row.duration is None):
+        return ('Without fixes they are not compared: the outages of the two begin at other fixes, as one filter '
+                'starts later, or has another gnss.time_offset. Their errors stand in the table.')
+    return ('The two share too few epochs for paired statistics: the errors stand side by side, and a difference may '
+            'be one of the drives.')
 
 
 def _headline(verdict: Verdict, names) -> str:
