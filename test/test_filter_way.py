@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.evaluation.comparison import truth_of
+from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors, rms
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import Event, Kind, Verdict
 from mems_ins_fusion.filter.runs.replay import run, run_with_outages
@@ -94,6 +96,26 @@ def test_a_heading_that_points_elsewhere_is_as_none():
     result = run(config('heading'), recording.imu, recording.gnss, Measured(heading=bad))
     counts = result.measured.verdicts(Kind.HEADING)
     assert counts[Verdict.CONTRADICTED] > 0.7 * np.count_nonzero(later), counts
+
+
+@pytest.mark.parametrize(('name', 'seconds'), [('speed', 0.5), ('velocity', 0.3), ('twist', 0.5), ('heading', 0.5)])
+def test_one_that_is_late_is_better_than_none_and_not_believed_too_far(name, seconds):
+    # given stamps that are late from the begin on, or early
+    for sign in (1, -1):
+        errors = {'late': [], 'none': []}
+        for seed in (2, 3, 4):
+            recording = drive(seed)
+            samples = recording.streams()[name]
+            late = replace(samples, stamp=samples.stamp + round(sign * seconds * SECOND))
+            truth = truth_of(recording, config(name).parameters)
+            for case, measured in (('late', {name: late}), ('none', {})):
+                result = run(config(*measured), recording.imu, recording.gnss, Measured(measured))
+                errors[case].append(position_errors(result, truth, np.zeros(len(truth), dtype=bool)))
+        late, none = ([np.concatenate([getattr(of, part) for of in errors[case]]) for part in ('horizontal', 'nees')]
+                      for case in ('late', 'none'))
+        # then the position is not worse for it, and the ellipse holds the truth
+        assert rms(late[0]) < 1.03 * rms(none[0]), (sign, rms(late[0]), rms(none[0]))
+        assert np.mean(late[1] < NEES_95) > 0.93, (sign, np.mean(late[1] < NEES_95), np.mean(none[1] < NEES_95))
 
 
 STUCK = {'speed': ('speed',), 'velocity': ('velocity',), 'twist': ('twist',), 'heading': ('yaw',)}
