@@ -11,7 +11,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..measurements import heading, magnetometer, pressure, twist
 from ..measurements.geometry import angular_rate, arm_of, body_velocity, own_state, rotate, vehicle_to_level
-from ..memory import NAV, Event, Head, Kind, Nav, yaw_state
+from ..memory import NAV, Event, Head, Kind, Nav, is_of_heading, is_of_velocity, yaw_state
 from ..update import ROBUST, product, project
 from . import contradiction, receiver, repeats, way
 from .hypotheses import UNDECLARED_OFFSET
@@ -22,7 +22,8 @@ from .standstill import SLOWEST_TOLD
 #: sigmas beyond which a speed or velocity is refused while fixes speak for the state: wheels that slip, another unit.
 #: Weighted down it would still pull, each time.
 FAR = 10.0
-#: the same of a magnetic field, which iron beside the way disturbs every day
+#: the same of a magnetic field, which iron beside the way disturbs every day, and of a further receiver, which
+#: reflections take away
 DISTURBED = 4.0
 #: m/s, that a speed is believed at most before its way has been compared with that of the fixes, whatever it claims
 FIRST_SIGMA = 0.1
@@ -48,24 +49,13 @@ LARGEST_CLAIM = 9.0
 LARGEST_NOISE = 0.2
 #: rad, the same of a heading
 LARGEST_HEADING_NOISE = 0.05
-#: s for which a heading that has fitted and then is far off is wrong: gyroscopes know better
+#: s for which a heading that has fitted and then is far off is wrong, as gyroscopes know better; and a further receiver
+#: that was far off the fixes when they ended
 LONGEST_JUMP = 60.0
 #: s after which it is the input that is wrong, and not the fixes: receivers that lose their satellites drift for less
 LONGEST_DRIFT = 60.0
 #: s without a fix after which the fixes no longer confirm the velocity
 NO_FIX = 10.0
-
-
-@njit(_nrt=False)
-def is_of_velocity(kind):
-    """Whether a measurement of this kind is of the velocity."""
-    return kind == Kind.SPEED or kind == Kind.VELOCITY or kind == Kind.TWIST
-
-
-@njit(_nrt=False)
-def is_of_heading(kind):
-    """Whether a measurement of this kind is of the heading."""
-    return kind == Kind.HEADING or kind == Kind.MAGNETIC
 
 
 @njit(_nrt=False)
@@ -139,6 +129,14 @@ def judge(mem, r, at, n, dimensions, c, sample):
             way.interrupt(mem, own)
         if confirmed or slips:
             return noise / claimed, far * math.sqrt(expected / (variance + noise))
+    if kind == Kind.PLACE:
+        expected = variance + min(factor, LARGEST_CLAIM) * assumed
+        if confirmed and squared > max(DISTURBED**2 * expected, 0.5 * receiver.GATE_FLOOR**2):
+            mem[own + Seen.FITTED] = -time
+        elif confirmed and squared < ROBUST * ROBUST * expected:
+            mem[own + Seen.FITTED] = time
+        if mem[own + Seen.FITTED] < 0.0 and time + mem[own + Seen.FITTED] < LONGEST_JUMP:
+            return 1.0, NEVER
     if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * assumed + variance):
         return noise / claimed, 0.0
     n_navigation = int(mem[Head.N_NAVIGATION])  # sensor errors do not make it wrong by as much at once

@@ -55,7 +55,8 @@ class _Seen(NamedTuple):
     VARIANCE: int = 21  # of that way, m^2
     COMPARED_IN: int = 22  # what of it is compared, see trust/way.py
     SURPRISED: int = 23  # 1: the latest one was far longer than expected, -1: far shorter
-    SIZE: int = 24
+    OTHERS: int = 24  # messages in a row that were other ones, see trust/repeats.py
+    SIZE: int = 25
 
 
 Seen = _Seen()
