@@ -110,12 +110,15 @@ def judge(mem, r, at, n, dimensions, c, sample):
     late = _late(mem, r, at, c, sample)
     assumed, of_many = claimed + late, density * claimed + _repeated(LATE_LASTS, since) * late
     before = max(scale(mem, own), 1.0)
+    confirmed = not is_of_heading(kind) and time - mem[r + Nav.FIX_TIME] < NO_FIX
+    if kind == Kind.PLACE and _is_elsewhere(mem, own, time, squared, variance + min(before, LARGEST_CLAIM) * assumed,
+                                            confirmed):
+        return 1.0, NEVER
     learn(mem, own, time, squared, assumed, variance, dimensions)
     factor = max(scale(mem, own), 1.0)
     if of_velocity and kind != Kind.VELOCITY:
         factor += repeats.unknown(mem, own, time) / assumed
     noise = factor * of_many
-    confirmed = not is_of_heading(kind) and time - mem[r + Nav.FIX_TIME] < NO_FIX
     if makes_way(kind):  # one by one each is judged by what it claims itself
         least, longest = (LARGEST_NOISE, LONGEST_SLIP) if of_velocity else (LARGEST_HEADING_NOISE, LONGEST_JUMP)
         # iron beside the way lasts, and would pass for noise
@@ -129,14 +132,6 @@ def judge(mem, r, at, n, dimensions, c, sample):
             way.interrupt(mem, own)
         if confirmed or slips:
             return noise / claimed, far * math.sqrt(expected / (variance + noise))
-    if kind == Kind.PLACE:
-        expected = variance + min(factor, LARGEST_CLAIM) * assumed
-        if confirmed and squared > max(DISTURBED**2 * expected, 0.5 * receiver.GATE_FLOOR**2):
-            mem[own + Seen.FITTED] = -time
-        elif confirmed and squared < ROBUST * ROBUST * expected:
-            mem[own + Seen.FITTED] = time
-        if mem[own + Seen.FITTED] < 0.0 and time + mem[own + Seen.FITTED] < LONGEST_JUMP:
-            return 1.0, NEVER
     if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * assumed + variance):
         return noise / claimed, 0.0
     n_navigation = int(mem[Head.N_NAVIGATION])  # sensor errors do not make it wrong by as much at once
@@ -146,6 +141,19 @@ def judge(mem, r, at, n, dimensions, c, sample):
             for j in range(n_navigation):
                 mem[p + n * i + j] += raised * mem[column + i] * mem[column + j]
     return noise / claimed, 0.0
+
+
+@njit(_nrt=False)
+def _is_elsewhere(mem, own, time, squared, expected, confirmed):
+    """Whether a further receiver has been far from the fixes, and not near them since then.
+
+    squared, expected: mean square of its innovation, m^2. confirmed: whether fixes come.
+    """
+    if confirmed and squared > max(DISTURBED**2 * expected, 0.5 * receiver.GATE_FLOOR**2):
+        mem[own + Seen.FITTED] = -time
+    elif confirmed and squared < ROBUST**2 * expected:
+        mem[own + Seen.FITTED] = time
+    return mem[own + Seen.FITTED] < 0.0 and time + mem[own + Seen.FITTED] < LONGEST_JUMP
 
 
 @njit(_nrt=False)
