@@ -14,7 +14,7 @@ from ..measurements.geometry import angular_rate, arm_of, body_velocity, own_sta
 from ..memory import NAV, Event, Head, Kind, Nav, is_of_heading, is_of_velocity, yaw_state
 from ..update import ROBUST, product, project
 from . import contradiction, receiver, repeats, way
-from .hypotheses import UNDECLARED_OFFSET
+from .hypotheses import UNDECLARED_OFFSET, Hypothesis
 from .late import Late
 from .scale import Scale, Seen, learn, scale, seen_of
 from .standstill import SLOWEST_TOLD
@@ -84,7 +84,7 @@ def judge(mem, r, at, n, dimensions, c, sample):
             contradiction.let_fixes_decide(mem, r)
         elif mem[own + Seen.FITTED] < 0.0 and time + mem[own + Seen.FITTED] > LONGEST_DRIFT:
             mem[own + Seen.FITTED] = 0.0
-            contradiction.believe_fixes(mem, r)
+            mem[r + Hypothesis.SETTLED] = time
         return 1.0, NEVER
     # of the start, too, after which the first has still to come
     fix = max(mem[r + Nav.FIX_TIME], mem[r + receiver.Receiver.SCALE + Scale.TIME])
