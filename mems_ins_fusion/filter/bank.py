@@ -71,7 +71,7 @@ def compare(memory):
         _date(memory, other, r, interval)
     if refused:
         _start_from_fixes(memory, other, r, interval)
-    if _is_better(memory, other, r) or hypotheses.is_settled(other, memory, r):
+    if _is_better(memory, other, r):
         _swap(memory, other)
     doubts = memory[r + Hypothesis.DOUBTS] != 0.0
     if other[r + Nav.REFUSED] >= receiver.FEWEST_REFUSED:
@@ -81,8 +81,7 @@ def compare(memory):
         other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], least)
     lead = memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE]
     share = 1.0 / (1.0 + math.exp(min(lead, 100.0)))
-    lost = not doubts and lead > hypotheses.LOST or hypotheses.is_settled(memory, other, r)
-    if lost or _same(memory, other, r):
+    if not doubts and lead > hypotheses.LOST or _same(memory, other, r):
         memory[Bank.OPEN] = share = 0.0
     mine, its = hypotheses.position_and_velocity(memory, r), hypotheses.position_and_velocity(other, r)
     north, east = (its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE], (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE]

@@ -34,7 +34,6 @@ Hypothesis = ROW.place(
     VARIANCE=3,  # of an offset, m^2, with its drift, m^2/s, and of that, m^2/s^2, the same for both axes; 0: none yet,
     BEGUN=1,  # s: since when that offset goes on, without a jump,
     STARTS=1,  # 1: the next fix is one that position and velocity start anew from,
-    SETTLED=1,  # s: when fixes had contradicted an input for longer than fixes are wrong; 0: never
     FITS=1,  # 1: no row of fixes has been refused since that, or since fixes were followed that another takes for wrong
     SPREAD=4)  # m, m/s, north and east: one sigma of position and velocity for what the other hypothesis says
 
@@ -198,14 +197,6 @@ def refuse(mem, r, at):
     mem[at + Event.VERDICT], mem[at + Event.WEIGHT] = Verdict.REFUSED, 0.0
     mem[r + Nav.FIX_TIME] = mem[at + Event.TIME]
     mem[r + Nav.FIX_LATITUDE], mem[r + Nav.FIX_LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
-
-
-@njit(_nrt=False)
-def is_settled(mem, other, r):
-    """Whether the filter in `other` has lost because it takes the fixes for wrong, and goes by an input that they have
-    contradicted for longer than fixes are wrong, in the filter in `mem`; r: of the newest state."""
-    return (mem[r + Hypothesis.SETTLED] > other[r + Hypothesis.SETTLED] and mem[r + Hypothesis.DOUBTS] == 0.0
-            and other[r + Hypothesis.DOUBTS] != 0.0)
 
 
 @njit(_nrt=False)

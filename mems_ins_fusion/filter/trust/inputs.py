@@ -14,7 +14,7 @@ from ..measurements.geometry import angular_rate, arm_of, body_velocity, own_sta
 from ..memory import NAV, Event, Head, Kind, Nav, is_of_heading, is_of_velocity, yaw_state
 from ..update import ROBUST, product, project
 from . import contradiction, receiver, repeats, way
-from .hypotheses import UNDECLARED_OFFSET, Hypothesis
+from .hypotheses import UNDECLARED_OFFSET
 from .late import Late
 from .scale import Scale, Seen, learn, scale, seen_of
 from .standstill import SLOWEST_TOLD
@@ -52,8 +52,6 @@ LARGEST_HEADING_NOISE = 0.05
 #: s for which a heading that has fitted and then is far off is wrong, as gyroscopes know better; and a further receiver
 #: that was far off the fixes when they ended
 LONGEST_JUMP = 60.0
-#: s after which it is the input that is wrong, and not the fixes: receivers that lose their satellites drift for less
-LONGEST_DRIFT = 60.0
 #: s without a fix after which the fixes no longer confirm the velocity
 NO_FIX = 10.0
 
@@ -80,11 +78,8 @@ def judge(mem, r, at, n, dimensions, c, sample):
     of_velocity = is_of_velocity(kind)
     if is_contradicted(mem, r, at, n):
         if mem[own + Seen.FITTED] > 0.0:  # it has misled the state
-            mem[own + Seen.FITTED] = -time
-            contradiction.let_fixes_decide(mem, r)
-        elif mem[own + Seen.FITTED] < 0.0 and time + mem[own + Seen.FITTED] > LONGEST_DRIFT:
             mem[own + Seen.FITTED] = 0.0
-            mem[r + Hypothesis.SETTLED] = time
+            contradiction.let_fixes_decide(mem, r)
         return 1.0, NEVER
     # of the start, too, after which the first has still to come
     fix = max(mem[r + Nav.FIX_TIME], mem[r + receiver.Receiver.SCALE + Scale.TIME])

@@ -45,7 +45,7 @@ class _Seen(NamedTuple):
     MORE: int = 9  # share by which that way is longer than the one of the fixes,
     KNOWN: int = 10  # and how much of `way.PRIOR` its variance has lost,
     COMPARED: int = 11  # 1: enough of it at some time
-    FITTED: int = 12  # time, s, of the latest speed that fitted; negative: since which its ways contradict it
+    FITTED: int = 12  # time, s, of the latest one that fitted; negative: of the latest that was where no fix is
     LATEST: int = 13  # two values of the latest message, see trust/repeats.py,
     SAID: int = 15  # time of it, s,
     GAINED: int = 16  # by how much the state has changed since it says that, between messages, m/s or rad,
