@@ -103,17 +103,18 @@ def judge(mem, r, at, n, dimensions, c, sample):
     if dimensions > 1:
         claimed = 0.5 * (claimed + mem[at + Event.R_EE])
     late = _late(mem, r, at, c, sample)
-    assumed, of_many = claimed + late, density * claimed + _repeated(LATE_LASTS, since) * late
+    assumed = claimed + late
     before = max(scale(mem, own), 1.0)
     confirmed = not is_of_heading(kind) and time - mem[r + Nav.FIX_TIME] < NO_FIX
     if kind == Kind.PLACE and _is_elsewhere(mem, own, time, squared, variance + min(before, LARGEST_CLAIM) * assumed,
                                             confirmed):
         return 1.0, NEVER
     learn(mem, own, time, squared, assumed, variance, dimensions)
-    factor = max(scale(mem, own), 1.0)
-    if of_velocity and kind != Kind.VELOCITY:
-        factor += repeats.unknown(mem, own, time) / assumed
-    noise = factor * of_many
+    realised = scale(mem, own)
+    unknown = repeats.unknown(mem, own, time) if kind == Kind.SPEED or kind == Kind.TWIST else 0.0
+    # noise is no less than claimed, but stamps of an input that is certainly off by less are off by less
+    noise = density * (max(realised, 1.0) * claimed + unknown) + _repeated(LATE_LASTS, since) * realised * late
+    factor = max(realised, 1.0) + unknown / assumed
     if makes_way(kind):  # one by one each is judged by what it claims itself
         least, longest = (LARGEST_NOISE, LONGEST_SLIP) if of_velocity else (LARGEST_HEADING_NOISE, LONGEST_JUMP)
         # iron beside the way lasts, and would pass for noise
