@@ -1,13 +1,14 @@
 """The live node under all of its traffic at once, in real time: is anything lost, do services answer, does memory grow?
 
-    python studies/node_soak.py [--minutes 60] [--imu 100] [--speed 100] [--velocity 0] [--heading 0] [--clock 1000]
-                                [--seed 1] [--output FILE.md] [-p NAME:=VALUE ...]
+    python studies/node_soak.py [--minutes 60] [--imu 100] [--speed 100] [--velocity 0] [--heading 0] [--pressure 0]
+                                [--rear 0] [--clock 1000] [--seed 1] [--output FILE.md] [-p NAME:=VALUE ...]
 
-A simulated drive is published with the timing it has: Imu, NavSatFix at 5 Hz, wheel speed, velocity and heading at the
-rates asked for (Hz), and /clock, in whose time the node lives (0: no /clock, and the node lives in the computer's).
-Once a second a service of the node is called, `~/use_fixes` and `get_parameters` in turn. Each minute a line tells, for
-each input, how many messages the node has lost, how many the filter did not take, the slowest answer of a service, the
-node's CPU, the machine's load, and the node's memory.
+A simulated drive is published with the timing it has: Imu, NavSatFix at 5 Hz, wheel speed, velocity, heading, pressure
+and the fixes of a second receiver 1.6 m behind the first at the rates asked for (Hz), and /clock, in whose time the
+node lives (0: no /clock, and the node lives in the computer's). Once a second a service of the node is called,
+`~/use_fixes` and `get_parameters` in turn. Each minute a line tells, for each input, how many messages the node has
+lost, how many the filter did not take, the slowest answer of a service, the node's CPU, the machine's load, and the
+node's memory.
 
 Publisher and listener are processes of their own; what the node got is told by its own /diagnostics.
 """
@@ -26,7 +27,9 @@ import numpy as np
 
 TICK, PAGE = os.sysconf('SC_CLK_TCK'), os.sysconf('SC_PAGE_SIZE')
 TOPICS = {'imu': '/imu/data', 'fix': '/gps/fix', 'speed': '/wheel/speed', 'velocity': '/gps/velocity',
-          'heading': '/gps/heading'}
+          'heading': '/gps/heading', 'pressure': '/pressure', 'rear': '/rear/fix'}
+#: parameters of the second receiver
+REAR = {'inputs': ['rear'], 'rear.type': 'fix', 'rear.topic': TOPICS['rear'], 'rear.lever_arm': [-1.6, 0.0, 0.0]}
 _SECOND = 10**9  # ns
 #: until publisher and node have found each other, s
 SETTLE = 4.0
@@ -38,8 +41,9 @@ def drive(options: argparse.Namespace) -> None:
     from geometry_msgs.msg import PoseWithCovarianceStamped, TwistWithCovarianceStamped
     from rclpy.qos import QoSProfile
     from rosgraph_msgs.msg import Clock
-    from sensor_msgs.msg import Imu, NavSatFix
+    from sensor_msgs.msg import FluidPressure, Imu, NavSatFix
 
+    from mems_ins_fusion.filter.measurements.registry import aiding
     from mems_ins_fusion.parameters import table
     from mems_ins_fusion.simulation.simulation import (
         Aiding,
@@ -54,12 +58,14 @@ def drive(options: argparse.Namespace) -> None:
     recording = simulate_recording(
         motion, SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(sigma=1.0, rate=5.0),
         seed=options.seed, aiding=Aiding(speed_rate=options.speed, velocity_rate=options.velocity,
-                                         heading_rate=options.heading)).recording
-    parts = {'imu': recording.imu, 'fix': recording.gnss, 'speed': recording.speed, 'velocity': recording.velocity,
-             'heading': recording.heading}
-    parts = {name: samples for name, samples in parts.items() if samples is not None}
-    kinds = {'imu': Imu, 'fix': NavSatFix, 'speed': TwistWithCovarianceStamped,
-             'velocity': TwistWithCovarianceStamped, 'heading': PoseWithCovarianceStamped}
+                                         heading_rate=options.heading, pressure_rate=options.pressure,
+                                         fix_rate=options.rear, fix_sigma=1.0),
+        named=[one for one in aiding(table.check(REAR)) if not one.is_plain] if options.rear else []).recording
+    streams = recording.streams()
+    parts = {'imu': recording.imu, 'fix': recording.gnss,
+             **{name: streams[name] for name in TOPICS if streams.get(name) is not None}}
+    kinds = {'imu': Imu, 'fix': NavSatFix, 'rear': NavSatFix, 'speed': TwistWithCovarianceStamped,
+             'velocity': TwistWithCovarianceStamped, 'heading': PoseWithCovarianceStamped, 'pressure': FluidPressure}
     rclpy.init()
     node = rclpy.create_node('driver')
     qos = QoSProfile(depth=1000)
@@ -119,7 +125,7 @@ def _filler(name, samples, message):
         def fill(i):
             f.x, f.y, f.z = force[i]
             w.x, w.y, w.z = rate[i]
-    elif name == 'fix':
+    elif name in ('fix', 'rear'):
         latitude, longitude = np.degrees(samples.latitude).tolist(), np.degrees(samples.longitude).tolist()
         message.position_covariance_type = 2
 
@@ -137,6 +143,9 @@ def _filler(name, samples, message):
             linear, p = message.twist.twist.linear, samples.covariance[i]
             linear.x, linear.y, linear.z = east, north, -down
             message.twist.covariance[[0, 7, 14]] = p[1, 1], p[0, 0], p[2, 2]
+    elif name == 'pressure':
+        def fill(i):
+            message.fluid_pressure, message.variance = float(samples.pressure[i]), float(samples.variance[i])
     else:
         def fill(i):
             yaw = float(yaw_from_enu(samples.yaw[i]))
@@ -203,7 +212,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--minutes', type=float, default=60.0)
     for option, rate in (('--imu', 100.0), ('--speed', 100.0), ('--velocity', 0.0), ('--heading', 0.0),
-                         ('--clock', 1000.0)):
+                         ('--pressure', 0.0), ('--rear', 0.0), ('--clock', 1000.0)):
         parser.add_argument(option, type=float, default=rate, metavar='HZ')
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--output', type=Path)
@@ -215,9 +224,10 @@ def main() -> None:
         return
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('ROS_DOMAIN_ID', '101')
-    rates = {name: getattr(options, name) for name in ('speed', 'velocity', 'heading')}
+    rates = {name: getattr(options, name) for name in ('speed', 'velocity', 'heading', 'pressure')}
+    second = [f'{name}:={json.dumps(value)}' for name, value in REAR.items()] if options.rear else []
     parameters = [f'use_sim_time:={"true" if options.clock else "false"}',
-                  *(f'{name}_topic:={TOPICS[name]}' for name, rate in rates.items() if rate), *options.p]
+                  *(f'{name}_topic:={TOPICS[name]}' for name, rate in rates.items() if rate), *second, *options.p]
     node = subprocess.Popen([sys.executable, '-m', 'mems_ins_fusion', 'fusion_node', '--ros-args',
                              *(part for value in parameters for part in ('-p', value))],
                             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

@@ -71,6 +71,7 @@ INPUTS = {
     'heading half a turn off': _turned(180.0), 'heading to the left positive': (
         'heading', lambda samples: replace(samples, yaw=-samples.yaw)),
     'heading 5 deg off from 200 s on': _later(*_turned(5.0)),
+    'GNSS velocity 0.3 s late': _late('velocity', 0.3), 'heading 0.3 s late': _late('heading', 0.3),
 }
 
 

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from mems_ins_fusion.effects.registry import EFFECTS
+from mems_ins_fusion.evaluation.comparison import truth_of
+from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors, rms
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.memory import Event, Kind, Verdict
 from mems_ins_fusion.filter.runs.replay import run, run_with_outages
@@ -27,7 +29,7 @@ def drive(seed, rate=1.0, outliers=0.0):
     made = simulate_recording(simulate_drive(200.0, seed, 50.0, standstill=10.0, hills=True),
                               SensorErrors.from_parameters(table.defaults(), 'gauss_markov'), GnssNoise(1.5, rate),
                               seed=seed, aiding=Aiding(speed_rate=20.0, velocity_rate=5.0, twist_rate=20.0,
-                                                       heading_rate=5.0))
+                                                       heading_rate=5.0, pressure_rate=10.0))
     recording, rng = made.recording, np.random.default_rng(seed)
     off = (rng.random(len(recording.gnss)) < outliers) * 50e-7
     return replace(recording, gnss=replace(recording.gnss, latitude=recording.gnss.latitude + off))
@@ -96,6 +98,26 @@ def test_a_heading_that_points_elsewhere_is_as_none():
     assert counts[Verdict.CONTRADICTED] > 0.7 * np.count_nonzero(later), counts
 
 
+@pytest.mark.parametrize(('name', 'seconds'), [('speed', 0.5), ('velocity', 0.3), ('twist', 0.5), ('heading', 0.5)])
+def test_one_that_is_late_is_better_than_none_and_not_believed_too_far(name, seconds):
+    # given stamps that are late from the begin on, or early
+    for sign in (1, -1):
+        errors = {'late': [], 'none': []}
+        for seed in (2, 3, 4):
+            recording = drive(seed)
+            samples = recording.streams()[name]
+            late = replace(samples, stamp=samples.stamp + round(sign * seconds * SECOND))
+            truth = truth_of(recording, config(name).parameters)
+            for case, measured in (('late', {name: late}), ('none', {})):
+                result = run(config(*measured), recording.imu, recording.gnss, Measured(measured))
+                errors[case].append(position_errors(result, truth, np.zeros(len(truth), dtype=bool)))
+        late, none = ([np.concatenate([getattr(of, part) for of in errors[case]]) for part in ('horizontal', 'nees')]
+                      for case in ('late', 'none'))
+        # then the position is not worse for it, and the ellipse holds the truth
+        assert rms(late[0]) < 1.03 * rms(none[0]), (sign, rms(late[0]), rms(none[0]))
+        assert np.mean(late[1] < NEES_95) > 0.93, (sign, np.mean(late[1] < NEES_95), np.mean(none[1] < NEES_95))
+
+
 STUCK = {'speed': ('speed',), 'velocity': ('velocity',), 'twist': ('twist',), 'heading': ('yaw',)}
 
 
@@ -113,6 +135,34 @@ def test_an_input_that_goes_on_with_its_last_value_is_not_believed(name):
         errors.setdefault('dead', []).append(largest_errors(recording, {name: dead}))
         errors.setdefault('none', []).append(largest_errors(recording, {name: samples.select(~stuck)}))
     assert np.mean(errors['dead']) < 1.3 * np.mean(errors['none']) + 2.0, errors
+
+
+PARTS = {**STUCK, 'pressure': ('pressure',)}
+
+
+@pytest.mark.parametrize('name', PARTS)
+def test_one_that_never_repeats_itself_has_stopped_where_it_does(name):
+    # given an input with noise in each message, that goes on with its last value while the vehicle drives
+    recording = drive(2)
+    samples = recording.streams()[name]
+    late = samples.stamp - samples.stamp[0] > 80 * SECOND
+    first = np.flatnonzero(late)[0]
+    stuck = replace(samples, **{part: np.where(late.reshape(-1, *[1] * (getattr(samples, part).ndim - 1)),
+                                               getattr(samples, part)[first], getattr(samples, part))
+                                for part in PARTS[name]})
+    # then a handful of messages is believed, and no other until the end
+    result = run(config(name), recording.imu, recording.gnss, Measured({name: stuck}))
+    mine = result.measured.select(result.measured.kind != Kind.POSITION)
+    frozen = mine.record[:, Event.VERDICT] == Verdict.FROZEN
+    assert frozen[mine.index >= first + 8].all() and not frozen[mine.index <= first].any()
+
+
+def test_a_speed_that_rounds_may_repeat_itself():
+    # given steps of 0.1 m/s where the noise is 0.05 m/s
+    recording = drive(2)
+    steps = replace(recording.speed, speed=np.round(recording.speed.speed, 1))
+    counts = run(config('speed'), recording.imu, recording.gnss, Measured(speed=steps)).measured.verdicts(Kind.SPEED)
+    assert counts.get(Verdict.FROZEN, 0) == 0, counts
 
 
 def test_a_speed_in_whole_kilometres_an_hour_is_worth_nearly_as_much():

@@ -11,7 +11,7 @@ from mems_ins_fusion.diagnosis.gathering import Gathering, chunks
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.measurements.registry import FIRST_NAMED, aiding
-from mems_ins_fusion.filter.memory import NAV, Event, Head, state_at
+from mems_ins_fusion.filter.memory import NAV, Event, Head, Verdict, state_at
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.replay import run, run_with_outages
 from mems_ins_fusion.filter.trust.scale import Seen, scale
@@ -184,6 +184,29 @@ def test_live_and_replay_give_the_same_bits_and_each_has_its_tally():
     assert all(health[f'{name} used'] > 100 for name in ('rear', 'left', 'right', 'roof', 'speed'))
     assert health['right refused, speed # m/s: dropped'] > 100 and 'left refused, speed # m/s: dropped' not in health
     assert any('/right refused' in reason for reason in fusion.reasons)
+
+
+def test_a_receiver_that_fixes_contradict_stays_refused_when_they_end():
+    # given a rear receiver that is 30 m off from 60 s on to 115 s, and fixes until 80 s
+    values, noise = given(**REAR), 1.5
+    recording = recorded(values, duration=130.0)
+    rear, rng = recording.others['rear'], np.random.default_rng(5)
+    time = (rear.stamp - recording.imu.stamp[0]) * 1e-9
+    off = np.where((time > 60.0) & (time < 115.0), 30.0, 0.0)
+    rear = replace(rear, latitude=rear.latitude + (off + noise * rng.standard_normal(len(rear))) / 6.37e6,
+                   covariance=rear.covariance + np.diag([noise, noise, noise]) ** 2)
+    fixes = recording.gnss
+    recording = replace(recording, gnss=fixes.select(fixes.stamp < recording.imu.stamp[0] + 80 * 10**9))
+    result = through(values, recording.having({'rear': rear}))
+    # then it is used until it is off, and refused from then on
+    mine = result.measured.select(result.measured.kind == FIRST_NAMED)
+    verdict, since = mine.record[:, Event.VERDICT], time[mine.index]
+    assert np.isin(verdict[(since > 20.0) & (since < 60.0)], (Verdict.USED, Verdict.WEIGHTED)).all()
+    assert (verdict[off[mine.index] != 0.0] == Verdict.REFUSED).all()
+    # and the position is as without it
+    without = through(values, recording.having({'rear': rear.select(time < 60.0)}))
+    there = result.stamp < recording.imu.stamp[0] + 115 * 10**9
+    assert np.abs(result.latitude - without.latitude)[there].max() * 6.37e6 < 0.01
 
 
 def test_an_outage_withholds_the_second_receiver_too():

@@ -110,7 +110,7 @@ def _apply_input(mem, r, at, sample):
     if kind == Kind.TWIST:
         judged = 2 if twist.measures_sideways(mem, at) else 1
         inputs.leave_out_turn_rate(mem, r, at, n)
-    factor, gate = inputs.judge(mem, r, at, n, judged)
+    factor, gate = inputs.judge(mem, r, at, n, judged, c, sample)
     verdict = update(mem, r, at, n, dimensions, factor, ROBUST, gate)
     mem[at + Event.VERDICT] = verdict
     if inputs.makes_way(kind) and verdict == Verdict.REFUSED:

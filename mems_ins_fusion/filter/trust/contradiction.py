@@ -40,8 +40,6 @@ SLIDE_AGAIN = 10.0
 UNSETTLED_TIME = 20.0
 #: m/s, speed below which a slide tells no more of the heading than at it: the ratio of the two would be without bound
 SLOWEST = 1.0
-#: nats: more than all fixes that did not fit have taken from a score, so that a second filter has lost
-SETTLED = 1000.0
 #: normalized innovation squared of a fix, 2 degrees of freedom, to which an unsettled state is loosened
 LOOSENED = 2.0
 #: m/s that a wrong standstill takes away at least: less is within what a standstill corrects rightly
@@ -91,13 +89,6 @@ def let_fixes_decide(mem, r):
     """The state at r has been misled by an input that is wrong for certain."""
     if mem[Head.LATERAL_SIGMA] > 0.0:  # else nobody counts the time
         mem[r + Nav.UNSETTLED] = UNSETTLED_TIME
-
-
-@njit(_nrt=False)
-def believe_fixes(mem, r):
-    """The fixes are right, as an input that they contradict has been wrong for longer than receivers are: a second
-    filter that takes the fixes for wrong, and still believes the input, has lost."""
-    hypotheses.claim(mem, r, SETTLED)
 
 
 @njit(_nrt=False)

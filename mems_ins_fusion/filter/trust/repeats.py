@@ -1,6 +1,7 @@
 """Whether an input repeats itself: a sensor or a driver that has stopped and goes on sending its last value.
 
-A receiver that moves never says the same position or velocity twice. A speed in whole kilometres an hour or a heading
+A receiver that moves never says the same position or velocity twice, and an input whose every message has been another
+one does not say the same several times. A speed in whole kilometres an hour or a heading
 in whole degrees may stay as it is for a minute, but not while the inertial sensors see more of a change than their
 errors explain: what the state has gained of it between the messages since it has that value, in the last seconds. What
 is too slow for them to see makes a speed that does not change less known by the second.
@@ -12,7 +13,7 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ..measurements.geometry import body_to_level, body_velocity
-from ..memory import Event, Head, Kind, Nav
+from ..memory import Event, Head, Kind, Nav, is_of_heading, is_of_velocity
 from .scale import Seen, seen_of
 from .standstill import moves
 
@@ -22,6 +23,11 @@ ROUNDED_SPEED, ROUNDED_HEADING = 1.0, 0.1
 UNSEEN_ACCELERATION, UNSEEN_RATE = 0.3, 0.005
 #: s over which that is added up: shorter than a car takes to gain what rounding hides, or errors would pass for it
 MEMORY = 5.0
+#: messages in a row that were other ones, while the vehicle moved, from which on an input counts as one that does not
+#: repeat itself: of one that rounds to a tenth of its noise each tenth does
+LIVELY = 100.0
+#: messages in a row that such an input repeats before it has stopped: two or three come twice on a busy bus
+FEWEST_EQUAL = 4.0
 #: stands for more than is explained
 STUCK = 1e6
 #: s for which a speed in steps may stay as it is, and m/s^2, by which it is less known from then on
@@ -36,8 +42,6 @@ def is_stuck(mem, r, at):
     kind = int(mem[at + Event.KIND])
     if kind == Kind.POSITION:
         return _repeats(mem, at, r + Nav.FIX_LATITUDE) and moves(mem, r)
-    if kind == Kind.PRESSURE:
-        return False
     own = seen_of(mem, r, at)
     same = mem[at + Event.VALUE] == mem[own + Seen.LATEST]
     if kind == Kind.PLACE or kind == Kind.VELOCITY or kind == Kind.MAGNETIC:
@@ -45,19 +49,34 @@ def is_stuck(mem, r, at):
         mem[own + Seen.LATEST + 1] = mem[at + Event.VALUE + 1]
     mem[own + Seen.LATEST] = mem[at + Event.VALUE]
     since, mem[own + Seen.SAID] = mem[at + Event.TIME] - mem[own + Seen.SAID], mem[at + Event.TIME]
+    moving = moves(mem, r)
+    if moving:
+        _count(mem, own, same)
     if not same:
         mem[own + Seen.SINCE], mem[own + Seen.GAINED] = mem[at + Event.TIME], 0.0
         return False
-    if (kind == Kind.PLACE or kind == Kind.VELOCITY) and moves(mem, r):
+    if moving and (kind == Kind.PLACE or kind == Kind.VELOCITY) or mem[own + Seen.OTHERS] >= LIVELY + FEWEST_EQUAL:
         mem[own + Seen.GAINED] = STUCK
+    if not is_of_velocity(kind) and not is_of_heading(kind):  # no inertial sensor shows how it changes
+        return mem[own + Seen.GAINED] == STUCK
     gained, explained = _told(mem, r, kind) - mem[own + Seen.LEFT], ROUNDED_SPEED + UNSEEN_ACCELERATION * MEMORY
-    if kind == Kind.HEADING or kind == Kind.MAGNETIC:
+    if is_of_heading(kind):
         gained, explained = math.atan2(math.sin(gained), math.cos(gained)), ROUNDED_HEADING + UNSEEN_RATE * MEMORY
     if mem[own + Seen.GAINED] != STUCK:  # until it says something else
         mem[own + Seen.GAINED] = mem[own + Seen.GAINED] * math.exp(-max(since, 0.0) / MEMORY) + gained
         if abs(mem[own + Seen.GAINED]) > explained:
             mem[own + Seen.GAINED] = STUCK
     return mem[own + Seen.GAINED] == STUCK
+
+
+@njit(_nrt=False)
+def _count(mem, own, same):
+    """Count the messages in a row that are other ones, up to LIVELY, and after as many those that are the same."""
+    count = mem[own + Seen.OTHERS]
+    if same:
+        mem[own + Seen.OTHERS] = count + 1.0 if count >= LIVELY else 0.0
+    else:
+        mem[own + Seen.OTHERS] = min(count + 1.0, LIVELY) if count <= LIVELY else 0.0
 
 
 @njit(_nrt=False)
@@ -73,7 +92,7 @@ def unknown(mem, own, time):
 def note(mem, r, at):
     """Remember what the state at r says of what the record at `at` measures, after its correction."""
     kind = int(mem[at + Event.KIND])
-    if kind != Kind.POSITION and kind != Kind.PRESSURE:
+    if is_of_velocity(kind) or is_of_heading(kind):
         mem[seen_of(mem, r, at) + Seen.LEFT] = _told(mem, r, kind)
 
 
@@ -86,6 +105,6 @@ def _repeats(mem, at, latest):
 def _told(mem, r, kind):
     """What the state says of a heading, rad, or a speed, m/s."""
     c = body_to_level(mem, r)
-    if kind == Kind.HEADING or kind == Kind.MAGNETIC:
+    if is_of_heading(kind):
         return math.atan2(c[3], c[0])
     return body_velocity(mem, r, c, 0)

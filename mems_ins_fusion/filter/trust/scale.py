@@ -45,7 +45,7 @@ class _Seen(NamedTuple):
     MORE: int = 9  # share by which that way is longer than the one of the fixes,
     KNOWN: int = 10  # and how much of `way.PRIOR` its variance has lost,
     COMPARED: int = 11  # 1: enough of it at some time
-    FITTED: int = 12  # time, s, of the latest speed that fitted; negative: since which its ways contradict it
+    FITTED: int = 12  # time, s, of the latest one that fitted; negative: of the latest that was where no fix is
     LATEST: int = 13  # two values of the latest message, see trust/repeats.py,
     SAID: int = 15  # time of it, s,
     GAINED: int = 16  # by how much the state has changed since it says that, between messages, m/s or rad,
@@ -55,7 +55,8 @@ class _Seen(NamedTuple):
     VARIANCE: int = 21  # of that way, m^2
     COMPARED_IN: int = 22  # what of it is compared, see trust/way.py
     SURPRISED: int = 23  # 1: the latest one was far longer than expected, -1: far shorter
-    SIZE: int = 24
+    OTHERS: int = 24  # messages in a row that were other ones, see trust/repeats.py
+    SIZE: int = 25
 
 
 Seen = _Seen()
