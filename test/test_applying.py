@@ -458,11 +458,34 @@ def test_what_an_analysis_finds_beside_an_applied_value_is_what_is_left():
     # then 0.4 again is the same of the one, and as much more of the other; nothing left is nothing new
     assert not one.differs(finding(0.41)) and other.differs(finding(0.41))
     assert one.differs(finding(0.01)) and not other.differs(finding(0.01))
-    # and what neither has yet is new where it is certain, as the place of the antenna to the left after a turn
-    for trial in one, other:
-        for value, is_new in ((0.8, True), (0.1, False)):
-            more = replace(finding(0.4 if trial is one else 0.0), parameters={'y': Estimate(value, 0.1, 'm')})
-            assert trial.differs(more) == is_new
+    # and what neither has yet, as the place of the antenna to the left after a turn, is new beside what is applied where
+    # it is certain; what is on trial takes it over
+    for value, is_new in ((0.8, True), (0.1, False)):
+        more = finding(0.4)
+        more.parameters['y'] = Estimate(value, 0.1, 'm')
+        assert one.is_refined_by(more) and not one.differs(more)
+        more = replace(more, parameters={'y': Estimate(value, 0.1, 'm')})
+        assert other.differs(more) == is_new and not one.is_refined_by(more)
+
+
+def test_what_is_on_trial_goes_on_with_a_better_value():
+    # given a finding on trial of samples from the stamp 100 on, with half of the wealth that it needs
+    one = Trial(replace(finding(0.4, 0.02), since=100), {}, 1e3, taken=1)
+    for bets in one.bets.values():
+        bets.pro = math.log(500.0)
+    # then a value that agrees refines it where it is better known, and not from samples of before: these may be of
+    # before a change
+    better = replace(finding(0.43, 0.01), since=200)
+    for other, refines in ((better, True), (replace(better, since=99), False), (finding(0.43, 0.018), False)):
+        assert one.is_refined_by(other) == refines and not one.differs(other)
+    # nor where another parameter is less well known than before
+    known = replace(better, parameters={**better.parameters, 'y': Estimate(1.0, 0.1, 'm')})
+    vague = replace(better, parameters={'time_offset': Estimate(0.43, 0.03, 's'), 'y': Estimate(1.0, 0.1, 'm')})
+    assert one.is_refined_by(known) and not one.is_refined_by(vague)
+    # and it keeps its wealth and its begin
+    one.refine(known)
+    assert one.wealth == pytest.approx(500.5) and one.sets == known.changes and one.finding.since == 100
+    assert one.finding.parameters == known.parameters
 
 
 def test_trials_begin_anew_when_what_they_are_compared_with_changes():

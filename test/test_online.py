@@ -139,6 +139,24 @@ def test_centimetres_decide_and_millimetres_do_not():
     assert not decided(0.006) and decided(0.04)
 
 
+def test_errors_that_both_predictions_have_in_common_cost_no_clear_bets():
+    # given filters whose predictions are 2 cm apart on a road where both are off by 4 cm for a minute, to the side of
+    # the first one, behind a minute in which errors come to either side
+    rng, sides = np.random.default_rng(2), np.concatenate([np.resize([1.0, -1.0], 60), np.full(60, -1.0)])
+    all_of_them, clear = betting.Bets(), betting.Bets(betting.CLEAR)
+    for side in sides:
+        off = 0.04 * side + 0.005 * rng.standard_normal()
+        for bets in all_of_them, clear:
+            bets.take((off + 0.01, 0.0), (off - 0.01, 0.0))
+    # then a bet on each of them loses most of the wealth, and one where the middle is clear of such errors nothing
+    assert all_of_them.pro < math.log(0.05) and clear.pro == 0.0
+    # and in a turn, where they are 20 cm apart, both win
+    before = all_of_them.pro
+    for bets in all_of_them, clear:
+        bets.take((0.2, 0.0), (0.0, 0.0))
+    assert clear.pro > 0.5 and all_of_them.pro > before + 0.5
+
+
 def test_the_bets_are_those_of_the_formula():
     # given two fixes a metre from one filter and on the other one, and one in the middle but for the margin of 5 mm
     bets = betting.Bets()

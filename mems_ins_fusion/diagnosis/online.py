@@ -243,6 +243,9 @@ class Online:
         if trial is None or lost or (latest and trial.differs(finding)):
             self.trials[name] = Trial(finding, finding.changes, self._next_needed())
             self._unadvised.append(self.trials[name])
+        elif not trial.rejected and trial.is_refined_by(finding):
+            trial.refine(finding)
+            self._unadvised.append(trial)
 
     def advise(self) -> None:
         """Find what would show more of what came on trial with the newest answer. It is told with the next one, whose
