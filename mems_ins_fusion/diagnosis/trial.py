@@ -31,10 +31,11 @@ class Trial:
 
     applied: whether it is part of the parameters that drive. harmful: it was, and has been taken back. seen: whether no
     later analysis speaks against it. kept: for the next drive, where it is applied. advice: what would show more of it.
-    errors: by duration, m, without it and with it in each outage. bets: by duration, and by how far the predictions have
-    to be apart (`betting.CLEAR`), for it with what came in until now: of the wealth 1 that a trial begins with, 1 / (k (k + 1)) comes into the bets with the k-th chunk. So what is
-    lost on a straight road, where the state of either filter decides by chance, need not be won again in the next turn;
-    and as no wealth is made by that, what chance proves stays as seldom. taken: chunks.
+    errors: by duration, m, without it and with it in each outage. bets: by duration, and by how far the predictions
+    have to be apart (`betting.CLEAR`), for it with what came in until now: of the wealth 1 that a trial begins with,
+    1 / (k (k + 1)) comes into the bets with the k-th chunk. So what is lost on a straight road, where the state of
+    either filter decides by chance, need not be won again in the next turn; and as no wealth is made by that, what
+    chance proves stays as seldom. taken: chunks.
     """
 
     finding: Finding

@@ -19,8 +19,8 @@ proportional to the mean of x where the other filter is right, (d / 2 - m) / B. 
 staked.
 
 Where d is small against B, the side on which m lies is mostly that of an error that both predictions have in common.
-Such errors last for a minute on some roads, and with them a row of bets is lost, or won, by chance. `Bets(CLEAR)` stakes
-only where d is large enough for the middle to be clear of them.
+Such errors last for a minute on some roads, and with them a row of bets is lost, or won, by chance. `Bets(CLEAR)`
+stakes only where d is large enough for the middle to be clear of them.
 """
 from __future__ import annotations
 
