@@ -505,6 +505,16 @@ def test_a_value_that_has_changed_begins_anew(monkeypatch, drive):
     assert sum(1 / ((np.pi * k) ** 2 / 6) for k in range(1, 10_000)) == pytest.approx(1.0, abs=1e-3)
 
 
+def test_a_value_that_is_better_known_goes_on_with_the_same_test(monkeypatch, drive):
+    # given a value on trial, and later one that agrees with half of its sigma
+    monkeypatch.setattr(online, 'FIRST', CHUNK)
+    said, work = followed(drive, [[finding(0.1)], [finding(0.12, 0.01)], [], [], []])
+    # then that is told and on trial from then on, as the first trial
+    assert [one[0].sets for one in said[:3]] == [('gnss.time_offset: 0.1',), *[('gnss.time_offset: 0.12',)] * 2]
+    assert work.begun == 1 and work.trials['gnss_time_offset'].taken >= 3
+    assert work.wanted.tried in ({}, {'gnss_time_offset': {'gnss.time_offset': 0.12}})
+
+
 def test_the_process_has_its_share_and_goes_when_its_parent_does(tmp_path):
     # given a process that works for ever, at a tenth of a core
     began = time.monotonic()
