@@ -6,8 +6,9 @@ Realistic drives (studies/vehicle.py) with one effect from the begin on. After `
 looked at as the node does, and the advice for the finding is computed (`diagnosis/advice.py`). From there the drive
 goes on in two ways: the driver repeats the manoeuvre of the advice, or drives as before. The sigma asked for is the one
 that the advice predicts for the parameter. *predicted*, *reached*: sigma that the advice predicts and that the look
-gives behind the first manoeuvre, over the sigma before. *advised*, *ordinary*: seconds until the look gives the sigma
-asked for (longest: LONGEST). The last lines have the medians by receiver, and how often the prediction is within 20 %.
+gives LATER s behind the first manoeuvre, over the sigma before. *advised*, *ordinary*: seconds until the look gives the
+sigma asked for (longest: LONGEST). The last lines have the medians by receiver, and how often the prediction is within
+20 %.
 """
 from __future__ import annotations
 
@@ -31,11 +32,13 @@ from mems_ins_fusion.simulation.manoeuvres import ASKED, Segment
 from mems_ins_fusion.simulation.scene import REALISTIC
 from mems_ins_fusion.simulation.simulation import simulate_recording
 
-#: effects, with their sizes; a fourth of the seeds each has another sign
+#: effects, with their sizes; the seed gives the signs
 EFFECTS = (('gnss_lever_arm', {'x': 1.2, 'y': -0.8}), ('gnss_time_offset', {'time_offset': 0.25}),
            ('mounting_rotation', {'yaw': 0.15}))
 #: s, of driving on, and from one look to the next
 LONGEST, STEP = 300.0, 10.0
+#: s behind a manoeuvre that an estimate needs for its last fixes
+LATER = 10.0
 #: m/s, of a vehicle that drives on
 MOVING = 6.0
 #: Hz, of the IMU
@@ -100,7 +103,7 @@ def told(seed: int, receiver: str, effect: tuple[str, dict], before: float) -> t
     followed = recorded(replace(ordinary, segments=(*ordinary.segments[:count], *once * times)),
                         begin + LONGEST + 5.0, seed, receiver, effect)
     first = int(followed.imu.stamp[0])
-    end = first + round((begin + DURATION) * 1e9)
+    end = first + round((begin + DURATION + LATER) * 1e9)
     behind = sigma_of(followed.having({n: s.select(s.stamp <= end) for n, s in followed.streams().items()}),
                       advice.parameter, values)
     further = recorded(ordinary, begin + LONGEST + 5.0, seed, receiver, effect)

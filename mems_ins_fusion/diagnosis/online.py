@@ -30,6 +30,7 @@ from ..samples import Recording
 from .advice import advised
 from .diagnose import diagnose
 from .direct import shown_directly
+from .estimate import systematic
 from .findings import Finding
 from .gathering import CHUNK
 from .held_out import HeldOut
@@ -371,4 +372,5 @@ def _known(kept: Kept, parameters: dict) -> Finding:
 
 def found(recording: Recording, values: dict, progress: Callable = lambda part, what: None) -> list[Finding]:
     """What `diagnose` finds in `recording`, proves there, and has parameters against."""
-    return [f for f in diagnose(recording, values, progress, durations=ANALYSED).findings if f.added and f.changes]
+    return [replace(f, least=systematic(f.parameters)) for f in diagnose(
+        recording, values, progress, durations=ANALYSED).findings if f.added and f.changes]
