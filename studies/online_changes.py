@@ -3,13 +3,13 @@
     python studies/online_changes.py [--seeds 1] [--first-seed 9400] [--minutes 16] [--rate 50] [--receiver RTK]
                                      [--rows 0 1 ...] [--find] [-v]
 
-Realistic drives (studies/vehicle.py) in which the receiver's time offset, the place of the antenna, or the IMU's
-mounting is another one from a third of the drive on, or until there, or from the begin on two at once. The seed gives
+Realistic drives (studies/vehicle.py) in which the receiver's time offset, the place of the antenna, the IMU's mounting
+or a scale is another one from a third of the drive on, or until there, or from the begin on two at once. The seed gives
 the signs. Each is driven as a live node drives with `diagnosis.online: apply` and analyses that count a minute after
 their begin (`diagnosis.share: 1`); without --find analyses find nothing, so that all comes from the look of each
-minute. For each effect: after how many seconds from the change on it was on trial, proven, and driven with; value and
-sigma beside the true one; after how many seconds an old value was dropped. Then the RMS position error of the last
-third, m, with the parameters as given and with `apply`. -v: all that was said.
+minute, which knows nothing of scales. For each effect: after how many seconds from the change on it was on trial,
+proven, and driven with; value and sigma beside the true one; after how many seconds an old value was dropped. Then the
+RMS position error of the last third, m, with the parameters as given and with `apply`. -v: all that was said.
 """
 from __future__ import annotations
 
@@ -31,9 +31,11 @@ from mems_ins_fusion.simulation.simulation import simulate_recording
 
 OFFSET, ARM = ('gnss_time_offset', {'time_offset': 0.25}), ('gnss_lever_arm', {'x': 1.2, 'y': -0.8})
 MOUNTING = 'mounting_rotation', {'yaw': 0.15}
+SCALE = 'gyroscope_scale', {'z': 0.03}  # which the analyses know, and not the look
 #: effects, and the parts of the drive in which they are there
 ROWS = (((OFFSET,), 1 / 3, 1.0), ((OFFSET,), 0.0, 0.5), ((ARM,), 1 / 3, 1.0), ((ARM,), 0.0, 0.5),
-        ((OFFSET, ARM), 0.0, 1.0), ((OFFSET, ARM), 1 / 3, 1.0), ((OFFSET, MOUNTING), 0.0, 1.0))
+        ((OFFSET, ARM), 0.0, 1.0), ((OFFSET, ARM), 1 / 3, 1.0), ((OFFSET, MOUNTING), 0.0, 1.0),
+        ((SCALE,), 1 / 3, 1.0), ((SCALE,), 0.0, 1.0))
 
 
 @dataclass(frozen=True)

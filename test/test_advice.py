@@ -1,6 +1,8 @@
 """Which manoeuvre shows most of an effect: what is known of it from geometry, and that it is worth what is said."""
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -20,6 +22,18 @@ VALUES = table.check({})
 
 def recorded(sigma):
     return simulate_recording(simulate_drive(60.0, 1, 20.0), None, GnssNoise(sigma)).recording
+
+
+def test_what_no_manoeuvre_lessens_stays():
+    # given an offset whose sigma is half, and all but wholly, no matter of more samples
+    late = finding('gnss_time_offset', time_offset=(0.02, 's'))
+    given = recorded(0.02)
+    without, half, whole = (advised(replace(late, least={'time_offset': least}), given, VALUES)
+                            for least in (0.0, 0.01, 0.0199))
+    # then the manoeuvre lessens the other half as it lessens the whole, and where nothing can be gained none is named
+    rest = 1.0 / (1.0 / without.then**2 - 1.0 / 0.02**2)  # variance of the manoeuvre alone
+    assert half.then**2 == pytest.approx(0.01**2 + 1.0 / (1.0 / rest + 1.0 / (0.02**2 - 0.01**2)), rel=1e-6)
+    assert whole is None
 
 
 def finding(name, **sigmas):

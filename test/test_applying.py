@@ -27,8 +27,9 @@ from mems_ins_fusion.filter.memory import Nav, newest_row
 from mems_ins_fusion.filter.runs import changing
 from mems_ins_fusion.filter.runs.blending import BLENDING
 from mems_ins_fusion.filter.runs.live import FusionFilter
-from mems_ins_fusion.filter.runs.odometry import LINEAR, POSE_COVARIANCE, SIZE
+from mems_ins_fusion.filter.runs.odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, SIZE
 from mems_ins_fusion.navigation.earth import to_local
+from mems_ins_fusion.navigation.frames import wrap, yaw_of_quaternion
 from mems_ins_fusion.nodes.identity import GNSS, IMU, Identity, differences
 from mems_ins_fusion.nodes.state_file import StateFile
 from mems_ins_fusion.parameters import table
@@ -112,6 +113,15 @@ def fed(fusion, recording, first=0, last=None, at=None):
                            int(gnss.status[k]), int(gnss.covariance_type[k]))
 
 
+def begun(values, recording, begin, last):
+    """A filter with `values` that begins at the sample `begin` where one with APPLY is, fed to `last`."""
+    present, own = FusionFilter(FilterConfig.from_parameters(APPLY)), changing.WatchedFilter(
+        FilterConfig.from_parameters(values))
+    fed(present, recording, 0, begin + 1)
+    fed(own, recording, begin, last, {begin + 1: lambda: own.begin_at(present)})
+    return own
+
+
 def test_the_new_filter_takes_over_where_it_does_not_show(late):
     # given a filter that is to go on with another noise from 200 s on
     begin, end = 200 * 20, 420 * 20
@@ -124,9 +134,8 @@ def test_the_new_filter_takes_over_where_it_does_not_show(late):
     waited = (handover.stamp - late.imu.stamp[begin]) / SECOND
     assert changing.SETTLING <= waited < changing.SETTLING + 60.0 and not fusion.changing
     assert handover.position < 0.5 and abs(handover.yaw) < math.radians(2.0)
-    # with the bits of a filter that began with the change,
-    own = FusionFilter(FilterConfig.from_parameters(values))
-    fed(own, late, begin, end)
+    # with the bits of a filter that began with the change, where the present one was,
+    own = begun(values, late, begin, end)
     own.datum = fusion.datum
     own.update_odometry(), fusion.update_odometry()
     assert np.array_equal(own.odometry, fusion.odometry)
@@ -164,8 +173,7 @@ def test_a_filter_with_what_is_on_trial_takes_over_as_soon_as_that_is_proven(lat
     handover, = fusion.handovers
     assert handover.stamp - late.imu.stamp[end] <= 1.1 * SECOND
     # and has the bits of one that began when it was on trial
-    own = FusionFilter(FilterConfig.from_parameters(values))
-    fed(own, late, begin, last)
+    own = begun(values, late, begin, last)
     own.datum = fusion.datum
     own.update_odometry(), fusion.update_odometry()
     assert np.array_equal(own.odometry, fusion.odometry)
@@ -173,7 +181,7 @@ def test_a_filter_with_what_is_on_trial_takes_over_as_soon_as_that_is_proven(lat
 
 def test_a_filter_that_the_fixes_show_to_be_better_does_not_wait(late, monkeypatch):
     # given the right offset from 200 s on, and a new filter that never is as sure as the present one
-    monkeypatch.setattr(changing, '_as_sure', lambda present, other: False)
+    monkeypatch.setattr(changing, '_as_sure', lambda present, other, times: False)
     begin = 200 * 20
     fusion = changing.ChangingFilter(FilterConfig.from_parameters(APPLY))
     fed(fusion, late, 0, 420 * 20, {begin: lambda: fusion.change({**APPLY, 'gnss.time_offset': OFFSET})})
@@ -186,10 +194,11 @@ def test_a_filter_that_the_fixes_show_to_be_better_does_not_wait(late, monkeypat
 def test_what_is_published_does_not_jump_where_another_filter_takes_over(late, monkeypatch):
     # given a filter with another arm of the antenna, which takes over metres from the one before
     monkeypatch.setattr(changing, 'LONGEST', changing.SETTLING)
+    monkeypatch.setattr(changing, 'LOST', math.inf)
     begin, end = 200 * 20, 280 * 20
     values = {**APPLY, 'gnss.lever_arm': [3.0, 0.0, 0.0]}
-    fusion, own = (made(FilterConfig.from_parameters(with_)) for made, with_ in (
-        (changing.ChangingFilter, APPLY), (FusionFilter, values)))
+    fusion, own, present = (made(FilterConfig.from_parameters(with_)) for made, with_ in (
+        (changing.ChangingFilter, APPLY), (changing.WatchedFilter, values), (FusionFilter, APPLY)))
     published, right, places = [], [], []
 
     def look(one, rows):
@@ -200,7 +209,9 @@ def test_what_is_published_does_not_jump_where_another_filter_takes_over(late, m
     fed(fusion, late, 0, end, {begin: lambda: fusion.change(values), **{
         i: lambda: look(fusion, published) for i in range(begin + 1, end)}})
     own.datum = fusion.datum
-    fed(own, late, begin, end, {i: lambda: look(own, right) for i in range(begin + 1200, end)})
+    fed(present, late, 0, begin + 1)
+    fed(own, late, begin, end, {begin + 1: lambda: own.begin_at(present),
+                                **{i: lambda: look(own, right) for i in range(begin + 1200, end)}})
     handover, = fusion.handovers
     published, right, places = np.array(published), np.array(right), np.array(places)[:, :2]
     at = int(np.searchsorted(late.imu.stamp, handover.stamp)) - begin
@@ -227,6 +238,7 @@ def test_what_is_published_does_not_jump_where_another_filter_takes_over(late, m
 def test_the_trust_horizon_is_of_what_is_published_where_another_filter_takes_over(late, monkeypatch):
     # given a filter with another arm of the antenna, which takes over metres from the one before
     monkeypatch.setattr(changing, 'LONGEST', changing.SETTLING)
+    monkeypatch.setattr(changing, 'LOST', math.inf)
     begin, limit, rows = 200 * 20, 1.0, []
     given = table.check({**APPLY, 'gnss.time_offset': OFFSET, 'horizon.limit': limit})
     fusion = changing.ChangingFilter(FilterConfig.from_parameters(given))
@@ -255,18 +267,39 @@ def test_the_trust_horizon_is_of_what_is_published_where_another_filter_takes_ov
     assert 0.0 < ahead(BLENDING) < ahead(1.0) == fusion.horizon().seconds
 
 
-def test_a_difference_that_the_sigmas_do_not_cover_waits_for_a_standstill(late, monkeypatch):
-    # given a change of the mounting by 10 deg, which no sigma of the heading covers, and a vehicle that never stands
-    monkeypatch.setattr(changing, 'STANDING', -1.0)
-    monkeypatch.setattr(changing, 'LONGEST', 150.0)
-    turned = {**APPLY, 'imu.mounting_rpy': [0.0, 0.0, math.radians(10.0)]}
-    fusion = changing.ChangingFilter(FilterConfig.from_parameters({**APPLY, 'vehicle.non_holonomic': False}))
-    begin = 200 * 20
-    fed(fusion, late, 0, 500 * 20, {begin: lambda: fusion.change({**turned, 'vehicle.non_holonomic': False})})
-    # then it waits as long as it may
-    handover, = fusion.handovers
-    assert (handover.stamp - late.imu.stamp[begin]) / SECOND == pytest.approx(150.0, abs=1.1)
-    assert abs(handover.yaw) > math.radians(3.0)
+def test_a_filter_that_has_lost_its_way_does_not_take_over(late, monkeypatch):
+    # given a new filter that may have run for long enough, and is not as certain as it has to be, or is
+    begin, last = 200 * 20, 300 * 20
+    monkeypatch.setattr(changing, 'LONGEST', 80.0)
+    monkeypatch.setattr(changing, 'SHOWN_BETTER', math.inf)
+    for lost, takes_over in ((0.1, False), (3.0, True)):
+        monkeypatch.setattr(changing, 'LOST', lost)
+        monkeypatch.setattr(changing, 'AS_SURE', 0.1)
+        fusion, seen = changing.ChangingFilter(FilterConfig.from_parameters(APPLY)), []
+        fed(fusion, late, 0, last, {begin: lambda: fusion.change({**APPLY, 'gnss.time_offset': OFFSET}),
+                                    last - 1: lambda: seen.append(fusion._next and fusion._next.begun)})
+        # then it takes over, or another one begins
+        assert bool(fusion.handovers) == takes_over
+        assert takes_over or seen[0] == pytest.approx(late.imu.stamp[begin] + 80 * SECOND, abs=2 * SECOND)
+
+
+def test_a_new_filter_begins_where_the_present_one_is(late):
+    # given a vehicle under way, and a mounting that turns the names of its axes by 5 deg
+    begin, turn = 200 * 20, math.radians(5.0)
+    turned = {**APPLY, 'imu.mounting_rpy': [0.0, 0.0, turn]}
+    present = FusionFilter(FilterConfig.from_parameters(APPLY))
+    fed(present, late, 0, begin + 1)
+    own = begun(turned, late, begin, begin + 1)
+    own.begin_at(present)
+    # then it is aligned from its first sample on, at the same place, with the heading of its own axes and an honest
+    # sigma
+    own.datum = present.datum
+    own.update_odometry(), present.update_odometry()
+    assert own.aligned and np.hypot(*(own.odometry - present.odometry)[:2]) < 1e-3
+    yaws = [yaw_of_quaternion(*one.odometry[ORIENTATION:POSE_COVARIANCE]) for one in (own, present)]
+    assert wrap(yaws[0] - yaws[1]) == pytest.approx(-turn, abs=1e-6)
+    sigma = math.sqrt(own.odometry[POSE_COVARIANCE:LINEAR].reshape(6, 6)[5, 5])  # with that of the mounting
+    assert math.radians(10.0) < sigma < math.radians(12.0)
 
 
 def of_chunks(recording, answers, monkeypatch, kept=()):
@@ -475,11 +508,34 @@ def test_what_an_analysis_finds_beside_an_applied_value_is_what_is_left():
     # then 0.4 again is the same of the one, and as much more of the other; nothing left is nothing new
     assert not one.differs(finding(0.41)) and other.differs(finding(0.41))
     assert one.differs(finding(0.01)) and not other.differs(finding(0.01))
-    # and what neither has yet is new where it is certain, as the place of the antenna to the left after a turn
-    for trial in one, other:
-        for value, is_new in ((0.8, True), (0.1, False)):
-            more = replace(finding(0.4 if trial is one else 0.0), parameters={'y': Estimate(value, 0.1, 'm')})
-            assert trial.differs(more) == is_new
+    # and what neither has yet, as the place of the antenna to the left after a turn, is new beside what is applied
+    # where it is certain; what is on trial takes it over
+    for value, is_new in ((0.8, True), (0.1, False)):
+        more = finding(0.4)
+        more.parameters['y'] = Estimate(value, 0.1, 'm')
+        assert one.is_refined_by(more) and not one.differs(more)
+        more = replace(more, parameters={'y': Estimate(value, 0.1, 'm')})
+        assert other.differs(more) == is_new and not one.is_refined_by(more)
+
+
+def test_what_is_on_trial_goes_on_with_a_better_value():
+    # given a finding on trial of samples from the stamp 100 on, with half of the wealth that it needs
+    one = Trial(replace(finding(0.4, 0.02), since=100), {}, 1e3, taken=1)
+    for bets in one.bets.values():
+        bets.pro = math.log(500.0)
+    # then a value that agrees refines it where it is better known, and not from samples of before: these may be of
+    # before a change
+    better = replace(finding(0.43, 0.01), since=200)
+    for other, refines in ((better, True), (replace(better, since=99), False), (finding(0.43, 0.018), False)):
+        assert one.is_refined_by(other) == refines and not one.differs(other)
+    # nor where another parameter is less well known than before
+    known = replace(better, parameters={**better.parameters, 'y': Estimate(1.0, 0.1, 'm')})
+    vague = replace(better, parameters={'time_offset': Estimate(0.43, 0.03, 's'), 'y': Estimate(1.0, 0.1, 'm')})
+    assert one.is_refined_by(known) and not one.is_refined_by(vague)
+    # and it keeps its wealth and its begin
+    one.refine(known)
+    assert one.wealth == pytest.approx(500.5) and one.sets == known.changes and one.finding.since == 100
+    assert one.finding.parameters == known.parameters
 
 
 def test_trials_begin_anew_when_what_they_are_compared_with_changes():
@@ -579,5 +635,5 @@ def test_a_filter_that_is_less_sure_does_not_take_over():
         out[POSE_COVARIANCE:LINEAR] = np.diag([position**2, position**2, 1.0, 1.0, 1.0, yaw**2]).ravel()
         return out
     present = odometry(0.5, 0.01)
-    assert changing._as_sure(present, odometry(0.6, 0.012))
-    assert not changing._as_sure(present, odometry(0.5, 0.02)) and not changing._as_sure(present, odometry(1.0, 0.01))
+    assert changing._as_sure(present, odometry(0.6, 0.012), 1.25)
+    assert not any(changing._as_sure(present, other, 1.25) for other in (odometry(0.5, 0.02), odometry(1.0, 0.01)))

@@ -139,6 +139,24 @@ def test_centimetres_decide_and_millimetres_do_not():
     assert not decided(0.006) and decided(0.04)
 
 
+def test_errors_that_both_predictions_have_in_common_cost_no_clear_bets():
+    # given filters whose predictions are 2 cm apart on a road where both are off by 4 cm for a minute, to the side of
+    # the first one, behind a minute in which errors come to either side
+    rng, sides = np.random.default_rng(2), np.concatenate([np.resize([1.0, -1.0], 60), np.full(60, -1.0)])
+    all_of_them, clear = betting.Bets(), betting.Bets(betting.CLEAR)
+    for side in sides:
+        off = 0.04 * side + 0.005 * rng.standard_normal()
+        for bets in all_of_them, clear:
+            bets.take((off + 0.01, 0.0), (off - 0.01, 0.0))
+    # then a bet on each of them loses most of the wealth, and one where the middle is clear of such errors nothing
+    assert all_of_them.pro < math.log(0.05) and clear.pro == 0.0
+    # and in a turn, where they are 20 cm apart, both win
+    before = all_of_them.pro
+    for bets in all_of_them, clear:
+        bets.take((0.2, 0.0), (0.0, 0.0))
+    assert clear.pro > 0.5 and all_of_them.pro > before + 0.5
+
+
 def test_the_bets_are_those_of_the_formula():
     # given two fixes a metre from one filter and on the other one, and one in the middle but for the margin of 5 mm
     bets = betting.Bets()
@@ -485,6 +503,16 @@ def test_a_value_that_has_changed_begins_anew(monkeypatch, drive):
     # a second trial needs more, so that all together are false as seldom
     assert work.trials['gnss_time_offset'].needed == pytest.approx(needed[1])
     assert sum(1 / ((np.pi * k) ** 2 / 6) for k in range(1, 10_000)) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_a_value_that_is_better_known_goes_on_with_the_same_test(monkeypatch, drive):
+    # given a value on trial, and later one that agrees with half of its sigma
+    monkeypatch.setattr(online, 'FIRST', CHUNK)
+    said, work = followed(drive, [[finding(0.1)], [finding(0.12, 0.01)], [], [], []])
+    # then that is told and on trial from then on, as the first trial
+    assert [one[0].sets for one in said[:3]] == [('gnss.time_offset: 0.1',), *[('gnss.time_offset: 0.12',)] * 2]
+    assert work.begun == 1 and work.trials['gnss_time_offset'].taken >= 3
+    assert work.wanted.tried in ({}, {'gnss_time_offset': {'gnss.time_offset': 0.12}})
 
 
 def test_the_process_has_its_share_and_goes_when_its_parent_does(tmp_path):

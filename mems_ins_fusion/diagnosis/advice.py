@@ -2,7 +2,7 @@
 
 Manoeuvres are simulated on a level road with the receiver of the recording and go through the filter with the present
 parameters. Differences between runs with and without a small part of the effect give the information of each, which
-adds to what is known (`fit.scores`).
+adds to what is known (`fit.scores`). The part of a sigma that is no matter of samples (`Finding.least`) stays.
 """
 from __future__ import annotations
 
@@ -31,6 +31,8 @@ SPEED = 9.0
 RATE = 25.0
 #: a manoeuvre that leaves more of a sigma is not worth a sentence
 WORTH = 0.8
+#: part of a variance that is a matter of more samples, at least
+TINY = 1e-6
 #: s between two fixes at least: what a diagnosis uses
 FIX_INTERVAL = 1.0
 
@@ -64,10 +66,12 @@ def advised(finding: Finding, recording: Recording, values: dict) -> Advice | No
     if not unknowns or any(u.variance for u in unknowns):  # a noise shows with time, whatever is driven
         return None
     sigma = np.array([known[u.parameter].sigma for u in unknowns])
+    least = np.array([finding.least.get(u.parameter, 0.0) for u in unknowns])
+    own = np.maximum(sigma**2 - least**2, TINY * sigma**2)
     best = None
     for name in ASKED:
         information = shown(name, unknowns, recording, values)
-        then = np.sqrt(np.diag(np.linalg.inv(np.diag(sigma**-2.0) + information)))
+        then = np.sqrt(np.diag(np.linalg.inv(np.diag(1.0 / own) + information)) + np.minimum(least, sigma)**2)
         worst = int(np.argmin(then / sigma))
         if then[worst] < WORTH * sigma[worst] and (best is None or then[worst] / sigma[worst] < best.then / best.now):
             best = Advice(name, unknowns[worst].parameter, known[unknowns[worst].parameter].unit, float(sigma[worst]),

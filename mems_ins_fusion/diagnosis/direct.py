@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from ..configuration.check import SMALL_ARM, SMALL_OFFSET, SMALL_TILT, SMALL_YAW, SURE, VAGUE_ARM, clocks_left
 from ..configuration.mounting import estimate_mounting
+from ..configuration.offset import FLOOR
 from ..configuration.remaining import ANGLES, ARM, TIME_OFFSET, Remaining, remaining_of
 from ..effects.registry import effect_called
 from ..samples import Recording
@@ -59,7 +60,8 @@ def _finding(name: str, sizes: dict[str, Remaining], values: dict, since: int) -
     adjusted = effect.adjusted(values, {**dict.fromkeys(units, 0.0), **{n: one.value for n, one in sizes.items()}})
     changes = {parameter: value for parameter, value in adjusted.items() if value != values.get(parameter)}
     left = {n: Estimate(one.value, one.sigma, units[n]) for n, one in sizes.items()}
-    return Finding(name, [name], left, 0.0, 0.0, True, HeldOut(0.0, 1.0, []), changes=changes, since=since)
+    least = dict.fromkeys(left.keys() & {'time_offset'}, FLOOR)
+    return Finding(name, [name], left, 0.0, 0.0, True, HeldOut(0.0, 1.0, []), changes=changes, since=since, least=least)
 
 
 def _agree(one: Finding, other: Finding) -> bool:

@@ -44,15 +44,20 @@ class Estimate:
         return f'{said}, {math.degrees(self.value):.3g} deg' if self.unit == 'rad' else said
 
 
-def widened(parameters: Mapping[str, Estimate]) -> dict[str, Estimate]:
-    """The parameters of one effect with SYSTEMATIC in their sigmas: a part of the length of those of the same unit, as
-    axes that are a little turned make one of the other."""
+def systematic(parameters: Mapping[str, Estimate]) -> dict[str, float]:
+    """The part of the sigmas of the parameters of one effect that is SYSTEMATIC, where they are known: a part of the
+    length of those of the same unit, as axes that are a little turned make one of the other."""
     lengths: dict[str, float] = {}
     for estimate in parameters.values():
         if estimate.known:
             lengths[estimate.unit] = math.hypot(lengths.get(estimate.unit, 0.0), estimate.value)
-    return {name: replace(e, sigma=math.hypot(e.sigma, SYSTEMATIC * lengths[e.unit])) if e.known else e
-            for name, e in parameters.items()}
+    return {name: SYSTEMATIC * lengths[e.unit] for name, e in parameters.items() if e.known}
+
+
+def widened(parameters: Mapping[str, Estimate]) -> dict[str, Estimate]:
+    """The parameters of one effect with what is `systematic` in their sigmas."""
+    more = systematic(parameters)
+    return {name: replace(e, sigma=math.hypot(e.sigma, more[name])) if e.known else e for name, e in parameters.items()}
 
 
 def rounded(value: float, sigma: float | None) -> str:

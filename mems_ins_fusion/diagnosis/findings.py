@@ -23,7 +23,7 @@ class Finding:
     sets them. reason: why it was not added. seen: where it was not fitted, what shows it. drives: what each of several
     drives says alone, by name. apart: the drives contradict each other. saves: duration of outages, s, and the
     median of the largest error without it and with it, m, each beside what was found before. since: ns, stamp of the
-    first sample that shows it; 0: nobody says.
+    first sample that shows it; 0: nobody says. least: the part of the sigma of a parameter that no more samples lessen.
     """
 
     name: str
@@ -40,6 +40,7 @@ class Finding:
     apart: bool = False
     saves: tuple[float, float, float] | None = None
     since: int = 0
+    least: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

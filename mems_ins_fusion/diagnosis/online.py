@@ -30,6 +30,7 @@ from ..samples import Recording
 from .advice import advised
 from .diagnose import diagnose
 from .direct import shown_directly
+from .estimate import systematic
 from .findings import Finding
 from .gathering import CHUNK
 from .held_out import HeldOut
@@ -243,6 +244,9 @@ class Online:
         if trial is None or lost or (latest and trial.differs(finding)):
             self.trials[name] = Trial(finding, finding.changes, self._next_needed())
             self._unadvised.append(self.trials[name])
+        elif not trial.rejected and trial.is_refined_by(finding):
+            trial.refine(finding)
+            self._unadvised.append(trial)
 
     def advise(self) -> None:
         """Find what would show more of what came on trial with the newest answer. It is told with the next one, whose
@@ -368,4 +372,5 @@ def _known(kept: Kept, parameters: dict) -> Finding:
 
 def found(recording: Recording, values: dict, progress: Callable = lambda part, what: None) -> list[Finding]:
     """What `diagnose` finds in `recording`, proves there, and has parameters against."""
-    return [f for f in diagnose(recording, values, progress, durations=ANALYSED).findings if f.added and f.changes]
+    return [replace(f, least=systematic(f.parameters)) for f in diagnose(
+        recording, values, progress, durations=ANALYSED).findings if f.added and f.changes]

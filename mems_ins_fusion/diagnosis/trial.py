@@ -6,9 +6,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..filter.runs.betting import Bets
+from ..filter.runs.betting import CLEAR, Bets
 from ..parameters.params_file import yaml_value
-from .advice import Advice
+from .advice import WORTH, Advice
 from .findings import Finding
 from .quantity import COARSE, FINE, SUSPECT, Kept, Quantity
 from .trial_outages import OUTAGES, Place
@@ -18,6 +18,9 @@ TAKEN_BACK = 86_400.0
 #: wealth against it in outages of one duration with which nothing is proven: what follows the errors of the fixes, and
 #: so predicts the next one, predicts worse over half a minute
 DOUBTED = 20.0
+#: of the bets on one duration: those on each outage add up what is seen of small differences (fixes of metres), those
+#: on clear ones alone lose nothing on a straight road
+STAKED = (0.0, CLEAR)
 #: of a parameter in a line to copy
 DIGITS = 5
 
@@ -28,10 +31,11 @@ class Trial:
 
     applied: whether it is part of the parameters that drive. harmful: it was, and has been taken back. seen: whether no
     later analysis speaks against it. kept: for the next drive, where it is applied. advice: what would show more of it.
-    errors: by duration, m, without it and with it in each outage. bets: by duration, for it with what came in until
-    now: of the wealth 1 that a trial begins with, 1 / (k (k + 1)) comes into the bets with the k-th chunk. So what is
-    lost on a straight road, where the state of either filter decides by chance, need not be won again in the next turn;
-    and as no wealth is made by that, what chance proves stays as seldom. taken: chunks.
+    errors: by duration, m, without it and with it in each outage. bets: by duration, and by how far the predictions
+    have to be apart (`betting.CLEAR`), for it with what came in until now: of the wealth 1 that a trial begins with,
+    1 / (k (k + 1)) comes into the bets with the k-th chunk. So what is lost on a straight road, where the state of
+    either filter decides by chance, need not be won again in the next turn; and as no wealth is made by that, what
+    chance proves stays as seldom. taken: chunks.
     """
 
     finding: Finding
@@ -44,12 +48,13 @@ class Trial:
     kept: Kept | None = None
     advice: Advice | None = None
     errors: dict[float, list[tuple[float, float]]] = field(default_factory=lambda: {d: [] for d in OUTAGES})
-    bets: dict[float, Bets] = field(default_factory=lambda: {d: _without_wealth(Bets()) for d in OUTAGES})
+    bets: dict[tuple[float, float], Bets] = field(default_factory=lambda: {
+        (d, clear): _without_wealth(Bets(clear)) for d in OUTAGES for clear in STAKED})
     taken: int = 0
 
     @property
     def wealth(self) -> float:
-        """For the finding: of the bets on each duration, in equal parts, and what has not come into them yet."""
+        """For the finding: of all bets, in equal parts, and what has not come into them yet."""
         return 1.0 / (self.taken + 1) + float(np.mean([np.exp(bets.pro) for bets in self.bets.values()]))
 
     @property
@@ -60,7 +65,7 @@ class Trial:
     @property
     def doubted(self) -> bool:
         """Whether outages of any duration speak against it."""
-        return max(bets.con for bets in self.bets.values()) >= math.log(DOUBTED)
+        return any(np.mean([np.exp(self.bets[d, clear].con) for clear in STAKED]) >= DOUBTED for d in OUTAGES)
 
     @property
     def rejected(self) -> bool:
@@ -81,12 +86,13 @@ class Trial:
         self.taken += 1
         for bets in self.bets.values():
             bets.pro = float(np.logaddexp(bets.pro, -math.log(self.taken * (self.taken + 1))))
-        for duration, bets in self.bets.items():
+        for duration in OUTAGES:
             for without, with_it in errors[duration]:
                 self.errors[duration].append((float(np.hypot(*without)), float(np.hypot(*with_it))))
-                bets.take(without, with_it)
-                if self.applied:
-                    bets.con = max(bets.con, 0.0)
+                for bets in (self.bets[duration, clear] for clear in STAKED):
+                    bets.take(without, with_it)
+                    if self.applied:
+                        bets.con = max(bets.con, 0.0)
                 self.proven = self.proven or (self.wealth >= self.needed and not self.doubted)
         if self.kept and self.proven and not before:
             self.kept = replace(self.kept, found=now)
@@ -108,11 +114,25 @@ class Trial:
         self.proven = self.proven and self.applied
 
     def differs(self, finding: Finding) -> bool:
-        """Whether `finding`, of the same effect, has other values, or one more. Where this one is applied, it is what
-        is left beside that, of which there should be nothing."""
-        own = {} if self.applied else self.finding.parameters
-        return any(e.differs(own.get(name, replace(e, value=0.0, sigma=0.0))) for name, e in finding.parameters.items()
-                   if e.known)
+        """Whether `finding`, of the same effect, has other values. Where this one is applied, it is what is left beside
+        that, of which there should be nothing."""
+        if self.applied:
+            return any(e.differs(replace(e, value=0.0, sigma=0.0)) for e in finding.parameters.values() if e.known)
+        own = self.finding.parameters
+        return any(e.differs(own[name]) for name, e in finding.parameters.items() if name in own)
+
+    def is_refined_by(self, finding: Finding) -> bool:
+        """Whether `finding`, whose values agree, is of samples behind the begin of those that showed this one, knows
+        all that this one knows as well, and something better."""
+        old, new = ({name: e.sigma for name, e in one.parameters.items() if e.known} for one in (self.finding, finding))
+        better = new.keys() > old.keys() or any(new[name] < WORTH * old[name] for name in new.keys() & old.keys())
+        return (better and finding.since >= self.finding.since
+                and all(name in new and new[name] <= sigma for name, sigma in old.items()))
+
+    def refine(self, finding: Finding) -> None:
+        """Go on with its values. What has been bet stays: each bet is on what was known before its outage, and a wealth
+        that does not grow in the mean does so with whichever value each was."""
+        self.finding, self.sets = replace(finding, since=self.finding.since), finding.changes
 
     def quantity(self, now: int, name: str) -> Quantity:
         """It in words, as `name`. now: ns, stamp of the newest sample."""

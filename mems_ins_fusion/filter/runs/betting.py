@@ -17,6 +17,10 @@ la notion de collectif", 1939; I. Waudby-Smith and A. Ramdas, "Estimating means 
 J. Royal Statistical Society B 86, 2024). d and B are known before the measurement, so l may depend on them: it is
 proportional to the mean of x where the other filter is right, (d / 2 - m) / B. Where that is not positive, nothing is
 staked.
+
+Where d is small against B, the side on which m lies is mostly that of an error that both predictions have in common.
+Such errors last for a minute on some roads, and with them a row of bets is lost, or won, by chance. `Bets(CLEAR)`
+stakes only where d is large enough for the middle to be clear of them.
 """
 from __future__ import annotations
 
@@ -28,13 +32,18 @@ LARGEST_BET = 0.9  # largest share of the wealth staked: a single measurement mu
 #: stake as a share of the mean of x where the other filter is right. One over the variance of x is best: normal errors
 #: in a plane with the mean distance B have a sigma of 0.8 B along a line
 PART = 1.56
+#: usual distances B by which the predictions have to be apart for the middle between them to be clear of common errors:
+#: these have a sigma of 0.8 B along the line (PART), and d / 2 is as much then
+CLEAR = 1.6
 USUAL = 30.0  # measurements over which the usual distance is averaged; nothing is staked on the first
 
 
 class Bets:
-    """pro: logarithm of the wealth staked on the other filter, con: on the present one."""
+    """pro: logarithm of the wealth staked on the other filter, con: on the present one. clear: usual distances by which
+    the predictions have to be apart for a stake."""
 
-    def __init__(self):
+    def __init__(self, clear: float = 0.0):
+        self._clear = clear
         self.pro = self.con = 0.0
         self._usual, self._count = 0.0, 0
 
@@ -45,7 +54,7 @@ class Bets:
         self._count += 1
         self._usual += (min(a, b) - usual) / min(self._count, USUAL)
         least = max(MARGIN * apart, WORTH)
-        if not (usual > 0.0 and 0.5 * apart > least):
+        if not (usual > 0.0 and 0.5 * apart > least and apart >= self._clear * usual):
             return
         y, bet = (a * a - b * b) / (2.0 * apart), min(PART * (0.5 * apart - least) / usual, LARGEST_BET)
         self.pro += math.log1p(bet * _bounded((y - least) / usual))

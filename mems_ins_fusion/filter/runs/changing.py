@@ -1,12 +1,12 @@
 """A live filter whose parameters change while it runs: a filter with the new ones runs in parallel, then takes over.
 
-The new filter aligns by itself and gets the same messages; with parameters on trial it is started in advance. The
-innovations of the fixes in both filters are compared each second (betting.py). The new filter takes over once it is
-shown to be better, or once it is about as certain as the present one and the change is not visible: the estimates
-differ by less than their standard deviations, or the vehicle stands. The replaced filter, without the finding that was
-applied, continues in parallel: where the finding becomes wrong, as when a driver is restarted, it is better within
-seconds and takes over at once. What is published does not jump (blending.py). All decisions depend on stamps and values
-of the inputs alone: live and in a replay the filters change at the same sample.
+The new filter begins where the present one is, with its heading and speed, and gets the same messages; with parameters
+on trial it is started in advance. The innovations of the fixes in both filters are compared each second (betting.py).
+The new filter takes over once it is shown to be better, or once it is about as certain as the present one. The replaced
+filter, without the finding that was applied, continues in parallel: where the finding becomes wrong, as when a driver
+is restarted, it is better within seconds and takes over at once. What is published does not jump, whatever the two
+differ by (blending.py). All decisions depend on stamps and values of the inputs alone: live and in a replay the filters
+change at the same sample.
 """
 from __future__ import annotations
 
@@ -18,17 +18,26 @@ import numpy as np
 from ...navigation.frames import wrap, yaw_of_quaternion
 from ..config import FilterConfig
 from ..memory import Event
+from ..start.course import start_covariance
+from ..start.start import Start
 from .betting import Bets
 from .blending import Blending, blending
 from .horizon import Horizon
 from .live import FusionFilter
-from .odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, POSITION, TWIST_COVARIANCE
+from .odometry import LINEAR, ORIENTATION, POSE_COVARIANCE, POSITION
 
 SETTLING = 60.0  # s for which the new filter runs before it may take over: its sensor errors settle in that time
-LONGEST = 180.0  # s after which it takes over in any case: its parameters have been proven to be better
+LONGEST = 180.0  # s after which it takes over unless it has lost its way: its parameters have been proven to be better
 #: standard deviations of position and heading, over those of the present filter, at which the new one is as certain:
-#: one that has just started is less certain for a minute or two
-AS_SURE = 1.25
+#: one that has just started is less certain for a minute or two, and one that has to learn its mounting longer
+AS_SURE = 1.5
+#: the same, at which the new filter has lost its way after LONGEST, and begins anew: one that has not is within 1.5
+#: times by then, one that has taken a vehicle that reverses for one that drives off is a hundred times less certain
+LOST = 3.0
+#: m, m/s, rad, standard deviations with which a new filter begins where the present one is: what an arm of metres, an
+#: offset of 0.3 s, and a filter that such errors have led astray move. Fixes soon know better, but one that would look
+#: for its heading itself may take a vehicle that reverses for one that drives off, and stay lost for minutes
+BEGIN_POSITION, BEGIN_SPEED, BEGIN_HEADING = 5.0, 1.0, math.radians(10.0)
 PERIOD = 10**9  # ns from one comparison to the next
 #: wealth of the filter without a finding at which the finding is dropped: a useful finding is dropped at most once in
 #: as many comparisons, a day
@@ -36,7 +45,6 @@ DROPPED = 86_400.0
 #: wealth of a new filter at which it takes over before it is as certain: its parameters have been proven before
 SHOWN_BETTER = 20.0
 KEPT = 100  # fixes whose innovations are kept: two filters process the same fix within seconds of each other
-STANDING = 0.05  # m/s: at a lower speed the vehicle stands, and no controller depends on its pose
 #: attributes that stay when another filter takes over: outputs, messages and counts
 _STAYS = frozenset({'odometry', 'geodetic', 'position_covariance_enu', 'datum', 'tallies', 'gaps', 'waited', '_notices',
                     '_judged', '_said', '_said_mounting', '_next_look', '_recent', '_last_recovery', '_using_fixes'})
@@ -75,6 +83,19 @@ class WatchedFilter(FusionFilter):
         self.misfits: dict[int, tuple[float, float]] = {}
         super().__init__(config)
 
+    def begin_at(self, other: FusionFilter) -> None:
+        """Begin where `other`, whose newest sample is the first one of this filter, is."""
+        FusionFilter.update_odometry(other)
+        yaw = math.pi / 2.0 - float(yaw_of_quaternion(*other.odometry[ORIENTATION:POSE_COVARIANCE]))
+        # the same IMU: only what the vehicle's axes are called differs
+        yaw += self.config.parameters['imu.mounting_rpy'][2] - other.config.parameters['imu.mounting_rpy'][2]
+        speed, epoch = float(other.odometry[LINEAR]), self._now
+        self.reset()
+        self._epoch = epoch
+        covariance = start_covariance(BEGIN_POSITION**2 * np.eye(2), yaw, BEGIN_HEADING, speed, BEGIN_SPEED)
+        velocity = speed * np.array([math.cos(yaw), math.sin(yaw)])
+        self._begin(Start(0.0, *other.geodetic.tolist(), velocity, float(wrap(yaw)), covariance, None), epoch)
+
     def add_numbered(self, number: int, *fix) -> None:
         """`add_fix` for the fix with this number."""
         self._numbers[self._ids] = number
@@ -91,10 +112,11 @@ class WatchedFilter(FusionFilter):
 class ParallelFilter:
     """A filter with other parameters than the present one, and the bets on it. begun: ns. since: ns, when its wealth
     was last at its initial value. after: number of the last fix before the comparison. settling: s of common fixes
-    before the first bet, where neither filter has run before: one that has just aligned predicts worse by chance."""
+    before the first bet, where neither filter has run before: one that has just aligned predicts worse by chance.
+    is_new: it has no sample yet."""
 
-    def __init__(self, fusion: WatchedFilter, begun: int, after: int, settling: float = 0.0):
-        self.fusion, self.begun, self.since = fusion, begun, begun
+    def __init__(self, fusion: WatchedFilter, begun: int, after: int, settling: float = 0.0, is_new: bool = False):
+        self.fusion, self.begun, self.since, self.is_new = fusion, begun, begun, is_new
         self._bets, self._compared, self._settling = Bets(), after, settling
         self._settled: int | None = None  # ns, from when on there are bets
 
@@ -183,12 +205,16 @@ class ChangingFilter(WatchedFilter):
     def _beside_with(self, values: dict, settling: float = 0.0) -> ParallelFilter:
         fusion = WatchedFilter(FilterConfig.from_parameters(values))
         fusion.use_fixes(self._using_fixes)
-        return ParallelFilter(fusion, self._now, self._fixes, settling)
+        return ParallelFilter(fusion, self._now, self._fixes, settling, is_new=True)
 
     def add_imu(self, stamp: int, *numbers) -> bool:
         new = super().add_imu(stamp, *numbers)
-        for other in self._others:
-            other.add_imu(stamp, *numbers)
+        for one in self._running:
+            one.fusion.add_imu(stamp, *numbers)
+            if one.is_new and one.fusion._now == stamp:
+                one.is_new = False
+                if self.aligned:
+                    one.fusion.begin_at(self)
         if self._others and stamp // PERIOD != self._slot:
             self._slot = stamp // PERIOD
             for other in self._others:
@@ -270,25 +296,28 @@ class ChangingFilter(WatchedFilter):
         if not self.has_estimate:
             self._take_over(other, now, 0.0, 0.0)
         elif other.aligned and waited >= SETTLING * 1e9:
-            position, velocity, yaw = self._from(other)
-            stands = max(abs(self.odometry[LINEAR]), abs(other.odometry[LINEAR])) < STANDING
-            smooth = stands or _covered(position, velocity, yaw, self.odometry, other.odometry)
-            if ((smooth and _as_sure(self.odometry, other.odometry)) or self._next.is_better(SHOWN_BETTER)
-                    or waited >= LONGEST * 1e9):
+            position, yaw = self._from(other)
+            late = waited >= LONGEST * 1e9
+            if (_as_sure(self.odometry, other.odometry, LOST if late else AS_SURE)
+                    or self._next.is_better(SHOWN_BETTER)):
                 self._take_over(other, now, position, yaw)
+            elif late:
+                self._next = self._beside_with(other.config.parameters)
 
-    def _from(self, other: FusionFilter) -> tuple[float, float, float]:
-        """Difference of the estimates of `other` and this filter: m, m/s, rad."""
+    def _from(self, other: FusionFilter) -> tuple[float, float]:
+        """Difference of the estimates of `other` and this filter: horizontal position m, yaw rad."""
         other.datum = self.datum
         self.update_odometry()
         other.update_odometry()
-        return _differences(self.odometry, other.odometry)
+        a, b = self.odometry, other.odometry
+        yaw = yaw_of_quaternion(*b[ORIENTATION:POSE_COVARIANCE]) - yaw_of_quaternion(*a[ORIENTATION:POSE_COVARIANCE])
+        return math.hypot(*(b - a)[POSITION:POSITION + 2]), float(wrap(yaw))
 
     def _drop(self, name: str, now: int) -> None:
         """Let the filter without a finding take over at once. From now on other findings are watched by the diagnosis
         alone."""
         one, without = self._beside[name], self._without.get(name)
-        position, _, yaw = self._from(one.fusion)
+        position, yaw = self._from(one.fusion)
         self._dropped.append(Dropped(name, one.since, now))
         pending, self._next = self._next is not None, None
         self._take_over(one.fusion, now, position, yaw)
@@ -319,23 +348,8 @@ class ChangingFilter(WatchedFilter):
         self.say('info', self.handovers[-1].text)
 
 
-def _differences(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
-    """Differences of two odometries (SIZE,): horizontal position m, velocity m/s, yaw rad."""
-    position = math.hypot(*(b - a)[POSITION:POSITION + 2])
-    velocity = math.hypot(*(b - a)[LINEAR:LINEAR + 2])
-    yaw = wrap(yaw_of_quaternion(*b[ORIENTATION:POSE_COVARIANCE]) - yaw_of_quaternion(*a[ORIENTATION:POSE_COVARIANCE]))
-    return position, velocity, float(yaw)
-
-
-def _as_sure(present: np.ndarray, other: np.ndarray) -> bool:
-    """Whether position and heading of the odometry `other` (SIZE,) are about as certain as those of `present`."""
+def _as_sure(present: np.ndarray, other: np.ndarray, times: float) -> bool:
+    """Whether the standard deviations of position and heading of the odometry `other` (SIZE,) are at most so many times
+    those of `present`."""
     a, b = (odometry[POSE_COVARIANCE:LINEAR].reshape(6, 6) for odometry in (present, other))
-    return bool(b[0, 0] + b[1, 1] <= AS_SURE**2 * (a[0, 0] + a[1, 1]) and b[5, 5] <= AS_SURE**2 * a[5, 5])
-
-
-def _covered(position: float, velocity: float, yaw: float, a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether the differences are within one standard deviation of the odometries `a` and `b` (SIZE,) together."""
-    pose = (a + b)[POSE_COVARIANCE:LINEAR].reshape(6, 6)
-    twist = (a + b)[TWIST_COVARIANCE:].reshape(6, 6)
-    return (position**2 <= pose[0, 0] + pose[1, 1] and velocity**2 <= twist[0, 0] + twist[1, 1]
-            and yaw**2 <= pose[5, 5])
+    return bool(b[0, 0] + b[1, 1] <= times**2 * (a[0, 0] + a[1, 1]) and b[5, 5] <= times**2 * a[5, 5])
