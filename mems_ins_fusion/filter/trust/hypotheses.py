@@ -8,8 +8,8 @@ the filter says of them, is its *score*:
   to anywhere (multipath, extrapolation, a wrong integer). This filter uses none of them until one is right again.
 
 The second is begun where a fix is so unlikely that the receiver may have failed, and ends where it has lost or both
-agree (`bank.py`). Where several fixes have been refused in a row, the published filter takes them for wrong, and the
-second one starts anew from them. What is published is the filter with the better score; one that uses no fixes only
+agree (`bank.py`). Where fixes are refused, the published filter takes them for wrong, and the second one goes on with
+its gate, or starts anew from them once several have been refused in a row. What is published is the filter with the better score; one that uses no fixes only
 where it has refused them, or where they drift away (`fix_drift.py`). Its covariance is that of both: it reaches to
 where the other filter is, as long as that may be right. (D. T. Magill, "Optimal adaptive estimation of sampled
 stochastic processes", IEEE Trans. Automatic Control 10, 1965; H. A. P. Blom and Y. Bar-Shalom, "The interacting

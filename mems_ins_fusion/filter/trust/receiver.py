@@ -198,7 +198,8 @@ def _judge_lasting(mem, r, at, interval, verdict):
         mem[r + Nav.CLAIM_LEVEL] = level
     mem[r + Nav.CLAIM_LEVEL] += (level - mem[r + Nav.CLAIM_LEVEL]) / CLAIM_MEMORY
     realised = scale(mem, r + Receiver.SCALE)
-    lasting = max(1.0 - realised, LASTING_SHARE * realised) * math.exp(mem[r + Nav.CLAIM_LEVEL])
+    mean = math.exp(mem[r + Nav.CLAIM_LEVEL])
+    lasting = max((1.0 - realised) * mean, LASTING_SHARE * realised * min(mean, math.exp(level)))
     if mem[r + Nav.SLOW_VARIANCE] != 0.0 and (verdict == Verdict.USED or verdict == Verdict.WEIGHTED):
         variance = 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
         used = realised_factor(mem, r) * math.exp(level)
@@ -236,9 +237,7 @@ def _scatter(mem, r, at, z_n, z_e):
         changed = claimed / before
         reopen(mem, r + Receiver.SCALE, changed)
         reopen(mem, r + Receiver.SLOW_SCALE, changed)
-        # what was claimed before, as it is realised over what is claimed from now on
-        mem[r + Receiver.PAIR_CLAIMED] *= changed
-        mem[r + Nav.CLAIM_LEVEL] += math.log(changed)
+        mem[r + Receiver.PAIR_CLAIMED] *= changed  # it is realised over what is claimed from now on, too
     begun, since = mem[r + Receiver.PAIR_TIME] != 0.0, time - mem[r + Receiver.PAIR_TIME]
     if begun:
         mem[r + Receiver.PAIR] += z_n - mem[r + Nav.RESIDUAL_N]
