@@ -8,8 +8,8 @@ the filter says of them, is its *score*:
   to anywhere (multipath, extrapolation, a wrong integer). This filter uses none of them until one is right again.
 
 The second is begun where a fix is so unlikely that the receiver may have failed, and ends where it has lost or both
-agree (`bank.py`). Where fixes are refused, the published filter takes them for wrong, and the second one goes on with
-its gate, or starts anew from them once several have been refused in a row. What is published is the filter with the better score; one that uses no fixes only
+agree (`bank.py`). Where several fixes have been refused in a row, the published filter takes them for wrong, and the
+second one starts anew from them. What is published is the filter with the better score; one that uses no fixes only
 where it has refused them, or where they drift away (`fix_drift.py`). Its covariance is that of both: it reaches to
 where the other filter is, as long as that may be right. (D. T. Magill, "Optimal adaptive estimation of sampled
 stochastic processes", IEEE Trans. Automatic Control 10, 1965; H. A. P. Blom and Y. Bar-Shalom, "The interacting
@@ -168,26 +168,13 @@ def _wrong(mem, r, time, z_n, z_e, r_nn, nis, anywhere, interval):
 
 
 @njit(_nrt=False)
-def _begins(interval):
-    """Logarithm of the prior of a receiver that fails with one fix, `interval` s after the one before it."""
-    return math.log(FIXES_WRONG * min(max(interval, LASTING), LONGEST))
-
-
-@njit(_nrt=False)
-def wrong_from_here(mem, r, interval):
-    """Nats by which a filter is more likely that takes the latest fix, which that with the state at r believed, for the
-    first wrong one. interval: s, since the fix before it."""
-    return _begins(interval) + min(interval / LASTING, 1.0) * mem[r + Hypothesis.OTHERWISE]
-
-
-@njit(_nrt=False)
 def doubt(mem, r, interval):
     """The filter with the state at r says from now on that the fixes are wrong. interval: s between fixes."""
     mem[r + Hypothesis.DOUBTS] = 1.0
     mem[r + Hypothesis.VARIANCE] = 0.0
     for i in range(2):
         mem[r + Hypothesis.OFFSET + i] = mem[r + Hypothesis.DRIFT + i] = 0.0
-    mem[r + Hypothesis.SCORE] += _begins(interval)
+    mem[r + Hypothesis.SCORE] += math.log(FIXES_WRONG * min(max(interval, LASTING), LONGEST))
 
 
 @njit(_nrt=False)
