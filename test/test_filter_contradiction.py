@@ -149,13 +149,13 @@ def test_what_is_published_holds_both_hypotheses(mechanization):
 class Drive:
     """North at 10 m/s for 60 s at 50 Hz, fixes of 0.5 m each second; without an error what is true is known."""
 
-    def __init__(self, seconds=60.0, apart=1.0):
-        rng, count = np.random.default_rng(5), round(50 * seconds)
-        self.samples = np.zeros((count, 7))
-        self.samples[:, 0] = np.arange(1, count + 1) / 50.0
+    def __init__(self):
+        rng = np.random.default_rng(5)
+        self.samples = np.zeros((3000, 7))
+        self.samples[:, 0] = np.arange(1, 3001) / 50.0
         self.samples[:, 3] = -gravity(LATITUDE, 480.0)
-        self.samples[:, 1:] += rng.standard_normal((count, 6)) * np.repeat([0.03, 1e-3], 3)
-        self.time = np.arange(0.51, seconds - 1.0, apart)
+        self.samples[:, 1:] += rng.standard_normal((3000, 6)) * np.repeat([0.03, 1e-3], 3)
+        self.time = np.arange(0.51, 59.0)
         self.position = np.stack([10.0 * self.time, np.zeros(len(self.time))], axis=1)
         self.position += 0.5 * rng.standard_normal((len(self.time), 2))
 

@@ -10,7 +10,7 @@ from filter_support import newest
 from scipy.stats import chi2, multivariate_normal
 from test_filter_contradiction import BOTH, Drive, a_state
 
-from mems_ins_fusion.filter.bank import Bank, is_better
+from mems_ins_fusion.filter.bank import Bank
 from mems_ins_fusion.filter.memory import Event, Head, Nav, state_at
 from mems_ins_fusion.filter.trust import fix_drift
 from mems_ins_fusion.filter.trust.fix_drift import MEMORY, FixDrift
@@ -32,7 +32,6 @@ from mems_ins_fusion.filter.trust.hypotheses import (
     judge,
     most_behind,
     reach,
-    wrong_from_here,
 )
 
 S = np.array([[4.0, 1.0], [1.0, 9.0]])
@@ -129,76 +128,6 @@ def test_fixes_that_jump_and_come_back_are_left_and_the_ellipse_reaches_to_them(
     # and from 5 s on, when five fixes have been refused, to the end the 95 % ellipse reaches to the fixes
     disputed = slice(round(50 * 36.5), round(50 * 44.0))
     assert (math.sqrt(chi2.ppf(0.95, 2)) * sigma[disputed, 1] > 0.8 * 40.0).all()
-
-
-def test_fixes_that_come_slowly_and_have_jumped_are_not_believed_because_the_filter_has_grown_less_sure():
-    # given a fix each five seconds, of which five are 12 m off, and the same drive without them
-    drive, without = Drive(160.0, 5.0), Drive(160.0, 5.0)
-    wrong = (drive.time > 100.0) & (drive.time < 122.0)
-    drive.position[wrong, 1] += 12.0
-    without.time, without.position = without.time[~wrong], without.position[~wrong]
-    _, memory, error, _, _ = drive.through('planar')
-    _, _, coasting, _, _ = without.through('planar')
-    # then they are left from the first on, until the fixes are right
-    assert np.hypot(*error.T).max() < np.hypot(*coasting.T).max() + 0.5
-    assert newest(memory)[Nav.RECOVERIES] == 0.0
-
-
-def test_fixes_that_have_jumped_are_wrong_from_then_on_whatever_was_in_doubt_before():
-    # given a fix each five seconds, one that is 2 m off at 95.5 s, within what a receiver may be, and 30 m from then on
-    drive = Drive(160.0, 5.0)
-    at = int(np.flatnonzero(drive.time > 95.0)[0])
-    drive.position[at, 1] += 2.4
-    drive.position[at + 1:, 1] += 30.0
-    before, after = Drive(160.0, 5.0), Drive(160.0, 5.0)
-    for one, last in ((before, at), (after, at + 1)):
-        one.samples = drive.samples[:round(50 * (drive.time[last] + 0.5))]
-        one.time, one.position = drive.time[:last + 1], drive.position[:last + 1]
-    # then the first opens a second filter, which the second replaces by one that takes itself for the first wrong one
-    assert [one.through('planar')[1][Bank.BEGUN] for one in (before, after)] == [drive.time[at], drive.time[at + 1]]
-
-
-@pytest.mark.parametrize('since, ahead, is_so', [(100.0, 0.5, True), (100.0, -0.5, False), (90.0, 0.5, False)])
-def test_who_has_refused_the_same_fixes_is_followed_by_who_takes_them_for_wrong_where_that_is_more_likely(
-        since, ahead, is_so):
-    # given a filter that has refused the fixes from 100 s on, beside one that uses none of them since some time
-    _, memory, r = a_state()
-    other = memory.copy()
-    other[r + Hypothesis.DOUBTS], other[r + Hypothesis.SCORE] = 1.0, memory[r + Hypothesis.SCORE] + ahead
-    memory[r + Nav.REFUSED], memory[r + Nav.REFUSED_SINCE], memory[Bank.BEGUN] = 2.0, 100.0, since
-    # then only where both have used the same ones, so that nothing jumps
-    assert is_better(memory, other, r) == is_so
-
-
-def test_a_filter_that_has_started_anew_from_refused_fixes_does_so_again_only_after_the_recovery_time():
-    # given fixes that from 30 s on are 40 m off to the east, and from 38 s on to the west
-    drive = Drive()
-    drive.position[drive.time > 30.0, 1] += 40.0
-    drive.position[drive.time > 38.0, 1] -= 80.0
-    drive.samples, keep = drive.samples[:round(50 * 47.0)], drive.time < 47.0
-    drive.time, drive.position = drive.time[keep], drive.position[keep]
-    _, memory, *_ = drive.through('strapdown')
-    other = memory[int(memory[Bank.SIZE]):]
-    r = state_at(memory, int(memory[Head.SAMPLES]))
-    # then the second has started from the first of them, and the first filter from none
-    assert memory[Bank.OPEN] == 1.0 and memory[r + Nav.RECOVERIES] == 0.0 and other[r + Nav.RECOVERIES] == 1.0
-
-
-@pytest.mark.parametrize('interval', [0.1, 1.0, 5.0, 60.0])
-def test_what_a_filter_will_say_that_doubts_from_the_latest_fix_on_is_known_before_it_is_made(interval):
-    # given two filters with one state, of which one believes a fix that is far off
-    scores = []
-    for doubts in (False, True):
-        _, memory, r = a_state()
-        memory[r + Nav.FIX_TIME] = 1.0
-        if doubts:
-            doubt(memory, r, interval)
-        judged(memory, r, np.array([20.0, 5.0]), 1.0 + interval)
-        scores.append(memory[r + Hypothesis.SCORE])
-        if not doubts:
-            expected = wrong_from_here(memory, r, interval)
-    # then the other is as much more likely as it is told by the first
-    assert scores[1] - scores[0] == pytest.approx(expected)
 
 
 @BOTH

@@ -154,9 +154,9 @@ def test_a_receiver_that_goes_straight_on_is_found_out_where_fixes_are_rare(mech
     receiver.position[20:24] = receiver.position[19] + gone * (
         SPEED * np.array([math.cos(COURSE), math.sin(COURSE)]) + [1.2, -1.6])
     _, _, _, records = receiver.through(mechanization=mechanization)
-    # then the three on a line with those before them are refused, the one that begins it may have been measured
-    assert (verdicts(records)[21:24] == Verdict.STRAIGHT_ON).all()
-    others = np.r_[:21, 24:len(records)]
+    # then they are refused, also the one that begins the line
+    assert (verdicts(records)[20:24] == Verdict.STRAIGHT_ON).all()
+    others = np.r_[:20, 24:len(records)]
     assert np.isin(verdicts(records)[others], [Verdict.USED, Verdict.WEIGHTED]).all()
 
 

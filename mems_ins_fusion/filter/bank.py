@@ -4,9 +4,8 @@ The second stands behind the first, as large, while `Bank.OPEN`, and gets the sa
 fix their scores are compared (`trust/hypotheses.py`). The second goes where it has lost, or where both agree. It
 becomes the first where its score is better and it uses the fixes, or the fixes drift away (`trust/fix_drift.py`).
 
-Where the first refuses fixes, either these are wrong or those before them were, or the filter is. As soon as the first
-is more likely, it takes them for wrong, and the second goes on with the gate; that has to be better to be published.
-Where it has refused several in a row, it starts anew from them.
+Where the first has refused several fixes in a row, either these fixes are wrong or those before them were, or the
+filter is: the first then takes the fixes for wrong, the second starts anew from them, and the better score decides.
 """
 from __future__ import annotations
 
@@ -62,22 +61,17 @@ def compare(memory):
     if size == 0 or time == memory[Bank.COMPARED]:
         return
     interval, memory[Bank.COMPARED] = time - memory[Bank.COMPARED], time
-    other = memory[size:]
-    doubted = memory[Bank.OPEN] != 0.0 and memory[r + Hypothesis.DOUBTS] == 0.0 and other[r + Hypothesis.DOUBTS] != 0.0
-    refused = new_start.are_refused(memory, r)
-    if memory[Bank.OPEN] != 0.0 and memory[r + Hypothesis.DOUBTS] != 0.0:  # the second may, and start anew once
-        refused = other[r + Nav.RECOVERIES] == memory[r + Nav.RECOVERIES] and new_start.are_refused(other, r)
-    if doubted or memory[Bank.OPEN] == 0.0:
+    other, refused = memory[size:], new_start.are_refused(memory, r)
+    if memory[Bank.OPEN] == 0.0:
         _begin(memory, other, r, interval)
-    if memory[Bank.OPEN] == 0.0 and not refused:
-        return
-    if (doubted and memory[Bank.DATED] == 0.0 and memory[Bank.BEGUN] < time
-            and memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE] < SERIOUS):
+        if memory[Bank.OPEN] == 0.0 and not refused:
+            return
+    elif memory[Bank.DATED] == 0.0 and memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE] < SERIOUS:
         memory[Bank.DATED] = 1.0
         _date(memory, other, r, interval)
     if refused:
         _start_from_fixes(memory, other, r, interval)
-    if is_better(memory, other, r):
+    if _is_better(memory, other, r):
         _swap(memory, other)
     doubts = memory[r + Hypothesis.DOUBTS] != 0.0
     if other[r + Nav.REFUSED] >= new_start.FEWEST_REFUSED:
@@ -109,16 +103,15 @@ def _swap(memory, other):
 
 @njit(_nrt=False)
 def _start_from_fixes(memory, other, r, interval):
-    """One filter takes the fixes that the other has refused in a row for wrong, and is published for now; the other
-    starts anew from the latest of them. interval: s, since the fix before it."""
-    if memory[r + Hypothesis.DOUBTS] == 0.0:
-        begun = memory[r + Nav.REFUSED_SINCE]
-        if memory[Bank.OPEN] == 0.0 or other[r + Hypothesis.SCORE] < memory[r + Hypothesis.SCORE]:
-            oldest = max(1, int(memory[Head.SAMPLES]) - int(memory[Head.CAPACITY]) + 2)
-            if _doubt(memory, other, max(begun, memory[state_at(memory, oldest) + Nav.TIME]), interval) == -math.inf:
-                return
-        _swap(memory, other)
-    begun = max(other[r + Nav.REFUSED_SINCE], memory[r + Nav.FIX_TIME] - (1.0 - FITTED) * memory[Head.RECOVERY_TIME])
+    """The first filter, which has refused fixes in a row, takes them for wrong from now on; the second starts anew from
+    the latest of them. interval: s, since the fix before it."""
+    begun = memory[r + Nav.REFUSED_SINCE]
+    if memory[Bank.OPEN] == 0.0 or other[r + Hypothesis.SCORE] < memory[r + Hypothesis.SCORE]:
+        oldest = max(1, int(memory[Head.SAMPLES]) - int(memory[Head.CAPACITY]) + 2)
+        if _doubt(memory, other, max(begun, memory[state_at(memory, oldest) + Nav.TIME]), interval) == -math.inf:
+            return
+    _swap(memory, other)
+    begun = max(begun, memory[r + Nav.FIX_TIME] - (1.0 - FITTED) * memory[Head.RECOVERY_TIME])
     memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.DATED] = 1.0, begun, 1.0
     newest, k = int(other[Head.SAMPLES]), _before(other, other[r + Nav.FIX_TIME])
     start = state_at(other, k)
@@ -132,14 +125,12 @@ def _start_from_fixes(memory, other, r, interval):
 
 
 @njit(_nrt=False)
-def is_better(memory, other, r):
-    """Whether the second is to be the first: one that uses no fixes only where the first has refused them, too, or
-    follows fixes that drift away. Who follows a receiver that is off by a constant is off by no more than that."""
+def _is_better(memory, other, r):
+    """Whether the second is to be the first: one that uses no fixes only where the first follows fixes that drift away.
+    Who follows a receiver that is off by a constant is off by no more than that."""
     ahead = other[r + Hypothesis.SCORE] - memory[r + Hypothesis.SCORE]
     if other[r + Hypothesis.DOUBTS] == 0.0:
         return ahead > (BETTER if memory[r + Hypothesis.DOUBTS] == 0.0 else 0.0)
-    if memory[r + Hypothesis.DOUBTS] == 0.0 and 0.0 < memory[r + Nav.REFUSED_SINCE] <= memory[Bank.BEGUN]:
-        return ahead > 0.0  # both have left the same fixes: nothing that is published jumps
     return (ahead > SERIOUS and memory[r + Hypothesis.DOUBTS] == 0.0 and memory[r + Nav.UNSETTLED] == 0.0
             and fix_drift.are_followed(memory, r)
             and hypotheses.is_drifting(other, r))
@@ -147,13 +138,11 @@ def is_better(memory, other, r):
 
 @njit(_nrt=False)
 def _begin(memory, other, r, interval):
-    """Begin a second filter that takes the latest fix for wrong, where that is not too unlikely, and more likely than
-    one that takes them for wrong for longer. interval: s, since the fix before it."""
+    """Begin a second filter that takes the latest fix for wrong, where that is not too unlikely. interval: s, since the
+    fix before it."""
     time, score = memory[r + Nav.FIX_TIME], memory[r + Hypothesis.SCORE]
-    least = -hypotheses.LOST
-    if memory[Bank.OPEN] != 0.0:
-        least = other[r + Hypothesis.SCORE] - score
-    if hypotheses.wrong_from_here(memory, r, interval) < least:
+    prior = math.log(hypotheses.FIXES_WRONG * min(interval, hypotheses.LONGEST))
+    if memory[r + Hypothesis.OTHERWISE] + prior < -hypotheses.LOST:
         return
     if _doubt(memory, other, time, interval) > score - hypotheses.LOST:
         memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.DATED] = 1.0, time, 0.0

@@ -168,26 +168,13 @@ def _wrong(mem, r, time, z_n, z_e, r_nn, nis, anywhere, interval):
 
 
 @njit(_nrt=False)
-def _begins(interval):
-    """Logarithm of the prior of a receiver that fails with one fix, `interval` s after the one before it."""
-    return math.log(FIXES_WRONG * min(max(interval, LASTING), LONGEST))
-
-
-@njit(_nrt=False)
-def wrong_from_here(mem, r, interval):
-    """Nats by which a filter is more likely that takes the latest fix, which that with the state at r believed, for the
-    first wrong one. interval: s, since the fix before it."""
-    return _begins(interval) + min(interval / LASTING, 1.0) * mem[r + Hypothesis.OTHERWISE]
-
-
-@njit(_nrt=False)
 def doubt(mem, r, interval):
     """The filter with the state at r says from now on that the fixes are wrong. interval: s between fixes."""
     mem[r + Hypothesis.DOUBTS] = 1.0
     mem[r + Hypothesis.VARIANCE] = 0.0
     for i in range(2):
         mem[r + Hypothesis.OFFSET + i] = mem[r + Hypothesis.DRIFT + i] = 0.0
-    mem[r + Hypothesis.SCORE] += _begins(interval)
+    mem[r + Hypothesis.SCORE] += math.log(FIXES_WRONG * min(max(interval, LASTING), LONGEST))
 
 
 @njit(_nrt=False)

@@ -223,7 +223,7 @@ def _judge_lasting(mem, r, at, interval, verdict):
     mem[r + Nav.CLAIM_LEVEL] += (level - mem[r + Nav.CLAIM_LEVEL]) / CLAIM_MEMORY
     realised = scale(mem, r + Receiver.SCALE)
     claimed = math.exp(mem[r + Nav.CLAIM_LEVEL])
-    lasting = max(1.0 - realised, LASTING_SHARE * realised) * claimed
+    lasting = max((1.0 - realised) * claimed, LASTING_SHARE * realised * min(claimed, math.exp(level)))
     at_pass = r + Receiver.FOLLOWED
     if mem[at_pass + 2] != 0.0 and (verdict == Verdict.USED or verdict == Verdict.WEIGHTED):
         variance = 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
@@ -265,9 +265,7 @@ def _scatter(mem, r, at, z_n, z_e):
         changed = claimed / before
         for of in (Receiver.SMOOTH_SCALE, Receiver.SCALE, Receiver.SLOW_SCALE):
             reopen(mem, r + of, changed)
-        # what was claimed before, as it is realised over what is claimed from now on
-        mem[r + Receiver.PAIR_CLAIMED] *= changed
-        mem[r + Nav.CLAIM_LEVEL] += math.log(changed)
+        mem[r + Receiver.PAIR_CLAIMED] *= changed  # it is realised over what is claimed from now on, too
     _scatter_by_themselves(mem, r, at, claimed)
     begun, since = mem[r + Receiver.PAIR_TIME] != 0.0, time - mem[r + Receiver.PAIR_TIME]
     if begun:

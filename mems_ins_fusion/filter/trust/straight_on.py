@@ -73,7 +73,7 @@ def goes_straight_on(mem, r, at, z_n, z_e):
     known = (0.0 < step < LONGEST_STEP and length > 0.0 and mem[begin] != 0.0 and mem[r + StraightOn.COUNT] >= KNOWN
              and scatter > (TOLD_FROM * STRAIGHT) ** 2)
     if known and mem[r + StraightOn.NATS] == 0.0:
-        mem[r + StraightOn.SINCE] = time
+        mem[r + StraightOn.SINCE] = mem[last]  # if it goes straight on from here, the last one did so already
         known = length < LONGEST_STEP
     changed_n, changed_e = _changed(mem, r, time, z_n, z_e)
     for i in range(2):
