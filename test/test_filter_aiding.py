@@ -172,7 +172,7 @@ SENSORS = {Kind.SPEED: ('speed', [0.04]), Kind.VELOCITY: ('antenna_velocity', [0
 
 
 def one_deviation_tells_nothing_new(memory):
-    """Scales are known to be about 1, ways have been compared with those of fixes, the last message was long ago."""
+    """Scales are known and about 1, ways have been compared with those of fixes, the last message was long ago."""
     seen = views(memory)[2][0][Kinds.SEEN:Kinds.SEEN + KINDS * Seen.SIZE].reshape(KINDS, Seen.SIZE)
     seen[:, [Scale.LOG, Scale.KNOWN, Scale.TIME, Seen.COMPARED]] = -0.05, PRIOR, DT - 10.0, 1.0
 
