@@ -148,15 +148,15 @@ def test_a_receiver_that_goes_straight_on_is_found_out_before_it_is_wrong(mechan
 @BOTH
 def test_a_receiver_that_goes_straight_on_is_found_out_where_fixes_are_rare(mechanization):
     # given a fix each five seconds, of which four go straight on beside the vehicle
-    receiver = Receiver(150.0)
+    receiver = Receiver(250.0)
     receiver.time, receiver.position = receiver.time[::5], receiver.position[::5]
-    gone = receiver.time[20:24, None] - receiver.time[19]
-    receiver.position[20:24] = receiver.position[19] + gone * (
+    gone = receiver.time[40:44, None] - receiver.time[39]
+    receiver.position[40:44] = receiver.position[39] + gone * (
         SPEED * np.array([math.cos(COURSE), math.sin(COURSE)]) + [1.2, -1.6])
     _, _, _, records = receiver.through(mechanization=mechanization)
     # then they are refused, also the one that begins the line
-    assert (verdicts(records)[20:24] == Verdict.STRAIGHT_ON).all()
-    others = np.r_[:20, 24:len(records)]
+    assert (verdicts(records)[40:44] == Verdict.STRAIGHT_ON).all()
+    others = np.r_[:40, 44:len(records)]
     assert np.isin(verdicts(records)[others], [Verdict.USED, Verdict.WEIGHTED]).all()
 
 

@@ -40,14 +40,16 @@ STRAIGHT = 0.05
 TOLD_FROM = 4.0
 #: s: fixes further apart are not extrapolated from each other; the slowest receivers send one each ten seconds
 LONGEST_STEP = 15.0
+#: s for which the inertial sensors tell how a fix is off beside one before the last
+LONGEST_TOLD = 3.0
 #: nats that one fix may add: of measured ones, too, one lies on the line by chance
 MOST_OF_ONE = 5.0
 #: s: how long a receiver measures until it extrapolates: drives in cities have stretches without satellites each hour
 USUALLY = 3600.0
 #: nats above which no more are gathered: one fix off the line ends it in any case
 MOST = 15.0
-#: fixes by which the scatter of the receiver is known to a third, which is 0.3 nats for each fix
-KNOWN = 10.0
+#: fixes by which the scatter of the receiver is known to a fifth
+KNOWN = 30.0
 #: fixes over which it is a mean: to a tenth, and what a receiver does for some minutes
 MEMORY = 100.0
 #: a square counts as so many times the mean at most: one jump is not the scatter
@@ -75,7 +77,7 @@ def goes_straight_on(mem, r, at, z_n, z_e):
     if known and mem[r + StraightOn.NATS] == 0.0:
         mem[r + StraightOn.SINCE] = mem[last]  # if it goes straight on from here, the last one did so already
         known = length < LONGEST_STEP
-    changed_n, changed_e = _changed(mem, r, time, z_n, z_e)
+    changed_n, changed_e = _changed(mem, r, time, step, z_n, z_e)
     for i in range(2):
         mem[r + StraightOn.PULLED + i] += step * mem[r + StraightOn.PULLED + 2 + i]
     squared = changed_n * changed_n + changed_e * changed_e
@@ -143,9 +145,11 @@ def _evidence(mem, r, at, changed, scatter):
 
 
 @njit(_nrt=False)
-def _changed(mem, r, time, z_n, z_e):
-    """How the fix is off less how the last one was that was used, m; zeros where that is too long ago."""
-    if not 0.0 < time - mem[r + Nav.RESIDUAL_TIME] < LONGEST_STEP or mem[r + Nav.RESIDUAL_TIME] == 0.0:
+def _changed(mem, r, time, step, z_n, z_e):
+    """How the fix is off less how the last one was that was used, m; zeros where that is too long ago. step: s, since
+    the fix before it."""
+    since = time - mem[r + Nav.RESIDUAL_TIME]
+    if not 0.0 < since < LONGEST_STEP or since > step and since >= LONGEST_TOLD or mem[r + Nav.RESIDUAL_TIME] == 0.0:
         return 0.0, 0.0
     return z_n - mem[r + Nav.RESIDUAL_N], z_e - mem[r + Nav.RESIDUAL_E]
 
