@@ -140,6 +140,8 @@ def _is_better(memory, other, r):
 def _begin(memory, other, r, interval):
     """Begin a second filter that takes the latest fix for wrong, where that is not too unlikely. interval: s, since the
     fix before it."""
+    if interval <= 0.0:  # fixes have been withdrawn, and those before them been compared already
+        return
     time, score = memory[r + Nav.FIX_TIME], memory[r + Hypothesis.SCORE]
     prior = math.log(hypotheses.FIXES_WRONG * min(interval, hypotheses.LONGEST))
     if memory[r + Hypothesis.OTHERWISE] + prior < -hypotheses.LOST:
