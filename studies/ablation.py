@@ -78,6 +78,8 @@ NEVER = {
     'speeds and headings that repeat themselves': {'trust.repeats.ROUNDED_SPEED': 1e9, 'trust.repeats.AGEING': 0.0,
                                                    'trust.repeats.ROUNDED_HEADING': 1e9},
     'claims that change': {'trust.receiver.CLAIM_CHANGE': 1e9},
+    'three fixes that bound the scatter': {'trust.receiver.LONGEST_THREE': 0.0},
+    'noise of the accelerometers that fixes show': {'trust.force_noise.LARGEST': 0.0},
     'errors that last, always': {'trust.receiver.LASTING_SHARE': 0.0},
     'acceleration unseen between fixes': {'trust.receiver.UNSEEN_ACCELERATION': 0.0},
     'slides': {'trust.contradiction.SLIDE': 1e9},
