@@ -9,6 +9,7 @@ from ..measurements import wheel_vibration
 from ..memory import NAV, Event, Head, Kind, Nav, Sample, Verdict, newest_row, sample_at
 from ..trust import white_noise
 from ..trust.drift import Drift
+from ..trust.force_noise import force_noise
 from ..trust.imu_faults import FAULTS, Fault, Imu
 from ..trust.receiver import Receiver
 from ..trust.scale import scale
@@ -33,6 +34,9 @@ RECOVERING = 10.0
 #: drives of 10 minutes was 1.72, and 2 % of them were above 1.5; with fixes stamped 0.8 s early each is above
 #: (studies/strain.py)
 STRAINED = 1.75
+#: m/s^2/sqrt(Hz), noise of the accelerometers that the fixes show, beyond which something is wrong: on measured and
+#: simulated drives without faults it is below 0.21
+NOISY = 0.25
 
 
 class FilterStatus(Intake):
@@ -86,6 +90,11 @@ class FilterStatus(Intake):
         if strain > STRAINED:
             found.append(f'innovations {strain:.1f} times as large as expected: a wrong gnss.time_offset, '
                          'gnss.lever_arm or noise (`diagnose` finds which)')
+        noise = math.sqrt(force_noise(newest_row(self._memory), 0))
+        if noise > NOISY:
+            found.append(f'the fixes do not fit the accelerometers, whose noise density seems to be {noise:.1g} '
+                         'm/s^2/sqrt(Hz): a wrong gnss.time_offset, a wrong imu.mounting_rpy or a loose IMU '
+                         '(`diagnose` finds which)')
         return found
 
     def _strain(self) -> float:

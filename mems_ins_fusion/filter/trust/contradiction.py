@@ -20,6 +20,8 @@ from ...navigation import strapdown
 from ...navigation.earth import gravity
 from ..memory import PLANAR, Head, Nav, velocity_state, yaw_state
 from . import hypotheses
+from .force_noise import ForceNoise
+from .scale import begin_scale
 
 #: s over which the normalized innovation squared (NIS) of the lateral constraint is averaged: its errors last about as
 #: long
@@ -86,7 +88,9 @@ def unsettle(mem, r, n, innovation, since):
 
 @njit(_nrt=False)
 def let_fixes_decide(mem, r):
-    """The state at r has been misled by an input that is wrong for certain."""
+    """The state at r has been misled by an input that is wrong for certain, and the innovations have been that
+    input's, not the accelerometers'."""
+    begin_scale(mem, r + ForceNoise.SCALE)
     if mem[Head.LATERAL_SIGMA] > 0.0:  # else nobody counts the time
         mem[r + Nav.UNSETTLED] = UNSETTLED_TIME
 

@@ -50,8 +50,8 @@ def learn_force_noise(mem, r, at, squared, white, used, lasting, weight):
     fix that the filter works with, m^2. lasting: variance of the receiver's errors that last, m^2, as far as it claims
     them. weight: of this fix, as several tell the same.
     """
-    if mem[DriftSettings.LEARNED] == 0.0:
-        return
+    if mem[DriftSettings.LEARNED] == 0.0 or mem[r + Nav.BRIDGED] > 0.0 or mem[r + Nav.UNSETTLED] > 0.0:
+        return  # also where the IMU is not used, or known to be wrong
     variance, time = 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE]), mem[at + Event.TIME]
     p = variance - used
     if p <= 0.0:
