@@ -86,13 +86,17 @@ def test_a_speed_that_is_not_the_vehicles_is_as_none(wrong):
 
 
 def test_a_heading_that_points_elsewhere_is_as_none():
-    # given a heading that is right for a minute and 90 deg off from then on
-    recording = drive(2)
-    heading = recording.heading
-    later = heading.stamp > heading.stamp[0] + 60 * SECOND
-    bad = replace(heading, yaw=heading.yaw + 0.5 * np.pi * later)
+    # given a heading that is right for a minute and 90 deg off from then on, in two drives
+    with_it, without = [], []
+    for seed in (3, 2):
+        recording = drive(seed)
+        heading = recording.heading
+        later = heading.stamp > heading.stamp[0] + 60 * SECOND
+        bad = replace(heading, yaw=heading.yaw + 0.5 * np.pi * later)
+        with_it.append(largest_errors(recording, {'heading': bad}))
+        without.append(largest_errors(recording, {}))
     # then outages are as without it, and it is said why
-    assert np.mean(largest_errors(recording, {'heading': bad})) < 1.15 * np.mean(largest_errors(recording, {})) + 1.0
+    assert np.mean(with_it) < 1.15 * np.mean(without) + 1.0, (with_it, without)
     result = run(config('heading'), recording.imu, recording.gnss, Measured(heading=bad))
     counts = result.measured.verdicts(Kind.HEADING)
     assert counts[Verdict.CONTRADICTED] > 0.7 * np.count_nonzero(later), counts
