@@ -21,6 +21,7 @@ from ..start.alignment import STANDING_SIGMA, Alignment
 from ..start.course import start_covariance
 from ..start.initial import initialize, sensor_errors_of
 from ..start.start import DATUM_FIXES, Start, first_place
+from ..trust.force_noise import force_noise
 from ..trust.imu_faults import Fault, Imu
 from .horizon import HorizonPredictor
 from .intake import JUMPED, NOT_FINITE, remove_effects
@@ -374,6 +375,7 @@ class FusionFilter(FilterStatus):
                    self._log)
         kernel.find_event(memory, 0)
         published_covariance(newest_row(memory), self.config.layout)
+        force_noise(newest_row(memory), 0)
         filled = self.odometry.copy(), self.geodetic.copy(), self.position_covariance_enu.copy()
         odometry(memory, datum, 1.0, *filled)
         widen_without_heading(start, datum, *filled)

@@ -37,9 +37,6 @@ STRAINED = 1.75
 #: m/s^2/sqrt(Hz), noise of the accelerometers that the fixes show, beyond which something is wrong: on measured and
 #: simulated drives without faults it is below 0.21
 NOISY = 0.25
-#: realised over claimed variance of the fixes up to which that is said: one that claims far less than it scatters has
-#: shown noise before that was known
-HONEST = 9.0
 
 
 class FilterStatus(Intake):
@@ -93,9 +90,8 @@ class FilterStatus(Intake):
         if strain > STRAINED:
             found.append(f'innovations {strain:.1f} times as large as expected: a wrong gnss.time_offset, '
                          'gnss.lever_arm or noise (`diagnose` finds which)')
-        row = newest_row(self._memory)
-        noise = math.sqrt(force_noise(row, 0))
-        if noise > NOISY and scale(row, Receiver.SCALE) < HONEST:
+        noise = math.sqrt(force_noise(newest_row(self._memory), 0))
+        if noise > NOISY:
             found.append(f'the fixes do not fit the accelerometers, whose noise density seems to be {noise:.1g} '
                          'm/s^2/sqrt(Hz): a wrong gnss.time_offset, a wrong imu.mounting_rpy or a loose IMU '
                          '(`diagnose` finds which)')

@@ -10,8 +10,8 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ..memory import NAV, ROW, Event, Head, Nav, Verdict, velocity_variance
-from .force_noise import force_noise, learn_force_noise
-from .scale import PRIOR, Scale, reopen, scale
+from .force_noise import ForceNoise, force_noise, learn_force_noise
+from .scale import PRIOR, Scale, begin_scale, reopen, scale
 from .scale import learn as learn_scale
 
 #: of a state
@@ -68,6 +68,9 @@ LARGEST_SHOWN = 0.3
 #: three, one sigma of `scale.PRIOR`. They show in innovations by a small share, so that an IMU that is worse than
 #: configured, or a receiver that smooths, would pass for errors of tens of metres
 LARGEST_LASTING = 9.0
+#: realised over claimed variance from which on fixes show nothing of the accelerometers: a receiver that claims a tenth
+#: of its sigma. What its scatter is, is then not known well enough
+DISHONEST = 100.0
 #: fixes over which the logarithm of what they claim is averaged: about as many as the position remembers
 CLAIM_MEMORY = 10.0
 
@@ -231,7 +234,10 @@ def _judge_lasting(mem, r, at, interval, verdict):
         follows = max(1.0 - used / variance, 0.0) * FOLLOWED / max(interval, 1e-3)
         squared = 0.5 * (mem[at_pass] ** 2 + mem[at_pass + 1] ** 2) * variance
         weight = min(interval / (2.0 * FOLLOWED), 1.0)
-        learn_force_noise(mem, r, at, squared, mem[at_pass + 2], used, max(1.0 - realised, 0.0) * claimed, weight)
+        if realised < DISHONEST:
+            learn_force_noise(mem, r, at, squared, mem[at_pass + 2], used, max(1.0 - realised, 0.0) * claimed, weight)
+        else:  # before that was known its scatter has passed for noise of the accelerometers
+            begin_scale(mem, r + ForceNoise.SCALE)
         learn_scale(mem, r + Receiver.LASTING_SCALE, mem[at + Event.TIME], squared, shown_share(follows) * lasting,
                     variance * mem[at_pass + 2], 2, weight)
     if mem[Head.COVARIANCE_FACTOR] > 0.0:
@@ -299,6 +305,8 @@ def _scatter_by_themselves(mem, r, at, claimed):
         return
     if mem[first] != 0.0 and whole < LONGEST_THREE:
         part = step / whole
+        if mem[r + Receiver.SMOOTH_SCALE + Scale.KNOWN] == 0.0:  # begins with what the start has shown
+            mem[r + Receiver.SMOOTH_SCALE + Scale.LOG] = max(mem[r + Receiver.SCALE + Scale.LOG], 0.0)
         north = (mem[last + 1] - latitude + part * (latitude - mem[first + 1])) / mem[r + Nav.NORTH_SCALE]
         east = (mem[last + 2] - longitude + part * (longitude - mem[first + 2])) / mem[r + Nav.EAST_SCALE]
         learn_scale(mem, r + Receiver.SMOOTH_SCALE, time, 0.5 * (north * north + east * east),
