@@ -14,7 +14,7 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import ROW, Event, Nav
+from ..memory import ROW, Nav
 from .drift import DriftSettings
 from .scale import Scale, learn
 
@@ -43,16 +43,15 @@ def force_noise(mem, r):
 
 
 @njit(_nrt=False)
-def learn_force_noise(mem, r, at, squared, white, used, lasting, weight):
-    """Learn from the innovations behind a low pass, with the fix at `at`.
+def learn_force_noise(mem, r, time, squared, white, variance, used, lasting, weight):
+    """Learn from the innovations behind a low pass, with a fix at `time`, s.
 
-    squared: their mean square, m^2. white: what it would be of white ones with the variance 1. used: variance of the
-    fix that the filter works with, m^2. lasting: variance of the receiver's errors that last, m^2, as far as it claims
-    them. weight: of this fix, as several tell the same.
+    squared: their mean square, m^2. white: what it would be of white ones with the variance 1. variance: expected of
+    the innovation of the fix, m^2. used: of that, the variance of the fix that the filter works with. lasting: variance
+    of the receiver's errors that last, m^2, as far as it claims them. weight: of this fix, as several tell the same.
     """
     if mem[DriftSettings.LEARNED] == 0.0 or mem[r + Nav.BRIDGED] > 0.0 or mem[r + Nav.UNSETTLED] > 0.0:
         return  # also where the IMU is not used, or known to be wrong
-    variance, time = 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE]), mem[at + Event.TIME]
     p = variance - used
     if p <= 0.0:
         return

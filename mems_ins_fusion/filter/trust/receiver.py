@@ -218,7 +218,8 @@ def _judge_lasting(mem, r, at, interval, verdict):
     as long as the position remembers a fix.
 
     Such errors do change within a minute, and where the filter does not follow them at once the low-passed innovations
-    show it (`shown_share`), at rest above all. The rest in them is white.
+    show it (`shown_share`), at rest above all. The rest in them is white. The same innovations show accelerometers that
+    are noisier than assumed (force_noise.py), but not beside a receiver whose claims are far too small.
     """
     level = math.log(0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
     if mem[r + Nav.FIX_TIME] == 0.0:
@@ -229,16 +230,17 @@ def _judge_lasting(mem, r, at, interval, verdict):
     lasting = max((1.0 - realised) * claimed, LASTING_SHARE * realised * min(claimed, math.exp(level)))
     at_pass = r + Receiver.FOLLOWED
     if mem[at_pass + 2] != 0.0 and (verdict == Verdict.USED or verdict == Verdict.WEIGHTED):
-        variance = 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
+        time, variance = mem[at + Event.TIME], 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
         used = realised_factor(mem, r) * math.exp(level)
         follows = max(1.0 - used / variance, 0.0) * FOLLOWED / max(interval, 1e-3)
         squared = 0.5 * (mem[at_pass] ** 2 + mem[at_pass + 1] ** 2) * variance
         weight = min(interval / (2.0 * FOLLOWED), 1.0)
         if realised < DISHONEST:
-            learn_force_noise(mem, r, at, squared, mem[at_pass + 2], used, max(1.0 - realised, 0.0) * claimed, weight)
+            learn_force_noise(mem, r, time, squared, mem[at_pass + 2], variance, used,
+                              max(1.0 - realised, 0.0) * claimed, weight)
         else:  # before that was known its scatter has passed for noise of the accelerometers
             begin_scale(mem, r + ForceNoise.SCALE)
-        learn_scale(mem, r + Receiver.LASTING_SCALE, mem[at + Event.TIME], squared, shown_share(follows) * lasting,
+        learn_scale(mem, r + Receiver.LASTING_SCALE, time, squared, shown_share(follows) * lasting,
                     variance * mem[at_pass + 2], 2, weight)
     if mem[Head.COVARIANCE_FACTOR] > 0.0:
         mem[r + Nav.LASTING] = min(scale(mem, r + Receiver.LASTING_SCALE) * lasting,

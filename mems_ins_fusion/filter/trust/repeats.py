@@ -1,10 +1,10 @@
 """Whether an input repeats itself: a sensor or a driver that has stopped and goes on sending its last value.
 
-A receiver that moves never says the same position or velocity twice, and an input whose every message has been another
-one does not say the same several times. A speed in whole kilometres an hour or a heading
-in whole degrees may stay as it is for a minute, but not while the inertial sensors see more of a change than their
-errors explain: what the state has gained of it between the messages since it has that value, in the last seconds. What
-is too slow for them to see makes a speed that does not change less known by the second.
+A receiver that moves never says the same position or velocity twice, and an input whose messages have all differed
+does not repeat one several times. A speed in whole kilometres an hour or a heading in whole degrees may stay as it is
+for a minute, but not while the inertial sensors see more of a change than their errors explain: what the state has
+gained of it between the messages since it has that value, in the last seconds. What is too slow for them to see makes a
+speed that does not change less known by the second.
 """
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ ROUNDED_SPEED, ROUNDED_HEADING = 1.0, 0.1
 UNSEEN_ACCELERATION, UNSEEN_RATE = 0.3, 0.005
 #: s over which that is added up: shorter than a car takes to gain what rounding hides, or errors would pass for it
 MEMORY = 5.0
-#: messages in a row that were other ones, while the vehicle moved, from which on an input counts as one that does not
-#: repeat itself: of one that rounds to a tenth of its noise each tenth does
+#: messages in a row, each unlike the one before it, while the vehicle moved: after as many an input counts as one that
+#: does not repeat itself. One that rounds to a tenth of its noise repeats each tenth
 LIVELY = 100.0
 #: messages in a row that such an input repeats before it has stopped: two or three come twice on a busy bus
 FEWEST_EQUAL = 4.0
