@@ -31,7 +31,8 @@ Receiver = ROW.place(
     STATUS=1,  # of the fixes that the first four scales are of, `NavSatStatus.status` and 1; 0: none yet,
     OTHERS=3 * 4 * Scale.SIZE)  # and these scales of the fixes of each status
 
-#: s: of three fixes; over more a vehicle does anything
+#: s from the first to the last of three fixes that are compared with a straight line: in more, what a vehicle does
+#: takes it further from that than any receiver scatters. A fix each ten seconds still counts
 LONGEST_THREE = 30.0
 #: s over which the receiver's scatter is seen in how its error changes: over less than that errors are alike
 SHORTEST_PAIR = 0.9
