@@ -79,7 +79,7 @@ NEVER = {
                                                    'trust.repeats.ROUNDED_HEADING': 1e9},
     'claims that change': {'trust.receiver.CLAIM_CHANGE': 1e9},
     'three fixes that bound the scatter': {'trust.receiver.LONGEST_THREE': 0.0},
-    'noise of the accelerometers that fixes show': {'trust.force_noise.LARGEST': 0.0},
+    'noise of the accelerometers that fixes show': {'trust.receiver.DISHONEST': 0.0},
     'errors that last, always': {'trust.receiver.LASTING_SHARE': 0.0},
     'acceleration unseen between fixes': {'trust.receiver.UNSEEN_ACCELERATION': 0.0},
     'slides': {'trust.contradiction.SLIDE': 1e9},
@@ -96,7 +96,7 @@ NEVER = {
     'wrong standstills': {'trust.contradiction.LATELY': 0.0},
     'standstill denied by speed': {'constraints.STILL_SPEED': 1e3},
     'standstill denied by turning': {'constraints.STILL_RATE': 1e3},
-    'a heading in doubt where a gyroscope is off at a standstill': {'constraints.STANDS_UNSEEN': 0.0}}
+    'a heading in doubt where a gyroscope is off at a standstill': {'trust.gyroscopes.STANDS_UNSEEN': 0.0}}
 #: settings of vehicle.py, and of measured drives: path within the folder, s between outages, parameters
 SETTINGS = ('car', 'car + speed')
 MEASURED = {'longmont_rtk_drive': ('bag', 60.0, {'imu.mounting_rpy': [0.0, 0.0, np.pi]}),

@@ -46,8 +46,7 @@ from mems_ins_fusion.filter.memory import (
 )
 from mems_ins_fusion.filter.runs import replay
 from mems_ins_fusion.filter.runs.results import _SCALES
-from mems_ins_fusion.filter.trust.receiver import Receiver
-from mems_ins_fusion.filter.trust.scale import scale
+from mems_ins_fusion.filter.trust.receiver import realised_scatter
 from mems_ins_fusion.navigation.planar import State as Planar
 from mems_ins_fusion.navigation.strapdown import State as Strapdown
 from mems_ins_fusion.navigation.strapdown import from_euler, to_euler
@@ -114,7 +113,7 @@ def normal(z: np.ndarray, s) -> float:
 
 def realised_of(row: np.ndarray) -> float:
     """Realised over claimed variance of the fixes, where it is above 1, of the state in `row`."""
-    return max(1.0, scale(row, Receiver.SCALE))
+    return max(1.0, realised_scatter(row, 0))
 
 
 def _rate(usually: float, since: float) -> float:

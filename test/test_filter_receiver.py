@@ -530,14 +530,13 @@ def test_errors_that_last_are_not_larger_than_a_claim_may_be_wrong():
     assert 0.0 < memory[r + Nav.LASTING] <= 9.0 * realised * 0.1**2 * (1.0 + 1e-9)
 
 
-@pytest.mark.parametrize('follows', [1.0, 3.0, 10.0])
-def test_what_of_lasting_errors_shows_is_what_a_filter_of_position_and_velocity_leaves(follows):
+@pytest.mark.parametrize('tau', [FOLLOWED, FOLLOWED / 3.0, FOLLOWED / 10.0])
+def test_what_of_lasting_errors_shows_is_what_a_filter_of_position_and_velocity_leaves(tau):
     # given a random walk that such a filter follows within tau, and a low pass of its innovations
-    tau = FOLLOWED / follows
     a = np.array([[-1.0 / tau, -0.5 / tau**2, 0.0], [1.0, 0.0, 0.0], [1.0 / FOLLOWED, 0.0, -1.0 / FOLLOWED]])
     noise = np.diag([2.0 / LASTING_TIME, 0.0, 0.0])  # of the process with variance 1
     # then what is left is the variance of a linear system in its steady state
-    assert shown_share(follows) == pytest.approx(solve_continuous_lyapunov(a, -noise)[2, 2], rel=1e-9)
+    assert shown_share(tau) == pytest.approx(solve_continuous_lyapunov(a, -noise)[2, 2], rel=1e-9)
 
 
 @pytest.mark.parametrize('level', [-4.0, -1.0])

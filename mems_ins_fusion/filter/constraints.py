@@ -21,9 +21,10 @@ from .memory import (
 )
 from .prediction import set_radii
 from .trust import contradiction, gyroscopes, new_start
+from .trust.force_noise import force_noise
 from .trust.imu_faults import Imu
 from .trust.standstill import wheels_turn
-from .trust.white_noise import hides_turns, is_noisy
+from .trust.white_noise import Shown, hides_turns
 from .update import ROBUST, begin_update, clear_rows, correct_by_scalar, end_update, product, project, update
 
 #: standstill and non-holonomic constraints are applied this often, s: their errors last about as long
@@ -79,12 +80,12 @@ def constrain(mem, r, sample):
         gyroscopes.free(mem, r, at, n, dimensions, sample)
         update(mem, r, at, n, dimensions, 1.0, 0.0, 0.0)
     elif mem[Head.LATERAL_SIGMA] > 0.0 and not _fixes_tell_the_heading(mem, r, mem[p + (n + 1) * yaw]):
-        c = body_to_level(mem, r)
-        if is_noisy(mem, r, sample):
+        c, shown = body_to_level(mem, r), mem[sample + Shown.SIDEWAYS]
+        if hides_turns(mem, shown + force_noise(mem, r)):  # then how vehicles move tells more of the acceleration
             dimensions = acceleration.observe(mem, at, h, n, c, sample, since)
             update(mem, r, at, n, dimensions, 1.0, ROBUST, 0.0)
             clear_rows(mem, h, n)
-        if not hides_turns(mem, sample):
+        if not hides_turns(mem, shown):
             dimensions = non_holonomic.observe(mem, r, at, h, n, c, sample)
             _constrain_motion(mem, r, at, n, h, dimensions, since)
             _note(mem, sample, at, Kind.NON_HOLONOMIC, dimensions)

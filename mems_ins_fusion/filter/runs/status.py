@@ -11,8 +11,7 @@ from ..trust import white_noise
 from ..trust.drift import Drift
 from ..trust.force_noise import force_noise
 from ..trust.imu_faults import FAULTS, Fault, Imu
-from ..trust.receiver import Receiver
-from ..trust.scale import scale
+from ..trust.receiver import realised_scatter
 from .horizon import Horizon
 from .intake import Intake
 from .odometry import published_covariance
@@ -208,7 +207,7 @@ class FilterStatus(Intake):
         values['mounting found'] = found_mounting(memory, self.config) or 'nothing against imu.mounting_rpy'
         sample = sample_at(memory, int(memory[Head.SAMPLES]))
         values |= {'age of the last fix used, s': (self._now - self._newest_fix) * 1e-9,
-                   'realised over claimed sigma of the fixes': math.sqrt(scale(row, Receiver.SCALE)),
+                   'realised over claimed sigma of the fixes': math.sqrt(realised_scatter(row, 0)),
                    'realised over expected sigma of the innovations': self._strain(),
                    'realised over assumed drift of the accelerometers': math.sqrt(row[Drift.RATIO]),
                    'realised over assumed drift of the gyroscopes': math.sqrt(row[Drift.RATIO + 1]),

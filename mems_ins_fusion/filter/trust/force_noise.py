@@ -14,6 +14,7 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
+from ..measurements.acceleration import DENSITY
 from ..memory import ROW, Nav
 from .drift import DriftSettings
 from .scale import Scale, learn
@@ -24,10 +25,6 @@ ForceNoise = ROW.place('ForceNoise', SCALE=Scale.SIZE)
 #: m^2/s^3, noise density squared that a scale of 1 stands for: 0.1 m/s^2 for a second, ten times that of cheap IMUs.
 #: Only what is beyond it counts, so that accelerometers as good as their parameters say have none
 ASSUMED = 0.01
-#: m^2/s^3: and at most, a vehicle that changes its speed by 2 m/s within a second, as it does without an IMU
-LARGEST = 4.0
-#: s: fixes that are followed more slowly than that are followed by other measurements, too
-SLOWEST = 30.0
 #: share of the variance of P that is this noise at most: in a filter of position and velocity in its steady state half
 #: of what a correction takes away comes from the noise since the last one
 MOST_OF_P = 0.5
@@ -37,26 +34,23 @@ LEAST_WHITE = 0.1
 
 @njit(_nrt=False)
 def force_noise(mem, r):
-    """Noise density squared of the specific force beside that of the samples, m^2/s^3, in the state at r."""
+    """Noise density squared of the specific force beside that of the samples, m^2/s^3, in the state at r: at most that of
+    a vehicle's acceleration, which is all that is known without an IMU."""
     level = mem[r + ForceNoise.SCALE + Scale.LOG]
-    return min(ASSUMED * (math.exp(level) - 1.0), LARGEST) if level > 0.0 else 0.0
+    return min(ASSUMED * (math.exp(level) - 1.0), DENSITY) if level > 0.0 else 0.0
 
 
 @njit(_nrt=False)
-def learn_force_noise(mem, r, time, squared, white, variance, used, lasting, weight):
+def learn_force_noise(mem, r, time, squared, white, p, tau, lasting, weight):
     """Learn from the innovations behind a low pass, with a fix at `time`, s.
 
-    squared: their mean square, m^2. white: what it would be of white ones with the variance 1. variance: expected of
-    the innovation of the fix, m^2. used: of that, the variance of the fix that the filter works with. lasting: variance
-    of the receiver's errors that last, m^2, as far as it claims them. weight: of this fix, as several tell the same.
+    squared: their mean square, m^2. white: what it would be of white ones, m^2. p: variance of the position before the
+    fix, m^2. tau: s, within which the filter follows fixes. lasting: variance of the receiver's errors that last, m^2,
+    as far as it claims them. weight: of this fix, as several tell the same.
     """
-    if mem[DriftSettings.LEARNED] == 0.0 or mem[r + Nav.BRIDGED] > 0.0 or mem[r + Nav.UNSETTLED] > 0.0:
+    if mem[DriftSettings.LEARNED] == 0.0 or mem[r + Nav.BRIDGED] > 0.0 or mem[r + Nav.UNSETTLED] > 0.0 or p <= 0.0:
         return  # also where the IMU is not used, or known to be wrong
-    p = variance - used
-    if p <= 0.0:
-        return
-    tau = min((time - mem[r + Nav.FIX_TIME]) * variance / p, SLOWEST)
     part = ASSUMED * tau**3 / 3.0
     known = min(math.exp(mem[r + ForceNoise.SCALE + Scale.LOG]) * part, MOST_OF_P * p)  # of it is in S already
-    rest = max(white * variance - known, LEAST_WHITE * white * variance) + lasting
+    rest = max(white - known, LEAST_WHITE * white) + lasting
     learn(mem, r + ForceNoise.SCALE, time, squared, part, rest, 2, weight)

@@ -17,8 +17,8 @@ from ..update import scratch_of
 from . import hypotheses
 from .drift import Drift
 from .hypotheses import Hypothesis
-from .receiver import Receiver
-from .scale import begin_scale, scale
+from .receiver import Receiver, realised_scatter
+from .scale import begin_scale
 
 #: s: fixes further apart say nothing of the course, as the vehicle may have turned between them
 LONGEST_PAIR = 3.0
@@ -102,7 +102,7 @@ def _agree(mem, r, claimed):
     """Whether the refused innovations lie on a line; claimed: variance of a fix, both components, m^2."""
     _, _, spread = _line(mem, r)
     size = math.sqrt(mem[r + Nav.SUM_SQUARE] / mem[r + Nav.REFUSED])
-    sigma = math.sqrt(max(1.0, scale(mem, r + Receiver.SCALE)) * claimed)
+    sigma = math.sqrt(max(1.0, realised_scatter(mem, r)) * claimed)
     return math.sqrt(spread) < AGREEMENT * (sigma + AGREEMENT_FLOOR) + AGREEMENT_PART * size
 
 
@@ -151,7 +151,7 @@ def start_anew(mem, r, at):
         forget(mem, i, n)
     mem[r + Nav.LATITUDE], mem[r + Nav.LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
     mem[r + Nav.V_N], mem[r + Nav.V_E] = v_n, v_e
-    variance = max(1.0, scale(mem, r + Receiver.SCALE)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    variance = max(1.0, realised_scatter(mem, r)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     arm = mem[Head.LEVER_X] ** 2 + mem[Head.LEVER_Y] ** 2 + mem[Head.LEVER_Z] ** 2
     for i in range(2):
         mem[p + (n + 1) * i] = variance + arm
@@ -188,7 +188,7 @@ def _velocity_of_fixes(mem, r, at, strayed):
         return (mem[r + Nav.V_N] - slope_n, mem[r + Nav.V_E] - slope_e,
                 NEW_VELOCITY_SIGMA**2 + spread / max(mem[r + Nav.REFUSED] * t, 1e-6))
     north, east = _since_last_fix(mem, r, at)
-    variance = max(1.0, scale(mem, r + Receiver.SCALE)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    variance = max(1.0, realised_scatter(mem, r)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     return (north / interval, east / interval,
             NEW_VELOCITY_SIGMA**2 + (GAP_ACCELERATION * interval) ** 2 + variance / interval**2)
 
@@ -236,7 +236,7 @@ def finds_course(mem, r, at):
             or not 0.0 < interval < LONGEST_PAIR):
         return 0.0, 0.0
     north, east = _since_last_fix(mem, r, at)
-    sigma = math.sqrt(2.0 * max(1.0, scale(mem, r + Receiver.SCALE)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
+    sigma = math.sqrt(2.0 * max(1.0, realised_scatter(mem, r)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
     if math.hypot(north, east) < sigma / COURSE_SIGMA:
         return 0.0, 0.0
     return north / interval, east / interval

@@ -56,6 +56,8 @@ SLOW = 10.0
 #: s over which they are averaged to see errors that last: such errors, followed by the filter, are in its innovations
 #: most where these change about as fast as it follows, within seconds (docs/filter.md)
 FOLLOWED = 4.0
+#: s: fixes that are followed more slowly than that are followed by other measurements, too
+SLOWEST = 30.0
 #: normalized innovation as which a larger one counts: one fix far off is not a filter that is too sure
 LARGEST_INNOVATION = 4.0
 #: share of the variance of fixes that counts as errors that last before any have been seen, whatever they scatter: of
@@ -101,7 +103,7 @@ def trust(mem, r, at):
     Called with its innovation before the correction, in which x is still to be taken out.
     """
     z_n, z_e = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
-    _scatter(mem, r, at, z_n, z_e)
+    _learn_scatter(mem, r, at, z_n, z_e)
     # refused only if it is off by something that matters, and has become so at once: what grows from fix to fix is the
     # filter's own error
     interval = mem[at + Event.TIME] - mem[r + Nav.RESIDUAL_TIME]
@@ -117,6 +119,17 @@ def trust(mem, r, at):
 
 
 @njit(_nrt=False)
+def realised_scatter(mem, r):
+    """Realised over claimed variance, as fixes scatter about the way that the inertial sensors see, but no more than
+    three fixes in a row are off a straight line: what is seen beyond that is the inertial sensors'."""
+    realised, smooth = scale(mem, r + Receiver.SCALE), r + Receiver.SMOOTH_SCALE
+    if mem[smooth + Scale.KNOWN] == 0.0:
+        return realised
+    most = math.exp(mem[smooth + Scale.LOG] + math.sqrt(max(PRIOR - mem[smooth + Scale.KNOWN], 0.0)))
+    return min(realised, max(most, 1.0))
+
+
+@njit(_nrt=False)
 def realised_factor(mem, r):
     """Factor on the covariance that a fix claims: as fixes scatter, where that is more than they claim.
 
@@ -127,8 +140,8 @@ def realised_factor(mem, r):
     """
     if mem[Head.ADAPT] == 0.0:
         return 1.0
-    realised, slow = scale(mem, r + Receiver.SCALE), r + Receiver.SLOW_SCALE
-    level = mem[slow + Scale.LOG] if mem[slow + Scale.KNOWN] > 0.0 else 0.5 * math.log(realised)
+    realised, slow = realised_scatter(mem, r), r + Receiver.SLOW_SCALE
+    level = mem[slow + Scale.LOG] if mem[slow + Scale.KNOWN] != 0.0 else 0.5 * math.log(realised)
     return realised if realised > 1.0 else max(realised, math.exp(min(level, 0.0)))
 
 
@@ -141,12 +154,15 @@ def realised_variance(mem, r, at):
 @njit(_nrt=False)
 def learn(mem, r, at, left_n, left_e):
     """Remember the fix at `at`, which has been judged; left_n, left_e: predicted minus measured position after that."""
-    time = mem[at + Event.TIME]
-    interval = time - mem[r + Nav.RESIDUAL_TIME]
-    verdict = mem[at + Event.VERDICT]
+    time, verdict = mem[at + Event.TIME], mem[at + Event.VERDICT]
+    claimed = _claimed(mem, r, at)
+    lasting = _lasting(mem, r, at, claimed)
     if mem[r + Nav.FIX_TIME] != 0.0 and (verdict == Verdict.USED or verdict == Verdict.WEIGHTED):
-        _judge_covariance(mem, r, at, interval)
-    _judge_lasting(mem, r, at, interval, verdict)
+        _judge_innovation(mem, r, at, time - mem[r + Nav.RESIDUAL_TIME], claimed, lasting)
+    if mem[Head.COVARIANCE_FACTOR] > 0.0:
+        mem[r + Nav.VARIANCE_FACTOR] = scale(mem, r + Receiver.INNOVATION_SCALE)
+        mem[r + Nav.LASTING] = min(scale(mem, r + Receiver.LASTING_SCALE) * lasting,
+                                   LARGEST_LASTING * max(realised_scatter(mem, r), 1.0) * claimed)
     mem[r + Nav.RESIDUAL_TIME] = time
     mem[r + Nav.RESIDUAL_N], mem[r + Nav.RESIDUAL_E] = left_n - mem[r + NAV], left_e - mem[r + NAV + 1]
     mem[r + Nav.FIX_TIME] = time
@@ -158,37 +174,75 @@ def learn(mem, r, at, left_n, left_e):
 
 
 @njit(_nrt=False)
-def _judge_covariance(mem, r, at, interval):
-    """Realised over expected variance of the innovations, at low frequency: the a posteriori variance factor.
+def _claimed(mem, r, at):
+    """Variance that fixes claim, m^2: the mean of its logarithm over about as many as the position remembers, with the
+    fix at `at`."""
+    level = math.log(0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
+    if mem[r + Nav.FIX_TIME] == 0.0:
+        mem[r + Nav.CLAIM_LEVEL] = level
+    mem[r + Nav.CLAIM_LEVEL] += (level - mem[r + Nav.CLAIM_LEVEL]) / CLAIM_MEMORY
+    return math.exp(mem[r + Nav.CLAIM_LEVEL])
+
+
+@njit(_nrt=False)
+def _lasting(mem, r, at, claimed):
+    """Variance of the receiver's errors that last, m^2: what it claims, and fixes do not scatter.
+
+    A receiver states how far off it may be, and fixes show of that what changes between them (`_learn_scatter`). The rest are
+    errors of orbits, atmosphere and multipath: the filter follows them, its innovations stay white, and its position is
+    as far off. No receiver is without; a share counts as such. claimed: variance that fixes claim, m^2.
+    """
+    realised = realised_scatter(mem, r)
+    least = LASTING_SHARE * realised * min(claimed, 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
+    return max((1.0 - realised) * claimed, least)
+
+
+@njit(_nrt=False)
+def _judge_innovation(mem, r, at, interval, claimed, lasting):
+    """Learn from the innovations behind low passes what is wrong with their covariance, from the fix at `at`.
 
     Innovations of a filter that is right are white with covariance S. Receivers whose errors last and filters whose
     sensors are worse than assumed have innovations that last: the sum of n of them has a variance larger than n S, by
     the factor 1 + 2 (sum of their autocorrelation) - (1 + rho) / (1 - rho) for a first-order process - and by so much
-    the covariance of what is learned from many fixes (velocity, attitude, biases) is too small. Seen as the variance of
-    whitened innovations after a first-order low pass, over the one that it has for white ones. It says not which of
-    the two it is, and need not: the whole covariance is scaled, no gain changes. Errors slower than what the inertial
-    sensors hold do not show.
+    the covariance of what is learned from many fixes (velocity, attitude, biases) is too small. It is seen as the
+    variance of whitened innovations behind a first-order low pass, over the one that it has for white ones, and the
+    whole covariance is scaled by it (the a posteriori variance factor): no gain changes.
+
+    Errors of the receiver that last show behind a shorter low pass where the filter does not follow them at once
+    (`shown_share`), at rest above all. The same innovations show accelerometers that are noisier than assumed
+    (force_noise.py), but not beside a receiver whose claims are far too small.
+
+    interval: s since the fix before. claimed: variance that fixes claim, lasting: of errors that last, as far as they
+    claim those, m^2.
     """
     l_nn = math.sqrt(mem[at + Event.S_NN])
     l_en = mem[at + Event.S_NE] / l_nn
     u_n = mem[at + Event.Z_N] / l_nn
     u_e = (mem[at + Event.Z_E] - l_en * u_n) / math.sqrt(mem[at + Event.S_EE] - l_en * l_en)
     counted = min(1.0, LARGEST_INNOVATION / max(math.hypot(u_n, u_e), 1.0))
-    _low_pass(mem, r + Nav.SLOW_N, counted * u_n, counted * u_e, interval / SLOW)
-    _low_pass(mem, r + Receiver.FOLLOWED, counted * u_n, counted * u_e, interval / FOLLOWED)
-    if mem[r + Nav.SLOW_VARIANCE] == 0.0:
+    slow, followed = r + Nav.SLOW_N, r + Receiver.FOLLOWED
+    _low_pass(mem, slow, counted * u_n, counted * u_e, interval / SLOW)
+    _low_pass(mem, followed, counted * u_n, counted * u_e, interval / FOLLOWED)
+    if mem[slow + 2] == 0.0 or interval <= 0.0:
         return
-    squared = 0.5 * (mem[r + Nav.SLOW_N] ** 2 + mem[r + Nav.SLOW_E] ** 2) / mem[r + Nav.SLOW_VARIANCE]
-    time, weight = mem[at + Event.TIME], min(interval / (2.0 * SLOW), 1.0)
-    variance = 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
-    claimed = 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
-    state = max(variance - realised_factor(mem, r) * claimed, 0.0)
+    time, variance = mem[at + Event.TIME], 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
+    squared, weight = 0.5 * (mem[slow] ** 2 + mem[slow + 1] ** 2) / mem[slow + 2], min(interval / (2.0 * SLOW), 1.0)
+    factor, claim = realised_factor(mem, r), 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     if mem[r + Receiver.SLOW_SCALE + Scale.KNOWN] == 0.0:
-        mem[r + Receiver.SLOW_SCALE + Scale.LOG] = math.log(realised_factor(mem, r))
-    learn_scale(mem, r + Receiver.SLOW_SCALE, time, squared * variance, claimed, state, 2, weight)
+        mem[r + Receiver.SLOW_SCALE + Scale.LOG] = math.log(factor)
+    p = max(variance - factor * claim, 0.0)
+    learn_scale(mem, r + Receiver.SLOW_SCALE, time, squared * variance, claim, p, 2, weight)
     learn_scale(mem, r + Receiver.INNOVATION_SCALE, time, squared, 1.0, 0.0, 2, weight)
-    if mem[Head.COVARIANCE_FACTOR] > 0.0:
-        mem[r + Nav.VARIANCE_FACTOR] = scale(mem, r + Receiver.INNOVATION_SCALE)
+
+    white, weight = variance * mem[followed + 2], min(interval / (2.0 * FOLLOWED), 1.0)
+    squared = 0.5 * (mem[followed] ** 2 + mem[followed + 1] ** 2) * variance
+    tau = min(interval * variance / max(p, 1e-9 * variance), SLOWEST)
+    realised = realised_scatter(mem, r)
+    if realised < DISHONEST:
+        learn_force_noise(mem, r, time, squared, white, p, tau, max(1.0 - realised, 0.0) * claimed, weight)
+    else:  # before that was known its scatter has passed for noise of the accelerometers
+        begin_scale(mem, r + ForceNoise.SCALE)
+    learn_scale(mem, r + Receiver.LASTING_SCALE, time, squared, shown_share(tau) * lasting, white, 2, weight)
 
 
 @njit(_nrt=False)
@@ -210,59 +264,19 @@ def innovation_factor(mem, r):
 
 
 @njit(_nrt=False)
-def _judge_lasting(mem, r, at, interval, verdict):
-    """Variance of the receiver's errors that last, from the fix at `at`: what it claims and fixes do not scatter.
-
-    A receiver states how far off it may be, and fixes show of that what changes between them (`_scatter`). The rest are
-    errors of orbits, atmosphere and multipath: the filter follows them, its innovations stay white, and its position is
-    as far off. No receiver is without; a share counts as such. Claims that change are averaged as logarithms, for about
-    as long as the position remembers a fix.
-
-    Such errors do change within a minute, and where the filter does not follow them at once the low-passed innovations
-    show it (`shown_share`), at rest above all. The rest in them is white. The same innovations show accelerometers that
-    are noisier than assumed (force_noise.py), but not beside a receiver whose claims are far too small.
-    """
-    level = math.log(0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
-    if mem[r + Nav.FIX_TIME] == 0.0:
-        mem[r + Nav.CLAIM_LEVEL] = level
-    mem[r + Nav.CLAIM_LEVEL] += (level - mem[r + Nav.CLAIM_LEVEL]) / CLAIM_MEMORY
-    realised = scale(mem, r + Receiver.SCALE)
-    claimed = math.exp(mem[r + Nav.CLAIM_LEVEL])
-    lasting = max((1.0 - realised) * claimed, LASTING_SHARE * realised * min(claimed, math.exp(level)))
-    at_pass = r + Receiver.FOLLOWED
-    if mem[at_pass + 2] != 0.0 and (verdict == Verdict.USED or verdict == Verdict.WEIGHTED):
-        time, variance = mem[at + Event.TIME], 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
-        used = realised_factor(mem, r) * math.exp(level)
-        follows = max(1.0 - used / variance, 0.0) * FOLLOWED / max(interval, 1e-3)
-        squared = 0.5 * (mem[at_pass] ** 2 + mem[at_pass + 1] ** 2) * variance
-        weight = min(interval / (2.0 * FOLLOWED), 1.0)
-        if realised < DISHONEST:
-            learn_force_noise(mem, r, time, squared, mem[at_pass + 2], variance, used,
-                              max(1.0 - realised, 0.0) * claimed, weight)
-        else:  # before that was known its scatter has passed for noise of the accelerometers
-            begin_scale(mem, r + ForceNoise.SCALE)
-        learn_scale(mem, r + Receiver.LASTING_SCALE, time, squared, shown_share(follows) * lasting,
-                    variance * mem[at_pass + 2], 2, weight)
-    if mem[Head.COVARIANCE_FACTOR] > 0.0:
-        mem[r + Nav.LASTING] = min(scale(mem, r + Receiver.LASTING_SCALE) * lasting,
-                                   LARGEST_LASTING * max(realised, 1.0) * claimed)
-
-
-@njit(_nrt=False)
-def shown_share(follows):
+def shown_share(tau):
     """Share of the variance of a first-order Gauss-Markov process with LASTING_TIME that is in low-passed innovations.
 
-    follows: f = FOLLOWED / tau_f of a filter that follows positions within tau_f, and velocities with the damping
-    1 / sqrt(2). Its innovations are such a process, nearly a random walk, behind
-    s^2 / (s^2 + s / tau_f + 1 / (2 tau_f^2)). After the low pass FOLLOWED / (LASTING_TIME f (1 + f + f^2 / 2)) of
-    the variance is left.
+    tau: s, within which the filter follows positions; velocities it follows with the damping 1 / sqrt(2). Its
+    innovations are such a process, nearly a random walk, behind s^2 / (s^2 + s / tau + 1 / (2 tau^2)). After the low
+    pass FOLLOWED / (LASTING_TIME f (1 + f + f^2 / 2)) of the variance is left, f = FOLLOWED / tau.
     """
-    share = FOLLOWED / (LASTING_TIME * max(follows * (1.0 + follows + 0.5 * follows * follows), 1e-3))
-    return min(share, LARGEST_SHOWN)
+    f = FOLLOWED / tau
+    return min(FOLLOWED / (LASTING_TIME * f * (1.0 + f + 0.5 * f * f)), LARGEST_SHOWN)
 
 
 @njit(_nrt=False)
-def _scatter(mem, r, at, z_n, z_e):
+def _learn_scatter(mem, r, at, z_n, z_e):
     """Realised over claimed variance, from how the receiver's error has changed since a fix of about a second ago.
 
     An innovation less what the fix before it left is the difference of the receiver's errors, as far as the inertial
@@ -275,7 +289,7 @@ def _scatter(mem, r, at, z_n, z_e):
         for of in (Receiver.SMOOTH_SCALE, Receiver.SCALE, Receiver.SLOW_SCALE):
             reopen(mem, r + of, changed)
         mem[r + Receiver.PAIR_CLAIMED] *= changed  # it is realised over what is claimed from now on, too
-    _scatter_by_themselves(mem, r, at, claimed)
+    _learn_from_three(mem, r, at, claimed)
     begun, since = mem[r + Receiver.PAIR_TIME] != 0.0, time - mem[r + Receiver.PAIR_TIME]
     if begun:
         mem[r + Receiver.PAIR] += z_n - mem[r + Nav.RESIDUAL_N]
@@ -286,16 +300,12 @@ def _scatter(mem, r, at, z_n, z_e):
         unseen = (0.5 * since * since * velocity_variance(mem, r) + (0.5 * UNSEEN_ACCELERATION * since * since) ** 2
                   + force_noise(mem, r) * since**3 / 3.0)
         learn_scale(mem, r + Receiver.SCALE, time, squared, claimed + mem[r + Receiver.PAIR_CLAIMED], unseen, 2)
-        known = mem[r + Receiver.SMOOTH_SCALE + Scale.KNOWN]
-        if known > 0.0:  # what is seen beyond that is the IMU's
-            most = max(mem[r + Receiver.SMOOTH_SCALE + Scale.LOG] + math.sqrt(PRIOR - known), 0.0)
-            mem[r + Receiver.SCALE + Scale.LOG] = min(mem[r + Receiver.SCALE + Scale.LOG], most)
     mem[r + Receiver.PAIR_TIME], mem[r + Receiver.PAIR_CLAIMED] = time, claimed
     mem[r + Receiver.PAIR] = mem[r + Receiver.PAIR + 1] = 0.0
 
 
 @njit(_nrt=False)
-def _scatter_by_themselves(mem, r, at, claimed):
+def _learn_from_three(mem, r, at, claimed):
     """Realised over claimed variance at most, without the inertial sensors: three fixes of a vehicle that keeps its
     velocity lie on a straight line, evenly in time, but for their errors; what the vehicle does besides adds to it.
 

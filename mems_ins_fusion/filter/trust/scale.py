@@ -1,17 +1,21 @@
 """By how much a variance is larger or smaller than assumed: the one estimator of that, for every input of the filter.
 
 What is estimated is the logarithm of (realised over assumed variance), as an error of a factor of ten is as likely too
-small as too large: a mean and a variance of it, a Kalman filter with one state. A squared deviation that is expected to
-be `scale part + rest` - `part` is the variance in question, `rest` what else is in it, such as the way that the
-inertial sensors did not see - says something of the scale as far as `part` is of it. The logarithm of a chi-square
-variable has a known mean and variance; a deviation of any size counts as a few sigma of it, so that a single wild one
-does not ruin the rest. One that is too large for chance is more of `part`: `rest` has its bounds.
+small as too large. A squared deviation is expected to be `scale part + rest`: `part` is the variance in question,
+`rest` what else is in it, such as the way that the inertial sensors did not see. Its likelihood is that of a chi-square
+variable, but for OUTLIERS, which may be of any size and say nothing. Prior and posterior of the logarithm are normal
+distributions: mean and variance of the product of prior and likelihood are integrated over NODES (assumed density
+filtering, P. S. Maybeck, *Stochastic Models, Estimation, and Control* 2, 1982, 12.7).
 
-The prior is what receivers and data sheets claim. It is forgotten with time as the scale itself changes. (S. Sarkka and
-A. Nummenmaa, "Recursive noise adaptive Kalman filtering by variational Bayesian approximations", IEEE Trans. Automatic
-Control 54, 2009, has an inverse gamma distribution for the same; R. K. Mehra, "Approaches to adaptive filtering",
-IEEE Trans. Automatic Control 17, 1972. M. S. Bartlett and D. G. Kendall, "The statistical analysis of
-variance-heterogeneity and the logarithmic transformation", Supplement to J. Royal Statistical Society 8, 1946.)
+Before anything is seen the prior is what receivers and data sheets claim. A scale stays as it is, until it becomes
+another one: a receiver among houses, a road with another surface. So there are two hypotheses, each with an estimate:
+the scale is as it was, or it has become another one lately, at a rate of CHANGES and with the prior again. The more
+probable one is used. One deviation that is far off is an outlier, several in a row are another scale.
+
+(R. K. Mehra, "Approaches to adaptive filtering", IEEE Trans. Automatic Control 17, 1972; S. Sarkka and A. Nummenmaa,
+"Recursive noise adaptive Kalman filtering by variational Bayesian approximations", the same 54, 2009, has an inverse
+gamma distribution for the same, which knows neither `rest` nor changes; R. P. Adams and D. J. C. MacKay, "Bayesian
+online changepoint detection", 2007, has as many hypotheses as there are instants.)
 """
 from __future__ import annotations
 
@@ -28,8 +32,11 @@ class _Scale(NamedTuple):
 
     LOG: int = 0
     KNOWN: int = 1
-    TIME: int = 2  # s, of the latest deviation
-    SIZE: int = 3
+    OTHER_LOG: int = 2  # the same if it has become another one lately,
+    OTHER_KNOWN: int = 3
+    OTHER: int = 4  # and the probability of that
+    TIME: int = 5  # s, of the latest deviation
+    SIZE: int = 6
 
 
 Scale = _Scale()
@@ -39,24 +46,24 @@ class _Seen(NamedTuple):
     """Columns of what is seen of one input besides the fixes."""
 
     SCALE: int = 0  # a `Scale`
-    WAY: int = 3  # m, north and east, that its speeds make up since the fix START, see trust/way.py,
-    WAY_TIME: int = 5  # s, till when; 0: it is no speed
-    START: int = 6  # time, s, latitude and longitude, rad, of that fix; time 0: none
-    MORE: int = 9  # share by which that way is longer than the one of the fixes,
-    KNOWN: int = 10  # and how much of `way.PRIOR` its variance has lost,
-    COMPARED: int = 11  # 1: enough of it at some time
-    FITTED: int = 12  # time, s, of the latest one that fitted; negative: of the latest that was where no fix is
-    LATEST: int = 13  # two values of the latest message, see trust/repeats.py,
-    SAID: int = 15  # time of it, s,
-    GAINED: int = 16  # by how much the state has changed since it says that, between messages, m/s or rad,
-    LEFT: int = 17  # and what it was after the latest,
-    SINCE: int = 18  # time, s, since which it says that
-    LAST: int = 19  # velocity north and east with which its way ends, m/s
-    VARIANCE: int = 21  # of that way, m^2
-    COMPARED_IN: int = 22  # what of it is compared, see trust/way.py
-    SURPRISED: int = 23  # 1: the latest one was far longer than expected, -1: far shorter
-    OTHERS: int = 24  # messages in a row that were other ones, see trust/repeats.py
-    SIZE: int = 25
+    WAY: int = 6  # m, north and east, that its speeds make up since the fix START, see trust/way.py,
+    WAY_TIME: int = 8  # s, till when; 0: it is no speed
+    START: int = 9  # time, s, latitude and longitude, rad, of that fix; time 0: none
+    MORE: int = 12  # share by which that way is longer than the one of the fixes,
+    KNOWN: int = 13  # and how much of `way.PRIOR` its variance has lost,
+    COMPARED: int = 14  # 1: enough of it at some time
+    FITTED: int = 15  # time, s, of the latest one that fitted; negative: of the latest that was where no fix is
+    LATEST: int = 16  # two values of the latest message, see trust/repeats.py,
+    SAID: int = 18  # time of it, s,
+    GAINED: int = 19  # by how much the state has changed since it says that, between messages, m/s or rad,
+    LEFT: int = 20  # and what it was after the latest,
+    SINCE: int = 21  # time, s, since which it says that
+    LAST: int = 22  # velocity north and east with which its way ends, m/s
+    VARIANCE: int = 24  # of that way, m^2
+    COMPARED_IN: int = 25  # what of it is compared, see trust/way.py
+    SURPRISED: int = 26  # 1: the latest one was far longer than expected, -1: far shorter
+    OTHERS: int = 27  # messages in a row that were other ones, see trust/repeats.py
+    SIZE: int = 28
 
 
 Seen = _Seen()
@@ -68,17 +75,18 @@ assert Seen.SIZE == INPUT_SIZE
 Inputs = HEAD.place('Inputs', COUNT=1)
 #: variance of the logarithm before anything is seen: a claimed sigma is off by a factor of three, one sigma
 PRIOR = 4.8
-#: 1/s, by which that variance grows: a scale may change by a factor of e within ten minutes
-CHANGES = 1.0 / 600.0
+#: 1/s: a scale becomes another one once in twenty minutes: what a drive through a city brings
+CHANGES = 1.0 / 1200.0
 #: multiple of the assumed variance that is believed at least: a tenth of the sigma, as much as anybody claims too much
 SMALLEST = 0.01
 #: and at most: a thousand times the sigma
 LARGEST = 1e6
-#: mean and variance of the logarithm of a mean square of normal numbers with expectation 1, of one and of two
-LOG_MEAN = (-1.2704, -0.5772)
-LOG_VARIANCE = (4.9348, 1.6449)
-#: a deviation beyond so many sigma of the logarithm counts as that
-LARGEST_SURPRISE = 2.0
+#: share of deviations that say nothing, spread evenly over the logarithm of the square from millimetres to kilometres:
+#: one in twenty over 14 units
+OUTLIERS = 0.05 / 14.0
+#: abscissas, in sigmas, and their weights, at which a normal distribution is integrated: the trapezoidal rule
+NODES = tuple(0.5 * i for i in range(-7, 8))
+WEIGHTS = tuple(0.5 / math.sqrt(2.0 * math.pi) * math.exp(-0.5 * node * node) for node in NODES)
 
 
 @njit(_nrt=False)
@@ -97,30 +105,65 @@ def learn(mem, at, time, squared, part, rest, dimensions, weight=1.0):
     squared: mean square of its one or two `dimensions`, expected to be scale * part + rest. weight: below 1 where
     several deviations tell the same. Whether the estimate before it allowed for one as large.
     """
-    known = mem[at + Scale.KNOWN] - CHANGES * max(time - mem[at + Scale.TIME], 0.0)
-    variance, mem[at + Scale.TIME] = PRIOR - max(known, 0.0), time
-    share = math.exp(mem[at + Scale.LOG]) * part
-    expected = share + rest
-    share /= expected
-    noise = LOG_VARIANCE[dimensions - 1] / weight
-    shown = max(squared, 1e-12 * expected) / math.exp(LOG_MEAN[dimensions - 1])
-    surprise = math.log(shown / expected)
-    if surprise > LARGEST_SURPRISE * math.sqrt(LOG_VARIANCE[dimensions - 1]):  # no chance: up to what explains it
-        share = surprise / (math.log((shown - rest) / part) - mem[at + Scale.LOG])
-    sigma = math.sqrt(share * share * variance + LOG_VARIANCE[dimensions - 1])
-    fits = surprise <= LARGEST_SURPRISE * sigma
-    surprise = max(-LARGEST_SURPRISE * sigma, min(surprise, LARGEST_SURPRISE * sigma))
-    gain = share * variance / (share * share * variance + noise)
-    level = mem[at + Scale.LOG] + gain * surprise
-    mem[at + Scale.LOG] = max(math.log(SMALLEST), min(level, math.log(LARGEST)))
-    mem[at + Scale.KNOWN] = PRIOR - variance + gain * share * variance
-    return fits
+    if mem[at + Scale.TIME] != 0.0:
+        _may_change(mem, at, 1.0 - math.exp(-CHANGES * max(time - mem[at + Scale.TIME], 0.0)))
+    mem[at + Scale.TIME] = time
+    same, allowed = _learn_one(mem, at + Scale.LOG, squared, part, rest, dimensions, weight)
+    other, allowed_by_other = _learn_one(mem, at + Scale.OTHER_LOG, squared, part, rest, dimensions, weight)
+    share = mem[at + Scale.OTHER]
+    allowed += share * (allowed_by_other - allowed)
+    share = share * other / (share * other + (1.0 - share) * same)
+    if share > 0.5:
+        mem[at + Scale.LOG], mem[at + Scale.KNOWN] = mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_KNOWN]
+        share = 0.0
+    mem[at + Scale.OTHER] = share
+    mem[at + Scale.LOG] = max(math.log(SMALLEST), min(mem[at + Scale.LOG], math.log(LARGEST)))
+    return allowed > OUTLIERS
+
+
+@njit(_nrt=False)
+def _may_change(mem, at, probability):
+    """That the scale at `at` has become another one since the latest deviation, with this probability: the prior again.
+    """
+    share = mem[at + Scale.OTHER] + (1.0 - mem[at + Scale.OTHER]) * probability
+    if share == 0.0:
+        return
+    # mean and variance of a mixture of two normal distributions
+    earlier, level, known = mem[at + Scale.OTHER] / share, mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_KNOWN]
+    mem[at + Scale.OTHER], mem[at + Scale.OTHER_LOG] = share, earlier * level
+    mem[at + Scale.OTHER_KNOWN] = earlier * (known - (1.0 - earlier) * level * level)
+
+
+@njit(_nrt=False)
+def _learn_one(mem, at, squared, part, rest, dimensions, weight):
+    """Learn from a deviation as one of both hypotheses; at: of its mean. Its likelihood, and without OUTLIERS."""
+    level, sigma = mem[at], math.sqrt(max(PRIOR - mem[at + 1], 0.0))
+    shown = max(squared, 1e-12 * (part + rest))
+    total = mean = square = allowed = 0.0
+    for i in range(len(NODES)):
+        node = sigma * NODES[i]
+        likelihood = _times_square(shown / (math.exp(level + node) * part + rest), dimensions)
+        allowed += WEIGHTS[i] * likelihood
+        probability = WEIGHTS[i] * (likelihood + OUTLIERS) ** weight
+        total += probability
+        mean += probability * node
+        square += probability * node * node
+    mean /= total
+    mem[at], mem[at + 1] = level + mean, PRIOR - (square / total - mean * mean)
+    return total, allowed
+
+
+@njit(_nrt=False)
+def _times_square(ratio, dimensions):
+    """Density of a mean square of one or two normal numbers, times that square; ratio: the square over its expectation.
+    """
+    return math.sqrt(ratio / (2.0 * math.pi)) * math.exp(-0.5 * ratio) if dimensions == 1 else ratio * math.exp(-ratio)
 
 
 @njit(_nrt=False)
 def begin_scale(mem, at):
     """Nothing is known of it but the prior."""
-    mem[at + Scale.LOG] = mem[at + Scale.KNOWN] = 0.0
+    mem[at + Scale.LOG] = mem[at + Scale.KNOWN] = mem[at + Scale.OTHER] = 0.0
 
 
 @njit(_nrt=False)
@@ -128,11 +171,11 @@ def reopen(mem, at, factor):
     """The assumed variance is `factor` times what it was: the realised one stays where it is the larger of both, and
     may be any other."""
     mem[at + Scale.LOG] = max(mem[at + Scale.LOG] - math.log(factor), 0.0)
-    mem[at + Scale.KNOWN] = 0.0
+    mem[at + Scale.KNOWN] = mem[at + Scale.OTHER] = 0.0
 
 
 @njit(_nrt=False)
 def scale(row, at):
     """Realised over assumed variance: as seen where it is more, where it is less only as far as that is certain."""
-    level, variance = row[at + Scale.LOG], PRIOR - row[at + Scale.KNOWN]
+    level, variance = row[at + Scale.LOG], max(PRIOR - row[at + Scale.KNOWN], 0.0)
     return math.exp(level if level > 0.0 else min(level + math.sqrt(variance), 0.0))

@@ -15,8 +15,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..memory import HEAD, ROW, Event, Head, Nav, Verdict
 from . import hypotheses
-from .receiver import CLAIM_CHANGE, Receiver
-from .scale import scale
+from .receiver import CLAIM_CHANGE, realised_scatter
 from .standstill import moves
 
 #: of a state
@@ -121,7 +120,7 @@ def _scatter(mem, r, claimed):
     """Mean square of what is off from fix to fix, m^2 on each axis: what has been seen, but no more than that of two
     fixes that are as sure as this one, which has `claimed` m^2 (north and east), is by what the receiver has shown. A
     filter that is wrong itself sees more, and a receiver to a centimetre follows every straight road."""
-    return min(mem[r + StraightOn.SCATTER], scale(mem, r + Receiver.SCALE) * claimed)
+    return min(mem[r + StraightOn.SCATTER], realised_scatter(mem, r) * claimed)
 
 
 @njit(_nrt=False)

@@ -13,7 +13,6 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ..memory import HEAD, SAMPLE, WHITE, Head, Sample, nonnegative, sample_at
-from .force_noise import force_noise
 
 #: whether it is used; s in which the samples showed far more than is assumed
 White = HEAD.place('White', ADAPT=1, SHAKEN=1)
@@ -71,16 +70,10 @@ def density(mem, sample, axis):
 
 
 @njit(_nrt=False)
-def hides_turns(mem, sample):
-    """Whether the noise at the sample at `sample` is too large for a constraint on the velocity sideways."""
-    return TOLD_WITHIN * mem[sample + Shown.SIDEWAYS] > mem[Head.LATERAL_SIGMA] ** 2
-
-
-@njit(_nrt=False)
-def is_noisy(mem, r, sample):
-    """Whether the noise of the accelerometers, as samples or fixes show it, moves the velocity by more within
-    TOLD_WITHIN than that constraint's sigma: then how vehicles move tells more of the acceleration than they do."""
-    return TOLD_WITHIN * (mem[sample + Shown.SIDEWAYS] + force_noise(mem, r)) > mem[Head.LATERAL_SIGMA] ** 2
+def hides_turns(mem, noise):
+    """Whether a noise density squared of the accelerometers, m^2/s^3, moves the velocity by more within TOLD_WITHIN
+    than the sigma of the constraint on the velocity sideways."""
+    return TOLD_WITHIN * noise > mem[Head.LATERAL_SIGMA] ** 2
 
 
 @njit(_nrt=False)
