@@ -56,6 +56,8 @@ SLOW = 10.0
 #: s over which they are averaged to see errors that last: such errors, followed by the filter, are in its innovations
 #: most where these change about as fast as it follows, within seconds (docs/filter.md)
 FOLLOWED = 4.0
+#: time constants after which what a low pass shows is independent of what it has shown: to a seventh
+INDEPENDENT = 2.0
 #: s: fixes that are followed more slowly than that are followed by other measurements, too
 SLOWEST = 30.0
 #: normalized innovation as which a larger one counts: one fix far off is not a filter that is too sure
@@ -226,23 +228,23 @@ def _judge_innovation(mem, r, at, interval, claimed, lasting):
     if mem[slow + 2] == 0.0 or interval <= 0.0:
         return
     time, variance = mem[at + Event.TIME], 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
-    squared, weight = 0.5 * (mem[slow] ** 2 + mem[slow + 1] ** 2) / mem[slow + 2], min(interval / (2.0 * SLOW), 1.0)
     factor, claim = realised_factor(mem, r), 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
-    if mem[r + Receiver.SLOW_SCALE + Scale.KNOWN] == 0.0:
-        mem[r + Receiver.SLOW_SCALE + Scale.LOG] = math.log(factor)
     p = max(variance - factor * claim, 0.0)
-    learn_scale(mem, r + Receiver.SLOW_SCALE, time, squared * variance, claim, p, 2, weight)
-    learn_scale(mem, r + Receiver.INNOVATION_SCALE, time, squared, 1.0, 0.0, 2, weight)
-
-    white, weight = variance * mem[followed + 2], min(interval / (2.0 * FOLLOWED), 1.0)
-    squared = 0.5 * (mem[followed] ** 2 + mem[followed + 1] ** 2) * variance
-    tau = min(interval * variance / max(p, 1e-9 * variance), SLOWEST)
+    if time - mem[r + Receiver.INNOVATION_SCALE + Scale.TIME] > INDEPENDENT * SLOW:
+        squared = 0.5 * (mem[slow] ** 2 + mem[slow + 1] ** 2) / mem[slow + 2]
+        if mem[r + Receiver.SLOW_SCALE + Scale.KNOWN] == 0.0:
+            mem[r + Receiver.SLOW_SCALE + Scale.LOG] = math.log(factor)
+        learn_scale(mem, r + Receiver.SLOW_SCALE, time, squared * variance, claim, p, 2)
+        learn_scale(mem, r + Receiver.INNOVATION_SCALE, time, squared, 1.0, 0.0, 2)
     realised = realised_scatter(mem, r)
-    if realised < DISHONEST:
-        learn_force_noise(mem, r, time, squared, white, p, tau, max(1.0 - realised, 0.0) * claimed, weight)
-    else:  # before that was known its scatter has passed for noise of the accelerometers
+    if realised >= DISHONEST:  # before that was known its scatter has passed for noise of the accelerometers
         begin_scale(mem, r + ForceNoise.SCALE)
-    learn_scale(mem, r + Receiver.LASTING_SCALE, time, squared, shown_share(tau) * lasting, white, 2, weight)
+    if time - mem[r + Receiver.LASTING_SCALE + Scale.TIME] > INDEPENDENT * FOLLOWED:
+        squared = 0.5 * (mem[followed] ** 2 + mem[followed + 1] ** 2) * variance
+        white, tau = variance * mem[followed + 2], min(interval * variance / max(p, 1e-9 * variance), SLOWEST)
+        if realised < DISHONEST:
+            learn_force_noise(mem, r, time, squared, white, p, tau, max(1.0 - realised, 0.0) * claimed)
+        learn_scale(mem, r + Receiver.LASTING_SCALE, time, squared, shown_share(tau) * lasting, white, 2)
 
 
 @njit(_nrt=False)

@@ -81,9 +81,9 @@ CHANGES = 1.0 / 1200.0
 SMALLEST = 0.01
 #: and at most: a thousand times the sigma
 LARGEST = 1e6
-#: share of deviations that say nothing, spread evenly over the logarithm of the square from millimetres to kilometres:
-#: one in twenty over 14 units
-OUTLIERS = 0.05 / 14.0
+#: share of deviations that say nothing, `hypotheses.OUTLIERS`, over 14: they are spread evenly over the logarithm of
+#: their square, from metres to kilometres
+OUTLIERS = 0.01 / 14.0
 #: abscissas, in sigmas, and their weights, at which a normal distribution is integrated: the trapezoidal rule
 NODES = tuple(0.5 * i for i in range(-7, 8))
 WEIGHTS = tuple(0.5 / math.sqrt(2.0 * math.pi) * math.exp(-0.5 * node * node) for node in NODES)
@@ -103,7 +103,8 @@ def learn(mem, at, time, squared, part, rest, dimensions, weight=1.0):
     """Learn from one deviation at `time`, s; at: of the scale in `mem`.
 
     squared: mean square of its one or two `dimensions`, expected to be scale * part + rest. weight: below 1 where
-    several deviations tell the same. Whether the estimate before it allowed for one as large.
+    a few tell the same; of many that do, one is to be learned from. Whether the estimate before it allowed for one as
+    large.
     """
     if mem[at + Scale.TIME] != 0.0:
         _may_change(mem, at, 1.0 - math.exp(-CHANGES * max(time - mem[at + Scale.TIME], 0.0)))
