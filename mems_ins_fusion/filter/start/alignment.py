@@ -12,7 +12,7 @@ from ..config import FilterConfig
 from ..memory import Event, Kind
 from ..prediction import UNKNOWN_YAW_SIGMA
 from ..trust.receiver import SHORTEST_PAIR
-from ..trust.scale import Scale, learn, scale
+from ..trust.scale import OVERLAP, Scale, learn, scale
 from .at_rest import SHORTEST_STILL, STILL_BLOCK, is_quiet, latest_standstill, note_standstill, tumbling_rate
 from .course import (
     FASTEST_REVERSE,
@@ -38,8 +38,6 @@ STANDING_SIGMA = 0.05  # m/s, standard deviation of the velocity zero at rest
 #: second differences of fixes that have to agree with their claimed noise before a course is looked for: noise above
 #: the claim looks like motion
 FEWEST_CONSISTENT = 3
-#: information of a second difference, as a share of that of an independent one: each fix is in three of them
-OVERLAP = 0.5
 #: s: a standstill that begins later than this after the first sample may follow a drive of which there are no samples
 SEEN_FROM_BEGIN = 2.0
 #: s after the first sample until which a saved heading is used: a vehicle not seen at rest by then has driven off

@@ -34,8 +34,8 @@ LEAST_WHITE = 0.1
 
 @njit(_nrt=False)
 def force_noise(mem, r):
-    """Noise density squared of the specific force beside that of the samples, m^2/s^3, in the state at r: at most that of
-    a vehicle's acceleration, which is all that is known without an IMU."""
+    """Noise density squared of the specific force beside that of the samples, m^2/s^3, in the state at r: at most that
+    of a vehicle's acceleration, which is all that is known without an IMU."""
     level = mem[r + ForceNoise.SCALE + Scale.LOG]
     return min(ASSUMED * (math.exp(level) - 1.0), DENSITY) if level > 0.0 else 0.0
 

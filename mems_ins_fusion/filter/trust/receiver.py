@@ -9,9 +9,9 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import NAV, ROW, Event, Head, Nav, Verdict, velocity_variance
+from ..memory import NAV, ROW, Event, Head, Nav, Verdict
 from .force_noise import ForceNoise, force_noise, learn_force_noise
-from .scale import PRIOR, Scale, begin_scale, reopen, scale
+from .scale import OVERLAP, PRIOR, Scale, begin_scale, reopen, scale
 from .scale import learn as learn_scale
 
 #: of a state
@@ -20,7 +20,8 @@ Receiver = ROW.place(
     CLAIMED=1,  # variance of the last fix, as it says, m^2
     PAIR_TIME=1,  # of the fix from which on the receiver's error is followed, 0: none,
     PAIR_CLAIMED=1,  # the variance it claimed, m^2,
-    PAIR=2,  # and how the error has changed since then, north and east, m
+    PAIR=2,  # and how the error has changed since then, north and east, m;
+    BEFORE=4,  # the same of the pair before it: the change, how long it took, s (0: none), and the variance, m^2
     FOLLOWED=3,  # whitened innovations behind a low pass of FOLLOWED, and their variance were they white
     THREE=6,  # two fixes before the next one: time, s, latitude and longitude, rad,
     SMOOTH_SCALE=Scale.SIZE,  # realised over claimed variance at most, as three fixes are off a straight line,
@@ -190,9 +191,9 @@ def _claimed(mem, r, at):
 def _lasting(mem, r, at, claimed):
     """Variance of the receiver's errors that last, m^2: what it claims, and fixes do not scatter.
 
-    A receiver states how far off it may be, and fixes show of that what changes between them (`_learn_scatter`). The rest are
-    errors of orbits, atmosphere and multipath: the filter follows them, its innovations stay white, and its position is
-    as far off. No receiver is without; a share counts as such. claimed: variance that fixes claim, m^2.
+    A receiver states how far off it may be, and fixes show of that what changes between them (`_learn_scatter`). The
+    rest are errors of orbits, atmosphere and multipath: the filter follows them, its innovations stay white, and its
+    position is as far off. No receiver is without; a share counts as such. claimed: variance that fixes claim, m^2.
     """
     realised = realised_scatter(mem, r)
     least = LASTING_SHARE * realised * min(claimed, 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
@@ -230,12 +231,14 @@ def _judge_innovation(mem, r, at, interval, claimed, lasting):
     time, variance = mem[at + Event.TIME], 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
     factor, claim = realised_factor(mem, r), 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     p = max(variance - factor * claim, 0.0)
-    if time - mem[r + Receiver.INNOVATION_SCALE + Scale.TIME] > INDEPENDENT * SLOW:
-        squared = 0.5 * (mem[slow] ** 2 + mem[slow + 1] ** 2) / mem[slow + 2]
+    squared = 0.5 * (mem[slow] ** 2 + mem[slow + 1] ** 2) / mem[slow + 2]
+    drives = time - mem[r + Nav.STOOD] > SLOW  # a receiver that stands repeats its errors
+    if drives and time - mem[r + Receiver.INNOVATION_SCALE + Scale.TIME] > INDEPENDENT * SLOW:
+        learn_scale(mem, r + Receiver.INNOVATION_SCALE, time, squared, 1.0, 0.0, 2)
+    if drives and time - mem[r + Receiver.SLOW_SCALE + Scale.TIME] > LASTING_TIME:
         if mem[r + Receiver.SLOW_SCALE + Scale.KNOWN] == 0.0:
             mem[r + Receiver.SLOW_SCALE + Scale.LOG] = math.log(factor)
         learn_scale(mem, r + Receiver.SLOW_SCALE, time, squared * variance, claim, p, 2)
-        learn_scale(mem, r + Receiver.INNOVATION_SCALE, time, squared, 1.0, 0.0, 2)
     realised = realised_scatter(mem, r)
     if realised >= DISHONEST:  # before that was known its scatter has passed for noise of the accelerometers
         begin_scale(mem, r + ForceNoise.SCALE)
@@ -290,7 +293,8 @@ def _learn_scatter(mem, r, at, z_n, z_e):
         changed = claimed / before
         for of in (Receiver.SMOOTH_SCALE, Receiver.SCALE, Receiver.SLOW_SCALE):
             reopen(mem, r + of, changed)
-        mem[r + Receiver.PAIR_CLAIMED] *= changed  # it is realised over what is claimed from now on, too
+        for i in (Receiver.PAIR_CLAIMED, Receiver.BEFORE + 3):
+            mem[r + i] *= changed  # it is realised over what is claimed from now on, too
     _learn_from_three(mem, r, at, claimed)
     begun, since = mem[r + Receiver.PAIR_TIME] != 0.0, time - mem[r + Receiver.PAIR_TIME]
     if begun:
@@ -298,12 +302,32 @@ def _learn_scatter(mem, r, at, z_n, z_e):
         mem[r + Receiver.PAIR + 1] += z_e - mem[r + Nav.RESIDUAL_E]
         if since < SHORTEST_PAIR:
             return
-        squared = 0.5 * (mem[r + Receiver.PAIR] ** 2 + mem[r + Receiver.PAIR + 1] ** 2)
-        unseen = (0.5 * since * since * velocity_variance(mem, r) + (0.5 * UNSEEN_ACCELERATION * since * since) ** 2
-                  + force_noise(mem, r) * since**3 / 3.0)
-        learn_scale(mem, r + Receiver.SCALE, time, squared, claimed + mem[r + Receiver.PAIR_CLAIMED], unseen, 2)
+        _learn_from_two_pairs(mem, r, time, since, claimed)
+    for i in range(2):
+        mem[r + Receiver.BEFORE + i] = mem[r + Receiver.PAIR + i]
+    mem[r + Receiver.BEFORE + 2], mem[r + Receiver.BEFORE + 3] = since if begun else 0.0, mem[r + Receiver.PAIR_CLAIMED]
     mem[r + Receiver.PAIR_TIME], mem[r + Receiver.PAIR_CLAIMED] = time, claimed
     mem[r + Receiver.PAIR] = mem[r + Receiver.PAIR + 1] = 0.0
+
+
+@njit(_nrt=False)
+def _learn_from_two_pairs(mem, r, time, since, claimed):
+    """Learn from by how much more the error has changed in the last `since` s than before that in proportion: an error
+    of the velocity changes the position evenly, a receiver that scatters to and fro.
+
+    time: of the fix, s. claimed: its variance, m^2.
+    """
+    before = r + Receiver.BEFORE
+    length = mem[before + 2]
+    if length == 0.0:
+        return
+    ratio = since / length
+    north = mem[r + Receiver.PAIR] - ratio * mem[before]
+    east = mem[r + Receiver.PAIR + 1] - ratio * mem[before + 1]
+    part = claimed + (1.0 + ratio) ** 2 * mem[r + Receiver.PAIR_CLAIMED] + ratio**2 * mem[before + 3]
+    unseen = ((0.5 * UNSEEN_ACCELERATION * since * (since + length)) ** 2
+              + force_noise(mem, r) * since * since * (since + length) / 3.0)
+    learn_scale(mem, r + Receiver.SCALE, time, 0.5 * (north * north + east * east), part, unseen, 2, OVERLAP)
 
 
 @njit(_nrt=False)
@@ -325,7 +349,7 @@ def _learn_from_three(mem, r, at, claimed):
         north = (mem[last + 1] - latitude + part * (latitude - mem[first + 1])) / mem[r + Nav.NORTH_SCALE]
         east = (mem[last + 2] - longitude + part * (longitude - mem[first + 2])) / mem[r + Nav.EAST_SCALE]
         learn_scale(mem, r + Receiver.SMOOTH_SCALE, time, 0.5 * (north * north + east * east),
-                    claimed * (1.0 + part * part + (1.0 - part) ** 2), 0.0, 2, 0.5)  # each fix is in several
+                    claimed * (1.0 + part * part + (1.0 - part) ** 2), 0.0, 2, OVERLAP)
     for i in range(3):
         mem[first + i] = mem[last + i]
     mem[last], mem[last + 1], mem[last + 2] = time, latitude, longitude

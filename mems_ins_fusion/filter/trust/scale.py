@@ -84,6 +84,8 @@ LARGEST = 1e6
 #: share of deviations that say nothing, `hypotheses.OUTLIERS`, over 14: they are spread evenly over the logarithm of
 #: their square, from metres to kilometres
 OUTLIERS = 0.01 / 14.0
+#: weight of a second difference beside others: each fix is in three of them
+OVERLAP = 0.5
 #: abscissas, in sigmas, and their weights, at which a normal distribution is integrated: the trapezoidal rule
 NODES = tuple(0.5 * i for i in range(-7, 8))
 WEIGHTS = tuple(0.5 / math.sqrt(2.0 * math.pi) * math.exp(-0.5 * node * node) for node in NODES)
