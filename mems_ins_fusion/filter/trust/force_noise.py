@@ -53,4 +53,4 @@ def learn_force_noise(mem, r, time, squared, white, p, tau, lasting):
     part = ASSUMED * tau**3 / 3.0
     known = min(math.exp(mem[r + ForceNoise.SCALE + Scale.LOG]) * part, MOST_OF_P * p)  # of it is in S already
     rest = max(white - known, LEAST_WHITE * white) + lasting
-    learn(mem, r + ForceNoise.SCALE, time, squared, part, rest, 2)
+    learn(mem, r + ForceNoise.SCALE, time, squared, part, rest, 2, 1.0, 0.0)

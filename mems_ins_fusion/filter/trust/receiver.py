@@ -144,8 +144,8 @@ def realised_factor(mem, r):
     if mem[Head.ADAPT] == 0.0:
         return 1.0
     realised, slow = realised_scatter(mem, r), r + Receiver.SLOW_SCALE
-    level = mem[slow + Scale.LOG] if mem[slow + Scale.KNOWN] != 0.0 else 0.5 * math.log(realised)
-    return realised if realised > 1.0 else max(realised, math.exp(min(level, 0.0)))
+    mean = scale(mem, slow) if mem[slow + Scale.KNOWN] != 0.0 else math.sqrt(realised)
+    return realised if realised > 1.0 else max(realised, min(mean, 1.0))
 
 
 @njit(_nrt=False)
@@ -231,14 +231,13 @@ def _judge_innovation(mem, r, at, interval, claimed, lasting):
     time, variance = mem[at + Event.TIME], 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
     factor, claim = realised_factor(mem, r), 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     p = max(variance - factor * claim, 0.0)
-    squared = 0.5 * (mem[slow] ** 2 + mem[slow + 1] ** 2) / mem[slow + 2]
     drives = time - mem[r + Nav.STOOD] > SLOW  # a receiver that stands repeats its errors
     if drives and time - mem[r + Receiver.INNOVATION_SCALE + Scale.TIME] > INDEPENDENT * SLOW:
-        learn_scale(mem, r + Receiver.INNOVATION_SCALE, time, squared, 1.0, 0.0, 2)
-    if drives and time - mem[r + Receiver.SLOW_SCALE + Scale.TIME] > LASTING_TIME:
+        squared = 0.5 * (mem[slow] ** 2 + mem[slow + 1] ** 2) / mem[slow + 2]
         if mem[r + Receiver.SLOW_SCALE + Scale.KNOWN] == 0.0:
             mem[r + Receiver.SLOW_SCALE + Scale.LOG] = math.log(factor)
-        learn_scale(mem, r + Receiver.SLOW_SCALE, time, squared * variance, claim, p, 2)
+        learn_scale(mem, r + Receiver.SLOW_SCALE, time, squared * variance, claim, p, 2, 1.0, 0.0)
+        learn_scale(mem, r + Receiver.INNOVATION_SCALE, time, squared, 1.0, 0.0, 2, 1.0, 0.0)
     realised = realised_scatter(mem, r)
     if realised >= DISHONEST:  # before that was known its scatter has passed for noise of the accelerometers
         begin_scale(mem, r + ForceNoise.SCALE)
@@ -247,7 +246,7 @@ def _judge_innovation(mem, r, at, interval, claimed, lasting):
         white, tau = variance * mem[followed + 2], min(interval * variance / max(p, 1e-9 * variance), SLOWEST)
         if realised < DISHONEST:
             learn_force_noise(mem, r, time, squared, white, p, tau, max(1.0 - realised, 0.0) * claimed)
-        learn_scale(mem, r + Receiver.LASTING_SCALE, time, squared, shown_share(tau) * lasting, white, 2)
+        learn_scale(mem, r + Receiver.LASTING_SCALE, time, squared, shown_share(tau) * lasting, white, 2, 1.0, 0.0)
 
 
 @njit(_nrt=False)
@@ -302,7 +301,9 @@ def _learn_scatter(mem, r, at, z_n, z_e):
         mem[r + Receiver.PAIR + 1] += z_e - mem[r + Nav.RESIDUAL_E]
         if since < SHORTEST_PAIR:
             return
-        _learn_from_two_pairs(mem, r, time, since, claimed)
+        if not _learn_from_two_pairs(mem, r, time, since, claimed):
+            mem[r + Receiver.PAIR_TIME] = 0.0  # a fix that is far off counts once
+            return
     for i in range(2):
         mem[r + Receiver.BEFORE + i] = mem[r + Receiver.PAIR + i]
     mem[r + Receiver.BEFORE + 2], mem[r + Receiver.BEFORE + 3] = since if begun else 0.0, mem[r + Receiver.PAIR_CLAIMED]
@@ -313,21 +314,21 @@ def _learn_scatter(mem, r, at, z_n, z_e):
 @njit(_nrt=False)
 def _learn_from_two_pairs(mem, r, time, since, claimed):
     """Learn from by how much more the error has changed in the last `since` s than before that in proportion: an error
-    of the velocity changes the position evenly, a receiver that scatters to and fro.
+    of the velocity changes the position evenly, a receiver that scatters to and fro. Whether it is no outlier.
 
     time: of the fix, s. claimed: its variance, m^2.
     """
     before = r + Receiver.BEFORE
     length = mem[before + 2]
     if length == 0.0:
-        return
+        return True
     ratio = since / length
     north = mem[r + Receiver.PAIR] - ratio * mem[before]
     east = mem[r + Receiver.PAIR + 1] - ratio * mem[before + 1]
     part = claimed + (1.0 + ratio) ** 2 * mem[r + Receiver.PAIR_CLAIMED] + ratio**2 * mem[before + 3]
     unseen = ((0.5 * UNSEEN_ACCELERATION * since * (since + length)) ** 2
               + force_noise(mem, r) * since * since * (since + length) / 3.0)
-    learn_scale(mem, r + Receiver.SCALE, time, 0.5 * (north * north + east * east), part, unseen, 2, OVERLAP)
+    return learn_scale(mem, r + Receiver.SCALE, time, 0.5 * (north * north + east * east), part, unseen, 2, OVERLAP)
 
 
 @njit(_nrt=False)
@@ -348,8 +349,10 @@ def _learn_from_three(mem, r, at, claimed):
             mem[r + Receiver.SMOOTH_SCALE + Scale.LOG] = max(mem[r + Receiver.SCALE + Scale.LOG], 0.0)
         north = (mem[last + 1] - latitude + part * (latitude - mem[first + 1])) / mem[r + Nav.NORTH_SCALE]
         east = (mem[last + 2] - longitude + part * (longitude - mem[first + 2])) / mem[r + Nav.EAST_SCALE]
-        learn_scale(mem, r + Receiver.SMOOTH_SCALE, time, 0.5 * (north * north + east * east),
-                    claimed * (1.0 + part * part + (1.0 - part) ** 2), 0.0, 2, OVERLAP)
+        if not learn_scale(mem, r + Receiver.SMOOTH_SCALE, time, 0.5 * (north * north + east * east),
+                           claimed * (1.0 + part * part + (1.0 - part) ** 2), 0.0, 2, OVERLAP):
+            mem[first] = mem[last] = 0.0  # a fix that is far off counts once
+            return
     for i in range(3):
         mem[first + i] = mem[last + i]
     mem[last], mem[last + 1], mem[last + 2] = time, latitude, longitude

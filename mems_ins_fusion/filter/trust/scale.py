@@ -84,6 +84,8 @@ LARGEST = 1e6
 #: share of deviations that say nothing, `hypotheses.OUTLIERS`, over 14: they are spread evenly over the logarithm of
 #: their square, from metres to kilometres
 OUTLIERS = 0.01 / 14.0
+#: and a share that keeps likelihoods positive
+IMPOSSIBLE = 1e-12
 #: weight of a second difference beside others: each fix is in three of them
 OVERLAP = 0.5
 #: abscissas, in sigmas, and their weights, at which a normal distribution is integrated: the trapezoidal rule
@@ -101,18 +103,18 @@ def seen_of(mem, r, at):
 
 
 @njit(_nrt=False)
-def learn(mem, at, time, squared, part, rest, dimensions, weight=1.0):
+def learn(mem, at, time, squared, part, rest, dimensions, weight=1.0, outliers=OUTLIERS):
     """Learn from one deviation at `time`, s; at: of the scale in `mem`.
 
     squared: mean square of its one or two `dimensions`, expected to be scale * part + rest. weight: below 1 where
-    a few tell the same; of many that do, one is to be learned from. Whether the estimate before it allowed for one as
-    large.
+    a few tell the same; of many that do, one is to be learned from. outliers: as OUTLIERS; 0 where it is a mean in
+    which one of them counts little. Whether the estimate before it allowed for one as large.
     """
     if mem[at + Scale.TIME] != 0.0:
         _may_change(mem, at, 1.0 - math.exp(-CHANGES * max(time - mem[at + Scale.TIME], 0.0)))
     mem[at + Scale.TIME] = time
-    same, allowed = _learn_one(mem, at + Scale.LOG, squared, part, rest, dimensions, weight)
-    other, allowed_by_other = _learn_one(mem, at + Scale.OTHER_LOG, squared, part, rest, dimensions, weight)
+    same, allowed = _learn_one(mem, at + Scale.LOG, squared, part, rest, dimensions, weight, outliers)
+    other, allowed_by_other = _learn_one(mem, at + Scale.OTHER_LOG, squared, part, rest, dimensions, weight, outliers)
     share = mem[at + Scale.OTHER]
     allowed += share * (allowed_by_other - allowed)
     share = share * other / (share * other + (1.0 - share) * same)
@@ -138,8 +140,8 @@ def _may_change(mem, at, probability):
 
 
 @njit(_nrt=False)
-def _learn_one(mem, at, squared, part, rest, dimensions, weight):
-    """Learn from a deviation as one of both hypotheses; at: of its mean. Its likelihood, and without OUTLIERS."""
+def _learn_one(mem, at, squared, part, rest, dimensions, weight, outliers):
+    """Learn from a deviation as one of both hypotheses; at: of its mean. Its likelihood, and without outliers."""
     level, sigma = mem[at], math.sqrt(max(PRIOR - mem[at + 1], 0.0))
     shown = max(squared, 1e-12 * (part + rest))
     total = mean = square = allowed = 0.0
@@ -147,7 +149,7 @@ def _learn_one(mem, at, squared, part, rest, dimensions, weight):
         node = sigma * NODES[i]
         likelihood = _times_square(shown / (math.exp(level + node) * part + rest), dimensions)
         allowed += WEIGHTS[i] * likelihood
-        probability = WEIGHTS[i] * (likelihood + OUTLIERS) ** weight
+        probability = WEIGHTS[i] * (likelihood + outliers + IMPOSSIBLE) ** weight
         total += probability
         mean += probability * node
         square += probability * node * node
