@@ -24,6 +24,7 @@ from mems_ins_fusion.configuration.velocity_offset import estimate_velocity_offs
 from mems_ins_fusion.filter.measurements.base import Measurement
 from mems_ins_fusion.filter.measurements.registry import INERTIAL, TYPES
 from mems_ins_fusion.filter.runs.usable import usable_fixes, usable_samples
+from mems_ins_fusion.navigation.frames import near
 from mems_ins_fusion.recordings.aiding import (
     check_heading,
     check_velocity,
@@ -273,9 +274,9 @@ def _less(first: Fixes, second: Fixes, late: float) -> Fixes:
     second ones' stamps against the first ones'."""
     at, time = first.stamp - first.stamp[0], second.stamp - first.stamp[0] - round(late * 1e9)
     both = (at >= time[0]) & (at <= time[-1])
-    moved = {name: getattr(first, name)[both] - np.interp(at[both], time, getattr(second, name))
-             + getattr(second, name)[0] for name in ('latitude', 'longitude')}
-    return replace(first.select(both), **moved)
+    first, longitude = first.select(both), near(second.longitude, second.longitude[0])
+    return replace(first, **{name: getattr(first, name) - np.interp(at[both], time, values) + values[0]
+                             for name, values in (('latitude', second.latitude), ('longitude', longitude))})
 
 
 def _without_repeats(found: list[InputShown | LeftOut]) -> list[InputShown | LeftOut]:

@@ -5,6 +5,7 @@ import numpy as np
 
 from mems_ins_fusion.effects.base import Effect, EffectParameter, Sighting
 from mems_ins_fusion.navigation.earth import radii
+from mems_ins_fusion.navigation.frames import near
 
 #: sigmas of the receiver by which an outlier is off the interpolation between its neighbours, at least
 SIGMAS = 5.0
@@ -69,7 +70,7 @@ def far_off(fixes) -> tuple[np.ndarray, np.ndarray]:
     latitude, longitude = fixes.latitude[good], fixes.longitude[good]
     meridian, prime_vertical = radii(latitude[0])
     path = np.column_stack([(latitude - latitude[0]) * meridian,
-                            (longitude - longitude[0]) * prime_vertical * np.cos(latitude[0])])
+                            (near(longitude, longitude[0]) - longitude[0]) * prime_vertical * np.cos(latitude[0])])
 
     def line(a, b):
         """Distance of each fix from the line through the a-th and the b-th from it."""

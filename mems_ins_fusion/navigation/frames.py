@@ -43,6 +43,12 @@ def wrap(angle):
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
+def near(angle, other):
+    """`angle` (rad, scalar or array) less the whole turns that bring it within half a turn of `other`: the same bits
+    where it is that near. Longitudes jump by a turn at 180 degrees, a track does not."""
+    return angle - 2 * math.pi * np.round((angle - other) / (2 * math.pi))
+
+
 def yaw_from_enu(angle):
     """Yaw clockwise from north of a yaw counter-clockwise from east, and the other way round; rad."""
     return wrap(math.pi / 2 - angle)

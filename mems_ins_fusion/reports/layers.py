@@ -9,6 +9,7 @@ from ..evaluation.comparison import Comparison, truth_of
 from ..evaluation.metrics import Errors, Truth, lever_arm_north_east
 from ..filter.runs.results import Run
 from ..navigation.earth import to_local
+from ..navigation.frames import near
 from ..samples import Fixes, Reference
 from . import colours
 from .track import Layer
@@ -43,7 +44,8 @@ class Ground:
 
 def middle(reference: Reference) -> np.ndarray:
     """Latitude, longitude (rad) and height (m) in the middle of the recording."""
-    return np.array([np.median(reference.latitude), np.median(reference.longitude), np.median(reference.height)])
+    longitude = near(reference.longitude, reference.longitude[0])
+    return np.array([np.median(reference.latitude), np.median(longitude), np.median(reference.height)])
 
 
 def diagnosed_truth(diagnosis: Diagnosis) -> Truth:
