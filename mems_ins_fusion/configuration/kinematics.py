@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mems_ins_fusion.recordings.motion import positions, robust_sigma, scatter_of_track, sigmas, valid_fixes
+from mems_ins_fusion.filter.runs.usable import usable_fixes
+from mems_ins_fusion.recordings.motion import positions, robust_sigma, scatter_of_track, sigmas
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
 COURSE_WINDOW = 20.0  # s on each side, over which the gyroscopes carry the course
@@ -89,10 +90,7 @@ class FixIntervals:
 
 def fix_intervals(fixes: Fixes, shortest: float = SHORTEST) -> FixIntervals | None:
     """The spans of `fixes`, long enough for the noise of the receiver and at least `shortest` s; None with too few."""
-    fixes = fixes.select(valid_fixes(fixes))
-    fixes = fixes.select(np.argsort(fixes.stamp, kind='stable'))
-    if len(fixes) > 1:
-        fixes = fixes.select(np.diff(fixes.stamp, prepend=fixes.stamp[0] - 1) > 0)
+    fixes = usable_fixes(fixes)
     if len(fixes) < 12:
         return None
     time = (fixes.stamp - fixes.stamp[0]) * 1e-9

@@ -24,7 +24,8 @@ from mems_ins_fusion.configuration.kinematics import fix_sigma
 from mems_ins_fusion.configuration.regression import jackknife, weighted
 from mems_ins_fusion.configuration.track import Track, cross
 from mems_ins_fusion.effects.gnss_outliers import far_off
-from mems_ins_fusion.recordings.motion import find_standstill, positions, valid_fixes
+from mems_ins_fusion.filter.runs.usable import usable_fixes
+from mems_ins_fusion.recordings.motion import find_standstill, positions
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
 #: s; offsets are looked for up to this on both sides
@@ -387,11 +388,9 @@ class _Pieces:
 
 def _pieces(imu: ImuSamples, fixes: Fixes, rotation) -> _Pieces | None:
     """The pieces of the drive in which there are samples and the vehicle moves; None with too few."""
-    fixes = fixes.select(valid_fixes(fixes))
-    fixes = fixes.select(np.argsort(fixes.stamp, kind='stable'))
+    fixes = usable_fixes(fixes)
     if len(fixes) < _FEWEST_PIECES * _FEWEST_FIXES or len(imu) < 100:
         return None
-    fixes = fixes.select(np.diff(fixes.stamp, prepend=fixes.stamp[0] - 1) > 0)
     off = np.zeros(len(fixes), dtype=bool)
     off[far_off(fixes)[0]] = True
     fixes = fixes.select(~off)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..evaluation.metrics import Truth, position_errors
+from ..filter.measurements.position import is_fix
 from ..filter.runs.results import Run
 from ..navigation.earth import radii
 from ..navigation.frames import near
@@ -58,7 +59,7 @@ def lateness(reference: Reference, fixes: Fixes) -> tuple[float, float]:
 
     Along its velocity the reference differs from the fixes by the speed times that; sigma from the scatter of blocks.
     """
-    fixes = fixes.select(fixes.status >= 0)
+    fixes = fixes.select(is_fix(fixes))
     stamp, first = np.unique(reference.stamp, return_index=True)
     nan = float('nan'), float('nan')
     if len(stamp) < 3 or not len(fixes):

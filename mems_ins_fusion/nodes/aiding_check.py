@@ -6,10 +6,10 @@ from collections import deque
 
 import numpy as np
 
+from ..filter.measurements.position import is_fix
 from ..filter.measurements.registry import aiding
 from ..recordings.aiding import COMPARED, check_aiding
 from ..recordings.findings import INFO
-from ..recordings.motion import valid_fixes
 from ..samples import Fixes
 
 #: Hz at which samples of each input are kept: a vehicle does not change faster
@@ -74,7 +74,7 @@ class AidingCheck:
         stamp, *columns = (np.array(column) for column in zip(*self._rows[name]))
         stamp, fixes = stamp.astype(np.int64), self._received()
         findings = check_aiding(measurement, measurement.samples(stamp, stamp, *columns),
-                                fixes.select(valid_fixes(fixes)), measurement.settings(self._values))
+                                fixes.select(is_fix(fixes)), measurement.settings(self._values))
         if not any(COMPARED & finding.values.keys() for finding in findings):
             return False, None
         worth = [f for f in findings if f.severity != INFO and 'count' not in f.values]

@@ -11,6 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from mems_ins_fusion.filter.measurements.position import is_fix
 from mems_ins_fusion.filter.measurements.registry import aiding
 from mems_ins_fusion.filter.runs.usable import LARGEST_IN_ANY_UNIT, usable
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY, gravity
@@ -23,7 +24,6 @@ from mems_ins_fusion.recordings.motion import (
     robust_sigma,
     sigmas,
     up_axis,
-    valid_fixes,
 )
 from mems_ins_fusion.recordings.units import RATE, Units, as_delivered, find_units
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, runs
@@ -193,7 +193,7 @@ def _check_fixes_present(fixes: Fixes, declared: float):
     """Fixes that are none, and sigmas that are not there and not `declared`, m, either."""
     without = fixes.status < 0
     null = ~without & (fixes.latitude == 0) & (fixes.longitude == 0)
-    broken = ~without & ~null & ~valid_fixes(fixes)
+    broken = ~without & ~null & ~is_fix(fixes)
     for mask, text in ((without, 'without a fix (status -1)'),
                        (broken, 'with a position that is no number or no place'),
                        (null, 'at latitude 0, longitude 0, where receivers without a fix are')):
@@ -201,7 +201,7 @@ def _check_fixes_present(fixes: Fixes, declared: float):
             count = int(mask.sum())
             yield Finding(ERROR if mask.all() else WARNING, 'gnss', f'{count_of(count, "message")} {text}',
                           {'count': count})
-    unknown = np.isnan(sigmas(fixes)) & valid_fixes(fixes)
+    unknown = np.isnan(sigmas(fixes)) & is_fix(fixes)
     if unknown.any() and not declared:
         count = int(unknown.sum())
         yield Finding(WARNING, 'gnss', f'{count_of(count, "fix" if count == 1 else "fixe")} with an unknown or zero '

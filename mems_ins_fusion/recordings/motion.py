@@ -8,15 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# what is a fix, the filter's intake says
-from mems_ins_fusion.filter.measurements.position import is_fix as valid_fixes
-from mems_ins_fusion.filter.measurements.position import is_place as plausible
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.samples import Fixes, ImuSamples
-
-__all__ = ['Steering', 'compare_steering', 'find_standstill', 'plausible', 'positions', 'robust_sigma',
-           'scatter_at_rest', 'scatter_of_track', 'sigmas', 'up_axis', 'valid_fixes', 'without_turns']
 
 #: part of gravity, largest spread of the specific force at rest: that of a running engine is smaller
 QUIET = 0.03

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mems_ins_fusion.filter.measurements.inertial import Inertial
+from mems_ins_fusion.filter.measurements.position import is_fix, is_place
 from mems_ins_fusion.filter.measurements.registry import AIDING, MEASUREMENTS, TYPES
 from mems_ins_fusion.filter.memory import Kind
 from mems_ins_fusion.navigation.earth import from_local
@@ -24,7 +25,6 @@ from mems_ins_fusion.recordings.messages import (
     POSE_STAMPED,
     TEMPERATURE,
 )
-from mems_ins_fusion.recordings.motion import plausible
 from mems_ins_fusion.samples import (
     NO_SAMPLES,
     Fixes,
@@ -38,7 +38,6 @@ from mems_ins_fusion.samples import (
 FIX_TYPES = tuple(MEASUREMENTS[Kind.POSITION].messages)
 #: what a reference may be
 REFERENCE_TYPES = (NAV_SAT_FIX, ODOMETRY, POSE_STAMPED)
-_NO_FIX = -1  # NavSatStatus.STATUS_NO_FIX
 _LATEST = 2**63  # ns
 
 #: the fields worth keeping, by message type
@@ -255,11 +254,10 @@ def _unit(quaternion) -> np.ndarray:
 def _reference(array, msgtype, datum, gnss, topic) -> Reference:
     if msgtype == NAV_SAT_FIX:
         fixes = _fixes(array, msgtype)
-        valid = fixes.status > _NO_FIX
-        reference = Reference(fixes.stamp, fixes.latitude, fixes.longitude, fixes.height).select(valid)
+        reference = Reference(fixes.stamp, fixes.latitude, fixes.longitude, fixes.height).select(is_fix(fixes))
     else:
         reference = _local_reference(array, msgtype, datum if datum is not None else _first_fix(gnss, topic))
-    reference = reference.select(plausible(reference.latitude, reference.longitude, reference.height))
+    reference = reference.select(is_place(reference.latitude, reference.longitude, reference.height))
     if not len(reference):
         raise RecordingError(f"reference topic '{topic}' holds no valid position")
     return reference.select(np.argsort(reference.stamp, kind='stable'))
@@ -267,8 +265,7 @@ def _reference(array, msgtype, datum, gnss, topic) -> Reference:
 
 def _first_fix(gnss: Fixes | None, topic) -> tuple:
     """The datum that local poses on `topic` get where none is given."""
-    valid = np.flatnonzero((gnss.status > _NO_FIX) & plausible(gnss.latitude, gnss.longitude, gnss.height)) \
-        if gnss is not None else ()
+    valid = () if gnss is None else np.flatnonzero(is_fix(gnss))
     if not len(valid):
         raise RecordingError(f"reference topic '{topic}' holds local poses: give the datum (latitude, longitude and "
                              'height of their origin)')

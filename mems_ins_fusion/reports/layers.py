@@ -7,6 +7,7 @@ from ..diagnosis.findings import Diagnosis
 from ..diagnosis.measured import Measured
 from ..evaluation.comparison import Comparison, truth_of
 from ..evaluation.metrics import Errors, Truth, lever_arm_north_east
+from ..filter.measurements.position import is_fix
 from ..filter.runs.results import Run
 from ..navigation.earth import to_local
 from ..navigation.frames import near
@@ -133,7 +134,7 @@ def _truth(ground: Ground, origin: int, source: str) -> Layer:
 def _fixes(ground: Ground, comparison: Comparison, run: Run, origin: int) -> list[Layer]:
     """Fixes that `run` used, that it was given and did not use, and that it was not given."""
     fixes = comparison.recording.gnss
-    fixes = fixes.select(np.isfinite(fixes.latitude + fixes.longitude + fixes.height) & (fixes.status >= 0))
+    fixes = fixes.select(is_fix(fixes))
     stamp = fixes.stamp - round(run.config.gnss.time_offset * 1e9)
     used = np.isin(stamp, run.innovations.stamp)
     given = np.isin(stamp, comparison.fixes_given[comparison.intervals[0]]) & (stamp >= run.stamp[0])
