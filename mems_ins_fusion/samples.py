@@ -18,6 +18,12 @@ def runs(mask: np.ndarray) -> np.ndarray:
     return np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(mask, np.int8), [0]]))).reshape(-1, 2)
 
 
+def in_time_order(stamp: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """Indices of the samples that are `usable` (n,) bool in the order of `stamp` (n,) ns, of equal stamps the first."""
+    index = np.flatnonzero(usable)
+    return index[np.unique(stamp[index], return_index=True)[1]]
+
+
 class _Samples:
     """Length and slicing for dataclasses whose fields are arrays along the same first axis."""
 

@@ -11,7 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from mems_ins_fusion.filter.runs.usable import usable_fixes
-from mems_ins_fusion.recordings.motion import positions, robust_sigma, scatter_of_track, sigmas
+from mems_ins_fusion.recordings.motion import (
+    advancing,
+    integral,
+    positions,
+    robust_sigma,
+    scatter_of_track,
+    sigmas,
+)
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
 COURSE_WINDOW = 20.0  # s on each side, over which the gyroscopes carry the course
@@ -35,7 +42,7 @@ class InertialIntegrals:
     """
 
     def __init__(self, imu: ImuSamples, origin: int):
-        time, force, rate = in_order(imu, origin)
+        time, force, rate = advancing(imu, origin)
         velocity, angle = integral(time, force), integral(time, rate)
         self.gap_end = time[1:][np.diff(time) > LONGEST_GAP]
         some = slice(None, None, max(round(1.0 / (FINEST * np.median(np.diff(time)))), 1) if len(time) > 1 else 1)
@@ -47,22 +54,6 @@ class InertialIntegrals:
         """Whether there are samples without a gap from `begin` to `end`, (m,) s."""
         whole = np.searchsorted(self.gap_end, begin) == np.searchsorted(self.gap_end, end + LONGEST_GAP)
         return whole & (begin >= self.time[0]) & (end <= self.time[-1])
-
-
-def in_order(imu: ImuSamples, origin: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times (n,), s after `origin` (ns), specific forces and angular rates (n, 3): of the samples that are finite and
-    whose stamps advance."""
-    finite = np.isfinite(imu.specific_force).all(axis=1) & np.isfinite(imu.angular_rate).all(axis=1)
-    stamp = imu.stamp[finite]
-    advancing = np.diff(np.maximum.accumulate(stamp), prepend=stamp[:1] - 1) > 0
-    return ((stamp[advancing] - origin) * 1e-9, imu.specific_force[finite][advancing],
-            imu.angular_rate[finite][advancing])
-
-
-def integral(time, values):
-    """Running integral of (n,) or (n, k) values by the trapezoidal rule, zero at the first time."""
-    step = np.diff(time) if values.ndim == 1 else np.diff(time)[:, None]
-    return np.concatenate([np.zeros_like(values[:1]), np.cumsum(0.5 * (values[1:] + values[:-1]) * step, axis=0)])
 
 
 def _at(times, time, values):
@@ -175,7 +166,6 @@ def spans(inertial: InertialIntegrals, fixes: FixIntervals, up: np.ndarray, lag:
         pace = np.interp(time, middle, mean_speed)
         pace = np.where(np.abs(pace) > _SLOW, pace, _SLOW)
     span = length.mean(axis=1)
-    pace = np.interp(time, middle, mean_speed)
     turn_rate = -(inertial.rate @ up) - bias
     pace = np.interp(time, middle, mean_speed)
 

@@ -15,13 +15,13 @@ from functools import cached_property
 
 import numpy as np
 
-from mems_ins_fusion.configuration.kinematics import InertialIntegrals, integral
+from mems_ins_fusion.configuration.kinematics import InertialIntegrals
 from mems_ins_fusion.configuration.offset import FLOOR, LARGEST, attempted
 from mems_ins_fusion.configuration.regression import jackknife
 from mems_ins_fusion.configuration.track import Track
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
-from mems_ins_fusion.recordings.motion import find_standstill
-from mems_ins_fusion.samples import ImuSamples, Speeds
+from mems_ins_fusion.recordings.motion import find_standstill, integral
+from mems_ins_fusion.samples import ImuSamples, Speeds, in_time_order
 
 #: s; an offset with a larger sigma is not shown
 SHOWN = 0.1
@@ -213,9 +213,7 @@ class _Pieces:
 
 def _pieces(imu: ImuSamples, speeds: Speeds, rotation: np.ndarray) -> _Pieces | None:
     """The pieces of the drive in which there are samples and the speed changes; None with too few."""
-    good = np.flatnonzero(np.isfinite(speeds.speed))
-    good = good[np.argsort(speeds.stamp[good], kind='stable')]
-    good = good[np.diff(speeds.stamp[good], prepend=-1) > 0]
+    good = in_time_order(speeds.stamp, np.isfinite(speeds.speed))
     if len(good) < _FEWEST_PIECES * _FEWEST or len(imu) < 100:
         return None
     origin = int(imu.stamp[0])

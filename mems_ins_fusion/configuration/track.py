@@ -6,7 +6,8 @@ import math
 import numpy as np
 from scipy.signal import lfilter
 
-from mems_ins_fusion.configuration.kinematics import FINEST, LONGEST_GAP, in_order, integral
+from mems_ins_fusion.configuration.kinematics import FINEST, LONGEST_GAP
+from mems_ins_fusion.recordings.motion import advancing, integral
 from mems_ins_fusion.samples import ImuSamples
 
 
@@ -22,7 +23,7 @@ class Track:
     def __init__(self, imu: ImuSamples, origin: int, still: np.ndarray):
         """still: (n,) bool, samples at rest, whose mean rate is the gyroscopes' bias; with none it is zero."""
         self.bias = imu.angular_rate[still].mean(axis=0) if still.any() else np.zeros(3)
-        time, force, rate = in_order(imu, origin)
+        time, force, rate = advancing(imu, origin)
         step = float(np.median(np.diff(time)))
         gap = np.diff(time) > max(LONGEST_GAP, 3.0 * step)
         self.stretches = np.column_stack([np.append(time[0], time[1:][gap]), np.append(time[:-1][gap], time[-1])])
@@ -37,7 +38,7 @@ class Track:
         self.force = np.vstack([push / length[:, None], push[-1:] / length[-1]])
         self.velocity, self.place = self._integrals(push)
         _, self.by_force = self._integrals(middle * length[:, None, None])
-        self.turned = integral(self.time, self.rotation.reshape(-1, 9)).reshape(-1, 3, 3)
+        self.turned = integral(self.time, self.rotation)
         _, self.by_rate = self._integrals(-cross(push) @ (0.5 * (self.turned[1:] + self.turned[:-1])))
 
     def covers(self, begin: float, end: float) -> bool:
@@ -53,10 +54,9 @@ class Track:
         return found
 
     def _integrals(self, increments):
+        """Sum of `increments` (n - 1, ...) up to each time, (n, ...), and its integral over time."""
         first = np.concatenate([np.zeros_like(increments[:1]), np.cumsum(increments, axis=0)])
-        length = np.diff(self.time).reshape((-1,) + (1,) * (increments.ndim - 1))
-        return first, np.concatenate([np.zeros_like(increments[:1]),
-                                      np.cumsum(0.5 * (first[1:] + first[:-1]) * length, axis=0)])
+        return first, integral(self.time, first)
 
     def at(self, values: np.ndarray, times: np.ndarray) -> np.ndarray:
         """`values` (n, ...) at `times`, of any shape, linear in between."""

@@ -14,6 +14,7 @@ from ..filter.runs.results import Run
 from ..filter.runs.usable import usable_samples
 from ..navigation.earth import radii
 from ..navigation.frames import wrap
+from ..recordings.motion import integral
 from ..samples import Fixes, ImuSamples, Reference
 from .intervals import interval_of_mean
 
@@ -169,7 +170,7 @@ def turning_at(imu: ImuSamples, conditioning: np.ndarray, stamp: np.ndarray) -> 
         return np.zeros(len(stamp), dtype=bool)
     time = (imu.stamp - imu.stamp[0]) * 1e-9
     rate = imu.angular_rate @ conditioning[5, 3:]
-    yaw = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))])
+    yaw = integral(time, rate)
     # only where there are samples: a clock that is set meanwhile makes the recording decades long
     grid = np.unique(np.floor(10.0 * time)) / 10.0
     turn = np.abs(np.interp(grid + 0.5, time, yaw) - np.interp(grid - 0.5, time, yaw)) > TURN_RATE

@@ -14,8 +14,24 @@ from mems_ins_fusion.filter.measurements.pressure import HIGHEST, LOWEST, SEA_LE
 from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.recordings.findings import ERROR, INFO, WARNING, Finding, count_of
-from mems_ins_fusion.recordings.motion import SLOWEST_COURSE, TIGHTEST_COURSE, positions, robust_sigma, sigmas
-from mems_ins_fusion.samples import Fixes, Headings, MagneticFields, Pressures, Speeds, Twists, Velocities
+from mems_ins_fusion.recordings.motion import (
+    SLOWEST_COURSE,
+    TIGHTEST_COURSE,
+    integral,
+    positions,
+    robust_sigma,
+    sigmas,
+)
+from mems_ins_fusion.samples import (
+    Fixes,
+    Headings,
+    MagneticFields,
+    Pressures,
+    Speeds,
+    Twists,
+    Velocities,
+    in_time_order,
+)
 
 #: Pa each
 PRESSURES = {'Pa': 1.0, 'hPa': 100.0, 'kPa': 1000.0, 'bar': 1e5, 'psi': 6894.76, 'mmHg': 133.322}
@@ -351,10 +367,7 @@ def _compare(topic, samples, value, fixes, prepare=lambda value: value):
     chords = _chords(fixes) if fixes is not None else None
     if chords is None or len(chords.begin) < _FEWEST:
         return Finding(INFO, topic, f'no fixes in motion to compare the {topic} with')
-    finite = np.flatnonzero(_finite(value))
-    order = finite[np.argsort(samples.stamp[finite], kind='stable')]
-    stamp = samples.stamp[order]
-    order = order[np.diff(stamp, prepend=stamp[:1] - 1) > 0]
+    order = in_time_order(samples.stamp, _finite(value))
     stamp = samples.stamp[order]
     count = np.searchsorted(stamp, chords.end) - np.searchsorted(stamp, chords.begin)
     enough = count > 0
@@ -366,9 +379,7 @@ def _compare(topic, samples, value, fixes, prepare=lambda value: value):
                        'compare it with', {'chords': int(enough.sum())})
     chords = chords.select(enough)
     time = (stamp - stamp[0]) * 1e-9
-    prepared = prepare(value[order])
-    area = np.concatenate([np.zeros((1, *prepared.shape[1:])),
-                           np.cumsum(0.5 * (prepared[1:] + prepared[:-1]).T * np.diff(time), axis=-1).T])
+    area = integral(time, prepare(value[order]))
     begin, end = ((edge - stamp[0]) * 1e-9 for edge in (chords.begin, chords.end))
 
     def mean(column):

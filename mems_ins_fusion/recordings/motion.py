@@ -44,6 +44,21 @@ def robust_sigma(values: np.ndarray) -> float:
     return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 
+def integral(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Running integral of `values` (n, ...) over `time` (n,) by the trapezoidal rule, zero at the first time."""
+    step = np.diff(time).reshape(-1, *[1] * (values.ndim - 1))
+    return np.concatenate([np.zeros_like(values[:1]), np.cumsum(0.5 * (values[1:] + values[:-1]) * step, axis=0)])
+
+
+def advancing(imu: ImuSamples, origin: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times (n,), s after `origin` (ns), specific forces and angular rates (n, 3) of the samples that are finite and
+    whose stamps are later than all before."""
+    finite = np.isfinite(imu.specific_force).all(axis=1) & np.isfinite(imu.angular_rate).all(axis=1)
+    stamp = imu.stamp[finite]
+    later = np.diff(np.maximum.accumulate(stamp), prepend=stamp[:1] - 1) > 0
+    return (stamp[later] - origin) * 1e-9, imu.specific_force[finite][later], imu.angular_rate[finite][later]
+
+
 def positions(fixes: Fixes) -> np.ndarray:
     """(n, 2) north and east, m, from the first of `fixes`, which must all be valid."""
     datum = float(fixes.latitude[0]), float(fixes.longitude[0]), float(fixes.height[0])
@@ -270,12 +285,9 @@ class _Heading:
     """The heading that the gyroscopes turn through, clockwise, as a function of seconds after the first sample."""
 
     def __init__(self, imu: ImuSamples, up):
-        finite = np.isfinite(imu.angular_rate).all(axis=1)
-        stamp, rate = imu.stamp[finite], -(imu.angular_rate[finite] @ up)
-        advancing = np.flatnonzero(np.diff(np.maximum.accumulate(stamp), prepend=stamp[:1] - 1) > 0)
-        self.time, rate = (stamp[advancing] - imu.stamp[0]) * 1e-9, rate[advancing]
-        self.angle = _integral(self.time, rate)
-        self.area = _integral(self.time, self.angle)
+        self.time, _, rate = advancing(imu, int(imu.stamp[0]))
+        self.angle = integral(self.time, -(rate @ up))
+        self.area = integral(self.time, self.angle)
 
     def mean(self, begin, end):
         """Mean heading between times, rad."""
@@ -284,8 +296,3 @@ class _Heading:
     def mean_rate(self, begin, end):
         """Mean rate of turn between times, rad/s."""
         return (np.interp(end, self.time, self.angle) - np.interp(begin, self.time, self.angle)) / (end - begin)
-
-
-def _integral(time, values):
-    """Running integral by the trapezoidal rule, zero at the first time."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
