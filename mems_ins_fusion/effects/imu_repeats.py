@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from mems_ins_fusion.effects.base import Effect, EffectParameter, Sighting
-from mems_ins_fusion.sensor_errors.from_parameters import per_axis
+from mems_ins_fusion.sensor_errors.models import per_axis
 
 SMALLEST = 0.01  # share that is worth a word
 
