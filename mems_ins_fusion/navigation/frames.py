@@ -60,12 +60,15 @@ def yaw_of_quaternion(x, y, z, w):
 
 
 def leveling(specific_force: np.ndarray) -> np.ndarray:
-    """The smallest rotation that makes `specific_force` (3,), seen at rest in body axes, point straight up (-z)."""
-    up = specific_force / np.linalg.norm(specific_force)
+    """The smallest rotation (3, 3) that makes `specific_force` (3,), seen at rest in body axes, point straight up (-z).
+
+    Upside down, where each horizontal axis would do, it turns about x; a zero force has no direction and is left.
+    """
+    up = specific_force / (np.linalg.norm(specific_force) or 1.0)
     axis = np.cross(up, [0.0, 0.0, -1.0])
     sine, cosine = np.linalg.norm(axis), -up[2]
     if sine < 1e-12:
-        return np.eye(3)
+        return np.diag([1.0, -1.0, -1.0]) if cosine < 0 else np.eye(3)
     x, y, z = axis / sine
     skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + sine * skew + (1 - cosine) * skew @ skew
