@@ -36,9 +36,9 @@ class Baseline:
 
 def estimate_baseline(first: Fixes, second: Fixes) -> Baseline | None:
     """What usable fixes of two receivers, in the order of their stamps, show; None with too little motion."""
-    datum = float(first.latitude[0]), float(first.longitude[0]), float(first.height[0])
     if len(first) < _FEWEST or len(second) < _FEWEST:
         return None
+    datum = float(first.latitude[0]), float(first.longitude[0]), float(first.height[0])
     both = first, second
     one, two = (np.column_stack(to_local(part.latitude, part.longitude, part.height, datum)) for part in both)
     at, time = ((part.stamp - first.stamp[0]) * 1e-9 for part in both)

@@ -14,6 +14,7 @@ from mems_ins_fusion.configuration.topics import Topics
 from mems_ins_fusion.configuration.vehicle import LARGEST_ALIKE
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.parameters.table import defaults
+from mems_ins_fusion.recordings.motion import UNSTATED_SIGMA
 from mems_ins_fusion.recordings.transforms import BASE
 from mems_ins_fusion.recordings.transforms import TOPIC as TF
 from mems_ins_fusion.recordings.units import RATE, Units
@@ -184,7 +185,7 @@ def _receiver_settings(receivers: list[Receiver]):
         yield Setting('gnss.sigma', float(f'{realised:.2g}') if too_sure else 0.0,
                       (text, 'the receiver is too sure of itself' if too_sure else 'the stated sigma is used'))
     else:
-        yield Setting('gnss.default_sigma', float(f'{max(realised or 3.0, 0.02):.2g}'),
+        yield Setting('gnss.default_sigma', float(f'{max(realised or UNSTATED_SIGMA, 0.02):.2g}'),
                       (text or 'not shown', 'the receiver states no sigma'))
     outliers = max(r.outliers for r in receivers)
     yield Setting('gnss.robust_sigma', _ROBUST if outliers > _OUTLIERS else 0.0,

@@ -34,7 +34,7 @@ from mems_ins_fusion.recordings.aiding import (
     shows_course,
     speed_factor,
 )
-from mems_ins_fusion.recordings.findings import INFO
+from mems_ins_fusion.recordings.findings import INFO, SURE
 from mems_ins_fusion.recordings.motion import scatter_at_rest, sigmas
 from mems_ins_fusion.recordings.units import find_units, in_si
 from mems_ins_fusion.samples import Fixes, ImuSamples, Speeds, Twists
@@ -51,7 +51,6 @@ _HEADING = re.compile(r'heading|yaw|compass|gps|gnss|antenna', re.IGNORECASE)
 RESULT = re.compile(r'reference|truth|fused|filter|ekf|estimate|initial|gt($|/)', re.IGNORECASE)
 _TURNING = 0.9  # correlation of a turn rate with that of the gyroscopes, in size: less is no turn rate
 _HEADING_TURNS = 0.5  # the same of one that follows the course, from whose noise the rate is computed
-_SIGNIFICANT = 4.0  # sigmas: places that are further apart are two for certain
 # of the scatter that two receivers have against each other if each has its own errors: with less they are the same
 _IN_COMMON = 0.7
 LEAST_APART = 0.1  # m: antennas of one place, each with a centre of phase of its own
@@ -191,7 +190,7 @@ def _heading(topic, headings, fixes):
     turned = next((finding.values for finding in findings if 'offset_rad' in finding.values), None)
     if turned is None:
         return LeftOut(topic, next((finding.message for finding in findings), 'no fixes to compare it with'))
-    sure = abs(turned['offset_rad']) > _SIGNIFICANT * turned['sigma_rad']
+    sure = abs(turned['offset_rad']) > SURE * turned['sigma_rad']
     return InputShown(topic, TYPES['heading'], 'it follows the course of the fixes',
                       turned=turned['offset_rad'] if sure else 0.0)
 
@@ -252,7 +251,7 @@ def _receiver(topic, others: Fixes, imu, fixes, still) -> InputShown | LeftOut:
                           'its antenna is')
     first, second = (scatter_at_rest(one, imu, still) for one in (fixes, others))
     between = scatter_at_rest(_less(fixes, others, baseline.late), imu, still)
-    apart = bool((np.abs(baseline.arm[:2]) > np.maximum(LEAST_APART, _SIGNIFICANT * baseline.arm_sigma[:2])).any())
+    apart = bool((np.abs(baseline.arm[:2]) > np.maximum(LEAST_APART, SURE * baseline.arm_sigma[:2])).any())
     own = None not in (first, second, between) and between > _IN_COMMON * math.hypot(first, second)
     if not apart and not own:
         return LeftOut(topic, 'neither another place nor errors of its own are shown: it may be the same receiver '
@@ -306,5 +305,5 @@ def _same_source(one: InputShown, other: InputShown) -> bool:
         return False
     places, sigmas = zip(one.arm, other.arm)
     with np.errstate(invalid='ignore'):
-        apart = np.abs(places[0] - places[1]) > _SIGNIFICANT * np.hypot(*sigmas)
+        apart = np.abs(places[0] - places[1]) > SURE * np.hypot(*sigmas)
     return not apart.any()

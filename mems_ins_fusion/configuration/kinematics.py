@@ -14,10 +14,10 @@ from mems_ins_fusion.filter.runs.usable import usable_fixes
 from mems_ins_fusion.recordings.motion import (
     advancing,
     integral,
+    middle_sigma,
     positions,
     robust_sigma,
     scatter_of_track,
-    sigmas,
 )
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
@@ -102,9 +102,7 @@ def fix_intervals(fixes: Fixes, shortest: float = SHORTEST) -> FixIntervals | No
 
 def fix_sigma(fixes: Fixes, path: np.ndarray) -> float:
     """What a fix deviates from its neighbours, m: as stated, or less where the track is smoother than that."""
-    stated = sigmas(fixes)
-    stated = float(np.nanmedian(stated)) if np.isfinite(stated).any() else 3.0
-    return float(np.clip(scatter_of_track(path), 0.005, max(stated, 0.005)))
+    return float(np.clip(scatter_of_track(path), 0.005, max(middle_sigma(fixes), 0.005)))
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,12 @@ def yaw_from_enu(angle):
     return wrap(math.pi / 2 - angle)
 
 
+def unit_quaternions(quaternions: np.ndarray) -> np.ndarray:
+    """Quaternions (n, 4) of length one; NaN where they are zero or NaN."""
+    with np.errstate(invalid='ignore'):
+        return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+
+
 def yaw_of_quaternion(x, y, z, w):
     """Yaw about the vertical of a quaternion (z-y-x), rad."""
     return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))

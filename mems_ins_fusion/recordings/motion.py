@@ -4,6 +4,7 @@ Works in the unit the sensors deliver, so that it can tell a wrong one.
 """
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,8 @@ from mems_ins_fusion.samples import Fixes, ImuSamples
 QUIET = 0.03
 #: m/s, largest speed that counts as rest
 CREEP = 0.15
+#: m, standard deviation of a fix whose message states none: that of a receiver without corrections
+UNSTATED_SIGMA = 3.0
 #: rad/s, smallest turn rate in motion: more than a gyroscope's bias changes in a drive, less than that of a robot that
 #: turns on the spot
 TURNS = 0.03
@@ -65,11 +68,17 @@ def positions(fixes: Fixes) -> np.ndarray:
     return np.column_stack(to_local(fixes.latitude, fixes.longitude, fixes.height, datum)[:2])
 
 
-def sigmas(fixes: Fixes) -> np.ndarray:
-    """(n,) horizontal standard deviation per axis as the receiver states it, m; NaN where it states none."""
+def sigmas(fixes: Fixes, unstated: float = math.nan) -> np.ndarray:
+    """(n,) horizontal standard deviation per axis as the receiver states it, m; `unstated` where it states none."""
     variance = 0.5 * (fixes.covariance[:, 0, 0] + fixes.covariance[:, 1, 1])
     known = (fixes.covariance_type > 0) & (variance > 0) & np.isfinite(variance)
-    return np.sqrt(np.where(known, variance, np.nan))
+    return np.sqrt(np.where(known, variance, unstated**2))
+
+
+def middle_sigma(fixes: Fixes) -> float:
+    """Median of the stated standard deviations, m; UNSTATED_SIGMA where no fix states one."""
+    stated = sigmas(fixes)
+    return float(np.nanmedian(stated)) if np.isfinite(stated).any() else UNSTATED_SIGMA
 
 
 def find_standstill(imu: ImuSamples, fixes: Fixes | None = None) -> np.ndarray:
@@ -124,7 +133,7 @@ def _seconds(imu: ImuSamples) -> tuple[int, int]:
 
 def _stays(stamp: np.ndarray, fixes: Fixes) -> np.ndarray:
     """Whether the fixes around each of `stamp` show no motion; false where there are none."""
-    sigma = np.nanmedian(sigmas(fixes)) if np.isfinite(sigmas(fixes)).any() else 3.0
+    sigma = middle_sigma(fixes)
     window = float(np.clip(5.0 * sigma, 2.0, 10.0))  # s; a poor receiver needs longer to show a creep
     order = np.argsort(fixes.stamp, kind='stable')
     time = (fixes.stamp[order] - fixes.stamp[order[0]]) * 1e-9
@@ -257,8 +266,7 @@ def _course_changes(fixes: Fixes):
     fixes = fixes.select(np.diff(fixes.stamp, prepend=fixes.stamp[0] - 1) > 0)
     if len(fixes) < 2:
         return None
-    stated = sigmas(fixes)
-    sigma = np.where(np.isnan(stated), 3.0, stated)
+    sigma = sigmas(fixes, UNSTATED_SIGMA)
     pace = np.linalg.norm(np.diff(positions(fixes), axis=0), axis=1) / np.diff(fixes.stamp) * 1e9
     # intervals long enough for a course to a few degrees, short enough to resolve a turn
     length = np.clip(40.0 * np.median(sigma) / max(np.percentile(pace, 75), 0.1), 1.0, 4.0)

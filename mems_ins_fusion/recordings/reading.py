@@ -9,22 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
+from mems_ins_fusion.filter.measurements.base import IMU, NAV_SAT_FIX, NOT_THERE, ODOMETRY, POSE_STAMPED
 from mems_ins_fusion.filter.measurements.inertial import Inertial
 from mems_ins_fusion.filter.measurements.position import is_fix, is_place
 from mems_ins_fusion.filter.measurements.registry import AIDING, MEASUREMENTS, TYPES
 from mems_ins_fusion.filter.memory import Kind
 from mems_ins_fusion.navigation.earth import from_local
-from mems_ins_fusion.navigation.frames import ned_from_enu, yaw_from_enu, yaw_of_quaternion
+from mems_ins_fusion.navigation.frames import ned_from_enu, unit_quaternions, yaw_from_enu, yaw_of_quaternion
 from mems_ins_fusion.recordings import messages
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.errors import RecordingError, RecordingWarning
-from mems_ins_fusion.recordings.messages import (
-    IMU,
-    NAV_SAT_FIX,
-    ODOMETRY,
-    POSE_STAMPED,
-    TEMPERATURE,
-)
+from mems_ins_fusion.recordings.messages import TEMPERATURE
 from mems_ins_fusion.samples import (
     NO_SAMPLES,
     Fixes,
@@ -230,7 +225,7 @@ def _orientation(array) -> np.ndarray | None:
     A covariance that begins with -1 says so (sensor_msgs/Imu); zeros, and a constant identity, are fields not filled.
     """
     orientation = array['orientation'].copy()
-    absent = (array['orientation_covariance'][:, 0] == -1) | ~orientation.any(axis=1)
+    absent = (array['orientation_covariance'][:, 0] == NOT_THERE[0]) | ~orientation.any(axis=1)
     if absent.all() or (orientation[~absent] == (0, 0, 0, 1)).all():
         return None
     orientation[absent] = np.nan
@@ -243,12 +238,6 @@ def _fixes(array, msgtype) -> Fixes:
 
 def _temperatures(array) -> Temperatures:
     return Temperatures(stamp=array['stamp'], received=array['received'], celsius=array['temperature'])
-
-
-def _unit(quaternion) -> np.ndarray:
-    """Quaternions (n, 4) of length one; NaN where they are zero or NaN."""
-    with np.errstate(invalid='ignore'):
-        return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
 
 
 def _reference(array, msgtype, datum, gnss, topic) -> Reference:
@@ -281,7 +270,7 @@ def _local_reference(array, msgtype, datum) -> Reference:
     """A reference from poses (east-north-up at `datum`; body axes forward-left-up)."""
     prefix = 'pose.pose' if msgtype == ODOMETRY else 'pose'
     east, north, up = array[f'{prefix}.position'].T
-    orientation = _unit(array[f'{prefix}.orientation'])
+    orientation = unit_quaternions(array[f'{prefix}.orientation'])
     yaw = yaw_from_enu(yaw_of_quaternion(*orientation.T))
     latitude, longitude, height = from_local(north, east, -up, tuple(float(value) for value in datum))
     velocity = None

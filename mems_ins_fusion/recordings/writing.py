@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mems_ins_fusion.filter.measurements.base import NOT_THERE
 from mems_ins_fusion.filter.measurements.registry import AIDING, MEASUREMENTS
 from mems_ins_fusion.filter.memory import Kind
 from mems_ins_fusion.guard import one_line
@@ -26,7 +27,6 @@ from mems_ins_fusion.samples import (
 
 STORAGES = ('mcap', 'sqlite3')
 _BLOCK = 20_000  # messages
-_UNKNOWN = -1.0  # first element of a covariance in sensor_msgs/Imu where the quantity is not there
 
 
 @dataclass(frozen=True)
@@ -134,9 +134,9 @@ def _finite(values: np.ndarray) -> np.ndarray:
 def _imu_fields(imu: ImuSamples) -> dict:
     fields = {'angular_velocity': imu.angular_rate, 'linear_acceleration': imu.specific_force}
     if imu.orientation is None:
-        return {**fields, 'orientation': (0.0, 0.0, 0.0, 1.0), 'orientation_covariance': (_UNKNOWN, *[0.0] * 8)}
+        return {**fields, 'orientation': (0.0, 0.0, 0.0, 1.0), 'orientation_covariance': NOT_THERE}
     covariance = np.zeros((len(imu), 9))
-    covariance[np.isnan(imu.orientation).any(axis=1), 0] = _UNKNOWN
+    covariance[np.isnan(imu.orientation).any(axis=1)] = NOT_THERE
     return {**fields, 'orientation': imu.orientation, 'orientation_covariance': covariance}
 
 
