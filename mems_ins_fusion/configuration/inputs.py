@@ -282,17 +282,14 @@ def _without_repeats(found: list[InputShown | LeftOut]) -> list[InputShown | Lef
     """With those left out that measure what another one measures already: the same wheels, receiver or air. Of a speed
     and an odometry of the same wheels the odometry stays, which has the turn rate, too."""
     kept: dict[int, InputShown | LeftOut] = {}
-    for k in sorted(range(len(found)), key=lambda k: not _is_odometry(found[k])):
+    odometry = [isinstance(one, InputShown) and one.measurement.name == 'twist' for one in found]
+    for k in np.argsort(np.logical_not(odometry), kind='stable').tolist():
         one = found[k]
         same = next((other for other in kept.values() if isinstance(other, InputShown) and isinstance(one, InputShown)
                      and _same_source(other, one)), None)
         kept[k] = one if same is None else LeftOut(one.topic, f'it is not shown to measure anything but what '
                                                    f'{same.topic} does')
     return [kept[k] for k in range(len(found))]
-
-
-def _is_odometry(one: InputShown | LeftOut) -> bool:
-    return isinstance(one, InputShown) and one.measurement.name == 'twist'
 
 
 def _same_source(one: InputShown, other: InputShown) -> bool:

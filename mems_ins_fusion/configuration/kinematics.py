@@ -114,7 +114,7 @@ class Spans:
     grade: rad, upwards; NaN where heights do not show it.
     turn: rad/s, clockwise. turn_change: rad/s^2. turn_squared: (rad/s)^2.
     force: (m, 3) m/s^2 and rate: (m, 3) rad/s in sensor axes. sideways: m/s, of the antenna to the right of the nose.
-    length: s of an interval; a span has two. gyroscope_bias: rad/s about the up axis, clockwise.
+    length: s of an interval; a span has two.
     """
 
     stamp: np.ndarray
@@ -130,7 +130,6 @@ class Spans:
     rate: np.ndarray
     sideways: np.ndarray
     length: float
-    gyroscope_bias: float
 
 
 def spans(inertial: InertialIntegrals, fixes: FixIntervals, up: np.ndarray, lag: float) -> Spans | None:
@@ -183,7 +182,7 @@ def spans(inertial: InertialIntegrals, fixes: FixIntervals, up: np.ndarray, lag:
         grade=_grades(middle, mean_speed, height[:, 1], fixes), turn=turning,
         turn_change=np.diff(mean_turn, axis=1)[:, 0] / span, turn_squared=squared,
         force=weighted(inertial.displacement), rate=weighted(integral(time, inertial.angle)),
-        sideways=sideways.mean(axis=1), length=fixes.length, gyroscope_bias=float(bias))
+        sideways=sideways.mean(axis=1), length=fixes.length)
 
 
 def _local_sum(time, values, window):

@@ -39,9 +39,6 @@ class ImuRepeats(Effect):
                         f'{(1 - share) * len(same) / seconds:.3g} a second are new. Set the driver to the rate at '
                         'which the sensor measures', noisier(values, imu, share))
 
-    def adjusted(self, values, theta):
-        return values  # what helps is seen in the samples
-
 
 def noisier(values: dict, imu, share: float) -> dict:
     """The noise densities with that of samples of which this share is taken for the one before it.

@@ -234,7 +234,7 @@ def check_heading(headings: Headings, fixes: Fixes | None) -> Iterator[Finding]:
         yield Finding(ERROR, 'heading', 'the heading does not follow the course of the fixes',
                       {'concentration': _concentration(difference)})
         return
-    middle = _circular_mean(difference)
+    middle = np.angle(np.exp(1j * difference).mean())
     middle = float(wrap(middle + np.median(wrap(difference - middle))))
     residual = wrap(difference - middle)
     noise = np.hypot(chords.sigma / chords.speed, _CURVE)
@@ -448,10 +448,6 @@ def _check_sigma(topic, unit, residual, noise, variance):
 def _finite(value) -> np.ndarray:
     """(n,) which values are finite; of vectors (n, 3) the horizontal two, as not every receiver has a vertical one."""
     return np.isfinite(value if value.ndim == 1 else value[:, :2].sum(axis=1))
-
-
-def _circular_mean(angle) -> float:
-    return float(np.arctan2(np.sin(angle).mean(), np.cos(angle).mean()))
 
 
 def _concentration(angle) -> float:
