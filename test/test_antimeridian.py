@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from live_support import fed
 
 from mems_ins_fusion.configuration.inputs import shown_inputs
 from mems_ins_fusion.diagnosis.clock import lateness
@@ -57,20 +58,14 @@ def test_a_replay_across_it_has_the_same_errors(drives, reference):
 
 @pytest.fixture(scope='module')
 def live(drives):
-    """The latitudes and longitudes, rad, that a live filter publishes after each fix across 180 degrees."""
+    """Longitude of the newest fix; latitude, longitude (rad) and odometry (m) that a live filter publishes across 180
+    degrees."""
     fusion, found = FusionFilter(FilterConfig.from_parameters(table.defaults())), []
-    imu, fixes = drives[1].imu, drives[1].gnss
-    upto = np.searchsorted(imu.received, fixes.received, side='right')
-    begin = 0
-    for k, end in enumerate(upto.tolist()):
-        for i in range(begin, end):
-            estimated = fusion.add_imu(int(imu.stamp[i]), *imu.specific_force[i], *imu.angular_rate[i])
-        begin = end
-        fusion.add_fix(int(fixes.stamp[k]), fixes.latitude[k], fixes.longitude[k], fixes.height[k],
-                       fixes.covariance[k])
-        if estimated:
-            fusion.update_odometry()
-            found.append((fixes.longitude[k], *fusion.geodetic[:2], *fusion.odometry[:2]))
+    fixes = drives[1].gnss
+    for i in fed(fusion, drives[1]):
+        fusion.update_odometry()
+        newest = np.searchsorted(fixes.received, drives[1].imu.received[i]) - 1
+        found.append((fixes.longitude[newest], *fusion.geodetic[:2], *fusion.odometry[:2]))
     return np.array(found)
 
 

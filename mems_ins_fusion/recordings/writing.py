@@ -136,7 +136,7 @@ def _imu_fields(imu: ImuSamples) -> dict:
     if imu.orientation is None:
         return {**fields, 'orientation': (0.0, 0.0, 0.0, 1.0), 'orientation_covariance': NOT_THERE}
     covariance = np.zeros((len(imu), 9))
-    covariance[np.isnan(imu.orientation).any(axis=1)] = NOT_THERE
+    covariance[np.isnan(imu.orientation).any(axis=1), 0] = NOT_THERE[0]
     return {**fields, 'orientation': imu.orientation, 'orientation_covariance': covariance}
 
 

@@ -105,7 +105,7 @@ class Heading(Measurement):
         covariance = np.zeros((len(headings), 9))
         covariance[:, [0, 4]] = np.pi**2  # roll and pitch are not known
         covariance[:, 8] = headings.variance
-        covariance[absent] = NOT_THERE
+        covariance[absent, 0] = NOT_THERE[0]
         return {'orientation': np.where(absent[:, None], (0.0, 0.0, 0.0, 1.0), orientation),
                 'orientation_covariance': covariance, 'angular_velocity_covariance': NOT_THERE,
                 'linear_acceleration_covariance': NOT_THERE}
