@@ -21,8 +21,8 @@ TRAINING = 0.6
 HORIZONS = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
 #: difference of scores, in standard errors, from which a model counts as better
 _DECIDED = 2.0
-_BLOCKS = 20
-_LAGS = 20
+_BLOCKS = 20  # of the held-out data, whose scores are compared
+_LAGS = 20  # averages over which autocorrelations are tested
 
 
 @dataclass(frozen=True)

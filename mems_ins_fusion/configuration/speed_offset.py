@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from mems_ins_fusion.configuration.kinematics import InertialIntegrals
-from mems_ins_fusion.configuration.offset import FLOOR, LARGEST, attempted
+from mems_ins_fusion.configuration.offset import FEWEST_PIECES, FLOOR, LARGEST, attempted
 from mems_ins_fusion.configuration.regression import jackknife
 from mems_ins_fusion.configuration.track import Track
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
@@ -31,8 +31,6 @@ _STEP = 0.1
 _STEPS = 4
 #: s; length of a piece: longer ones gain little, as the accelerometers drift by then on a rough road
 _PIECE = 15.0
-#: pieces that show an offset, at least
-_FEWEST_PIECES = 4
 #: pieces that are used, at most: what more of them cost is time
 _MOST_PIECES = 80
 #: Hz; of more frequent speeds some are left out
@@ -214,7 +212,7 @@ class _Pieces:
 def _pieces(imu: ImuSamples, speeds: Speeds, rotation: np.ndarray) -> _Pieces | None:
     """The pieces of the drive in which there are samples and the speed changes; None with too few."""
     good = in_time_order(speeds.stamp, np.isfinite(speeds.speed))
-    if len(good) < _FEWEST_PIECES * _FEWEST or len(imu) < 100:
+    if len(good) < FEWEST_PIECES * _FEWEST or len(imu) < 100:
         return None
     origin = int(imu.stamp[0])
     time, speed = (speeds.stamp[good] - origin) * 1e-9, speeds.speed[good]
@@ -228,7 +226,7 @@ def _pieces(imu: ImuSamples, speeds: Speeds, rotation: np.ndarray) -> _Pieces | 
     chosen = [piece for k in np.unique(number) if len(piece := np.flatnonzero(number == k)) >= _FEWEST
               and track.covers(time[piece[0]] - LARGEST - _STEP - _APART, time[piece[-1]] + LARGEST + _STEP + _APART)
               and np.ptp(speed[piece]) > _MOVED]
-    if len(chosen) < _FEWEST_PIECES:
+    if len(chosen) < FEWEST_PIECES:
         return None
     if len(chosen) > _MOST_PIECES:
         chosen = [chosen[i] for i in np.linspace(0, len(chosen) - 1, _MOST_PIECES).astype(int)]

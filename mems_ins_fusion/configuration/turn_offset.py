@@ -12,12 +12,11 @@ import numpy as np
 
 from mems_ins_fusion.configuration.kinematics import InertialIntegrals
 from mems_ins_fusion.configuration.offset import FLOOR, LARGEST
-from mems_ins_fusion.configuration.regression import jackknife
+from mems_ins_fusion.configuration.regression import BLOCKS, jackknife, shares
 from mems_ins_fusion.recordings.motion import integral
 from mems_ins_fusion.samples import Headings, ImuSamples, Twists, in_time_order
 
 _STEP = 0.02  # s, of the grid
-_BLOCKS = 20  # of the drive, for the jackknife
 _SMOOTHED = 0.2  # s: both are averaged over as long, which a vehicle's turns pass and vibration does not
 _FEWEST = 200  # samples
 _LEAST = 0.02  # rad/s, standard deviation of a turn rate that tells something
@@ -50,12 +49,12 @@ def estimate_turn_offset(imu: ImuSamples, twists: Twists, rotation: np.ndarray) 
     if len(time) < _FEWEST or turn.std() < _LEAST:
         return None
     lags = np.arange(-LARGEST, LARGEST + 0.5 * _STEP, _STEP)
-    blocks = np.minimum((_BLOCKS * np.arange(len(time))) // len(time), _BLOCKS - 1)
+    blocks = shares(len(time))
     # (lags, blocks, 6) sums of 1, w, turn, w w, w turn, turn turn
     sums = np.array([_sums(_mean(inertial.time, angle, time - lag), turn, blocks) for lag in lags])
     whole = sums.sum(axis=1)
     lag, best = _best(lags, whole)
-    left_out = np.array([_best(lags, whole - sums[:, block])[0] for block in range(_BLOCKS)])
+    left_out = np.array([_best(lags, whole - sums[:, block])[0] for block in range(BLOCKS)])
     return TurnOffset(lag, math.hypot(float(jackknife(left_out)), FLOOR), best)
 
 
@@ -76,7 +75,7 @@ def _mean(time, integrated, at):
 
 def _sums(rate, turn, blocks):
     products = np.column_stack([np.ones(len(turn)), rate, turn, rate * rate, rate * turn, turn * turn])
-    return np.array([np.bincount(blocks, column, _BLOCKS) for column in products.T]).T
+    return np.array([np.bincount(blocks, column, BLOCKS) for column in products.T]).T
 
 
 def _best(lags, sums) -> tuple[float, float]:

@@ -16,6 +16,7 @@ from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.navigation.frames import FLU_TO_FRD, ned_from_enu
 from mems_ins_fusion.recordings import messages
 from mems_ins_fusion.recordings.errors import RecordingError, needs_rosbags
+from mems_ins_fusion.recordings.mcap import BLOCK
 from mems_ins_fusion.results import ResultError, result_folder
 from mems_ins_fusion.samples import (
     Fixes,
@@ -26,7 +27,6 @@ from mems_ins_fusion.samples import (
 )
 
 STORAGES = ('mcap', 'sqlite3')
-_BLOCK = 20_000  # messages
 
 
 @dataclass(frozen=True)
@@ -173,8 +173,8 @@ def _write(path: Path, storage: str, streams: list[_Stream], overwrite: bool) ->
             inner = folder / path.absolute().name  # rosbags makes the folder itself and names the data after it
             with Writer(inner, version=9, storage_plugin=StoragePlugin[storage.upper()]) as writer:
                 connections = [writer.add_connection(s.topic, s.kind, typestore=store) for s in streams]
-                for begin in range(0, len(order), _BLOCK):
-                    block = order[begin:begin + _BLOCK]
+                for begin in range(0, len(order), BLOCK):
+                    block = order[begin:begin + BLOCK]
                     owner = np.searchsorted(first, block, side='right') - 1
                     data = [iter(s.encoded(block[owner == i] - first[i])) for i, s in enumerate(streams)]
                     for i, time in zip(owner.tolist(), times[block].tolist()):
