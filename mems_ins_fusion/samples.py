@@ -195,10 +195,10 @@ class Twists(_Samples):
 
 @dataclass(frozen=True)
 class Displacements(Twists):
-    """The same as means between poses and the ones before them, stamped half way.
+    """Twists that are the mean between two poses in a row, stamped in the middle between both.
 
-    Of the later pose, as its message carries it, position: (n, 3) m; orientation: (n, 4) quaternion x, y, z, w; later:
-    (n,) int64 ns, its stamp.
+    position: (n, 3) m and orientation: (n, 4) quaternion x, y, z, w, of the second pose as in its message. later: (n,)
+    int64 ns, stamp of the second pose.
     """
 
     position: np.ndarray

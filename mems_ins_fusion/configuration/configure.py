@@ -2,10 +2,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.configuration.drive_settings import against_tf, settings_of
 from mems_ins_fusion.configuration.input_settings import inputs_against_tf, placed
@@ -63,7 +64,7 @@ class Configuration:
     drives: tuple[Drive, ...]
     mounting: Mounting | None
     missing: tuple[str, ...]
-    wrong: tuple[str, ...] = field(default=())
+    wrong: tuple[str, ...] = ()
 
     @property
     def values(self) -> dict:
@@ -179,8 +180,6 @@ def _together(found: list[Mounting]) -> Mounting | None:
     sigma = np.array([mounting.sigma for mounting in found])
     sigma[:, 2] = np.where(sigma[:, 2] < SHOWN, sigma[:, 2], 1e3)
     rotation, rotation_sigma = weighted(away, sigma)
-    from scipy.spatial.transform import Rotation
-
     bias, bias_sigma = weighted(np.array([m.bias for m in found]), np.array([[m.bias_sigma] * 3 for m in found]))
     rotation_sigma[2] = min(rotation_sigma[2], UNKNOWN_YAW_SIGMA)
     return replace(best, rotation=Rotation.from_rotvec(rotation).as_matrix() @ best.rotation, sigma=rotation_sigma,

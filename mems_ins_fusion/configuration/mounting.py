@@ -304,9 +304,9 @@ def _heading(motion: _Motion, axes):
         return ways, 0.0, math.inf  # what counts as motion is mostly noise of the fixes
     for source, index, turn in (('changes of speed', _FORWARD, np.eye(3)), ('turns', _RIGHT, _QUARTER),
                                 ('grades', _GRADE, np.eye(3))):
-        def angle(vectors, towards=None):
+        def angle(vectors, towards=0.0):
             x, y, _ = turn @ axes @ vectors[index]
-            return math.remainder(math.atan2(y, x) - (towards or 0.0), 2 * math.pi)
+            return math.remainder(math.atan2(y, x) - towards, 2 * math.pi)
 
         if index == _GRADE and not _SMALLEST_GAIN < np.linalg.norm(motion.fit.solution[index]) < _LARGEST_GAIN:
             continue  # heights that have nothing to do with the road

@@ -59,18 +59,13 @@ _WALKS = (1e-2, 1e-1, 1.0, 10.0, 100.0)
 
 @dataclass(frozen=True)
 class SpeedOffset:
-    """lag, lag_sigma: s, as `speed.time_offset`. scale, scale_sigma: measured over true speed, by the IMU. left: m, and
-    its sigma, from the IMU to the left to where it is measured."""
+    """lag, lag_sigma: s, as `speed.time_offset`. scale: measured over true speed, by the IMU. left: m, and its sigma,
+    from the IMU to the left to where it is measured."""
 
     lag: float
     lag_sigma: float
     scale: float
-    scale_sigma: float
     left: tuple[float, float]
-
-    @property
-    def shown(self) -> bool:
-        return self.lag_sigma < SHOWN
 
 
 def estimate_speed_offset(imu: ImuSamples, speeds: Speeds, rotation: np.ndarray) -> SpeedOffset | None:
@@ -103,15 +98,14 @@ def _estimated(pieces: _Pieces) -> SpeedOffset:
     spread = math.sqrt(float(likely @ (lags - lag) ** 2 / likely.sum()))
     # as much as one step of the search shows of a single minimum is no rival
     apart = spread if spread > _STEP + float(sigma[0]) else 0.0
-    return SpeedOffset(lag, math.hypot(float(sigma[0]), apart, FLOOR), float(found.solution[1]), float(sigma[1]),
+    return SpeedOffset(lag, math.hypot(float(sigma[0]), apart, FLOOR), float(found.solution[1]),
                        (-float(found.solution[2]), float(sigma[2])))
 
 
 @dataclass(frozen=True)
 class _Solved:
-    """Least squares of all pieces. solution: of what is shared, the offset as a change. cost: weighted squares,
-    noise: their mean. each: (w, k, k) products of
-    [speed, shared] of the pieces, their own unknowns free, weighted."""
+    """Least squares of all pieces. solution: of what is shared, the offset as a change. cost: weighted squares. noise:
+    their mean. each: (w, k, k) products of [speed, shared] of the pieces, their own unknowns free, weighted."""
 
     solution: np.ndarray
     cost: float

@@ -108,8 +108,8 @@ def simulate_recording(drive: Drive, sensors: SensorErrors | None = None, gnss: 
     with its parameters (those left out take their defaults). mounting_rpy: roll, pitch, yaw (rad) of the rotation from
     sensor axes to base_link (forward-left-up), as declared. vibration, aiding: none where None. named: inputs with a
     name (`Measurement.named`), each with the errors of its kind in `aiding`, 10 Hz (a fix 1 Hz) without a rate there.
-    The reference is the true position of the IMU, the velocity
-    there and the yaw of the body, at each IMU sample. ValueError for an unknown parameter of an effect.
+    The reference is the true position of the IMU, the velocity there and the yaw of the body, at each IMU sample.
+    InputError for an unknown parameter of an effect.
     """
     sensors, gnss = sensors or SensorErrors(), gnss or GnssNoise()
     effects = [(effect, effect.complete(values)) for effect, values in effects]
