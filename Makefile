@@ -6,9 +6,11 @@
 PYTHON ?= python3
 BIN := .venv/bin
 OLDEST := .venv-oldest/bin
-# one process for each core; what the tests of a file share is made once, in one of them. By name, since the last files
-# are short ones: else one core would wait for the other
-PYTEST := -m pytest -q -n auto --dist loadfile --no-loadscope-reorder
+# one process more than cores, as tests of nodes wait for clocks and for each other for a fifth of the time; what the
+# tests of a file share is made once, in one of them. By name, since the last files are short ones: else one core would
+# wait for the other
+WORKERS := $(shell expr $$(nproc 2>/dev/null || getconf _NPROCESSORS_ONLN) + 1)
+PYTEST := -m pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 PIP := -m pip install --quiet --disable-pip-version-check
 
 .PHONY: demo test test-oldest compiled compiled-oldest docs
