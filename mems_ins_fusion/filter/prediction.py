@@ -432,23 +432,22 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
         for i in range(9):
             mem[dst + NAV + i] = 0.0
     else:
-        _store(mem, dst + NAV, _strapdown_column(mem, transition, src + NAV, 1, src + x, p))
+        _store(mem, dst + NAV, _strapdown_column(mem, transition, src + NAV, 1, src + x, p), 0)
     for j in range(m):
         k, q, r = nonnegative(src + b + 9 * j), nonnegative(src + e + j), dst + b + 9 * j
-        _store(mem, r, _strapdown_column(mem, transition, k, 1, q, m * p))
+        _store(mem, r, _strapdown_column(mem, transition, k, 1, q, m * p), 0)
 
     # Phi P, column by column, then (Phi P) Phi^T, row by row. Scratch: P_nn at s, the transpose of Phi P at g, and at u
     # the columns of the six sensors with their white noise, which is treated as an error constant over the interval
     s = nonnegative(int(mem[Head.SCRATCH_AT]))
     g, u = s + 81, s + 162
-    column = nonnegative(src + a)
     for i in range(9):
+        line = nonnegative(src + a + packed(i, i, 9) - i)
         for j in range(i, 9):
-            mem[s + 9 * i + j] = mem[s + 9 * j + i] = mem[column]
-            column += 1
+            mem[s + 9 * i + j] = mem[s + 9 * j + i] = mem[line + j]
     for j in range(9):
         k, q = nonnegative(src + b + j), nonnegative(s + 9 * j)
-        _store(mem, g + 9 * j, _strapdown_column(mem, transition, q, 1, k, 9 * p))
+        _store(mem, g + 9 * j, _strapdown_column(mem, transition, q, 1, k, 9 * p), 0)
     h = 0.5 * dt
     more = force_noise(mem, src)
     for axis in range(3):
@@ -460,14 +459,26 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
         _add(mem, q, k, white_f, (h * x, h * y, h * z, x, y, z, 0.0, 0.0, 0.0))
         _add(mem, q + 27, k + 27 * p, white_w, (
             h * turned[0], h * turned[1], h * turned[2], turned[0], turned[1], turned[2], x, y, z))
-    column = nonnegative(dst + a)
-    for i in range(9):
-        k, q = nonnegative(u + i), nonnegative(g + i)
-        _store(mem, s, _strapdown_column(mem, transition, q, 9, k, 9))
-        for j in range(i, 9):
-            mem[column] = mem[s + j]
-            column += 1
+    # of a symmetric matrix, so that of the rows of velocity and attitude only the end is computed
+    for i in range(3):
+        _store(mem, s, _strapdown_column(mem, transition, nonnegative(g + i), 9, nonnegative(u + i), 9), 0)
+        _copy_row(mem, s, dst + a, i)
+    for i in range(3, 6):
+        _store(mem, s, _strapdown_column(mem, transition, nonnegative(g + i), 9, nonnegative(u + i), 9), 3)
+        _copy_row(mem, s, dst + a, i)
+    for i in range(6, 9):
+        _store(mem, s, _strapdown_column(mem, transition, nonnegative(g + i), 9, nonnegative(u + i), 9), 6)
+        _copy_row(mem, s, dst + a, i)
     _sensor_states(mem, src, dst, dt, 9, m, p)
+
+
+@njit(inline='always')
+def _copy_row(mem, source, to, i):
+    """Row i of a matrix (9, 9) from the diagonal on, of which `source` is the position of the whole row, to the packed
+    triangle at `to`."""
+    line = nonnegative(to + packed(i, i, 9) - i)
+    for j in range(i, 9):
+        mem[line + j] = mem[source + j]
 
 
 @njit(inline='always')
@@ -478,8 +489,7 @@ def _add(mem, to, source, factor, values):
 
 
 @njit(inline='always')
-def _store(mem, at, values):
-    """Write nine values in succession."""
-    for i in range(9):
+def _store(mem, at, values, first):
+    """Write nine values in succession, those from number `first` on."""
+    for i in range(first, 9):
         mem[at + i] = values[i]
-
