@@ -31,7 +31,7 @@ from mems_ins_fusion.fleet import engines, tables
 from mems_ins_fusion.parameters import params_file
 from mems_ins_fusion.parameters.table import check
 
-SIZE = 3, 5  # vehicles, and drives of each, of the year
+SIZE = 5, 5  # vehicles, and drives of each, of the year
 COUNT = SIZE[0] * SIZE[1]
 TASK = ('--task', 'replay', '--params-file', 'params.yaml', '--no-pages', '--workers', '2')
 
@@ -63,10 +63,10 @@ def whole(year):
     """All recordings: killed in the middle, interrupted in the middle, and continued; (output, the interrupted run, of
     the last one what it said)."""
     output = year / 'whole'
-    killed = started(year, output, 3)
+    killed = started(year, output, 5)
     killed.kill()
     killed.communicate()
-    interrupted = Interrupted(started(year, output, len(results(output)) + 3), output)
+    interrupted = Interrupted(started(year, output, len(results(output)) + 5), output)
     last = run(year, 'logs', *TASK, '--output', output)
     assert last.returncode == 0, last.stderr
     return output, interrupted, last
@@ -328,7 +328,7 @@ def rewrite(target, name, rows):
 
 @pytest.mark.parametrize(['factor', 'fail', 'status', 'answer'], [
     (1.0, None, 0, 'same'), (1.3, None, 1, 'worse'), (0.7, None, 0, 'better'),
-    (1.0, 'logs/car_2/drive_3', 1, 'same')])
+    (1.0, 'logs/car_3/drive_3', 1, 'same')])
 def test_compare_is_a_gate(whole, tmp_path, factor, fail, status, answer, capsys):
     other = changed(whole[0], tmp_path / 'other', factor, fail)
     assert tool(['fleet', 'compare', str(whole[0]), str(other), '--output', str(tmp_path / 'gate.json')]) == status
