@@ -4,7 +4,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.signal import lfilter
 
 from mems_ins_fusion.configuration.kinematics import FINEST, LONGEST_GAP
 from mems_ins_fusion.recordings.motion import advancing, integral
@@ -48,10 +47,7 @@ class Track:
     def smoothed(self, tau: float) -> np.ndarray:
         """`force` twice through a low pass with the time constant `tau`, s: (n, 3)."""
         decay = math.exp(-float(np.median(np.diff(self.time))) / tau) if tau > 0.0 else 0.0
-        found = self.force
-        for _ in range(2):
-            found = lfilter([1.0 - decay], [1.0, -decay], found, axis=0, zi=decay * found[None, 0])[0]
-        return found
+        return _low_pass(_low_pass(self.force, decay), decay)
 
     def _integrals(self, increments):
         """Sum of `increments` (n - 1, ...) up to each time, (n, ...), and its integral over time."""
@@ -96,3 +92,17 @@ def _product(one, other):
     (a, b, c, d), (w, x, y, z) = one.T, other.T
     return np.column_stack([a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y,
                             a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w])
+
+
+def _low_pass(values, decay):
+    """First-order low pass along the first axis, settled at the first value: y[n] = (1 - decay) x[n] + decay y[n - 1].
+
+    As a sum of ever longer parts: `lfilter` does the same, but each start of a node would import it for half a second.
+    """
+    found = (1.0 - decay) * values
+    found[0] = values[0]
+    step, reach = 1, decay
+    while step < len(found) and reach > 1e-18:
+        found[step:] += reach * found[:-step]
+        step, reach = 2 * step, reach * reach
+    return found
