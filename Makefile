@@ -6,9 +6,11 @@
 PYTHON ?= python3
 BIN := .venv/bin
 OLDEST := .venv-oldest/bin
-# one process for each core; what the tests of a file share is made once, in one of them. By name, since the last files
-# are short ones: else one core would wait for the other
-PYTEST := -m pytest -q -n auto --dist loadfile --no-loadscope-reorder
+# one process more than cores, as tests of nodes wait for clocks and for each other for a fifth of the time; what the
+# tests of a file share is made once, in one of them. By name, since the last files are short ones: else one core would
+# wait for the other
+WORKERS := $(shell expr $$(nproc 2>/dev/null || getconf _NPROCESSORS_ONLN) + 1)
+PYTEST := -m pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 PIP := -m pip install --quiet --disable-pip-version-check
 
 .PHONY: demo test test-oldest compiled compiled-oldest docs
@@ -23,11 +25,12 @@ test: compiled
 	$(BIN)/python $(PYTEST) test
 
 # what numba, NumPy, SciPy, matplotlib and rosbags do for the filter, the nodes and replay; not what the system does
-# with files and signals, which is the same
+# with files and signals, nor what ROS 2 does with topics, clocks and logs: both are the same
+SAME := $(addprefix test/test_node_, killed.py log.py named_inputs.py says.py traffic.py)
 test-oldest: compiled-oldest
-	$(OLDEST)/python $(PYTEST) -k 'not killed and not interrupted and not overwritten' $(wildcard \
-	    test/test_replay*.py test/test_compiled.py test/test_fusion_node*.py test/test_node*.py test/test_evaluation*.py \
-	    test/test_filter*.py test/test_navigation*.py)
+	$(OLDEST)/python $(PYTEST) -k 'not killed and not interrupted and not overwritten' \
+	    $(filter-out $(SAME), $(wildcard test/test_replay*.py test/test_compiled.py test/test_fusion_node*.py \
+	    test/test_node*.py test/test_evaluation*.py test/test_filter*.py test/test_navigation*.py))
 
 # ahead: else each process of the tests does it
 compiled: .venv/ros,test

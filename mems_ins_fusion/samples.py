@@ -18,6 +18,12 @@ def runs(mask: np.ndarray) -> np.ndarray:
     return np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(mask, np.int8), [0]]))).reshape(-1, 2)
 
 
+def in_time_order(stamp: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """Indices of the samples that are `usable` (n,) bool in the order of `stamp` (n,) ns, of equal stamps the first."""
+    index = np.flatnonzero(usable)
+    return index[np.unique(stamp[index], return_index=True)[1]]
+
+
 class _Samples:
     """Length and slicing for dataclasses whose fields are arrays along the same first axis."""
 
@@ -189,10 +195,10 @@ class Twists(_Samples):
 
 @dataclass(frozen=True)
 class Displacements(Twists):
-    """The same as means between poses and the ones before them, stamped half way.
+    """Twists that are the mean between two poses in a row, stamped in the middle between both.
 
-    Of the later pose, as its message carries it, position: (n, 3) m; orientation: (n, 4) quaternion x, y, z, w; later:
-    (n,) int64 ns, its stamp.
+    position: (n, 3) m and orientation: (n, 4) quaternion x, y, z, w, of the second pose as in its message. later: (n,)
+    int64 ns, stamp of the second pose.
     """
 
     position: np.ndarray

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mems_ins_fusion.configuration.speed_offset import estimate_speed_offset
+from mems_ins_fusion.configuration.speed_offset import SHOWN, estimate_speed_offset
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Speeds
@@ -50,7 +50,7 @@ def main(drives: int) -> None:
             print(f'drive {seed}: not shown')
             continue
         print(f'drive {seed}: {offset:.3f} s, found {seen.lag:.3f} +- {seen.lag_sigma:.3f} s')
-        found.append((seen.lag - offset, seen.lag_sigma, seen.shown))
+        found.append((seen.lag - offset, seen.lag_sigma, seen.lag_sigma < SHOWN))
     error, sigma, shown = (np.array(column) for column in zip(*found))
     print(f'{len(found)} of {drives} drives, {shown.sum()} with sigma below 0.1 s')
     error, sigma = error[shown], sigma[shown]

@@ -36,13 +36,13 @@ import numpy as np
 from vehicle import MEASURED, Measured, sensors
 
 from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.measurements.position import is_fix
 from mems_ins_fusion.filter.memory import Sample, sample_at
 from mems_ins_fusion.filter.trust.standstill import is_still
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.navigation.frames import mounting
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.errors import RecordingWarning
-from mems_ins_fusion.recordings.motion import valid_fixes
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.simulation.scene import REALISTIC
 from mems_ins_fusion.simulation.simulation import GnssNoise, simulate_recording
@@ -107,7 +107,7 @@ def recorded(name: str, data: Path) -> Drive:
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', RecordingWarning)
         recording = read_recording(data / name / given.path, '/imu/data', given.gnss_topic, given.reference_topic)
-    truth = recording.reference or recording.gnss.select(valid_fixes(recording.gnss))
+    truth = recording.reference or recording.gnss.select(is_fix(recording.gnss))
     truth = truth.select(np.argsort(truth.stamp, kind='stable'))
     imu = recording.imu
     stamp, origin = (samples.stamp * 1.0 for samples in (imu, truth)), imu.stamp[0]

@@ -19,6 +19,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion, TwistWithCovarianceStamped, Vector3
+from live_support import arrivals
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -384,14 +385,6 @@ def call(peer: Peer, kind, name: str, request):
     answer = client.call_async(request)
     peer.spin_until(answer.done)
     return answer.result()
-
-
-def arrivals(recording) -> list[tuple[str, int]]:
-    """('imu' or 'gnss', index) of the messages in the order they were received."""
-    received = np.concatenate([recording.imu.received, recording.gnss.received])
-    kinds = ['imu'] * len(recording.imu) + ['gnss'] * len(recording.gnss)
-    indices = [*range(len(recording.imu)), *range(len(recording.gnss))]
-    return [(kinds[i], indices[i]) for i in np.argsort(received, kind='stable')]
 
 
 def imu_message(stamp, force, rate) -> Imu:

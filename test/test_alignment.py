@@ -18,7 +18,7 @@ from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.filter.start.initial import channel_prior
 from mems_ins_fusion.filter.trust.scale import scale
 from mems_ins_fusion.navigation.frames import wrap
-from mems_ins_fusion.sensor_errors.models import Autoregressive, GaussMarkov, RandomWalk
+from mems_ins_fusion.sensor_errors.models import Autoregressive, GaussMarkov, RandomWalk, gauss_markov_at
 from mems_ins_fusion.simulation.drive import Path
 from mems_ins_fusion.simulation.manoeuvres import Segment
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -369,12 +369,9 @@ def test_who_turns_at_his_place_is_not_at_rest(template, rate):
 
 def scattered(recording, sigma, claim, seed=0, tau=0.0):
     """Its fixes with errors of `sigma` m that last for `tau` s, north and east, claiming `claim` m."""
-    rng, n = np.random.default_rng(seed), len(recording.gnss)
-    error = rng.standard_normal((n, 2))
-    keep = math.exp(-1.0 / tau) if tau else 0.0
-    for k in range(1, n):
-        error[k] = keep * error[k - 1] + math.sqrt(1.0 - keep**2) * error[k]
     gnss = recording.gnss
+    error = np.random.default_rng(seed).standard_normal((len(gnss), 2))
+    error = gauss_markov_at(np.arange(len(gnss)), tau, error) if tau else error
     north, east = sigma * error.T / 6.37e6
     covariance = claim**2 / gnss.covariance[0, 0, 0] * gnss.covariance
     return replace(recording, gnss=replace(gnss, latitude=gnss.latitude + north, covariance=covariance,

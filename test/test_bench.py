@@ -188,6 +188,14 @@ def test_a_filter_that_knows_of_no_rotating_earth_follows_to_millimetres(prepare
     assert follows['turned'][1] < 0.005 and follows['mirrored'][1] < 0.005
 
 
+def test_an_own_filter_that_does_not_start_is_one_line(prepared, monkeypatch):
+    # given no fix that could be used
+    monkeypatch.setattr(bench, 'thin', lambda fixes, interval: np.empty(0, int))
+    # when this package's filter is measured, then the bench says so
+    with pytest.raises(bench.BenchError, match=f'^{bench.FULL}: the filter does not start'):
+        bench.own_tracks(replace(prepared, recordings={bench.FULL: prepared.recordings[bench.FULL]}), {})
+
+
 def test_the_check_sees_a_filter_that_does_not_follow(prepared):
     """One that mixes up east and west is right in no mirror."""
     truth = perfect(prepared)

@@ -20,6 +20,7 @@ from mems_ins_fusion.configuration.mounting import Mounting, deviation, estimate
 from mems_ins_fusion.configuration.noise import find_noise
 from mems_ins_fusion.configuration.offset import estimate_offset
 from mems_ins_fusion.configuration.topics import Candidate, Topics
+from mems_ins_fusion.configuration.track import _low_pass
 from mems_ins_fusion.configuration.vehicle import assess_vehicle, standstills_show
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.verdict import unsettled
@@ -598,3 +599,10 @@ def test_quiet_motion_is_taken_for_a_standstill_only_where_it_is_slow(speed, tol
                 if f.settings == ('vehicle.zero_velocity',)]
     moving = made.imu.select(made.imu.stamp > made.imu.stamp[0] + 70_000_000_000)
     assert standstills_show(moving, made.gnss) is None
+
+
+@pytest.mark.parametrize('decay', [0.0, 0.3, 0.99, 0.99999])
+def test_the_low_pass_of_a_track_is_one_of_first_order(decay):
+    values = np.random.default_rng(1).normal(9.0, 3.0, (3000, 3))
+    expected, _ = lfilter([1.0 - decay], [1.0, -decay], values, axis=0, zi=decay * values[None, 0])
+    assert _low_pass(values, decay) == pytest.approx(expected, abs=1e-9)

@@ -3,13 +3,13 @@ from __future__ import annotations
 
 import pytest
 from conftest import shared_data
+from undeclared import with_undeclared
 
 from mems_ins_fusion.diagnosis.diagnose import diagnose
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.comparison import cut
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.reading import read_recording
-from mems_ins_fusion.simulation.undeclared import with_undeclared
 
 #: the IMU looks backwards
 MOUNTING = [0.0, 0.0, 3.141593]

@@ -6,10 +6,11 @@ import pytest
 from filter_support import PAPER
 
 from mems_ins_fusion.evaluation import metrics
-from mems_ins_fusion.evaluation.comparison import ReplayError, add_noise, compare, cut, thin
+from mems_ins_fusion.evaluation.comparison import ReplayError, add_noise, compare, cut, thin, truth_of
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.reports.replay_answer import sentences
+from mems_ins_fusion.samples import Recording
 from mems_ins_fusion.sensor_errors.models import Autoregressive
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
@@ -51,7 +52,10 @@ def test_thinning_begins_when_the_filter_has_started(recording):
 def test_thinning_leaves_out_fixes_that_are_none(recording):
     fixes = recording.gnss.select(slice(0, 20))
     fixes.status[3], fixes.latitude[5] = -1, np.nan
-    assert np.flatnonzero(~thin(fixes, 0.0)).tolist() == [3, 5]
+    fixes.latitude[7] = fixes.longitude[7] = 0.0  # what receivers send without a fix, whatever status they state
+    assert np.flatnonzero(~thin(fixes, 0.0)).tolist() == [3, 5, 7]
+    truth = truth_of(Recording('', recording.imu, fixes), values())
+    assert len(truth) == 17 and truth.reference.latitude.min() > 0.5
 
 
 def test_noise_is_white_seeded_and_declared():

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from filter_support import newest
+from filter_support import fix_record, newest, take_event
 from scipy.stats import chi2, multivariate_normal
 from test_filter_contradiction import BOTH, Drive, a_state
 
@@ -33,6 +33,8 @@ from mems_ins_fusion.filter.trust.hypotheses import (
     most_behind,
     reach,
 )
+from mems_ins_fusion.filter.trust.new_start import are_refused
+from mems_ins_fusion.filter.trust.receiver import Receiver
 
 S = np.array([[4.0, 1.0], [1.0, 9.0]])
 
@@ -236,3 +238,21 @@ def test_the_second_filter_is_the_first_without_those_fixes():
     assert other[r + Hypothesis.DOUBTS] == 1.0
     # (but for the last digits: its intervals are split at the fixes that it leaves)
     np.testing.assert_allclose(other[r:r + Nav.V_D], newest(without)[:Nav.V_D], rtol=1e-6, atol=1e-5)
+
+
+def test_where_nothing_is_remembered_before_refused_fixes_there_is_no_second_filter():
+    # given six fixes in a row that lie 20 m off and are refused, and a filter that cannot go back to before them
+    _, memory, r = a_state()
+    times = np.arange(6.0)
+    memory[r + Nav.TIME], memory[r + Nav.FIX_TIME], memory[Head.FORGOTTEN] = 10.0, 9.0, 1e9
+    for column, value in ((Nav.REFUSED, 6.0), (Nav.REFUSED_SINCE, 4.0), (Nav.SUM_T, times.sum()),
+                          (Nav.SUM_TT, times @ times), (Nav.SUM_N, 20.0 * 6), (Nav.SUM_TN, 20.0 * times.sum()),
+                          (Nav.SUM_SQUARE, 400.0 * 6), (Hypothesis.SCORE, -50.0), (Hypothesis.OTHERWISE, -100.0),
+                          (Receiver.CLAIMED, 2.0)):
+        memory[r + column] = value
+    assert are_refused(memory, r)
+    before = newest(memory)
+    # when it compares both
+    take_event(memory, fix_record(-1.0))  # far too late: not taken
+    # then it is the only one, and as it was
+    assert memory[Bank.OPEN] == 0.0 and np.array_equal(newest(memory), before)

@@ -19,7 +19,8 @@ from filter_support import (
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from mems_ins_fusion.filter.memory import PLANAR, Nav, views
+from mems_ins_fusion.filter.memory import PLANAR, Head, Nav, decay_at, views
+from mems_ins_fusion.filter.prediction import _decays
 from mems_ins_fusion.navigation import planar, strapdown
 from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.parameters.table import ALL
@@ -288,3 +289,12 @@ def test_the_mean_over_a_whole_step_is_what_the_velocity_sees():
     states, _ = stepped('AR(2)', 10, {'accelerometer.autoregressive.interval': 10 * DT}, x)
     assert np.hypot(states[8, 2], states[8, 3]) == pytest.approx(9 * DT * 0.1, rel=1e-9)
 
+
+@pytest.mark.parametrize('dt', [DT, 0.1, 2.0, 100.0])
+def test_states_decay_as_exponentials_also_where_only_one_of_them_decays_fast(dt):
+    config = configure({**MODEL_VALUES['GM'], 'mechanization': 'strapdown', **COLOURED})
+    memory, m = started(config), config.layout.n_augmented
+    at, rates = int(memory[Head.SCRATCH_AT]), memory[[decay_at(j) for j in range(m)]]
+    assert len(set(rates)) == 3
+    _decays(memory, at, dt, m)
+    assert memory[at:at + m] == pytest.approx(np.exp(-dt * rates), rel=1e-14)

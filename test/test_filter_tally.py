@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filter_support import configure
+from live_support import lived
 
 from mems_ins_fusion.filter.runs.intake import first_datum
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.tally import Tally
+from mems_ins_fusion.samples import Recording
 from mems_ins_fusion.simulation.simulation import GnssNoise, simulate_drive, simulate_recording
 
 SECOND = 10**9  # ns
@@ -43,14 +45,10 @@ def recording():
                               GnssNoise(sigma=0.5, rate=2.0), seed=2).recording
 
 
-def fed(config, imu, fixes, upto):
-    """A filter after the first `upto` samples, with the fixes of the same time."""
-    fusion, arrival = FusionFilter(config), np.searchsorted(imu.received, fixes.received, side='right')
-    for k in range(upto):
-        for i in np.flatnonzero(arrival == k):
-            fusion.add_fix(int(fixes.stamp[i]), fixes.latitude[i], fixes.longitude[i], fixes.height[i],
-                           fixes.covariance[i].ravel(), int(fixes.status[i]), 2)
-        fusion.add_imu(int(imu.stamp[k]), *imu.specific_force[k].tolist(), *imu.angular_rate[k].tolist())
+def waited(config, imu, fixes):
+    """A filter after the first 300 samples, with the fixes of the same time."""
+    fusion = FusionFilter(config)
+    lived(fusion, Recording('begin', imu, fixes), upto=300)
     return fusion
 
 
@@ -61,20 +59,20 @@ def test_the_datum_is_the_same_live_and_replayed_and_one_wrong_fix_does_not_make
     latitude[wrong] += 1e-4  # 640 m
     altered = replace(fixes, latitude=latitude)
     config = configure(mechanization='strapdown')
-    live = fed(config, recording.imu, altered, 300).datum
+    live = waited(config, recording.imu, altered).datum
     assert np.array_equal(live, first_datum(config, recording.imu, altered))
     assert abs(live[0] - fixes.latitude[0]) * 6.4e6 < 5.0
 
 
 def test_a_start_that_cannot_be_is_told_from_one_that_waits(recording):
     config, imu, fixes = configure(mechanization='strapdown'), recording.imu, recording.gnss
-    waiting = fed(config, imu, fixes, 300)
+    waiting = waited(config, imu, fixes)
     assert waiting.state == 'aligning' and not waiting.contradicted
     in_g = replace(imu, specific_force=imu.specific_force / 9.80665)
-    wrong = fed(config, in_g, fixes, 300)
+    wrong = waited(config, in_g, fixes)
     assert wrong.contradicted and "imu.acceleration_unit to 'g'" in wrong.status
     # fixes that are all refused cannot start it, but a receiver that has none yet will have one
-    refused = fed(config, imu, replace(fixes, height=fixes.height + 2e4), 300)
+    refused = waited(config, imu, replace(fixes, height=fixes.height + 2e4))
     assert refused.contradicted and 'altitude #' in refused.status
-    garage = fed(config, imu, replace(fixes, status=np.full(len(fixes), -1, np.int8)), 300)
+    garage = waited(config, imu, replace(fixes, status=np.full(len(fixes), -1, np.int8)))
     assert not garage.contradicted and 'status #: no fix' in garage.status

@@ -3,12 +3,14 @@ from __future__ import annotations
 
 import re
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from live_support import fed
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from ros_support import PLAYABLE, NodeProcess, Peer, arrivals, imu_message, stamp_of
+from ros_support import PLAYABLE, NodeProcess, Peer, imu_message, stamp_of
 
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs.live import FusionFilter
@@ -30,17 +32,12 @@ def expected_outputs(recording):
     """What a filter in this process makes of the same messages: rows of stamp, odometry (85), geodetic (3)."""
     fusion = FusionFilter(FilterConfig.from_parameters(table.defaults()))
     stamps, states = [], []
-    imu, gnss = recording.imu, recording.gnss
-    for kind, i in arrivals(recording):
-        if kind == 'imu':
-            if fusion.add_imu(int(imu.stamp[i]), *imu.specific_force[i].tolist(), *imu.angular_rate[i].tolist()):
-                stamps.append(fusion.update_odometry())
-                states.append(np.concatenate([fusion.odometry, fusion.geodetic, fusion.position_covariance_enu]))
-        else:
-            # a message carries degrees
-            latitude, longitude = np.radians(np.degrees([gnss.latitude[i], gnss.longitude[i]])).tolist()
-            fusion.add_fix(int(gnss.stamp[i]), latitude, longitude, float(gnss.height[i]),
-                           gnss.covariance[i].reshape(9), int(gnss.status[i]), int(gnss.covariance_type[i]))
+    # a message carries degrees
+    latitude, longitude = np.radians(np.degrees([recording.gnss.latitude, recording.gnss.longitude]))
+    carried = replace(recording, gnss=replace(recording.gnss, latitude=latitude, longitude=longitude))
+    for _ in fed(fusion, carried):
+        stamps.append(fusion.update_odometry())
+        states.append(np.concatenate([fusion.odometry, fusion.geodetic, fusion.position_covariance_enu]))
     return np.array(stamps), np.array(states)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from filter_support import configure, newest, started, take_all
+from live_support import fed
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_support import PLAYABLE, Diagnostics, NodeProcess, Player, call, stamp_of
 from scipy.integrate import quad
@@ -115,7 +116,7 @@ def test_it_is_what_the_filter_itself_comes_to(told):
     assert 3.0 < horizon.seconds < LONGEST
     ahead(memory, 2.0, horizon.seconds)
     # then its own error has come to the limit
-    variances, directions = np.linalg.eigh(published_covariance(newest(memory), config.layout)[:2, :2])
+    variances = np.linalg.eigvalsh(published_covariance(newest(memory), config.layout)[:2, :2])
     rng = np.random.default_rng(1)
     errors = np.hypot(*(np.sqrt(variances)[:, None] * rng.standard_normal((2, 100_000))))
     assert np.quantile(errors, 0.95) == pytest.approx(5.0, rel=0.05)
@@ -129,19 +130,10 @@ def recording():
                               seed=3).recording
 
 
-def lived(config, recording):
-    """Horizon by the stamp of each sample after which a live filter has one, each fix before the sample after it."""
-    fusion, told, fix = FusionFilter(config), {}, 0
-    imu, gnss = recording.imu, recording.gnss
-    for i in range(len(imu)):
-        while fix < len(gnss) and gnss.received[fix] < imu.received[i]:
-            fusion.add_fix(int(gnss.stamp[fix]), gnss.latitude[fix], gnss.longitude[fix], gnss.height[fix],
-                           gnss.covariance[fix], gnss.status[fix], gnss.covariance_type[fix])
-            fix += 1
-        fusion.add_imu(int(imu.stamp[i]), *imu.specific_force[i], *imu.angular_rate[i])
-        if fusion.aligned:
-            told[int(imu.stamp[i])] = fusion.horizon()
-    return told
+def horizons(config, recording):
+    """Horizon by the stamp of each sample after which a live filter has one."""
+    fusion = FusionFilter(config)
+    return {int(recording.imu.stamp[i]): fusion.horizon() for i in fed(fusion, recording) if fusion.aligned}
 
 
 def test_replay_announces_what_is_told_live(recording):
@@ -149,7 +141,7 @@ def test_replay_announces_what_is_told_live(recording):
     config = configure(CAR)
     begin = recording.gnss.stamp[[40, 55, 70]]
     _, coasting = run_with_outages(config, recording.imu, recording.gnss, begin, 20.0)
-    told = lived(config, recording)
+    told = horizons(config, recording)
     stamps = np.array(list(told))
     for b, announced in zip(coasting.begin.tolist(), coasting.announced.tolist()):
         # then each is announced what is told live after the last sample before the first fix withheld
@@ -176,7 +168,8 @@ def test_the_node_tells_it(recording, peer):
         assert status.name == 'fusion_node: horizon' and status.level == b'\x00'
         assert values['limit, m'] == limit and 1.0 < values['seconds'] < LONGEST
         assert f'{limit:g} m for {values["seconds"]:.1f} s, {values["metres"]:.0f} m' in status.message
-        same = lived(FilterConfig.from_parameters(table.check({'horizon.limit': limit})), recording)[stamp_of(told[-1])]
+        other = FilterConfig.from_parameters(table.check({'horizon.limit': limit}))
+        same = horizons(other, recording)[stamp_of(told[-1])]
         assert values['seconds'] == pytest.approx(same.seconds, abs=1e-6)  # degrees in messages are other last bits
         assert values['metres'] == pytest.approx(same.metres, rel=1e-5)
         stamps = np.array([stamp_of(message) for message in told])

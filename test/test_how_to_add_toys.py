@@ -90,7 +90,7 @@ EFFECT = """from __future__ import annotations
 
 import numpy as np
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.effects.base import Effect, EffectParameter
 from mems_ins_fusion.parameters.parameter import Parameter
 
 
@@ -99,16 +99,13 @@ class GyroscopeSquare(Effect):
     signature = 'across-track innovations after bends, of the same sign to both sides'
     in_words, to_check = 'the gyroscope is not linear', 'its data sheet'
     largest, larger_is = {'k': 0.2}, 'a scale'
-    parameters = (EffectParameter('k', 's/rad', 0.02),)
+    parameters = (EffectParameter('k', 's/rad', 0.02, adds_to=('gyroscope.square',)),)
     settings = (Parameter('gyroscope.square', 0.0, 's/rad', 'What w_z squared adds to w_z.', minimum=-1.0, maximum=1.0),)
 
     def distort_imu(self, drive, specific_force, angular_rate, values, rng):
         angular_rate = angular_rate.copy()
         angular_rate[:, 2] += values['k'] * angular_rate[:, 2]**2
         return specific_force, angular_rate
-
-    def adjusted(self, values, theta):
-        return added(values, 'gyroscope.square', None, theta['k'])
 
     def corrector(self, values, rotation):
         k = values['gyroscope.square']

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filter_support import central_difference, configure, started
+from live_support import lived, same_bits
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.configuration.configure import configure as configured
@@ -150,35 +151,9 @@ def test_iron_beside_the_way_does_not_turn_the_heading(slow):
     assert refused.sum() > 0.9 * beside.sum() and np.abs(off).max() < 1.5
 
 
-def feed(fusion, recording, place):
-    """All of a recording into a live filter, in the order of arrival; place: filled with what is estimated, by index of
-    the sample."""
-    fields = recording.others['magnetometer']
-    rows = sorted([(t, 0, i) for i, t in enumerate(recording.imu.received)]
-                  + [(t, 1, i) for i, t in enumerate(recording.gnss.received)]
-                  + [(t, 2, i) for i, t in enumerate(fields.received)])
-    for _, what, i in rows:
-        if what == 0:
-            if fusion.add_imu(int(recording.imu.stamp[i]), *recording.imu.specific_force[i].tolist(),
-                              *recording.imu.angular_rate[i].tolist()) and fusion.aligned:
-                fusion.update_odometry()
-                place[i] = fusion.geodetic.copy()
-        elif what == 1:
-            g = recording.gnss
-            fusion.add_fix(int(g.stamp[i]), g.latitude[i], g.longitude[i], g.height[i], g.covariance[i].ravel(),
-                           int(g.status[i]), int(g.covariance_type[i]))
-        else:
-            fusion.add('magnetometer', int(fields.stamp[i]), fields.field[i], fields.variance[i])
-
-
 def test_live_and_replay_give_the_same_bits(slow):
-    replayed, fusion, place = driven(slow), FusionFilter(config()), {}
-    feed(fusion, slow, place)
-    both = np.intersect1d(replayed.index, list(place))
-    assert len(both) > 5000
-    kept = np.isin(replayed.index, both)
-    assert np.array_equal(np.column_stack([replayed.latitude, replayed.longitude, replayed.height])[kept],
-                          [place[i] for i in both])
+    fusion = FusionFilter(config())
+    same_bits(driven(slow), lived(fusion, slow, 'magnetometer'), 5000)
     health = fusion.health()
     assert health['magnetometer used'] > 3000 and 0.0 < health['magnetometer_hard_x sigma'] < 0.1
 
@@ -186,7 +161,7 @@ def test_live_and_replay_give_the_same_bits(slow):
 def test_iron_that_a_run_before_has_learned_tells_the_heading_at_rest(slow):
     # given a robot that has driven, was carried somewhere else, and stands there six minutes later
     before = FusionFilter(config())
-    feed(before, slow, {})
+    lived(before, slow, 'magnetometer')
     rest = simulate_recording(simulate_drive(20.0, 8, 50.0, standstill=20.0, manoeuvres=SLOW), None,
                               GnssNoise(1.5, 1.0), seed=8, aiding=Aiding(magnetometer_rate=20.0, **CLEAN)).recording
     rest = later(rest, 600 * 10**9)
@@ -197,7 +172,7 @@ def test_iron_that_a_run_before_has_learned_tells_the_heading_at_rest(slow):
         fusion.add_imu(int(first.stamp[0]) - 10**7, *first.specific_force[0].tolist(), *first.angular_rate[0].tolist())
         if snapshot is not None:
             fusion.restore(snapshot, 1.0)
-        feed(fusion, rest, {})
+        lived(fusion, rest, 'magnetometer')
         assert fusion.aligned == (snapshot is not None)
         if fusion.aligned:
             assert any('heading from the magnetic field' in notice.text for notice in fusion.notices())

@@ -10,7 +10,6 @@ from scipy.stats import chi2
 
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.parameters.parameter import ParameterError
-from mems_ins_fusion.sensor_errors.from_parameters import error_models
 from mems_ins_fusion.sensor_errors.models import Autoregressive, GaussMarkov, RandomWalk, simulate
 
 STABLE = [(-0.9,), (-1.7132, 0.71415), (-1.1, 0.3, -0.05), (-0.5, 0.2, 0.1, -0.3)]
@@ -113,23 +112,23 @@ def test_models_from_parameters_per_axis():
                                'accelerometer.autoregressive.order': 1,
                                'accelerometer.autoregressive.b0': [1.0, 2.0, 3.0],
                                'accelerometer.autoregressive.interval': 0.5})
-    assert [m.sigma for m in error_models(values, 'accelerometer', 'gauss_markov')] == [1, 2, 3]
-    assert [m.q for m in error_models(values, 'gyroscope', 'random_walk')] == [0.5] * 3
-    models = error_models(values, 'accelerometer', 'autoregressive')
+    assert [m.sigma for m in GaussMarkov.from_parameters(values, 'accelerometer')] == [1, 2, 3]
+    assert [m.q for m in RandomWalk.from_parameters(values, 'gyroscope')] == [0.5] * 3
+    models = Autoregressive.from_parameters(values, 'accelerometer')
     assert [(m.coefficients, m.b0, m.interval) for m in models] == [((-0.9,), 1.0, 0.5), ((-0.8,), 2.0, 0.5),
                                                                     ((-0.7,), 3.0, 0.5)]
 
 
 def test_three_coefficients_without_an_order_are_one_model_of_order_three():
     values = table.check({'gyroscope.autoregressive.coefficients': [-1.1, 0.3, -0.05]})
-    assert [m.order for m in error_models(values, 'gyroscope', 'autoregressive')] == [3, 3, 3]
+    assert [m.order for m in Autoregressive.from_parameters(values, 'gyroscope')] == [3, 3, 3]
 
 
 def test_autoregressive_parameters_that_do_not_fit_are_refused_by_name():
     values = table.check({'gyroscope.autoregressive.coefficients': [-1.1, 0.3, -0.05, 0.1],
                                'gyroscope.autoregressive.order': 2})
     with pytest.raises(ParameterError, match="'gyroscope.autoregressive.coefficients' must have 2 or 6 values"):
-        error_models(values, 'gyroscope', 'autoregressive')
+        Autoregressive.from_parameters(values, 'gyroscope')
     values = table.check({'accelerometer.autoregressive.coefficients': [-1.1]})
     with pytest.raises(ParameterError, match="'accelerometer.autoregressive.coefficients'.*not stable"):
-        error_models(values, 'accelerometer', 'autoregressive')
+        Autoregressive.from_parameters(values, 'accelerometer')

@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from live_support import lived, same_bits
 
 from mems_ins_fusion.cli.simulate import main as simulate
 from mems_ins_fusion.diagnosis.gathering import Gathering, chunks
@@ -155,31 +156,8 @@ def test_live_and_replay_give_the_same_bits_and_each_has_its_tally():
     config = FilterConfig.from_parameters(values)
     parts = {**recording.others, 'speed': recording.speed}
     replayed = run(config, recording.imu, recording.gnss, Measured(parts))
-    fusion, last = FusionFilter(config), {}
-    rows = [(t, 0, 'imu', i) for i, t in enumerate(recording.imu.received)]
-    rows += [(t, 1, 'gnss', i) for i, t in enumerate(recording.gnss.received)]
-    numbers = {'rear': ('latitude', 'longitude', 'height', 'covariance', 'status', 'covariance_type'),
-               'roof': ('pressure', 'variance')}
-    for order, name in enumerate(('speed', 'rear', 'left', 'right', 'roof'), start=2):
-        rows += [(t, order, name, i) for i, t in enumerate(parts[name].received)]
-    for _, _, name, i in sorted(rows):
-        if name == 'imu':
-            if fusion.add_imu(int(recording.imu.stamp[i]), *recording.imu.specific_force[i].tolist(),
-                              *recording.imu.angular_rate[i].tolist()) and fusion.aligned:
-                fusion.update_odometry()
-                last[i] = (*fusion.geodetic,)
-        elif name == 'gnss':
-            g = recording.gnss
-            fusion.add_fix(int(g.stamp[i]), g.latitude[i], g.longitude[i], g.height[i], g.covariance[i].ravel(),
-                           int(g.status[i]), int(g.covariance_type[i]))
-        else:
-            part = parts[name]
-            fields = numbers.get(name, ('speed', 'variance'))
-            fusion.add(name, int(part.stamp[i]), *(getattr(part, field)[i] for field in fields))
-    both = np.isin(replayed.index, list(last))
-    assert both.sum() > 2000
-    assert np.array_equal(np.column_stack([replayed.latitude, replayed.longitude, replayed.height])[both],
-                          [last[i] for i in replayed.index[both]])
+    fusion = FusionFilter(config)
+    same_bits(replayed, lived(fusion, recording, 'speed', 'rear', 'left', 'right', 'roof'), 2000)
     health = fusion.health()
     assert all(health[f'{name} used'] > 100 for name in ('rear', 'left', 'right', 'roof', 'speed'))
     assert health['right refused, speed # m/s: dropped'] > 100 and 'left refused, speed # m/s: dropped' not in health

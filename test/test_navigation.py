@@ -127,6 +127,12 @@ def test_leveling_is_the_smallest_rotation_to_the_vertical():
         assert np.linalg.norm(vector) == pytest.approx(math.acos(-force[2] / np.linalg.norm(force)), abs=1e-9)
         assert vector @ force == pytest.approx(0, abs=1e-12)
     assert np.array_equal(frames.leveling(np.array([0.0, 0, -9.8])), np.eye(3))
+    # when the sensor hangs upside down, and when it measures no force at all, which has no direction
+    for force in ([0.0, 0, 9.8], [1e-13, 0, 9.8], [0.0, 0, 0]):
+        rotation = frames.leveling(np.array(force))
+        # then it is a rotation that makes the force vertical
+        assert np.isclose(np.linalg.det(rotation), 1) and np.allclose(rotation @ rotation.T, np.eye(3))
+        assert np.allclose(rotation @ force, [0, 0, -np.linalg.norm(force)])
 
 
 def scipys(q):

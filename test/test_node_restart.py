@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filter_support import configure
+from live_support import fed
 
 from mems_ins_fusion.filter.memory import NAV, Head, covariance, state_at
 from mems_ins_fusion.filter.prediction import UNKNOWN_YAW_SIGMA
@@ -18,7 +19,7 @@ from mems_ins_fusion.filter.runs.snapshot import make_snapshot
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.parameters.parameter import ParameterError
-from mems_ins_fusion.samples import Aiding, Fixes, ImuSamples
+from mems_ins_fusion.samples import Aiding, Fixes, ImuSamples, Recording
 
 RATE, SECOND, BEGIN = 50, 10**9, 1_700_000_000 * 10**9
 HERE = (0.84, 0.2, 480.0)
@@ -43,15 +44,10 @@ def parked(seconds, seed=0, begin=BEGIN, north=0.0, acceleration=0.0):
 
 def feed(fusion, imu, fixes):
     """Event by event: stamps and odometry of what would be published."""
-    stamps, rows, j = [], [], 0
-    for k in range(len(imu)):
-        while j < len(fixes) and fixes.received[j] < imu.received[k]:
-            fusion.add_fix(int(fixes.stamp[j]), fixes.latitude[j], fixes.longitude[j], fixes.height[j],
-                           fixes.covariance[j].ravel(), 0, 2)
-            j += 1
-        if fusion.add_imu(int(imu.stamp[k]), *imu.specific_force[k].tolist(), *imu.angular_rate[k].tolist()):
-            stamps.append(fusion.update_odometry())
-            rows.append(fusion.odometry.copy())
+    stamps, rows = [], []
+    for _ in fed(fusion, Recording('parked', imu, fixes)):
+        stamps.append(fusion.update_odometry())
+        rows.append(fusion.odometry.copy())
     return np.array(stamps), np.array(rows)
 
 

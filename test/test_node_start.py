@@ -11,7 +11,7 @@ from test_alignment import CAR, GO, STAND, Segment, driven, recorded, scattered,
 from mems_ins_fusion.navigation.frames import wrap
 
 REVERSE = [Segment(5.0, -5.0), Segment(4.0), Segment(5.0, 5.0), Segment(1.0)]
-BEND, STOP = Segment(8.0, course_change=1.2), Segment(6.0, -8.0)
+BEND = Segment(8.0, course_change=1.2)
 
 
 def played(peer, drive, recording):

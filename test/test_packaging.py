@@ -98,6 +98,13 @@ def test_what_the_extra_fleet_brings_is_imported_there_only():
             assert not re.search(optional, path.read_text(), re.MULTILINE)
 
 
+def test_the_nodes_start_without_what_only_tools_need():
+    code = ('import sys, mems_ins_fusion.nodes.fusion_node, mems_ins_fusion.nodes.replay_node; '
+            'print(*{"scipy.signal", "scipy.stats", "scipy.optimize", "matplotlib"} & set(sys.modules))')
+    process = subprocess.run([sys.executable, '-c', code], cwd=REPOSITORY, capture_output=True, text=True)
+    assert (process.returncode, process.stdout) == (0, '\n'), process.stderr or process.stdout
+
+
 def test_the_lowest_versions_are_those_that_make_test_oldest_installs():
     # for the Pythons that have the versions of Ubuntu 24.04; later ones begin with later versions
     oldest = re.findall(r"^(\w+)==([\d.]+)(?!.*>= '3.13'|.*== '3.12')", (REPOSITORY / 'test/oldest.txt').read_text(),

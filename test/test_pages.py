@@ -30,7 +30,7 @@ from mems_ins_fusion.reports import html, replay_answer, replay_report
 from mems_ins_fusion.reports.answer import WIDTH, shorten, typed
 from mems_ins_fusion.reports.replay_report import _notices
 from mems_ins_fusion.reports.series import _heading
-from mems_ins_fusion.reports.side_by_side import Result, Series, answer, judged, read_result, rows_of
+from mems_ins_fusion.reports.side_by_side import CompareError, Result, Series, answer, judged, read_result, rows_of
 from mems_ins_fusion.reports.track import Layer, script, track
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
 
@@ -361,6 +361,16 @@ def test_the_model_that_speaks_is_the_best_whichever_is_configured_or_comes_firs
     changed = read(tmp_path / 'first') | {'sensor_error_model': 'random_walk'}
     (tmp_path / 'first' / 'report.json').write_text(json.dumps(changed))
     assert read_result(tmp_path / 'first', 'first').models == ['random_walk', 'gauss_markov']
+
+
+@pytest.mark.parametrize('content', [
+    {}, {'recordings': None}, {'recordings': [{}], 'parameters': {}}, {'recordings': [], 'parameters': 3},
+    {'recordings': [{'name': 'a', 'truth': 'fixes'}], 'parameters': {'gnss.time_offset': 'late'}}])
+def test_a_report_that_lacks_something_is_told_in_one_line(tmp_path, content):
+    (tmp_path / 'report.json').write_text(json.dumps({'tool': 'replay_node', **content}))
+    with pytest.raises(CompareError, match='replay the recording again with this version') as told:
+        read_result(tmp_path, 'first')
+    assert str(told.value).count('\n') == 0
 
 
 def test_a_heading_is_not_drawn_from_north_to_north():

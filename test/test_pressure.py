@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from live_support import lived, same_bits
 
 from mems_ins_fusion.configuration.configure import configure
 from mems_ins_fusion.filter.config import FilterConfig
@@ -85,25 +86,8 @@ def test_live_and_replay_give_the_same_bits():
     recording = made(duration=100.0)
     pressure = recording.others['pressure']
     replayed = run(config(), recording.imu, recording.gnss, Measured(pressure=pressure))
-    fusion, heights = FusionFilter(config()), {}
-    rows = sorted([(t, 0, i) for i, t in enumerate(recording.imu.received)]
-                  + [(t, 1, i) for i, t in enumerate(recording.gnss.received)]
-                  + [(t, 2, i) for i, t in enumerate(pressure.received)])
-    for _, what, i in rows:
-        if what == 0:
-            if fusion.add_imu(int(recording.imu.stamp[i]), *recording.imu.specific_force[i].tolist(),
-                              *recording.imu.angular_rate[i].tolist()) and fusion.aligned:
-                fusion.update_odometry()
-                heights[i] = float(fusion.geodetic[2])
-        elif what == 1:
-            g = recording.gnss
-            fusion.add_fix(int(g.stamp[i]), g.latitude[i], g.longitude[i], g.height[i], g.covariance[i].ravel(),
-                           int(g.status[i]), int(g.covariance_type[i]))
-        else:
-            fusion.add('pressure', int(pressure.stamp[i]), pressure.pressure[i], pressure.variance[i])
-    both = np.intersect1d(replayed.index, list(heights))
-    assert len(both) > 2000
-    assert np.array_equal(replayed.height[np.isin(replayed.index, both)], [heights[i] for i in both])
+    fusion = FusionFilter(config())
+    same_bits(replayed, lived(fusion, recording, 'pressure'), 2000)
     health = fusion.health()
     assert 'pressure_bias' in health and health['pressure_bias sigma'] < 10.0 and health['pressure used'] > 500
 

@@ -9,13 +9,13 @@ from rosbags.highlevel import AnyReader
 from test_recordings import START, TYPE, drive, header, imu, quaternion, vector, write_bag
 
 from mems_ins_fusion.evaluation.comparison import cut
-from mems_ins_fusion.navigation.frames import ned_covariance_from_enu, ned_from_enu
-from mems_ins_fusion.recordings.messages import (
+from mems_ins_fusion.filter.measurements.base import (
     IMU,
     ODOMETRY,
-    POSE_WITH_COVARIANCE_STAMPED,
-    TWIST_WITH_COVARIANCE_STAMPED,
+    POSE,
+    TWIST,
 )
+from mems_ins_fusion.navigation.frames import ned_covariance_from_enu, ned_from_enu
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.samples import Headings, ImuSamples, Recording, Speeds, Velocities
@@ -45,9 +45,9 @@ def read(tmp_path, kind, messages, **topics):
 
 
 def test_a_velocity_is_turned_from_east_north_up(tmp_path):
-    messages = [TYPE[TWIST_WITH_COVARIANCE_STAMPED](header=header(START + 3), twist=twist((4.0, 3.0, 0.5))),
-                TYPE[TWIST_WITH_COVARIANCE_STAMPED](header=header(START + 4), twist=twist((1.0, -2.0, math.nan)))]
-    velocity = read(tmp_path, TWIST_WITH_COVARIANCE_STAMPED, messages, velocity_topic='/aiding').velocity
+    messages = [TYPE[TWIST](header=header(START + 3), twist=twist((4.0, 3.0, 0.5))),
+                TYPE[TWIST](header=header(START + 4), twist=twist((1.0, -2.0, math.nan)))]
+    velocity = read(tmp_path, TWIST, messages, velocity_topic='/aiding').velocity
     assert velocity.stamp.tolist() == [START + 3, START + 4] and velocity.received.tolist() == [START + 5, START + 6]
     assert velocity.velocity[0].tolist() == [3.0, 4.0, -0.5]
     # a receiver without a height still has the others
@@ -64,7 +64,7 @@ def test_axes_are_turned_as_a_matrix_would(tmp_path):
     np.testing.assert_allclose(ned_covariance_from_enu(covariances), turn @ covariances @ turn.T)
 
 
-@pytest.mark.parametrize('kind', [TWIST_WITH_COVARIANCE_STAMPED, ODOMETRY])
+@pytest.mark.parametrize('kind', [TWIST, ODOMETRY])
 def test_a_speed_is_forward(tmp_path, kind):
     if kind == ODOMETRY:
         message = TYPE[ODOMETRY](header=header(START), child_frame_id='base_link', pose=pose(30.0),
@@ -76,7 +76,7 @@ def test_a_speed_is_forward(tmp_path, kind):
 
 
 @pytest.mark.parametrize('degrees, clockwise_from_north', [(90.0, 0.0), (0.0, 90.0), (30.0, 60.0), (180.0, -90.0)])
-@pytest.mark.parametrize('kind', [IMU, POSE_WITH_COVARIANCE_STAMPED])
+@pytest.mark.parametrize('kind', [IMU, POSE])
 def test_a_heading_is_clockwise_from_north(tmp_path, kind, degrees, clockwise_from_north):
     half = math.radians(degrees) / 2
     message = imu(0, START, orientation=(0.0, 0.0, 2 * math.sin(half), 2 * math.cos(half))) if kind == IMU else \

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from conftest import shared_data
 from filter_support import configure
+from undeclared import with_undeclared
 
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.evaluation.comparison import cut
@@ -12,7 +13,6 @@ from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.reading import read_recording
 from mems_ins_fusion.simulation.simulation import GnssNoise, simulate_drive, simulate_recording
-from mems_ins_fusion.simulation.undeclared import with_undeclared
 
 #: the IMU looks backwards
 MOUNTING = [0.0, 0.0, np.pi]

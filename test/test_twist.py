@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from live_support import lived, same_bits
 from test_filter_way import drive, largest_errors
 
 from mems_ins_fusion.filter.config import FilterConfig
@@ -63,25 +64,7 @@ def test_live_and_replay_give_the_same_bits():
     recording = drive(2)
     twist, given = recording.others['twist'], config()
     replayed = run(given, recording.imu, recording.gnss, Measured(twist=twist))
-    fusion, places = FusionFilter(given), {}
-    rows = sorted([(t, 0, i) for i, t in enumerate(recording.imu.received[:3000])]
-                  + [(t, 1, i) for i, t in enumerate(recording.gnss.received[:55])]
-                  + [(t, 2, i) for i, t in enumerate(twist.received[:1150])])
-    for _, what, i in rows:
-        if what == 0:
-            if fusion.add_imu(int(recording.imu.stamp[i]), *recording.imu.specific_force[i].tolist(),
-                              *recording.imu.angular_rate[i].tolist()) and fusion.aligned:
-                fusion.update_odometry()
-                places[i] = float(fusion.geodetic[0])
-        elif what == 1:
-            g = recording.gnss
-            fusion.add_fix(int(g.stamp[i]), g.latitude[i], g.longitude[i], g.height[i], g.covariance[i].ravel(),
-                           int(g.status[i]), int(g.covariance_type[i]))
-        else:
-            fusion.add('twist', int(twist.stamp[i]), twist.twist[i], twist.variance[i])
-    both = [i for i in np.intersect1d(replayed.index, list(places)) if i < 2700]
-    assert len(both) > 1500
-    assert np.array_equal(replayed.latitude[np.isin(replayed.index, both)], [places[i] for i in both])
+    same_bits(replayed, lived(FusionFilter(given), recording, 'twist', upto=2700), 1500)
 
 
 def test_a_bag_keeps_it_and_the_checker_names_the_factor(tmp_path):

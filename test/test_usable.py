@@ -10,7 +10,7 @@ from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.filter.runs.usable import usable, usable_fixes, usable_samples
 from mems_ins_fusion.parameters import table
-from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
+from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, in_time_order
 from mems_ins_fusion.simulation.drive import simulate_drive
 from mems_ins_fusion.simulation.simulation import GnssNoise, simulate_recording
 
@@ -123,3 +123,9 @@ def test_the_filter_makes_the_same_of_what_is_left_out_here():
         one, other = (getattr(r, field.name) for r in runs)
         if field.name not in ('index', 'notices', 'filter_seconds') and isinstance(one, np.ndarray):
             np.testing.assert_array_equal(one, other, err_msg=field.name)
+
+
+def test_samples_in_the_order_of_time():
+    stamp = np.array([5, 1, 3, 3, 2, 9])
+    assert in_time_order(stamp, np.array([True, True, True, True, False, True])).tolist() == [1, 2, 0, 5]
+    assert in_time_order(stamp, np.zeros(6, dtype=bool)).tolist() == []

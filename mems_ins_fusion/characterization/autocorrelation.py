@@ -15,7 +15,7 @@ from ..sensor_errors.models import GaussMarkov, simulate
 from .fitting import Estimate
 from .likelihood import Averages
 
-_REPLICAS = 60
+_REPLICAS = 60  # simulated recordings that give the standard deviations of a fit
 
 
 @dataclass(frozen=True)

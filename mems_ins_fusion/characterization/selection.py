@@ -21,8 +21,8 @@ TRAINING = 0.6
 HORIZONS = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
 #: difference of scores, in standard errors, from which a model counts as better
 _DECIDED = 2.0
-_BLOCKS = 20
-_LAGS = 20
+_BLOCKS = 20  # of the held-out data, whose scores are compared
+_LAGS = 20  # averages over which autocorrelations are tested
 
 
 @dataclass(frozen=True)
@@ -46,12 +46,10 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Recommendation:
-    """model: the simplest that none beats for certain. decided: whether that left just one.
-    alternatives: those that the data cannot tell from it. text: for a person."""
+    """model: the simplest that none beats for certain. decided: whether that left just one. text: for a person."""
 
     model: str
     decided: bool
-    alternatives: tuple[str, ...]
     text: str
 
 
@@ -113,11 +111,11 @@ def recommend(predictions: list[Prediction], significant: bool) -> Recommendatio
     model = equal[0].name
     others = tuple(p.name for p in equal[1:])
     if not significant:
-        return Recommendation(model, False, others, 'no slow error is seen beside the white noise: '
+        return Recommendation(model, False, 'no slow error is seen beside the white noise: '
                               'the data cannot decide between the models')
     if not others:
-        return Recommendation(model, True, (), f'{_words(model)} predicts better than the others')
-    return Recommendation(model, False, others, f'the data cannot decide between {_words(model)} and '
+        return Recommendation(model, True, f'{_words(model)} predicts better than the others')
+    return Recommendation(model, False, f'the data cannot decide between {_words(model)} and '
                           f'{" and ".join(map(_words, others))}; {_words(model)} is the simplest of them')
 
 

@@ -142,10 +142,12 @@ def _with_preset(options, kind: str, preset: str | None) -> dict:
 
 def _datum(options, fixes) -> tuple[float, float, float] | None:
     """Origin of a reference in local coordinates: --datum, else the first fix; rad, rad, m."""
+    from mems_ins_fusion.filter.measurements.position import is_fix
+
     if options.datum:
         latitude, longitude, height = options.datum
         return math.radians(latitude), math.radians(longitude), height
-    valid = np.flatnonzero(fixes.status >= 0) if fixes is not None else ()
+    valid = np.flatnonzero(is_fix(fixes)) if fixes is not None else ()
     if not len(valid):
         return None
     first = valid[0]

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from mems_ins_fusion.configuration.kinematics import fix_sigma
-from mems_ins_fusion.configuration.regression import jackknife
+from mems_ins_fusion.configuration.regression import BLOCKS, jackknife, shares
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.recordings.motion import SLOWEST_COURSE, TIGHTEST_COURSE
 from mems_ins_fusion.samples import Fixes
 
 _CHORD = 3.0  # s: of a course; longer ones cut bends
 _SHARP = 10.0  # sigmas of a fix: a way that has a direction
-_BLOCKS = 20  # of the drive, for the jackknife
 _FEWEST = 40  # fixes of both in motion
 
 
@@ -36,9 +35,9 @@ class Baseline:
 
 def estimate_baseline(first: Fixes, second: Fixes) -> Baseline | None:
     """What usable fixes of two receivers, in the order of their stamps, show; None with too little motion."""
-    datum = float(first.latitude[0]), float(first.longitude[0]), float(first.height[0])
     if len(first) < _FEWEST or len(second) < _FEWEST:
         return None
+    datum = float(first.latitude[0]), float(first.longitude[0]), float(first.height[0])
     both = first, second
     one, two = (np.column_stack(to_local(part.latitude, part.longitude, part.height, datum)) for part in both)
     at, time = ((part.stamp - first.stamp[0]) * 1e-9 for part in both)
@@ -62,9 +61,9 @@ def estimate_baseline(first: Fixes, second: Fixes) -> Baseline | None:
     velocity, nose = way / length, way / np.linalg.norm(way, axis=1, keepdims=True)
     left = np.column_stack([nose[:, 1], -nose[:, 0]])
     design = np.stack([nose, left, -velocity], axis=2)
-    blocks = (np.arange(len(nose)) * _BLOCKS) // len(nose)
-    normal = np.array([np.einsum('nij,nik->jk', design[blocks == k], design[blocks == k]) for k in range(_BLOCKS)])
-    right = np.array([np.einsum('nij,ni->j', design[blocks == k], difference[blocks == k, :2]) for k in range(_BLOCKS)])
+    blocks = shares(len(nose))
+    normal = np.array([np.einsum('nij,nik->jk', design[blocks == k], design[blocks == k]) for k in range(BLOCKS)])
+    right = np.array([np.einsum('nij,ni->j', design[blocks == k], difference[blocks == k, :2]) for k in range(BLOCKS)])
     if np.linalg.matrix_rank(normal.sum(axis=0)) < 3:
         return None
     solution = np.linalg.solve(normal.sum(axis=0), right.sum(axis=0))
@@ -73,8 +72,8 @@ def estimate_baseline(first: Fixes, second: Fixes) -> Baseline | None:
     except np.linalg.LinAlgError:
         return None
     sigma = jackknife(left_out)
-    up = np.array([-difference[blocks == k, 2].mean() for k in range(_BLOCKS)])
-    return Baseline(np.append(solution[:2], up.mean()), np.append(sigma[:2], up.std() / math.sqrt(_BLOCKS - 1)),
+    up = np.array([-difference[blocks == k, 2].mean() for k in range(BLOCKS)])
+    return Baseline(np.append(solution[:2], up.mean()), np.append(sigma[:2], up.std() / math.sqrt(BLOCKS - 1)),
                     float(solution[2]), float(sigma[2]))
 
 

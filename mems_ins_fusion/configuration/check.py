@@ -20,11 +20,11 @@ from mems_ins_fusion.navigation.earth import gravity
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters.params_file import yaml_value
 from mems_ins_fusion.recordings.aiding import forwards
-from mems_ins_fusion.recordings.checker import ERROR, INFO, WARNING, Finding, check_recording
+from mems_ins_fusion.recordings.checker import check_recording
+from mems_ins_fusion.recordings.findings import ERROR, INFO, SURE, WARNING, Finding
 from mems_ins_fusion.recordings.motion import find_standstill, without_turns
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording
 
-SURE = 4.0  # sigmas
 #: rad; a yaw of the mounting that is off by less is for the filter to find
 SMALL_YAW = math.radians(3.0)
 #: rad; and roll and pitch

@@ -2,21 +2,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.configuration.drive_settings import against_tf, settings_of
 from mems_ins_fusion.configuration.input_settings import inputs_against_tf, placed
 from mems_ins_fusion.configuration.inputs import InputShown, LeftOut, further_imus, shown_inputs
-from mems_ins_fusion.configuration.mounting import (
-    SHOWN,
-    UNKNOWN,
-    Mounting,
-    deviation,
-    estimate_mounting,
-)
+from mems_ins_fusion.configuration.mounting import SHOWN, Mounting, deviation, estimate_mounting
 from mems_ins_fusion.configuration.noise import Noise, find_noise
 from mems_ins_fusion.configuration.offset import together
 from mems_ins_fusion.configuration.receiver import Receiver, assess_receiver
@@ -25,6 +20,7 @@ from mems_ins_fusion.configuration.remaining import Remaining, remaining_of
 from mems_ins_fusion.configuration.setting import Setting
 from mems_ins_fusion.configuration.topics import Candidate, Topics, find_topics
 from mems_ins_fusion.configuration.vehicle import Vehicle, assess_vehicle
+from mems_ins_fusion.filter.prediction import UNKNOWN_YAW_SIGMA
 from mems_ins_fusion.filter.runs.usable import usable
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.navigation.earth import gravity as gravity_at
@@ -68,7 +64,7 @@ class Configuration:
     drives: tuple[Drive, ...]
     mounting: Mounting | None
     missing: tuple[str, ...]
-    wrong: tuple[str, ...] = field(default=())
+    wrong: tuple[str, ...] = ()
 
     @property
     def values(self) -> dict:
@@ -184,10 +180,8 @@ def _together(found: list[Mounting]) -> Mounting | None:
     sigma = np.array([mounting.sigma for mounting in found])
     sigma[:, 2] = np.where(sigma[:, 2] < SHOWN, sigma[:, 2], 1e3)
     rotation, rotation_sigma = weighted(away, sigma)
-    from scipy.spatial.transform import Rotation
-
     bias, bias_sigma = weighted(np.array([m.bias for m in found]), np.array([[m.bias_sigma] * 3 for m in found]))
-    rotation_sigma[2] = min(rotation_sigma[2], UNKNOWN)
+    rotation_sigma[2] = min(rotation_sigma[2], UNKNOWN_YAW_SIGMA)
     return replace(best, rotation=Rotation.from_rotvec(rotation).as_matrix() @ best.rotation, sigma=rotation_sigma,
                    offset=together([m.offset for m in found if m.offset is not None]), bias=bias,
                    bias_sigma=float(bias_sigma.max()), imu=tuple(float(x) for x in weighted(

@@ -15,7 +15,6 @@ from mems_ins_fusion.configuration.regression import weighted
 from mems_ins_fusion.configuration.remaining import ARM
 from mems_ins_fusion.configuration.setting import (
     ARM_SHOWN,
-    ASIDE,
     OF_SEVERAL,
     TF_ARM,
     Setting,
@@ -28,6 +27,7 @@ from mems_ins_fusion.configuration.topics import Topics
 from mems_ins_fusion.filter.measurements.registry import AIDING, TYPES
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters.table import ALL
+from mems_ins_fusion.recordings.findings import SURE
 from mems_ins_fusion.recordings.transforms import TOPIC as TF
 
 _LEAST_ARM_SIGMA = 0.01  # m: of the centre of phase of an antenna
@@ -113,7 +113,7 @@ def _is_aside(one: InputShown, topics: Topics) -> bool:
     across, sigma = one.arm[0][1], one.arm[1][1]
     if told is not None:
         return bool(abs(told[1]) > ARM_SHOWN)
-    return bool(abs(across) > max(ARM_SHOWN, ASIDE * sigma))
+    return bool(abs(across) > max(ARM_SHOWN, SURE * sigma))
 
 
 def _names(topics: Sequence[str]) -> dict[str, str]:

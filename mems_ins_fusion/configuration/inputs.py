@@ -24,6 +24,7 @@ from mems_ins_fusion.configuration.velocity_offset import estimate_velocity_offs
 from mems_ins_fusion.filter.measurements.base import Measurement
 from mems_ins_fusion.filter.measurements.registry import INERTIAL, TYPES
 from mems_ins_fusion.filter.runs.usable import usable_fixes, usable_samples
+from mems_ins_fusion.navigation.frames import near
 from mems_ins_fusion.recordings.aiding import (
     check_heading,
     check_velocity,
@@ -33,7 +34,7 @@ from mems_ins_fusion.recordings.aiding import (
     shows_course,
     speed_factor,
 )
-from mems_ins_fusion.recordings.findings import INFO
+from mems_ins_fusion.recordings.findings import INFO, SURE
 from mems_ins_fusion.recordings.motion import scatter_at_rest, sigmas
 from mems_ins_fusion.recordings.units import find_units, in_si
 from mems_ins_fusion.samples import Fixes, ImuSamples, Speeds, Twists
@@ -50,7 +51,6 @@ _HEADING = re.compile(r'heading|yaw|compass|gps|gnss|antenna', re.IGNORECASE)
 RESULT = re.compile(r'reference|truth|fused|filter|ekf|estimate|initial|gt($|/)', re.IGNORECASE)
 _TURNING = 0.9  # correlation of a turn rate with that of the gyroscopes, in size: less is no turn rate
 _HEADING_TURNS = 0.5  # the same of one that follows the course, from whose noise the rate is computed
-_SIGNIFICANT = 4.0  # sigmas: places that are further apart are two for certain
 # of the scatter that two receivers have against each other if each has its own errors: with less they are the same
 _IN_COMMON = 0.7
 LEAST_APART = 0.1  # m: antennas of one place, each with a centre of phase of its own
@@ -190,7 +190,7 @@ def _heading(topic, headings, fixes):
     turned = next((finding.values for finding in findings if 'offset_rad' in finding.values), None)
     if turned is None:
         return LeftOut(topic, next((finding.message for finding in findings), 'no fixes to compare it with'))
-    sure = abs(turned['offset_rad']) > _SIGNIFICANT * turned['sigma_rad']
+    sure = abs(turned['offset_rad']) > SURE * turned['sigma_rad']
     return InputShown(topic, TYPES['heading'], 'it follows the course of the fixes',
                       turned=turned['offset_rad'] if sure else 0.0)
 
@@ -251,7 +251,7 @@ def _receiver(topic, others: Fixes, imu, fixes, still) -> InputShown | LeftOut:
                           'its antenna is')
     first, second = (scatter_at_rest(one, imu, still) for one in (fixes, others))
     between = scatter_at_rest(_less(fixes, others, baseline.late), imu, still)
-    apart = bool((np.abs(baseline.arm[:2]) > np.maximum(LEAST_APART, _SIGNIFICANT * baseline.arm_sigma[:2])).any())
+    apart = bool((np.abs(baseline.arm[:2]) > np.maximum(LEAST_APART, SURE * baseline.arm_sigma[:2])).any())
     own = None not in (first, second, between) and between > _IN_COMMON * math.hypot(first, second)
     if not apart and not own:
         return LeftOut(topic, 'neither another place nor errors of its own are shown: it may be the same receiver '
@@ -273,26 +273,23 @@ def _less(first: Fixes, second: Fixes, late: float) -> Fixes:
     second ones' stamps against the first ones'."""
     at, time = first.stamp - first.stamp[0], second.stamp - first.stamp[0] - round(late * 1e9)
     both = (at >= time[0]) & (at <= time[-1])
-    moved = {name: getattr(first, name)[both] - np.interp(at[both], time, getattr(second, name))
-             + getattr(second, name)[0] for name in ('latitude', 'longitude')}
-    return replace(first.select(both), **moved)
+    first, longitude = first.select(both), near(second.longitude, second.longitude[0])
+    return replace(first, **{name: getattr(first, name) - np.interp(at[both], time, values) + values[0]
+                             for name, values in (('latitude', second.latitude), ('longitude', longitude))})
 
 
 def _without_repeats(found: list[InputShown | LeftOut]) -> list[InputShown | LeftOut]:
     """With those left out that measure what another one measures already: the same wheels, receiver or air. Of a speed
     and an odometry of the same wheels the odometry stays, which has the turn rate, too."""
     kept: dict[int, InputShown | LeftOut] = {}
-    for k in sorted(range(len(found)), key=lambda k: not _is_odometry(found[k])):
+    odometry = [isinstance(one, InputShown) and one.measurement.name == 'twist' for one in found]
+    for k in np.argsort(np.logical_not(odometry), kind='stable').tolist():
         one = found[k]
         same = next((other for other in kept.values() if isinstance(other, InputShown) and isinstance(one, InputShown)
                      and _same_source(other, one)), None)
         kept[k] = one if same is None else LeftOut(one.topic, f'it is not shown to measure anything but what '
                                                    f'{same.topic} does')
     return [kept[k] for k in range(len(found))]
-
-
-def _is_odometry(one: InputShown | LeftOut) -> bool:
-    return isinstance(one, InputShown) and one.measurement.name == 'twist'
 
 
 def _same_source(one: InputShown, other: InputShown) -> bool:
@@ -305,5 +302,5 @@ def _same_source(one: InputShown, other: InputShown) -> bool:
         return False
     places, sigmas = zip(one.arm, other.arm)
     with np.errstate(invalid='ignore'):
-        apart = np.abs(places[0] - places[1]) > _SIGNIFICANT * np.hypot(*sigmas)
+        apart = np.abs(places[0] - places[1]) > SURE * np.hypot(*sigmas)
     return not apart.any()

@@ -10,7 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mems_ins_fusion.recordings.motion import positions, robust_sigma, scatter_of_track, sigmas, valid_fixes
+from mems_ins_fusion.filter.runs.usable import usable_fixes
+from mems_ins_fusion.recordings.motion import (
+    advancing,
+    integral,
+    middle_sigma,
+    positions,
+    robust_sigma,
+    scatter_of_track,
+)
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
 COURSE_WINDOW = 20.0  # s on each side, over which the gyroscopes carry the course
@@ -34,7 +42,7 @@ class InertialIntegrals:
     """
 
     def __init__(self, imu: ImuSamples, origin: int):
-        time, force, rate = in_order(imu, origin)
+        time, force, rate = advancing(imu, origin)
         velocity, angle = integral(time, force), integral(time, rate)
         self.gap_end = time[1:][np.diff(time) > LONGEST_GAP]
         some = slice(None, None, max(round(1.0 / (FINEST * np.median(np.diff(time)))), 1) if len(time) > 1 else 1)
@@ -46,22 +54,6 @@ class InertialIntegrals:
         """Whether there are samples without a gap from `begin` to `end`, (m,) s."""
         whole = np.searchsorted(self.gap_end, begin) == np.searchsorted(self.gap_end, end + LONGEST_GAP)
         return whole & (begin >= self.time[0]) & (end <= self.time[-1])
-
-
-def in_order(imu: ImuSamples, origin: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times (n,), s after `origin` (ns), specific forces and angular rates (n, 3): of the samples that are finite and
-    whose stamps advance."""
-    finite = np.isfinite(imu.specific_force).all(axis=1) & np.isfinite(imu.angular_rate).all(axis=1)
-    stamp = imu.stamp[finite]
-    advancing = np.diff(np.maximum.accumulate(stamp), prepend=stamp[:1] - 1) > 0
-    return ((stamp[advancing] - origin) * 1e-9, imu.specific_force[finite][advancing],
-            imu.angular_rate[finite][advancing])
-
-
-def integral(time, values):
-    """Running integral of (n,) or (n, k) values by the trapezoidal rule, zero at the first time."""
-    step = np.diff(time) if values.ndim == 1 else np.diff(time)[:, None]
-    return np.concatenate([np.zeros_like(values[:1]), np.cumsum(0.5 * (values[1:] + values[:-1]) * step, axis=0)])
 
 
 def _at(times, time, values):
@@ -89,10 +81,7 @@ class FixIntervals:
 
 def fix_intervals(fixes: Fixes, shortest: float = SHORTEST) -> FixIntervals | None:
     """The spans of `fixes`, long enough for the noise of the receiver and at least `shortest` s; None with too few."""
-    fixes = fixes.select(valid_fixes(fixes))
-    fixes = fixes.select(np.argsort(fixes.stamp, kind='stable'))
-    if len(fixes) > 1:
-        fixes = fixes.select(np.diff(fixes.stamp, prepend=fixes.stamp[0] - 1) > 0)
+    fixes = usable_fixes(fixes)
     if len(fixes) < 12:
         return None
     time = (fixes.stamp - fixes.stamp[0]) * 1e-9
@@ -113,9 +102,7 @@ def fix_intervals(fixes: Fixes, shortest: float = SHORTEST) -> FixIntervals | No
 
 def fix_sigma(fixes: Fixes, path: np.ndarray) -> float:
     """What a fix deviates from its neighbours, m: as stated, or less where the track is smoother than that."""
-    stated = sigmas(fixes)
-    stated = float(np.nanmedian(stated)) if np.isfinite(stated).any() else 3.0
-    return float(np.clip(scatter_of_track(path), 0.005, max(stated, 0.005)))
+    return float(np.clip(scatter_of_track(path), 0.005, max(middle_sigma(fixes), 0.005)))
 
 
 @dataclass(frozen=True)
@@ -127,7 +114,7 @@ class Spans:
     grade: rad, upwards; NaN where heights do not show it.
     turn: rad/s, clockwise. turn_change: rad/s^2. turn_squared: (rad/s)^2.
     force: (m, 3) m/s^2 and rate: (m, 3) rad/s in sensor axes. sideways: m/s, of the antenna to the right of the nose.
-    length: s of an interval; a span has two. gyroscope_bias: rad/s about the up axis, clockwise.
+    length: s of an interval; a span has two.
     """
 
     stamp: np.ndarray
@@ -143,7 +130,6 @@ class Spans:
     rate: np.ndarray
     sideways: np.ndarray
     length: float
-    gyroscope_bias: float
 
 
 def spans(inertial: InertialIntegrals, fixes: FixIntervals, up: np.ndarray, lag: float) -> Spans | None:
@@ -177,7 +163,6 @@ def spans(inertial: InertialIntegrals, fixes: FixIntervals, up: np.ndarray, lag:
         pace = np.interp(time, middle, mean_speed)
         pace = np.where(np.abs(pace) > _SLOW, pace, _SLOW)
     span = length.mean(axis=1)
-    pace = np.interp(time, middle, mean_speed)
     turn_rate = -(inertial.rate @ up) - bias
     pace = np.interp(time, middle, mean_speed)
 
@@ -197,7 +182,7 @@ def spans(inertial: InertialIntegrals, fixes: FixIntervals, up: np.ndarray, lag:
         grade=_grades(middle, mean_speed, height[:, 1], fixes), turn=turning,
         turn_change=np.diff(mean_turn, axis=1)[:, 0] / span, turn_squared=squared,
         force=weighted(inertial.displacement), rate=weighted(integral(time, inertial.angle)),
-        sideways=sideways.mean(axis=1), length=fixes.length, gyroscope_bias=float(bias))
+        sideways=sideways.mean(axis=1), length=fixes.length)
 
 
 def _local_sum(time, values, window):

@@ -24,6 +24,7 @@ from mems_ins_fusion.configuration.kinematics import (
 )
 from mems_ins_fusion.configuration.offset import LARGEST, Offset, estimate_offset
 from mems_ins_fusion.configuration.regression import Fit, blocks, fit, jackknife, weighted
+from mems_ins_fusion.filter.prediction import UNKNOWN_YAW_SIGMA
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.motion import TIGHTEST_COURSE, find_standstill, robust_sigma
 from mems_ins_fusion.samples import Fixes, ImuSamples, runs
@@ -33,7 +34,6 @@ SLOPE_SIGMA = math.radians(1.5)  # of the place where a vehicle stands, and of t
 _SLOPE_LASTS = 100.0  # m of the way for which a slope is alike: a vehicle on one hillside sees one slope for minutes
 TURN_TILT_SIGMA = math.radians(1.5)  # by how much a road's tilt changes over a right-angled turn
 AXES_SIGMA = math.radians(0.3)  # to which the axes of a MEMS sensor are at right angles
-UNKNOWN = math.pi / math.sqrt(3.0)  # standard deviation of an angle that may be anything
 SHOWN = math.radians(20.0)  # a larger sigma of the yaw is none
 _ARM_SIGMA = 1.5  # m: how far the IMU is from the rear axle, before anything is known
 _ROUGH = 0.4  # s: steps of a first search for the time offset, less than a change of speed takes
@@ -41,7 +41,7 @@ _HARDEST = 8.0  # m/s^2: spans with more are errors of the receiver
 _QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # turns right into forward
 _SLOWEST = 0.2  # m/s: what counts as driving: robots do 0.4
 _CLEAR = 2.0  # times `_Motion.slowest` that a vehicle drives at its fastest: else its speeds are mostly noise
-_FEWEST_SPANS = 15
+_FEWEST_SPANS = 15  # in which the vehicle drives
 _GRAVITY_ELSEWHERE = 0.1  # part of gravity that may be in what explains the motion
 _SMALLEST_GAIN = 0.6  # specific force per change of speed
 _LARGEST_GAIN = 1.5
@@ -64,7 +64,8 @@ class Evidence:
 class Mounting:
     """The rotation from sensor axes to base_link (forward-left-up) and what it stands on.
 
-    rotation: (3, 3). sigma: (3,) rad, of small rotations about forward, left and up; UNKNOWN where nothing shows it.
+    rotation: (3, 3). sigma: (3,) rad, of small rotations about forward, left and up; UNKNOWN_YAW_SIGMA where nothing
+    shows it.
     level, heading: the evidence for the up axis (angles about forward and left) and for the yaw (about up).
     offset: time offset and antenna; None where the drive shows nothing of them, or where the offset was given.
     imu: m, (value, sigma) of its distance ahead of the rear axle.
@@ -262,7 +263,7 @@ def _at_rest(rests, up, gravity) -> Mounting:
     if len(rests):
         up = rests.mean(axis=0) / np.linalg.norm(rests.mean(axis=0))
     level = Evidence('gravity at rest' if len(rests) else 'mean specific force', tuple(tilt), tuple(up_sigma))
-    return Mounting(_default_heading(up), np.array([*up_sigma[::-1], UNKNOWN]), level=(level,),
+    return Mounting(_default_heading(up), np.array([*up_sigma[::-1], UNKNOWN_YAW_SIGMA]), level=(level,),
                     bias=_bias(rests.mean(axis=0) if len(rests) else gravity * up, up, gravity), bias_sigma=BIAS_SIGMA)
 
 
@@ -275,7 +276,7 @@ def _assemble(motion: _Motion, rests, up, gravity) -> Mounting:
         level, tilt, up_sigma = _level(motion, rests, axes, gravity)
         axes = _axes(axes.T @ [*tilt, 1.0], axes[0])
     if yaw_sigma > SHOWN:
-        axes, yaw_sigma, heading = _default_heading(axes[2]), UNKNOWN, ()
+        axes, yaw_sigma, heading = _default_heading(axes[2]), UNKNOWN_YAW_SIGMA, ()
     return Mounting(
         rotation=axes, sigma=np.array([up_sigma[1], up_sigma[0], yaw_sigma]), level=tuple(level),
         heading=tuple(heading), bias=_bias(motion.fit.solution[_UP], axes[2], gravity),
@@ -303,9 +304,9 @@ def _heading(motion: _Motion, axes):
         return ways, 0.0, math.inf  # what counts as motion is mostly noise of the fixes
     for source, index, turn in (('changes of speed', _FORWARD, np.eye(3)), ('turns', _RIGHT, _QUARTER),
                                 ('grades', _GRADE, np.eye(3))):
-        def angle(vectors, towards=None):
+        def angle(vectors, towards=0.0):
             x, y, _ = turn @ axes @ vectors[index]
-            return math.remainder(math.atan2(y, x) - (towards or 0.0), 2 * math.pi)
+            return math.remainder(math.atan2(y, x) - towards, 2 * math.pi)
 
         if index == _GRADE and not _SMALLEST_GAIN < np.linalg.norm(motion.fit.solution[index]) < _LARGEST_GAIN:
             continue  # heights that have nothing to do with the road
@@ -353,7 +354,7 @@ def _level(motion: _Motion, rests, axes, gravity):
         mean, sigma = weighted(np.array([way.angle for way in ways]), np.array([way.sigma for way in ways]))
         gravitational = mean, np.hypot(sigma, BIAS_SIGMA / gravity)
     else:
-        gravitational = np.zeros(2), np.full(2, UNKNOWN)
+        gravitational = np.zeros(2), np.full(2, UNKNOWN_YAW_SIGMA)
     seen, sigma = _axis_of_turns(motion, axes)
     ways.append(Evidence('axis of the turns', tuple(seen), tuple(sigma)))
     information = 1.0 / np.array([gravitational[1], sigma]) ** 2

@@ -49,9 +49,9 @@ def find_noise(imu: ImuSamples, still: np.ndarray) -> Noise | None:
     found = [one for one in found if one is not None]
     if not found:
         return None
-    densities, bounds, degrees = (np.array(values) for values in zip(*found))
-    best = np.argmin(bounds, axis=0)
-    least = [3 * k + int(np.argmin(bounds[best, range(6)][3 * k:3 * k + 3])) for k in range(2)]
+    densities, upper, degrees = (np.array(values) for values in zip(*found))
+    best = np.argmin(upper, axis=0)
+    least = [3 * k + int(np.argmin(upper[best, range(6)][3 * k:3 * k + 3])) for k in range(2)]
     force, rate = (np.full(3, densities[best[axis], axis]) for axis in least)
     part = float((2.0 * degrees[best[least]].min()) ** -0.5)
     rates = np.concatenate([rest[:, 3:] for rest in rests])

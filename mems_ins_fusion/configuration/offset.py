@@ -24,7 +24,8 @@ from mems_ins_fusion.configuration.kinematics import fix_sigma
 from mems_ins_fusion.configuration.regression import jackknife, weighted
 from mems_ins_fusion.configuration.track import Track, cross
 from mems_ins_fusion.effects.gnss_outliers import far_off
-from mems_ins_fusion.recordings.motion import find_standstill, positions, valid_fixes
+from mems_ins_fusion.filter.runs.usable import usable_fixes
+from mems_ins_fusion.recordings.motion import find_standstill, positions
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
 #: s; offsets are looked for up to this on both sides
@@ -46,7 +47,7 @@ _PIECES = 8
 #: pieces that are used, at most: what more of them cost is time
 _MOST_PIECES = 60
 #: pieces that show an offset, at least
-_FEWEST_PIECES = 4
+FEWEST_PIECES = 4
 #: fixes of a piece that are used, at most
 _MOST_FIXES = 60
 #: fixes of a piece, at least
@@ -387,15 +388,13 @@ class _Pieces:
 
 def _pieces(imu: ImuSamples, fixes: Fixes, rotation) -> _Pieces | None:
     """The pieces of the drive in which there are samples and the vehicle moves; None with too few."""
-    fixes = fixes.select(valid_fixes(fixes))
-    fixes = fixes.select(np.argsort(fixes.stamp, kind='stable'))
-    if len(fixes) < _FEWEST_PIECES * _FEWEST_FIXES or len(imu) < 100:
+    fixes = usable_fixes(fixes)
+    if len(fixes) < FEWEST_PIECES * _FEWEST_FIXES or len(imu) < 100:
         return None
-    fixes = fixes.select(np.diff(fixes.stamp, prepend=fixes.stamp[0] - 1) > 0)
     off = np.zeros(len(fixes), dtype=bool)
     off[far_off(fixes)[0]] = True
     fixes = fixes.select(~off)
-    if len(fixes) < _FEWEST_PIECES * _FEWEST_FIXES:
+    if len(fixes) < FEWEST_PIECES * _FEWEST_FIXES:
         return None
     place = positions(fixes) * [1.0, -1.0]
     sigma, time = fix_sigma(fixes, place), (fixes.stamp - fixes.stamp[0]) * 1e-9
@@ -406,7 +405,7 @@ def _pieces(imu: ImuSamples, fixes: Fixes, rotation) -> _Pieces | None:
     chosen = [piece for begin, end in track.stretches + [[LARGEST + _STEP, -LARGEST - _STEP]]
               for piece in _divided(np.flatnonzero((time >= begin) & (time <= end)), time, length)
               if len(piece) >= _FEWEST_FIXES and np.ptp(place[piece], axis=0).max() > 5.0 * sigma]
-    if len(chosen) < _FEWEST_PIECES:
+    if len(chosen) < FEWEST_PIECES:
         return None
     if len(chosen) > _MOST_PIECES:
         chosen = [chosen[i] for i in np.linspace(0, len(chosen) - 1, _MOST_PIECES).astype(int)]

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mems_ins_fusion.configuration.mounting import Mounting
+from mems_ins_fusion.filter.runs.usable import usable_fixes
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
-from mems_ins_fusion.recordings.motion import robust_sigma, scatter_at_rest, sigmas, valid_fixes
+from mems_ins_fusion.recordings.motion import robust_sigma, scatter_at_rest, sigmas
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
 _OUTLIER = 6.0  # robust standard deviations
@@ -38,8 +39,7 @@ class Receiver:
 
 def assess_receiver(fixes: Fixes, imu: ImuSamples, still: np.ndarray, found: Mounting | None) -> Receiver:
     """The receiver of `fixes`. imu: in SI units. still: (n,) its samples at rest. found: the mounting."""
-    good = fixes.select(valid_fixes(fixes))
-    good = good.select(np.argsort(good.stamp, kind='stable'))
+    good = usable_fixes(fixes)
     stated = sigmas(good)
     stated = float(np.nanmedian(stated)) if np.isfinite(stated).any() else None
     at_rest = scatter_at_rest(good, imu, still) if len(good) > 1 else None

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.special import stdtrit
 
 HUBER = 2.5  # in robust standard deviations: who is further off counts less
-_ITERATIONS = 8
+_ITERATIONS = 8  # of reweighted least squares
 _LEAST_WEIGHT = 0.3  # of what describes the noise
-_BLOCKS = 20  # stretches that a recording is divided into
+BLOCKS = 20  # stretches that a recording is divided into, for the jackknife
 _BLOCK = 10.0  # s, at least
 _FEWEST_BLOCKS = 4  # that say anything of their scatter
 _TWO_SIGMA = 0.97725  # probability up to two standard deviations of a normal distribution
@@ -51,8 +51,8 @@ class Fit:
 
 def blocks(time: np.ndarray) -> np.ndarray:
     """Number of the stretch of the recording that each of `time`, s, ascending, belongs to."""
-    length = max((time[-1] - time[0]) / _BLOCKS, _BLOCK)
-    return np.minimum((time - time[0]) / length, _BLOCKS - 1).astype(int)
+    length = max((time[-1] - time[0]) / BLOCKS, _BLOCK)
+    return np.minimum((time - time[0]) / length, BLOCKS - 1).astype(int)
 
 
 def fit(design: np.ndarray, values: np.ndarray, prior: np.ndarray, block: np.ndarray) -> Fit:
@@ -78,6 +78,11 @@ def _normal(weighted, design, values, prior):
 
 def _solve(normal, right):
     return np.linalg.lstsq(normal, right, rcond=None)[0]
+
+
+def shares(count: int) -> np.ndarray:
+    """(count,) int: in which of BLOCKS parts of as many values each of `count` values in a row is, from 0 on."""
+    return (BLOCKS * np.arange(count)) // count
 
 
 def jackknife(values: np.ndarray, shown: np.ndarray | None = None) -> np.ndarray:

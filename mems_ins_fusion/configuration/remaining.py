@@ -8,7 +8,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from mems_ins_fusion.configuration.mounting import UNKNOWN, Mounting, deviation
+from mems_ins_fusion.configuration.mounting import Mounting, deviation
+from mems_ins_fusion.filter.prediction import UNKNOWN_YAW_SIGMA
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 
 TIME_OFFSET = 'time offset'
@@ -40,7 +41,7 @@ def remaining_of(found: Mounting | None, values: Mapping) -> tuple[Remaining, ..
     if found is None:
         return tuple(Remaining(name, 0.0, math.inf) for name in (*ANGLES, TIME_OFFSET, *ARM))
     turned = deviation(found.rotation, rotation_from_rpy(*values['imu.mounting_rpy']))
-    angles = [Remaining(name, float(angle), float(sigma) if sigma < UNKNOWN else math.inf)
+    angles = [Remaining(name, float(angle), float(sigma) if sigma < UNKNOWN_YAW_SIGMA else math.inf)
               for name, angle, sigma in zip(ANGLES, turned, found.sigma)]
     offset = found.offset
     if offset is None or not offset.shown:

@@ -13,6 +13,7 @@ import numpy as np
 from mems_ins_fusion.configuration.mounting import BIAS_SIGMA
 from mems_ins_fusion.filter.runs.usable import usable_samples
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
+from mems_ins_fusion.recordings.motion import integral
 from mems_ins_fusion.samples import ImuSamples
 
 #: s, means over which are compared: of vibration little is left, of turns all
@@ -86,9 +87,7 @@ def _integral(imu: ImuSamples, values: np.ndarray):
     """A function of stamps (n,) s after the first IMU's begin: the integral of `values` over time."""
     def at(time, origin):
         own = (imu.stamp - origin) * 1e-9
-        area = np.concatenate([np.zeros((1, values.shape[1])),
-                               np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(own)[:, None], axis=0)])
-        return np.column_stack([np.interp(time, own, column) for column in area.T])
+        return np.column_stack([np.interp(time, own, column) for column in integral(own, values).T])
     return at
 
 

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mems_ins_fusion.recordings.findings import SURE
+
 SIGNIFICANT = 2.0  # sigmas: a smaller value is not set
 #: sigmas, the same of the clocks of inputs, of which a file has several: at two, one file in five would have a false
 #: one
 OF_SEVERAL = 3.0
 ARM_SHOWN = 0.3  # m: a part of an arm with a larger sigma is not shown; a tape is better
-ASIDE = 4.0  # sigmas: what is further off is elsewhere for certain
 TF_ARM = 0.05  # m: what the transforms may be off by themselves, standard deviation
 
 
@@ -36,7 +37,7 @@ def at_zero(sigmas: float = SIGNIFICANT) -> str:
 def arm_apart(arm, sigma, told: np.ndarray) -> np.ndarray:
     """(3,) whether the arm that the transforms say is another than `arm` with `sigma`, as the drive shows it."""
     known = np.asarray(sigma) < ARM_SHOWN
-    return known & (np.abs(np.where(known, arm, told) - told) > ASIDE * np.hypot(np.where(known, sigma, 0.0), TF_ARM))
+    return known & (np.abs(np.where(known, arm, told) - told) > SURE * np.hypot(np.where(known, sigma, 0.0), TF_ARM))
 
 
 def rounded(values, digits) -> list:

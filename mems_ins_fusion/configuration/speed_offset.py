@@ -15,13 +15,13 @@ from functools import cached_property
 
 import numpy as np
 
-from mems_ins_fusion.configuration.kinematics import InertialIntegrals, integral
-from mems_ins_fusion.configuration.offset import FLOOR, LARGEST, attempted
+from mems_ins_fusion.configuration.kinematics import InertialIntegrals
+from mems_ins_fusion.configuration.offset import FEWEST_PIECES, FLOOR, LARGEST, attempted
 from mems_ins_fusion.configuration.regression import jackknife
 from mems_ins_fusion.configuration.track import Track
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
-from mems_ins_fusion.recordings.motion import find_standstill
-from mems_ins_fusion.samples import ImuSamples, Speeds
+from mems_ins_fusion.recordings.motion import find_standstill, integral
+from mems_ins_fusion.samples import ImuSamples, Speeds, in_time_order
 
 #: s; an offset with a larger sigma is not shown
 SHOWN = 0.1
@@ -31,8 +31,6 @@ _STEP = 0.1
 _STEPS = 4
 #: s; length of a piece: longer ones gain little, as the accelerometers drift by then on a rough road
 _PIECE = 15.0
-#: pieces that show an offset, at least
-_FEWEST_PIECES = 4
 #: pieces that are used, at most: what more of them cost is time
 _MOST_PIECES = 80
 #: Hz; of more frequent speeds some are left out
@@ -61,18 +59,13 @@ _WALKS = (1e-2, 1e-1, 1.0, 10.0, 100.0)
 
 @dataclass(frozen=True)
 class SpeedOffset:
-    """lag, lag_sigma: s, as `speed.time_offset`. scale, scale_sigma: measured over true speed, by the IMU. left: m, and
-    its sigma, from the IMU to the left to where it is measured."""
+    """lag, lag_sigma: s, as `speed.time_offset`. scale: measured over true speed, by the IMU. left: m, and its sigma,
+    from the IMU to the left to where it is measured."""
 
     lag: float
     lag_sigma: float
     scale: float
-    scale_sigma: float
     left: tuple[float, float]
-
-    @property
-    def shown(self) -> bool:
-        return self.lag_sigma < SHOWN
 
 
 def estimate_speed_offset(imu: ImuSamples, speeds: Speeds, rotation: np.ndarray) -> SpeedOffset | None:
@@ -105,15 +98,14 @@ def _estimated(pieces: _Pieces) -> SpeedOffset:
     spread = math.sqrt(float(likely @ (lags - lag) ** 2 / likely.sum()))
     # as much as one step of the search shows of a single minimum is no rival
     apart = spread if spread > _STEP + float(sigma[0]) else 0.0
-    return SpeedOffset(lag, math.hypot(float(sigma[0]), apart, FLOOR), float(found.solution[1]), float(sigma[1]),
+    return SpeedOffset(lag, math.hypot(float(sigma[0]), apart, FLOOR), float(found.solution[1]),
                        (-float(found.solution[2]), float(sigma[2])))
 
 
 @dataclass(frozen=True)
 class _Solved:
-    """Least squares of all pieces. solution: of what is shared, the offset as a change. cost: weighted squares,
-    noise: their mean. each: (w, k, k) products of
-    [speed, shared] of the pieces, their own unknowns free, weighted."""
+    """Least squares of all pieces. solution: of what is shared, the offset as a change. cost: weighted squares. noise:
+    their mean. each: (w, k, k) products of [speed, shared] of the pieces, their own unknowns free, weighted."""
 
     solution: np.ndarray
     cost: float
@@ -213,10 +205,8 @@ class _Pieces:
 
 def _pieces(imu: ImuSamples, speeds: Speeds, rotation: np.ndarray) -> _Pieces | None:
     """The pieces of the drive in which there are samples and the speed changes; None with too few."""
-    good = np.flatnonzero(np.isfinite(speeds.speed))
-    good = good[np.argsort(speeds.stamp[good], kind='stable')]
-    good = good[np.diff(speeds.stamp[good], prepend=-1) > 0]
-    if len(good) < _FEWEST_PIECES * _FEWEST or len(imu) < 100:
+    good = in_time_order(speeds.stamp, np.isfinite(speeds.speed))
+    if len(good) < FEWEST_PIECES * _FEWEST or len(imu) < 100:
         return None
     origin = int(imu.stamp[0])
     time, speed = (speeds.stamp[good] - origin) * 1e-9, speeds.speed[good]
@@ -230,7 +220,7 @@ def _pieces(imu: ImuSamples, speeds: Speeds, rotation: np.ndarray) -> _Pieces | 
     chosen = [piece for k in np.unique(number) if len(piece := np.flatnonzero(number == k)) >= _FEWEST
               and track.covers(time[piece[0]] - LARGEST - _STEP - _APART, time[piece[-1]] + LARGEST + _STEP + _APART)
               and np.ptp(speed[piece]) > _MOVED]
-    if len(chosen) < _FEWEST_PIECES:
+    if len(chosen) < FEWEST_PIECES:
         return None
     if len(chosen) > _MOST_PIECES:
         chosen = [chosen[i] for i in np.linspace(0, len(chosen) - 1, _MOST_PIECES).astype(int)]

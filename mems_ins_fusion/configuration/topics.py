@@ -7,12 +7,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mems_ins_fusion.filter.measurements.base import IMU
+from mems_ins_fusion.filter.measurements.position import is_fix
 from mems_ins_fusion.filter.measurements.registry import TYPES
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.findings import count_of
-from mems_ins_fusion.recordings.messages import IMU, TEMPERATURE
-from mems_ins_fusion.recordings.motion import robust_sigma, sigmas, valid_fixes
+from mems_ins_fusion.recordings.messages import TEMPERATURE
+from mems_ins_fusion.recordings.motion import robust_sigma, sigmas
 from mems_ins_fusion.recordings.reading import FIX_TYPES, read_recording
 from mems_ins_fusion.recordings.transforms import places
 from mems_ins_fusion.samples import Fixes, ImuSamples
@@ -131,7 +133,7 @@ def _imu(path, topic) -> Candidate:
 
 def _gnss(path, topic, imu_topic) -> Candidate:
     fixes = read_recording(path, imu_topic, topic).gnss
-    valid = valid_fixes(fixes)
+    valid = is_fix(fixes)
     stated = sigmas(fixes.select(valid))
     return Candidate(topic, len(fixes), *_stamps(fixes), usable=float(valid.mean()),
                      derived=bool(_DERIVED.search(topic)), samples=fixes,

@@ -4,9 +4,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.signal import lfilter
 
-from mems_ins_fusion.configuration.kinematics import FINEST, LONGEST_GAP, in_order, integral
+from mems_ins_fusion.configuration.kinematics import FINEST, LONGEST_GAP
+from mems_ins_fusion.recordings.motion import advancing, integral
 from mems_ins_fusion.samples import ImuSamples
 
 
@@ -22,7 +22,7 @@ class Track:
     def __init__(self, imu: ImuSamples, origin: int, still: np.ndarray):
         """still: (n,) bool, samples at rest, whose mean rate is the gyroscopes' bias; with none it is zero."""
         self.bias = imu.angular_rate[still].mean(axis=0) if still.any() else np.zeros(3)
-        time, force, rate = in_order(imu, origin)
+        time, force, rate = advancing(imu, origin)
         step = float(np.median(np.diff(time)))
         gap = np.diff(time) > max(LONGEST_GAP, 3.0 * step)
         self.stretches = np.column_stack([np.append(time[0], time[1:][gap]), np.append(time[:-1][gap], time[-1])])
@@ -37,7 +37,7 @@ class Track:
         self.force = np.vstack([push / length[:, None], push[-1:] / length[-1]])
         self.velocity, self.place = self._integrals(push)
         _, self.by_force = self._integrals(middle * length[:, None, None])
-        self.turned = integral(self.time, self.rotation.reshape(-1, 9)).reshape(-1, 3, 3)
+        self.turned = integral(self.time, self.rotation)
         _, self.by_rate = self._integrals(-cross(push) @ (0.5 * (self.turned[1:] + self.turned[:-1])))
 
     def covers(self, begin: float, end: float) -> bool:
@@ -47,16 +47,12 @@ class Track:
     def smoothed(self, tau: float) -> np.ndarray:
         """`force` twice through a low pass with the time constant `tau`, s: (n, 3)."""
         decay = math.exp(-float(np.median(np.diff(self.time))) / tau) if tau > 0.0 else 0.0
-        found = self.force
-        for _ in range(2):
-            found = lfilter([1.0 - decay], [1.0, -decay], found, axis=0, zi=decay * found[None, 0])[0]
-        return found
+        return _low_pass(_low_pass(self.force, decay), decay)
 
     def _integrals(self, increments):
+        """Sum of `increments` (n - 1, ...) up to each time, (n, ...), and its integral over time."""
         first = np.concatenate([np.zeros_like(increments[:1]), np.cumsum(increments, axis=0)])
-        length = np.diff(self.time).reshape((-1,) + (1,) * (increments.ndim - 1))
-        return first, np.concatenate([np.zeros_like(increments[:1]),
-                                      np.cumsum(0.5 * (first[1:] + first[:-1]) * length, axis=0)])
+        return first, integral(self.time, first)
 
     def at(self, values: np.ndarray, times: np.ndarray) -> np.ndarray:
         """`values` (n, ...) at `times`, of any shape, linear in between."""
@@ -96,3 +92,17 @@ def _product(one, other):
     (a, b, c, d), (w, x, y, z) = one.T, other.T
     return np.column_stack([a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y,
                             a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w])
+
+
+def _low_pass(values, decay):
+    """First-order low pass along the first axis, settled at the first value: y[n] = (1 - decay) x[n] + decay y[n - 1].
+
+    As a sum of ever longer parts: `lfilter` does the same, but each start of a node would import it for half a second.
+    """
+    found = (1.0 - decay) * values
+    found[0] = values[0]
+    step, reach = 1, decay
+    while step < len(found) and reach > 1e-18:
+        found[step:] += reach * found[:-step]
+        step, reach = 2 * step, reach * reach
+    return found

@@ -12,11 +12,11 @@ import numpy as np
 
 from mems_ins_fusion.configuration.kinematics import InertialIntegrals
 from mems_ins_fusion.configuration.offset import FLOOR, LARGEST
-from mems_ins_fusion.configuration.regression import jackknife
-from mems_ins_fusion.samples import Headings, ImuSamples, Twists
+from mems_ins_fusion.configuration.regression import BLOCKS, jackknife, shares
+from mems_ins_fusion.recordings.motion import integral
+from mems_ins_fusion.samples import Headings, ImuSamples, Twists, in_time_order
 
 _STEP = 0.02  # s, of the grid
-_BLOCKS = 20  # of the drive, for the jackknife
 _SMOOTHED = 0.2  # s: both are averaged over as long, which a vehicle's turns pass and vibration does not
 _FEWEST = 200  # samples
 _LEAST = 0.02  # rad/s, standard deviation of a turn rate that tells something
@@ -37,9 +37,7 @@ def estimate_turn_offset(imu: ImuSamples, twists: Twists, rotation: np.ndarray) 
 
     rotation: (3, 3) from sensor axes to base_link.
     """
-    good = np.flatnonzero(np.isfinite(twists.twist[:, 2]))
-    good = good[np.argsort(twists.stamp[good], kind='stable')]
-    good = good[np.diff(twists.stamp[good], prepend=-1) > 0]
+    good = in_time_order(twists.stamp, np.isfinite(twists.twist[:, 2]))
     if len(good) < _FEWEST or len(imu) < _FEWEST:
         return None
     origin = int(imu.stamp[0])
@@ -47,25 +45,22 @@ def estimate_turn_offset(imu: ImuSamples, twists: Twists, rotation: np.ndarray) 
     time, turn = (twists.stamp[good] - origin) * 1e-9, -twists.twist[good, 2]
     angle = inertial.angle @ rotation[2]
     inside = inertial.covers(time - LARGEST - _SMOOTHED, time + LARGEST + _SMOOTHED)
-    turned = np.concatenate([[0.0], np.cumsum(0.5 * (turn[1:] + turn[:-1]) * np.diff(time))])
-    time, turn = time[inside], _mean(time, turned, time[inside])
+    time, turn = time[inside], _mean(time, integral(time, turn), time[inside])
     if len(time) < _FEWEST or turn.std() < _LEAST:
         return None
     lags = np.arange(-LARGEST, LARGEST + 0.5 * _STEP, _STEP)
-    blocks = np.minimum((_BLOCKS * np.arange(len(time))) // len(time), _BLOCKS - 1)
+    blocks = shares(len(time))
     # (lags, blocks, 6) sums of 1, w, turn, w w, w turn, turn turn
     sums = np.array([_sums(_mean(inertial.time, angle, time - lag), turn, blocks) for lag in lags])
     whole = sums.sum(axis=1)
     lag, best = _best(lags, whole)
-    left_out = np.array([_best(lags, whole - sums[:, block])[0] for block in range(_BLOCKS)])
+    left_out = np.array([_best(lags, whole - sums[:, block])[0] for block in range(BLOCKS)])
     return TurnOffset(lag, math.hypot(float(jackknife(left_out)), FLOOR), best)
 
 
 def turning_of(headings: Headings) -> Twists:
     """The turn rate that `headings` show, each between two of them."""
-    good = np.flatnonzero(np.isfinite(headings.yaw))
-    good = good[np.argsort(headings.stamp[good], kind='stable')]
-    good = good[np.diff(headings.stamp[good], prepend=-1) > 0]
+    good = in_time_order(headings.stamp, np.isfinite(headings.yaw))
     step = np.diff(headings.stamp[good])
     turn = np.diff(np.unwrap(headings.yaw[good])) / (step * 1e-9)
     middle, nothing = headings.stamp[good][:-1] + step // 2, np.full(len(turn), np.nan)
@@ -80,7 +75,7 @@ def _mean(time, integrated, at):
 
 def _sums(rate, turn, blocks):
     products = np.column_stack([np.ones(len(turn)), rate, turn, rate * rate, rate * turn, turn * turn])
-    return np.array([np.bincount(blocks, column, _BLOCKS) for column in products.T]).T
+    return np.array([np.bincount(blocks, column, BLOCKS) for column in products.T]).T
 
 
 def _best(lags, sums) -> tuple[float, float]:

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from mems_ins_fusion.configuration.offset import FLOOR, LARGEST
-from mems_ins_fusion.configuration.regression import jackknife
-from mems_ins_fusion.recordings.motion import positions
-from mems_ins_fusion.samples import Fixes, Velocities
+from mems_ins_fusion.configuration.regression import BLOCKS, jackknife, shares
+from mems_ins_fusion.recordings.motion import integral, positions
+from mems_ins_fusion.samples import Fixes, Velocities, in_time_order
 
 _STEP = 0.05  # s, of the grid
 _WAY = 2.0  # s: of a way, in which a car changes its velocity by as much as it does, and fixes of metres still tell
-_BLOCKS = 20  # of the drive, for the jackknife
 _FEWEST = 40  # ways
 _FAR = 3.0  # times the median: a way that differs by more counts as that, as a fix that is far off
 
@@ -33,15 +32,12 @@ class VelocityOffset:
 
 def estimate_velocity_offset(velocities: Velocities, fixes: Fixes) -> VelocityOffset | None:
     """What usable `fixes`, in the order of their stamps, and `velocities` show; None with too little of either."""
-    good = np.flatnonzero(np.isfinite(velocities.velocity[:, :2]).all(axis=1))
-    good = good[np.argsort(velocities.stamp[good], kind='stable')]
-    good = good[np.diff(velocities.stamp[good], prepend=-1) > 0]
+    good = in_time_order(velocities.stamp, np.isfinite(velocities.velocity[:, :2]).all(axis=1))
     if len(good) < _FEWEST or len(fixes) < _FEWEST:
         return None
     origin = fixes.stamp[0]
     at, time = (fixes.stamp - origin) * 1e-9, (velocities.stamp[good] - origin) * 1e-9
-    v = velocities.velocity[good, :2]
-    way = np.vstack([np.zeros(2), np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(time)[:, None], axis=0)])
+    way = integral(time, velocities.velocity[good, :2])
     step = max(1, round(_WAY / float(np.median(np.diff(at)))))
     begin, end = at[:-step], at[step:]
     gap = np.concatenate([[0.0], np.cumsum(np.diff(time) > 3.0 * np.median(np.diff(time)))])
@@ -53,8 +49,8 @@ def estimate_velocity_offset(velocities: Velocities, fixes: Fixes) -> VelocityOf
     lags = np.arange(-LARGEST, LARGEST + 0.5 * _STEP, _STEP)
     squares = np.array([np.square(gone - _between(time, way, begin + lag, end + lag)).sum(axis=1) for lag in lags])
     squares = np.minimum(squares, _FAR**2 * np.median(squares, axis=1, keepdims=True))
-    blocks = (np.arange(len(begin)) * _BLOCKS) // len(begin)
-    costs = np.array([squares[:, blocks == block].sum(axis=1) for block in range(_BLOCKS)])
+    blocks = shares(len(begin))
+    costs = np.array([squares[:, blocks == block].sum(axis=1) for block in range(BLOCKS)])
     whole_cost = costs.sum(axis=0)
     apart = max(1, round(min(float(np.median(np.diff(fixes.stamp))) * 1e-9, float(np.median(np.diff(time)))) / _STEP))
     lag = _least(lags, whole_cost, apart)

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from .drives import Drives, part
-from .estimate import Estimate
+from .estimate import PLAIN, Estimate
 from .fit import Model
 from .problem import blocks
 from .tracing import Candidate, significance
 
 #: a drive, or all others, would rather have no effect than that of the other side: twice the log likelihood
 AGAINST = 9.0
-#: sigmas of an effect in one drive from which on that drive has it
-PLAIN = 3.0
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..evaluation.metrics import Truth, position_errors
+from ..filter.measurements.position import is_fix
 from ..filter.runs.results import Run
 from ..navigation.earth import radii
+from ..navigation.frames import near
 from ..samples import Fixes, Recording, Reference
 
 IMU, GNSS, OWN, AUTO = 'imu', 'gnss', 'own', 'auto'
@@ -57,7 +59,7 @@ def lateness(reference: Reference, fixes: Fixes) -> tuple[float, float]:
 
     Along its velocity the reference differs from the fixes by the speed times that; sigma from the scatter of blocks.
     """
-    fixes = fixes.select(fixes.status >= 0)
+    fixes = fixes.select(is_fix(fixes))
     stamp, first = np.unique(reference.stamp, return_index=True)
     nan = float('nan'), float('nan')
     if len(stamp) < 3 or not len(fixes):
@@ -65,7 +67,11 @@ def lateness(reference: Reference, fixes: Fixes) -> tuple[float, float]:
     meridian, prime_vertical = radii(reference.latitude[0])
     scale = np.array([meridian, prime_vertical * np.cos(reference.latitude[0])])
     origin = np.array([reference.latitude[0], reference.longitude[0]])
-    path = (np.column_stack([reference.latitude, reference.longitude])[first] - origin) * scale
+
+    def local(places):
+        return (np.column_stack([places.latitude, near(places.longitude, origin[1])]) - origin) * scale
+
+    path = local(reference)[first]
     time, at = (stamp - stamp[0]) * 1e-9, (fixes.stamp - stamp[0]) * 1e-9
     velocity = np.gradient(path, time, axis=0)
     inside = (at > time[0]) & (at < time[-1])
@@ -73,7 +79,7 @@ def lateness(reference: Reference, fixes: Fixes) -> tuple[float, float]:
     gap = np.diff(time)[np.clip(np.searchsorted(time, at) - 1, 0, len(time) - 2)] < 2.5
     there = np.column_stack([np.interp(at, time, axis) for axis in path.T])
     speed = np.column_stack([np.interp(at, time, axis) for axis in velocity.T])
-    off = (np.column_stack([fixes.latitude, fixes.longitude])[inside] - origin) * scale - there
+    off = local(fixes)[inside] - there
     return _along(at[gap], off[gap], speed[gap])
 
 

@@ -12,14 +12,14 @@ from ..evaluation.verdict import BETTER, CANNOT_TELL, WORSE, Verdict
 from . import learned_mounting
 from .detection import detect
 from .drives import Drives, part
-from .estimate import SYSTEMATIC, Estimate, widened
+from .estimate import PLAIN, SYSTEMATIC, Estimate, widened
 from .exact import of_what_is_held
 from .findings import Diagnosis, Finding
 from .fit import Model
 from .folds import parts, which_part
 from .held_out import HeldOut
 from .judgement import compared, gain_proven, judged, predicts_worse, unproven
-from .judging import PLAIN, by_drive_of
+from .judging import by_drive_of
 from .known import Known
 from .measured import Measured, in_common, saved
 from .noise import LARGEST_FACTOR

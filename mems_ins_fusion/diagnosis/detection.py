@@ -8,7 +8,7 @@ import numpy as np
 from ..characterization.autocorrelation import ljung_box
 from .residuals import Residual
 
-LAGS = 10
+LAGS = 10  # fixes over which autocorrelations are tested
 #: level of the test of whiteness, all components together
 COLOURED = 0.005
 #: level of the test of the mean, which small model errors move first

@@ -23,7 +23,7 @@ from .trial_runs import Progress, TrialRuns
 
 #: fewer innovations than this decide nothing
 FEWEST_FIXES = 60
-MOST_ROUNDS = 6
+MOST_ROUNDS = 6  # of a search, each of which may add an effect
 #: errors are measured no more often than this, s
 REFERENCE_INTERVAL = 0.1
 

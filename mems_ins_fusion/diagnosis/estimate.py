@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 #: no model of a car is right to a few per cent: what is in no effect of the library (a body that rolls in bends, axes
 #: that are not at right angles, what else is in the car and too small to be found) moves what is estimated by this part
 SYSTEMATIC = 0.05
+#: sigmas from which on an effect is taken to be there: of at least one of its parameters, in all drives or in one
+PLAIN = 3.0
 #: standard deviations from which on two estimates of the same are two values: one pair in 370 by chance
 APART = 3.0
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..effects.base import Effect
 from .agreement import by_drive, contradicted, said
-from .estimate import Estimate, widened
+from .estimate import PLAIN, Estimate, widened
 from .exact import of_what_is_held
 from .fit import Model, fit, refined
 from .held_out import HeldOut, gain_of, held_out
@@ -28,8 +28,6 @@ APART = 1.5
 COMPARED = 3
 #: iterations of a fit that starts from a maximum that has moved little
 REFITTED = 4
-#: sigmas from which on an effect is taken to be there: at least one of its parameters has to reach this
-PLAIN = 3.0
 #: sigmas from which on a parameter of an effect is kept: with less its value says nothing
 SHOWN = 2.0
 #: effects that a fix with another time stamp would show, too

@@ -16,12 +16,10 @@ from ..evaluation.comparison import aiding_of
 from ..filter.config import FilterConfig
 from ..filter.runs.replay import run
 from ..samples import Recording
-from .estimate import Estimate
+from .estimate import PLAIN, Estimate
 
 #: angles below this are for the filter to find, whatever their sigma, rad
 SMALL = math.radians(1.5)
-#: sigmas from which on an angle is there
-PLAIN = 3.0
 STATES = {'pitch': 'mounting_pitch', 'yaw': 'mounting_yaw'}
 
 

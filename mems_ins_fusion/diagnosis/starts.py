@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..configuration.check import SMALL_OFFSET, SURE, clocks_left
+from ..configuration.check import SMALL_OFFSET, clocks_left
 from ..configuration.mounting import estimate_mounting
 from ..configuration.offset import Offset, together
 from ..configuration.regression import weighted
 from ..configuration.remaining import Remaining
+from ..recordings.findings import SURE
 from ..samples import Recording
 
 #: s: time offsets that are closer than this lead to the same maximum

@@ -4,7 +4,7 @@ from __future__ import annotations
 import numpy as np
 
 from mems_ins_fusion.compiled import njit
-from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.effects.base import Effect, EffectParameter
 from mems_ins_fusion.navigation.frames import FLU_TO_FRD
 from mems_ins_fusion.parameters.parameter import Parameter
 
@@ -18,7 +18,7 @@ class AccelerometerLeverArm(Effect):
     """The accelerometers stand at (x, y, z) from the IMU's reference point, base_link (forward-left-up)."""
 
     name = 'accelerometer_lever_arm'
-    signature = ('the same as a lever arm of the antenna, with the opposite sign')
+    signature = 'the same as a lever arm of the antenna, with the opposite sign'
     in_words = 'the IMU is far from the axle about which the vehicle turns'
     to_check = 'the place of the IMU seen from the middle of the rear axle'
     looks_the_same = 'tyres that slip in bends look nearly the same'
@@ -28,7 +28,7 @@ class AccelerometerLeverArm(Effect):
     largest = {'x': 3.0, 'y': 2.0, 'z': 2.0}
     larger_is = ('an error that turns with the vehicle: a time offset, an IMU that is turned or tilted, positions '
                  'that the receiver smooths')
-    parameters = tuple(EffectParameter(axis, 'm', 0.5) for axis in 'xyz')
+    parameters = tuple(EffectParameter(axis, 'm', 0.5, adds_to=('imu.lever_arm', i)) for i, axis in enumerate('xyz'))
     settings = (Parameter('imu.lever_arm', [0.0, 0.0, 0.0], 'm', 'From the point that the track describes to the '
                           'accelerometers, base_link (forward-left-up).', lengths=(3,), minimum=-20.0, maximum=20.0),)
 
@@ -38,11 +38,6 @@ class AccelerometerLeverArm(Effect):
         centripetal = np.cross(rate, np.cross(rate, arm))
         tangential = np.cross(np.gradient(rate, 1 / drive.rate, axis=0), arm)
         return specific_force + centripetal + tangential, angular_rate
-
-    def adjusted(self, values, theta):
-        for index, axis in enumerate('xyz'):
-            values = added(values, 'imu.lever_arm', index, theta[axis])
-        return values
 
     def corrector(self, values, rotation):
         if not any(values['imu.lever_arm']):

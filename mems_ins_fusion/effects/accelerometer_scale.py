@@ -18,7 +18,7 @@ class AccelerometerScale(Effect):
     looks_the_same = 'a body that leans on its springs, or an IMU that is not level, looks nearly the same'
     sizes = {'x': ('forward {} too much', 'forward {} too little'),
              'y': ('sideways {} too much', 'sideways {} too little')}
-    largest = {'x': 0.15, 'y': 0.15, 'z': 0.15}
+    largest = {'x': 0.15, 'y': 0.15}
     larger_is = 'a wrong unit or range setting, an IMU that is turned, slopes, or positions that the receiver smooths'
     parameters = (EffectParameter('x', '-', 0.02), EffectParameter('y', '-', 0.02))
 
@@ -28,5 +28,5 @@ class AccelerometerScale(Effect):
     def adjusted(self, values, theta):
         along = np.abs(mounting(values['imu.mounting_rpy'])).argmax(axis=1)
         for body_axis, axis in enumerate('xy'):
-            values = added(values, 'accelerometer.scale', int(along[body_axis]), theta[axis])
+            values = added(values, 'accelerometer.scale', int(along[body_axis]), change=theta[axis])
         return values

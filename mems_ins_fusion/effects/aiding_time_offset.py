@@ -42,7 +42,7 @@ class AidingTimeOffset(Effect):
         return '' if there else f'no {self.of} in the recording ({self.of}_topic)'
 
     def adjusted(self, values, theta):
-        return added(values, f'{self.of}.time_offset', None, theta['time_offset'])
+        return added(values, f'{self.of}.time_offset', change=theta['time_offset'])
 
 
 class SeveralTimeOffsets(Effect):
@@ -64,7 +64,7 @@ class SeveralTimeOffsets(Effect):
 
     def adjusted(self, values, theta):
         for name, size in self.known.items():
-            values = added(values, f'{name}.time_offset', None, theta['share'] * size)
+            values = added(values, f'{name}.time_offset', change=theta['share'] * size)
         return values
 
 

@@ -14,7 +14,8 @@ class EffectParameter:
     unit: SI, '-' for a ratio. prior_scale: a size that would surprise nobody in the field, in that unit.
     default: its value in a simulation that names only other parameters of the effect. variance: a standard deviation,
     which shows in the innovations by its square. step: over which the innovations change about linearly, a tenth of
-    prior_scale where it is 0.
+    prior_scale where it is 0. adds_to: the parameter of the YAML that it is added to in order to take the effect out,
+    and the element of a list.
     """
 
     name: str
@@ -23,6 +24,7 @@ class EffectParameter:
     default: float = 0.0
     variance: bool = False
     step: float = 0.0
+    adds_to: tuple[str] | tuple[str, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -135,8 +137,12 @@ class Effect:
     # effect.
 
     def adjusted(self, values: dict, theta: dict) -> dict:
-        """The parameters with the effect's changed by `theta`: what `corrected.yaml` will hold."""
-        raise NotImplementedError(f'effect {self.name} has no correction')
+        """The parameters with the effect's changed by `theta`: what `corrected.yaml` will hold. By default each of
+        `traced` is added to the parameter that it names."""
+        for parameter in self.traced:
+            if parameter.adds_to is not None:
+                values = added(values, *parameter.adds_to, change=theta[parameter.name])
+        return values
 
     def replaces_model(self, theta: dict) -> bool:
         """Whether `theta` is taken out by another mechanization, not by a parameter."""
@@ -182,7 +188,7 @@ class Effect:
         return None
 
 
-def added(values: dict, name: str, index: int | None, change: float) -> dict:
+def added(values: dict, name: str, index: int | None = None, *, change: float) -> dict:
     """`values` with `change` added to one parameter, or to element `index` of one that has a value for each axis."""
     value = values[name]
     if index is None:

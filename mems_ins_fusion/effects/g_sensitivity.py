@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.effects.base import Effect, EffectParameter
 from mems_ins_fusion.parameters.parameter import Parameter
 
 
@@ -15,9 +15,10 @@ class GSensitivity(Effect):
                  'scale looks alike')
     in_words = 'the gyroscopes react to acceleration'
     to_check = 'the data sheet of the gyroscopes; vibration at the mount'
-    largest = {'x': 0.01, 'y': 0.01, 'z': 0.01}
+    largest = {'x': 0.01, 'y': 0.01}
     larger_is = 'an IMU that is turned, or gyroscopes that are not at right angles to the accelerometers'
-    parameters = (EffectParameter('x', '(rad/s)/(m/s^2)', 5e-4), EffectParameter('y', '(rad/s)/(m/s^2)', 5e-4))
+    parameters = tuple(EffectParameter(axis, '(rad/s)/(m/s^2)', 5e-4, adds_to=('gyroscope.g_sensitivity', i))
+                       for i, axis in enumerate('xy'))
     settings = (Parameter('gyroscope.g_sensitivity', [0.0, 0.0], '(rad/s)/(m/s^2)', 'What f_x and f_y (body axes) add '
                           'to the vertical angular rate.', lengths=(2,), minimum=-0.1, maximum=0.1),)
 
@@ -25,11 +26,6 @@ class GSensitivity(Effect):
         angular_rate = angular_rate.copy()
         angular_rate[:, 2] += values['x'] * specific_force[:, 0] + values['y'] * specific_force[:, 1]
         return specific_force, angular_rate
-
-    def adjusted(self, values, theta):
-        for index, axis in enumerate('xy'):
-            values = added(values, 'gyroscope.g_sensitivity', index, theta[axis])
-        return values
 
     def conditioning(self, values):
         x, y = values['gyroscope.g_sensitivity']

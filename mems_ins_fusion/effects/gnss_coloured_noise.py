@@ -4,6 +4,7 @@ from __future__ import annotations
 import numpy as np
 
 from mems_ins_fusion.effects.base import Effect, EffectParameter
+from mems_ins_fusion.sensor_errors.models import gauss_markov_at
 
 
 class GnssColouredNoise(Effect):
@@ -25,10 +26,7 @@ class GnssColouredNoise(Effect):
     refined = ('tau',)
 
     def distort_fixes(self, drive, time, position, values, rng):
-        error = values['sigma'] * rng.standard_normal((len(time), 2))
-        decay = np.exp(-np.diff(time) / values['tau'])
-        for i, phi in enumerate(decay):
-            error[i + 1] = phi * error[i] + np.sqrt(1 - phi**2) * error[i + 1]
+        error = gauss_markov_at(time, values['tau'], values['sigma'] * rng.standard_normal((len(time), 2)))
         return position + np.column_stack([error, np.zeros(len(time))])
 
     def adjusted(self, values, theta):

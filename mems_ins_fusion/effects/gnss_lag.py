@@ -46,5 +46,5 @@ class GnssLag(Effect):
         return position + np.column_stack([np.interp(time, drive.time, axis) for axis in behind.T])
 
     def adjusted(self, values, theta):
-        values = added(values, 'gnss.time_offset', None, theta.get('delay', 0.0))
-        return added(values, 'gnss.lag_per_acceleration', None, theta['lag'])
+        values = added(values, 'gnss.time_offset', change=theta.get('delay', 0.0))
+        return added(values, 'gnss.lag_per_acceleration', change=theta['lag'])

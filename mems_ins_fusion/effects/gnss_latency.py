@@ -18,7 +18,7 @@ class GnssLatency(Effect):
     """
 
     name = 'gnss_latency'
-    signature = ('what a time offset does, of another size or sign in another part of the recording')
+    signature = 'what a time offset does, of another size or sign in another part of the recording'
     in_words = 'how late the fixes are changes during the drive'
     to_check = 'whether the receiver\'s driver stamps a fix when it arrives, and what else uses its serial line'
     parameters = (EffectParameter('step', 's', 0.1), EffectParameter('drift', '-', 2e-4),

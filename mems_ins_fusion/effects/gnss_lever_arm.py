@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.effects.base import Effect, EffectParameter
 
 
 class GnssLeverArm(Effect):
@@ -20,13 +20,8 @@ class GnssLeverArm(Effect):
     largest = {'x': 5.0, 'y': 3.0, 'z': 3.5}
     larger_is = ('an error that turns with the vehicle: a time offset, an IMU that is turned or tilted, positions '
                  'that the receiver smooths')
-    parameters = tuple(EffectParameter(axis, 'm', 1.0) for axis in 'xyz')
+    parameters = tuple(EffectParameter(axis, 'm', 1.0, adds_to=('gnss.lever_arm', i)) for i, axis in enumerate('xyz'))
 
     def distort_fixes(self, drive, time, position, values, rng):
         arm = np.array([values['x'], -values['y'], -values['z']])  # body, forward-right-down
         return position + drive.at(time).attitude.apply(arm)
-
-    def adjusted(self, values, theta):
-        for index, axis in enumerate('xyz'):
-            values = added(values, 'gnss.lever_arm', index, theta[axis])
-        return values

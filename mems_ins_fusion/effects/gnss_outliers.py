@@ -5,6 +5,8 @@ import numpy as np
 
 from mems_ins_fusion.effects.base import Effect, EffectParameter, Sighting
 from mems_ins_fusion.navigation.earth import radii
+from mems_ins_fusion.navigation.frames import near
+from mems_ins_fusion.samples import in_time_order
 
 #: sigmas of the receiver by which an outlier is off the interpolation between its neighbours, at least
 SIGMAS = 5.0
@@ -61,15 +63,14 @@ def far_off(fixes) -> tuple[np.ndarray, np.ndarray]:
 
     A receiver that has jumped and stays there agrees with those after it.
     """
-    good = np.flatnonzero((fixes.status >= 0) & np.isfinite(fixes.latitude) & np.isfinite(fixes.longitude))
-    good = good[np.append(True, np.diff(fixes.stamp[good]) > 0)] if len(good) else good
+    good = in_time_order(fixes.stamp, (fixes.status >= 0) & np.isfinite(fixes.latitude) & np.isfinite(fixes.longitude))
     if len(good) < 5:
         return np.zeros(0, dtype=np.int64), np.zeros((0, 2))
     time = (fixes.stamp[good] - fixes.stamp[good[0]]) * 1e-9
     latitude, longitude = fixes.latitude[good], fixes.longitude[good]
     meridian, prime_vertical = radii(latitude[0])
     path = np.column_stack([(latitude - latitude[0]) * meridian,
-                            (longitude - longitude[0]) * prime_vertical * np.cos(latitude[0])])
+                            (near(longitude, longitude[0]) - longitude[0]) * prime_vertical * np.cos(latitude[0])])
 
     def line(a, b):
         """Distance of each fix from the line through the a-th and the b-th from it."""

@@ -1,7 +1,7 @@
 """GNSS time offset: the receiver's stamps and those of the IMU come from clocks that disagree."""
 from __future__ import annotations
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.effects.base import Effect, EffectParameter
 
 
 class GnssTimeOffset(Effect):
@@ -17,10 +17,7 @@ class GnssTimeOffset(Effect):
     largest = {'time_offset': 2.0}
     larger_is = ('stamps of another clock (UTC and GPS time, a clock that was set), or positions that the receiver '
                  'smooths')
-    parameters = (EffectParameter('time_offset', 's', 0.1),)
+    parameters = (EffectParameter('time_offset', 's', 0.1, adds_to=('gnss.time_offset',)),)
 
     def fix_times(self, time, values):
         return time - values['time_offset']
-
-    def adjusted(self, values, theta):
-        return added(values, 'gnss.time_offset', None, theta['time_offset'])

@@ -11,7 +11,7 @@ class GyroscopeScale(Effect):
     """measured = (1 + S) true, S = z on the vertical axis of the body."""
 
     name = 'gyroscope_scale'
-    signature = ('across-track innovations after each bend, of the sign of the bend')
+    signature = 'across-track innovations after each bend, of the sign of the bend'
     in_words = 'the gyroscopes measure too much or too little'
     to_check = 'the range setting and unit conversion of the gyroscopes'
     sizes = {'z': ('in bends {} too much', 'in bends {} too little')}
@@ -24,4 +24,4 @@ class GyroscopeScale(Effect):
 
     def adjusted(self, values, theta):
         along = np.abs(mounting(values['imu.mounting_rpy'])).argmax(axis=1)
-        return added(values, 'gyroscope.scale', int(along[2]), theta['z'])
+        return added(values, 'gyroscope.scale', int(along[2]), change=theta['z'])

@@ -51,6 +51,3 @@ class ImuJitter(Effect):
                         f'{1e3 * scatter:.2g} ms: they are stamped on arrival. Let the driver stamp with the clock '
                         'of the sensor; till then all other sensors seem early by about as much',
                         noisier(values, recording.imu, (sigma / interval)**2))
-
-    def adjusted(self, values, theta):
-        return values  # what helps is seen in the samples

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from mems_ins_fusion.effects.base import Effect, EffectParameter, Sighting
-from mems_ins_fusion.sensor_errors.from_parameters import per_axis
+from mems_ins_fusion.sensor_errors.models import per_axis
 
 SMALLEST = 0.01  # share that is worth a word
 
@@ -38,9 +38,6 @@ class ImuRepeats(Effect):
                         f'{100 * share:.2g} % of the IMU samples repeat the one before to the last digit: about '
                         f'{(1 - share) * len(same) / seconds:.3g} a second are new. Set the driver to the rate at '
                         'which the sensor measures', noisier(values, imu, share))
-
-    def adjusted(self, values, theta):
-        return values  # what helps is seen in the samples
 
 
 def noisier(values: dict, imu, share: float) -> dict:

@@ -1,7 +1,7 @@
 """Rear axle: the point of the vehicle that does not move sideways is not where the parameters say."""
 from __future__ import annotations
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.effects.base import Effect, EffectParameter
 
 
 class RearAxle(Effect):
@@ -13,7 +13,7 @@ class RearAxle(Effect):
     in_words = 'the rear axle is not where the parameters say'
     to_check = 'the place of the rear axle seen from the IMU, with a tape measure (vehicle.rear_axle)'
     sizes = {'x': ('it is {} further forward', 'it is {} further back')}
-    parameters = (EffectParameter('x', 'm', 1.0),)
+    parameters = (EffectParameter('x', 'm', 1.0, adds_to=('vehicle.rear_axle', 0)),)
 
     def alter_drive(self, drive, values):
         x, y, z = drive.path.axle_to_imu
@@ -25,6 +25,3 @@ class RearAxle(Effect):
         if values['vehicle.rear_axle_sigma'] > 0:
             return 'the filter estimates it (vehicle.rear_axle_sigma)'
         return ''
-
-    def adjusted(self, values, theta):
-        return added(values, 'vehicle.rear_axle', 0, theta['x'])

@@ -1,7 +1,7 @@
 """Sideslip: in a bend the body does not point along the velocity."""
 from __future__ import annotations
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.effects.base import Effect, EffectParameter
 from mems_ins_fusion.parameters.parameter import Parameter
 
 
@@ -16,7 +16,8 @@ class Sideslip(Effect):
     looks_the_same = 'an IMU far from the rear axle looks nearly the same'
     largest = {'angle_per_acceleration': 0.03}
     larger_is = 'an IMU that is turned, or one far from the rear axle'
-    parameters = (EffectParameter('angle_per_acceleration', 'rad/(m/s^2)', 0.01),)
+    parameters = (EffectParameter('angle_per_acceleration', 'rad/(m/s^2)', 0.01,
+                                  adds_to=('vehicle.sideslip_per_acceleration',)),)
     settings = (Parameter('vehicle.sideslip_per_acceleration', 0.0, 'rad/(m/s^2)', 'Angle from the forward axis to the '
                           'velocity, clockwise, per lateral acceleration to the right (non-holonomic constraint).',
                           minimum=-0.1, maximum=0.1),)
@@ -24,9 +25,6 @@ class Sideslip(Effect):
     def alter_drive(self, drive, values):
         return drive.altered(sideslip_per_acceleration=drive.path.sideslip_per_acceleration
                              + values['angle_per_acceleration'])
-
-    def adjusted(self, values, theta):
-        return added(values, 'vehicle.sideslip_per_acceleration', None, theta['angle_per_acceleration'])
 
     def hidden(self, values, recording):
         return '' if values['vehicle.non_holonomic'] else 'only vehicle.non_holonomic takes the course for the heading'

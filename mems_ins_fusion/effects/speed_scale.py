@@ -1,7 +1,7 @@
 """Wheel speed scale factor error: tyres of another size or pressure."""
 from __future__ import annotations
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.effects.base import Effect, EffectParameter
 
 
 class SpeedScale(Effect):
@@ -13,7 +13,7 @@ class SpeedScale(Effect):
     in_words = 'the wheels measure too much or too little'
     to_check = 'the size and pressure of the tyres'
     sizes = {'scale': ('{} too much', '{} too little')}
-    parameters = (EffectParameter('scale', '-', 0.02),)
+    parameters = (EffectParameter('scale', '-', 0.02, adds_to=('speed.scale',)),)
 
     def distort_speeds(self, speed, values):
         return (1 + values['scale']) * speed
@@ -24,6 +24,3 @@ class SpeedScale(Effect):
         if values['speed.scale_sigma'] > 0:
             return 'the filter estimates it (speed.scale_sigma)'
         return ''
-
-    def adjusted(self, values, theta):
-        return added(values, 'speed.scale', None, theta['scale'])

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.effects.base import Effect, EffectParameter
 from mems_ins_fusion.parameters.parameter import Parameter
 
 REFERENCE = 25.0  # degrees Celsius at which the effect is zero
@@ -17,9 +17,10 @@ class Temperature(Effect):
                  'origin look alike')
     in_words = 'the bias follows the temperature'
     to_check = 'the place of the IMU (sun, engine), and its warm-up time'
-    parameters = (EffectParameter('accelerometer_x', 'm/s^2/K', 5e-3),
-                  EffectParameter('accelerometer_y', 'm/s^2/K', 5e-3),
-                  EffectParameter('gyroscope_z', 'rad/s/K', 1e-4))
+    parameters = (
+        EffectParameter('accelerometer_x', 'm/s^2/K', 5e-3, adds_to=('accelerometer.temperature_coefficient', 0)),
+        EffectParameter('accelerometer_y', 'm/s^2/K', 5e-3, adds_to=('accelerometer.temperature_coefficient', 1)),
+        EffectParameter('gyroscope_z', 'rad/s/K', 1e-4, adds_to=('gyroscope.temperature_coefficient',)))
     settings = (
         Parameter('accelerometer.temperature_coefficient', [0.0, 0.0], 'm/s^2/K', 'Growth of the biases of f_x and f_y '
                   '(body axes) with temperature.', lengths=(2,), minimum=-1.0, maximum=1.0),
@@ -41,11 +42,6 @@ class Temperature(Effect):
         specific_force[:, 1] += values['accelerometer_y'] * warmth
         angular_rate[:, 2] += values['gyroscope_z'] * warmth
         return specific_force, angular_rate
-
-    def adjusted(self, values, theta):
-        for index, axis in enumerate('xy'):
-            values = added(values, 'accelerometer.temperature_coefficient', index, theta[f'accelerometer_{axis}'])
-        return added(values, 'gyroscope.temperature_coefficient', None, theta['gyroscope_z'])
 
     def hidden(self, values, recording):
         if recording.imu.temperature is None:

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mems_ins_fusion.effects.base import Effect, EffectParameter, added
+from mems_ins_fusion.effects.base import Effect, EffectParameter
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.navigation.frames import mounting
 from mems_ins_fusion.parameters.parameter import Parameter
@@ -31,7 +31,7 @@ class Tilt(Effect):
     in_words = 'gravity leaks into the accelerometers on slopes or when the body leans'
     largest = {'pitch_per_acceleration': 0.03, 'roll_per_acceleration': 0.03}
     larger_is = 'slopes, or a scale factor'
-    parameters = tuple(EffectParameter(name, 'rad/(m/s^2)', 0.01) for name in SUSPENSION)
+    parameters = tuple(EffectParameter(name, 'rad/(m/s^2)', 0.01, adds_to=(f'vehicle.{name}',)) for name in SUSPENSION)
     traced = (*parameters, EffectParameter('compensation', '-', 0.3))
     tried = (dict.fromkeys(SUSPENSION, 0.0), {'compensation': 0.0})
     settings = tuple(Parameter(f'vehicle.{name}', 0.0, 'rad/(m/s^2)', text, minimum=-0.05, maximum=0.05)
@@ -62,9 +62,7 @@ class Tilt(Effect):
     def adjusted(self, values, theta):
         if self.replaces_model(theta):
             return {**values, 'mechanization': 'strapdown'}
-        for name in SUSPENSION:
-            values = added(values, f'vehicle.{name}', None, theta[name])
-        return values
+        return super().adjusted(values, theta)
 
     def applied(self, values, recording, theta, attitude=None):
         """With `compensation`: the recording with this part of the leakage taken out, the mechanization as it is."""

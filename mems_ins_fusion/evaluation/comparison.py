@@ -13,13 +13,13 @@ import numpy as np
 from ..errors import InputError
 from ..filter.config import FilterConfig
 from ..filter.measurements import wheel_vibration
+from ..filter.measurements.position import is_fix
 from ..filter.runs.replay import run as replay
 from ..filter.runs.results import Run
 from ..filter.runs.smoothing import smoothed
 from ..filter.runs.usable import usable_samples
 from ..navigation.earth import to_local
 from ..navigation.frames import FLU_TO_FRD
-from ..recordings.motion import plausible
 from ..samples import Aiding, Fixes, ImuSamples, Recording
 from ..threads import threads
 from . import metrics
@@ -170,7 +170,7 @@ def thin(fixes: Fixes, interval: float, start: int = 0) -> np.ndarray:
     Before and at `start` each: the filter needs those to start, and the comparison is not about that. After it the
     first valid one in each slot of `interval`; the slots begin half a fix interval early, against jitter.
     """
-    valid = (fixes.status >= 0) & plausible(fixes.latitude, fixes.longitude, fixes.height)
+    valid = is_fix(fixes)
     if interval == 0 or valid.sum() < 2:
         return valid
     stamp = fixes.stamp[valid]

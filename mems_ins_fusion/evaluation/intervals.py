@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import betainc, betaincinv, stdtr, stdtrit
 
-LEVEL = 0.95
+LEVEL = 0.95  # confidence of an interval
 #: fewer independent values say nothing of their scatter
 FEWEST = 4.0
 

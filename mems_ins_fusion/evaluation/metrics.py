@@ -9,11 +9,12 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from ..filter.measurements.position import is_fix
 from ..filter.runs.results import Run
 from ..filter.runs.usable import usable_samples
 from ..navigation.earth import radii
 from ..navigation.frames import wrap
-from ..recordings.motion import plausible
+from ..recordings.motion import integral
 from ..samples import Fixes, ImuSamples, Reference
 from .intervals import interval_of_mean
 
@@ -169,7 +170,7 @@ def turning_at(imu: ImuSamples, conditioning: np.ndarray, stamp: np.ndarray) -> 
         return np.zeros(len(stamp), dtype=bool)
     time = (imu.stamp - imu.stamp[0]) * 1e-9
     rate = imu.angular_rate @ conditioning[5, 3:]
-    yaw = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))])
+    yaw = integral(time, rate)
     # only where there are samples: a clock that is set meanwhile makes the recording decades long
     grid = np.unique(np.floor(10.0 * time)) / 10.0
     turn = np.abs(np.interp(grid + 0.5, time, yaw) - np.interp(grid - 0.5, time, yaw)) > TURN_RATE
@@ -182,7 +183,7 @@ def turning_at(imu: ImuSamples, conditioning: np.ndarray, stamp: np.ndarray) -> 
 def truth_from_fixes(fixes: Fixes, lever_arm, time_offset: float, source: str) -> Truth:
     """Valid fixes as the truth for the antenna. lever_arm: (3,) m forward-right-down. time_offset: s, as
     `gnss.time_offset`. Their variance is what the messages say (0 where they say nothing)."""
-    fixes = fixes.select((fixes.status >= 0) & plausible(fixes.latitude, fixes.longitude, fixes.height))
+    fixes = fixes.select(is_fix(fixes))
     fixes = fixes.select(np.argsort(fixes.stamp, kind='stable'))
     variance = 0.5 * (fixes.covariance[:, 0, 0] + fixes.covariance[:, 1, 1])
     known = (fixes.covariance_type > 0) & np.isfinite(variance) & (variance > 0)

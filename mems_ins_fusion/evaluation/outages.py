@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..filter.config import FilterConfig
+from ..filter.measurements.position import is_fix
 from ..filter.runs.replay import Coasting, run_with_outages
 from ..filter.runs.results import Run
 from ..filter.runs.smoothing import smoothed_outages
@@ -69,7 +70,7 @@ def outage_begins(first: int, fixes: Fixes, time_offset: float, spacing: float, 
     first: ns, of the first estimate; the first outage begins SETTLING later at the earliest. shortest: s, the shortest
     duration, for which there must be fixes after the last begin.
     """
-    stamp = np.unique(fixes.stamp[fixes.status >= 0]) - round(time_offset * 1e9)
+    stamp = np.unique(fixes.stamp[is_fix(fixes)]) - round(time_offset * 1e9)
     if not len(stamp):
         return stamp
     earliest, latest = first + SETTLING * 1e9, stamp[-1] - shortest * 1e9

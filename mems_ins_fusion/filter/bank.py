@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from mems_ins_fusion.compiled import njit
 
 from .advance import advance
@@ -52,6 +54,15 @@ SAME = 0.1
 FITTED = 0.5
 
 
+def copied(memory: np.ndarray, to: np.ndarray) -> np.ndarray:
+    """`to`, as large as `memory`, as an independent filter in the same state: without the second where there is none,
+    which begins with a copy of the first."""
+    end = int(memory[Bank.SIZE]) if memory[Bank.OPEN] == 0.0 else 0
+    end = end or len(memory)
+    to[:end] = memory[:end]
+    return to
+
+
 @njit(_nrt=False)
 def compare(memory):
     """After each fix, once: begin a second filter where there is reason to, make it the first where it is better, end
@@ -71,6 +82,8 @@ def compare(memory):
         _date(memory, other, r, interval)
     if refused:
         _start_from_fixes(memory, other, r, interval)
+        if memory[Bank.OPEN] == 0.0:  # what was before the fixes is not remembered: there is no second filter
+            return
     if _is_better(memory, other, r):
         _swap(memory, other)
     doubts = memory[r + Hypothesis.DOUBTS] != 0.0

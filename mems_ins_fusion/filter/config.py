@@ -12,8 +12,7 @@ from ..navigation import strapdown
 from ..navigation.earth import STANDARD_GRAVITY
 from ..navigation.frames import FLU_TO_FRD, mounting
 from ..parameters.parameter import ParameterError
-from ..sensor_errors.from_parameters import error_models, per_axis
-from ..sensor_errors.models import GaussMarkov, Model, RandomWalk
+from ..sensor_errors.models import MODELS, GaussMarkov, Model, RandomWalk, per_axis
 from .bank import Bank
 from .history import history_size
 from .measurements import wheel_vibration
@@ -172,8 +171,8 @@ class FilterConfig:
             return np.concatenate([per_axis(values, f'{sensor}.{name}') for sensor in SENSORS])
 
         axes = [strapdown.CHANNELS.index(name) for name in channels]
-        kind = values['sensor_error_model']
-        by_sensor_axis = [model for sensor in SENSORS for model in error_models(values, sensor, kind)]
+        kind = MODELS[values['sensor_error_model']]
+        by_sensor_axis = [model for sensor in SENSORS for model in kind.from_parameters(values, sensor)]
         models = tuple(by_sensor_axis[along[i]] for i in axes)
         turn_on = sensors('initial_sigma')
         constant = [0.0 if model.holds_turn_on else turn_on[along[i]] for i, model in zip(axes, models)]

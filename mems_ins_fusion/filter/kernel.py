@@ -10,13 +10,15 @@ Both execute the same compiled code, so both give the same bits.
 """
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
 from .advance import take_event, take_sample
 from .bank import Bank, compare
-from .memory import Event, Head, event_at, state_at
+from .memory import Event, Head, Kind, Nav, event_at, state_at
 
 
 @njit(_nrt=False)
@@ -43,6 +45,7 @@ def run(memory, samples, events, arrival, answers, columns, kept, states, log):
         while next_event < len(events) and arrival[next_event] <= k:
             if memory[Head.EVENTS] == memory[Head.EVENT_CAPACITY] and len(log):
                 collect(memory, log)
+            _turn_longitude(memory, events, next_event)
             answers[next_event] = take_event(memory, events, next_event)
             if memory[Bank.OPEN] != 0.0:
                 take_event(other, events, next_event)
@@ -61,6 +64,14 @@ def run(memory, samples, events, arrival, answers, columns, kept, states, log):
             next_row += 1
     if len(log) and len(samples):
         collect(memory, log)
+
+
+@njit(_nrt=False)
+def _turn_longitude(memory, events, i):
+    """Bring the longitude of fix i within half a turn of the state's, which does not jump at 180 degrees."""
+    if events[i, Event.KIND] == Kind.POSITION or events[i, Event.KIND] == Kind.PLACE:
+        ahead = events[i, Event.LONGITUDE] - memory[state_at(memory, int(memory[Head.SAMPLES])) + Nav.LONGITUDE]
+        events[i, Event.LONGITUDE] -= 2.0 * math.pi * np.round(ahead / (2.0 * math.pi))
 
 
 @njit(_nrt=False)

@@ -102,22 +102,8 @@ MECHANIZATIONS = {PLANAR: planar, STRAPDOWN: strapdown}
 BY_NAME = {'planar': PLANAR, 'strapdown': STRAPDOWN}  # as the parameter `mechanization` has it
 
 
-class _Error(NamedTuple):
-    """The nine errors of position, velocity and attitude. A mechanization has some of them as states, or all."""
-
-    R_N: int = 0
-    R_E: int = 1
-    R_D: int = 2
-    V_N: int = 3
-    V_E: int = 4
-    V_D: int = 5
-    PHI_N: int = 6
-    PHI_E: int = 7
-    PHI_D: int = 8  # also the planar yaw
-    SIZE: int = 9
-
-
-Error = _Error()
+#: the nine errors of position, velocity and attitude, PHI_D also the planar yaw: a mechanization has some as states
+Error = strapdown.State
 
 
 @dataclass(frozen=True)
@@ -380,7 +366,7 @@ class _Head(NamedTuple):
     ROWS: int = column(9)  # `StateLayout.rows`
     CHANNEL: int = column(6)  # `StateLayout.axes`
     AHEAD: int = column()  # s: a measurement may be this much later than the newest IMU sample
-    MECHANISMS: int = column(84)  # the first of those declared in other files (`HEAD`), and room for them
+    MECHANISMS: int = column(85)  # the first of those declared in other files (`HEAD`), and room for them
     SIZE: int = column(0)
 
 

@@ -40,7 +40,7 @@ from .trust.drift import Drift, DriftSettings
 from .trust.force_noise import force_noise
 from .trust.imu_faults import LONGEST_WHIRL, Fault
 from .trust.lag import LagSettings, fall_behind
-from .trust.scale import Inputs
+from .trust.scale import KINDS, Inputs, Kinds
 from .trust.white_noise import density
 
 GAP_ACCELERATION = 1.5  # m/s^2, standard deviation of a vehicle's acceleration during a gap in the IMU samples
@@ -51,6 +51,7 @@ GAP_TILT = 0.1
 #: s for which the acceleration and turn rate of a gap are taken for constant; after that they are new ones
 LONGEST_BRIDGE = 2.0
 UNKNOWN_YAW_SIGMA = math.pi / math.sqrt(3.0)  # rad, standard deviation of a heading that is uniformly distributed
+SERIES = 0.01  # share of a correlation time up to which the series of the exponential is exact to rounding
 RADII_STEP = 2e-6  # rad of latitude (13 m) after which the radii are computed anew: the scales are accurate to 2e-6
 
 
@@ -67,7 +68,12 @@ def predict(mem, src, dst, sample, dt):
         _step_planar(mem, src, dst, sample, dt, 6, 2)
     else:
         _step_planar(mem, src, dst, sample, dt, m, p)
-    for k in range(Nav.MEMORY, NAV):
+    for k in range(Nav.MEMORY, Kinds.SEEN):
+        mem[dst + k] = mem[src + k]
+    if mem[Inputs.UNNAMED] != 0.0:  # else they are all zero
+        for k in range(Kinds.SEEN, Kinds.SEEN + KINDS * INPUT_SIZE):
+            mem[dst + k] = mem[src + k]
+    for k in range(Kinds.SEEN + KINDS * INPUT_SIZE, NAV):
         mem[dst + k] = mem[src + k]
     width = nonnegative(int(mem[Head.WIDTH]))
     for k in range(width - INPUT_SIZE * int(mem[Inputs.COUNT]), width):
@@ -282,12 +288,30 @@ def free_sensors(mem, r):
         mem[e + (m + 1) * channel * p] += mem[restart_at(m, p, channels, channel)]
 
 
+@njit(inline='always')
+def _series(x):
+    """exp(-x), exact to rounding for x below SERIES."""
+    return 1.0 - x * (1.0 - x * (1 / 2 - x * (1 / 6 - x * (1 / 24 - x * (1 / 120)))))
+
+
 @njit
 def _decay(x):
     """exp(-x), x >= 0. Its series is exact to rounding for small x, which it always is at IMU rate."""
-    if x < 0.01:
-        return 1.0 - x * (1.0 - x * (1 / 2 - x * (1 / 6 - x * (1 / 24 - x * (1 / 120)))))
-    return math.exp(-x)
+    return _series(x) if x < SERIES else math.exp(-x)
+
+
+@njit(_nrt=False)
+def _decays(mem, at, dt, m):
+    """Write to `at` by what each of the m augmented states decays in dt. Apart, as the compiler takes several at once,
+    and would compute the exponentials of all of them before it chooses."""
+    at, largest = nonnegative(at), 0.0
+    for j in range(m):
+        x = dt * mem[decay_at(j)]
+        mem[at + j] = _series(x)
+        largest = max(largest, x)
+    if largest >= SERIES:
+        for j in range(m):
+            mem[at + j] = _decay(dt * mem[decay_at(j)])
 
 
 @njit(inline='always')
@@ -299,8 +323,7 @@ def _sensor_states(mem, src, dst, dt, size, m, p):
     e = b + size * m
     decays = nonnegative(int(mem[Head.SCRATCH_AT]))
     scaled = 0 if mem[DriftSettings.LEARNED] == 0.0 else 6  # states whose driving noise trust/drift.py scales
-    for j in range(m):
-        mem[decays + j] = _decay(dt * mem[decay_at(j)])
+    _decays(mem, decays, dt, m)
     for j in range(m):
         decay, column, before, row = mem[decays + j], dst + b + size * j, src + e + m * j, dst + e + m * j
         mem[dst + x + j] = decay * mem[src + x + j]
@@ -409,23 +432,22 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
         for i in range(9):
             mem[dst + NAV + i] = 0.0
     else:
-        _store(mem, dst + NAV, _strapdown_column(mem, transition, src + NAV, 1, src + x, p))
+        _store(mem, dst + NAV, _strapdown_column(mem, transition, src + NAV, 1, src + x, p), 0)
     for j in range(m):
         k, q, r = nonnegative(src + b + 9 * j), nonnegative(src + e + j), dst + b + 9 * j
-        _store(mem, r, _strapdown_column(mem, transition, k, 1, q, m * p))
+        _store(mem, r, _strapdown_column(mem, transition, k, 1, q, m * p), 0)
 
     # Phi P, column by column, then (Phi P) Phi^T, row by row. Scratch: P_nn at s, the transpose of Phi P at g, and at u
     # the columns of the six sensors with their white noise, which is treated as an error constant over the interval
     s = nonnegative(int(mem[Head.SCRATCH_AT]))
     g, u = s + 81, s + 162
-    column = nonnegative(src + a)
     for i in range(9):
+        line = nonnegative(src + a + packed(i, i, 9) - i)
         for j in range(i, 9):
-            mem[s + 9 * i + j] = mem[s + 9 * j + i] = mem[column]
-            column += 1
+            mem[s + 9 * i + j] = mem[s + 9 * j + i] = mem[line + j]
     for j in range(9):
         k, q = nonnegative(src + b + j), nonnegative(s + 9 * j)
-        _store(mem, g + 9 * j, _strapdown_column(mem, transition, q, 1, k, 9 * p))
+        _store(mem, g + 9 * j, _strapdown_column(mem, transition, q, 1, k, 9 * p), 0)
     h = 0.5 * dt
     more = force_noise(mem, src)
     for axis in range(3):
@@ -437,14 +459,26 @@ def _step_strapdown(mem, src, dst, sample, dt, m, p):
         _add(mem, q, k, white_f, (h * x, h * y, h * z, x, y, z, 0.0, 0.0, 0.0))
         _add(mem, q + 27, k + 27 * p, white_w, (
             h * turned[0], h * turned[1], h * turned[2], turned[0], turned[1], turned[2], x, y, z))
-    column = nonnegative(dst + a)
-    for i in range(9):
-        k, q = nonnegative(u + i), nonnegative(g + i)
-        _store(mem, s, _strapdown_column(mem, transition, q, 9, k, 9))
-        for j in range(i, 9):
-            mem[column] = mem[s + j]
-            column += 1
+    # of a symmetric matrix, so that of the rows of velocity and attitude only the end is computed
+    for i in range(3):
+        _store(mem, s, _strapdown_column(mem, transition, nonnegative(g + i), 9, nonnegative(u + i), 9), 0)
+        _copy_row(mem, s, dst + a, i)
+    for i in range(3, 6):
+        _store(mem, s, _strapdown_column(mem, transition, nonnegative(g + i), 9, nonnegative(u + i), 9), 3)
+        _copy_row(mem, s, dst + a, i)
+    for i in range(6, 9):
+        _store(mem, s, _strapdown_column(mem, transition, nonnegative(g + i), 9, nonnegative(u + i), 9), 6)
+        _copy_row(mem, s, dst + a, i)
     _sensor_states(mem, src, dst, dt, 9, m, p)
+
+
+@njit(inline='always')
+def _copy_row(mem, source, to, i):
+    """Row i of a matrix (9, 9) from the diagonal on, of which `source` is the position of the whole row, to the packed
+    triangle at `to`."""
+    line = nonnegative(to + packed(i, i, 9) - i)
+    for j in range(i, 9):
+        mem[line + j] = mem[source + j]
 
 
 @njit(inline='always')
@@ -455,8 +489,7 @@ def _add(mem, to, source, factor, values):
 
 
 @njit(inline='always')
-def _store(mem, at, values):
-    """Write nine values in succession."""
-    for i in range(9):
+def _store(mem, at, values, first):
+    """Write nine values in succession, those from number `first` on."""
+    for i in range(first, 9):
         mem[at + i] = values[i]
-

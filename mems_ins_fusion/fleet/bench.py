@@ -232,6 +232,8 @@ def own_tracks(prepared: Prepared, given: dict, progress: Callable[[float], None
         use = thin(recording.gnss, 0.0)
         found[name] = replay(FilterConfig.from_parameters(values), recording.imu, recording.gnss.select(use),
                              aiding_of(recording), keep=keep)
+        if not len(found[name].stamp):
+            raise BenchError(f'{name}: the filter does not start on this recording')
         progress((i + 1) / len(prepared.recordings))
     return found
 

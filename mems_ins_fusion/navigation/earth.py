@@ -10,10 +10,10 @@ import numpy as np
 from mems_ins_fusion.compiled import njit
 
 SEMI_MAJOR_AXIS = 6378137.0  # m
-FLATTENING = 1 / 298.257223563
+FLATTENING = 1 / 298.257223563  # of the ellipsoid
 ECCENTRICITY_SQUARED = FLATTENING * (2 - FLATTENING)
 EQUATORIAL_GRAVITY = 9.7803253359  # m/s^2
-SOMIGLIANA = 0.00193185265241
+SOMIGLIANA = 0.00193185265241  # k of the formula for normal gravity
 GRAVITY_RATIO = 0.00344978650684  # m = omega^2 a^2 b / GM
 STANDARD_GRAVITY = 9.80665  # m/s^2, for conversions of unit only
 

@@ -43,9 +43,21 @@ def wrap(angle):
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
+def near(angle, other):
+    """`angle` (rad, scalar or array) less the whole turns that bring it within half a turn of `other`: the same bits
+    where it is that near. Longitudes jump by a turn at 180 degrees, a track does not."""
+    return angle - 2 * math.pi * np.round((angle - other) / (2 * math.pi))
+
+
 def yaw_from_enu(angle):
     """Yaw clockwise from north of a yaw counter-clockwise from east, and the other way round; rad."""
     return wrap(math.pi / 2 - angle)
+
+
+def unit_quaternions(quaternions: np.ndarray) -> np.ndarray:
+    """Quaternions (n, 4) of length one; NaN where they are zero or NaN."""
+    with np.errstate(invalid='ignore'):
+        return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
 
 
 def yaw_of_quaternion(x, y, z, w):
@@ -54,12 +66,15 @@ def yaw_of_quaternion(x, y, z, w):
 
 
 def leveling(specific_force: np.ndarray) -> np.ndarray:
-    """The smallest rotation that makes `specific_force` (3,), seen at rest in body axes, point straight up (-z)."""
-    up = specific_force / np.linalg.norm(specific_force)
+    """The smallest rotation (3, 3) that makes `specific_force` (3,), seen at rest in body axes, point straight up (-z).
+
+    Upside down, where each horizontal axis would do, it turns about x; a zero force has no direction and is left.
+    """
+    up = specific_force / (np.linalg.norm(specific_force) or 1.0)
     axis = np.cross(up, [0.0, 0.0, -1.0])
     sine, cosine = np.linalg.norm(axis), -up[2]
     if sine < 1e-12:
-        return np.eye(3)
+        return np.diag([1.0, -1.0, -1.0]) if cosine < 0 else np.eye(3)
     x, y, z = axis / sine
     skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + sine * skew + (1 - cosine) * skew @ skew

@@ -6,11 +6,11 @@ from collections import deque
 
 import numpy as np
 
+from ..filter.measurements.position import is_fix
 from ..filter.measurements.registry import aiding
 from ..recordings.aiding import COMPARED, check_aiding
 from ..recordings.findings import INFO
-from ..recordings.motion import valid_fixes
-from ..samples import Fixes
+from ..samples import SECOND, Fixes
 
 #: Hz at which samples of each input are kept: a vehicle does not change faster
 RATE = 10.0
@@ -20,7 +20,6 @@ MEMORY = 240.0
 PERIOD = 5.0
 #: checks with something to compare, after which there is no other: a minute of them
 LOOKS = 12
-_SECOND = 10**9  # ns
 
 
 class AidingCheck:
@@ -51,9 +50,9 @@ class AidingCheck:
     def look(self) -> list[tuple[str, str, str]]:
         """Where a look is due: name, level and text of what was not found before."""
         now = self._fixes[-1][0] if self._fixes else 0
-        if 0 <= self._due - now <= PERIOD * _SECOND or len(self._fixes) < 2:
+        if 0 <= self._due - now <= PERIOD * SECOND or len(self._fixes) < 2:
             return []
-        self._due = now + round(PERIOD * _SECOND)
+        self._due = now + round(PERIOD * SECOND)
         said = []
         for name in [name for name, left in self._looks.items() if left and len(self._rows[name]) > 2]:
             try:
@@ -74,7 +73,7 @@ class AidingCheck:
         stamp, *columns = (np.array(column) for column in zip(*self._rows[name]))
         stamp, fixes = stamp.astype(np.int64), self._received()
         findings = check_aiding(measurement, measurement.samples(stamp, stamp, *columns),
-                                fixes.select(valid_fixes(fixes)), measurement.settings(self._values))
+                                fixes.select(is_fix(fixes)), measurement.settings(self._values))
         if not any(COMPARED & finding.values.keys() for finding in findings):
             return False, None
         worth = [f for f in findings if f.severity != INFO and 'count' not in f.values]
@@ -92,5 +91,5 @@ class AidingCheck:
 
 def _add_thinned(rows: deque, row: tuple) -> None:
     """Append `row`, whose first is a stamp, where the one before it is old enough, or of another clock."""
-    if not rows or not 0 <= row[0] - rows[-1][0] < 0.9 * _SECOND / RATE:
+    if not rows or not 0 <= row[0] - rows[-1][0] < 0.9 * SECOND / RATE:
         rows.append(row)

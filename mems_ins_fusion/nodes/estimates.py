@@ -5,7 +5,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import NavSatFix
 
@@ -18,6 +18,8 @@ from .output import MapOutput, Output, Prediction, SmoothFrame, VehicleAxes, fla
 _QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 #: of /tf, as tf2's broadcasters have it
 _TF_QOS = QoSProfile(depth=100)
+#: of topics with few messages: who listens later gets the newest
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: events: the executor would ask after each of them at each sample; the other side reports them, too
 NO_EVENTS = {'event_callbacks': PublisherEventCallbacks(use_default_callbacks=False)}
 

@@ -13,7 +13,6 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import NavSatFix
 from std_srvs.srv import SetBool, Trigger
 
@@ -32,7 +31,7 @@ from ..recordings.reading import FIX_TYPES
 from ..recordings.units import ACCELERATION, RATE
 from . import identity
 from .checks import check_together
-from .estimates import NO_EVENTS, Estimates
+from .estimates import LATCHED, NO_EVENTS, Estimates
 from .geographic import geographic_services, start_from_parameters, start_from_pose, world_frame
 from .geometry import geometry_from_tf
 from .horizon import HorizonOutput
@@ -49,7 +48,6 @@ from .status import BEFORE_START
 from .verdicts import Verdicts
 
 NAME = 'fusion_node'
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: a state file is written this often, s: what a loss of power takes, for 10 ms of work
 _SAVE_PERIOD = 10.0
 #: what the filter says is looked at this often where no message brings it out, s
@@ -91,7 +89,7 @@ class FusionNode(Node):
         self._estimates = Estimates(self, self._filter, values, self._log)
         self._horizon = HorizonOutput(self, self._filter, values)
         self._verdicts = Verdicts(self, self._filter, values)
-        self._datum_publisher = self.create_publisher(NavSatFix, '~/datum', _LATCHED, **NO_EVENTS)
+        self._datum_publisher = self.create_publisher(NavSatFix, '~/datum', LATCHED, **NO_EVENTS)
         inputs = self._subscribe(values)
         self._online = None
         if values['diagnosis.online'] != 'off':

@@ -3,15 +3,13 @@ from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from ..filter.runs.horizon import Horizon
 from ..filter.runs.live import FusionFilter
 from ..samples import SECOND
-from .estimates import NO_EVENTS
+from .estimates import LATCHED, NO_EVENTS
 from .status import array, horizon_status
 
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: ns, from one message to the next, of the samples' stamps: a replay at any speed has the same
 _PERIOD = SECOND
 
@@ -21,7 +19,7 @@ class HorizonOutput:
 
     def __init__(self, node: Node, fusion: FusionFilter, values: dict):
         self._name, self._fusion, self._limit = node.get_name(), fusion, values['horizon.limit']
-        self._publisher = node.create_publisher(DiagnosticArray, '~/horizon', _LATCHED, **NO_EVENTS)
+        self._publisher = node.create_publisher(DiagnosticArray, '~/horizon', LATCHED, **NO_EVENTS)
         self._slot, self._trusted = None, False  # of the newest message, and whether it tells a horizon
 
     def on_sample(self, now: int) -> None:

@@ -13,7 +13,6 @@ from queue import Full, Queue
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 
 from ..diagnosis.applying import Due
@@ -21,11 +20,10 @@ from ..diagnosis.gathering import CHUNK, Gathering
 from ..diagnosis.quantity import FINE, INITIALISING, SUSPECT, Findings, Kept, Quantity
 from ..filter.measurements.registry import aiding
 from ..filter.runs.changing import Dropped
-from .estimates import NO_EVENTS
+from .estimates import LATCHED, NO_EVENTS
 from .log import Log
 from .status import array, quantity_status
 
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: s, that the process has to end in
 _PATIENCE = 5.0
 
@@ -47,7 +45,7 @@ class OnlineDiagnosis:
         self._kept = kept  # what is applied, for the next start
         self._said: dict[str, tuple] = {}
         self._known: list[Quantity] = []
-        self._publisher = node.create_publisher(DiagnosticArray, '~/calibration', _LATCHED, **NO_EVENTS)
+        self._publisher = node.create_publisher(DiagnosticArray, '~/calibration', LATCHED, **NO_EVENTS)
         self._process = subprocess.Popen(
             [sys.executable, '-m', 'mems_ins_fusion.diagnosis.worker', str(values['diagnosis.share']),
              str(os.getpid())], stdin=subprocess.PIPE, stdout=subprocess.PIPE,

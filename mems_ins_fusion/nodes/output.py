@@ -240,7 +240,8 @@ class Output:
         linear, angular = self._linear, self._angular
         linear.x, linear.y, linear.z, angular.x, angular.y, angular.z = self._twist.tolist()
         latitude, longitude, self.fix.altitude = self._geodetic.tolist()
-        self.fix.latitude, self.fix.longitude = math.degrees(latitude), math.degrees(longitude)
+        self.fix.latitude = math.degrees(latitude)
+        self.fix.longitude = math.degrees(math.remainder(longitude, 2 * math.pi))  # the filter's goes on at 180 deg
         for target, source in self._covariances:
             target[:] = source
 

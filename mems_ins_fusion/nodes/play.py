@@ -35,7 +35,7 @@ _MEMORY = 0.2, 150.0
 _OTHERS = 0.5
 #: reliable subscribers may take this long for the last messages
 _DELIVERY = Duration(seconds=2)
-_DEPTH = 1000
+_DEPTH = 1000  # messages kept for a subscriber that is slow
 
 DESCRIPTION = """\
 Publish the messages of a recording on their topics, with the timing of the recording, and its time on /clock: what

@@ -13,7 +13,7 @@ from ..navigation.earth import to_local
 from ..parameters.parameter import ParameterError
 from ..parameters.table import ALL
 
-_VERSION = 2
+_VERSION = 2  # of the file: others are not read
 
 
 class StateFile:

@@ -9,9 +9,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from ..diagnosis.quantity import FINE, SUSPECT, Quantity
 from ..filter.runs.horizon import Horizon
 from ..filter.runs.tally import Tally
+from ..samples import SECOND
 from .inputs import Input
 
-_SECOND = 10**9  # ns
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 #: states of the filter in which all is as it should be
 GOOD_STATES = ('aligning', 'fusing')
@@ -165,7 +165,7 @@ def quantity_status(name: str, quantity: Quantity) -> DiagnosticStatus:
 def array(stamp: int, statuses: list[DiagnosticStatus]) -> DiagnosticArray:
     """The message of `statuses`; stamp: ns."""
     message = DiagnosticArray(status=statuses)
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(stamp), _SECOND)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(stamp), SECOND)
     return message
 
 

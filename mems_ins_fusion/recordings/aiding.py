@@ -13,9 +13,26 @@ from mems_ins_fusion.filter.measurements.base import Measurement, SensorSettings
 from mems_ins_fusion.filter.measurements.pressure import HIGHEST, LOWEST, SEA_LEVEL, height_of
 from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.navigation.frames import wrap
-from mems_ins_fusion.recordings.findings import ERROR, INFO, WARNING, Finding, count_of
-from mems_ins_fusion.recordings.motion import SLOWEST_COURSE, TIGHTEST_COURSE, positions, robust_sigma, sigmas
-from mems_ins_fusion.samples import Fixes, Headings, MagneticFields, Pressures, Speeds, Twists, Velocities
+from mems_ins_fusion.recordings.findings import ERROR, INFO, SURE, WARNING, Finding, count_of
+from mems_ins_fusion.recordings.motion import (
+    SLOWEST_COURSE,
+    TIGHTEST_COURSE,
+    UNSTATED_SIGMA,
+    integral,
+    positions,
+    robust_sigma,
+    sigmas,
+)
+from mems_ins_fusion.samples import (
+    Fixes,
+    Headings,
+    MagneticFields,
+    Pressures,
+    Speeds,
+    Twists,
+    Velocities,
+    in_time_order,
+)
 
 #: Pa each
 PRESSURES = {'Pa': 1.0, 'hPa': 100.0, 'kPa': 1000.0, 'bar': 1e5, 'psi': 6894.76, 'mmHg': 133.322}
@@ -25,7 +42,9 @@ _WEAKEST, _STRONGEST = 15e-6, 150e-6
 _EARTH = 50e-6  # T: its size in the middle latitudes
 _DISTURBED = 0.5  # part of the horizontal field by which it may scatter about what the course tells
 _CLIMB = 10.0  # m, standard deviation of heights that tell something against those of fixes
-_UNITS = {'km/h': 3.6, 'mph': 2.23694, 'knots': 1.94384}  # per m/s
+#: m/s each, of those that a receiver, a vehicle or a log may give a speed in
+SPEED_UNITS = {'m/s': 1.0, 'km/h': 1 / 3.6, 'mph': 0.44704, 'knots': 1852 / 3600, 'mm/s': 1e-3, 'cm/s': 1e-2}
+#: part by which a speed may differ from that of the fixes in another unit: mph and knots, 15 % apart, stay two
 _SAME_UNIT = 0.07
 _LONGEST_CHORD = 10.0  # s
 _SHORTEST_CHORD = 10.0  # in sigmas of a fix
@@ -215,14 +234,14 @@ def check_heading(headings: Headings, fixes: Fixes | None) -> Iterator[Finding]:
         yield Finding(ERROR, 'heading', 'the heading does not follow the course of the fixes',
                       {'concentration': _concentration(difference)})
         return
-    middle = _circular_mean(difference)
+    middle = np.angle(np.exp(1j * difference).mean())
     middle = float(wrap(middle + np.median(wrap(difference - middle))))
     residual = wrap(difference - middle)
     noise = np.hypot(chords.sigma / chords.speed, _CURVE)
     sigma = max(1.2533 * robust_sigma(residual), 1e-4) / np.sqrt(len(residual))
     values = {'offset_rad': middle, 'sigma_rad': float(sigma)}
     text = f'the heading is {np.degrees(middle):.1f} deg clockwise from the course of the fixes'
-    if abs(middle) > max(np.radians(5.0), 4.0 * sigma):
+    if abs(middle) > max(np.radians(5.0), SURE * sigma):
         yield Finding(ERROR if abs(middle) > np.radians(45.0) else WARNING, 'heading', f'{text}: antennas or compass '
                       'are not aligned with the vehicle, or north and east are exchanged', values)
     else:
@@ -351,10 +370,7 @@ def _compare(topic, samples, value, fixes, prepare=lambda value: value):
     chords = _chords(fixes) if fixes is not None else None
     if chords is None or len(chords.begin) < _FEWEST:
         return Finding(INFO, topic, f'no fixes in motion to compare the {topic} with')
-    finite = np.flatnonzero(_finite(value))
-    order = finite[np.argsort(samples.stamp[finite], kind='stable')]
-    stamp = samples.stamp[order]
-    order = order[np.diff(stamp, prepend=stamp[:1] - 1) > 0]
+    order = in_time_order(samples.stamp, _finite(value))
     stamp = samples.stamp[order]
     count = np.searchsorted(stamp, chords.end) - np.searchsorted(stamp, chords.begin)
     enough = count > 0
@@ -366,9 +382,7 @@ def _compare(topic, samples, value, fixes, prepare=lambda value: value):
                        'compare it with', {'chords': int(enough.sum())})
     chords = chords.select(enough)
     time = (stamp - stamp[0]) * 1e-9
-    prepared = prepare(value[order])
-    area = np.concatenate([np.zeros((1, *prepared.shape[1:])),
-                           np.cumsum(0.5 * (prepared[1:] + prepared[:-1]).T * np.diff(time), axis=-1).T])
+    area = integral(time, prepare(value[order]))
     begin, end = ((edge - stamp[0]) * 1e-9 for edge in (chords.begin, chords.end))
 
     def mean(column):
@@ -382,8 +396,7 @@ def _chords(fixes: Fixes) -> _Chords | None:
     fixes = fixes.select(np.diff(fixes.stamp, prepend=fixes.stamp[0] - 1) > 0)
     if len(fixes) < 2:
         return None
-    stated = sigmas(fixes)
-    sigma = np.where(np.isnan(stated), 3.0, stated)
+    sigma = sigmas(fixes, UNSTATED_SIGMA)
     length = float(np.clip(2.0 * np.median(sigma), 1.0, _LONGEST_CHORD))
     later = np.searchsorted(fixes.stamp, fixes.stamp + round(length * 1e9) - 1)
     first = np.flatnonzero(later < len(fixes))
@@ -412,10 +425,10 @@ def _check_ratio(topic, ratio):
     sigma = 1.2533 * robust_sigma(np.abs(ratio)) / np.sqrt(len(ratio))
     values = {'ratio': middle, 'sigma': float(sigma)}
     text = f'the {topic} is {middle:.3g} times that of the fixes'
-    unit = next((unit for unit, per in _UNITS.items() if abs(middle / per - 1) < _SAME_UNIT), None)
-    if unit is not None:
+    unit = next((unit for unit, per in SPEED_UNITS.items() if abs(middle * per - 1) < _SAME_UNIT), 'm/s')
+    if unit != 'm/s':
         yield Finding(ERROR, topic, f'{text}: it seems to be in {unit} instead of m/s', values)
-    elif abs(middle - 1) > max(0.1, 4 * sigma):
+    elif abs(middle - 1) > max(0.1, SURE * sigma):
         yield Finding(WARNING, topic, f'{text}: a wrong scale or unit', values)
     else:
         yield Finding(INFO, topic, text, values)
@@ -435,10 +448,6 @@ def _check_sigma(topic, unit, residual, noise, variance):
 def _finite(value) -> np.ndarray:
     """(n,) which values are finite; of vectors (n, 3) the horizontal two, as not every receiver has a vertical one."""
     return np.isfinite(value if value.ndim == 1 else value[:, :2].sum(axis=1))
-
-
-def _circular_mean(angle) -> float:
-    return float(np.arctan2(np.sin(angle).mean(), np.cos(angle).mean()))
 
 
 def _concentration(angle) -> float:

@@ -19,10 +19,9 @@ from mems_ins_fusion.guard import one_line
 from mems_ins_fusion.parameters.params_file import read_yaml
 from mems_ins_fusion.recordings.compression import ZSTD_MAGIC, decompress, decompress_file, zstd
 from mems_ins_fusion.recordings.errors import RecordingError, RecordingWarning
-from mems_ins_fusion.recordings.mcap import McapFile
+from mems_ins_fusion.recordings.mcap import BLOCK, McapFile
 from mems_ins_fusion.recordings.rosbag1 import Rosbag1File
 
-_BLOCK = 20_000  # messages handed on at once
 _LARGEST_CELL = 2**24  # bytes, of a database
 _LARGEST_MESSAGE = 2**20  # bytes, of those read here: an Imu has some 330
 
@@ -190,7 +189,7 @@ class _Sqlite3File:
                 times.append(time if whole else 0)
                 messages.append(data if whole else b'')  # which is not decodable, and counted there
                 size += 1
-                if size == _BLOCK:
+                if size == BLOCK:
                     yield from ((wanted[topic], *block, min(number / last, 1.0)) for topic, block in found.items())
                     found, size = {topic: ([], []) for topic in wanted}, 0
         except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:

@@ -11,19 +11,20 @@ from types import MappingProxyType
 
 import numpy as np
 
+from mems_ins_fusion.filter.measurements.position import is_fix
 from mems_ins_fusion.filter.measurements.registry import aiding
 from mems_ins_fusion.filter.runs.usable import LARGEST_IN_ANY_UNIT, usable
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY, gravity
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.aiding import check_aiding
-from mems_ins_fusion.recordings.findings import ERROR, INFO, WARNING, Finding, count_of
+from mems_ins_fusion.recordings.findings import ERROR, INFO, SURE, WARNING, Finding, count_of
 from mems_ins_fusion.recordings.motion import (
+    UNSTATED_SIGMA,
     find_standstill,
     positions,
     robust_sigma,
     sigmas,
     up_axis,
-    valid_fixes,
 )
 from mems_ins_fusion.recordings.units import RATE, Units, as_delivered, find_units
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, runs
@@ -35,7 +36,6 @@ GAP = 2.5  # in intervals
 _AXES = np.array(['x', 'y', 'z'])
 _STRAIGHT = np.cos(np.radians(20.0))  # an axis within 20 degrees of the vertical is said to point up
 _SCALE = 0.1  # part of a turn: gyroscopes that are off by more have a wrong scale
-_SURE = 4.0  # sigmas
 #: what the parameters say of units where there are none
 _UNITS = {'imu.acceleration_unit': 'm/s^2', 'imu.rate_unit': 'rad/s'}
 
@@ -72,7 +72,7 @@ def check_recording(recording: Recording, values: Mapping = MappingProxyType({})
     units = find_units(as_delivered(imu, *declared), good, expected)
     findings += [*_check_gravity(imu, still, expected, units, declared[0], values), *_check_rest(imu, still)]
     if good is not None:
-        findings += [*_check_frozen(good, imu, still), *_check_jumps(good, values.get('gnss.robust_sigma', 0.0)),
+        findings += [*_check_frozen(good, imu, still), *_check_jumps(good, values.get('gnss.robust_sigma', 0.0) > 0),
                      *_check_turns(units, declared[1])]
     return findings
 
@@ -193,7 +193,7 @@ def _check_fixes_present(fixes: Fixes, declared: float):
     """Fixes that are none, and sigmas that are not there and not `declared`, m, either."""
     without = fixes.status < 0
     null = ~without & (fixes.latitude == 0) & (fixes.longitude == 0)
-    broken = ~without & ~null & ~valid_fixes(fixes)
+    broken = ~without & ~null & ~is_fix(fixes)
     for mask, text in ((without, 'without a fix (status -1)'),
                        (broken, 'with a position that is no number or no place'),
                        (null, 'at latitude 0, longitude 0, where receivers without a fix are')):
@@ -201,7 +201,7 @@ def _check_fixes_present(fixes: Fixes, declared: float):
             count = int(mask.sum())
             yield Finding(ERROR if mask.all() else WARNING, 'gnss', f'{count_of(count, "message")} {text}',
                           {'count': count})
-    unknown = np.isnan(sigmas(fixes)) & valid_fixes(fixes)
+    unknown = np.isnan(sigmas(fixes)) & is_fix(fixes)
     if unknown.any() and not declared:
         count = int(unknown.sum())
         yield Finding(WARNING, 'gnss', f'{count_of(count, "fix" if count == 1 else "fixe")} with an unknown or zero '
@@ -274,10 +274,10 @@ def _check_frozen(fixes, imu, still):
                       f'up to {seconds:.1f} s', {'count': count, 'longest_s': float(seconds)})
 
 
-def _check_jumps(fixes, robust_sigma):
-    """Steps that no land vehicle makes, beyond five sigma of the receiver. robust_sigma: as the parameter."""
-    stated = sigmas(fixes)
-    stated = np.where(np.isnan(stated), 3.0, stated)
+def _check_jumps(fixes, weighed_down):
+    """Steps that no land vehicle makes, beyond five sigma of the receiver. weighed_down: whether the filter gives such
+    fixes less weight (gnss.robust_sigma)."""
+    stated = sigmas(fixes, UNSTATED_SIGMA)
     time = (fixes.stamp - fixes.stamp[0]) * 1e-9
     interval = np.diff(time)
     step = np.diff(positions(fixes), axis=0)
@@ -293,8 +293,8 @@ def _check_jumps(fixes, robust_sigma):
         # an outlier is two jumps, there and back
         size = np.linalg.norm(step, axis=1)[jump]
         count = int(jump.sum())
-        advice = '; gnss.robust_sigma weighs such fixes down' if robust_sigma else ' (see gnss.robust_sigma)'
-        yield Finding(INFO if robust_sigma else WARNING, 'gnss', f'the position jumps {count_of(count, "time")}, by up '
+        advice = '; gnss.robust_sigma weighs such fixes down' if weighed_down else ' (see gnss.robust_sigma)'
+        yield Finding(INFO if weighed_down else WARNING, 'gnss', f'the position jumps {count_of(count, "time")}, by up '
                       f'to {size.max():.3g} m, which neither the vehicle nor the stated sigma explains{advice}',
                       {'count': count, 'largest_m': float(size.max()), 'first_s': float(time[1:][jump][0])})
 
@@ -313,7 +313,7 @@ def _check_turns(units: Units, declared: str):
     elif units.steering.scale < 0:
         yield Finding(ERROR, 'imu', f'{text}: their sign does not fit the accelerometers; the axes are mirrored (not '
                       'right-handed), or the specific force has the wrong sign', values)
-    elif abs(turned - 1) > max(_SCALE, _SURE * sigma):
+    elif abs(turned - 1) > max(_SCALE, SURE * sigma):
         yield Finding(WARNING, 'imu', f'{text}: a wrong scale', values)
     else:
         yield Finding(INFO, 'imu', text, values)

@@ -11,7 +11,7 @@ ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 LARGEST = 256 * 2**20
 #: a whole file may unpack to this many times its size, and to LARGEST in any case
 HIGHEST_RATIO = 100
-_PIECE = 2**20
+_PIECE = 2**20  # bytes unpacked at once
 
 
 def zstd():

@@ -9,7 +9,6 @@ import numpy as np
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.tables import Table, unit_in_name
 
-SPEED_UNITS = {'m/s': 1.0, 'km/h': 1 / 3.6, 'mph': 0.44704, 'knots': 1852 / 3600, 'mm/s': 1e-3, 'cm/s': 1e-2}
 #: whole numbers of 1e-7 deg are what u-blox, MAVLink and PX4 send, with heights in mm
 ANGLE_UNITS = {'deg': np.pi / 180.0, 'rad': 1.0, '1e-7 deg': 1e-7 * np.pi / 180.0}
 LENGTH_UNITS = {'m': 1.0, 'cm': 1e-2, 'mm': 1e-3}

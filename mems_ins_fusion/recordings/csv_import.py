@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mems_ins_fusion.recordings.aiding import FIELDS, PRESSURES, magnetic_factor, pressure_factor
+from mems_ins_fusion.recordings.aiding import FIELDS, PRESSURES, SPEED_UNITS, magnetic_factor, pressure_factor
 from mems_ins_fusion.recordings.csv_columns import (
     ANGLE_UNITS,
     DATE,
@@ -16,7 +16,6 @@ from mems_ins_fusion.recordings.csv_columns import (
     MAGNETOMETER_COLUMNS,
     PRESSURE_COLUMNS,
     SPEED_COLUMNS,
-    SPEED_UNITS,
     Column,
     find,
     match,

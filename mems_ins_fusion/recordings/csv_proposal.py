@@ -9,7 +9,7 @@ from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY
 from mems_ins_fusion.recordings.csv_columns import SPELLINGS, time_source, values_of
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.tables import Table, unit_in_name
-from mems_ins_fusion.recordings.units import ACCELERATION, RATE
+from mems_ins_fusion.recordings.units import ACCELERATION, FASTEST_TURN, RATE
 
 #: largest logarithm of the ratio of the size of three columns to gravity, to be proposed as accelerometers
 _NEAR_GRAVITY = 0.15
@@ -17,8 +17,6 @@ _NEAR_GRAVITY = 0.15
 _NEIGHBOURHOOD = 3.0
 #: largest median size of three columns to be proposed as gyroscopes: in deg/s no vehicle turns faster for long
 _FASTEST_DEG = 100.0
-#: rad/s, largest turn rate of a vehicle: columns with larger values (99 %) are in deg/s
-_FASTEST_RAD = 4.0
 
 
 def proposal(table: Table, wanted, found, given: dict[str, str]) -> str:
@@ -111,5 +109,5 @@ def _triples(numbers: dict[str, np.ndarray]):
         break
     for triple, s in size.items():
         if not taken & set(triple) and 0 < np.median(s) < _FASTEST_DEG:
-            yield triple, 'deg/s' if np.percentile(s, 99) > _FASTEST_RAD else 'rad/s'
+            yield triple, 'deg/s' if np.percentile(s, 99) > FASTEST_TURN else 'rad/s'
             return

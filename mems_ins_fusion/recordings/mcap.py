@@ -22,7 +22,7 @@ _RECORD = struct.Struct('<BQ')
 _MESSAGE_HEADER = struct.Struct('<HIQQ')
 _CHUNK_HEADER = struct.Struct('<QQQI')
 _FOOTER_SIZE = _RECORD.size + 20
-_BLOCK = 10_000  # messages handed on at once where a file has no chunks
+BLOCK = 10_000  # messages that are read or written at once
 
 
 #: what reading a record raises that is shorter than its kind, or whose texts are none
@@ -130,11 +130,11 @@ class McapFile:
                     if channels and channels.isdisjoint(wanted):
                         continue
                     self._read_chunk(data[begin:stop], begin, counts, found)
-                    pending = _BLOCK
+                    pending = BLOCK
                 else:
                     self._read_records(data, ((opcode, begin, stop),), counts, found)
                     pending += opcode == _MESSAGE
-                if pending >= _BLOCK:
+                if pending >= BLOCK:
                     release(data, stop)
                     yield found, stop
                     found, pending = {channel: ([], []) for channel in wanted}, 0

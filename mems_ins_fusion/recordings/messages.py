@@ -12,18 +12,12 @@ from functools import cache, reduce
 
 import numpy as np
 
-from mems_ins_fusion.filter.measurements.base import GPS_FIX
+from mems_ins_fusion.filter.measurements.base import GPS_FIX, IMU, NAV_SAT_FIX, ODOMETRY, POSE, POSE_STAMPED, TWIST
 from mems_ins_fusion.filter.measurements.registry import AIDING
 from mems_ins_fusion.recordings.errors import needs_rosbags
 from mems_ins_fusion.samples import SECOND
 
-IMU = 'sensor_msgs/msg/Imu'
-NAV_SAT_FIX = 'sensor_msgs/msg/NavSatFix'
 TEMPERATURE = 'sensor_msgs/msg/Temperature'
-ODOMETRY = 'nav_msgs/msg/Odometry'
-POSE_STAMPED = 'geometry_msgs/msg/PoseStamped'
-POSE_WITH_COVARIANCE_STAMPED = 'geometry_msgs/msg/PoseWithCovarianceStamped'
-TWIST_WITH_COVARIANCE_STAMPED = 'geometry_msgs/msg/TwistWithCovarianceStamped'
 
 _STRING = 'string'
 _HEADER = (('header.stamp.sec', '<i4', 1), ('header.stamp.nanosec', '<u4', 1), ('header.frame_id', _STRING, 1))
@@ -47,8 +41,8 @@ FIELDS = {
     TEMPERATURE: (*_HEADER, ('temperature', '<f8', 1), ('variance', '<f8', 1)),
     ODOMETRY: (*_HEADER, ('child_frame_id', _STRING, 1), *_POSE, *_TWIST),
     POSE_STAMPED: (*_HEADER, ('pose.position', '<f8', 3), ('pose.orientation', '<f8', 4)),
-    POSE_WITH_COVARIANCE_STAMPED: (*_HEADER, *_POSE),
-    TWIST_WITH_COVARIANCE_STAMPED: (*_HEADER, *_TWIST),
+    POSE: (*_HEADER, *_POSE),
+    TWIST: (*_HEADER, *_TWIST),
     **{kind: (*_HEADER, *fields) for measurement in AIDING for kind, fields in measurement.layouts.items()},
 }
 #: definitions of types that rosbags does not know, by name; with sequences, so that their messages are read one by one:

@@ -4,24 +4,21 @@ Works in the unit the sensors deliver, so that it can tell a wrong one.
 """
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-# what is a fix, the filter's intake says
-from mems_ins_fusion.filter.measurements.position import is_fix as valid_fixes
-from mems_ins_fusion.filter.measurements.position import is_place as plausible
 from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.navigation.frames import wrap
 from mems_ins_fusion.samples import Fixes, ImuSamples
-
-__all__ = ['Steering', 'compare_steering', 'find_standstill', 'plausible', 'positions', 'robust_sigma',
-           'scatter_at_rest', 'scatter_of_track', 'sigmas', 'up_axis', 'valid_fixes', 'without_turns']
 
 #: part of gravity, largest spread of the specific force at rest: that of a running engine is smaller
 QUIET = 0.03
 #: m/s, largest speed that counts as rest
 CREEP = 0.15
+#: m, standard deviation of a fix whose message states none: that of a receiver without corrections
+UNSTATED_SIGMA = 3.0
 #: rad/s, smallest turn rate in motion: more than a gyroscope's bias changes in a drive, less than that of a robot that
 #: turns on the spot
 TURNS = 0.03
@@ -50,17 +47,38 @@ def robust_sigma(values: np.ndarray) -> float:
     return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 
+def integral(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Running integral of `values` (n, ...) over `time` (n,) by the trapezoidal rule, zero at the first time."""
+    step = np.diff(time).reshape(-1, *[1] * (values.ndim - 1))
+    return np.concatenate([np.zeros_like(values[:1]), np.cumsum(0.5 * (values[1:] + values[:-1]) * step, axis=0)])
+
+
+def advancing(imu: ImuSamples, origin: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times (n,), s after `origin` (ns), specific forces and angular rates (n, 3) of the samples that are finite and
+    whose stamps are later than all before."""
+    finite = np.isfinite(imu.specific_force).all(axis=1) & np.isfinite(imu.angular_rate).all(axis=1)
+    stamp = imu.stamp[finite]
+    later = np.diff(np.maximum.accumulate(stamp), prepend=stamp[:1] - 1) > 0
+    return (stamp[later] - origin) * 1e-9, imu.specific_force[finite][later], imu.angular_rate[finite][later]
+
+
 def positions(fixes: Fixes) -> np.ndarray:
     """(n, 2) north and east, m, from the first of `fixes`, which must all be valid."""
     datum = float(fixes.latitude[0]), float(fixes.longitude[0]), float(fixes.height[0])
     return np.column_stack(to_local(fixes.latitude, fixes.longitude, fixes.height, datum)[:2])
 
 
-def sigmas(fixes: Fixes) -> np.ndarray:
-    """(n,) horizontal standard deviation per axis as the receiver states it, m; NaN where it states none."""
+def sigmas(fixes: Fixes, unstated: float = math.nan) -> np.ndarray:
+    """(n,) horizontal standard deviation per axis as the receiver states it, m; `unstated` where it states none."""
     variance = 0.5 * (fixes.covariance[:, 0, 0] + fixes.covariance[:, 1, 1])
     known = (fixes.covariance_type > 0) & (variance > 0) & np.isfinite(variance)
-    return np.sqrt(np.where(known, variance, np.nan))
+    return np.sqrt(np.where(known, variance, unstated**2))
+
+
+def middle_sigma(fixes: Fixes) -> float:
+    """Median of the stated standard deviations, m; UNSTATED_SIGMA where no fix states one."""
+    stated = sigmas(fixes)
+    return float(np.nanmedian(stated)) if np.isfinite(stated).any() else UNSTATED_SIGMA
 
 
 def find_standstill(imu: ImuSamples, fixes: Fixes | None = None) -> np.ndarray:
@@ -115,7 +133,7 @@ def _seconds(imu: ImuSamples) -> tuple[int, int]:
 
 def _stays(stamp: np.ndarray, fixes: Fixes) -> np.ndarray:
     """Whether the fixes around each of `stamp` show no motion; false where there are none."""
-    sigma = np.nanmedian(sigmas(fixes)) if np.isfinite(sigmas(fixes)).any() else 3.0
+    sigma = middle_sigma(fixes)
     window = float(np.clip(5.0 * sigma, 2.0, 10.0))  # s; a poor receiver needs longer to show a creep
     order = np.argsort(fixes.stamp, kind='stable')
     time = (fixes.stamp[order] - fixes.stamp[order[0]]) * 1e-9
@@ -248,8 +266,7 @@ def _course_changes(fixes: Fixes):
     fixes = fixes.select(np.diff(fixes.stamp, prepend=fixes.stamp[0] - 1) > 0)
     if len(fixes) < 2:
         return None
-    stated = sigmas(fixes)
-    sigma = np.where(np.isnan(stated), 3.0, stated)
+    sigma = sigmas(fixes, UNSTATED_SIGMA)
     pace = np.linalg.norm(np.diff(positions(fixes), axis=0), axis=1) / np.diff(fixes.stamp) * 1e9
     # intervals long enough for a course to a few degrees, short enough to resolve a turn
     length = np.clip(40.0 * np.median(sigma) / max(np.percentile(pace, 75), 0.1), 1.0, 4.0)
@@ -276,12 +293,9 @@ class _Heading:
     """The heading that the gyroscopes turn through, clockwise, as a function of seconds after the first sample."""
 
     def __init__(self, imu: ImuSamples, up):
-        finite = np.isfinite(imu.angular_rate).all(axis=1)
-        stamp, rate = imu.stamp[finite], -(imu.angular_rate[finite] @ up)
-        advancing = np.flatnonzero(np.diff(np.maximum.accumulate(stamp), prepend=stamp[:1] - 1) > 0)
-        self.time, rate = (stamp[advancing] - imu.stamp[0]) * 1e-9, rate[advancing]
-        self.angle = _integral(self.time, rate)
-        self.area = _integral(self.time, self.angle)
+        self.time, _, rate = advancing(imu, int(imu.stamp[0]))
+        self.angle = integral(self.time, -(rate @ up))
+        self.area = integral(self.time, self.angle)
 
     def mean(self, begin, end):
         """Mean heading between times, rad."""
@@ -290,8 +304,3 @@ class _Heading:
     def mean_rate(self, begin, end):
         """Mean rate of turn between times, rad/s."""
         return (np.interp(end, self.time, self.angle) - np.interp(begin, self.time, self.angle)) / (end - begin)
-
-
-def _integral(time, values):
-    """Running integral by the trapezoidal rule, zero at the first time."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])

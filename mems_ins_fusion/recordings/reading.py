@@ -9,22 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
+from mems_ins_fusion.filter.measurements.base import IMU, NAV_SAT_FIX, NOT_THERE, ODOMETRY, POSE_STAMPED
 from mems_ins_fusion.filter.measurements.inertial import Inertial
+from mems_ins_fusion.filter.measurements.position import is_fix, is_place
 from mems_ins_fusion.filter.measurements.registry import AIDING, MEASUREMENTS, TYPES
 from mems_ins_fusion.filter.memory import Kind
 from mems_ins_fusion.navigation.earth import from_local
-from mems_ins_fusion.navigation.frames import ned_from_enu, yaw_from_enu, yaw_of_quaternion
+from mems_ins_fusion.navigation.frames import ned_from_enu, unit_quaternions, yaw_from_enu, yaw_of_quaternion
 from mems_ins_fusion.recordings import messages
 from mems_ins_fusion.recordings.bags import Bag
 from mems_ins_fusion.recordings.errors import RecordingError, RecordingWarning
-from mems_ins_fusion.recordings.messages import (
-    IMU,
-    NAV_SAT_FIX,
-    ODOMETRY,
-    POSE_STAMPED,
-    TEMPERATURE,
-)
-from mems_ins_fusion.recordings.motion import plausible
+from mems_ins_fusion.recordings.messages import TEMPERATURE
 from mems_ins_fusion.samples import (
     NO_SAMPLES,
     Fixes,
@@ -38,7 +33,6 @@ from mems_ins_fusion.samples import (
 FIX_TYPES = tuple(MEASUREMENTS[Kind.POSITION].messages)
 #: what a reference may be
 REFERENCE_TYPES = (NAV_SAT_FIX, ODOMETRY, POSE_STAMPED)
-_NO_FIX = -1  # NavSatStatus.STATUS_NO_FIX
 _LATEST = 2**63  # ns
 
 #: the fields worth keeping, by message type
@@ -231,7 +225,7 @@ def _orientation(array) -> np.ndarray | None:
     A covariance that begins with -1 says so (sensor_msgs/Imu); zeros, and a constant identity, are fields not filled.
     """
     orientation = array['orientation'].copy()
-    absent = (array['orientation_covariance'][:, 0] == -1) | ~orientation.any(axis=1)
+    absent = (array['orientation_covariance'][:, 0] == NOT_THERE[0]) | ~orientation.any(axis=1)
     if absent.all() or (orientation[~absent] == (0, 0, 0, 1)).all():
         return None
     orientation[absent] = np.nan
@@ -246,20 +240,13 @@ def _temperatures(array) -> Temperatures:
     return Temperatures(stamp=array['stamp'], received=array['received'], celsius=array['temperature'])
 
 
-def _unit(quaternion) -> np.ndarray:
-    """Quaternions (n, 4) of length one; NaN where they are zero or NaN."""
-    with np.errstate(invalid='ignore'):
-        return quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
-
-
 def _reference(array, msgtype, datum, gnss, topic) -> Reference:
     if msgtype == NAV_SAT_FIX:
         fixes = _fixes(array, msgtype)
-        valid = fixes.status > _NO_FIX
-        reference = Reference(fixes.stamp, fixes.latitude, fixes.longitude, fixes.height).select(valid)
+        reference = Reference(fixes.stamp, fixes.latitude, fixes.longitude, fixes.height).select(is_fix(fixes))
     else:
         reference = _local_reference(array, msgtype, datum if datum is not None else _first_fix(gnss, topic))
-    reference = reference.select(plausible(reference.latitude, reference.longitude, reference.height))
+    reference = reference.select(is_place(reference.latitude, reference.longitude, reference.height))
     if not len(reference):
         raise RecordingError(f"reference topic '{topic}' holds no valid position")
     return reference.select(np.argsort(reference.stamp, kind='stable'))
@@ -267,8 +254,7 @@ def _reference(array, msgtype, datum, gnss, topic) -> Reference:
 
 def _first_fix(gnss: Fixes | None, topic) -> tuple:
     """The datum that local poses on `topic` get where none is given."""
-    valid = np.flatnonzero((gnss.status > _NO_FIX) & plausible(gnss.latitude, gnss.longitude, gnss.height)) \
-        if gnss is not None else ()
+    valid = () if gnss is None else np.flatnonzero(is_fix(gnss))
     if not len(valid):
         raise RecordingError(f"reference topic '{topic}' holds local poses: give the datum (latitude, longitude and "
                              'height of their origin)')
@@ -284,7 +270,7 @@ def _local_reference(array, msgtype, datum) -> Reference:
     """A reference from poses (east-north-up at `datum`; body axes forward-left-up)."""
     prefix = 'pose.pose' if msgtype == ODOMETRY else 'pose'
     east, north, up = array[f'{prefix}.position'].T
-    orientation = _unit(array[f'{prefix}.orientation'])
+    orientation = unit_quaternions(array[f'{prefix}.orientation'])
     yaw = yaw_from_enu(yaw_of_quaternion(*orientation.T))
     latitude, longitude, height = from_local(north, east, -up, tuple(float(value) for value in datum))
     velocity = None

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from mems_ins_fusion.filter.measurements.position import is_place
 from mems_ins_fusion.navigation.earth import from_local
 from mems_ins_fusion.navigation.frames import yaw_from_enu, yaw_of_quaternion
 from mems_ins_fusion.recordings.csv_columns import GNSS_COLUMNS
 from mems_ins_fusion.recordings.errors import RecordingError
 from mems_ins_fusion.recordings.gps_time import EPOCH, WEEK, leap_seconds
-from mems_ins_fusion.recordings.motion import plausible
 from mems_ins_fusion.recordings.nmea import epoch_seconds, read_nmea, time_of_day
 from mems_ins_fusion.recordings.tables import LATEST, Table, read_table, read_text, unit_in_name
 from mems_ins_fusion.samples import SECOND, Reference
@@ -54,7 +54,7 @@ def read_reference(path, datum=None) -> Reference:
         reference = _read_kf_gins(path)
     else:
         reference = _read_csv(path, datum)
-    reference = reference.select(plausible(reference.latitude, reference.longitude, reference.height))
+    reference = reference.select(is_place(reference.latitude, reference.longitude, reference.height))
     if not len(reference):
         raise RecordingError(f'{path} holds no valid position')
     return reference.select(np.argsort(reference.stamp, kind='stable'))

@@ -13,12 +13,11 @@ from pathlib import Path
 
 from mems_ins_fusion.recordings.compression import decompress, most_unpacked
 from mems_ins_fusion.recordings.errors import RecordingError, needs_rosbags
-from mems_ins_fusion.recordings.mcap import release
+from mems_ins_fusion.recordings.mcap import BLOCK, release
 from mems_ins_fusion.samples import SECOND
 
 MAGIC = b'#ROSBAG V2.0\n'
 _MESSAGE, _BAG, _CHUNK, _CONNECTION = 2, 3, 5, 7
-_BLOCK = 10_000  # messages handed on at once
 _LARGEST_HEADER = 10_000  # bytes
 
 
@@ -73,7 +72,7 @@ class Rosbag1File:
             times.append(time)
             messages.append(self._converted(data, wanted[connection]))
             size += 1
-            if size == _BLOCK:
+            if size == BLOCK:
                 yield from ((topic, *block, part) for topic, block in found.items())
                 found, size = {topic: ([], []) for topic in topics}, 0
         yield from ((topic, *block, 1.0) for topic, block in found.items())

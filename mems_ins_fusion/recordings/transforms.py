@@ -6,13 +6,9 @@ from operator import attrgetter
 
 import numpy as np
 
+from mems_ins_fusion.filter.measurements.base import ODOMETRY, POSE, POSE_STAMPED
 from mems_ins_fusion.recordings.bags import Bag
-from mems_ins_fusion.recordings.messages import (
-    ODOMETRY,
-    POSE_STAMPED,
-    POSE_WITH_COVARIANCE_STAMPED,
-    deserialized,
-)
+from mems_ins_fusion.recordings.messages import deserialized
 
 TOPIC, TYPE = '/tf_static', 'tf2_msgs/msg/TFMessage'
 #: of the vehicle (REP 105)
@@ -20,7 +16,7 @@ BASE = 'base_link'
 #: frames between a sensor and the vehicle; more, and the transforms go round in a circle
 _LONGEST = 50
 #: types whose header names the frame of the world: the field with that of the sensor, '' where there is none
-_FRAME = {ODOMETRY: 'child_frame_id', POSE_STAMPED: '', POSE_WITH_COVARIANCE_STAMPED: ''}
+_FRAME = {ODOMETRY: 'child_frame_id', POSE_STAMPED: '', POSE: ''}
 
 
 def has_frame(kind: str) -> bool:

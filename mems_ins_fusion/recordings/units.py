@@ -14,7 +14,7 @@ from mems_ins_fusion.recordings.motion import Steering, compare_steering, find_s
 from mems_ins_fusion.samples import Fixes, ImuSamples
 
 _TOLERANCE = 0.2  # part of gravity: more is no bias
-_FASTEST_TURN = 4.0  # rad/s: of no land vehicle
+FASTEST_TURN = 4.0  # rad/s: of no land vehicle
 
 
 def in_si(imu: ImuSamples, acceleration_unit: str, rate_unit: str) -> ImuSamples:
@@ -61,7 +61,7 @@ def find_units(imu: ImuSamples, fixes: Fixes | None, gravity: float) -> Units:
     steering = compare_steering(imu, fixes, up) if fixes is not None and len(fixes) > 1 else None
     largest = float(np.nanpercentile(np.abs(imu.angular_rate), 99.9))
     if steering is None or not steering.tells:
-        rate, steering = ('deg/s' if largest > _FASTEST_TURN else 'rad/s'), None
+        rate, steering = ('deg/s' if largest > FASTEST_TURN else 'rad/s'), None
     else:
         rate = min(RATE, key=lambda unit: abs(math.log(steering.turned[0] * RATE[unit])))
     return Units(acceleration or 'm/s^2', rate, acceleration is not None, magnitude, bool(still.any()), steering,

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mems_ins_fusion.filter.measurements.base import NOT_THERE
 from mems_ins_fusion.filter.measurements.registry import AIDING, MEASUREMENTS
 from mems_ins_fusion.filter.memory import Kind
 from mems_ins_fusion.guard import one_line
@@ -15,6 +16,7 @@ from mems_ins_fusion.navigation.earth import to_local
 from mems_ins_fusion.navigation.frames import FLU_TO_FRD, ned_from_enu
 from mems_ins_fusion.recordings import messages
 from mems_ins_fusion.recordings.errors import RecordingError, needs_rosbags
+from mems_ins_fusion.recordings.mcap import BLOCK
 from mems_ins_fusion.results import ResultError, result_folder
 from mems_ins_fusion.samples import (
     Fixes,
@@ -25,8 +27,6 @@ from mems_ins_fusion.samples import (
 )
 
 STORAGES = ('mcap', 'sqlite3')
-_BLOCK = 20_000  # messages
-_UNKNOWN = -1.0  # first element of a covariance in sensor_msgs/Imu where the quantity is not there
 
 
 @dataclass(frozen=True)
@@ -134,9 +134,9 @@ def _finite(values: np.ndarray) -> np.ndarray:
 def _imu_fields(imu: ImuSamples) -> dict:
     fields = {'angular_velocity': imu.angular_rate, 'linear_acceleration': imu.specific_force}
     if imu.orientation is None:
-        return {**fields, 'orientation': (0.0, 0.0, 0.0, 1.0), 'orientation_covariance': (_UNKNOWN, *[0.0] * 8)}
+        return {**fields, 'orientation': (0.0, 0.0, 0.0, 1.0), 'orientation_covariance': NOT_THERE}
     covariance = np.zeros((len(imu), 9))
-    covariance[np.isnan(imu.orientation).any(axis=1), 0] = _UNKNOWN
+    covariance[np.isnan(imu.orientation).any(axis=1), 0] = NOT_THERE[0]
     return {**fields, 'orientation': imu.orientation, 'orientation_covariance': covariance}
 
 
@@ -173,8 +173,8 @@ def _write(path: Path, storage: str, streams: list[_Stream], overwrite: bool) ->
             inner = folder / path.absolute().name  # rosbags makes the folder itself and names the data after it
             with Writer(inner, version=9, storage_plugin=StoragePlugin[storage.upper()]) as writer:
                 connections = [writer.add_connection(s.topic, s.kind, typestore=store) for s in streams]
-                for begin in range(0, len(order), _BLOCK):
-                    block = order[begin:begin + _BLOCK]
+                for begin in range(0, len(order), BLOCK):
+                    block = order[begin:begin + BLOCK]
                     owner = np.searchsorted(first, block, side='right') - 1
                     data = [iter(s.encoded(block[owner == i] - first[i])) for i, s in enumerate(streams)]
                     for i, time in zip(owner.tolist(), times[block].tolist()):

@@ -17,8 +17,8 @@ from .html import bullets, figure, folded, paragraph, preformatted, section, tab
 from .settings import settings_table
 from .verdict import unsettled_text
 
-_WIDTH = 116
-_POINTS = 4000
+_WIDTH = 116  # characters of a line of comment
+_POINTS = 4000  # of a figure, about
 
 
 def doubts(result: Configuration) -> list[str]:

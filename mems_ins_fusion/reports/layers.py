@@ -7,8 +7,10 @@ from ..diagnosis.findings import Diagnosis
 from ..diagnosis.measured import Measured
 from ..evaluation.comparison import Comparison, truth_of
 from ..evaluation.metrics import Errors, Truth, lever_arm_north_east
+from ..filter.measurements.position import is_fix
 from ..filter.runs.results import Run
 from ..navigation.earth import to_local
+from ..navigation.frames import near
 from ..samples import Fixes, Reference
 from . import colours
 from .track import Layer
@@ -43,7 +45,8 @@ class Ground:
 
 def middle(reference: Reference) -> np.ndarray:
     """Latitude, longitude (rad) and height (m) in the middle of the recording."""
-    return np.array([np.median(reference.latitude), np.median(reference.longitude), np.median(reference.height)])
+    longitude = near(reference.longitude, reference.longitude[0])
+    return np.array([np.median(reference.latitude), np.median(longitude), np.median(reference.height)])
 
 
 def diagnosed_truth(diagnosis: Diagnosis) -> Truth:
@@ -131,7 +134,7 @@ def _truth(ground: Ground, origin: int, source: str) -> Layer:
 def _fixes(ground: Ground, comparison: Comparison, run: Run, origin: int) -> list[Layer]:
     """Fixes that `run` used, that it was given and did not use, and that it was not given."""
     fixes = comparison.recording.gnss
-    fixes = fixes.select(np.isfinite(fixes.latitude + fixes.longitude + fixes.height) & (fixes.status >= 0))
+    fixes = fixes.select(is_fix(fixes))
     stamp = fixes.stamp - round(run.config.gnss.time_offset * 1e9)
     used = np.isin(stamp, run.innovations.stamp)
     given = np.isin(stamp, comparison.fixes_given[comparison.intervals[0]]) & (stamp >= run.stamp[0])

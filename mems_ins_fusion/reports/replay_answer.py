@@ -247,7 +247,7 @@ def _intervals(comparison: Comparison) -> list[str]:
         return []
     error = {i: rms(np.concatenate([comparison.run_of(m, i).errors.horizontal for m in comparison.models]))
              for i in intervals}
-    between = {i: _spread([rms(comparison.run_of(m, i).errors.horizontal) for m in comparison.models])
+    between = {i: np.ptp([rms(comparison.run_of(m, i).errors.horizontal) for m in comparison.models])
                for i in intervals}
     first, last = intervals[0], intervals[-1]
     sentence = (f'Fixes each {last:g} s instead of each {first:g} s change the RMS error from '
@@ -255,10 +255,6 @@ def _intervals(comparison: Comparison) -> list[str]:
     if len(comparison.models) > 1:
         sentence += f'; between the models the largest difference is {number(max(between.values()), 2)} m'
     return [sentence + '.']
-
-
-def _spread(values) -> float:
-    return max(values) - min(values)
 
 
 def _turns(comparison: Comparison) -> list[str]:

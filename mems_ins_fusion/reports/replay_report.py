@@ -157,13 +157,10 @@ def report_page(comparisons: dict[str, Comparison], values: dict, content: dict,
             sections.append(folded(f'Diagnosed while driving{of}', bullets(told)))
     sections += [_settings(values, content), _explanation()]
     names = ', '.join(comparisons)
+    truths = ', '.join(dict.fromkeys(c.truth.source for c in comparisons.values()))
     return html.page(f'Replay of {names}', sections,
                      f'{values["mechanization"]} mechanization, {len(content["runs"])} runs. Errors are measured '
-                     f'against: {_truths(comparisons)}.', script())
-
-
-def _truths(comparisons) -> str:
-    return ', '.join(dict.fromkeys(c.truth.source for c in comparisons.values()))
+                     f'against: {truths}.', script())
 
 
 def _glance(comparison: Comparison, content: dict, name: str):

@@ -25,6 +25,7 @@ from ..evaluation.verdict import (
     decide,
     trusted,
 )
+from ..guard import one_line
 from ..samples import SECOND
 from . import colours, html
 from .answer import GOOD, WARNING, Answer, Step
@@ -95,10 +96,10 @@ def read_result(folder, name: str) -> Result:
         raise CompareError(f'{folder} is not a result of replay_node: it has no readable report.json') from None
     if not isinstance(content, dict) or content.get('tool') != 'replay_node':
         raise CompareError(f'{folder} is not a result of replay_node')
-    recordings = [r['name'] for r in content['recordings']]
     runs, outages = {}, {}
-    offset = round(content['parameters'].get('gnss.time_offset', 0.0) * 1e9)
     try:
+        recordings = [r['name'] for r in content['recordings']]
+        offset = round(content['parameters'].get('gnss.time_offset', 0.0) * 1e9)
         best = content['sensor_error_model']
         for recording, truth_source in ((r['name'], r['truth']) for r in content['recordings']):
             # by the fixes' own stamps, so that the same epochs are compared whatever a replay says of the clocks
@@ -111,10 +112,11 @@ def read_result(folder, name: str) -> Result:
                 runs[recording, model, interval] = _series(truth, estimate, delay, run['independent_truth'])
             for (model, duration), series in _outages(folder / f'{prefix}outages.csv', offset).items():
                 outages[recording, model, duration] = series
-    except (OSError, ValueError, KeyError) as error:
-        raise CompareError(f'{folder}: {error}; replay the recording again with this version') from None
-    fitted = tuple(r['name'] for r in content['recordings'] if r.get('fitted_to_it'))
-    models = list(dict.fromkeys([best, *(r['model'] for r in content['runs'])]))
+        fitted = tuple(r['name'] for r in content['recordings'] if r.get('fitted_to_it'))
+        models = list(dict.fromkeys([best, *(r['model'] for r in content['runs'])]))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise CompareError(f'{folder}: {type(error).__name__}: {one_line(error)}; replay the recording again with this '
+                           'version') from None
     return Result(name, recordings, models, runs, outages, fitted)
 
 

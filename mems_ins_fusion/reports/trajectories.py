@@ -17,6 +17,7 @@ from ..filter.runs.live_output import published
 from ..filter.runs.odometry import ANGULAR, LINEAR, ORIENTATION, POSE_COVARIANCE, TWIST_COVARIANCE
 from ..filter.runs.results import Run
 from ..navigation.earth import to_local
+from ..navigation.frames import near
 from ..recordings.writing import OdometrySamples, write_recording
 from ..samples import SECOND, Recording, Reference
 
@@ -96,8 +97,8 @@ def write_csv(path: Path, run: Run) -> None:
     from north; time in s since the epoch."""
     at = every(run.stamp, POSE_INTERVAL)
     sigma = run.sigma[at][:, _PLANAR_SIGMAS if run.config.mechanization == PLANAR else _STRAPDOWN_SIGMAS]
-    degrees = np.degrees(np.column_stack([run.latitude, run.longitude, run.roll, run.pitch, run.yaw])[at])
-    rows = np.column_stack([degrees[:, :2], run.height[at], run.velocity[at], degrees[:, 2:], sigma[:, :4],
+    attitude = np.degrees(np.column_stack([run.roll, run.pitch, run.yaw])[at])
+    rows = np.column_stack([_degrees(run, at), run.height[at], run.velocity[at], attitude, sigma[:, :4],
                             np.degrees(sigma[:, 4])])
     line = '%d.%09d,%.9f,%.9f,%.4f' + ',%.4f' * (len(CSV_COLUMNS) - 4) + '\n'
     seconds, nanoseconds = np.divmod(run.stamp[at], SECOND)
@@ -107,12 +108,17 @@ def write_csv(path: Path, run: Run) -> None:
                                                                    rows.tolist()))
 
 
+def _degrees(track: Run | Reference, at: np.ndarray) -> np.ndarray:
+    """Latitude and longitude, (k, 2) deg from -180 to 180, at the indices `at` (k,)."""
+    return np.degrees(np.column_stack([track.latitude[at], near(track.longitude[at], 0.0)]))
+
+
 def write_gpx(path: Path, run: Run, name: str) -> None:
     """`run` as a track of GPX 1.1, a point every MAP_INTERVAL s."""
     at = every(run.stamp, MAP_INTERVAL)
     points = [f'<trkpt lat="{latitude:.8f}" lon="{longitude:.8f}"><ele>{height:.2f}</ele><time>{_utc(stamp)}</time>'
-              '</trkpt>' for latitude, longitude, height, stamp in zip(
-                  np.degrees(run.latitude[at]), np.degrees(run.longitude[at]), run.height[at], run.stamp[at].tolist())]
+              '</trkpt>' for (latitude, longitude), height, stamp in zip(
+                  _degrees(run, at), run.height[at], run.stamp[at].tolist())]
     path.write_text('<?xml version="1.0" encoding="UTF-8"?>\n'
                     '<gpx version="1.1" creator="mems_ins_fusion" xmlns="http://www.topografix.com/GPX/1/1">\n'
                     f'<trk><name>{escape(name)}</name><trkseg>\n' + '\n'.join(points) + '\n</trkseg></trk>\n</gpx>\n',
@@ -128,8 +134,8 @@ def _utc(stamp: int) -> str:
 def write_kml(path: Path, run: Run, name: str) -> None:
     """`run` as a line of KML 2.2 on the ground, a point every MAP_INTERVAL s."""
     at = every(run.stamp, MAP_INTERVAL)
-    points = ' '.join(f'{longitude:.8f},{latitude:.8f},{height:.2f}' for latitude, longitude, height in zip(
-        np.degrees(run.latitude[at]), np.degrees(run.longitude[at]), run.height[at]))
+    points = ' '.join(f'{longitude:.8f},{latitude:.8f},{height:.2f}' for (latitude, longitude), height in zip(
+        _degrees(run, at), run.height[at]))
     path.write_text('<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2">\n<Document>'
                     f'<name>{escape(name)}</name>\n<Placemark><name>{escape(name)}</name><LineString><tessellate>1'
                     f'</tessellate><altitudeMode>clampToGround</altitudeMode>\n<coordinates>{points}</coordinates>\n'
@@ -163,7 +169,7 @@ def write_geojson(path: Path, tracks: dict[str, Run | Reference]) -> None:
     lines = []
     for name, track in tracks.items():
         at = every(track.stamp, MAP_INTERVAL)
-        points = np.round(np.degrees(np.column_stack([track.longitude[at], track.latitude[at]])), 8)
+        points = np.round(_degrees(track, at)[:, ::-1], 8)
         lines.append({'type': 'Feature', 'properties': {'name': name},
                       'geometry': {'type': 'LineString', 'coordinates': points.tolist()}})
     path.write_text(json.dumps({'type': 'FeatureCollection', 'features': lines}), encoding='ascii')

@@ -41,13 +41,19 @@ class Model:
     #: its parameter, behind the sensor's name, that says how large it is
     level = ''
 
+    @classmethod
+    def from_parameters(cls, parameters: Mapping, sensor: str) -> list[Model]:
+        """The models of a sensor's x, y and z axes. parameters: checked, by full name. sensor: accelerometer or
+        gyroscope."""
+        raise NotImplementedError
+
     def of_order(self, order: int) -> Model:
         """The same process with `order` states."""
         return self
 
     def with_tilt(self, sigma: float, time: float) -> tuple[Model, float]:
-        """It with another error of `sigma` that lasts for `time` s taken in; and what of that is to be white noise
-        beside it, density squared."""
+        """This model with another error added, of standard deviation `sigma` and correlation time `time`, s; and what
+        of that error is not in it but is to be white noise beside it, density squared."""
         return self, 10.0 * sigma**2  # it moves the velocity as far in ten seconds
 
 
@@ -211,6 +217,17 @@ def simulate(model: Model, n: int, dt: float, rng: np.random.Generator) -> np.nd
     driving = math.sqrt(model.process_noise(dt)[0, 0]) * rng.standard_normal(n)
     driving[0] = math.sqrt(model.initial_covariance()[0, 0]) * rng.standard_normal()
     return lfilter([1.0], [1.0, -transition], driving)
+
+
+def gauss_markov_at(time: np.ndarray, tau: float, white: np.ndarray) -> np.ndarray:
+    """A first-order Gauss-Markov process (n, k) of correlation time `tau`, s, at `time` (n,), s, of any spacing.
+
+    white: (n, k) white noise that drives it; the process begins with its first row and has its standard deviation.
+    """
+    error = white.copy()
+    for i, decay in enumerate(np.exp(-np.diff(time) / tau)):
+        error[i + 1] = decay * error[i] + math.sqrt(1 - decay**2) * white[i + 1]
+    return error
 
 
 def _simulate_autoregressive(model: Autoregressive, n: int, dt: float, rng) -> np.ndarray:

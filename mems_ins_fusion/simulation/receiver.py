@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mems_ins_fusion.errors import InputError
+from mems_ins_fusion.sensor_errors.models import gauss_markov_at
 
 _DROPOUT = (3.0, 40.0)  # s, between which the lengths of drop-outs are drawn
 
@@ -73,20 +74,13 @@ class GnssNoise:
         stream(purpose): random numbers for one purpose.
         """
         if self.coloured_sigma:
-            error = error + self.coloured_sigma * _gauss_markov(time, self.coloured_tau, stream('coloured'))
+            white = stream('coloured').standard_normal((len(time), 3))
+            error = error + self.coloured_sigma * gauss_markov_at(time, self.coloured_tau, white)
         if self.outliers:
             rng = stream('outliers')
             wrong = rng.uniform(size=len(time)) < self.outliers
             error = error + wrong[:, None] * self.outlier_sigma * rng.standard_normal(error.shape)
         return _smoothed(time, position + error, self.smoothing) - position if self.smoothing else error
-
-
-def _gauss_markov(time, tau, rng):
-    """A first-order Gauss-Markov process of standard deviation 1 on three axes, (m, 3)."""
-    error = rng.standard_normal((len(time), 3))
-    for i, phi in enumerate(np.exp(-np.diff(time) / tau)):
-        error[i + 1] = phi * error[i] + math.sqrt(1 - phi**2) * error[i + 1]
-    return error
 
 
 def _smoothed(time, position, tau):

@@ -19,8 +19,7 @@ from mems_ins_fusion.filter.measurements.registry import AIDING, MEASUREMENTS
 from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.navigation.frames import FLU_TO_FRD, rotation_from_rpy, wrap
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, Reference, Temperatures
-from mems_ins_fusion.sensor_errors.from_parameters import error_models, per_axis
-from mems_ins_fusion.sensor_errors.models import Model
+from mems_ins_fusion.sensor_errors.models import MODELS, Model, per_axis
 from mems_ins_fusion.sensor_errors.models import simulate as simulate_errors
 from mems_ins_fusion.simulation.drive import START_STAMP, Drive, simulate_drive, stream
 from mems_ins_fusion.simulation.receiver import GnssNoise
@@ -64,7 +63,7 @@ class SensorErrors:
         """
         per_sensor = {}
         for sensor in ('accelerometer', 'gyroscope'):
-            per_sensor[sensor] = error_models(parameters, sensor, model)
+            per_sensor[sensor] = MODELS[model].from_parameters(parameters, sensor)
             for name in ('noise_density', 'bias', 'scale'):
                 per_sensor[f'{sensor}_{name}'] = per_axis(parameters, f'{sensor}.{name}')
             if model != 'random_walk':
@@ -109,8 +108,8 @@ def simulate_recording(drive: Drive, sensors: SensorErrors | None = None, gnss: 
     with its parameters (those left out take their defaults). mounting_rpy: roll, pitch, yaw (rad) of the rotation from
     sensor axes to base_link (forward-left-up), as declared. vibration, aiding: none where None. named: inputs with a
     name (`Measurement.named`), each with the errors of its kind in `aiding`, 10 Hz (a fix 1 Hz) without a rate there.
-    The reference is the true position of the IMU, the velocity
-    there and the yaw of the body, at each IMU sample. ValueError for an unknown parameter of an effect.
+    The reference is the true position of the IMU, the velocity there and the yaw of the body, at each IMU sample.
+    InputError for an unknown parameter of an effect.
     """
     sensors, gnss = sensors or SensorErrors(), gnss or GnssNoise()
     effects = [(effect, effect.complete(values)) for effect, values in effects]

@@ -17,6 +17,7 @@ POSE_STAMPED = 'geometry_msgs/msg/PoseStamped'
 IMU = 'sensor_msgs/msg/Imu'
 NAV_SAT_FIX = 'sensor_msgs/msg/NavSatFix'
 GPS_FIX = 'gps_msgs/msg/GPSFix'
+NOT_THERE = (-1.0, *[0.0] * 8)  # covariance that sensor_msgs/Imu states for a quantity that the message does not hold
 FIRST_NAMED = 100  # number of the first named input
 
 
@@ -52,8 +53,8 @@ class Measurement:
     layouts: of message types that no other part of the package reads: (field, NumPy type of an element, number of
     elements) after the header. written_to: topic in recordings that this package writes. of_antenna: whether it is
     measured at the GNSS antenna, with the receiver's stamps. from_satellites: whether an outage withholds it. of_two:
-    whether a sample needs two messages. needs_height: whether it says nothing to a
-    mechanization without a height. has_arm: whether it depends on where in the vehicle it is measured.
+    whether a sample needs two messages. needs_height: whether it says nothing to a mechanization without a height.
+    has_arm: whether it depends on where in the vehicle it is measured.
     simulated_with: rate (Hz; 0: not simulated) and errors in simulations, by the names of `simulation.Aiding`.
     state_column: column of the head for the index of the first optional state of the unnamed input, None without.
 

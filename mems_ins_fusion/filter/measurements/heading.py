@@ -8,11 +8,11 @@ import numpy as np
 
 from mems_ins_fusion.compiled import njit
 
-from ...navigation.frames import wrap, yaw_from_enu, yaw_of_quaternion
+from ...navigation.frames import unit_quaternions, wrap, yaw_from_enu, yaw_of_quaternion
 from ...parameters.parameter import Parameter
 from ...samples import Headings
 from ..memory import HEAD, NAV, Error, Event, Head, Kind
-from .base import IMU, POSE, Measurement
+from .base import IMU, NOT_THERE, POSE, Measurement
 from .geometry import add, own_state
 from .records import empty, refuse, stated_or
 
@@ -40,7 +40,6 @@ def observe(mem, r, at, h, c):
 
 SMALLEST_SIGMA = 0.001  # rad: smallest standard deviation that a heading is credited with, whatever its message claims
 LARGEST_YAW = 100.0  # rad: a larger yaw is not a number of radians or degrees that wrap
-UNKNOWN = -1.0  # first element of a covariance in sensor_msgs/Imu where the quantity is not there
 
 
 class Heading(Measurement):
@@ -90,13 +89,11 @@ class Heading(Measurement):
         """NaN for an Imu message without an orientation, and for a zero quaternion."""
         if message == IMU:
             orientation, variance = fields['orientation'], fields['orientation_covariance'][:, 1].copy()
-            absent = fields['orientation_covariance'][:, 0] == UNKNOWN
+            absent = fields['orientation_covariance'][:, 0] == NOT_THERE[0]
         else:
             orientation, variance = fields['pose.pose.orientation'], fields['pose.covariance'][:, 0]
             absent = np.zeros(len(orientation), bool)
-        with np.errstate(invalid='ignore'):
-            unit = orientation / np.linalg.norm(orientation, axis=1, keepdims=True)
-        yaw = yaw_from_enu(yaw_of_quaternion(*unit.T))
+        yaw = yaw_from_enu(yaw_of_quaternion(*unit_quaternions(orientation).T))
         yaw[absent] = np.nan
         return Headings(stamp=fields['stamp'], received=fields['received'], yaw=yaw, variance=variance)
 
@@ -108,11 +105,10 @@ class Heading(Measurement):
         covariance = np.zeros((len(headings), 9))
         covariance[:, [0, 4]] = np.pi**2  # roll and pitch are not known
         covariance[:, 8] = headings.variance
-        covariance[absent, 0] = UNKNOWN
-        nothing = (UNKNOWN, *[0.0] * 8)
+        covariance[absent, 0] = NOT_THERE[0]
         return {'orientation': np.where(absent[:, None], (0.0, 0.0, 0.0, 1.0), orientation),
-                'orientation_covariance': covariance, 'angular_velocity_covariance': nothing,
-                'linear_acceleration_covariance': nothing}
+                'orientation_covariance': covariance, 'angular_velocity_covariance': NOT_THERE,
+                'linear_acceleration_covariance': NOT_THERE}
 
     def simulated(self, drive, errors, effects, rng, instants):
         time, stamp = instants(errors['heading_rate'], 0.0053)

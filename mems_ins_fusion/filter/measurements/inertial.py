@@ -11,7 +11,7 @@ from ...navigation.earth import STANDARD_GRAVITY
 from ...navigation.frames import FLU_TO_FRD, mounting, rotation_from_rpy
 from ...parameters.parameter import Parameter
 from ...samples import ImuSamples
-from .base import IMU, Measurement
+from .base import IMU, NOT_THERE, Measurement
 
 #: SI units per unit, for each choice of `imu.acceleration_unit` and `imu.rate_unit`
 ACCELERATION = {'m/s^2': 1.0, 'g': STANDARD_GRAVITY, 'mg': 1e-3 * STANDARD_GRAVITY}
@@ -69,7 +69,7 @@ class Inertial(Measurement):
                           fields['angular_velocity'])
 
     def written(self, samples):
-        return {'orientation_covariance': np.array([-1.0, *[0.0] * 8]), 'linear_acceleration': samples.specific_force,
+        return {'orientation_covariance': np.array(NOT_THERE), 'linear_acceleration': samples.specific_force,
                 'angular_velocity': samples.angular_rate}
 
     def simulated(self, drive, errors, effects, rng, instants):

@@ -1,10 +1,11 @@
-"""Shared by the measurements that turn samples into records for the kernel."""
+"""Shared by the measurements: records for the kernel, and the velocity of a point of a simulated vehicle."""
 from __future__ import annotations
 
 import numpy as np
 
 from ..memory import Event
 
+STEP = 1e-3  # s, half the interval of the central differences in a simulation
 FASTEST = 150.0  # m/s: no land vehicle is faster
 #: m/s (rad/s of a turn rate): smallest standard deviation that a velocity is credited with, whatever its message claims
 SMALLEST_SPEED_SIGMA = 0.001
@@ -33,3 +34,12 @@ def stated_or(variance: np.ndarray, settings, smallest: float) -> np.ndarray:
         return np.full(len(variance), settings.sigma**2)
     known = np.isfinite(variance) & (variance > 0)
     return np.where(known, np.maximum(np.where(known, variance, 1.0), smallest**2), settings.default_sigma**2)
+
+
+def velocity_at(drive, time: np.ndarray, arm: np.ndarray) -> np.ndarray:
+    """(m, 3) m/s in n at `time` (m,) s, of the point of a vehicle at `arm` (3,) from its IMU, body axes, m."""
+    velocity = drive.at(time).velocity
+    if not np.any(arm):
+        return velocity
+    before, after = (drive.at(time + step).attitude.apply(arm) for step in (-STEP, STEP))
+    return velocity + (after - before) / (2 * STEP)

@@ -12,8 +12,7 @@ from ...samples import Speeds
 from ..memory import NAV, Event, Head, Kind, channel_of
 from .base import ODOMETRY, TWIST, Measurement, covariance36
 from .geometry import add_body_velocity, angular_rate, arm_of, body_velocity, own_state, vehicle_to_level
-from .motion import velocity_at
-from .records import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or
+from .records import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or, velocity_at
 
 
 @njit(_nrt=False)

@@ -17,8 +17,7 @@ from ...samples import Twists
 from ..memory import HEAD, NAV, Event, Head, Kind, channel_of
 from .base import ODOMETRY, TWIST, Measurement, SensorSettings, covariance36
 from .geometry import add_body_velocity, angular_rate, arm_of, body_velocity, own_state, vehicle_to_level
-from .motion import STEP, velocity_at
-from .records import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or
+from .records import FASTEST, SMALLEST_SPEED_SIGMA, STEP, empty, refuse, stated_or, velocity_at
 
 #: index of the optional state twist_scale among all n, behind which twist_turn_scale stands; -1: neither
 Scales = HEAD.place('Scales', TWIST=1)

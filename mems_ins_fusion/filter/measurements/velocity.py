@@ -12,8 +12,7 @@ from ...samples import Velocities
 from ..memory import Error, Event, Head, Kind, Nav, row_of
 from .base import TWIST, Measurement, covariance36
 from .geometry import add, add_attitude_error, angular_rate, arm_of, rotate
-from .motion import velocity_at
-from .records import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or
+from .records import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or, velocity_at
 
 
 @njit(_nrt=False)

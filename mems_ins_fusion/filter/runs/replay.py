@@ -15,6 +15,7 @@ import numpy as np
 from ...samples import Aiding, Fixes, ImuSamples
 from .. import kernel
 from ..advance import TAKEN
+from ..bank import copied
 from ..config import FilterConfig
 from ..memory import Event, Head, Kind, Nav, Sample, Verdict, newest_row
 from ..start.alignment import Alignment
@@ -241,11 +242,12 @@ class Replay(Intake):
             forks.append(int(events.arrival[later].min()) if later.any() else len(samples))
         events.record[:, Event.ID] = np.arange(len(events.kind))
         work = Playback(samples, events, self.columns, kept, states)
-        branches, horizon = {}, HorizonPredictor(self.config)
+        branches, horizon, spare = {}, HorizonPredictor(self.config), np.zeros(len(memory))
         for i in np.argsort(forks, kind='stable'):
             work.advance(memory, forks[i])
             since = (begin[i] - epoch) * 1e-9
-            branches[int(i)] = *self._branch(memory, work, since, withheld), _announced(horizon, memory, since)
+            branches[int(i)] = (*self._branch(memory, work, since, withheld, spare),
+                                _announced(horizon, memory, since))
         if self.constrained is not None:
             self._keep_constraints(memory, work, index)
         work.advance(memory, len(samples))
@@ -266,8 +268,9 @@ class Replay(Intake):
             applied = rows[:, Sample.CONSTRAINT] != 0.0
             self.constrained.append((index[begin:end][applied], rows[applied]))
 
-    def _branch(self, memory, work: Playback, begin: float, withheld) -> tuple[slice, np.ndarray]:
-        """One outage, from the present position of `work`: which of the kept states it covers, and these states.
+    def _branch(self, memory, work: Playback, begin: float, withheld, spare) -> tuple[slice, np.ndarray]:
+        """One outage, from the present position of `work`: which of the kept states it covers, and these states. spare:
+        room for a filter.
 
         They include one before the begin and one after the end, to interpolate between.
         """
@@ -281,7 +284,7 @@ class Replay(Intake):
             left = work.events.select(~(withheld & (work.events.record[:, Event.TIME] > begin)))
             branch = Playback(work.samples, left, self.columns, work.kept, np.empty_like(work.states[:0]), work)
             branch.into(coasted[done:], first + done)
-            branch.advance(memory.copy(), int(work.kept[stop - 1]) + 1)
+            branch.advance(copied(memory, spare), int(work.kept[stop - 1]) + 1)
         return slice(first, stop), coasted
 
     def _sum_up(self) -> None:

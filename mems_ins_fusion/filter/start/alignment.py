@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...navigation.earth import radii, to_local
-from ...navigation.frames import wrap, yaw_from_enu, yaw_of_quaternion
+from ...navigation.frames import near, wrap, yaw_from_enu, yaw_of_quaternion
 from ..config import FilterConfig
 from ..memory import Event, Kind
 from ..prediction import UNKNOWN_YAW_SIGMA
@@ -197,7 +197,7 @@ class Alignment:
         north, east = radii(latitude)
         positions = np.array([fix[:4] for fix in self._fixes])
         positions[:, 1] = (positions[:, 1] - latitude) * (north + height)
-        positions[:, 2] = (positions[:, 2] - longitude) * (east + height) * math.cos(latitude)
+        positions[:, 2] = (near(positions[:, 2], longitude) - longitude) * (east + height) * math.cos(latitude)
         positions[:, 3] = np.sqrt(self._realised * positions[:, 3])
         return positions
 
@@ -228,7 +228,7 @@ class Alignment:
         if motion is None:
             return
         ahead, ratio = t_3 - t_2, (t_3 - t_2) / (t_2 - t_1)
-        to, back = (np.array(to_local(*place[:3], second[:3])[:2]) for place in (third, first))
+        to, back = (np.array(to_local(*place[:3], tuple(second[:3]))[:2]) for place in (third, first))
         first_sample, last_sample = np.searchsorted(self._samples[:, 0], [t_1, t_3])
         changed = 0.0 if is_quiet(self._samples[first_sample:last_sample], self.config) else (
             0.5 * ahead * (math.hypot(*motion.gained) + motion.bias_f * (t_3 - t_1)))

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...navigation.earth import radii
+from ...navigation.frames import near
 from ..config import FilterConfig
 from ..trust.scale import Scale
 
@@ -26,7 +27,11 @@ def first_place(fixes: Sequence[tuple[float, float, float]]) -> np.ndarray:
 
     fixes: the first valid ones, the same three numbers each; DATUM_FIXES, or as many as there are at the start.
     """
-    return np.median(np.array(fixes[:DATUM_FIXES]), axis=0)
+    places = np.array(fixes[:DATUM_FIXES])
+    places[:, 1] = near(places[:, 1], places[0, 1])
+    place = np.median(places, axis=0)
+    place[1] = near(place[1], 0.0)
+    return place
 
 
 @dataclass

@@ -71,8 +71,10 @@ Seen = _Seen()
 KINDS = 7
 Kinds = ROW.place('Kinds', SEEN=Seen.SIZE * KINDS)
 assert Seen.SIZE == INPUT_SIZE
-#: how many inputs have a name
-Inputs = HEAD.place('Inputs', COUNT=1)
+Inputs = HEAD.place(
+    'Inputs',
+    COUNT=1,  # how many inputs have a name
+    UNNAMED=1)  # 1: there has been a measurement, other than a fix, of one without; else all of `Kinds` is zero
 #: variance of the logarithm before anything is seen: a claimed sigma is off by a factor of three, one sigma
 PRIOR = 4.8
 #: 1/s: a scale becomes another one once in twenty minutes: what a drive through a city brings

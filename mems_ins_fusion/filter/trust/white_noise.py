@@ -52,12 +52,18 @@ def show_noise(mem, k, dt):
         if mem[later + Sample.FAULT] != 0.0 or mem[earlier + Sample.FAULT] != 0.0 or (
                 interval > EVEN * dt or dt > EVEN * interval):
             return
-    for i in range(6):
-        difference = 0.0
-        for j in range(ORDER + 1):
-            difference += _WEIGHTS[j] * mem[sample_at(mem, k - j) + Sample.F_X + i]
-        white = at + Shown.WHITE + i
-        mem[white] += min(dt / MEMORY, 1.0) * (dt * difference * difference - mem[white])
+    a = b = c = d = e = f = 0.0  # the differences of the six axes
+    for j in range(ORDER + 1):
+        one, weight = nonnegative(sample_at(mem, k - j)), _WEIGHTS[j]
+        a += weight * mem[one + Sample.F_X]
+        b += weight * mem[one + Sample.F_Y]
+        c += weight * mem[one + Sample.F_Z]
+        d += weight * mem[one + Sample.W_X]
+        e += weight * mem[one + Sample.W_Y]
+        f += weight * mem[one + Sample.W_Z]
+    share, white = min(dt / MEMORY, 1.0), at + Shown.WHITE
+    for i, difference in enumerate((a, b, c, d, e, f)):
+        mem[white + i] += share * (dt * difference * difference - mem[white + i])
     mem[at + Shown.SIDEWAYS] += min(dt / LONG_MEMORY, 1.0) * (mem[at + Shown.WHITE + 1] - mem[at + Shown.SIDEWAYS])
     if shown(mem, at, 3) > FAR_MORE**2:
         mem[White.SHAKEN] += dt
