@@ -12,7 +12,7 @@ from ..memory import ROW, Event, Nav
 
 #: s, over which an acceleration is averaged: that of a single sample is vibration, and noise in H makes an offset too
 #: small (errors in variables); half the offset of slow buses, so that the mean is that of the time in between
-AVERAGED = 0.1
+AVERAGED = 0.2
 #: of a state: by what the velocity has changed in about the last AVERAGED, m/s, north, east and down
 Changed = ROW.place('Changed', VELOCITY=3)
 
