@@ -208,6 +208,12 @@ class FilterConfig:
         return own + (self.gnss.time_offset if of_receiver else 0.0)
 
     @property
+    def declared_errors(self) -> list[float]:
+        """Known constant errors and time offsets of the inputs in use: the states are what is left beside these."""
+        return [value for settings in self.sensors.values() if settings.topic
+                for value in (settings.factor, settings.offset, settings.time_offset)]
+
+    @property
     def latest(self) -> float:
         """s, by which a measurement may arrive after the IMU samples of its time: gnss.max_delay and time offset."""
         return self.gnss.max_delay + max(0.0, *map(self.time_offset_of, self.inputs))
