@@ -13,7 +13,7 @@ from ..measurements import heading, magnetometer, pressure, twist
 from ..measurements.geometry import angular_rate, arm_of, body_velocity, own_state, rotate, vehicle_to_level
 from ..memory import NAV, Event, Head, Kind, Nav, is_of_heading, is_of_velocity, yaw_state
 from ..update import ROBUST, product, project
-from . import contradiction, receiver, repeats, way
+from . import clock_jump, contradiction, receiver, repeats, way
 from .scale import Scale, Seen, learn, scale, seen_of
 from .standstill import SLOWEST_TOLD
 
@@ -90,14 +90,15 @@ def judge(mem, r, at, n, dimensions):
         # a velocity may fit by its size and point elsewhere
         gate = NEVER if kind == Kind.VELOCITY else ROBUST
         return density * max(1.0, first**2 / mem[at + Event.R_NN]), gate
-    column = h + 3 * n
-    squared, claimed, variance = 0.0, mem[at + Event.R_NN], 0.0
-    for k in range(dimensions):
-        squared += (mem[at + Event.Z_N + k] - product(mem, n, h + n * k, r + NAV)) ** 2 / dimensions
-        variance += project(mem, n, h + n * k, column) / dimensions
+    claimed = mem[at + Event.R_NN]
+    squared, variance = _innovation(mem, r, at, n, dimensions)
     if dimensions > 1:
         claimed = 0.5 * (claimed + mem[at + Event.R_EE])
     before = max(scale(mem, own), 1.0)
+    if clock_jump.has_jumped(mem, r, at, n, own, dimensions, density * min(before, LARGEST_CLAIM) * claimed, variance):
+        contradiction.let_fixes_decide(mem, r)
+        before = 1.0
+        squared, variance = _innovation(mem, r, at, n, dimensions)
     confirmed = not is_of_heading(kind) and time - mem[r + Nav.FIX_TIME] < NO_FIX
     if kind == Kind.PLACE and _is_elsewhere(mem, own, time, squared, variance + min(before, LARGEST_CLAIM) * claimed,
                                             confirmed):
@@ -121,6 +122,7 @@ def judge(mem, r, at, n, dimensions):
             return density * factor, far * math.sqrt(expected / (variance + density * factor * claimed))
     if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * claimed + variance):
         return density * factor, 0.0
+    column = h + 3 * n
     n_navigation = int(mem[Head.N_NAVIGATION])  # sensor errors do not make it wrong by as much at once
     for k in range(dimensions):
         raised = (factor - before) * claimed / project(mem, n, h + n * k, column) ** 2
@@ -128,6 +130,16 @@ def judge(mem, r, at, n, dimensions):
             for j in range(n_navigation):
                 mem[p + n * i + j] += raised * mem[column + i] * mem[column + j]
     return density * factor, 0.0
+
+
+@njit(_nrt=False)
+def _innovation(mem, r, at, n, dimensions):
+    """Mean square of the innovation of the record at `at`, and what of that is expected of the state."""
+    h, squared, variance = int(mem[Head.SCRATCH_AT]) + n * n, 0.0, 0.0
+    for k in range(dimensions):
+        squared += (mem[at + Event.Z_N + k] - product(mem, n, h + n * k, r + NAV)) ** 2 / dimensions
+        variance += project(mem, n, h + n * k, h + 3 * n) / dimensions
+    return squared, variance
 
 
 @njit(_nrt=False)

@@ -1,0 +1,55 @@
+"""An input whose stamps are suddenly off by another time: a driver that has restarted, a queue that has filled.
+
+By then its time offset is known to hundredths of a second (`measurements/time_offset.py`), and what is off would go
+into the velocity. But until it has gone there, innovations are in proportion to how fast what is measured changes, less
+what the state has followed already: their signature. The factor, least squares of the latest innovations, is how far
+the estimate is off. Where that is certain, the offset has jumped by as much (A. S. Willsky and H. L. Jones, "A
+generalized likelihood ratio approach to the detection and estimation of jumps in linear systems", IEEE Trans. Automatic
+Control 21, 1976, with the signature of a state of its own for each component).
+"""
+from __future__ import annotations
+
+import math
+
+from mems_ins_fusion.compiled import njit
+
+from ..measurements.base import UNDECLARED_OFFSET
+from ..memory import NAV, Event, Head
+from ..update import product
+from .scale import Scale, Seen, begin_scale
+
+#: s for which innovations are remembered: a manoeuvre or two, and as long as fixes leave what the state has followed
+REMEMBERED = 10.0
+#: sigmas beyond which it has jumped: so far off by chance is one manoeuvre of 16 000
+CERTAIN = 4.0
+
+
+@njit(_nrt=False)
+def has_jumped(mem, r, at, n, own, dimensions, noise, variance):
+    """Whether the innovation of the record at `at` and those before say so; the offset's variance in P of the scratch
+    is then larger by the square of the jump.
+
+    own: position of the input's `Seen`. noise, variance: of the innovation, of the input and of the state at r.
+    """
+    state = int(mem[at + Event.TIME_OFFSET])
+    if state <= 0:
+        return False
+    p = int(mem[Head.SCRATCH_AT])
+    h, since = p + n * n, mem[at + Event.TIME] - mem[own + Scale.TIME]
+    keep, gain = math.exp(-max(since, 0.0) / REMEMBERED), variance / (variance + noise)
+    score, information = keep * mem[own + Seen.LATER], keep * mem[own + Seen.TELLS]
+    for k in range(dimensions):
+        followed = keep * mem[own + Seen.FOLLOWED + k]
+        signature = mem[h + n * k + state] - followed
+        mem[own + Seen.FOLLOWED + k] = followed + gain * signature
+        innovation = mem[at + Event.Z_N + k] - product(mem, n, h + n * k, r + NAV)
+        score += signature * innovation / (noise + variance)
+        information += signature * signature / (noise + variance)
+    mem[own + Seen.LATER], mem[own + Seen.TELLS] = score, information
+    # less than stamps may be off anyway is the slip of tyres and the pitch of a body that accelerates
+    if abs(score) < max(CERTAIN * math.sqrt(information), UNDECLARED_OFFSET * information) or information == 0.0:
+        return False
+    mem[p + (n + 1) * state] += (score / information) ** 2
+    mem[own + Seen.LATER] = mem[own + Seen.TELLS] = 0.0
+    begin_scale(mem, own)  # what seemed to be noise was that
+    return True
