@@ -88,3 +88,21 @@ def test_an_offset_that_was_found_and_then_declared_does_not_count_twice(recordi
     assert 'no sensor errors' in restored(**{'speed.scale': 0.02})
     state = result.config.layout.index('speed_time_offset')
     assert newest_row(result.memory)[NAV + state] == pytest.approx(found)
+
+
+@pytest.mark.parametrize('name', ['speed', 'velocity'])
+def test_a_clock_that_jumps_is_followed_within_two_manoeuvres(recording, name):
+    # given stamps that are half a second late from 100 s on, and a filter that knows by then that they are right
+    samples = recording.streams()[name]
+    since = (samples.stamp - recording.imu.stamp[0]) * 1e-9
+    late = replace(samples, stamp=samples.stamp + np.where(since > 100.0, 5 * 10**8, 0))
+    config = FilterConfig.from_parameters(table.check({f'{name}_topic': f'/{name}'}))
+    result = run(config, recording.imu, recording.gnss, Measured(**{name: late}))
+    state = config.layout.index(f'{name}_time_offset')
+    found, sigma = result.extras[:, state - config.layout.n], result.sigma[:, state]
+    before, after = np.searchsorted(result.stamp, recording.imu.stamp[0] + np.array([100, 130]) * 10**9)
+    assert abs(found[before]) < 3.0 * sigma[before] and sigma[before] < 0.05
+    # then its offset is known anew, within its sigma, and the position is no worse than without it
+    assert found[after] == pytest.approx(0.5, abs=3.0 * sigma[after] + 0.02) and sigma[after] < 0.15
+    without = run(FilterConfig.from_parameters(table.check({})), recording.imu, recording.gnss)
+    assert rmse(recording, result) < 1.05 * rmse(recording, without)

@@ -13,15 +13,19 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..measurements.base import UNDECLARED_OFFSET
 from ..memory import NAV, Event, Head
 from ..update import product
-from .scale import Scale, Seen, begin_scale
+from .scale import LARGEST_SURPRISE, Scale, Seen, begin_scale
 
-#: s for which innovations are remembered: a manoeuvre or two, and as long as fixes leave what the state has followed
-REMEMBERED = 10.0
-#: sigmas beyond which it has jumped: so far off by chance is one manoeuvre of 16 000
-CERTAIN = 4.0
+#: s for which innovations are remembered: a manoeuvre. Of those before the jump each speaks against it
+REMEMBERED = 4.0
+#: s for which the state keeps what it has followed, until fixes take it back
+FOLLOWED = 10.0
+#: sigmas beyond which it has jumped: so far off by chance is one manoeuvre of 370, and the estimate is as good again
+#: after the next one
+CERTAIN = 3.0
+#: s, and it has jumped by so much: less is the slip of tyres and the pitch of a body that accelerates
+SMALLEST = 0.05
 
 
 @njit(_nrt=False)
@@ -35,19 +39,21 @@ def has_jumped(mem, r, at, n, own, dimensions, noise, variance):
     if state <= 0:
         return False
     p = int(mem[Head.SCRATCH_AT])
-    h, since = p + n * n, mem[at + Event.TIME] - mem[own + Scale.TIME]
-    keep, gain = math.exp(-max(since, 0.0) / REMEMBERED), variance / (variance + noise)
+    h = p + n * n
+    since, gain = max(mem[at + Event.TIME] - mem[own + Scale.TIME], 0.0), variance / (variance + noise)
+    keep, left = math.exp(-since / REMEMBERED), math.exp(-since / FOLLOWED)
+    largest = LARGEST_SURPRISE * math.sqrt(noise + variance)
     score, information = keep * mem[own + Seen.LATER], keep * mem[own + Seen.TELLS]
     for k in range(dimensions):
-        followed = keep * mem[own + Seen.FOLLOWED + k]
+        followed = left * mem[own + Seen.FOLLOWED + k]
         signature = mem[h + n * k + state] - followed
         mem[own + Seen.FOLLOWED + k] = followed + gain * signature
         innovation = mem[at + Event.Z_N + k] - product(mem, n, h + n * k, r + NAV)
+        innovation = max(-largest, min(innovation, largest))
         score += signature * innovation / (noise + variance)
         information += signature * signature / (noise + variance)
     mem[own + Seen.LATER], mem[own + Seen.TELLS] = score, information
-    # less than stamps may be off anyway is the slip of tyres and the pitch of a body that accelerates
-    if abs(score) < max(CERTAIN * math.sqrt(information), UNDECLARED_OFFSET * information) or information == 0.0:
+    if abs(score) < max(CERTAIN * math.sqrt(information), SMALLEST * information) or information == 0.0:
         return False
     mem[p + (n + 1) * state] += (score / information) ** 2
     mem[own + Seen.LATER] = mem[own + Seen.TELLS] = 0.0
