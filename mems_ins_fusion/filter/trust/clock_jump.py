@@ -15,7 +15,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..memory import NAV, Event, Head
 from ..update import product
-from .scale import LARGEST_SURPRISE, Scale, Seen, begin_scale
+from .scale import LARGEST_SURPRISE, Scale, Seen, reopen
 
 #: s for which innovations are remembered: a manoeuvre. Of those before the jump each speaks against it
 REMEMBERED = 4.0
@@ -26,6 +26,8 @@ FOLLOWED = 10.0
 CERTAIN = 3.0
 #: s, and it has jumped by so much: less is the slip of tyres and the pitch of a body that accelerates
 SMALLEST = 0.05
+#: s, and by no more: what is further off has another fault, and would pass for one of that
+LARGEST = 0.5
 
 
 @njit(_nrt=False)
@@ -55,7 +57,7 @@ def has_jumped(mem, r, at, n, own, dimensions, noise, variance):
     mem[own + Seen.LATER], mem[own + Seen.TELLS] = score, information
     if abs(score) < max(CERTAIN * math.sqrt(information), SMALLEST * information) or information == 0.0:
         return False
-    mem[p + (n + 1) * state] += (score / information) ** 2
+    mem[p + (n + 1) * state] += min((score / information) ** 2, LARGEST**2)
     mem[own + Seen.LATER] = mem[own + Seen.TELLS] = 0.0
-    begin_scale(mem, own)  # what seemed to be noise was that
+    reopen(mem, own, 1.0)  # what seemed to be noise may have been that
     return True

@@ -95,9 +95,9 @@ def judge(mem, r, at, n, dimensions):
     if dimensions > 1:
         claimed = 0.5 * (claimed + mem[at + Event.R_EE])
     before = max(scale(mem, own), 1.0)
-    if clock_jump.has_jumped(mem, r, at, n, own, dimensions, density * min(before, LARGEST_CLAIM) * claimed, variance):
-        contradiction.let_fixes_decide(mem, r)
-        before = 1.0
+    least = LARGEST_NOISE if of_velocity else LARGEST_HEADING_NOISE
+    if clock_jump.has_jumped(mem, r, at, n, own, dimensions,
+                             density * min(before * claimed, max(LARGEST_CLAIM * claimed, least**2)), variance):
         squared, variance = _innovation(mem, r, at, n, dimensions)
     confirmed = not is_of_heading(kind) and time - mem[r + Nav.FIX_TIME] < NO_FIX
     if kind == Kind.PLACE and _is_elsewhere(mem, own, time, squared, variance + min(before, LARGEST_CLAIM) * claimed,
@@ -108,7 +108,7 @@ def judge(mem, r, at, n, dimensions):
     unknown = repeats.unknown(mem, own, time) if kind == Kind.SPEED or kind == Kind.TWIST else 0.0
     factor = max(realised, 1.0) + unknown / claimed
     if makes_way(kind):  # one by one each is judged by what it claims itself
-        least, longest = (LARGEST_NOISE, LONGEST_SLIP) if of_velocity else (LARGEST_HEADING_NOISE, LONGEST_JUMP)
+        longest = LONGEST_SLIP if of_velocity else LONGEST_JUMP
         # iron beside the way lasts, and would pass for noise
         largest, far = (1.0, DISTURBED) if kind == Kind.MAGNETIC else (LARGEST_CLAIM, FAR)
         expected = variance + min(factor * claimed, max(largest * claimed, least**2))
