@@ -5,7 +5,8 @@ into the velocity. But until it has gone there, innovations are in proportion to
 what the state has followed already: their signature. The factor, least squares of the latest innovations, is how far
 the estimate is off. Where that is certain, the offset has jumped by as much (A. S. Willsky and H. L. Jones, "A
 generalized likelihood ratio approach to the detection and estimation of jumps in linear systems", IEEE Trans. Automatic
-Control 21, 1976, with the signature of a state of its own for each component).
+Control 21, 1976; theirs is the signature in the whole filter, this one that in a filter of one state for each
+component, which sees half of a slow jump).
 """
 from __future__ import annotations
 
