@@ -56,7 +56,10 @@ class _Seen(NamedTuple):
     COMPARED_IN: int = 22  # what of it is compared, see trust/way.py
     SURPRISED: int = 23  # 1: the latest one was far longer than expected, -1: far shorter
     OTHERS: int = 24  # messages in a row that were other ones, see trust/repeats.py
-    SIZE: int = 25
+    LATER: int = 25  # 1/s: what the latest ones say of its time offset, beside the estimate, over the variance of that,
+    TELLS: int = 26  # 1/s^2, the inverse of that variance,
+    FOLLOWED: int = 27  # and by what the state follows, in each component, for each s: see trust/clock_jump.py
+    SIZE: int = 29
 
 
 Seen = _Seen()
