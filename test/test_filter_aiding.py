@@ -24,9 +24,9 @@ from filter_support import (
 from scipy.spatial.transform import Rotation
 
 from mems_ins_fusion.filter.advance import TAKEN
+from mems_ins_fusion.filter.measurements.time_offset import AVERAGED
 from mems_ins_fusion.filter.memory import NAV, PLANAR, Event, Head, Kind, Nav, Verdict, views
 from mems_ins_fusion.filter.trust import way
-from mems_ins_fusion.filter.trust.hypotheses import UNDECLARED_OFFSET
 from mems_ins_fusion.filter.trust.scale import KINDS, PRIOR, Kinds, Scale, Seen, scale
 
 DT = 0.01
@@ -34,11 +34,13 @@ FLU = np.array([1.0, -1.0, -1.0])
 SAMPLE = 0.3, 1.0, 9.7, 0.02, -0.03, 0.2  # sensor axes, forward-left-up
 #: all optional states there are
 STATES = {'imu.mounting_sigma': 0.03, 'vehicle.rear_axle_sigma': 0.4, 'speed.scale_sigma': 0.02,
-          'speed_topic': '/speed', 'twist_topic': '/twist', 'twist.scale_sigma': 0.02, 'twist.turn_scale_sigma': 0.1,
+          'speed_topic': '/speed', 'velocity_topic': '/velocity', 'heading_topic': '/heading', 'twist_topic': '/twist',
+          'heading.offset_sigma': 0.0, 'twist.scale_sigma': 0.02, 'twist.turn_scale_sigma': 0.1,
           'vehicle.non_holonomic': True, 'vehicle.non_holonomic_angle_sigma': 0.01,
           'gnss.coloured_noise.sigma': 0.8, 'gnss.lever_arm': [1.2, -0.7, 1.5], 'vehicle.rear_axle': [-1.1, 0.3, -0.6]}
 OPTIONAL = {'coloured_n': 0.8, 'coloured_e': 0.8, 'mounting_pitch': 0.03, 'mounting_yaw': 0.03, 'axle_x': 0.4,
-            'speed_scale': 0.02, 'axle_y': 0.4, 'twist_scale': 0.02, 'twist_turn_scale': 0.1}
+            'speed_scale': 0.02, 'axle_y': 0.4, 'twist_scale': 0.02, 'twist_turn_scale': 0.1,
+            **{f'{name}_time_offset': 0.1 for name in ('speed', 'velocity', 'twist', 'heading')}}
 ARM, AXLE = FLU * STATES['gnss.lever_arm'], FLU * STATES['vehicle.rear_axle']
 ATTITUDE = (0.05, -0.08, 0.7)
 
@@ -46,10 +48,12 @@ ATTITUDE = (0.05, -0.08, 0.7)
 class Model:
     """What each sensor would measure, as a function of the filter's errors e (n,), written with vectors and rotations.
 
-    The gyroscopes' error is in the rate at the lever arms only by its estimate, as in the filter.
+    The gyroscopes' error is in the rate at the lever arms only by its estimate, as in the filter. acceleration: (3,)
+    m/s^2 in n, with which the velocity has changed lately.
     """
 
-    def __init__(self, config, memory):
+    def __init__(self, config, memory, acceleration=np.zeros(3)):
+        self.acceleration = acceleration
         self.config, self.layout = config, config.layout
         self.velocity, self.attitude = velocity_of(config, memory), attitude_of(config, memory)
         x, _ = state_and_covariance(config, memory)
@@ -82,7 +86,11 @@ class Model:
         arm = AXLE + np.array([0.0, self.of(e, 'axle_y'), 0.0])
         # along the vehicle's axis as it is estimated: across it nothing moves that an error of that could turn in
         at_axle = (attitude * self.sits).inv().apply(velocity) + np.cross(self.rate, arm)
-        return (1 + self.of(e, 'speed_scale')) * at_axle[:1]
+        return (1 + self.of(e, 'speed_scale')) * at_axle[:1] - self.of(e, 'speed_time_offset') * self.faster()
+
+    def faster(self):
+        """(1,) by what the speed grows in a second."""
+        return (self.attitude * self.sits).inv().apply(self.acceleration)[:1]
 
     def twist(self, e):
         velocity, attitude = self.true(e)
@@ -93,24 +101,19 @@ class Model:
             return np.array([(1 + self.of(state, 'twist_turn_scale')) * (FLU[2] * SAMPLE[5] - state[self.gyroscope])])
         slope = central_difference(lambda away: turn_rate(self.estimate + away), len(e), 1e-5)
         linear = turn_rate(self.estimate) + slope @ (e - self.estimate)
-        return np.append((1 + self.of(e, 'twist_scale')) * at_axle[:2], linear)
+        twist = np.append((1 + self.of(e, 'twist_scale')) * at_axle[:2], linear)
+        twist[0] -= self.of(e, 'twist_time_offset') * self.faster()[0]
+        return twist
 
     def antenna_velocity(self, e):
         velocity, attitude = self.true(e)
+        velocity = velocity - self.of(e, 'velocity_time_offset') * self.acceleration
         return (velocity + attitude.apply(np.cross(self.rate, ARM)))[:2 if self.config.mechanization == PLANAR else 3]
 
     def heading(self, e):
         _, attitude = self.true(e)
-        return np.array([attitude.as_euler('ZYX')[0] + self.of(e, 'mounting_yaw')])
-
-    def by_stamps(self, kind, gained):
-        """Variance by which it is off where its stamps are. gained: (3,) m/s, by what the velocity changes within as
-        much as stamps are off."""
-        if kind == Kind.HEADING:
-            return (UNDECLARED_OFFSET * self.rate[2]) ** 2
-        if kind == Kind.VELOCITY:
-            return np.mean(gained[:2] ** 2)
-        return (self.attitude * self.sits).inv().apply(gained)[0] ** 2
+        return np.array([attitude.as_euler('ZYX')[0] + self.of(e, 'mounting_yaw')
+                         - self.of(e, 'heading_time_offset') * self.rate[2]])
 
     def across(self, e):
         """Velocity to the right and down at the axle that does not steer, in the vehicle's own axes: zero."""
@@ -193,12 +196,13 @@ def test_a_measurement_corrects_as_the_dense_kalman_update(kind, sigmas, verdict
     # given a value that is so many sigmas of the innovation away from what is expected
     x0, p0 = state_and_covariance(config, before)
     name, variances = SENSORS[kind]
-    measured = getattr(Model(config, before), name)
+    # the filter averages the acceleration; it had none before the sample
+    acceleration = (velocity_of(config, before) - velocity) / (AVERAGED + DT)
+    measured = getattr(Model(config, before, acceleration), name)
     h = -central_difference(measured, len(x0), 1e-5)
     k = len(h)
     judged = min(k, 2)
-    late = Model(config, before).by_stamps(kind, velocity_of(config, before) - velocity)
-    r = np.diag(variances[:k]) * (1.0 + late / np.mean(variances[:judged]))
+    r = np.diag(variances[:k])
     s = h @ p0 @ h.T + r
     away = np.zeros(k)
     away[:judged] = np.linalg.cholesky(s[:judged, :judged])[:, 0] * sigmas
@@ -206,6 +210,7 @@ def test_a_measurement_corrects_as_the_dense_kalman_update(kind, sigmas, verdict
         away[2] = 0.5 * math.sqrt(s[2, 2])
     record = np.zeros(Event.SIZE)
     record[[Event.TIME, Event.KIND]] = DT, kind
+    record[Event.TIME_OFFSET] = config.layout.index(f'{config.inputs[kind].name}_time_offset')
     record[Event.VALUE:Event.VALUE + k] = measured(np.zeros(len(x0))) - h @ x0 - away
     record[[Event.R_NN, Event.R_EE, Event.R_DD][:k]] = variances[:k]
     if kind == Kind.HEADING:

@@ -103,6 +103,7 @@ def test_a_fix_corrects_as_the_dense_joint_kalman_update(model, optional, mechan
         x0[navigation:] = scale[navigation:] * rng.standard_normal(config.layout.n_augmented)
     memories = [started(config, x=x0, p=p0) for _ in range(2)]
     record = fix_record(DT, r=R, down=2.0)
+    record[Event.TIME_OFFSET] = max(config.layout.index('time_offset'), 0)
     assert take_event(memories[1], record) == TAKEN
     for memory in memories:
         take_sample(memory, DT, *SAMPLE)

@@ -14,7 +14,7 @@ from mems_ins_fusion.configuration.configure import configure as configured
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.measurements import magnetometer
 from mems_ins_fusion.filter.measurements.geometry import body_to_level
-from mems_ins_fusion.filter.memory import Event, Head, Kind, state_at
+from mems_ins_fusion.filter.memory import Event, Head, Kind, Sample, sample_at, state_at
 from mems_ins_fusion.filter.runs.live import FusionFilter
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
@@ -74,7 +74,9 @@ def test_innovation_and_derivatives_are_those_of_rotations(mechanization):
     h = int(memory[Head.SCRATCH_AT]) + n * n
     memory[at + Event.VALUE:at + Event.VALUE + 3], memory[at + Event.DECLINATION] = field, 0.1
     memory[h:h + 3 * n] = 0.0
-    assert magnetometer.observe(memory, r, at, h, n, body_to_level(memory, r)) == 2
+    late, sample = c.layout.index('magnetometer_time_offset'), sample_at(memory, 0)
+    memory[at + Event.TIME_OFFSET], memory[sample + Sample.W_Z] = late, 0.3
+    assert magnetometer.observe(memory, r, at, h, n, body_to_level(memory, r), sample) == 2
 
     def misfit(away):
         """Expected less measured horizontal field of a vehicle that stands level; away: true less estimated errors."""
@@ -84,7 +86,8 @@ def test_innovation_and_derivatives_are_those_of_rotations(mechanization):
         yaw = true.as_euler('ZYX')[0]
         level = (Rotation.from_euler('z', -yaw) * true).apply(field - [b[0], b[1], 0.0])
         soft = np.array([[1 + b[2] + b[3], b[4]], [b[4], 1 + b[2] - b[3]]])
-        return soft @ [math.cos(yaw - 0.1 - b[5]), -math.sin(yaw - 0.1 - b[5])] - level[:2]
+        seen = yaw - 0.3 * away[late] - 0.1 - b[5]  # of a vehicle that has turned on since
+        return soft @ [math.cos(seen), -math.sin(seen)] - level[:2]
     magnetic = attitude[2] - 0.1 - iron[5]
     basis = np.array([[-math.sin(magnetic), -math.cos(magnetic)], [math.cos(magnetic), -math.sin(magnetic)]])
     rows = np.array([memory[h:h + n], memory[h + n:h + 2 * n]])

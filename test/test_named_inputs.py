@@ -106,9 +106,16 @@ def test_each_receiver_has_its_arm_clock_and_scale():
     # then each is taken at its own time and fits there
     assert np.abs(mine.stamp - (late.stamp[mine.index] - 200_000_000)).max() < 1000
     assert np.abs(mine.record[20:, [Event.Z_N, Event.Z_E]]).max() < 0.3
-    wrong = through({**values, 'rear.time_offset': 0.0}, recording)
+    wrong = through({**values, 'rear.time_offset': 0.0, 'rear.time_offset_sigma': 0.0}, recording)
     theirs = wrong.measured.select(wrong.measured.kind == FIRST_NAMED)
     assert np.abs(theirs.record[20:, [Event.Z_N, Event.Z_E]]).max() > 1.0
+    # where nobody has declared it, it is estimated
+    left = through({**values, 'rear.time_offset': 0.0}, recording)
+    state = left.config.layout.index('rear_time_offset')
+    found, sigma = left.extras[-1, state - left.config.layout.n], left.sigma[-1, state]
+    assert found == pytest.approx(0.2, abs=3.0 * sigma) and sigma < 0.02
+    theirs = left.measured.select(left.measured.kind == FIRST_NAMED)
+    assert np.abs(theirs.record[20:, [Event.Z_N, Event.Z_E]]).max() < 0.3
     # and its scale is learned beside the other's
     at = state_at(result.memory, int(result.memory[Head.SAMPLES])) + int(result.memory[Head.WIDTH]) - Seen.SIZE
     assert 2.5 < np.sqrt(scale(result.memory, at)) < 8.0
@@ -137,11 +144,12 @@ def test_two_wheels_of_an_axle_tell_the_turn_rate():
 def test_wheels_have_their_own_scales_and_barometers_their_own_biases():
     values = given(**{**WHEELS, 'inputs': ['left', 'right', 'roof'], 'roof.type': 'pressure', 'roof.topic': '/baro'})
     names = FilterConfig.from_parameters(values).layout.names
-    assert names[-3:] == ('left_scale', 'right_scale', 'roof_bias')
+    assert names[-6:] == tuple(name for input_, state in (('left', 'scale'), ('right', 'scale'), ('roof', 'bias'))
+                               for name in (f'{input_}_{state}', f'{input_}_time_offset'))
     recording = recorded(values, speed_scale=0.0)
     right = recording.others['right']
     result = through(values, recording.having({'right': replace(right, speed=1.03 * right.speed)}))
-    scales = result.extras[-1, -3:-1]
+    scales = result.extras[-1, [-6, -4]]
     assert scales == pytest.approx([0.0, 0.03], abs=0.006)
 
 

@@ -64,8 +64,8 @@ def test_it_knows_the_height_where_fixes_do_not_and_in_an_outage():
         assert np.sqrt(np.mean((away / whole.sigma[settled, 2]) ** 2)) < 1.7
     # then heights are the better for it, and its bias is a state whose sigma holds
     assert error['with'] < 0.8 * error['without'] and lost['with'] < max(0.7 * lost['without'], 4.0)
-    assert whole.config.layout.names[-1] == 'pressure_bias'
-    assert whole.sigma[-1, -1] < 3.0
+    assert whole.config.layout.names[-2:] == ('pressure_bias', 'pressure_time_offset')
+    assert whole.sigma[-1, -2] < 3.0
 
 
 def test_a_window_that_opens_is_not_taken_for_a_climb():

@@ -9,8 +9,10 @@ import pytest
 from mems_ins_fusion.configuration.check import check_setup
 from mems_ins_fusion.configuration.configure import configure
 from mems_ins_fusion.configuration.speed_offset import SHOWN, estimate_speed_offset
+from mems_ins_fusion.diagnosis.starts import shown_without_filter
 from mems_ins_fusion.effects.registry import EFFECTS
 from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.measurements.registry import aiding
 from mems_ins_fusion.filter.memory import Event, Kind
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
@@ -101,6 +103,32 @@ def test_configure_sets_topic_unit_and_offset_of_a_can_speed_and_the_checker_agr
     assert [f.severity for f in said] == ['info']
     said = [f for f in check_setup(made, {**values, 'speed.time_offset': 0.0}) if f.topic == 'imu/speed']
     assert [f.severity for f in said] == ['warning'] and 'set speed.time_offset to 0.3' in said[0].message
+
+
+@pytest.mark.parametrize(('name', 'values', 'against'), [
+    ('velocity', {'velocity_topic': '/gps/velocity'}, 'gnss'), ('heading', {'heading_topic': '/heading'}, 'imu'),
+    ('own', {'inputs': ['own'], 'own.type': 'velocity', 'own.topic': '/own'}, 'gnss'),
+    ('rear', {'inputs': ['rear'], 'rear.type': 'fix', 'rear.topic': '/rear', 'rear.lever_arm': [-0.8, 0.0, 0.0]},
+     'gnss')])
+def test_the_checker_and_diagnose_tell_the_clock_of_each_input(name, values, against):
+    # given an input that is 0.3 s late, and fixes that are 0.2 s late, which is declared
+    values = table.check({'imu.mounting_rpy': list(MOUNTING), **values, 'gnss.time_offset': 0.2})
+    sensors = SensorErrors.from_parameters(table.defaults(), 'gauss_markov')
+    named = [one for one in aiding(values) if not one.is_plain]
+    made = simulate_recording(simulate_drive(200.0, 4, 100.0, standstill=10.0), sensors, GnssNoise(0.02, 5.0), (),
+                              MOUNTING, 4, named=named, aiding=Aiding(velocity_rate=5.0, heading_rate=5.0, fix_rate=5.0,
+                                                                      fix_sigma=0.02)).recording
+    moved = {one: replace(samples, stamp=samples.stamp + 3 * 10**8) for one, samples in made.streams().items()}
+    late = replace(made, gnss=replace(made.gnss, stamp=made.gnss.stamp + 2 * 10**8)).having({name: moved[name]})
+    # then it is told beside what is declared; that of the receiver's velocity counts beside the fixes' own
+    own = 0.1 if name == 'velocity' else 0.3
+    shown = shown_without_filter([late], values).clocks[name]
+    assert shown.value == pytest.approx(own, abs=3.0 * shown.sigma) and shown.sigma < 0.05
+    said = [f for f in check_setup(late, values) if f.topic == f'{against}/{name}']
+    assert [f.severity for f in said] == ['warning'] and (
+        f'set {name}.time_offset to {shown.value:.2f}' in said[0].message)
+    declared = {**values, f'{name}.time_offset': own}
+    assert [f.severity for f in check_setup(late, declared) if f.topic == f'{against}/{name}'] == ['info']
 
 
 def test_a_velocity_is_not_taken_for_the_speed_of_wheels(tmp_path):

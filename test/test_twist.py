@@ -37,9 +37,9 @@ def test_the_turn_rate_may_count_the_other_way_or_have_a_track_that_is_not_known
     other = replace(right, twist=right.twist * [1, 1, turn])
     result = run(config(), recording.imu, recording.gnss, Measured(twist=other))
     # then its scale is found, and within its sigma; the simulator's own is 3 %
-    found, sigma = result.extras[-1, -1], result.sigma[-1, -1]
-    assert result.config.layout.names[-2:] == ('twist_scale', 'twist_turn_scale')
-    own = run(config(), recording.imu, recording.gnss, Measured(twist=right)).extras[-1, -1]
+    found, sigma = result.extras[-1, -2], result.sigma[-1, -2]
+    assert result.config.layout.names[-3:] == ('twist_scale', 'twist_turn_scale', 'twist_time_offset')
+    own = run(config(), recording.imu, recording.gnss, Measured(twist=right)).extras[-1, -2]
     assert found == pytest.approx((1.0 + own) * turn - 1.0, abs=4.0 * sigma) and sigma < 0.03
     assert found == pytest.approx(scale, abs=0.1 * abs(turn) + 4.0 * sigma)
     # and the gyroscope's bias is the same

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from mems_ins_fusion.configuration.inputs import WHEELED, wheel_clock
+from mems_ins_fusion.configuration.inputs import CLOCKED, clock_of
 from mems_ins_fusion.configuration.mounting import Mounting, estimate_mounting
 from mems_ins_fusion.configuration.receiver import TOO_SURE, assess_receiver
 from mems_ins_fusion.configuration.remaining import ANGLES, ARM, TIME_OFFSET, Remaining, remaining_of
@@ -19,7 +19,6 @@ from mems_ins_fusion.filter.runs.usable import usable_fixes, usable_samples
 from mems_ins_fusion.navigation.earth import gravity
 from mems_ins_fusion.navigation.frames import rotation_from_rpy
 from mems_ins_fusion.parameters.params_file import yaml_value
-from mems_ins_fusion.recordings.aiding import forwards
 from mems_ins_fusion.recordings.checker import check_recording
 from mems_ins_fusion.recordings.findings import ERROR, INFO, SURE, WARNING, Finding
 from mems_ins_fusion.recordings.motion import find_standstill, without_turns
@@ -64,7 +63,7 @@ def check_setup(recording: Recording, values: dict) -> list[Finding]:
     elif not findings:
         findings.append(_mounting_left(found, values))
     return [*findings, *check_standstills(imu, fixes, values), *_check_offset(found, values),
-            *_check_sigma(imu, fixes, found, values), *_check_wheels(recording, imu, found, values)]
+            *_check_sigma(imu, fixes, found, values), *_check_clocks(recording, imu, found, values)]
 
 
 def check_standstills(imu: ImuSamples, fixes: Fixes | None, values: dict):
@@ -173,40 +172,48 @@ def _mounting_left(found: Mounting, values: dict) -> Finding:
                    {one.name: one.value for one in left} | {f'{one.name}_sigma': one.sigma for one in left})
 
 
-def _check_wheels(recording: Recording, imu: ImuSamples, found: Mounting | None, values: dict):
-    """What the parameters leave of the time offset of each speed and odometry."""
+def _check_clocks(recording: Recording, imu: ImuSamples, found: Mounting | None, values: dict):
+    """What the parameters leave of the time offset of each input whose clock can be seen."""
+    of_receiver = {one.name: one.of_antenna for one in aiding(values)}
     for name, left in clocks_left(recording, imu, found, values).items():
-        yield _clock_finding(name, left, values[f'{name}.time_offset'])
+        yield _clock_finding(name, left, values[f'{name}.time_offset'], 'fixes' if of_receiver[name] else 'IMU')
 
 
 def clocks_left(recording: Recording, imu: ImuSamples, found: Mounting | None, values: dict) -> dict[str, Remaining]:
-    """What the checked parameters `values` leave of the time offset of each speed and odometry, by the input's name, as
-    `recording` shows it without fixes; imu: its usable samples. Empty where the yaw of the mounting is not shown."""
-    if found is None or not found.yaw_known:
-        return {}
+    """What the checked parameters `values` leave of the time offset of each input, by its name, as `recording` shows it
+    without a filter; imu: its usable samples. Of those that are compared with the IMU only where the yaw of the
+    mounting is shown."""
+    rotation = found.rotation if found is not None and found.yaw_known else None
+    fixes = usable_fixes(recording.gnss) if recording.gnss is not None and len(recording.gnss) else None
     left, streams = {}, recording.streams()
     for measurement in aiding(values):
-        kind = MEASUREMENTS[measurement.kind].name
-        if kind in WHEELED and values[measurement.topic] and measurement.name in streams:
-            samples = measurement.declared(measurement.settings(values), streams[measurement.name])
-            samples = samples.select(samples.stamp < imu.stamp[-1])
-            lag, _ = wheel_clock(imu, forwards(samples), samples if kind == 'twist' else None, found.rotation)
-            lag, sigma = lag or (0.0, math.inf)
-            left[measurement.name] = Remaining(TIME_OFFSET, lag - values[f'{measurement.name}.time_offset'], sigma)
+        name, kind = measurement.name, MEASUREMENTS[measurement.kind].name
+        compared = fixes if measurement.of_antenna else rotation
+        if kind not in CLOCKED or not values[measurement.topic] or name not in streams or compared is None:
+            continue
+        samples = measurement.declared(measurement.settings(values), streams[name])
+        samples = samples.select(samples.stamp < imu.stamp[-1])
+        lag, _ = clock_of(kind, samples, imu, fixes, rotation)
+        lag, sigma = lag or (0.0, math.inf)
+        declared = values[f'{name}.time_offset']
+        if measurement.of_antenna and not measurement.is_plain:  # that of the plain one is beside gnss.time_offset
+            declared -= values['gnss.time_offset']
+        left[name] = Remaining(TIME_OFFSET, lag - declared, sigma)
     return left
 
 
-def _clock_finding(name: str, left: Remaining, declared: float) -> Finding:
+def _clock_finding(name: str, left: Remaining, declared: float, against: str) -> Finding:
+    topic = f'{"gnss" if against == "fixes" else "imu"}/{name}'
     if not math.isfinite(left.sigma):
-        return Finding(INFO, f'imu/{name}', 'changes of speed too few, or a road too rough, to see how late the '
+        return Finding(INFO, topic, 'turns and changes of speed too few, or too much noise, to see how late the '
                        f'{name} is')
     shown = {'lag_s': declared + left.value, 'sigma_s': left.sigma, 'left_s': left.value}
     beside = f' beside {name}.time_offset {declared:g} s' if declared else ''
     if left.certain(SMALL_OFFSET, SURE):
-        return Finding(WARNING, f'imu/{name}', f'against the IMU the {name} is {abs(left.value):.3f} s '
+        return Finding(WARNING, topic, f'against the {against} the {name} is {abs(left.value):.3f} s '
                        f'{"late" if left.value > 0 else "early"} (sigma {left.sigma:.3f} s){beside}: set '
                        f'{name}.time_offset to {declared + left.value:.2f}', shown)
-    return Finding(INFO, f'imu/{name}', f'the {name} is of the time of its stamps{beside}: {left.value:.3f} +- '
+    return Finding(INFO, topic, f'the {name} is of the time of its stamps{beside}: {left.value:.3f} +- '
                    f'{left.sigma:.3f} s', shown)
 
 

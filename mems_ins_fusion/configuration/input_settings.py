@@ -176,8 +176,10 @@ def _value_settings(name: str, seen: Sequence[InputShown], first: Mapping):
     if lags:
         lag, sigma = (float(x) for x in weighted(*(np.array(part) for part in zip(*lags))))
         sure = is_sure(lag, sigma, OF_SEVERAL)
-        begin, what = first.get('gnss.time_offset', 0.0) if kind == 'fix' else 0.0, (
-            'gnss_topic' if kind in ('fix', 'velocity') else 'the IMU')
+        of_receiver = kind in ('fix', 'velocity')
+        # that of the plain velocity is counted beside gnss.time_offset
+        begin = first.get('gnss.time_offset', 0.0) if of_receiver and name != 'velocity' else 0.0
+        what = 'gnss_topic' if of_receiver else 'the IMU'
         yield Setting(f'{name}.time_offset', round(begin + (lag if sure else 0.0), 3) + 0.0, (
             f'against {what} {lag:.3f} +- {sigma:.3f} s{"" if sure else at_zero(OF_SEVERAL)}',))
     elif kind in WHEELED:

@@ -41,6 +41,8 @@ from mems_ins_fusion.samples import Fixes, ImuSamples, Speeds, Twists
 
 #: kinds that tell a speed along the nose
 WHEELED = 'speed', 'twist', 'pose'
+#: whose clocks can be seen (`clock_of`)
+CLOCKED = (*WHEELED, 'velocity', 'heading', 'fix')
 #: names that say that wheels measure it; that another sensor does
 WHEELS = re.compile(r'wheel|vehicle|(^|/|_)can($|/|_)', re.IGNORECASE)
 OTHER_SENSORS = re.compile(r'lidar|laser|vision|visual|camera|vio', re.IGNORECASE)
@@ -204,34 +206,43 @@ def _points_along(velocities, fixes) -> bool:
 
 def _timed(shown: InputShown, read, imu, fixes, rotation) -> InputShown:
     """With its clock and, of wheels, their place."""
-    name = shown.measurement.name
-    if name == 'velocity':
-        offset = estimate_velocity_offset(read['velocity'], fixes)
-        known = offset is not None and offset.lag_sigma < SHOWN
-        return replace(shown, lag=(offset.lag, offset.lag_sigma) if known else None)
-    if rotation is None:
-        return shown
-    if name == 'heading':
-        turn = _turning(imu, turning_of(read['heading']), rotation, _HEADING_TURNS)
-        return replace(shown, lag=(turn.lag, turn.lag_sigma) if turn is not None and turn.lag_sigma < SHOWN else None)
-    if name not in WHEELED:
-        return shown
-    speeds = forwards(read[name])
-    speeds = replace(speeds, speed=shown.factor * speeds.speed)
-    lag, left = wheel_clock(imu, speeds, read[name] if name != 'speed' else None, rotation)
+    lag, left = clock_of(shown.measurement.name, _in_si(read[shown.measurement.name], shown.factor), imu, fixes,
+                         rotation)
     if left is None:
         return replace(shown, lag=lag)
     return replace(shown, lag=lag, arm=(np.array([0.0, left[0], 0.0]), np.array([np.inf, left[1], np.inf])))
 
 
-def wheel_clock(imu: ImuSamples, speeds: Speeds, twists: Twists | None, rotation: np.ndarray):
-    """How late a speed along the nose is, and the turn rate beside it if there is one: the better known of the two, s,
-    with its sigma, None where neither is shown; and how far to the left of the IMU it is measured, m, with its sigma,
-    or None. imu: SI units. speeds: m/s, positive forwards. rotation: (3, 3) from sensor axes to base_link."""
-    offset = estimate_speed_offset(imu, speeds, rotation)
-    turn = _turning(imu, twists, rotation) if twists is not None else None
-    lags = [(one.lag, one.lag_sigma) for one in (offset, turn) if one is not None and one.lag_sigma < SHOWN]
-    return min(lags, key=lambda lag: lag[1], default=None), offset.left if offset is not None else None
+def _in_si(samples, factor: float):
+    """`samples` with speeds in m/s."""
+    if isinstance(samples, Speeds):
+        return replace(samples, speed=factor * samples.speed)
+    return replace(samples, twist=samples.twist * [factor, factor, 1.0]) if isinstance(samples, Twists) else samples
+
+
+def clock_of(kind: str, samples, imu: ImuSamples, fixes: Fixes | None, rotation: np.ndarray | None):
+    """How late the stamps of an input are, s, with its sigma, None where it is not shown: of a GNSS velocity and of a
+    further receiver against `fixes`, of others against the IMU. And, of wheels, how far to the left of the IMU they
+    are, m, with its sigma, or None.
+
+    kind: name of its plain measurement. samples: its own, m/s, positive forwards. imu: SI units. fixes: usable ones of
+    the first receiver. rotation: (3, 3) from sensor axes to base_link, None where it is not shown.
+    """
+    shown, left = [], None
+    if kind == 'velocity' and fixes is not None:
+        shown = [estimate_velocity_offset(samples, fixes)]
+    elif kind == 'heading' and rotation is not None:
+        shown = [_turning(imu, turning_of(samples), rotation, _HEADING_TURNS)]
+    elif kind == 'fix' and fixes is not None:
+        baseline = estimate_baseline(fixes, usable_fixes(samples))
+        return (None if baseline is None else (baseline.late, math.hypot(baseline.late_sigma, FLOOR))), None
+    elif kind in WHEELED and rotation is not None:
+        offset = estimate_speed_offset(imu, forwards(samples), rotation)
+        left = offset.left if offset is not None else None
+        # of an odometry the turn rate beside it, too: the better known of the two counts
+        shown = [offset, _turning(imu, samples, rotation) if kind != 'speed' else None]
+    lags = [(one.lag, one.lag_sigma) for one in shown if one is not None and one.lag_sigma < SHOWN]
+    return min(lags, key=lambda lag: lag[1], default=None), left
 
 
 def _turning(imu, twists, rotation, least=_TURNING) -> TurnOffset | None:

@@ -18,6 +18,7 @@ from ..configuration.vehicle import standstills_show
 from ..errors import InputError
 from ..evaluation.comparison import aiding_of, samples_to_keep, thin
 from ..filter.config import FilterConfig
+from ..filter.measurements.registry import aiding
 from ..filter.memory import PLANAR, Event, Kind, Verdict
 from ..filter.runs.replay import Constrained, run, run_with_constraints
 from ..filter.runs.results import Run
@@ -123,7 +124,7 @@ class Problem:
     def __init__(self, recording: Recording, values: dict, interval: float = UPDATE_INTERVAL,
                  others: Sequence[dict] = ()):
         self.reference_clock = GNSS if recording.reference is None else IMU
-        self.given = {**values, 'gnss.time_offset_sigma': 0.0}
+        self.given = {**values, **exact_offsets(values)}
         self.values = looked_through(values, recording)
         given = FilterConfig.from_parameters(self.given)
         keep = samples_to_keep(recording.imu, recording.imu.stamp[:_ALIGNING])
@@ -146,7 +147,7 @@ class Problem:
         self.outlying = _refused(watched, len(self.stamp))
         for other in others:  # a fix that one start explains is no outlier
             self.outlying &= _refused(run(
-                FilterConfig.from_parameters({**other, 'gnss.time_offset_sigma': 0.0}), self.drive.imu, self.drive.gnss,
+                FilterConfig.from_parameters({**other, **exact_offsets(other)}), self.drive.imu, self.drive.gnss,
                 aiding_of(recording), keep=np.zeros(len(self.drive.imu), dtype=bool)), len(self.stamp))
         self.recording = replace(self.drive, gnss=believed(self.drive.gnss, self.claimed, 0.0, self.outlying))
         self.config = FilterConfig.from_parameters(self.values)
@@ -289,9 +290,15 @@ def looked_through(values: dict, recording: Recording) -> dict:
     standstills where `recording` cannot tell these from motion: each that is none is a step in the innovations."""
     shown = standstills_show(recording.imu, recording.gnss) if values['vehicle.zero_velocity'] else None
     return {**values, 'gnss.sigma': 0.0, 'gnss.adapt_sigma': False, 'gnss.gate_probability': 1.0,
-            'gnss.robust_sigma': 0.0, 'gnss.time_offset_sigma': 0.0, 'vehicle.learn_drift': False,
+            'gnss.robust_sigma': 0.0, 'vehicle.learn_drift': False, **exact_offsets(values),
             'imu.adapt_noise': False, 'vehicle.zero_velocity': values['vehicle.zero_velocity'] and (
                 shown is None or shown[0])}
+
+
+def exact_offsets(values: dict) -> dict:
+    """The parameters among `values` without which a filter takes all time offsets for exact: one that estimates them
+    itself hides that they are wrong."""
+    return dict.fromkeys(['gnss.time_offset_sigma', *(f'{one.name}.time_offset_sigma' for one in aiding(values))], 0.0)
 
 
 def averaged(imu: ImuSamples, rate: float) -> ImuSamples:

@@ -24,8 +24,7 @@ TIME_OFFSET = 'gnss.time_offset'
 @dataclass(frozen=True)
 class Shown:
     """What recordings show together without a filter. track: time offset, arm and smoothing of the receiver, None where
-    the fixes show nothing. clocks: by the name of a speed or an odometry, what the parameters leave of its time offset.
-    """
+    the fixes show nothing. clocks: by the name of an input, what the parameters leave of its time offset."""
 
     track: Offset | None = None
     clocks: Mapping[str, Remaining] = field(default_factory=dict)

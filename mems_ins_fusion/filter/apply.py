@@ -110,7 +110,7 @@ def _apply_input(mem, r, at, sample):
     if kind == Kind.TWIST:
         judged = 2 if twist.measures_sideways(mem, at) else 1
         inputs.leave_out_turn_rate(mem, r, at, n)
-    factor, gate = inputs.judge(mem, r, at, n, judged, c, sample)
+    factor, gate = inputs.judge(mem, r, at, n, judged)
     verdict = update(mem, r, at, n, dimensions, factor, ROBUST, gate)
     mem[at + Event.VERDICT] = verdict
     if inputs.makes_way(kind) and verdict == Verdict.REFUSED:
@@ -139,10 +139,10 @@ def _observe(mem, r, at, h, n, c, sample):
     if kind == Kind.PRESSURE:
         return pressure.observe(mem, r, at, h)
     if kind == Kind.MAGNETIC:
-        return magnetometer.observe(mem, r, at, h, n, c)
+        return magnetometer.observe(mem, r, at, h, n, c, sample)
     if kind == Kind.PLACE:
         return position.observe_place(mem, r, at, h, n, c)
-    return heading.observe(mem, r, at, h, c)
+    return heading.observe(mem, r, at, h, c, sample)
 
 
 @njit(_nrt=False)

@@ -207,6 +207,12 @@ class FilterConfig:
         return own + (self.gnss.time_offset if of_receiver else 0.0)
 
     @property
+    def declared_errors(self) -> list[float]:
+        """Known constant errors and time offsets of the inputs in use: the states are what is left beside these."""
+        return [value for settings in self.sensors.values() if settings.topic
+                for value in (settings.factor, settings.offset, settings.time_offset)]
+
+    @property
     def latest(self) -> float:
         """s, by which a measurement may arrive after the IMU samples of its time: gnss.max_delay and time offset."""
         return self.gnss.max_delay + max(0.0, *map(self.time_offset_of, self.inputs))
@@ -281,7 +287,7 @@ class FilterConfig:
             Head.EVENT_CAPACITY: self.event_capacity,
             Head.COLOURED: layout.index('coloured_n'), Head.MOUNTING_PITCH: layout.index('mounting_pitch'),
             Head.MOUNTING_YAW: layout.index('mounting_yaw'), Head.AXLE: layout.index('axle_x'),
-            Head.AXLE_ACROSS: layout.index('axle_y'), Head.TIME_OFFSET: layout.index('time_offset'),
+            Head.AXLE_ACROSS: layout.index('axle_y'),
             **{one.state_column: layout.index(one.state) for one in AIDING if one.state_column is not None},
             Head.INTERVAL: self.models[0].interval or 0.0, Head.INTERVAL + 1: self.models[-1].interval or 0.0,
             Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: self.latest, Head.AHEAD: self.ahead,
@@ -366,6 +372,7 @@ def _extras(values: dict, is_level: bool) -> tuple[Extra, ...]:
         if values[measurement.topic]:
             for name, (sigma, walk) in measurement.states(values).items():
                 slow(name, sigma, walk)
+            slow(measurement.time_offset_state, values[f'{measurement.name}.time_offset_sigma'])
     return tuple(extras)
 
 

@@ -89,7 +89,7 @@ class _Nav(NamedTuple):
     SLID: int = column()  # s during which a contradiction showed that the IMU was wrong
     RESTARTS: int = column()  # states that were not finite and were replaced by an earlier one
     RECOVERIES: int = column()  # restarts from fixes that had been refused
-    MECHANISMS: int = column(399)  # the first of those declared in other files (`ROW`), and room for them
+    MECHANISMS: int = column(427)  # the first of those declared in other files (`ROW`), and room for them
     SIZE: int = column(0)
 
 
@@ -183,7 +183,7 @@ def packed(i, j, size):
     return i * size - i * (i - 1) // 2 + j - i
 
 
-INPUT_SIZE = 28  # floats of each named input at the end of a row: its statistics (trust/scale.py)
+INPUT_SIZE = 32  # floats of each named input at the end of a row: its statistics (trust/scale.py)
 
 
 def row_width(layout: StateLayout) -> int:
@@ -336,7 +336,6 @@ class _Head(NamedTuple):
     MOUNTING_YAW: int = column()
     AXLE: int = column()
     SPEED_SCALE: int = column()
-    TIME_OFFSET: int = column()  # of the receiver's stamps, in addition to gnss.time_offset
     INTERVAL: int = column(2)  # s, T_s of the autoregressive models of accelerometers and gyroscopes; 0: other models
     MAX_GAP: int = column()  # s
     MAX_DELAY: int = column()  # s
@@ -469,6 +468,7 @@ class _Event(NamedTuple):
     WITHDRAWN: int = column()  # 1: a later measurement has shown that it is wrong
     INPUT: int = column()  # number of its named input, from 1 on; 0: the unnamed input
     STATE: int = column()  # of a named input: index of its first optional state among all n; -1: none
+    TIME_OFFSET: int = column()  # index of the state of its time offset among all n; 0: none, as 0 is the position
     ARM: int = column(3)  # of a named input: lever arm from the IMU, body axes, m
     STATUS: int = column()  # of a fix, `NavSatStatus.status`: 0 plain, 1 with satellite corrections, 2 with a base
     DECLINATION: int = column()  # of a magnetic field, as configured, rad

@@ -15,7 +15,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..navigation import planar, strapdown
 from ..navigation.earth import gravity, radii
-from .measurements import acceleration
+from .measurements import acceleration, time_offset
 from .memory import (
     INPUT_SIZE,
     NAV,
@@ -35,7 +35,6 @@ from .memory import (
     variance_at,
     walk_at,
 )
-from .trust import late
 from .trust.drift import Drift, DriftSettings
 from .trust.force_noise import force_noise
 from .trust.imu_faults import LONGEST_WHIRL, Fault
@@ -80,7 +79,7 @@ def predict(mem, src, dst, sample, dt):
         mem[dst + k] = mem[src + k]
     if mem[LagSettings.TIME] > 0.0:
         fall_behind(mem, src, dst, dt)
-    late.gain(mem, src, dst, dt)
+    time_offset.carry_on(mem, src, dst, dt)
     if mem[sample + Sample.INTERVAL] > mem[Head.MAX_GAP] or mem[sample + Sample.FAULT] != 0.0:
         _bridge(mem, dst, dt, m, mem[sample + Sample.FAULT])
     else:

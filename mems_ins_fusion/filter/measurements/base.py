@@ -19,6 +19,9 @@ NAV_SAT_FIX = 'sensor_msgs/msg/NavSatFix'
 GPS_FIX = 'gps_msgs/msg/GPSFix'
 NOT_THERE = (-1.0, *[0.0] * 8)  # covariance that sensor_msgs/Imu states for a quantity that the message does not hold
 FIRST_NAMED = 100  # number of the first named input
+#: s: stamps may be off by so much, one sigma, without anybody having declared it: a bus, a serial line and a filter in
+#: the sensor take tenths of a second together
+UNDECLARED_OFFSET = 0.1
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,11 @@ class Measurement:
     #: as in Event.INPUT: 0 for the unnamed input, from 1 on for named ones
     event_input = property(lambda self: 0 if self.is_plain else self._number - FIRST_NAMED + 1)
 
+    @property
+    def time_offset_state(self) -> str:
+        """Name of the state that is what is left of its time offset."""
+        return f'{self.name}_time_offset'
+
     def named(self, name: str, number: int, arm=(0.0, 0.0, 0.0)) -> Measurement:
         """A named input of this kind. arm: lever arm, base_link (forward-left-up), m."""
         other = copy(self)
@@ -120,7 +128,10 @@ class Measurement:
                       'message has none.', positive=True, maximum=1000.0),
             Parameter(f'{self.name}.time_offset', 0.0, 's', f'By which the stamps on {self.topic} are late against the '
                       'IMU\'s clock' + (', in addition to gnss.time_offset.' if self.of_antenna and self.is_plain else
-                                        '.'), minimum=-10.0, maximum=10.0))
+                                        '.'), minimum=-10.0, maximum=10.0),
+            Parameter(f'{self.name}.time_offset_sigma', UNDECLARED_OFFSET, 's', f'Standard deviation of what is left '
+                      f'beside {self.name}.time_offset, which is estimated; 0: nothing is left.', minimum=0.0,
+                      maximum=10.0))
 
     def factor_parameter(self, unit: str, examples: str, largest: float = 1e4) -> Parameter:
         """`NAME.factor`. unit: to which it converts."""

@@ -104,9 +104,15 @@ def add_attitude_error(mem, h, n, u_n, u_e, u_d):
 
 
 @njit(_nrt=False)
+def along(vector, c, axis):
+    """Component along one body axis of a vector in n; c: rotation from b to n."""
+    return c[axis] * vector[0] + c[3 + axis] * vector[1] + c[6 + axis] * vector[2]
+
+
+@njit(_nrt=False)
 def body_velocity(mem, r, c, axis):
     """Velocity along one body axis; c: rotation from b to n."""
-    return c[axis] * mem[r + Nav.V_N] + c[3 + axis] * mem[r + Nav.V_E] + c[6 + axis] * mem[r + Nav.V_D]
+    return along((mem[r + Nav.V_N], mem[r + Nav.V_E], mem[r + Nav.V_D]), c, axis)
 
 
 @njit(_nrt=False)

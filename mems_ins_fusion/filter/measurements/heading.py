@@ -13,21 +13,23 @@ from ...parameters.parameter import Parameter
 from ...samples import Headings
 from ..memory import HEAD, NAV, Error, Event, Head, Kind
 from .base import IMU, NOT_THERE, POSE, Measurement
-from .geometry import add, own_state
+from .geometry import add, angular_rate, own_state
 from .records import empty, refuse, stated_or
+from .time_offset import add_time_offset
 
 #: index of the optional state heading_offset among all n; -1: none
 Offsets = HEAD.place('Offsets', HEADING=1)
 
 
 @njit(_nrt=False)
-def observe(mem, r, at, h, c):
+def observe(mem, r, at, h, c, sample):
     """Yaw, difference wrapped to half a turn; one component."""
     yaw, offset = int(mem[Head.MOUNTING_YAW]), own_state(mem, at, Offsets.HEADING)
     # yaw of the vehicle's axes in b, and what the heading is off by; `update` subtracts H times these estimates
     estimated = (mem[r + NAV + yaw] if yaw >= 0 else 0.0) + (mem[r + NAV + offset] if offset >= 0 else 0.0)
     difference = math.atan2(c[3], c[0]) + estimated - mem[at + Event.VALUE]
     mem[at + Event.Z_N] = math.atan2(math.sin(difference), math.cos(difference)) - estimated
+    add_time_offset(mem, at, h, angular_rate(mem, r, sample)[2])
     level = c[0] * c[0] + c[3] * c[3]  # derivative of atan2(c_21, c_11), where phi x c changes the column
     add(mem, h, Error.PHI_D, 1.0)
     add(mem, h, Error.PHI_N, -c[6] * c[0] / level)

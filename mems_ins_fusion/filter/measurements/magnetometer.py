@@ -24,8 +24,9 @@ from ...parameters.parameter import Parameter
 from ...samples import MagneticFields
 from ..memory import HEAD, NAV, Error, Event, Kind
 from .base import Measurement, SensorSettings
-from .geometry import add, own_state
+from .geometry import add, angular_rate, own_state
 from .records import empty, refuse, stated_or
+from .time_offset import add_time_offset
 
 #: index of the optional state magnetometer_hard_x among all n, followed by the others of STATES; -1: none
 Compass = HEAD.place('Compass', STATES=1)
@@ -52,14 +53,14 @@ def _levelled(mem, r, at, c):
 
 
 @njit(_nrt=False)
-def observe(mem, r, at, h, n, c):
+def observe(mem, r, at, h, n, c, sample):
     """Horizontal field in units of its nominal size, across the predicted one (an angle) and along it; two components.
     """
     first = own_state(mem, at, Compass.STATES)
     x = r + NAV + first
     strength, stretch, skew = 1.0 + mem[x + 2], mem[x + 3], mem[x + 4]
     f_x, f_y, f_z, x_x, y_x, x_y, y_y = _levelled(mem, r, at, c)
-    yaw = math.atan2(c[3], c[0])
+    yaw, turn = math.atan2(c[3], c[0]), angular_rate(mem, r, sample)[2]
     yaw -= mem[at + Event.DECLINATION] + mem[x + 5]
     u_x, u_y = math.cos(yaw), -math.sin(yaw)
     turned_x, turned_y = u_y, -u_x  # derivative of u by the yaw
@@ -78,6 +79,7 @@ def observe(mem, r, at, h, n, c):
         mem[row + first + 3] = -(w_x * u_x - w_y * u_y)
         mem[row + first + 4] = -(w_x * u_y + w_y * u_x)
         mem[row + first + 5] = by_yaw
+        add_time_offset(mem, at, row, by_yaw * turn)
         # an error of attitude changes the levelled field by phi x f, and the yaw about which it is levelled
         add(mem, row, Error.PHI_D, by_yaw)
         about = w_x * f_y - w_y * f_x

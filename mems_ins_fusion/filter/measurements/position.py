@@ -16,6 +16,7 @@ from ..trust.lag import behind
 from .base import GPS_FIX, NAV_SAT_FIX, Measurement
 from .geometry import add, add_attitude_error, arm_of, rotate
 from .records import empty, refuse
+from .time_offset import add_time_offset
 
 #: m: standard deviation of a pseudorange, by which a dilution of precision is multiplied where a message has no other
 #: statement of its noise
@@ -57,10 +58,8 @@ def observe(mem, r, at, h, n, c):
     coloured = int(mem[Head.COLOURED])
     if coloured >= 0:
         mem[h + coloured] = mem[h + n + coloured + 1] = -1.0
-    offset = int(mem[Head.TIME_OFFSET])
-    if offset >= 0:  # the fix describes the vehicle that much before its stamp
-        for k in range(3):
-            mem[h + n * k + offset] = mem[r + Nav.V_N + k]
+    for k in range(3):
+        add_time_offset(mem, at, h + n * k, mem[r + Nav.V_N + k])
     return 3 if row_of(mem, Error.R_D) >= 0 else 2
 
 
@@ -78,6 +77,7 @@ def observe_place(mem, r, at, h, n, c):
     arm = int(mem[at + Event.STATE])
     for k in range(3):
         add(mem, h + n * k, Error.R_N + k, 1.0)
+        add_time_offset(mem, at, h + n * k, mem[r + Nav.V_N + k])
         if arm >= 0:
             mem[h + n * k + arm], mem[h + n * k + arm + 1] = -c[3 * k], -c[3 * k + 1]
     return 3 if row_of(mem, Error.R_D) >= 0 else 2
@@ -188,6 +188,10 @@ class Fix(Measurement):
     @property
     def state(self):
         return '' if self.is_plain else f'{self.name}_arm'
+
+    @property
+    def time_offset_state(self):
+        return 'time_offset' if self.is_plain else super().time_offset_state
 
     def states(self, values):
         sigma = 0.0 if self.is_plain else values[f'{self.name}.lever_arm_sigma']

@@ -17,6 +17,7 @@ from ..memory import HEAD, Error, Event, Kind, Nav
 from .base import Measurement
 from .geometry import add, own_state
 from .records import empty, refuse, stated_or
+from .time_offset import add_time_offset
 
 #: index of the optional state pressure_bias among all n, m: height by pressure minus true height; -1: none
 Barometer = HEAD.place('Barometer', BIAS=1)
@@ -27,6 +28,7 @@ def observe(mem, r, at, h):
     """Height, positive up; one component."""
     mem[at + Event.Z_N] = mem[r + Nav.HEIGHT] - mem[at + Event.VALUE]
     add(mem, h, Error.R_D, -1.0)
+    add_time_offset(mem, at, h, -mem[r + Nav.V_D])
     bias = own_state(mem, at, Barometer.BIAS)
     if bias >= 0:
         mem[h + bias] = -1.0

@@ -11,8 +11,9 @@ from ...parameters.parameter import Parameter
 from ...samples import Speeds
 from ..memory import NAV, Event, Head, Kind, channel_of
 from .base import ODOMETRY, TWIST, Measurement, covariance36
-from .geometry import add_body_velocity, angular_rate, arm_of, body_velocity, own_state, vehicle_to_level
+from .geometry import add_body_velocity, along, angular_rate, arm_of, body_velocity, own_state, vehicle_to_level
 from .records import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or, velocity_at
+from .time_offset import acceleration, add_time_offset
 
 
 @njit(_nrt=False)
@@ -23,6 +24,7 @@ def observe(mem, r, at, h, c, sample):
     c = vehicle_to_level(mem, r, c)
     add_body_velocity(mem, r, h, c, 0, 1.0)
     mem[at + Event.Z_N] = body_velocity(mem, r, c, 0) + w_y * z - w_z * y
+    add_time_offset(mem, at, h, along(acceleration(mem, r), c, 0))
     across, gyroscope = int(mem[Head.AXLE_ACROSS]), channel_of(mem, 5)
     scale = own_state(mem, at, Head.SPEED_SCALE)
     if scale >= 0:

@@ -16,8 +16,9 @@ from ...parameters.parameter import Parameter
 from ...samples import Twists
 from ..memory import HEAD, NAV, Event, Head, Kind, channel_of
 from .base import ODOMETRY, TWIST, Measurement, SensorSettings, covariance36
-from .geometry import add_body_velocity, angular_rate, arm_of, body_velocity, own_state, vehicle_to_level
+from .geometry import add_body_velocity, along, angular_rate, arm_of, body_velocity, own_state, vehicle_to_level
 from .records import FASTEST, SMALLEST_SPEED_SIGMA, STEP, empty, refuse, stated_or, velocity_at
+from .time_offset import acceleration, add_time_offset
 
 #: index of the optional state twist_scale among all n, behind which twist_turn_scale stands; -1: neither
 Scales = HEAD.place('Scales', TWIST=1)
@@ -36,6 +37,7 @@ def observe(mem, r, at, h, n, c, sample):
     forward = body_velocity(mem, r, c, 0) + w_y * z - w_z * y
     right = body_velocity(mem, r, c, 1) + w_z * x - w_x * z
     mem[at + Event.Z_N] = forward - mem[at + Event.VALUE]
+    add_time_offset(mem, at, h, along(acceleration(mem, r), c, 0))
     add_body_velocity(mem, r, h, c, 0, 1.0)
     if scale >= 0:
         mem[h + scale] = -forward

@@ -13,6 +13,7 @@ from ..memory import Error, Event, Head, Kind, Nav, row_of
 from .base import TWIST, Measurement, covariance36
 from .geometry import add, add_attitude_error, angular_rate, arm_of, rotate
 from .records import FASTEST, SMALLEST_SPEED_SIGMA, empty, refuse, stated_or, velocity_at
+from .time_offset import acceleration, add_time_offset
 
 
 @njit(_nrt=False)
@@ -26,8 +27,10 @@ def observe(mem, r, at, h, n, c, sample):
     vertical = not math.isnan(mem[at + Event.VALUE + 2])
     mem[at + Event.Z_D] = mem[r + Nav.V_D] + down - mem[at + Event.VALUE + 2] if vertical else 0.0
     add_attitude_error(mem, h, n, north, east, down)
+    rate = acceleration(mem, r)
     for k in range(3):
         add(mem, h + n * k, Error.V_N + k, 1.0)
+        add_time_offset(mem, at, h + n * k, rate[k])
     return 3 if vertical and row_of(mem, Error.V_D) >= 0 else 2
 
 

@@ -47,7 +47,8 @@ SHOWN_BETTER = 20.0
 KEPT = 100  # fixes whose innovations are kept: two filters process the same fix within seconds of each other
 #: attributes that stay when another filter takes over: outputs, messages and counts
 _STAYS = frozenset({'odometry', 'geodetic', 'position_covariance_enu', 'datum', 'tallies', 'gaps', 'waited', '_notices',
-                    '_judged', '_said', '_said_mounting', '_next_look', '_recent', '_last_recovery', '_using_fixes'})
+                    '_judged', '_said', '_said_mounting', '_said_late', '_next_look', '_recent',
+                    '_last_recovery', '_using_fixes'})
 
 
 @dataclass(frozen=True)

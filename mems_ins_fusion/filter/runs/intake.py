@@ -164,6 +164,7 @@ class Intake:
         if len(used) < len(records) or warnings:
             self._explain(kind, codes, stamp, newest, late, reasons, warnings)
             records = records[used]
+        records[:, Event.TIME_OFFSET] = max(self.config.layout.index(measurement.time_offset_state), 0)
         if not measurement.is_plain:
             records[:, Event.INPUT] = measurement.event_input
             records[:, Event.STATE] = self.config.layout.index(measurement.state)

@@ -30,7 +30,7 @@ from .results import columns
 from .snapshot import from_snapshot, make_snapshot, saved_at_jump
 from .status import VERDICTS, FilterStatus
 from .tally import Tally
-from .vehicle_check import ADRIFT, found_mounting, vehicle_warnings
+from .vehicle_check import ADRIFT, found_mounting, found_time_offsets, vehicle_warnings
 
 _CHECK_PERIOD = 5 * 10**9  # ns between two checks whether the vehicle contradicts the parameters; each takes 0.1 ms
 _MESSAGE_PERIOD = 60 * 10**9  # ns from such a message to the next check
@@ -106,6 +106,7 @@ class FusionFilter(FilterStatus):
         self._next_look = 0  # ns: time of the next check whether the vehicle contradicts the parameters
         self._said: list[str] = []  # messages of the last check
         self._said_mounting = False
+        self._said_late: set[int] = set()  # inputs whose time offset was said
 
     def changed(self, values: dict) -> FilterConfig:
         """The configuration with those of the checked `values` that are CHANGEABLE.
@@ -346,6 +347,10 @@ class FusionFilter(FilterStatus):
             if not self._said_mounting and (found := found_mounting(self._memory, self.config)):
                 self._said_mounting = True
                 self.say('warning', f'{self.config.imu.topic}: {found}')
+            for kind, text in found_time_offsets(self._memory, self.config).items():
+                if kind not in self._said_late:
+                    self._said_late.add(kind)
+                    self.say('warning', f'{self.topic(kind)}: {text}')
         if not used:
             return
         self._newest_fix = max(self._newest_fix, stamp)

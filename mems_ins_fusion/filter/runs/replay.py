@@ -26,7 +26,7 @@ from .horizon import HorizonPredictor
 from .intake import GOOD, JUMPED, Intake, remove_effects
 from .results import MeasurementLog, Run, columns, result
 from .snapshot import saved_at_jump
-from .vehicle_check import vehicle_warnings
+from .vehicle_check import found_time_offsets, vehicle_warnings
 
 _NOTHING = np.empty((0, Event.SIZE))
 
@@ -309,6 +309,8 @@ class Replay(Intake):
         for text in (*imu_warnings(self.memory, self.config.imu.topic),
                      *vehicle_warnings(self.memory, self.config, fixes)):
             self.say('warning', text)
+        for kind, text in found_time_offsets(self.memory, self.config).items():
+            self.say('warning', f'{self.topic(kind)}: {text}')
 
     @property
     def measured_all(self) -> MeasurementLog:

@@ -2,8 +2,8 @@
 
 A snapshot is a dict for JSON: stamp (ns), latitude, longitude (rad), height (m), speed (m/s), yaw of the vehicle (rad,
 clockwise from north) and yaw_sigma; errors: names of the augmented states, estimate, covariance and constant part (see
-`start.SensorErrors`), and the conditioning of the samples that they belong to; wheels: `wheel_vibration.calibration`,
-where there is one.
+`start.SensorErrors`), and what they are left beside: the conditioning of the samples and the declared errors of the
+inputs; wheels: `wheel_vibration.calibration`, where there is one.
 """
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def make_snapshot(config: FilterConfig, memory: np.ndarray, stamp: int) -> dict:
             'speed': math.hypot(v_n, v_e), 'yaw': yaw, 'yaw_sigma': yaw_sigma,
             'errors': {'names': list(layout.names[layout.n_navigation:]), 'estimate': errors.estimate.tolist(),
                        'covariance': errors.covariance.tolist(), 'constant': errors.constant.tolist(),
-                       'conditioning': config.conditioning.tolist()},
+                       'conditioning': config.conditioning.tolist(), 'declared': config.declared_errors},
             **({} if wheels is None else {'wheels': wheels.tolist()})}
 
 
@@ -86,11 +86,12 @@ def from_snapshot(config: FilterConfig, snapshot: dict, now: int, max_distance: 
 
 
 def _errors(config: FilterConfig, values: dict) -> SensorErrors | None:
-    """The sensor errors of a snapshot; None where they are of a filter with other states or another mounting."""
+    """The sensor errors of a snapshot; None where they are of a filter with other states, another mounting or other
+    declared errors: an offset that was found and then declared would count twice."""
     layout = config.layout
     names, conditioning = list(values['names']), np.array(values['conditioning'], dtype=float)
-    if names != list(layout.names[layout.n_navigation:]) or conditioning.shape != (6, 6) or not np.allclose(
-            conditioning, config.conditioning):
+    if (names != list(layout.names[layout.n_navigation:]) or values.get('declared', []) != config.declared_errors
+            or conditioning.shape != (6, 6) or not np.allclose(conditioning, config.conditioning)):
         return None
     errors = SensorErrors(*(np.array(values[name], dtype=float) for name in ('estimate', 'covariance', 'constant')))
     m = layout.n_augmented

@@ -16,7 +16,7 @@ from .horizon import Horizon
 from .intake import Intake
 from .odometry import published_covariance
 from .snapshot import vehicle_heading
-from .vehicle_check import found_mounting, mounting_angles
+from .vehicle_check import found_mounting, found_time_offsets, mounting_angles
 
 #: the verdicts in words
 VERDICTS = {Verdict.USED: 'used', Verdict.WEIGHTED: 'weighted down',
@@ -205,6 +205,8 @@ class FilterStatus(Intake):
                    'trust horizon to, m': self.config.parameters['horizon.limit']}
         values['heading sigma of the vehicle, deg'] = math.degrees(vehicle_heading(self.config, memory)[1])
         values['mounting found'] = found_mounting(memory, self.config) or 'nothing against imu.mounting_rpy'
+        values |= {f'{self.name(kind)} time offset found': text
+                   for kind, text in found_time_offsets(memory, self.config).items()}
         sample = sample_at(memory, int(memory[Head.SAMPLES]))
         values |= {'age of the last fix used, s': (self._now - self._newest_fix) * 1e-9,
                    'realised over claimed sigma of the fixes': math.sqrt(realised_scatter(row, 0)),

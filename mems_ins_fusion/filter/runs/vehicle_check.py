@@ -1,4 +1,5 @@
-"""Messages where the motion of the vehicle contradicts the parameters: mounting, kind of vehicle, vibration."""
+"""Messages where the motion of the vehicle contradicts the parameters: mounting, time offsets, kind of vehicle,
+vibration."""
 from __future__ import annotations
 
 import math
@@ -7,7 +8,7 @@ import numpy as np
 
 from ...navigation.frames import FLU_TO_FRD, rotation_from_rpy
 from ..config import FilterConfig
-from ..memory import NAV, Event, Nav, StateLayout, Verdict, covariance_index, newest_row, variance_factor
+from ..memory import NAV, Event, Kind, Nav, StateLayout, Verdict, covariance_index, newest_row, variance_factor
 from ..trust.white_noise import FAR_MORE, White
 
 MOUNTING_STATES = 'mounting_yaw', 'mounting_pitch'
@@ -18,6 +19,9 @@ MOUNTING_SIGMAS = 3.0  # sigmas by which an estimated mounting has to differ fro
 SMALL_ANGLE = 0.2
 #: rad: a mounting that is off by more than this, with a smaller standard deviation, is worth setting
 WORTH_SETTING = math.radians(0.5)
+#: s by which an estimated time offset has to differ from the parameter for a message: less costs nobody anything
+LATE = 0.05
+LATE_SIGMAS = 4.0  # sigmas by which it has to differ, too: inputs are looked at all day
 BETTER_KNOWN = 5.0  # and that standard deviation has to be smaller than imu.mounting_sigma by this factor
 LONGEST_SIDEWAYS = 5.0  # s of sideways motion in total that show that the vehicle has no wheels, or turns on the spot
 LONGEST_UNSETTLED = 0.5  # s of a contradiction by the lateral constraint that are reported
@@ -88,6 +92,24 @@ def found_mounting(memory: np.ndarray, config: FilterConfig) -> str:
              for angle, s, sides in zip((yaw, pitch), sigmas, (('to the left', 'to the right'), ('down', 'up'))) if s]
     return (f'the vehicle points {" and ".join(parts)} of the forward axis that imu.mounting_rpy gives it; pose and '
             f'twist are those of that axis: set imu.mounting_rpy: [{", ".join(map(str, rpy))}], or vehicle_axes: true')
+
+
+def found_time_offsets(memory: np.ndarray, config: FilterConfig) -> dict[int, str]:
+    """By the number of the input: its estimated time offset in words, with the parameter to set, where it certainly
+    differs from that."""
+    layout, row, found = config.layout, newest_row(memory), {}
+    for number, measurement in config.inputs.items():
+        state = layout.index(measurement.time_offset_state)
+        if state < 0:
+            continue
+        left = float(row[NAV + state])
+        sigma = math.sqrt(variance_factor(row, 0) * row[covariance_index(state, state, layout)])
+        if abs(left) > max(LATE, LATE_SIGMAS * sigma):
+            name = 'gnss' if number == Kind.POSITION else measurement.name
+            total = config.settings_of(number).time_offset + left
+            found[number] = (f'stamped {abs(left):.3f} +- {sigma:.3f} s too {"late" if left > 0 else "early"}, for '
+                             f'which the filter allows by now: set {name}.time_offset: {total:.2f}')
+    return found
 
 
 def _is_adrift(fixes: np.ndarray) -> bool:

@@ -21,6 +21,7 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
+from ..measurements.base import UNDECLARED_OFFSET
 from ..memory import NAV, ROW, Event, Head, Nav, Verdict, velocity_state
 
 #: of a state
@@ -58,8 +59,6 @@ CERTAIN = 3.0
 EXPLAINED = 0.5
 #: m^2/s and m^2/s^3, variances that offset and drift gather: of a receiver's filter, not of a vehicle that manoeuvres
 WANDERS, TURNS = 0.002, 0.002
-#: s: stamps may be off by so much, one sigma, without anybody having declared it: fixes are then off along the velocity
-UNDECLARED_OFFSET = 0.1
 #: nats: a filter has strayed from fixes that it has refused (a wrong heading, a standstill that was none) once in 50 h,
 STRAYED = math.log(FIXES_WRONG / 50.0)
 #: and an IMU is wrong once in a hundred hours (loose mounts, kerbs, drivers that mix up axes)

@@ -13,9 +13,7 @@ from ..measurements import heading, magnetometer, pressure, twist
 from ..measurements.geometry import angular_rate, arm_of, body_velocity, own_state, rotate, vehicle_to_level
 from ..memory import NAV, Event, Head, Kind, Nav, is_of_heading, is_of_velocity, yaw_state
 from ..update import ROBUST, product, project
-from . import contradiction, receiver, repeats, way
-from .hypotheses import UNDECLARED_OFFSET
-from .late import Late
+from . import clock_jump, contradiction, receiver, repeats, way
 from .scale import Scale, Seen, learn, scale, seen_of
 from .standstill import SLOWEST_TOLD
 
@@ -36,9 +34,6 @@ NEVER = 1e-9
 SPEED_LASTS = 1.0
 #: the same of a magnetic field: what a slow vehicle passes
 FIELD_LASTS = 10.0
-#: and of what an input is off by because its stamps are: a manoeuvre, and about as long as fixes keep a position (with
-#: 1 s, wheels 0.5 s late: 64 % in the ellipse; with 5 s a velocity 0.5 s late: 71 %; 95 % with this)
-LATE_LASTS = 10.0
 #: s for which a speed that has fitted and then is far off is one of wheels that slip, without fixes, too; what lasts
 #: for longer may be right, and the state wrong
 LONGEST_SLIP = 5.0
@@ -63,10 +58,10 @@ def makes_way(kind):
 
 
 @njit(_nrt=False)
-def judge(mem, r, at, n, dimensions, c, sample):
+def judge(mem, r, at, n, dimensions):
     """Factor on the covariance of the speed, velocity or heading at `at`, learned from its innovation, too, and for as
     many as tell no more than one; and the sigmas beyond which it is refused, 0: none. dimensions: of the components
-    that are judged together, 1 or 2. c: rotation from b to n, sample: position of the IMU sample of that time.
+    that are judged together, 1 or 2.
 
     One that does not fit is wrong, or the state is. What its variance is raised by, that of the state is raised by,
     too, along what is measured, unless fixes speak for the state, as they do for its velocity: so a filter that is sure
@@ -95,31 +90,28 @@ def judge(mem, r, at, n, dimensions, c, sample):
         # a velocity may fit by its size and point elsewhere
         gate = NEVER if kind == Kind.VELOCITY else ROBUST
         return density * max(1.0, first**2 / mem[at + Event.R_NN]), gate
-    column = h + 3 * n
-    squared, claimed, variance = 0.0, mem[at + Event.R_NN], 0.0
-    for k in range(dimensions):
-        squared += (mem[at + Event.Z_N + k] - product(mem, n, h + n * k, r + NAV)) ** 2 / dimensions
-        variance += project(mem, n, h + n * k, column) / dimensions
+    claimed = mem[at + Event.R_NN]
+    squared, variance = _innovation(mem, r, at, n, dimensions)
     if dimensions > 1:
         claimed = 0.5 * (claimed + mem[at + Event.R_EE])
-    late = _late(mem, r, at, c, sample)
-    assumed = claimed + late
     before = max(scale(mem, own), 1.0)
+    least = LARGEST_NOISE if of_velocity else LARGEST_HEADING_NOISE
+    if clock_jump.has_jumped(mem, r, at, n, own, dimensions,
+                             density * min(before * claimed, max(LARGEST_CLAIM * claimed, least**2)), variance):
+        squared, variance = _innovation(mem, r, at, n, dimensions)
     confirmed = not is_of_heading(kind) and time - mem[r + Nav.FIX_TIME] < NO_FIX
-    if kind == Kind.PLACE and _is_elsewhere(mem, own, time, squared, variance + min(before, LARGEST_CLAIM) * assumed,
+    if kind == Kind.PLACE and _is_elsewhere(mem, own, time, squared, variance + min(before, LARGEST_CLAIM) * claimed,
                                             confirmed):
         return 1.0, NEVER
-    learn(mem, own, time, squared, assumed, variance, dimensions)
+    learn(mem, own, time, squared, claimed, variance, dimensions)
     realised = scale(mem, own)
     unknown = repeats.unknown(mem, own, time) if kind == Kind.SPEED or kind == Kind.TWIST else 0.0
-    # noise is no less than claimed, but stamps of an input that is certainly off by less are off by less
-    noise = density * (max(realised, 1.0) * claimed + unknown) + _repeated(LATE_LASTS, since) * realised * late
-    factor = max(realised, 1.0) + unknown / assumed
+    factor = max(realised, 1.0) + unknown / claimed
     if makes_way(kind):  # one by one each is judged by what it claims itself
-        least, longest = (LARGEST_NOISE, LONGEST_SLIP) if of_velocity else (LARGEST_HEADING_NOISE, LONGEST_JUMP)
+        longest = LONGEST_SLIP if of_velocity else LONGEST_JUMP
         # iron beside the way lasts, and would pass for noise
         largest, far = (1.0, DISTURBED) if kind == Kind.MAGNETIC else (LARGEST_CLAIM, FAR)
-        expected = variance + min(factor * assumed, max(largest * assumed, least**2))
+        expected = variance + min(factor * claimed, max(largest * claimed, least**2))
         # so soon no IMU is wrong by as much
         slips = mem[own + Seen.FITTED] != 0.0 and time - mem[own + Seen.FITTED] < longest
         if squared < ROBUST * ROBUST * expected:
@@ -127,16 +119,27 @@ def judge(mem, r, at, n, dimensions, c, sample):
         if of_velocity and slips and squared > far * far * expected:
             way.interrupt(mem, own)
         if confirmed or slips:
-            return noise / claimed, far * math.sqrt(expected / (variance + noise))
-    if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * assumed + variance):
-        return noise / claimed, 0.0
+            return density * factor, far * math.sqrt(expected / (variance + density * factor * claimed))
+    if factor <= before or confirmed or squared < ROBUST * ROBUST * (before * claimed + variance):
+        return density * factor, 0.0
+    column = h + 3 * n
     n_navigation = int(mem[Head.N_NAVIGATION])  # sensor errors do not make it wrong by as much at once
     for k in range(dimensions):
-        raised = (factor - before) * assumed / project(mem, n, h + n * k, column) ** 2
+        raised = (factor - before) * claimed / project(mem, n, h + n * k, column) ** 2
         for i in range(n_navigation):
             for j in range(n_navigation):
                 mem[p + n * i + j] += raised * mem[column + i] * mem[column + j]
-    return noise / claimed, 0.0
+    return density * factor, 0.0
+
+
+@njit(_nrt=False)
+def _innovation(mem, r, at, n, dimensions):
+    """Mean square of the innovation of the record at `at`, and what of that is expected of the state."""
+    h, squared, variance = int(mem[Head.SCRATCH_AT]) + n * n, 0.0, 0.0
+    for k in range(dimensions):
+        squared += (mem[at + Event.Z_N + k] - product(mem, n, h + n * k, r + NAV)) ** 2 / dimensions
+        variance += project(mem, n, h + n * k, h + 3 * n) / dimensions
+    return squared, variance
 
 
 @njit(_nrt=False)
@@ -156,20 +159,6 @@ def _is_elsewhere(mem, own, time, squared, expected, confirmed):
 def _repeated(lasts, since):
     """Of how many measurements, `since` s apart, the errors are the same where they last for `lasts` s."""
     return max(1.0, lasts / max(since, 1e-3))
-
-
-@njit(_nrt=False)
-def _late(mem, r, at, c, sample):
-    """Variance of what the input of the record at `at` is off by where its stamps are off by UNDECLARED_OFFSET."""
-    kind, gained = int(mem[at + Event.KIND]), r + Late.GAINED
-    if kind == Kind.VELOCITY:
-        return 0.5 * (mem[gained] ** 2 + mem[gained + 1] ** 2)
-    if is_of_velocity(kind):
-        vehicle = vehicle_to_level(mem, r, c)
-        return (vehicle[0] * mem[gained] + vehicle[3] * mem[gained + 1] + vehicle[6] * mem[gained + 2]) ** 2
-    if is_of_heading(kind):
-        return (UNDECLARED_OFFSET * angular_rate(mem, r, sample)[2]) ** 2
-    return (UNDECLARED_OFFSET * mem[r + Nav.V_D]) ** 2 if kind == Kind.PRESSURE else 0.0
 
 
 @njit(_nrt=False)

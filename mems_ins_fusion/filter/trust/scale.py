@@ -63,7 +63,10 @@ class _Seen(NamedTuple):
     COMPARED_IN: int = 25  # what of it is compared, see trust/way.py
     SURPRISED: int = 26  # 1: the latest one was far longer than expected, -1: far shorter
     OTHERS: int = 27  # messages in a row that were other ones, see trust/repeats.py
-    SIZE: int = 28
+    LATER: int = 28  # 1/s: what the latest ones say of its time offset, beside the estimate, over the variance of that,
+    TELLS: int = 29  # 1/s^2, the inverse of that variance,
+    FOLLOWED: int = 30  # and by what the state follows, in each component, for each s: see trust/clock_jump.py
+    SIZE: int = 32
 
 
 Seen = _Seen()

@@ -1,0 +1,66 @@
+"""An input whose stamps are suddenly off by another time: a driver that has restarted, a queue that has filled.
+
+By then its time offset is known to hundredths of a second (`measurements/time_offset.py`), and what is off would go
+into the velocity. But until it has gone there, innovations are in proportion to how fast what is measured changes, less
+what the state has followed already: their signature. The factor, least squares of the latest innovations, is how far
+the estimate is off. Where that is certain, the offset has jumped by as much (A. S. Willsky and H. L. Jones, "A
+generalized likelihood ratio approach to the detection and estimation of jumps in linear systems", IEEE Trans. Automatic
+Control 21, 1976; theirs is the signature in the whole filter, this one that in a filter of one state for each
+component, which sees half of a slow jump).
+"""
+from __future__ import annotations
+
+import math
+
+from mems_ins_fusion.compiled import njit
+
+from ..memory import NAV, Event, Head
+from ..update import product
+from .scale import Scale, Seen, reopen
+
+#: s for which innovations are remembered: a manoeuvre. Of those before the jump each speaks against it
+REMEMBERED = 4.0
+#: s for which the state keeps what it has followed, until fixes take it back
+FOLLOWED = 10.0
+#: sigmas beyond which it has jumped: so far off by chance is one manoeuvre of 370, and the estimate is as good again
+#: after the next one
+CERTAIN = 3.0
+#: sigmas: a larger innovation counts as that, as one wild message is no jump
+LARGEST_INNOVATION = 2.0
+#: s, and it has jumped by so much: less is the slip of tyres and the pitch of a body that accelerates
+SMALLEST = 0.05
+#: s, and by no more: what is further off has another fault, and would pass for one of that
+LARGEST = 0.5
+
+
+@njit(_nrt=False)
+def has_jumped(mem, r, at, n, own, dimensions, noise, variance):
+    """Whether the innovation of the record at `at` and those before say so; the offset's variance in P of the scratch
+    is then larger by the square of the jump.
+
+    own: position of the input's `Seen`. noise, variance: of the innovation, of the input and of the state at r.
+    """
+    state = int(mem[at + Event.TIME_OFFSET])
+    if state <= 0:
+        return False
+    p = int(mem[Head.SCRATCH_AT])
+    h = p + n * n
+    since, gain = max(mem[at + Event.TIME] - mem[own + Scale.TIME], 0.0), variance / (variance + noise)
+    keep, left = math.exp(-since / REMEMBERED), math.exp(-since / FOLLOWED)
+    largest = LARGEST_INNOVATION * math.sqrt(noise + variance)
+    score, information = keep * mem[own + Seen.LATER], keep * mem[own + Seen.TELLS]
+    for k in range(dimensions):
+        followed = left * mem[own + Seen.FOLLOWED + k]
+        signature = mem[h + n * k + state] - followed
+        mem[own + Seen.FOLLOWED + k] = followed + gain * signature
+        innovation = mem[at + Event.Z_N + k] - product(mem, n, h + n * k, r + NAV)
+        innovation = max(-largest, min(innovation, largest))
+        score += signature * innovation / (noise + variance)
+        information += signature * signature / (noise + variance)
+    mem[own + Seen.LATER], mem[own + Seen.TELLS] = score, information
+    if abs(score) < max(CERTAIN * math.sqrt(information), SMALLEST * information) or information == 0.0:
+        return False
+    mem[p + (n + 1) * state] += min((score / information) ** 2, LARGEST**2)
+    mem[own + Seen.LATER] = mem[own + Seen.TELLS] = 0.0
+    reopen(mem, own, 1.0)  # what seemed to be noise may have been that
+    return True

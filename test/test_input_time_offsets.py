@@ -1,0 +1,108 @@
+"""The time offset of each input is a state: found with its sigma, said, and worth nothing to a right input."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_filter_way import drive
+
+from mems_ins_fusion.filter.config import FilterConfig
+from mems_ins_fusion.filter.memory import NAV, newest_row
+from mems_ins_fusion.filter.runs.live import FusionFilter
+from mems_ins_fusion.filter.runs.replay import run
+from mems_ins_fusion.filter.runs.vehicle_check import found_time_offsets
+from mems_ins_fusion.navigation.earth import radii
+from mems_ins_fusion.parameters import table
+from mems_ins_fusion.samples import Aiding as Measured
+
+INPUTS = 'speed', 'velocity', 'twist', 'heading'
+
+
+@pytest.fixture(scope='module')
+def recording():
+    return drive(3)
+
+
+def through(recording, name, late=0.0, **values):
+    """The run with the input `name` stamped `late` s too late; its offset as estimated, and its sigma."""
+    samples = recording.streams()[name]
+    config = FilterConfig.from_parameters(table.check({f'{name}_topic': f'/{name}', **values}))
+    result = run(config, recording.imu, recording.gnss, Measured(**{
+        name: replace(samples, stamp=samples.stamp + round(late * 1e9))}))
+    state = config.layout.index(f'{name}_time_offset')
+    return (result, float(result.extras[-1, state - config.layout.n]), float(result.sigma[-1, state])) if (
+        state >= 0) else (result, 0.0, 0.0)
+
+
+def rmse(recording, result):
+    north, east = radii(result.latitude)
+    settled = result.stamp > result.stamp[0] + 60 * 10**9
+    true = recording.reference
+    return float(np.sqrt(np.mean(((result.latitude - np.interp(result.stamp, true.stamp, true.latitude)) * north)**2
+                                 + ((result.longitude - np.interp(result.stamp, true.stamp, true.longitude)) * east
+                                    * np.cos(result.latitude))**2, where=settled)))
+
+
+@pytest.mark.parametrize('late', [-0.2, 0.0, 0.3, 0.5])
+@pytest.mark.parametrize('name', INPUTS)
+def test_an_offset_is_found_within_its_sigma_and_the_parameter_is_said(recording, name, late):
+    result, found, sigma = through(recording, name, late)
+    assert found == pytest.approx(late, abs=3.0 * sigma + 0.04 * abs(late)) and sigma < 0.06
+    said = [notice.text for notice in result.notices if 'time_offset:' in notice.text]
+    assert [f'/{name}' in text for text in said] == ([True] if late else [])
+    if late:
+        assert f'set {name}.time_offset: {found:.2f}' in said[0]
+
+
+@pytest.mark.parametrize('name', INPUTS)
+def test_a_right_input_pays_nothing_and_a_late_one_little(recording, name):
+    exact, right, late = (rmse(recording, through(recording, name, by, **values)[0]) for by, values in (
+        (0.0, {f'{name}.time_offset_sigma': 0.0}), (0.0, {}), (0.3, {})))
+    assert right < 1.03 * exact + 0.01 and late < 1.1 * right + 0.02
+    if name != 'heading':  # of which nobody knows the use by the position
+        unknown = rmse(recording, through(recording, name, 0.3, **{f'{name}.time_offset_sigma': 0.0})[0])
+        assert unknown > 1.3 * late
+
+
+def test_what_is_declared_is_not_left_and_not_said(recording):
+    result, left, sigma = through(recording, 'speed', 0.3, **{'speed.time_offset': 0.3})
+    assert abs(left) < 3.0 * sigma and not found_time_offsets(result.memory, result.config)
+
+
+def test_an_offset_that_was_found_and_then_declared_does_not_count_twice(recording):
+    # given a filter that has found the speed's stamps late, and what it has saved
+    result, found, _ = through(recording, 'speed', 0.3)
+    before = FusionFilter(result.config)
+    before._memory, before._follow[0] = result.memory, int(result.stamp[-1])
+    snapshot = before.snapshot()
+
+    def restored(**values):
+        fusion = FusionFilter(FilterConfig.from_parameters(table.check({'speed_topic': '/speed', **values})))
+        imu = recording.imu
+        fusion.add_imu(int(imu.stamp[-1]), *imu.specific_force[-1].tolist(), *imu.angular_rate[-1].tolist())
+        return fusion.restore(snapshot, 1e6)
+    # then the next filter takes it over where nothing else is declared, and only there
+    assert 'no sensor errors' not in restored()
+    assert 'no sensor errors' in restored(**{'speed.time_offset': 0.3})
+    assert 'no sensor errors' in restored(**{'speed.scale': 0.02})
+    state = result.config.layout.index('speed_time_offset')
+    assert newest_row(result.memory)[NAV + state] == pytest.approx(found)
+
+
+@pytest.mark.parametrize('name', ['speed', 'velocity'])
+def test_a_clock_that_jumps_is_followed_within_two_manoeuvres(recording, name):
+    # given stamps that are half a second late from 100 s on, and a filter that knows by then that they are right
+    samples = recording.streams()[name]
+    since = (samples.stamp - recording.imu.stamp[0]) * 1e-9
+    late = replace(samples, stamp=samples.stamp + np.where(since > 100.0, 5 * 10**8, 0))
+    config = FilterConfig.from_parameters(table.check({f'{name}_topic': f'/{name}'}))
+    result = run(config, recording.imu, recording.gnss, Measured(**{name: late}))
+    state = config.layout.index(f'{name}_time_offset')
+    found, sigma = result.extras[:, state - config.layout.n], result.sigma[:, state]
+    before, after = np.searchsorted(result.stamp, recording.imu.stamp[0] + np.array([100, 130]) * 10**9)
+    assert abs(found[before]) < 3.0 * sigma[before] and sigma[before] < 0.05
+    # then its offset is known anew, within its sigma, and the position is no worse than without it
+    assert found[after] == pytest.approx(0.5, abs=3.0 * sigma[after] + 0.02) and sigma[after] < 0.15
+    without = run(FilterConfig.from_parameters(table.check({})), recording.imu, recording.gnss)
+    assert rmse(recording, result) < 1.05 * rmse(recording, without)
