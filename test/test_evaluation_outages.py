@@ -138,6 +138,17 @@ def test_begins_are_fixes_about_the_spacing_apart(recording):
     assert recording.gnss.stamp[-1] - begin[-1] >= 10 * SECOND
 
 
+def test_filters_that_start_at_different_times_have_the_same_outages(recording):
+    # given starts 0 to 25 s apart, and another time offset
+    first, offset = int(recording.gnss.stamp[40]), 0.25
+    early = outage_begins(first, recording.gnss, 0.0, 20.0, 10.0)
+    for later in range(1, 26, 4):
+        late = outage_begins(first + later * SECOND, recording.gnss, offset, 20.0, 10.0)
+        # then only outages that begin too soon are missing
+        assert late.tolist() == (early[early - SECOND // 4 >= first + (later + 30) * SECOND] - SECOND // 4).tolist()
+        assert len(late) >= len(early) - 2
+
+
 def test_summary_by_hand(recording):
     outages, = run_outages(config(), recording.imu, recording.gnss, truth_of(recording), [10.0],
                            recording.gnss.stamp[60:200:10])

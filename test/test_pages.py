@@ -120,7 +120,7 @@ def test_a_difference_is_certain_only_where_the_pairs_say_so():
 
 
 def test_outages_that_begin_at_other_fixes_are_said_to_be_so():
-    # given two replays whose outages begin two seconds apart, as one filter starts later than the other
+    # given two replays whose outages begin two seconds apart, as those of another version
     error = np.abs(np.random.default_rng(1).standard_normal(50)) + 1.0
     first, second = result('a', error), result('b', error)
     for one, begin in ((first, 0), (second, 2 * 10**9)):

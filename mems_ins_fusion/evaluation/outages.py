@@ -66,19 +66,19 @@ class Outages:
 def outage_begins(first: int, fixes: Fixes, time_offset: float, spacing: float, shortest: float) -> np.ndarray:
     """Begins of outages, (o,) ns of the IMU's clock: fixes about `spacing` s apart.
 
-    first: ns, of the first estimate; the first outage begins SETTLING later at the earliest. shortest: s, the shortest
-    duration, for which there must be fixes after the last begin.
+    They are counted from the first fix, so that every filter has the same ones, whenever it starts. first: ns, of the
+    first estimate; the first outage begins SETTLING later at the earliest. shortest: s, the shortest duration, for
+    which there must be fixes after the last begin.
     """
-    stamp = np.unique(fixes.stamp[fixes.status >= 0]) - round(time_offset * 1e9)
+    stamp = np.unique(fixes.stamp[fixes.status >= 0])
     if not len(stamp):
         return stamp
-    earliest, latest = first + SETTLING * 1e9, stamp[-1] - shortest * 1e9
-    # the first fix at or after each multiple of the spacing; where a clock jumps by years there are few
-    slot = np.floor((stamp - earliest) / (spacing * 1e9))
-    begins = np.unique(slot[slot >= 0])
-    begins = begins[earliest + begins * spacing * 1e9 <= latest]
-    begins = begins[::max(-(-len(begins) // MOST_OUTAGES), 1)]
-    return np.unique(stamp[np.searchsorted(slot, begins)])
+    # the first fix in each interval of `spacing`; where a clock jumps by years there are few
+    _, index = np.unique(np.floor((stamp - stamp[0]) / (spacing * 1e9)), return_index=True)
+    index = index[::-(-len(index) // MOST_OUTAGES)]
+    stamp = stamp - round(time_offset * 1e9)
+    begin = stamp[index]
+    return begin[(begin >= first + round(SETTLING * 1e9)) & (begin <= stamp[-1] - round(shortest * 1e9))]
 
 
 def run_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: Truth, durations, begin: np.ndarray,
