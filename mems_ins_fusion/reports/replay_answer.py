@@ -115,7 +115,7 @@ def _headline(verdict: Verdict, trust: Trust, accuracy: list[str]) -> str:
         return f'The filter is not good here, its sigmas are too small: {too_small_text(trust)}.'
     if verdict.shown is None:
         return ': '.join(['With fixes it works; there were no outages to judge it by', *accuracy[:1]])
-    proof = change_text(verdict.shown, verdict.level, 'by the last velocity kept')
+    proof = change_text(verdict.shown, verdict.level, 'with the last velocity kept')
     return {BETTER: f'The filter is good here: {proof}.', WORSE: f'Do not use it, the filter is wrong here: {proof}.',
             SAME: f'The filter is no better than doing without: {proof}.'}.get(
                 verdict.answer, f'Cannot tell whether the filter helps: {proof}.')

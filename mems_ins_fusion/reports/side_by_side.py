@@ -241,8 +241,8 @@ def _headline(verdict: Verdict, names) -> str:
         name, proof = (names[1], proof) if verdict.gains else (names[0], turned)
         return f'No proof that {name} is better, as it was fitted to this recording: {proof}.'
     if verdict.gains and verdict.losses:
-        return f'Each is better at something: {names[1]} has {proof}; see the table.'
-    return f'Cannot tell which is better: {names[1]} has {proof}.'
+        return f'Each is better at something: with {names[1]}, {proof}; see the table.'
+    return f'Cannot tell which is better: with {names[1]}, {proof}.'
 
 
 def _what(row: Row) -> str:
