@@ -261,7 +261,7 @@ def test_a_reference_file_is_as_good_as_a_topic(bag, result, tmp_path):
     ({'bag': 'nowhere'}, 'nowhere'),
     ({'imu_topic': '/imu'}, "no topic '/imu' in"),
     ({'reference_topic': '/truth'}, "no topic '/truth'"),
-    ({'reference_topic': '/imu/data'}, "carries sensor_msgs/msg/Imu"),
+    ({'reference_topic': '/imu/data'}, "carries sensor_msgs/Imu"),
     ({'models': '[kalman]'}, 'random_walk, gauss_markov, autoregressive'),
     ({'update_intervals': '[-1.0]'}, 'update_intervals'),
     ({'update_interval': '1.0'}, "did you mean 'update_intervals'?"),
