@@ -146,7 +146,8 @@ def test_sigmas_that_are_not_honest_are_told_by_their_size_over_time():
 def test_the_words_hold_the_interval_and_its_unit():
     change = change_in_outages(30.0, np.array([6.0, 7.0, 8.0, 9.0]), np.array([4.0, 5.5, 5.0, 6.5]), 4)
     text = change_text(change, 0.95)
-    assert text.startswith('in 30 s without fixes the error is 5.2 m instead of 7.5 m (95 %: ') and text.endswith(' m less)')
+    assert text.startswith('in 30 s without fixes the error is 5.2 m instead of 7.5 m (95 %: ')
+    assert text.endswith(' m less)')
     low, high = paired([4.0, 5.5, 5.0, 6.5], [6.0, 7.0, 8.0, 9.0], 4).interval(0.95)
     assert f'{-high:.2g}' in text and f'{-low:.2g}' in text
     assert span_text(-1.0, 2.0) == '1 m less to 2 m more' and span_text(0.5, 1.5) == '0.50 to 1.5 m more'
