@@ -385,7 +385,7 @@ class _Work:
             return np.empty(0, dtype=np.int64)
         first = max(r.run.stamp[0] for r in runs if r.interval == self.shortest)
         return outage_begins(first, self.fixes.select(self._use(self.shortest)), 1e-9 * self.protocol.offset,
-                             self.protocol.spacing, min(self.protocol.durations))
+                             self.protocol.spacing, min(self.protocol.durations), max(self.protocol.durations))
 
     def outages(self, model: str, begin: np.ndarray) -> list[Outages]:
         fixes = self.fixes.select(self._use(self.shortest))
