@@ -1,6 +1,8 @@
 """What is compared with what: thinning, noise, the truth, and a verdict that follows from the numbers."""
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from filter_support import PAPER
@@ -46,7 +48,19 @@ def test_thinning_keeps_fixes_an_interval_apart_whatever_their_jitter(recording,
 def test_thinning_begins_when_the_filter_has_started(recording):
     fixes = recording.gnss
     used = np.flatnonzero(thin(fixes, 6.0, int(fixes.stamp[40]) + 3))
-    assert used.tolist() == [*range(41), *range(46, len(fixes), 6)]
+    # all up to the start, then the first one of each six seconds since the first fix
+    assert used.tolist() == [*range(41), *range(42, len(fixes), 6)]
+
+
+def test_filters_that_start_at_different_times_are_given_the_same_fixes(recording):
+    # given fixes four times a second, of which each second one is used, and starts a fix apart
+    fixes = recording.gnss
+    quarter = replace(fixes, stamp=fixes.stamp[0] + np.arange(len(fixes)) * 250_000_000)
+    first = thin(quarter, 1.0, int(quarter.stamp[40]))
+    for later in range(41, 48):
+        other = thin(quarter, 1.0, int(quarter.stamp[later]))
+        # then all up to the start are used, and after it the same ones
+        assert other[:later + 1].all() and other[later + 1:].tolist() == first[later + 1:].tolist()
 
 
 def test_thinning_leaves_out_fixes_that_are_none(recording):

@@ -138,6 +138,31 @@ def test_begins_are_fixes_about_the_spacing_apart(recording):
     assert recording.gnss.stamp[-1] - begin[-1] >= 10 * SECOND
 
 
+def test_filters_that_start_at_different_times_have_the_same_outages(recording):
+    # given starts 0 to 25 s apart, and another time offset
+    first, offset = int(recording.gnss.stamp[40]), 0.25
+    early = outage_begins(first, recording.gnss, 0.0, 20.0, 10.0)
+    for later in range(1, 26, 4):
+        late = outage_begins(first + later * SECOND, recording.gnss, offset, 20.0, 10.0)
+        # then only outages that begin too soon are missing
+        assert late.tolist() == (early[early - SECOND // 4 >= first + (later + 30) * SECOND] - SECOND // 4).tolist()
+        assert len(late) >= len(early) - 2
+
+
+def test_a_short_recording_keeps_its_longest_outage(recording):
+    # given 70 s after the first possible begin, and 28 s until the next one counted from the first fix
+    fixes, first = recording.gnss, int(recording.gnss.stamp[0]) + 62 * SECOND
+    short = fixes.select(fixes.stamp <= first + 100 * SECOND)
+    possible = short.stamp[short.stamp >= first + 30 * SECOND]
+    # then an outage of 60 s begins at once, and those of less time follow
+    begin = outage_begins(first, short, 0.0, 30.0, 10.0, 60.0)
+    assert begin[0] == possible[0] and len(begin) >= 2
+    # and where the next one counted from the first fix has room for it, it is that
+    later = outage_begins(first, fixes, 0.0, 30.0, 10.0, 60.0)
+    assert 25 < (later[0] - possible[0]) / SECOND < 30
+    assert later.tolist() == outage_begins(first, fixes, 0.0, 30.0, 10.0).tolist()
+
+
 def test_summary_by_hand(recording):
     outages, = run_outages(config(), recording.imu, recording.gnss, truth_of(recording), [10.0],
                            recording.gnss.stamp[60:200:10])

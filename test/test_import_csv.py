@@ -56,6 +56,9 @@ def test_two_files_become_a_recording(files, capsys):
     assert run(files) == 0
     output = capsys.readouterr()
     assert output.err == '' and 'written, 300 on /imu/data, 3 on /gps/fix' in output.out
+    # and what comes next can be typed, on one line or more
+    assert f'next: python -m mems_ins_fusion configure --bag {files[2]} --output my_car.yaml' in output.out.replace(
+        ' \\\n   ', '')
     assert 'time=time, ax=ax' in output.out and 'in s, m/s^2, rad/s' in output.out
     with AnyReader([files[2]]) as reader:
         messages = [(c.topic, time, reader.deserialize(raw, c.msgtype)) for c, time, raw in reader.messages()]

@@ -51,6 +51,20 @@ def test_a_wrong_mounting_is_named_with_the_angles_to_set(recording):
     assert yaw == pytest.approx(math.pi / 2, abs=math.radians(5.0))
 
 
+@pytest.mark.parametrize('force, rate, words', [
+    (9.80665, math.radians(1.0), ['the accelerometers seem to be in g', 'they seem to be in deg/s']),
+    (1.0, math.radians(1.0), ['they seem to be in deg/s']), (9.80665, 1.0, ['the accelerometers seem to be in g'])])
+def test_wrong_units_are_named_and_not_taken_for_a_wrong_mounting(recording, force, rate, words):
+    # given a driver that does not deliver SI units, and the right mounting
+    imu = replace(recording.imu, specific_force=recording.imu.specific_force / force,
+                  angular_rate=recording.imu.angular_rate / rate)
+    found, check = looked(replace(recording, imu=imu), [0.0, 0.0, math.pi / 2])
+    # then each look says which unit, and says nothing of a mounting that it cannot know
+    assert found and all(level == 'error' and 'mounted' not in text for level, text in found)
+    assert all(word in found[-1][1] for word in words) and check.found == found[-1][1]
+    assert not check.is_certainly_wrong
+
+
 def test_what_is_found_twice_is_certain_and_a_start_in_reverse_is_not(recording):
     # given a car that drives as cars do: the first look may be wrong, the second is not any more
     _, check = looked(recording, [0.0, 0.0, 0.0])
@@ -117,6 +131,10 @@ def test_the_node_says_it_in_its_log_and_on_diagnostics(recording):
         peer.spin_until(lambda: heard[-1].status[0].level == b'\x02')
         told = 'nothing is published with a mounting that is certainly wrong'
         assert any(told in line for line in node.lines) or node.wait_for(told)
+        # and that is the reason that it gives, where fixes and samples come
+        assert told in heard[-1].status[0].message and 'waiting for' not in heard[-1].status[0].message
+        begun = next(i for i, line in enumerate(node.lines) if told in line)
+        assert not any('waiting for' in line for line in node.lines[begun:])
     peer.node.destroy_subscription(subscription)
     peer.close()
 

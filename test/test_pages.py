@@ -25,6 +25,7 @@ from mems_ins_fusion.parameters import table
 from mems_ins_fusion.parameters.params_file import yaml_value
 from mems_ins_fusion.recordings.checker import Finding
 from mems_ins_fusion.recordings.reading import read_recording
+from mems_ins_fusion.recordings.sketch import sketch
 from mems_ins_fusion.recordings.writing import write_recording
 from mems_ins_fusion.reports import html, replay_answer, replay_report
 from mems_ins_fusion.reports.answer import WIDTH, shorten, typed
@@ -120,7 +121,7 @@ def test_a_difference_is_certain_only_where_the_pairs_say_so():
 
 
 def test_outages_that_begin_at_other_fixes_are_said_to_be_so():
-    # given two replays whose outages begin two seconds apart, as one filter starts later than the other
+    # given two replays whose outages begin two seconds apart, as those of another version
     error = np.abs(np.random.default_rng(1).standard_normal(50)) + 1.0
     first, second = result('a', error), result('b', error)
     for one, begin in ((first, 0), (second, 2 * 10**9)):
@@ -162,6 +163,22 @@ def test_findings_of_the_checker_are_in_the_answer_with_their_topic(folder):
     # diagnose refuses what is certainly wrong: what to type is configure
     step, = answer.steps
     assert step.command == 'python -m mems_ins_fusion configure --bag drive --output configured.yaml'
+
+
+def test_what_a_parameter_would_cure_is_said_first_and_configure_is_what_to_do(folder):
+    values = table.check({'models': ['gauss_markov'], 'update_intervals': [2.0], 'outage_durations': []})
+    comparison = replay(read_recording(folder / 'drive', '/imu/data', '/gps/fix'), values)
+    gaps = Finding('warning', 'imu', '21 gaps')
+    late = Finding('warning', 'imu/gnss', 'the fixes are 0.27 s early', settings=('gnss.time_offset',))
+    # given a recording with gaps, whose fixes are early
+    answer = replay_answer.answer(comparison, [gaps, late], values, 'drive', 'p.yaml')
+    assert answer.wrong[:2] == ['/imu/data and /gps/fix: the fixes are 0.27 s early', '/imu/data: 21 gaps']
+    assert 'mems_ins_fusion configure --bag drive' in answer.first[0].command
+    # with parameters that configure found in this very recording there is nothing more to be had from it
+    again = values | {'fitted_to': sketch([comparison.recording.gnss])}
+    assert 'configure' not in replay_answer.answer(comparison, [gaps, late], again, 'drive', 'p.yaml').first[0].command
+    # and gaps alone are nothing that a parameter cures
+    assert 'configure' not in replay_answer.answer(comparison, [gaps], values, 'drive', 'p.yaml').first[0].command
 
 
 # the pages

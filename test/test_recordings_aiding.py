@@ -103,7 +103,7 @@ def test_one_topic_may_serve_two_purposes(tmp_path):
 
 
 def test_a_topic_of_another_type_is_refused_with_those_that_fit(tmp_path):
-    with pytest.raises(ValueError, match=r"'/gps/fix'.* carries sensor_msgs/msg/NavSatFix, not geometry_msgs/msg/Twist"
+    with pytest.raises(ValueError, match=r"'/gps/fix'.* carries sensor_msgs/NavSatFix, not geometry_msgs/Twist"
                                          r'WithCovarianceStamped; the recording has no topic of type'):
         read(tmp_path, IMU, [imu(0)], velocity_topic='/gps/fix')
 

@@ -261,13 +261,15 @@ def test_a_reference_file_is_as_good_as_a_topic(bag, result, tmp_path):
     ({'bag': 'nowhere'}, 'nowhere'),
     ({'imu_topic': '/imu'}, "no topic '/imu' in"),
     ({'reference_topic': '/truth'}, "no topic '/truth'"),
-    ({'reference_topic': '/imu/data'}, "carries sensor_msgs/msg/Imu"),
+    ({'reference_topic': '/imu/data'}, "carries sensor_msgs/Imu"),
     ({'models': '[kalman]'}, 'random_walk, gauss_markov, autoregressive'),
     ({'update_intervals': '[-1.0]'}, 'update_intervals'),
     ({'update_interval': '1.0'}, "did you mean 'update_intervals'?"),
     ({'start': '100.0', 'stop': '50.0'}, "parameter 'stop' must be after start 100 s"),
     ({'start': '1000.0'}, 'no IMU sample between start 1000 s'),
     ({'stop': '20.0'}, 'the filter did not start: waiting for the vehicle to move'),
+    ({'imu.acceleration_unit': 'g', 'imu.rate_unit': 'deg/s'},
+     'in m/s^2 instead of g (see imu.acceleration_unit); /imu/data: the gyroscopes turn through'),
     ({'reference_file': 'nowhere.csv'}, 'nowhere.csv'),
     ({'bag': '[]'}, "parameter 'bag'")])
 def test_wrong_input_gives_one_line_and_leaves_nothing(bag, tmp_path, given, message):

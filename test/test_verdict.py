@@ -146,7 +146,8 @@ def test_sigmas_that_are_not_honest_are_told_by_their_size_over_time():
 def test_the_words_hold_the_interval_and_its_unit():
     change = change_in_outages(30.0, np.array([6.0, 7.0, 8.0, 9.0]), np.array([4.0, 5.5, 5.0, 6.5]), 4)
     text = change_text(change, 0.95)
-    assert text.startswith('30 s without fixes 5.2 m instead of 7.5 m (95 %: ') and text.endswith(' m less)')
+    assert text.startswith('in 30 s without fixes the error is 5.2 m instead of 7.5 m (95 %: ')
+    assert text.endswith(' m less)')
     low, high = paired([4.0, 5.5, 5.0, 6.5], [6.0, 7.0, 8.0, 9.0], 4).interval(0.95)
     assert f'{-high:.2g}' in text and f'{-low:.2g}' in text
     assert span_text(-1.0, 2.0) == '1 m less to 2 m more' and span_text(0.5, 1.5) == '0.50 to 1.5 m more'
@@ -162,7 +163,7 @@ def test_a_headline_does_not_contradict_the_file():
     verdict = replace(decide([gain]), answer=CANNOT_TELL, why=('the error grows: in monday',))
     # then a file that is kept is said to be kept, and why; one that is changed, by what its likelihood proves, is not
     assert headline(verdict).startswith('Keep your parameters: the error grows: in monday')
-    assert headline(verdict, changed=True).startswith('corrected.yaml is not proven to make errors smaller: 30 s')
+    assert headline(verdict, changed=True).startswith('corrected.yaml is not proven to make errors smaller: in 30')
 
 
 def test_what_is_certainly_wrong_makes_a_recording_not_usable():
@@ -192,6 +193,22 @@ def test_no_line_of_an_answer_ends_between_a_number_and_its_unit():
         lines = Answer(GOOD, f'{"x " * words}30 s without fixes 5.0 m instead of 7.6 m (95 %: 7.6 m less)').short()
         assert not any(line.endswith(tuple('0123456789')) for line in lines)
         assert ' '.join(lines).endswith('(95 %: 7.6 m less)') and all(len(line) <= 100 for line in lines)
+
+
+def test_what_to_do_next_is_never_cut():
+    from mems_ins_fusion.reports.answer import BAD, WARNING, Answer, Step
+
+    # given a step in words that fills more than a line, and a note that does
+    step = ('Record a drive with a standstill, right-angled turns and braking, and run configure again; or set '
+            'imu.mounting_rpy by hand.')
+    note = 'the yaw of the mounting is not shown: record a drive with a right-angled turn, braking and a standstill'
+    lines = Answer(WARNING, 'my_car.yaml is not complete.', [note, 'gaps'], steps=[Step(step)]).short()
+    # then the step stands there in full, the note is cut and called one
+    text = ' '.join(line.strip() for line in lines)
+    assert text.endswith(f'next: {step}') and all(len(line) <= 100 for line in lines)
+    assert lines[1].startswith('note: the yaw') and lines[1].endswith(' ... (and 1 more)')
+    # and what makes a result useless is called wrong
+    assert Answer(BAD, 'Not usable.', [note]).short()[1].startswith('wrong: ')
 
 
 def test_a_diagnosis_that_proves_nothing_says_what_the_recording_contradicts():

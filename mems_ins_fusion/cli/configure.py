@@ -11,8 +11,8 @@ DESCRIPTION = """\
 Write the params file of a vehicle from a recording of a drive: which topics, in which units, how the IMU is mounted,
 noise and biases, time offset, receiver, constraints. Each value has its evidence and its sigma as a comment. What the
 recording does not show is said and left at its default. A minute or two with a standstill, a right-angled turn and
-some braking is enough; more is better. Beside FILE.yaml a page FILE.html shows what was looked at.
-The method: docs/configure.md."""
+some braking is enough for topics, units and mounting; the time offset takes five to fifteen minutes. Beside FILE.yaml
+a page FILE.html shows what was looked at. The method: docs/configure.md."""
 
 
 def main(argv: list[str] | None = None) -> int:

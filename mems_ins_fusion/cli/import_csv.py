@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +39,7 @@ def import_csv(options: argparse.Namespace):
     from mems_ins_fusion.recordings.checker import INFO
     from mems_ins_fusion.recordings.reference_files import read_reference
     from mems_ins_fusion.recordings.writing import write_recording
+    from mems_ins_fusion.reports.answer import typed
     from mems_ins_fusion.samples import Recording, Twists
 
     formats = _formats(options)
@@ -94,6 +96,9 @@ def import_csv(options: argparse.Namespace):
     for finding in findings:
         said = finding.message.replace('see imu.acceleration_unit', 'see --acceleration-unit')
         yield f"{finding.severity}: {finding.topic}: {said.replace('see imu.rate_unit', 'see --gyro-unit')}"
+    tool, result = ('characterize', 'imu') if fixes is None else ('configure', 'my_car.yaml')
+    yield from typed(f'next: python -m mems_ins_fusion {tool} --bag {shlex.quote(str(options.output))} '
+                     f'--output {result}')
 
 
 def _formats(options) -> dict[str, str | None]:

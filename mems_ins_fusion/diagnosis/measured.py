@@ -90,7 +90,8 @@ def measure(problem: Problem, recording: Recording, imu: ImuSamples, models: Seq
     """
     first = int(problem.stamp[problem.mask][0])
     # by the fixes' own stamps, so that the same outages are compared whatever a model says of the clocks
-    begins = outage_begins(problem.began, problem.full.gnss, 0.0, spacing, min(durations, default=0.0))
+    begins = outage_begins(problem.began, problem.full.gnss, 0.0, spacing, min(durations, default=0.0),
+                           max(durations, default=0.0))
     if len(models) == 1:
         judged = [problem.mask]
     elif judged is None:

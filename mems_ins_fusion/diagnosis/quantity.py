@@ -9,9 +9,10 @@ from typing import NamedTuple
 from ..effects.registry import effect_called
 from .estimate import Estimate
 
-#: too little has come in to say anything; found, and on trial; proven on what came after; proven, or found, but not any
-#: more
 INITIALISING, COARSE, FINE, SUSPECT = 'INITIALISING', 'COARSE', 'FINE', 'SUSPECT'
+#: for those who have not read of them
+MEANING = {INITIALISING: 'too few samples yet', COARSE: 'found, being tested', FINE: 'proven by what came after',
+           SUSPECT: 'not certain any more'}
 #: of an analysis that has found nothing, and of which quantity that and INITIALISING are said
 NOTHING, ALL = 'NOTHING FOUND', 'all'
 #: of the filter that drives, where it goes on with what has been found
@@ -36,6 +37,11 @@ class Quantity:
     applied: bool = False
     kept: Kept | None = None
     advice: str = ''
+
+    @property
+    def sentence(self) -> str:
+        """State and text, for a person."""
+        return f'{self.state}{f" ({MEANING[self.state]})" if self.state in MEANING else ""}: {self.text}'
 
     @property
     def said(self) -> tuple:

@@ -168,20 +168,19 @@ def thin(fixes: Fixes, interval: float, start: int = 0) -> np.ndarray:
     """Which of `fixes` to use, (n,) bool, so that from `start` (ns) on they are `interval` s apart; 0 uses each.
 
     Before and at `start` each: the filter needs those to start, and the comparison is not about that. After it the
-    first valid one in each slot of `interval`; the slots begin half a fix interval early, against jitter.
+    first valid one in each slot of `interval`; the slots begin half a fix interval early, against jitter. They are
+    counted from the first fix, so that filters that start at different times are given the same ones.
     """
     valid = is_fix(fixes)
     if interval == 0 or valid.sum() < 2:
         return valid
     stamp = fixes.stamp[valid]
     spacing = np.median(np.diff(np.sort(stamp)))
-    origin = max(start, stamp.min())
-    slot = ((stamp - origin + spacing / 2) // (interval * 1e9)).astype(np.int64)
-    early = stamp < origin - spacing / 2
-    _, first = np.unique(slot[~early], return_index=True)
+    slot = ((stamp - stamp.min() + spacing / 2) // (interval * 1e9)).astype(np.int64)
+    used = stamp < start + spacing / 2
+    used[np.unique(slot, return_index=True)[1]] = True
     use = np.zeros(len(fixes), dtype=bool)
-    use[np.flatnonzero(valid)[early]] = True
-    use[np.flatnonzero(valid)[~early][first]] = True
+    use[np.flatnonzero(valid)[used]] = True
     return use
 
 
@@ -386,7 +385,7 @@ class _Work:
             return np.empty(0, dtype=np.int64)
         first = max(r.run.stamp[0] for r in runs if r.interval == self.shortest)
         return outage_begins(first, self.fixes.select(self._use(self.shortest)), 1e-9 * self.protocol.offset,
-                             self.protocol.spacing, min(self.protocol.durations))
+                             self.protocol.spacing, min(self.protocol.durations), max(self.protocol.durations))
 
     def outages(self, model: str, begin: np.ndarray) -> list[Outages]:
         fixes = self.fixes.select(self._use(self.shortest))

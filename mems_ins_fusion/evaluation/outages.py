@@ -64,22 +64,31 @@ class Outages:
         return Consistency(self.duration, np.array([e.nees.mean() for e in self.errors]), self.within, self.apart)
 
 
-def outage_begins(first: int, fixes: Fixes, time_offset: float, spacing: float, shortest: float) -> np.ndarray:
+def outage_begins(first: int, fixes: Fixes, time_offset: float, spacing: float, shortest: float,
+                  longest: float = 0.0) -> np.ndarray:
     """Begins of outages, (o,) ns of the IMU's clock: fixes about `spacing` s apart.
 
-    first: ns, of the first estimate; the first outage begins SETTLING later at the earliest. shortest: s, the shortest
-    duration, for which there must be fixes after the last begin.
+    They are counted from the first fix, so that every filter has the same ones, whenever it starts; in a recording so
+    short that none of `longest` s would then end in it, from the first one that may be. first: ns, of the first
+    estimate; the first outage begins SETTLING later at the earliest. shortest: s, the shortest duration, for which
+    there must be fixes after the last begin.
     """
     stamp = np.unique(fixes.stamp[is_fix(fixes)]) - round(time_offset * 1e9)
-    if not len(stamp):
-        return stamp
-    earliest, latest = first + SETTLING * 1e9, stamp[-1] - shortest * 1e9
-    # the first fix at or after each multiple of the spacing; where a clock jumps by years there are few
-    slot = np.floor((stamp - earliest) / (spacing * 1e9))
-    begins = np.unique(slot[slot >= 0])
-    begins = begins[earliest + begins * spacing * 1e9 <= latest]
-    begins = begins[::max(-(-len(begins) // MOST_OUTAGES), 1)]
-    return np.unique(stamp[np.searchsorted(slot, begins)])
+    possible = stamp[stamp >= first + round(SETTLING * 1e9)]
+    if not len(possible):
+        return possible
+    begin = _spaced(stamp, spacing)
+    begin = begin[begin >= possible[0]]
+    if not len(begin) or begin[0] + round(longest * 1e9) > stamp[-1]:
+        begin = _spaced(possible, spacing)
+    return begin[begin <= stamp[-1] - round(shortest * 1e9)]
+
+
+def _spaced(stamp: np.ndarray, spacing: float) -> np.ndarray:
+    """The first one of `stamp` in each interval of `spacing` s; where a clock jumps by years there are few. Of very
+    many, every second, third ..."""
+    _, index = np.unique(np.floor((stamp - stamp[0]) / (spacing * 1e9)), return_index=True)
+    return stamp[index[::-(-len(index) // MOST_OUTAGES)]]
 
 
 def run_outages(config: FilterConfig, imu: ImuSamples, fixes: Fixes, truth: Truth, durations, begin: np.ndarray,

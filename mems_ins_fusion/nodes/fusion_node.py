@@ -121,7 +121,9 @@ class FusionNode(Node):
     def report(self) -> None:
         """Log and publish what the filter has to say since the last time."""
         for notice in (*self._filter.notices(), *(self._imus.notices() if self._imus else ())):
-            self._log.say(notice.level, notice.text)
+            # what the filter waits for would not help where the mounting is certainly wrong
+            if notice.level != 'info' or not self._monitor.mounting.is_certainly_wrong:
+                self._log.say(notice.level, notice.text)
         self._verdicts.publish()
 
     def _each_second(self):

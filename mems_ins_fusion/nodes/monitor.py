@@ -91,8 +91,6 @@ class Monitor:
             self._log.tell(level, f'{self._imu.topic_name}: {text}')
             if self.mounting.is_certainly_wrong:
                 self._fusion.reset()
-                self._log.tell(level, f'{self._imu.topic_name}: nothing is published with a mounting that is certainly '
-                                      'wrong')
         if self.mounting.standstills and not self._said_standstills:
             level, text = self.mounting.standstills
             self._log.tell(level, f'{self._imu.topic_name}: {text}')
@@ -113,16 +111,16 @@ class Monitor:
     def _diagnose(self) -> None:
         """State, reasons and numbers, for the log and /diagnostics."""
         state, reasons, health = self._judge()
-        level = level_of(state, self._cannot_start_for())
+        certain = self.mounting.is_certainly_wrong
+        level = ERROR if certain else level_of(state, self._cannot_start_for())
         since, said = self._state_log.look(state, '; '.join(reasons) or health['status'], level)
         if said:
             self._log.tell(_LOG_LEVELS[level], said)
         for told in self._inputs:
             if told.name in self._found:
                 reasons, level = [*reasons, f'{told.topic_name}: {self._found[told.name][1]}'], max(level, WARN)
-        if self.mounting.is_wrong:
-            certain = self.mounting.is_certainly_wrong
-            reasons, level = [*reasons, self.mounting.found], max(level, ERROR if certain else WARN)
+        if self.mounting.is_wrong and not certain:  # else that is the reason
+            reasons, level = [*reasons, self.mounting.found], max(level, WARN)
         if self.mounting.standstills and self.mounting.standstills[0] != 'info':
             reasons, level = [*reasons, self.mounting.standstills[1]], max(level, WARN)
         if self._verdicts.mean_nis is not None:
@@ -149,7 +147,10 @@ class Monitor:
         if imu.is_stale and imu.count:
             return (SILENT, [f'no sample on {last.topic_name} for {imu.silence:.0f} s, nothing is published'],
                     by_the_clock(health, imu.silence))
-        if state in BEFORE_START:
+        if self.mounting.is_certainly_wrong:
+            reasons = [f'{self._imu.topic_name}: nothing is published with a mounting that is certainly wrong: '
+                       f'{self.mounting.found}']
+        elif state in BEFORE_START:
             reasons = [health['status']]
         elif state == 'coasting':
             reasons = [f"no fix used for {health['age of the last fix used, s']:.0f} s", *self._left(health), *reasons]

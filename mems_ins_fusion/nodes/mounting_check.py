@@ -1,5 +1,5 @@
-"""Whether the IMU sits as the parameters say, and whether its standstills can be told from motion, looked at while the
-vehicle drives: as replays look at it."""
+"""Whether the IMU delivers the units and sits as the parameters say, and whether its standstills can be told from
+motion, looked at while the vehicle drives: as replays look at it."""
 from __future__ import annotations
 
 from collections import deque
@@ -7,7 +7,8 @@ from collections import deque
 import numpy as np
 
 from ..configuration.check import YAW_NOT_SHOWN, check_standstills, judge_mounting
-from ..recordings.checker import ERROR
+from ..recordings.checker import ERROR, check_units
+from ..recordings.motion import find_standstill
 from ..samples import SECOND, Fixes, ImuSamples
 
 #: Hz to which the samples are averaged
@@ -102,6 +103,11 @@ class MountingCheck:
         try:
             with np.errstate(all='ignore'):
                 imu, fixes = self._imu(), self._received()
+                units = check_units(imu, fixes, self._values, find_standstill(imu, fixes))
+                wrong = [finding.message for finding in units if finding.severity == ERROR]
+                if wrong:  # a mounting stands on sensors that are right
+                    self.is_wrong, self.found = True, '; '.join(wrong)
+                    return 'error', self.found
                 findings, seen = judge_mounting(imu, fixes, self._values, self._values['gnss.time_offset'])
                 standstills = list(check_standstills(imu, fixes, self._values)) if fixes is not None else []
         except (ValueError, ArithmeticError, np.linalg.LinAlgError):  # numbers that no vehicle gives: no reason to stop

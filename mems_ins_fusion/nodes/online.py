@@ -20,6 +20,7 @@ from ..diagnosis.gathering import CHUNK, Gathering
 from ..diagnosis.quantity import FINE, INITIALISING, SUSPECT, Findings, Kept, Quantity
 from ..filter.measurements.registry import aiding
 from ..filter.runs.changing import Dropped
+from ..recordings.findings import count_of
 from .estimates import LATCHED, NO_EVENTS
 from .log import Log
 from .status import array, quantity_status
@@ -64,8 +65,8 @@ class OnlineDiagnosis:
             return self._due.asked()
         findings = self._due.at_end_of_chunk()
         if self._due.late:
-            self._log.say('info', f'diagnosis.online: {self._due.late} minutes behind (diagnosis.share): what it finds '
-                                  'counts later than in a replay')
+            self._log.say('info', f'diagnosis.online: {count_of(self._due.late, "minute")} behind the drive, as '
+                                  'diagnosis.share limits its part of a core: findings come that much later')
         try:
             self._chunks.put_nowait((chunk, self._dropped))
             self._dropped = []
@@ -111,7 +112,7 @@ class OnlineDiagnosis:
 
     def _on_report(self, request, response):
         response.success = True
-        response.message = '\n'.join(f'{q.name} {q.state}: {q.text}' for q in self._known) or 'nothing known yet'
+        response.message = '\n'.join(f'{q.name} {q.sentence}' for q in self._known) or 'nothing known yet'
         return response
 
     def _write(self, values: dict, kept: list[Kept]) -> None:
@@ -157,7 +158,7 @@ class OnlineDiagnosis:
         for quantity in answer:
             if self._said.get(quantity.name) != quantity.said and quantity.state != INITIALISING:
                 level = 'warning' if quantity.state in (FINE, SUSPECT) else 'info'
-                self._log.tell(level, f'diagnosis.online: {quantity.name} {quantity.state}: {quantity.text}'
+                self._log.tell(level, f'diagnosis.online: {quantity.name} {quantity.sentence}'
                                      f'{". To know it better: " if quantity.advice else ""}{quantity.advice}')
             self._said[quantity.name] = quantity.said
 

@@ -67,14 +67,20 @@ def check_recording(recording: Recording, values: Mapping = MappingProxyType({})
     if good is not None and (imu.stamp.max() < good.stamp[0] or imu.stamp.min() > good.stamp[-1]):
         return [*findings, _no_overlap(imu, good)]
     imu, still = _as_declared(imu, values), find_standstill(imu, good)
-    declared = [values.get(name, unit) for name, unit in _UNITS.items()]
-    expected = float(gravity(good.latitude[0], good.height[0])) if good is not None else STANDARD_GRAVITY
-    units = find_units(as_delivered(imu, *declared), good, expected)
-    findings += [*_check_gravity(imu, still, expected, units, declared[0], values), *_check_rest(imu, still)]
+    findings += [*check_units(imu, good, values, still), *_check_rest(imu, still)]
     if good is not None:
-        findings += [*_check_frozen(good, imu, still), *_check_jumps(good, values.get('gnss.robust_sigma', 0.0) > 0),
-                     *_check_turns(units, declared[1])]
+        findings += [*_check_frozen(good, imu, still), *_check_jumps(good, values.get('gnss.robust_sigma', 0.0) > 0)]
     return findings
+
+
+def check_units(imu: ImuSamples, fixes: Fixes | None, values: Mapping, still: np.ndarray) -> list[Finding]:
+    """Units, scales and signs of usable samples, by gravity and by the turns in the course of usable fixes. still:
+    (n,) bool, at rest. Of the last minutes of a live filter, too."""
+    declared = [values.get(name, unit) for name, unit in _UNITS.items()]
+    expected = float(gravity(fixes.latitude[0], fixes.height[0])) if fixes is not None else STANDARD_GRAVITY
+    units = find_units(as_delivered(imu, *declared), fixes, expected)
+    return [*_check_gravity(imu, still, expected, units, declared[0], values),
+            *(_check_turns(units, declared[1]) if fixes is not None else ())]
 
 
 def _as_declared(imu: ImuSamples, values: Mapping) -> ImuSamples:

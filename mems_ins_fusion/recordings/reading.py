@@ -136,16 +136,24 @@ def _topic_problem(bag: Bag, topic, types) -> str:
     counts = bag.counts()
     if not counts.total():
         return f'{bag.path} holds no messages' + ''.join(f'; {line}' for line in bag.damage())
-    wanted = ' or '.join(types)
-    if topic in bag.topics:
-        problem = f"topic '{topic}' in {bag.path} carries {bag.topics[topic]}, not {wanted}"
+    kinds = {name: _short(kind) for name, kind in sorted(bag.topics.items())}
+    wanted = ' or '.join(map(_short, types))
+    fitting = [f'{name} ({counts[name]} messages)' for name in kinds if bag.topics[name] in types]
+    if topic in kinds:
+        problem = f"topic '{topic}' in {bag.path} carries {kinds[topic]}, not {wanted}"
+        found = f'; these do: {", ".join(fitting)}'
     else:
         problem = f"no topic '{topic}' in {bag.path}"
-    fitting = [f'{name} ({counts[name]} messages)' for name, kind in sorted(bag.topics.items()) if kind in types]
+        found = f'; of type {wanted}: {", ".join(fitting)}'
     if fitting:
-        return f'{problem}; topics of type {wanted}: {", ".join(fitting)}'
-    there = ', '.join(f'{name} ({kind})' for name, kind in sorted(bag.topics.items()))
+        return problem + found
+    there = ', '.join(f'{name} ({kind})' for name, kind in kinds.items())
     return f'{problem}; the recording has no topic of type {wanted}, only {there}'
+
+
+def _short(kind: str) -> str:
+    """A type of messages as people write it: package/Name."""
+    return kind.replace('/msg/', '/')
 
 
 def _read_arrays(bag: Bag, topics, progress, memory: Memory | None) -> tuple[dict, Counter]:

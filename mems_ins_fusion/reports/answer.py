@@ -33,9 +33,9 @@ class Step:
 class Answer:
     """What a person wants to know of a result.
 
-    grade: GOOD, WARNING or BAD. headline: one sentence. wrong: what is wrong. cost: in metres without fixes. steps:
-    what to do next. trust: whether to believe the filter's own sigmas. remains: what is left of it all. why: what the
-    headline stands on.
+    grade: GOOD, WARNING or BAD. headline: one sentence. wrong: what is wrong, or not known. cost: in metres without
+    fixes. steps: what to do next. trust: whether to believe the filter's own sigmas. remains: what is left of it all.
+    why: what the headline stands on.
     """
 
     grade: str
@@ -47,18 +47,25 @@ class Answer:
     remains: list[str] = field(default_factory=list)
     why: list[str] = field(default_factory=list)
 
+    @property
+    def label(self) -> str:
+        """What `wrong` is called: most of it only limits how good the result is."""
+        return 'wrong' if self.grade == BAD else 'note'
+
     def short(self) -> list[str]:
-        """For the console, in five lines of WIDTH: the answer, what is wrong most, trust, and what to do next."""
-        wrong = [shorten(f'wrong: {self.wrong[0]}', _more(len(self.wrong) - 1))] if self.wrong else []
+        """For the console, in a few lines of WIDTH: the answer, what is wrong most, trust, and what to do next. What
+        to do is never cut."""
+        wrong = [shorten(f'{self.label}: {self.wrong[0]}', _more(len(self.wrong) - 1))] if self.wrong else []
         trust = [shorten(f'trust: {self.trust}')] if self.trust else []
         steps = [line for s in self.first
-                 for line in (typed(f'next: {s.command}') if s.command else [shorten(f'next: {s.what}')])]
+                 for line in (typed(f'next: {s.command}') if s.command else textwrap.wrap(
+                     f'next: {s.what}', WIDTH, subsequent_indent='    '))]
         head = [line.replace(_TOGETHER, ' ') for line in textwrap.wrap(_UNIT.sub(_TOGETHER, self.headline), WIDTH)]
         return [*head[:1], *([shorten(' '.join(head[1:]))] if head[1:] else []), *wrong, *trust, *steps]
 
     def lines(self) -> list[str]:
         """For the console, all of it."""
-        parts = [('why', self.why), ('wrong', self.wrong), ('cost', self.cost),
+        parts = [('why', self.why), (self.label, self.wrong), ('cost', self.cost),
                  ('trust', [self.trust] if self.trust else []), ('remains', self.remains)]
         said = [self.headline, *(f'{name}: {text}' for name, texts in parts for text in texts)]
         for step in self.steps:
@@ -67,7 +74,7 @@ class Answer:
 
     def html(self) -> Html:
         """For the page, first of all: as on the console."""
-        parts = [('wrong', self.wrong[:1]), ('cost', self.cost[len(self.cost) // 2:][:1]),
+        parts = [(self.label, self.wrong[:1]), ('cost', self.cost[len(self.cost) // 2:][:1]),
                  ('trust', [self.trust] if self.trust else [])]
         lines = ''.join(f'<p><b>{name}:</b> {paragraph(text)[3:-4]}</p>' for name, texts in parts for text in texts)
         headline = Html(paragraph(self.headline).replace('<p>', '<p class="headline">', 1))
@@ -76,7 +83,7 @@ class Answer:
 
     def evidence(self) -> Html:
         """For the page, folded away: all that the answer holds."""
-        parts = [_part('Why', self.why), _part('What is wrong', self.wrong),
+        parts = [_part('Why', self.why), _part('What is wrong, or not known', self.wrong),
                  _part('What it costs without fixes', self.cost),
                  _part('Can its own uncertainty be trusted?', [self.trust] if self.trust else []),
                  _part('What remains', self.remains),

@@ -66,7 +66,7 @@ def in_short(result: Configuration) -> str:
         roll, pitch, yaw = (f'{angle:.1f}' if abs(angle) < 100.0 else f'{angle:.0f}' for angle in np.degrees(found.rpy))
         said += f', roll {roll}, pitch {pitch}, yaw ' + (f'{yaw} deg' if found.yaw_known else 'not shown')
         if found.offset is not None and found.offset.shown:
-            said += f'; fixes {found.lag:.3f} +- {found.lag_sigma:.3f} s'
+            said += f'; fixes {abs(found.lag):.3f} +- {found.lag_sigma:.3f} s {"late" if found.lag > 0 else "early"}'
     return shorten(f'found: IMU in {said}')
 
 

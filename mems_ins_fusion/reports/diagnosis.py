@@ -21,6 +21,7 @@ from . import diagnosis_figures as plots
 from . import html
 from .answer import Answer, checked_text, topics_of
 from .charts import charts
+from .colours import MODEL_NAMES
 from .layers import diagnosed_truth, diagnosis_layers, middle
 from .series import diagnosis_charts
 from .track import script, track
@@ -297,7 +298,7 @@ def report_html(diagnosis: Diagnosis, given: dict, answered: Answer, checked=(),
     return html.page(f'Diagnosis of {d.name}', [
         _answered(d, answered), answered.evidence(), _errors(d), _added(d), yaml, _unexplained(d), *evidence, _noise(d),
         _recording(d, checked, warned), _candidates(d)],
-        f'{d.values["mechanization"]} mechanization, {d.values["sensor_error_model"].replace("_", " ")} sensor errors, '
+        f'{d.values["mechanization"]} mechanization, {MODEL_NAMES[d.values["sensor_error_model"]]} sensor errors, '
         f'{count} innovations', script())
 
 

@@ -14,7 +14,7 @@ from ..configuration.check import check
 from ..diagnosis.applying import driven
 from ..diagnosis.quantity import CHANGED, Quantity
 from ..diagnosis.watch import Watch, watched
-from ..evaluation.comparison import Comparison, compare, cut
+from ..evaluation.comparison import Comparison, ReplayError, compare, cut
 from ..filter.config import FilterConfig
 from ..filter.measurements.registry import further_inputs, named_parameters
 from ..filter.runs.imus import as_one
@@ -25,7 +25,7 @@ from ..parameters.params_file import yaml_value
 from ..parameters.table import FILTER
 from ..parameters.table import defaults as default_parameters
 from ..recordings.errors import collected_warnings
-from ..recordings.findings import Finding
+from ..recordings.findings import ERROR, Finding
 from ..recordings.reading import Memory, read_recording
 from ..recordings.reference_files import read_reference
 from ..recordings.several import free_name
@@ -33,7 +33,7 @@ from ..recordings.units import in_si
 from ..results import result_folder
 from ..samples import Recording
 from . import trajectories
-from .answer import Answer
+from .answer import Answer, checked_text, topics_of
 from .replay_answer import answer, best_model
 from .replay_report import FIGURES, draw_figures, online_row, report, report_page, write_report
 
@@ -80,7 +80,14 @@ def replay_recordings(values: dict, progress: Progress = lambda part, what: None
             with _timed(timing, 'checking'):
                 findings[name] = check(recording, values)
             with _timed(timing, 'filter and errors'):
-                comparisons[name] = compare(recording, values, lambda done: part(0.25 + 0.3 * done, 'filtering'))
+                try:
+                    comparisons[name] = compare(recording, values, lambda done: part(0.25 + 0.3 * done, 'filtering'))
+                except ReplayError:
+                    # the checker has seen all that is wrong, the filter waits for one thing after the other
+                    wrong = [checked_text(f, topics_of(values)) for f in findings[name] if f.severity == ERROR]
+                    if not wrong:
+                        raise
+                    raise ReplayError(f'{name}: {"; ".join(wrong)}') from None
             if values['diagnosis.online'] != 'off':
                 with _timed(timing, 'diagnosis.online'):
                     def watching(done):

@@ -85,7 +85,9 @@ def answer(comparison: Comparison, findings: list[Finding], values: dict, bag: s
     """
     best = best_model(comparison, values['sensor_error_model'])
     outages = [r for r in comparison.outages if r.model == best and len(r.outages.begin)]
-    said = [checked_text(f, topics_of(values)) for f in findings if f.severity != INFO]
+    # what names a parameter to set comes first: it can be cured
+    told = sorted((f for f in findings if f.severity != INFO), key=lambda f: not f.settings)
+    said = [checked_text(f, topics_of(values)) for f in told]
     verdict, trust = judged(comparison, findings, values), trusted(consistencies(comparison, values))
     wrong = [*said, *_refused(comparison, best)]
     if trust.answer == NO and verdict.answer == WORSE:  # else the headline says it
@@ -94,9 +96,11 @@ def answer(comparison: Comparison, findings: list[Finding], values: dict, bag: s
         wrong.append('The parameters were fitted to this very recording: on another drive errors will be larger.')
     grade = _grade(verdict, trust)
     accuracy = _accuracy(comparison, best, values['fixes_until'])
-    return Answer(grade, _headline(verdict, trust, accuracy), wrong, [*accuracy, *_cost(outages)],
-                  [_configure(bag)] if verdict.answer == NOT_USABLE else
-                  _steps(grade, comparison, best, values, bag, params_file), trust_text(trust))
+    steps = [] if verdict.answer == NOT_USABLE else _steps(grade, comparison, best, values, bag, params_file)
+    if verdict.answer == NOT_USABLE or any(f.settings for f in told) and not verdict.fitted_here:
+        steps.insert(0, _configure(bag))
+    return Answer(grade, _headline(verdict, trust, accuracy), wrong, [*accuracy, *_cost(outages)], steps,
+                  trust_text(trust))
 
 
 def _grade(verdict: Verdict, trust: Trust) -> str:
@@ -115,7 +119,7 @@ def _headline(verdict: Verdict, trust: Trust, accuracy: list[str]) -> str:
         return f'The filter is not good here, its sigmas are too small: {too_small_text(trust)}.'
     if verdict.shown is None:
         return ': '.join(['With fixes it works; there were no outages to judge it by', *accuracy[:1]])
-    proof = change_text(verdict.shown, verdict.level, 'by the last velocity kept')
+    proof = change_text(verdict.shown, verdict.level, 'with the last velocity kept')
     return {BETTER: f'The filter is good here: {proof}.', WORSE: f'Do not use it, the filter is wrong here: {proof}.',
             SAME: f'The filter is no better than doing without: {proof}.'}.get(
                 verdict.answer, f'Cannot tell whether the filter helps: {proof}.')
@@ -160,8 +164,8 @@ def _cost(outages: list[OutageResult]) -> list[str]:
 
 
 def _configure(bag: str) -> Step:
-    """What to do where the parameters are certainly wrong: diagnose would refuse them, too."""
-    return Step('Let configure write a params file, or set this by hand:',
+    """What to do where the recording contradicts parameters; diagnose would refuse those that are certainly wrong."""
+    return Step('Let configure write a params file, or set by hand what is wrong:',
                 f'python -m mems_ins_fusion configure --bag {shlex.quote(bag)} --output configured.yaml')
 
 

@@ -225,8 +225,8 @@ def answer(first: Result, second: Result, rows: list[Row]) -> Answer:
 def _why_unpaired(rows: list[Row]) -> str:
     """Why not all of `rows` are compared epoch by epoch, or outage by outage."""
     if all(row.count for row in rows if row.duration is None):
-        return ('Without fixes they are not compared: the outages of the two begin at other fixes, as one filter '
-                'starts later, or has another gnss.time_offset. Their errors stand in the table.')
+        return ('Without fixes they are not compared: the outages of the two begin at other fixes, as outage_spacing '
+                'or the version that replayed them is another one. Their errors stand in the table.')
     return ('The two share too few epochs for paired statistics: the errors stand side by side, and a difference may '
             'be one of the drives.')
 
@@ -243,8 +243,8 @@ def _headline(verdict: Verdict, names) -> str:
         name, proof = (names[1], proof) if verdict.gains else (names[0], turned)
         return f'No proof that {name} is better, as it was fitted to this recording: {proof}.'
     if verdict.gains and verdict.losses:
-        return f'Each is better at something: {names[1]} has {proof}; see the table.'
-    return f'Cannot tell which is better: {names[1]} has {proof}.'
+        return f'Each is better at something: with {names[1]}, {proof}; see the table.'
+    return f'Cannot tell which is better: with {names[1]}, {proof}.'
 
 
 def _what(row: Row) -> str:

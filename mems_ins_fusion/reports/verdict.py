@@ -32,7 +32,7 @@ def where_text(change: Change) -> str:
     """Of which error a change is."""
     of = f'{change.where}, ' if change.where else ''
     if change.duration is not None:
-        return f'{of}{change.duration:g} s without fixes'
+        return f'{of}in {change.duration:g} s without fixes'
     return f'{of}with fixes' + (f' each {change.every:g} s' if change.every else '')
 
 
@@ -40,7 +40,7 @@ def change_text(change: Change, level: float, before_is: str = '') -> str:
     """A change with its interval: where, after instead of before, and by how much in 95 of 100 cases. before_is: what
     the one before is, where that is not plain."""
     before, after = (f'{number(v, _digits(change))} m' for v in (change.before, change.after))
-    said = f'{where_text(change)} {after} instead of {before}{f" {before_is}" if before_is else ""}'
+    said = f'{where_text(change)} the error is {after} instead of {before}{f" {before_is}" if before_is else ""}'
     interval = change.interval(level)
     return f'{said} (95 %: {span_text(*interval)})' if interval else f'{said} (too few to say more)'
 
