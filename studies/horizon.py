@@ -56,7 +56,6 @@ PARTS = {
     'IMU as simulated': IMU,
     'drift of the gyroscopes as simulated': {k: v for k, v in IMU.items() if k.startswith('gyroscope.gauss_markov')},
     'white noise of the gyroscopes as simulated': {'gyroscope.noise_density': IMU['gyroscope.noise_density']},
-    'accelerometers as simulated': {k: v for k, v in IMU.items() if k.startswith('accelerometer')},
     'white noise not adapted': {'imu.adapt_noise': False},
     'a third of the sideways velocity': {'vehicle.non_holonomic_sigma': 0.1},
     'mounting not estimated': {'imu.mounting_sigma': 0.0},

@@ -25,7 +25,9 @@ stakes only where d is large enough for the middle to be clear of them.
 Errors that last from one measurement to the next also break the condition that E x <= 0 whatever came before. So what
 is bet on is the mean of a *block* of measurements, each with the weight d, with B that of such means. A block is
 several times as long as errors along the line have lasted until then, so that one says next to nothing about the next;
-where they do not last, each measurement is a block. Its length is known before it begins, as the rest is.
+where they do not last, each measurement is a block. Its length is known before it begins, as the rest is. Bets against
+the other filter are on each measurement: one that has become wrong has to go soon, and one that goes by chance is found
+again.
 """
 from __future__ import annotations
 
@@ -55,8 +57,8 @@ KEPT = 300  # measurements kept, which tell of errors that last for a tenth of t
 
 class Bets:
     """pro: logarithm of the wealth staked on the other filter, con: on the present one. clear: usual distances by which
-    the predictions have to be apart for a stake. first: number of measurements before the first stake, which tell for
-    how long errors last; 0: errors are taken not to last, each measurement is a block."""
+    the predictions have to be apart for a stake. first: number of measurements before the first stake on the other one,
+    which tell for how long errors last; 0: errors are taken not to last, each measurement is a block."""
 
     def __init__(self, clear: float = 0.0, first: int = 0):
         self._clear, self._first = clear, first
@@ -75,33 +77,26 @@ class Bets:
             across = (north * present[1] - east * present[0]) / apart
         else:
             of_present, of_other, across = 0.0, 0.0, math.hypot(*present)
-        if len(self._seen) >= max(self._first, 1) and _worth_a_bet(apart) and apart >= self._clear * self._usual_of(1):
-            if self._left == 0:
-                self._left = self._lasting()
-                self._usual = self._usual_of(self._left)
-            self._block.append((apart, 0.5 * (of_present + of_other)))
+        if len(self._seen) and _worth_a_bet(apart) and apart >= self._clear * self._usual_of(1):
+            y = 0.5 * (of_present + of_other)
+            self.con += _won(apart, -y, self._usual_of(1))
+            if len(self._seen) >= self._first:
+                if self._left == 0:
+                    self._left = self._lasting()
+                    self._usual = self._usual_of(self._left)
+                self._block.append((apart, y))
         self._seen = np.vstack([self._seen[1 - KEPT:], (apart, of_present, of_other, across)])
         if self._left > 0:
             self._left -= 1
             if self._left == 0:
-                self._bet()
+                block, self._block = np.array(self._block).T, []
+                weight = block[0] / block[0].sum()
+                self.pro += _won(*(block @ weight).tolist(), self._usual)
 
     def begin_anew(self) -> None:
         """Reset the wealth, not what is known of the errors."""
         self.pro = self.con = 0.0
         self._block, self._left = [], 0
-
-    def _bet(self) -> None:
-        """On the block that is complete."""
-        apart, y = np.array(self._block).T
-        apart, y = float(apart @ apart / apart.sum()), float(apart @ y / apart.sum())
-        self._block = []
-        if self._usual <= 0.0:
-            return
-        least = max(MARGIN * apart, WORTH)
-        bet = min(PART * (0.5 * apart - least) / self._usual, LARGEST_BET)
-        self.pro += math.log1p(bet * _bounded((y - least) / self._usual))
-        self.con += math.log1p(bet * _bounded((-y - least) / self._usual))
 
     def _usual_of(self, length: int) -> float:
         """Usual distance of the mean of `length` measurements from that of the nearer predictions, m; while hardly any
@@ -131,6 +126,14 @@ class Bets:
                 break
             total += 2.0 * covariance / variance
         return math.ceil(APART_BY * total) if total > 1.0 else 1
+
+
+def _won(apart: float, y: float, usual: float) -> float:
+    """Logarithm of the factor on the wealth by a bet on the filter to whose side y, m, is positive."""
+    if usual <= 0.0:
+        return 0.0
+    least = max(MARGIN * apart, WORTH)
+    return math.log1p(min(PART * (0.5 * apart - least) / usual, LARGEST_BET) * _bounded((y - least) / usual))
 
 
 def _worth_a_bet(apart: float) -> bool:
