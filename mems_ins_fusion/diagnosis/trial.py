@@ -99,6 +99,12 @@ class Trial:
         if self.kept and self.proven and not before:
             self.kept = replace(self.kept, found=now)
 
+    def see(self, errors: dict[float, list[tuple[Place, Place]]]) -> None:
+        """Outages on which nothing is staked, before the first ones that count: how long errors last."""
+        for (duration, _), bets in self.bets.items():
+            for without, with_it in errors[duration]:
+                bets.see(without, with_it)
+
     def apply(self, now: int) -> None:
         """Be part of the parameters that drive. What was seen before says nothing against that any more. now: ns."""
         self.applied = True

@@ -44,7 +44,7 @@ PART = 1.56
 #: usual distances B by which the predictions have to be apart for the middle between them to be clear of common errors:
 #: these have a sigma of 0.8 B along the line (PART), and d / 2 is as much then
 CLEAR = 1.6
-TINY = 1e-9  # m, weight of predictions that are the same: a block of nothing else has a mean, too
+TINY = 1e-9  # m, in place of zero: weight of predictions that are the same, distance of fixes that are met exactly
 USUAL = 30  # blocks over which the usual distance is averaged; nothing is staked on the first
 #: length of a block, over the time for which errors last (the sum of their correlations, both ways): means of
 #: neighbouring blocks have a correlation of a twelfth then where errors decay exponentially, of an eighth with 2
@@ -58,7 +58,8 @@ KEPT = 300  # measurements kept, which tell of errors that last for a tenth of t
 class Bets:
     """pro: logarithm of the wealth staked on the other filter, con: on the present one. clear: usual distances by which
     the predictions have to be apart for a stake. first: number of measurements before the first stake on the other one,
-    which tell for how long errors last; 0: errors are taken not to last, each measurement is a block."""
+    which tell for how long errors last (of `see`, too); 0: errors are taken not to last, each measurement is a block.
+    """
 
     def __init__(self, clear: float = 0.0, first: int = 0):
         self._clear, self._first = clear, first
@@ -67,31 +68,32 @@ class Bets:
         self._seen = np.empty((0, 4))
         self._block: list[tuple[float, float]] = []  # d and y of what is staked on in the present block
         self._left, self._usual = 0, 0.0  # measurements that are left of it, and its B
+        self._near, self._count = 0.0, 0  # B of single measurements, and how many have come
 
     def take(self, present: tuple[float, float], other: tuple[float, float]) -> None:
         """One more measurement. present, other: innovations of the two filters, north and east, m."""
-        north, east = present[0] - other[0], present[1] - other[1]
-        apart = math.hypot(north, east)
-        if apart > 0.0:
-            of_present, of_other = ((north * one[0] + east * one[1]) / apart for one in (present, other))
-            across = (north * present[1] - east * present[0]) / apart
-        else:
-            of_present, of_other, across = 0.0, 0.0, math.hypot(*present)
-        if len(self._seen) and _worth_a_bet(apart) and apart >= self._clear * self._usual_of(1):
+        apart, of_present, of_other, _ = _along(present, other)
+        if self._near > 0.0 and _worth_a_bet(apart) and apart >= self._clear * self._near:
             y = 0.5 * (of_present + of_other)
-            self.con += _won(apart, -y, self._usual_of(1))
-            if len(self._seen) >= self._first:
+            self.con += _won(apart, -y, self._near)
+            if self._count >= self._first:
                 if self._left == 0:
                     self._left = self._lasting()
                     self._usual = self._usual_of(self._left)
                 self._block.append((apart, y))
-        self._seen = np.vstack([self._seen[1 - KEPT:], (apart, of_present, of_other, across)])
+        self.see(present, other)
         if self._left > 0:
             self._left -= 1
             if self._left == 0:
                 block, self._block = np.array(self._block).T, []
                 weight = block[0] / block[0].sum()
                 self.pro += _won(*(block @ weight).tolist(), self._usual)
+
+    def see(self, present: tuple[float, float], other: tuple[float, float]) -> None:
+        """What is known of the errors with one more measurement, on which nothing is staked."""
+        self._seen = np.vstack([self._seen[1 - KEPT:], _along(present, other)])
+        self._count += 1
+        self._near += (min(math.hypot(*present), math.hypot(*other)) - self._near) / min(self._count, USUAL)
 
     def begin_anew(self) -> None:
         """Reset the wealth, not what is known of the errors."""
@@ -101,14 +103,13 @@ class Bets:
     def _usual_of(self, length: int) -> float:
         """Usual distance of the mean of `length` measurements from that of the nearer predictions, m; while hardly any
         such blocks have come, of single measurements, which is larger."""
-        count = len(self._seen) // length
-        if count < 2 < length:
-            length, count = 1, len(self._seen)
-        count = min(count, USUAL)
+        count = min(len(self._seen) // length, USUAL)
+        if length == 1 or count < 2:
+            return self._near
         blocks = self._seen[len(self._seen) - count * length:].reshape(count, length, 4)
         weight = blocks[:, :, 0] + TINY
         of_present, of_other, across = (np.einsum('ij,ijk->ki', weight, blocks[:, :, 1:]) / weight.sum(axis=1))
-        return float(np.hypot(np.minimum(np.abs(of_present), np.abs(of_other)), across).mean())
+        return max(float(np.hypot(np.minimum(np.abs(of_present), np.abs(of_other)), across).mean()), TINY)
 
     def _lasting(self) -> int:
         """Length of a block, so that one says next to nothing about the next; 1 where errors do not last."""
@@ -116,8 +117,7 @@ class Bets:
         if self._first == 0 or n < FEWEST:
             return 1
         both = self._seen[:, 1:3].T
-        usual = self._usual_of(1)
-        errors = np.clip(both[np.argmin(np.sum(both**2, axis=1))], -usual, usual)
+        errors = np.clip(both[np.argmin(np.sum(both**2, axis=1))], -self._near, self._near)
         errors -= errors.mean()
         variance, total = float(errors @ errors), 1.0
         for lag in range(1, n // 2):
@@ -128,10 +128,18 @@ class Bets:
         return math.ceil(APART_BY * total) if total > 1.0 else 1
 
 
+def _along(present: tuple[float, float], other: tuple[float, float]) -> tuple[float, float, float, float]:
+    """How far the predictions are apart, and the measurement from either along the line between them, and from that."""
+    north, east = present[0] - other[0], present[1] - other[1]
+    apart = math.hypot(north, east)
+    if apart == 0.0:
+        return 0.0, 0.0, 0.0, math.hypot(*present)
+    of_present, of_other = ((north * one[0] + east * one[1]) / apart for one in (present, other))
+    return apart, of_present, of_other, (north * present[1] - east * present[0]) / apart
+
+
 def _won(apart: float, y: float, usual: float) -> float:
     """Logarithm of the factor on the wealth by a bet on the filter to whose side y, m, is positive."""
-    if usual <= 0.0:
-        return 0.0
     least = max(MARGIN * apart, WORTH)
     return math.log1p(min(PART * (0.5 * apart - least) / usual, LARGEST_BET) * _bounded((y - least) / usual))
 
