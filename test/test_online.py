@@ -162,6 +162,12 @@ def test_a_trial_looks_for_half_a_minute_before_it_stakes():
     assert one.wealth == pytest.approx(1.0)
     seen.take({duration: pairs if duration == 1.0 else [] for duration in OUTAGES})
     assert max(bets.pro for bets in seen.bets.values()) < 10 * math.log(1.9)
+    # and where half a minute has been seen before, with errors that do not last, the first one wins
+    one, better = trial(), ((1.0, 0.0), (0.1, 0.0))
+    one.see({duration: [((side + 0.1, 0.0), (side, 0.0)) for side in (0.1, -0.1) * 15] for duration in OUTAGES})
+    assert one.wealth == 1.0
+    one.take({duration: [better] if duration == 1.0 else [] for duration in OUTAGES})
+    assert one.wealth > 1.05
 
 
 def test_what_lasts_is_bet_on_in_blocks():

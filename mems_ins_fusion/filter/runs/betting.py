@@ -65,7 +65,7 @@ class Bets:
         self._clear, self._first = clear, first
         self.pro = self.con = 0.0
         #: of the last measurements: d, and the distances of m from p and from q along the line, and from it
-        self._seen = np.empty((0, 4))
+        self._rows, self._end = np.empty((2 * KEPT, 4)), 0  # up to `_end`
         self._block: list[tuple[float, float]] = []  # d and y of what is staked on in the present block
         self._left, self._usual = 0, 0.0  # measurements that are left of it, and its B
         self._near, self._count = 0.0, 0  # B of single measurements, and how many have come
@@ -91,9 +91,16 @@ class Bets:
 
     def see(self, present: tuple[float, float], other: tuple[float, float]) -> None:
         """What is known of the errors with one more measurement, on which nothing is staked."""
-        self._seen = np.vstack([self._seen[1 - KEPT:], _along(present, other)])
+        if self._end == len(self._rows):
+            self._rows[:KEPT], self._end = self._rows[KEPT:].copy(), KEPT
+        self._rows[self._end] = _along(present, other)
+        self._end += 1
         self._count += 1
         self._near += (min(math.hypot(*present), math.hypot(*other)) - self._near) / min(self._count, USUAL)
+
+    @property
+    def _seen(self) -> np.ndarray:
+        return self._rows[max(self._end - KEPT, 0):self._end]
 
     def begin_anew(self) -> None:
         """Reset the wealth, not what is known of the errors."""
@@ -113,12 +120,13 @@ class Bets:
 
     def _lasting(self) -> int:
         """Length of a block, so that one says next to nothing about the next; 1 where errors do not last."""
-        n = len(self._seen)
+        seen, n = self._seen, min(self._count, KEPT)
         if self._first == 0 or n < FEWEST:
             return 1
-        both = self._seen[:, 1:3].T
-        errors = np.clip(both[np.argmin(np.sum(both**2, axis=1))], -self._near, self._near)
-        errors -= errors.mean()
+        present, other = seen[:, 1], seen[:, 2]
+        better = present if present @ present <= other @ other else other
+        errors = np.minimum(np.maximum(better, -self._near), self._near)
+        errors -= errors.sum() / n
         variance, total = float(errors @ errors), 1.0
         for lag in range(1, n // 2):
             covariance = float(errors[lag:] @ errors[:-lag])
