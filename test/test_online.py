@@ -73,6 +73,20 @@ def test_chance_does_not_prove():
     assert proven < 10
 
 
+def test_in_a_block_the_outages_count_in_which_the_predictions_are_apart():
+    # given errors of 1 m that last for five measurements, and predictions that are 4 m apart in one of nine, as in a
+    # turn, and else 2 cm; the other one is right
+    wealth = []
+    for seed in range(6):
+        rng, bets, error = np.random.default_rng(seed), betting.Bets(0.0, 30), 0.0
+        for k in range(600):
+            error = 0.8 * error + 0.6 * rng.standard_normal()
+            bets.take((error + (0.02 if k % 9 else 4.0), 0.0), (error, 0.0))
+        wealth.append(bets.pro)
+    # then it is proven each time (a block of equal weights proves it in none)
+    assert min(wealth) > math.log(1.0 / FALSE_ALARMS)
+
+
 def test_a_small_advantage_is_not_worth_a_change():
     # given a thousand outages after which the fixes are 4 % of the way beyond the middle, and 30 %
     rng = np.random.default_rng(3)

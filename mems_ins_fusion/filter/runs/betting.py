@@ -23,11 +23,10 @@ Such errors last for a minute on some roads, and with them a row of bets is lost
 stakes only where d is large enough for the middle to be clear of them.
 
 Errors that last from one measurement to the next also break the condition that E x <= 0 whatever came before. So what
-is bet on is the mean of a *block* of measurements, each with the weight d, with B that of such means. A block is
-several times as long as errors along the line have lasted until then, so that one says next to nothing about the next;
-where they do not last, each measurement is a block. Its length is known before it begins, as the rest is. Bets against
-the other filter are on each measurement: one that has become wrong has to go soon, and one that goes by chance is found
-again.
+is bet on is the mean of a *block* of measurements, each with the weight d. A block is several times as long as errors
+along the line have lasted until then, so that one says next to nothing about the next; where they do not last, each
+measurement is a block. Its length is known before it begins, as the rest is. Bets against the other filter are on each
+measurement: one that has become wrong has to go soon, and one that goes by chance is found again.
 """
 from __future__ import annotations
 
@@ -44,8 +43,7 @@ PART = 1.56
 #: usual distances B by which the predictions have to be apart for the middle between them to be clear of common errors:
 #: these have a sigma of 0.8 B along the line (PART), and d / 2 is as much then
 CLEAR = 1.6
-TINY = 1e-9  # m, in place of zero: weight of predictions that are the same, distance of fixes that are met exactly
-USUAL = 30  # blocks over which the usual distance is averaged; nothing is staked on the first
+USUAL = 30  # measurements over which the usual distance is averaged; nothing is staked on the first
 #: length of a block, over the time for which errors last (the sum of their correlations, both ways): means of
 #: neighbouring blocks have a correlation of a twelfth then where errors decay exponentially, of an eighth with 2
 APART_BY = 3.0
@@ -64,22 +62,22 @@ class Bets:
     def __init__(self, clear: float = 0.0, first: int = 0):
         self._clear, self._first = clear, first
         self.pro = self.con = 0.0
-        #: of the last measurements: d, and the distances of m from p and from q along the line, and from it
-        self._rows, self._end = np.empty((2 * KEPT, 4)), 0  # up to `_end`
+        #: distances of the last measurements from p and from q along the line between these, up to `_end`
+        self._rows, self._end = np.empty((2 * KEPT, 2)), 0
         self._block: list[tuple[float, float]] = []  # d and y of what is staked on in the present block
-        self._left, self._usual = 0, 0.0  # measurements that are left of it, and its B
-        self._near, self._count = 0.0, 0  # B of single measurements, and how many have come
+        self._left, self._usual = 0, 0.0  # measurements that are left of it, and B when it began
+        self._near, self._count = 0.0, 0  # B, and how many have come
 
     def take(self, present: tuple[float, float], other: tuple[float, float]) -> None:
         """One more measurement. present, other: innovations of the two filters, north and east, m."""
-        apart, of_present, of_other, _ = _along(present, other)
+        apart, of_present, of_other = _along(present, other)
         if self._near > 0.0 and _worth_a_bet(apart) and apart >= self._clear * self._near:
             y = 0.5 * (of_present + of_other)
             self.con += _won(apart, -y, self._near)
             if self._count >= self._first:
                 if self._left == 0:
                     self._left = self._lasting()
-                    self._usual = self._usual_of(self._left)
+                    self._usual = self._near
                 self._block.append((apart, y))
         self.see(present, other)
         if self._left > 0:
@@ -93,37 +91,22 @@ class Bets:
         """What is known of the errors with one more measurement, on which nothing is staked."""
         if self._end == len(self._rows):
             self._rows[:KEPT], self._end = self._rows[KEPT:].copy(), KEPT
-        self._rows[self._end] = _along(present, other)
+        self._rows[self._end] = _along(present, other)[1:]
         self._end += 1
         self._count += 1
         self._near += (min(math.hypot(*present), math.hypot(*other)) - self._near) / min(self._count, USUAL)
-
-    @property
-    def _seen(self) -> np.ndarray:
-        return self._rows[max(self._end - KEPT, 0):self._end]
 
     def begin_anew(self) -> None:
         """Reset the wealth, not what is known of the errors."""
         self.pro = self.con = 0.0
         self._block, self._left = [], 0
 
-    def _usual_of(self, length: int) -> float:
-        """Usual distance of the mean of `length` measurements from that of the nearer predictions, m; while hardly any
-        such blocks have come, of single measurements, which is larger."""
-        count = min(len(self._seen) // length, USUAL)
-        if length == 1 or count < 2:
-            return self._near
-        blocks = self._seen[len(self._seen) - count * length:].reshape(count, length, 4)
-        weight = blocks[:, :, 0] + TINY
-        of_present, of_other, across = (np.einsum('ij,ijk->ki', weight, blocks[:, :, 1:]) / weight.sum(axis=1))
-        return max(float(np.hypot(np.minimum(np.abs(of_present), np.abs(of_other)), across).mean()), TINY)
-
     def _lasting(self) -> int:
         """Length of a block, so that one says next to nothing about the next; 1 where errors do not last."""
-        seen, n = self._seen, min(self._count, KEPT)
+        seen, n = self._rows[max(self._end - KEPT, 0):self._end], min(self._count, KEPT)
         if self._first == 0 or n < FEWEST:
             return 1
-        present, other = seen[:, 1], seen[:, 2]
+        present, other = seen.T
         better = present if present @ present <= other @ other else other
         errors = np.minimum(np.maximum(better, -self._near), self._near)
         errors -= errors.sum() / n
@@ -136,14 +119,13 @@ class Bets:
         return math.ceil(APART_BY * total) if total > 1.0 else 1
 
 
-def _along(present: tuple[float, float], other: tuple[float, float]) -> tuple[float, float, float, float]:
-    """How far the predictions are apart, and the measurement from either along the line between them, and from that."""
+def _along(present: tuple[float, float], other: tuple[float, float]) -> tuple[float, float, float]:
+    """How far the predictions are apart, and the measurement from either along the line between them."""
     north, east = present[0] - other[0], present[1] - other[1]
     apart = math.hypot(north, east)
     if apart == 0.0:
-        return 0.0, 0.0, 0.0, math.hypot(*present)
-    of_present, of_other = ((north * one[0] + east * one[1]) / apart for one in (present, other))
-    return apart, of_present, of_other, (north * present[1] - east * present[0]) / apart
+        return 0.0, 0.0, 0.0
+    return apart, *((north * one[0] + east * one[1]) / apart for one in (present, other))
 
 
 def _won(apart: float, y: float, usual: float) -> float:
