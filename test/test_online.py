@@ -535,7 +535,7 @@ def test_filters_on_trial_begin_with_what_shows_the_finding(drive, monkeypatch):
     work = Online(table.check({}), blind, blind)
     for chunk in several[:5]:
         work.take(chunk)
-    work.trials = {str(value): Trial(replace(finding(value), since=since), finding(value).changes, 1e3)
+    work.trials = {str(value): Trial(replace(finding(value), since=since), finding(value).changes, 1e3, taken=1)
                    for value, since in ((0.1, 0), (0.2, int(several[4].imu.stamp[0])))}
     work.take(several[5])
     # then the filters of the second, with it and without it, have seen nothing from before that
