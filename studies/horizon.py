@@ -1,6 +1,6 @@
 """The trust horizon against what happens: does the error cross the limit later than announced, and by how much?
 
-    python studies/horizon.py [--seeds 5] [--minutes 20] [--limit 5] [--data ../shared/data] [--processes 2]
+    python studies/horizon.py [--seeds 5] [--minutes 20] [--limit 5] [--data ../shared/data] [--processes 2] [--parts]
 
 Realistic simulated drives of each receiver of studies/vehicle.py, with and without a wheel speed, and the measured ones
 (mounting given to the nearest right angle; longmont also with its time offset). Fixes are withheld for 120 s from each
@@ -9,9 +9,14 @@ the first time. `later`: share of outages in which that is later than announced,
 anew (of a single drive: of its outages, blocks of 120 s). `announced / true`: the median; an outage in which the error
 does not cross counts as one that crosses at its end, so that the ratio is at most that. `best possible`: the same for
 an announcement that knows the distribution of the true times of its row, 5 % of which are earlier, and nothing else.
+`scaled`: the same for an announcement that is this one times a number, the largest with which 5 % of the row cross
+earlier: all that another width of the covariance could bring (announcements of 0 s are left out).
 `exact`: the ratio that the filter's own prediction would have if it were exact to the last digit: the time at which 5 %
 of the errors are larger than the limit over that at which half of them are (median). `narrower`: by how much all
 predicted sigmas could be divided with 95 % of the outages still crossing later; below 1 they are too small.
+
+--parts: two receivers, with and without a wheel speed, with one assumption of the filter after the other replaced by
+what the simulator does, or left out.
 
 The plain drives have an IMU, a road and a receiver exactly as the parameters say: there the prediction is exact but for
 what is learned.
@@ -33,6 +38,7 @@ from mems_ins_fusion.filter.runs.horizon import LONGEST, HorizonPredictor
 from mems_ins_fusion.filter.runs.replay import run
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Aiding
+from mems_ins_fusion.simulation.scene import REALISTIC
 from mems_ins_fusion.simulation.simulation import SensorErrors, simulate_drive, simulate_recording
 
 #: s, of an outage, which is as far as is looked ahead, and from one begin to the next
@@ -43,6 +49,18 @@ OFFSET = {'gnss.time_offset': -0.26}
 DRAWS = 2000
 #: by which sigmas are divided
 NARROWER = np.array([1.0, 0.5, 0.7, 1.3, 1.6, 2.0, 2.5, 3.0])
+#: as simulated in place of as assumed, or left out
+IMU = REALISTIC.imu
+PARTS = {
+    'as given': {},
+    'IMU as simulated': IMU,
+    'drift of the gyroscopes as simulated': {k: v for k, v in IMU.items() if k.startswith('gyroscope.gauss_markov')},
+    'white noise of the gyroscopes as simulated': {'gyroscope.noise_density': IMU['gyroscope.noise_density']},
+    'white noise not adapted': {'imu.adapt_noise': False},
+    'a third of the sideways velocity': {'vehicle.non_holonomic_sigma': 0.1},
+    'mounting not estimated': {'imu.mounting_sigma': 0.0},
+    'does not drive off': {'horizon.speed': 0.1},
+}
 #: exactly as the parameters say
 PLAIN = 'plain, '
 
@@ -94,7 +112,10 @@ def of_row(kind: str, name: str, seed: int, minutes: float, limit: float, data: 
                                        seed=seed).recording
         return name, outages_of(recording, values)
     if kind == 'simulated':
+        name, _, part = name.partition(': ')
+        values |= PARTS[part] if part else {}
         receiver, _, speed = name.partition(', ')
+        name = f'{name}: {part}' if part else name
         return name, outages_of(simulated(seed, minutes, FIXES[receiver]),
                                 values | ({'speed_topic': '/wheel/speed'} if speed else {}))
     folder, _, offset = name.partition(', ')
@@ -111,11 +132,14 @@ def line(name: str, drives: list[np.ndarray]) -> str:
     drawn = np.array(shares)[rng.integers(0, len(shares), (DRAWS, len(shares)))].sum(axis=1)
     low, high = np.percentile(100 * drawn[:, 0] / drawn[:, 1], [2.5, 97.5])
     best = np.quantile(seen, 0.05) / np.median(seen)
+    times = seen[announced > 0.0] / announced[announced > 0.0]
+    scaled = np.quantile(times, 0.05) / np.median(times) if len(times) else np.nan
     exact = np.median(announced / np.maximum(half, 0.1))
     kept = NARROWER[[np.mean(crossed >= times) >= 0.95 for times in narrower]]
     return (f'| {name} | {len(seen)} | {100 * np.mean(np.isfinite(crossed)):.0f} % | {np.median(announced):.1f} | '
             f'{np.median(seen):.1f} | {100 * later.mean():.1f} % ({low:.0f} to {high:.0f}) | '
-            f'{np.median(announced / seen):.2f} | {best:.2f} | {exact:.2f} | {max(kept, default=0.0):.2g} |')
+            f'{np.median(announced / seen):.2f} | {best:.2f} | {scaled:.2f} | {exact:.2f} | '
+            f'{max(kept, default=0.0):.2g} |')
 
 
 def main() -> None:
@@ -126,20 +150,24 @@ def main() -> None:
     parser.add_argument('--limit', type=float, default=5.0)
     parser.add_argument('--data', type=Path, default=Path('../shared/data'))
     parser.add_argument('--processes', type=int, default=2)
+    parser.add_argument('--parts', action='store_true')
     options = parser.parse_args()
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     work = [('simulated', name, seed) for name in (f'{PLAIN}1.5 m', f'{PLAIN}RTK', *FIXES,
                                                      '1.5 m, wheel speed', 'RTK, wheel speed') for seed in seeds]
-    if options.data.is_dir():
+    if options.parts:
+        work = [('simulated', f'{receiver}{speed}: {part}', seed) for speed in ('', ', wheel speed')
+                for receiver in ('1.5 m', 'RTK') for part in PARTS for seed in seeds]
+    elif options.data.is_dir():
         work += [('measured', name, 0) for name in (*MEASURED, 'longmont_rtk_drive, time offset given')]
     results: dict[str, list[np.ndarray]] = {}
     with ProcessPoolExecutor(options.processes) as pool:
         rest = options.minutes, options.limit, options.data
         for name, rows in pool.map(of_row, *zip(*((*w, *rest) for w in work))):
             results.setdefault(name, []).extend([rows] if len(rows) else [])
-    print('| drive | outages | crossed | announced, s | true, s | later | announced / true | best possible | exact '
-          '| narrower |')
-    print(f'|{"---|" * 10}')
+    print('| drive | outages | crossed | announced, s | true, s | later | announced / true | best possible | scaled '
+          '| exact | narrower |')
+    print(f'|{"---|" * 11}')
     for name, drives in results.items():
         if drives:
             print(line(name, drives))

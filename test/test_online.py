@@ -73,6 +73,20 @@ def test_chance_does_not_prove():
     assert proven < 10
 
 
+def test_in_a_block_the_outages_count_in_which_the_predictions_are_apart():
+    # given errors of 1 m that last for five measurements, and predictions that are 4 m apart in one of nine, as in a
+    # turn, and else 2 cm; the other one is right
+    wealth = []
+    for seed in range(6):
+        rng, bets, error = np.random.default_rng(seed), betting.Bets(0.0, 30), 0.0
+        for k in range(600):
+            error = 0.8 * error + 0.6 * rng.standard_normal()
+            bets.take((error + (0.02 if k % 9 else 4.0), 0.0), (error, 0.0))
+        wealth.append(bets.pro)
+    # then it is proven each time (a block of equal weights proves it in none)
+    assert min(wealth) > math.log(1.0 / FALSE_ALARMS)
+
+
 def test_a_small_advantage_is_not_worth_a_change():
     # given a thousand outages after which the fixes are 4 % of the way beyond the middle, and 30 %
     rng = np.random.default_rng(3)
@@ -96,9 +110,13 @@ def test_what_predicts_the_next_fix_better_and_half_a_minute_worse_is_not_proven
 
 
 def test_what_a_finding_loses_in_some_minutes_need_not_all_be_won_again():
-    # given five minutes with an outage each that is worse with a finding, and one with twenty that are better
+    # given five minutes with an outage each that is worse with a finding, and one with twenty that are better, all of
+    # which are bet on
     worse, better = ((0.2, 0.0), (1.0, 0.0)), ((1.0, 0.0), (0.2, 0.0))
     one = trial()
+    for (_, clear), bets in one.bets.items():
+        bets.__init__(clear)
+        bets.pro = -math.inf
     assert one.wealth == 1.0
     for pairs in (*[[worse]] * 5, [better] * 20):
         one.take({duration: pairs for duration in OUTAGES})
@@ -114,15 +132,71 @@ def test_what_a_finding_loses_in_some_minutes_need_not_all_be_won_again():
 
 
 def test_what_is_better_is_proven_and_what_is_worse_rejected():
-    # given a filter that is right and one that is off by 1 m, and fixes with a noise of 1 m on each axis
+    # given a filter that is right and one that is off by 1 m, and fixes with a noise of 1 m on each axis, nine times
+    counts = []
+    for seed in range(1, 10):
+        noise = np.random.default_rng(seed).standard_normal((300, 2))
+        off = noise + [1.0, 0.0]
+        better = taken(off, noise)
+        assert better.proven and better.state == FINE
+        counts.append(len(better.errors[5.0]))
+        # and the other way round it is rejected
+        worse = taken(noise, off)
+        assert worse.rejected and worse.state == SUSPECT and not worse.proven
+    # then as a rule the right one is proven by a hundred outages
+    assert np.median(counts) < 120
+
+
+def test_errors_that_last_for_outages_prove_nothing():
+    # given 40 trials of 20 minutes, in each outage of which the truth lies in the middle of both predictions, but for
+    # an error of twice their difference that lasts for twenty outages, as does the side on which the other one lies
+    def proven(seed: int, first: int) -> bool:
+        rng, bets, common, side = np.random.default_rng(seed), betting.Bets(0.0, first), 0.0, 0.0
+        for _ in range(900):
+            common = 0.95 * common + math.sqrt(1.0 - 0.95**2) * rng.standard_normal()
+            side = 0.95 * side + math.sqrt(1.0 - 0.95**2) * rng.standard_normal()
+            half = math.copysign(0.25, side)
+            bets.take((common + half, 0.0), (common - half, 0.0))
+            if bets.pro > math.log(1.0 / FALSE_ALARMS):
+                return True
+        return False
+    # then bets on each of them prove by chance that one is better (1 % of 40 may be), and bets on blocks do not
+    assert sum(proven(seed, 0) for seed in range(40)) >= 5
+    assert sum(proven(seed, 30) for seed in range(40)) == 0
+
+
+def test_a_trial_looks_for_half_a_minute_before_it_stakes():
+    # given outages with errors that last, all of them better with the finding
     rng = np.random.default_rng(1)
-    noise = rng.standard_normal((300, 2))
-    off = noise + [1.0, 0.0]
-    better = taken(off, noise)
-    assert better.proven and better.state == FINE and len(better.errors[5.0]) < 120
-    # and the other way round it is rejected
-    worse = taken(noise, off)
-    assert worse.rejected and worse.state == SUSPECT and not worse.proven
+    errors = np.cumsum(0.1 * rng.standard_normal(100))
+    one, seen = trial(), trial()
+    pairs = [((error + 0.5, 0.0), (error, 0.0)) for error in errors]
+    one.take({duration: pairs[:29] if duration == 1.0 else [] for duration in OUTAGES})
+    # then 29 s of them win nothing, and a hundred much less than one bet on each would
+    assert one.wealth == pytest.approx(1.0)
+    seen.take({duration: pairs if duration == 1.0 else [] for duration in OUTAGES})
+    assert max(bets.pro for bets in seen.bets.values()) < 10 * math.log(1.9)
+    # and where half a minute has been seen before, with errors that do not last, the first one wins
+    one, better = trial(), ((1.0, 0.0), (0.1, 0.0))
+    one.see({duration: [((side + 0.1, 0.0), (side, 0.0)) for side in (0.1, -0.1) * 15] for duration in OUTAGES})
+    assert one.wealth == 1.0
+    one.take({duration: [better] if duration == 1.0 else [] for duration in OUTAGES})
+    assert one.wealth > 1.05
+
+
+def test_what_lasts_is_bet_on_in_blocks():
+    # given 200 measurements with errors of 1 m that last, and predictions that are 0.4 m apart
+    def bets_made(correlation: float, first: int = 30) -> int:
+        rng, bets, error, wealth = np.random.default_rng(1), betting.Bets(0.0, first), 0.0, set()
+        for _ in range(200):
+            error = correlation * error + math.sqrt(1.0 - correlation**2) * rng.standard_normal()
+            bets.take((error + 0.2, 0.0), (error - 0.2, 0.0))
+            wealth.add(bets.pro)
+        return len(wealth) - 1
+    # then as a rule each is bet on where they do not last, and one block of dozens where they last for ten
+    assert bets_made(0.0) > 150 and 10 < bets_made(0.5) < 50 and 2 < bets_made(0.9) < 20
+    # and each is where nobody asks for how long they last
+    assert bets_made(0.9, 0) == 199
 
 
 def test_centimetres_decide_and_millimetres_do_not():
@@ -461,7 +535,7 @@ def test_filters_on_trial_begin_with_what_shows_the_finding(drive, monkeypatch):
     work = Online(table.check({}), blind, blind)
     for chunk in several[:5]:
         work.take(chunk)
-    work.trials = {str(value): Trial(replace(finding(value), since=since), finding(value).changes, 1e3)
+    work.trials = {str(value): Trial(replace(finding(value), since=since), finding(value).changes, 1e3, taken=1)
                    for value, since in ((0.1, 0), (0.2, int(several[4].imu.stamp[0])))}
     work.take(several[5])
     # then the filters of the second, with it and without it, have seen nothing from before that

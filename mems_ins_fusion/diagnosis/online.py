@@ -161,7 +161,7 @@ class Online:
         if gone:
             self._begin_anew_since(gone)
         elif before is not None:
-            self._try(chunk)
+            self._try(chunk, before)
         shown = self._look(self._window, {**self._values, **self.sets})
         for finding in shown:
             self._put_on_trial(finding, latest=True, again=False)
@@ -260,24 +260,21 @@ class Online:
         self.begun += 1
         return (np.pi * self.begun) ** 2 / (6.0 * FALSE_ALARMS)
 
-    def _try(self, chunk: Recording) -> None:
-        """The outages of `chunk` through the present filter, and through that of each trial."""
+    def _try(self, chunk: Recording, before: Recording) -> None:
+        """The outages of `chunk` through the present filter, and through that of each trial. before: the window without
+        it."""
         running = [trial for trial in self.trials.values() if not trial.rejected]
         if not (running or self.applied) or not len(chunk.gnss):
             return
-        part, from_ = cut(self._window, SETTLING + seconds(chunk)), {}
-        values = {**self._values, **self.sets}
+        values, known = {**self._values, **self.sets}, {}
         compared = [(trial, values, {**values, **trial.sets}) for trial in running]
         compared += [(trial, {**self._values, **self._sets(without=name)}, values)
                      for name, trial in self.applied.items()]
         for trial, *both in compared:
-            effect = effect_called(trial.finding.name)
-            # samples from before a change would lead the filter astray that is right after it
-            since = max(trial.finding.since, int(part.imu.stamp[0]))
-            predictions = from_.setdefault(since, Predictions(behind(part, since), chunk))
-            told = pairs(*(predictions.of(effect.held(one)) for one in both))
-            lasting = effect.lasting(both[-1])
-            trial.take({d: outages if d >= lasting else [] for d, outages in told.items()}, self._now)
+            latest = cut(before, CHUNK)
+            if not trial.taken and len(latest.gnss):  # for how long errors last, before anything is staked
+                trial.see(_outages(trial, both, before, latest, {}))
+            trial.take(_outages(trial, both, self._window, chunk, known), self._now)
         if self._applies:
             self._decide()
 
@@ -363,6 +360,18 @@ class Online:
             left = (self._analysis.due - self._taken) * CHUNK
             text = f'a first analysis goes on, told in {left:.0f} s; the latest minutes are looked at meanwhile'
         return [Quantity(now, ALL, INITIALISING, {}, text=text)]
+
+
+def _outages(trial: Trial, both: list[dict], window: Recording, chunk: Recording, known: dict):
+    """By duration, how far the fixes are from the filters with `both` parameters in the outages of `chunk`, at the end
+    of `window`. known: predictions of this chunk, by the first sample of the filters."""
+    part, effect = cut(window, SETTLING + seconds(chunk)), effect_called(trial.finding.name)
+    # samples from before a change would lead the filter astray that is right after it
+    since = max(trial.finding.since, int(part.imu.stamp[0]))
+    predictions = known.setdefault(since, Predictions(behind(part, since), chunk))
+    lasting = effect.lasting(both[-1])
+    return {d: outages if d >= lasting else []
+            for d, outages in pairs(*(predictions.of(effect.held(one)) for one in both)).items()}
 
 
 def _known(kept: Kept, parameters: dict) -> Finding:

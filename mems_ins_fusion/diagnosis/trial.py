@@ -21,6 +21,8 @@ DOUBTED = 20.0
 #: of the bets on one duration: those on each outage add up what is seen of small differences (fixes of metres), those
 #: on clear ones alone lose nothing on a straight road
 STAKED = (0.0, CLEAR)
+#: s without fixes, of each duration, before the first stake: errors that last for seconds have shown that by then
+UNSTAKED = 30.0
 #: of a parameter in a line to copy
 DIGITS = 5
 
@@ -49,7 +51,7 @@ class Trial:
     advice: Advice | None = None
     errors: dict[float, list[tuple[float, float]]] = field(default_factory=lambda: {d: [] for d in OUTAGES})
     bets: dict[tuple[float, float], Bets] = field(default_factory=lambda: {
-        (d, clear): _without_wealth(Bets(clear)) for d in OUTAGES for clear in STAKED})
+        (d, clear): _without_wealth(Bets(clear, math.ceil(UNSTAKED / d))) for d in OUTAGES for clear in STAKED})
     taken: int = 0
 
     @property
@@ -96,6 +98,12 @@ class Trial:
                 self.proven = self.proven or (self.wealth >= self.needed and not self.doubted)
         if self.kept and self.proven and not before:
             self.kept = replace(self.kept, found=now)
+
+    def see(self, errors: dict[float, list[tuple[Place, Place]]]) -> None:
+        """Outages on which nothing is staked, before the first ones that count: how long errors last."""
+        for (duration, _), bets in self.bets.items():
+            for without, with_it in errors[duration]:
+                bets.see(without, with_it)
 
     def apply(self, now: int) -> None:
         """Be part of the parameters that drive. What was seen before says nothing against that any more. now: ns."""

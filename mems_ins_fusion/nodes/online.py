@@ -27,6 +27,8 @@ from .status import array, quantity_status
 
 #: s, that the process has to end in
 _PATIENCE = 5.0
+#: why the diagnosis is behind, for messages
+_BUSY = 'the computer is busy, or diagnosis.share is too small'
 
 
 class OnlineDiagnosis:
@@ -65,15 +67,14 @@ class OnlineDiagnosis:
             return self._due.asked()
         findings = self._due.at_end_of_chunk()
         if self._due.late:
-            self._log.say('info', f'diagnosis.online: {count_of(self._due.late, "minute")} behind the drive, as '
-                                  'diagnosis.share limits its part of a core: findings come that much later')
+            self._log.say('info', f'diagnosis.online: {count_of(self._due.late, "minute")} behind the drive: {_BUSY}. What it finds is told and '
+                                  'applied that much later')
         try:
             self._chunks.put_nowait((chunk, self._dropped))
             self._dropped = []
             self._due.handed()
         except Full:
-            self._log.say('warning', 'diagnosis.online: samples left out, the process is too far behind '
-                                     '(diagnosis.share)')
+            self._log.say('warning', f'diagnosis.online: too far behind: {_BUSY}. A minute of samples is left out')
         return findings
 
     def add_fix(self, fix: tuple) -> None:
@@ -106,8 +107,9 @@ class OnlineDiagnosis:
 
     def _on_word(self, word: str, request, response):
         response.success = self.ask(word)
-        response.message = (f'calibration: {word}: passed on' if response.success else
-                            'the diagnosis is too far behind (diagnosis.share)')
+        response.message = f'calibration: {word}: ' + (
+            'passed on; ~/calibration tells what has come of it' if response.success else
+            f'not done, the diagnosis is too far behind: {_BUSY}')
         return response
 
     def _on_report(self, request, response):
