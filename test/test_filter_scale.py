@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from mems_ins_fusion.filter.trust import scale as judged
 from mems_ins_fusion.filter.trust.scale import Scale, learn, reopen, scale
@@ -22,11 +22,47 @@ def learned(realised, count=400, dimensions=2, rest=0.0, interval=1.0, outliers=
     return at
 
 
+@pytest.mark.parametrize('rest', [0.0, 3.0])
+@pytest.mark.parametrize('squared', [0.01, 2.0, 50.0])
 @pytest.mark.parametrize('dimensions', [1, 2])
-def test_the_moments_of_the_logarithm_are_those_of_a_chi_square_variable(dimensions):
-    logarithm = [chi2(dimensions).expect(lambda x, k=k: np.log(x / dimensions)**k) for k in (1, 2)]
-    assert judged.LOG_MEAN[dimensions - 1] == pytest.approx(logarithm[0], abs=1e-3)
-    assert judged.LOG_VARIANCE[dimensions - 1] == pytest.approx(logarithm[1] - logarithm[0]**2, abs=1e-3)
+def test_the_posterior_is_that_of_bayes_rule(dimensions, squared, rest):
+    # given the prior of a scale, and one deviation
+    at = np.zeros(Scale.SIZE)
+    learn(at, 0, 0.0, squared, 2.0, rest, dimensions)
+    # then mean and variance are those that the densities of SciPy give
+    level = np.linspace(-20.0, 20.0, 40001)
+    expected = 2.0 * np.exp(level) + rest
+    likelihood = chi2(dimensions).pdf(dimensions * squared / expected) * dimensions * squared / expected
+    density = norm(0.0, math.sqrt(judged.PRIOR)).pdf(level) * (likelihood + judged.OUTLIERS)
+    density /= density.sum()
+    mean = np.sum(density * level)
+    assert at[Scale.LOG] == pytest.approx(mean, abs=0.02)
+    assert judged.PRIOR - at[Scale.KNOWN] == pytest.approx(np.sum(density * (level - mean) ** 2), rel=0.02)
+
+
+@pytest.mark.parametrize('realised', [36.0, 400.0])
+def test_another_scale_is_found_after_a_few_deviations_up_and_down(realised):
+    # given a scale that has been 1 for a minute, then is another one for as long, and 1 again
+    found = []
+    for seed in range(20):
+        rng, at = np.random.default_rng(seed), np.zeros(Scale.SIZE)
+        levels = []
+        for k, variance in enumerate(np.repeat([1.0, realised, 1.0], 60)):
+            learn(at, 0, k + 1.0, float(np.mean(variance * rng.standard_normal(2) ** 2)), 1.0, 0.0, 2)
+            levels.append(at[Scale.LOG])
+        found.append(levels)
+    # then eight deviations later it is known to a factor of two, mostly
+    middle = np.median(found, axis=0)
+    assert abs(middle[67] - math.log(realised)) < 0.7 and abs(middle[127]) < 0.7
+    # and a minute of them tells it to a fifth
+    assert np.std([levels[119] for levels in found]) < 0.2
+
+
+def test_one_deviation_far_off_is_no_other_scale():
+    at = learned(1.0, 60)
+    before = at[Scale.LOG]
+    learn(at, 0, 61.0, 400.0, 1.0, 0.0, 2)
+    assert at[Scale.LOG] == pytest.approx(before, abs=0.02)
 
 
 @pytest.mark.parametrize('realised', [75.0**2, 9.0, 1.0, 1 / 9, 1 / 100])
@@ -60,7 +96,7 @@ def test_the_claim_stands_until_the_contrary_is_seen():
 def test_deviations_that_are_mostly_something_else_teach_little():
     # given errors of variance 1 behind a way that is uncertain by ten times that, and is so
     unseen, seen = (learned(9.0, 30, rest=rest) for rest in (1000.0, 0.0))
-    assert unseen[Scale.KNOWN] < 0.1 < 4.0 < seen[Scale.KNOWN]
+    assert unseen[Scale.KNOWN] < 1.5 < 4.0 < seen[Scale.KNOWN]
     assert scale(unseen, 0) == pytest.approx(1.0, abs=0.3)
 
 
@@ -69,11 +105,14 @@ def test_wild_deviations_count_little():
 
 
 def test_what_was_seen_long_ago_is_forgotten():
-    at = learned(9.0, 100)
-    before = at[Scale.LOG]
-    learn(at, 0, 4000.0, 9.0 * math.exp(1.0), 1.0, 0.0, 2)
-    assert at[Scale.KNOWN] == pytest.approx(judged.PRIOR**2 / (judged.PRIOR + judged.LOG_VARIANCE[1]))
-    assert at[Scale.LOG] > before
+    # given a scale of 9, and one deviation that stands for 900, at once and an hour later
+    found = []
+    for later in (1.0, 3600.0):
+        at = learned(9.0, 100)
+        learn(at, 0, 100.0 + later, 900.0, 1.0, 0.0, 2)
+        found.append(at[Scale.LOG])
+    # then it is one far off, and another scale
+    assert found[0] < math.log(12.0) < math.log(50.0) < found[1]
 
 
 @pytest.mark.parametrize(('factor', 'expected'), [(0.01, 100.0), (100.0, 1.0)])

@@ -67,8 +67,8 @@ class OnlineDiagnosis:
             return self._due.asked()
         findings = self._due.at_end_of_chunk()
         if self._due.late:
-            self._log.say('info', f'diagnosis.online: {count_of(self._due.late, "minute")} behind the drive: {_BUSY}. What it finds is told and '
-                                  'applied that much later')
+            self._log.say('info', f'diagnosis.online: {count_of(self._due.late, "minute")} behind the drive: {_BUSY}. '
+                                  'What it finds is told and applied that much later')
         try:
             self._chunks.put_nowait((chunk, self._dropped))
             self._dropped = []
