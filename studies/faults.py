@@ -223,6 +223,14 @@ def _outliers(fixes, inside, rng):
                    longitude=fixes.longitude + hit * size * np.sin(angle) * METRE / np.cos(fixes.latitude))
 
 
+def _scattered(sigma):
+    def change(fixes, inside, rng):
+        north, east = sigma * inside * rng.standard_normal((2, len(fixes)))
+        return replace(fixes, latitude=fixes.latitude + north * METRE,
+                       longitude=fixes.longitude + east * METRE / np.cos(fixes.latitude))
+    return change
+
+
 def _claims(factor):
     def change(fixes, inside, rng):
         return replace(fixes, covariance=np.where(inside[:, None, None], factor, 1.0) * fixes.covariance)
@@ -296,6 +304,7 @@ FAULTS = (
     of_fixes('fixes go straight on for 15 s', 15.0, _straight_on),
     of_fixes('fixes frozen for 20 s', 20.0, _frozen),
     of_fixes('15 % of the fixes 10 to 60 m off', 90.0, _outliers),
+    of_fixes('fixes scatter by 15 m for 60 s', 60.0, _scattered(15.0)),
     of_fixes('claimed sigma a tenth of the true one', 90.0, _claims(0.01)),
     of_fixes('claimed covariance a millionth for 20 s', 20.0, _claims(1e-6)),
     of_fixes('claimed covariance a million times for 20 s', 20.0, _claims(1e6)),
