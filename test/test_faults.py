@@ -27,6 +27,8 @@ UNSAID = {'nothing', 'claimed sigma a tenth of the true one', 'altitude 1000 m o
           'heading 90 deg wrong for 20 s', 'wheel speed in km/h for 20 s', 'wheels that slip by 3 m/s for 5 s'}
 #: what nothing but the motion itself shows: it is followed for a while, and forgotten (docs/faults.md)
 FOLLOWED = {'fixes drift away by 3 m/s for 20 s', 'fixes 6 m off for 20 s'}
+#: least share in the ellipse of what takes some fixes to be told from outliers, of which each is ten sigma off
+HELD = {'fixes scatter by 15 m for 60 s': 0.85}
 #: what only the constraint shows, and as soon as it does: it may cost so many times what coasting through it does
 SHOWN_BY_MOTION = {'gyroscope z 5 deg/s off for 10 s': 2.0}
 
@@ -52,6 +54,6 @@ def test_a_fault_is_contained_said_and_forgotten(fault):
         assert during(faulty) < max(allowed * during(coasting), 3.0 * max(during(clean), 2.0))
     # and the covariance holds it
     if fault.name not in FOLLOWED:
-        assert faulty.inside[(faulty.time >= 0) & (faulty.time <= fault.duration + 60.0)].mean() > 0.9
+        assert faulty.inside[(faulty.time >= 0) & (faulty.time <= fault.duration + 60.0)].mean() > HELD.get(fault.name, 0.9)
     # and it is said
     assert bool(faulty.said) or fault.name in UNSAID

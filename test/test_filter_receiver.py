@@ -24,9 +24,9 @@ from mems_ins_fusion.filter.start.initial import sensor_errors_of
 from mems_ins_fusion.filter.trust.force_noise import force_noise
 from mems_ins_fusion.filter.trust.hypotheses import Hypothesis
 from mems_ins_fusion.filter.trust.new_start import start_anew
-from mems_ins_fusion.filter.trust.receiver import FOLLOWED, LASTING_TIME, realised_factor, shown_share
+from mems_ins_fusion.filter.trust.receiver import FOLLOWED, LASTING_TIME, realised_factor, realised_scatter, shown_share
 from mems_ins_fusion.filter.trust.receiver import Receiver as OfReceiver
-from mems_ins_fusion.filter.trust.scale import KINDS, PRIOR, Kinds, Scale, Seen, scale
+from mems_ins_fusion.filter.trust.scale import KINDS, PRIOR, Inputs, Kinds, Scale, Seen, scale
 from mems_ins_fusion.navigation.earth import gravity, radii
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.simulation.simulation import GnssNoise, SensorErrors, simulate_drive, simulate_recording
@@ -261,9 +261,10 @@ def test_refused_fixes_that_do_not_agree_do_not_win():
     assert (verdicts(records)[40:][far] == Verdict.REFUSED).all()
 
 
-@pytest.mark.parametrize('apart', [1, 5])
+# at 0.2 Hz the way in between hides a scatter of 75 times the claim; the start finds it (test_alignment.py)
+@pytest.mark.parametrize(('factor', 'apart'), [(factor, apart) for factor in (1.0, 3.0, 8.0, 75.0, 0.3, 0.1)
+                                               for apart in (1, 5) if factor < 75.0 or apart == 1])
 @BOTH
-@pytest.mark.parametrize('factor', [1.0, 3.0, 8.0, 75.0, 0.3, 0.1])
 def test_the_realised_sigma_of_the_receiver_is_learned(mechanization, factor, apart):
     # given a receiver that states a sigma of 1 m and scatters by `factor` as much, with a fix each second or each five
     receiver = Receiver(200.0 * apart, scatter=SIGMA)
@@ -519,7 +520,7 @@ def test_accelerometers_that_are_wrong_are_no_scatter_of_the_receiver():
     # given a receiver to five centimetres, as it claims, and accelerometers that err by more between two fixes
     _, memory, _, _ = shaken(Receiver(120.0, 0.05)).through(0.05, 'strapdown')
     # then three fixes on a line say so; by what the accelerometers see it would be tens of times
-    assert scale(memory, state_at(memory, int(memory[Head.SAMPLES])) + OfReceiver.SCALE) < 4.0
+    assert realised_scatter(memory, state_at(memory, int(memory[Head.SAMPLES]))) < 4.0
 
 
 def test_errors_that_last_are_not_larger_than_a_claim_may_be_wrong():
@@ -548,7 +549,7 @@ def test_before_anything_has_shown_a_claim_is_believed_half_way_to_the_scatter(l
     memory[r + OfReceiver.SCALE + Scale.LOG], memory[r + OfReceiver.SCALE + Scale.KNOWN] = level, PRIOR
     assert realised_factor(memory, r) == pytest.approx(math.exp(0.5 * level))
     # and once innovations have shown how much of it lasts: that
-    memory[r + OfReceiver.SLOW_SCALE + Scale.LOG], memory[r + OfReceiver.SLOW_SCALE + Scale.KNOWN] = -0.2, 1.0
+    memory[r + OfReceiver.SLOW_SCALE + Scale.LOG], memory[r + OfReceiver.SLOW_SCALE + Scale.KNOWN] = -0.2, PRIOR
     assert realised_factor(memory, r) == pytest.approx(math.exp(-0.2))
 
 
@@ -565,6 +566,7 @@ def test_a_way_ends_at_a_refused_fix_only_where_three_before_it_were_refused(ref
     # given a filter that has refused so many fixes in a row, and a wheel speed whose way has not begun
     _, memory, _, _ = Receiver(20.0).through(**{'gnss.adapt_sigma': False})
     way, now = Kinds.SEEN + Seen.SIZE * (Kind.SPEED % KINDS), newest(memory)[Nav.TIME]
+    memory[Inputs.UNNAMED] = 1.0
     views(memory)[2][:, [Nav.REFUSED, way + Seen.WAY_TIME, way + Seen.START]] = refused, now - 0.1, 0.0
     # when it refuses one more, which is some hundred metres off
     take_event(memory, fix_record(now - 0.01, LATITUDE + 1e-4))

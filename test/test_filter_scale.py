@@ -8,18 +8,25 @@ import pytest
 from scipy.stats import chi2, norm
 
 from mems_ins_fusion.filter.trust import scale as judged
-from mems_ins_fusion.filter.trust.scale import Scale, learn, reopen, scale
+from mems_ins_fusion.filter.trust.scale import Scale, learn, learn_changes, reopen, scale
 
 
-def learned(realised, count=400, dimensions=2, rest=0.0, interval=1.0, outliers=0.0, seed=1, part=1.0):
-    """A scale after `count` deviations of variance realised * part + rest, and the generator."""
+def learned(realised, count=400, dimensions=2, rest=0.0, interval=1.0, outliers=0.0, seed=1, by=learn):
+    """A scale after `count` deviations of variance realised + rest."""
     rng, at = np.random.default_rng(seed), np.zeros(Scale.SIZE)
     for k in range(count):
-        deviation = math.sqrt(realised * part + rest) * rng.standard_normal(dimensions)
+        deviation = math.sqrt(realised + rest) * rng.standard_normal(dimensions)
         if rng.random() < outliers:
             deviation += 1000.0
-        learn(at, 0, k * interval, float(np.mean(deviation**2)), part, rest, dimensions)
+        by(at, 0, k * interval, float(np.mean(deviation**2)), 1.0, rest, dimensions)
     return at
+
+
+@pytest.mark.parametrize('dimensions', [1, 2])
+def test_the_moments_of_the_logarithm_are_those_of_a_chi_square_variable(dimensions):
+    logarithm = [chi2(dimensions).expect(lambda x, k=k: np.log(x / dimensions)**k) for k in (1, 2)]
+    assert judged.LOG_MEAN[dimensions - 1] == pytest.approx(logarithm[0], abs=1e-3)
+    assert judged.LOG_VARIANCE[dimensions - 1] == pytest.approx(logarithm[1] - logarithm[0]**2, abs=1e-3)
 
 
 @pytest.mark.parametrize('rest', [0.0, 3.0])
@@ -28,7 +35,7 @@ def learned(realised, count=400, dimensions=2, rest=0.0, interval=1.0, outliers=
 def test_the_posterior_is_that_of_bayes_rule(dimensions, squared, rest):
     # given the prior of a scale, and one deviation
     at = np.zeros(Scale.SIZE)
-    learn(at, 0, 0.0, squared, 2.0, rest, dimensions)
+    learn_changes(at, 0, 0.0, squared, 2.0, rest, dimensions)
     # then mean and variance are those that the densities of SciPy give
     level = np.linspace(-20.0, 20.0, 40001)
     expected = 2.0 * np.exp(level) + rest
@@ -48,7 +55,7 @@ def test_another_scale_is_found_after_a_few_deviations_up_and_down(realised):
         rng, at = np.random.default_rng(seed), np.zeros(Scale.SIZE)
         levels = []
         for k, variance in enumerate(np.repeat([1.0, realised, 1.0], 60)):
-            learn(at, 0, k + 1.0, float(np.mean(variance * rng.standard_normal(2) ** 2)), 1.0, 0.0, 2)
+            learn_changes(at, 0, k + 1.0, float(np.mean(variance * rng.standard_normal(2) ** 2)), 1.0, 0.0, 2)
             levels.append(at[Scale.LOG])
         found.append(levels)
     # then eight deviations later it is known to a factor of two, mostly
@@ -59,30 +66,32 @@ def test_another_scale_is_found_after_a_few_deviations_up_and_down(realised):
 
 
 def test_one_deviation_far_off_is_no_other_scale():
-    at = learned(1.0, 60)
+    at = learned(1.0, 60, by=learn_changes)
     before = at[Scale.LOG]
-    learn(at, 0, 61.0, 400.0, 1.0, 0.0, 2)
+    learn_changes(at, 0, 61.0, 400.0, 1.0, 0.0, 2)
     assert at[Scale.LOG] == pytest.approx(before, abs=0.02)
 
 
 @pytest.mark.parametrize('realised', [75.0**2, 9.0, 1.0, 1 / 9, 1 / 100])
 @pytest.mark.parametrize('dimensions', [1, 2])
 @pytest.mark.parametrize('interval', [0.1, 1.0, 10.0])
-def test_it_finds_the_realised_variance_upwards_and_downwards_at_any_rate(realised, dimensions, interval):
-    found = [scale(learned(realised, 200, dimensions, interval=interval, seed=seed), 0) for seed in range(5)]
+@pytest.mark.parametrize('by', [learn, learn_changes])
+def test_it_finds_the_realised_variance_upwards_and_downwards_at_any_rate(realised, dimensions, interval, by):
+    found = [scale(learned(realised, 200, dimensions, interval=interval, seed=seed, by=by), 0) for seed in range(5)]
     assert 0.6 < np.exp(np.mean(np.log(found))) / realised < 2.5  # what is less than claimed counts when it is certain
 
 
 @pytest.mark.parametrize('realised', [75.0**2, 1 / 100])
-def test_ten_deviations_are_enough_to_be_near(realised):
-    found = [scale(learned(realised, 10, seed=seed), 0) for seed in range(20)]
+@pytest.mark.parametrize('by', [learn, learn_changes])
+def test_ten_deviations_are_enough_to_be_near(realised, by):
+    found = [scale(learned(realised, 10, seed=seed, by=by), 0) for seed in range(20)]
     assert 1 / 3 < np.median(found) / realised < 3.0
 
 
 @pytest.mark.parametrize(('deviation', 'fits'), [(0.1, True), (30.0, True), (1e4, False)])
 def test_a_deviation_that_the_estimate_does_not_allow_for_is_told(deviation, fits):
     # given the prior, a factor of exp(sqrt(4.8)) = 9, and a deviation of two numbers: two sigma are a factor of 160
-    assert learn(np.zeros(Scale.SIZE), 0, 0.0, deviation, 1.0, 0.0, 2) == fits
+    assert learn_changes(np.zeros(Scale.SIZE), 0, 0.0, deviation, 1.0, 0.0, 2) == fits
 
 
 def test_the_claim_stands_until_the_contrary_is_seen():
@@ -96,20 +105,29 @@ def test_the_claim_stands_until_the_contrary_is_seen():
 def test_deviations_that_are_mostly_something_else_teach_little():
     # given errors of variance 1 behind a way that is uncertain by ten times that, and is so
     unseen, seen = (learned(9.0, 30, rest=rest) for rest in (1000.0, 0.0))
-    assert unseen[Scale.KNOWN] < 1.5 < 4.0 < seen[Scale.KNOWN]
+    assert unseen[Scale.KNOWN] < 0.1 < 4.0 < seen[Scale.KNOWN]
     assert scale(unseen, 0) == pytest.approx(1.0, abs=0.3)
 
 
-def test_wild_deviations_count_little():
-    assert scale(learned(1.0, outliers=0.15), 0) < 3.0 < 1e5 * 0.15
+@pytest.mark.parametrize(('by', 'most'), [(learn, 3.0), (learn_changes, 1.2)])
+def test_wild_deviations_count_little(by, most):
+    assert scale(learned(1.0, outliers=0.15, by=by), 0) < most < 1e5 * 0.15
+
+
+def test_what_was_seen_long_ago_is_less_certain():
+    at = learned(9.0, 100)
+    before = at[Scale.LOG]
+    learn(at, 0, 4000.0, 9.0 * math.exp(1.0), 1.0, 0.0, 2)
+    assert at[Scale.KNOWN] == pytest.approx(judged.PRIOR**2 / (judged.PRIOR + judged.LOG_VARIANCE[1]))
+    assert at[Scale.LOG] > before
 
 
 def test_what_was_seen_long_ago_is_forgotten():
     # given a scale of 9, and one deviation that stands for 900, at once and an hour later
     found = []
     for later in (1.0, 3600.0):
-        at = learned(9.0, 100)
-        learn(at, 0, 100.0 + later, 900.0, 1.0, 0.0, 2)
+        at = learned(9.0, 100, by=learn_changes)
+        learn_changes(at, 0, 100.0 + later, 900.0, 1.0, 0.0, 2)
         found.append(at[Scale.LOG])
     # then it is one far off, and another scale
     assert found[0] < math.log(12.0) < math.log(50.0) < found[1]

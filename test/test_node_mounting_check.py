@@ -132,7 +132,8 @@ def test_the_node_says_it_in_its_log_and_on_diagnostics(recording):
         told = 'nothing is published with a mounting that is certainly wrong'
         assert any(told in line for line in node.lines) or node.wait_for(told)
         # and that is the reason that it gives, where fixes and samples come
-        assert told in heard[-1].status[0].message and 'waiting for' not in heard[-1].status[0].message
+        peer.spin_until(lambda: told in heard[-1].status[0].message)
+        assert 'waiting for' not in heard[-1].status[0].message
         begun = next(i for i, line in enumerate(node.lines) if told in line)
         assert not any('waiting for' in line for line in node.lines[begun:])
     peer.node.destroy_subscription(subscription)

@@ -79,7 +79,8 @@ def test_with_the_offset_told_innovations_of_the_speed_are_those_of_one_in_time(
     made = drive_with_wheels(0.35)
     spread = {}
     for told in (0.0, 0.35):
-        values = table.check({'speed_topic': '/speed', 'imu.mounting_rpy': list(MOUNTING), 'speed.time_offset': told})
+        values = table.check({'speed_topic': '/speed', 'imu.mounting_rpy': list(MOUNTING), 'speed.time_offset': told,
+                              'speed.time_offset_sigma': 0.0})
         found = run(FilterConfig.from_parameters(values), made.imu, made.gnss, Measured(speed=made.speed)).measured
         spread[told] = np.sqrt(np.mean(found.record[found.kind == Kind.SPEED, Event.Z_N] ** 2))
     # then: its noise is 0.05 m/s, and what is left of its scale of 1 % before it is found

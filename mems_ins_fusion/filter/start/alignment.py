@@ -12,7 +12,7 @@ from ..config import FilterConfig
 from ..memory import Event, Kind
 from ..prediction import UNKNOWN_YAW_SIGMA
 from ..trust.receiver import SHORTEST_PAIR
-from ..trust.scale import OVERLAP, Scale, learn, scale
+from ..trust.scale import OVERLAP, Scale, learn_changes, scale
 from .at_rest import SHORTEST_STILL, STILL_BLOCK, is_quiet, latest_standstill, note_standstill, tumbling_rate
 from .course import (
     FASTEST_REVERSE,
@@ -232,9 +232,9 @@ class Alignment:
         first_sample, last_sample = np.searchsorted(self._samples[:, 0], [t_1, t_3])
         changed = 0.0 if is_quiet(self._samples[first_sample:last_sample], self.config) else (
             0.5 * ahead * (math.hypot(*motion.gained) + motion.bias_f * (t_3 - t_1)))
-        self._consistent += learn(self._scale, 0, t_3, 0.5 * float(np.sum((to + ratio * back) ** 2)),
-                                  third[3] + (1.0 + ratio) ** 2 * second[3] + ratio**2 * first[3], 0.5 * changed**2, 2,
-                                  OVERLAP)
+        self._consistent += learn_changes(
+            self._scale, 0, t_3, 0.5 * float(np.sum((to + ratio * back) ** 2)),
+            third[3] + (1.0 + ratio) ** 2 * second[3] + ratio**2 * first[3], 0.5 * changed**2, 2, OVERLAP)
 
     def _standstill(self, positions) -> Standstill | None:
         return latest_standstill(self._samples, positions, self.config)

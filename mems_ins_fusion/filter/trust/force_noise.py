@@ -41,16 +41,16 @@ def force_noise(mem, r):
 
 
 @njit(_nrt=False)
-def learn_force_noise(mem, r, time, squared, white, p, tau, lasting):
+def learn_force_noise(mem, r, time, squared, white, p, tau, lasting, weight):
     """Learn from the innovations behind a low pass, with a fix at `time`, s.
 
     squared: their mean square, m^2. white: what it would be of white ones, m^2. p: variance of the position before the
     fix, m^2. tau: s, within which the filter follows fixes. lasting: variance of the receiver's errors that last, m^2,
-    as far as it claims them.
+    as far as it claims them. weight: of this fix, as several tell the same.
     """
     if mem[DriftSettings.LEARNED] == 0.0 or mem[r + Nav.BRIDGED] > 0.0 or mem[r + Nav.UNSETTLED] > 0.0 or p <= 0.0:
         return  # also where the IMU is not used, or known to be wrong
     part = ASSUMED * tau**3 / 3.0
     known = min(math.exp(mem[r + ForceNoise.SCALE + Scale.LOG]) * part, MOST_OF_P * p)  # of it is in S already
     rest = max(white - known, LEAST_WHITE * white) + lasting
-    learn(mem, r + ForceNoise.SCALE, time, squared, part, rest, 2, 1.0, 0.0)
+    learn(mem, r + ForceNoise.SCALE, time, squared, part, rest, 2, weight)

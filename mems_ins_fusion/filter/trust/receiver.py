@@ -11,7 +11,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..memory import NAV, ROW, Event, Head, Nav, Verdict
 from .force_noise import ForceNoise, force_noise, learn_force_noise
-from .scale import OVERLAP, PRIOR, Scale, begin_scale, reopen, scale
+from .scale import OVERLAP, PRIOR, Scale, begin_scale, learn_changes, reopen, scale
 from .scale import learn as learn_scale
 
 #: of a state
@@ -57,8 +57,6 @@ SLOW = 10.0
 #: s over which they are averaged to see errors that last: such errors, followed by the filter, are in its innovations
 #: most where these change about as fast as it follows, within seconds (docs/filter.md)
 FOLLOWED = 4.0
-#: time constants after which what a low pass shows is independent of what it has shown: to a seventh
-INDEPENDENT = 2.0
 #: s: fixes that are followed more slowly than that are followed by other measurements, too
 SLOWEST = 30.0
 #: normalized innovation as which a larger one counts: one fix far off is not a filter that is too sure
@@ -144,8 +142,8 @@ def realised_factor(mem, r):
     if mem[Head.ADAPT] == 0.0:
         return 1.0
     realised, slow = realised_scatter(mem, r), r + Receiver.SLOW_SCALE
-    mean = scale(mem, slow) if mem[slow + Scale.KNOWN] != 0.0 else math.sqrt(realised)
-    return realised if realised > 1.0 else max(realised, min(mean, 1.0))
+    level = mem[slow + Scale.LOG] if mem[slow + Scale.KNOWN] > 0.0 else 0.5 * math.log(realised)
+    return realised if realised > 1.0 else max(realised, math.exp(min(level, 0.0)))
 
 
 @njit(_nrt=False)
@@ -231,22 +229,21 @@ def _judge_innovation(mem, r, at, interval, claimed, lasting):
     time, variance = mem[at + Event.TIME], 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
     factor, claim = realised_factor(mem, r), 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
     p = max(variance - factor * claim, 0.0)
-    drives = time - mem[r + Nav.STOOD] > SLOW  # a receiver that stands repeats its errors
-    if drives and time - mem[r + Receiver.INNOVATION_SCALE + Scale.TIME] > INDEPENDENT * SLOW:
-        squared = 0.5 * (mem[slow] ** 2 + mem[slow + 1] ** 2) / mem[slow + 2]
-        if mem[r + Receiver.SLOW_SCALE + Scale.KNOWN] == 0.0:
-            mem[r + Receiver.SLOW_SCALE + Scale.LOG] = math.log(factor)
-        learn_scale(mem, r + Receiver.SLOW_SCALE, time, squared * variance, claim, p, 2, 1.0, 0.0)
-        learn_scale(mem, r + Receiver.INNOVATION_SCALE, time, squared, 1.0, 0.0, 2, 1.0, 0.0)
+    squared, weight = 0.5 * (mem[slow] ** 2 + mem[slow + 1] ** 2) / mem[slow + 2], min(interval / (2.0 * SLOW), 1.0)
+    if mem[r + Receiver.SLOW_SCALE + Scale.KNOWN] == 0.0:
+        mem[r + Receiver.SLOW_SCALE + Scale.LOG] = math.log(factor)
+    learn_scale(mem, r + Receiver.SLOW_SCALE, time, squared * variance, claim, p, 2, weight)
+    learn_scale(mem, r + Receiver.INNOVATION_SCALE, time, squared, 1.0, 0.0, 2, weight)
+
+    white, weight = variance * mem[followed + 2], min(interval / (2.0 * FOLLOWED), 1.0)
+    squared = 0.5 * (mem[followed] ** 2 + mem[followed + 1] ** 2) * variance
+    tau = min(interval * variance / max(p, 1e-9 * variance), SLOWEST)
     realised = realised_scatter(mem, r)
-    if realised >= DISHONEST:  # before that was known its scatter has passed for noise of the accelerometers
+    if realised < DISHONEST:
+        learn_force_noise(mem, r, time, squared, white, p, tau, max(1.0 - realised, 0.0) * claimed, weight)
+    else:  # before that was known its scatter has passed for noise of the accelerometers
         begin_scale(mem, r + ForceNoise.SCALE)
-    if time - mem[r + Receiver.LASTING_SCALE + Scale.TIME] > INDEPENDENT * FOLLOWED:
-        squared = 0.5 * (mem[followed] ** 2 + mem[followed + 1] ** 2) * variance
-        white, tau = variance * mem[followed + 2], min(interval * variance / max(p, 1e-9 * variance), SLOWEST)
-        if realised < DISHONEST:
-            learn_force_noise(mem, r, time, squared, white, p, tau, max(1.0 - realised, 0.0) * claimed)
-        learn_scale(mem, r + Receiver.LASTING_SCALE, time, squared, shown_share(tau) * lasting, white, 2, 1.0, 0.0)
+    learn_scale(mem, r + Receiver.LASTING_SCALE, time, squared, shown_share(tau) * lasting, white, 2, weight)
 
 
 @njit(_nrt=False)
@@ -328,7 +325,7 @@ def _learn_from_two_pairs(mem, r, time, since, claimed):
     part = claimed + (1.0 + ratio) ** 2 * mem[r + Receiver.PAIR_CLAIMED] + ratio**2 * mem[before + 3]
     unseen = ((0.5 * UNSEEN_ACCELERATION * since * (since + length)) ** 2
               + force_noise(mem, r) * since * since * (since + length) / 3.0)
-    return learn_scale(mem, r + Receiver.SCALE, time, 0.5 * (north * north + east * east), part, unseen, 2, OVERLAP)
+    return learn_changes(mem, r + Receiver.SCALE, time, 0.5 * (north * north + east * east), part, unseen, 2)
 
 
 @njit(_nrt=False)
@@ -349,8 +346,8 @@ def _learn_from_three(mem, r, at, claimed):
             mem[r + Receiver.SMOOTH_SCALE + Scale.LOG] = max(mem[r + Receiver.SCALE + Scale.LOG], 0.0)
         north = (mem[last + 1] - latitude + part * (latitude - mem[first + 1])) / mem[r + Nav.NORTH_SCALE]
         east = (mem[last + 2] - longitude + part * (longitude - mem[first + 2])) / mem[r + Nav.EAST_SCALE]
-        if not learn_scale(mem, r + Receiver.SMOOTH_SCALE, time, 0.5 * (north * north + east * east),
-                           claimed * (1.0 + part * part + (1.0 - part) ** 2), 0.0, 2, OVERLAP):
+        if not learn_changes(mem, r + Receiver.SMOOTH_SCALE, time, 0.5 * (north * north + east * east),
+                             claimed * (1.0 + part * part + (1.0 - part) ** 2), 0.0, 2, OVERLAP):
             mem[first] = mem[last] = 0.0  # a fix that is far off counts once
             return
     for i in range(3):

@@ -1,21 +1,27 @@
-"""By how much a variance is larger or smaller than assumed: the one estimator of that, for every input of the filter.
+"""By how much a variance is larger or smaller than assumed: the one estimate of that, for every input of the filter.
 
 What is estimated is the logarithm of (realised over assumed variance), as an error of a factor of ten is as likely too
 small as too large. A squared deviation is expected to be `scale part + rest`: `part` is the variance in question,
-`rest` what else is in it, such as the way that the inertial sensors did not see. Its likelihood is that of a chi-square
-variable, but for OUTLIERS, which may be of any size and say nothing. Prior and posterior of the logarithm are normal
-distributions: mean and variance of the product of prior and likelihood are integrated over NODES (assumed density
-filtering, P. S. Maybeck, *Stochastic Models, Estimation, and Control* 2, 1982, 12.7).
+`rest` what else is in it, such as the way that the inertial sensors did not see. Before anything is seen the prior is
+what receivers and data sheets claim: a normal distribution of the logarithm, as is what is known later. There are two
+ways to learn:
 
-Before anything is seen the prior is what receivers and data sheets claim. A scale stays as it is, until it becomes
-another one: a receiver among houses, a road with another surface. So there are two hypotheses, each with an estimate:
-the scale is as it was, or it has become another one lately, at a rate of CHANGES and with the prior again. The more
-probable one is used. One deviation that is far off is an outlier, several in a row are another scale.
+* `learn_changes`, from deviations that are independent of each other. Their likelihood is that of a chi-square
+  variable, but for OUTLIERS, which may be of any size and say nothing; mean and variance of the product of prior and
+  likelihood are integrated over NODES (assumed density filtering, P. S. Maybeck, *Stochastic Models, Estimation, and
+  Control* 2, 1982, 12.7). A scale stays as it is, until it becomes another one: a receiver among houses, a mount that
+  comes loose. So there are two hypotheses, each with an estimate: the scale is as it was, or it has become another one
+  lately, with the prior again. The more probable one is used. One deviation that is far off is an outlier, several in a
+  row are another scale. (R. P. Adams and D. J. C. MacKay, "Bayesian online changepoint detection", 2007, has as many
+  hypotheses as there are instants.)
+* `learn`, from means in which many deviations tell the same, each of them a little: a Kalman filter with one state for
+  the logarithm, which forgets (M. S. Bartlett and D. G. Kendall, "The statistical analysis of variance-heterogeneity
+  and the logarithmic transformation", Supplement to J. Royal Statistical Society 8, 1946). A deviation of any size
+  counts as a few sigma of it. One that is too large for chance is more of `part`: `rest` has its bounds.
 
 (R. K. Mehra, "Approaches to adaptive filtering", IEEE Trans. Automatic Control 17, 1972; S. Sarkka and A. Nummenmaa,
 "Recursive noise adaptive Kalman filtering by variational Bayesian approximations", the same 54, 2009, has an inverse
-gamma distribution for the same, which knows neither `rest` nor changes; R. P. Adams and D. J. C. MacKay, "Bayesian
-online changepoint detection", 2007, has as many hypotheses as there are instants.)
+gamma distribution for the same.)
 """
 from __future__ import annotations
 
@@ -82,6 +88,13 @@ Inputs = HEAD.place(
 PRIOR = 4.8
 #: 1/s: a scale becomes another one once in twenty minutes: what a drive through a city brings
 CHANGES = 1.0 / 1200.0
+#: 1/s, by which the variance of one that `learn` follows grows: by a factor of e within ten minutes
+WANDERS = 1.0 / 600.0
+#: mean and variance of the logarithm of a mean square of normal numbers with expectation 1, of one and of two
+LOG_MEAN = (-1.2704, -0.5772)
+LOG_VARIANCE = (4.9348, 1.6449)
+#: a deviation beyond so many sigma of the logarithm counts as that
+LARGEST_SURPRISE = 2.0
 #: multiple of the assumed variance that is believed at least: a tenth of the sigma, as much as anybody claims too much
 SMALLEST = 0.01
 #: and at most: a thousand times the sigma
@@ -89,8 +102,6 @@ LARGEST = 1e6
 #: share of deviations that say nothing, `hypotheses.OUTLIERS`, over 14: they are spread evenly over the logarithm of
 #: their square, from metres to kilometres
 OUTLIERS = 0.01 / 14.0
-#: and a share that keeps likelihoods positive
-IMPOSSIBLE = 1e-12
 #: weight of a second difference beside others: each fix is in three of them
 OVERLAP = 0.5
 #: abscissas, in sigmas, and their weights, at which a normal distribution is integrated: the trapezoidal rule
@@ -108,18 +119,40 @@ def seen_of(mem, r, at):
 
 
 @njit(_nrt=False)
-def learn(mem, at, time, squared, part, rest, dimensions, weight=1.0, outliers=OUTLIERS):
-    """Learn from one deviation at `time`, s; at: of the scale in `mem`.
+def learn(mem, at, time, squared, part, rest, dimensions, weight=1.0):
+    """Learn from one deviation of many that tell the same, at `time`, s; at: of the scale in `mem`.
 
-    squared: mean square of its one or two `dimensions`, expected to be scale * part + rest. weight: below 1 where
-    a few tell the same; of many that do, one is to be learned from. outliers: as OUTLIERS; 0 where it is a mean in
-    which one of them counts little. Whether the estimate before it allowed for one as large.
+    squared: mean square of its one or two `dimensions`, expected to be scale * part + rest. weight: of this one.
+    """
+    known = mem[at + Scale.KNOWN] - WANDERS * max(time - mem[at + Scale.TIME], 0.0)
+    variance, mem[at + Scale.TIME] = PRIOR - max(known, 0.0), time
+    share = math.exp(mem[at + Scale.LOG]) * part
+    expected = share + rest
+    share /= expected
+    noise = LOG_VARIANCE[dimensions - 1] / weight
+    shown = max(squared, 1e-12 * expected) / math.exp(LOG_MEAN[dimensions - 1])
+    surprise = math.log(shown / expected)
+    if surprise > LARGEST_SURPRISE * math.sqrt(LOG_VARIANCE[dimensions - 1]):  # no chance: up to what explains it
+        share = surprise / (math.log((shown - rest) / part) - mem[at + Scale.LOG])
+    largest = LARGEST_SURPRISE * math.sqrt(share * share * variance + LOG_VARIANCE[dimensions - 1])
+    gain = share * variance / (share * share * variance + noise)
+    level = mem[at + Scale.LOG] + gain * max(-largest, min(surprise, largest))
+    mem[at + Scale.LOG] = max(math.log(SMALLEST), min(level, math.log(LARGEST)))
+    mem[at + Scale.KNOWN] = PRIOR - variance + gain * share * variance
+
+
+@njit(_nrt=False)
+def learn_changes(mem, at, time, squared, part, rest, dimensions, weight=1.0):
+    """Learn from one deviation at `time`, s, of a scale that may become another one; at: of it in `mem`.
+
+    squared: mean square of its one or two `dimensions`, expected to be scale * part + rest. weight: below 1 where a few
+    tell the same. Whether the estimate before it allowed for one as large.
     """
     if mem[at + Scale.TIME] != 0.0:
         _may_change(mem, at, 1.0 - math.exp(-CHANGES * max(time - mem[at + Scale.TIME], 0.0)))
     mem[at + Scale.TIME] = time
-    same, allowed = _learn_one(mem, at + Scale.LOG, squared, part, rest, dimensions, weight, outliers)
-    other, allowed_by_other = _learn_one(mem, at + Scale.OTHER_LOG, squared, part, rest, dimensions, weight, outliers)
+    same, allowed = _learn_one(mem, at + Scale.LOG, squared, part, rest, dimensions, weight)
+    other, allowed_by_other = _learn_one(mem, at + Scale.OTHER_LOG, squared, part, rest, dimensions, weight)
     share = mem[at + Scale.OTHER]
     allowed += share * (allowed_by_other - allowed)
     share = share * other / (share * other + (1.0 - share) * same)
@@ -145,8 +178,8 @@ def _may_change(mem, at, probability):
 
 
 @njit(_nrt=False)
-def _learn_one(mem, at, squared, part, rest, dimensions, weight, outliers):
-    """Learn from a deviation as one of both hypotheses; at: of its mean. Its likelihood, and without outliers."""
+def _learn_one(mem, at, squared, part, rest, dimensions, weight):
+    """Learn from a deviation as one of both hypotheses; at: of its mean. Its likelihood, and without OUTLIERS."""
     level, sigma = mem[at], math.sqrt(max(PRIOR - mem[at + 1], 0.0))
     shown = max(squared, 1e-12 * (part + rest))
     total = mean = square = allowed = 0.0
@@ -154,7 +187,7 @@ def _learn_one(mem, at, squared, part, rest, dimensions, weight, outliers):
         node = sigma * NODES[i]
         likelihood = _times_square(shown / (math.exp(level + node) * part + rest), dimensions)
         allowed += WEIGHTS[i] * likelihood
-        probability = WEIGHTS[i] * (likelihood + outliers + IMPOSSIBLE) ** weight
+        probability = WEIGHTS[i] * (likelihood + OUTLIERS) ** weight
         total += probability
         mean += probability * node
         square += probability * node * node
