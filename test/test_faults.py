@@ -54,6 +54,7 @@ def test_a_fault_is_contained_said_and_forgotten(fault):
         assert during(faulty) < max(allowed * during(coasting), 3.0 * max(during(clean), 2.0))
     # and the covariance holds it
     if fault.name not in FOLLOWED:
-        assert faulty.inside[(faulty.time >= 0) & (faulty.time <= fault.duration + 60.0)].mean() > HELD.get(fault.name, 0.9)
+        lasts = (faulty.time >= 0) & (faulty.time <= fault.duration + 60.0)
+        assert faulty.inside[lasts].mean() > HELD.get(fault.name, 0.9)
     # and it is said
     assert bool(faulty.said) or fault.name in UNSAID
