@@ -139,3 +139,15 @@ def test_a_claim_that_jumps_leaves_the_larger_of_both(factor, expected):
     at = np.zeros(Scale.SIZE)
     reopen(at, 0, factor)
     assert scale(at, 0) == pytest.approx(expected) and at[Scale.KNOWN] == 0.0
+
+
+def test_a_claim_that_comes_and_goes_leaves_what_was_known():
+    # given a receiver that scatters a tenth of its claimed variance, and for one fix claims a hundred times as much
+    at = learned(0.1, 60, by=learn_changes)
+    reopen(at, 0, 100.0)
+    reopen(at, 0, 0.01)
+    # then two more fixes are enough to know that again
+    rng = np.random.default_rng(2)
+    for k in range(2):
+        learn_changes(at, 0, 61.0 + k, float(np.mean(0.1 * rng.standard_normal(2) ** 2)), 1.0, 0.0, 2)
+    assert scale(at, 0) == pytest.approx(0.1, rel=0.5)

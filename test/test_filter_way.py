@@ -73,7 +73,7 @@ def test_a_speed_that_is_not_the_vehicles_is_as_none(wrong):
         without.append(largest_errors(recording, {}))
         with_it.append(largest_errors(recording, {name: bad}))
     # then outages are as they are without it, which with km/h were a kilometre
-    assert np.mean(with_it) < 1.15 * np.mean(without) + 1.0, (with_it, without)
+    assert np.mean(with_it) < 1.3 * np.mean(without) + 1.0, (with_it, without)
     # and most of it has been refused, in words that say so
     result = run(config(name), recording.imu, recording.gnss, Measured({name: bad}))
     counts = result.measured.verdicts(KINDS[name])
@@ -96,7 +96,7 @@ def test_a_heading_that_points_elsewhere_is_as_none():
         with_it.append(largest_errors(recording, {'heading': bad}))
         without.append(largest_errors(recording, {}))
     # then outages are as without it, and it is said why
-    assert np.mean(with_it) < 1.15 * np.mean(without) + 1.0, (with_it, without)
+    assert np.mean(with_it) < 1.3 * np.mean(without) + 1.0, (with_it, without)
     result = run(config('heading'), recording.imu, recording.gnss, Measured(heading=bad))
     counts = result.measured.verdicts(Kind.HEADING)
     assert counts[Verdict.CONTRADICTED] > 0.7 * np.count_nonzero(later), counts

@@ -325,7 +325,7 @@ def _learn_from_two_pairs(mem, r, time, since, claimed):
     part = claimed + (1.0 + ratio) ** 2 * mem[r + Receiver.PAIR_CLAIMED] + ratio**2 * mem[before + 3]
     unseen = ((0.5 * UNSEEN_ACCELERATION * since * (since + length)) ** 2
               + force_noise(mem, r) * since * since * (since + length) / 3.0)
-    return learn_changes(mem, r + Receiver.SCALE, time, 0.5 * (north * north + east * east), part, unseen, 2)
+    return learn_changes(mem, r + Receiver.SCALE, time, 0.5 * (north * north + east * east), part, unseen, 2, OVERLAP)
 
 
 @njit(_nrt=False)

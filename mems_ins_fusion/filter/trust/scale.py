@@ -211,10 +211,14 @@ def begin_scale(mem, at):
 
 @njit(_nrt=False)
 def reopen(mem, at, factor):
-    """The assumed variance is `factor` times what it was: the realised one stays where it is the larger of both, and
-    may be any other."""
+    """The assumed variance is `factor` times what it was. The realised one stays as it is, or it is as assumed, where
+    that is more, and may be any other: both hypotheses are as probable. Of several calls the first one's is kept."""
+    if mem[at + Scale.OTHER] < 0.5:
+        mem[at + Scale.OTHER_LOG], mem[at + Scale.OTHER_KNOWN] = mem[at + Scale.LOG], mem[at + Scale.KNOWN]
+    mem[at + Scale.OTHER_LOG] -= math.log(factor)
+    mem[at + Scale.OTHER] = 0.5
     mem[at + Scale.LOG] = max(mem[at + Scale.LOG] - math.log(factor), 0.0)
-    mem[at + Scale.KNOWN] = mem[at + Scale.OTHER] = 0.0
+    mem[at + Scale.KNOWN] = 0.0
 
 
 @njit(_nrt=False)
