@@ -1,7 +1,7 @@
 """What the filter makes of its GNSS receiver: how far its fixes are believed.
 
 A receiver repeats itself, jumps, wanders and states a sigma that is not its own. The realised scatter is seen in how
-two fixes that follow each other differ from what the inertial sensors say of the way between them.
+three fixes that follow each other differ from what the inertial sensors say of the ways between them.
 """
 from __future__ import annotations
 
@@ -147,9 +147,15 @@ def realised_factor(mem, r):
 
 
 @njit(_nrt=False)
+def _claim(mem, at):
+    """Variance of a component that the fix at `at` claims, m^2."""
+    return 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+
+
+@njit(_nrt=False)
 def realised_variance(mem, r, at):
     """Of a component of the fix at `at`, m^2, as fixes have been seen to scatter."""
-    return realised_factor(mem, r) * 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    return realised_factor(mem, r) * _claim(mem, at)
 
 
 @njit(_nrt=False)
@@ -178,7 +184,7 @@ def learn(mem, r, at, left_n, left_e):
 def _claimed(mem, r, at):
     """Variance that fixes claim, m^2: the mean of its logarithm over about as many as the position remembers, with the
     fix at `at`."""
-    level = math.log(0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
+    level = math.log(_claim(mem, at))
     if mem[r + Nav.FIX_TIME] == 0.0:
         mem[r + Nav.CLAIM_LEVEL] = level
     mem[r + Nav.CLAIM_LEVEL] += (level - mem[r + Nav.CLAIM_LEVEL]) / CLAIM_MEMORY
@@ -194,7 +200,7 @@ def _lasting(mem, r, at, claimed):
     position is as far off. No receiver is without; a share counts as such. claimed: variance that fixes claim, m^2.
     """
     realised = realised_scatter(mem, r)
-    least = LASTING_SHARE * realised * min(claimed, 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE]))
+    least = LASTING_SHARE * realised * min(claimed, _claim(mem, at))
     return max((1.0 - realised) * claimed, least)
 
 
@@ -227,7 +233,7 @@ def _judge_innovation(mem, r, at, interval, claimed, lasting):
     if mem[slow + 2] == 0.0 or interval <= 0.0:
         return
     time, variance = mem[at + Event.TIME], 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
-    factor, claim = realised_factor(mem, r), 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    factor, claim = realised_factor(mem, r), _claim(mem, at)
     p = max(variance - factor * claim, 0.0)
     squared, weight = 0.5 * (mem[slow] ** 2 + mem[slow + 1] ** 2) / mem[slow + 2], min(interval / (2.0 * SLOW), 1.0)
     if mem[r + Receiver.SLOW_SCALE + Scale.KNOWN] == 0.0:
@@ -283,7 +289,7 @@ def _learn_scatter(mem, r, at, z_n, z_e):
     An innovation less what the fix before it left is the difference of the receiver's errors, as far as the inertial
     sensors saw the way in between; the sum of these over several fixes is that of the first and the last.
     """
-    time, claimed = mem[at + Event.TIME], 0.5 * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
+    time, claimed = mem[at + Event.TIME], _claim(mem, at)
     before, mem[r + Receiver.CLAIMED] = mem[r + Receiver.CLAIMED], claimed
     if before > 0.0 and (claimed * CLAIM_CHANGE < before or claimed > CLAIM_CHANGE * before):
         changed = claimed / before

@@ -6,7 +6,7 @@ small as too large. A squared deviation is expected to be `scale part + rest`: `
 what receivers and data sheets claim: a normal distribution of the logarithm, as is what is known later. There are two
 ways to learn:
 
-* `learn_changes`, from deviations that are independent of each other. Their likelihood is that of a chi-square
+* `learn_changes`, from deviations of which few tell the same. Their likelihood is that of a chi-square
   variable, but for OUTLIERS, which may be of any size and say nothing; mean and variance of the product of prior and
   likelihood are integrated over NODES (assumed density filtering, P. S. Maybeck, *Stochastic Models, Estimation, and
   Control* 2, 1982, 12.7). A scale stays as it is, until it becomes another one: a receiver among houses, a mount that
