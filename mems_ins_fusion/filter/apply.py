@@ -21,6 +21,7 @@ from .trust import contradiction, fix_drift, hypotheses, inputs, new_start, rece
 from .trust.drift import learn_drift
 from .trust.fix_drift import FixDrift
 from .trust.hypotheses import Hypothesis
+from .trust.receiver import Receiver
 from .trust.scale import seen_of
 from .trust.standstill import take_speed
 from .update import ROBUST, begin_update, end_update, normalized_square, product, project, update
@@ -65,9 +66,10 @@ def _apply_fix(mem, r, at):
     c = _note_state(mem, r, at)
     dimensions = position.observe(mem, r, at, h, n, c)
     height = mem[at + Event.Z_D] + mem[r + Nav.HEIGHT]  # of the planar filter, which has no state for it
-    factor, robust, gate = 1.0, 0.0, 0.0
-    if not doubts:
-        factor, robust, gate = receiver.trust(mem, r, at)
+    receiver.learn_scatter(mem, r, at)
+    factor, robust, gate = receiver.trust(mem, r, at)
+    if doubts:
+        robust = gate = 0.0
     if not _is_believed(mem, r, at, n):
         hypotheses.refuse(mem, r, at)
         return
@@ -88,6 +90,7 @@ def _apply_fix(mem, r, at):
         way.compare(mem, r, at, receiver.realised_variance(mem, r, at))
     after = hypotheses.position_and_velocity(mem, r)
     straight_on.pull(mem, r, before, after)
+    hypotheses.add_move(mem, r, r + Receiver.MOVED, before, after)
     if recovered:
         fix_drift.begin_anew(mem, r)
     else:

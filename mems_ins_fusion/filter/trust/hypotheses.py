@@ -194,7 +194,9 @@ def is_drifting(mem, r):
 def refuse(mem, r, at):
     """Leave the fix at `at`, which is taken for wrong, and remember that it came."""
     mem[at + Event.VERDICT], mem[at + Event.WEIGHT] = Verdict.REFUSED, 0.0
-    mem[r + Nav.FIX_TIME] = mem[at + Event.TIME]
+    mem[r + Nav.RESIDUAL_N] = mem[at + Event.Z_N] - mem[r + NAV]
+    mem[r + Nav.RESIDUAL_E] = mem[at + Event.Z_E] - mem[r + NAV + 1]
+    mem[r + Nav.RESIDUAL_TIME] = mem[r + Nav.FIX_TIME] = mem[at + Event.TIME]
     mem[r + Nav.FIX_LATITUDE], mem[r + Nav.FIX_LONGITUDE] = mem[at + Event.LATITUDE], mem[at + Event.LONGITUDE]
 
 

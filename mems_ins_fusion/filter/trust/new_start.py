@@ -133,7 +133,7 @@ def start_anew(mem, r, at):
         again = mem[r + Nav.STRAYED] > 0.0 and mem[at + Event.TIME] - mem[r + Nav.STRAYED_TIME] < SOON
         mem[r + Nav.STRAYED] = mem[r + Nav.STRAYED] + 1.0 if again else 1.0
         mem[r + Nav.STRAYED_TIME] = mem[at + Event.TIME]
-    mem[r + Drift.TIME] = mem[r + Receiver.PAIR_TIME] = 0.0
+    mem[r + Drift.TIME] = mem[r + Receiver.FIRST] = 0.0
     # the innovations until now were those of a state that was wrong
     begin_scale(mem, r + Receiver.INNOVATION_SCALE)
     for i in range(3):

@@ -11,17 +11,16 @@ from mems_ins_fusion.compiled import njit
 
 from ..memory import NAV, ROW, Event, Head, Nav, Verdict
 from .force_noise import ForceNoise, force_noise, learn_force_noise
-from .scale import OVERLAP, PRIOR, Scale, begin_scale, learn_changes, reopen, scale
+from .scale import PRIOR, Scale, begin_scale, learn_changes, reopen, scale
 from .scale import learn as learn_scale
 
 #: of a state
 Receiver = ROW.place(
     'Receiver',
     CLAIMED=1,  # variance of the last fix, as it says, m^2
-    PAIR_TIME=1,  # of the fix from which on the receiver's error is followed, 0: none,
-    PAIR_CLAIMED=1,  # the variance it claimed, m^2,
-    PAIR=2,  # and how the error has changed since then, north and east, m;
-    BEFORE=4,  # the same of the pair before it: the change, how long it took, s (0: none), and the variance, m^2
+    FIRST=2,  # of three fixes, a second or more apart, the first: time, s (0: none), and the variance it claims, m^2,
+    SECOND=4,  # the second: predicted minus measured position, m, beside MOVED, s after the first (0: none), variance,
+    MOVED=4,  # and how fixes have moved position and velocity since the first, m, m/s, and how far off that was
     FOLLOWED=3,  # whitened innovations behind a low pass of FOLLOWED, and their variance were they white
     THREE=6,  # two fixes before the next one: time, s, latitude and longitude, rad,
     SMOOTH_SCALE=Scale.SIZE,  # realised over claimed variance at most, as three fixes are off a straight line,
@@ -93,7 +92,7 @@ def take_status(mem, r, at):
         mem[left + i] = mem[r + Receiver.SMOOTH_SCALE + i]
         mem[r + Receiver.SMOOTH_SCALE + i] = mem[found + i]
     # the error has not changed since the last fix, it is another one
-    for i in (Receiver.CLAIMED, Receiver.PAIR_TIME, Receiver.THREE, Receiver.THREE + 3):
+    for i in (Receiver.CLAIMED, Receiver.FIRST, Receiver.THREE, Receiver.THREE + 3):
         mem[r + i] = 0.0
 
 
@@ -104,7 +103,6 @@ def trust(mem, r, at):
     Called with its innovation before the correction, in which x is still to be taken out.
     """
     z_n, z_e = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
-    _learn_scatter(mem, r, at, z_n, z_e)
     # refused only if it is off by something that matters, and has become so at once: what grows from fix to fix is the
     # filter's own error
     interval = mem[at + Event.TIME] - mem[r + Nav.RESIDUAL_TIME]
@@ -195,7 +193,7 @@ def _claimed(mem, r, at):
 def _lasting(mem, r, at, claimed):
     """Variance of the receiver's errors that last, m^2: what it claims, and fixes do not scatter.
 
-    A receiver states how far off it may be, and fixes show of that what changes between them (`_learn_scatter`). The
+    A receiver states how far off it may be, and fixes show of that what changes between them (`learn_scatter`). The
     rest are errors of orbits, atmosphere and multipath: the filter follows them, its innovations stay white, and its
     position is as far off. No receiver is without; a share counts as such. claimed: variance that fixes claim, m^2.
     """
@@ -283,55 +281,44 @@ def shown_share(tau):
 
 
 @njit(_nrt=False)
-def _learn_scatter(mem, r, at, z_n, z_e):
-    """Realised over claimed variance, from how the receiver's error has changed since a fix of about a second ago.
+def learn_scatter(mem, r, at):
+    """Realised over claimed variance, from the second difference of the errors of three fixes about a second apart.
 
-    An innovation less what the fix before it left is the difference of the receiver's errors, as far as the inertial
-    sensors saw the way in between; the sum of these over several fixes is that of the first and the last.
+    Called with the innovation of the fix at `at` before the correction. Innovations, less what the corrections since
+    the first of the three have done to position and velocity, are errors of the receiver, of the inertial sensors in
+    that time, and of the position and velocity at the first, which change evenly: not in the second difference.
     """
+    z_n, z_e = mem[at + Event.Z_N] - mem[r + NAV], mem[at + Event.Z_E] - mem[r + NAV + 1]
     time, claimed = mem[at + Event.TIME], _claim(mem, at)
     before, mem[r + Receiver.CLAIMED] = mem[r + Receiver.CLAIMED], claimed
     if before > 0.0 and (claimed * CLAIM_CHANGE < before or claimed > CLAIM_CHANGE * before):
         changed = claimed / before
         for of in (Receiver.SMOOTH_SCALE, Receiver.SCALE, Receiver.SLOW_SCALE):
             reopen(mem, r + of, changed)
-        for i in (Receiver.PAIR_CLAIMED, Receiver.BEFORE + 3):
+        for i in (Receiver.FIRST + 1, Receiver.SECOND + 3):
             mem[r + i] *= changed  # it is realised over what is claimed from now on, too
     _learn_from_three(mem, r, at, claimed)
-    begun, since = mem[r + Receiver.PAIR_TIME] != 0.0, time - mem[r + Receiver.PAIR_TIME]
-    if begun:
-        mem[r + Receiver.PAIR] += z_n - mem[r + Nav.RESIDUAL_N]
-        mem[r + Receiver.PAIR + 1] += z_e - mem[r + Nav.RESIDUAL_E]
-        if since < SHORTEST_PAIR:
-            return
-        if not _learn_from_two_pairs(mem, r, time, since, claimed):
-            mem[r + Receiver.PAIR_TIME] = 0.0  # a fix that is far off counts once
-            return
+    moved, second, first = r + Receiver.MOVED, r + Receiver.SECOND, r + Receiver.FIRST
+    fits, since, length = True, time - mem[first], mem[second + 2]
     for i in range(2):
-        mem[r + Receiver.BEFORE + i] = mem[r + Receiver.PAIR + i]
-    mem[r + Receiver.BEFORE + 2], mem[r + Receiver.BEFORE + 3] = since if begun else 0.0, mem[r + Receiver.PAIR_CLAIMED]
-    mem[r + Receiver.PAIR_TIME], mem[r + Receiver.PAIR_CLAIMED] = time, claimed
-    mem[r + Receiver.PAIR] = mem[r + Receiver.PAIR + 1] = 0.0
-
-
-@njit(_nrt=False)
-def _learn_from_two_pairs(mem, r, time, since, claimed):
-    """Learn from by how much more the error has changed in the last `since` s than before that in proportion: an error
-    of the velocity changes the position evenly, a receiver that scatters to and fro. Whether it is no outlier.
-
-    time: of the fix, s. claimed: its variance, m^2.
-    """
-    before = r + Receiver.BEFORE
-    length = mem[before + 2]
-    if length == 0.0:
-        return True
-    ratio = since / length
-    north = mem[r + Receiver.PAIR] - ratio * mem[before]
-    east = mem[r + Receiver.PAIR + 1] - ratio * mem[before + 1]
-    part = claimed + (1.0 + ratio) ** 2 * mem[r + Receiver.PAIR_CLAIMED] + ratio**2 * mem[before + 3]
-    unseen = ((0.5 * UNSEEN_ACCELERATION * since * (since + length)) ** 2
-              + force_noise(mem, r) * since * since * (since + length) / 3.0)
-    return learn_changes(mem, r + Receiver.SCALE, time, 0.5 * (north * north + east * east), part, unseen, 2, OVERLAP)
+        mem[moved + i] += (time - mem[r + Nav.FIX_TIME]) * mem[moved + 2 + i]
+    north, east = z_n - mem[moved], z_e - mem[moved + 1]
+    if mem[first] != 0.0:
+        if since - length < SHORTEST_PAIR:
+            return
+        if length == 0.0:
+            mem[second], mem[second + 1], mem[second + 2], mem[second + 3] = north, east, since, claimed
+            return
+        ratio = (since - length) / length
+        north -= (1.0 + ratio) * mem[second]
+        east -= (1.0 + ratio) * mem[second + 1]
+        part = claimed + (1.0 + ratio) ** 2 * mem[second + 3] + ratio**2 * mem[first + 1]
+        unseen = ((0.5 * UNSEEN_ACCELERATION * (since - length) * since) ** 2
+                  + force_noise(mem, r) * (since - length) ** 2 * since / 3.0)
+        fits = learn_changes(mem, r + Receiver.SCALE, time, 0.5 * (north * north + east * east), part, unseen, 2)
+    # the next three begin with this fix, unless it is far off, which counts once
+    mem[first], mem[first + 1], mem[second + 2] = time if fits else 0.0, claimed, 0.0
+    mem[moved], mem[moved + 1], mem[moved + 2], mem[moved + 3] = z_n, z_e, 0.0, 0.0
 
 
 @njit(_nrt=False)
@@ -352,9 +339,10 @@ def _learn_from_three(mem, r, at, claimed):
             mem[r + Receiver.SMOOTH_SCALE + Scale.LOG] = max(mem[r + Receiver.SCALE + Scale.LOG], 0.0)
         north = (mem[last + 1] - latitude + part * (latitude - mem[first + 1])) / mem[r + Nav.NORTH_SCALE]
         east = (mem[last + 2] - longitude + part * (longitude - mem[first + 2])) / mem[r + Nav.EAST_SCALE]
-        if not learn_changes(mem, r + Receiver.SMOOTH_SCALE, time, 0.5 * (north * north + east * east),
-                             claimed * (1.0 + part * part + (1.0 - part) ** 2), 0.0, 2, OVERLAP):
-            mem[first] = mem[last] = 0.0  # a fix that is far off counts once
+        fits = learn_changes(mem, r + Receiver.SMOOTH_SCALE, time, 0.5 * (north * north + east * east),
+                             claimed * (1.0 + part * part + (1.0 - part) ** 2), 0.0, 2)
+        mem[first], mem[last] = 0.0, 0.0
+        if not fits:
             return
     for i in range(3):
         mem[first + i] = mem[last + i]

@@ -6,8 +6,7 @@ small as too large. A squared deviation is expected to be `scale part + rest`: `
 what receivers and data sheets claim: a normal distribution of the logarithm, as is what is known later. There are two
 ways to learn:
 
-* `learn_changes`, from deviations of which few tell the same. Their likelihood is that of a chi-square
-  variable, but for OUTLIERS, which may be of any size and say nothing; mean and variance of the product of prior and
+* `learn_changes`, from independent deviations. Their likelihood is that of a chi-square variable, but for OUTLIERS, which may be of any size and say nothing; mean and variance of the product of prior and
   likelihood are integrated over NODES (assumed density filtering, P. S. Maybeck, *Stochastic Models, Estimation, and
   Control* 2, 1982, 12.7). A scale stays as it is, until it becomes another one: a receiver among houses, a mount that
   comes loose. So there are two hypotheses, each with an estimate: the scale is as it was, or it has become another one
@@ -102,8 +101,6 @@ LARGEST = 1e6
 #: share of deviations that say nothing, `hypotheses.OUTLIERS`, over 14: they are spread evenly over the logarithm of
 #: their square, from metres to kilometres
 OUTLIERS = 0.01 / 14.0
-#: weight of a second difference beside others: each fix is in three of them
-OVERLAP = 0.5
 #: abscissas, in sigmas, and their weights, at which a normal distribution is integrated: the trapezoidal rule
 NODES = tuple(0.5 * i for i in range(-7, 8))
 WEIGHTS = tuple(0.5 / math.sqrt(2.0 * math.pi) * math.exp(-0.5 * node * node) for node in NODES)
@@ -142,17 +139,17 @@ def learn(mem, at, time, squared, part, rest, dimensions, weight=1.0):
 
 
 @njit(_nrt=False)
-def learn_changes(mem, at, time, squared, part, rest, dimensions, weight=1.0):
+def learn_changes(mem, at, time, squared, part, rest, dimensions):
     """Learn from one deviation at `time`, s, of a scale that may become another one; at: of it in `mem`.
 
-    squared: mean square of its one or two `dimensions`, expected to be scale * part + rest. weight: below 1 where a few
-    tell the same. Whether the estimate before it allowed for one as large.
+    squared: mean square of its one or two `dimensions`, expected to be scale * part + rest. Returns whether the
+    estimate before it allowed for a deviation as large.
     """
     if mem[at + Scale.TIME] != 0.0:
         _may_change(mem, at, 1.0 - math.exp(-CHANGES * max(time - mem[at + Scale.TIME], 0.0)))
     mem[at + Scale.TIME] = time
-    same, allowed = _learn_one(mem, at + Scale.LOG, squared, part, rest, dimensions, weight)
-    other, allowed_by_other = _learn_one(mem, at + Scale.OTHER_LOG, squared, part, rest, dimensions, weight)
+    same, allowed = _learn_one(mem, at + Scale.LOG, squared, part, rest, dimensions)
+    other, allowed_by_other = _learn_one(mem, at + Scale.OTHER_LOG, squared, part, rest, dimensions)
     share = mem[at + Scale.OTHER]
     allowed += share * (allowed_by_other - allowed)
     share = share * other / (share * other + (1.0 - share) * same)
@@ -178,7 +175,7 @@ def _may_change(mem, at, probability):
 
 
 @njit(_nrt=False)
-def _learn_one(mem, at, squared, part, rest, dimensions, weight):
+def _learn_one(mem, at, squared, part, rest, dimensions):
     """Learn from a deviation as one of both hypotheses; at: of its mean. Its likelihood, and without OUTLIERS."""
     level, sigma = mem[at], math.sqrt(max(PRIOR - mem[at + 1], 0.0))
     shown = max(squared, 1e-12 * (part + rest))
@@ -187,7 +184,7 @@ def _learn_one(mem, at, squared, part, rest, dimensions, weight):
         node = sigma * NODES[i]
         likelihood = _times_square(shown / (math.exp(level + node) * part + rest), dimensions)
         allowed += WEIGHTS[i] * likelihood
-        probability = WEIGHTS[i] * (likelihood + OUTLIERS) ** weight
+        probability = WEIGHTS[i] * (likelihood + OUTLIERS)
         total += probability
         mean += probability * node
         square += probability * node * node
