@@ -76,7 +76,8 @@ def _apply_fix(mem, r, at):
     if mem[r + Nav.UNSETTLED] > 0.0:
         robust = gate = 0.0
         contradiction.loosen(mem, r, n, _misfit(mem, r, at, n, factor))
-    verdict = update(mem, r, at, n, dimensions, factor, robust, gate)
+    # a height that is far off is no sign that the filter is wrong: in a car it changes slowly
+    verdict = update(mem, r, at, n, dimensions, factor, robust, gate, mem[Head.ROBUST_SIGMA])
     mem[at + Event.VERDICT] = Verdict.RECOVERED if recovered else verdict
     if verdict != Verdict.REFUSED:
         end_update(mem, r)
@@ -114,7 +115,7 @@ def _apply_input(mem, r, at, sample):
         judged = 2 if twist.measures_sideways(mem, at) else 1
         inputs.leave_out_turn_rate(mem, r, at, n)
     factor, gate = inputs.judge(mem, r, at, n, judged)
-    verdict = update(mem, r, at, n, dimensions, factor, ROBUST, gate)
+    verdict = update(mem, r, at, n, dimensions, factor, ROBUST, gate, ROBUST)
     mem[at + Event.VERDICT] = verdict
     if inputs.makes_way(kind) and verdict == Verdict.REFUSED:
         if inputs.is_contradicted(mem, r, at, n):

@@ -76,12 +76,12 @@ def normalized_square(a, b, s_nn, s_ne, s_ee):
 
 
 @njit(_nrt=False)
-def update(mem, r, at, n, dimensions, factor, robust, gate):
+def update(mem, r, at, n, dimensions, factor, robust, gate, robust_alone):
     """Correct the state at r with the record at `at`, whose rows of H stand behind P in the scratch.
 
     factor: on the covariance R of the record. robust: normalized innovations above it are weighted down to it. gate:
-    those above it are refused; 0: none of that. The first two components are judged together, the third alone. The
-    verdict.
+    those above it are refused; 0: none of that. The first two components are judged together, the third alone, with
+    robust_alone for robust. The verdict.
     """
     p = int(mem[Head.SCRATCH_AT])
     h = p + n * n
@@ -134,8 +134,8 @@ def update(mem, r, at, n, dimensions, factor, robust, gate):
         down = mem[at + Event.Z_D] ** 2 / s_dd
         if gate > 0.0 and down > gate * gate:
             return verdict
-        if robust > 0.0 and down > robust * robust:
-            r_dd += (down / (robust * robust) - 1.0) * s_dd
+        if robust_alone > 0.0 and down > robust_alone * robust_alone:
+            r_dd += (down / (robust_alone * robust_alone) - 1.0) * s_dd
         s = r_dd + project(mem, n, h + 2 * n, column)
         correct_by_scalar(mem, r, n, h + 2 * n, column, z_d, s)
     return verdict
