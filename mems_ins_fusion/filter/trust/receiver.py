@@ -233,13 +233,13 @@ def _judge_innovation(mem, r, at, interval, claimed, lasting):
     time, variance = mem[at + Event.TIME], 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
     factor, claim = realised_factor(mem, r), _claim(mem, at)
     p = max(variance - factor * claim, 0.0)
-    squared, weight = 0.5 * (mem[slow] ** 2 + mem[slow + 1] ** 2) / mem[slow + 2], min(interval / (2.0 * SLOW), 1.0)
+    squared, weight = 0.5 * (mem[slow] ** 2 + mem[slow + 1] ** 2) / mem[slow + 2], min(interval / SLOW, 1.0)
     if mem[r + Receiver.SLOW_SCALE + Scale.KNOWN] == 0.0:
         mem[r + Receiver.SLOW_SCALE + Scale.LOG] = math.log(factor)
     learn_scale(mem, r + Receiver.SLOW_SCALE, time, squared * variance, claim, p, 2, weight)
     learn_scale(mem, r + Receiver.INNOVATION_SCALE, time, squared, 1.0, 0.0, 2, weight)
 
-    white, weight = variance * mem[followed + 2], min(interval / (2.0 * FOLLOWED), 1.0)
+    white, weight = variance * mem[followed + 2], min(interval / FOLLOWED, 1.0)
     squared = 0.5 * (mem[followed] ** 2 + mem[followed + 1] ** 2) * variance
     tau = min(interval * variance / max(p, 1e-9 * variance), SLOWEST)
     realised = realised_scatter(mem, r)

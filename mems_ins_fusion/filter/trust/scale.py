@@ -122,20 +122,9 @@ def learn(mem, at, time, squared, part, rest, dimensions, weight=1.0):
     squared: mean square of its one or two `dimensions`, expected to be scale * part + rest. weight: of this one.
     """
     known = mem[at + Scale.KNOWN] - WANDERS * max(time - mem[at + Scale.TIME], 0.0)
-    variance, mem[at + Scale.TIME] = PRIOR - max(known, 0.0), time
-    share = math.exp(mem[at + Scale.LOG]) * part
-    expected = share + rest
-    share /= expected
-    noise = LOG_VARIANCE[dimensions - 1] / weight
-    shown = max(squared, 1e-12 * expected) / math.exp(LOG_MEAN[dimensions - 1])
-    surprise = math.log(shown / expected)
-    if surprise > LARGEST_SURPRISE * math.sqrt(LOG_VARIANCE[dimensions - 1]):  # no chance: up to what explains it
-        share = surprise / (math.log((shown - rest) / part) - mem[at + Scale.LOG])
-    largest = LARGEST_SURPRISE * math.sqrt(share * share * variance + LOG_VARIANCE[dimensions - 1])
-    gain = share * variance / (share * share * variance + noise)
-    level = mem[at + Scale.LOG] + gain * max(-largest, min(surprise, largest))
-    mem[at + Scale.LOG] = max(math.log(SMALLEST), min(level, math.log(LARGEST)))
-    mem[at + Scale.KNOWN] = PRIOR - variance + gain * share * variance
+    mem[at + Scale.KNOWN], mem[at + Scale.TIME] = max(known, 0.0), time
+    _learn_one(mem, at + Scale.LOG, squared, part, rest, dimensions, weight)
+    mem[at + Scale.LOG] = max(math.log(SMALLEST), min(mem[at + Scale.LOG], math.log(LARGEST)))
 
 
 @njit(_nrt=False)
@@ -148,8 +137,8 @@ def learn_changes(mem, at, time, squared, part, rest, dimensions):
     if mem[at + Scale.TIME] != 0.0:
         _may_change(mem, at, 1.0 - math.exp(-CHANGES * max(time - mem[at + Scale.TIME], 0.0)))
     mem[at + Scale.TIME] = time
-    same, allowed = _learn_one(mem, at + Scale.LOG, squared, part, rest, dimensions)
-    other, allowed_by_other = _learn_one(mem, at + Scale.OTHER_LOG, squared, part, rest, dimensions)
+    same, allowed = _learn_one(mem, at + Scale.LOG, squared, part, rest, dimensions, 1.0)
+    other, allowed_by_other = _learn_one(mem, at + Scale.OTHER_LOG, squared, part, rest, dimensions, 1.0)
     share = mem[at + Scale.OTHER]
     allowed += share * (allowed_by_other - allowed)
     share = share * other / (share * other + (1.0 - share) * same)
@@ -175,7 +164,7 @@ def _may_change(mem, at, probability):
 
 
 @njit(_nrt=False)
-def _learn_one(mem, at, squared, part, rest, dimensions):
+def _learn_one(mem, at, squared, part, rest, dimensions, weight):
     """Learn from a deviation as one of both hypotheses; at: of its mean. Its likelihood, and without OUTLIERS."""
     level, sigma = mem[at], math.sqrt(max(PRIOR - mem[at + 1], 0.0))
     shown = max(squared, 1e-12 * (part + rest))
@@ -184,7 +173,7 @@ def _learn_one(mem, at, squared, part, rest, dimensions):
         node = sigma * NODES[i]
         likelihood = _times_square(shown / (math.exp(level + node) * part + rest), dimensions)
         allowed += WEIGHTS[i] * likelihood
-        probability = WEIGHTS[i] * (likelihood + OUTLIERS)
+        probability = WEIGHTS[i] * (likelihood + OUTLIERS) ** weight
         total += probability
         mean += probability * node
         square += probability * node * node
