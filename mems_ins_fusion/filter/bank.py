@@ -84,6 +84,10 @@ def compare(memory):
         _start_from_fixes(memory, other, r, interval)
         if memory[Bank.OPEN] == 0.0:  # what was before the fixes is not remembered: there is no second filter
             return
+    if other[r + Hypothesis.DOUBTS] == 0.0 and other[r + Hypothesis.VARIANCE] != 0.0:
+        # it takes fixes for right again: from now on it is judged by them, as the first
+        other[r + Hypothesis.VARIANCE] = 0.0
+        other[r + Hypothesis.SCORE] = min(other[r + Hypothesis.SCORE], memory[r + Hypothesis.SCORE])
     if _is_better(memory, other, r):
         _swap(memory, other)
     doubts = memory[r + Hypothesis.DOUBTS] != 0.0
