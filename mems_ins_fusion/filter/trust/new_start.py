@@ -16,7 +16,7 @@ from ..prediction import GAP_ACCELERATION, UNKNOWN_YAW_SIGMA
 from ..update import scratch_of
 from . import hypotheses
 from .drift import Drift
-from .hypotheses import Hypothesis
+from .hypotheses import CERTAIN, Hypothesis
 from .receiver import Receiver, realised_scatter
 from .scale import begin_scale
 
@@ -100,7 +100,7 @@ def is_due(mem, r, at):
 @njit(_nrt=False)
 def _agree(mem, r, claimed):
     """Whether the refused innovations lie on a line; claimed: variance of a fix, both components, m^2."""
-    _, _, spread = _line(mem, r)
+    _, _, spread, _ = _line(mem, r)
     size = math.sqrt(mem[r + Nav.SUM_SQUARE] / mem[r + Nav.REFUSED])
     sigma = math.sqrt(max(1.0, realised_scatter(mem, r)) * claimed)
     return math.sqrt(spread) < AGREEMENT * (sigma + AGREEMENT_FLOOR) + AGREEMENT_PART * size
@@ -108,7 +108,8 @@ def _agree(mem, r, claimed):
 
 @njit(_nrt=False)
 def _line(mem, r):
-    """Slope (north, east; m/s) of the refused innovations over time, and their mean square distance from the line."""
+    """Slope (north, east; m/s) of the refused innovations over time, their mean square distance from the line, m^2, and
+    the variance of a component of the slope, m^2/s^2."""
     n = mem[r + Nav.REFUSED]
     t = mem[r + Nav.SUM_T] / n
     spread_t = max(mem[r + Nav.SUM_TT] / n - t * t, 1e-6)
@@ -116,7 +117,8 @@ def _line(mem, r):
     slope_n = (mem[r + Nav.SUM_TN] / n - t * north) / spread_t
     slope_e = (mem[r + Nav.SUM_TE] / n - t * east) / spread_t
     left = mem[r + Nav.SUM_SQUARE] / n - north * north - east * east - spread_t * (slope_n**2 + slope_e**2)
-    return slope_n, slope_e, max(left, 0.0)
+    left = max(left, 0.0)
+    return slope_n, slope_e, left, 0.5 * left / (max(n - 2.0, 1.0) * spread_t)
 
 
 @njit(_nrt=False)
@@ -181,28 +183,27 @@ def _since_last_fix(mem, r, at):
 def _velocity_of_fixes(mem, r, at, strayed):
     """Velocity (north, east) that the refused fixes show, and its variance: by how they drift from the filter, whose
     own may be of no use where it has strayed, or by the last two of them."""
-    slope_n, slope_e, spread = _line(mem, r)
+    slope_n, slope_e, _, variance = _line(mem, r)
     interval = mem[at + Event.TIME] - mem[r + Nav.FIX_TIME]
-    if not strayed or not 0.0 < interval < LONGEST_PAIR:
-        t = mem[r + Nav.SUM_TT] / mem[r + Nav.REFUSED] - (mem[r + Nav.SUM_T] / mem[r + Nav.REFUSED]) ** 2
-        return (mem[r + Nav.V_N] - slope_n, mem[r + Nav.V_E] - slope_e,
-                NEW_VELOCITY_SIGMA**2 + spread / max(mem[r + Nav.REFUSED] * t, 1e-6))
-    north, east = _since_last_fix(mem, r, at)
-    variance = max(1.0, realised_scatter(mem, r)) * (mem[at + Event.R_NN] + mem[at + Event.R_EE])
-    return (north / interval, east / interval,
-            NEW_VELOCITY_SIGMA**2 + (GAP_ACCELERATION * interval) ** 2 + variance / interval**2)
+    if strayed and 0.0 < interval < LONGEST_PAIR:
+        claimed = mem[at + Event.R_NN] + mem[at + Event.R_EE]
+        of_two = (GAP_ACCELERATION * interval) ** 2 + max(1.0, realised_scatter(mem, r)) * claimed / interval**2
+        if of_two < variance:
+            north, east = _since_last_fix(mem, r, at)
+            return north / interval, east / interval, NEW_VELOCITY_SIGMA**2 + of_two
+    return mem[r + Nav.V_N] - slope_n, mem[r + Nav.V_E] - slope_e, NEW_VELOCITY_SIGMA**2 + variance
 
 
 @njit(_nrt=False)
 def _strayed(mem, r, time):
     """Whether it was the filter that strayed from the fixes refused until `time`, s: away from those of a receiver that
     jumps it is as far as at first."""
-    slope_n, slope_e, _ = _line(mem, r)
+    slope_n, slope_e, _, variance = _line(mem, r)
     slope = math.hypot(slope_n, slope_e)
     if math.hypot(mem[r + Nav.V_N], mem[r + Nav.V_E]) < COURSE_SPEED:
         return False  # who hardly moves cannot stray
     size = math.sqrt(mem[r + Nav.SUM_SQUARE] / mem[r + Nav.REFUSED])
-    return slope > STRAYED_SLOPE and slope * (time - mem[r + Nav.REFUSED_SINCE]) > STRAYED_PART * size
+    return slope > max(STRAYED_SLOPE, CERTAIN * math.sqrt(variance)) and slope * (time - mem[r + Nav.REFUSED_SINCE]) > STRAYED_PART * size
 
 
 @njit(_nrt=False)
