@@ -6,7 +6,8 @@ The drives of studies/vehicle.py, fixes that scatter by 1.5 m. Each row is a rat
 than the scatter: RMSE and largest error from the first estimate on, both also as a multiple of those with the right
 claim at that rate, and how often the 95 % ellipse held the truth. In the rows *wanders* an error of 2 m with a
 correlation time of 60 s, of which the receiver says nothing, comes on top; *early* are fixes stamped 0.8 s before
-their time.
+their time. *Scatter k times*: for two minutes in the middle, as among houses, with the claim as before; errors of that
+time only, and in place of `x right` as multiples of those of the fixes.
 """
 from __future__ import annotations
 
@@ -20,6 +21,7 @@ from mems_ins_fusion.evaluation.comparison import truth_of
 from mems_ins_fusion.evaluation.metrics import NEES_95, position_errors, rms
 from mems_ins_fusion.filter.config import FilterConfig
 from mems_ins_fusion.filter.runs.replay import run
+from mems_ins_fusion.navigation.earth import radii
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.samples import Recording
 from mems_ins_fusion.simulation.simulation import GnssNoise
@@ -29,6 +31,7 @@ CLAIMS = (1.0, 1 / 3, 1 / 10, 1 / 75, 3.0, 10.0)
 SCATTER = 1.5  # m
 FASTEST = 10.0  # Hz: the others are every so many fixes of that
 EARLY = 0.8  # s
+TIMES, HOUSES = (3.0, 6.0, 20.0), 120.0  # times SCATTER, for so long, s
 RECEIVERS = {'white': GnssNoise(SCATTER, rate=FASTEST),
              'wanders': GnssNoise(SCATTER, rate=FASTEST, coloured_sigma=2.0, coloured_tau=60.0)}
 
@@ -39,6 +42,7 @@ class Outcome:
 
     error: np.ndarray
     inside: np.ndarray
+    fixes: tuple[float, float] = (np.nan, np.nan)  # RMSE and largest error of the fixes, m, where they are the measure
 
 
 def recordings(seed: int, minutes: float) -> dict[str, Recording]:
@@ -59,14 +63,30 @@ def early(recording: Recording) -> Recording:
     return replace(recording, gnss=replace(recording.gnss, stamp=recording.gnss.stamp - round(EARLY * 1e9)))
 
 
-def outcome(recording: Recording) -> Outcome:
+def among_houses(recording: Recording, times: float) -> Outcome:
+    """With fixes that scatter `times` as much as they claim for HOUSES in the middle."""
+    gnss = recording.gnss
+    middle = (recording.imu.stamp[0] + recording.imu.stamp[-1]) // 2
+    inside = np.abs(gnss.stamp - middle) < round(0.5e9 * HOUSES)
+    north, east = (np.random.default_rng(0).standard_normal((2, len(gnss.stamp)))
+                   * SCATTER * np.sqrt(times**2 - 1.0) * inside)
+    meridian, prime_vertical = radii(gnss.latitude)
+    moved = replace(gnss, latitude=gnss.latitude + north / meridian,
+                    longitude=gnss.longitude + east / (prime_vertical * np.cos(gnss.latitude)))
+    off = times / np.sqrt(times**2 - 1.0) * np.hypot(north, east)[inside]
+    return replace(outcome(replace(recording, gnss=moved), middle), fixes=(rms(off), off.max()))
+
+
+def outcome(recording: Recording, middle: int | None = None) -> Outcome:
+    """Of the whole drive, or within HOUSES about `middle`, ns."""
     values = table.check({'reference_lever_arm': [0.0, 0.0, 0.0]})
     truth = truth_of(recording, values)
     result = run(FilterConfig.from_parameters(values), recording.imu, recording.gnss)
     if not len(result.stamp):
         return Outcome(np.empty(0), np.empty(0))
     errors = position_errors(result, truth, np.zeros(len(truth), dtype=bool))
-    return Outcome(errors.horizontal, errors.nees < NEES_95)
+    judged = slice(None) if middle is None else np.abs(errors.stamp - middle) < round(0.5e9 * HOUSES)
+    return Outcome(errors.horizontal[judged], (errors.nees < NEES_95)[judged])
 
 
 def of_recordings(found: dict[str, Recording], rates=RATES, claims=CLAIMS):
@@ -77,6 +97,8 @@ def of_recordings(found: dict[str, Recording], rates=RATES, claims=CLAIMS):
                     for claim in claims]
         results += [((rate, 'wanders'), outcome(with_claim(found['wanders'], rate, 1.0))),
                     ((rate, 'early'), outcome(early(with_claim(found['white'], rate, 1.0))))]
+        results += [((rate, f'scatter {times:g} times'), among_houses(with_claim(found['white'], rate, 1.0), times))
+                    for times in TIMES]
     return results
 
 
@@ -91,6 +113,8 @@ def lines(results: dict, drives: int):
     for (rate, special), found in results.items():
         rmse, largest = _size(found)
         right = _size(results[(rate, 'claims 1 of it')])
+        if special.startswith('scatter'):
+            right = rms(np.array([o.fixes[0] for o in found])), max(o.fixes[1] for o in found)
         held = [100 * o.inside.mean() if len(o.inside) else 0.0 for o in found]
         yield (f'| {rate:g} Hz | {special} | {rmse:.2f} | {rmse / right[0]:.2f} | {largest:.1f} | '
                f'{largest / right[1]:.1f} | {np.mean(held):.0f} % | {min(held):.0f} % |')
