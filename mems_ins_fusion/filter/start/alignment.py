@@ -37,7 +37,9 @@ SLOW = 2.0  # m/s: a faster vehicle soon shows its heading by its course
 STANDING_SIGMA = 0.05  # m/s, standard deviation of the velocity zero at rest
 #: second differences of fixes that have to agree with their claimed noise before a course is looked for: noise above
 #: the claim looks like motion
-FEWEST_CONSISTENT = 2
+FEWEST_CONSISTENT = 3
+#: weight of such a second difference: each fix is in three of them
+OVERLAP = 0.5
 #: s: a standstill that begins later than this after the first sample may follow a drive of which there are no samples
 SEEN_FROM_BEGIN = 2.0
 #: s after the first sample until which a saved heading is used: a vehicle not seen at rest by then has driven off
@@ -220,11 +222,10 @@ class Alignment:
         """
         if self._track and fix[0] - self._track[-1][0] < SHORTEST_PAIR:
             return
-        self._track.append(fix)
+        self._track = [*self._track[-2:], fix]
         if len(self._track) < 3:
             return
         (t_1, *first), (t_2, *second), (t_3, *third) = self._track
-        self._track = [fix]  # the next one has nothing else in common with this
         motion = inertial_motion(self._samples, t_1, t_3, None, self.config)
         if motion is None:
             return
@@ -235,7 +236,7 @@ class Alignment:
             0.5 * ahead * (math.hypot(*motion.gained) + motion.bias_f * (t_3 - t_1)))
         self._consistent += learn_changes(
             self._scale, 0, t_3, 0.5 * float(np.sum((to + ratio * back) ** 2)),
-            third[3] + (1.0 + ratio) ** 2 * second[3] + ratio**2 * first[3], 0.5 * changed**2, 2)
+            third[3] + (1.0 + ratio) ** 2 * second[3] + ratio**2 * first[3], 0.5 * changed**2, 2, OVERLAP)
 
     def _standstill(self, positions) -> Standstill | None:
         return latest_standstill(self._samples, positions, self.config)

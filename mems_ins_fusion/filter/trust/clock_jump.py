@@ -16,7 +16,7 @@ from mems_ins_fusion.compiled import njit
 
 from ..memory import NAV, Event, Head
 from ..update import product
-from .scale import Scale, Seen, reopen
+from .scale import LARGEST_SURPRISE, Scale, Seen, reopen
 
 #: s for which innovations are remembered: a manoeuvre. Of those before the jump each speaks against it
 REMEMBERED = 4.0
@@ -25,8 +25,6 @@ FOLLOWED = 10.0
 #: sigmas beyond which it has jumped: so far off by chance is one manoeuvre of 370, and the estimate is as good again
 #: after the next one
 CERTAIN = 3.0
-#: sigmas as which a larger innovation counts: a wheel that slips once is no clock that has jumped
-LARGEST_INNOVATION = 2.0
 #: s, and it has jumped by so much: less is the slip of tyres and the pitch of a body that accelerates
 SMALLEST = 0.05
 #: s, and by no more: what is further off has another fault, and would pass for one of that
@@ -47,7 +45,7 @@ def has_jumped(mem, r, at, n, own, dimensions, noise, variance):
     h = p + n * n
     since, gain = max(mem[at + Event.TIME] - mem[own + Scale.TIME], 0.0), variance / (variance + noise)
     keep, left = math.exp(-since / REMEMBERED), math.exp(-since / FOLLOWED)
-    largest = LARGEST_INNOVATION * math.sqrt(noise + variance)
+    largest = LARGEST_SURPRISE * math.sqrt(noise + variance)
     score, information = keep * mem[own + Seen.LATER], keep * mem[own + Seen.TELLS]
     for k in range(dimensions):
         followed = left * mem[own + Seen.FOLLOWED + k]

@@ -9,7 +9,8 @@ import math
 
 from mems_ins_fusion.compiled import njit
 
-from ..memory import NAV, ROW, Event, Head, Nav, Verdict
+from ...navigation.earth import gravity
+from ..memory import NAV, ROW, Error, Event, Head, Nav, Verdict, packed, row_of
 from .force_noise import ForceNoise, force_noise, learn_force_noise
 from .scale import PRIOR, Scale, begin_scale, learn_changes, reopen, scale
 from .scale import learn as learn_scale
@@ -36,7 +37,7 @@ Receiver = ROW.place(
 LONGEST_THREE = 30.0
 #: s over which the receiver's scatter is seen in how its error changes: over less than that errors are alike
 SHORTEST_PAIR = 0.9
-#: m/s^2, by which the inertial sensors are wrong in between where the filter does not know: half a degree of tilt
+#: m/s^2, by which the inertial sensors are wrong in between at most, as far as the filter knows: half a degree of tilt
 UNSEEN_ACCELERATION = 0.1
 #: m: a fix nearer than this is never refused, only weighted down. A filter that is off by so much without knowing it,
 #: as with an unknown time offset at 20 m/s, else refuses right fixes (Longmont: RMSE 0.26 m with it, 4.6 m without)
@@ -233,13 +234,13 @@ def _judge_innovation(mem, r, at, interval, claimed, lasting):
     time, variance = mem[at + Event.TIME], 0.5 * (mem[at + Event.S_NN] + mem[at + Event.S_EE])
     factor, claim = realised_factor(mem, r), _claim(mem, at)
     p = max(variance - factor * claim, 0.0)
-    squared, weight = 0.5 * (mem[slow] ** 2 + mem[slow + 1] ** 2) / mem[slow + 2], min(interval / SLOW, 1.0)
+    squared, weight = 0.5 * (mem[slow] ** 2 + mem[slow + 1] ** 2) / mem[slow + 2], min(interval / (2.0 * SLOW), 1.0)
     if mem[r + Receiver.SLOW_SCALE + Scale.KNOWN] == 0.0:
         mem[r + Receiver.SLOW_SCALE + Scale.LOG] = math.log(factor)
     learn_scale(mem, r + Receiver.SLOW_SCALE, time, squared * variance, claim, p, 2, weight)
     learn_scale(mem, r + Receiver.INNOVATION_SCALE, time, squared, 1.0, 0.0, 2, weight)
 
-    white, weight = variance * mem[followed + 2], min(interval / FOLLOWED, 1.0)
+    white, weight = variance * mem[followed + 2], min(interval / (2.0 * FOLLOWED), 1.0)
     squared = 0.5 * (mem[followed] ** 2 + mem[followed + 1] ** 2) * variance
     tau = min(interval * variance / max(p, 1e-9 * variance), SLOWEST)
     realised = realised_scatter(mem, r)
@@ -313,12 +314,23 @@ def learn_scatter(mem, r, at):
         north -= (1.0 + ratio) * mem[second]
         east -= (1.0 + ratio) * mem[second + 1]
         part = claimed + (1.0 + ratio) ** 2 * mem[second + 3] + ratio**2 * mem[first + 1]
-        unseen = ((0.5 * UNSEEN_ACCELERATION * (since - length) * since) ** 2
+        unseen = (_unseen_acceleration(mem, r) * (0.5 * (since - length) * since) ** 2
                   + force_noise(mem, r) * (since - length) ** 2 * since / 3.0)
         fits = learn_changes(mem, r + Receiver.SCALE, time, 0.5 * (north * north + east * east), part, unseen, 2)
     # the next three begin with this fix, unless it is far off, which counts once
     mem[first], mem[first + 1], mem[second + 2] = time if fits else 0.0, claimed, 0.0
     mem[moved], mem[moved + 1], mem[moved + 2], mem[moved + 3] = z_n, z_e, 0.0, 0.0
+
+
+@njit(_nrt=False)
+def _unseen_acceleration(mem, r):
+    """Variance of an acceleration to north or east that is an error of the tilt, (m/s^2)^2."""
+    most, n_navigation, phi = UNSEEN_ACCELERATION**2, int(mem[Head.N_NAVIGATION]), row_of(mem, Error.PHI_N)
+    if phi < 0:
+        return most
+    p, g = r + NAV + n_navigation + int(mem[Head.N_AUGMENTED]), gravity(mem[r + Nav.LATITUDE], mem[r + Nav.HEIGHT])
+    tilt = 0.5 * (mem[p + packed(phi, phi, n_navigation)] + mem[p + packed(phi + 1, phi + 1, n_navigation)])
+    return min(g * g * tilt, most)
 
 
 @njit(_nrt=False)

@@ -3,18 +3,21 @@
 What is estimated is the logarithm of (realised over assumed variance), as an error of a factor of ten is as likely too
 small as too large. A squared deviation is expected to be `scale part + rest`: `part` is the variance in question,
 `rest` what else is in it, such as the way that the inertial sensors did not see. Before anything is seen the prior is
-what receivers and data sheets claim: a normal distribution of the logarithm, as is what is known later. A deviation is
-that of a chi-square variable, or one of OUTLIERS, which may be of any size and say nothing. Mean and variance of the
-product of prior and likelihood are integrated over NODES (assumed density filtering, P. S. Maybeck, *Stochastic Models,
-Estimation, and Control* 2, 1982, 12.7). Where several deviations have much in common, each has a weight below 1, the
-exponent of its likelihood. There are two models of how a scale changes:
+what receivers and data sheets claim: a normal distribution of the logarithm, as is what is known later. There are two
+ways to learn:
 
-* `learn_changes`: it stays as it is, until it becomes another one: a receiver among houses, a mount that comes loose.
-  So there are two hypotheses, each with an estimate: the scale is as it was, or it has become another one lately, with
-  the prior again. The more probable one is used. One deviation that is far off is an outlier, several in a row are
-  another scale. (R. P. Adams and D. J. C. MacKay, "Bayesian online changepoint detection", 2007, has as many hypotheses
-  as there are instants.)
-* `learn`: it wanders, for errors that depend on the road, on satellites and on temperature.
+* `learn_changes`, from deviations that have little in common. Their likelihood is that of a chi-square variable, but
+  for OUTLIERS, which may be of any size and say nothing; mean and variance of the product of prior and likelihood are
+  integrated over NODES (assumed density filtering, P. S. Maybeck, *Stochastic Models, Estimation, and Control* 2, 1982,
+  12.7). A scale stays as it is, until it becomes another one: a receiver among houses, a mount that comes loose. So
+  there are two hypotheses, each with an estimate: the scale is as it was, or it has become another one lately, with the
+  prior again. The more probable one is used. One deviation that is far off is an outlier, several in a row are another
+  scale. (R. P. Adams and D. J. C. MacKay, "Bayesian online changepoint detection", 2007, has as many hypotheses as
+  there are instants.)
+* `learn`, from means that have much in common, each of which tells a little: a Kalman filter with one state for the
+  logarithm, which forgets (M. S. Bartlett and D. G. Kendall, "The statistical analysis of variance-heterogeneity and
+  the logarithmic transformation", Supplement to J. Royal Statistical Society 8, 1946). A deviation of any size counts
+  as a few sigma of it. One that is too large for chance is more of `part`: `rest` has its bounds.
 
 (R. K. Mehra, "Approaches to adaptive filtering", IEEE Trans. Automatic Control 17, 1972; S. Sarkka and A. Nummenmaa,
 "Recursive noise adaptive Kalman filtering by variational Bayesian approximations", the same 54, 2009, has an inverse
@@ -85,8 +88,13 @@ Inputs = HEAD.place(
 PRIOR = 4.8
 #: 1/s: a scale becomes another one once in twenty minutes: what a drive through a city brings
 CHANGES = 1.0 / 1200.0
-#: 1/s, by which the variance of the logarithm of a scale that wanders grows: by a factor of e within ten minutes
+#: 1/s, by which the variance of one that `learn` follows grows: by a factor of e within ten minutes
 WANDERS = 1.0 / 600.0
+#: mean and variance of the logarithm of a mean square of normal numbers with expectation 1, of one and of two
+LOG_MEAN = (-1.2704, -0.5772)
+LOG_VARIANCE = (4.9348, 1.6449)
+#: a deviation beyond so many sigma of the logarithm counts as that
+LARGEST_SURPRISE = 2.0
 #: multiple of the assumed variance that is believed at least: a tenth of the sigma, as much as anybody claims too much
 SMALLEST = 0.01
 #: and at most: a thousand times the sigma
@@ -110,29 +118,40 @@ def seen_of(mem, r, at):
 
 @njit(_nrt=False)
 def learn(mem, at, time, squared, part, rest, dimensions, weight=1.0):
-    """Learn from one deviation at `time`, s, of a scale that wanders; at: position of the scale in `mem`.
+    """Learn from one mean at `time`, s, that has much in common with those before it; at: of the scale in `mem`.
 
-    squared: mean square of its one or two `dimensions`, expected to be scale * part + rest. weight: exponent of its
-    likelihood.
+    squared: mean square of its one or two `dimensions`, expected to be scale * part + rest. weight: of this one.
     """
     known = mem[at + Scale.KNOWN] - WANDERS * max(time - mem[at + Scale.TIME], 0.0)
-    mem[at + Scale.KNOWN], mem[at + Scale.TIME] = max(known, 0.0), time
-    _learn_one(mem, at + Scale.LOG, squared, part, rest, dimensions, weight)
-    mem[at + Scale.LOG] = max(math.log(SMALLEST), min(mem[at + Scale.LOG], math.log(LARGEST)))
+    variance, mem[at + Scale.TIME] = PRIOR - max(known, 0.0), time
+    share = math.exp(mem[at + Scale.LOG]) * part
+    expected = share + rest
+    share /= expected
+    noise = LOG_VARIANCE[dimensions - 1] / weight
+    shown = max(squared, 1e-12 * expected) / math.exp(LOG_MEAN[dimensions - 1])
+    surprise = math.log(shown / expected)
+    if surprise > LARGEST_SURPRISE * math.sqrt(LOG_VARIANCE[dimensions - 1]):  # no chance: up to what explains it
+        share = surprise / (math.log((shown - rest) / part) - mem[at + Scale.LOG])
+    largest = LARGEST_SURPRISE * math.sqrt(share * share * variance + LOG_VARIANCE[dimensions - 1])
+    gain = share * variance / (share * share * variance + noise)
+    level = mem[at + Scale.LOG] + gain * max(-largest, min(surprise, largest))
+    mem[at + Scale.LOG] = max(math.log(SMALLEST), min(level, math.log(LARGEST)))
+    mem[at + Scale.KNOWN] = PRIOR - variance + gain * share * variance
 
 
 @njit(_nrt=False)
-def learn_changes(mem, at, time, squared, part, rest, dimensions):
+def learn_changes(mem, at, time, squared, part, rest, dimensions, weight=1.0):
     """Learn from one deviation at `time`, s, of a scale that may become another one; at: of it in `mem`.
 
-    squared: mean square of its one or two `dimensions`, expected to be scale * part + rest. Returns whether the
-    estimate before it allowed for a deviation as large.
+    squared: mean square of its one or two `dimensions`, expected to be scale * part + rest. weight: exponent of its
+    likelihood, below 1 where several deviations have much in common. Returns whether the estimate before it allowed for
+    a deviation as large.
     """
     if mem[at + Scale.TIME] != 0.0:
         _may_change(mem, at, 1.0 - math.exp(-CHANGES * max(time - mem[at + Scale.TIME], 0.0)))
     mem[at + Scale.TIME] = time
-    same, allowed = _learn_one(mem, at + Scale.LOG, squared, part, rest, dimensions, 1.0)
-    other, allowed_by_other = _learn_one(mem, at + Scale.OTHER_LOG, squared, part, rest, dimensions, 1.0)
+    same, allowed = _learn_one(mem, at + Scale.LOG, squared, part, rest, dimensions, weight)
+    other, allowed_by_other = _learn_one(mem, at + Scale.OTHER_LOG, squared, part, rest, dimensions, weight)
     share = mem[at + Scale.OTHER]
     allowed += share * (allowed_by_other - allowed)
     share = share * other / (share * other + (1.0 - share) * same)
