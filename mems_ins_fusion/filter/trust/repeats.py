@@ -13,10 +13,12 @@ import math
 from mems_ins_fusion.compiled import njit
 
 from ..measurements.geometry import body_to_level, body_velocity
-from ..memory import Event, Head, Kind, Nav, is_of_heading, is_of_velocity
+from ..memory import ROW, Event, Head, Kind, Nav, is_of_heading, is_of_velocity
 from .scale import Seen, seen_of
 from .standstill import moves
 
+#: of a state
+Repeats = ROW.place('Repeats', STUCK=1)  # 1: the receiver has repeated its position while the vehicle moved, and still does
 #: changes that rounding leaves unsaid: of a speed, m/s, and of a heading, rad, some steps of the coarsest there are
 ROUNDED_SPEED, ROUNDED_HEADING = 1.0, 0.1
 #: and of what the inertial sensors may be wrong by: m/s^2, a tilt of two degrees, and rad/s
@@ -41,7 +43,11 @@ def is_stuck(mem, r, at):
         return False
     kind = int(mem[at + Event.KIND])
     if kind == Kind.POSITION:
-        return _repeats(mem, at, r + Nav.FIX_LATITUDE) and moves(mem, r)
+        if not _repeats(mem, at, r + Nav.FIX_LATITUDE):
+            mem[r + Repeats.STUCK] = 0.0
+        elif moves(mem, r):
+            mem[r + Repeats.STUCK] = 1.0
+        return mem[r + Repeats.STUCK] != 0.0
     own = seen_of(mem, r, at)
     same = mem[at + Event.VALUE] == mem[own + Seen.LATEST]
     if kind == Kind.PLACE or kind == Kind.VELOCITY or kind == Kind.MAGNETIC:
