@@ -573,3 +573,13 @@ def test_a_way_ends_at_a_refused_fix_only_where_three_before_it_were_refused(ref
     assert newest(memory)[Nav.REFUSED] == refused + 1
     # then a way begins there only if all of them cannot be outliers
     assert (newest(memory)[way + Seen.START] != 0.0) == (refused == 3)
+
+
+def test_a_filter_has_not_strayed_from_refused_fixes_that_scatter():
+    # given a receiver whose scatter becomes thirty times what it claims, so that its fixes are refused at first
+    for seed in range(8):
+        receiver = Receiver(120.0, seed=seed)
+        receiver.position[40:] += 30.0 * receiver.rng.standard_normal(receiver.position[40:].shape)
+        memory = receiver.through(mechanization='strapdown')[1]
+        # then it is not said of the IMU that it has led astray, nor the velocity taken from two of them
+        assert newest(memory)[Nav.STRAYED] == 0.0

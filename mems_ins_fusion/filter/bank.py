@@ -32,6 +32,8 @@ from .memory import (
 )
 from .trust import fix_drift, hypotheses, new_start
 from .trust.hypotheses import Hypothesis
+from .trust.receiver import Receiver
+from .trust.scale import Scale
 
 #: in the head of the first
 Bank = HEAD.place(
@@ -84,6 +86,8 @@ def compare(memory):
         _start_from_fixes(memory, other, r, interval)
         if memory[Bank.OPEN] == 0.0:  # what was before the fixes is not remembered: there is no second filter
             return
+    for i in range(Receiver.SMOOTH_SCALE, Receiver.SCALE + Scale.SIZE):  # how the fixes scatter: it is the same receiver
+        other[r + i] = memory[r + i]
     if other[r + Hypothesis.DOUBTS] == 0.0 and other[r + Hypothesis.VARIANCE] != 0.0:
         # it takes fixes for right again: from now on it is judged by them, as the first
         other[r + Hypothesis.VARIANCE] = 0.0
