@@ -140,7 +140,7 @@ def test_what_no_car_does_is_said_with_the_parameters_that_are_its():
     # or fixes are refused that go on while the IMU shows a standstill
     fixes[:, Event.VERDICT], fixes[:, Event.Z_N] = Verdict.REFUSED, 3.0 * np.arange(20)
     said, = vehicle_warnings(result.memory, result.config, fixes)
-    assert 'the fixes go on while /imu/data shows a standstill' in said
+    assert 'the fixes move on while /imu/data shows a standstill' in said
     fixes[::4, Event.V_N] = 5.0  # not while it drives
     assert vehicle_warnings(result.memory, result.config, fixes) == []
 
