@@ -58,8 +58,8 @@ class Heading(Measurement):
     def parameters(self):
         return (
             *super().parameters(),
-            Parameter(f'{self.name}.offset', 0.0, 'rad', 'Measured heading minus heading of base_link, clockwise; it is '
-                      'subtracted.', minimum=-2 * math.pi, maximum=2 * math.pi),
+            Parameter(f'{self.name}.offset', 0.0, 'rad', 'Measured heading minus heading of base_link, clockwise; it '
+                      'is subtracted.', minimum=-2 * math.pi, maximum=2 * math.pi),
             Parameter(f'{self.name}.offset_sigma', 0.1, 'rad', 'Standard deviation of the remaining offset, which is '
                       'estimated: antennas and compasses are mounted to some degrees; 0: none remains.',
                       minimum=0.0, maximum=math.pi))

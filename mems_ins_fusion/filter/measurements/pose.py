@@ -22,8 +22,8 @@ class Pose(Twist):
 
     name, samples, of_two = 'pose', Displacements, True
     topic_text = ('Topic of the poses of a lidar or a camera in a frame of their own, of base_link: nav_msgs/Odometry '
-                  'without a twist, geometry_msgs/PoseStamped or PoseWithCovarianceStamped; the source must not use the '
-                  'fixes')
+                  'without a twist, geometry_msgs/PoseStamped or PoseWithCovarianceStamped; the source must not use '
+                  'the fixes')
     messages = {ODOMETRY: ('pose.pose.position', 'pose.pose.orientation'),
                 POSE: ('pose.pose.position', 'pose.pose.orientation'),
                 POSE_STAMPED: ('pose.position', 'pose.orientation')}

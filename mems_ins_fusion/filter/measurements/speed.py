@@ -32,7 +32,7 @@ def observe(mem, r, at, h, c, sample):
     if mem[at + Event.INPUT] == 0.0:
         if across >= 0:
             mem[h + across] = w_z
-    elif gyroscope >= 0:  # with a lateral arm, the speed depends on the gyroscope. `update` subtracts H times the estimate
+    elif gyroscope >= 0:  # with a lateral arm the speed contains the turn rate; `update` subtracts H times the estimate
         mem[h + gyroscope] = -y
         mem[at + Event.Z_N] -= y * mem[r + NAV + gyroscope]
     mem[at + Event.Z_N] -= mem[at + Event.VALUE]
