@@ -245,7 +245,7 @@ def test_acceleration_in_g_is_not_started_with(mechanization):
     imu = replace(recording.imu, specific_force=recording.imu.specific_force / STANDARD_GRAVITY)
     result = run(config, imu, recording.gnss)
     text = result.notices[-1].text
-    assert result.start is None and 'a believable specific force on /imu/data' in text
+    assert result.start is None and 'a possible specific force on /imu/data' in text
     assert "in g; set imu.acceleration_unit to 'g'" in text
 
 
