@@ -93,7 +93,7 @@ def _stop(speed, rng):
 
 
 def _cruise(speed, rng):
-    """A long straight at one speed: what a detector of standstills takes for one."""
+    """A long straight at constant speed, which a standstill detector may take for a standstill."""
     return [_speed_change(speed, rng.uniform(10.0, 28.0), rng.uniform(0.8, 1.5)), _hold(rng.uniform(20, 60))]
 
 
@@ -168,7 +168,7 @@ def _turns(angle, speed):
     return [_speed_change(speed, corner, 2.0), _curve(corner, corner, angle, 2.4), _speed_change(corner, speed, 2.0)]
 
 
-#: what a driver can be asked for, in words, as segments at a speed of some m/s that begin and end at that speed
+#: manoeuvres that a driver can be asked for, in words, as segments for a given speed that begin and end at that speed
 ASKED = {
     'driving straight on': lambda speed: [],
     'a left turn at a crossing': lambda speed: _turns(-np.pi / 2, speed),
