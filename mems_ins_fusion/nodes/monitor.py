@@ -1,4 +1,4 @@
-"""What the node says once a second, by the clock, of filter and inputs: in the log and on /diagnostics."""
+"""Reports on filter and inputs, once a second: in the log and on /diagnostics."""
 from __future__ import annotations
 
 import time
@@ -20,18 +20,18 @@ from .preflight import Preflight
 from .status import BEFORE_START, ERROR, SILENT, WARN, InputStatus, array, by_the_clock, filter_status, level_of
 from .verdicts import Verdicts
 
-#: how often, s
+#: s between two reports
 PERIOD = 1.0
-#: messages that are later than others by more show that the machine is busy, s
+#: s: messages that are delayed by more than others show that the machine is busy
 _LONG_WAIT = 0.1
-#: the logger's level by that of a status
+#: level of the logger for each level of a status
 _LOG_LEVELS = {b'\x00': 'info', b'\x01': 'warning', b'\x02': 'error'}
 
 
 class Monitor:
-    """Looks at `fusion` and `inputs` (the IMU and the fixes first). values: checked parameters of the node.
+    """Reports on `fusion` and `inputs` (the IMU and the fixes first). values: checked parameters of the node.
 
-    mounting, aiding, preflight: the checks that are fed with what comes in.
+    mounting, aiding, preflight: checks that the node gives each message.
     """
 
     def __init__(self, node: Node, fusion: FusionFilter, inputs: list[Input], verdicts: Verdicts, values: dict,
@@ -45,9 +45,9 @@ class Monitor:
         self.preflight = Preflight(inputs, values)
         self._state_log = StateLog()
         self._said_standstills = False
-        self._cannot_start: int | None = None  # since which sample, ns
+        self._cannot_start: int | None = None  # stamp of the sample since which the filter cannot start, ns
         self._looked = time.monotonic()
-        # by how much the last two looks came late, s: what is lost in a stall shows in the messages after it
+        # s by which the last two reports were late: messages lost in a stall are noticed in the messages after it
         self._stalled = deque([0.0], maxlen=2)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10, **NO_EVENTS)
 
@@ -136,7 +136,7 @@ class Monitor:
 
     @property
     def _found(self) -> dict[str, tuple[str, str]]:
-        """Level and text of what is wrong with an input now, by its name."""
+        """Level and text of the present problem of each input, by its name."""
         return {**self.aiding.found, **(self._imus.found if self._imus else {})}
 
     def _judge(self) -> tuple[str, list[str], dict]:
@@ -158,7 +158,7 @@ class Monitor:
 
     @staticmethod
     def _left(health: dict) -> list[str]:
-        """The countdown of an outage."""
+        """Remaining time of the trust horizon in an outage, in words."""
         left, limit = health['trust horizon, s'], health['trust horizon to, m']
         return [f'the error stays below {limit:g} m for {left:.0f} s more' if left > 0.0 else
                 f'the error may be larger than {limit:g} m']
@@ -172,7 +172,7 @@ class Monitor:
         return status.status(name, self._tally(told), self._found.get(told.name), more)
 
     def _cannot_start_for(self) -> float:
-        """For how long, by the samples' stamps, the filter has waited for what will not come by itself, s."""
+        """Time, s, by the stamps of the samples, for which the filter has waited although waiting does not help."""
         now = max(told.traffic.stamp for told in self._all_imus)
         if not self._fusion.contradicted:
             self._cannot_start = None

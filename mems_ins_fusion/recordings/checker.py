@@ -14,6 +14,7 @@ import numpy as np
 from mems_ins_fusion.filter.measurements.position import is_fix
 from mems_ins_fusion.filter.measurements.registry import aiding
 from mems_ins_fusion.filter.runs.usable import LARGEST_IN_ANY_UNIT, usable
+from mems_ins_fusion.filter.start.course import FASTEST
 from mems_ins_fusion.navigation.earth import STANDARD_GRAVITY, gravity
 from mems_ins_fusion.parameters import table
 from mems_ins_fusion.recordings.aiding import check_aiding
@@ -30,7 +31,6 @@ from mems_ins_fusion.recordings.units import RATE, Units, as_delivered, find_uni
 from mems_ins_fusion.samples import Fixes, ImuSamples, Recording, runs
 from mems_ins_fusion.sensor_errors.models import per_axis
 
-FASTEST = 70.0  # m/s, largest speed of a land vehicle
 HARDEST = 12.0  # m/s^2, largest acceleration of a land vehicle
 GAP = 2.5  # shortest gap between messages, in median intervals
 _AXES = np.array(['x', 'y', 'z'])

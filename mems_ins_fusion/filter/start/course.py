@@ -15,7 +15,7 @@ from ..trust.receiver import LASTING_TIME
 from .start import KNOWN_FORCE_SIGMA, KNOWN_RATE_SIGMA, UNKNOWN_TILT_FORCE, Standstill
 
 COURSE_SIGMA = 0.1  # rad, largest noise over length of a chord from which a course is computed. Chosen, not measured
-FASTEST = 70.0  # m/s, largest speed at the start: no land vehicle is faster then
+FASTEST = 70.0  # m/s, largest speed of a land vehicle
 FASTEST_REVERSE = 3.0  # m/s: no vehicle starts faster in reverse; if it seems to, the IMU is mounted backwards
 SHORTEST_COURSE = 1.0  # m, shortest chord
 LONGEST_COURSE_TIME = 60.0  # s, longest chord in time: over longer times the biases of the inertial sensors are large
