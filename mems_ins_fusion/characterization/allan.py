@@ -132,7 +132,7 @@ def degrees_of_freedom(points: int, m: int, slope: float) -> float:
     """Equivalent degrees of freedom of an overlapping Allan variance, NIST SP 1065, Table 5.
 
     points: number of integrated samples (samples + 1). m: window size. slope: of the deviation in log-log,
-    which tells the kind of noise: white below -1/4, flicker to +1/4, random walk above.
+    from which the kind of noise follows: white below -1/4, flicker up to +1/4, random walk above.
     """
     n = points
     if slope < -0.25:

@@ -124,8 +124,8 @@ def _formats(options) -> dict[str, str | None]:
     for kind in ('imu', 'gnss'):
         path = getattr(options, kind)
         named = path is None or getattr(options, f'{kind}_columns')
-        told = named or read_text(path, 'utf-8', 'replace')[:1] == '$'
-        found[kind] = None if told else recognised(read_table(path).names)
+        is_known = named or read_text(path, 'utf-8', 'replace')[:1] == '$'
+        found[kind] = None if is_known else recognised(read_table(path).names)
     return found
 
 

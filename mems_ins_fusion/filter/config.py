@@ -305,7 +305,7 @@ class FilterConfig:
             Head.MAX_GAP: self.imu.max_gap, Head.MAX_DELAY: self.latest, Head.AHEAD: self.ahead,
             Head.GATE: gnss.gate, Head.ROBUST_SIGMA: values['gnss.robust_sigma'],
             Head.RECOVERY_TIME: values['gnss.recovery_time'], Head.COVARIANCE_FACTOR: values['gnss.adapt_covariance'],
-            # the planar filter's errors on slopes would be taken for the receiver's
+            # in the planar filter, errors by slopes would count as errors of the receiver
             Head.ADAPT: values['gnss.adapt_sigma'] and shows_tilt,
             # with AR models the planar filter's white noise includes the tilt (`_with_tilt`)
             White.ADAPT: values['imu.adapt_noise'] and shows_tilt,

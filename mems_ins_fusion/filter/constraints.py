@@ -70,8 +70,8 @@ def constrain(mem, r, sample):
         variance = velocity_variance(mem, r)
         squared = mem[r + Nav.V_N] ** 2 + mem[r + Nav.V_E] ** 2
         agrees = squared < STILL_SPEED**2 + 9.0 * variance
-        # a speed of the filter speaks against a standstill (a smooth, straight creep), but not where a gyroscope shows
-        # a turn: then the gyroscope is wrong, and has made the velocity wrong as well
+        # an estimated speed contradicts a standstill (a smooth, straight creep), but not where a gyroscope shows a
+        # turn: then the gyroscope is wrong, and has made the velocity wrong as well
         still = ((agrees or contradiction.goes_back(mem, r) or _turns(mem, r, sample, n, 0.0, gyroscopes.NEW_ERROR))
                  and not _turns(mem, r, sample, n, STILL_RATE, ROBUST))
         if still and not agrees:

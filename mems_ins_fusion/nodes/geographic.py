@@ -13,7 +13,7 @@ from ..navigation.frames import yaw_from_enu, yaw_of_quaternion
 from ..parameters.parameter import ParameterError
 from ..parameters.table import ALL
 
-#: of a start pose without any, m^2: the first fix tells the height better
+#: m^2, variance of the height of a start pose that has none: the first fix gives a better height
 _HEIGHT_VARIANCE = 100.0
 
 

@@ -21,7 +21,7 @@ class HorizonOutput:
     def __init__(self, node: Node, fusion: FusionFilter, values: dict):
         self._name, self._fusion, self._limit = node.get_name(), fusion, values['horizon.limit']
         self._publisher = node.create_publisher(DiagnosticArray, '~/horizon', LATCHED, **NO_EVENTS)
-        self._slot, self._trusted = None, False  # of the newest message, and whether it tells a horizon
+        self._slot, self._trusted = None, False  # slot of the newest message, and whether it contains a horizon
 
     def on_sample(self, now: int) -> None:
         """The filter has an estimate from a sample with the stamp `now`, ns."""

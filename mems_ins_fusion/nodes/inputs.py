@@ -98,23 +98,23 @@ class Queue:
 
     def _serve(self) -> None:
         waiting = self._waiting
-        for told in self.inputs:  # a node that cannot keep up leaves the rest in the queues of the topics
-            while len(waiting) < _DEPTH and (taken := told.take()) is not None:
-                waiting.append((taken[1]['source_timestamp'], told, *taken))
+        for source in self.inputs:  # a node that cannot keep up leaves the rest in the queues of the topics
+            while len(waiting) < _DEPTH and (taken := source.take()) is not None:
+                waiting.append((taken[1]['source_timestamp'], source, *taken))
         if len(waiting) > 1:
             waiting.sort(key=lambda one: one[0])
         begun, done = time.monotonic(), 0
         self._pass_on_held()
         for one in waiting:
-            _, told, message, info = one
-            if told.is_imu:
-                told.on_message(message, info)
+            _, source, message, info = one
+            if source.is_imu:
+                source.on_message(message, info)
                 self._deadline = None  # they still come
                 self._pass_on_held()
-            elif told in self._held or self._overtook(told, message, info):  # later ones stay behind it
-                self._held[told].append(one)
+            elif source in self._held or self._overtook(source, message, info):  # later ones stay behind it
+                self._held[source].append(one)
             else:
-                told.on_message(message, info)
+                source.on_message(message, info)
             done += 1
             if time.monotonic() - begun > AT_ONCE:
                 break
@@ -124,18 +124,18 @@ class Queue:
 
     def _pass_on_held(self) -> None:
         """The held messages for which all earlier samples have come, or whose time is over."""
-        for told, held in list(self._held.items()):
-            while held and not self._overtook(told, *held[0][2:]):
-                told.on_message(*held.popleft()[2:])
+        for source, held in list(self._held.items()):
+            while held and not self._overtook(source, *held[0][2:]):
+                source.on_message(*held.popleft()[2:])
             if not held:
-                del self._held[told]
+                del self._held[source]
 
-    def _overtook(self, told: Input, message, info: dict) -> bool:
+    def _overtook(self, source: Input, message, info: dict) -> bool:
         """Whether samples from before a message are still to come: the message is late, and its stamp is far ahead of
         the newest sample's. After a stall, messages come topic by topic. A message that is ahead but not late has a
         stamp of another clock."""
         newest = max((other.traffic.stamp for other in self.inputs if other.is_imu), default=0)
-        if not newest or stamp_of(message) - newest <= OVERTAKEN or told.traffic.waited(info) <= STALLED:
+        if not newest or stamp_of(message) - newest <= OVERTAKEN or source.traffic.waited(info) <= STALLED:
             return False
         if self._deadline is None:
             self._deadline = time.monotonic() + HOLD
@@ -249,7 +249,7 @@ def _aiding(node, queue, measurement, topic, fusion, before) -> Input:
     newest = deque(maxlen=2 if measurement.of_two else 1)
 
     def on_message(message, info):
-        fusion.waited = told.traffic.take(message.header, info)
+        fusion.waited = source.traffic.take(message.header, info)
         newest.append(message)
         if len(newest) < newest.maxlen:
             return
@@ -257,8 +257,8 @@ def _aiding(node, queue, measurement, topic, fusion, before) -> Input:
         before(measurement.name, stamp, numbers)
         fusion.add(measurement.name, stamp, *numbers)
 
-    told = Input(node, queue, measurement.name, topic, tuple(measurement.messages), on_message)
-    return told
+    source = Input(node, queue, measurement.name, topic, tuple(measurement.messages), on_message)
+    return source
 
 
 def message_class(kind: str):

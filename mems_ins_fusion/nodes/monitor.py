@@ -39,9 +39,9 @@ class Monitor:
         self._imus = imus
         self._node, self._fusion, self._inputs, self._verdicts, self._log = node, fusion, inputs, verdicts, log
         self._imu, self._online = inputs[0], online
-        self._all_imus = [told for told in inputs if told.is_imu]
+        self._all_imus = [source for source in inputs if source.is_imu]
         self.mounting, self.aiding = MountingCheck(values), AidingCheck(values)
-        self._statuses = [InputStatus(told) for told in inputs]
+        self._statuses = [InputStatus(source) for source in inputs]
         self.preflight = Preflight(inputs, values)
         self._state_log = StateLog()
         self._said_standstills = False
@@ -56,14 +56,14 @@ class Monitor:
         now = time.monotonic()
         self._stalled.append(now - self._looked - PERIOD)
         self._looked = now
-        for told in self._inputs:
-            told.look()
+        for source in self._inputs:
+            source.look()
         for status in self._statuses:
             status.look(self._tally(status.input))
             self._say_lost(status)
         self._look_at_mounting()
         for name, level, text in self.aiding.look():
-            topic = next(told.topic_name for told in self._inputs if told.name == name)
+            topic = next(source.topic_name for source in self._inputs if source.name == name)
             self._log.tell(level, f'{topic}: {text}')
         self._say_silent()
         self._diagnose()
@@ -71,10 +71,10 @@ class Monitor:
         if found:
             self._log.tell(*found)
 
-    def _tally(self, told: Input) -> Tally:
-        if self._imus and told.name in self._imus.names[1:]:
-            return self._imus.tallies[told.name]
-        return self._fusion.tallies.get(told.name) or Tally()
+    def _tally(self, source: Input) -> Tally:
+        if self._imus and source.name in self._imus.names[1:]:
+            return self._imus.tallies[source.name]
+        return self._fusion.tallies.get(source.name) or Tally()
 
     def _say_lost(self, status: InputStatus) -> None:
         if status.lost:
@@ -97,16 +97,16 @@ class Monitor:
             self._said_standstills = True
 
     def _say_silent(self) -> None:
-        for told in self._inputs:
-            found = told.traffic.check()
+        for source in self._inputs:
+            found = source.traffic.check()
             if found is None:
                 continue
             silent, seconds = found
             if silent:
-                self._log.tell('warning', f'no message on {told.topic_name} ({told.kind}) for {seconds:.0f} s: '
-                                          f'{told.why_silent()}')
+                self._log.tell('warning', f'no message on {source.topic_name} ({source.kind}) for {seconds:.0f} s: '
+                                          f'{source.why_silent()}')
             else:
-                self._log.tell('info', f'messages on {told.topic_name} again after {seconds:.0f} s')
+                self._log.tell('info', f'messages on {source.topic_name} again after {seconds:.0f} s')
 
     def _diagnose(self) -> None:
         """State, reasons and numbers, for the log and /diagnostics."""
@@ -116,9 +116,9 @@ class Monitor:
         since, said = self._state_log.look(state, '; '.join(reasons) or health['status'], level)
         if said:
             self._log.tell(_LOG_LEVELS[level], said)
-        for told in self._inputs:
-            if told.name in self._found:
-                reasons, level = [*reasons, f'{told.topic_name}: {self._found[told.name][1]}'], max(level, WARN)
+        for source in self._inputs:
+            if source.name in self._found:
+                reasons, level = [*reasons, f'{source.topic_name}: {self._found[source.name][1]}'], max(level, WARN)
         if self.mounting.is_wrong and not certain:  # else that is the reason
             reasons, level = [*reasons, self.mounting.found], max(level, WARN)
         if self.mounting.standstills and self.mounting.standstills[0] != 'info':
@@ -126,8 +126,8 @@ class Monitor:
         if self._verdicts.mean_nis is not None:
             health['mean NIS'] = self._verdicts.mean_nis
         health['mounting'] = self.mounting.found
-        for told in self._inputs:
-            health[f'messages on {told.topic_name}, Hz'] = told.traffic.hertz
+        for source in self._inputs:
+            health[f'messages on {source.topic_name}, Hz'] = source.traffic.hertz
         name = self._node.get_name()
         statuses = [filter_status(name, state, level, since, reasons, health),
                     *(self._input_status(name, status, health) for status in self._statuses),
@@ -142,7 +142,7 @@ class Monitor:
     def _judge(self) -> tuple[str, list[str], dict]:
         """State, reasons and numbers of the filter, by the clock."""
         state, health, reasons = self._fusion.state, self._fusion.health(), self._fusion.reasons
-        last = min(self._all_imus, key=lambda told: told.traffic.silence)
+        last = min(self._all_imus, key=lambda source: source.traffic.silence)
         imu = last.traffic
         if imu.is_stale and imu.count:
             return (SILENT, [f'no sample on {last.topic_name} for {imu.silence:.0f} s, nothing is published'],
@@ -164,16 +164,16 @@ class Monitor:
                 f'the error may be larger than {limit:g} m']
 
     def _input_status(self, name: str, status: InputStatus, health: dict) -> DiagnosticStatus:
-        told, age, more = status.input, 'age of the last fix used, s', {}
-        if told.name == 'imu':
+        source, age, more = status.input, 'age of the last fix used, s', {}
+        if source.name == 'imu':
             more = {'gaps': self._fusion.gaps}
-        elif told.name == 'fix' and age in health:
+        elif source.name == 'fix' and age in health:
             more = {age: health[age]}
-        return status.status(name, self._tally(told), self._found.get(told.name), more)
+        return status.status(name, self._tally(source), self._found.get(source.name), more)
 
     def _cannot_start_for(self) -> float:
         """Time, s, by the stamps of the samples, for which the filter has waited although waiting does not help."""
-        now = max(told.traffic.stamp for told in self._all_imus)
+        now = max(source.traffic.stamp for source in self._all_imus)
         if not self._fusion.contradicted:
             self._cannot_start = None
         elif self._cannot_start is None or now < self._cannot_start:  # the clock was set back

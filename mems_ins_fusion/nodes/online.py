@@ -109,7 +109,7 @@ class OnlineDiagnosis:
     def _on_word(self, word: str, request, response):
         response.success = self.ask(word)
         response.message = f'calibration: {word}: ' + (
-            'passed on; ~/calibration tells what has come of it' if response.success else
+            'passed on; the result is on ~/calibration' if response.success else
             f'not done, the diagnosis is too far behind: {_BUSY}')
         return response
 
@@ -127,7 +127,7 @@ class OnlineDiagnosis:
                 message = asked if isinstance(asked, str) else (asked[0].recording(), asked[1])
                 pickle.dump(message, self._process.stdin)
                 self._process.stdin.flush()
-        except OSError:  # `_read` tells
+        except OSError:  # reported by `_read`
             pass
 
     def _read(self) -> None:

@@ -62,14 +62,14 @@ class Preflight:
         return ('warning' if wrong else 'info',
                 f'what comes in ({f"{wrong} to look at" if wrong else "all fine"}):\n{text}')
 
-    def _input(self, told: Input) -> tuple[str, str]:
-        traffic = told.traffic
+    def _input(self, source: Input) -> tuple[str, str]:
+        traffic = source.traffic
         if not traffic.count:
-            return told.kind, f'no message: {told.why_silent()}'
-        seen = f"{told.kind}, {traffic.hertz:.1f} Hz, frame '{traffic.frame_id}', stamps {traffic.delay:.3g} s old"
-        if told.name == 'imu' and traffic.hertz < 20.0:
+            return source.kind, f'no message: {source.why_silent()}'
+        seen = f"{source.kind}, {traffic.hertz:.1f} Hz, frame '{traffic.frame_id}', stamps {traffic.delay:.3g} s old"
+        if source.name == 'imu' and traffic.hertz < 20.0:
             return seen, 'an IMU needs 20 Hz or more'
-        return seen, told.qos_problem()
+        return seen, source.qos_problem()
 
     def _mounting(self, force) -> tuple[str, str]:
         declared = self._values['imu.mounting_rpy']

@@ -44,8 +44,8 @@ class StateFile:
             calibration = content.get('calibration', [])
             for one in calibration:
                 _kept(one)
-                for told in one.get('devices', {}).values():
-                    float(told['rate'])
+                for device in one.get('devices', {}).values():
+                    float(device['rate'])
         except FileNotFoundError:
             return None
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

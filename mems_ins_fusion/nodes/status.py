@@ -68,8 +68,8 @@ def by_the_clock(health: dict, silence: float) -> dict:
 class InputStatus:
     """The status of one input on /diagnostics, `look` once a second."""
 
-    def __init__(self, told: Input):
-        self.input, self.lost, self.waited = told, 0, 0.0
+    def __init__(self, source: Input):
+        self.input, self.lost, self.waited = source, 0, 0.0
         self._recent: deque[tuple[int, int]] = deque(maxlen=RECENT)
         self._before = 0, 0
 

@@ -73,7 +73,7 @@ class Parameter:
             if isinstance(value, bool):
                 return value
         elif kind is str:
-            if isinstance(value, bool) and 'off' in self.choices:  # YAML and ROS read on and off so where nobody quotes
+            if isinstance(value, bool) and 'off' in self.choices:  # YAML and ROS read unquoted on and off as booleans
                 value = 'on' if value else 'off'
             if isinstance(value, str):
                 return self._check_choice(value)

@@ -42,7 +42,7 @@ class _Loader(yaml.SafeLoader):
 
 def read_yaml(path):
     """The one document in the YAML file `path`. OSError where it cannot be read, YamlError where it is not usable."""
-    if Path(path).exists() and not Path(path).is_file():  # a pipe that nobody fills would be waited for, for ever
+    if Path(path).exists() and not Path(path).is_file():  # reading from a pipe could wait for ever
         raise YamlError('it is not a file')
     with Path(path).open('rb') as file:
         data = file.read(_LARGEST + 1)

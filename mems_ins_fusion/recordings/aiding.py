@@ -277,8 +277,8 @@ def check_pressure(pressures: Pressures, fixes: Fixes | None) -> Iterator[Findin
     if finite[0] == finite[-1]:
         yield Finding(WARNING, 'pressure', 'the pressure is the same in every message', {'count': len(finite)})
         return
-    told = replace(pressures, pressure=height_of(np.clip(pressures.pressure, LOWEST, HIGHEST)))
-    compared = _compare('pressure', told, told.pressure, fixes)
+    heights = replace(pressures, pressure=height_of(np.clip(pressures.pressure, LOWEST, HIGHEST)))
+    compared = _compare('pressure', heights, heights.pressure, fixes)
     if isinstance(compared, Finding):
         yield compared
         return

@@ -396,7 +396,7 @@ def _times(table: Table, columns: dict[str, str], unit, longest: float, found: d
 
 
 def _date(row) -> str:
-    """ISO 8601 of year, month, day, hour, minute, second; what is none is left to who reads it."""
+    """ISO 8601 of year, month, day, hour, minute, second; an invalid date is found when the text is read."""
     try:
         year, month, day, hour, minute, second = (float(cell) for cell in row)
         return f'{year:04.0f}-{month:02.0f}-{day:02.0f}T{hour:02.0f}:{minute:02.0f}:{second:09.6f}'

@@ -25,7 +25,7 @@ CERTAIN = 4.0  # standard deviations by which every other heading has to fit wor
 #: largest sum of squares over its expectation, of means over a second: above this the field is not the earth's alone
 #: Chosen, not measured
 MISFIT = 0.3
-#: rad by which the vehicle has to turn: without a turn, a field that changes by itself would be taken for iron
+#: rad by which the vehicle has to turn: without a turn, a field that changes by itself would be estimated as iron
 LEAST_TURN = 0.4
 IRON_KNOWN = 0.2  # standard deviation of the hard iron, as a share of the field, below which no turn is needed
 HEADING_SIGMA = 0.15  # rad, standard deviation of the heading that is good enough to start
