@@ -42,10 +42,10 @@ Bank = HEAD.place(
     OPEN=1,  # 1: there is a second filter
     COMPARED=1,  # s: time of the latest fix after which both were compared
     BEGUN=1,  # s: time since which the fixes are wrong, as the filter that refuses them assumes
-    DATED=1)  # 1: earlier values of BEGUN have been tried (`_date`)
+    SEARCHED=1)  # 1: earlier values of BEGUN have been tried (`_search_begin`)
 
-#: s before the first fix that did not fit: earlier times since which the fixes may be wrong, tried by `_date`. Fixes
-#: that drift away fit at first
+#: s before the first fix that did not fit: earlier times since which the fixes may be wrong, tried by `_search_begin`.
+#: Fixes that drift away fit at first
 BACK = (2.0, 4.0, 8.0)
 #: nats by which the second filter has to be better before it is published: a change makes the published position jump.
 #: Chosen, not measured
@@ -86,9 +86,9 @@ def compare(memory):
         _begin(memory, other, r, interval)
         if memory[Bank.OPEN] == 0.0 and not refused:
             return
-    elif memory[Bank.DATED] == 0.0 and memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE] < SERIOUS:
-        memory[Bank.DATED] = 1.0
-        _date(memory, other, r, interval)
+    elif memory[Bank.SEARCHED] == 0.0 and memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE] < SERIOUS:
+        memory[Bank.SEARCHED] = 1.0
+        _search_begin(memory, other, r, interval)
     if refused:
         _start_from_fixes(memory, other, r, interval)
         if memory[Bank.OPEN] == 0.0:  # the state before the fixes is no longer in the memory: there is no second filter
@@ -103,7 +103,7 @@ def compare(memory):
         other[r + Hypothesis.SCORE] = max(other[r + Hypothesis.SCORE], least)
     lead = memory[r + Hypothesis.SCORE] - other[r + Hypothesis.SCORE]
     share = 1.0 / (1.0 + math.exp(min(lead, 100.0)))
-    if not doubts and lead > hypotheses.LOST or _same(memory, other, r):
+    if not doubts and lead > hypotheses.LOST or _agree(memory, other, r):
         memory[Bank.OPEN] = share = 0.0
     mine, its = hypotheses.position_and_velocity(memory, r), hypotheses.position_and_velocity(other, r)
     north, east = (its[0] - mine[0]) / memory[r + Nav.NORTH_SCALE], (its[1] - mine[1]) / memory[r + Nav.EAST_SCALE]
@@ -117,7 +117,7 @@ def _swap(memory, other):
     """Exchange the first and the second filter."""
     for i in range(int(memory[Bank.SIZE])):
         memory[i], other[i] = other[i], memory[i]
-    for i in range(Bank.SIZE, Bank.DATED + 1):
+    for i in range(Bank.SIZE, Bank.SEARCHED + 1):
         memory[i] = other[i]
     r = state_at(memory, int(memory[Head.SAMPLES]))
     memory[r + Hypothesis.FITS], other[r + Hypothesis.FITS] = 0.0, 1.0
@@ -130,11 +130,11 @@ def _start_from_fixes(memory, other, r, interval):
     begun = memory[r + Nav.REFUSED_SINCE]
     if memory[Bank.OPEN] == 0.0 or other[r + Hypothesis.SCORE] < memory[r + Hypothesis.SCORE]:
         oldest = max(1, int(memory[Head.SAMPLES]) - int(memory[Head.CAPACITY]) + 2)
-        if _doubt(memory, other, max(begun, memory[state_at(memory, oldest) + Nav.TIME]), interval) == -math.inf:
+        if _refuse_since(memory, other, max(begun, memory[state_at(memory, oldest) + Nav.TIME]), interval) == -math.inf:
             return
     _swap(memory, other)
     begun = max(begun, memory[r + Nav.FIX_TIME] - (1.0 - FITTED) * memory[Head.RECOVERY_TIME])
-    memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.DATED] = 1.0, begun, 1.0
+    memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.SEARCHED] = 1.0, begun, 1.0
     newest, k = int(other[Head.SAMPLES]), _before(other, other[r + Nav.FIX_TIME])
     start = state_at(other, k)
     other[start + Hypothesis.STARTS] = 1.0
@@ -171,20 +171,20 @@ def _begin(memory, other, r, interval):
     prior = math.log(hypotheses.FIXES_WRONG * min(interval, hypotheses.LONGEST))
     if memory[r + Hypothesis.OTHERWISE] + prior < -hypotheses.LOST:
         return
-    if _doubt(memory, other, time, interval) > score - hypotheses.LOST:
-        memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.DATED] = 1.0, time, 0.0
+    if _refuse_since(memory, other, time, interval) > score - hypotheses.LOST:
+        memory[Bank.OPEN], memory[Bank.BEGUN], memory[Bank.SEARCHED] = 1.0, time, 0.0
 
 
 @njit(_nrt=False)
-def _date(memory, other, r, interval):
+def _search_begin(memory, other, r, interval):
     """Let `other` refuse the fixes from an earlier time on, where its score is better then."""
     best, latest, since = other[r + Hypothesis.SCORE], memory[Bank.BEGUN], 0.0
     for back in BACK:
-        score = _doubt(memory, other, latest - back, interval)
+        score = _refuse_since(memory, other, latest - back, interval)
         if score > best:
             best, since = score, back
     if since != BACK[-1]:
-        _doubt(memory, other, latest - since, interval)
+        _refuse_since(memory, other, latest - since, interval)
     memory[Bank.BEGUN] = latest - since
 
 
@@ -217,7 +217,7 @@ def _before(memory, time):
 
 
 @njit(_nrt=False)
-def _doubt(memory, other, since, interval):
+def _refuse_since(memory, other, since, interval):
     """Make `other` the filter that `memory` would be, had it used no fix since `since`, s. Returns its score, or -inf
     where the state of that time is no longer in the memory."""
     newest, k = int(memory[Head.SAMPLES]), _before(memory, since)
@@ -232,7 +232,7 @@ def _doubt(memory, other, since, interval):
 
 
 @njit(_nrt=False)
-def _same(memory, other, r):
+def _agree(memory, other, r):
     """Whether both filters either use the fixes or refuse them, and agree in position, velocity and heading (SAME)."""
     if memory[r + Hypothesis.DOUBTS] != other[r + Hypothesis.DOUBTS]:
         return False
