@@ -271,12 +271,12 @@ ALL = {p.name: p for p in (*FILTER, *FUSION, *REPLAY)}
 
 
 def defaults() -> dict:
-    """Every parameter at its default."""
+    """All parameters with their defaults."""
     return {name: list(p.default) if isinstance(p.default, list) else p.default for name, p in ALL.items()}
 
 
 def check(values: dict) -> dict:
-    """The defaults with `values` laid over them; ParameterError for an unknown name or a value that does not fit."""
+    """The defaults, updated with `values`. Raises ParameterError for an unknown name or a value that does not fit."""
     known, checked = parameters_of(values), defaults()
     checked |= {name: parameter.default for name, parameter in known.items() if name not in ALL}
     for name, value in values.items():
@@ -287,10 +287,10 @@ def check(values: dict) -> dict:
 
 
 def parameters_of(values: dict) -> dict[str, Parameter]:
-    """ALL, and those of the inputs that `values`, unchecked, name."""
+    """ALL, and the parameters of the named inputs in the unchecked `values`."""
     return {**ALL, **named_parameters(values, ALL)}
 
 
 def unknown(name: str) -> str:
-    """What to tell a user who wrote `name`."""
+    """Message for a user who wrote the unknown parameter `name`."""
     return f"unknown parameter '{name}'{did_you_mean(name, ALL)}"
